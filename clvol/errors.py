@@ -1,0 +1,54 @@
+"""Typed errors: what is wrong, where, and what was expected instead."""
+
+from __future__ import annotations
+
+
+class ClvolError(Exception):
+    """Base of every error that clvol raises on purpose.
+
+    ``where`` names the place (a file, a scene key, an argument), ``what`` what was found there,
+    ``expected`` what would have been right. ``str()`` is the one line that the command prints:
+    ``WHERE: WHAT, expected EXPECTED``. ``exit_status`` is the command's exit status.
+    """
+
+    exit_status = 4
+
+    def __init__(self, where: str, what: str, expected: str | None = None) -> None:
+        self.where = str(where)
+        self.what = str(what)
+        self.expected = None if expected is None else str(expected)
+        super().__init__(where, what, expected)
+
+    def __str__(self) -> str:
+        tail = f", expected {self.expected}" if self.expected else ""
+        return " ".join(f"{self.where}: {self.what}{tail}".split())
+
+
+class SceneError(ClvolError):
+    """The scene is wrong: an unknown key, a wrong type, an impossible value."""
+
+    exit_status = 2
+
+
+class VolumeError(ClvolError):
+    """The volume cannot be read, or is not what its header says, or does not fit."""
+
+    exit_status = 2
+
+
+class UsageError(ClvolError):
+    """A command-line or call argument is wrong."""
+
+    exit_status = 2
+
+
+class DeviceError(ClvolError):
+    """No OpenCL device works, or the one asked for does not."""
+
+    exit_status = 3
+
+
+class RenderError(ClvolError):
+    """Rendering or writing the picture failed."""
+
+    exit_status = 4
