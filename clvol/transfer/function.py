@@ -1,0 +1,147 @@
+"""The transfer function: opacity and colour, linear between control points.
+
+Opacity is what a path of world length ``opacity_unit`` through a constant value absorbs, so the
+extinction is tau(s) = -log(1 - opacity(s)) / opacity_unit, and a picture does not depend on the
+step, the spacing or the resolution that it was made with.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from clvol.errors import SceneError
+
+_WHERE = "transfer_function"
+
+
+@dataclass(frozen=True, eq=False)
+class TransferFunction:
+    """Control points of opacity and colour over the volume's values.
+
+    ``values`` [n]: finite, ascending; two points may share a value, which makes a step: exactly at
+    the shared value the later point holds. ``opacities`` [n] in [0, 1]. ``colors`` [n, 3] in
+    [0, 1], linear light, not multiplied by opacity. ``opacity_unit``: world length > 0 that the
+    opacities are stated for. Values outside the points take the end points' opacity and colour; NaN
+    has opacity 0 and the first point's colour. All arrays are float64 and read-only.
+
+    Raises SceneError if the points are none, unsorted, out of range or of unequal number.
+    """
+
+    values: np.ndarray
+    opacities: np.ndarray
+    colors: np.ndarray
+    opacity_unit: float = 1.0
+
+    def __post_init__(self) -> None:
+        for name in ("values", "opacities", "colors"):
+            object.__setattr__(self, name, _frozen(name, getattr(self, name)))
+        n = self.values.size
+        if self.values.ndim != 1 or n < 1:
+            raise _wrong("values", f"shape {self.values.shape}", "at least one control point")
+        if self.opacities.shape != (n,):
+            raise _wrong("opacities", f"shape {self.opacities.shape}", f"shape ({n},), as values")
+        if self.colors.shape != (n, 3):
+            raise _wrong("colors", f"shape {self.colors.shape}", f"shape ({n}, 3)")
+        step = np.flatnonzero(self.values[1:] < self.values[:-1])
+        if step.size:
+            i = int(step[0])
+            got = f"{self.values[i + 1]!s} after {self.values[i]!s}"
+            raise _wrong(f"values.{i + 1}", got, "ascending values")
+        if n > 2 and np.any(self.values[2:] == self.values[:-2]):
+            i = int(np.flatnonzero(self.values[2:] == self.values[:-2])[0])
+            got = f"{self.values[i]!s} three times"
+            raise _wrong(f"values.{i + 2}", got, "at most two points at one value")
+        for name in ("opacities", "colors"):
+            array = getattr(self, name)
+            bad = np.argwhere((array < 0) | (array > 1))
+            if bad.size:
+                at = tuple(int(i) for i in bad[0])
+                where = ".".join([name, *map(str, at)])
+                raise _wrong(where, f"{array[at]!s}", "a number from 0 to 1")
+        try:
+            unit = float(self.opacity_unit)
+        except (TypeError, ValueError):
+            unit = float("nan")
+        if not 0.0 < unit < float("inf"):
+            raise _wrong("opacity_unit", f"{self.opacity_unit!r}", "a finite length > 0")
+        object.__setattr__(self, "opacity_unit", unit)
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, TransferFunction):
+            return NotImplemented
+        return (
+            self.opacity_unit == other.opacity_unit
+            and np.array_equal(self.values, other.values)
+            and np.array_equal(self.opacities, other.opacities)
+            and np.array_equal(self.colors, other.colors)
+        )
+
+    def __hash__(self) -> int:
+        parts = (self.values, self.opacities, self.colors)
+        return hash((self.opacity_unit, *(array.tobytes() for array in parts)))
+
+    def opacity(self, s: ArrayLike) -> np.ndarray:
+        """Opacity in [0, 1] for values ``s`` (any shape), float64 of the same shape; 0 for NaN."""
+        s = np.asarray(s, dtype=np.float64)
+        return np.where(np.isnan(s), 0.0, _between(self.values, self.opacities[:, None], s)[..., 0])
+
+    def color(self, s: ArrayLike) -> np.ndarray:
+        """Linear colour in [0, 1] for values ``s`` (any shape), float64 ``s.shape + (3,)``."""
+        return _between(self.values, self.colors, np.asarray(s, dtype=np.float64))
+
+    def extinction(self, s: ArrayLike) -> np.ndarray:
+        """Extinction per world length for values ``s``, float64; infinite where opacity is 1."""
+        with np.errstate(divide="ignore", over="ignore"):
+            tau = -np.log1p(-self.opacity(s)) / self.opacity_unit
+        return tau + 0.0  # -log1p(-0) is -0
+
+    @classmethod
+    def default(
+        cls, value_range: tuple[float, float], opacity_unit: float = 1.0
+    ) -> TransferFunction:
+        """What a volume handed over without a transfer function gets.
+
+        A grey ramp over ``value_range`` (lowest and highest value, finite, in the volume's units)
+        from transparent to half opaque per ``opacity_unit``. A volume of one single value shows
+        as a half opaque body.
+        """
+        from clvol.transfer.presets import preset
+
+        return preset("grayscale", value_range, opacity_unit)
+
+
+def _frozen(name: str, given: ArrayLike) -> np.ndarray:
+    """A read-only float64 copy of ``given``; SceneError unless it holds finite numbers."""
+    try:
+        array = np.array(given, dtype=np.float64, order="C")
+    except (TypeError, ValueError):
+        raise _wrong(name, f"{type(given).__name__}", "an array of numbers") from None
+    if not np.isfinite(array).all():
+        at = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
+        raise _wrong(".".join([name, *map(str, at)]), f"{array[at]!s}", "a finite number")
+    array.setflags(write=False)
+    return array
+
+
+def _wrong(key: str, got: str, expected: str) -> SceneError:
+    return SceneError(f"{_WHERE}: {key}", f"got {got}", expected)
+
+
+def _between(values: np.ndarray, table: np.ndarray, s: np.ndarray) -> np.ndarray:
+    """Linear interpolation of ``table`` [n, k] at ``s`` [...] -> [..., k], steps from the right."""
+    last = values.size - 1
+    right = np.searchsorted(values, s, side="right")  # points at or below s; NaN sorts last
+    low = np.clip(right - 1, 0, last)
+    high = np.minimum(low + 1, last)
+    # Halves, since the difference of two finite values may overflow.
+    span = 0.5 * values[high] - 0.5 * values[low]
+    inside = (right > 0) & (right <= last) & (span > 0)
+    with np.errstate(invalid="ignore", over="ignore"):
+        t = np.where(inside, (0.5 * s - 0.5 * values[low]) / np.where(span > 0, span, 1.0), 0.0)
+    t = np.clip(t, 0.0, 1.0)[..., None]
+    mixed = table[low] * (1.0 - t) + table[high] * t
+    mixed = np.clip(mixed, np.minimum(table[low], table[high]), np.maximum(table[low], table[high]))
+    return np.where(np.isnan(s)[..., None], table[0], mixed)
