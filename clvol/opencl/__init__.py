@@ -1,0 +1,1 @@
+"""OpenCL: devices, programs, structs, checked arguments. No other folder imports pyopencl."""

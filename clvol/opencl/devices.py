@@ -1,0 +1,623 @@
+"""Which OpenCL devices there are, which of them work, and one of them opened.
+
+A device counts as working when a child process (:mod:`clvol.opencl.probe`) has compiled and run a
+small kernel on it and the numbers were right. A platform that crashes or hangs takes only the
+child down; it is then kept out of this process by pointing the loader (``OCL_ICD_VENDORS``) at a
+folder that registers only the others. The outcome is kept in the user's cache folder, so that
+only the first run after a change pays for it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import platform as host
+import queue
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+from dataclasses import asdict, dataclass, field, fields, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from clvol.errors import DeviceError
+from clvol.opencl.kernels_path import kernel_folder
+from clvol.opencl.runtime import environment_libraries, loader_folder, register_runtimes
+
+if TYPE_CHECKING:
+    import pyopencl
+
+TIME_LIMIT = 30.0  # seconds that each step of a probe (listing, one device) may take
+HOW_TO_GET_ONE = 'a CPU device: "apt install pocl-opencl-icd", or pip install "clvol[cpu]"'
+
+_VENDORS = "OCL_ICD_VENDORS"
+_FORMAT = 1  # of the cache file
+_KEPT = 16  # cache files kept in the folder
+# Environment variables that change what a platform lists or how it behaves start like this.
+_RELEVANT = ("OCL_", "OPENCL_", "POCL_", "CL_CONFIG", "CUDA_", "GPU_", "ROCR_", "HIP_", "RUSTICL_", "LD_")
+
+
+@dataclass(frozen=True)
+class DeviceReport:
+    """What ``clvol doctor`` tells of one device, or of a platform that yields none.
+
+    ``name`` is short, unique and stable ("pocl", "intel", "nvidia", "pocl:1"); ``reason`` is one
+    line, "" for a working device. Memory figures are bytes; zero or "" where nothing is known
+    because the platform broke before it could tell.
+    """
+
+    name: str
+    platform: str
+    device: str = ""
+    vendor: str = ""
+    version: str = ""
+    platform_version: str = ""
+    opencl_c: str = ""
+    driver: str = ""
+    type: str = ""
+    compute_units: int = 0
+    global_memory: int = 0
+    max_buffer: int = 0
+    local_memory: int = 0
+    max_work_group: int = 0
+    fp64: bool = False
+    extensions: tuple[str, ...] = ()
+    working: bool = False
+    reason: str = ""
+    platform_index: int = -1
+    device_index: int = -1
+
+
+@dataclass(frozen=True)
+class Icd:
+    """One line that tells the OpenCL loader of a platform's library."""
+
+    path: str  # the .icd file (or the library itself, where the environment names it directly)
+    library: str  # its line: a path, or a name that the dynamic linker finds
+
+
+@dataclass
+class _Child:
+    """What one probe child said before it finished or died."""
+
+    events: list[dict] = field(default_factory=list)
+    death: str = ""  # one line, "" when it finished
+
+    def has(self, event: str) -> bool:
+        return any(e["event"] == event for e in self.events)
+
+
+@dataclass
+class _Findings:
+    """The outcome of a probe: the reports, and the platforms to use if not the loader's own."""
+
+    reports: list[DeviceReport]
+    selection: list[Icd] | None = None
+
+
+_original_vendors = os.environ.get(_VENDORS)
+_found: _Findings | None = None
+_temporary_folder: tempfile.TemporaryDirectory | None = None
+
+
+# --- public -----------------------------------------------------------------------------------
+
+
+def list_devices(*, fresh: bool = False, time_limit: float = TIME_LIMIT) -> list[DeviceReport]:
+    """Every device of every platform, working or not; then platforms that yield no device at all.
+
+    ``fresh`` probes anew whatever the cache says (``clvol doctor``); ``time_limit`` is in seconds
+    for each step. Nothing an OpenCL library does in its own process (crash, hang, wrong results)
+    makes this call fail; no platform at all gives an empty list. Where some platform must be left
+    out, this process's ``OCL_ICD_VENDORS`` is set: call it before the first OpenCL call.
+    """
+    global _found
+    if _found is None or fresh:
+        register_runtimes()
+        wanted, native = _platforms_wanted()
+        key = _cache_key(wanted)
+        findings = None if fresh else _read_cache(key)
+        if findings is None:
+            findings = _probe(wanted, native, time_limit)
+            if any(report.working for report in findings.reports):
+                _write_cache(key, findings)
+            else:
+                _forget(key)
+        _found = findings
+        _point_loader_at(findings.selection)
+    return list(_found.reports)
+
+
+def open_device(name: str | None = None) -> pyopencl.Device:
+    """The device called ``name``, or the default: PoCL's CPU, another CPU, a GPU, in this order.
+
+    ``name`` is one that :func:`list_devices` gives, or any part of a device's name, platform or
+    type, in any case. A device that was found working earlier but cannot be opened now is probed
+    again. Raises :class:`clvol.errors.DeviceError` with what was found and why it does not work.
+    """
+    for fresh in (False, True):
+        reports = list_devices(fresh=fresh)
+        try:
+            candidates = select(reports, name)
+        except DeviceError:
+            # The cache may be out of date (a driver repaired, a device added): look once more.
+            if fresh or not _came_from_cache():
+                raise
+            continue
+        for report in candidates:
+            device = _open(report)
+            if device is not None:
+                return device
+    raise DeviceError(f'device "{candidates[0].name}"', "it works in a process of its own but cannot be opened "
+                      "in this one", "a fresh process that makes no OpenCL call of its own first")
+
+
+def select(reports: list[DeviceReport], name: str | None = None) -> list[DeviceReport]:
+    """The working devices that ``name`` may mean (None: any), best first; never empty.
+
+    An exact name wins over a part of one. Raises :class:`clvol.errors.DeviceError`.
+    """
+    working = sorted((r for r in reports if r.working), key=_rank)
+    if not working:
+        raise DeviceError("OpenCL", _nothing_works(reports), HOW_TO_GET_ONE)
+    if name is None:
+        return working
+    wanted = name.strip().lower()
+    exact = [r for r in reports if r.name == wanted or r.name + ":0" == wanted]
+    named = exact or [
+        r for r in reports if wanted
+        and any(wanted in text.lower() for text in (r.name, r.platform, r.device, r.type))
+    ]
+    names = ", ".join(r.name for r in working)
+    if not named:
+        raise DeviceError(f'device "{name}"', "there is none of this name", f"one of {names}")
+    usable = sorted((r for r in named if r.working), key=_rank)
+    if not usable:
+        raise DeviceError(f'device "{name}"', f"it does not work: {named[0].reason}", f"one of {names}")
+    return usable
+
+
+def report_of(device: pyopencl.Device) -> DeviceReport | None:
+    """The report of an opened device, or None for a device that :func:`list_devices` knows not."""
+    for report in list_devices():
+        if (report.working and report.device == " ".join(device.name.split())
+                and report.platform == device.platform.name
+                and device.platform.get_devices().index(device) == report.device_index):
+            return report
+    return None
+
+
+def forget_devices() -> None:
+    """Drop what is known, here and in the cache: call it when a device that worked fails."""
+    global _found
+    _found = None
+    _forget(_cache_key(_platforms_wanted()[0]))
+
+
+def cache_folder() -> Path | None:
+    """The user's cache folder for clvol (``XDG_CACHE_HOME`` respected); None where there is none."""
+    import platformdirs
+
+    try:
+        return platformdirs.user_cache_path("clvol")
+    except (OSError, RuntimeError, KeyError):
+        return None
+
+
+# --- choosing and opening -----------------------------------------------------------------------
+
+
+def _rank(report: DeviceReport) -> tuple[int, int, int]:
+    order = {"CPU": 1, "GPU": 2}.get(report.type, 3)
+    if report.type == "CPU" and _short_name(report) == "pocl":
+        order = 0
+    return order, report.platform_index, report.device_index
+
+
+def _nothing_works(reports: list[DeviceReport]) -> str:
+    if not reports:
+        return "no platform found"
+    return "no device works: " + "; ".join(f"{r.name}: {r.reason}" for r in reports)
+
+
+def _open(report: DeviceReport) -> pyopencl.Device | None:
+    """The device itself, or None when it is no longer what the report says."""
+    import pyopencl as cl
+
+    try:
+        platform = cl.get_platforms()[report.platform_index]
+        device = platform.get_devices()[report.device_index]
+        same = platform.name == report.platform and " ".join(device.name.split()) == report.device
+        if same and " ".join(device.driver_version.split()) == report.driver:
+            cl.Context([device])
+            return device
+    except (cl.Error, IndexError):
+        pass
+    return None
+
+
+def _short_name(report: DeviceReport) -> str:
+    platform = report.platform.lower()
+    if "portable computing language" in platform or "pocl" in platform:
+        return "pocl"
+    for vendor in ("nvidia", "amd", "intel"):
+        if vendor in platform:
+            return f"{vendor}-gpu" if vendor == "intel" and report.type == "GPU" else vendor
+    words = "".join(c if c.isalnum() else " " for c in platform).split()
+    return words[0] if words else "unnamed"
+
+
+def _named(reports: list[DeviceReport]) -> list[DeviceReport]:
+    """The reports with their names: the platform's short one, numbered from the second on."""
+    seen: dict[str, int] = {}
+    named = []
+    for report in reports:
+        base = report.name or _short_name(report)
+        number = seen.get(base, 0)
+        seen[base] = number + 1
+        named.append(replace(report, name=f"{base}:{number}" if number else base))
+    return named
+
+
+# --- which platforms are registered --------------------------------------------------------------
+
+
+def registered_icds(vendors: str | None = None) -> list[Icd]:
+    """What the loader reads: ``vendors`` (``OCL_ICD_VENDORS``: a folder, an .icd file or a library)
+    or else the system's folder and the one inside pyopencl's wheel."""
+    if vendors:
+        path = Path(vendors)
+        if path.is_dir():
+            return _icds_in(path)
+        if path.suffix == ".icd":
+            return _icd(path)
+        return [Icd(vendors, vendors)]
+    system = os.environ.get("OPENCL_VENDOR_PATH") or "/etc/OpenCL/vendors"
+    wheel = loader_folder()
+    return _icds_in(Path(system)) + (_icds_in(wheel) if wheel else [])
+
+
+def _icds_in(folder: Path) -> list[Icd]:
+    try:
+        paths = sorted(folder.glob("*.icd"))
+    except OSError:
+        return []
+    return [icd for path in paths for icd in _icd(path)]
+
+
+def _icd(path: Path) -> list[Icd]:
+    try:
+        lines = path.read_text(encoding="utf-8", errors="replace").split("\n")
+    except OSError:
+        return []
+    library = lines[0].strip()
+    return [Icd(str(path), library)] if library else []
+
+
+def _platforms_wanted() -> tuple[list[Icd], bool]:
+    """The platforms to try, and whether the loader reads just these without being told."""
+    registered = registered_icds(_original_vendors)
+    if _original_vendors:
+        return registered, True
+    known = {os.path.realpath(icd.library) for icd in registered if os.path.isabs(icd.library)}
+    missing = [lib for lib in environment_libraries() if os.path.realpath(lib) not in known][:1]
+    return registered + [Icd(str(lib), str(lib)) for lib in missing], not missing
+
+
+def _write_selection(icds: list[Icd], folder: Path) -> None:
+    for number, icd in enumerate(icds):
+        # The number keeps the loader's order, which decides the platforms' indices.
+        (folder / f"{number:02d}-{Path(icd.path).stem}.icd").write_text(icd.library + "\n", encoding="utf-8")
+
+
+def _point_loader_at(selection: list[Icd] | None) -> None:
+    """Restrict this process (and its children) to the selection; None: the loader's own choice."""
+    global _temporary_folder
+    if selection is None:
+        if _original_vendors is None:
+            os.environ.pop(_VENDORS, None)
+        else:
+            os.environ[_VENDORS] = _original_vendors
+        return
+    digest = hashlib.sha256(json.dumps([[i.path, i.library] for i in selection]).encode()).hexdigest()
+    folder = cache_folder()
+    try:
+        if folder is None:
+            raise OSError("no cache folder")
+        target = folder / f"platforms-{digest[:16]}"
+        if not target.is_dir():
+            folder.mkdir(parents=True, exist_ok=True)
+            with tempfile.TemporaryDirectory(dir=folder, prefix=".platforms-") as fresh:
+                _write_selection(selection, Path(fresh))
+                os.chmod(fresh, 0o755)
+                try:
+                    os.rename(fresh, target)
+                except OSError:
+                    if not target.is_dir():  # not merely another process being quicker
+                        raise
+                else:
+                    os.mkdir(fresh)  # what the with statement expects to remove
+    except OSError:
+        # Lives as long as this process, and so do the children that inherit the variable.
+        _temporary_folder = tempfile.TemporaryDirectory(prefix="clvol-platforms-")
+        target = Path(_temporary_folder.name)
+        _write_selection(selection, target)
+    os.environ[_VENDORS] = str(target)
+
+
+# --- probing in child processes -------------------------------------------------------------------
+
+
+def _probe(wanted: list[Icd], native: bool, time_limit: float) -> _Findings:
+    """Probe the platforms; ``native`` says that the loader finds them all by itself."""
+    selection = None if native else list(wanted)
+    broken: list[DeviceReport] = []
+    reports, death = _probe_devices(wanted, selection, time_limit)
+    if death is not None:
+        # Some platform takes the process down as soon as the loader asks it. Take them in one by
+        # one; this also finds two that are well alone but cannot live in one process.
+        if len(wanted) <= 1:
+            selection = []
+            broken = [_icd_report(icd, death) for icd in wanted] or [
+                DeviceReport(name="opencl", platform="OpenCL loader", reason=death)]
+        else:
+            selection = []
+            for icd in wanted:
+                child = _run_child({"enumerate_only": True}, selection + [icd], time_limit)
+                if child.death and not child.has("listed"):
+                    broken.append(_icd_report(icd, child.death))
+                else:
+                    selection.append(icd)
+        reports, death = _probe_devices(selection, selection, time_limit) if selection else ([], None)
+        if death is not None:  # it lists now and then only: better no device than a crash
+            broken += [_icd_report(icd, death) for icd in selection]
+            reports, selection = [], []
+    return _Findings(_named(reports + broken), selection)
+
+
+def _icd_report(icd: Icd, reason: str) -> DeviceReport:
+    stem = Path(icd.path).name.split(".")[0].lower()
+    return DeviceReport(name=stem or "unnamed", platform=f"{icd.path} ({icd.library})", reason=reason)
+
+
+def _probe_devices(
+    icds: list[Icd], selection: list[Icd] | None, time_limit: float
+) -> tuple[list[DeviceReport], str | None]:
+    """Probe every device; the second value is how the child died when it could not even list them."""
+    found: dict[tuple[int, int], DeviceReport] = {}
+    unloadable: list[DeviceReport] = []
+    known = {f.name for f in fields(DeviceReport)}
+    while True:
+        request = {"enumerate_only": False, "kernel": str(kernel_folder() / "probe.cl"),
+                   "salt": os.urandom(6).hex(), "skip": sorted(found),
+                   "libraries": [[icd.path, icd.library] for icd in icds]}
+        child = _run_child(request, selection, time_limit)
+        if child.death and not child.has("started"):
+            return [], child.death
+        current: tuple[int, int] | None = None
+        for event in child.events:
+            if event["event"] == "device":
+                current = (event["platform_index"], event["device_index"])
+                values: dict[str, Any] = {k: v for k, v in event.items() if k in known}
+                values["extensions"] = tuple(values.get("extensions", ()))
+                found[current] = DeviceReport(name="", **values)
+            elif event["event"] == "tested" and current is not None:
+                found[current] = replace(found[current], working=event["working"], reason=event["reason"])
+                current = None
+            elif event["event"] == "icd":
+                icd = next(i for i in icds if i.path == event["path"])
+                unloadable.append(_icd_report(icd, f"cannot be loaded: {event['error']}"))
+        if current is not None:  # it died on this one: leave it out and go on with the next
+            found[current] = replace(found[current], working=False,
+                                     reason=child.death or "the probe ended without an answer")
+            continue
+        if child.death and not child.has("listed"):
+            return [], child.death
+        return [found[key] for key in sorted(found)] + unloadable, None
+
+
+def _run_child(request: dict, selection: list[Icd] | None, time_limit: float) -> _Child:
+    """Run one probe child to its end or to its time limit."""
+    from clvol.opencl import probe
+
+    environment = dict(os.environ)
+    environment.pop(_VENDORS, None)
+    if _original_vendors is not None:
+        environment[_VENDORS] = _original_vendors
+    # The child must find the very modules this process uses, however it came to its path.
+    environment["PYTHONPATH"] = os.pathsep.join(os.path.abspath(p) for p in sys.path)
+    environment["PYOPENCL_NO_CACHE"] = "1"
+    environment["PYTHONWARNINGS"] = "ignore"
+    environment.pop("PYTHONFAULTHANDLER", None)
+    child = _Child()
+    with tempfile.TemporaryDirectory(prefix="clvol-probe-") as folder, \
+            open(os.path.join(folder, "stderr"), "w+b") as stderr:
+        if selection is not None:
+            icds = Path(folder) / "icd"
+            icds.mkdir()
+            _write_selection(selection, icds)
+            environment[_VENDORS] = str(icds)
+        python = sys.executable or shutil.which("python3") or "python3"
+        try:
+            process = subprocess.Popen(
+                [python, probe.__file__, json.dumps(request)], env=environment, cwd=folder,
+                stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=stderr, start_new_session=True)
+        except OSError as error:
+            child.death = f"{python} cannot be started: {error.strerror}"
+            return child
+        lines: queue.Queue[bytes | None] = queue.Queue()
+
+        def read() -> None:
+            for line in process.stdout:
+                lines.put(line)
+            lines.put(None)
+
+        reader = threading.Thread(target=read, daemon=True)
+        reader.start()
+        hung = False
+        try:
+            while (line := lines.get(timeout=time_limit)) is not None:
+                child.events.append(json.loads(line))
+            status = process.wait(timeout=time_limit)
+        except (queue.Empty, subprocess.TimeoutExpired):
+            hung = True
+        except ValueError:  # half a line
+            status = process.wait(timeout=time_limit)
+        finally:
+            _kill(process)
+            reader.join(timeout=1.0)
+            process.stdout.close() if not reader.is_alive() else None
+        if hung:
+            child.death = f"no answer within {time_limit:g} s"
+        elif status != 0 or not child.has("done"):
+            stderr.seek(0)
+            text = stderr.read()[-20000:].decode("utf-8", errors="replace")
+            child.death = _death(status, text, probe)
+    return child
+
+
+def _kill(process: subprocess.Popen) -> None:
+    """End the child and whatever its drivers have started."""
+    try:
+        os.killpg(process.pid, signal.SIGKILL)
+    except (OSError, AttributeError):
+        process.kill()
+    process.wait()
+
+
+def _death(status: int, stderr: str, probe: Any) -> str:
+    """One line on how a child ended that should have finished."""
+    if status < 0:
+        try:
+            how = f"crashed ({signal.Signals(-status).name})"
+        except ValueError:
+            how = f"crashed (signal {-status})"
+        line = probe.first_meaningful_line(stderr)
+    else:
+        how = f"ended with status {status}"
+        # An uncaught exception: its message is the last line of the traceback.
+        lines = [line for line in stderr.splitlines() if line.strip()]
+        line = probe.first_meaningful_line(lines[-1]) if lines else ""
+    return f"{how}: {line}" if line else how
+
+
+# --- the cache ------------------------------------------------------------------------------------
+
+
+_cached_at_start = False
+
+
+def _came_from_cache() -> bool:
+    return _cached_at_start
+
+
+def _stat(path: str | Path) -> list:
+    try:
+        status = os.stat(path)
+    except OSError:
+        return [str(path)]
+    return [str(path), status.st_mtime_ns, status.st_size]
+
+
+def _cache_key(wanted: list[Icd]) -> str:
+    """A digest of all that can change a probe's outcome and can be looked at cheaply."""
+    from importlib import metadata
+
+    try:
+        version = metadata.version("pyopencl")
+    except metadata.PackageNotFoundError:
+        version = ""
+    folders = ["/usr/lib", f"/usr/lib/{host.machine()}-linux-gnu", "/usr/lib64", "/usr/local/lib"]
+    libraries = []
+    for icd in wanted:
+        libraries.append([icd.path, icd.library, _stat(icd.path)])
+        if os.path.isabs(icd.library):
+            libraries[-1].append(_stat(icd.library))
+        else:  # the dynamic linker's names: wherever the library lies, one of these changes with it
+            libraries[-1] += [_stat(os.path.join(f, icd.library)) for f in folders]
+    here = Path(__file__).parent
+    try:
+        processors = len(os.sched_getaffinity(0))
+    except AttributeError:
+        processors = os.cpu_count() or 1
+    facts = [
+        _FORMAT, version, sys.executable, host.node(), host.machine(), host.release(), processors, libraries,
+        _stat("/etc/ld.so.cache"), _stat(here / "probe.py"), _stat(kernel_folder() / "probe.cl"),
+        _original_vendors,
+        sorted((k, v) for k, v in os.environ.items() if k.startswith(_RELEVANT) and k != _VENDORS),
+    ]
+    return hashlib.sha256(json.dumps(facts).encode()).hexdigest()
+
+
+def _cache_file(key: str) -> Path | None:
+    folder = cache_folder()
+    return None if folder is None else folder / f"devices-{key[:24]}.json"
+
+
+def _read_cache(key: str) -> _Findings | None:
+    """What an earlier process found, or None: not there, unreadable, damaged, or of another key."""
+    global _cached_at_start
+    path = _cache_file(key)
+    _cached_at_start = False
+    try:
+        content = json.loads(path.read_text(encoding="utf-8")) if path else None
+        if not content or content["key"] != key:
+            return None
+        reports = []
+        for item in content["reports"]:
+            report = DeviceReport(**{**item, "extensions": tuple(item["extensions"])})
+            if any(not isinstance(getattr(report, name), kind) for name, kind in _FIELD_TYPES.items()):
+                return None
+            reports.append(report)
+        selection = content["selection"]
+        if selection is not None:
+            selection = [Icd(str(path), str(library)) for path, library in selection]
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+    if not any(report.working for report in reports):
+        return None
+    _cached_at_start = True
+    return _Findings(reports, selection)
+
+
+_FIELD_TYPES = {"name": str, "platform": str, "device": str, "driver": str, "type": str, "reason": str,
+                "working": bool, "platform_index": int, "device_index": int, "global_memory": int,
+                "max_buffer": int, "compute_units": int, "fp64": bool}
+
+
+def _write_cache(key: str, findings: _Findings) -> None:
+    """Keep the findings for later processes; a folder that cannot be written to is no error."""
+    global _cached_at_start
+    _cached_at_start = False
+    path = _cache_file(key)
+    if path is None:
+        return
+    selection = findings.selection
+    content = {"key": key, "reports": [asdict(report) for report in findings.reports],
+               "selection": None if selection is None else [[i.path, i.library] for i in selection]}
+    temporary = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        temporary.write_text(json.dumps(content, indent=1), encoding="utf-8")
+        os.replace(temporary, path)
+        files = sorted(path.parent.glob("devices-*.json"), key=lambda p: p.stat().st_mtime)
+        for old in files[:-_KEPT]:
+            old.unlink()
+    except OSError:
+        try:
+            temporary.unlink(missing_ok=True)
+        except OSError:
+            pass
+
+
+def _forget(key: str) -> None:
+    path = _cache_file(key)
+    try:
+        if path is not None:
+            path.unlink(missing_ok=True)
+    except OSError:
+        pass
