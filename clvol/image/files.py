@@ -1,0 +1,70 @@
+"""One call to write a frame and one to read a picture, by the file name's ending."""
+
+from __future__ import annotations
+
+import os
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from clvol.errors import UsageError
+from clvol.image.atomic import atomic_path, check_output_folder
+
+ENDINGS = {".exr": "exr", ".png": "png", ".npy": "npy"}  # ending -> module of this package
+
+
+def _format(path: str | os.PathLike[str]) -> Any:
+    try:
+        name = ENDINGS[Path(path).suffix.lower()]
+    except KeyError:
+        raise UsageError(str(path), f'pictures have no ending "{Path(path).suffix}"',
+                         " or ".join(ENDINGS)) from None
+    return import_module(f"clvol.image.{name}")
+
+
+def check_output(path: str | os.PathLike[str]) -> None:
+    """Raise :class:`clvol.errors.UsageError` now if :func:`save_frame` could not write there."""
+    _format(path)
+    check_output_folder(path)
+
+
+def save_frame(frame: Any, path: str | os.PathLike[str]) -> None:
+    """Write ``frame`` as ``.exr``, ``.png`` or ``.npy``: the whole file or none.
+
+    ``frame.rgba`` is float32 [height, width, 4], linear, premultiplied, row 0 on top;
+    ``frame.depth`` float32 [height, width] in world units or None; ``frame.background`` [3] linear;
+    ``frame.stats`` a dict; ``frame.scene_source`` a str or None. EXR holds rgba and depth as they
+    are, NPY rgba, PNG the image over the background. Raises :class:`clvol.errors.UsageError` for an
+    unknown ending or an impossible place, :class:`clvol.errors.RenderError` when writing fails.
+    """
+    module = _format(path)
+    rgba = np.asarray(frame.rgba, dtype=np.float32)
+    if rgba.ndim != 3 or rgba.shape[2] != 4 or 0 in rgba.shape:
+        raise UsageError("frame.rgba", f"its shape is {rgba.shape}", "[height, width, 4]")
+    with atomic_path(path) as temporary:
+        module.write(frame, rgba, temporary)
+
+
+def load_image(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """Read a picture: ``{"rgba", "depth", "header"}``.
+
+    ``rgba`` is float32 [height, width, 4], linear, premultiplied (a PNG is decoded from sRGB),
+    ``depth`` float32 [height, width] or None, ``header`` a dict of what the file says about itself.
+    Raises :class:`clvol.errors.UsageError` when the file is missing or is no such picture.
+    """
+    module = _format(path)
+    if not os.path.isfile(path):
+        raise UsageError(str(path), "there is no such file", "a picture (.exr, .png, .npy)")
+    try:
+        rgba, depth, header = module.read(os.fspath(path))
+    except UsageError:
+        raise
+    # The libraries raise whatever they like on damaged files.
+    except Exception as error:
+        why = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise UsageError(str(path), f"the picture cannot be read: {why}",
+                         f"a whole {Path(path).suffix.lower()} file") from error
+    rgba = np.ascontiguousarray(rgba, dtype=np.float32)
+    return {"rgba": rgba, "depth": depth, "header": header}

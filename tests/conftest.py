@@ -1,0 +1,85 @@
+"""What every test may ask for: each working OpenCL device in turn, and real volumes."""
+
+from __future__ import annotations
+
+import functools
+from pathlib import Path
+
+import pytest
+
+_ROOT = Path(__file__).resolve().parent.parent
+_VOLUMES = _ROOT.parent / "shared" / "volumes"
+_no_device = ""  # why, when there is none
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--device", action="append", default=[], metavar="NAME",
+                     help="run only on the device of this name (see `clvol doctor`); repeatable")
+
+
+@functools.lru_cache(maxsize=1)
+def _reports() -> tuple:
+    """What the probe found; once a test session, and before any test calls OpenCL."""
+    from clvol.opencl.devices import list_devices
+
+    return tuple(list_devices())
+
+
+def _chosen(config: pytest.Config) -> list:
+    """The reports of the devices to test on."""
+    global _no_device
+    from clvol.errors import DeviceError
+    from clvol.opencl.devices import select
+
+    try:
+        working = select(list(_reports()))
+        wanted = config.getoption("--device")
+        chosen = [select(list(_reports()), name)[0] for name in wanted] if wanted else working
+    except DeviceError as error:
+        _no_device = str(error)
+        return []
+    return list(dict.fromkeys(chosen))
+
+
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    if "device" in metafunc.fixturenames:
+        reports = _chosen(metafunc.config)
+        if reports:
+            parameters = [pytest.param(report, id=report.name) for report in reports]
+        else:
+            parameters = [pytest.param(None, id="none", marks=pytest.mark.skip(reason=_no_device))]
+        metafunc.parametrize("device", parameters, indirect=True, scope="session")
+
+
+@pytest.fixture(scope="session")
+def device(request: pytest.FixtureRequest):
+    """A pyopencl.Device; the test runs once on each one that works."""
+    from clvol.opencl.devices import open_device
+
+    return open_device(request.param.name)
+
+
+@pytest.fixture(scope="session")
+def shared_volume():
+    """``shared_volume(name)``: the path of a real volume kept beside the repository, or a skip."""
+
+    def find(name: str) -> Path:
+        path = _VOLUMES / name
+        if not path.exists():
+            pytest.skip(f"the volume {name} is not in ../shared/volumes")
+        return path
+
+    return find
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    if not _reports.cache_info().currsize:
+        return
+    terminalreporter.section("OpenCL devices")
+    used = {report.name for report in _chosen(terminalreporter.config)}
+    for report in _reports():
+        state = "used" if report.name in used else "left out by --device" if report.working else report.reason
+        terminalreporter.write_line(f"{report.name}: {report.device or report.platform} "
+                                    f"({report.driver or 'driver unknown'}): {state}")
+    if _no_device:
+        terminalreporter.write_line(_no_device)
