@@ -118,7 +118,8 @@ def preset(
             grey = np.full((1, 3), srgb_to_linear(0.85))
             return TransferFunction(np.array([low]), np.array([0.5]), grey, opacity_unit)
         # Rounding may put points of a tiny range on one value: keep the outer two of each run.
-        positions = np.maximum.accumulate(low * (1.0 - positions) + high * positions)
+        mixed = np.clip(low * (1.0 - positions) + high * positions, low, high)
+        positions = np.maximum.accumulate(mixed)
         positions[0], positions[-1] = low, high
         inner = (positions[1:-1] == positions[:-2]) & (positions[1:-1] == positions[2:])
         keep = np.concatenate([[True], ~inner, [True]])

@@ -1,0 +1,164 @@
+"""[camera]: where the picture is taken from, and the rays through its pixels."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from clvol.errors import SceneError
+from clvol.scene.image import ImageSettings
+from clvol.scene.table import Length, Number, Table, Vector, wrong
+
+if TYPE_CHECKING:
+    from clvol.volume import Grid
+
+DEFAULT_FOV_DEGREES = 30.0
+_DEFAULT_TOWARDS_EYE = (0.55, 0.35, 0.76)  # from the target: a little from the right and above
+_MARGIN = 1.05
+_PARALLEL = 1e-6  # sine of the angle below which two directions count as parallel
+
+
+class Camera(Table):
+    """A perspective or orthographic view; lengths in world units.
+
+    What is left out is filled in by ``complete``: the target is the volume's centre, the position
+    sees the whole volume, ``up`` is y (z where the view is along y), and the ``height`` of an
+    orthographic view shows the whole volume. A perspective view ignores ``height``, an
+    orthographic one ``fov_degrees``, so that switching the projection takes one key.
+    """
+
+    projection: Literal["perspective", "orthographic"] = Field(
+        "perspective", description="'perspective' or 'orthographic'"
+    )
+    position: Vector | None = Field(None, description="three finite numbers [x, y, z]")
+    target: Vector | None = Field(None, description="three finite numbers [x, y, z]")
+    up: Vector | None = Field(None, description="three finite numbers [x, y, z], not all 0")
+    fov_degrees: Number = Field(
+        DEFAULT_FOV_DEGREES,
+        gt=0,
+        lt=180,
+        description="a vertical angle greater than 0 and less than 180",
+    )
+    height: Length | None = Field(None, description="a finite world length greater than 0")
+
+    @classmethod
+    def table_name(cls) -> str:
+        return "camera"
+
+    @model_validator(mode="after")
+    def _not_degenerate(self) -> Camera:
+        if self.up is not None and _unit(self.up) is None:
+            raise wrong("up", list(self.up), "a vector that is not 0")
+        if self.position is None or self.target is None:
+            return self
+        forward = _unit(np.subtract(self.target, self.position))
+        if forward is None:
+            raise wrong("position", list(self.position), "a position apart from the target")
+        if self.up is not None and _parallel(forward, _unit(self.up)):
+            raise wrong("up", list(self.up), "a vector that is not parallel to the view")
+        return self
+
+    @classmethod
+    def default(cls, grid: Grid, image: ImageSettings) -> Camera:
+        """A perspective view of 30 degrees with the whole volume in the picture."""
+        return cls().complete(grid, image)
+
+    def complete(self, grid: Grid, image: ImageSettings, where: str = "scene") -> Camera:
+        """This camera with all that was left out filled in to show the whole of ``grid``.
+
+        Raises SceneError, its place beginning with ``where``, if what was given is degenerate
+        together with what was filled in.
+        """
+        corners = np.asarray(grid.world_corners(), dtype=np.float64)
+        centre = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
+        target = centre if self.target is None else np.array(self.target)
+        if self.position is None:
+            forward = -_unit(_DEFAULT_TOWARDS_EYE)
+        else:
+            forward = _unit(target - self.position)
+            if forward is None:
+                expected = "a position apart from the target, by default the volume's centre"
+                got = f"got {list(self.position)}"
+                raise SceneError(f"{where}: camera.position", got, expected)
+        up = self.up
+        if up is None:
+            up = (0.0, 0.0, 1.0) if _parallel(forward, np.array([0.0, 1.0, 0.0])) else (0.0, 1.0, 0.0)
+        elif _parallel(forward, _unit(up)):
+            expected = "a vector that is not parallel to the view"
+            raise SceneError(f"{where}: camera.up", f"got {list(up)}", expected)
+
+        axes = np.stack(_frame(forward, _unit(up)))
+        aspect = image.width / image.height
+        if self.position is None:
+            ahead, right, above = axes @ (corners - target).T
+            half = math.tan(math.radians(self.fov_degrees) / 2)
+            needed = np.maximum(np.abs(above), np.abs(right) / aspect) / half - ahead
+            radius = np.linalg.norm(corners - target, axis=1).max()
+            position = target - _MARGIN * max(needed.max(), radius) * forward
+        else:
+            position = np.array(self.position)
+        height = self.height
+        if height is None and self.projection == "orthographic":
+            _, right, above = axes @ (corners - position).T
+            height = 2 * _MARGIN * float(np.maximum(np.abs(above), np.abs(right) / aspect).max())
+        return Camera(
+            projection=self.projection,
+            position=tuple(float(x) for x in position),
+            target=tuple(float(x) for x in target),
+            up=tuple(float(x) for x in up),
+            fov_degrees=self.fov_degrees,
+            height=height,
+        )
+
+    def basis(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(forward, right, up): three orthonormal float64 vectors [3] in world axes.
+
+        Raises SceneError if position, target or up are still to be filled in.
+        """
+        for name in ("position", "target", "up"):
+            if getattr(self, name) is None:
+                expected = "a value; Camera.complete(grid, image) fills it in"
+                raise SceneError(f"scene: camera.{name}", "missing", expected)
+        return _frame(_unit(np.subtract(self.target, self.position)), _unit(self.up))
+
+    def world_rays(self, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
+        """Origins and unit directions, both float64 [height, width, 3], through pixel centres.
+
+        Row 0 is on top. Perspective rays start at ``position``, orthographic ones on the plane
+        through ``position``. Pixels are square: ``fov_degrees`` or ``height`` spans the rows.
+        """
+        forward, right, up = self.basis()
+        x = ((np.arange(width) + 0.5) / width * 2 - 1) * (width / height)
+        y = 1 - (np.arange(height) + 0.5) / height * 2
+        across = x[None, :, None] * right + y[:, None, None] * up
+        if self.projection == "orthographic":
+            if self.height is None:
+                expected = "a value; Camera.complete(grid, image) fills it in"
+                raise SceneError("scene: camera.height", "missing", expected)
+            origins = np.asarray(self.position) + 0.5 * self.height * across
+            return origins, np.broadcast_to(forward, origins.shape).copy()
+        directions = forward + math.tan(math.radians(self.fov_degrees) / 2) * across
+        directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
+        return np.broadcast_to(np.array(self.position), directions.shape).copy(), directions
+
+
+def _unit(vector) -> np.ndarray | None:
+    """``vector`` at length 1, None if it is 0; scaled first, so that no square under- or overflows."""
+    vector = np.asarray(vector, dtype=np.float64)
+    largest = np.abs(vector).max()
+    if largest == 0:
+        return None
+    vector = vector / largest
+    return vector / np.linalg.norm(vector)
+
+
+def _parallel(a: np.ndarray, b: np.ndarray) -> bool:
+    return bool(np.linalg.norm(np.cross(a, b)) < _PARALLEL)
+
+
+def _frame(forward: np.ndarray, up: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    right = _unit(np.cross(forward, up))
+    return forward, right, np.cross(right, forward)

@@ -1,0 +1,119 @@
+"""Reading scene files, and overriding single values of them."""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from clvol.errors import SceneError
+from clvol.scene.scene import Scene
+from clvol.scene.table import shown
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+LARGEST_FILE = 64 * 2**20
+_POSITION = re.compile(r"^(?P<what>.*?)\s*\(at (?P<place>[^()]*)\)$", re.DOTALL)
+_KEY = re.compile(r"[A-Za-z0-9_-]+")
+
+
+def load_scene(path: str | Path, overrides: Iterable[str] = ()) -> Scene:
+    """The scene in the file ``path`` (.toml), or of the volume file ``path`` with all defaults.
+
+    ``overrides``: texts such as ``image.width=1024`` or ``light.0.intensity=2``, values in TOML
+    syntax, applied in their order. An index one past the end of a list appends to it.
+    Raises SceneError whose place is "FILE: KEY". The volume itself is read by ``Scene.resolve``.
+    """
+    path = Path(path)
+    if path.suffix.lower() == ".toml":
+        data, folder = _read(path), path.parent
+    else:
+        data, folder = {"volume": {"file": str(path)}}, Path()
+    for text in overrides:
+        _override(data, text, str(path))
+    return Scene.from_data(data, str(path), folder)
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        with path.open("rb") as file:
+            raw = file.read(LARGEST_FILE + 1)
+    except FileNotFoundError:
+        raise SceneError(path, "no such file", "a scene (.toml) or a volume file") from None
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise SceneError(path, f"cannot be read ({reason})", "a readable scene file") from None
+    if len(raw) > LARGEST_FILE:
+        raise SceneError(path, f"more than {LARGEST_FILE} bytes", "a scene file") from None
+    try:
+        text = raw.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = raw[: error.start].count(b"\n") + 1
+        expected = "a scene file, text in UTF-8"
+        raise SceneError(f"{path}: line {line}", f"byte {raw[error.start]:#04x}", expected) from None
+    try:
+        return tomllib.loads(text)
+    except RecursionError:
+        raise SceneError(path, "nested too deeply", "a scene in TOML") from None
+    except ValueError as error:  # TOMLDecodeError is one
+        what, place = _parted(str(error))
+        if place.startswith("end"):
+            place = f"line {text.count(chr(10)) + 1}"
+        where = f"{path}: {place}" if place else str(path)
+        raise SceneError(where, what, "a scene in TOML") from None
+
+
+def _parted(message: str) -> tuple[str, str]:
+    """(what, place) of a TOML error message, such as ("Invalid value", "line 3, column 5")."""
+    match = _POSITION.match(message)
+    return (match["what"], match["place"]) if match else (message, "")
+
+
+def _override(data: dict[str, Any], text: str, origin: str) -> None:
+    """Set one value of the parsed scene ``data``; ``text`` is TABLE.KEY=VALUE."""
+    key, equals, value_text = text.partition("=")
+    keys = [part.strip() for part in key.split(".")]
+    if not equals or not all(_KEY.fullmatch(part) for part in keys):
+        raise SceneError(f"--set {shown(text)}", "not an assignment", "TABLE.KEY=VALUE")
+    value = _parse_value(text, ".".join(keys), value_text)
+
+    place: Any = data
+    for i, part in enumerate(keys):
+        where = f"{origin}: {'.'.join(keys[:i])}"
+        is_last = i == len(keys) - 1
+        empty = [] if not is_last and keys[i + 1].isdecimal() else {}
+        if isinstance(place, list):
+            if not part.isdecimal() or len(part) > 9 or int(part) > len(place):
+                wanted = f"an index from 0 to {len(place)}"
+                raise SceneError(where, f"got {shown(part)}", wanted)
+            index = int(part)
+            if index == len(place):
+                place.append(empty)
+            if is_last:
+                place[index] = value
+            place = place[index]
+        elif isinstance(place, dict):
+            if is_last:
+                place[part] = value
+            place = place.setdefault(part, empty)
+        else:
+            raise SceneError(where, f"got {shown(place)}", f"a table with the key {part}")
+
+
+def _parse_value(text: str, key: str, value_text: str) -> Any:
+    try:
+        parsed = tomllib.loads(f"value = {value_text.strip()}")
+        if list(parsed) != ["value"]:
+            raise ValueError("more than one value")
+    except (ValueError, RecursionError) as error:
+        what, _ = _parted(str(error))
+        expected = "a value in TOML syntax"
+        if re.fullmatch(r"[\w./-]+", value_text.strip()):
+            expected += f", text in quotes as in '{key}=\"{value_text.strip()}\"'"
+        raise SceneError(f"--set {shown(text)}", what, expected) from None
+    return parsed["value"]

@@ -1,0 +1,154 @@
+"""From what was asked for to what is rendered: volume loaded, defaults filled in, colours linear."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from clvol.errors import SceneError
+from clvol.scene.camera import Camera
+from clvol.scene.clip import Clip
+from clvol.scene.image import ImageSettings
+from clvol.scene.integration import Integration
+from clvol.scene.isosurface import Isosurface
+from clvol.scene.light import Light
+from clvol.scene.material import Material
+from clvol.scene.multiresolution import Multiresolution
+from clvol.scene.pyramid import Pyramid
+from clvol.scene.transfer_function import TransferFunctionSettings
+from clvol.scene.volume import VolumeSettings
+from clvol.transfer import TransferFunction, srgb_to_linear
+
+if TYPE_CHECKING:
+    from clvol.scene.scene import Scene
+    from clvol.volume import Grid, Volume
+
+LARGEST_STEP_COUNT = 2**24  # a float32 counts no further
+_SHORTEST_EDGE_PER_UNIT = 32.0
+
+
+@dataclass(frozen=True, eq=False)
+class ResolvedScene:
+    """All that rendering needs; colours (background, isosurfaces) in linear light.
+
+    ``source`` is the scene as asked for, the text of a scene file. ``origin`` names the scene file
+    (or "scene") for error messages of the form "ORIGIN: TABLE.KEY".
+    """
+
+    volume: Volume
+    camera: Camera
+    image: ImageSettings
+    transfer_function: TransferFunction
+    background: np.ndarray
+    integration: Integration
+    lights: tuple[Light, ...]
+    isosurfaces: tuple[Isosurface, ...]
+    clips: tuple[Clip, ...]
+    material: Material
+    multiresolution: Multiresolution
+    pyramid: Pyramid
+    source: str | None
+    origin: str = "scene"
+
+
+def resolve(scene: Scene, memory_cap: int | None = None) -> ResolvedScene:
+    """See ``Scene.resolve``."""
+    volume = scene.load_volume(memory_cap)
+    camera = (scene.camera or Camera()).complete(volume.grid, scene.image, scene.origin)
+    _check_step_count(scene, volume.grid)
+
+    asked = scene.transfer_function
+    if isinstance(asked, TransferFunction):
+        function, is_linear = asked, True
+    else:
+        settings = asked or TransferFunctionSettings()
+        function = settings.function(volume.value_range, default_opacity_unit(volume.grid))
+        is_linear = settings.color_space == "linear"
+
+    def decoded(color: tuple[float, float, float]) -> np.ndarray:
+        return np.array(color, dtype=np.float64) if is_linear else srgb_to_linear(color)
+
+    background = decoded(scene.image.background)
+    background.setflags(write=False)
+    surfaces = (
+        surface.model_copy(update={"color": decoded(surface.color)}) for surface in scene.isosurface
+    )
+    return ResolvedScene(
+        volume=volume,
+        camera=camera,
+        image=scene.image,
+        transfer_function=function,
+        background=background,
+        integration=scene.integration,
+        lights=scene.light,
+        isosurfaces=tuple(surfaces),
+        clips=scene.clip,
+        material=scene.material,
+        multiresolution=scene.multiresolution,
+        pyramid=scene.pyramid,
+        source=scene.to_toml(),
+        origin=scene.origin,
+    )
+
+
+def default_opacity_unit(grid: Grid) -> float:
+    """The world length that presets state opacities for: a 32nd of the volume's shortest edge."""
+    lower, upper = grid.index_bounds()
+    edges = (np.asarray(upper) - np.asarray(lower)) * np.asarray(grid.spacing)
+    return float(edges.min()) / _SHORTEST_EDGE_PER_UNIT
+
+
+def load_scene_volume(
+    asked: VolumeSettings | Volume, folder: Path, origin: str, memory_cap: int | None
+) -> Volume:
+    """The volume of a scene; ``folder`` is what a file name is relative to."""
+    from clvol.volume import Volume, load_volume
+
+    if isinstance(asked, Volume):
+        return asked
+    path = folder / asked.file
+    is_scene_file = str(path) != origin
+    if is_scene_file and not path.exists():
+        got = f"got {asked.file!r}, no such file"
+        raise SceneError(f"{origin}: volume.file", got, "a volume file or a DICOM folder")
+    volume = load_volume(
+        path, dims=asked.dims, dtype=asked.dtype, spacing=asked.spacing, memory_cap=memory_cap
+    )
+    if asked.nan != "transparent" and volume.nan_count:
+        volume = _with_nan_as(volume, asked.nan)
+    return volume
+
+
+def _with_nan_as(volume: Volume, value: float) -> Volume:
+    from clvol.volume import Volume
+
+    data = np.array(volume.data)
+    for layer in data:
+        np.copyto(layer, value, where=np.isnan(layer))
+    grid = volume.grid
+    return Volume(
+        data,
+        spacing=grid.spacing,
+        origin=grid.origin,
+        direction=grid.direction,
+        name=volume.name,
+        frame=volume.frame,
+        path=volume.path,
+        format=volume.format,
+    )
+
+
+def _check_step_count(scene: Scene, grid: Grid) -> None:
+    if scene.integration.method == "reference":
+        return
+    lower, upper = grid.index_bounds()
+    edges = (np.asarray(upper) - np.asarray(lower)) * np.asarray(grid.spacing) / grid.smallest_edge
+    longest = math.hypot(*edges)
+    step = scene.integration.step
+    if longest / step > LARGEST_STEP_COUNT:
+        expected = f"at least {longest / LARGEST_STEP_COUNT:.3g} for this volume"
+        raise SceneError(f"{scene.origin}: integration.step", f"got {step!r}", expected)

@@ -1,0 +1,130 @@
+"""The scene: all tables together, built from a file or from Python."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from pydantic import BeforeValidator, Field, PrivateAttr, ValidationError, WrapValidator
+
+from clvol.scene.camera import Camera
+from clvol.scene.clip import Clip
+from clvol.scene.image import ImageSettings
+from clvol.scene.integration import Integration
+from clvol.scene.isosurface import Isosurface
+from clvol.scene.light import Light
+from clvol.scene.material import Material
+from clvol.scene.multiresolution import Multiresolution
+from clvol.scene.pyramid import Pyramid
+from clvol.scene.table import AsTuple, Table, scene_error
+from clvol.scene.transfer_function import TransferFunctionSettings
+from clvol.scene.volume import VolumeSettings
+from clvol.transfer import TransferFunction
+
+if TYPE_CHECKING:
+    from clvol.scene.resolve import ResolvedScene
+    from clvol.volume import Volume
+
+_TABLE = "a table"
+_TABLES = "a list of tables"
+
+
+def _version(value: Any) -> int:
+    if type(value) is not int or value != 1:
+        raise ValueError("not version 1")
+    return value
+
+
+def _volume(value: Any, check: Callable[[Any], Any]) -> Any:
+    from clvol.volume import Volume
+
+    if isinstance(value, Volume):
+        return value
+    return check({"file": value} if isinstance(value, (str, os.PathLike)) else value)
+
+
+def _transfer_function(value: Any, check: Callable[[Any], Any]) -> Any:
+    return value if isinstance(value, TransferFunction) else check(value)
+
+
+class Scene(Table):
+    """What to render. Keys are those of a scene file.
+
+    From Python, ``volume`` may also be a ``clvol.Volume`` or a path, and ``transfer_function`` a
+    ``clvol.TransferFunction``; beside one, the background and the isosurfaces' colours are linear
+    light. What is left out has defaults that show the whole volume. Scenes are immutable:
+    ``scene.model_copy(update={"camera": other})`` makes another, checked, that shares the volume.
+    Raises SceneError.
+    """
+
+    version: Annotated[int, BeforeValidator(_version)] = Field(1, description="1")
+    volume: Annotated[VolumeSettings, WrapValidator(_volume)] = Field(
+        description="a table with the key file"
+    )
+    camera: Camera | None = Field(None, description=_TABLE)
+    image: ImageSettings = Field(ImageSettings(), description=_TABLE)
+    transfer_function: Annotated[
+        TransferFunctionSettings | None, WrapValidator(_transfer_function)
+    ] = Field(None, description=_TABLE)
+    integration: Integration = Field(Integration(), description=_TABLE)
+    material: Material = Field(Material(), description=_TABLE)
+    light: Annotated[tuple[Light, ...], AsTuple] = Field((), description=_TABLES)
+    isosurface: Annotated[tuple[Isosurface, ...], AsTuple] = Field((), description=_TABLES)
+    clip: Annotated[tuple[Clip, ...], AsTuple] = Field((), description=_TABLES)
+    multiresolution: Multiresolution = Field(Multiresolution(), description=_TABLE)
+    pyramid: Pyramid = Field(Pyramid(), description=_TABLE)
+
+    _origin: str = PrivateAttr("scene")  # what error messages call the place the scene came from
+    _folder: Path = PrivateAttr(Path())  # what volume.file is relative to
+    _loaded: Any = PrivateAttr(None)  # the volume, once loaded from its file
+
+    @classmethod
+    def from_data(cls, data: Mapping[str, Any], origin: str, folder: Path) -> Scene:
+        """A scene from a parsed file called ``origin`` in messages; paths relative to ``folder``."""
+        try:
+            scene = cls.model_validate(data)
+        except ValidationError as error:
+            raise scene_error(error, cls, origin) from None
+        scene._origin, scene._folder = origin, folder
+        return scene
+
+    def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Scene:
+        """A copy with the keys of ``update`` replaced and checked. A loaded volume is shared."""
+        copy = super().model_copy(update=update, deep=deep)
+        copy._origin, copy._folder = self._origin, self._folder
+        if "volume" not in (update or {}):
+            copy._loaded = self._loaded
+        return copy
+
+    def load_volume(self, memory_cap: int | None = None) -> Volume:
+        """The volume that the scene names, read once and kept.
+
+        ``memory_cap``: bytes that it may take in memory. Raises SceneError, VolumeError.
+        """
+        from clvol.scene.resolve import load_scene_volume
+
+        if self._loaded is None:
+            self._loaded = load_scene_volume(self.volume, self._folder, self._origin, memory_cap)
+        return self._loaded
+
+    def resolve(self, memory_cap: int | None = None) -> ResolvedScene:
+        """The scene with its volume loaded, every default filled in and colours in linear light.
+
+        ``memory_cap``: bytes that the volume may take in memory. Raises SceneError, VolumeError.
+        """
+        from clvol.scene.resolve import resolve
+
+        return resolve(self, memory_cap)
+
+    def to_toml(self) -> str:
+        """The scene as asked for, as the text of a scene file, without any voxels."""
+        from clvol.scene.write import to_toml
+
+        return to_toml(self)
+
+    @property
+    def origin(self) -> str:
+        """The scene file, or "scene" for one built in Python: where error messages point to."""
+        return self._origin

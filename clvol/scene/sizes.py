@@ -1,0 +1,29 @@
+"""Sizes of memory as text: "96 MiB", "2GB", "1048576"."""
+
+from __future__ import annotations
+
+import re
+
+_UNITS = {"": 1, "b": 1}
+_UNITS |= {f"{p}b": 1000**i for i, p in enumerate("kmgt", 1)}
+_UNITS |= {f"{p}ib": 1024**i for i, p in enumerate("kmgt", 1)}
+_SIZE = re.compile(r"\s*(\d{1,18}(?:\.\d{1,9})?)\s*([A-Za-z]*)\s*", re.ASCII)
+
+
+def parse_size(text: str) -> int:
+    """Bytes > 0 in ``text``; ValueError if it is not a number with a unit from B to TiB."""
+    match = _SIZE.fullmatch(text)
+    unit = None if match is None else _UNITS.get(match[2].lower())
+    size = 0 if unit is None else int(float(match[1]) * unit)
+    if size < 1:
+        raise ValueError("not a size")
+    return size
+
+
+def format_size(size: int) -> str:
+    """``size`` bytes as people read it, such as "96.0 MiB"."""
+    for unit in ("B", "KiB", "MiB", "GiB"):
+        if size < 1024 or unit == "GiB":
+            break
+        size /= 1024
+    return f"{size} B" if unit == "B" else f"{size:.1f} {unit}"

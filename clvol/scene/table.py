@@ -1,0 +1,175 @@
+"""The base of every table: immutable, strict about types, and clear about what is wrong.
+
+A field's description says what is expected of it. It is both the documentation of the key and the
+last part of the error message.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from difflib import get_close_matches
+from typing import Annotated, Any, get_args
+
+import numpy as np
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+from pydantic_core import PydanticCustomError
+
+from clvol.errors import SceneError
+
+LARGEST_LENGTH = 1e30  # keeps the square of a coordinate's ratio to a voxel within a double
+
+
+class _TableType(type(BaseModel)):
+    """Turns the ValidationError of a direct call, such as Camera(...), into a SceneError."""
+
+    def __call__(cls, *args: Any, **keys: Any) -> Any:
+        try:
+            return super().__call__(*args, **keys)
+        except ValidationError as error:
+            raise scene_error(error, cls, "scene", cls.table_name()) from None
+
+
+class Table(BaseModel, metaclass=_TableType):
+    """One table of a scene. Raises SceneError for an unknown key, a wrong type or value."""
+
+    model_config = ConfigDict(
+        extra="forbid",
+        frozen=True,
+        strict=True,
+        allow_inf_nan=False,
+        arbitrary_types_allowed=True,
+        validate_default=False,
+    )
+
+    @classmethod
+    def table_name(cls) -> str:
+        """The name of the table in a scene file; empty for the scene itself."""
+        return ""
+
+    def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False):
+        """A copy with the keys of ``update`` replaced and checked, as if built anew."""
+        if not update:
+            return super().model_copy(deep=deep)
+        asked = {name: getattr(self, name) for name in self.model_fields_set}
+        return type(self)(**{**asked, **update})
+
+
+def wrong(key: str, got: Any, expected: str) -> PydanticCustomError:
+    """What a model's validator raises: ``key`` is relative to the model, dots between its parts."""
+    return PydanticCustomError("scene", "{got}", {"key": key, "got": got, "expected": expected})
+
+
+def shown(value: Any, limit: int = 60) -> str:
+    """``value`` as an error message shows it: one line, not longer than ``limit`` characters."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, BaseModel):
+        return f"a {type(value).__name__}"
+    if isinstance(value, np.ndarray):
+        return f"an array of shape {value.shape}"
+    try:
+        text = " ".join(repr(value).split())
+    except ValueError:  # an integer of more digits than Python prints
+        text = "an integer of thousands of digits"
+    return text if len(text) <= limit else text[: limit - 1] + "…"
+
+
+def scene_error(
+    error: ValidationError, model: type[BaseModel], file: str, table: str = ""
+) -> SceneError:
+    """The first mistake in ``error`` as a SceneError, unknown keys first: they explain the rest."""
+    mistakes = error.errors(include_url=False)
+    mistake = next((m for m in mistakes if m["type"] == "extra_forbidden"), mistakes[0])
+    path = [str(part) for part in mistake["loc"]]
+    context = mistake.get("ctx", {})
+    if mistake["type"] == "scene":
+        path += [part for part in context["key"].split(".") if part]
+        got, expected = context["got"], context["expected"]
+        what = "missing" if got is None else f"got {shown(got)}"
+    elif mistake["type"] == "extra_forbidden":
+        keys = keys_of(_model_at(model, path[:-1]) or model)
+        what, expected = f"unknown key (got {shown(mistake['input'])})", expected_key(path[-1], keys)
+    elif mistake["type"] == "missing":
+        what, expected = "missing", _described(model, path) or "a value"
+    else:
+        what = f"got {shown(mistake['input'])}"
+        expected = _described(model, path) or mistake["msg"]
+    if table:
+        path.insert(0, table)
+    where = ".".join(path)
+    return SceneError(f"{file}: {where}" if where else file, what, expected)
+
+
+def expected_key(key: str, keys: list[str]) -> str:
+    """What to say was expected in place of the unknown ``key``: all of ``keys``, nearest named."""
+    near = get_close_matches(key, keys, n=1)
+    hint = f" (did you mean {near[0]!r}?)" if near else ""
+    return "one of " + ", ".join(keys) + hint
+
+
+def keys_of(model: type[BaseModel]) -> list[str]:
+    return list(model.model_fields)
+
+
+def _model_at(model: type[BaseModel], path: list[str]) -> type[BaseModel] | None:
+    """The model that the keys of ``path`` lead to, or None if they lead to no model."""
+    for part in path:
+        if part.isdecimal():
+            continue
+        field = model.model_fields.get(part)
+        inner = None if field is None else _model_in(field.annotation)
+        if inner is None:
+            return None
+        model = inner
+    return model
+
+
+def _model_in(annotation: Any) -> type[BaseModel] | None:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    for inner in get_args(annotation):
+        if found := _model_in(inner):
+            return found
+    return None
+
+
+def _described(model: type[BaseModel], path: list[str]) -> str | None:
+    """The description of the field that ``path`` leads to; of a list's item, that of the list."""
+    names = [part for part in path if not part.isdecimal()]
+    for end in range(len(names), 0, -1):
+        owner = _model_at(model, names[: end - 1])
+        field = None if owner is None else owner.model_fields.get(names[end - 1])
+        if field is not None and field.description:
+            return field.description
+    return None
+
+
+def plain(value: Any) -> Any:
+    """numpy scalars as Python numbers, an integer that no float holds as infinity."""
+    if isinstance(value, np.generic):
+        return value.item()
+    if isinstance(value, int) and not isinstance(value, bool):
+        try:
+            float(value)
+        except OverflowError:
+            return math.inf
+    return value
+
+
+def _plain_list(value: Any) -> Any:
+    """Lists and arrays as tuples, which is what a strict tuple field takes."""
+    if isinstance(value, np.ndarray):
+        value = value.tolist()
+    return tuple(value) if isinstance(value, list) else value
+
+
+Number = Annotated[float, BeforeValidator(plain)]
+Whole = Annotated[int, BeforeValidator(plain)]
+Positive = Annotated[Number, Field(gt=0)]
+Fraction = Annotated[Number, Field(ge=0, le=1)]
+Coordinate = Annotated[Number, Field(ge=-LARGEST_LENGTH, le=LARGEST_LENGTH)]
+Length = Annotated[Number, Field(gt=0, le=LARGEST_LENGTH)]
+Vector = Annotated[tuple[Coordinate, Coordinate, Coordinate], BeforeValidator(_plain_list)]
+Color = Annotated[tuple[Fraction, Fraction, Fraction], BeforeValidator(_plain_list)]
+AsTuple = BeforeValidator(_plain_list)

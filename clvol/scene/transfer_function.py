@@ -1,0 +1,83 @@
+"""[transfer_function]: control points or a preset."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from clvol.scene.table import AsTuple, Color, Fraction, Length, Number, Table, wrong
+from clvol.transfer import PRESETS, TransferFunction, preset, srgb_to_linear
+from clvol.transfer.presets import expected_preset
+
+LARGEST_POINTS = 65536
+
+
+class ControlPoint(Table):
+    value: Number = Field(description="a finite number")
+    opacity: Fraction = Field(description="a number from 0 to 1")
+    color: Color = Field(description="three numbers [r, g, b] from 0 to 1")
+
+    @classmethod
+    def table_name(cls) -> str:
+        return "point"
+
+
+class TransferFunctionSettings(Table):
+    """Either ``points`` or a ``preset``; with neither, the default one of the volume's range.
+
+    ``opacity_unit``: the world length that opacities are stated for; 1 for points, and for
+    presets and the default one a 32nd of the volume's shortest edge unless stated.
+    ``color_space`` is that of the points' colours and of the image's background.
+    """
+
+    opacity_unit: Length | None = Field(
+        None, description="a finite world length greater than 0"
+    )
+    color_space: Literal["srgb", "linear"] = Field("srgb", description="'srgb' or 'linear'")
+    points: Annotated[tuple[ControlPoint, ...], AsTuple] | None = Field(
+        None, description="a list of points { value = …, opacity = …, color = [r, g, b] }"
+    )
+    preset: str | None = Field(None, description="the name of a preset, in quotes")
+
+    @classmethod
+    def table_name(cls) -> str:
+        return "transfer_function"
+
+    @model_validator(mode="after")
+    def _one_function(self) -> TransferFunctionSettings:
+        if self.preset is not None and self.points is not None:
+            raise wrong("preset", self.preset, "either points or a preset, not both")
+        if self.preset is not None and self.preset not in PRESETS:
+            raise wrong("preset", self.preset, expected_preset(self.preset))
+        if self.points is None:
+            return self
+        if not 1 <= len(self.points) <= LARGEST_POINTS:
+            expected = f"from 1 to {LARGEST_POINTS} points"
+            raise wrong("points", [] if not self.points else len(self.points), expected)
+        values = [point.value for point in self.points]
+        for i in range(1, len(values)):
+            if values[i] < values[i - 1]:
+                expected = f"ascending values, here {values[i - 1]} or more"
+                raise wrong(f"points.{i}.value", values[i], expected)
+            if i > 1 and values[i] == values[i - 2]:
+                raise wrong(f"points.{i}.value", values[i], "at most two points at one value")
+        return self
+
+    def function(
+        self, value_range: tuple[float, float], default_unit: float
+    ) -> TransferFunction:
+        """The function in linear light, for a volume whose finite values span ``value_range``.
+
+        ``default_unit``: the opacity unit of a preset or the default, where none is stated.
+        """
+        if self.points is None:
+            unit = default_unit if self.opacity_unit is None else self.opacity_unit
+            return preset(self.preset or "grayscale", value_range, unit)
+        colors = [point.color for point in self.points]
+        return TransferFunction(
+            [point.value for point in self.points],
+            [point.opacity for point in self.points],
+            srgb_to_linear(colors) if self.color_space == "srgb" else colors,
+            1.0 if self.opacity_unit is None else self.opacity_unit,
+        )

@@ -1,0 +1,66 @@
+"""A scene as the text of a scene file: what goes into the header of a picture."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+from pydantic import BaseModel
+
+from clvol.transfer import TransferFunction
+
+if TYPE_CHECKING:
+    from clvol.scene.scene import Scene
+
+
+def to_toml(scene: Scene) -> str:
+    """TOML that reads back as ``scene``: the keys that were set, in the order of the models.
+
+    A volume that was handed over as an array is described in a comment.
+    """
+    lines = ["version = 1"]
+    for name in type(scene).model_fields:
+        value = getattr(scene, name)
+        if name == "version" or name not in scene.model_fields_set or value is None:
+            continue
+        if isinstance(value, tuple):
+            for item in value:
+                lines += ["", f"[[{name}]]", *_keys(item)]
+        elif isinstance(value, TransferFunction):
+            lines += ["", f"[{name}]", *_function_keys(value)]
+        elif isinstance(value, BaseModel):
+            lines += ["", f"[{name}]", *_keys(value)]
+        else:
+            shape = " x ".join(str(n) for n in value.grid.size)
+            lines += ["", f"# volume: {shape} voxels of {value.dtype}, handed over as an array"]
+    return "\n".join(lines) + "\n"
+
+
+def _keys(table: BaseModel) -> list[str]:
+    asked = table.model_dump(mode="python", exclude_unset=True)
+    return [f"{key} = {_value(value)}" for key, value in asked.items() if value is not None]
+
+
+def _function_keys(function: TransferFunction) -> list[str]:
+    points = [
+        {"value": float(value), "opacity": float(opacity), "color": color.tolist()}
+        for value, opacity, color in zip(function.values, function.opacities, function.colors)
+    ]
+    unit = f"opacity_unit = {_value(function.opacity_unit)}"
+    return [unit, 'color_space = "linear"', f"points = {_value(points)}"]
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        # A JSON string is a TOML basic string, but for DEL.
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    if isinstance(value, Mapping):
+        return "{ " + ", ".join(f"{key} = {_value(item)}" for key, item in value.items()) + " }"
+    if isinstance(value, (list, tuple)):
+        if value and isinstance(value[0], Mapping):
+            return "[\n" + "".join(f"  {_value(item)},\n" for item in value) + "]"
+        return "[" + ", ".join(_value(item) for item in value) + "]"
+    return repr(value)
