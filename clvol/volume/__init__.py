@@ -1,0 +1,17 @@
+"""Volumes: arrays with a grid in the world, the files they come from, and analytic fields for tests."""
+
+from __future__ import annotations
+
+from clvol.volume.grid import Grid
+from clvol.volume.readers import ENDINGS, is_volume_path, load_volume
+from clvol.volume.volume import ACCEPTED_TYPES, Volume, describe
+
+__all__ = [
+    "ACCEPTED_TYPES",
+    "ENDINGS",
+    "Grid",
+    "Volume",
+    "describe",
+    "is_volume_path",
+    "load_volume",
+]

@@ -1,0 +1,181 @@
+"""Where the voxels are: shape, spacing, origin and direction of a regular grid.
+
+Indices are continuous, in voxels, ordered (x, y, z); arrays are ordered [z, y, x]. A sample sits at
+its voxel's centre, so ``world = origin + direction @ (spacing * index)`` and index (0, 0, 0) is the
+first voxel's centre.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from clvol.errors import VolumeError
+
+# Headers write directions with about six digits; a unit vector may be off by that much.
+_UNIT_TOLERANCE = 1e-3
+# Determinant of the unit axes below which they count as lying in one plane.
+_SINGULAR = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """A regular grid of nx * ny * nz samples in the world.
+
+    ``shape`` is (nz, ny, nx), each at least 1. ``spacing`` is (sx, sy, sz) > 0 in world units.
+    ``origin`` is the world position (x, y, z) of voxel [0, 0, 0]. ``direction`` is 3x3 float64;
+    column k is the unit world direction of index axis k (x, y, z). It may hold flips and oblique
+    axes, and the axes need not be orthogonal (a tilted CT gantry), but they must span space.
+
+    Raises VolumeError for anything else: a zero, negative or non-finite spacing, a singular or
+    non-finite direction, a column that is not a unit vector to three digits.
+    """
+
+    shape: tuple[int, int, int]
+    spacing: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    direction: np.ndarray | None = None
+
+    def __post_init__(self) -> None:
+        shape = _shape(self.shape)
+        spacing = _triple(self.spacing, "spacing")
+        if min(spacing) <= 0.0:
+            raise VolumeError("spacing", _show(spacing), "three lengths above zero")
+        origin = _triple(self.origin, "origin")
+        direction = np.eye(3) if self.direction is None else _matrix(self.direction, "direction")
+        lengths = np.linalg.norm(direction, axis=0)
+        if np.abs(lengths - 1.0).max() > _UNIT_TOLERANCE:
+            raise VolumeError(
+                "direction", f"columns of length {_show(lengths)}", "columns of length 1"
+            )
+        direction = direction / lengths
+        _check_span(direction)
+        direction.flags.writeable = False
+        for name, value in (
+            ("shape", shape),
+            ("spacing", spacing),
+            ("origin", origin),
+            ("direction", direction),
+        ):
+            object.__setattr__(self, name, value)
+        if not np.isfinite(self.world_corners()).all():
+            raise VolumeError("spacing and origin", "the grid reaches infinity", "finite corners")
+
+    @classmethod
+    def from_steps(
+        cls, shape: Sequence[int], steps: np.ndarray, origin: Sequence[float] = (0.0, 0.0, 0.0)
+    ) -> Grid:
+        """The grid whose index axis k steps by the world vector ``steps[:, k]`` (3x3, world units).
+
+        Spacing is the steps' lengths; signs and rotations go into the direction.
+        """
+        steps = _matrix(steps, "voxel steps")
+        lengths = np.linalg.norm(steps, axis=0)
+        if not np.isfinite(lengths).all() or lengths.min() <= 0.0:
+            raise VolumeError("spacing", _show(lengths), "three lengths above zero")
+        return cls(tuple(shape), tuple(lengths), tuple(origin), steps / lengths)
+
+    @property
+    def size(self) -> tuple[int, int, int]:
+        """Voxels along (x, y, z)."""
+        nz, ny, nx = self.shape
+        return nx, ny, nz
+
+    @property
+    def smallest_edge(self) -> float:
+        """The shortest voxel edge, world units."""
+        return min(self.spacing)
+
+    @cached_property
+    def _index_to_world(self) -> np.ndarray:
+        matrix = np.eye(4)
+        matrix[:3, :3] = self.direction * np.asarray(self.spacing)
+        matrix[:3, 3] = self.origin
+        return matrix
+
+    def index_to_world(self) -> np.ndarray:
+        """4x4 float64: continuous index (x, y, z, 1) to world (x, y, z, 1)."""
+        return self._index_to_world.copy()
+
+    def world_to_index(self) -> np.ndarray:
+        """4x4 float64: the inverse of ``index_to_world``."""
+        matrix = np.eye(4)
+        matrix[:3, :3] = np.linalg.inv(self.direction) / np.asarray(self.spacing)[:, None]
+        matrix[:3, 3] = -(matrix[:3, :3] @ np.asarray(self.origin))
+        return matrix
+
+    def index_bounds(self) -> np.ndarray:
+        """(2, 3) float64: lower and upper index (x, y, z) of the domain.
+
+        The domain is the hull of the voxel centres, [0, n - 1]; an axis with one voxel is a slab one
+        voxel thick, [-0.5, 0.5].
+        """
+        size = np.asarray(self.size, dtype=np.float64)
+        thin = size == 1
+        return np.stack([np.where(thin, -0.5, 0.0), np.where(thin, 0.5, size - 1.0)])
+
+    def world_corners(self) -> np.ndarray:
+        """(8, 3) float64: the domain's corners in world space, x changing fastest, then y, z."""
+        bounds = self.index_bounds()
+        corner = np.arange(8)
+        pick = np.stack([corner & 1, (corner >> 1) & 1, corner >> 2], axis=1)
+        index = np.take_along_axis(bounds, pick, axis=0)
+        with np.errstate(over="ignore", invalid="ignore"):
+            return index @ self._index_to_world[:3, :3].T + self._index_to_world[:3, 3]
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Grid):
+            return NotImplemented
+        return (self.shape, self.spacing, self.origin) == (
+            other.shape,
+            other.spacing,
+            other.origin,
+        ) and np.array_equal(self.direction, other.direction)
+
+    def __hash__(self) -> int:
+        return hash((self.shape, self.spacing, self.origin, tuple(self.direction.ravel())))
+
+
+def _show(values: Sequence[float]) -> str:
+    return "(" + ", ".join(f"{float(value):g}" for value in values) + ")"
+
+
+def _shape(shape: Sequence[int]) -> tuple[int, int, int]:
+    try:
+        numbers = tuple(int(n) for n in shape)
+        whole = all(n == m and n >= 1 for n, m in zip(numbers, shape))
+    except (TypeError, ValueError, OverflowError):
+        numbers, whole = (), False
+    if len(numbers) != 3 or not whole:
+        raise VolumeError("shape", str(shape), "three sizes (nz, ny, nx) of at least 1")
+    return numbers
+
+
+def _triple(values: Sequence[float], name: str) -> tuple[float, float, float]:
+    try:
+        numbers = tuple(float(value) for value in values)
+    except (TypeError, ValueError):
+        numbers = ()
+    if len(numbers) != 3 or not all(math.isfinite(number) for number in numbers):
+        raise VolumeError(name, str(values), "three finite numbers (x, y, z)")
+    return numbers
+
+
+def _matrix(values: object, name: str) -> np.ndarray:
+    try:
+        matrix = np.array(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        matrix = np.empty(0)
+    if matrix.shape != (3, 3) or not np.isfinite(matrix).all():
+        raise VolumeError(name, str(values), "a 3x3 matrix of finite numbers")
+    return matrix
+
+
+def _check_span(direction: np.ndarray) -> None:
+    if abs(np.linalg.det(direction)) < _SINGULAR:
+        rows = "; ".join(_show(row) for row in direction)
+        raise VolumeError("direction", f"singular matrix [{rows}]", "three axes that span space")

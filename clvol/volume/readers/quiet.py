@@ -1,0 +1,52 @@
+"""Keeps libraries from chattering on stderr: what is wrong with a file goes into one VolumeError."""
+
+from __future__ import annotations
+
+import logging
+import os
+import sys
+import threading
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+_LOGGERS = ("nibabel", "nibabel.global", "tifffile", "nrrd")
+_lock = threading.RLock()
+
+
+@contextmanager
+def quiet() -> Iterator[None]:
+    """No Python warnings and no log lines from the format libraries inside the block."""
+    loggers = [logging.getLogger(name) for name in _LOGGERS]
+    with _lock:
+        before = [logger.disabled for logger in loggers]
+        try:
+            for logger in loggers:
+                logger.disabled = True
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                yield
+        finally:
+            for logger, disabled in zip(loggers, before):
+                logger.disabled = disabled
+
+
+@contextmanager
+def quiet_native() -> Iterator[None]:
+    """Sends the process's stderr (file descriptor 2) to nowhere: MetaIO and GDCM write there."""
+    with _lock:
+        try:
+            saved = os.dup(2)
+        except OSError:  # stderr is closed: nothing to keep quiet
+            yield
+            return
+        try:
+            if sys.stderr is not None:
+                sys.stderr.flush()
+            nowhere = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(nowhere, 2)
+            os.close(nowhere)
+            yield
+        finally:
+            os.dup2(saved, 2)
+            os.close(saved)

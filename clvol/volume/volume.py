@@ -1,0 +1,180 @@
+"""A scalar volume: an array [z, y, x] on a grid, and what is known about its values."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from clvol.errors import VolumeError
+from clvol.volume.grid import Grid
+
+ACCEPTED_TYPES = ("uint8", "int8", "uint16", "int16", "float32", "float64")
+ACCEPTED = "uint8, int8, uint16, int16, float32, float64 (bool counts as uint8)"
+
+# Voxels looked at together: small enough for the cache, large enough to hide Python.
+_BLOCK = 1 << 20
+
+
+class Volume:
+    """An array [z, y, x] of scalars on a regular grid.
+
+    ``array`` is 3-D, of uint8, int8, uint16, int16, float32 or float64; bool is viewed as uint8
+    (0 and 1). Anything else is a VolumeError: nothing is converted silently. Other byte orders and
+    memory layouts are copied into native C order, values and type unchanged; otherwise the array is
+    shared, not copied, and must not be changed while the volume is in use. ``spacing``, ``origin``
+    and ``direction`` are as in Grid.
+
+    ``data`` is the C-contiguous, native-endian, read-only array. ``frame`` names the world's
+    frame ("LPS", "RAS", ... ; "index" where nothing is known), ``path`` and ``format`` say where
+    the volume came from, or are None.
+    """
+
+    def __init__(
+        self,
+        array: np.ndarray,
+        spacing: Sequence[float] = (1.0, 1.0, 1.0),
+        origin: Sequence[float] = (0.0, 0.0, 0.0),
+        direction: np.ndarray | None = None,
+        name: str | None = None,
+        *,
+        frame: str = "index",
+        path: str | None = None,
+        format: str | None = None,
+    ) -> None:
+        self.data = _as_voxels(array)
+        self.grid = Grid(self.data.shape, tuple(spacing), tuple(origin), direction)
+        self.name = name
+        self.frame = frame
+        self.path = path
+        self.format = format
+
+    @property
+    def dtype(self) -> np.dtype:
+        """The voxels' type, native-endian."""
+        return self.data.dtype
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """(nz, ny, nx)."""
+        return self.data.shape
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of all voxels."""
+        return self.data.nbytes
+
+    @cached_property
+    def _census(self) -> _Census:
+        return _take_census(self.data)
+
+    @property
+    def value_range(self) -> tuple[float, float]:
+        """Smallest and largest finite voxel; (0.0, 0.0) if no voxel is finite."""
+        return self._census.lower, self._census.upper
+
+    @property
+    def nan_count(self) -> int:
+        """Voxels that are NaN."""
+        return self._census.nans
+
+    @property
+    def inf_count(self) -> int:
+        """Voxels that are +inf or -inf."""
+        return self._census.infs
+
+    def __repr__(self) -> str:
+        nx, ny, nz = self.grid.size
+        label = f" {self.name!r}" if self.name else ""
+        return f"<Volume{label} {nx} x {ny} x {nz} {self.dtype}>"
+
+
+@dataclass(frozen=True)
+class _Census:
+    lower: float
+    upper: float
+    nans: int
+    infs: int
+
+
+def check_type(dtype: np.dtype, where: str) -> np.dtype:
+    """The native type in which voxels of ``dtype`` are kept; VolumeError if there is none."""
+    if dtype.fields is not None or dtype.kind == "c" or dtype.subdtype is not None:
+        kind = "complex" if dtype.kind == "c" else "RGB or vector"
+        raise VolumeError(where, f"{kind} voxels ({dtype})", f"one scalar per voxel: {ACCEPTED}")
+    if dtype.kind == "b":
+        return np.dtype(np.uint8)
+    native = dtype.newbyteorder("=")
+    if native.name not in ACCEPTED_TYPES:
+        raise VolumeError(where, f"voxels of type {native.name}", ACCEPTED)
+    return native
+
+
+def _as_voxels(array: np.ndarray) -> np.ndarray:
+    if isinstance(array, np.ma.MaskedArray):
+        raise VolumeError("volume", "a masked array", "a plain array (masked voxels set to NaN)")
+    try:
+        array = np.asarray(array)
+    except ValueError:
+        raise VolumeError("volume", "no array of numbers", "an array [z, y, x]") from None
+    native = check_type(array.dtype, "volume")
+    if array.ndim != 3:
+        hint = " (RGB, vector or time-dependent data?)" if array.ndim > 3 else ""
+        raise VolumeError("volume", f"{array.ndim}-D array{hint}", "a 3-D array [z, y, x]")
+    if array.size == 0:
+        raise VolumeError("volume", f"empty array of shape {array.shape}", "at least one voxel")
+    if array.dtype.kind == "b":
+        array = np.ascontiguousarray(array).view(np.uint8)
+    voxels = np.ascontiguousarray(array, dtype=native).view()
+    voxels.flags.writeable = False
+    return voxels
+
+
+def _take_census(data: np.ndarray) -> _Census:
+    """One pass over the voxels in blocks, so that no temporary is as large as the volume."""
+    flat = data.reshape(-1)
+    lower, upper, nans, infs = np.inf, -np.inf, 0, 0
+    with np.errstate(all="ignore"):
+        for start in range(0, flat.size, _BLOCK):
+            block = flat[start : start + _BLOCK]
+            low, high = float(block.min()), float(block.max())
+            # min and max carry NaN and inf, so finite ones prove the block finite.
+            if not (np.isfinite(low) and np.isfinite(high)):
+                block_nans = int(np.count_nonzero(np.isnan(block)))
+                finite = block[np.isfinite(block)]
+                nans += block_nans
+                infs += block.size - finite.size - block_nans
+                if finite.size == 0:
+                    continue
+                low, high = float(finite.min()), float(finite.max())
+            lower, upper = min(lower, low), max(upper, high)
+    if lower > upper:
+        lower = upper = 0.0
+    return _Census(lower, upper, nans, infs)
+
+
+def describe(volume: Volume) -> dict:
+    """What ``clvol info`` shows, as plain JSON types.
+
+    ``direction`` is row by row (column k is index axis k), ``bounds_world`` the lower and the upper
+    corner of the axis-parallel box around the domain.
+    """
+    corners = volume.grid.world_corners()
+    return {
+        "path": volume.path,
+        "format": volume.format,
+        "shape_zyx": list(volume.shape),
+        "size_xyz": list(volume.grid.size),
+        "dtype": volume.dtype.name,
+        "spacing": list(volume.grid.spacing),
+        "origin": list(volume.grid.origin),
+        "direction": volume.grid.direction.tolist(),
+        "frame": volume.frame,
+        "value_range": list(volume.value_range),
+        "nan_count": volume.nan_count,
+        "inf_count": volume.inf_count,
+        "nbytes": volume.nbytes,
+        "bounds_world": [corners.min(axis=0).tolist(), corners.max(axis=0).tolist()],
+    }
