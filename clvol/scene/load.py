@@ -19,6 +19,7 @@ else:
 
 LARGEST_FILE = 64 * 2**20
 _POSITION = re.compile(r"^(?P<what>.*?)\s*\(at (?P<place>[^()]*)\)$", re.DOTALL)
+_DICOM_FILES = (".dcm", ".ima")  # the volume's reader says what to do with a single one
 _KEY = re.compile(r"[A-Za-z0-9_-]+")
 
 
@@ -33,10 +34,24 @@ def load_scene(path: str | Path, overrides: Iterable[str] = ()) -> Scene:
     if path.suffix.lower() == ".toml":
         data, folder = _read(path), path.parent
     else:
+        _check_ending(path)
         data, folder = {"volume": {"file": str(path)}}, Path()
     for text in overrides:
         _override(data, text, str(path))
     return Scene.from_data(data, str(path), folder)
+
+
+def _check_ending(path: Path) -> None:
+    """SceneError for a file that is plainly neither a scene nor a volume."""
+    from clvol.volume import ENDINGS, is_volume_path
+
+    if path.suffix.lower() in _DICOM_FILES or is_volume_path(path):
+        return
+    what = f"unknown ending {path.suffix!r}" if path.suffix else "no ending"
+    if "\0" in str(path) or not path.exists():
+        what = "no such file"
+    known = ", ".join(ENDINGS)
+    raise SceneError(path, what, f"a scene (.toml), or a volume: {known} or a DICOM folder")
 
 
 def _read(path: Path) -> dict[str, Any]:

@@ -125,6 +125,12 @@ class Scene(Table):
         return to_toml(self)
 
     @property
+    def volume_path(self) -> Path | None:
+        """The volume's file or folder; None for a volume handed over as an array."""
+        settings = self.volume
+        return self._folder / settings.file if isinstance(settings, VolumeSettings) else None
+
+    @property
     def origin(self) -> str:
         """The scene file, or "scene" for one built in Python: where error messages point to."""
         return self._origin

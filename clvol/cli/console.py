@@ -1,0 +1,84 @@
+"""What commands say: results on stdout, progress on stderr."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import sys
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any
+
+import click
+
+from clvol.errors import RenderError
+
+
+def say(text: str) -> None:
+    """One text on stdout. A reader that has gone away is no error; a full disk is one."""
+    try:
+        click.echo(text)
+        if sys.stdout is not None:
+            sys.stdout.flush()
+    except BrokenPipeError:
+        _silence()
+    except OSError as error:
+        _silence()
+        raise RenderError("standard output", f"cannot be written ({error.strerror})") from None
+
+
+def say_json(value: Any) -> None:
+    say(to_json(value))
+
+
+def to_json(value: Any) -> str:
+    """``value`` as JSON: numpy numbers as numbers, infinite ones and NaN as null."""
+    return json.dumps(_plain(value), indent=2, ensure_ascii=False, allow_nan=False)
+
+
+def say_table(rows: Iterable[tuple[str, str]]) -> None:
+    """Names and values in two columns."""
+    rows = list(rows)
+    width = max((len(name) for name, _ in rows), default=0)
+    say("\n".join(f"{name:<{width}}  {value}".rstrip() for name, value in rows))
+
+
+@contextmanager
+def working(message: str, quiet: bool) -> Iterator[None]:
+    """``message`` and a clock on stderr while the block runs, if stderr is a terminal."""
+    if quiet or sys.stderr is None or not sys.stderr.isatty():
+        yield
+        return
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    columns = SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn()
+    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+        progress.add_task(escape(message), total=None)
+        yield
+
+
+def _silence() -> None:
+    """Send what is still to come on stdout nowhere, the flush at exit included."""
+    try:
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, sys.stdout.fileno())
+        os.close(nowhere)
+    except (OSError, ValueError, AttributeError):
+        pass
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple, set, frozenset)):
+        return [_plain(item) for item in value]
+    if hasattr(value, "tolist"):  # numpy's arrays and scalars
+        return _plain(value.tolist())
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    if value is None or isinstance(value, (bool, int, float, str)):
+        return value
+    return str(value)

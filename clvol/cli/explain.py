@@ -1,0 +1,31 @@
+"""clvol explain: which effects a scene calls for."""
+
+from __future__ import annotations
+
+import click
+
+from clvol.cli.options import json_option, memory_cap_option, overrides_option, scene_argument
+
+
+@click.command("explain", short_help="Which effects a scene calls for, which not, and why.")
+@scene_argument
+@json_option
+@overrides_option
+@memory_cap_option("The most memory that the volume may take.")
+def command(
+    scene: str, as_json: bool, overrides: tuple[str, ...], memory_cap: int | None
+) -> None:
+    """Tell which effects SCENE calls for, which not, why, and what therefore gets compiled."""
+    from clvol.cli.console import say, say_json, say_table
+    from clvol.features import explain
+    from clvol.scene import load_scene
+
+    told = explain(load_scene(scene, overrides).resolve(memory_cap))
+    if as_json:
+        say_json(told)
+        return
+    say_table(
+        (f"{'yes' if effect['called_for'] else 'no':<3}  {effect['name']}", effect["reason"])
+        for effect in told["effects"]
+    )
+    say(f"kernel {told['kernel_hash']}")

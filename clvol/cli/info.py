@@ -1,0 +1,54 @@
+"""clvol info: what a volume file holds, and what it takes to render it."""
+
+from __future__ import annotations
+
+import click
+
+from clvol.cli.options import json_option, memory_cap_option, overrides_option
+
+
+@click.command("info", short_help="Shape, type, spacing, range and memory of a volume.")
+@click.argument("volume", metavar="VOLUME")
+@json_option
+@overrides_option
+@memory_cap_option("The most memory that the volume may take.")
+def command(
+    volume: str, as_json: bool, overrides: tuple[str, ...], memory_cap: int | None
+) -> None:
+    """Tell what VOLUME holds: a volume file, a DICOM folder or a scene.
+
+    A .raw file needs --set volume.dims=[nx,ny,nz] --set 'volume.dtype="uint8"'.
+    """
+    from clvol.cli.console import say_json, say_table
+    from clvol.scene import load_scene
+    from clvol.scene.sizes import format_size
+    from clvol.volume import describe
+
+    loaded = load_scene(volume, overrides).load_volume(memory_cap)
+    facts = describe(loaded)
+    facts["memory_needed"] = loaded.nbytes
+    if as_json:
+        say_json(facts)
+        return
+    grid = loaded.grid
+    low, high = loaded.value_range
+    rows = [
+        ("file", str(facts.get("path") or volume)),
+        ("format", str(facts.get("format") or "")),
+        ("size", " x ".join(str(n) for n in grid.size) + "  (x, y, z)"),
+        ("shape", f"{list(loaded.shape)}  [z, y, x]"),
+        ("type", str(loaded.dtype)),
+        ("spacing", _numbers(grid.spacing)),
+        ("origin", _numbers(grid.origin)),
+        ("direction", "; ".join(_numbers(row) for row in grid.direction) + "  (row by row)"),
+        ("frame", str(facts.get("frame") or "")),
+        ("range", f"{low:.9g} to {high:.9g}"),
+        ("NaN voxels", str(loaded.nan_count)),
+        ("infinite voxels", str(loaded.inf_count)),
+        ("memory", f"{format_size(facts['memory_needed'])} on the device"),
+    ]
+    say_table(row for row in rows if row[1])
+
+
+def _numbers(values) -> str:
+    return " ".join(f"{float(value):.9g}" for value in values)

@@ -1,0 +1,75 @@
+"""Several output files that appear together or not at all."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any
+
+from clvol.errors import ClvolError, UsageError
+
+
+def check_outputs(
+    pictures: Sequence[str], others: Sequence[str], inputs: Iterable[str | os.PathLike]
+) -> None:
+    """UsageError now, before the work, if one of the files could not be written later.
+
+    ``pictures`` must end as a picture does, ``others`` as they like; none may be the same file as
+    another or as one of ``inputs``.
+    """
+    from clvol.image import check_output, check_output_folder
+
+    taken = {os.path.realpath(path): "that is read" for path in inputs}
+    for path in [*pictures, *others]:
+        real = os.path.realpath(path) if "\0" not in path else path
+        if real in taken:
+            raise UsageError(path, f"got a file {taken[real]}", "a file of its own")
+        taken[real] = "that is written already"
+    for path in pictures:
+        check_output(path)
+    for path in others:
+        check_output_folder(path)
+
+
+@contextmanager
+def together(paths: Sequence[str]) -> Iterator[list[Path]]:
+    """Temporary files to write in place of ``paths``; after the block all take their places.
+
+    If the block or any of the moves fails, none of ``paths`` is left as written here, and files
+    that were there before the block stay if it is the block that fails.
+    """
+    from clvol.image import atomic_path
+
+    before = {path: _identity(path) for path in paths}
+    moving = False
+    try:
+        with ExitStack() as stack:
+            yield [stack.enter_context(atomic_path(path)) for path in paths]
+            moving = True
+    except BaseException:
+        if moving:
+            for path in paths:
+                if _identity(path) != before[path]:
+                    Path(path).unlink(missing_ok=True)
+        raise
+
+
+def save_picture(frame: Any, temporary: Path, path: str) -> None:
+    """Write ``frame`` to ``temporary``; errors name ``path``, which it stands for."""
+    from clvol.image import save_frame
+
+    try:
+        save_frame(frame, temporary)
+    except ClvolError as error:
+        where = path if error.where == str(temporary) else error.where
+        raise type(error)(where, error.what, error.expected) from error
+
+
+def _identity(path: str) -> tuple[int, int] | None:
+    try:
+        found = os.stat(path)
+    except OSError:
+        return None
+    return found.st_dev, found.st_ino
