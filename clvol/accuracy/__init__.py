@@ -1,0 +1,1 @@
+"""Accuracy: how far one picture is from another, and from the exact integral."""
