@@ -35,10 +35,12 @@ TIME_LIMIT = 30.0  # seconds that each step of a probe (listing, one device) may
 HOW_TO_GET_ONE = 'a CPU device: "apt install pocl-opencl-icd", or pip install "clvol[cpu]"'
 
 _VENDORS = "OCL_ICD_VENDORS"
+_HOME = "PYOPENCL_HOME"
 _FORMAT = 1  # of the cache file
 _KEPT = 16  # cache files kept in the folder
 # Environment variables that change what a platform lists or how it behaves start like this.
-_RELEVANT = ("OCL_", "OPENCL_", "POCL_", "CL_CONFIG", "CUDA_", "GPU_", "ROCR_", "HIP_", "RUSTICL_", "LD_")
+_RELEVANT = ("OCL_", "OPENCL_", "POCL_", "CL_CONFIG", "CUDA_", "GPU_", "ROCR_", "HIP_", "RUSTICL_",
+             "LD_LIBRARY_PATH", "LD_PRELOAD")
 
 
 @dataclass(frozen=True)
@@ -68,8 +70,7 @@ class DeviceReport:
     extensions: tuple[str, ...] = ()
     working: bool = False
     reason: str = ""
-    platform_index: int = -1
-    device_index: int = -1
+    device_index: int = -1  # within its platform
 
 
 @dataclass(frozen=True)
@@ -100,6 +101,7 @@ class _Findings:
 
 
 _original_vendors = os.environ.get(_VENDORS)
+_original_home: str | None = None
 _found: _Findings | None = None
 _temporary_folder: tempfile.TemporaryDirectory | None = None
 
@@ -152,8 +154,9 @@ def open_device(name: str | None = None) -> pyopencl.Device:
             device = _open(report)
             if device is not None:
                 return device
-    raise DeviceError(f'device "{candidates[0].name}"', "it works in a process of its own but cannot be opened "
-                      "in this one", "a fresh process that makes no OpenCL call of its own first")
+    raise DeviceError(f'device "{candidates[0].name}"',
+                      "it works in a process of its own but cannot be opened in this one",
+                      "a fresh process that makes no OpenCL call of its own first")
 
 
 def select(reports: list[DeviceReport], name: str | None = None) -> list[DeviceReport]:
@@ -183,10 +186,10 @@ def select(reports: list[DeviceReport], name: str | None = None) -> list[DeviceR
 
 def report_of(device: pyopencl.Device) -> DeviceReport | None:
     """The report of an opened device, or None for a device that :func:`list_devices` knows not."""
+    platform = device.platform
     for report in list_devices():
-        if (report.working and report.device == " ".join(device.name.split())
-                and report.platform == device.platform.name
-                and device.platform.get_devices().index(device) == report.device_index):
+        if ((platform.name, platform.version) == (report.platform, report.platform_version)
+                and _is(device, report) and platform.get_devices().index(device) == report.device_index):
             return report
     return None
 
@@ -211,11 +214,12 @@ def cache_folder() -> Path | None:
 # --- choosing and opening -----------------------------------------------------------------------
 
 
-def _rank(report: DeviceReport) -> tuple[int, int, int]:
-    order = {"CPU": 1, "GPU": 2}.get(report.type, 3)
+def _rank(report: DeviceReport) -> tuple[int, str, int]:
+    """PoCL's CPU, other CPUs, GPUs, other devices, platforms without a device; never by loading order."""
+    order = {"CPU": 1, "GPU": 2, "": 4}.get(report.type, 3)
     if report.type == "CPU" and _short_name(report) == "pocl":
         order = 0
-    return order, report.platform_index, report.device_index
+    return order, report.platform, report.device_index
 
 
 def _nothing_works(reports: list[DeviceReport]) -> str:
@@ -229,15 +233,21 @@ def _open(report: DeviceReport) -> pyopencl.Device | None:
     import pyopencl as cl
 
     try:
-        platform = cl.get_platforms()[report.platform_index]
-        device = platform.get_devices()[report.device_index]
-        same = platform.name == report.platform and " ".join(device.name.split()) == report.device
-        if same and " ".join(device.driver_version.split()) == report.driver:
-            cl.Context([device])
-            return device
-    except (cl.Error, IndexError):
+        # Not by the platform's index: the loader reads a folder in whatever order it comes.
+        for platform in cl.get_platforms():
+            if (platform.name, platform.version) == (report.platform, report.platform_version):
+                devices = platform.get_devices()
+                if report.device_index < len(devices) and _is(devices[report.device_index], report):
+                    cl.Context([devices[report.device_index]])
+                    return devices[report.device_index]
+    except cl.Error:
         pass
     return None
+
+
+def _is(device: pyopencl.Device, report: DeviceReport) -> bool:
+    texts = (device.name, device.driver_version)
+    return tuple(" ".join(text.split()) for text in texts) == (report.device, report.driver)
 
 
 def _short_name(report: DeviceReport) -> str:
@@ -255,7 +265,7 @@ def _named(reports: list[DeviceReport]) -> list[DeviceReport]:
     """The reports with their names: the platform's short one, numbered from the second on."""
     seen: dict[str, int] = {}
     named = []
-    for report in reports:
+    for report in sorted(reports, key=_rank):
         base = report.name or _short_name(report)
         number = seen.get(base, 0)
         seen[base] = number + 1
@@ -267,18 +277,13 @@ def _named(reports: list[DeviceReport]) -> list[DeviceReport]:
 
 
 def registered_icds(vendors: str | None = None) -> list[Icd]:
-    """What the loader reads: ``vendors`` (``OCL_ICD_VENDORS``: a folder, an .icd file or a library)
-    or else the system's folder and the one inside pyopencl's wheel."""
-    if vendors:
-        path = Path(vendors)
-        if path.is_dir():
-            return _icds_in(path)
-        if path.suffix == ".icd":
-            return _icd(path)
-        return [Icd(vendors, vendors)]
-    system = os.environ.get("OPENCL_VENDOR_PATH") or "/etc/OpenCL/vendors"
+    """What the loader reads: ``vendors`` (``OCL_ICD_VENDORS``: an .icd file, a library, or a folder)
+    or else the system's folder; with either folder also the one inside pyopencl's wheel."""
+    folder = Path(vendors or os.environ.get("OPENCL_VENDOR_PATH") or "/etc/OpenCL/vendors")
+    if vendors and not folder.is_dir():
+        return _icd(folder) if folder.suffix == ".icd" else [Icd(vendors, vendors)]
     wheel = loader_folder()
-    return _icds_in(Path(system)) + (_icds_in(wheel) if wheel else [])
+    return _icds_in(folder) + (_icds_in(wheel) if wheel else [])
 
 
 def _icds_in(folder: Path) -> list[Icd]:
@@ -299,29 +304,35 @@ def _icd(path: Path) -> list[Icd]:
 
 
 def _platforms_wanted() -> tuple[list[Icd], bool]:
-    """The platforms to try, and whether the loader reads just these without being told."""
+    """The platforms to try, and whether the loader reads just these, each once, without being told."""
     registered = registered_icds(_original_vendors)
-    if _original_vendors:
-        return registered, True
-    known = {os.path.realpath(icd.library) for icd in registered if os.path.isabs(icd.library)}
-    missing = [lib for lib in environment_libraries() if os.path.realpath(lib) not in known][:1]
-    return registered + [Icd(str(lib), str(lib)) for lib in missing], not missing
+    wanted: dict[str, Icd] = {}
+    for icd in registered:
+        wanted.setdefault(os.path.realpath(icd.library) if os.path.isabs(icd.library) else icd.library, icd)
+    native = len(wanted) == len(registered)
+    if not _original_vendors:
+        for library in environment_libraries()[:1]:
+            if os.path.realpath(library) not in wanted:
+                wanted[os.path.realpath(library)] = Icd(str(library), str(library))
+                native = False
+    return list(wanted.values()), native
 
 
 def _write_selection(icds: list[Icd], folder: Path) -> None:
     for number, icd in enumerate(icds):
-        # The number keeps the loader's order, which decides the platforms' indices.
-        (folder / f"{number:02d}-{Path(icd.path).stem}.icd").write_text(icd.library + "\n", encoding="utf-8")
+        name = f"{number:02d}-{Path(icd.path).stem}.icd"
+        (folder / name).write_text(icd.library + "\n", encoding="utf-8")
 
 
 def _point_loader_at(selection: list[Icd] | None) -> None:
     """Restrict this process (and its children) to the selection; None: the loader's own choice."""
-    global _temporary_folder
+    global _temporary_folder, _original_home
     if selection is None:
-        if _original_vendors is None:
-            os.environ.pop(_VENDORS, None)
-        else:
-            os.environ[_VENDORS] = _original_vendors
+        if os.environ.get(_VENDORS) != _original_vendors:
+            for name, value in ((_VENDORS, _original_vendors), (_HOME, _original_home)):
+                os.environ.pop(name, None)
+                if value is not None:
+                    os.environ[name] = value
         return
     digest = hashlib.sha256(json.dumps([[i.path, i.library] for i in selection]).encode()).hexdigest()
     folder = cache_folder()
@@ -346,7 +357,13 @@ def _point_loader_at(selection: list[Icd] | None) -> None:
         _temporary_folder = tempfile.TemporaryDirectory(prefix="clvol-platforms-")
         target = Path(_temporary_folder.name)
         _write_selection(selection, target)
+    import pyopencl  # sets the variable, from which its loader finds the .icd files in the wheel
+
+    del pyopencl
+    if _original_home is None:
+        _original_home = os.environ.get(_HOME)
     os.environ[_VENDORS] = str(target)
+    os.environ[_HOME] = str(target)
 
 
 # --- probing in child processes -------------------------------------------------------------------
@@ -436,6 +453,7 @@ def _run_child(request: dict, selection: list[Icd] | None, time_limit: float) ->
     child = _Child()
     with tempfile.TemporaryDirectory(prefix="clvol-probe-") as folder, \
             open(os.path.join(folder, "stderr"), "w+b") as stderr:
+        request = {**request, "only_vendors_folder": selection is not None}
         if selection is not None:
             icds = Path(folder) / "icd"
             icds.mkdir()
@@ -482,11 +500,12 @@ def _run_child(request: dict, selection: list[Icd] | None, time_limit: float) ->
 
 def _kill(process: subprocess.Popen) -> None:
     """End the child and whatever its drivers have started."""
-    try:
-        os.killpg(process.pid, signal.SIGKILL)
-    except (OSError, AttributeError):
-        process.kill()
-    process.wait()
+    if process.poll() is None:
+        try:
+            os.killpg(process.pid, signal.SIGKILL)
+        except (OSError, AttributeError):
+            process.kill()
+        process.wait()
 
 
 def _death(status: int, stderr: str, probe: Any) -> str:
@@ -585,7 +604,7 @@ def _read_cache(key: str) -> _Findings | None:
 
 
 _FIELD_TYPES = {"name": str, "platform": str, "device": str, "driver": str, "type": str, "reason": str,
-                "working": bool, "platform_index": int, "device_index": int, "global_memory": int,
+                "working": bool, "device_index": int, "global_memory": int,
                 "max_buffer": int, "compute_units": int, "fp64": bool}
 
 

@@ -137,6 +137,9 @@ def main(request: dict, answer) -> None:
     """Do what ``request`` asks; ``answer(dict)`` sends one event."""
     import pyopencl as cl
 
+    if request["only_vendors_folder"]:
+        # pyopencl's loader reads the .icd files in the wheel as well, unless told of another place.
+        os.environ["PYOPENCL_HOME"] = os.environ["OCL_ICD_VENDORS"]
     answer({"event": "started"})
     try:
         platforms = cl.get_platforms()

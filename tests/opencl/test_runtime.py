@@ -1,0 +1,66 @@
+"""An OpenCL library that came with the environment is found without any variable being set."""
+
+from __future__ import annotations
+
+import os
+
+import pytest
+
+from clvol.opencl import devices, runtime
+
+
+@pytest.fixture
+def environment(tmp_path, monkeypatch):
+    """A pretended environment with the library, and pyopencl's folder of .icd files."""
+    (tmp_path / "lib").mkdir()
+    library = tmp_path / "lib" / "libintelocl.so"
+    library.write_bytes(b"")
+    loader = tmp_path / "loader"
+    loader.mkdir()
+    monkeypatch.setattr(runtime.sys, "prefix", str(tmp_path))
+    monkeypatch.setattr(runtime.sys, "exec_prefix", str(tmp_path))
+    monkeypatch.setattr(runtime.sys, "path", [])
+    monkeypatch.setattr(runtime.site, "ENABLE_USER_SITE", False)
+    monkeypatch.setattr(runtime, "loader_folder", lambda: loader)
+    return library, loader
+
+
+def test_registering_writes_the_library_s_path_once(environment):
+    library, loader = environment
+    assert runtime.register_runtimes() == [loader / "intel.icd"]
+    assert (loader / "intel.icd").read_text() == f"{library}\n"
+    os.utime(loader / "intel.icd", ns=(1, 1))
+    assert runtime.register_runtimes() == [loader / "intel.icd"]
+    assert (loader / "intel.icd").stat().st_mtime_ns == 1  # not written again
+    assert [p.name for p in loader.iterdir()] == ["intel.icd"]
+
+
+def test_a_moved_environment_is_registered_anew(environment):
+    library, loader = environment
+    (loader / "intel.icd").write_text("/somewhere/else/libintelocl.so\n")
+    runtime.register_runtimes()
+    assert (loader / "intel.icd").read_text() == f"{library}\n"
+
+
+def test_nothing_to_register_writes_nothing(environment):
+    library, loader = environment
+    library.unlink()
+    assert runtime.register_runtimes() == []
+    assert list(loader.iterdir()) == []
+
+
+def test_a_loader_without_a_folder_of_its_own_is_pointed_at_the_library(environment, tmp_path, monkeypatch):
+    library, _ = environment
+    for module in (runtime, devices):
+        monkeypatch.setattr(module, "loader_folder", lambda: None)
+    monkeypatch.setattr(devices, "_original_vendors", None)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setenv("OPENCL_VENDOR_PATH", str(tmp_path / "empty"))
+    monkeypatch.setenv("OCL_ICD_VENDORS", "")  # put back by monkeypatch afterwards
+    assert runtime.register_runtimes() == []
+    wanted, native = devices._platforms_wanted()
+    assert not native and [icd.library for icd in wanted] == [str(library)]
+    devices._point_loader_at(wanted)
+    assert [icd.library for icd in devices.registered_icds(os.environ["OCL_ICD_VENDORS"])] == [str(library)]
+    devices._point_loader_at(None)
+    assert "OCL_ICD_VENDORS" not in os.environ
