@@ -41,7 +41,7 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
     except ClvolError:
         raise
     except OSError as error:
-        raise RenderError(str(path), f"the file cannot be written: {error.strerror or error}") from error
+        raise RenderError(str(path), f"the file cannot be written: {_why(error)}") from error
     finally:
         _remove(temporary)
     _sync_folder(target.parent)
@@ -49,12 +49,20 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 def _begin(path: str | os.PathLike[str]) -> tuple[Path, Path]:
     """The real target (links followed) and a new empty file beside it."""
-    target = Path(os.path.realpath(path))
-    folder = target.parent
-    if target.is_dir():
-        raise UsageError(str(path), "this is a folder", "the name of a file")
-    if not folder.is_dir():
-        what = "is no folder" if folder.exists() else "does not exist"
+    try:
+        target = Path(os.path.realpath(path))
+        folder = target.parent
+        if os.path.isdir(target):
+            raise UsageError(str(path), "this is a folder", "the name of a file")
+        if os.path.isdir(folder) and not os.path.lexists(target):
+            os.lstat(target)  # a name that is too long is known now, not after the work
+    except FileNotFoundError:
+        pass
+    except (OSError, ValueError) as error:
+        raise UsageError(str(path), f"no file can have this name: {_why(error)}",
+                         "the name of a file") from error
+    if not os.path.isdir(folder):
+        what = "is no folder" if os.path.exists(folder) else "does not exist"
         raise UsageError(str(path), f'the folder "{folder}" {what}', "an existing folder")
     temporary = folder / f".{secrets.token_hex(6)}.part{target.suffix}"
     try:
@@ -65,6 +73,10 @@ def _begin(path: str | os.PathLike[str]) -> tuple[Path, Path]:
         raise UsageError(str(path), f'no file can be created in "{folder}": {error.strerror}',
                          "a folder that can be written to") from error
     return target, temporary
+
+
+def _why(error: Exception) -> str:
+    return getattr(error, "strerror", None) or str(error)
 
 
 def _remove(temporary: Path) -> None:
