@@ -1,0 +1,32 @@
+# make render   draws the demo scene: out/demo.exr, out/demo.png
+# make test     runs the tests            (options for pytest: make test ARGS="-k volume")
+# make bench    measures, beside a peer   (options: make bench ARGS="...")
+# make clean    removes what was made, but for .venv; make distclean removes that as well
+#
+# Each sets up what it needs (.ci/setup): python3, .venv, an OpenCL CPU device.
+
+.PHONY: render test bench clean distclean
+.DEFAULT_GOAL := render
+PYTHON := .venv/bin/python
+
+render:
+	@.ci/setup
+	@mkdir -p out
+	@$(PYTHON) -m clvol render data/demo.toml -o out/demo.exr -o out/demo.png
+	@echo "$(CURDIR)/out/demo.exr"
+	@echo "$(CURDIR)/out/demo.png"
+
+test:
+	@.ci/setup test cpu
+	@$(PYTHON) -m pytest $(ARGS)
+
+bench:
+	@.ci/setup bench
+	@$(PYTHON) -m bench $(ARGS)
+
+clean:
+	rm -rf out build dist *.egg-info .pytest_cache .hypothesis .ruff_cache bench/results
+	find clvol tests bench -name __pycache__ -type d -prune -exec rm -rf {} +
+
+distclean: clean
+	rm -rf .venv
