@@ -7,7 +7,14 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from pydantic import BeforeValidator, Field, PrivateAttr, ValidationError, WrapValidator
+from pydantic import (
+    BeforeValidator,
+    Field,
+    PrivateAttr,
+    ValidationError,
+    ValidationInfo,
+    WrapValidator,
+)
 
 from clvol.scene.camera import Camera
 from clvol.scene.clip import Clip
@@ -29,6 +36,7 @@ if TYPE_CHECKING:
 
 _TABLE = "a table"
 _TABLES = "a list of tables"
+_FROM_FILE = {"from": "file"}  # validation context: only what a scene file may hold
 
 
 def _version(value: Any) -> int:
@@ -37,12 +45,13 @@ def _version(value: Any) -> int:
     return value
 
 
-def _volume(value: Any, check: Callable[[Any], Any]) -> Any:
+def _volume(value: Any, check: Callable[[Any], Any], info: ValidationInfo) -> Any:
     from clvol.volume import Volume
 
     if isinstance(value, Volume):
         return value
-    return check({"file": value} if isinstance(value, (str, os.PathLike)) else value)
+    is_path = isinstance(value, (str, os.PathLike)) and info.context is not _FROM_FILE
+    return check({"file": value} if is_path else value)
 
 
 def _transfer_function(value: Any, check: Callable[[Any], Any]) -> Any:
@@ -84,7 +93,7 @@ class Scene(Table):
     def from_data(cls, data: Mapping[str, Any], origin: str, folder: Path) -> Scene:
         """A scene from a parsed file called ``origin`` in messages; paths relative to ``folder``."""
         try:
-            scene = cls.model_validate(data)
+            scene = cls.model_validate(data, context=_FROM_FILE)
         except ValidationError as error:
             raise scene_error(error, cls, origin) from None
         scene._origin, scene._folder = origin, folder

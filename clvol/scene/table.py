@@ -66,6 +66,8 @@ def shown(value: Any, limit: int = 60) -> str:
         return str(value).lower()
     if isinstance(value, BaseModel):
         return f"a {type(value).__name__}"
+    if isinstance(value, tuple):
+        value = list(value)
     if isinstance(value, np.ndarray):
         return f"an array of shape {value.shape}"
     try:
