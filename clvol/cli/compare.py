@@ -14,7 +14,6 @@ from clvol.cli.options import json_option
 def command(a: str, b: str, as_json: bool) -> None:
     """Compare the pictures A and B (.exr, .png, .npy): RMSE, largest difference, PSNR, SSIM, and
     the CIEDE2000 colour difference as displayed."""
-    from clvol.accuracy.metrics import compare
     from clvol.cli.console import say_json, say_table
     from clvol.errors import UsageError
     from clvol.image import load_image
@@ -24,6 +23,8 @@ def command(a: str, b: str, as_json: bool) -> None:
         height, width = first.shape[:2]
         got = f"got {second.shape[1]} x {second.shape[0]} pixels"
         raise UsageError(b, got, f"{width} x {height} pixels, as in {a}")
+    from clvol.accuracy.metrics import compare
+
     measured = compare(first, second)
     if as_json:
         say_json(measured)

@@ -17,10 +17,12 @@ def command(
 ) -> None:
     """Tell which effects SCENE calls for, which not, why, and what therefore gets compiled."""
     from clvol.cli.console import say, say_json, say_table
-    from clvol.features import explain
     from clvol.scene import load_scene
 
-    told = explain(load_scene(scene, overrides).resolve(memory_cap))
+    resolved = load_scene(scene, overrides).resolve(memory_cap)
+    from clvol.features import explain
+
+    told = explain(resolved)
     if as_json:
         say_json(told)
         return
