@@ -137,7 +137,7 @@ def _base(one: _Slice) -> str:
 def _step(path: Path, slices: list[_Slice]) -> np.ndarray:
     """The world vector from one slice to the next; the header's thickness for a single slice."""
     if len(slices) == 1:
-        return slices[0].direction[:, 2] * slices[0].spacing[2]
+        return slices[0].direction[:, 2] * _thickness(slices[0])
     positions = np.array([one.position for one in slices])
     step = (positions[-1] - positions[0]) / (len(slices) - 1)
     normal = slices[0].direction[:, 2]
@@ -153,6 +153,15 @@ def _step(path: Path, slices: list[_Slice]) -> np.ndarray:
             f"positions {gap:g} apart, within {_GAP_TOLERANCE:.0%}",
         )
     return step
+
+
+def _thickness(one: _Slice) -> float:
+    """SliceThickness of the header, else what ITK assumes."""
+    if one.reader.HasMetaDataKey("0018|0050"):
+        text = one.reader.GetMetaData("0018|0050").strip()
+        if text:
+            return float(text)
+    return one.spacing[2]
 
 
 def _pixels(path: Path, one: _Slice, shape: tuple[int, int]) -> np.ndarray:

@@ -121,12 +121,12 @@ def _dtype(path: Path, header: dict[str, Any]) -> np.dtype:
 
 def _shape(path: Path, header: dict[str, Any]) -> tuple[int, int, int]:
     sizes = [int(n) for n in header["sizes"]]
-    kinds = [str(kind).lower() for kind in header.get("kinds", ())]
+    kinds = [str(kind) for kind in header.get("kinds", ())]
     if header["dimension"] != len(sizes):
         raise VolumeError(
             str(path), f"dimension {header['dimension']} with {len(sizes)} sizes", "as many sizes"
         )
-    strange = [kind for kind in kinds if kind not in _SPATIAL_KINDS]
+    strange = [kind for kind in kinds if kind.lower() not in _SPATIAL_KINDS]
     if len(sizes) != 3 or strange:
         note = f" with an axis of kind {', '.join(strange)}" if strange else ""
         raise VolumeError(

@@ -32,6 +32,31 @@ def quiet() -> Iterator[None]:
 
 
 @contextmanager
+def errors_logged(name: str) -> Iterator[list[str]]:
+    """Collects what a library logs at level ERROR instead of raising it, and prints nothing."""
+    logger = logging.getLogger(name)
+    messages: list[str] = []
+    handler = _Collector(messages)
+    before = logger.disabled, logger.propagate
+    logger.disabled, logger.propagate = False, False
+    logger.addHandler(handler)
+    try:
+        yield messages
+    finally:
+        logger.removeHandler(handler)
+        logger.disabled, logger.propagate = before
+
+
+class _Collector(logging.Handler):
+    def __init__(self, messages: list[str]) -> None:
+        super().__init__(logging.ERROR)
+        self._messages = messages
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self._messages.append(record.getMessage())
+
+
+@contextmanager
 def quiet_native() -> Iterator[None]:
     """Sends the process's stderr (file descriptor 2) to nowhere: MetaIO and GDCM write there."""
     with _lock:

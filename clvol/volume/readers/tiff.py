@@ -11,6 +11,7 @@ import numpy as np
 from clvol.errors import VolumeError
 from clvol.volume.memory import check_memory
 from clvol.volume.readers.options import ReadOptions
+from clvol.volume.readers.quiet import errors_logged
 from clvol.volume.volume import Volume, check_type
 
 # tifffile's letters for an axis of slices: depth, a plain sequence of pages, unknown.
@@ -27,7 +28,8 @@ def read(path: Path, options: ReadOptions) -> Volume:
     """
     import tifffile
 
-    with tifffile.TiffFile(path) as file:
+    # A chain of pages that breaks off is only logged; the pages after it would be cropped.
+    with errors_logged("tifffile") as errors, tifffile.TiffFile(path) as file:
         if len(file.series) != 1:
             shapes = ", ".join(str(series.shape) for series in file.series[:4])
             raise VolumeError(
@@ -48,6 +50,8 @@ def read(path: Path, options: ReadOptions) -> Volume:
         _check_segments(path, series, nbytes)
         data = series.asarray(maxworkers=1).reshape(shape)
         spacing = _spacing(file)
+        if errors:
+            raise VolumeError(str(path), f"damaged: {errors[0]}", "an undamaged TIFF file")
     return Volume(data, spacing, frame="image")
 
 
