@@ -1,4 +1,4 @@
-"""Volumes: arrays with a grid in the world, the files they come from, and analytic fields for tests."""
+"""Volumes: arrays with a grid in the world, the files they come from, analytic fields for tests."""
 
 from __future__ import annotations
 

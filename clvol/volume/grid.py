@@ -111,8 +111,8 @@ class Grid:
     def index_bounds(self) -> np.ndarray:
         """(2, 3) float64: lower and upper index (x, y, z) of the domain.
 
-        The domain is the hull of the voxel centres, [0, n - 1]; an axis with one voxel is a slab one
-        voxel thick, [-0.5, 0.5].
+        The domain is the hull of the voxel centres, [0, n - 1]; an axis with one voxel is a slab
+        one voxel thick, [-0.5, 0.5].
         """
         size = np.asarray(self.size, dtype=np.float64)
         thin = size == 1

@@ -12,7 +12,7 @@ DEFAULT_SHARE = 0.75
 
 
 def available_memory() -> int:
-    """Bytes that can be allocated without swapping: the machine's, or the control group's if less."""
+    """Bytes to be had without swapping: the machine's, or the control group's if less."""
     figures = [_machine_memory()]
     for limit, used in (
         ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory.current"),

@@ -3,8 +3,8 @@
 A field is called with world coordinates ``field(x, y, z)`` (arrays that broadcast, float64) and
 gives values of the same shape. ``field.line_integral(axis, lower, upper, x, y, z)`` is the exact
 integral of the field along a line parallel to world axis ``axis`` (0, 1, 2 for x, y, z) from
-coordinate ``lower`` to ``upper``; the line runs through (x, y, z), whose own coordinate on that axis
-is ignored. ``sample`` puts a field on a grid. Samples are values at voxel centres, so a trilinear
+coordinate ``lower`` to ``upper``; the line runs through (x, y, z), whose own coordinate on that
+axis is ignored. ``sample`` puts a field on a grid. Samples are values at voxel centres, so a trilinear
 reconstruction agrees with a field between samples only where the field is linear.
 """
 
@@ -89,7 +89,7 @@ class Step:
 
 @dataclass(frozen=True)
 class NestedBoxes:
-    """f = value of the innermost box |p - center| <= half (every axis) that holds p, else outside.
+    """f = value of the innermost box |p - center| <= half (each axis) that holds p, else outside.
 
     ``halves`` are the half edges, outermost box first, each within the one before.
     """
@@ -149,7 +149,7 @@ class Ball:
 
 @dataclass(frozen=True)
 class Smooth:
-    """f = offset + sum_i amplitude_i * sin(wave_i . p + phase_i), waves in radians per world unit."""
+    """f = offset + sum_i amplitude_i * sin(wave_i . p + phase_i), waves in radians per unit."""
 
     waves: tuple[Triple, ...] = ((0.31, 0.0, 0.17), (0.0, 0.23, -0.29), (0.11, 0.19, 0.13))
     amplitudes: tuple[float, ...] = (0.2, 0.15, 0.1)
@@ -301,7 +301,7 @@ def sample(
 
 
 def unit_box(shape: Sequence[int]) -> tuple[Triple, Triple]:
-    """Spacing and origin that put a grid's domain on [-1, 1]^3; ``shape`` (nz, ny, nx), each > 1."""
+    """Spacing and origin that put a grid's domain on [-1, 1]^3; ``shape`` (nz, ny, nx) > 1."""
     nz, ny, nx = shape
     return (2.0 / (nx - 1), 2.0 / (ny - 1), 2.0 / (nz - 1)), (-1.0, -1.0, -1.0)
 

@@ -49,7 +49,9 @@ def turned(direction: np.ndarray = TURN) -> np.ndarray:
     return ORIGIN + direction @ (SPACING * MARK_INDEX)
 
 
-def nrrd_header(dtype: str, order: str, encoding: str, extra: str = "", geometry: bool = True) -> str:
+def nrrd_header(
+    dtype: str, order: str, encoding: str, extra: str = "", geometry: bool = True
+) -> str:
     names = {"float32": "float", "float64": "double"}
     vectors = " ".join(
         "(" + ",".join(str(v) for v in TURN[:, k] * SPACING[k]) + ")" for k in range(3)

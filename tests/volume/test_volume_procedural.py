@@ -71,7 +71,8 @@ def test_integer_samples_are_rounded_and_must_fit() -> None:
 
 def test_marschner_lobb_lies_in_the_unit_interval_on_its_box() -> None:
     spacing, origin = procedural.unit_box((41, 41, 41))
-    volume = procedural.sample(procedural.MarschnerLobb(), (41, 41, 41), spacing, origin, None, "f8")
+    field = procedural.MarschnerLobb()
+    volume = procedural.sample(field, (41, 41, 41), spacing, origin, dtype="float64")
     lower, upper = volume.value_range
     assert 0.0 <= lower < 0.05 and 0.95 < upper <= 1.0
     np.testing.assert_allclose(volume.grid.world_corners()[7], [1.0, 1.0, 1.0], atol=1e-12)

@@ -26,7 +26,7 @@ _XFORM_NAMES = {1: "scanner", 2: "aligned", 3: "Talairach", 4: "MNI"}
 def read(path: Path, options: ReadOptions) -> Volume:
     """The volume in a NIfTI file; world coordinates are NIfTI's (RAS), by sform, else qform.
 
-    Where ``scl_slope`` and ``scl_inter`` are a real scaling (slope neither 0 nor 1 with intercept 0),
+    Where ``scl_slope`` and ``scl_inter`` are a real scaling (not slope 0, nor slope 1 with inter 0)
     the values are slope * stored + inter: computed in float64 and kept as float32 for stored 8- and
     16-bit integers and float32, as float64 for stored 32-bit integers and float64. Without a
     scaling the stored type is kept. Trailing axes of length 1 are dropped.
@@ -52,7 +52,8 @@ def read(path: Path, options: ReadOptions) -> Volume:
     check_memory(str(path), voxel * math.prod(shape), options.memory_cap)
     start = header.get_data_offset() or header_type.single_vox_offset
     if start < header_type.single_vox_offset:
-        raise VolumeError(str(path), f"vox_offset {start}", f"{header_type.single_vox_offset} or more")
+        least = header_type.single_vox_offset
+        raise VolumeError(str(path), f"vox_offset {start}", f"{least} or more")
     data = read_samples(
         path,
         shape,

@@ -1,4 +1,4 @@
-"""Keeps libraries from chattering on stderr: what is wrong with a file goes into one VolumeError."""
+"""Keeps libraries quiet on stderr: what is wrong with a file goes into one VolumeError."""
 
 from __future__ import annotations
 

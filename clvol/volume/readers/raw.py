@@ -21,7 +21,9 @@ def read(path: Path, options: ReadOptions) -> Volume:
     type, such as "uint16" (this machine's byte order), "<u2" or ">u2".
     """
     if options.dims is None or options.dtype is None:
-        raise VolumeError(str(path), "a .raw file without dims or dtype", "both (dims = nx, ny, nz)")
+        raise VolumeError(
+            str(path), "a .raw file without dims or dtype", "dims (nx, ny, nz) and dtype"
+        )
     shape = _shape(path, options.dims)
     try:
         dtype = np.dtype(options.dtype)

@@ -1,4 +1,4 @@
-"""Voxels out of a file: plain or compressed, straight into their array, with every byte accounted for.
+"""Voxels out of a file: plain or compressed, straight into their array, every byte accounted for.
 
 The format libraries read headers; their own ways to the voxels hold two or three copies of a
 compressed volume, or do not notice that a stream is too short. Here the peak is the volume and one
