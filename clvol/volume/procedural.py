@@ -4,8 +4,8 @@ A field is called with world coordinates ``field(x, y, z)`` (arrays that broadca
 gives values of the same shape. ``field.line_integral(axis, lower, upper, x, y, z)`` is the exact
 integral of the field along a line parallel to world axis ``axis`` (0, 1, 2 for x, y, z) from
 coordinate ``lower`` to ``upper``; the line runs through (x, y, z), whose own coordinate on that
-axis is ignored. ``sample`` puts a field on a grid. Samples are values at voxel centres, so a trilinear
-reconstruction agrees with a field between samples only where the field is linear.
+axis is ignored. ``sample`` puts a field on a grid. Samples are values at voxel centres, so a
+trilinear reconstruction agrees with a field between samples only where the field is linear.
 """
 
 from __future__ import annotations
