@@ -22,7 +22,11 @@ from clvol.cli.options import memory_cap_option, overrides_option, scene_argumen
 )
 @overrides_option
 @click.option(
-    "--device", "devices", multiple=True, metavar="NAME", help="A name of 'clvol doctor'. Repeatable."
+    "--device",
+    "devices",
+    multiple=True,
+    metavar="NAME",
+    help="A name of 'clvol doctor'. Repeatable.",
 )
 @click.option("--stats", metavar="FILE", help="Where to write times and counts as JSON.")
 @memory_cap_option("The most memory that the volume may take.")

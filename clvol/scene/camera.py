@@ -85,7 +85,8 @@ class Camera(Table):
                 raise SceneError(f"{where}: camera.position", got, expected)
         up = self.up
         if up is None:
-            up = (0.0, 0.0, 1.0) if _parallel(forward, np.array([0.0, 1.0, 0.0])) else (0.0, 1.0, 0.0)
+            along_y = _parallel(forward, np.array([0.0, 1.0, 0.0]))
+            up = (0.0, 0.0, 1.0) if along_y else (0.0, 1.0, 0.0)
         elif _parallel(forward, _unit(up)):
             expected = "a vector that is not parallel to the view"
             raise SceneError(f"{where}: camera.up", f"got {list(up)}", expected)
@@ -146,7 +147,7 @@ class Camera(Table):
 
 
 def _unit(vector) -> np.ndarray | None:
-    """``vector`` at length 1, None if it is 0; scaled first, so that no square under- or overflows."""
+    """``vector`` at length 1, None if it is 0; scaled first: no square may over- or underflow."""
     vector = np.asarray(vector, dtype=np.float64)
     largest = np.abs(vector).max()
     if largest == 0:

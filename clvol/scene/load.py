@@ -69,8 +69,8 @@ def _read(path: Path) -> dict[str, Any]:
         text = raw.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = raw[: error.start].count(b"\n") + 1
-        expected = "a scene file, text in UTF-8"
-        raise SceneError(f"{path}: line {line}", f"byte {raw[error.start]:#04x}", expected) from None
+        what = f"byte {raw[error.start]:#04x}"
+        raise SceneError(f"{path}: line {line}", what, "a scene file, text in UTF-8") from None
     try:
         return tomllib.loads(text)
     except RecursionError:

@@ -1,4 +1,4 @@
-"""From what was asked for to what is rendered: volume loaded, defaults filled in, colours linear."""
+"""From what was asked for to what is rendered: volume, defaults, colours in linear light."""
 
 from __future__ import annotations
 

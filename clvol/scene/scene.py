@@ -91,7 +91,7 @@ class Scene(Table):
 
     @classmethod
     def from_data(cls, data: Mapping[str, Any], origin: str, folder: Path) -> Scene:
-        """A scene from a parsed file called ``origin`` in messages; paths relative to ``folder``."""
+        """A scene from a parsed file called ``origin`` in messages, in ``folder``."""
         try:
             scene = cls.model_validate(data, context=_FROM_FILE)
         except ValidationError as error:

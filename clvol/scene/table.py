@@ -91,7 +91,8 @@ def scene_error(
         what = "missing" if got is None else f"got {shown(got)}"
     elif mistake["type"] == "extra_forbidden":
         keys = keys_of(_model_at(model, path[:-1]) or model)
-        what, expected = f"unknown key (got {shown(mistake['input'])})", expected_key(path[-1], keys)
+        what = f"unknown key (got {shown(mistake['input'])})"
+        expected = expected_key(path[-1], keys)
     elif mistake["type"] == "missing":
         what, expected = "missing", _described(model, path) or "a value"
     else:

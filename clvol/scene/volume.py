@@ -38,7 +38,9 @@ class VolumeSettings(Table):
     """``file`` is relative to the scene file. ``spacing`` overrides the file's. ``dims`` (nx, ny,
     nz) and ``dtype`` say what a .raw file holds. ``nan`` is what a NaN voxel counts as."""
 
-    file: Annotated[str, BeforeValidator(_path_text), AfterValidator(_is_path)] = Field(min_length=1, description="the name of a volume file, in quotes")
+    file: Annotated[str, BeforeValidator(_path_text), AfterValidator(_is_path)] = Field(
+        min_length=1, description="the name of a volume file, in quotes"
+    )
     spacing: Annotated[tuple[Length, Length, Length], AsTuple] | None = Field(
         None, description="three world lengths [x, y, z] greater than 0"
     )

@@ -155,7 +155,8 @@ def test_explain_refuses_a_wrong_scene(refused, nothing_left):
 def test_comparing_pictures_of_unequal_size_or_none(refused, folder):
     np.save("a.npy", np.zeros((2, 3, 4), np.float32))
     np.save("b.npy", np.zeros((2, 4, 4), np.float32))
-    assert refused(2, "compare", "a.npy", "b.npy").startswith("b.npy: got 4 x 2 pixels, expected 3 x 2")
+    line = refused(2, "compare", "a.npy", "b.npy")
+    assert line.startswith("b.npy: got 4 x 2 pixels, expected 3 x 2 pixels")
     assert refused(2, "compare", "a.npy", "none.npy").startswith("none.npy: ")
     assert refused(2, "compare", "a.npy", "scene.toml").startswith("scene.toml: ")
 

@@ -64,7 +64,7 @@ SCENE_MISTAKES = [
     (["--set", "image.widht=3"], "scene.toml: image.widht: unknown key (got 3), expected"),
     (["--set", "camera.fov_degrees=nan"], "scene.toml: camera.fov_degrees: got nan, expected"),
     (["--set", "camera={position=[1,1,1],target=[1,1,1]}"], "scene.toml: camera.position: got"),
-    (["--set", "camera={position=[9,9,9],target=[1,1,1],up=[1,1,1]}"], "scene.toml: camera.up: got"),
+    (["--set", "camera={position=[9,9,9],target=[1,1,1],up=[1,1,1]}"], "scene.toml: camera.up: "),
     (["--set", "transfer_function.points=[]"], "scene.toml: transfer_function.points: got []"),
     (["--set", 'volume.file="none.nrrd"'], "scene.toml: volume.file: got 'none.nrrd'"),
     (["--set", "image.width"], "--set 'image.width': not an assignment, expected TABLE.KEY=VALUE"),
@@ -76,7 +76,7 @@ SCENE_MISTAKES = [
 ]
 
 
-@pytest.mark.parametrize(("arguments", "line"), SCENE_MISTAKES, ids=[m[1][:40] for m in SCENE_MISTAKES])
+@pytest.mark.parametrize(("arguments", "line"), SCENE_MISTAKES)
 def test_a_wrong_scene_or_argument_leaves_nothing(
     refused, nothing_left, renderer, arguments, line
 ):
@@ -95,7 +95,8 @@ def test_a_missing_scene_or_output_is_named(refused, nothing_left):
 
 def test_broken_toml_is_named_with_its_line(refused, folder, renderer):
     (folder / "bad.toml").write_text("version = 1\n[volume\n")
-    assert refused(2, "render", "bad.toml", "-o", "x.exr").startswith("bad.toml: line 2, column 8: ")
+    line = refused(2, "render", "bad.toml", "-o", "x.exr")
+    assert line.startswith("bad.toml: line 2, column 8: ")
     assert not (folder / "x.exr").exists()
 
 
@@ -128,7 +129,7 @@ def test_impossible_outputs_are_refused_before_the_work(
     ("failure", "status", "line"),
     [
         (RenderError("kernel", "it failed", "better"), 4, "kernel: it failed, expected better"),
-        (DeviceError("OpenCL", "no device works", "one"), 3, "OpenCL: no device works, expected one"),
+        (DeviceError("OpenCL", "none works", "one"), 3, "OpenCL: none works, expected one"),
         (MemoryError(), 4, "memory: "),
         (ZeroDivisionError("two\nlines"), 4, "internal: ZeroDivisionError: two lines"),
         (KeyboardInterrupt(), 130, "interrupted"),

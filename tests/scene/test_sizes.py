@@ -16,14 +16,17 @@ def test_sizes_with_and_without_units(text, size):
     assert parse_size(text) == size
 
 
-@pytest.mark.parametrize("text", ["", "MiB", "-1", "0", "0.1 B", "1 XB", "1e9", "nan", "1 2", "inf"])
+@pytest.mark.parametrize(
+    "text", ["", "MiB", "-1", "0", "0.1 B", "1 XB", "1e9", "nan", "1 2", "inf"]
+)
 def test_what_is_no_size_is_refused(text):
     with pytest.raises(ValueError):
         parse_size(text)
 
 
 @pytest.mark.parametrize(
-    ("size", "text"), [(5, "5 B"), (2048, "2.0 KiB"), (3 * 2**30, "3.0 GiB"), (2**50, "1048576.0 GiB")]
+    ("size", "text"),
+    [(5, "5 B"), (2048, "2.0 KiB"), (3 * 2**30, "3.0 GiB"), (2**50, "1048576.0 GiB")],
 )
 def test_sizes_for_people(size, text):
     assert format_size(size) == text
