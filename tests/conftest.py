@@ -78,7 +78,9 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     terminalreporter.section("OpenCL devices")
     used = {report.name for report in _chosen(terminalreporter.config)}
     for report in _reports():
-        state = "used" if report.name in used else "left out by --device" if report.working else report.reason
+        state = "left out by --device" if report.working else report.reason
+        if report.name in used:
+            state = "used"
         terminalreporter.write_line(f"{report.name}: {report.device or report.platform} "
                                     f"({report.driver or 'driver unknown'}): {state}")
     if _no_device:

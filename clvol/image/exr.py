@@ -46,7 +46,8 @@ def read(path: str) -> tuple[np.ndarray, np.ndarray | None, dict[str, Any]]:
         header = {k: v for k, v in file.header().items() if isinstance(v, (str, int, float))}
     missing = [name for name in "RGB" if name not in channels]
     if missing:
-        raise UsageError(path, f"the channels are {', '.join(sorted(channels)) or 'none'}", "R, G, B, A")
+        there = ", ".join(sorted(channels)) or "none"
+        raise UsageError(path, f"the channels are {there}", "R, G, B, A")
     opaque = np.ones(channels["R"].shape, dtype=np.float32)
     rgba = np.stack([channels.get(name, opaque) for name in "RGBA"], axis=-1).astype(np.float32)
     depth = channels["Z"].astype(np.float32) if "Z" in channels else None

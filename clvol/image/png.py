@@ -21,7 +21,7 @@ def display(rgba: np.ndarray, background: Any) -> np.ndarray:
     """What a viewer shows: uint8 [height, width, 3], the image over ``background`` [3] (linear).
 
     ``rgba`` is [height, width, 4], linear, premultiplied. Light brighter than white is clipped. A
-    pixel with a NaN in any channel shows the background, and an infinite channel its end (0 or 255).
+    pixel with a NaN in any channel shows the background, an infinite channel its end (0 or 255).
     """
     behind = np.nan_to_num(np.asarray(background, dtype=np.float64).reshape(3), posinf=1.0)
     shown = np.empty((*rgba.shape[:2], 3), dtype=np.uint8)

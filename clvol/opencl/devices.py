@@ -180,7 +180,8 @@ def select(reports: list[DeviceReport], name: str | None = None) -> list[DeviceR
         raise DeviceError(f'device "{name}"', "there is none of this name", f"one of {names}")
     usable = sorted((r for r in named if r.working), key=_rank)
     if not usable:
-        raise DeviceError(f'device "{name}"', f"it does not work: {named[0].reason}", f"one of {names}")
+        why = f"it does not work: {named[0].reason}"
+        raise DeviceError(f'device "{name}"', why, f"one of {names}")
     return usable
 
 
@@ -189,7 +190,8 @@ def report_of(device: pyopencl.Device) -> DeviceReport | None:
     platform = device.platform
     for report in list_devices():
         if ((platform.name, platform.version) == (report.platform, report.platform_version)
-                and _is(device, report) and platform.get_devices().index(device) == report.device_index):
+                and _is(device, report)
+                and platform.get_devices().index(device) == report.device_index):
             return report
     return None
 
@@ -202,7 +204,7 @@ def forget_devices() -> None:
 
 
 def cache_folder() -> Path | None:
-    """The user's cache folder for clvol (``XDG_CACHE_HOME`` respected); None where there is none."""
+    """The user's cache folder for clvol (``XDG_CACHE_HOME`` respected), or None."""
     import platformdirs
 
     try:
@@ -215,7 +217,7 @@ def cache_folder() -> Path | None:
 
 
 def _rank(report: DeviceReport) -> tuple[int, str, int]:
-    """PoCL's CPU, other CPUs, GPUs, other devices, platforms without a device; never by loading order."""
+    """PoCL's CPU, other CPUs, GPUs, others, platforms without a device; not by loading order."""
     order = {"CPU": 1, "GPU": 2, "": 4}.get(report.type, 3)
     if report.type == "CPU" and _short_name(report) == "pocl":
         order = 0
@@ -277,7 +279,7 @@ def _named(reports: list[DeviceReport]) -> list[DeviceReport]:
 
 
 def registered_icds(vendors: str | None = None) -> list[Icd]:
-    """What the loader reads: ``vendors`` (``OCL_ICD_VENDORS``: an .icd file, a library, or a folder)
+    """What the loader reads: ``vendors`` (``OCL_ICD_VENDORS``: an .icd file, a library, a folder)
     or else the system's folder; with either folder also the one inside pyopencl's wheel."""
     folder = Path(vendors or os.environ.get("OPENCL_VENDOR_PATH") or "/etc/OpenCL/vendors")
     if vendors and not folder.is_dir():
@@ -304,11 +306,12 @@ def _icd(path: Path) -> list[Icd]:
 
 
 def _platforms_wanted() -> tuple[list[Icd], bool]:
-    """The platforms to try, and whether the loader reads just these, each once, without being told."""
+    """The platforms to try, and whether the loader by itself reads just these, each once."""
     registered = registered_icds(_original_vendors)
     wanted: dict[str, Icd] = {}
     for icd in registered:
-        wanted.setdefault(os.path.realpath(icd.library) if os.path.isabs(icd.library) else icd.library, icd)
+        named = os.path.isabs(icd.library)
+        wanted.setdefault(os.path.realpath(icd.library) if named else icd.library, icd)
     native = len(wanted) == len(registered)
     if not _original_vendors:
         for library in environment_libraries()[:1]:
@@ -334,7 +337,8 @@ def _point_loader_at(selection: list[Icd] | None) -> None:
                 if value is not None:
                     os.environ[name] = value
         return
-    digest = hashlib.sha256(json.dumps([[i.path, i.library] for i in selection]).encode()).hexdigest()
+    content = json.dumps([[icd.path, icd.library] for icd in selection])
+    digest = hashlib.sha256(content.encode()).hexdigest()
     folder = cache_folder()
     try:
         if folder is None:
@@ -389,7 +393,9 @@ def _probe(wanted: list[Icd], native: bool, time_limit: float) -> _Findings:
                     broken.append(_icd_report(icd, child.death))
                 else:
                     selection.append(icd)
-        reports, death = _probe_devices(selection, selection, time_limit) if selection else ([], None)
+        reports, death = [], None
+        if selection:
+            reports, death = _probe_devices(selection, selection, time_limit)
         if death is not None:  # it lists now and then only: better no device than a crash
             broken += [_icd_report(icd, death) for icd in selection]
             reports, selection = [], []
@@ -398,13 +404,14 @@ def _probe(wanted: list[Icd], native: bool, time_limit: float) -> _Findings:
 
 def _icd_report(icd: Icd, reason: str) -> DeviceReport:
     stem = Path(icd.path).name.split(".")[0].lower()
-    return DeviceReport(name=stem or "unnamed", platform=f"{icd.path} ({icd.library})", reason=reason)
+    source = f"{icd.path} ({icd.library})"
+    return DeviceReport(name=stem or "unnamed", platform=source, reason=reason)
 
 
 def _probe_devices(
     icds: list[Icd], selection: list[Icd] | None, time_limit: float
 ) -> tuple[list[DeviceReport], str | None]:
-    """Probe every device; the second value is how the child died when it could not even list them."""
+    """Probe every device; the second value is how the child died if it could not even list them."""
     found: dict[tuple[int, int], DeviceReport] = {}
     unloadable: list[DeviceReport] = []
     known = {f.name for f in fields(DeviceReport)}
@@ -423,7 +430,8 @@ def _probe_devices(
                 values["extensions"] = tuple(values.get("extensions", ()))
                 found[current] = DeviceReport(name="", **values)
             elif event["event"] == "tested" and current is not None:
-                found[current] = replace(found[current], working=event["working"], reason=event["reason"])
+                found[current] = replace(found[current], working=event["working"],
+                                         reason=event["reason"])
                 current = None
             elif event["event"] == "icd":
                 icd = next(i for i in icds if i.path == event["path"])
@@ -463,7 +471,8 @@ def _run_child(request: dict, selection: list[Icd] | None, time_limit: float) ->
         try:
             process = subprocess.Popen(
                 [python, probe.__file__, json.dumps(request)], env=environment, cwd=folder,
-                stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=stderr, start_new_session=True)
+                stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=stderr,
+                start_new_session=True)
         except OSError as error:
             child.death = f"{python} cannot be started: {error.strerror}"
             return child
@@ -564,7 +573,8 @@ def _cache_key(wanted: list[Icd]) -> str:
     except AttributeError:
         processors = os.cpu_count() or 1
     facts = [
-        _FORMAT, version, sys.executable, host.node(), host.machine(), host.release(), processors, libraries,
+        _FORMAT, version, sys.executable, host.node(), host.machine(), host.release(), processors,
+        libraries,
         _stat("/etc/ld.so.cache"), _stat(here / "probe.py"), _stat(kernel_folder() / "probe.cl"),
         _original_vendors,
         sorted((k, v) for k, v in os.environ.items() if k.startswith(_RELEVANT) and k != _VENDORS),
@@ -589,7 +599,7 @@ def _read_cache(key: str) -> _Findings | None:
         reports = []
         for item in content["reports"]:
             report = DeviceReport(**{**item, "extensions": tuple(item["extensions"])})
-            if any(not isinstance(getattr(report, name), kind) for name, kind in _FIELD_TYPES.items()):
+            if any(not isinstance(getattr(report, n), kind) for n, kind in _FIELD_TYPES.items()):
                 return None
             reports.append(report)
         selection = content["selection"]
@@ -603,9 +613,11 @@ def _read_cache(key: str) -> _Findings | None:
     return _Findings(reports, selection)
 
 
-_FIELD_TYPES = {"name": str, "platform": str, "device": str, "driver": str, "type": str, "reason": str,
-                "working": bool, "device_index": int, "global_memory": int,
-                "max_buffer": int, "compute_units": int, "fp64": bool}
+_FIELD_TYPES = {
+    "name": str, "platform": str, "platform_version": str, "device": str, "driver": str,
+    "type": str, "reason": str, "working": bool, "device_index": int, "global_memory": int, "max_buffer": int,
+    "compute_units": int, "fp64": bool,
+}
 
 
 def _write_cache(key: str, findings: _Findings) -> None:

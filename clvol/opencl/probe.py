@@ -20,7 +20,7 @@ from __future__ import annotations
 import sys
 
 if __name__ == "__main__":
-    # Python puts this file's folder first on the path, where e.g. `structs.py` is no top-level name.
+    # Python puts this file's folder first on the path; its modules are no top-level names.
     sys.path.pop(0)
 
 import json
@@ -56,7 +56,8 @@ def first_meaningful_line(text: str) -> str:
     lines = [" ".join(line.split()) for line in plain.splitlines()]
     # pyopencl's and the drivers' own headings say nothing; the compiler's words come after them.
     noise = re.compile(r"^(-+|=+|build on <.*|\(?options: .*|\(?source saved as .*|"
-                       r".*BUILD_PROGRAM_FAILURE.*|traceback .*|compilation (started|failed|done).*|"
+                       r".*BUILD_PROGRAM_FAILURE.*|traceback .*|"
+                       r"compilation (started|failed|done).*|"
                        r"\d+ (error|warning)s? generated\.?)$", re.IGNORECASE)
     lines = [line for line in lines if line and not noise.match(line)]
     wrong = re.compile(r"\b(error|fatal|fail(ed|ure)?|unknown|abort(ed)?|assert(ion)?|cannot)\b",

@@ -22,11 +22,13 @@ from clvol.transfer.color import srgb_to_linear
 def frame(height: int = 5, width: int = 7, **other):
     random = np.random.default_rng(1)
     alpha = random.random((height, width, 1), dtype=np.float32)
-    rgba = np.concatenate([random.random((height, width, 3), dtype=np.float32) * alpha, alpha], axis=-1)
+    color = random.random((height, width, 3), dtype=np.float32)
+    rgba = np.concatenate([color * alpha, alpha], axis=-1)
     depth = random.random((height, width), dtype=np.float32) * 100.0
     depth[0, 0] = np.inf
     content = dict(rgba=rgba, depth=depth, background=np.array([0.1, 0.2, 0.3]),
-                   stats={"devices": ["pocl"], "samples": np.int64(12)}, scene_source='version = 1\n# Köln "x"\n')
+                   stats={"devices": ["pocl"], "samples": np.int64(12)},
+                   scene_source='version = 1\n# Köln "x"\n')
     return SimpleNamespace(**{**content, **other})
 
 
@@ -162,7 +164,8 @@ resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[2]), resource.RLIM_INFIN
 try:
     save_frame(frame, sys.argv[1])
 except RenderError as error:
-    sys.exit(0 if error.exit_status == 4 and sys.argv[1] in str(error) else f"wrong message: {error}")
+    right = error.exit_status == 4 and sys.argv[1] in str(error)
+    sys.exit(0 if right else f"wrong message: {error}")
 sys.exit("no error")
 """
 
@@ -179,7 +182,8 @@ def test_a_disk_that_is_full_leaves_the_old_file_and_no_other(tmp_path, ending, 
 
 
 @pytest.mark.parametrize("failure", [
-    OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)), KeyboardInterrupt(), MemoryError(), ValueError("bug")])
+    OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)), KeyboardInterrupt(), MemoryError(),
+    ValueError("bug")])
 def test_whatever_ends_the_writing_leaves_nothing(tmp_path, failure):
     expected = RenderError if isinstance(failure, OSError) else type(failure)
     with pytest.raises(expected) as raised, atomic_path(tmp_path / "a.exr") as temporary:
@@ -215,7 +219,8 @@ def test_a_link_is_followed(tmp_path):
 @pytest.mark.parametrize("path, part", [
     ("nowhere/a.exr", "does not exist"), ("a.jpg", ".exr or .png or .npy"), ("a", "ending"),
     ("folder.exr", "folder"), ("file.txt/a.png", "is no folder"),
-    ("x" * 300 + "/a.png", "does not exist"), ("x" * 300 + ".png", "too long"), ("a\0b.png", "null"),
+    ("x" * 300 + "/a.png", "does not exist"), ("x" * 300 + ".png", "too long"),
+    ("a\0b.png", "null"),
 ])
 def test_an_impossible_place_is_the_user_s_error(tmp_path, path, part):
     (tmp_path / "folder.exr").mkdir()
@@ -275,6 +280,7 @@ def test_a_frame_of_a_wrong_shape_is_refused(tmp_path, shape):
 
 
 def test_the_statistics_are_json_whatever_they_hold(tmp_path):
-    save_frame(frame(stats={"a": np.float32(0.5), "b": np.arange(2), "c": Path("x")}), tmp_path / "a.exr")
+    given = {"a": np.float32(0.5), "b": np.arange(2), "c": Path("x")}
+    save_frame(frame(stats=given), tmp_path / "a.exr")
     stats = load_image(tmp_path / "a.exr")["header"]["stats"]
     assert stats == {"a": 0.5, "b": [0, 1], "c": "x"} and json.dumps(stats)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from types import SimpleNamespace
 
 import pytest
 
@@ -17,9 +18,8 @@ def environment(tmp_path, monkeypatch):
     library.write_bytes(b"")
     loader = tmp_path / "loader"
     loader.mkdir()
-    monkeypatch.setattr(runtime.sys, "prefix", str(tmp_path))
-    monkeypatch.setattr(runtime.sys, "exec_prefix", str(tmp_path))
-    monkeypatch.setattr(runtime.sys, "path", [])
+    python = SimpleNamespace(prefix=str(tmp_path), exec_prefix=str(tmp_path), path=[])
+    monkeypatch.setattr(runtime, "sys", python)
     monkeypatch.setattr(runtime.site, "ENABLE_USER_SITE", False)
     monkeypatch.setattr(runtime, "loader_folder", lambda: loader)
     return library, loader
@@ -49,18 +49,20 @@ def test_nothing_to_register_writes_nothing(environment):
     assert list(loader.iterdir()) == []
 
 
-def test_a_loader_without_a_folder_of_its_own_is_pointed_at_the_library(environment, tmp_path, monkeypatch):
+def test_a_loader_without_a_folder_is_pointed_at_the_library(environment, tmp_path, monkeypatch):
     library, _ = environment
     for module in (runtime, devices):
         monkeypatch.setattr(module, "loader_folder", lambda: None)
     monkeypatch.setattr(devices, "_original_vendors", None)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.setenv("OPENCL_VENDOR_PATH", str(tmp_path / "empty"))
-    monkeypatch.setenv("OCL_ICD_VENDORS", "")  # put back by monkeypatch afterwards
+    for name in ("OCL_ICD_VENDORS", "PYOPENCL_HOME"):
+        monkeypatch.setenv(name, "x")  # so that monkeypatch puts both back afterwards
     assert runtime.register_runtimes() == []
     wanted, native = devices._platforms_wanted()
     assert not native and [icd.library for icd in wanted] == [str(library)]
     devices._point_loader_at(wanted)
-    assert [icd.library for icd in devices.registered_icds(os.environ["OCL_ICD_VENDORS"])] == [str(library)]
+    icds = devices.registered_icds(os.environ["OCL_ICD_VENDORS"])
+    assert [icd.library for icd in icds] == [str(library)]
     devices._point_loader_at(None)
     assert "OCL_ICD_VENDORS" not in os.environ
