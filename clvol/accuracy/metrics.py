@@ -1,0 +1,117 @@
+"""How far two pictures are apart: in linear light, and as displayed.
+
+Pictures are float arrays [height, width, 4], linear light, premultiplied. "As displayed" means over
+a background, clipped to 0...1 and sRGB-encoded, but not rounded to 8 bits: a difference too small
+for a screen still counts.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from clvol.errors import UsageError
+from clvol.transfer.color import linear_to_srgb
+
+BLACK = (0.0, 0.0, 0.0)
+_WINDOW = 11  # pixels: SSIM's Gaussian of sigma 1.5 (Wang et al. 2004)
+_ROWS = 256  # rows taken to Lab at a time
+
+
+def rmse(a: ArrayLike, b: ArrayLike) -> float:
+    """Root of the mean squared difference over all pixels and the four channels, linear light."""
+    a, b = _pair(a, b)
+    return math.sqrt(np.mean(np.square(a - b)))
+
+
+def max_abs(a: ArrayLike, b: ArrayLike) -> float:
+    """Largest absolute difference in any pixel and channel, linear light."""
+    a, b = _pair(a, b)
+    return float(np.abs(a - b).max())
+
+
+def psnr(a: ArrayLike, b: ArrayLike, background: ArrayLike = BLACK) -> float:
+    """Peak signal-to-noise ratio of the displayed pictures, dB (white = 1); inf where equal."""
+    a, b = _displayed(*_pair(a, b), background)
+    mean_square = float(np.mean(np.square(a - b)))
+    return math.inf if mean_square == 0.0 else -10.0 * math.log10(mean_square)
+
+
+def ssim(a: ArrayLike, b: ArrayLike, background: ArrayLike = BLACK) -> float:
+    """Mean structural similarity of the displayed pictures, at most 1 (Wang et al. 2004).
+
+    A Gaussian window of 11 x 11 pixels; smaller pictures are continued at their edges.
+    """
+    from skimage.metrics import structural_similarity
+
+    a, b = (
+        np.pad(shown, [(0, max(0, _WINDOW - n)) for n in shown.shape[:2]] + [(0, 0)], mode="edge")
+        for shown in _displayed(*_pair(a, b), background)
+    )
+    return float(
+        structural_similarity(
+            a, b, data_range=1.0, channel_axis=-1,
+            gaussian_weights=True, sigma=1.5, use_sample_covariance=False,
+        )
+    )
+
+
+def delta_e(a: ArrayLike, b: ArrayLike, background: ArrayLike = BLACK) -> np.ndarray:
+    """CIEDE2000 colour difference of the displayed pictures, float64 [height, width] (D65, 2 deg)."""
+    from skimage.color import deltaE_ciede2000, rgb2lab
+
+    a, b = _pair(a, b)
+    parts = []
+    for row in range(0, a.shape[0], _ROWS):
+        part = slice(row, row + _ROWS)
+        parts.append(deltaE_ciede2000(*map(rgb2lab, _displayed(a[part], b[part], background))))
+    return np.concatenate(parts)
+
+
+def compare(a: ArrayLike, b: ArrayLike, background: ArrayLike = BLACK) -> dict[str, float]:
+    """All measures of ``a`` against ``b``: "rmse" and "max_abs" of linear premultiplied RGBA; "psnr"
+    (dB), "ssim", "delta_e_mean" and "delta_e_max" (CIEDE2000) of the displayed pictures.
+
+    ``a`` and ``b`` are [height, width, 4], linear, premultiplied; ``background`` [3] is linear.
+    Raises UsageError unless both have this shape and the same size.
+    """
+    difference = delta_e(a, b, background)
+    return {
+        "rmse": rmse(a, b),
+        "max_abs": max_abs(a, b),
+        "psnr": psnr(a, b, background),
+        "ssim": ssim(a, b, background),
+        "delta_e_mean": float(difference.mean()),
+        "delta_e_max": float(difference.max()),
+    }
+
+
+def _pair(a: ArrayLike, b: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+    a, b = np.asarray(a, dtype=np.float64), np.asarray(b, dtype=np.float64)
+    for name, array in (("first picture", a), ("second picture", b)):
+        if array.ndim != 3 or array.shape[2] != 4 or array.size == 0:
+            raise UsageError(name, f"an array of shape {array.shape}", "[height, width, 4]")
+    if a.shape != b.shape:
+        (height, width), (other_height, other_width) = a.shape[:2], b.shape[:2]
+        raise UsageError(
+            "second picture",
+            f"got {other_width} x {other_height} pixels",
+            f"{width} x {height} pixels, as the first",
+        )
+    return a, b
+
+
+def _displayed(
+    a: np.ndarray, b: np.ndarray, background: ArrayLike
+) -> tuple[np.ndarray, np.ndarray]:
+    """sRGB-encoded float64 [height, width, 3] in 0...1; what is not finite shows the background."""
+    behind = np.asarray(background, dtype=np.float64).reshape(3)
+
+    def show(rgba: np.ndarray) -> np.ndarray:
+        rgba = np.where(np.isfinite(rgba).all(axis=-1, keepdims=True), rgba, 0.0)
+        light = rgba[..., :3] + (1.0 - rgba[..., 3:]) * behind
+        return linear_to_srgb(np.clip(light, 0.0, 1.0))
+
+    return show(a), show(b)
