@@ -32,8 +32,8 @@ def write(frame: Any, rgba: np.ndarray, path: Path) -> None:
     try:
         OpenEXR.File(header, channels).write(str(path))
     except (RuntimeError, ValueError) as error:
-        # The library names the temporary file; its last words say what is wrong.
-        why = str(error).replace(str(path), "the file").strip().rstrip(".")
+        # The library names the temporary file, which is nothing to the user.
+        why = str(error).replace(f' to image file "{path}"', "").strip().rstrip(".")
         raise OSError(why) from error
 
 
