@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
@@ -162,7 +163,11 @@ def _program(device: pyopencl.Device, voxel: str, nearest: bool, preclassified: 
     context = cl.Context([device])
     source = (folder / "reference.cl").read_text(encoding="utf-8")
     try:
-        return context, cl.Program(context, source).build(options=options)
+        with warnings.catch_warnings():
+            # Intel's compiler remarks on how it vectorised; nobody needs to read that.
+            warnings.simplefilter("ignore", cl.CompilerWarning)
+            return context, cl.Program(context, source).build(options=options)
     except cl.RuntimeError as error:
         log = " ".join(str(error).split())[:2000]
-        raise RenderError("reference.cl", f"it does not build with {' '.join(options)}: {log}")
+        what = f"it does not build with {' '.join(options)}: {log}"
+        raise RenderError("reference.cl", what) from error
