@@ -1,0 +1,241 @@
+/* Classification: from reconstructed values to the colour and opacity of a ray segment.
+ *
+ * Values become class coordinates first: position among the nodes of the tables, 0 .. nodes - 1. The map is linear
+ * where nodes are evenly spaced, else piecewise linear (WARPED_CLASSES: a table of equal bins), so that nodes
+ * crowd where the transfer function varies and every control point falls on one. A value that is not finite gets coordinate
+ * `nodes`, whose table entries are zero: such a sample is transparent.
+ *
+ *   pre            the eight voxels are classified, extinction and emission interpolated       (P4 sec. 4)
+ *   post           the value is interpolated, then classified, at the middle of the segment    (P4 sec. 4)
+ *   preintegrated  table over the values at both ends of the segment, and its length           (P4 sec. 8)
+ *
+ * To add one: composite_segment() and composite_tail() of this form, and a value of CLASSIFICATION in features.h.
+ */
+#ifndef CLASSIFY_H
+#define CLASSIFY_H
+
+#include "composite.h"
+#include "features.h"
+#include "sample_volume.h"
+
+#if VOXEL_BITS >= 32
+#define MAY_BE_NAN 1
+#else
+#define MAY_BE_NAN 0
+#endif
+
+typedef struct {
+  intN node;       /* lower node */
+  floatN fraction; /* 0 .. 1 towards the next one */
+  floatN position; /* node + fraction */
+} ClassCoordinate;
+
+/* Bins of the warp: warp[b] is the class coordinate of the lower edge of bin b. */
+inline floatN class_position(floatN value, __global const float *warp, __constant const View *view)
+{
+  floatN p = (value - view->classes.x) * view->classes.y;
+#if WARPED_CLASSES
+  p = clamp(p, (floatN)0.0f, (floatN)view->classes.w);
+  const intN bin = min(TO_INT(p), (intN)(int)(view->classes.w - 1.0f));
+  const floatN low = AS_FLOAT(gather4(warp, bin)), high = AS_FLOAT(gather4(warp + 1, bin));
+  p = low + (p - TO_FLOAT(bin)) * (high - low);
+#endif
+  return clamp(p, (floatN)0.0f, (floatN)view->classes.z);
+}
+
+inline ClassCoordinate class_coordinate(floatN value, __global const float *warp, __constant const View *view)
+{
+  ClassCoordinate c;
+#if MAY_BE_NAN
+  const intN bad = MASK((AS_INT(value) & 0x7f800000) == 0x7f800000);
+  value = select(value, (floatN)view->classes.x, bad);
+#endif
+  const floatN p = class_position(value, warp, view);
+  c.node = min(TO_INT(p), (intN)((int)view->classes.z - 1));
+  c.fraction = p - TO_FLOAT(c.node);
+  c.position = p;
+#if MAY_BE_NAN
+  c.node = select(c.node, (intN)((int)view->classes.z + 1), bad);
+  c.fraction = select(c.fraction, (floatN)0.0f, bad);
+#endif
+  return c;
+}
+
+/* Whether any of these lanes can be visible: most packets in sparse data stop here, before the table. */
+inline int may_be_visible(floatN low, floatN high, intN active, __constant const View *view)
+{
+  return any(active & MASK(high > view->gate.x) & MASK(low < view->gate.y));
+}
+
+#if CLASSIFICATION == CLASSIFICATION_PREINTEGRATED
+
+inline intN table_row(ClassCoordinate front, ClassCoordinate back, __constant const View *view)
+{
+  return (front.node * view->table.y + back.node) * 4;
+}
+
+/* acc += (1 - A) * table(front, back), bilinear, for segments of the full length. */
+inline void composite_segment(Accumulator *acc, ClassCoordinate front, ClassCoordinate back, floatN transmittance,
+                              __global const float *table, __constant const View *view)
+{
+  const intN at = table_row(front, back, view);
+  const size_t row = 4 * (size_t)view->table.y;
+  const floatN right = transmittance * back.fraction, left = transmittance - right;
+#if LANES == 16
+  int entry[16];
+  vstore16(at, 0, entry);
+  const float16 f = front.fraction;
+#define BILINEAR_PAIR(c, k, ka, kb, weights)                                                                          \
+  {                                                                                                                   \
+    __global const float *a_ = table + entry[k], *b_ = table + entry[k + 1];                                          \
+    const float16 low_ = (float16)(vload8(0, a_), vload8(0, b_));                                                     \
+    const float16 high_ = (float16)(vload8(0, a_ + row), vload8(0, b_ + row));                                        \
+    acc->c += weights * (low_ + f.s##ka##ka##ka##ka##ka##ka##ka##ka##kb##kb##kb##kb##kb##kb##kb##kb * (high_ - low_)); \
+  }
+  EACH_PAIR(BILINEAR_PAIR, left, right)
+#undef BILINEAR_PAIR
+#else
+  __global const float *a = table + at;
+  const float8 low = vload8(0, a), high = vload8(0, a + row);
+  const float8 r = low + front.fraction * (high - low);
+  acc->c += left * r.lo + right * r.hi;
+#endif
+}
+
+/* The last, shorter segment of each ray in `active`, from the shortest slice of the table that holds it. Slice k is for
+ * segments of length h / 2^k. */
+inline void composite_tail(Accumulator *acc, ClassCoordinate front, ClassCoordinate back, floatN length_in_steps,
+                           floatN transmittance, intN active, __global const float *table, __constant const View *view)
+{
+  int entry[LANES], on[LANES];
+  float f[LANES], b[LANES], length[LANES], weight[LANES];
+  float4 rgba[LANES];
+  STORE_LANES(table_row(front, back, view), entry), STORE_LANES(active, on);
+  STORE_LANES(front.fraction, f), STORE_LANES(back.fraction, b);
+  STORE_LANES(length_in_steps, length), STORE_LANES(transmittance, weight);
+  EACH_LANE(k)
+  {
+    rgba[k] = 0.0f;
+    if (on[k]) {
+      int slice = 0;
+      float ratio = length[k];
+      for (; slice + 1 < view->table.z && ratio <= 0.5f; ++slice) ratio *= 2.0f;
+      __global const float *a = table + (size_t)slice * 4 * view->table.w + entry[k];
+      const float8 low = vload8(0, a), high = vload8(0, a + 4 * (size_t)view->table.y);
+      const float8 r = low + f[k] * (high - low);
+      rgba[k] = weight[k] * shorten_segment(r.lo + b[k] * (r.hi - r.lo), ratio);
+    }
+  }
+  accumulate_lanes(acc, rgba);
+}
+
+#elif CLASSIFICATION == CLASSIFICATION_POST
+
+/* acc += (1 - A) * table(value), linear, for segments of the full length. */
+inline void composite_sample(Accumulator *acc, ClassCoordinate at, floatN transmittance, __global const float *table)
+{
+  const floatN right = transmittance * at.fraction, left = transmittance - right;
+#if LANES == 16
+  int entry[16];
+  vstore16(at.node * 4, 0, entry);
+#define LINEAR_PAIR(c, k, ka, kb, weights) \
+  acc->c += weights * (float16)(vload8(0, table + entry[k]), vload8(0, table + entry[k + 1]));
+  EACH_PAIR(LINEAR_PAIR, left, right)
+#undef LINEAR_PAIR
+#else
+  const float8 r = vload8(0, table + at.node * 4);
+  acc->c += left * r.lo + right * r.hi;
+#endif
+}
+
+inline void composite_sample_tail(Accumulator *acc, ClassCoordinate at, floatN length_in_steps, floatN transmittance,
+                                  intN active, __global const float *table)
+{
+  int entry[LANES], on[LANES];
+  float f[LANES], length[LANES], weight[LANES];
+  float4 rgba[LANES];
+  STORE_LANES(at.node * 4, entry), STORE_LANES(active, on), STORE_LANES(at.fraction, f);
+  STORE_LANES(length_in_steps, length), STORE_LANES(transmittance, weight);
+  EACH_LANE(k)
+  {
+    rgba[k] = 0.0f;
+    if (on[k]) {
+      const float8 r = vload8(0, table + entry[k]);
+      rgba[k] = weight[k] * shorten_segment(r.lo + f[k] * (r.hi - r.lo), length[k]);
+    }
+  }
+  accumulate_lanes(acc, rgba);
+}
+
+#elif CLASSIFICATION == CLASSIFICATION_PRE
+
+/* Emission and extinction at a point, each over one step: the table holds (c tau h, tau h) of the classified voxels, and the
+ * same reconstruction filter interpolates them (NaN voxels make them NaN, hence transparent). Not a fast path: the look-ups
+ * of a lane's eight voxels are scalar. An opaque voxel's extinction is a large finite number, so that
+ * zero weight times it is zero; what it touches is opaque all the same.
+ */
+inline void classified_samples(__global const uchar *volume, __constant const View *view, __global const float *warp,
+                               __global const float *table, floatN x, floatN y, floatN z, float4 *emission_extinction)
+{
+  x = clamp(x, (floatN)0.0f, (floatN)view->upper.x);
+  y = clamp(y, (floatN)0.0f, (floatN)view->upper.y);
+  z = clamp(z, (floatN)0.0f, (floatN)view->upper.z);
+  const intN ix = cell_index(x, view->size.x), iy = cell_index(y, view->size.y), iz = cell_index(z, view->size.z);
+  floatN fx = x - TO_FLOAT(ix), fy = y - TO_FLOAT(iy), fz = z - TO_FLOAT(iz);
+#if FILTER == FILTER_NEAREST
+  fx = select((floatN)0.0f, (floatN)1.0f, MASK(fx >= 0.5f));
+  fy = select((floatN)0.0f, (floatN)1.0f, MASK(fy >= 0.5f));
+  fz = select((floatN)0.0f, (floatN)1.0f, MASK(fz >= 0.5f));
+#endif
+  const Corners c = fetch_corners(volume, view, ix, iy, iz);
+  floatN corner[8] = {c.v000, c.v100, c.v010, c.v110, c.v001, c.v101, c.v011, c.v111};
+  EACH_LANE(k) emission_extinction[k] = 0.0f;
+  for (int v = 0; v < 8; ++v) {
+    const ClassCoordinate at = class_coordinate(corner[v], warp, view);
+    const floatN w = (v & 1 ? fx : 1.0f - fx) * (v & 2 ? fy : 1.0f - fy) * (v & 4 ? fz : 1.0f - fz);
+    int entry[LANES];
+    float f[LANES], weight[LANES];
+    STORE_LANES(at.node * 4, entry), STORE_LANES(at.fraction, f), STORE_LANES(w, weight);
+    EACH_LANE(k)
+    {
+      const float8 r = vload8(0, table + entry[k]);
+      emission_extinction[k] += weight[k] * (r.lo + f[k] * (r.hi - r.lo));
+    }
+  }
+#if MAY_BE_NAN
+  /* One voxel that is not finite, used, makes the whole sample transparent. */
+  floatN sum = 0.0f;
+  for (int v = 0; v < 8; ++v) {
+    const floatN w = (v & 1 ? fx : 1.0f - fx) * (v & 2 ? fy : 1.0f - fy) * (v & 4 ? fz : 1.0f - fz);
+    sum += select((floatN)0.0f, corner[v] - corner[v], MASK(w > 0.0f));
+  }
+  float bad[LANES];
+  STORE_LANES(sum, bad);
+  EACH_LANE(k) if (bad[k] != 0.0f) emission_extinction[k] = 0.0f;
+#endif
+}
+
+inline void composite_classified(Accumulator *acc, const float4 *emission_extinction, floatN length_in_steps,
+                                 floatN transmittance, intN active)
+{
+  int on[LANES];
+  float length[LANES], weight[LANES];
+  float4 rgba[LANES];
+  STORE_LANES(active, on), STORE_LANES(length_in_steps, length), STORE_LANES(transmittance, weight);
+  EACH_LANE(k)
+  {
+    const float4 e = emission_extinction[k];
+    rgba[k] = 0.0f;
+    if (on[k] && e.w > 0.0f) {
+      const float opacity = -expm1(-e.w * length[k]);
+      rgba[k] = weight[k] * (float4)(e.xyz * (opacity / e.w), opacity);
+    }
+  }
+  accumulate_lanes(acc, rgba);
+}
+
+#else
+#error "CLASSIFICATION is unknown"
+#endif
+
+#endif

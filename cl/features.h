@@ -1,0 +1,12 @@
+/* The vocabulary of what a scene can call for. clvol/features.py holds the same names and numbers; a test compares them. */
+#ifndef FEATURES_H
+#define FEATURES_H
+
+#define FILTER_NEAREST 0
+#define FILTER_LINEAR 1
+
+#define CLASSIFICATION_PRE 0
+#define CLASSIFICATION_POST 1
+#define CLASSIFICATION_PREINTEGRATED 2
+
+#endif

@@ -1,0 +1,106 @@
+/* Corners of lattice cells, fetched for a packet of rays in as few gathers as the voxel type allows.
+ *
+ * 8 bit: the device holds pairs (v[y], v[y + 1]) for every x (twice the memory): one 32-bit word at (x, y) then has the
+ * four corners x, x + 1 by y, y + 1, so a trilinear sample is two gathers. 16 bit: a word has x and x + 1, four gathers.
+ * 32 bit: eight gathers. 64 bit: eight loads a lane, brought into float range as (v - bias) * gain in double.
+ * Indices are those of the lower corner and at most size - 2, so no fetch leaves the buffer.
+ */
+#ifndef FETCH_VOXEL_H
+#define FETCH_VOXEL_H
+
+typedef struct {
+  floatN v000, v100, v010, v110, v001, v101, v011, v111; /* vXYZ */
+} Corners;
+
+#if VOXEL_BITS == 8
+
+#if VOXEL_SIGNED
+#define BYTE(w, k) TO_FLOAT(AS_INT((w) << (24u - 8u * (k))) >> 24)
+#else
+#define BYTE(w, k) TO_FLOAT(AS_INT(((w) >> (8u * (k))) & 255u))
+#endif
+
+inline Corners fetch_corners(__global const uchar *volume, __constant const View *view, intN ix, intN iy, intN iz)
+{
+  Corners c;
+  const intN at = iz * view->stride.y + iy * view->stride.x + ix;
+  const uintN low = gather2(volume, at), high = gather2(volume + 2 * (size_t)view->stride.y, at);
+  c.v000 = BYTE(low, 0u), c.v010 = BYTE(low, 1u), c.v100 = BYTE(low, 2u), c.v110 = BYTE(low, 3u);
+  c.v001 = BYTE(high, 0u), c.v011 = BYTE(high, 1u), c.v101 = BYTE(high, 2u), c.v111 = BYTE(high, 3u);
+  return c;
+}
+
+#elif VOXEL_BITS == 16
+
+#if VOXEL_SIGNED
+#define LOW_HALF(w) TO_FLOAT(AS_INT((w) << 16u) >> 16)
+#define HIGH_HALF(w) TO_FLOAT(AS_INT(w) >> 16)
+#else
+#define LOW_HALF(w) TO_FLOAT(AS_INT((w) & 65535u))
+#define HIGH_HALF(w) TO_FLOAT(AS_INT((w) >> 16u))
+#endif
+
+inline Corners fetch_corners(__global const uchar *volume, __constant const View *view, intN ix, intN iy, intN iz)
+{
+  Corners c;
+  const intN at = iz * view->stride.y + iy * view->stride.x + ix;
+  const size_t row = 2 * (size_t)view->stride.x, slice = 2 * (size_t)view->stride.y;
+  uintN w;
+  w = gather2(volume, at), c.v000 = LOW_HALF(w), c.v100 = HIGH_HALF(w);
+  w = gather2(volume + row, at), c.v010 = LOW_HALF(w), c.v110 = HIGH_HALF(w);
+  w = gather2(volume + slice, at), c.v001 = LOW_HALF(w), c.v101 = HIGH_HALF(w);
+  w = gather2(volume + slice + row, at), c.v011 = LOW_HALF(w), c.v111 = HIGH_HALF(w);
+  return c;
+}
+
+#elif VOXEL_BITS == 32
+
+/* VOXEL_SCALED: a gain, a power of two, brings extreme ranges to where differences neither overflow nor vanish. */
+#if VOXEL_SCALED
+#define WORD_FLOAT(w) (AS_FLOAT(w) * view->voxel.x)
+#else
+#define WORD_FLOAT(w) AS_FLOAT(w)
+#endif
+
+inline Corners fetch_corners(__global const uchar *volume, __constant const View *view, intN ix, intN iy, intN iz)
+{
+  Corners c;
+  const intN at = iz * view->stride.y + iy * view->stride.x + ix;
+  const size_t row = 4 * (size_t)view->stride.x, slice = 4 * (size_t)view->stride.y;
+  c.v000 = WORD_FLOAT(gather4(volume, at)), c.v100 = WORD_FLOAT(gather4(volume + 4, at));
+  c.v010 = WORD_FLOAT(gather4(volume + row, at)), c.v110 = WORD_FLOAT(gather4(volume + row + 4, at));
+  c.v001 = WORD_FLOAT(gather4(volume + slice, at)), c.v101 = WORD_FLOAT(gather4(volume + slice + 4, at));
+  c.v011 = WORD_FLOAT(gather4(volume + slice + row, at));
+  c.v111 = WORD_FLOAT(gather4(volume + slice + row + 4, at));
+  return c;
+}
+
+#elif VOXEL_BITS == 64
+
+inline floatN fetch_double(__global const double *volume, const int *at, double bias, double gain)
+{
+  float v[LANES];
+  EACH_LANE(k) v[k] = (float)((volume[at[k]] - bias) * gain);
+  return LOAD_LANES(v);
+}
+
+inline Corners fetch_corners(__global const uchar *bytes, __constant const View *view, intN ix, intN iy, intN iz)
+{
+  Corners c;
+  __global const double *volume = (__global const double *)bytes;
+  int at[LANES];
+  STORE_LANES(iz * view->stride.y + iy * view->stride.x + ix, at);
+  const size_t row = (size_t)view->stride.x, slice = (size_t)view->stride.y;
+  const double bias = view->voxel_double.x, gain = view->voxel_double.y;
+  c.v000 = fetch_double(volume, at, bias, gain), c.v100 = fetch_double(volume + 1, at, bias, gain);
+  c.v010 = fetch_double(volume + row, at, bias, gain), c.v110 = fetch_double(volume + row + 1, at, bias, gain);
+  c.v001 = fetch_double(volume + slice, at, bias, gain), c.v101 = fetch_double(volume + slice + 1, at, bias, gain);
+  c.v011 = fetch_double(volume + slice + row, at, bias, gain), c.v111 = fetch_double(volume + slice + row + 1, at, bias, gain);
+  return c;
+}
+
+#else
+#error "VOXEL_BITS must be 8, 16, 32 or 64"
+#endif
+
+#endif

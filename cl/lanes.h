@@ -1,0 +1,107 @@
+/* A packet of rays, one ray a lane.
+ *
+ * LANES is 16 where one work-item marches a packet with vector registers (CPU devices), and 1 where a work-item
+ * is a ray (GPUs). Masks are all bits set or none in both cases: wrap every comparison in MASK().
+ */
+#ifndef LANES_H
+#define LANES_H
+
+#if LANES == 16
+
+typedef float16 floatN;
+typedef int16 intN;
+typedef uint16 uintN;
+#define TO_FLOAT(x) convert_float16(x)
+#define TO_INT(x) convert_int16(x)
+#define AS_INT(x) as_int16(x)
+#define AS_FLOAT(x) as_float16(x)
+#define AS_UINT(x) as_uint16(x)
+#define MASK(c) (c)
+#define LANE_INDEX ((int16)(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15))
+#define PACKET_W 4
+#define PACKET_H 4
+#define EACH_LANE(k) for (int k = 0; k < 16; ++k)
+#define STORE_LANES(v, a) vstore16(v, 0, a)
+#define LOAD_LANES(a) vload16(0, a)
+
+#elif LANES == 1
+
+typedef float floatN;
+typedef int intN;
+typedef uint uintN;
+#define TO_FLOAT(x) convert_float(x)
+#define TO_INT(x) convert_int(x)
+#define AS_INT(x) as_int(x)
+#define AS_FLOAT(x) as_float(x)
+#define AS_UINT(x) as_uint(x)
+#define MASK(c) (-(c))
+#define LANE_INDEX 0
+#define PACKET_W 1
+#define PACKET_H 1
+#define EACH_LANE(k) for (int k = 0; k < 1; ++k)
+#define STORE_LANES(v, a) ((a)[0] = (v))
+#define LOAD_LANES(a) ((a)[0])
+
+#else
+#error "LANES must be 1 or 16"
+#endif
+
+/* Without this attribute LLVM's x86 back end splits 512-bit vectors in two halves. */
+#if defined(__has_attribute)
+#if __has_attribute(min_vector_width)
+#define WIDE_VECTORS __attribute__((min_vector_width(512)))
+#endif
+#endif
+#ifndef WIDE_VECTORS
+#define WIDE_VECTORS
+#endif
+
+/* gatherB: for each lane the 32-bit word at byte B * offset from base (unaligned). The hardware's gather takes a signed
+ * 32-bit index and a scale, which is what a plain C loop does not compile to: clang widens the index first and gathers
+ * half as many lanes at a time. Elsewhere the loop is right.
+ */
+#if LANES == 16 && defined(__AVX512F__) && defined(__has_builtin)
+#if __has_builtin(__builtin_ia32_gathersiv16si)
+#define HARDWARE_GATHER
+#endif
+#endif
+
+#ifdef HARDWARE_GATHER
+typedef int gather_int16 __attribute__((__vector_size__(64)));
+#define DEFINE_GATHER(SCALE)                                                                              \
+  inline uint16 gather##SCALE(__global const void *base, int16 offset)                                    \
+  {                                                                                                       \
+    return __builtin_astype(                                                                              \
+      __builtin_ia32_gathersiv16si(__builtin_astype((int16)0, gather_int16), (const void *)(size_t)base,  \
+                                   __builtin_astype(offset, gather_int16), (ushort)0xffff, SCALE),        \
+      uint16);                                                                                            \
+  }
+#else
+#define DEFINE_GATHER(SCALE)                                                                              \
+  inline uintN gather##SCALE(__global const void *base, intN offset)                                      \
+  {                                                                                                       \
+    int at[LANES];                                                                                        \
+    uint word[LANES];                                                                                     \
+    STORE_LANES(offset, at);                                                                              \
+    EACH_LANE(k) word[k] = gather_word##SCALE(base, at[k]);                                               \
+    return LOAD_LANES(word);                                                                              \
+  }
+/* Only as aligned as the element is: a GPU faults on, or rounds down, an unaligned 32-bit load. */
+inline uint gather_word1(__global const void *base, int at)
+{
+  __global const uchar *b = (__global const uchar *)base + at;
+  return b[0] | (uint)b[1] << 8 | (uint)b[2] << 16 | (uint)b[3] << 24;
+}
+inline uint gather_word2(__global const void *base, int at)
+{
+  __global const ushort *b = (__global const ushort *)base + at;
+  return b[0] | (uint)b[1] << 16;
+}
+inline uint gather_word4(__global const void *base, int at) { return ((__global const uint *)base)[at]; }
+#endif
+
+DEFINE_GATHER(1)
+DEFINE_GATHER(2)
+DEFINE_GATHER(4)
+
+#endif

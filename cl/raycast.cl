@@ -1,0 +1,185 @@
+/* The ray caster: emission and absorption along view rays, front to back.
+ *
+ * A work-item renders one tile of pixels, a packet of LANES rays at a time. All rays of a packet march together, each at its own
+ * depth: they leap over empty space (skip_empty.h), then take MARCH_STEPS samples, and so on until every ray has
+ * left the volume or is opaque. Lanes that have nothing to do are masked; what a lane computes never depends on its neighbours,
+ * so the image is the same, bit for bit, however it is cut into tiles.
+ *
+ * Sampling along a ray of length L (in steps of length h): n = floor(L) whole segments and one of length L - n.
+ *   preintegrated   values at 0, 1, ..., n and L; a segment's colour depends on the values at its ends
+ *   pre, post       values at the middle of each segment
+ *
+ * Switches (-D): LANES, VOXEL_BITS, VOXEL_SIGNED, VOXEL_SCALED, FILTER, CLASSIFICATION, WARPED_CLASSES, SKIP_EMPTY, WITH_DEPTH.
+ */
+#include "lanes.h"
+#include "view.h"
+#include "rays.h"
+#include "classify.h"
+#include "skip_empty.h"
+
+#ifndef MARCH_STEPS
+#define MARCH_STEPS 8
+#endif
+
+#define MIDPOINTS (CLASSIFICATION != CLASSIFICATION_PREINTEGRATED)
+
+/* `last` of a ray that needs no more samples, not even of its last piece. */
+#define DONE (-2)
+
+/* Opacity went from `before` to `after` over the steps t0 .. t1: where it passed one half, for rays that had not yet. */
+inline floatN median_step(floatN median, floatN before, floatN after, floatN t0, floatN t1)
+{
+  const intN passes = MASK(after >= 0.5f) & MASK(before < 0.5f);
+  if (!any(passes)) return median;
+  const floatN f = (0.5f - before) / select((floatN)1.0f, after - before, passes);
+  return select(median, t0 + f * (t1 - t0), passes);
+}
+
+inline void render_packet(__global const uchar *volume, __global const float *table, __global const float *warp,
+                          __global const uchar *distances, __constant const View *view, int column, int row,
+                          float *rgba, float *depth, uint *samples)
+{
+  const intN lane = LANE_INDEX;
+  const intN px = column + (lane & (PACKET_W - 1)), py = row + lane / PACKET_W;
+  const Rays ray = make_rays(view, TO_FLOAT(px), TO_FLOAT(py));
+  const floatN whole = floor(ray.length), rest = ray.length - whole;
+  const intN hits = MASK(ray.length >= 0.0f) & MASK(px < view->image.x) & MASK(py < view->image.y);
+  const floatN offset = MIDPOINTS ? 0.5f : 0.0f;
+  intN last = select((intN)DONE, TO_INT(whole) - MIDPOINTS, hits);
+  intN i = 0;
+  uintN taken = 0;
+  Accumulator acc;
+  accumulator_clear(&acc);
+  floatN opacity = 0.0f;
+  floatN median = INFINITY; /* in steps */
+#if !MIDPOINTS
+  ClassCoordinate front;
+  front.node = 0, front.fraction = 0.0f, front.position = 0.0f;
+  intN fresh = -1; /* lanes whose next sample only opens a segment */
+#endif
+
+  while (any(MASK(i <= last))) {
+#if SKIP_EMPTY
+    for (;;) {
+      intN leaps;
+      const floatN until = leap_until(distances, view, TO_FLOAT(i) + offset, &ray, &leaps);
+      /* The last sample inside the empty cube opens the next segment; of midpoints, the first one outside is next. */
+      const intN next = TO_INT(min(max(until + offset, (floatN)0.0f), TO_FLOAT(max(last, (intN)0)) + 1.0f));
+      leaps &= MASK(i <= last) & MASK(next > i);
+      if (!any(leaps)) break;
+      i = select(i, next, leaps);
+      last = select(last, (intN)DONE, leaps & MASK(until >= ray.length));
+#if !MIDPOINTS
+      fresh |= leaps;
+#endif
+    }
+#endif
+    for (int step = 0; step < MARCH_STEPS; ++step) {
+      const intN active = MASK(i <= last);
+      const floatN t = TO_FLOAT(i) + offset;
+      const floatN x = ray.x0 + t * ray.dx, y = ray.y0 + t * ray.dy, z = ray.z0 + t * ray.dz;
+      const floatN weight = select((floatN)0.0f, 1.0f - opacity, active);
+      taken -= AS_UINT(active);
+      int visible;
+#if CLASSIFICATION == CLASSIFICATION_PREINTEGRATED
+      const ClassCoordinate back = class_coordinate(sample_volume(volume, view, x, y, z), warp, view);
+      front.position = select(front.position, back.position, fresh);
+      front.node = select(front.node, back.node, fresh);
+      front.fraction = select(front.fraction, back.fraction, fresh);
+      fresh = 0;
+      visible = may_be_visible(min(front.position, back.position), max(front.position, back.position), active, view);
+      if (visible) composite_segment(&acc, front, back, weight, table, view);
+      front.position = select(front.position, back.position, active);
+      front.node = select(front.node, back.node, active);
+      front.fraction = select(front.fraction, back.fraction, active);
+#elif CLASSIFICATION == CLASSIFICATION_POST
+      const ClassCoordinate at = class_coordinate(sample_volume(volume, view, x, y, z), warp, view);
+      visible = may_be_visible(at.position, at.position, active, view);
+      if (visible) composite_sample(&acc, at, weight, table);
+#else
+      float4 classified[LANES];
+      classified_samples(volume, view, warp, table, x, y, z, classified);
+      visible = 1;
+      composite_classified(&acc, classified, (floatN)1.0f, weight, active);
+#endif
+      if (visible) {
+        const floatN before = opacity;
+        opacity = accumulated_opacity(&acc);
+#if WITH_DEPTH
+        median = median_step(median, before, opacity, t + (offset - 1.0f), t + offset);
+#endif
+        last = select(last, (intN)DONE, MASK(opacity >= view->march.z));
+      }
+      i -= active;
+    }
+  }
+
+  /* The last piece of each ray, shorter than a step. */
+  const intN active = MASK(i == last + 1) & MASK(rest > 0.0f);
+  if (any(active)) {
+    const floatN t = MIDPOINTS ? whole + 0.5f * rest : ray.length;
+    const floatN x = ray.x0 + t * ray.dx, y = ray.y0 + t * ray.dy, z = ray.z0 + t * ray.dz;
+    const floatN weight = select((floatN)0.0f, 1.0f - opacity, active);
+    taken -= AS_UINT(active);
+#if CLASSIFICATION == CLASSIFICATION_PREINTEGRATED
+    const ClassCoordinate back = class_coordinate(sample_volume(volume, view, x, y, z), warp, view);
+    if (may_be_visible(min(front.position, back.position), max(front.position, back.position), active, view))
+      composite_tail(&acc, front, back, rest, weight, active, table, view);
+#elif CLASSIFICATION == CLASSIFICATION_POST
+    const ClassCoordinate at = class_coordinate(sample_volume(volume, view, x, y, z), warp, view);
+    if (may_be_visible(at.position, at.position, active, view))
+      composite_sample_tail(&acc, at, rest, weight, active, table);
+#else
+    float4 classified[LANES];
+    classified_samples(volume, view, warp, table, x, y, z, classified);
+    composite_classified(&acc, classified, rest, weight, active);
+#endif
+#if WITH_DEPTH
+    median = median_step(median, opacity, accumulated_opacity(&acc), whole, ray.length);
+#endif
+  }
+  accumulator_store(&acc, rgba);
+  STORE_LANES(ray.entry_depth + median * view->march.x, depth);
+  STORE_LANES(taken, samples);
+}
+
+/* volume     voxels in their own type, laid out as fetch_voxel.h says
+ * table      colours and opacities (premultiplied) of segments, see classify.h
+ * warp       class coordinates at the edges of equal bins of the value range (only read if WARPED_CLASSES)
+ * distances  a byte a cell, see skip_empty.h (only read if SKIP_EMPTY)
+ * image      float4 [height, width], premultiplied, linear
+ * depths     float [height, width], world distance along the ray from the eye to where opacity reaches one half, else infinity
+ * samples    uint [work-items], reconstructions of the volume
+ */
+__kernel WIDE_VECTORS void raycast(__global const uchar *restrict volume, __global const float *restrict table,
+                                   __global const float *restrict warp, __global const uchar *restrict distances,
+                                   __constant const View *restrict view, __global float4 *restrict image,
+                                   __global float *restrict depths, __global uint *restrict samples)
+{
+  const int tile_x = (int)get_global_id(0), tile_y = (int)get_global_id(1) + view->band.x;
+  const int width = view->image.x, height = view->image.y;
+  const int left = tile_x * view->image.z, top = tile_y * view->image.w;
+  uint total = 0;
+  for (int row = top; row < min(top + view->image.w, height); row += PACKET_H)
+    for (int column = left; column < min(left + view->image.z, width); column += PACKET_W) {
+      float rgba[4 * LANES], depth[LANES];
+      uint taken[LANES];
+      render_packet(volume, table, warp, distances, view, column, row, rgba, depth, taken);
+      EACH_LANE(k)
+      {
+        const int x = column + k % PACKET_W, y = row + k / PACKET_W;
+        if (x < width && y < height) {
+          const size_t pixel = (size_t)y * width + x;
+          image[pixel] = vload4(k, rgba);
+#if WITH_DEPTH
+          depths[pixel] = depth[k];
+#endif
+          total += taken[k];
+        }
+      }
+    }
+  samples[(size_t)tile_y * ((width + view->image.z - 1) / view->image.z) + tile_x] = total;
+}
+
+/* The size of View on the device: the host compares it with its own. */
+__kernel void view_size(__global uint *size) { size[0] = (uint)sizeof(View); }

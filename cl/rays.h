@@ -1,0 +1,65 @@
+/* A packet's rays against the volume's domain.
+ *
+ * Positions along a ray are origin + t * step with t counted from the entry, never accumulated.
+ */
+#ifndef RAYS_H
+#define RAYS_H
+
+typedef struct {
+  floatN x0, y0, z0;   /* lattice point of entry */
+  floatN dx, dy, dz;   /* lattice units a step */
+  floatN rx, ry, rz;   /* their inverses, finite */
+  floatN length;       /* from entry to exit, in steps; below 0: the ray misses */
+  floatN entry_depth;  /* world distance from the eye (or camera plane) to the entry */
+} Rays;
+
+/* Below this a direction's component counts as parallel to the faces: the ray is in the slab, or never is. */
+#define PARALLEL 1e-20f
+
+inline void clip_to_slab(floatN origin, floatN direction, float upper, floatN *enter, floatN *leave)
+{
+  const intN parallel = MASK(fabs(direction) < PARALLEL);
+  const intN inside = MASK(origin >= 0.0f) & MASK(origin <= upper);
+  const floatN inverse = 1.0f / select(direction, (floatN)1.0f, parallel);
+  const floatN a = -origin * inverse, b = (upper - origin) * inverse;
+  const floatN never = select((floatN)INFINITY, -(floatN)INFINITY, inside);
+  *enter = max(*enter, select(min(a, b), never, parallel));
+  *leave = min(*leave, select(max(a, b), -never, parallel));
+}
+
+inline floatN finite_inverse(floatN d)
+{
+  return 1.0f / select(d, (floatN)1e-12f, MASK(fabs(d) < 1e-12f));
+}
+
+/* Rays through the centres of the pixels (column, row), row 0 on top. */
+inline Rays make_rays(__constant const View *view, floatN column, floatN row)
+{
+  Rays r;
+  const floatN u = column - view->lens.z, v = row - view->lens.w;
+  const floatN a = u * view->lens.x, b = v * view->lens.y;
+  const floatN length = sqrt(1.0f + a * a + b * b), inverse = 1.0f / length;
+  const floatN px = view->plane_origin.x + u * view->plane_du.x + v * view->plane_dv.x;
+  const floatN py = view->plane_origin.y + u * view->plane_du.y + v * view->plane_dv.y;
+  const floatN pz = view->plane_origin.z + u * view->plane_du.z + v * view->plane_dv.z;
+  const floatN dx = (view->ray_forward.x + u * view->ray_du.x + v * view->ray_dv.x) * inverse;
+  const floatN dy = (view->ray_forward.y + u * view->ray_du.y + v * view->ray_dv.y) * inverse;
+  const floatN dz = (view->ray_forward.z + u * view->ray_du.z + v * view->ray_dv.z) * inverse;
+  const floatN to_plane = view->march.y * length;
+  floatN enter = -to_plane, leave = INFINITY;
+  clip_to_slab(px, dx, view->upper.x, &enter, &leave);
+  clip_to_slab(py, dy, view->upper.y, &enter, &leave);
+  clip_to_slab(pz, dz, view->upper.z, &enter, &leave);
+  const float h = view->march.x;
+  const intN hits = MASK(leave > enter);
+  enter = select((floatN)0.0f, enter, hits);
+  leave = select((floatN)-h, leave, hits);
+  r.x0 = px + enter * dx, r.y0 = py + enter * dy, r.z0 = pz + enter * dz;
+  r.dx = dx * h, r.dy = dy * h, r.dz = dz * h;
+  r.rx = finite_inverse(r.dx), r.ry = finite_inverse(r.dy), r.rz = finite_inverse(r.dz);
+  r.length = (leave - enter) / h;
+  r.entry_depth = enter + to_plane;
+  return r;
+}
+
+#endif

@@ -1,0 +1,223 @@
+"""One device opened for work: its context and queue, buffers, programs and kernels.
+
+Kernels are called by name with arguments that were declared beforehand (dtype and intent), so that
+a wrong array is a Python error and not a wrong picture.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pyopencl as cl
+
+from clvol.errors import DeviceError, RenderError
+from clvol.opencl.devices import report_of
+from clvol.opencl.kernels_path import kernel_folder
+
+
+@dataclass(frozen=True, eq=False)
+class DeviceArray:
+    """A buffer with the dtype and shape of what it holds; ``host`` keeps memory alive that it uses."""
+
+    buffer: cl.Buffer
+    dtype: np.dtype
+    shape: tuple[int, ...]
+    host: np.ndarray | None = None
+
+    @property
+    def nbytes(self) -> int:
+        return int(np.prod(self.shape, dtype=np.int64)) * self.dtype.itemsize
+
+
+@dataclass(frozen=True)
+class Argument:
+    """One kernel argument: a buffer of ``dtype`` read ("in") or written ("out"), or a "value"."""
+
+    name: str
+    dtype: np.dtype
+    intent: str
+
+    @classmethod
+    def declare(cls, declarations: str) -> tuple[Argument, ...]:
+        """From "in volume uint8, out image float32, value edge int32"."""
+        arguments = []
+        for declaration in declarations.split(","):
+            intent, name, dtype = declaration.split()
+            if intent not in ("in", "out", "value"):
+                raise ValueError(f"intent {intent!r} of {name!r}")
+            arguments.append(cls(name, _INT4 if dtype == "int4" else np.dtype(dtype), intent))
+        return tuple(arguments)
+
+
+_INT4 = np.dtype(("i4", 4))
+_ANY = np.dtype("V1")  # a struct or raw voxels: the kernel's own switches say what it holds
+
+
+class Kernel:
+    """A kernel and the arguments it takes. Not for two threads at once."""
+
+    def __init__(self, program: cl.Program, name: str, declarations: str) -> None:
+        self.name = name
+        self.arguments = Argument.declare(declarations)
+        self._kernel = cl.Kernel(program, name)
+        if self._kernel.num_args != len(self.arguments):
+            raise RenderError(
+                f"kernel {name}",
+                f"takes {self._kernel.num_args} arguments",
+                f"the {len(self.arguments)} that are declared",
+            )
+
+    def __call__(
+        self,
+        queue: cl.CommandQueue,
+        global_size: Sequence[int],
+        local_size: Sequence[int] | None,
+        **given: Any,
+    ) -> cl.Event:
+        if given.keys() != {argument.name for argument in self.arguments}:
+            expected = ", ".join(argument.name for argument in self.arguments)
+            raise RenderError(f"kernel {self.name}", f"got {', '.join(given)}", expected)
+        for index, argument in enumerate(self.arguments):
+            self._kernel.set_arg(index, self._checked(argument, given[argument.name]))
+        return cl.enqueue_nd_range_kernel(
+            queue,
+            self._kernel,
+            tuple(int(n) for n in global_size),
+            None if local_size is None else tuple(int(n) for n in local_size),
+        )
+
+    def _checked(self, argument: Argument, value: Any) -> Any:
+        where = f"kernel {self.name}, argument {argument.name}"
+        if argument.intent == "value":
+            value = np.asarray(value, dtype=argument.dtype.base)
+            if value.shape != argument.dtype.shape:
+                expected = f"shape {argument.dtype.shape}"
+                raise RenderError(where, f"got shape {value.shape}", expected)
+            return value if value.shape else argument.dtype.type(value)
+        if not isinstance(value, DeviceArray):
+            raise RenderError(where, f"got {type(value).__name__}", "a DeviceArray")
+        if argument.dtype != _ANY and value.dtype != argument.dtype:
+            raise RenderError(where, f"got {value.dtype}", str(argument.dtype))
+        return value.buffer
+
+
+class DeviceContext:
+    """A context and an in-order queue on one device, with its programs built so far."""
+
+    def __init__(self, device: cl.Device) -> None:
+        self.device = device
+        report = report_of(device)
+        self.name = report.name if report is not None else device.name.strip()
+        self.is_cpu = bool(device.type & cl.device_type.CPU)
+        self.has_double = "cl_khr_fp64" in device.extensions.split()
+        self.compile_seconds = 0.0
+        try:
+            self.context = cl.Context([device])
+            self.queue = cl.CommandQueue(self.context)
+        except cl.Error as error:
+            raise DeviceError(self.name, f"cannot be used ({error})", "a working device") from None
+        self._programs: dict[tuple, cl.Program] = {}
+        self._kernels: dict[tuple, Kernel] = {}
+
+    def release(self) -> None:
+        """Waits for the queue and forgets programs and kernels."""
+        self.queue.finish()
+        self._programs.clear()
+        self._kernels.clear()
+
+    # Programs
+
+    def kernel(
+        self, file: str, name: str, declarations: str, switches: Mapping[str, int] | None = None
+    ) -> Kernel:
+        """Kernel ``name`` of cl/``file`` built with ``switches`` (-D), built at most once."""
+        options = compile_options(switches or {})
+        key = (file, name, options)
+        if key not in self._kernels:
+            self._kernels[key] = Kernel(self._program(file, options), name, declarations)
+        return self._kernels[key]
+
+    def _program(self, file: str, options: tuple[str, ...]) -> cl.Program:
+        if (file, options) not in self._programs:
+            start = time.perf_counter()
+            folder = kernel_folder()
+            source = (folder / file).read_text(encoding="utf-8")
+            try:
+                program = cl.Program(self.context, source).build(
+                    [*options, "-I", str(folder)], cache_dir=False
+                )
+            except cl.RuntimeError as error:
+                lines = [line for line in str(error).splitlines() if "error" in line.lower()]
+                reason = lines[0] if lines else str(error)
+                what = f"does not build on {self.name} with {' '.join(options)}: {reason}"
+                raise RenderError(f"cl/{file}", what) from None
+            self._programs[file, options] = program
+            self.compile_seconds += time.perf_counter() - start
+        return self._programs[file, options]
+
+    # Buffers
+
+    def upload(self, array: np.ndarray) -> DeviceArray:
+        """A read-only copy of ``array`` on the device."""
+        array = np.ascontiguousarray(array)
+        flags = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
+        return self._buffer(flags, array.dtype, array.shape, array)
+
+    def share(self, array: np.ndarray) -> DeviceArray:
+        """``array`` (contiguous, not changed while in use) as a read-only buffer; on a CPU device
+        without a copy."""
+        if not self.is_cpu:
+            return self.upload(array)
+        flags = cl.mem_flags.READ_ONLY | cl.mem_flags.USE_HOST_PTR
+        return self._buffer(flags, array.dtype, array.shape, array)
+
+    def empty(self, dtype: Any, shape: Sequence[int]) -> DeviceArray:
+        """An uninitialised array on the device."""
+        return self._buffer(cl.mem_flags.READ_WRITE, np.dtype(dtype), tuple(shape), None)
+
+    def write(self, array: DeviceArray, values: np.ndarray) -> None:
+        """Copies ``values`` into ``array``; returns when the copy is done."""
+        cl.enqueue_copy(self.queue, array.buffer, np.ascontiguousarray(values), is_blocking=True)
+
+    def read(self, array: DeviceArray, out: np.ndarray | None = None) -> np.ndarray:
+        """The contents of ``array``; waits for what writes it."""
+        if out is None:
+            out = np.empty(array.shape, array.dtype)
+        cl.enqueue_copy(self.queue, out, array.buffer, is_blocking=True)
+        return out
+
+    def finish(self) -> None:
+        """Waits for all that was enqueued; RenderError if any of it failed."""
+        try:
+            self.queue.finish()
+        except cl.Error as error:
+            raise RenderError(self.name, f"failed ({error})") from None
+
+    def _buffer(
+        self, flags: int, dtype: np.dtype, shape: tuple[int, ...], host: np.ndarray | None
+    ) -> DeviceArray:
+        nbytes = int(np.prod(shape, dtype=np.int64)) * dtype.itemsize
+        limit = int(self.device.max_mem_alloc_size)
+        if nbytes > limit:
+            raise DeviceError(
+                self.name, f"one buffer of {nbytes} bytes is needed", f"at most {limit} bytes"
+            )
+        try:
+            if host is None:
+                buffer = cl.Buffer(self.context, flags, max(nbytes, 1))
+            else:
+                buffer = cl.Buffer(self.context, flags, hostbuf=host)
+        except (cl.Error, MemoryError) as error:
+            what = f"no memory for {nbytes} bytes ({error})"
+            raise DeviceError(self.name, what, "a smaller volume or image") from None
+        keeps = host if flags & cl.mem_flags.USE_HOST_PTR else None
+        return DeviceArray(buffer, dtype, shape, keeps)
+
+
+def compile_options(switches: Mapping[str, int]) -> tuple[str, ...]:
+    """The one place where switches become compiler flags. Values are integers, never scene text."""
+    return ("-cl-std=CL1.2", *(f"-D{name}={int(value)}" for name, value in sorted(switches.items())))

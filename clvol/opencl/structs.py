@@ -1,0 +1,24 @@
+"""Structs shared with the kernels, each declared once here and checked on the device.
+
+Every field is 16 bytes wide, so that numpy and any OpenCL compiler lay them out alike.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+_FLOAT4_BEFORE = (
+    "plane_origin", "plane_du", "plane_dv", "ray_forward", "ray_du", "ray_dv", "lens", "march",
+    "upper", "classes", "gate", "voxel",
+)  # fmt: skip
+_INT4 = ("size", "stride", "cells", "image", "band", "table")
+
+
+def view_dtype(voxel_bits: int) -> np.dtype:
+    """``View`` of cl/view.h, for volumes of ``voxel_bits`` (8, 16, 32 or 64)."""
+    double = ("f8", 2) if voxel_bits == 64 else ("f4", 4)
+    return np.dtype(
+        [(name, "f4", 4) for name in _FLOAT4_BEFORE]
+        + [("voxel_double", *double)]
+        + [(name, "i4", 4) for name in _INT4]
+    )

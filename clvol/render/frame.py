@@ -1,0 +1,32 @@
+"""A rendered picture with all that is known about it."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+
+@dataclass(eq=False)
+class Frame:
+    """``rgba`` float32 [height, width, 4]: linear, premultiplied, without the background.
+
+    ``depth`` float32 [height, width]: world distance along the ray from the eye (orthographic: from the
+    camera plane) to where opacity reaches one half; infinite where it never does.
+    ``background`` [3], linear. ``stats`` as ``--stats`` writes them. ``scene_source``: the scene as a
+    scene file's text.
+    """
+
+    rgba: np.ndarray
+    depth: np.ndarray | None = None
+    background: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    stats: dict[str, Any] = field(default_factory=dict)
+    scene_source: str | None = None
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Writes .exr, .png or .npy, by ending; the file appears whole or not at all."""
+        from clvol.image import save_frame
+
+        save_frame(self, path)

@@ -1,0 +1,266 @@
+"""The ray caster's host side: device state of one scene, and a frame from it (cl/raycast.cl)."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from clvol.errors import RenderError
+from clvol.features import CLASSIFICATIONS, FILTERS
+from clvol.opencl.context import DeviceArray, DeviceContext
+from clvol.opencl.structs import view_dtype
+from clvol.render.device_volume import CELL_SHIFT, DeviceVolume, voxel_switches, value_map
+from clvol.render.empty_space import distance_map, visible_mask
+from clvol.render.view import RayFrame, ray_frame
+from clvol.scene.camera import Camera
+from clvol.scene.resolve import ResolvedScene
+from clvol.schedule.tiles import TILE, bands, tiling
+from clvol.transfer import TransferFunction
+from clvol.transfer.classes import ClassNodes, class_nodes, visible_cells
+from clvol.transfer.tables import SLICES, constant_table, preintegrated_table
+
+CONSTANT_NODES = 4096  # of the one-dimensional tables of pre- and post-classification
+_SECONDS_A_SAMPLE = 1e-8  # a first guess, for how to cut a frame into launches
+_BAND_SECONDS = 0.5
+_ARGUMENTS = (
+    "in volume V1, in table float32, in warp float32, in distances uint8, in view V1, "
+    "out image float32, out depths float32, out samples uint32"
+)
+
+
+def raycast_switches(
+    resolved: ResolvedScene, *, warped: bool, lanes: int, skip: bool = True, depth: bool = True
+) -> dict[str, int]:
+    """What gets compiled for this scene; nothing that changes from frame to frame."""
+    integration = resolved.integration
+    return {
+        **voxel_switches(resolved.volume, value_map(resolved.volume)),
+        "LANES": lanes,
+        "FILTER": FILTERS[integration.filter],
+        "CLASSIFICATION": CLASSIFICATIONS[integration.classification],
+        "WARPED_CLASSES": int(warped),
+        "SKIP_EMPTY": int(skip),
+        "WITH_DEPTH": int(depth),
+    }
+
+
+def scene_nodes(resolved: ResolvedScene, function: TransferFunction | None = None) -> ClassNodes:
+    """The class nodes for a scene's volume and classification."""
+    volume, integration = resolved.volume, resolved.integration
+    values = value_map(volume)
+    preintegrated = integration.classification == "preintegrated"
+    return class_nodes(
+        device_function(function or resolved.transfer_function, values),
+        tuple(float(v) for v in values(volume.value_range)),
+        integration.table_size if preintegrated else CONSTANT_NODES,
+        integer=volume.dtype.kind in "iu",
+        may_warp=preintegrated,
+    )
+
+
+def device_function(function: TransferFunction, values) -> TransferFunction:
+    """The transfer function over the values that kernels compute with."""
+    if values.bias == 0.0 and values.gain == 1.0:
+        return function
+    finite = np.clip(values(function.values), -1e300, 1e300)
+    return TransferFunction(finite, function.opacities, function.colors, function.opacity_unit)
+
+
+@dataclass
+class FrameData:
+    """What one launch gives: arrays as in ``Frame``, and the number of samples."""
+
+    rgba: np.ndarray
+    depth: np.ndarray
+    samples: int
+
+
+class Raycaster:
+    """Device state for a scene: volume, tables, distance map, program; ``render`` makes a frame.
+
+    ``lanes``: rays a work-item marches together (16 on CPU devices, 1 elsewhere). ``skip``: leap over
+    empty space. ``tile``: pixels (width, height) of a work-item's tile. None of the three
+    changes the picture.
+    """
+
+    def __init__(
+        self,
+        context: DeviceContext,
+        resolved: ResolvedScene,
+        *,
+        lanes: int | None = None,
+        skip: bool = True,
+        tile: tuple[int, int] = (TILE, TILE),
+        volume: DeviceVolume | None = None,
+    ) -> None:
+        self.context = context
+        self.resolved = resolved
+        self.lanes = lanes or (16 if context.is_cpu else 1)
+        self.skip = skip
+        self.tile = tile if self.lanes > 1 else (1, 1)
+        self.volume = volume or DeviceVolume(context, resolved.volume)
+        self.length = resolved.integration.step * resolved.volume.grid.smallest_edge
+        self.set_transfer_function(resolved.transfer_function)
+        self._view_dtype = view_dtype(self.volume.switches["VOXEL_BITS"])
+        self._warm = set()
+        self._outputs: tuple[DeviceArray, DeviceArray, DeviceArray] | None = None
+        self._view = context.empty(self._view_dtype, (1,))
+        self._check_struct()
+
+    def set_transfer_function(self, function: TransferFunction) -> None:
+        """Another transfer function: rebuilds the table and the visible cells, nothing else."""
+        resolved, context = self.resolved, self.context
+        self.nodes = scene_nodes(resolved, function)
+        mapped = device_function(function, self.volume.values)
+        visible = visible_cells(mapped, self.nodes.values)
+        kind = resolved.integration.classification
+        if kind == "preintegrated":
+            self.table = preintegrated_table(context, mapped, self.nodes.values, self.length)
+        else:
+            kernel = "classify_table" if kind == "post" else "extinction_table"
+            self.table = constant_table(context, mapped, self.nodes.values, self.length, kernel)
+        self.gate = _gate(mapped, self.nodes, visible)
+        mask = visible_mask(self.volume, self.nodes, visible)
+        self.visible_share = float(mask.mean())
+        self.distances = distance_map(context, mask)
+        warp = self.nodes.warp
+        self.warp = context.upload(np.zeros(2, np.float32) if warp is None else warp)
+        self.switches = raycast_switches(
+            resolved, warped=warp is not None, lanes=self.lanes, skip=self.skip
+        )
+
+    def render(
+        self,
+        camera: Camera,
+        width: int,
+        height: int,
+        progress: Callable[[int, int], None] | None = None,
+    ) -> FrameData:
+        """One picture. ``progress(rows of tiles done, all)`` is called after each launch."""
+        context = self.context
+        cut = tiling(width, height, *self.tile)
+        frame = ray_frame(camera, self.resolved.volume.grid, width, height)
+        view = self._frame_view(frame, width, height)
+        image, depths, samples = self._buffers(width, height, cut.columns * cut.rows)
+        expected = width * height * self._most_samples() * _SECONDS_A_SAMPLE
+        done = 0
+        for first, count in bands(cut.rows, expected, _BAND_SECONDS):
+            view["band"][0, 0] = first
+            self._launch(view, (cut.columns, count), image, depths, samples)
+            done += count
+            if done < cut.rows or progress is not None:
+                context.finish()
+            if progress is not None:
+                progress(done, cut.rows)
+        return FrameData(
+            context.read(image),
+            context.read(depths),
+            int(context.read(samples).sum(dtype=np.uint64)),
+        )
+
+    def warm_up(self, width: int, height: int) -> None:
+        """Compiles everything a frame of this size needs: final code is made at the first launch."""
+        cut = tiling(width, height, *self.tile)
+        size = (cut.columns, cut.rows)
+        key = (size, tuple(self.switches.items()))
+        if key in self._warm:
+            return
+        image, depths, samples = self._buffers(width, height, cut.columns * cut.rows)
+        view = np.zeros(1, self._view_dtype)  # an image without pixels: every work-item returns
+        view["image"][0] = (0, 0, *self.tile)
+        self._launch(view, size, image, depths, samples)
+        self.context.finish()
+        self._warm.add(key)
+
+    def _launch(self, view, size, image, depths, samples) -> None:
+        context = self.context
+        context.write(self._view, view)
+        kernel = context.kernel("raycast.cl", "raycast", _ARGUMENTS, self.switches)
+        kernel(
+            context.queue,
+            size,
+            (1, 1) if self.lanes > 1 else None,
+            volume=self.volume.voxels,
+            table=self.table,
+            warp=self.warp,
+            distances=self.distances,
+            view=self._view,
+            image=image,
+            depths=depths,
+            samples=samples,
+        )
+
+    def _buffers(self, width: int, height: int, tiles: int):
+        if self._outputs is None or self._outputs[0].shape != (height, width, 4):
+            context = self.context
+            self._outputs = (
+                context.empty(np.float32, (height, width, 4)),
+                context.empty(np.float32, (height, width)),
+                context.empty(np.uint32, (tiles,)),
+            )
+        return self._outputs
+
+    def _most_samples(self) -> float:
+        grid = self.resolved.volume.grid
+        corners = grid.world_corners()
+        diagonal = np.linalg.norm(corners.max(axis=0) - corners.min(axis=0))
+        return float(diagonal / self.length)
+
+    def _frame_view(self, frame: RayFrame, width: int, height: int) -> np.ndarray:
+        view = np.zeros(1, self._view_dtype)
+        volume, nodes, row = self.volume, self.nodes, view[0]
+        names = ("plane_origin", "plane_du", "plane_dv", "ray_forward", "ray_du", "ray_dv")
+        sources = (frame.origin, frame.du, frame.dv, frame.forward, frame.ray_du, frame.ray_dv)
+        with np.errstate(over="ignore", under="ignore"):
+            for name, source in zip(names, sources):
+                row[name][:3] = source
+            row["lens"] = (*frame.lens, *frame.centre)
+            stop = 1.0 - self.resolved.integration.early_termination
+            row["march"] = (self.length, frame.distance, stop, 0.0)
+            bins = 0.0 if nodes.warp is None else nodes.warp.size - 1.0
+            row["classes"] = (nodes.first, nodes.per_value, nodes.last_coordinate, bins)
+        finite = [np.isfinite(row[name]).all() for name in (*names, "lens", "march", "classes")]
+        if not all(finite) or not row["march"][0] > 0:
+            where = f"{self.resolved.origin}: camera"
+            raise RenderError(where, "numbers beyond float32", "a camera and units nearer to 1")
+        row["upper"][:3] = np.asarray(volume.size) - 1
+        row["gate"][:2] = self.gate
+        row["voxel"][0] = volume.values.gain
+        if volume.switches["VOXEL_BITS"] == 64:
+            row["voxel_double"] = (volume.values.bias, volume.values.gain)
+        row["size"][:3] = volume.size
+        row["stride"][:2] = volume.stride
+        row["cells"] = (*volume.cells, CELL_SHIFT)
+        row["image"] = (width, height, *self.tile)
+        n = nodes.values.size
+        row["table"] = (n, n + 2, SLICES, (n + 2) ** 2)
+        return view
+
+    def _check_struct(self) -> None:
+        """The compiler's View must be ours, field for field: all fields are 16 bytes wide."""
+        kernel = self.context.kernel("raycast.cl", "view_size", "out size uint32", self.switches)
+        size = self.context.empty(np.uint32, (1,))
+        kernel(self.context.queue, (1,), (1,), size=size)
+        on_device = int(self.context.read(size)[0])
+        if on_device != self._view_dtype.itemsize:
+            raise RenderError(
+                "struct View", f"{on_device} bytes on the device", f"{self._view_dtype.itemsize}"
+            )
+
+
+def _gate(
+    function: TransferFunction, nodes: ClassNodes, visible: np.ndarray
+) -> tuple[float, float]:
+    """Class coordinates (low, high): a segment whose values are all <= low or all >= high has no
+    opacity."""
+    shown = np.flatnonzero(visible)
+    if not shown.size:
+        return np.inf, -np.inf
+    first, last = int(shown[0]), int(shown[-1]) + 1
+    ends = function.opacity(nodes.values[[0, -1]]) > 0
+    low = -1.0 if first == 0 and ends[0] else float(first)
+    high = nodes.last_coordinate + 1.0 if last == visible.size and ends[1] else float(last)
+    return low, high

@@ -1,0 +1,134 @@
+"""Renderer: a scene made resident on a device, rendered as often as wanted."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clvol.errors import RenderError, UsageError
+from clvol.features import called_for, refuse_unknown
+from clvol.render.frame import Frame
+from clvol.scene.camera import Camera
+
+if TYPE_CHECKING:
+    from clvol.scene import Scene
+    from clvol.scene.resolve import ResolvedScene
+
+
+class Renderer:
+    """Keeps a scene's volume, tables and programs on a device.
+
+    ``scene``: a ``clvol.Scene`` (or one already resolved). ``devices``: names as in ``clvol doctor``, or
+    pyopencl devices; None takes the default one. Use it as a context manager, or call ``close``.
+
+    Raises SceneError and VolumeError (scene or volume wrong, or asking for what is not there),
+    DeviceError (no device works), RenderError (a program does not build or fails).
+    """
+
+    def __init__(self, scene: Scene | ResolvedScene, devices: Sequence[Any] | None = None) -> None:
+        start = time.perf_counter()
+        self.resolved = scene.resolve() if hasattr(scene, "resolve") else scene
+        refuse_unknown(self.resolved)
+        loaded = time.perf_counter()
+        self._context = _open(devices)
+        self._raycaster = None
+        if self.resolved.integration.method == "raycast":
+            from clvol.render.raycast import Raycaster
+
+            self._raycaster = Raycaster(self._context, self.resolved)
+        self._load_seconds = loaded - start
+        self._prepare_seconds = time.perf_counter() - loaded - self._context.compile_seconds
+
+    def __enter__(self) -> Renderer:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Gives the device's memory back. Nothing can be rendered afterwards."""
+        if self._context is not None:
+            self._context.release()
+        self._context = self._raycaster = None
+
+    def render(
+        self, camera: Camera | None = None, progress: Callable[[int, int], None] | None = None
+    ) -> Frame:
+        """The picture from the scene's camera, or from ``camera``.
+
+        ``progress(done, total)`` is called now and then with shares of the work.
+        """
+        if self._context is None:
+            raise RenderError("Renderer", "is closed", "a Renderer that is open")
+        resolved = self.resolved
+        width, height = resolved.image.width, resolved.image.height
+        if camera is None:
+            camera = resolved.camera
+        else:
+            camera = camera.complete(resolved.volume.grid, resolved.image)
+        if self._raycaster is None:
+            return self._reference(camera, progress)
+        compile_start = time.perf_counter()
+        before = self._context.compile_seconds
+        self._raycaster.warm_up(width, height)
+        compile_seconds = before + time.perf_counter() - compile_start
+        self._context.compile_seconds = 0.0
+        start = time.perf_counter()
+        data = self._raycaster.render(camera, width, height, progress)
+        seconds = {"compile": compile_seconds, "render": time.perf_counter() - start}
+        return self._frame(data.rgba, data.depth, seconds, {"samples": data.samples})
+
+    def _reference(self, camera: Camera, progress) -> Frame:
+        from dataclasses import replace
+
+        from clvol.render.reference import render_reference
+
+        resolved = replace(self.resolved, camera=camera)
+        start = time.perf_counter()
+        rgba, depth, counters = render_reference(
+            resolved,
+            self._context.device,
+            tolerance=resolved.integration.tolerance,
+            progress=progress,
+        )
+        seconds = {"compile": 0.0, "render": time.perf_counter() - start}
+        return self._frame(rgba, depth, seconds, counters)
+
+    def _frame(self, rgba, depth, seconds: dict, counted: dict) -> Frame:
+        resolved = self.resolved
+        first = self._load_seconds, self._prepare_seconds
+        self._load_seconds = self._prepare_seconds = 0.0
+        seconds = {"load": first[0], "prepare": first[1], **seconds, "write": 0.0}
+        seconds["total"] = sum(seconds.values())
+        counted = {k: v for k, v in counted.items() if k != "seconds"}
+        stats = {
+            "seconds": seconds,
+            "rays": int(resolved.image.width * resolved.image.height),
+            **counted,
+            "devices": [self._context.name],
+            "effects": called_for(resolved),
+            "method": resolved.integration.method,
+        }
+        return Frame(
+            np.asarray(rgba, np.float32),
+            np.asarray(depth, np.float32),
+            resolved.background,
+            stats,
+            resolved.source,
+        )
+
+
+def _open(devices: Sequence[Any] | None):
+    from clvol.opencl.context import DeviceContext
+    from clvol.opencl.devices import open_device
+
+    if isinstance(devices, str) or (devices is not None and not isinstance(devices, Sequence)):
+        devices = [devices]
+    if devices is not None and len(devices) > 1:
+        raise UsageError("devices", f"got {len(devices)}", "one device: a picture is made on one")
+    chosen = devices[0] if devices else None
+    device = open_device(chosen) if chosen is None or isinstance(chosen, str) else chosen
+    return DeviceContext(device)

@@ -1,0 +1,73 @@
+"""From a camera and a grid to the numbers that one frame's kernel launch needs.
+
+All of it is done in double precision here; the kernel gets the picture's rays relative to a plane
+through the volume, so that neither a far eye nor a large origin costs float32 any digits.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from clvol.scene.camera import Camera
+from clvol.volume import Grid
+
+
+@dataclass(frozen=True, eq=False)
+class RayFrame:
+    """The rays of a picture, in lattice coordinates (float64).
+
+    Pixel (column, row) at u = column - ``centre[0]``, v = row - ``centre[1]`` has the ray through
+    ``origin`` + u ``du`` + v ``dv`` in direction (``forward`` + u ``ray_du`` + v ``ray_dv``) / |.|, the norm
+    taken in world space: sqrt(1 + (u ``lens[0]``)^2 + (v ``lens[1]``)^2). The eye lies ``distance``
+    times that norm before the origin's plane. The direction is a lattice length a world length.
+    """
+
+    origin: np.ndarray
+    du: np.ndarray
+    dv: np.ndarray
+    forward: np.ndarray
+    ray_du: np.ndarray
+    ray_dv: np.ndarray
+    lens: tuple[float, float]
+    centre: tuple[float, float]
+    distance: float
+
+
+def ray_frame(camera: Camera, grid: Grid, width: int, height: int) -> RayFrame:
+    """The rays of ``camera`` (complete) for a picture of ``width`` by ``height`` square pixels."""
+    forward, right, up = camera.basis()
+    lower, upper = grid.index_bounds()
+    to_index = grid.world_to_index()
+    linear = to_index[:3, :3]
+    centre_world = (grid.index_to_world() @ np.append(0.5 * (lower + upper), 1.0))[:3]
+    eye = np.asarray(camera.position, np.float64)
+    distance = max(float((centre_world - eye) @ forward), 0.0)
+    # eye + distance * forward - centre is formed so that a far eye cancels before it is rounded.
+    offset = eye - centre_world
+    offset = offset + distance * forward
+    shift = np.where(np.asarray(grid.size) == 1, 0.5, 0.0)  # such an axis is held twice
+    origin = linear @ offset + 0.5 * (lower + upper) + shift
+
+    if camera.projection == "orthographic":
+        pixel = camera.height / height
+        zero = np.zeros(3)
+        du, dv = pixel * right, -pixel * up
+        ray_du, ray_dv, lens = zero, zero, (0.0, 0.0)
+    else:
+        tangent = 2.0 * np.tan(np.radians(camera.fov_degrees) / 2.0) / height
+        ray_du, ray_dv = tangent * right, -tangent * up
+        du, dv = distance * ray_du, distance * ray_dv
+        lens = (tangent, tangent)
+    return RayFrame(
+        origin=origin,
+        du=linear @ du,
+        dv=linear @ dv,
+        forward=linear @ forward,
+        ray_du=linear @ ray_du,
+        ray_dv=linear @ ray_dv,
+        lens=lens,
+        centre=((width - 1) / 2.0, (height - 1) / 2.0),
+        distance=distance,
+    )

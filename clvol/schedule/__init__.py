@@ -1,0 +1,1 @@
+"""How work is cut up: pure arithmetic, testable without a device."""

@@ -1,0 +1,31 @@
+"""A picture cut into tiles, and tiles into bands of rows that are launched one after the other."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+TILE = 16  # pixels an edge
+
+
+@dataclass(frozen=True)
+class Tiling:
+    """``columns`` by ``rows`` tiles of ``width`` by ``height`` pixels cover the picture."""
+
+    width: int
+    height: int
+    columns: int
+    rows: int
+
+
+def tiling(image_width: int, image_height: int, width: int = TILE, height: int = TILE) -> Tiling:
+    return Tiling(width, height, -(-image_width // width), -(-image_height // height))
+
+
+def bands(rows: int, expected_seconds: float, band_seconds: float) -> list[tuple[int, int]]:
+    """(first row, number of rows) of launches that take about ``band_seconds`` each.
+
+    Short enough for a progress report and for Ctrl-C; one band where all is quick.
+    """
+    count = max(1, min(rows, round(expected_seconds / band_seconds)))
+    edges = [rows * k // count for k in range(count + 1)]
+    return [(a, b - a) for a, b in zip(edges, edges[1:]) if b > a]

@@ -1,0 +1,134 @@
+"""Class nodes: at which values the classification tables have their entries.
+
+Tables are looked up by a class coordinate, the position among the nodes. For integer voxels whose
+control points are integers the nodes are evenly spaced and fall on all of them. In general they
+cannot: then the map from value to coordinate is piecewise linear over equal bins (a "warp"), which
+puts most nodes where the transfer function varies, and one on every control point to within a bin.
+So a peak that is a thousandth of the range wide is resolved by as many entries as one that
+fills it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from clvol.transfer.function import TransferFunction
+
+BINS = 4096
+_EVEN_SHARE = 0.35  # of the nodes, spread evenly over the range; the rest goes to what is visible
+
+
+@dataclass(frozen=True, eq=False)
+class ClassNodes:
+    """``values`` [n >= 2] float64, ascending: the nodes.
+
+    The coordinate of value s is (s - ``first``) * ``per_value``, clamped to 0 .. n - 1, or, if ``warp``
+    is there (float32 [bins + 1], ascending from 0 to n - 1), that number as a position among bins,
+    looked up in ``warp`` linearly.
+    """
+
+    values: np.ndarray
+    first: float
+    per_value: float
+    warp: np.ndarray | None = None
+
+    @property
+    def last_coordinate(self) -> float:
+        return float(self.values.size - 1)
+
+    def position(self, values: np.ndarray) -> np.ndarray:
+        """Class coordinates (float64) of ``values``, as the kernels compute them."""
+        p = (np.asarray(values, np.float64) - self.first) * self.per_value
+        if self.warp is not None:
+            p = np.interp(p, np.arange(self.warp.size), self.warp.astype(np.float64))
+        return np.clip(p, 0.0, self.last_coordinate)
+
+
+def class_nodes(
+    function: TransferFunction,
+    value_range: tuple[float, float],
+    count: int,
+    *,
+    integer: bool,
+    may_warp: bool = True,
+) -> ClassNodes:
+    """About ``count`` nodes (never more) over ``value_range`` for ``function``.
+
+    ``integer``: voxels are integers. ``may_warp`` False: evenly spaced in any case, which is what
+    a long one-dimensional table wants.
+    """
+    low, high = (float(v) for v in value_range)
+    if not high > low:
+        high = low + 1.0 if integer else low + max(abs(low) * 1e-3, np.finfo(np.float32).tiny * 1e4)
+    inside = function.values[(function.values > low) & (function.values < high)]
+    if integer and high - low <= count - 1:
+        per_value = int((count - 1) // (high - low))
+        if not may_warp or np.all(inside * per_value == np.round(inside * per_value)):
+            n = per_value * int(high - low) + 1
+            return ClassNodes(low + np.arange(n) / per_value, low, float(per_value))
+    if not may_warp or inside.size > count // 2:
+        return ClassNodes(np.linspace(low, high, count), low, (count - 1) / (high - low))
+    return _warped(function, low, high, count, integer)
+
+
+def _warped(
+    function: TransferFunction, low: float, high: float, count: int, integer: bool
+) -> ClassNodes:
+    if integer:  # bin edges on integers, so that steps of integer data stay sharp
+        per_bin = max(1.0, np.ceil((high - low) / BINS))
+        per_value = max(1.0, BINS // (high - low)) if per_bin == 1.0 else 1.0 / per_bin
+        bins = int(np.ceil((high - low) * per_value))
+    else:
+        bins, per_value = BINS, BINS / (high - low)
+    edges = low + np.arange(bins + 1) / per_value
+
+    knots, opacities = _knots(function, low, high)
+    lengths = np.diff(knots)
+    # Opacity at both ends of each interval, also of a step, which is an interval of length 0.
+    visible = (np.maximum(opacities[:-1], opacities[1:]) > 0).astype(float)
+    share = _EVEN_SHARE * lengths / (high - low)
+    if visible.any():
+        busy = 0.5 * visible / visible.sum()
+        wide = visible * lengths
+        busy += 0.5 * (wide / wide.sum() if wide.sum() > 0 else visible / visible.sum())
+        share += (1.0 - _EVEN_SHARE) * busy
+    share /= share.sum()
+    spare = count - 1 - lengths.size
+    cells = np.where(lengths > 0, 1 + np.floor(share * spare), 1)
+    at_knots = np.concatenate([[0.0], np.cumsum(cells)])
+
+    # Right-continuous at steps, like the transfer function.
+    k = np.clip(np.searchsorted(knots, edges, side="right") - 1, 0, lengths.size - 1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        w = np.where(lengths[k] > 0, (edges - knots[k]) / lengths[k], 1.0)
+    warp = at_knots[k] + np.clip(w, 0.0, 1.0) * cells[k]
+    warp[0], warp[-1] = 0.0, at_knots[-1]
+    warp = np.maximum.accumulate(warp).astype(np.float32)
+    n = int(at_knots[-1]) + 1
+    # A node's value is the one that the warp maps to it.
+    values = np.interp(np.arange(n), warp.astype(np.float64), edges)
+    return ClassNodes(values, low, float(per_value), warp)
+
+
+def _knots(
+    function: TransferFunction, low: float, high: float
+) -> tuple[np.ndarray, np.ndarray]:
+    inside = (function.values > low) & (function.values < high)
+    ends = function.opacity(np.array([low, high]))
+    knots = np.concatenate([[low], function.values[inside], [high]])
+    return knots, np.concatenate([ends[:1], function.opacities[inside], ends[1:]])
+
+
+def visible_cells(function: TransferFunction, nodes: np.ndarray) -> np.ndarray:
+    """Whether anything between node k and k + 1 (both included) has opacity: bool [n - 1]."""
+    at = function.opacity(nodes) > 0
+    visible = at[:-1] | at[1:]
+    shown = function.values[function.opacities > 0]
+    # A control point with opacity makes the open intervals on both its sides visible.
+    for side in ("left", "right"):
+        k = np.searchsorted(nodes, shown, side=side) - 1
+        k = k[(k >= 0) & (k < visible.size)]
+        visible[k] = True
+    return visible

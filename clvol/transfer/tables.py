@@ -1,0 +1,72 @@
+"""Classification tables, built on the device by cl/preintegrate.cl."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from clvol.opencl.context import DeviceArray, DeviceContext
+from clvol.transfer.function import TransferFunction
+
+SLICES = 4  # lengths h, h/2, h/4, h/8: for the last, shorter piece of each ray
+_ARGUMENTS = "in control {real}, in nodes {real}, in pieces int32, in units {real}, value n int32, " \
+    "out table float32"
+
+
+def preintegrated_table(
+    context: DeviceContext, function: TransferFunction, nodes: np.ndarray, length: float
+) -> DeviceArray:
+    """float32 [SLICES, n + 2, n + 2, 4] for segments of world ``length`` / 2**slice (P4 sec. 8)."""
+    n = nodes.size
+    lengths = length / 2.0 ** np.arange(SLICES)
+    table = context.empty(np.float32, (SLICES, n + 2, n + 2, 4))
+    _build(context, "preintegrate_table", function, nodes, lengths, table, (n + 2, n + 2, SLICES))
+    return table
+
+
+def constant_table(
+    context: DeviceContext,
+    function: TransferFunction,
+    nodes: np.ndarray,
+    length: float,
+    kernel: str = "classify_table",
+) -> DeviceArray:
+    """float32 [n + 2, 4] for segments of constant value: "classify_table" gives their premultiplied
+    colour, "extinction_table" emission and extinction times ``length``."""
+    table = context.empty(np.float32, (nodes.size + 2, 4))
+    _build(context, kernel, function, nodes, np.array([length]), table, (nodes.size + 2,))
+    return table
+
+
+def _build(context, kernel, function, nodes, lengths, table, size) -> None:
+    double = context.has_double
+    real = np.dtype(np.float64 if double else np.float32)
+    control = control_points(function, nodes)
+    pieces = np.searchsorted(control[:, 0], nodes, side="right") - 1
+    build = context.kernel(
+        "preintegrate.cl", kernel, _ARGUMENTS.format(real=real), {"WITH_DOUBLE": double}
+    )
+    build(
+        context.queue,
+        size,
+        None,
+        control=context.upload(control.astype(real)),
+        nodes=context.upload(nodes.astype(real)),
+        pieces=context.upload(pieces.astype(np.int32)),
+        units=context.upload((lengths / function.opacity_unit).astype(real)),
+        n=nodes.size,
+        table=table,
+    )
+
+
+def control_points(function: TransferFunction, nodes: np.ndarray) -> np.ndarray:
+    """Rows (value, opacity, 1 - opacity, red, green, blue), with the end points repeated beyond
+    the first and last node, so that every node lies between two rows."""
+    margin = max(nodes[-1] - nodes[0], 1e-300)
+    ends = []
+    for k, value in ((0, min(nodes[0], function.values[0]) - margin),
+                     (-1, max(nodes[-1], function.values[-1]) + margin)):  # fmt: skip
+        ends.append([value, function.opacities[k], 1.0 - function.opacities[k], *function.colors[k]])
+    body = np.column_stack(
+        [function.values, function.opacities, 1.0 - function.opacities, function.colors]
+    )
+    return np.vstack([ends[:1], body, ends[1:]])
