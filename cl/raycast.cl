@@ -60,19 +60,21 @@ inline void render_packet(__global const uchar *volume, __global const float *ta
 
   while (any(MASK(i <= last))) {
 #if SKIP_EMPTY
-    for (;;) {
-      intN leaps;
-      const floatN until = leap_until(distances, view, TO_FLOAT(i) + offset, &ray, &leaps);
-      /* The last sample inside the empty cube opens the next segment; of midpoints, the first one outside is next. */
-      const intN next = TO_INT(min(max(until + offset, (floatN)0.0f), TO_FLOAT(max(last, (intN)0)) + 1.0f));
-      leaps &= MASK(i <= last) & MASK(next > i);
-      if (!any(leaps)) break;
-      i = select(i, next, leaps);
-      last = select(last, (intN)DONE, leaps & MASK(until >= ray.length));
-#if !MIDPOINTS
-      fresh |= leaps;
+    /* Of midpoints, the first one inside the visible cell is next. Else the last sample before it opens a new segment, and a
+     * segment that is open already begins at sample i - 1. */
+#if MIDPOINTS
+    const floatN from = TO_FLOAT(i) + offset;
+#else
+    const floatN from = TO_FLOAT(i + select((intN)-1, (intN)0, fresh));
 #endif
-    }
+    const floatN visible_at = next_visible(distances, view, from, MASK(i <= last), &ray);
+    const intN next = TO_INT(min(max(visible_at + offset, (floatN)0.0f), TO_FLOAT(max(last, (intN)0)) + 1.0f));
+    const intN leaps = MASK(i <= last) & MASK(next > i);
+    i = select(i, next, leaps);
+    last = select(last, (intN)DONE, leaps & MASK(visible_at >= ray.length));
+#if !MIDPOINTS
+    fresh |= leaps;
+#endif
 #endif
     for (int step = 0; step < MARCH_STEPS; ++step) {
       const intN active = MASK(i <= last);

@@ -9,26 +9,36 @@
 
 #include "rays.h"
 
-/* Margin in steps that absorbs rounding: a leap ends a little before the face of the cube, never after it. */
-#define LEAP_MARGIN 2e-3f
+/* Leaps stop this many steps short of a face, and look beyond it from this many steps behind it: far more than rounding, far
+ * less than shows. */
+#define FACE_MARGIN 2e-3f
 
-/* For each ray at parameter t (in steps): the parameter up to which it runs through cells that are all empty. `empty` tells
- * which lanes stand in an empty cell; the number means nothing for the others. */
-inline floatN leap_until(__global const uchar *distances, __constant const View *view, floatN t, const Rays *ray,
-                         intN *empty)
+/* For each ray at parameter t (in steps): t itself where its cell is visible, else where it first enters a visible cell (a little
+ * before), or a number beyond `length` if it never does. All rays of the packet leap together. */
+inline floatN next_visible(__global const uchar *distances, __constant const View *view, floatN t, intN active,
+                           const Rays *ray)
 {
   const int shift = view->cells.w;
-  const intN zero = 0;
-  const intN cx = clamp(TO_INT(clamp(ray->x0 + t * ray->dx, (floatN)0.0f, (floatN)view->upper.x)) >> shift, zero, (intN)(view->cells.x - 1));
-  const intN cy = clamp(TO_INT(clamp(ray->y0 + t * ray->dy, (floatN)0.0f, (floatN)view->upper.y)) >> shift, zero, (intN)(view->cells.y - 1));
-  const intN cz = clamp(TO_INT(clamp(ray->z0 + t * ray->dz, (floatN)0.0f, (floatN)view->upper.z)) >> shift, zero, (intN)(view->cells.z - 1));
-  const intN D = AS_INT(gather1(distances, (cz * view->cells.y + cy) * view->cells.x + cx) & 255u);
-  *empty = MASK(D > 0);
-  const intN fx = select(cx - D + 1, cx + D, MASK(ray->dx > 0.0f)) << shift;
-  const intN fy = select(cy - D + 1, cy + D, MASK(ray->dy > 0.0f)) << shift;
-  const intN fz = select(cz - D + 1, cz + D, MASK(ray->dz > 0.0f)) << shift;
-  const floatN qx = (TO_FLOAT(fx) - ray->x0) * ray->rx, qy = (TO_FLOAT(fy) - ray->y0) * ray->ry, qz = (TO_FLOAT(fz) - ray->z0) * ray->rz;
-  return min(min(qx, qy), qz) - LEAP_MARGIN;
+  const intN zero = 0, last_x = view->cells.x - 1, last_y = view->cells.y - 1, last_z = view->cells.z - 1;
+  const intN right = MASK(ray->dx > 0.0f), down = MASK(ray->dy > 0.0f), away = MASK(ray->dz > 0.0f);
+  floatN entered = t;
+  for (;;) {
+    const intN cx = min(TO_INT(clamp(ray->x0 + t * ray->dx, (floatN)0.0f, (floatN)view->upper.x)) >> shift, last_x);
+    const intN cy = min(TO_INT(clamp(ray->y0 + t * ray->dy, (floatN)0.0f, (floatN)view->upper.y)) >> shift, last_y);
+    const intN cz = min(TO_INT(clamp(ray->z0 + t * ray->dz, (floatN)0.0f, (floatN)view->upper.z)) >> shift, last_z);
+    const intN D = AS_INT(gather1(distances, (cz * view->cells.y + cy) * view->cells.x + cx) & 255u);
+    active &= MASK(D > zero);
+    if (!any(active)) return entered;
+    const intN fx = select(cx - D + 1, cx + D, right) << shift;
+    const intN fy = select(cy - D + 1, cy + D, down) << shift;
+    const intN fz = select(cz - D + 1, cz + D, away) << shift;
+    const floatN leave = min(min((TO_FLOAT(fx) - ray->x0) * ray->rx, (TO_FLOAT(fy) - ray->y0) * ray->ry),
+                             (TO_FLOAT(fz) - ray->z0) * ray->rz);
+    entered = select(entered, max(leave, t) - FACE_MARGIN, active);
+    t = select(t, max(leave, t) + FACE_MARGIN, active);
+    entered = select(entered, (floatN)INFINITY, active & MASK(t >= ray->length));
+    active &= MASK(t < ray->length);
+  }
 }
 
 #endif
