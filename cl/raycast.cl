@@ -68,7 +68,8 @@ inline void render_packet(__global const uchar *volume, __global const float *ta
     const floatN from = TO_FLOAT(i + select((intN)-1, (intN)0, fresh));
 #endif
     const floatN visible_at = next_visible(distances, view, from, MASK(i <= last), &ray);
-    const intN next = TO_INT(min(max(visible_at + offset, (floatN)0.0f), TO_FLOAT(max(last, (intN)0)) + 1.0f));
+    const floatN finite = min(max(visible_at, (floatN)0.0f), TO_FLOAT(max(last, (intN)0)) + 1.0f);
+    const intN next = TO_INT(MIDPOINTS ? ceil(finite - 0.5f) : finite);
     const intN leaps = MASK(i <= last) & MASK(next > i);
     i = select(i, next, leaps);
     last = select(last, (intN)DONE, leaps & MASK(visible_at >= ray.length));

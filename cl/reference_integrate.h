@@ -10,14 +10,17 @@
  * miss in the identity int tau exp(-D) dt = 1 - exp(-D), which catches a spike that both rules step
  * over. The estimate is weighted by what is left of the light. A piece may miss by the tolerance's
  * share of its length; a thousandth of the tolerance is granted to any piece, since next to a
- * logarithmic singularity (opacity 1) no error proportional to the length can be had. All accepted
- * estimates are summed for the caller.
+ * logarithmic singularity (opacity 1) no error proportional to the length can be had. Where the
+ * rounding of the field's value alone, through a steep or nearly opaque stretch of the transfer
+ * function, makes up the estimate, halving is of no use and is not tried. All accepted estimates are
+ * summed for the caller, and pieces that missed their share are counted.
  */
 #ifndef REFERENCE_INTEGRATE_H
 #define REFERENCE_INTEGRATE_H
 
 #define REFERENCE_MAX_DEPTH 64
-#define REFERENCE_MAX_TRIES 2000000u /* rule evaluations a ray: the bound on its work */
+#define REFERENCE_MAX_SPLITS 200000u /* bisections a ray: the bound on its work */
+#define REFERENCE_ROUNDING 1e-15 /* of the field's value, relative to its largest coefficient */
 #define REFERENCE_LN2 0.693147180559945309
 
 typedef struct {
@@ -28,12 +31,19 @@ typedef struct {
     double error_per_length; /* allowed, world length */
     double error_floor;      /* allowed for any piece */
     double opacity_unit;
-    uint samples, pieces, tries, failed;
+    uint samples, pieces, splits, failed;
 } ReferenceRay;
 
 static inline double reference_error_allowed(const ReferenceRay *ray, double length)
 {
     return fmax(ray->error_per_length * length, ray->error_floor);
+}
+
+static inline int reference_may_split(const ReferenceRay *ray, int top, double a, double middle,
+                                      double b)
+{
+    return top + 1 < REFERENCE_MAX_DEPTH && middle > a && middle < b
+        && ray->splits < REFERENCE_MAX_SPLITS;
 }
 
 static inline void reference_absorb(ReferenceRay *ray, double optical_depth)
@@ -164,6 +174,20 @@ static inline double reference_find_depth(const ReferenceCubic *f, const Referen
     return w;
 }
 
+/* What rounding of the field's value near w does to the optical depth of `amount` opacity units:
+ * d(-log q) = dq / q. */
+static inline double reference_rounding(const ReferenceCubic *f, const ReferenceRegion *region,
+                                        double w, double amount)
+{
+    const double *b = f->bernstein;
+    double value = fmax(fmax(fabs(b[0]), fabs(b[1])), fmax(fabs(b[2]), fabs(b[3])));
+    double place = reference_region_place(region, reference_cubic(f, w));
+    double clearness = (1.0 - place) * region->clearness_0 + place * region->clearness_1;
+    double rounding = fmin(REFERENCE_ROUNDING * value / region->gap, 1.0)
+        * fabs(region->clearness_1 - region->clearness_0);
+    return amount * rounding / fmax(clearness, DBL_MIN);
+}
+
 /* Adds the part [from, to] of a cell's cubic, on which the value stays in one region.
  * t_front, length: world distance of the cubic's 0 and the length of its whole range. */
 static inline void reference_add_smooth(ReferenceRay *ray, const ReferenceCubic *f, double from,
@@ -181,7 +205,6 @@ static inline void reference_add_smooth(ReferenceRay *ray, const ReferenceCubic 
         double error = ray->transmittance
             * reference_rule_K7(f, region, a, b, scale, &optical_depth, &moment);
         ray->samples += 7;
-        ray->tries += 1;
         if (!(error <= allowed)) {
             error = ray->transmittance
                 * reference_rule_K15(f, region, a, b, scale, &optical_depth, &moment);
@@ -189,9 +212,11 @@ static inline void reference_add_smooth(ReferenceRay *ray, const ReferenceCubic 
         }
         if (!(error <= allowed)) {
             double middle = 0.5 * (a + b);
-            if (top + 1 < REFERENCE_MAX_DEPTH && middle > a && middle < b
-                && ray->tries < REFERENCE_MAX_TRIES) {
+            if (reference_may_split(ray, top, a, middle, b)
+                && error > ray->transmittance
+                        * reference_rounding(f, region, middle, scale * (b - a))) {
                 far_end[++top] = middle;
+                ray->splits += 1;
                 continue;
             }
             ray->failed += 1;
@@ -381,12 +406,11 @@ static inline void reference_add_medium(ReferenceRay *ray, const ReferenceMedium
         double error = ray->transmittance
             * reference_rule_medium(medium, a, b, scale, &optical_depth, color);
         ray->samples += 15;
-        ray->tries += 1;
         if (!(error <= allowed)) {
             double middle = 0.5 * (a + b);
-            if (top + 1 < REFERENCE_MAX_DEPTH && middle > a && middle < b
-                && ray->tries < REFERENCE_MAX_TRIES) {
+            if (reference_may_split(ray, top, a, middle, b)) {
                 far_end[++top] = middle;
+                ray->splits += 1;
                 continue;
             }
             ray->failed += 1;
