@@ -1,0 +1,89 @@
+"""``python -m bench``: see the package's docstring."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import sys
+
+from bench.options import Options
+
+NAMES = ("peers", "sampling", "scaling", "startup")
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Runs what is asked for; the exit status is 1 where something of it could not be measured."""
+    parser = argparse.ArgumentParser(prog="bench", description="Measures clvol.")
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(NAMES)}; default: all")
+    parser.add_argument("--list", action="store_true", help="say what there is, and measure nothing")
+    parser.add_argument("--quick", action="store_true", help="small and short, to see that it works")
+    parser.add_argument("--device", metavar="NAME", help="as in `clvol doctor`")
+    parser.add_argument("--sizes", metavar="N,N", default="512,1024", help="picture edges for peers")
+    parser.add_argument("--scenes", metavar="A,B", default="", help="some of the scenes only")
+    parser.add_argument("--frames", type=int, default=9, help="frames a median is taken of, >= 7")
+    asked = parser.parse_args(arguments)
+
+    modules = {name: importlib.import_module(f"bench.{name}") for name in NAMES}
+    from bench.scenes import SCENES
+
+    if asked.list:
+        for name, module in modules.items():
+            print(f"{name:10}{module.SUMMARY}")
+        print("scenes:   " + ", ".join(scene.name for scene in SCENES))
+        return 0
+    try:
+        sizes = tuple(int(size) for size in asked.sizes.split(","))
+    except ValueError:
+        sizes = ()
+    if not sizes or min(sizes) < 16:
+        parser.error(f"--sizes: got {asked.sizes!r}, expected whole numbers from 16, like 512,1024")
+    scenes = tuple(filter(None, asked.scenes.split(",")))
+    for kind, given, known in (
+        ("NAME", asked.names, NAMES), ("--scenes", scenes, [scene.name for scene in SCENES])
+    ):  # fmt: skip
+        unknown = [name for name in given if name not in known]
+        if unknown:
+            parser.error(f"{kind}: got {unknown[0]!r}, expected one of {', '.join(known)}")
+    if asked.frames < 7:
+        parser.error(f"--frames: got {asked.frames}, expected at least 7")
+    options = Options(asked.quick, asked.device, sizes, scenes, asked.frames)
+    return run(options, [n for n in NAMES if n in (asked.names or NAMES)], modules)
+
+
+def run(options: Options, names: list[str], modules: dict) -> int:
+    from bench.report import save, say
+    from clvol.errors import ClvolError
+
+    status = 0
+    for name in names:
+        module = modules[name]
+        say(f"== {name}: {module.SUMMARY}")
+        try:
+            result = module.run(options)
+        except ClvolError as error:
+            say(f"{name}: {error}")
+            result = None
+        if result is None:
+            status = 1
+            continue
+        say("")
+        say(module.show(result))
+        say("")
+        for path in [save(options.folder, name, result), *_charts(module, result, options)]:
+            say(str(path))
+        say("")
+    return status
+
+
+def _charts(module, result, options: Options) -> list:
+    from bench.report import say
+
+    try:
+        return module.draw(result, options)
+    except ImportError as error:
+        say(f"no charts: {error} (pip install matplotlib)")
+        return []
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,187 @@
+"""Charts of the results, as PNG."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+_VTK, _CLVOL, _GOAL = "#8d99a6", "#1667b0", "#c0392b"
+_SHADES = ("#1667b0", "#7fb2e0", "#0b3c6b", "#b9d4ee")
+
+
+def _plt():
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    plt.rcParams.update({
+        "font.size": 10,
+        "axes.spines.top": False,
+        "axes.spines.right": False,
+        "axes.titlesize": 11,
+        "axes.titleweight": "bold",
+        "axes.titlelocation": "left",
+        "legend.frameon": False,
+        "figure.constrained_layout.use": True,
+    })
+    return plt
+
+
+def _save(plt, figure, path: Path, notes: str) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.supxlabel(notes, fontsize=8, color="#666666", x=0.01, ha="left")
+    figure.savefig(path, dpi=150)
+    plt.close(figure)
+    return path
+
+
+def _notes(result: dict[str, Any]) -> str:
+    found = result["machine"]
+    parts = [found["processor"], f"{found['cores']} cores"]
+    if "device" in found:
+        parts.append(found["device"]["platform"])
+    if "vtk" in result:
+        parts.append(f"VTK {result['vtk']}")
+    if found["commit"]:
+        parts.append(f"commit {found['commit']}")
+    return ", ".join(parts) + (", QUICK RUN: no result" if result.get("quick") else "")
+
+
+def ratio_chart(result: dict[str, Any], path: Path) -> Path:
+    """How many times as fast as VTK: at the same step, and at the same error."""
+    plt = _plt()
+    scenes = result["scenes"]
+    names = list(dict.fromkeys(s["scene"] for s in scenes))
+    sizes = sorted({s["size"] for s in scenes})
+    figure, axes = plt.subplots(1, 2, figsize=(10, 1.2 + 0.75 * len(names)), sharey=True)
+    panels = (("ratio", "Same step (1 voxel)", 3.0), ("ratio_at_vtk_error", "Same error", 8.0))
+    thickness = 0.8 / len(sizes)
+    for axis, (key, title, goal) in zip(axes, panels):
+        for j, size in enumerate(sizes):
+            for i, name in enumerate(names):
+                found = [s for s in scenes if s["scene"] == name and s["size"] == size]
+                value = found[0]["headline"][key] if found else None
+                y = i + (j - (len(sizes) - 1) / 2) * thickness
+                label = f"{size} × {size} pixels" if i == 0 else None
+                axis.barh(y, value or 0.0, thickness * 0.92, color=_SHADES[j % 4], label=label)
+                text = "not reached" if found and value is None else f"{value:.1f}" if found else ""
+                if found and key != "ratio" and found[0]["headline"]["clvol_to_vtk_error"][
+                        "kind"] == "at most":
+                    text = "≥ " + text
+                axis.annotate(text, (value or 0.0, y), (3, 0), textcoords="offset points",
+                              va="center", fontsize=8)
+        axis.axvline(goal, color=_GOAL, linewidth=1.2)
+        axis.annotate(f"{goal:g}×", (goal, 1.0), (2, 1), xycoords=("data", "axes fraction"),
+                      textcoords="offset points", color=_GOAL, fontsize=9)
+        axis.set_title(title, pad=14)
+        axis.set_xlabel("VTK's seconds / clvol's")
+        axis.set_xlim(0, None)
+        axis.margins(x=0.12)
+    summaries = {s["scene"]: s["summary"] for s in scenes}
+    axes[0].set_yticks(range(len(names)), [f"{n}\n{summaries[n]}" for n in names])
+    axes[0].invert_yaxis()
+    for axis in axes:
+        axis.tick_params(axis="y", length=0)
+    if len(sizes) > 1:
+        axes[1].legend(loc="lower right", fontsize=9)
+    return _save(plt, figure, path, _notes(result))
+
+
+def error_time_chart(result: dict[str, Any], size: int, path: Path) -> Path:
+    """Error against time over steps, one panel a scene."""
+    plt = _plt()
+    scenes = [s for s in result["scenes"] if s["size"] == size]
+    columns = min(3, len(scenes) + 1)
+    rows = -(-(len(scenes) + 1) // columns)
+    figure, axes = plt.subplots(rows, columns, figsize=(3.9 * columns, 3.2 * rows), squeeze=False)
+    panels = list(axes.flat)
+    for axis, s in zip(panels, scenes):
+        for key, color, marker in (("vtk", _VTK, "s"), ("clvol", _CLVOL, "o")):
+            points = sorted(s[key], key=lambda p: -p["step"])
+            x, y = [p["seconds"] for p in points], [p["rmse"] for p in points]
+            axis.loglog(x, y, color=color, marker=marker, markersize=4.5, linewidth=1.5)
+            for p in points:
+                if p["step"] in (8.0, 2.0, 1.0, 0.1, 0.125):
+                    axis.annotate(f"{p['step']:g}", (p["seconds"], p["rmse"]), (5, 3),
+                                  textcoords="offset points", fontsize=8, color=color)
+        axis.axhline(s["headline"]["vtk_rmse"], color=_VTK, linewidth=0.8, linestyle=":")
+        axis.set_title(f"{s['scene']}: {s['summary']}", fontsize=10)
+        axis.grid(True, which="major", color="#e6e6e6", linewidth=0.6)
+        axis.set_axisbelow(True)
+        axis.set_xlabel("seconds a frame")
+        axis.set_ylabel("RMSE against the exact integral")
+    for axis in panels[len(scenes):]:
+        axis.axis("off")
+    from matplotlib.lines import Line2D
+
+    handles = [
+        Line2D([], [], color=_VTK, marker="s", label=f"VTK {result['vtk']}, fixed-point ray caster"),
+        Line2D([], [], color=_CLVOL, marker="o", label="clvol, pre-integrated"),
+        Line2D([], [], color=_VTK, linestyle=":", label="VTK's error at step 1"),
+        Line2D([], [], linestyle="", label=f"{size} × {size} pixels; numbers: step in voxels"),
+    ]
+    panels[len(scenes)].legend(handles=handles, loc="center left", fontsize=9)
+    return _save(plt, figure, path, _notes(result))
+
+
+def ladder_chart(result: dict[str, Any], path: Path) -> Path:
+    """Nanoseconds a sample and core of the inner loop's parts."""
+    plt = _plt()
+    scenes = result["scenes"]
+    figure, axes = plt.subplots(
+        1, len(scenes), figsize=(1.5 + 4.3 * len(scenes), 2.9), sharey=True, squeeze=False
+    )
+    for axis, s in zip(axes[0], scenes):
+        names = [r["name"] for r in s["rungs"]]
+        values = [r["ns_a_sample_and_core"] for r in s["rungs"]]
+        colors = [_VTK, _SHADES[3], _SHADES[1], _SHADES[0]]
+        axis.barh(range(len(names)), values, 0.7, color=colors)
+        for i, value in enumerate(values):
+            axis.annotate(f"{value:.2f}", (value, i), (3, 0), textcoords="offset points",
+                          va="center", fontsize=9)
+        axis.set_yticks(range(len(names)), names)
+        axis.tick_params(axis="y", length=0)
+        axis.set_title(s["scene"])
+        axis.set_xlabel("ns a sample and core")
+        axis.margins(x=0.15)
+    axes[0][0].invert_yaxis()
+    return _save(plt, figure, path, _notes(result))
+
+
+def scaling_chart(result: dict[str, Any], path: Path) -> Path:
+    """Seconds against samples over two sweeps, and seconds a sample over each."""
+    plt = _plt()
+    figure, (left, right) = plt.subplots(1, 2, figsize=(10, 3.9))
+    sweeps = (("volume", "volume edge, 64 … 512 voxels"), ("image", "image edge, 128 … 2048 pixels"))
+    every: list[Sequence[float]] = []
+    for (key, _), color, marker in zip(sweeps, (_CLVOL, "#d0812a"), "os"):
+        points = result[key]
+        x, y = [p["samples"] for p in points], [p["seconds"] for p in points]
+        every += list(zip(x, y))
+        edges = [p["edge"] for p in points]
+        label = {"volume": "volume edge (voxels)", "image": "image edge (pixels)"}[key]
+        left.loglog(x, y, color=color, marker=marker, label=f"{label} {edges[0]} to {edges[-1]}")
+        right.semilogx(edges, [p["ns_a_sample_and_core"] for p in points], color=color,
+                       marker=marker, label=label, base=2)
+    x = [min(e[0] for e in every), max(e[0] for e in every)]
+    share = sorted(e[1] / e[0] for e in every)[len(every) // 2]
+    left.loglog(x, [v * share for v in x], color="#999999", linewidth=0.9, linestyle="--",
+                label="proportional", zorder=0)
+    left.set_xlabel("samples a frame")
+    left.set_ylabel("seconds a frame")
+    left.set_title("Time against samples")
+    left.legend(fontsize=9)
+    right.set_xlabel("edge")
+    right.set_ylabel("ns a sample and core")
+    right.set_ylim(0, None)
+    right.set_title("Cost of a sample")
+    right.legend(fontsize=9)
+    edges = sorted({p["edge"] for key, _ in sweeps for p in result[key]})
+    right.set_xticks(edges, list(map(str, edges)))
+    right.minorticks_off()
+    for axis in (left, right):
+        axis.grid(True, which="major", color="#e6e6e6", linewidth=0.6)
+        axis.set_axisbelow(True)
+    return _save(plt, figure, path, _notes(result))
