@@ -1,13 +1,17 @@
 """VTK's CPU ray caster on one of our scenes: vtkFixedPointVolumeRayCastMapper.
 
 It is set up to do just what the scene says: fixed sample distance, one ray a pixel, linear
-interpolation, no shading, nothing adjusted to a frame rate. Its picture is 8 bits a channel,
-linear and premultiplied as the mapper made it: window and renderer are transparent black, and no
-gamma is applied anywhere.
+interpolation, no shading, nothing adjusted to a frame rate.
+
+There are two pictures of it, both linear and premultiplied: the rays' own, 15 bits a channel as the
+mapper keeps it, and the window's, 8 bits a channel, into which OpenGL draws the first as a texture.
+In the window, edges are softer: the texture is interpolated, up to half a pixel beside its place.
 """
 
 from __future__ import annotations
 
+import ctypes
+import re
 import time
 from typing import TYPE_CHECKING
 
@@ -116,7 +120,27 @@ class VtkPeer:
         self._actor.VisibilityOn()
         return seconds
 
-    def picture(self) -> np.ndarray:
+    def ray_picture(self) -> np.ndarray:
+        """What the mapper's rays gave: float64 [h, w, 4], linear, premultiplied, row 0 on top, in
+        steps of 1/32767. Render first.
+
+        VTK hands over the address of this picture and nothing else ("_<hex>_p_void").
+        """
+        cast = self.mapper.GetRayCastImage()
+        match = re.fullmatch(r"_([0-9a-f]+)_p_\w+", cast.GetImage() or "")
+        if match is None:
+            raise RuntimeError(f"VTK gives its picture as {cast.GetImage()!r}, not as an address")
+        row, rows = cast.GetImageMemorySize()
+        width, height = cast.GetImageInUseSize()
+        left, bottom = cast.GetImageOrigin()
+        words = (ctypes.c_uint16 * (row * rows * 4)).from_address(int(match[1], 16))
+        used = np.ctypeslib.as_array(words).reshape(rows, row, 4)[:height, :width]
+        columns, lines = cast.GetImageViewportSize()
+        picture = np.zeros((lines, columns, 4))
+        picture[bottom : bottom + height, left : left + width] = used / 32767.0
+        return picture[::-1]
+
+    def window_picture(self) -> np.ndarray:
         """The window as float32 [h, w, 4], linear, premultiplied, row 0 on top. Render first."""
         from vtkmodules.util.numpy_support import vtk_to_numpy
         from vtkmodules.vtkRenderingCore import vtkWindowToImageFilter

@@ -25,7 +25,7 @@
 #error "no gathers for this voxel type"
 #endif
 
-#define L1_WORDS 1024 /* of 4 bytes: 4 KiB, of which each gather of a sample has its own or shares one */
+#define L1_WORDS 1024 /* 4 KiB for each of up to four gathers, 16 KiB in all */
 
 #define RAYS_OF_TILE(BODY)                                                                                \
   const int tile_x = (int)get_global_id(0), tile_y = (int)get_global_id(1);                               \
@@ -65,16 +65,25 @@
     EACH_LANE(k) sums[tile] += total_[k], samples[tile] += taken_[k];                                     \
   }
 
+inline floatN sample_ray(__global const uchar *volume, __constant const View *view, const Rays *ray, floatN t)
+{
+  return sample_volume(volume, view, ray->x0 + t * ray->dx, ray->y0 + t * ray->dy, ray->z0 + t * ray->dz);
+}
+
 __kernel WIDE_VECTORS void sum_samples(__global const uchar *restrict volume, __constant const View *restrict view,
                                        __global float *restrict sums, __global uint *restrict samples)
 {
   floatN sum = 0.0f;
   uintN taken = 0;
-  RAYS_OF_TILE({
-    const floatN x = ray.x0 + t * ray.dx, y = ray.y0 + t * ray.dy, z = ray.z0 + t * ray.dz;
-    sum += select((floatN)0.0f, sample_volume(volume, view, x, y, z), active);
-  })
+  RAYS_OF_TILE(sum += select((floatN)0.0f, sample_ray(volume, view, &ray, t), active);)
   STORE_TOTALS(sum)
+}
+
+inline uintN gathers(__global const uchar *volume, intN at)
+{
+  uintN sum = 0;
+  for (int g = 0; g < GATHERS; ++g) sum += gather4(volume + 4 * L1_WORDS * (g & 3), at);
+  return sum;
 }
 
 /* Offsets that differ from lane to lane and from sample to sample, by one addition and one mask. */
@@ -83,10 +92,6 @@ __kernel WIDE_VECTORS void sum_gathers(__global const uchar *restrict volume, __
 {
   uintN sum = 0, taken = 0;
   const intN first = LANE_INDEX * 37;
-  RAYS_OF_TILE({
-    (void)t;
-    const intN at = (first + i * 11) & (L1_WORDS - 1);
-    for (int g = 0; g < GATHERS; ++g) sum += gather4(volume + 4 * L1_WORDS * (g & 3), at);
-  })
+  RAYS_OF_TILE((void)t; sum += gathers(volume, (first + i * 11) & (L1_WORDS - 1));)
   STORE_TOTALS(TO_FLOAT(AS_INT(sum)))
 }
