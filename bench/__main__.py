@@ -21,6 +21,8 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--sizes", metavar="N,N", default="512,1024", help="picture edges for peers")
     parser.add_argument("--scenes", metavar="A,B", default="", help="some of the scenes only")
     parser.add_argument("--frames", type=int, default=9, help="frames a median is taken of, >= 7")
+    parser.add_argument("--classification", choices=("preintegrated", "post"),
+                        default="preintegrated", help="of clvol, for peers")
     asked = parser.parse_args(arguments)
 
     modules = {name: importlib.import_module(f"bench.{name}") for name in NAMES}
@@ -46,7 +48,8 @@ def main(arguments: list[str] | None = None) -> int:
             parser.error(f"{kind}: got {unknown[0]!r}, expected one of {', '.join(known)}")
     if asked.frames < 7:
         parser.error(f"--frames: got {asked.frames}, expected at least 7")
-    options = Options(asked.quick, asked.device, sizes, scenes, asked.frames)
+    options = Options(asked.quick, asked.device, sizes, scenes, asked.frames,
+                      asked.classification)
     return run(options, [n for n in NAMES if n in (asked.names or NAMES)], modules)
 
 

@@ -56,7 +56,10 @@ def ratio_chart(result: dict[str, Any], path: Path) -> Path:
     names = list(dict.fromkeys(s["scene"] for s in scenes))
     sizes = sorted({s["size"] for s in scenes})
     figure, axes = plt.subplots(1, 2, figsize=(10, 1.2 + 0.75 * len(names)), sharey=True)
-    panels = (("ratio", "Same step (1 voxel)", 3.0), ("ratio_at_vtk_error", "Same error", 8.0))
+    panels = (
+        ("ratio", "Same step (1 voxel)", 3.0),
+        ("ratio_at_vtk_error", "Same error (of VTK's rays at step 1)", 8.0),
+    )
     thickness = 0.8 / len(sizes)
     for axis, (key, title, goal) in zip(axes, panels):
         for j, size in enumerate(sizes):
@@ -106,6 +109,9 @@ def error_time_chart(result: dict[str, Any], size: int, path: Path) -> Path:
                 if p["step"] in (8.0, 2.0, 1.0, 0.1, 0.125):
                     axis.annotate(f"{p['step']:g}", (p["seconds"], p["rmse"]), (5, 3),
                                   textcoords="offset points", fontsize=8, color=color)
+        points = sorted(s["vtk"], key=lambda p: -p["step"])
+        axis.loglog([p["seconds"] for p in points], [p["window_rmse"] for p in points], color=_VTK,
+                    marker="s", markersize=3.5, markerfacecolor="white", linewidth=0.9, alpha=0.8)
         axis.axhline(s["headline"]["vtk_rmse"], color=_VTK, linewidth=0.8, linestyle=":")
         axis.set_title(f"{s['scene']}: {s['summary']}", fontsize=10)
         axis.grid(True, which="major", color="#e6e6e6", linewidth=0.6)
@@ -118,8 +124,10 @@ def error_time_chart(result: dict[str, Any], size: int, path: Path) -> Path:
 
     handles = [
         Line2D([], [], color=_VTK, marker="s", label=f"VTK {result['vtk']}, fixed-point ray caster"),
-        Line2D([], [], color=_CLVOL, marker="o", label="clvol, pre-integrated"),
-        Line2D([], [], color=_VTK, linestyle=":", label="VTK's error at step 1"),
+        Line2D([], [], color=_VTK, marker="s", markerfacecolor="white", linewidth=0.9,
+               label="the same, as drawn in its window"),
+        Line2D([], [], color=_CLVOL, marker="o", label=f"clvol, {result['classification']}"),
+        Line2D([], [], color=_VTK, linestyle=":", label="error of VTK's rays at step 1"),
         Line2D([], [], linestyle="", label=f"{size} × {size} pixels; numbers: step in voxels"),
     ]
     panels[len(scenes)].legend(handles=handles, loc="center left", fontsize=9)

@@ -17,6 +17,7 @@ class Options:
     sizes: tuple[int, ...] = (512, 1024)
     scenes: tuple[str, ...] = field(default=())
     frames: int = 9
+    classification: str = "preintegrated"
 
     @property
     def folder(self) -> Path:

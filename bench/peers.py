@@ -8,7 +8,9 @@ What is counted
   VTK    the smaller of two medians: the window's Render() less that of an empty window, and the
          mapper's own TimeToDraw (rays and drawing into the window)
 Both have as many threads: the OpenCL device's compute units if it is a CPU, else the machine's cores.
-Errors are RMSE over pixels and RGBA, linear and premultiplied, against the exact integral.
+Errors are RMSE over pixels and RGBA, linear and premultiplied, against the exact integral. VTK has
+two pictures (see vtk_peer.py), and so two errors: that of its rays, which counts as VTK's error unless
+said otherwise, and that of its window. The goals are held against both.
 """
 
 from __future__ import annotations
@@ -53,6 +55,7 @@ def run(options: Options) -> dict[str, Any] | None:
         "machine": machine(device),
         "vtk": version,
         "threads": threads,
+        "classification": options.classification,
         "load_before": load_average(),
         "quick": options.quick,
         "missing": [],
@@ -74,7 +77,8 @@ def run(options: Options) -> dict[str, Any] | None:
     if not result["scenes"]:
         say("peers: no scene could be measured")
         return None
-    result["overall"] = overall(result["scenes"])
+    result["overall"] = overall([s["headline"] for s in result["scenes"]])
+    result["overall_window"] = overall([s["headline_window"] for s in result["scenes"]])
     return result
 
 
@@ -97,6 +101,7 @@ def _compare(
     if options.quick:
         vtk_steps, clvol_steps, frames = QUICK["vtk"], QUICK["clvol"], QUICK["frames"]
     begun = time.perf_counter()
+    integration = {"classification": options.classification}
     resolved = scene.scene(volume, size).resolve()
     most = size * size if size <= WHOLE_SIZE else RANDOM_PIXELS
     exact = exact_picture(
@@ -107,7 +112,9 @@ def _compare(
     with contextlib.ExitStack() as stack:
         peer = stack.enter_context(contextlib.closing(VtkPeer(resolved, threads)))
         renderers = {
-            step: stack.enter_context(Renderer(scene.scene(volume, size, step=step), [device]))
+            step: stack.enter_context(
+                Renderer(scene.scene(volume, size, step=step, **integration), [device])
+            )
             for step in clvol_steps
         }
         points = {("vtk", step): {"step": step} for step in vtk_steps}
@@ -116,7 +123,10 @@ def _compare(
         for key, point in points.items():  # compiles, warms up, and is what errors are taken of
             if key[0] == "vtk":
                 peer.render(key[1])
-                picture = peer.picture()
+                picture, window = peer.ray_picture(), peer.window_picture()
+                point["window_rmse"] = exact.rmse(window)
+                if key[1] == 1.0:
+                    pictures["window", 1.0] = window
             else:
                 frame = renderers[key[1]].render()
                 picture = frame.rgba
@@ -152,6 +162,9 @@ def _compare(
                 points[key]["seconds"] = min(window, mapper)
         finest = pictures["vtk", min(vtk_steps)]
         align = alignment(resolved, finest, device)
+        align["window_against_rays"] = float(
+            np.sqrt(np.mean((pictures["window", 1.0] - pictures["vtk", 1.0]) ** 2))
+        )
     measured = {
         "scene": scene.name,
         "summary": scene.summary,
@@ -164,6 +177,8 @@ def _compare(
         "clvol": [points["clvol", step] for step in clvol_steps],
     }
     measured["headline"] = headline(measured["vtk"], measured["clvol"])
+    of_window = [{**p, "rmse": p["window_rmse"]} for p in measured["vtk"]]
+    measured["headline_window"] = headline(of_window, measured["clvol"])
     _save_pictures(scene, size, pictures, options)
     h = measured["headline"]
     say(f"{scene.name} {size}: VTK {h['vtk_seconds']:.4f} s, clvol {h['clvol_seconds']:.4f} s,"
@@ -195,14 +210,13 @@ def headline(vtk: list[dict], clvol: list[dict]) -> dict[str, Any]:
     }
 
 
-def overall(scenes: list[dict]) -> dict[str, Any]:
-    """All scenes and sizes together, against the goals."""
-    heads = [s["headline"] for s in scenes]
+def overall(heads: list[dict]) -> dict[str, Any]:
+    """What ``headline`` says of each picture, all together."""
     ratios = [h["ratio"] for h in heads]
     same = [h["ratio_at_vtk_error"] for h in heads]
     reached = [r for r in same if r is not None]
     return {
-        "pictures": len(scenes),
+        "pictures": len(heads),
         "least_ratio": min(ratios),
         "mean_ratio": geometric_mean(ratios),
         "least_ratio_at_vtk_error": min(reached) if len(reached) == len(same) else None,
@@ -266,10 +280,10 @@ def alignment(resolved: ResolvedScene, picture: np.ndarray, device: Any) -> dict
 
 
 def _save_pictures(scene: BenchScene, size: int, pictures: dict, options: Options) -> None:
-    """What was compared, to be looked at: VTK and clvol at step 1, side by side, over black."""
+    """What was compared, to be looked at: VTK's rays, VTK's window and clvol, step 1, over black."""
     from PIL import Image
 
-    pair = np.concatenate([pictures[name, 1.0][..., :3] for name in ("vtk", "clvol")], axis=1)
+    pair = np.concatenate([pictures[name, 1.0][..., :3] for name in ("vtk", "window", "clvol")], axis=1)
     linear = np.clip(pair, 0.0, 1.0)
     shown = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
     folder = options.folder / "pictures"
@@ -278,57 +292,64 @@ def _save_pictures(scene: BenchScene, size: int, pictures: dict, options: Option
 
 
 def show(result: dict[str, Any]) -> str:
-    rows = []
+    frames, errors = [], []
     for s in result["scenes"]:
-        h = s["headline"]
-        ours, theirs = h["clvol_to_vtk_error"], h["vtk_to_clvol_error"]
-        rows.append([
-            s["scene"],
-            s["size"],
-            f"{h['vtk_seconds']:.4f}",
-            f"{h['clvol_seconds']:.4f}",
-            f"{h['ratio']:.2f}",
-            f"{h['vtk_rmse']:.5f}",
-            f"{h['clvol_rmse']:.5f}",
-            _seconds(ours),
-            _times(h["ratio_at_vtk_error"], ours, ">="),
-            _seconds(theirs),
-            _times(h["ratio_at_clvol_error"], theirs, "<="),
-        ])
-    head = ["scene", "size", "VTK s", "clvol s", "ratio", "RMSE VTK", "RMSE clvol",
-            "clvol s to VTK's", "ratio", "VTK s to clvol's", "ratio"]
-    o = result["overall"]
+        rays, window = s["headline"], s["headline_window"]
+        frames.append([
+            s["scene"], s["size"], f"{rays['vtk_seconds']:.4f}", f"{rays['clvol_seconds']:.4f}",
+            f"{rays['ratio']:.2f}", f"{rays['vtk_rmse']:.5f}", f"{window['vtk_rmse']:.5f}",
+            f"{rays['clvol_rmse']:.5f}",
+        ])  # fmt: skip
+        row = [s["scene"], s["size"]]
+        for h in (rays, window):
+            ours = h["clvol_to_vtk_error"]
+            row += [_seconds(ours), _times(h["ratio_at_vtk_error"], ours, ">=")]
+        for h in (rays, window):
+            theirs = h["vtk_to_clvol_error"]
+            row += [_seconds(theirs), _times(h["ratio_at_clvol_error"], theirs, "<=")]
+        errors.append(row)
+    head = ["scene", "size", "VTK s", "clvol s", "ratio", "RMSE VTK", "its window", "clvol"]
     lines = [
-        "Step 1, no shading; then the seconds each needs for the other's step-1 error.",
-        table(head, rows),
+        f"Step 1, no shading, clvol {result['classification']}; ratios are VTK's seconds over clvol's.",
+        table(head, frames),
         "",
-        f"step 1: least ratio {o['least_ratio']:.2f} (goal {FASTER_GOAL:g}),"
-        f" geometric mean {o['mean_ratio']:.2f} (goal {MEAN_GOAL:g}) of {o['pictures']} pictures;"
-        f" error lower on every one: {'yes' if o['always_lower_error'] else 'NO'}",
+        "Seconds that clvol needs for VTK's step-1 error, and VTK for clvol's (VTK's rays, its window).",
+        table(["scene", "size", "clvol: rays", "ratio", "window", "ratio",
+               "VTK: rays", "ratio", "window", "ratio"], errors),
+        "",
+        *_against_goals(result),
     ]
-    if o["least_ratio_at_vtk_error"] is None:
-        lines.append("at VTK's step-1 error: not reached on every scene")
-    else:
-        lines.append(
-            f"at VTK's step-1 error: least ratio {o['least_ratio_at_vtk_error']:.2f}"
-            f" (goal {SAME_ERROR_GOAL:g}), geometric mean {o['mean_ratio_at_vtk_error']:.2f}"
-        )
+    first = [p["time"] for s in result["scenes"] for k in ("vtk", "clvol") for p in s[k]
+             if p["step"] == 1.0]
     offsets = np.abs([s["alignment"]["offset_estimate"] for s in result["scenes"]]).max()
-    frames = min(p["time"]["frames"] for s in result["scenes"] for k in ("vtk", "clvol")
-                 for p in s[k] if p["step"] == 1.0)
-    spread = max(p["time"]["spread"] for s in result["scenes"] for k in ("vtk", "clvol")
-                 for p in s[k] if p["step"] == 1.0)
     lines += [
-        f"medians of at least {frames} frames, taking turns; largest interquartile range at step 1"
-        f" {spread:.0%} of the median; load average {result['load_before']} to"
-        f" {result['load_after']}, {result['machine']['cores']} cores",
-        f"pictures agree in place within {offsets:.2f} pixels (estimated)",
+        f"medians of at least {min(t['frames'] for t in first)} frames, taking turns; largest"
+        f" interquartile range at step 1 {max(t['spread'] for t in first):.0%} of the median;"
+        f" load average {result['load_before']} to {result['load_after']},"
+        f" {result['machine']['cores']} cores",
+        f"VTK's rays go where clvol's do within {offsets:.2f} pixels (estimated)",
     ]
     if result["missing"]:
         lines.append(f"left out, no volume: {', '.join(result['missing'])}")
     if result["quick"]:
         lines.append("This was a quick run at a small size: no figure of it is a result.")
     return "\n".join(lines)
+
+
+def _against_goals(result: dict[str, Any]) -> list[str]:
+    rays, window = result["overall"], result["overall_window"]
+    lines = [
+        f"step 1: least ratio {rays['least_ratio']:.2f} (goal {FASTER_GOAL:g}), geometric mean"
+        f" {rays['mean_ratio']:.2f} (goal {MEAN_GOAL:g}), {rays['pictures']} pictures"
+    ]
+    for name, o in (("rays", rays), ("window", window)):
+        least, mean = o["least_ratio_at_vtk_error"], o["mean_ratio_at_vtk_error"]
+        times = "not reached on every scene" if least is None else (
+            f"least ratio {least:.2f} (goal {SAME_ERROR_GOAL:g}), geometric mean {mean:.2f}"
+        )
+        lower = "on every picture" if o["always_lower_error"] else "NOT on every picture"
+        lines.append(f"at the step-1 error of VTK's {name}: {times}; clvol's error is lower {lower}")
+    return lines
 
 
 def _seconds(reached: dict[str, Any]) -> str:
