@@ -14,11 +14,11 @@ NAMES = ("peers", "sampling", "scaling", "startup")
 def main(arguments: list[str] | None = None) -> int:
     """Runs what is asked for; the exit status is 1 where something of it could not be measured."""
     parser = argparse.ArgumentParser(prog="bench", description="Measures clvol.")
-    parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(NAMES)}; default: all")
-    parser.add_argument("--list", action="store_true", help="say what there is, and measure nothing")
-    parser.add_argument("--quick", action="store_true", help="small and short, to see that it works")
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"{', '.join(NAMES)}; or all")
+    parser.add_argument("--list", action="store_true", help="say what there is; measure nothing")
+    parser.add_argument("--quick", action="store_true", help="small, to see that it works")
     parser.add_argument("--device", metavar="NAME", help="as in `clvol doctor`")
-    parser.add_argument("--sizes", metavar="N,N", default="512,1024", help="picture edges for peers")
+    parser.add_argument("--sizes", metavar="N,N", default="512,1024", help="edges, for peers")
     parser.add_argument("--scenes", metavar="A,B", default="", help="some of the scenes only")
     parser.add_argument("--frames", type=int, default=9, help="frames a median is taken of, >= 7")
     parser.add_argument("--classification", choices=("preintegrated", "post"),

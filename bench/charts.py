@@ -37,6 +37,22 @@ def _save(plt, figure, path: Path, notes: str) -> Path:
     return path
 
 
+def _plain_log(axis, *, x: bool = True, y: bool = True) -> None:
+    """Ticks at 1, 2, 5 of each decade where there are few, written as numbers; powers elsewhere."""
+    from matplotlib.ticker import FuncFormatter, LogFormatterSciNotation, LogLocator, NullFormatter
+
+    for wanted, one, limits in ((x, axis.xaxis, axis.get_xlim()), (y, axis.yaxis, axis.get_ylim())):
+        if not wanted:
+            continue
+        few = limits[1] / limits[0] < 30
+        one.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if few else (1.0,)))
+        small = 1e-3 <= limits[0] and limits[1] < 1e5
+        one.set_major_formatter(
+            FuncFormatter(lambda v, _: f"{v:g}") if small else LogFormatterSciNotation()
+        )
+        one.set_minor_formatter(NullFormatter())
+
+
 def _notes(result: dict[str, Any]) -> str:
     found = result["machine"]
     parts = [found["processor"], f"{found['cores']} cores"]
@@ -103,32 +119,35 @@ def error_time_chart(result: dict[str, Any], size: int, path: Path) -> Path:
     for axis, s in zip(panels, scenes):
         for key, color, marker in (("vtk", _VTK, "s"), ("clvol", _CLVOL, "o")):
             points = sorted(s[key], key=lambda p: -p["step"])
-            x, y = [p["seconds"] for p in points], [p["rmse"] for p in points]
+            x, y = [1e3 * p["seconds"] for p in points], [p["rmse"] for p in points]
             axis.loglog(x, y, color=color, marker=marker, markersize=4.5, linewidth=1.5)
             for p in points:
                 if p["step"] in (8.0, 2.0, 1.0, 0.1, 0.125):
-                    axis.annotate(f"{p['step']:g}", (p["seconds"], p["rmse"]), (5, 3),
+                    axis.annotate(f"{p['step']:g}", (1e3 * p["seconds"], p["rmse"]), (5, 3),
                                   textcoords="offset points", fontsize=8, color=color)
         points = sorted(s["vtk"], key=lambda p: -p["step"])
-        axis.loglog([p["seconds"] for p in points], [p["window_rmse"] for p in points], color=_VTK,
-                    marker="s", markersize=3.5, markerfacecolor="white", linewidth=0.9, alpha=0.8)
+        x, y = [1e3 * p["seconds"] for p in points], [p["window_rmse"] for p in points]
+        axis.loglog(x, y, color=_VTK, marker="s", markersize=3.5, markerfacecolor="white",
+                    linewidth=0.9, alpha=0.8)
         axis.axhline(s["headline"]["vtk_rmse"], color=_VTK, linewidth=0.8, linestyle=":")
         axis.set_title(f"{s['scene']}: {s['summary']}", fontsize=10)
         axis.grid(True, which="major", color="#e6e6e6", linewidth=0.6)
         axis.set_axisbelow(True)
-        axis.set_xlabel("seconds a frame")
-        axis.set_ylabel("RMSE against the exact integral")
+        axis.set_xlabel("milliseconds a frame")
+        axis.set_ylabel("RMSE")
+        _plain_log(axis)
     for axis in panels[len(scenes):]:
         axis.axis("off")
     from matplotlib.lines import Line2D
 
     handles = [
-        Line2D([], [], color=_VTK, marker="s", label=f"VTK {result['vtk']}, fixed-point ray caster"),
+        Line2D([], [], color=_VTK, marker="s", label=f"VTK {result['vtk']}, fixed-point ray cast"),
         Line2D([], [], color=_VTK, marker="s", markerfacecolor="white", linewidth=0.9,
                label="the same, as drawn in its window"),
         Line2D([], [], color=_CLVOL, marker="o", label=f"clvol, {result['classification']}"),
         Line2D([], [], color=_VTK, linestyle=":", label="error of VTK's rays at step 1"),
         Line2D([], [], linestyle="", label=f"{size} × {size} pixels; numbers: step in voxels"),
+        Line2D([], [], linestyle="", label="RMSE of linear RGBA against the exact integral"),
     ]
     panels[len(scenes)].legend(handles=handles, loc="center left", fontsize=9)
     return _save(plt, figure, path, _notes(result))
@@ -162,14 +181,14 @@ def scaling_chart(result: dict[str, Any], path: Path) -> Path:
     """Seconds against samples over two sweeps, and seconds a sample over each."""
     plt = _plt()
     figure, (left, right) = plt.subplots(1, 2, figsize=(10, 3.9))
-    sweeps = (("volume", "volume edge, 64 … 512 voxels"), ("image", "image edge, 128 … 2048 pixels"))
+    labels = {"volume": "volume edge (voxels)", "image": "image edge (pixels)"}
     every: list[Sequence[float]] = []
-    for (key, _), color, marker in zip(sweeps, (_CLVOL, "#d0812a"), "os"):
+    for key, color, marker in zip(labels, (_CLVOL, "#d0812a"), "os"):
         points = result[key]
-        x, y = [p["samples"] for p in points], [p["seconds"] for p in points]
+        x, y = [p["samples"] / 1e6 for p in points], [p["seconds"] for p in points]
         every += list(zip(x, y))
         edges = [p["edge"] for p in points]
-        label = {"volume": "volume edge (voxels)", "image": "image edge (pixels)"}[key]
+        label = labels[key]
         left.loglog(x, y, color=color, marker=marker, label=f"{label} {edges[0]} to {edges[-1]}")
         right.semilogx(edges, [p["ns_a_sample_and_core"] for p in points], color=color,
                        marker=marker, label=label, base=2)
@@ -177,7 +196,8 @@ def scaling_chart(result: dict[str, Any], path: Path) -> Path:
     share = sorted(e[1] / e[0] for e in every)[len(every) // 2]
     left.loglog(x, [v * share for v in x], color="#999999", linewidth=0.9, linestyle="--",
                 label="proportional", zorder=0)
-    left.set_xlabel("samples a frame")
+    _plain_log(left)
+    left.set_xlabel("million samples a frame")
     left.set_ylabel("seconds a frame")
     left.set_title("Time against samples")
     left.legend(fontsize=9)
@@ -186,7 +206,7 @@ def scaling_chart(result: dict[str, Any], path: Path) -> Path:
     right.set_ylim(0, None)
     right.set_title("Cost of a sample")
     right.legend(fontsize=9)
-    edges = sorted({p["edge"] for key, _ in sweeps for p in result[key]})
+    edges = sorted({p["edge"] for key in labels for p in result[key]})
     right.set_xticks(edges, list(map(str, edges)))
     right.minorticks_off()
     for axis in (left, right):

@@ -1,4 +1,4 @@
-"""Runs a command and prints its wall time and peak memory as JSON: a small program of its own, since
+"""Runs a command and prints its wall time and peak memory as JSON. A small program of its own:
 a process counts the memory of whoever started it until it has replaced itself."""
 
 import json

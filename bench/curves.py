@@ -22,7 +22,7 @@ class Reach:
 
 
 def lower_envelope(points: Iterable[tuple[float, float]]) -> list[tuple[float, float]]:
-    """Of (seconds, error): those that no other point beats in both, by rising time, falling error."""
+    """Of (seconds, error): those that no other beats in both, by rising time and falling error."""
     envelope: list[tuple[float, float]] = []
     for seconds, error in sorted(points):
         if not envelope or error < envelope[-1][1]:

@@ -30,8 +30,8 @@ def take_turns(
 ) -> dict[Any, dict[str, Any]]:
     """Calls each candidate once a round; it returns its own seconds. The caller has warmed up.
 
-    A candidate slower than ``slow_seconds`` is called in the first FEWEST_FRAMES rounds only, unless
-    it is in ``never_slow``. Returns ``summary`` of each.
+    A candidate slower than ``slow_seconds`` is called in the first FEWEST_FRAMES rounds only,
+    unless it is in ``never_slow``. Returns ``summary`` of each.
     """
     seconds: dict[Any, list[float]] = {key: [] for key in candidates}
     for _ in range(rounds):

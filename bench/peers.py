@@ -1,4 +1,4 @@
-"""The same scenes with VTK's CPU ray caster and with clvol, in one run, taking turns frame by frame.
+"""The same scenes with VTK's CPU ray caster and with clvol, in one run, frame by frame in turns.
 
 Per scene and size: seconds of a frame at step 1, error of the picture, and the time that each needs
 for the other's error, from curves of error against time over several steps.
@@ -7,10 +7,10 @@ What is counted
   clvol  frame.stats["seconds"]["render"]: kernels and the transfer of the picture to the host
   VTK    the smaller of two medians: the window's Render() less that of an empty window, and the
          mapper's own TimeToDraw (rays and drawing into the window)
-Both have as many threads: the OpenCL device's compute units if it is a CPU, else the machine's cores.
+Both have as many threads: the OpenCL device's compute units if it is a CPU, else all cores.
 Errors are RMSE over pixels and RGBA, linear and premultiplied, against the exact integral. VTK has
-two pictures (see vtk_peer.py), and so two errors: that of its rays, which counts as VTK's error unless
-said otherwise, and that of its window. The goals are held against both.
+two pictures (see vtk_peer.py), and so two errors: that of its rays, which counts as VTK's error
+unless said otherwise, and that of its window. The goals are held against both.
 """
 
 from __future__ import annotations
@@ -280,11 +280,11 @@ def alignment(resolved: ResolvedScene, picture: np.ndarray, device: Any) -> dict
 
 
 def _save_pictures(scene: BenchScene, size: int, pictures: dict, options: Options) -> None:
-    """What was compared, to be looked at: VTK's rays, VTK's window and clvol, step 1, over black."""
+    """What was compared, to be looked at: VTK's rays, its window and clvol, step 1, over black."""
     from PIL import Image
 
-    pair = np.concatenate([pictures[name, 1.0][..., :3] for name in ("vtk", "window", "clvol")], axis=1)
-    linear = np.clip(pair, 0.0, 1.0)
+    beside = [pictures[name, 1.0][..., :3] for name in ("vtk", "window", "clvol")]
+    linear = np.clip(np.concatenate(beside, axis=1), 0.0, 1.0)
     shown = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
     folder = options.folder / "pictures"
     folder.mkdir(parents=True, exist_ok=True)
@@ -310,10 +310,11 @@ def show(result: dict[str, Any]) -> str:
         errors.append(row)
     head = ["scene", "size", "VTK s", "clvol s", "ratio", "RMSE VTK", "its window", "clvol"]
     lines = [
-        f"Step 1, no shading, clvol {result['classification']}; ratios are VTK's seconds over clvol's.",
+        f"Step 1, no shading, clvol {result['classification']}; ratio: VTK's seconds over clvol's.",
         table(head, frames),
         "",
-        "Seconds that clvol needs for VTK's step-1 error, and VTK for clvol's (VTK's rays, its window).",
+        "Seconds that clvol needs for VTK's step-1 error (of its rays, of its window), and VTK for"
+        " clvol's.",
         table(["scene", "size", "clvol: rays", "ratio", "window", "ratio",
                "VTK: rays", "ratio", "window", "ratio"], errors),
         "",
@@ -348,7 +349,7 @@ def _against_goals(result: dict[str, Any]) -> list[str]:
             f"least ratio {least:.2f} (goal {SAME_ERROR_GOAL:g}), geometric mean {mean:.2f}"
         )
         lower = "on every picture" if o["always_lower_error"] else "NOT on every picture"
-        lines.append(f"at the step-1 error of VTK's {name}: {times}; clvol's error is lower {lower}")
+        lines.append(f"at the step-1 error of VTK's {name}: {times}; clvol's is lower {lower}")
     return lines
 
 

@@ -1,4 +1,4 @@
-"""How results look: tables on the terminal, JSON beside the charts, and what they were measured on."""
+"""How results look: tables on the terminal, JSON, and what they were measured on."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ def table(head: Sequence[str], rows: Sequence[Sequence[Any]], left: int = 1) -> 
     cells = [list(map(str, row)) for row in (head, *rows)]
     widths = [max(len(row[i]) for row in cells) for i in range(len(head))]
     lines = [
-        "  ".join(c.ljust(w) if i < left else c.rjust(w) for i, (c, w) in enumerate(zip(row, widths)))
-        for row in cells
+        "  ".join(c.ljust(w) if i < left else c.rjust(w) for i, (c, w) in enumerate(pairs))
+        for pairs in ([*zip(row, widths)] for row in cells)
     ]
     return "\n".join(line.rstrip() for line in (lines[0], "-" * len(lines[0]), *lines[1:]))
 
@@ -84,7 +84,7 @@ def _commit() -> str | None:
     try:
         commit, changes = (
             subprocess.run(
-                ["git", *arguments], cwd=_ROOT, capture_output=True, text=True, check=True, timeout=10
+                ["git", *arguments], cwd=_ROOT, capture_output=True, text=True, check=True
             ).stdout.strip()
             for arguments in (
                 ("rev-parse", "--short", "HEAD"),

@@ -4,9 +4,9 @@ The same rays and the same number of samples, from the least to all of the work:
   gathers alone     the gathers that a sample needs, from 16 KiB (L1), and one addition each
   sampling in L1    trilinear sampling in full, but every address within a few bytes of the first
   sampling          trilinear sampling of the volume, summed
-  ray caster        all of it: classification, compositing and the transfer; no skipping, no stopping
-and the ray caster as it is used, which skips and stops. Nanoseconds a sample and core: seconds times
-compute units over samples.
+  ray caster        classification, compositing and the transfer too; no skipping, no stopping
+and the ray caster as it is used, which skips and stops. Nanoseconds a sample and core: seconds
+times compute units over samples.
 """
 
 from __future__ import annotations
@@ -143,7 +143,8 @@ def show(result: dict[str, Any]) -> str:
             ns = r["ns_a_sample_and_core"]
             rows.append([
                 s["scene"], "ray caster as used" if r is s["as_used"] else r["name"],
-                f"{r['samples'] / 1e6:.2f}", f"{r['seconds']:.4f}", f"{ns:.2f}", f"{ns / limit:.1f}",
+                f"{r['samples'] / 1e6:.2f}", f"{r['seconds']:.4f}", f"{ns:.2f}",
+                f"{ns / limit:.1f}",
             ])  # fmt: skip
     head = ["scene", "work", "million samples", "seconds", "ns a sample and core", "x gathers"]
     return "\n".join([

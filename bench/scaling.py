@@ -1,7 +1,7 @@
 """How cost grows: the time of a frame against the samples it takes.
 
 A smooth procedural field, translucent everywhere, so that nothing can be skipped and no ray stops:
-volumes of 64³ to 512³ at 512 x 512 pixels, and pictures of 128² to 2048² of the volume of 256³. The
+volumes of 64³ to 512³ at 512² pixels, and pictures of 128² to 2048² of the volume of 256³. The
 opacity unit grows with the volume, so that all pictures look alike.
 """
 
@@ -64,7 +64,9 @@ def _frame(volume, size: int, device, rounds: int) -> dict[str, Any]:
     from clvol import Renderer, Scene
 
     edge = volume.shape[0]
-    points = ((0.0, 0.2, (0.1, 0.2, 0.8)), (127.0, 0.5, (0.2, 0.8, 0.3)), (255.0, 0.8, (1.0, 0.4, 0.1)))
+    points = (
+        (0.0, 0.2, (0.1, 0.2, 0.8)), (127.0, 0.5, (0.2, 0.8, 0.3)), (255.0, 0.8, (1.0, 0.4, 0.1)),
+    )  # fmt: skip
     scene = Scene(
         volume=volume,
         camera=camera(volume),

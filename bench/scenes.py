@@ -1,4 +1,4 @@
-"""The five scenes that clvol is measured on: real volumes, each with another kind of transfer function.
+"""The five scenes that clvol is measured on: real volumes and all kinds of transfer functions.
 
 Volumes are placed with their spacing alone (no origin, no direction), so that a peer needs no more
 than that to see the same world. Colours are linear light.

@@ -1,8 +1,9 @@
-"""Whole processes: how long ``clvol --help`` and a warm ``clvol render`` take, and the memory at peak.
+"""Whole processes: how long ``clvol --help`` and a warm ``clvol render`` take, and peak memory.
 
-Each command runs as a user would run it, in a process of its own; a small process that loads nothing
-else starts it and asks the system for its wall time and the largest resident size (a child's size
-includes its parent's at the fork, so the parent has to be small). One run before is not counted.
+Each command runs as a user would run it, in a process of its own; a small process that loads
+nothing else starts it and asks the system for its wall time and the largest resident size (a
+child's size includes its parent's at the fork, so the parent has to be small). One run
+before is not counted.
 """
 
 from __future__ import annotations
@@ -46,7 +47,8 @@ def run(options: Options) -> dict[str, Any] | None:
         else:
             say("startup: left out, there is no volume chest.nrrd in ../shared/volumes")
         result: dict[str, Any] = {
-            "machine": machine(), "load_before": load_average(), "quick": options.quick, "cases": [],
+            "machine": machine(), "load_before": load_average(), "quick": options.quick,
+            "cases": [],
         }  # fmt: skip
         for name, command, volume, goal, count in cases:
             measured = _measure(name, command, volume, goal, count)
@@ -104,7 +106,8 @@ def show(result: dict[str, Any]) -> str:
             "" if least is None else f"{least / 1e6:.0f}",
             "" if least is None else f"< {MEMORY_GOAL / 1e6:.0f}",
         ])
-    head = ["process", "median s", "range", "goal", "first s", "peak MB", "volume MB", "beyond", "goal"]
+    head = ["process", "median s", "range", "goal", "first s", "peak MB", "volume MB", "beyond",
+            "goal"]
     frames = ", ".join(str(c["time"]["frames"]) for c in result["cases"])
     return "\n".join([
         table(head, rows),

@@ -103,8 +103,8 @@ class VtkPeer:
     def render(self, step: float) -> tuple[float, float]:
         """Draws with samples every ``step`` smallest voxel edges.
 
-        Returns wall seconds of the window's Render() and the mapper's own seconds, as VTK takes them
-        (casting the rays and drawing their picture into the window).
+        Returns wall seconds of the window's Render(), and the mapper's own seconds as VTK takes
+        them (casting the rays and drawing their picture into the window).
         """
         self.mapper.SetSampleDistance(step * self._edge)
         start = time.perf_counter()
