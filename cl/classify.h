@@ -102,8 +102,8 @@ inline void composite_segment(Accumulator *acc, ClassCoordinate front, ClassCoor
 #endif
 }
 
-/* The last, shorter segment of each ray in `active`, from the shortest slice of the table that holds it. Slice k is for
- * segments of length h / 2^k. */
+/* The last, shorter segment of each ray in `active`, from the shortest slice of the table that holds it: slice 1 + k has mean
+ * colours and optical depths of segments of length h / 2^k. */
 inline void composite_tail(Accumulator *acc, ClassCoordinate front, ClassCoordinate back, floatN length_in_steps,
                            floatN transmittance, intN active, __global const float *table, __constant const View *view)
 {
@@ -117,13 +117,13 @@ inline void composite_tail(Accumulator *acc, ClassCoordinate front, ClassCoordin
   {
     rgba[k] = 0.0f;
     if (on[k]) {
-      int slice = 0;
+      int slice = 1;
       float ratio = length[k];
       for (; slice + 1 < view->table.z && ratio <= 0.5f; ++slice) ratio *= 2.0f;
       __global const float *a = table + (size_t)slice * 4 * view->table.w + entry[k];
       const float8 low = vload8(0, a), high = vload8(0, a + 4 * (size_t)view->table.y);
       const float8 r = low + f[k] * (high - low);
-      rgba[k] = weight[k] * shorten_segment(r.lo + b[k] * (r.hi - r.lo), ratio);
+      rgba[k] = weight[k] * part_of_segment(r.lo + b[k] * (r.hi - r.lo), ratio);
     }
   }
   accumulate_lanes(acc, rgba);
@@ -149,7 +149,7 @@ inline void composite_sample(Accumulator *acc, ClassCoordinate at, floatN transm
 }
 
 inline void composite_sample_tail(Accumulator *acc, ClassCoordinate at, floatN length_in_steps, floatN transmittance,
-                                  intN active, __global const float *table)
+                                  intN active, __global const float *table, __constant const View *view)
 {
   int entry[LANES], on[LANES];
   float f[LANES], length[LANES], weight[LANES];
@@ -160,8 +160,8 @@ inline void composite_sample_tail(Accumulator *acc, ClassCoordinate at, floatN l
   {
     rgba[k] = 0.0f;
     if (on[k]) {
-      const float8 r = vload8(0, table + entry[k]);
-      rgba[k] = weight[k] * shorten_segment(r.lo + f[k] * (r.hi - r.lo), length[k]);
+      const float8 r = vload8(0, table + 4 * view->table.y + entry[k]);
+      rgba[k] = weight[k] * part_of_segment(r.lo + f[k] * (r.hi - r.lo), length[k]);
     }
   }
   accumulate_lanes(acc, rgba);

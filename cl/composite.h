@@ -81,14 +81,11 @@ inline void accumulate_lanes(Accumulator *a, const float4 *rgba)
 #endif
 }
 
-/* Opacity correction: what a piece `ratio` (0 .. 1) as long as the table's segment absorbs and emits, its mean colour kept.
- * 1 - (1 - a)^ratio, through expm1/log1p: exact for a of 1e-12 and of 1.
- */
-inline float4 shorten_segment(float4 rgba, float ratio)
+/* Opacity correction: the colour of a piece `ratio` (0 .. 1) as long as a segment of this mean colour and optical depth. */
+inline float4 part_of_segment(float4 color_depth, float ratio)
 {
-  if (!(rgba.w > 0.0f)) return 0.0f;
-  const float opacity = rgba.w >= 1.0f ? 1.0f : -expm1(ratio * log1p(-rgba.w));
-  return (float4)(rgba.xyz * (opacity / rgba.w), opacity);
+  const float opacity = -expm1(-color_depth.w * ratio);
+  return (float4)(color_depth.xyz * opacity, opacity);
 }
 
 #endif

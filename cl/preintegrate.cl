@@ -142,13 +142,29 @@ inline Segment integrate_segment(__global const real *control, real s_f, real s_
   return s;
 }
 
+/* An opaque segment's optical depth: zero times it is zero, and any share of it that counts is opaque. */
+#define OPAQUE_DEPTH 1e15f
+
+/* What a shorter piece is made from: (mean colour, optical depth) instead of (premultiplied colour, opacity). */
+inline float4 color_and_depth(Segment s)
+{
+  if (!(s.opacity > 0)) return 0.0f;
+  const float depth = fmin((float)-log1p(-s.opacity), OPAQUE_DEPTH);
+  return (float4)((float)(s.color[0] / s.opacity), (float)(s.color[1] / s.opacity), (float)(s.color[2] / s.opacity), depth);
+}
+
+inline float4 premultiplied(Segment s)
+{
+  return (float4)((float)s.color[0], (float)s.color[1], (float)s.color[2], (float)s.opacity);
+}
+
 /* control  [points, 6]: value ascending, opacity, 1 - opacity, linear red, green, blue; the first and last points lie below and
  *          above every node
  * nodes    [n] values of the class nodes, ascending
  * pieces   [n] for each node the last control point whose value is <= the node's
  * units    [slices] length of a segment in opacity units
- * table    float4 [slices, n + 2, n + 2], premultiplied; row = value at the front, column = at the back. The last two rows and
- *          columns are transparent: what is not a number looks up there.
+ * table    float4 [slices, n + 2, n + 2]: row = value at the front, column = at the back; slice 0 premultiplied, the others
+ *          color_and_depth(). The last two rows and columns are transparent: what is not a number looks up there.
  */
 __kernel void preintegrate_table(__global const real *restrict control, __global const real *restrict nodes,
                                  __global const int *restrict pieces, __global const real *restrict units, int n,
@@ -158,27 +174,24 @@ __kernel void preintegrate_table(__global const real *restrict control, __global
   float4 rgba = 0.0f;
   if (front < n && back < n) {
     const Segment s = integrate_segment(control, nodes[front], nodes[back], pieces[front], pieces[back], units[slice]);
-    rgba = (float4)((float)s.color[0], (float)s.color[1], (float)s.color[2], (float)s.opacity);
+    rgba = slice == 0 ? premultiplied(s) : color_and_depth(s);
   }
   table[((size_t)slice * (n + 2) + front) * (n + 2) + back] = rgba;
 }
 
-/* table  float4 [n + 2]: a segment of constant value, premultiplied */
+/* table  float4 [slices, n + 2]: a segment of constant value; slice 0 premultiplied, the others color_and_depth() */
 __kernel void classify_table(__global const real *restrict control, __global const real *restrict nodes,
                              __global const int *restrict pieces, __global const real *restrict units, int n,
                              __global float4 *restrict table)
 {
-  const int node = get_global_id(0);
+  const int node = get_global_id(0), slice = get_global_id(1);
   float4 rgba = 0.0f;
   if (node < n) {
-    const Segment s = integrate_segment(control, nodes[node], nodes[node], pieces[node], pieces[node], units[0]);
-    rgba = (float4)((float)s.color[0], (float)s.color[1], (float)s.color[2], (float)s.opacity);
+    const Segment s = integrate_segment(control, nodes[node], nodes[node], pieces[node], pieces[node], units[slice]);
+    rgba = slice == 0 ? premultiplied(s) : color_and_depth(s);
   }
-  table[node] = rgba;
+  table[slice * (n + 2) + node] = rgba;
 }
-
-/* An opaque voxel's extinction times step: zero times it is zero, and any share of it that counts is opaque. */
-#define OPAQUE_DEPTH 1e15f
 
 /* table  float4 [n + 2]: emission and extinction of a constant value over one step: (c tau h, tau h) */
 __kernel void extinction_table(__global const real *restrict control, __global const real *restrict nodes,

@@ -81,25 +81,25 @@ inline void render_packet(__global const uchar *volume, __global const float *ta
       const intN active = MASK(i <= last);
       const floatN t = TO_FLOAT(i) + offset;
       const floatN x = ray.x0 + t * ray.dx, y = ray.y0 + t * ray.dy, z = ray.z0 + t * ray.dz;
-      const floatN weight = select((floatN)0.0f, 1.0f - opacity, active);
       taken -= AS_UINT(active);
       int visible;
 #if CLASSIFICATION == CLASSIFICATION_PREINTEGRATED
+      const intN closes = active & ~fresh; /* lanes with a segment that ends here */
+      fresh &= ~active;
+      const floatN weight = select((floatN)0.0f, 1.0f - opacity, closes);
       const ClassCoordinate back = class_coordinate(sample_volume(volume, view, x, y, z), warp, view);
-      front.position = select(front.position, back.position, fresh);
-      front.node = select(front.node, back.node, fresh);
-      front.fraction = select(front.fraction, back.fraction, fresh);
-      fresh = 0;
-      visible = may_be_visible(min(front.position, back.position), max(front.position, back.position), active, view);
+      visible = may_be_visible(min(front.position, back.position), max(front.position, back.position), closes, view);
       if (visible) composite_segment(&acc, front, back, weight, table, view);
       front.position = select(front.position, back.position, active);
       front.node = select(front.node, back.node, active);
       front.fraction = select(front.fraction, back.fraction, active);
 #elif CLASSIFICATION == CLASSIFICATION_POST
+      const floatN weight = select((floatN)0.0f, 1.0f - opacity, active);
       const ClassCoordinate at = class_coordinate(sample_volume(volume, view, x, y, z), warp, view);
       visible = may_be_visible(at.position, at.position, active, view);
       if (visible) composite_sample(&acc, at, weight, table);
 #else
+      const floatN weight = select((floatN)0.0f, 1.0f - opacity, active);
       float4 classified[LANES];
       classified_samples(volume, view, warp, table, x, y, z, classified);
       visible = 1;
@@ -131,7 +131,7 @@ inline void render_packet(__global const uchar *volume, __global const float *ta
 #elif CLASSIFICATION == CLASSIFICATION_POST
     const ClassCoordinate at = class_coordinate(sample_volume(volume, view, x, y, z), warp, view);
     if (may_be_visible(at.position, at.position, active, view))
-      composite_sample_tail(&acc, at, rest, weight, active, table);
+      composite_sample_tail(&acc, at, rest, weight, active, table, view);
 #else
     float4 classified[LANES];
     classified_samples(volume, view, warp, table, x, y, z, classified);

@@ -2,8 +2,9 @@
  *
  * Volume rendering integral: C = int c tau exp(-D) dt, D(t) = int tau, A = 1 - exp(-D). On a piece
  * where colour and opacity are linear in one parameter p (0...1 between two control points),
- *     C_piece = c_0 (1 - exp(-D)) + (c_1 - c_0) int p tau exp(-D) dt,
- * so one scalar integral serves three channels and a constant colour needs none.
+ *     C_piece = c_a (1 - exp(-D)) + (c_1 - c_0) int (p - p_a) tau exp(-D) dt,
+ * where a is the piece's front: one scalar integral serves three channels, a constant colour needs
+ * none, and where p hardly changes no accuracy of it is needed.
  *
  * Error control: each piece is integrated by a Gauss-Kronrod pair (G3/K7, then G7/K15, then
  * bisected); the estimate is the difference of the pair in D and in the colour integral, plus the
@@ -88,16 +89,18 @@ static inline void reference_add_constant(ReferenceRay *ray, double extinction,
  * piece adds behind unit transmittance. `scale`: opacity units in the cubic's whole range. */
 #define REFERENCE_DEFINE_RULE(K, G, N, M, PAD, GPAD)                                               \
     static inline double reference_rule_##K(const ReferenceCubic *f, const ReferenceRegion *region, \
-                                            double a, double b, double scale,                      \
+                                            double a, double b, double scale, double front_place,  \
                                             double *optical_depth, double *moment)                 \
     {                                                                                              \
         double place[N], density[N], depth[PAD], gauss_depth[GPAD];                                \
-        double width = b - a, total = 0.0, gauss_total = 0.0;                                      \
+        double width = b - a, total = 0.0, gauss_total = 0.0, spread = 0.0;                        \
         for (int i = 0; i < N; ++i) {                                                              \
             place[i] = reference_region_place(region,                                              \
                                               reference_cubic(f, a + width * reference_##K##_node[i])); \
             density[i] = width * scale * reference_region_extinction(region, place[i]);            \
             total += reference_##K##_weight[i] * density[i];                                       \
+            place[i] -= front_place;                                                               \
+            spread = fmax(spread, fabs(place[i]));                                                 \
         }                                                                                          \
         for (int j = 0; j < M; ++j)                                                                \
             gauss_total += reference_##G##_weight[j] * density[2 * j + 1];                         \
@@ -127,7 +130,7 @@ static inline void reference_add_constant(ReferenceRay *ray, double extinction,
             gauss_moment += reference_##G##_weight[j] * density[2 * j + 1] * place[2 * j + 1]      \
                 * exp(-fmax(gauss_depth[j], 0.0));                                                 \
         return error + region->color_change                                                        \
-            * (fabs(*moment - gauss_moment) + fabs(identity + expm1(-total)));                     \
+            * (fabs(*moment - gauss_moment) + spread * fabs(identity + expm1(-total)));            \
     }
 
 REFERENCE_DEFINE_RULE(K7, G3, 7, 3, 8, 4)
@@ -174,10 +177,10 @@ static inline double reference_find_depth(const ReferenceCubic *f, const Referen
     return w;
 }
 
-/* What rounding of the field's value near w does to the optical depth of `amount` opacity units:
- * d(-log q) = dq / q. */
+/* What rounding of the field's value near w does to what `amount` opacity units of `optical_depth`
+ * show: d(-log q) = dq / q, and of a deep piece only the first unit of depth is seen. */
 static inline double reference_rounding(const ReferenceCubic *f, const ReferenceRegion *region,
-                                        double w, double amount)
+                                        double w, double amount, double optical_depth)
 {
     const double *b = f->bernstein;
     double value = fmax(fmax(fabs(b[0]), fabs(b[1])), fmax(fabs(b[2]), fabs(b[3])));
@@ -185,7 +188,7 @@ static inline double reference_rounding(const ReferenceCubic *f, const Reference
     double clearness = (1.0 - place) * region->clearness_0 + place * region->clearness_1;
     double rounding = fmin(REFERENCE_ROUNDING * value / region->gap, 1.0)
         * fabs(region->clearness_1 - region->clearness_0);
-    return amount * rounding / fmax(clearness, DBL_MIN);
+    return amount * rounding / (fmax(clearness, DBL_MIN) * fmax(optical_depth, 1.0));
 }
 
 /* Adds the part [from, to] of a cell's cubic, on which the value stays in one region.
@@ -202,19 +205,20 @@ static inline void reference_add_smooth(ReferenceRay *ray, const ReferenceCubic 
     while (top >= 0) {
         double b = far_end[top], optical_depth, moment;
         double allowed = reference_error_allowed(ray, length * (b - a));
+        double front_place = reference_region_place(region, reference_cubic(f, a));
         double error = ray->transmittance
-            * reference_rule_K7(f, region, a, b, scale, &optical_depth, &moment);
+            * reference_rule_K7(f, region, a, b, scale, front_place, &optical_depth, &moment);
         ray->samples += 7;
         if (!(error <= allowed)) {
             error = ray->transmittance
-                * reference_rule_K15(f, region, a, b, scale, &optical_depth, &moment);
+                * reference_rule_K15(f, region, a, b, scale, front_place, &optical_depth, &moment);
             ray->samples += 15;
         }
         if (!(error <= allowed)) {
             double middle = 0.5 * (a + b);
             if (reference_may_split(ray, top, a, middle, b)
                 && error > ray->transmittance
-                        * reference_rounding(f, region, middle, scale * (b - a))) {
+                        * reference_rounding(f, region, middle, scale * (b - a), optical_depth)) {
                 far_end[++top] = middle;
                 ray->splits += 1;
                 continue;
@@ -229,7 +233,8 @@ static inline void reference_add_smooth(ReferenceRay *ray, const ReferenceCubic 
         double opacity = -expm1(-optical_depth);
         for (int k = 0; k < 3; ++k)
             ray->color[k] += ray->transmittance
-                * (opacity * region->color_0[k] + moment * region->color_step[k]);
+                * (opacity * (region->color_0[k] + front_place * region->color_step[k])
+                   + moment * region->color_step[k]);
         reference_absorb(ray, optical_depth);
         if (ray->transmittance < ray->error_floor)
             return;

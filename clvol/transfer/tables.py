@@ -7,7 +7,9 @@ import numpy as np
 from clvol.opencl.context import DeviceArray, DeviceContext
 from clvol.transfer.function import TransferFunction
 
-SLICES = 4  # lengths h, h/2, h/4, h/8: for the last, shorter piece of each ray
+# Slice 0: premultiplied colour and opacity of whole segments. Slices 1, 2, 3: mean colour and optical
+# depth of segments of length h, h/2, h/4, for the last, shorter piece of each ray.
+SLICES = 4
 _ARGUMENTS = "in control {real}, in nodes {real}, in pieces int32, in units {real}, value n int32, " \
     "out table float32"
 
@@ -15,9 +17,9 @@ _ARGUMENTS = "in control {real}, in nodes {real}, in pieces int32, in units {rea
 def preintegrated_table(
     context: DeviceContext, function: TransferFunction, nodes: np.ndarray, length: float
 ) -> DeviceArray:
-    """float32 [SLICES, n + 2, n + 2, 4] for segments of world ``length`` / 2**slice (P4 sec. 8)."""
+    """float32 [SLICES, n + 2, n + 2, 4] for segments of world ``length`` (P4 sec. 8) and shorter."""
     n = nodes.size
-    lengths = length / 2.0 ** np.arange(SLICES)
+    lengths = length / 2.0 ** np.maximum(np.arange(SLICES) - 1, 0)
     table = context.empty(np.float32, (SLICES, n + 2, n + 2, 4))
     _build(context, "preintegrate_table", function, nodes, lengths, table, (n + 2, n + 2, SLICES))
     return table
@@ -30,10 +32,13 @@ def constant_table(
     length: float,
     kernel: str = "classify_table",
 ) -> DeviceArray:
-    """float32 [n + 2, 4] for segments of constant value: "classify_table" gives their premultiplied
-    colour, "extinction_table" emission and extinction times ``length``."""
-    table = context.empty(np.float32, (nodes.size + 2, 4))
-    _build(context, kernel, function, nodes, np.array([length]), table, (nodes.size + 2,))
+    """For segments of constant value and world ``length``: "classify_table" gives float32 [2, n + 2, 4],
+    premultiplied colours, then mean colours and optical depths; "extinction_table" float32
+    [n + 2, 4], emission and extinction, both times ``length``."""
+    slices = 2 if kernel == "classify_table" else 1
+    table = context.empty(np.float32, (slices, nodes.size + 2, 4)[2 - slices :])
+    lengths = np.full(slices, length)
+    _build(context, kernel, function, nodes, lengths, table, (nodes.size + 2, slices))
     return table
 
 
