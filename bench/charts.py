@@ -44,7 +44,7 @@ def _plain_log(axis, *, x: bool = True, y: bool = True) -> None:
     for wanted, one, limits in ((x, axis.xaxis, axis.get_xlim()), (y, axis.yaxis, axis.get_ylim())):
         if not wanted:
             continue
-        few = limits[1] / limits[0] < 30
+        few = limits[1] / limits[0] < 100
         one.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if few else (1.0,)))
         small = 1e-3 <= limits[0] and limits[1] < 1e5
         one.set_major_formatter(

@@ -132,7 +132,7 @@ def _compare(
                 picture = frame.rgba
                 point["samples"] = frame.stats["samples"]
             point["rmse"], point["max_abs"] = exact.rmse(picture), exact.max_abs(picture)
-            if key[1] in (1.0, min(vtk_steps)):
+            if key[0] == "vtk" or key[1] == 1.0:
                 pictures[key] = picture
         mapper_seconds: dict[float, list[float]] = {step: [] for step in vtk_steps}
 
@@ -154,14 +154,17 @@ def _compare(
         empty = times.pop("empty")
         for key, taken in times.items():
             points[key]["time"] = taken
-            points[key]["seconds"] = taken["median"]
+            points[key]["seconds"], points[key]["least"] = taken["median"], taken["min"]
             if key[0] == "vtk":
                 window = taken["median"] - empty["median"]
                 mapper = float(np.median(mapper_seconds[key[1]]))
                 points[key]["window_less_empty"], points[key]["mapper"] = window, mapper
                 points[key]["seconds"] = min(window, mapper)
-        finest = pictures["vtk", min(vtk_steps)]
-        align = alignment(resolved, finest, device)
+                points[key]["least"] = min(
+                    taken["min"] - empty["median"], *mapper_seconds[key[1]]
+                )
+        best = min(vtk_steps, key=lambda step: points["vtk", step]["rmse"])
+        align = alignment(resolved, pictures["vtk", best], device)
         align["window_against_rays"] = float(
             np.sqrt(np.mean((pictures["window", 1.0] - pictures["vtk", 1.0]) ** 2))
         )
@@ -189,9 +192,9 @@ def _compare(
 
 
 def headline(vtk: list[dict], clvol: list[dict]) -> dict[str, Any]:
-    """What the curves (points with "step", "seconds", "rmse") say about step 1 and equal errors.
-
-    Ratios are VTK's seconds over clvol's; ``None`` where a curve does not reach the error.
+    """What the curves (points with "step", "seconds", "least", "rmse") say about step 1 and equal
+    errors. Ratios are VTK's seconds over clvol's; ``None`` where a curve does not reach the error.
+    "ratio_of_least", of the shortest times, is there to judge a busy machine by.
     """
     v, c = (next(p for p in points if p["step"] == 1.0) for points in (vtk, clvol))
     curves = {name: [(p["seconds"], p["rmse"]) for p in points]
@@ -201,6 +204,7 @@ def headline(vtk: list[dict], clvol: list[dict]) -> dict[str, Any]:
         "vtk_seconds": v["seconds"],
         "clvol_seconds": c["seconds"],
         "ratio": v["seconds"] / c["seconds"],
+        "ratio_of_least": v["least"] / c["least"],
         "vtk_rmse": v["rmse"],
         "clvol_rmse": c["rmse"],
         "clvol_to_vtk_error": vars(ours),
@@ -297,8 +301,8 @@ def show(result: dict[str, Any]) -> str:
         rays, window = s["headline"], s["headline_window"]
         frames.append([
             s["scene"], s["size"], f"{rays['vtk_seconds']:.4f}", f"{rays['clvol_seconds']:.4f}",
-            f"{rays['ratio']:.2f}", f"{rays['vtk_rmse']:.5f}", f"{window['vtk_rmse']:.5f}",
-            f"{rays['clvol_rmse']:.5f}",
+            f"{rays['ratio']:.2f}", f"{rays['ratio_of_least']:.2f}", f"{rays['vtk_rmse']:.5f}",
+            f"{window['vtk_rmse']:.5f}", f"{rays['clvol_rmse']:.5f}",
         ])  # fmt: skip
         row = [s["scene"], s["size"]]
         for h in (rays, window):
@@ -308,7 +312,8 @@ def show(result: dict[str, Any]) -> str:
             theirs = h["vtk_to_clvol_error"]
             row += [_seconds(theirs), _times(h["ratio_at_clvol_error"], theirs, "<=")]
         errors.append(row)
-    head = ["scene", "size", "VTK s", "clvol s", "ratio", "RMSE VTK", "its window", "clvol"]
+    head = ["scene", "size", "VTK s", "clvol s", "ratio", "of minima", "RMSE VTK", "its window",
+            "clvol"]
     lines = [
         f"Step 1, no shading, clvol {result['classification']}; ratio: VTK's seconds over clvol's.",
         table(head, frames),

@@ -119,7 +119,9 @@ def test_geometric_mean():
 
 
 def _points(steps, factor, error):
-    return [{"step": s, "seconds": factor / s, "rmse": error * s} for s in steps]
+    return [
+        {"step": s, "seconds": factor / s, "least": factor / s, "rmse": error * s} for s in steps
+    ]
 
 
 def test_headline_of_two_known_curves():
