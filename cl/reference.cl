@@ -96,10 +96,10 @@ __kernel void reference_integral(__global const REFERENCE_VOXEL *voxel, int size
         if (direction[a] == 0.0) {
             missed |= position[a] < lower[a] || position[a] > upper[a];
         } else {
-            double near_t = ((direction[a] > 0.0 ? lower[a] : upper[a]) - position[a]) / direction[a];
-            double far_t = ((direction[a] > 0.0 ? upper[a] : lower[a]) - position[a]) / direction[a];
-            t_enter = fmax(t_enter, near_t);
-            t_leave = fmin(t_leave, far_t);
+            double near_plane = direction[a] > 0.0 ? lower[a] : upper[a];
+            double far_plane = direction[a] > 0.0 ? upper[a] : lower[a];
+            t_enter = fmax(t_enter, (near_plane - position[a]) / direction[a]);
+            t_leave = fmin(t_leave, (far_plane - position[a]) / direction[a]);
         }
     }
     uint cells = 0;

@@ -8,13 +8,13 @@
  *
  * Error control: each piece is integrated by a Gauss-Kronrod pair (G3/K7, then G7/K15, then
  * bisected); the estimate is the difference of the pair in D and in the colour integral, plus the
- * miss in the identity int tau exp(-D) dt = 1 - exp(-D), which catches a spike that both rules step
- * over. The estimate is weighted by what is left of the light. A piece may miss by the tolerance's
- * share of its length; a thousandth of the tolerance is granted to any piece, since next to a
+ * miss in the identity int tau exp(-D) dt = 1 - exp(-D), which catches a spike that both rules
+ * step over. The estimate is weighted by what is left of the light. A piece may miss by the
+ * tolerance's share of its length; a thousandth of the tolerance is granted to any piece, since next to a
  * logarithmic singularity (opacity 1) no error proportional to the length can be had. Where the
  * rounding of the field's value alone, through a steep or nearly opaque stretch of the transfer
- * function, makes up the estimate, halving is of no use and is not tried. All accepted estimates are
- * summed for the caller, and pieces that missed their share are counted.
+ * function, makes up the estimate, halving is of no use and is not tried. All accepted estimates
+ * are summed for the caller, and pieces that missed their share are counted.
  */
 #ifndef REFERENCE_INTEGRATE_H
 #define REFERENCE_INTEGRATE_H
@@ -88,7 +88,8 @@ static inline void reference_add_constant(ReferenceRay *ray, double extinction,
 /* One Gauss-Kronrod pair on [a, b] of the cubic's range; returns the error estimate of what the
  * piece adds behind unit transmittance. `scale`: opacity units in the cubic's whole range. */
 #define REFERENCE_DEFINE_RULE(K, G, N, M, PAD, GPAD)                                               \
-    static inline double reference_rule_##K(const ReferenceCubic *f, const ReferenceRegion *region, \
+    static inline double reference_rule_##K(const ReferenceCubic *f,                               \
+                                            const ReferenceRegion *region,                         \
                                             double a, double b, double scale, double front_place,  \
                                             double *optical_depth, double *moment)                 \
     {                                                                                              \
@@ -96,7 +97,7 @@ static inline void reference_add_constant(ReferenceRay *ray, double extinction,
         double width = b - a, total = 0.0, gauss_total = 0.0, spread = 0.0;                        \
         for (int i = 0; i < N; ++i) {                                                              \
             place[i] = reference_region_place(region,                                              \
-                                              reference_cubic(f, a + width * reference_##K##_node[i])); \
+                reference_cubic(f, a + width * reference_##K##_node[i]));                          \
             density[i] = width * scale * reference_region_extinction(region, place[i]);            \
             total += reference_##K##_weight[i] * density[i];                                       \
             place[i] -= front_place;                                                               \
@@ -119,7 +120,8 @@ static inline void reference_add_constant(ReferenceRay *ray, double extinction,
             gauss_depth[i] = 0.0;                                                                  \
         for (int j = 0; j < M; ++j)                                                                \
             for (int i = 0; i < GPAD; ++i)                                                         \
-                gauss_depth[i] += reference_##G##_antiderivative[GPAD * j + i] * density[2 * j + 1]; \
+                gauss_depth[i] +=                                                                  \
+                    reference_##G##_antiderivative[GPAD * j + i] * density[2 * j + 1];             \
         double identity = 0.0, gauss_moment = 0.0;                                                 \
         for (int i = 0; i < N; ++i) {                                                              \
             double light = reference_##K##_weight[i] * density[i] * exp(-fmax(depth[i], 0.0));     \

@@ -59,7 +59,7 @@ def ssim(a: ArrayLike, b: ArrayLike, background: ArrayLike = BLACK) -> float:
 
 
 def delta_e(a: ArrayLike, b: ArrayLike, background: ArrayLike = BLACK) -> np.ndarray:
-    """CIEDE2000 colour difference of the displayed pictures, float64 [height, width] (D65, 2 deg)."""
+    """CIEDE2000 colour difference of the displayed pictures, float64 [height, width] (D65)."""
     from skimage.color import deltaE_ciede2000, rgb2lab
 
     a, b = _pair(a, b)
@@ -71,8 +71,8 @@ def delta_e(a: ArrayLike, b: ArrayLike, background: ArrayLike = BLACK) -> np.nda
 
 
 def compare(a: ArrayLike, b: ArrayLike, background: ArrayLike = BLACK) -> dict[str, float]:
-    """All measures of ``a`` against ``b``: "rmse" and "max_abs" of linear premultiplied RGBA; "psnr"
-    (dB), "ssim", "delta_e_mean" and "delta_e_max" (CIEDE2000) of the displayed pictures.
+    """All measures of ``a`` against ``b``: "rmse" and "max_abs" of linear premultiplied RGBA;
+    "psnr" (dB), "ssim", "delta_e_mean" and "delta_e_max" (CIEDE2000) of the displayed pictures.
 
     ``a`` and ``b`` are [height, width, 4], linear, premultiplied; ``background`` [3] is linear.
     Raises UsageError unless both have this shape and the same size.

@@ -61,7 +61,7 @@ def integrate_rays(
 ) -> RayIntegrals:
     """Integrate along rays given in index space.
 
-    ``voxels`` [z, y, x] in their own type; values count as voxel * ``value_scale`` (a power of two).
+    ``voxels`` [z, y, x] in their own type; values count as voxel * ``value_scale`` (a power of 2).
     ``control`` holds the transfer function on the same scale: "value" [n], "opacity" [n],
     "clearness" [n] (1 - opacity), "color" [n, 3], "visible_below" [n + 2] int32. ``origins`` and
     ``directions`` are float64 [n, 3], directions per world length. ``progress(done, total)`` is
@@ -128,7 +128,8 @@ def integrate_rays(
                 progress(done, count)
     except cl.Error as error:
         what = " ".join(str(error).split())
-        raise DeviceError(f"device {device.name.strip()}", f"the reference failed: {what}") from error
+        where = f"device {device.name.strip()}"
+        raise DeviceError(where, f"the reference failed: {what}") from error
     return RayIntegrals(
         result.rgba, result.depth, result.error, result.counters, time.perf_counter() - started
     )
@@ -138,7 +139,7 @@ def _check(device: pyopencl.Device, voxels: np.ndarray) -> None:
     where = f"device {device.name.strip()}"
     # NVIDIA and PoCL name the extension; 1.2 devices may only state the configuration.
     if not (device.double_fp_config or "cl_khr_fp64" in device.extensions):
-        raise DeviceError(where, "it has no double precision", "a device with fp64 (see clvol doctor)")
+        raise DeviceError(where, "it has no double precision", "a device with fp64 (clvol doctor)")
     if voxels.nbytes > device.max_mem_alloc_size:
         raise DeviceError(
             where,

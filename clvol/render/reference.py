@@ -1,8 +1,8 @@
 """The reference: the exact emission-absorption integral, which judges every other method.
 
 There is no step size: the field along a ray is a cubic in each cell, the transfer function is
-linear between control points, and every smooth piece is integrated to a tolerance (cl/reference.cl).
-It shares no code with the ray caster.
+linear between control points, and every smooth piece is integrated to a tolerance
+(cl/reference.cl). It shares no code with the ray caster.
 """
 
 from __future__ import annotations
@@ -40,9 +40,9 @@ def render_reference(
     ``progress(done, total)`` is called now and then with numbers of pixels.
 
     Returns (rgba, depth, counters): float64 [height, width, 4] and [height, width], or [n, 4] and
-    [n] for ``pixels``. ``depth`` is the world distance from the ray's origin (the eye, or the camera
-    plane of an orthographic view) at which the accumulated opacity reaches one half, inf where it
-    never does. ``counters``: "rays"; "cells" walked; "pieces" integrated; "samples" (evaluations of
+    [n] for ``pixels``. ``depth`` is the world distance from the ray's origin (the eye, or the
+    camera plane of an orthographic view) at which the accumulated opacity reaches one half, inf where
+    it never does. ``counters``: "rays"; "cells" walked; "pieces" integrated; "samples" (evaluations of
     the field); "failed_pieces" that missed the tolerance within the bounded work, and
     "failed_rays" that hold one; "error_estimate", the largest sum of error estimates over a ray;
     "seconds" (upload and kernels).
@@ -184,7 +184,9 @@ def _pixel_indices(pixels: ArrayLike, width: int, height: int) -> tuple[np.ndarr
     pixels = np.asarray(pixels)
     if pixels.ndim != 2 or pixels.shape[1] != 2 or pixels.dtype.kind not in "iu":
         raise UsageError(
-            "pixels", f"{pixels.dtype} array of shape {pixels.shape}", "integers [n, 2] (row, column)"
+            "pixels",
+            f"{pixels.dtype} array of shape {pixels.shape}",
+            "integers [n, 2] (row, column)",
         )
     rows, columns = pixels[:, 0], pixels[:, 1]
     outside = (rows < 0) | (rows >= height) | (columns < 0) | (columns >= width)

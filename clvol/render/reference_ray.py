@@ -56,7 +56,8 @@ def integrate_ray(
             piece = depth(b)
             if piece == 0.0:
                 continue
-            color += np.exp(-optical_depth) * quad_vec(emission, a, b, epsabs=1e-12, epsrel=1e-12)[0]
+            light = quad_vec(emission, a, b, epsabs=1e-12, epsrel=1e-12)[0]
+            color += np.exp(-optical_depth) * light
             left = np.log(2.0) - optical_depth
             if np.isinf(median) and piece >= left:
                 median = brentq(lambda t: depth(t) - left, a, b, xtol=1e-14) if piece > left else b

@@ -173,5 +173,6 @@ def test_bounded_by_the_transfer_function():
 
 
 def test_nothing_is_seen_of_no_length_or_no_value():
-    nothing = preintegrate(TO_ONE, [10.0, np.nan, 3.0, np.inf], [10.0, 3.0, np.nan, 0.0], [0, 1, 1, 1])
+    s_front, s_back = [10.0, np.nan, 3.0, np.inf], [10.0, 3.0, np.nan, 0.0]
+    nothing = preintegrate(TO_ONE, s_front, s_back, [0, 1, 1, 1])
     assert np.array_equal(nothing, np.zeros((4, 4)))
