@@ -16,16 +16,16 @@ typedef struct {
   float16 c0, c1, c2, c3, c4, c5, c6, c7;
 } Accumulator;
 
-inline void accumulator_clear(Accumulator *a) { a->c0 = a->c1 = a->c2 = a->c3 = a->c4 = a->c5 = a->c6 = a->c7 = 0.0f; }
+INLINE void accumulator_clear(Accumulator *a) { a->c0 = a->c1 = a->c2 = a->c3 = a->c4 = a->c5 = a->c6 = a->c7 = 0.0f; }
 
-inline float16 accumulated_opacity(const Accumulator *a)
+INLINE float16 accumulated_opacity(const Accumulator *a)
 {
   return (float16)(a->c0.s3b, a->c1.s3b, a->c2.s3b, a->c3.s3b, a->c4.s3b, a->c5.s3b, a->c6.s3b, a->c7.s3b) +
          (float16)(a->c0.s7f, a->c1.s7f, a->c2.s7f, a->c3.s7f, a->c4.s7f, a->c5.s7f, a->c6.s7f, a->c7.s7f);
 }
 
 /* The packet's colours, four floats a ray. */
-inline void accumulator_store(const Accumulator *a, float *rgba)
+INLINE void accumulator_store(const Accumulator *a, float *rgba)
 {
   vstore8((float8)(a->c0.s0123 + a->c0.s4567, a->c0.s89ab + a->c0.scdef), 0, rgba);
   vstore8((float8)(a->c1.s0123 + a->c1.s4567, a->c1.s89ab + a->c1.scdef), 1, rgba);
@@ -61,14 +61,14 @@ typedef struct {
   float4 c;
 } Accumulator;
 
-inline void accumulator_clear(Accumulator *a) { a->c = 0.0f; }
-inline float accumulated_opacity(const Accumulator *a) { return a->c.w; }
-inline void accumulator_store(const Accumulator *a, float *rgba) { vstore4(a->c, 0, rgba); }
+INLINE void accumulator_clear(Accumulator *a) { a->c = 0.0f; }
+INLINE float accumulated_opacity(const Accumulator *a) { return a->c.w; }
+INLINE void accumulator_store(const Accumulator *a, float *rgba) { vstore4(a->c, 0, rgba); }
 
 #endif
 
 /* One ray's premultiplied colour of one segment, weighted: for the rare last piece of each ray. */
-inline void accumulate_lanes(Accumulator *a, const float4 *rgba)
+INLINE void accumulate_lanes(Accumulator *a, const float4 *rgba)
 {
 #if LANES == 16
   const float4 zero = 0.0f;
@@ -82,7 +82,7 @@ inline void accumulate_lanes(Accumulator *a, const float4 *rgba)
 }
 
 /* Opacity correction: the colour of a piece `ratio` (0 .. 1) as long as a segment of this mean colour and optical depth. */
-inline float4 part_of_segment(float4 color_depth, float ratio)
+INLINE float4 part_of_segment(float4 color_depth, float ratio)
 {
   const float opacity = -expm1(-color_depth.w * ratio);
   return (float4)(color_depth.xyz * opacity, opacity);

@@ -4,6 +4,9 @@
  * four corners x, x + 1 by y, y + 1, so a trilinear sample is two gathers. 16 bit: a word has x and x + 1, four gathers.
  * 32 bit: eight gathers. 64 bit: eight loads a lane, brought into float range as (v - bias) * gain in double.
  * Indices are those of the lower corner and at most size - 2, so no fetch leaves the buffer.
+ *
+ * Fetching and decoding are two functions, so that a march can fetch a step ahead: a fetch waits for the cache much longer than
+ * all arithmetic takes.
  */
 #ifndef FETCH_VOXEL_H
 #define FETCH_VOXEL_H
@@ -20,13 +23,22 @@ typedef struct {
 #define BYTE(w, k) TO_FLOAT(AS_INT(((w) >> (8u * (k))) & 255u))
 #endif
 
-inline Corners fetch_corners(__global const uchar *volume, __constant const View *view, intN ix, intN iy, intN iz)
+typedef struct {
+  uintN low, high;
+} FetchedCorners;
+
+INLINE FetchedCorners fetch_corners(__global const uchar *volume, __constant const View *view, intN ix, intN iy, intN iz)
+{
+  const intN at = iz * view->stride.y + iy * view->stride.x + ix;
+  const FetchedCorners f = {gather2(volume, at), gather2(volume + 2 * (size_t)view->stride.y, at)};
+  return f;
+}
+
+INLINE Corners decode_corners(FetchedCorners f, __constant const View *view)
 {
   Corners c;
-  const intN at = iz * view->stride.y + iy * view->stride.x + ix;
-  const uintN low = gather2(volume, at), high = gather2(volume + 2 * (size_t)view->stride.y, at);
-  c.v000 = BYTE(low, 0u), c.v010 = BYTE(low, 1u), c.v100 = BYTE(low, 2u), c.v110 = BYTE(low, 3u);
-  c.v001 = BYTE(high, 0u), c.v011 = BYTE(high, 1u), c.v101 = BYTE(high, 2u), c.v111 = BYTE(high, 3u);
+  c.v000 = BYTE(f.low, 0u), c.v010 = BYTE(f.low, 1u), c.v100 = BYTE(f.low, 2u), c.v110 = BYTE(f.low, 3u);
+  c.v001 = BYTE(f.high, 0u), c.v011 = BYTE(f.high, 1u), c.v101 = BYTE(f.high, 2u), c.v111 = BYTE(f.high, 3u);
   return c;
 }
 
@@ -40,51 +52,55 @@ inline Corners fetch_corners(__global const uchar *volume, __constant const View
 #define HIGH_HALF(w) TO_FLOAT(AS_INT((w) >> 16u))
 #endif
 
-inline Corners fetch_corners(__global const uchar *volume, __constant const View *view, intN ix, intN iy, intN iz)
+typedef struct {
+  uintN w00, w10, w01, w11; /* wYZ */
+} FetchedCorners;
+
+INLINE FetchedCorners fetch_corners(__global const uchar *volume, __constant const View *view, intN ix, intN iy, intN iz)
 {
-  Corners c;
   const intN at = iz * view->stride.y + iy * view->stride.x + ix;
   const size_t row = 2 * (size_t)view->stride.x, slice = 2 * (size_t)view->stride.y;
-  uintN w;
-  w = gather2(volume, at), c.v000 = LOW_HALF(w), c.v100 = HIGH_HALF(w);
-  w = gather2(volume + row, at), c.v010 = LOW_HALF(w), c.v110 = HIGH_HALF(w);
-  w = gather2(volume + slice, at), c.v001 = LOW_HALF(w), c.v101 = HIGH_HALF(w);
-  w = gather2(volume + slice + row, at), c.v011 = LOW_HALF(w), c.v111 = HIGH_HALF(w);
+  const FetchedCorners f = {gather2(volume, at), gather2(volume + row, at), gather2(volume + slice, at),
+                            gather2(volume + slice + row, at)};
+  return f;
+}
+
+INLINE Corners decode_corners(FetchedCorners f, __constant const View *view)
+{
+  Corners c;
+  c.v000 = LOW_HALF(f.w00), c.v100 = HIGH_HALF(f.w00), c.v010 = LOW_HALF(f.w10), c.v110 = HIGH_HALF(f.w10);
+  c.v001 = LOW_HALF(f.w01), c.v101 = HIGH_HALF(f.w01), c.v011 = LOW_HALF(f.w11), c.v111 = HIGH_HALF(f.w11);
   return c;
 }
 
-#elif VOXEL_BITS == 32
-
-/* VOXEL_SCALED: a gain, a power of two, brings extreme ranges to where differences neither overflow nor vanish. */
-#if VOXEL_SCALED
-#define WORD_FLOAT(w) (AS_FLOAT(w) * view->voxel.x)
 #else
-#define WORD_FLOAT(w) AS_FLOAT(w)
-#endif
 
-inline Corners fetch_corners(__global const uchar *volume, __constant const View *view, intN ix, intN iy, intN iz)
+typedef Corners FetchedCorners;
+
+#if VOXEL_BITS == 32
+
+INLINE FetchedCorners fetch_corners(__global const uchar *volume, __constant const View *view, intN ix, intN iy, intN iz)
 {
   Corners c;
   const intN at = iz * view->stride.y + iy * view->stride.x + ix;
   const size_t row = 4 * (size_t)view->stride.x, slice = 4 * (size_t)view->stride.y;
-  c.v000 = WORD_FLOAT(gather4(volume, at)), c.v100 = WORD_FLOAT(gather4(volume + 4, at));
-  c.v010 = WORD_FLOAT(gather4(volume + row, at)), c.v110 = WORD_FLOAT(gather4(volume + row + 4, at));
-  c.v001 = WORD_FLOAT(gather4(volume + slice, at)), c.v101 = WORD_FLOAT(gather4(volume + slice + 4, at));
-  c.v011 = WORD_FLOAT(gather4(volume + slice + row, at));
-  c.v111 = WORD_FLOAT(gather4(volume + slice + row + 4, at));
+  c.v000 = AS_FLOAT(gather4(volume, at)), c.v100 = AS_FLOAT(gather4(volume + 4, at));
+  c.v010 = AS_FLOAT(gather4(volume + row, at)), c.v110 = AS_FLOAT(gather4(volume + row + 4, at));
+  c.v001 = AS_FLOAT(gather4(volume + slice, at)), c.v101 = AS_FLOAT(gather4(volume + slice + 4, at));
+  c.v011 = AS_FLOAT(gather4(volume + slice + row, at)), c.v111 = AS_FLOAT(gather4(volume + slice + row + 4, at));
   return c;
 }
 
 #elif VOXEL_BITS == 64
 
-inline floatN fetch_double(__global const double *volume, const int *at, double bias, double gain)
+INLINE floatN fetch_double(__global const double *volume, const int *at, double bias, double gain)
 {
   float v[LANES];
   EACH_LANE(k) v[k] = (float)((volume[at[k]] - bias) * gain);
   return LOAD_LANES(v);
 }
 
-inline Corners fetch_corners(__global const uchar *bytes, __constant const View *view, intN ix, intN iy, intN iz)
+INLINE FetchedCorners fetch_corners(__global const uchar *bytes, __constant const View *view, intN ix, intN iy, intN iz)
 {
   Corners c;
   __global const double *volume = (__global const double *)bytes;
@@ -95,12 +111,26 @@ inline Corners fetch_corners(__global const uchar *bytes, __constant const View 
   c.v000 = fetch_double(volume, at, bias, gain), c.v100 = fetch_double(volume + 1, at, bias, gain);
   c.v010 = fetch_double(volume + row, at, bias, gain), c.v110 = fetch_double(volume + row + 1, at, bias, gain);
   c.v001 = fetch_double(volume + slice, at, bias, gain), c.v101 = fetch_double(volume + slice + 1, at, bias, gain);
-  c.v011 = fetch_double(volume + slice + row, at, bias, gain), c.v111 = fetch_double(volume + slice + row + 1, at, bias, gain);
+  c.v011 = fetch_double(volume + slice + row, at, bias, gain);
+  c.v111 = fetch_double(volume + slice + row + 1, at, bias, gain);
   return c;
 }
 
 #else
 #error "VOXEL_BITS must be 8, 16, 32 or 64"
+#endif
+
+/* VOXEL_SCALED: a gain, a power of two, brings extreme float32 ranges to where differences neither overflow nor vanish. */
+INLINE Corners decode_corners(FetchedCorners f, __constant const View *view)
+{
+#if VOXEL_SCALED
+  const float gain = view->voxel.x;
+  f.v000 *= gain, f.v100 *= gain, f.v010 *= gain, f.v110 *= gain;
+  f.v001 *= gain, f.v101 *= gain, f.v011 *= gain, f.v111 *= gain;
+#endif
+  return f;
+}
+
 #endif
 
 #endif

@@ -46,6 +46,9 @@ typedef uint uintN;
 #error "LANES must be 1 or 16"
 #endif
 
+/* A call in the inner loop would spill every ray of the packet. */
+#define INLINE inline __attribute__((always_inline))
+
 /* Without this attribute LLVM's x86 back end splits 512-bit vectors in two halves. */
 #if defined(__has_attribute)
 #if __has_attribute(min_vector_width)
@@ -69,7 +72,7 @@ typedef uint uintN;
 #ifdef HARDWARE_GATHER
 typedef int gather_int16 __attribute__((__vector_size__(64)));
 #define DEFINE_GATHER(SCALE)                                                                              \
-  inline uint16 gather##SCALE(__global const void *base, int16 offset)                                    \
+  INLINE uint16 gather##SCALE(__global const void *base, int16 offset)                                    \
   {                                                                                                       \
     return __builtin_astype(                                                                              \
       __builtin_ia32_gathersiv16si(__builtin_astype((int16)0, gather_int16), (const void *)(size_t)base,  \
@@ -78,7 +81,7 @@ typedef int gather_int16 __attribute__((__vector_size__(64)));
   }
 #else
 #define DEFINE_GATHER(SCALE)                                                                              \
-  inline uintN gather##SCALE(__global const void *base, intN offset)                                      \
+  INLINE uintN gather##SCALE(__global const void *base, intN offset)                                      \
   {                                                                                                       \
     int at[LANES];                                                                                        \
     uint word[LANES];                                                                                     \
@@ -87,18 +90,40 @@ typedef int gather_int16 __attribute__((__vector_size__(64)));
     return LOAD_LANES(word);                                                                              \
   }
 /* Only as aligned as the element is: a GPU faults on, or rounds down, an unaligned 32-bit load. */
-inline uint gather_word1(__global const void *base, int at)
+INLINE uint gather_word1(__global const void *base, int at)
 {
   __global const uchar *b = (__global const uchar *)base + at;
   return b[0] | (uint)b[1] << 8 | (uint)b[2] << 16 | (uint)b[3] << 24;
 }
-inline uint gather_word2(__global const void *base, int at)
+INLINE uint gather_word2(__global const void *base, int at)
 {
   __global const ushort *b = (__global const ushort *)base + at;
   return b[0] | (uint)b[1] << 16;
 }
-inline uint gather_word4(__global const void *base, int at) { return ((__global const uint *)base)[at]; }
+INLINE uint gather_word4(__global const void *base, int at) { return ((__global const uint *)base)[at]; }
 #endif
+
+/* min, max and clamp that compile to one instruction each: OpenCL's own look for NaN first on PoCL. With a NaN the result is b. */
+#define LANE_MIN(a, b) select((b), (a), MASK((a) < (b)))
+#define LANE_MAX(a, b) select((b), (a), MASK((a) > (b)))
+INLINE floatN lane_min(floatN a, floatN b) { return LANE_MIN(a, b); }
+INLINE floatN lane_max(floatN a, floatN b) { return LANE_MAX(a, b); }
+INLINE floatN lane_clamp(floatN x, floatN low, floatN high) { return lane_min(lane_max(x, low), high); }
+
+/* Whether a mask has any lane set. PoCL's any() tests lane after lane. */
+INLINE int any_lane(intN mask)
+{
+#if defined(HARDWARE_GATHER) && defined(__AVX512DQ__)
+  return __builtin_ia32_cvtd2mask512(__builtin_astype(mask, gather_int16)) != 0;
+#elif LANES == 16
+  const int8 a = mask.lo | mask.hi;
+  const int4 b = a.lo | a.hi;
+  const int2 c = b.lo | b.hi;
+  return (c.x | c.y) < 0;
+#else
+  return mask;
+#endif
+}
 
 DEFINE_GATHER(1)
 DEFINE_GATHER(2)

@@ -27,15 +27,20 @@
 #define DONE (-2)
 
 /* Opacity went from `before` to `after` over the steps t0 .. t1: where it passed one half, for rays that had not yet. */
-inline floatN median_step(floatN median, floatN before, floatN after, floatN t0, floatN t1)
+INLINE floatN median_step(floatN median, floatN before, floatN after, floatN t0, floatN t1)
 {
   const intN passes = MASK(after >= 0.5f) & MASK(before < 0.5f);
-  if (!any(passes)) return median;
+  if (!any_lane(passes)) return median;
   const floatN f = (0.5f - before) / select((floatN)1.0f, after - before, passes);
   return select(median, t0 + f * (t1 - t0), passes);
 }
 
-inline void render_packet(__global const uchar *volume, __global const float *table, __global const float *warp,
+INLINE FetchedSample fetch_along(__global const uchar *volume, __constant const View *view, const Rays *ray, floatN t)
+{
+  return fetch_sample(volume, view, ray->x0 + t * ray->dx, ray->y0 + t * ray->dy, ray->z0 + t * ray->dz);
+}
+
+INLINE void render_packet(__global const uchar *volume, __global const float *table, __global const float *warp,
                           __global const uchar *distances, __constant const View *view, int column, int row,
                           float *rgba, float *depth, uint *samples)
 {
@@ -53,55 +58,55 @@ inline void render_packet(__global const uchar *volume, __global const float *ta
   floatN opacity = 0.0f;
   floatN median = INFINITY; /* in steps */
 #if !MIDPOINTS
-  ClassCoordinate front;
-  front.node = 0, front.fraction = 0.0f, front.position = 0.0f;
-  intN fresh = -1; /* lanes whose next sample only opens a segment */
+  floatN value1 = 0.0f, value2 = 0.0f;  /* the last sample and the one before */
+  intN start = 0;                      /* where the unbroken run of samples began: there is no sample before */
 #endif
 
-  while (any(MASK(i <= last))) {
+  while (any_lane(MASK(i <= last))) {
 #if SKIP_EMPTY
-    /* Of midpoints, the first one inside the visible cell is next. Else the last sample before it opens a new segment, and a
-     * segment that is open already begins at sample i - 1. */
+    /* Of midpoints, the first one inside the visible cell is next. Else two samples before it open a new segment, and one that is
+     * open depends on samples i - 2 and i - 1. */
 #if MIDPOINTS
     const floatN from = TO_FLOAT(i) + offset;
 #else
-    const floatN from = TO_FLOAT(i + select((intN)-1, (intN)0, fresh));
+    const floatN from = TO_FLOAT(max(i - 2, start));
 #endif
     const floatN visible_at = next_visible(distances, view, from, MASK(i <= last), &ray);
-    const floatN finite = min(max(visible_at, (floatN)0.0f), TO_FLOAT(max(last, (intN)0)) + 1.0f);
-    const intN next = TO_INT(MIDPOINTS ? ceil(finite - 0.5f) : finite);
+    const floatN finite = lane_clamp(visible_at, (floatN)0.0f, TO_FLOAT(max(last, (intN)0)) + 1.0f);
+    const intN next = TO_INT(MIDPOINTS ? ceil(finite - 0.5f) : finite) - (MIDPOINTS ? 0 : 1);
     const intN leaps = MASK(i <= last) & MASK(next > i);
     i = select(i, next, leaps);
     last = select(last, (intN)DONE, leaps & MASK(visible_at >= ray.length));
 #if !MIDPOINTS
-    fresh |= leaps;
+    start = select(start, i, leaps);
 #endif
 #endif
+    FetchedSample ahead = fetch_along(volume, view, &ray, TO_FLOAT(i) + offset);
     for (int step = 0; step < MARCH_STEPS; ++step) {
       const intN active = MASK(i <= last);
       const floatN t = TO_FLOAT(i) + offset;
-      const floatN x = ray.x0 + t * ray.dx, y = ray.y0 + t * ray.dy, z = ray.z0 + t * ray.dz;
+      const FetchedSample sample = ahead;
+      ahead = fetch_along(volume, view, &ray, t + 1.0f);
       taken -= AS_UINT(active);
       int visible;
 #if CLASSIFICATION == CLASSIFICATION_PREINTEGRATED
-      const intN closes = active & ~fresh; /* lanes with a segment that ends here */
-      fresh &= ~active;
+      const intN closes = active & MASK(i > start); /* lanes with a segment that ends here */
       const floatN weight = select((floatN)0.0f, 1.0f - opacity, closes);
-      const ClassCoordinate back = class_coordinate(sample_volume(volume, view, x, y, z), warp, view);
-      visible = may_be_visible(min(front.position, back.position), max(front.position, back.position), closes, view);
+      const floatN value = sample_value(sample, view);
+      ClassCoordinate front, back;
+      segment_classes(value2, value1, value, 1.0f, closes & MASK(i > start + 1), warp, view, &front, &back);
+      value2 = select(value2, value1, active), value1 = select(value1, value, active);
+      visible = may_be_visible(lane_min(front.position, back.position), lane_max(front.position, back.position), closes, view);
       if (visible) composite_segment(&acc, front, back, weight, table, view);
-      front.position = select(front.position, back.position, active);
-      front.node = select(front.node, back.node, active);
-      front.fraction = select(front.fraction, back.fraction, active);
 #elif CLASSIFICATION == CLASSIFICATION_POST
       const floatN weight = select((floatN)0.0f, 1.0f - opacity, active);
-      const ClassCoordinate at = class_coordinate(sample_volume(volume, view, x, y, z), warp, view);
+      const ClassCoordinate at = class_coordinate(sample_value(sample, view), warp, view);
       visible = may_be_visible(at.position, at.position, active, view);
       if (visible) composite_sample(&acc, at, weight, table);
 #else
       const floatN weight = select((floatN)0.0f, 1.0f - opacity, active);
       float4 classified[LANES];
-      classified_samples(volume, view, warp, table, x, y, z, classified);
+      classified_samples(sample, view, warp, table, classified);
       visible = 1;
       composite_classified(&acc, classified, (floatN)1.0f, weight, active);
 #endif
@@ -119,22 +124,23 @@ inline void render_packet(__global const uchar *volume, __global const float *ta
 
   /* The last piece of each ray, shorter than a step. */
   const intN active = MASK(i == last + 1) & MASK(rest > 0.0f);
-  if (any(active)) {
+  if (any_lane(active)) {
     const floatN t = MIDPOINTS ? whole + 0.5f * rest : ray.length;
-    const floatN x = ray.x0 + t * ray.dx, y = ray.y0 + t * ray.dy, z = ray.z0 + t * ray.dz;
+    const FetchedSample sample = fetch_along(volume, view, &ray, t);
     const floatN weight = select((floatN)0.0f, 1.0f - opacity, active);
     taken -= AS_UINT(active);
 #if CLASSIFICATION == CLASSIFICATION_PREINTEGRATED
-    const ClassCoordinate back = class_coordinate(sample_volume(volume, view, x, y, z), warp, view);
-    if (may_be_visible(min(front.position, back.position), max(front.position, back.position), active, view))
+    ClassCoordinate front, back;
+    segment_classes(value2, value1, sample_value(sample, view), rest, active & MASK(i > start + 1), warp, view, &front, &back);
+    if (may_be_visible(lane_min(front.position, back.position), lane_max(front.position, back.position), active, view))
       composite_tail(&acc, front, back, rest, weight, active, table, view);
 #elif CLASSIFICATION == CLASSIFICATION_POST
-    const ClassCoordinate at = class_coordinate(sample_volume(volume, view, x, y, z), warp, view);
+    const ClassCoordinate at = class_coordinate(sample_value(sample, view), warp, view);
     if (may_be_visible(at.position, at.position, active, view))
       composite_sample_tail(&acc, at, rest, weight, active, table, view);
 #else
     float4 classified[LANES];
-    classified_samples(volume, view, warp, table, x, y, z, classified);
+    classified_samples(sample, view, warp, table, classified);
     composite_classified(&acc, classified, rest, weight, active);
 #endif
 #if WITH_DEPTH

@@ -16,24 +16,24 @@ typedef struct {
 /* Below this a direction's component counts as parallel to the faces: the ray is in the slab, or never is. */
 #define PARALLEL 1e-20f
 
-inline void clip_to_slab(floatN origin, floatN direction, float upper, floatN *enter, floatN *leave)
+INLINE void clip_to_slab(floatN origin, floatN direction, float upper, floatN *enter, floatN *leave)
 {
   const intN parallel = MASK(fabs(direction) < PARALLEL);
   const intN inside = MASK(origin >= 0.0f) & MASK(origin <= upper);
   const floatN inverse = 1.0f / select(direction, (floatN)1.0f, parallel);
   const floatN a = -origin * inverse, b = (upper - origin) * inverse;
   const floatN never = select((floatN)INFINITY, -(floatN)INFINITY, inside);
-  *enter = max(*enter, select(min(a, b), never, parallel));
-  *leave = min(*leave, select(max(a, b), -never, parallel));
+  *enter = lane_max(select(lane_min(a, b), never, parallel), *enter);
+  *leave = lane_min(select(lane_max(a, b), -never, parallel), *leave);
 }
 
-inline floatN finite_inverse(floatN d)
+INLINE floatN finite_inverse(floatN d)
 {
   return 1.0f / select(d, (floatN)1e-12f, MASK(fabs(d) < 1e-12f));
 }
 
 /* Rays through the centres of the pixels (column, row), row 0 on top. */
-inline Rays make_rays(__constant const View *view, floatN column, floatN row)
+INLINE Rays make_rays(__constant const View *view, floatN column, floatN row)
 {
   Rays r;
   const floatN u = column - view->lens.z, v = row - view->lens.w;

@@ -1,6 +1,6 @@
-/* The reconstruction filters. Each takes lattice coordinates, one point a lane, and clamps them to the domain.
+/* The reconstruction filters: fetch_sample() for lattice points (clamped to the domain), then its value.
  *
- * To add a filter: a function with this signature, a value of FILTER in features.h, and a line in the selector below.
+ * To add a filter: its two functions, a value of FILTER in features.h, and a line in the selector below.
  */
 #ifndef SAMPLE_VOLUME_H
 #define SAMPLE_VOLUME_H
@@ -9,42 +9,64 @@
 #include "fetch_voxel.h"
 
 /* The lower corner of the lattice cell that holds a coordinate: 0 .. size - 2, also at the upper face. */
-inline intN cell_index(floatN x, int size) { return min(TO_INT(x), (intN)(size - 2)); }
+INLINE intN cell_index(floatN x, int size) { return min(TO_INT(x), (intN)(size - 2)); }
 
-/* Trilinear: lerps as a + f (b - a), so that a constant cell gives exactly its constant. */
-inline floatN sample_linear(__global const uchar *volume, __constant const View *view, floatN x, floatN y, floatN z)
+typedef struct {
+  FetchedCorners corners;
+  floatN fx, fy, fz; /* place inside the lattice cell, 0 .. 1 */
+} FetchedSample;
+
+INLINE FetchedSample fetch_linear(__global const uchar *volume, __constant const View *view, floatN x, floatN y, floatN z)
 {
-  x = clamp(x, (floatN)0.0f, (floatN)view->upper.x);
-  y = clamp(y, (floatN)0.0f, (floatN)view->upper.y);
-  z = clamp(z, (floatN)0.0f, (floatN)view->upper.z);
+  FetchedSample s;
+  x = lane_clamp(x, (floatN)0.0f, (floatN)view->upper.x);
+  y = lane_clamp(y, (floatN)0.0f, (floatN)view->upper.y);
+  z = lane_clamp(z, (floatN)0.0f, (floatN)view->upper.z);
   const intN ix = cell_index(x, view->size.x), iy = cell_index(y, view->size.y), iz = cell_index(z, view->size.z);
-  const floatN fx = x - TO_FLOAT(ix), fy = y - TO_FLOAT(iy), fz = z - TO_FLOAT(iz);
-  const Corners c = fetch_corners(volume, view, ix, iy, iz);
-  const floatN v00 = c.v000 + fx * (c.v100 - c.v000), v10 = c.v010 + fx * (c.v110 - c.v010);
-  const floatN v01 = c.v001 + fx * (c.v101 - c.v001), v11 = c.v011 + fx * (c.v111 - c.v011);
-  const floatN v0 = v00 + fy * (v10 - v00), v1 = v01 + fy * (v11 - v01);
-  return v0 + fz * (v1 - v0);
+  s.fx = x - TO_FLOAT(ix), s.fy = y - TO_FLOAT(iy), s.fz = z - TO_FLOAT(iz);
+  s.corners = fetch_corners(volume, view, ix, iy, iz);
+  return s;
 }
 
-/* Nearest voxel centre; halves round up. */
-inline floatN sample_nearest(__global const uchar *volume, __constant const View *view, floatN x, floatN y, floatN z)
+/* Trilinear: lerps as a + f (b - a), so that a constant cell gives exactly its constant. */
+INLINE floatN linear_value(FetchedSample s, __constant const View *view)
 {
-  const intN nx = TO_INT(clamp(x + 0.5f, (floatN)0.0f, (floatN)view->upper.x));
-  const intN ny = TO_INT(clamp(y + 0.5f, (floatN)0.0f, (floatN)view->upper.y));
-  const intN nz = TO_INT(clamp(z + 0.5f, (floatN)0.0f, (floatN)view->upper.z));
+  const Corners c = decode_corners(s.corners, view);
+  const floatN v00 = c.v000 + s.fx * (c.v100 - c.v000), v10 = c.v010 + s.fx * (c.v110 - c.v010);
+  const floatN v01 = c.v001 + s.fx * (c.v101 - c.v001), v11 = c.v011 + s.fx * (c.v111 - c.v011);
+  const floatN v0 = v00 + s.fy * (v10 - v00), v1 = v01 + s.fy * (v11 - v01);
+  return v0 + s.fz * (v1 - v0);
+}
+
+/* Nearest voxel centre; halves round up. The fetched cell is the one that has it as a corner. */
+INLINE FetchedSample fetch_nearest(__global const uchar *volume, __constant const View *view, floatN x, floatN y, floatN z)
+{
+  FetchedSample s;
+  const intN nx = TO_INT(lane_clamp(x + 0.5f, (floatN)0.0f, (floatN)view->upper.x));
+  const intN ny = TO_INT(lane_clamp(y + 0.5f, (floatN)0.0f, (floatN)view->upper.y));
+  const intN nz = TO_INT(lane_clamp(z + 0.5f, (floatN)0.0f, (floatN)view->upper.z));
   const intN ix = min(nx, (intN)(view->size.x - 2)), iy = min(ny, (intN)(view->size.y - 2));
   const intN iz = min(nz, (intN)(view->size.z - 2));
-  const intN fx = MASK(nx > ix), fy = MASK(ny > iy), fz = MASK(nz > iz);
-  const Corners c = fetch_corners(volume, view, ix, iy, iz);
+  s.fx = TO_FLOAT(nx - ix), s.fy = TO_FLOAT(ny - iy), s.fz = TO_FLOAT(nz - iz);
+  s.corners = fetch_corners(volume, view, ix, iy, iz);
+  return s;
+}
+
+INLINE floatN nearest_value(FetchedSample s, __constant const View *view)
+{
+  const Corners c = decode_corners(s.corners, view);
+  const intN fx = MASK(s.fx > 0.5f), fy = MASK(s.fy > 0.5f), fz = MASK(s.fz > 0.5f);
   const floatN v00 = select(c.v000, c.v100, fx), v10 = select(c.v010, c.v110, fx);
   const floatN v01 = select(c.v001, c.v101, fx), v11 = select(c.v011, c.v111, fx);
   return select(select(v00, v10, fy), select(v01, v11, fy), fz);
 }
 
 #if FILTER == FILTER_LINEAR
-#define sample_volume sample_linear
+#define fetch_sample fetch_linear
+#define sample_value linear_value
 #elif FILTER == FILTER_NEAREST
-#define sample_volume sample_nearest
+#define fetch_sample fetch_nearest
+#define sample_value nearest_value
 #else
 #error "FILTER is unknown"
 #endif

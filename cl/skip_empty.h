@@ -15,7 +15,7 @@
 
 /* For each ray at parameter t (in steps): t itself where its cell is visible, else where it first enters a visible cell (a little
  * before), or a number beyond `length` if it never does. All rays of the packet leap together. */
-inline floatN next_visible(__global const uchar *distances, __constant const View *view, floatN t, intN active,
+INLINE floatN next_visible(__global const uchar *distances, __constant const View *view, floatN t, intN active,
                            const Rays *ray)
 {
   const int shift = view->cells.w;
@@ -23,19 +23,19 @@ inline floatN next_visible(__global const uchar *distances, __constant const Vie
   const intN right = MASK(ray->dx > 0.0f), down = MASK(ray->dy > 0.0f), away = MASK(ray->dz > 0.0f);
   floatN entered = t;
   for (;;) {
-    const intN cx = min(TO_INT(clamp(ray->x0 + t * ray->dx, (floatN)0.0f, (floatN)view->upper.x)) >> shift, last_x);
-    const intN cy = min(TO_INT(clamp(ray->y0 + t * ray->dy, (floatN)0.0f, (floatN)view->upper.y)) >> shift, last_y);
-    const intN cz = min(TO_INT(clamp(ray->z0 + t * ray->dz, (floatN)0.0f, (floatN)view->upper.z)) >> shift, last_z);
+    const intN cx = min(TO_INT(lane_clamp(ray->x0 + t * ray->dx, (floatN)0.0f, (floatN)view->upper.x)) >> shift, last_x);
+    const intN cy = min(TO_INT(lane_clamp(ray->y0 + t * ray->dy, (floatN)0.0f, (floatN)view->upper.y)) >> shift, last_y);
+    const intN cz = min(TO_INT(lane_clamp(ray->z0 + t * ray->dz, (floatN)0.0f, (floatN)view->upper.z)) >> shift, last_z);
     const intN D = AS_INT(gather1(distances, (cz * view->cells.y + cy) * view->cells.x + cx) & 255u);
     active &= MASK(D > zero);
-    if (!any(active)) return entered;
+    if (!any_lane(active)) return entered;
     const intN fx = select(cx - D + 1, cx + D, right) << shift;
     const intN fy = select(cy - D + 1, cy + D, down) << shift;
     const intN fz = select(cz - D + 1, cz + D, away) << shift;
-    const floatN leave = min(min((TO_FLOAT(fx) - ray->x0) * ray->rx, (TO_FLOAT(fy) - ray->y0) * ray->ry),
+    const floatN leave = lane_min(lane_min((TO_FLOAT(fx) - ray->x0) * ray->rx, (TO_FLOAT(fy) - ray->y0) * ray->ry),
                              (TO_FLOAT(fz) - ray->z0) * ray->rz);
-    entered = select(entered, max(leave, t) - FACE_MARGIN, active);
-    t = select(t, max(leave, t) + FACE_MARGIN, active);
+    entered = select(entered, lane_max(leave, t) - FACE_MARGIN, active);
+    t = select(t, lane_max(leave, t) + FACE_MARGIN, active);
     entered = select(entered, (floatN)INFINITY, active & MASK(t >= ray->length));
     active &= MASK(t < ray->length);
   }

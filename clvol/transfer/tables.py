@@ -10,8 +10,8 @@ from clvol.transfer.function import TransferFunction
 # Slice 0: premultiplied colour and opacity of whole segments. Slices 1, 2, 3: mean colour and optical
 # depth of segments of length h, h/2, h/4, for the last, shorter piece of each ray.
 SLICES = 4
-_ARGUMENTS = "in control {real}, in nodes {real}, in pieces int32, in units {real}, value n int32, " \
-    "out table float32"
+_ARGUMENTS = "in control {real}, in nodes {real}, in pieces int32, in units {real}, value n int32"
+_LARGEST_COMPOSED = 512  # nodes; beyond it the intermediate cells would take more memory than is right
 
 
 def preintegrated_table(
@@ -21,7 +21,16 @@ def preintegrated_table(
     n = nodes.size
     lengths = length / 2.0 ** np.maximum(np.arange(SLICES) - 1, 0)
     table = context.empty(np.float32, (SLICES, n + 2, n + 2, 4))
-    _build(context, "preintegrate_table", function, nodes, lengths, table, (n + 2, n + 2, SLICES))
+    size = (n + 2, n + 2, SLICES)
+    steps = np.diff(nodes)
+    even = steps.max() <= steps.min() * (1 + 1e-9)
+    if even and n <= _LARGEST_COMPOSED:
+        cells = context.empty(_real(context), (SLICES - 1, n - 1, n - 1, 8))
+        spans = (n - 1, n - 1, SLICES - 1)
+        _build(context, "cell_segments", function, nodes, lengths[1:], spans, cells=cells)
+        _build(context, "compose_table", function, nodes, lengths, size, cells=cells, table=table)
+    else:
+        _build(context, "preintegrate_table", function, nodes, lengths, size, table=table)
     return table
 
 
@@ -38,19 +47,35 @@ def constant_table(
     slices = 2 if kernel == "classify_table" else 1
     table = context.empty(np.float32, (slices, nodes.size + 2, 4)[2 - slices :])
     lengths = np.full(slices, length)
-    _build(context, kernel, function, nodes, lengths, table, (nodes.size + 2, slices))
+    _build(context, kernel, function, nodes, lengths, (nodes.size + 2, slices), table=table)
     return table
 
 
-def _build(context, kernel, function, nodes, lengths, table, size) -> None:
-    double = context.has_double
-    real = np.dtype(np.float64 if double else np.float32)
+def _real(context: DeviceContext) -> np.dtype:
+    return np.dtype(np.float64 if context.has_double else np.float32)
+
+
+def _build(
+    context: DeviceContext,
+    name: str,
+    function: TransferFunction,
+    nodes: np.ndarray,
+    lengths: np.ndarray,
+    size: tuple[int, ...],
+    **arrays: DeviceArray,
+) -> None:
+    real = _real(context)
     control = control_points(function, nodes)
     pieces = np.searchsorted(control[:, 0], nodes, side="right") - 1
-    build = context.kernel(
-        "preintegrate.cl", kernel, _ARGUMENTS.format(real=real), {"WITH_DOUBLE": double}
+    # All but the last array are read.
+    intents = ["in"] * (len(arrays) - 1) + ["out"]
+    declared = _ARGUMENTS + "".join(
+        f", {intent} {key} {array.dtype}" for intent, (key, array) in zip(intents, arrays.items())
     )
-    build(
+    kernel = context.kernel(
+        "preintegrate.cl", name, declared.format(real=real), {"WITH_DOUBLE": context.has_double}
+    )
+    kernel(
         context.queue,
         size,
         None,
@@ -59,7 +84,7 @@ def _build(context, kernel, function, nodes, lengths, table, size) -> None:
         pieces=context.upload(pieces.astype(np.int32)),
         units=context.upload((lengths / function.opacity_unit).astype(real)),
         n=nodes.size,
-        table=table,
+        **arrays,
     )
 
 

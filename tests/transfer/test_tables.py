@@ -1,0 +1,120 @@
+"""The tables that the device builds, against their double-precision twin."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from clvol.opencl.context import DeviceContext
+from clvol.transfer import TransferFunction
+from clvol.transfer.classes import class_nodes, visible_cells
+from clvol.transfer.preintegration import preintegrate
+from clvol.transfer.tables import SLICES, constant_table, preintegrated_table
+
+COLORS = [[0.9, 0.1, 0.0], [0.0, 0.8, 0.1], [0.1, 0.2, 1.0], [0.7, 0.7, 0.2], [1.0, 0.0, 1.0], [0, 1, 1]]
+FUNCTIONS = {
+    "ramps": ([0, 10, 25, 40, 63], [0, 0.01, 0.3, 0.05, 0.6]),
+    "peaks": ([0, 20, 22, 24, 63], [0, 0, 0.95, 0, 0]),
+    "opaque plateau": ([0, 20, 30, 40, 63], [0, 0, 1, 1, 0.2]),
+    "touches opaque": ([0, 20, 30, 40, 63], [0, 0.2, 1, 0.2, 0]),
+    "opaque everywhere": ([0, 63], [1, 1]),
+    "step": ([0, 30, 30, 45, 63], [0.02, 0.1, 0.9, 0.9, 0]),
+    "step to opaque": ([0, 31, 31, 45, 63], [0, 0, 1, 1, 0]),
+    "nearly transparent": ([0, 30, 63], [1e-9, 3e-7, 1e-12]),
+    "nearly opaque": ([0, 30, 63], [1 - 1e-7, 0.999999, 1 - 1e-12]),
+    "narrower than a cell": ([0, 30.2, 30.4, 30.6, 63], [0, 0, 0.9, 0, 0]),
+}
+
+
+def function_of(name: str, unit: float = 1.0) -> TransferFunction:
+    values, opacities = FUNCTIONS[name]
+    return TransferFunction(values, opacities, COLORS[: len(values)], unit)
+
+
+@pytest.fixture(scope="module")
+def context(device):
+    return DeviceContext(device)
+
+
+@pytest.mark.parametrize("length", [1e-6, 0.3, 1.0, 50.0, 1e6])
+@pytest.mark.parametrize("name", FUNCTIONS)
+@pytest.mark.parametrize("even", [True, False])
+def test_every_entry_is_the_integral_to_1e_6(context, name, length, even):
+    function = function_of(name, unit=0.8)
+    if even:
+        nodes = np.arange(64.0)
+    else:
+        nodes = np.sort(np.concatenate([np.linspace(0, 63, 40), np.linspace(29, 33, 23)]))
+    table = context.read(preintegrated_table(context, function, nodes, length))
+    n = nodes.size
+    assert table.shape == (SLICES, n + 2, n + 2, 4)
+    expected = preintegrate(function, nodes[:, None], nodes[None, :], length)
+    limit = 1e-6 if context.has_double else 1e-5
+    np.testing.assert_allclose(table[0, :n, :n], expected, rtol=0, atol=limit)
+    # Thin segments keep their relative accuracy: thousands of them must add up.
+    thin = (expected[..., 3] < 1e-3) & (expected[..., 3] > 1e-30)
+    relative = table[0, :n, :n][thin] / np.where(expected[thin] > 0, expected[thin], 1) - (expected[thin] > 0)
+    assert np.abs(relative).max(initial=0) < 1e-5
+    for k in range(1, SLICES):
+        color_depth = table[k, :n, :n].astype(np.float64)
+        got = -np.expm1(-color_depth[..., 3])
+        expected = preintegrate(function, nodes[:, None], nodes[None, :], length / 2 ** (k - 1))
+        np.testing.assert_allclose(got, expected[..., 3], rtol=0, atol=limit)
+        np.testing.assert_allclose(color_depth[..., :3] * got[..., None], expected[..., :3], rtol=0, atol=limit)
+    assert not table[:, n:].any() and not table[:, :, n:].any()
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_a_segment_of_constant_value_is_the_diagonal(context, name):
+    function, nodes = function_of(name), np.linspace(0, 63, 127)
+    table = context.read(constant_table(context, function, nodes, 0.7))
+    expected = preintegrate(function, nodes, nodes, 0.7)
+    np.testing.assert_allclose(table[0, :-2], expected, rtol=0, atol=1e-6 if context.has_double else 1e-5)
+    extinction = context.read(constant_table(context, function, nodes, 0.7, "extinction_table"))
+    np.testing.assert_allclose(-np.expm1(-extinction[:-2, 3].astype(float)), expected[..., 3], rtol=0, atol=1e-6)
+    assert np.isfinite(extinction).all()
+
+
+def test_a_thousand_control_points_are_one_table(context):
+    values = np.linspace(0, 63, 1000)
+    function = TransferFunction(values, 0.2 + 0.2 * np.sin(values), np.tile([[0.3, 0.5, 0.7]], (1000, 1)))
+    nodes = np.arange(64.0)
+    table = context.read(preintegrated_table(context, function, nodes, 1.0))[0, :64, :64]
+    expected = preintegrate(function, nodes[:, None], nodes[None, :], 1.0)
+    np.testing.assert_allclose(table, expected, rtol=0, atol=1e-6 if context.has_double else 1e-5)
+
+
+def test_integer_values_with_integer_points_have_them_all_as_nodes():
+    nodes = class_nodes(function_of("ramps"), (0.0, 63.0), 256, integer=True)
+    assert nodes.warp is None
+    assert set(FUNCTIONS["ramps"][0]) <= set(nodes.values)
+    assert nodes.values.size == 253 and nodes.position(10.5) == 42.0
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+@pytest.mark.parametrize("integer", [True, False])
+@pytest.mark.parametrize("range_", [(0.0, 63.0), (0.0, 65535.0), (-32768.0, 32767.0)])
+def test_nodes_ascend_fill_the_range_and_lie_where_the_warp_says(name, integer, range_):
+    nodes = class_nodes(function_of(name), range_, 256, integer=integer)
+    assert np.all(np.diff(nodes.values) > 0)
+    assert nodes.values[0] == range_[0] and nodes.values[-1] >= range_[1]
+    assert nodes.values.size <= 256
+    inside = nodes.position(nodes.values)
+    np.testing.assert_allclose(inside, np.arange(nodes.values.size), atol=1e-3)
+    if nodes.warp is not None:
+        assert np.all(np.diff(nodes.warp) >= 0)
+
+
+def test_a_narrow_peak_gets_its_share_of_the_nodes():
+    function = TransferFunction([0, 3000, 3010, 3020, 65535], [0, 0, 0.9, 0, 0], [[1, 1, 1]] * 5)
+    nodes = class_nodes(function, (0.0, 65535.0), 256, integer=True)
+    assert ((nodes.values >= 3000) & (nodes.values <= 3020)).sum() > 40
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_cells_called_invisible_hold_no_opacity(name):
+    function = function_of(name)
+    for nodes in (np.arange(64.0), np.linspace(0, 63, 37)):
+        visible = visible_cells(function, nodes)
+        between = function.opacity(np.linspace(nodes[:-1], nodes[1:], 101)) > 0
+        assert not np.any(between.any(axis=0) & ~visible)
