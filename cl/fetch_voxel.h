@@ -1,8 +1,9 @@
 /* Corners of lattice cells, fetched for a packet of rays in as few gathers as the voxel type allows.
  *
  * 8 bit: the device holds pairs (v[y], v[y + 1]) for every x (twice the memory): one 32-bit word at (x, y) then has the
- * four corners x, x + 1 by y, y + 1, so a trilinear sample is two gathers. 16 bit: a word has x and x + 1, four gathers.
- * 32 bit: eight gathers. 64 bit: eight loads a lane, brought into float range as (v - bias) * gain in double.
+ * four corners x, x + 1 by y, y + 1, so a trilinear sample is two gathers. Where that would be too much memory
+ * (VOXEL_PAIRS 0) four. (Pairs in bricks of one cache line each were tried: the arithmetic cost more than the cache gave.)
+ * 16 bit: a word has x and x + 1, four gathers. 32 bit: eight gathers. 64 bit: eight loads a lane, brought into float range as (v - bias) * gain in double.
  * Indices are those of the lower corner and at most size - 2, so no fetch leaves the buffer.
  *
  * Fetching and decoding are two functions, so that a march can fetch a step ahead: a fetch waits for the cache much longer than
@@ -27,6 +28,8 @@ typedef struct {
   uintN low, high;
 } FetchedCorners;
 
+#if VOXEL_PAIRS
+
 INLINE FetchedCorners fetch_corners(__global const uchar *volume, __constant const View *view, intN ix, intN iy, intN iz)
 {
   const intN at = iz * view->stride.y + iy * view->stride.x + ix;
@@ -41,6 +44,27 @@ INLINE Corners decode_corners(FetchedCorners f, __constant const View *view)
   c.v001 = BYTE(f.high, 0u), c.v011 = BYTE(f.high, 1u), c.v101 = BYTE(f.high, 2u), c.v111 = BYTE(f.high, 3u);
   return c;
 }
+
+#else
+
+INLINE FetchedCorners fetch_corners(__global const uchar *volume, __constant const View *view, intN ix, intN iy, intN iz)
+{
+  const intN at = iz * view->stride.y + iy * view->stride.x + ix;
+  const size_t row = (size_t)view->stride.x, slice = (size_t)view->stride.y;
+  const FetchedCorners f = {(gather1(volume, at) & 0xffffu) | (gather1(volume + row, at) << 16u),
+                            (gather1(volume + slice, at) & 0xffffu) | (gather1(volume + slice + row, at) << 16u)};
+  return f;
+}
+
+INLINE Corners decode_corners(FetchedCorners f, __constant const View *view)
+{
+  Corners c;
+  c.v000 = BYTE(f.low, 0u), c.v100 = BYTE(f.low, 1u), c.v010 = BYTE(f.low, 2u), c.v110 = BYTE(f.low, 3u);
+  c.v001 = BYTE(f.high, 0u), c.v101 = BYTE(f.high, 1u), c.v011 = BYTE(f.high, 2u), c.v111 = BYTE(f.high, 3u);
+  return c;
+}
+
+#endif
 
 #elif VOXEL_BITS == 16
 

@@ -60,22 +60,43 @@ inline real mean_opacity_over(Piece p, real from, real to)
   return (to - from) * sum;
 }
 
+/* Where opacity comes near 1 at an end of the piece, T has a logarithm there: x = S(u), a step whose derivatives
+ * vanish at both ends, smooths it away. */
+inline real mean_opacity_near_opaque(Piece p, real from, real to)
+{
+  real sum = 0;
+  for (int half_ = 0; half_ < 2; ++half_)
+    for (int k = 0; k < 8; ++k) {
+      const real u = (real)0.5 * (half_ + gauss_node[k]);
+      const real x = u * u * u * (10 - u * (15 - 6 * u)), slope = 30 * u * u * (1 - u) * (1 - u);
+      sum -= (real)0.5 * gauss_weight[k] * slope * expm1(-piece_depth(p, from + (to - from) * x));
+    }
+  return (to - from) * sum;
+}
+
+inline real mean_opacity_of_part(Piece p, real from, real to)
+{
+  const real q0 = p.qa - from * p.da, q1 = p.qa - to * p.da;
+  return fmin(q0, q1) < (real)0.1 * fmax(q0, q1) ? mean_opacity_near_opaque(p, from, to)
+                                                 : mean_opacity_over(p, from, to);
+}
+
 /* int_0^1 A(x) dx, where T(1) = depth. */
 inline real mean_opacity(Piece p, real depth)
 {
   if (depth <= (real)0.02 && fabs(p.da) <= (real)0.02 * p.qa) return mean_opacity_of_thin(p);
-  if (depth <= 2) return mean_opacity_over(p, 0, 1);
+  if (depth <= 2) return mean_opacity_of_part(p, 0, 1);
   real sum = 0, to = 1;
   for (int halvings = 0; halvings < 200; ++halvings) {
     const real from = to / 2, at_from = piece_depth(p, from);
     if (at_from > 40)
       sum += to - from; /* opaque all along */
     else
-      sum += mean_opacity_over(p, from, to);
+      sum += mean_opacity_of_part(p, from, to);
     to = from;
     if (at_from <= 1) break;
   }
-  return sum + mean_opacity_over(p, 0, to);
+  return sum + mean_opacity_of_part(p, 0, to);
 }
 
 typedef struct {

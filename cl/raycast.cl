@@ -9,7 +9,8 @@
  *   preintegrated   values at 0, 1, ..., n and L; a segment's colour depends on the values at its ends
  *   pre, post       values at the middle of each segment
  *
- * Switches (-D): LANES, VOXEL_BITS, VOXEL_SIGNED, VOXEL_SCALED, FILTER, CLASSIFICATION, WARPED_CLASSES, SKIP_EMPTY, WITH_DEPTH.
+ * Switches (-D): LANES, VOXEL_BITS, VOXEL_SIGNED, VOXEL_SCALED, VOXEL_PAIRS, FILTER, CLASSIFICATION, WARPED_CLASSES,
+ * SKIP_EMPTY, WITH_DEPTH.
  */
 #include "lanes.h"
 #include "view.h"
@@ -81,12 +82,16 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
     start = select(start, i, leaps);
 #endif
 #endif
+    /* Two steps ahead: a fetch from beyond the second-level cache takes longer than a step of arithmetic. (Two variables, not
+     * an array: an array would live in memory. Three steps ahead gain nothing.) */
     FetchedSample ahead = fetch_along(volume, view, &ray, TO_FLOAT(i) + offset);
+    FetchedSample ahead2 = fetch_along(volume, view, &ray, TO_FLOAT(i) + 1.0f + offset);
     for (int step = 0; step < MARCH_STEPS; ++step) {
       const intN active = MASK(i <= last);
       const floatN t = TO_FLOAT(i) + offset;
       const FetchedSample sample = ahead;
-      ahead = fetch_along(volume, view, &ray, t + 1.0f);
+      ahead = ahead2;
+      ahead2 = fetch_along(volume, view, &ray, t + 2.0f);
       taken -= AS_UINT(active);
       int visible;
 #if CLASSIFICATION == CLASSIFICATION_PREINTEGRATED

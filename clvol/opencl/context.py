@@ -179,6 +179,29 @@ class DeviceContext:
         """An uninitialised array on the device."""
         return self._buffer(cl.mem_flags.READ_WRITE, np.dtype(dtype), tuple(shape), None)
 
+    def output(self, dtype: Any, shape: Sequence[int]) -> DeviceArray:
+        """An array for ``take`` to hand out after a kernel has written it: on a CPU device the kernel
+        writes straight into host memory."""
+        if not self.is_cpu:
+            return self.empty(dtype, shape)
+        host = np.empty(shape, dtype)
+        return self._buffer(
+            cl.mem_flags.WRITE_ONLY | cl.mem_flags.USE_HOST_PTR, host.dtype, host.shape, host
+        )
+
+    def take(self, output: DeviceArray) -> np.ndarray:
+        """The contents of an ``output`` once all that was enqueued is done; the output is used up."""
+        if output.host is None:
+            return self.read(output)
+        try:
+            mapped, _ = cl.enqueue_map_buffer(
+                self.queue, output.buffer, cl.map_flags.READ, 0, output.shape, output.dtype
+            )
+            mapped.base.release(self.queue)
+        except cl.Error as error:
+            raise RenderError(self.name, f"failed ({error})") from None
+        return output.host
+
     def write(self, array: DeviceArray, values: np.ndarray) -> None:
         """Copies ``values`` into ``array``; returns when the copy is done."""
         cl.enqueue_copy(self.queue, array.buffer, np.ascontiguousarray(values), is_blocking=True)

@@ -11,6 +11,8 @@ from clvol.opencl.context import DeviceArray, DeviceContext
 from clvol.volume import Volume
 
 CELL_SHIFT = 3  # cells of 8^3 for empty space
+# 8-bit volumes are held as pairs (twice the memory) up to this many bytes of pairs.
+_LARGEST_PAIRS = 512 * 2**20
 _LARGEST_OFFSET = 2**31 - 1  # offsets are signed 32 bit: what the hardware's gather takes
 _PLAIN_RANGE = (1e-18, 1e18)  # magnitudes that float32 arithmetic takes as they are
 
@@ -53,16 +55,22 @@ def voxel_switches(volume: Volume, values: ValueMap) -> dict[str, int]:
         "VOXEL_BITS": dtype.itemsize * 8,
         "VOXEL_SIGNED": int(dtype.kind == "i"),
         "VOXEL_SCALED": int(dtype == np.float32 and values.gain != 1.0),
+        "VOXEL_PAIRS": int(holds_pairs(volume)),
     }
+
+
+def holds_pairs(volume: Volume) -> bool:
+    nx, ny, nz = padded_size(volume)
+    return volume.dtype.itemsize == 1 and 2 * nx * (ny - 1) * nz <= _LARGEST_PAIRS
 
 
 def device_bytes(volume: Volume) -> int:
     """Bytes that ``DeviceVolume`` takes on the device for voxels and min-max grid."""
-    nx, ny, nz = padded_size(volume)
+    size = nx, ny, nz = padded_size(volume)
     voxels = nx * ny * nz * volume.dtype.itemsize
-    if volume.dtype.itemsize == 1:
+    if holds_pairs(volume):
         voxels = 2 * nx * (ny - 1) * nz
-    cells = np.prod([cell_count(n) for n in (nx, ny, nz)], dtype=np.int64)
+    cells = np.prod([cell_count(n) for n in size], dtype=np.int64)
     return int(voxels + cells * (2 * volume.dtype.itemsize + 2))
 
 
@@ -86,9 +94,9 @@ class DeviceVolume:
                 data = np.repeat(data, 2, axis=axis) if n == 1 else data
         data = np.ascontiguousarray(data)
         plain = context.share(data)
-        if volume.dtype.itemsize == 1:
+        if holds_pairs(volume):
             self.stride = (nx, nx * (ny - 1))
-            self.voxels = context.empty(np.uint8, (nz, ny - 1, nx, 2))
+            self.voxels = context.output(np.uint8, (nz, ny - 1, nx, 2))
             pair_rows = context.kernel(
                 "empty_space.cl",
                 "pair_rows",
@@ -102,12 +110,14 @@ class DeviceVolume:
         else:
             self.stride = (nx, nx * ny)
             self.voxels = plain
+            if volume.dtype.itemsize == 1:  # 32-bit loads of the last bytes must stay inside
+                self.voxels = context.upload(np.append(data.ravel(), np.zeros(4, data.dtype)))
         self.cells = tuple(cell_count(n) for n in self.size)
         self.low, self.high = self._min_max(context, plain, data.dtype)
 
     @property
     def _grid_switches(self) -> dict[str, int]:
-        return {k: v for k, v in self.switches.items() if k != "VOXEL_SCALED"}
+        return {k: self.switches[k] for k in ("VOXEL_BITS", "VOXEL_SIGNED")}
 
     def _min_max(
         self, context: DeviceContext, plain: DeviceArray, dtype: np.dtype

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -10,7 +9,7 @@ import numpy as np
 
 from clvol.errors import RenderError
 from clvol.features import CLASSIFICATIONS, FILTERS
-from clvol.opencl.context import DeviceArray, DeviceContext
+from clvol.opencl.context import DeviceContext
 from clvol.opencl.structs import view_dtype
 from clvol.render.device_volume import CELL_SHIFT, DeviceVolume, voxel_switches, value_map
 from clvol.render.empty_space import distance_map, visible_mask
@@ -74,7 +73,7 @@ class FrameData:
     """What one launch gives: arrays as in ``Frame``, and the number of samples."""
 
     rgba: np.ndarray
-    depth: np.ndarray
+    depth: np.ndarray | None
     samples: int
 
 
@@ -105,8 +104,8 @@ class Raycaster:
         self.length = resolved.integration.step * resolved.volume.grid.smallest_edge
         self.set_transfer_function(resolved.transfer_function)
         self._view_dtype = view_dtype(self.volume.switches["VOXEL_BITS"])
-        self._warm = set()
-        self._outputs: tuple[DeviceArray, DeviceArray, DeviceArray] | None = None
+        self._warm: set[tuple] = set()
+        self._none = context.empty(np.float32, (4,))
         self._view = context.empty(self._view_dtype, (1,))
         self._check_struct()
 
@@ -138,47 +137,49 @@ class Raycaster:
         width: int,
         height: int,
         progress: Callable[[int, int], None] | None = None,
+        depth: bool = True,
     ) -> FrameData:
         """One picture. ``progress(rows of tiles done, all)`` is called after each launch."""
         context = self.context
         cut = tiling(width, height, *self.tile)
         frame = ray_frame(camera, self.resolved.volume.grid, width, height)
         view = self._frame_view(frame, width, height)
-        image, depths, samples = self._buffers(width, height, cut.columns * cut.rows)
+        image = context.output(np.float32, (height, width, 4))
+        depths = context.output(np.float32, (height, width)) if depth else self._none
+        samples = context.output(np.uint32, (cut.columns * cut.rows,))
         expected = width * height * self._most_samples() * _SECONDS_A_SAMPLE
         done = 0
         for first, count in bands(cut.rows, expected, _BAND_SECONDS):
             view["band"][0, 0] = first
-            self._launch(view, (cut.columns, count), image, depths, samples)
+            self._launch(view, (cut.columns, count), image, depths, samples, depth)
             done += count
             if done < cut.rows or progress is not None:
                 context.finish()
             if progress is not None:
                 progress(done, cut.rows)
-        return FrameData(
-            context.read(image),
-            context.read(depths),
-            int(context.read(samples).sum(dtype=np.uint64)),
-        )
+        rgba = context.take(image)
+        taken = int(context.take(samples).sum(dtype=np.uint64))
+        return FrameData(rgba, context.take(depths) if depth else None, taken)
 
-    def warm_up(self, width: int, height: int) -> None:
+    def warm_up(self, width: int, height: int, depth: bool = True) -> None:
         """Compiles everything a frame of this size needs: final code is made at the first launch."""
         cut = tiling(width, height, *self.tile)
         size = (cut.columns, cut.rows)
-        key = (size, tuple(self.switches.items()))
+        key = (size, depth, tuple(self.switches.items()))
         if key in self._warm:
             return
-        image, depths, samples = self._buffers(width, height, cut.columns * cut.rows)
         view = np.zeros(1, self._view_dtype)  # an image without pixels: every work-item returns
         view["image"][0] = (0, 0, *self.tile)
-        self._launch(view, size, image, depths, samples)
+        samples = self.context.output(np.uint32, (cut.columns * cut.rows,))
+        self._launch(view, size, self._none, self._none, samples, depth)
         self.context.finish()
         self._warm.add(key)
 
-    def _launch(self, view, size, image, depths, samples) -> None:
+    def _launch(self, view, size, image, depths, samples, depth) -> None:
         context = self.context
         context.write(self._view, view)
-        kernel = context.kernel("raycast.cl", "raycast", _ARGUMENTS, self.switches)
+        switches = {**self.switches, "WITH_DEPTH": int(depth)}
+        kernel = context.kernel("raycast.cl", "raycast", _ARGUMENTS, switches)
         kernel(
             context.queue,
             size,
@@ -192,16 +193,6 @@ class Raycaster:
             depths=depths,
             samples=samples,
         )
-
-    def _buffers(self, width: int, height: int, tiles: int):
-        if self._outputs is None or self._outputs[0].shape != (height, width, 4):
-            context = self.context
-            self._outputs = (
-                context.empty(np.float32, (height, width, 4)),
-                context.empty(np.float32, (height, width)),
-                context.empty(np.uint32, (tiles,)),
-            )
-        return self._outputs
 
     def _most_samples(self) -> float:
         grid = self.resolved.volume.grid

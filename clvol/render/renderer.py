@@ -55,11 +55,15 @@ class Renderer:
         self._context = self._raycaster = None
 
     def render(
-        self, camera: Camera | None = None, progress: Callable[[int, int], None] | None = None
+        self,
+        camera: Camera | None = None,
+        progress: Callable[[int, int], None] | None = None,
+        depth: bool = True,
     ) -> Frame:
         """The picture from the scene's camera, or from ``camera``.
 
-        ``progress(done, total)`` is called now and then with shares of the work.
+        ``progress(done, total)`` is called now and then with shares of the work. Without ``depth``
+        none is computed and ``Frame.depth`` is None.
         """
         if self._context is None:
             raise RenderError("Renderer", "is closed", "a Renderer that is open")
@@ -73,11 +77,11 @@ class Renderer:
             return self._reference(camera, progress)
         compile_start = time.perf_counter()
         before = self._context.compile_seconds
-        self._raycaster.warm_up(width, height)
+        self._raycaster.warm_up(width, height, depth)
         compile_seconds = before + time.perf_counter() - compile_start
         self._context.compile_seconds = 0.0
         start = time.perf_counter()
-        data = self._raycaster.render(camera, width, height, progress)
+        data = self._raycaster.render(camera, width, height, progress, depth)
         seconds = {"compile": compile_seconds, "render": time.perf_counter() - start}
         return self._frame(data.rgba, data.depth, seconds, {"samples": data.samples})
 
@@ -114,7 +118,7 @@ class Renderer:
         }
         return Frame(
             np.asarray(rgba, np.float32),
-            np.asarray(depth, np.float32),
+            None if depth is None else np.asarray(depth, np.float32),
             resolved.background,
             stats,
             resolved.source,
