@@ -138,7 +138,7 @@ INLINE void composite_tail(Accumulator *acc, ClassCoordinate front, ClassCoordin
   STORE_LANES(table_row(front, back, view), entry), STORE_LANES(active, on);
   STORE_LANES(front.fraction, f), STORE_LANES(back.fraction, b);
   STORE_LANES(length_in_steps, length), STORE_LANES(transmittance, weight);
-  EACH_LANE(k)
+  EACH_LANE_ROLLED(k)
   {
     rgba[k] = 0.0f;
     if (on[k]) {
@@ -181,7 +181,7 @@ INLINE void composite_sample_tail(Accumulator *acc, ClassCoordinate at, floatN l
   float4 rgba[LANES];
   STORE_LANES(at.node * 4, entry), STORE_LANES(active, on), STORE_LANES(at.fraction, f);
   STORE_LANES(length_in_steps, length), STORE_LANES(transmittance, weight);
-  EACH_LANE(k)
+  EACH_LANE_ROLLED(k)
   {
     rgba[k] = 0.0f;
     if (on[k]) {
@@ -205,14 +205,14 @@ INLINE void classified_samples(FetchedSample s, __constant const View *view, __g
   const floatN fx = s.fx, fy = s.fy, fz = s.fz;
   const Corners c = decode_corners(s.corners, view);
   floatN corner[8] = {c.v000, c.v100, c.v010, c.v110, c.v001, c.v101, c.v011, c.v111};
-  EACH_LANE(k) emission_extinction[k] = 0.0f;
-  for (int v = 0; v < 8; ++v) {
+  EACH_LANE_ROLLED(k) emission_extinction[k] = 0.0f;
+  _Pragma("unroll 1") for (int v = 0; v < 8; ++v) {
     const ClassCoordinate at = class_coordinate(corner[v], warp, view);
     const floatN w = (v & 1 ? fx : 1.0f - fx) * (v & 2 ? fy : 1.0f - fy) * (v & 4 ? fz : 1.0f - fz);
     int entry[LANES];
     float f[LANES], weight[LANES];
     STORE_LANES(at.node * 4, entry), STORE_LANES(at.fraction, f), STORE_LANES(w, weight);
-    EACH_LANE(k)
+    EACH_LANE_ROLLED(k)
     {
       const float8 r = vload8(0, table + entry[k]);
       emission_extinction[k] += weight[k] * (r.lo + f[k] * (r.hi - r.lo));
@@ -227,7 +227,7 @@ INLINE void classified_samples(FetchedSample s, __constant const View *view, __g
   }
   float bad[LANES];
   STORE_LANES(sum, bad);
-  EACH_LANE(k) if (bad[k] != 0.0f) emission_extinction[k] = 0.0f;
+  EACH_LANE_ROLLED(k) if (bad[k] != 0.0f) emission_extinction[k] = 0.0f;
 #endif
 }
 
@@ -238,7 +238,7 @@ INLINE void composite_classified(Accumulator *acc, const float4 *emission_extinc
   float length[LANES], weight[LANES];
   float4 rgba[LANES];
   STORE_LANES(active, on), STORE_LANES(length_in_steps, length), STORE_LANES(transmittance, weight);
-  EACH_LANE(k)
+  EACH_LANE_ROLLED(k)
   {
     const float4 e = emission_extinction[k];
     rgba[k] = 0.0f;

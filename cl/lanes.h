@@ -46,6 +46,9 @@ typedef uint uintN;
 #error "LANES must be 1 or 16"
 #endif
 
+/* Lane by lane where it is rare: unrolled, such loops take compilers many seconds. */
+#define EACH_LANE_ROLLED(k) _Pragma("unroll 1") EACH_LANE(k)
+
 /* A call in the inner loop would spill every ray of the packet. */
 #define INLINE inline __attribute__((always_inline))
 

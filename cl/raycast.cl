@@ -77,7 +77,7 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
     const intN next = TO_INT(MIDPOINTS ? ceil(finite - 0.5f) : finite) - (MIDPOINTS ? 0 : 1);
     const intN leaps = MASK(i <= last) & MASK(next > i);
     i = select(i, next, leaps);
-    last = select(last, (intN)DONE, leaps & MASK(visible_at >= ray.length));
+    last = select(last, (intN)DONE, MASK(i <= last) & MASK(visible_at >= ray.length));
 #if !MIDPOINTS
     start = select(start, i, leaps);
 #endif
@@ -86,7 +86,7 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
      * an array: an array would live in memory. Three steps ahead gain nothing.) */
     FetchedSample ahead = fetch_along(volume, view, &ray, TO_FLOAT(i) + offset);
     FetchedSample ahead2 = fetch_along(volume, view, &ray, TO_FLOAT(i) + 1.0f + offset);
-    for (int step = 0; step < MARCH_STEPS; ++step) {
+    _Pragma("unroll 1") for (int step = 0; step < MARCH_STEPS; ++step) {
       const intN active = MASK(i <= last);
       const floatN t = TO_FLOAT(i) + offset;
       const FetchedSample sample = ahead;

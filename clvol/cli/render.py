@@ -61,7 +61,7 @@ def command(
 
     with working(f"rendering {asked.image.width} x {asked.image.height} pixels", quiet):
         with Renderer(asked, devices=list(devices) or None) as renderer:
-            frame = renderer.render()
+            frame = renderer.render(depth=any(path.lower().endswith(".exr") for path in outputs))
 
     with working("writing", quiet), together([*outputs, *others]) as temporaries:
         write_start = time.perf_counter()

@@ -7,6 +7,7 @@ a wrong array is a Python error and not a wrong picture.
 from __future__ import annotations
 
 import time
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -147,9 +148,11 @@ class DeviceContext:
             folder = kernel_folder()
             source = (folder / file).read_text(encoding="utf-8")
             try:
-                program = cl.Program(self.context, source).build(
-                    [*options, "-I", str(folder)], cache_dir=False
-                )
+                with warnings.catch_warnings():  # a driver's "compilation done" is no news
+                    warnings.simplefilter("ignore", cl.CompilerWarning)
+                    program = cl.Program(self.context, source).build(
+                        [*options, "-I", str(folder)]
+                    )
             except cl.RuntimeError as error:
                 lines = [line for line in str(error).splitlines() if "error" in line.lower()]
                 reason = lines[0] if lines else str(error)

@@ -141,6 +141,9 @@ class Raycaster:
     ) -> FrameData:
         """One picture. ``progress(rows of tiles done, all)`` is called after each launch."""
         context = self.context
+        if not self.visible_share:  # nothing can be seen: no ray needs to be cast
+            nowhere = np.full((height, width), np.inf, np.float32) if depth else None
+            return FrameData(np.zeros((height, width, 4), np.float32), nowhere, 0)
         cut = tiling(width, height, *self.tile)
         frame = ray_frame(camera, self.resolved.volume.grid, width, height)
         view = self._frame_view(frame, width, height)
