@@ -22,7 +22,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--scenes", metavar="A,B", default="", help="some of the scenes only")
     parser.add_argument("--frames", type=int, default=9, help="frames a median is taken of, >= 7")
     parser.add_argument("--classification", choices=("preintegrated", "post"),
-                        default="preintegrated", help="of clvol, for peers")
+                        help="of clvol, for peers; by default what suits each scene")
     asked = parser.parse_args(arguments)
 
     modules = {name: importlib.import_module(f"bench.{name}") for name in NAMES}

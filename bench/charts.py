@@ -130,7 +130,7 @@ def error_time_chart(result: dict[str, Any], size: int, path: Path) -> Path:
         axis.loglog(x, y, color=_VTK, marker="s", markersize=3.5, markerfacecolor="white",
                     linewidth=0.9, alpha=0.8)
         axis.axhline(s["headline"]["vtk_rmse"], color=_VTK, linewidth=0.8, linestyle=":")
-        axis.set_title(f"{s['scene']}: {s['summary']}", fontsize=10)
+        axis.set_title(f"{s['scene']}: {s['summary']}; clvol {s['classification']}", fontsize=9)
         axis.grid(True, which="major", color="#e6e6e6", linewidth=0.6)
         axis.set_axisbelow(True)
         axis.set_xlabel("milliseconds a frame")
@@ -144,7 +144,7 @@ def error_time_chart(result: dict[str, Any], size: int, path: Path) -> Path:
         Line2D([], [], color=_VTK, marker="s", label=f"VTK {result['vtk']}, fixed-point ray cast"),
         Line2D([], [], color=_VTK, marker="s", markerfacecolor="white", linewidth=0.9,
                label="the same, as drawn in its window"),
-        Line2D([], [], color=_CLVOL, marker="o", label=f"clvol, {result['classification']}"),
+        Line2D([], [], color=_CLVOL, marker="o", label="clvol"),
         Line2D([], [], color=_VTK, linestyle=":", label="error of VTK's rays at step 1"),
         Line2D([], [], linestyle="", label=f"{size} × {size} pixels; numbers: step in voxels"),
         Line2D([], [], linestyle="", label="RMSE of linear RGBA against the exact integral"),

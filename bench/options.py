@@ -17,7 +17,7 @@ class Options:
     sizes: tuple[int, ...] = (512, 1024)
     scenes: tuple[str, ...] = field(default=())
     frames: int = 9
-    classification: str = "preintegrated"
+    classification: str | None = None  # None: what suits each scene
 
     @property
     def folder(self) -> Path:

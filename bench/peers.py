@@ -55,7 +55,7 @@ def run(options: Options) -> dict[str, Any] | None:
         "machine": machine(device),
         "vtk": version,
         "threads": threads,
-        "classification": options.classification,
+        "classification": options.classification or "as suits each scene",
         "load_before": load_average(),
         "quick": options.quick,
         "missing": [],
@@ -101,7 +101,8 @@ def _compare(
     if options.quick:
         vtk_steps, clvol_steps, frames = QUICK["vtk"], QUICK["clvol"], QUICK["frames"]
     begun = time.perf_counter()
-    integration = {"classification": options.classification}
+    classification = options.classification or scene.classification
+    integration = {"classification": classification}
     resolved = scene.scene(volume, size).resolve()
     most = size * size if size <= WHOLE_SIZE else RANDOM_PIXELS
     exact = exact_picture(
@@ -128,7 +129,7 @@ def _compare(
                 if key[1] == 1.0:
                     pictures["window", 1.0] = window
             else:
-                frame = renderers[key[1]].render()
+                frame = renderers[key[1]].render(depth=False)
                 picture = frame.rgba
                 point["samples"] = frame.stats["samples"]
             point["rmse"], point["max_abs"] = exact.rmse(picture), exact.max_abs(picture)
@@ -142,7 +143,7 @@ def _compare(
             return wall
 
         def clvol_frame(step: float) -> float:
-            return renderers[step].render().stats["seconds"]["render"]
+            return renderers[step].render(depth=False).stats["seconds"]["render"]
 
         peer.render_empty()
         turns: dict[Any, Any] = {"empty": peer.render_empty}
@@ -171,6 +172,7 @@ def _compare(
     measured = {
         "scene": scene.name,
         "summary": scene.summary,
+        "classification": classification,
         "size": size,
         "load": load,
         "pixels_compared": len(exact.pixels),
@@ -300,7 +302,7 @@ def show(result: dict[str, Any]) -> str:
     for s in result["scenes"]:
         rays, window = s["headline"], s["headline_window"]
         frames.append([
-            s["scene"], s["size"], f"{rays['vtk_seconds']:.4f}", f"{rays['clvol_seconds']:.4f}",
+            s["scene"], s["size"], s["classification"], f"{rays['vtk_seconds']:.4f}", f"{rays['clvol_seconds']:.4f}",
             f"{rays['ratio']:.2f}", f"{rays['ratio_of_least']:.2f}", f"{rays['vtk_rmse']:.5f}",
             f"{window['vtk_rmse']:.5f}", f"{rays['clvol_rmse']:.5f}",
         ])  # fmt: skip
@@ -312,10 +314,10 @@ def show(result: dict[str, Any]) -> str:
             theirs = h["vtk_to_clvol_error"]
             row += [_seconds(theirs), _times(h["ratio_at_clvol_error"], theirs, "<=")]
         errors.append(row)
-    head = ["scene", "size", "VTK s", "clvol s", "ratio", "of minima", "RMSE VTK", "its window",
+    head = ["scene", "size", "clvol's", "VTK s", "clvol s", "ratio", "of minima", "RMSE VTK", "its window",
             "clvol"]
     lines = [
-        f"Step 1, no shading, clvol {result['classification']}; ratio: VTK's seconds over clvol's.",
+        f"Step 1, no shading, clvol's classification {result['classification']}; ratio: VTK's seconds over clvol's.",
         table(head, frames),
         "",
         "Seconds that clvol needs for VTK's step-1 error (of its rays, of its window), and VTK for"

@@ -79,8 +79,8 @@ def _frame(volume, size: int, device, rounds: int) -> dict[str, Any]:
         integration={"early_termination": 0.0},
     )
     with Renderer(scene, [device]) as renderer:
-        samples = renderer.render().stats["samples"]
-        times = take_turns({0: lambda: renderer.render().stats["seconds"]["render"]}, rounds)[0]
+        samples = renderer.render(depth=False).stats["samples"]
+        times = take_turns({0: lambda: renderer.render(depth=False).stats["seconds"]["render"]}, rounds)[0]
     ns = times["median"] * device.max_compute_units / samples * 1e9
     return {
         "seconds": times["median"], "time": times, "samples": samples, "ns_a_sample_and_core": ns,

@@ -25,12 +25,16 @@ Point = tuple[float, float, tuple[float, float, float]]
 
 @dataclass(frozen=True)
 class BenchScene:
-    """``points``: (value, opacity over OPACITY_UNIT, linear colour) of the transfer function."""
+    """``points``: (value, opacity over OPACITY_UNIT, linear colour) of the transfer function.
+    ``classification``: what suits it. Midpoints ("post") are the better rule where the function is
+    smooth; what is narrower than a step needs "preintegrated".
+    """
 
     name: str
     file: str
     summary: str
     points: tuple[Point, ...]
+    classification: str = "post"
 
     def path(self, folder: Path = VOLUMES) -> Path:
         return folder / self.file
@@ -107,6 +111,7 @@ SCENES = (
             *_peak(196, 0.5, (0.2, 0.2, 1.0), (0.2, 0.3, 1.0)),
             (255, 0.0, (0.0, 0.0, 0.0)),
         ),
+        classification="preintegrated",
     ),
     BenchScene(
         "aneurism",

@@ -1,7 +1,7 @@
 /* The inner loop of the ray caster, taken apart. Each kernel walks the same rays in the same packets as cl/raycast.cl does for
  * pre-integrated classification, without skipping and without stopping: values at 0, 1, ..., n and the exit.
  *
- *   sum_samples  reconstructs the volume there and sums; nothing is classified or composited
+ *   sum_samples  reconstructs the volume there, fetching two steps ahead, and sums; nothing is classified or composited
  *   sum_gathers  only the gathers that a reconstruction needs, from 16 KiB: what the machine can do at best
  *
  * Switches as in cl/raycast.cl.
@@ -27,7 +27,7 @@
 
 #define L1_WORDS 1024 /* 4 KiB for each of up to four gathers, 16 KiB in all */
 
-#define RAYS_OF_TILE(BODY)                                                                                \
+#define RAYS_OF_TILE(BEGIN, BODY, END)                                                                              \
   const int tile_x = (int)get_global_id(0), tile_y = (int)get_global_id(1);                               \
   const int width = view->image.x, height = view->image.y;                                                \
   const int left = tile_x * view->image.z, top = tile_y * view->image.w;                                  \
@@ -40,7 +40,8 @@
       const intN hits = MASK(ray.length >= 0.0f) & MASK(px < width) & MASK(py < height);                  \
       const intN last = select((intN)-2, TO_INT(whole), hits);                                            \
       intN i = 0;                                                                                         \
-      while (any(MASK(i <= last))) {                                                                      \
+      while (any_lane(MASK(i <= last))) {                                                                 \
+        BEGIN                                                                                             \
         for (int step = 0; step < MARCH_STEPS; ++step) {                                                  \
           const intN active = MASK(i <= last);                                                            \
           const floatN t = TO_FLOAT(i);                                                                   \
@@ -51,7 +52,7 @@
       }                                                                                                   \
       const intN active = hits & MASK(rest > 0.0f);                                                       \
       const floatN t = ray.length;                                                                        \
-      BODY                                                                                                \
+      END                                                                                                 \
       taken -= AS_UINT(active);                                                                           \
     }
 
@@ -65,9 +66,9 @@
     EACH_LANE(k) sums[tile] += total_[k], samples[tile] += taken_[k];                                     \
   }
 
-inline floatN sample_ray(__global const uchar *volume, __constant const View *view, const Rays *ray, floatN t)
+INLINE FetchedSample fetch_along(__global const uchar *volume, __constant const View *view, const Rays *ray, floatN t)
 {
-  return sample_volume(volume, view, ray->x0 + t * ray->dx, ray->y0 + t * ray->dy, ray->z0 + t * ray->dz);
+  return fetch_sample(volume, view, ray->x0 + t * ray->dx, ray->y0 + t * ray->dy, ray->z0 + t * ray->dz);
 }
 
 __kernel WIDE_VECTORS void sum_samples(__global const uchar *restrict volume, __constant const View *restrict view,
@@ -75,11 +76,16 @@ __kernel WIDE_VECTORS void sum_samples(__global const uchar *restrict volume, __
 {
   floatN sum = 0.0f;
   uintN taken = 0;
-  RAYS_OF_TILE(sum += select((floatN)0.0f, sample_ray(volume, view, &ray, t), active);)
+  RAYS_OF_TILE(
+    FetchedSample ahead = fetch_along(volume, view, &ray, TO_FLOAT(i));
+    FetchedSample ahead2 = fetch_along(volume, view, &ray, TO_FLOAT(i) + 1.0f);
+    , const FetchedSample sample = ahead; ahead = ahead2; ahead2 = fetch_along(volume, view, &ray, t + 2.0f);
+    sum += select((floatN)0.0f, sample_value(sample, view), active);
+    , sum += select((floatN)0.0f, sample_value(fetch_along(volume, view, &ray, t), view), active);)
   STORE_TOTALS(sum)
 }
 
-inline uintN gathers(__global const uchar *volume, intN at)
+INLINE uintN gathers(__global const uchar *volume, intN at)
 {
   uintN sum = 0;
   for (int g = 0; g < GATHERS; ++g) sum += gather4(volume + 4 * L1_WORDS * (g & 3), at);
@@ -92,6 +98,7 @@ __kernel WIDE_VECTORS void sum_gathers(__global const uchar *restrict volume, __
 {
   uintN sum = 0, taken = 0;
   const intN first = LANE_INDEX * 37;
-  RAYS_OF_TILE((void)t; sum += gathers(volume, (first + i * 11) & (L1_WORDS - 1));)
+  RAYS_OF_TILE(, (void)t; sum += gathers(volume, (first + i * 11) & (L1_WORDS - 1));
+               , (void)t; sum += gathers(volume, (first + i * 11) & (L1_WORDS - 1));)
   STORE_TOTALS(TO_FLOAT(AS_INT(sum)))
 }

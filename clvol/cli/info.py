@@ -20,13 +20,16 @@ def command(
     A .raw file needs --set volume.dims=[nx,ny,nz] --set 'volume.dtype="uint8"'.
     """
     from clvol.cli.console import say_json, say_table
+    from clvol.render.layout import scene_bytes
     from clvol.scene import load_scene
     from clvol.scene.sizes import format_size
     from clvol.volume import describe
 
-    loaded = load_scene(volume, overrides).load_volume(memory_cap)
+    scene = load_scene(volume, overrides)
+    loaded = scene.load_volume(memory_cap)
     facts = describe(loaded)
-    facts["memory_needed"] = loaded.nbytes
+    image, table_size = scene.image, scene.integration.table_size
+    facts["memory_needed"] = scene_bytes(loaded, table_size, image.width, image.height)
     if as_json:
         say_json(facts)
         return
@@ -45,7 +48,7 @@ def command(
         ("range", f"{low:.9g} to {high:.9g}"),
         ("NaN voxels", str(loaded.nan_count)),
         ("infinite voxels", str(loaded.inf_count)),
-        ("memory", f"{format_size(facts['memory_needed'])} on the device"),
+        ("memory", f"{format_size(facts['memory_needed'])} on the device, picture and tables included"),
     ]
     say_table(row for row in rows if row[1])
 

@@ -29,7 +29,7 @@ from clvol.cli.options import memory_cap_option, overrides_option, scene_argumen
     help="A name of 'clvol doctor'. Repeatable.",
 )
 @click.option("--stats", metavar="FILE", help="Where to write times and counts as JSON.")
-@memory_cap_option("The most memory that the volume may take.")
+@memory_cap_option("The most memory that the volume may take, here and on the device.")
 @click.option("--quiet", is_flag=True, help="No progress on the terminal.")
 def command(
     scene: str,
@@ -60,7 +60,7 @@ def command(
     from clvol.render import Renderer
 
     with working(f"rendering {asked.image.width} x {asked.image.height} pixels", quiet):
-        with Renderer(asked, devices=list(devices) or None) as renderer:
+        with Renderer(asked, list(devices) or None, memory_cap) as renderer:
             frame = renderer.render(depth=any(path.lower().endswith(".exr") for path in outputs))
 
     with working("writing", quiet), together([*outputs, *others]) as temporaries:

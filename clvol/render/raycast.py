@@ -11,8 +11,9 @@ from clvol.errors import RenderError
 from clvol.features import CLASSIFICATIONS, FILTERS
 from clvol.opencl.context import DeviceContext
 from clvol.opencl.structs import view_dtype
-from clvol.render.device_volume import CELL_SHIFT, DeviceVolume, voxel_switches, value_map
+from clvol.render.device_volume import DeviceVolume
 from clvol.render.empty_space import distance_map, visible_mask
+from clvol.render.layout import CELL_SHIFT, value_map, voxel_switches
 from clvol.render.view import RayFrame, ray_frame
 from clvol.scene.camera import Camera
 from clvol.scene.resolve import ResolvedScene

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clvol.errors import RenderError, UsageError
+from clvol.errors import RenderError, UsageError, VolumeError
 from clvol.features import called_for, refuse_unknown
 from clvol.render.frame import Frame
 from clvol.scene.camera import Camera
@@ -22,16 +22,23 @@ class Renderer:
     """Keeps a scene's volume, tables and programs on a device.
 
     ``scene``: a ``clvol.Scene`` (or one already resolved). ``devices``: names as in ``clvol doctor``, or
-    pyopencl devices; None takes the default one. Use it as a context manager, or call ``close``.
+    pyopencl devices; None takes the default one. ``memory_cap``: bytes that the scene may take on the
+    device; what needs more is refused before anything is uploaded. Use it as a context manager, or call ``close``.
 
     Raises SceneError and VolumeError (scene or volume wrong, or asking for what is not there),
     DeviceError (no device works), RenderError (a program does not build or fails).
     """
 
-    def __init__(self, scene: Scene | ResolvedScene, devices: Sequence[Any] | None = None) -> None:
+    def __init__(
+        self,
+        scene: Scene | ResolvedScene,
+        devices: Sequence[Any] | None = None,
+        memory_cap: int | None = None,
+    ) -> None:
         start = time.perf_counter()
         self.resolved = scene.resolve() if hasattr(scene, "resolve") else scene
         refuse_unknown(self.resolved)
+        _check_memory(self.resolved, memory_cap)
         loaded = time.perf_counter()
         self._context = _open(devices)
         self._raycaster = None
@@ -123,6 +130,16 @@ class Renderer:
             stats,
             resolved.source,
         )
+
+
+def _check_memory(resolved: ResolvedScene, cap: int | None) -> None:
+    from clvol.render.layout import scene_bytes
+
+    image, volume = resolved.image, resolved.volume
+    needed = scene_bytes(volume, resolved.integration.table_size, image.width, image.height)
+    if cap is not None and needed > cap:
+        what = f"needs {needed} bytes on the device, pictures and tables included"
+        raise VolumeError(volume.name or "volume", what, f"at most the memory cap of {cap} bytes")
 
 
 def _open(devices: Sequence[Any] | None):

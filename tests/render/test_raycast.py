@@ -491,6 +491,13 @@ def test_what_cannot_be_rendered_is_refused_by_name(device):
         Renderer(make_scene(array), devices=["no such device"])
 
 
+def test_the_memory_cap_refuses_before_the_upload(device):
+    scene = make_scene(waves((16, 16, 16), np.uint8))
+    with pytest.raises(VolumeError, match="at most the memory cap of 1000000 bytes"):
+        Renderer(scene, devices=[device], memory_cap=10**6)
+    Renderer(scene, devices=[device], memory_cap=10**8).close()
+
+
 def test_a_volume_larger_than_one_buffer_is_refused_with_the_numbers(context, monkeypatch):
     from clvol.render import device_volume
 

@@ -1,0 +1,82 @@
+"""How a volume is laid out on a device, and what it takes there: arithmetic, without a device."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from clvol.volume import Volume
+
+CELL_SHIFT = 3  # cells of 8^3 for empty space
+# 8-bit volumes are held as pairs (twice the memory) up to this many bytes of pairs.
+_LARGEST_PAIRS = 512 * 2**20
+LARGEST_OFFSET = 2**31 - 1  # offsets are signed 32 bit: what the hardware's gather takes
+_PLAIN_RANGE = (1e-18, 1e18)  # magnitudes that float32 arithmetic takes as they are
+
+
+@dataclass(frozen=True)
+class ValueMap:
+    """Kernels compute with (voxel - bias) * gain, which is the voxel itself unless it is float64
+    or float32 of extreme magnitude."""
+
+    bias: float = 0.0
+    gain: float = 1.0
+
+    def __call__(self, values):
+        return (np.asarray(values, np.float64) - self.bias) * self.gain
+
+
+def value_map(volume: Volume) -> ValueMap:
+    low, high = volume.value_range
+    if volume.dtype == np.float64:
+        # Halves first: high - low may overflow where high / 2 - low / 2 does not.
+        half = high / 2 - low / 2
+        if not half > 0:
+            return ValueMap(low, 1.0)
+        return ValueMap(low, float(min(0.5 / half, 1e300)))
+    largest = max(abs(low), abs(high))
+    if volume.dtype == np.float32 and largest and not _PLAIN_RANGE[0] < largest < _PLAIN_RANGE[1]:
+        exponent = int(np.clip(-np.floor(np.log2(largest)), -126, 127))
+        return ValueMap(0.0, 2.0**exponent)
+    return ValueMap()
+
+
+def padded_size(volume: Volume) -> tuple[int, int, int]:
+    """Lattice points (x, y, z) on the device: an axis of one voxel is held twice."""
+    return tuple(max(n, 2) for n in volume.grid.size)
+
+
+def voxel_switches(volume: Volume, values: ValueMap) -> dict[str, int]:
+    dtype = volume.dtype
+    return {
+        "VOXEL_BITS": dtype.itemsize * 8,
+        "VOXEL_SIGNED": int(dtype.kind == "i"),
+        "VOXEL_SCALED": int(dtype == np.float32 and values.gain != 1.0),
+        "VOXEL_PAIRS": int(holds_pairs(volume)),
+    }
+
+
+def holds_pairs(volume: Volume) -> bool:
+    nx, ny, nz = padded_size(volume)
+    return volume.dtype.itemsize == 1 and 2 * nx * (ny - 1) * nz <= _LARGEST_PAIRS
+
+
+def device_bytes(volume: Volume) -> int:
+    """Bytes that ``DeviceVolume`` takes on the device for voxels and min-max grid."""
+    size = nx, ny, nz = padded_size(volume)
+    voxels = nx * ny * nz * volume.dtype.itemsize
+    if holds_pairs(volume):
+        voxels = 2 * nx * (ny - 1) * nz
+    cells = np.prod([cell_count(n) for n in size], dtype=np.int64)
+    return int(voxels + cells * (2 * volume.dtype.itemsize + 2))
+
+
+def cell_count(size: int) -> int:
+    return max(1, -(-(size - 1) // (1 << CELL_SHIFT)))
+
+
+def scene_bytes(volume: Volume, table_size: int, width: int, height: int) -> int:
+    """Bytes on the device for everything that a picture needs: volume, tables, picture and depth."""
+    table = 4 * (table_size + 2) ** 2 * 16 + 3 * (table_size - 1) ** 2 * 64
+    return device_bytes(volume) + table + width * height * 20
