@@ -163,16 +163,17 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
  * distances  a byte a cell, see skip_empty.h (only read if SKIP_EMPTY)
  * image      float4 [height, width], premultiplied, linear
  * depths     float [height, width], world distance along the ray from the eye to where opacity reaches one half, else infinity
- * samples    uint [work-items], reconstructions of the volume
+ * samples    uint [tiles], reconstructions of the volume
  */
 __kernel WIDE_VECTORS void raycast(__global const uchar *restrict volume, __global const float *restrict table,
                                    __global const float *restrict warp, __global const uchar *restrict distances,
                                    __constant const View *restrict view, __global float4 *restrict image,
                                    __global float *restrict depths, __global uint *restrict samples)
 {
-  const int tile_x = (int)get_global_id(0), tile_y = (int)get_global_id(1) + view->band.x;
   const int width = view->image.x, height = view->image.y;
-  const int left = tile_x * view->image.z, top = tile_y * view->image.w;
+  const int columns = max(1, (width + view->image.z - 1) / view->image.z);
+  const int tile = (int)get_global_id(0) + view->band.x;
+  const int left = tile % columns * view->image.z, top = tile / columns * view->image.w;
   uint total = 0;
   for (int row = top; row < min(top + view->image.w, height); row += PACKET_H)
     for (int column = left; column < min(left + view->image.z, width); column += PACKET_W) {
@@ -192,7 +193,7 @@ __kernel WIDE_VECTORS void raycast(__global const uchar *restrict volume, __glob
         }
       }
     }
-  samples[(size_t)tile_y * ((width + view->image.z - 1) / view->image.z) + tile_x] = total;
+  samples[tile] = total;
 }
 
 /* The size of View on the device: the host compares it with its own. */

@@ -9,9 +9,10 @@
 
 #include "rays.h"
 
-/* Leaps stop this many steps short of a face, and look beyond it from this many steps behind it: far more than rounding, far
- * less than shows. */
-#define FACE_MARGIN 2e-3f
+/* Leaps stop a little short of a face, and look beyond it from a little behind it: lattice units, far more than rounding, far less than
+ * shows. The share of t keeps t + margin above t where a ray has so many steps that rounding would swallow it. */
+#define FACE_MARGIN(view) (1e-3f + 2e-7f * max(max(view->upper.x, view->upper.y), view->upper.z))
+#define SHARE_OF_T 5e-7f
 
 /* For each ray at parameter t (in steps): t itself where its cell is visible, else where it first enters a visible cell (a little
  * before), or a number beyond `length` if it never does. All rays of the packet leap together. */
@@ -21,6 +22,8 @@ INLINE floatN next_visible(__global const uchar *distances, __constant const Vie
   const int shift = view->cells.w;
   const intN zero = 0, last_x = view->cells.x - 1, last_y = view->cells.y - 1, last_z = view->cells.z - 1;
   const intN right = MASK(ray->dx > 0.0f), down = MASK(ray->dy > 0.0f), away = MASK(ray->dz > 0.0f);
+  const floatN fastest = lane_max(lane_max(fabs(ray->dx), fabs(ray->dy)), fabs(ray->dz));
+  const floatN least_margin = FACE_MARGIN(view) / lane_max(fastest, (floatN)1e-12f);
   floatN entered = t;
   for (;;) {
     const intN cx = min(TO_INT(lane_clamp(ray->x0 + t * ray->dx, (floatN)0.0f, (floatN)view->upper.x)) >> shift, last_x);
@@ -34,8 +37,9 @@ INLINE floatN next_visible(__global const uchar *distances, __constant const Vie
     const intN fz = select(cz - D + 1, cz + D, away) << shift;
     const floatN leave = lane_min(lane_min((TO_FLOAT(fx) - ray->x0) * ray->rx, (TO_FLOAT(fy) - ray->y0) * ray->ry),
                              (TO_FLOAT(fz) - ray->z0) * ray->rz);
-    entered = select(entered, lane_max(leave, t) - FACE_MARGIN, active);
-    t = select(t, lane_max(leave, t) + FACE_MARGIN, active);
+    const floatN face = lane_max(leave, t), margin = least_margin + SHARE_OF_T * face;
+    entered = select(entered, face - margin, active);
+    t = select(t, face + margin, active);
     entered = select(entered, (floatN)INFINITY, active & MASK(t >= ray->length));
     active &= MASK(t < ray->length);
   }

@@ -35,7 +35,7 @@ typedef struct {
   int4 stride;          /* elements from one row to the next, from one slice to the next; - ; - */
   int4 cells;           /* cells of the distance map x, y, z; log2 of a cell's edge */
   int4 image;           /* width, height; tile width, height in pixels */
-  int4 band;            /* first row of tiles; - ; - ; - */
+  int4 band;            /* first tile of this launch; - ; - ; - */
   int4 table;           /* nodes an axis; float4s from row to row; slices; float4s from slice to slice */
 } View;
 

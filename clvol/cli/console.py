@@ -6,7 +6,7 @@ import json
 import math
 import os
 import sys
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
@@ -45,19 +45,37 @@ def say_table(rows: Iterable[tuple[str, str]]) -> None:
 
 
 @contextmanager
-def working(message: str, quiet: bool) -> Iterator[None]:
-    """``message`` and a clock on stderr while the block runs, if stderr is a terminal."""
+def working(message: str, quiet: bool) -> Iterator[Callable[[int, int], None] | None]:
+    """``message`` and a clock on stderr while the block runs, if stderr is a terminal.
+
+    Yields None where nothing is shown, else a function of (done, total) that turns the display into
+    a bar with the time that is left.
+    """
     if quiet or sys.stderr is None or not sys.stderr.isatty():
-        yield
+        yield None
         return
     from rich.console import Console
     from rich.markup import escape
-    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+    from rich.progress import (
+        BarColumn,
+        Progress,
+        SpinnerColumn,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
 
-    columns = SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn()
+    columns = (
+        SpinnerColumn(),
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
+    )
     with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
-        progress.add_task(escape(message), total=None)
-        yield
+        task = progress.add_task(escape(message), total=None)
+        yield lambda done, total: progress.update(task, completed=done, total=total)
 
 
 def _silence() -> None:

@@ -59,9 +59,11 @@ def command(
 
     from clvol.render import Renderer
 
-    with working(f"rendering {asked.image.width} x {asked.image.height} pixels", quiet):
+    depth = any(path.lower().endswith(".exr") for path in outputs)
+    size = f"{asked.image.width} x {asked.image.height} pixels"
+    with working(f"rendering {size}", quiet) as progress:
         with Renderer(asked, list(devices) or None, memory_cap) as renderer:
-            frame = renderer.render(depth=any(path.lower().endswith(".exr") for path in outputs))
+            frame = renderer.render(progress=progress, depth=depth)
 
     with working("writing", quiet), together([*outputs, *others]) as temporaries:
         write_start = time.perf_counter()

@@ -6,6 +6,8 @@ a wrong array is a Python error and not a wrong picture.
 
 from __future__ import annotations
 
+import signal
+import threading
 import time
 import warnings
 from collections.abc import Mapping, Sequence
@@ -106,6 +108,14 @@ class Kernel:
         return value.buffer
 
 
+def restore_interrupts() -> None:
+    """Puts Python's Ctrl-C handler back: compilers inside drivers (LLVM) install their own."""
+    if threading.current_thread() is threading.main_thread():
+        handler = signal.getsignal(signal.SIGINT)
+        if handler is not None:
+            signal.signal(signal.SIGINT, handler)
+
+
 class DeviceContext:
     """A context and an in-order queue on one device, with its programs built so far."""
 
@@ -158,6 +168,7 @@ class DeviceContext:
                 reason = lines[0] if lines else str(error)
                 what = f"does not build on {self.name} with {' '.join(options)}: {reason}"
                 raise RenderError(f"cl/{file}", what) from None
+            restore_interrupts()
             self._programs[file, options] = program
             self.compile_seconds += time.perf_counter() - start
         return self._programs[file, options]

@@ -12,21 +12,26 @@ from clvol.transfer.classes import ClassNodes
 _WARP_ROUNDING = 1e-3
 
 
-def visible_mask(volume: DeviceVolume, nodes: ClassNodes, visible: np.ndarray) -> np.ndarray:
+def visible_mask(
+    volume: DeviceVolume, nodes: ClassNodes, between: np.ndarray, at: np.ndarray
+) -> np.ndarray:
     """bool [z, y, x]: whether anything in a cell can have opacity.
 
-    ``visible`` bool [n - 1]: whether table look-ups between node k and k + 1 can give any.
+    ``between`` bool [n - 1]: whether look-ups between node k and k + 1 can give any. ``at`` bool [n]:
+    whether node k itself has any, which is all that a cell of one value, a node, asks for: most
+    often the background.
     """
-    margin = 0.0 if nodes.warp is None else _WARP_ROUNDING
     any_value = volume.low <= volume.high
-    low = np.floor(nodes.position(np.where(any_value, volume.low, nodes.first)) - margin)
-    high = np.ceil(nodes.position(np.where(any_value, volume.high, nodes.first)) + margin)
-    # A range that is one node alone looks up both its neighbours with weight 0, itself with 1.
-    alone = low == high
-    before = np.concatenate([[0], np.cumsum(visible)])
-    first = np.clip(low - alone, 0, visible.size).astype(np.int64)
-    last = np.clip(high + alone, 0, visible.size).astype(np.int64)
-    return any_value & (before[last] > before[first])
+    low = np.where(any_value, volume.low, nodes.first)
+    high = np.where(any_value, volume.high, nodes.first)
+    margin = 0.0 if nodes.warp is None else _WARP_ROUNDING
+    # The lowest value of all is node 0, also in float32.
+    first = np.floor(nodes.position(low) - np.where(low == nodes.first, 0.0, margin))
+    last = np.ceil(nodes.position(high) + np.where(high == nodes.first, 0.0, margin))
+    first = np.clip(first, 0, between.size).astype(np.int64)
+    last = np.clip(last, 0, between.size).astype(np.int64)
+    before = np.concatenate([[0], np.cumsum(between)])
+    return any_value & np.where(first == last, at[first], before[last] > before[first])
 
 
 def distance_map(context: DeviceContext, mask: np.ndarray) -> DeviceArray:

@@ -9,7 +9,7 @@ import numpy as np
 
 from clvol.errors import RenderError
 from clvol.features import CLASSIFICATIONS, FILTERS
-from clvol.opencl.context import DeviceContext
+from clvol.opencl.context import DeviceContext, restore_interrupts
 from clvol.opencl.structs import view_dtype
 from clvol.render.device_volume import DeviceVolume
 from clvol.render.empty_space import distance_map, visible_mask
@@ -123,7 +123,8 @@ class Raycaster:
             kernel = "classify_table" if kind == "post" else "extinction_table"
             self.table = constant_table(context, mapped, self.nodes.values, self.length, kernel)
         self.gate = _gate(mapped, self.nodes, visible)
-        mask = visible_mask(self.volume, self.nodes, visible)
+        at_nodes = mapped.opacity(self.nodes.values) > 0
+        mask = visible_mask(self.volume, self.nodes, visible, at_nodes)
         self.visible_share = float(mask.mean())
         self.distances = distance_map(context, mask)
         warp = self.nodes.warp
@@ -140,7 +141,7 @@ class Raycaster:
         progress: Callable[[int, int], None] | None = None,
         depth: bool = True,
     ) -> FrameData:
-        """One picture. ``progress(rows of tiles done, all)`` is called after each launch."""
+        """One picture. ``progress(tiles done, all)`` is called after each launch."""
         context = self.context
         if not self.visible_share:  # nothing can be seen: no ray needs to be cast
             nowhere = np.full((height, width), np.inf, np.float32) if depth else None
@@ -150,17 +151,17 @@ class Raycaster:
         view = self._frame_view(frame, width, height)
         image = context.output(np.float32, (height, width, 4))
         depths = context.output(np.float32, (height, width)) if depth else self._none
-        samples = context.output(np.uint32, (cut.columns * cut.rows,))
+        samples = context.output(np.uint32, (cut.count,))
         expected = width * height * self._most_samples() * _SECONDS_A_SAMPLE
         done = 0
-        for first, count in bands(cut.rows, expected, _BAND_SECONDS):
+        for first, count in bands(cut.count, expected, _BAND_SECONDS):
             view["band"][0, 0] = first
-            self._launch(view, (cut.columns, count), image, depths, samples, depth)
+            self._launch(view, count, image, depths, samples, depth)
             done += count
-            if done < cut.rows or progress is not None:
+            if done < cut.count or progress is not None:
                 context.finish()
             if progress is not None:
-                progress(done, cut.rows)
+                progress(done, cut.count)
         rgba = context.take(image)
         taken = int(context.take(samples).sum(dtype=np.uint64))
         return FrameData(rgba, context.take(depths) if depth else None, taken)
@@ -168,26 +169,26 @@ class Raycaster:
     def warm_up(self, width: int, height: int, depth: bool = True) -> None:
         """Compiles everything a frame of this size needs: final code is made at the first launch."""
         cut = tiling(width, height, *self.tile)
-        size = (cut.columns, cut.rows)
-        key = (size, depth, tuple(self.switches.items()))
+        key = (cut.count, depth, tuple(self.switches.items()))
         if key in self._warm:
             return
         view = np.zeros(1, self._view_dtype)  # an image without pixels: every work-item returns
         view["image"][0] = (0, 0, *self.tile)
-        samples = self.context.output(np.uint32, (cut.columns * cut.rows,))
-        self._launch(view, size, self._none, self._none, samples, depth)
+        samples = self.context.output(np.uint32, (cut.count,))
+        self._launch(view, cut.count, self._none, self._none, samples, depth)
         self.context.finish()
+        restore_interrupts()
         self._warm.add(key)
 
-    def _launch(self, view, size, image, depths, samples, depth) -> None:
+    def _launch(self, view, tiles, image, depths, samples, depth) -> None:
         context = self.context
         context.write(self._view, view)
         switches = {**self.switches, "WITH_DEPTH": int(depth)}
         kernel = context.kernel("raycast.cl", "raycast", _ARGUMENTS, switches)
         kernel(
             context.queue,
-            size,
-            (1, 1) if self.lanes > 1 else None,
+            (tiles,),
+            (1,) if self.lanes > 1 else None,
             volume=self.volume.voxels,
             table=self.table,
             warp=self.warp,

@@ -1,4 +1,4 @@
-"""A picture cut into tiles, and tiles into bands of rows that are launched one after the other."""
+"""A picture cut into tiles, and tiles into launches that follow one another."""
 
 from __future__ import annotations
 
@@ -16,16 +16,20 @@ class Tiling:
     columns: int
     rows: int
 
+    @property
+    def count(self) -> int:
+        return self.columns * self.rows
+
 
 def tiling(image_width: int, image_height: int, width: int = TILE, height: int = TILE) -> Tiling:
     return Tiling(width, height, -(-image_width // width), -(-image_height // height))
 
 
-def bands(rows: int, expected_seconds: float, band_seconds: float) -> list[tuple[int, int]]:
-    """(first row, number of rows) of launches that take about ``band_seconds`` each.
+def bands(tiles: int, expected_seconds: float, band_seconds: float) -> list[tuple[int, int]]:
+    """(first tile, number of tiles) of launches that take about ``band_seconds`` each.
 
-    Short enough for a progress report and for Ctrl-C; one band where all is quick.
+    Short enough for a progress report and for Ctrl-C; one launch where all is quick.
     """
-    count = max(1, min(rows, round(expected_seconds / band_seconds)))
-    edges = [rows * k // count for k in range(count + 1)]
-    return [(a, b - a) for a, b in zip(edges, edges[1:]) if b > a]
+    count = max(1, min(tiles, round(expected_seconds / band_seconds)))
+    edges = [tiles * k // count for k in range(count + 1)]
+    return [(a, b - a) for a, b in zip(edges, edges[1:])]
