@@ -83,7 +83,7 @@ class StubRenderer:
     failure: BaseException | None = None
     calls: list[tuple] = []
 
-    def __init__(self, scene, devices=None):
+    def __init__(self, scene, devices=None, memory_cap=None):
         self.resolved = scene.resolve()
         self.devices = devices
         type(self).calls.append((self.resolved, devices))
@@ -94,7 +94,7 @@ class StubRenderer:
     def __exit__(self, *stop):
         return None
 
-    def render(self, camera=None):
+    def render(self, camera=None, progress=None, depth=True):
         if self.failure is not None:
             raise self.failure
         size = self.resolved.image.height, self.resolved.image.width

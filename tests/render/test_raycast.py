@@ -227,7 +227,7 @@ def test_a_hundred_thousand_steps_a_ray_leap_and_arrive(context, classification)
     fine = picture(context, make_scene(array, **keys, step=1e-2))
     assert many.rgba[..., 3].min() > 0.1
     np.testing.assert_allclose(many.rgba, fine.rgba, atol=1e-4)
-    assert many.samples < 16 * 8e3  # of 1e5 steps a ray, four voxels and what surrounds them
+    assert many.samples < 16 * 8.2e3  # of 1e5 steps a ray, one cell of eight voxels and a little
 
 
 def test_a_transparent_volume_takes_no_sample(context):
