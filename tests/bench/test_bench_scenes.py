@@ -160,8 +160,14 @@ def test_candidates_take_turns():
         return timed
 
     taken = take_turns({"a": call("a", 0.1), "b": call("b", 0.2)}, rounds=7)
-    assert order == ["a", "b"] * 7
+    assert order == ["a", "a", "b", "b"] * 7  # the first of two finds its data in the caches again
     assert taken["a"]["median"] == 0.1 and taken["b"]["frames"] == 7
+
+
+def test_a_slow_candidate_makes_no_frame_that_does_not_count():
+    calls = []
+    take_turns({"slow": lambda: calls.append(0) or 0.7}, rounds=3)
+    assert len(calls) == 1 + 3  # only before the first is it not known to be slow
 
 
 def test_slow_candidates_stop_early_but_not_the_headline():
