@@ -130,7 +130,7 @@ def error_time_chart(result: dict[str, Any], size: int, path: Path) -> Path:
         axis.loglog(x, y, color=_VTK, marker="s", markersize=3.5, markerfacecolor="white",
                     linewidth=0.9, alpha=0.8)
         axis.axhline(s["headline"]["vtk_rmse"], color=_VTK, linewidth=0.8, linestyle=":")
-        axis.set_title(f"{s['scene']}: {s['summary']}; clvol {s['classification']}", fontsize=9)
+        axis.set_title(f"{s['scene']}: {s['summary']}\nclvol: {s['classification']}", fontsize=9)
         axis.grid(True, which="major", color="#e6e6e6", linewidth=0.6)
         axis.set_axisbelow(True)
         axis.set_xlabel("milliseconds a frame")

@@ -7,6 +7,7 @@ a wrong array is a Python error and not a wrong picture.
 from __future__ import annotations
 
 import signal
+import sys
 import threading
 import time
 import warnings
@@ -116,6 +117,9 @@ def restore_interrupts() -> None:
             signal.signal(signal.SIGINT, handler)
 
 
+_KEPT, _LARGEST_KEPT = 6, 64 * 2**20  # outputs kept to be written again, bytes of one
+
+
 class DeviceContext:
     """A context and an in-order queue on one device, with its programs built so far."""
 
@@ -131,12 +135,15 @@ class DeviceContext:
             self.queue = cl.CommandQueue(self.context)
         except cl.Error as error:
             raise DeviceError(self.name, f"cannot be used ({error})", "a working device") from None
+        self._outputs: list[tuple[DeviceArray, int]] = []
+        self._lent: set[int] = set()  # of the outputs above: not yet taken
         self._programs: dict[tuple, cl.Program] = {}
         self._kernels: dict[tuple, Kernel] = {}
 
     def release(self) -> None:
         """Waits for the queue and forgets programs and kernels."""
         self.queue.finish()
+        self._outputs.clear()
         self._programs.clear()
         self._kernels.clear()
 
@@ -198,13 +205,27 @@ class DeviceContext:
         writes straight into host memory."""
         if not self.is_cpu:
             return self.empty(dtype, shape)
+        key = (np.dtype(dtype), tuple(shape))
+        for output, references in self._outputs:
+            # Only we hold it: its last picture was dropped. Fresh memory would cost a page fault
+            # for every 4 KiB of each frame.
+            free = id(output) not in self._lent and sys.getrefcount(output.host) == references
+            if free and (output.dtype, output.shape) == key:
+                self._lent.add(id(output))
+                return output
         host = np.empty(shape, dtype)
-        return self._buffer(
-            cl.mem_flags.WRITE_ONLY | cl.mem_flags.USE_HOST_PTR, host.dtype, host.shape, host
-        )
+        flags = cl.mem_flags.WRITE_ONLY | cl.mem_flags.USE_HOST_PTR
+        output = self._buffer(flags, host.dtype, host.shape, host)
+        del host
+        if output.nbytes <= _LARGEST_KEPT:
+            self._outputs.append((output, sys.getrefcount(output.host)))
+            self._lent.add(id(output))
+            del self._outputs[:-_KEPT]
+        return output
 
     def take(self, output: DeviceArray) -> np.ndarray:
-        """The contents of an ``output`` once all that was enqueued is done; the output is used up."""
+        """The contents of an ``output`` once all that was enqueued is done; the output is used up until
+        nobody holds what this returns, or a view of it."""
         if output.host is None:
             return self.read(output)
         try:
@@ -214,6 +235,7 @@ class DeviceContext:
             mapped.base.release(self.queue)
         except cl.Error as error:
             raise RenderError(self.name, f"failed ({error})") from None
+        self._lent.discard(id(output))
         return output.host
 
     def write(self, array: DeviceArray, values: np.ndarray) -> None:

@@ -36,7 +36,7 @@ class DeviceVolume:
         plain = context.share(data)
         if holds_pairs(volume):
             self.stride = (nx, nx * (ny - 1))
-            self.voxels = context.output(np.uint8, (nz, ny - 1, nx, 2))
+            self.voxels = context.empty(np.uint8, (nz, ny - 1, nx, 2))
             pair_rows = context.kernel(
                 "empty_space.cl",
                 "pair_rows",

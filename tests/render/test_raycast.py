@@ -432,6 +432,18 @@ def test_a_camera_move_compiles_nothing_and_a_transfer_function_only_rebuilds_ta
     assert caster.volume.voxels is voxels
 
 
+def test_a_frame_that_somebody_holds_is_never_written_again(context):
+    scene = make_scene(waves((20, 20, 20), np.uint8))
+    caster = Raycaster(context, scene)
+    other = Camera(projection="orthographic").complete(scene.volume.grid, scene.image)
+    held = caster.render(scene.camera, 24, 20).rgba
+    row = caster.render(scene.camera, 24, 20).rgba[3]  # a view holds it too
+    before, row_before = held.copy(), row.copy()
+    for camera in (other, scene.camera, other):
+        caster.render(camera, 24, 20)
+    assert np.array_equal(held, before) and np.array_equal(row, row_before)
+
+
 def test_samples_are_proportional_to_the_length_of_the_rays(context):
     counts = {}
     for n in (16, 32, 64):
