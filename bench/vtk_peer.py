@@ -109,7 +109,9 @@ class VtkPeer:
         self.mapper.SetSampleDistance(step * self._edge)
         start = time.perf_counter()
         self.window.Render()
-        return time.perf_counter() - start, self.mapper.GetTimeToDraw()
+        seconds = time.perf_counter() - start
+        self.window.WaitForCompletion()  # OpenGL may still be drawing: nobody's time but its own
+        return seconds, self.mapper.GetTimeToDraw()
 
     def render_empty(self) -> float:
         """Wall seconds of Render() without the volume: what a window costs anyway."""
@@ -117,6 +119,7 @@ class VtkPeer:
         start = time.perf_counter()
         self.window.Render()
         seconds = time.perf_counter() - start
+        self.window.WaitForCompletion()
         self._actor.VisibilityOn()
         return seconds
 

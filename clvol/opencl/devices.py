@@ -141,6 +141,7 @@ def open_device(name: str | None = None) -> pyopencl.Device:
     type, in any case. A device that was found working earlier but cannot be opened now is probed
     again. Raises :class:`clvol.errors.DeviceError` with what was found and why it does not work.
     """
+    pin_threads()
     for fresh in (False, True):
         reports = list_devices(fresh=fresh)
         try:
@@ -157,6 +158,19 @@ def open_device(name: str | None = None) -> pyopencl.Device:
     raise DeviceError(f'device "{candidates[0].name}"',
                       "it works in a process of its own but cannot be opened in this one",
                       "a fresh process that makes no OpenCL call of its own first")
+
+
+def pin_threads() -> None:
+    """Has PoCL keep each of its threads on one core, if nobody has said otherwise.
+
+    Left alone, the system now and then wakes two of them on one core, after other work has run, and
+    such a frame takes half as long again. Pinning is absolute, so it is not for a process that
+    was given some cores or threads only: then nothing is set.
+    """
+    if "POCL_AFFINITY" in os.environ or "POCL_MAX_PTHREAD_COUNT" in os.environ:
+        return
+    if hasattr(os, "sched_getaffinity") and len(os.sched_getaffinity(0)) == os.cpu_count():
+        os.environ["POCL_AFFINITY"] = "1"
 
 
 def select(reports: list[DeviceReport], name: str | None = None) -> list[DeviceReport]:

@@ -344,3 +344,23 @@ def test_no_opencl_at_import():
     code = ("import sys, clvol, clvol.opencl.devices, clvol.opencl.runtime\n"
             "sys.exit('pyopencl' in sys.modules)")
     assert subprocess.run([sys.executable, "-c", code]).returncode == 0
+
+
+@pytest.mark.parametrize("said", ["POCL_AFFINITY", "POCL_MAX_PTHREAD_COUNT"])
+def test_threads_are_pinned_unless_something_was_said(monkeypatch, said):
+    import os
+
+    monkeypatch.delenv("POCL_MAX_PTHREAD_COUNT", raising=False)
+    monkeypatch.setenv("POCL_AFFINITY", "x")
+    monkeypatch.delenv("POCL_AFFINITY")
+    monkeypatch.setattr(os, "sched_getaffinity", lambda pid: set(range(os.cpu_count())))
+    devices.pin_threads()
+    assert os.environ["POCL_AFFINITY"] == "1"
+    monkeypatch.delenv("POCL_AFFINITY")
+    monkeypatch.setenv(said, "0")
+    devices.pin_threads()
+    assert os.environ.get("POCL_AFFINITY") in (None, "0")
+    monkeypatch.delenv(said)
+    monkeypatch.setattr(os, "sched_getaffinity", lambda pid: {0} if os.cpu_count() > 1 else set())
+    devices.pin_threads()
+    assert "POCL_AFFINITY" not in os.environ
