@@ -348,7 +348,6 @@ def test_no_opencl_at_import():
 
 @pytest.mark.parametrize("said", ["POCL_AFFINITY", "POCL_MAX_PTHREAD_COUNT"])
 def test_threads_are_pinned_unless_something_was_said(monkeypatch, said):
-    import os
 
     monkeypatch.delenv("POCL_MAX_PTHREAD_COUNT", raising=False)
     monkeypatch.setenv("POCL_AFFINITY", "x")
