@@ -80,7 +80,7 @@ INLINE void segment_classes(floatN before, floatN front, floatN back, floatN len
                             __global const float *warp, __constant const View *view, ClassCoordinate *front_class,
                             ClassCoordinate *back_class)
 {
-#if FILTER == FILTER_LINEAR && !defined(NO_CURVATURE)
+#if FILTER == FILTER_LINEAR
   const floatN low = lane_min(lane_min(before, front), back), high = lane_max(lane_max(before, front), back);
   floatN shift = (2.0f * front - before - back) * (1.0f / 12.0f) * length * length;
 #if MAY_BE_NAN

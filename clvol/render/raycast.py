@@ -170,11 +170,11 @@ class Raycaster:
         """Compiles everything a frame of this size needs: final code is made at the first launch."""
         cut = tiling(width, height, *self.tile)
         key = (cut.count, depth, tuple(self.switches.items()))
-        if key in self._warm:
+        if key in self._warm or not self.visible_share:
             return
         view = np.zeros(1, self._view_dtype)  # an image without pixels: every work-item returns
         view["image"][0] = (0, 0, *self.tile)
-        samples = self.context.output(np.uint32, (cut.count,))
+        samples = self.context.empty(np.uint32, (cut.count,))
         self._launch(view, cut.count, self._none, self._none, samples, depth)
         self.context.finish()
         restore_interrupts()
