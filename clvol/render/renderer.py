@@ -43,9 +43,10 @@ class Renderer:
         self._context = _open(devices)
         self._raycaster = None
         if self.resolved.integration.method == "raycast":
+            from clvol.render.quantise import quantised
             from clvol.render.raycast import Raycaster
 
-            self._raycaster = Raycaster(self._context, self.resolved)
+            self._raycaster = Raycaster(self._context, quantised(self.resolved))
         self._load_seconds = loaded - start
         self._prepare_seconds = time.perf_counter() - loaded - self._context.compile_seconds
 
@@ -90,7 +91,7 @@ class Renderer:
         start = time.perf_counter()
         data = self._raycaster.render(camera, width, height, progress, depth)
         seconds = {"compile": compile_seconds, "render": time.perf_counter() - start}
-        return self._frame(data.rgba, data.depth, seconds, {"samples": data.samples})
+        return self._frame(data.rgba, data.depth, seconds, {"samples": data.samples, "rays": data.rays})
 
     def _reference(self, camera: Camera, progress) -> Frame:
         from dataclasses import replace
@@ -117,7 +118,6 @@ class Renderer:
         counted = {k: v for k, v in counted.items() if k != "seconds"}
         stats = {
             "seconds": seconds,
-            "rays": int(resolved.image.width * resolved.image.height),
             **counted,
             "devices": [self._context.name],
             "effects": called_for(resolved),
