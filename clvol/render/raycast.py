@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -136,6 +137,12 @@ class Raycaster:
             resolved, warped=warp is not None, lanes=self.lanes, skip=self.skip
         )
 
+    def for_image(self, resolved: ResolvedScene) -> Raycaster:
+        """The same for ``resolved``, which may differ in camera and image alone; shares all else."""
+        other = copy.copy(self)
+        other.resolved = resolved
+        return other
+
     def render(
         self,
         camera: Camera,
@@ -199,7 +206,8 @@ class Raycaster:
     def warm_up(self, width: int, height: int, depth: bool = True) -> None:
         """Compiles everything a frame of this size needs: final code is made at the first launch."""
         tiles = tiling(width, height, *self.tile).count
-        key = (tiles, depth, tuple(self.switches.items()))
+        fills = self.resolved.image.ray_spacing > 1
+        key = (tiles, depth, fills, tuple(self.switches.items()))
         if key in self._warm or not self.visible_share:
             return
         view = np.zeros(1, self._view_dtype)  # an image without pixels: every work-item returns
@@ -207,7 +215,7 @@ class Raycaster:
         counts = [self.context.empty(np.uint32, (tiles,)) for _ in range(2)]
         none = {"image": self._none, "depths": self._none, "samples": counts[0]}
         self._launches("raycast", view, tiles, depth, None, **none)
-        if self.resolved.image.ray_spacing > 1:
+        if fills:
             none |= {"coarse": self._none, "coarse_depths": self._none, "rays": counts[1]}
             self._launches("fill_between_rays", view, tiles, depth, None, **none)
         self.context.finish()
