@@ -1,7 +1,7 @@
 /* The ray caster: a ray for every pixel. A work-item renders one tile of pixels, a packet of rays at a time (render_packet.h).
  *
- * Switches (-D): LANES, VOXEL_BITS, VOXEL_SIGNED, VOXEL_SCALED, VOXEL_PAIRS, FILTER, CLASSIFICATION, WARPED_CLASSES,
- * SKIP_EMPTY, WITH_DEPTH.
+ * Switches (-D): LANES, VOXEL_BITS, VOXEL_SIGNED, VOXEL_SCALED, VOXEL_PAIRS, FILTER, CLASSIFICATION, QUADRATURE,
+ * WARPED_CLASSES, SKIP_EMPTY, WITH_DEPTH.
  */
 #include "render_packet.h"
 

@@ -35,6 +35,10 @@ INLINE floatN median_step(floatN median, floatN before, floatN after, floatN t0,
   return select(median, t0 + f * (t1 - t0), passes);
 }
 
+#if QUADRATURE == QUADRATURE_CELLS
+#include "march_cells.h"
+#else
+
 INLINE FetchedSample fetch_along(__global const uchar *volume, __constant const View *view, const Rays *ray, floatN t)
 {
   return fetch_sample(volume, view, ray->x0 + t * ray->dx, ray->y0 + t * ray->dy, ray->z0 + t * ray->dz);
@@ -153,5 +157,7 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
   STORE_LANES(ray.entry_depth + median * view->march.x, depth);
   STORE_LANES(taken, samples);
 }
+
+#endif
 
 #endif

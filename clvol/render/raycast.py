@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from clvol.errors import RenderError
-from clvol.features import CLASSIFICATIONS, FILTERS
+from clvol.features import CLASSIFICATIONS, FILTERS, QUADRATURES
 from clvol.opencl.context import DeviceContext, restore_interrupts
 from clvol.opencl.structs import view_dtype
 from clvol.render.device_volume import DeviceVolume
@@ -21,7 +21,7 @@ from clvol.scene.resolve import ResolvedScene
 from clvol.schedule.tiles import TILE, bands, tiling
 from clvol.transfer import TransferFunction
 from clvol.transfer.classes import ClassNodes, class_nodes, visible_cells
-from clvol.transfer.tables import SLICES, constant_table, preintegrated_table
+from clvol.transfer.tables import SLICES, constant_table, depths_table, preintegrated_table
 
 CONSTANT_NODES = 4096  # of the one-dimensional tables of pre- and post-classification
 _SECONDS_A_SAMPLE = 1e-8  # a first guess, for how to cut a frame into launches
@@ -44,6 +44,7 @@ def raycast_switches(
         "LANES": lanes,
         "FILTER": FILTERS[integration.filter],
         "CLASSIFICATION": CLASSIFICATIONS[integration.classification],
+        "QUADRATURE": QUADRATURES[integration.quadrature],
         "WARPED_CLASSES": int(warped),
         "SKIP_EMPTY": int(skip),
         "WITH_DEPTH": int(depth),
@@ -70,6 +71,12 @@ def device_function(function: TransferFunction, values) -> TransferFunction:
         return function
     finite = np.clip(values(function.values), -1e300, 1e300)
     return TransferFunction(finite, function.opacities, function.colors, function.opacity_unit)
+
+
+def parts_of_cell(step: float) -> int:
+    """Parts that quadrature by cells cuts each cell's piece in: as many as ``step`` goes into 1, one or
+    an even number (Gauss's points come in pairs)."""
+    return 1 if step > 0.75 else 2 * max(1, round(0.5 / step))
 
 
 @dataclass
@@ -121,11 +128,14 @@ class Raycaster:
         mapped = device_function(function, self.volume.values)
         visible = visible_cells(mapped, self.nodes.values)
         kind = resolved.integration.classification
+        by_cells = resolved.integration.quadrature == "cells"
+        nodes = self.nodes.values
         if kind == "preintegrated":
-            self.table = preintegrated_table(context, mapped, self.nodes.values, self.length)
+            build = depths_table if by_cells else preintegrated_table
+            self.table = build(context, mapped, nodes, self.length)
         else:
-            kernel = "classify_table" if kind == "post" else "extinction_table"
-            self.table = constant_table(context, mapped, self.nodes.values, self.length, kernel)
+            kernel = "classify_table" if kind == "post" and not by_cells else "extinction_table"
+            self.table = constant_table(context, mapped, nodes, self.length, kernel)
         self.gate = _gate(mapped, self.nodes, visible)
         at_nodes = mapped.opacity(self.nodes.values) > 0
         mask = visible_mask(self.volume, self.nodes, visible, at_nodes)
@@ -276,7 +286,7 @@ class Raycaster:
             raise RenderError(where, "numbers beyond float32", "a camera and units nearer to 1")
         row["upper"][:3] = np.asarray(volume.size) - 1
         row["gate"][:2] = self.gate
-        row["voxel"][0] = volume.values.gain
+        row["voxel"][:2] = (volume.values.gain, parts_of_cell(self.resolved.integration.step))
         if volume.switches["VOXEL_BITS"] == 64:
             row["voxel_double"] = (volume.values.bias, volume.values.gain)
         row["size"][:3] = volume.size

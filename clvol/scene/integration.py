@@ -28,6 +28,8 @@ def _precisions(scene: Any) -> tuple[str, ...]:
 class Integration(Table):
     """``step`` is in units of the smallest voxel edge.
 
+    ``quadrature``: even "steps" along a ray, or "cells": pieces from one cell of the linear filter to the
+    next, each cut into as many parts as ``step`` goes into 1: one, or an even number.
     ``early_termination``: a ray may stop at this transmittance; 0 means never. ``table_size``:
     entries an axis of the pre-integration table. ``tolerance``: the error that the reference
     method aims at, in linear premultiplied colour. ``voxel_precision``: what voxels are held as
@@ -45,6 +47,9 @@ class Integration(Table):
         Literal["pre", "post", "preintegrated"],
         Knob("classification", "", ("pre", "post", "preintegrated"), is_ladder=False),
     ] = Field("preintegrated", description="'pre', 'post' or 'preintegrated'")
+    quadrature: Annotated[
+        Literal["steps", "cells"], Knob("quadrature", "", ("steps", "cells"), is_ladder=False)
+    ] = Field("steps", description="'steps' or 'cells'")
     filter: Annotated[
         Literal["nearest", "linear", "cubic"],
         Knob("filter", "", ("nearest", "linear", "cubic"), is_ladder=False),
