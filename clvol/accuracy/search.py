@@ -1,4 +1,4 @@
-"""Looking for settings: the cheapest that hold an error, the most accurate that hold a time.
+"""Looking for settings: the cheapest that hold an error.
 
 Nothing here renders: ``measure(settings)`` does, and gives something with ``rmse``, ``seconds`` of a
 picture and its ``cost`` (preparation counted in). What is known of the knobs is that a notch finer of the main ladder (the step) lessens the error, about
@@ -79,32 +79,6 @@ class Search:
                 best = tried
         return best
 
-    def most_accurate(self, start: Settings, seconds: float) -> Measured:
-        """The settings found with the least rmse that take at most ``seconds``; the quickest found if
-        all take longer."""
-
-        def better(a: Measured, b: Measured) -> Measured:
-            if (a.seconds <= seconds) != (b.seconds <= seconds):
-                return a if a.seconds <= seconds else b
-            if a.seconds <= seconds:
-                return b if b.rmse < a.rmse else a
-            return b if b.seconds < a.seconds else a
-
-        best = self._hold_time(start, seconds)
-        for knob in self._alternatives:
-            for value in knob.values:
-                settings = {**best.settings, knob.key: value}
-                if best.settings[knob.key] != value and self._possible(settings):
-                    best = better(best, self._hold_time(settings, seconds))
-        for knob in self._ladders:
-            for notch in (1, -1):  # finer where that is the limit; else cheaper, to afford a finer step
-                while (value := knob.next_to(best.settings[knob.key], notch)) is not None:
-                    tried = self._hold_time({**best.settings, knob.key: value}, seconds)
-                    if better(best, tried) is best:
-                        break
-                    best = tried
-        return best
-
     def _hold_error(
         self, settings: Settings, limit: float, best: Measured | None = None
     ) -> Measured | None:
@@ -151,26 +125,6 @@ class Search:
             notches = math.ceil(math.log2(ratio)) if ratio > 0 else -len(values)
             at = min(max(at + notches, low + 1), high - 1)
         return held, False
-
-    def _hold_time(self, settings: Settings, seconds: float) -> Measured:
-        """Of the main ladder's values the finest that takes at most ``seconds``, or the coarsest."""
-        if not self._main:
-            return self.measure(settings)
-        main = self._main[0]
-        values = main.values
-        at = values.index(settings[main.key])
-        low, high = -1, len(values)  # indices known to be quick enough; too slow
-        held: Measured | None = None
-        while high - low > 1:
-            tried = self.measure({**settings, main.key: values[at]})
-            if tried.seconds <= seconds:
-                held, low = tried, at
-            else:
-                high = at
-            ratio = seconds / max(tried.seconds, 1e-9)
-            notches = math.floor(2.0 * math.log2(ratio)) or (1 if ratio >= 1 else -1)
-            at = min(max(at + notches, low + 1), high - 1)
-        return held if held is not None else self.measure({**settings, main.key: values[0]})
 
 
 def pareto_front(points: list[Measured]) -> list[Measured]:

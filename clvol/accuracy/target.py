@@ -8,6 +8,7 @@ never the pilot's hope: if the bound fails, the pilot's aim is lowered and all i
 
 from __future__ import annotations
 
+import itertools
 import math
 import time
 from collections.abc import Callable, Sequence
@@ -47,6 +48,9 @@ _ATTEMPTS = 6
 _PICTURES_KEPT = 24
 _AIM = 0.95  # share of the error that is aimed at: the bound lies a little above the error
 _SHARES = (1.0, 0.7, 0.4)  # of the error, left to what shows on single pixels
+_FIRST_ERROR, _LARGEST_ERROR = 1e-2, 0.5  # where a time's search begins, and gives up
+_LOOKS_AT_TIME = 10
+_USED = 0.7  # share of a time that is enough of it
 _SHARE_OF_ERROR = 1e-3  # the exact integral's own tolerance, as a share of the error asked for
 
 Progress = Callable[..., None]  # (done, total, what)
@@ -147,7 +151,7 @@ class _Workshop:
             self._measure_pilot,
             self.knobs,
             lambda settings: is_possible(self.resolved, settings),
-            lambda settings: canonical(self.resolved, self.knobs, settings),
+            self._canonical,
         )
 
     def __enter__(self) -> _Workshop:
@@ -168,7 +172,7 @@ class _Workshop:
             picture = self._cheapest_picture(aim)
             if picture is None:
                 return self._exact(max_error, attempt)
-            found = self.timed("measure", lambda: self._measured(picture, attempt, max_error))
+            found = self._measured(picture, attempt, max_error)
             if found.bound <= max_error:
                 asked = {"max_error": max_error}
                 return self._frame(picture.trial, found, asked, attempt)
@@ -177,25 +181,38 @@ class _Workshop:
         raise RenderError("max_error", what, f"at least {found.bound:.3g}")
 
     def in_time(self, budget: float) -> Frame:
-        aim = budget * _AIM
-        for attempt in range(1, _ATTEMPTS + 1):
-            chosen = self.timed(
-                "pilot", lambda: self.search.most_accurate(self._plain(), aim)
-            )
-            picture = self._as_picture(self._whole(chosen.settings))
-            if picture.trial.seconds <= budget:
+        """The cheapest pictures for one error after the other, until the time is used."""
+        best: _Picture | None = None
+        low, high = 0.0, _LARGEST_ERROR  # errors that take too long; that there is time for
+        error = _FIRST_ERROR
+        for _ in range(_LOOKS_AT_TIME):
+            picture = self._cheapest_picture(error)
+            seconds = math.inf if picture is None else picture.trial.seconds
+            if seconds <= budget * _AIM:
+                best, high = picture, error
+                if seconds >= _USED * budget or error <= LEAST_ERROR * 1e3:
+                    break
+            else:
+                low = error
+            # The error falls with about the square of the time.
+            guess = error * min(max((seconds / (_AIM * budget)) ** 2, 0.03), 30.0)
+            if low > 0:
+                guess = max(guess, low * (high / low) ** 0.25)
+            error = min(guess, high * (low / high) ** 0.25 if low > 0 else high / 1.3)
+            if low > 0 and high / low < 1.2:
                 break
-            aim *= min(_AIM, budget / picture.trial.seconds)
-        else:
-            least = picture.trial.seconds
+        if best is None:
+            least = min(trial.seconds for trial in self.pictures.values())
             raise UsageError("time_budget", f"got {budget:g} s", f"at least {least:.3g} s here")
-        found = self.timed("measure", lambda: self._measured(picture, 1, None))
-        return self._frame(picture.trial, found, {"time_budget": budget}, attempt)
+        found = self._measured(best, 1, None)
+        return self._frame(best.trial, found, {"time_budget": budget}, 1)
 
     def _plain(self) -> dict[str, Any]:
         """The scene's settings with every pixel's own ray."""
-        plain = {key: knob.values[-1] for key, knob in self.of_picture.items()}
-        return canonical(self.resolved, self.knobs, {**self.start, **plain})
+        return self._canonical({**self.start, **self._without_picture_knobs()})
+
+    def _without_picture_knobs(self) -> dict[str, Any]:
+        return {key: knob.values[-1] for key, knob in self.of_picture.items()}
 
     def _measure_pilot(self, settings: dict[str, Any]) -> Trial:
         self.report("choosing settings")
@@ -214,23 +231,17 @@ class _Workshop:
             if best is None or plain.cost < best.cost:
                 best = plain
             room = math.sqrt(max(aim**2 - chosen.rmse**2, 0.0))
-            for settings in self._of_picture_settings(chosen.settings):
-                tried = self._whole(settings)
-                if tried.cost < best.cost and root_mean_square(tried.rgba - plain.rgba) <= room:
+            combinations = _Combinations(self.of_picture)
+            while (values := combinations.next()) is not None:
+                tried = self._whole(self._canonical({**chosen.settings, **values}))
+                holds = root_mean_square(tried.rgba - plain.rgba) <= room
+                combinations.drop(values, cheaper=not holds)
+                if holds and tried.cost < best.cost:
                     best = tried
         return None if best is None else self._as_picture(best)
 
-    def _of_picture_settings(self, settings: dict[str, Any]):
-        """Every combination of the knobs of pictures, beside ``settings``."""
-        combined = [dict(settings)]
-        for key, knob in self.of_picture.items():
-            combined = [{**s, key: value} for s in combined for value in knob.values]
-        seen = []
-        for candidate in combined:
-            candidate = canonical(self.resolved, self.knobs, candidate)
-            if candidate not in seen and candidate != settings:
-                seen.append(candidate)
-        return seen
+    def _canonical(self, settings: dict[str, Any]) -> dict[str, Any]:
+        return canonical(self.resolved, self.knobs, settings)
 
     def _whole(self, settings: dict[str, Any]) -> Trial:
         key = key_of(settings)
@@ -283,8 +294,9 @@ class _Workshop:
 
     def _errors(self, rgba: np.ndarray, pixels: np.ndarray) -> np.ndarray:
         self.report("measuring the error")
-        exact, _, _ = render_reference(
-            self.resolved, self.context.device, self.tolerance, pixels
+        exact, _, _ = self.timed(
+            "measure",
+            lambda: render_reference(self.resolved, self.context.device, self.tolerance, pixels),
         )
         return _squared(rgba[pixels[:, 0], pixels[:, 1]], exact)
 
@@ -296,7 +308,7 @@ class _Workshop:
                 settings[key] = knob.values[-1]
             elif knob.knob.is_main:
                 settings[key] = knob.next_to(settings[key], 2) or knob.values[-1]
-        settings = canonical(self.resolved, self.knobs, settings)
+        settings = self._canonical(settings)
         if settings == picture.trial.settings:
             settings = min(self.search.measured, key=lambda trial: trial.rmse).settings
         return self._whole(settings).rgba
@@ -341,9 +353,10 @@ class _Workshop:
             "settings": dict(trial.settings), "attempts": attempt,
             "tried": len(self.search.measured), "seconds": dict(self.seconds),
         }  # fmt: skip
+        pilot = self.search.measure({**trial.settings, **self._without_picture_knobs()})
         seconds = {
-            "load": self.load_seconds, "prepare": trial.prepare_seconds,
-            "compile": trial.compile_seconds, "render": trial.seconds,
+            "load": self.load_seconds, "prepare": pilot.prepare_seconds,
+            "compile": pilot.compile_seconds + trial.compile_seconds, "render": trial.seconds,
         }  # fmt: skip
         counted = {"samples": trial.samples, "rays": trial.rays, "accuracy": accuracy}
         resolved = self._resolved_as(trial.settings)
@@ -371,6 +384,37 @@ class _Workshop:
     def report(self, what: str) -> None:
         if self.progress is not None:
             self.progress(None, None, what)
+
+
+class _Combinations:
+    """Combinations of the values of knobs, middle ones first, so that what is learnt from one leaves few
+    others to be tried."""
+
+    def __init__(self, knobs: dict[str, SceneKnob]) -> None:
+        # Without its last value, which is to do without the knob.
+        self._ladders = {
+            key: knob.values[:-1] if knob.values[-1] == knob.scene_value else knob.values
+            for key, knob in knobs.items()
+        }
+        places = itertools.product(*(range(len(values)) for values in self._ladders.values()))
+        middle = [(len(values) - 1) / 2 for values in self._ladders.values()]
+        self._left = sorted(
+            (p for p in places if p), key=lambda p: sum(abs(a - m) for a, m in zip(p, middle))
+        )
+
+    def next(self) -> dict[str, Any] | None:
+        if not self._left:
+            return None
+        place = self._left[0]
+        return {key: values[k] for (key, values), k in zip(self._ladders.items(), place)}
+
+    def drop(self, values: dict[str, Any], cheaper: bool) -> None:
+        """Takes out this one, and all that are cheaper in no knob less (or else more accurate)."""
+        place = [self._ladders[key].index(value) for key, value in values.items()]
+        self._left = [
+            p for p in self._left
+            if not all(a <= b if cheaper else a >= b for a, b in zip(p, place))
+        ]  # fmt: skip
 
 
 def _pilot_lattice(width: int, height: int, rng: np.random.Generator) -> PixelLattice:

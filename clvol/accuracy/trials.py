@@ -117,6 +117,18 @@ class Trials:
             depth=data.depth if keep else None,
         )
 
+    def frames_of(self, settings: Settings) -> Callable[[], tuple[float, np.ndarray]]:
+        """A function that renders one more frame: (seconds, picture). All is prepared and stays so."""
+        engine = self.engines.make(apply(self.resolved, settings))
+        engine.warm_up(*self.size, self.depth)
+
+        def frame() -> tuple[float, np.ndarray]:
+            start = time.perf_counter()
+            data = engine.render(engine.resolved.camera, *self.size, depth=self.depth)
+            return time.perf_counter() - start, data.rgba
+
+        return frame
+
     def _of_picture(self, engine, seconds: float) -> float:
         """What the whole picture takes, from what the lattice took."""
         if self._scale == 1.0:
