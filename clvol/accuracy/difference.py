@@ -89,8 +89,8 @@ def palette() -> np.ndarray:
 
 
 def linear_scale(values: np.ndarray) -> Scale:
-    """From 0 to a round number (1, 2 or 5 times a power of ten) that 99.9 % of ``values`` reach
-    at most; to 1 where nothing differs."""
+    """From 0 to a round number (1, 2, 3 or 5 times a power of ten) that 99.9 % of ``values`` do not
+    exceed; to 1 where nothing differs."""
     finite = values[np.isfinite(values)]
     if finite.size == 0 or not finite.max() > 0.0:
         return Scale(1.0)
@@ -174,7 +174,7 @@ def _footer(width: int, scale: Scale, colors: np.ndarray, texts: tuple[str, str]
     for value, at in zip(ticks, scale.share(ticks)):
         text = f"{value:g}"
         if value == scale.full:
-            text = f"{text} and above (gain {scale.gain:g})"
+            text = f"{text} and above (gain {scale.gain:.3g})"
         align = "left" if at == 0 else "right" if at == 1 else "center"
         figure.text(edge + at * (1 - 2 * edge), 18 / _FOOTER, text, va="top", ha=align, **style)
     canvas.draw()
@@ -182,10 +182,10 @@ def _footer(width: int, scale: Scale, colors: np.ndarray, texts: tuple[str, str]
 
 
 def _round_up(value: float) -> float:
-    """The least of 1, 2, 5 times a power of ten that is not below ``value``."""
+    """The least of 1, 2, 3, 5 times a power of ten that is not below ``value``."""
     power = math.floor(math.log10(value))
     for n in (power, power + 1):
-        for digit in (1, 2, 5):
+        for digit in (1, 2, 3, 5):
             # Through text: 10.0**-5 * 2 is not the float nearest to 2e-5.
             rounded = float(f"{digit}e{n}")
             if rounded >= value * (1 - 1e-12):

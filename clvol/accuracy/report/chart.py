@@ -6,7 +6,7 @@ import io
 
 from clvol.accuracy.report import wording
 from clvol.accuracy.report.layout import Label, place_labels
-from clvol.accuracy.report.svg import error_tick, name_order, point_name, ranges
+from clvol.accuracy.report.svg import error_ticks, name_order, point_name, ranges
 from clvol.accuracy.report.sweep import Point, Sweep, median, plottable
 
 COLORS = ("#2f6db3", "#c8641b", "#2f8f6b", "#8a55b5", "#b5475c", "#8a7a1f", "#3d8fa8", "#6b6f76")
@@ -22,7 +22,7 @@ def tradeoff_chart(sweep: Sweep) -> bytes:
 
     figure = Figure(figsize=(_WIDTH / _DOTS, _HEIGHT / _DOTS), dpi=_DOTS, facecolor="white")
     canvas = FigureCanvasAgg(figure)
-    axes = figure.add_axes((0.075, 0.115, 0.9, 0.735))
+    axes = figure.add_axes((0.075, 0.09, 0.9, 0.745))
     shown = [p for p in sweep.points if plottable(p)]
     exact = any(p["rmse"] == 0 for p in shown)
     times, errors = ranges(sweep, before=0.2)
@@ -80,11 +80,9 @@ def _axes(axes, times, errors, floor, zero, only_zero) -> None:
     axes.xaxis.set_minor_locator(FixedLocator(x.minor()))
     axes.xaxis.set_major_formatter(FuncFormatter(lambda v, _: wording.seconds(v, 2)))
     axes.xaxis.set_minor_formatter(NullFormatter())
-    axes.yaxis.set_major_locator(FixedLocator([*y_ticks, zero] if zero else y_ticks))
-    axes.yaxis.set_major_formatter(
-        FuncFormatter(lambda v, _: "0" if v == zero else error_tick(v))
-    )
     axes.yaxis.set_minor_locator(NullLocator())
+    texts = error_ticks(y_ticks)
+    axes.set_yticks([*y_ticks, zero] if zero else y_ticks, [*texts, "0"] if zero else texts)
     if zero:
         axes.axhline(floor, color=_MUTED, linewidth=0.8, linestyle=(0, (2, 3)), zorder=1)
     axes.grid(True, which="major", color=_GRID, linewidth=0.8)
@@ -95,7 +93,8 @@ def _axes(axes, times, errors, floor, zero, only_zero) -> None:
         axes.spines[side].set_color(_MUTED)
     axes.tick_params(which="both", color=_MUTED, labelcolor=_INK, labelsize=9)
     axes.set_xlabel("time a frame, median", loc="right", fontsize=9.5, color=_INK)
-    axes.set_ylabel("error (RMSE, linear RGBA)", loc="top", fontsize=9.5, color=_INK)
+    axes.annotate("error (RMSE of linear RGBA)", (0, 1), (-70, 8), xycoords="axes fraction",
+                  textcoords="offset pixels", fontsize=9.5, color=_INK)
 
 
 def _name_points(axes, canvas, sweep, named, front, baseline, shown, at) -> None:
@@ -107,6 +106,12 @@ def _name_points(axes, canvas, sweep, named, front, baseline, shown, at) -> None
     def pixels(point: Point) -> tuple[float, float]:
         x, y = axes.transData.transform(at(point))
         return x, height - y
+
+    def bar(point: Point) -> tuple[float, float, float, float]:
+        x, y = pixels(point)
+        ends = [point["seconds"].get(key) or median(point) for key in ("min", "max")]
+        left, right = (axes.transData.transform((v, at(point)[1]))[0] for v in ends)
+        return left, y, right, y
 
     labels = []
     for point in name_order(sweep, named, baseline):
@@ -121,7 +126,7 @@ def _name_points(axes, canvas, sweep, named, front, baseline, shown, at) -> None
     placed = place_labels(
         labels, frame, [(*pixels(p), 14 if p is baseline else 9) for p in named],
         [(*a, *b) for a, b in zip(places, places[1:])],
-        [pixels(p) for p in shown if p not in named], unit=1.5,
+        [pixels(p) for p in shown if p not in named], [bar(p) for p in shown], unit=1.5,
     )
     from matplotlib.lines import Line2D
     from matplotlib.patheffects import withStroke
@@ -130,9 +135,8 @@ def _name_points(axes, canvas, sweep, named, front, baseline, shown, at) -> None
         if p.leader:
             axes.add_artist(Line2D([p.label.x, p.end_x], [height - p.label.y, height - p.end_y],
                                    transform=None, color=_MUTED, linewidth=0.7, zorder=4.5))
-        own = baseline is not None and p.label.key == str(baseline["id"])
-        axes.text(p.x, height - p.y, p.label.text, transform=None, va="center_baseline",
-                  zorder=8, weight="medium" if own else "normal",
+        axes.text(p.x, height - p.y, p.label.text, transform=None, zorder=8,
+                  va="center_baseline", ha={"start": "left", "middle": "center", "end": "right"}[p.anchor],
                   path_effects=[withStroke(linewidth=2.5, foreground="white", alpha=0.85)], **style)
 
 
@@ -162,7 +166,7 @@ def _words(figure, axes, sweep: Sweep, knob, color) -> None:
     handles.append(Line2D([], [], linestyle="", marker="o", markersize=10, markerfacecolor="none",
                           markeredgecolor=_INK, label="your scene's settings"))
     legend = axes.legend(
-        handles=handles, loc="lower left", bbox_to_anchor=(-0.005, 1.005), ncols=len(handles),
+        handles=handles, loc="upper right", bbox_to_anchor=(1.0, 1.085), ncols=len(handles),
         frameon=False, fontsize=8.5, handletextpad=0.5, columnspacing=1.6, borderpad=0.2,
     )
     for text in legend.get_texts():

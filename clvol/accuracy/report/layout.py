@@ -25,16 +25,17 @@ class LogAxis:
         return self._within((1,))
 
     def ticks(self, most: int = 9) -> list[float]:
-        """Values for numbers: 1, 2, 5 of each decade where they are few, else decades."""
-        for digits in ((1, 2, 5), (1, 3), (1,)):
-            found = self._within(digits)
-            if len(found) <= most:
-                if len(found) >= 2:
-                    return found
-                break
+        """Values for numbers: decades where there are three of them or more, else as many of 1, 2,
+        5 of each as there is room for."""
         decades = self.decades()
-        every = max(1, math.ceil(len(decades) / most))
-        return decades[::-1][::every][::-1] if len(decades) >= 2 else self._within((1, 2, 3, 5, 7))
+        if len(decades) >= 3:
+            every = math.ceil(len(decades) / most)
+            return decades[::-1][::every][::-1]
+        for digits in ((1, 2, 5), (1, 3)):
+            found = self._within(digits)
+            if 2 <= len(found) <= most:
+                return found
+        return decades if len(decades) == 2 else self._within((1, 2, 3, 5, 7))
 
     def minor(self) -> list[float]:
         """Values for fine lines."""
@@ -79,12 +80,14 @@ class Label:
 
 @dataclass(frozen=True)
 class Placed:
-    """``x``, ``y``: the left end of the text and its vertical middle. ``leader``: whether it is far
-    enough from its point to need a line to ``(end_x, end_y)``, the box's nearest place."""
+    """``x``, ``y``: where the text's ``anchor`` ("start", "middle" or "end": the one next to the
+    point) and its vertical middle lie. ``leader``: whether it is far enough from its point to need
+    a line to ``(end_x, end_y)``, the box's nearest place."""
 
     label: Label
     x: float
     y: float
+    anchor: str
     end_x: float
     end_y: float
     leader: bool
@@ -104,12 +107,14 @@ def place_labels(
     obstacles: Sequence[tuple[float, float, float]],
     lines: Sequence[tuple[float, float, float, float]] = (),
     faint: Sequence[tuple[float, float]] = (),
+    bars: Sequence[tuple[float, float, float, float]] = (),
     unit: float = 1.0,
 ) -> list[Placed]:
     """The labels, most important first, each at its cheapest free place; without those that have none.
 
     No label leaves ``frame``, covers another or an obstacle (x, y, radius), and no leader crosses a
-    label. Crossing ``lines`` (x0, y0, x1, y1) and covering ``faint`` points costs, but is allowed.
+    label. Crossing ``lines`` and, less so, ``bars`` (x0, y0, x1, y1) and ``faint`` points (x, y) costs,
+    but is allowed.
     ``unit``: what distances are multiplied with, where pixels are small.
     """
     placed: list[Placed] = []
@@ -139,8 +144,9 @@ def place_labels(
                         for x, y, r in obstacles if (x, y) != (label.x, label.y)
                     )
                     cost += 25 * sum(_meet(leader, line) for line in leaders)
-                cost += 30 * sum(_crosses(box, *line) for line in lines)
-                cost += 6 * sum(_covers(box, x, y, 3) for x, y in faint)
+                cost += 70 * sum(_crosses(box, *line) for line in lines)
+                cost += 8 * sum(_crosses(box, *line) for line in bars)
+                cost += 10 * sum(_covers(box, x, y, 3) for x, y in faint)
                 if best is None or cost < best[0]:
                     best = (cost, candidate, box)
         if best is not None:
@@ -165,7 +171,11 @@ def _candidate(label: Label, box: Box, unit: float) -> Placed:
     x = right + 2 if right < label.x else left - 2 if left > label.x else label.x
     y = middle if x != label.x else top if top > label.y else bottom
     far = math.hypot(x - label.x, y - label.y) > _NEAR * unit
-    return Placed(label, left, middle, x, y, far)
+    if right < label.x:
+        return Placed(label, right, middle, "end", x, y, far)
+    if left > label.x:
+        return Placed(label, left, middle, "start", x, y, far)
+    return Placed(label, (left + right) / 2, middle, "middle", x, y, far)
 
 
 def _inside(box: Box, frame: Box) -> bool:

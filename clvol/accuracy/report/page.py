@@ -78,7 +78,9 @@ def _headlines(sweep: Sweep) -> str:
     rows = []
     for sentence in sweep.result["sentences"]:
         point = sweep.point(sentence["point"])
-        notes = [f"<span>{escape(_upper(sweep.against_baseline(point)))}</span>"]
+        notes = []
+        if "scene" not in str(sentence["text"]):  # it may say this itself
+            notes.append(f"<span>{escape(_upper(sweep.against_baseline(point)))}</span>")
         options = _options(sweep, point)
         if options:
             notes.append(f"<code>{escape(options)}</code>")
@@ -92,7 +94,7 @@ def _headlines(sweep: Sweep) -> str:
     inside = f'<ol class="headlines">{"".join(rows)}</ol>' if rows else (
         "<p>None of the settings reaches an error that could be stated.</p>"
     )
-    return f'<section aria-label="In short">\n{inside}\n<p class="own">{_own(sweep)}</p>\n</section>'
+    return f'<section aria-label="In short">\n{inside}\n<p class="own-scene">{_own(sweep)}</p>\n</section>'
 
 
 def _own(sweep: Sweep) -> str:
@@ -213,8 +215,8 @@ def _scales(images: PageImages) -> str:
         f'<div class="scales" style="{ratio}"><div class="shared">{_bar(images.shared_scale)}'
         "<p>Logarithmic; the same colour is the same error in every picture.</p></div>"
         f'<div class="each">{_bar(None)}'
-        "<p>Linear; the gain stands in each picture. One pixel in a thousand lies beyond it.</p>"
-        "</div><p>Largest of |ΔR|, |ΔG|, |ΔB|, |ΔA|, linear light.</p></div>"
+        "<p>Linear; the gain stands in each picture. At most one pixel in a thousand exceeds it.</p>"
+        "</div><p>A pixel shows the largest of its differences in R, G, B, A, linear light.</p></div>"
     )
 
 
@@ -224,7 +226,7 @@ def _bar(scale: Scale | None) -> str:
         ticks = ["0", "1 / gain"]
     else:
         values = scale.ticks()
-        every = max(1, (len(values) - 1 + 3) // 4)
+        every = max(1, -(-(len(values) - 1) // 3))  # few enough for a narrow picture
         kept = values[::-1][::every][::-1]
         kept = kept if kept[0] == values[0] else [values[0], *kept[1:]]
         ticks = [wording.number(v, 1) if v >= 1e-2 else wording.power_of_ten(_exponent(v))
@@ -253,8 +255,8 @@ def _sizes(images: PageImages) -> str:
         return ""
     return (
         f'<p class="small-print">Shown at {images.width} pixels\' width, averaged down from '
-        f"{images.full_width}; the folder \N{LEFT DOUBLE QUOTATION MARK}images\N{RIGHT DOUBLE QUOTATION MARK} beside this page has them in full. Errors are of the "
-        "full size.</p>\n"
+        f"{images.full_width}; the folder <code>images</code> beside this page has them in full. "
+        "Errors are of the full size.</p>\n"
     )
 
 
@@ -273,7 +275,7 @@ def _knobs(sweep: Sweep) -> str:
             for p in points
         )
         unit = f" ({escape(str(knob['unit']))})" if knob.get("unit") else ""
-        about = f"<p>{escape(_upper(str(knob['about'])))}</p>" if knob.get("about") else ""
+        about = f"<p>{escape(_upper(str(knob.get('about') or '')))}</p>"
         parts.append(
             f'<article><h3>{escape(_upper(str(knob["title"])))}<small>{unit}</small></h3>{about}'
             f'{knob_plot(sweep, knob)}<table class="values"><thead><tr><th scope="col">'

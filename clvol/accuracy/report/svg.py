@@ -21,6 +21,7 @@ from clvol.accuracy.report.sweep import Point, Sweep, median, plottable
 _TEXT = 12.0  # pixels
 _LANE = 38.0  # below the plot, for what has no error at all
 _LONG = 40  # characters of a label, at most
+_FEW = 8  # labels of a narrow plot
 
 
 def text_width(text: str, size: float = _TEXT) -> float:
@@ -76,10 +77,11 @@ class Plot:
             at = self.x.place(value)
             parts.append(_line(at, bottom, at, bottom + 4, "axis"))
             parts.append(_text(at, bottom + 18, wording.seconds(value, 2), "tick middle"))
-        for value in [] if self.only_lane else self.y.ticks(most[1]):
+        ticks = [] if self.only_lane else self.y.ticks(most[1])
+        for value, text in zip(ticks, error_ticks(ticks)):
             at = self.y.place(value)
             parts.append(_line(left - 4, at, left, at, "axis"))
-            parts.append(_text(left - 8, at + 4, error_tick(value), "tick end"))
+            parts.append(_text(left - 8, at + 4, text, "tick end"))
         if self.lane:
             parts.append(_line(left, self.floor, right, self.floor, "break"))
             parts.append(_text(left - 8, bottom - _LANE / 2 + 4, "0", "tick end"))
@@ -89,13 +91,14 @@ class Plot:
             parts.append(_text(0, top - 12, y_title, "title"))
         return parts
 
-    def spread(self, point: Point, mark: str) -> str:
-        """The bar from the fastest to the slowest frame."""
-        fastest, slowest = point["seconds"].get("min"), point["seconds"].get("max")
-        if not fastest or not slowest or fastest <= 0:
-            return ""
+    def bar(self, point: Point) -> tuple[float, float, float, float]:
+        """From the fastest to the slowest frame: x0, y0, x1, y1."""
+        fastest, slowest = (point["seconds"].get(k) or median(point) for k in ("min", "max"))
         y = self.at(point)[1]
-        return _line(self.x.place(fastest), y, self.x.place(slowest), y, mark)
+        return self.x.place(fastest), y, self.x.place(slowest), y
+
+    def spread(self, point: Point, mark: str) -> str:
+        return _line(*self.bar(point), mark)
 
     def dot(self, point: Point, mark: str, radius: float, told: str = "") -> str:
         x, y = self.at(point)
@@ -140,13 +143,14 @@ def front_plot(sweep: Sweep, width: float, height: float, mark: str) -> str:
         parts.append(f'<polyline class="front-line" points="{path}"/>')
     named = [*front, *([baseline] if baseline and baseline not in front else [])]
     parts += [plot.spread(p, "spread") for p in named]
-    labels = _names(plot, named, baseline, 24 if narrow else _LONG)
+    labels = _names(plot, named, baseline)[: _FEW if narrow else None]
     placed = place_labels(
         labels,
         (plot.frame[0] + 4, plot.frame[1], plot.frame[2], plot.frame[3] - 2),
         [(*plot.at(p), 10 if p is baseline else 6) for p in named],
         [(*a, *b) for a, b in zip(places, places[1:])],
         [plot.at(p) for p in others],
+        [plot.bar(p) for p in (*named, *others)],
     )
     parts += [_leader(p) for p in placed if p.leader]
     for point in named:
@@ -157,7 +161,7 @@ def front_plot(sweep: Sweep, width: float, height: float, mark: str) -> str:
     for p in placed:
         own = " own" if baseline and p.label.key == baseline["id"] else ""
         parts.append(
-            f'<text class="name{own}" data-id="{escape(p.label.key)}" x="{p.x:.1f}" '
+            f'<text class="name{own} {p.anchor}" x="{p.x:.1f}" '
             f'y="{p.y + 4:.1f}">{escape(p.label.text)}</text>'
         )
     return plot.svg(parts, mark, f"Error against time of {len(sweep.points)} settings")
@@ -190,7 +194,8 @@ def knob_plot(sweep: Sweep, knob: dict[str, Any]) -> str:
     parts += [plot.dot(p, "pt knob", 4) for p in points]
     parts += [plot.ring(p, 7.5) for p in points if p["id"] == own]
     parts += [
-        f'<text class="name small" x="{p.x:.1f}" y="{p.y + 3.5:.1f}">{escape(p.label.text)}</text>'
+        f'<text class="name small {p.anchor}" x="{p.x:.1f}" y="{p.y + 3.5:.1f}">'
+        f"{escape(p.label.text)}</text>"
         for p in placed
     ]
     return plot.svg(parts, "small", f"Error against time as {knob['title']} varies")
@@ -226,19 +231,20 @@ def describe(point: Point) -> str:
             f"{wording.seconds(median(point))}")
 
 
-def error_tick(value: float) -> str:
-    exponent = math.log10(value)
-    if abs(exponent - round(exponent)) < 1e-9:
-        return wording.power_of_ten(round(exponent))
-    return wording.number(value, 1)
+def error_ticks(values: Sequence[float]) -> list[str]:
+    """Numbers beside an axis: plain digits where they are short, else all as powers of ten."""
+    if all(1e-4 <= value < 1e4 for value in values):
+        return [f"{value:g}" for value in values]
+    exponents = [math.log10(value) for value in values]
+    if all(abs(e - round(e)) < 1e-9 for e in exponents):
+        return [wording.power_of_ten(round(e)) for e in exponents]
+    return [wording.number(value, 1) for value in values]
 
 
-def _names(
-    plot: Plot, named: Sequence[Point], baseline: Point | None, length: int
-) -> list[Label]:
+def _names(plot: Plot, named: Sequence[Point], baseline: Point | None) -> list[Label]:
     labels = []
     for point in name_order(plot.sweep, named, baseline):
-        text = point_name(point, baseline, length)
+        text = point_name(point, baseline, _LONG)
         labels.append(Label(str(point["id"]), text, *plot.at(point), text_width(text), 15))
     return labels
 

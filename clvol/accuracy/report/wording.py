@@ -33,6 +33,8 @@ def seconds(value: float | None, digits: int = 3) -> str:
     """A time in the unit that suits it: "4.1 ms", "2.3 s", "12 min"."""
     if value is None:
         return NOTHING
+    if value == 0:
+        return f"0{_NBSP}s"
     for limit, factor, unit in ((1e-3, 1e6, "µs"), (1.0, 1e3, "ms"), (600.0, 1.0, "s"),
                                 (36000.0, 1 / 60, "min")):
         # Rounding must not yield 1000 ms.
