@@ -163,11 +163,12 @@ def _pictures(sweep: Sweep, images: PageImages) -> str:
         key, label = point["id"], str(point["label"])
         if key not in images.pictures:
             continue
-        badges = ""
+        note = ""
         if key == sweep.baseline["id"]:
-            badges = '<em class="badge">your scene</em>'
+            note = '<em class="badge">your scene</em>'
             if key not in front:
-                badges += '<em class="badge">not on the front</em>'
+                note += '<em class="badge">not on the front</em>'
+            note = f"<span>{note}</span>"
         scale = images.scales[key]
         cards.append(
             f'<figure class="card" data-id="{escape(str(key))}" id="at-{escape(str(key))}">'
@@ -180,7 +181,7 @@ def _pictures(sweep: Sweep, images: PageImages) -> str:
             f'alt="difference of {escape(label)} from the exact integral, scale of its own">'
             f'<span class="gain each">gain {escape(wording.number(scale.gain))}, last colour from '
             f"{escape(wording.number(scale.full))}</span></div>"
-            f"<figcaption><b>{escape(label)}</b>{badges}"
+            f"<figcaption><b>{escape(label)}</b>{note}"
             f"<span>error {escape(wording.number(point['rmse']))}, largest "
             f"{escape(wording.number(point['max_abs'], 2))}</span>"
             f"<span>{escape(wording.seconds(median(point)))} a frame</span></figcaption></figure>"
@@ -312,6 +313,8 @@ def _table(sweep: Sweep) -> str:
         f'<th scope="col" title="{escape(about)}">{escape(title)}</th>'
         for title, about, _, _ in _COLUMNS
     )
+    count = len(sweep.points)
+    title = f"All {count} settings" if count > 1 else "The setting"
     front = set(sweep.result["front"])
     rows = []
     for point in sorted(sweep.points, key=lambda p: median(p) or 0.0):
@@ -327,8 +330,7 @@ def _table(sweep: Sweep) -> str:
         rows.append(f'<tr data-id="{escape(str(point["id"]))}" class="{" ".join(marks)}">'
                     f'{"".join(cells)}</tr>')
     return (
-        f'<section>\n<h2>{"All" if len(sweep.points) > 1 else "The"} '
-        f'{_several(len(sweep.points), "setting")}</h2>\n'
+        f"<section>\n<h2>{title}</h2>\n"
         '<p class="lead">Fastest first. <span class="with-script" hidden>Click a heading to sort. '
         '</span>Those of the front are bold.</p>\n'
         '<div class="scroll"><table id="all" class="values"><thead><tr>'

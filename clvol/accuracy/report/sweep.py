@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 from clvol.accuracy.report import wording
@@ -32,8 +33,12 @@ class Sweep:
     def name(self) -> str:
         return str(self.result["scene"]["name"])
 
+    @cached_property
+    def _by_id(self) -> dict[str, Point]:
+        return {p["id"]: p for p in self.points}
+
     def point(self, key: str) -> Point:
-        return next(p for p in self.points if p["id"] == key)
+        return self._by_id[key]
 
     @property
     def baseline(self) -> Point:
@@ -50,16 +55,28 @@ class Sweep:
         front, baseline = self.front, self.baseline
         return front if baseline["id"] in self.result["front"] else [baseline, *front]
 
+    @cached_property
+    def _ranks(self) -> dict[str, dict[tuple, int]]:
+        """For each knob its values among the points: in its own order, others after that."""
+        ranks = {}
+        for knob in self.knobs:
+            name = knob["name"]
+            found = dict.fromkeys(
+                _key(p["settings"][name]) for p in self.points
+                if p["settings"].get(name) is not None
+            )
+            order = [key for key in map(_key, knob["values"]) if key in found]
+            ranks[name] = {key: i for i, key in enumerate(dict.fromkeys([*order, *found]))}
+        return ranks
+
     def values(self, knob: str) -> list[Any]:
-        """The knob's values among the points: in its own order, others after that."""
-        declared = next((k["values"] for k in self.knobs if k["name"] == knob), [])
-        found: list[Any] = []
-        for point in self.points:
-            value = point["settings"].get(knob)
-            if value is not None and not any(_same(value, v) for v in found):
-                found.append(value)
-        order = [v for v in declared if any(_same(v, f) for f in found)]
-        return order + [v for v in found if not any(_same(v, o) for o in order)]
+        """What the knob is set to among the points, in its own order."""
+        return [value for _, value in self._ranks[knob]]
+
+    def rank(self, point: Point, knob: str) -> int:
+        """The place of the point's value among :meth:`values`; after all where it has none."""
+        ranks = self._ranks[knob]
+        return ranks.get(_key(point["settings"].get(knob)), len(ranks))
 
     def varied(self) -> list[dict[str, Any]]:
         """The knobs that take more than one value."""
@@ -74,25 +91,14 @@ class Sweep:
 
     def color_class(self, point: Point, knob: dict[str, Any] | None) -> int:
         """The number of the point's colour."""
-        if knob is None:
-            return 0
-        value = point["settings"].get(knob["name"])
-        values = self.values(knob["name"])
-        return next((i for i, v in enumerate(values) if _same(v, value)), len(values))
+        return 0 if knob is None else self.rank(point, knob["name"])
 
     def alone(self, knob: str) -> list[Point]:
         """The points where this knob alone varies, in the order of its values."""
-        values = self.values(knob)
         found = [p for p in self.points if p["sweep"] == knob]
         if found and self.baseline not in found:
             found.append(self.baseline)
-
-        def order(point: Point) -> tuple[int, float]:
-            value = point["settings"].get(knob)
-            place = next((i for i, v in enumerate(values) if _same(v, value)), len(values))
-            return place, median(point) or 0.0
-
-        return sorted(found, key=order)
+        return sorted(found, key=lambda p: (self.rank(p, knob), median(p) or 0.0))
 
     def against_baseline(self, point: Point) -> str:
         """"2.4 times as fast as your scene's settings", or why that cannot be said."""
@@ -147,6 +153,6 @@ def _ratio(value: float) -> str:
     return f"{value:.2g}" if value < 10 else f"{value:.0f}"
 
 
-def _same(a: Any, b: Any) -> bool:
-    """Equal, where True is not 1."""
-    return isinstance(a, bool) == isinstance(b, bool) and a == b
+def _key(value: Any) -> tuple[bool, Any]:
+    """Equal for equal settings, where True is not 1."""
+    return isinstance(value, bool), value
