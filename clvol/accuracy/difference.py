@@ -144,11 +144,13 @@ def _caption(
 ) -> tuple[str, str]:
     finite = np.isfinite(values)
     largest = float(values[finite].max()) if finite.any() else math.nan
-    rmse = math.sqrt(np.mean(np.square(difference.astype(np.float64)))) if finite.all() else math.nan
     first = f"|{names[0]} \N{MINUS SIGN} {names[1]}|, largest of R, G, B, A, linear light"
-    parts = [f"RMSE {rmse:.3g}", f"largest {largest:.3g}"]
-    if not finite.all():
-        parts = [f"largest {largest:.3g}", f"cyan: {int((~finite).sum())} pixels not finite"]
+    parts = [f"largest {largest:.3g}"]
+    if finite.all():
+        rmse = math.sqrt(np.mean(np.square(difference.astype(np.float64))))
+        parts.insert(0, f"RMSE {rmse:.3g}")
+    else:
+        parts.append(f"cyan: {int((~finite).sum())} pixels not finite")
     if factor > 1:
         parts.append(f"pixels {factor} times as large")
     return first, ", ".join(parts)

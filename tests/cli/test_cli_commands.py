@@ -210,7 +210,8 @@ def test_a_difference_picture_is_never_one_of_the_two(refused, two_pictures, not
 
 @pytest.mark.parametrize("name", ["d.jpg", "d", "none/d.png"])
 def test_a_difference_picture_in_an_impossible_place(refused, two_pictures, nothing_left, name):
-    assert refused(2, "compare", "a.npy", "b.npy", "-o", "d.exr", "-o", name).startswith(f"{name}: ")
+    line = refused(2, "compare", "a.npy", "b.npy", "-o", "d.exr", "-o", name)
+    assert line.startswith(f"{name}: ")
 
 
 def test_no_difference_picture_of_pictures_of_unequal_size(refused, two_pictures, nothing_left):

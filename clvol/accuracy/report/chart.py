@@ -13,6 +13,7 @@ from clvol.accuracy.report.sweep import Point, Sweep, median, plottable
 COLORS = ("#2f6db3", "#c8641b", "#2f8f6b", "#8a55b5", "#b5475c", "#8a7a1f", "#3d8fa8", "#6b6f76")
 _INK, _MUTED, _GRID = "#1d1d1f", "#6b6b70", "#e7e6e2"
 _WIDTH, _HEIGHT, _DOTS = 1680, 1050, 150
+_SIDES = {"start": "left", "middle": "center", "end": "right"}
 
 
 def tradeoff_chart(sweep: Sweep) -> bytes:
@@ -122,7 +123,8 @@ def _name_points(axes, canvas, sweep, named, front, baseline, shown, at) -> None
         sample = axes.text(0, 0, text, transform=None, **style)
         extent = sample.get_window_extent(renderer)
         sample.remove()
-        labels.append(Label(str(point["id"]), text, *pixels(point), extent.width, extent.height + 4))
+        size = extent.width, extent.height + 4
+        labels.append(Label(str(point["id"]), text, *pixels(point), *size))
     box = axes.get_window_extent(renderer)
     frame = (box.x0 + 8, height - box.y1, box.x1, height - box.y0 - 6)
     places = [pixels(p) for p in front]
@@ -139,7 +141,7 @@ def _name_points(axes, canvas, sweep, named, front, baseline, shown, at) -> None
             axes.add_artist(Line2D([p.label.x, p.end_x], [height - p.label.y, height - p.end_y],
                                    transform=None, color=_MUTED, linewidth=0.7, zorder=4.5))
         axes.text(p.x, height - p.y, p.label.text, transform=None, zorder=8,
-                  va="center_baseline", ha={"start": "left", "middle": "center", "end": "right"}[p.anchor],
+                  va="center_baseline", ha=_SIDES[p.anchor],
                   path_effects=[withStroke(linewidth=2.5, foreground="white", alpha=0.85)], **style)
 
 
@@ -163,9 +165,11 @@ def _words(figure, axes, sweep: Sweep, knob, color) -> None:
     handles = []
     if knob is not None:
         for i, value in enumerate(sweep.values(knob["name"])):
-            text = f"{knob['title']}: {wording.setting(value)}" if i == 0 else wording.setting(value)
+            text = wording.setting(value)
+            text = f"{knob['title']}: {text}" if i == 0 else text
             handles.append(Line2D([], [], color=COLORS[i % len(COLORS)], label=_plain(text), **dot))
-    handles.append(Line2D([], [], color=_INK, linewidth=1.3, label="nothing is faster and as exact"))
+    handles.append(Line2D([], [], color=_INK, linewidth=1.3,
+                          label="nothing is faster and as exact"))
     handles.append(Line2D([], [], linestyle="", marker="o", markersize=10, markerfacecolor="none",
                           markeredgecolor=_INK, label="your scene's settings"))
     legend = axes.legend(

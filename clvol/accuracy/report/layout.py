@@ -110,11 +110,12 @@ def place_labels(
     bars: Sequence[tuple[float, float, float, float]] = (),
     unit: float = 1.0,
 ) -> list[Placed]:
-    """The labels, most important first, each at its cheapest free place; without those that have none.
+    """The labels, most important first, each at its cheapest free place; without those that have
+    none.
 
     No label leaves ``frame``, covers another or an obstacle (x, y, radius), and no leader crosses a
-    label. Crossing ``lines`` and, less so, ``bars`` (x0, y0, x1, y1) and ``faint`` points (x, y) costs,
-    but is allowed.
+    label. Crossing ``lines`` and, less so, ``bars`` (x0, y0, x1, y1) and ``faint`` points (x, y)
+    costs, but is allowed.
     ``unit``: what distances are multiplied with, where pixels are small.
     """
     placed: list[Placed] = []

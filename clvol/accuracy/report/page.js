@@ -210,7 +210,8 @@
     button.addEventListener("click", function () { shown.what = kind[0]; show(); });
     document.getElementById("viewer-what").append(button);
   });
-  document.getElementById("viewer-close").addEventListener("click", function () { viewer.close(); });
+  document.getElementById("viewer-close")
+    .addEventListener("click", function () { viewer.close(); });
   viewer.addEventListener("click", function (e) { if (e.target === viewer) viewer.close(); });
   viewer.addEventListener("keydown", function (e) {
     var step = { ArrowLeft: -1, ArrowRight: 1 }[e.key];

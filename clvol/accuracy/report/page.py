@@ -47,7 +47,7 @@ def page(sweep: Sweep, images: PageImages) -> str:
         _pictures(sweep, images),
         _knobs(sweep),
         _table(sweep),
-        _method(sweep, images),
+        _method(sweep),
         "</main>",
         '<div id="tip" hidden></div>',
         _viewer(),
@@ -94,7 +94,8 @@ def _headlines(sweep: Sweep) -> str:
     inside = f'<ol class="headlines">{"".join(rows)}</ol>' if rows else (
         "<p>None of the settings reaches an error that could be stated.</p>"
     )
-    return f'<section aria-label="In short">\n{inside}\n<p class="own-scene">{_own(sweep)}</p>\n</section>'
+    return (f'<section aria-label="In short">\n{inside}\n<p class="own-scene">{_own(sweep)}</p>\n'
+            "</section>")
 
 
 def _own(sweep: Sweep) -> str:
@@ -142,7 +143,7 @@ def _plot(sweep: Sweep) -> str:
         "in the table.</p>" if lost else ""
     )
     return (
-        '<section>\n<h2>Error against time</h2>\n'
+        '<section class="plot-section">\n<h2>Error against time</h2>\n'
         '<p class="lead">Each dot is one setting of the renderer. Left is faster, down is more '
         "exact; both axes are logarithmic.</p>\n"
         f'{legend}\n<div class="plot">\n{front_plot(sweep, 1100, 600, "wide")}\n'
@@ -155,7 +156,8 @@ def _pictures(sweep: Sweep, images: PageImages) -> str:
         return ""
     front = {p["id"] for p in sweep.front}
     cards = [
-        f'<figure class="card" data-id="reference">{_image(images, "reference", "The exact integral")}'
+        '<figure class="card" data-id="reference">'
+        f'{_image(images, "reference", "The exact integral")}'
         f"{_scales(images)}<figcaption><b>The exact integral</b>"
         "<span>what the others are measured against</span></figcaption></figure>"
     ]
@@ -183,7 +185,7 @@ def _pictures(sweep: Sweep, images: PageImages) -> str:
             f"{escape(wording.number(scale.full))}</span></div>"
             f"<figcaption><b>{escape(label)}</b>{note}"
             f"<span>error {escape(wording.number(point['rmse']))}, largest "
-            f"{escape(wording.number(point['max_abs'], 2))}</span>"
+            f"{escape(wording.number(point.get('max_abs'), 2))}</span>"
             f"<span>{escape(wording.seconds(median(point)))} a frame</span></figcaption></figure>"
         )
     return (
@@ -216,8 +218,9 @@ def _scales(images: PageImages) -> str:
         f'<div class="scales" style="{ratio}"><div class="shared">{_bar(images.shared_scale)}'
         "<p>Logarithmic; the same colour is the same error in every picture.</p></div>"
         f'<div class="each">{_bar(None)}'
-        "<p>Linear; the gain stands in each picture. At most one pixel in a thousand exceeds it.</p>"
-        "</div><p>A pixel shows the largest of its differences in R, G, B, A, linear light.</p></div>"
+        "<p>Linear; the gain stands in each picture. At most one pixel in a thousand exceeds it."
+        "</p></div><p>A pixel shows the largest of its differences in R, G, B, A, linear light.</p>"
+        "</div>"
     )
 
 
@@ -287,8 +290,8 @@ def _knobs(sweep: Sweep) -> str:
         return ""
     return (
         "<section>\n<h2>One knob at a time</h2>\n"
-        '<p class="lead">All else as in your scene, which is ringed. The axes are those of the plot '
-        "above, so a knob that moves nothing here changes nothing.</p>\n"
+        '<p class="lead">All else as in your scene, which is ringed. The axes are those of the '
+        "plot above, so a knob that moves nothing here changes nothing.</p>\n"
         f'<div class="knobs">\n{"".join(parts)}\n</div>\n</section>'
     )
 
@@ -351,7 +354,7 @@ def _look_up(point: Point, path: str) -> Any:
     return point
 
 
-def _method(sweep: Sweep, images: PageImages) -> str:
+def _method(sweep: Sweep) -> str:
     result = sweep.result
     scene, machine = result["scene"], result["machine"]
     method, reference = result["method"], result["reference"]

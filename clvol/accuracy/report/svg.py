@@ -31,7 +31,7 @@ def text_width(text: str, size: float = _TEXT) -> float:
 
 
 def ranges(sweep: Sweep, before: float = 0.05) -> tuple[tuple[float, float], tuple[float, float]]:
-    """(seconds), (RMSE): what the plots show of the axes; some range where nothing is to be seen."""
+    """(seconds), (RMSE): what the plots show; some range where there is nothing to be seen."""
     points = [p for p in sweep.points if plottable(p)]
     times = limits([median(p) for p in points], before=before, after=0.06)
     errors = limits([p["rmse"] for p in points], before=0.07, after=0.07)
@@ -44,7 +44,7 @@ class Plot:
     def __init__(
         self, sweep: Sweep, width: float, height: float, margins: Box, before: float = 0.05
     ) -> None:
-        """``margins``: left, top, right, bottom. ``before``: extra room beside the shortest time."""
+        """``margins``: left, top, right, bottom. ``before``: room beside the shortest time."""
         self.sweep, self.width, self.height = sweep, width, height
         left, top, right, bottom = margins
         self.frame = (left, top, width - right, height - bottom)

@@ -95,7 +95,7 @@ class Sweep:
 
     def alone(self, knob: str) -> list[Point]:
         """The points where this knob alone varies, in the order of its values."""
-        found = [p for p in self.points if p["sweep"] == knob]
+        found = [p for p in self.points if p.get("sweep") == knob]
         if found and self.baseline not in found:
             found.append(self.baseline)
         return sorted(found, key=lambda p: (self.rank(p, knob), median(p) or 0.0))
