@@ -246,7 +246,8 @@ def _rays(scene: ResolvedScene) -> tuple[np.ndarray, np.ndarray]:
 
 def box_span(origins, directions, lower, upper) -> tuple[np.ndarray, np.ndarray]:
     """Where rays [n, 3] enter and leave the box ``lower`` to ``upper``; all have to meet it."""
-    a, b = (lower - origins) / directions, (upper - origins) / directions
+    with np.errstate(divide="ignore"):  # a component of 0: infinite, which is right
+        a, b = (lower - origins) / directions, (upper - origins) / directions
     start, end = np.minimum(a, b).max(axis=1), np.maximum(a, b).min(axis=1)
     assert np.all((0 < start) & (start < end)), "a ray misses the volume"
     return start, end

@@ -101,9 +101,14 @@ def test_without_self_attenuation_opacity_is_the_same_and_light_is_more(context)
     np.testing.assert_allclose(other[..., 3], table[..., 3], atol=2e-6)
     light, attenuated = (t[0, :n, :n, :3] for t in (other, table))
     assert np.all(light > attenuated)
-    # The paper's neglect: a factor of 1 + tau h / 2 to first order.
+    # Of a constant value D = tau h instead of 1 - exp(-D); there and back together: 1 + D / 2 + ...
     depth = table[1, :n, :n, 3:]
-    np.testing.assert_allclose(light / attenuated, 1 + depth / 2, rtol=0.02)
+    k = np.arange(n)
+    expected = depth[k, k] / -np.expm1(-depth[k, k])
+    ratio = light / attenuated
+    np.testing.assert_allclose(ratio[k, k], np.repeat(expected, 3, axis=1), rtol=1e-5)
+    both_ways = 0.5 * (attenuated + attenuated.swapaxes(0, 1))
+    np.testing.assert_allclose(light / both_ways / (1 + depth / 2), 1.0, rtol=0.02)
 
 
 def test_between_pixel_centres_a_plane_is_a_plane():
