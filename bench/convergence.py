@@ -55,8 +55,12 @@ def show(result: dict[str, Any]) -> str:
     ]  # fmt: skip
     head = ["refined", "row", "expected", "observed", "h", "finest error", "floor", ""]
     held = sum(not r["departure"] for r in result["rows"])
+    width = max(len(r["title"]) for r in result["rows"])
     return "\n".join([
         table(head, rows, left=2),
+        "",
+        *(f"{r['title']:{width}}  {r['expected']:g}: {r['reason']}" for r in result["rows"]),
+        "",
         f"{held} of {len(rows)} rows hold; bands are "
         + ", ".join(f"{band:g}" for band in sorted({r["band"] for r in result["rows"]})),
     ])
