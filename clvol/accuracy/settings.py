@@ -131,7 +131,7 @@ def label(knobs: Mapping[str, SceneKnob], settings: Settings, resolved: Resolved
         if not knob.knob.applies(scene):
             continue
         if knob.knob.is_main or value != knob.scene_value or key.endswith(".classification"):
-            text = value if isinstance(value, str) else f"{knob.knob.title} {value:.3g}"
+            text = value if isinstance(value, str) else f"{knob.knob.title} {value:.4g}"
             parts.append(text)
     parts.sort(key=lambda text: " " in text)  # alternatives first
     return ", ".join(parts)

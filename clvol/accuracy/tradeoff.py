@@ -45,6 +45,9 @@ FRAMES = 7
 _SLOWEST = 40.0  # times the scene's own frame: what takes longer is not refined further
 _PATIENCE = 2.0  # seconds that a frame may always take
 _STRIDE = 2  # notches of the main ladder between the combinations' settings
+_BEATEN = 0.7  # of both error and time: so much less is not for noise
+_FLOOR = 0.9  # of the error two notches before
+_SAME_ERROR, _SAME_TIME = 0.97, 0.03  # shares that are not worth two names
 _DECADES = (1e-1, 3e-2, 1e-2, 3e-3, 1e-3, 3e-4, 1e-4, 3e-5, 1e-5, 1e-6)
 
 Progress = Callable[..., None]  # (done, total, what)
@@ -125,15 +128,26 @@ class _Sweep:
         own = knob.values.index(knob.scene_value)
         outwards = [range(own, len(knob.values), stride), range(own - stride, -1, -stride)]
         for places in outwards:
+            errors: list[float] = []
             for place in places:
                 trial = self.try_out({**settings, key: knob.values[place]})
-                if trial is None and knob.knob.is_ladder:
-                    break
                 if trial is not None:
                     tried.append(trial.settings)
-                    if knob.knob.is_ladder and trial.seconds > self.limit:
-                        break
+                    errors.append(trial.rmse)
+                if knob.knob.is_ladder and (trial is None or self.leads_nowhere(trial, errors)):
+                    break
         return tried
+
+    def leads_nowhere(self, trial: Trial, errors: list[float]) -> bool:
+        """Whether a ladder's next values can be left out: it takes too long, or is no longer of any use:
+        beaten by far, and nothing has changed."""
+        if trial.seconds > self.limit:
+            return True
+        beaten = any(
+            t.seconds < _BEATEN * trial.seconds and t.rmse < _BEATEN * trial.rmse
+            for t in self.found.values()
+        )
+        return beaten and len(errors) > 2 and errors[-1] > _FLOOR * errors[-3]
 
     def try_out(self, settings: dict[str, Any]) -> Trial | None:
         """The trial of ``settings``; None if nothing renders them or enough have been tried."""
@@ -285,12 +299,21 @@ def sentences(front: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def _front_of(points: dict[tuple, dict[str, Any]]) -> list[tuple]:
-    """Keys of the points that no other beats in error and time, by falling error."""
-    front, least = [], math.inf
+    """Keys of the points that no other beats in error and time, by falling error; of those whose
+    times or errors cannot be told apart, the better one."""
+    front: list[tuple] = []
     for key, point in sorted(
         points.items(), key=lambda item: (item[1]["seconds"]["median"], item[1]["rmse"])
     ):
-        if point["rmse"] < least:
-            front.append(key)
-            least = point["rmse"]
+        if front and point["rmse"] > _SAME_ERROR * points[front[-1]]["rmse"]:
+            continue
+        if front and _same_time(points[front[-1]]["seconds"], point["seconds"]):
+            front.pop()
+        front.append(key)
     return front
+
+
+def _same_time(a: dict[str, Any], b: dict[str, Any]) -> bool:
+    """Whether two medians are nearer than their quartiles are apart."""
+    noise = max(_SAME_TIME, 0.5 * max(a["spread"] or 0.0, b["spread"] or 0.0))
+    return b["median"] - a["median"] <= noise * b["median"]
