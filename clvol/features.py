@@ -15,7 +15,7 @@ import numpy as np
 from clvol.errors import SceneError
 from clvol.scene.resolve import ResolvedScene
 
-FILTERS = {"nearest": 0, "linear": 1}
+FILTERS = {"nearest": 0, "linear": 1, "cubic": 2}
 CLASSIFICATIONS = {"pre": 0, "post": 1, "preintegrated": 2}
 METHODS = ("raycast", "reference")
 

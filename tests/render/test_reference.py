@@ -12,7 +12,7 @@ import pytest
 import clvol
 from clvol.errors import SceneError, UsageError
 from clvol.opencl.kernels_path import kernel_folder
-from clvol.render.reference import integrate_world_rays, render_reference
+from clvol.render.reference import FILTERS, integrate_world_rays, render_reference
 from clvol.render.reference_ray import integrate_ray
 from clvol.transfer import TransferFunction
 from clvol.transfer.preintegration import preintegrate
@@ -32,8 +32,10 @@ def constant(opacity: float, color=GREY, unit: float = 1.0) -> TransferFunction:
     return TransferFunction([0.0], [opacity], [color], unit)
 
 
-def trace(device, volume, tf, origin, towards, **settings):
+def trace(device, volume, tf, origin, towards, nearest=False, **settings):
     """(rgba [n, 4], depth [n], counters) of rays from ``origin`` through the point ``towards``."""
+    if nearest:
+        settings["filter"] = "nearest"
     origin, towards = np.broadcast_arrays(np.atleast_2d(origin), np.atleast_2d(towards))
     direction = (towards - origin).astype(float)
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
@@ -325,7 +327,7 @@ def random_case():
     return volume, eyes, centre + rng.normal(size=(4, 3)) * 0.4
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=5)
 def twin_rays(filter, classification):
     volume, eyes, aims = random_case()
     spacing = np.array(volume.grid.spacing)
@@ -338,11 +340,12 @@ def twin_rays(filter, classification):
 
 
 @pytest.mark.parametrize(
-    "filter, classification", [("linear", "post"), ("linear", "pre"), ("nearest", "post")]
+    "filter, classification",
+    [("linear", "post"), ("linear", "pre"), ("nearest", "post"), ("cubic", "post"), ("cubic", "pre")],
 )
 def test_equals_the_plain_twin(device, filter, classification):
     volume, eyes, aims = random_case()
-    rgba, depth, counters = trace(device, volume, NASTY, eyes, aims, nearest=filter == "nearest",
+    rgba, depth, counters = trace(device, volume, NASTY, eyes, aims, filter=filter,
                                   preclassified=classification == "pre")
     expected, expected_depth = twin_rays(filter, classification)
     check(rgba, expected)
@@ -385,8 +388,8 @@ def test_mirrored_volume_gives_the_same_picture(device):
             np.testing.assert_allclose(other_depth, depth, atol=1e-8)
 
 
-@pytest.mark.parametrize("nearest", [False, True])
-def test_rays_along_faces_edges_and_through_corners(device, nearest):
+@pytest.mark.parametrize("filter", FILTERS)
+def test_rays_along_faces_edges_and_through_corners(device, filter):
     """In a constant field the cells do not show: only the length inside the volume counts."""
     volume = Volume(np.ones((5, 5, 5)))
     tiny = 5e-324
@@ -409,7 +412,7 @@ def test_rays_along_faces_edges_and_through_corners(device, nearest):
     directions = np.array([ray[1] for ray in rays], float)
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     rgba, _, counters = integrate_world_rays(volume, constant(0.3), eyes, directions, device,
-                                             nearest=nearest)
+                                             filter=filter)
     check(rgba[:, 3], 1.0 - 0.7 ** np.array([ray[2] for ray in rays], float), 1e-12)
     assert counters["cells"] < 20 * len(rays)
 
@@ -627,8 +630,7 @@ def test_depth_of_an_orthographic_view_counts_from_its_plane(device):
 
 @pytest.mark.parametrize(
     "changes, key",
-    [({"integration": {"filter": "cubic"}}, "integration.filter"),
-     ({"light": [{"type": "headlight"}]}, "light"),
+    [({"light": [{"type": "headlight"}]}, "light"),
      ({"clip": [{"point": [1.0, 0.0, 0.0], "normal": [1.0, 0.0, 0.0]}]}, "clip"),
      ({"isosurface": [{"value": 0.5}]}, "isosurface")],
 )
