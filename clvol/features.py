@@ -16,6 +16,7 @@ from clvol.errors import SceneError
 from clvol.scene.resolve import ResolvedScene
 
 FILTERS = {"nearest": 0, "linear": 1, "cubic": 2}
+FILTER_REACH = {"nearest": 0, "linear": 0, "cubic": 1}  # voxels beyond the corners of a lattice cell
 CLASSIFICATIONS = {"pre": 0, "post": 1, "preintegrated": 2}
 METHODS = ("raycast", "reference")
 
