@@ -107,7 +107,8 @@ INLINE FetchedSample fetch_cubic(__global const uchar *volume, __constant const 
   return s;
 }
 
-/* The weighted mean, counted from the second voxel, which always has weight: four equal values give exactly that value. */
+/* The weighted mean, counted from the second voxel: four equal values give exactly that value, and since the others never have more than
+ * 5/6 of the weight, rounding never takes the mean beyond the largest or the smallest value. Leaping relies on that. */
 INLINE floatN spline_mean(floatN p0, floatN p1, floatN p2, floatN p3, SplineAxis a)
 {
   return p1 + (a.w0 * (p0 - p1) + a.w2 * (p2 - p1) + a.w3 * (p3 - p1));

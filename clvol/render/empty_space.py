@@ -11,8 +11,6 @@ from clvol.transfer.classes import ClassNodes
 
 # Rounding of warped class coordinates in float32; even ones are exact at the nodes.
 _WARP_ROUNDING = 1e-3
-# Of a weighted mean of 64 voxels in float32; interpolations between two never leave them.
-_CUBIC_ROUNDING = 2e-6
 
 
 def visible_mask(
@@ -28,9 +26,6 @@ def visible_mask(
     any_value = lowest <= highest
     low = np.where(any_value, lowest, nodes.first)
     high = np.where(any_value, highest, nodes.first)
-    if filter == "cubic":  # equal voxels give exactly their value
-        rounding = _CUBIC_ROUNDING * np.where(low < high, np.maximum(abs(low), abs(high)), 0.0)
-        low, high = np.maximum(low - rounding, nodes.first), high + rounding
     margin = 0.0 if nodes.warp is None else _WARP_ROUNDING
     # The lowest value of all is node 0, also in float32.
     first = np.floor(nodes.position(low) - np.where(low == nodes.first, 0.0, margin))
