@@ -107,34 +107,32 @@ INLINE FetchedSample fetch_cubic(__global const uchar *volume, __constant const 
   return s;
 }
 
-/* The weighted mean, counted from the second voxel: four equal values give exactly that value, and since the others never have more than
+/* The weighted mean of four, counted from the second: equal values give exactly that value, and since the others never have more than
  * 5/6 of the weight, rounding never takes the mean beyond the largest or the smallest value. Leaping relies on that. */
 INLINE floatN spline_mean(floatN p0, floatN p1, floatN p2, floatN p3, SplineAxis a)
 {
   return p1 + (a.w0 * (p0 - p1) + a.w2 * (p2 - p1) + a.w3 * (p3 - p1));
 }
 
-typedef struct {
-  floatN v00, v10, v01, v11; /* vYZ */
-} SplineRows;
-
-/* The four rows of two blocks side by side, each its mean along x. */
-INLINE SplineRows spline_rows(FetchedSample s, __constant const View *view, intN y, intN z)
-{
-  const Corners a = decode_corners(fetch_corners(s.volume, view, s.x.low, y, z), view);
-  const Corners b = decode_corners(fetch_corners(s.volume, view, s.x.high, y, z), view);
-  const SplineRows r = {spline_mean(a.v000, a.v100, b.v000, b.v100, s.x), spline_mean(a.v010, a.v110, b.v010, b.v110, s.x),
-                        spline_mean(a.v001, a.v101, b.v001, b.v101, s.x), spline_mean(a.v011, a.v111, b.v011, b.v111, s.x)};
-  return r;
-}
-
+/* Four times four rows along x: likewise their mean counts from the second row of the second slice. In a loop, because
+ * compilers take minutes over the straight line. */
 INLINE floatN cubic_value(FetchedSample s, __constant const View *view)
 {
-  const SplineRows a = spline_rows(s, view, s.y.low, s.z.low), b = spline_rows(s, view, s.y.high, s.z.low);
-  const floatN v0 = spline_mean(a.v00, a.v10, b.v00, b.v10, s.y), v1 = spline_mean(a.v01, a.v11, b.v01, b.v11, s.y);
-  const SplineRows c = spline_rows(s, view, s.y.low, s.z.high), d = spline_rows(s, view, s.y.high, s.z.high);
-  const floatN v2 = spline_mean(c.v00, c.v10, d.v00, d.v10, s.y), v3 = spline_mean(c.v01, c.v11, d.v01, d.v11, s.y);
-  return spline_mean(v0, v1, v2, v3, s.z);
+  floatN base = 0.0f, sum = 0.0f;
+  _Pragma("unroll 1") for (int block = 0; block < 4; ++block) {
+    const int behind = block >> 1, below = block & 1;
+    const intN y = below ? s.y.high : s.y.low, z = behind ? s.z.high : s.z.low;
+    const floatN wy0 = below ? s.y.w2 : s.y.w0, wy1 = below ? s.y.w3 : s.y.w1;
+    const floatN wz0 = behind ? s.z.w2 : s.z.w0, wz1 = behind ? s.z.w3 : s.z.w1;
+    const Corners a = decode_corners(fetch_corners(s.volume, view, s.x.low, y, z), view);
+    const Corners b = decode_corners(fetch_corners(s.volume, view, s.x.high, y, z), view);
+    const floatN v11 = spline_mean(a.v011, a.v111, b.v011, b.v111, s.x);
+    if (block == 0) base = v11;
+    sum += wz0 * (wy0 * (spline_mean(a.v000, a.v100, b.v000, b.v100, s.x) - base) +
+                  wy1 * (spline_mean(a.v010, a.v110, b.v010, b.v110, s.x) - base)) +
+           wz1 * (wy0 * (spline_mean(a.v001, a.v101, b.v001, b.v101, s.x) - base) + wy1 * (v11 - base));
+  }
+  return base + sum;
 }
 
 #endif
