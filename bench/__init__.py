@@ -1,4 +1,5 @@
-"""Measurements of clvol: beside a peer, of its inner loop, of how cost grows, of a whole process.
+"""Measurements of clvol: beside a peer, of its inner loop, of how cost grows, of a whole process, and
+of the order of accuracy.
 
 ``python -m bench`` runs all of them, ``--list`` names them, ``--quick`` is a small run that shows
 that all works. Figures go to bench/results/ as JSON and charts; every figure was measured in the

@@ -8,7 +8,7 @@ import sys
 
 from bench.options import Options
 
-NAMES = ("peers", "sampling", "scaling", "startup")
+NAMES = ("peers", "sampling", "scaling", "startup", "convergence")
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -30,8 +30,8 @@ def main(arguments: list[str] | None = None) -> int:
 
     if asked.list:
         for name, module in modules.items():
-            print(f"{name:10}{module.SUMMARY}")
-        print("scenes:   " + ", ".join(scene.name for scene in SCENES))
+            print(f"{name:12}{module.SUMMARY}")
+        print("scenes:     " + ", ".join(scene.name for scene in SCENES))
         return 0
     try:
         sizes = tuple(int(size) for size in asked.sizes.split(","))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -212,4 +214,62 @@ def scaling_chart(result: dict[str, Any], path: Path) -> Path:
     for axis in (left, right):
         axis.grid(True, which="major", color="#e6e6e6", linewidth=0.6)
         axis.set_axisbelow(True)
+    return _save(plt, figure, path, _notes(result))
+
+
+def convergence_chart(result: dict[str, Any], path: Path) -> Path:
+    """Error against h, one panel a row, all to the same scale: the same order has the same slope
+    everywhere. From the coarsest error, where orders 1, 2 and 3 would lead."""
+    plt = _plt()
+    axis_labels = {
+        "step": "step", "table": "1 / nodes of the table", "grid": "voxel edge",
+        "pixel": "pixel edge / picture edge",
+    }  # fmt: skip
+    rows = result["rows"]
+    columns = min(5, len(rows) + 1)
+    lines = -(-(len(rows) + 1) // columns)
+    figure, axes = plt.subplots(
+        lines, columns, figsize=(2.95 * columns, 2.75 * lines), squeeze=False
+    )
+    panels = list(axes.flat)
+    octaves, decades = 5.6, 4.6
+    for axis, r in zip(panels, rows):
+        h, errors = r["h"], r["errors"]
+        fine = h[0] / 2**5
+        for order in (1.0, 2.0, 3.0):
+            expected = order == r["expected"]
+            end = errors[0] * 2 ** (-5 * order)
+            axis.loglog((h[0], fine), (errors[0], end), linestyle="--", zorder=1,
+                        color=_GOAL if expected else "#c8c8c8", linewidth=1.2 if expected else 0.8)
+            axis.annotate(f"{order:g}", (fine, end), (-2, 0), textcoords="offset points",
+                          ha="right", va="center", fontsize=8,
+                          color=_GOAL if expected else "#999999")
+        axis.loglog(h, errors, color=_CLVOL, marker="o", markersize=4.5, linewidth=0.8)
+        if r["floor"] > 0:
+            axis.axhline(r["floor"], color=_VTK, linewidth=0.9, linestyle=":")
+        axis.set_title(textwrap.fill(r["title"], 34) + "\n", fontsize=9, pad=3)
+        found = "DEPARTS: " if r["departure"] else ""
+        axis.annotate(
+            f"{found}order {r['observed']:.2f}, theory {r['expected']:g}", (0.0, 1.0), (0, 4),
+            xycoords="axes fraction", textcoords="offset points", fontsize=9,
+            color=_GOAL if r["departure"] else "#333333",
+        )  # fmt: skip
+        axis.set_xlabel(axis_labels[r["refined"]], fontsize=8.5)
+        axis.tick_params(labelsize=8)
+        axis.set_xscale("log", base=2)
+        axis.set_xlim(h[0] / 2**octaves, h[0] * 2**0.3)
+        axis.set_ylim(errors[0] / 10**decades, errors[0] * 10**0.3)
+        axis.grid(True, which="major", color="#eeeeee", linewidth=0.6)
+        axis.set_axisbelow(True)
+    for axis in panels[len(rows):]:
+        axis.axis("off")
+    from matplotlib.lines import Line2D
+
+    handles = [
+        Line2D([], [], color=_CLVOL, marker="o", markersize=4.5, label="RMS error"),
+        Line2D([], [], color=_GOAL, linestyle="--", label="the order that theory expects"),
+        Line2D([], [], color="#c8c8c8", linestyle="--", label="other orders"),
+        Line2D([], [], color=_VTK, linestyle=":", label="floor: rounding, tables"),
+    ]
+    panels[len(rows)].legend(handles=handles, loc="center left", fontsize=9)
     return _save(plt, figure, path, _notes(result))

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bench.curves import geometric_mean, reach
-from bench.measure import take_turns
+from clvol.accuracy.timing import take_turns
 from bench.options import Options
 from bench.report import load_average, machine, say, table
 from bench.scenes import SCENES, BenchScene

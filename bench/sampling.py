@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.measure import take_turns
+from clvol.accuracy.timing import take_turns
 from bench.options import Options
 from bench.report import load_average, machine, say, table
 from bench.scenes import SCENES

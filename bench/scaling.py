@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from bench.measure import take_turns
+from clvol.accuracy.timing import take_turns
 from bench.options import Options
 from bench.report import load_average, machine, say, table
 from bench.scenes import camera

@@ -15,7 +15,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from bench.measure import summary
+from clvol.accuracy.timing import summary
 from bench.options import Options
 from bench.report import load_average, machine, say, table
 from bench.scenes import VOLUMES

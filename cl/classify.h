@@ -74,7 +74,8 @@ INLINE int may_be_visible(floatN low, floatN high, intN active, __constant const
  * P4 takes the value to run linearly between its ends: the trapezoid rule, whose mean is off by s'' h^2 / 12, twice the
  * midpoint rule's error. So both ends are shifted by minus that, s'' taken from the three last samples (where `curved`): the mean of
  * the shifted chord is right to third order, and neighbouring segments still meet but for a third difference, so that no narrow peak
- * falls between them. `length` is in steps. Shifted ends stay within the three samples: what is transparent around stays so.
+ * falls between them. `length` is in steps, and that of the segment before is one: where this one is shorter, s'' is that of unevenly
+ * spaced samples. Shifted ends stay within the three samples: what is transparent around stays so.
  */
 INLINE void segment_classes(floatN before, floatN front, floatN back, floatN length, intN curved,
                             __global const float *warp, __constant const View *view, ClassCoordinate *front_class,
@@ -82,7 +83,7 @@ INLINE void segment_classes(floatN before, floatN front, floatN back, floatN len
 {
 #if FILTER != FILTER_NEAREST
   const floatN low = lane_min(lane_min(before, front), back), high = lane_max(lane_max(before, front), back);
-  floatN shift = (2.0f * front - before - back) * (1.0f / 12.0f) * length * length;
+  floatN shift = ((1.0f + length) * front - length * before - back) * (length / (6.0f * (1.0f + length)));
 #if MAY_BE_NAN
   curved &= MASK((AS_INT(shift) & 0x7f800000) != 0x7f800000);
 #endif

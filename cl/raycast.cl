@@ -1,167 +1,9 @@
-/* The ray caster: emission and absorption along view rays, front to back.
+/* The ray caster: a ray for every pixel. A work-item renders one tile of pixels, a packet of rays at a time (render_packet.h).
  *
- * A work-item renders one tile of pixels, a packet of LANES rays at a time. All rays of a packet march together, each at its own
- * depth: they leap over empty space (skip_empty.h), then take MARCH_STEPS samples, and so on until every ray has
- * left the volume or is opaque. Lanes that have nothing to do are masked; what a lane computes never depends on its neighbours,
- * so the image is the same, bit for bit, however it is cut into tiles.
- *
- * Sampling along a ray of length L (in steps of length h): n = floor(L) whole segments and one of length L - n.
- *   preintegrated   values at 0, 1, ..., n and L; a segment's colour depends on the values at its ends
- *   pre, post       values at the middle of each segment
- *
- * Switches (-D): LANES, VOXEL_BITS, VOXEL_SIGNED, VOXEL_SCALED, VOXEL_PAIRS, FILTER, CLASSIFICATION, WARPED_CLASSES,
- * SKIP_EMPTY, WITH_DEPTH.
+ * Switches (-D): LANES, VOXEL_BITS, VOXEL_SIGNED, VOXEL_SCALED, VOXEL_PAIRS, FILTER, CLASSIFICATION, QUADRATURE,
+ * WARPED_CLASSES, SKIP_EMPTY, WITH_DEPTH.
  */
-#include "lanes.h"
-#include "view.h"
-#include "rays.h"
-#include "classify.h"
-#include "skip_empty.h"
-
-#ifndef MARCH_STEPS
-#define MARCH_STEPS 8
-#endif
-
-#define MIDPOINTS (CLASSIFICATION != CLASSIFICATION_PREINTEGRATED)
-
-/* `last` of a ray that needs no more samples, not even of its last piece. */
-#define DONE (-2)
-
-/* Opacity went from `before` to `after` over the steps t0 .. t1: where it passed one half, for rays that had not yet. */
-INLINE floatN median_step(floatN median, floatN before, floatN after, floatN t0, floatN t1)
-{
-  const intN passes = MASK(after >= 0.5f) & MASK(before < 0.5f);
-  if (!any_lane(passes)) return median;
-  const floatN f = (0.5f - before) / select((floatN)1.0f, after - before, passes);
-  return select(median, t0 + f * (t1 - t0), passes);
-}
-
-INLINE FetchedSample fetch_along(__global const uchar *volume, __constant const View *view, const Rays *ray, floatN t)
-{
-  return fetch_sample(volume, view, ray->x0 + t * ray->dx, ray->y0 + t * ray->dy, ray->z0 + t * ray->dz);
-}
-
-INLINE void render_packet(__global const uchar *volume, __global const float *table, __global const float *warp,
-                          __global const uchar *distances, __constant const View *view, int column, int row,
-                          float *rgba, float *depth, uint *samples)
-{
-  const intN lane = LANE_INDEX;
-  const intN px = column + (lane & (PACKET_W - 1)), py = row + lane / PACKET_W;
-  const Rays ray = make_rays(view, TO_FLOAT(px), TO_FLOAT(py));
-  const floatN whole = floor(ray.length), rest = ray.length - whole;
-  const intN hits = MASK(ray.length >= 0.0f) & MASK(px < view->image.x) & MASK(py < view->image.y);
-  const floatN offset = MIDPOINTS ? 0.5f : 0.0f;
-  intN last = select((intN)DONE, TO_INT(whole) - MIDPOINTS, hits);
-  intN i = 0;
-  uintN taken = 0;
-  Accumulator acc;
-  accumulator_clear(&acc);
-  floatN opacity = 0.0f;
-  floatN median = INFINITY; /* in steps */
-#if !MIDPOINTS
-  floatN value1 = 0.0f, value2 = 0.0f;  /* the last sample and the one before */
-  intN start = 0;                      /* where the unbroken run of samples began: there is no sample before */
-#endif
-
-  while (any_lane(MASK(i <= last))) {
-#if SKIP_EMPTY
-    /* Of midpoints, the first one inside the visible cell is next. Else two samples before it open a new segment, and one that is
-     * open depends on samples i - 2 and i - 1. */
-#if MIDPOINTS
-    const floatN from = TO_FLOAT(i) + offset;
-#else
-    const floatN from = TO_FLOAT(max(i - 2, start));
-#endif
-    const floatN visible_at = next_visible(distances, view, from, MASK(i <= last), &ray);
-    const floatN finite = lane_clamp(visible_at, (floatN)0.0f, TO_FLOAT(max(last, (intN)0)) + 1.0f);
-    const intN next = TO_INT(MIDPOINTS ? ceil(finite - 0.5f) : finite) - (MIDPOINTS ? 0 : 1);
-    const intN leaps = MASK(i <= last) & MASK(next > i);
-    i = select(i, next, leaps);
-    last = select(last, (intN)DONE, MASK(i <= last) & MASK(visible_at >= ray.length));
-#if !MIDPOINTS
-    start = select(start, i, leaps);
-#endif
-#endif
-    /* Two steps ahead: a fetch from beyond the second-level cache takes longer than a step of arithmetic. (Two variables, not
-     * an array: an array would live in memory. Three steps ahead gain nothing.) */
-#if FETCH_AHEAD
-    FetchedSample ahead = fetch_along(volume, view, &ray, TO_FLOAT(i) + offset);
-    FetchedSample ahead2 = fetch_along(volume, view, &ray, TO_FLOAT(i) + 1.0f + offset);
-#endif
-    _Pragma("unroll 1") for (int step = 0; step < MARCH_STEPS; ++step) {
-      const intN active = MASK(i <= last);
-      const floatN t = TO_FLOAT(i) + offset;
-#if FETCH_AHEAD
-      const FetchedSample sample = ahead;
-      ahead = ahead2;
-      ahead2 = fetch_along(volume, view, &ray, t + 2.0f);
-#else
-      const FetchedSample sample = fetch_along(volume, view, &ray, t);
-#endif
-      taken -= AS_UINT(active);
-      int visible;
-#if CLASSIFICATION == CLASSIFICATION_PREINTEGRATED
-      const intN closes = active & MASK(i > start); /* lanes with a segment that ends here */
-      const floatN weight = select((floatN)0.0f, 1.0f - opacity, closes);
-      const floatN value = sample_value(sample, view);
-      ClassCoordinate front, back;
-      segment_classes(value2, value1, value, 1.0f, closes & MASK(i > start + 1), warp, view, &front, &back);
-      value2 = select(value2, value1, active), value1 = select(value1, value, active);
-      visible = may_be_visible(lane_min(front.position, back.position), lane_max(front.position, back.position), closes, view);
-      if (visible) composite_segment(&acc, front, back, weight, table, view);
-#elif CLASSIFICATION == CLASSIFICATION_POST
-      const floatN weight = select((floatN)0.0f, 1.0f - opacity, active);
-      const ClassCoordinate at = class_coordinate(sample_value(sample, view), warp, view);
-      visible = may_be_visible(at.position, at.position, active, view);
-      if (visible) composite_sample(&acc, at, weight, table);
-#else
-      const floatN weight = select((floatN)0.0f, 1.0f - opacity, active);
-      float4 classified[LANES];
-      classified_samples(sample, view, warp, table, classified);
-      visible = 1;
-      composite_classified(&acc, classified, (floatN)1.0f, weight, active);
-#endif
-      if (visible) {
-        const floatN before = opacity;
-        opacity = accumulated_opacity(&acc);
-#if WITH_DEPTH
-        median = median_step(median, before, opacity, t + (offset - 1.0f), t + offset);
-#endif
-        last = select(last, (intN)DONE, MASK(opacity >= view->march.z));
-      }
-      i -= active;
-    }
-  }
-
-  /* The last piece of each ray, shorter than a step. */
-  const intN active = MASK(i == last + 1) & MASK(rest > 0.0f);
-  if (any_lane(active)) {
-    const floatN t = MIDPOINTS ? whole + 0.5f * rest : ray.length;
-    const FetchedSample sample = fetch_along(volume, view, &ray, t);
-    const floatN weight = select((floatN)0.0f, 1.0f - opacity, active);
-    taken -= AS_UINT(active);
-#if CLASSIFICATION == CLASSIFICATION_PREINTEGRATED
-    ClassCoordinate front, back;
-    segment_classes(value2, value1, sample_value(sample, view), rest, active & MASK(i > start + 1), warp, view, &front, &back);
-    if (may_be_visible(lane_min(front.position, back.position), lane_max(front.position, back.position), active, view))
-      composite_tail(&acc, front, back, rest, weight, active, table, view);
-#elif CLASSIFICATION == CLASSIFICATION_POST
-    const ClassCoordinate at = class_coordinate(sample_value(sample, view), warp, view);
-    if (may_be_visible(at.position, at.position, active, view))
-      composite_sample_tail(&acc, at, rest, weight, active, table, view);
-#else
-    float4 classified[LANES];
-    classified_samples(sample, view, warp, table, classified);
-    composite_classified(&acc, classified, rest, weight, active);
-#endif
-#if WITH_DEPTH
-    median = median_step(median, opacity, accumulated_opacity(&acc), whole, ray.length);
-#endif
-  }
-  accumulator_store(&acc, rgba);
-  STORE_LANES(ray.entry_depth + median * view->march.x, depth);
-  STORE_LANES(taken, samples);
-}
+#include "render_packet.h"
 
 /* volume     voxels in their own type, laid out as fetch_voxel.h says
  * table      colours and opacities (premultiplied) of segments, see classify.h
@@ -185,7 +27,9 @@ __kernel WIDE_VECTORS void raycast(__global const uchar *restrict volume, __glob
     for (int column = left; column < min(left + view->image.z, width); column += PACKET_W) {
       float rgba[4 * LANES], depth[LANES];
       uint taken[LANES];
-      render_packet(volume, table, warp, distances, view, column, row, rgba, depth, taken);
+      const intN lane = LANE_INDEX;
+      const intN px = column + (lane & (PACKET_W - 1)), py = row + lane / PACKET_W;
+      render_packet(volume, table, warp, distances, view, px, py, rgba, depth, taken);
       EACH_LANE(k)
       {
         const int x = column + k % PACKET_W, y = row + k / PACKET_W;

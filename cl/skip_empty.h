@@ -21,7 +21,8 @@ INLINE floatN next_visible(__global const uchar *distances, __constant const Vie
 {
   const int shift = view->cells.w;
   const intN zero = 0, last_x = view->cells.x - 1, last_y = view->cells.y - 1, last_z = view->cells.z - 1;
-  const intN right = MASK(ray->dx > 0.0f), down = MASK(ray->dy > 0.0f), away = MASK(ray->dz > 0.0f);
+  /* By the sign of the inverse: along an axis that the ray does not move on, the face is ahead, and far. */
+  const intN right = MASK(ray->rx > 0.0f), down = MASK(ray->ry > 0.0f), away = MASK(ray->rz > 0.0f);
   const floatN fastest = lane_max(lane_max(fabs(ray->dx), fabs(ray->dy)), fabs(ray->dz));
   const floatN least_margin = FACE_MARGIN(view) / lane_max(fastest, (floatN)1e-12f);
   floatN entered = t;

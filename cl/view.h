@@ -21,11 +21,12 @@ typedef struct {
   float4 ray_du;        /* change of the (not yet normalised) direction a pixel to the right */
   float4 ray_dv;        /* and down */
   float4 lens;          /* tangent of the view angle a pixel to the right, down; image centre x, y in pixels */
-  float4 march;         /* step h; distance from the eye to the reference plane; opacity at which a ray stops; - */
+  float4 march;         /* step h; distance from the eye to the reference plane; opacity at which a ray stops;
+                         * how far apart rays may be that pixels are interpolated between */
   float4 upper;         /* size - 1 */
   float4 classes;       /* value of class coordinate 0; class coordinates a value; last coordinate; bins of the warp */
   float4 gate;          /* class coordinates between which something is visible: low, high */
-  float4 voxel;         /* gain of scaled float32 voxels; -; -; - */
+  float4 voxel;         /* gain of scaled float32 voxels; parts that quadrature by cells cuts each cell's piece in; -; - */
 #if VOXEL_BITS == 64
   double2 voxel_double; /* float64 voxels are read as (v - bias) * gain: bias, gain */
 #else
@@ -35,7 +36,7 @@ typedef struct {
   int4 stride;          /* elements from one row to the next, from one slice to the next; - ; - */
   int4 cells;           /* cells of the distance map x, y, z; log2 of a cell's edge */
   int4 image;           /* width, height; tile width, height in pixels */
-  int4 band;            /* first tile of this launch; - ; - ; - */
+  int4 band;            /* first tile of this launch; of a lattice of rays: spacing in pixels, columns, rows */
   int4 table;           /* nodes an axis; float4s from row to row; slices; float4s from slice to slice */
 } View;
 

@@ -18,6 +18,7 @@ from clvol.scene.resolve import ResolvedScene
 FILTERS = {"nearest": 0, "linear": 1, "cubic": 2}
 FILTER_REACH = {"nearest": 0, "linear": 0, "cubic": 1}  # voxels beyond the corners of a lattice cell
 CLASSIFICATIONS = {"pre": 0, "post": 1, "preintegrated": 2}
+QUADRATURES = {"steps": 0, "cells": 1}
 METHODS = ("raycast", "reference")
 
 
@@ -54,6 +55,14 @@ def refuse_unknown(resolved: ResolvedScene) -> None:
     if integration.filter not in FILTERS:
         expected = " or ".join(repr(name) for name in FILTERS)
         raise SceneError(f"{origin}: integration.filter", f"got {integration.filter!r}", expected)
+    if integration.quadrature == "cells" and integration.method == "raycast":
+        where = f"{origin}: integration.quadrature"
+        if integration.filter != "linear":
+            what = f"got 'cells' with the filter {integration.filter!r}"
+            raise SceneError(where, what, "'steps', or the filter 'linear'")
+        if integration.classification == "pre":
+            expected = "'steps', or the classification 'post' or 'preintegrated'"
+            raise SceneError(where, "got 'cells' with the classification 'pre'", expected)
     tables = {"lighting": "light", "isosurfaces": "isosurface", "clipping": "clip"}
     for effect in effects(resolved):
         if effect.called_for and effect.name in tables:

@@ -22,19 +22,19 @@ _ROWS = 256  # rows taken to Lab at a time
 
 def rmse(a: ArrayLike, b: ArrayLike) -> float:
     """Root of the mean squared difference over all pixels and the four channels, linear light."""
-    a, b = _pair(a, b)
+    a, b = as_pair(a, b)
     return math.sqrt(np.mean(np.square(a - b)))
 
 
 def max_abs(a: ArrayLike, b: ArrayLike) -> float:
     """Largest absolute difference in any pixel and channel, linear light."""
-    a, b = _pair(a, b)
+    a, b = as_pair(a, b)
     return float(np.abs(a - b).max())
 
 
 def psnr(a: ArrayLike, b: ArrayLike, background: ArrayLike = BLACK) -> float:
     """Peak signal-to-noise ratio of the displayed pictures, dB (white = 1); inf where equal."""
-    a, b = _displayed(*_pair(a, b), background)
+    a, b = _displayed(*as_pair(a, b), background)
     mean_square = float(np.mean(np.square(a - b)))
     return math.inf if mean_square == 0.0 else -10.0 * math.log10(mean_square)
 
@@ -48,7 +48,7 @@ def ssim(a: ArrayLike, b: ArrayLike, background: ArrayLike = BLACK) -> float:
 
     a, b = (
         np.pad(shown, [(0, max(0, _WINDOW - n)) for n in shown.shape[:2]] + [(0, 0)], mode="edge")
-        for shown in _displayed(*_pair(a, b), background)
+        for shown in _displayed(*as_pair(a, b), background)
     )
     return float(
         structural_similarity(
@@ -62,7 +62,7 @@ def delta_e(a: ArrayLike, b: ArrayLike, background: ArrayLike = BLACK) -> np.nda
     """CIEDE2000 colour difference of the displayed pictures, float64 [height, width] (D65)."""
     from skimage.color import deltaE_ciede2000, rgb2lab
 
-    a, b = _pair(a, b)
+    a, b = as_pair(a, b)
     parts = []
     for row in range(0, a.shape[0], _ROWS):
         part = slice(row, row + _ROWS)
@@ -88,7 +88,8 @@ def compare(a: ArrayLike, b: ArrayLike, background: ArrayLike = BLACK) -> dict[s
     }
 
 
-def _pair(a: ArrayLike, b: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+def as_pair(a: ArrayLike, b: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+    """Both as float64; UsageError unless they are [height, width, 4] and of the same size."""
     a, b = np.asarray(a, dtype=np.float64), np.asarray(b, dtype=np.float64)
     for name, array in (("first picture", a), ("second picture", b)):
         if array.ndim != 3 or array.shape[2] != 4 or array.size == 0:

@@ -49,7 +49,7 @@ def working(message: str, quiet: bool) -> Iterator[Callable[[int, int], None] | 
     """``message`` and a clock on stderr while the block runs, if stderr is a terminal.
 
     Yields None where nothing is shown, else a function of (done, total) that turns the display into
-    a bar with the time that is left.
+    a bar with the time that is left, and of a third argument that says what is being done.
     """
     if quiet or sys.stderr is None or not sys.stderr.isatty():
         yield None
@@ -75,7 +75,13 @@ def working(message: str, quiet: bool) -> Iterator[Callable[[int, int], None] | 
     )
     with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
         task = progress.add_task(escape(message), total=None)
-        yield lambda done, total: progress.update(task, completed=done, total=total)
+
+        def update(done: int | None, total: int | None, what: str | None = None) -> None:
+            said = {} if what is None else {"description": escape(what)}
+            counted = {} if done is None else {"completed": done}
+            progress.update(task, total=total, **counted, **said)
+
+        yield update
 
 
 def _silence() -> None:

@@ -33,6 +33,15 @@ def check_outputs(
         check_output_folder(path)
 
 
+def check_folder(folder: str) -> None:
+    """UsageError now, before the work, if files could not be written to ``folder`` later."""
+    from clvol.image import check_output_folder
+
+    if os.path.lexists(folder) and not os.path.isdir(folder):
+        raise UsageError(folder, "got a file", "a folder, or a name for a new one")
+    check_output_folder(os.path.join(folder, "x") if os.path.isdir(folder) else folder)
+
+
 @contextmanager
 def together(paths: Sequence[str]) -> Iterator[list[Path]]:
     """Temporary files to write in place of ``paths``; after the block all take their places.

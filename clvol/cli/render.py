@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import time
 
 import click
 
 from clvol.cli.options import memory_cap_option, overrides_option, scene_argument
+
+_OPTIONS = {"max_error": "--max-error", "time_budget": "--time-budget"}
 
 
 @click.command("render", short_help="Render a scene, or a volume file with all defaults.")
@@ -28,6 +31,18 @@ from clvol.cli.options import memory_cap_option, overrides_option, scene_argumen
     metavar="NAME",
     help="A name of 'clvol doctor'. Repeatable.",
 )
+@click.option(
+    "--max-error",
+    type=float,
+    metavar="E",
+    help="Choose the cheapest settings whose RMSE against the exact integral is at most E, and measure it.",
+)
+@click.option(
+    "--time-budget",
+    type=float,
+    metavar="SECONDS",
+    help="Choose the most accurate settings whose frame takes at most so long, and measure the error.",
+)
 @click.option("--stats", metavar="FILE", help="Where to write times and counts as JSON.")
 @memory_cap_option("The most memory that the volume may take, here and on the device.")
 @click.option("--quiet", is_flag=True, help="No progress on the terminal.")
@@ -36,17 +51,23 @@ def command(
     outputs: tuple[str, ...],
     overrides: tuple[str, ...],
     devices: tuple[str, ...],
+    max_error: float | None,
+    time_budget: float | None,
     stats: str | None,
     memory_cap: int | None,
     quiet: bool,
 ) -> None:
     """Render SCENE (.toml), or a volume file with all defaults, and print the files written.
 
-    All files appear whole, or none does.
+    All files appear whole, or none does. With --max-error or --time-budget the settings of [integration]
+    and of the rays of [image] are chosen anew; what was chosen and measured is told on stderr, in
+    --stats and in the header of .exr.
     """
     start = time.perf_counter()
+    check_targets(max_error, time_budget)
     from clvol.cli.console import say, to_json, working
     from clvol.cli.outputs import check_outputs, save_picture, together
+    from clvol.errors import ClvolError
     from clvol.scene import load_scene
 
     others = [] if stats is None else [stats]
@@ -62,8 +83,20 @@ def command(
     depth = any(path.lower().endswith(".exr") for path in outputs)
     size = f"{asked.image.width} x {asked.image.height} pixels"
     with working(f"rendering {size}", quiet) as progress:
-        with Renderer(asked, list(devices) or None, memory_cap) as renderer:
-            frame = renderer.render(progress=progress, depth=depth)
+        how = {"devices": list(devices) or None, "memory_cap": memory_cap}
+        if max_error is not None or time_budget is not None:
+            from clvol.accuracy.target import render_in_time, render_to_error
+
+            aim = max_error if max_error is not None else time_budget
+            render = render_in_time if max_error is None else render_to_error
+            try:
+                frame = render(asked, aim, depth=depth, progress=progress, **how)
+            except ClvolError as error:
+                raise type(error)(_OPTIONS.get(error.where, error.where), error.what,
+                                  error.expected) from None  # fmt: skip
+        else:
+            with Renderer(asked, **how) as renderer:
+                frame = renderer.render(progress=progress, depth=depth)
 
     with working("writing", quiet), together([*outputs, *others]) as temporaries:
         write_start = time.perf_counter()
@@ -77,3 +110,31 @@ def command(
             temporaries[-1].write_text(text, encoding="utf-8")
     for path in [*outputs, *others]:
         say(click.format_filename(path))
+    if not quiet and "accuracy" in frame.stats:
+        click.echo(accuracy_in_words(frame.stats), err=True)
+
+
+def check_targets(max_error: float | None, time_budget: float | None) -> None:
+    """UsageError now for what could not be aimed at."""
+    from clvol.errors import UsageError
+
+    if max_error is not None and time_budget is not None:
+        raise UsageError("--time-budget", "given beside --max-error", "one of the two")
+    if max_error is not None and not 1e-10 <= max_error <= 1:
+        raise UsageError("--max-error", f"got {max_error!r}", "a number from 1e-10 to 1")
+    if time_budget is not None and not 0 < time_budget < math.inf:
+        raise UsageError("--time-budget", f"got {time_budget!r}", "seconds, more than 0")
+
+
+def accuracy_in_words(stats: dict) -> str:
+    """One line: the error as measured, and with which settings."""
+    measured = stats["accuracy"]
+    sure = f"{measured['confidence']:.0%} sure" if measured["confidence"] < 1 else "all pixels measured"
+    chosen = ", ".join(
+        f"{key.split('.')[1]} {value if isinstance(value, str) else format(value, '.4g')}"
+        for key, value in measured["settings"].items()
+    )
+    return (
+        f"RMSE {measured['rmse']:.3g}, at most {measured['bound']:.3g} ({sure}); "
+        f"{stats['seconds']['render']:.3g} s a frame with {chosen}"
+    )

@@ -32,6 +32,9 @@ def facts(frame: Any) -> dict[str, str]:
         "device": ", ".join(str(d) for d in stats.get("devices", ())) or "unknown",
         "stats": json.dumps(stats, default=_plain),
     }
+    if "accuracy" in stats:  # the picture's own claim, as numbers that any reader of headers finds
+        for name in ("rmse", "bound", "confidence"):
+            texts[f"error_{name}"] = repr(float(stats["accuracy"][name]))
     scene = getattr(frame, "scene_source", None)
     if scene:
         texts["scene"] = scene

@@ -4,9 +4,16 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+
+from clvol.features import called_for
+
+if TYPE_CHECKING:
+    from clvol.scene.resolve import ResolvedScene
+
+STAGES = ("load", "prepare", "compile", "render", "write")
 
 
 @dataclass(eq=False)
@@ -30,3 +37,30 @@ class Frame:
         from clvol.image import save_frame
 
         save_frame(self, path)
+
+
+def make_frame(
+    resolved: ResolvedScene,
+    rgba: np.ndarray,
+    depth: np.ndarray | None,
+    seconds: dict[str, float],
+    counted: dict[str, Any],
+    device: str,
+) -> Frame:
+    """A frame of ``resolved`` with stats: ``seconds`` by stage (those that are missing took none) and
+    what else was ``counted``."""
+    stages = {stage: seconds.get(stage, 0.0) for stage in STAGES}
+    stats = {
+        "seconds": {**stages, "total": sum(stages.values())},
+        **{name: value for name, value in counted.items() if name != "seconds"},
+        "devices": [device],
+        "effects": called_for(resolved),
+        "method": resolved.integration.method,
+    }
+    return Frame(
+        np.asarray(rgba, np.float32),
+        None if depth is None else np.asarray(depth, np.float32),
+        resolved.background,
+        stats,
+        resolved.source,
+    )

@@ -2,32 +2,35 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from clvol.errors import RenderError
-from clvol.features import CLASSIFICATIONS, FILTERS
+from clvol.features import CLASSIFICATIONS, FILTERS, QUADRATURES
 from clvol.opencl.context import DeviceContext, restore_interrupts
 from clvol.opencl.structs import view_dtype
 from clvol.render.device_volume import DeviceVolume
 from clvol.render.empty_space import distance_map, visible_mask
 from clvol.render.layout import CELL_SHIFT, value_map, voxel_switches
-from clvol.render.view import RayFrame, ray_frame
+from clvol.render.view import EVERY_PIXEL, PixelLattice, RayFrame, ray_frame
 from clvol.scene.camera import Camera
 from clvol.scene.resolve import ResolvedScene
 from clvol.schedule.tiles import TILE, bands, tiling
 from clvol.transfer import TransferFunction
 from clvol.transfer.classes import ClassNodes, class_nodes, visible_cells
-from clvol.transfer.tables import SLICES, constant_table, preintegrated_table
+from clvol.transfer.tables import SLICES, constant_table, depths_table, preintegrated_table
 
 CONSTANT_NODES = 4096  # of the one-dimensional tables of pre- and post-classification
 _SECONDS_A_SAMPLE = 1e-8  # a first guess, for how to cut a frame into launches
 _BAND_SECONDS = 0.5
-_ARGUMENTS = (
-    "in volume V1, in table float32, in warp float32, in distances uint8, in view V1, "
-    "out image float32, out depths float32, out samples uint32"
+_SCENE_ARGUMENTS = "in volume V1, in table float32, in warp float32, in distances uint8, in view V1, "
+_ARGUMENTS = _SCENE_ARGUMENTS + "out image float32, out depths float32, out samples uint32"
+_FILL_ARGUMENTS = (
+    _SCENE_ARGUMENTS + "in coarse float32, in coarse_depths float32, "
+    "out image float32, out depths float32, out samples uint32, out rays uint32"
 )
 
 
@@ -41,6 +44,7 @@ def raycast_switches(
         "LANES": lanes,
         "FILTER": FILTERS[integration.filter],
         "CLASSIFICATION": CLASSIFICATIONS[integration.classification],
+        "QUADRATURE": QUADRATURES[integration.quadrature],
         "WARPED_CLASSES": int(warped),
         "SKIP_EMPTY": int(skip),
         "WITH_DEPTH": int(depth),
@@ -69,13 +73,20 @@ def device_function(function: TransferFunction, values) -> TransferFunction:
     return TransferFunction(finite, function.opacities, function.colors, function.opacity_unit)
 
 
+def parts_of_cell(step: float) -> int:
+    """Parts that quadrature by cells cuts each cell's piece in: as many as ``step`` goes into 1, one or
+    an even number (Gauss's points come in pairs)."""
+    return 1 if step > 0.75 else 2 * max(1, round(0.5 / step))
+
+
 @dataclass
 class FrameData:
-    """What one launch gives: arrays as in ``Frame``, and the number of samples."""
+    """A picture as in ``Frame``, and how many samples and rays it took."""
 
     rgba: np.ndarray
     depth: np.ndarray | None
     samples: int
+    rays: int
 
 
 class Raycaster:
@@ -117,11 +128,14 @@ class Raycaster:
         mapped = device_function(function, self.volume.values)
         visible = visible_cells(mapped, self.nodes.values)
         kind = resolved.integration.classification
+        by_cells = resolved.integration.quadrature == "cells"
+        nodes = self.nodes.values
         if kind == "preintegrated":
-            self.table = preintegrated_table(context, mapped, self.nodes.values, self.length)
+            build = depths_table if by_cells else preintegrated_table
+            self.table = build(context, mapped, nodes, self.length)
         else:
-            kernel = "classify_table" if kind == "post" else "extinction_table"
-            self.table = constant_table(context, mapped, self.nodes.values, self.length, kernel)
+            kernel = "classify_table" if kind == "post" and not by_cells else "extinction_table"
+            self.table = constant_table(context, mapped, nodes, self.length, kernel)
         self.gate = _gate(mapped, self.nodes, visible)
         at_nodes = mapped.opacity(self.nodes.values) > 0
         mask = visible_mask(
@@ -135,6 +149,12 @@ class Raycaster:
             resolved, warped=warp is not None, lanes=self.lanes, skip=self.skip
         )
 
+    def for_image(self, resolved: ResolvedScene) -> Raycaster:
+        """The same for ``resolved``, which may differ in camera and image alone; shares all else."""
+        other = copy.copy(self)
+        other.resolved = resolved
+        return other
+
     def render(
         self,
         camera: Camera,
@@ -142,64 +162,106 @@ class Raycaster:
         height: int,
         progress: Callable[[int, int], None] | None = None,
         depth: bool = True,
+        lattice: PixelLattice = EVERY_PIXEL,
     ) -> FrameData:
-        """One picture. ``progress(tiles done, all)`` is called after each launch."""
-        context = self.context
+        """One picture of ``width`` by ``height``, or of its pixels on ``lattice`` alone.
+        ``progress(tiles done, all)`` is called after each launch.
+
+        With the scene's ``image.ray_spacing`` the rays of its lattice are cast first, and then those
+        of all pixels that cannot be interpolated between them (a ``lattice`` has all its rays).
+        """
+        grid, context = self.resolved.volume.grid, self.context
+        lattice_width, lattice_height = lattice.size(width, height)
         if not self.visible_share:  # nothing can be seen: no ray needs to be cast
-            nowhere = np.full((height, width), np.inf, np.float32) if depth else None
-            return FrameData(np.zeros((height, width, 4), np.float32), nowhere, 0)
-        cut = tiling(width, height, *self.tile)
-        frame = ray_frame(camera, self.resolved.volume.grid, width, height)
-        view = self._frame_view(frame, width, height)
-        image = context.output(np.float32, (height, width, 4))
-        depths = context.output(np.float32, (height, width)) if depth else self._none
-        samples = context.output(np.uint32, (cut.count,))
-        expected = width * height * self._most_samples() * _SECONDS_A_SAMPLE
-        done = 0
-        for first, count in bands(cut.count, expected, _BAND_SECONDS):
-            view["band"][0, 0] = first
-            self._launch(view, count, image, depths, samples, depth)
-            done += count
-            if done < cut.count or progress is not None:
-                context.finish()
-            if progress is not None:
-                progress(done, cut.count)
+            shape = (lattice_height, lattice_width)
+            nowhere = np.full(shape, np.inf, np.float32) if depth else None
+            return FrameData(np.zeros((*shape, 4), np.float32), nowhere, 0, 0)
+        spacing = self.resolved.image.ray_spacing
+        fills = spacing > 1 and lattice == EVERY_PIXEL
+        if fills:
+            lattice = PixelLattice(spacing)
+            lattice_width, lattice_height = lattice.size(width, height)
+        frame = ray_frame(camera, grid, width, height, lattice)
+        view = self._frame_view(frame, lattice_width, lattice_height)
+        tiles = [tiling(lattice_width, lattice_height, *self.tile).count]
+        tiles += [tiling(width, height, *self.tile).count] if fills else []
+        report = _stages(progress, tiles)
+        image = context.output(np.float32, (lattice_height, lattice_width, 4))
+        depths = self._none
+        if depth:
+            depths = context.output(np.float32, (lattice_height, lattice_width))
+        samples = context.output(np.uint32, (tiles[0],))
+        rays = lattice_width * lattice_height
+        self._launches("raycast", view, tiles[0], depth, report(0),
+                       image=image, depths=depths, samples=samples)  # fmt: skip
+        counted = [samples]
+        if fills:
+            view = self._frame_view(ray_frame(camera, grid, width, height), width, height)
+            view["march"][0, 3] = self.resolved.image.ray_tolerance
+            view["band"][0, 1:] = (spacing, lattice_width, lattice_height)
+            coarse, coarse_depths = image, depths
+            image = context.output(np.float32, (height, width, 4))
+            depths = context.output(np.float32, (height, width)) if depth else self._none
+            counted.append(context.output(np.uint32, (tiles[1],)))
+            added = context.output(np.uint32, (tiles[1],))
+            self._launches("fill_between_rays", view, tiles[1], depth, report(1),
+                           coarse=coarse, coarse_depths=coarse_depths, image=image,
+                           depths=depths, samples=counted[1], rays=added)  # fmt: skip
+            rays += int(context.take(added).sum(dtype=np.uint64))
+            context.take(coarse)
+            if depth:
+                context.take(coarse_depths)
+        taken = sum(int(context.take(count).sum(dtype=np.uint64)) for count in counted)
         rgba = context.take(image)
-        taken = int(context.take(samples).sum(dtype=np.uint64))
-        return FrameData(rgba, context.take(depths) if depth else None, taken)
+        return FrameData(rgba, context.take(depths) if depth else None, taken, rays)
 
     def warm_up(self, width: int, height: int, depth: bool = True) -> None:
         """Compiles everything a frame of this size needs: final code is made at the first launch."""
-        cut = tiling(width, height, *self.tile)
-        key = (cut.count, depth, tuple(self.switches.items()))
+        tiles = tiling(width, height, *self.tile).count
+        fills = self.resolved.image.ray_spacing > 1
+        key = (tiles, depth, fills, tuple(self.switches.items()))
         if key in self._warm or not self.visible_share:
             return
         view = np.zeros(1, self._view_dtype)  # an image without pixels: every work-item returns
         view["image"][0] = (0, 0, *self.tile)
-        samples = self.context.empty(np.uint32, (cut.count,))
-        self._launch(view, cut.count, self._none, self._none, samples, depth)
+        counts = [self.context.empty(np.uint32, (tiles,)) for _ in range(2)]
+        none = {"image": self._none, "depths": self._none, "samples": counts[0]}
+        self._launches("raycast", view, tiles, depth, None, **none)
+        if fills:
+            none |= {"coarse": self._none, "coarse_depths": self._none, "rays": counts[1]}
+            self._launches("fill_between_rays", view, tiles, depth, None, **none)
         self.context.finish()
         restore_interrupts()
         self._warm.add(key)
 
-    def _launch(self, view, tiles, image, depths, samples, depth) -> None:
+    def _launches(self, name: str, view, tiles: int, depth: bool, progress, **arrays) -> None:
+        """Kernel ``name`` over all tiles, in as many launches as keep each one short."""
         context = self.context
-        context.write(self._view, view)
         switches = {**self.switches, "WITH_DEPTH": int(depth)}
-        kernel = context.kernel("raycast.cl", "raycast", _ARGUMENTS, switches)
-        kernel(
-            context.queue,
-            (tiles,),
-            (1,) if self.lanes > 1 else None,
-            volume=self.volume.voxels,
-            table=self.table,
-            warp=self.warp,
-            distances=self.distances,
-            view=self._view,
-            image=image,
-            depths=depths,
-            samples=samples,
-        )
+        declared = _FILL_ARGUMENTS if name == "fill_between_rays" else _ARGUMENTS
+        kernel = context.kernel(f"{name}.cl", name, declared, switches)
+        pixels = tiles * self.tile[0] * self.tile[1] if view["image"][0, 0] else 0
+        expected = pixels * self._most_samples() * _SECONDS_A_SAMPLE
+        done = 0
+        for first, count in bands(tiles, expected, _BAND_SECONDS):
+            view["band"][0, 0] = first
+            context.write(self._view, view)
+            kernel(
+                context.queue,
+                (count,),
+                (1,) if self.lanes > 1 else None,
+                volume=self.volume.voxels,
+                table=self.table,
+                warp=self.warp,
+                distances=self.distances,
+                view=self._view,
+                **arrays,
+            )
+            done += count
+            if done < tiles or progress is not None:
+                context.finish()
+            if progress is not None:
+                progress(done)
 
     def _most_samples(self) -> float:
         grid = self.resolved.volume.grid
@@ -226,7 +288,7 @@ class Raycaster:
             raise RenderError(where, "numbers beyond float32", "a camera and units nearer to 1")
         row["upper"][:3] = np.asarray(volume.size) - 1
         row["gate"][:2] = self.gate
-        row["voxel"][0] = volume.values.gain
+        row["voxel"][:2] = (volume.values.gain, parts_of_cell(self.resolved.integration.step))
         if volume.switches["VOXEL_BITS"] == 64:
             row["voxel_double"] = (volume.values.bias, volume.values.gain)
         row["size"][:3] = volume.size
@@ -247,6 +309,13 @@ class Raycaster:
             raise RenderError(
                 "struct View", f"{on_device} bytes on the device", f"{self._view_dtype.itemsize}"
             )
+
+
+def _stages(progress: Callable[[int, int], None] | None, tiles: list[int]):
+    """For each stage of a frame a function of the tiles that it has done, or None."""
+    if progress is None:
+        return lambda stage: None
+    return lambda stage: lambda done: progress(sum(tiles[:stage]) + done, sum(tiles))
 
 
 def _gate(

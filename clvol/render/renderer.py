@@ -6,14 +6,13 @@ import time
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from clvol.errors import RenderError, UsageError, VolumeError
-from clvol.features import called_for, refuse_unknown
-from clvol.render.frame import Frame
+from clvol.features import refuse_unknown
+from clvol.render.frame import Frame, make_frame
 from clvol.scene.camera import Camera
 
 if TYPE_CHECKING:
+    from clvol.opencl.context import DeviceContext
     from clvol.scene import Scene
     from clvol.scene.resolve import ResolvedScene
 
@@ -38,14 +37,14 @@ class Renderer:
         start = time.perf_counter()
         self.resolved = scene.resolve() if hasattr(scene, "resolve") else scene
         refuse_unknown(self.resolved)
-        _check_memory(self.resolved, memory_cap)
+        check_memory(self.resolved, memory_cap)
         loaded = time.perf_counter()
-        self._context = _open(devices)
+        self._context = open_context(devices)
         self._raycaster = None
         if self.resolved.integration.method == "raycast":
-            from clvol.render.raycast import Raycaster
+            from clvol.render.engines import Engines
 
-            self._raycaster = Raycaster(self._context, self.resolved)
+            self._raycaster = Engines(self._context).make(self.resolved)
         self._load_seconds = loaded - start
         self._prepare_seconds = time.perf_counter() - loaded - self._context.compile_seconds
 
@@ -90,7 +89,7 @@ class Renderer:
         start = time.perf_counter()
         data = self._raycaster.render(camera, width, height, progress, depth)
         seconds = {"compile": compile_seconds, "render": time.perf_counter() - start}
-        return self._frame(data.rgba, data.depth, seconds, {"samples": data.samples})
+        return self._frame(data.rgba, data.depth, seconds, {"samples": data.samples, "rays": data.rays})
 
     def _reference(self, camera: Camera, progress) -> Frame:
         from dataclasses import replace
@@ -109,30 +108,14 @@ class Renderer:
         return self._frame(rgba, depth, seconds, counters)
 
     def _frame(self, rgba, depth, seconds: dict, counted: dict) -> Frame:
-        resolved = self.resolved
-        first = self._load_seconds, self._prepare_seconds
+        first = {"load": self._load_seconds, "prepare": self._prepare_seconds}
         self._load_seconds = self._prepare_seconds = 0.0
-        seconds = {"load": first[0], "prepare": first[1], **seconds, "write": 0.0}
-        seconds["total"] = sum(seconds.values())
-        counted = {k: v for k, v in counted.items() if k != "seconds"}
-        stats = {
-            "seconds": seconds,
-            "rays": int(resolved.image.width * resolved.image.height),
-            **counted,
-            "devices": [self._context.name],
-            "effects": called_for(resolved),
-            "method": resolved.integration.method,
-        }
-        return Frame(
-            np.asarray(rgba, np.float32),
-            None if depth is None else np.asarray(depth, np.float32),
-            resolved.background,
-            stats,
-            resolved.source,
-        )
+        seconds = {**first, **seconds}
+        return make_frame(self.resolved, rgba, depth, seconds, counted, self._context.name)
 
 
-def _check_memory(resolved: ResolvedScene, cap: int | None) -> None:
+def check_memory(resolved: ResolvedScene, cap: int | None) -> None:
+    """VolumeError if rendering takes more than ``cap`` bytes on the device."""
     from clvol.render.layout import scene_bytes
 
     image, volume = resolved.image, resolved.volume
@@ -142,7 +125,8 @@ def _check_memory(resolved: ResolvedScene, cap: int | None) -> None:
         raise VolumeError(volume.name or "volume", what, f"at most the memory cap of {cap} bytes")
 
 
-def _open(devices: Sequence[Any] | None):
+def open_context(devices: Sequence[Any] | None) -> DeviceContext:
+    """The one device that is asked for, opened. UsageError for several, DeviceError for none."""
     from clvol.opencl.context import DeviceContext
     from clvol.opencl.devices import open_device
 

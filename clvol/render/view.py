@@ -35,8 +35,42 @@ class RayFrame:
     distance: float
 
 
-def ray_frame(camera: Camera, grid: Grid, width: int, height: int) -> RayFrame:
-    """The rays of ``camera`` (complete) for a picture of ``width`` by ``height`` square pixels."""
+@dataclass(frozen=True)
+class PixelLattice:
+    """Every ``spacing``-th pixel of a picture's rows and columns, from (``column``, ``row``) on.
+
+    The sparse picture that a lattice gives has exactly the rays of those pixels.
+    """
+
+    spacing: int = 1
+    column: int = 0
+    row: int = 0
+
+    def size(self, width: int, height: int) -> tuple[int, int]:
+        """Pixels (width, height) of the sparse picture of one of ``width`` by ``height``."""
+        return (
+            max(0, -(-(width - self.column) // self.spacing)),
+            max(0, -(-(height - self.row) // self.spacing)),
+        )
+
+    def pixels(self, width: int, height: int) -> np.ndarray:
+        """int64 [n, 2]: (row, column) in the full picture, row by row of the sparse one."""
+        rows, columns = np.meshgrid(
+            np.arange(self.row, height, self.spacing),
+            np.arange(self.column, width, self.spacing),
+            indexing="ij",
+        )
+        return np.stack([rows.ravel(), columns.ravel()], axis=1)
+
+
+EVERY_PIXEL = PixelLattice()
+
+
+def ray_frame(
+    camera: Camera, grid: Grid, width: int, height: int, lattice: PixelLattice = EVERY_PIXEL
+) -> RayFrame:
+    """The rays of ``camera`` (complete) for a picture of ``width`` by ``height`` square pixels, or
+    for the sparse picture of ``lattice``: then the pixels of RayFrame are the lattice's."""
     forward, right, up = camera.basis()
     lower, upper = grid.index_bounds()
     to_index = grid.world_to_index()
@@ -60,14 +94,18 @@ def ray_frame(camera: Camera, grid: Grid, width: int, height: int) -> RayFrame:
         ray_du, ray_dv = tangent * right, -tangent * up
         du, dv = distance * ray_du, distance * ray_dv
         lens = (tangent, tangent)
+    every = lattice.spacing
     return RayFrame(
         origin=origin,
-        du=linear @ du,
-        dv=linear @ dv,
+        du=every * (linear @ du),
+        dv=every * (linear @ dv),
         forward=linear @ forward,
-        ray_du=linear @ ray_du,
-        ray_dv=linear @ ray_dv,
-        lens=lens,
-        centre=((width - 1) / 2.0, (height - 1) / 2.0),
+        ray_du=every * (linear @ ray_du),
+        ray_dv=every * (linear @ ray_dv),
+        lens=(every * lens[0], every * lens[1]),
+        centre=(
+            ((width - 1) / 2.0 - lattice.column) / every,
+            ((height - 1) / 2.0 - lattice.row) / every,
+        ),
         distance=distance,
     )

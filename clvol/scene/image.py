@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 from pydantic import Field, model_validator
 
-from clvol.scene.table import Color, Table, Whole, wrong
+from clvol.scene.knob import Knob
+from clvol.scene.table import Color, Number, Table, Whole, wrong
 
 LARGEST_AXIS = 65536
 LARGEST_PIXELS = 2**28  # 4 GiB as float32 RGBA
@@ -12,11 +15,30 @@ _SIDE = f"a whole number of pixels from 1 to {LARGEST_AXIS}"
 
 
 class ImageSettings(Table):
-    """``background`` is in the colour space of the transfer function."""
+    """``background`` is in the colour space of the transfer function.
+
+    ``ray_spacing``: rays go through every so many-th pixel of a row and of a column. Between four of them
+    pixels are interpolated where they agree to within ``ray_tolerance`` in every channel (linear,
+    premultiplied); other pixels get rays of their own.
+    """
 
     width: Whole = Field(512, ge=1, le=LARGEST_AXIS, description=_SIDE)
     height: Whole = Field(512, ge=1, le=LARGEST_AXIS, description=_SIDE)
     background: Color = Field((0.0, 0.0, 0.0), description="three numbers [r, g, b] from 0 to 1")
+    ray_spacing: Annotated[
+        Whole,
+        Knob(
+            "ray spacing", "pixels", (8, 4, 2, 1), of_picture=True,
+            applies=lambda scene: scene.integration.method == "raycast",
+        ),
+    ] = Field(1, ge=1, le=16, description="a whole number of pixels from 1 to 16")  # fmt: skip
+    ray_tolerance: Annotated[
+        Number,
+        Knob(
+            "ray tolerance", "linear light", (0.3, 0.1, 0.03, 0.01, 0.003), of_picture=True,
+            applies=lambda scene: scene.image.ray_spacing > 1,
+        ),
+    ] = Field(0.01, ge=0, le=1, description="a number from 0 to 1")  # fmt: skip
 
     @classmethod
     def table_name(cls) -> str:

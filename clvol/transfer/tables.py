@@ -15,23 +15,37 @@ _LARGEST_COMPOSED = 512  # nodes; beyond it the intermediate cells would take mo
 
 
 def preintegrated_table(
-    context: DeviceContext, function: TransferFunction, nodes: np.ndarray, length: float
+    context: DeviceContext,
+    function: TransferFunction,
+    nodes: np.ndarray,
+    length: float,
+    slices: int = SLICES,
 ) -> DeviceArray:
-    """float32 [SLICES, n + 2, n + 2, 4] for segments of world ``length`` (P4 sec. 8) and shorter."""
+    """float32 [slices, n + 2, n + 2, 4] for segments of world ``length`` (P4 sec. 8) and shorter."""
     n = nodes.size
-    lengths = length / 2.0 ** np.maximum(np.arange(SLICES) - 1, 0)
-    table = context.empty(np.float32, (SLICES, n + 2, n + 2, 4))
-    size = (n + 2, n + 2, SLICES)
+    lengths = length / 2.0 ** np.maximum(np.arange(slices) - 1, 0)
+    table = context.empty(np.float32, (slices, n + 2, n + 2, 4))
+    size = (n + 2, n + 2, slices)
     steps = np.diff(nodes)
     even = steps.max() <= steps.min() * (1 + 1e-9)
     if even and n <= _LARGEST_COMPOSED:
-        cells = context.empty(_real(context), (SLICES - 1, n - 1, n - 1, 8))
-        spans = (n - 1, n - 1, SLICES - 1)
+        cells = context.empty(_real(context), (slices - 1, n - 1, n - 1, 8))
+        spans = (n - 1, n - 1, slices - 1)
         _build(context, "cell_segments", function, nodes, lengths[1:], spans, cells=cells)
         _build(context, "compose_table", function, nodes, lengths, size, cells=cells, table=table)
     else:
         _build(context, "preintegrate_table", function, nodes, lengths, size, table=table)
     return table
+
+
+def depths_table(
+    context: DeviceContext, function: TransferFunction, nodes: np.ndarray, length: float
+) -> DeviceArray:
+    """float32 [n + 2, n + 2, 4]: (mean colour times optical depth, optical depth) of segments of world
+    ``length``, which both scale with the length of shorter ones (the colour nearly)."""
+    table = context.read(preintegrated_table(context, function, nodes, length, slices=2))[1]
+    table[..., :3] *= table[..., 3:]
+    return context.upload(table)
 
 
 def constant_table(

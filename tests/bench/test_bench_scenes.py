@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bench.curves import geometric_mean, lower_envelope, reach
-from bench.measure import FEWEST_FRAMES, summary, take_turns
+from clvol.accuracy.timing import FEWEST_FRAMES, summary, take_turns
 from bench.peers import headline, overall
 from bench.reference_cache import Exact, chosen_pixels
 from bench.scenes import OPACITY_UNIT, SCENES, camera

@@ -173,6 +173,51 @@ def test_comparing_pictures(run, folder):
     assert "rmse" in run("compare", "a.npy", "b.npy").out
 
 
+@pytest.fixture
+def two_pictures(folder):
+    a = np.random.default_rng(1).random((20, 30, 4)).astype(np.float32)
+    b = np.clip(a - 0.25, 0, None)
+    np.save("a.npy", a)
+    np.save("b.npy", b)
+    return a, b
+
+
+def test_a_difference_picture_to_look_at_and_to_compute_with(run, two_pictures):
+    from clvol.image import load_image
+
+    a, b = two_pictures
+    outputs = ["-o", "d.png", "-o", "d.exr", "--output", "d.npy"]
+    outcome = run("compare", "a.npy", "b.npy", *outputs)
+    assert (outcome.status, outcome.err) == (0, "")
+    assert "rmse" in outcome.out and "d.png" in outcome.out
+    for name in ("d.exr", "d.npy"):
+        np.testing.assert_allclose(load_image(name)["rgba"], a - b, atol=1e-7)
+    assert load_image("d.png")["rgba"][..., :3].std() > 0.01
+
+
+def test_a_difference_picture_leaves_json_alone(run, two_pictures):
+    plain = run("compare", "a.npy", "b.npy", "--json")
+    assert run("compare", "a.npy", "b.npy", "--json", "-o", "d.png") == plain
+
+
+def test_a_difference_picture_is_never_one_of_the_two(refused, two_pictures, nothing_left):
+    for name in ("a.npy", "./b.npy"):
+        line = refused(2, "compare", "a.npy", "b.npy", "-o", "d.png", "-o", name)
+        assert line.startswith(f"{name}: got a file that is read, expected a file of its own")
+    line = refused(2, "compare", "a.npy", "b.npy", "-o", "d.png", "-o", "d.png")
+    assert "written already" in line
+
+
+@pytest.mark.parametrize("name", ["d.jpg", "d", "none/d.png"])
+def test_a_difference_picture_in_an_impossible_place(refused, two_pictures, nothing_left, name):
+    line = refused(2, "compare", "a.npy", "b.npy", "-o", "d.exr", "-o", name)
+    assert line.startswith(f"{name}: ")
+
+
+def test_no_difference_picture_of_pictures_of_unequal_size(refused, two_pictures, nothing_left):
+    refused(2, "compare", "a.npy", "cube.npy", "-o", "d.png")
+
+
 def test_a_reader_that_has_gone_away_is_no_error(folder):
     read, write = os.pipe()
     os.close(read)

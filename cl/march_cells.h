@@ -1,0 +1,239 @@
+/* Quadrature by cells: a ray is cut where it enters another lattice cell, and each piece is integrated by itself.
+ *
+ * Inside a cell the trilinear field along a ray is a cubic; at the faces it has kinks, and kinks are most of the error of even
+ * steps once these are shorter than a voxel. Between the faces high order pays. The eight corners are fetched once a cell,
+ * however often the field is evaluated in it (PARTS = view->voxel.y parts a cell, 1 or even):
+ *   post           two Gauss-Legendre points for every two parts; for PARTS = 1 the midpoint alone
+ *   preintegrated  the chords between the ends of the parts, each shifted so that its mean is the cubic's (Simpson's rule);
+ *                  the table's depths and colours scale with a chord's length
+ * Pieces differ in length, so tables hold (c D, D) of one step, and opacity is 1 - exp(-D length).
+ */
+#ifndef MARCH_CELLS_H
+#define MARCH_CELLS_H
+
+#if FILTER != FILTER_LINEAR || CLASSIFICATION == CLASSIFICATION_PRE
+#error "quadrature by cells needs the linear filter, and interpolated values that are classified"
+#endif
+
+/* 1 - exp(-x), x >= 0, to float precision also where x is tiny (Cody and Waite's reduction, a Taylor polynomial). */
+INLINE floatN opacity_of_depth(floatN x)
+{
+  x = lane_min(x, (floatN)80.0f);
+  const floatN n = floor(x * 1.44269504f + 0.5f);
+  const floatN r = (n * 0.693359375f - x) + n * -2.12194440e-4f; /* n ln 2 - x */
+  floatN p = 1.0f / 5040.0f;
+  p = p * r + 1.0f / 720.0f, p = p * r + 1.0f / 120.0f, p = p * r + 1.0f / 24.0f;
+  p = p * r + 1.0f / 6.0f, p = p * r + 0.5f;
+  p = r + r * r * p; /* exp(r) - 1 */
+  const floatN scale = AS_FLOAT((127 - TO_INT(n)) << 23);
+  return (1.0f - scale) - scale * p;
+}
+
+INLINE floatN value_in_cell(const Corners *c, floatN x, floatN y, floatN z)
+{
+  const floatN v00 = c->v000 + x * (c->v100 - c->v000), v10 = c->v010 + x * (c->v110 - c->v010);
+  const floatN v01 = c->v001 + x * (c->v101 - c->v001), v11 = c->v011 + x * (c->v111 - c->v011);
+  const floatN v0 = v00 + y * (v10 - v00), v1 = v01 + y * (v11 - v01);
+  return v0 + z * (v1 - v0);
+}
+
+INLINE floatN value_at(const Corners *c, const Rays *ray, floatN cx, floatN cy, floatN cz, floatN t)
+{
+  const floatN zero = 0.0f, one = 1.0f;
+  return value_in_cell(c, lane_clamp(ray->x0 - cx + t * ray->dx, zero, one), lane_clamp(ray->y0 - cy + t * ray->dy, zero, one),
+                       lane_clamp(ray->z0 - cz + t * ray->dz, zero, one));
+}
+
+/* acc += (1 - A) (c, 1) (1 - exp(-D length)), where e = (c D, D) is interpolated in the table. */
+#if LANES == 16
+
+#define SCALED_DEPTHS(digit_l, digit_r) \
+  (float16)(e0.s##digit_l, e0.s##digit_r, e1.s##digit_l, e1.s##digit_r, e2.s##digit_l, e2.s##digit_r, e3.s##digit_l, e3.s##digit_r, \
+            e4.s##digit_l, e4.s##digit_r, e5.s##digit_l, e5.s##digit_r, e6.s##digit_l, e6.s##digit_r, e7.s##digit_l, e7.s##digit_r)
+
+#define EACH_ENTRY(SET)                                                                                       \
+  SET(e0, 0, 0, 1) SET(e1, 2, 2, 3) SET(e2, 4, 4, 5) SET(e3, 6, 6, 7) SET(e4, 8, 8, 9) SET(e5, 10, a, b)       \
+  SET(e6, 12, c, d) SET(e7, 14, e, f)
+
+#define ACCUMULATE_ENTRY(c, k, ka, kb, weights) acc->c += weights * ENTRY_##c;
+#define ENTRY_c0 e0
+#define ENTRY_c1 e1
+#define ENTRY_c2 e2
+#define ENTRY_c3 e3
+#define ENTRY_c4 e4
+#define ENTRY_c5 e5
+#define ENTRY_c6 e6
+#define ENTRY_c7 e7
+
+#endif
+
+INLINE floatN weight_of_depth(floatN depth, floatN length, floatN transmittance)
+{
+  const intN thin = MASK(depth < 1e-30f);
+  return transmittance * select(opacity_of_depth(depth * length) / select(depth, (floatN)1.0f, thin), length, thin);
+}
+
+#if CLASSIFICATION == CLASSIFICATION_PREINTEGRATED
+
+INLINE void composite_piece(Accumulator *acc, ClassCoordinate front, ClassCoordinate back, floatN length, floatN transmittance,
+                            __global const float *table, __constant const View *view)
+{
+  const intN at = table_row(front, back, view);
+  const size_t row = 4 * (size_t)view->table.y;
+  const floatN right = back.fraction, left = 1.0f - right;
+#if LANES == 16
+  int entry[16];
+  vstore16(at, 0, entry);
+  const float16 f = front.fraction;
+  float16 e0, e1, e2, e3, e4, e5, e6, e7;
+#define BILINEAR_ENTRY(e, k, ka, kb)                                                                                  \
+  {                                                                                                                   \
+    __global const float *a_ = table + entry[k], *b_ = table + entry[k + 1];                                          \
+    const float16 low_ = (float16)(vload8(0, a_), vload8(0, b_));                                                     \
+    const float16 high_ = (float16)(vload8(0, a_ + row), vload8(0, b_ + row));                                        \
+    e = low_ + f.s##ka##ka##ka##ka##ka##ka##ka##ka##kb##kb##kb##kb##kb##kb##kb##kb * (high_ - low_);                   \
+  }
+  EACH_ENTRY(BILINEAR_ENTRY)
+#undef BILINEAR_ENTRY
+  const float16 depth = left * SCALED_DEPTHS(3, b) + right * SCALED_DEPTHS(7, f);
+  const float16 weight = weight_of_depth(depth, length, transmittance);
+  EACH_PAIR(ACCUMULATE_ENTRY, weight * left, weight * right)
+#else
+  __global const float *a = table + at;
+  const float8 low = vload8(0, a), high = vload8(0, a + row);
+  const float8 r = low + front.fraction * (high - low);
+  const float4 e = left * r.lo + right * r.hi;
+  acc->c += weight_of_depth(e.w, length, transmittance) * e;
+#endif
+}
+
+#else
+
+INLINE void composite_point(Accumulator *acc, ClassCoordinate at, floatN length, floatN transmittance,
+                            __global const float *table)
+{
+  const floatN right = at.fraction, left = 1.0f - right;
+#if LANES == 16
+  int entry[16];
+  vstore16(at.node * 4, 0, entry);
+  float16 e0, e1, e2, e3, e4, e5, e6, e7;
+#define LINEAR_ENTRY(e, k, ka, kb) e = (float16)(vload8(0, table + entry[k]), vload8(0, table + entry[k + 1]));
+  EACH_ENTRY(LINEAR_ENTRY)
+#undef LINEAR_ENTRY
+  const float16 depth = left * SCALED_DEPTHS(3, b) + right * SCALED_DEPTHS(7, f);
+  const float16 weight = weight_of_depth(depth, length, transmittance);
+  EACH_PAIR(ACCUMULATE_ENTRY, weight * left, weight * right)
+#else
+  const float8 r = vload8(0, table + at.node * 4);
+  const float4 e = left * r.lo + right * r.hi;
+  acc->c += weight_of_depth(e.w, length, transmittance) * e;
+#endif
+}
+
+#endif
+
+/* One cell's piece of the rays in `active`, from t0 to t1 (in steps). */
+INLINE void integrate_cell(Accumulator *acc, floatN *opacity, const Corners *c, const Rays *ray, floatN cx, floatN cy, floatN cz,
+                           floatN t0, floatN t1, intN active, __global const float *table, __global const float *warp,
+                           __constant const View *view)
+{
+  const int parts = (int)view->voxel.y;
+  const floatN length = (t1 - t0) * (1.0f / view->voxel.y);
+#if CLASSIFICATION == CLASSIFICATION_PREINTEGRATED
+  floatN front = value_at(c, ray, cx, cy, cz, t0);
+  _Pragma("unroll 1") for (int part = 0; part < parts; ++part) {
+    const floatN start = t0 + length * (float)part;
+    const floatN middle = value_at(c, ray, cx, cy, cz, start + 0.5f * length);
+    const floatN back = value_at(c, ray, cx, cy, cz, start + length);
+    /* The shift that gives the chord the cubic's mean, (front + 4 middle + back) / 6, kept within what is there. */
+    const floatN shift = (2.0f * middle - front - back) * (1.0f / 3.0f);
+    const floatN low = lane_min(lane_min(front, middle), back), high = lane_max(lane_max(front, middle), back);
+    const ClassCoordinate a = class_coordinate(lane_clamp(front + shift, low, high), warp, view);
+    const ClassCoordinate b = class_coordinate(lane_clamp(back + shift, low, high), warp, view);
+    if (may_be_visible(lane_min(a.position, b.position), lane_max(a.position, b.position), active, view)) {
+      composite_piece(acc, a, b, length, select((floatN)0.0f, 1.0f - *opacity, active), table, view);
+      *opacity = accumulated_opacity(acc);
+    }
+    front = back;
+  }
+#else
+  /* Of each pair of parts the first point lies at 0.42265 of the first part, the second at 0.57735 of the second. */
+  const float inwards = parts > 1 ? 0.07735027f : 0.0f;
+  _Pragma("unroll 1") for (int part = 0; part < parts; ++part) {
+    const floatN t = t0 + length * ((float)part + (part & 1 ? 0.5f + inwards : 0.5f - inwards));
+    const ClassCoordinate at = class_coordinate(value_at(c, ray, cx, cy, cz, t), warp, view);
+    if (may_be_visible(at.position, at.position, active, view)) {
+      const floatN transmittance = select((floatN)0.0f, 1.0f - *opacity, active);
+      composite_point(acc, at, length, transmittance, table);
+      *opacity = accumulated_opacity(acc);
+    }
+  }
+#endif
+}
+
+/* The packet's rays from cell to cell. `taken` counts evaluations of the field. */
+INLINE void render_packet(__global const uchar *volume, __global const float *table, __global const float *warp,
+                          __global const uchar *distances, __constant const View *view, intN px, intN py,
+                          float *rgba, float *depth, uint *samples)
+{
+  const Rays ray = make_rays(view, TO_FLOAT(px), TO_FLOAT(py));
+  const intN zero = 0, last_x = view->size.x - 2, last_y = view->size.y - 2, last_z = view->size.z - 2;
+  const intN right = MASK(ray.rx > 0.0f), down = MASK(ray.ry > 0.0f), away = MASK(ray.rz > 0.0f);
+  const intN step_x = select((intN)-1, (intN)1, right), step_y = select((intN)-1, (intN)1, down);
+  const intN step_z = select((intN)-1, (intN)1, away);
+  const uint evaluations = CLASSIFICATION == CLASSIFICATION_POST ? (uint)view->voxel.y : 2u * (uint)view->voxel.y + 1u;
+  intN active = MASK(ray.length > 0.0f) & MASK(px < view->image.x) & MASK(py < view->image.y);
+  intN ix = zero, iy = zero, iz = zero, known = zero; /* cell; whether it is known */
+  floatN t = 0.0f;
+  uintN taken = 0;
+  Accumulator acc;
+  accumulator_clear(&acc);
+  floatN opacity = 0.0f, median = INFINITY;
+
+  while (any_lane(active)) {
+#if SKIP_EMPTY
+    const floatN visible_at = next_visible(distances, view, t, active, &ray);
+    active &= MASK(visible_at < ray.length); /* a ray that is done stays where it is: no lane computes with infinity */
+    const intN leaps = active & MASK(visible_at > t);
+    t = select(t, visible_at, leaps), known &= ~leaps;
+#endif
+    const floatN x = ray.x0 + t * ray.dx, y = ray.y0 + t * ray.dy, z = ray.z0 + t * ray.dz;
+    ix = select(min(max(TO_INT(floor(x)), zero), last_x), ix, known);
+    iy = select(min(max(TO_INT(floor(y)), zero), last_y), iy, known);
+    iz = select(min(max(TO_INT(floor(z)), zero), last_z), iz, known);
+    known = active;
+    FetchedCorners ahead = fetch_corners(volume, view, ix, iy, iz);
+    _Pragma("unroll 1") for (int step = 0; step < MARCH_STEPS; ++step) {
+      const floatN cx = TO_FLOAT(ix), cy = TO_FLOAT(iy), cz = TO_FLOAT(iz);
+      const floatN tx = (cx + select((floatN)0.0f, (floatN)1.0f, right) - ray.x0) * ray.rx;
+      const floatN ty = (cy + select((floatN)0.0f, (floatN)1.0f, down) - ray.y0) * ray.ry;
+      const floatN tz = (cz + select((floatN)0.0f, (floatN)1.0f, away) - ray.z0) * ray.rz;
+      const floatN leave = lane_min(lane_min(tx, ty), tz);
+      const floatN t1 = lane_max(lane_min(leave, ray.length), t);
+      const FetchedCorners fetched = ahead;
+      const intN here = active;
+      /* At least one index moves on, or the ray ends: the march is finite. */
+      const intN nx = ix + (step_x & MASK(tx <= leave)), ny = iy + (step_y & MASK(ty <= leave));
+      const intN nz = iz + (step_z & MASK(tz <= leave));
+      const intN inside = MASK(nx >= zero) & MASK(nx <= last_x) & MASK(ny >= zero) & MASK(ny <= last_y) & MASK(nz >= zero) &
+                          MASK(nz <= last_z);
+      active &= inside & MASK(t1 < ray.length);
+      ix = select(ix, nx, active), iy = select(iy, ny, active), iz = select(iz, nz, active);
+      ahead = fetch_corners(volume, view, ix, iy, iz);
+      const Corners c = decode_corners(fetched, view);
+      const floatN before = opacity;
+      integrate_cell(&acc, &opacity, &c, &ray, cx, cy, cz, t, t1, here, table, warp, view);
+      taken += AS_UINT(here) & evaluations;
+#if WITH_DEPTH
+      median = median_step(median, before, opacity, t, t1);
+#endif
+      t = select(t, t1, here);
+      active &= MASK(opacity < view->march.z);
+    }
+  }
+  accumulator_store(&acc, rgba);
+  STORE_LANES(ray.entry_depth + median * view->march.x, depth);
+  STORE_LANES(taken, samples);
+}
+
+#endif

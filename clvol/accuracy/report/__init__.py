@@ -1,0 +1,121 @@
+"""The report of a sweep: ``tradeoff.json``, ``tradeoff.png``, pictures, and ``index.html``."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Mapping
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from clvol.errors import UsageError
+
+BLACK = (0.0, 0.0, 0.0)
+
+
+def write_report(
+    result: dict[str, Any], pictures: Mapping[str, np.ndarray], folder: Path
+) -> list[Path]:
+    """Write the report of a sweep into ``folder``, made if it is missing; returns the files.
+
+    ``result`` becomes ``tradeoff.json`` (numbers that are not finite become null); the points'
+    pictures and "reference" in ``pictures`` are float32 [height, width, 4], linear, premultiplied,
+    and are shown over ``result["scene"]["background"]`` ([3], linear; black where there is none).
+    ``index.html`` holds all that it shows. All files appear, each whole, or none does. Raises
+    UsageError where the folder cannot be one, RenderError when writing fails.
+    """
+    from clvol.image import atomic_path
+
+    result = plain(result)
+    contents = _contents(result, pictures)
+    folder = Path(folder)
+    made = _make_folders([folder, folder / "images"])
+    paths = [folder / name for name in contents]
+    try:
+        with ExitStack() as stack:
+            for path, data in zip(paths, contents.values()):
+                stack.enter_context(atomic_path(path)).write_bytes(data)
+    except BaseException:
+        for new in reversed(made):
+            try:
+                new.rmdir()  # only where it is empty
+            except OSError:
+                pass
+        raise
+    return paths
+
+
+def plain(value: Any) -> Any:
+    """``value`` as JSON knows it: numpy's numbers as numbers, those not finite as None."""
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(item) for item in value]
+    if hasattr(value, "tolist"):
+        return plain(value.tolist())
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def _contents(result: dict[str, Any], pictures: Mapping[str, np.ndarray]) -> dict[str, bytes]:
+    """The files' names, relative to the folder, and their bytes."""
+    from clvol.accuracy.difference import difference_picture
+    from clvol.accuracy.report.chart import tradeoff_chart
+    from clvol.accuracy.report.images import page_images, picture_file, shown_file
+    from clvol.accuracy.report.page import page
+    from clvol.accuracy.report.sweep import Sweep
+
+    sweep = Sweep(result)
+    background = result["scene"].get("background") or BLACK
+    shown = [point["id"] for point in sweep.shown()]
+    images = page_images(pictures, background, shown)
+    contents = {
+        "index.html": page(sweep, images).encode("utf-8"),
+        "tradeoff.json": (json.dumps(result, indent=1, ensure_ascii=False, allow_nan=False)
+                          + "\n").encode("utf-8"),
+        "tradeoff.png": tradeoff_chart(sweep),
+    }
+    for key in ["reference", *shown]:
+        if key not in pictures:
+            continue
+        name = _file_name(key, contents)
+        contents[f"images/{name}.png"] = picture_file(pictures[key], background)
+        if key != "reference" and "reference" in pictures:
+            seen = difference_picture(pictures[key], pictures["reference"], (key, "reference"))
+            contents[f"images/{name}-difference.png"] = shown_file(seen)
+    return contents
+
+
+def _file_name(key: str, taken: Mapping[str, Any]) -> str:
+    """``key`` without what file names cannot hold, and unlike the ones before."""
+    stem = re.sub(r"[^A-Za-z0-9_-]+", "-", key).strip("-")[:80] or "point"
+    name, n = stem, 1
+    while f"images/{name}.png" in taken or f"images/{name}-difference.png" in taken:
+        n += 1
+        name = f"{stem}-{n}"
+    return name
+
+
+def _make_folders(folders: list[Path]) -> list[Path]:
+    """Those that were not there before, parents first."""
+    made = []
+    for folder in folders:
+        try:
+            missing = [f for f in [folder, *folder.parents] if not f.exists()]
+            for new in reversed(missing):
+                new.mkdir()
+                made.append(new)
+            if not folder.is_dir():
+                raise UsageError(str(folder), "this is a file", "a folder, or a name for a new one")
+        except (OSError, ValueError) as error:
+            for new in reversed(made):
+                new.rmdir()
+            why = getattr(error, "strerror", None) or str(error)
+            raise UsageError(str(folder), f"the folder cannot be made: {why}",
+                             "a folder that can be written to") from error
+    return made

@@ -1,0 +1,85 @@
+"""Numbers as people read them."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+_SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+NOTHING = "\N{EN DASH}"
+_NBSP = "\N{NO-BREAK SPACE}"
+_TIMES = "\N{MULTIPLICATION SIGN}"
+
+
+def power_of_ten(exponent: int) -> str:
+    """"10⁻³"; 1 and 10 as they are."""
+    return {0: "1", 1: "10"}.get(exponent) or "10" + str(exponent).translate(_SUPERSCRIPT)
+
+
+def number(value: float | None, digits: int = 3) -> str:
+    """``digits`` significant digits; a power of ten where plain digits would be long."""
+    if value is None:
+        return NOTHING
+    if value == 0 or 1e-4 <= abs(value) < 1e6:
+        rounded = float(f"{value:.{digits}g}")
+        return f"{rounded:.{digits}g}" if abs(rounded) < 10.0**digits else f"{rounded:.0f}"
+    mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
+    power = "10" + str(int(exponent)).translate(_SUPERSCRIPT)
+    mantissa = mantissa.rstrip("0").rstrip(".") if "." in mantissa else mantissa
+    return power if mantissa == "1" else f"{mantissa}{_NBSP}{_TIMES}{_NBSP}{power}"
+
+
+def seconds(value: float | None, digits: int = 3) -> str:
+    """A time in the unit that suits it: "4.1 ms", "2.3 s", "12 min"."""
+    if value is None:
+        return NOTHING
+    if value == 0:
+        return f"0{_NBSP}s"
+    for limit, factor, unit in ((1e-3, 1e6, "µs"), (1.0, 1e3, "ms"), (600.0, 1.0, "s"),
+                                (36000.0, 1 / 60, "min")):
+        # Rounding must not yield 1000 ms.
+        if float(f"{value:.{digits}g}") < limit:
+            return f"{number(value * factor, digits)}{_NBSP}{unit}"
+    return f"{number(value / 3600, digits)}{_NBSP}h"
+
+
+def count(value: int | None) -> str:
+    """With thin spaces between the thousands."""
+    return NOTHING if value is None else f"{value:,}".replace(",", "\N{NARROW NO-BREAK SPACE}")
+
+
+def size_of(value: int | None) -> str:
+    """Bytes in KiB, MiB or GiB."""
+    if value is None:
+        return NOTHING
+    power = min(3, int(math.log(value, 1024))) if value >= 1 else 0
+    unit = ("B", "KiB", "MiB", "GiB")[power]
+    return f"{number(value / 1024**power)}{_NBSP}{unit}"
+
+
+def percent(share: float | None) -> str:
+    return NOTHING if share is None else f"{100 * share:.2g}{_NBSP}%"
+
+
+def setting(value: Any) -> str:
+    """A knob's value: 0.5, "post", yes, no."""
+    if value is None:
+        return NOTHING
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def toml(value: Any) -> str:
+    """A knob's value as ``--set`` takes it."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, (int, float)):
+        return repr(value)
+    escaped = str(value).replace("\\", "\\\\").replace('"', '\\"')
+    return f'"{escaped}"'
+
+
+def shorten(text: str, length: int) -> str:
+    """At most ``length`` characters, the last one an ellipsis where something is left out."""
+    return text if len(text) <= length else text[: length - 1].rstrip(" ,") + "…"

@@ -1,0 +1,142 @@
+"""Looking for settings: the cheapest that hold an error.
+
+Nothing here renders: ``measure(settings)`` does, and gives something with ``rmse``, ``seconds`` of a
+picture and its ``cost`` (preparation counted in). What is known of the knobs is that a notch finer of the main ladder (the step) lessens the error, about
+twofold; that alternatives (classification, filter) may each be better or worse by
+far; and that the other ladders buy little with little, and limit what the main one can reach.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any, Protocol
+
+from clvol.accuracy.settings import SceneKnob, Settings, key_of
+
+_FLOOR = 0.85  # two notches finer and still this share of the error: finer helps no more
+_WORTH = 0.98  # what a change must bring the time down to, to be more than noise
+
+
+class Measured(Protocol):
+    rmse: float
+    seconds: float
+    cost: float
+    settings: dict[str, Any]
+
+
+class Search:
+    """One search: remembers what was measured. ``possible(settings)`` says what can be rendered and
+    ``canonical(settings)`` which settings are the same."""
+
+    def __init__(
+        self,
+        measure: Callable[[dict[str, Any]], Measured],
+        knobs: Mapping[str, SceneKnob],
+        possible: Callable[[Settings], bool] = lambda settings: True,
+        canonical: Callable[[Settings], dict[str, Any]] = dict,
+    ) -> None:
+        self._measure, self._possible, self._canonical = measure, possible, canonical
+        self._known: dict[tuple, Measured] = {}
+        # Single pixels do not show what depends on their neighbours.
+        self._knobs = {k: knob for k, knob in knobs.items() if not knob.knob.of_picture}
+        self._alternatives = [k for k in self._knobs.values() if not k.knob.is_ladder]
+        self._ladders = [k for k in self._knobs.values() if k.knob.is_ladder and not k.knob.is_main]
+        self._main = [k for k in self._knobs.values() if k.knob.is_main]
+
+    @property
+    def measured(self) -> list[Measured]:
+        return list(self._known.values())
+
+    def measure(self, settings: Settings) -> Measured:
+        settings = self._canonical(settings)
+        key = key_of(settings)
+        if key not in self._known:
+            self._known[key] = self._measure(settings)
+        return self._known[key]
+
+    def cheapest(self, start: Settings, limit: float) -> Measured | None:
+        """The cheapest settings found with rmse <= ``limit``; None if none reach it."""
+
+        def quicker(a: Measured | None, b: Measured | None) -> Measured | None:
+            if a is None or b is None:
+                return a or b
+            return b if b.cost < _WORTH * a.cost else a
+
+        best = self._hold_error(start, limit)
+        for knob in self._alternatives:
+            for value in knob.values:
+                settings = {**(best.settings if best else start), knob.key: value}
+                if self._possible(settings) and (best is None or best.settings[knob.key] != value):
+                    best = quicker(best, self._hold_error(settings, limit, best))
+        if best is None:
+            return None
+        for knob in self._ladders:
+            while (value := knob.next_to(best.settings[knob.key], -1)) is not None:
+                tried = self.measure({**best.settings, knob.key: value})
+                if tried is best or tried.rmse > limit or tried.cost > _WORTH * best.cost:
+                    break
+                best = tried
+        return best
+
+    def _hold_error(
+        self, settings: Settings, limit: float, best: Measured | None = None
+    ) -> Measured | None:
+        """Of the main ladder's values the coarsest that holds ``limit``, the other ladders as they
+        are or, if that is not enough, more accurate by one notch, then by more."""
+        held, too_dear = self._bracket(settings, limit, best)
+        notches = 1
+        while held is None and not too_dear:
+            raised = {k.key: k.more(settings[k.key], notches) for k in self._ladders}
+            finer = {**settings, **raised}
+            held, too_dear = self._bracket(finer, limit, best)
+            if all(finer[k.key] == k.values[-1] for k in self._ladders):
+                break
+            notches *= 2
+        return held
+
+    def _bracket(
+        self, settings: Settings, limit: float, best: Measured | None
+    ) -> tuple[Measured | None, bool]:
+        """What holds ``limit`` with the main ladder alone, if anything does; and whether that is given up
+        because it costs more than ``best``."""
+        if not self._main:
+            tried = self.measure(settings)
+            return (tried if tried.rmse <= limit else None), False
+        main = self._main[0]
+        values = main.values
+        at = values.index(settings[main.key])
+        low, high = -1, len(values)  # indices known to be too coarse; fine enough
+        held: Measured | None = None
+        history: list[tuple[int, float]] = []
+        while high - low > 1:
+            tried = self.measure({**settings, main.key: values[at]})
+            if tried.rmse <= limit:
+                held, high = tried, at
+            else:
+                low = at
+                history.append((at, tried.rmse))
+                # Dearer than the best and not yet good enough: finer can only be dearer.
+                if best is not None and tried.cost > best.cost:
+                    return held, True
+                if _is_at_floor(history):
+                    break
+            ratio = tried.rmse / limit if tried.rmse > 0 else 0.0
+            notches = math.ceil(math.log2(ratio)) if ratio > 0 else -len(values)
+            at = min(max(at + notches, low + 1), high - 1)
+        return held, False
+
+
+def pareto_front(points: list[Measured]) -> list[Measured]:
+    """Those that no other beats in both error and time: by falling error, rising time."""
+    front: list[Measured] = []
+    for point in sorted(points, key=lambda p: (p.seconds, p.rmse)):
+        if not front or point.rmse < front[-1].rmse:
+            front.append(point)
+    return front
+
+
+def _is_at_floor(history: list[tuple[int, float]]) -> bool:
+    at, rmse = history[-1]
+    coarser = [e for k, e in history if k <= at - 2]
+    return bool(coarser) and rmse > _FLOOR * min(coarser)

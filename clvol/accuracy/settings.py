@@ -1,0 +1,147 @@
+"""Settings: values for the knobs that a scene's tables declare (clvol/scene/knob.py).
+
+Settings are mappings from key ("integration.step") to value; all functions leave theirs as it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+from clvol.errors import ClvolError
+from clvol.features import refuse_unknown
+from clvol.scene.integration import Integration
+from clvol.scene.image import ImageSettings
+from clvol.scene.knob import Knob
+from clvol.scene.multiresolution import Multiresolution
+from clvol.scene.pyramid import Pyramid
+from clvol.scene.resolve import ResolvedScene
+
+Settings = Mapping[str, Any]
+_TABLES = {
+    table.table_name(): table for table in (Integration, ImageSettings, Multiresolution, Pyramid)
+}
+
+
+@dataclass(frozen=True, eq=False)
+class SceneKnob:
+    """A knob as one scene has it. ``key``: "TABLE.KEY"; ``values``: in the knob's order, the scene's
+    own value among them; ``scene_value``: what the scene says."""
+
+    key: str
+    knob: Knob
+    values: tuple
+    scene_value: Any
+    about: str
+
+    def next_to(self, value: Any, notches: int) -> Any | None:
+        """The value so many notches more accurate (or cheaper, below 0), None past the ends."""
+        at = self.values.index(value) + notches
+        return self.values[at] if 0 <= at < len(self.values) else None
+
+    def more(self, value: Any, notches: int) -> Any:
+        """The value so many notches more accurate, at most the last one."""
+        return self.values[min(self.values.index(value) + notches, len(self.values) - 1)]
+
+
+def scene_knobs(resolved: ResolvedScene) -> dict[str, SceneKnob]:
+    """All knobs that the scene's tables declare and that leave a choice, by key."""
+    found = {}
+    for table, model in _TABLES.items():
+        for name, field in model.model_fields.items():
+            for knob in field.metadata:
+                if isinstance(knob, Knob):
+                    own = getattr(getattr(resolved, table), name)
+                    values = _with(own, knob.values_for(resolved), knob.is_ladder)
+                    if len(values) > 1:
+                        key = f"{table}.{name}"
+                        found[key] = SceneKnob(key, knob, values, own, field.description or "")
+    return found
+
+
+def scene_settings(resolved: ResolvedScene, knobs: Mapping[str, SceneKnob]) -> dict[str, Any]:
+    """What ``resolved`` itself says, for all of ``knobs``."""
+    return {key: getattr(getattr(resolved, key.split(".")[0]), key.split(".")[1]) for key in knobs}
+
+
+def apply(resolved: ResolvedScene, settings: Settings) -> ResolvedScene:
+    """``resolved`` with other ``settings``. SceneError where a value is impossible."""
+    tables: dict[str, dict[str, Any]] = {}
+    for key, value in settings.items():
+        table, name = key.split(".")
+        if getattr(getattr(resolved, table), name) != value:
+            tables.setdefault(table, {})[name] = value
+    changed = {
+        table: getattr(resolved, table).model_copy(update=update)
+        for table, update in tables.items()
+    }
+    return replace(resolved, **changed)
+
+
+def is_possible(resolved: ResolvedScene, settings: Settings) -> bool:
+    """Whether something renders the scene with these settings."""
+    try:
+        refuse_unknown(apply(resolved, settings))
+    except ClvolError:
+        return False
+    return True
+
+
+def canonical(
+    resolved: ResolvedScene, knobs: Mapping[str, SceneKnob], settings: Settings
+) -> dict[str, Any]:
+    """``settings`` with the scene's own value wherever a knob has no effect beside the others: what
+    makes the same picture in the same way is the same settings."""
+    scene = apply(resolved, settings)
+    return {
+        key: value if knobs[key].knob.applies(scene) else knobs[key].scene_value
+        for key, value in settings.items()
+    }
+
+
+def key_of(settings: Settings) -> tuple:
+    """For dictionaries of settings."""
+    return tuple(sorted(settings.items(), key=lambda item: item[0]))
+
+
+def changed(settings: Settings, base: Settings) -> list[str]:
+    """The keys in which ``settings`` differ from ``base``."""
+    return [key for key in settings if settings[key] != base[key]]
+
+
+def neighbours(knobs: Mapping[str, SceneKnob], settings: Settings) -> Iterator[dict[str, Any]]:
+    """Settings that differ by one notch of a ladder, or by another alternative, in one knob."""
+    for key, knob in knobs.items():
+        own = settings[key]
+        if knob.knob.is_ladder:
+            others = [knob.next_to(own, -1), knob.next_to(own, 1)]
+        else:
+            others = [value for value in knob.values if value != own]
+        for value in others:
+            if value is not None:
+                yield {**settings, key: value}
+
+
+def label(knobs: Mapping[str, SceneKnob], settings: Settings, resolved: ResolvedScene) -> str:
+    """A short name in words: the alternatives, the main ladders, and what differs from the scene."""
+    parts, scene = [], apply(resolved, settings)
+    for key, knob in knobs.items():
+        value = settings[key]
+        if not knob.knob.applies(scene):
+            continue
+        if knob.knob.is_main or value != knob.scene_value or key.endswith(".classification"):
+            text = value if isinstance(value, str) else f"{knob.knob.title} {value:.4g}"
+            parts.append(text)
+    parts.sort(key=lambda text: " " in text)  # alternatives first
+    return ", ".join(parts)
+
+
+def _with(own: Any, values: tuple, is_ladder: bool) -> tuple:
+    """``values`` with the scene's own one in its place."""
+    if own in values:
+        return values
+    if not is_ladder:
+        return (*values, own)
+    rising = len(values) < 2 or values[0] < values[-1]
+    return tuple(sorted((*values, own), reverse=not rising))

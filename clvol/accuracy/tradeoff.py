@@ -1,0 +1,319 @@
+"""Error against time: one scene under many settings, and which of them are worth using.
+
+Settings are those of the knobs that the scene's tables declare. Tried are: each knob alone, from the scene's own
+settings; the main ladders (the step) under every combination of alternatives
+(classification, quadrature, filter ...); and then, again and again, the neighbours of whatever lies on the
+Pareto front so far. Errors are those of all pixels against the exact integral; times are medians
+of frames for which all candidates take turns.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import os
+import platform
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+import clvol
+from clvol.accuracy.metrics import compare, max_abs
+from clvol.accuracy.search import pareto_front
+from clvol.accuracy.settings import (
+    apply,
+    canonical,
+    changed,
+    is_possible,
+    key_of,
+    label,
+    neighbours,
+    scene_knobs,
+    scene_settings,
+)
+from clvol.accuracy.timing import take_turns
+from clvol.accuracy.trials import Trial, Trials
+from clvol.errors import UsageError
+from clvol.features import refuse_unknown
+from clvol.render.layout import scene_bytes
+from clvol.render.renderer import check_memory, open_context
+from clvol.scene.scene import Scene
+
+SETTINGS = 160  # tried at most
+FRAMES = 7
+_SLOWEST = 40.0  # times the scene's own frame: what takes longer is not refined further
+_PATIENCE = 2.0  # seconds that a frame may always take
+_STRIDE = 2  # notches of the main ladder between the combinations' settings
+_BEATEN = 0.7  # of both error and time: so much less is not for noise
+_FLOOR = 0.9  # of the error two notches before
+_SAME_ERROR, _SAME_TIME = 0.97, 0.03  # shares that are not worth two names
+_DECADES = (1e-1, 3e-2, 1e-2, 3e-3, 1e-3, 3e-4, 1e-4, 3e-5, 1e-5, 1e-6)
+
+Progress = Callable[..., None]  # (done, total, what)
+
+
+def measure_tradeoff(
+    scene: Scene,
+    *,
+    devices: Sequence[Any] | None = None,
+    memory_cap: int | None = None,
+    frames: int = FRAMES,
+    settings: int = SETTINGS,
+    progress: Progress | None = None,
+) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """Renders ``scene`` under at most ``settings`` settings, and times what is worth it ``frames`` times.
+
+    Returns the result as tradeoff.json holds it, and float32 [h, w, 4] pictures: "reference", and by
+    their points' ids those of the scene's own settings and of the front.
+    Raises what ``clvol.Renderer`` raises, and UsageError for a wrong number.
+    """
+    for name, value, least in (("frames", frames, 1), ("settings", settings, 1)):
+        if value < least:
+            raise UsageError(name, f"got {value}", f"at least {least}")
+    sweep = _Sweep(scene, devices, memory_cap, progress)
+    try:
+        sweep.explore(settings)
+        return sweep.result(frames)
+    finally:
+        sweep.context.release()
+
+
+class _Sweep:
+    def __init__(self, scene: Scene, devices, memory_cap, progress: Progress | None) -> None:
+        resolved = scene.resolve()
+        if resolved.integration.method == "reference":
+            resolved = apply(resolved, {"integration.method": "raycast"})
+        refuse_unknown(resolved)
+        check_memory(resolved, memory_cap)
+        self.resolved, self.progress = resolved, progress
+        self.context = open_context(devices)
+        self.knobs = scene_knobs(resolved)
+        self.base = canonical(resolved, self.knobs, scene_settings(resolved, self.knobs))
+        self.trials = Trials(
+            resolved, self.context, tolerance=resolved.integration.tolerance, frames=2
+        )
+        self.found: dict[tuple, Trial] = {}
+        self.sweeps: dict[tuple, list[str]] = {}  # which one-knob curves a setting lies on
+
+    # Exploring
+
+    def explore(self, most: int) -> None:
+        self.most = most
+        self.trials.exact(self.report_as("integrating exactly"))
+        baseline = self.try_out(self.base)
+        self.limit = max(_SLOWEST * baseline.seconds, _PATIENCE)
+        for key, knob in self.knobs.items():
+            for settings in self.ladder(self.base, key, 1):
+                self.sweeps.setdefault(key_of(settings), []).append(key)
+        alternatives = [k for k in self.knobs.values() if not k.knob.is_ladder]
+        for values in itertools.product(*(k.values for k in alternatives)):
+            settings = {**self.base, **{k.key: v for k, v in zip(alternatives, values)}}
+            for main in (k for k in self.knobs.values() if k.knob.is_main):
+                self.ladder(settings, main.key, _STRIDE)
+        expanded: set[tuple] = set()
+        while len(self.found) < self.most:
+            waiting = [t for t in self.front() if key_of(t.settings) not in expanded]
+            if not waiting:
+                break
+            for trial in waiting:
+                expanded.add(key_of(trial.settings))
+                for settings in neighbours(self.knobs, trial.settings):
+                    self.try_out(settings)
+
+    def ladder(self, settings: dict[str, Any], key: str, stride: int) -> list[dict[str, Any]]:
+        """Tries one knob's values from the scene's own outwards, as far as makes sense."""
+        knob = self.knobs[key]
+        tried = []
+        own = knob.values.index(knob.scene_value)
+        outwards = [range(own, len(knob.values), stride), range(own - stride, -1, -stride)]
+        for places in outwards:
+            errors: list[float] = []
+            for place in places:
+                trial = self.try_out({**settings, key: knob.values[place]})
+                if trial is not None:
+                    tried.append(trial.settings)
+                    errors.append(trial.rmse)
+                if knob.knob.is_ladder and (trial is None or self.leads_nowhere(trial, errors)):
+                    break
+        return tried
+
+    def leads_nowhere(self, trial: Trial, errors: list[float]) -> bool:
+        """Whether a ladder's next values can be left out: it takes too long, or is no longer of any use:
+        beaten by far, and nothing has changed."""
+        if trial.seconds > self.limit:
+            return True
+        beaten = any(
+            t.seconds < _BEATEN * trial.seconds and t.rmse < _BEATEN * trial.rmse
+            for t in self.found.values()
+        )
+        return beaten and len(errors) > 2 and errors[-1] > _FLOOR * errors[-3]
+
+    def try_out(self, settings: dict[str, Any]) -> Trial | None:
+        """The trial of ``settings``; None if nothing renders them or enough have been tried."""
+        if not is_possible(self.resolved, settings):
+            return None
+        settings = canonical(self.resolved, self.knobs, settings)
+        key = key_of(settings)
+        if key not in self.found:
+            if len(self.found) >= self.most:
+                return None
+            self.report(len(self.found), self.most, "trying settings")
+            self.found[key] = self.trials.run(settings)
+        return self.found[key]
+
+    def front(self) -> list[Trial]:
+        return pareto_front(list(self.found.values()))
+
+    # Timing and telling
+
+    def result(self, frames: int) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+        timed = {key_of(t.settings): t for t in self.front()}
+        timed |= {key: self.found[key] for key in self.sweeps if key in self.found}
+        base = key_of(self.base)
+        timed[base] = self.found[base]
+        runs = {key: self.trials.frames_of(trial.settings) for key, trial in timed.items()}
+        rounds = _Rounds(self.report_as("timing"), frames * len(runs))
+        times = take_turns(
+            {key: rounds.counted(lambda run=run: run()[0]) for key, run in runs.items()}, frames
+        )
+        ids = {key: f"p{n}" for n, key in enumerate(timed)}
+        points, pictures = {}, {"reference": self.trials.exact().astype(np.float32)}
+        for key, trial in timed.items():
+            points[key] = self.point(ids[key], trial, times[key])
+        front = _front_of(points)
+        for n, key in enumerate(dict.fromkeys([*front, base])):
+            self.report(n, len(front) + 1, "comparing")
+            rgba = runs[key]()[1]
+            pictures[ids[key]] = rgba
+            measured = compare(rgba, self.trials.exact(), self.resolved.background)
+            points[key] |= {"max_abs": max_abs(rgba, self.trials.exact()), **measured}
+        for key, trial in self.found.items():  # looked at, but not timed as carefully
+            if key not in points:
+                seconds = {"median": trial.seconds, "min": trial.seconds, "max": max(trial.times),
+                           "spread": None, "frames": len(trial.times)}  # fmt: skip
+                points[key] = self.point(f"p{len(points)}", trial, seconds)
+        for key in front:
+            points[key]["on_front"] = True
+        return self.told(points, [ids[key] for key in front], ids[base], frames), pictures
+
+    def point(self, name: str, trial: Trial, seconds: dict[str, Any]) -> dict[str, Any]:
+        sweeps = self.sweeps.get(key_of(trial.settings), [])
+        integration = apply(self.resolved, trial.settings).integration
+        size = self.resolved.image.width, self.resolved.image.height
+        return {
+            "id": name,
+            "label": label(self.knobs, trial.settings, self.resolved),
+            "settings": trial.settings,
+            "changed": changed(trial.settings, self.base),
+            "rmse": trial.rmse,
+            "max_abs": None, "psnr": None, "ssim": None,
+            "delta_e_mean": None, "delta_e_max": None,
+            "seconds": seconds,
+            "samples": trial.samples,
+            "rays": trial.rays,
+            "prepare_seconds": trial.prepare_seconds,
+            "device_bytes": scene_bytes(self.resolved.volume, integration.table_size, *size),
+            "on_front": False,
+            "sweep": sweeps[0] if len(sweeps) == 1 else None,
+        }  # fmt: skip
+
+    def told(self, points: dict, front: list[str], baseline: str, frames: int) -> dict[str, Any]:
+        resolved, counters = self.resolved, self.trials.reference_counters
+        report = self.context.device
+        by_id = {point["id"]: point for point in points.values()}
+        return {
+            "version": 1,
+            "scene": {
+                "name": resolved.volume.name or resolved.origin,
+                "width": resolved.image.width, "height": resolved.image.height,
+                "source": resolved.source,
+                "background": [float(c) for c in resolved.background],
+            },
+            "machine": {
+                "devices": [self.context.name], "device_name": report.name.strip(),
+                "driver": report.driver_version, "cores": os.cpu_count(),
+                "system": platform.system(), "clvol": clvol.__version__,
+            },
+            "reference": {
+                "tolerance": self.trials.tolerance,
+                "seconds": counters.get("seconds"),
+                "error_estimate": counters.get("error_estimate"),
+                "failed_rays": counters.get("failed_rays"),
+            },
+            "method": {
+                "frames": frames, "settings": len(points),
+                "clock": "seconds of a frame, everything compiled and resident",
+                "errors": "RMSE of linear premultiplied RGBA over all pixels",
+            },
+            "knobs": [
+                {
+                    "name": knob.key, "title": knob.knob.title, "unit": knob.knob.unit,
+                    "values": list(knob.values), "scene_value": knob.scene_value,
+                    "about": knob.about,
+                }
+                for knob in self.knobs.values()
+            ],
+            "baseline": baseline,
+            "points": list(by_id.values()),
+            "front": front,
+            "sentences": sentences([by_id[name] for name in front]),
+        }  # fmt: skip
+
+    def report(self, done: int | None, total: int | None, what: str) -> None:
+        if self.progress is not None:
+            self.progress(done, total, what)
+
+    def report_as(self, what: str) -> Callable[[int, int], None]:
+        return lambda done, total: self.report(done, total, what)
+
+
+class _Rounds:
+    """Counts frames for the progress display."""
+
+    def __init__(self, report: Callable[[int, int], None], total: int) -> None:
+        self.report, self.total, self.done = report, total, 0
+
+    def counted(self, run: Callable[[], float]) -> Callable[[], float]:
+        def counting() -> float:
+            self.done += 1
+            self.report(min(self.done, self.total), self.total)
+            return run()
+
+        return counting
+
+
+def sentences(front: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """"For error below X, use Y: Z seconds", for a row of X that the ``front`` (by falling error)
+    reaches; where two X would name the same settings, only the smaller."""
+    told: dict[str, dict[str, Any]] = {}
+    for error in _DECADES:
+        held = [point for point in front if point["rmse"] <= error]
+        if held:
+            point, seconds = held[0], held[0]["seconds"]["median"]
+            text = f"for error below {error:g}, use {point['label']}: {seconds:.3g} s"
+            told[point["id"]] = {
+                "error": error, "point": point["id"], "seconds": seconds, "text": text
+            }  # fmt: skip
+    return list(told.values())
+
+
+def _front_of(points: dict[tuple, dict[str, Any]]) -> list[tuple]:
+    """Keys of the points that no other beats in error and time, by falling error; of those whose
+    times or errors cannot be told apart, the better one."""
+    front: list[tuple] = []
+    for key, point in sorted(
+        points.items(), key=lambda item: (item[1]["seconds"]["median"], item[1]["rmse"])
+    ):
+        if front and point["rmse"] > _SAME_ERROR * points[front[-1]]["rmse"]:
+            continue
+        if front and _same_time(points[front[-1]]["seconds"], point["seconds"]):
+            front.pop()
+        front.append(key)
+    return front
+
+
+def _same_time(a: dict[str, Any], b: dict[str, Any]) -> bool:
+    """Whether two medians are nearer than their quartiles are apart."""
+    noise = max(_SAME_TIME, 0.5 * max(a["spread"] or 0.0, b["spread"] or 0.0))
+    return b["median"] - a["median"] <= noise * b["median"]

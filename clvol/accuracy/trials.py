@@ -1,0 +1,152 @@
+"""Trials: one scene under many settings, each picture beside the exact integral and the clock."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from clvol.accuracy.settings import Settings, apply, key_of
+from clvol.opencl.context import DeviceContext
+from clvol.render.engines import Engines
+from clvol.render.reference import render_reference
+from clvol.render.view import EVERY_PIXEL, PixelLattice
+from clvol.scene.resolve import ResolvedScene
+
+# Tables are built once for all views of a scene; a single view should still not wait for ever.
+PREPARATION = 0.1
+
+
+@dataclass(eq=False)
+class Trial:
+    """What one rendering with ``settings`` gave.
+
+    ``seconds``: the least of its ``times`` (of the whole picture: predicted, where a lattice of pixels was
+    rendered). ``rgba`` float32 [h, w, 4], ``depth`` [h, w] or None: of the lattice's pixels. ``rmse``
+    against the exact integral at them, NaN where that is not known. ``times`` are of that picture alone.
+    ``cost``: what "cheap" means, seconds of the picture and a share of those that prepare it.
+    """
+
+    settings: dict[str, Any]
+    rmse: float
+    seconds: float
+    times: list[float]
+    samples: int
+    rays: int
+    prepare_seconds: float
+    compile_seconds: float
+    cost: float
+    rgba: np.ndarray | None = field(default=None, repr=False)
+    depth: np.ndarray | None = field(default=None, repr=False)
+
+
+class Trials:
+    """Renders ``resolved`` under any settings on the pixels of ``lattice``.
+
+    The exact integral there is taken to ``tolerance`` when it is first needed; it is that of the scene's own
+    filter and of its own classification (pre-classified, or one of the two that classify
+    interpolated values): a setting that changes these is judged as the approximation that it is.
+    """
+
+    def __init__(
+        self,
+        resolved: ResolvedScene,
+        context: DeviceContext,
+        engines: Engines | None = None,
+        *,
+        lattice: PixelLattice = EVERY_PIXEL,
+        tolerance: float = 1e-9,
+        frames: int = 3,
+        depth: bool = False,
+        exact: np.ndarray | None = None,
+    ) -> None:
+        self.resolved, self.context = resolved, context
+        self.engines = engines or Engines(context)
+        self.lattice, self.frames, self.depth = lattice, frames, depth
+        self.size = resolved.image.width, resolved.image.height
+        self.tolerance = tolerance
+        self.reference_counters: dict[str, Any] = {}
+        self._exact = exact
+        width, height = lattice.size(*self.size)
+        self._scale = self.size[0] * self.size[1] / (width * height)
+        self._overhead: float | None = None
+
+    def exact(self, progress: Callable[[int, int], None] | None = None) -> np.ndarray:
+        """float64 [h, w, 4] at the lattice's pixels."""
+        if self._exact is None:
+            pixels = self.lattice.pixels(*self.size)
+            rgba, _, self.reference_counters = render_reference(
+                self.resolved, self.context.device, self.tolerance, pixels, progress
+            )
+            width, height = self.lattice.size(*self.size)
+            self._exact = rgba.reshape(height, width, 4)
+        return self._exact
+
+    def run(self, settings: Settings, keep: bool = False) -> Trial:
+        """Renders with ``settings``, a few times; with ``keep`` the trial holds the picture."""
+        resolved = apply(self.resolved, settings)
+        start, compiled = time.perf_counter(), self.context.compile_seconds
+        engine = self.engines.make(resolved)
+        compile_seconds = self.context.compile_seconds - compiled
+        prepare_seconds = time.perf_counter() - start - compile_seconds
+        start = time.perf_counter()
+        engine.warm_up(*self.size, self.depth)
+        compile_seconds += time.perf_counter() - start
+        times = []
+        for _ in range(self.frames):
+            start = time.perf_counter()
+            data = engine.render(
+                resolved.camera, *self.size, depth=self.depth, lattice=self.lattice
+            )
+            times.append(time.perf_counter() - start)
+        seconds = self._of_picture(engine, min(times))
+        return Trial(
+            settings=dict(settings),
+            rmse=root_mean_square(data.rgba - self.exact()),
+            seconds=seconds,
+            cost=seconds + PREPARATION * prepare_seconds,
+            times=times,
+            samples=round(data.samples * self._scale),
+            rays=round(data.rays * self._scale),
+            prepare_seconds=prepare_seconds,
+            compile_seconds=compile_seconds,
+            rgba=data.rgba if keep else None,
+            depth=data.depth if keep else None,
+        )
+
+    def frames_of(self, settings: Settings) -> Callable[[], tuple[float, np.ndarray]]:
+        """A function that renders one more frame: (seconds, picture). All is prepared and stays so."""
+        engine = self.engines.make(apply(self.resolved, settings))
+        engine.warm_up(*self.size, self.depth)
+
+        def frame() -> tuple[float, np.ndarray]:
+            start = time.perf_counter()
+            data = engine.render(engine.resolved.camera, *self.size, depth=self.depth)
+            return time.perf_counter() - start, data.rgba
+
+        return frame
+
+    def _of_picture(self, engine, seconds: float) -> float:
+        """What the whole picture takes, from what the lattice took."""
+        if self._scale == 1.0:
+            return seconds
+        if self._overhead is None:  # a launch costs as much for few pixels as for all
+            far = PixelLattice(self.lattice.spacing, self.size[0] - 1, self.size[1] - 1)
+            taken = []
+            for _ in range(5):
+                start = time.perf_counter()
+                engine.render(self.resolved.camera, *self.size, depth=self.depth, lattice=far)
+                taken.append(time.perf_counter() - start)
+            self._overhead = min(taken)
+        return self._overhead + self._scale * max(seconds - self._overhead, 0.1 * seconds)
+
+
+
+
+def root_mean_square(difference: np.ndarray) -> float:
+    """Over all pixels and channels; inf where something is not finite."""
+    value = float(np.sqrt(np.mean(np.square(np.asarray(difference, np.float64)))))
+    return value if np.isfinite(value) else np.inf

@@ -1,0 +1,67 @@
+"""clvol tradeoff: what accuracy costs in time, for one scene."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from clvol.cli.options import memory_cap_option, overrides_option, scene_argument
+
+
+@click.command("tradeoff", short_help="Error against time, over everything that trades one for the other.")
+@scene_argument
+@click.option(
+    "-o", "--output", "folder", required=True, metavar="DIR", help="Folder to write, made if need be."
+)
+@overrides_option
+@click.option(
+    "--device", "devices", multiple=True, metavar="NAME", help="A name of 'clvol doctor'."
+)
+@click.option(
+    "--frames", type=click.IntRange(1, 1000), default=7, show_default=True,
+    help="Frames that each time is the median of.",
+)  # fmt: skip
+@click.option(
+    "--settings", type=click.IntRange(1, 100_000), default=160, show_default=True,
+    help="Settings to try at most.",
+)  # fmt: skip
+@memory_cap_option("The most memory that the volume may take, here and on the device.")
+@click.option("--quiet", is_flag=True, help="No progress on the terminal.")
+def command(
+    scene: str,
+    folder: str,
+    overrides: tuple[str, ...],
+    devices: tuple[str, ...],
+    frames: int,
+    settings: int,
+    memory_cap: int | None,
+    quiet: bool,
+) -> None:
+    """Render SCENE under many settings and measure each one's error, against the exact integral, and time.
+
+    Writes index.html (to look at), tradeoff.json, tradeoff.png and images to DIR, and says which
+    settings to use for which error. Takes minutes; nothing else should run meanwhile.
+    """
+    from clvol.cli.console import say, working
+    from clvol.cli.outputs import check_folder
+    from clvol.scene import load_scene
+
+    asked = load_scene(scene, overrides)
+    check_folder(folder)
+    with working(f"loading {scene}", quiet):
+        asked.load_volume(memory_cap)
+
+    from clvol.accuracy.report import write_report
+    from clvol.accuracy.tradeoff import measure_tradeoff
+
+    with working("measuring", quiet) as progress:
+        result, pictures = measure_tradeoff(
+            asked, devices=list(devices) or None, memory_cap=memory_cap, frames=frames,
+            settings=settings, progress=progress,
+        )  # fmt: skip
+    with working("writing", quiet):
+        paths = write_report(result, pictures, Path(folder))
+    for sentence in result["sentences"]:
+        say(sentence["text"])
+    say(click.format_filename(next(path for path in paths if path.name == "index.html")))

@@ -1,0 +1,53 @@
+"""Which method renders a scene, behind one interface: ``warm_up`` and ``render``."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from clvol.render.quantise import quantised
+
+if TYPE_CHECKING:
+    from clvol.opencl.context import DeviceContext
+    from clvol.render.device_volume import DeviceVolume
+    from clvol.render.raycast import Raycaster
+    from clvol.scene.resolve import ResolvedScene
+    from clvol.volume import Volume
+
+
+_KEPT = 4  # engines: a pre-integration table may take 64 MiB
+
+
+class Engines:
+    """Makes engines on one device; those of the same volume share it there."""
+
+    def __init__(self, context: DeviceContext) -> None:
+        self.context = context
+        self._quantised: dict[tuple, tuple] = {}  # with what its key identifies, kept alive
+        self._made: dict[tuple, Raycaster] = {}
+        self._volumes: dict[int, tuple[Volume, DeviceVolume]] = {}
+
+    def make(self, resolved: ResolvedScene) -> Raycaster:
+        """What renders ``resolved`` by its ``integration.method``."""
+        from clvol.render.raycast import Raycaster
+
+        resolved = self._with_precision(resolved)
+        key = (id(resolved.volume), id(resolved.transfer_function), resolved.integration)
+        if key in self._made:  # its tables hold for any camera and image
+            return self._made[key].for_image(resolved)
+        held = self._volumes.get(id(resolved.volume))
+        made = Raycaster(self.context, resolved, volume=None if held is None else held[1])
+        self._volumes[id(resolved.volume)] = (resolved.volume, made.volume)
+        while len(self._made) >= _KEPT:
+            del self._made[next(iter(self._made))]
+        self._made[key] = made
+        return made
+
+    def _with_precision(self, resolved: ResolvedScene) -> ResolvedScene:
+        asked = (resolved.volume, resolved.transfer_function)
+        key = (*map(id, asked), resolved.integration.voxel_precision)
+        if key not in self._quantised:
+            small = quantised(resolved)
+            self._quantised[key] = (*asked, small.volume, small.transfer_function)
+        *_, volume, function = self._quantised[key]
+        return replace(resolved, volume=volume, transfer_function=function)

@@ -1,0 +1,54 @@
+"""Voxels held in fewer bits than they are stored in: less memory to read, and an error."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from clvol.errors import SceneError
+from clvol.scene.resolve import ResolvedScene
+from clvol.transfer import TransferFunction
+from clvol.volume import Volume
+
+_SLICES = 2**22  # voxels quantised at a time, in double precision
+
+
+def quantised(resolved: ResolvedScene) -> ResolvedScene:
+    """``resolved`` with its voxels as ``integration.voxel_precision`` says: evenly spaced over the
+    volume's range, rounded to nearest, and the transfer function over the same numbers.
+
+    SceneError if a voxel is not finite, which no integer says.
+    """
+    asked, volume = resolved.integration.voxel_precision, resolved.volume
+    if asked == "stored" or np.dtype(asked).itemsize >= volume.dtype.itemsize:
+        return resolved
+    if volume.nan_count or volume.inf_count:
+        bad = volume.nan_count + volume.inf_count
+        where = f"{resolved.origin}: integration.voxel_precision"
+        raise SceneError(where, f"got {asked!r} for {bad} voxels that are not finite", "'stored'")
+    low, high = volume.value_range
+    most = np.iinfo(asked).max
+    # Halves first: high - low may overflow.
+    span = (high / 2 - low / 2) * 2
+    if not 0 < span < np.inf:
+        return resolved
+
+    def code(values: np.ndarray) -> np.ndarray:
+        return (np.asarray(values, np.float64) - low) / span * most
+
+    grid, flat = volume.grid, volume.data.reshape(-1)
+    codes = np.empty(flat.size, asked)
+    for start in range(0, flat.size, _SLICES):
+        part = slice(start, start + _SLICES)
+        codes[part] = np.rint(code(flat[part]))
+    small = Volume(
+        codes.reshape(volume.data.shape),
+        spacing=grid.spacing, origin=grid.origin, direction=grid.direction, name=volume.name,
+    )  # fmt: skip
+    asked_function = resolved.transfer_function
+    function = TransferFunction(
+        np.clip(code(asked_function.values), -1e300, 1e300),
+        asked_function.opacities, asked_function.colors, asked_function.opacity_unit,
+    )  # fmt: skip
+    return replace(resolved, volume=small, transfer_function=function)

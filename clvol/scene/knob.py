@@ -1,0 +1,37 @@
+"""Knobs: the keys of a scene that trade accuracy for time.
+
+A key declares itself where it is defined, in its field's annotation. What sweeps settings (error
+against time, the cheapest settings for an error) finds the knobs there, and lists none itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+
+def _always(*_: Any) -> bool:
+    return True
+
+
+@dataclass(frozen=True, eq=False)
+class Knob:
+    """``values``: what to try, from cheap to accurate where ``is_ladder``, else alternatives in any
+    order; or a function of a resolved scene that gives them.
+
+    ``applies(scene)``: whether the knob has any effect beside the scene's other keys. ``is_main``: the
+    one that accuracy is bought with first; a notch more of it is worth about as much everywhere.
+    ``of_picture``: a pixel depends on its neighbours, so single pixels do not show the effect.
+    """
+
+    title: str
+    unit: str
+    values: tuple | Callable[[Any], tuple]
+    is_ladder: bool = True
+    is_main: bool = False
+    of_picture: bool = False
+    applies: Callable[[Any], bool] = _always
+
+    def values_for(self, resolved: Any) -> tuple:
+        return self.values(resolved) if callable(self.values) else self.values
