@@ -5,7 +5,7 @@
  * crowd where the transfer function varies and every control point falls on one. A value that is not finite gets coordinate
  * `nodes`, whose table entries are zero: such a sample is transparent.
  *
- *   pre            the eight voxels are classified, extinction and emission interpolated       (P4 sec. 4)
+ *   pre            the filter's voxels are classified, extinction and emission interpolated    (P4 sec. 4)
  *   post           the value is interpolated, then classified, at the middle of the segment    (P4 sec. 4)
  *   preintegrated  table over the values at both ends of the segment, and its length           (P4 sec. 8)
  *
@@ -81,7 +81,7 @@ INLINE void segment_classes(floatN before, floatN front, floatN back, floatN len
                             __global const float *warp, __constant const View *view, ClassCoordinate *front_class,
                             ClassCoordinate *back_class)
 {
-#if FILTER == FILTER_LINEAR
+#if FILTER != FILTER_NEAREST
   const floatN low = lane_min(lane_min(before, front), back), high = lane_max(lane_max(before, front), back);
   floatN shift = ((1.0f + length) * front - length * before - back) * (length / (6.0f * (1.0f + length)));
 #if MAY_BE_NAN
@@ -197,22 +197,53 @@ INLINE void composite_sample_tail(Accumulator *acc, ClassCoordinate at, floatN l
 
 /* Emission and extinction at a point, each over one step: the table holds (c tau h, tau h) of the classified voxels, and the
  * same reconstruction filter interpolates them (NaN voxels make them NaN, hence transparent). Not a fast path: the look-ups
- * of a lane's eight voxels are scalar. An opaque voxel's extinction is a large finite number, so that
+ * of a lane's voxels are scalar. An opaque voxel's extinction is a large finite number, so that
  * zero weight times it is zero; what it touches is opaque all the same.
  */
+#if FILTER != FILTER_CUBIC
+#define TAPS 8
+
+INLINE void filter_taps(FetchedSample s, __constant const View *view, floatN *value, floatN *weight)
+{
+  const Corners c = decode_corners(s.corners, view);
+  value[0] = c.v000, value[1] = c.v100, value[2] = c.v010, value[3] = c.v110;
+  value[4] = c.v001, value[5] = c.v101, value[6] = c.v011, value[7] = c.v111;
+  for (int v = 0; v < 8; ++v)
+    weight[v] = (v & 1 ? s.fx : 1.0f - s.fx) * (v & 2 ? s.fy : 1.0f - s.fy) * (v & 4 ? s.fz : 1.0f - s.fz);
+}
+
+#else
+#define TAPS 64
+
+INLINE void filter_taps(FetchedSample s, __constant const View *view, floatN *value, floatN *weight)
+{
+  const floatN wx[4] = {s.x.w0, s.x.w1, s.x.w2, s.x.w3}, wy[4] = {s.y.w0, s.y.w1, s.y.w2, s.y.w3};
+  const floatN wz[4] = {s.z.w0, s.z.w1, s.z.w2, s.z.w3};
+  _Pragma("unroll 1") for (int block = 0; block < 8; ++block) {
+    const int x = block & 1, y = block >> 1 & 1, z = block >> 2;
+    const Corners c = decode_corners(fetch_corners(s.volume, view, x ? s.x.high : s.x.low, y ? s.y.high : s.y.low,
+                                                   z ? s.z.high : s.z.low), view);
+    const floatN corner[8] = {c.v000, c.v100, c.v010, c.v110, c.v001, c.v101, c.v011, c.v111};
+    for (int v = 0; v < 8; ++v) {
+      value[8 * block + v] = corner[v];
+      weight[8 * block + v] = wx[2 * x + (v & 1)] * wy[2 * y + (v >> 1 & 1)] * wz[2 * z + (v >> 2)];
+    }
+  }
+}
+
+#endif
+
 INLINE void classified_samples(FetchedSample s, __constant const View *view, __global const float *warp,
                                __global const float *table, float4 *emission_extinction)
 {
-  const floatN fx = s.fx, fy = s.fy, fz = s.fz;
-  const Corners c = decode_corners(s.corners, view);
-  floatN corner[8] = {c.v000, c.v100, c.v010, c.v110, c.v001, c.v101, c.v011, c.v111};
+  floatN value[TAPS], tap_weight[TAPS];
+  filter_taps(s, view, value, tap_weight);
   EACH_LANE_ROLLED(k) emission_extinction[k] = 0.0f;
-  _Pragma("unroll 1") for (int v = 0; v < 8; ++v) {
-    const ClassCoordinate at = class_coordinate(corner[v], warp, view);
-    const floatN w = (v & 1 ? fx : 1.0f - fx) * (v & 2 ? fy : 1.0f - fy) * (v & 4 ? fz : 1.0f - fz);
+  _Pragma("unroll 1") for (int v = 0; v < TAPS; ++v) {
+    const ClassCoordinate at = class_coordinate(value[v], warp, view);
     int entry[LANES];
     float f[LANES], weight[LANES];
-    STORE_LANES(at.node * 4, entry), STORE_LANES(at.fraction, f), STORE_LANES(w, weight);
+    STORE_LANES(at.node * 4, entry), STORE_LANES(at.fraction, f), STORE_LANES(tap_weight[v], weight);
     EACH_LANE_ROLLED(k)
     {
       const float8 r = vload8(0, table + entry[k]);
@@ -222,10 +253,8 @@ INLINE void classified_samples(FetchedSample s, __constant const View *view, __g
 #if MAY_BE_NAN
   /* One voxel that is not finite, used, makes the whole sample transparent. */
   floatN sum = 0.0f;
-  for (int v = 0; v < 8; ++v) {
-    const floatN w = (v & 1 ? fx : 1.0f - fx) * (v & 2 ? fy : 1.0f - fy) * (v & 4 ? fz : 1.0f - fz);
-    sum += select((floatN)0.0f, corner[v] - corner[v], MASK(w > 0.0f));
-  }
+  for (int v = 0; v < TAPS; ++v)
+    sum += select((floatN)0.0f, value[v] - value[v], MASK(tap_weight[v] > 0.0f));
   float bad[LANES];
   STORE_LANES(sum, bad);
   EACH_LANE_ROLLED(k) if (bad[k] != 0.0f) emission_extinction[k] = 0.0f;

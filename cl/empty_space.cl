@@ -28,22 +28,25 @@ typedef double Voxel;
 #define IS_VALUE(v) 1
 #endif
 
-/* Smallest and largest finite voxel of each cell of edge^3 lattice cells, its upper faces included ((edge + 1)^3 voxels):
- * whatever is interpolated inside lies between. A cell without any has low > high.
+/* Smallest and largest finite voxel of each cell of edge^3 lattice cells, its upper faces and `apron` voxels more on each side
+ * included (0: (edge + 1)^3 voxels): whatever a filter that reaches so far interpolates inside lies between. A cell without
+ * any has low > high.
  *
  * volume  Voxel [size.z, size.y, size.x]; cells Voxel [cells.z, cells.y, cells.x, 2] (low, high)
  */
-__kernel void min_max_cells(__global const Voxel *restrict volume, int4 size, int edge, __global Voxel *restrict cells)
+__kernel void min_max_cells(__global const Voxel *restrict volume, int4 size, int edge, int apron,
+                            __global Voxel *restrict cells)
 {
   const int cx = get_global_id(0), cy = get_global_id(1), cz = get_global_id(2);
-  const int x1 = min((cx + 1) * edge, size.x - 1), y1 = min((cy + 1) * edge, size.y - 1),
-            z1 = min((cz + 1) * edge, size.z - 1);
+  const int x0 = max(cx * edge - apron, 0), y0 = max(cy * edge - apron, 0), z0 = max(cz * edge - apron, 0);
+  const int x1 = min((cx + 1) * edge + apron, size.x - 1), y1 = min((cy + 1) * edge + apron, size.y - 1),
+            z1 = min((cz + 1) * edge + apron, size.z - 1);
   Voxel low = 1, high = 0;
   int any_value = 0;
-  for (int z = cz * edge; z <= z1; ++z)
-    for (int y = cy * edge; y <= y1; ++y) {
+  for (int z = z0; z <= z1; ++z)
+    for (int y = y0; y <= y1; ++y) {
       __global const Voxel *row = volume + ((size_t)z * size.y + y) * size.x;
-      for (int x = cx * edge; x <= x1; ++x) {
+      for (int x = x0; x <= x1; ++x) {
         const Voxel v = row[x];
         if (!IS_VALUE(v)) continue;
         low = any_value && low < v ? low : v;

@@ -3,9 +3,10 @@
  * One work-item a ray, in double precision. The ray is walked from cell to cell; inside a cell the
  * trilinear field along it is a cubic (reference_field.h), which is split where it crosses control
  * points of the transfer function and integrated to a tolerance (reference_integrate.h). Under the
- * nearest filter the cells are the voxels' own and the field is constant in each.
+ * nearest filter the cells are the voxels' own and the field is constant in each; under the cubic
+ * filter it is a polynomial of degree 9 in the same cells as the linear one (reference_spline.h).
  *
- * -D REFERENCE_VOXEL=type; -D REFERENCE_NEAREST; -D REFERENCE_PRECLASSIFIED; and
+ * -D REFERENCE_VOXEL=type; -D REFERENCE_NEAREST or REFERENCE_CUBIC; -D REFERENCE_PRECLASSIFIED; and
  * -D REFERENCE_FLOATING where a voxel may be NaN or infinite.
  */
 #pragma OPENCL EXTENSION cl_khr_fp64 : enable
@@ -33,32 +34,28 @@ static inline void reference_add_cell(ReferenceRay *ray, const ReferenceTransfer
     if (isfinite(s))
         reference_add_value(ray, tf, s, t_front, length);
 #else
-    int place[3][2];
-    double corner[8];
-    reference_corner_places(volume, index, low, high, place);
-    for (int i = 0; i < 8; ++i)
-        corner[i] = reference_fetch(volume, place[0][i & 1], place[1][(i >> 1) & 1],
-                                    place[2][i >> 2]);
-    double smallest = corner[0], largest = corner[0];
-    for (int i = 1; i < 8; ++i) {
-        smallest = fmin(smallest, corner[i]);
-        largest = fmax(largest, corner[i]);
+    double tap[REFERENCE_TAPS];
+    reference_fetch_taps(volume, index, low, high, tap);
+    double smallest = tap[0], largest = tap[0];
+    for (int i = 1; i < REFERENCE_TAPS; ++i) {
+        smallest = fmin(smallest, tap[i]);
+        largest = fmax(largest, tap[i]);
     }
     if (!reference_any_visible(tf, reference_region_above(tf, smallest),
                                reference_region_above(tf, largest)))
         return;
 #ifdef REFERENCE_FLOATING
     /* NaN and infinity make transparent exactly the cells that use them. */
-    for (int i = 0; i < 8; ++i)
-        if (!isfinite(corner[i]))
+    for (int i = 0; i < REFERENCE_TAPS; ++i)
+        if (!isfinite(tap[i]))
             return;
 #endif
 #ifdef REFERENCE_PRECLASSIFIED
-    reference_add_classified(ray, tf, corner, low, high, t_front, length);
+    reference_add_classified(ray, tf, tap, low, high, t_front, length);
 #else
-    ReferenceCubic cubic;
-    reference_blossom(corner, low, high, cubic.bernstein);
-    reference_add_cubic(ray, tf, &cubic, t_front, length);
+    ReferenceCurve curve;
+    reference_blossom(tap, low, high, curve.bernstein);
+    reference_add_curve(ray, tf, &curve, t_front, length);
 #endif
 #endif
 }

@@ -1,4 +1,5 @@
-/* The field along a ray inside one cell, as a cubic in Bernstein form.
+/* The volume, and under the linear filter the field along a ray inside one cell: a cubic in
+ * Bernstein form. (Under the cubic filter reference_spline.h gives the same functions.)
  *
  * The trilinear field on the box spanned by the two ends of a segment has eight corner values
  * P_ijk; the segment is that box's diagonal, along which the field is the cubic with Bernstein
@@ -30,13 +31,21 @@ static inline double reference_mix(double a, double b, double u)
     return u <= 0.5 ? a + u * (b - a) : b - (1.0 - u) * (b - a);
 }
 
+#ifndef REFERENCE_CUBIC
+
+#define REFERENCE_TAPS 8   /* voxels that a cell uses */
+#define REFERENCE_DEGREE 3 /* of the field along a ray in a cell */
+#define REFERENCE_ENDS 4   /* the most that reference_monotone_ends writes */
+#define REFERENCE_ROUNDING 1e-15 /* of the field's value, relative to its largest coefficient */
+
 /* Corner values of cell `index`; corner bits are x = 1, y = 2, z = 4. A segment that lies in one
  * face of the cell (low = high = 0 or 1 on an axis) does not use the corners off that face: they
  * are replaced by those on it, so that what they hold (NaN, say) does not matter. */
-static inline void reference_corner_places(const ReferenceVolume *volume, const int index[3],
-                                           const double low[3], const double high[3],
-                                           int corner_index[3][2])
+static inline void reference_fetch_taps(const ReferenceVolume *volume, const int index[3],
+                                        const double low[3], const double high[3],
+                                        double corner[REFERENCE_TAPS])
 {
+    int place[3][2];
     for (int a = 0; a < 3; ++a) {
         int first = index[a];
         int second = min(first + 1, volume->size[a] - 1);
@@ -44,9 +53,12 @@ static inline void reference_corner_places(const ReferenceVolume *volume, const 
             second = first;
         if (low[a] == 1.0 && high[a] == 1.0)
             first = second;
-        corner_index[a][0] = first;
-        corner_index[a][1] = second;
+        place[a][0] = first;
+        place[a][1] = second;
     }
+    for (int i = 0; i < REFERENCE_TAPS; ++i)
+        corner[i] = reference_fetch(volume, place[0][i & 1], place[1][(i >> 1) & 1],
+                                    place[2][i >> 2]);
 }
 
 /* Restricts the trilinear field of eight corners to the segment low -> high. */
@@ -86,9 +98,10 @@ static inline void reference_restrict(const double whole[4], double from, double
 typedef struct {
     double bernstein[4];
     double power[4];
-} ReferenceCubic;
+} ReferenceCurve;
 
-static inline void reference_power_form(ReferenceCubic *f)
+/* The power form, which is what gets evaluated. */
+static inline void reference_prepare(ReferenceCurve *f)
 {
     double d0 = f->bernstein[1] - f->bernstein[0];
     double d1 = f->bernstein[2] - f->bernstein[1];
@@ -99,19 +112,32 @@ static inline void reference_power_form(ReferenceCubic *f)
     f->power[3] = (d2 - d1) - (d1 - d0);
 }
 
-static inline double reference_cubic(const ReferenceCubic *f, double w)
+static inline double reference_curve(const ReferenceCurve *f, double w)
 {
     return f->power[0] + w * (f->power[1] + w * (f->power[2] + w * f->power[3]));
 }
 
-static inline double reference_cubic_slope(const ReferenceCubic *f, double w)
+static inline double reference_curve_slope(const ReferenceCurve *f, double w)
 {
     return f->power[1] + w * (2.0 * f->power[2] + w * 3.0 * f->power[3]);
 }
 
+/* The mean from 0 to w. */
+static inline double reference_mean_before(const ReferenceCurve *f, double w)
+{
+    const double *p = f->power;
+    return p[0] + w * (p[1] / 2.0 + w * (p[2] / 3.0 + w * p[3] / 4.0));
+}
+
+/* The mean over the whole range. */
+static inline double reference_mean(const double b[4])
+{
+    return 0.25 * (b[0] + b[1] + b[2] + b[3]);
+}
+
 /* Writes 0, the turning points inside (0, 1) in order, and 1; returns how many. Between two
  * neighbours the cubic is monotone. */
-static inline int reference_monotone_ends(const ReferenceCubic *f, double ends[4])
+static inline int reference_monotone_ends(const ReferenceCurve *f, double ends[REFERENCE_ENDS])
 {
     double d0 = f->bernstein[1] - f->bernstein[0];
     double d1 = f->bernstein[2] - f->bernstein[1];
@@ -140,21 +166,25 @@ static inline int reference_monotone_ends(const ReferenceCubic *f, double ends[4
     return count;
 }
 
-/* Where the cubic takes `value` between low and high, on which it is monotone and which bracket
+#else
+#include "reference_spline.h"
+#endif
+
+/* Where the curve takes `value` between low and high, on which it is monotone and which bracket
  * the value: Newton's step where it stays inside the bracket, else bisection. */
-static inline double reference_crossing(const ReferenceCubic *f, double value, double low,
+static inline double reference_crossing(const ReferenceCurve *f, double value, double low,
                                         double high, int rising)
 {
     double w = 0.5 * (low + high);
     for (int i = 0; i < 100; ++i) {
-        double miss = reference_cubic(f, w) - value;
+        double miss = reference_curve(f, w) - value;
         if (miss == 0.0)
             return w;
         if ((miss < 0.0) == (rising != 0))
             low = w;
         else
             high = w;
-        double next = w - miss / reference_cubic_slope(f, w);
+        double next = w - miss / reference_curve_slope(f, w);
         if (!(next > low && next < high))
             next = 0.5 * (low + high);
         if (fabs(next - w) <= 2e-16 || next == low || next == high)

@@ -21,7 +21,6 @@
 
 #define REFERENCE_MAX_DEPTH 64
 #define REFERENCE_MAX_SPLITS 200000u /* bisections a ray: the bound on its work */
-#define REFERENCE_ROUNDING 1e-15 /* of the field's value, relative to its largest coefficient */
 #define REFERENCE_LN2 0.693147180559945309
 
 typedef struct {
@@ -85,10 +84,10 @@ static inline void reference_add_constant(ReferenceRay *ray, double extinction,
 
 /* ---- classified after interpolation ------------------------------------------------------ */
 
-/* One Gauss-Kronrod pair on [a, b] of the cubic's range; returns the error estimate of what the
- * piece adds behind unit transmittance. `scale`: opacity units in the cubic's whole range. */
+/* One Gauss-Kronrod pair on [a, b] of the curve's range; returns the error estimate of what the
+ * piece adds behind unit transmittance. `scale`: opacity units in the curve's whole range. */
 #define REFERENCE_DEFINE_RULE(K, G, N, M, PAD, GPAD)                                               \
-    static inline double reference_rule_##K(const ReferenceCubic *f,                               \
+    static inline double reference_rule_##K(const ReferenceCurve *f,                               \
                                             const ReferenceRegion *region,                         \
                                             double a, double b, double scale, double front_place,  \
                                             double *optical_depth, double *moment)                 \
@@ -97,7 +96,7 @@ static inline void reference_add_constant(ReferenceRay *ray, double extinction,
         double width = b - a, total = 0.0, gauss_total = 0.0, spread = 0.0;                        \
         for (int i = 0; i < N; ++i) {                                                              \
             place[i] = reference_region_place(region,                                              \
-                reference_cubic(f, a + width * reference_##K##_node[i]));                          \
+                reference_curve(f, a + width * reference_##K##_node[i]));                          \
             density[i] = width * scale * reference_region_extinction(region, place[i]);            \
             total += reference_##K##_weight[i] * density[i];                                       \
             place[i] -= front_place;                                                               \
@@ -138,13 +137,13 @@ static inline void reference_add_constant(ReferenceRay *ray, double extinction,
 REFERENCE_DEFINE_RULE(K7, G3, 7, 3, 8, 4)
 REFERENCE_DEFINE_RULE(K15, G7, 15, 7, 16, 8)
 
-static inline double reference_optical_depth(const ReferenceCubic *f,
+static inline double reference_optical_depth(const ReferenceCurve *f,
                                              const ReferenceRegion *region, double a, double b,
                                              double scale)
 {
     double total = 0.0;
     for (int i = 0; i < 15; ++i) {
-        double s = reference_cubic(f, a + (b - a) * reference_K15_node[i]);
+        double s = reference_curve(f, a + (b - a) * reference_K15_node[i]);
         total += reference_K15_weight[i]
             * reference_region_extinction(region, reference_region_place(region, s));
     }
@@ -153,7 +152,7 @@ static inline double reference_optical_depth(const ReferenceCubic *f,
 
 /* Where in [a, b] the optical depth from a reaches `target`: Newton's step inside a shrinking
  * bracket whose near end carries the depth already passed. */
-static inline double reference_find_depth(const ReferenceCubic *f, const ReferenceRegion *region,
+static inline double reference_find_depth(const ReferenceCurve *f, const ReferenceRegion *region,
                                           double a, double b, double scale, double target)
 {
     double low = a, high = b, w = 0.5 * (a + b);
@@ -168,7 +167,7 @@ static inline double reference_find_depth(const ReferenceCubic *f, const Referen
         }
         double slope = scale
             * reference_region_extinction(region,
-                                          reference_region_place(region, reference_cubic(f, w)));
+                                          reference_region_place(region, reference_curve(f, w)));
         double next = w + miss / slope;
         if (!(next > low && next < high))
             next = 0.5 * (low + high);
@@ -181,21 +180,23 @@ static inline double reference_find_depth(const ReferenceCubic *f, const Referen
 
 /* What rounding of the field's value near w does to what `amount` opacity units of `optical_depth`
  * show: d(-log q) = dq / q, and of a deep piece only the first unit of depth is seen. */
-static inline double reference_rounding(const ReferenceCubic *f, const ReferenceRegion *region,
+static inline double reference_rounding(const ReferenceCurve *f, const ReferenceRegion *region,
                                         double w, double amount, double optical_depth)
 {
     const double *b = f->bernstein;
-    double value = fmax(fmax(fabs(b[0]), fabs(b[1])), fmax(fabs(b[2]), fabs(b[3])));
-    double place = reference_region_place(region, reference_cubic(f, w));
+    double value = 0.0;
+    for (int i = 0; i <= REFERENCE_DEGREE; ++i)
+        value = fmax(value, fabs(b[i]));
+    double place = reference_region_place(region, reference_curve(f, w));
     double clearness = (1.0 - place) * region->clearness_0 + place * region->clearness_1;
     double rounding = fmin(REFERENCE_ROUNDING * value / region->gap, 1.0)
         * fabs(region->clearness_1 - region->clearness_0);
     return amount * rounding / (fmax(clearness, DBL_MIN) * fmax(optical_depth, 1.0));
 }
 
-/* Adds the part [from, to] of a cell's cubic, on which the value stays in one region.
- * t_front, length: world distance of the cubic's 0 and the length of its whole range. */
-static inline void reference_add_smooth(ReferenceRay *ray, const ReferenceCubic *f, double from,
+/* Adds the part [from, to] of a cell's curve, on which the value stays in one region.
+ * t_front, length: world distance of the curve's 0 and the length of its whole range. */
+static inline void reference_add_smooth(ReferenceRay *ray, const ReferenceCurve *f, double from,
                                         double to, const ReferenceRegion *region, double t_front,
                                         double length)
 {
@@ -207,7 +208,7 @@ static inline void reference_add_smooth(ReferenceRay *ray, const ReferenceCubic 
     while (top >= 0) {
         double b = far_end[top], optical_depth, moment;
         double allowed = reference_error_allowed(ray, length * (b - a));
-        double front_place = reference_region_place(region, reference_cubic(f, a));
+        double front_place = reference_region_place(region, reference_curve(f, a));
         double error = ray->transmittance
             * reference_rule_K7(f, region, a, b, scale, front_place, &optical_depth, &moment);
         ray->samples += 7;
@@ -247,7 +248,7 @@ static inline void reference_add_smooth(ReferenceRay *ray, const ReferenceCubic 
 
 /* Adds the part [from, to] on which the value stays in region r. */
 static inline void reference_add_region(ReferenceRay *ray, const ReferenceTransfer *tf,
-                                        const ReferenceCubic *f, double from, double to, int r,
+                                        const ReferenceCurve *f, double from, double to, int r,
                                         double t_front, double length)
 {
     ReferenceRegion region;
@@ -258,7 +259,7 @@ static inline void reference_add_region(ReferenceRay *ray, const ReferenceTransf
         return;
     if (region.is_opaque || region.is_constant) {
         double color[3];
-        double place = reference_region_place(&region, reference_cubic(f, from));
+        double place = reference_region_place(&region, reference_curve(f, from));
         for (int k = 0; k < 3; ++k)
             color[k] = region.color_0[k] + place * region.color_step[k];
         ray->samples += 1;
@@ -293,13 +294,16 @@ static inline void reference_add_value(ReferenceRay *ray, const ReferenceTransfe
                                length);
 }
 
-/* Splits a cell's cubic where it crosses control points and adds the pieces in order. */
-static inline void reference_add_cubic(ReferenceRay *ray, const ReferenceTransfer *tf,
-                                       ReferenceCubic *f, double t_front, double length)
+/* Splits a cell's curve where it crosses control points and adds the pieces in order. */
+static inline void reference_add_curve(ReferenceRay *ray, const ReferenceTransfer *tf,
+                                       ReferenceCurve *f, double t_front, double length)
 {
     const double *b = f->bernstein;
-    double smallest = fmin(fmin(b[0], b[1]), fmin(b[2], b[3]));
-    double largest = fmax(fmax(b[0], b[1]), fmax(b[2], b[3]));
+    double smallest = b[0], largest = b[0];
+    for (int i = 1; i <= REFERENCE_DEGREE; ++i) {
+        smallest = fmin(smallest, b[i]);
+        largest = fmax(largest, b[i]);
+    }
     if (smallest == largest) {
         reference_add_value(ray, tf, smallest, t_front, length);
         return;
@@ -307,17 +311,17 @@ static inline void reference_add_cubic(ReferenceRay *ray, const ReferenceTransfe
     int first = reference_region_above(tf, smallest), last = reference_region_above(tf, largest);
     if (!reference_any_visible(tf, first, last))
         return;
-    reference_power_form(f);
+    reference_prepare(f);
     if (first == last) {
         reference_add_region(ray, tf, f, 0.0, 1.0, first, t_front, length);
         return;
     }
-    double ends[4];
+    double ends[REFERENCE_ENDS];
     int count = reference_monotone_ends(f, ends);
     for (int m = 0; m + 1 < count; ++m) {
         double place = ends[m], end = ends[m + 1];
-        double front = m == 0 ? b[0] : reference_cubic(f, place);
-        double back = m + 2 == count ? b[3] : reference_cubic(f, end);
+        double front = m == 0 ? b[0] : reference_curve(f, place);
+        double back = m + 2 == count ? b[REFERENCE_DEGREE] : reference_curve(f, end);
         int rising = back > front;
         int r = rising ? reference_region_above(tf, front) : reference_region_below(tf, front);
         while (place < end && ray->transmittance >= ray->error_floor) {
@@ -339,35 +343,34 @@ static inline void reference_add_cubic(ReferenceRay *ray, const ReferenceTransfe
 
 /* ---- classified before interpolation ----------------------------------------------------- */
 
-/* Extinction (of one opacity unit) and emission along a segment: cubics in Bernstein form. */
+/* Extinction (of one opacity unit) and emission along a segment, in Bernstein form. */
 typedef struct {
-    double extinction[4];
-    double emission[3][4];
+    double extinction[REFERENCE_DEGREE + 1];
+    double emission[3][REFERENCE_DEGREE + 1];
 } ReferenceMedium;
 
-/* G7/K15 on [a, b]; the optical depth is an exact quartic. Returns the error estimate. */
+/* G7/K15 on [a, b]; the optical depth is exact, a polynomial. Returns the error estimate. */
 static inline double reference_rule_medium(const ReferenceMedium *whole, double a, double b,
                                            double scale, double *optical_depth, double color[3])
 {
-    ReferenceCubic extinction, emission[3];
+    ReferenceCurve extinction, emission[3];
     double amount = scale * (b - a);
     reference_restrict(whole->extinction, a, b, extinction.bernstein);
-    reference_power_form(&extinction);
-    const double *e = extinction.bernstein, *p = extinction.power;
-    *optical_depth = amount * 0.25 * (e[0] + e[1] + e[2] + e[3]);
+    reference_prepare(&extinction);
+    *optical_depth = amount * reference_mean(extinction.bernstein);
     double gauss[3], identity = 0.0;
     for (int k = 0; k < 3; ++k) {
         reference_restrict(whole->emission[k], a, b, emission[k].bernstein);
-        reference_power_form(&emission[k]);
+        reference_prepare(&emission[k]);
         color[k] = gauss[k] = 0.0;
     }
     for (int i = 0; i < 15; ++i) {
         double x = reference_K15_node[i];
-        double depth = amount * x * (p[0] + x * (p[1] / 2.0 + x * (p[2] / 3.0 + x * p[3] / 4.0)));
+        double depth = amount * x * reference_mean_before(&extinction, x);
         double light = amount * exp(-fmax(depth, 0.0));
-        identity += reference_K15_weight[i] * light * reference_cubic(&extinction, x);
+        identity += reference_K15_weight[i] * light * reference_curve(&extinction, x);
         for (int k = 0; k < 3; ++k) {
-            double emitted = light * reference_cubic(&emission[k], x);
+            double emitted = light * reference_curve(&emission[k], x);
             color[k] += reference_K15_weight[i] * emitted;
             if (i & 1)
                 gauss[k] += reference_G7_weight[i >> 1] * emitted;
@@ -384,11 +387,11 @@ static inline double reference_find_medium_depth(const ReferenceMedium *medium, 
 {
     double low = a, high = b;
     for (int i = 0; i < 200 && high - low > 1e-16; ++i) {
-        double middle = 0.5 * (low + high), e[4];
+        double middle = 0.5 * (low + high), e[REFERENCE_DEGREE + 1];
         if (middle == low || middle == high)
             break;
         reference_restrict(medium->extinction, low, middle, e);
-        double passed = scale * (middle - low) * 0.25 * (e[0] + e[1] + e[2] + e[3]);
+        double passed = scale * (middle - low) * reference_mean(e);
         if (passed < target) {
             low = middle;
             target -= passed;
@@ -437,19 +440,20 @@ static inline void reference_add_medium(ReferenceRay *ray, const ReferenceMedium
     }
 }
 
-/* Classifies the eight corners (of finite values) and adds the segment low -> high. A corner of
+/* Classifies a cell's voxels (of finite values) and adds the segment low -> high. A voxel of
  * opacity 1 makes the whole open segment opaque; its colour is the limit of emission over
- * extinction at the segment's front, where the opaque corners alone count. */
+ * extinction at the segment's front, where the opaque voxels alone count. */
 static inline void reference_add_classified(ReferenceRay *ray, const ReferenceTransfer *tf,
-                                            const double corner[8], const double low[3],
+                                            const double tap[REFERENCE_TAPS],
+                                            const double low[3],
                                             const double high[3], double t_front, double length)
 {
-    double extinction[8], emission[3][8], opaque[8];
+    double extinction[REFERENCE_TAPS], emission[3][REFERENCE_TAPS], opaque[REFERENCE_TAPS];
     int any_visible = 0, any_opaque = 0;
-    for (int i = 0; i < 8; ++i) {
+    for (int i = 0; i < REFERENCE_TAPS; ++i) {
         ReferenceRegion region;
-        reference_load_region(tf, reference_region_above(tf, corner[i]), &region);
-        double place = reference_region_place(&region, corner[i]);
+        reference_load_region(tf, reference_region_above(tf, tap[i]), &region);
+        double place = reference_region_place(&region, tap[i]);
         double clearness = (1.0 - place) * region.clearness_0 + place * region.clearness_1;
         opaque[i] = clearness == 0.0 ? 1.0 : 0.0;
         extinction[i] = clearness == 0.0 ? 1.0 : reference_region_extinction(&region, place);
@@ -463,7 +467,7 @@ static inline void reference_add_classified(ReferenceRay *ray, const ReferenceTr
         return;
     ReferenceMedium medium;
     if (any_opaque)
-        for (int i = 0; i < 8; ++i) {
+        for (int i = 0; i < REFERENCE_TAPS; ++i) {
             extinction[i] = opaque[i];
             for (int k = 0; k < 3; ++k)
                 emission[k][i] *= opaque[i];
@@ -476,7 +480,7 @@ static inline void reference_add_classified(ReferenceRay *ray, const ReferenceTr
         return;
     }
     int i = 0;
-    while (i < 3 && !(medium.extinction[i] > 0.0))
+    while (i < REFERENCE_DEGREE && !(medium.extinction[i] > 0.0))
         ++i;
     double color[3];
     for (int k = 0; k < 3; ++k)

@@ -85,14 +85,20 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
 #endif
     /* Two steps ahead: a fetch from beyond the second-level cache takes longer than a step of arithmetic. (Two variables, not
      * an array: an array would live in memory. Three steps ahead gain nothing.) */
+#if FETCH_AHEAD
     FetchedSample ahead = fetch_along(volume, view, &ray, TO_FLOAT(i) + offset);
     FetchedSample ahead2 = fetch_along(volume, view, &ray, TO_FLOAT(i) + 1.0f + offset);
+#endif
     _Pragma("unroll 1") for (int step = 0; step < MARCH_STEPS; ++step) {
       const intN active = MASK(i <= last);
       const floatN t = TO_FLOAT(i) + offset;
+#if FETCH_AHEAD
       const FetchedSample sample = ahead;
       ahead = ahead2;
       ahead2 = fetch_along(volume, view, &ray, t + 2.0f);
+#else
+      const FetchedSample sample = fetch_along(volume, view, &ray, t);
+#endif
       taken -= AS_UINT(active);
       int visible;
 #if CLASSIFICATION == CLASSIFICATION_PREINTEGRATED

@@ -1,6 +1,7 @@
 /* The reconstruction filters: fetch_sample() for lattice points (clamped to the domain), then its value.
  *
- * To add a filter: its two functions, a value of FILTER in features.h, and a line in the selector below.
+ * To add a filter: its two functions, a value of FILTER in features.h, and a few lines in the selector below: FETCH_AHEAD where what is
+ * fetched is small enough to be held for two steps.
  */
 #ifndef SAMPLE_VOLUME_H
 #define SAMPLE_VOLUME_H
@@ -10,6 +11,8 @@
 
 /* The lower corner of the lattice cell that holds a coordinate: 0 .. size - 2, also at the upper face. */
 INLINE intN cell_index(floatN x, int size) { return min(TO_INT(x), (intN)(size - 2)); }
+
+#if FILTER != FILTER_CUBIC
 
 typedef struct {
   FetchedCorners corners;
@@ -61,12 +64,91 @@ INLINE floatN nearest_value(FetchedSample s, __constant const View *view)
   return select(select(v00, v10, fy), select(v01, v11, fy), fz);
 }
 
+#else
+
+/* Tricubic: the voxels are the coefficients of a uniform cubic B-spline (no prefilter), 64 a sample, in the eight blocks of
+ * 2^3 that fetch_voxel.h fetches. (Sigg and Hadwiger, GPU Gems 2 ch. 20, read the same blocks with a sampler's trilinear
+ * look-ups. Their weights need six divisions, which cost more here than they save.) Beyond the volume its outermost voxels count:
+ * there a block moves inwards and its two weights fall on the one voxel.
+ */
+typedef struct {
+  intN low, high;        /* where the two blocks begin */
+  floatN w0, w1, w2, w3; /* of their voxels; the sum is 1 */
+} SplineAxis;
+
+typedef struct {
+  __global const uchar *volume;
+  SplineAxis x, y, z;
+} FetchedSample;
+
+/* A block also moves where its outer voxel has no weight (u = 0 or 1), so that what it holds (NaN, say) does not matter. */
+INLINE SplineAxis spline_axis(floatN x, int size)
+{
+  SplineAxis a;
+  const intN index = cell_index(x, size);
+  const floatN u = x - TO_FLOAT(index), v = 1.0f - u;
+  const floatN w0 = v * v * v * (1.0f / 6.0f), w3 = u * u * u * (1.0f / 6.0f);
+  const floatN w1 = 2.0f / 3.0f - u * u * (1.0f - 0.5f * u), w2 = 2.0f / 3.0f - v * v * (1.0f - 0.5f * v);
+  const intN first = MASK(index == 0) | MASK(w0 == 0.0f), last = MASK(index == size - 2) | MASK(w3 == 0.0f);
+  const floatN zero = 0.0f;
+  a.low = index - select((intN)1, (intN)0, first), a.high = index + select((intN)1, (intN)0, last);
+  a.w0 = select(w0, w0 + w1, first), a.w1 = select(w1, zero, first);
+  a.w2 = select(w2, zero, last), a.w3 = select(w3, w2 + w3, last);
+  return a;
+}
+
+INLINE FetchedSample fetch_cubic(__global const uchar *volume, __constant const View *view, floatN x, floatN y, floatN z)
+{
+  FetchedSample s;
+  s.volume = volume;
+  s.x = spline_axis(lane_clamp(x, (floatN)0.0f, (floatN)view->upper.x), view->size.x);
+  s.y = spline_axis(lane_clamp(y, (floatN)0.0f, (floatN)view->upper.y), view->size.y);
+  s.z = spline_axis(lane_clamp(z, (floatN)0.0f, (floatN)view->upper.z), view->size.z);
+  return s;
+}
+
+/* The weighted mean of four, counted from the second: equal values give exactly that value, and since the others never have more than
+ * 5/6 of the weight, rounding never takes the mean beyond the largest or the smallest value. Leaping relies on that. */
+INLINE floatN spline_mean(floatN p0, floatN p1, floatN p2, floatN p3, SplineAxis a)
+{
+  return p1 + (a.w0 * (p0 - p1) + a.w2 * (p2 - p1) + a.w3 * (p3 - p1));
+}
+
+/* Four times four rows along x: likewise their mean counts from the second row of the second slice. In a loop, because
+ * compilers take minutes over the straight line. */
+INLINE floatN cubic_value(FetchedSample s, __constant const View *view)
+{
+  floatN base = 0.0f, sum = 0.0f;
+  _Pragma("unroll 1") for (int block = 0; block < 4; ++block) {
+    const int behind = block >> 1, below = block & 1;
+    const intN y = below ? s.y.high : s.y.low, z = behind ? s.z.high : s.z.low;
+    const floatN wy0 = below ? s.y.w2 : s.y.w0, wy1 = below ? s.y.w3 : s.y.w1;
+    const floatN wz0 = behind ? s.z.w2 : s.z.w0, wz1 = behind ? s.z.w3 : s.z.w1;
+    const Corners a = decode_corners(fetch_corners(s.volume, view, s.x.low, y, z), view);
+    const Corners b = decode_corners(fetch_corners(s.volume, view, s.x.high, y, z), view);
+    const floatN v11 = spline_mean(a.v011, a.v111, b.v011, b.v111, s.x);
+    if (block == 0) base = v11;
+    sum += wz0 * (wy0 * (spline_mean(a.v000, a.v100, b.v000, b.v100, s.x) - base) +
+                  wy1 * (spline_mean(a.v010, a.v110, b.v010, b.v110, s.x) - base)) +
+           wz1 * (wy0 * (spline_mean(a.v001, a.v101, b.v001, b.v101, s.x) - base) + wy1 * (v11 - base));
+  }
+  return base + sum;
+}
+
+#endif
+
 #if FILTER == FILTER_LINEAR
 #define fetch_sample fetch_linear
 #define sample_value linear_value
+#define FETCH_AHEAD 1
 #elif FILTER == FILTER_NEAREST
 #define fetch_sample fetch_nearest
 #define sample_value nearest_value
+#define FETCH_AHEAD 1
+#elif FILTER == FILTER_CUBIC
+#define fetch_sample fetch_cubic
+#define sample_value cubic_value
+#define FETCH_AHEAD 0
 #else
 #error "FILTER is unknown"
 #endif

@@ -68,11 +68,13 @@ def test_the_kernel_hash_tells_kernels_apart_and_nothing_else():
     assert plain == kernel_hash(make_scene(array, other, camera={"projection": "orthographic"}))
     different = [
         make_scene(array, filter="nearest"),
+        make_scene(array, filter="cubic"),
         make_scene(array, classification="post"),
         make_scene(array.astype(np.int16)),
         make_scene(array, method="reference"),
+        make_scene(array, method="reference", filter="cubic"),
     ]
-    assert len({plain, *map(kernel_hash, different)}) == 5
+    assert len({plain, *map(kernel_hash, different)}) == 7
 
 
 def test_a_transparent_transfer_function_calls_for_nothing():

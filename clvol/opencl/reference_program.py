@@ -55,7 +55,7 @@ def integrate_rays(
     origins: np.ndarray,
     directions: np.ndarray,
     *,
-    nearest: bool,
+    filter: str,
     preclassified: bool,
     progress: Callable[[int, int], None] | None = None,
 ) -> RayIntegrals:
@@ -64,8 +64,8 @@ def integrate_rays(
     ``voxels`` [z, y, x] in their own type; values count as voxel * ``value_scale`` (a power of 2).
     ``control`` holds the transfer function on the same scale: "value" [n], "opacity" [n],
     "clearness" [n] (1 - opacity), "color" [n, 3], "visible_below" [n + 2] int32. ``origins`` and
-    ``directions`` are float64 [n, 3], directions per world length. ``progress(done, total)`` is
-    called after each launch of some rows of rays.
+    ``directions`` are float64 [n, 3], directions per world length. ``filter``: "nearest", "linear"
+    or "cubic". ``progress(done, total)`` is called after each launch of some rows of rays.
 
     Raises DeviceError (no fp64, the volume does not fit in one buffer, the device fails) and
     RenderError (the kernel does not build).
@@ -79,7 +79,7 @@ def integrate_rays(
     )
     started = time.perf_counter()
     try:
-        context, program = _program(device, voxels.dtype.name, nearest, preclassified)
+        context, program = _program(device, voxels.dtype.name, filter, preclassified)
         queue = cl.CommandQueue(context)
         read = cl.mem_flags.READ_ONLY
         # A CPU reads the host's own memory; anything else gets a copy.
@@ -149,7 +149,7 @@ def _check(device: pyopencl.Device, voxels: np.ndarray) -> None:
 
 
 @lru_cache(maxsize=32)
-def _program(device: pyopencl.Device, voxel: str, nearest: bool, preclassified: bool):
+def _program(device: pyopencl.Device, voxel: str, filter: str, preclassified: bool):
     """The context and the built program of one variant; one build a process."""
     import pyopencl as cl
 
@@ -157,8 +157,8 @@ def _program(device: pyopencl.Device, voxel: str, nearest: bool, preclassified: 
     options = ["-cl-std=CL1.2", "-I", str(folder), f"-DREFERENCE_VOXEL={_VOXEL_NAMES[voxel]}"]
     if voxel.startswith("float"):
         options.append("-DREFERENCE_FLOATING")
-    if nearest:
-        options.append("-DREFERENCE_NEAREST")
+    if filter != "linear":
+        options.append(f"-DREFERENCE_{filter.upper()}")
     if preclassified:
         options.append("-DREFERENCE_PRECLASSIFIED")
     context = cl.Context([device])

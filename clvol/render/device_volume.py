@@ -19,8 +19,7 @@ from clvol.render.layout import (
 from clvol.volume import Volume
 
 class DeviceVolume:
-    """``voxels`` as cl/fetch_voxel.h lays them out; ``low``, ``high`` [z, y, x] of each cell in the
-    values that kernels compute with (low > high: nothing finite in it)."""
+    """``voxels`` as cl/fetch_voxel.h lays them out, and what lies in each cell of empty space."""
 
     def __init__(self, context: DeviceContext, volume: Volume) -> None:
         _check_fits(context, volume)
@@ -53,20 +52,28 @@ class DeviceVolume:
             if volume.dtype.itemsize == 1:  # 32-bit loads of the last bytes must stay inside
                 self.voxels = context.upload(np.append(data.ravel(), np.zeros(4, data.dtype)))
         self.cells = tuple(cell_count(n) for n in self.size)
-        self.low, self.high = self._min_max(context, plain, data.dtype)
+        self._context, self._data = context, data
+        self._bounds = {0: self._min_max(plain, 0)}
 
     @property
     def _grid_switches(self) -> dict[str, int]:
         return {k: self.switches[k] for k in ("VOXEL_BITS", "VOXEL_SIGNED")}
 
-    def _min_max(
-        self, context: DeviceContext, plain: DeviceArray, dtype: np.dtype
-    ) -> tuple[np.ndarray, np.ndarray]:
-        out = context.empty(dtype, (*self.cells[::-1], 2))
+    def bounds(self, apron: int) -> tuple[np.ndarray, np.ndarray]:
+        """Smallest and largest finite voxel, [z, y, x], of each cell and of ``apron`` voxels more around it
+        (what a filter reaches), in the values that kernels compute with; low > high where there
+        is none. Found once."""
+        if apron not in self._bounds:
+            self._bounds[apron] = self._min_max(self._context.share(self._data), apron)
+        return self._bounds[apron]
+
+    def _min_max(self, plain: DeviceArray, apron: int) -> tuple[np.ndarray, np.ndarray]:
+        context = self._context
+        out = context.empty(self._data.dtype, (*self.cells[::-1], 2))
         kernel = context.kernel(
             "empty_space.cl",
             "min_max_cells",
-            "in volume V1, value size int4, value edge int32, out cells V1",
+            "in volume V1, value size int4, value edge int32, value apron int32, out cells V1",
             self._grid_switches,
         )
         kernel(
@@ -76,6 +83,7 @@ class DeviceVolume:
             volume=plain,
             size=(*self.size, 0),
             edge=1 << CELL_SHIFT,
+            apron=apron,
             cells=out,
         )
         context.finish()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from clvol.features import FILTER_REACH
 from clvol.opencl.context import DeviceArray, DeviceContext
 from clvol.render.device_volume import DeviceVolume
 from clvol.transfer.classes import ClassNodes
@@ -13,17 +14,18 @@ _WARP_ROUNDING = 1e-3
 
 
 def visible_mask(
-    volume: DeviceVolume, nodes: ClassNodes, between: np.ndarray, at: np.ndarray
+    volume: DeviceVolume, filter: str, nodes: ClassNodes, between: np.ndarray, at: np.ndarray
 ) -> np.ndarray:
-    """bool [z, y, x]: whether anything in a cell can have opacity.
+    """bool [z, y, x]: whether anything that ``filter`` interpolates in a cell can have opacity.
 
     ``between`` bool [n - 1]: whether look-ups between node k and k + 1 can give any. ``at`` bool [n]:
     whether node k itself has any, which is all that a cell of one value, a node, asks for: most
     often the background.
     """
-    any_value = volume.low <= volume.high
-    low = np.where(any_value, volume.low, nodes.first)
-    high = np.where(any_value, volume.high, nodes.first)
+    lowest, highest = volume.bounds(FILTER_REACH[filter])
+    any_value = lowest <= highest
+    low = np.where(any_value, lowest, nodes.first)
+    high = np.where(any_value, highest, nodes.first)
     margin = 0.0 if nodes.warp is None else _WARP_ROUNDING
     # The lowest value of all is node 0, also in float32.
     first = np.floor(nodes.position(low) - np.where(low == nodes.first, 0.0, margin))

@@ -138,7 +138,9 @@ class Raycaster:
             self.table = constant_table(context, mapped, nodes, self.length, kernel)
         self.gate = _gate(mapped, self.nodes, visible)
         at_nodes = mapped.opacity(self.nodes.values) > 0
-        mask = visible_mask(self.volume, self.nodes, visible, at_nodes)
+        mask = visible_mask(
+            self.volume, resolved.integration.filter, self.nodes, visible, at_nodes
+        )
         self.visible_share = float(mask.mean())
         self.distances = distance_map(context, mask)
         warp = self.nodes.warp

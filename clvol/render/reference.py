@@ -1,6 +1,6 @@
 """The reference: the exact emission-absorption integral, which judges every other method.
 
-There is no step size: the field along a ray is a cubic in each cell, the transfer function is
+There is no step size: the field along a ray is a polynomial in each cell, the transfer function is
 linear between control points, and every smooth piece is integrated to a tolerance
 (cl/reference.cl). It shares no code with the ray caster.
 """
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from clvol.transfer import TransferFunction
     from clvol.volume import Grid, Volume
 
-FILTERS = ("linear", "nearest")
+FILTERS = ("linear", "nearest", "cubic")
 _LARGEST_VALUE = 2.0**500  # beyond it products of differences could overflow
 
 
@@ -50,8 +50,8 @@ def render_reference(
     Classification "post" and "preintegrated" have one and the same integral. "pre" interpolates
     the extinction tau and the emission c tau of the voxels.
 
-    Raises SceneError for what the reference does not integrate (other filters, isosurfaces, clip
-    planes, lights), UsageError for a wrong argument, DeviceError without fp64 or if the device
+    Raises SceneError for what the reference does not integrate (isosurfaces, clip planes,
+    lights), UsageError for a wrong argument, DeviceError without fp64 or if the device
     fails.
     """
     _check_supported(resolved)
@@ -71,7 +71,7 @@ def render_reference(
         directions.reshape(-1, 3),
         device,
         tolerance=tolerance,
-        nearest=resolved.integration.filter == "nearest",
+        filter=resolved.integration.filter,
         preclassified=resolved.integration.classification == "pre",
         progress=progress,
     )
@@ -86,16 +86,20 @@ def integrate_world_rays(
     device: pyopencl.Device,
     *,
     tolerance: float = 1e-9,
-    nearest: bool = False,
+    filter: str = "linear",
     preclassified: bool = False,
     progress: Callable[[int, int], None] | None = None,
 ) -> tuple[np.ndarray, np.ndarray, dict[str, Any]]:
     """As ``render_reference``, for n rays given in the world.
 
     ``origins`` and unit ``directions`` are float64 [n, 3]; the ray is origin + t direction, t >= 0.
+    ``filter``: "nearest", "linear" or "cubic".
     """
     from clvol.opencl.reference_program import integrate_rays
 
+    if filter not in FILTERS:
+        expected = " or ".join(repr(name) for name in FILTERS)
+        raise UsageError("filter", f"got {filter!r}", expected)
     origins, directions = to_index(volume.grid, origins, directions)
     scale, control = _control_points(volume, transfer_function)
     result = integrate_rays(
@@ -107,8 +111,8 @@ def integrate_world_rays(
         tolerance,
         origins,
         directions,
-        nearest=nearest,
-        preclassified=preclassified and not nearest,
+        filter=filter,
+        preclassified=preclassified and filter != "nearest",
         progress=progress,
     )
     totals = result.counters.sum(axis=0, dtype=np.int64)
@@ -160,13 +164,6 @@ def _control_points(
 
 
 def _check_supported(resolved: ResolvedScene) -> None:
-    chosen = resolved.integration.filter
-    if chosen not in FILTERS:
-        raise SceneError(
-            f"{resolved.origin}: integration.filter",
-            f"got {chosen!r} with method 'reference'",
-            " or ".join(repr(name) for name in FILTERS),
-        )
     for key, asked in (
         ("isosurface", resolved.isosurfaces),
         ("clip", resolved.clips),

@@ -76,7 +76,7 @@ def _cells(voxels, origin, direction, filter):
             continue
         ends = sorted((np.array([lower, upper]) - origin[axis]) / direction[axis])
         start, end = max(start, ends[0]), min(end, ends[1])
-        planes = np.arange(n) if filter == "linear" else np.arange(n) + 0.5
+        planes = np.arange(n) + 0.5 if filter == "nearest" else np.arange(n)
         if n > 1:
             cuts.extend((planes - origin[axis]) / direction[axis])
     if start < end:
@@ -96,30 +96,42 @@ def _cell(voxels, origin, direction, start, end, filter):
         value = float(voxels[z, y, x])
         return (np.array([value]) if np.isfinite(value) else None), lambda t: np.ones(1)
     base = np.clip(np.floor(middle), 0, np.maximum(size - 2, 0)).astype(int)
+    taps = (-1, 0, 1, 2) if filter == "cubic" else (0, 1)
+    axis_weights = _spline_weights if filter == "cubic" else _linear_weights
 
     def all_weights(t):
         u = np.where(size > 1, origin + t * direction - base, 0.0)
-        sides = [(1.0 - u[axis], u[axis]) for axis in range(3)]
-        return np.array([sides[0][i] * sides[1][j] * sides[2][k]
-                         for k in (0, 1) for j in (0, 1) for i in (0, 1)])
+        x, y, z = (axis_weights(u[axis]) for axis in range(3))
+        return np.array([a * b * c for c in z for b in y for a in x])
 
     used = all_weights(0.5 * (start + end)) != 0.0
     values = np.array([
-        float(voxels[tuple(np.minimum(base[::-1] + (k, j, i), size[::-1] - 1))])
-        for k in (0, 1) for j in (0, 1) for i in (0, 1)
+        float(voxels[tuple(np.clip(base[::-1] + (k, j, i), 0, size[::-1] - 1))])
+        for k in taps for j in taps for i in taps
     ])[used]
     return (values if np.all(np.isfinite(values)) else None), lambda t: all_weights(t)[used]
+
+
+def _linear_weights(u):
+    return 1.0 - u, u
+
+
+def _spline_weights(u):
+    """Of the voxels -1, 0, 1, 2 at a place u = 0 ... 1: the uniform cubic B-spline."""
+    v = 1.0 - u
+    return v**3 / 6, 2 / 3 - u * u * (2 - u) / 2, 2 / 3 - v * v * (2 - v) / 2, u**3 / 6
 
 
 def _pieces(values, weights, tf, start, end, classification):
     """Cuts a stretch where its value crosses a control point."""
     cuts = []
     if classification != "pre" and np.ptp(values) > 0:
-        x = np.array([0.0, 0.3, 0.7, 1.0])
+        degree = 9 if len(values) > 8 else 3
+        x = 0.5 - 0.5 * np.cos(np.pi * (np.arange(degree + 1) + 0.5) / (degree + 1))
         samples = [weights(start + u * (end - start)) @ values for u in x]
-        cubic = np.polynomial.Polynomial.fit(x, samples, 3, domain=[0, 1], window=[0, 1])
+        field = np.polynomial.Chebyshev.fit(x, samples, degree, domain=[0, 1])
         for value in tf.values:
-            roots = (cubic - value).roots()
+            roots = (field - value).roots()
             cuts.extend(roots[np.abs(roots.imag) < 1e-9].real)
     us = [0.0, *sorted(u for u in cuts if 0.0 < u < 1.0), 1.0]
     ts = [start + u * (end - start) for u in us]

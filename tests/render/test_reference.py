@@ -12,7 +12,7 @@ import pytest
 import clvol
 from clvol.errors import SceneError, UsageError
 from clvol.opencl.kernels_path import kernel_folder
-from clvol.render.reference import integrate_world_rays, render_reference
+from clvol.render.reference import FILTERS, integrate_world_rays, render_reference
 from clvol.render.reference_ray import integrate_ray
 from clvol.transfer import TransferFunction
 from clvol.transfer.preintegration import preintegrate
@@ -28,12 +28,17 @@ NASTY = TransferFunction(
 )
 
 
+CUBIC = {"filter": "cubic"}
+
+
 def constant(opacity: float, color=GREY, unit: float = 1.0) -> TransferFunction:
     return TransferFunction([0.0], [opacity], [color], unit)
 
 
-def trace(device, volume, tf, origin, towards, **settings):
+def trace(device, volume, tf, origin, towards, nearest=False, **settings):
     """(rgba [n, 4], depth [n], counters) of rays from ``origin`` through the point ``towards``."""
+    if nearest:
+        settings["filter"] = "nearest"
     origin, towards = np.broadcast_arrays(np.atleast_2d(origin), np.atleast_2d(towards))
     direction = (towards - origin).astype(float)
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
@@ -47,13 +52,13 @@ def check(got, expected, tolerance=1e-9):
 # --- closed forms ---------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("nearest", [False, True])
+@pytest.mark.parametrize("filter", FILTERS)
 @pytest.mark.parametrize("opacity", [1e-12, 0.3, 1.0 - 1e-7])
-def test_homogeneous_slab(device, opacity, nearest):
+def test_homogeneous_slab(device, opacity, filter):
     volume = Volume(np.full((4, 5, 6), 7.0), spacing=(0.5, 2.0, 3.0), origin=(10.0, -4.0, 1.0))
     tf = constant(opacity, RED, unit=0.7)
     rgba, depth, counters = trace(
-        device, volume, tf, [9.0, 0.3, 2.0], [14.0, 2.5, 7.0], nearest=nearest
+        device, volume, tf, [9.0, 0.3, 2.0], [14.0, 2.5, 7.0], filter=filter
     )
     direction = np.array([5.0, 2.2, 5.0]) / math.sqrt(25 + 2.2**2 + 25)
     length = 2.5 / direction[0]  # in at x = 10, out at x = 12.5
@@ -167,8 +172,8 @@ def test_opaque_sphere(device):
 
 
 @pytest.mark.parametrize("shape", [(1, 4, 5), (4, 1, 5), (4, 5, 1), (1, 1, 5), (1, 1, 1)])
-@pytest.mark.parametrize("nearest", [False, True])
-def test_slab_one_voxel_thick(device, shape, nearest):
+@pytest.mark.parametrize("filter", FILTERS)
+def test_slab_one_voxel_thick(device, shape, filter):
     """An axis with one voxel reaches half a voxel to both sides and is constant along it."""
     volume = Volume(np.full(shape, 1.0), spacing=(2.0, 3.0, 4.0))
     corners = volume.grid.world_corners()
@@ -176,7 +181,7 @@ def test_slab_one_voxel_thick(device, shape, nearest):
     for axis in range(3):
         eye, aim = 0.4 * lower + 0.6 * upper, 0.4 * lower + 0.6 * upper
         eye[axis], aim[axis] = upper[axis] + 5.0, lower[axis] - 1.0
-        rgba, depth, _ = trace(device, volume, constant(0.4), eye, aim, nearest=nearest)
+        rgba, depth, _ = trace(device, volume, constant(0.4), eye, aim, filter=filter)
         thickness = upper[axis] - lower[axis]
         assert thickness == (volume.grid.size[axis] - 1 or 1) * volume.grid.spacing[axis]
         check(rgba[0, 3], 1.0 - 0.6**thickness, 1e-13)
@@ -188,10 +193,9 @@ def test_slab_one_voxel_thick_varies_along_the_others(device):
     thin, thick = Volume(array), Volume(np.repeat(array, 2, axis=0), origin=(0.0, 0.0, -0.5))
     eyes = np.array([[-1.0, 0.3, -1.2], [3.0, 1.3, 2.0], [0.9, 0.5, -4.0]])
     aims = np.array([[1.0, 0.6, 0.1], [1.0, 0.4, -0.1], [1.0, 0.4, 0.0]])
-    for preclassified in (False, True):
+    for settings in ({}, {"preclassified": True}, CUBIC, {**CUBIC, "preclassified": True}):
         one, two = (
-            trace(device, volume, NASTY, eyes, aims, preclassified=preclassified)[0]
-            for volume in (thin, thick)
+            trace(device, volume, NASTY, eyes, aims, **settings)[0] for volume in (thin, thick)
         )
         assert one[:, 3].min() > 0.1
         check(one, two, 1e-13)
@@ -209,6 +213,53 @@ def test_a_hole_makes_transparent_exactly_what_uses_it(device, hole, preclassifi
     # Cells at x = 2...3 and 3...4 next to it are gone; a ray in a plane of voxels beside it, whose
     # interpolation gives it no weight, is whole.
     check(rgba[:, 3], 1.0 - 0.8 ** np.array([4.0, 4.0, 6.0, 6.0, 6.0]), 1e-12)
+
+
+@pytest.mark.parametrize("hole", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize("preclassified", [False, True])
+def test_a_hole_under_the_cubic_filter_reaches_two_voxels(device, hole, preclassified):
+    array = np.full((9, 9, 9), 0.5, np.float32)
+    array[4, 4, 4] = hole
+    eyes = [[-1, 4.3, 3.6], [-1, 4, 4], [-1, 5.9, 2.1], [-1, 6, 4], [-1, 2, 2.5], [-1, 6.1, 4], [-1, 4, 2]]
+    eyes = np.array(eyes, float)
+    rgba, _, _ = trace(device, Volume(array), constant(0.2), eyes, eyes + [1, 0, 0],
+                       preclassified=preclassified, **CUBIC)
+    # Cells at x = 2...6 are gone; at a distance of exactly two voxels the hole has no weight.
+    check(rgba[:, 3], 1.0 - 0.8 ** np.array([4.0, 4.0, 4.0, 8.0, 8.0, 8.0, 8.0]), 1e-12)
+
+
+@pytest.mark.parametrize("ramp", RAMPS)
+def test_a_linear_field_stays_linear_under_the_cubic_filter(device, ramp):
+    """But for the outermost cells, where the voxels beyond do not go on: there it is transparent."""
+    x, y, z = (np.linspace(0.0, 1.0, n) for n in (11, 6, 7))
+    volume = Volume(2.0 * x - 0.5 + 0.0 * y[:, None] + 0.0 * z[:, None, None])
+    inner = RAMPS[ramp]
+    values = np.array([-0.2, *np.clip(inner.values, -0.2, 1.2), 1.2])
+    opacities = np.array([inner.opacities[0], *inner.opacities, inner.opacities[-1]])
+    colors = np.array([inner.colors[0], *inner.colors, inner.colors[-1]])
+    clear = TransferFunction([-0.2, *values, 1.2], [0, *opacities, 0], [GREY, *colors, GREY],
+                             inner.opacity_unit)
+    eyes = np.array([[-2.0, 1.3, 2.2], [13.0, 4.0, 1.0]])
+    aims = np.array([[11.0, 3.1, 4.0], [-4.0, 2.5, 4.1]])
+    expected, expected_depth, linear = trace(device, volume, clear, eyes, aims)
+    rgba, depth, counters = trace(device, volume, clear, eyes, aims, **CUBIC)
+    check(rgba, expected)
+    np.testing.assert_allclose(depth, expected_depth, rtol=0, atol=1e-9)
+    assert counters["failed_pieces"] <= linear["failed_pieces"] and rgba[:, 3].max() > 0
+
+
+def test_one_bright_voxel_under_the_cubic_filter_is_the_spline(device):
+    """Classified first, a column of bright voxels absorbs as the B-spline of the distance from it."""
+    array = np.zeros((5, 9, 9))
+    array[:, 4, 4] = 1.0
+    tf = TransferFunction([0.0, 1.0], [0.0, 0.9], [RED, RED])
+    offsets = np.array([[0.0, 0.0], [0.3, 0.0], [1.0, 1.0], [-1.2, 0.4], [1.9, -1.5], [2.0, 0.0]])
+    eyes = np.column_stack([4.0 + offsets, np.full(6, -3.0)])
+    rgba, _, _ = trace(device, Volume(array), tf, eyes, eyes + [0, 0, 1], preclassified=True, **CUBIC)
+    d = np.abs(offsets)
+    spline = np.where(d < 1, 2 / 3 - d**2 + d**3 / 2, np.clip(2 - d, 0, None) ** 3 / 6).prod(axis=1)
+    alpha = 1.0 - 0.1 ** (4.0 * spline)
+    check(rgba, np.column_stack([np.outer(alpha, RED), alpha]), 1e-13)
 
 
 def test_nearest_hole_is_one_voxel(device):
@@ -239,14 +290,13 @@ def test_the_ray_begins_at_the_eye(device, eye, length):
 # --- 20 digits ------------------------------------------------------------------------------------
 
 
-def exact_cubic(corner, low, high, tf, length):
-    """One cell by nested Gauss-Legendre quadrature at 20 digits, cut at the roots of the cubic."""
+def exact_cell(corner, low, high, tf, length):
+    """One cell of the trilinear field from ``low`` to ``high``, as ``exact_pieces`` does it."""
     from mpmath import mp, mpf
 
     with mp.workdps(20):
         low, high = [mpf(float(v)) for v in low], [mpf(float(v)) for v in high]
         corner = [mpf(float(v)) for v in corner]
-        values = [mpf(float(v)) for v in tf.values]
 
         def field(w):
             u = [a + w * (b - a) for a, b in zip(low, high)]
@@ -255,40 +305,76 @@ def exact_cubic(corner, low, high, tf, length):
                 for i in range(8)
             )
 
-        nodes = [mpf(k) / 3 for k in range(4)]
-        matrix = mp.matrix([[x**p for p in range(4)] for x in nodes])
-        power = mp.lu_solve(matrix, mp.matrix([field(x) for x in nodes]))
-        cuts = {mpf(0), mpf(1)}
-        for value in values:
-            roots = np.roots([float(c) for c in (*power[3:0:-1], power[0] - value)])
-            cuts |= {mpf(float(w)) for w in roots[np.isreal(roots)].real if 0 < w < 1}
-        cuts = sorted(cuts)
-        depth, color = mpf(0), [mpf(0)] * 3
-        for a, b in zip(cuts, cuts[1:]):
-            r = sum(1 for v in values if v <= field((a + b) / 2))
-            near, far = max(r - 1, 0), min(r, len(values) - 1)
-            gap = values[far] - values[near]
+    return exact_pieces(field, 3, [0, 1], tf, length)
 
-            def along(table, w):
-                place = (field(w) - values[near]) / gap if gap else mpf(0)
-                x, y = mpf(float(table[near])), mpf(float(table[far]))
-                return x + place * (y - x)
 
-            def tau(w):
-                return -mp.log(1 - along(tf.opacities, w)) * mpf(length) / mpf(tf.opacity_unit)
+def exact_pieces(field, degree, knots, tf, length):
+    """A ray by nested Gauss-Legendre quadrature at 20 digits. Between two ``knots`` ``field`` is a
+    polynomial of ``degree``, cut at its roots; ``length``: world length of a unit."""
+    from mpmath import mp, mpf
 
-            def integral(f, end):
-                return mp.quad(f, [a, end], method="gauss-legendre", maxdegree=4)
+    depth, color = mpf(0), [mpf(0)] * 3
+    for start, end in zip(knots, knots[1:]):
+        with mp.workdps(30):
+            nodes = [mpf(k) / degree for k in range(degree + 1)]
+            matrix = mp.matrix([[x**p for p in range(degree + 1)] for x in nodes])
+            values = mp.matrix([field(start + x * (end - start)) for x in nodes])
+            power = list(mp.lu_solve(matrix, values))
+        with mp.workdps(20):
+            pieces = _pieces(power, tf)
+            for a, b in zip(pieces, pieces[1:]):
+                depth = _add_piece(power, a, b, tf, mpf(length) * (end - start), depth, color)
+    return np.array([float(c) for c in color] + [float(-mp.expm1(-depth))])
 
-            def passed(w):
-                return integral(tau, w)
 
-            for k in range(3):
-                color[k] += mp.exp(-depth) * integral(
-                    lambda w: along(tf.colors[:, k], w) * tau(w) * mp.exp(-passed(w)), b
-                )
-            depth += passed(b)
-        return np.array([float(c) for c in color] + [float(-mp.expm1(-depth))])
+def _polynomial(power, u):
+    total = 0
+    for p in reversed(power):
+        total = total * u + p
+    return total
+
+
+def _pieces(power, tf):
+    """0, where the polynomial crosses a control point's value, and 1."""
+    from mpmath import mp, mpf
+
+    cuts = {mpf(0), mpf(1)}
+    for value in tf.values:
+        roots = np.roots([float(p) for p in (*power[:0:-1], power[0] - value)])
+        for root in roots[np.abs(roots.imag) < 1e-9].real:
+            if 0 < root < 1:
+                cuts.add(mp.findroot(lambda u: _polynomial(power, u) - value, root))
+    return sorted(cuts)
+
+
+def _add_piece(power, a, b, tf, length, depth, color):
+    """Adds to ``color`` what a ... b emits behind ``depth``; returns the depth behind it."""
+    from mpmath import mp, mpf
+
+    values = [mpf(float(v)) for v in tf.values]
+    r = sum(1 for v in values if v <= _polynomial(power, (a + b) / 2))
+    near, far = max(r - 1, 0), min(r, len(values) - 1)
+    gap = values[far] - values[near]
+
+    def along(table, u):
+        place = (_polynomial(power, u) - values[near]) / gap if gap else mpf(0)
+        x, y = mpf(float(table[near])), mpf(float(table[far]))
+        return x + place * (y - x)
+
+    def tau(u):
+        return -mp.log(1 - along(tf.opacities, u)) * length / mpf(tf.opacity_unit)
+
+    def integral(f, end):
+        return mp.quad(f, [a, end], method="gauss-legendre", maxdegree=4)
+
+    def passed(u):
+        return integral(tau, u)
+
+    for k in range(3):
+        color[k] += mp.exp(-depth) * integral(
+            lambda u: along(tf.colors[:, k], u) * tau(u) * mp.exp(-passed(u)), b
+        )
+    return depth + passed(b)
 
 
 @lru_cache(maxsize=1)
@@ -301,7 +387,7 @@ def exact_cells():
         low, high = ([0.0, 0.2, 0.9], [1.0, 0.7, 0.1]) if k else ([0.0, 0.0, 1.0], [1.0, 1.0, 0.0])
         low, high = np.array(low), np.array(high)
         length = float(np.linalg.norm(high - low))
-        cells.append((corner, low, high, exact_cubic(corner.ravel(), low, high, NASTY, length)))
+        cells.append((corner, low, high, exact_cell(corner.ravel(), low, high, NASTY, length)))
     return cells
 
 
@@ -310,6 +396,49 @@ def test_cubic_in_one_cell_at_20_digits(device):
         rgba, _, counters = trace(device, Volume(corner), NASTY, low, high)
         check(rgba[0], expected, 1e-11)
         assert counters["cells"] == 1
+
+
+def exact_spline_ray(array, origin, direction, tf):
+    """A ray from outside through the cubic B-spline of ``array``, at 20 digits."""
+    from mpmath import mp, mpf
+
+    with mp.workdps(20):
+        origin, direction = ([mpf(float(v)) for v in p] for p in (origin, direction))
+        size = array.shape[::-1]
+        planes = [sorted((k - o) / d for k in range(n)) for o, d, n in zip(origin, direction, size)]
+        enter, leave = max(p[0] for p in planes), min(p[-1] for p in planes)
+        knots = [enter, *sorted(t for p in planes for t in p if enter < t < leave), leave]
+
+        def weight(d):
+            d = abs(d)
+            return mpf(2) / 3 - d * d + d**3 / 2 if d < 1 else (2 - d) ** 3 / 6 if d < 2 else mpf(0)
+
+        def field(t):
+            p = [o + t * d for o, d in zip(origin, direction)]
+            at = [[(k, weight(x - k)) for k in range(-1, n + 1)] for x, n in zip(p, size)]
+            return sum(
+                mpf(float(array[tuple(min(max(i, 0), n - 1) for i, n in zip((z, y, x), array.shape))]))
+                * a * b * c
+                for x, a in at[0] if a for y, b in at[1] if b for z, c in at[2] if c
+            )
+
+    return exact_pieces(field, 9, knots, tf, mp.sqrt(sum(d * d for d in direction)))
+
+
+@lru_cache(maxsize=1)
+def exact_splines():
+    array = np.random.default_rng(4).random((4, 2, 5))
+    rays = [([-1.0, 0.3, 0.2], [0.9, 0.1, 0.45]), ([3.1, -2.0, 4.0], [-0.2, 0.9, -0.6]),
+            ([4.3, 0.9, -1.0], [-0.5, -0.1, 0.8])]
+    return array, [(o, d, exact_spline_ray(array, o, d, NASTY)) for o, d in rays]
+
+
+def test_a_ray_through_the_cubic_spline_at_20_digits(device):
+    array, rays = exact_splines()
+    for origin, direction, expected in rays:
+        rgba, _, counters = trace(device, Volume(array), NASTY, origin, np.add(origin, direction), **CUBIC)
+        check(rgba[0], expected, 1e-11)
+        assert counters["cells"] >= 2 and counters["failed_pieces"] == 0
 
 
 # --- the plain twin -------------------------------------------------------------------------------
@@ -325,7 +454,7 @@ def random_case():
     return volume, eyes, centre + rng.normal(size=(4, 3)) * 0.4
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=5)
 def twin_rays(filter, classification):
     volume, eyes, aims = random_case()
     spacing = np.array(volume.grid.spacing)
@@ -338,11 +467,12 @@ def twin_rays(filter, classification):
 
 
 @pytest.mark.parametrize(
-    "filter, classification", [("linear", "post"), ("linear", "pre"), ("nearest", "post")]
+    "filter, classification",
+    [("linear", "post"), ("linear", "pre"), ("nearest", "post"), ("cubic", "post"), ("cubic", "pre")],
 )
 def test_equals_the_plain_twin(device, filter, classification):
     volume, eyes, aims = random_case()
-    rgba, depth, counters = trace(device, volume, NASTY, eyes, aims, nearest=filter == "nearest",
+    rgba, depth, counters = trace(device, volume, NASTY, eyes, aims, filter=filter,
                                   preclassified=classification == "pre")
     expected, expected_depth = twin_rays(filter, classification)
     check(rgba, expected)
@@ -372,21 +502,21 @@ def test_mirrored_volume_gives_the_same_picture(device):
     rng = np.random.default_rng(9)
     eyes, aims = rng.normal(size=(50, 3)) * 9, rng.random((50, 3)) * [5, 3, 4]
     size = np.array(volume.grid.size) - 1.0
-    for preclassified in (False, True):
-        rgba, depth, _ = trace(device, volume, NASTY, eyes, aims, preclassified=preclassified)
+    for settings in ({}, {"preclassified": True}, CUBIC, {**CUBIC, "preclassified": True}):
+        rgba, depth, _ = trace(device, volume, NASTY, eyes, aims, **settings)
         for axis in range(3):
             mirror = np.zeros(3)
             mirror[axis] = size[axis]
             sign = np.where(mirror > 0, -1.0, 1.0)
             mirrored = Volume(np.flip(volume.data, 2 - axis))
             other, other_depth, _ = trace(device, mirrored, NASTY, mirror + sign * eyes,
-                                          mirror + sign * aims, preclassified=preclassified)
+                                          mirror + sign * aims, **settings)
             check(other, rgba)
             np.testing.assert_allclose(other_depth, depth, atol=1e-8)
 
 
-@pytest.mark.parametrize("nearest", [False, True])
-def test_rays_along_faces_edges_and_through_corners(device, nearest):
+@pytest.mark.parametrize("filter", FILTERS)
+def test_rays_along_faces_edges_and_through_corners(device, filter):
     """In a constant field the cells do not show: only the length inside the volume counts."""
     volume = Volume(np.ones((5, 5, 5)))
     tiny = 5e-324
@@ -409,9 +539,21 @@ def test_rays_along_faces_edges_and_through_corners(device, nearest):
     directions = np.array([ray[1] for ray in rays], float)
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     rgba, _, counters = integrate_world_rays(volume, constant(0.3), eyes, directions, device,
-                                             nearest=nearest)
+                                             filter=filter)
     check(rgba[:, 3], 1.0 - 0.7 ** np.array([ray[2] for ray in rays], float), 1e-12)
     assert counters["cells"] < 20 * len(rays)
+
+
+@pytest.mark.parametrize("preclassified", [False, True])
+def test_the_cubic_filter_is_continuous_across_planes_of_voxels(device, preclassified):
+    """A ray inside a plane of voxels uses 48 voxels a cell, one 1e-9 beside it 64."""
+    volume = random_volume((6, 6, 6))
+    offsets = np.array([[0.0, 0.0, 0.0], [0.0, 1e-9, 0.0], [0.0, -1e-9, 0.0], [0.0, 0.0, 1e-9]])
+    eyes = np.array([-3.0, 2.0, 3.0]) + offsets
+    rgba, _, _ = trace(device, volume, SMOOTH, eyes, eyes + [1.0, 0.0, 0.0],
+                       preclassified=preclassified, **CUBIC)
+    assert rgba[0, 3] > 0.5
+    check(rgba[1:], np.broadcast_to(rgba[0], (3, 4)), 1e-7)
 
 
 def test_a_ray_in_a_plane_of_voxels_equals_the_slab_of_that_plane(device):
@@ -481,13 +623,15 @@ def test_scaling_the_world_scales_nothing_in_the_picture(device, scale):
 
 
 @pytest.mark.parametrize("scale", [1e-300, 1e-30, 1e30, 1e300])
-@pytest.mark.parametrize("preclassified", [False, True])
-def test_huge_and_tiny_values(device, scale, preclassified):
+@pytest.mark.parametrize(
+    "settings", [{}, {"preclassified": True}, CUBIC, {**CUBIC, "preclassified": True}]
+)
+def test_huge_and_tiny_values(device, scale, settings):
     volume = random_volume()
     tf = TransferFunction(NASTY.values * scale, NASTY.opacities, NASTY.colors, NASTY.opacity_unit)
     eyes, aims = np.array([[-3.0, 2.0, 1.0]]), np.array([[3.0, 1.4, 2.3]])
-    got = trace(device, Volume(volume.data * scale), tf, eyes, aims, preclassified=preclassified)[0]
-    expected = trace(device, volume, NASTY, eyes, aims, preclassified=preclassified)[0]
+    got = trace(device, Volume(volume.data * scale), tf, eyes, aims, **settings)[0]
+    expected = trace(device, volume, NASTY, eyes, aims, **settings)[0]
     check(got, expected)
 
 
@@ -513,13 +657,14 @@ def test_thousands_of_nearly_transparent_cells(device):
 
 
 @pytest.mark.parametrize("tolerance", [1e-3, 1e-6, 1e-9, 1e-12])
-@pytest.mark.parametrize("preclassified", [False, True])
-def test_error_stays_below_its_estimate_and_the_tolerance(device, tolerance, preclassified):
+@pytest.mark.parametrize(
+    "settings", [{}, {"preclassified": True}, CUBIC, {**CUBIC, "preclassified": True}]
+)
+def test_error_stays_below_its_estimate_and_the_tolerance(device, tolerance, settings):
     volume = random_volume((12, 12, 12))
     rng = np.random.default_rng(15)
     eyes, aims = rng.normal(size=(100, 3)) * 30, rng.random((100, 3)) * 11
     tf = TransferFunction(NASTY.values, NASTY.opacities, NASTY.colors, 1.5)
-    settings = {"preclassified": preclassified}
     best = trace(device, volume, tf, eyes, aims, tolerance=1e-13, **settings)[0]
     rgba, _, counters = trace(device, volume, tf, eyes, aims, tolerance=tolerance, **settings)
     assert counters["failed_pieces"] == 0
@@ -574,7 +719,7 @@ def test_random_scenes_stay_within_bounds(device):
         aims[:30] = rng.integers(0, size, (30, 3)) * spacing
         eyes = aims + rng.normal(size=(60, 3)) * (size * spacing).max() * 3
         eyes[:20] = aims[:20] + rng.integers(1, 4, (20, 3)) * spacing
-        for settings in ({}, {"preclassified": True}, {"nearest": True}):
+        for settings in ({}, {"preclassified": True}, {"nearest": True}, CUBIC):
             rgba, depth, counters = trace(device, volume, tf, eyes, aims, **settings)
             assert np.isfinite(rgba).all() and rgba.min() >= 0.0 and rgba[:, 3].max() <= 1.0
             assert np.all(rgba[:, :3] <= tf.colors.max(axis=0) * rgba[:, 3:] + 1e-9)
@@ -627,8 +772,7 @@ def test_depth_of_an_orthographic_view_counts_from_its_plane(device):
 
 @pytest.mark.parametrize(
     "changes, key",
-    [({"integration": {"filter": "cubic"}}, "integration.filter"),
-     ({"light": [{"type": "headlight"}]}, "light"),
+    [({"light": [{"type": "headlight"}]}, "light"),
      ({"clip": [{"point": [1.0, 0.0, 0.0], "normal": [1.0, 0.0, 0.0]}]}, "clip"),
      ({"isosurface": [{"value": 0.5}]}, "isosurface")],
 )
@@ -644,6 +788,11 @@ def test_what_is_not_integrated_is_refused(changes, key):
 def test_wrong_pixels_are_refused(pixels):
     with pytest.raises(UsageError, match="pixels"):
         render_reference(scene(), None, pixels=pixels)
+
+
+def test_a_wrong_filter_is_refused():
+    with pytest.raises(UsageError, match="filter: got 'quintic', expected 'linear' or"):
+        trace(None, random_volume(), SMOOTH, [0, 0, 0], [1, 1, 1], filter="quintic")
 
 
 @pytest.mark.parametrize("tolerance", [0.0, -1.0, 1.0, math.nan])
