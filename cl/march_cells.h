@@ -132,8 +132,17 @@ INLINE void composite_point(Accumulator *acc, ClassCoordinate at, floatN length,
 
 #endif
 
+INLINE void pass_opacity(const Accumulator *acc, floatN *opacity, floatN *median, floatN t0, floatN t1)
+{
+  const floatN before = *opacity;
+  *opacity = accumulated_opacity(acc);
+#if WITH_DEPTH
+  *median = median_step(*median, before, *opacity, t0, t1);
+#endif
+}
+
 /* One cell's piece of the rays in `active`, from t0 to t1 (in steps). */
-INLINE void integrate_cell(Accumulator *acc, floatN *opacity, const Corners *c, const Rays *ray, floatN cx, floatN cy, floatN cz,
+INLINE void integrate_cell(Accumulator *acc, floatN *opacity, floatN *median, const Corners *c, const Rays *ray, floatN cx, floatN cy, floatN cz,
                            floatN t0, floatN t1, intN active, __global const float *table, __global const float *warp,
                            __constant const View *view)
 {
@@ -152,7 +161,7 @@ INLINE void integrate_cell(Accumulator *acc, floatN *opacity, const Corners *c, 
     const ClassCoordinate b = class_coordinate(lane_clamp(back + shift, low, high), warp, view);
     if (may_be_visible(lane_min(a.position, b.position), lane_max(a.position, b.position), active, view)) {
       composite_piece(acc, a, b, length, select((floatN)0.0f, 1.0f - *opacity, active), table, view);
-      *opacity = accumulated_opacity(acc);
+      pass_opacity(acc, opacity, median, start, start + length);
     }
     front = back;
   }
@@ -165,7 +174,7 @@ INLINE void integrate_cell(Accumulator *acc, floatN *opacity, const Corners *c, 
     if (may_be_visible(at.position, at.position, active, view)) {
       const floatN transmittance = select((floatN)0.0f, 1.0f - *opacity, active);
       composite_point(acc, at, length, transmittance, table);
-      *opacity = accumulated_opacity(acc);
+      pass_opacity(acc, opacity, median, t0 + length * (float)part, t0 + length * (float)(part + 1));
     }
   }
 #endif
@@ -205,9 +214,9 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
     FetchedCorners ahead = fetch_corners(volume, view, ix, iy, iz);
     _Pragma("unroll 1") for (int step = 0; step < MARCH_STEPS; ++step) {
       const floatN cx = TO_FLOAT(ix), cy = TO_FLOAT(iy), cz = TO_FLOAT(iz);
-      const floatN tx = (cx + select((floatN)0.0f, (floatN)1.0f, right) - ray.x0) * ray.rx;
-      const floatN ty = (cy + select((floatN)0.0f, (floatN)1.0f, down) - ray.y0) * ray.ry;
-      const floatN tz = (cz + select((floatN)0.0f, (floatN)1.0f, away) - ray.z0) * ray.rz;
+      const floatN tx = (cx + select((floatN)0.0f, (floatN)1.0f, right) - ray.x0) * ray.rx + ray.px;
+      const floatN ty = (cy + select((floatN)0.0f, (floatN)1.0f, down) - ray.y0) * ray.ry + ray.py;
+      const floatN tz = (cz + select((floatN)0.0f, (floatN)1.0f, away) - ray.z0) * ray.rz + ray.pz;
       const floatN leave = lane_min(lane_min(tx, ty), tz);
       const floatN t1 = lane_max(lane_min(leave, ray.length), t);
       const FetchedCorners fetched = ahead;
@@ -221,12 +230,8 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
       ix = select(ix, nx, active), iy = select(iy, ny, active), iz = select(iz, nz, active);
       ahead = fetch_corners(volume, view, ix, iy, iz);
       const Corners c = decode_corners(fetched, view);
-      const floatN before = opacity;
-      integrate_cell(&acc, &opacity, &c, &ray, cx, cy, cz, t, t1, here, table, warp, view);
+      integrate_cell(&acc, &opacity, &median, &c, &ray, cx, cy, cz, t, t1, here, table, warp, view);
       taken += AS_UINT(here) & evaluations;
-#if WITH_DEPTH
-      median = median_step(median, before, opacity, t, t1);
-#endif
       t = select(t, t1, here);
       active &= MASK(opacity < view->march.z);
     }

@@ -9,6 +9,7 @@ typedef struct {
   floatN x0, y0, z0;   /* lattice point of entry */
   floatN dx, dy, dz;   /* lattice units a step */
   floatN rx, ry, rz;   /* their inverses, finite */
+  floatN px, py, pz;   /* infinite along an axis that the ray does not move on, else 0: no face is met there */
   floatN length;       /* from entry to exit, in steps; below 0: the ray misses */
   floatN entry_depth;  /* world distance from the eye (or camera plane) to the entry */
 } Rays;
@@ -27,9 +28,11 @@ INLINE void clip_to_slab(floatN origin, floatN direction, float upper, floatN *e
   *leave = lane_min(select(lane_max(a, b), -never, parallel), *leave);
 }
 
-INLINE floatN finite_inverse(floatN d)
+INLINE floatN finite_inverse(floatN d, floatN *never)
 {
-  return 1.0f / select(d, (floatN)1e-12f, MASK(fabs(d) < 1e-12f));
+  const intN still = MASK(fabs(d) < 1e-12f);
+  *never = select((floatN)0.0f, (floatN)INFINITY, still);
+  return 1.0f / select(d, (floatN)1e-12f, still);
 }
 
 /* Rays through the centres of the pixels (column, row), row 0 on top. */
@@ -56,7 +59,7 @@ INLINE Rays make_rays(__constant const View *view, floatN column, floatN row)
   leave = select((floatN)-h, leave, hits);
   r.x0 = px + enter * dx, r.y0 = py + enter * dy, r.z0 = pz + enter * dz;
   r.dx = dx * h, r.dy = dy * h, r.dz = dz * h;
-  r.rx = finite_inverse(r.dx), r.ry = finite_inverse(r.dy), r.rz = finite_inverse(r.dz);
+  r.rx = finite_inverse(r.dx, &r.px), r.ry = finite_inverse(r.dy, &r.py), r.rz = finite_inverse(r.dz, &r.pz);
   r.length = (leave - enter) / h;
   r.entry_depth = enter + to_plane;
   return r;

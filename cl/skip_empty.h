@@ -21,8 +21,7 @@ INLINE floatN next_visible(__global const uchar *distances, __constant const Vie
 {
   const int shift = view->cells.w;
   const intN zero = 0, last_x = view->cells.x - 1, last_y = view->cells.y - 1, last_z = view->cells.z - 1;
-  /* By the sign of the inverse: along an axis that the ray does not move on, the face is ahead, and far. */
-  const intN right = MASK(ray->rx > 0.0f), down = MASK(ray->ry > 0.0f), away = MASK(ray->rz > 0.0f);
+  const intN right = MASK(ray->dx > 0.0f), down = MASK(ray->dy > 0.0f), away = MASK(ray->dz > 0.0f);
   const floatN fastest = lane_max(lane_max(fabs(ray->dx), fabs(ray->dy)), fabs(ray->dz));
   const floatN least_margin = FACE_MARGIN(view) / lane_max(fastest, (floatN)1e-12f);
   floatN entered = t;
@@ -36,8 +35,8 @@ INLINE floatN next_visible(__global const uchar *distances, __constant const Vie
     const intN fx = select(cx - D + 1, cx + D, right) << shift;
     const intN fy = select(cy - D + 1, cy + D, down) << shift;
     const intN fz = select(cz - D + 1, cz + D, away) << shift;
-    const floatN leave = lane_min(lane_min((TO_FLOAT(fx) - ray->x0) * ray->rx, (TO_FLOAT(fy) - ray->y0) * ray->ry),
-                             (TO_FLOAT(fz) - ray->z0) * ray->rz);
+    const floatN leave = lane_min(lane_min((TO_FLOAT(fx) - ray->x0) * ray->rx + ray->px, (TO_FLOAT(fy) - ray->y0) * ray->ry + ray->py),
+                                  (TO_FLOAT(fz) - ray->z0) * ray->rz + ray->pz);
     const floatN face = lane_max(leave, t), margin = least_margin + SHARE_OF_T * face;
     entered = select(entered, face - margin, active);
     t = select(t, face + margin, active);
