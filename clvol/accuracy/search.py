@@ -122,7 +122,7 @@ class Search:
                 if _is_at_floor(history):
                     break
             ratio = tried.rmse / limit if tried.rmse > 0 else 0.0
-            notches = math.ceil(math.log2(ratio)) if ratio > 0 else -len(values)
+            notches = math.ceil(math.log2(min(ratio, 1e9))) if ratio > 0 else -len(values)
             at = min(max(at + notches, low + 1), high - 1)
         return held, False
 

@@ -269,8 +269,10 @@ class _Workshop:
         others = np.ones((height, width), bool)
         others[known[:, 0], known[:, 1]] = False
         others = np.argwhere(others)
-        rough = _squared(rgba, self._finer(picture)) if len(others) else np.zeros(0)
-        rough = rough.reshape(height, width)[others[:, 0], others[:, 1]]
+        rough = np.zeros((height, width))
+        if len(others) > _DRAWN_PIXELS:
+            rough = _squared(rgba, self._finer(picture))
+        rough = rough[others[:, 0], others[:, 1]]
         drawn = np.zeros(0, np.int64)
         squared = probability = np.zeros(0)
         look, count = 0, _DRAWN_PIXELS

@@ -1,0 +1,114 @@
+"""Knobs declare themselves; settings are values for them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from small_scenes import make_scene, waves
+
+from clvol.accuracy.settings import (
+    apply,
+    canonical,
+    changed,
+    is_possible,
+    key_of,
+    label,
+    neighbours,
+    scene_knobs,
+    scene_settings,
+)
+from clvol.scene.image import ImageSettings
+from clvol.scene.integration import Integration
+from clvol.scene.knob import Knob
+
+EXPECTED = {
+    "integration.method", "integration.step", "integration.classification",
+    "integration.quadrature", "integration.filter", "integration.early_termination",
+    "integration.table_size", "integration.voxel_precision",
+    "image.ray_spacing", "image.ray_tolerance",
+}  # fmt: skip
+
+
+def test_what_trades_accuracy_for_time_is_found_where_it_is_declared():
+    knobs = scene_knobs(make_scene(step=0.3))
+    assert set(knobs) == EXPECTED
+    for key, knob in knobs.items():
+        assert knob.scene_value in knob.values and len(set(knob.values)) == len(knob.values), key
+        assert knob.about and knob.knob.title
+    assert [key for key, knob in knobs.items() if knob.knob.is_main] == ["integration.step"]
+
+
+def test_every_knob_s_values_are_allowed_by_its_own_key():
+    resolved = make_scene(waves((5, 6, 7)))
+    for key, knob in scene_knobs(resolved).items():
+        for value in knob.values:
+            changed_scene = apply(resolved, {key: value})
+            table, name = key.split(".")
+            assert getattr(getattr(changed_scene, table), name) == value
+
+
+def test_no_other_field_is_a_knob():
+    declared = {
+        f"{model.table_name()}.{name}"
+        for model in (Integration, ImageSettings)
+        for name, field in model.model_fields.items()
+        if any(isinstance(part, Knob) for part in field.metadata)
+    }
+    assert declared == EXPECTED
+
+
+@pytest.mark.parametrize("step", [0.3, 1.0, 20.0, 1e-3])
+def test_the_scene_s_own_value_has_its_place_in_the_ladder(step):
+    values = scene_knobs(make_scene(step=step))["integration.step"].values
+    assert step in values and list(values) == sorted(values, reverse=True)
+
+
+def test_voxels_already_small_or_not_finite_have_no_precision_to_give():
+    assert "integration.voxel_precision" not in scene_knobs(make_scene(waves((4, 5, 6), np.uint8)))
+    holes = waves((4, 5, 6))
+    holes[0, 0, 0] = np.inf
+    assert "integration.voxel_precision" not in scene_knobs(make_scene(holes))
+    knob = scene_knobs(make_scene(waves((4, 5, 6), np.uint16)))["integration.voxel_precision"]
+    assert knob.values == ("uint8", "stored")
+
+
+def test_settings_that_make_the_same_picture_are_the_same():
+    resolved = make_scene(classification="post")
+    knobs = scene_knobs(resolved)
+    own = scene_settings(resolved, knobs)
+    other = canonical(
+        resolved, knobs, {**own, "integration.table_size": 64, "image.ray_tolerance": 0.3}
+    )
+    assert key_of(other) == key_of(own) and changed(other, own) == []
+    sparse = canonical(resolved, knobs, {**own, "image.ray_spacing": 4, "image.ray_tolerance": 0.3})
+    assert changed(sparse, own) == ["image.ray_spacing", "image.ray_tolerance"]
+
+
+def test_neighbours_are_one_notch_away():
+    resolved = make_scene(step=1.0)
+    knobs = scene_knobs(resolved)
+    own = scene_settings(resolved, knobs)
+    found = list(neighbours(knobs, own))
+    assert all(len(changed(settings, own)) == 1 for settings in found)
+    steps = {s["integration.step"] for s in found if s["integration.step"] != 1.0}
+    assert steps == {2**0.5, 2**-0.5}
+    kinds = {s["integration.classification"] for s in found}
+    assert kinds == {"pre", "post", "preintegrated"}
+
+
+def test_what_nothing_renders_is_not_possible():
+    resolved = make_scene()
+    assert is_possible(resolved, {"integration.step": 0.5})
+    assert not is_possible(resolved, {"integration.method": "pyramid"})
+    assert not is_possible(
+        resolved, {"integration.quadrature": "cells", "integration.filter": "nearest"}
+    )
+
+
+def test_a_label_names_what_differs():
+    resolved = make_scene(step=1.0)
+    knobs = scene_knobs(resolved)
+    own = scene_settings(resolved, knobs)
+    assert label(knobs, own, resolved) == "preintegrated, step 1"
+    other = {**own, "integration.table_size": 1024, "integration.filter": "nearest"}
+    assert label(knobs, other, resolved) == "preintegrated, nearest, step 1, table size 1024"
