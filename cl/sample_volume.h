@@ -1,7 +1,7 @@
 /* The reconstruction filters: fetch_sample() for lattice points (clamped to the domain), then its value.
  *
- * To add a filter: its two functions, a value of FILTER in features.h, and a few lines in the selector below: FETCH_AHEAD where what is
- * fetched is small enough to be held for two steps.
+ * To add a filter: its two functions, a value of FILTER in features.h, and a few lines in the selector below: FETCH_AHEAD where
+ * what is fetched is small enough to be held for two steps.
  */
 #ifndef SAMPLE_VOLUME_H
 #define SAMPLE_VOLUME_H
@@ -67,8 +67,8 @@ INLINE floatN nearest_value(FetchedSample s, __constant const View *view)
 #else
 
 /* Tricubic: the voxels are the coefficients of a uniform cubic B-spline (no prefilter), 64 a sample, in the eight blocks of
- * 2^3 that fetch_voxel.h fetches. (Sigg and Hadwiger, GPU Gems 2 ch. 20, read the same blocks with a sampler's trilinear
- * look-ups. Their weights need six divisions, which cost more here than they save.) Beyond the volume its outermost voxels count:
+ * 2^3 that fetch_voxel.h fetches. (Sigg and Hadwiger, GPU Gems 2 ch. 20, read the same blocks by a sampler's trilinear look-ups,
+ * whose places take six divisions. Without a sampler the plain weights do.) Beyond the volume its outermost voxels count:
  * there a block moves inwards and its two weights fall on the one voxel.
  */
 typedef struct {
@@ -107,8 +107,8 @@ INLINE FetchedSample fetch_cubic(__global const uchar *volume, __constant const 
   return s;
 }
 
-/* The weighted mean of four, counted from the second: equal values give exactly that value, and since the others never have more than
- * 5/6 of the weight, rounding never takes the mean beyond the largest or the smallest value. Leaping relies on that. */
+/* The weighted mean of four, counted from the second: equal values give exactly that value, and since the others never have more
+ * than 5/6 of the weight, rounding never takes the mean beyond the largest or the smallest value. Leaping relies on that. */
 INLINE floatN spline_mean(floatN p0, floatN p1, floatN p2, floatN p3, SplineAxis a)
 {
   return p1 + (a.w0 * (p0 - p1) + a.w2 * (p2 - p1) + a.w3 * (p3 - p1));

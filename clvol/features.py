@@ -16,7 +16,8 @@ from clvol.errors import SceneError
 from clvol.scene.resolve import ResolvedScene
 
 FILTERS = {"nearest": 0, "linear": 1, "cubic": 2}
-FILTER_REACH = {"nearest": 0, "linear": 0, "cubic": 1}  # voxels beyond the corners of a lattice cell
+# Voxels that a filter uses beyond the corners of a lattice cell.
+FILTER_REACH = {"nearest": 0, "linear": 0, "cubic": 1}
 CLASSIFICATIONS = {"pre": 0, "post": 1, "preintegrated": 2}
 QUADRATURES = {"steps": 0, "cells": 1}
 METHODS = ("raycast", "reference")

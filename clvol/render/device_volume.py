@@ -60,9 +60,9 @@ class DeviceVolume:
         return {k: self.switches[k] for k in ("VOXEL_BITS", "VOXEL_SIGNED")}
 
     def bounds(self, apron: int) -> tuple[np.ndarray, np.ndarray]:
-        """Smallest and largest finite voxel, [z, y, x], of each cell and of ``apron`` voxels more around it
-        (what a filter reaches), in the values that kernels compute with; low > high where there
-        is none. Found once."""
+        """Smallest and largest finite voxel, [z, y, x], of each cell and ``apron`` voxels around it (a
+        filter's reach), in the values that kernels compute with; low > high where there is none.
+        Found once."""
         if apron not in self._bounds:
             self._bounds[apron] = self._min_max(self._context.share(self._data), apron)
         return self._bounds[apron]

@@ -45,8 +45,8 @@ def along_z(size, **keys):
     """An orthographic view along z with one pixel for each column of voxels, 0 ... size - 1."""
     centre = (size - 1) / 2
     camera = {
-        "projection": "orthographic", "position": [centre, centre, -9], "target": [centre, centre, 2],
-        "up": [0, -1, 0], "height": float(size),
+        "projection": "orthographic", "position": [centre, centre, -9],
+        "target": [centre, centre, 2], "up": [0, -1, 0], "height": float(size),
     }  # fmt: skip
     return {"camera": camera, "width": size, "height": size, **keys}
 
@@ -69,12 +69,16 @@ def test_every_voxel_type_agrees_with_the_exact_integral(device, context, dtype)
 
 @pytest.mark.parametrize("classification", CLASSIFICATIONS)
 @pytest.mark.parametrize("lanes", [1, 16])
-def test_every_classification_agrees_with_the_exact_integral(device, context, classification, lanes):
+def test_every_classification_agrees_with_the_exact_integral(
+    device, context, classification, lanes
+):
     scene = cubic_scene(rough((12, 13, 14)), step=0.05, classification=classification)
     assert rms(picture(context, scene, lanes=lanes).rgba, exact(device, scene)) < 1e-5
 
 
-@pytest.mark.parametrize("shape", [(1, 8, 8), (8, 1, 8), (8, 8, 1), (1, 1, 8), (1, 1, 1), (2, 2, 2), (3, 2, 5)])
+@pytest.mark.parametrize(
+    "shape", [(1, 8, 8), (8, 1, 8), (8, 8, 1), (1, 1, 8), (1, 1, 1), (2, 2, 2), (3, 2, 5)]
+)
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
 def test_thin_volumes_agree_with_the_exact_integral(device, context, shape, dtype):
     array = rough(shape, dtype) if max(shape) > 1 else np.full(shape, 200, dtype)

@@ -220,7 +220,8 @@ def test_a_hole_makes_transparent_exactly_what_uses_it(device, hole, preclassifi
 def test_a_hole_under_the_cubic_filter_reaches_two_voxels(device, hole, preclassified):
     array = np.full((9, 9, 9), 0.5, np.float32)
     array[4, 4, 4] = hole
-    eyes = [[-1, 4.3, 3.6], [-1, 4, 4], [-1, 5.9, 2.1], [-1, 6, 4], [-1, 2, 2.5], [-1, 6.1, 4], [-1, 4, 2]]
+    eyes = [[-1, 4.3, 3.6], [-1, 4, 4], [-1, 5.9, 2.1], [-1, 6, 4], [-1, 2, 2.5], [-1, 6.1, 4],
+            [-1, 4, 2]]
     eyes = np.array(eyes, float)
     rgba, _, _ = trace(device, Volume(array), constant(0.2), eyes, eyes + [1, 0, 0],
                        preclassified=preclassified, **CUBIC)
@@ -230,7 +231,7 @@ def test_a_hole_under_the_cubic_filter_reaches_two_voxels(device, hole, preclass
 
 @pytest.mark.parametrize("ramp", RAMPS)
 def test_a_linear_field_stays_linear_under_the_cubic_filter(device, ramp):
-    """But for the outermost cells, where the voxels beyond do not go on: there it is transparent."""
+    """But for the outermost cells, where the voxels beyond do not go on: they are transparent."""
     x, y, z = (np.linspace(0.0, 1.0, n) for n in (11, 6, 7))
     volume = Volume(2.0 * x - 0.5 + 0.0 * y[:, None] + 0.0 * z[:, None, None])
     inner = RAMPS[ramp]
@@ -249,15 +250,17 @@ def test_a_linear_field_stays_linear_under_the_cubic_filter(device, ramp):
 
 
 def test_one_bright_voxel_under_the_cubic_filter_is_the_spline(device):
-    """Classified first, a column of bright voxels absorbs as the B-spline of the distance from it."""
+    """Classified first, a column of bright voxels absorbs as the B-spline of the distance to it."""
     array = np.zeros((5, 9, 9))
     array[:, 4, 4] = 1.0
     tf = TransferFunction([0.0, 1.0], [0.0, 0.9], [RED, RED])
     offsets = np.array([[0.0, 0.0], [0.3, 0.0], [1.0, 1.0], [-1.2, 0.4], [1.9, -1.5], [2.0, 0.0]])
     eyes = np.column_stack([4.0 + offsets, np.full(6, -3.0)])
-    rgba, _, _ = trace(device, Volume(array), tf, eyes, eyes + [0, 0, 1], preclassified=True, **CUBIC)
+    rgba, _, _ = trace(device, Volume(array), tf, eyes, eyes + [0, 0, 1], preclassified=True,
+                       **CUBIC)
     d = np.abs(offsets)
-    spline = np.where(d < 1, 2 / 3 - d**2 + d**3 / 2, np.clip(2 - d, 0, None) ** 3 / 6).prod(axis=1)
+    spline = np.where(d < 1, 2 / 3 - d**2 + d**3 / 2, np.clip(2 - d, 0, None) ** 3 / 6)
+    spline = spline.prod(axis=1)
     alpha = 1.0 - 0.1 ** (4.0 * spline)
     check(rgba, np.column_stack([np.outer(alpha, RED), alpha]), 1e-13)
 
@@ -413,12 +416,13 @@ def exact_spline_ray(array, origin, direction, tf):
             d = abs(d)
             return mpf(2) / 3 - d * d + d**3 / 2 if d < 1 else (2 - d) ** 3 / 6 if d < 2 else mpf(0)
 
+        last = np.subtract(array.shape, 1)
+
         def field(t):
             p = [o + t * d for o, d in zip(origin, direction)]
             at = [[(k, weight(x - k)) for k in range(-1, n + 1)] for x, n in zip(p, size)]
             return sum(
-                mpf(float(array[tuple(min(max(i, 0), n - 1) for i, n in zip((z, y, x), array.shape))]))
-                * a * b * c
+                mpf(float(array[tuple(np.clip((z, y, x), 0, last))])) * a * b * c
                 for x, a in at[0] if a for y, b in at[1] if b for z, c in at[2] if c
             )
 
@@ -436,7 +440,8 @@ def exact_splines():
 def test_a_ray_through_the_cubic_spline_at_20_digits(device):
     array, rays = exact_splines()
     for origin, direction, expected in rays:
-        rgba, _, counters = trace(device, Volume(array), NASTY, origin, np.add(origin, direction), **CUBIC)
+        towards = np.add(origin, direction)
+        rgba, _, counters = trace(device, Volume(array), NASTY, origin, towards, **CUBIC)
         check(rgba[0], expected, 1e-11)
         assert counters["cells"] >= 2 and counters["failed_pieces"] == 0
 
@@ -468,7 +473,8 @@ def twin_rays(filter, classification):
 
 @pytest.mark.parametrize(
     "filter, classification",
-    [("linear", "post"), ("linear", "pre"), ("nearest", "post"), ("cubic", "post"), ("cubic", "pre")],
+    [("linear", "post"), ("linear", "pre"), ("nearest", "post"), ("cubic", "post"),
+     ("cubic", "pre")],
 )
 def test_equals_the_plain_twin(device, filter, classification):
     volume, eyes, aims = random_case()
