@@ -42,6 +42,7 @@ from clvol.scene.scene import Scene
 
 CONFIDENCE = 0.95
 LEAST_ERROR = 1e-10  # what the exact integral in double precision can still be asked for
+_FLOAT32_ERROR = 1e-6  # sums of float32 are not to be trusted further
 _PILOT_PIXELS = 10_000
 _DRAWN_PIXELS = 2_048  # at first; then twice as many until the bound says yes or no
 _ATTEMPTS = 6
@@ -167,6 +168,8 @@ class _Workshop:
     # Choosing
 
     def to_error(self, max_error: float) -> Frame:
+        if max_error < _FLOAT32_ERROR:
+            return self._exact(max_error, 0)
         aim = max_error * _AIM
         for attempt in range(1, _ATTEMPTS + 1):
             picture = self._cheapest_picture(aim)
@@ -190,7 +193,7 @@ class _Workshop:
             seconds = math.inf if picture is None else picture.trial.seconds
             if seconds <= budget * _AIM:
                 best, high = picture, error
-                if seconds >= _USED * budget or error <= LEAST_ERROR * 1e3:
+                if seconds >= _USED * budget or error <= _FLOAT32_ERROR:
                     break
             else:
                 low = error
@@ -198,7 +201,7 @@ class _Workshop:
             guess = error * min(max((seconds / (_AIM * budget)) ** 2, 0.03), 30.0)
             if low > 0:
                 guess = max(guess, low * (high / low) ** 0.25)
-            error = min(guess, high * (low / high) ** 0.25 if low > 0 else high / 1.3)
+            error = max(min(guess, high * (low / high) ** 0.25 if low > 0 else high / 1.3), _FLOAT32_ERROR)
             if low > 0 and high / low < 1.2:
                 break
         if best is None:

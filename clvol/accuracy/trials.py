@@ -17,7 +17,7 @@ from clvol.render.view import EVERY_PIXEL, PixelLattice
 from clvol.scene.resolve import ResolvedScene
 
 # Tables are built once for all views of a scene; a single view should still not wait for ever.
-PREPARATION = 0.1
+PREPARATION = 0.02
 
 
 @dataclass(eq=False)

@@ -152,7 +152,7 @@ def test_pixels_of_the_pilot_are_not_drawn_again(device, monkeypatch):
 
 def test_a_time_is_held_and_more_of_it_buys_less_error(device):
     scene = scene_of()
-    seconds = (0.004, 0.2)
+    seconds = (0.004, 0.04)
     frames = [render_in_time(scene, s, devices=[device]) for s in seconds]
     for frame, budget in zip(frames, seconds):
         assert frame.stats["seconds"]["render"] <= budget
