@@ -173,10 +173,11 @@ inline Segment integrate_segment(__global const real *control, real s_f, real s_
 /* An opaque segment's optical depth: zero times it is zero, and any share of it that counts is opaque. */
 #define OPAQUE_DEPTH 1e15f
 
-/* What a shorter piece is made from: (mean colour, optical depth) instead of (premultiplied colour, opacity). */
-inline float4 color_and_depth(Segment s)
+/* What a shorter piece is made from: (mean colour, optical depth) instead of (premultiplied colour, opacity). A transparent
+ * segment has a colour too, that at its front: look-ups between it and its neighbours would be darkened by black. */
+inline float4 color_and_depth(Segment s, Point front)
 {
-  if (!(s.opacity > 0)) return 0.0f;
+  if (!(s.opacity > 0)) return (float4)((float)front.color[0], (float)front.color[1], (float)front.color[2], 0.0f);
   const float depth = fmin((float)-log1p(-s.opacity), OPAQUE_DEPTH);
   return (float4)((float)(s.color[0] / s.opacity), (float)(s.color[1] / s.opacity), (float)(s.color[2] / s.opacity), depth);
 }
@@ -202,7 +203,7 @@ __kernel void preintegrate_table(__global const real *restrict control, __global
   float4 rgba = 0.0f;
   if (front < n && back < n) {
     const Segment s = integrate_segment(control, nodes[front], nodes[back], pieces[front], pieces[back], units[slice]);
-    rgba = slice == 0 ? premultiplied(s) : color_and_depth(s);
+    rgba = slice == 0 ? premultiplied(s) : color_and_depth(s, point_inside(control, pieces[front], nodes[front]));
   }
   table[((size_t)slice * (n + 2) + front) * (n + 2) + back] = rgba;
 }
@@ -248,7 +249,7 @@ __kernel void compose_table(__global const real *restrict control, __global cons
         s.opacity += through * c[3];
       }
     }
-    rgba = slice == 0 ? premultiplied(s) : color_and_depth(s);
+    rgba = slice == 0 ? premultiplied(s) : color_and_depth(s, point_inside(control, pieces[front], nodes[front]));
   }
   table[((size_t)slice * (n + 2) + front) * (n + 2) + back] = rgba;
 }
@@ -262,7 +263,7 @@ __kernel void classify_table(__global const real *restrict control, __global con
   float4 rgba = 0.0f;
   if (node < n) {
     const Segment s = integrate_segment(control, nodes[node], nodes[node], pieces[node], pieces[node], units[slice]);
-    rgba = slice == 0 ? premultiplied(s) : color_and_depth(s);
+    rgba = slice == 0 ? premultiplied(s) : color_and_depth(s, point_inside(control, pieces[node], nodes[node]));
   }
   table[slice * (n + 2) + node] = rgba;
 }

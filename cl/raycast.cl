@@ -9,7 +9,7 @@
  *   preintegrated   values at 0, 1, ..., n and L; a segment's colour depends on the values at its ends
  *   pre, post       values at the middle of each segment
  *
- * Switches (-D): LANES, VOXEL_BITS, VOXEL_SIGNED, VOXEL_SCALED, VOXEL_PAIRS, FILTER, CLASSIFICATION, WARPED_CLASSES,
+ * Switches (-D): LANES, VOXEL_BITS, VOXEL_SIGNED, VOXEL_SCALED, VOXEL_PAIRS, VOXEL_HOLES, FILTER, CLASSIFICATION, WARPED_CLASSES,
  * SKIP_EMPTY, WITH_DEPTH.
  */
 #include "lanes.h"
@@ -153,7 +153,7 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
 #endif
   }
   accumulator_store(&acc, rgba);
-  STORE_LANES(ray.entry_depth + median * view->march.x, depth);
+  STORE_LANES((ray.entry_depth + median * view->march.x) * view->march.w, depth);
   STORE_LANES(taken, samples);
 }
 
@@ -185,7 +185,9 @@ __kernel WIDE_VECTORS void raycast(__global const uchar *restrict volume, __glob
         const int x = column + k % PACKET_W, y = row + k / PACKET_W;
         if (x < width && y < height) {
           const size_t pixel = (size_t)y * width + x;
-          image[pixel] = vload4(k, rgba);
+          float4 c = vload4(k, rgba);
+          c.w = fmin(c.w, 1.0f); /* a sum of shares of what was left may round to more than all */
+          image[pixel] = c;
 #if WITH_DEPTH
           depths[pixel] = depth[k];
 #endif

@@ -215,7 +215,8 @@ class Raycaster:
                 row[name][:3] = source
             row["lens"] = (*frame.lens, *frame.centre)
             stop = 1.0 - self.resolved.integration.early_termination
-            row["march"] = (self.length, frame.distance, stop, 0.0)
+            step = self.resolved.integration.step
+            row["march"] = (step, frame.distance, stop, frame.unit)
             bins = 0.0 if nodes.warp is None else nodes.warp.size - 1.0
             row["classes"] = (nodes.first, nodes.per_value, nodes.last_coordinate, bins)
         finite = [np.isfinite(row[name]).all() for name in (*names, "lens", "march", "classes")]
@@ -224,15 +225,17 @@ class Raycaster:
             raise RenderError(where, "numbers beyond float32", "a camera and units nearer to 1")
         row["upper"][:3] = np.asarray(volume.size) - 1
         row["gate"][:2] = self.gate
-        row["voxel"][0] = volume.values.gain
         if volume.switches["VOXEL_BITS"] == 64:
             row["voxel_double"] = (volume.values.bias, volume.values.gain)
+        else:
+            row["voxel"][0] = volume.values.gain
         row["size"][:3] = volume.size
         row["stride"][:2] = volume.stride
         row["cells"] = (*volume.cells, CELL_SHIFT)
         row["image"] = (width, height, *self.tile)
         n = nodes.values.size
-        row["table"] = (n, n + 2, SLICES, (n + 2) ** 2)
+        rows = n + 2 if self.resolved.integration.classification == "preintegrated" else 1
+        row["table"] = (n, n + 2, SLICES, rows * (n + 2))
         return view
 
     def _check_struct(self) -> None:
