@@ -16,6 +16,7 @@ from clvol.render.empty_space import distance_map, visible_mask
 from clvol.render.layout import CELL_SHIFT, value_map, voxel_switches
 from clvol.render.view import RayFrame, ray_frame
 from clvol.scene.camera import Camera
+from clvol.scene.integration import Integration
 from clvol.scene.resolve import ResolvedScene
 from clvol.schedule.tiles import TILE, bands, tiling
 from clvol.transfer import TransferFunction
@@ -31,6 +32,14 @@ _ARGUMENTS = (
 )
 
 
+def segment_classification(integration: Integration) -> str:
+    """How segments are classified. Under the nearest filter values do not run from one sample to the
+    next, they jump: a pre-integrated segment of constant value is a post-classified one."""
+    if integration.filter == "nearest" and integration.classification == "preintegrated":
+        return "post"
+    return integration.classification
+
+
 def raycast_switches(
     resolved: ResolvedScene, *, warped: bool, lanes: int, skip: bool = True, depth: bool = True
 ) -> dict[str, int]:
@@ -40,7 +49,7 @@ def raycast_switches(
         **voxel_switches(resolved.volume, value_map(resolved.volume)),
         "LANES": lanes,
         "FILTER": FILTERS[integration.filter],
-        "CLASSIFICATION": CLASSIFICATIONS[integration.classification],
+        "CLASSIFICATION": CLASSIFICATIONS[segment_classification(integration)],
         "WARPED_CLASSES": int(warped),
         "SKIP_EMPTY": int(skip),
         "WITH_DEPTH": int(depth),
@@ -51,7 +60,7 @@ def scene_nodes(resolved: ResolvedScene, function: TransferFunction | None = Non
     """The class nodes for a scene's volume and classification."""
     volume, integration = resolved.volume, resolved.integration
     values = value_map(volume)
-    preintegrated = integration.classification == "preintegrated"
+    preintegrated = segment_classification(integration) == "preintegrated"
     return class_nodes(
         device_function(function or resolved.transfer_function, values),
         tuple(float(v) for v in values(volume.value_range)),
@@ -116,7 +125,7 @@ class Raycaster:
         self.nodes = scene_nodes(resolved, function)
         mapped = device_function(function, self.volume.values)
         visible = visible_cells(mapped, self.nodes.values)
-        kind = resolved.integration.classification
+        kind = segment_classification(resolved.integration)
         if kind == "preintegrated":
             self.table = preintegrated_table(context, mapped, self.nodes.values, self.length)
         else:
@@ -234,7 +243,8 @@ class Raycaster:
         row["cells"] = (*volume.cells, CELL_SHIFT)
         row["image"] = (width, height, *self.tile)
         n = nodes.values.size
-        rows = n + 2 if self.resolved.integration.classification == "preintegrated" else 1
+        preintegrated = segment_classification(self.resolved.integration) == "preintegrated"
+        rows = n + 2 if preintegrated else 1
         row["table"] = (n, n + 2, SLICES, rows * (n + 2))
         return view
 

@@ -18,7 +18,8 @@ import numpy as np
 
 from clvol.transfer.function import TransferFunction
 
-BINS, MOST_BINS = 4096, 65536  # the fewest that keep control points apart
+# Bins of the warp: the fewest that keep control points apart, and that a step may well be blurred by.
+BINS, STEP_BINS, MOST_BINS = 4096, 16384, 65536
 _BINS_APART = 4  # so that each has a bin of its own, and the jump of a step one before that
 _NARROW = 8  # even nodes closer than that to one another misplace what is between them
 _STEP_MARGIN = 0.02  # of a bin: more than rounding of a value's place among all bins
@@ -112,7 +113,7 @@ def _warped(
         bins = int(np.ceil((high - low) * per_value))
     else:
         apart = lengths[lengths * MOST_BINS >= _BINS_APART * (high - low)]
-        bins = BINS
+        bins = BINS if apart.size == lengths.size else STEP_BINS
         while bins < MOST_BINS and apart.min(initial=high - low) * bins < _BINS_APART * (high - low):
             bins *= 2
         per_value = bins / (high - low)

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from small_scenes import SMOOTH, make_scene, rms, waves
+from small_scenes import SMOOTH, exact, make_scene, picture, rms, waves
 
 from clvol import Camera, Renderer, TransferFunction, Volume
 from clvol.errors import DeviceError, RenderError, SceneError, UsageError, VolumeError
 from clvol.opencl.structs import view_dtype
 from clvol.render.raycast import Raycaster
-from clvol.render.reference import render_reference
 
 CLASSIFICATIONS = ("pre", "post", "preintegrated")
 TYPES = (np.uint8, np.int8, np.uint16, np.int16, np.float32, np.float64)
@@ -20,16 +19,6 @@ PEAKS = TransferFunction(
     [[1, 0, 0]] * 4 + [[0, 1, 0]] * 4,
 )
 GREY = [[0.3, 0.5, 0.7]]
-
-
-def picture(context, resolved, **how):
-    camera = how.pop("camera", resolved.camera)
-    caster = Raycaster(context, resolved, **how)
-    return caster.render(camera, resolved.image.width, resolved.image.height)
-
-
-def exact(device, resolved, tolerance=1e-9):
-    return render_reference(resolved, device, tolerance=tolerance)[0]
 
 
 # --- closed forms ----------------------------------------------------------------------------------
