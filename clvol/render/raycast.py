@@ -229,7 +229,7 @@ class Raycaster:
             bins = 0.0 if nodes.warp is None else nodes.warp.size - 1.0
             row["classes"] = (nodes.first, nodes.per_value, nodes.last_coordinate, bins)
         finite = [np.isfinite(row[name]).all() for name in (*names, "lens", "march", "classes")]
-        if not all(finite) or not row["march"][0] > 0:
+        if not all(finite) or not min(row["march"][0], row["march"][3]) > 0:
             where = f"{self.resolved.origin}: camera"
             raise RenderError(where, "numbers beyond float32", "a camera and units nearer to 1")
         row["upper"][:3] = np.asarray(volume.size) - 1
