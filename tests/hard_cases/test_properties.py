@@ -47,7 +47,7 @@ class Case:
         grid = {"spacing": self.spacing, "origin": origin}
         return make_scene(
             self.array, self.function, camera=self.camera, width=WIDTH, height=HEIGHT, grid=grid,
-            **{**self.integration, **integration},
+            **{"table_size": 64, **self.integration, **integration},
         )  # fmt: skip
 
 
@@ -63,12 +63,12 @@ def cases(draw, variant, smooth=False, smallest=1) -> Case:
     array = field * top
     array = np.round(array).astype(dtype) if np.dtype(dtype).kind in "iu" else array.astype(dtype)
     if holes and not smooth:
-        share = draw(st.sampled_from([0.03, 0.3, 1.0]))
+        share = draw(st.sampled_from([0.02, 0.05, 0.3, 1.0]))
         bad = rng.choice([np.nan, np.inf, -np.inf], shape)
         array = np.where(rng.random(shape) < share, bad, array).astype(dtype)
     spacing = tuple(10.0 ** rng.uniform(-1, 1, 3) * 10.0 ** draw(st.sampled_from([-6, 0, 3])))
     size = np.array(shape[::-1]) * spacing
-    unit = float(size.max()) * 10.0 ** (0.0 if smooth else draw(st.sampled_from([-3, -1, 0, 2])))
+    unit = float(size.max()) * 10.0 ** (0.0 if smooth else draw(st.sampled_from([-3, -1, 0, 1])))
     function = _function(draw, rng, top, unit, smooth)
     camera = _camera(draw, rng, size)
     step = draw(st.sampled_from([0.3, 1.0, 3.0]))
@@ -95,7 +95,7 @@ def _function(draw, rng, top, unit, smooth):
     places = [0, 0.25, 0.5, 0.5, 0.75, 1, 1, 0.3, 0.3001, *rng.uniform(-0.2, 1.2, 3)]
     count = draw(st.integers(1, 8))
     values = np.sort(rng.choice(places, count, replace=False)) * top
-    opacities = rng.choice([0, 0, 1, 1 - 1e-7, 1e-7, 0.5, 0.99, *rng.random(4)], count)
+    opacities = rng.choice([0, 1, 1 - 1e-7, 1e-7, 0.5, 0.99, *rng.random(5)], count)
     return TransferFunction(values, opacities, rng.random((count, 3)), unit)
 
 
@@ -143,8 +143,11 @@ def test_a_picture_is_finite_and_bounded_by_its_transfer_function(context, varia
         seen = data.rgba[..., 3] > 0.5 + 1e-6
         assert np.isfinite(data.depth[seen]).all() and not np.isnan(data.depth).any()
         assert (data.depth >= 0).all()
+        visible.append(data.rgba[..., 3].max() > 0.01)
 
+    visible: list = []
     check()
+    assert np.mean(visible) > 0.3, "too many of these scenes are blank"
 
 
 @variants
@@ -288,7 +291,7 @@ def test_a_fine_step_comes_to_the_reference(device, context, variant):
     @examples(20)
     @given(cases(variant, smooth=True))
     def check(case):
-        rgba = picture(context, case.scene(step=0.02)).rgba
+        rgba = picture(context, case.scene(step=0.02, table_size=256)).rgba
         limit = 2e-2 if VARIANTS[variant][3] == "nearest" else 2e-3
         check_same(rgba, exact(device, case.scene()), limit)
 

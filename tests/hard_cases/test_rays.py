@@ -193,7 +193,7 @@ def test_a_field_of_view_of_179_degrees(device, context, position):
         "position": position, "target": [8.3, 8.1, 9.0], "up": [0, 1, 0], "fov_degrees": 179.0,
     }  # fmt: skip
     scene = make_scene(
-        waves((17, 17, 17)), camera=camera, step=0.125, width=65, height=65, table_size=512
+        waves((17, 17, 17)), camera=camera, step=0.125, width=65, height=65
     )
     far = position[0] > 20
     rgba, reference = picture(context, scene).rgba, exact(device, scene)
