@@ -20,6 +20,7 @@ def agree(device, context, scene, atol=5e-4):
     assert np.isfinite(rgba).all() and np.isfinite(reference).all()
     assert reference[..., 3].max() > 0.02
     np.testing.assert_allclose(rgba, reference, atol=atol)
+    return rgba, reference
 
 
 # --- sizes -----------------------------------------------------------------------------------------
@@ -30,8 +31,9 @@ def agree(device, context, scene, atol=5e-4):
 @pytest.mark.parametrize("value", [0, 42, 127])
 def test_a_constant_field_shows_its_value(device, context, dtype, classification, value):
     scene = make_scene(
-        np.full((5, 4, 6), value, dtype), SMOOTH, classification=classification, step=0.7
-    )
+        np.full((5, 4, 6), value, dtype), SMOOTH, classification=classification, step=0.7,
+        table_size=64,
+    )  # fmt: skip
     rgba, reference = picture(context, scene).rgba, exact(device, scene)
     np.testing.assert_allclose(rgba, reference, atol=3e-6)
     assert (reference[..., 3].max() > 0.01) == (value > 0)
@@ -127,8 +129,7 @@ def test_the_magnitude_of_the_values_does_not_matter(device, context, top, dtype
         scene = make_scene(
             (array * scale).astype(dtype), function, step=0.1, classification=classification
         )
-        agree(device, context, scene, 1e-3)
-        pictures.append((picture(context, scene).rgba, exact(device, scene)))
+        pictures.append(agree(device, context, scene, 1e-3))
     for plain, scaled in zip(*pictures):
         np.testing.assert_allclose(scaled, plain, atol=1e-5)
 
@@ -216,13 +217,13 @@ def test_a_plane_of_voxels_that_are_not_numbers(
     array = waves((9, 9, 9))
     np.moveaxis(array, axis, 0)[4] = bad
     keys = {"step": 0.02, "classification": classification, "filter": filter_name}
-    for camera in (None, box_camera(9.0)):
+    shown = []
+    for camera in (box_camera(9.0), None):
         scene = make_scene(array, camera=camera, width=18, height=18, **keys)
         # Where the hole begins is known to a step.
-        agree(device, context, scene, 1e-2)
-    whole = make_scene(waves((9, 9, 9)), width=18, height=18, **keys)
-    hurt = make_scene(array, width=18, height=18, **keys)
-    assert picture(context, hurt).rgba[..., 3].sum() < picture(context, whole).rgba[..., 3].sum()
+        shown.append(agree(device, context, scene, 1e-2))
+    whole = exact(device, make_scene(waves((9, 9, 9)), width=18, height=18, **keys))
+    assert shown[-1][0][..., 3].sum() < 0.95 * whole[..., 3].sum()
 
 
 @pytest.mark.parametrize("classification", CLASSIFICATIONS)
