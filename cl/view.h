@@ -21,7 +21,8 @@ typedef struct {
   float4 ray_du;        /* change of the (not yet normalised) direction a pixel to the right */
   float4 ray_dv;        /* and down */
   float4 lens;          /* tangent of the view angle a pixel to the right, down; image centre x, y in pixels */
-  float4 march;         /* step h; distance from the eye to the reference plane; opacity at which a ray stops; world length of an edge */
+  float4 march;         /* step h; distance from the eye to the reference plane; opacity at which a ray stops; world length
+                         of an edge */
   float4 upper;         /* size - 1 */
   float4 classes;       /* value of class coordinate 0; class coordinates a value; last coordinate; bins of the warp */
   float4 gate;          /* class coordinates between which something is visible: low, high */

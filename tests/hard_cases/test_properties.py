@@ -125,7 +125,8 @@ def check_bounds(rgba, function, slack):
 def check_same(one, other, limit, jumps=0.0):
     """Pixels differ by at most ``limit``, but for a share of ``jumps``."""
     far = np.abs(np.asarray(one, float) - other).max(axis=-1) > limit
-    assert far.mean() <= jumps, f"{far.sum()} of {far.size} pixels, by up to {np.abs(one - other).max()}"
+    most = np.abs(one - other).max()
+    assert far.mean() <= jumps, f"{far.sum()} of {far.size} pixels, by up to {most}"
 
 
 # A ray that meets a jump (a hole, an opaque voxel's cell, a step) within rounding may fall either
@@ -165,9 +166,9 @@ def test_scaling_the_world_scales_nothing_in_the_picture(device, context, varian
     @examples(20)
     @given(cases(variant), st.sampled_from([2.0**-40, 2.0**20, 2.0**70, 1e-6, 3.7, 1e6]))
     def check(case, scale):
-        function = case.function
+        function, lengths = case.function, ("position", "target", "height")
         camera = {
-            key: (np.array(value) * scale).tolist() if key in ("position", "target", "height") else value
+            key: (np.array(value) * scale).tolist() if key in lengths else value
             for key, value in case.camera.items()
         }  # fmt: skip
         larger = replace(
@@ -244,7 +245,8 @@ def split(case, axis, place):
     array_axis = 2 - axis
     n = case.array.shape[array_axis]
     k = 1 + place % (n - 2)
-    low, high = np.split(case.array, [k + 1], array_axis)[0], np.split(case.array, [k], array_axis)[1]
+    low = np.split(case.array, [k + 1], array_axis)[0]
+    high = np.split(case.array, [k], array_axis)[1]
     origin = np.zeros(3)
     origin[axis] = k * case.spacing[axis]
     parts = [replace(case, array=np.ascontiguousarray(p)) for p in (low, high)]
@@ -322,7 +324,8 @@ def test_random_volumes_are_volumes():
     @given(cases("float32 with holes, pre"))
     def collect(case):
         volume = Volume(case.array)
-        seen.append((volume.nan_count + volume.inf_count, volume.shape, case.function.opacities.max()))
+        holes = volume.nan_count + volume.inf_count
+        seen.append((holes, volume.shape, case.function.opacities.max()))
 
     collect()
     holes, shapes, opacities = zip(*seen)

@@ -167,7 +167,7 @@ def test_an_eye_a_million_volume_sizes_away_sees_the_same(device, context, sizes
     parallel = exact(device, make_scene(waves((17, 17, 17)), camera=near))
     rgba = picture(context, scene).rgba
     assert parallel[..., 3].max() > 0.2
-    # Doubles hold the eye itself to 1e-16 of its distance; and a view from there is not quite parallel.
+    # Doubles hold the eye to 1e-16 of its distance; and a view from there is not quite parallel.
     slack = 40.0 / distance + 1e-15 * distance
     np.testing.assert_allclose(rgba, parallel, atol=2e-4 + slack)
     np.testing.assert_allclose(exact(device, scene), parallel, atol=1e-6 + slack)

@@ -19,7 +19,8 @@ CLASSIFICATIONS = ("pre", "post", "preintegrated")
 GREY = [[0.3, 0.5, 0.7]]
 SOURCE = Path(__file__).with_name("corner_offsets.cl")
 # All but 2^31 voxels: one long axis, two, three alike.
-LARGEST = [(2**29 - 1, 2, 2), (2, 2**29 - 1, 2), (2, 2, 2**29 - 1), (32767, 32767, 2), (1290, 1290, 1290)]
+LONG = 2**29 - 1
+LARGEST = [(LONG, 2, 2), (2, LONG, 2), (2, 2, LONG), (32767, 32767, 2), (1290, 1290, 1290)]
 
 
 # --- pictures --------------------------------------------------------------------------------------
@@ -158,7 +159,7 @@ def test_voxels_beyond_2_31_bytes_are_read(context):
         return
     camera = axis_camera([17995.0, 16379.0, 2.5], 2, 4.0, distance=9.0)
     function = TransferFunction([0, 500], [0.0, 0.2], GREY * 2)
-    scene = make_scene(volume, function, camera=camera, width=4, height=4)
+    scene = make_scene(volume, function, camera=camera, width=4, height=4, step=0.02)
     from clvol.render import device_volume
 
     grid = np.zeros(tuple(device_volume.cell_count(n) for n in (4, 16384, 18000)))
@@ -168,7 +169,7 @@ def test_voxels_beyond_2_31_bytes_are_read(context):
         alpha = picture(context, scene, skip=False).rgba[..., 3]
     finally:
         DeviceVolume._min_max = known
-    np.testing.assert_allclose(alpha, np.full((4, 4), exact_tail()), rtol=1e-4)
+    np.testing.assert_allclose(alpha, np.full((4, 4), exact_tail()), rtol=2e-3)
 
 
 def exact_tail() -> float:
@@ -212,7 +213,7 @@ def test_1e5_steps_a_ray_arrive_within_1e_3_voxel(device, context, classificatio
     assert leaping.samples < data.samples / 20
 
 
-def test_1e5_voxels_a_ray_arrive_within_a_few_ulps_of_where_they_are(device, context):
+def test_1e5_voxels_a_ray_arrive_within_an_ulp_or_two(device, context):
     """A coordinate of 1e5 in float32 is known to 2^-8 voxel: that, not the way there, is the bound."""
     n = 100_001
     array = np.zeros((2, 2, n), np.uint8)

@@ -10,6 +10,7 @@ from clvol import TransferFunction
 from clvol.transfer.preintegration import preintegrate
 
 CLASSIFICATIONS = ("pre", "post", "preintegrated")
+FILTERED = [(name, "linear") for name in CLASSIFICATIONS] + [("preintegrated", "nearest")]
 TYPES = (np.uint8, np.int16, np.float32, np.float64)
 GREY = [[0.3, 0.5, 0.7]]
 LENGTH = 8.0  # of the slab along x
@@ -187,9 +188,8 @@ def plateau(values, dtype, **keys):
     return scenes
 
 
-@pytest.mark.parametrize("classification", CLASSIFICATIONS)
+@pytest.mark.parametrize("classification, filter_name", FILTERED)
 @pytest.mark.parametrize("dtype", TYPES)
-@pytest.mark.parametrize("filter_name", ["linear", "nearest"])
 @pytest.mark.parametrize("place", [0.3, 0.7001, 1.0])
 def test_a_step_at_exactly_a_voxels_value_shows_what_is_behind_it(
     device, context, classification, dtype, filter_name, place
