@@ -18,11 +18,7 @@
 #include "features.h"
 #include "sample_volume.h"
 
-#if VOXEL_BITS >= 32
-#define MAY_BE_NAN 1
-#else
-#define MAY_BE_NAN 0
-#endif
+#define MAY_BE_NAN VOXEL_HOLES
 
 typedef struct {
   intN node;       /* lower node */

@@ -16,6 +16,16 @@ typedef struct {
   floatN v000, v100, v010, v110, v001, v101, v011, v111; /* vXYZ */
 } Corners;
 
+/* Elements from the first voxel (or pair) to the lower corner: below 2^31, as the host makes sure. Bytes from there to the next
+ * row and slice may be more. */
+INLINE intN corner_offset(__constant const View *view, intN ix, intN iy, intN iz)
+{
+  return iz * view->stride.y + iy * view->stride.x + ix;
+}
+#define ELEMENT_BYTES (VOXEL_PAIRS ? 2 : VOXEL_BITS / 8)
+INLINE size_t row_bytes(__constant const View *view) { return ELEMENT_BYTES * (size_t)view->stride.x; }
+INLINE size_t slice_bytes(__constant const View *view) { return ELEMENT_BYTES * (size_t)view->stride.y; }
+
 #if VOXEL_BITS == 8
 
 #if VOXEL_SIGNED
@@ -32,8 +42,8 @@ typedef struct {
 
 INLINE FetchedCorners fetch_corners(__global const uchar *volume, __constant const View *view, intN ix, intN iy, intN iz)
 {
-  const intN at = iz * view->stride.y + iy * view->stride.x + ix;
-  const FetchedCorners f = {gather2(volume, at), gather2(volume + 2 * (size_t)view->stride.y, at)};
+  const intN at = corner_offset(view, ix, iy, iz);
+  const FetchedCorners f = {gather2(volume, at), gather2(volume + slice_bytes(view), at)};
   return f;
 }
 
@@ -49,8 +59,8 @@ INLINE Corners decode_corners(FetchedCorners f, __constant const View *view)
 
 INLINE FetchedCorners fetch_corners(__global const uchar *volume, __constant const View *view, intN ix, intN iy, intN iz)
 {
-  const intN at = iz * view->stride.y + iy * view->stride.x + ix;
-  const size_t row = (size_t)view->stride.x, slice = (size_t)view->stride.y;
+  const intN at = corner_offset(view, ix, iy, iz);
+  const size_t row = row_bytes(view), slice = slice_bytes(view);
   const FetchedCorners f = {(gather1(volume, at) & 0xffffu) | (gather1(volume + row, at) << 16u),
                             (gather1(volume + slice, at) & 0xffffu) | (gather1(volume + slice + row, at) << 16u)};
   return f;
@@ -82,8 +92,8 @@ typedef struct {
 
 INLINE FetchedCorners fetch_corners(__global const uchar *volume, __constant const View *view, intN ix, intN iy, intN iz)
 {
-  const intN at = iz * view->stride.y + iy * view->stride.x + ix;
-  const size_t row = 2 * (size_t)view->stride.x, slice = 2 * (size_t)view->stride.y;
+  const intN at = corner_offset(view, ix, iy, iz);
+  const size_t row = row_bytes(view), slice = slice_bytes(view);
   const FetchedCorners f = {gather2(volume, at), gather2(volume + row, at), gather2(volume + slice, at),
                             gather2(volume + slice + row, at)};
   return f;
@@ -106,8 +116,8 @@ typedef Corners FetchedCorners;
 INLINE FetchedCorners fetch_corners(__global const uchar *volume, __constant const View *view, intN ix, intN iy, intN iz)
 {
   Corners c;
-  const intN at = iz * view->stride.y + iy * view->stride.x + ix;
-  const size_t row = 4 * (size_t)view->stride.x, slice = 4 * (size_t)view->stride.y;
+  const intN at = corner_offset(view, ix, iy, iz);
+  const size_t row = row_bytes(view), slice = slice_bytes(view);
   c.v000 = AS_FLOAT(gather4(volume, at)), c.v100 = AS_FLOAT(gather4(volume + 4, at));
   c.v010 = AS_FLOAT(gather4(volume + row, at)), c.v110 = AS_FLOAT(gather4(volume + row + 4, at));
   c.v001 = AS_FLOAT(gather4(volume + slice, at)), c.v101 = AS_FLOAT(gather4(volume + slice + 4, at));
@@ -129,7 +139,7 @@ INLINE FetchedCorners fetch_corners(__global const uchar *bytes, __constant cons
   Corners c;
   __global const double *volume = (__global const double *)bytes;
   int at[LANES];
-  STORE_LANES(iz * view->stride.y + iy * view->stride.x + ix, at);
+  STORE_LANES(corner_offset(view, ix, iy, iz), at);
   const size_t row = (size_t)view->stride.x, slice = (size_t)view->stride.y;
   const double bias = view->voxel_double.x, gain = view->voxel_double.y;
   c.v000 = fetch_double(volume, at, bias, gain), c.v100 = fetch_double(volume + 1, at, bias, gain);

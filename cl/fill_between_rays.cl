@@ -1,7 +1,7 @@
 /* Image sampling: the rays of every n-th pixel of every n-th row are there (`coarse`: a lattice's picture, from raycast.cl);
  * what lies between four of them is interpolated where they agree, and gets a ray of its own where not.
  *
- * coarse         float4 [rows, columns] of the lattice; view->band: -, spacing n, columns, rows; view->march.w: how far apart the
+ * coarse         float4 [rows, columns] of the lattice; view->band: -, spacing n, columns, rows; view->voxel.z: how far apart the
  *                four corners may be in any channel
  * coarse_depths  float [rows, columns] (only read if WITH_DEPTH)
  * samples, rays  uint [tiles]
@@ -29,7 +29,7 @@ INLINE Interpolated between_rays(__global const float4 *coarse, __global const f
   const float4 range = fmax(fmax(c00, c10), fmax(c01, c11)) - fmin(fmin(c00, c10), fmin(c01, c11));
   const float4 top = c00 + fx * (c10 - c00), bottom = c01 + fx * (c11 - c01);
   between.rgba = top + fy * (bottom - top);
-  between.agree = fmax(fmax(range.x, range.y), fmax(range.z, range.w)) <= view->march.w || !(right | below);
+  between.agree = fmax(fmax(range.x, range.y), fmax(range.z, range.w)) <= view->voxel.z || !(right | below);
 #if WITH_DEPTH
   const float d00 = coarse_depths[at], d10 = coarse_depths[at + right];
   const float d01 = coarse_depths[at + down], d11 = coarse_depths[at + down + right];

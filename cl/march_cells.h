@@ -31,10 +31,9 @@ INLINE floatN opacity_of_depth(floatN x)
 
 INLINE floatN value_in_cell(const Corners *c, floatN x, floatN y, floatN z)
 {
-  const floatN v00 = c->v000 + x * (c->v100 - c->v000), v10 = c->v010 + x * (c->v110 - c->v010);
-  const floatN v01 = c->v001 + x * (c->v101 - c->v001), v11 = c->v011 + x * (c->v111 - c->v011);
-  const floatN v0 = v00 + y * (v10 - v00), v1 = v01 + y * (v11 - v01);
-  return v0 + z * (v1 - v0);
+  const floatN v00 = mix_corners(c->v000, c->v100, x), v10 = mix_corners(c->v010, c->v110, x);
+  const floatN v01 = mix_corners(c->v001, c->v101, x), v11 = mix_corners(c->v011, c->v111, x);
+  return mix_corners(mix_corners(v00, v10, y), mix_corners(v01, v11, y), z);
 }
 
 INLINE floatN value_at(const Corners *c, const Rays *ray, floatN cx, floatN cy, floatN cz, floatN t)
@@ -157,8 +156,14 @@ INLINE void integrate_cell(Accumulator *acc, floatN *opacity, floatN *median, co
     /* The shift that gives the chord the cubic's mean, (front + 4 middle + back) / 6, kept within what is there. */
     const floatN shift = (2.0f * middle - front - back) * (1.0f / 3.0f);
     const floatN low = lane_min(lane_min(front, middle), back), high = lane_max(lane_max(front, middle), back);
-    const ClassCoordinate a = class_coordinate(lane_clamp(front + shift, low, high), warp, view);
-    const ClassCoordinate b = class_coordinate(lane_clamp(back + shift, low, high), warp, view);
+    floatN first = lane_clamp(front + shift, low, high), second = lane_clamp(back + shift, low, high);
+#if MAY_BE_NAN
+    /* A corner that is not finite may have no weight in a face, and yet hide what is behind the face. */
+    const intN bad = MASK((AS_INT(middle) & 0x7f800000) == 0x7f800000);
+    first = select(first, middle, bad), second = select(second, middle, bad);
+#endif
+    const ClassCoordinate a = class_coordinate(first, warp, view);
+    const ClassCoordinate b = class_coordinate(second, warp, view);
     if (may_be_visible(lane_min(a.position, b.position), lane_max(a.position, b.position), active, view)) {
       composite_piece(acc, a, b, length, select((floatN)0.0f, 1.0f - *opacity, active), table, view);
       pass_opacity(acc, opacity, median, start, start + length);
@@ -237,7 +242,7 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
     }
   }
   accumulator_store(&acc, rgba);
-  STORE_LANES(ray.entry_depth + median * view->march.x, depth);
+  STORE_LANES((ray.entry_depth + median * view->march.x) * view->march.w, depth);
   STORE_LANES(taken, samples);
 }
 

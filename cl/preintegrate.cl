@@ -102,6 +102,7 @@ inline real mean_opacity(Piece p, real depth)
 typedef struct {
   real opacity;
   real color[3]; /* premultiplied */
+  real depth;    /* -log(1 - opacity), which the opacity forgets where it rounds to 1 */
 } Segment;
 
 /* Transfer function at a value inside piece k: (opacity, 1 - opacity), colour. */
@@ -136,9 +137,11 @@ inline Point point_inside(__global const real *control, int k, real value)
 inline void append_piece(Segment *s, Point a, Point b, real units)
 {
   const real through = 1 - s->opacity;
-  if (!(units > 0) || (a.opacity <= 0 && b.opacity <= 0) || through <= 0) return;
+  if (!(units > 0) || (a.opacity <= 0 && b.opacity <= 0)) return;
   const Piece p = {a.opacity, a.clear, b.opacity - a.opacity, units};
   const real depth = units * mean_depth(a.opacity, b.opacity, a.clear, b.clear);
+  s->depth += depth;
+  if (through <= 0) return;
   if (isinf(depth)) { /* opaque at once */
     for (int i = 0; i < 3; ++i) s->color[i] += through * a.color[i];
     s->opacity = 1;
@@ -153,7 +156,7 @@ inline void append_piece(Segment *s, Point a, Point b, real units)
 /* The segment along which the value runs from s_f to s_b; kf, kb: the pieces that hold them (value of point k <= s). */
 inline Segment integrate_segment(__global const real *control, real s_f, real s_b, int kf, int kb, real units)
 {
-  Segment s = {0, {0, 0, 0}};
+  Segment s = {0, {0, 0, 0}, 0};
   const real low = fmin(s_f, s_b), high = fmax(s_f, s_b), span = high - low;
   if (!(span > 0)) {
     const Point p = point_inside(control, kf, s_f);
@@ -173,11 +176,12 @@ inline Segment integrate_segment(__global const real *control, real s_f, real s_
 /* An opaque segment's optical depth: zero times it is zero, and any share of it that counts is opaque. */
 #define OPAQUE_DEPTH 1e15f
 
-/* What a shorter piece is made from: (mean colour, optical depth) instead of (premultiplied colour, opacity). */
-inline float4 color_and_depth(Segment s)
+/* What a shorter piece is made from: (mean colour, optical depth) instead of (premultiplied colour, opacity). A transparent
+ * segment has a colour too, that at its front: look-ups between it and its neighbours would be darkened by black. */
+inline float4 color_and_depth(Segment s, Point front)
 {
-  if (!(s.opacity > 0)) return 0.0f;
-  const float depth = fmin((float)-log1p(-s.opacity), OPAQUE_DEPTH);
+  if (!(s.opacity > 0)) return (float4)((float)front.color[0], (float)front.color[1], (float)front.color[2], 0.0f);
+  const float depth = fmin((float)s.depth, OPAQUE_DEPTH);
   return (float4)((float)(s.color[0] / s.opacity), (float)(s.color[1] / s.opacity), (float)(s.color[2] / s.opacity), depth);
 }
 
@@ -202,7 +206,7 @@ __kernel void preintegrate_table(__global const real *restrict control, __global
   float4 rgba = 0.0f;
   if (front < n && back < n) {
     const Segment s = integrate_segment(control, nodes[front], nodes[back], pieces[front], pieces[back], units[slice]);
-    rgba = slice == 0 ? premultiplied(s) : color_and_depth(s);
+    rgba = slice == 0 ? premultiplied(s) : color_and_depth(s, point_inside(control, pieces[front], nodes[front]));
   }
   table[((size_t)slice * (n + 2) + front) * (n + 2) + back] = rgba;
 }
@@ -210,7 +214,8 @@ __kernel void preintegrate_table(__global const real *restrict control, __global
 /* For evenly spaced nodes a table takes two steps instead of one pass over all control points for each entry: a segment over
  * k cells between nodes gives each of them 1 / k of its length, whatever the rest of the segment is.
  *
- * cells  real4 pairs [slices, n - 1, n - 1, 2]: (span k - 1, cell) -> the cell crossed upwards, downwards (premultiplied)
+ * cells  real [slices, n - 1, n - 1, 8]: (span k - 1, cell) -> premultiplied colour of the cell crossed upwards, its opacity;
+ *        the same downwards, its optical depth
  */
 __kernel void cell_segments(__global const real *restrict control, __global const real *restrict nodes,
                             __global const int *restrict pieces, __global const real *restrict units, int n,
@@ -222,7 +227,7 @@ __kernel void cell_segments(__global const real *restrict control, __global cons
   const Segment up = integrate_segment(control, nodes[cell], nodes[cell + 1], pieces[cell], pieces[cell + 1], length);
   const Segment down = integrate_segment(control, nodes[cell + 1], nodes[cell], pieces[cell + 1], pieces[cell], length);
   for (int i = 0; i < 3; ++i) out[i] = up.color[i], out[4 + i] = down.color[i];
-  out[3] = up.opacity, out[7] = down.opacity;
+  out[3] = up.opacity, out[7] = up.depth;
 }
 
 /* As preintegrate_table, from cell_segments. The first block of cells serves slices 0
@@ -234,21 +239,22 @@ __kernel void compose_table(__global const real *restrict control, __global cons
   const int back = get_global_id(0), front = get_global_id(1), slice = get_global_id(2);
   float4 rgba = 0.0f;
   if (front < n && back < n) {
-    Segment s = {0, {0, 0, 0}};
+    Segment s = {0, {0, 0, 0}, 0};
     if (front == back) {
       s = integrate_segment(control, nodes[front], nodes[front], pieces[front], pieces[front], units[slice]);
     } else {
       const int up = back > front, span = up ? back - front : front - back;
       const int block = slice > 0 ? slice - 1 : 0;
-      __global const real *row = cells + 8 * (((size_t)block * (n - 1) + (span - 1)) * (n - 1)) + (up ? 0 : 4);
-      for (int k = 0; k < span && s.opacity < 1; ++k) {
+      __global const real *row = cells + 8 * (((size_t)block * (n - 1) + (span - 1)) * (n - 1));
+      for (int k = 0; k < span; ++k) {
         __global const real *c = row + 8 * (up ? front + k : front - 1 - k);
         const real through = 1 - s.opacity;
-        for (int i = 0; i < 3; ++i) s.color[i] += through * c[i];
+        for (int i = 0; i < 3; ++i) s.color[i] += through * c[(up ? 0 : 4) + i];
         s.opacity += through * c[3];
+        s.depth += c[7];
       }
     }
-    rgba = slice == 0 ? premultiplied(s) : color_and_depth(s);
+    rgba = slice == 0 ? premultiplied(s) : color_and_depth(s, point_inside(control, pieces[front], nodes[front]));
   }
   table[((size_t)slice * (n + 2) + front) * (n + 2) + back] = rgba;
 }
@@ -262,7 +268,7 @@ __kernel void classify_table(__global const real *restrict control, __global con
   float4 rgba = 0.0f;
   if (node < n) {
     const Segment s = integrate_segment(control, nodes[node], nodes[node], pieces[node], pieces[node], units[slice]);
-    rgba = slice == 0 ? premultiplied(s) : color_and_depth(s);
+    rgba = slice == 0 ? premultiplied(s) : color_and_depth(s, point_inside(control, pieces[node], nodes[node]));
   }
   table[slice * (n + 2) + node] = rgba;
 }

@@ -1,6 +1,6 @@
 /* The ray caster: a ray for every pixel. A work-item renders one tile of pixels, a packet of rays at a time (render_packet.h).
  *
- * Switches (-D): LANES, VOXEL_BITS, VOXEL_SIGNED, VOXEL_SCALED, VOXEL_PAIRS, FILTER, CLASSIFICATION, QUADRATURE,
+ * Switches (-D): LANES, VOXEL_BITS, VOXEL_SIGNED, VOXEL_SCALED, VOXEL_PAIRS, VOXEL_HOLES, FILTER, CLASSIFICATION, QUADRATURE,
  * WARPED_CLASSES, SKIP_EMPTY, WITH_DEPTH.
  */
 #include "render_packet.h"
@@ -35,7 +35,9 @@ __kernel WIDE_VECTORS void raycast(__global const uchar *restrict volume, __glob
         const int x = column + k % PACKET_W, y = row + k / PACKET_W;
         if (x < width && y < height) {
           const size_t pixel = (size_t)y * width + x;
-          image[pixel] = vload4(k, rgba);
+          float4 c = vload4(k, rgba);
+          c.w = fmin(c.w, 1.0f); /* a sum of shares of what was left may round to more than all */
+          image[pixel] = c;
 #if WITH_DEPTH
           depths[pixel] = depth[k];
 #endif

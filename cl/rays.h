@@ -11,7 +11,7 @@ typedef struct {
   floatN rx, ry, rz;   /* their inverses, finite */
   floatN px, py, pz;   /* infinite along an axis that the ray does not move on, else 0: no face is met there */
   floatN length;       /* from entry to exit, in steps; below 0: the ray misses */
-  floatN entry_depth;  /* world distance from the eye (or camera plane) to the entry */
+  floatN entry_depth;  /* distance from the eye (or camera plane) to the entry, in smallest voxel edges */
 } Rays;
 
 /* Below this a direction's component counts as parallel to the faces: the ray is in the slab, or never is. */

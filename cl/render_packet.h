@@ -160,7 +160,7 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
 #endif
   }
   accumulator_store(&acc, rgba);
-  STORE_LANES(ray.entry_depth + median * view->march.x, depth);
+  STORE_LANES((ray.entry_depth + median * view->march.x) * view->march.w, depth);
   STORE_LANES(taken, samples);
 }
 

@@ -31,14 +31,24 @@ INLINE FetchedSample fetch_linear(__global const uchar *volume, __constant const
   return s;
 }
 
-/* Trilinear: lerps as a + f (b - a), so that a constant cell gives exactly its constant. */
+/* a + f (b - a), so that a constant cell gives exactly its constant. VOXEL_HOLES: some voxel is not finite, and what has
+ * weight 0 must not count, since 0 times it is not 0. */
+INLINE floatN mix_corners(floatN a, floatN b, floatN f)
+{
+  const floatN mixed = a + f * (b - a);
+#if VOXEL_HOLES
+  return select(select(mixed, a, MASK(f == 0.0f)), b, MASK(f == 1.0f));
+#else
+  return mixed;
+#endif
+}
+
 INLINE floatN linear_value(FetchedSample s, __constant const View *view)
 {
   const Corners c = decode_corners(s.corners, view);
-  const floatN v00 = c.v000 + s.fx * (c.v100 - c.v000), v10 = c.v010 + s.fx * (c.v110 - c.v010);
-  const floatN v01 = c.v001 + s.fx * (c.v101 - c.v001), v11 = c.v011 + s.fx * (c.v111 - c.v011);
-  const floatN v0 = v00 + s.fy * (v10 - v00), v1 = v01 + s.fy * (v11 - v01);
-  return v0 + s.fz * (v1 - v0);
+  const floatN v00 = mix_corners(c.v000, c.v100, s.fx), v10 = mix_corners(c.v010, c.v110, s.fx);
+  const floatN v01 = mix_corners(c.v001, c.v101, s.fx), v11 = mix_corners(c.v011, c.v111, s.fx);
+  return mix_corners(mix_corners(v00, v10, s.fy), mix_corners(v01, v11, s.fy), s.fz);
 }
 
 /* Nearest voxel centre; halves round up. The fetched cell is the one that has it as a corner. */

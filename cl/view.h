@@ -3,8 +3,8 @@
  * nothing of it is a compiler switch: a camera move never compiles.
  *
  * Positions are in lattice coordinates: voxel centres at 0 .. size - 1 along x, y, z (an axis of one voxel is held twice, and
- * runs from 0 to 1). Lengths t along a ray are in world units, measured from the reference plane: the plane through the
- * volume's centre, perpendicular to the view. A far eye so costs no precision.
+ * runs from 0 to 1). Lengths t along a ray are in smallest voxel edges, measured from the reference plane: perpendicular to
+ * the view, it touches the volume from the front, or holds the eye. A far eye or a wide view so costs no precision.
  */
 #ifndef VIEW_H
 #define VIEW_H
@@ -17,16 +17,17 @@ typedef struct {
   float4 plane_origin;  /* lattice point of the image centre on the reference plane */
   float4 plane_du;      /* its change a pixel to the right */
   float4 plane_dv;      /* its change a pixel down */
-  float4 ray_forward;   /* lattice units a world unit along the ray of the image centre */
+  float4 ray_forward;   /* lattice units an edge along the ray of the image centre */
   float4 ray_du;        /* change of the (not yet normalised) direction a pixel to the right */
   float4 ray_dv;        /* and down */
   float4 lens;          /* tangent of the view angle a pixel to the right, down; image centre x, y in pixels */
-  float4 march;         /* step h; distance from the eye to the reference plane; opacity at which a ray stops;
-                         * how far apart rays may be that pixels are interpolated between */
+  float4 march;         /* step h; distance from the eye to the reference plane; opacity at which a ray stops; world length
+                         of an edge */
   float4 upper;         /* size - 1 */
   float4 classes;       /* value of class coordinate 0; class coordinates a value; last coordinate; bins of the warp */
   float4 gate;          /* class coordinates between which something is visible: low, high */
-  float4 voxel;         /* gain of scaled float32 voxels; parts that quadrature by cells cuts each cell's piece in; -; - */
+  float4 voxel;         /* gain of scaled float32 voxels; parts that quadrature by cells cuts each cell's piece in; how far
+                         * apart rays may be that pixels are interpolated between; - */
 #if VOXEL_BITS == 64
   double2 voxel_double; /* float64 voxels are read as (v - bias) * gain: bias, gain */
 #else

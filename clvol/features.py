@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from clvol.errors import SceneError
+from clvol.scene.clip import Clip
 from clvol.scene.resolve import ResolvedScene
 
 FILTERS = {"nearest": 0, "linear": 1, "cubic": 2}
@@ -136,10 +137,16 @@ def _clipping(resolved: ResolvedScene) -> Effect:
     if not resolved.clips:
         return Effect("clipping", False, "the scene has no clip plane")
     corners = resolved.volume.grid.world_corners()
-    cuts = [
-        clip for clip in resolved.clips
-        if np.any((corners - np.asarray(clip.point)) @ np.asarray(clip.normal) < 0)
-    ]  # fmt: skip
+    cuts = [clip for clip in resolved.clips if _cuts(clip, corners)]
     if not cuts:
         return Effect("clipping", False, "no clip plane meets the volume")
     return Effect("clipping", True, f"{len(cuts)} planes meet the volume")
+
+
+def _cuts(clip: Clip, corners: np.ndarray) -> bool:
+    """Whether more than rounding of the volume's ``corners`` [n, 3] lies behind the plane."""
+    normal = np.asarray(clip.normal)
+    normal = normal / np.abs(normal).max()  # so that no square or product may overflow
+    point = np.asarray(clip.point)
+    rounding = 1e-14 * max(np.abs(corners).max(), np.abs(point).max())
+    return bool(np.any((corners - point) @ normal < -rounding))

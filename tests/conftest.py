@@ -60,6 +60,27 @@ def device(request: pytest.FixtureRequest):
 
 
 @pytest.fixture(scope="session")
+def contexts():
+    """One context a device, kept for the session so that nothing is compiled twice."""
+    from clvol.opencl.context import DeviceContext
+
+    made: dict = {}
+
+    def context_of(device) -> DeviceContext:
+        if device not in made:
+            made[device] = DeviceContext(device)
+        return made[device]
+
+    return context_of
+
+
+@pytest.fixture(scope="session")
+def context(device, contexts):
+    """The device's ``DeviceContext``."""
+    return contexts(device)
+
+
+@pytest.fixture(scope="session")
 def shared_volume():
     """``shared_volume(name)``: the path of a real volume kept beside the repository, or a skip."""
 

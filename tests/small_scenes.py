@@ -44,5 +44,31 @@ def make_scene(
     ).resolve()
 
 
+def axis_camera(centre, axis=0, height=1.0, distance=40.0, sign=1, **keys) -> dict:
+    """Orthographic, looking along an axis at ``centre`` [3]; ``sign`` 1: the way the axis points."""
+    position = list(centre)
+    position[axis] -= sign * distance
+    up = [0.0, 0.0, 0.0]
+    up[(axis + 2) % 3] = 1.0
+    return {"projection": "orthographic", "position": position, "target": list(centre),
+            "up": up, "height": height, **keys}  # fmt: skip
+
+
+def picture(context, resolved, **how):
+    """``FrameData`` of the ray caster; ``how``: the camera, or keys of ``Raycaster``."""
+    from clvol.render.raycast import Raycaster
+
+    camera = how.pop("camera", resolved.camera)
+    caster = Raycaster(context, resolved, **how)
+    return caster.render(camera, resolved.image.width, resolved.image.height)
+
+
+def exact(device, resolved, tolerance=1e-9) -> np.ndarray:
+    """The reference's picture."""
+    from clvol.render.reference import render_reference
+
+    return render_reference(resolved, device, tolerance=tolerance)[0]
+
+
 def rms(a, b) -> float:
     return float(np.sqrt(np.mean((np.asarray(a, np.float64) - np.asarray(b, np.float64)) ** 2)))

@@ -9,9 +9,6 @@ from clvol.opencl.context import DeviceArray, DeviceContext
 from clvol.render.device_volume import DeviceVolume
 from clvol.transfer.classes import ClassNodes
 
-# Rounding of warped class coordinates in float32; even ones are exact at the nodes.
-_WARP_ROUNDING = 1e-3
-
 
 def visible_mask(
     volume: DeviceVolume, filter: str, nodes: ClassNodes, between: np.ndarray, at: np.ndarray
@@ -26,7 +23,7 @@ def visible_mask(
     any_value = lowest <= highest
     low = np.where(any_value, lowest, nodes.first)
     high = np.where(any_value, highest, nodes.first)
-    margin = 0.0 if nodes.warp is None else _WARP_ROUNDING
+    margin = nodes.rounding
     # The lowest value of all is node 0, also in float32.
     first = np.floor(nodes.position(low) - np.where(low == nodes.first, 0.0, margin))
     last = np.ceil(nodes.position(high) + np.where(high == nodes.first, 0.0, margin))

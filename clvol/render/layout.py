@@ -54,6 +54,7 @@ def voxel_switches(volume: Volume, values: ValueMap) -> dict[str, int]:
         "VOXEL_SIGNED": int(dtype.kind == "i"),
         "VOXEL_SCALED": int(dtype == np.float32 and values.gain != 1.0),
         "VOXEL_PAIRS": int(holds_pairs(volume)),
+        "VOXEL_HOLES": int(volume.nan_count + volume.inf_count > 0),
     }
 
 

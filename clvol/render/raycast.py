@@ -17,6 +17,7 @@ from clvol.render.empty_space import distance_map, visible_mask
 from clvol.render.layout import CELL_SHIFT, value_map, voxel_switches
 from clvol.render.view import EVERY_PIXEL, PixelLattice, RayFrame, ray_frame
 from clvol.scene.camera import Camera
+from clvol.scene.integration import Integration
 from clvol.scene.resolve import ResolvedScene
 from clvol.schedule.tiles import TILE, bands, tiling
 from clvol.transfer import TransferFunction
@@ -34,6 +35,14 @@ _FILL_ARGUMENTS = (
 )
 
 
+def segment_classification(integration: Integration) -> str:
+    """How segments are classified. Under the nearest filter values do not run from one sample to the
+    next, they jump: a pre-integrated segment of constant value is a post-classified one."""
+    if integration.filter == "nearest" and integration.classification == "preintegrated":
+        return "post"
+    return integration.classification
+
+
 def raycast_switches(
     resolved: ResolvedScene, *, warped: bool, lanes: int, skip: bool = True, depth: bool = True
 ) -> dict[str, int]:
@@ -43,7 +52,7 @@ def raycast_switches(
         **voxel_switches(resolved.volume, value_map(resolved.volume)),
         "LANES": lanes,
         "FILTER": FILTERS[integration.filter],
-        "CLASSIFICATION": CLASSIFICATIONS[integration.classification],
+        "CLASSIFICATION": CLASSIFICATIONS[segment_classification(integration)],
         "QUADRATURE": QUADRATURES[integration.quadrature],
         "WARPED_CLASSES": int(warped),
         "SKIP_EMPTY": int(skip),
@@ -55,7 +64,7 @@ def scene_nodes(resolved: ResolvedScene, function: TransferFunction | None = Non
     """The class nodes for a scene's volume and classification."""
     volume, integration = resolved.volume, resolved.integration
     values = value_map(volume)
-    preintegrated = integration.classification == "preintegrated"
+    preintegrated = segment_classification(integration) == "preintegrated"
     return class_nodes(
         device_function(function or resolved.transfer_function, values),
         tuple(float(v) for v in values(volume.value_range)),
@@ -127,7 +136,7 @@ class Raycaster:
         self.nodes = scene_nodes(resolved, function)
         mapped = device_function(function, self.volume.values)
         visible = visible_cells(mapped, self.nodes.values)
-        kind = resolved.integration.classification
+        kind = segment_classification(resolved.integration)
         by_cells = resolved.integration.quadrature == "cells"
         nodes = self.nodes.values
         if kind == "preintegrated":
@@ -197,7 +206,6 @@ class Raycaster:
         counted = [samples]
         if fills:
             view = self._frame_view(ray_frame(camera, grid, width, height), width, height)
-            view["march"][0, 3] = self.resolved.image.ray_tolerance
             view["band"][0, 1:] = (spacing, lattice_width, lattice_height)
             coarse, coarse_depths = image, depths
             image = context.output(np.float32, (height, width, 4))
@@ -279,24 +287,30 @@ class Raycaster:
                 row[name][:3] = source
             row["lens"] = (*frame.lens, *frame.centre)
             stop = 1.0 - self.resolved.integration.early_termination
-            row["march"] = (self.length, frame.distance, stop, 0.0)
+            step = self.resolved.integration.step
+            row["march"] = (step, frame.distance, stop, frame.unit)
             bins = 0.0 if nodes.warp is None else nodes.warp.size - 1.0
             row["classes"] = (nodes.first, nodes.per_value, nodes.last_coordinate, bins)
         finite = [np.isfinite(row[name]).all() for name in (*names, "lens", "march", "classes")]
-        if not all(finite) or not row["march"][0] > 0:
+        if not all(finite) or not min(row["march"][0], row["march"][3]) > 0:
             where = f"{self.resolved.origin}: camera"
             raise RenderError(where, "numbers beyond float32", "a camera and units nearer to 1")
         row["upper"][:3] = np.asarray(volume.size) - 1
         row["gate"][:2] = self.gate
-        row["voxel"][:2] = (volume.values.gain, parts_of_cell(self.resolved.integration.step))
+        parts = parts_of_cell(self.resolved.integration.step)
+        row["voxel"][1:3] = (parts, self.resolved.image.ray_tolerance)
         if volume.switches["VOXEL_BITS"] == 64:
             row["voxel_double"] = (volume.values.bias, volume.values.gain)
+        else:
+            row["voxel"][0] = volume.values.gain
         row["size"][:3] = volume.size
         row["stride"][:2] = volume.stride
         row["cells"] = (*volume.cells, CELL_SHIFT)
         row["image"] = (width, height, *self.tile)
         n = nodes.values.size
-        row["table"] = (n, n + 2, SLICES, (n + 2) ** 2)
+        preintegrated = segment_classification(self.resolved.integration) == "preintegrated"
+        rows = n + 2 if preintegrated else 1
+        row["table"] = (n, n + 2, SLICES, rows * (n + 2))
         return view
 
     def _check_struct(self) -> None:

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from clvol.volume import Grid, Volume
 
 FILTERS = ("linear", "nearest", "cubic")
-_LARGEST_VALUE = 2.0**500  # beyond it products of differences could overflow
+_LARGEST_EXPONENT = 500  # of values: beyond it products of differences overflow, or shares vanish
 
 
 def render_reference(
@@ -146,7 +146,10 @@ def _control_points(
     values, opacities = transfer_function.values, transfer_function.opacities
     lower, upper = volume.value_range
     largest = max(abs(lower), abs(upper), float(np.abs(values).max()))
-    scale = 1.0 if largest < _LARGEST_VALUE else 2.0 ** -(math.frexp(largest)[1] - 1)
+    exponent = math.frexp(largest)[1]
+    scale = 1.0
+    if abs(exponent) > _LARGEST_EXPONENT and largest > 0.0:
+        scale = 2.0 ** min(1 - exponent, 1000)
     values = values * scale
     # Region r lies below point r and above point r - 1; it shows unless both are transparent.
     # The empty region inside a step never holds a value.

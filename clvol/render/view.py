@@ -1,7 +1,7 @@
 """From a camera and a grid to the numbers that one frame's kernel launch needs.
 
 All of it is done in double precision here; the kernel gets the picture's rays relative to a plane
-through the volume, so that neither a far eye nor a large origin costs float32 any digits.
+that touches the volume, so that neither a far eye nor a large origin costs float32 any digits.
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ class RayFrame:
     Pixel (column, row) at u = column - ``centre[0]``, v = row - ``centre[1]`` has the ray through
     ``origin`` + u ``du`` + v ``dv`` in direction (``forward`` + u ``ray_du`` + v ``ray_dv``) / |.|, the norm
     taken in world space: sqrt(1 + (u ``lens[0]``)^2 + (v ``lens[1]``)^2). The eye lies ``distance``
-    times that norm before the origin's plane. The direction is a lattice length a world length.
+    times that norm before the origin's plane. Lengths along rays are in units of the smallest voxel
+    edge, ``unit`` world lengths: the world's scale never meets float32.
     """
 
     origin: np.ndarray
@@ -33,6 +34,7 @@ class RayFrame:
     lens: tuple[float, float]
     centre: tuple[float, float]
     distance: float
+    unit: float
 
 
 @dataclass(frozen=True)
@@ -77,7 +79,11 @@ def ray_frame(
     linear = to_index[:3, :3]
     centre_world = (grid.index_to_world() @ np.append(0.5 * (lower + upper), 1.0))[:3]
     eye = np.asarray(camera.position, np.float64)
-    distance = max(float((centre_world - eye) @ forward), 0.0)
+    half = 0.5 * (upper - lower) * np.asarray(grid.spacing)
+    reach = float(np.abs(forward @ grid.direction) @ half)
+    # The plane touches the domain from the front, or holds an eye that is nearer: a ray meets it no
+    # farther from the view's axis than it meets the domain, however wide the view.
+    distance = max(float((centre_world - eye) @ forward) - reach, 0.0)
     # eye + distance * forward - centre is formed so that a far eye cancels before it is rounded.
     offset = eye - centre_world
     offset = offset + distance * forward
@@ -94,18 +100,19 @@ def ray_frame(
         ray_du, ray_dv = tangent * right, -tangent * up
         du, dv = distance * ray_du, distance * ray_dv
         lens = (tangent, tangent)
-    every = lattice.spacing
+    every, unit = lattice.spacing, grid.smallest_edge
     return RayFrame(
         origin=origin,
         du=every * (linear @ du),
         dv=every * (linear @ dv),
-        forward=linear @ forward,
-        ray_du=every * (linear @ ray_du),
-        ray_dv=every * (linear @ ray_dv),
+        forward=linear @ (unit * forward),
+        ray_du=linear @ (unit * every * ray_du),
+        ray_dv=linear @ (unit * every * ray_dv),
         lens=(every * lens[0], every * lens[1]),
         centre=(
             ((width - 1) / 2.0 - lattice.column) / every,
             ((height - 1) / 2.0 - lattice.row) / every,
         ),
-        distance=distance,
+        distance=distance / unit,
+        unit=unit,
     )

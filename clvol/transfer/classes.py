@@ -3,9 +3,11 @@
 Tables are looked up by a class coordinate, the position among the nodes. For integer voxels whose
 control points are integers the nodes are evenly spaced and fall on all of them. In general they
 cannot: then the map from value to coordinate is piecewise linear over equal bins (a "warp"), which
-puts most nodes where the transfer function varies, and one on every control point to within a bin.
-So a peak that is a thousandth of the range wide is resolved by as many entries as one that
-fills it.
+puts most nodes where the transfer function varies, and one exactly on every control point: voxels of
+just that value must not show a mixture with what lies next to it. So a peak that is a thousandth of
+the range wide is resolved by as many entries as one that fills it. Control points closer
+than 1 / 16384 of the range share bins: a ray that crosses them still gathers what lies between
+(pre-integrated), but voxels of one value in there show a mean.
 """
 
 from __future__ import annotations
@@ -16,7 +18,11 @@ import numpy as np
 
 from clvol.transfer.function import TransferFunction
 
-BINS = 4096
+# Bins of the warp: the fewest that keep control points apart, and that a step may well be blurred by.
+BINS, STEP_BINS, MOST_BINS = 4096, 16384, 65536
+_BINS_APART = 4  # so that each has a bin of its own, and the jump of a step one before that
+_NARROW = 8  # even nodes closer than that to one another misplace what is between them
+_STEP_MARGIN = 0.02  # of a bin: more than rounding of a value's place among all bins
 # Shares of the nodes: evenly over the range, over what is visible, and around it, where a segment that
 # reaches into it changes with 1 / its span.
 _EVEN, _VISIBLE, _AROUND = 0.25, 0.40, 0.35
@@ -35,6 +41,14 @@ class ClassNodes:
     first: float
     per_value: float
     warp: np.ndarray | None = None
+
+    @property
+    def rounding(self) -> float:
+        """How far float32 arithmetic may be from ``position``: nothing where nodes are even, since
+        then what matters are their own values."""
+        if self.warp is None:
+            return 0.0
+        return float(np.diff(self.warp).max()) * self.warp.size * 2.0**-22 + 2e-5
 
     @property
     def last_coordinate(self) -> float:
@@ -58,8 +72,9 @@ def class_nodes(
 ) -> ClassNodes:
     """About ``count`` nodes (never more) over ``value_range`` for ``function``.
 
-    ``integer``: voxels are integers. ``may_warp`` False: evenly spaced in any case, which is what
-    a long one-dimensional table wants.
+    ``integer``: voxels are integers. ``may_warp`` False: evenly spaced where that resolves the
+    function, which is what a long one-dimensional table wants; for integer voxels there may then be
+    as many nodes as values.
     """
     low, high = (float(v) for v in value_range)
     if not high > low:
@@ -70,24 +85,40 @@ def class_nodes(
         if not may_warp or np.all(inside * per_value == np.round(inside * per_value)):
             n = per_value * int(high - low) + 1
             return ClassNodes(low + np.arange(n) / per_value, low, float(per_value))
+    if not may_warp:
+        if integer and high - low < MOST_BINS and _is_narrow(function, low, high, count):
+            return ClassNodes(np.arange(low, high + 1), low, 1.0)
+        may_warp = not integer and _is_narrow(function, low, high, count)
     if not may_warp or inside.size > count // 2:
         return ClassNodes(np.linspace(low, high, count), low, (count - 1) / (high - low))
     return _warped(function, low, high, count, integer)
 
 
+def _is_narrow(function: TransferFunction, low: float, high: float, count: int) -> bool:
+    """Whether ``count`` even nodes would misplace a step, or a stretch between control points."""
+    gaps = np.diff(_knots(function, low, high)[0])
+    return bool(gaps.min() * (count - 1) < _NARROW * (high - low))
+
+
 def _warped(
     function: TransferFunction, low: float, high: float, count: int, integer: bool
 ) -> ClassNodes:
+    knots, opacities = _knots(function, low, high)
+    lengths = np.diff(knots)
     if integer:  # bin edges on integers, so that steps of integer data stay sharp
         per_bin = max(1.0, np.ceil((high - low) / BINS))
+        if high - low <= MOST_BINS and lengths.min() < _NARROW * per_bin:
+            per_bin = 1.0
         per_value = max(1.0, BINS // (high - low)) if per_bin == 1.0 else 1.0 / per_bin
         bins = int(np.ceil((high - low) * per_value))
     else:
-        bins, per_value = BINS, BINS / (high - low)
+        apart = lengths[lengths * MOST_BINS >= _BINS_APART * (high - low)]
+        bins = BINS if apart.size == lengths.size else STEP_BINS
+        while bins < MOST_BINS and apart.min(initial=high - low) * bins < _BINS_APART * (high - low):
+            bins *= 2
+        per_value = bins / (high - low)
     edges = low + np.arange(bins + 1) / per_value
 
-    knots, opacities = _knots(function, low, high)
-    lengths = np.diff(knots)
     share = np.concatenate([[0.0], np.cumsum(_density(knots, opacities, edges))])
     share /= share[-1]
     at = np.interp(knots, edges, share)
@@ -102,11 +133,44 @@ def _warped(
     w = np.where(span > 0, (share - at[k]) / np.where(span > 0, span, 1.0), 1.0)
     warp = at_knots[k] + np.clip(w, 0.0, 1.0) * cells[k]
     warp[0], warp[-1] = 0.0, at_knots[-1]
+    warp = np.maximum.accumulate(warp)
+    met = _meet_knots(warp, (knots - low) * per_value, at_knots, exact=integer)
     warp = np.maximum.accumulate(warp).astype(np.float32)
     n = int(at_knots[-1]) + 1
     # A node's value is the one that the warp maps to it.
     values = np.interp(np.arange(n), warp.astype(np.float64), edges)
+    values[at_knots[met].astype(np.int64)] = knots[met]
     return ClassNodes(values, low, float(per_value), warp)
+
+
+def _meet_knots(
+    warp: np.ndarray, places: np.ndarray, at_knots: np.ndarray, exact: bool
+) -> np.ndarray:
+    """Shifts the edges of the bins that hold knots, at ``places`` (in bins), so that the coordinate
+    of a knot is its node. Where that is met: int [m], indices of knots.
+
+    Of a step the later node; what leads up to it lies in the bin before. There, unless float32 computes
+    places exactly, the coordinate is a trifle beyond the node, where nothing of the jump is left.
+    """
+    met = []
+    for i in range(1, places.size - 1):
+        is_step = places[i] == places[i - 1]
+        nearest = min(places[i] - places[i - 1 - is_step], places[i + 1] - places[i])
+        if nearest < _BINS_APART or (exact and places[i] == int(places[i])):
+            continue  # nothing to be done, or nothing to do
+        margin = _STEP_MARGIN if is_step and not exact else 0.0
+        b = int(np.floor(places[i] - margin))
+        if b < 1 or b + 2 >= warp.size:
+            continue
+        node, share = at_knots[i], places[i] - margin - b
+        slope = min(warp[b + 1] - warp[b], node - warp[b - 1], warp[b + 2] - node, 0.5)
+        if is_step:
+            slope = min(slope, _STEP_MARGIN)
+        warp[b], warp[b + 1] = node - share * slope, node + (1.0 - share) * slope
+        if is_step:  # the knot may be just beyond
+            warp[b + 2] = min(warp[b + 2], warp[b + 1] + slope)
+        met.append(i)
+    return np.array(met, np.int64)
 
 
 def _density(knots: np.ndarray, opacities: np.ndarray, edges: np.ndarray) -> np.ndarray:
@@ -135,7 +199,10 @@ def _density(knots: np.ndarray, opacities: np.ndarray, edges: np.ndarray) -> np.
 def _knots(
     function: TransferFunction, low: float, high: float
 ) -> tuple[np.ndarray, np.ndarray]:
+    """Control points inside the range, and its ends; a step at the upper end is there twice."""
     inside = (function.values > low) & (function.values < high)
+    at_high = np.flatnonzero(function.values == high)
+    inside[at_high[:-1]] = True
     ends = function.opacity(np.array([low, high]))
     knots = np.concatenate([[low], function.values[inside], [high]])
     return knots, np.concatenate([ends[:1], function.opacities[inside], ends[1:]])

@@ -199,7 +199,8 @@ def test_rounding_never_leaves_the_range_of_the_voxels(context, dtype, sign):
     )
     leaping, walking = (picture(context, scene, skip=skip) for skip in (True, False))
     assert leaping.rgba[..., 3].max() > 0.1
-    assert leaping.samples < 0.7 * walking.samples
+    if dtype == np.uint16:  # of float values so near a control point none can be told transparent
+        assert leaping.samples < 0.7 * walking.samples
     assert np.array_equal(leaping.rgba, walking.rgba)
 
 

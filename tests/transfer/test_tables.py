@@ -105,6 +105,41 @@ def test_nodes_ascend_fill_the_range_and_lie_where_the_warp_says(name, integer, 
         assert np.all(np.diff(nodes.warp) >= 0)
 
 
+def kernel_position(nodes, value) -> np.float32:
+    """The class coordinate as the kernels compute it, in float32."""
+    p = (np.float32(value) - np.float32(nodes.first)) * np.float32(nodes.per_value)
+    if nodes.warp is None:
+        return p
+    b = int(min(p, nodes.warp.size - 2))
+    return nodes.warp[b] + (p - np.float32(b)) * (nodes.warp[b + 1] - nodes.warp[b])
+
+
+@pytest.mark.parametrize("name", [name for name in FUNCTIONS if name != "narrower than a cell"])
+@pytest.mark.parametrize("may_warp, count", [(True, 256), (False, 4096)])
+@pytest.mark.parametrize("low, high", [(0.0, 63.0), (-3.3, 3070.9), (-517.0, 64.0)])
+def test_a_control_points_coordinate_is_its_node(name, may_warp, count, low, high):
+    function = function_of(name)
+    nodes = class_nodes(function, (low, high), count, integer=False, may_warp=may_warp)
+    steps = {v for v, w in zip(function.values, function.values[1:]) if v == w}
+    for value in set(function.values) if nodes.warp is not None else ():
+        if not low < value < high:
+            continue
+        position = kernel_position(nodes, value)
+        node = round(float(position))
+        assert position == pytest.approx(node, abs=0.02)
+        assert nodes.values[node] == value
+        if value in steps:
+            assert node <= position < node + 1e-3, "nothing of what is before the step is left"
+            assert kernel_position(nodes, value - 2e-4 * (high - low)) <= node - 1
+    assert nodes.warp is not None or not (steps and not may_warp)
+
+
+def test_integer_voxels_have_a_node_each_where_steps_are_between_them():
+    step = TransferFunction([-500, 100, 100, 3000], [0, 0, 0.9, 0.9], COLORS[:4])
+    nodes = class_nodes(step, (-32768.0, 32767.0), 4096, integer=True, may_warp=False)
+    assert nodes.warp is None and np.array_equal(nodes.values, np.arange(-32768.0, 32768.0))
+
+
 def test_a_narrow_peak_gets_its_share_of_the_nodes():
     function = TransferFunction([0, 3000, 3010, 3020, 65535], [0, 0, 0.9, 0, 0], [[1, 1, 1]] * 5)
     nodes = class_nodes(function, (0.0, 65535.0), 256, integer=True)
