@@ -444,7 +444,7 @@ ROWS: tuple[Row, ...] = (
         "preintegrated-step", "pre-integrated, step in the function", 2.0,
         "the table knows the step; the chord crosses its value O(h^2) off",
         lambda: Case(one_cell(), STEP, _ALONG), steps_of_two(1, 5), classification="preintegrated",
-        table_size=384,
+        table_size=768,
     ),
     step_row(
         "nearest", "post-classified, nearest filter", 1.0,
