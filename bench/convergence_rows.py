@@ -443,8 +443,8 @@ ROWS: tuple[Row, ...] = (
     step_row(
         "preintegrated-step", "pre-integrated, step in the function", 2.0,
         "the table knows the step; the chord crosses its value O(h^2) off",
-        lambda: Case(one_cell(), STEP, _ALONG), steps_of_two(1, 5), classification="preintegrated",
-        table_size=768,
+        lambda: Case(one_cell(), STEP, _ALONG), steps_of_two(1, 4), classification="preintegrated",
+        table_size=384,
     ),
     step_row(
         "nearest", "post-classified, nearest filter", 1.0,
