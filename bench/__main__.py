@@ -8,7 +8,7 @@ import sys
 
 from bench.options import Options
 
-NAMES = ("peers", "sampling", "scaling", "startup", "convergence")
+NAMES = ("peers", "sampling", "scaling", "startup", "convergence", "tradeoff")
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -26,7 +26,7 @@ def main(arguments: list[str] | None = None) -> int:
     asked = parser.parse_args(arguments)
 
     modules = {name: importlib.import_module(f"bench.{name}") for name in NAMES}
-    from bench.scenes import SCENES
+    from bench.scenes import CHEST, SCENES
 
     if asked.list:
         for name, module in modules.items():
@@ -41,7 +41,7 @@ def main(arguments: list[str] | None = None) -> int:
         parser.error(f"--sizes: got {asked.sizes!r}, expected whole numbers from 16, like 512,1024")
     scenes = tuple(filter(None, asked.scenes.split(",")))
     for kind, given, known in (
-        ("NAME", asked.names, NAMES), ("--scenes", scenes, [scene.name for scene in SCENES])
+        ("NAME", asked.names, NAMES), ("--scenes", scenes, [*(scene.name for scene in (*SCENES, CHEST)), "demo"])
     ):  # fmt: skip
         unknown = [name for name in given if name not in known]
         if unknown:

@@ -155,6 +155,52 @@ def error_time_chart(result: dict[str, Any], size: int, path: Path) -> Path:
     return _save(plt, figure, path, _notes(result))
 
 
+def tradeoff_chart(result: dict[str, Any], path: Path) -> Path:
+    """Error against time: everything that was tried, the front, and VTK's curve."""
+    plt = _plt()
+    scenes = result["scenes"]
+    columns = min(4, len(scenes) + 1)
+    rows = -(-(len(scenes) + 1) // columns)
+    figure, axes = plt.subplots(rows, columns, figsize=(3.6 * columns, 3.3 * rows), squeeze=False)
+    panels = list(axes.flat)
+    for axis, s in zip(panels, scenes):
+        tried = [(1e3 * t, e) for t, e in s["all"] if e]
+        axis.loglog(*zip(*tried), ".", color=_SHADES[3], markersize=3.5, zorder=1)
+        front = [(1e3 * p["seconds"], p["rmse"]) for p in s["front"] if p["rmse"] > 0]
+        axis.loglog(*zip(*front), "o-", color=_CLVOL, markersize=4.5, linewidth=1.6, zorder=3)
+        own = s["baseline"]
+        axis.loglog(1e3 * own["seconds"]["median"], own["rmse"], "D", color=_CLVOL, zorder=4,
+                    markerfacecolor="white", markersize=6)
+        if s["vtk"]:
+            points = sorted(s["vtk"], key=lambda p: -p["step"])
+            x, y = [1e3 * p["seconds"] for p in points], [p["rmse"] for p in points]
+            axis.loglog(x, y, "s-", color=_VTK, markersize=4.5, linewidth=1.4, zorder=2)
+            for p in points:
+                axis.annotate(f"{p['step']:g}", (1e3 * p["seconds"], p["rmse"]), (5, 3),
+                              textcoords="offset points", fontsize=7, color=_VTK)
+        axis.set_title(f"{s['scene']}, {s['size']}\u00b2")
+        axis.grid(True, which="major", color="#e6e6e6", linewidth=0.6)
+        axis.set_axisbelow(True)
+        axis.set_xlabel("milliseconds a frame")
+        axis.set_ylabel("RMSE")
+        _plain_log(axis)
+    for axis in panels[len(scenes):]:
+        axis.axis("off")
+    from matplotlib.lines import Line2D
+
+    handles = [
+        Line2D([], [], color=_CLVOL, marker="o", label="clvol: the best settings found"),
+        Line2D([], [], color=_SHADES[3], marker=".", linestyle="", label="all settings tried"),
+        Line2D([], [], color=_CLVOL, marker="D", markerfacecolor="white", linestyle="",
+               label="the scene's own settings"),
+        Line2D([], [], color=_VTK, marker="s",
+               label=f"VTK {result['vtk']}, fixed-point ray cast,\nsteps in voxels"),
+        Line2D([], [], linestyle="", label="RMSE of linear RGBA against the exact integral"),
+    ]
+    panels[len(scenes)].legend(handles=handles, loc="center left", fontsize=9)
+    return _save(plt, figure, path, _notes(result))
+
+
 def ladder_chart(result: dict[str, Any], path: Path) -> Path:
     """Nanoseconds a sample and core of the inner loop's parts."""
     plt = _plt()

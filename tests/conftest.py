@@ -42,13 +42,14 @@ def _chosen(config: pytest.Config) -> list:
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    if "device" in metafunc.fixturenames:
+    for name in {"device", "first_device"} & set(metafunc.fixturenames):
         reports = _chosen(metafunc.config)
+        reports = reports[:1] if name == "first_device" else reports
         if reports:
             parameters = [pytest.param(report, id=report.name) for report in reports]
         else:
             parameters = [pytest.param(None, id="none", marks=pytest.mark.skip(reason=_no_device))]
-        metafunc.parametrize("device", parameters, indirect=True, scope="session")
+        metafunc.parametrize(name, parameters, indirect=True, scope="session")
 
 
 @pytest.fixture(scope="session")
@@ -78,6 +79,15 @@ def contexts():
 def context(device, contexts):
     """The device's ``DeviceContext``."""
     return contexts(device)
+
+
+@pytest.fixture(scope="session")
+def first_device(request: pytest.FixtureRequest):
+    """One pyopencl.Device, for what renders under dozens of settings: there it is the choice that is
+    tested, and some compilers take ten seconds for each of the programs, which are tested elsewhere."""
+    from clvol.opencl.devices import open_device
+
+    return open_device(request.param.name)
 
 
 @pytest.fixture(scope="session")

@@ -1,0 +1,144 @@
+"""The sweep: what it tries, what it claims, and that its front is one."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from small_scenes import SMOOTH, rms, waves
+
+from clvol import Camera, Scene, Volume
+from clvol.accuracy.report import write_report
+from clvol.accuracy.tradeoff import measure_tradeoff, sentences
+from clvol.errors import SceneError, UsageError
+from clvol.render.reference import render_reference
+from clvol.scene import ImageSettings, Integration
+
+
+def scene_of(array=None, **integration) -> Scene:
+    return Scene(
+        volume=Volume(waves((14, 15, 16), np.uint8) if array is None else array),
+        transfer_function=SMOOTH, camera=Camera(), image=ImageSettings(width=48, height=40),
+        integration=Integration(**integration),
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def swept(first_device):
+    # As many settings as show the knobs of pictures too; on tables that are quickly made.
+    return measure_tradeoff(
+        scene_of(table_size=64), devices=[first_device], frames=3, settings=70
+    )
+
+
+def test_every_knob_of_the_scene_is_tried_and_none_is_listed_in_the_sweep(swept):
+    result, _ = swept
+    varied = {key for point in result["points"] for key in point["changed"]}
+    knobs = {knob["name"] for knob in result["knobs"]}
+    assert "integration.step" in varied and varied <= knobs
+    # What cannot be varied here: one method renders, and the voxels are small already.
+    assert knobs - varied <= {"integration.method", "image.ray_tolerance"}
+
+
+def test_errors_are_those_of_the_pictures(swept, first_device):
+    result, pictures = swept
+    exact = render_reference(scene_of(table_size=64).resolve(), first_device)[0]
+    assert rms(pictures["reference"], exact) < 1e-6
+    points = {point["id"]: point for point in result["points"]}
+    assert len(result["front"]) >= 2
+    for name in (*result["front"], result["baseline"]):
+        assert points[name]["rmse"] == pytest.approx(rms(pictures[name], exact), rel=1e-4)
+        assert points[name]["seconds"]["frames"] == 3 and points[name]["psnr"] > 0
+
+
+def test_nothing_beats_the_front(swept):
+    result, _ = swept
+    points = {point["id"]: point for point in result["points"]}
+    front = [points[name] for name in result["front"]]
+    assert [p["rmse"] for p in front] == sorted((p["rmse"] for p in front), reverse=True)
+    times = [p["seconds"]["median"] for p in front]
+    assert times == sorted(times)
+    assert all(p["on_front"] == (p["id"] in result["front"]) for p in result["points"])
+    timed = [p for p in result["points"] if p["seconds"]["frames"] == 3]
+    for point in front:
+        for other in timed:  # by more than what is called the same
+            assert not (
+                other["rmse"] < 0.9 * point["rmse"]
+                and other["seconds"]["median"] < 0.5 * point["seconds"]["median"]
+            )
+
+
+def test_points_are_all_different_and_the_scene_s_own_is_among_them(swept):
+    result, _ = swept
+    keys = [json.dumps(point["settings"], sort_keys=True) for point in result["points"]]
+    assert len(set(keys)) == len(keys) <= 70
+    ids = [point["id"] for point in result["points"]]
+    assert len(set(ids)) == len(ids) and result["baseline"] in ids
+    own = next(p for p in result["points"] if p["id"] == result["baseline"])
+    assert own["changed"] == [] and own["label"] == "preintegrated, step 1"
+
+
+def test_what_makes_the_same_picture_is_not_tried_twice(swept):
+    result, _ = swept
+    for point in result["points"]:
+        settings = point["settings"]
+        if settings["integration.classification"] != "preintegrated":
+            assert settings["integration.table_size"] == 64
+        if settings["image.ray_spacing"] == 1:
+            assert settings["image.ray_tolerance"] == 0.01
+
+
+def test_less_is_done_where_it_is_cheaper(swept):
+    result, _ = swept
+    steps = [
+        p for p in result["points"]
+        if set(p["changed"]) <= {"integration.step"} and p["settings"]["integration.step"] <= 1
+    ]  # fmt: skip
+    steps.sort(key=lambda p: p["settings"]["integration.step"])
+    assert len(steps) >= 4
+    assert [p["samples"] for p in steps] == sorted((p["samples"] for p in steps), reverse=True)
+
+
+def test_the_report_can_be_written_of_it(swept, tmp_path):
+    result, pictures = swept
+    paths = write_report(result, pictures, tmp_path / "out")
+    assert {path.name for path in paths} >= {"index.html", "tradeoff.json", "tradeoff.png"}
+    read = json.loads((tmp_path / "out" / "tradeoff.json").read_text())
+    assert read["front"] == result["front"] and read["version"] == 1
+    for sentence in result["sentences"]:
+        assert sentence["point"] in result["front"]
+
+
+def test_sentences_name_the_cheapest_point_that_holds():
+    front = [
+        {"id": "a", "label": "A", "rmse": 2e-2, "seconds": {"median": 0.001}},
+        {"id": "b", "label": "B", "rmse": 2e-3, "seconds": {"median": 0.01}},
+        {"id": "c", "label": "C", "rmse": 0.0, "seconds": {"median": 0.1}},
+    ]
+    told = sentences(front)
+    assert [(s["point"], s["error"]) for s in told] == [("a", 3e-2), ("b", 3e-3), ("c", 1e-6)]
+    assert told[1]["text"] == "for error below 0.003, use B: 0.01 s"
+    assert sentences([]) == []
+
+
+@pytest.mark.parametrize("wrong", [{"frames": 0}, {"settings": 0}])
+def test_wrong_numbers_are_refused(wrong):
+    with pytest.raises(UsageError, match="got 0"):
+        measure_tradeoff(scene_of(), **wrong)
+
+
+def test_what_cannot_be_rendered_is_refused():
+    with pytest.raises(SceneError, match="integration.method"):
+        measure_tradeoff(scene_of(method="pyramid"))
+
+
+def test_one_setting_is_enough_and_a_blank_scene_no_trouble(first_device, tmp_path):
+    from clvol import TransferFunction
+
+    clear = TransferFunction([0.0, 255.0], [0.0, 0.0], [[1, 1, 1]] * 2)
+    scene = scene_of().model_copy(update={"transfer_function": clear})
+    result, pictures = measure_tradeoff(scene, devices=[first_device], frames=1, settings=1)
+    assert len(result["points"]) == 1 and result["front"] == [result["baseline"]]
+    assert result["points"][0]["rmse"] == 0.0
+    write_report(result, pictures, tmp_path)
