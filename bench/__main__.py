@@ -8,7 +8,7 @@ import sys
 
 from bench.options import Options
 
-NAMES = ("peers", "sampling", "scaling", "startup", "convergence", "tradeoff")
+NAMES = ("peers", "sampling", "scaling", "startup", "convergence", "tradeoff", "targets")
 
 
 def main(arguments: list[str] | None = None) -> int:

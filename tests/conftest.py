@@ -52,6 +52,17 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
         metafunc.parametrize(name, parameters, indirect=True, scope="session")
 
 
+@pytest.fixture(scope="session", autouse=True)
+def _quick_compilers():
+    """Intel's compiler takes ten times as long to optimise a program as all tests take to run it. The
+    first device's programs are optimised: that both agree is a test of the code, not of compilers."""
+    from clvol.opencl.context import DeviceContext
+
+    DeviceContext.more_options = {"intel": ("-cl-opt-disable",)}
+    yield
+    DeviceContext.more_options = {}
+
+
 @pytest.fixture(scope="session")
 def device(request: pytest.FixtureRequest):
     """A pyopencl.Device; the test runs once on each one that works."""

@@ -121,7 +121,13 @@ _KEPT, _LARGEST_KEPT = 6, 64 * 2**20  # outputs kept to be written again, bytes 
 
 
 class DeviceContext:
-    """A context and an in-order queue on one device, with its programs built so far."""
+    """A context and an in-order queue on one device, with its programs built so far.
+
+    ``more_options``: compiler flags by the device's name, for tests: some compilers optimise for ten
+    seconds what is then run once.
+    """
+
+    more_options: Mapping[str, tuple[str, ...]] = {}
 
     def __init__(self, device: cl.Device) -> None:
         self.device = device
@@ -168,7 +174,7 @@ class DeviceContext:
                 with warnings.catch_warnings():  # a driver's "compilation done" is no news
                     warnings.simplefilter("ignore", cl.CompilerWarning)
                     program = cl.Program(self.context, source).build(
-                        [*options, "-I", str(folder)]
+                        [*options, *self.more_options.get(self.name, ()), "-I", str(folder)]
                     )
             except cl.RuntimeError as error:
                 lines = [line for line in str(error).splitlines() if "error" in line.lower()]

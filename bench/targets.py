@@ -1,0 +1,139 @@
+"""Pictures to an error: whether it holds over all pixels, and what the chosen settings are worth.
+
+Per scene and error: `render_to_error`, its claim, the true error over all pixels against the exact integral, and the
+seconds of a frame beside those that even steps of the scene's own classification (the one that suits it) need for the same
+true error, interpolated between steps a factor of sqrt(2) apart; all frames take turns.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+
+from bench.curves import reach
+from bench.options import Options
+from bench.report import load_average, machine, say, table
+from bench.scenes import SCENES, BenchScene
+from clvol.accuracy.timing import take_turns
+
+SUMMARY = "--max-error: does it hold, and is it cheaper than even steps"
+ERRORS = (1e-2, 1e-3, 1e-4)
+STEPS = tuple(2.0 ** (k / 2) for k in range(5, -11, -1))
+SIZE = 512
+_SLOWEST = 2.0  # seconds: finer steps are not waited for
+
+
+def run(options: Options) -> dict[str, Any] | None:
+    from clvol.opencl.devices import open_device
+
+    device = open_device(options.device)
+    result: dict[str, Any] = {
+        "machine": machine(device), "quick": options.quick, "load_before": load_average(),
+        "missing": [], "rows": [],
+    }  # fmt: skip
+    for scene in SCENES:
+        if options.scenes and scene.name not in options.scenes:
+            continue
+        if not scene.path().is_file():
+            say(f"{scene.name}: left out, there is no volume {scene.file} in ../shared/volumes")
+            result["missing"].append(scene.name)
+            continue
+        result["rows"] += _scene(scene, scene.load(), device, options)
+    result["load_after"] = load_average()
+    return result if result["rows"] else None
+
+
+def _scene(scene: BenchScene, volume, device: Any, options: Options) -> list[dict[str, Any]]:
+    from bench.reference_cache import exact_picture
+    from clvol.accuracy.settings import scene_knobs, scene_settings
+    from clvol.accuracy.target import render_to_error
+    from clvol.accuracy.trials import Trials
+    from clvol.opencl.context import DeviceContext
+
+    size = 128 if options.quick else SIZE
+    asked = scene.scene(volume, size, classification=scene.classification)
+    resolved = asked.resolve()
+    exact = exact_picture(resolved, device, options.references, size * size)
+    context = DeviceContext(device)
+    trials = Trials(resolved, context, frames=1, exact=exact.rgba.reshape(size, size, 4))
+    own = scene_settings(resolved, scene_knobs(resolved))
+    rows, runs = [], {}
+    for error in ERRORS[:1] if options.quick else ERRORS:
+        begun = time.perf_counter()
+        frame = render_to_error(asked, error, devices=[device], depth=False)
+        claimed = frame.stats["accuracy"]
+        rows.append({
+            "scene": scene.name, "max_error": error, "true": exact.rmse(frame.rgba),
+            "rmse": claimed["rmse"], "bound": claimed["bound"], "pixels": claimed["pixels"],
+            "attempts": claimed["attempts"], "tried": claimed["tried"],
+            "settings": claimed["settings"], "wall": time.perf_counter() - begun,
+        })  # fmt: skip
+        if claimed["settings"]["integration.method"] != "reference":
+            runs["chosen", error] = trials.frames_of(claimed["settings"])
+    curve = {}
+    for step in (1.0, 2.0) if options.quick else STEPS:
+        trial = trials.run({**own, "integration.step": step})
+        curve[step] = trial.rmse
+        if trial.seconds > _SLOWEST or trial.rmse < min(row["true"] for row in rows):
+            break
+    for step in curve:
+        runs["steps", step] = trials.frames_of({**own, "integration.step": step})
+    frames = 3 if options.quick else options.frames
+    times = take_turns({key: lambda run=run: run()[0] for key, run in runs.items()}, frames)
+    points = [(times["steps", step]["median"], rmse) for step, rmse in curve.items()]
+    for row in rows:
+        key = "chosen", row["max_error"]
+        row["seconds"] = times[key]["median"] if key in times else None
+        row["spread"] = times[key]["spread"] if key in times else None
+        fixed = reach(points, row["true"])
+        row["fixed_seconds"], row["fixed_kind"] = fixed.seconds, fixed.kind
+        row["ratio"] = None
+        if row["seconds"] and fixed.seconds:
+            row["ratio"] = fixed.seconds / row["seconds"]
+    context.release()
+    return rows
+
+
+def show(result: dict[str, Any]) -> str:
+    rows = []
+    for r in result["rows"]:
+        settings = r["settings"]
+        changed = ", ".join(
+            str(settings[key]) if isinstance(settings[key], str) else f"{name} {settings[key]:.4g}"
+            for key, name in (
+                ("integration.classification", ""), ("integration.quadrature", ""),
+                ("integration.step", "step"), ("integration.early_termination", "ends at"),
+                ("integration.table_size", "table"), ("image.ray_spacing", "rays 1 :"),
+                ("image.ray_tolerance", "tolerance"),
+            )
+            if key in settings
+        )  # fmt: skip
+        fixed = "not reached" if r["fixed_seconds"] is None else f"{r['fixed_seconds']:.4f}"
+        rows.append([
+            r["scene"], f"{r['max_error']:g}", f"{r['true']:.2e}", f"{r['bound']:.2e}",
+            "yes" if r["true"] <= r["max_error"] else "NO",
+            f"{r['seconds']:.4f}" if r["seconds"] else "-", fixed,
+            f"{r['ratio']:.2f}" if r["ratio"] else "-", f"{r['wall']:.1f}", changed,
+        ])  # fmt: skip
+    head = ["scene", "asked", "true", "bound", "holds", "s", "even steps, s", "ratio", "in all, s", "settings"]
+    held = sum(r["true"] <= r["max_error"] for r in result["rows"])
+    names = dict.fromkeys(r["scene"] for r in result["rows"])
+    cheaper = {
+        e: sum((r["ratio"] or 0.0) > 1.0 for r in result["rows"] if r["max_error"] == e)
+        for e in ERRORS
+    }
+    lines = [
+        table(head, rows),
+        f"held: {held} of {len(result['rows'])}; cheaper than even steps of the same true error: "
+        + ", ".join(f"{n} of {len(names)} at {e:g}" for e, n in cheaper.items()),
+        f"load average {result['load_before']} to {result['load_after']}",
+    ]
+    if result["quick"]:
+        lines.append("This was a quick run at a small size: no figure of it is a result.")
+    return "\n".join(lines)
+
+
+def draw(result: dict[str, Any], options: Options) -> list:
+    return []
