@@ -6,7 +6,7 @@
  *   post           two Gauss-Legendre points for every two parts; for PARTS = 1 the midpoint alone
  *   preintegrated  the chords between the ends of the parts, each shifted so that its mean is the cubic's (Simpson's rule);
  *                  the table's depths and colours scale with a chord's length
- * Pieces differ in length, so tables hold (c D, D) of one step, and opacity is 1 - exp(-D length).
+ * Pieces differ in length, so tables hold (c D, D) of one length, and opacity is 1 - exp(-D length).
  */
 #ifndef MARCH_CELLS_H
 #define MARCH_CELLS_H
@@ -165,7 +165,7 @@ INLINE void integrate_cell(Accumulator *acc, floatN *opacity, floatN *median, co
     const ClassCoordinate a = class_coordinate(first, warp, view);
     const ClassCoordinate b = class_coordinate(second, warp, view);
     if (may_be_visible(lane_min(a.position, b.position), lane_max(a.position, b.position), active, view)) {
-      composite_piece(acc, a, b, length, select((floatN)0.0f, 1.0f - *opacity, active), table, view);
+      composite_piece(acc, a, b, length * view->voxel.w, select((floatN)0.0f, 1.0f - *opacity, active), table, view);
       pass_opacity(acc, opacity, median, start, start + length);
     }
     front = back;
@@ -178,7 +178,7 @@ INLINE void integrate_cell(Accumulator *acc, floatN *opacity, floatN *median, co
     const ClassCoordinate at = class_coordinate(value_at(c, ray, cx, cy, cz, t), warp, view);
     if (may_be_visible(at.position, at.position, active, view)) {
       const floatN transmittance = select((floatN)0.0f, 1.0f - *opacity, active);
-      composite_point(acc, at, length, transmittance, table);
+      composite_point(acc, at, length * view->voxel.w, transmittance, table);
       pass_opacity(acc, opacity, median, t0 + length * (float)part, t0 + length * (float)(part + 1));
     }
   }

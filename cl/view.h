@@ -27,7 +27,7 @@ typedef struct {
   float4 classes;       /* value of class coordinate 0; class coordinates a value; last coordinate; bins of the warp */
   float4 gate;          /* class coordinates between which something is visible: low, high */
   float4 voxel;         /* gain of scaled float32 voxels; parts that quadrature by cells cuts each cell's piece in; how far
-                         * apart rays may be that pixels are interpolated between; - */
+                         * apart rays may be that pixels are interpolated between; a step in lengths of the tables for cells */
 #if VOXEL_BITS == 64
   double2 voxel_double; /* float64 voxels are read as (v - bias) * gain: bias, gain */
 #else

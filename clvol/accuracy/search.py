@@ -8,6 +8,7 @@ far; and that the other ladders buy little with little, and limit what the main 
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Mapping
 from typing import Any, Protocol
@@ -15,6 +16,9 @@ from typing import Any, Protocol
 from clvol.accuracy.settings import SceneKnob, Settings, key_of
 
 _FLOOR = 0.85  # two notches finer and still this share of the error: finer helps no more
+_HOPELESS = 3.0  # times the best cost: what one look promises may be wrong by so much
+_DEARER = 2.0  # times: what costs so much more on the pilot does so on the picture
+_STRETCHES = 2  # halvings of a notch of the main ladder
 _WORTH = 0.98  # what a change must bring the time down to, to be more than noise
 
 
@@ -57,26 +61,61 @@ class Search:
 
     def cheapest(self, start: Settings, limit: float) -> Measured | None:
         """The cheapest settings found with rmse <= ``limit``; None if none reach it."""
+        held = self.candidates(start, limit)
+        return self.refined(held[0], limit) if held else None
 
-        def quicker(a: Measured | None, b: Measured | None) -> Measured | None:
-            if a is None or b is None:
-                return a or b
-            return b if b.cost < _WORTH * a.cost else a
+    def candidates(self, start: Settings, limit: float) -> list[Measured]:
+        """For each combination of alternatives that is not hopeless, settings that hold ``limit``, the
+        cheapest first: costs that are known roughly may be compared again more exactly."""
+        found: list[Measured] = []
+        best: Measured | None = None
+        for look in self._alternatives_by_promise(start, limit):
+            if best is None or _promise(look, limit) < _HOPELESS * best.cost:
+                held = self._hold_error(look.settings, limit, best)
+                if held is not None:
+                    found.append(held)
+                    best = min(found, key=lambda trial: trial.cost)
+        found.sort(key=lambda trial: trial.cost)
+        return [trial for trial in found if trial.cost <= _DEARER * best.cost]
 
-        best = self._hold_error(start, limit)
-        for knob in self._alternatives:
-            for value in knob.values:
-                settings = {**(best.settings if best else start), knob.key: value}
-                if self._possible(settings) and (best is None or best.settings[knob.key] != value):
-                    best = quicker(best, self._hold_error(settings, limit, best))
-        if best is None:
-            return None
+    def hold(self, settings: Settings, limit: float) -> Measured | None:
+        """With the alternatives as they are in ``settings``: the cheapest that hold ``limit``."""
+        held = self._hold_error(settings, limit)
+        return None if held is None else self.refined(held, limit)
+
+    def refined(self, best: Measured, limit: float) -> Measured:
+        """``best`` with cheaper ladders, as far as ``limit`` still holds."""
         for knob in self._ladders:
             while (value := knob.next_to(best.settings[knob.key], -1)) is not None:
                 tried = self.measure({**best.settings, knob.key: value})
                 if tried is best or tried.rmse > limit or tried.cost > _WORTH * best.cost:
                     break
                 best = tried
+        return self._stretched(best, limit)
+
+    def _alternatives_by_promise(self, start: Settings, limit: float) -> list[Measured]:
+        """One look at each combination of alternatives, those first that promise to be cheapest."""
+        looks = {}
+        for values in itertools.product(*(knob.values for knob in self._alternatives)):
+            settings = {**start, **{k.key: v for k, v in zip(self._alternatives, values)}}
+            if self._possible(settings):
+                looks[key_of(self._canonical(settings))] = self.measure(settings)
+        return sorted(looks.values(), key=lambda look: _promise(look, limit))
+
+    def _stretched(self, best: Measured, limit: float) -> Measured:
+        """Between the main ladder's last value that holds and the first that does not."""
+        for main in self._main[:1]:
+            fine, coarse = best.settings[main.key], main.next_to(best.settings[main.key], -1)
+            if not main.knob.is_continuous or coarse is None:
+                continue
+            for _ in range(_STRETCHES):
+                middle = float(f"{math.sqrt(fine * coarse):.3g}")
+                tried = self.measure({**best.settings, main.key: middle})
+                if tried.rmse <= limit:
+                    fine = middle
+                    best = tried if tried.cost <= best.cost else best
+                else:
+                    coarse = middle
         return best
 
     def _hold_error(
@@ -105,7 +144,7 @@ class Search:
             return (tried if tried.rmse <= limit else None), False
         main = self._main[0]
         values = main.values
-        at = values.index(settings[main.key])
+        at = main.near(settings[main.key])
         low, high = -1, len(values)  # indices known to be too coarse; fine enough
         held: Measured | None = None
         history: list[tuple[int, float]] = []
@@ -116,8 +155,8 @@ class Search:
             else:
                 low = at
                 history.append((at, tried.rmse))
-                # Dearer than the best and not yet good enough: finer can only be dearer.
-                if best is not None and tried.cost > best.cost:
+                # Dearer than the best by far and not yet good enough: finer can only be dearer.
+                if best is not None and tried.cost > _DEARER * best.cost:
                     return held, True
                 if _is_at_floor(history):
                     break
@@ -125,6 +164,11 @@ class Search:
             notches = math.ceil(math.log2(min(ratio, 1e9))) if ratio > 0 else -len(values)
             at = min(max(at + notches, low + 1), high - 1)
         return held, False
+
+
+def _promise(look: Measured, limit: float) -> float:
+    """What an error of ``limit`` may cost, if the error falls with the square of the cost."""
+    return look.cost * math.sqrt(max(look.rmse / limit, 1e-3)) if look.rmse < math.inf else math.inf
 
 
 def pareto_front(points: list[Measured]) -> list[Measured]:

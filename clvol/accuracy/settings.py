@@ -37,12 +37,25 @@ class SceneKnob:
 
     def next_to(self, value: Any, notches: int) -> Any | None:
         """The value so many notches more accurate (or cheaper, below 0), None past the ends."""
-        at = self.values.index(value) + notches
+        at, between = self._place(value)
+        at += notches + (between and notches < 0)
         return self.values[at] if 0 <= at < len(self.values) else None
 
     def more(self, value: Any, notches: int) -> Any:
         """The value so many notches more accurate, at most the last one."""
-        return self.values[min(self.values.index(value) + notches, len(self.values) - 1)]
+        return self.values[min(self._place(value)[0] + notches, len(self.values) - 1)]
+
+    def near(self, value: Any) -> int:
+        """The index of ``value``, or of the next cheaper one of the ladder."""
+        return max(self._place(value)[0], 0)
+
+    def _place(self, value: Any) -> tuple[int, bool]:
+        """The index of ``value``, or that of the next cheaper one and True."""
+        if value in self.values:
+            return self.values.index(value), False
+        rising = self.values[0] < self.values[-1]
+        cheaper = sum((other < value) == rising for other in self.values)
+        return cheaper - 1, True
 
 
 def scene_knobs(resolved: ResolvedScene) -> dict[str, SceneKnob]:

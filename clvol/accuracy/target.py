@@ -100,7 +100,7 @@ def render_in_time(
     """
     if not 0.0 < seconds < math.inf:
         raise UsageError("time_budget", f"got {seconds!r}", "seconds, more than 0")
-    with _Workshop(scene, devices, memory_cap, 1e-3, depth, progress, seed) as workshop:
+    with _Workshop(scene, devices, memory_cap, _FIRST_ERROR, depth, progress, seed) as workshop:
         return workshop.in_time(seconds)
 
 
@@ -145,7 +145,7 @@ class _Workshop:
             frames=2,
         )  # fmt: skip
         self.whole = Trials(
-            self.resolved, self.context, self.engines, frames=1, depth=depth,
+            self.resolved, self.context, self.engines, frames=2, depth=depth,
             exact=np.full((1, 1, 1), np.nan),
         )  # fmt: skip
         self.search = Search(
@@ -226,8 +226,13 @@ class _Workshop:
         error for themselves, so the pilot is asked for a part of it as well. What they add
         shows beside the picture without them."""
         best: Trial | None = None
+        candidates = self.timed("pilot", lambda: self.search.candidates(self._plain(), aim))
+        if not candidates:
+            return None
+        # Rays far apart share no memory, which costs one way of rendering more than another.
+        first = min(candidates, key=lambda trial: self._whole(trial.settings).cost)
         for share in _SHARES:
-            chosen = self.timed("pilot", lambda: self.search.cheapest(self._plain(), share * aim))
+            chosen = self.timed("pilot", lambda: self.search.hold(first.settings, share * aim))
             if chosen is None:
                 break
             plain = self._whole(chosen.settings)

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from clvol.volume import Volume
 
 
-_KEPT = 4  # engines: a pre-integration table may take 64 MiB
+_KEPT = 6  # engines: a pre-integration table may take 64 MiB
 
 
 class Engines:
@@ -32,9 +32,11 @@ class Engines:
         from clvol.render.raycast import Raycaster
 
         resolved = self._with_precision(resolved)
-        key = (id(resolved.volume), id(resolved.transfer_function), resolved.integration)
-        if key in self._made:  # its tables hold for any camera and image
-            return self._made[key].for_image(resolved)
+        alike = resolved.integration.model_copy(update={"step": 1.0, "early_termination": 0.0})
+        key = (id(resolved.volume), id(resolved.transfer_function), alike)
+        if key in self._made:
+            made = self._made[key] = self._made.pop(key).like(resolved)
+            return made
         held = self._volumes.get(id(resolved.volume))
         made = Raycaster(self.context, resolved, volume=None if held is None else held[1])
         self._volumes[id(resolved.volume)] = (resolved.volume, made.volume)

@@ -24,6 +24,7 @@ from clvol.transfer import TransferFunction
 from clvol.transfer.classes import ClassNodes, class_nodes, visible_cells
 from clvol.transfer.tables import SLICES, constant_table, depths_table, preintegrated_table
 
+PIECE = 0.5  # smallest edges: of the tables of quadrature by cells, about as long as a cell's pieces are
 CONSTANT_NODES = 4096  # of the one-dimensional tables of pre- and post-classification
 _SECONDS_A_SAMPLE = 1e-8  # a first guess, for how to cut a frame into launches
 _BAND_SECONDS = 0.5
@@ -122,7 +123,6 @@ class Raycaster:
         self.skip = skip
         self.tile = tile if self.lanes > 1 else (1, 1)
         self.volume = volume or DeviceVolume(context, resolved.volume)
-        self.length = resolved.integration.step * resolved.volume.grid.smallest_edge
         self.set_transfer_function(resolved.transfer_function)
         self._view_dtype = view_dtype(self.volume.switches["VOXEL_BITS"])
         self._warm: set[tuple] = set()
@@ -134,17 +134,9 @@ class Raycaster:
         """Another transfer function: rebuilds the table and the visible cells, nothing else."""
         resolved, context = self.resolved, self.context
         self.nodes = scene_nodes(resolved, function)
-        mapped = device_function(function, self.volume.values)
+        self._function = mapped = device_function(function, self.volume.values)
         visible = visible_cells(mapped, self.nodes.values)
-        kind = segment_classification(resolved.integration)
-        by_cells = resolved.integration.quadrature == "cells"
-        nodes = self.nodes.values
-        if kind == "preintegrated":
-            build = depths_table if by_cells else preintegrated_table
-            self.table = build(context, mapped, nodes, self.length)
-        else:
-            kernel = "classify_table" if kind == "post" and not by_cells else "extinction_table"
-            self.table = constant_table(context, mapped, nodes, self.length, kernel)
+        self._build_table()
         self.gate = _gate(mapped, self.nodes, visible)
         at_nodes = mapped.opacity(self.nodes.values) > 0
         mask = visible_mask(
@@ -158,10 +150,39 @@ class Raycaster:
             resolved, warped=warp is not None, lanes=self.lanes, skip=self.skip
         )
 
-    def for_image(self, resolved: ResolvedScene) -> Raycaster:
-        """The same for ``resolved``, which may differ in camera and image alone; shares all else."""
+    def _build_table(self) -> None:
+        integration, nodes = self.resolved.integration, self.nodes.values
+        arguments = self.context, self._function, nodes
+        kind = segment_classification(integration)
+        if integration.quadrature == "cells":  # whatever the step: pieces are of any length
+            if kind == "preintegrated":
+                self.table = depths_table(*arguments, self._piece)
+            else:
+                self.table = constant_table(*arguments, self._piece, "extinction_table")
+        elif kind == "preintegrated":
+            self.table = preintegrated_table(*arguments, self.length)
+        else:
+            kernel = "classify_table" if kind == "post" else "extinction_table"
+            self.table = constant_table(*arguments, self.length, kernel)
+
+    @property
+    def length(self) -> float:
+        """World length of a step."""
+        return self.resolved.integration.step * self.resolved.volume.grid.smallest_edge
+
+    @property
+    def _piece(self) -> float:
+        """World length of the segments in the tables of quadrature by cells."""
+        return PIECE * self.resolved.volume.grid.smallest_edge
+
+    def like(self, resolved: ResolvedScene) -> Raycaster:
+        """The same for ``resolved``, which may differ in camera, image, step and early termination alone.
+        Shares what these leave as it is: the volume, empty space, and often the tables."""
         other = copy.copy(self)
         other.resolved = resolved
+        by_cells = resolved.integration.quadrature == "cells"
+        if not by_cells and other.length != self.length:
+            other._build_table()
         return other
 
     def render(
@@ -298,7 +319,7 @@ class Raycaster:
         row["upper"][:3] = np.asarray(volume.size) - 1
         row["gate"][:2] = self.gate
         parts = parts_of_cell(self.resolved.integration.step)
-        row["voxel"][1:3] = (parts, self.resolved.image.ray_tolerance)
+        row["voxel"][1:] = (parts, self.resolved.image.ray_tolerance, step / PIECE)
         if volume.switches["VOXEL_BITS"] == 64:
             row["voxel_double"] = (volume.values.bias, volume.values.gain)
         else:

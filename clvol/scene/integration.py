@@ -41,7 +41,8 @@ class Integration(Table):
         Knob("method", "", ("raycast", "multiresolution", "pyramid"), is_ladder=False),
     ] = Field("raycast", description="'raycast', 'multiresolution', 'pyramid' or 'reference'")
     step: Annotated[
-        Number, Knob("step", "voxel edges", _STEPS, is_main=True, applies=_takes_steps)
+        Number,
+        Knob("step", "voxel edges", _STEPS, is_main=True, is_continuous=True, applies=_takes_steps),
     ] = Field(1.0, gt=0, le=1e6, description="a number greater than 0, at most 1e6")
     classification: Annotated[
         Literal["pre", "post", "preintegrated"],

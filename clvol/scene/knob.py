@@ -22,6 +22,7 @@ class Knob:
 
     ``applies(scene)``: whether the knob has any effect beside the scene's other keys. ``is_main``: the
     one that accuracy is bought with first; a notch more of it is worth about as much everywhere.
+    ``is_continuous``: any value between two of the ladder's may be taken as well.
     ``of_picture``: a pixel depends on its neighbours, so single pixels do not show the effect.
     """
 
@@ -30,6 +31,7 @@ class Knob:
     values: tuple | Callable[[Any], tuple]
     is_ladder: bool = True
     is_main: bool = False
+    is_continuous: bool = False
     of_picture: bool = False
     applies: Callable[[Any], bool] = _always
 
