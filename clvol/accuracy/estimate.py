@@ -31,20 +31,26 @@ class ErrorEstimate:
     of_pixels: int
 
 
-def draw(rough: ArrayLike, count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+def draw(
+    rough: ArrayLike,
+    count: int,
+    rng: np.random.Generator,
+    left_out: ArrayLike | None = None,
+) -> tuple[np.ndarray, np.ndarray]:
     """``count`` indices (some twice) of the values ``rough`` [n] >= 0, ideas of squared errors, and the
-    probability of each of them in one draw."""
+    probability of each of them in one draw; never one of those ``left_out`` (bool [n], not all)."""
     rough = np.asarray(rough, np.float64)
-    n = rough.size
-    total = rough.sum()
-    probability = np.full(n, 1.0 / n)
+    drawable = np.ones(rough.size) if left_out is None else 1.0 - np.asarray(left_out, np.float64)
+    weight = rough * drawable
+    total, probability = weight.sum(), drawable / drawable.sum()
     if 0.0 < total < np.inf:
-        probability = _EVERYWHERE / n + (1.0 - _EVERYWHERE) / total * rough
+        probability = _EVERYWHERE * probability + (1.0 - _EVERYWHERE) / total * weight
     ends = np.cumsum(probability)
     # One draw in each of `count` equal shares: spread over the picture, and never worse than
     # independent draws, for which the bound is stated.
     at = (np.arange(count) + rng.random(count)) / count * ends[-1]
-    drawn = np.minimum(np.searchsorted(ends, at, side="right"), n - 1)
+    last = int(np.flatnonzero(probability)[-1])
+    drawn = np.minimum(np.searchsorted(ends, at, side="right"), last)
     return drawn, probability[drawn]
 
 

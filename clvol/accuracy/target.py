@@ -12,7 +12,7 @@ import itertools
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
@@ -46,7 +46,7 @@ _FLOAT32_ERROR = 1e-6  # sums of float32 are not to be trusted further
 _PILOT_PIXELS = 10_000
 _DRAWN_PIXELS = 2_048  # at first; then twice as many until the bound says yes or no
 _ATTEMPTS = 6
-_PICTURES_KEPT = 24
+_PICTURES_KEPT, _BYTES_KEPT = (3, 24), 2**29  # at least and most; in between, as memory allows
 _AIM = 0.95  # share of the error that is aimed at: the bound lies a little above the error
 _SHARES = (1.0, 0.7, 0.4)  # of the error, left to what shows on single pixels
 _FIRST_ERROR, _LARGEST_ERROR = 1e-2, 0.5  # where a time's search begins, and gives up
@@ -102,14 +102,6 @@ def render_in_time(
         raise UsageError("time_budget", f"got {seconds!r}", "seconds, more than 0")
     with _Workshop(scene, devices, memory_cap, _FIRST_ERROR, depth, progress, seed) as workshop:
         return workshop.in_time(seconds)
-
-
-@dataclass
-class _Picture:
-    """A whole picture made with ``trial.settings``, and its own cost in seconds."""
-
-    trial: Trial
-    resolved: ResolvedScene
 
 
 class _Workshop:
@@ -178,19 +170,19 @@ class _Workshop:
             found = self._measured(picture, attempt, max_error)
             if found.bound <= max_error:
                 asked = {"max_error": max_error}
-                return self._frame(picture.trial, found, asked, attempt)
+                return self._frame(picture, found, asked, attempt)
             aim *= min(_AIM, 0.98 * max_error / found.bound)
         what = f"the error could not be brought below {max_error:g} in {_ATTEMPTS} attempts"
         raise RenderError("max_error", what, f"at least {found.bound:.3g}")
 
     def in_time(self, budget: float) -> Frame:
         """The cheapest pictures for one error after the other, until the time is used."""
-        best: _Picture | None = None
+        best: Trial | None = None
         low, high = 0.0, _LARGEST_ERROR  # errors that take too long; that there is time for
         error = _FIRST_ERROR
         for _ in range(_LOOKS_AT_TIME):
             picture = self._cheapest_picture(error)
-            seconds = math.inf if picture is None else picture.trial.seconds
+            seconds = math.inf if picture is None else picture.seconds
             if seconds <= budget * _AIM:
                 best, high = picture, error
                 if seconds >= _USED * budget or error <= _FLOAT32_ERROR:
@@ -201,14 +193,15 @@ class _Workshop:
             guess = error * min(max((seconds / (_AIM * budget)) ** 2, 0.03), 30.0)
             if low > 0:
                 guess = max(guess, low * (high / low) ** 0.25)
-            error = max(min(guess, high * (low / high) ** 0.25 if low > 0 else high / 1.3), _FLOAT32_ERROR)
+            most = high * (low / high) ** 0.25 if low > 0 else high / 1.3
+            error = max(min(guess, most), _FLOAT32_ERROR)
             if low > 0 and high / low < 1.2:
                 break
         if best is None:
             least = min(trial.seconds for trial in self.pictures.values())
             raise UsageError("time_budget", f"got {budget:g} s", f"at least {least:.3g} s here")
         found = self._measured(best, 1, None)
-        return self._frame(best.trial, found, {"time_budget": budget}, 1)
+        return self._frame(best, found, {"time_budget": budget}, 1)
 
     def _plain(self) -> dict[str, Any]:
         """The scene's settings with every pixel's own ray."""
@@ -221,7 +214,7 @@ class _Workshop:
         self.report("choosing settings")
         return self.pilot.run(settings)
 
-    def _cheapest_picture(self, aim: float) -> _Picture | None:
+    def _cheapest_picture(self, aim: float) -> Trial | None:
         """The cheapest whole picture found that holds ``aim``. The knobs of pictures need some of the
         error for themselves, so the pilot is asked for a part of it as well. What they add
         shows beside the picture without them."""
@@ -246,7 +239,7 @@ class _Workshop:
                 combinations.drop(values, cheaper=not holds)
                 if holds and tried.cost < best.cost:
                     best = tried
-        return None if best is None else self._as_picture(best)
+        return best
 
     def _canonical(self, settings: dict[str, Any]) -> dict[str, Any]:
         return canonical(self.resolved, self.knobs, settings)
@@ -255,71 +248,66 @@ class _Workshop:
         key = key_of(settings)
         if key not in self.pictures:
             self.report("rendering")
-            while len(self.pictures) >= _PICTURES_KEPT:
+            kept = _BYTES_KEPT // (self.size[0] * self.size[1] * 16)
+            while len(self.pictures) >= min(max(kept, _PICTURES_KEPT[0]), _PICTURES_KEPT[1]):
                 del self.pictures[next(iter(self.pictures))]
             self.pictures[key] = self.timed(
                 "pictures", lambda: self.whole.run(settings, keep=True)
             )
         return self.pictures[key]
 
-    def _as_picture(self, trial: Trial) -> _Picture:
-        return _Picture(trial, apply(self.resolved, trial.settings))
-
     # Measuring
 
-    def _measured(self, picture: _Picture, attempt: int, limit: float | None) -> ErrorEstimate:
+    def _measured(self, picture: Trial, attempt: int, limit: float | None) -> ErrorEstimate:
         """The picture's error. Each look may err with half the chance of the one before, so that all
         together are as sure as CONFIDENCE says."""
-        rgba = picture.trial.rgba
         width, height = self.size
-        known = self.pilot.lattice.pixels(width, height)
-        known_errors = _squared(rgba[known[:, 0], known[:, 1]], self.pilot.exact().reshape(-1, 4))
-        others = np.ones((height, width), bool)
-        others[known[:, 0], known[:, 1]] = False
-        others = np.argwhere(others)
-        rough = np.zeros((height, width))
-        if len(others) > _DRAWN_PIXELS:
-            rough = _squared(rgba, self._finer(picture))
-        rough = rough[others[:, 0], others[:, 1]]
-        drawn = np.zeros(0, np.int64)
+        count_all = width * height
+        rgba = picture.rgba.reshape(count_all, 4)
+        pilot = self.pilot.lattice.pixels(width, height) @ (width, 1)
+        known = _squared(rgba[pilot], self.pilot.exact().reshape(-1, 4))
+        left_out = np.zeros(count_all, bool)
+        left_out[pilot] = True
+        others = count_all - len(pilot)
+        rough = np.zeros(count_all)
+        if others > _DRAWN_PIXELS:
+            rough = _squared(rgba, self._finer(picture).reshape(count_all, 4))
         squared = probability = np.zeros(0)
         look, count = 0, _DRAWN_PIXELS
         while True:
             look += 1
-            chance = (1.0 - CONFIDENCE) / 2.0 ** (attempt + look - 1)
-            if len(drawn) + count >= len(others):  # as well all of them
-                all_errors = self._errors(rgba, others)
-                return estimate([], [], width * height, 1.0, [*known_errors, *all_errors])
-            at, p = draw(rough, count, self.rng)
-            drawn = np.append(drawn, at)
+            if squared.size + count >= others:  # as well all of them
+                rest = self._errors(rgba, np.flatnonzero(~left_out)) if others else []
+                return estimate([], [], count_all, 1.0, [*known, *rest])
+            at, p = draw(rough, count, self.rng, left_out)
+            squared = np.append(squared, self._errors(rgba, at))
             probability = np.append(probability, p)
-            squared = np.append(squared, self._errors(rgba, others[at]))
-            found = estimate(
-                squared, probability, width * height, 1.0 - chance, known_errors
-            )
-            decided = limit is None or found.bound <= limit or found.rmse > limit
-            if decided:
+            chance = (1.0 - CONFIDENCE) / 2.0 ** (attempt + look)
+            found = estimate(squared, probability, count_all, 1.0 - chance, known)
+            if limit is None or found.bound <= limit or found.rmse > limit:
                 return replace(found, confidence=CONFIDENCE)
-            count = len(drawn)
+            count = squared.size
 
-    def _errors(self, rgba: np.ndarray, pixels: np.ndarray) -> np.ndarray:
+    def _errors(self, rgba: np.ndarray, at: np.ndarray) -> np.ndarray:
+        """Squared errors of the pixels ``at`` [n] of ``rgba`` [height * width, 4]."""
         self.report("measuring the error")
+        pixels = np.stack(np.divmod(at, self.size[0]), axis=1)
         exact, _, _ = self.timed(
             "measure",
             lambda: render_reference(self.resolved, self.context.device, self.tolerance, pixels),
         )
-        return _squared(rgba[pixels[:, 0], pixels[:, 1]], exact)
+        return _squared(rgba[at], exact)
 
-    def _finer(self, picture: _Picture) -> np.ndarray:
+    def _finer(self, picture: Trial) -> np.ndarray:
         """A rendering that tells roughly where the picture is wrong."""
-        settings = dict(picture.trial.settings)
+        settings = dict(picture.settings)
         for key, knob in self.knobs.items():
             if knob.knob.of_picture:
                 settings[key] = knob.values[-1]
             elif knob.knob.is_main:
                 settings[key] = knob.next_to(settings[key], 2) or knob.values[-1]
         settings = self._canonical(settings)
-        if settings == picture.trial.settings:
+        if settings == picture.settings:
             settings = min(self.search.measured, key=lambda trial: trial.rmse).settings
         return self._whole(settings).rgba
 

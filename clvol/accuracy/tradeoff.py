@@ -299,16 +299,22 @@ def sentences(front: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def _front_of(points: dict[tuple, dict[str, Any]]) -> list[tuple]:
-    """Keys of the points that no other beats in error and time, by falling error; of those whose
-    times or errors cannot be told apart, the better one."""
+    """Keys of the points that no other beats in error and time, by falling error; of those whose times
+    cannot be told apart, the more exact one, or else the one nearest to the scene."""
     front: list[tuple] = []
     for key, point in sorted(
         points.items(), key=lambda item: (item[1]["seconds"]["median"], item[1]["rmse"])
     ):
-        if front and point["rmse"] > _SAME_ERROR * points[front[-1]]["rmse"]:
-            continue
-        if front and _same_time(points[front[-1]]["seconds"], point["seconds"]):
-            front.pop()
+        if front:
+            last = points[front[-1]]
+            same_time = _same_time(last["seconds"], point["seconds"])
+            if point["rmse"] > _SAME_ERROR * last["rmse"]:
+                is_same = same_time and _SAME_ERROR * point["rmse"] <= last["rmse"]
+                if is_same and len(point["changed"]) < len(last["changed"]):
+                    front[-1] = key
+                continue
+            if same_time:
+                front.pop()
         front.append(key)
     return front
 

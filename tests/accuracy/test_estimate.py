@@ -58,6 +58,14 @@ def test_drawing_follows_the_idea_and_leaves_no_pixel_out():
     np.testing.assert_allclose(probability, (0.3 / 4 + 0.7 * rough / 4)[at])
 
 
+def test_what_is_left_out_is_never_drawn():
+    rough, left_out = np.ones(1000), np.zeros(1000, bool)
+    left_out[::3] = left_out[-1] = True
+    at, probability = draw(rough, 20_000, np.random.default_rng(1), left_out)
+    assert not left_out[at].any()
+    np.testing.assert_allclose(probability, 1 / np.count_nonzero(~left_out))
+
+
 @pytest.mark.parametrize("rough", [np.zeros(5), np.array([np.inf, 1.0, 1.0])])
 def test_an_idea_that_says_nothing_is_left_aside(rough):
     _, probability = draw(rough, 10, np.random.default_rng(0))
