@@ -26,7 +26,7 @@ class Trial:
 
     ``seconds``: the least of its ``times`` (of the whole picture: predicted, where a lattice of pixels was
     rendered). ``rgba`` float32 [h, w, 4], ``depth`` [h, w] or None: of the lattice's pixels. ``rmse``
-    against the exact integral at them, NaN where that is not known. ``times`` are of that picture alone.
+    against the exact integral at them, inf where something is not finite. ``times`` are of that picture alone.
     ``cost``: what "cheap" means, seconds of the picture and a share of those that prepare it.
     """
 
@@ -49,6 +49,8 @@ class Trials:
     The exact integral there is taken to ``tolerance`` when it is first needed; it is that of the scene's own
     filter and of its own classification (pre-classified, or one of the two that classify
     interpolated values): a setting that changes these is judged as the approximation that it is.
+    ``exact`` float64 [h, w, 4]: that integral, where it is there already. Without ``judge`` errors are
+    not asked for, and told as inf.
     """
 
     def __init__(
@@ -62,6 +64,7 @@ class Trials:
         frames: int = 3,
         depth: bool = False,
         exact: np.ndarray | None = None,
+        judge: bool = True,
     ) -> None:
         self.resolved, self.context = resolved, context
         self.engines = engines or Engines(context)
@@ -69,7 +72,7 @@ class Trials:
         self.size = resolved.image.width, resolved.image.height
         self.tolerance = tolerance
         self.reference_counters: dict[str, Any] = {}
-        self._exact = exact
+        self._exact, self._judge = exact, judge
         width, height = lattice.size(*self.size)
         self._scale = self.size[0] * self.size[1] / (width * height)
         self._overhead: float | None = None
@@ -105,7 +108,7 @@ class Trials:
         seconds = self._of_picture(engine, min(times))
         return Trial(
             settings=dict(settings),
-            rmse=root_mean_square(data.rgba - self.exact()),
+            rmse=root_mean_square(data.rgba - self.exact()) if self._judge else np.inf,
             seconds=seconds,
             cost=seconds + PREPARATION * prepare_seconds,
             times=times,
