@@ -26,7 +26,7 @@ from bench.curves import geometric_mean, reach
 from clvol.accuracy.timing import take_turns
 from bench.options import Options
 from bench.report import load_average, machine, say, table
-from bench.scenes import SCENES, BenchScene
+from bench.scenes import SCENES, BenchScene, available
 
 if TYPE_CHECKING:
     from clvol.scene.resolve import ResolvedScene
@@ -63,13 +63,7 @@ def run(options: Options) -> dict[str, Any] | None:
     }
     say(f"VTK {version} with {threads} threads, clvol on {device.name.strip()}"
         f" ({device.max_compute_units} compute units), load average {result['load_before']}")
-    for scene in SCENES:
-        if options.scenes and scene.name not in options.scenes:
-            continue
-        if not scene.path().is_file():
-            say(f"{scene.name}: left out, there is no volume {scene.file} in ../shared/volumes")
-            result["missing"].append(scene.name)
-            continue
+    for scene in available(SCENES, options.scenes, result["missing"]):
         volume = scene.load()
         for size in QUICK["sizes"] if options.quick else options.sizes:
             result["scenes"].append(_compare(scene, volume, size, device, threads, options))

@@ -7,6 +7,7 @@ than that to see the same world. Colours are linear light.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -165,3 +166,20 @@ CHEST = BenchScene(
         (2979, 0.8, (1.0, 1.0, 1.0)),
     ),
 )
+
+
+def available(
+    scenes: Iterable[BenchScene], names: Sequence[str], missing: list[str]
+) -> Iterator[BenchScene]:
+    """Those of ``scenes`` that were asked for by name (all, where none is named) and whose volume is
+    there; the others that were asked for are said to be left out, and added to ``missing``."""
+    from bench.report import say
+
+    for scene in scenes:
+        if names and scene.name not in names:
+            continue
+        if scene.path().is_file():
+            yield scene
+        else:
+            say(f"{scene.name}: left out, there is no volume {scene.file} in ../shared/volumes")
+            missing.append(scene.name)

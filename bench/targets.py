@@ -1,8 +1,9 @@
 """Pictures to an error: whether it holds over all pixels, and what the chosen settings are worth.
 
-Per scene and error: `render_to_error`, its claim, the true error over all pixels against the exact integral, and the seconds of a
-frame beside those that even steps need for the same true error: with the classification that suits the scene best, and with clvol's
-default. Steps are a factor of sqrt(2) apart and interpolated between; where the default early termination does not let them reach the
+Per scene and error: `render_to_error`, its claim, the true error over all pixels against the exact
+integral, and the seconds of a frame beside those that even steps need for the same true error: with
+the classification that suits the scene best, and with clvol's default. Steps are a factor of sqrt(2)
+apart and interpolated between; where the default early termination does not let them reach the
 error, they may do without it. All frames take turns.
 """
 
@@ -11,12 +12,10 @@ from __future__ import annotations
 import time
 from typing import Any
 
-import numpy as np
-
 from bench.curves import reach
 from bench.options import Options
-from bench.report import load_average, machine, say, table
-from bench.scenes import SCENES, BenchScene
+from bench.report import load_average, machine, table
+from bench.scenes import SCENES, BenchScene, available
 from clvol.accuracy.timing import take_turns
 
 SUMMARY = "--max-error: does it hold, and is it cheaper than even steps"
@@ -34,13 +33,7 @@ def run(options: Options) -> dict[str, Any] | None:
         "machine": machine(device), "quick": options.quick, "load_before": load_average(),
         "missing": [], "rows": [],
     }  # fmt: skip
-    for scene in SCENES:
-        if options.scenes and scene.name not in options.scenes:
-            continue
-        if not scene.path().is_file():
-            say(f"{scene.name}: left out, there is no volume {scene.file} in ../shared/volumes")
-            result["missing"].append(scene.name)
-            continue
+    for scene in available(SCENES, options.scenes, result["missing"]):
         result["rows"] += _scene(scene, scene.load(), device, options)
     result["load_after"] = load_average()
     return result if result["rows"] else None

@@ -18,7 +18,7 @@ from bench.curves import lower_envelope, reach
 from bench.options import Options
 from bench.peers import _threads
 from bench.report import load_average, machine, say, table
-from bench.scenes import CHEST, DATA, SCENES, BenchScene
+from bench.scenes import CHEST, DATA, SCENES, BenchScene, available
 from clvol.accuracy.timing import take_turns
 
 SUMMARY = "error against time over all knobs, and VTK's curve beside it"
@@ -37,13 +37,7 @@ def run(options: Options) -> dict[str, Any] | None:
         "machine": machine(device), "vtk": vtk_version(), "threads": _threads(device),
         "quick": options.quick, "load_before": load_average(), "missing": [], "scenes": [],
     }  # fmt: skip
-    for scene in (*SCENES, CHEST):
-        if options.scenes and scene.name not in options.scenes:
-            continue
-        if not scene.path().is_file():
-            say(f"{scene.name}: left out, there is no volume {scene.file} in ../shared/volumes")
-            result["missing"].append(scene.name)
-            continue
+    for scene in available((*SCENES, CHEST), options.scenes, result["missing"]):
         result["scenes"].append(_sweep(scene, scene.load(), device, options))
     if not options.scenes or "demo" in options.scenes:
         result["scenes"].append(_demo(device, options))

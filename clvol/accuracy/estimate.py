@@ -1,9 +1,10 @@
 """The error of a whole picture from its exact values at some pixels, with a bound.
 
-Pixels are drawn where a rough idea of the error (the difference to another rendering) says that it is, and weighted back:
-the estimate has no bias however wrong the idea is, and little spread if it is right (sampling
-proportional to size; Hansen and Hurwitz 1943). Squared errors are skewed, for which Student's t gives bounds too
-low: the bound is Hall's (1992), which transforms the statistic so that its skewness goes.
+Pixels are drawn where a rough idea of the error (the difference to another rendering) says that it
+is, and weighted back: the estimate has no bias however wrong the idea is, and little spread if it is
+right (sampling proportional to size; Hansen and Hurwitz 1943). Squared errors are skewed, for which
+Student's t gives bounds too low: the bound is Hall's (1992), which transforms the statistic so that
+its skewness goes.
 """
 
 from __future__ import annotations

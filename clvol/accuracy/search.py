@@ -1,9 +1,10 @@
 """Looking for settings: the cheapest that hold an error.
 
-Nothing here renders: ``measure(settings)`` does, and gives something with ``rmse``, ``seconds`` of a
-picture and its ``cost`` (preparation counted in). What is known of the knobs is that a notch finer of the main ladder (the step) lessens the error, about
-twofold; that alternatives (classification, filter) may each be better or worse by
-far; and that the other ladders buy little with little, and limit what the main one can reach.
+Nothing here renders: ``measure(settings)`` does, and gives something with ``rmse``, ``seconds`` of
+a picture and its ``cost`` (preparation counted in). What is known of the knobs is that a notch finer
+of the main ladder (the step) lessens the error, about twofold; that alternatives (classification,
+filter) may each be better or worse by far; and that the other ladders buy little with little, and
+limit what the main one can reach.
 """
 
 from __future__ import annotations

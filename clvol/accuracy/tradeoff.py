@@ -1,16 +1,15 @@
 """Error against time: one scene under many settings, and which of them are worth using.
 
-Settings are those of the knobs that the scene's tables declare. Tried are: each knob alone, from the scene's own
-settings; the main ladders (the step) under every combination of alternatives
-(classification, quadrature, filter ...); and then, again and again, the neighbours of whatever lies on the
-Pareto front so far. Errors are those of all pixels against the exact integral; times are medians
-of frames for which all candidates take turns.
+Settings are those of the knobs that the scene's tables declare. Tried are: each knob alone, from
+the scene's own settings; the main ladders (the step) under every combination of alternatives
+(classification, quadrature, filter ...); and then, again and again, the neighbours of whatever lies
+on the Pareto front so far. Errors are those of all pixels against the exact integral; times are
+medians of frames for which all candidates take turns.
 """
 
 from __future__ import annotations
 
 import itertools
-import math
 import os
 import platform
 from collections.abc import Callable, Sequence

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from clvol.accuracy.settings import Settings, apply, key_of
+from clvol.accuracy.settings import Settings, apply
 from clvol.opencl.context import DeviceContext
 from clvol.render.engines import Engines
 from clvol.render.reference import render_reference
