@@ -17,6 +17,7 @@ from clvol.scene.knob import Knob
 from clvol.scene.multiresolution import Multiresolution
 from clvol.scene.pyramid import Pyramid
 from clvol.scene.resolve import ResolvedScene
+from clvol.scene.table import Table
 
 Settings = Mapping[str, Any]
 _TABLES = {
@@ -65,31 +66,40 @@ def scene_knobs(resolved: ResolvedScene) -> dict[str, SceneKnob]:
         for name, field in model.model_fields.items():
             for knob in field.metadata:
                 if isinstance(knob, Knob):
-                    own = getattr(getattr(resolved, table), name)
+                    key = f"{table}.{name}"
+                    own = value_of(resolved, key)
                     values = _with(own, knob.values_for(resolved), knob.is_ladder)
                     if len(values) > 1:
-                        key = f"{table}.{name}"
                         found[key] = SceneKnob(key, knob, values, own, field.description or "")
     return found
 
 
 def scene_settings(resolved: ResolvedScene, knobs: Mapping[str, SceneKnob]) -> dict[str, Any]:
     """What ``resolved`` itself says, for all of ``knobs``."""
-    return {key: getattr(getattr(resolved, key.split(".")[0]), key.split(".")[1]) for key in knobs}
+    return {key: value_of(resolved, key) for key in knobs}
 
 
 def apply(resolved: ResolvedScene, settings: Settings) -> ResolvedScene:
     """``resolved`` with other ``settings``. SceneError where a value is impossible."""
-    tables: dict[str, dict[str, Any]] = {}
+    differing = {key: value for key, value in settings.items() if value_of(resolved, key) != value}
+    return replace(resolved, **tables_with(resolved, differing))
+
+
+def tables_with(scene: Any, settings: Settings) -> dict[str, Table]:
+    """The tables of ``scene`` (resolved or not) that ``settings`` are of, with what they say."""
+    updates: dict[str, dict[str, Any]] = {}
     for key, value in settings.items():
         table, name = key.split(".")
-        if getattr(getattr(resolved, table), name) != value:
-            tables.setdefault(table, {})[name] = value
-    changed = {
-        table: getattr(resolved, table).model_copy(update=update)
-        for table, update in tables.items()
+        updates.setdefault(table, {})[name] = value
+    return {
+        table: getattr(scene, table).model_copy(update=update) for table, update in updates.items()
     }
-    return replace(resolved, **changed)
+
+
+def value_of(scene: Any, key: str) -> Any:
+    """What a scene (resolved or not) says for "TABLE.KEY"."""
+    table, name = key.split(".")
+    return getattr(getattr(scene, table), name)
 
 
 def is_possible(resolved: ResolvedScene, settings: Settings) -> bool:

@@ -27,6 +27,7 @@ from clvol.accuracy.settings import (
     key_of,
     scene_knobs,
     scene_settings,
+    tables_with,
 )
 from clvol.accuracy.trials import Trial, Trials, root_mean_square
 from clvol.errors import RenderError, UsageError
@@ -76,8 +77,7 @@ def render_to_error(
 
     Raises UsageError for an impossible ``max_error`` and RenderError if it could not be shown to hold.
     """
-    if not LEAST_ERROR <= max_error <= 1.0:
-        raise UsageError("max_error", f"got {max_error!r}", f"a number from {LEAST_ERROR:g} to 1")
+    check_max_error(max_error)
     with _Workshop(scene, devices, memory_cap, max_error, depth, progress, seed) as workshop:
         return workshop.to_error(max_error)
 
@@ -98,10 +98,21 @@ def render_in_time(
     Its error is measured and told as by ``render_to_error``. Raises UsageError if even the quickest
     settings take longer.
     """
-    if not 0.0 < seconds < math.inf:
-        raise UsageError("time_budget", f"got {seconds!r}", "seconds, more than 0")
+    check_time_budget(seconds)
     with _Workshop(scene, devices, memory_cap, _FIRST_ERROR, depth, progress, seed) as workshop:
         return workshop.in_time(seconds)
+
+
+def check_max_error(value: float) -> None:
+    """UsageError for an error that cannot be aimed at."""
+    if not LEAST_ERROR <= value <= 1.0:
+        raise UsageError("max_error", f"got {value!r}", f"a number from {LEAST_ERROR:g} to 1")
+
+
+def check_time_budget(value: float) -> None:
+    """UsageError for a time that cannot be aimed at."""
+    if not 0.0 < value < math.inf:
+        raise UsageError("time_budget", f"got {value!r}", "seconds, more than 0")
 
 
 class _Workshop:
@@ -362,15 +373,7 @@ class _Workshop:
 
     def _resolved_as(self, settings: dict[str, Any]) -> ResolvedScene:
         """The scene with ``settings``, whose source says them too."""
-        tables: dict[str, dict[str, Any]] = {}
-        for key, value in settings.items():
-            table, name = key.split(".")
-            tables.setdefault(table, {})[name] = value
-        update = {
-            table: getattr(self.scene, table).model_copy(update=values)
-            for table, values in tables.items()
-        }
-        source = self.scene.model_copy(update=update).to_toml()
+        source = self.scene.model_copy(update=tables_with(self.scene, settings)).to_toml()
         return replace(apply(self.asked, settings), source=source)
 
     def timed(self, stage: str, work: Callable[[], Any]) -> Any:

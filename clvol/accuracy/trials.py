@@ -147,8 +147,6 @@ class Trials:
         return self._overhead + self._scale * max(seconds - self._overhead, 0.1 * seconds)
 
 
-
-
 def root_mean_square(difference: np.ndarray) -> float:
     """Over all pixels and channels; inf where something is not finite."""
     value = float(np.sqrt(np.mean(np.square(np.asarray(difference, np.float64)))))

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import math
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 import click
 
@@ -67,7 +68,6 @@ def command(
     check_targets(max_error, time_budget)
     from clvol.cli.console import say, to_json, working
     from clvol.cli.outputs import check_outputs, save_picture, together
-    from clvol.errors import ClvolError
     from clvol.scene import load_scene
 
     others = [] if stats is None else [stats]
@@ -89,11 +89,8 @@ def command(
 
             aim = max_error if max_error is not None else time_budget
             render = render_in_time if max_error is None else render_to_error
-            try:
+            with named_as_options():
                 frame = render(asked, aim, depth=depth, progress=progress, **how)
-            except ClvolError as error:
-                raise type(error)(_OPTIONS.get(error.where, error.where), error.what,
-                                  error.expected) from None  # fmt: skip
         else:
             with Renderer(asked, **how) as renderer:
                 frame = renderer.render(progress=progress, depth=depth)
@@ -115,15 +112,31 @@ def command(
 
 
 def check_targets(max_error: float | None, time_budget: float | None) -> None:
-    """UsageError now for what could not be aimed at."""
+    """UsageError now, before anything is loaded, for what could not be aimed at."""
+    if max_error is None and time_budget is None:
+        return
+    from clvol.accuracy.target import check_max_error, check_time_budget
     from clvol.errors import UsageError
 
     if max_error is not None and time_budget is not None:
         raise UsageError("--time-budget", "given beside --max-error", "one of the two")
-    if max_error is not None and not 1e-10 <= max_error <= 1:
-        raise UsageError("--max-error", f"got {max_error!r}", "a number from 1e-10 to 1")
-    if time_budget is not None and not 0 < time_budget < math.inf:
-        raise UsageError("--time-budget", f"got {time_budget!r}", "seconds, more than 0")
+    with named_as_options():
+        if max_error is not None:
+            check_max_error(max_error)
+        else:
+            check_time_budget(time_budget)
+
+
+@contextmanager
+def named_as_options() -> Iterator[None]:
+    """Errors inside name the options of the command, not the arguments of the function."""
+    from clvol.errors import ClvolError
+
+    try:
+        yield
+    except ClvolError as error:
+        where = _OPTIONS.get(error.where, error.where)
+        raise type(error)(where, error.what, error.expected) from None
 
 
 def accuracy_in_words(stats: dict) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import re
 from collections.abc import Mapping
 from contextlib import ExitStack
@@ -13,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from clvol.errors import UsageError
+from clvol.plain import plain
 
 BLACK = (0.0, 0.0, 0.0)
 
@@ -47,19 +47,6 @@ def write_report(
                 pass
         raise
     return paths
-
-
-def plain(value: Any) -> Any:
-    """``value`` as JSON knows it: numpy's numbers as numbers, those not finite as None."""
-    if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [plain(item) for item in value]
-    if hasattr(value, "tolist"):
-        return plain(value.tolist())
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
 
 
 def _contents(result: dict[str, Any], pictures: Mapping[str, np.ndarray]) -> dict[str, bytes]:
