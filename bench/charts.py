@@ -110,6 +110,19 @@ def ratio_chart(result: dict[str, Any], path: Path) -> Path:
     return _save(plt, figure, path, _notes(result))
 
 
+def _step_curve(
+    axis, points: list[dict], color: str, marker: str, named: Sequence[float] | None = None
+) -> None:
+    """Error against time over steps, with the ``named`` steps (all, if None) written beside."""
+    points = sorted(points, key=lambda p: -p["step"])
+    x, y = [1e3 * p["seconds"] for p in points], [p["rmse"] for p in points]
+    axis.loglog(x, y, color=color, marker=marker, markersize=4.5, linewidth=1.5, zorder=2)
+    for p in points:
+        if named is None or p["step"] in named:
+            axis.annotate(f"{p['step']:g}", (1e3 * p["seconds"], p["rmse"]), (5, 3),
+                          textcoords="offset points", fontsize=8, color=color)
+
+
 def error_time_chart(result: dict[str, Any], size: int, path: Path) -> Path:
     """Error against time over steps, one panel a scene."""
     plt = _plt()
@@ -120,13 +133,7 @@ def error_time_chart(result: dict[str, Any], size: int, path: Path) -> Path:
     panels = list(axes.flat)
     for axis, s in zip(panels, scenes):
         for key, color, marker in (("vtk", _VTK, "s"), ("clvol", _CLVOL, "o")):
-            points = sorted(s[key], key=lambda p: -p["step"])
-            x, y = [1e3 * p["seconds"] for p in points], [p["rmse"] for p in points]
-            axis.loglog(x, y, color=color, marker=marker, markersize=4.5, linewidth=1.5)
-            for p in points:
-                if p["step"] in (8.0, 2.0, 1.0, 0.1, 0.125):
-                    axis.annotate(f"{p['step']:g}", (1e3 * p["seconds"], p["rmse"]), (5, 3),
-                                  textcoords="offset points", fontsize=8, color=color)
+            _step_curve(axis, s[key], color, marker, (8.0, 2.0, 1.0, 0.1, 0.125))
         points = sorted(s["vtk"], key=lambda p: -p["step"])
         x, y = [1e3 * p["seconds"] for p in points], [p["window_rmse"] for p in points]
         axis.loglog(x, y, color=_VTK, marker="s", markersize=3.5, markerfacecolor="white",
@@ -172,12 +179,7 @@ def tradeoff_chart(result: dict[str, Any], path: Path) -> Path:
         axis.loglog(1e3 * own["seconds"]["median"], own["rmse"], "D", color=_CLVOL, zorder=4,
                     markerfacecolor="white", markersize=6)
         if s["vtk"]:
-            points = sorted(s["vtk"], key=lambda p: -p["step"])
-            x, y = [1e3 * p["seconds"] for p in points], [p["rmse"] for p in points]
-            axis.loglog(x, y, "s-", color=_VTK, markersize=4.5, linewidth=1.4, zorder=2)
-            for p in points:
-                axis.annotate(f"{p['step']:g}", (1e3 * p["seconds"], p["rmse"]), (5, 3),
-                              textcoords="offset points", fontsize=7, color=_VTK)
+            _step_curve(axis, s["vtk"], _VTK, "s")
         axis.set_title(f"{s['scene']}, {s['size']}\u00b2")
         axis.grid(True, which="major", color="#e6e6e6", linewidth=0.6)
         axis.set_axisbelow(True)

@@ -142,7 +142,12 @@ def named_as_options() -> Iterator[None]:
 def accuracy_in_words(stats: dict) -> str:
     """One line: the error as measured, and with which settings."""
     measured = stats["accuracy"]
-    sure = f"{measured['confidence']:.0%} sure" if measured["confidence"] < 1 else "all pixels measured"
+    if stats["method"] == "reference":
+        sure = "the exact integral's own error estimate"
+    elif measured["confidence"] < 1:
+        sure = f"{measured['confidence']:.0%} sure"
+    else:
+        sure = "all pixels measured"
     chosen = ", ".join(
         f"{key.split('.')[1]} {value if isinstance(value, str) else format(value, '.4g')}"
         for key, value in measured["settings"].items()
