@@ -45,12 +45,12 @@ INLINE Illumination illuminate(const Scene *scene, Vectors place, Vectors normal
   lit.diffuse.x = lit.diffuse.y = lit.diffuse.z = e->material.x;
   lit.specular.x = lit.specular.y = lit.specular.z = 0.0f;
 #if LIGHTS
-  const Vectors local = to_local(e, place.x, place.y, place.z);
+  const Vectors here = to_local(e, place.x, place.y, place.z);
   _Pragma("unroll 1") for (int k = 0; k < e->counts.x; ++k) {
     const float4 at = scene->items[e->first.x + 2 * k], intensity = scene->items[e->first.x + 2 * k + 1];
     Vectors towards = broadcast3(at);
     if (at.w == LIGHT_POINT) {
-      const Vectors from = {at.x - local.x, at.y - local.y, at.z - local.z};
+      const Vectors from = {at.x - here.x, at.y - here.y, at.z - here.z};
       towards = unit3(from);
     }
     if (at.w == LIGHT_HEAD) towards = view;

@@ -65,11 +65,6 @@ def refuse_unknown(resolved: ResolvedScene) -> None:
         if integration.classification == "pre":
             expected = "'steps', or the classification 'post' or 'preintegrated'"
             raise SceneError(where, "got 'cells' with the classification 'pre'", expected)
-    tables = {"lighting": "light", "isosurfaces": "isosurface", "clipping": "clip"}
-    for effect in effects(resolved):
-        if effect.called_for and effect.name in tables:
-            where = f"{origin}: {tables[effect.name]}"
-            raise SceneError(where, f"{effect.name} cannot be rendered", "a scene without it")
 
 
 def explain(resolved: ResolvedScene) -> dict[str, Any]:
