@@ -52,9 +52,10 @@ class Integration(Table):
         Literal["steps", "cells"], Knob("quadrature", "", ("steps", "cells"), is_ladder=False)
     ] = Field("steps", description="'steps' or 'cells'")
     filter: Annotated[
-        Literal["nearest", "linear", "cubic"],
+        Literal["nearest", "linear", "cubic", "catmull-rom"],
         Knob("filter", "", ("nearest", "linear", "cubic"), is_ladder=False),
-    ] = Field("linear", description="'nearest', 'linear' or 'cubic'")
+    ] = Field("linear", description="'nearest', 'linear', 'cubic' or 'catmull-rom'")
+    prefilter: bool = Field(False, description="true or false")
     early_termination: Annotated[
         Number, Knob("early termination", "transmittance", (0.1, 0.03, 0.01, 1e-3, 1e-4, 0.0))
     ] = Field(1e-3, ge=0, lt=1, description="a transmittance from 0 to less than 1")
