@@ -33,7 +33,8 @@ INLINE void environment_look_up(__global const float4 *map, int size, floatN x, 
   const intN outer = MASK(s + t > 1.0f);
   const floatN to_aside = select(s, 1.0f - t, outer), to_down = select(t, 1.0f - s, outer);
   /* In floats from here on. */
-  const intN aside = select((intN)4, (intN)-4, MASK(x < 0.0f)), down = select((intN)(4 * size), (intN)(-4 * size), MASK(z < 0.0f));
+  const intN aside = select((intN)4, (intN)-4, MASK(x < 0.0f));
+  const intN down = select((intN)(4 * size), (intN)(-4 * size), MASK(z < 0.0f));
   const intN node = 4 * cells * (size + 1) + i * aside + j * down;
   const intN corner = node + (outer & (aside + down)), beside = node + aside, beneath = node + down;
   __global const float *values = (__global const float *)map;

@@ -1,8 +1,8 @@
-"""Writes studio.exr beside itself: an environment map of a photographer's studio, 128 x 64 texels by
-latitude and longitude (row 0: up; the middle column: -z), half floats.
+"""Writes studio.exr beside itself: an environment map of a photographer's studio, 128 x 64 texels
+by latitude and longitude (row 0: up; the middle column: -z), half floats.
 
-A key light high on the right, a large weak one on the left, a strip behind, a dark floor and a sky that
-brightens towards the zenith; linear radiance, the walls about 0.3, the key light 12.
+A key light high on the right, a large weak one on the left, a strip behind, a dark floor and a sky
+that brightens towards the zenith; linear radiance, the walls about 0.3, the key light 12.
 """
 
 from __future__ import annotations
@@ -39,7 +39,8 @@ def studio() -> np.ndarray:
         turn = (azimuth - centre + 180.0) % 360.0 - 180.0
         beside = np.abs(turn) * np.cos(np.radians(height)) - 0.5 * across
         beyond = np.abs(elevation - height) - 0.5 * tall
-        cover = smooth_step(0.5 - np.maximum(beside, beyond) / 6.0)[..., None]  # soft edges: 6 degrees
+        # Soft edges, 6 degrees wide.
+        cover = smooth_step(0.5 - np.maximum(beside, beyond) / 6.0)[..., None]
         image += cover * (np.array(radiance) - image)
     return image
 

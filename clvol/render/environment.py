@@ -1,25 +1,26 @@
-"""Environment maps: light from all directions, averaged over lobes once so that a sample's share of it
-is one look-up (P4's diffuse and specular environment maps; Ramamoorthi and Hanrahan 2001; Heidrich and
-Seidel 1999).
+"""Environment maps: light from all directions, averaged over lobes once so that a sample's share of
+it is one look-up (P4's diffuse and specular environment maps; Ramamoorthi and Hanrahan 2001;
+Heidrich and Seidel 1999).
 
-A radiance map covers all directions by latitude and longitude: the unit direction (x, y, z), y up, is
-at column u w, row v h with u = atan2(x, -z) / 2 pi + 1/2 and v = acos(y) / pi: row 0 is +y, the middle
-column looks along -z, +x is to the right of it.
+A radiance map covers all directions by latitude and longitude: the unit direction (x, y, z), y up,
+is at column u w, row v h with u = atan2(x, -z) / 2 pi + 1/2 and v = acos(y) / pi: row 0 is +y, the
+middle column looks along -z, +x is to the right of it.
 
-Means over lobes (R.w)^e are sums over all texels with their solid angles and the lobe normalised by the
-same sums. Rows of latitude make the sum over longitude a circular convolution, done by FFT: no texel is
-merged with another first, so even a sun of one texel stays where it is. The irradiance over pi is the
-same mean with e = 1. Order-2 spherical harmonics would be smaller than its map, but they miss the
-irradiance of a sun of one texel by up to 9 % of its peak (rms 3.6 %) and go below zero behind it; the
-map misses it by up to 1.2 % at the terminator and 0.2 % elsewhere (rms 0.07 %). Other lobes with e >= 1
-are met to 1 % of a sun's peak; those of e < 1 end at the horizon in a corner (a step, e = 0) that the
-map rounds off over a cell.
+Means over lobes (R.w)^e are sums over all texels with their solid angles and the lobe normalised by
+the same sums. Rows of latitude make the sum over longitude a circular convolution, done by FFT: no
+texel is merged with another first, so even a sun of one texel stays where it is. The irradiance
+over pi is the same mean with e = 1. Order-2 spherical harmonics would be smaller than its map, but
+they miss the irradiance of a sun of one texel by up to 9 % of its peak (rms 3.6 %) and go below
+zero behind it; the map misses it by up to 1.2 % at the terminator and 0.2 % elsewhere (rms 0.07 %).
+Other lobes with e >= 1 are met to 1 % of a sun's peak; those of e < 1 end at the horizon in a
+corner (a step, e = 0) that the map rounds off over a cell.
 
-Maps are stored by octahedron (Engelhardt and Dachsbacher 2008): no trigonometry in the kernel. Other
-than there, values are at nodes, on the square's edges and corners as well: nodes of an edge that are
-the same direction hold the same value, so that no border is needed and there is no seam. Values are
-linear over triangles, each cell being cut in two parallel to the equator's line in its quadrant: cells
-interpolated bilinearly would cross that crease, and be wrong there by the first order of their size.
+Maps are stored by octahedron (Engelhardt and Dachsbacher 2008): no trigonometry in the kernel.
+Other than there, values are at nodes, on the square's edges and corners as well: nodes of an edge
+that are the same direction hold the same value, so that no border is needed and there is no seam.
+Values are linear over triangles, each cell being cut in two parallel to the equator's line in its
+quadrant: cells interpolated bilinearly would cross that crease, and be wrong there by the first
+order of their size.
 """
 
 from __future__ import annotations
@@ -38,9 +39,9 @@ _BLOCK = 16  # rows of means computed at once: bounds memory
 
 @dataclass(frozen=True, eq=False)
 class RadianceMap:
-    """Radiance from all directions: ``texels`` float32 [h, w, 3], linear, by latitude and longitude as
-    above, then turned about the world's +y axis by ``rotation`` radians (right-handed: seen from +y,
-    counter-clockwise)."""
+    """Radiance from all directions: ``texels`` float32 [h, w, 3], linear, by latitude and longitude
+    as above, then turned about the world's +y axis by ``rotation`` radians (right-handed: seen from
+    +y, counter-clockwise)."""
 
     texels: np.ndarray
     rotation: float = 0.0
@@ -58,8 +59,9 @@ class MapPlace:
 class EnvironmentMaps:
     """What the kernel looks up, in one buffer: ``nodes`` float32 [n, 4] (r, g, b, 0).
 
-    ``diffuse``: mean radiance under the cosine lobe about a normal (irradiance / pi). ``specular``: mean
-    radiance in the lobe (R.w)^(shininess / 4). ``sky``: the radiance itself, or None if not asked for.
+    ``diffuse``: mean radiance under the cosine lobe about a normal (irradiance / pi). ``specular``:
+    mean radiance in the lobe (R.w)^(shininess / 4). ``sky``: the radiance itself, or None if not
+    asked for.
     """
 
     nodes: np.ndarray
@@ -117,10 +119,8 @@ def lobe_mean(radiance: RadianceMap, directions: np.ndarray, exponent: float) ->
     rows, columns = radiance.texels.shape[:2]
     theta, psi = _row_centres(rows), _column_centres(columns) - radiance.rotation
     ring = np.sin(theta)[:, None]
-    to = np.stack(
-        [ring * np.sin(psi), np.broadcast_to(np.cos(theta)[:, None], (rows, columns)), -ring * np.cos(psi)],
-        axis=-1,
-    ).reshape(-1, 3)
+    y = np.broadcast_to(np.cos(theta)[:, None], (rows, columns))
+    to = np.stack([ring * np.sin(psi), y, -ring * np.cos(psi)], axis=-1).reshape(-1, 3)
     weight = np.repeat(_row_weights(rows), columns)[:, None]
     weighted = radiance.texels.reshape(-1, 3).astype(np.float64) * weight
     flat = np.asarray(directions, np.float64).reshape(-1, 3)
@@ -176,7 +176,8 @@ def _mean_map(texels: np.ndarray, exponent: float, rotation: float) -> np.ndarra
 
 def _sharp_map(texels: np.ndarray, rotation: float) -> np.ndarray:
     """The radiance at the nodes, bilinear between texels, float32 [n, n, 3]; nodes no farther apart
-    than the texels at the equator, as long as that is not too many."""
+    than the texels at the equator, as long as that is not too many. A sun of one texel may gain or
+    lose up to a fifth of its energy."""
     rows = texels.shape[0]
     size = min(max(_nodes_for(np.pi / rows), _SMALLEST_NODES), _LARGEST_SHARP)
     smooth = np.clip(_round_texels(texels), 0.0, _largest(texels))
@@ -243,8 +244,8 @@ def _lobe(
 
 def _spectrum(texels: np.ndarray, rows: int) -> np.ndarray:
     """Modes 0..rows of each row of texels as point sources, complex128 [h, rows + 1, 4], phases for
-    2 ``rows`` columns; the upper half fades out, where lobes have little and corners would ring. The
-    fourth channel is that of texels of 1."""
+    2 ``rows`` columns; the upper half fades out, where lobes have little and corners would ring.
+    The fourth channel is that of texels of 1."""
     width = texels.shape[1]
     from scipy.fft import rfft
 
@@ -264,8 +265,8 @@ def _spectrum(texels: np.ndarray, rows: int) -> np.ndarray:
 
 
 def interpolated(texels: np.ndarray, directions: np.ndarray, rotation: float) -> np.ndarray:
-    """float64 [..., 3]: ``texels`` [h, w, 3] in ``directions`` [..., 3] (any length) of the world in which
-    the map is turned by ``rotation``, by the cubic spline through the texels' centres."""
+    """float64 [..., 3]: ``texels`` [h, w, 3] in ``directions`` [..., 3] (any length) of the world
+    in which the map is turned by ``rotation``, by the cubic spline through the texels' centres."""
     from scipy.ndimage import map_coordinates
 
     border = 16  # the spline's memory fades by 0.27 a texel
@@ -330,7 +331,8 @@ def _at_most(texels: np.ndarray, rows: int) -> np.ndarray:
     edges = np.cos(np.linspace(0.0, np.pi, height + 1))
     new = np.cos(np.linspace(0.0, np.pi, rows + 1))
     texels = _averaged(texels, -edges, -new)
-    texels = _averaged(texels.swapaxes(0, 1), np.arange(width + 1.0), np.linspace(0.0, width, 2 * rows + 1))
+    new = np.linspace(0.0, width, 2 * rows + 1)
+    texels = _averaged(texels.swapaxes(0, 1), np.arange(width + 1.0), new)
     return texels.swapaxes(0, 1).astype(np.float32)
 
 

@@ -1,7 +1,7 @@
 """Environment maps from OpenEXR files, by latitude and longitude or as a cube.
 
-A cube is a vertical strip of six square faces, +x -x +y -y +z -z from the top, each as OpenGL's cube
-maps have them (OpenGL 4.6 sec. 8.13, table 8.19): with M the direction's largest component,
+A cube is a vertical strip of six square faces, +x -x +y -y +z -z from the top, each as OpenGL's
+cube maps have them (OpenGL 4.6 sec. 8.13, table 8.19): with M the direction's largest component,
 
     face  +x  -x  +y  -y  +z  -z
     sc    -z  +z  +x  +x  +x  -x
@@ -35,8 +35,8 @@ def load_radiance(
     intensity: float = 1.0,
     rotation_degrees: float = 0.0,
 ) -> RadianceMap:
-    """The file's radiance times ``intensity``, turned about +y (``RadianceMap``); a cube of n x n faces
-    becomes 2 n rows of latitude. SceneError names the file and what is wrong with it."""
+    """The file's radiance times ``intensity``, turned about +y (``RadianceMap``); a cube of n x n
+    faces becomes 2 n rows of latitude. SceneError names the file and what is wrong with it."""
     where = str(path)
     texels = _read(where)
     height, width = texels.shape[:2]
@@ -44,7 +44,7 @@ def load_radiance(
     if layout == "latlong" and (width != 2 * height or height < 2):
         raise SceneError(where, got, 'twice as wide as high (or layout = "cube")')
     if layout == "cube" and height != 6 * width:
-        raise SceneError(where, got, "six square faces, one below the other: six times as high as wide")
+        raise SceneError(where, got, "six square faces, one below the other")
     bad = int(np.count_nonzero(~np.all(np.isfinite(texels) & (texels >= 0.0), axis=-1)))
     if bad:
         what = f"{bad} of {width * height} texels are negative or not finite"
@@ -84,8 +84,9 @@ def _read(where: str) -> np.ndarray:
 
 
 def latlong_of_cube(strip: np.ndarray) -> np.ndarray:
-    """float32 [2 n, 4 n, 3] from faces [6 n, n, 3]: a texel is the mean of 2 x 2 bilinear look-ups. Where
-    a cube's texels are smallest, at its corners, those are half a texel of the result wide."""
+    """float32 [2 n, 4 n, 3] from faces [6 n, n, 3]: a texel is the mean of 2 x 2 bilinear look-ups.
+    Where a cube's texels are smallest, at its corners, those are half a texel of the result
+    wide."""
     from scipy.ndimage import map_coordinates
 
     n = strip.shape[1]
@@ -111,7 +112,8 @@ def latlong_of_cube(strip: np.ndarray) -> np.ndarray:
 
 
 def cube_coordinates(directions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Face 0..5, s and t in [0, 1] (column and row over the face's edge) of ``directions`` [..., 3]."""
+    """Face 0..5, s and t in [0, 1] (column and row over the face's edge) of ``directions`` [...,
+    3]."""
     largest = np.argmax(np.abs(directions), axis=-1)
     component = np.take_along_axis(directions, largest[..., None], -1)[..., 0]
     face = 2 * largest + (component < 0.0)
@@ -125,7 +127,8 @@ def cube_coordinates(directions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np
 
 
 def cube_directions(face: int, s: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """The directions (any length) at s, t of ``face``: the inverse, also beyond the face's edges."""
+    """The directions (any length) at s, t of ``face``: the inverse, also beyond the face's
+    edges."""
     (major, sign), (axis_s, sign_s), (axis_t, sign_t) = _FACES[face]
     s, t = np.broadcast_arrays(s, t)
     directions = np.empty((*s.shape, 3))

@@ -1,4 +1,5 @@
-"""Environment maps: what is looked up is the mean over the lobe, on every device, without a seam."""
+"""Environment maps: what is looked up is the mean over the lobe, on every device, without a
+seam."""
 
 from __future__ import annotations
 
@@ -97,7 +98,8 @@ def test_a_constant_environment_is_that_constant_everywhere(shape, shininess):
 
 
 def test_a_cosine_lobed_environment_gives_its_irradiance():
-    """L = 1 + a.w: irradiance / pi = 1 + 2/3 a.N; the mean in a lobe of exponent e: 1 + (e+1)/(e+2) a.R."""
+    """L = 1 + a.w: irradiance / pi = 1 + 2/3 a.N; the mean in a lobe of exponent e: 1 + (e+1)/(e+2)
+    a.R."""
     a = np.array([0.5, -0.3, 0.4])
     texels = (1.0 + texel_directions(128) @ a)[..., None] * np.ones(3)
     maps = environment_maps(RadianceMap(texels.astype(np.float32)), 40.0)
@@ -111,7 +113,8 @@ def test_a_cosine_lobed_environment_gives_its_irradiance():
 @pytest.mark.parametrize("exponent", EXPONENTS)
 @pytest.mark.parametrize("name", ["noise", "sun", "sun at the pole", "sun at the seam"])
 def test_maps_hold_the_sums_over_all_texels(name, exponent):
-    """Largest and rms error, of the peak. The clamped cosine ends in a corner, that cells round off."""
+    """Largest and rms error, of the peak. The clamped cosine ends in a corner, that cells round
+    off."""
     texels = {"noise": noise(), "sun": sun(20, 33), "sun at the pole": sun(0, 5),
               "sun at the seam": sun(31, 0)}[name]  # fmt: skip
     radiance = RadianceMap(texels, 0.7)
@@ -119,7 +122,9 @@ def test_maps_hold_the_sums_over_all_texels(name, exponent):
     maps = environment_maps(radiance, 4.0 * exponent)
     expected = lobe_mean(radiance, directions, exponent)
     error = np.abs(look_up(maps.nodes, maps.specular, directions) - expected) / expected.max()
-    largest, rms = (0.002, 5e-4) if name == "noise" else (0.013, 1e-3) if exponent == 1.0 else (0.01, 1e-3)
+    largest, rms = 0.013 if exponent == 1.0 else 0.01, 1e-3
+    if name == "noise":
+        largest, rms = 0.002, 5e-4
     assert error.max() < largest
     assert np.sqrt((error**2).mean()) < rms
 
@@ -214,7 +219,8 @@ def test_a_device_looks_up_what_its_twin_does(context, lanes):
 
 @pytest.mark.parametrize("lanes", [1, 16])
 def test_no_direction_shows_a_seam(context, lanes):
-    """Directions 1e-3 apart across the edges, the diagonals and the poles: no jump beyond the slope."""
+    """Directions 1e-3 apart across the edges, the diagonals and the poles: no jump beyond the
+    slope."""
     texels = smooth(texel_directions()).astype(np.float32)
     maps = environment_maps(RadianceMap(texels), 20.0, sky=True)
     directions = _awkward_directions()
@@ -239,8 +245,8 @@ def test_a_constant_is_exact_and_no_direction_is_finite_too(context, lanes):
 
 
 def _awkward_directions() -> np.ndarray:
-    """float32 [n, 3], n a multiple of 16: all over the sphere, then around poles, axes and edges; the
-    last 200 lie on or next to the square's edges."""
+    """float32 [n, 3], n a multiple of 16: all over the sphere, then around poles, axes and edges;
+    the last 200 lie on or next to the square's edges."""
     rng = np.random.default_rng(11)
     axes = np.repeat(np.concatenate([np.eye(3), -np.eye(3)]), 50, axis=0)
     axes[::2] += rng.normal(scale=1e-4, size=(150, 3))
@@ -290,7 +296,8 @@ def test_a_cubes_faces_lie_as_opengl_has_them(tmp_path, face, direction, right, 
     radiance = load_radiance(write_exr(tmp_path / "cube.exr", strip), "cube")
     maps = environment_maps(radiance, 1e9)
     direction, right, down = (np.array(v, float) for v in (direction, right, down))
-    corners = [direction + 0.5 * (a * right + b * down) for a, b in ((-1, -1), (1, -1), (-1, 1), (1, 1))]
+    quarters = [(-1, -1), (1, -1), (-1, 1), (1, 1)]
+    corners = [direction + 0.5 * (a * right + b * down) for a, b in quarters]
     got = look_up(maps.nodes, maps.specular, np.array([*corners, -direction]))[:, 0]
     assert np.allclose(got, [1, 0, 0, 0, 0], atol=1e-6)
 
@@ -339,7 +346,8 @@ def test_a_texel_of_a_cube_keeps_its_energy(tmp_path):
 
 
 def test_intensity_is_a_factor_and_half_floats_are_read(tmp_path):
-    plain, bright = load_radiance(STUDIO), load_radiance(STUDIO, intensity=2.5, rotation_degrees=90.0)
+    plain = load_radiance(STUDIO)
+    bright = load_radiance(STUDIO, intensity=2.5, rotation_degrees=90.0)
     assert plain.texels.shape == (64, 128, 3) and plain.texels.dtype == np.float32
     assert np.array_equal(bright.texels, plain.texels * np.float32(2.5))
     assert plain.rotation == 0.0 and bright.rotation == pytest.approx(np.pi / 2)
