@@ -73,10 +73,10 @@ class EnvironmentMaps:
 def environment_maps(radiance: RadianceMap, shininess: float, sky: bool = False) -> EnvironmentMaps:
     """The maps for Blinn-Phong's ``shininess`` (>= 0).
 
-    A lobe whose width (1 / sqrt(e)) is below a texel shows the radiance itself. Of 1024 x 2048 texels
-    they take about 0.7 s of one core (2 s beyond a shininess of 5000, 0.4 s more with the sky) and at
-    most 64 MB. Beyond a shininess of 7000, maps of more than 256 rows have coarser nodes than the
-    lobe asks for: at 40000 a sun of one texel is met to 5 % of its peak.
+    A lobe whose width (1 / sqrt(e)) is below a texel shows the radiance itself. Of 1024 x 2048
+    texels they take about 0.7 s of one core (2 s beyond a shininess of 5000, 0.4 s more with the
+    sky) and at most 64 MB. Beyond a shininess of 7000, maps of more than 256 rows have coarser
+    nodes than the lobe asks for: at 40000 a sun of one texel is met to 5 % of its peak.
     """
     texels = _at_most(radiance.texels, LARGEST_ROWS)
     exponent = shininess / 4.0
