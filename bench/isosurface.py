@@ -7,8 +7,8 @@ llvmpipe, on the same cores, and the result names it and its threads.
 What is counted
   clvol  frame.stats["seconds"]["render"]: kernels and the transfer of the picture to the host
   VTK    Render() until OpenGL has finished, less that of an empty window; no transfer
-Both take turns in one run. VTK's surfaces lie where a line between two samples crosses the value,
-clvol's to 1e-4 of a voxel, so the pictures are alike and not the same.
+Both take turns in one run. VTK shades a surface at the first sample behind it, clvol at the crossing,
+found to 1e-4 of a voxel: the pictures are alike and not the same.
 """
 
 from __future__ import annotations
