@@ -331,7 +331,8 @@ _GROUPS = {
 
 
 def effects_chart(result: dict[str, Any], path: Path) -> Path:
-    """What each effect costs: time beside samples, a pair of panels a scene, in groups of effects."""
+    """What each effect costs: time beside samples, a pair of panels a scene, in groups of effects;
+    a diamond where the effect that one is built on lies."""
     plt = _plt()
     scenes = result["scenes"]
     labels, places = _effect_places(scenes[0]["rows"])
@@ -350,15 +351,22 @@ def effects_chart(result: dict[str, Any], path: Path) -> Path:
             axis.set_xlabel("times the plain scene's")
             axis.grid(True, axis="x", which="major", color="#e6e6e6", linewidth=0.6)
             axis.set_axisbelow(True)
-            low, high = axis.get_xlim()
-            axis.set_xlim(min(low, 0.5) * 0.85, max(high, 2.0) * 1.7)
-            _plain_log(axis, y=False)
             axis.tick_params(axis="y", length=0)
+    for alike in (axes[0][::2], axes[0][1::2]):  # one scale for times, one for samples
+        limits = [axis.get_xlim() for axis in alike]
+        for axis in alike:
+            axis.set_xlim(0.85 * min(0.5, *(low for low, _ in limits)),
+                          1.7 * max(2.0, *(high for _, high in limits)))
+            _plain_log(axis, y=False)
+            axis.minorticks_off()
     first = axes[0][0]
     first.set_yticks(places, labels, fontsize=9)
     first.set_ylim(max(places) + 0.7, -0.7)
     size = result["size"]
-    notes = f"{size} × {size} pixels, step 1; whiskers: both medians off by half their interquartile range; "
+    notes = (
+        f"{size} × {size} pixels, step 1. Whiskers: both medians off by half their interquartile range."
+        " Diamond: the effect that this one is built on.\n"
+    )
     return _save(plt, figure, path, notes + _notes(result))
 
 
@@ -393,6 +401,9 @@ def _effect_bars(row: dict[str, Any], y: float, time, samples) -> None:
     time.barh(y, plain["ratio"] - 1.0, 0.74, left=1.0, color=color, zorder=2)
     time.errorbar(plain["ratio"], y, xerr=whiskers, color="#222222", linewidth=0.9, capsize=2,
                   zorder=4)
+    if row.get("over"):  # what it is built on costs as much
+        time.plot(plain["ratio"] / row["over"]["ratio"], y, "d", color="#ffffff", markersize=4.5,
+                  markeredgecolor="#222222", markeredgewidth=0.8, zorder=5)
     samples.barh(y, plain["samples"] - 1.0, 0.74, left=1.0, color=color, alpha=0.55, zorder=2)
     for axis, value, end in (
         (time, plain["ratio"], max(plain["high"], 1.0)),

@@ -1,5 +1,5 @@
-"""Every effect that a scene may state, each as the tables that ask for it: what they cost is measured
-(bench/effects.py), and that each works, alone and together, is tested.
+"""Every effect that a scene may state, each as the tables that ask for it: what they cost is
+measured (bench/effects.py), and that each works, alone and together, is tested.
 
 Tables are made for a volume: values are shares of its range, places shares of its extent.
 """
@@ -27,8 +27,8 @@ _SKY_ROWS = 32  # of the environment's picture
 class Place:
     """The volume and the scales that tables are made of, and a folder for files.
 
-    ``lower``, ``upper``, ``centre``: of the domain, world [3]. ``edge``: its longest edge. ``slope``:
-    the value's whole range over eight of the smallest voxel edges, value per world length.
+    ``lower``, ``upper``: of the domain, world [3]. ``edge``: its longest edge. ``slope``: the
+    value's whole range over eight of the smallest voxel edges, value per world length.
     """
 
     volume: Volume
@@ -90,8 +90,8 @@ class EffectScene:
 
 
 def with_tables(settings: Mapping[str, Any], tables: Mapping[str, Any]) -> Tables:
-    """``settings`` (tables by name, as ``Scene`` takes them) with ``tables`` over them: a table's keys
-    replace those of the same name, lists of tables are joined, all else replaces."""
+    """``settings`` (tables by name, as ``Scene`` takes them) with ``tables`` over them: a table's
+    keys replace those of the same name, lists of tables are joined, all else replaces."""
     made = dict(settings)
     for name, table in tables.items():
         before = made.get(name)
@@ -127,7 +127,9 @@ def _three_lights(place: Place) -> Tables:
 
 
 def _surfaces(place: Place) -> Tables:
-    shown = ((0.3, 0.3, [0.8, 0.5, 0.3]), (0.45, 0.5, [0.4, 0.7, 0.8]), (0.75, 0.9, [0.9, 0.9, 0.8]))
+    shown = (
+        (0.3, 0.3, [0.8, 0.5, 0.3]), (0.45, 0.5, [0.4, 0.7, 0.8]), (0.75, 0.9, [0.9, 0.9, 0.8])
+    )  # fmt: skip
     return {"light": [LIGHT], "isosurface": [
         {"value": place.value(at), "opacity": opacity, "color": color, "back_color": color[::-1]}
         for at, opacity, color in shown
@@ -407,13 +409,13 @@ def _latlong_sky() -> np.ndarray:
 
 
 def _cube_sky() -> np.ndarray:
-    """float32 [6 n, n, 3]: faces +x -x +y -y +z -z, each seen from inside, its up +y where it has one."""
+    """float32 [6 n, n, 3]: faces +x -x +y -y +z -z as OpenGL has them, row 0 on top."""
     n = _SKY_ROWS
     across = 2.0 * (np.arange(n) + 0.5) / n - 1.0
-    v, u = np.meshgrid(-across, across, indexing="ij")  # v up, u to the right
+    v, u = np.meshgrid(-across, across, indexing="ij")  # u along the columns, v against the rows
     one = np.ones_like(u)
     faces = (
-        (one, v, u), (-one, v, -u), (u, one, v), (u, -one, -v), (-u, v, one), (u, v, -one),
+        (one, v, -u), (-one, v, u), (u, one, -v), (u, -one, v), (u, v, one), (-u, v, -one),
     )  # fmt: skip
     directions = np.concatenate([np.stack(face, axis=-1) for face in faces])
     return _sky_radiance(directions / np.linalg.norm(directions, axis=-1, keepdims=True))

@@ -1,9 +1,9 @@
 """What each effect costs over the plain scene, in time and in samples; and what effects cost that a
 scene states without consequence: nothing.
 
-Each of ``effect_scenes.EFFECTS`` on two of the bench's scenes, step 1: an effect takes turns with the
-plain scene, and with the effect it is built on where there is one, so that each ratio is between
-frames of the same minutes. Time is frame.stats["seconds"]["render"], samples are
+Each of ``effect_scenes.EFFECTS`` on two of the bench's scenes, step 1: an effect takes turns with
+the plain scene, and with the effect it is built on where there is one, so that each ratio is
+between frames of the same minutes. Time is frame.stats["seconds"]["render"], samples are
 frame.stats["samples"]; what is done before the first frame (gradients, coefficients, light volumes
 that do not change) is in neither, and is told as the seconds of preparing.
 
@@ -50,8 +50,8 @@ def run(options: Options) -> dict[str, Any] | None:
 
 
 def ratio_of(times: dict[str, Any], base: dict[str, Any]) -> dict[str, float]:
-    """``times`` over ``base`` (both as ``timing.summary``): of the medians, and how far it may lie off
-    if each median lies off by half its interquartile range, one up and one down."""
+    """``times`` over ``base`` (both as ``timing.summary``): of the medians, and how far it may lie
+    off if each median lies off by half its interquartile range, one up and one down."""
     up = {"times": 1.0 + times["spread"] / 2, "base": 1.0 + base["spread"] / 2}
     ratio = times["median"] / base["median"]
     off = up["times"] * up["base"]
@@ -224,7 +224,7 @@ def _filters(scene: dict[str, Any]) -> list[str]:
 
 
 def filter_costs(rows: list[dict[str, Any]]) -> dict[str, float]:
-    """Time over that of the linear filter, lit over lit, of those of FILTERS that could be measured."""
+    """Time over that of the linear filter, lit over lit, of each of FILTERS that was measured."""
     return {
         row["name"]: (row["over"] or row["plain"])["ratio"]
         for row in rows

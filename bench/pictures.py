@@ -23,9 +23,9 @@ def save_side_by_side(pictures: Sequence[np.ndarray], path: Path) -> Path:
 def apart(a: np.ndarray, b: np.ndarray) -> dict[str, Any]:
     """How unlike two pictures [h, w, 4] are, and whether they show the same view.
 
-    "rmse": over all pixels and channels. "best_flip": what of ``b`` is likest to ``a``: "none" where
-    both are the right way round. "outline": share of the pixels that either covers at all, of which
-    the other has less than half the opacity.
+    "rmse": over all pixels and channels. "best_flip": what of ``b`` is likest to ``a``: "none"
+    where both are the same way round. "outline": share of the pixels that either covers at all, of
+    which the other has less than half the opacity.
     """
     flips = {"none": b, "left-right": b[:, ::-1], "up-down": b[::-1], "both": b[::-1, ::-1]}
     errors = {name: float(np.sqrt(np.mean((a - flip) ** 2))) for name, flip in flips.items()}

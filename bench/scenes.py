@@ -51,8 +51,8 @@ class BenchScene:
     def scene(
         self, volume: Volume, size: int, tables: Mapping[str, Any] | None = None, **integration: Any
     ) -> Scene:
-        """``size`` by ``size`` pixels of ``volume``; ``integration`` as in a scene file. ``tables``:
-        more tables by name, which replace keys of what there is (see ``effect_scenes``)."""
+        """``size`` by ``size`` pixels of ``volume``; ``integration`` as in a scene file.
+        ``tables``: more tables by name, over these (see ``effect_scenes.with_tables``)."""
         from bench.effect_scenes import with_tables
         from clvol import Scene
 

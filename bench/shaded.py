@@ -102,6 +102,7 @@ def _compare(
         "spread": max(times[name]["spread"] for name in ("vtk", "shaded", "unshaded")),
         "samples": {name: frame.stats["samples"] for name, frame in frames.items()},
         "counters": frames["shaded"].stats.get("counters", {}),
+        "is_lit": not np.array_equal(frames["shaded"].rgba, frames["unshaded"].rgba),
         "apart": apart(rays, frames["shaded"].rgba),
     }  # fmt: skip
 
@@ -129,6 +130,9 @@ def show(result: dict[str, Any]) -> str:
         f" {result['load_after']}, {result['machine']['cores']} cores",
     ]
     turned = [f"{r['scene']} {r['light']}" for r in rows if r["apart"]["best_flip"] != "none"]
+    unlit = [f"{r['scene']} {r['light']}" for r in rows if not r["is_lit"]]
+    if unlit:
+        lines.append(f"NOT lit, so no result: {', '.join(unlit)}")
     if turned:
         lines.append(f"NOT the same way round as VTK's: {', '.join(turned)}")
     if result["missing"]:

@@ -1,17 +1,17 @@
-"""VTK on one of our scenes: its CPU ray caster vtkFixedPointVolumeRayCastMapper, unshaded or shaded,
-and, for iso-surfaces, vtkGPUVolumeRayCastMapper, which runs on whatever OpenGL there is.
+"""VTK on one of our scenes: its CPU ray caster vtkFixedPointVolumeRayCastMapper, unshaded or
+shaded, and, for iso-surfaces, vtkGPUVolumeRayCastMapper, which runs on whatever OpenGL there is.
 
 They are set up to do just what the scene says: fixed sample distance, one ray a pixel, linear
 interpolation, the scene's material and light if it has one, nothing adjusted to a frame rate.
 
-There are two pictures of the CPU ray caster, both linear and premultiplied: the rays' own, 15 bits a
-channel as the mapper keeps it, and the window's, 8 bits a channel, into which OpenGL draws the first
-as a texture. In the window, edges are softer: the texture is interpolated, up to half a pixel beside
-its place.
+There are two pictures of the CPU ray caster, both linear and premultiplied: the rays' own, 15 bits
+a channel as the mapper keeps it, and the window's, 8 bits a channel, into which OpenGL draws the
+first as a texture. In the window, edges are softer: the texture is interpolated, up to half a pixel
+beside its place.
 
-Shading differs from clvol's in this: the CPU ray caster knows normals in 16 bits, one eye direction
-for all rays (so a headlight is a directional one), and interpolates what is shaded at the corners of
-a cell. Its gradients are computed once, in the first frame.
+Shading differs from clvol's in this: the CPU ray caster knows normals in 16 bits and one eye
+direction for all rays (so a headlight is a directional one), and interpolates what is shaded at the
+corners of a cell. Its gradients are computed once, in the first frame.
 """
 
 from __future__ import annotations
@@ -39,10 +39,10 @@ def vtk_version() -> str | None:
 
 
 class _Window:
-    """The scene's volume, look, lights and camera in an off-screen window; subclasses map the volume.
+    """The scene's volume, look, light and camera in an off-screen window; subclasses map the volume.
 
-    ValueError for a scene that VTK would show otherwise: a volume with an origin or a direction, more
-    than one light, a point light, an intensity other than 1, a material that is not two-sided.
+    ValueError for a scene that VTK would show otherwise: a volume with an origin or a direction,
+    more than one light, a point light, an intensity other than 1, a material of one side.
     """
 
     def __init__(self, resolved: ResolvedScene, mapper_name: str) -> None:
@@ -114,7 +114,7 @@ class _Window:
             raise ValueError("a peer has one light, directional or at the eye, of intensity 1")
         from vtkmodules.vtkRenderingCore import vtkLight
 
-        if not getattr(resolved.material, "two_sided", True):
+        if not resolved.material.two_sided:
             raise ValueError("a peer's material is two-sided")
         if light.type == "headlight":
             travels = np.subtract(resolved.camera.target, resolved.camera.position)
@@ -137,7 +137,7 @@ class _Window:
         self._look.SetSpecularPower(material.shininess)
 
     def _ambient_color(self, resolved: ResolvedScene) -> Any:
-        """The light's, which the CPU ray caster multiplies by the sample's colour; it is 0 in VTK if
+        """The light's, which the CPU ray caster multiplies by the sample's colour; in VTK it is 0 if
         not set, and there is no ambient share then."""
         return (1.0, 1.0, 1.0)
 
