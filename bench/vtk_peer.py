@@ -39,7 +39,7 @@ def vtk_version() -> str | None:
 
 
 class _Window:
-    """The scene's volume, look, light and camera in an off-screen window; subclasses map the volume.
+    """The scene's volume, look, light and camera in an off-screen window; subclasses map it.
 
     ValueError for a scene that VTK would show otherwise: a volume with an origin or a direction,
     more than one light, a point light, an intensity other than 1, a material of one side.
@@ -137,7 +137,7 @@ class _Window:
         self._look.SetSpecularPower(material.shininess)
 
     def _ambient_color(self, resolved: ResolvedScene) -> Any:
-        """The light's, which the CPU ray caster multiplies by the sample's colour; in VTK it is 0 if
+        """The light's, which the CPU ray caster multiplies by the sample's colour; VTK has 0 if
         not set, and there is no ambient share then."""
         return (1.0, 1.0, 1.0)
 
