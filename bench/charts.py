@@ -401,12 +401,13 @@ def _effect_bars(row: dict[str, Any], y: float, time, samples) -> None:
     time.barh(y, plain["ratio"] - 1.0, 0.74, left=1.0, color=color, zorder=2)
     time.errorbar(plain["ratio"], y, xerr=whiskers, color="#222222", linewidth=0.9, capsize=2,
                   zorder=4)
+    below = plain["ratio"] / row["over"]["ratio"] if row.get("over") else 1.0
     if row.get("over"):  # what it is built on costs as much
-        time.plot(plain["ratio"] / row["over"]["ratio"], y, "d", color="#ffffff", markersize=4.5,
+        time.plot(below, y, "d", color="#ffffff", markersize=4.5,
                   markeredgecolor="#222222", markeredgewidth=0.8, zorder=5)
     samples.barh(y, plain["samples"] - 1.0, 0.74, left=1.0, color=color, alpha=0.55, zorder=2)
     for axis, value, end in (
-        (time, plain["ratio"], max(plain["high"], 1.0)),
+        (time, plain["ratio"], max(plain["high"], below, 1.0)),
         (samples, plain["samples"], max(plain["samples"], 1.0)),
     ):
         axis.annotate(f"{value:.2f}" if value < 10 else f"{value:.0f}", (end, y), (4, 0),
