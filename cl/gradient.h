@@ -58,8 +58,8 @@ INLINE Gradient finite_gradient(Gradient g)
 /* Along an axis, whose four voxels (or means across it) are a, b, c, d, those missing at a face equal to their neighbours. */
 INLINE floatN mixed_differences(floatN a, floatN b, floatN c, floatN d, intN first, intN last, floatN f)
 {
-  const floatN one = 1.0f, half = 0.5f;
-  return mix_corners((c - a) * select(half, one, first), (d - b) * select(half, one, last), f);
+  const floatN one = 1.0f, halved = 0.5f;
+  return mix_corners((c - a) * select(halved, one, first), (d - b) * select(halved, one, last), f);
 }
 
 INLINE floatN mix_edge(Edge e, floatN f) { return mix_corners(e.v0, e.v1, f); }
@@ -166,8 +166,8 @@ INLINE GradientAxis gradient_axis(floatN x, float upper, int size)
 {
   const Place p = place_in_cell(x, upper, size);
   const intN first = MASK(p.index == 0), last = MASK(p.index == size - 2);
-  const floatN u = p.f, v = 1.0f - u, one = 1.0f, half = 0.5f;
-  const floatN low = v * select(half, one, first), high = u * select(half, one, last);
+  const floatN u = p.f, v = 1.0f - u, one = 1.0f, halved = 0.5f;
+  const floatN low = v * select(halved, one, first), high = u * select(halved, one, last);
   GradientAxis a;
   a.mean = axis_in_blocks(p.index, first, last, 0.25f * v, 0.25f * (1.0f + v), 0.25f * (1.0f + u), 0.25f * u);
   a.slope = axis_in_blocks(p.index, first, last, -low, -high, low, high);
