@@ -25,6 +25,8 @@ from clvol.render.noise import (
     tile_words,
     value_bound,
 )
+from clvol.scene import Noise
+from clvol.scene.load import tomllib
 from clvol.volume import Grid
 
 SOURCE = str(Path(__file__).with_name("noise_at.cl"))
@@ -186,6 +188,15 @@ def test_bounds_are_reached():
     assert sums[:3].max() > 0.999 * displacement_bound(Term("coordinate"))
     loud = Term(amplitude=-3.0, octaves=3, gain=0.5)
     assert value_bound(loud) == pytest.approx(3.0 * 1.75, rel=1e-4)
+
+
+def test_the_fireball_ends_before_its_box():
+    """Where the distance alone gives 0, all noises at their worst give nothing that can be seen."""
+    text = (Path(__file__).parents[2] / "data" / "fireball.toml").read_text(encoding="utf-8")
+    scene = tomllib.loads(text)
+    points = scene["transfer_function"]["points"]
+    visible = max(p["value"] for p in points if p["opacity"] == 0.0)
+    assert 0.9 * visible < sum(value_bound(Noise(**term)) for term in scene["noise"]) < visible
 
 
 def test_gain_does_not_matter_to_one_octave():
