@@ -1,5 +1,5 @@
 /* Volumetric noise: a tile of 32^3 texels that repeats in space, summed over octaves, perturbs values or places.
- * (Engel and Ertl 2002. clvol/render/noise.py says what the tile holds, fills these structs and has the twin in double precision.)
+ * (Engel and Ertl 2002. clvol/render/noise.py says what the tile holds, fills these structs and has the twin in double.)
  *
  * Each octave doubles the place and takes away whole tiles, both of which are exact in binary: what octaves lose is the
  * rounding of the place itself. Terms move by an offset that the host reduces to one tile.
@@ -95,8 +95,7 @@ INLINE void fractal_noise(__global const uint *tiles, __constant const NoiseTerm
 INLINE floatN added_noise(__global const uint *tiles, __constant const NoiseTerm *terms, int count, floatN x, floatN y, floatN z)
 {
   floatN sum = 0.0f;
-  _Pragma("unroll 1") for (int k = 0; k < count; ++k)
-  {
+  _Pragma("unroll 1") for (int k = 0; k < count; ++k) {
     __constant const NoiseTerm *term = terms + k;
     sum += term->amplitude.w *
            fractal_noise_value(tiles, term, x * term->scale.x, y * term->scale.y, z * term->scale.z);
@@ -108,8 +107,7 @@ INLINE floatN added_noise(__global const uint *tiles, __constant const NoiseTerm
 INLINE void displace(__global const uint *tiles, __constant const NoiseTerm *terms, int count, floatN *x, floatN *y, floatN *z)
 {
   const floatN x0 = *x, y0 = *y, z0 = *z;
-  _Pragma("unroll 1") for (int k = 0; k < count; ++k)
-  {
+  _Pragma("unroll 1") for (int k = 0; k < count; ++k) {
     __constant const NoiseTerm *term = terms + k;
     floatN sx, sy, sz;
     fractal_noise(tiles, term, x0 * term->scale.x, y0 * term->scale.y, z0 * term->scale.z, &sx, &sy, &sz);

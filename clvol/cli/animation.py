@@ -70,7 +70,8 @@ def render_animation(
     with ExitStack() as stack:
         temporaries = stack.enter_context(together([*videos, *others]))
         progress = stack.enter_context(working(f"rendering {len(todo)} frames of {size}", quiet))
-        writers = [stack.enter_context(open_video(path, fps)) for path in temporaries[: len(videos)]]
+        parts = temporaries[: len(videos)]
+        writers = [stack.enter_context(open_video(path, fps)) for path in parts]
         if todo:
             renderer = Renderer(asked, devices=devices, memory_cap=memory_cap)
             stack.enter_context(renderer)

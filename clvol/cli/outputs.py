@@ -55,8 +55,8 @@ def check_frames(
     inputs: Iterable[str | os.PathLike],
     count: int,
 ) -> None:
-    """``check_outputs`` for an animation of ``count`` frames: every still has a number in its name, and
-    no two of all files are the same."""
+    """``check_outputs`` for an animation of ``count`` frames: every still has a number in its
+    name, and no two of all files are the same."""
     from clvol.image import ENDINGS, VIDEO_ENDINGS
 
     for path in stills:

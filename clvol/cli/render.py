@@ -23,8 +23,8 @@ _OPTIONS = {"max_error": "--max-error", "time_budget": "--time-budget"}
     multiple=True,
     required=True,
     metavar="FILE",
-    help="Picture to write: .exr, .png or .npy. Of an animation: a video (.gif, .webp, .apng, .mp4), or "
-    "pictures with a number in their name, as in out_%04d.png. Repeatable.",
+    help="Picture to write: .exr, .png or .npy. Of an animation: a video (.gif, .webp, .apng, "
+    ".mp4), or pictures with a number in their name, as in out_%04d.png. Repeatable.",
 )
 @overrides_option
 @click.option(
@@ -49,7 +49,7 @@ _OPTIONS = {"max_error": "--max-error", "time_budget": "--time-budget"}
 @click.option(
     "--resume",
     is_flag=True,
-    help="Of an animation's numbered pictures, keep those of this very scene that are there and whole.",
+    help="Of an animation's numbered pictures, keep what is there, whole and of this scene.",
 )
 @click.option("--stats", metavar="FILE", help="Where to write times and counts as JSON.")
 @memory_cap_option("The most memory that the volume may take, here and on the device.")
@@ -72,7 +72,8 @@ def command(
     and of the rays of [image] are chosen anew; what was chosen and measured is told on stderr, in
     --stats and in the header of .exr.
 
-    A scene with animation.frames above 1 gives a video or numbered pictures, which appear one by one.
+    A scene with animation.frames above 1 gives a video or numbered pictures, which appear one by
+    one.
     """
     start = time.perf_counter()
     check_targets(max_error, time_budget)

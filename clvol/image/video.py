@@ -1,8 +1,8 @@
 """Videos of an animation: .gif, .webp and .apng by Pillow, .mp4 where imageio-ffmpeg is installed.
 
-Frames are shown as PNG shows them (``clvol.image.png.display``): over their background, sRGB. Pillow
-takes them all at once, so a video needs 4 bytes of memory a pixel and frame until it is written; an
-.mp4 is written frame by frame.
+Frames are shown as PNG shows them (``clvol.image.png.display``): over their background, sRGB.
+Pillow takes them all at once, so a video needs 4 bytes of memory a pixel and frame until it is
+written; an .mp4 is written frame by frame.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def is_video(path: str | os.PathLike[str]) -> bool:
 
 
 def check_video(path: str | os.PathLike[str], fps: float, width: int, height: int) -> None:
-    """UsageError now if ``open_video`` could not write such frames there. The folder is not looked at."""
+    """UsageError now if ``open_video`` could not write such frames; the folder is not looked at."""
     ending = _ending(path)
     if ending not in _LIMITS:
         known = " or ".join(VIDEO_ENDINGS)
@@ -65,8 +65,8 @@ def check_video(path: str | os.PathLike[str], fps: float, width: int, height: in
 @contextmanager
 def open_video(path: Path, fps: float) -> Iterator[VideoWriter]:
     """Yields a writer for the video file ``path``, which is complete after the block, or after the
-    writer's ``finish``. A block that ends early leaves a file that is no video: write to a temporary one
-    (``clvol.image.atomic_path``). RenderError for no frame at all or frames of several sizes.
+    writer's ``finish``. A block that ends early leaves a file that is no video: write to a temporary
+    one (``clvol.image.atomic_path``). RenderError for no frame at all or frames of several sizes.
     """
     writer = _Mp4(path, fps) if _ending(path) == ".mp4" else _Pillow(path, fps)
     try:
@@ -167,8 +167,8 @@ class _Mp4(_Frames):
 
 
 def frame_times(count: int, fps: float, unit: int = 1) -> list[int]:
-    """How long each frame is shown, in milliseconds, multiples of ``unit``. Rounding does not add up:
-    the first n frames together take n / fps to within half a unit."""
+    """How long each frame is shown, in milliseconds, multiples of ``unit``. Rounding does not add
+    up: the first n frames together take n / fps to within half a unit."""
     ends = np.rint(np.arange(count + 1) * (1000.0 / unit) / fps).astype(int) * unit
     return np.diff(ends).tolist()
 

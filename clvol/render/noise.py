@@ -9,8 +9,8 @@ The tile. Each channel is Gaussian noise of a band of one octave to either side 
 tile: a wave of k cycles has the amplitude cos(pi/2 log2(k/CENTRE)) / k between CENTRE/2 and
 2 CENTRE and none outside, so octaves overlap such that their powers add up smoothly. Then texels
 are ranked: each of the 256 bytes occurs 128 times in a channel. Values so spread evenly over -1 ..
-1, their mean is exactly 0, their standard deviation 0.58, and 98 % of the power stays in the band: a
-texel differs from its neighbour by 0.23 on average, where it would by 0.67 in white noise.
+1, their mean is exactly 0, their standard deviation 0.58, and 98 % of the power stays in the band:
+a texel differs from its neighbour by 0.23 on average, where it would by 0.67 in white noise.
 
 The sum: fBm(q) = sum over k < octaves of gain^k tile(2^k q + offset), q in tiles, trilinear between
 texels, periodic. A term is used in two ways: "value" adds amplitude * fBm to the value by the
@@ -42,7 +42,7 @@ TERM_DTYPE = np.dtype(
     [("scale", "f4", 4), ("offset", "f4", 4), ("amplitude", "f4", 4), ("shape", "i4", 4)]
 )
 """``NoiseTerm`` of cl/noise.h."""
-# What float32 arithmetic may add to a bound that is exact in real numbers: a few roundings an octave.
+# What float32 may add to a bound that is exact in real numbers: a few roundings an octave.
 _ROUNDING = 1.0 + 1e-5
 
 
@@ -114,7 +114,7 @@ def fractal_noise(tile: np.ndarray, noise: Noise, position: np.ndarray, time: fl
 def perturbed(
     noises: Iterable[Noise], grid: Grid, place: np.ndarray, time: float = 0.0
 ) -> tuple[np.ndarray, np.ndarray]:
-    """What all of ``noises`` do at ``place`` [..., 3]: the place to sample instead (float64 [..., 3]),
+    """What all of ``noises`` do at ``place`` [..., 3]: the place to sample instead (float64 [..., 3])
     and what to add to the value there (float64 [...]). Places are index coordinates (x, y, z) of
     ``grid``.
     """
@@ -151,8 +151,8 @@ def _bound(noise: Noise, channels: slice) -> float:
 def device_noise(
     noises: Sequence[Noise], grid: Grid, time: float = 0.0, value_gain: float = 1.0
 ) -> tuple[np.ndarray, int, int]:
-    """(terms, values, coordinates) for cl/noise.h: TERM_DTYPE [MOST_TERMS], those that change values
-    first, and how many there are of each kind. Changes from frame to frame with ``time`` alone.
+    """(terms, values, coordinates) for cl/noise.h: TERM_DTYPE [MOST_TERMS], those that change
+    values first, and how many there are of each kind. Changes from frame to frame with ``time`` alone.
 
     ``value_gain``: what the device multiplies differences of values by (``ValueMap.gain``). Terms
     refer to the tiles of ``device_tiles`` for the same noises. SceneError for more than MOST_TERMS.

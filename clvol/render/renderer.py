@@ -69,8 +69,8 @@ class Renderer:
         depth: bool = True,
         time: float | None = None,
     ) -> Frame:
-        """The picture from the scene's camera, or from ``camera``, at ``animation.time`` or at ``time``
-        (seconds). Neither compiles anything or uploads the volume anew.
+        """The picture from the scene's camera, or from ``camera``, at ``animation.time``, or at
+        ``time`` (seconds). Neither compiles anything or uploads the volume anew.
 
         ``progress(done, total)`` is called now and then with shares of the work. Without ``depth``
         none is computed and ``Frame.depth`` is None.

@@ -25,8 +25,8 @@ def cycled(
 ) -> TransferFunction:
     """The function g with g(v) = ``function``(low + mod(v - low + shift (high - low), high - low)).
 
-    ``shift``: in ranges (low, high) = ``value_range``; a whole number leaves everything as it is, on
-    the range. ``reach``: the values that are asked for, where noise leads beyond the range; 64
+    ``shift``: in ranges (low, high) = ``value_range``; a whole number leaves everything as it is,
+    on the range. ``reach``: the values that are asked for, where noise leads beyond the range; 64
     ranges at most, beyond which the ends hold. Without ``opacity`` colours alone move.
     """
     low, high = value_range

@@ -149,8 +149,8 @@ class Ball:
 
 @dataclass(frozen=True)
 class RadialFall:
-    """f = peak at the centre, falling linearly to 0 at the ellipsoid with the half axes ``radii``, and
-    0 outside: peak max(0, 1 - |(p - center) / radii|)."""
+    """f = peak at the centre, falling linearly to 0 at the ellipsoid with the half axes ``radii``,
+    and 0 outside: peak max(0, 1 - |(p - center) / radii|)."""
 
     center: Triple = (0.0, 0.0, 0.0)
     radii: Triple = (1.0, 1.0, 1.0)

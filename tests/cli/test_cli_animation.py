@@ -51,7 +51,8 @@ def test_a_video_holds_every_frame(run, folder, renderer, ending):
 
 
 def test_videos_pictures_and_stats_together(run, folder, renderer):
-    outcome = run("render", "scene.toml", "-o", "v.gif", "-o", "a_%d.npy", "--stats", "s.json", *FRAMES)
+    files = ["-o", "v.gif", "-o", "a_%d.npy", "--stats", "s.json"]
+    outcome = run("render", "scene.toml", *files, *FRAMES)
     assert outcome.out.split() == ["a_0.npy", "a_1.npy", "a_2.npy", "v.gif", "s.json"]
     stats = json.loads((folder / "s.json").read_text())
     assert (stats["frames"], stats["frames_kept"]) == (3, 0)
@@ -74,8 +75,8 @@ MISTAKES = [
     (["-o", "none/a%d.png", *FRAMES], 'none/a0.png: the folder '),
     (["-o", "a.gif", *FRAMES, "--set", "animation.fps=60"],
      "a.gif: 60 frames a second, expected 0.1 to 50"),
-    (["-o", "a.png", "--resume"], "--resume: given for a single picture, expected animation.frames"),
-    (["-o", "a.gif", "--resume", *FRAMES], "--resume: given with a.gif, expected numbered pictures"),
+    (["-o", "a.png", "--resume"], "--resume: given for a single picture, expected animation"),
+    (["-o", "a.gif", "--resume", *FRAMES], "--resume: given with a.gif, expected numbered"),
     (["-o", "a%d.png", "--max-error", "1e-2", *FRAMES],
      "--max-error: given for an animation of 3 frames, expected one frame"),
     (["-o", "a%d.png", "--time-budget", "1", *FRAMES], "--time-budget: given for an animation"),

@@ -91,7 +91,7 @@ def call(context, name, noises, place, lanes, outputs, time=0.0, **values):
     return context.read(out).T.astype(np.float64)
 
 
-# --- the tile --------------------------------------------------------------------------------------
+# --- the tile -------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("seed", [0, 1, 7, -5, 10**12])
@@ -135,7 +135,7 @@ def test_words_hold_the_channels_from_the_lowest_byte_up():
         assert np.array_equal(words >> (8 * channel) & 255, noise_tile(0)[..., channel])
 
 
-# --- the sum over octaves --------------------------------------------------------------------------
+# --- the sum over octaves -------------------------------------------------------------------------
 
 
 def test_at_a_texel_it_is_the_texel():
@@ -226,7 +226,7 @@ def test_frequency_counts_tiles_along_the_longest_edge():
     assert perturbed([Term(frequency=1.0)], GRID, quarter)[1][0] == pytest.approx(expected)
 
 
-# --- the kernel ------------------------------------------------------------------------------------
+# --- the kernel -----------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("lanes", [1, 16])
@@ -309,7 +309,8 @@ def test_more_terms_than_there_is_room_for_are_refused():
 
 def test_terms_of_a_seed_share_a_tile():
     assert device_tiles([Term(), Term("coordinate"), Term(seed=4)]).size == 2 * TILE**3
-    made, values, coordinates = device_noise([Term(seed=4), Term(), Term("coordinate", seed=4)], GRID)
+    noises = [Term(seed=4), Term(), Term("coordinate", seed=4)]
+    made, values, coordinates = device_noise(noises, GRID)
     assert (values, coordinates) == (2, 1)
     assert made["shape"][:3, 2].tolist() == [0, TILE**3, 0]
     doubled, *_ = device_noise([Term()], GRID, value_gain=0.25)

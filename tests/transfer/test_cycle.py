@@ -30,7 +30,7 @@ def test_it_is_the_function_at_wrapped_values(shift):
     values = np.random.default_rng(0).uniform(*RANGE, 300)
     at = wrapped(values, shift)
     breaks = np.array([*STEPS.values, *RANGE])
-    clear = np.abs(at[:, None] - breaks).min(axis=1) > 1e-6  # steps: the side is a matter of rounding
+    clear = np.abs(at[:, None] - breaks).min(axis=1) > 1e-6  # the side of a step is rounding's
     moved = cycled(STEPS, shift, RANGE)
     np.testing.assert_allclose(moved.opacity(values)[clear], STEPS.opacity(at)[clear], atol=1e-9)
     np.testing.assert_allclose(moved.color(values)[clear], STEPS.color(at)[clear], atol=1e-9)
@@ -40,7 +40,8 @@ def test_it_is_the_function_at_wrapped_values(shift):
 def test_it_goes_on_beyond_the_range_as_far_as_is_asked():
     values = np.linspace(-300.0, 400.0, 997)
     moved = cycled(STEPS, 0.37, RANGE, (-300.0, 400.0))
-    np.testing.assert_allclose(moved.opacity(values), STEPS.opacity(wrapped(values, 0.37)), atol=1e-9)
+    expected = STEPS.opacity(wrapped(values, 0.37))
+    np.testing.assert_allclose(moved.opacity(values), expected, atol=1e-9)
     assert cycled(STEPS, 0.1, RANGE, (-1e30, 1e30)).values.size < 2000
 
 
@@ -64,12 +65,16 @@ def test_a_range_of_one_value_cannot_cycle():
     assert cycled(STEPS, 0.3, (5.0, 5.0)) is STEPS
 
 
-@given(shift=st.floats(0, 1), values=st.lists(st.floats(-1e3, 1e3), min_size=1, max_size=6, unique=True))
+some_values = st.lists(st.floats(-1e3, 1e3), min_size=1, max_size=6, unique=True)
+
+
+@given(shift=st.floats(0, 1), values=some_values)
 @settings(max_examples=60, deadline=None)
 def test_any_function_stays_a_function(shift, values):
     values = np.sort(values)
     n = values.size
-    function = TransferFunction(values, np.linspace(0, 1, n), np.linspace(0, 1, 3 * n).reshape(n, 3))
+    colors = np.linspace(0, 1, 3 * n).reshape(n, 3)
+    function = TransferFunction(values, np.linspace(0, 1, n), colors)
     for opacity in (True, False):
         moved = cycled(function, shift, RANGE, (-50.0, 300.0), opacity=opacity)
         assert np.isfinite(moved.values).all() and (np.diff(moved.values) >= 0).all()
