@@ -23,6 +23,7 @@ class DeviceVolume:
 
     def __init__(self, context: DeviceContext, volume: Volume) -> None:
         _check_fits(context, volume)
+        self.grid = volume.grid
         self.values = value_map(volume)
         self.switches = voxel_switches(volume, self.values)
         self.size = padded_size(volume)
@@ -59,12 +60,16 @@ class DeviceVolume:
     def _grid_switches(self) -> dict[str, int]:
         return {k: self.switches[k] for k in ("VOXEL_BITS", "VOXEL_SIGNED")}
 
+    def plain(self) -> DeviceArray:
+        """The voxels [nz, ny, nx] as they are, whatever the layout of ``voxels``."""
+        return self._context.share(self._data)
+
     def bounds(self, apron: int) -> tuple[np.ndarray, np.ndarray]:
         """Smallest and largest finite voxel, [z, y, x], of each cell and ``apron`` voxels around it (a
         filter's reach), in the values that kernels compute with; low > high where there is none.
         Found once."""
         if apron not in self._bounds:
-            self._bounds[apron] = self._min_max(self._context.share(self._data), apron)
+            self._bounds[apron] = self._min_max(self.plain(), apron)
         return self._bounds[apron]
 
     def _min_max(self, plain: DeviceArray, apron: int) -> tuple[np.ndarray, np.ndarray]:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from clvol.errors import RenderError
-from clvol.features import CLASSIFICATIONS, FILTERS, QUADRATURES
+from clvol.features import CLASSIFICATIONS, FILTERS, QUADRATURES, overshoot
 from clvol.opencl.context import DeviceContext, restore_interrupts
 from clvol.opencl.structs import view_dtype
 from clvol.render.device_volume import DeviceVolume
@@ -66,11 +66,17 @@ def scene_nodes(resolved: ResolvedScene, function: TransferFunction | None = Non
     volume, integration = resolved.volume, resolved.integration
     values = value_map(volume)
     preintegrated = segment_classification(integration) == "preintegrated"
+    integer = volume.dtype.kind in "iu"
+    low, high = (float(v) for v in values(volume.value_range))
+    if integration.classification != "pre":  # what is classified may overshoot the voxels
+        more = overshoot(integration.filter) * (high - low)
+        more = float(np.ceil(more)) if integer else more
+        low, high = low - more, high + more
     return class_nodes(
         device_function(function or resolved.transfer_function, values),
-        tuple(float(v) for v in values(volume.value_range)),
+        (low, high),
         integration.table_size if preintegrated else CONSTANT_NODES,
-        integer=volume.dtype.kind in "iu",
+        integer=integer,
         may_warp=preintegrated,
     )
 
