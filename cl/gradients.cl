@@ -1,9 +1,9 @@
-/* Gradients at the voxels, central differences or Sobel's (gradient.h), in four bytes each: a direction of three signed bytes x, y,
- * z (bits 0, 8, 16), and as byte 3 the square root of a length over the largest one (P2).
+/* Gradients at the voxels, central differences or Sobel's (gradient.h), in four bytes each: a direction of three signed bytes x,
+ * y, z (bits 0, 8, 16), and as byte 3 the square root of a length over the largest one (P2).
  *
- * Where this differs from P2: lengths are those of the largest component, and the root is rounded up, so that a direction need not
- * be of unit length: component = (byte 3 / 255)^2 * largest * (direction / 127). What rounding the length would have been wrong by
- * the direction then says: a component is off by at most 1/254 of the largest of the three, and a little for short ones.
+ * Where this differs from P2: lengths are those of the largest component, and the root is rounded up, so that a direction need
+ * not be of unit length: component = (byte 3 / 255)^2 * largest * (direction / 127). What rounding the length is wrong by the
+ * direction makes up for: a component is off by at most 1/254 of the largest of the three, and a little for short ones.
  * Byte 0 is -128 where the gradient is not finite.
  *
  * Axes are scaled alike in the world, so that directions are as good across the long edges of a voxel as along them.
@@ -92,22 +92,47 @@ static float4 gradient_between(Column left, Column here, Column right, Real over
   return (float4)((float)((right.value - left.value) * over * to.x), (float)(dy * to.y), (float)(dz * to.z), 0.0f);
 }
 
-/* A loop over a row of voxels at (y, z): `g` their gradients in turn. The first and the last column count twice. */
-#define EACH_GRADIENT(...)                                                                              \
-  {                                                                                                     \
-    const int y = get_global_id(0), z = get_global_id(1);                                               \
-    const Rows rows = rows_around(volume, size, y, z, metric[0].w);                                     \
-    Column left = column_at(&rows, 0), here = left;                                                     \
-    for (int x = 0; x < size.x; ++x) {                                                                  \
-      const int ends = (x == 0) + (x == size.x - 1);                                                    \
-      const Column right = column_at(&rows, min(x + 1, size.x - 1));                                    \
-      const float4 g = gradient_between(left, here, right, ends ? (Real)1 : (Real)0.5, metric[0]);      \
-      const float longest = fmax(fmax(fabs(g.x), fabs(g.y)), fabs(g.z));                                \
-      const int good = isfinite(g.x) && isfinite(g.y) && isfinite(g.z);                                 \
-      __VA_ARGS__                                                                                            \
-      left = here, here = right;                                                                        \
-    }                                                                                                   \
-  }
+/* Along a row of voxels from its start. */
+typedef struct {
+  Rows rows;
+  Column left, here; /* the first column counts twice, and so does the last one */
+  int last;
+} Walk;
+
+static Walk start_row(__global const Voxel *volume, int4 size, Real4 metric)
+{
+  Walk w;
+  w.rows = rows_around(volume, size, get_global_id(0), get_global_id(1), metric.w);
+  w.left = w.here = column_at(&w.rows, 0);
+  w.last = size.x - 1;
+  return w;
+}
+
+/* The gradient at x, which is next, and its largest component: -1 where it is not finite. */
+static float4 next_gradient(Walk *w, int x, Real4 metric)
+{
+  const Column right = column_at(&w->rows, min(x + 1, w->last));
+  const int at_end = x == 0 || x == w->last;
+  float4 g = gradient_between(w->left, w->here, right, at_end ? (Real)1 : (Real)0.5, metric);
+  const int is_finite = isfinite(g.x) && isfinite(g.y) && isfinite(g.z);
+  g.w = is_finite ? fmax(fmax(fabs(g.x), fabs(g.y)), fabs(g.z)) : -1.0f;
+  w->left = w->here, w->here = right;
+  return g;
+}
+
+static uint direction_byte(float component, float unit)
+{
+  return (uint)((int)clamp(rint(component * unit), -127.0f, 127.0f) & 255);
+}
+
+static uint gradient_code(float4 g, float largest)
+{
+  if (g.w < 0.0f) return 0x80u;
+  if (g.w == 0.0f) return 0u;
+  const float root = clamp(ceil(255.0f * sqrt(g.w / largest)), 1.0f, 255.0f);
+  const float unit = 127.0f / (largest * (root / 255.0f) * (root / 255.0f));
+  return direction_byte(g.x, unit) | direction_byte(g.y, unit) << 8 | direction_byte(g.z, unit) << 16 | (uint)root << 24;
+}
 
 /* Of each row of voxels the largest component of a finite gradient.
  *
@@ -119,7 +144,8 @@ __kernel void largest_gradients(__global const Voxel *restrict volume, int4 size
                                 __global float *restrict largest)
 {
   float most = 0.0f;
-  EACH_GRADIENT(if (good) most = fmax(most, longest);)
+  Walk row = start_row(volume, size, metric[0]);
+  for (int x = 0; x < size.x; ++x) most = fmax(most, next_gradient(&row, x, metric[0]).w);
   largest[(size_t)get_global_id(1) * size.y + get_global_id(0)] = most;
 }
 
@@ -128,15 +154,6 @@ __kernel void store_gradients(__global const Voxel *restrict volume, int4 size, 
                               float largest, __global uint *restrict codes)
 {
   __global uint *out = codes + ((size_t)get_global_id(1) * size.y + get_global_id(0)) * size.x;
-  EACH_GRADIENT({
-    uint code = good ? 0u : 0x80u;
-    if (good && longest > 0.0f) {
-      const float root = clamp(ceil(255.0f * sqrt(longest / largest)), 1.0f, 255.0f);
-      const float unit = 127.0f / (largest * (root / 255.0f) * (root / 255.0f));
-      const int bx = (int)clamp(rint(g.x * unit), -127.0f, 127.0f), by = (int)clamp(rint(g.y * unit), -127.0f, 127.0f);
-      const int bz = (int)clamp(rint(g.z * unit), -127.0f, 127.0f);
-      code = (uint)(bx & 255) | (uint)(by & 255) << 8 | (uint)(bz & 255) << 16 | (uint)root << 24;
-    }
-    out[x] = code;
-  })
+  Walk row = start_row(volume, size, metric[0]);
+  for (int x = 0; x < size.x; ++x) out[x] = gradient_code(next_gradient(&row, x, metric[0]), largest);
 }

@@ -1,4 +1,4 @@
-"""Values and gradients at lattice points: by the kernels' functions, and by their definitions in numpy."""
+"""Values and gradients at lattice points: by the kernels' functions, and by definition in numpy."""
 
 from __future__ import annotations
 
@@ -52,8 +52,8 @@ def evaluate(context, volume, gradient, at, *, filter="linear", operator="centra
                 "GRADIENT": GRADIENTS[gradient]}  # fmt: skip
     kernel = context.kernel(
         str(_SOURCE), "gradient_points",
-        "in volume V1, in gradients uint32, in view V1, value scale 4f4, in at float32, value n int32, "
-        "out out float32",
+        "in volume V1, in gradients uint32, in view V1, value scale 4f4, in at float32, "
+        "value n int32, out out float32",
         switches,
     )  # fmt: skip
     n = len(at)

@@ -39,8 +39,8 @@ def visible_mask(
 
 
 def _overshot(low: np.ndarray, high: np.ndarray, share: float) -> tuple[np.ndarray, np.ndarray]:
-    """The values that a filter can give of voxels from ``low`` to ``high``: ``share`` of their span more
-    on both sides, and rounding. Of equal voxels it gives exactly that value."""
+    """The values that a filter can give of voxels from ``low`` to ``high``: ``share`` of their span
+    more on both sides, and rounding. Of equal voxels it gives exactly that value."""
     if not share:
         return low, high
     more = share * (high - low) + _ROUNDING * np.maximum(np.abs(low), np.abs(high))

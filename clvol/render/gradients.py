@@ -39,9 +39,9 @@ def gradient_bytes(volume: Volume) -> int:
 def chosen_storage(volume: Volume, operator: str, storage: str, limits: DeviceLimits) -> str:
     """ "precomputed" or "on-the-fly": ``storage`` itself, or where it is "auto" the rule:
 
-    Gradients are precomputed where they fit (in one buffer, and with the volume in half the device's
-    memory), since eight words then replace the voxels around each sample; except central differences
-    of 8-bit volumes held as pairs, which take ten words on the fly, of a quarter of the memory.
+    Gradients are precomputed where they fit (in one buffer, and with the volume in half the
+    device's memory), since eight words then replace the voxels around each sample; except central
+    differences of 8-bit volumes held as pairs: ten words on the fly, of half as much memory.
     """
     if storage != "auto":
         return storage
@@ -67,7 +67,7 @@ def gradient_switch(
 def precompute(
     context: DeviceContext, volume: DeviceVolume, operator: str
 ) -> tuple[DeviceArray, np.ndarray]:
-    """uint32 [nz, ny, nx] on the device, and float32 [4]: what ``gradient_scale`` of cl/gradient.h is.
+    """uint32 [nz, ny, nx] on the device, and float32 [4]: the ``gradient_scale`` of cl/gradient.h.
 
     ``operator``: "central" or "sobel". The scale's x, y, z take stored numbers to the change of the
     kernels' value a lattice unit; its last entry is the largest component of a gradient at a voxel,

@@ -11,16 +11,16 @@ from clvol.scene.resolve import ResolvedScene
 from clvol.volume import Volume
 
 _CHUNK = 2**22  # voxels filtered at a time, in double precision
-# Coefficients are at most 27 times the largest voxel, and float32 rounds small ones evenly from here on.
+# Coefficients are at most 27 times the largest voxel; float32 rounds small ones evenly from here on.
 _FLOAT32 = (1e-30, 1e37)
 
 
 def prefiltered(resolved: ResolvedScene) -> ResolvedScene:
-    """``resolved`` with the coefficients of the cubic B-spline through its voxels in place of them, if
-    ``integration.prefilter`` and the cubic filter are asked for.
+    """``resolved`` with the coefficients of the cubic B-spline through its voxels in place of them,
+    if ``integration.prefilter`` and the cubic filter are asked for.
 
-    Coefficients are float32 (float64 for float64 voxels, and magnitudes that float32 has no room for)
-    and take no more memory than that: the filter runs axis by axis in place, chunk by chunk (about
+    Coefficients are float32 (float64 for float64 voxels, and where float32 has no room for them) and
+    take no more memory than that: the filter runs axis by axis in place, chunk by chunk (about
     100 MB). Beyond the volume they go on as they do in the kernels, the outermost one held.
 
     Voxels that are not finite stay what they are; for the filter they are filled with the nearest
@@ -58,9 +58,8 @@ def coefficients(volume: Volume) -> np.ndarray:
 def _filter_axis(source: np.ndarray, out: np.ndarray, axis: int) -> None:
     """The coefficients of each line of ``source`` along ``axis``, into ``out`` (which may be it).
 
-    At voxel centres the B-spline has weights 1, 4, 1 (/ 6), at the ends 5, 1: a system that is solved
-    directly. (scipy.ndimage.spline_filter begins its recursion with a sum that is too short for axes of
-    a few voxels.)
+    At voxel centres the B-spline has weights 1, 4, 1 (/ 6), at the ends 5, 1: a system that is
+    solved directly. (scipy.ndimage.spline_filter is off by as much as 1e-4 on axes of a few voxels.)
     """
     n = source.shape[axis]
     if n == 1:

@@ -55,8 +55,8 @@ class ClassNodes:
         return float(self.values.size - 1)
 
     def is_exact(self, values: np.ndarray) -> np.ndarray:
-        """Whether float32 arithmetic gives exactly ``position`` of ``values``: whole numbers, each of which
-        is at the edge of a bin."""
+        """Whether float32 arithmetic gives exactly ``position`` of ``values``: whole numbers, each at
+        the edge of a bin."""
         values = np.asarray(values, np.float64)
         whole = (values == np.floor(values)) & (np.abs(values) < 2**24)
         steps = (self.first, self.per_value)
