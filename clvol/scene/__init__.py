@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+from clvol.scene.animation import Animation
 from clvol.scene.camera import Camera
 from clvol.scene.clip import Clip
+from clvol.scene.depth_cue import DepthCue
+from clvol.scene.environment import Environment
+from clvol.scene.field import FieldLabel, FieldSettings, ResolvedField
+from clvol.scene.gradient import GradientSettings
 from clvol.scene.image import ImageSettings
 from clvol.scene.integration import Integration
 from clvol.scene.isosurface import Isosurface
@@ -11,26 +16,52 @@ from clvol.scene.light import Light
 from clvol.scene.load import load_scene
 from clvol.scene.material import Material
 from clvol.scene.multiresolution import Multiresolution
+from clvol.scene.noise import Noise
+from clvol.scene.opacity_factor import (
+    DirectionalOpacity,
+    DirectionalOpacityPoint,
+    GradientOpacity,
+    GradientOpacityPoint,
+    OpacityFactor,
+)
 from clvol.scene.pyramid import Pyramid
 from clvol.scene.resolve import ResolvedScene
 from clvol.scene.scene import Scene
+from clvol.scene.shadow import Shadow
 from clvol.scene.transfer_function import ControlPoint, TransferFunctionSettings
+from clvol.scene.transfer_layer import TransferLayer, TransferLayerSettings
 from clvol.scene.volume import VolumeSettings
 
 __all__ = [
+    "Animation",
     "Camera",
     "Clip",
     "ControlPoint",
+    "DepthCue",
+    "DirectionalOpacity",
+    "DirectionalOpacityPoint",
+    "Environment",
+    "FieldLabel",
+    "FieldSettings",
+    "GradientOpacity",
+    "GradientOpacityPoint",
+    "GradientSettings",
     "ImageSettings",
     "Integration",
     "Isosurface",
     "Light",
     "Material",
     "Multiresolution",
+    "Noise",
+    "OpacityFactor",
     "Pyramid",
+    "ResolvedField",
     "ResolvedScene",
     "Scene",
+    "Shadow",
     "TransferFunctionSettings",
+    "TransferLayer",
+    "TransferLayerSettings",
     "VolumeSettings",
     "load_scene",
 ]

@@ -1,24 +1,55 @@
-"""[[clip]]: a plane that keeps the side its normal points to."""
+"""[[clip]]: a plane, a box or a sphere that keeps one of its sides."""
 
 from __future__ import annotations
 
+from typing import Literal
+
 from pydantic import Field, model_validator
 
-from clvol.scene.table import Table, Vector, wrong
+from clvol.scene.table import Length, Table, Vector, wrong
+
+_NEEDS = {"plane": ("point", "normal"), "box": ("lower", "upper"), "sphere": ("center", "radius")}
+_KEYS = ("point", "normal", "lower", "upper", "center", "radius")
+_POINT = "three finite numbers [x, y, z]"
 
 
 class Clip(Table):
-    """World coordinates; ``normal`` of any length but 0."""
+    """World coordinates. A plane through ``point`` keeps the side that its ``normal``, of any
+    length but 0, points to; a box along the world's axes and a sphere keep what is inside or
+    outside."""
 
-    point: Vector = Field(description="three finite numbers [x, y, z]")
-    normal: Vector = Field(description="three finite numbers [x, y, z], not all 0")
+    type: Literal["plane", "box", "sphere"] = Field(
+        "plane", description="'plane', 'box' or 'sphere'"
+    )
+    point: Vector | None = Field(None, description=_POINT)
+    normal: Vector | None = Field(None, description="three finite numbers [x, y, z], not all 0")
+    lower: Vector | None = Field(None, description=_POINT)
+    upper: Vector | None = Field(None, description=_POINT)
+    center: Vector | None = Field(None, description=_POINT)
+    radius: Length | None = Field(None, description="a finite world length greater than 0")
+    keep: Literal["inside", "outside"] = Field("inside", description="'inside' or 'outside'")
 
     @classmethod
     def table_name(cls) -> str:
         return "clip"
 
     @model_validator(mode="after")
-    def _normal_is_not_zero(self) -> Clip:
-        if not any(self.normal):
+    def _has_what_its_type_needs(self) -> Clip:
+        needed = _NEEDS[self.type]
+        for key in _KEYS:
+            value = getattr(self, key)
+            if key in needed and value is None:
+                expected = "a world length" if key == "radius" else "three numbers [x, y, z]"
+                raise wrong(key, None, f"{expected} for a {self.type}")
+            if key not in needed and value is not None:
+                got = value if key == "radius" else list(value)
+                raise wrong(key, got, f"no {key} for a clip of type {self.type!r}")
+        if self.type == "plane" and "keep" in self.model_fields_set:
+            raise wrong("keep", self.keep, "no keep for a plane: it keeps its normal's side")
+        if self.type == "plane" and not any(self.normal):
             raise wrong("normal", list(self.normal), "a vector that is not 0")
+        if self.type == "box":
+            for axis, (low, high) in enumerate(zip(self.lower, self.upper)):
+                if not low < high:
+                    raise wrong(f"upper.{axis}", high, f"greater than lower's {low}")
         return self

@@ -28,6 +28,10 @@ def _precisions(scene: Any) -> tuple[str, ...]:
 class Integration(Table):
     """``step`` is in units of the smallest voxel edge.
 
+    ``compositing``: "over" is emission and absorption along the ray; the others show the "maximum", the
+    "minimum" or the "average" of the values on it, or the maximum where ``attenuation`` makes what
+    lies behind count less. ``prefilter``: of the filter "cubic" alone, which then meets the voxels.
+
     ``quadrature``: even "steps" along a ray, or "cells": pieces from one cell of the linear filter to the
     next, each cut into as many parts as ``step`` goes into 1: one, or an even number.
     ``early_termination``: a ray may stop at this transmittance; 0 means never. ``table_size``:
@@ -52,9 +56,14 @@ class Integration(Table):
         Literal["steps", "cells"], Knob("quadrature", "", ("steps", "cells"), is_ladder=False)
     ] = Field("steps", description="'steps' or 'cells'")
     filter: Annotated[
-        Literal["nearest", "linear", "cubic"],
+        Literal["nearest", "linear", "cubic", "catmull-rom"],
         Knob("filter", "", ("nearest", "linear", "cubic"), is_ladder=False),
-    ] = Field("linear", description="'nearest', 'linear' or 'cubic'")
+    ] = Field("linear", description="'nearest', 'linear', 'cubic' or 'catmull-rom'")
+    prefilter: bool = Field(False, description="true or false")
+    compositing: Literal["over", "maximum", "minimum", "average", "attenuated-maximum"] = Field(
+        "over", description="'over', 'maximum', 'minimum', 'average' or 'attenuated-maximum'"
+    )
+    attenuation: Number = Field(1.0, ge=0, le=1e6, description="a number from 0 to 1e6")
     early_termination: Annotated[
         Number, Knob("early termination", "transmittance", (0.1, 0.03, 0.01, 1e-3, 1e-4, 0.0))
     ] = Field(1e-3, ge=0, lt=1, description="a transmittance from 0 to less than 1")

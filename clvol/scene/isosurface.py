@@ -6,13 +6,20 @@ from pydantic import Field
 
 from clvol.scene.table import Color, Fraction, Number, Table
 
+_COLOR = "three numbers [r, g, b] from 0 to 1"
+
 
 class Isosurface(Table):
-    """``color`` is in the colour space of the transfer function."""
+    """``color`` and ``back_color`` are in the colour space of the transfer function. A ray that
+    meets the surface where the value rises sees ``color``, else ``back_color``; left out, that is
+    the same. ``refraction``: the index of what lies above the value, relative to what lies below
+    it."""
 
     value: Number = Field(description="a finite number")
     opacity: Fraction = Field(1.0, description="a number from 0 to 1")
-    color: Color = Field((0.8, 0.8, 0.75), description="three numbers [r, g, b] from 0 to 1")
+    color: Color = Field((0.8, 0.8, 0.75), description=_COLOR)
+    back_color: Color | None = Field(None, description=_COLOR)
+    refraction: Number = Field(1.0, ge=0.1, le=10, description="an index from 0.1 to 10")
 
     @classmethod
     def table_name(cls) -> str:

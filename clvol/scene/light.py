@@ -13,7 +13,8 @@ _NEEDS = {"directional": "direction", "point": "position", "headlight": None}
 
 class Light(Table):
     """A directional light travels along ``direction``, a point light shines from ``position``
-    (world), a headlight from the eye. ``color`` is linear light."""
+    (world), a headlight from the eye. ``color`` is linear light. ``casts_shadow`` is read where the
+    scene has a [shadow]."""
 
     type: Literal["directional", "point", "headlight"] = Field(
         description="'directional', 'point' or 'headlight'"
@@ -24,6 +25,7 @@ class Light(Table):
     position: Vector | None = Field(None, description="three finite numbers [x, y, z]")
     color: Color = Field((1.0, 1.0, 1.0), description="three numbers [r, g, b] from 0 to 1")
     intensity: Number = Field(1.0, ge=0, le=1e6, description="a number from 0 to 1e6")
+    casts_shadow: bool = Field(True, description="true or false")
 
     @classmethod
     def table_name(cls) -> str:

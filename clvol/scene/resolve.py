@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -10,16 +11,25 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clvol.errors import SceneError
+from clvol.scene.animation import Animation
 from clvol.scene.camera import Camera
 from clvol.scene.clip import Clip
+from clvol.scene.depth_cue import DepthCue
+from clvol.scene.environment import Environment
+from clvol.scene.field import ResolvedField
+from clvol.scene.gradient import GradientSettings
 from clvol.scene.image import ImageSettings
 from clvol.scene.integration import Integration
 from clvol.scene.isosurface import Isosurface
 from clvol.scene.light import Light
 from clvol.scene.material import Material
 from clvol.scene.multiresolution import Multiresolution
+from clvol.scene.noise import Noise
+from clvol.scene.opacity_factor import OpacityFactor
 from clvol.scene.pyramid import Pyramid
+from clvol.scene.shadow import Shadow
 from clvol.scene.transfer_function import TransferFunctionSettings
+from clvol.scene.transfer_layer import TransferLayer
 from clvol.scene.volume import VolumeSettings
 from clvol.transfer import TransferFunction, srgb_to_linear
 
@@ -33,7 +43,7 @@ _SHORTEST_EDGE_PER_UNIT = 32.0
 
 @dataclass(frozen=True, eq=False)
 class ResolvedScene:
-    """All that rendering needs; colours (background, isosurfaces) in linear light.
+    """All that rendering needs; all colours in linear light, all files looked up.
 
     ``source`` is the scene as asked for, the text of a scene file. ``origin`` names the scene file
     (or "scene") for error messages of the form "ORIGIN: TABLE.KEY".
@@ -53,6 +63,16 @@ class ResolvedScene:
     pyramid: Pyramid
     source: str | None
     origin: str = "scene"
+    gradient: GradientSettings = GradientSettings()
+    environment: Environment | None = None
+    shadow: Shadow | None = None
+    gradient_opacity: OpacityFactor | None = None
+    directional_opacity: OpacityFactor | None = None
+    transfer_layers: tuple[TransferLayer, ...] = ()
+    fields: tuple[ResolvedField, ...] = ()
+    noise: Noise | None = None
+    depth_cue: DepthCue | None = None
+    animation: Animation = Animation()
 
 
 def resolve(scene: Scene, memory_cap: int | None = None) -> ResolvedScene:
@@ -69,14 +89,21 @@ def resolve(scene: Scene, memory_cap: int | None = None) -> ResolvedScene:
         function = settings.function(volume.value_range, default_opacity_unit(volume.grid))
         is_linear = settings.color_space == "linear"
 
-    def decoded(color: tuple[float, float, float]) -> np.ndarray:
+    def decoded(color: object) -> np.ndarray:
         return np.array(color, dtype=np.float64) if is_linear else srgb_to_linear(color)
 
     background = decoded(scene.image.background)
     background.setflags(write=False)
-    surfaces = (
-        surface.model_copy(update={"color": decoded(surface.color)}) for surface in scene.isosurface
+    unit = function.opacity_unit
+    fields = (
+        settings.resolved(field, unit, decoded)
+        for settings, field in zip(scene.field, scene.load_fields(memory_cap))
     )
+    environment, cue = scene.environment, scene.depth_cue
+    if environment is not None:
+        environment = environment.found_in(scene.folder, scene.origin)
+    if cue is not None:
+        cue = cue.complete(camera, volume.grid).model_copy(update={"color": decoded(cue.color)})
     return ResolvedScene(
         volume=volume,
         camera=camera,
@@ -85,14 +112,29 @@ def resolve(scene: Scene, memory_cap: int | None = None) -> ResolvedScene:
         background=background,
         integration=scene.integration,
         lights=scene.light,
-        isosurfaces=tuple(surfaces),
+        isosurfaces=tuple(_surface(surface, decoded) for surface in scene.isosurface),
         clips=scene.clip,
         material=scene.material,
         multiresolution=scene.multiresolution,
         pyramid=scene.pyramid,
         source=scene.to_toml(),
         origin=scene.origin,
+        gradient=scene.gradient,
+        environment=environment,
+        shadow=scene.shadow,
+        gradient_opacity=scene.gradient_opacity and scene.gradient_opacity.factor(),
+        directional_opacity=scene.directional_opacity and scene.directional_opacity.factor(),
+        transfer_layers=tuple(layer.layer(unit, decoded) for layer in scene.transfer_layer),
+        fields=tuple(fields),
+        noise=scene.noise,
+        depth_cue=cue,
+        animation=scene.animation,
     )
+
+
+def _surface(asked: Isosurface, decoded: Callable[[object], np.ndarray]) -> Isosurface:
+    back = asked.color if asked.back_color is None else asked.back_color
+    return asked.model_copy(update={"color": decoded(asked.color), "back_color": decoded(back)})
 
 
 def default_opacity_unit(grid: Grid) -> float:

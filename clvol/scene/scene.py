@@ -14,19 +14,29 @@ from pydantic import (
     ValidationError,
     ValidationInfo,
     WrapValidator,
+    model_validator,
 )
 
+from clvol.scene.animation import Animation
 from clvol.scene.camera import Camera
 from clvol.scene.clip import Clip
+from clvol.scene.depth_cue import DepthCue
+from clvol.scene.environment import Environment
+from clvol.scene.field import LARGEST_COUNT, FieldSettings
+from clvol.scene.gradient import GradientSettings
 from clvol.scene.image import ImageSettings
 from clvol.scene.integration import Integration
 from clvol.scene.isosurface import Isosurface
 from clvol.scene.light import Light
 from clvol.scene.material import Material
 from clvol.scene.multiresolution import Multiresolution
+from clvol.scene.noise import Noise
+from clvol.scene.opacity_factor import DirectionalOpacity, GradientOpacity
 from clvol.scene.pyramid import Pyramid
-from clvol.scene.table import AsTuple, Table, scene_error
+from clvol.scene.shadow import Shadow
+from clvol.scene.table import AsTuple, Table, scene_error, wrong
 from clvol.scene.transfer_function import TransferFunctionSettings
+from clvol.scene.transfer_layer import LARGEST_LAYERS, TransferLayerSettings
 from clvol.scene.volume import VolumeSettings
 from clvol.transfer import TransferFunction
 
@@ -62,10 +72,10 @@ class Scene(Table):
     """What to render. Keys are those of a scene file.
 
     From Python, ``volume`` may also be a ``clvol.Volume`` or a path, and ``transfer_function`` a
-    ``clvol.TransferFunction``; beside one, the background and the isosurfaces' colours are linear
-    light. What is left out has defaults that show the whole volume. Scenes are immutable:
-    ``scene.model_copy(update={"camera": other})`` makes another, checked, that shares the volume.
-    Raises SceneError.
+    ``clvol.TransferFunction``; beside one, all colours are linear light. The ``file`` of a field
+    may be a ``clvol.Volume``. What is left out has defaults that show the whole volume. Scenes are
+    immutable: ``scene.model_copy(update={"camera": other})`` makes another, checked, that shares
+    the volume. Raises SceneError.
     """
 
     version: Annotated[int, BeforeValidator(_version)] = Field(1, description="1")
@@ -84,10 +94,43 @@ class Scene(Table):
     clip: Annotated[tuple[Clip, ...], AsTuple] = Field((), description=_TABLES)
     multiresolution: Multiresolution = Field(Multiresolution(), description=_TABLE)
     pyramid: Pyramid = Field(Pyramid(), description=_TABLE)
+    gradient: GradientSettings = Field(GradientSettings(), description=_TABLE)
+    environment: Environment | None = Field(None, description=_TABLE)
+    shadow: Shadow | None = Field(None, description=_TABLE)
+    gradient_opacity: GradientOpacity | None = Field(None, description=_TABLE)
+    directional_opacity: DirectionalOpacity | None = Field(None, description=_TABLE)
+    transfer_layer: Annotated[tuple[TransferLayerSettings, ...], AsTuple] = Field(
+        (), description=_TABLES
+    )
+    field: Annotated[tuple[FieldSettings, ...], AsTuple] = Field((), description=_TABLES)
+    noise: Noise | None = Field(None, description=_TABLE)
+    depth_cue: DepthCue | None = Field(None, description=_TABLE)
+    animation: Animation = Field(Animation(), description=_TABLE)
 
     _origin: str = PrivateAttr("scene")  # what error messages call the place the scene came from
     _folder: Path = PrivateAttr(Path())  # what volume.file is relative to
     _loaded: Any = PrivateAttr(None)  # the volume, once loaded from its file
+    _fields: dict[str, Any] = PrivateAttr(default_factory=dict)  # and those of the fields, by file
+
+    @model_validator(mode="after")
+    def _not_contradictory(self) -> Scene:
+        filter = self.integration.filter
+        if self.integration.prefilter and filter != "cubic":
+            expected = f"false with the filter {filter!r}, or the filter 'cubic'"
+            raise wrong("integration.prefilter", True, expected)
+        if self.shadow is not None and not self.light:
+            expected = "no [shadow] in a scene without any [[light]]"
+            raise wrong("shadow", self.shadow.model_dump(exclude_unset=True), expected)
+        magnitudes = [0.0, *(layer.magnitude for layer in self.transfer_layer)]
+        for i in range(1, len(magnitudes)):
+            if not magnitudes[i - 1] < magnitudes[i]:
+                expected = f"ascending magnitudes, here more than {magnitudes[i - 1]}"
+                raise wrong(f"transfer_layer.{i - 1}.magnitude", magnitudes[i], expected)
+        for name, most in (("transfer_layer", LARGEST_LAYERS), ("field", LARGEST_COUNT)):
+            count = len(getattr(self, name))
+            if count > most:
+                raise wrong(name, count, f"at most {most} of them")
+        return self
 
     @classmethod
     def from_data(cls, data: Mapping[str, Any], origin: str, folder: Path) -> Scene:
@@ -105,6 +148,7 @@ class Scene(Table):
         copy._origin, copy._folder = self._origin, self._folder
         if "volume" not in (update or {}):
             copy._loaded = self._loaded
+        copy._fields = self._fields
         return copy
 
     def load_volume(self, memory_cap: int | None = None) -> Volume:
@@ -117,6 +161,19 @@ class Scene(Table):
         if self._loaded is None:
             self._loaded = load_scene_volume(self.volume, self._folder, self._origin, memory_cap)
         return self._loaded
+
+    def load_fields(self, memory_cap: int | None = None) -> tuple[Volume, ...]:
+        """The volumes of the fields, each read once and kept. ``memory_cap``: bytes that each may
+        take in memory. Raises SceneError, VolumeError."""
+        volumes = []
+        for i, settings in enumerate(self.field):
+            volume, where = settings.file, f"{self._origin}: field.{i}"
+            if isinstance(volume, str):
+                if volume not in self._fields:
+                    self._fields[volume] = settings.load(self._folder, where, memory_cap)
+                volume = self._fields[volume]
+            volumes.append(volume)
+        return tuple(volumes)
 
     def resolve(self, memory_cap: int | None = None) -> ResolvedScene:
         """The scene with its volume loaded, every default filled in and colours in linear light.
@@ -138,6 +195,11 @@ class Scene(Table):
         """The volume's file or folder; None for a volume handed over as an array."""
         settings = self.volume
         return self._folder / settings.file if isinstance(settings, VolumeSettings) else None
+
+    @property
+    def folder(self) -> Path:
+        """What the names of files are relative to."""
+        return self._folder
 
     @property
     def origin(self) -> str:

@@ -23,6 +23,19 @@ class ControlPoint(Table):
         return "point"
 
 
+def check_points(points: tuple[ControlPoint, ...]) -> None:
+    """What a model's validator raises for its ``points``: none, too many, or out of order."""
+    if not 1 <= len(points) <= LARGEST_POINTS:
+        raise wrong("points", len(points) or [], f"from 1 to {LARGEST_POINTS} points")
+    values = [point.value for point in points]
+    for i in range(1, len(values)):
+        if values[i] < values[i - 1]:
+            expected = f"ascending values, here {values[i - 1]} or more"
+            raise wrong(f"points.{i}.value", values[i], expected)
+        if i > 1 and values[i] == values[i - 2]:
+            raise wrong(f"points.{i}.value", values[i], "at most two points at one value")
+
+
 class TransferFunctionSettings(Table):
     """Either ``points`` or a ``preset``; with neither, the default one of the volume's range.
 
@@ -52,16 +65,7 @@ class TransferFunctionSettings(Table):
             raise wrong("preset", self.preset, expected_preset(self.preset))
         if self.points is None:
             return self
-        if not 1 <= len(self.points) <= LARGEST_POINTS:
-            expected = f"from 1 to {LARGEST_POINTS} points"
-            raise wrong("points", [] if not self.points else len(self.points), expected)
-        values = [point.value for point in self.points]
-        for i in range(1, len(values)):
-            if values[i] < values[i - 1]:
-                expected = f"ascending values, here {values[i - 1]} or more"
-                raise wrong(f"points.{i}.value", values[i], expected)
-            if i > 1 and values[i] == values[i - 2]:
-                raise wrong(f"points.{i}.value", values[i], "at most two points at one value")
+        check_points(self.points)
         return self
 
     def function(

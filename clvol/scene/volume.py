@@ -21,11 +21,11 @@ def _nan_policy(value: Any) -> str | float:
     raise ValueError("neither 'transparent' nor a finite number")
 
 
-def _path_text(value: Any) -> Any:
+def path_text(value: Any) -> Any:
     return os.fspath(value) if isinstance(value, os.PathLike) else value
 
 
-def _is_path(text: str) -> str:
+def is_path(text: str) -> str:
     if "\0" in text:
         raise ValueError("a null character")
     return text
@@ -38,7 +38,7 @@ class VolumeSettings(Table):
     """``file`` is relative to the scene file. ``spacing`` overrides the file's. ``dims`` (nx, ny,
     nz) and ``dtype`` say what a .raw file holds. ``nan`` is what a NaN voxel counts as."""
 
-    file: Annotated[str, BeforeValidator(_path_text), AfterValidator(_is_path)] = Field(
+    file: Annotated[str, BeforeValidator(path_text), AfterValidator(is_path)] = Field(
         min_length=1, description="the name of a volume file, in quotes"
     )
     spacing: Annotated[tuple[Length, Length, Length], AsTuple] | None = Field(

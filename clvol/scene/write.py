@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 def to_toml(scene: Scene) -> str:
     """TOML that reads back as ``scene``: the keys that were set, in the order of the models.
 
-    A volume that was handed over as an array is described in a comment.
+    A volume or a field that was handed over as an array is described in a comment.
     """
     lines = ["version = 1"]
     for name in type(scene).model_fields:
@@ -32,14 +32,24 @@ def to_toml(scene: Scene) -> str:
         elif isinstance(value, BaseModel):
             lines += ["", f"[{name}]", *_keys(value)]
         else:
-            shape = " x ".join(str(n) for n in value.grid.size)
-            lines += ["", f"# volume: {shape} voxels of {value.dtype}, handed over as an array"]
+            lines += ["", f"# volume: {_voxels(value)}"]
     return "\n".join(lines) + "\n"
 
 
 def _keys(table: BaseModel) -> list[str]:
     asked = table.model_dump(mode="python", exclude_unset=True)
-    return [f"{key} = {_value(value)}" for key, value in asked.items() if value is not None]
+    return [_key(key, value) for key, value in asked.items() if value is not None]
+
+
+def _key(key: str, value: Any) -> str:
+    if hasattr(value, "grid"):  # a field's volume
+        return f"# {key}: {_voxels(value)}"
+    return f"{key} = {_value(value)}"
+
+
+def _voxels(volume: Any) -> str:
+    shape = " x ".join(str(n) for n in volume.grid.size)
+    return f"{shape} voxels of {volume.dtype}, handed over as an array"
 
 
 def _function_keys(function: TransferFunction) -> list[str]:

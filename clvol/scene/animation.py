@@ -1,0 +1,25 @@
+"""[animation]: what changes from one picture to the next."""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from clvol.scene.table import Number, Table, Whole
+
+
+class Animation(Table):
+    """``time``: seconds, of the first frame. ``cycle``: how fast the transfer function moves over
+    the values, in ranges of the volume a second; values wrap. ``orbit_degrees``: the camera's turn
+    about its target over all frames."""
+
+    time: Number = Field(0.0, ge=-1e6, le=1e6, description="seconds from -1e6 to 1e6")
+    frames: Whole = Field(1, ge=1, le=100000, description="a whole number from 1 to 100000")
+    fps: Number = Field(25.0, gt=0, le=1000, description="a number greater than 0, at most 1000")
+    cycle: Number = Field(0.0, ge=-1e6, le=1e6, description="a number from -1e6 to 1e6")
+    orbit_degrees: Number = Field(
+        0.0, ge=-36000, le=36000, description="an angle from -36000 to 36000 degrees"
+    )
+
+    @classmethod
+    def table_name(cls) -> str:
+        return "animation"

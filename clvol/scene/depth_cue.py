@@ -1,0 +1,56 @@
+"""[depth_cue]: colours fade with their distance from the eye."""
+
+from __future__ import annotations
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from clvol.scene.camera import Camera
+from clvol.scene.table import Color, Coordinate, Fraction, Table, wrong
+from clvol.volume.grid import Grid
+
+_DISTANCE = "a finite world distance from the eye"
+
+
+class DepthCue(Table):
+    """From the world distance ``start`` on colours fade, at ``end`` they are ``strength`` of the
+    way to ``color``, which is in the colour space of the transfer function. Left out, they are the
+    distances of the volume's nearest and farthest corner."""
+
+    start: Coordinate | None = Field(None, description=_DISTANCE)
+    end: Coordinate | None = Field(None, description=_DISTANCE)
+    strength: Fraction = Field(1.0, description="a number from 0 to 1")
+    color: Color = Field((0.0, 0.0, 0.0), description="three numbers [r, g, b] from 0 to 1")
+
+    @classmethod
+    def table_name(cls) -> str:
+        return "depth_cue"
+
+    @model_validator(mode="after")
+    def _ends_after_its_start(self) -> DepthCue:
+        if self.start is not None and self.end is not None and not self.start < self.end:
+            raise wrong("end", self.end, f"a distance beyond the start, {self.start}")
+        return self
+
+    def complete(self, camera: Camera, grid: Grid) -> DepthCue:
+        """This with start and end filled in; where that would leave no length between them, they
+        are one voxel edge apart."""
+        distances = corner_distances(camera, grid)
+        edge = max(grid.smallest_edge, 1e-6 * float(np.abs(distances).max()))
+        start, end = self.start, self.end
+        if start is None:
+            start = float(distances.min())
+            start = start if end is None or start < end else end - edge
+        if end is None:
+            end = float(distances.max())
+            end = end if start < end else start + edge
+        return self.model_copy(update={"start": start, "end": end})
+
+
+def corner_distances(camera: Camera, grid: Grid) -> np.ndarray:
+    """World distances float64 [8] of the domain's corners along rays: from the eye, or from the
+    plane through the camera's position of an orthographic view (negative behind it)."""
+    offsets = grid.world_corners() - np.asarray(camera.position, np.float64)
+    if camera.projection == "orthographic":
+        return offsets @ camera.basis()[0]
+    return np.linalg.norm(offsets, axis=1)

@@ -1,0 +1,51 @@
+"""[environment]: light from all around, from a picture of it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import AfterValidator, BeforeValidator, Field
+
+from clvol.errors import SceneError
+from clvol.scene.table import Number, Table
+from clvol.scene.volume import is_path, path_text
+
+_FILE = "the name of an EXR file, in quotes"
+
+
+class Environment(Table):
+    """``file`` (.exr, linear light) is relative to the scene file.
+
+    ``layout``: "latlong" has up (+y) in the first row and -z in the middle; "cube" is a vertical
+    strip of the square faces +x, -x, +y, -y, +z, -z. ``rotation_degrees`` is about the world's y.
+    ``visible``: rays that leave the volume show it, instead of the background.
+    """
+
+    file: Annotated[str, BeforeValidator(path_text), AfterValidator(is_path)] = Field(
+        min_length=1, description=_FILE
+    )
+    layout: Literal["latlong", "cube"] = Field("latlong", description="'latlong' or 'cube'")
+    intensity: Number = Field(1.0, ge=0, le=1e6, description="a number from 0 to 1e6")
+    rotation_degrees: Number = Field(
+        0.0, ge=-36000, le=36000, description="an angle from -36000 to 36000 degrees"
+    )
+    visible: bool = Field(False, description="true or false")
+
+    @classmethod
+    def table_name(cls) -> str:
+        return "environment"
+
+    @property
+    def path(self) -> Path:
+        """The file; of a resolved scene's environment, with the scene's folder before it."""
+        return Path(self.file)
+
+    def found_in(self, folder: Path, origin: str) -> Environment:
+        """This with its file looked up in ``folder``; SceneError if it is not there, or no EXR."""
+        path, where = folder / self.file, f"{origin}: environment.file"
+        if path.suffix.lower() != ".exr":
+            raise SceneError(where, f"got {self.file!r}", "a picture in EXR (.exr)")
+        if not path.is_file():
+            raise SceneError(where, f"got {self.file!r}, no such file", "a picture in EXR (.exr)")
+        return self.model_copy(update={"file": str(path)})

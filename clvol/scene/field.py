@@ -1,0 +1,160 @@
+"""[[field]]: a second volume that labels, adds to, or cuts the first."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import numpy as np
+from pydantic import AfterValidator, BeforeValidator, Field, WrapValidator, model_validator
+
+from clvol.errors import SceneError
+from clvol.scene.table import AsTuple, Color, Fraction, Number, Table, Whole, wrong
+from clvol.scene.transfer_function import ControlPoint, check_points
+from clvol.scene.transfer_layer import function_of
+from clvol.scene.volume import is_path, path_text
+
+if TYPE_CHECKING:
+    from clvol.transfer import TransferFunction
+    from clvol.volume import Volume
+
+LARGEST_COUNT = 3
+LARGEST_LABELS = 65536
+_LARGEST_LABEL = 2**31 - 1
+_READ_BY = {"label": "labels", "density": "points", "mask": None}
+_NEEDED = {
+    "labels": "a list of labels { label = …, color = [r, g, b] } for a field of role 'label'",
+    "points": "a list of points { value = …, opacity = …, color = [r, g, b] } for role 'density'",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class ResolvedField:
+    """A field with its volume; what its role does not read is None.
+
+    "label": ``labels`` int64 [n], ascending, none twice, ``colors`` float64 [n, 3] in linear light,
+    ``factors`` float64 [n] in [0, 1] on the extinction. "density": ``function``. "mask":
+    ``threshold``, and ``keep``, "above" or "below" it.
+    """
+
+    volume: Volume
+    role: Literal["label", "density", "mask"]
+    labels: np.ndarray | None = None
+    colors: np.ndarray | None = None
+    factors: np.ndarray | None = None
+    function: TransferFunction | None = None
+    threshold: float | None = None
+    keep: Literal["above", "below"] | None = None
+
+
+class FieldLabel(Table):
+    """``opacity`` is a factor on the volume's own extinction."""
+
+    label: Whole = Field(
+        ge=-_LARGEST_LABEL, le=_LARGEST_LABEL, description="a whole number of at most 31 bits"
+    )
+    color: Color = Field(description="three numbers [r, g, b] from 0 to 1")
+    opacity: Fraction = Field(1.0, description="a number from 0 to 1")
+
+    @classmethod
+    def table_name(cls) -> str:
+        return "label"
+
+
+def _file(value: Any, check: Callable[[Any], Any]) -> Any:
+    from clvol.volume import Volume
+
+    return value if isinstance(value, Volume) else check(value)
+
+
+class FieldSettings(Table):
+    """``file`` is relative to the scene file; from Python it may be a ``clvol.Volume``.
+
+    A field has its own grid and is looked up by world position: a label from the nearest voxel,
+    density and mask linearly between voxels. Outside the grid is no label and no density, and
+    nothing of a masked volume. "label": each of ``labels`` has its own colour; others keep the
+    volume's. "density": ``points``, per the transfer function's opacity_unit, add to the volume's
+    extinction and emission. "mask": only what is ``keep`` the ``threshold`` is there.
+    """
+
+    file: Annotated[
+        Annotated[
+            str, BeforeValidator(path_text), AfterValidator(is_path), Field(min_length=1)
+        ],
+        WrapValidator(_file),
+    ] = Field(description="the name of a volume file, in quotes")
+    role: Literal["label", "density", "mask"] = Field(
+        description="'label', 'density' or 'mask'"
+    )
+    labels: Annotated[tuple[FieldLabel, ...], AsTuple] | None = Field(
+        None, description="a list of labels { label = …, color = [r, g, b] }"
+    )
+    points: Annotated[tuple[ControlPoint, ...], AsTuple] | None = Field(
+        None, description="a list of points { value = …, opacity = …, color = [r, g, b] }"
+    )
+    threshold: Number = Field(0.5, description="a finite number")
+    keep: Literal["above", "below"] = Field("above", description="'above' or 'below'")
+
+    @classmethod
+    def table_name(cls) -> str:
+        return "field"
+
+    @model_validator(mode="after")
+    def _has_what_its_role_reads(self) -> FieldSettings:
+        needed = _READ_BY[self.role]
+        for key in ("labels", "points"):
+            value = getattr(self, key)
+            if key == needed and value is None:
+                raise wrong(key, None, _NEEDED[key])
+            if key != needed and value is not None:
+                raise wrong(key, len(value) or [], f"no {key} for a field of role {self.role!r}")
+        for key in ("threshold", "keep"):
+            if self.role != "mask" and key in self.model_fields_set:
+                got = getattr(self, key)
+                raise wrong(key, got, f"no {key} for a field of role {self.role!r}")
+        if self.points is not None:
+            check_points(self.points)
+        if self.labels is not None:
+            self._check_labels()
+        return self
+
+    def _check_labels(self) -> None:
+        if not 1 <= len(self.labels) <= LARGEST_LABELS:
+            raise wrong("labels", len(self.labels) or [], f"from 1 to {LARGEST_LABELS} labels")
+        seen = set()
+        for i, label in enumerate(self.labels):
+            if label.label in seen:
+                raise wrong(f"labels.{i}.label", label.label, "each label once")
+            seen.add(label.label)
+
+    def load(self, folder: Path, where: str, memory_cap: int | None) -> Volume:
+        """The field's volume; ``folder`` is what its file is relative to, ``where`` the place of
+        this table for error messages. Raises SceneError if it is not there, VolumeError."""
+        from clvol.volume import Volume, load_volume
+
+        if isinstance(self.file, Volume):
+            return self.file
+        path = folder / self.file
+        if not path.exists():
+            got = f"got {self.file!r}, no such file"
+            raise SceneError(f"{where}.file", got, "a volume file or a DICOM folder")
+        return load_volume(path, memory_cap=memory_cap)
+
+    def resolved(
+        self, volume: Volume, opacity_unit: float, decoded: Callable[[object], np.ndarray]
+    ) -> ResolvedField:
+        """``decoded`` takes colours to linear light."""
+        if self.role == "mask":
+            return ResolvedField(volume, "mask", threshold=self.threshold, keep=self.keep)
+        if self.role == "density":
+            function = function_of(self.points, opacity_unit, decoded)
+            return ResolvedField(volume, "density", function=function)
+        ordered = sorted(self.labels, key=lambda label: label.label)
+        labels = np.array([label.label for label in ordered], np.int64)
+        colors = decoded([label.color for label in ordered])
+        factors = np.array([label.opacity for label in ordered], np.float64)
+        for array in (labels, colors, factors):
+            array.setflags(write=False)
+        return ResolvedField(volume, "label", labels=labels, colors=colors, factors=factors)

@@ -1,0 +1,34 @@
+"""[noise]: a tiling noise that perturbs the value or the place of every sample."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from clvol.scene.table import AsTuple, Number, Table, Whole
+
+_Speed = Annotated[Number, Field(ge=-1e6, le=1e6)]
+
+
+class Noise(Table):
+    """``amplitude``: in units of the value, or a world length for the target "coordinate".
+    ``frequency``: tiles of noise along the volume's longest edge. Each of ``octaves`` has twice the
+    frequency and ``gain`` times the amplitude of the one before. ``velocity``: tiles a second along
+    x, y, z."""
+
+    target: Literal["value", "coordinate"] = Field(description="'value' or 'coordinate'")
+    amplitude: Number = Field(ge=-1e30, le=1e30, description="a number from -1e30 to 1e30")
+    frequency: Number = Field(
+        4.0, gt=0, le=1e4, description="a number greater than 0, at most 10000"
+    )
+    octaves: Whole = Field(1, ge=1, le=8, description="a whole number from 1 to 8")
+    gain: Number = Field(0.5, ge=0, le=1, description="a number from 0 to 1")
+    seed: Whole = Field(0, ge=0, le=2**31 - 1, description="a whole number from 0 to 2147483647")
+    velocity: Annotated[tuple[_Speed, _Speed, _Speed], AsTuple] = Field(
+        (0.0, 0.0, 0.0), description="three numbers [x, y, z] from -1e6 to 1e6"
+    )
+
+    @classmethod
+    def table_name(cls) -> str:
+        return "noise"

@@ -1,0 +1,111 @@
+"""[gradient_opacity] and [directional_opacity]: factors on the extinction."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from clvol.scene.table import AsTuple, Fraction, Number, Table, wrong
+
+LARGEST_POINTS = 4096
+_POINTS = "a list of points {{ {} = …, opacity = … }}"
+
+
+@dataclass(frozen=True, eq=False)
+class OpacityFactor:
+    """A factor in [0, 1], linear between points ``at`` (float64 [n], ascending, >= 0; of two points
+    at one place the later one holds there) with ``factors`` (float64 [n]); beyond the ends it is
+    the ends'."""
+
+    at: np.ndarray
+    factors: np.ndarray
+
+    def __call__(self, x: np.ndarray) -> np.ndarray:
+        """The factor for each of ``x`` (any shape); 1 for NaN."""
+        x = np.asarray(x, np.float64)
+        last = self.at.size - 1
+        right = np.searchsorted(self.at, x, side="right")
+        low = np.clip(right - 1, 0, last)
+        high = np.minimum(right, last)
+        span = self.at[high] - self.at[low]
+        with np.errstate(invalid="ignore"):
+            t = np.where(span > 0, (x - self.at[low]) / np.where(span > 0, span, 1.0), 0.0)
+        t = np.clip(t, 0.0, 1.0)
+        return np.where(np.isnan(x), 1.0, (1.0 - t) * self.factors[low] + t * self.factors[high])
+
+
+class GradientOpacityPoint(Table):
+    magnitude: Number = Field(ge=0, description="a finite number, 0 or greater")
+    opacity: Fraction = Field(description="a number from 0 to 1")
+
+    @classmethod
+    def table_name(cls) -> str:
+        return "point"
+
+
+class DirectionalOpacityPoint(Table):
+    derivative: Number = Field(ge=0, description="a finite number, 0 or greater")
+    opacity: Fraction = Field(description="a number from 0 to 1")
+
+    @classmethod
+    def table_name(cls) -> str:
+        return "point"
+
+
+class GradientOpacity(Table):
+    """A factor by the gradient's magnitude, in value per world length."""
+
+    points: Annotated[tuple[GradientOpacityPoint, ...], AsTuple] = Field(
+        description=_POINTS.format("magnitude")
+    )
+
+    @classmethod
+    def table_name(cls) -> str:
+        return "gradient_opacity"
+
+    @model_validator(mode="after")
+    def _ascending(self) -> GradientOpacity:
+        _check_ascending("magnitude", [point.magnitude for point in self.points])
+        return self
+
+    def factor(self) -> OpacityFactor:
+        return _factor([(point.magnitude, point.opacity) for point in self.points])
+
+
+class DirectionalOpacity(Table):
+    """A factor by the size of the value's derivative along the ray, in value per world length."""
+
+    points: Annotated[tuple[DirectionalOpacityPoint, ...], AsTuple] = Field(
+        description=_POINTS.format("derivative")
+    )
+
+    @classmethod
+    def table_name(cls) -> str:
+        return "directional_opacity"
+
+    @model_validator(mode="after")
+    def _ascending(self) -> DirectionalOpacity:
+        _check_ascending("derivative", [point.derivative for point in self.points])
+        return self
+
+    def factor(self) -> OpacityFactor:
+        return _factor([(point.derivative, point.opacity) for point in self.points])
+
+
+def _check_ascending(key: str, places: list[float]) -> None:
+    if not 1 <= len(places) <= LARGEST_POINTS:
+        raise wrong("points", len(places) or [], f"from 1 to {LARGEST_POINTS} points")
+    for i in range(1, len(places)):
+        if places[i] < places[i - 1]:
+            raise wrong(f"points.{i}.{key}", places[i], f"ascending, here {places[i - 1]} or more")
+        if i > 1 and places[i] == places[i - 2]:
+            raise wrong(f"points.{i}.{key}", places[i], "at most two points at one place")
+
+
+def _factor(points: list[tuple[float, float]]) -> OpacityFactor:
+    arrays = np.array(points, np.float64).T.copy()
+    arrays.setflags(write=False)
+    return OpacityFactor(arrays[0], arrays[1])

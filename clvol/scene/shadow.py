@@ -1,0 +1,41 @@
+"""[shadow]: light is attenuated on its way to what it lights."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import Field, model_validator
+
+from clvol.scene.table import Color, Fraction, Number, Table, Whole, wrong
+
+
+class Shadow(Table):
+    """Shadows of all lights with ``casts_shadow`` but headlights, which cast none.
+
+    ``method``: "volume" marches towards each light from the points of a light volume,
+    ``resolution`` of them along the volume's longest axis; "rays" from each sample. ``step`` is
+    that march's, in smallest voxel edges. ``bound``: a ray is cast only where opacity times
+    remaining transmittance of the sample is above it. ``scattering``: the share of light that
+    arrives scattered forward, within ``cone_degrees`` about the light's direction and attenuated by
+    1 - ``scatter_color`` (linear light) of the extinction.
+    """
+
+    method: Literal["volume", "rays"] = Field("volume", description="'volume' or 'rays'")
+    resolution: Whole = Field(64, ge=4, le=512, description="a whole number from 4 to 512")
+    step: Number = Field(1.0, gt=0, le=1e6, description="a number greater than 0, at most 1e6")
+    bound: Fraction = Field(1e-3, description="a number from 0 to 1")
+    scattering: Fraction = Field(0.0, description="a number from 0 to 1")
+    scatter_color: Color = Field(
+        (1.0, 1.0, 1.0), description="three numbers [r, g, b] from 0 to 1"
+    )
+    cone_degrees: Number = Field(30.0, ge=0, le=80, description="an angle from 0 to 80 degrees")
+
+    @classmethod
+    def table_name(cls) -> str:
+        return "shadow"
+
+    @model_validator(mode="after")
+    def _rays_do_not_scatter(self) -> Shadow:
+        if self.method == "rays" and self.scattering > 0:
+            raise wrong("scattering", self.scattering, "0, or the method 'volume'")
+        return self
