@@ -81,12 +81,13 @@ def of_chord(
     cuts = np.concatenate([np.zeros((n, 1)), cuts, np.ones((n, 1))], axis=1)
     depth, light = np.zeros(n), np.zeros((n, 3))
     for x0, x1 in zip(cuts.T, cuts.T[1:]):
-        if np.any(x1 > x0):
-            units = (x1 - x0) * length / function.function.opacity_unit
-            ends = _linear_ends(function, front + x0 * span, front + x1 * span)
-            piece_light, piece_depth = _linear_piece(*ends, units)
-            light += np.exp(-depth)[:, None] * piece_light
-            depth = np.minimum(depth + piece_depth, OPAQUE)
+        there = x1 > x0
+        x0, x1, at, along = x0[there], x1[there], front[there], span[there]
+        units = (x1 - x0) * length[there] / function.function.opacity_unit
+        ends = _linear_ends(function, at + x0 * along, at + x1 * along)
+        piece_light, piece_depth = _linear_piece(*ends, units)
+        light[there] += np.exp(-depth[there])[:, None] * piece_light
+        depth[there] = np.minimum(depth[there] + piece_depth, OPAQUE)
     opacity = -np.expm1(-depth)
     # Of what is almost transparent the colour is the front's: the quotient has no digits.
     mean = light / np.maximum(opacity, 1e-300)[:, None]
@@ -111,17 +112,21 @@ def _linear_ends(function, start, end):
 def _linear_piece(a, b, color_a, color_b, units):
     """(light [n, 3], optical depth [n]) of pieces of linear opacity and colour."""
 
-    def depth_to(x):
-        return np.minimum(units * x * _mean_depth(a, a + x * (b - a)), OPAQUE)
+    def depth_to(x, part):
+        a_, b_ = a[part], b[part]
+        return np.minimum(units[part] * x * _mean_depth(a_, a_ + x * (b_ - a_)), OPAQUE)
 
-    # Halved towards the front, where all of an opaque piece happens.
-    edges = np.concatenate([[0.0], 2.0 ** np.arange(-12.0, 1.0)])
+    everything = np.ones(len(a), bool)
+    whole = depth_to(1.0, everything)
+    thin = (whole < 1.0) & (np.maximum(a, b) < 0.9)
     mean_opacity = np.zeros_like(a)
-    for x0, x1 in zip(edges, edges[1:]):
-        for node, weight in zip(_NODES, _WEIGHTS):
-            x = x0 + node * (x1 - x0)
-            mean_opacity -= weight * (x1 - x0) * np.expm1(-depth_to(x))
-    whole = depth_to(1.0)
+    # Halved towards the front, where all of an opaque piece happens.
+    halved = np.concatenate([[0.0], 2.0 ** np.arange(-12.0, 1.0)])
+    for part, edges in ((thin, np.array([0.0, 1.0])), (~thin, halved)):
+        for x0, x1 in zip(edges, edges[1:]):
+            for node, weight in zip(_NODES, _WEIGHTS):
+                opacity = -np.expm1(-depth_to(x0 + node * (x1 - x0), part))
+                mean_opacity[part] += weight * (x1 - x0) * opacity
     opacity = -np.expm1(-whole)
     light = color_b * opacity[:, None] - (color_b - color_a) * mean_opacity[:, None]
     return light, whole
@@ -131,11 +136,13 @@ def _mean_depth(a, b):
     """Mean of -log(1 - alpha) while alpha runs linearly from a to b."""
     qa, qb = 1.0 - a, 1.0 - b
     near = np.abs(qa - qb) <= 0.1 * (qa + qb)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        q_log_q = [np.where(q > 0, q * np.log(np.where(q > 0, q, 1.0)), 0.0) for q in (qa, qb)]
-        far_mean = 1.0 - (q_log_q[0] - q_log_q[1]) / np.where(near, 1.0, qa - qb)
-        near_mean = sum(-w * np.log1p(-(a + x * (b - a))) for x, w in zip(_NODES, _WEIGHTS))
-    return np.minimum(np.where(near, near_mean, far_mean), OPAQUE)
+    far, mean = ~near, np.zeros_like(a)
+    q_log_q = [q * np.log(np.where(q > 0, q, 1.0)) for q in (qa[far], qb[far])]
+    mean[far] = 1.0 - (q_log_q[0] - q_log_q[1]) / (qa[far] - qb[far])
+    a, b = a[near], b[near]
+    with np.errstate(divide="ignore"):
+        mean[near] = sum(-w * np.log1p(-(a + x * (b - a))) for x, w in zip(_NODES, _WEIGHTS))
+    return np.minimum(mean, OPAQUE)
 
 
 def of_voxels(
@@ -144,8 +151,9 @@ def of_voxels(
     """The same where the filter's voxels [n, k] are classified, then weighted ("pre")."""
     tau = function.extinction(voxels)
     emission = function.color(voxels) * tau[..., None]
-    extinction = np.sum(weights * tau, axis=1)
-    emission = np.sum(weights[..., None] * emission, axis=1)
+    # Negative weights (Catmull-Rom) may leave less than no medium and no light.
+    extinction = np.maximum(np.sum(weights * tau, axis=1), 0.0)
+    emission = np.maximum(np.sum(weights[..., None] * emission, axis=1), 0.0)
     used = np.any((weights != 0) & ~np.isfinite(voxels), axis=1)
     seen = (extinction > 0) & ~used
     color = np.where(seen[:, None], emission / np.where(seen, extinction, 1.0)[:, None], 0.0)

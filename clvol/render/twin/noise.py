@@ -24,11 +24,15 @@ def tile_noise(tile: np.ndarray, p: np.ndarray) -> np.ndarray:
 
 
 def fractal_noise(noise, tile: np.ndarray, grid: Grid, world: np.ndarray, time: float) -> np.ndarray:
-    """fBm [n, 4] at world positions: ``noise`` has frequency, octaves, gain, velocity."""
+    """fBm [n, 4] at world positions: ``noise`` has frequency, octaves, gain, velocity.
+
+    Noise is fixed to the volume: p and the displacement are along its index axes.
+    """
     lower, upper = grid.index_bounds()
-    corner = grid.index_to_world()[:3, :3] @ lower + grid.origin
+    to_index = grid.world_to_index()
+    index = world @ to_index[:3, :3].T + to_index[:3, 3]
     longest = float(((upper - lower) * grid.spacing).max())
-    p = (world - corner) / longest
+    p = (index - lower) * grid.spacing / longest
     offset = np.asarray(noise.velocity, float) * time
     return sum(
         noise.gain**k * tile_noise(tile, 2.0**k * noise.frequency * p + offset)
