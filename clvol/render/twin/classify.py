@@ -112,21 +112,18 @@ def _linear_ends(function, start, end):
 def _linear_piece(a, b, color_a, color_b, units):
     """(light [n, 3], optical depth [n]) of pieces of linear opacity and colour."""
 
-    def depth_to(x, part):
-        a_, b_ = a[part], b[part]
-        return np.minimum(units[part] * x * _mean_depth(a_, a_ + x * (b_ - a_)), OPAQUE)
-
-    everything = np.ones(len(a), bool)
-    whole = depth_to(1.0, everything)
+    whole = np.minimum(units * _mean_depth(a, b), OPAQUE)
     thin = (whole < 1.0) & (np.maximum(a, b) < 0.9)
     mean_opacity = np.zeros_like(a)
     # Halved towards the front, where all of an opaque piece happens.
     halved = np.concatenate([[0.0], 2.0 ** np.arange(-12.0, 1.0)])
     for part, edges in ((thin, np.array([0.0, 1.0])), (~thin, halved)):
-        for x0, x1 in zip(edges, edges[1:]):
-            for node, weight in zip(_NODES, _WEIGHTS):
-                opacity = -np.expm1(-depth_to(x0 + node * (x1 - x0), part))
-                mean_opacity[part] += weight * (x1 - x0) * opacity
+        if part.any():
+            width = np.diff(edges)[:, None]
+            x = (edges[:-1, None] + _NODES * width).reshape(-1, 1)
+            a_, b_ = np.broadcast_arrays(a[part], a[part] + x * (b[part] - a[part]))
+            depth = np.minimum(units[part] * x * _mean_depth(a_, b_), OPAQUE)
+            mean_opacity[part] = (width * _WEIGHTS).ravel() @ -np.expm1(-depth)
     opacity = -np.expm1(-whole)
     light = color_b * opacity[:, None] - (color_b - color_a) * mean_opacity[:, None]
     return light, whole
