@@ -14,7 +14,8 @@ _NODES, _WEIGHTS = 0.5 * (_NODES + 1.0), 0.5 * _WEIGHTS
 class MovedFunction:
     """A transfer function over values that move through the volume's range, wrapping.
 
-    ``shift``: cycle times time, in ranges. value' = low + mod(value - low + shift range, range).
+    ``shift``: cycle times time, in ranges. value' = low + mod(value - low + shift range, range); whole
+    ranges leave everything as it is.
     """
 
     def __init__(
@@ -25,7 +26,7 @@ class MovedFunction:
     ) -> None:
         self.function = function
         self.low, self.span = value_range[0], value_range[1] - value_range[0]
-        self.shift = shift * self.span
+        self.shift = shift % 1.0 * self.span
 
     def _moved(self, values: np.ndarray) -> np.ndarray:
         if self.shift == 0.0:
@@ -50,8 +51,7 @@ class MovedFunction:
         if self.shift == 0.0:
             return np.unique(values)
         lap = np.append(values[(values >= self.low) & (values <= self.low + self.span)], self.low)
-        laps = [lap - self.shift + k * self.span for k in range(-2, 3 + int(abs(self.shift / self.span)))]
-        return np.unique(laps)
+        return np.unique([lap - self.shift + k * self.span for k in range(-2, 4)])
 
 
 def of_value(function, values: np.ndarray, length: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -115,8 +115,10 @@ def _linear_piece(a, b, color_a, color_b, units):
     whole = np.minimum(units * _mean_depth(a, b), OPAQUE)
     thin = (whole < 1.0) & (np.maximum(a, b) < 0.9)
     mean_opacity = np.zeros_like(a)
-    # Halved towards the front, where all of an opaque piece happens.
-    halved = np.concatenate([[0.0], 2.0 ** np.arange(-12.0, 1.0)])
+    # Halved towards the front, where all of an opaque piece happens, and towards both ends, where the
+    # depth has a logarithm if the opacity comes to 1.
+    halved = 2.0 ** np.arange(-20.0, 0.0)
+    halved = np.concatenate([[0.0], halved, 1.0 - halved[-2::-1], [1.0]])
     for part, edges in ((thin, np.array([0.0, 1.0])), (~thin, halved)):
         if part.any():
             width = np.diff(edges)[:, None]
