@@ -167,21 +167,18 @@ def _sampler(field) -> GridSampler:
 
 
 def _kept_by_mask(field, sampler, start, end):
-    """The mask runs linearly from end to end; an end outside its grid is removed, and so is half
-    of a segment whose other end is kept."""
-    ends = []
+    """The share [n] kept: the mask runs linearly from end to end. Of a segment with an end outside the
+    mask's grid, or where it is not finite, nothing is kept."""
+    ends, known = [], np.ones(len(start), bool)
     for at in (start, end):
         above = sampler(at) - field.threshold
-        signed = above if field.keep == "above" else -above
-        ends.append(np.where(sampler.inside(at) & np.isfinite(signed), signed, np.nan))
-    first, last = ends
-    first = np.where(np.isnan(first), -np.abs(last), first)
-    last = np.where(np.isnan(last), -np.abs(first), last)
-    kept = np.where((first >= 0) & (last >= 0), 1.0, 0.0)
+        ends.append(above if field.keep == "above" else -above)
+        known &= sampler.inside(at) & np.isfinite(above)
+    first, last = (np.where(known, signed, -1.0) for signed in ends)
     crosses = (first >= 0) != (last >= 0)
     at = first / np.where(crosses, first - last, 1.0)
-    kept = np.where(crosses, np.where(first >= 0, at, 1.0 - at), kept)
-    return np.where(np.isnan(first) | np.isnan(last), 0.0, kept)
+    kept = np.where((first >= 0) & (last >= 0), 1.0, 0.0)
+    return np.where(crosses, np.where(first >= 0, at, 1.0 - at), kept)
 
 
 def _finite_norm(gradient: np.ndarray) -> np.ndarray:
