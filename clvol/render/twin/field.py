@@ -1,7 +1,7 @@
 """The reconstructed field of a volume and its gradient, at world positions.
 
-A reconstruction is a weighted mean of voxels, its weights a product over the axes. Voxels beyond the
-volume are its outermost ones. A voxel that is not finite makes NaN exactly what uses it.
+A reconstruction is a weighted mean of voxels, its weights a product over the axes. Voxels beyond
+the volume are its outermost ones. A voxel that is not finite makes NaN exactly what uses it.
 """
 
 from __future__ import annotations

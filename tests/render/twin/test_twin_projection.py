@@ -36,10 +36,9 @@ def test_segments_are_sampled_at_their_middles_and_the_last_is_shorter():
 def test_the_maximum_of_a_wave():
     wave = 20 + 10 * np.cos(np.arange(64) / 7.0 - 1.3)
     array = np.broadcast_to(wave[:, None, None], (64, 2, 2)).copy()
-    found = along_z(mode("maximum", array, integration={"filter": "catmull-rom"}), 0.5, 0.5, step=0.1)
-    assert found == pytest.approx(shown(30.0), abs=1e-3)
-    found = along_z(mode("minimum", array, integration={"filter": "catmull-rom"}), 0.5, 0.5, step=0.1)
-    assert found == pytest.approx(shown(10.0), abs=1e-3)
+    for name, extreme in (("maximum", 30.0), ("minimum", 10.0)):
+        s = mode(name, array, integration={"filter": "catmull-rom"})
+        assert along_z(s, 0.5, 0.5, step=0.1) == pytest.approx(shown(extreme), abs=1e-3)
 
 
 @pytest.mark.parametrize("attenuation", [0.0, 1.5, 20.0])

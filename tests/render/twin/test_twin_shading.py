@@ -140,7 +140,8 @@ AXIS = np.array([0.36, 0.48, 0.8])
 
 @pytest.mark.parametrize("make, layout", [(latlong, "latlong"), (cube, "cube")])
 def test_means_over_an_environment(make, layout):
-    """Radiance 1 + a.w: mean under the cosine 1 + 2/3 a.n, in a lobe of power p 1 + (p+1)/(p+2) a.r."""
+    """Radiance 1 + a.w has the mean 1 + 2/3 a.n under a cosine, and 1 + (p + 1) / (p + 2) a.r in a
+    lobe of power p."""
     map_ = EnvironmentMap(make(lambda w: 1 + w @ AXIS), layout, intensity=2.0)
     along = (NORMALS @ AXIS)[:, None]
     assert np.allclose(map_.diffuse(NORMALS), 2 + 4 / 3 * along, atol=2e-3)

@@ -15,7 +15,7 @@ BLACK_TO_WHITE = {"start": 0.0, "end": 100.0, "color": [1.0, 1.0, 1.0]}
 
 
 def paraboloid():
-    """Squared distances to the centre: Catmull-Rom reconstructs them exactly, and their gradient."""
+    """Squared distances to the centre: Catmull-Rom reconstructs them exactly, and their slope."""
     z, y, x = np.meshgrid(*(np.arange(16.0),) * 3, indexing="ij")
     return sum((c - m) ** 2 for c, m in zip((x, y, z), CENTRE))
 
@@ -47,8 +47,11 @@ def test_a_sphere_is_hit_where_it_is(step):
 
 def test_a_spheres_normals_are_radial():
     light = np.array([0.48, -0.6, -0.64])
-    s = sphere_scene(surface={"color": [1.0, 1.0, 1.0]}, material={"ambient": 0, "diffuse": 1,
-                     "specular": 0}, light=[{"type": "directional", "direction": list(-light)}])  # fmt: skip
+    s = sphere_scene(
+        surface={"color": [1.0, 1.0, 1.0]},
+        material={"ambient": 0, "diffuse": 1, "specular": 0},
+        light=[{"type": "directional", "direction": list(-light)}],
+    )
     for x, y in ((0.0, 0.0), (2.0, -3.0), (-1.0, 4.0)):
         normal = np.array([x, y, -np.sqrt(RADIUS**2 - x**2 - y**2)]) / RADIUS
         found = along_z(s, CENTRE[0] + x, CENTRE[1] + y)[0]
@@ -111,7 +114,7 @@ def test_snell():
 
 @pytest.mark.parametrize("step", [0.3, 1.0, 4.0])
 def test_a_slab_bends_a_ray(step):
-    """What the bent path absorbs: 5.5 before the surface and 9.5 behind it, each over its cosine."""
+    """What the bent path absorbs: 5.5 before the surface, 9.5 behind it, each over its cosine."""
     s = scene(ramp(), clear_function(0.1),
               isosurface=[{"value": 5.5, "opacity": 0.0, "refraction": 1.4}])  # fmt: skip
     sine = 0.6
@@ -134,7 +137,7 @@ def test_total_reflection(step):
 
 
 def test_a_sphere_of_glass_turns_a_ray_twice():
-    """The deviation of a ball, 2 (a - b) with sin a = n sin b, from the surface's own definition."""
+    """A ball deviates it by 2 (a - b), sin a = n sin b."""
     index, height = 1 / 1.3, 3.0  # values fall inwards: what lies below is denser
     cosines = [np.sqrt(1 - (height / RADIUS / n) ** 2) for n in (1.0, 1.3)]
     a, b = np.arccos(cosines)
