@@ -65,7 +65,7 @@ def bent(
 ) -> tuple[np.ndarray, np.ndarray]:
     """(unit direction beyond a surface [n, 3], whether it was reflected [n]) by Snell's law.
 
-    ``index`` [n]: of what lies above the surface, relative to below. Without a gradient the ray goes
+    ``index`` [n]: of what lies above the surface, relative to below. Without a gradient a ray goes
     straight on.
     """
     length = np.linalg.norm(gradient, axis=1)

@@ -42,17 +42,21 @@ def test_the_maximum_of_a_wave():
 
 
 @pytest.mark.parametrize("attenuation", [0.0, 1.5, 20.0])
-def test_attenuated_maximum(attenuation):
-    """By the definition, one segment after the other."""
-    value = 15 - MIDDLES  # falling: the nearest is the largest
-    for values, array in ((value, 15 - ramp()), (MIDDLES, ramp())):
-        best, passed = (-1.0, 0.0, 0.0), 0.0
-        for v in values:
-            factor = np.exp(-attenuation * passed / 15)
-            best = max(best, (v / 15 * factor, v, factor))
-            passed += v / 15
-        s = mode("attenuated-maximum", array, integration={"attenuation": attenuation})
-        assert along_z(s, step=1.0) == pytest.approx(shown(best[1], best[2]))
+@pytest.mark.parametrize("step", [1.0, 4.0])
+@pytest.mark.parametrize("falls", [True, False])
+def test_attenuated_maximum(attenuation, step, falls):
+    """By the definition, one segment after the other; what counts is what lies before a segment."""
+    ends = np.minimum(np.arange(0, 15 + step, step), 15.0)
+    best, passed = (-1.0, 0.0, 0.0), 0.0
+    for start, end in zip(ends, ends[1:]):
+        middle = 0.5 * (start + end)
+        value = 15 - middle if falls else middle
+        factor = np.exp(-attenuation * passed / 15)
+        best = max(best, (value / 15 * factor, value, factor))
+        passed += value / 15 * (end - start)
+    array = 15 - ramp() if falls else ramp()
+    s = mode("attenuated-maximum", array, integration={"attenuation": attenuation})
+    assert along_z(s, step=step) == pytest.approx(shown(best[1], best[2]))
 
 
 def test_nan_does_not_count_and_no_sample_is_nothing():

@@ -172,6 +172,7 @@ def test_where_a_latlong_map_points():
     assert map_.radiance(np.array([[1.0, 0, 0]]))[0, 0] == pytest.approx(2.0, abs=1e-3)
     turned = EnvironmentMap(map_.texels, rotation_degrees=90.0)  # +x goes to -z
     assert turned.radiance(np.array([[0, 0, -1.0]]))[0, 0] == pytest.approx(2.0, abs=1e-3)
+    assert turned.diffuse(np.array([[0, 0, -1.0]]))[0, 0] == pytest.approx(5 / 3, abs=1e-3)
 
 
 @pytest.fixture

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from twin_scenes import absorbed, along_z, constant_function, ramp, ray, scene
 
+from clvol import TransferFunction
+from clvol.render.twin.classify import MovedFunction, of_chord
 from clvol.render.twin.surfaces import bent, crossings
+from clvol.scene.clip import Clip
 
 CLEAR = constant_function(0.0)
 CENTRE, RADIUS = np.array([7.2, 7.6, 7.4]), 5.3
@@ -77,6 +82,23 @@ def test_the_volume_before_and_behind_a_surface(step, classification):
     green, red = 0.2 * to_first, 0.5 * left * between
     blue = (1 - to_first) + left * (1 - between) + left * between * 0.5 * (1 - beyond)
     assert along_z(s, step=step) == pytest.approx([red, green, blue, red + green + blue])
+
+
+def test_whole_segments_are_curved_and_cut_ones_are_not():
+    """Values z^2 in steps of 3, an invisible surface at 7.5: the volume by its chords, one by one."""
+    function = TransferFunction([0, 100, 225], [0.0, 0.05, 0.01], [[1, 1, 1]] * 3)
+    s = scene(ramp() ** 2, function, isosurface=[{"value": 7.5**2, "opacity": 0.0}],
+              integration={"filter": "catmull-rom", "classification": "preintegrated"})  # fmt: skip
+    shift = -(3.0**2) * 2 / 12  # -s'' h^2 / 12
+    chords = [(0, 9, 0), (9, 36, shift), (36, 56.25, 0), (56.25, 81, 0), (81, 144, shift)]
+    depth = 0.0
+    for front, back, by in chords:
+        length = np.array([np.sqrt(back) - np.sqrt(front)])
+        ends = np.array([[front + by], [back + by]])
+        depth += of_chord(MovedFunction(function), *ends, length)[1][0]
+    clip = {"point": [0, 0, 12], "normal": [0, 0, -1]}  # Catmull-Rom is exact away from the faces
+    found = along_z(replace(s, clips=(Clip(**clip),)), step=3.0)
+    assert -np.log1p(-found[3]) == pytest.approx(depth, rel=1e-9)
 
 
 def test_every_crossing_in_a_segment_is_found():
