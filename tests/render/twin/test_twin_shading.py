@@ -214,3 +214,16 @@ def test_what_is_left_of_a_ray_shows_a_visible_environment(environment_scene):
     assert found == pytest.approx([*np.full(3, 2 * (1 - OPACITY)), 1.0], abs=2e-3)
     missed = ray(s, (7, 7, 25), (0, 0, 1), environment_map=texels)
     assert missed == pytest.approx([0, 0, 0, 1], abs=2e-3)
+
+
+def test_the_environment_is_read_from_its_file(tmp_path):
+    import OpenEXR
+
+    texels = np.random.default_rng(5).uniform(size=(4, 8, 3)).astype(np.float32)
+    planes = {name: np.ascontiguousarray(texels[..., k]) for k, name in enumerate("RGB")}
+    path = str(tmp_path / "sky.exr")
+    OpenEXR.File({}, planes).write(path)
+    s = scene(BLOCK, environment={"file": path, "visible": True, "intensity": 2.0})
+    found = ray(s, (7, 7, 25), (0.3, -0.2, 1))
+    expected = 2 * EnvironmentMap(texels).radiance(np.array([[0.3, -0.2, 1]]) / np.sqrt(1.13))[0]
+    assert found == pytest.approx([*expected, 1.0])

@@ -85,10 +85,11 @@ def test_the_volume_before_and_behind_a_surface(step, classification):
 
 
 def test_whole_segments_are_curved_and_cut_ones_are_not():
-    """Values z^2 in steps of 3, an invisible surface at 7.5: the volume by its chords, one by one."""
+    """Values z^2 in steps of 3, an invisible surface at 7.5: the volume by its chords."""
     function = TransferFunction([0, 100, 225], [0.0, 0.05, 0.01], [[1, 1, 1]] * 3)
-    s = scene(ramp() ** 2, function, isosurface=[{"value": 7.5**2, "opacity": 0.0}],
-              integration={"filter": "catmull-rom", "classification": "preintegrated"})  # fmt: skip
+    integration = {"filter": "catmull-rom", "classification": "preintegrated"}
+    surface = {"value": 7.5**2, "opacity": 0.0}
+    s = scene(ramp() ** 2, function, isosurface=[surface], integration=integration)
     shift = -(3.0**2) * 2 / 12  # -s'' h^2 / 12
     chords = [(0, 9, 0), (9, 36, shift), (36, 56.25, 0), (56.25, 81, 0), (81, 144, shift)]
     depth = 0.0
