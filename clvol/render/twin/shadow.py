@@ -12,7 +12,7 @@ from clvol.render.twin.shade import toward
 from clvol.render.twin.surfaces import crossings
 from clvol.volume import Grid
 
-CONE_DIRECTIONS = 16
+CONE_DIRECTIONS = 13
 _SUBDIVISIONS = 8  # within a step of a shadow ray
 
 
