@@ -34,6 +34,10 @@ typedef struct {
   float4 factor_scale;                       /* entries a magnitude (per edge) of each */
 } Effects;
 
+/* SHADOWS, see shadow.h. */
+#define SHADOWS_BY_RAYS 1
+#define SHADOWS_BY_VOLUME 2
+
 /* What is counted beside samples: one number each a tile. clvol/render/effects.py names them in this order. */
 #define COUNT_GRADIENTS 0        /* gradients reconstructed */
 #define COUNT_LIT 1              /* samples lit */

@@ -34,9 +34,6 @@
 #include "fields.h"
 #endif
 
-#define SHADOWS_BY_RAYS 1
-#define SHADOWS_BY_VOLUME 2
-
 #define SURFACE_OFFSET 0.1f
 #define SHADOW_STEPS 8 /* between looks at the distance map */
 /* Voxels that are not finite part a volume in pieces, and which side of a surface one is on says nothing about the next. */
