@@ -7,8 +7,8 @@
  *
  * The volume before and behind a surface is composited in order: the segment is cut there.
  *
- * Three items a surface, iso-values ascending: (value, opacity, index of refraction, optical depth of that opacity), front colour, back colour. Front is seen by
- * a ray along which the value rises.
+ * Three items a surface, iso-values ascending: (value, opacity, index of refraction, optical depth of that opacity), front colour, back
+ * colour. Front is seen by a ray along which the value rises.
  */
 #ifndef SURFACES_H
 #define SURFACES_H
