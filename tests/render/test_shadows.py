@@ -122,7 +122,8 @@ def test_lengths_are_the_worlds_on_any_grid(context, shadow):
     of = shadowed(BLOCK, constant_function(unit=2.0), light, shadow, grid=grid)
     along = np.array(grid["direction"]).T @ (way / np.linalg.norm(way))  # along the grid's axes
     places = inside(64, 4.0, 8.0)
-    expected = np.exp(-0.5 * TAU * to_exit(places * grid["spacing"], along, SIDE * np.array(grid["spacing"])))
+    spacing = np.array(grid["spacing"])
+    expected = np.exp(-0.5 * TAU * to_exit(places * spacing, along, SIDE * spacing))
     atol = 1e-5 if shadow is RAYS else 2e-3
     np.testing.assert_allclose(share(context, of, places), expected, atol=atol)
 
@@ -137,7 +138,8 @@ def test_a_point_light_in_the_volume_is_as_far_as_it_is(context, shadow):
 
 
 def test_a_slab_of_one_voxel_is_one_voxel_thick(context):
-    of = shadowed(np.zeros((1, 16, 16), np.float32), light={"type": "directional", "direction": [0, 0, -1]})
+    light = {"type": "directional", "direction": [0, 0, -1]}
+    of = shadowed(np.zeros((1, 16, 16), np.float32), light=light)
     # Lattice coordinates: such an axis runs from 0 to 1.
     np.testing.assert_allclose(share(context, of, [[7, 7, 0.25]]), np.exp(-TAU * 0.75), atol=1e-5)
 
@@ -155,7 +157,7 @@ def test_an_opaque_slab_hides_light_wholly(context, shadow):
 
 
 def test_a_half_space_casts_its_shadow_where_geometry_says(context):
-    """All above x = 10 is opaque: a ray to the light meets it if it does so below the volume's top."""
+    """All above x = 10 is opaque: a ray to the light meets it, or leaves the volume before."""
     step = 0.05
     of = shadowed(ramp(axis=2).astype(np.float32), OPAQUE_ABOVE_TEN, shadow={**RAYS, "step": step})
     places = inside(4000, [0, 0, 0], [9.9, 15, 15])
@@ -363,7 +365,8 @@ def test_a_sphere_lit_from_the_side_has_a_lit_half(context, shadow):
                          ids=["directional", "point"])  # fmt: skip
 def test_scattered_light_is_the_mean_over_a_cone(context, light):
     color, s, degrees = np.array([1.0, 0.5, 0.0]), 0.6, 40.0
-    shadow = {"scattering": s, "scatter_color": list(color), "cone_degrees": degrees, "resolution": 16}
+    shadow = {"scattering": s, "scatter_color": list(color), "cone_degrees": degrees,
+              "resolution": 16}  # fmt: skip
     of = shadowed(BLOCK, light=light, shadow=shadow)
     places = inside(64).round()
     if light["type"] == "point":
@@ -442,7 +445,8 @@ def test_only_faces_towards_a_light_cast_rays(context):
 @pytest.mark.parametrize("light", [{"type": "headlight"}, {**SLANTED, "casts_shadow": False}],
                          ids=["headlight", "casts-none"])  # fmt: skip
 def test_lights_without_shadows_call_for_none(context, light):
-    of, bare = (shadowed(ball(), BALL, light, s, image={"width": 8, "height": 8}) for s in (RAYS, None))
+    image = {"width": 8, "height": 8}
+    of, bare = (shadowed(ball(), BALL, light, s, image=image) for s in (RAYS, None))
     assert effect_switches(of) == effect_switches(bare)
     assert np.array_equal(picture(context, of).rgba, picture(context, bare).rgba)
 
