@@ -1,7 +1,8 @@
 """Whether any sample of a volume has both opacity and a gradient: proved absent, or taken as there.
 
 Cells of the lattice are looked at in bars from the middle of the volume outwards, where most
-volumes show one in the first; only if there is none every voxel is read.
+volumes show one in the first. A bar is read cell by cell only if its range of values shows at
+all, and not more than so many bars are: after them a sample is taken as there.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from clvol.scene.resolve import ResolvedScene
 from clvol.transfer import TransferFunction
 
 _BAR = (4, 32)  # cells along z and y of what is looked at together; all along x
+_MOST_BARS = 32  # that are read cell by cell
 _CHUNK = 2**14  # and of those in which the value varies
 _LARGEST_REACH = 8  # cells about one: with more, nothing is proved
 _found: WeakKeyDictionary = WeakKeyDictionary()  # volume: {what was asked: answer}
@@ -47,11 +49,42 @@ def opacity_meets_gradient(scene: ResolvedScene, anywhere: bool) -> bool:
     asked = (functions, reach, widen)
     answers = _found.setdefault(scene.volume, {})
     if asked not in answers:
-        answers[asked] = any(
-            _in_bar(scene.volume.data, start, functions, reach, widen)
-            for start in _from_the_middle(scene.volume.shape)
-        )
+        answers[asked] = _any_bar(scene.volume.data, functions, reach, widen)
     return answers[asked]
+
+
+def _any_bar(
+    data: np.ndarray, functions: tuple[TransferFunction, ...] | None, reach: int, widen: float
+) -> bool:
+    """Whether any cell can show a value while its gradient is not 0. A value comes from the corners of
+    a cell and ``reach`` voxels around them, and lies within ``widen`` of their range about it."""
+    read = 0
+    for start in _from_the_middle(data.shape):
+        if not _bar_can_show(data, start, functions, max(reach, 1), widen):
+            continue
+        read += 1
+        if read > _MOST_BARS or _in_bar(data, start, functions, reach, widen):
+            return True
+    return False
+
+
+def _bar_can_show(
+    data: np.ndarray,
+    start: tuple[int, int],
+    functions: tuple[TransferFunction, ...] | None,
+    pad: int,
+    widen: float,
+) -> bool:
+    """Whether the values of a bar and ``pad`` voxels around it vary, and any between them shows."""
+    z, y = (slice(max(f - pad, 0), f + n + 1 + pad) for f, n in zip(start, _BAR))
+    bar = data[z, y]
+    low, high = bar.min(), bar.max()
+    if not (np.isfinite(low) and np.isfinite(high)):
+        finite = bar[np.isfinite(bar)]
+        low, high = (finite.min(), finite.max()) if finite.size else (0, 0)
+    if low == high or functions is None:
+        return bool(low < high)
+    return _any_shows(functions, np.array([low]), np.array([high]), widen)
 
 
 def _from_the_middle(shape: tuple[int, ...]) -> Iterator[tuple[int, int]]:
