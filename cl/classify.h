@@ -196,7 +196,7 @@ INLINE void composite_sample_tail(Accumulator *acc, ClassCoordinate at, floatN l
  * of a lane's voxels are scalar. An opaque voxel's extinction is a large finite number, so that
  * zero weight times it is zero; what it touches is opaque all the same.
  */
-#if FILTER != FILTER_CUBIC
+#if !WIDE_FILTER
 #define TAPS 8
 
 INLINE void filter_taps(FetchedSample s, __constant const View *view, floatN *value, floatN *weight)
@@ -246,11 +246,15 @@ INLINE void classified_samples(FetchedSample s, __constant const View *view, __g
       emission_extinction[k] += weight[k] * (r.lo + f[k] * (r.hi - r.lo));
     }
   }
+#if FILTER == FILTER_CATMULL_ROM
+  /* Negative weights may leave less than no light and no medium. */
+  EACH_LANE_ROLLED(k) emission_extinction[k] = fmax(emission_extinction[k], 0.0f);
+#endif
 #if MAY_BE_NAN
   /* One voxel that is not finite, used, makes the whole sample transparent. */
   floatN sum = 0.0f;
   for (int v = 0; v < TAPS; ++v)
-    sum += select((floatN)0.0f, value[v] - value[v], MASK(tap_weight[v] > 0.0f));
+    sum += select((floatN)0.0f, value[v] - value[v], MASK(tap_weight[v] != 0.0f));
   float bad[LANES];
   STORE_LANES(sum, bad);
   EACH_LANE_ROLLED(k) if (bad[k] != 0.0f) emission_extinction[k] = 0.0f;

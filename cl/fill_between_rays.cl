@@ -46,8 +46,9 @@ __kernel WIDE_VECTORS void fill_between_rays(__global const uchar *restrict volu
                                              __constant const View *restrict view, __global const float4 *restrict coarse,
                                              __global const float *restrict coarse_depths, __global float4 *restrict image,
                                              __global float *restrict depths, __global uint *restrict samples,
-                                             __global uint *restrict rays)
+                                             __global uint *restrict rays EFFECT_PARAMETERS)
 {
+  EFFECT_TALLY
   const int width = view->image.x, height = view->image.y;
   const int columns = max(1, (width + view->image.z - 1) / view->image.z);
   const int tile = (int)get_global_id(0) + view->band.x;
@@ -75,7 +76,7 @@ __kernel WIDE_VECTORS void fill_between_rays(__global const uchar *restrict volu
     float rgba[4 * LANES], depth[LANES];
     uint taken[LANES];
     for (int k = waiting; k < LANES; ++k) column[k] = width, row[k] = height; /* outside: no ray */
-    render_packet(volume, table, warp, distances, view, LOAD_LANES(column), LOAD_LANES(row), rgba, depth, taken);
+    render_packet(volume, table, warp, distances, view EFFECT_ARGUMENTS, LOAD_LANES(column), LOAD_LANES(row), rgba, depth, taken);
     for (int k = 0; k < waiting; ++k) {
       const size_t pixel = (size_t)row[k] * width + column[k];
       image[pixel] = vload4(k, rgba);
@@ -87,6 +88,7 @@ __kernel WIDE_VECTORS void fill_between_rays(__global const uchar *restrict volu
     traced += (uint)waiting;
     waiting = 0;
   }
+  EFFECT_STORE_TALLY(tile)
   samples[tile] = total;
   rays[tile] = traced;
 }

@@ -16,8 +16,9 @@
 __kernel WIDE_VECTORS void raycast(__global const uchar *restrict volume, __global const float *restrict table,
                                    __global const float *restrict warp, __global const uchar *restrict distances,
                                    __constant const View *restrict view, __global float4 *restrict image,
-                                   __global float *restrict depths, __global uint *restrict samples)
+                                   __global float *restrict depths, __global uint *restrict samples EFFECT_PARAMETERS)
 {
+  EFFECT_TALLY
   const int width = view->image.x, height = view->image.y;
   const int columns = max(1, (width + view->image.z - 1) / view->image.z);
   const int tile = (int)get_global_id(0) + view->band.x;
@@ -29,7 +30,7 @@ __kernel WIDE_VECTORS void raycast(__global const uchar *restrict volume, __glob
       uint taken[LANES];
       const intN lane = LANE_INDEX;
       const intN px = column + (lane & (PACKET_W - 1)), py = row + lane / PACKET_W;
-      render_packet(volume, table, warp, distances, view, px, py, rgba, depth, taken);
+      render_packet(volume, table, warp, distances, view EFFECT_ARGUMENTS, px, py, rgba, depth, taken);
       EACH_LANE(k)
       {
         const int x = column + k % PACKET_W, y = row + k / PACKET_W;
@@ -45,8 +46,9 @@ __kernel WIDE_VECTORS void raycast(__global const uchar *restrict volume, __glob
         }
       }
     }
+  EFFECT_STORE_TALLY(tile)
   samples[tile] = total;
 }
 
-/* The size of View on the device: the host compares it with its own. */
-__kernel void view_size(__global uint *size) { size[0] = (uint)sizeof(View); }
+/* The sizes of View and Effects on the device: the host compares them with its own. */
+__kernel void view_size(__global uint *size) { size[0] = (uint)sizeof(View), size[1] = (uint)sizeof(Effects); }

@@ -13,6 +13,7 @@
 
 #include "lanes.h"
 #include "view.h"
+#include "effects.h"
 #include "rays.h"
 #include "classify.h"
 #include "skip_empty.h"
@@ -35,7 +36,9 @@ INLINE floatN median_step(floatN median, floatN before, floatN after, floatN t0,
   return select(median, t0 + f * (t1 - t0), passes);
 }
 
-#if QUADRATURE == QUADRATURE_CELLS
+#if EFFECTS
+#include "march_effects.h"
+#elif QUADRATURE == QUADRATURE_CELLS
 #include "march_cells.h"
 #else
 

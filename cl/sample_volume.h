@@ -9,10 +9,64 @@
 #include "features.h"
 #include "fetch_voxel.h"
 
+#define WIDE_FILTER (FILTER == FILTER_CUBIC || FILTER == FILTER_CATMULL_ROM)
+
 /* The lower corner of the lattice cell that holds a coordinate: 0 .. size - 2, also at the upper face. */
 INLINE intN cell_index(floatN x, int size) { return min(TO_INT(x), (intN)(size - 2)); }
 
-#if FILTER != FILTER_CUBIC
+/* a + f (b - a), so that a constant cell gives exactly its constant. VOXEL_HOLES: some voxel is not finite, and what has
+ * weight 0 must not count, since 0 times it is not 0. */
+INLINE floatN mix_corners(floatN a, floatN b, floatN f)
+{
+  const floatN mixed = a + f * (b - a);
+#if VOXEL_HOLES
+  return select(select(mixed, a, MASK(f == 0.0f)), b, MASK(f == 1.0f));
+#else
+  return mixed;
+#endif
+}
+
+/* Four voxels in a row, index - 1 ... index + 2, with weights w0 ... w3, in the two blocks of two that fetch_voxel.h fetches.
+ * Beyond the volume its outermost voxels count: there (`first`, `last`) a block moves inwards and its two weights fall on
+ * the one voxel. */
+typedef struct {
+  intN low, high;        /* where the two blocks begin */
+  floatN w0, w1, w2, w3; /* of their voxels */
+} SplineAxis;
+
+INLINE SplineAxis axis_in_blocks(intN index, intN first, intN last, floatN w0, floatN w1, floatN w2, floatN w3)
+{
+  SplineAxis a;
+  const floatN zero = 0.0f;
+  a.low = index - select((intN)1, (intN)0, first), a.high = index + select((intN)1, (intN)0, last);
+  a.w0 = select(w0, w0 + w1, first), a.w1 = select(w1, zero, first);
+  a.w2 = select(w2, zero, last), a.w3 = select(w3, w2 + w3, last);
+  return a;
+}
+
+/* A weighted mean counted from the first voxel that has weight: equal values give exactly that value, and what has weight 0 does
+ * not count even if it is not finite. Where weights add up to 0, `sum` alone is what they give. */
+typedef struct {
+  floatN base, sum;
+  intN begun;
+} BasedSum;
+
+INLINE void add_weighted(BasedSum *s, floatN weight, floatN value)
+{
+  const intN counts = MASK(weight != 0.0f);
+  s->base = select(s->base, value, counts & ~s->begun);
+  s->begun |= counts;
+  s->sum += select((floatN)0.0f, weight * (value - s->base), counts);
+}
+
+INLINE BasedSum based_sum(floatN p0, floatN p1, floatN p2, floatN p3, SplineAxis a)
+{
+  BasedSum s = {0.0f, 0.0f, 0};
+  add_weighted(&s, a.w1, p1), add_weighted(&s, a.w2, p2), add_weighted(&s, a.w0, p0), add_weighted(&s, a.w3, p3);
+  return s;
+}
+
+#if !WIDE_FILTER
 
 typedef struct {
   FetchedCorners corners;
@@ -29,18 +83,6 @@ INLINE FetchedSample fetch_linear(__global const uchar *volume, __constant const
   s.fx = x - TO_FLOAT(ix), s.fy = y - TO_FLOAT(iy), s.fz = z - TO_FLOAT(iz);
   s.corners = fetch_corners(volume, view, ix, iy, iz);
   return s;
-}
-
-/* a + f (b - a), so that a constant cell gives exactly its constant. VOXEL_HOLES: some voxel is not finite, and what has
- * weight 0 must not count, since 0 times it is not 0. */
-INLINE floatN mix_corners(floatN a, floatN b, floatN f)
-{
-  const floatN mixed = a + f * (b - a);
-#if VOXEL_HOLES
-  return select(select(mixed, a, MASK(f == 0.0f)), b, MASK(f == 1.0f));
-#else
-  return mixed;
-#endif
 }
 
 INLINE floatN linear_value(FetchedSample s, __constant const View *view)
@@ -76,36 +118,41 @@ INLINE floatN nearest_value(FetchedSample s, __constant const View *view)
 
 #else
 
-/* Tricubic: the voxels are the coefficients of a uniform cubic B-spline (no prefilter), 64 a sample, in the eight blocks of
- * 2^3 that fetch_voxel.h fetches. (Sigg and Hadwiger, GPU Gems 2 ch. 20, read the same blocks by a sampler's trilinear look-ups,
- * whose places take six divisions. Without a sampler the plain weights do.) Beyond the volume its outermost voxels count:
- * there a block moves inwards and its two weights fall on the one voxel.
+/* Filters of 64 voxels a sample, in the eight blocks of 2^3 that fetch_voxel.h fetches. (Sigg and Hadwiger, GPU Gems 2 ch. 20,
+ * read the same blocks of the B-spline by a sampler's trilinear look-ups, whose places take six divisions. Without a sampler
+ * the plain weights do.)
+ *
+ * cubic        the voxels are the coefficients of a uniform cubic B-spline (no prefilter here: clvol/render/prefilter.py)
+ * catmull-rom  Catmull and Rom 1974: the piecewise cubic through the voxels with central differences as its slopes there;
+ *              overshoots, since its outer weights are negative: clvol/features.py has by how much
  */
-typedef struct {
-  intN low, high;        /* where the two blocks begin */
-  floatN w0, w1, w2, w3; /* of their voxels; the sum is 1 */
-} SplineAxis;
-
 typedef struct {
   __global const uchar *volume;
   SplineAxis x, y, z;
 } FetchedSample;
 
+#if FILTER == FILTER_CUBIC
 /* A block also moves where its outer voxel has no weight (u = 0 or 1), so that what it holds (NaN, say) does not matter. */
 INLINE SplineAxis spline_axis(floatN x, int size)
 {
-  SplineAxis a;
   const intN index = cell_index(x, size);
   const floatN u = x - TO_FLOAT(index), v = 1.0f - u;
   const floatN w0 = v * v * v * (1.0f / 6.0f), w3 = u * u * u * (1.0f / 6.0f);
   const floatN w1 = 2.0f / 3.0f - u * u * (1.0f - 0.5f * u), w2 = 2.0f / 3.0f - v * v * (1.0f - 0.5f * v);
-  const intN first = MASK(index == 0) | MASK(w0 == 0.0f), last = MASK(index == size - 2) | MASK(w3 == 0.0f);
-  const floatN zero = 0.0f;
-  a.low = index - select((intN)1, (intN)0, first), a.high = index + select((intN)1, (intN)0, last);
-  a.w0 = select(w0, w0 + w1, first), a.w1 = select(w1, zero, first);
-  a.w2 = select(w2, zero, last), a.w3 = select(w3, w2 + w3, last);
-  return a;
+  return axis_in_blocks(index, MASK(index == 0) | MASK(w0 == 0.0f), MASK(index == size - 2) | MASK(w3 == 0.0f), w0, w1, w2, w3);
 }
+#define LOOSE_WEIGHTS 0 /* the second voxel of a row always has weight */
+#else
+INLINE SplineAxis spline_axis(floatN x, int size)
+{
+  const intN index = cell_index(x, size);
+  const floatN u = x - TO_FLOAT(index), v = 1.0f - u;
+  const floatN w0 = -0.5f * u * v * v, w3 = -0.5f * v * u * u;
+  const floatN w1 = 1.0f - u * u * (2.5f - 1.5f * u), w2 = 1.0f - v * v * (2.5f - 1.5f * v);
+  return axis_in_blocks(index, MASK(index == 0), MASK(index == size - 2), w0, w1, w2, w3);
+}
+#define LOOSE_WEIGHTS VOXEL_HOLES
+#endif
 
 INLINE FetchedSample fetch_cubic(__global const uchar *volume, __constant const View *view, floatN x, floatN y, floatN z)
 {
@@ -117,10 +164,15 @@ INLINE FetchedSample fetch_cubic(__global const uchar *volume, __constant const 
   return s;
 }
 
-/* The weighted mean of four, counted from the second: equal values give exactly that value, and since the others never have more
- * than 5/6 of the weight, rounding never takes the mean beyond the largest or the smallest value. Leaping relies on that. */
+/* The weighted mean of four, counted from the second: equal values give exactly that value, and since of the B-spline the others
+ * never have more than 5/6 of the weight, rounding never takes its mean beyond the largest or the smallest value. Leaping relies
+ * on that. */
 INLINE floatN spline_mean(floatN p0, floatN p1, floatN p2, floatN p3, SplineAxis a)
 {
+#if LOOSE_WEIGHTS
+  const BasedSum s = based_sum(p0, p1, p2, p3, a);
+  return s.base + s.sum;
+#endif
   return p1 + (a.w0 * (p0 - p1) + a.w2 * (p2 - p1) + a.w3 * (p3 - p1));
 }
 
@@ -128,7 +180,7 @@ INLINE floatN spline_mean(floatN p0, floatN p1, floatN p2, floatN p3, SplineAxis
  * compilers take minutes over the straight line. */
 INLINE floatN cubic_value(FetchedSample s, __constant const View *view)
 {
-  floatN base = 0.0f, sum = 0.0f;
+  BasedSum all = {0.0f, 0.0f, 0};
   _Pragma("unroll 1") for (int block = 0; block < 4; ++block) {
     const int behind = block >> 1, below = block & 1;
     const intN y = below ? s.y.high : s.y.low, z = behind ? s.z.high : s.z.low;
@@ -136,13 +188,17 @@ INLINE floatN cubic_value(FetchedSample s, __constant const View *view)
     const floatN wz0 = behind ? s.z.w2 : s.z.w0, wz1 = behind ? s.z.w3 : s.z.w1;
     const Corners a = decode_corners(fetch_corners(s.volume, view, s.x.low, y, z), view);
     const Corners b = decode_corners(fetch_corners(s.volume, view, s.x.high, y, z), view);
-    const floatN v11 = spline_mean(a.v011, a.v111, b.v011, b.v111, s.x);
-    if (block == 0) base = v11;
-    sum += wz0 * (wy0 * (spline_mean(a.v000, a.v100, b.v000, b.v100, s.x) - base) +
-                  wy1 * (spline_mean(a.v010, a.v110, b.v010, b.v110, s.x) - base)) +
-           wz1 * (wy0 * (spline_mean(a.v001, a.v101, b.v001, b.v101, s.x) - base) + wy1 * (v11 - base));
+    const floatN v00 = spline_mean(a.v000, a.v100, b.v000, b.v100, s.x), v10 = spline_mean(a.v010, a.v110, b.v010, b.v110, s.x);
+    const floatN v01 = spline_mean(a.v001, a.v101, b.v001, b.v101, s.x), v11 = spline_mean(a.v011, a.v111, b.v011, b.v111, s.x);
+#if LOOSE_WEIGHTS
+    add_weighted(&all, wz0 * wy0, v00), add_weighted(&all, wz0 * wy1, v10);
+    add_weighted(&all, wz1 * wy0, v01), add_weighted(&all, wz1 * wy1, v11);
+#else
+    if (block == 0) all.base = v11;
+    all.sum += wz0 * (wy0 * (v00 - all.base) + wy1 * (v10 - all.base)) + wz1 * (wy0 * (v01 - all.base) + wy1 * (v11 - all.base));
+#endif
   }
-  return base + sum;
+  return all.base + all.sum;
 }
 
 #endif
@@ -155,7 +211,7 @@ INLINE floatN cubic_value(FetchedSample s, __constant const View *view)
 #define fetch_sample fetch_nearest
 #define sample_value nearest_value
 #define FETCH_AHEAD 1
-#elif FILTER == FILTER_CUBIC
+#elif WIDE_FILTER
 #define fetch_sample fetch_cubic
 #define sample_value cubic_value
 #define FETCH_AHEAD 0

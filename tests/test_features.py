@@ -10,15 +10,26 @@ from small_scenes import SMOOTH, make_scene, waves
 
 from clvol import TransferFunction, Volume
 from clvol.errors import SceneError
-from clvol.features import CLASSIFICATIONS, FILTERS, explain, kernel_hash, refuse_unknown
+from clvol.features import (
+    CLASSIFICATIONS,
+    FILTERS,
+    GRADIENTS,
+    explain,
+    kernel_hash,
+    refuse_unknown,
+)
 from clvol.opencl.kernels_path import kernel_folder
 from clvol.scene import Clip, ImageSettings, Isosurface, Light, Scene
 
 
-@pytest.mark.parametrize("prefix, table", [("FILTER", FILTERS), ("CLASSIFICATION", CLASSIFICATIONS)])
+@pytest.mark.parametrize(
+    "prefix, table",
+    [("FILTER", FILTERS), ("CLASSIFICATION", CLASSIFICATIONS), ("GRADIENT", GRADIENTS)],
+)
 def test_the_vocabulary_is_one(prefix, table):
     text = (kernel_folder() / "features.h").read_text()
-    found = {m[1].lower(): int(m[2]) for m in re.finditer(rf"#define {prefix}_(\w+) (\d+)", text)}
+    matches = re.finditer(rf"#define {prefix}_(\w+) (\d+)", text)
+    found = {m[1].lower().replace("_", "-"): int(m[2]) for m in matches}
     assert found == table
 
 

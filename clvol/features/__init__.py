@@ -18,14 +18,17 @@ from clvol.features.vocabulary import (
     CLASSIFICATIONS,
     FILTER_REACH,
     FILTERS,
+    GRADIENTS,
     METHODS,
     QUADRATURES,
+    overshoot,
 )
 
 __all__ = [
     "CLASSIFICATIONS",
     "FILTERS",
     "FILTER_REACH",
+    "GRADIENTS",
     "METHODS",
     "NAMES",
     "NEUTRAL",
@@ -36,6 +39,7 @@ __all__ = [
     "explain",
     "is_lit",
     "kernel_hash",
+    "overshoot",
     "reduced",
     "refuse_unknown",
 ]

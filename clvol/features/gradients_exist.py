@@ -14,7 +14,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from clvol.features.findings import has_no_gradient
-from clvol.features.values import overshoot
+from clvol.features.values import field_overshoot
 from clvol.features.vocabulary import FILTER_REACH
 from clvol.scene.resolve import ResolvedScene
 from clvol.transfer import TransferFunction
@@ -43,7 +43,7 @@ def opacity_meets_gradient(scene: ResolvedScene, anywhere: bool) -> bool:
         return True
     layers = (layer.function for layer in scene.transfer_layers)
     functions = None if anywhere else (scene.transfer_function, *layers)
-    widen = overshoot(scene)
+    widen = field_overshoot(scene)
     if integration.classification == "preintegrated":
         widen += 1.0  # chords are shifted by their curvature
     asked = (functions, reach, widen)

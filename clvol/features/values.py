@@ -4,27 +4,26 @@ from __future__ import annotations
 
 import numpy as np
 
+from clvol.features.vocabulary import overshoot
 from clvol.scene.resolve import ResolvedScene
 from clvol.transfer import TransferFunction
 
-# A filter whose weights have absolute values that sum to L leaves the range of the voxels by at most
-# (L - 1) / 2 of it on either side. Along an axis L is 1.25 for Catmull-Rom; the inverse of the
-# B-spline's samples, (1, 4, 1) / 6 in each row, has rows of sum 3 or less, being dominated by its
-# diagonal.
-_CATMULL_ROM = 0.5 * (1.25**3 - 1.0)
-_PREFILTERED = 0.5 * (3.0**3 - 1.0)
+# A prefilter whose rows have absolute values that sum to L leaves the range of the voxels by at most
+# (L - 1) / 2 of it on either side. Along an axis L is 3 or less: the B-spline's samples, of which the
+# prefilter is the inverse, are (1, 4, 1) / 6 in each row, dominated by the diagonal.
+_COEFFICIENTS = 3.0**3
 # The largest derivative, in ranges of the values an index: absolute derivatives of the weights sum to
 # at most 3 for Catmull-Rom and 2 for the B-spline; half of that is what a range can give.
 _STEEPEST = {"nearest": 1.0, "linear": 1.0, "cubic": 1.0, "catmull-rom": 1.5 * 1.25**2}
 _ROUNDING = 1.05  # of quantised gradients
 
 
-def overshoot(scene: ResolvedScene) -> float:
+def field_overshoot(scene: ResolvedScene) -> float:
     """By how much of its range the field may leave it on either side."""
     integration = scene.integration
-    if integration.filter == "catmull-rom":
-        return _CATMULL_ROM
-    return _PREFILTERED if integration.filter == "cubic" and integration.prefilter else 0.0
+    if integration.filter == "cubic" and integration.prefilter:
+        return 0.5 * (_COEFFICIENTS - 1.0)
+    return overshoot(integration.filter)
 
 
 def reachable(scene: ResolvedScene) -> tuple[float, float]:
@@ -32,7 +31,7 @@ def reachable(scene: ResolvedScene) -> tuple[float, float]:
     low, high = scene.volume.value_range
     largest = np.finfo(np.float64).max
     with np.errstate(over="ignore"):
-        widen = overshoot(scene) * np.float64(high - low) + noise_reach(scene)
+        widen = field_overshoot(scene) * np.float64(high - low) + noise_reach(scene)
         return float(max(low - widen, -largest)), float(min(high + widen, largest))
 
 
@@ -58,7 +57,7 @@ def steepest(scene: ResolvedScene) -> float:
     low, high = scene.volume.value_range
     share = _STEEPEST[scene.integration.filter]
     if scene.integration.filter == "cubic" and scene.integration.prefilter:
-        share *= 27.0
+        share *= _COEFFICIENTS
     to_index = scene.volume.grid.world_to_index()[:3, :3]
     with np.errstate(over="ignore"):
         return float(

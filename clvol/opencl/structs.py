@@ -22,3 +22,20 @@ def view_dtype(voxel_bits: int) -> np.dtype:
         + [("voxel_double", *double)]
         + [(name, "i4", 4) for name in _INT4]
     )
+
+
+_EFFECTS_FLOAT4 = (
+    "local_x", "local_y", "local_z", "gradient_x", "gradient_y", "gradient_z", "gradient_scale",
+    "material", "shading", "depth_cue", "depth_color", "projection", "shadow", "light_grid",
+    "environment", "cycle", "noise_bound",
+)  # fmt: skip
+_EFFECTS_INT4 = ("counts", "first", "light_size", "maps", "map_offsets", "factors")
+
+
+def effects_dtype() -> np.dtype:
+    """``Effects`` of cl/effects.h."""
+    return np.dtype(
+        [(name, "f4", 4) for name in _EFFECTS_FLOAT4]
+        + [(name, "i4", 4) for name in _EFFECTS_INT4]
+        + [("factor_scale", "f4", 4)]
+    )

@@ -33,6 +33,28 @@ def visible_mask(
     return any_value & np.where(first == last, at[first], before[last] > before[first])
 
 
+def surface_mask(volume: DeviceVolume, filter: str, levels: list[float]) -> np.ndarray:
+    """bool [z, y, x]: whether what ``filter`` interpolates in a cell can take one of ``levels``."""
+    lowest, highest = volume.bounds(FILTER_REACH[filter])
+    mask = np.zeros(lowest.shape, bool)
+    for level in levels:
+        mask |= (lowest <= level) & (level <= highest)
+    return mask
+
+
+def dilated(mask: np.ndarray) -> np.ndarray:
+    """``mask`` and all cells next to it, diagonally too."""
+    for axis in range(mask.ndim):
+        grown = mask.copy()
+        ahead = [slice(None)] * mask.ndim
+        behind = list(ahead)
+        ahead[axis], behind[axis] = slice(1, None), slice(None, -1)
+        grown[tuple(ahead)] |= mask[tuple(behind)]
+        grown[tuple(behind)] |= mask[tuple(ahead)]
+        mask = grown
+    return mask
+
+
 def distance_map(context: DeviceContext, mask: np.ndarray) -> DeviceArray:
     """uint8 [z, y, x] on the device: distance in cells (maximum norm, at most 255) to the nearest
     cell of ``mask``; 0 in it."""

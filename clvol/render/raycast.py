@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from clvol.errors import RenderError
 from clvol.features import CLASSIFICATIONS, FILTERS, QUADRATURES
 from clvol.opencl.context import DeviceContext, restore_interrupts
-from clvol.opencl.structs import view_dtype
+from clvol.opencl.structs import effects_dtype, view_dtype
 from clvol.render.device_volume import DeviceVolume
-from clvol.render.empty_space import distance_map, visible_mask
+from clvol.render.effects import ARGUMENTS as _EFFECT_ARGUMENTS
+from clvol.render.effects import COUNTERS, EffectState, effect_switches
+from clvol.render.empty_space import dilated, distance_map, surface_mask, visible_mask
 from clvol.render.layout import CELL_SHIFT, value_map, voxel_switches
 from clvol.render.view import EVERY_PIXEL, PixelLattice, RayFrame, ray_frame
 from clvol.scene.camera import Camera
@@ -58,6 +60,7 @@ def raycast_switches(
         "WARPED_CLASSES": int(warped),
         "SKIP_EMPTY": int(skip),
         "WITH_DEPTH": int(depth),
+        **effect_switches(resolved),
     }
 
 
@@ -91,12 +94,13 @@ def parts_of_cell(step: float) -> int:
 
 @dataclass
 class FrameData:
-    """A picture as in ``Frame``, and how many samples and rays it took."""
+    """A picture as in ``Frame``, how many samples and rays it took, and what its effects counted."""
 
     rgba: np.ndarray
     depth: np.ndarray | None
     samples: int
     rays: int
+    counters: dict[str, int] = field(default_factory=dict)
 
 
 class Raycaster:
@@ -123,9 +127,11 @@ class Raycaster:
         self.skip = skip
         self.tile = tile if self.lanes > 1 else (1, 1)
         self.volume = volume or DeviceVolume(context, resolved.volume)
+        self.effects = EffectState(context, resolved, self.volume)
         self.set_transfer_function(resolved.transfer_function)
         self._view_dtype = view_dtype(self.volume.switches["VOXEL_BITS"])
         self._warm: set[tuple] = set()
+        self._tally = None
         self._none = context.empty(np.float32, (4,))
         self._view = context.empty(self._view_dtype, (1,))
         self._check_struct()
@@ -142,6 +148,8 @@ class Raycaster:
         mask = visible_mask(
             self.volume, resolved.integration.filter, self.nodes, visible, at_nodes
         )
+        if resolved.isosurfaces:
+            mask |= self._surface_cells()
         self.visible_share = float(mask.mean())
         self.distances = distance_map(context, mask)
         warp = self.nodes.warp
@@ -150,11 +158,26 @@ class Raycaster:
             resolved, warped=warp is not None, lanes=self.lanes, skip=self.skip
         )
 
+    def _surface_cells(self) -> np.ndarray:
+        """bool [z, y, x]: cells in which an iso-surface can be. Tells the effects, which look a step
+        around."""
+        levels = [float(self.volume.values(s.value)) for s in self.resolved.isosurfaces]
+        mask = surface_mask(self.volume, self.resolved.integration.filter, levels)
+        reach = self.resolved.integration.step / (1 << CELL_SHIFT)
+        around = dilated(mask) if reach < 1 else np.ones_like(mask)
+        self.effects.set_surfaces(around)
+        return mask
+
     def _build_table(self) -> None:
         integration, nodes = self.resolved.integration, self.nodes.values
         arguments = self.context, self._function, nodes
         kind = segment_classification(integration)
-        if integration.quadrature == "cells":  # whatever the step: pieces are of any length
+        if self.effects.switches:  # any channel may change by itself, and segments be cut
+            if kind == "preintegrated":
+                self.table = depths_table(*arguments, self.length)
+            else:
+                self.table = constant_table(*arguments, self.length, "extinction_table")
+        elif integration.quadrature == "cells":  # whatever the step: pieces are of any length
             if kind == "preintegrated":
                 self.table = depths_table(*arguments, self._piece)
             else:
@@ -202,7 +225,7 @@ class Raycaster:
         """
         grid, context = self.resolved.volume.grid, self.context
         lattice_width, lattice_height = lattice.size(width, height)
-        if not self.visible_share:  # nothing can be seen: no ray needs to be cast
+        if self._shows_nothing:  # nothing can be seen: no ray needs to be cast
             shape = (lattice_height, lattice_width)
             nowhere = np.full(shape, np.inf, np.float32) if depth else None
             return FrameData(np.zeros((*shape, 4), np.float32), nowhere, 0, 0)
@@ -225,6 +248,7 @@ class Raycaster:
         self._launches("raycast", view, tiles[0], depth, report(0),
                        image=image, depths=depths, samples=samples)  # fmt: skip
         counted = [samples]
+        tallies = [self._tally]
         if fills:
             view = self._frame_view(ray_frame(camera, grid, width, height), width, height)
             view["band"][0, 1:] = (spacing, lattice_width, lattice_height)
@@ -236,20 +260,30 @@ class Raycaster:
             self._launches("fill_between_rays", view, tiles[1], depth, report(1),
                            coarse=coarse, coarse_depths=coarse_depths, image=image,
                            depths=depths, samples=counted[1], rays=added)  # fmt: skip
+            tallies.append(self._tally)
             rays += int(context.take(added).sum(dtype=np.uint64))
             context.take(coarse)
             if depth:
                 context.take(coarse_depths)
         taken = sum(int(context.take(count).sum(dtype=np.uint64)) for count in counted)
         rgba = context.take(image)
-        return FrameData(rgba, context.take(depths) if depth else None, taken, rays)
+        depths = context.take(depths) if depth else None
+        counters = {}
+        if self.effects.switches:
+            counts = np.concatenate([context.take(tally) for tally in tallies])
+            counters = self.effects.counted(counts)
+        return FrameData(rgba, depths, taken, rays, counters)
+
+    @property
+    def _shows_nothing(self) -> bool:
+        return not self.visible_share and not self.switches.get("ENVIRONMENT_VISIBLE")
 
     def warm_up(self, width: int, height: int, depth: bool = True) -> None:
         """Compiles everything a frame of this size needs: final code is made at the first launch."""
         tiles = tiling(width, height, *self.tile).count
         fills = self.resolved.image.ray_spacing > 1
         key = (tiles, depth, fills, tuple(self.switches.items()))
-        if key in self._warm or not self.visible_share:
+        if key in self._warm or self._shows_nothing:
             return
         view = np.zeros(1, self._view_dtype)  # an image without pixels: every work-item returns
         view["image"][0] = (0, 0, *self.tile)
@@ -268,6 +302,10 @@ class Raycaster:
         context = self.context
         switches = {**self.switches, "WITH_DEPTH": int(depth)}
         declared = _FILL_ARGUMENTS if name == "fill_between_rays" else _ARGUMENTS
+        if self.effects.switches:
+            self._tally = context.output(np.uint32, (tiles, len(COUNTERS)))
+            declared += _EFFECT_ARGUMENTS
+            arrays = {**arrays, **self.effects.arrays, "counts": self._tally}
         kernel = context.kernel(f"{name}.cl", name, declared, switches)
         pixels = tiles * self.tile[0] * self.tile[1] if view["image"][0, 0] else 0
         expected = pixels * self._most_samples() * _SECONDS_A_SAMPLE
@@ -337,13 +375,13 @@ class Raycaster:
     def _check_struct(self) -> None:
         """The compiler's View must be ours, field for field: all fields are 16 bytes wide."""
         kernel = self.context.kernel("raycast.cl", "view_size", "out size uint32", self.switches)
-        size = self.context.empty(np.uint32, (1,))
+        size = self.context.empty(np.uint32, (2,))
         kernel(self.context.queue, (1,), (1,), size=size)
-        on_device = int(self.context.read(size)[0])
-        if on_device != self._view_dtype.itemsize:
-            raise RenderError(
-                "struct View", f"{on_device} bytes on the device", f"{self._view_dtype.itemsize}"
-            )
+        ours = {"View": self._view_dtype, "Effects": effects_dtype()}
+        for on_device, (name, dtype) in zip(self.context.read(size), ours.items()):
+            if on_device != dtype.itemsize:
+                what = f"{on_device} bytes on the device"
+                raise RenderError(f"struct {name}", what, f"{dtype.itemsize}")
 
 
 def _stages(progress: Callable[[int, int], None] | None, tiles: list[int]):

@@ -1,0 +1,127 @@
+/* Which stretches of a ray are kept: clip planes, boxes and spheres, exactly along the ray.
+ *
+ * A clip keeps or removes a convex set, so that a ray is inside it along one stretch. Each is three items: (kind, -, -, radius);
+ * point or centre or lower corner; normal or upper corner; all local. The first `counts.z` keep what is inside, the next
+ * `counts.w` remove it. Within a stretch nothing is clipped, and so no sample, segment or shadow knows of it.
+ */
+#ifndef CLIP_H
+#define CLIP_H
+
+#include "effects.h"
+#include "rays.h"
+
+#define CLIP_PLANE 0
+#define CLIP_BOX 1
+#define CLIP_SPHERE 2
+
+typedef struct {
+  floatN enter, leave;    /* in steps from the ray's entry into the volume; leave <= enter: nothing more is kept */
+  Vectors normal;         /* of the clip that the stretch begins at, outwards of what is kept; 0 where it begins at none */
+} Stretch;
+
+/* One axis of a box. */
+INLINE void clip_axis(floatN origin, floatN direction, float low, float high, int axis, floatN *enter, floatN *leave, intN *face)
+{
+  const intN parallel = MASK(fabs(direction) < 1e-12f);
+  const intN inside = MASK(origin >= low) & MASK(origin <= high);
+  const floatN inverse = 1.0f / select(direction, (floatN)1.0f, parallel);
+  const floatN a = (low - origin) * inverse, b = (high - origin) * inverse;
+  const floatN never = select((floatN)1e30f, (floatN)-1e30f, inside);
+  const floatN from = select(lane_min(a, b), never, parallel), to = select(lane_max(a, b), -never, parallel);
+  *face = select(*face, (intN)axis, MASK(from > *enter));
+  *enter = lane_max(*enter, from), *leave = lane_min(*leave, to);
+}
+
+/* Where the ray origin + t direction (local) is inside clip `k`; enter > leave: nowhere. `normal` outwards, where it enters. */
+INLINE void inside_clip(const Scene *scene, int k, Vectors origin, Vectors direction, floatN *enter, floatN *leave,
+                        Vectors *normal)
+{
+  __global const float4 *item = scene->items + scene->effects->first.z + 3 * k;
+  const float4 kind = item[0], a = item[1], b = item[2];
+  *enter = -1e30f, *leave = 1e30f;
+  if (kind.x == CLIP_PLANE) {
+    const Vectors n = broadcast3(b);
+    const Vectors from = {origin.x - a.x, origin.y - a.y, origin.z - a.z};
+    const floatN height = dot3(from, n), rises = dot3(direction, n);
+    const intN parallel = MASK(fabs(rises) < 1e-12f);
+    const floatN t = -height / select(rises, (floatN)1.0f, parallel);
+    const floatN none = select((floatN)1e30f, (floatN)-1e30f, MASK(height >= 0.0f));
+    *enter = select(select((floatN)-1e30f, t, MASK(rises > 0.0f)), none, parallel);
+    *leave = select(select((floatN)1e30f, t, MASK(rises < 0.0f)), (floatN)1e30f, parallel);
+    *normal = scaled3(n, -1.0f);
+  } else if (kind.x == CLIP_BOX) {
+    intN face = 0;
+    clip_axis(origin.x, direction.x, a.x, b.x, 0, enter, leave, &face);
+    clip_axis(origin.y, direction.y, a.y, b.y, 1, enter, leave, &face);
+    clip_axis(origin.z, direction.z, a.z, b.z, 2, enter, leave, &face);
+    const floatN zero = 0.0f, one = 1.0f;
+    normal->x = select(zero, select(one, -one, MASK(direction.x > 0.0f)), MASK(face == 0));
+    normal->y = select(zero, select(one, -one, MASK(direction.y > 0.0f)), MASK(face == 1));
+    normal->z = select(zero, select(one, -one, MASK(direction.z > 0.0f)), MASK(face == 2));
+  } else {
+    /* The nearest point of the ray first: the difference of two large squares would lose the digits. */
+    const Vectors from = {origin.x - a.x, origin.y - a.y, origin.z - a.z};
+    const floatN square = dot3(direction, direction), nearest = -dot3(from, direction) / square;
+    const Vectors foot = sum3(from, scaled3(direction, nearest));
+    const floatN room = kind.w * kind.w - dot3(foot, foot);
+    const intN meets = MASK(room > 0.0f);
+    const floatN reach = sqrt(select((floatN)0.0f, room, meets) / square);
+    *enter = select((floatN)1e30f, nearest - reach, meets), *leave = select((floatN)-1e30f, nearest + reach, meets);
+    *normal = scaled3(sum3(foot, scaled3(direction, -reach)), 1.0f / kind.w);
+  }
+}
+
+/* The next stretch of the ray at or after `from` (in steps). */
+INLINE Stretch next_stretch(const Scene *scene, const Rays *ray, floatN from)
+{
+  __constant const Effects *e = scene->effects;
+  const Vectors origin = to_local(e, ray->x0, ray->y0, ray->z0);
+  const Vectors direction = direction_to_local(e, ray->dx, ray->dy, ray->dz);
+  Stretch s;
+  Vectors normal;
+  floatN enter, leave;
+  s.enter = from, s.leave = ray->length;
+  s.normal.x = s.normal.y = s.normal.z = 0.0f;
+  _Pragma("unroll 1") for (int k = 0; k < e->counts.z; ++k) {
+    inside_clip(scene, k, origin, direction, &enter, &leave, &normal);
+    const intN later = MASK(enter > s.enter);
+    s.normal = select3(s.normal, normal, later);
+    s.enter = select(s.enter, enter, later), s.leave = lane_min(s.leave, leave);
+  }
+  const int holes = e->counts.w;
+  /* Out of one hole may be into another: each pass leaves at least one for good. */
+  _Pragma("unroll 1") for (int pass = 0; pass < holes; ++pass) {
+    intN moved = 0;
+    _Pragma("unroll 1") for (int k = 0; k < holes; ++k) {
+      inside_clip(scene, e->counts.z + k, origin, direction, &enter, &leave, &normal);
+      const intN within = MASK(enter <= s.enter) & MASK(s.enter < leave);
+      /* Where the ray leaves a convex set its face looks along the ray, and what is kept lies beyond. */
+      const Vectors at = sum3(origin, scaled3(direction, leave));
+      Vectors outwards;
+      floatN back_enter, back_leave;
+      inside_clip(scene, e->counts.z + k, at, scaled3(direction, -1.0f), &back_enter, &back_leave, &outwards);
+      s.normal = select3(s.normal, scaled3(outwards, -1.0f), within);
+      s.enter = select(s.enter, leave, within);
+      moved |= within;
+    }
+    if (!any_lane(moved)) break;
+  }
+  _Pragma("unroll 1") for (int k = 0; k < holes; ++k) {
+    inside_clip(scene, e->counts.z + k, origin, direction, &enter, &leave, &normal);
+    s.leave = select(s.leave, lane_min(s.leave, enter), MASK(leave > enter) & MASK(enter > s.enter));
+  }
+  return s;
+}
+
+/* The ray from `enter` to `leave` alone. */
+INLINE Rays ray_along(const Rays *ray, floatN enter, floatN leave, intN kept, float step)
+{
+  Rays r = *ray;
+  const floatN start = select((floatN)0.0f, enter, kept);
+  r.x0 += start * r.dx, r.y0 += start * r.dy, r.z0 += start * r.dz;
+  r.length = select((floatN)-1.0f, leave - enter, kept);
+  r.entry_depth += start * step;
+  return r;
+}
+
+#endif

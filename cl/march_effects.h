@@ -1,0 +1,339 @@
+/* A packet of LANES rays through a scene with effects: emission and absorption as in render_packet.h, with what the scene calls for.
+ *
+ * A ray's kept stretches (clip.h) are cut into segments one step long, the last one shorter, and the leaping and masking are those of
+ * render_packet.h. What one segment emits and absorbs is kept in an array a channel (emission.h), on which effects work in turn:
+ *   opacity_factors.h  extinction weighted by the gradient and by the derivative along the ray, or from a function of two values
+ *   fields.h           further volumes: labels, densities, masks
+ *   shade.h            lights, environment, shadows
+ *   depth cueing
+ *   surfaces.h         iso-surfaces in the segment, in order with the volume before and behind them
+ * Gradients are taken, and lights asked, only where a segment has opacity (LIGHTING, see cl/effects.h for what is counted).
+ */
+#ifndef MARCH_EFFECTS_H
+#define MARCH_EFFECTS_H
+
+#include "emission.h"
+#include "clip.h"
+
+INLINE uint count_lanes(intN mask)
+{
+#if LANES == 16
+  const int8 a = mask.lo + mask.hi;
+  const int4 b = a.lo + a.hi;
+  const int2 c = b.lo + b.hi;
+  return (uint)-(c.x + c.y);
+#else
+  return (uint)-mask;
+#endif
+}
+
+INLINE Rays select_rays(Rays a, Rays b, intN mask)
+{
+  a.x0 = select(a.x0, b.x0, mask), a.y0 = select(a.y0, b.y0, mask), a.z0 = select(a.z0, b.z0, mask);
+  a.dx = select(a.dx, b.dx, mask), a.dy = select(a.dy, b.dy, mask), a.dz = select(a.dz, b.dz, mask);
+  a.rx = select(a.rx, b.rx, mask), a.ry = select(a.ry, b.ry, mask), a.rz = select(a.rz, b.rz, mask);
+  a.px = select(a.px, b.px, mask), a.py = select(a.py, b.py, mask), a.pz = select(a.pz, b.pz, mask);
+  a.length = select(a.length, b.length, mask), a.entry_depth = select(a.entry_depth, b.entry_depth, mask);
+  return a;
+}
+
+#if NOISE
+#include "noise.h"
+#endif
+
+/* The reconstructed value at a lattice point. */
+INLINE floatN scene_value(const Scene *scene, floatN x, floatN y, floatN z)
+{
+#if NOISE
+  return noisy_value(scene, x, y, z);
+#else
+  return sample_value(fetch_sample(scene->volume, scene->view, x, y, z), scene->view);
+#endif
+}
+
+#if GRADIENT
+#include "gradient.h"
+/* Its gradient, per edge along the local axes. */
+INLINE Vectors scene_gradient(const Scene *scene, floatN x, floatN y, floatN z)
+{
+  const Gradient g = gradient_at(scene->volume, scene->gradients, scene->view, scene->effects->gradient_scale, x, y, z);
+  return gradient_to_local(scene->effects, g.x, g.y, g.z);
+}
+#endif
+
+#include "shade.h"
+
+#if LIGHTING
+/* c (times `depth`) lit, where there is a normal; fading to the unlit colour where the gradient is short. */
+INLINE Vectors shaded_color(const Scene *scene, Vectors color, floatN depth, Vectors place, Vectors normal, Vectors gradient,
+                            Vectors view, floatN weight, intN active, uint *counted)
+{
+  if (!any_lane(active)) return color;
+  counted[COUNT_LIT] += count_lanes(active);
+  const Illumination lit = illuminate(scene, place, normal, view, weight, active, counted);
+  floatN share = 1.0f;
+  if (scene->effects->shading.x > 0.0f) share = lane_min(sqrt(dot3(gradient, gradient)) * scene->effects->shading.x, share);
+  share = select((floatN)0.0f, share, active);
+  const Vectors shaded = {color.x + share * (color.x * lit.diffuse.x + depth * lit.specular.x - color.x),
+                          color.y + share * (color.y * lit.diffuse.y + depth * lit.specular.y - color.y),
+                          color.z + share * (color.z * lit.diffuse.z + depth * lit.specular.z - color.z)};
+  return shaded;
+}
+#endif
+
+#if DEPTH_CUE
+/* c (times `depth`) at a distance from the eye (edges), towards the cue's colour. */
+INLINE Vectors cued_color(const Scene *scene, Vectors color, floatN depth, floatN distance)
+{
+  __constant const Effects *e = scene->effects;
+  const floatN share = e->depth_cue.z * lane_clamp((distance - e->depth_cue.x) * e->depth_cue.y, (floatN)0.0f, (floatN)1.0f);
+  const Vectors cued = {color.x + share * (e->depth_color.x * depth - color.x),
+                        color.y + share * (e->depth_color.y * depth - color.y),
+                        color.z + share * (e->depth_color.z * depth - color.z)};
+  return cued;
+}
+#endif
+
+#if OPACITY_FACTORS || TRANSFER_LAYERS
+#include "opacity_factors.h"
+#endif
+#if FIELDS
+#include "fields.h"
+#endif
+#if ISOSURFACES
+#include "surfaces.h"
+#endif
+#if ENVIRONMENT_VISIBLE
+#include "environment.h"
+/* What is left of the rays on the picture sees the environment. */
+INLINE void show_environment(const Scene *scene, Vectors forward, intN on_picture, Gathered *acc)
+{
+  __constant const Effects *e = scene->effects;
+  Vectors seen;
+  environment_look_up(scene->environment + e->map_offsets.z, e->maps.z, forward.x, forward.y, forward.z, &seen.x, &seen.y, &seen.z);
+  const floatN left = select((floatN)0.0f, 1.0f - acc->a, on_picture);
+  acc->r += left * seen.x, acc->g += left * seen.y, acc->b += left * seen.z;
+  acc->a = select(acc->a, (floatN)1.0f, on_picture);
+}
+#endif
+
+/* Values at which places of a segment its look needs. */
+#define NEEDS_ENDS (CLASSIFICATION == CLASSIFICATION_PREINTEGRATED && TRANSLUCENT)
+#define NEEDS_MIDDLE (CLASSIFICATION != CLASSIFICATION_PREINTEGRATED && TRANSLUCENT)
+
+/* Gradients are also reconstructed where nothing is lit, for what depends on them. */
+#define GRADIENT_DECIDES (OPACITY_FACTORS || TRANSFER_LAYERS)
+
+INLINE void render_packet(__global const uchar *volume, __global const float *table, __global const float *warp,
+                          __global const uchar *distances, __constant const View *view_, __constant const Effects *effects,
+                          __global const float4 *items, __global const uint *gradients, __global const uchar *cell_flags,
+                          __global const float4 *environment, __global const float4 *light_volume, __global const uint *noise,
+                          __global const float *factors, __global const float *fields, uint *counted, intN px, intN py,
+                          float *rgba, float *depth, uint *samples)
+{
+  const Scene scene_ = {volume, table, warp, distances, view_, effects, items, gradients, cell_flags, environment, light_volume,
+                        noise, factors, fields};
+  const Scene *scene = &scene_;
+  __constant const View *view = view_;
+  const float h = view->march.x;
+  Rays whole_ray = make_rays(view, TO_FLOAT(px), TO_FLOAT(py));
+  Vectors forward = scaled3(direction_to_local(effects, whole_ray.dx, whole_ray.dy, whole_ray.dz), 1.0f / h);
+  intN alive = MASK(whole_ray.length >= 0.0f) & MASK(px < view->image.x) & MASK(py < view->image.y);
+  const intN on_picture = MASK(px < view->image.x) & MASK(py < view->image.y);
+  uintN taken = 0;
+  Gathered acc;
+  acc.r = acc.g = acc.b = acc.a = 0.0f;
+  floatN median = INFINITY; /* in edges from the eye */
+  Rays ray = whole_ray;
+  floatN next_from = 0.0f;  /* where the next stretch may begin, in steps along whole_ray */
+#if CLIP
+  Vectors cut_normal = {0.0f, 0.0f, 0.0f};
+#endif
+#if REFRACTION
+  intN bends_left = MOST_BENDS;
+#endif
+  intN i = 0, last = DONE, joined = 0; /* joined: the values at the segment's start, and one step before, are known */
+  floatN value1 = 0.0f, value2 = 0.0f; /* at the start of the segment, and one before */
+
+  for (;;) {
+    /* Rays at the end of a stretch go on to their next. */
+    const intN stretches = alive & MASK(i > last);
+    if (any_lane(stretches)) {
+#if CLIP
+      const Stretch next = next_stretch(scene, &whole_ray, next_from);
+      const intN found = stretches & MASK(next.enter < next.leave);
+      const Rays along = ray_along(&whole_ray, next.enter, next.leave, found, h);
+      cut_normal = select3(cut_normal, next.normal, stretches);
+      next_from = select(next_from, next.leave, found);
+#else
+      const intN found = stretches & MASK(next_from < whole_ray.length);
+      const Rays along = whole_ray;
+      next_from = select(next_from, whole_ray.length, stretches);
+#endif
+      ray = select_rays(ray, along, stretches);
+      i = select(i, (intN)0, stretches), joined = select(joined, (intN)0, stretches);
+      const floatN cells = ceil(lane_max(ray.length, (floatN)0.0f));
+      last = select(last, TO_INT(cells) - 1, stretches);
+      alive &= found | ~stretches;
+      last = select(last, (intN)DONE, ~alive);
+      if (!any_lane(alive)) break;
+    }
+#if SKIP_EMPTY
+    {
+      const intN going = alive & MASK(i <= last);
+      const floatN visible_at = next_visible(distances, view, TO_FLOAT(i), going, &ray);
+      /* The curvature of the first visible segment takes the sample before it. */
+      const intN next = TO_INT(lane_clamp(visible_at, (floatN)0.0f, TO_FLOAT(max(last, (intN)0)) + 1.0f)) - NEEDS_ENDS;
+      const intN leaps = going & MASK(next > i);
+      i = select(i, next, leaps), joined &= ~leaps;
+      i = select(i, last + 1, going & MASK(visible_at >= ray.length));
+    }
+#endif
+    _Pragma("unroll 1") for (int step = 0; step < MARCH_STEPS; ++step) {
+      const intN active = alive & MASK(i <= last);
+      const floatN t0 = TO_FLOAT(i), t1 = lane_min(t0 + 1.0f, ray.length);
+      const floatN length = select((floatN)1.0f, t1 - t0, active), tm = t0 + 0.5f * length;
+      const floatN xm = ray.x0 + tm * ray.dx, ym = ray.y0 + tm * ray.dy, zm = ray.z0 + tm * ray.dz;
+#if ISOSURFACES
+      /* Values at the ends and the middle tell surfaces; where none can be, the segment needs no more than usual. */
+      const intN near = active & surfaces_near(scene, xm, ym, zm);
+      const int look = any_lane(near);
+#else
+      const int look = 0;
+#endif
+      const int ends = NEEDS_ENDS || look, middle = NEEDS_MIDDLE || look;
+      floatN front = value1, back = 0.0f, mid = 0.0f;
+#if CLASSIFICATION == CLASSIFICATION_PRE
+      Emission e = no_emission();
+#endif
+      _Pragma("unroll 1") for (int k = ends && any_lane(active & ~joined) ? 0 : 1; k < 3; ++k) {
+        if (!(k < 2 ? ends : middle)) continue;
+        const floatN t = k == 0 ? t0 : k == 1 ? t1 : tm;
+        const intN needed = k == 0 ? active & ~joined : active;
+        const floatN x = ray.x0 + t * ray.dx, y = ray.y0 + t * ray.dy, z = ray.z0 + t * ray.dz;
+#if CLASSIFICATION == CLASSIFICATION_PRE && TRANSLUCENT
+        const FetchedSample sample = fetch_sample(volume, view, x, y, z);
+        const floatN value = sample_value(sample, view);
+        if (k == 2) e = classified_emission(sample, view, warp, table);
+#else
+        const floatN value = scene_value(scene, x, y, z);
+#endif
+        taken -= AS_UINT(needed);
+        if (k == 0) front = select(front, value, needed);
+        if (k == 1) back = value;
+        if (k == 2) mid = value;
+      }
+      int visible = 1;
+#if !TRANSLUCENT
+      Emission e = no_emission();
+      visible = 0;
+#elif CLASSIFICATION == CLASSIFICATION_PREINTEGRATED
+      Emission e = no_emission();
+      ClassCoordinate a, b;
+      segment_classes(value2, front, back, length, active & MASK(joined != 0), warp, view, &a, &b);
+      visible = may_be_visible(lane_min(a.position, b.position), lane_max(a.position, b.position), active, view);
+      if (visible) e = segment_emission(a, b, table, view);
+#elif CLASSIFICATION == CLASSIFICATION_POST
+      Emission e = no_emission();
+      const ClassCoordinate at = class_coordinate(mid, warp, view);
+      visible = may_be_visible(at.position, at.position, active, view);
+      if (visible) e = value_emission(at, table);
+#endif
+#if TRANSLUCENT
+#if FIELDS
+      visible |= add_fields(scene, xm, ym, zm, &e, active, counted);
+#endif
+      e.d = select((floatN)0.0f, e.d, active);
+      const intN shows = active & MASK(e.d > 0.0f);
+      visible &= any_lane(shows);
+      if (visible) {
+#if GRADIENT && (LIGHTING || GRADIENT_DECIDES)
+        const Vectors gradient = scene_gradient(scene, xm, ym, zm);
+        counted[COUNT_GRADIENTS] += count_lanes(shows);
+#endif
+#if GRADIENT_DECIDES
+        weigh_by_gradient(scene, &e, mid, gradient, forward, shows);
+#endif
+        Vectors color = {e.r, e.g, e.b};
+#if LIGHTING
+        Vectors normal = unit3(scaled3(gradient, -1.0f));
+#if CLIP
+        /* A cut face shows its own normal, going over to the gradient's within one edge. */
+        const floatN inside = lane_clamp(tm * h, (floatN)0.0f, (floatN)1.0f);
+        const intN cut = MASK(dot3(cut_normal, cut_normal) > 0.5f) & MASK(inside < 1.0f);
+        if (any_lane(cut)) {
+          const Vectors toward = select3(normal, scaled3(normal, -1.0f), MASK(dot3(normal, cut_normal) < 0.0f));
+          normal = select3(normal, unit3(sum3(scaled3(toward, inside), scaled3(cut_normal, 1.0f - inside))), cut);
+        }
+#endif
+        const intN lit = shows & MASK(dot3(normal, normal) > 0.5f);
+        const Vectors place = {xm, ym, zm};
+        const floatN weight = (1.0f - acc.a) * opacity_of_depth(e.d * length);
+        color = shaded_color(scene, color, e.d, place, normal, gradient, scaled3(forward, -1.0f), weight, lit, counted);
+#endif
+#if DEPTH_CUE
+        color = cued_color(scene, color, e.d, ray.entry_depth + tm * h);
+#endif
+        e.r = color.x, e.g = color.y, e.b = color.z;
+      }
+#endif
+#if ISOSURFACES
+      if (look) {
+        intN may_bend = 0;
+#if REFRACTION
+        may_bend = MASK(bends_left > 0);
+#endif
+        counted[COUNT_SURFACE_TESTS] += count_lanes(near);
+        const floatN before = acc.a;
+        floatN median_steps = INFINITY;
+        const SurfacePassage passage = pass_surfaces(scene, &ray, scaled3(forward, -1.0f), t0, length, front, mid, back, e, active, near, may_bend,
+                                                     &acc, &median_steps, &taken, counted);
+#if WITH_DEPTH
+        const intN on_surface = MASK(median_steps < INFINITY) & MASK(median == INFINITY);
+        median = select(median, ray.entry_depth + select((floatN)0.0f, median_steps, on_surface) * h, on_surface);
+        if (any_lane(MASK(acc.a >= 0.5f) & MASK(median == INFINITY)))
+          median = median_step(median, before, acc.a, ray.entry_depth + t0 * h, ray.entry_depth + t1 * h);
+#endif
+        last = select(last, (intN)DONE, MASK(acc.a >= view->march.z));
+        alive &= MASK(acc.a < view->march.z);
+#if REFRACTION
+        if (any_lane(passage.bends)) {
+          const Rays bent = bent_rays(scene, &ray, passage.at, passage.direction);
+          whole_ray = select_rays(whole_ray, bent, passage.bends);
+          forward = select3(forward, passage.direction, passage.bends);
+          next_from = select(next_from, (floatN)0.0f, passage.bends);
+          last = select(last, (intN)DONE, passage.bends), i = select(i, (intN)0, passage.bends);
+          bends_left += passage.bends;
+        }
+#endif
+      } else
+#endif
+      if (visible) {
+        const floatN before = acc.a;
+        composite_emission(&acc, e, length, active);
+#if WITH_DEPTH
+        if (any_lane(MASK(acc.a >= 0.5f) & MASK(before < 0.5f)))
+          median = median_step(median, before, acc.a, ray.entry_depth + t0 * h, ray.entry_depth + t1 * h);
+#endif
+        last = select(last, (intN)DONE, MASK(acc.a >= view->march.z));
+        alive &= MASK(acc.a < view->march.z);
+      }
+      if (ends) {
+        value2 = select(value2, front, active), value1 = select(value1, back, active);
+        joined |= active;
+      } else
+        joined &= ~active;
+      i -= active;
+    }
+  }
+#if ENVIRONMENT_VISIBLE
+  show_environment(scene, forward, on_picture, &acc);
+#endif
+  float r[LANES], g[LANES], b[LANES], a[LANES];
+  STORE_LANES(acc.r, r), STORE_LANES(acc.g, g), STORE_LANES(acc.b, b), STORE_LANES(acc.a, a);
+  EACH_LANE(k) vstore4((float4)(r[k], g[k], b[k], a[k]), k, rgba);
+  STORE_LANES(median * view->march.w, depth);
+  STORE_LANES(taken, samples);
+}
+
+#endif

@@ -1,0 +1,94 @@
+/* Light on samples and surfaces: Blinn's variant of Phong's model (Blinn 1977; P4 sec. 9), any number of lights.
+ *
+ *   lit = c (ambient + diffuse sum I max(N.L, 0)) + specular sum I max(N.H, 0)^shininess,   N = -gradient / |gradient|
+ *
+ * Lights are two items each: direction to the light (directional) or place (point), and in w its kind; colour times intensity,
+ * and in w its number in the light volume, or -1. A headlight shines from the eye, so that L is V for every ray.
+ * Where the gradient has no direction nothing is shaded: c stays as it is.
+ */
+#ifndef SHADE_H
+#define SHADE_H
+
+#include "effects.h"
+#include "power.h"
+
+#if LIGHTING
+
+#if GRADIENT
+#include "gradient.h"
+#endif
+#if ENVIRONMENT
+#include "environment.h"
+#endif
+#if SHADOWS
+#include "shadow.h"
+#endif
+
+#define LIGHT_DIRECTIONAL 0
+#define LIGHT_POINT 1
+#define LIGHT_HEAD 2
+
+/* Factors of colour and what is added to it: lit = c * diffuse + specular. */
+typedef struct {
+  Vectors diffuse, specular;
+} Illumination;
+
+/* place: lattice; normal, view (to the eye): local, of unit length; weight: what the sample counts for at most, for shadows. */
+INLINE Illumination illuminate(const Scene *scene, Vectors place, Vectors normal, Vectors view, floatN weight, intN active,
+                               uint *counted)
+{
+  __constant const Effects *e = scene->effects;
+  Illumination lit;
+  const floatN facing = dot3(normal, view);
+  const intN turned = MASK(facing < 0.0f) & (e->shading.y > 0.0f ? (intN)-1 : (intN)0);
+  normal = select3(normal, scaled3(normal, -1.0f), turned);
+  lit.diffuse.x = lit.diffuse.y = lit.diffuse.z = e->material.x;
+  lit.specular.x = lit.specular.y = lit.specular.z = 0.0f;
+#if LIGHTS
+  const Vectors here = to_local(e, place.x, place.y, place.z);
+  _Pragma("unroll 1") for (int k = 0; k < e->counts.x; ++k) {
+    const float4 at = scene->items[e->first.x + 2 * k], intensity = scene->items[e->first.x + 2 * k + 1];
+    Vectors towards = broadcast3(at);
+    if (at.w == LIGHT_POINT) {
+      const Vectors from = {at.x - here.x, at.y - here.y, at.z - here.z};
+      towards = unit3(from);
+    }
+    if (at.w == LIGHT_HEAD) towards = view;
+    const floatN cosine = lane_max(dot3(normal, towards), (floatN)0.0f);
+    intN faces = active & MASK(cosine > 0.0f);
+    if (!any_lane(faces)) continue;
+    Vectors arriving = broadcast3(intensity);
+#if SHADOWS
+    if (intensity.w >= 0.0f) {
+      const Vectors shadow = light_that_arrives(scene, place, towards, at, (int)intensity.w, weight, faces, counted);
+      arriving.x *= shadow.x, arriving.y *= shadow.y, arriving.z *= shadow.z;
+    }
+#endif
+    const floatN diffuse = e->material.y * cosine;
+    lit.diffuse.x += diffuse * arriving.x, lit.diffuse.y += diffuse * arriving.y, lit.diffuse.z += diffuse * arriving.z;
+#if SPECULAR
+    const Vectors half_way = unit3(sum3(towards, view));
+    const floatN aligned = lane_clamp(dot3(normal, half_way), (floatN)0.0f, (floatN)1.0f);
+    const floatN shine = select((floatN)0.0f, e->material.z * lane_power(aligned, e->material.w), faces);
+    lit.specular.x += shine * arriving.x, lit.specular.y += shine * arriving.y, lit.specular.z += shine * arriving.z;
+#endif
+  }
+#endif
+#if ENVIRONMENT
+  Vectors from_all;
+  environment_look_up(scene->environment + e->map_offsets.x, e->maps.x, normal.x, normal.y, normal.z, &from_all.x, &from_all.y,
+                      &from_all.z);
+  lit.diffuse = sum3(lit.diffuse, scaled3(from_all, e->material.y));
+#if SPECULAR
+  const floatN twice = 2.0f * dot3(normal, view);
+  environment_look_up(scene->environment + e->map_offsets.y, e->maps.y, twice * normal.x - view.x, twice * normal.y - view.y,
+                      twice * normal.z - view.z, &from_all.x, &from_all.y, &from_all.z);
+  lit.specular = sum3(lit.specular, scaled3(from_all, e->material.z));
+#endif
+#endif
+  return lit;
+}
+
+#endif
+
+#endif

@@ -1,0 +1,205 @@
+"""What the effects of a scene need on the device: switches, numbers, arrays (cl/effects.h).
+
+Everything here looks at the *reduced* scene (clvol.features.reduced): what has no consequence is not
+in it any more, so it is neither compiled nor uploaded.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from clvol.features import FILTERS
+from clvol.opencl.context import DeviceArray, DeviceContext
+from clvol.opencl.structs import effects_dtype
+from clvol.render.device_volume import DeviceVolume
+from clvol.render.layout import ValueMap, padded_size
+from clvol.scene.resolve import ResolvedScene
+from clvol.volume import Grid
+
+# As numbered in cl/effects.h, each with the switch that it takes to be counted at all.
+COUNTERS = {
+    "gradients": "GRADIENT",
+    "lit_samples": "LIGHTING",
+    "surface_tests": "ISOSURFACES",
+    "surface_hits": "ISOSURFACES",
+    "shadow_rays": "SHADOWS",
+    "shadow_samples": "SHADOWS",
+    "field_samples": "FIELDS",
+    "bends": "REFRACTION",
+}
+GRADIENT_NONE, GRADIENT_CENTRAL, GRADIENT_SOBEL, GRADIENT_PRECOMPUTED, GRADIENT_ANALYTIC = range(5)
+LIGHT_TYPES = {"directional": 0, "point": 1, "headlight": 2}
+CLIP_TYPES = {"plane": 0, "box": 1, "sphere": 2}
+ARGUMENTS = (
+    ", in effects V1, in items float32, in gradients uint32, in cell_flags uint8, "
+    "in environment float32, in light_volume float32, in noise uint32, in factors float32, "
+    "in fields float32, out counts uint32"
+)
+
+
+def effect_switches(resolved: ResolvedScene) -> dict[str, int]:
+    """The switches (-D) of a reduced scene's effects; none at all for a scene without any."""
+    lit = bool(resolved.lights) or resolved.environment is not None
+    seen = resolved.environment is not None and resolved.environment.visible
+    surfaces = resolved.isosurfaces
+    refracts = any(surface.refraction != 1.0 for surface in surfaces)
+    factors = resolved.gradient_opacity is not None or resolved.directional_opacity is not None
+    decides = factors or bool(resolved.transfer_layers)
+    switches = {
+        "LIGHTING": int(lit),
+        "LIGHTS": int(bool(resolved.lights)),
+        "SPECULAR": int(lit and resolved.material.specular > 0),
+        "ISOSURFACES": int(bool(surfaces)),
+        "REFRACTION": int(refracts),
+        "CLIP": int(bool(resolved.clips)),
+        "DEPTH_CUE": int(resolved.depth_cue is not None),
+        "ENVIRONMENT": int(resolved.environment is not None),
+        "ENVIRONMENT_VISIBLE": int(seen),
+        "GRADIENT": gradient_switch(resolved) if lit or refracts or decides else GRADIENT_NONE,
+    }
+    if not any(switches.values()):
+        return {}
+    return {"EFFECTS": 1, "TRANSLUCENT": int(is_translucent(resolved)), **switches}
+
+
+def gradient_switch(resolved: ResolvedScene) -> int:
+    """Which gradient a scene takes that needs one."""
+    if resolved.integration.filter in ("cubic", "catmull-rom"):
+        return GRADIENT_ANALYTIC
+    return GRADIENT_CENTRAL
+
+
+def is_translucent(resolved: ResolvedScene) -> bool:
+    """Whether the transfer function shows anything of the volume."""
+    function, (low, high) = resolved.transfer_function, resolved.volume.value_range
+    inside = (function.values >= low) & (function.values <= high)
+    ends = function.opacity(np.array([low, high]))
+    return bool(np.any(function.opacities[inside] > 0) or np.any(ends > 0))
+
+
+class LocalSpace:
+    """World axes, origin in the middle of the volume, smallest voxel edges as the unit.
+
+    ``matrix`` float64 [3, 3] and ``shift`` [3]: from lattice points to local ones. ``inverse_transpose``
+    takes derivatives per lattice unit to derivatives per edge.
+    """
+
+    def __init__(self, grid: Grid, size: tuple[int, int, int]) -> None:
+        self.unit = grid.smallest_edge
+        self.matrix = np.asarray(grid.direction) * (np.asarray(grid.spacing) / self.unit)
+        self.shift = -self.matrix @ (0.5 * (np.asarray(size, np.float64) - 1.0))
+        self.inverse_transpose = np.linalg.inv(self.matrix).T
+        lower, upper = grid.index_bounds()
+        self._to_world = grid.index_to_world()
+        self.centre = (self._to_world @ np.append(0.5 * (lower + upper), 1.0))[:3]
+
+    def point(self, world: Any) -> np.ndarray:
+        """A world point in local coordinates."""
+        return (np.asarray(world, np.float64) - self.centre) / self.unit
+
+
+class EffectState:
+    """Device state of a scene's effects; ``switches`` is empty where it has none."""
+
+    def __init__(
+        self, context: DeviceContext, resolved: ResolvedScene, volume: DeviceVolume
+    ) -> None:
+        self.switches = effect_switches(resolved)
+        if not self.switches:
+            return
+        self.context = context
+        self.space = LocalSpace(resolved.volume.grid, padded_size(resolved.volume))
+        self.numbers = np.zeros(1, effects_dtype())
+        none = {
+            name: context.upload(np.zeros(4, dtype))
+            for name, dtype in (
+                ("items", np.float32), ("gradients", np.uint32), ("cell_flags", np.uint8),
+                ("environment", np.float32), ("light_volume", np.float32), ("noise", np.uint32),
+                ("factors", np.float32), ("fields", np.float32),
+            )
+        }  # fmt: skip
+        self.arrays: dict[str, DeviceArray] = none
+        self._fill(resolved, volume)
+        self.arrays["effects"] = context.upload(self.numbers)
+
+    def _fill(self, resolved: ResolvedScene, volume: DeviceVolume) -> None:
+        numbers, space, values = self.numbers[0], self.space, volume.values
+        for axis, name in enumerate("xyz"):
+            numbers[f"local_{name}"] = (*space.matrix[axis], space.shift[axis])
+            numbers[f"gradient_{name}"][:3] = space.inverse_transpose[axis]
+        material = resolved.material
+        numbers["material"] = (
+            material.ambient, material.diffuse, material.specular, material.shininess
+        )  # fmt: skip
+        per_edge = values.gain * space.unit  # from value per world length
+        fade = material.fade * per_edge
+        numbers["shading"][:2] = (1.0 / fade if fade > 0 else 0.0, float(material.two_sided))
+        if resolved.depth_cue is not None:
+            self._fill_depth_cue(resolved.depth_cue)
+        lights, surfaces, clips = self._items(resolved, values)
+        rows = [*lights, *surfaces, *clips]
+        if rows:
+            self.arrays["items"] = self.context.upload(np.array(rows, np.float32))
+        keeps = sum(clip.keep == "inside" for clip in resolved.clips)
+        numbers["counts"] = (
+            len(resolved.lights), len(resolved.isosurfaces), keeps, len(resolved.clips) - keeps
+        )  # fmt: skip
+        numbers["first"][:3] = (0, len(lights), len(lights) + len(surfaces))
+
+    def _fill_depth_cue(self, cue: Any) -> None:
+        unit = self.space.unit
+        length = max((cue.end - cue.start) / unit, 1e-30)
+        self.numbers[0]["depth_cue"][:3] = (cue.start / unit, 1.0 / length, cue.strength)
+        self.numbers[0]["depth_color"][:3] = cue.color
+
+    def _items(self, resolved: ResolvedScene, values: ValueMap) -> tuple[list, list, list]:
+        space = self.space
+        lights, surfaces, clips = [], [], []
+        for light in resolved.lights:
+            at = np.zeros(3)
+            if light.type == "directional":
+                at = -_unit(light.direction)
+            elif light.type == "point":
+                at = space.point(light.position)
+            lights.append((*at, LIGHT_TYPES[light.type]))
+            lights.append((*(np.asarray(light.color) * light.intensity), -1.0))
+        for surface in sorted(resolved.isosurfaces, key=lambda s: s.value):
+            level = float(values(surface.value))
+            surfaces.append((level, surface.opacity, surface.refraction, 0.0))
+            surfaces.append((*surface.color, 0.0))
+            surfaces.append((*surface.back_color, 0.0))
+        for clip in sorted(resolved.clips, key=lambda c: c.keep != "inside"):
+            radius = 0.0 if clip.radius is None else clip.radius / space.unit
+            first = {"plane": clip.point, "box": clip.lower, "sphere": clip.center}[clip.type]
+            second = np.zeros(3)
+            if clip.type == "plane":
+                second = _unit(clip.normal)
+            elif clip.type == "box":
+                second = space.point(clip.upper)
+            clips.append((CLIP_TYPES[clip.type], 0.0, 0.0, radius))
+            clips.append((*space.point(first), 0.0))
+            clips.append((*second, 0.0))
+        return lights, surfaces, clips
+
+    def set_surfaces(self, mask: np.ndarray) -> None:
+        """``mask`` bool [z, y, x]: cells in or next to which a surface can be."""
+        flags = np.concatenate([mask.ravel().astype(np.uint8), np.zeros(4, np.uint8)])
+        self.arrays["cell_flags"] = self.context.upload(flags)
+
+    def counted(self, counts: np.ndarray) -> dict[str, int]:
+        """Sums over tiles of what was counted: ``counts`` uint32 [tiles, len(COUNTERS)]."""
+        sums = counts.sum(axis=0, dtype=np.uint64)
+        return {
+            name: int(total)
+            for (name, switch), total in zip(COUNTERS.items(), sums)
+            if self.switches.get(switch)
+        }
+
+
+def _unit(vector: Any) -> np.ndarray:
+    """``vector`` at length 1; scaled first, so that no square over- or underflows."""
+    vector = np.asarray(vector, np.float64)
+    vector = vector / np.abs(vector).max()
+    return vector / np.linalg.norm(vector)
