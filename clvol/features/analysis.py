@@ -94,9 +94,9 @@ def called_for(resolved: ResolvedScene) -> list[str]:
 def reduced(resolved: ResolvedScene) -> ResolvedScene:
     """``resolved`` without all that has no consequence: the same picture, exactly.
 
-    Kernels are chosen, and samples taken, for the reduced scene alone. Where nothing is lit it has the
-    material ``NEUTRAL``. It is ``resolved`` itself where there is nothing to leave out. What it says
-    about a depth cue holds for its camera (and animation) alone.
+    Kernels are chosen, and samples taken, for the reduced scene alone. Where nothing is lit it has
+    the material ``NEUTRAL``. It is ``resolved`` itself where there is nothing to leave out. What it
+    says about a depth cue holds for its camera (and animation) alone.
     """
     analysis = analysis_of(resolved)
     return resolved if analysis.reduced is None else analysis.reduced

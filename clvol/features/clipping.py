@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from clvol.features.effect import counted, joined, no, yes
+from clvol.features.effect import joined, no, yes
 from clvol.features.findings import NOTHING_VISIBLE, Findings
 from clvol.features.geometry import cuts
 from clvol.scene.clip import Clip
@@ -17,9 +17,10 @@ def judge(found: Findings) -> None:
         return
     grid = found.scene.volume.grid
     kept = () if found.blank else tuple(dict.fromkeys(c for c in asked if cuts(c, grid)))
-    if kept:
-        found.note(yes(name, f"{counted(len(kept), 'clip')} cut into the volume"
-                       if len(kept) > 1 else f"the {_NOUNS[kept[0].type]} cuts into the volume"))  # fmt: skip
+    if len(kept) == 1:
+        found.note(yes(name, f"the {_NOUNS[kept[0].type]} cuts into the volume"))
+    elif kept:
+        found.note(yes(name, f"{len(kept)} clips cut into the volume"))
     elif found.blank:
         found.note(no(name, NOTHING_VISIBLE))
     else:

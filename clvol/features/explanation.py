@@ -11,7 +11,8 @@ from clvol.scene.resolve import ResolvedScene
 
 
 def explain(resolved: ResolvedScene) -> dict[str, Any]:
-    """As ``clvol explain --json``: effects with reasons, and what identifies the compiled kernel."""
+    """As ``clvol explain --json``: effects with reasons, and what identifies the compiled
+    kernel."""
     refuse_unknown(resolved)
     listed = [
         {"name": e.name, "called_for": e.called_for, "reason": e.reason} for e in effects(resolved)

@@ -1,4 +1,5 @@
-"""What the passes of the analysis share: the scene as reduced so far, and what shows in it at all."""
+"""What the passes of the analysis share: the scene as reduced so far, and what shows in it at
+all."""
 
 from __future__ import annotations
 
@@ -26,8 +27,9 @@ class Findings:
 
     ``projection``: the compositing other than "over" in words, or None. ``emits``: whether the
     transfer function shows any of the volume. ``adds``: whether a density field shows anything.
-    ``surfaces``: the iso-surfaces that do anything. ``blank``: none of these. ``lit``, ``by_lights``:
-    whether anything is lit, and whether by lights; known once the pass over lighting is done.
+    ``surfaces``: the iso-surfaces that do anything. ``blank``: none of these. ``lit``,
+    ``by_lights``: whether anything is lit, and whether by lights; known once the pass over lighting
+    is done.
     """
 
     def __init__(self, scene: ResolvedScene) -> None:

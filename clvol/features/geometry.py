@@ -35,7 +35,8 @@ def cuts(clip: Clip, grid: Grid) -> bool:
 
 
 def holds(grid: Grid, corners: np.ndarray) -> bool:
-    """Whether the world points ``corners`` [n, 3], and so their hull, lie in the domain of ``grid``."""
+    """Whether the world points ``corners`` [n, 3], and so their hull, lie in the domain of
+    ``grid``."""
     lower, upper = grid.index_bounds()
     to_index = grid.world_to_index()
     index = corners @ to_index[:3, :3].T + to_index[:3, 3]
@@ -66,8 +67,9 @@ def _box_corners(lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
 def _apart(
     one: np.ndarray, other: np.ndarray, edges_one: np.ndarray, edges_other: np.ndarray
 ) -> bool:
-    """Whether two parallelepipeds of these corners [8, 3], with edges along the columns of ``edges_one`` and
-    ``edges_other``, touch at most: some normal of a face, or to an edge of each, separates them."""
+    """Whether two parallelepipeds of these corners [8, 3], with edges along the columns of
+    ``edges_one`` and ``edges_other``, touch at most: some normal of a face, or to an edge of each,
+    separates them."""
     scale = max(np.abs(one).max(), np.abs(other).max())
     one, other = one / scale, other / scale
     axes = [normal for edges in (edges_one, edges_other) for normal in np.linalg.inv(edges)]

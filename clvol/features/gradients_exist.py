@@ -56,8 +56,9 @@ def opacity_meets_gradient(scene: ResolvedScene, anywhere: bool) -> bool:
 def _any_bar(
     data: np.ndarray, functions: tuple[TransferFunction, ...] | None, reach: int, widen: float
 ) -> bool:
-    """Whether any cell can show a value while its gradient is not 0. A value comes from the corners of
-    a cell and ``reach`` voxels around them, and lies within ``widen`` of their range about it."""
+    """Whether any cell can show a value while its gradient is not 0. A value comes from the corners
+    of a cell and ``reach`` voxels around them, and lies within ``widen`` of their range about
+    it."""
     read = 0
     for start in _from_the_middle(data.shape):
         if not _bar_can_show(data, start, functions, max(reach, 1), widen):
@@ -105,7 +106,8 @@ def _in_bar(
 ) -> bool:
     """Whether a cell of the bar from ``start`` on can show a value while its gradient is not 0.
 
-    A gradient in a cell uses the voxels around it, a value those ``reach`` farther than its corners.
+    A gradient in a cell uses the voxels around it, a value those ``reach`` farther than its
+    corners.
     """
     pad = max(reach, 1)
     first = (*start, 0)
@@ -143,7 +145,8 @@ def _any_shows(
 def _extremes(
     bar: np.ndarray, cells: tuple[int, ...], pad: int, reach: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Lowest and highest voxel of each cell's corners and ``reach`` around them. NaN does not count."""
+    """Lowest and highest voxel of each cell's corners and ``reach`` around them. NaN does not
+    count."""
     found = []
     for extreme in (np.fmin, np.fmax):
         part = bar

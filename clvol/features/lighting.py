@@ -14,8 +14,8 @@ _BLACK = "every light is black or of intensity 0"
 
 
 def is_lit(scene: ResolvedScene) -> bool:
-    """Whether anything is lit in a *reduced* scene: where nothing is, the material is NEUTRAL, though an
-    environment may still be there as background."""
+    """Whether anything is lit in a *reduced* scene: where nothing is, the material is NEUTRAL,
+    though an environment may still be there as background."""
     return bool(scene.lights or scene.environment) and scene.material != NEUTRAL
 
 

@@ -13,7 +13,8 @@ _BY_REFERENCE = {*_PLAIN, "nearest filter", "cubic filter"}
 
 
 def refuse_unknown(resolved: ResolvedScene) -> None:
-    """SceneError for what the scene calls for and no kernel gives: better none than a wrong picture."""
+    """SceneError for what the scene calls for and no kernel gives: better none than a wrong
+    picture."""
     integration, origin = resolved.integration, resolved.origin
     if integration.method not in METHODS:
         expected = " or ".join(repr(name) for name in METHODS)

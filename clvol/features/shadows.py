@@ -16,8 +16,7 @@ def judge(found: Findings) -> None:
         found.note(no("shadows", idle), no("scattering", idle))
         found.change(shadow=None)
         return
-    found.note(yes("shadows", f"{counted(len(casting), 'light')} cast shadows"
-                   if len(casting) > 1 else "a light casts shadows"))  # fmt: skip
+    found.note(yes("shadows", f"{counted(len(casting), 'light')} with shadows"))
     if shadow.scattering == 0:
         found.note(no("scattering", "scattering is 0"))
     elif shadow.cone_degrees == 0 and not any(shadow.scatter_color):

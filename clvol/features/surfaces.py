@@ -49,7 +49,8 @@ def _unbent(surface: Isosurface) -> Isosurface:
 def _reason(surface: Isosurface, found: Findings) -> str:
     low, high = reachable(found.scene)
     if not low <= surface.value <= high:
-        return f"iso-value {surface.value:g} lies outside the data's range {range_text(found.scene)}"
+        outside = f"outside the data's range {range_text(found.scene)}"
+        return f"iso-value {surface.value:g} lies {outside}"
     if surface.refraction != 1 and not has_background(found.scene):
         return NOTHING_VISIBLE
     return f"the isosurface at {surface.value:g} is transparent"

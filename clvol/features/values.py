@@ -8,12 +8,12 @@ from clvol.features.vocabulary import overshoot
 from clvol.scene.resolve import ResolvedScene
 from clvol.transfer import TransferFunction
 
-# A prefilter whose rows have absolute values that sum to L leaves the range of the voxels by at most
-# (L - 1) / 2 of it on either side. Along an axis L is 3 or less: the B-spline's samples, of which the
-# prefilter is the inverse, are (1, 4, 1) / 6 in each row, dominated by the diagonal.
+# A prefilter whose rows have absolute values that sum to L leaves the range of the voxels by at
+# most (L - 1) / 2 of it on either side. Along an axis L is 3 or less: the B-spline's samples, of
+# which the prefilter is the inverse, are (1, 4, 1) / 6 in each row, dominated by the diagonal.
 _COEFFICIENTS = 3.0**3
-# The largest derivative, in ranges of the values an index: absolute derivatives of the weights sum to
-# at most 3 for Catmull-Rom and 2 for the B-spline; half of that is what a range can give.
+# The largest derivative, in ranges of the values an index: absolute derivatives of the weights sum
+# to at most 3 for Catmull-Rom and 2 for the B-spline; half of that is what a range can give.
 _STEEPEST = {"nearest": 1.0, "linear": 1.0, "cubic": 1.0, "catmull-rom": 1.5 * 1.25**2}
 _ROUNDING = 1.05  # of quantised gradients
 
