@@ -8,7 +8,10 @@ import sys
 
 from bench.options import Options
 
-NAMES = ("peers", "sampling", "scaling", "startup", "convergence", "tradeoff", "targets")
+NAMES = (
+    "peers", "shaded", "isosurface", "effects", "sampling", "scaling", "startup", "convergence",
+    "tradeoff", "targets",
+)  # fmt: skip
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -18,11 +21,11 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--list", action="store_true", help="say what there is; measure nothing")
     parser.add_argument("--quick", action="store_true", help="small, to see that it works")
     parser.add_argument("--device", metavar="NAME", help="as in `clvol doctor`")
-    parser.add_argument("--sizes", metavar="N,N", default="512,1024", help="edges, for peers")
+    parser.add_argument("--sizes", metavar="N,N", default="512,1024", help="edges, for peers and shaded")
     parser.add_argument("--scenes", metavar="A,B", default="", help="some of the scenes only")
     parser.add_argument("--frames", type=int, default=9, help="frames a median is taken of, >= 7")
     parser.add_argument("--classification", choices=("preintegrated", "post"),
-                        help="of clvol, for peers; by default what suits each scene")
+                        help="of clvol, for peers and shaded; by default what suits each scene")
     asked = parser.parse_args(arguments)
 
     modules = {name: importlib.import_module(f"bench.{name}") for name in NAMES}

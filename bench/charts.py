@@ -321,3 +321,94 @@ def convergence_chart(result: dict[str, Any], path: Path) -> Path:
     ]
     panels[len(rows)].legend(handles=handles, loc="center left", fontsize=9)
     return _save(plt, figure, path, _notes(result))
+
+
+_GROUPS = {
+    "light": "#d0812a", "filter": "#1667b0", "surface": "#5b8c3a", "environment": "#8e5fb0",
+    "shadow": "#5c5c5c", "opacity": "#c0568a", "field": "#2a9d9d", "clip": "#a08a3c",
+    "noise": "#7a6a5a", "compositing": "#4f74c8", "together": "#333333", "unused": "#9aa5b1",
+}  # fmt: skip
+
+
+def effects_chart(result: dict[str, Any], path: Path) -> Path:
+    """What each effect costs: time beside samples, a pair of panels a scene, in groups of effects;
+    a diamond where the effect that one is built on lies."""
+    plt = _plt()
+    scenes = result["scenes"]
+    labels, places = _effect_places(scenes[0]["rows"])
+    figure, axes = plt.subplots(
+        1, 2 * len(scenes), figsize=(2.2 + 5.4 * len(scenes), 1.6 + 0.235 * max(places)),
+        sharey=True, squeeze=False, gridspec_kw={"width_ratios": [1.9, 1.0] * len(scenes)},
+    )  # fmt: skip
+    for s, time, samples in zip(scenes, axes[0][::2], axes[0][1::2]):
+        rows = [*s["rows"], _unused_row(s)]
+        for row, y in zip(rows, places):
+            _effect_bars(row, y, time, samples)
+        for axis, title in ((time, f"{s['scene']}: time of a frame"), (samples, "samples")):
+            axis.set_xscale("log")
+            axis.axvline(1.0, color="#333333", linewidth=0.9, zorder=3)
+            axis.set_title(title)
+            axis.set_xlabel("times the plain scene's")
+            axis.grid(True, axis="x", which="major", color="#e6e6e6", linewidth=0.6)
+            axis.set_axisbelow(True)
+            axis.tick_params(axis="y", length=0)
+    for alike in (axes[0][::2], axes[0][1::2]):  # one scale for times, one for samples
+        limits = [axis.get_xlim() for axis in alike]
+        for axis in alike:
+            axis.set_xlim(0.85 * min(0.5, *(low for low, _ in limits)),
+                          1.7 * max(2.0, *(high for _, high in limits)))
+            _plain_log(axis, y=False)
+            axis.minorticks_off()
+    first = axes[0][0]
+    first.set_yticks(places, labels, fontsize=9)
+    first.set_ylim(max(places) + 0.7, -0.7)
+    size = result["size"]
+    notes = (
+        f"{size} × {size} pixels, step 1. Whiskers: both medians off by half their interquartile range."
+        " Diamond: the effect that this one is built on.\n"
+    )
+    return _save(plt, figure, path, notes + _notes(result))
+
+
+def _effect_places(rows: list[dict]) -> tuple[list[str], list[float]]:
+    """The bars' labels and heights; half a bar's room between two groups, and the unused ones last."""
+    labels, places, y, group = [], [], -1.0, None
+    for row in (*rows, {"name": "stated without consequence", "group": "unused"}):
+        y += 1.0 if group in (None, row["group"]) else 1.5
+        group = row["group"]
+        labels.append(row["name"])
+        places.append(y)
+    return labels, places
+
+
+def _unused_row(scene: dict[str, Any]) -> dict[str, Any]:
+    """All effects without consequence together, as a row like an effect's."""
+    unused = scene["unused"]
+    if "time" not in unused:
+        return {"group": "unused", "refused": "refused"}
+    same = unused["cases"][-1]["samples"]
+    return {"group": "unused", "plain": {**unused["time"], "samples": 1.0 if same else math.nan}}
+
+
+def _effect_bars(row: dict[str, Any], y: float, time, samples) -> None:
+    color = _GROUPS[row["group"]]
+    if "refused" in row:
+        time.annotate("refused", (1.0, y), (4, 0), textcoords="offset points", va="center",
+                      fontsize=8, color="#999999")
+        return
+    plain = row["plain"]
+    whiskers = [[plain["ratio"] - plain["low"]], [plain["high"] - plain["ratio"]]]
+    time.barh(y, plain["ratio"] - 1.0, 0.74, left=1.0, color=color, zorder=2)
+    time.errorbar(plain["ratio"], y, xerr=whiskers, color="#222222", linewidth=0.9, capsize=2,
+                  zorder=4)
+    below = plain["ratio"] / row["over"]["ratio"] if row.get("over") else 1.0
+    if row.get("over"):  # what it is built on costs as much
+        time.plot(below, y, "d", color="#ffffff", markersize=4.5,
+                  markeredgecolor="#222222", markeredgewidth=0.8, zorder=5)
+    samples.barh(y, plain["samples"] - 1.0, 0.74, left=1.0, color=color, alpha=0.55, zorder=2)
+    for axis, value, end in (
+        (time, plain["ratio"], max(plain["high"], below, 1.0)),
+        (samples, plain["samples"], max(plain["samples"], 1.0)),
+    ):
+        axis.annotate(f"{value:.2f}" if value < 10 else f"{value:.0f}", (end, y), (4, 0),
+                      textcoords="offset points", va="center", fontsize=8)

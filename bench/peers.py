@@ -25,6 +25,7 @@ import numpy as np
 from bench.curves import geometric_mean, reach
 from clvol.accuracy.timing import take_turns
 from bench.options import Options
+from bench.pictures import save_side_by_side
 from bench.report import load_average, machine, say, table
 from bench.scenes import SCENES, BenchScene, available
 
@@ -50,7 +51,7 @@ def run(options: Options) -> dict[str, Any] | None:
     from clvol.opencl.devices import open_device
 
     device = open_device(options.device)
-    threads = _threads(device)
+    threads = peer_threads(device)
     result: dict[str, Any] = {
         "machine": machine(device),
         "vtk": version,
@@ -76,7 +77,8 @@ def run(options: Options) -> dict[str, Any] | None:
     return result
 
 
-def _threads(device: Any) -> int:
+def peer_threads(device: Any) -> int:
+    """As many as the OpenCL device has compute units, if it is a CPU, else all cores."""
     import pyopencl as cl
 
     is_cpu = bool(device.type & cl.device_type.CPU)
@@ -178,7 +180,10 @@ def _compare(
     measured["headline"] = headline(measured["vtk"], measured["clvol"])
     of_window = [{**p, "rmse": p["window_rmse"]} for p in measured["vtk"]]
     measured["headline_window"] = headline(of_window, measured["clvol"])
-    _save_pictures(scene, size, pictures, options)
+    save_side_by_side(
+        [pictures[name, 1.0] for name in ("vtk", "window", "clvol")],
+        options.folder / "pictures" / f"{scene.name}-{size}.png",
+    )
     h = measured["headline"]
     say(f"{scene.name} {size}: VTK {h['vtk_seconds']:.4f} s, clvol {h['clvol_seconds']:.4f} s,"
         f" {h['ratio']:.2f}x at step 1   ({time.perf_counter() - begun:.0f} s)")
@@ -277,18 +282,6 @@ def alignment(resolved: ResolvedScene, picture: np.ndarray, device: Any) -> dict
         "rmse": {f"{dx:g}, {dy:g}": error for (dx, dy), error in by_offset.items()},
         "rmse_flipped": by_flip,
     }
-
-
-def _save_pictures(scene: BenchScene, size: int, pictures: dict, options: Options) -> None:
-    """What was compared, to be looked at: VTK's rays, its window and clvol, step 1, over black."""
-    from PIL import Image
-
-    beside = [pictures[name, 1.0][..., :3] for name in ("vtk", "window", "clvol")]
-    linear = np.clip(np.concatenate(beside, axis=1), 0.0, 1.0)
-    shown = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
-    folder = options.folder / "pictures"
-    folder.mkdir(parents=True, exist_ok=True)
-    Image.fromarray(np.rint(255 * shown).astype(np.uint8)).save(folder / f"{scene.name}-{size}.png")
 
 
 def show(result: dict[str, Any]) -> str:

@@ -7,7 +7,7 @@ than that to see the same world. Colours are linear light.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -48,15 +48,19 @@ class BenchScene:
         found = load_volume(self.path(folder))
         return Volume(found.data, spacing=found.grid.spacing, name=self.file)
 
-    def scene(self, volume: Volume, size: int, **integration: Any) -> Scene:
-        """``size`` by ``size`` pixels of ``volume``; ``integration`` as in a scene file."""
+    def scene(
+        self, volume: Volume, size: int, tables: Mapping[str, Any] | None = None, **integration: Any
+    ) -> Scene:
+        """``size`` by ``size`` pixels of ``volume``; ``integration`` as in a scene file.
+        ``tables``: more tables by name, over these (see ``effect_scenes.with_tables``)."""
+        from bench.effect_scenes import with_tables
         from clvol import Scene
 
-        return Scene(
-            volume=volume,
-            camera=camera(volume),
-            image={"width": size, "height": size},
-            transfer_function={
+        settings = {
+            "volume": volume,
+            "camera": camera(volume),
+            "image": {"width": size, "height": size},
+            "transfer_function": {
                 "opacity_unit": OPACITY_UNIT,
                 "color_space": "linear",
                 "points": [
@@ -64,8 +68,9 @@ class BenchScene:
                     for value, opacity, color in self.points
                 ],
             },
-            integration=integration,
-        )
+            "integration": integration,
+        }
+        return Scene(**with_tables(settings, tables or {}))
 
 
 def camera(volume: Volume) -> Camera:

@@ -16,7 +16,7 @@ import numpy as np
 
 from bench.curves import lower_envelope, reach
 from bench.options import Options
-from bench.peers import _threads
+from bench.peers import peer_threads
 from bench.report import load_average, machine, say, table
 from bench.scenes import CHEST, DATA, SCENES, BenchScene, available
 from clvol.accuracy.timing import take_turns
@@ -34,7 +34,7 @@ def run(options: Options) -> dict[str, Any] | None:
 
     device = open_device(options.device)
     result: dict[str, Any] = {
-        "machine": machine(device), "vtk": vtk_version(), "threads": _threads(device),
+        "machine": machine(device), "vtk": vtk_version(), "threads": peer_threads(device),
         "quick": options.quick, "load_before": load_average(), "missing": [], "scenes": [],
     }  # fmt: skip
     for scene in available((*SCENES, CHEST), options.scenes, result["missing"]):
@@ -97,7 +97,7 @@ def _vtk(resolved, exact: np.ndarray, device: Any, options: Options) -> list[dic
     if vtk_version() is None:
         return []
     steps = QUICK["vtk"] if options.quick else VTK_STEPS
-    with contextlib.closing(VtkPeer(resolved, _threads(device))) as peer:
+    with contextlib.closing(VtkPeer(resolved, peer_threads(device))) as peer:
         points, mapper = [], {step: [] for step in steps}
         for step in steps:
             peer.render(step)

@@ -37,20 +37,31 @@ def write(frame: Any, rgba: np.ndarray, path: Path) -> None:
         raise OSError(why) from error
 
 
-def read(path: str) -> tuple[np.ndarray, np.ndarray | None, dict[str, Any]]:
-    """``rgba`` (a missing A means opaque), Z or None, and the header's texts and numbers."""
+def channels(path: str) -> dict[str, np.ndarray]:
+    """The channels of the file's first part by name, as they are stored."""
+    return _read(path)[0]
+
+
+def _read(path: str) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """The channels, and the header's texts and numbers."""
     import OpenEXR
 
     with OpenEXR.File(path, separate_channels=True) as file:
-        channels = {name: np.asarray(channel.pixels) for name, channel in file.channels().items()}
+        pixels = {name: np.asarray(channel.pixels) for name, channel in file.channels().items()}
         header = {k: v for k, v in file.header().items() if isinstance(v, (str, int, float))}
-    missing = [name for name in "RGB" if name not in channels]
+    return pixels, header
+
+
+def read(path: str) -> tuple[np.ndarray, np.ndarray | None, dict[str, Any]]:
+    """``rgba`` (a missing A means opaque), Z or None, and the header's texts and numbers."""
+    pixels, header = _read(path)
+    missing = [name for name in "RGB" if name not in pixels]
     if missing:
-        there = ", ".join(sorted(channels)) or "none"
+        there = ", ".join(sorted(pixels)) or "none"
         raise UsageError(path, f"the channels are {there}", "R, G, B, A")
-    opaque = np.ones(channels["R"].shape, dtype=np.float32)
-    rgba = np.stack([channels.get(name, opaque) for name in "RGBA"], axis=-1).astype(np.float32)
-    depth = channels["Z"].astype(np.float32) if "Z" in channels else None
+    opaque = np.ones(pixels["R"].shape, dtype=np.float32)
+    rgba = np.stack([pixels.get(name, opaque) for name in "RGBA"], axis=-1).astype(np.float32)
+    depth = pixels["Z"].astype(np.float32) if "Z" in pixels else None
     if "stats" in header:
         try:
             header["stats"] = json.loads(header["stats"])
