@@ -188,6 +188,14 @@ def test_a_transparent_transfer_function_calls_for_nothing():
     assert called_for(noisy) == ["emission-absorption", "noise"]  # values beyond 255
 
 
+def test_a_volume_without_a_finite_voxel_calls_for_nothing():
+    holes = Volume(np.full((3, 3, 3), np.nan, np.float32))
+    empty = scene_with(holes, light=[SUN], isosurface=[{"value": 0.0}])
+    assert called_for(empty) == []
+    told = reasons(empty)
+    assert told["emission-absorption"] == told["isosurfaces"] == "no voxel is finite"
+
+
 # --- reasons -----------------------------------------------------------------------------------
 
 DARK = SUN | {"intensity": 0.0}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from clvol.features.effect import no, yes
-from clvol.features.findings import PROJECTIONS, Findings
+from clvol.features.findings import NO_VALUES, PROJECTIONS, Findings
 from clvol.features.values import range_text
 
 _TRANSPARENT = "the transfer function is transparent over the data's range {}"
@@ -13,7 +13,7 @@ _OPAQUE = "the transfer function has opacity within the data's range {}"
 def judge(found: Findings) -> None:
     scene = found.scene
     integration = scene.integration
-    transparent = _TRANSPARENT.format(range_text(scene))
+    transparent = _TRANSPARENT.format(range_text(scene)) if found.has_values else NO_VALUES
     if found.projection is None:
         found.note(no("projection", "the compositing is 'over'"))
         if found.emits:

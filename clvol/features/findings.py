@@ -19,17 +19,18 @@ PROJECTIONS = {
     "average": "averaging",
     "attenuated-maximum": "attenuated maximum intensity projection",
 }
+NO_VALUES = "no voxel is finite"
 NOTHING_VISIBLE = "nothing of the volume is visible"
 
 
 class Findings:
     """``scene``: without what was found to have no consequence. ``effects``: by name.
 
-    ``projection``: the compositing other than "over" in words, or None. ``emits``: whether the
-    transfer function shows any of the volume. ``adds``: whether a density field shows anything.
-    ``surfaces``: the iso-surfaces that do anything. ``blank``: none of these. ``lit``,
-    ``by_lights``: whether anything is lit, and whether by lights; known once the pass over lighting
-    is done.
+    ``projection``: the compositing other than "over" in words, or None. ``has_values``: whether any
+    voxel is finite. ``emits``: whether the transfer function shows any of the volume. ``adds``:
+    whether a density field shows anything. ``surfaces``: the iso-surfaces that do anything.
+    ``blank``: none of these three. ``lit``, ``by_lights``: whether anything is lit, and whether by
+    lights; known once the pass over lighting is done.
     """
 
     def __init__(self, scene: ResolvedScene) -> None:
@@ -40,11 +41,13 @@ class Findings:
         if self.projection is None and not has_no_gradient(scene):
             functions += [layer.function for layer in scene.transfer_layers]
         low, high = reachable(scene)
-        self.emits = any(shows(function, low, high) for function in functions)
+        volume = scene.volume
+        self.has_values = volume.nan_count + volume.inf_count < volume.data.size
+        self.emits = self.has_values and any(shows(function, low, high) for function in functions)
         self.adds = self.projection is None and any(
             density_shows(field, scene) for field in scene.fields if field.role == "density"
         )
-        self.surfaces = () if self.projection else self._surfaces((low, high))
+        self.surfaces = self._surfaces(low, high)
         self.blank = not (self.emits or self.adds or self.surfaces)
         self.lit = self.by_lights = False
 
@@ -57,8 +60,9 @@ class Findings:
         if differing:
             self.scene = replace(self.scene, **differing)
 
-    def _surfaces(self, within: tuple[float, float]) -> tuple[Isosurface, ...]:
-        low, high = within
+    def _surfaces(self, low: float, high: float) -> tuple[Isosurface, ...]:
+        if self.projection or not self.has_values:
+            return ()
         there = [s for s in self.scene.isosurfaces if low <= s.value <= high]
         solid = [s for s in there if s.opacity > 0]
         behind = self.emits or self.adds or solid or has_background(self.scene)

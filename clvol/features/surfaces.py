@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from clvol.features.effect import counted, joined, no, yes
-from clvol.features.findings import NOTHING_VISIBLE, Findings, has_background
+from clvol.features.findings import NO_VALUES, NOTHING_VISIBLE, Findings, has_background
 from clvol.features.values import range_text, reachable
 from clvol.scene.isosurface import Isosurface
 
@@ -47,6 +47,8 @@ def _unbent(surface: Isosurface) -> Isosurface:
 
 
 def _reason(surface: Isosurface, found: Findings) -> str:
+    if not found.has_values:
+        return NO_VALUES
     low, high = reachable(found.scene)
     if not low <= surface.value <= high:
         outside = f"outside the data's range {range_text(found.scene)}"
