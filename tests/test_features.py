@@ -73,7 +73,7 @@ def environment(tmp_path_factory) -> dict:
     return {"file": str(path)}
 
 
-# --- what is called for ----------------------------------------------------------------------------
+# --- what is called for -------------------------------------------------------------------------
 
 POINTS = [{"value": 0.0, "opacity": 0.3, "color": WHITE}]
 FADING = {"points": [{"magnitude": 0, "opacity": 0}, {"magnitude": 5, "opacity": 1}]}
@@ -402,7 +402,9 @@ ADDITIONS = st.fixed_dictionaries(
         "material": st.builds(dict, specular=st.floats(0, 1), fade=st.floats(0, 9)),
         "gradient": st.sampled_from([{"operator": "sobel"}, {"storage": "precomputed"}]),
         "gradient_opacity": st.just({"points": [{"magnitude": 3, "opacity": 1}]}),
-        "field": st.lists(st.sampled_from([IDLE_LABEL, {"file": ONES, "role": "mask"}]), max_size=3),
+        "field": st.lists(
+            st.sampled_from([IDLE_LABEL, {"file": ONES, "role": "mask"}]), max_size=3
+        ),
         "noise": st.builds(
             dict, target=st.sampled_from(["value", "coordinate"]), amplitude=st.just(0.0)
         ),
@@ -569,7 +571,7 @@ def test_effects_without_a_consequence_compile_the_same_kernel():
 @pytest.mark.parametrize("key, got", [("method", "reference"), ("quadrature", "cells")])
 def test_what_integrates_emission_and_absorption_alone_refuses_the_rest(tables, effect, key, got):
     resolved = scene_with(**tables, integration={key: got})
-    message = f"integration.{key}: got '{got}' in a scene that calls for {effect}, expected .* alone"
+    message = f"integration.{key}: got '{got}' in a scene that calls for {effect}, expected .*alone"
     with pytest.raises(SceneError, match=message):
         refuse_unknown(resolved)
     refuse_unknown(scene_with(**tables))
