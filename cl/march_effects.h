@@ -176,8 +176,8 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
       last = select(last, TO_INT(cells) - 1, stretches);
       alive &= found | ~stretches;
       last = select(last, (intN)DONE, ~alive);
-      if (!any_lane(alive)) break;
     }
+    if (!any_lane(alive)) break;
 #if SKIP_EMPTY
     {
       const intN going = alive & MASK(i <= last);

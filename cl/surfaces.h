@@ -163,9 +163,9 @@ INLINE SurfacePassage pass_surfaces(const Scene *scene, const Rays *ray, Vectors
     const intN better = grazed & finite_lanes(value);
     cut = select(cut, at_peak, better), v_cut = select(v_cut, value, better);
   }
-  _Pragma("unroll 1") for (int half = 0; half < 2; ++half) {
-    const floatN a = half ? cut : (floatN)0.0f, b = half ? (floatN)1.0f : cut;
-    const floatN va = half ? v_cut : v0, vb = half ? v1 : v_cut;
+  _Pragma("unroll 1") for (int side = 0; side < 2; ++side) {
+    const floatN a = side ? cut : (floatN)0.0f, b = side ? (floatN)1.0f : cut;
+    const floatN va = side ? v_cut : v0, vb = side ? v1 : v_cut;
     const intN rises = MASK(vb >= va);
     _Pragma("unroll 1") for (int k = 0; k < surfaces; ++k) {
       /* Ascending where the value rises, descending where it falls: in the order along the ray. */

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -31,6 +32,54 @@ def check_outputs(
         check_output(path)
     for path in others:
         check_output_folder(path)
+
+
+_NUMBER = re.compile(r"%(?:0([1-9]))?d")
+
+
+def numbered(path: str, index: int) -> str:
+    """``path`` with frame ``index`` in the place of its name's %d, or of its %04d as four digits or
+    more; a name with no such place, or with several, stays as it is."""
+    folder, name = os.path.split(path)
+    found = _NUMBER.findall(name)
+    if len(found) != 1:
+        return path
+    digits = int(found[0] or 1)
+    return os.path.join(folder, _NUMBER.sub(f"{index:0{digits}d}", name))
+
+
+def check_frames(
+    stills: Sequence[str],
+    videos: Sequence[str],
+    others: Sequence[str],
+    inputs: Iterable[str | os.PathLike],
+    count: int,
+) -> None:
+    """``check_outputs`` for an animation of ``count`` frames: every still has a number in its
+    name, and no two of all files are the same."""
+    from clvol.image import ENDINGS, VIDEO_ENDINGS
+
+    for path in stills:
+        if Path(path).suffix.lower() not in ENDINGS:
+            what = f'neither pictures nor videos have the ending "{Path(path).suffix}"'
+            raise UsageError(path, what, " or ".join([*ENDINGS, *VIDEO_ENDINGS]))
+        if numbered(path, 0) == path:
+            stem, ending = os.path.splitext(path)
+            known = ", ".join(VIDEO_ENDINGS)
+            expected = f"a name with a number such as {stem}_%04d{ending}, or one of {known}"
+            raise UsageError(path, f"one name for {count} frames", expected)
+    inputs = list(inputs)
+    check_outputs([numbered(path, 0) for path in stills], [*videos, *others], inputs)
+    taken = {os.path.realpath(path) for path in [*inputs, *videos, *others]}
+    for path in stills:
+        folder, name = os.path.split(path)
+        folder = os.path.realpath(folder)
+        for index in range(count):
+            place = os.path.join(folder, numbered(name, index))
+            real = os.path.realpath(place) if os.path.islink(place) else place
+            if real in taken:
+                raise UsageError(path, f"frame {index} is a file that is used already", "its own")
+            taken.add(real)
 
 
 def check_folder(folder: str) -> None:

@@ -9,6 +9,7 @@ from contextlib import contextmanager
 import click
 
 from clvol.cli.options import memory_cap_option, overrides_option, scene_argument
+from clvol.errors import UsageError
 
 _OPTIONS = {"max_error": "--max-error", "time_budget": "--time-budget"}
 
@@ -22,7 +23,8 @@ _OPTIONS = {"max_error": "--max-error", "time_budget": "--time-budget"}
     multiple=True,
     required=True,
     metavar="FILE",
-    help="Picture to write: .exr, .png or .npy. Repeatable.",
+    help="Picture to write: .exr, .png or .npy. Of an animation: a video (.gif, .webp, .apng, "
+    ".mp4), or pictures with a number in their name, as in out_%04d.png. Repeatable.",
 )
 @overrides_option
 @click.option(
@@ -44,6 +46,11 @@ _OPTIONS = {"max_error": "--max-error", "time_budget": "--time-budget"}
     metavar="SECONDS",
     help="Choose the most accurate settings whose frame takes at most so long, and measure the error.",
 )
+@click.option(
+    "--resume",
+    is_flag=True,
+    help="Of an animation's numbered pictures, keep what is there, whole and of this scene.",
+)
 @click.option("--stats", metavar="FILE", help="Where to write times and counts as JSON.")
 @memory_cap_option("The most memory that the volume may take, here and on the device.")
 @click.option("--quiet", is_flag=True, help="No progress on the terminal.")
@@ -54,6 +61,7 @@ def command(
     devices: tuple[str, ...],
     max_error: float | None,
     time_budget: float | None,
+    resume: bool,
     stats: str | None,
     memory_cap: int | None,
     quiet: bool,
@@ -63,6 +71,9 @@ def command(
     All files appear whole, or none does. With --max-error or --time-budget the settings of [integration]
     and of the rays of [image] are chosen anew; what was chosen and measured is told on stderr, in
     --stats and in the header of .exr.
+
+    A scene with animation.frames above 1 gives a video or numbered pictures, which appear one by
+    one.
     """
     start = time.perf_counter()
     check_targets(max_error, time_budget)
@@ -73,7 +84,19 @@ def command(
     others = [] if stats is None else [stats]
     asked = load_scene(scene, overrides)
     volume_path = asked.volume_path
-    check_outputs(outputs, others, [scene] if volume_path is None else [scene, volume_path])
+    inputs = [scene] if volume_path is None else [scene, volume_path]
+    if asked.animation.frames > 1:
+        from clvol.cli.animation import render_animation
+
+        if max_error is not None or time_budget is not None:
+            option = _OPTIONS["time_budget" if max_error is None else "max_error"]
+            what = f"given for an animation of {asked.animation.frames} frames"
+            raise UsageError(option, what, "one frame: --set animation.frames=1")
+        how = {"devices": list(devices) or None, "memory_cap": memory_cap}
+        render_animation(asked, outputs, inputs, stats, resume=resume, quiet=quiet, **how)
+        return
+    outputs = check_still(outputs, resume)
+    check_outputs(outputs, others, inputs)
     with working(f"loading {scene}", quiet):
         asked.load_volume(memory_cap)
     load_seconds = time.perf_counter() - start
@@ -111,12 +134,26 @@ def command(
         click.echo(accuracy_in_words(frame.stats), err=True)
 
 
+def check_still(outputs: tuple[str, ...], resume: bool) -> tuple[str, ...]:
+    """The names of a single picture's files; UsageError for what only an animation has."""
+    from clvol.cli.outputs import numbered
+    from clvol.image import ENDINGS, is_video
+
+    expected = "animation.frames above 1 in the scene"
+    if resume:
+        raise UsageError("--resume", "given for a single picture", expected)
+    for path in outputs:
+        if is_video(path):
+            known = " or ".join(ENDINGS)
+            raise UsageError(path, "a video of a single picture", f"{known}, or {expected}")
+    return tuple(numbered(path, 0) for path in outputs)
+
+
 def check_targets(max_error: float | None, time_budget: float | None) -> None:
     """UsageError now, before anything is loaded, for what could not be aimed at."""
     if max_error is None and time_budget is None:
         return
     from clvol.accuracy.target import check_max_error, check_time_budget
-    from clvol.errors import UsageError
 
     if max_error is not None and time_budget is not None:
         raise UsageError("--time-budget", "given beside --max-error", "one of the two")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from clvol.render.prefilter import prefiltered
 from clvol.render.quantise import quantised
 
 if TYPE_CHECKING:
@@ -32,8 +33,7 @@ class Engines:
         from clvol.render.raycast import Raycaster
 
         resolved = self._with_precision(resolved)
-        alike = resolved.integration.model_copy(update={"step": 1.0, "early_termination": 0.0})
-        key = (id(resolved.volume), id(resolved.transfer_function), alike)
+        key = _key(resolved)
         if key in self._made:
             made = self._made[key] = self._made.pop(key).like(resolved)
             return made
@@ -47,9 +47,27 @@ class Engines:
 
     def _with_precision(self, resolved: ResolvedScene) -> ResolvedScene:
         asked = (resolved.volume, resolved.transfer_function)
-        key = (*map(id, asked), resolved.integration.voxel_precision)
+        integration = resolved.integration
+        key = (*map(id, asked), integration.voxel_precision, integration.prefilter)
         if key not in self._quantised:
-            small = quantised(resolved)
+            small = prefiltered(quantised(resolved))
             self._quantised[key] = (*asked, small.volume, small.transfer_function)
         *_, volume, function = self._quantised[key]
         return replace(resolved, volume=volume, transfer_function=function)
+
+
+# What an engine is made for beside volume, transfer function and integration: by their words ...
+_BY_WORDS = (
+    "lights", "isosurfaces", "clips", "material", "gradient", "environment", "shadow", "noise",
+    "depth_cue",
+)  # fmt: skip
+# ... or by identity, where they hold arrays.
+_BY_IDENTITY = ("gradient_opacity", "directional_opacity", "transfer_layers", "fields")
+
+
+def _key(resolved: ResolvedScene) -> tuple:
+    """Equal for scenes that an engine may be shared for (Raycaster.like)."""
+    alike = resolved.integration.model_copy(update={"step": 1.0, "early_termination": 0.0})
+    words = tuple(repr(getattr(resolved, name)) for name in _BY_WORDS)
+    arrays = tuple(id(getattr(resolved, name) or None) for name in _BY_IDENTITY)
+    return (id(resolved.volume), id(resolved.transfer_function), alike, words, arrays)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
+from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 from clvol.errors import RenderError, UsageError, VolumeError
@@ -34,11 +35,12 @@ class Renderer:
         devices: Sequence[Any] | None = None,
         memory_cap: int | None = None,
     ) -> None:
-        start = time.perf_counter()
+        start = perf_counter()
         self.resolved = scene.resolve() if hasattr(scene, "resolve") else scene
         refuse_unknown(self.resolved)
         check_memory(self.resolved, memory_cap)
-        loaded = time.perf_counter()
+        self._first_time = self.resolved.animation.time
+        loaded = perf_counter()
         self._context = open_context(devices)
         self._raycaster = None
         if self.resolved.integration.method == "raycast":
@@ -46,7 +48,7 @@ class Renderer:
 
             self._raycaster = Engines(self._context).make(self.resolved)
         self._load_seconds = loaded - start
-        self._prepare_seconds = time.perf_counter() - loaded - self._context.compile_seconds
+        self._prepare_seconds = perf_counter() - loaded - self._context.compile_seconds
 
     def __enter__(self) -> Renderer:
         return self
@@ -65,14 +67,17 @@ class Renderer:
         camera: Camera | None = None,
         progress: Callable[[int, int], None] | None = None,
         depth: bool = True,
+        time: float | None = None,
     ) -> Frame:
-        """The picture from the scene's camera, or from ``camera``.
+        """The picture from the scene's camera, or from ``camera``, at ``animation.time``, or at
+        ``time`` (seconds). Neither compiles anything or uploads the volume anew.
 
         ``progress(done, total)`` is called now and then with shares of the work. Without ``depth``
         none is computed and ``Frame.depth`` is None.
         """
         if self._context is None:
             raise RenderError("Renderer", "is closed", "a Renderer that is open")
+        self._move_to(self._first_time if time is None else float(time))
         resolved = self.resolved
         width, height = resolved.image.width, resolved.image.height
         if camera is None:
@@ -81,30 +86,39 @@ class Renderer:
             camera = camera.complete(resolved.volume.grid, resolved.image)
         if self._raycaster is None:
             return self._reference(camera, progress)
-        compile_start = time.perf_counter()
+        compile_start = perf_counter()
         before = self._context.compile_seconds
         self._raycaster.warm_up(width, height, depth)
-        compile_seconds = before + time.perf_counter() - compile_start
+        compile_seconds = before + perf_counter() - compile_start
         self._context.compile_seconds = 0.0
-        start = time.perf_counter()
+        start = perf_counter()
         data = self._raycaster.render(camera, width, height, progress, depth)
-        seconds = {"compile": compile_seconds, "render": time.perf_counter() - start}
+        seconds = {"compile": compile_seconds, "render": perf_counter() - start}
         return self._frame(data.rgba, data.depth, seconds, {"samples": data.samples, "rays": data.rays})
 
-    def _reference(self, camera: Camera, progress) -> Frame:
-        from dataclasses import replace
+    def _move_to(self, time: float) -> None:
+        if time == self.resolved.animation.time:
+            return
 
+        def then(resolved: ResolvedScene) -> ResolvedScene:
+            return replace(resolved, animation=resolved.animation.model_copy(update={"time": time}))
+
+        self.resolved = then(self.resolved)
+        if self._raycaster is not None:
+            self._raycaster = self._raycaster.like(then(self._raycaster.resolved))
+
+    def _reference(self, camera: Camera, progress) -> Frame:
         from clvol.render.reference import render_reference
 
         resolved = replace(self.resolved, camera=camera)
-        start = time.perf_counter()
+        start = perf_counter()
         rgba, depth, counters = render_reference(
             resolved,
             self._context.device,
             tolerance=resolved.integration.tolerance,
             progress=progress,
         )
-        seconds = {"compile": 0.0, "render": time.perf_counter() - start}
+        seconds = {"compile": 0.0, "render": perf_counter() - start}
         return self._frame(rgba, depth, seconds, counters)
 
     def _frame(self, rgba, depth, seconds: dict, counted: dict) -> Frame:

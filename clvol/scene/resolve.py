@@ -152,6 +152,8 @@ def load_scene_volume(
 
     if isinstance(asked, Volume):
         return asked
+    if asked.field is not None:
+        return _computed(asked, origin, memory_cap)
     path = folder / asked.file
     is_scene_file = str(path) != origin
     if is_scene_file and not path.exists():
@@ -163,6 +165,14 @@ def load_scene_volume(
     if asked.nan != "transparent" and volume.nan_count:
         volume = _with_nan_as(volume, asked.nan)
     return volume
+
+
+def _computed(asked: VolumeSettings, origin: str, memory_cap: int | None) -> Volume:
+    from clvol.volume.memory import check_memory
+    from clvol.volume.procedural import scene_field
+
+    check_memory(f"{origin}: volume.size", math.prod(asked.size), memory_cap)
+    return scene_field(asked.field, asked.size, asked.spacing or (1.0, 1.0, 1.0))
 
 
 def _with_nan_as(volume: Volume, value: float) -> Volume:

@@ -80,7 +80,7 @@ class Scene(Table):
 
     version: Annotated[int, BeforeValidator(_version)] = Field(1, description="1")
     volume: Annotated[VolumeSettings, WrapValidator(_volume)] = Field(
-        description="a table with the key file"
+        description="a table with the key file, or field and size"
     )
     camera: Camera | None = Field(None, description=_TABLE)
     image: ImageSettings = Field(ImageSettings(), description=_TABLE)
@@ -192,9 +192,9 @@ class Scene(Table):
 
     @property
     def volume_path(self) -> Path | None:
-        """The volume's file or folder; None for a volume handed over as an array."""
-        settings = self.volume
-        return self._folder / settings.file if isinstance(settings, VolumeSettings) else None
+        """The volume's file or folder; None for one handed over as an array or computed."""
+        file = getattr(self.volume, "file", None)
+        return None if file is None else self._folder / file
 
     @property
     def folder(self) -> Path:

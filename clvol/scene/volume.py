@@ -1,14 +1,14 @@
-"""[volume]: which file, and what to make of it."""
+"""[volume]: which file, and what to make of it; or a field that needs none."""
 
 from __future__ import annotations
 
 import math
 import os
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BeforeValidator, Field
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
-from clvol.scene.table import AsTuple, Length, Table, Whole, plain
+from clvol.scene.table import AsTuple, Length, Table, Whole, plain, wrong
 
 
 def _nan_policy(value: Any) -> str | float:
@@ -36,10 +36,19 @@ _Side = Annotated[Whole, Field(ge=1, le=2**31 - 1)]
 
 class VolumeSettings(Table):
     """``file`` is relative to the scene file. ``spacing`` overrides the file's. ``dims`` (nx, ny,
-    nz) and ``dtype`` say what a .raw file holds. ``nan`` is what a NaN voxel counts as."""
+    nz) and ``dtype`` say what a .raw file holds. ``nan`` is what a NaN voxel counts as.
 
-    file: Annotated[str, BeforeValidator(path_text), AfterValidator(is_path)] = Field(
-        min_length=1, description="the name of a volume file, in quotes"
+    In place of a file: ``field``, computed on ``size`` (nx, ny, nz) voxels of 8 bits, 1 apart or as
+    ``spacing`` says (``clvol.volume.procedural.scene_field``)."""
+
+    file: Annotated[str, BeforeValidator(path_text), AfterValidator(is_path)] | None = Field(
+        None, min_length=1, description="the name of a volume file, in quotes"
+    )
+    field: Literal["radial", "ellipsoid", "constant"] | None = Field(
+        None, description="'radial', 'ellipsoid' or 'constant'"
+    )
+    size: Annotated[tuple[_Side, _Side, _Side], AsTuple] | None = Field(
+        None, description="three whole numbers [nx, ny, nz] greater than 0"
     )
     spacing: Annotated[tuple[Length, Length, Length], AsTuple] | None = Field(
         None, description="three world lengths [x, y, z] greater than 0"
@@ -51,6 +60,23 @@ class VolumeSettings(Table):
     nan: Annotated[Any, BeforeValidator(_nan_policy)] = Field(
         "transparent", description="'transparent' or a finite number"
     )
+
+    @model_validator(mode="after")
+    def _file_or_field(self) -> VolumeSettings:
+        if self.file is None and self.field is None:
+            raise wrong("file", None, "the name of a volume file, or a field and its size")
+        if self.file is not None and self.field is not None:
+            raise wrong("field", self.field, "either file or field, not both")
+        if self.field is not None and self.size is None:
+            expected = "three whole numbers [nx, ny, nz] greater than 0, beside field"
+            raise wrong("size", None, expected)
+        if self.field is None and self.size is not None:
+            raise wrong("size", self.size, "a size beside field alone; for a .raw file, dims")
+        for key in ("dims", "dtype"):
+            value = getattr(self, key)
+            if self.field is not None and value is not None:
+                raise wrong(key, value, f"no {key} beside field; it has its size, and 8 bits")
+        return self
 
     @classmethod
     def table_name(cls) -> str:

@@ -148,6 +148,39 @@ class Ball:
 
 
 @dataclass(frozen=True)
+class RadialFall:
+    """f = peak at the centre, falling linearly to 0 at the ellipsoid with the half axes ``radii``,
+    and 0 outside: peak max(0, 1 - |(p - center) / radii|)."""
+
+    center: Triple = (0.0, 0.0, 0.0)
+    radii: Triple = (1.0, 1.0, 1.0)
+    peak: float = 1.0
+
+    def __call__(self, x, y, z):
+        return self.peak * np.maximum(1.0 - np.sqrt(self._squared((x, y, z), (0, 1, 2))), 0.0)
+
+    def line_integral(self, axis, lower, upper, x, y, z):
+        near = self._squared((x, y, z), [k for k in range(3) if k != axis])
+        reach = np.sqrt(np.maximum(1.0 - near, 0.0))
+        ends = ((end - self.center[axis]) / self.radii[axis] for end in (lower, upper))
+        start, stop = (np.clip(end, -reach, reach) for end in ends)
+        whole = self._fallen(stop, near) - self._fallen(start, near)
+        return self.peak * self.radii[axis] * np.where(near < 1.0, whole, 0.0)
+
+    @staticmethod
+    def _fallen(t: np.ndarray, near: np.ndarray) -> np.ndarray:
+        """The integral of 1 - sqrt(near + t^2) from 0 to t."""
+        off = np.sqrt(np.where(near > 0, near, 1.0))
+        turned = np.where(near > 0, near * np.arcsinh(t / off), 0.0)
+        return t - 0.5 * (t * np.sqrt(near + t * t) + turned)
+
+    def _squared(self, point: tuple, axes: Sequence[int]) -> np.ndarray:
+        return sum(
+            ((np.asarray(point[k], float) - self.center[k]) / self.radii[k]) ** 2 for k in axes
+        )
+
+
+@dataclass(frozen=True)
 class Smooth:
     """f = offset + sum_i amplitude_i * sin(wave_i . p + phase_i), waves in radians per unit."""
 
@@ -298,6 +331,27 @@ def sample(
                 raise VolumeError("dtype", f"values outside {dtype}", "a type that holds them")
         data[k] = values
     return Volume(data, grid.spacing, grid.origin, grid.direction, name, frame="world")
+
+
+MIDDLE = 128.0  # of the bytes: what noise of either sign can be added to
+
+
+def scene_field(
+    kind: str, size: Sequence[int], spacing: Sequence[float] = (1.0, 1.0, 1.0)
+) -> Volume:
+    """What [volume] field = ``kind`` is: uint8 voxels, ``size`` (nx, ny, nz) of them, origin at 0.
+
+    "radial": 255 in the middle, falling linearly to 0 at the distance of the nearest face.
+    "ellipsoid": likewise, to 0 at the ellipsoid that touches all faces. "constant": MIDDLE.
+    """
+    shape = tuple(size)[::-1]
+    lower, upper = Grid(shape, tuple(spacing)).index_bounds() * np.asarray(spacing)
+    center, half = 0.5 * (lower + upper), 0.5 * (upper - lower)
+    field: Field = Constant(MIDDLE)
+    if kind != "constant":
+        radii = half if kind == "ellipsoid" else np.full(3, half.min())
+        field = RadialFall(tuple(center), tuple(radii), 255.0)
+    return sample(field, shape, spacing, dtype=np.uint8, name=kind)
 
 
 def unit_box(shape: Sequence[int]) -> tuple[Triple, Triple]:

@@ -78,10 +78,13 @@ class StubFrame:
 
 
 class StubRenderer:
-    """The interface of clvol.render.Renderer; ``failure`` is raised in place of a frame."""
+    """The interface of clvol.render.Renderer; ``failure`` is raised in place of a frame, or of the
+    one at ``fails_at`` seconds. A frame at ``time`` is brighter by ``time`` / 4."""
 
     failure: BaseException | None = None
+    fails_at: float | None = None
     calls: list[tuple] = []
+    rendered: list[tuple] = []
 
     def __init__(self, scene, devices=None, memory_cap=None):
         self.resolved = scene.resolve()
@@ -94,11 +97,12 @@ class StubRenderer:
     def __exit__(self, *stop):
         return None
 
-    def render(self, camera=None, progress=None, depth=True):
-        if self.failure is not None:
+    def render(self, camera=None, progress=None, depth=True, time=None):
+        if self.failure is not None and self.fails_at in (None, time):
             raise self.failure
+        type(self).rendered.append((time, camera))
         size = self.resolved.image.height, self.resolved.image.width
-        rgba = np.full((*size, 4), 0.25, dtype=np.float32)
+        rgba = np.full((*size, 4), 0.25 + (time or 0.0) / 4, dtype=np.float32)
         depth = np.full(size, 2.0, dtype=np.float32)
         seconds = {"prepare": 0.1, "compile": 0.0, "render": np.float32(0.5)}
         stats = {"seconds": seconds, "samples": np.int64(7), "rays": 48, "devices": ["stub"],
@@ -109,9 +113,14 @@ class StubRenderer:
 @pytest.fixture
 def renderer(monkeypatch) -> type[StubRenderer]:
     """The stub in the place of the renderer."""
+    import clvol.render
+
     module = ModuleType("clvol.render")
     module.Renderer = StubRenderer
+    module.__path__ = clvol.render.__path__
     monkeypatch.setitem(sys.modules, "clvol.render", module)
     monkeypatch.setattr(StubRenderer, "failure", None)
+    monkeypatch.setattr(StubRenderer, "fails_at", None)
     monkeypatch.setattr(StubRenderer, "calls", [])
+    monkeypatch.setattr(StubRenderer, "rendered", [])
     return StubRenderer

@@ -18,6 +18,8 @@ FIELDS = [
     procedural.Ball((0.1, -0.2, 0.3), 0.8, inside=2.0, outside=0.5),
     procedural.Smooth(),
     procedural.Gaussian((0.1, 0.2, 0.3), 0.4, 3.0),
+    procedural.RadialFall((0.1, -0.2, 0.3), (0.8, 0.9, 1.4), 3.0),
+    procedural.RadialFall((0.21, -0.17, 0.33), (0.5, 0.5, 0.5)),  # the line runs through its centre
     procedural.Checkerboard(0.35, 0.1, 0.8),
     procedural.MarschnerLobb(),
 ]
@@ -76,3 +78,38 @@ def test_marschner_lobb_lies_in_the_unit_interval_on_its_box() -> None:
     lower, upper = volume.value_range
     assert 0.0 <= lower < 0.05 and 0.95 < upper <= 1.0
     np.testing.assert_allclose(volume.grid.world_corners()[7], [1.0, 1.0, 1.0], atol=1e-12)
+
+
+# --- fields of scenes ------------------------------------------------------------------------------
+
+
+def test_a_radial_field_falls_to_0_at_the_nearest_face() -> None:
+    volume = procedural.scene_field("radial", (9, 11, 17))
+    assert volume.shape == (17, 11, 9) and volume.dtype == np.uint8
+    assert volume.data[8, 5, 4] == 255
+    assert volume.data[8, 5].tolist() == [0, 64, 128, 191, 255, 191, 128, 64, 0]
+    assert volume.data[8 - 4, 5, 4] == volume.data[8 + 4, 5, 4] == 0  # as far as the nearest face
+    assert volume.data[8 - 3, 5, 4] == 64
+
+
+def test_an_ellipsoid_reaches_every_face() -> None:
+    volume = procedural.scene_field("ellipsoid", (9, 5, 17), (1.0, 4.0, 0.5))
+    assert volume.grid.spacing == (1.0, 4.0, 0.5)
+    for line in (volume.data[8, 2], volume.data[:, 2, 4], volume.data[8, :, 4]):
+        assert line[0] == line[-1] == 0 and line[line.size // 2] == 255 and line[1] > 0
+    assert volume.data[0, 0, 0] == 0
+
+
+def test_spacing_makes_a_radial_field_round_in_the_world() -> None:
+    data = procedural.scene_field("radial", (17, 9, 17), (1.0, 2.0, 1.0)).data
+    assert np.array_equal(data[8, :, 8], data[8, 4, ::2])
+
+
+@pytest.mark.parametrize("kind", ["radial", "ellipsoid"])
+def test_a_slab_of_one_voxel_holds_the_middle(kind) -> None:
+    data = procedural.scene_field(kind, (1, 1, 1)).data
+    assert data.item() == 255
+
+
+def test_a_constant_field_is_the_middle_of_the_bytes() -> None:
+    assert (procedural.scene_field("constant", (3, 4, 5)).data == procedural.MIDDLE).all()

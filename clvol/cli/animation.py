@@ -1,0 +1,152 @@
+"""clvol render for scenes of several frames: numbered pictures one by one, and whole videos."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from clvol.cli.console import say, to_json, working
+from clvol.cli.outputs import check_frames, numbered, save_picture, together
+from clvol.errors import ClvolError, UsageError
+
+if TYPE_CHECKING:
+    from clvol.scene import Scene
+    from clvol.scene.resolve import ResolvedScene
+
+_SHARES = 1000  # parts of a frame that progress counts
+
+
+def render_animation(
+    asked: Scene,
+    outputs: Sequence[str],
+    inputs: Sequence[str | os.PathLike],
+    stats: str | None,
+    *,
+    resume: bool,
+    quiet: bool,
+    devices: list[str] | None,
+    memory_cap: int | None,
+) -> None:
+    """Renders all frames of ``asked`` and prints the files written.
+
+    A frame's pictures appear together when it is done and stay whatever follows; videos and stats
+    appear at the end or not at all. ``resume``: frames whose pictures are all there, whole and of
+    this very scene are not rendered again.
+    """
+    from clvol.image import check_video, is_video, open_video
+
+    start = time.perf_counter()
+    videos = [path for path in outputs if is_video(path)]
+    stills = [path for path in outputs if not is_video(path)]
+    others = [] if stats is None else [stats]
+    count, fps = asked.animation.frames, asked.animation.fps
+    for path in videos:
+        check_video(path, fps, asked.image.width, asked.image.height)
+    if resume and videos:
+        raise UsageError("--resume", f"given with {videos[0]}", "numbered pictures alone")
+    check_frames(stills, videos, others, inputs, count)
+
+    with working("loading", quiet):
+        resolved = asked.resolve(memory_cap)
+    load_seconds = time.perf_counter() - start
+
+    from clvol.render import Renderer
+    from clvol.render.animation import frames
+
+    kept = set()
+    if resume:
+        with working("looking at what is there", quiet):
+            kept = {index for index in range(count) if _is_there(stills, index, resolved)}
+    written: list[str] = []
+    totals = _Totals()
+    depth = any(path.lower().endswith(".exr") for path in stills)
+    todo = [frame for frame in frames(resolved) if frame[0] not in kept]
+    size = f"{resolved.image.width} x {resolved.image.height} pixels"
+    with ExitStack() as stack:
+        temporaries = stack.enter_context(together([*videos, *others]))
+        progress = stack.enter_context(working(f"rendering {len(todo)} frames of {size}", quiet))
+        parts = temporaries[: len(videos)]
+        writers = [stack.enter_context(open_video(path, fps)) for path in parts]
+        if todo:
+            renderer = Renderer(asked, devices=devices, memory_cap=memory_cap)
+            stack.enter_context(renderer)
+        for done, (index, seconds, camera) in enumerate(todo):
+            report = _part(progress, done, len(todo))
+            frame = renderer.render(camera=camera, time=seconds, progress=report, depth=depth)
+            write_start = time.perf_counter()
+            names = [numbered(path, index) for path in stills]
+            with together(names) as places:
+                for name, place in zip(names, places):
+                    save_picture(frame, place, name)
+            for writer in writers:
+                writer.add(frame)
+            written += names
+            totals.add(frame.stats, time.perf_counter() - write_start)
+        if progress is not None:
+            progress(None, None, "writing")
+        write_start = time.perf_counter()
+        for writer in writers:
+            writer.finish()
+        totals.seconds["write"] = totals.seconds.get("write", 0) + time.perf_counter() - write_start
+        if stats is not None:
+            totals.seconds |= {"load": load_seconds, "total": time.perf_counter() - start}
+            known = totals.stats() | {"frames": len(todo), "frames_kept": len(kept)}
+            temporaries[-1].write_text(to_json(known) + "\n", encoding="utf-8")
+    for path in [*written, *videos, *others]:
+        say(click.format_filename(path))
+    if kept and not quiet:
+        click.echo(f"{len(kept)} of {count} frames were there already", err=True)
+
+
+class _Totals:
+    """Stats of all frames: times and counts summed, the rest as in the last one."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+        self._known: dict[str, Any] = {"samples": 0, "rays": 0}
+
+    def add(self, stats: dict[str, Any], write_seconds: float) -> None:
+        summed = {name: self._known[name] + stats.get(name, 0) for name in ("samples", "rays")}
+        counters = dict(self._known.get("counters", {}))
+        for name, value in stats.get("counters", {}).items():
+            counters[name] = counters.get(name, 0) + value
+        self._known = {**stats, **summed} | ({"counters": counters} if counters else {})
+        for stage, seconds in {**stats.get("seconds", {}), "write": write_seconds}.items():
+            self.seconds[stage] = self.seconds.get(stage, 0.0) + seconds
+
+    def stats(self) -> dict[str, Any]:
+        return {**self._known, "seconds": self.seconds}
+
+
+def _part(
+    progress: Callable[[int, int], None] | None, done: int, count: int
+) -> Callable[[int, int], None] | None:
+    """``progress`` of one frame as a share of all."""
+    if progress is None:
+        return None
+    return lambda part, whole: progress(
+        done * _SHARES + _SHARES * part // max(whole, 1), count * _SHARES
+    )
+
+
+def _is_there(stills: Sequence[str], index: int, resolved: ResolvedScene) -> bool:
+    """Whether all pictures of a frame are whole, of the right size and, where they say which scene
+    they show, of this one."""
+    from clvol.image import load_image
+
+    for path in stills:
+        try:
+            picture = load_image(numbered(path, index))
+        except ClvolError:
+            return False
+        header = {name.lower(): value for name, value in picture["header"].items()}
+        if picture["rgba"].shape[:2] != (resolved.image.height, resolved.image.width):
+            return False
+        if header.get("scene", resolved.source) != resolved.source:
+            return False
+    return True

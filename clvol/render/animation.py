@@ -1,0 +1,39 @@
+"""What changes from frame to frame of an animation: the time, and the camera in orbit."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from clvol.scene.camera import Camera
+from clvol.scene.resolve import ResolvedScene
+
+
+def frames(resolved: ResolvedScene) -> Iterator[tuple[int, float, Camera]]:
+    """(index from 0, time in seconds, camera) of each frame.
+
+    Frames are 1 / ``animation.fps`` apart. The turn of ``animation.orbit_degrees`` is shared out
+    over all of them such that the frame after the last one would end it: a turn of 360 runs in a
+    loop without a stop.
+    """
+    animation = resolved.animation
+    for index in range(animation.frames):
+        turn = animation.orbit_degrees * index / animation.frames
+        yield index, animation.time + index / animation.fps, orbited(resolved.camera, turn)
+
+
+def orbited(camera: Camera, degrees: float) -> Camera:
+    """``camera`` (complete) turned about its target and its ``up``: to the right where positive, so
+    that what it looks at turns to the left."""
+    if degrees == 0:
+        return camera
+    up = np.asarray(camera.up) / np.linalg.norm(camera.up)
+    away = np.subtract(camera.position, camera.target)
+    angle = math.radians(math.fmod(degrees, 360.0))
+    along = (away @ up) * up
+    across = away - along
+    turned = along + math.cos(angle) * across + math.sin(angle) * np.cross(up, across)
+    position = tuple(float(x) for x in np.asarray(camera.target) + turned)
+    return camera.model_copy(update={"position": position})
