@@ -23,6 +23,7 @@ from clvol.features import (
     QUADRATURES,
     called_for,
     effects,
+    emits,
     explain,
     is_lit,
     kernel_hash,
@@ -185,6 +186,10 @@ def test_a_transparent_transfer_function_calls_for_nothing():
         "the transfer function is transparent over the data's range 0 to 255"
     )
     assert told["lighting"] == told["clipping"] == "nothing of the volume is visible"
+    layered = scene_with(
+        function=CLEAR, transfer_layer=[{"magnitude": 3.0, "points": POINTS}], light=[SUN]
+    )
+    assert emits(layered) and "lighting" in called_for(layered) and not emits(hidden)
     noisy = scene_with(function=CLEAR, noise={"target": "value", "amplitude": 1.0})
     assert called_for(noisy) == ["emission-absorption", "noise"]  # values beyond 255
 
