@@ -69,7 +69,14 @@ def effect_switches(
     }
     if not any(switches.values()):
         return {}
-    return {"EFFECTS": 1, "TRANSLUCENT": int(is_translucent(resolved)), **switches}
+    # Whole segments' opacities serve where no effect cuts segments or changes what they absorb.
+    changed = decides or surfaces or resolved.fields or resolved.integration.classification == "pre"
+    return {
+        "EFFECTS": 1,
+        "TRANSLUCENT": int(is_translucent(resolved)),
+        "SEGMENT_OPACITIES": int(not changed),
+        **switches,
+    }
 
 
 def _gradient(resolved: ResolvedScene, limits: DeviceLimits | None) -> int:

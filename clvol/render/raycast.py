@@ -179,7 +179,8 @@ class Raycaster:
         integration, nodes = self.resolved.integration, self.nodes.values
         arguments = self.context, self._function, nodes
         kind = segment_classification(integration)
-        if self.effects.switches:  # any channel may change by itself, and segments be cut
+        effects = self.effects.switches
+        if effects and not effects["SEGMENT_OPACITIES"]:  # segments may be cut, or absorb less
             if kind == "preintegrated":
                 self.table = depths_table(*arguments, self.length)
             else:

@@ -65,7 +65,7 @@ class Medium:
         return self.field.value(moved) + added
 
     def gradient(self, world: np.ndarray) -> np.ndarray:
-        """The gradient [n, 3] of the field where the place is taken to; noise's own is not in it."""
+        """The gradient [n, 3] of the field where the place is moved to; noise's own is left out."""
         return self.field.gradient(self._perturbed(world)[0])
 
     def _perturbed(self, world: np.ndarray) -> tuple[np.ndarray, np.ndarray | float]:
@@ -167,8 +167,8 @@ def _sampler(field) -> GridSampler:
 
 
 def _kept_by_mask(field, sampler, start, end):
-    """The share [n] kept: the mask runs linearly from end to end. Of a segment with an end outside the
-    mask's grid, or where it is not finite, nothing is kept."""
+    """The share [n] kept: the mask runs linearly from end to end. Of a segment with an end outside
+    the mask's grid, or where it is not finite, nothing is kept."""
     ends, known = [], np.ones(len(start), bool)
     for at in (start, end):
         above = sampler(at) - field.threshold
