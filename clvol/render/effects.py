@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from clvol.features import GRADIENTS
+from clvol.features import GRADIENTS, emits, is_lit
 from clvol.opencl.context import DeviceArray, DeviceContext
 from clvol.opencl.structs import effects_dtype
 from clvol.render.device_volume import DeviceVolume
@@ -49,7 +49,7 @@ def effect_switches(
 
     ``limits``: of the device, which may be too small for precomputed gradients; None: it is not.
     """
-    lit = bool(resolved.lights) or resolved.environment is not None
+    lit = is_lit(resolved)
     seen = resolved.environment is not None and resolved.environment.visible
     surfaces = resolved.isosurfaces
     refracts = any(surface.refraction != 1.0 for surface in surfaces)
@@ -63,7 +63,7 @@ def effect_switches(
         "REFRACTION": int(refracts),
         "CLIP": int(bool(resolved.clips)),
         "DEPTH_CUE": int(resolved.depth_cue is not None),
-        "ENVIRONMENT": int(resolved.environment is not None),
+        "ENVIRONMENT": int(lit and resolved.environment is not None),
         "ENVIRONMENT_VISIBLE": int(seen),
         "GRADIENT": _gradient(resolved, limits) if lit or refracts or decides else 0,
     }
@@ -88,11 +88,8 @@ def _gradient(resolved: ResolvedScene, limits: DeviceLimits | None) -> int:
 
 
 def is_translucent(resolved: ResolvedScene) -> bool:
-    """Whether the transfer function shows anything of the volume."""
-    function, (low, high) = resolved.transfer_function, resolved.volume.value_range
-    inside = (function.values >= low) & (function.values <= high)
-    ends = function.opacity(np.array([low, high]))
-    return bool(np.any(function.opacities[inside] > 0) or np.any(ends > 0))
+    """Whether anything but surfaces shows: the volume under its transfer function, or a field."""
+    return emits(resolved) or any(field.role == "density" for field in resolved.fields)
 
 
 class LocalSpace:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from clvol.features import reduced
 from clvol.render.prefilter import prefiltered
 from clvol.render.quantise import quantised
 
@@ -32,7 +33,7 @@ class Engines:
         """What renders ``resolved`` by its ``integration.method``."""
         from clvol.render.raycast import Raycaster
 
-        resolved = self._with_precision(resolved)
+        resolved = self._with_precision(reduced(resolved))
         key = _key(resolved)
         if key in self._made:
             made = self._made[key] = self._made.pop(key).like(resolved)

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from clvol.errors import RenderError
-from clvol.features import CLASSIFICATIONS, FILTERS, QUADRATURES, overshoot
+from clvol.features import CLASSIFICATIONS, FILTERS, QUADRATURES, overshoot, reduced
 from clvol.opencl.context import DeviceContext, restore_interrupts
 from clvol.opencl.structs import effects_dtype, view_dtype
 from clvol.render.device_volume import DeviceVolume
@@ -128,7 +128,7 @@ class Raycaster:
         volume: DeviceVolume | None = None,
     ) -> None:
         self.context = context
-        self.resolved = resolved
+        self.resolved = resolved = reduced(resolved)
         self.lanes = lanes or (16 if context.is_cpu else 1)
         self.skip = skip
         self.tile = tile if self.lanes > 1 else (1, 1)
@@ -210,7 +210,7 @@ class Raycaster:
         """The same for ``resolved``, which may differ in camera, image, step and early termination alone.
         Shares what these leave as it is: the volume, empty space, and often the tables."""
         other = copy.copy(self)
-        other.resolved = resolved
+        other.resolved = resolved = reduced(resolved)
         by_cells = resolved.integration.quadrature == "cells"
         if not by_cells and other.length != self.length:
             other._build_table()
