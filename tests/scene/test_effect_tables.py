@@ -365,7 +365,6 @@ MISTAKES = [
     ('gradient.operator="prewitt"', "gradient.operator", "'prewitt'", "'sobel'"),
     ('gradient.storage="always"', "gradient.storage", "'always'", "'precomputed'"),
     ("material.fade=-1", "material.fade", "-1", "0 or greater"),
-    ("light=[]", "shadow", "{'method': 'volume'", "no [shadow] in a scene without any [[light]]"),
     ('shadow.method="rays"', "shadow.scattering", "0.4", "0, or the method 'volume'"),
     ("shadow.resolution=3", "shadow.resolution", "3", "from 4 to 512"),
     ("shadow.cone_degrees=81", "shadow.cone_degrees", "81", "from 0 to 80"),
