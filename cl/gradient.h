@@ -74,6 +74,85 @@ INLINE floatN mix_four(floatN v00, floatN v10, floatN v01, floatN v11, floatN f,
   return mix_corners(mix_corners(v00, v10, f), mix_corners(v01, v11, f), g);
 }
 
+#if VOXEL_BITS == 8 && VOXEL_PAIRS
+
+/* Rows y and y + 1 (from `pair` on) of the voxels x - 1 .. x + 2, as two words of pairs; beyond faces the outermost voxels. */
+typedef struct {
+  uintN low, high;
+} FourPairs;
+
+INLINE FourPairs fetch_four_pairs(__global const uchar *volume, __constant const View *view, intN low_x, intN pair, intN iz,
+                                  intN first_x, intN last_x, intN first_y, intN last_y)
+{
+  FourPairs f;
+  gather_two2(volume, corner_offset(view, low_x, pair, iz), &f.low, &f.high);
+  if (any_lane(first_x)) { /* what was fetched begins at x */
+    f.high = select(f.high, f.high << 16u | f.low >> 16u, first_x);
+    f.low = select(f.low, f.low << 16u | (f.low & 0xffffu), first_x);
+  }
+  if (any_lane(last_x)) f.high = select(f.high, (f.high & 0xffffu) | f.high << 16u, last_x);
+  /* The only row of the two that is wanted, twice. */
+  if (any_lane(first_y)) {
+    f.low = select(f.low, (f.low & 0x00ff00ffu) * 0x101u, first_y);
+    f.high = select(f.high, (f.high & 0x00ff00ffu) * 0x101u, first_y);
+  }
+  if (any_lane(last_y)) {
+    f.low = select(f.low, (f.low >> 8u & 0x00ff00ffu) * 0x101u, last_y);
+    f.high = select(f.high, (f.high >> 8u & 0x00ff00ffu) * 0x101u, last_y);
+  }
+  return f;
+}
+
+/* What one slice has for the differences along x and y, and its mean at the place itself. */
+typedef struct {
+  floatN xa, xb, xc, xd; /* means along y at x - 1 .. x + 2 */
+  floatN ya, yb, yc, yd; /* means along x at y - 1 .. y + 2 */
+} SliceMeans;
+
+INLINE SliceMeans slice_means(FourPairs above, FourPairs below, floatN fx, floatN fy)
+{
+  SliceMeans m;
+  const floatN b1 = BYTE(above.low, 3u), c1 = BYTE(above.high, 1u), b2 = BYTE(below.low, 2u), c2 = BYTE(below.high, 0u);
+  m.xa = mix_corners(BYTE(above.low, 1u), BYTE(below.low, 0u), fy);
+  m.xb = mix_corners(b1, b2, fy), m.xc = mix_corners(c1, c2, fy);
+  m.xd = mix_corners(BYTE(above.high, 3u), BYTE(below.high, 2u), fy);
+  m.ya = mix_corners(BYTE(above.low, 2u), BYTE(above.high, 0u), fx);
+  m.yb = mix_corners(b1, c1, fx), m.yc = mix_corners(b2, c2, fx);
+  m.yd = mix_corners(BYTE(below.low, 3u), BYTE(below.high, 1u), fx);
+  return m;
+}
+
+/* Six gathers, four of them of 64 bits. */
+INLINE Gradient gradient_at(__global const uchar *volume, __global const uint *gradients, __constant const View *view,
+                            float4 gradient_scale, floatN px, floatN py, floatN pz)
+{
+  const Place x = place_in_cell(px, view->upper.x, view->size.x), y = place_in_cell(py, view->upper.y, view->size.y);
+  const Place z = place_in_cell(pz, view->upper.z, view->size.z);
+  const intN first_x = MASK(x.index == 0), last_x = MASK(x.index == view->size.x - 2);
+  const intN first_y = MASK(y.index == 0), last_y = MASK(y.index == view->size.y - 2);
+  const intN first_z = MASK(z.index == 0), last_z = MASK(z.index == view->size.z - 2);
+  const intN zero = 0, one = 1, low_x = x.index - select(one, zero, first_x);
+  const intN above = y.index - select(one, zero, first_y), below = y.index + select(one, zero, last_y);
+  const intN low_z = z.index - select(one, zero, first_z), high_z = z.index + select((intN)2, one, last_z);
+  const FourPairs a0 = fetch_four_pairs(volume, view, low_x, above, z.index, first_x, last_x, first_y, zero);
+  const FourPairs b0 = fetch_four_pairs(volume, view, low_x, below, z.index, first_x, last_x, zero, last_y);
+  const FourPairs a1 = fetch_four_pairs(volume, view, low_x, above, z.index + 1, first_x, last_x, first_y, zero);
+  const FourPairs b1 = fetch_four_pairs(volume, view, low_x, below, z.index + 1, first_x, last_x, zero, last_y);
+  const Face before = fetch_face(volume, view, x.index, y.index, low_z);
+  const Face behind = fetch_face(volume, view, x.index, y.index, high_z);
+  const SliceMeans m0 = slice_means(a0, b0, x.f, y.f), m1 = slice_means(a1, b1, x.f, y.f);
+  Gradient g;
+  g.x = mixed_differences(mix_corners(m0.xa, m1.xa, z.f), mix_corners(m0.xb, m1.xb, z.f), mix_corners(m0.xc, m1.xc, z.f),
+                          mix_corners(m0.xd, m1.xd, z.f), first_x, last_x, x.f);
+  g.y = mixed_differences(mix_corners(m0.ya, m1.ya, z.f), mix_corners(m0.yb, m1.yb, z.f), mix_corners(m0.yc, m1.yc, z.f),
+                          mix_corners(m0.yd, m1.yd, z.f), first_y, last_y, y.f);
+  g.z = mixed_differences(mix_face(before, x.f, y.f), mix_corners(m0.yb, m0.yc, y.f), mix_corners(m1.yb, m1.yc, y.f),
+                          mix_face(behind, x.f, y.f), first_z, last_z, z.f);
+  return finite_gradient(g);
+}
+
+#else
+
 INLINE Gradient gradient_at(__global const uchar *volume, __global const uint *gradients, __constant const View *view,
                             float4 gradient_scale, floatN px, floatN py, floatN pz)
 {
@@ -112,6 +191,8 @@ INLINE Gradient gradient_at(__global const uchar *volume, __global const uint *g
                           mix_face(behind, x.f, y.f), first_z, last_z, z.f);
   return finite_gradient(g);
 }
+
+#endif
 
 #elif GRADIENT == GRADIENT_PRECOMPUTED
 
