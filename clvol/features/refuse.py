@@ -12,6 +12,11 @@ _PLAIN = {"emission-absorption"}
 _BY_REFERENCE = {*_PLAIN, "nearest filter", "cubic filter"}
 
 
+def has_exact_integral(resolved: ResolvedScene) -> bool:
+    """Whether the reference integrates the scene: emission and absorption, and its filter."""
+    return all(e.name in _BY_REFERENCE for e in effects(resolved) if e.called_for)
+
+
 def refuse_unknown(resolved: ResolvedScene) -> None:
     """SceneError for what the scene calls for and no kernel gives: better none than a wrong
     picture."""
