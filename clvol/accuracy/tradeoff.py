@@ -236,6 +236,7 @@ class _Sweep:
             },
             "reference": {
                 "how": self.trials.judge.how,
+                "step": counters.get("step"),
                 "tolerance": self.trials.tolerance,
                 "seconds": counters.get("seconds"),
                 "error_estimate": counters.get("error_estimate"),
