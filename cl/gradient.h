@@ -58,13 +58,16 @@ INLINE Gradient finite_gradient(Gradient g)
 /* Along an axis, whose four voxels (or means across it) are a, b, c, d, those missing at a face equal to their neighbours. */
 INLINE floatN mixed_differences(floatN a, floatN b, floatN c, floatN d, intN first, intN last, floatN f)
 {
-  const floatN one = 1.0f, halved = 0.5f;
-  return mix_corners((c - a) * select(halved, one, first), (d - b) * select(halved, one, last), f);
+  const floatN whole = 1.0f, part = 0.5f;
+  return mix_corners((c - a) * select(part, whole, first), (d - b) * select(part, whole, last), f);
 }
 
 INLINE floatN mix_edge(Edge e, floatN f) { return mix_corners(e.v0, e.v1, f); }
 
-INLINE floatN mix_face(Face face, floatN fx, floatN fy) { return mix_corners(mix_edge(face.low, fx), mix_edge(face.high, fx), fy); }
+INLINE floatN mix_face(Face face, floatN fx, floatN fy)
+{
+  return mix_corners(mix_edge(face.low, fx), mix_edge(face.high, fx), fy);
+}
 
 INLINE floatN mix_four(floatN v00, floatN v10, floatN v01, floatN v11, floatN f, floatN g)
 {
@@ -103,7 +106,8 @@ INLINE Gradient gradient_at(__global const uchar *volume, __global const uint *g
   g.y = mixed_differences(mix_face(above, x.f, z.f), mix_corners(m00, m01, z.f), mix_corners(m10, m11, z.f),
                           mix_face(below, x.f, z.f), first_y, last_y, y.f);
 
-  const Face before = fetch_face(volume, view, x.index, y.index, low_z), behind = fetch_face(volume, view, x.index, y.index, high_z);
+  const Face before = fetch_face(volume, view, x.index, y.index, low_z);
+  const Face behind = fetch_face(volume, view, x.index, y.index, high_z);
   g.z = mixed_differences(mix_face(before, x.f, y.f), mix_corners(m00, m10, y.f), mix_corners(m01, m11, y.f),
                           mix_face(behind, x.f, y.f), first_z, last_z, z.f);
   return finite_gradient(g);
@@ -166,8 +170,8 @@ INLINE GradientAxis gradient_axis(floatN x, float upper, int size)
 {
   const Place p = place_in_cell(x, upper, size);
   const intN first = MASK(p.index == 0), last = MASK(p.index == size - 2);
-  const floatN u = p.f, v = 1.0f - u, one = 1.0f, halved = 0.5f;
-  const floatN low = v * select(halved, one, first), high = u * select(halved, one, last);
+  const floatN u = p.f, v = 1.0f - u, whole = 1.0f, part = 0.5f;
+  const floatN low = v * select(part, whole, first), high = u * select(part, whole, last);
   GradientAxis a;
   a.mean = axis_in_blocks(p.index, first, last, 0.25f * v, 0.25f * (1.0f + v), 0.25f * (1.0f + u), 0.25f * u);
   a.slope = axis_in_blocks(p.index, first, last, -low, -high, low, high);
@@ -187,7 +191,8 @@ INLINE GradientAxis gradient_axis(floatN x, float upper, int size)
 #if FILTER == FILTER_CUBIC
   a.slope = axis_in_blocks(index, first, last, -0.5f * v * v, u * (1.5f * u - 2.0f), v * (2.0f - 1.5f * v), 0.5f * u * u);
 #else
-  a.slope = axis_in_blocks(index, first, last, v * (u - 0.5f * v), u * (4.5f * u - 5.0f), v * (5.0f - 4.5f * v), u * (0.5f * u - v));
+  const floatN d1 = u * (4.5f * u - 5.0f), d2 = v * (5.0f - 4.5f * v);
+  a.slope = axis_in_blocks(index, first, last, v * (u - 0.5f * v), d1, d2, u * (0.5f * u - v));
 #endif
   return a;
 }

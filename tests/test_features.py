@@ -23,6 +23,7 @@ from clvol.features import (
     QUADRATURES,
     called_for,
     effects,
+    emits,
     explain,
     is_lit,
     kernel_hash,
@@ -82,7 +83,8 @@ CALLED = [
     ({}, []),
     ({"light": [SUN]}, ["lighting", "specular", "gradients"]),
     ({"light": [SUN], "material": {"specular": 0.0}}, ["lighting", "gradients"]),
-    ({"light": [SUN], "gradient": {"operator": "sobel"}, "material": {"specular": 0.0}},
+    ({"light": [SUN], "material": {"specular": 0.0},
+      "gradient": {"operator": "sobel", "storage": "on-the-fly"}},
      ["lighting", "gradients", "sobel gradients"]),
     ({"light": [SUN], "gradient": {"storage": "precomputed"}, "material": {"specular": 0.0}},
      ["lighting", "gradients", "precomputed gradients"]),
@@ -184,6 +186,10 @@ def test_a_transparent_transfer_function_calls_for_nothing():
         "the transfer function is transparent over the data's range 0 to 255"
     )
     assert told["lighting"] == told["clipping"] == "nothing of the volume is visible"
+    layered = scene_with(
+        function=CLEAR, transfer_layer=[{"magnitude": 3.0, "points": POINTS}], light=[SUN]
+    )
+    assert emits(layered) and "lighting" in called_for(layered) and not emits(hidden)
     noisy = scene_with(function=CLEAR, noise=[{"target": "value", "amplitude": 1.0}])
     assert called_for(noisy) == ["emission-absorption", "noise"]  # values beyond 255
 
@@ -194,6 +200,15 @@ def test_a_volume_without_a_finite_voxel_calls_for_nothing():
     assert called_for(empty) == []
     told = reasons(empty)
     assert told["emission-absorption"] == told["isosurfaces"] == "no voxel is finite"
+
+
+def test_automatic_storage_of_gradients_says_what_it_is():
+    few, many = (reduced(scene_with(Volume(ARRAY.astype(dtype)), light=[SUN]))
+                 for dtype in (np.uint8, np.int16))  # fmt: skip
+    assert "precomputed gradients" not in called_for(few)
+    assert "which is on-the-fly for this volume" in reasons(few)["precomputed gradients"]
+    assert "precomputed gradients" in called_for(many)
+    assert "where the device has the memory" in reasons(many)["precomputed gradients"]
 
 
 # --- reasons -----------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""Scenes with closed forms: ramps, blocks and balls of a few voxels, and single rays through them."""
+"""Scenes with closed forms: ramps of a few voxels, and single rays through them."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ def ramp(slope=1.0, axis=0, size=RAMP_SIZE) -> np.ndarray:
 
 
 def scene(array, function=None, *, grid=None, **tables):
-    """A resolved scene; ``tables`` as in a scene file. Post-classification and no early stop, unless
-    [integration] says otherwise."""
+    """A resolved scene; ``tables`` as in a scene file. Post-classification and no early stop,
+    unless [integration] says otherwise."""
     volume = array if isinstance(array, Volume) else Volume(array, **(grid or {}))
     integration = {"classification": "post", "early_termination": 0.0}
     integration.update(tables.pop("integration", {}))

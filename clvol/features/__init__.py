@@ -12,6 +12,7 @@ from __future__ import annotations
 from clvol.features.analysis import NAMES, called_for, effects, reduced
 from clvol.features.effect import Effect
 from clvol.features.explanation import explain, kernel_hash
+from clvol.features.findings import emits
 from clvol.features.lighting import NEUTRAL, is_lit
 from clvol.features.refuse import refuse_unknown
 from clvol.features.vocabulary import (
@@ -36,6 +37,7 @@ __all__ = [
     "Effect",
     "called_for",
     "effects",
+    "emits",
     "explain",
     "is_lit",
     "kernel_hash",

@@ -37,17 +37,12 @@ class Findings:
         self.scene = scene
         self.effects: dict[str, Effect] = {}
         self.projection = PROJECTIONS.get(scene.integration.compositing)
-        functions = [scene.transfer_function]
-        if self.projection is None and not has_no_gradient(scene):
-            functions += [layer.function for layer in scene.transfer_layers]
-        low, high = reachable(scene)
-        volume = scene.volume
-        self.has_values = volume.nan_count + volume.inf_count < volume.data.size
-        self.emits = self.has_values and any(shows(function, low, high) for function in functions)
+        self.has_values = has_values(scene)
+        self.emits = emits(scene)
         self.adds = self.projection is None and any(
             density_shows(field, scene) for field in scene.fields if field.role == "density"
         )
-        self.surfaces = self._surfaces(low, high)
+        self.surfaces = self._surfaces(*reachable(scene))
         self.blank = not (self.emits or self.adds or self.surfaces)
         self.lit = self.by_lights = False
 
@@ -70,9 +65,24 @@ class Findings:
 
 
 def has_no_gradient(scene: ResolvedScene) -> bool:
-    """Whether the volume, as far as it is finite, has one single value."""
+    """Whether the volume, as far as it is finite, has one single value, and no noise."""
     low, high = scene.volume.value_range
-    return low == high
+    return low == high and not scene.noise
+
+
+def has_values(scene: ResolvedScene) -> bool:
+    """Whether any voxel is finite."""
+    volume = scene.volume
+    return volume.nan_count + volume.inf_count < volume.data.size
+
+
+def emits(scene: ResolvedScene) -> bool:
+    """Whether the transfer function, with all its layers, can show anything of the volume."""
+    functions = [scene.transfer_function]
+    if scene.integration.compositing == "over" and not has_no_gradient(scene):
+        functions += [layer.function for layer in scene.transfer_layers]
+    low, high = reachable(scene)
+    return has_values(scene) and any(shows(function, low, high) for function in functions)
 
 
 def density_shows(field: ResolvedField, scene: ResolvedScene) -> bool:

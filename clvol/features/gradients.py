@@ -33,12 +33,15 @@ def judge(found: Findings) -> None:
         kept = GradientSettings()
     else:
         found.note(yes("gradients", joined(f"{use} asks for them" for use in uses)))
-        if filter in ANALYTIC:
+        if filter in ANALYTIC or scene.noise:
             reason = f"the filter {filter!r} has a derivative of its own"
+            if scene.noise:
+                reason = "with noise, gradients are differences of the values that it leads to"
             found.note(no(sobel, reason), no(precomputed, reason))
             kept = GradientSettings()
         else:
             _note_operator(found, settings)
+            _note_storage(found, settings)
     found.change(gradient=kept)
 
 
@@ -46,6 +49,17 @@ def _note_operator(found: Findings, settings: GradientSettings) -> None:
     is_sobel = settings.operator == "sobel"
     reason = f"the operator is {settings.operator!r}"
     found.note((yes if is_sobel else no)("sobel gradients", reason))
-    is_stored = settings.storage == "precomputed"
+
+
+def _note_storage(found: Findings, settings: GradientSettings) -> None:
+    from clvol.render.gradients import DeviceLimits, chosen_storage
+
+    endless = DeviceLimits(memory=2**63, buffer=2**63)
+    volume = found.scene.volume
+    chosen = chosen_storage(volume, settings.operator, settings.storage, endless)
+    is_stored = chosen == "precomputed"
     reason = f"the storage is {settings.storage!r}"
+    if settings.storage == "auto":
+        where = "where the device has the memory" if is_stored else "for this volume"
+        reason += f", which is {chosen} {where}"
     found.note((yes if is_stored else no)("precomputed gradients", reason))

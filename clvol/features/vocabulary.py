@@ -17,7 +17,6 @@ _WEIGHT = {"catmull-rom": 1.25}
 
 
 def overshoot(filter: str) -> float:
-    """How far ``filter`` takes a sample beyond its voxels, lowest to highest, at most: a share of
-    their span. Where all of it is on one side of the voxels, negative weights add up to
-    -overshoot."""
+    """How far ``filter`` takes a sample below the lowest or above the highest of its voxels, at
+    most: a share of their span. It is what negative weights can add up to."""
     return (_WEIGHT.get(filter, 1.0) ** 3 - 1.0) / 2.0

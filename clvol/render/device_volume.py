@@ -23,6 +23,7 @@ class DeviceVolume:
 
     def __init__(self, context: DeviceContext, volume: Volume) -> None:
         _check_fits(context, volume)
+        self.grid = volume.grid
         self.values = value_map(volume)
         self.switches = voxel_switches(volume, self.values)
         self.size = padded_size(volume)
@@ -53,18 +54,31 @@ class DeviceVolume:
                 self.voxels = context.upload(np.append(data.ravel(), np.zeros(4, data.dtype)))
         self.cells = tuple(cell_count(n) for n in self.size)
         self._context, self._data = context, data
+        self._gradients: dict[str, tuple[DeviceArray, np.ndarray]] = {}
         self._bounds = {0: self._min_max(plain, 0)}
 
     @property
     def _grid_switches(self) -> dict[str, int]:
         return {k: self.switches[k] for k in ("VOXEL_BITS", "VOXEL_SIGNED")}
 
+    def plain(self) -> DeviceArray:
+        """The voxels [nz, ny, nx] as they are, whatever the layout of ``voxels``."""
+        return self._context.share(self._data)
+
+    def gradients(self, operator: str) -> tuple[DeviceArray, np.ndarray]:
+        """Precomputed gradients and their scale (clvol/render/gradients.py). Found once."""
+        from clvol.render.gradients import precompute
+
+        if operator not in self._gradients:
+            self._gradients[operator] = precompute(self._context, self, operator)
+        return self._gradients[operator]
+
     def bounds(self, apron: int) -> tuple[np.ndarray, np.ndarray]:
         """Smallest and largest finite voxel, [z, y, x], of each cell and ``apron`` voxels around it (a
         filter's reach), in the values that kernels compute with; low > high where there is none.
         Found once."""
         if apron not in self._bounds:
-            self._bounds[apron] = self._min_max(self._context.share(self._data), apron)
+            self._bounds[apron] = self._min_max(self.plain(), apron)
         return self._bounds[apron]
 
     def _min_max(self, plain: DeviceArray, apron: int) -> tuple[np.ndarray, np.ndarray]:

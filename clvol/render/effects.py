@@ -6,14 +6,18 @@ in it any more, so it is neither compiled nor uploaded.
 
 from __future__ import annotations
 
+import copy
 from typing import Any
 
 import numpy as np
 
-from clvol.features import FILTERS
+from clvol.features import GRADIENTS
 from clvol.opencl.context import DeviceArray, DeviceContext
 from clvol.opencl.structs import effects_dtype
 from clvol.render.device_volume import DeviceVolume
+from clvol.render.environment import environment_maps
+from clvol.render.environment_file import load_radiance
+from clvol.render.gradients import DeviceLimits, gradient_switch
 from clvol.render.layout import ValueMap, padded_size
 from clvol.scene.resolve import ResolvedScene
 from clvol.volume import Grid
@@ -29,7 +33,6 @@ COUNTERS = {
     "field_samples": "FIELDS",
     "bends": "REFRACTION",
 }
-GRADIENT_NONE, GRADIENT_CENTRAL, GRADIENT_SOBEL, GRADIENT_PRECOMPUTED, GRADIENT_ANALYTIC = range(5)
 LIGHT_TYPES = {"directional": 0, "point": 1, "headlight": 2}
 CLIP_TYPES = {"plane": 0, "box": 1, "sphere": 2}
 ARGUMENTS = (
@@ -39,8 +42,13 @@ ARGUMENTS = (
 )
 
 
-def effect_switches(resolved: ResolvedScene) -> dict[str, int]:
-    """The switches (-D) of a reduced scene's effects; none at all for a scene without any."""
+def effect_switches(
+    resolved: ResolvedScene, limits: DeviceLimits | None = None
+) -> dict[str, int]:
+    """The switches (-D) of a reduced scene's effects; none at all for a scene without any.
+
+    ``limits``: of the device, which may be too small for precomputed gradients; None: it is not.
+    """
     lit = bool(resolved.lights) or resolved.environment is not None
     seen = resolved.environment is not None and resolved.environment.visible
     surfaces = resolved.isosurfaces
@@ -57,18 +65,26 @@ def effect_switches(resolved: ResolvedScene) -> dict[str, int]:
         "DEPTH_CUE": int(resolved.depth_cue is not None),
         "ENVIRONMENT": int(resolved.environment is not None),
         "ENVIRONMENT_VISIBLE": int(seen),
-        "GRADIENT": gradient_switch(resolved) if lit or refracts or decides else GRADIENT_NONE,
+        "GRADIENT": _gradient(resolved, limits) if lit or refracts or decides else 0,
     }
     if not any(switches.values()):
         return {}
-    return {"EFFECTS": 1, "TRANSLUCENT": int(is_translucent(resolved)), **switches}
+    # Whole segments' opacities serve where no effect cuts segments or changes what they absorb.
+    changed = decides or surfaces or resolved.fields or resolved.integration.classification == "pre"
+    return {
+        "EFFECTS": 1,
+        "TRANSLUCENT": int(is_translucent(resolved)),
+        "SEGMENT_OPACITIES": int(not changed),
+        **switches,
+    }
 
 
-def gradient_switch(resolved: ResolvedScene) -> int:
-    """Which gradient a scene takes that needs one."""
-    if resolved.integration.filter in ("cubic", "catmull-rom"):
-        return GRADIENT_ANALYTIC
-    return GRADIENT_CENTRAL
+def _gradient(resolved: ResolvedScene, limits: DeviceLimits | None) -> int:
+    asked = resolved.gradient
+    limits = limits or DeviceLimits(memory=2**63, buffer=2**63)
+    return gradient_switch(
+        resolved.volume, resolved.integration.filter, asked.operator, asked.storage, limits
+    )
 
 
 def is_translucent(resolved: ResolvedScene) -> bool:
@@ -106,7 +122,7 @@ class EffectState:
     def __init__(
         self, context: DeviceContext, resolved: ResolvedScene, volume: DeviceVolume
     ) -> None:
-        self.switches = effect_switches(resolved)
+        self.switches = effect_switches(resolved, DeviceLimits.of(context))
         if not self.switches:
             return
         self.context = context
@@ -122,6 +138,11 @@ class EffectState:
         }  # fmt: skip
         self.arrays: dict[str, DeviceArray] = none
         self._fill(resolved, volume)
+        if self.switches["GRADIENT"] == GRADIENTS["precomputed"]:
+            gradients, scale = volume.gradients(resolved.gradient.operator)
+            self.arrays["gradients"], self.numbers["gradient_scale"] = gradients, scale
+        if resolved.environment is not None:
+            self._add_environment(resolved)
         self.arrays["effects"] = context.upload(self.numbers)
 
     def _fill(self, resolved: ResolvedScene, volume: DeviceVolume) -> None:
@@ -147,6 +168,17 @@ class EffectState:
             len(resolved.lights), len(resolved.isosurfaces), keeps, len(resolved.clips) - keeps
         )  # fmt: skip
         numbers["first"][:3] = (0, len(lights), len(lights) + len(surfaces))
+
+    def _add_environment(self, resolved: ResolvedScene) -> None:
+        asked = resolved.environment
+        radiance = load_radiance(
+            asked.path, asked.layout, asked.intensity, asked.rotation_degrees
+        )  # fmt: skip
+        maps = environment_maps(radiance, resolved.material.shininess, sky=asked.visible)
+        self.arrays["environment"] = self.context.upload(maps.nodes)
+        places = [maps.diffuse, maps.specular, maps.sky or maps.diffuse]
+        self.numbers[0]["maps"][:3] = [place.size for place in places]
+        self.numbers[0]["map_offsets"][:3] = [place.offset for place in places]
 
     def _fill_depth_cue(self, cue: Any) -> None:
         unit = self.space.unit
@@ -182,6 +214,12 @@ class EffectState:
             clips.append((*space.point(first), 0.0))
             clips.append((*second, 0.0))
         return lights, surfaces, clips
+
+    def copy(self) -> EffectState:
+        """The same, with arrays that may be replaced."""
+        other = copy.copy(self)
+        other.arrays = dict(self.arrays)
+        return other
 
     def set_surfaces(self, mask: np.ndarray) -> None:
         """``mask`` bool [z, y, x]: cells in or next to which a surface can be."""

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from clvol.features import FILTER_REACH
+from clvol.features import FILTER_REACH, overshoot
 from clvol.opencl.context import DeviceArray, DeviceContext
 from clvol.render.device_volume import DeviceVolume
 from clvol.transfer.classes import ClassNodes
+
+_ROUNDING = 2e-6  # of a filter's sums, as a share of the largest value: a few times float32's
 
 
 def visible_mask(
@@ -23,10 +25,13 @@ def visible_mask(
     any_value = lowest <= highest
     low = np.where(any_value, lowest, nodes.first)
     high = np.where(any_value, highest, nodes.first)
-    margin = nodes.rounding
-    # The lowest value of all is node 0, also in float32.
-    first = np.floor(nodes.position(low) - np.where(low == nodes.first, 0.0, margin))
-    last = np.ceil(nodes.position(high) + np.where(high == nodes.first, 0.0, margin))
+    # The lowest value of all is node 0, also in float32, and so may whole numbers be on a node.
+    exact = (low == nodes.first) | ((low == high) & nodes.is_exact(low))
+    low_margin = np.where(exact, 0.0, nodes.rounding)
+    high_margin = np.where(exact & (low == high), 0.0, nodes.rounding)
+    low, high = _overshot(low, high, overshoot(filter))
+    first = np.floor(nodes.position(low) - low_margin)
+    last = np.ceil(nodes.position(high) + high_margin)
     first = np.clip(first, 0, between.size).astype(np.int64)
     last = np.clip(last, 0, between.size).astype(np.int64)
     before = np.concatenate([[0], np.cumsum(between)])
@@ -36,10 +41,12 @@ def visible_mask(
 def surface_mask(volume: DeviceVolume, filter: str, levels: list[float]) -> np.ndarray:
     """bool [z, y, x]: whether what ``filter`` interpolates in a cell can take one of ``levels``."""
     lowest, highest = volume.bounds(FILTER_REACH[filter])
+    any_value = lowest <= highest
+    lowest, highest = _overshot(lowest, highest, overshoot(filter))
     mask = np.zeros(lowest.shape, bool)
     for level in levels:
         mask |= (lowest <= level) & (level <= highest)
-    return mask
+    return mask & any_value
 
 
 def dilated(mask: np.ndarray) -> np.ndarray:
@@ -53,6 +60,14 @@ def dilated(mask: np.ndarray) -> np.ndarray:
         grown[tuple(behind)] |= mask[tuple(ahead)]
         mask = grown
     return mask
+def _overshot(low: np.ndarray, high: np.ndarray, share: float) -> tuple[np.ndarray, np.ndarray]:
+    """The values that a filter can give of voxels from ``low`` to ``high``: ``share`` of their span
+    more on both sides, and rounding. Of equal voxels it gives exactly that value."""
+    if not share:
+        return low, high
+    more = share * (high - low) + _ROUNDING * np.maximum(np.abs(low), np.abs(high))
+    more = np.where(low == high, 0.0, more)
+    return low - more, high + more
 
 
 def distance_map(context: DeviceContext, mask: np.ndarray) -> DeviceArray:

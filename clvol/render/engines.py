@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from clvol.render.prefilter import prefiltered
 from clvol.render.quantise import quantised
 
 if TYPE_CHECKING:
@@ -23,7 +24,7 @@ class Engines:
 
     def __init__(self, context: DeviceContext) -> None:
         self.context = context
-        self._quantised: dict[tuple, tuple] = {}  # with what its key identifies, kept alive
+        self._quantised: dict[tuple, tuple[tuple, dict]] = {}
         self._made: dict[tuple, Raycaster] = {}
         self._volumes: dict[int, tuple[Volume, DeviceVolume]] = {}
 
@@ -32,8 +33,7 @@ class Engines:
         from clvol.render.raycast import Raycaster
 
         resolved = self._with_precision(resolved)
-        alike = resolved.integration.model_copy(update={"step": 1.0, "early_termination": 0.0})
-        key = (id(resolved.volume), id(resolved.transfer_function), alike)
+        key = _key(resolved)
         if key in self._made:
             made = self._made[key] = self._made.pop(key).like(resolved)
             return made
@@ -46,10 +46,37 @@ class Engines:
         return made
 
     def _with_precision(self, resolved: ResolvedScene) -> ResolvedScene:
-        asked = (resolved.volume, resolved.transfer_function)
-        key = (*map(id, asked), resolved.integration.voxel_precision)
+        integration = resolved.integration
+        if integration.voxel_precision == "stored" and not integration.prefilter:
+            return resolved
+        asked = tuple(getattr(resolved, name) for name in _CONVERTED)
+        key = (*map(id, asked), integration.voxel_precision, integration.prefilter)
         if key not in self._quantised:
-            small = quantised(resolved)
-            self._quantised[key] = (*asked, small.volume, small.transfer_function)
-        *_, volume, function = self._quantised[key]
-        return replace(resolved, volume=volume, transfer_function=function)
+            small = prefiltered(quantised(resolved))
+            while len(self._quantised) >= _KEPT:
+                del self._quantised[next(iter(self._quantised))]
+            # What the key identifies is kept alive with it.
+            self._quantised[key] = asked, {name: getattr(small, name) for name in _CONVERTED}
+        return replace(resolved, **self._quantised[key][1])
+
+
+# What other voxels make of a scene (quantise.py, prefilter.py).
+_CONVERTED = (
+    "volume", "transfer_function", "isosurfaces", "material", "gradient_opacity",
+    "directional_opacity", "transfer_layers", "noise",
+)  # fmt: skip
+# What an engine is made for beside volume, transfer function and integration: by their words ...
+_BY_WORDS = (
+    "lights", "isosurfaces", "clips", "material", "gradient", "environment", "shadow", "noise",
+    "depth_cue",
+)  # fmt: skip
+# ... or by identity, where they hold arrays.
+_BY_IDENTITY = ("gradient_opacity", "directional_opacity", "transfer_layers", "fields")
+
+
+def _key(resolved: ResolvedScene) -> tuple:
+    """Equal for scenes that an engine may be shared for (Raycaster.like)."""
+    alike = resolved.integration.model_copy(update={"step": 1.0, "early_termination": 0.0})
+    words = tuple(repr(getattr(resolved, name)) for name in _BY_WORDS)
+    arrays = tuple(id(getattr(resolved, name) or None) for name in _BY_IDENTITY)
+    return (id(resolved.volume), id(resolved.transfer_function), alike, words, arrays)

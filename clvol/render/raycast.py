@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from clvol.errors import RenderError
-from clvol.features import CLASSIFICATIONS, FILTERS, QUADRATURES
+from clvol.features import CLASSIFICATIONS, FILTERS, QUADRATURES, overshoot
 from clvol.opencl.context import DeviceContext, restore_interrupts
 from clvol.opencl.structs import effects_dtype, view_dtype
 from clvol.render.device_volume import DeviceVolume
@@ -69,11 +69,17 @@ def scene_nodes(resolved: ResolvedScene, function: TransferFunction | None = Non
     volume, integration = resolved.volume, resolved.integration
     values = value_map(volume)
     preintegrated = segment_classification(integration) == "preintegrated"
+    integer = volume.dtype.kind in "iu"
+    low, high = (float(v) for v in values(volume.value_range))
+    if integration.classification != "pre":  # what is classified may overshoot the voxels
+        more = overshoot(integration.filter) * (high - low)
+        more = float(np.ceil(more)) if integer else more
+        low, high = low - more, high + more
     return class_nodes(
         device_function(function or resolved.transfer_function, values),
-        tuple(float(v) for v in values(volume.value_range)),
+        (low, high),
         integration.table_size if preintegrated else CONSTANT_NODES,
-        integer=volume.dtype.kind in "iu",
+        integer=integer,
         may_warp=preintegrated,
     )
 
@@ -157,6 +163,7 @@ class Raycaster:
         self.switches = raycast_switches(
             resolved, warped=warp is not None, lanes=self.lanes, skip=self.skip
         )
+        self.switches |= self.effects.switches  # the device may be too small for some
 
     def _surface_cells(self) -> np.ndarray:
         """bool [z, y, x]: cells in which an iso-surface can be. Tells the effects, which look a step
@@ -172,7 +179,8 @@ class Raycaster:
         integration, nodes = self.resolved.integration, self.nodes.values
         arguments = self.context, self._function, nodes
         kind = segment_classification(integration)
-        if self.effects.switches:  # any channel may change by itself, and segments be cut
+        effects = self.effects.switches
+        if effects and not effects["SEGMENT_OPACITIES"]:  # segments may be cut, or absorb less
             if kind == "preintegrated":
                 self.table = depths_table(*arguments, self.length)
             else:
@@ -206,6 +214,9 @@ class Raycaster:
         by_cells = resolved.integration.quadrature == "cells"
         if not by_cells and other.length != self.length:
             other._build_table()
+            if resolved.isosurfaces:
+                other.effects = self.effects.copy()
+                other._surface_cells()
         return other
 
     def render(

@@ -13,6 +13,7 @@ from clvol.render.frame import Frame, make_frame
 from clvol.scene.camera import Camera
 
 if TYPE_CHECKING:
+    from clvol.render.raycast import FrameData
     from clvol.opencl.context import DeviceContext
     from clvol.scene import Scene
     from clvol.scene.resolve import ResolvedScene
@@ -94,7 +95,7 @@ class Renderer:
         start = perf_counter()
         data = self._raycaster.render(camera, width, height, progress, depth)
         seconds = {"compile": compile_seconds, "render": perf_counter() - start}
-        return self._frame(data.rgba, data.depth, seconds, {"samples": data.samples, "rays": data.rays})
+        return self._frame(data.rgba, data.depth, seconds, _counted(data))
 
     def _move_to(self, time: float) -> None:
         if time == self.resolved.animation.time:
@@ -151,3 +152,9 @@ def open_context(devices: Sequence[Any] | None) -> DeviceContext:
     chosen = devices[0] if devices else None
     device = open_device(chosen) if chosen is None or isinstance(chosen, str) else chosen
     return DeviceContext(device)
+
+
+def _counted(data: FrameData) -> dict[str, Any]:
+    """What a frame took, for its stats; ``counters`` only where effects counted something."""
+    counted = {"samples": data.samples, "rays": data.rays}
+    return {**counted, "counters": data.counters} if data.counters else counted

@@ -54,6 +54,14 @@ class ClassNodes:
     def last_coordinate(self) -> float:
         return float(self.values.size - 1)
 
+    def is_exact(self, values: np.ndarray) -> np.ndarray:
+        """Whether float32 arithmetic gives exactly ``position`` of ``values``: whole numbers, each at
+        the edge of a bin."""
+        values = np.asarray(values, np.float64)
+        whole = (values == np.floor(values)) & (np.abs(values) < 2**24)
+        steps = (self.first, self.per_value)
+        return whole & all(v == np.floor(v) and abs(v) < 2**24 for v in steps)
+
     def position(self, values: np.ndarray) -> np.ndarray:
         """Class coordinates (float64) of ``values``, as the kernels compute them."""
         p = (np.asarray(values, np.float64) - self.first) * self.per_value

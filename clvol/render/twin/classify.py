@@ -66,9 +66,9 @@ def of_chord(
 ) -> tuple[np.ndarray, np.ndarray]:
     """(mean colour [n, 3], optical depth [n]) of segments whose value runs linearly, front to back.
 
-    The colour is int c tau exp(-int tau) over 1 - exp(-int tau). In a piece between two breaks of the
-    function opacity and colour are linear, a to b, and with x = 0 ... 1 along it
-    T(x) = -units int log(1 - alpha) and int c dA = c_b A(1) - (c_b - c_a) int A dx, A = 1 - exp(-T).
+    The colour is int c tau exp(-int tau) over 1 - exp(-int tau). In a piece between two breaks of
+    the function opacity and colour are linear, a to b, and with x = 0 ... 1 along it
+    T(x) = -units int log(1 - alpha), A = 1 - exp(-T), int c dA = c_b A(1) - (c_b - c_a) int A dx.
     """
     finite = np.isfinite(front) & np.isfinite(back)
     front, back = np.where(finite, front, 0.0), np.where(finite, back, 0.0)
@@ -117,8 +117,8 @@ def _linear_piece(a, b, color_a, color_b, units):
     whole = np.minimum(units * _mean_depth(a, b), OPAQUE)
     thin = (whole < 1.0) & (np.maximum(a, b) < 0.9)
     mean_opacity = np.zeros_like(a)
-    # Halved towards the front, where all of an opaque piece happens, and towards both ends, where the
-    # depth has a logarithm if the opacity comes to 1.
+    # Halved towards the front, where all of an opaque piece happens, and towards both ends, where
+    # the depth has a logarithm if the opacity comes to 1.
     halved = 2.0 ** np.arange(-20.0, 0.0)
     halved = np.concatenate([[0.0], halved, 1.0 - halved[-2::-1], [1.0]])
     for part, edges in ((thin, np.array([0.0, 1.0])), (~thin, halved)):

@@ -11,8 +11,8 @@ from clvol.volume import Grid
 
 @dataclass
 class Stretches:
-    """Slots in the order of the ray: ``enter`` < ``leave`` [n, s] along it, inf where there is none;
-    ``normal`` [n, s, 3] outwards where a clip made the start, else 0."""
+    """Slots in the order of the ray: ``enter`` < ``leave`` [n, s] along it, inf where there is
+    none; ``normal`` [n, s, 3] outwards where a clip made the start, else 0."""
 
     enter: np.ndarray
     leave: np.ndarray

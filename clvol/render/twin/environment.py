@@ -1,7 +1,7 @@
 """Light from all around: a map's texels, summed one by one.
 
-Latitude-longitude: u = atan2(x, -z) / 2 pi + 0.5, v = acos(y) / pi, row 0 at +y. Cube: a vertical strip
-of the faces +x -x +y -y +z -z, each as in OpenGL (seen from inside, row 0 on top).
+Latitude-longitude: u = atan2(x, -z) / 2 pi + 0.5, v = acos(y) / pi, row 0 at +y. Cube: a vertical
+strip of the faces +x -x +y -y +z -z, each as in OpenGL (seen from inside, row 0 on top).
 """
 
 from __future__ import annotations
@@ -101,7 +101,8 @@ def latlong_texels(shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
 def cube_texels(size: int) -> tuple[np.ndarray, np.ndarray]:
     """The same for the six faces, one below the other."""
     edges = np.linspace(-1, 1, size + 1)
-    t, s = np.meshgrid(0.5 * (edges[1:] + edges[:-1]), 0.5 * (edges[1:] + edges[:-1]), indexing="ij")
+    middles = 0.5 * (edges[1:] + edges[:-1])
+    t, s = np.meshgrid(middles, middles, indexing="ij")
 
     # The solid angle of the part of a face from its middle to (s, t).
     def corner(a, b):

@@ -1,7 +1,7 @@
 """The reconstructed field of a volume and its gradient, at world positions.
 
-A reconstruction is a weighted mean of voxels, its weights a product over the axes. Voxels beyond the
-volume are its outermost ones. A voxel that is not finite makes NaN exactly what uses it.
+A reconstruction is a weighted mean of voxels, its weights a product over the axes. Voxels beyond
+the volume are its outermost ones. A voxel that is not finite makes NaN exactly what uses it.
 """
 
 from __future__ import annotations
@@ -121,21 +121,28 @@ _WEIGHTS = {
 }
 
 
-def spline_coefficients(voxels: np.ndarray) -> np.ndarray:
+def spline_coefficients(voxels: np.ndarray, spacing=(1.0, 1.0, 1.0)) -> np.ndarray:
     """Coefficients [z, y, x] whose cubic B-spline (outermost ones repeated) meets the voxels.
 
-    Voxels that are not finite stand in as the mean of the others, and are NaN again afterwards.
+    For voxels that are not finite the nearest finite ones stand in; they are NaN again afterwards.
     """
     finite = np.isfinite(voxels)
-    mean = voxels[finite].mean() if finite.any() else 0.0
-    c = np.where(finite, voxels, mean)
+    c = np.zeros_like(voxels)
+    if finite.any():
+        from scipy.ndimage import distance_transform_edt
+
+        nearest = distance_transform_edt(
+            ~finite, sampling=spacing[::-1], return_distances=False, return_indices=True
+        )
+        c = voxels[tuple(nearest)]
     for axis in range(3):
-        n = c.shape[axis]
+        lines = np.moveaxis(c, axis, 0)
+        n = len(lines)
         matrix = np.eye(n) * 4 / 6 + (np.eye(n, k=1) + np.eye(n, k=-1)) / 6
         matrix[0, 0] += 1 / 6
         matrix[-1, -1] += 1 / 6
-        c = np.moveaxis(np.linalg.solve(matrix, np.moveaxis(c, axis, 0).reshape(n, -1))
-                        .reshape(n, *np.delete(c.shape, axis)), 0, axis)  # fmt: skip
+        solved = np.linalg.solve(matrix, lines.reshape(n, -1)).reshape(lines.shape)
+        c = np.moveaxis(solved, 0, axis)
     return np.where(finite, c, np.nan)
 
 
@@ -182,7 +189,7 @@ class Field:
         self.grid = volume.grid
         self.filter = filter
         if filter == "cubic" and prefilter:
-            voxels = spline_coefficients(voxels)
+            voxels = spline_coefficients(voxels, volume.grid.spacing)
         self.value = GridSampler(voxels, volume.grid, filter)
         self._is_analytic = filter in ("cubic", "catmull-rom")
         if not self._is_analytic:

@@ -44,8 +44,8 @@ def render_twin(
 
 @dataclass
 class _Rays:
-    """The state of n rays: where they are (``i`` segments into stretch ``slot``), what they gathered,
-    and on which side of each surface they are known to start (0: not known)."""
+    """The state of n rays: where they are (``i`` segments into stretch ``slot``), what they
+    gathered, and on which side of each surface they are known to start (0: not known)."""
 
     origin: np.ndarray
     direction: np.ndarray

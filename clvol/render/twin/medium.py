@@ -185,8 +185,8 @@ def _sampler(field) -> GridSampler:
 
 
 def _kept_by_mask(field, sampler, start, end):
-    """The share [n] kept: the mask runs linearly from end to end. Of a segment with an end outside the
-    mask's grid, or where it is not finite, nothing is kept."""
+    """The share [n] kept: the mask runs linearly from end to end. Of a segment with an end outside
+    the mask's grid, or where it is not finite, nothing is kept."""
     ends, known = [], np.ones(len(start), bool)
     for at in (start, end):
         above = sampler(at) - field.threshold

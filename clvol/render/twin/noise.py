@@ -8,8 +8,8 @@ from clvol.volume import Grid
 
 
 def tile_noise(tile: np.ndarray, p: np.ndarray) -> np.ndarray:
-    """Four channels [n, 4] in -1 ... 1 of a uint8 ``tile`` [z, y, x, 4] at ``p`` [n, 3] (x, y, z), in
-    tiles: trilinear between texels at whole multiples of 1 / size, periodic."""
+    """Four channels [n, 4] in -1 ... 1 of a uint8 ``tile`` [z, y, x, 4] at ``p`` [n, 3] (x, y, z),
+    in tiles: trilinear between texels at whole multiples of 1 / size, periodic."""
     levels = np.asarray(tile, np.float64) / 127.5 - 1.0
     size = np.array(levels.shape[2::-1])
     at = p * size
@@ -23,7 +23,9 @@ def tile_noise(tile: np.ndarray, p: np.ndarray) -> np.ndarray:
     return total
 
 
-def fractal_noise(noise, tile: np.ndarray, grid: Grid, world: np.ndarray, time: float) -> np.ndarray:
+def fractal_noise(
+    noise, tile: np.ndarray, grid: Grid, world: np.ndarray, time: float
+) -> np.ndarray:
     """fBm [n, 4] at world positions: ``noise`` has frequency, octaves, gain, velocity.
 
     Noise is fixed to the volume: p and the displacement are along its index axes.

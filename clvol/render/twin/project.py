@@ -24,7 +24,7 @@ class Projection:
         self.length = np.zeros(count)
 
     def add(self, rays: np.ndarray, start: np.ndarray, end: np.ndarray) -> None:
-        """The next segments, from ``start`` to ``end`` [m, 3], of the rays with numbers ``rays``."""
+        """The next segments, from ``start`` to ``end`` [m, 3], of the rays numbered ``rays``."""
         value = self.medium.value(0.5 * (start + end))
         length = np.linalg.norm(end - start, axis=1) * self.medium.kept_share(start, end)
         counts = np.isfinite(value) & (length > 0)

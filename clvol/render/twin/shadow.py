@@ -41,19 +41,19 @@ class Shadows:
         if surface is not None and self.isovalues:
             # A ray leaves the surface that it starts on for the side that the light is on.
             outwards = np.where(np.sum(gradient * to_light, axis=1) > 0, 1, -1)
-            side = np.where(surface[:, None] == np.arange(len(self.isovalues)), outwards[:, None], 0)
-            side = side[cast]
+            is_it = surface[:, None] == np.arange(len(self.isovalues))
+            side = np.where(is_it, outwards[:, None], 0)[cast]
         depth[cast] = self.optical_depth(at[cast], to_light[cast], distance[cast], side)
         return np.repeat(np.exp(-depth)[:, None], 3, axis=1)
 
     def optical_depth(self, at, direction, distance, known_side=None) -> np.ndarray:
-        """[n] from ``at`` along ``direction`` as far as ``distance``: segments of one step each, the
-        last one shorter, classified at their middles; a surface counts with its opacity."""
+        """[n] from ``at`` along ``direction`` as far as ``distance``: segments of one step each,
+        the last one shorter, classified at their middles; a surface counts with its opacity."""
         depth = np.zeros(len(at))
         kept = kept_stretches(self.medium.grid, self.clips, at, direction)
         for enter, leave in zip(kept.enter.T, kept.leave.T):
             leave = np.minimum(leave, distance)
-            for i in range(self._count(leave - enter)):
+            for i in range(self._count(enter, leave)):
                 t0 = enter + i * self.step
                 rays = np.nonzero(t0 < leave)[0]
                 t0 = t0[rays]
@@ -81,8 +81,9 @@ class Shadows:
                 depth += np.minimum(-np.log1p(-opacity), classify.OPAQUE)
         return depth
 
-    def _count(self, length: np.ndarray) -> int:
-        longest = np.max(length[np.isfinite(length)], initial=0.0)
+    def _count(self, enter: np.ndarray, leave: np.ndarray) -> int:
+        there = np.isfinite(enter)
+        longest = np.max(leave[there] - enter[there], initial=0.0)
         return int(np.ceil(longest / self.step))
 
     def _light_volume(self, light) -> GridSampler:
@@ -106,8 +107,8 @@ class Shadows:
 
 
 def light_grid(grid: Grid, resolution: int) -> Grid:
-    """The points of a light volume: ``resolution`` along the domain's longest axis, at its ends too,
-    and as dense, at least 2, along the others."""
+    """The points of a light volume: ``resolution`` along the domain's longest axis, at its ends
+    too, and as dense, at least 2, along the others."""
     lower, upper = grid.index_bounds()
     edges = (upper - lower) * grid.spacing
     counts = np.maximum(np.round(edges / edges.max() * (resolution - 1)).astype(int) + 1, 2)

@@ -12,8 +12,8 @@ _BISECTIONS = 48
 
 @dataclass
 class Crossings:
-    """In order along each of n rays: ``t`` [n, k], inf where there is none; the ``surface``'s number
-    [n, k] and whether the value is ``rising`` [n, k]."""
+    """In order along each of n rays: ``t`` [n, k], inf where there is none; the ``surface``'s
+    number [n, k] and whether the value is ``rising`` [n, k]."""
 
     t: np.ndarray
     surface: np.ndarray
@@ -25,9 +25,9 @@ def crossings(
 ) -> Crossings:
     """Every change of side between t0 and t1 [n], found by bisection.
 
-    ``value``: the field [m] at world positions [m, 3]. A place is above a surface where the value is at
-    least the iso-value. ``known_side`` int [n, surfaces]: 1 or -1 where it is known which side a ray
-    starts on (it starts on that surface), else 0.
+    ``value``: the field [m] at world positions [m, 3]. A place is above a surface where the value
+    is at least the iso-value. ``known_side`` int [n, surfaces]: 1 or -1 where it is known which
+    side a ray starts on (it starts on that surface), else 0.
     """
     n, found = len(origin), []
     u = np.arange(subdivisions + 1) / subdivisions
@@ -65,7 +65,8 @@ def bent(
 ) -> tuple[np.ndarray, np.ndarray]:
     """(unit direction beyond a surface [n, 3], whether it was reflected [n]) by Snell's law.
 
-    ``index`` [n]: of what lies above the surface, relative to below. Without a gradient: straight on.
+    ``index`` [n]: of what lies above the surface, relative to below. Without a gradient a ray goes
+    straight on.
     """
     length = np.linalg.norm(gradient, axis=1)
     known = np.isfinite(length) & (length > 0)

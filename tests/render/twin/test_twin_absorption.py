@@ -247,6 +247,20 @@ def test_noise_of_one_level_moves_all_places_along_the_volumes_axes():
     assert found[0] == pytest.approx(1 - (7.25 - 2.0 + 1.0) / 100, abs=1e-4)
 
 
+def test_octaves_double_the_frequency():
+    from clvol.render.twin.noise import fractal_noise, tile_noise
+
+    tile = np.random.default_rng(3).integers(0, 256, (32, 32, 32, 4)).astype(np.uint8)
+    volume = Volume(np.zeros((5, 9, 17)), spacing=(0.5, 0.5, 1.0), origin=(1.0, 2.0, 3.0))
+    keys = {"target": "value", "amplitude": 1.0, "frequency": 3.0, "octaves": 2, "gain": 0.7,
+            "velocity": [0.1, 0.2, 0.3]}  # fmt: skip
+    noise = scene(volume, noise=keys).noise
+    at = np.array([[2.3, 3.1, 5.7]])
+    p, moved = 3.0 * np.array([[1.3, 1.1, 2.7]]) / 8.0, np.array([0.2, 0.4, 0.6])
+    expected = tile_noise(tile, p + moved) + 0.7 * tile_noise(tile, 2 * p + moved)
+    assert np.allclose(fractal_noise(noise, tile, volume.grid, at, 2.0), expected)
+
+
 def test_noise_repeats_and_moves_with_time():
     from clvol.render.twin.noise import tile_noise
 

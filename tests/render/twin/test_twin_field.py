@@ -54,6 +54,15 @@ def test_spline_coefficients_of_a_constant_are_that_constant():
     assert np.allclose(spline_coefficients(np.full((3, 4, 5), 7.0)), 7.0)
 
 
+def test_a_nan_voxel_counts_as_its_nearest_neighbour_in_the_prefilter():
+    voxels = np.array([1.0, 5.0, np.nan, 2.0]).reshape(4, 1, 1)
+    either = [spline_coefficients(np.where(np.isnan(voxels), v, voxels)) for v in (5.0, 2.0)]
+    found = spline_coefficients(voxels)
+    assert np.isnan(found[2, 0, 0])
+    kept = [0, 1, 3]
+    assert any(np.allclose(found[kept], c[kept]) for c in either)
+
+
 @pytest.mark.parametrize("operator", ["central", "sobel"])
 @pytest.mark.parametrize("filter", ["nearest", "linear", *ANALYTIC])
 def test_the_gradient_of_a_ramp_is_its_slope_in_world_axes(filter, operator):

@@ -36,24 +36,27 @@ def test_segments_are_sampled_at_their_middles_and_the_last_is_shorter():
 def test_the_maximum_of_a_wave():
     wave = 20 + 10 * np.cos(np.arange(64) / 7.0 - 1.3)
     array = np.broadcast_to(wave[:, None, None], (64, 2, 2)).copy()
-    found = along_z(mode("maximum", array, integration={"filter": "catmull-rom"}), 0.5, 0.5, step=0.1)
-    assert found == pytest.approx(shown(30.0), abs=1e-3)
-    found = along_z(mode("minimum", array, integration={"filter": "catmull-rom"}), 0.5, 0.5, step=0.1)
-    assert found == pytest.approx(shown(10.0), abs=1e-3)
+    for name, extreme in (("maximum", 30.0), ("minimum", 10.0)):
+        s = mode(name, array, integration={"filter": "catmull-rom"})
+        assert along_z(s, 0.5, 0.5, step=0.1) == pytest.approx(shown(extreme), abs=1e-3)
 
 
 @pytest.mark.parametrize("attenuation", [0.0, 1.5, 20.0])
-def test_attenuated_maximum(attenuation):
-    """By the definition, one segment after the other."""
-    value = 15 - MIDDLES  # falling: the nearest is the largest
-    for values, array in ((value, 15 - ramp()), (MIDDLES, ramp())):
-        best, passed = (-1.0, 0.0, 0.0), 0.0
-        for v in values:
-            factor = np.exp(-attenuation * passed / 15)
-            best = max(best, (v / 15 * factor, v, factor))
-            passed += v / 15
-        s = mode("attenuated-maximum", array, integration={"attenuation": attenuation})
-        assert along_z(s, step=1.0) == pytest.approx(shown(best[1], best[2]))
+@pytest.mark.parametrize("step", [1.0, 4.0])
+@pytest.mark.parametrize("falls", [True, False])
+def test_attenuated_maximum(attenuation, step, falls):
+    """By the definition, one segment after the other; what counts is what lies before a segment."""
+    ends = np.minimum(np.arange(0, 15 + step, step), 15.0)
+    best, passed = (-1.0, 0.0, 0.0), 0.0
+    for start, end in zip(ends, ends[1:]):
+        middle = 0.5 * (start + end)
+        value = 15 - middle if falls else middle
+        factor = np.exp(-attenuation * passed / 15)
+        best = max(best, (value / 15 * factor, value, factor))
+        passed += value / 15 * (end - start)
+    array = 15 - ramp() if falls else ramp()
+    s = mode("attenuated-maximum", array, integration={"attenuation": attenuation})
+    assert along_z(s, step=step) == pytest.approx(shown(best[1], best[2]))
 
 
 def test_nan_does_not_count_and_no_sample_is_nothing():

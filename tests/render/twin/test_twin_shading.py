@@ -140,7 +140,8 @@ AXIS = np.array([0.36, 0.48, 0.8])
 
 @pytest.mark.parametrize("make, layout", [(latlong, "latlong"), (cube, "cube")])
 def test_means_over_an_environment(make, layout):
-    """Radiance 1 + a.w: mean under the cosine 1 + 2/3 a.n, in a lobe of power p 1 + (p+1)/(p+2) a.r."""
+    """Radiance 1 + a.w has the mean 1 + 2/3 a.n under a cosine, and 1 + (p + 1) / (p + 2) a.r in a
+    lobe of power p."""
     map_ = EnvironmentMap(make(lambda w: 1 + w @ AXIS), layout, intensity=2.0)
     along = (NORMALS @ AXIS)[:, None]
     assert np.allclose(map_.diffuse(NORMALS), 2 + 4 / 3 * along, atol=2e-3)
@@ -171,6 +172,7 @@ def test_where_a_latlong_map_points():
     assert map_.radiance(np.array([[1.0, 0, 0]]))[0, 0] == pytest.approx(2.0, abs=1e-3)
     turned = EnvironmentMap(map_.texels, rotation_degrees=90.0)  # +x goes to -z
     assert turned.radiance(np.array([[0, 0, -1.0]]))[0, 0] == pytest.approx(2.0, abs=1e-3)
+    assert turned.diffuse(np.array([[0, 0, -1.0]]))[0, 0] == pytest.approx(5 / 3, abs=1e-3)
 
 
 @pytest.fixture
@@ -212,3 +214,16 @@ def test_what_is_left_of_a_ray_shows_a_visible_environment(environment_scene):
     assert found == pytest.approx([*np.full(3, 2 * (1 - OPACITY)), 1.0], abs=2e-3)
     missed = ray(s, (7, 7, 25), (0, 0, 1), environment_map=texels)
     assert missed == pytest.approx([0, 0, 0, 1], abs=2e-3)
+
+
+def test_the_environment_is_read_from_its_file(tmp_path):
+    import OpenEXR
+
+    texels = np.random.default_rng(5).uniform(size=(4, 8, 3)).astype(np.float32)
+    planes = {name: np.ascontiguousarray(texels[..., k]) for k, name in enumerate("RGB")}
+    path = str(tmp_path / "sky.exr")
+    OpenEXR.File({}, planes).write(path)
+    s = scene(BLOCK, environment={"file": path, "visible": True, "intensity": 2.0})
+    found = ray(s, (7, 7, 25), (0.3, -0.2, 1))
+    expected = 2 * EnvironmentMap(texels).radiance(np.array([[0.3, -0.2, 1]]) / np.sqrt(1.13))[0]
+    assert found == pytest.approx([*expected, 1.0])

@@ -76,7 +76,7 @@ def test_surfaces_count_with_their_opacities():
 @pytest.mark.parametrize("slope, arrives", [(1.0, 1.0), (-1.0, 1.0)])
 def test_a_surface_does_not_shadow_itself(slope, arrives):
     array = ramp(slope) - (0 if slope > 0 else 15 * slope)
-    s = scene(array, {"color_space": "linear", "points": [{"value": 0, "opacity": 0, "color": [1] * 3}]},
+    s = scene(array, constant_function(0.0),
               isosurface=[{"value": 7.7, "opacity": 1.0, "color": [1, 1, 1]}],
               light=[{"type": "directional", "direction": [0, 0, 1]}],
               material=DIFFUSE, shadow=RAYS)  # fmt: skip

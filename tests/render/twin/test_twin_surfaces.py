@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from twin_scenes import absorbed, along_z, constant_function, ramp, ray, scene
 
+from clvol import TransferFunction
+from clvol.render.twin.classify import MovedFunction, of_chord
 from clvol.render.twin.surfaces import bent, crossings
+from clvol.scene.clip import Clip
 
 CLEAR = constant_function(0.0)
 CENTRE, RADIUS = np.array([7.2, 7.6, 7.4]), 5.3
@@ -15,7 +20,7 @@ BLACK_TO_WHITE = {"start": 0.0, "end": 100.0, "color": [1.0, 1.0, 1.0]}
 
 
 def paraboloid():
-    """Squared distances to the centre: Catmull-Rom reconstructs them exactly, and their gradient."""
+    """Squared distances to the centre: Catmull-Rom reconstructs them exactly, and their slope."""
     z, y, x = np.meshgrid(*(np.arange(16.0),) * 3, indexing="ij")
     return sum((c - m) ** 2 for c, m in zip((x, y, z), CENTRE))
 
@@ -47,8 +52,11 @@ def test_a_sphere_is_hit_where_it_is(step):
 
 def test_a_spheres_normals_are_radial():
     light = np.array([0.48, -0.6, -0.64])
-    s = sphere_scene(surface={"color": [1.0, 1.0, 1.0]}, material={"ambient": 0, "diffuse": 1,
-                     "specular": 0}, light=[{"type": "directional", "direction": list(-light)}])  # fmt: skip
+    s = sphere_scene(
+        surface={"color": [1.0, 1.0, 1.0]},
+        material={"ambient": 0, "diffuse": 1, "specular": 0},
+        light=[{"type": "directional", "direction": list(-light)}],
+    )
     for x, y in ((0.0, 0.0), (2.0, -3.0), (-1.0, 4.0)):
         normal = np.array([x, y, -np.sqrt(RADIUS**2 - x**2 - y**2)]) / RADIUS
         found = along_z(s, CENTRE[0] + x, CENTRE[1] + y)[0]
@@ -74,6 +82,24 @@ def test_the_volume_before_and_behind_a_surface(step, classification):
     green, red = 0.2 * to_first, 0.5 * left * between
     blue = (1 - to_first) + left * (1 - between) + left * between * 0.5 * (1 - beyond)
     assert along_z(s, step=step) == pytest.approx([red, green, blue, red + green + blue])
+
+
+def test_whole_segments_are_curved_and_cut_ones_are_not():
+    """Values z^2 in steps of 3, an invisible surface at 7.5: the volume by its chords."""
+    function = TransferFunction([0, 100, 225], [0.0, 0.05, 0.01], [[1, 1, 1]] * 3)
+    integration = {"filter": "catmull-rom", "classification": "preintegrated"}
+    surface = {"value": 7.5**2, "opacity": 0.0}
+    s = scene(ramp() ** 2, function, isosurface=[surface], integration=integration)
+    shift = -(3.0**2) * 2 / 12  # -s'' h^2 / 12
+    chords = [(0, 9, 0), (9, 36, shift), (36, 56.25, 0), (56.25, 81, 0), (81, 144, shift)]
+    depth = 0.0
+    for front, back, by in chords:
+        length = np.array([np.sqrt(back) - np.sqrt(front)])
+        ends = np.array([[front + by], [back + by]])
+        depth += of_chord(MovedFunction(function), *ends, length)[1][0]
+    clip = {"point": [0, 0, 12], "normal": [0, 0, -1]}  # Catmull-Rom is exact away from the faces
+    found = along_z(replace(s, clips=(Clip(**clip),)), step=3.0)
+    assert -np.log1p(-found[3]) == pytest.approx(depth, rel=1e-9)
 
 
 def test_every_crossing_in_a_segment_is_found():
@@ -111,7 +137,7 @@ def test_snell():
 
 @pytest.mark.parametrize("step", [0.3, 1.0, 4.0])
 def test_a_slab_bends_a_ray(step):
-    """What the bent path absorbs: 5.5 before the surface and 9.5 behind it, each over its cosine."""
+    """What the bent path absorbs: 5.5 before the surface, 9.5 behind it, each over its cosine."""
     s = scene(ramp(), clear_function(0.1),
               isosurface=[{"value": 5.5, "opacity": 0.0, "refraction": 1.4}])  # fmt: skip
     sine = 0.6
@@ -134,7 +160,7 @@ def test_total_reflection(step):
 
 
 def test_a_sphere_of_glass_turns_a_ray_twice():
-    """The deviation of a ball, 2 (a - b) with sin a = n sin b, from the surface's own definition."""
+    """A ball deviates it by 2 (a - b), sin a = n sin b."""
     index, height = 1 / 1.3, 3.0  # values fall inwards: what lies below is denser
     cosines = [np.sqrt(1 - (height / RADIUS / n) ** 2) for n in (1.0, 1.3)]
     a, b = np.arccos(cosines)
