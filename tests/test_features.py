@@ -17,6 +17,7 @@ from clvol import Camera, TransferFunction, Volume
 from clvol.errors import SceneError
 from clvol.features import (
     CLASSIFICATIONS,
+    COMPOSITINGS,
     FILTERS,
     NAMES,
     NEUTRAL,
@@ -43,7 +44,8 @@ LABELS = Volume((ARRAY > 128).astype(np.uint8))
 
 @pytest.mark.parametrize(
     "prefix, table",
-    [("FILTER", FILTERS), ("CLASSIFICATION", CLASSIFICATIONS), ("QUADRATURE", QUADRATURES)],
+    [("FILTER", FILTERS), ("CLASSIFICATION", CLASSIFICATIONS), ("QUADRATURE", QUADRATURES),
+     ("COMPOSITING", COMPOSITINGS)],
 )
 def test_the_vocabulary_is_one(prefix, table):
     text = (kernel_folder() / "features.h").read_text()

@@ -42,7 +42,7 @@ class Medium:
         self.classification = integration.classification
         if integration.filter == "nearest" and self.classification == "preintegrated":
             self.classification = "post"  # values jump: a chord between them is not there
-        self.noise = resolved.noise
+        self.noise = tuple(term for term in resolved.noise if term.amplitude != 0)
         self.tile = tile
         animation = resolved.animation
         self.time = animation.time
