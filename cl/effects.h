@@ -20,7 +20,7 @@ typedef struct {
   float4 shading;                            /* 1 / (magnitude per edge below which shading fades), or 0; two-sided; - ; - */
   float4 depth_cue;                          /* distance where it starts, 1 / its length (edges), strength; - */
   float4 depth_color;
-  float4 projection;                         /* lowest value of the volume, 1 / range, attenuation a step; - */
+  float4 projection;                         /* lowest value of the volume, 1 / range, attenuation a step; score up to which nothing shows */
   float4 shadow;                             /* bound; step (edges); strength of scattering; - */
   float4 light_grid;                         /* lattice point to light grid: scale x, y, z; - */
   float4 environment;                        /* intensity of what is seen; - */

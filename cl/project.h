@@ -12,7 +12,7 @@
  *
  * Leaping (SKIP_EMPTY). `factors` holds, for each cell of empty space, a bound of the score of every sample in it, and then the same for
  * cells 4 and 16 times as long: a ray leaps out of the largest cell of these that cannot change its result, and ends where none
- * ahead can. Attenuated, what is leapt over would be missing from the integral: only cells where all of it is 0 are leapt over, and
+ * ahead can. Nor do scores count that are transparent with all below them (projection.w). Attenuated, what is leapt over would be missing from the integral: only cells where all of it is 0 are leapt over, and
  * rays end early. Averages need every sample. The picture is the same to the bit.
  */
 #ifndef PROJECT_H
@@ -140,7 +140,7 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
     {
       const intN going = alive & MASK(i <= last);
       const floatN t = middle_of(&ray, i);
-      floatN needed = best;
+      floatN needed = lane_max(best, (floatN)effects->projection.w);
 #if COMPOSITING == COMPOSITING_ATTENUATED_MAXIMUM
       /* What lies ahead counts for no more than here. Where nothing ahead could win, up to the end of the stretch, it is left out; what
        * it would have added to the integral can only count in the next stretch, so that a ray with more of them goes on. */
@@ -209,6 +209,9 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
   weight = opacity_share;
 #endif
   weight = select((floatN)0.0f, weight, any_value);
+#if WITH_DEPTH
+  picked_at = select((floatN)INFINITY, picked_at, MASK(weight * shown.d > 0.0f));
+#endif
   Gathered acc = {weight * shown.r, weight * shown.g, weight * shown.b, weight * shown.d};
 #if ENVIRONMENT_VISIBLE
   const Vectors forward = scaled3(direction_to_local(effects, whole_ray.dx, whole_ray.dy, whole_ray.dz), 1.0f / h);

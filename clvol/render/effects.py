@@ -21,6 +21,7 @@ from clvol.render.gradients import DeviceLimits, gradient_switch
 from clvol.render.layout import ValueMap, padded_size
 from clvol.render.noise import TARGETS, device_noise, device_tiles, perturbation
 from clvol.render.project import (
+    NO_SCORE,
     attenuation_a_step,
     normalisation,
     sample_bounds,
@@ -221,8 +222,14 @@ class EffectState:
         numbers["value_bounds"][:2] = sample_bounds(volume, resolved, moved)
         numbers["projection"][:2] = normalisation(volume, resolved)
         numbers["projection"][2] = attenuation_a_step(resolved)
+        numbers["projection"][3] = NO_SCORE
         if resolved.integration.compositing != "average":
             self.arrays["factors"] = self.context.upload(score_bounds(volume, resolved, moved))
+
+    def set_hidden(self, score: float) -> None:
+        """``score``: samples that score no more than that show nothing."""
+        self.numbers[0]["projection"][3] = score
+        self.arrays["effects"] = self.context.upload(self.numbers)
 
     def like(self, resolved: ResolvedScene) -> EffectState:
         """The same for ``resolved``, which may differ in ``animation.time`` and in the step alone."""

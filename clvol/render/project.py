@@ -8,6 +8,7 @@ from clvol.render.device_volume import DeviceVolume
 from clvol.render.empty_space import cell_bounds
 from clvol.render.layout import UNPERTURBED, Perturbation
 from clvol.scene.resolve import ResolvedScene
+from clvol.transfer.classes import ClassNodes
 
 LEVELS, LEVEL_SHIFT = 3, 2  # BOUND_... of cl/project.h
 NO_SCORE = np.float32(-3e38)
@@ -40,6 +41,7 @@ def score_bounds(
     lowest, highest = cell_bounds(volume, resolved.integration.filter, perturbation)
     first, last = sample_bounds(volume, resolved, perturbation)
     there = lowest <= highest
+    lowest, highest = np.where(there, lowest, 0.0), np.where(there, highest, 0.0)
     margin = _ROUNDING * np.maximum(np.abs(lowest), np.abs(highest))
     margin = np.where(lowest == highest, 0.0, margin)  # a constant cell gives just its value
     if mode == "minimum":
@@ -55,6 +57,17 @@ def score_bounds(
     for _ in range(LEVELS - 1):
         levels.append(_coarser(levels[-1]))
     return np.concatenate([level.ravel() for level in levels])
+
+
+def hidden_score(mode: str, nodes: ClassNodes, gate: tuple[float, float]) -> float:
+    """The score up to which nothing shows; ``gate``: class coordinates between which something does.
+    One node less, for rounding."""
+    low, high = gate
+    if mode == "maximum" and low >= 1:
+        return float(nodes.values[int(min(low, nodes.values.size - 1.0)) - 1])
+    if mode == "minimum" and high + 1 < nodes.values.size:
+        return -float(nodes.values[int(max(high, 0.0)) + 1])
+    return float(NO_SCORE)
 
 
 def normalisation(volume: DeviceVolume, resolved: ResolvedScene) -> tuple[np.float32, np.float32]:

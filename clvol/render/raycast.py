@@ -19,6 +19,7 @@ from clvol.render.effects import COUNTERS, EffectState, effect_switches
 from clvol.render.empty_space import dilated, distance_map, surface_mask, visible_mask
 from clvol.render.layout import CELL_SHIFT, Perturbation, value_map, voxel_switches
 from clvol.render.noise import perturbation
+from clvol.render.project import hidden_score
 from clvol.render.view import EVERY_PIXEL, PixelLattice, RayFrame, ray_frame
 from clvol.scene.camera import Camera
 from clvol.scene.integration import Integration
@@ -88,7 +89,8 @@ def scene_nodes(resolved: ResolvedScene, function: TransferFunction | None = Non
         (low, high),
         integration.table_size if preintegrated else CONSTANT_NODES,
         integer=integer,
-        may_warp=preintegrated,
+        # Colours that cycle fall on no nodes, and tables of even ones are made ten times as fast.
+        may_warp=preintegrated and not resolved.animation.cycle,
     )
 
 
@@ -191,6 +193,8 @@ class Raycaster:
             mask |= self._surface_cells()
         if resolved.integration.compositing != "over":  # a mean may be a value of no cell
             mask = np.full_like(mask, visible.any() or at_nodes.any())
+            mode = resolved.integration.compositing
+            self.effects.set_hidden(hidden_score(mode, self.nodes, self.gate))
         self.visible_share = float(mask.mean())
         self.distances = distance_map(context, mask)
         warp = self.nodes.warp
@@ -238,8 +242,9 @@ class Raycaster:
                 self.table = depths_table(*arguments, self._piece)
             else:
                 self.table = constant_table(*arguments, self._piece, "extinction_table")
-        elif kind == "preintegrated":
-            self.table = preintegrated_table(*arguments, self.length)
+        elif kind == "preintegrated":  # effects want no shorter pieces
+            slices = 2 if effects else SLICES
+            self.table = preintegrated_table(*arguments, self.length, slices)
         else:
             kernel = "classify_table" if kind == "post" else "extinction_table"
             self.table = constant_table(*arguments, self.length, kernel)
