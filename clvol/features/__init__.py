@@ -17,6 +17,7 @@ from clvol.features.lighting import NEUTRAL, is_lit
 from clvol.features.refuse import has_exact_integral, refuse_unknown
 from clvol.features.vocabulary import (
     CLASSIFICATIONS,
+    COMPOSITINGS,
     FILTER_REACH,
     FILTERS,
     GRADIENTS,
@@ -27,6 +28,7 @@ from clvol.features.vocabulary import (
 
 __all__ = [
     "CLASSIFICATIONS",
+    "COMPOSITINGS",
     "FILTERS",
     "FILTER_REACH",
     "GRADIENTS",

@@ -10,13 +10,16 @@ import numpy as np
 
 from clvol.errors import RenderError
 from clvol.features import CLASSIFICATIONS, FILTERS, QUADRATURES, overshoot, reduced
+from clvol.features.values import reachable
 from clvol.opencl.context import DeviceArray, DeviceContext, restore_interrupts
 from clvol.opencl.structs import effects_dtype, view_dtype
 from clvol.render.device_volume import DeviceVolume
 from clvol.render.effects import ARGUMENTS as _EFFECT_ARGUMENTS
 from clvol.render.effects import COUNTERS, EffectState, effect_switches
 from clvol.render.empty_space import dilated, distance_map, surface_mask, visible_mask
-from clvol.render.layout import CELL_SHIFT, value_map, voxel_switches
+from clvol.render.layout import CELL_SHIFT, Perturbation, value_map, voxel_switches
+from clvol.render.noise import perturbation
+from clvol.render.project import hidden_score
 from clvol.render.tile_effects import tiles_that_see
 from clvol.render.view import EVERY_PIXEL, PixelLattice, RayFrame, ray_frame
 from clvol.scene.camera import Camera
@@ -25,10 +28,12 @@ from clvol.scene.resolve import ResolvedScene
 from clvol.schedule.tiles import TILE, bands, tiling
 from clvol.transfer import TransferFunction
 from clvol.transfer.classes import ClassNodes, class_nodes, visible_cells
+from clvol.transfer.cycle import cycled
 from clvol.transfer.tables import SLICES, constant_table, depths_table, preintegrated_table
 
 PIECE = 0.5  # smallest edges: of the tables of quadrature by cells, about as long as a cell's pieces are
 CONSTANT_NODES = 4096  # of the one-dimensional tables of pre- and post-classification
+_WIDEST = 8.0  # ranges that noise may widen the nodes by, on either side
 _SECONDS_A_SAMPLE = 1e-8  # a first guess, for how to cut a frame into launches
 _BAND_SECONDS = 0.5
 _SCENE_ARGUMENTS = "in volume V1, in table float32, in warp float32, in distances uint8, in view V1, "
@@ -40,8 +45,10 @@ _FILL_ARGUMENTS = (
 
 
 def segment_classification(integration: Integration) -> str:
-    """How segments are classified. Under the nearest filter values do not run from one sample to the
+    """How segments are classified; of a projection's, the values are. Under the nearest filter values do not run from one sample to the
     next, they jump: a pre-integrated segment of constant value is a post-classified one."""
+    if integration.compositing != "over":
+        return "post"
     if integration.filter == "nearest" and integration.classification == "preintegrated":
         return "post"
     return integration.classification
@@ -75,14 +82,40 @@ def scene_nodes(resolved: ResolvedScene, function: TransferFunction | None = Non
     if integration.classification != "pre":  # what is classified may overshoot the voxels
         more = overshoot(integration.filter) * (high - low)
         more = float(np.ceil(more)) if integer else more
+        if resolved.noise:
+            more, integer = more + _noise_range(resolved, high - low), False
         low, high = low - more, high + more
     return class_nodes(
         device_function(function or resolved.transfer_function, values),
         (low, high),
         integration.table_size if preintegrated else CONSTANT_NODES,
         integer=integer,
-        may_warp=preintegrated,
+        # Colours that cycle fall on no nodes, and tables of even ones are made ten times as fast.
+        may_warp=preintegrated and not resolved.animation.cycle,
     )
+
+
+def _noise_range(resolved: ResolvedScene, span: float) -> float:
+    """By how much noise widens the range of values, at most _WIDEST times that of the volume and of
+    the transfer function: nodes must not be lost on what is beyond."""
+    gain = value_map(resolved.volume).gain
+    added = perturbation(resolved.noise, resolved.volume.grid, gain).added
+    return min(added, _WIDEST * max(span, np.ptp(resolved.transfer_function.values) * gain))
+
+
+def cycled_function(resolved: ResolvedScene, function: TransferFunction) -> TransferFunction:
+    """``function`` with its colours moved as far as they have come at ``animation.time``."""
+    shift, value_range, reach = _shift(resolved), resolved.volume.value_range, reachable(resolved)
+    if shift is None:
+        return function
+    beyond = None if reach == value_range else reach
+    return cycled(function, shift, value_range, beyond, opacity=False)
+
+
+def _shift(resolved: ResolvedScene) -> float | None:
+    """How far colours have moved, in ranges of the volume; None where they do not."""
+    animation = resolved.animation
+    return animation.cycle * animation.time if animation.cycle else None
 
 
 def device_function(function: TransferFunction, values) -> TransferFunction:
@@ -146,17 +179,23 @@ class Raycaster:
     def set_transfer_function(self, function: TransferFunction) -> None:
         """Another transfer function: rebuilds the table and the visible cells, nothing else."""
         resolved, context = self.resolved, self.context
+        # Where the nodes are depends on no cycling: it compiles nothing.
         self.nodes = scene_nodes(resolved, function)
-        self._function = mapped = device_function(function, self.volume.values)
+        mapped = device_function(function, self.volume.values)
+        self._asked_function = function
+        self._set_colors()
         visible = visible_cells(mapped, self.nodes.values)
-        self._build_table()
         self.gate = _gate(mapped, self.nodes, visible)
         at_nodes = mapped.opacity(self.nodes.values) > 0
         mask = visible_mask(
-            self.volume, resolved.integration.filter, self.nodes, visible, at_nodes
+            self.volume, resolved.integration.filter, self.nodes, visible, at_nodes, self._moved
         )
         if resolved.isosurfaces:
             mask |= self._surface_cells()
+        if resolved.integration.compositing != "over":  # a mean may be a value of no cell
+            mask = np.full_like(mask, visible.any() or at_nodes.any())
+            mode = resolved.integration.compositing
+            self.effects.set_hidden(hidden_score(mode, self.nodes, self.gate))
         self.visible_share = float(mask.mean())
         self.distances = distance_map(context, mask)
         warp = self.nodes.warp
@@ -167,11 +206,22 @@ class Raycaster:
         self.switches |= self.effects.switches  # the device may be too small for some
         self._without_surfaces = self._beside_surfaces()
 
+    def _set_colors(self) -> None:
+        """The table, with colours as they are at the scene's time."""
+        moved = cycled_function(self.resolved, self._asked_function)
+        self._function = device_function(moved, self.volume.values)
+        self._build_table()
+
+    @property
+    def _moved(self) -> Perturbation:
+        resolved = self.resolved
+        return perturbation(resolved.noise, resolved.volume.grid, self.volume.values.gain)
+
     def _surface_cells(self) -> np.ndarray:
         """bool [z, y, x]: cells in which an iso-surface can be. Tells the effects, which look a step
         around."""
         levels = [float(self.volume.values(s.value)) for s in self.resolved.isosurfaces]
-        mask = surface_mask(self.volume, self.resolved.integration.filter, levels)
+        mask = surface_mask(self.volume, self.resolved.integration.filter, levels, self._moved)
         reach = self.resolved.integration.step / (1 << CELL_SHIFT)
         around = dilated(mask) if reach < 1 else np.ones_like(mask)
         self.effects.set_surfaces(around)
@@ -182,7 +232,7 @@ class Raycaster:
         """For tiles that see no surface, but may see something else: all else is the same, and so is
         what it computes. None where no tile is without."""
         switches = self.effects.switches
-        if not switches or not switches["ISOSURFACES"] or switches["REFRACTION"]:
+        if not switches.get("ISOSURFACES") or switches["REFRACTION"]:
             return None  # bent rays go anywhere
         if not switches["TRANSLUCENT"]:
             return None
@@ -197,7 +247,9 @@ class Raycaster:
         arguments = self.context, self._function, nodes
         kind = segment_classification(integration)
         effects = self.effects.switches
-        if effects and not effects["SEGMENT_OPACITIES"]:  # segments may be cut, or absorb less
+        if "COMPOSITING" in effects:
+            self.table = constant_table(*arguments, self._function.opacity_unit)
+        elif effects and not effects["SEGMENT_OPACITIES"]:  # segments may be cut, or absorb less
             if kind == "preintegrated":
                 self.table = depths_table(*arguments, self.length)
             else:
@@ -207,8 +259,9 @@ class Raycaster:
                 self.table = depths_table(*arguments, self._piece)
             else:
                 self.table = constant_table(*arguments, self._piece, "extinction_table")
-        elif kind == "preintegrated":
-            self.table = preintegrated_table(*arguments, self.length)
+        elif kind == "preintegrated":  # effects want no shorter pieces
+            slices = 2 if effects else SLICES
+            self.table = preintegrated_table(*arguments, self.length, slices)
         else:
             kernel = "classify_table" if kind == "post" else "extinction_table"
             self.table = constant_table(*arguments, self.length, kernel)
@@ -224,15 +277,18 @@ class Raycaster:
         return PIECE * self.resolved.volume.grid.smallest_edge
 
     def like(self, resolved: ResolvedScene) -> Raycaster:
-        """The same for ``resolved``, which may differ in camera, image, step and early termination alone.
-        Shares what these leave as it is: the volume, empty space, and often the tables."""
+        """The same for ``resolved``, which may differ in camera, image, animation, step and early
+        termination alone. Shares what these leave as it is: the volume, empty space, and often the
+        tables. Compiles nothing."""
         other = copy.copy(self)
         other.resolved = resolved = reduced(resolved)
+        other.effects = self.effects.like(resolved)
         by_cells = resolved.integration.quadrature == "cells"
+        if _shift(resolved) != _shift(self.resolved):
+            other._set_colors()
         if not by_cells and other.length != self.length:
             other._build_table()
             if resolved.isosurfaces:
-                other.effects = self.effects.copy()
                 other._surface_cells()
         other._without_surfaces = other._beside_surfaces()
         return other
