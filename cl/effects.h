@@ -21,7 +21,7 @@ typedef struct {
   float4 depth_cue;                          /* distance where it starts, 1 / its length (edges), strength; - */
   float4 depth_color;
   float4 projection;                         /* lowest value of the volume, 1 / range, attenuation a step; score up to which nothing shows */
-  float4 shadow;                             /* bound; step (edges); strength of scattering; - */
+  float4 shadow;                             /* bound; step (edges); strength of scattering; depth beyond which nothing arrives */
   float4 light_grid;                         /* lattice point to light grid: scale x, y, z; - */
   float4 environment;                        /* intensity of what is seen; - */
   float4 value_bounds;                       /* lowest, highest value that a sample can have; - ; - */
@@ -36,6 +36,10 @@ typedef struct {
   int4 noise_counts;                         /* terms that add to values, and after them those that move places; - ; - */
   NoiseTerm noise_terms[NOISE_TERMS];
 } Effects;
+
+/* SHADOWS, see shadow.h. */
+#define SHADOWS_BY_RAYS 1
+#define SHADOWS_BY_VOLUME 2
 
 /* What is counted beside samples: one number each a tile. clvol/render/effects.py names them in this order. */
 #define COUNT_GRADIENTS 0        /* gradients reconstructed */
@@ -91,6 +95,7 @@ typedef struct {
   __global const uint *noise;
   __global const float *factors;
   __global const float *fields;
+  __global const float *extinction; /* by class coordinate, an edge: [nodes + 2] */
 } Scene;
 
 #define EFFECT_PARAMETERS                                                                                              \
@@ -98,9 +103,9 @@ typedef struct {
     __global const uint *restrict gradients, __global const uchar *restrict cell_flags,                                \
     __global const float4 *restrict environment, __global const float4 *restrict light_volume,                         \
     __global const uint *restrict noise, __global const float *restrict factors, __global const float *restrict fields, \
-    __global uint *restrict counts
+    __global const float *restrict extinction, __global uint *restrict counts
 #define EFFECT_ARGUMENTS \
-  , effects, items, gradients, cell_flags, environment, light_volume, noise, factors, fields, counted
+  , effects, items, gradients, cell_flags, environment, light_volume, noise, factors, fields, extinction, counted
 
 /* A kernel's own tally, written to counts[tile, COUNTERS] at its end. Lane by lane: a sum over lanes at every count would cost. */
 #define EFFECT_TALLY Tally counted[COUNTERS] = {0};

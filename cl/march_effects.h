@@ -21,11 +21,11 @@
 #if LIGHTING
 /* c (times `depth`) lit, where there is a normal; fading to the unlit colour where the gradient is short. */
 INLINE Vectors shaded_color(const Scene *scene, Vectors color, floatN depth, Vectors place, Vectors normal, Vectors gradient,
-                            Vectors view, floatN weight, intN active, Tally *counted)
+                            Vectors view, floatN weight, int on_surface, intN active, Tally *counted)
 {
   if (!any_lane(active)) return color;
   count(&counted[COUNT_LIT], active);
-  const Illumination lit = illuminate(scene, place, normal, view, weight, active, counted);
+  const Illumination lit = illuminate(scene, place, normal, view, weight, on_surface, active, counted);
   Vectors shaded = {color.x * lit.diffuse.x + depth * lit.specular.x, color.y * lit.diffuse.y + depth * lit.specular.y,
                     color.z * lit.diffuse.z + depth * lit.specular.z};
   if (scene->effects->shading.x > 0.0f) {
@@ -77,11 +77,11 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
                           __global const uchar *distances, __constant const View *view_, __constant const Effects *effects,
                           __global const float4 *items, __global const uint *gradients, __global const uchar *cell_flags,
                           __global const float4 *environment, __global const float4 *light_volume, __global const uint *noise,
-                          __global const float *factors, __global const float *fields, Tally *counted, intN px, intN py,
-                          float *rgba, float *depth, uint *samples)
+                          __global const float *factors, __global const float *fields, __global const float *extinction,
+                          Tally *counted, intN px, intN py, float *rgba, float *depth, uint *samples)
 {
   const Scene scene_ = {volume, table, warp, distances, view_, effects, items, gradients, cell_flags, environment, light_volume,
-                        noise, factors, fields};
+                        noise, factors, fields, extinction};
   const Scene *scene = &scene_;
   __constant const View *view = view_;
   const float h = view->march.x;
@@ -236,7 +236,7 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
         const intN lit = shows & MASK(dot3(normal, normal) > 0.5f);
         const Vectors place = {xm, ym, zm};
         const floatN weight = (1.0f - acc.a) * segment_opacity(e);
-        color = shaded_color(scene, color, e.d, place, normal, gradient, scaled3(forward, -1.0f), weight, lit, counted);
+        color = shaded_color(scene, color, e.d, place, normal, gradient, scaled3(forward, -1.0f), weight, 0, lit, counted);
 #endif
 #if DEPTH_CUE
         color = cued_color(scene, color, e.d, ray.entry_depth + tm * h);

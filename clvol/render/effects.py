@@ -19,6 +19,12 @@ from clvol.render.environment import environment_maps
 from clvol.render.environment_file import load_radiance
 from clvol.render.gradients import DeviceLimits, gradient_switch
 from clvol.render.layout import ValueMap, padded_size
+from clvol.render.light_volume import (
+    casting_lights,
+    check_fits,
+    shadow_numbers,
+    shadow_switches,
+)
 from clvol.render.noise import TARGETS, device_noise, device_tiles, perturbation
 from clvol.render.project import (
     NO_SCORE,
@@ -42,11 +48,12 @@ COUNTERS = {
     "bends": "REFRACTION",
 }
 LIGHT_TYPES = {"directional": 0, "point": 1, "headlight": 2}
+OPAQUE_DEPTH = 1e15  # of a surface; finite, so that any share of it counts
 CLIP_TYPES = {"plane": 0, "box": 1, "sphere": 2}
 ARGUMENTS = (
     ", in effects V1, in items float32, in gradients uint32, in cell_flags uint8, "
     "in environment float32, in light_volume float32, in noise uint32, in factors float32, "
-    "in fields float32, out counts uint32"
+    "in fields float32, in extinction float32, out counts uint32"
 )
 
 
@@ -76,6 +83,7 @@ def effect_switches(
         "ENVIRONMENT": int(lit and resolved.environment is not None),
         "ENVIRONMENT_VISIBLE": int(seen),
         "NOISE": _noise(resolved),
+        **shadow_switches(resolved),
         "GRADIENT": _gradient(resolved, limits) if lit or refracts or decides else 0,
     }
     if not any(switches.values()):
@@ -160,7 +168,7 @@ class EffectState:
             for name, dtype in (
                 ("items", np.float32), ("gradients", np.uint32), ("cell_flags", np.uint8),
                 ("environment", np.float32), ("light_volume", np.float32), ("noise", np.uint32),
-                ("factors", np.float32), ("fields", np.float32),
+                ("factors", np.float32), ("fields", np.float32), ("extinction", np.float32),
             )
         }  # fmt: skip
         self.arrays: dict[str, DeviceArray] = none
@@ -175,6 +183,10 @@ class EffectState:
             self._fill_noise(resolved)
         if "COMPOSITING" in self.switches:
             self._add_projection(resolved, volume)
+        if self.switches.get("SHADOWS"):
+            check_fits(resolved, DeviceLimits.of(context))
+            for name, value in shadow_numbers(resolved, padded_size(resolved.volume)).items():
+                self.numbers[0][name] = value
         self.arrays["effects"] = context.upload(self.numbers)
 
     def _fill(self, resolved: ResolvedScene, volume: DeviceVolume) -> None:
@@ -256,17 +268,20 @@ class EffectState:
     def _items(self, resolved: ResolvedScene, values: ValueMap) -> tuple[list, list, list]:
         space = self.space
         lights, surfaces, clips = [], [], []
-        for light in resolved.lights:
+        casting = casting_lights(resolved)
+        for number, light in enumerate(resolved.lights):
             at = np.zeros(3)
             if light.type == "directional":
                 at = -_unit(light.direction)
             elif light.type == "point":
                 at = space.point(light.position)
             lights.append((*at, LIGHT_TYPES[light.type]))
-            lights.append((*(np.asarray(light.color) * light.intensity), -1.0))
+            volume = casting.index(number) if number in casting else -1.0
+            lights.append((*(np.asarray(light.color) * light.intensity), volume))
         for surface in sorted(resolved.isosurfaces, key=lambda s: s.value):
             level = float(values(surface.value))
-            surfaces.append((level, surface.opacity, surface.refraction, 0.0))
+            depth = -np.log1p(-surface.opacity) if surface.opacity < 1 else OPAQUE_DEPTH
+            surfaces.append((level, surface.opacity, surface.refraction, depth))
             surfaces.append((*surface.color, 0.0))
             surfaces.append((*surface.back_color, 0.0))
         for clip in sorted(resolved.clips, key=lambda c: c.keep != "inside"):

@@ -18,6 +18,7 @@ from clvol.render.effects import ARGUMENTS as _EFFECT_ARGUMENTS
 from clvol.render.effects import COUNTERS, EffectState, effect_switches
 from clvol.render.empty_space import dilated, distance_map, surface_mask, visible_mask
 from clvol.render.layout import CELL_SHIFT, Perturbation, value_map, voxel_switches
+from clvol.render.light_volume import METHODS, extinctions, fill_light_volume
 from clvol.render.noise import perturbation
 from clvol.render.project import hidden_score
 from clvol.render.tile_effects import tiles_that_see
@@ -169,6 +170,7 @@ class Raycaster:
         self.volume = volume or DeviceVolume(context, resolved.volume)
         self.effects = EffectState(context, resolved, self.volume)
         self._view_dtype = view_dtype(self.volume.switches["VOXEL_BITS"])
+        self.set_transfer_function(resolved.transfer_function)
         self._warm: set[tuple] = set()
         self._tally = None
         self._none = context.empty(np.float32, (4,))
@@ -204,6 +206,9 @@ class Raycaster:
             resolved, warped=warp is not None, lanes=self.lanes, skip=self.skip
         )
         self.switches |= self.effects.switches  # the device may be too small for some
+        self.light_volume_samples = 0
+        if self.effects.switches.get("SHADOWS"):
+            self._build_shadows()
         self._without_surfaces = self._beside_surfaces()
 
     def _set_colors(self) -> None:
@@ -216,6 +221,25 @@ class Raycaster:
     def _moved(self) -> Perturbation:
         resolved = self.resolved
         return perturbation(resolved.noise, resolved.volume.grid, self.volume.values.gain)
+
+    def _build_shadows(self) -> None:
+        """What shadows need, which neither the camera nor the step changes."""
+        arrays, edge = self.effects.arrays, self.resolved.volume.grid.smallest_edge
+        arrays["extinction"] = extinctions(self.context, self._function, self.nodes.values, edge)
+        if self.switches["SHADOWS"] == METHODS["volume"] and self.visible_share:
+            view = np.zeros(1, self._view_dtype)
+            self._describe_volume(view[0])
+            arrays["light_volume"], self.light_volume_samples = fill_light_volume(
+                self.context, self.resolved, self.switches, view, {**self._scene_arrays(), **arrays}
+            )
+
+    def _scene_arrays(self) -> dict[str, DeviceArray]:
+        return {
+            "volume": self.volume.voxels,
+            "table": self.table,
+            "warp": self.warp,
+            "distances": self.distances,
+        }
 
     def _surface_cells(self) -> np.ndarray:
         """bool [z, y, x]: cells in which an iso-surface can be. Tells the effects, which look a step
@@ -234,8 +258,8 @@ class Raycaster:
         switches = self.effects.switches
         if not switches.get("ISOSURFACES") or switches["REFRACTION"]:
             return None  # bent rays go anywhere
-        if not switches["TRANSLUCENT"]:
-            return None
+        if not switches["TRANSLUCENT"] or switches["SHADOWS"] == METHODS["rays"]:
+            return None  # rays to lights may meet surfaces that the eye's do not
         other = copy.copy(self)
         other.effects = self.effects.copy()
         other.effects.switches = {**switches, "ISOSURFACES": 0}
@@ -438,11 +462,8 @@ class Raycaster:
                 context.queue,
                 (count,),
                 (1,) if self.lanes > 1 else None,
-                volume=self.volume.voxels,
-                table=self.table,
-                warp=self.warp,
-                distances=self.distances,
                 view=self._view,
+                **self._scene_arrays(),
                 **arrays,
             )
             done += count
@@ -459,22 +480,29 @@ class Raycaster:
 
     def _frame_view(self, frame: RayFrame, width: int, height: int) -> np.ndarray:
         view = np.zeros(1, self._view_dtype)
-        volume, nodes, row = self.volume, self.nodes, view[0]
+        row = view[0]
         names = ("plane_origin", "plane_du", "plane_dv", "ray_forward", "ray_du", "ray_dv")
         sources = (frame.origin, frame.du, frame.dv, frame.forward, frame.ray_du, frame.ray_dv)
         with np.errstate(over="ignore", under="ignore"):
             for name, source in zip(names, sources):
                 row[name][:3] = source
             row["lens"] = (*frame.lens, *frame.centre)
+            self._describe_volume(row)
             stop = 1.0 - self.resolved.integration.early_termination
-            step = self.resolved.integration.step
-            row["march"] = (step, frame.distance, stop, frame.unit)
-            bins = 0.0 if nodes.warp is None else nodes.warp.size - 1.0
-            row["classes"] = (nodes.first, nodes.per_value, nodes.last_coordinate, bins)
+            row["march"][1:] = (frame.distance, stop, frame.unit)
         finite = [np.isfinite(row[name]).all() for name in (*names, "lens", "march", "classes")]
         if not all(finite) or not min(row["march"][0], row["march"][3]) > 0:
             where = f"{self.resolved.origin}: camera"
             raise RenderError(where, "numbers beyond float32", "a camera and units nearer to 1")
+        row["image"] = (width, height, *self.tile)
+        return view
+
+    def _describe_volume(self, row: np.void) -> None:
+        """The fields of a ``View`` that no camera changes."""
+        volume, nodes, step = self.volume, self.nodes, self.resolved.integration.step
+        bins = 0.0 if nodes.warp is None else nodes.warp.size - 1.0
+        row["march"][0] = step
+        row["classes"] = (nodes.first, nodes.per_value, nodes.last_coordinate, bins)
         row["upper"][:3] = np.asarray(volume.size) - 1
         row["gate"][:2] = self.gate
         parts = parts_of_cell(self.resolved.integration.step)
@@ -486,12 +514,10 @@ class Raycaster:
         row["size"][:3] = volume.size
         row["stride"][:2] = volume.stride
         row["cells"] = (*volume.cells, CELL_SHIFT)
-        row["image"] = (width, height, *self.tile)
         n = nodes.values.size
         preintegrated = segment_classification(self.resolved.integration) == "preintegrated"
         rows = n + 2 if preintegrated else 1
         row["table"] = (n, n + 2, SLICES, rows * (n + 2))
-        return view
 
     def _check_struct(self) -> None:
         """The compiler's View must be ours, field for field: all fields are 16 bytes wide."""
