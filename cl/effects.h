@@ -10,6 +10,7 @@
 #include "lanes.h"
 #include "view.h"
 #include "features.h"
+#include "noise.h"
 
 typedef struct {
   float4 local_x, local_y, local_z;          /* lattice point to local: rows of the matrix, and in w the shift */
@@ -19,19 +20,21 @@ typedef struct {
   float4 shading;                            /* 1 / (magnitude per edge below which shading fades), or 0; two-sided; - ; - */
   float4 depth_cue;                          /* distance where it starts, 1 / its length (edges), strength; - */
   float4 depth_color;
-  float4 projection;                         /* lowest value, 1 / range, attenuation a step; highest value */
+  float4 projection;                         /* lowest value of the volume, 1 / range, attenuation a step; score up to which nothing shows */
   float4 shadow;                             /* bound; step (edges); strength of scattering; depth beyond which nothing arrives */
   float4 light_grid;                         /* lattice point to light grid: scale x, y, z; - */
   float4 environment;                        /* intensity of what is seen; - */
-  float4 cycle;                              /* lowest value, range, shift, 1 / range */
-  float4 noise_bound;                        /* - */
+  float4 value_bounds;                       /* lowest, highest value that a sample can have; - ; - */
+  float4 noise_reach;                        /* half a smallest edge, in lattice units along x, y, z; - */
   int4 counts;                               /* lights, surfaces, clips that keep, clips that remove */
-  int4 first;                                /* of the items: first light, surface, clip; noise */
+  int4 first;                                /* of the items: first light, surface, clip; - */
   int4 light_size;                           /* points of the light volume x, y, z; lights in it */
   int4 maps;                                 /* of the environment: side of the diffuse, specular, background map; - */
   int4 map_offsets;                          /* where they begin */
   int4 factors;                              /* entries of the tables of gradient opacity, directional opacity, layers; - */
   float4 factor_scale;                       /* entries a magnitude (per edge) of each */
+  int4 noise_counts;                         /* terms that add to values, and after them those that move places; - ; - */
+  NoiseTerm noise_terms[NOISE_TERMS];
 } Effects;
 
 /* SHADOWS, see shadow.h. */
@@ -48,6 +51,19 @@ typedef struct {
 #define COUNT_FIELD_SAMPLES 6    /* of further fields */
 #define COUNT_BENDS 7            /* rays refracted or reflected */
 #define COUNTERS 8
+
+/* TILES_CHOSEN: this launch renders only the tiles marked in `chosen`; another one renders the others, without some effect. */
+#if TILES_CHOSEN
+#define CHOSEN_PARAMETER , __global const uchar *restrict chosen
+#define RETURN_UNLESS_CHOSEN(tile) \
+  if (!chosen[tile]) {             \
+    EFFECT_STORE_TALLY(tile)       \
+    return;                        \
+  }
+#else
+#define CHOSEN_PARAMETER
+#define RETURN_UNLESS_CHOSEN(tile)
+#endif
 
 #if EFFECTS
 

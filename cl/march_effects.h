@@ -14,40 +14,7 @@
 
 #include "emission.h"
 #include "clip.h"
-
-INLINE Rays select_rays(Rays a, Rays b, intN mask)
-{
-  a.x0 = select(a.x0, b.x0, mask), a.y0 = select(a.y0, b.y0, mask), a.z0 = select(a.z0, b.z0, mask);
-  a.dx = select(a.dx, b.dx, mask), a.dy = select(a.dy, b.dy, mask), a.dz = select(a.dz, b.dz, mask);
-  a.rx = select(a.rx, b.rx, mask), a.ry = select(a.ry, b.ry, mask), a.rz = select(a.rz, b.rz, mask);
-  a.px = select(a.px, b.px, mask), a.py = select(a.py, b.py, mask), a.pz = select(a.pz, b.pz, mask);
-  a.length = select(a.length, b.length, mask), a.entry_depth = select(a.entry_depth, b.entry_depth, mask);
-  return a;
-}
-
-#if NOISE
-#include "noise.h"
-#endif
-
-/* The reconstructed value at a lattice point. */
-INLINE floatN scene_value(const Scene *scene, floatN x, floatN y, floatN z)
-{
-#if NOISE
-  return noisy_value(scene, x, y, z);
-#else
-  return sample_value(fetch_sample(scene->volume, scene->view, x, y, z), scene->view);
-#endif
-}
-
-#if GRADIENT
-#include "gradient.h"
-/* Its gradient, per edge along the local axes. */
-INLINE Vectors scene_gradient(const Scene *scene, floatN x, floatN y, floatN z)
-{
-  const Gradient g = gradient_at(scene->volume, scene->gradients, scene->view, scene->effects->gradient_scale, x, y, z);
-  return gradient_to_local(scene->effects, g.x, g.y, g.z);
-}
-#endif
+#include "scene_value.h"
 
 #include "shade.h"
 
@@ -59,13 +26,14 @@ INLINE Vectors shaded_color(const Scene *scene, Vectors color, floatN depth, Vec
   if (!any_lane(active)) return color;
   count(&counted[COUNT_LIT], active);
   const Illumination lit = illuminate(scene, place, normal, view, weight, on_surface, active, counted);
-  floatN share = 1.0f;
-  if (scene->effects->shading.x > 0.0f) share = lane_min(sqrt(dot3(gradient, gradient)) * scene->effects->shading.x, share);
-  share = select((floatN)0.0f, share, active);
-  const Vectors shaded = {color.x + share * (color.x * lit.diffuse.x + depth * lit.specular.x - color.x),
-                          color.y + share * (color.y * lit.diffuse.y + depth * lit.specular.y - color.y),
-                          color.z + share * (color.z * lit.diffuse.z + depth * lit.specular.z - color.z)};
-  return shaded;
+  Vectors shaded = {color.x * lit.diffuse.x + depth * lit.specular.x, color.y * lit.diffuse.y + depth * lit.specular.y,
+                    color.z * lit.diffuse.z + depth * lit.specular.z};
+  if (scene->effects->shading.x > 0.0f) {
+    const floatN share = lane_min(sqrt(dot3(gradient, gradient)) * scene->effects->shading.x, (floatN)1.0f);
+    shaded.x = color.x + share * (shaded.x - color.x), shaded.y = color.y + share * (shaded.y - color.y);
+    shaded.z = color.z + share * (shaded.z - color.z);
+  }
+  return select3(color, shaded, active);
 }
 #endif
 
@@ -92,17 +60,7 @@ INLINE Vectors cued_color(const Scene *scene, Vectors color, floatN depth, float
 #include "surfaces.h"
 #endif
 #if ENVIRONMENT_VISIBLE
-#include "environment.h"
-/* What is left of the rays on the picture sees the environment. */
-INLINE void show_environment(const Scene *scene, Vectors forward, intN on_picture, Gathered *acc)
-{
-  __constant const Effects *e = scene->effects;
-  Vectors seen;
-  environment_look_up(scene->environment + e->map_offsets.z, e->maps.z, forward.x, forward.y, forward.z, &seen.x, &seen.y, &seen.z);
-  const floatN left = select((floatN)0.0f, 1.0f - acc->a, on_picture);
-  acc->r += left * seen.x, acc->g += left * seen.y, acc->b += left * seen.z;
-  acc->a = select(acc->a, (floatN)1.0f, on_picture);
-}
+#include "background.h"
 #endif
 
 /* Values at which places of a segment its look needs. */

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from clvol.features import GRADIENTS
+from clvol.features import COMPOSITINGS, GRADIENTS, emits, is_lit
 from clvol.opencl.context import DeviceArray, DeviceContext
 from clvol.opencl.structs import effects_dtype
 from clvol.render.device_volume import DeviceVolume
@@ -24,6 +24,14 @@ from clvol.render.light_volume import (
     check_fits,
     shadow_numbers,
     shadow_switches,
+)
+from clvol.render.noise import TARGETS, device_noise, device_tiles, perturbation
+from clvol.render.project import (
+    NO_SCORE,
+    attenuation_a_step,
+    normalisation,
+    sample_bounds,
+    score_bounds,
 )
 from clvol.scene.resolve import ResolvedScene
 from clvol.volume import Grid
@@ -56,8 +64,10 @@ def effect_switches(
 
     ``limits``: of the device, which may be too small for precomputed gradients; None: it is not.
     """
-    lit = bool(resolved.lights) or resolved.environment is not None
     seen = resolved.environment is not None and resolved.environment.visible
+    if resolved.integration.compositing != "over":
+        return _projection_switches(resolved, seen)
+    lit = is_lit(resolved)
     surfaces = resolved.isosurfaces
     refracts = any(surface.refraction != 1.0 for surface in surfaces)
     factors = resolved.gradient_opacity is not None or resolved.directional_opacity is not None
@@ -70,8 +80,9 @@ def effect_switches(
         "REFRACTION": int(refracts),
         "CLIP": int(bool(resolved.clips)),
         "DEPTH_CUE": int(resolved.depth_cue is not None),
-        "ENVIRONMENT": int(resolved.environment is not None),
+        "ENVIRONMENT": int(lit and resolved.environment is not None),
         "ENVIRONMENT_VISIBLE": int(seen),
+        "NOISE": _noise(resolved),
         **shadow_switches(resolved),
         "GRADIENT": _gradient(resolved, limits) if lit or refracts or decides else 0,
     }
@@ -87,8 +98,26 @@ def effect_switches(
     }
 
 
+def _projection_switches(resolved: ResolvedScene, seen: bool) -> dict[str, int]:
+    """What counts where one value of each ray is shown."""
+    return {
+        "EFFECTS": 1,
+        "COMPOSITING": COMPOSITINGS[resolved.integration.compositing],
+        "CLIP": int(bool(resolved.clips)),
+        "ENVIRONMENT_VISIBLE": int(seen),
+        "NOISE": _noise(resolved),
+    }
+
+
+def _noise(resolved: ResolvedScene) -> int:
+    """NOISE_ADDS and NOISE_MOVES of cl/scene_value.h."""
+    return sum(1 << TARGETS[target] for target in {term.target for term in resolved.noise})
+
+
 def _gradient(resolved: ResolvedScene, limits: DeviceLimits | None) -> int:
     asked = resolved.gradient
+    if resolved.noise:  # differences of noisy values, whatever the operator is
+        return GRADIENTS["central"]
     limits = limits or DeviceLimits(memory=2**63, buffer=2**63)
     return gradient_switch(
         resolved.volume, resolved.integration.filter, asked.operator, asked.storage, limits
@@ -96,11 +125,8 @@ def _gradient(resolved: ResolvedScene, limits: DeviceLimits | None) -> int:
 
 
 def is_translucent(resolved: ResolvedScene) -> bool:
-    """Whether the transfer function shows anything of the volume."""
-    function, (low, high) = resolved.transfer_function, resolved.volume.value_range
-    inside = (function.values >= low) & (function.values <= high)
-    ends = function.opacity(np.array([low, high]))
-    return bool(np.any(function.opacities[inside] > 0) or np.any(ends > 0))
+    """Whether anything but surfaces shows: the volume under its transfer function, or a field."""
+    return emits(resolved) or any(field.role == "density" for field in resolved.fields)
 
 
 class LocalSpace:
@@ -134,6 +160,7 @@ class EffectState:
         if not self.switches:
             return
         self.context = context
+        self._value_gain = volume.values.gain
         self.space = LocalSpace(resolved.volume.grid, padded_size(resolved.volume))
         self.numbers = np.zeros(1, effects_dtype())
         none = {
@@ -146,12 +173,17 @@ class EffectState:
         }  # fmt: skip
         self.arrays: dict[str, DeviceArray] = none
         self._fill(resolved, volume)
-        if self.switches["GRADIENT"] == GRADIENTS["precomputed"]:
+        if self.switches.get("GRADIENT") == GRADIENTS["precomputed"]:
             gradients, scale = volume.gradients(resolved.gradient.operator)
             self.arrays["gradients"], self.numbers["gradient_scale"] = gradients, scale
         if resolved.environment is not None:
             self._add_environment(resolved)
-        if self.switches["SHADOWS"]:
+        if resolved.noise:
+            self.arrays["noise"] = context.upload(device_tiles(resolved.noise))
+            self._fill_noise(resolved)
+        if "COMPOSITING" in self.switches:
+            self._add_projection(resolved, volume)
+        if self.switches.get("SHADOWS"):
             check_fits(resolved, DeviceLimits.of(context))
             for name, value in shadow_numbers(resolved, padded_size(resolved.volume)).items():
                 self.numbers[0][name] = value
@@ -191,6 +223,41 @@ class EffectState:
         places = [maps.diffuse, maps.specular, maps.sky or maps.diffuse]
         self.numbers[0]["maps"][:3] = [place.size for place in places]
         self.numbers[0]["map_offsets"][:3] = [place.offset for place in places]
+
+    def _fill_noise(self, resolved: ResolvedScene) -> None:
+        """The terms at ``animation.time``."""
+        grid, numbers = resolved.volume.grid, self.numbers[0]
+        terms, *counts = device_noise(
+            resolved.noise, grid, resolved.animation.time, self._value_gain
+        )
+        numbers["noise_terms"], numbers["noise_counts"][:2] = terms, counts
+        numbers["noise_reach"][:3] = 0.5 * grid.smallest_edge / np.asarray(grid.spacing)
+
+    def _add_projection(self, resolved: ResolvedScene, volume: DeviceVolume) -> None:
+        moved = perturbation(resolved.noise, resolved.volume.grid, self._value_gain)
+        numbers = self.numbers[0]
+        numbers["value_bounds"][:2] = sample_bounds(volume, resolved, moved)
+        numbers["projection"][:2] = normalisation(volume, resolved)
+        numbers["projection"][2] = attenuation_a_step(resolved)
+        numbers["projection"][3] = NO_SCORE
+        if resolved.integration.compositing != "average":
+            self.arrays["factors"] = self.context.upload(score_bounds(volume, resolved, moved))
+
+    def set_hidden(self, score: float) -> None:
+        """``score``: samples that score no more than that show nothing."""
+        self.numbers[0]["projection"][3] = score
+        self.arrays["effects"] = self.context.upload(self.numbers)
+
+    def like(self, resolved: ResolvedScene) -> EffectState:
+        """The same for ``resolved``, which may differ in ``animation.time`` and in the step alone."""
+        other = self.copy()
+        if self.switches and (resolved.noise or "COMPOSITING" in self.switches):
+            other.numbers = self.numbers.copy()
+            if resolved.noise:
+                other._fill_noise(resolved)
+            other.numbers[0]["projection"][2] = attenuation_a_step(resolved)
+            other.arrays["effects"] = self.context.upload(other.numbers)
+        return other
 
     def _fill_depth_cue(self, cue: Any) -> None:
         unit = self.space.unit
@@ -233,7 +300,8 @@ class EffectState:
     def copy(self) -> EffectState:
         """The same, with arrays that may be replaced."""
         other = copy.copy(self)
-        other.arrays = dict(self.arrays)
+        if self.switches:
+            other.arrays = dict(self.arrays)
         return other
 
     def set_surfaces(self, mask: np.ndarray) -> None:
