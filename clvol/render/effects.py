@@ -17,9 +17,17 @@ from clvol.opencl.structs import effects_dtype
 from clvol.render.device_volume import DeviceVolume
 from clvol.render.environment import environment_maps
 from clvol.render.environment_file import load_radiance
+from clvol.render.fields import SceneFields, field_switches
 from clvol.render.gradients import DeviceLimits, gradient_switch
 from clvol.render.layout import ValueMap, padded_size
+from clvol.render.opacity_factors import (
+    factor_rows,
+    factor_switches,
+    layer_functions,
+    layer_places,
+)
 from clvol.scene.resolve import ResolvedScene
+from clvol.transfer import TransferFunction
 from clvol.volume import Grid
 
 # As numbered in cl/effects.h, each with the switch that it takes to be counted at all.
@@ -65,6 +73,8 @@ def effect_switches(
         "DEPTH_CUE": int(resolved.depth_cue is not None),
         "ENVIRONMENT": int(resolved.environment is not None),
         "ENVIRONMENT_VISIBLE": int(seen),
+        **factor_switches(resolved),
+        **field_switches(resolved),
         "GRADIENT": _gradient(resolved, limits) if lit or refracts or decides else 0,
     }
     if not any(switches.values()):
@@ -81,8 +91,14 @@ def _gradient(resolved: ResolvedScene, limits: DeviceLimits | None) -> int:
 
 
 def is_translucent(resolved: ResolvedScene) -> bool:
-    """Whether the transfer function shows anything of the volume."""
-    function, (low, high) = resolved.transfer_function, resolved.volume.value_range
+    """Whether a transfer function shows anything of the volume, or there is a density beside it."""
+    if any(field.role == "density" for field in resolved.fields):
+        return True
+    low, high = resolved.volume.value_range
+    return any(_shows(function, low, high) for function in layer_functions(resolved))
+
+
+def _shows(function: TransferFunction, low: float, high: float) -> bool:
     inside = (function.values >= low) & (function.values <= high)
     ends = function.opacity(np.array([low, high]))
     return bool(np.any(function.opacities[inside] > 0) or np.any(ends > 0))
@@ -130,7 +146,9 @@ class EffectState:
             )
         }  # fmt: skip
         self.arrays: dict[str, DeviceArray] = none
+        self.fields: SceneFields | None = None
         self._fill(resolved, volume)
+        self._add_factors(resolved, volume)
         if self.switches["GRADIENT"] == GRADIENTS["precomputed"]:
             gradients, scale = volume.gradients(resolved.gradient.operator)
             self.arrays["gradients"], self.numbers["gradient_scale"] = gradients, scale
@@ -161,6 +179,26 @@ class EffectState:
             len(resolved.lights), len(resolved.isosurfaces), keeps, len(resolved.clips) - keeps
         )  # fmt: skip
         numbers["first"][:3] = (0, len(lights), len(lights) + len(surfaces))
+
+    def _add_factors(self, resolved: ResolvedScene, volume: DeviceVolume) -> None:
+        """Opacity factors, transfer layers and fields: their tables share a buffer."""
+        numbers, tables = self.numbers[0], []
+        per_edge = volume.values.gain * self.space.unit
+
+        def place(array: np.ndarray) -> int:
+            tables.append(np.asarray(array, np.float32).ravel())
+            return sum(table.size for table in tables[:-1])
+
+        for k, factor in enumerate((resolved.gradient_opacity, resolved.directional_opacity)):
+            rows = factor_rows(factor, per_edge)
+            numbers["factors"][k], numbers["factor_offsets"][k] = rows.shape[1], place(rows)
+        places = layer_places(resolved, per_edge)
+        numbers["factors"][2], numbers["factor_offsets"][2] = places.size, place(places)
+        if resolved.fields:
+            self.fields = SceneFields(self.context, resolved, volume.cells, place, numbers)
+            self.arrays["fields"] = self.fields.voxels
+        if any(table.size for table in tables):
+            self.arrays["factors"] = self.context.upload(np.concatenate(tables))
 
     def _add_environment(self, resolved: ResolvedScene) -> None:
         asked = resolved.environment

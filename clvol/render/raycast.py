@@ -10,13 +10,14 @@ import numpy as np
 
 from clvol.errors import RenderError
 from clvol.features import CLASSIFICATIONS, FILTERS, QUADRATURES, overshoot
-from clvol.opencl.context import DeviceContext, restore_interrupts
+from clvol.opencl.context import DeviceArray, DeviceContext, restore_interrupts
 from clvol.opencl.structs import effects_dtype, view_dtype
 from clvol.render.device_volume import DeviceVolume
 from clvol.render.effects import ARGUMENTS as _EFFECT_ARGUMENTS
 from clvol.render.effects import COUNTERS, EffectState, effect_switches
 from clvol.render.empty_space import dilated, distance_map, surface_mask, visible_mask
 from clvol.render.layout import CELL_SHIFT, value_map, voxel_switches
+from clvol.render.opacity_factors import layer_functions, stacked_tables
 from clvol.render.view import EVERY_PIXEL, PixelLattice, RayFrame, ray_frame
 from clvol.scene.camera import Camera
 from clvol.scene.integration import Integration
@@ -25,6 +26,7 @@ from clvol.schedule.tiles import TILE, bands, tiling
 from clvol.transfer import TransferFunction
 from clvol.transfer.classes import ClassNodes, class_nodes, visible_cells
 from clvol.transfer.tables import SLICES, constant_table, depths_table, preintegrated_table
+from clvol.transfer.union import union
 
 PIECE = 0.5  # smallest edges: of the tables of quadrature by cells, about as long as a cell's pieces are
 CONSTANT_NODES = 4096  # of the one-dimensional tables of pre- and post-classification
@@ -65,7 +67,7 @@ def raycast_switches(
 
 
 def scene_nodes(resolved: ResolvedScene, function: TransferFunction | None = None) -> ClassNodes:
-    """The class nodes for a scene's volume and classification."""
+    """The class nodes for a scene's volume and classification; all layers' tables share them."""
     volume, integration = resolved.volume, resolved.integration
     values = value_map(volume)
     preintegrated = segment_classification(integration) == "preintegrated"
@@ -76,7 +78,7 @@ def scene_nodes(resolved: ResolvedScene, function: TransferFunction | None = Non
         more = float(np.ceil(more)) if integer else more
         low, high = low - more, high + more
     return class_nodes(
-        device_function(function or resolved.transfer_function, values),
+        device_function(union(layer_functions(resolved, function)), values),
         (low, high),
         integration.table_size if preintegrated else CONSTANT_NODES,
         integer=integer,
@@ -146,7 +148,9 @@ class Raycaster:
         """Another transfer function: rebuilds the table and the visible cells, nothing else."""
         resolved, context = self.resolved, self.context
         self.nodes = scene_nodes(resolved, function)
-        self._function = mapped = device_function(function, self.volume.values)
+        functions, values = layer_functions(resolved, function), self.volume.values
+        self._functions = [device_function(each, values) for each in functions]
+        mapped = device_function(union(functions), values)
         visible = visible_cells(mapped, self.nodes.values)
         self._build_table()
         self.gate = _gate(mapped, self.nodes, visible)
@@ -156,6 +160,9 @@ class Raycaster:
         )
         if resolved.isosurfaces:
             mask |= self._surface_cells()
+        fields = self.effects.switches and self.effects.fields
+        if fields:
+            mask = (mask | fields.shown) & fields.kept
         self.visible_share = float(mask.mean())
         self.distances = distance_map(context, mask)
         warp = self.nodes.warp
@@ -176,24 +183,23 @@ class Raycaster:
         return mask
 
     def _build_table(self) -> None:
+        tables = [self._table_of(function) for function in self._functions]
+        self.table = stacked_tables(self.context, tables, self.resolved)
+
+    def _table_of(self, function: TransferFunction) -> DeviceArray:
         integration, nodes = self.resolved.integration, self.nodes.values
-        arguments = self.context, self._function, nodes
+        arguments = self.context, function, nodes
         kind = segment_classification(integration)
-        if self.effects.switches:  # any channel may change by itself, and segments be cut
+        by_cells = integration.quadrature == "cells"  # whatever the step: pieces are of any length
+        if self.effects.switches or by_cells:  # any channel may change by itself, or segments be cut
+            length = self.length if self.effects.switches else self._piece
             if kind == "preintegrated":
-                self.table = depths_table(*arguments, self.length)
-            else:
-                self.table = constant_table(*arguments, self.length, "extinction_table")
-        elif integration.quadrature == "cells":  # whatever the step: pieces are of any length
-            if kind == "preintegrated":
-                self.table = depths_table(*arguments, self._piece)
-            else:
-                self.table = constant_table(*arguments, self._piece, "extinction_table")
-        elif kind == "preintegrated":
-            self.table = preintegrated_table(*arguments, self.length)
-        else:
-            kernel = "classify_table" if kind == "post" else "extinction_table"
-            self.table = constant_table(*arguments, self.length, kernel)
+                return depths_table(*arguments, length)
+            return constant_table(*arguments, length, "extinction_table")
+        if kind == "preintegrated":
+            return preintegrated_table(*arguments, self.length)
+        kernel = "classify_table" if kind == "post" else "extinction_table"
+        return constant_table(*arguments, self.length, kernel)
 
     @property
     def length(self) -> float:

@@ -131,10 +131,12 @@ class Renderer:
 
 def check_memory(resolved: ResolvedScene, cap: int | None) -> None:
     """VolumeError if rendering takes more than ``cap`` bytes on the device."""
+    from clvol.render.fields import field_bytes
     from clvol.render.layout import scene_bytes
 
     image, volume = resolved.image, resolved.volume
     needed = scene_bytes(volume, resolved.integration.table_size, image.width, image.height)
+    needed += field_bytes(resolved)
     if cap is not None and needed > cap:
         what = f"needs {needed} bytes on the device, pictures and tables included"
         raise VolumeError(volume.name or "volume", what, f"at most the memory cap of {cap} bytes")
