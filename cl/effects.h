@@ -52,6 +52,19 @@ typedef struct {
 
 #if EFFECTS
 
+typedef uintN Tally;
+
+/* One more for each lane of the mask. */
+INLINE void count(Tally *tally, intN mask) { *tally -= AS_UINT(mask); }
+
+INLINE uint tally_sum(Tally tally)
+{
+  uint each[LANES], sum = 0;
+  STORE_LANES(tally, each);
+  EACH_LANE(k) sum += each[k];
+  return sum;
+}
+
 /* All that a function about the scene may read. */
 typedef struct {
   __global const uchar *volume;
@@ -78,10 +91,11 @@ typedef struct {
 #define EFFECT_ARGUMENTS \
   , effects, items, gradients, cell_flags, environment, light_volume, noise, factors, fields, counted
 
-/* A kernel's own tally, written to counts[tile, COUNTERS] at its end. */
-#define EFFECT_TALLY uint counted[COUNTERS] = {0};
-#define EFFECT_STORE_TALLY(tile) \
-  for (int counter_ = 0; counter_ < COUNTERS; ++counter_) counts[(size_t)(tile) * COUNTERS + counter_] = counted[counter_];
+/* A kernel's own tally, written to counts[tile, COUNTERS] at its end. Lane by lane: a sum over lanes at every count would cost. */
+#define EFFECT_TALLY Tally counted[COUNTERS] = {0};
+#define EFFECT_STORE_TALLY(tile)                                                             \
+  for (int counter_ = 0; counter_ < COUNTERS; ++counter_)                                    \
+    counts[(size_t)(tile) * COUNTERS + counter_] = tally_sum(counted[counter_]);
 
 #else
 
@@ -122,7 +136,8 @@ INLINE Vectors broadcast3(float4 v)
 INLINE Vectors unit3(Vectors a)
 {
   const floatN square = dot3(a, a);
-  return scaled3(a, select((floatN)0.0f, 1.0f / sqrt(square), MASK(square > 1e-30f)));
+  const intN long_enough = MASK(square > 1e-30f) & MASK(square < 1e30f);
+  return scaled3(a, select((floatN)0.0f, lane_rsqrt(select((floatN)1.0f, square, long_enough)), long_enough));
 }
 
 INLINE Vectors to_local(__constant const Effects *e, floatN x, floatN y, floatN z)

@@ -1,6 +1,8 @@
 /* What a segment emits and absorbs, one array a channel: effects change each channel by itself.
  *
- * Tables hold (colour times optical depth, optical depth) of a segment one step long; both scale with the length.
+ * Tables hold (colour times optical depth, optical depth) of a segment one step long; both scale with the length. Where nothing
+ * changes what a segment absorbs (SEGMENT_OPACITIES) they hold (premultiplied colour, opacity) instead, which saves the exponential:
+ * only the last, shorter segment of a stretch has to go back to its depth.
  */
 #ifndef EMISSION_H
 #define EMISSION_H
@@ -9,7 +11,7 @@
 #include "opacity.h"
 
 typedef struct {
-  floatN r, g, b, d; /* c D and D of a segment of one step */
+  floatN r, g, b, d; /* c D and D of a segment of one step; SEGMENT_OPACITIES: c a and a */
 } Emission;
 
 typedef struct {
@@ -155,15 +157,31 @@ INLINE Emission classified_emission(FetchedSample s, __constant const View *view
 
 #endif
 
-/* acc += (1 - A) (c, 1) (1 - exp(-D length)) for the rays in `active`; length in steps. */
+/* acc += (1 - A) (c, 1) (1 - exp(-D length)) for the rays in `active`; length in steps, at most 1. */
 INLINE void composite_emission(Gathered *acc, Emission e, floatN length, intN active)
 {
+  const floatN left = select((floatN)0.0f, 1.0f - acc->a, active);
+#if SEGMENT_OPACITIES
+  floatN part = left;
+  if (any_lane(active & MASK(length < 1.0f))) part = left * select((floatN)1.0f, share_of_opacity(e.d, length), MASK(length < 1.0f));
+  acc->r += part * e.r, acc->g += part * e.g, acc->b += part * e.b, acc->a += part * e.d;
+#else
   const intN thin = MASK(e.d < 1e-30f);
   const floatN opacity = opacity_of_depth(e.d * length);
-  const floatN left = select((floatN)0.0f, 1.0f - acc->a, active);
   const floatN weight = left * select(opacity / select(e.d, (floatN)1.0f, thin), length, thin);
   acc->r += weight * e.r, acc->g += weight * e.g, acc->b += weight * e.b;
   acc->a += left * opacity;
+#endif
+}
+
+/* The opacity of a segment of one step. */
+INLINE floatN segment_opacity(Emission e)
+{
+#if SEGMENT_OPACITIES
+  return e.d;
+#else
+  return opacity_of_depth(e.d);
+#endif
 }
 
 #endif

@@ -138,13 +138,13 @@ INLINE floatN above_mask(const Scene *scene, int k, floatN x, floatN y, floatN z
 }
 
 /* Whether all masks keep a place. */
-INLINE intN mask_keeps(const Scene *scene, floatN x, floatN y, floatN z, intN active, uint *counted)
+INLINE intN mask_keeps(const Scene *scene, floatN x, floatN y, floatN z, intN active, Tally *counted)
 {
   intN kept = active;
   _Pragma("unroll 1") for (int k = 0; k < scene->effects->fields.x; ++k) {
     if (scene->effects->field_size[k].w != FIELD_MASK || !any_lane(kept)) continue;
     intN known;
-    counted[COUNT_FIELD_SAMPLES] += count_lanes(kept);
+    count(&counted[COUNT_FIELD_SAMPLES], kept);
     kept &= MASK(above_mask(scene, k, x, y, z, &known) >= 0.0f);
   }
   return kept;
@@ -173,7 +173,7 @@ INLINE floatN kept_share(const Scene *scene, int k, const Rays *ray, floatN t0, 
 /* What the fields make of a segment of `ray` from t0 to t1 with its middle at (x, y, z), where the volume itself may show something
  * (`shows`), for the rays in `active`. */
 INLINE FieldLook look_at_fields(const Scene *scene, const Rays *ray, floatN t0, floatN t1, floatN x, floatN y, floatN z, intN shows,
-                                intN active, uint *counted)
+                                intN active, Tally *counted)
 {
   __constant const Effects *e = scene->effects;
   FieldLook look = no_fields();
@@ -183,7 +183,7 @@ INLINE FieldLook look_at_fields(const Scene *scene, const Rays *ray, floatN t0, 
     const FieldPlace p = place_in_field(scene, k, x, y, z);
     const intN there = active & p.inside;
     if (!any_lane(there)) continue;
-    counted[COUNT_FIELD_SAMPLES] += count_lanes(there);
+    count(&counted[COUNT_FIELD_SAMPLES], there);
     add_density(scene, k, linear_in_field(scene, k, p), there, &look.added);
   }
 #endif
@@ -194,7 +194,7 @@ INLINE FieldLook look_at_fields(const Scene *scene, const Rays *ray, floatN t0, 
       const FieldPlace p = place_in_field(scene, k, x, y, z);
       const floatN code = nearest_in_field(scene, k, p);
       const intN labelled = shows & p.inside & MASK(code > 0.0f);
-      counted[COUNT_FIELD_SAMPLES] += count_lanes(shows & p.inside);
+      count(&counted[COUNT_FIELD_SAMPLES], shows & p.inside);
       __global const float *labels = scene->factors + e->field_at[k].y;
       const intN entry = 4 * select((intN)0, TO_INT(code), labelled);
       const Vectors color = {AS_FLOAT(gather4(labels, entry)), AS_FLOAT(gather4(labels + 1, entry)),
@@ -209,7 +209,7 @@ INLINE FieldLook look_at_fields(const Scene *scene, const Rays *ray, floatN t0, 
   intN kept = active & (shows | MASK(look.added.d > 0.0f));
   _Pragma("unroll 1") for (int k = 0; k < e->fields.x; ++k) {
     if (e->field_size[k].w != FIELD_MASK || !any_lane(kept)) continue;
-    counted[COUNT_FIELD_SAMPLES] += 2 * count_lanes(kept);
+    count(&counted[COUNT_FIELD_SAMPLES], kept), count(&counted[COUNT_FIELD_SAMPLES], kept);
     look.kept *= kept_share(scene, k, ray, t0, t1);
     kept &= MASK(look.kept > 0.0f);
   }

@@ -74,6 +74,7 @@ typedef uint uintN;
 
 #ifdef HARDWARE_GATHER
 typedef int gather_int16 __attribute__((__vector_size__(64)));
+typedef float gather_float16 __attribute__((__vector_size__(64)));
 #define DEFINE_GATHER(SCALE)                                                                              \
   INLINE uint16 gather##SCALE(__global const void *base, int16 offset)                                    \
   {                                                                                                       \
@@ -125,6 +126,27 @@ INLINE int any_lane(intN mask)
   return (c.x | c.y) < 0;
 #else
   return mask;
+#endif
+}
+
+/* 1 / sqrt(x) for normal x > 0, to 3e-7: the hardware's guess of 14 bits where there is one, else one from the exponent, then
+ * Newton's steps. Packets' square roots and divisions take many times as long. */
+INLINE floatN lane_rsqrt(floatN x)
+{
+  const floatN halved = 0.5f * x;
+#if LANES == 1
+  return rsqrt(x);
+#else
+#if defined(HARDWARE_GATHER) && __has_builtin(__builtin_ia32_rsqrt14ps512_mask)
+  floatN y = __builtin_astype(__builtin_ia32_rsqrt14ps512_mask(__builtin_astype(x, gather_float16),
+                                                               __builtin_astype(x, gather_float16), (ushort)0xffff), float16);
+#else
+  floatN y = AS_FLOAT(0x5f375a86 - (AS_INT(x) >> 1));
+  y *= 1.5f - halved * y * y;
+  y *= 1.5f - halved * y * y;
+#endif
+  y *= 1.5f - halved * y * y;
+  return y;
 #endif
 }
 

@@ -15,18 +15,6 @@
 #include "emission.h"
 #include "clip.h"
 
-INLINE uint count_lanes(intN mask)
-{
-#if LANES == 16
-  const int8 a = mask.lo + mask.hi;
-  const int4 b = a.lo + a.hi;
-  const int2 c = b.lo + b.hi;
-  return (uint)-(c.x + c.y);
-#else
-  return (uint)-mask;
-#endif
-}
-
 INLINE Rays select_rays(Rays a, Rays b, intN mask)
 {
   a.x0 = select(a.x0, b.x0, mask), a.y0 = select(a.y0, b.y0, mask), a.z0 = select(a.z0, b.z0, mask);
@@ -66,10 +54,10 @@ INLINE Vectors scene_gradient(const Scene *scene, floatN x, floatN y, floatN z)
 #if LIGHTING
 /* c (times `depth`) lit, where there is a normal; fading to the unlit colour where the gradient is short. */
 INLINE Vectors shaded_color(const Scene *scene, Vectors color, floatN depth, Vectors place, Vectors normal, Vectors gradient,
-                            Vectors view, floatN weight, intN active, uint *counted)
+                            Vectors view, floatN weight, intN active, Tally *counted)
 {
   if (!any_lane(active)) return color;
-  counted[COUNT_LIT] += count_lanes(active);
+  count(&counted[COUNT_LIT], active);
   const Illumination lit = illuminate(scene, place, normal, view, weight, active, counted);
   floatN share = 1.0f;
   if (scene->effects->shading.x > 0.0f) share = lane_min(sqrt(dot3(gradient, gradient)) * scene->effects->shading.x, share);
@@ -121,6 +109,9 @@ INLINE void show_environment(const Scene *scene, Vectors forward, intN on_pictur
 #define NEEDS_ENDS (CLASSIFICATION == CLASSIFICATION_PREINTEGRATED && TRANSLUCENT)
 #define NEEDS_MIDDLE (CLASSIFICATION != CLASSIFICATION_PREINTEGRATED && TRANSLUCENT)
 
+/* One sample a segment, at its middle: it can be fetched ahead. */
+#define SAMPLES_AHEAD (FETCH_AHEAD && CLASSIFICATION == CLASSIFICATION_POST && TRANSLUCENT && !ISOSURFACES && !NOISE)
+
 /* Gradients are also reconstructed where nothing is lit, for what depends on them. */
 #define GRADIENT_DECIDES (OPACITY_FACTORS || TRANSFER_LAYERS)
 
@@ -128,7 +119,7 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
                           __global const uchar *distances, __constant const View *view_, __constant const Effects *effects,
                           __global const float4 *items, __global const uint *gradients, __global const uchar *cell_flags,
                           __global const float4 *environment, __global const float4 *light_volume, __global const uint *noise,
-                          __global const float *factors, __global const float *fields, uint *counted, intN px, intN py,
+                          __global const float *factors, __global const float *fields, Tally *counted, intN px, intN py,
                           float *rgba, float *depth, uint *samples)
 {
   const Scene scene_ = {volume, table, warp, distances, view_, effects, items, gradients, cell_flags, environment, light_volume,
@@ -189,6 +180,13 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
       i = select(i, last + 1, going & MASK(visible_at >= ray.length));
     }
 #endif
+#if SAMPLES_AHEAD
+    /* As in render_packet.h: a fetch from beyond the second-level cache takes longer than a step of arithmetic. */
+    const floatN t_ahead = TO_FLOAT(i) + 0.5f;
+    FetchedSample ahead = fetch_sample(volume, view, ray.x0 + t_ahead * ray.dx, ray.y0 + t_ahead * ray.dy, ray.z0 + t_ahead * ray.dz);
+    FetchedSample ahead2 = fetch_sample(volume, view, ray.x0 + (t_ahead + 1.0f) * ray.dx, ray.y0 + (t_ahead + 1.0f) * ray.dy,
+                                        ray.z0 + (t_ahead + 1.0f) * ray.dz);
+#endif
     _Pragma("unroll 1") for (int step = 0; step < MARCH_STEPS; ++step) {
       const intN active = alive & MASK(i <= last);
       const floatN t0 = TO_FLOAT(i), t1 = lane_min(t0 + 1.0f, ray.length);
@@ -206,6 +204,16 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
 #if CLASSIFICATION == CLASSIFICATION_PRE
       Emission e = no_emission();
 #endif
+#if SAMPLES_AHEAD
+      const FetchedSample sample = ahead;
+      ahead = ahead2;
+      ahead2 = fetch_sample(volume, view, ray.x0 + (tm + 2.0f) * ray.dx, ray.y0 + (tm + 2.0f) * ray.dy, ray.z0 + (tm + 2.0f) * ray.dz);
+      mid = sample_value(sample, view);
+      taken -= AS_UINT(active);
+      /* What was fetched ahead is the middle of a whole segment. */
+      const intN shorter = active & MASK(length < 1.0f);
+      if (any_lane(shorter)) mid = select(mid, scene_value(scene, xm, ym, zm), shorter);
+#else
       _Pragma("unroll 1") for (int k = ends && any_lane(active & ~joined) ? 0 : 1; k < 3; ++k) {
         if (!(k < 2 ? ends : middle)) continue;
         const floatN t = k == 0 ? t0 : k == 1 ? t1 : tm;
@@ -223,6 +231,7 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
         if (k == 1) back = value;
         if (k == 2) mid = value;
       }
+#endif
       int visible = 1;
 #if !TRANSLUCENT
       Emission e = no_emission();
@@ -255,7 +264,7 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
       Vectors gradient = {0.0f, 0.0f, 0.0f};
       if (visible) {
         gradient = scene_gradient(scene, xm, ym, zm);
-        counted[COUNT_GRADIENTS] += count_lanes(shows);
+        count(&counted[COUNT_GRADIENTS], shows);
       }
 #endif
 #if TRANSFER_LAYERS
@@ -300,7 +309,7 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
 #endif
         const intN lit = shows & MASK(dot3(normal, normal) > 0.5f);
         const Vectors place = {xm, ym, zm};
-        const floatN weight = (1.0f - acc.a) * opacity_of_depth(e.d * length);
+        const floatN weight = (1.0f - acc.a) * segment_opacity(e);
         color = shaded_color(scene, color, e.d, place, normal, gradient, scaled3(forward, -1.0f), weight, lit, counted);
 #endif
 #if DEPTH_CUE
@@ -315,7 +324,7 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
 #if REFRACTION
         may_bend = MASK(bends_left > 0);
 #endif
-        counted[COUNT_SURFACE_TESTS] += count_lanes(near);
+        count(&counted[COUNT_SURFACE_TESTS], near);
         const floatN before = acc.a;
         floatN median_steps = INFINITY;
         const SurfacePassage passage = pass_surfaces(scene, &ray, scaled3(forward, -1.0f), t0, length, front, mid, back, e, active, near, may_bend,

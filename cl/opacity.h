@@ -3,6 +3,7 @@
 #define OPACITY_H
 
 #include "lanes.h"
+#include "power.h"
 
 /* 1 - exp(-x), x >= 0, to float precision also where x is tiny (Cody and Waite's reduction, a Taylor polynomial). */
 INLINE floatN opacity_of_depth(floatN x)
@@ -16,6 +17,18 @@ INLINE floatN opacity_of_depth(floatN x)
   p = r + r * r * p; /* exp(r) - 1 */
   const floatN scale = AS_FLOAT((127 - TO_INT(n)) << 23);
   return (1.0f - scale) - scale * p;
+}
+
+/* What share of its opacity a segment keeps that is `length` (0 .. 1) as long: (1 - (1 - opacity)^length) / opacity. */
+INLINE floatN share_of_opacity(floatN opacity, floatN length)
+{
+  /* -log(1 - opacity); the series where 1 - opacity has lost the digits. */
+  const intN thin = MASK(opacity < 0.03f);
+  const floatN left = lane_max(1.0f - opacity, (floatN)1e-30f);
+  const floatN series = opacity * (1.0f + opacity * (0.5f + opacity * (0.333333333f + opacity * 0.25f)));
+  const floatN depth = select(-0.693147181f * lane_log2(left), series, thin);
+  const intN none = MASK(opacity < 1e-30f);
+  return select(opacity_of_depth(depth * length) / select(opacity, (floatN)1.0f, none), length, none);
 }
 
 #endif

@@ -4,17 +4,17 @@
 
 #include "lanes.h"
 
-/* log2 for normal x > 0: relative error below 2e-7 also next to x = 1, where a large exponent would show it. */
+/* log2 for normal x > 0: relative error below 2e-7 also next to x = 1, where a large exponent would show it. No division: a
+ * polynomial in f = m - 1 for the mantissa m in sqrt(1/2) .. sqrt(2) (Chebyshev's points), times f. */
 INLINE floatN lane_log2(floatN x)
 {
-  const intN bits = AS_INT(x);
-  intN exponent = (bits >> 23) - 127;
-  floatN m = AS_FLOAT((bits & 0x007fffff) | 0x3f800000); /* 1 .. 2 */
-  const intN high = MASK(m > 1.41421356f);
-  m = select(m, 0.5f * m, high), exponent -= high;
-  const floatN s = (m - 1.0f) / (m + 1.0f), z = s * s;
-  const floatN p = s * (2.88539008f + z * (0.961796694f + z * (0.577078016f + z * (0.412198583f + z * 0.320598898f))));
-  return TO_FLOAT(exponent) + p;
+  const intN shifted = AS_INT(x) - 0x3f3504f3; /* sqrt(1/2) */
+  const intN exponent = shifted >> 23;
+  const floatN f = AS_FLOAT(AS_INT(x) - (exponent << 23)) - 1.0f;
+  floatN p = 0.126148466f;
+  p = p * f - 0.207421035f, p = p * f + 0.215669859f, p = p * f - 0.23892034f, p = p * f + 0.287918324f;
+  p = p * f - 0.360704828f, p = p * f + 0.48091061f, p = p * f - 0.721347333f, p = p * f + 1.442695f;
+  return TO_FLOAT(exponent) + f * p;
 }
 
 /* 2^x for x <= 127; 0 below -126. */

@@ -35,13 +35,14 @@ typedef struct {
 
 /* place: lattice; normal, view (to the eye): local, of unit length; weight: what the sample counts for at most, for shadows. */
 INLINE Illumination illuminate(const Scene *scene, Vectors place, Vectors normal, Vectors view, floatN weight, intN active,
-                               uint *counted)
+                               Tally *counted)
 {
   __constant const Effects *e = scene->effects;
   Illumination lit;
-  const floatN facing = dot3(normal, view);
+  floatN facing = dot3(normal, view);
   const intN turned = MASK(facing < 0.0f) & (e->shading.y > 0.0f ? (intN)-1 : (intN)0);
   normal = select3(normal, scaled3(normal, -1.0f), turned);
+  facing = select(facing, -facing, turned);
   lit.diffuse.x = lit.diffuse.y = lit.diffuse.z = e->material.x;
   lit.specular.x = lit.specular.y = lit.specular.z = 0.0f;
 #if LIGHTS
@@ -67,8 +68,9 @@ INLINE Illumination illuminate(const Scene *scene, Vectors place, Vectors normal
     const floatN diffuse = e->material.y * cosine;
     lit.diffuse.x += diffuse * arriving.x, lit.diffuse.y += diffuse * arriving.y, lit.diffuse.z += diffuse * arriving.z;
 #if SPECULAR
-    const Vectors half_way = unit3(sum3(towards, view));
-    const floatN aligned = lane_clamp(dot3(normal, half_way), (floatN)0.0f, (floatN)1.0f);
+    /* N.H, with |L + V| = sqrt(2 + 2 L.V) */
+    const floatN between = lane_max(2.0f + 2.0f * dot3(towards, view), (floatN)1e-12f);
+    const floatN aligned = lane_clamp((cosine + facing) * lane_rsqrt(between), (floatN)0.0f, (floatN)1.0f);
     const floatN shine = select((floatN)0.0f, e->material.z * lane_power(aligned, e->material.w), faces);
     lit.specular.x += shine * arriving.x, lit.specular.y += shine * arriving.y, lit.specular.z += shine * arriving.z;
 #endif
@@ -80,7 +82,7 @@ INLINE Illumination illuminate(const Scene *scene, Vectors place, Vectors normal
                       &from_all.z);
   lit.diffuse = sum3(lit.diffuse, scaled3(from_all, e->material.y));
 #if SPECULAR
-  const floatN twice = 2.0f * dot3(normal, view);
+  const floatN twice = 2.0f * facing;
   environment_look_up(scene->environment + e->map_offsets.y, e->maps.y, twice * normal.x - view.x, twice * normal.y - view.y,
                       twice * normal.z - view.z, &from_all.x, &from_all.y, &from_all.z);
   lit.specular = sum3(lit.specular, scaled3(from_all, e->material.z));

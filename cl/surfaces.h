@@ -143,7 +143,7 @@ INLINE Vectors refracted(Vectors direction, Vectors normal, floatN ratio)
 /* The surfaces in one segment, with the volume before, between and behind them: `e` of a whole step. */
 INLINE SurfacePassage pass_surfaces(const Scene *scene, const Rays *ray, Vectors view, floatN t0, floatN length, floatN v0, floatN vm,
                                     floatN v1, Emission e, intN active, intN near, intN may_bend, Gathered *acc, floatN *median,
-                                    uintN *taken, uint *counted)
+                                    uintN *taken, Tally *counted)
 {
   __constant const Effects *effects = scene->effects;
   const int surfaces = effects->counts.y;
@@ -191,7 +191,7 @@ INLINE SurfacePassage pass_surfaces(const Scene *scene, const Rays *ray, Vectors
       const Vectors gradient = scene_gradient(scene, at.x, at.y, at.z);
       const Vectors normal = unit3(scaled3(gradient, -1.0f));
       const intN has_normal = crosses & MASK(dot3(normal, normal) > 0.5f);
-      counted[COUNT_GRADIENTS] += count_lanes(crosses);
+      count(&counted[COUNT_GRADIENTS], crosses);
 #if LIGHTING
       color = shaded_color(scene, color, (floatN)1.0f, at, normal, gradient, view, opacity * left, has_normal, counted);
 #endif
@@ -199,7 +199,7 @@ INLINE SurfacePassage pass_surfaces(const Scene *scene, const Rays *ray, Vectors
 #if DEPTH_CUE
       color = cued_color(scene, color, (floatN)1.0f, ray->entry_depth + t * scene->view->march.x);
 #endif
-      counted[COUNT_SURFACE_HITS] += count_lanes(crosses);
+      count(&counted[COUNT_SURFACE_HITS], crosses);
       const floatN weight = left * opacity, before = acc->a;
       acc->r += weight * color.x, acc->g += weight * color.y, acc->b += weight * color.z;
       acc->a += weight;
@@ -217,7 +217,7 @@ INLINE SurfacePassage pass_surfaces(const Scene *scene, const Rays *ray, Vectors
         const Vectors bent = refracted(forward, against, select(safe, 1.0f / safe, rises));
         passage.bends |= bends, passage.at = select(passage.at, t, bends);
         passage.direction = select3(passage.direction, bent, bends);
-        counted[COUNT_BENDS] += count_lanes(bends);
+        count(&counted[COUNT_BENDS], bends);
       }
 #endif
     }

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from clvol.features import GRADIENTS
+from clvol.features import GRADIENTS, emits, is_lit
 from clvol.opencl.context import DeviceArray, DeviceContext
 from clvol.opencl.structs import effects_dtype
 from clvol.render.device_volume import DeviceVolume
@@ -20,14 +20,8 @@ from clvol.render.environment_file import load_radiance
 from clvol.render.fields import SceneFields, field_switches
 from clvol.render.gradients import DeviceLimits, gradient_switch
 from clvol.render.layout import ValueMap, padded_size
-from clvol.render.opacity_factors import (
-    factor_rows,
-    factor_switches,
-    layer_functions,
-    layer_places,
-)
+from clvol.render.opacity_factors import factor_rows, factor_switches, layer_places
 from clvol.scene.resolve import ResolvedScene
-from clvol.transfer import TransferFunction
 from clvol.volume import Grid
 
 # As numbered in cl/effects.h, each with the switch that it takes to be counted at all.
@@ -57,7 +51,7 @@ def effect_switches(
 
     ``limits``: of the device, which may be too small for precomputed gradients; None: it is not.
     """
-    lit = bool(resolved.lights) or resolved.environment is not None
+    lit = is_lit(resolved)
     seen = resolved.environment is not None and resolved.environment.visible
     surfaces = resolved.isosurfaces
     refracts = any(surface.refraction != 1.0 for surface in surfaces)
@@ -71,7 +65,7 @@ def effect_switches(
         "REFRACTION": int(refracts),
         "CLIP": int(bool(resolved.clips)),
         "DEPTH_CUE": int(resolved.depth_cue is not None),
-        "ENVIRONMENT": int(resolved.environment is not None),
+        "ENVIRONMENT": int(lit and resolved.environment is not None),
         "ENVIRONMENT_VISIBLE": int(seen),
         **factor_switches(resolved),
         **field_switches(resolved),
@@ -79,7 +73,14 @@ def effect_switches(
     }
     if not any(switches.values()):
         return {}
-    return {"EFFECTS": 1, "TRANSLUCENT": int(is_translucent(resolved)), **switches}
+    # Whole segments' opacities serve where no effect cuts segments or changes what they absorb.
+    changed = decides or surfaces or resolved.fields or resolved.integration.classification == "pre"
+    return {
+        "EFFECTS": 1,
+        "TRANSLUCENT": int(is_translucent(resolved)),
+        "SEGMENT_OPACITIES": int(not changed),
+        **switches,
+    }
 
 
 def _gradient(resolved: ResolvedScene, limits: DeviceLimits | None) -> int:
@@ -91,17 +92,8 @@ def _gradient(resolved: ResolvedScene, limits: DeviceLimits | None) -> int:
 
 
 def is_translucent(resolved: ResolvedScene) -> bool:
-    """Whether a transfer function shows anything of the volume, or there is a density beside it."""
-    if any(field.role == "density" for field in resolved.fields):
-        return True
-    low, high = resolved.volume.value_range
-    return any(_shows(function, low, high) for function in layer_functions(resolved))
-
-
-def _shows(function: TransferFunction, low: float, high: float) -> bool:
-    inside = (function.values >= low) & (function.values <= high)
-    ends = function.opacity(np.array([low, high]))
-    return bool(np.any(function.opacities[inside] > 0) or np.any(ends > 0))
+    """Whether anything but surfaces shows: the volume under its transfer function, or a field."""
+    return emits(resolved) or any(field.role == "density" for field in resolved.fields)
 
 
 class LocalSpace:

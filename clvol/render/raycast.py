@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from clvol.errors import RenderError
-from clvol.features import CLASSIFICATIONS, FILTERS, QUADRATURES, overshoot
+from clvol.features import CLASSIFICATIONS, FILTERS, QUADRATURES, overshoot, reduced
 from clvol.opencl.context import DeviceArray, DeviceContext, restore_interrupts
 from clvol.opencl.structs import effects_dtype, view_dtype
 from clvol.render.device_volume import DeviceVolume
@@ -130,7 +130,7 @@ class Raycaster:
         volume: DeviceVolume | None = None,
     ) -> None:
         self.context = context
-        self.resolved = resolved
+        self.resolved = resolved = reduced(resolved)
         self.lanes = lanes or (16 if context.is_cpu else 1)
         self.skip = skip
         self.tile = tile if self.lanes > 1 else (1, 1)
@@ -190,9 +190,10 @@ class Raycaster:
         integration, nodes = self.resolved.integration, self.nodes.values
         arguments = self.context, function, nodes
         kind = segment_classification(integration)
+        effects = self.effects.switches
         by_cells = integration.quadrature == "cells"  # whatever the step: pieces are of any length
-        if self.effects.switches or by_cells:  # any channel may change by itself, or segments be cut
-            length = self.length if self.effects.switches else self._piece
+        if by_cells or effects and not effects["SEGMENT_OPACITIES"]:  # cut, or absorbing less
+            length = self._piece if by_cells else self.length
             if kind == "preintegrated":
                 return depths_table(*arguments, length)
             return constant_table(*arguments, length, "extinction_table")
@@ -215,7 +216,7 @@ class Raycaster:
         """The same for ``resolved``, which may differ in camera, image, step and early termination alone.
         Shares what these leave as it is: the volume, empty space, and often the tables."""
         other = copy.copy(self)
-        other.resolved = resolved
+        other.resolved = resolved = reduced(resolved)
         by_cells = resolved.integration.quadrature == "cells"
         if not by_cells and other.length != self.length:
             other._build_table()

@@ -43,11 +43,12 @@ class Renderer:
         self._first_time = self.resolved.animation.time
         loaded = perf_counter()
         self._context = open_context(devices)
-        self._raycaster = None
+        self._raycaster = self._engines = None
         if self.resolved.integration.method == "raycast":
             from clvol.render.engines import Engines
 
-            self._raycaster = Engines(self._context).make(self.resolved)
+            self._engines = Engines(self._context)
+            self._raycaster = self._engines.make(self.resolved)
         self._load_seconds = loaded - start
         self._prepare_seconds = perf_counter() - loaded - self._context.compile_seconds
 
@@ -61,7 +62,7 @@ class Renderer:
         """Gives the device's memory back. Nothing can be rendered afterwards."""
         if self._context is not None:
             self._context.release()
-        self._context = self._raycaster = None
+        self._context = self._raycaster = self._engines = None
 
     def render(
         self,
@@ -87,6 +88,9 @@ class Renderer:
             camera = camera.complete(resolved.volume.grid, resolved.image)
         if self._raycaster is None:
             return self._reference(camera, progress)
+        if camera is not resolved.camera and resolved.depth_cue is not None:
+            # Whether the cue shows depends on where it is seen from.
+            self._raycaster = self._engines.make(replace(resolved, camera=camera))
         compile_start = perf_counter()
         before = self._context.compile_seconds
         self._raycaster.warm_up(width, height, depth)

@@ -118,9 +118,6 @@ class Scene(Table):
         if self.integration.prefilter and filter != "cubic":
             expected = f"false with the filter {filter!r}, or the filter 'cubic'"
             raise wrong("integration.prefilter", True, expected)
-        if self.shadow is not None and not self.light:
-            expected = "no [shadow] in a scene without any [[light]]"
-            raise wrong("shadow", self.shadow.model_dump(exclude_unset=True), expected)
         magnitudes = [0.0, *(layer.magnitude for layer in self.transfer_layer)]
         for i in range(1, len(magnitudes)):
             if not magnitudes[i - 1] < magnitudes[i]:

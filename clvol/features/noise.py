@@ -1,0 +1,52 @@
+"""Noise, and colours that cycle."""
+
+from __future__ import annotations
+
+from clvol.features.effect import no, yes
+from clvol.features.findings import NOTHING_VISIBLE, Findings
+from clvol.features.values import reachable
+
+
+def judge(found: Findings) -> None:
+    _noise(found)
+    _cycle(found)
+
+
+def _noise(found: Findings) -> None:
+    noise, name = found.scene.noise, "noise"
+    if noise is None:
+        found.note(no(name, "the scene has no noise"))
+        return
+    reason = None
+    if noise.amplitude == 0:
+        reason = "the noise's amplitude is 0"
+    elif found.blank:
+        reason = NOTHING_VISIBLE
+    if reason is not None:
+        found.note(no(name, reason))
+        found.change(noise=None)
+        return
+    if noise.octaves > 1 and noise.gain == 0:
+        found.change(noise=noise.model_copy(update={"octaves": 1}))
+    found.note(yes(name, f"noise of amplitude {noise.amplitude:g} moves every {noise.target}"))
+
+
+def _cycle(found: Findings) -> None:
+    scene, name = found.scene, "colour cycling"
+    animation = scene.animation
+    shift = animation.cycle * animation.time
+    low, high = scene.volume.value_range
+    reason = None
+    if animation.cycle == 0:
+        reason = "the cycle is 0"
+    elif shift % 1.0 == 0 and reachable(scene) == (low, high):
+        reason = f"the colours have come round {abs(shift):g} times"
+    elif low == high:
+        reason = "the volume has one value"
+    elif not found.emits:
+        reason = "the transfer function shows nothing of the volume"
+    if reason is None:
+        found.note(yes(name, f"the transfer function is moved by {shift % 1.0:g} of the range"))
+        return
+    found.note(no(name, reason))
+    found.change(animation=animation.model_copy(update={"cycle": 0.0}))

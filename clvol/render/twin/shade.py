@@ -1,0 +1,109 @@
+"""Blinn-Phong with lights and an environment."""
+
+from __future__ import annotations
+
+import numpy as np
+
+
+def lights_that_shine(resolved) -> list:
+    """(number, light) of the lights that are not black."""
+    return [
+        (k, light) for k, light in enumerate(resolved.lights)
+        if light.intensity > 0 and np.any(np.asarray(light.color) > 0)
+    ]  # fmt: skip
+
+
+class Shader:
+    """The lit colour of samples and surfaces. ``shadows``: a ``shadow.Shadows``, or None."""
+
+    def __init__(self, resolved, environment, shadows) -> None:
+        self.material = resolved.material
+        self.lights = lights_that_shine(resolved)
+        self.environment = environment
+        self.shadows = shadows
+
+    @property
+    def lights_anything(self) -> bool:
+        return bool(self.lights) or self.environment is not None
+
+    def lit(
+        self, color, at, gradient, direction, *, weight=None, cut_normal=None, cut_share=None,
+        surface=None,
+    ) -> np.ndarray:  # fmt: skip
+        """``color`` [n, 3] lit at world positions ``at`` for a viewer along -``direction``.
+
+        ``weight`` [n]: opacity times remaining transmittance, which decides whether a shadow ray is
+        cast. ``cut_normal`` [n, 3] outwards, ``cut_share`` [n]: how much a cut face's normal counts
+        instead of the gradient's. ``surface`` int [n]: the iso-surface that the place lies on.
+        """
+        if not self.lights_anything:
+            return color
+        slope = np.linalg.norm(gradient, axis=1)
+        known = np.isfinite(slope) & (slope > 0)
+        strength = known.astype(float)
+        fade = self.material.fade
+        if fade > 0:
+            strength = np.where(known, np.minimum(np.where(known, slope, 0) / fade, 1.0), 0.0)
+        gradient = np.where(known[:, None], gradient, 0.0)
+        normal = -gradient / np.where(known, slope, 1.0)[:, None]
+        view = -direction
+        if self.material.two_sided:
+            normal = np.where((np.sum(normal * view, axis=1) < 0)[:, None], -normal, normal)
+        if cut_share is not None:
+            normal = cut_share[:, None] * cut_normal + (1.0 - cut_share)[:, None] * normal
+            strength = cut_share + (1.0 - cut_share) * strength
+            length = np.linalg.norm(normal, axis=1)
+            strength = np.where(length > 0, strength, 0.0)
+            normal = normal / np.where(length > 0, length, 1.0)[:, None]
+        shown = strength > 0
+        out = color.copy()
+        if shown.any():
+            lit = self._reflected(
+                color[shown], at[shown], normal[shown], gradient[shown], view[shown],
+                None if weight is None else weight[shown],
+                None if surface is None else surface[shown],
+            )  # fmt: skip
+            share = strength[shown, None]
+            out[shown] = (1.0 - share) * color[shown] + share * lit
+        return out
+
+    def _reflected(self, color, at, normal, gradient, view, weight, surface):
+        m = self.material
+        light_diffuse, highlight = np.zeros_like(color), np.zeros_like(color)
+        facing = np.sum(normal * view, axis=1) >= 0
+        for number, light in self.lights:
+            to_light, distance = toward(light, at, view)
+            cosine = np.sum(normal * to_light, axis=1)
+            reached = facing & (cosine > 0)
+            half = to_light + view
+            length = np.linalg.norm(half, axis=1)
+            half = half / np.where(length > 0, length, 1.0)[:, None]
+            shine = np.maximum(np.sum(normal * half, axis=1), 0.0) ** m.shininess
+            color_in = np.asarray(light.color, float) * light.intensity
+            shadow = np.ones_like(color)
+            if self.shadows is not None and light.type != "headlight" and light.casts_shadow:
+                shadow = self.shadows.transmittance(
+                    number, at, to_light, distance, weight, surface, gradient
+                )
+            arriving = shadow * color_in
+            light_diffuse += np.where(reached, cosine, 0.0)[:, None] * arriving
+            highlight += np.where(reached, shine, 0.0)[:, None] * arriving
+        lit = color * (m.ambient + m.diffuse * light_diffuse) + m.specular * highlight
+        if self.environment is not None:
+            reflected = 2.0 * np.sum(normal * view, axis=1)[:, None] * normal - view
+            lit += color * m.diffuse * self.environment.diffuse(normal)
+            lit += m.specular * self.environment.specular(reflected, m.shininess)
+        return lit
+
+
+def toward(light, at: np.ndarray, view: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(unit vectors to ``light`` [n, 3], world distances to it [n]) from ``at`` [n, 3]."""
+    far = np.full(len(at), np.inf)
+    if light.type == "headlight":
+        return view, far
+    if light.type == "directional":
+        to = -np.asarray(light.direction, float)
+        return np.broadcast_to(to / np.linalg.norm(to), at.shape), far
+    offset = np.asarray(light.position, float) - at
+    distance = np.linalg.norm(offset, axis=1)
+    return offset / np.where(distance > 0, distance, 1.0)[:, None], distance
