@@ -287,7 +287,10 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
       if (visible) weigh_by_gradient(scene, &e, gradient, forward);
 #endif
 #if FIELDS
-      if (visible) apply_fields(look_of_fields, &e);
+      if (visible)
+        apply_fields(look_of_fields, &e);
+      else
+        e = no_emission();
 #endif
 #if FIELDS || GRADIENT_DECIDES
       e.d = select((floatN)0.0f, e.d, active);

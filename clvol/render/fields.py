@@ -26,7 +26,7 @@ LABEL, DENSITY, MASK = 1, 2, 4  # roles, and bits of FIELDS
 _ROLES = {"label": LABEL, "density": DENSITY, "mask": MASK}
 _DENSITY_NODES = 4096
 _ROUNDING = 4e-6  # of a linear interpolation in float32, as a share of the largest value
-_MARGIN = 0.05  # voxels of the volume that a sample may be off its cell, generously
+_MARGIN = 0.02  # voxels of the volume that a sample may be off its cell, generously
 _FINEST_SHIFT = 1e-9  # voxels: below that it is rounding of the affines
 
 
@@ -221,15 +221,16 @@ def bounds_around(
 
     upper = np.array(voxels.shape[::-1]) - 1
     meets = np.all((middle + reach >= 0) & (middle - reach <= upper), axis=-1)
-    nearest = np.clip(np.round(middle), 0, upper).astype(np.int64)
-    # Around the middle's nearest voxel, so half a voxel more; and the voxel beyond the last place.
-    half = np.minimum(np.ceil(np.minimum(reach, 1e9) + 1.5).astype(np.int64), upper)
-    size = tuple(int(n) for n in 2 * half[::-1] + 1)
-    places = tuple(nearest[..., axis] for axis in (2, 1, 0))
+    first = np.clip(np.floor(middle - reach), 0, upper).astype(np.int64)
+    # From the voxel before the lowest place to the one beyond the highest, wherever they lie between.
+    count = np.minimum(np.ceil(2.0 * np.minimum(reach, 1e9)) + 2, upper + 1).astype(np.int64)
+    size = tuple(int(n) for n in count[::-1])
+    ahead = tuple(-(n // 2) for n in size)
+    places = tuple(first[..., axis] for axis in (2, 1, 0))
     found = []
     for filter, outside in ((ndimage.minimum_filter, np.inf), (ndimage.maximum_filter, -np.inf)):
         filled = np.where(np.isnan(voxels), np.float32(outside), voxels)
-        bound = filter(filled, size=size, mode="constant", cval=outside)
+        bound = filter(filled, size=size, mode="constant", cval=outside, origin=ahead)
         found.append(bound[places].astype(np.float64))
     low, high = found
     return np.where(meets, low, np.inf), np.where(meets, high, -np.inf)

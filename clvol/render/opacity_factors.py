@@ -55,17 +55,18 @@ def _float32(values: Sequence) -> np.ndarray:
         return np.array(values, np.float64).astype(np.float32).clip(None, np.finfo(np.float32).max)
 
 
-def stacked_tables(
-    context: DeviceContext, tables: list[DeviceArray], resolved: ResolvedScene
-) -> DeviceArray:
-    """The layers' tables one behind the other, as one array. SceneError where offsets in it are
-    beyond what kernels count with."""
+def check_layers(resolved: ResolvedScene, floats: int) -> None:
+    """SceneError where the layers' tables, of ``floats`` numbers each, need larger offsets than kernels
+    count with."""
+    layers = 1 + len(resolved.transfer_layers)
+    if layers * floats > LARGEST_OFFSET:
+        where = f"{resolved.origin}: integration.table_size"
+        what = f"got {resolved.integration.table_size} for tables of {layers} layers"
+        raise SceneError(where, what, f"at most {LARGEST_OFFSET} numbers in all of them")
+
+
+def stacked(context: DeviceContext, tables: list[DeviceArray]) -> DeviceArray:
+    """``tables`` of one shape, one behind the other."""
     if len(tables) == 1:
         return tables[0]
-    floats = sum(table.nbytes // 4 for table in tables)
-    if floats > LARGEST_OFFSET:
-        where = f"{resolved.origin}: integration.table_size"
-        size = resolved.integration.table_size
-        what = f"{len(tables)} tables of {size} by {size} entries for as many layers"
-        raise SceneError(where, what, f"at most {LARGEST_OFFSET} numbers in all")
     return context.upload(np.stack([context.read(table) for table in tables]))

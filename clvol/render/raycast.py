@@ -17,7 +17,7 @@ from clvol.render.effects import ARGUMENTS as _EFFECT_ARGUMENTS
 from clvol.render.effects import COUNTERS, EffectState, effect_switches
 from clvol.render.empty_space import dilated, distance_map, surface_mask, visible_mask
 from clvol.render.layout import CELL_SHIFT, value_map, voxel_switches
-from clvol.render.opacity_factors import layer_functions, stacked_tables
+from clvol.render.opacity_factors import check_layers, layer_functions, stacked
 from clvol.render.view import EVERY_PIXEL, PixelLattice, RayFrame, ray_frame
 from clvol.scene.camera import Camera
 from clvol.scene.integration import Integration
@@ -183,8 +183,17 @@ class Raycaster:
         return mask
 
     def _build_table(self) -> None:
+        if len(self._functions) > 1:
+            check_layers(self.resolved, 4 * self._table_size[0])
         tables = [self._table_of(function) for function in self._functions]
-        self.table = stacked_tables(self.context, tables, self.resolved)
+        self.table = stacked(self.context, tables)
+
+    @property
+    def _table_size(self) -> tuple[int, int]:
+        """Entries of a table's slice, and of its row."""
+        row = self.nodes.values.size + 2
+        preintegrated = segment_classification(self.resolved.integration) == "preintegrated"
+        return (row if preintegrated else 1) * row, row
 
     def _table_of(self, function: TransferFunction) -> DeviceArray:
         integration, nodes = self.resolved.integration, self.nodes.values
@@ -383,10 +392,8 @@ class Raycaster:
         row["stride"][:2] = volume.stride
         row["cells"] = (*volume.cells, CELL_SHIFT)
         row["image"] = (width, height, *self.tile)
-        n = nodes.values.size
-        preintegrated = segment_classification(self.resolved.integration) == "preintegrated"
-        rows = n + 2 if preintegrated else 1
-        row["table"] = (n, n + 2, SLICES, rows * (n + 2))
+        entries, width_of_table = self._table_size
+        row["table"] = (nodes.values.size, width_of_table, SLICES, entries)
         return view
 
     def _check_struct(self) -> None:
