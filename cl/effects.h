@@ -50,6 +50,19 @@ typedef struct {
 #define COUNT_BENDS 7            /* rays refracted or reflected */
 #define COUNTERS 8
 
+/* TILES_CHOSEN: this launch renders only the tiles marked in `chosen`; another one renders the others, without some effect. */
+#if TILES_CHOSEN
+#define CHOSEN_PARAMETER , __global const uchar *restrict chosen
+#define RETURN_UNLESS_CHOSEN(tile) \
+  if (!chosen[tile]) {             \
+    EFFECT_STORE_TALLY(tile)       \
+    return;                        \
+  }
+#else
+#define CHOSEN_PARAMETER
+#define RETURN_UNLESS_CHOSEN(tile)
+#endif
+
 #if EFFECTS
 
 typedef uintN Tally;

@@ -59,13 +59,14 @@ INLINE Vectors shaded_color(const Scene *scene, Vectors color, floatN depth, Vec
   if (!any_lane(active)) return color;
   count(&counted[COUNT_LIT], active);
   const Illumination lit = illuminate(scene, place, normal, view, weight, active, counted);
-  floatN share = 1.0f;
-  if (scene->effects->shading.x > 0.0f) share = lane_min(sqrt(dot3(gradient, gradient)) * scene->effects->shading.x, share);
-  share = select((floatN)0.0f, share, active);
-  const Vectors shaded = {color.x + share * (color.x * lit.diffuse.x + depth * lit.specular.x - color.x),
-                          color.y + share * (color.y * lit.diffuse.y + depth * lit.specular.y - color.y),
-                          color.z + share * (color.z * lit.diffuse.z + depth * lit.specular.z - color.z)};
-  return shaded;
+  Vectors shaded = {color.x * lit.diffuse.x + depth * lit.specular.x, color.y * lit.diffuse.y + depth * lit.specular.y,
+                    color.z * lit.diffuse.z + depth * lit.specular.z};
+  if (scene->effects->shading.x > 0.0f) {
+    const floatN share = lane_min(sqrt(dot3(gradient, gradient)) * scene->effects->shading.x, (floatN)1.0f);
+    shaded.x = color.x + share * (shaded.x - color.x), shaded.y = color.y + share * (shaded.y - color.y);
+    shaded.z = color.z + share * (shaded.z - color.z);
+  }
+  return select3(color, shaded, active);
 }
 #endif
 

@@ -18,6 +18,7 @@ from clvol.render.effects import COUNTERS, EffectState, effect_switches
 from clvol.render.empty_space import dilated, distance_map, surface_mask, visible_mask
 from clvol.render.layout import CELL_SHIFT, value_map, voxel_switches
 from clvol.render.opacity_factors import check_layers, layer_functions, stacked
+from clvol.render.tile_effects import tiles_that_see
 from clvol.render.view import EVERY_PIXEL, PixelLattice, RayFrame, ray_frame
 from clvol.scene.camera import Camera
 from clvol.scene.integration import Integration
@@ -136,12 +137,12 @@ class Raycaster:
         self.tile = tile if self.lanes > 1 else (1, 1)
         self.volume = volume or DeviceVolume(context, resolved.volume)
         self.effects = EffectState(context, resolved, self.volume)
-        self.set_transfer_function(resolved.transfer_function)
         self._view_dtype = view_dtype(self.volume.switches["VOXEL_BITS"])
         self._warm: set[tuple] = set()
         self._tally = None
         self._none = context.empty(np.float32, (4,))
         self._view = context.empty(self._view_dtype, (1,))
+        self.set_transfer_function(resolved.transfer_function)
         self._check_struct()
 
     def set_transfer_function(self, function: TransferFunction) -> None:
@@ -171,6 +172,7 @@ class Raycaster:
             resolved, warped=warp is not None, lanes=self.lanes, skip=self.skip
         )
         self.switches |= self.effects.switches  # the device may be too small for some
+        self._without_surfaces = self._beside_surfaces()
 
     def _surface_cells(self) -> np.ndarray:
         """bool [z, y, x]: cells in which an iso-surface can be. Tells the effects, which look a step
@@ -180,7 +182,22 @@ class Raycaster:
         reach = self.resolved.integration.step / (1 << CELL_SHIFT)
         around = dilated(mask) if reach < 1 else np.ones_like(mask)
         self.effects.set_surfaces(around)
+        self.surface_cells = around
         return mask
+
+    def _beside_surfaces(self) -> Raycaster | None:
+        """For tiles that see no surface, but may see something else: all else is the same, and so is
+        what it computes. None where no tile is without."""
+        switches = self.effects.switches
+        if not switches or not switches["ISOSURFACES"] or switches["REFRACTION"]:
+            return None  # bent rays go anywhere
+        if not switches["TRANSLUCENT"]:
+            return None
+        other = copy.copy(self)
+        other.effects = self.effects.copy()
+        other.effects.switches = {**switches, "ISOSURFACES": 0}
+        other.switches = {**self.switches, "ISOSURFACES": 0}
+        return other
 
     def _build_table(self) -> None:
         if len(self._functions) > 1:
@@ -232,6 +249,7 @@ class Raycaster:
             if resolved.isosurfaces:
                 other.effects = self.effects.copy()
                 other._surface_cells()
+        other._without_surfaces = other._beside_surfaces()
         return other
 
     def render(
@@ -271,10 +289,12 @@ class Raycaster:
             depths = context.output(np.float32, (lattice_height, lattice_width))
         samples = context.output(np.uint32, (tiles[0],))
         rays = lattice_width * lattice_height
-        self._launches("raycast", view, tiles[0], depth, report(0),
-                       image=image, depths=depths, samples=samples)  # fmt: skip
+        outputs = {"image": image, "depths": depths, "samples": samples}
+        size = (lattice_width, lattice_height)
+        tallies, tile_counts = self._trace(
+            frame, size, view, tiles[0], depth, report(0), outputs
+        )
         counted = [samples]
-        tallies = [self._tally]
         if fills:
             view = self._frame_view(ray_frame(camera, grid, width, height), width, height)
             view["band"][0, 1:] = (spacing, lattice_width, lattice_height)
@@ -297,8 +317,31 @@ class Raycaster:
         counters = {}
         if self.effects.switches:
             counts = np.concatenate([context.take(tally) for tally in tallies])
-            counters = self.effects.counted(counts)
+            counters = {**self.effects.counted(counts), **tile_counts}
         return FrameData(rgba, depths, taken, rays, counters)
+
+    def _trace(
+        self, frame: RayFrame, size: tuple[int, int], view, tiles: int, depth: bool, progress, outputs
+    ) -> tuple[list[DeviceArray], dict[str, int]]:
+        """The rays of all pixels, into ``outputs``. Tiles that can see no surface are rendered by
+        kernels that know of none. Gives what was counted, and how many tiles were of either kind."""
+        if self._without_surfaces is None:
+            self._launches("raycast", view, tiles, depth, progress, **outputs)
+            return [self._tally], {}
+        seen = tiles_that_see(
+            self.surface_cells, self.volume.size, frame, self.effects.space.matrix, size, self.tile
+        )
+        done = 0
+        tallies = []
+        report = None if progress is None else lambda more: progress(int(done + more * share))
+        for engine, chosen in ((self, seen), (self._without_surfaces, ~seen)):
+            share = chosen.mean()
+            if share:
+                engine._launches("raycast", view, tiles, depth, report, chosen=chosen, **outputs)
+                tallies.append(engine._tally)
+            done += share * tiles
+        counted = {"tiles_with_surfaces": seen.sum(), "tiles_without_surfaces": (~seen).sum()}
+        return tallies, {name: int(count) for name, count in counted.items()}
 
     @property
     def _shows_nothing(self) -> bool:
@@ -316,6 +359,10 @@ class Raycaster:
         counts = [self.context.empty(np.uint32, (tiles,)) for _ in range(2)]
         none = {"image": self._none, "depths": self._none, "samples": counts[0]}
         self._launches("raycast", view, tiles, depth, None, **none)
+        if self._without_surfaces is not None:
+            nowhere = np.zeros(tiles, bool)
+            for engine in (self, self._without_surfaces):
+                engine._launches("raycast", view, tiles, depth, None, chosen=nowhere, **none)
         if fills:
             none |= {"coarse": self._none, "coarse_depths": self._none, "rays": counts[1]}
             self._launches("fill_between_rays", view, tiles, depth, None, **none)
@@ -323,8 +370,11 @@ class Raycaster:
         restore_interrupts()
         self._warm.add(key)
 
-    def _launches(self, name: str, view, tiles: int, depth: bool, progress, **arrays) -> None:
-        """Kernel ``name`` over all tiles, in as many launches as keep each one short."""
+    def _launches(
+        self, name: str, view, tiles: int, depth: bool, progress, chosen=None, **arrays
+    ) -> None:
+        """Kernel ``name`` over all tiles, or those of ``chosen`` (bool [tiles]), in as many launches as
+        keep each one short."""
         context = self.context
         switches = {**self.switches, "WITH_DEPTH": int(depth)}
         declared = _FILL_ARGUMENTS if name == "fill_between_rays" else _ARGUMENTS
@@ -332,6 +382,10 @@ class Raycaster:
             self._tally = context.output(np.uint32, (tiles, len(COUNTERS)))
             declared += _EFFECT_ARGUMENTS
             arrays = {**arrays, **self.effects.arrays, "counts": self._tally}
+        if chosen is not None:
+            switches["TILES_CHOSEN"] = 1
+            declared += ", in chosen uint8"
+            arrays["chosen"] = context.upload(chosen.astype(np.uint8))
         kernel = context.kernel(f"{name}.cl", name, declared, switches)
         pixels = tiles * self.tile[0] * self.tile[1] if view["image"][0, 0] else 0
         expected = pixels * self._most_samples() * _SECONDS_A_SAMPLE

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from small_scenes import picture
 
-from clvol import Scene
+from clvol import load_scene
 from clvol.features import called_for, reduced
 
 GALLERY = Path(__file__).resolve().parents[2] / "bench" / "gallery"
@@ -22,7 +22,7 @@ SHOWN = {
 @pytest.mark.parametrize("name", SHOWN)
 def test_a_scene_of_the_gallery_shows_its_effect(context, shared_volume, name):
     shared_volume(name.split("-")[0] + ".nrrd")
-    resolved = Scene.load(GALLERY / f"{name}.toml").resolve()
+    resolved = load_scene(GALLERY / f"{name}.toml").resolve()
     assert SHOWN[name] in called_for(resolved)
     small = resolved.image.model_copy(update={"width": 24, "height": 24})
     resolved = reduced(replace(resolved, image=small))
