@@ -1,8 +1,8 @@
-/* Further volumes on their own grids, looked up by place: labels replace colours and weight the extinction, densities add a medium
- * of their own, masks cut.
+/* Further volumes on their own grids, looked up by place: labels replace colours and weight the extinction, densities add a
+ * medium of their own, masks cut.
  *
- * All voxels are floats in `fields`: of labels not their numbers, but their place among those that have a colour, from 1 on, and 0 for
- * all others; what is not finite is NaN. An axis of one voxel is held twice. Tables lie in `factors`: of labels
+ * All voxels are floats in `fields`: of labels not their numbers, but their place among those that have a colour, from 1 on,
+ * and 0 for all others; what is not finite is NaN. An axis of one voxel is held twice. Tables lie in `factors`: of labels
  * (colour, factor) by their place; of densities a warp (bins + 1 class coordinates, if any) and (c D, D) over one edge by class.
  * Outside its grid a field is nothing: no label, no density, and what is masked is removed.
  */
@@ -170,10 +170,10 @@ INLINE floatN kept_share(const Scene *scene, int k, const Rays *ray, floatN t0, 
 
 #endif
 
-/* What the fields make of a segment of `ray` from t0 to t1 with its middle at (x, y, z), where the volume itself may show something
- * (`shows`), for the rays in `active`. */
-INLINE FieldLook look_at_fields(const Scene *scene, const Rays *ray, floatN t0, floatN t1, floatN x, floatN y, floatN z, intN shows,
-                                intN active, Tally *counted)
+/* What the fields make of a segment of `ray` from t0 to t1 with its middle at (x, y, z), where the volume itself may show
+ * something (`shows`), for the rays in `active`. */
+INLINE FieldLook look_at_fields(const Scene *scene, const Rays *ray, floatN t0, floatN t1, floatN x, floatN y, floatN z,
+                                intN shows, intN active, Tally *counted)
 {
   __constant const Effects *e = scene->effects;
   FieldLook look = no_fields();

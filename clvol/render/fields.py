@@ -1,4 +1,4 @@
-"""What cl/fields.h reads: the voxels of further volumes, where they are, and what their values mean."""
+"""What cl/fields.h reads: voxels of further volumes, where they are, and what their values mean."""
 
 from __future__ import annotations
 
@@ -38,11 +38,11 @@ def field_switches(resolved: ResolvedScene) -> dict[str, int]:
 
 
 class SceneFields:
-    """The fields of a scene: ``voxels``, the buffer `fields`; ``numbers`` of struct Effects filled in.
+    """The fields of a scene: ``voxels``, the buffer `fields`; ``numbers`` of struct Effects.
 
-    ``shown`` bool [z, y, x]: in which ``cells`` of the volume a density can have opacity; ``kept``: in
-    which all masks may keep something. ``place(array)`` puts numbers into the buffer `factors` and
-    returns where they begin.
+    ``shown`` bool [z, y, x]: in which ``cells`` of the volume a density can have opacity;
+    ``kept``: in which all masks may keep something. ``place(array)`` puts numbers into the buffer
+    `factors` and returns where they begin.
     """
 
     def __init__(
@@ -88,8 +88,8 @@ def _check_fits(context: DeviceContext, resolved: ResolvedScene) -> None:
 
 
 class _Part:
-    """One field. ``voxels`` float32 [z, y, x], ``matrix`` float64 [3, 3] and ``shift`` [3]: from lattice
-    points of the volume to its own."""
+    """One field. ``voxels`` float32 [z, y, x]; ``matrix`` float64 [3, 3] and ``shift`` [3]: from
+    lattice points of the volume to its own."""
 
     def __init__(self, field: ResolvedField, volume: Volume) -> None:
         self.field = field
@@ -123,7 +123,7 @@ class _Part:
         function = device_function(self.field.function, self.values)
         span = tuple(float(v) for v in self.values(volume.value_range))
         integer = volume.dtype.kind in "iu"
-        return function, class_nodes(function, span, _DENSITY_NODES, integer=integer, may_warp=True)
+        return function, class_nodes(function, span, _DENSITY_NODES, integer=integer)
 
     def density_cells(self, cells: tuple[int, int, int]) -> np.ndarray:
         function, nodes = self._density
@@ -139,13 +139,12 @@ class _Part:
         return inside & (high >= level if self.field.keep == "above" else low <= level)
 
     def _bounds(self, cells: tuple[int, int, int]) -> tuple[np.ndarray, np.ndarray]:
-        """Float64 [z, y, x]: between which values everything lies that is interpolated in each cell of
-        the volume; low > high where nothing is."""
+        """Float64 [z, y, x]: between which values everything lies that is interpolated in each cell
+        of the volume; low > high where nothing is."""
         middle, reach = cell_boxes(cells, self.matrix, self.shift)
         low, high = bounds_around(self.voxels, middle, reach)
         rounding = np.where(low < high, _ROUNDING * np.maximum(np.abs(low), np.abs(high)), 0.0)
-        with np.errstate(invalid="ignore"):
-            return np.where(low < high, low - rounding, low), np.where(low < high, high + rounding, high)
+        return low - rounding, high + rounding
 
 
 @dataclass(frozen=True)
@@ -165,7 +164,7 @@ def _voxels(field: ResolvedField, values: ValueMap) -> np.ndarray:
     if field.role == "label":
         voxels = _label_codes(data, field.labels)
     else:
-        voxels = data.astype(np.float32) if values == ValueMap() else values(data).astype(np.float32)
+        voxels = (data if values == ValueMap() else values(data)).astype(np.float32)
         if data.dtype.kind == "f":
             voxels[~np.isfinite(voxels)] = np.nan
     for axis, n in enumerate(voxels.shape):
@@ -174,19 +173,20 @@ def _voxels(field: ResolvedField, values: ValueMap) -> np.ndarray:
 
 
 def _label_codes(data: np.ndarray, labels: np.ndarray) -> np.ndarray:
-    """float32 as ``data``: the place of each voxel's label among ``labels`` (ascending), from 1 on, or
-    0."""
+    """float32 as ``data``: the place of each voxel's label among ``labels`` (ascending), from 1
+    on, or 0."""
     codes = np.empty(data.shape, np.float32)
     for z, voxels in enumerate(data):  # slice by slice: int64 takes eight bytes a voxel
         wanted = voxels.astype(np.float64)
-        at = np.minimum(np.searchsorted(labels, np.where(wanted == wanted, wanted, 0.0)), labels.size - 1)
+        at = np.searchsorted(labels, wanted).clip(None, labels.size - 1)
         codes[z] = np.where(labels[at] == wanted, at + 1, 0)
     return codes
 
 
 def between_lattices(volume: Grid, field: Grid) -> tuple[np.ndarray, np.ndarray]:
-    """float64 matrix [3, 3] and shift [3]: from lattice points of ``volume`` to those of ``field``, by way
-    of the world. An axis of one voxel runs from 0 to 1 in a lattice, and from -1/2 to 1/2 in indices.
+    """float64 matrix [3, 3] and shift [3]: from lattice points of ``volume`` to those of ``field``,
+    by way of the world. An axis of one voxel runs from 0 to 1 in a lattice, from -1/2 to 1/2 in
+    indices.
 
     Formed relative to the volume's first voxel: a far origin of both grids cancels first.
     """
@@ -202,8 +202,8 @@ def between_lattices(volume: Grid, field: Grid) -> tuple[np.ndarray, np.ndarray]
 def cell_boxes(
     cells: tuple[int, int, int], matrix: np.ndarray, shift: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Boxes in a field's lattice around the volume's cells: middles float64 [z, y, x, 3], and how far
-    all of them reach from there [3]."""
+    """Boxes in a field's lattice around the volume's cells: middles float64 [z, y, x, 3], and how
+    far all of them reach from there [3]."""
     edge = 1 << CELL_SHIFT
     axes = [edge * (np.arange(n) + 0.5) for n in cells]
     z, y, x = np.meshgrid(axes[2], axes[1], axes[0], indexing="ij")
@@ -214,15 +214,15 @@ def cell_boxes(
 def bounds_around(
     voxels: np.ndarray, middle: np.ndarray, reach: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Float64 [...]: smallest and largest finite voxel of ``voxels`` [z, y, x] that is used by what is
-    interpolated within ``reach`` [3] of each of ``middle`` [..., 3] (x, y, z), or a few more; low > high
-    where there is none."""
-    from scipy import ndimage  # a tenth of a second, which scenes without fields need not wait
+    """Float64 [...]: smallest and largest finite voxel of ``voxels`` [z, y, x] that is used by what
+    is interpolated within ``reach`` [3] of each of ``middle`` [..., 3] (x, y, z), or a few more;
+    low > high where there is none."""
+    from scipy import ndimage  # takes a tenth of a second, not to be waited for without fields
 
     upper = np.array(voxels.shape[::-1]) - 1
     meets = np.all((middle + reach >= 0) & (middle - reach <= upper), axis=-1)
     first = np.clip(np.floor(middle - reach), 0, upper).astype(np.int64)
-    # From the voxel before the lowest place to the one beyond the highest, wherever they lie between.
+    # From the voxel before the lowest place to the one beyond the highest.
     count = np.minimum(np.ceil(2.0 * np.minimum(reach, 1e9)) + 2, upper + 1).astype(np.int64)
     size = tuple(int(n) for n in count[::-1])
     ahead = tuple(-(n // 2) for n in size)

@@ -1,5 +1,5 @@
-"""What cl/opacity_factors.h reads: factors on the extinction, and the layers of a function of value and
-gradient magnitude."""
+"""What cl/opacity_factors.h reads: factors on the extinction, and the layers of a function of value
+and gradient magnitude."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def factor_rows(factor: OpacityFactor | None, per_edge: float) -> np.ndarray:
 
 
 def layer_places(resolved: ResolvedScene, per_edge: float) -> np.ndarray:
-    """float32 [layers], ascending from 0: the layers' magnitudes per edge; none if there are none."""
+    """float32 [layers], ascending from 0: the layers' magnitudes per edge; empty without layers."""
     if not resolved.transfer_layers:
         return np.zeros(0, np.float32)
     return _float32([0.0, *(layer.magnitude * per_edge for layer in resolved.transfer_layers)])
@@ -56,8 +56,8 @@ def _float32(values: Sequence) -> np.ndarray:
 
 
 def check_layers(resolved: ResolvedScene, floats: int) -> None:
-    """SceneError where the layers' tables, of ``floats`` numbers each, need larger offsets than kernels
-    count with."""
+    """SceneError where the layers' tables, of ``floats`` numbers each, need larger offsets than
+    kernels count with."""
     layers = 1 + len(resolved.transfer_layers)
     if layers * floats > LARGEST_OFFSET:
         where = f"{resolved.origin}: integration.table_size"

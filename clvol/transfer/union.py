@@ -11,8 +11,8 @@ from clvol.transfer.function import TransferFunction
 
 
 def union(functions: Sequence[TransferFunction]) -> TransferFunction:
-    """A function with the control points of all ``functions``, that has opacity exactly where one of
-    them has: at every point, and between them, it is the largest of their opacities (linear in
+    """A function with the control points of all ``functions``, that has opacity exactly where one
+    of them has: at every point, and between them, it is the largest of their opacities (linear in
     between). Its colours are the first one's."""
     if len(functions) == 1:
         return functions[0]

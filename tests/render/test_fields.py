@@ -51,10 +51,9 @@ def colored(label: int, color=BLUE, opacity=1.0) -> dict:
 
 def through(context, axis, *fields, volume=None, function=None, **tables):
     """The picture [5, 5, 4] of the block's middle, rays along ``axis`` (0 is x)."""
-    camera = axis_camera((8.3, 8.2, 8.1), axis, height=1.5)
+    tables |= {"camera": axis_camera((8.3, 8.2, 8.1), axis, height=1.5), "field": fields}
     function = function or constant_function(0.1, (1.0, 0.0, 0.0))
-    image = {"width": 5, "height": 5}
-    resolved = scene(volume or block(), function, camera=camera, image=image, field=fields, **tables)
+    resolved = scene(volume or block(), function, image={"width": 5, "height": 5}, **tables)
     return picture(context, resolved).rgba
 
 
@@ -81,8 +80,9 @@ def test_a_label_gives_color_and_factor_from_the_middle_between_voxels_on(contex
 
 
 def test_a_label_of_opacity_0_shows_nothing(context):
-    rgba = through(context, 0, label_field(np.full((2, 2, 2), 9, np.uint8), [colored(9, BLUE, 0.0)],
-                                           spacing=(20.0, 20.0, 20.0), origin=(-2.0, -2.0, -2.0)))  # fmt: skip
+    grid = {"spacing": (20.0,) * 3, "origin": (-2.0,) * 3}
+    field = label_field(np.full((2, 2, 2), 9, np.uint8), [colored(9, BLUE, 0.0)], **grid)
+    rgba = through(context, 0, field)
     assert not rgba.any()
 
 
@@ -169,7 +169,8 @@ def test_a_density_shows_where_the_volume_is_transparent(context, kind):
     hidden = TransferFunction([0.0, 1.0], [0.0, 0.0], [[1.0, 1.0, 1.0]] * 2)
     density = np.zeros((6, 6, 6), np.uint8)
     density[2, 3, 2] = 255
-    field = density_field(density, (100.0, 255.0), (0.0, 0.8), spacing=(7.1,) * 3, origin=(3.0, 4.0, 5.0))
+    grid = {"spacing": (7.1,) * 3, "origin": (3.0, 4.0, 5.0)}
+    field = density_field(density, (100.0, 255.0), (0.0, 0.8), **grid)
     resolved = scene(array, hidden, field=[field], image={"width": 24, "height": 18},
                      integration={"classification": kind})  # fmt: skip
     leaping, marching = (picture(context, resolved, skip=skip) for skip in (True, False))
@@ -182,12 +183,14 @@ def test_a_density_shows_where_the_volume_is_transparent(context, kind):
 def test_where_a_density_is_no_number_there_is_none(context):
     array = np.full((2, 2, 3), 1.0, np.float32)
     array[..., 2] = np.nan  # from x = 8 on
-    rgba = through(context, 0, density_field(array, spacing=(8.0, 30.0, 30.0), origin=(0.0, -9.0, -9.0)))
+    grid = {"spacing": (8.0, 30.0, 30.0), "origin": (0.0, -9.0, -9.0)}
+    rgba = through(context, 0, density_field(array, **grid))
     red, green = -np.log1p(-0.1), -np.log1p(-0.5)
     np.testing.assert_allclose(rgba[..., 3], 1 - np.exp(-LENGTH * red - 8.0 * green), atol=2e-6)
     array[:] = np.nan
     array[0, 0, 0] = 0.5
-    rgba = through(context, 0, density_field(array, spacing=(8.0, 9.0, 30.0), origin=(0.0, 8.0, -9.0)))
+    grid = {"spacing": (8.0, 9.0, 30.0), "origin": (0.0, 8.0, -9.0)}
+    rgba = through(context, 0, density_field(array, **grid))
     np.testing.assert_allclose(rgba[..., 3], absorbed(0.1, LENGTH), atol=2e-6)
 
 
@@ -195,7 +198,8 @@ def test_gradients_of_the_volume_do_not_weight_a_density(context):
     field = density_field(np.ones((2, 2, 2), np.uint8), spacing=(16.0,) * 3)
     ramp = np.broadcast_to(np.arange(SIZE, dtype=np.float32), (SIZE, SIZE, SIZE))
     factor = {"points": [{"magnitude": 0.5, "opacity": 1.0}, {"magnitude": 0.5, "opacity": 0.0}]}
-    rgba = through(context, 0, field, volume=Volume(np.ascontiguousarray(ramp)), gradient_opacity=factor)
+    volume = Volume(np.ascontiguousarray(ramp))
+    rgba = through(context, 0, field, volume=volume, gradient_opacity=factor)
     np.testing.assert_allclose(rgba[..., 3], absorbed(0.5, LENGTH), atol=2e-6)
     assert not rgba[..., 0].any()
 
