@@ -180,7 +180,7 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
 #if CLASSIFICATION == CLASSIFICATION_PRE && TRANSLUCENT
         const FetchedSample sample = fetch_sample(volume, view, x, y, z);
         const floatN value = sample_value(sample, view);
-        if (k == 2) e = classified_emission(sample, view, warp, table);
+        if (k == 2 && !TRANSFER_LAYERS) e = classified_emission(sample, view, warp, table);
 #else
         const floatN value = scene_value(scene, x, y, z);
 #endif
@@ -199,28 +199,63 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
       ClassCoordinate a, b;
       segment_classes(value2, front, back, length, active & MASK(joined != 0), warp, view, &a, &b);
       visible = may_be_visible(lane_min(a.position, b.position), lane_max(a.position, b.position), active, view);
-      if (visible) e = segment_emission(a, b, table, view);
+      if (visible && !TRANSFER_LAYERS) e = segment_emission(a, b, table, view);
 #elif CLASSIFICATION == CLASSIFICATION_POST
       Emission e = no_emission();
       const ClassCoordinate at = class_coordinate(mid, warp, view);
       visible = may_be_visible(at.position, at.position, active, view);
-      if (visible) e = value_emission(at, table);
+      if (visible && !TRANSFER_LAYERS) e = value_emission(at, table);
 #endif
 #if TRANSLUCENT
-#if FIELDS
-      visible |= add_fields(scene, xm, ym, zm, &e, active, counted);
-#endif
+#if TRANSFER_LAYERS
+      intN shows = visible ? active : (intN)0; /* what it emits depends on the gradient */
+#else
       e.d = select((floatN)0.0f, e.d, active);
-      const intN shows = active & MASK(e.d > 0.0f);
-      visible &= any_lane(shows);
-      if (visible) {
+      intN shows = MASK(e.d > 0.0f);
+#endif
+#if FIELDS
+      const FieldLook look_of_fields = look_at_fields(scene, &ray, t0, t1, xm, ym, zm, shows, active, counted);
+      shows = active & (shows | MASK(look_of_fields.added.d > 0.0f)) & MASK(look_of_fields.kept > 0.0f);
+#endif
+      visible = any_lane(shows);
 #if GRADIENT && (LIGHTING || GRADIENT_DECIDES)
-        const Vectors gradient = scene_gradient(scene, xm, ym, zm);
+      Vectors gradient = {0.0f, 0.0f, 0.0f};
+      if (visible) {
+        gradient = scene_gradient(scene, xm, ym, zm);
         count(&counted[COUNT_GRADIENTS], shows);
+      }
 #endif
-#if GRADIENT_DECIDES
-        weigh_by_gradient(scene, &e, mid, gradient, forward, shows);
+#if TRANSFER_LAYERS
+      if (visible) {
+        const TablePlace layers = layers_around(scene, gradient);
+        _Pragma("unroll 1") for (int k = 0; k < 2; ++k) {
+          const intN first = k ? layers.high : layers.low;
+#if CLASSIFICATION == CLASSIFICATION_PREINTEGRATED
+          const Emission layer = segment_emission_in(a, b, first, table, view);
+#elif CLASSIFICATION == CLASSIFICATION_POST
+          const Emission layer = value_emission_in(at, first, table);
+#else
+          const Emission layer = classified_emission_in(fetch_sample(volume, view, xm, ym, zm), view, warp, first, table);
 #endif
+          e = k ? mixed_emission(e, layer, layers.share) : layer;
+        }
+      }
+#endif
+#if OPACITY_FACTORS
+      if (visible) weigh_by_gradient(scene, &e, gradient, forward);
+#endif
+#if FIELDS
+      if (visible)
+        apply_fields(look_of_fields, &e);
+      else
+        e = no_emission();
+#endif
+#if FIELDS || GRADIENT_DECIDES
+      e.d = select((floatN)0.0f, e.d, active);
+      shows &= MASK(e.d > 0.0f);
+      visible = any_lane(shows);
+#endif
+      if (visible) {
         Vectors color = {e.r, e.g, e.b};
 #if LIGHTING
         Vectors normal = unit3(scaled3(gradient, -1.0f));

@@ -171,13 +171,17 @@ INLINE SurfacePassage pass_surfaces(const Scene *scene, const Rays *ray, Vectors
       /* Ascending where the value rises, descending where it falls: in the order along the ray. */
       const intN surface = effects->first.y + 3 * select((intN)(surfaces - 1 - k), (intN)k, rises);
       const floatN level = AS_FLOAT(gather4(scene->items, 4 * surface));
-      const intN crosses = finite & ~passage.bends & (MASK(va >= level) ^ MASK(vb >= level));
+      intN crosses = finite & ~passage.bends & (MASK(va >= level) ^ MASK(vb >= level));
       if (!any_lane(crosses)) continue;
       const floatN found = crossing_place(scene, ray, t0, length, a, b, va, vb, level, crosses, taken);
       const floatN place = lane_max(found, passage.front); /* rounding may not turn two surfaces round */
-      composite_emission(acc, e, length * (place - passage.front), crosses);
       const floatN t = t0 + place * length;
       const Vectors at = {ray->x0 + t * ray->dx, ray->y0 + t * ray->dy, ray->z0 + t * ray->dz};
+#if FIELDS & FIELD_MASK
+      crosses = mask_keeps(scene, at.x, at.y, at.z, crosses, counted);
+      if (!any_lane(crosses)) continue;
+#endif
+      composite_emission(acc, e, length * (place - passage.front), crosses);
       const intN color_at = 4 * (surface + 1) + select((intN)4, (intN)0, rises);
       Vectors color = {AS_FLOAT(gather4(scene->items, color_at)), AS_FLOAT(gather4(scene->items, color_at + 1)),
                        AS_FLOAT(gather4(scene->items, color_at + 2))};

@@ -29,7 +29,12 @@ _EFFECTS_FLOAT4 = (
     "material", "shading", "depth_cue", "depth_color", "projection", "shadow", "light_grid",
     "environment", "value_bounds", "noise_reach",
 )  # fmt: skip
-_EFFECTS_INT4 = ("counts", "first", "light_size", "maps", "map_offsets", "factors")
+_EFFECTS_INT4 = (
+    "counts", "first", "light_size", "maps", "map_offsets", "factors", "factor_offsets", "fields",
+)  # fmt: skip
+MOST_FIELDS = 3
+_FIELD_FLOAT4 = ("field_x", "field_y", "field_z", "field_map")
+_FIELD_INT4 = ("field_size", "field_at")
 
 
 MOST_NOISE_TERMS = 4  # NOISE_TERMS
@@ -44,6 +49,7 @@ def effects_dtype() -> np.dtype:
     return np.dtype(
         [(name, "f4", 4) for name in _EFFECTS_FLOAT4]
         + [(name, "i4", 4) for name in _EFFECTS_INT4]
-        + [("factor_scale", "f4", 4), ("noise_counts", "i4", 4)]
-        + [("noise_terms", NOISE_TERM, MOST_NOISE_TERMS)]
+        + [(name, "f4", (MOST_FIELDS, 4)) for name in _FIELD_FLOAT4]
+        + [(name, "i4", (MOST_FIELDS, 4)) for name in _FIELD_INT4]
+        + [("noise_counts", "i4", 4), ("noise_terms", NOISE_TERM, MOST_NOISE_TERMS)]
     )

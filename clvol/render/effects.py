@@ -17,6 +17,7 @@ from clvol.opencl.structs import effects_dtype
 from clvol.render.device_volume import DeviceVolume
 from clvol.render.environment import environment_maps
 from clvol.render.environment_file import load_radiance
+from clvol.render.fields import SceneFields, field_switches
 from clvol.render.gradients import DeviceLimits, gradient_switch
 from clvol.render.layout import ValueMap, padded_size
 from clvol.render.light_volume import (
@@ -33,6 +34,7 @@ from clvol.render.project import (
     sample_bounds,
     score_bounds,
 )
+from clvol.render.opacity_factors import factor_rows, factor_switches, layer_places
 from clvol.scene.resolve import ResolvedScene
 from clvol.volume import Grid
 
@@ -84,6 +86,8 @@ def effect_switches(
         "ENVIRONMENT_VISIBLE": int(seen),
         "NOISE": _noise(resolved),
         **shadow_switches(resolved),
+        **factor_switches(resolved),
+        **field_switches(resolved),
         "GRADIENT": _gradient(resolved, limits) if lit or refracts or decides else 0,
     }
     if not any(switches.values()):
@@ -172,7 +176,9 @@ class EffectState:
             )
         }  # fmt: skip
         self.arrays: dict[str, DeviceArray] = none
+        self.fields: SceneFields | None = None
         self._fill(resolved, volume)
+        self._add_factors(resolved, volume)
         if self.switches.get("GRADIENT") == GRADIENTS["precomputed"]:
             gradients, scale = volume.gradients(resolved.gradient.operator)
             self.arrays["gradients"], self.numbers["gradient_scale"] = gradients, scale
@@ -212,6 +218,26 @@ class EffectState:
             len(resolved.lights), len(resolved.isosurfaces), keeps, len(resolved.clips) - keeps
         )  # fmt: skip
         numbers["first"][:3] = (0, len(lights), len(lights) + len(surfaces))
+
+    def _add_factors(self, resolved: ResolvedScene, volume: DeviceVolume) -> None:
+        """Opacity factors, transfer layers and fields: their tables share a buffer."""
+        numbers, tables = self.numbers[0], []
+        per_edge = volume.values.gain * self.space.unit
+
+        def place(array: np.ndarray) -> int:
+            tables.append(np.asarray(array, np.float32).ravel())
+            return sum(table.size for table in tables[:-1])
+
+        for k, factor in enumerate((resolved.gradient_opacity, resolved.directional_opacity)):
+            rows = factor_rows(factor, per_edge)
+            numbers["factors"][k], numbers["factor_offsets"][k] = rows.shape[1], place(rows)
+        places = layer_places(resolved, per_edge)
+        numbers["factors"][2], numbers["factor_offsets"][2] = places.size, place(places)
+        if resolved.fields:
+            self.fields = SceneFields(self.context, resolved, volume.cells, place, numbers)
+            self.arrays["fields"] = self.fields.voxels
+        if any(table.size for table in tables):
+            self.arrays["factors"] = self.context.upload(np.concatenate(tables))
 
     def _add_environment(self, resolved: ResolvedScene) -> None:
         asked = resolved.environment

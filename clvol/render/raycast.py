@@ -20,6 +20,7 @@ from clvol.render.empty_space import dilated, distance_map, surface_mask, visibl
 from clvol.render.layout import CELL_SHIFT, Perturbation, value_map, voxel_switches
 from clvol.render.light_volume import METHODS, extinctions, fill_light_volume
 from clvol.render.noise import perturbation
+from clvol.render.opacity_factors import check_layers, layer_functions, stacked
 from clvol.render.project import hidden_score
 from clvol.render.tile_effects import tiles_that_see
 from clvol.render.view import EVERY_PIXEL, PixelLattice, RayFrame, ray_frame
@@ -31,6 +32,7 @@ from clvol.transfer import TransferFunction
 from clvol.transfer.classes import ClassNodes, class_nodes, visible_cells
 from clvol.transfer.cycle import cycled
 from clvol.transfer.tables import SLICES, constant_table, depths_table, preintegrated_table
+from clvol.transfer.union import union
 
 PIECE = 0.5  # smallest edges: of the tables of quadrature by cells, about as long as a cell's pieces are
 CONSTANT_NODES = 4096  # of the one-dimensional tables of pre- and post-classification
@@ -74,7 +76,7 @@ def raycast_switches(
 
 
 def scene_nodes(resolved: ResolvedScene, function: TransferFunction | None = None) -> ClassNodes:
-    """The class nodes for a scene's volume and classification."""
+    """The class nodes for a scene's volume and classification; all layers' tables share them."""
     volume, integration = resolved.volume, resolved.integration
     values = value_map(volume)
     preintegrated = segment_classification(integration) == "preintegrated"
@@ -87,7 +89,7 @@ def scene_nodes(resolved: ResolvedScene, function: TransferFunction | None = Non
             more, integer = more + _noise_range(resolved, high - low), False
         low, high = low - more, high + more
     return class_nodes(
-        device_function(function or resolved.transfer_function, values),
+        device_function(union(layer_functions(resolved, function)), values),
         (low, high),
         integration.table_size if preintegrated else CONSTANT_NODES,
         integer=integer,
@@ -183,8 +185,8 @@ class Raycaster:
         resolved, context = self.resolved, self.context
         # Where the nodes are depends on no cycling: it compiles nothing.
         self.nodes = scene_nodes(resolved, function)
-        mapped = device_function(function, self.volume.values)
-        self._asked_function = function
+        self._asked_functions = layer_functions(resolved, function)
+        mapped = device_function(union(self._asked_functions), self.volume.values)
         self._set_colors()
         visible = visible_cells(mapped, self.nodes.values)
         self.gate = _gate(mapped, self.nodes, visible)
@@ -198,6 +200,9 @@ class Raycaster:
             mask = np.full_like(mask, visible.any() or at_nodes.any())
             mode = resolved.integration.compositing
             self.effects.set_hidden(hidden_score(mode, self.nodes, self.gate))
+        fields = self.effects.switches and self.effects.fields
+        if fields:
+            mask = (mask | fields.shown) & fields.kept
         self.visible_share = float(mask.mean())
         self.distances = distance_map(context, mask)
         warp = self.nodes.warp
@@ -213,8 +218,10 @@ class Raycaster:
 
     def _set_colors(self) -> None:
         """The table, with colours as they are at the scene's time."""
-        moved = cycled_function(self.resolved, self._asked_function)
-        self._function = device_function(moved, self.volume.values)
+        self._functions = [
+            device_function(cycled_function(self.resolved, each), self.volume.values)
+            for each in self._asked_functions
+        ]
         self._build_table()
 
     @property
@@ -225,7 +232,7 @@ class Raycaster:
     def _build_shadows(self) -> None:
         """What shadows need, which neither the camera nor the step changes."""
         arrays, edge = self.effects.arrays, self.resolved.volume.grid.smallest_edge
-        arrays["extinction"] = extinctions(self.context, self._function, self.nodes.values, edge)
+        arrays["extinction"] = extinctions(self.context, self._functions[0], self.nodes.values, edge)
         if self.switches["SHADOWS"] == METHODS["volume"] and self.visible_share:
             view = np.zeros(1, self._view_dtype)
             self._describe_volume(view[0])
@@ -267,28 +274,35 @@ class Raycaster:
         return other
 
     def _build_table(self) -> None:
+        if len(self._functions) > 1:
+            check_layers(self.resolved, 4 * self._table_size[0])
+        tables = [self._table_of(function) for function in self._functions]
+        self.table = stacked(self.context, tables)
+
+    @property
+    def _table_size(self) -> tuple[int, int]:
+        """Entries of a table's slice, and of its row."""
+        row = self.nodes.values.size + 2
+        preintegrated = segment_classification(self.resolved.integration) == "preintegrated"
+        return (row if preintegrated else 1) * row, row
+
+    def _table_of(self, function: TransferFunction) -> DeviceArray:
         integration, nodes = self.resolved.integration, self.nodes.values
-        arguments = self.context, self._function, nodes
+        arguments = self.context, function, nodes
         kind = segment_classification(integration)
         effects = self.effects.switches
         if "COMPOSITING" in effects:
-            self.table = constant_table(*arguments, self._function.opacity_unit)
-        elif effects and not effects["SEGMENT_OPACITIES"]:  # segments may be cut, or absorb less
+            return constant_table(*arguments, function.opacity_unit)
+        by_cells = integration.quadrature == "cells"  # whatever the step: pieces are of any length
+        if by_cells or effects and not effects["SEGMENT_OPACITIES"]:  # cut, or absorbing less
+            length = self._piece if by_cells else self.length
             if kind == "preintegrated":
-                self.table = depths_table(*arguments, self.length)
-            else:
-                self.table = constant_table(*arguments, self.length, "extinction_table")
-        elif integration.quadrature == "cells":  # whatever the step: pieces are of any length
-            if kind == "preintegrated":
-                self.table = depths_table(*arguments, self._piece)
-            else:
-                self.table = constant_table(*arguments, self._piece, "extinction_table")
-        elif kind == "preintegrated":  # effects want no shorter pieces
-            slices = 2 if effects else SLICES
-            self.table = preintegrated_table(*arguments, self.length, slices)
-        else:
-            kernel = "classify_table" if kind == "post" else "extinction_table"
-            self.table = constant_table(*arguments, self.length, kernel)
+                return depths_table(*arguments, length)
+            return constant_table(*arguments, length, "extinction_table")
+        if kind == "preintegrated":  # effects want no shorter pieces
+            return preintegrated_table(*arguments, self.length, 2 if effects else SLICES)
+        kernel = "classify_table" if kind == "post" else "extinction_table"
+        return constant_table(*arguments, self.length, kernel)
 
     @property
     def length(self) -> float:
@@ -514,10 +528,8 @@ class Raycaster:
         row["size"][:3] = volume.size
         row["stride"][:2] = volume.stride
         row["cells"] = (*volume.cells, CELL_SHIFT)
-        n = nodes.values.size
-        preintegrated = segment_classification(self.resolved.integration) == "preintegrated"
-        rows = n + 2 if preintegrated else 1
-        row["table"] = (n, n + 2, SLICES, rows * (n + 2))
+        entries, width_of_table = self._table_size
+        row["table"] = (nodes.values.size, width_of_table, SLICES, entries)
 
     def _check_struct(self) -> None:
         """The compiler's View must be ours, field for field: all fields are 16 bytes wide."""

@@ -138,12 +138,14 @@ def _reduced(resolved: ResolvedScene) -> ResolvedScene:
 
 def check_memory(resolved: ResolvedScene, cap: int | None) -> None:
     """VolumeError if rendering takes more than ``cap`` bytes on the device."""
+    from clvol.render.fields import field_bytes
     from clvol.render.layout import scene_bytes
     from clvol.render.light_volume import light_volume_bytes
 
     image, volume = resolved.image, resolved.volume
     needed = scene_bytes(volume, resolved.integration.table_size, image.width, image.height)
     needed += light_volume_bytes(resolved)
+    needed += field_bytes(resolved)
     if cap is not None and needed > cap:
         what = f"needs {needed} bytes on the device, pictures and tables included"
         raise VolumeError(volume.name or "volume", what, f"at most the memory cap of {cap} bytes")
