@@ -36,6 +36,12 @@ SLANTED = {"type": "directional", "direction": [-0.6, -0.8, 0.0]}
 DOWN = {"type": "directional", "direction": [0.0, -1.0, 0.0]}
 
 
+@pytest.fixture(autouse=True)
+def not_reduced(monkeypatch):
+    """Blocks of one value are not lit, so nothing of theirs would be shadowed."""
+    monkeypatch.setattr("clvol.render.raycast.reduced", lambda resolved: resolved)
+
+
 def shadowed(array, function=None, light=SLANTED, shadow=RAYS, **tables):
     lights = light if isinstance(light, list) else [light]
     return scene(array, function, light=lights, shadow=shadow, **tables)
