@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -146,6 +146,12 @@ class FrameData:
     counters: dict[str, int] = field(default_factory=dict)
 
 
+def reduced_for_frames(resolved: ResolvedScene) -> ResolvedScene:
+    """Without what has no consequence, but for cycling colours: they may have one in the next frame,
+    which shall find its nodes."""
+    return replace(reduced(resolved), animation=resolved.animation)
+
+
 class Raycaster:
     """Device state for a scene: volume, tables, distance map, program; ``render`` makes a frame.
 
@@ -165,14 +171,13 @@ class Raycaster:
         volume: DeviceVolume | None = None,
     ) -> None:
         self.context = context
-        self.resolved = resolved = reduced(resolved)
+        self.resolved = resolved = reduced_for_frames(resolved)
         self.lanes = lanes or (16 if context.is_cpu else 1)
         self.skip = skip
         self.tile = tile if self.lanes > 1 else (1, 1)
         self.volume = volume or DeviceVolume(context, resolved.volume)
         self.effects = EffectState(context, resolved, self.volume)
         self._view_dtype = view_dtype(self.volume.switches["VOXEL_BITS"])
-        self.set_transfer_function(resolved.transfer_function)
         self._warm: set[tuple] = set()
         self._tally = None
         self._none = context.empty(np.float32, (4,))
@@ -319,7 +324,7 @@ class Raycaster:
         termination alone. Shares what these leave as it is: the volume, empty space, and often the
         tables. Compiles nothing."""
         other = copy.copy(self)
-        other.resolved = resolved = reduced(resolved)
+        other.resolved = resolved = reduced_for_frames(resolved)
         other.effects = self.effects.like(resolved)
         by_cells = resolved.integration.quadrature == "cells"
         if _shift(resolved) != _shift(self.resolved):
@@ -328,6 +333,9 @@ class Raycaster:
             other._build_table()
             if resolved.isosurfaces:
                 other._surface_cells()
+        moves = resolved.noise and resolved.animation.time != self.resolved.animation.time
+        if moves and self.effects.switches.get("SHADOWS"):
+            other._build_shadows()
         other._without_surfaces = other._beside_surfaces()
         return other
 
