@@ -170,7 +170,6 @@ class Raycaster:
         self.volume = volume or DeviceVolume(context, resolved.volume)
         self.effects = EffectState(context, resolved, self.volume)
         self._view_dtype = view_dtype(self.volume.switches["VOXEL_BITS"])
-        self.set_transfer_function(resolved.transfer_function)
         self._warm: set[tuple] = set()
         self._tally = None
         self._none = context.empty(np.float32, (4,))
@@ -207,7 +206,7 @@ class Raycaster:
         )
         self.switches |= self.effects.switches  # the device may be too small for some
         self.light_volume_samples = 0
-        if self.effects.switches.get("SHADOWS"):
+        if self._casts_shadows:
             self._build_shadows()
         self._without_surfaces = self._beside_surfaces()
 
@@ -221,6 +220,10 @@ class Raycaster:
     def _moved(self) -> Perturbation:
         resolved = self.resolved
         return perturbation(resolved.noise, resolved.volume.grid, self.volume.values.gain)
+
+    @property
+    def _casts_shadows(self) -> bool:
+        return bool(self.effects.switches.get("SHADOWS"))
 
     def _build_shadows(self) -> None:
         """What shadows need, which neither the camera nor the step changes."""
@@ -314,6 +317,9 @@ class Raycaster:
             other._build_table()
             if resolved.isosurfaces:
                 other._surface_cells()
+        later = resolved.animation.time != self.resolved.animation.time
+        if later and resolved.noise and other._casts_shadows:  # cycling moves no opacity
+            other._build_shadows()
         other._without_surfaces = other._beside_surfaces()
         return other
 
