@@ -23,6 +23,9 @@
 #include "clip.h"
 #include "emission.h"
 #include "scene_value.h"
+#if FIELDS
+#include "fields.h"
+#endif
 
 #define BOUND_LEVELS 3
 #define BOUND_SHIFT 2 /* from one level to the next, log2 */
@@ -164,11 +167,14 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
       const floatN t = select((floatN)0.0f, middle_of(&ray, i), active);
       const floatN value = scene_value(scene, ray.x0 + t * ray.dx, ray.y0 + t * ray.dy, ray.z0 + t * ray.dz);
       taken -= AS_UINT(active);
+      intN counts = active;
+#if FIELDS & FIELD_MASK
+      counts = mask_keeps(scene, ray.x0 + t * ray.dx, ray.y0 + t * ray.dy, ray.z0 + t * ray.dz, active, counted);
+#endif
 #if MAY_BE_NAN
-      const intN counts = active & MASK((AS_INT(value) & 0x7f800000) != 0x7f800000);
+      counts &= MASK((AS_INT(value) & 0x7f800000) != 0x7f800000);
       const floatN v = lane_clamp(select((floatN)lowest, value, counts), (floatN)lowest, (floatN)highest);
 #else
-      const intN counts = active;
       const floatN v = lane_clamp(value, (floatN)lowest, (floatN)highest);
 #endif
 #if COMPOSITING == COMPOSITING_AVERAGE

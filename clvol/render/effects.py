@@ -110,6 +110,7 @@ def _projection_switches(resolved: ResolvedScene, seen: bool) -> dict[str, int]:
         "CLIP": int(bool(resolved.clips)),
         "ENVIRONMENT_VISIBLE": int(seen),
         "NOISE": _noise(resolved),
+        **field_switches(resolved),
     }
 
 

@@ -63,7 +63,7 @@ class Engines:
 # What other voxels make of a scene (quantise.py, prefilter.py).
 _CONVERTED = (
     "volume", "transfer_function", "isosurfaces", "material", "gradient_opacity",
-    "directional_opacity", "transfer_layers", "noise",
+    "directional_opacity", "transfer_layers", "noise", "voxel_range",
 )  # fmt: skip
 # What an engine is made for beside volume, transfer function and integration: by their words ...
 _BY_WORDS = (

@@ -108,7 +108,7 @@ def _noise_range(resolved: ResolvedScene, span: float) -> float:
 
 def cycled_function(resolved: ResolvedScene, function: TransferFunction) -> TransferFunction:
     """``function`` with its colours moved as far as they have come at ``animation.time``."""
-    shift, value_range, reach = _shift(resolved), resolved.volume.value_range, reachable(resolved)
+    shift, value_range, reach = _shift(resolved), resolved.data_range, reachable(resolved)
     if shift is None:
         return function
     beyond = None if reach == value_range else reach
@@ -217,7 +217,7 @@ class Raycaster:
         )
         self.switches |= self.effects.switches  # the device may be too small for some
         self.light_volume_samples = 0
-        if self.effects.switches.get("SHADOWS"):
+        if self._casts_shadows:
             self._build_shadows()
         self._without_surfaces = self._beside_surfaces()
 
@@ -233,6 +233,10 @@ class Raycaster:
     def _moved(self) -> Perturbation:
         resolved = self.resolved
         return perturbation(resolved.noise, resolved.volume.grid, self.volume.values.gain)
+
+    @property
+    def _casts_shadows(self) -> bool:
+        return bool(self.effects.switches.get("SHADOWS"))
 
     def _build_shadows(self) -> None:
         """What shadows need, which neither the camera nor the step changes."""
@@ -333,8 +337,8 @@ class Raycaster:
             other._build_table()
             if resolved.isosurfaces:
                 other._surface_cells()
-        moves = resolved.noise and resolved.animation.time != self.resolved.animation.time
-        if moves and self.effects.switches.get("SHADOWS"):
+        later = resolved.animation.time != self.resolved.animation.time
+        if later and resolved.noise and other._casts_shadows:  # cycling moves no opacity
             other._build_shadows()
         other._without_surfaces = other._beside_surfaces()
         return other

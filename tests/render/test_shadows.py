@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -29,7 +30,7 @@ from clvol.volume import Grid
 SOURCE = str(Path(__file__).with_name("light_at.cl"))
 TAU = -np.log(0.9)  # of constant_function(), a world length
 SIDE = 15.0  # of the block
-BLOCK = np.zeros((16, 16, 16), np.float32)
+BLOCK = ramp(axis=0).astype(np.float32)  # of one opacity, but with a gradient: it can be lit
 DIFFUSE = {"ambient": 0.0, "diffuse": 1.0, "specular": 0.0}
 RAYS = {"method": "rays", "bound": 0.0}
 SLANTED = {"type": "directional", "direction": [-0.6, -0.8, 0.0]}
@@ -145,7 +146,7 @@ def test_a_point_light_in_the_volume_is_as_far_as_it_is(context, shadow):
 
 def test_a_slab_of_one_voxel_is_one_voxel_thick(context):
     light = {"type": "directional", "direction": [0, 0, -1]}
-    of = shadowed(np.zeros((1, 16, 16), np.float32), light=light)
+    of = shadowed(BLOCK[:1] + ramp(axis=2)[:1].astype(np.float32), light=light)
     # Lattice coordinates: such an axis runs from 0 to 1.
     np.testing.assert_allclose(share(context, of, [[7, 7, 0.25]]), np.exp(-TAU * 0.75), atol=1e-5)
 
@@ -178,7 +179,7 @@ def test_a_half_space_casts_its_shadow_where_geometry_says(context):
 @pytest.mark.parametrize("resolution", [9, 16, 33])
 def test_a_light_volume_leaks_no_farther_than_a_light_cell(context, resolution):
     """One opaque voxel: light cells that its shadow does not touch are lit, exactly."""
-    array = BLOCK.copy()
+    array = np.zeros((16, 16, 16), np.float32)
     array[8, 12, 7] = 1.0
     wall = TransferFunction([0, 0.5, 0.5, 1], [0, 0, 1, 1], [[1, 1, 1]] * 4)
     of = shadowed(array, wall, DOWN, {"resolution": resolution, "step": 0.1})
@@ -316,6 +317,34 @@ def test_a_light_volume_outlives_the_camera_but_not_the_transfer_function(contex
     assert not np.array_equal(context.read(before), context.read(after))
 
 
+@pytest.mark.parametrize("shadow", ["rays", "volume"])
+def test_shadows_move_with_the_noise_that_casts_them(context, shadow):
+    noise = {"target": "coordinate", "amplitude": 4.0, "velocity": [0.5, 0.0, 0.0]}
+    of = shadowed(ball(), BALL, shadow=SHADOWS[shadow], noise=[noise], animation={"time": 0.0},
+                  image={"width": 8, "height": 8})  # fmt: skip
+    later = _at(of, 0.6)
+    first = Raycaster(context, of)
+    moved, anew = first.like(later), Raycaster(context, later)
+    places = inside(64, 0.0, 23.0)
+    before, found, expected = (arriving(c, places)[0] for c in (first, moved, anew))
+    assert np.array_equal(found, expected) and np.abs(found - before).max() > 0.1
+    assert np.array_equal(*(c.render(of.camera, 8, 8).rgba for c in (moved, anew)))
+
+
+def test_cycling_colours_leave_the_light_volume_as_it_is(context):
+    of = shadowed(ball(), BALL, shadow=SHADOWS["volume"], animation={"cycle": 0.25})
+    first, later = Raycaster(context, of), _at(of, 0.6)
+    moved, anew = first.like(later), Raycaster(context, later)
+    volumes = [c.effects.arrays["light_volume"] for c in (first, moved, anew)]
+    assert volumes[1] is volumes[0]
+    assert np.allclose(context.read(volumes[2]), context.read(volumes[0]), atol=1e-6)
+
+
+def _at(resolved, time):
+    animation = resolved.animation.model_copy(update={"time": time})
+    return replace(resolved, animation=animation)
+
+
 # --- surfaces -------------------------------------------------------------------------------------
 
 CLEAR = constant_function(0.0)
@@ -421,11 +450,13 @@ def test_no_shadow_ray_for_what_does_not_count(context):
     assert (found[::2] == 1.0).all() and (found[1::2] < 1.0).all()
 
 
-def test_no_shadow_ray_where_nothing_is_lit(context):
-    """A block has no gradient, so nothing in it is lit."""
-    of = shadowed(BLOCK, image={"width": 8, "height": 8})
-    counters = picture(context, of).counters
-    assert counters["lit_samples"] == counters["shadow_rays"] == counters["shadow_samples"] == 0
+def test_no_shadow_where_nothing_is_lit(context):
+    """What has opacity has no gradient here, and so nothing is lit."""
+    of = shadowed(np.zeros((16, 16, 16), np.float32), image={"width": 8, "height": 8})
+    caster = Raycaster(context, of)
+    assert not caster.switches.get("SHADOWS") and caster.light_volume_samples == 0
+    counters = caster.render(of.camera, 8, 8).counters
+    assert not counters.get("shadow_rays") and not counters.get("shadow_samples")
 
 
 def test_a_bound_changes_the_picture_by_less_than_it_adds_up_to(context):
