@@ -271,7 +271,9 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
         const floatN inside = lane_clamp(tm * h, (floatN)0.0f, (floatN)1.0f);
         const intN cut = MASK(dot3(cut_normal, cut_normal) > 0.5f) & MASK(inside < 1.0f);
         if (any_lane(cut)) {
-          const Vectors toward = select3(normal, scaled3(normal, -1.0f), MASK(dot3(normal, cut_normal) < 0.0f));
+          const intN two_sided = effects->shading.y > 0.0f ? (intN)-1 : (intN)0;
+          const intN behind = two_sided & MASK(dot3(normal, cut_normal) < 0.0f);
+          const Vectors toward = select3(normal, scaled3(normal, -1.0f), behind);
           normal = select3(normal, unit3(sum3(scaled3(toward, inside), scaled3(cut_normal, 1.0f - inside))), cut);
         }
 #endif
