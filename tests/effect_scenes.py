@@ -55,7 +55,7 @@ def scaled(function: TransferFunction, factor: float, unit: float = 1.0) -> Tran
 def scene(array, function=HAZE, *, grid=None, size=SIZE, **tables):
     """A resolved scene; ``tables`` as in a scene file."""
     volume = array if isinstance(array, Volume) else Volume(array, **(grid or {}))
-    integration = {"early_termination": 0.0, "table_size": 1024, "classification": "post"}
+    integration = {"early_termination": 0.0, "table_size": 512, "classification": "post"}
     integration.update(tables.pop("integration", {}))
     return Scene(
         volume=volume,
@@ -69,7 +69,7 @@ def scene(array, function=HAZE, *, grid=None, size=SIZE, **tables):
 def oblique(shape, spacing=(1.0, 1.0, 1.0), *, away=2.2, **keys) -> dict:
     """A perspective [camera] on a volume of ``shape`` [z, y, x], along no axis or diagonal."""
     size = (np.array(shape[::-1]) - 1.0) * spacing
-    length = np.linalg.norm(size)
+    length = max(np.linalg.norm(size), 1.0)
     position = size / 2 + away * length * np.array([0.53, 0.37, -0.76])
     camera = {"position": position.tolist(), "target": (size / 2).tolist(), "up": [0.1, 1.0, 0.2],
               "fov_degrees": float(2 * np.degrees(np.arctan(0.42 / away)))}  # fmt: skip
