@@ -201,9 +201,7 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
 #endif
       const int ends = NEEDS_ENDS || look, middle = NEEDS_MIDDLE || look;
       floatN front = value1, back = 0.0f, mid = 0.0f;
-#if CLASSIFICATION == CLASSIFICATION_PRE
       Emission e = no_emission();
-#endif
 #if SAMPLES_AHEAD
       const FetchedSample sample = ahead;
       ahead = ahead2;
@@ -234,16 +232,13 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
 #endif
       int visible = 1;
 #if !TRANSLUCENT
-      Emission e = no_emission();
       visible = 0;
 #elif CLASSIFICATION == CLASSIFICATION_PREINTEGRATED
-      Emission e = no_emission();
       ClassCoordinate a, b;
       segment_classes(value2, front, back, length, active & MASK(joined != 0), warp, view, &a, &b);
       visible = may_be_visible(lane_min(a.position, b.position), lane_max(a.position, b.position), active, view);
       if (visible) e = segment_emission(a, b, table, view);
 #elif CLASSIFICATION == CLASSIFICATION_POST
-      Emission e = no_emission();
       const ClassCoordinate at = class_coordinate(mid, warp, view);
       visible = may_be_visible(at.position, at.position, active, view);
       if (visible) e = value_emission(at, table);
