@@ -151,7 +151,8 @@ def test_pictures_with_effects_are_finite_bounded_and_the_same_again(context, va
 
     seen: list = []
     check()
-    assert np.mean(seen) > 0.4, "too many of these scenes are blank"
+    # A hole blanks four voxels around it under the cubic filter: much of the smallest volumes.
+    assert np.mean(seen) > 0.25, "too many of these scenes are blank"
 
 
 @pytest.mark.parametrize("variant", ["uint8", "float64 with holes, cubic, pre"])
