@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import functools
-
 import numpy as np
 
 from clvol import Scene, TransferFunction, Volume
@@ -55,7 +53,7 @@ def scaled(function: TransferFunction, factor: float, unit: float = 1.0) -> Tran
 def scene(array, function=HAZE, *, grid=None, size=SIZE, **tables):
     """A resolved scene; ``tables`` as in a scene file."""
     volume = array if isinstance(array, Volume) else Volume(array, **(grid or {}))
-    integration = {"early_termination": 0.0, "table_size": 512, "classification": "post"}
+    integration = {"early_termination": 0.0, "table_size": 256, "classification": "post"}
     integration.update(tables.pop("integration", {}))
     return Scene(
         volume=volume,
@@ -88,8 +86,9 @@ def picture(context, resolved, **how):
 _twins: dict = {}
 
 
-def twin(key, resolved) -> np.ndarray:
-    """The twin's picture; once for all devices where ``key`` is the same."""
+def twin(resolved) -> np.ndarray:
+    """The twin's picture; once for all devices."""
+    key = resolved.source, resolved.volume.data.tobytes()
     if key not in _twins:
         _twins[key] = render_twin(resolved)
     return _twins[key]

@@ -135,7 +135,7 @@ def brightest(resolved) -> np.ndarray:
 
 @variants
 def test_pictures_with_effects_are_finite_bounded_and_the_same_again(context, variant):
-    @examples(25)
+    @examples(15)
     @given(scenes(variant))
     def check(resolved):
         data = picture(context, resolved)

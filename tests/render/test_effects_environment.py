@@ -47,7 +47,7 @@ def test_pictures_lit_by_an_environment_are_the_twins(context, sky, case):
     keys = {"material": MATERIAL, **keys,
             "environment": {**environment, **keys.get("environment", {})}}  # fmt: skip
     resolved = scene(blobs(SHAPE), camera=oblique(SHAPE), gradient={"storage": "on-the-fly"}, **keys)
-    expected, found = twin(case, resolved), picture(context, resolved).rgba
+    expected, found = twin(resolved), picture(context, resolved).rgba
     apart = np.abs(found - expected).max(axis=-1) > limit
     # One grazed surface may be missed: see test_effects_surfaces.py.
     assert np.sum(apart) <= (2 if "isosurface" in keys else 0)

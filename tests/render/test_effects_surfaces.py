@@ -36,10 +36,10 @@ def ramp(values=range(17)) -> np.ndarray:
     return np.broadcast_to(np.array(values, np.float32)[:, None, None], CUBE).copy()
 
 
-def check(context, key, resolved, grazed=0.0, limit=ROUNDING):
+def check(context, resolved, grazed=0.0, limit=ROUNDING):
     """The twin looks at 64 places a segment, the kernels at three and a parabola's extreme: of a
     share ``grazed`` of the pixels a surface comes and goes between those."""
-    expected = twin(key, resolved)
+    expected = twin(resolved)
     data = picture(context, resolved)
     assert 0.05 < expected[..., 3].mean()
     apart = np.abs(data.rgba - expected).max(axis=-1) > limit
@@ -75,7 +75,7 @@ def test_surfaces_are_the_twins(context, variant):
     resolved = scene(
         blobs(SHAPE), **functions, **{**LIT, "camera": CAMERA, "isosurface": TWO, **keys}
     )
-    check(context, variant, resolved, grazed, limit)
+    check(context, resolved, grazed, limit)
 
 
 _firsts: dict = {}
@@ -213,7 +213,7 @@ def test_rays_are_refracted_by_snells_law(context, index, falls):
     if falls:
         total = sine > 1.01
         assert total.sum() > 20 and np.all(data.rgba[..., 3][total] < 0.03)
-    twice = twin(("wall", index, falls), resolved)
+    twice = twin(resolved)
     same = np.abs(twice - data.rgba).max(axis=-1) < 1e-4
     assert same[whole].all() and same.mean() > 0.97
 
@@ -262,6 +262,6 @@ def test_holes_hide_only_the_surfaces_that_use_them(context):
     # The same but for two programs' rounding.
     np.testing.assert_allclose(data.rgba[untouched], whole[untouched], rtol=0, atol=1e-4)
     assert np.abs(data.rgba - whole).max() > 0.1
-    expected = twin("holes", resolved)
+    expected = twin(resolved)
     # Half a segment beside a hole has no surface.
     assert np.mean(np.abs(data.rgba - expected).max(axis=-1) > ROUNDING) < 0.03
