@@ -202,6 +202,8 @@ class EffectState:
         for axis, name in enumerate("xyz"):
             numbers[f"local_{name}"] = (*space.matrix[axis], space.shift[axis])
             numbers[f"gradient_{name}"][:3] = space.inverse_transpose[axis]
+        diagonal = np.diag(np.diag(space.inverse_transpose))
+        numbers["gradient_x"][3] = float(np.array_equal(diagonal, space.inverse_transpose))
         material = resolved.material
         numbers["material"] = (
             material.ambient, material.diffuse, material.specular, material.shininess
