@@ -10,6 +10,7 @@
 #include "lanes.h"
 #include "view.h"
 #include "features.h"
+#include "noise.h"
 
 typedef struct {
   float4 local_x, local_y, local_z;          /* lattice point to local: rows of the matrix, and in w the shift */
@@ -19,14 +20,14 @@ typedef struct {
   float4 shading;                            /* 1 / (magnitude per edge below which shading fades), or 0; two-sided; - ; - */
   float4 depth_cue;                          /* distance where it starts, 1 / its length (edges), strength; - */
   float4 depth_color;
-  float4 projection;                         /* lowest value, 1 / range, attenuation a step; highest value */
-  float4 shadow;                             /* bound; step (edges); strength of scattering; - */
+  float4 projection;                         /* lowest value of the volume, 1 / range, attenuation a step; score up to which nothing shows */
+  float4 shadow;                             /* bound; step (edges); strength of scattering; depth beyond which nothing arrives */
   float4 light_grid;                         /* lattice point to light grid: scale x, y, z; - */
   float4 environment;                        /* intensity of what is seen; - */
-  float4 cycle;                              /* lowest value, range, shift, 1 / range */
-  float4 noise_bound;                        /* - */
+  float4 value_bounds;                       /* lowest, highest value that a sample can have; - ; - */
+  float4 noise_reach;                        /* half a smallest edge, in lattice units along x, y, z; - */
   int4 counts;                               /* lights, surfaces, clips that keep, clips that remove */
-  int4 first;                                /* of the items: first light, surface, clip; noise */
+  int4 first;                                /* of the items: first light, surface, clip; - */
   int4 light_size;                           /* points of the light volume x, y, z; lights in it */
   int4 maps;                                 /* of the environment: side of the diffuse, specular, background map; - */
   int4 map_offsets;                          /* where they begin */
@@ -37,7 +38,13 @@ typedef struct {
   float4 field_map[3];                       /* see fields.h: of a density's values to its classes; a mask's threshold and side */
   int4 field_size[3];                        /* lattice points x, y, z; role */
   int4 field_at[3];                          /* where its voxels begin in `fields`; its table and warp in `factors`; - */
+  int4 noise_counts;                         /* terms that add to values, and after them those that move places; - ; - */
+  NoiseTerm noise_terms[NOISE_TERMS];
 } Effects;
+
+/* SHADOWS, see shadow.h. */
+#define SHADOWS_BY_RAYS 1
+#define SHADOWS_BY_VOLUME 2
 
 /* What is counted beside samples: one number each a tile. clvol/render/effects.py names them in this order. */
 #define COUNT_GRADIENTS 0        /* gradients reconstructed */
@@ -93,6 +100,7 @@ typedef struct {
   __global const uint *noise;
   __global const float *factors;
   __global const float *fields;
+  __global const float *extinction; /* by class coordinate, an edge: [nodes + 2] */
 } Scene;
 
 #define EFFECT_PARAMETERS                                                                                              \
@@ -100,9 +108,9 @@ typedef struct {
     __global const uint *restrict gradients, __global const uchar *restrict cell_flags,                                \
     __global const float4 *restrict environment, __global const float4 *restrict light_volume,                         \
     __global const uint *restrict noise, __global const float *restrict factors, __global const float *restrict fields, \
-    __global uint *restrict counts
+    __global const float *restrict extinction, __global uint *restrict counts
 #define EFFECT_ARGUMENTS \
-  , effects, items, gradients, cell_flags, environment, light_volume, noise, factors, fields, counted
+  , effects, items, gradients, cell_flags, environment, light_volume, noise, factors, fields, extinction, counted
 
 /* A kernel's own tally, written to counts[tile, COUNTERS] at its end. Lane by lane: a sum over lanes at every count would cost. */
 #define EFFECT_TALLY Tally counted[COUNTERS] = {0};

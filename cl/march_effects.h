@@ -14,51 +14,18 @@
 
 #include "emission.h"
 #include "clip.h"
-
-INLINE Rays select_rays(Rays a, Rays b, intN mask)
-{
-  a.x0 = select(a.x0, b.x0, mask), a.y0 = select(a.y0, b.y0, mask), a.z0 = select(a.z0, b.z0, mask);
-  a.dx = select(a.dx, b.dx, mask), a.dy = select(a.dy, b.dy, mask), a.dz = select(a.dz, b.dz, mask);
-  a.rx = select(a.rx, b.rx, mask), a.ry = select(a.ry, b.ry, mask), a.rz = select(a.rz, b.rz, mask);
-  a.px = select(a.px, b.px, mask), a.py = select(a.py, b.py, mask), a.pz = select(a.pz, b.pz, mask);
-  a.length = select(a.length, b.length, mask), a.entry_depth = select(a.entry_depth, b.entry_depth, mask);
-  return a;
-}
-
-#if NOISE
-#include "noise.h"
-#endif
-
-/* The reconstructed value at a lattice point. */
-INLINE floatN scene_value(const Scene *scene, floatN x, floatN y, floatN z)
-{
-#if NOISE
-  return noisy_value(scene, x, y, z);
-#else
-  return sample_value(fetch_sample(scene->volume, scene->view, x, y, z), scene->view);
-#endif
-}
-
-#if GRADIENT
-#include "gradient.h"
-/* Its gradient, per edge along the local axes. */
-INLINE Vectors scene_gradient(const Scene *scene, floatN x, floatN y, floatN z)
-{
-  const Gradient g = gradient_at(scene->volume, scene->gradients, scene->view, scene->effects->gradient_scale, x, y, z);
-  return gradient_to_local(scene->effects, g.x, g.y, g.z);
-}
-#endif
+#include "scene_value.h"
 
 #include "shade.h"
 
 #if LIGHTING
 /* c (times `depth`) lit, where there is a normal; fading to the unlit colour where the gradient is short. */
 INLINE Vectors shaded_color(const Scene *scene, Vectors color, floatN depth, Vectors place, Vectors normal, Vectors gradient,
-                            Vectors view, floatN weight, intN active, Tally *counted)
+                            Vectors view, floatN weight, int on_surface, intN active, Tally *counted)
 {
   if (!any_lane(active)) return color;
   count(&counted[COUNT_LIT], active);
-  const Illumination lit = illuminate(scene, place, normal, view, weight, active, counted);
+  const Illumination lit = illuminate(scene, place, normal, view, weight, on_surface, active, counted);
   Vectors shaded = {color.x * lit.diffuse.x + depth * lit.specular.x, color.y * lit.diffuse.y + depth * lit.specular.y,
                     color.z * lit.diffuse.z + depth * lit.specular.z};
   if (scene->effects->shading.x > 0.0f) {
@@ -93,17 +60,7 @@ INLINE Vectors cued_color(const Scene *scene, Vectors color, floatN depth, float
 #include "surfaces.h"
 #endif
 #if ENVIRONMENT_VISIBLE
-#include "environment.h"
-/* What is left of the rays on the picture sees the environment. */
-INLINE void show_environment(const Scene *scene, Vectors forward, intN on_picture, Gathered *acc)
-{
-  __constant const Effects *e = scene->effects;
-  Vectors seen;
-  environment_look_up(scene->environment + e->map_offsets.z, e->maps.z, forward.x, forward.y, forward.z, &seen.x, &seen.y, &seen.z);
-  const floatN left = select((floatN)0.0f, 1.0f - acc->a, on_picture);
-  acc->r += left * seen.x, acc->g += left * seen.y, acc->b += left * seen.z;
-  acc->a = select(acc->a, (floatN)1.0f, on_picture);
-}
+#include "background.h"
 #endif
 
 /* Values at which places of a segment its look needs. */
@@ -120,11 +77,11 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
                           __global const uchar *distances, __constant const View *view_, __constant const Effects *effects,
                           __global const float4 *items, __global const uint *gradients, __global const uchar *cell_flags,
                           __global const float4 *environment, __global const float4 *light_volume, __global const uint *noise,
-                          __global const float *factors, __global const float *fields, Tally *counted, intN px, intN py,
-                          float *rgba, float *depth, uint *samples)
+                          __global const float *factors, __global const float *fields, __global const float *extinction,
+                          Tally *counted, intN px, intN py, float *rgba, float *depth, uint *samples)
 {
   const Scene scene_ = {volume, table, warp, distances, view_, effects, items, gradients, cell_flags, environment, light_volume,
-                        noise, factors, fields};
+                        noise, factors, fields, extinction};
   const Scene *scene = &scene_;
   __constant const View *view = view_;
   const float h = view->march.x;
@@ -270,7 +227,7 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
 #endif
 #if TRANSFER_LAYERS
       if (visible) {
-        const TablePlace layers = layers_around(scene, gradient);
+        const TablePlace layers = layers_around(scene, gradient, 4 * view->table.w);
         _Pragma("unroll 1") for (int k = 0; k < 2; ++k) {
           const intN first = k ? layers.high : layers.low;
 #if CLASSIFICATION == CLASSIFICATION_PREINTEGRATED
@@ -314,7 +271,7 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
         const intN lit = shows & MASK(dot3(normal, normal) > 0.5f);
         const Vectors place = {xm, ym, zm};
         const floatN weight = (1.0f - acc.a) * segment_opacity(e);
-        color = shaded_color(scene, color, e.d, place, normal, gradient, scaled3(forward, -1.0f), weight, lit, counted);
+        color = shaded_color(scene, color, e.d, place, normal, gradient, scaled3(forward, -1.0f), weight, 0, lit, counted);
 #endif
 #if DEPTH_CUE
         color = cued_color(scene, color, e.d, ray.entry_depth + tm * h);

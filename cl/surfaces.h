@@ -7,8 +7,8 @@
  *
  * The volume before and behind a surface is composited in order: the segment is cut there.
  *
- * Three items a surface, iso-values ascending: (value, opacity, index of refraction, -), front colour, back colour. Front is seen by
- * a ray along which the value rises.
+ * Three items a surface, iso-values ascending: (value, opacity, index of refraction, optical depth of that opacity), front colour, back
+ * colour. Front is seen by a ray along which the value rises.
  */
 #ifndef SURFACES_H
 #define SURFACES_H
@@ -193,7 +193,7 @@ INLINE SurfacePassage pass_surfaces(const Scene *scene, const Rays *ray, Vectors
       const intN has_normal = crosses & MASK(dot3(normal, normal) > 0.5f);
       count(&counted[COUNT_GRADIENTS], crosses);
 #if LIGHTING
-      color = shaded_color(scene, color, (floatN)1.0f, at, normal, gradient, view, opacity * left, has_normal, counted);
+      color = shaded_color(scene, color, (floatN)1.0f, at, normal, gradient, view, opacity * left, 1, has_normal, counted);
 #endif
 #endif
 #if DEPTH_CUE

@@ -17,6 +17,7 @@ from clvol import Camera, TransferFunction, Volume
 from clvol.errors import SceneError
 from clvol.features import (
     CLASSIFICATIONS,
+    COMPOSITINGS,
     FILTERS,
     NAMES,
     NEUTRAL,
@@ -43,7 +44,8 @@ LABELS = Volume((ARRAY > 128).astype(np.uint8))
 
 @pytest.mark.parametrize(
     "prefix, table",
-    [("FILTER", FILTERS), ("CLASSIFICATION", CLASSIFICATIONS), ("QUADRATURE", QUADRATURES)],
+    [("FILTER", FILTERS), ("CLASSIFICATION", CLASSIFICATIONS), ("QUADRATURE", QUADRATURES),
+     ("COMPOSITING", COMPOSITINGS)],
 )
 def test_the_vocabulary_is_one(prefix, table):
     text = (kernel_folder() / "features.h").read_text()
@@ -108,7 +110,7 @@ CALLED = [
      ["label field"]),
     ({"field": [{"file": VOLUME, "role": "density", "points": POINTS}]}, ["density field"]),
     ({"field": [{"file": LABELS, "role": "mask"}]}, ["mask field"]),
-    ({"noise": {"target": "value", "amplitude": 3.0}}, ["noise"]),
+    ({"noise": [{"target": "value", "amplitude": 3.0}]}, ["noise"]),
     ({"animation": {"time": 0.5, "cycle": 0.5}}, ["colour cycling"]),
     ({"depth_cue": {}}, ["depth cueing"]),
     ({"integration": {"filter": "nearest"}}, ["nearest filter"]),
@@ -177,7 +179,7 @@ def test_a_transparent_transfer_function_calls_for_nothing():
     hidden = scene_with(
         function=CLEAR, light=[SUN], shadow={}, depth_cue={}, gradient_opacity=FADING,
         clip=[{"point": (3.0, 0, 0), "normal": (1.0, 0, 0)}],
-        noise={"target": "coordinate", "amplitude": 1.0},
+        noise=[{"target": "coordinate", "amplitude": 1.0}],
         field=[{"file": LABELS, "role": "mask"}],
     )  # fmt: skip
     assert called_for(hidden) == []
@@ -190,7 +192,7 @@ def test_a_transparent_transfer_function_calls_for_nothing():
         function=CLEAR, transfer_layer=[{"magnitude": 3.0, "points": POINTS}], light=[SUN]
     )
     assert emits(layered) and "lighting" in called_for(layered) and not emits(hidden)
-    noisy = scene_with(function=CLEAR, noise={"target": "value", "amplitude": 1.0})
+    noisy = scene_with(function=CLEAR, noise=[{"target": "value", "amplitude": 1.0}])
     assert called_for(noisy) == ["emission-absorption", "noise"]  # values beyond 255
 
 
@@ -272,7 +274,7 @@ IDLE = [
      "mask field", "the mask is above 0.5 all over the volume"),
     ({"field": [{"file": ONES, "role": "mask", "threshold": 2, "keep": "below"}]},
      "mask field", "the mask is below 2 all over the volume"),
-    ({"noise": {"target": "value", "amplitude": 0.0}}, "noise", "the noise's amplitude is 0"),
+    ({"noise": [{"target": "value", "amplitude": 0.0}]}, "noise", "the noise's amplitude is 0"),
     ({"animation": {"time": 4.0, "cycle": 0.0}}, "colour cycling", "the cycle is 0"),
     ({"animation": {"time": 4.0, "cycle": 0.5}}, "colour cycling", "have come round 2 times"),
     ({"depth_cue": {"strength": 0.0}}, "depth cueing", "the depth cue's strength is 0"),
@@ -350,7 +352,6 @@ def test_an_opaque_part_without_a_gradient_beside_a_transparent_one_with_is_not_
     [
         {"clip": [{"point": (2.5, 0, 0), "normal": (1, 0, 0)}]},  # has a face of its own
         {"field": [{"file": Volume(np.ones((6, 6, 12))), "role": "density", "points": POINTS}]},
-        {"animation": {"time": 0.3, "cycle": 1.0}},
         {"isosurface": [{"value": 50.0}]},
         {"integration": {"step": 1000.0}},  # a segment over all of it
     ],
@@ -420,8 +421,11 @@ ADDITIONS = st.fixed_dictionaries(
         "field": st.lists(
             st.sampled_from([IDLE_LABEL, {"file": ONES, "role": "mask"}]), max_size=3
         ),
-        "noise": st.builds(
-            dict, target=st.sampled_from(["value", "coordinate"]), amplitude=st.just(0.0)
+        "noise": st.lists(
+            st.builds(
+                dict, target=st.sampled_from(["value", "coordinate"]), amplitude=st.just(0.0)
+            ),
+            max_size=3,
         ),
         "animation": st.builds(dict, time=st.integers(0, 9).map(float), cycle=st.just(2.0)),
         "depth_cue": st.builds(dict, start=st.floats(99, 999), strength=st.just(0.0)),
@@ -468,12 +472,13 @@ def test_only_what_does_something_is_kept_of_many():
         clip=[{"point": (-5, 0, 0), "normal": (1, 0, 0)}, {"point": (5, 0, 0), "normal": (1, 0, 0)},
               {"point": (5, 0, 0), "normal": (1, 0, 0)}],
         field=[IDLE_LABEL, {"file": LABELS, "role": "mask"}],
-        noise={"target": "value", "amplitude": 1e-3, "octaves": 4, "gain": 0.0},
+        noise=[{"target": "value", "amplitude": 0.0},
+               {"target": "value", "amplitude": 1e-3, "octaves": 4, "gain": 0.0}],
     )  # fmt: skip
     kept = reduced(resolved)
     assert kept.lights == resolved.lights[1:] and kept.isosurfaces == resolved.isosurfaces[1:]
     assert kept.clips == resolved.clips[1:2] and kept.fields == resolved.fields[1:]
-    assert kept.noise.octaves == 1
+    assert [noise.octaves for noise in kept.noise] == [1]
     assert kept.volume is resolved.volume and kept.transfer_function is resolved.transfer_function
 
 

@@ -109,8 +109,11 @@ TABLES = st.fixed_dictionaries(
         ),
         "transfer_layer": st.just([{"magnitude": 30.0, "points": POINTS}]),
         "depth_cue": st.builds(dict, start=st.sampled_from([10.0, 33.0]), end=st.just(35.0)),
-        "noise": st.builds(dict, target=st.sampled_from(["value", "coordinate"]),
-                           amplitude=st.sampled_from([0.0, 2.0])),
+        "noise": st.lists(
+            st.builds(dict, target=st.sampled_from(["value", "coordinate"]),
+                      amplitude=st.sampled_from([0.0, 2.0])),
+            max_size=2,
+        ),
         "animation": st.builds(dict, time=st.sampled_from([0.0, 0.3, 2.0]), cycle=st.just(0.5)),
         "environment": st.builds(dict, visible=st.booleans(),
                                  intensity=st.sampled_from([0.0, 1.0])),

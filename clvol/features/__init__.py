@@ -14,9 +14,10 @@ from clvol.features.effect import Effect
 from clvol.features.explanation import explain, kernel_hash
 from clvol.features.findings import emits
 from clvol.features.lighting import NEUTRAL, is_lit
-from clvol.features.refuse import refuse_unknown
+from clvol.features.refuse import has_exact_integral, refuse_unknown
 from clvol.features.vocabulary import (
     CLASSIFICATIONS,
+    COMPOSITINGS,
     FILTER_REACH,
     FILTERS,
     GRADIENTS,
@@ -27,6 +28,7 @@ from clvol.features.vocabulary import (
 
 __all__ = [
     "CLASSIFICATIONS",
+    "COMPOSITINGS",
     "FILTERS",
     "FILTER_REACH",
     "GRADIENTS",
@@ -39,6 +41,7 @@ __all__ = [
     "effects",
     "emits",
     "explain",
+    "has_exact_integral",
     "is_lit",
     "kernel_hash",
     "overshoot",

@@ -65,9 +65,9 @@ class Findings:
 
 
 def has_no_gradient(scene: ResolvedScene) -> bool:
-    """Whether the volume, as far as it is finite, has one single value."""
+    """Whether the volume, as far as it is finite, has one single value, and no noise."""
     low, high = scene.volume.value_range
-    return low == high
+    return low == high and not scene.noise
 
 
 def has_values(scene: ResolvedScene) -> bool:

@@ -33,8 +33,10 @@ def judge(found: Findings) -> None:
         kept = GradientSettings()
     else:
         found.note(yes("gradients", joined(f"{use} asks for them" for use in uses)))
-        if filter in ANALYTIC:
+        if filter in ANALYTIC or scene.noise:
             reason = f"the filter {filter!r} has a derivative of its own"
+            if scene.noise:
+                reason = "with noise, gradients are differences of the values that it leads to"
             found.note(no(sobel, reason), no(precomputed, reason))
             kept = GradientSettings()
         else:

@@ -34,7 +34,7 @@ def opacity_meets_gradient(scene: ResolvedScene, anywhere: bool) -> bool:
     if has_no_gradient(scene):  # voxels that are not finite make one that is none
         return False
     integration = scene.integration
-    moved = scene.noise is not None or (integration.filter == "cubic" and integration.prefilter)
+    moved = bool(scene.noise) or (integration.filter == "cubic" and integration.prefilter)
     reach = FILTER_REACH[integration.filter]
     if integration.classification == "preintegrated":
         # A segment has the values of its ends, its gradient is that of its middle.

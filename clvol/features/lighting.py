@@ -81,8 +81,7 @@ def _why_unlit(found: Findings, lights: tuple[Light, ...], shines: bool) -> str 
         return None
     if scene.clips and (found.emits or found.adds):  # whose faces have normals of their own
         return None
-    anywhere = found.adds or scene.animation.cycle != 0
-    if (found.emits or found.adds) and opacity_meets_gradient(scene, anywhere):
+    if (found.emits or found.adds) and opacity_meets_gradient(scene, anywhere=found.adds):
         return None
     return "no voxel has both opacity and a gradient"
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from clvol.features.effect import no, yes
+from clvol.features.effect import joined, no, yes
 from clvol.features.findings import NOTHING_VISIBLE, Findings
 from clvol.features.values import reachable
+from clvol.scene.noise import Noise
 
 
 def judge(found: Findings) -> None:
@@ -13,22 +14,24 @@ def judge(found: Findings) -> None:
 
 
 def _noise(found: Findings) -> None:
-    noise, name = found.scene.noise, "noise"
-    if noise is None:
+    noises, name = found.scene.noise, "noise"
+    if not noises:
         found.note(no(name, "the scene has no noise"))
         return
-    reason = None
-    if noise.amplitude == 0:
-        reason = "the noise's amplitude is 0"
-    elif found.blank:
-        reason = NOTHING_VISIBLE
-    if reason is not None:
-        found.note(no(name, reason))
-        found.change(noise=None)
+    kept = tuple(_with_octaves_that_count(noise) for noise in noises if noise.amplitude != 0)
+    if not kept or found.blank:
+        found.note(no(name, NOTHING_VISIBLE if kept else "the noise's amplitude is 0"))
+        found.change(noise=())
         return
+    found.change(noise=kept)
+    reasons = (f"noise of amplitude {noise.amplitude:g} moves every {noise.target}" for noise in kept)
+    found.note(yes(name, joined(reasons)))
+
+
+def _with_octaves_that_count(noise: Noise) -> Noise:
     if noise.octaves > 1 and noise.gain == 0:
-        found.change(noise=noise.model_copy(update={"octaves": 1}))
-    found.note(yes(name, f"noise of amplitude {noise.amplitude:g} moves every {noise.target}"))
+        return noise.model_copy(update={"octaves": 1})
+    return noise
 
 
 def _cycle(found: Findings) -> None:
@@ -46,7 +49,7 @@ def _cycle(found: Findings) -> None:
     elif not found.emits:
         reason = "the transfer function shows nothing of the volume"
     if reason is None:
-        found.note(yes(name, f"the transfer function is moved by {shift % 1.0:g} of the range"))
+        found.note(yes(name, f"the colours are moved by {shift % 1.0:g} of the range"))
         return
     found.note(no(name, reason))
     found.change(animation=animation.model_copy(update={"cycle": 0.0}))

@@ -12,6 +12,11 @@ _PLAIN = {"emission-absorption"}
 _BY_REFERENCE = {*_PLAIN, "nearest filter", "cubic filter"}
 
 
+def has_exact_integral(resolved: ResolvedScene) -> bool:
+    """Whether the reference integrates the scene: emission and absorption, and its filter."""
+    return all(e.name in _BY_REFERENCE for e in effects(resolved) if e.called_for)
+
+
 def refuse_unknown(resolved: ResolvedScene) -> None:
     """SceneError for what the scene calls for and no kernel gives: better none than a wrong
     picture."""
@@ -22,6 +27,7 @@ def refuse_unknown(resolved: ResolvedScene) -> None:
     if integration.filter not in FILTERS:
         expected = " or ".join(repr(name) for name in FILTERS)
         raise SceneError(f"{origin}: integration.filter", f"got {integration.filter!r}", expected)
+    _refuse_classified_noise(resolved)
     if integration.method == "reference":
         _refuse_others(resolved, "integration.method", "reference", "raycast", _BY_REFERENCE)
     elif integration.quadrature == "cells":
@@ -33,6 +39,16 @@ def refuse_unknown(resolved: ResolvedScene) -> None:
             expected = "'steps', or the classification 'post' or 'preintegrated'"
             raise SceneError(where, "got 'cells' with the classification 'pre'", expected)
         _refuse_others(resolved, "integration.quadrature", "cells", "steps", _PLAIN)
+
+
+def _refuse_classified_noise(resolved: ResolvedScene) -> None:
+    """Noise perturbs the value that voxels give, not theirs."""
+    integration = resolved.integration
+    if integration.classification == "pre" and integration.compositing == "over":
+        if any(effect.name == "noise" and effect.called_for for effect in effects(resolved)):
+            where = f"{resolved.origin}: integration.classification"
+            what = "got 'pre' in a scene that calls for noise"
+            raise SceneError(where, what, "'post' or 'preintegrated'")
 
 
 def _refuse_others(

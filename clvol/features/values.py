@@ -36,11 +36,12 @@ def reachable(scene: ResolvedScene) -> tuple[float, float]:
 
 
 def noise_reach(scene: ResolvedScene) -> float:
-    """By how much noise changes a value at most; its tile is within -1 and 1."""
-    noise = scene.noise
-    if noise is None or noise.target != "value":
-        return 0.0
-    return abs(noise.amplitude) * sum(noise.gain**k for k in range(noise.octaves))
+    """By how much noise changes a value at most; its tiles are within -1 and 1."""
+    return sum(
+        abs(noise.amplitude) * sum(noise.gain**k for k in range(noise.octaves))
+        for noise in scene.noise
+        if noise.target == "value"
+    )
 
 
 def shows(function: TransferFunction, low: float, high: float) -> bool:
@@ -52,7 +53,7 @@ def shows(function: TransferFunction, low: float, high: float) -> bool:
 
 def steepest(scene: ResolvedScene) -> float:
     """A bound of the gradient's magnitude, value per world length; infinite with noise."""
-    if scene.noise is not None:
+    if scene.noise:
         return np.inf
     low, high = scene.volume.value_range
     share = _STEEPEST[scene.integration.filter]

@@ -10,6 +10,7 @@ ANALYTIC = ("cubic", "catmull-rom")
 # How gradients are had; "central" and "sobel" are found on the fly.
 GRADIENTS = {"central": 1, "sobel": 2, "precomputed": 3, "analytic": 4}
 CLASSIFICATIONS = {"pre": 0, "post": 1, "preintegrated": 2}
+COMPOSITINGS = {"over": 0, "maximum": 1, "minimum": 2, "average": 3, "attenuated-maximum": 4}
 QUADRATURES = {"steps": 0, "cells": 1}
 METHODS = ("raycast", "reference")
 # The sum of the weights' magnitudes along an axis, at most: 1 where no weight is negative.

@@ -85,6 +85,6 @@ def _in_codes(resolved: ResolvedScene, code: Callable, per_value: float) -> dict
         "transfer_layers": tuple(layers),
         "noise": tuple(
             scaled(term, "amplitude") if term.target == "value" else term
-            for term in resolved.noise or ()
+            for term in resolved.noise
         ),
     }

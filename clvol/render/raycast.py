@@ -10,14 +10,18 @@ import numpy as np
 
 from clvol.errors import RenderError
 from clvol.features import CLASSIFICATIONS, FILTERS, QUADRATURES, overshoot, reduced
+from clvol.features.values import reachable
 from clvol.opencl.context import DeviceArray, DeviceContext, restore_interrupts
 from clvol.opencl.structs import effects_dtype, view_dtype
 from clvol.render.device_volume import DeviceVolume
 from clvol.render.effects import ARGUMENTS as _EFFECT_ARGUMENTS
 from clvol.render.effects import COUNTERS, EffectState, effect_switches
 from clvol.render.empty_space import dilated, distance_map, surface_mask, visible_mask
-from clvol.render.layout import CELL_SHIFT, value_map, voxel_switches
+from clvol.render.layout import CELL_SHIFT, Perturbation, value_map, voxel_switches
+from clvol.render.light_volume import METHODS, extinctions, fill_light_volume
+from clvol.render.noise import perturbation
 from clvol.render.opacity_factors import check_layers, layer_functions, stacked
+from clvol.render.project import hidden_score
 from clvol.render.tile_effects import tiles_that_see
 from clvol.render.view import EVERY_PIXEL, PixelLattice, RayFrame, ray_frame
 from clvol.scene.camera import Camera
@@ -26,11 +30,13 @@ from clvol.scene.resolve import ResolvedScene
 from clvol.schedule.tiles import TILE, bands, tiling
 from clvol.transfer import TransferFunction
 from clvol.transfer.classes import ClassNodes, class_nodes, visible_cells
+from clvol.transfer.cycle import cycled
 from clvol.transfer.tables import SLICES, constant_table, depths_table, preintegrated_table
 from clvol.transfer.union import union
 
 PIECE = 0.5  # smallest edges: of the tables of quadrature by cells, about as long as a cell's pieces are
 CONSTANT_NODES = 4096  # of the one-dimensional tables of pre- and post-classification
+_WIDEST = 8.0  # ranges that noise may widen the nodes by, on either side
 _SECONDS_A_SAMPLE = 1e-8  # a first guess, for how to cut a frame into launches
 _BAND_SECONDS = 0.5
 _SCENE_ARGUMENTS = "in volume V1, in table float32, in warp float32, in distances uint8, in view V1, "
@@ -42,8 +48,10 @@ _FILL_ARGUMENTS = (
 
 
 def segment_classification(integration: Integration) -> str:
-    """How segments are classified. Under the nearest filter values do not run from one sample to the
+    """How segments are classified; of a projection's, the values are. Under the nearest filter values do not run from one sample to the
     next, they jump: a pre-integrated segment of constant value is a post-classified one."""
+    if integration.compositing != "over":
+        return "post"
     if integration.filter == "nearest" and integration.classification == "preintegrated":
         return "post"
     return integration.classification
@@ -77,14 +85,40 @@ def scene_nodes(resolved: ResolvedScene, function: TransferFunction | None = Non
     if integration.classification != "pre":  # what is classified may overshoot the voxels
         more = overshoot(integration.filter) * (high - low)
         more = float(np.ceil(more)) if integer else more
+        if resolved.noise:
+            more, integer = more + _noise_range(resolved, high - low), False
         low, high = low - more, high + more
     return class_nodes(
         device_function(union(layer_functions(resolved, function)), values),
         (low, high),
         integration.table_size if preintegrated else CONSTANT_NODES,
         integer=integer,
-        may_warp=preintegrated,
+        # Colours that cycle fall on no nodes, and tables of even ones are made ten times as fast.
+        may_warp=preintegrated and not resolved.animation.cycle,
     )
+
+
+def _noise_range(resolved: ResolvedScene, span: float) -> float:
+    """By how much noise widens the range of values, at most _WIDEST times that of the volume and of
+    the transfer function: nodes must not be lost on what is beyond."""
+    gain = value_map(resolved.volume).gain
+    added = perturbation(resolved.noise, resolved.volume.grid, gain).added
+    return min(added, _WIDEST * max(span, np.ptp(resolved.transfer_function.values) * gain))
+
+
+def cycled_function(resolved: ResolvedScene, function: TransferFunction) -> TransferFunction:
+    """``function`` with its colours moved as far as they have come at ``animation.time``."""
+    shift, value_range, reach = _shift(resolved), resolved.volume.value_range, reachable(resolved)
+    if shift is None:
+        return function
+    beyond = None if reach == value_range else reach
+    return cycled(function, shift, value_range, beyond, opacity=False)
+
+
+def _shift(resolved: ResolvedScene) -> float | None:
+    """How far colours have moved, in ranges of the volume; None where they do not."""
+    animation = resolved.animation
+    return animation.cycle * animation.time if animation.cycle else None
 
 
 def device_function(function: TransferFunction, values) -> TransferFunction:
@@ -138,6 +172,7 @@ class Raycaster:
         self.volume = volume or DeviceVolume(context, resolved.volume)
         self.effects = EffectState(context, resolved, self.volume)
         self._view_dtype = view_dtype(self.volume.switches["VOXEL_BITS"])
+        self.set_transfer_function(resolved.transfer_function)
         self._warm: set[tuple] = set()
         self._tally = None
         self._none = context.empty(np.float32, (4,))
@@ -148,19 +183,23 @@ class Raycaster:
     def set_transfer_function(self, function: TransferFunction) -> None:
         """Another transfer function: rebuilds the table and the visible cells, nothing else."""
         resolved, context = self.resolved, self.context
+        # Where the nodes are depends on no cycling: it compiles nothing.
         self.nodes = scene_nodes(resolved, function)
-        functions, values = layer_functions(resolved, function), self.volume.values
-        self._functions = [device_function(each, values) for each in functions]
-        mapped = device_function(union(functions), values)
+        mapped = device_function(union(layer_functions(resolved, function)), self.volume.values)
+        self._asked_function = function
+        self._set_colors()
         visible = visible_cells(mapped, self.nodes.values)
-        self._build_table()
         self.gate = _gate(mapped, self.nodes, visible)
         at_nodes = mapped.opacity(self.nodes.values) > 0
         mask = visible_mask(
-            self.volume, resolved.integration.filter, self.nodes, visible, at_nodes
+            self.volume, resolved.integration.filter, self.nodes, visible, at_nodes, self._moved
         )
         if resolved.isosurfaces:
             mask |= self._surface_cells()
+        if resolved.integration.compositing != "over":  # a mean may be a value of no cell
+            mask = np.full_like(mask, visible.any() or at_nodes.any())
+            mode = resolved.integration.compositing
+            self.effects.set_hidden(hidden_score(mode, self.nodes, self.gate))
         fields = self.effects.switches and self.effects.fields
         if fields:
             mask = (mask | fields.shown) & fields.kept
@@ -172,13 +211,49 @@ class Raycaster:
             resolved, warped=warp is not None, lanes=self.lanes, skip=self.skip
         )
         self.switches |= self.effects.switches  # the device may be too small for some
+        self.light_volume_samples = 0
+        if self.effects.switches.get("SHADOWS"):
+            self._build_shadows()
         self._without_surfaces = self._beside_surfaces()
+
+    def _set_colors(self) -> None:
+        """The tables, with colours as they are at the scene's time."""
+        functions = layer_functions(self.resolved, self._asked_function)
+        moved = [cycled_function(self.resolved, function) for function in functions]
+        self._functions = [device_function(function, self.volume.values) for function in moved]
+        self._build_table()
+
+    @property
+    def _moved(self) -> Perturbation:
+        resolved = self.resolved
+        return perturbation(resolved.noise, resolved.volume.grid, self.volume.values.gain)
+
+    def _build_shadows(self) -> None:
+        """What shadows need, which neither the camera nor the step changes."""
+        arrays, edge = self.effects.arrays, self.resolved.volume.grid.smallest_edge
+        nodes = self.nodes.values
+        tables = [extinctions(self.context, each, nodes, edge) for each in self._functions]
+        arrays["extinction"] = stacked(self.context, tables)
+        if self.switches["SHADOWS"] == METHODS["volume"] and self.visible_share:
+            view = np.zeros(1, self._view_dtype)
+            self._describe_volume(view[0])
+            arrays["light_volume"], self.light_volume_samples = fill_light_volume(
+                self.context, self.resolved, self.switches, view, {**self._scene_arrays(), **arrays}
+            )
+
+    def _scene_arrays(self) -> dict[str, DeviceArray]:
+        return {
+            "volume": self.volume.voxels,
+            "table": self.table,
+            "warp": self.warp,
+            "distances": self.distances,
+        }
 
     def _surface_cells(self) -> np.ndarray:
         """bool [z, y, x]: cells in which an iso-surface can be. Tells the effects, which look a step
         around."""
         levels = [float(self.volume.values(s.value)) for s in self.resolved.isosurfaces]
-        mask = surface_mask(self.volume, self.resolved.integration.filter, levels)
+        mask = surface_mask(self.volume, self.resolved.integration.filter, levels, self._moved)
         reach = self.resolved.integration.step / (1 << CELL_SHIFT)
         around = dilated(mask) if reach < 1 else np.ones_like(mask)
         self.effects.set_surfaces(around)
@@ -189,10 +264,10 @@ class Raycaster:
         """For tiles that see no surface, but may see something else: all else is the same, and so is
         what it computes. None where no tile is without."""
         switches = self.effects.switches
-        if not switches or not switches["ISOSURFACES"] or switches["REFRACTION"]:
+        if not switches.get("ISOSURFACES") or switches["REFRACTION"]:
             return None  # bent rays go anywhere
-        if not switches["TRANSLUCENT"]:
-            return None
+        if not switches["TRANSLUCENT"] or switches["SHADOWS"] == METHODS["rays"]:
+            return None  # rays to lights may meet surfaces that the eye's do not
         other = copy.copy(self)
         other.effects = self.effects.copy()
         other.effects.switches = {**switches, "ISOSURFACES": 0}
@@ -217,14 +292,16 @@ class Raycaster:
         arguments = self.context, function, nodes
         kind = segment_classification(integration)
         effects = self.effects.switches
+        if "COMPOSITING" in effects:
+            return constant_table(*arguments, function.opacity_unit)
         by_cells = integration.quadrature == "cells"  # whatever the step: pieces are of any length
         if by_cells or effects and not effects["SEGMENT_OPACITIES"]:  # cut, or absorbing less
             length = self._piece if by_cells else self.length
             if kind == "preintegrated":
                 return depths_table(*arguments, length)
             return constant_table(*arguments, length, "extinction_table")
-        if kind == "preintegrated":
-            return preintegrated_table(*arguments, self.length)
+        if kind == "preintegrated":  # effects want no shorter pieces
+            return preintegrated_table(*arguments, self.length, 2 if effects else SLICES)
         kernel = "classify_table" if kind == "post" else "extinction_table"
         return constant_table(*arguments, self.length, kernel)
 
@@ -239,15 +316,18 @@ class Raycaster:
         return PIECE * self.resolved.volume.grid.smallest_edge
 
     def like(self, resolved: ResolvedScene) -> Raycaster:
-        """The same for ``resolved``, which may differ in camera, image, step and early termination alone.
-        Shares what these leave as it is: the volume, empty space, and often the tables."""
+        """The same for ``resolved``, which may differ in camera, image, animation, step and early
+        termination alone. Shares what these leave as it is: the volume, empty space, and often the
+        tables. Compiles nothing."""
         other = copy.copy(self)
         other.resolved = resolved = reduced(resolved)
+        other.effects = self.effects.like(resolved)
         by_cells = resolved.integration.quadrature == "cells"
+        if _shift(resolved) != _shift(self.resolved):
+            other._set_colors()
         if not by_cells and other.length != self.length:
             other._build_table()
             if resolved.isosurfaces:
-                other.effects = self.effects.copy()
                 other._surface_cells()
         other._without_surfaces = other._beside_surfaces()
         return other
@@ -397,11 +477,8 @@ class Raycaster:
                 context.queue,
                 (count,),
                 (1,) if self.lanes > 1 else None,
-                volume=self.volume.voxels,
-                table=self.table,
-                warp=self.warp,
-                distances=self.distances,
                 view=self._view,
+                **self._scene_arrays(),
                 **arrays,
             )
             done += count
@@ -418,22 +495,29 @@ class Raycaster:
 
     def _frame_view(self, frame: RayFrame, width: int, height: int) -> np.ndarray:
         view = np.zeros(1, self._view_dtype)
-        volume, nodes, row = self.volume, self.nodes, view[0]
+        row = view[0]
         names = ("plane_origin", "plane_du", "plane_dv", "ray_forward", "ray_du", "ray_dv")
         sources = (frame.origin, frame.du, frame.dv, frame.forward, frame.ray_du, frame.ray_dv)
         with np.errstate(over="ignore", under="ignore"):
             for name, source in zip(names, sources):
                 row[name][:3] = source
             row["lens"] = (*frame.lens, *frame.centre)
+            self._describe_volume(row)
             stop = 1.0 - self.resolved.integration.early_termination
-            step = self.resolved.integration.step
-            row["march"] = (step, frame.distance, stop, frame.unit)
-            bins = 0.0 if nodes.warp is None else nodes.warp.size - 1.0
-            row["classes"] = (nodes.first, nodes.per_value, nodes.last_coordinate, bins)
+            row["march"][1:] = (frame.distance, stop, frame.unit)
         finite = [np.isfinite(row[name]).all() for name in (*names, "lens", "march", "classes")]
         if not all(finite) or not min(row["march"][0], row["march"][3]) > 0:
             where = f"{self.resolved.origin}: camera"
             raise RenderError(where, "numbers beyond float32", "a camera and units nearer to 1")
+        row["image"] = (width, height, *self.tile)
+        return view
+
+    def _describe_volume(self, row: np.void) -> None:
+        """The fields of a ``View`` that no camera changes."""
+        volume, nodes, step = self.volume, self.nodes, self.resolved.integration.step
+        bins = 0.0 if nodes.warp is None else nodes.warp.size - 1.0
+        row["march"][0] = step
+        row["classes"] = (nodes.first, nodes.per_value, nodes.last_coordinate, bins)
         row["upper"][:3] = np.asarray(volume.size) - 1
         row["gate"][:2] = self.gate
         parts = parts_of_cell(self.resolved.integration.step)
@@ -445,10 +529,8 @@ class Raycaster:
         row["size"][:3] = volume.size
         row["stride"][:2] = volume.stride
         row["cells"] = (*volume.cells, CELL_SHIFT)
-        row["image"] = (width, height, *self.tile)
         entries, width_of_table = self._table_size
         row["table"] = (nodes.values.size, width_of_table, SLICES, entries)
-        return view
 
     def _check_struct(self) -> None:
         """The compiler's View must be ours, field for field: all fields are 16 bytes wide."""

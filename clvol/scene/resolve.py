@@ -70,7 +70,7 @@ class ResolvedScene:
     directional_opacity: OpacityFactor | None = None
     transfer_layers: tuple[TransferLayer, ...] = ()
     fields: tuple[ResolvedField, ...] = ()
-    noise: Noise | None = None
+    noise: tuple[Noise, ...] = ()
     depth_cue: DepthCue | None = None
     animation: Animation = Animation()
 

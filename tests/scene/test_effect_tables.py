@@ -100,7 +100,7 @@ keep = "outside"
 type = "sphere"
 center = [1, 1, 1]
 radius = 2.5
-[noise]
+[[noise]]
 target = "coordinate"
 amplitude = 0.5
 frequency = 2.0
@@ -167,7 +167,7 @@ def test_every_key_of_every_effect_arrives(scene_file, folder):
     assert [clip.type for clip in resolved.clips] == ["plane", "box", "sphere"]
     assert resolved.clips[1].upper == (1, 2, 3) and resolved.clips[1].keep == "outside"
     assert resolved.clips[2].radius == 2.5 and resolved.clips[2].keep == "inside"
-    noise = resolved.noise
+    (noise,) = resolved.noise
     assert (noise.target, noise.amplitude, noise.frequency) == ("coordinate", 0.5, 2.0)
     assert (noise.octaves, noise.gain, noise.seed) == (3, 0.25, 7)
     assert noise.velocity == (0.5, 0, -1)
@@ -190,9 +190,9 @@ def test_fields_arrive_with_their_volumes(scene_file):
 
 def test_a_scene_without_the_tables_has_none_of_the_effects(folder):
     resolved = load_scene(folder / "cube.npy").resolve()
-    assert resolved.environment is resolved.shadow is resolved.noise is resolved.depth_cue is None
+    assert resolved.environment is resolved.shadow is resolved.depth_cue is None
     assert resolved.gradient_opacity is resolved.directional_opacity is None
-    assert resolved.transfer_layers == resolved.fields == ()
+    assert resolved.transfer_layers == resolved.fields == resolved.noise == ()
     assert resolved.integration.compositing == "over" and not resolved.integration.prefilter
     assert resolved.gradient.operator == "central" and resolved.gradient.storage == "auto"
     assert resolved.animation.time == resolved.animation.cycle == 0
@@ -329,8 +329,11 @@ TABLES = st.fixed_dictionaries(
             ),
             max_size=3,
         ),
-        "noise": st.builds(dict, target=st.sampled_from(["value", "coordinate"]),
-                           amplitude=st.floats(-1e30, 1e30), octaves=st.integers(1, 8)),
+        "noise": st.lists(
+            st.builds(dict, target=st.sampled_from(["value", "coordinate"]),
+                      amplitude=st.floats(-1e30, 1e30), octaves=st.integers(1, 8)),
+            max_size=4,
+        ),
         "depth_cue": st.builds(dict, start=st.floats(-1e30, 1e30), color=COLOR),
         "animation": st.builds(dict, time=st.floats(-1e6, 1e6), frames=st.integers(1, 9)),
     },
@@ -401,19 +404,21 @@ MISTAKES = [
     ('clip.0.keep="inside"', "clip.0.keep", "'inside'", "its normal's side"),
     ("clip.2.radius=0", "clip.2.radius", "0", "greater than 0"),
     ('clip.0.type="cone"', "clip.0.type", "'cone'", "'sphere'"),
-    ("noise={amplitude=1}", "noise.target", "missing", "'coordinate'"),
-    ('noise={target="value"}', "noise.amplitude", "missing", "a number"),
-    ("noise.octaves=9", "noise.octaves", "9", "from 1 to 8"),
-    ("noise.frequency=0", "noise.frequency", "0", "greater than 0"),
-    ("noise.seed=-1", "noise.seed", "-1", "from 0"),
-    ("noise.velocity=[0,0]", "noise.velocity.2", "missing", "three numbers"),
+    ("noise=[{amplitude=1}]", "noise.0.target", "missing", "'coordinate'"),
+    ('noise=[{target="value"}]', "noise.0.amplitude", "missing", "a number"),
+    ("noise.0.octaves=9", "noise.0.octaves", "9", "from 1 to 8"),
+    ("noise.0.frequency=0", "noise.0.frequency", "0", "greater than 0"),
+    ("noise.0.seed=-1", "noise.0.seed", "-1", "from 0"),
+    ("noise.0.velocity=[0,0]", "noise.0.velocity.2", "missing", "three numbers"),
+    ("noise={amplitude=1}", "noise", "{'amplitude': 1}", "a list of tables"),
+    ("noise=[" + 5 * '{target="value",amplitude=1},' + "]", "noise", "5", "at most 4"),
     ("depth_cue.end=9", "depth_cue.end", "9.0", "beyond the start, 9.0"),
     ("depth_cue.strength=1.5", "depth_cue.strength", "1.5", "from 0 to 1"),
     ("animation.frames=0", "animation.frames", "0", "from 1"),
     ("animation.fps=0", "animation.fps", "0", "greater than 0"),
     ("animation.time=inf", "animation.time", "inf", "seconds"),
     ("shadows={}", "shadows", "{}", "'shadow'"),
-    ("noise.speed=1", "noise.speed", "1", "'seed'"),
+    ("noise.0.speed=1", "noise.0.speed", "1", "'seed'"),
 ]  # fmt: skip
 
 
