@@ -21,6 +21,7 @@ from clvol.render.fields import SceneFields, field_switches
 from clvol.render.gradients import DeviceLimits, gradient_switch
 from clvol.render.layout import ValueMap, padded_size
 from clvol.render.light_volume import (
+    METHODS,
     casting_lights,
     check_fits,
     shadow_numbers,
@@ -39,6 +40,7 @@ from clvol.scene.resolve import ResolvedScene
 from clvol.volume import Grid
 
 # As numbered in cl/effects.h, each with the switch that it takes to be counted at all.
+_BY_RAYS = ("shadow_rays", "shadow_samples")  # nor is it counted where shadows are by volume
 COUNTERS = {
     "gradients": "GRADIENT",
     "lit_samples": "LIGHTING",
@@ -349,10 +351,11 @@ class EffectState:
     def counted(self, counts: np.ndarray) -> dict[str, int]:
         """Sums over tiles of what was counted: ``counts`` uint32 [tiles, len(COUNTERS)]."""
         sums = counts.sum(axis=0, dtype=np.uint64)
+        by_volume = self.switches.get("SHADOWS") == METHODS["volume"]
         return {
             name: int(total)
             for (name, switch), total in zip(COUNTERS.items(), sums)
-            if self.switches.get(switch)
+            if self.switches.get(switch) and not (by_volume and name in _BY_RAYS)
         }
 
 
