@@ -8,17 +8,30 @@ from typing import Any
 from clvol.features.analysis import effects, reduced, reduced_for_frames
 from clvol.features.refuse import refuse_unknown
 from clvol.features.vocabulary import GRADIENTS
+from clvol.scene.environment import Environment
 from clvol.scene.resolve import ResolvedScene
 
 
 def explain(resolved: ResolvedScene) -> dict[str, Any]:
     """As ``clvol explain --json``: effects with reasons, and what identifies the compiled
-    kernel."""
+    kernel. SceneError for what a Renderer would refuse, environments that cannot be read among it."""
     refuse_unknown(resolved)
+    _read_environment(reduced(resolved).environment)
     listed = [
         {"name": e.name, "called_for": e.called_for, "reason": e.reason} for e in effects(resolved)
     ]
     return {"effects": listed, "kernel_hash": kernel_hash(resolved)}
+
+
+def _read_environment(environment: Environment | None) -> None:
+    """SceneError if it cannot be rendered."""
+    from clvol.render.environment_file import load_radiance
+
+    if environment is not None:
+        load_radiance(
+            environment.path, environment.layout, environment.intensity,
+            environment.rotation_degrees,
+        )  # fmt: skip
 
 
 def kernel_hash(resolved: ResolvedScene, lanes: int = 16) -> str:
