@@ -157,7 +157,7 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
 #else
       const int look = 0;
 #endif
-      const int ends = NEEDS_ENDS || look, middle = NEEDS_MIDDLE || look;
+      const int ends = NEEDS_ENDS | look, middle = NEEDS_MIDDLE | look;
       floatN front = value1, back = 0.0f, mid = 0.0f;
       Emission e = no_emission();
 #if SAMPLES_AHEAD
@@ -195,11 +195,11 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
       ClassCoordinate a, b;
       segment_classes(value2, front, back, length, active & MASK(joined != 0), warp, view, &a, &b);
       visible = may_be_visible(lane_min(a.position, b.position), lane_max(a.position, b.position), active, view);
-      if (visible && TRANSFER_LAYERS == 0) e = segment_emission(a, b, table, view);
+      if (visible & (TRANSFER_LAYERS == 0)) e = segment_emission(a, b, table, view);
 #elif CLASSIFICATION == CLASSIFICATION_POST
       const ClassCoordinate at = class_coordinate(mid, warp, view);
       visible = may_be_visible(at.position, at.position, active, view);
-      if (visible && TRANSFER_LAYERS == 0) e = value_emission(at, table);
+      if (visible & (TRANSFER_LAYERS == 0)) e = value_emission(at, table);
 #endif
 #if TRANSLUCENT
 #if TRANSFER_LAYERS
