@@ -14,6 +14,8 @@
 #define CLIP_BOX 1
 #define CLIP_SPHERE 2
 
+#define LEAST_CUT 1e-3f /* edges: where less of a ray is cut off, no cut face shows */
+
 typedef struct {
   floatN enter, leave;    /* in steps from the ray's entry into the volume; leave <= enter: nothing more is kept */
   Vectors normal;         /* of the clip that the stretch begins at, outwards of what is kept; 0 where it begins at none */
@@ -110,6 +112,9 @@ INLINE Stretch next_stretch(const Scene *scene, const Rays *ray, floatN from)
     inside_clip(scene, e->counts.z + k, origin, direction, &enter, &leave, &normal);
     s.leave = select(s.leave, lane_min(s.leave, enter), MASK(leave > enter) & MASK(enter > s.enter));
   }
+  /* A clip through the domain's own face cuts nothing off: rounding may not tell. */
+  const Vectors none = {0.0f, 0.0f, 0.0f};
+  s.normal = select3(none, s.normal, MASK(s.enter > from + LEAST_CUT / scene->view->march.x));
   return s;
 }
 

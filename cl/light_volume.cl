@@ -1,4 +1,5 @@
-/* Fills a light volume: for each point of a grid over the volume the share of one light that arrives there, by the march of shadow.h.
+/* Fills a light volume: for each point of a grid over the volume the share of one light that arrives there, by the march of
+ * shadow.h.
  *
  * SCATTERING: S = (1 - s) T + s T_cone, with T_cone the mean over CONE directions in a cone about that to the light of
  * exp(-(1 - colour) D). It stands for light that is scattered forward on its way: what a cone of light brings, of which a share

@@ -159,9 +159,7 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
 #endif
       const int ends = NEEDS_ENDS || look, middle = NEEDS_MIDDLE || look;
       floatN front = value1, back = 0.0f, mid = 0.0f;
-#if CLASSIFICATION == CLASSIFICATION_PRE
       Emission e = no_emission();
-#endif
 #if SAMPLES_AHEAD
       const FetchedSample sample = ahead;
       ahead = ahead2;
@@ -192,16 +190,13 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
 #endif
       int visible = 1;
 #if !TRANSLUCENT
-      Emission e = no_emission();
       visible = 0;
 #elif CLASSIFICATION == CLASSIFICATION_PREINTEGRATED
-      Emission e = no_emission();
       ClassCoordinate a, b;
       segment_classes(value2, front, back, length, active & MASK(joined != 0), warp, view, &a, &b);
       visible = may_be_visible(lane_min(a.position, b.position), lane_max(a.position, b.position), active, view);
       if (visible && !TRANSFER_LAYERS) e = segment_emission(a, b, table, view);
 #elif CLASSIFICATION == CLASSIFICATION_POST
-      Emission e = no_emission();
       const ClassCoordinate at = class_coordinate(mid, warp, view);
       visible = may_be_visible(at.position, at.position, active, view);
       if (visible && !TRANSFER_LAYERS) e = value_emission(at, table);
@@ -264,7 +259,9 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
         const floatN inside = lane_clamp(tm * h, (floatN)0.0f, (floatN)1.0f);
         const intN cut = MASK(dot3(cut_normal, cut_normal) > 0.5f) & MASK(inside < 1.0f);
         if (any_lane(cut)) {
-          const Vectors toward = select3(normal, scaled3(normal, -1.0f), MASK(dot3(normal, cut_normal) < 0.0f));
+          const intN two_sided = effects->shading.y > 0.0f ? (intN)-1 : (intN)0;
+          const intN behind = two_sided & MASK(dot3(normal, cut_normal) < 0.0f);
+          const Vectors toward = select3(normal, scaled3(normal, -1.0f), behind);
           normal = select3(normal, unit3(sum3(scaled3(toward, inside), scaled3(cut_normal, 1.0f - inside))), cut);
         }
 #endif

@@ -1,19 +1,20 @@
-/* A packet of LANES rays under another compositing than "over": one value of each ray is picked, and the transfer function's colour
- * and opacity there (of one opacity unit: the table's slice 0) are the picture. Switch COMPOSITING:
+/* A packet of LANES rays under another compositing than "over": one value of each ray is picked, and the transfer function's
+ * colour and opacity there (of one opacity unit: the table's slice 0) are the picture. Switch COMPOSITING:
  *
  *   MAXIMUM, MINIMUM    the largest, smallest of the values
  *   AVERAGE             their mean by length
- *   ATTENUATED_MAXIMUM  the largest of (value normalised to the volume's range, at least 0) times exp(-attenuation times the integral
- *                       of that before it); its opacity is attenuated as much
+ *   ATTENUATED_MAXIMUM  the largest of (value normalised to the volume's range, at least 0) times exp(-attenuation times
+ *                       the integral of that before it); its opacity is attenuated as much
  *
  * A ray's kept stretches (clip.h) are cut into segments one step long, the last one shorter, and the value at each one's middle
- * counts. Values that are not finite do not, nor what masks remove (fields.h); a ray without any shows nothing. Of equal ones the first counts. Values are clamped
+ * counts. Values that are not finite do not; a ray without any shows nothing. Of equal ones the first counts. Values are clamped
  * to the bounds that hold for all samples (value_bounds), which rounding alone could leave.
  *
- * Leaping (SKIP_EMPTY). `factors` holds, for each cell of empty space, a bound of the score of every sample in it, and then the same for
- * cells 4 and 16 times as long: a ray leaps out of the largest cell of these that cannot change its result, and ends where none
- * ahead can. Nor do scores count that are transparent with all below them (projection.w). Attenuated, what is leapt over would be missing from the integral: only cells where all of it is 0 are leapt over, and
- * rays end early. Averages need every sample. The picture is the same to the bit.
+ * Leaping (SKIP_EMPTY). `factors` holds, for each cell of empty space, a bound of the score of every sample in it, and then the
+ * same for cells 4 and 16 times as long: a ray leaps out of the largest cell of these that cannot change its result, and ends
+ * where none ahead can. Nor do scores count that are transparent with all below them (projection.w). Attenuated, what is leapt
+ * over would be missing from the integral: only cells where all of it is 0 are leapt over, and rays end early. Averages need
+ * every sample. The picture is the same to the bit.
  */
 #ifndef PROJECT_H
 #define PROJECT_H
@@ -34,8 +35,8 @@
 
 #if LEAPS
 
-/* For each ray at parameter t (in steps): t itself where a sample in its cell can score more than `needed`, else where it first enters a
- * cell of which that holds (a little before), or infinity if it never does. Compare next_visible() in skip_empty.h. */
+/* For each ray at parameter t (in steps): t itself where a sample in its cell can score more than `needed`, else where it first
+ * enters a cell of which that holds (a little before), or infinity if it never does. Compare next_visible() in skip_empty.h. */
 INLINE floatN next_above(const Scene *scene, const Rays *ray, floatN t, floatN needed, intN active)
 {
   __constant const View *view = scene->view;
@@ -66,8 +67,8 @@ INLINE floatN next_above(const Scene *scene, const Rays *ray, floatN t, floatN n
     if (shift == view->cells.w) return entered; /* no lane leaps */
     const intN fx = ((x >> across) + right) << across, fy = ((y >> across) + down) << across;
     const intN fz = ((z >> across) + away) << across;
-    const floatN leave = lane_min(lane_min((TO_FLOAT(fx) - ray->x0) * ray->rx + ray->px, (TO_FLOAT(fy) - ray->y0) * ray->ry + ray->py),
-                                  (TO_FLOAT(fz) - ray->z0) * ray->rz + ray->pz);
+    const floatN leave_x = (TO_FLOAT(fx) - ray->x0) * ray->rx + ray->px, leave_y = (TO_FLOAT(fy) - ray->y0) * ray->ry + ray->py;
+    const floatN leave = lane_min(lane_min(leave_x, leave_y), (TO_FLOAT(fz) - ray->z0) * ray->rz + ray->pz);
     const floatN face = lane_max(leave, t), margin = least_margin + SHARE_OF_T * face;
     entered = select(entered, face - margin, active);
     t = select(t, face + margin, active);
@@ -145,8 +146,8 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
       const floatN t = middle_of(&ray, i);
       floatN needed = lane_max(best, (floatN)effects->projection.w);
 #if COMPOSITING == COMPOSITING_ATTENUATED_MAXIMUM
-      /* What lies ahead counts for no more than here. Where nothing ahead could win, up to the end of the stretch, it is left out; what
-       * it would have added to the integral can only count in the next stretch, so that a ray with more of them goes on. */
+      /* What lies ahead counts for no more than here: a ray ends where nothing ahead could win. Of its last stretch alone, since
+       * what is left out would be missing from the integral in the next. */
       const intN looks = going & MASK(t >= looked_to) & MASK(next_from >= whole_ray.length);
       if (any_lane(looks)) {
         looked_to = select(looked_to, next_above(scene, &ray, t, best / lane_max(attenuation, (floatN)1e-30f), looks), looks);
@@ -166,26 +167,27 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
       const floatN t = select((floatN)0.0f, middle_of(&ray, i), active);
       const floatN value = scene_value(scene, ray.x0 + t * ray.dx, ray.y0 + t * ray.dy, ray.z0 + t * ray.dz);
       taken -= AS_UINT(active);
-      floatN kept = 1.0f;
+      const floatN t0 = TO_FLOAT(i), t1 = lane_min(t0 + 1.0f, ray.length);
 #if FIELDS & FIELD_MASK
-      const floatN t0 = TO_FLOAT(i);
-      kept = kept_by_masks(scene, &ray, t0, lane_min(t0 + 1.0f, ray.length), active, counted);
+      const floatN kept = kept_by_masks(scene, &ray, t0, t1, active, counted);
+      intN counts = MASK(kept > 0.0f);
+#else
+      const float kept = 1.0f;
+      intN counts = active;
 #endif
 #if MAY_BE_NAN
-      intN counts = active & MASK((AS_INT(value) & 0x7f800000) != 0x7f800000);
+      counts &= MASK((AS_INT(value) & 0x7f800000) != 0x7f800000);
       const floatN v = lane_clamp(select((floatN)lowest, value, counts), (floatN)lowest, (floatN)highest);
 #else
-      intN counts = active;
       const floatN v = lane_clamp(value, (floatN)lowest, (floatN)highest);
 #endif
-      counts &= MASK(kept > 0.0f);
 #if COMPOSITING == COMPOSITING_AVERAGE
-      const floatN length = kept * select((floatN)0.0f, lane_min(ray.length - TO_FLOAT(i), (floatN)1.0f), counts);
+      const floatN length = select((floatN)0.0f, kept * (t1 - t0), counts);
       sum += length * (v - lowest), length_sum += length;
 #else
 #if COMPOSITING == COMPOSITING_ATTENUATED_MAXIMUM
       const floatN share = lane_max((v - effects->projection.x) * effects->projection.y, (floatN)0.0f);
-      const floatN length = kept * select((floatN)0.0f, lane_min(ray.length - TO_FLOAT(i), (floatN)1.0f), counts);
+      const floatN length = select((floatN)0.0f, kept * (t1 - t0), counts);
       const floatN score = share * attenuation;
 #elif COMPOSITING == COMPOSITING_MINIMUM
       const floatN score = -v;

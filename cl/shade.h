@@ -44,6 +44,7 @@ INLINE Illumination illuminate(const Scene *scene, Vectors place, Vectors normal
   const intN turned = MASK(facing < 0.0f) & (e->shading.y > 0.0f ? (intN)-1 : (intN)0);
   normal = select3(normal, scaled3(normal, -1.0f), turned);
   facing = select(facing, -facing, turned);
+  const intN lightable = active & MASK(facing >= 0.0f); /* a back face gets no light but the ambient one */
   lit.diffuse.x = lit.diffuse.y = lit.diffuse.z = e->material.x;
   lit.specular.x = lit.specular.y = lit.specular.z = 0.0f;
 #if LIGHTS
@@ -60,7 +61,7 @@ INLINE Illumination illuminate(const Scene *scene, Vectors place, Vectors normal
     }
     if (at.w == LIGHT_HEAD) towards = view;
     const floatN cosine = lane_max(dot3(normal, towards), (floatN)0.0f);
-    intN faces = active & MASK(cosine > 0.0f);
+    const intN faces = lightable & MASK(cosine > 0.0f);
     if (!any_lane(faces)) continue;
     Vectors arriving = broadcast3(intensity);
 #if SHADOWS
@@ -69,7 +70,7 @@ INLINE Illumination illuminate(const Scene *scene, Vectors place, Vectors normal
       arriving.x *= shadow.x, arriving.y *= shadow.y, arriving.z *= shadow.z;
     }
 #endif
-    const floatN diffuse = e->material.y * cosine;
+    const floatN diffuse = select((floatN)0.0f, e->material.y * cosine, faces);
     lit.diffuse.x += diffuse * arriving.x, lit.diffuse.y += diffuse * arriving.y, lit.diffuse.z += diffuse * arriving.z;
 #if SPECULAR
     /* N.H, with |L + V| = sqrt(2 + 2 L.V) */

@@ -15,11 +15,12 @@
  * shadow.bound cast none, and get the light without a shadow: such a sample changes the picture by less than the bound, n of
  * them on a ray by less than n times as much. They do so in very thin fog; a bound of 0 casts for all.
  *
- * SHADOWS_BY_VOLUME: the same march from each point of a grid (light_volume.cl), trilinear between them. Each point has a ray of its
- * own, so that nothing diffuses from slice to slice as in volumes of shadows that are swept slice by slice (Behrens and Ratering 1998;
- * P4 sec. 5.4 names what that costs: blurred shadows, dark surfaces). What an opaque voxel hides is dark in those light cells alone
- * that touch its shadow. A light cell that a surface passes through has dark corners behind it, by which the surface would darken
- * itself: surfaces look up their light a light cell farther out (beyond_surface).
+ * SHADOWS_BY_VOLUME: the same march from each point of a grid (light_volume.cl), trilinear between them. Each point has a ray of
+ * its own, so that nothing diffuses from slice to slice as in volumes of shadows that are swept slice by slice (Behrens and
+ * Ratering 1998; P4 sec. 5.4 names what that costs: blurred shadows, dark surfaces). What an opaque voxel hides is dark in those
+ * light cells alone that touch its shadow. A light cell that a surface passes through has dark corners behind it, by which the
+ * surface would darken itself: surfaces look up their light a light cell farther out (beyond_surface). The translucent volume does
+ * not: where it turns opaque within less than a light cell, its boundary shows the light cells, and rays are the better method.
  */
 #ifndef SHADOW_H
 #define SHADOW_H
@@ -54,7 +55,8 @@ INLINE Vectors direction_to_lattice(__constant const Effects *e, Vectors d)
   return r;
 }
 
-/* From `place` (lattice) along `direction` (local) to where it leaves the volume, `reach` edges at most. `rays`: others go nowhere. */
+/* From `place` (lattice) along `direction` (local) to where it leaves the volume, `reach` edges at most; lanes not in `rays` go
+ * nowhere. */
 INLINE Rays rays_towards(const Scene *scene, Vectors place, Vectors direction, floatN reach, intN rays)
 {
   const float4 upper = scene->view->upper;
@@ -132,8 +134,8 @@ INLINE floatN extinction_along(const Scene *scene, const Rays *ray, floatN t0, f
 }
 
 #if ISOSURFACES
-/* Optical depth of the surfaces whose iso-values lie between two values, at the points `from` and `to` of the ray. A value that is not
- * finite is on no side. What a mask removes is asked where the value would be met if it ran linearly. */
+/* Optical depth of the surfaces whose iso-values lie between two values, at the points `from` and `to` of the ray. A value that
+ * is not finite is on no side. What a mask removes is asked where the value would be met if it ran linearly. */
 INLINE floatN surfaces_between(const Scene *scene, const Rays *ray, floatN from, floatN to, floatN before, floatN after,
                                intN active, Tally *counted)
 {
@@ -155,7 +157,8 @@ INLINE floatN surfaces_between(const Scene *scene, const Rays *ray, floatN from,
 #endif
 
 /* `depth` and what one kept stretch of the rays adds. The side of the surfaces that they start on is told at `apart` steps. */
-INLINE floatN depth_along(const Scene *scene, const Rays *ray, Vectors direction, floatN depth, float apart, intN rays, Tally *counted)
+INLINE floatN depth_along(const Scene *scene, const Rays *ray, Vectors direction, floatN depth, float apart, intN rays,
+                          Tally *counted)
 {
   const float h = scene->effects->shadow.y, enough = scene->effects->shadow.w;
   const floatN segments = select((floatN)0.0f, ceil(ray->length), rays & MASK(ray->length > 0.0f));
@@ -254,19 +257,25 @@ INLINE floatN light_between(__global const float *volume, intN at, int row, int 
 #endif
 
 #if SHADOWS == SHADOWS_BY_VOLUME && ISOSURFACES
-/* The place next to one on a surface whose light cell is wholly on the side that the normal (local) points to, if the surface is plane. */
+/* How far one edge of a light cell goes along `normal`: (x, y, z) is a lattice unit in local space. */
+INLINE floatN light_cell_along(Vectors normal, float x, float y, float z, float points)
+{
+  return fabs(normal.x * x + normal.y * y + normal.z * z) * (1.0f / points);
+}
+
+/* The place next to one on a plane surface whose light cell is wholly on the side that the normal (local) points to. */
 INLINE Vectors beyond_surface(const Scene *scene, Vectors place, Vectors normal)
 {
   __constant const Effects *e = scene->effects;
-  const floatN across = fabs(normal.x * e->local_x.x + normal.y * e->local_y.x + normal.z * e->local_z.x) * (1.0f / e->light_grid.x) +
-                        fabs(normal.x * e->local_x.y + normal.y * e->local_y.y + normal.z * e->local_z.y) * (1.0f / e->light_grid.y) +
-                        fabs(normal.x * e->local_x.z + normal.y * e->local_y.z + normal.z * e->local_z.z) * (1.0f / e->light_grid.z);
+  const floatN across = light_cell_along(normal, e->local_x.x, e->local_y.x, e->local_z.x, e->light_grid.x) +
+                        light_cell_along(normal, e->local_x.y, e->local_y.y, e->local_z.y, e->light_grid.y) +
+                        light_cell_along(normal, e->local_x.z, e->local_y.z, e->local_z.z, e->light_grid.z);
   return sum3(place, scaled3(direction_to_lattice(e, normal), across));
 }
 #endif
 
-/* The share of a light, colour by colour, that arrives at `place` (lattice). towards: unit vector to the light (local). light: its first
- * item. index: its number in the light volume. weight: what the sample counts for in the picture. */
+/* The share of a light, colour by colour, that arrives at `place` (lattice). towards: unit vector to the light (local). light: its
+ * first item. index: its number in the light volume. weight: what the sample counts for in the picture. */
 INLINE Vectors light_that_arrives(const Scene *scene, Vectors place, Vectors towards, float4 light, int index, floatN weight,
                                   intN faces, Tally *counted)
 {
@@ -279,7 +288,7 @@ INLINE Vectors light_that_arrives(const Scene *scene, Vectors place, Vectors tow
   const floatN x = lane_clamp(place.x * e->light_grid.x, zero, (floatN)(float)(size.x - 1));
   const floatN y = lane_clamp(place.y * e->light_grid.y, zero, (floatN)(float)(size.y - 1));
   const floatN z = lane_clamp(place.z * e->light_grid.z, zero, (floatN)(float)(size.z - 1));
-  const intN ix = min(TO_INT(x), (intN)(size.x - 2)), iy = min(TO_INT(y), (intN)(size.y - 2)), iz = min(TO_INT(z), (intN)(size.z - 2));
+  const intN ix = cell_index(x, size.x), iy = cell_index(y, size.y), iz = cell_index(z, size.z);
   const floatN fx = x - TO_FLOAT(ix), fy = y - TO_FLOAT(iy), fz = z - TO_FLOAT(iz);
   const intN at = LIGHT_CHANNELS * ix + row * iy + slice * iz;
   __global const float *volume = (__global const float *)scene->light_volume + (size_t)index * slice * size.z;

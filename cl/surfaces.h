@@ -49,6 +49,9 @@ INLINE floatN crossing_place(const Scene *scene, const Rays *ray, floatN from, f
     open &= MASK(b - a > tolerance) & finite_lanes(f);
     place = 0.5f * (a + b);
   }
+#if FILTER == FILTER_NEAREST
+  place = b; /* a jump: in the voxel beyond it, whose gradient the surface has */
+#endif
   return place;
 }
 
@@ -150,12 +153,12 @@ INLINE SurfacePassage pass_surfaces(const Scene *scene, const Rays *ray, Vectors
   SurfacePassage passage;
   passage.bends = 0, passage.at = 0.0f, passage.front = 0.0f;
   passage.direction = scaled3(view, -1.0f);
-  const intN finite = near & finite_lanes(v0) & finite_lanes(v1) & finite_lanes(vm);
+  const intN finite0 = near & finite_lanes(v0) & finite_lanes(vm), finite1 = near & finite_lanes(vm) & finite_lanes(v1);
   /* Where to cut the segment in two. */
   floatN cut = 0.5f, v_cut = vm, peak;
   const floatN at_peak = parabola_extreme(v0, vm, v1, &peak);
   const floatN low = lane_min(lane_min(v0, v1), vm), high = lane_max(lane_max(v0, v1), vm);
-  const intN grazed = finite & (meets_a_surface(scene, lane_min(low, peak), low) | meets_a_surface(scene, high, lane_max(high, peak)));
+  const intN grazed = finite0 & finite1 & (meets_a_surface(scene, lane_min(low, peak), low) | meets_a_surface(scene, high, lane_max(high, peak)));
   if (any_lane(grazed)) {
     const floatN t = t0 + at_peak * length;
     const floatN value = scene_value(scene, ray->x0 + t * ray->dx, ray->y0 + t * ray->dy, ray->z0 + t * ray->dz);
@@ -166,6 +169,7 @@ INLINE SurfacePassage pass_surfaces(const Scene *scene, const Rays *ray, Vectors
   _Pragma("unroll 1") for (int side = 0; side < 2; ++side) {
     const floatN a = side ? cut : (floatN)0.0f, b = side ? (floatN)1.0f : cut;
     const floatN va = side ? v_cut : v0, vb = side ? v1 : v_cut;
+    const intN finite = side ? finite1 : finite0;
     const intN rises = MASK(vb >= va);
     _Pragma("unroll 1") for (int k = 0; k < surfaces; ++k) {
       /* Ascending where the value rises, descending where it falls: in the order along the ray. */

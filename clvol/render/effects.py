@@ -27,7 +27,6 @@ from clvol.render.light_volume import (
     shadow_switches,
 )
 from clvol.render.noise import TARGETS, device_noise, device_tiles, perturbation
-from clvol.render.opacity_factors import factor_rows, factor_switches, layer_places
 from clvol.render.project import (
     NO_SCORE,
     attenuation_a_step,
@@ -35,6 +34,7 @@ from clvol.render.project import (
     sample_bounds,
     score_bounds,
 )
+from clvol.render.opacity_factors import factor_rows, factor_switches, layer_places
 from clvol.scene.resolve import ResolvedScene
 from clvol.volume import Grid
 
@@ -52,6 +52,7 @@ COUNTERS = {
 LIGHT_TYPES = {"directional": 0, "point": 1, "headlight": 2}
 OPAQUE_DEPTH = 1e15  # of a surface; finite, so that any share of it counts
 CLIP_TYPES = {"plane": 0, "box": 1, "sphere": 2}
+_FAR = 1e12  # smallest edges: from there light comes from one direction, to float32
 ARGUMENTS = (
     ", in effects V1, in items float32, in gradients uint32, in cell_flags uint8, "
     "in environment float32, in light_volume float32, in noise uint32, in factors float32, "
@@ -84,10 +85,10 @@ def effect_switches(
         "DEPTH_CUE": int(resolved.depth_cue is not None),
         "ENVIRONMENT": int(lit and resolved.environment is not None),
         "ENVIRONMENT_VISIBLE": int(seen),
-        **factor_switches(resolved),
-        **field_switches(resolved),
         "NOISE": _noise(resolved),
         **shadow_switches(resolved),
+        **factor_switches(resolved),
+        **field_switches(resolved),
         "GRADIENT": _gradient(resolved, limits) if lit or refracts or decides else 0,
     }
     if not any(switches.values()):
@@ -207,7 +208,9 @@ class EffectState:
         )  # fmt: skip
         per_edge = values.gain * space.unit  # from value per world length
         fade = material.fade * per_edge
-        numbers["shading"][:2] = (1.0 / fade if fade > 0 else 0.0, float(material.two_sided))
+        # Within float32, so that what fades most is not taken for what does not fade.
+        per_fade = float(np.clip(1.0 / fade, 1e-30, 1e30)) if fade > 0 else 0.0
+        numbers["shading"][:2] = (per_fade, float(material.two_sided))
         if resolved.depth_cue is not None:
             self._fill_depth_cue(resolved.depth_cue)
         lights, surfaces, clips = self._items(resolved, values)
@@ -300,9 +303,12 @@ class EffectState:
             at = np.zeros(3)
             if light.type == "directional":
                 at = -_unit(light.direction)
-            elif light.type == "point":
+            kind = LIGHT_TYPES[light.type]
+            if light.type == "point":
                 at = space.point(light.position)
-            lights.append((*at, LIGHT_TYPES[light.type]))
+                if np.abs(at).max() > _FAR:
+                    at, kind = _unit(at), LIGHT_TYPES["directional"]
+            lights.append((*at, kind))
             volume = casting.index(number) if number in casting else -1.0
             lights.append((*(np.asarray(light.color) * light.intensity), volume))
         for surface in sorted(resolved.isosurfaces, key=lambda s: s.value):
@@ -315,13 +321,15 @@ class EffectState:
             radius = 0.0 if clip.radius is None else clip.radius / space.unit
             first = {"plane": clip.point, "box": clip.lower, "sphere": clip.center}[clip.type]
             second = np.zeros(3)
+            first = space.point(first)
             if clip.type == "plane":
                 second = _unit(clip.normal)
+                first = (first @ second) * second  # the plane's nearest point has the most digits
             elif clip.type == "box":
                 second = space.point(clip.upper)
-            clips.append((CLIP_TYPES[clip.type], 0.0, 0.0, radius))
-            clips.append((*space.point(first), 0.0))
-            clips.append((*second, 0.0))
+            clips.append((CLIP_TYPES[clip.type], 0.0, 0.0, min(radius, _FAR)))
+            clips.append((*np.clip(first, -_FAR, _FAR), 0.0))
+            clips.append((*np.clip(second, -_FAR, _FAR), 0.0))
         return lights, surfaces, clips
 
     def copy(self) -> EffectState:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from clvol.features import reduced
 from clvol.render.prefilter import prefiltered
 from clvol.render.quantise import quantised
 
@@ -31,9 +30,9 @@ class Engines:
 
     def make(self, resolved: ResolvedScene) -> Raycaster:
         """What renders ``resolved`` by its ``integration.method``."""
-        from clvol.render.raycast import Raycaster
+        from clvol.render.raycast import Raycaster, reduced_for_frames
 
-        resolved = self._with_precision(reduced(resolved))
+        resolved = self._with_precision(reduced_for_frames(resolved))
         key = _key(resolved)
         if key in self._made:
             made = self._made[key] = self._made.pop(key).like(resolved)
@@ -64,7 +63,7 @@ class Engines:
 # What other voxels make of a scene (quantise.py, prefilter.py).
 _CONVERTED = (
     "volume", "transfer_function", "isosurfaces", "material", "gradient_opacity",
-    "directional_opacity", "transfer_layers", "noise",
+    "directional_opacity", "transfer_layers", "noise", "voxel_range",
 )  # fmt: skip
 # What an engine is made for beside volume, transfer function and integration: by their words ...
 _BY_WORDS = (

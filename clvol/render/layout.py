@@ -12,7 +12,8 @@ CELL_SHIFT = 3  # cells of 8^3 for empty space
 # 8-bit volumes are held as pairs (twice the memory) up to this many bytes of pairs.
 _LARGEST_PAIRS = 512 * 2**20
 LARGEST_OFFSET = 2**31 - 1  # offsets are signed 32 bit: what the hardware's gather takes
-_PLAIN_RANGE = (1e-18, 1e18)  # magnitudes that float32 arithmetic takes as they are
+# Magnitudes that float32 arithmetic takes as they are, squares of their gradients too.
+_PLAIN_RANGE = (1e-12, 1e18)
 
 
 @dataclass(frozen=True)

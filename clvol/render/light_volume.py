@@ -34,8 +34,8 @@ _ARGUMENTS = (
 
 
 def casting_lights(resolved: ResolvedScene) -> list[int]:
-    """Numbers of the lights that cast shadows, in the order of their light volumes. Headlights shine
-    from the eye and cast none that it could see."""
+    """Numbers of the lights that cast shadows, in the order of their light volumes. Headlights
+    shine from the eye and cast none that it could see."""
     if resolved.shadow is None:
         return []
     lights = enumerate(resolved.lights)
@@ -72,7 +72,8 @@ def check_fits(resolved: ResolvedScene, limits: DeviceLimits) -> None:
     needed, room = light_volume_bytes(resolved), min(limits.buffer, limits.memory)
     if needed > room:
         lights = len(casting_lights(resolved))
-        what = f"got {resolved.shadow.resolution}: {needed} bytes of light volume for {lights} lights"
+        resolution = resolved.shadow.resolution
+        what = f"got {resolution}: light volumes of {lights} lights take {needed} bytes"
         where = f"{resolved.origin}: shadow.resolution"
         raise SceneError(where, what, f"at most {room} bytes, all that the device gives")
 
@@ -97,8 +98,8 @@ def shadow_numbers(resolved: ResolvedScene, padded: tuple[int, int, int]) -> dic
 def extinctions(
     context: DeviceContext, function: TransferFunction, nodes: np.ndarray, edge: float
 ) -> DeviceArray:
-    """float32 [n + 2]: optical depth of a world length ``edge`` at each class node; 0 for what is not a
-    number."""
+    """float32 [n + 2]: optical depth of a world length ``edge`` at each class node; 0 for what is
+    not a number."""
     table = context.read(constant_table(context, function, nodes, edge, "extinction_table"))
     return context.upload(np.ascontiguousarray(table[:, 3]))
 
@@ -119,8 +120,8 @@ def fill_light_volume(
     view: np.ndarray,
     arrays: Mapping[str, DeviceArray],
 ) -> tuple[DeviceArray, int]:
-    """The light volumes of all lights that cast shadows, float32 [lights, z, y, x, channels], and how
-    many reconstructions of the volume that took.
+    """The light volumes of all lights that cast shadows, float32 [lights, z, y, x, channels], and
+    how many reconstructions of the volume that took.
 
     ``switches``: the picture's. ``arrays``: those of the scene that the kernel takes by name.
     """

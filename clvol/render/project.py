@@ -72,7 +72,7 @@ def hidden_score(mode: str, nodes: ClassNodes, gate: tuple[float, float]) -> flo
 
 def normalisation(volume: DeviceVolume, resolved: ResolvedScene) -> tuple[np.float32, np.float32]:
     """(lowest value, 1 / range) of the volume, in the values that kernels compute with."""
-    low, high = (float(v) for v in volume.values(resolved.volume.value_range))
+    low, high = (float(v) for v in volume.values(resolved.data_range))
     return np.float32(low), np.float32(1.0 / (high - low) if high > low else 0.0)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -108,7 +108,7 @@ def _noise_range(resolved: ResolvedScene, span: float) -> float:
 
 def cycled_function(resolved: ResolvedScene, function: TransferFunction) -> TransferFunction:
     """``function`` with its colours moved as far as they have come at ``animation.time``."""
-    shift, value_range, reach = _shift(resolved), resolved.volume.value_range, reachable(resolved)
+    shift, value_range, reach = _shift(resolved), resolved.data_range, reachable(resolved)
     if shift is None:
         return function
     beyond = None if reach == value_range else reach
@@ -146,6 +146,12 @@ class FrameData:
     counters: dict[str, int] = field(default_factory=dict)
 
 
+def reduced_for_frames(resolved: ResolvedScene) -> ResolvedScene:
+    """Without what has no consequence, but for cycling colours: they may have one in the next frame,
+    which shall find its nodes."""
+    return replace(reduced(resolved), animation=resolved.animation)
+
+
 class Raycaster:
     """Device state for a scene: volume, tables, distance map, program; ``render`` makes a frame.
 
@@ -165,14 +171,13 @@ class Raycaster:
         volume: DeviceVolume | None = None,
     ) -> None:
         self.context = context
-        self.resolved = resolved = reduced(resolved)
+        self.resolved = resolved = reduced_for_frames(resolved)
         self.lanes = lanes or (16 if context.is_cpu else 1)
         self.skip = skip
         self.tile = tile if self.lanes > 1 else (1, 1)
         self.volume = volume or DeviceVolume(context, resolved.volume)
         self.effects = EffectState(context, resolved, self.volume)
         self._view_dtype = view_dtype(self.volume.switches["VOXEL_BITS"])
-        self.set_transfer_function(resolved.transfer_function)
         self._warm: set[tuple] = set()
         self._tally = None
         self._none = context.empty(np.float32, (4,))
@@ -185,8 +190,8 @@ class Raycaster:
         resolved, context = self.resolved, self.context
         # Where the nodes are depends on no cycling: it compiles nothing.
         self.nodes = scene_nodes(resolved, function)
-        mapped = device_function(union(layer_functions(resolved, function)), self.volume.values)
-        self._asked_function = function
+        self._asked_functions = layer_functions(resolved, function)
+        mapped = device_function(union(self._asked_functions), self.volume.values)
         self._set_colors()
         visible = visible_cells(mapped, self.nodes.values)
         self.gate = _gate(mapped, self.nodes, visible)
@@ -212,21 +217,26 @@ class Raycaster:
         )
         self.switches |= self.effects.switches  # the device may be too small for some
         self.light_volume_samples = 0
-        if self.effects.switches.get("SHADOWS"):
+        if self._casts_shadows:
             self._build_shadows()
         self._without_surfaces = self._beside_surfaces()
 
     def _set_colors(self) -> None:
-        """The tables, with colours as they are at the scene's time."""
-        functions = layer_functions(self.resolved, self._asked_function)
-        moved = [cycled_function(self.resolved, function) for function in functions]
-        self._functions = [device_function(function, self.volume.values) for function in moved]
+        """The table, with colours as they are at the scene's time."""
+        self._functions = [
+            device_function(cycled_function(self.resolved, each), self.volume.values)
+            for each in self._asked_functions
+        ]
         self._build_table()
 
     @property
     def _moved(self) -> Perturbation:
         resolved = self.resolved
         return perturbation(resolved.noise, resolved.volume.grid, self.volume.values.gain)
+
+    @property
+    def _casts_shadows(self) -> bool:
+        return bool(self.effects.switches.get("SHADOWS"))
 
     def _build_shadows(self) -> None:
         """What shadows need, which neither the camera nor the step changes."""
@@ -320,7 +330,7 @@ class Raycaster:
         termination alone. Shares what these leave as it is: the volume, empty space, and often the
         tables. Compiles nothing."""
         other = copy.copy(self)
-        other.resolved = resolved = reduced(resolved)
+        other.resolved = resolved = reduced_for_frames(resolved)
         other.effects = self.effects.like(resolved)
         by_cells = resolved.integration.quadrature == "cells"
         if _shift(resolved) != _shift(self.resolved):
@@ -329,6 +339,9 @@ class Raycaster:
             other._build_table()
             if resolved.isosurfaces:
                 other._surface_cells()
+        later = resolved.animation.time != self.resolved.animation.time
+        if later and resolved.noise and other._casts_shadows:  # cycling moves no opacity
+            other._build_shadows()
         other._without_surfaces = other._beside_surfaces()
         return other
 

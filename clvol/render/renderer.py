@@ -8,7 +8,7 @@ from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 from clvol.errors import RenderError, UsageError, VolumeError
-from clvol.features import reduced, refuse_unknown
+from clvol.features import refuse_unknown
 from clvol.render.frame import Frame, make_frame
 from clvol.scene.camera import Camera
 
@@ -48,7 +48,7 @@ class Renderer:
             from clvol.render.engines import Engines
 
             self._engines = Engines(self._context)
-            self._raycaster = self._engines.make(_reduced(self.resolved))
+            self._raycaster = self._engines.make(self.resolved)
         self._load_seconds = loaded - start
         self._prepare_seconds = perf_counter() - loaded - self._context.compile_seconds
 
@@ -107,7 +107,7 @@ class Renderer:
             self.resolved = resolved = replace(resolved, animation=animation)
         if self._engines is None or not (is_new_time or resolved.depth_cue):
             return
-        self._raycaster = self._engines.make(_reduced(replace(resolved, camera=camera)))
+        self._raycaster = self._engines.make(replace(resolved, camera=camera))
 
     def _reference(self, camera: Camera, progress) -> Frame:
         from clvol.render.reference import render_reference
@@ -130,12 +130,6 @@ class Renderer:
         return make_frame(self.resolved, rgba, depth, seconds, counted, self._context.name)
 
 
-def _reduced(resolved: ResolvedScene) -> ResolvedScene:
-    """Without what has no consequence, but for cycling colours: they may have one in the next
-    frame."""
-    return replace(reduced(resolved), animation=resolved.animation)
-
-
 def check_memory(resolved: ResolvedScene, cap: int | None) -> None:
     """VolumeError if rendering takes more than ``cap`` bytes on the device."""
     from clvol.render.fields import field_bytes
@@ -144,7 +138,8 @@ def check_memory(resolved: ResolvedScene, cap: int | None) -> None:
 
     image, volume = resolved.image, resolved.volume
     needed = scene_bytes(volume, resolved.integration.table_size, image.width, image.height)
-    needed += light_volume_bytes(resolved) + field_bytes(resolved)
+    needed += light_volume_bytes(resolved)
+    needed += field_bytes(resolved)
     if cap is not None and needed > cap:
         what = f"needs {needed} bytes on the device, pictures and tables included"
         raise VolumeError(volume.name or "volume", what, f"at most the memory cap of {cap} bytes")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -158,6 +159,17 @@ def test_time_moves_noise_and_whole_tiles_bring_it_back(device):
     assert np.array_equal(alone, later)
 
 
+@pytest.mark.parametrize("method", ["volume", "rays"])
+def test_shadows_move_with_the_noise_that_casts_them(device, method):
+    tables = {
+        "light": [{"type": "directional", "direction": (0.5, -0.3, 1.0)}],
+        "shadow": {"method": method, "resolution": 8},
+    }  # fmt: skip
+    _, moved = rendered(noisy([MOVING], **tables), device, 0.0, 1.0)
+    (alone,) = rendered(noisy([MOVING], animation={"time": 1.0}, **tables), device, None)
+    assert np.array_equal(alone, moved)
+
+
 @pytest.mark.parametrize("noise", [(), [VALUE]], ids=["plain", "noise"])
 def test_colours_cycle_while_opacity_stays(device, noise):
     scene = noisy(noise, animation={"cycle": 0.5})
@@ -184,8 +196,6 @@ def test_another_time_compiles_and_uploads_nothing(context):
     scene = noisy([MOVING], animation={"cycle": 0.3, "time": 0.2})
     caster = Raycaster(context, scene)
     animation = scene.animation.model_copy(update={"time": 5.0})
-    from dataclasses import replace
-
     other = caster.like(replace(scene, animation=animation))
     assert other.switches == caster.switches and other.volume is caster.volume
     assert other.effects.arrays["noise"] is caster.effects.arrays["noise"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -29,11 +30,17 @@ from clvol.volume import Grid
 SOURCE = str(Path(__file__).with_name("light_at.cl"))
 TAU = -np.log(0.9)  # of constant_function(), a world length
 SIDE = 15.0  # of the block
-BLOCK = np.zeros((16, 16, 16), np.float32)
+BLOCK = ramp(axis=0).astype(np.float32)  # of one opacity, but with a gradient: it can be lit
 DIFFUSE = {"ambient": 0.0, "diffuse": 1.0, "specular": 0.0}
 RAYS = {"method": "rays", "bound": 0.0}
 SLANTED = {"type": "directional", "direction": [-0.6, -0.8, 0.0]}
 DOWN = {"type": "directional", "direction": [0.0, -1.0, 0.0]}
+
+
+@pytest.fixture(autouse=True)
+def not_reduced(monkeypatch):
+    """Blocks of one value are not lit, so nothing of theirs would be shadowed."""
+    monkeypatch.setattr("clvol.render.raycast.reduced", lambda resolved: resolved)
 
 
 def shadowed(array, function=None, light=SLANTED, shadow=RAYS, **tables):
@@ -122,7 +129,8 @@ def test_lengths_are_the_worlds_on_any_grid(context, shadow):
     of = shadowed(BLOCK, constant_function(unit=2.0), light, shadow, grid=grid)
     along = np.array(grid["direction"]).T @ (way / np.linalg.norm(way))  # along the grid's axes
     places = inside(64, 4.0, 8.0)
-    expected = np.exp(-0.5 * TAU * to_exit(places * grid["spacing"], along, SIDE * np.array(grid["spacing"])))
+    spacing = np.array(grid["spacing"])
+    expected = np.exp(-0.5 * TAU * to_exit(places * spacing, along, SIDE * spacing))
     atol = 1e-5 if shadow is RAYS else 2e-3
     np.testing.assert_allclose(share(context, of, places), expected, atol=atol)
 
@@ -137,7 +145,8 @@ def test_a_point_light_in_the_volume_is_as_far_as_it_is(context, shadow):
 
 
 def test_a_slab_of_one_voxel_is_one_voxel_thick(context):
-    of = shadowed(np.zeros((1, 16, 16), np.float32), light={"type": "directional", "direction": [0, 0, -1]})
+    light = {"type": "directional", "direction": [0, 0, -1]}
+    of = shadowed(BLOCK[:1] + ramp(axis=2)[:1].astype(np.float32), light=light)
     # Lattice coordinates: such an axis runs from 0 to 1.
     np.testing.assert_allclose(share(context, of, [[7, 7, 0.25]]), np.exp(-TAU * 0.75), atol=1e-5)
 
@@ -155,7 +164,7 @@ def test_an_opaque_slab_hides_light_wholly(context, shadow):
 
 
 def test_a_half_space_casts_its_shadow_where_geometry_says(context):
-    """All above x = 10 is opaque: a ray to the light meets it if it does so below the volume's top."""
+    """All above x = 10 is opaque: a ray to the light meets it, or leaves the volume before."""
     step = 0.05
     of = shadowed(ramp(axis=2).astype(np.float32), OPAQUE_ABOVE_TEN, shadow={**RAYS, "step": step})
     places = inside(4000, [0, 0, 0], [9.9, 15, 15])
@@ -170,7 +179,7 @@ def test_a_half_space_casts_its_shadow_where_geometry_says(context):
 @pytest.mark.parametrize("resolution", [9, 16, 33])
 def test_a_light_volume_leaks_no_farther_than_a_light_cell(context, resolution):
     """One opaque voxel: light cells that its shadow does not touch are lit, exactly."""
-    array = BLOCK.copy()
+    array = np.zeros((16, 16, 16), np.float32)
     array[8, 12, 7] = 1.0
     wall = TransferFunction([0, 0.5, 0.5, 1], [0, 0, 1, 1], [[1, 1, 1]] * 4)
     of = shadowed(array, wall, DOWN, {"resolution": resolution, "step": 0.1})
@@ -308,6 +317,34 @@ def test_a_light_volume_outlives_the_camera_but_not_the_transfer_function(contex
     assert not np.array_equal(context.read(before), context.read(after))
 
 
+@pytest.mark.parametrize("shadow", ["rays", "volume"])
+def test_shadows_move_with_the_noise_that_casts_them(context, shadow):
+    noise = {"target": "coordinate", "amplitude": 4.0, "velocity": [0.5, 0.0, 0.0]}
+    of = shadowed(ball(), BALL, shadow=SHADOWS[shadow], noise=[noise], animation={"time": 0.0},
+                  image={"width": 8, "height": 8})  # fmt: skip
+    later = _at(of, 0.6)
+    first = Raycaster(context, of)
+    moved, anew = first.like(later), Raycaster(context, later)
+    places = inside(64, 0.0, 23.0)
+    before, found, expected = (arriving(c, places)[0] for c in (first, moved, anew))
+    assert np.array_equal(found, expected) and np.abs(found - before).max() > 0.1
+    assert np.array_equal(*(c.render(of.camera, 8, 8).rgba for c in (moved, anew)))
+
+
+def test_cycling_colours_leave_the_light_volume_as_it_is(context):
+    of = shadowed(ball(), BALL, shadow=SHADOWS["volume"], animation={"cycle": 0.25})
+    first, later = Raycaster(context, of), _at(of, 0.6)
+    moved, anew = first.like(later), Raycaster(context, later)
+    volumes = [c.effects.arrays["light_volume"] for c in (first, moved, anew)]
+    assert volumes[1] is volumes[0]
+    assert np.allclose(context.read(volumes[2]), context.read(volumes[0]), atol=1e-6)
+
+
+def _at(resolved, time):
+    animation = resolved.animation.model_copy(update={"time": time})
+    return replace(resolved, animation=animation)
+
+
 # --- surfaces -------------------------------------------------------------------------------------
 
 CLEAR = constant_function(0.0)
@@ -363,7 +400,8 @@ def test_a_sphere_lit_from_the_side_has_a_lit_half(context, shadow):
                          ids=["directional", "point"])  # fmt: skip
 def test_scattered_light_is_the_mean_over_a_cone(context, light):
     color, s, degrees = np.array([1.0, 0.5, 0.0]), 0.6, 40.0
-    shadow = {"scattering": s, "scatter_color": list(color), "cone_degrees": degrees, "resolution": 16}
+    shadow = {"scattering": s, "scatter_color": list(color), "cone_degrees": degrees,
+              "resolution": 16}  # fmt: skip
     of = shadowed(BLOCK, light=light, shadow=shadow)
     places = inside(64).round()
     if light["type"] == "point":
@@ -412,11 +450,13 @@ def test_no_shadow_ray_for_what_does_not_count(context):
     assert (found[::2] == 1.0).all() and (found[1::2] < 1.0).all()
 
 
-def test_no_shadow_ray_where_nothing_is_lit(context):
-    """A block has no gradient, so nothing in it is lit."""
-    of = shadowed(BLOCK, image={"width": 8, "height": 8})
-    counters = picture(context, of).counters
-    assert counters["lit_samples"] == counters["shadow_rays"] == counters["shadow_samples"] == 0
+def test_no_shadow_where_nothing_is_lit(context):
+    """What has opacity has no gradient here, and so nothing is lit."""
+    of = shadowed(np.zeros((16, 16, 16), np.float32), image={"width": 8, "height": 8})
+    caster = Raycaster(context, of)
+    assert not caster.switches.get("SHADOWS") and caster.light_volume_samples == 0
+    counters = caster.render(of.camera, 8, 8).counters
+    assert not counters.get("shadow_rays") and not counters.get("shadow_samples")
 
 
 def test_a_bound_changes_the_picture_by_less_than_it_adds_up_to(context):
@@ -442,7 +482,8 @@ def test_only_faces_towards_a_light_cast_rays(context):
 @pytest.mark.parametrize("light", [{"type": "headlight"}, {**SLANTED, "casts_shadow": False}],
                          ids=["headlight", "casts-none"])  # fmt: skip
 def test_lights_without_shadows_call_for_none(context, light):
-    of, bare = (shadowed(ball(), BALL, light, s, image={"width": 8, "height": 8}) for s in (RAYS, None))
+    image = {"width": 8, "height": 8}
+    of, bare = (shadowed(ball(), BALL, light, s, image=image) for s in (RAYS, None))
     assert effect_switches(of) == effect_switches(bare)
     assert np.array_equal(picture(context, of).rgba, picture(context, bare).rgba)
 

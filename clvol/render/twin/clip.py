@@ -9,6 +9,9 @@ import numpy as np
 from clvol.volume import Grid
 
 
+LEAST_CUT = 1e-3  # smallest edges: where less of a ray is cut off, no cut face shows
+
+
 @dataclass
 class Stretches:
     """Slots in the order of the ray: ``enter`` < ``leave`` [n, s] along it, inf where there is
@@ -30,6 +33,8 @@ def kept_stretches(grid: Grid, clips, origin: np.ndarray, direction: np.ndarray)
     kept = Stretches(start[:, None], end[:, None], np.zeros((len(origin), 1, 3)))
     for clip in clips:
         kept = _intersection(kept, clip_stretches(clip, origin, direction))
+    uncut = kept.enter <= start[:, None] + LEAST_CUT * grid.smallest_edge
+    kept.normal[uncut] = 0.0
     empty = ~(kept.leave > kept.enter)
     kept.enter[empty] = kept.leave[empty] = np.inf
     order = np.argsort(kept.enter, axis=1, kind="stable")

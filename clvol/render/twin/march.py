@@ -118,7 +118,8 @@ class _March:
         elif self.surfaces:
             bent_rays = self._segment_with_surfaces(rays, n, t0, t1)
         else:
-            self._piece(rays, n, t0, t1, whole=True)
+            color, depth = self._look(rays, n, t0, t1)
+            rays.composite(n, color, -np.expm1(-depth))
             bent_rays = np.zeros(len(n), bool)
         on, t1, leave = n[~bent_rays], t1[~bent_rays], leave[~bent_rays]
         rays.i[on] += 1
@@ -137,15 +138,16 @@ class _March:
             [surface.value for surface in self.surfaces],
             known_side=np.where((rays.i[n] == 0)[:, None], rays.side[n], 0),
         )  # fmt: skip
+        color, depth = self._look(rays, n, t0, t1)
+        depth_per_length = depth / np.where(t1 > t0, t1 - t0, 1.0)
         going, was_bent = np.ones(len(n), bool), np.zeros(len(n), bool)
         start = t0
-        cut = np.isfinite(met.t).any(axis=1)
         for k in range(met.t.shape[1] + 1):
             at = met.t[:, k] if k < met.t.shape[1] else np.full(len(n), np.inf)
             end = np.minimum(at, t1)
-            for is_cut in (False, True):
-                here = going & (end > start) & (cut == is_cut)
-                self._piece(rays, n[here], start[here], end[here], whole=not is_cut)
+            here = going & (end > start)
+            opacity = -np.expm1(-depth_per_length * (end - start))
+            rays.composite(n[here], color[here], opacity[here])
             going &= np.isfinite(at) & (rays.opacity[n] < self.stop)
             if going.any():
                 surface, rising = met.surface[going, k], met.rising[going, k]
@@ -154,30 +156,24 @@ class _March:
             start = end
         return was_bent
 
-    def _piece(self, rays, n, t0, t1, *, whole: bool) -> None:
-        """The volume from t0 to t1: a whole segment, or a piece of one that a surface cut."""
-        if not len(n):
-            return
+    def _look(self, rays, n, t0, t1) -> tuple[np.ndarray, np.ndarray]:
+        """(colour [n, 3], lit and cued, optical depth [n]) of the volume from t0 to t1."""
         enter = rays.kept.enter[n, rays.slot[n]]
-        curved = (rays.i[n] > 0) & whole
         segment = self.medium.segment(
             rays.at(n, t0), rays.at(n, t1), rays.direction[n],
-            before=rays.at(n, t0 - self.step), curved=curved, steps=(t1 - t0) / self.step,
+            before=rays.at(n, t0 - self.step), curved=rays.i[n] > 0, steps=(t1 - t0) / self.step,
         )  # fmt: skip
-        seen = segment.depth > 0
-        n, t0, t1, enter = n[seen], t0[seen], t1[seen], enter[seen]
-        color, middle, gradient = segment.color[seen], segment.middle[seen], segment.gradient[seen]
-        opacity = -np.expm1(-segment.depth[seen])
         normal = rays.kept.normal[n, rays.slot[n]]
         tm = 0.5 * (t0 + t1)
         share = np.clip(1.0 - (tm - enter) / self.medium.grid.smallest_edge, 0.0, 1.0)
         share = np.where(np.any(normal != 0, axis=1), share, 0.0)
-        weight = opacity * (1.0 - rays.opacity[n])
-        color = self.shader.lit(
-            color, middle, gradient, rays.direction[n],
-            weight=weight, cut_normal=normal, cut_share=share,
+        weight = -np.expm1(-segment.depth) * (1.0 - rays.opacity[n])
+        color, seen = segment.color.copy(), segment.depth > 0
+        color[seen] = self.shader.lit(
+            color[seen], segment.middle[seen], segment.gradient[seen], rays.direction[n[seen]],
+            weight=weight[seen], cut_normal=normal[seen], cut_share=share[seen],
         )  # fmt: skip
-        rays.composite(n, self._cued(color, rays.travelled[n] + tm), opacity)
+        return self._cued(color, rays.travelled[n] + tm), segment.depth
 
     def _surface(self, rays, n, t, surface, rising) -> np.ndarray:
         """Composites crossings of the rays ``n`` at ``t``; which of them were bent there.
@@ -197,7 +193,8 @@ class _March:
         )  # fmt: skip
         rays.composite(n, self._cued(color, rays.travelled[n] + t), opacity)
         bends = kept & (index != 1.0) & (rays.bends[n] < MOST_BENDS)
-        bends &= rays.opacity[n] < self.stop
+        bends &= (rays.opacity[n] < self.stop) & np.any(gradient != 0, axis=1)
+        bends &= np.isfinite(gradient).all(axis=1)
         if bends.any():
             direction, reflected = bent(rays.direction[n], gradient, index, rising)
             side = np.where(rising != reflected, 1, -1)

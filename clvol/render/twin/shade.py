@@ -47,14 +47,17 @@ class Shader:
         gradient = np.where(known[:, None], gradient, 0.0)
         normal = -gradient / np.where(known, slope, 1.0)[:, None]
         view = -direction
+        if cut_share is not None:
+            at_cut = cut_share > 0
+            turned = self.material.two_sided & (np.sum(normal * cut_normal, axis=1) < 0)
+            normal = np.where((at_cut & turned)[:, None], -normal, normal)
+            normal = cut_share[:, None] * cut_normal + (1.0 - cut_share)[:, None] * normal
+            length = np.linalg.norm(normal, axis=1)
+            normal = normal / np.where(length > 0, length, 1.0)[:, None]
+            if fade == 0:
+                strength = np.where(at_cut, length > 0, strength)
         if self.material.two_sided:
             normal = np.where((np.sum(normal * view, axis=1) < 0)[:, None], -normal, normal)
-        if cut_share is not None:
-            normal = cut_share[:, None] * cut_normal + (1.0 - cut_share)[:, None] * normal
-            strength = cut_share + (1.0 - cut_share) * strength
-            length = np.linalg.norm(normal, axis=1)
-            strength = np.where(length > 0, strength, 0.0)
-            normal = normal / np.where(length > 0, length, 1.0)[:, None]
         shown = strength > 0
         out = color.copy()
         if shown.any():

@@ -48,7 +48,7 @@ def crossings(
             middle = 0.5 * (low + high)
             is_after = (value(origin[ray] + middle[:, None] * direction[ray]) >= isovalue) == rising
             low, high = np.where(is_after, low, middle), np.where(is_after, middle, high)
-        found.append((ray, 0.5 * (low + high), np.full(len(ray), k), rising))
+        found.append((ray, high, np.full(len(ray), k), rising))
     ray, at, surface, rising = (np.concatenate(part) for part in zip(*found))
     order = np.lexsort((at, ray))
     ray, at, surface, rising = ray[order], at[order], surface[order], rising[order]

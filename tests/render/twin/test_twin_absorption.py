@@ -254,7 +254,7 @@ def test_octaves_double_the_frequency():
     volume = Volume(np.zeros((5, 9, 17)), spacing=(0.5, 0.5, 1.0), origin=(1.0, 2.0, 3.0))
     keys = {"target": "value", "amplitude": 1.0, "frequency": 3.0, "octaves": 2, "gain": 0.7,
             "velocity": [0.1, 0.2, 0.3]}  # fmt: skip
-    noise = scene(volume, noise=keys).noise
+    (noise,) = scene(volume, noise=[keys]).noise
     at = np.array([[2.3, 3.1, 5.7]])
     p, moved = 3.0 * np.array([[1.3, 1.1, 2.7]]) / 8.0, np.array([0.2, 0.4, 0.6])
     expected = tile_noise(tile, p + moved) + 0.7 * tile_noise(tile, 2 * p + moved)
