@@ -153,13 +153,15 @@ INLINE Vectors broadcast3(float4 v)
   const Vectors r = {v.x, v.y, v.z};
   return r;
 }
-/* Of unit length; 0 stays 0 (and so does what is too short to have a direction). */
-INLINE Vectors unit3(Vectors a)
+/* Times a length, of unit length before; 0 stays 0 (and so does what is too short to have a direction). */
+INLINE Vectors directed3(Vectors a, float length)
 {
   const floatN square = dot3(a, a);
-  const intN long_enough = MASK(square > 1e-37f) & MASK(square < 1e38f);
-  return scaled3(a, select((floatN)0.0f, lane_rsqrt(select((floatN)1.0f, square, long_enough)), long_enough));
+  const intN long_enough = MASK(square > 1e-30f) & MASK(square < 1e30f);
+  const floatN inverse = lane_rsqrt(select((floatN)1.0f, square, long_enough));
+  return scaled3(a, select((floatN)0.0f, length * inverse, long_enough));
 }
+INLINE Vectors unit3(Vectors a) { return directed3(a, 1.0f); }
 
 INLINE Vectors to_local(__constant const Effects *e, floatN x, floatN y, floatN z)
 {
@@ -179,6 +181,10 @@ INLINE Vectors direction_to_local(__constant const Effects *e, floatN x, floatN 
 /* From a derivative per lattice unit to one per edge along the local axes. */
 INLINE Vectors gradient_to_local(__constant const Effects *e, floatN x, floatN y, floatN z)
 {
+  if (e->gradient_x.w != 0.0f) { /* the lattice is along the axes */
+    const Vectors along = {e->gradient_x.x * x, e->gradient_y.y * y, e->gradient_z.z * z};
+    return along;
+  }
   const Vectors r = {e->gradient_x.x * x + e->gradient_x.y * y + e->gradient_x.z * z,
                      e->gradient_y.x * x + e->gradient_y.y * y + e->gradient_y.z * z,
                      e->gradient_z.x * x + e->gradient_z.y * y + e->gradient_z.z * z};

@@ -253,7 +253,7 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
       if (visible) {
         Vectors color = {e.r, e.g, e.b};
 #if LIGHTING
-        Vectors normal = unit3(scaled3(gradient, -1.0f));
+        Vectors normal = directed3(gradient, -1.0f);
 #if CLIP
         /* A cut face shows its own normal, going over to the gradient's within one edge. */
         const floatN inside = lane_clamp(tm * h, (floatN)0.0f, (floatN)1.0f);

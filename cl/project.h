@@ -7,7 +7,7 @@
  *                       the integral of that before it); its opacity is attenuated as much
  *
  * A ray's kept stretches (clip.h) are cut into segments one step long, the last one shorter, and the value at each one's middle
- * counts. Values that are not finite do not; a ray without any shows nothing. Of equal ones the first counts. Values are clamped
+ * counts. Values that are not finite do not, nor what masks remove (fields.h); a ray without any shows nothing. Of equal ones the first counts. Values are clamped
  * to the bounds that hold for all samples (value_bounds), which rounding alone could leave.
  *
  * Leaping (SKIP_EMPTY). `factors` holds, for each cell of empty space, a bound of the score of every sample in it, and then the
@@ -167,27 +167,26 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
       const floatN t = select((floatN)0.0f, middle_of(&ray, i), active);
       const floatN value = scene_value(scene, ray.x0 + t * ray.dx, ray.y0 + t * ray.dy, ray.z0 + t * ray.dz);
       taken -= AS_UINT(active);
-      const floatN t0 = TO_FLOAT(i), t1 = lane_min(t0 + 1.0f, ray.length);
+      floatN kept = 1.0f;
 #if FIELDS & FIELD_MASK
-      const floatN kept = kept_by_masks(scene, &ray, t0, t1, active, counted);
-      intN counts = MASK(kept > 0.0f);
-#else
-      const float kept = 1.0f;
-      intN counts = active;
+      const floatN t0 = TO_FLOAT(i);
+      kept = kept_by_masks(scene, &ray, t0, lane_min(t0 + 1.0f, ray.length), active, counted);
 #endif
 #if MAY_BE_NAN
-      counts &= MASK((AS_INT(value) & 0x7f800000) != 0x7f800000);
+      intN counts = active & MASK((AS_INT(value) & 0x7f800000) != 0x7f800000);
       const floatN v = lane_clamp(select((floatN)lowest, value, counts), (floatN)lowest, (floatN)highest);
 #else
+      intN counts = active;
       const floatN v = lane_clamp(value, (floatN)lowest, (floatN)highest);
 #endif
+      counts &= MASK(kept > 0.0f);
 #if COMPOSITING == COMPOSITING_AVERAGE
-      const floatN length = select((floatN)0.0f, kept * (t1 - t0), counts);
+      const floatN length = kept * select((floatN)0.0f, lane_min(ray.length - TO_FLOAT(i), (floatN)1.0f), counts);
       sum += length * (v - lowest), length_sum += length;
 #else
 #if COMPOSITING == COMPOSITING_ATTENUATED_MAXIMUM
       const floatN share = lane_max((v - effects->projection.x) * effects->projection.y, (floatN)0.0f);
-      const floatN length = select((floatN)0.0f, kept * (t1 - t0), counts);
+      const floatN length = kept * select((floatN)0.0f, lane_min(ray.length - TO_FLOAT(i), (floatN)1.0f), counts);
       const floatN score = share * attenuation;
 #elif COMPOSITING == COMPOSITING_MINIMUM
       const floatN score = -v;

@@ -48,7 +48,7 @@ INLINE Illumination illuminate(const Scene *scene, Vectors place, Vectors normal
   lit.diffuse.x = lit.diffuse.y = lit.diffuse.z = e->material.x;
   lit.specular.x = lit.specular.y = lit.specular.z = 0.0f;
 #if LIGHTS
-  const Vectors here = to_local(e, place.x, place.y, place.z);
+  const Vectors lit_place = place;
 #if SHADOWS == SHADOWS_BY_VOLUME && ISOSURFACES
   if (on_surface) place = beyond_surface(scene, place, normal);
 #endif
@@ -56,6 +56,7 @@ INLINE Illumination illuminate(const Scene *scene, Vectors place, Vectors normal
     const float4 at = scene->items[e->first.x + 2 * k], intensity = scene->items[e->first.x + 2 * k + 1];
     Vectors towards = broadcast3(at);
     if (at.w == LIGHT_POINT) {
+      const Vectors here = to_local(e, lit_place.x, lit_place.y, lit_place.z);
       const Vectors from = {at.x - here.x, at.y - here.y, at.z - here.z};
       towards = unit3(from);
     }

@@ -193,7 +193,7 @@ INLINE SurfacePassage pass_surfaces(const Scene *scene, const Rays *ray, Vectors
       const floatN left = select((floatN)0.0f, 1.0f - acc->a, crosses);
 #if GRADIENT
       const Vectors gradient = scene_gradient(scene, at.x, at.y, at.z);
-      const Vectors normal = unit3(scaled3(gradient, -1.0f));
+      const Vectors normal = directed3(gradient, -1.0f);
       const intN has_normal = crosses & MASK(dot3(normal, normal) > 0.5f);
       count(&counted[COUNT_GRADIENTS], crosses);
 #if LIGHTING

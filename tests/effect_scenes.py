@@ -53,7 +53,7 @@ def scaled(function: TransferFunction, factor: float, unit: float = 1.0) -> Tran
 def scene(array, function=HAZE, *, grid=None, size=SIZE, **tables):
     """A resolved scene; ``tables`` as in a scene file."""
     volume = array if isinstance(array, Volume) else Volume(array, **(grid or {}))
-    integration = {"early_termination": 0.0, "table_size": 256, "classification": "post"}
+    integration = {"early_termination": 0.0, "table_size": 512, "classification": "post"}
     integration.update(tables.pop("integration", {}))
     return Scene(
         volume=volume,

@@ -27,6 +27,7 @@ from clvol.render.light_volume import (
     shadow_switches,
 )
 from clvol.render.noise import TARGETS, device_noise, device_tiles, perturbation
+from clvol.render.opacity_factors import factor_rows, factor_switches, layer_places
 from clvol.render.project import (
     NO_SCORE,
     attenuation_a_step,
@@ -34,7 +35,6 @@ from clvol.render.project import (
     sample_bounds,
     score_bounds,
 )
-from clvol.render.opacity_factors import factor_rows, factor_switches, layer_places
 from clvol.scene.resolve import ResolvedScene
 from clvol.volume import Grid
 
@@ -85,10 +85,10 @@ def effect_switches(
         "DEPTH_CUE": int(resolved.depth_cue is not None),
         "ENVIRONMENT": int(lit and resolved.environment is not None),
         "ENVIRONMENT_VISIBLE": int(seen),
-        "NOISE": _noise(resolved),
-        **shadow_switches(resolved),
         **factor_switches(resolved),
         **field_switches(resolved),
+        "NOISE": _noise(resolved),
+        **shadow_switches(resolved),
         "GRADIENT": _gradient(resolved, limits) if lit or refracts or decides else 0,
     }
     if not any(switches.values()):
@@ -202,6 +202,8 @@ class EffectState:
         for axis, name in enumerate("xyz"):
             numbers[f"local_{name}"] = (*space.matrix[axis], space.shift[axis])
             numbers[f"gradient_{name}"][:3] = space.inverse_transpose[axis]
+        diagonal = np.diag(np.diag(space.inverse_transpose))
+        numbers["gradient_x"][3] = float(np.array_equal(diagonal, space.inverse_transpose))
         material = resolved.material
         numbers["material"] = (
             material.ambient, material.diffuse, material.specular, material.shininess

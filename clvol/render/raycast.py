@@ -190,8 +190,8 @@ class Raycaster:
         resolved, context = self.resolved, self.context
         # Where the nodes are depends on no cycling: it compiles nothing.
         self.nodes = scene_nodes(resolved, function)
-        self._asked_functions = layer_functions(resolved, function)
-        mapped = device_function(union(self._asked_functions), self.volume.values)
+        mapped = device_function(union(layer_functions(resolved, function)), self.volume.values)
+        self._asked_function = function
         self._set_colors()
         visible = visible_cells(mapped, self.nodes.values)
         self.gate = _gate(mapped, self.nodes, visible)
@@ -222,11 +222,10 @@ class Raycaster:
         self._without_surfaces = self._beside_surfaces()
 
     def _set_colors(self) -> None:
-        """The table, with colours as they are at the scene's time."""
-        self._functions = [
-            device_function(cycled_function(self.resolved, each), self.volume.values)
-            for each in self._asked_functions
-        ]
+        """The tables, with colours as they are at the scene's time."""
+        functions = layer_functions(self.resolved, self._asked_function)
+        moved = [cycled_function(self.resolved, function) for function in functions]
+        self._functions = [device_function(function, self.volume.values) for function in moved]
         self._build_table()
 
     @property

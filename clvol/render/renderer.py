@@ -138,8 +138,7 @@ def check_memory(resolved: ResolvedScene, cap: int | None) -> None:
 
     image, volume = resolved.image, resolved.volume
     needed = scene_bytes(volume, resolved.integration.table_size, image.width, image.height)
-    needed += light_volume_bytes(resolved)
-    needed += field_bytes(resolved)
+    needed += light_volume_bytes(resolved) + field_bytes(resolved)
     if cap is not None and needed > cap:
         what = f"needs {needed} bytes on the device, pictures and tables included"
         raise VolumeError(volume.name or "volume", what, f"at most the memory cap of {cap} bytes")
