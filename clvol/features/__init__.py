@@ -9,7 +9,7 @@ scene: it notes its effects with reasons and takes out of the scene what has no 
 
 from __future__ import annotations
 
-from clvol.features.analysis import NAMES, called_for, effects, reduced
+from clvol.features.analysis import NAMES, called_for, effects, reduced, reduced_for_frames
 from clvol.features.effect import Effect
 from clvol.features.explanation import explain, kernel_hash
 from clvol.features.findings import emits
@@ -46,5 +46,6 @@ __all__ = [
     "kernel_hash",
     "overshoot",
     "reduced",
+    "reduced_for_frames",
     "refuse_unknown",
 ]

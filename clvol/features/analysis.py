@@ -5,7 +5,7 @@ Both come from the same passes, so they agree. An analysis is kept as long as it
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from weakref import WeakKeyDictionary
 
 from clvol.features import (
@@ -64,7 +64,9 @@ _PASSES = (
 @dataclass(frozen=True, eq=False)
 class Analysis:
     effects: tuple[Effect, ...]
-    reduced: ResolvedScene | None  # None: the scene itself, which has nothing without consequence
+    # None: the scene itself, which has nothing without consequence
+    reduced: ResolvedScene | None
+    for_frames: ResolvedScene | None  # the same at any time of its animation
 
 
 _known: WeakKeyDictionary = WeakKeyDictionary()  # ResolvedScene: Analysis
@@ -77,7 +79,12 @@ def analysis_of(scene: ResolvedScene) -> Analysis:
             part.judge(found)
         effects = tuple(found.effects[name] for name in NAMES)
         changed = _differs(found.scene, scene)
-        _known[scene] = Analysis(effects, found.scene if changed else None)
+        small = found.scene if changed else None
+        later = small
+        if found.cycles_later:
+            later = replace(found.scene, animation=scene.animation)
+            later = later if _differs(later, scene) else None
+        _known[scene] = Analysis(effects, small, later)
     return _known[scene]
 
 
@@ -100,6 +107,13 @@ def reduced(resolved: ResolvedScene) -> ResolvedScene:
     """
     analysis = analysis_of(resolved)
     return resolved if analysis.reduced is None else analysis.reduced
+
+
+def reduced_for_frames(resolved: ResolvedScene) -> ResolvedScene:
+    """As ``reduced``, but with colours that cycle and have come round: they have a consequence in
+    the next frame, which shall be rendered by the same kernels."""
+    analysis = analysis_of(resolved)
+    return resolved if analysis.for_frames is None else analysis.for_frames
 
 
 def _differs(one: ResolvedScene, other: ResolvedScene) -> bool:

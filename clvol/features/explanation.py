@@ -5,8 +5,9 @@ from __future__ import annotations
 import hashlib
 from typing import Any
 
-from clvol.features.analysis import effects, reduced
+from clvol.features.analysis import effects, reduced, reduced_for_frames
 from clvol.features.refuse import refuse_unknown
+from clvol.features.vocabulary import GRADIENTS
 from clvol.scene.resolve import ResolvedScene
 
 
@@ -21,20 +22,47 @@ def explain(resolved: ResolvedScene) -> dict[str, Any]:
 
 
 def kernel_hash(resolved: ResolvedScene, lanes: int = 16) -> str:
-    """Identifies exactly what gets compiled: sources and switches."""
+    """Identifies exactly what gets compiled for this scene: sources and switches.
+
+    On a device with room for what is precomputed. The voxels count as they are rendered: coefficients
+    of a prefilter are found for it.
+    """
     from clvol.opencl.context import compile_options
     from clvol.opencl.kernels_path import kernel_folder
-    from clvol.render.raycast import raycast_switches, scene_nodes
 
-    resolved = reduced(resolved)
+    digest = hashlib.sha256()
     if resolved.integration.method == "reference":
-        names, options = ("reference*",), (resolved.volume.dtype.name, resolved.integration.filter)
+        resolved = reduced(resolved)
+        digest.update(f"{resolved.volume.dtype.name} {resolved.integration.filter}".encode())
+        files = ["reference*"]
     else:
-        warped = scene_nodes(resolved).warp is not None
-        options = compile_options(raycast_switches(resolved, warped=warped, lanes=lanes))
-        names = ("raycast.cl", "*.h")
-    digest = hashlib.sha256(" ".join(options).encode())
-    for pattern in names:
+        programs = scene_programs(resolved, lanes)
+        for file, switches in programs.items():
+            digest.update(" ".join((file, *compile_options(switches))).encode())
+        files = [*programs, "*.h"]
+    for pattern in files:
         for path in sorted(kernel_folder().glob(pattern)):
             digest.update(path.read_bytes())
     return digest.hexdigest()[:16]
+
+
+def scene_programs(resolved: ResolvedScene, lanes: int = 16) -> dict[str, dict[str, int]]:
+    """The files of cl/ that the ray caster compiles for this scene (beside those that all scenes
+    share, for tables and empty space), each with its switches."""
+    from clvol.render.gradients import storing_switches
+    from clvol.render.light_volume import METHODS
+    from clvol.render.prefilter import prefiltered
+    from clvol.render.quantise import quantised
+    from clvol.render.raycast import raycast_switches, scene_nodes
+
+    resolved = reduced_for_frames(prefiltered(quantised(reduced_for_frames(resolved))))
+    warped = scene_nodes(resolved).warp is not None
+    switches = raycast_switches(resolved, warped=warped, lanes=lanes)
+    programs = {"raycast.cl": switches}
+    if resolved.image.ray_spacing > 1:
+        programs["fill_between_rays.cl"] = switches
+    if switches.get("SHADOWS") == METHODS["volume"]:
+        programs["light_volume.cl"] = switches
+    if switches.get("GRADIENT") == GRADIENTS["precomputed"]:
+        programs["gradients.cl"] = storing_switches(switches, resolved.gradient.operator)
+    return programs

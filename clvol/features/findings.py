@@ -30,7 +30,8 @@ class Findings:
     voxel is finite. ``emits``: whether the transfer function shows any of the volume. ``adds``:
     whether a density field shows anything. ``surfaces``: the iso-surfaces that do anything.
     ``blank``: none of these three. ``lit``, ``by_lights``: whether anything is lit, and whether by
-    lights; known once the pass over lighting is done.
+    lights; known once the pass over lighting is done. ``cycles_later``: whether colours that cycle
+    are where they began just now.
     """
 
     def __init__(self, scene: ResolvedScene) -> None:
@@ -44,7 +45,7 @@ class Findings:
         )
         self.surfaces = self._surfaces(*reachable(scene))
         self.blank = not (self.emits or self.adds or self.surfaces)
-        self.lit = self.by_lights = False
+        self.lit = self.by_lights = self.cycles_later = False
 
     def note(self, *effects: Effect) -> None:
         for effect in effects:

@@ -42,12 +42,13 @@ def _cycle(found: Findings) -> None:
     reason = None
     if animation.cycle == 0:
         reason = "the cycle is 0"
-    elif shift % 1.0 == 0 and reachable(scene) == (low, high):
-        reason = f"the colours have come round {abs(shift):g} times"
     elif low == high:
         reason = "the volume has one value"
     elif not found.emits:
         reason = "the transfer function shows nothing of the volume"
+    elif shift % 1.0 == 0 and reachable(scene) == (low, high):
+        reason = f"the colours have come round {abs(shift):g} times"
+        found.cycles_later = True
     if reason is None:
         found.note(yes(name, f"the colours are moved by {shift % 1.0:g} of the range"))
         return

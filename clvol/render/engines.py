@@ -30,7 +30,8 @@ class Engines:
 
     def make(self, resolved: ResolvedScene) -> Raycaster:
         """What renders ``resolved`` by its ``integration.method``."""
-        from clvol.render.raycast import Raycaster, reduced_for_frames
+        from clvol.features import reduced_for_frames
+        from clvol.render.raycast import Raycaster
 
         resolved = self._with_precision(reduced_for_frames(resolved))
         key = _key(resolved)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from clvol.errors import RenderError
-from clvol.features import CLASSIFICATIONS, FILTERS, QUADRATURES, overshoot, reduced
+from clvol.features import CLASSIFICATIONS, FILTERS, QUADRATURES, overshoot, reduced_for_frames
 from clvol.features.values import reachable
 from clvol.opencl.context import DeviceArray, DeviceContext, restore_interrupts
 from clvol.opencl.structs import effects_dtype, view_dtype
@@ -144,12 +144,6 @@ class FrameData:
     samples: int
     rays: int
     counters: dict[str, int] = field(default_factory=dict)
-
-
-def reduced_for_frames(resolved: ResolvedScene) -> ResolvedScene:
-    """Without what has no consequence, but for cycling colours: they may have one in the next frame,
-    which shall find its nodes."""
-    return replace(reduced(resolved), animation=resolved.animation)
 
 
 class Raycaster:
