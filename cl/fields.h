@@ -11,6 +11,7 @@
 
 #include "effects.h"
 #include "emission.h"
+#include "rays.h"
 
 /* As in clvol/render/fields.py: bits of FIELDS, and roles. */
 #define FIELD_LABEL 1
@@ -168,6 +169,19 @@ INLINE floatN kept_share(const Scene *scene, int k, const Rays *ray, floatN t0, 
   return select(none, kept, known);
 }
 
+/* The share that all masks keep; 0 for rays that are not active. */
+INLINE floatN kept_by_masks(const Scene *scene, const Rays *ray, floatN t0, floatN t1, intN active, Tally *counted)
+{
+  floatN share = select((floatN)0.0f, (floatN)1.0f, active);
+  _Pragma("unroll 1") for (int k = 0; k < scene->effects->fields.x; ++k) {
+    const intN kept = MASK(share > 0.0f);
+    if (scene->effects->field_size[k].w != FIELD_MASK || !any_lane(kept)) continue;
+    count(&counted[COUNT_FIELD_SAMPLES], kept), count(&counted[COUNT_FIELD_SAMPLES], kept);
+    share *= kept_share(scene, k, ray, t0, t1);
+  }
+  return share;
+}
+
 #endif
 
 /* What the fields make of a segment of `ray` from t0 to t1 with its middle at (x, y, z), where the volume itself may show
@@ -206,13 +220,7 @@ INLINE FieldLook look_at_fields(const Scene *scene, const Rays *ray, floatN t0, 
   }
 #endif
 #if FIELDS & FIELD_MASK
-  intN kept = active & (shows | MASK(look.added.d > 0.0f));
-  _Pragma("unroll 1") for (int k = 0; k < e->fields.x; ++k) {
-    if (e->field_size[k].w != FIELD_MASK || !any_lane(kept)) continue;
-    count(&counted[COUNT_FIELD_SAMPLES], kept), count(&counted[COUNT_FIELD_SAMPLES], kept);
-    look.kept *= kept_share(scene, k, ray, t0, t1);
-    kept &= MASK(look.kept > 0.0f);
-  }
+  look.kept = kept_by_masks(scene, ray, t0, t1, active & (shows | MASK(look.added.d > 0.0f)), counted);
 #endif
   return look;
 }

@@ -222,7 +222,7 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
 #endif
 #if TRANSFER_LAYERS
       if (visible) {
-        const TablePlace layers = layers_around(scene, gradient);
+        const TablePlace layers = layers_around(scene, gradient, 4 * view->table.w);
         _Pragma("unroll 1") for (int k = 0; k < 2; ++k) {
           const intN first = k ? layers.high : layers.low;
 #if CLASSIFICATION == CLASSIFICATION_PREINTEGRATED

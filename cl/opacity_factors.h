@@ -78,12 +78,11 @@ INLINE void weigh_by_gradient(const Scene *scene, Emission *e, Vectors gradient,
 
 #if TRANSFER_LAYERS
 
-/* The two layers' tables that a gradient's magnitude lies between, as floats from the beginning of `table`. */
-INLINE TablePlace layers_around(const Scene *scene, Vectors gradient)
+/* The two layers' tables that a gradient's magnitude lies between, of `floats` each, as floats from the beginning of the first. */
+INLINE TablePlace layers_around(const Scene *scene, Vectors gradient, int floats)
 {
   __constant const Effects *effects = scene->effects;
   TablePlace p = place_in_table(scene->factors + effects->factor_offsets.z, effects->factors.z, length3(gradient));
-  const int floats = 4 * scene->view->table.w;
   p.low *= floats, p.high *= floats;
   return p;
 }

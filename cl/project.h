@@ -167,9 +167,13 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
       const floatN t = select((floatN)0.0f, middle_of(&ray, i), active);
       const floatN value = scene_value(scene, ray.x0 + t * ray.dx, ray.y0 + t * ray.dy, ray.z0 + t * ray.dz);
       taken -= AS_UINT(active);
-      intN counts = active;
+      const floatN t0 = TO_FLOAT(i), t1 = lane_min(t0 + 1.0f, ray.length);
 #if FIELDS & FIELD_MASK
-      counts = mask_keeps(scene, ray.x0 + t * ray.dx, ray.y0 + t * ray.dy, ray.z0 + t * ray.dz, active, counted);
+      const floatN kept = kept_by_masks(scene, &ray, t0, t1, active, counted);
+      intN counts = MASK(kept > 0.0f);
+#else
+      const float kept = 1.0f;
+      intN counts = active;
 #endif
 #if MAY_BE_NAN
       counts &= MASK((AS_INT(value) & 0x7f800000) != 0x7f800000);
@@ -178,12 +182,12 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
       const floatN v = lane_clamp(value, (floatN)lowest, (floatN)highest);
 #endif
 #if COMPOSITING == COMPOSITING_AVERAGE
-      const floatN length = select((floatN)0.0f, lane_min(ray.length - TO_FLOAT(i), (floatN)1.0f), counts);
+      const floatN length = select((floatN)0.0f, kept * (t1 - t0), counts);
       sum += length * (v - lowest), length_sum += length;
 #else
 #if COMPOSITING == COMPOSITING_ATTENUATED_MAXIMUM
       const floatN share = lane_max((v - effects->projection.x) * effects->projection.y, (floatN)0.0f);
-      const floatN length = select((floatN)0.0f, lane_min(ray.length - TO_FLOAT(i), (floatN)1.0f), counts);
+      const floatN length = select((floatN)0.0f, kept * (t1 - t0), counts);
       const floatN score = share * attenuation;
 #elif COMPOSITING == COMPOSITING_MINIMUM
       const floatN score = -v;

@@ -83,44 +83,73 @@ INLINE floatN value_along(const Scene *scene, const Rays *ray, floatN t)
   return scene_value(scene, ray->x0 + t * ray->dx, ray->y0 + t * ray->dy, ray->z0 + t * ray->dz);
 }
 
-/* Optical depth an edge at the point t of the ray, where the value is `value`. */
-INLINE floatN extinction_along(const Scene *scene, const Rays *ray, floatN t, floatN value, Vectors direction, intN active,
-                               Tally *counted)
+INLINE floatN extinction_of(const Scene *scene, ClassCoordinate at, intN first)
+{
+  const floatN low = AS_FLOAT(gather4(scene->extinction, first + at.node));
+  const floatN high = AS_FLOAT(gather4(scene->extinction + 1, first + at.node));
+  return low + at.fraction * (high - low);
+}
+
+/* Mean optical depth an edge from t0 to t1 of the ray, where the value is `value` in the middle. */
+INLINE floatN extinction_along(const Scene *scene, const Rays *ray, floatN t0, floatN t1, floatN value, Vectors direction,
+                               intN active, Tally *counted)
 {
   __constant const View *view = scene->view;
   const ClassCoordinate at = class_coordinate(value, scene->warp, view);
-  const floatN low = AS_FLOAT(gather4(scene->extinction, at.node)), high = AS_FLOAT(gather4(scene->extinction + 1, at.node));
-  floatN extinction = low + at.fraction * (high - low);
-#if FIELDS || OPACITY_FACTORS || TRANSFER_LAYERS
-  /* Those count in steps of the eye's rays. */
-  Emission e = no_emission();
-  e.d = extinction * view->march.x;
+#if !(FIELDS || OPACITY_FACTORS || TRANSFER_LAYERS)
+  return extinction_of(scene, at, (intN)0);
+#else
+  Emission e = no_emission(); /* of a step of the eye's rays, by which tables of fields count */
+  const floatN t = 0.5f * (t0 + t1);
   const floatN x = ray->x0 + t * ray->dx, y = ray->y0 + t * ray->dy, z = ray->z0 + t * ray->dz;
+#if TRANSFER_LAYERS
+  intN shows = may_be_visible(at.position, at.position, active, view) ? active : (intN)0;
+#else
+  e.d = select((floatN)0.0f, extinction_of(scene, at, (intN)0) * view->march.x, active);
+  intN shows = MASK(e.d > 0.0f);
+#endif
 #if FIELDS
-  add_fields(scene, x, y, z, &e, active, counted);
+  const FieldLook look = look_at_fields(scene, ray, t0, t1, x, y, z, shows, active, counted);
+  shows &= MASK(look.kept > 0.0f);
 #endif
 #if OPACITY_FACTORS || TRANSFER_LAYERS
-  const intN shows = active & MASK(e.d > 0.0f);
   if (any_lane(shows)) {
     count(&counted[COUNT_GRADIENTS], shows);
-    weigh_by_gradient(scene, &e, value, scene_gradient(scene, x, y, z), direction, shows);
+    const Vectors gradient = scene_gradient(scene, x, y, z);
+#if TRANSFER_LAYERS
+    const TablePlace layers = layers_around(scene, gradient, view->table.y);
+    const floatN low = extinction_of(scene, at, layers.low), high = extinction_of(scene, at, layers.high);
+    e.d = (low + layers.share * (high - low)) * view->march.x;
+#endif
+#if OPACITY_FACTORS
+    weigh_by_gradient(scene, &e, gradient, direction);
+#endif
   }
 #endif
-  extinction = e.d * (1.0f / view->march.x);
+#if FIELDS
+  apply_fields(look, &e);
 #endif
-  return extinction;
+  return e.d * (1.0f / view->march.x);
+#endif
 }
 
 #if ISOSURFACES
-/* Optical depth of the surfaces whose iso-values lie between two values. A value that is not finite is on no side. */
-INLINE floatN surfaces_between(const Scene *scene, floatN before, floatN after, intN active)
+/* Optical depth of the surfaces whose iso-values lie between two values, at the points `from` and `to` of the ray. A value that
+ * is not finite is on no side. What a mask removes is asked where the value would be met if it ran linearly. */
+INLINE floatN surfaces_between(const Scene *scene, const Rays *ray, floatN from, floatN to, floatN before, floatN after,
+                               intN active, Tally *counted)
 {
   const int first = scene->effects->first.y;
   const intN known = active & MASK((AS_INT(before) & 0x7f800000) != 0x7f800000) & MASK((AS_INT(after) & 0x7f800000) != 0x7f800000);
   floatN depth = 0.0f;
   _Pragma("unroll 1") for (int k = 0; k < scene->effects->counts.y; ++k) {
     const float4 surface = scene->items[first + 3 * k];
-    const intN crosses = known & (MASK(before >= surface.x) ^ MASK(after >= surface.x));
+    intN crosses = known & (MASK(before >= surface.x) ^ MASK(after >= surface.x));
+#if FIELDS & FIELD_MASK
+    if (!any_lane(crosses)) continue;
+    const floatN share = (surface.x - before) / select((floatN)1.0f, after - before, crosses), t = from + share * (to - from);
+    crosses = mask_keeps(scene, ray->x0 + t * ray->dx, ray->y0 + t * ray->dy, ray->z0 + t * ray->dz, crosses, counted);
+#endif
     depth += select((floatN)0.0f, (floatN)surface.w, crosses);
   }
   return depth;
@@ -156,10 +185,10 @@ INLINE floatN depth_along(const Scene *scene, const Rays *ray, Vectors direction
       const floatN length = select((floatN)0.0f, lane_min(ray->length - t0, (floatN)1.0f), active);
       const floatN t = t0 + 0.5f * length, value = value_along(scene, ray, t);
       count(&counted[COUNT_SHADOW_SAMPLES], active);
-      const floatN extinction = extinction_along(scene, ray, t, value, direction, active, counted);
+      const floatN extinction = extinction_along(scene, ray, t0, t0 + length, value, direction, active, counted);
       depth += h * length * select((floatN)0.0f, extinction, active);
 #if ISOSURFACES
-      depth += surfaces_between(scene, before, value, active);
+      depth += surfaces_between(scene, ray, lane_max(t - 1.0f, (floatN)0.0f), t, before, value, active, counted);
       before = select(before, value, active);
 #endif
       i -= active;
@@ -168,7 +197,9 @@ INLINE floatN depth_along(const Scene *scene, const Rays *ray, Vectors direction
 #if ISOSURFACES
   const intN ends = MASK(last >= 0) & MASK(depth < enough);
   if (any_lane(ends)) {
-    depth += surfaces_between(scene, before, value_along(scene, ray, ray->length), ends);
+    const floatN middle = TO_FLOAT(last) + 0.5f * (ray->length - TO_FLOAT(last));
+    const floatN end_value = value_along(scene, ray, ray->length);
+    depth += surfaces_between(scene, ray, middle, ray->length, before, end_value, ends, counted);
     count(&counted[COUNT_SHADOW_SAMPLES], ends);
   }
 #endif

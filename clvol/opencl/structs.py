@@ -36,7 +36,6 @@ MOST_FIELDS = 3
 _FIELD_FLOAT4 = ("field_x", "field_y", "field_z", "field_map")
 _FIELD_INT4 = ("field_size", "field_at")
 
-
 MOST_NOISE_TERMS = 4  # NOISE_TERMS
 NOISE_TERM = np.dtype(
     [("scale", "f4", 4), ("offset", "f4", 4), ("amplitude", "f4", 4), ("shape", "i4", 4)]

@@ -241,7 +241,9 @@ class Raycaster:
     def _build_shadows(self) -> None:
         """What shadows need, which neither the camera nor the step changes."""
         arrays, edge = self.effects.arrays, self.resolved.volume.grid.smallest_edge
-        arrays["extinction"] = extinctions(self.context, self._functions[0], self.nodes.values, edge)
+        nodes = self.nodes.values
+        tables = [extinctions(self.context, each, nodes, edge) for each in self._functions]
+        arrays["extinction"] = stacked(self.context, tables)
         if self.switches["SHADOWS"] == METHODS["volume"] and self.visible_share:
             view = np.zeros(1, self._view_dtype)
             self._describe_volume(view[0])
