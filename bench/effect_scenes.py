@@ -209,7 +209,7 @@ def _clip_sphere(place: Place) -> Tables:
 def _noise(target: str, octaves: int = 1) -> Callable[[Place], Tables]:
     def tables(place: Place) -> Tables:
         reach = 0.02 * place.edge if target == "coordinate" else place.value(0.1) - place.value(0.0)
-        return {"noise": {"target": target, "amplitude": reach, "octaves": octaves, "seed": 1}}
+        return {"noise": [{"target": target, "amplitude": reach, "octaves": octaves, "seed": 1}]}
 
     return tables
 
@@ -370,7 +370,7 @@ UNUSED = (
     EffectScene("mask that keeps all", _STATED, _masks_nothing),
     EffectScene("clips that keep all", _STATED, _clips_nothing),
     EffectScene("noise of amplitude 0", _STATED,
-                _fixed(noise={"target": "value", "amplitude": 0.0, "octaves": 8})),
+                _fixed(noise=[{"target": "value", "amplitude": 0.0, "octaves": 8}])),
     EffectScene("depth cue of strength 0", _STATED,
                 _fixed(depth_cue={"strength": 0.0, "color": [1.0, 0.0, 0.0]})),
     EffectScene("cycle of speed 0", _STATED, _fixed(animation={"time": 3.0, "cycle": 0.0})),

@@ -229,8 +229,9 @@ INLINE void filter_taps(FetchedSample s, __constant const View *view, floatN *va
 
 #endif
 
-INLINE void classified_samples(FetchedSample s, __constant const View *view, __global const float *warp,
-                               __global const float *table, float4 *emission_extinction)
+/* `first`: where in `table` a lane's table begins, in floats. */
+INLINE void classified_samples_in(FetchedSample s, __constant const View *view, __global const float *warp, intN first,
+                                  __global const float *table, float4 *emission_extinction)
 {
   floatN value[TAPS], tap_weight[TAPS];
   filter_taps(s, view, value, tap_weight);
@@ -239,7 +240,7 @@ INLINE void classified_samples(FetchedSample s, __constant const View *view, __g
     const ClassCoordinate at = class_coordinate(value[v], warp, view);
     int entry[LANES];
     float f[LANES], weight[LANES];
-    STORE_LANES(at.node * 4, entry), STORE_LANES(at.fraction, f), STORE_LANES(tap_weight[v], weight);
+    STORE_LANES(first + at.node * 4, entry), STORE_LANES(at.fraction, f), STORE_LANES(tap_weight[v], weight);
     EACH_LANE_ROLLED(k)
     {
       const float8 r = vload8(0, table + entry[k]);
@@ -259,6 +260,12 @@ INLINE void classified_samples(FetchedSample s, __constant const View *view, __g
   STORE_LANES(sum, bad);
   EACH_LANE_ROLLED(k) if (bad[k] != 0.0f) emission_extinction[k] = 0.0f;
 #endif
+}
+
+INLINE void classified_samples(FetchedSample s, __constant const View *view, __global const float *warp,
+                               __global const float *table, float4 *emission_extinction)
+{
+  classified_samples_in(s, view, warp, (intN)0, table, emission_extinction);
 }
 
 INLINE void composite_classified(Accumulator *acc, const float4 *emission_extinction, floatN length_in_steps,

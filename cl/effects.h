@@ -10,6 +10,7 @@
 #include "lanes.h"
 #include "view.h"
 #include "features.h"
+#include "noise.h"
 
 typedef struct {
   float4 local_x, local_y, local_z;          /* lattice point to local: rows of the matrix, and in w the shift */
@@ -19,20 +20,31 @@ typedef struct {
   float4 shading;                            /* 1 / (magnitude per edge below which shading fades), or 0; two-sided; - ; - */
   float4 depth_cue;                          /* distance where it starts, 1 / its length (edges), strength; - */
   float4 depth_color;
-  float4 projection;                         /* lowest value, 1 / range, attenuation a step; highest value */
-  float4 shadow;                             /* bound; step (edges); strength of scattering; - */
+  float4 projection;                         /* lowest value of the volume, 1 / range, attenuation a step; score up to which nothing shows */
+  float4 shadow;                             /* bound; step (edges); strength of scattering; depth beyond which nothing arrives */
   float4 light_grid;                         /* lattice point to light grid: scale x, y, z; - */
   float4 environment;                        /* intensity of what is seen; - */
-  float4 cycle;                              /* lowest value, range, shift, 1 / range */
-  float4 noise_bound;                        /* - */
+  float4 value_bounds;                       /* lowest, highest value that a sample can have; - ; - */
+  float4 noise_reach;                        /* half a smallest edge, in lattice units along x, y, z; - */
   int4 counts;                               /* lights, surfaces, clips that keep, clips that remove */
-  int4 first;                                /* of the items: first light, surface, clip; noise */
+  int4 first;                                /* of the items: first light, surface, clip; - */
   int4 light_size;                           /* points of the light volume x, y, z; lights in it */
   int4 maps;                                 /* of the environment: side of the diffuse, specular, background map; - */
   int4 map_offsets;                          /* where they begin */
-  int4 factors;                              /* entries of the tables of gradient opacity, directional opacity, layers; - */
-  float4 factor_scale;                       /* entries a magnitude (per edge) of each */
+  int4 factors;                              /* points of gradient opacity, of directional opacity; layers; - */
+  int4 factor_offsets;                       /* where the tables of each begin */
+  int4 fields;                               /* how many; - */
+  float4 field_x[3], field_y[3], field_z[3]; /* lattice point to the field's: rows of the matrix, and in w the shift */
+  float4 field_map[3];                       /* see fields.h: of a density's values to its classes; a mask's threshold and side */
+  int4 field_size[3];                        /* lattice points x, y, z; role */
+  int4 field_at[3];                          /* where its voxels begin in `fields`; its table and warp in `factors`; - */
+  int4 noise_counts;                         /* terms that add to values, and after them those that move places; - ; - */
+  NoiseTerm noise_terms[NOISE_TERMS];
 } Effects;
+
+/* SHADOWS, see shadow.h. */
+#define SHADOWS_BY_RAYS 1
+#define SHADOWS_BY_VOLUME 2
 
 /* What is counted beside samples: one number each a tile. clvol/render/effects.py names them in this order. */
 #define COUNT_GRADIENTS 0        /* gradients reconstructed */
@@ -44,6 +56,19 @@ typedef struct {
 #define COUNT_FIELD_SAMPLES 6    /* of further fields */
 #define COUNT_BENDS 7            /* rays refracted or reflected */
 #define COUNTERS 8
+
+/* TILES_CHOSEN: this launch renders only the tiles marked in `chosen`; another one renders the others, without some effect. */
+#if TILES_CHOSEN
+#define CHOSEN_PARAMETER , __global const uchar *restrict chosen
+#define RETURN_UNLESS_CHOSEN(tile) \
+  if (!chosen[tile]) {             \
+    EFFECT_STORE_TALLY(tile)       \
+    return;                        \
+  }
+#else
+#define CHOSEN_PARAMETER
+#define RETURN_UNLESS_CHOSEN(tile)
+#endif
 
 #if EFFECTS
 
@@ -75,6 +100,7 @@ typedef struct {
   __global const uint *noise;
   __global const float *factors;
   __global const float *fields;
+  __global const float *extinction; /* by class coordinate, an edge: [nodes + 2] */
 } Scene;
 
 #define EFFECT_PARAMETERS                                                                                              \
@@ -82,9 +108,9 @@ typedef struct {
     __global const uint *restrict gradients, __global const uchar *restrict cell_flags,                                \
     __global const float4 *restrict environment, __global const float4 *restrict light_volume,                         \
     __global const uint *restrict noise, __global const float *restrict factors, __global const float *restrict fields, \
-    __global uint *restrict counts
+    __global const float *restrict extinction, __global uint *restrict counts
 #define EFFECT_ARGUMENTS \
-  , effects, items, gradients, cell_flags, environment, light_volume, noise, factors, fields, counted
+  , effects, items, gradients, cell_flags, environment, light_volume, noise, factors, fields, extinction, counted
 
 /* A kernel's own tally, written to counts[tile, COUNTERS] at its end. Lane by lane: a sum over lanes at every count would cost. */
 #define EFFECT_TALLY Tally counted[COUNTERS] = {0};
@@ -127,13 +153,15 @@ INLINE Vectors broadcast3(float4 v)
   const Vectors r = {v.x, v.y, v.z};
   return r;
 }
-/* Of unit length; 0 stays 0 (and so does what is too short to have a direction). */
-INLINE Vectors unit3(Vectors a)
+/* Times a length, of unit length before; 0 stays 0 (and so does what is too short to have a direction). */
+INLINE Vectors directed3(Vectors a, float length)
 {
   const floatN square = dot3(a, a);
-  const intN long_enough = MASK(square > 1e-37f) & MASK(square < 1e38f);
-  return scaled3(a, select((floatN)0.0f, lane_rsqrt(select((floatN)1.0f, square, long_enough)), long_enough));
+  const intN long_enough = MASK(square > 1e-30f) & MASK(square < 1e30f);
+  const floatN inverse = lane_rsqrt(select((floatN)1.0f, square, long_enough));
+  return scaled3(a, select((floatN)0.0f, length * inverse, long_enough));
 }
+INLINE Vectors unit3(Vectors a) { return directed3(a, 1.0f); }
 
 INLINE Vectors to_local(__constant const Effects *e, floatN x, floatN y, floatN z)
 {
@@ -153,6 +181,10 @@ INLINE Vectors direction_to_local(__constant const Effects *e, floatN x, floatN 
 /* From a derivative per lattice unit to one per edge along the local axes. */
 INLINE Vectors gradient_to_local(__constant const Effects *e, floatN x, floatN y, floatN z)
 {
+  if (e->gradient_x.w != 0.0f) { /* the lattice is along the axes */
+    const Vectors along = {e->gradient_x.x * x, e->gradient_y.y * y, e->gradient_z.z * z};
+    return along;
+  }
   const Vectors r = {e->gradient_x.x * x + e->gradient_x.y * y + e->gradient_x.z * z,
                      e->gradient_y.x * x + e->gradient_y.y * y + e->gradient_y.z * z,
                      e->gradient_z.x * x + e->gradient_z.y * y + e->gradient_z.z * z};

@@ -44,12 +44,14 @@ INLINE Emission emission_of_pairs(float8 h0, float8 h1, float8 h2, float8 h3, fl
 
 #endif
 
+/* ..._in: from tables that begin `first` floats into `table`, a lane's own. */
+
 #if CLASSIFICATION == CLASSIFICATION_PREINTEGRATED
 
-INLINE Emission segment_emission(ClassCoordinate front, ClassCoordinate back, __global const float *table,
-                                 __constant const View *view)
+INLINE Emission segment_emission_in(ClassCoordinate front, ClassCoordinate back, intN first, __global const float *table,
+                                    __constant const View *view)
 {
-  const intN at = table_row(front, back, view);
+  const intN at = first + table_row(front, back, view);
   const size_t row = 4 * (size_t)view->table.y;
   const floatN right = back.fraction, left = 1.0f - right;
 #if LANES == 16
@@ -88,15 +90,21 @@ INLINE Emission segment_emission(ClassCoordinate front, ClassCoordinate back, __
 #endif
 }
 
+INLINE Emission segment_emission(ClassCoordinate front, ClassCoordinate back, __global const float *table,
+                                 __constant const View *view)
+{
+  return segment_emission_in(front, back, (intN)0, table, view);
+}
+
 #endif
 
 /* Of a value, from a one-dimensional table: float4 [nodes + 2]. */
-INLINE Emission value_emission(ClassCoordinate at, __global const float *table)
+INLINE Emission value_emission_in(ClassCoordinate at, intN first, __global const float *table)
 {
   const floatN right = at.fraction, left = 1.0f - right;
 #if LANES == 16
   int entry[16];
-  vstore16(at.node * 4, 0, entry);
+  vstore16(first + at.node * 4, 0, entry);
   float8 h0, h1, h2, h3, h4, h5, h6, h7;
 #ifndef h_of
 #define h_of(c) H_##c
@@ -119,24 +127,32 @@ INLINE Emission value_emission(ClassCoordinate at, __global const float *table)
 #undef LINEAR_SUM
   return emission_of_pairs(h0, h1, h2, h3, h4, h5, h6, h7);
 #else
-  const float8 r = vload8(0, table + at.node * 4);
+  const float8 r = vload8(0, table + first + at.node * 4);
   const float4 c = left * r.lo + right * r.hi;
   const Emission e = {c.x, c.y, c.z, c.w};
   return e;
 #endif
 }
 
+INLINE Emission value_emission(ClassCoordinate at, __global const float *table) { return value_emission_in(at, (intN)0, table); }
+
 #if CLASSIFICATION == CLASSIFICATION_PRE
+
+INLINE Emission classified_emission_in(FetchedSample s, __constant const View *view, __global const float *warp,
+                                       intN first, __global const float *table)
+{
+  float4 lanes[LANES];
+  float r[LANES], g[LANES], b[LANES], d[LANES];
+  classified_samples_in(s, view, warp, first, table, lanes);
+  EACH_LANE_ROLLED(k) r[k] = lanes[k].x, g[k] = lanes[k].y, b[k] = lanes[k].z, d[k] = lanes[k].w;
+  const Emission e = {LOAD_LANES(r), LOAD_LANES(g), LOAD_LANES(b), LOAD_LANES(d)};
+  return e;
+}
 
 INLINE Emission classified_emission(FetchedSample s, __constant const View *view, __global const float *warp,
                                     __global const float *table)
 {
-  float4 lanes[LANES];
-  float r[LANES], g[LANES], b[LANES], d[LANES];
-  classified_samples(s, view, warp, table, lanes);
-  EACH_LANE_ROLLED(k) r[k] = lanes[k].x, g[k] = lanes[k].y, b[k] = lanes[k].z, d[k] = lanes[k].w;
-  const Emission e = {LOAD_LANES(r), LOAD_LANES(g), LOAD_LANES(b), LOAD_LANES(d)};
-  return e;
+  return classified_emission_in(s, view, warp, (intN)0, table);
 }
 
 #endif

@@ -74,11 +74,8 @@ INLINE floatN mix_four(floatN v00, floatN v10, floatN v01, floatN v11, floatN f,
   return mix_corners(mix_corners(v00, v10, f), mix_corners(v01, v11, f), g);
 }
 
-INLINE Gradient gradient_at(__global const uchar *volume, __global const uint *gradients, __constant const View *view,
-                            float4 gradient_scale, floatN px, floatN py, floatN pz)
+INLINE Gradient central_gradient(__global const uchar *volume, __constant const View *view, Place x, Place y, Place z)
 {
-  const Place x = place_in_cell(px, view->upper.x, view->size.x), y = place_in_cell(py, view->upper.y, view->size.y);
-  const Place z = place_in_cell(pz, view->upper.z, view->size.z);
   const intN first_x = MASK(x.index == 0), last_x = MASK(x.index == view->size.x - 2);
   const intN first_y = MASK(y.index == 0), last_y = MASK(y.index == view->size.y - 2);
   const intN first_z = MASK(z.index == 0), last_z = MASK(z.index == view->size.z - 2);
@@ -110,7 +107,65 @@ INLINE Gradient gradient_at(__global const uchar *volume, __global const uint *g
   const Face behind = fetch_face(volume, view, x.index, y.index, high_z);
   g.z = mixed_differences(mix_face(before, x.f, y.f), mix_corners(m00, m10, y.f), mix_corners(m01, m11, y.f),
                           mix_face(behind, x.f, y.f), first_z, last_z, z.f);
-  return finite_gradient(g);
+  return g;
+}
+
+#if VOXEL_BITS == 8 && VOXEL_PAIRS
+
+/* What one slice has for the differences along x and y, and its means at y and y + 1. */
+typedef struct {
+  floatN dx, dy; /* differences over two voxels */
+  floatN m0, m1;
+} SliceDifferences;
+
+/* From the pairs of rows y - 1 and y + 1 on, each from x - 1 to x + 2, in two gathers of 64 bits. */
+INLINE SliceDifferences slice_differences(__global const uchar *slice, intN at, intN below, floatN fx, floatN fy)
+{
+  uintN low0, high0, low1, high1;
+  gather_two2(slice, at, &low0, &high0);
+  gather_two2(slice, below, &low1, &high1);
+  SliceDifferences s;
+  const floatN b1 = BYTE(low0, 3u), c1 = BYTE(high0, 1u), b2 = BYTE(low1, 2u), c2 = BYTE(high1, 0u);
+  const floatN at_x0 = mix_corners(c1 - BYTE(low0, 1u), c2 - BYTE(low1, 0u), fy);
+  const floatN at_x1 = mix_corners(BYTE(high0, 3u) - b1, BYTE(high1, 2u) - b2, fy);
+  s.dx = mix_corners(at_x0, at_x1, fx);
+  s.m0 = mix_corners(b1, c1, fx), s.m1 = mix_corners(b2, c2, fx);
+  const floatN above = mix_corners(BYTE(low0, 2u), BYTE(high0, 0u), fx);
+  s.dy = mix_corners(s.m1 - above, mix_corners(BYTE(low1, 3u), BYTE(high1, 1u), fx) - s.m0, fy);
+  return s;
+}
+
+/* Away from the volume's faces: six gathers. */
+INLINE Gradient inner_gradient(__global const uchar *volume, __constant const View *view, Place x, Place y, Place z)
+{
+  const intN corner = corner_offset(view, x.index, y.index, z.index);
+  const intN at = corner - (intN)(view->stride.x + 1), below = at + (intN)(2 * view->stride.x);
+  const size_t slice = slice_bytes(view);
+  const SliceDifferences s0 = slice_differences(volume, at, below, x.f, y.f);
+  const SliceDifferences s1 = slice_differences(volume + slice, at, below, x.f, y.f);
+  const uintN before = gather2(volume - slice, corner), behind = gather2(volume + 2 * slice, corner);
+  const floatN mean_before = mix_four(BYTE(before, 0u), BYTE(before, 2u), BYTE(before, 1u), BYTE(before, 3u), x.f, y.f);
+  const floatN mean_behind = mix_four(BYTE(behind, 0u), BYTE(behind, 2u), BYTE(behind, 1u), BYTE(behind, 3u), x.f, y.f);
+  const floatN mean0 = mix_corners(s0.m0, s0.m1, y.f), mean1 = mix_corners(s1.m0, s1.m1, y.f);
+  const Gradient g = {0.5f * mix_corners(s0.dx, s1.dx, z.f), 0.5f * mix_corners(s0.dy, s1.dy, z.f),
+                      0.5f * mix_corners(mean1 - mean_before, mean_behind - mean0, z.f)};
+  return g;
+}
+
+#endif
+
+INLINE intN beside_faces(Place p, int size) { return MASK(p.index == 0) | MASK(p.index == size - 2); }
+
+INLINE Gradient gradient_at(__global const uchar *volume, __global const uint *gradients, __constant const View *view,
+                            float4 gradient_scale, floatN px, floatN py, floatN pz)
+{
+  const Place x = place_in_cell(px, view->upper.x, view->size.x), y = place_in_cell(py, view->upper.y, view->size.y);
+  const Place z = place_in_cell(pz, view->upper.z, view->size.z);
+#if VOXEL_BITS == 8 && VOXEL_PAIRS
+  const intN beside = beside_faces(x, view->size.x) | beside_faces(y, view->size.y) | beside_faces(z, view->size.z);
+  if (!any_lane(beside)) return finite_gradient(inner_gradient(volume, view, x, y, z));
+#endif
+  return finite_gradient(central_gradient(volume, view, x, y, z));
 }
 
 #elif GRADIENT == GRADIENT_PRECOMPUTED
@@ -140,10 +195,9 @@ INLINE Gradient gradient_at(__global const uchar *volume, __global const uint *g
 #else
   const intN at = z.index * slice + y.index * row + x.index;
   __global const uint *behind = gradients + slice;
-  const uintN g000 = gather4(gradients, at), g100 = gather4(gradients + 1, at);
-  const uintN g010 = gather4(gradients + row, at), g110 = gather4(gradients + row + 1, at);
-  const uintN g001 = gather4(behind, at), g101 = gather4(behind + 1, at);
-  const uintN g011 = gather4(behind + row, at), g111 = gather4(behind + row + 1, at);
+  uintN g000, g100, g010, g110, g001, g101, g011, g111;
+  gather_two4(gradients, at, &g000, &g100), gather_two4(gradients + row, at, &g010, &g110);
+  gather_two4(behind, at, &g001, &g101), gather_two4(behind + row, at, &g011, &g111);
   const floatN w11 = y.f * z.f, w01 = z.f - w11, w10 = y.f - w11, w00 = 1.0f - z.f - w10;
   const floatN x0 = 1.0f - x.f;
   add_stored(&g, &bad, g000, x0 * w00), add_stored(&g, &bad, g100, x.f * w00);

@@ -14,58 +14,26 @@
 
 #include "emission.h"
 #include "clip.h"
-
-INLINE Rays select_rays(Rays a, Rays b, intN mask)
-{
-  a.x0 = select(a.x0, b.x0, mask), a.y0 = select(a.y0, b.y0, mask), a.z0 = select(a.z0, b.z0, mask);
-  a.dx = select(a.dx, b.dx, mask), a.dy = select(a.dy, b.dy, mask), a.dz = select(a.dz, b.dz, mask);
-  a.rx = select(a.rx, b.rx, mask), a.ry = select(a.ry, b.ry, mask), a.rz = select(a.rz, b.rz, mask);
-  a.px = select(a.px, b.px, mask), a.py = select(a.py, b.py, mask), a.pz = select(a.pz, b.pz, mask);
-  a.length = select(a.length, b.length, mask), a.entry_depth = select(a.entry_depth, b.entry_depth, mask);
-  return a;
-}
-
-#if NOISE
-#include "noise.h"
-#endif
-
-/* The reconstructed value at a lattice point. */
-INLINE floatN scene_value(const Scene *scene, floatN x, floatN y, floatN z)
-{
-#if NOISE
-  return noisy_value(scene, x, y, z);
-#else
-  return sample_value(fetch_sample(scene->volume, scene->view, x, y, z), scene->view);
-#endif
-}
-
-#if GRADIENT
-#include "gradient.h"
-/* Its gradient, per edge along the local axes. */
-INLINE Vectors scene_gradient(const Scene *scene, floatN x, floatN y, floatN z)
-{
-  const Gradient g = gradient_at(scene->volume, scene->gradients, scene->view, scene->effects->gradient_scale, x, y, z);
-  return gradient_to_local(scene->effects, g.x, g.y, g.z);
-}
-#endif
+#include "scene_value.h"
 
 #include "shade.h"
 
 #if LIGHTING
 /* c (times `depth`) lit, where there is a normal; fading to the unlit colour where the gradient is short. */
 INLINE Vectors shaded_color(const Scene *scene, Vectors color, floatN depth, Vectors place, Vectors normal, Vectors gradient,
-                            Vectors view, floatN weight, intN active, Tally *counted)
+                            Vectors view, floatN weight, int on_surface, intN active, Tally *counted)
 {
   if (!any_lane(active)) return color;
   count(&counted[COUNT_LIT], active);
-  const Illumination lit = illuminate(scene, place, normal, view, weight, active, counted);
-  floatN share = 1.0f;
-  if (scene->effects->shading.x > 0.0f) share = lane_min(sqrt(dot3(gradient, gradient)) * scene->effects->shading.x, share);
-  share = select((floatN)0.0f, share, active);
-  const Vectors shaded = {color.x + share * (color.x * lit.diffuse.x + depth * lit.specular.x - color.x),
-                          color.y + share * (color.y * lit.diffuse.y + depth * lit.specular.y - color.y),
-                          color.z + share * (color.z * lit.diffuse.z + depth * lit.specular.z - color.z)};
-  return shaded;
+  const Illumination lit = illuminate(scene, place, normal, view, weight, on_surface, active, counted);
+  Vectors shaded = {color.x * lit.diffuse.x + depth * lit.specular.x, color.y * lit.diffuse.y + depth * lit.specular.y,
+                    color.z * lit.diffuse.z + depth * lit.specular.z};
+  if (scene->effects->shading.x > 0.0f) {
+    const floatN share = lane_min(sqrt(dot3(gradient, gradient)) * scene->effects->shading.x, (floatN)1.0f);
+    shaded.x = color.x + share * (shaded.x - color.x), shaded.y = color.y + share * (shaded.y - color.y);
+    shaded.z = color.z + share * (shaded.z - color.z);
+  }
+  return select3(color, shaded, active);
 }
 #endif
 
@@ -92,22 +60,12 @@ INLINE Vectors cued_color(const Scene *scene, Vectors color, floatN depth, float
 #include "surfaces.h"
 #endif
 #if ENVIRONMENT_VISIBLE
-#include "environment.h"
-/* What is left of the rays on the picture sees the environment. */
-INLINE void show_environment(const Scene *scene, Vectors forward, intN on_picture, Gathered *acc)
-{
-  __constant const Effects *e = scene->effects;
-  Vectors seen;
-  environment_look_up(scene->environment + e->map_offsets.z, e->maps.z, forward.x, forward.y, forward.z, &seen.x, &seen.y, &seen.z);
-  const floatN left = select((floatN)0.0f, 1.0f - acc->a, on_picture);
-  acc->r += left * seen.x, acc->g += left * seen.y, acc->b += left * seen.z;
-  acc->a = select(acc->a, (floatN)1.0f, on_picture);
-}
+#include "background.h"
 #endif
 
 /* Values at which places of a segment its look needs. */
-#define NEEDS_ENDS (CLASSIFICATION == CLASSIFICATION_PREINTEGRATED && TRANSLUCENT)
-#define NEEDS_MIDDLE (CLASSIFICATION != CLASSIFICATION_PREINTEGRATED && TRANSLUCENT)
+#define NEEDS_ENDS (CLASSIFICATION == CLASSIFICATION_PREINTEGRATED && TRANSLUCENT != 0)
+#define NEEDS_MIDDLE (CLASSIFICATION != CLASSIFICATION_PREINTEGRATED && TRANSLUCENT != 0)
 
 /* One sample a segment, at its middle: it can be fetched ahead. */
 #define SAMPLES_AHEAD (FETCH_AHEAD && CLASSIFICATION == CLASSIFICATION_POST && TRANSLUCENT && !ISOSURFACES && !NOISE)
@@ -119,11 +77,11 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
                           __global const uchar *distances, __constant const View *view_, __constant const Effects *effects,
                           __global const float4 *items, __global const uint *gradients, __global const uchar *cell_flags,
                           __global const float4 *environment, __global const float4 *light_volume, __global const uint *noise,
-                          __global const float *factors, __global const float *fields, Tally *counted, intN px, intN py,
-                          float *rgba, float *depth, uint *samples)
+                          __global const float *factors, __global const float *fields, __global const float *extinction,
+                          Tally *counted, intN px, intN py, float *rgba, float *depth, uint *samples)
 {
   const Scene scene_ = {volume, table, warp, distances, view_, effects, items, gradients, cell_flags, environment, light_volume,
-                        noise, factors, fields};
+                        noise, factors, fields, extinction};
   const Scene *scene = &scene_;
   __constant const View *view = view_;
   const float h = view->march.x;
@@ -199,7 +157,7 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
 #else
       const int look = 0;
 #endif
-      const int ends = NEEDS_ENDS || look, middle = NEEDS_MIDDLE || look;
+      const int ends = NEEDS_ENDS | look, middle = NEEDS_MIDDLE | look;
       floatN front = value1, back = 0.0f, mid = 0.0f;
       Emission e = no_emission();
 #if SAMPLES_AHEAD
@@ -220,7 +178,7 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
 #if CLASSIFICATION == CLASSIFICATION_PRE && TRANSLUCENT
         const FetchedSample sample = fetch_sample(volume, view, x, y, z);
         const floatN value = sample_value(sample, view);
-        if (k == 2) e = classified_emission(sample, view, warp, table);
+        if (k == 2 && !TRANSFER_LAYERS) e = classified_emission(sample, view, warp, table);
 #else
         const floatN value = scene_value(scene, x, y, z);
 #endif
@@ -237,30 +195,65 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
       ClassCoordinate a, b;
       segment_classes(value2, front, back, length, active & MASK(joined != 0), warp, view, &a, &b);
       visible = may_be_visible(lane_min(a.position, b.position), lane_max(a.position, b.position), active, view);
-      if (visible) e = segment_emission(a, b, table, view);
+      if (visible & (TRANSFER_LAYERS == 0)) e = segment_emission(a, b, table, view);
 #elif CLASSIFICATION == CLASSIFICATION_POST
       const ClassCoordinate at = class_coordinate(mid, warp, view);
       visible = may_be_visible(at.position, at.position, active, view);
-      if (visible) e = value_emission(at, table);
+      if (visible & (TRANSFER_LAYERS == 0)) e = value_emission(at, table);
 #endif
 #if TRANSLUCENT
-#if FIELDS
-      visible |= add_fields(scene, xm, ym, zm, &e, active, counted);
-#endif
+#if TRANSFER_LAYERS
+      intN shows = visible ? active : (intN)0; /* what it emits depends on the gradient */
+#else
       e.d = select((floatN)0.0f, e.d, active);
-      const intN shows = active & MASK(e.d > 0.0f);
-      visible &= any_lane(shows);
-      if (visible) {
+      intN shows = MASK(e.d > 0.0f);
+#endif
+#if FIELDS
+      const FieldLook look_of_fields = look_at_fields(scene, &ray, t0, t1, xm, ym, zm, shows, active, counted);
+      shows = active & (shows | MASK(look_of_fields.added.d > 0.0f)) & MASK(look_of_fields.kept > 0.0f);
+#endif
+      visible = any_lane(shows);
 #if GRADIENT && (LIGHTING || GRADIENT_DECIDES)
-        const Vectors gradient = scene_gradient(scene, xm, ym, zm);
+      Vectors gradient = {0.0f, 0.0f, 0.0f};
+      if (visible) {
+        gradient = scene_gradient(scene, xm, ym, zm);
         count(&counted[COUNT_GRADIENTS], shows);
+      }
 #endif
-#if GRADIENT_DECIDES
-        weigh_by_gradient(scene, &e, mid, gradient, forward, shows);
+#if TRANSFER_LAYERS
+      if (visible) {
+        const TablePlace layers = layers_around(scene, gradient, 4 * view->table.w);
+        _Pragma("unroll 1") for (int k = 0; k < 2; ++k) {
+          const intN first = k ? layers.high : layers.low;
+#if CLASSIFICATION == CLASSIFICATION_PREINTEGRATED
+          const Emission layer = segment_emission_in(a, b, first, table, view);
+#elif CLASSIFICATION == CLASSIFICATION_POST
+          const Emission layer = value_emission_in(at, first, table);
+#else
+          const Emission layer = classified_emission_in(fetch_sample(volume, view, xm, ym, zm), view, warp, first, table);
 #endif
+          e = k ? mixed_emission(e, layer, layers.share) : layer;
+        }
+      }
+#endif
+#if OPACITY_FACTORS
+      if (visible) weigh_by_gradient(scene, &e, gradient, forward);
+#endif
+#if FIELDS
+      if (visible)
+        apply_fields(look_of_fields, &e);
+      else
+        e = no_emission();
+#endif
+#if FIELDS || GRADIENT_DECIDES
+      e.d = select((floatN)0.0f, e.d, active);
+      shows &= MASK(e.d > 0.0f);
+      visible = any_lane(shows);
+#endif
+      if (visible) {
         Vectors color = {e.r, e.g, e.b};
 #if LIGHTING
-        Vectors normal = unit3(scaled3(gradient, -1.0f));
+        Vectors normal = directed3(gradient, -1.0f);
 #if CLIP
         /* A cut face shows its own normal, going over to the gradient's within one edge. */
         const floatN inside = lane_clamp(tm * h, (floatN)0.0f, (floatN)1.0f);
@@ -275,7 +268,7 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
         const intN lit = shows & MASK(dot3(normal, normal) > 0.5f);
         const Vectors place = {xm, ym, zm};
         const floatN weight = (1.0f - acc.a) * segment_opacity(e);
-        color = shaded_color(scene, color, e.d, place, normal, gradient, scaled3(forward, -1.0f), weight, lit, counted);
+        color = shaded_color(scene, color, e.d, place, normal, gradient, scaled3(forward, -1.0f), weight, 0, lit, counted);
 #endif
 #if DEPTH_CUE
         color = cued_color(scene, color, e.d, ray.entry_depth + tm * h);

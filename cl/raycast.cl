@@ -16,12 +16,13 @@
 __kernel WIDE_VECTORS void raycast(__global const uchar *restrict volume, __global const float *restrict table,
                                    __global const float *restrict warp, __global const uchar *restrict distances,
                                    __constant const View *restrict view, __global float4 *restrict image,
-                                   __global float *restrict depths, __global uint *restrict samples EFFECT_PARAMETERS)
+                                   __global float *restrict depths, __global uint *restrict samples EFFECT_PARAMETERS CHOSEN_PARAMETER)
 {
   EFFECT_TALLY
   const int width = view->image.x, height = view->image.y;
   const int columns = max(1, (width + view->image.z - 1) / view->image.z);
   const int tile = (int)get_global_id(0) + view->band.x;
+  RETURN_UNLESS_CHOSEN(tile)
   const int left = tile % columns * view->image.z, top = tile / columns * view->image.w;
   uint total = 0;
   for (int row = top; row < min(top + view->image.w, height); row += PACKET_H)

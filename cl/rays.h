@@ -65,4 +65,14 @@ INLINE Rays make_rays(__constant const View *view, floatN column, floatN row)
   return r;
 }
 
+INLINE Rays select_rays(Rays a, Rays b, intN mask)
+{
+  a.x0 = select(a.x0, b.x0, mask), a.y0 = select(a.y0, b.y0, mask), a.z0 = select(a.z0, b.z0, mask);
+  a.dx = select(a.dx, b.dx, mask), a.dy = select(a.dy, b.dy, mask), a.dz = select(a.dz, b.dz, mask);
+  a.rx = select(a.rx, b.rx, mask), a.ry = select(a.ry, b.ry, mask), a.rz = select(a.rz, b.rz, mask);
+  a.px = select(a.px, b.px, mask), a.py = select(a.py, b.py, mask), a.pz = select(a.pz, b.pz, mask);
+  a.length = select(a.length, b.length, mask), a.entry_depth = select(a.entry_depth, b.entry_depth, mask);
+  return a;
+}
+
 #endif

@@ -14,6 +14,10 @@
 
 #if LIGHTING
 
+#define LIGHT_DIRECTIONAL 0
+#define LIGHT_POINT 1
+#define LIGHT_HEAD 2
+
 #if GRADIENT
 #include "gradient.h"
 #endif
@@ -24,18 +28,15 @@
 #include "shadow.h"
 #endif
 
-#define LIGHT_DIRECTIONAL 0
-#define LIGHT_POINT 1
-#define LIGHT_HEAD 2
-
 /* Factors of colour and what is added to it: lit = c * diffuse + specular. */
 typedef struct {
   Vectors diffuse, specular;
 } Illumination;
 
-/* place: lattice; normal, view (to the eye): local, of unit length; weight: what the sample counts for at most, for shadows. */
-INLINE Illumination illuminate(const Scene *scene, Vectors place, Vectors normal, Vectors view, floatN weight, intN active,
-                               Tally *counted)
+/* place: lattice; normal, view (to the eye): local, of unit length; weight: what the sample counts for at most, and
+ * whether it is on a surface: for shadows. */
+INLINE Illumination illuminate(const Scene *scene, Vectors place, Vectors normal, Vectors view, floatN weight, int on_surface,
+                               intN active, Tally *counted)
 {
   __constant const Effects *e = scene->effects;
   Illumination lit;
@@ -47,11 +48,15 @@ INLINE Illumination illuminate(const Scene *scene, Vectors place, Vectors normal
   lit.diffuse.x = lit.diffuse.y = lit.diffuse.z = e->material.x;
   lit.specular.x = lit.specular.y = lit.specular.z = 0.0f;
 #if LIGHTS
-  const Vectors here = to_local(e, place.x, place.y, place.z);
+  const Vectors lit_place = place;
+#if SHADOWS == SHADOWS_BY_VOLUME && ISOSURFACES
+  if (on_surface) place = beyond_surface(scene, place, normal);
+#endif
   _Pragma("unroll 1") for (int k = 0; k < e->counts.x; ++k) {
     const float4 at = scene->items[e->first.x + 2 * k], intensity = scene->items[e->first.x + 2 * k + 1];
     Vectors towards = broadcast3(at);
     if (at.w == LIGHT_POINT) {
+      const Vectors here = to_local(e, lit_place.x, lit_place.y, lit_place.z);
       const Vectors from = {at.x - here.x, at.y - here.y, at.z - here.z};
       towards = unit3(from);
     }

@@ -7,8 +7,8 @@
  *
  * The volume before and behind a surface is composited in order: the segment is cut there.
  *
- * Three items a surface, iso-values ascending: (value, opacity, index of refraction, -), front colour, back colour. Front is seen by
- * a ray along which the value rises.
+ * Three items a surface, iso-values ascending: (value, opacity, index of refraction, optical depth of that opacity), front colour, back
+ * colour. Front is seen by a ray along which the value rises.
  */
 #ifndef SURFACES_H
 #define SURFACES_H
@@ -175,13 +175,17 @@ INLINE SurfacePassage pass_surfaces(const Scene *scene, const Rays *ray, Vectors
       /* Ascending where the value rises, descending where it falls: in the order along the ray. */
       const intN surface = effects->first.y + 3 * select((intN)(surfaces - 1 - k), (intN)k, rises);
       const floatN level = AS_FLOAT(gather4(scene->items, 4 * surface));
-      const intN crosses = finite & ~passage.bends & (MASK(va >= level) ^ MASK(vb >= level));
+      intN crosses = finite & ~passage.bends & (MASK(va >= level) ^ MASK(vb >= level));
       if (!any_lane(crosses)) continue;
       const floatN found = crossing_place(scene, ray, t0, length, a, b, va, vb, level, crosses, taken);
       const floatN place = lane_max(found, passage.front); /* rounding may not turn two surfaces round */
-      composite_emission(acc, e, length * (place - passage.front), crosses);
       const floatN t = t0 + place * length;
       const Vectors at = {ray->x0 + t * ray->dx, ray->y0 + t * ray->dy, ray->z0 + t * ray->dz};
+#if FIELDS & FIELD_MASK
+      crosses = mask_keeps(scene, at.x, at.y, at.z, crosses, counted);
+      if (!any_lane(crosses)) continue;
+#endif
+      composite_emission(acc, e, length * (place - passage.front), crosses);
       const intN color_at = 4 * (surface + 1) + select((intN)4, (intN)0, rises);
       Vectors color = {AS_FLOAT(gather4(scene->items, color_at)), AS_FLOAT(gather4(scene->items, color_at + 1)),
                        AS_FLOAT(gather4(scene->items, color_at + 2))};
@@ -189,11 +193,11 @@ INLINE SurfacePassage pass_surfaces(const Scene *scene, const Rays *ray, Vectors
       const floatN left = select((floatN)0.0f, 1.0f - acc->a, crosses);
 #if GRADIENT
       const Vectors gradient = scene_gradient(scene, at.x, at.y, at.z);
-      const Vectors normal = unit3(scaled3(gradient, -1.0f));
+      const Vectors normal = directed3(gradient, -1.0f);
       const intN has_normal = crosses & MASK(dot3(normal, normal) > 0.5f);
       count(&counted[COUNT_GRADIENTS], crosses);
 #if LIGHTING
-      color = shaded_color(scene, color, (floatN)1.0f, at, normal, gradient, view, opacity * left, has_normal, counted);
+      color = shaded_color(scene, color, (floatN)1.0f, at, normal, gradient, view, opacity * left, 1, has_normal, counted);
 #endif
 #endif
 #if DEPTH_CUE

@@ -33,6 +33,7 @@ from clvol.accuracy.trials import Trial, Trials, root_mean_square
 from clvol.errors import RenderError, UsageError
 from clvol.features import refuse_unknown
 from clvol.opencl.context import DeviceContext
+from clvol.accuracy.judge import Judge
 from clvol.render.engines import Engines
 from clvol.render.frame import Frame, make_frame
 from clvol.render.reference import render_reference
@@ -143,9 +144,10 @@ class _Workshop:
         self.seconds = {"pilot": 0.0, "pictures": 0.0, "measure": 0.0}
         self.load_seconds = time.perf_counter() - start
         lattice = _pilot_lattice(*self.size, self.rng)
+        self.judge = Judge(self.resolved, self.context, self.engines)
         self.pilot = Trials(
             self.resolved, self.context, self.engines, lattice=lattice, tolerance=self.tolerance,
-            frames=2,
+            frames=2, judge=self.judge,
         )  # fmt: skip
         self.whole = Trials(
             self.resolved, self.context, self.engines, frames=2, depth=depth,
@@ -289,12 +291,14 @@ class _Workshop:
             look += 1
             if squared.size + count >= others:  # as well all of them
                 rest = self._errors(rgba, np.flatnonzero(~left_out)) if others else []
-                return estimate([], [], count_all, 1.0, [*known, *rest])
+                found = estimate([], [], count_all, 1.0, [*known, *rest])
+                return replace(found, bound=found.bound + self.judge.error)
             at, p = draw(rough, count, self.rng, left_out)
             squared = np.append(squared, self._errors(rgba, at))
             probability = np.append(probability, p)
             chance = (1.0 - CONFIDENCE) / 2.0 ** (attempt + look)
             found = estimate(squared, probability, count_all, 1.0 - chance, known)
+            found = replace(found, bound=found.bound + self.judge.error)
             if limit is None or found.bound <= limit or found.rmse > limit:
                 return replace(found, confidence=CONFIDENCE)
             count = squared.size
@@ -303,10 +307,7 @@ class _Workshop:
         """Squared errors of the pixels ``at`` [n] of ``rgba`` [height * width, 4]."""
         self.report("measuring the error")
         pixels = np.stack(np.divmod(at, self.size[0]), axis=1)
-        exact, _, _ = self.timed(
-            "measure",
-            lambda: render_reference(self.resolved, self.context.device, self.tolerance, pixels),
-        )
+        exact, _ = self.timed("measure", lambda: self.judge.pixels(pixels, self.tolerance))
         return _squared(rgba[at], exact)
 
     def _finer(self, picture: Trial) -> np.ndarray:
@@ -326,6 +327,10 @@ class _Workshop:
 
     def _exact(self, max_error: float, attempt: int) -> Frame:
         """No settings reach the error: the exact integral itself is the picture."""
+        if not self.judge.is_exact:
+            known = max(self.judge.error, _FLOAT32_ERROR)
+            what = f"settings that hold {max_error:g} were not found, and effects have no exact integral"
+            raise RenderError("max_error", what, f"a number well above {known:.2g}")
         self.report("integrating exactly")
         tolerance = max_error / 10.0
         start = time.perf_counter()
@@ -358,7 +363,7 @@ class _Workshop:
         self, trial: Trial, found: ErrorEstimate, asked: dict[str, float], attempt: int
     ) -> Frame:
         accuracy = {
-            **asked, **asdict(found), "how": "exact integral at pixels not used for the choice",
+            **asked, **asdict(found), "how": f"{self.judge.how} at pixels not used for the choice",
             "settings": dict(trial.settings), "attempts": attempt,
             "tried": len(self.search.measured), "seconds": dict(self.seconds),
         }  # fmt: skip

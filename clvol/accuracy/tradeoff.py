@@ -235,6 +235,8 @@ class _Sweep:
                 "system": platform.system(), "clvol": clvol.__version__,
             },
             "reference": {
+                "how": self.trials.judge.how,
+                "step": counters.get("step"),
                 "tolerance": self.trials.tolerance,
                 "seconds": counters.get("seconds"),
                 "error_estimate": counters.get("error_estimate"),

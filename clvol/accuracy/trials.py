@@ -11,8 +11,8 @@ import numpy as np
 
 from clvol.accuracy.settings import Settings, apply
 from clvol.opencl.context import DeviceContext
+from clvol.accuracy.judge import Judge
 from clvol.render.engines import Engines
-from clvol.render.reference import render_reference
 from clvol.render.view import EVERY_PIXEL, PixelLattice
 from clvol.scene.resolve import ResolvedScene
 
@@ -49,8 +49,8 @@ class Trials:
     The exact integral there is taken to ``tolerance`` when it is first needed; it is that of the scene's own
     filter and of its own classification (pre-classified, or one of the two that classify
     interpolated values): a setting that changes these is judged as the approximation that it is.
-    ``exact`` float64 [h, w, 4]: that integral, where it is there already. Without ``judge`` errors are
-    not asked for, and told as inf.
+    (Scenes with effects: the limit of small steps, see Judge.) ``exact`` float64 [h, w, 4]: that integral,
+    where it is there already. With ``judge`` False errors are not asked for, and told as inf.
     """
 
     def __init__(
@@ -64,7 +64,7 @@ class Trials:
         frames: int = 3,
         depth: bool = False,
         exact: np.ndarray | None = None,
-        judge: bool = True,
+        judge: Judge | bool = True,
     ) -> None:
         self.resolved, self.context = resolved, context
         self.engines = engines or Engines(context)
@@ -72,7 +72,9 @@ class Trials:
         self.size = resolved.image.width, resolved.image.height
         self.tolerance = tolerance
         self.reference_counters: dict[str, Any] = {}
-        self._exact, self._judge = exact, judge
+        if judge is True:
+            judge = Judge(resolved, context, self.engines)
+        self._exact, self.judge = exact, judge or None
         width, height = lattice.size(*self.size)
         self._scale = self.size[0] * self.size[1] / (width * height)
         self._overhead: float | None = None
@@ -81,9 +83,7 @@ class Trials:
         """float64 [h, w, 4] at the lattice's pixels."""
         if self._exact is None:
             pixels = self.lattice.pixels(*self.size)
-            rgba, _, self.reference_counters = render_reference(
-                self.resolved, self.context.device, self.tolerance, pixels, progress
-            )
+            rgba, self.reference_counters = self.judge.pixels(pixels, self.tolerance, progress)
             width, height = self.lattice.size(*self.size)
             self._exact = rgba.reshape(height, width, 4)
         return self._exact
@@ -108,7 +108,7 @@ class Trials:
         seconds = self._of_picture(engine, min(times))
         return Trial(
             settings=dict(settings),
-            rmse=root_mean_square(data.rgba - self.exact()) if self._judge else np.inf,
+            rmse=root_mean_square(data.rgba - self.exact()) if self.judge else np.inf,
             seconds=seconds,
             cost=seconds + PREPARATION * prepare_seconds,
             times=times,

@@ -36,7 +36,8 @@ class DeviceVolume:
         plain = context.share(data)
         if holds_pairs(volume):
             self.stride = (nx, nx * (ny - 1))
-            self.voxels = context.empty(np.uint8, (nz, ny - 1, nx, 2))
+            # Gradients read four voxels from any but the first one on: two more than a row has.
+            self.voxels = context.empty(np.uint8, (nz * (ny - 1) * nx + 4, 2))
             pair_rows = context.kernel(
                 "empty_space.cl",
                 "pair_rows",

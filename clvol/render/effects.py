@@ -11,14 +11,30 @@ from typing import Any
 
 import numpy as np
 
-from clvol.features import GRADIENTS
+from clvol.features import COMPOSITINGS, GRADIENTS, emits, is_lit
 from clvol.opencl.context import DeviceArray, DeviceContext
 from clvol.opencl.structs import effects_dtype
 from clvol.render.device_volume import DeviceVolume
 from clvol.render.environment import environment_maps
 from clvol.render.environment_file import load_radiance
+from clvol.render.fields import SceneFields, field_switches
 from clvol.render.gradients import DeviceLimits, gradient_switch
 from clvol.render.layout import ValueMap, padded_size
+from clvol.render.light_volume import (
+    casting_lights,
+    check_fits,
+    shadow_numbers,
+    shadow_switches,
+)
+from clvol.render.noise import TARGETS, device_noise, device_tiles, perturbation
+from clvol.render.opacity_factors import factor_rows, factor_switches, layer_places
+from clvol.render.project import (
+    NO_SCORE,
+    attenuation_a_step,
+    normalisation,
+    sample_bounds,
+    score_bounds,
+)
 from clvol.scene.resolve import ResolvedScene
 from clvol.volume import Grid
 
@@ -34,12 +50,13 @@ COUNTERS = {
     "bends": "REFRACTION",
 }
 LIGHT_TYPES = {"directional": 0, "point": 1, "headlight": 2}
+OPAQUE_DEPTH = 1e15  # of a surface; finite, so that any share of it counts
 CLIP_TYPES = {"plane": 0, "box": 1, "sphere": 2}
 _FAR = 1e12  # smallest edges: from there light comes from one direction, to float32
 ARGUMENTS = (
     ", in effects V1, in items float32, in gradients uint32, in cell_flags uint8, "
     "in environment float32, in light_volume float32, in noise uint32, in factors float32, "
-    "in fields float32, out counts uint32"
+    "in fields float32, in extinction float32, out counts uint32"
 )
 
 
@@ -50,8 +67,10 @@ def effect_switches(
 
     ``limits``: of the device, which may be too small for precomputed gradients; None: it is not.
     """
-    lit = bool(resolved.lights) or resolved.environment is not None
     seen = resolved.environment is not None and resolved.environment.visible
+    if resolved.integration.compositing != "over":
+        return _projection_switches(resolved, seen)
+    lit = is_lit(resolved)
     surfaces = resolved.isosurfaces
     refracts = any(surface.refraction != 1.0 for surface in surfaces)
     factors = resolved.gradient_opacity is not None or resolved.directional_opacity is not None
@@ -64,8 +83,12 @@ def effect_switches(
         "REFRACTION": int(refracts),
         "CLIP": int(bool(resolved.clips)),
         "DEPTH_CUE": int(resolved.depth_cue is not None),
-        "ENVIRONMENT": int(resolved.environment is not None),
+        "ENVIRONMENT": int(lit and resolved.environment is not None),
         "ENVIRONMENT_VISIBLE": int(seen),
+        **factor_switches(resolved),
+        **field_switches(resolved),
+        "NOISE": _noise(resolved),
+        **shadow_switches(resolved),
         "GRADIENT": _gradient(resolved, limits) if lit or refracts or decides else 0,
     }
     if not any(switches.values()):
@@ -80,8 +103,27 @@ def effect_switches(
     }
 
 
+def _projection_switches(resolved: ResolvedScene, seen: bool) -> dict[str, int]:
+    """What counts where one value of each ray is shown."""
+    return {
+        "EFFECTS": 1,
+        "COMPOSITING": COMPOSITINGS[resolved.integration.compositing],
+        "CLIP": int(bool(resolved.clips)),
+        "ENVIRONMENT_VISIBLE": int(seen),
+        "NOISE": _noise(resolved),
+        **field_switches(resolved),
+    }
+
+
+def _noise(resolved: ResolvedScene) -> int:
+    """NOISE_ADDS and NOISE_MOVES of cl/scene_value.h."""
+    return sum(1 << TARGETS[target] for target in {term.target for term in resolved.noise})
+
+
 def _gradient(resolved: ResolvedScene, limits: DeviceLimits | None) -> int:
     asked = resolved.gradient
+    if resolved.noise:  # differences of noisy values, whatever the operator is
+        return GRADIENTS["central"]
     limits = limits or DeviceLimits(memory=2**63, buffer=2**63)
     return gradient_switch(
         resolved.volume, resolved.integration.filter, asked.operator, asked.storage, limits
@@ -89,11 +131,8 @@ def _gradient(resolved: ResolvedScene, limits: DeviceLimits | None) -> int:
 
 
 def is_translucent(resolved: ResolvedScene) -> bool:
-    """Whether the transfer function shows anything of the volume."""
-    function, (low, high) = resolved.transfer_function, resolved.volume.value_range
-    inside = (function.values >= low) & (function.values <= high)
-    ends = function.opacity(np.array([low, high]))
-    return bool(np.any(function.opacities[inside] > 0) or np.any(ends > 0))
+    """Whether anything but surfaces shows: the volume under its transfer function, or a field."""
+    return emits(resolved) or any(field.role == "density" for field in resolved.fields)
 
 
 class LocalSpace:
@@ -127,6 +166,7 @@ class EffectState:
         if not self.switches:
             return
         self.context = context
+        self._value_gain = volume.values.gain
         self.space = LocalSpace(resolved.volume.grid, padded_size(resolved.volume))
         self.numbers = np.zeros(1, effects_dtype())
         none = {
@@ -134,16 +174,27 @@ class EffectState:
             for name, dtype in (
                 ("items", np.float32), ("gradients", np.uint32), ("cell_flags", np.uint8),
                 ("environment", np.float32), ("light_volume", np.float32), ("noise", np.uint32),
-                ("factors", np.float32), ("fields", np.float32),
+                ("factors", np.float32), ("fields", np.float32), ("extinction", np.float32),
             )
         }  # fmt: skip
         self.arrays: dict[str, DeviceArray] = none
+        self.fields: SceneFields | None = None
         self._fill(resolved, volume)
-        if self.switches["GRADIENT"] == GRADIENTS["precomputed"]:
+        self._add_factors(resolved, volume)
+        if self.switches.get("GRADIENT") == GRADIENTS["precomputed"]:
             gradients, scale = volume.gradients(resolved.gradient.operator)
             self.arrays["gradients"], self.numbers["gradient_scale"] = gradients, scale
         if resolved.environment is not None:
             self._add_environment(resolved)
+        if resolved.noise:
+            self.arrays["noise"] = context.upload(device_tiles(resolved.noise))
+            self._fill_noise(resolved)
+        if "COMPOSITING" in self.switches:
+            self._add_projection(resolved, volume)
+        if self.switches.get("SHADOWS"):
+            check_fits(resolved, DeviceLimits.of(context))
+            for name, value in shadow_numbers(resolved, padded_size(resolved.volume)).items():
+                self.numbers[0][name] = value
         self.arrays["effects"] = context.upload(self.numbers)
 
     def _fill(self, resolved: ResolvedScene, volume: DeviceVolume) -> None:
@@ -151,6 +202,8 @@ class EffectState:
         for axis, name in enumerate("xyz"):
             numbers[f"local_{name}"] = (*space.matrix[axis], space.shift[axis])
             numbers[f"gradient_{name}"][:3] = space.inverse_transpose[axis]
+        diagonal = np.diag(np.diag(space.inverse_transpose))
+        numbers["gradient_x"][3] = float(np.array_equal(diagonal, space.inverse_transpose))
         material = resolved.material
         numbers["material"] = (
             material.ambient, material.diffuse, material.specular, material.shininess
@@ -172,6 +225,26 @@ class EffectState:
         )  # fmt: skip
         numbers["first"][:3] = (0, len(lights), len(lights) + len(surfaces))
 
+    def _add_factors(self, resolved: ResolvedScene, volume: DeviceVolume) -> None:
+        """Opacity factors, transfer layers and fields: their tables share a buffer."""
+        numbers, tables = self.numbers[0], []
+        per_edge = volume.values.gain * self.space.unit
+
+        def place(array: np.ndarray) -> int:
+            tables.append(np.asarray(array, np.float32).ravel())
+            return sum(table.size for table in tables[:-1])
+
+        for k, factor in enumerate((resolved.gradient_opacity, resolved.directional_opacity)):
+            rows = factor_rows(factor, per_edge)
+            numbers["factors"][k], numbers["factor_offsets"][k] = rows.shape[1], place(rows)
+        places = layer_places(resolved, per_edge)
+        numbers["factors"][2], numbers["factor_offsets"][2] = places.size, place(places)
+        if resolved.fields:
+            self.fields = SceneFields(self.context, resolved, volume.cells, place, numbers)
+            self.arrays["fields"] = self.fields.voxels
+        if any(table.size for table in tables):
+            self.arrays["factors"] = self.context.upload(np.concatenate(tables))
+
     def _add_environment(self, resolved: ResolvedScene) -> None:
         asked = resolved.environment
         radiance = load_radiance(
@@ -183,6 +256,41 @@ class EffectState:
         self.numbers[0]["maps"][:3] = [place.size for place in places]
         self.numbers[0]["map_offsets"][:3] = [place.offset for place in places]
 
+    def _fill_noise(self, resolved: ResolvedScene) -> None:
+        """The terms at ``animation.time``."""
+        grid, numbers = resolved.volume.grid, self.numbers[0]
+        terms, *counts = device_noise(
+            resolved.noise, grid, resolved.animation.time, self._value_gain
+        )
+        numbers["noise_terms"], numbers["noise_counts"][:2] = terms, counts
+        numbers["noise_reach"][:3] = 0.5 * grid.smallest_edge / np.asarray(grid.spacing)
+
+    def _add_projection(self, resolved: ResolvedScene, volume: DeviceVolume) -> None:
+        moved = perturbation(resolved.noise, resolved.volume.grid, self._value_gain)
+        numbers = self.numbers[0]
+        numbers["value_bounds"][:2] = sample_bounds(volume, resolved, moved)
+        numbers["projection"][:2] = normalisation(volume, resolved)
+        numbers["projection"][2] = attenuation_a_step(resolved)
+        numbers["projection"][3] = NO_SCORE
+        if resolved.integration.compositing != "average":
+            self.arrays["factors"] = self.context.upload(score_bounds(volume, resolved, moved))
+
+    def set_hidden(self, score: float) -> None:
+        """``score``: samples that score no more than that show nothing."""
+        self.numbers[0]["projection"][3] = score
+        self.arrays["effects"] = self.context.upload(self.numbers)
+
+    def like(self, resolved: ResolvedScene) -> EffectState:
+        """The same for ``resolved``, which may differ in ``animation.time`` and in the step alone."""
+        other = self.copy()
+        if self.switches and (resolved.noise or "COMPOSITING" in self.switches):
+            other.numbers = self.numbers.copy()
+            if resolved.noise:
+                other._fill_noise(resolved)
+            other.numbers[0]["projection"][2] = attenuation_a_step(resolved)
+            other.arrays["effects"] = self.context.upload(other.numbers)
+        return other
+
     def _fill_depth_cue(self, cue: Any) -> None:
         unit = self.space.unit
         length = max((cue.end - cue.start) / unit, 1e-30)
@@ -192,7 +300,8 @@ class EffectState:
     def _items(self, resolved: ResolvedScene, values: ValueMap) -> tuple[list, list, list]:
         space = self.space
         lights, surfaces, clips = [], [], []
-        for light in resolved.lights:
+        casting = casting_lights(resolved)
+        for number, light in enumerate(resolved.lights):
             at = np.zeros(3)
             if light.type == "directional":
                 at = -_unit(light.direction)
@@ -202,10 +311,12 @@ class EffectState:
                 if np.abs(at).max() > _FAR:
                     at, kind = _unit(at), LIGHT_TYPES["directional"]
             lights.append((*at, kind))
-            lights.append((*(np.asarray(light.color) * light.intensity), -1.0))
+            volume = casting.index(number) if number in casting else -1.0
+            lights.append((*(np.asarray(light.color) * light.intensity), volume))
         for surface in sorted(resolved.isosurfaces, key=lambda s: s.value):
             level = float(values(surface.value))
-            surfaces.append((level, surface.opacity, surface.refraction, 0.0))
+            depth = -np.log1p(-surface.opacity) if surface.opacity < 1 else OPAQUE_DEPTH
+            surfaces.append((level, surface.opacity, surface.refraction, depth))
             surfaces.append((*surface.color, 0.0))
             surfaces.append((*surface.back_color, 0.0))
         for clip in sorted(resolved.clips, key=lambda c: c.keep != "inside"):
@@ -226,7 +337,8 @@ class EffectState:
     def copy(self) -> EffectState:
         """The same, with arrays that may be replaced."""
         other = copy.copy(self)
-        other.arrays = dict(self.arrays)
+        if self.switches:
+            other.arrays = dict(self.arrays)
         return other
 
     def set_surfaces(self, mask: np.ndarray) -> None:

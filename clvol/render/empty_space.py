@@ -7,13 +7,19 @@ import numpy as np
 from clvol.features import FILTER_REACH, overshoot
 from clvol.opencl.context import DeviceArray, DeviceContext
 from clvol.render.device_volume import DeviceVolume
+from clvol.render.layout import UNPERTURBED, Perturbation
 from clvol.transfer.classes import ClassNodes
 
 _ROUNDING = 2e-6  # of a filter's sums, as a share of the largest value: a few times float32's
 
 
 def visible_mask(
-    volume: DeviceVolume, filter: str, nodes: ClassNodes, between: np.ndarray, at: np.ndarray
+    volume: DeviceVolume,
+    filter: str,
+    nodes: ClassNodes,
+    between: np.ndarray,
+    at: np.ndarray,
+    perturbation: Perturbation = UNPERTURBED,
 ) -> np.ndarray:
     """bool [z, y, x]: whether anything that ``filter`` interpolates in a cell can have opacity.
 
@@ -27,26 +33,62 @@ def visible_mask(
     high = np.where(any_value, highest, nodes.first)
     # The lowest value of all is node 0, also in float32, and so may whole numbers be on a node.
     exact = (low == nodes.first) | ((low == high) & nodes.is_exact(low))
+    exact &= perturbation.added == 0.0
     low_margin = np.where(exact, 0.0, nodes.rounding)
     high_margin = np.where(exact & (low == high), 0.0, nodes.rounding)
     low, high = _overshot(low, high, overshoot(filter))
+    low, high = low - perturbation.added, high + perturbation.added
     first = np.floor(nodes.position(low) - low_margin)
     last = np.ceil(nodes.position(high) + high_margin)
     first = np.clip(first, 0, between.size).astype(np.int64)
     last = np.clip(last, 0, between.size).astype(np.int64)
     before = np.concatenate([[0], np.cumsum(between)])
-    return any_value & np.where(first == last, at[first], before[last] > before[first])
+    mask = any_value & np.where(first == last, at[first], before[last] > before[first])
+    return spread(mask, perturbation.cells, np.logical_or)
 
 
-def surface_mask(volume: DeviceVolume, filter: str, levels: list[float]) -> np.ndarray:
+def surface_mask(
+    volume: DeviceVolume,
+    filter: str,
+    levels: list[float],
+    perturbation: Perturbation = UNPERTURBED,
+) -> np.ndarray:
     """bool [z, y, x]: whether what ``filter`` interpolates in a cell can take one of ``levels``."""
-    lowest, highest = volume.bounds(FILTER_REACH[filter])
-    any_value = lowest <= highest
-    lowest, highest = _overshot(lowest, highest, overshoot(filter))
+    lowest, highest = cell_bounds(volume, filter, perturbation)
     mask = np.zeros(lowest.shape, bool)
     for level in levels:
         mask |= (lowest <= level) & (level <= highest)
-    return mask & any_value
+    return mask
+
+
+def cell_bounds(
+    volume: DeviceVolume, filter: str, perturbation: Perturbation = UNPERTURBED
+) -> tuple[np.ndarray, np.ndarray]:
+    """The lowest and the highest value, [z, y, x], that a sample in each cell can have, but for rounding;
+    infinite, with low > high, where there is none."""
+    lowest, highest = volume.bounds(FILTER_REACH[filter])
+    any_value = lowest <= highest
+    lowest, highest = _overshot(lowest, highest, overshoot(filter))
+    lowest = np.where(any_value, lowest - perturbation.added, np.inf)
+    highest = np.where(any_value, highest + perturbation.added, -np.inf)
+    reach = perturbation.cells
+    return spread(lowest, reach, np.minimum), spread(highest, reach, np.maximum)
+
+
+def spread(array: np.ndarray, cells: tuple[int, int, int], over: np.ufunc) -> np.ndarray:
+    """``over`` (np.maximum, say) all of ``array`` [z, y, x] that is up to ``cells`` (x, y, z) away."""
+    for axis, count in zip((2, 1, 0), cells):
+        reach, most = 0, min(count, array.shape[axis] - 1)
+        while reach < most:  # windows add up
+            step = min(most - reach, 2 * reach + 1)
+            grown = array.copy()
+            ahead, behind = ([slice(None)] * 3 for _ in range(2))
+            ahead[axis], behind[axis] = slice(step, None), slice(None, -step)
+            ahead, behind = tuple(ahead), tuple(behind)
+            over(grown[ahead], array[behind], out=grown[ahead])
+            over(grown[behind], array[ahead], out=grown[behind])
+            array, reach = grown, reach + step
+    return array
 
 
 def dilated(mask: np.ndarray) -> np.ndarray:

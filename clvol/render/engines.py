@@ -24,15 +24,16 @@ class Engines:
 
     def __init__(self, context: DeviceContext) -> None:
         self.context = context
-        self._quantised: dict[tuple, tuple] = {}  # with what its key identifies, kept alive
+        self._quantised: dict[tuple, tuple[tuple, dict]] = {}
         self._made: dict[tuple, Raycaster] = {}
         self._volumes: dict[int, tuple[Volume, DeviceVolume]] = {}
 
     def make(self, resolved: ResolvedScene) -> Raycaster:
         """What renders ``resolved`` by its ``integration.method``."""
+        from clvol.features import reduced_for_frames
         from clvol.render.raycast import Raycaster
 
-        resolved = self._with_precision(resolved)
+        resolved = self._with_precision(reduced_for_frames(resolved))
         key = _key(resolved)
         if key in self._made:
             made = self._made[key] = self._made.pop(key).like(resolved)
@@ -46,16 +47,25 @@ class Engines:
         return made
 
     def _with_precision(self, resolved: ResolvedScene) -> ResolvedScene:
-        asked = (resolved.volume, resolved.transfer_function)
         integration = resolved.integration
+        if integration.voxel_precision == "stored" and not integration.prefilter:
+            return resolved
+        asked = tuple(getattr(resolved, name) for name in _CONVERTED)
         key = (*map(id, asked), integration.voxel_precision, integration.prefilter)
         if key not in self._quantised:
             small = prefiltered(quantised(resolved))
-            self._quantised[key] = (*asked, small.volume, small.transfer_function)
-        *_, volume, function = self._quantised[key]
-        return replace(resolved, volume=volume, transfer_function=function)
+            while len(self._quantised) >= _KEPT:
+                del self._quantised[next(iter(self._quantised))]
+            # What the key identifies is kept alive with it.
+            self._quantised[key] = asked, {name: getattr(small, name) for name in _CONVERTED}
+        return replace(resolved, **self._quantised[key][1])
 
 
+# What other voxels make of a scene (quantise.py, prefilter.py).
+_CONVERTED = (
+    "volume", "transfer_function", "isosurfaces", "material", "gradient_opacity",
+    "directional_opacity", "transfer_layers", "noise", "voxel_range",
+)  # fmt: skip
 # What an engine is made for beside volume, transfer function and integration: by their words ...
 _BY_WORDS = (
     "lights", "isosurfaces", "clips", "material", "gradient", "environment", "shadow", "noise",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -64,6 +65,15 @@ def gradient_switch(
     return GRADIENTS[operator]
 
 
+def storing_switches(voxels: Mapping[str, int], operator: str) -> dict[str, int]:
+    """Switches of cl/gradients.cl for voxels of these switches."""
+    return {
+        "VOXEL_BITS": voxels["VOXEL_BITS"],
+        "VOXEL_SIGNED": voxels["VOXEL_SIGNED"],
+        "SOBEL": int(operator == "sobel"),
+    }
+
+
 def precompute(
     context: DeviceContext, volume: DeviceVolume, operator: str
 ) -> tuple[DeviceArray, np.ndarray]:
@@ -79,8 +89,7 @@ def precompute(
     after = volume.values.gain / before
     real = np.float64 if volume.switches["VOXEL_BITS"] == 64 else np.float32
     metric = context.upload(np.array([*(after / edges), before], real))
-    switches = {k: volume.switches[k] for k in ("VOXEL_BITS", "VOXEL_SIGNED")}
-    switches["SOBEL"] = int(operator == "sobel")
+    switches = storing_switches(volume.switches, operator)
     nx, ny, nz = volume.size
     given = {"volume": volume.plain(), "size": (nx, ny, nz, 0), "metric": metric}
     declared = f"in volume V1, value size int4, in metric {np.dtype(real).name}, "

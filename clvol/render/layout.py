@@ -28,6 +28,18 @@ class ValueMap:
         return (np.asarray(values, np.float64) - self.bias) * self.gain
 
 
+@dataclass(frozen=True)
+class Perturbation:
+    """What noise does at most: ``added`` to or taken from a value that kernels compute with, and how many
+    cells (x, y, z) a place is moved by."""
+
+    added: float = 0.0
+    cells: tuple[int, int, int] = (0, 0, 0)
+
+
+UNPERTURBED = Perturbation()
+
+
 def value_map(volume: Volume) -> ValueMap:
     low, high = volume.value_range
     if volume.dtype == np.float64:

@@ -31,19 +31,18 @@ from typing import Protocol
 import numpy as np
 
 from clvol.errors import SceneError
+from clvol.opencl.structs import MOST_NOISE_TERMS as MOST_TERMS
+from clvol.opencl.structs import NOISE_TERM as TERM_DTYPE
+from clvol.render.layout import CELL_SHIFT, Perturbation
 from clvol.volume.grid import Grid
 
 TILE = 32  # texels an edge
 CHANNELS = 4  # x, y, z of a displacement; the value
 CENTRE = 4.0  # cycles a tile in the middle of the band
-MOST_TERMS = 4
 TARGETS = {"value": 0, "coordinate": 1}  # NOISE_... of cl/noise.h
-TERM_DTYPE = np.dtype(
-    [("scale", "f4", 4), ("offset", "f4", 4), ("amplitude", "f4", 4), ("shape", "i4", 4)]
-)
-"""``NoiseTerm`` of cl/noise.h."""
 # What float32 may add to a bound that is exact in real numbers: a few roundings an octave.
 _ROUNDING = 1.0 + 1e-5
+_PLACE_ROUNDING = 0.01  # lattice units: far more than rounding of a place
 
 
 class Noise(Protocol):
@@ -139,6 +138,18 @@ def displacement_bound(noise: Noise) -> float:
     """The farthest that ``noise`` moves a place along any index axis, world length: 0 for one that
     changes values."""
     return _bound(noise, slice(0, 3)) if noise.target == "coordinate" else 0.0
+
+
+def perturbation(noises: Iterable[Noise], grid: Grid, value_gain: float = 1.0) -> Perturbation:
+    """What all of ``noises`` together do at most, for leaping over cells."""
+    noises = list(noises)
+    moved = sum(displacement_bound(noise) for noise in noises) / np.asarray(grid.spacing)
+    # Lattice units; farther than any volume's size there is nothing else to reach.
+    cells = np.ceil(np.minimum(moved + _PLACE_ROUNDING, 2.0**31) / (1 << CELL_SHIFT))
+    cells = np.where(moved > 0, cells, 0).astype(np.int64)
+    return Perturbation(
+        sum(value_bound(noise) for noise in noises) * value_gain, tuple(int(n) for n in cells)
+    )
 
 
 def _bound(noise: Noise, channels: slice) -> float:

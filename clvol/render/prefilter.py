@@ -35,7 +35,7 @@ def prefiltered(resolved: ResolvedScene) -> ResolvedScene:
         spacing=grid.spacing, origin=grid.origin, direction=grid.direction, name=volume.name,
         frame=volume.frame, path=volume.path, format=volume.format,
     )  # fmt: skip
-    return replace(resolved, volume=filtered)
+    return replace(resolved, volume=filtered, voxel_range=resolved.data_range)
 
 
 def coefficients(volume: Volume) -> np.ndarray:

@@ -9,14 +9,20 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from clvol.errors import RenderError
-from clvol.features import CLASSIFICATIONS, FILTERS, QUADRATURES, overshoot
-from clvol.opencl.context import DeviceContext, restore_interrupts
+from clvol.features import CLASSIFICATIONS, FILTERS, QUADRATURES, overshoot, reduced_for_frames
+from clvol.features.values import reachable
+from clvol.opencl.context import DeviceArray, DeviceContext, restore_interrupts
 from clvol.opencl.structs import effects_dtype, view_dtype
 from clvol.render.device_volume import DeviceVolume
 from clvol.render.effects import ARGUMENTS as _EFFECT_ARGUMENTS
 from clvol.render.effects import COUNTERS, EffectState, effect_switches
 from clvol.render.empty_space import dilated, distance_map, surface_mask, visible_mask
-from clvol.render.layout import CELL_SHIFT, value_map, voxel_switches
+from clvol.render.layout import CELL_SHIFT, Perturbation, value_map, voxel_switches
+from clvol.render.light_volume import METHODS, extinctions, fill_light_volume
+from clvol.render.noise import perturbation
+from clvol.render.opacity_factors import check_layers, layer_functions, stacked
+from clvol.render.project import hidden_score
+from clvol.render.tile_effects import tiles_that_see
 from clvol.render.view import EVERY_PIXEL, PixelLattice, RayFrame, ray_frame
 from clvol.scene.camera import Camera
 from clvol.scene.integration import Integration
@@ -24,10 +30,13 @@ from clvol.scene.resolve import ResolvedScene
 from clvol.schedule.tiles import TILE, bands, tiling
 from clvol.transfer import TransferFunction
 from clvol.transfer.classes import ClassNodes, class_nodes, visible_cells
+from clvol.transfer.cycle import cycled
 from clvol.transfer.tables import SLICES, constant_table, depths_table, preintegrated_table
+from clvol.transfer.union import union
 
 PIECE = 0.5  # smallest edges: of the tables of quadrature by cells, about as long as a cell's pieces are
 CONSTANT_NODES = 4096  # of the one-dimensional tables of pre- and post-classification
+_WIDEST = 8.0  # ranges that noise may widen the nodes by, on either side
 _SECONDS_A_SAMPLE = 1e-8  # a first guess, for how to cut a frame into launches
 _BAND_SECONDS = 0.5
 _SCENE_ARGUMENTS = "in volume V1, in table float32, in warp float32, in distances uint8, in view V1, "
@@ -39,8 +48,10 @@ _FILL_ARGUMENTS = (
 
 
 def segment_classification(integration: Integration) -> str:
-    """How segments are classified. Under the nearest filter values do not run from one sample to the
+    """How segments are classified; of a projection's, the values are. Under the nearest filter values do not run from one sample to the
     next, they jump: a pre-integrated segment of constant value is a post-classified one."""
+    if integration.compositing != "over":
+        return "post"
     if integration.filter == "nearest" and integration.classification == "preintegrated":
         return "post"
     return integration.classification
@@ -65,7 +76,7 @@ def raycast_switches(
 
 
 def scene_nodes(resolved: ResolvedScene, function: TransferFunction | None = None) -> ClassNodes:
-    """The class nodes for a scene's volume and classification."""
+    """The class nodes for a scene's volume and classification; all layers' tables share them."""
     volume, integration = resolved.volume, resolved.integration
     values = value_map(volume)
     preintegrated = segment_classification(integration) == "preintegrated"
@@ -74,14 +85,40 @@ def scene_nodes(resolved: ResolvedScene, function: TransferFunction | None = Non
     if integration.classification != "pre":  # what is classified may overshoot the voxels
         more = overshoot(integration.filter) * (high - low)
         more = float(np.ceil(more)) if integer else more
+        if resolved.noise:
+            more, integer = more + _noise_range(resolved, high - low), False
         low, high = low - more, high + more
     return class_nodes(
-        device_function(function or resolved.transfer_function, values),
+        device_function(union(layer_functions(resolved, function)), values),
         (low, high),
         integration.table_size if preintegrated else CONSTANT_NODES,
         integer=integer,
-        may_warp=preintegrated,
+        # Colours that cycle fall on no nodes, and tables of even ones are made ten times as fast.
+        may_warp=preintegrated and not resolved.animation.cycle,
     )
+
+
+def _noise_range(resolved: ResolvedScene, span: float) -> float:
+    """By how much noise widens the range of values, at most _WIDEST times that of the volume and of
+    the transfer function: nodes must not be lost on what is beyond."""
+    gain = value_map(resolved.volume).gain
+    added = perturbation(resolved.noise, resolved.volume.grid, gain).added
+    return min(added, _WIDEST * max(span, np.ptp(resolved.transfer_function.values) * gain))
+
+
+def cycled_function(resolved: ResolvedScene, function: TransferFunction) -> TransferFunction:
+    """``function`` with its colours moved as far as they have come at ``animation.time``."""
+    shift, value_range, reach = _shift(resolved), resolved.data_range, reachable(resolved)
+    if shift is None:
+        return function
+    beyond = None if reach == value_range else reach
+    return cycled(function, shift, value_range, beyond, opacity=False)
+
+
+def _shift(resolved: ResolvedScene) -> float | None:
+    """How far colours have moved, in ranges of the volume; None where they do not."""
+    animation = resolved.animation
+    return animation.cycle * animation.time if animation.cycle else None
 
 
 def device_function(function: TransferFunction, values) -> TransferFunction:
@@ -128,34 +165,43 @@ class Raycaster:
         volume: DeviceVolume | None = None,
     ) -> None:
         self.context = context
-        self.resolved = resolved
+        self.resolved = resolved = reduced_for_frames(resolved)
         self.lanes = lanes or (16 if context.is_cpu else 1)
         self.skip = skip
         self.tile = tile if self.lanes > 1 else (1, 1)
         self.volume = volume or DeviceVolume(context, resolved.volume)
         self.effects = EffectState(context, resolved, self.volume)
-        self.set_transfer_function(resolved.transfer_function)
         self._view_dtype = view_dtype(self.volume.switches["VOXEL_BITS"])
         self._warm: set[tuple] = set()
         self._tally = None
         self._none = context.empty(np.float32, (4,))
         self._view = context.empty(self._view_dtype, (1,))
+        self.set_transfer_function(resolved.transfer_function)
         self._check_struct()
 
     def set_transfer_function(self, function: TransferFunction) -> None:
         """Another transfer function: rebuilds the table and the visible cells, nothing else."""
         resolved, context = self.resolved, self.context
+        # Where the nodes are depends on no cycling: it compiles nothing.
         self.nodes = scene_nodes(resolved, function)
-        self._function = mapped = device_function(function, self.volume.values)
+        mapped = device_function(union(layer_functions(resolved, function)), self.volume.values)
+        self._asked_function = function
+        self._set_colors()
         visible = visible_cells(mapped, self.nodes.values)
-        self._build_table()
         self.gate = _gate(mapped, self.nodes, visible)
         at_nodes = mapped.opacity(self.nodes.values) > 0
         mask = visible_mask(
-            self.volume, resolved.integration.filter, self.nodes, visible, at_nodes
+            self.volume, resolved.integration.filter, self.nodes, visible, at_nodes, self._moved
         )
         if resolved.isosurfaces:
             mask |= self._surface_cells()
+        if resolved.integration.compositing != "over":  # a mean may be a value of no cell
+            mask = np.full_like(mask, visible.any() or at_nodes.any())
+            mode = resolved.integration.compositing
+            self.effects.set_hidden(hidden_score(mode, self.nodes, self.gate))
+        fields = self.effects.switches and self.effects.fields
+        if fields:
+            mask = (mask | fields.shown) & fields.kept
         self.visible_share = float(mask.mean())
         self.distances = distance_map(context, mask)
         warp = self.nodes.warp
@@ -164,37 +210,103 @@ class Raycaster:
             resolved, warped=warp is not None, lanes=self.lanes, skip=self.skip
         )
         self.switches |= self.effects.switches  # the device may be too small for some
+        self.light_volume_samples = 0
+        if self._casts_shadows:
+            self._build_shadows()
+        self._without_surfaces = self._beside_surfaces()
+
+    def _set_colors(self) -> None:
+        """The tables, with colours as they are at the scene's time."""
+        functions = layer_functions(self.resolved, self._asked_function)
+        moved = [cycled_function(self.resolved, function) for function in functions]
+        self._functions = [device_function(function, self.volume.values) for function in moved]
+        self._build_table()
+
+    @property
+    def _moved(self) -> Perturbation:
+        resolved = self.resolved
+        return perturbation(resolved.noise, resolved.volume.grid, self.volume.values.gain)
+
+    @property
+    def _casts_shadows(self) -> bool:
+        return bool(self.effects.switches.get("SHADOWS"))
+
+    def _build_shadows(self) -> None:
+        """What shadows need, which neither the camera nor the step changes."""
+        arrays, edge = self.effects.arrays, self.resolved.volume.grid.smallest_edge
+        nodes = self.nodes.values
+        tables = [extinctions(self.context, each, nodes, edge) for each in self._functions]
+        arrays["extinction"] = stacked(self.context, tables)
+        if self.switches["SHADOWS"] == METHODS["volume"] and self.visible_share:
+            view = np.zeros(1, self._view_dtype)
+            self._describe_volume(view[0])
+            arrays["light_volume"], self.light_volume_samples = fill_light_volume(
+                self.context, self.resolved, self.switches, view, {**self._scene_arrays(), **arrays}
+            )
+
+    def _scene_arrays(self) -> dict[str, DeviceArray]:
+        return {
+            "volume": self.volume.voxels,
+            "table": self.table,
+            "warp": self.warp,
+            "distances": self.distances,
+        }
 
     def _surface_cells(self) -> np.ndarray:
         """bool [z, y, x]: cells in which an iso-surface can be. Tells the effects, which look a step
         around."""
         levels = [float(self.volume.values(s.value)) for s in self.resolved.isosurfaces]
-        mask = surface_mask(self.volume, self.resolved.integration.filter, levels)
+        mask = surface_mask(self.volume, self.resolved.integration.filter, levels, self._moved)
         reach = self.resolved.integration.step / (1 << CELL_SHIFT)
         around = dilated(mask) if reach < 1 else np.ones_like(mask)
         self.effects.set_surfaces(around)
+        self.surface_cells = around
         return mask
 
+    def _beside_surfaces(self) -> Raycaster | None:
+        """For tiles that see no surface, but may see something else: all else is the same, and so is
+        what it computes. None where no tile is without."""
+        switches = self.effects.switches
+        if not switches.get("ISOSURFACES") or switches["REFRACTION"]:
+            return None  # bent rays go anywhere
+        if not switches["TRANSLUCENT"] or switches["SHADOWS"] == METHODS["rays"]:
+            return None  # rays to lights may meet surfaces that the eye's do not
+        other = copy.copy(self)
+        other.effects = self.effects.copy()
+        other.effects.switches = {**switches, "ISOSURFACES": 0}
+        other.switches = {**self.switches, "ISOSURFACES": 0}
+        return other
+
     def _build_table(self) -> None:
+        if len(self._functions) > 1:
+            check_layers(self.resolved, 4 * self._table_size[0])
+        tables = [self._table_of(function) for function in self._functions]
+        self.table = stacked(self.context, tables)
+
+    @property
+    def _table_size(self) -> tuple[int, int]:
+        """Entries of a table's slice, and of its row."""
+        row = self.nodes.values.size + 2
+        preintegrated = segment_classification(self.resolved.integration) == "preintegrated"
+        return (row if preintegrated else 1) * row, row
+
+    def _table_of(self, function: TransferFunction) -> DeviceArray:
         integration, nodes = self.resolved.integration, self.nodes.values
-        arguments = self.context, self._function, nodes
+        arguments = self.context, function, nodes
         kind = segment_classification(integration)
         effects = self.effects.switches
-        if effects and not effects["SEGMENT_OPACITIES"]:  # segments may be cut, or absorb less
+        if "COMPOSITING" in effects:
+            return constant_table(*arguments, function.opacity_unit)
+        by_cells = integration.quadrature == "cells"  # whatever the step: pieces are of any length
+        if by_cells or effects and not effects["SEGMENT_OPACITIES"]:  # cut, or absorbing less
+            length = self._piece if by_cells else self.length
             if kind == "preintegrated":
-                self.table = depths_table(*arguments, self.length)
-            else:
-                self.table = constant_table(*arguments, self.length, "extinction_table")
-        elif integration.quadrature == "cells":  # whatever the step: pieces are of any length
-            if kind == "preintegrated":
-                self.table = depths_table(*arguments, self._piece)
-            else:
-                self.table = constant_table(*arguments, self._piece, "extinction_table")
-        elif kind == "preintegrated":
-            self.table = preintegrated_table(*arguments, self.length)
-        else:
-            kernel = "classify_table" if kind == "post" else "extinction_table"
-            self.table = constant_table(*arguments, self.length, kernel)
+                return depths_table(*arguments, length)
+            return constant_table(*arguments, length, "extinction_table")
+        if kind == "preintegrated":  # effects want no shorter pieces
+            return preintegrated_table(*arguments, self.length, 2 if effects else SLICES)
+        kernel = "classify_table" if kind == "post" else "extinction_table"
+        return constant_table(*arguments, self.length, kernel)
 
     @property
     def length(self) -> float:
@@ -207,16 +319,23 @@ class Raycaster:
         return PIECE * self.resolved.volume.grid.smallest_edge
 
     def like(self, resolved: ResolvedScene) -> Raycaster:
-        """The same for ``resolved``, which may differ in camera, image, step and early termination alone.
-        Shares what these leave as it is: the volume, empty space, and often the tables."""
+        """The same for ``resolved``, which may differ in camera, image, animation, step and early
+        termination alone. Shares what these leave as it is: the volume, empty space, and often the
+        tables. Compiles nothing."""
         other = copy.copy(self)
-        other.resolved = resolved
+        other.resolved = resolved = reduced_for_frames(resolved)
+        other.effects = self.effects.like(resolved)
         by_cells = resolved.integration.quadrature == "cells"
+        if _shift(resolved) != _shift(self.resolved):
+            other._set_colors()
         if not by_cells and other.length != self.length:
             other._build_table()
             if resolved.isosurfaces:
-                other.effects = self.effects.copy()
                 other._surface_cells()
+        later = resolved.animation.time != self.resolved.animation.time
+        if later and resolved.noise and other._casts_shadows:  # cycling moves no opacity
+            other._build_shadows()
+        other._without_surfaces = other._beside_surfaces()
         return other
 
     def render(
@@ -256,10 +375,12 @@ class Raycaster:
             depths = context.output(np.float32, (lattice_height, lattice_width))
         samples = context.output(np.uint32, (tiles[0],))
         rays = lattice_width * lattice_height
-        self._launches("raycast", view, tiles[0], depth, report(0),
-                       image=image, depths=depths, samples=samples)  # fmt: skip
+        outputs = {"image": image, "depths": depths, "samples": samples}
+        size = (lattice_width, lattice_height)
+        tallies, tile_counts = self._trace(
+            frame, size, view, tiles[0], depth, report(0), outputs
+        )
         counted = [samples]
-        tallies = [self._tally]
         if fills:
             view = self._frame_view(ray_frame(camera, grid, width, height), width, height)
             view["band"][0, 1:] = (spacing, lattice_width, lattice_height)
@@ -282,8 +403,31 @@ class Raycaster:
         counters = {}
         if self.effects.switches:
             counts = np.concatenate([context.take(tally) for tally in tallies])
-            counters = self.effects.counted(counts)
+            counters = {**self.effects.counted(counts), **tile_counts}
         return FrameData(rgba, depths, taken, rays, counters)
+
+    def _trace(
+        self, frame: RayFrame, size: tuple[int, int], view, tiles: int, depth: bool, progress, outputs
+    ) -> tuple[list[DeviceArray], dict[str, int]]:
+        """The rays of all pixels, into ``outputs``. Tiles that can see no surface are rendered by
+        kernels that know of none. Gives what was counted, and how many tiles were of either kind."""
+        if self._without_surfaces is None:
+            self._launches("raycast", view, tiles, depth, progress, **outputs)
+            return [self._tally], {}
+        seen = tiles_that_see(
+            self.surface_cells, self.volume.size, frame, self.effects.space.matrix, size, self.tile
+        )
+        done = 0
+        tallies = []
+        report = None if progress is None else lambda more: progress(int(done + more * share))
+        for engine, chosen in ((self, seen), (self._without_surfaces, ~seen)):
+            share = chosen.mean()
+            if share:
+                engine._launches("raycast", view, tiles, depth, report, chosen=chosen, **outputs)
+                tallies.append(engine._tally)
+            done += share * tiles
+        counted = {"tiles_with_surfaces": seen.sum(), "tiles_without_surfaces": (~seen).sum()}
+        return tallies, {name: int(count) for name, count in counted.items()}
 
     @property
     def _shows_nothing(self) -> bool:
@@ -301,6 +445,10 @@ class Raycaster:
         counts = [self.context.empty(np.uint32, (tiles,)) for _ in range(2)]
         none = {"image": self._none, "depths": self._none, "samples": counts[0]}
         self._launches("raycast", view, tiles, depth, None, **none)
+        if self._without_surfaces is not None:
+            nowhere = np.zeros(tiles, bool)
+            for engine in (self, self._without_surfaces):
+                engine._launches("raycast", view, tiles, depth, None, chosen=nowhere, **none)
         if fills:
             none |= {"coarse": self._none, "coarse_depths": self._none, "rays": counts[1]}
             self._launches("fill_between_rays", view, tiles, depth, None, **none)
@@ -308,8 +456,11 @@ class Raycaster:
         restore_interrupts()
         self._warm.add(key)
 
-    def _launches(self, name: str, view, tiles: int, depth: bool, progress, **arrays) -> None:
-        """Kernel ``name`` over all tiles, in as many launches as keep each one short."""
+    def _launches(
+        self, name: str, view, tiles: int, depth: bool, progress, chosen=None, **arrays
+    ) -> None:
+        """Kernel ``name`` over all tiles, or those of ``chosen`` (bool [tiles]), in as many launches as
+        keep each one short."""
         context = self.context
         switches = {**self.switches, "WITH_DEPTH": int(depth)}
         declared = _FILL_ARGUMENTS if name == "fill_between_rays" else _ARGUMENTS
@@ -317,6 +468,10 @@ class Raycaster:
             self._tally = context.output(np.uint32, (tiles, len(COUNTERS)))
             declared += _EFFECT_ARGUMENTS
             arrays = {**arrays, **self.effects.arrays, "counts": self._tally}
+        if chosen is not None:
+            switches["TILES_CHOSEN"] = 1
+            declared += ", in chosen uint8"
+            arrays["chosen"] = context.upload(chosen.astype(np.uint8))
         kernel = context.kernel(f"{name}.cl", name, declared, switches)
         pixels = tiles * self.tile[0] * self.tile[1] if view["image"][0, 0] else 0
         expected = pixels * self._most_samples() * _SECONDS_A_SAMPLE
@@ -328,11 +483,8 @@ class Raycaster:
                 context.queue,
                 (count,),
                 (1,) if self.lanes > 1 else None,
-                volume=self.volume.voxels,
-                table=self.table,
-                warp=self.warp,
-                distances=self.distances,
                 view=self._view,
+                **self._scene_arrays(),
                 **arrays,
             )
             done += count
@@ -349,22 +501,29 @@ class Raycaster:
 
     def _frame_view(self, frame: RayFrame, width: int, height: int) -> np.ndarray:
         view = np.zeros(1, self._view_dtype)
-        volume, nodes, row = self.volume, self.nodes, view[0]
+        row = view[0]
         names = ("plane_origin", "plane_du", "plane_dv", "ray_forward", "ray_du", "ray_dv")
         sources = (frame.origin, frame.du, frame.dv, frame.forward, frame.ray_du, frame.ray_dv)
         with np.errstate(over="ignore", under="ignore"):
             for name, source in zip(names, sources):
                 row[name][:3] = source
             row["lens"] = (*frame.lens, *frame.centre)
+            self._describe_volume(row)
             stop = 1.0 - self.resolved.integration.early_termination
-            step = self.resolved.integration.step
-            row["march"] = (step, frame.distance, stop, frame.unit)
-            bins = 0.0 if nodes.warp is None else nodes.warp.size - 1.0
-            row["classes"] = (nodes.first, nodes.per_value, nodes.last_coordinate, bins)
+            row["march"][1:] = (frame.distance, stop, frame.unit)
         finite = [np.isfinite(row[name]).all() for name in (*names, "lens", "march", "classes")]
         if not all(finite) or not min(row["march"][0], row["march"][3]) > 0:
             where = f"{self.resolved.origin}: camera"
             raise RenderError(where, "numbers beyond float32", "a camera and units nearer to 1")
+        row["image"] = (width, height, *self.tile)
+        return view
+
+    def _describe_volume(self, row: np.void) -> None:
+        """The fields of a ``View`` that no camera changes."""
+        volume, nodes, step = self.volume, self.nodes, self.resolved.integration.step
+        bins = 0.0 if nodes.warp is None else nodes.warp.size - 1.0
+        row["march"][0] = step
+        row["classes"] = (nodes.first, nodes.per_value, nodes.last_coordinate, bins)
         row["upper"][:3] = np.asarray(volume.size) - 1
         row["gate"][:2] = self.gate
         parts = parts_of_cell(self.resolved.integration.step)
@@ -376,12 +535,8 @@ class Raycaster:
         row["size"][:3] = volume.size
         row["stride"][:2] = volume.stride
         row["cells"] = (*volume.cells, CELL_SHIFT)
-        row["image"] = (width, height, *self.tile)
-        n = nodes.values.size
-        preintegrated = segment_classification(self.resolved.integration) == "preintegrated"
-        rows = n + 2 if preintegrated else 1
-        row["table"] = (n, n + 2, SLICES, rows * (n + 2))
-        return view
+        entries, width_of_table = self._table_size
+        row["table"] = (nodes.values.size, width_of_table, SLICES, entries)
 
     def _check_struct(self) -> None:
         """The compiler's View must be ours, field for field: all fields are 16 bytes wide."""

@@ -43,11 +43,12 @@ class Renderer:
         self._first_time = self.resolved.animation.time
         loaded = perf_counter()
         self._context = open_context(devices)
-        self._raycaster = None
+        self._raycaster = self._engines = None
         if self.resolved.integration.method == "raycast":
             from clvol.render.engines import Engines
 
-            self._raycaster = Engines(self._context).make(self.resolved)
+            self._engines = Engines(self._context)
+            self._raycaster = self._engines.make(self.resolved)
         self._load_seconds = loaded - start
         self._prepare_seconds = perf_counter() - loaded - self._context.compile_seconds
 
@@ -61,7 +62,7 @@ class Renderer:
         """Gives the device's memory back. Nothing can be rendered afterwards."""
         if self._context is not None:
             self._context.release()
-        self._context = self._raycaster = None
+        self._context = self._raycaster = self._engines = None
 
     def render(
         self,
@@ -78,13 +79,13 @@ class Renderer:
         """
         if self._context is None:
             raise RenderError("Renderer", "is closed", "a Renderer that is open")
-        self._move_to(self._first_time if time is None else float(time))
         resolved = self.resolved
         width, height = resolved.image.width, resolved.image.height
         if camera is None:
             camera = resolved.camera
         else:
             camera = camera.complete(resolved.volume.grid, resolved.image)
+        self._move_to(self._first_time if time is None else float(time), camera)
         if self._raycaster is None:
             return self._reference(camera, progress)
         compile_start = perf_counter()
@@ -97,16 +98,16 @@ class Renderer:
         seconds = {"compile": compile_seconds, "render": perf_counter() - start}
         return self._frame(data.rgba, data.depth, seconds, _counted(data))
 
-    def _move_to(self, time: float) -> None:
-        if time == self.resolved.animation.time:
+    def _move_to(self, time: float, camera: Camera) -> None:
+        """What is rendered at ``time`` from ``camera``: what has a consequence may depend on both."""
+        resolved = self.resolved
+        is_new_time = time != resolved.animation.time
+        if is_new_time:
+            animation = resolved.animation.model_copy(update={"time": time})
+            self.resolved = resolved = replace(resolved, animation=animation)
+        if self._engines is None or not (is_new_time or resolved.depth_cue):
             return
-
-        def then(resolved: ResolvedScene) -> ResolvedScene:
-            return replace(resolved, animation=resolved.animation.model_copy(update={"time": time}))
-
-        self.resolved = then(self.resolved)
-        if self._raycaster is not None:
-            self._raycaster = self._raycaster.like(then(self._raycaster.resolved))
+        self._raycaster = self._engines.make(replace(resolved, camera=camera))
 
     def _reference(self, camera: Camera, progress) -> Frame:
         from clvol.render.reference import render_reference
@@ -131,10 +132,13 @@ class Renderer:
 
 def check_memory(resolved: ResolvedScene, cap: int | None) -> None:
     """VolumeError if rendering takes more than ``cap`` bytes on the device."""
+    from clvol.render.fields import field_bytes
     from clvol.render.layout import scene_bytes
+    from clvol.render.light_volume import light_volume_bytes
 
     image, volume = resolved.image, resolved.volume
     needed = scene_bytes(volume, resolved.integration.table_size, image.width, image.height)
+    needed += light_volume_bytes(resolved) + field_bytes(resolved)
     if cap is not None and needed > cap:
         what = f"needs {needed} bytes on the device, pictures and tables included"
         raise VolumeError(volume.name or "volume", what, f"at most the memory cap of {cap} bytes")

@@ -8,9 +8,9 @@ from clvol.scene.table import Number, Table, Whole
 
 
 class Animation(Table):
-    """``time``: seconds, of the first frame. ``cycle``: how fast the transfer function moves over
-    the values, in ranges of the volume a second; values wrap. ``orbit_degrees``: the camera's turn
-    about its target over all frames."""
+    """``time``: seconds, of the first frame. ``cycle``: how fast the transfer function's colours move
+    over the values, in ranges of the volume a second, wrapping; its opacity stays.
+    ``orbit_degrees``: the camera's turn about its target over all frames."""
 
     time: Number = Field(0.0, ge=-1e6, le=1e6, description="seconds from -1e6 to 1e6")
     frames: Whole = Field(1, ge=1, le=100000, description="a whole number from 1 to 100000")

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, Annotated
+
 import numpy as np
 from pydantic import Field, model_validator
 
 from clvol.scene.camera import Camera
-from clvol.scene.table import Color, Coordinate, Fraction, Table, wrong
-from clvol.volume.grid import Grid
+from clvol.scene.table import Color, Fraction, Number, Table, wrong
 
+if TYPE_CHECKING:
+    from clvol.volume import Grid
+
+_FARTHEST = 1e300
 _DISTANCE = "a finite world distance from the eye"
+_Distance = Annotated[Number, Field(ge=-_FARTHEST, le=_FARTHEST)]
 
 
 class DepthCue(Table):
@@ -17,8 +23,8 @@ class DepthCue(Table):
     way to ``color``, which is in the colour space of the transfer function. Left out, they are the
     distances of the volume's nearest and farthest corner."""
 
-    start: Coordinate | None = Field(None, description=_DISTANCE)
-    end: Coordinate | None = Field(None, description=_DISTANCE)
+    start: _Distance | None = Field(None, description=_DISTANCE)
+    end: _Distance | None = Field(None, description=_DISTANCE)
     strength: Fraction = Field(1.0, description="a number from 0 to 1")
     color: Color = Field((0.0, 0.0, 0.0), description="three numbers [r, g, b] from 0 to 1")
 
@@ -34,10 +40,11 @@ class DepthCue(Table):
 
     def complete(self, camera: Camera, grid: Grid) -> DepthCue:
         """This with start and end filled in; where that would leave no length between them, they
-        are one voxel edge apart."""
-        distances = corner_distances(camera, grid)
-        edge = max(grid.smallest_edge, 1e-6 * float(np.abs(distances).max()))
+        are about a voxel edge apart."""
+        distances = np.clip(corner_distances(camera, grid), -0.5 * _FARTHEST, 0.5 * _FARTHEST)
         start, end = self.start, self.end
+        given = [abs(x) for x in (start, end) if x is not None]
+        edge = max(grid.smallest_edge, 1e-6 * max([float(np.abs(distances).max()), *given]))
         if start is None:
             start = float(distances.min())
             start = start if end is None or start < end else end - edge

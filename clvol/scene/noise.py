@@ -1,4 +1,4 @@
-"""[noise]: a tiling noise that perturbs the value or the place of every sample."""
+"""[[noise]]: tiling noises that perturb the value or the place of every sample."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from pydantic import Field
 
 from clvol.scene.table import AsTuple, Number, Table, Whole
 
+LARGEST_COUNT = 4  # terms: NOISE_TERMS of cl/noise.h
 _Speed = Annotated[Number, Field(ge=-1e6, le=1e6)]
 
 
@@ -15,7 +16,8 @@ class Noise(Table):
     """``amplitude``: in units of the value, or a world length for the target "coordinate".
     ``frequency``: tiles of noise along the volume's longest edge. Each of ``octaves`` has twice the
     frequency and ``gain`` times the amplitude of the one before. ``velocity``: tiles a second along
-    x, y, z."""
+    x, y, z. Several terms add up, all taken at the place that has not been moved; what is moved
+    beyond the volume shows the volume's face."""
 
     target: Literal["value", "coordinate"] = Field(description="'value' or 'coordinate'")
     amplitude: Number = Field(ge=-1e30, le=1e30, description="a number from -1e30 to 1e30")

@@ -70,9 +70,15 @@ class ResolvedScene:
     directional_opacity: OpacityFactor | None = None
     transfer_layers: tuple[TransferLayer, ...] = ()
     fields: tuple[ResolvedField, ...] = ()
-    noise: Noise | None = None
+    noise: tuple[Noise, ...] = ()
     depth_cue: DepthCue | None = None
     animation: Animation = Animation()
+    voxel_range: tuple[float, float] | None = None  # where ``volume`` holds other than voxels
+
+    @property
+    def data_range(self) -> tuple[float, float]:
+        """Lowest and highest finite voxel, which is what shares of the range mean."""
+        return self.voxel_range or self.volume.value_range
 
 
 def resolve(scene: Scene, memory_cap: int | None = None) -> ResolvedScene:

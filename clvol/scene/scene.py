@@ -30,6 +30,7 @@ from clvol.scene.isosurface import Isosurface
 from clvol.scene.light import Light
 from clvol.scene.material import Material
 from clvol.scene.multiresolution import Multiresolution
+from clvol.scene.noise import LARGEST_COUNT as LARGEST_NOISES
 from clvol.scene.noise import Noise
 from clvol.scene.opacity_factor import DirectionalOpacity, GradientOpacity
 from clvol.scene.pyramid import Pyramid
@@ -103,7 +104,7 @@ class Scene(Table):
         (), description=_TABLES
     )
     field: Annotated[tuple[FieldSettings, ...], AsTuple] = Field((), description=_TABLES)
-    noise: Noise | None = Field(None, description=_TABLE)
+    noise: Annotated[tuple[Noise, ...], AsTuple] = Field((), description=_TABLES)
     depth_cue: DepthCue | None = Field(None, description=_TABLE)
     animation: Animation = Field(Animation(), description=_TABLE)
 
@@ -118,15 +119,15 @@ class Scene(Table):
         if self.integration.prefilter and filter != "cubic":
             expected = f"false with the filter {filter!r}, or the filter 'cubic'"
             raise wrong("integration.prefilter", True, expected)
-        if self.shadow is not None and not self.light:
-            expected = "no [shadow] in a scene without any [[light]]"
-            raise wrong("shadow", self.shadow.model_dump(exclude_unset=True), expected)
         magnitudes = [0.0, *(layer.magnitude for layer in self.transfer_layer)]
         for i in range(1, len(magnitudes)):
             if not magnitudes[i - 1] < magnitudes[i]:
                 expected = f"ascending magnitudes, here more than {magnitudes[i - 1]}"
                 raise wrong(f"transfer_layer.{i - 1}.magnitude", magnitudes[i], expected)
-        for name, most in (("transfer_layer", LARGEST_LAYERS), ("field", LARGEST_COUNT)):
+        counts = {
+            "transfer_layer": LARGEST_LAYERS, "field": LARGEST_COUNT, "noise": LARGEST_NOISES
+        }  # fmt: skip
+        for name, most in counts.items():
             count = len(getattr(self, name))
             if count > most:
                 raise wrong(name, count, f"at most {most} of them")

@@ -37,7 +37,7 @@ def to_toml(scene: Scene) -> str:
 
 
 def _keys(table: BaseModel) -> list[str]:
-    asked = table.model_dump(mode="python", exclude_unset=True)
+    asked = table.model_dump(mode="python", exclude_unset=True, warnings=False)
     return [_key(key, value) for key, value in asked.items() if value is not None]
 
 

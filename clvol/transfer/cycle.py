@@ -36,7 +36,7 @@ def cycled(
     first, last = value_range if reach is None else (min(reach[0], low), max(reach[1], high))
     inner = function.values[(function.values > low) & (function.values < high)]
     knots = np.unique(np.concatenate([[low], inner, [high]]))
-    right, left = _limits(function, knots[:-1], "right"), _limits(function, knots[1:], "left")
+    right, left = limits(function, knots[:-1], "right"), limits(function, knots[1:], "left")
     offset = -(shift % 1.0) * period
     from_period = math.floor(max((first - low - offset) / period, -_MOST_PERIODS / 2))
     to_period = math.ceil(min((last - low - offset) / period, _MOST_PERIODS / 2))
@@ -49,11 +49,11 @@ def cycled(
             if begin < end and end > first and begin < last:
                 values += [begin, end]
                 points += [right[k], left[k]]
-    moved = _joined(np.array(values), np.array(points), function.opacity_unit)
+    moved = joined(np.array(values), np.array(points), function.opacity_unit)
     return moved if opacity else _mixed(function, moved)
 
 
-def _limits(function: TransferFunction, at: np.ndarray, side: str) -> np.ndarray:
+def limits(function: TransferFunction, at: np.ndarray, side: str) -> np.ndarray:
     """float64 [n, 4], opacity and colour just left or right of the values ``at``."""
     found = np.column_stack([function.opacity(at), function.color(at)])
     if side == "left":
@@ -64,7 +64,7 @@ def _limits(function: TransferFunction, at: np.ndarray, side: str) -> np.ndarray
     return found
 
 
-def _joined(values: np.ndarray, points: np.ndarray, unit: float) -> TransferFunction:
+def joined(values: np.ndarray, points: np.ndarray, unit: float) -> TransferFunction:
     """From the ends of consecutive pieces; ends that meet in value and point become one."""
     same = (values[1:] == values[:-1]) & (points[1:] == points[:-1]).all(axis=1)
     keep = np.concatenate([[True], ~same])
@@ -77,6 +77,6 @@ def _mixed(opacities: TransferFunction, colors: TransferFunction) -> TransferFun
     knots = np.unique(np.concatenate([opacities.values, colors.values]))
     points = np.empty((knots.size, 2, 4))
     for k, side in enumerate(("left", "right")):
-        points[:, k, 0] = _limits(opacities, knots, side)[:, 0]
-        points[:, k, 1:] = _limits(colors, knots, side)[:, 1:]
-    return _joined(np.repeat(knots, 2), points.reshape(-1, 4), opacities.opacity_unit)
+        points[:, k, 0] = limits(opacities, knots, side)[:, 0]
+        points[:, k, 1:] = limits(colors, knots, side)[:, 1:]
+    return joined(np.repeat(knots, 2), points.reshape(-1, 4), opacities.opacity_unit)

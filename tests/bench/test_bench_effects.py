@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import json
 import math
@@ -30,7 +29,6 @@ from bench.pictures import apart
 from bench.scenes import SCENES, BenchScene
 from bench.shaded import OWN_GOAL, VTK_GOAL, verdict
 from clvol.accuracy.timing import summary
-from clvol.errors import SceneError
 
 SIDE = 9
 
@@ -383,8 +381,7 @@ def test_shaded_frames_are_measured_and_shown(ball, quick, first_device):
     _vtk()
     from bench import shaded
 
-    with _once_rendered():
-        row = shaded._compare(ball, ball.load(), 48, "directional", first_device, 1, quick)
+    row = shaded._compare(ball, ball.load(), 48, "directional", first_device, 1, quick)
     assert row["is_lit"] and row["apart"]["best_flip"] == "none" and row["apart"]["outline"] < 0.05
     assert row["vtk_seconds"] > 0 and row["samples"]["shaded"] > 0
     assert "NOT lit" not in shaded.show(_result(rows=[row], vtk="9", threads=1))
@@ -394,20 +391,8 @@ def test_surfaces_are_measured_and_shown(ball, quick, first_device):
     _vtk()
     from bench import isosurface
 
-    with _once_rendered():
-        row = isosurface._compare(ball, ball.load(), 100.0, first_device, quick)
+    row = isosurface._compare(ball, ball.load(), 100.0, first_device, quick)
     assert row["apart"]["best_flip"] == "none" and row["apart"]["outline"] < 0.05
     assert row["apart"]["rmse"] < 0.05
     text = isosurface.show(_result(rows=[row], vtk="9"))
     assert row["opengl"]["renderer"] in text and "NOT the same" not in text
-
-
-@contextlib.contextmanager
-def _once_rendered():
-    """Skips where the ray caster does not know the effect."""
-    try:
-        yield
-    except SceneError as error:
-        if "cannot be rendered" not in str(error):
-            raise
-        pytest.skip(str(error))

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from small_scenes import SMOOTH, axis_camera, exact, make_scene, picture, waves
 
-from clvol import Renderer, Scene, TransferFunction, Volume
+from clvol import Scene, TransferFunction, Volume
 from clvol.errors import RenderError, SceneError
+from clvol.features import called_for, reduced
 
 CLASSIFICATIONS = ("pre", "post", "preintegrated")
 FILTERED = [(name, "linear") for name in CLASSIFICATIONS] + [("preintegrated", "nearest")]
@@ -244,9 +245,9 @@ def test_nothing_but_voxels_that_are_not_numbers_shows_nothing(
 
 
 @pytest.mark.parametrize("array", [np.full((5, 5, 5), 7, np.uint8), np.zeros((1, 1, 1), np.float32)])
-def test_shading_where_gradients_are_zero_is_refused_as_all_shading(device, array):
-    scene = Scene(volume=Volume(array), light=({"type": "headlight"},))
-    with pytest.raises(SceneError, match="light: lighting cannot be rendered, expected a scene"):
-        Renderer(scene, devices=[device])
-    dark = Scene(volume=Volume(array), light=({"type": "headlight", "intensity": 0.0},))
-    Renderer(dark, devices=[device]).close()  # a light that does nothing is not called for
+def test_shading_where_gradients_are_zero_is_not_called_for(array):
+    for intensity in (1.0, 0.0):
+        light = {"type": "headlight", "intensity": intensity}
+        scene = Scene(volume=Volume(array), light=(light,)).resolve()
+        assert called_for(scene) == ["emission-absorption"]
+        assert reduced(scene).lights == ()

@@ -280,5 +280,6 @@ def test_a_hole_agrees_with_the_exact_integral(device, context, classification):
 def test_explain_names_the_kernel_of_the_cubic_filter():
     array = waves((8, 8, 8), np.uint8)
     listed = explain(cubic_scene(array)), explain(make_scene(array))
-    assert listed[0]["effects"] == listed[1]["effects"]
+    called = [{e["name"] for e in told["effects"] if e["called_for"]} for told in listed]
+    assert called[0] == called[1] | {"cubic filter"}
     assert listed[0]["kernel_hash"] != listed[1]["kernel_hash"]

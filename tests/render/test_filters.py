@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import product
-
 import numpy as np
 import pytest
 from field_points import TYPES, evaluate, lattice_points, rough, spline_at
@@ -12,6 +10,7 @@ from hypothesis import strategies as st
 from small_scenes import SMOOTH, axis_camera, make_scene, picture, rms, waves
 
 from clvol import TransferFunction, Volume
+from clvol.errors import SceneError
 from clvol.features import FILTERS, kernel_hash, overshoot
 from clvol.render import prefilter
 from clvol.render.device_volume import DeviceVolume
@@ -290,14 +289,19 @@ def test_the_filter_takes_no_more_memory_than_its_coefficients_and_a_chunk(monke
 
 def test_prefiltering_is_done_where_it_is_asked_for():
     array = waves((9, 8, 7), np.uint8)
-    for filter, asked in product(("linear", "cubic", "catmull-rom"), (False, True)):
-        scene = make_scene(array, filter=filter, prefilter=asked)
-        other = prefiltered(scene)
-        if not (asked and filter == "cubic"):
-            assert other is scene
-            continue
-        assert other.volume.dtype == np.float32 and other.volume.grid == scene.volume.grid
-        assert other.transfer_function is scene.transfer_function
+    for filter in ("linear", "cubic", "catmull-rom"):
+        scene = make_scene(array, filter=filter)
+        assert prefiltered(scene) is scene
+    scene = make_scene(array, filter="cubic", prefilter=True)
+    other = prefiltered(scene)
+    assert other.volume.dtype == np.float32 and other.volume.grid == scene.volume.grid
+    assert other.transfer_function is scene.transfer_function
+
+
+@pytest.mark.parametrize("filter", sorted(set(FILTERS) - {"cubic"}))
+def test_prefiltering_is_refused_where_voxels_are_met_without(filter):
+    with pytest.raises(SceneError, match="integration.prefilter: got true, expected"):
+        make_scene(waves((9, 8, 7), np.uint8), filter=filter, prefilter=True)
 
 
 def test_a_prefiltered_picture_is_nearer_to_the_fields_that_voxels_sample(context):

@@ -157,7 +157,7 @@ def _words(figure, axes, sweep: Sweep, knob, color) -> None:
         f"{scene['width']} × {scene['height']} pixels",
         f"{machine['device_name']}, {machine['cores']} cores",
         f"median of {sweep.result['method']['frames']} frames, bars: fastest to slowest",
-        f"error against the exact integral (tolerance {sweep.result['reference']['tolerance']:g})",
+        f"error against the {wording.judged_by(sweep.result)}",
     ]
     figure.text(left, 0.908, wording.shorten(", ".join(parts), 170), fontsize=8.5, color=_MUTED,
                 parse_math=False)

@@ -155,10 +155,11 @@ def _pictures(sweep: Sweep, images: PageImages) -> str:
     if not images.pictures:
         return ""
     front = {p["id"] for p in sweep.front}
+    judged_by = wording.judged_by(sweep.result)
     cards = [
         '<figure class="card" data-id="reference">'
-        f'{_image(images, "reference", "The exact integral")}'
-        f"{_scales(images)}<figcaption><b>The exact integral</b>"
+        f'{_image(images, "reference", f"The {judged_by}")}'
+        f"{_scales(images)}<figcaption><b>The {judged_by}</b>"
         "<span>what the others are measured against</span></figcaption></figure>"
     ]
     for point in sweep.shown():
@@ -177,10 +178,10 @@ def _pictures(sweep: Sweep, images: PageImages) -> str:
             f"{_image(images, key, label)}"
             f'<div class="differences"><img class="shared" src="{images.shared[key]}" '
             f'width="{images.width}" height="{images.height}" '
-            f'alt="difference of {escape(label)} from the exact integral, shared scale">'
+            f'alt="difference of {escape(label)} from the {judged_by}, shared scale">'
             f'<img class="each" src="{images.own[key]}" width="{images.width}" '
             f'height="{images.height}" '
-            f'alt="difference of {escape(label)} from the exact integral, scale of its own">'
+            f'alt="difference of {escape(label)} from the {judged_by}, scale of its own">'
             f'<span class="gain each">gain {escape(wording.number(scale.gain))}, last colour from '
             f"{escape(wording.number(scale.full))}</span></div>"
             f"<figcaption><b>{escape(label)}</b>{note}"
@@ -191,7 +192,7 @@ def _pictures(sweep: Sweep, images: PageImages) -> str:
     return (
         "<section>\n<h2>What it looks like</h2>\n"
         '<p class="lead">The settings of the front, cheapest first; below each its difference from '
-        "the exact integral.</p>\n"
+        f"the {judged_by}.</p>\n"
         '<input type="radio" name="scale" id="scale-shared" checked>'
         '<input type="radio" name="scale" id="scale-each">\n'
         '<p class="choice"><label for="scale-shared">One scale for all</label>'
@@ -360,20 +361,17 @@ def _method(sweep: Sweep) -> str:
     method, reference = result["method"], result["reference"]
     spreads = [p["seconds"]["spread"] for p in sweep.points
                if p["seconds"].get("spread") is not None]
+    judged_by = wording.judged_by(sweep.result)
     failed = reference.get("failed_rays") or 0
     rounds = method.get("rounds")
     frames = _several(method["frames"], "frame") + " a setting"
     if isinstance(rounds, int):
         frames += f", in {_several(rounds, 'round')}"
     rows = [
-        ("Error", "RMSE: root of the mean squared difference from the exact integral, over all "
+        ("Error", f"RMSE: root of the mean squared difference from the {judged_by}, over all "
                   "pixels and R, G, B, A, in linear light, premultiplied. PSNR, SSIM and CIEDE2000 "
                   "(ΔE): of the displayed picture."),
-        ("Exact integral", f"adaptive quadrature in double precision, tolerance "
-                           f"{wording.number(reference['tolerance'])}, estimated error "
-                           f"{wording.number(reference.get('error_estimate'), 2)}, "
-                           f"{wording.seconds(reference.get('seconds'))}; rays that missed the "
-                           f"tolerance: {failed}"),
+        (judged_by.capitalize(), _judge(reference, failed)),
         ("Time", f"{method['clock']}; median of {frames}"),
     ]
     if spreads:
@@ -397,6 +395,18 @@ def _method(sweep: Sweep) -> str:
     return f"<section>\n<h2>How it was measured</h2>\n{warning}<dl>{items}</dl>\n{source}</section>"
 
 
+def _judge(reference: dict, failed: int) -> str:
+    """How what pictures were judged by was found."""
+    estimate = wording.number(reference.get("error_estimate"), 2)
+    if reference.get("step"):
+        return (f"effects have no exact integral: the ray caster's own picture at a step of "
+                f"{wording.number(reference['step'])} voxel edges, which differs from that at twice the "
+                f"step by {estimate}")
+    return (f"adaptive quadrature in double precision, tolerance "
+            f"{wording.number(reference['tolerance'])}, estimated error {estimate}, "
+            f"{wording.seconds(reference.get('seconds'))}; rays that missed the tolerance: {failed}")
+
+
 def _warning(sweep: Sweep, failed: int) -> str:
     """Where the reference is not good enough to judge by."""
     estimate = sweep.result["reference"].get("error_estimate")
@@ -405,7 +415,7 @@ def _warning(sweep: Sweep, failed: int) -> str:
     if failed:
         told.append(f"{_several(failed, 'ray')} of the exact integral missed the tolerance.")
     if estimate and errors and min(errors) < 10 * estimate:
-        told.append("The smallest errors are near the exact integral's own error: take them as "
+        told.append(f"The smallest errors are near the {wording.judged_by(sweep.result)}'s own error: take them as "
                     "upper bounds.")
     return f'<p class="warning">{escape(" ".join(told))}</p>\n' if told else ""
 

@@ -83,3 +83,8 @@ def toml(value: Any) -> str:
 def shorten(text: str, length: int) -> str:
     """At most ``length`` characters, the last one an ellipsis where something is left out."""
     return text if len(text) <= length else text[: length - 1].rstrip(" ,") + "…"
+
+
+def judged_by(result: dict[str, Any]) -> str:
+    """What the errors of a sweep are measured against."""
+    return result["reference"].get("how") or "exact integral"

@@ -12,46 +12,48 @@ _NODES, _WEIGHTS = 0.5 * (_NODES + 1.0), 0.5 * _WEIGHTS
 
 
 class MovedFunction:
-    """A transfer function over values that move through the volume's range, wrapping.
+    """A transfer function whose colours move over the volume's range, wrapping; its opacity stays.
 
-    ``shift``: cycle times time, in ranges. value' = low + mod(value - low + shift range, range);
-    whole ranges leave everything as it is.
+    ``shift``: cycle times time, in ranges; None without a cycle. A value has the colour of value' = low
+    + mod(value - low + shift range, range); whole ranges leave those within the range as they are.
     """
 
     def __init__(
         self,
         function: TransferFunction,
         value_range: tuple[float, float] = (0.0, 0.0),
-        shift: float = 0.0,
+        shift: float | None = None,
     ) -> None:
         self.function = function
-        self.low, self.span = value_range[0], value_range[1] - value_range[0]
-        self.shift = shift % 1.0 * self.span
-
-    def _moved(self, values: np.ndarray) -> np.ndarray:
-        if self.shift == 0.0:
-            return values
-        return self.low + np.mod(values - self.low + self.shift, self.span)
+        self.low, self.high = value_range
+        self.span = self.high - self.low
+        self.cycles = shift is not None and self.span > 0
+        self.shift = shift % 1.0 * self.span if self.cycles else 0.0
 
     def color(self, values: np.ndarray) -> np.ndarray:
         """Linear colour [..., 3] of values [...]."""
-        return self.function.color(self._moved(values))
+        if self.cycles:
+            stays = (values >= self.low) & (values <= self.high) & (self.shift == 0.0)
+            moved = self.low + np.mod(values - self.low + self.shift, self.span)
+            values = np.where(stays, values, moved)
+        return self.function.color(values)
 
     def opacity(self, values: np.ndarray) -> np.ndarray:
         """Opacity [...] of one opacity unit of values [...]; 0 for NaN."""
-        return self.function.opacity(self._moved(values))
+        return self.function.opacity(values)
 
     def extinction(self, values: np.ndarray) -> np.ndarray:
         """Extinction per world length, finite."""
-        return np.minimum(self.function.extinction(self._moved(values)), OPAQUE)
+        return np.minimum(self.function.extinction(values), OPAQUE)
 
     def breaks(self) -> np.ndarray:
         """The values where the function may have a kink or a step, ascending."""
         values = self.function.values
-        if self.shift == 0.0:
+        if not self.cycles:
             return np.unique(values)
-        lap = np.append(values[(values >= self.low) & (values <= self.low + self.span)], self.low)
-        return np.unique([lap - self.shift + k * self.span for k in range(-2, 4)])
+        lap = np.append(values[(values >= self.low) & (values <= self.high)], self.low)
+        moved = [lap - self.shift + k * self.span for k in range(-2, 4)]
+        return np.unique(np.concatenate([*moved, values]))
 
 
 def of_value(function, values: np.ndarray, length: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from clvol.render.noise import noise_tile
 from clvol.render.twin import classify
 from clvol.render.twin.field import Field, GridSampler
 from clvol.render.twin.noise import fractal_noise
@@ -25,10 +26,10 @@ class Segment:
 class Medium:
     """The volume of a resolved scene with its transfer functions, factors, fields and noise.
 
-    ``noise_tile``: uint8 [z, y, x, 4]; without it, the scene's seed decides.
+    ``tile``: uint8 [z, y, x, 4] for all terms; without it, their seeds decide.
     """
 
-    def __init__(self, resolved, noise_tile: np.ndarray | None = None) -> None:
+    def __init__(self, resolved, tile: np.ndarray | None = None) -> None:
         integration, volume = resolved.integration, resolved.volume
         self.grid = volume.grid
         self.value_range = volume.value_range
@@ -41,14 +42,11 @@ class Medium:
         self.classification = integration.classification
         if integration.filter == "nearest" and self.classification == "preintegrated":
             self.classification = "post"  # values jump: a chord between them is not there
-        self.noise = resolved.noise
-        self.time = resolved.animation.time
-        if self.noise is not None and noise_tile is None:
-            from clvol.render.noise import noise_tile as tile_of_seed
-
-            noise_tile = tile_of_seed(self.noise.seed)
-        self.noise_tile = noise_tile
-        shift = resolved.animation.cycle * self.time
+        self.noise = tuple(term for term in resolved.noise if term.amplitude != 0)
+        self.tile = tile
+        animation = resolved.animation
+        self.time = animation.time
+        shift = animation.cycle * self.time if animation.cycle else None
         layers = [(0.0, resolved.transfer_function)]
         layers += [(layer.magnitude, layer.function) for layer in resolved.transfer_layers]
         self.layers_at = np.array([magnitude for magnitude, _ in layers])
@@ -65,16 +63,36 @@ class Medium:
         return self.field.value(moved) + added
 
     def gradient(self, world: np.ndarray) -> np.ndarray:
-        """The gradient [n, 3] of the field where the place is moved to; noise's own is left out."""
-        return self.field.gradient(self._perturbed(world)[0])
+        """The gradient [n, 3] of the field. With noise: differences of ``value`` over a smallest voxel
+        edge along the index axes, one-sided at the volume's faces."""
+        if not self.noise:
+            return self.field.gradient(world)
+        lower, upper = self.grid.index_bounds()
+        to_index, to_world = self.grid.world_to_index(), self.grid.index_to_world()
+        index = world @ to_index[:3, :3].T + to_index[:3, 3]
+        slopes = []
+        for axis in range(3):
+            reach = 0.5 * self.grid.smallest_edge / self.grid.spacing[axis]
+            ends = [index.copy(), index.copy()]
+            for end, sign in zip(ends, (-1, 1)):
+                at = index[:, axis] + sign * reach
+                end[:, axis] = np.clip(at, lower[axis], upper[axis])
+            first, last = (self.value(end @ to_world[:3, :3].T + to_world[:3, 3]) for end in ends)
+            length = ends[1][:, axis] - ends[0][:, axis]
+            slopes.append((last - first) / np.where(length > 0, length, 1.0))
+        return np.stack(slopes, axis=-1) @ to_index[:3, :3]
 
-    def _perturbed(self, world: np.ndarray) -> tuple[np.ndarray, np.ndarray | float]:
-        if self.noise is None:
-            return world, 0.0
-        sums = fractal_noise(self.noise, self.noise_tile, self.grid, world, self.time)
-        if self.noise.target == "value":
-            return world, self.noise.amplitude * sums[:, 3]
-        return world + self.noise.amplitude * sums[:, :3] @ self.grid.direction.T, 0.0
+    def _perturbed(self, world: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Where the volume is sampled [n, 3] (beyond its faces that is on them), and what is added."""
+        moved, added = world.copy(), np.zeros(len(world))
+        for term in self.noise:
+            tile = noise_tile(term.seed) if self.tile is None else self.tile
+            sums = fractal_noise(term, tile, self.grid, world, self.time)
+            if term.target == "value":
+                added += term.amplitude * sums[:, 3]
+            else:
+                moved += term.amplitude * sums[:, :3] @ self.grid.direction.T
+        return moved, added
 
     def segment(
         self,

@@ -38,6 +38,7 @@ class Projection:
         if self.mode == "attenuated-maximum":
             low, high = self.medium.value_range
             share = (value - low) / (high - low) if high > low else np.zeros_like(value)
+            share = np.maximum(share, 0.0)  # noise leads beyond the range: nothing shines less
             factor = np.exp(-self.attenuation * self.passed[rays] / self.longest)
             score = share * factor
             self.passed[rays] += share * length

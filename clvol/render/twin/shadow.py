@@ -12,7 +12,7 @@ from clvol.render.twin.shade import toward
 from clvol.render.twin.surfaces import crossings
 from clvol.volume import Grid
 
-CONE_DIRECTIONS = 16
+CONE_DIRECTIONS = 13
 _SUBDIVISIONS = 8  # within a step of a shadow ray
 
 
@@ -34,6 +34,8 @@ class Shadows:
         if self.settings.method == "volume":
             if number not in self._volumes:
                 self._volumes[number] = self._light_volume(self.lights[number])
+            if surface is not None:
+                at = at + self._beyond_surface(gradient, to_light)
             return self._volumes[number](at)
         depth = np.zeros(len(at))
         cast = np.ones(len(at), bool) if weight is None else weight > self.settings.bound
@@ -69,6 +71,14 @@ class Shadows:
                     )  # fmt: skip
                     depth[rays] += self._surfaces_depth(met, o, d)
         return np.minimum(depth, classify.OPAQUE)
+
+    def _beyond_surface(self, gradient, to_light) -> np.ndarray:
+        """[n, 3]: from a plane surface to the nearest place whose light cell is all on its lit side."""
+        grid = light_grid(self.medium.grid, self.settings.resolution)
+        lit = np.where(np.sum(gradient * to_light, axis=1) > 0, 1.0, -1.0)
+        normal = lit[:, None] * gradient / np.linalg.norm(gradient, axis=1)[:, None]
+        across = np.abs(normal @ (grid.direction * grid.spacing)).sum(axis=1)
+        return across[:, None] * normal
 
     def _surfaces_depth(self, met, origin, direction) -> np.ndarray:
         """Optical depth [n] of the surfaces met, but for those that a mask removes."""

@@ -68,9 +68,11 @@ def test_cycling_by_whole_ranges_changes_nothing_and_values_wrap():
     value = np.linspace(0, 4, 9)
     for shift in (1.0, -2.0):
         moved = MovedFunction(PEAKS, (0.0, 4.0), shift)
-        assert np.array_equal(moved.opacity(value), PEAKS.opacity(value))
+        assert np.array_equal(moved.color(value), PEAKS.color(value))
     moved = MovedFunction(PEAKS, (0.0, 4.0), 0.25)
-    assert moved.opacity(np.array([3.5]))[0] == pytest.approx(float(PEAKS.opacity(0.5)))
+    assert moved.color(np.array([3.5]))[0] == pytest.approx(PEAKS.color(np.array(0.5)))
+    assert np.array_equal(moved.opacity(value), PEAKS.opacity(value))  # colours alone move
+    assert moved.color(np.array([-1.0]))[0] == pytest.approx(PEAKS.color(np.array(0.0)))
 
 
 def test_the_shifted_chord_has_the_parabolas_mean():

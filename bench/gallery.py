@@ -1,0 +1,160 @@
+"""The gallery: every effect in a picture, together on one sheet (bench/gallery.png).
+
+Measures nothing. Scenes are files of bench/gallery and data; one whose volume is not there is left
+out, and said to be.
+"""
+
+from __future__ import annotations
+
+import textwrap
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from bench.options import Options
+from bench.report import machine, say, table
+
+if TYPE_CHECKING:
+    import numpy as np
+
+SUMMARY = "a picture of every effect, on one sheet"
+SCENES = Path(__file__).resolve().parent / "gallery"
+DATA = Path(__file__).resolve().parent.parent / "data"
+SHEET = Path(__file__).resolve().parent / "gallery.png"
+
+TILE = (360, 300)  # pixels, width and height, on the sheet
+COLUMNS = 4
+_GAP, _MARGIN, _TEXT, _TITLE, _LINE = 14, 18, 13, 15, 17
+_LINES = 2  # of a caption, below its title
+_WRAP = 58  # characters a line
+_PAGE, _INK, _FAINT = (255, 255, 255), (28, 32, 38), (96, 104, 114)
+
+
+@dataclass(frozen=True)
+class Tile:
+    """``scene``: a file's name without its ending, in SCENES or else in DATA. ``effect``: as
+    ``clvol explain`` names it, called for in the scene. ``asked``: the tables that ask for it.
+    ``more``: overrides (as ``load_scene`` takes them), for a second picture of one scene."""
+
+    scene: str
+    title: str
+    caption: str
+    effect: str
+    asked: str
+    more: tuple[str, ...] = ()
+
+    @property
+    def path(self) -> Path:
+        inside = SCENES / f"{self.scene}.toml"
+        return inside if inside.exists() else DATA / f"{self.scene}.toml"
+
+    @property
+    def name(self) -> str:
+        """Unique: the scene's, and what is overridden."""
+        return "-".join([self.scene, *(text.split("=")[1] for text in self.more)])
+
+    def missing(self) -> list[Path]:
+        """Files that the scene names and that are not there."""
+        with open(self.path, "rb") as file:
+            told = tomllib.load(file)
+        tables = [told["volume"], *told.get("field", []), told.get("environment", {})]
+        files = [self.path.parent / part["file"] for part in tables if "file" in part]
+        return [file for file in files if not file.exists()]
+
+    def load(self, width: int, height: int):
+        """The Scene at ``width`` by ``height`` pixels."""
+        from clvol import load_scene
+
+        size = (f"image.width={width}", f"image.height={height}")
+        return load_scene(self.path, (*self.more, *size))
+
+
+TILES: tuple[Tile, ...] = ()
+
+
+def run(options: Options) -> dict[str, Any] | None:
+    """Renders every tile at twice its size on the sheet, or (quick) at a quarter."""
+    from clvol.opencl.devices import open_device
+
+    device = open_device(options.device)
+    folder = options.folder / "gallery"
+    folder.mkdir(parents=True, exist_ok=True)
+    rows, left_out = [], []
+    for tile in TILES:
+        if options.scenes and tile.scene not in options.scenes:
+            continue
+        missing = tile.missing()
+        if missing:
+            left_out.append(tile.name)
+            say(f"{tile.name}: left out, {missing[0].name} is not in {missing[0].parent.resolve()}")
+            continue
+        rows.append(_render(tile, device, folder, options.quick))
+        say(f"{tile.name}: {rows[-1]['seconds']:.2f} s")
+    if not rows:
+        say("nothing to show")
+        return None
+    return {"machine": machine(device), "quick": options.quick, "rows": rows, "left_out": left_out}
+
+
+def _render(tile: Tile, device: Any, folder: Path, quick: bool) -> dict[str, Any]:
+    from PIL import Image
+
+    from clvol import Renderer
+    from clvol.image.png import display
+
+    width, height = (n // 4 if quick else 2 * n for n in TILE)
+    with Renderer(tile.load(width, height), devices=[device]) as renderer:
+        frame = renderer.render()
+    path = folder / f"{tile.name}.png"
+    Image.fromarray(display(shrunk(frame.rgba, TILE), frame.background)).save(path)
+    return {"name": tile.name, "picture": str(path), "seconds": frame.stats["seconds"]["render"]}
+
+
+def shrunk(rgba: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """float32 [size[1], size[0], 4] from ``rgba`` [h, w, 4]: means in linear light. What is
+    brighter than white is cut off first, so that edges of highlights stay smooth."""
+    import numpy as np
+    from PIL import Image
+
+    shown = np.clip(rgba, 0.0, 1.0).astype(np.float32)
+    channels = [Image.fromarray(np.ascontiguousarray(shown[..., i])) for i in range(4)]
+    return np.stack([np.asarray(c.resize(size, Image.Resampling.BOX)) for c in channels], axis=-1)
+
+
+def show(result: dict[str, Any]) -> str:
+    rows = [[row["name"], f"{row['seconds']:.3f}"] for row in result["rows"]]
+    return table(["scene", "s"], rows)
+
+
+def draw(result: dict[str, Any], options: Options) -> list:
+    partial = options.quick or options.scenes or result["left_out"]
+    path = options.folder / "gallery.png" if partial else SHEET
+    pictures = {row["name"]: row["picture"] for row in result["rows"]}
+    compose([(tile, pictures[tile.name]) for tile in TILES if tile.name in pictures], path)
+    return [path]
+
+
+def compose(pictures: list[tuple[Tile, str]], path: Path) -> None:
+    """The sheet: COLUMNS tiles a row, each with title and caption under it."""
+    from PIL import Image, ImageDraw, ImageFont
+
+    columns = min(COLUMNS, len(pictures))
+    across, down = TILE[0] + _GAP, TILE[1] + _TITLE + 6 + _LINES * _LINE + _GAP + 4
+    rows = -(-len(pictures) // columns)
+    size = (2 * _MARGIN + columns * across - _GAP, 2 * _MARGIN + rows * down - _GAP)
+    sheet = Image.new("RGB", size, _PAGE)
+    pen = ImageDraw.Draw(sheet)
+    title, text = ImageFont.load_default(_TITLE), ImageFont.load_default(_TEXT)
+    for i, (tile, picture) in enumerate(pictures):
+        x, y = _MARGIN + i % columns * across, _MARGIN + i // columns * down
+        with Image.open(picture) as image:
+            sheet.paste(image, (x, y))
+        y += TILE[1] + 5
+        pen.text((x, y), tile.title, _INK, title)
+        for line in textwrap.wrap(tile.caption, _WRAP)[:_LINES]:
+            y += _LINE
+            pen.text((x, y + 2), line, _FAINT, text)
+    # A palette with dither keeps a page of smooth pictures under a megabyte or so.
+    sheet = sheet.quantize(256, Image.Quantize.MEDIANCUT, dither=Image.Dither.FLOYDSTEINBERG)
+    sheet.save(path, optimize=True)

@@ -1,0 +1,240 @@
+/* Further volumes on their own grids, looked up by place: labels replace colours and weight the extinction, densities add a
+ * medium of their own, masks cut.
+ *
+ * All voxels are floats in `fields`: of labels not their numbers, but their place among those that have a colour, from 1 on,
+ * and 0 for all others; what is not finite is NaN. An axis of one voxel is held twice. Tables lie in `factors`: of labels
+ * (colour, factor) by their place; of densities a warp (bins + 1 class coordinates, if any) and (c D, D) over one edge by class.
+ * Outside its grid a field is nothing: no label, no density, and what is masked is removed.
+ */
+#ifndef FIELDS_H
+#define FIELDS_H
+
+#include "effects.h"
+#include "emission.h"
+#include "rays.h"
+
+/* As in clvol/render/fields.py: bits of FIELDS, and roles. */
+#define FIELD_LABEL 1
+#define FIELD_DENSITY 2
+#define FIELD_MASK 4
+
+#define FIELD_EDGE 1e-3f /* voxels beyond the outermost ones that still count, for rounding */
+
+typedef struct {
+  floatN x, y, z; /* lattice point of the field, within it */
+  intN inside;
+} FieldPlace;
+
+INLINE FieldPlace place_in_field(const Scene *scene, int k, floatN x, floatN y, floatN z)
+{
+  __constant const Effects *e = scene->effects;
+  const float4 ax = e->field_x[k], ay = e->field_y[k], az = e->field_z[k];
+  const float4 upper = convert_float4(e->field_size[k]) - 1.0f;
+  FieldPlace p;
+  p.x = ax.x * x + ax.y * y + ax.z * z + ax.w;
+  p.y = ay.x * x + ay.y * y + ay.z * z + ay.w;
+  p.z = az.x * x + az.y * y + az.z * z + az.w;
+  p.inside = MASK(p.x >= -FIELD_EDGE) & MASK(p.x <= upper.x + FIELD_EDGE);
+  p.inside &= MASK(p.y >= -FIELD_EDGE) & MASK(p.y <= upper.y + FIELD_EDGE);
+  p.inside &= MASK(p.z >= -FIELD_EDGE) & MASK(p.z <= upper.z + FIELD_EDGE);
+  p.x = lane_clamp(p.x, (floatN)0.0f, (floatN)upper.x);
+  p.y = lane_clamp(p.y, (floatN)0.0f, (floatN)upper.y);
+  p.z = lane_clamp(p.z, (floatN)0.0f, (floatN)upper.z);
+  return p;
+}
+
+INLINE floatN nearest_in_field(const Scene *scene, int k, FieldPlace p)
+{
+  const int4 size = scene->effects->field_size[k];
+  const intN ix = TO_INT(p.x + 0.5f), iy = TO_INT(p.y + 0.5f), iz = TO_INT(p.z + 0.5f);
+  return AS_FLOAT(gather4(scene->fields + scene->effects->field_at[k].x, (iz * size.y + iy) * size.x + ix));
+}
+
+/* Voxels of no weight do not count: they may be NaN. */
+INLINE floatN mix_voxels(floatN a, floatN b, floatN share)
+{
+  const floatN mixed = select(a + share * (b - a), a, MASK(share == 0.0f));
+  return select(mixed, b, MASK(share == 1.0f));
+}
+
+INLINE floatN linear_in_field(const Scene *scene, int k, FieldPlace p)
+{
+  const int4 size = scene->effects->field_size[k];
+  const intN ix = min(TO_INT(p.x), (intN)(size.x - 2)), iy = min(TO_INT(p.y), (intN)(size.y - 2));
+  const intN iz = min(TO_INT(p.z), (intN)(size.z - 2));
+  const floatN fx = p.x - TO_FLOAT(ix), fy = p.y - TO_FLOAT(iy), fz = p.z - TO_FLOAT(iz);
+  const intN at = (iz * size.y + iy) * size.x + ix;
+  __global const float *voxels = scene->fields + scene->effects->field_at[k].x;
+  floatN slices[2];
+  _Pragma("unroll 1") for (int z = 0; z < 2; ++z) {
+    __global const float *a = voxels + (size_t)z * size.x * size.y, *b = a + size.x;
+    const floatN row0 = mix_voxels(AS_FLOAT(gather4(a, at)), AS_FLOAT(gather4(a + 1, at)), fx);
+    const floatN row1 = mix_voxels(AS_FLOAT(gather4(b, at)), AS_FLOAT(gather4(b + 1, at)), fx);
+    slices[z] = mix_voxels(row0, row1, fy);
+  }
+  return mix_voxels(slices[0], slices[1], fz);
+}
+
+INLINE intN is_finite(floatN v) { return MASK((AS_INT(v) & 0x7f800000) != 0x7f800000); }
+
+/* What fields make of a segment. */
+typedef struct {
+  Emission added; /* of a segment of one step, where the masks keep all of it */
+  Vectors color;  /* in place of the volume's, where `labelled` */
+  intN labelled;
+  floatN factor;  /* on the volume's extinction */
+  floatN kept;    /* share that the masks keep */
+} FieldLook;
+
+INLINE FieldLook no_fields(void)
+{
+  FieldLook look;
+  look.added = no_emission();
+  look.color.x = look.color.y = look.color.z = 0.0f;
+  look.labelled = 0, look.factor = 1.0f, look.kept = 1.0f;
+  return look;
+}
+
+#if FIELDS & FIELD_DENSITY
+
+/* (c D, D) of a step of value v: linear between the nodes of its table. */
+INLINE void add_density(const Scene *scene, int k, floatN value, intN there, Emission *added)
+{
+  __constant const Effects *e = scene->effects;
+  const float4 map = e->field_map[k]; /* value of coordinate 0, coordinates (or bins) a value, last coordinate, bins */
+  there &= is_finite(value);
+  value = select((floatN)map.x, value, there);
+  floatN p = (value - map.x) * map.y;
+  if (map.w > 0.0f) {
+    __global const float *warp = scene->factors + e->field_at[k].z;
+    p = lane_clamp(p, (floatN)0.0f, (floatN)map.w);
+    const intN bin = min(TO_INT(p), (intN)((int)map.w - 1));
+    const floatN low = AS_FLOAT(gather4(warp, bin)), high = AS_FLOAT(gather4(warp + 1, bin));
+    p = low + (p - TO_FLOAT(bin)) * (high - low);
+  }
+  p = lane_clamp(p, (floatN)0.0f, (floatN)map.z);
+  const intN node = min(TO_INT(p), (intN)((int)map.z - 1)), entry = 4 * node;
+  const floatN share = p - TO_FLOAT(node);
+  __global const float *table = scene->factors + e->field_at[k].y;
+  floatN sums[4];
+  _Pragma("unroll 1") for (int c = 0; c < 4; ++c) {
+    const floatN low = AS_FLOAT(gather4(table + c, entry)), high = AS_FLOAT(gather4(table + 4 + c, entry));
+    sums[c] = select((floatN)0.0f, (low + share * (high - low)) * scene->view->march.x, there);
+  }
+  added->r += sums[0], added->g += sums[1], added->b += sums[2], added->d += sums[3];
+}
+
+#endif
+
+#if FIELDS & FIELD_MASK
+
+/* How far above its threshold a mask is on the side that is kept; below 0 outside. `known`: whether there is any mask. */
+INLINE floatN above_mask(const Scene *scene, int k, floatN x, floatN y, floatN z, intN *known)
+{
+  const float4 map = scene->effects->field_map[k]; /* threshold, 1 or -1 */
+  const FieldPlace p = place_in_field(scene, k, x, y, z);
+  const floatN value = linear_in_field(scene, k, p);
+  *known = p.inside & is_finite(value);
+  return select((floatN)-1.0f, map.y * (value - map.x), *known);
+}
+
+/* Whether all masks keep a place. */
+INLINE intN mask_keeps(const Scene *scene, floatN x, floatN y, floatN z, intN active, Tally *counted)
+{
+  intN kept = active;
+  _Pragma("unroll 1") for (int k = 0; k < scene->effects->fields.x; ++k) {
+    if (scene->effects->field_size[k].w != FIELD_MASK || !any_lane(kept)) continue;
+    intN known;
+    count(&counted[COUNT_FIELD_SAMPLES], kept);
+    kept &= MASK(above_mask(scene, k, x, y, z, &known) >= 0.0f);
+  }
+  return kept;
+}
+
+/* The share that mask `k` keeps of the segment from t0 to t1: the mask runs linearly from end to end. */
+INLINE floatN kept_share(const Scene *scene, int k, const Rays *ray, floatN t0, floatN t1)
+{
+  floatN ends[2];
+  intN known = -1;
+  _Pragma("unroll 1") for (int end = 0; end < 2; ++end) {
+    const floatN t = end ? t1 : t0;
+    intN known_here;
+    ends[end] = above_mask(scene, k, ray->x0 + t * ray->dx, ray->y0 + t * ray->dy, ray->z0 + t * ray->dz, &known_here);
+    known &= known_here;
+  }
+  const floatN none = 0.0f, whole = 1.0f;
+  const intN first = MASK(ends[0] >= 0.0f), last = MASK(ends[1] >= 0.0f), crosses = first ^ last;
+  const floatN place = ends[0] / select(whole, ends[0] - ends[1], crosses);
+  const floatN kept = select(select(none, whole, first & last), select(whole - place, place, first), crosses);
+  return select(none, kept, known);
+}
+
+/* The share that all masks keep; 0 for rays that are not active. */
+INLINE floatN kept_by_masks(const Scene *scene, const Rays *ray, floatN t0, floatN t1, intN active, Tally *counted)
+{
+  floatN share = select((floatN)0.0f, (floatN)1.0f, active);
+  _Pragma("unroll 1") for (int k = 0; k < scene->effects->fields.x; ++k) {
+    const intN kept = MASK(share > 0.0f);
+    if (scene->effects->field_size[k].w != FIELD_MASK || !any_lane(kept)) continue;
+    count(&counted[COUNT_FIELD_SAMPLES], kept), count(&counted[COUNT_FIELD_SAMPLES], kept);
+    share *= kept_share(scene, k, ray, t0, t1);
+  }
+  return share;
+}
+
+#endif
+
+/* What the fields make of a segment of `ray` from t0 to t1 with its middle at (x, y, z), where the volume itself may show
+ * something (`shows`), for the rays in `active`. */
+INLINE FieldLook look_at_fields(const Scene *scene, const Rays *ray, floatN t0, floatN t1, floatN x, floatN y, floatN z,
+                                intN shows, intN active, Tally *counted)
+{
+  __constant const Effects *e = scene->effects;
+  FieldLook look = no_fields();
+#if FIELDS & FIELD_DENSITY
+  _Pragma("unroll 1") for (int k = 0; k < e->fields.x; ++k) {
+    if (e->field_size[k].w != FIELD_DENSITY) continue;
+    const FieldPlace p = place_in_field(scene, k, x, y, z);
+    const intN there = active & p.inside;
+    if (!any_lane(there)) continue;
+    count(&counted[COUNT_FIELD_SAMPLES], there);
+    add_density(scene, k, linear_in_field(scene, k, p), there, &look.added);
+  }
+#endif
+#if FIELDS & FIELD_LABEL
+  if (any_lane(shows)) {
+    _Pragma("unroll 1") for (int k = 0; k < e->fields.x; ++k) {
+      if (e->field_size[k].w != FIELD_LABEL) continue;
+      const FieldPlace p = place_in_field(scene, k, x, y, z);
+      const floatN code = nearest_in_field(scene, k, p);
+      const intN labelled = shows & p.inside & MASK(code > 0.0f);
+      count(&counted[COUNT_FIELD_SAMPLES], shows & p.inside);
+      __global const float *labels = scene->factors + e->field_at[k].y;
+      const intN entry = 4 * select((intN)0, TO_INT(code), labelled);
+      const Vectors color = {AS_FLOAT(gather4(labels, entry)), AS_FLOAT(gather4(labels + 1, entry)),
+                             AS_FLOAT(gather4(labels + 2, entry))};
+      look.color = select3(look.color, color, labelled);
+      look.factor *= AS_FLOAT(gather4(labels + 3, entry));
+      look.labelled |= labelled;
+    }
+  }
+#endif
+#if FIELDS & FIELD_MASK
+  look.kept = kept_by_masks(scene, ray, t0, t1, active & (shows | MASK(look.added.d > 0.0f)), counted);
+#endif
+  return look;
+}
+
+/* The volume's own emission with what the fields make of it. */
+INLINE void apply_fields(FieldLook look, Emission *e)
+{
+  e->d *= look.factor;
+  const floatN factor = look.factor;
+  e->r = select(e->r * factor, look.color.x * e->d, look.labelled) + look.added.r;
+  e->g = select(e->g * factor, look.color.y * e->d, look.labelled) + look.added.g;
+  e->b = select(e->b * factor, look.color.z * e->d, look.labelled) + look.added.b;
+  e->d += look.added.d;
+  e->r *= look.kept, e->g *= look.kept, e->b *= look.kept, e->d *= look.kept;
+}
+
+#endif

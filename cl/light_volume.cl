@@ -1,0 +1,99 @@
+/* Fills a light volume: for each point of a grid over the volume the share of one light that arrives there, by the march of
+ * shadow.h.
+ *
+ * SCATTERING: S = (1 - s) T + s T_cone, with T_cone the mean over CONE directions in a cone about that to the light of
+ * exp(-(1 - colour) D). It stands for light that is scattered forward on its way: what a cone of light brings, of which a share
+ * `colour` of all that is taken out of each ray scatters on within the cone. Kniss et al. (2003) sweep such a cone through the
+ * volume slice by slice (half-angle slicing), light that left one ray going on along others; here each ray goes straight to
+ * the light. So this lacks light that turns by more than the cone's angle, multiple scattering round an opaque obstacle wider than
+ * the cone, and any light spent twice is not made up for: energy is not conserved, only never more than the light's own.
+ *
+ * Switches (-D): those of the picture.
+ */
+#include "render_packet.h"
+
+#if SHADOWS == SHADOWS_BY_VOLUME
+
+/* Unit vectors across `axis`, which is one too. */
+INLINE void axes_across(Vectors axis, Vectors *u, Vectors *v)
+{
+  const intN along_x = MASK(fabs(axis.x) >= 0.9f);
+  const floatN zero = 0.0f, one = 1.0f;
+  const floatN ox = select(one, zero, along_x), oy = select(zero, one, along_x); /* x or y */
+  u->x = oy * axis.z, u->y = -ox * axis.z, u->z = ox * axis.y - oy * axis.x;
+  *u = unit3(*u);
+  v->x = axis.y * u->z - axis.z * u->y, v->y = axis.z * u->x - axis.x * u->z, v->z = axis.x * u->y - axis.y * u->x;
+}
+
+/* cone     float4 [1 + directions]: (1 - colour, directions), then unit vectors about +z, w 0
+ * arrives  float [points of all lights, LIGHT_CHANNELS]: rgb, or one number without scattering
+ * samples  uint [work-items]: reconstructions of the volume
+ * light    number of the light among all; index: among those that cast shadows; first: point of this launch
+ */
+__kernel WIDE_VECTORS void light_volume(__global const uchar *restrict volume, __global const float *restrict table,
+                                        __global const float *restrict warp, __global const uchar *restrict distances,
+                                        __constant const View *restrict view, __constant const Effects *restrict effects,
+                                        __global const float4 *restrict items, __global const uint *restrict gradients,
+                                        __global const uchar *restrict cell_flags, __global const uint *restrict noise,
+                                        __global const float *restrict factors, __global const float *restrict fields,
+                                        __global const float *restrict extinction, __global const float4 *restrict cone,
+                                        int light, int index, int first, __global float *restrict arrives,
+                                        __global uint *restrict samples)
+{
+  const int4 size = effects->light_size;
+  const int points = size.x * size.y * size.z, item = get_global_id(0) + first / LANES;
+  if (item * LANES >= points) return;
+  const Scene scene_ = {volume, table, warp, distances, view, effects, items, gradients, cell_flags, items, items,
+                        noise, factors, fields, extinction};
+  const Scene *scene = &scene_;
+  EFFECT_TALLY
+  const intN point = min(item * LANES + LANE_INDEX, (intN)(points - 1));
+  const intN z = point / (size.x * size.y), y = point / size.x - z * size.y, x = point - (z * size.y + y) * size.x;
+  const Vectors place = {TO_FLOAT(x) * (view->upper.x / (float)(size.x - 1)), TO_FLOAT(y) * (view->upper.y / (float)(size.y - 1)),
+                         TO_FLOAT(z) * (view->upper.z / (float)(size.z - 1))};
+  const Vectors here = to_local(effects, place.x, place.y, place.z);
+  const float4 at = items[effects->first.x + 2 * light];
+  const floatN reach = distance_to_light(at, here);
+  Vectors towards = broadcast3(at);
+  if (at.w == LIGHT_POINT) {
+    const Vectors way = {at.x - here.x, at.y - here.y, at.z - here.z};
+    towards = unit3(way);
+  }
+  const intN all = MASK(item * LANES + LANE_INDEX < points);
+  Vectors u, v;
+  axes_across(towards, &u, &v);
+  const float4 less = cone[0];
+  const int directions = SCATTERING ? (int)less.w : 0;
+  floatN straight = 1.0f;
+  Vectors scattered = {0.0f, 0.0f, 0.0f};
+  _Pragma("unroll 1") for (int k = 0; k <= directions; ++k) {
+    const float4 c = cone[k];
+    const Vectors turned = sum3(sum3(scaled3(u, c.x), scaled3(v, c.y)), scaled3(towards, c.z));
+    const floatN depth = depth_towards(scene, place, k ? turned : towards, reach, all, counted);
+    if (k == 0) {
+      straight = 1.0f - opacity_of_depth(depth);
+    } else {
+      scattered.x += 1.0f - opacity_of_depth(less.x * depth);
+      scattered.y += 1.0f - opacity_of_depth(less.y * depth);
+      scattered.z += 1.0f - opacity_of_depth(less.z * depth);
+    }
+  }
+  const float s = SCATTERING ? effects->shadow.z : 0.0f, mean = s / (float)max(directions, 1);
+  float r[LANES], g[LANES], b[LANES];
+  STORE_LANES((1.0f - s) * straight + mean * scattered.x, r);
+  STORE_LANES((1.0f - s) * straight + mean * scattered.y, g);
+  STORE_LANES((1.0f - s) * straight + mean * scattered.z, b);
+  EACH_LANE_ROLLED(k)
+  {
+    const int p = item * LANES + k;
+    if (p >= points) continue;
+    __global float *out = arrives + ((size_t)index * points + p) * LIGHT_CHANNELS;
+    out[0] = r[k];
+#if SCATTERING
+    out[1] = g[k], out[2] = b[k], out[3] = 0.0f;
+#endif
+  }
+  samples[item] = tally_sum(counted[COUNT_SHADOW_SAMPLES]);
+}
+
+#endif

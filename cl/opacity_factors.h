@@ -1,0 +1,98 @@
+/* What the gradient decides about a segment: factors on its extinction by the gradient's magnitude and by the derivative along
+ * the ray, and emission and extinction from a function of value and magnitude (P4 sec. 5).
+ *
+ * Tables in `factors` are two rows of `n` floats: places ascending (per edge; of two at one place the later one holds there), and
+ * factors at them, linear in between. Of the layers of a function of two values only the places are there: their
+ * look-up tables lie one behind the other in `table`.
+ */
+#ifndef OPACITY_FACTORS_H
+#define OPACITY_FACTORS_H
+
+#include "effects.h"
+#include "emission.h"
+
+/* As in clvol/render/opacity_factors.py: bits of OPACITY_FACTORS. */
+#define FACTOR_GRADIENT 1
+#define FACTOR_DIRECTIONAL 2
+
+/* Without over- or underflow of the squares. */
+INLINE floatN length3(Vectors a)
+{
+  const floatN largest = lane_max(lane_max(fabs(a.x), fabs(a.y)), fabs(a.z));
+  const floatN unit = lane_max(largest, (floatN)1e-37f);
+  const Vectors scaled = {a.x / unit, a.y / unit, a.z / unit};
+  return select((floatN)0.0f, unit * sqrt(dot3(scaled, scaled)), MASK(largest > 1e-37f));
+}
+
+typedef struct {
+  intN low, high; /* entries */
+  floatN share;   /* of the second */
+} TablePlace;
+
+/* Between which of `n` ascending places x lies; beyond the ends the outermost one twice. */
+INLINE TablePlace place_in_table(__global const float *places, int n, floatN x)
+{
+  const intN zero = 0, last = n - 1;
+  intN above = 0; /* places <= x */
+  int stride = 1;
+  while (2 * stride <= n) stride *= 2;
+  _Pragma("unroll 1") for (; stride > 0; stride >>= 1) {
+    const intN next = above + stride;
+    const floatN place = AS_FLOAT(gather4(places, min(next, (intN)n) - 1));
+    above = select(above, next, MASK(next <= n) & MASK(place <= x));
+  }
+  TablePlace p;
+  p.low = max(above - 1, zero), p.high = min(above, last);
+  const floatN from = AS_FLOAT(gather4(places, p.low)), to = AS_FLOAT(gather4(places, p.high)), span = to - from;
+  const intN wide = MASK(span > 0.0f);
+  p.share = select((floatN)0.0f, lane_clamp((x - from) / select((floatN)1.0f, span, wide), (floatN)0.0f, (floatN)1.0f), wide);
+  return p;
+}
+
+#if OPACITY_FACTORS
+
+/* The factor at x of the table of `n` points that begins at `offset`. */
+INLINE floatN opacity_factor(const Scene *scene, int offset, int n, floatN x)
+{
+  __global const float *places = scene->factors + offset;
+  const TablePlace p = place_in_table(places, n, x);
+  const floatN low = AS_FLOAT(gather4(places + n, p.low)), high = AS_FLOAT(gather4(places + n, p.high));
+  return low + p.share * (high - low);
+}
+
+/* e times the factors for a gradient (local, per edge) on a ray in the unit direction `forward` (local). */
+INLINE void weigh_by_gradient(const Scene *scene, Emission *e, Vectors gradient, Vectors forward)
+{
+  __constant const Effects *effects = scene->effects;
+  floatN factor = 1.0f;
+#if OPACITY_FACTORS & FACTOR_GRADIENT
+  factor *= opacity_factor(scene, effects->factor_offsets.x, effects->factors.x, length3(gradient));
+#endif
+#if OPACITY_FACTORS & FACTOR_DIRECTIONAL
+  factor *= opacity_factor(scene, effects->factor_offsets.y, effects->factors.y, fabs(dot3(gradient, forward)));
+#endif
+  e->r *= factor, e->g *= factor, e->b *= factor, e->d *= factor;
+}
+
+#endif
+
+#if TRANSFER_LAYERS
+
+/* The two layers' tables that a gradient's magnitude lies between, of `floats` each, as floats from the beginning of the first. */
+INLINE TablePlace layers_around(const Scene *scene, Vectors gradient, int floats)
+{
+  __constant const Effects *effects = scene->effects;
+  TablePlace p = place_in_table(scene->factors + effects->factor_offsets.z, effects->factors.z, length3(gradient));
+  p.low *= floats, p.high *= floats;
+  return p;
+}
+
+INLINE Emission mixed_emission(Emission a, Emission b, floatN share)
+{
+  const Emission e = {a.r + share * (b.r - a.r), a.g + share * (b.g - a.g), a.b + share * (b.b - a.b), a.d + share * (b.d - a.d)};
+  return e;
+}
+
+#endif
+
+#endif

@@ -1,0 +1,69 @@
+/* The field of a scene: its reconstructed value and its gradient, with the noise that perturbs them. */
+#ifndef SCENE_VALUE_H
+#define SCENE_VALUE_H
+
+#include "effects.h"
+#include "sample_volume.h"
+
+/* Switch NOISE: the sum of what its terms do. */
+#define NOISE_ADDS 1
+#define NOISE_MOVES 2
+
+/* The value at a lattice point. Both kinds of noise are taken there; a place that is moved out of the domain is taken back to its
+ * face. */
+INLINE floatN scene_value(const Scene *scene, floatN x, floatN y, floatN z)
+{
+#if NOISE
+  __constant const Effects *e = scene->effects;
+#endif
+#if NOISE & NOISE_ADDS
+  const floatN added = added_noise(scene->noise, e->noise_terms, e->noise_counts.x, x, y, z);
+#endif
+#if NOISE & NOISE_MOVES
+  displace(scene->noise, e->noise_terms + e->noise_counts.x, e->noise_counts.y, &x, &y, &z);
+#endif
+  const floatN value = sample_value(fetch_sample(scene->volume, scene->view, x, y, z), scene->view);
+#if NOISE & NOISE_ADDS
+  return value + added;
+#else
+  return value;
+#endif
+}
+
+#if GRADIENT
+#include "gradient.h"
+
+/* Its gradient, per edge along the local axes. With noise: differences of values over a smallest edge along the lattice axes,
+ * one-sided at the volume's faces. */
+INLINE Vectors scene_gradient(const Scene *scene, floatN x, floatN y, floatN z)
+{
+#if NOISE
+  const float4 reach = scene->effects->noise_reach;
+  const floatN zero = 0.0f;
+  floatN slope[3] = {0.0f, 0.0f, 0.0f}, before = 0.0f;
+  _Pragma("unroll 1") for (int k = 0; k < 6; ++k) {
+    const float side = k & 1 ? 1.0f : -1.0f;
+    const float sx = k < 2 ? side * reach.x : 0.0f, sy = k >> 1 == 1 ? side * reach.y : 0.0f, sz = k > 3 ? side * reach.z : 0.0f;
+    const floatN ax = lane_clamp(x + sx, zero, (floatN)scene->view->upper.x);
+    const floatN ay = lane_clamp(y + sy, zero, (floatN)scene->view->upper.y);
+    const floatN az = lane_clamp(z + sz, zero, (floatN)scene->view->upper.z);
+    const floatN value = scene_value(scene, ax, ay, az);
+    if (k & 1) {
+      const floatN at = k == 1 ? x : k == 3 ? y : z;
+      const float far = k == 1 ? reach.x : k == 3 ? reach.y : reach.z;
+      const float upper = k == 1 ? scene->view->upper.x : k == 3 ? scene->view->upper.y : scene->view->upper.z;
+      const floatN length = lane_clamp(at + far, zero, (floatN)upper) - lane_clamp(at - far, zero, (floatN)upper);
+      slope[k >> 1] = (value - before) / lane_max(length, (floatN)1e-12f);
+    }
+    before = value;
+  }
+  Gradient g = {slope[0], slope[1], slope[2]};
+  g = finite_gradient(g);
+#else
+  const Gradient g = gradient_at(scene->volume, scene->gradients, scene->view, scene->effects->gradient_scale, x, y, z);
+#endif
+  return gradient_to_local(scene->effects, g.x, g.y, g.z);
+}
+#endif
+
+#endif

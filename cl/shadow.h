@@ -1,0 +1,315 @@
+/* Shadows: the share of a light that arrives at a place, through the translucent volume and the iso-surfaces before it.
+ *
+ * T = exp(-D), D the optical depth along the straight line to the light: as far as the volume's domain or, if it is nearer, a point
+ * light. D is the midpoint rule's over steps of shadow.step edges from the place on, the last one shorter, whatever the scene's
+ * classification: a value is classified by the one-dimensional table of extinctions (`extinction`). A surface adds
+ * -log(1 - opacity) where successive samples lie on both sides of its iso-value; none is shaded, so that there is no
+ * recursion. What is clipped away casts no shadow. The march ends where D is beyond shadow.w: T is below 1e-3 there.
+ *
+ * A shadow ray starts in the very surface that it lights: on which side of it the ray runs is told by the value SURFACE_OFFSET
+ * edges along it, not by that at its start, which is the iso-value but for rounding. 0.1 edges stay below all that the voxels
+ * resolve, and are 1e-4 edges above the surface where the light grazes it at N.L = 1e-3: twice as far as the surface itself
+ * may be off (CROSSING_EDGES). A surface lit at a lower angle shows nothing of that light.
+ *
+ * SHADOWS_BY_RAYS: a march from each sample. Samples whose weight (opacity times what is left of the eye's ray) is not above
+ * shadow.bound cast none, and get the light without a shadow: such a sample changes the picture by less than the bound, n of
+ * them on a ray by less than n times as much. They do so in very thin fog; a bound of 0 casts for all.
+ *
+ * SHADOWS_BY_VOLUME: the same march from each point of a grid (light_volume.cl), trilinear between them. Each point has a ray of
+ * its own, so that nothing diffuses from slice to slice as in volumes of shadows that are swept slice by slice (Behrens and
+ * Ratering 1998; P4 sec. 5.4 names what that costs: blurred shadows, dark surfaces). What an opaque voxel hides is dark in those
+ * light cells alone that touch its shadow. A light cell that a surface passes through has dark corners behind it, by which the
+ * surface would darken itself: surfaces look up their light a light cell farther out (beyond_surface). The translucent volume does
+ * not: where it turns opaque within less than a light cell, its boundary shows the light cells, and rays are the better method.
+ */
+#ifndef SHADOW_H
+#define SHADOW_H
+
+#include "clip.h"
+#include "opacity.h"
+#include "skip_empty.h"
+#if OPACITY_FACTORS || TRANSFER_LAYERS
+#include "opacity_factors.h"
+#endif
+#if FIELDS
+#include "fields.h"
+#endif
+
+#define SURFACE_OFFSET 0.1f
+#define SHADOW_STEPS 8 /* between looks at the distance map */
+/* Voxels that are not finite part a volume in pieces, and which side of a surface one is on says nothing about the next. */
+#define SHADOWS_LEAP (SKIP_EMPTY && !(ISOSURFACES && VOXEL_HOLES))
+#define LIGHT_CHANNELS (SCATTERING ? 4 : 1)
+
+/* A local direction of unit length in lattice units an edge. What is parallel to an axis' faces but for rounding is made so: a ray
+ * along a face would leave through it. */
+INLINE Vectors direction_to_lattice(__constant const Effects *e, Vectors d)
+{
+  Vectors r = {e->gradient_x.x * d.x + e->gradient_y.x * d.y + e->gradient_z.x * d.z,
+               e->gradient_x.y * d.x + e->gradient_y.y * d.y + e->gradient_z.y * d.z,
+               e->gradient_x.z * d.x + e->gradient_y.z * d.y + e->gradient_z.z * d.z};
+  const floatN still = 1e-7f * lane_max(lane_max(fabs(r.x), fabs(r.y)), fabs(r.z)), zero = 0.0f;
+  r.x = select(r.x, zero, MASK(fabs(r.x) < still));
+  r.y = select(r.y, zero, MASK(fabs(r.y) < still));
+  r.z = select(r.z, zero, MASK(fabs(r.z) < still));
+  return r;
+}
+
+/* From `place` (lattice) along `direction` (local) to where it leaves the volume, `reach` edges at most; lanes not in `rays` go
+ * nowhere. */
+INLINE Rays rays_towards(const Scene *scene, Vectors place, Vectors direction, floatN reach, intN rays)
+{
+  const float4 upper = scene->view->upper;
+  const float h = scene->effects->shadow.y;
+  const Vectors d = direction_to_lattice(scene->effects, direction);
+  Rays r;
+  /* A place on a face may be beyond it by a rounding. */
+  r.x0 = lane_clamp(place.x, (floatN)0.0f, (floatN)upper.x);
+  r.y0 = lane_clamp(place.y, (floatN)0.0f, (floatN)upper.y);
+  r.z0 = lane_clamp(place.z, (floatN)0.0f, (floatN)upper.z);
+  floatN enter = 0.0f, leave = reach;
+  clip_to_slab(r.x0, d.x, upper.x, &enter, &leave);
+  clip_to_slab(r.y0, d.y, upper.y, &enter, &leave);
+  clip_to_slab(r.z0, d.z, upper.z, &enter, &leave);
+  r.dx = d.x * h, r.dy = d.y * h, r.dz = d.z * h;
+  r.rx = finite_inverse(r.dx, &r.px), r.ry = finite_inverse(r.dy, &r.py), r.rz = finite_inverse(r.dz, &r.pz);
+  r.length = select((floatN)-1.0f, leave * (1.0f / h), rays & MASK(leave > 0.0f));
+  r.entry_depth = 0.0f;
+  return r;
+}
+
+INLINE floatN value_along(const Scene *scene, const Rays *ray, floatN t)
+{
+  return scene_value(scene, ray->x0 + t * ray->dx, ray->y0 + t * ray->dy, ray->z0 + t * ray->dz);
+}
+
+INLINE floatN extinction_of(const Scene *scene, ClassCoordinate at, intN first)
+{
+  const floatN low = AS_FLOAT(gather4(scene->extinction, first + at.node));
+  const floatN high = AS_FLOAT(gather4(scene->extinction + 1, first + at.node));
+  return low + at.fraction * (high - low);
+}
+
+/* Mean optical depth an edge from t0 to t1 of the ray, where the value is `value` in the middle. */
+INLINE floatN extinction_along(const Scene *scene, const Rays *ray, floatN t0, floatN t1, floatN value, Vectors direction,
+                               intN active, Tally *counted)
+{
+  __constant const View *view = scene->view;
+  const ClassCoordinate at = class_coordinate(value, scene->warp, view);
+#if !(FIELDS || OPACITY_FACTORS || TRANSFER_LAYERS)
+  return extinction_of(scene, at, (intN)0);
+#else
+  Emission e = no_emission(); /* of a step of the eye's rays, by which tables of fields count */
+  const floatN t = 0.5f * (t0 + t1);
+  const floatN x = ray->x0 + t * ray->dx, y = ray->y0 + t * ray->dy, z = ray->z0 + t * ray->dz;
+#if TRANSFER_LAYERS
+  intN shows = may_be_visible(at.position, at.position, active, view) ? active : (intN)0;
+#else
+  e.d = select((floatN)0.0f, extinction_of(scene, at, (intN)0) * view->march.x, active);
+  intN shows = MASK(e.d > 0.0f);
+#endif
+#if FIELDS
+  const FieldLook look = look_at_fields(scene, ray, t0, t1, x, y, z, shows, active, counted);
+  shows &= MASK(look.kept > 0.0f);
+#endif
+#if OPACITY_FACTORS || TRANSFER_LAYERS
+  if (any_lane(shows)) {
+    count(&counted[COUNT_GRADIENTS], shows);
+    const Vectors gradient = scene_gradient(scene, x, y, z);
+#if TRANSFER_LAYERS
+    const TablePlace layers = layers_around(scene, gradient, view->table.y);
+    const floatN low = extinction_of(scene, at, layers.low), high = extinction_of(scene, at, layers.high);
+    e.d = (low + layers.share * (high - low)) * view->march.x;
+#endif
+#if OPACITY_FACTORS
+    weigh_by_gradient(scene, &e, gradient, direction);
+#endif
+  }
+#endif
+#if FIELDS
+  apply_fields(look, &e);
+#endif
+  return e.d * (1.0f / view->march.x);
+#endif
+}
+
+#if ISOSURFACES
+/* Optical depth of the surfaces whose iso-values lie between two values, at the points `from` and `to` of the ray. A value that
+ * is not finite is on no side. What a mask removes is asked where the value would be met if it ran linearly. */
+INLINE floatN surfaces_between(const Scene *scene, const Rays *ray, floatN from, floatN to, floatN before, floatN after,
+                               intN active, Tally *counted)
+{
+  const int first = scene->effects->first.y;
+  const intN known = active & MASK((AS_INT(before) & 0x7f800000) != 0x7f800000) & MASK((AS_INT(after) & 0x7f800000) != 0x7f800000);
+  floatN depth = 0.0f;
+  _Pragma("unroll 1") for (int k = 0; k < scene->effects->counts.y; ++k) {
+    const float4 surface = scene->items[first + 3 * k];
+    intN crosses = known & (MASK(before >= surface.x) ^ MASK(after >= surface.x));
+#if FIELDS & FIELD_MASK
+    if (!any_lane(crosses)) continue;
+    const floatN share = (surface.x - before) / select((floatN)1.0f, after - before, crosses), t = from + share * (to - from);
+    crosses = mask_keeps(scene, ray->x0 + t * ray->dx, ray->y0 + t * ray->dy, ray->z0 + t * ray->dz, crosses, counted);
+#endif
+    depth += select((floatN)0.0f, (floatN)surface.w, crosses);
+  }
+  return depth;
+}
+#endif
+
+/* `depth` and what one kept stretch of the rays adds. The side of the surfaces that they start on is told at `apart` steps. */
+INLINE floatN depth_along(const Scene *scene, const Rays *ray, Vectors direction, floatN depth, float apart, intN rays,
+                          Tally *counted)
+{
+  const float h = scene->effects->shadow.y, enough = scene->effects->shadow.w;
+  const floatN segments = select((floatN)0.0f, ceil(ray->length), rays & MASK(ray->length > 0.0f));
+  const intN last = TO_INT(segments) - 1;
+  intN i = 0;
+#if ISOSURFACES
+  floatN before = value_along(scene, ray, lane_min((floatN)apart, 0.5f * ray->length));
+  count(&counted[COUNT_SHADOW_SAMPLES], MASK(i <= last));
+#endif
+  for (;;) {
+    const intN going = MASK(i <= last) & MASK(depth < enough);
+    if (!any_lane(going)) break;
+#if SHADOWS_LEAP
+    /* With surfaces the sample before the first visible segment is taken too, to tell its side. */
+    const floatN visible_at = next_visible(scene->distances, scene->view, TO_FLOAT(i), going, ray);
+    const floatN to = lane_clamp(visible_at - (float)ISOSURFACES, (floatN)0.0f, TO_FLOAT(max(last, (intN)0)) + 1.0f);
+    i = select(i, max(i, TO_INT(to)), going);
+    i = select(i, last + 1, going & MASK(visible_at >= ray->length));
+#endif
+    _Pragma("unroll 1") for (int step = 0; step < SHADOW_STEPS; ++step) {
+      const intN active = MASK(i <= last) & MASK(depth < enough);
+      if (!any_lane(active)) break;
+      const floatN t0 = TO_FLOAT(min(i, max(last, (intN)0)));
+      const floatN length = select((floatN)0.0f, lane_min(ray->length - t0, (floatN)1.0f), active);
+      const floatN t = t0 + 0.5f * length, value = value_along(scene, ray, t);
+      count(&counted[COUNT_SHADOW_SAMPLES], active);
+      const floatN extinction = extinction_along(scene, ray, t0, t0 + length, value, direction, active, counted);
+      depth += h * length * select((floatN)0.0f, extinction, active);
+#if ISOSURFACES
+      depth += surfaces_between(scene, ray, lane_max(t - 1.0f, (floatN)0.0f), t, before, value, active, counted);
+      before = select(before, value, active);
+#endif
+      i -= active;
+    }
+  }
+#if ISOSURFACES
+  const intN ends = MASK(last >= 0) & MASK(depth < enough);
+  if (any_lane(ends)) {
+    const floatN middle = TO_FLOAT(last) + 0.5f * (ray->length - TO_FLOAT(last));
+    const floatN end_value = value_along(scene, ray, ray->length);
+    depth += surfaces_between(scene, ray, middle, ray->length, before, end_value, ends, counted);
+    count(&counted[COUNT_SHADOW_SAMPLES], ends);
+  }
+#endif
+  return depth;
+}
+
+/* Optical depth from `place` (lattice) along `direction` (local, of unit length), `reach` edges at most. */
+INLINE floatN depth_towards(const Scene *scene, Vectors place, Vectors direction, floatN reach, intN rays, Tally *counted)
+{
+  const Rays whole = rays_towards(scene, place, direction, reach, rays);
+  const float apart = SURFACE_OFFSET / scene->effects->shadow.y;
+  count(&counted[COUNT_SHADOW_RAYS], rays);
+#if CLIP
+  floatN depth = 0.0f, next_from = 0.0f;
+  intN open = MASK(whole.length > 0.0f);
+  _Pragma("unroll 1") for (int stretch = 0;; ++stretch) {
+    const Stretch kept = next_stretch(scene, &whole, next_from);
+    open &= MASK(kept.enter < kept.leave);
+    if (!any_lane(open)) return depth;
+    const Rays ray = ray_along(&whole, kept.enter, kept.leave, open, scene->effects->shadow.y);
+    next_from = select(next_from, kept.leave, open);
+    depth = depth_along(scene, &ray, direction, depth, stretch ? 0.0f : apart, open, counted);
+    open &= MASK(depth < scene->effects->shadow.w);
+  }
+#else
+  return depth_along(scene, &whole, direction, (floatN)0.0f, apart, rays, counted);
+#endif
+}
+
+/* How far it is to a light, in edges, from a local place. */
+INLINE floatN distance_to_light(float4 light, Vectors here)
+{
+  if (light.w != LIGHT_POINT) return (floatN)INFINITY;
+  const Vectors way = {light.x - here.x, light.y - here.y, light.z - here.z};
+  return sqrt(dot3(way, way));
+}
+
+#if SHADOWS == SHADOWS_BY_VOLUME
+
+INLINE floatN light_edge(__global const float *volume, intN at, floatN f)
+{
+  const floatN a = AS_FLOAT(gather4(volume, at)), b = AS_FLOAT(gather4(volume + LIGHT_CHANNELS, at));
+  return a + f * (b - a);
+}
+
+/* One channel, between the eight points of the light cell whose first one is `at`. */
+INLINE floatN light_between(__global const float *volume, intN at, int row, int slice, floatN fx, floatN fy, floatN fz)
+{
+  const floatN near_low = light_edge(volume, at, fx), near_high = light_edge(volume, at + row, fx);
+  const floatN far_low = light_edge(volume, at + slice, fx), far_high = light_edge(volume, at + slice + row, fx);
+  const floatN near = near_low + fy * (near_high - near_low), far = far_low + fy * (far_high - far_low);
+  return near + fz * (far - near);
+}
+
+#endif
+
+#if SHADOWS == SHADOWS_BY_VOLUME && ISOSURFACES
+/* How far one edge of a light cell goes along `normal`: (x, y, z) is a lattice unit in local space. */
+INLINE floatN light_cell_along(Vectors normal, float x, float y, float z, float points)
+{
+  return fabs(normal.x * x + normal.y * y + normal.z * z) * (1.0f / points);
+}
+
+/* The place next to one on a plane surface whose light cell is wholly on the side that the normal (local) points to. */
+INLINE Vectors beyond_surface(const Scene *scene, Vectors place, Vectors normal)
+{
+  __constant const Effects *e = scene->effects;
+  const floatN across = light_cell_along(normal, e->local_x.x, e->local_y.x, e->local_z.x, e->light_grid.x) +
+                        light_cell_along(normal, e->local_x.y, e->local_y.y, e->local_z.y, e->light_grid.y) +
+                        light_cell_along(normal, e->local_x.z, e->local_y.z, e->local_z.z, e->light_grid.z);
+  return sum3(place, scaled3(direction_to_lattice(e, normal), across));
+}
+#endif
+
+/* The share of a light, colour by colour, that arrives at `place` (lattice). towards: unit vector to the light (local). light: its
+ * first item. index: its number in the light volume. weight: what the sample counts for in the picture. */
+INLINE Vectors light_that_arrives(const Scene *scene, Vectors place, Vectors towards, float4 light, int index, floatN weight,
+                                  intN faces, Tally *counted)
+{
+  __constant const Effects *e = scene->effects;
+  Vectors share;
+#if SHADOWS == SHADOWS_BY_VOLUME
+  const int4 size = e->light_size;
+  const int row = LIGHT_CHANNELS * size.x, slice = row * size.y;
+  const floatN zero = 0.0f;
+  const floatN x = lane_clamp(place.x * e->light_grid.x, zero, (floatN)(float)(size.x - 1));
+  const floatN y = lane_clamp(place.y * e->light_grid.y, zero, (floatN)(float)(size.y - 1));
+  const floatN z = lane_clamp(place.z * e->light_grid.z, zero, (floatN)(float)(size.z - 1));
+  const intN ix = cell_index(x, size.x), iy = cell_index(y, size.y), iz = cell_index(z, size.z);
+  const floatN fx = x - TO_FLOAT(ix), fy = y - TO_FLOAT(iy), fz = z - TO_FLOAT(iz);
+  const intN at = LIGHT_CHANNELS * ix + row * iy + slice * iz;
+  __global const float *volume = (__global const float *)scene->light_volume + (size_t)index * slice * size.z;
+  share.x = light_between(volume, at, row, slice, fx, fy, fz);
+#if SCATTERING
+  share.y = light_between(volume + 1, at, row, slice, fx, fy, fz);
+  share.z = light_between(volume + 2, at, row, slice, fx, fy, fz);
+#else
+  share.y = share.z = share.x;
+#endif
+#else
+  const intN cast = faces & MASK(weight > e->shadow.x);
+  share.x = share.y = share.z = 1.0f;
+  if (any_lane(cast)) {
+    const floatN reach = distance_to_light(light, to_local(e, place.x, place.y, place.z));
+    const floatN through = 1.0f - opacity_of_depth(depth_towards(scene, place, towards, reach, cast, counted));
+    share.x = select(share.x, through, cast);
+    share.y = share.z = share.x;
+  }
+#endif
+  return share;
+}
+
+#endif

@@ -1,0 +1,103 @@
+"""What the pictures of a scene are judged by.
+
+Emission and absorption have an exact integral (clvol.render.reference). Effects have none that
+shares no code with the ray caster; scenes with effects are judged by the limit that the ray caster
+itself tends to as its steps become small, and that limit says how well it is known.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clvol.features import has_exact_integral
+from clvol.render.reference import render_reference
+from clvol.render.view import EVERY_PIXEL
+from clvol.scene.resolve import LARGEST_STEP_COUNT, ResolvedScene
+
+if TYPE_CHECKING:
+    from clvol.opencl.context import DeviceContext
+    from clvol.render.engines import Engines
+
+FIRST_STEP, LEAST_STEP = 1 / 8, 1 / 128  # smallest voxel edges
+KNOWN = 2e-5  # RMSE: the limit is then known as well as single precision and tables allow
+
+
+class Judge:
+    """Exact pixels of ``resolved``, whatever its settings of accuracy are.
+
+    ``is_exact``: by the exact integral; else by the limit of small steps. ``error``: how far that limit
+    may be from what it stands for, an RMSE of linear premultiplied RGBA: what the last halving of
+    the step changed. Known once pixels were asked for, 0 for the exact integral.
+    """
+
+    def __init__(self, resolved: ResolvedScene, context: DeviceContext, engines: Engines) -> None:
+        self.resolved, self._context, self._engines = resolved, context, engines
+        self.is_exact = has_exact_integral(resolved)
+        self.error = 0.0
+        self._limit: np.ndarray | None = None
+        self._counters: dict[str, Any] = {}
+
+    @property
+    def how(self) -> str:
+        """In words, for what claims an error."""
+        return "exact integral" if self.is_exact else "limit of small steps"
+
+    def pixels(
+        self,
+        pixels: np.ndarray,
+        tolerance: float,
+        progress: Callable[[int, int], None] | None = None,
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """float64 [n, 4] at ``pixels`` int [n, 2] (row, column), and counters as the reference has.
+        ``tolerance`` is the exact integral's."""
+        if self.is_exact:
+            rgba, _, counters = render_reference(
+                self.resolved, self._context.device, tolerance, pixels, progress
+            )
+            return rgba, counters
+        if self._limit is None:
+            self._find_limit(progress)
+        rows, columns = np.asarray(pixels).T
+        return self._limit[rows, columns].astype(np.float64), self._counters
+
+    def _find_limit(self, progress: Callable[[int, int], None] | None) -> None:
+        step, pictures, samples = FIRST_STEP, [], 0
+        while True:
+            data = self._picture(step, progress)
+            samples += data.samples
+            pictures = [*pictures[-1:], data.rgba]
+            if len(pictures) == 2:
+                change = pictures[1].astype(np.float64) - pictures[0]
+                self.error = float(np.sqrt(np.mean(change**2)))
+                if self.error <= KNOWN or step / 2 < LEAST_STEP or not self._may_take(step / 2):
+                    break
+            step /= 2
+        self._limit = pictures[-1]
+        self._counters = {"samples": samples, "error_estimate": self.error, "step": step}
+
+    def _may_take(self, step: float) -> bool:
+        corners = self.resolved.volume.grid.world_corners()
+        diagonal = np.linalg.norm(np.ptp(corners, axis=0)) / self.resolved.volume.grid.smallest_edge
+        return bool(diagonal / step < LARGEST_STEP_COUNT)
+
+    def _picture(self, step: float, progress):
+        asked = self.resolved
+        pre = asked.integration.classification == "pre"
+        settings = {
+            "step": step, "early_termination": 0.0, "quadrature": "steps",
+            "classification": "pre" if pre else "post", "voxel_precision": "stored",
+        }  # fmt: skip
+        fine = replace(
+            asked,
+            integration=asked.integration.model_copy(update=settings),
+            image=asked.image.model_copy(update={"ray_spacing": 1}),
+            gradient=asked.gradient.model_copy(update={"storage": "on-the-fly"}),
+        )
+        size = asked.image.width, asked.image.height
+        engine = self._engines.make(fine)
+        engine.warm_up(*size, False)
+        return engine.render(asked.camera, *size, progress, depth=False, lattice=EVERY_PIXEL)

@@ -1,0 +1,42 @@
+"""Emission and absorption, or a projection in its place."""
+
+from __future__ import annotations
+
+from clvol.features.effect import no, yes
+from clvol.features.findings import NO_VALUES, PROJECTIONS, Findings
+from clvol.features.values import range_text
+
+_TRANSPARENT = "the transfer function is transparent over the data's range {}"
+_OPAQUE = "the transfer function has opacity within the data's range {}"
+
+
+def judge(found: Findings) -> None:
+    scene = found.scene
+    integration = scene.integration
+    transparent = _TRANSPARENT.format(range_text(scene)) if found.has_values else NO_VALUES
+    if found.projection is None:
+        found.note(no("projection", "the compositing is 'over'"))
+        if found.emits:
+            found.note(yes("emission-absorption", _OPAQUE.format(range_text(scene))))
+        else:
+            found.note(no("emission-absorption", transparent))
+        _change(found, attenuation=1.0)
+        return
+    found.note(no("emission-absorption", f"{found.projection} shows one value of each ray"))
+    if not found.emits:
+        found.note(no("projection", transparent))
+        _change(found, compositing="over", attenuation=1.0)
+        return
+    low, high = scene.volume.value_range
+    compositing = integration.compositing
+    if compositing == "attenuated-maximum" and integration.attenuation == 0 and low < high:
+        compositing = "maximum"  # in which nothing is attenuated
+    attenuation = integration.attenuation if compositing == "attenuated-maximum" else 1.0
+    # Whatever the classification is, one value of each ray is classified.
+    _change(found, compositing=compositing, attenuation=attenuation, classification="post")
+    found.note(yes("projection", PROJECTIONS[compositing]))
+
+
+def _change(found: Findings, **asked) -> None:
+    integration = found.scene.integration
+    found.change(integration=integration.model_copy(update=asked))

@@ -1,0 +1,68 @@
+"""What a scene calls for, in words, and what therefore gets compiled."""
+
+from __future__ import annotations
+
+import hashlib
+from typing import Any
+
+from clvol.features.analysis import effects, reduced, reduced_for_frames
+from clvol.features.refuse import refuse_unknown
+from clvol.features.vocabulary import GRADIENTS
+from clvol.scene.resolve import ResolvedScene
+
+
+def explain(resolved: ResolvedScene) -> dict[str, Any]:
+    """As ``clvol explain --json``: effects with reasons, and what identifies the compiled
+    kernel."""
+    refuse_unknown(resolved)
+    listed = [
+        {"name": e.name, "called_for": e.called_for, "reason": e.reason} for e in effects(resolved)
+    ]
+    return {"effects": listed, "kernel_hash": kernel_hash(resolved)}
+
+
+def kernel_hash(resolved: ResolvedScene, lanes: int = 16) -> str:
+    """Identifies exactly what gets compiled for this scene: sources and switches.
+
+    On a device with room for what is precomputed. The voxels count as they are rendered: coefficients
+    of a prefilter are found for it.
+    """
+    from clvol.opencl.context import compile_options
+    from clvol.opencl.kernels_path import kernel_folder
+
+    digest = hashlib.sha256()
+    if resolved.integration.method == "reference":
+        resolved = reduced(resolved)
+        digest.update(f"{resolved.volume.dtype.name} {resolved.integration.filter}".encode())
+        files = ["reference*"]
+    else:
+        programs = scene_programs(resolved, lanes)
+        for file, switches in programs.items():
+            digest.update(" ".join((file, *compile_options(switches))).encode())
+        files = [*programs, "*.h"]
+    for pattern in files:
+        for path in sorted(kernel_folder().glob(pattern)):
+            digest.update(path.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def scene_programs(resolved: ResolvedScene, lanes: int = 16) -> dict[str, dict[str, int]]:
+    """The files of cl/ that the ray caster compiles for this scene (beside those that all scenes
+    share, for tables and empty space), each with its switches."""
+    from clvol.render.gradients import storing_switches
+    from clvol.render.light_volume import METHODS
+    from clvol.render.prefilter import prefiltered
+    from clvol.render.quantise import quantised
+    from clvol.render.raycast import raycast_switches, scene_nodes
+
+    resolved = reduced_for_frames(prefiltered(quantised(reduced_for_frames(resolved))))
+    warped = scene_nodes(resolved).warp is not None
+    switches = raycast_switches(resolved, warped=warped, lanes=lanes)
+    programs = {"raycast.cl": switches}
+    if resolved.image.ray_spacing > 1:
+        programs["fill_between_rays.cl"] = switches
+    if switches.get("SHADOWS") == METHODS["volume"]:
+        programs["light_volume.cl"] = switches
+    if switches.get("GRADIENT") == GRADIENTS["precomputed"]:
+        programs["gradients.cl"] = storing_switches(switches, resolved.gradient.operator)
+    return programs

@@ -1,0 +1,23 @@
+"""Filters other than the linear one, and the B-spline's prefilter."""
+
+from __future__ import annotations
+
+from clvol.features.effect import no, yes
+from clvol.features.findings import Findings
+from clvol.features.vocabulary import FILTERS
+
+
+def judge(found: Findings) -> None:
+    integration = found.scene.integration
+    filter = integration.filter
+    for name in FILTERS:
+        if name != "linear":
+            is_it = name == filter
+            found.note((yes if is_it else no)(f"{name} filter", f"the filter is {filter!r}"))
+    if not integration.prefilter:
+        found.note(no("prefilter", "prefilter is false"))
+    elif filter == "cubic":
+        found.note(yes("prefilter", "the cubic filter meets the voxels"))
+    else:
+        found.note(no("prefilter", f"the filter is {filter!r}"))
+        found.change(integration=integration.model_copy(update={"prefilter": False}))

@@ -1,0 +1,96 @@
+"""Which boxes, spheres, planes and grids meet the domain of a volume. All shapes are convex."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+
+from clvol.scene.clip import Clip
+from clvol.volume import Grid
+
+_ROUNDING = 1e-14  # of coordinates
+_INSIDE = 1e-9  # of an index, by which a corner may lie outside a grid that holds it
+
+
+def cuts(clip: Clip, grid: Grid) -> bool:
+    """Whether ``clip`` removes more of the domain than rounding."""
+    corners = grid.world_corners()
+    if clip.type == "plane":
+        return _plane_cuts(clip, corners)
+    if clip.type == "box":
+        lower, upper = np.asarray(clip.lower), np.asarray(clip.upper)
+        if clip.keep == "outside":
+            return not _apart(corners, _box_corners(lower, upper), grid.direction, np.eye(3))
+        scale = _ROUNDING * max(np.abs(corners).max(), np.abs([lower, upper]).max())
+        return bool(np.any(corners < lower - scale) or np.any(corners > upper + scale))
+    offsets = corners - np.asarray(clip.center)
+    largest = max(np.abs(offsets).max(), clip.radius)  # so that no square may overflow
+    rounding = _ROUNDING * max(np.abs(corners).max(), np.abs(clip.center).max()) / largest
+    if clip.keep == "outside":
+        nearest = _nearest_distance(np.asarray(clip.center), grid, largest)
+        return nearest < clip.radius / largest - rounding
+    distances = np.linalg.norm(offsets / largest, axis=1)
+    return bool(distances.max() > clip.radius / largest + rounding)
+
+
+def holds(grid: Grid, corners: np.ndarray) -> bool:
+    """Whether the world points ``corners`` [n, 3], and so their hull, lie in the domain of
+    ``grid``."""
+    lower, upper = grid.index_bounds()
+    to_index = grid.world_to_index()
+    index = corners @ to_index[:3, :3].T + to_index[:3, 3]
+    return bool(np.all(index >= lower - _INSIDE) and np.all(index <= upper + _INSIDE))
+
+
+def grids_apart(one: Grid, other: Grid) -> bool:
+    """Whether two grids have no place in common, half a voxel around the second included."""
+    lower, upper = other.index_bounds()
+    corners = _box_corners(lower - 0.5, upper + 0.5)
+    to_world = other.index_to_world()
+    around = corners @ to_world[:3, :3].T + to_world[:3, 3]
+    return _apart(one.world_corners(), around, one.direction, other.direction)
+
+
+def _plane_cuts(clip: Clip, corners: np.ndarray) -> bool:
+    normal = np.asarray(clip.normal)
+    normal = normal / np.abs(normal).max()  # so that no square or product may overflow
+    point = np.asarray(clip.point)
+    rounding = _ROUNDING * max(np.abs(corners).max(), np.abs(point).max())
+    return bool(np.any((corners - point) @ normal < -rounding))
+
+
+def _box_corners(lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+    return np.array(list(itertools.product(*zip(lower, upper))), np.float64)
+
+
+def _apart(
+    one: np.ndarray, other: np.ndarray, edges_one: np.ndarray, edges_other: np.ndarray
+) -> bool:
+    """Whether two parallelepipeds of these corners [8, 3], with edges along the columns of
+    ``edges_one`` and ``edges_other``, touch at most: some normal of a face, or to an edge of each,
+    separates them."""
+    scale = max(np.abs(one).max(), np.abs(other).max())
+    one, other = one / scale, other / scale
+    axes = [normal for edges in (edges_one, edges_other) for normal in np.linalg.inv(edges)]
+    axes += [np.cross(a, b) for a in edges_one.T for b in edges_other.T]
+    for axis in axes:
+        length = np.linalg.norm(axis)
+        if length < 1e-9:  # parallel edges
+            continue
+        a, b = one @ (axis / length), other @ (axis / length)
+        if a.max() <= b.min() + _ROUNDING or b.max() <= a.min() + _ROUNDING:
+            return True
+    return False
+
+
+def _nearest_distance(point: np.ndarray, grid: Grid, scale: float) -> float:
+    """Distance from ``point`` to the domain over ``scale``, or less if the grid is oblique."""
+    direction, spacing = grid.direction, np.asarray(grid.spacing)
+    lower, upper = grid.index_bounds()
+    along = np.linalg.inv(direction) @ ((point - np.asarray(grid.origin)) / scale)
+    outside = along - np.clip(along, lower * spacing / scale, upper * spacing / scale)
+    if np.allclose(direction.T @ direction, np.eye(3), rtol=0, atol=1e-12):
+        return float(np.linalg.norm(outside))
+    heights = 1.0 / np.linalg.norm(np.linalg.inv(direction), axis=1)
+    return float(np.abs(outside * heights).max())

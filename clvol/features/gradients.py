@@ -1,0 +1,65 @@
+"""How gradients are found, where anything asks for them."""
+
+from __future__ import annotations
+
+from clvol.features.effect import joined, no, yes
+from clvol.features.findings import Findings
+from clvol.features.vocabulary import ANALYTIC
+from clvol.scene.gradient import GradientSettings
+from clvol.scene.resolve import ResolvedScene
+
+
+def uses_of_gradients(scene: ResolvedScene, lit: bool) -> list[str]:
+    """What asks for gradients in a reduced scene."""
+    uses = {
+        "lighting": lit,
+        "refraction": any(surface.refraction != 1 for surface in scene.isosurfaces),
+        "gradient opacity": scene.gradient_opacity is not None,
+        "directional opacity": scene.directional_opacity is not None,
+        "the two-dimensional transfer function": bool(scene.transfer_layers),
+    }
+    return [use for use, is_there in uses.items() if is_there]
+
+
+def judge(found: Findings) -> None:
+    scene = found.scene
+    settings, filter = scene.gradient, scene.integration.filter
+    uses = uses_of_gradients(scene, found.lit)
+    sobel, precomputed = "sobel gradients", "precomputed gradients"
+    kept = settings
+    if not uses:
+        reason = "nothing asks for gradients"
+        found.note(no("gradients", reason), no(sobel, reason), no(precomputed, reason))
+        kept = GradientSettings()
+    else:
+        found.note(yes("gradients", joined(f"{use} asks for them" for use in uses)))
+        if filter in ANALYTIC or scene.noise:
+            reason = f"the filter {filter!r} has a derivative of its own"
+            if scene.noise:
+                reason = "with noise, gradients are differences of the values that it leads to"
+            found.note(no(sobel, reason), no(precomputed, reason))
+            kept = GradientSettings()
+        else:
+            _note_operator(found, settings)
+            _note_storage(found, settings)
+    found.change(gradient=kept)
+
+
+def _note_operator(found: Findings, settings: GradientSettings) -> None:
+    is_sobel = settings.operator == "sobel"
+    reason = f"the operator is {settings.operator!r}"
+    found.note((yes if is_sobel else no)("sobel gradients", reason))
+
+
+def _note_storage(found: Findings, settings: GradientSettings) -> None:
+    from clvol.render.gradients import DeviceLimits, chosen_storage
+
+    endless = DeviceLimits(memory=2**63, buffer=2**63)
+    volume = found.scene.volume
+    chosen = chosen_storage(volume, settings.operator, settings.storage, endless)
+    is_stored = chosen == "precomputed"
+    reason = f"the storage is {settings.storage!r}"
+    if settings.storage == "auto":
+        where = "where the device has the memory" if is_stored else "for this volume"
+        reason += f", which is {chosen} {where}"
+    found.note((yes if is_stored else no)("precomputed gradients", reason))

@@ -1,0 +1,116 @@
+"""Lights, highlights and the environment."""
+
+from __future__ import annotations
+
+from clvol.features.effect import counted, joined, no, yes
+from clvol.features.findings import NOTHING_VISIBLE, Findings, has_background
+from clvol.features.gradients_exist import opacity_meets_gradient
+from clvol.scene.light import Light
+from clvol.scene.material import Material
+from clvol.scene.resolve import ResolvedScene
+
+NEUTRAL = Material(ambient=1.0, diffuse=0.0, specular=0.0)  # what it lights keeps its colour
+_BLACK = "every light is black or of intensity 0"
+
+
+def is_lit(scene: ResolvedScene) -> bool:
+    """Whether anything is lit in a *reduced* scene: where nothing is, the material is NEUTRAL,
+    though an environment may still be there as background."""
+    return bool(scene.lights or scene.environment) and scene.material != NEUTRAL
+
+
+def judge(found: Findings) -> None:
+    scene = found.scene
+    material, environment = scene.material, scene.environment
+    lights = tuple(light for light in scene.lights if _shines(light))
+    shines = environment is not None and environment.intensity > 0
+    idle = _why_unlit(found, lights, shines)
+    found.lit = idle is None
+    found.by_lights = found.lit and bool(lights) and _reflects(material)
+    reflects_environment = found.lit and shines and _reflects(material)
+
+    if found.lit:
+        sources = [counted(len(lights), "light")] if lights else []
+        sources += ["an environment"] if shines else []
+        found.note(yes("lighting", " and ".join(sources)))
+    else:
+        found.note(no("lighting", idle))
+    _note_specular(found, idle)
+    _note_environment(found, idle, reflects_environment)
+
+    background = has_background(scene)
+    only_ambient = found.lit and not lights and not _reflects(material)
+    kept = environment if background or reflects_environment or only_ambient else None
+    found.change(
+        lights=lights if found.lit else (),
+        environment=kept,
+        material=_material(material) if found.lit else NEUTRAL,
+    )
+
+
+def _shines(light: Light) -> bool:
+    return light.intensity > 0 and any(light.color)
+
+
+def _reflects(material: Material) -> bool:
+    return material.diffuse > 0 or material.specular > 0
+
+
+def _material(material: Material) -> Material:
+    """With the default where a key is not read."""
+    if material.specular == 0 and material.shininess != Material().shininess:
+        return material.model_copy(update={"shininess": Material().shininess})
+    return material
+
+
+def _why_unlit(found: Findings, lights: tuple[Light, ...], shines: bool) -> str | None:
+    scene = found.scene
+    if not scene.lights and scene.environment is None:
+        return "the scene has no light"
+    if not lights and not shines:
+        reasons = [_BLACK] if scene.lights else []
+        reasons += ["the environment's intensity is 0"] if scene.environment is not None else []
+        return joined(reasons)
+    if found.projection:
+        return f"{found.projection} is not lit"
+    if found.blank:
+        return NOTHING_VISIBLE
+    if scene.material.ambient == 1 and not _reflects(scene.material):
+        return "ambient is 1, diffuse and specular are 0"
+    if any(surface.opacity > 0 for surface in found.surfaces):
+        return None
+    if scene.clips and (found.emits or found.adds):  # whose faces have normals of their own
+        return None
+    if (found.emits or found.adds) and opacity_meets_gradient(scene, anywhere=found.adds):
+        return None
+    return "no voxel has both opacity and a gradient"
+
+
+def _note_specular(found: Findings, idle: str | None) -> None:
+    if found.scene.material.specular == 0:
+        found.note(no("specular", "specular is 0"))
+    elif idle is not None:
+        found.note(no("specular", idle))
+    else:
+        found.note(yes("specular", f"specular is {found.scene.material.specular:g}"))
+
+
+def _note_environment(found: Findings, idle: str | None, reflected: bool) -> None:
+    name, behind = "environment", "environment background"
+    environment = found.scene.environment
+    if environment is None:
+        reason = "the scene has no environment"
+        found.note(no(name, reason), no(behind, reason))
+        return
+    if environment.intensity == 0:
+        reason = "the environment's intensity is 0"
+        found.note(no(name, reason), no(behind, reason))
+        return
+    if reflected:
+        found.note(yes(name, "the environment lights what has a gradient"))
+    else:
+        found.note(no(name, idle or "diffuse and specular are 0"))
+    if environment.visible:
+        found.note(yes(behind, "the environment is visible"))
+    else:
+        found.note(no(behind, "the environment is not visible"))

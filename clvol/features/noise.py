@@ -1,0 +1,56 @@
+"""Noise, and colours that cycle."""
+
+from __future__ import annotations
+
+from clvol.features.effect import joined, no, yes
+from clvol.features.findings import NOTHING_VISIBLE, Findings
+from clvol.features.values import reachable
+from clvol.scene.noise import Noise
+
+
+def judge(found: Findings) -> None:
+    _noise(found)
+    _cycle(found)
+
+
+def _noise(found: Findings) -> None:
+    noises, name = found.scene.noise, "noise"
+    if not noises:
+        found.note(no(name, "the scene has no noise"))
+        return
+    kept = tuple(_with_octaves_that_count(noise) for noise in noises if noise.amplitude != 0)
+    if not kept or found.blank:
+        found.note(no(name, NOTHING_VISIBLE if kept else "the noise's amplitude is 0"))
+        found.change(noise=())
+        return
+    found.change(noise=kept)
+    reasons = (f"noise of amplitude {noise.amplitude:g} moves every {noise.target}" for noise in kept)
+    found.note(yes(name, joined(reasons)))
+
+
+def _with_octaves_that_count(noise: Noise) -> Noise:
+    if noise.octaves > 1 and noise.gain == 0:
+        return noise.model_copy(update={"octaves": 1})
+    return noise
+
+
+def _cycle(found: Findings) -> None:
+    scene, name = found.scene, "colour cycling"
+    animation = scene.animation
+    shift = animation.cycle * animation.time
+    low, high = scene.volume.value_range
+    reason = None
+    if animation.cycle == 0:
+        reason = "the cycle is 0"
+    elif low == high:
+        reason = "the volume has one value"
+    elif not found.emits:
+        reason = "the transfer function shows nothing of the volume"
+    elif shift % 1.0 == 0 and reachable(scene) == (low, high):
+        reason = f"the colours have come round {abs(shift):g} times"
+        found.cycles_later = True
+    if reason is None:
+        found.note(yes(name, f"the colours are moved by {shift % 1.0:g} of the range"))
+        return
+    found.note(no(name, reason))
+    found.change(animation=animation.model_copy(update={"cycle": 0.0}))

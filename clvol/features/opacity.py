@@ -1,0 +1,65 @@
+"""What weights opacities by the gradient: factors, and transfer functions of two values."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from clvol.features.effect import Effect, counted, no, yes
+from clvol.features.findings import Findings, has_no_gradient
+from clvol.features.values import steepest
+from clvol.scene.opacity_factor import OpacityFactor
+
+
+def judge(found: Findings) -> None:
+    for name, key in (
+        ("gradient opacity", "gradient_opacity"),
+        ("directional opacity", "directional_opacity"),
+    ):
+        factor = getattr(found.scene, key)
+        effect = _factor(found, name, factor)
+        found.note(effect)
+        if factor is not None and not effect.called_for:
+            found.change(**{key: None})
+    effect = _layers(found)
+    found.note(effect)
+    if found.scene.transfer_layers and not effect.called_for:
+        found.change(transfer_layers=())
+
+
+def _factor(found: Findings, name: str, factor: OpacityFactor | None) -> Effect:
+    if factor is None:
+        return no(name, f"the scene has no {name}")
+    if np.all(factor.factors == 1):
+        return no(name, f"the {name} is 1 everywhere")
+    if _is_one_up_to(factor, steepest(found.scene)):
+        return no(name, f"the {name} is 1 for every gradient of the volume")
+    idle = _nothing_to_weight(found)
+    if idle is not None:
+        return no(name, idle)
+    return yes(name, f"the {name} goes down to {factor.factors.min():g}")
+
+
+def _is_one_up_to(factor: OpacityFactor, largest: float) -> bool:
+    """Whether it is 1 from 0 to ``largest``; of two points at one place the earlier one as well."""
+    within = factor.factors[factor.at <= largest]
+    ends = [factor(0.0), factor(largest)]
+    return bool(np.all(within == 1) and np.all(np.asarray(ends) == 1))
+
+
+def _layers(found: Findings) -> Effect:
+    name, scene = "two-dimensional transfer function", found.scene
+    layers = scene.transfer_layers
+    if not layers:
+        return no(name, "the scene has no transfer layer")
+    if all(layer.function == scene.transfer_function for layer in layers):
+        return no(name, "every layer is the transfer function itself")
+    if has_no_gradient(scene):
+        return no(name, "the volume has no gradient")
+    idle = _nothing_to_weight(found)
+    return no(name, idle) if idle else yes(name, counted(len(layers), "layer"))
+
+
+def _nothing_to_weight(found: Findings) -> str | None:
+    if found.projection:
+        return f"{found.projection} does not weight opacities"
+    return None if found.emits else "the transfer function shows nothing of the volume"

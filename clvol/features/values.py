@@ -1,0 +1,71 @@
+"""What values and gradients the reconstruction of a volume can take: bounds that always hold."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from clvol.features.vocabulary import overshoot
+from clvol.scene.resolve import ResolvedScene
+from clvol.transfer import TransferFunction
+
+# A prefilter whose rows have absolute values that sum to L leaves the range of the voxels by at
+# most (L - 1) / 2 of it on either side. Along an axis L is 3 or less: the B-spline's samples, of
+# which the prefilter is the inverse, are (1, 4, 1) / 6 in each row, dominated by the diagonal.
+_COEFFICIENTS = 3.0**3
+# The largest derivative, in ranges of the values an index: absolute derivatives of the weights sum
+# to at most 3 for Catmull-Rom and 2 for the B-spline; half of that is what a range can give.
+_STEEPEST = {"nearest": 1.0, "linear": 1.0, "cubic": 1.0, "catmull-rom": 1.5 * 1.25**2}
+_ROUNDING = 1.05  # of quantised gradients
+
+
+def field_overshoot(scene: ResolvedScene) -> float:
+    """By how much of its range the field may leave it on either side."""
+    integration = scene.integration
+    if integration.filter == "cubic" and integration.prefilter:
+        return 0.5 * (_COEFFICIENTS - 1.0)
+    return overshoot(integration.filter)
+
+
+def reachable(scene: ResolvedScene) -> tuple[float, float]:
+    """The values between which every sample of the volume lies, noise included."""
+    low, high = scene.volume.value_range
+    largest = np.finfo(np.float64).max
+    with np.errstate(over="ignore"):
+        widen = field_overshoot(scene) * np.float64(high - low) + noise_reach(scene)
+        return float(max(low - widen, -largest)), float(min(high + widen, largest))
+
+
+def noise_reach(scene: ResolvedScene) -> float:
+    """By how much noise changes a value at most; its tiles are within -1 and 1."""
+    return sum(
+        abs(noise.amplitude) * sum(noise.gain**k for k in range(noise.octaves))
+        for noise in scene.noise
+        if noise.target == "value"
+    )
+
+
+def shows(function: TransferFunction, low: float, high: float) -> bool:
+    """Whether any value from ``low`` to ``high`` has opacity."""
+    inside = (function.values >= low) & (function.values <= high)
+    ends = function.opacity(np.array([low, high]))
+    return bool(np.any(function.opacities[inside] > 0) or np.any(ends > 0))
+
+
+def steepest(scene: ResolvedScene) -> float:
+    """A bound of the gradient's magnitude, value per world length; infinite with noise."""
+    if scene.noise:
+        return np.inf
+    low, high = scene.volume.value_range
+    share = _STEEPEST[scene.integration.filter]
+    if scene.integration.filter == "cubic" and scene.integration.prefilter:
+        share *= _COEFFICIENTS
+    to_index = scene.volume.grid.world_to_index()[:3, :3]
+    with np.errstate(over="ignore"):
+        return float(
+            _ROUNDING * share * np.float64(high - low) * np.linalg.norm(to_index, axis=1).sum()
+        )
+
+
+def range_text(scene: ResolvedScene) -> str:
+    low, high = scene.volume.value_range
+    return f"{low:g} to {high:g}"

@@ -1,0 +1,72 @@
+"""What cl/opacity_factors.h reads: factors on the extinction, and the layers of a function of value
+and gradient magnitude."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from clvol.errors import SceneError
+from clvol.render.layout import LARGEST_OFFSET
+from clvol.transfer import TransferFunction
+
+if TYPE_CHECKING:
+    from clvol.opencl.context import DeviceArray, DeviceContext
+    from clvol.scene.opacity_factor import OpacityFactor
+    from clvol.scene.resolve import ResolvedScene
+
+GRADIENT, DIRECTIONAL = 1, 2  # bits of OPACITY_FACTORS
+
+
+def factor_switches(resolved: ResolvedScene) -> dict[str, int]:
+    bits = GRADIENT * int(resolved.gradient_opacity is not None)
+    bits |= DIRECTIONAL * int(resolved.directional_opacity is not None)
+    return {"OPACITY_FACTORS": bits, "TRANSFER_LAYERS": int(bool(resolved.transfer_layers))}
+
+
+def layer_functions(
+    resolved: ResolvedScene, function: TransferFunction | None = None
+) -> list[TransferFunction]:
+    """The transfer functions by gradient magnitude, from 0 on; ``function`` instead of the scene's
+    first one."""
+    first = function or resolved.transfer_function
+    return [first, *(layer.function for layer in resolved.transfer_layers)]
+
+
+def factor_rows(factor: OpacityFactor | None, per_edge: float) -> np.ndarray:
+    """float32 [2, n]: places in kernel value per edge (``per_edge`` times those in value per world
+    length), and factors."""
+    if factor is None:
+        return np.zeros((2, 0), np.float32)
+    return _float32([factor.at * per_edge, factor.factors])
+
+
+def layer_places(resolved: ResolvedScene, per_edge: float) -> np.ndarray:
+    """float32 [layers], ascending from 0: the layers' magnitudes per edge; empty without layers."""
+    if not resolved.transfer_layers:
+        return np.zeros(0, np.float32)
+    return _float32([0.0, *(layer.magnitude * per_edge for layer in resolved.transfer_layers)])
+
+
+def _float32(values: Sequence) -> np.ndarray:
+    with np.errstate(over="ignore", under="ignore"):
+        return np.array(values, np.float64).astype(np.float32).clip(None, np.finfo(np.float32).max)
+
+
+def check_layers(resolved: ResolvedScene, floats: int) -> None:
+    """SceneError where the layers' tables, of ``floats`` numbers each, need larger offsets than
+    kernels count with."""
+    layers = 1 + len(resolved.transfer_layers)
+    if layers * floats > LARGEST_OFFSET:
+        where = f"{resolved.origin}: integration.table_size"
+        what = f"got {resolved.integration.table_size} for tables of {layers} layers"
+        raise SceneError(where, what, f"at most {LARGEST_OFFSET} numbers in all of them")
+
+
+def stacked(context: DeviceContext, tables: list[DeviceArray]) -> DeviceArray:
+    """``tables`` of one shape, one behind the other."""
+    if len(tables) == 1:
+        return tables[0]
+    return context.upload(np.stack([context.read(table) for table in tables]))

@@ -1,0 +1,26 @@
+"""Where any of several transfer functions has opacity, as one function."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from clvol.transfer.cycle import joined, limits
+from clvol.transfer.function import TransferFunction
+
+
+def union(functions: Sequence[TransferFunction]) -> TransferFunction:
+    """A function with the control points of all ``functions``, that has opacity exactly where one
+    of them has: at every point, and between them, it is the largest of their opacities (linear in
+    between). Its colours are the first one's."""
+    if len(functions) == 1:
+        return functions[0]
+    knots = np.unique(np.concatenate([function.values for function in functions]))
+    points = np.empty((knots.size, 2, 4))
+    for k, side in enumerate(("left", "right")):
+        each = [limits(function, knots, side) for function in functions]
+        points[:, k] = each[0]
+        points[:, k, 0] = np.max([one[:, 0] for one in each], axis=0)
+    values, rows = np.repeat(knots, 2), points.reshape(-1, 4)
+    return joined(values, rows, functions[0].opacity_unit)
