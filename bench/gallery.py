@@ -28,6 +28,7 @@ COLUMNS = 4
 _GAP, _MARGIN, _TEXT, _TITLE, _LINE = 14, 18, 13, 15, 17
 _LINES = 2  # of a caption, below its title
 _WRAP = 58  # characters a line
+_BYTES = 1_200_000  # of the sheet: it is read on a page
 _PAGE, _INK, _FAINT = (255, 255, 255), (28, 32, 38), (96, 104, 114)
 
 
@@ -198,6 +199,18 @@ def compose(pictures: list[tuple[Tile, str]], path: Path) -> None:
         for line in textwrap.wrap(tile.caption, _WRAP)[:_LINES]:
             y += _LINE
             pen.text((x, y + 2), line, _FAINT, text)
-    # A palette with dither keeps a page of smooth pictures under a megabyte or so.
-    sheet = sheet.quantize(256, Image.Quantize.MEDIANCUT, dither=Image.Dither.FLOYDSTEINBERG)
-    sheet.save(path, optimize=True)
+    _save(sheet, path)
+
+
+def _save(sheet: Any, path: Path) -> None:
+    """As PNG with as many bits a channel, from 8 down to 4, as take no more than _BYTES."""
+    import io
+
+    for bits in (8, 7, 6, 5, 4):
+        step = 255.0 / (2**bits - 1)
+        levels = [round(round(value / step) * step) for value in range(256)]
+        data = io.BytesIO()
+        sheet.point(levels * 3).save(data, "PNG", optimize=True)
+        if data.tell() <= _BYTES:
+            break
+    path.write_bytes(data.getvalue())
