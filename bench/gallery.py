@@ -72,23 +72,23 @@ class Tile:
 
 
 TILES = (
-    Tile("engine-lit", "Lit volume", "Three lights' diffuse light and highlights, in translucent metal.",
+    Tile("engine-lit", "Lit volume", "Three lights and their highlights, in translucent metal.",
          "specular", "[[light]], [material]"),
     Tile("heptane-peaks", "Narrow peaks, pre-integrated and shaded",
-         "Three shells a hundredth of the range wide, none of them missed.",
+         "Three shells, each a thirtieth of the range wide: none is missed.",
          "lighting", '[integration] classification = "preintegrated"'),
-    Tile("vismale-surfaces", "Iso-surfaces", "Skin and bone, each with a colour for its inside, in a "
+    Tile("vismale-surfaces", "Iso-surfaces", "Skin and bone, their insides in other colours, in a "
          "translucent volume.", "isosurfaces", "[[isosurface]]"),
     Tile("teapot-glass", "Refraction", "Glass before a visible studio: rays bend where they cross "
          "the surface.", "refraction", "[[isosurface]] refraction"),
-    Tile("teapot-studio", "Environment light", "Irradiance and reflections of a studio's soft boxes, "
-         "no other light.", "environment", "[environment]"),
+    Tile("teapot-studio", "Environment light", "Irradiance and reflections of a studio's soft "
+         "boxes, no other light.", "environment", "[environment]"),
     Tile("chest-shadows", "Shadows", "Rays to the light: ribs shade what lies below them.",
          "shadows", '[shadow] method = "rays"'),
-    Tile("heptane-scattering", "Scattering", "Light scatters forward in smoke; the shade glows brown.",
+    Tile("heptane-scattering", "Scattering", "Light scatters forward; the smoke's shade glows.",
          "scattering", "[shadow] scattering"),
-    Tile("cloud", "Noise and sun", "An ellipsoid that noise stirs and frays, shadows and scattering "
-         "in it.", "noise", "[[noise]]"),
+    Tile("cloud", "Noise and sun", "An ellipsoid that noise stirs and frays, shadows and "
+         "scattering in it.", "noise", "[[noise]]"),
     Tile("fireball", "Fireball, 0 s", "A radial field, two noises that move, colours that cycle.",
          "colour cycling", "[[noise]] velocity, [animation] cycle"),
     Tile("fireball", "Fireball, 1.2 s", "The same scene later.",
@@ -96,7 +96,7 @@ TILES = (
     Tile("tooth-layers", "Two-dimensional transfer function",
          "Of value and gradient magnitude: enamel, dentine and pulp apart.",
          "two-dimensional transfer function", "[[transfer_layer]]"),
-    Tile("cthead-gradient", "Gradient-weighted opacity", "What is homogeneous fades; boundaries stay.",
+    Tile("cthead-gradient", "Gradient-weighted opacity", "What is even fades; boundaries stay.",
          "gradient opacity", "[gradient_opacity]"),
     Tile("inia19-labels", "Labels", "A second volume of anatomical labels colours half of a brain.",
          "label field", '[[field]] role = "label"'),
@@ -110,7 +110,7 @@ TILES = (
          "projection", '[integration] compositing = "maximum"'),
     Tile("aneurism-attenuated", "Attenuated maximum", "Near vessels pass before far ones.",
          "projection", '[integration] compositing = "attenuated-maximum"'),
-    Tile("ellipsoid-linear", "Linear filter", "An ellipsoid on 10 by 7 by 9 voxels: their cells show.",
+    Tile("ellipsoid-linear", "Linear filter", "An ellipsoid of 10 by 7 by 9 voxels; cells show.",
          "isosurfaces", '[integration] filter = "linear"'),
     Tile("ellipsoid-catmull-rom", "Catmull-Rom filter", "The same voxels; the slope is continuous.",
          "catmull-rom filter", '[integration] filter = "catmull-rom"'),
