@@ -8,6 +8,8 @@
 .PHONY: render test bench clean distclean
 .DEFAULT_GOAL := render
 PYTHON := .venv/bin/python
+# Processes that share the tests: compilers work on one core.
+WORKERS := 2
 
 render:
 	@.ci/setup
@@ -18,7 +20,7 @@ render:
 
 test:
 	@.ci/setup test cpu
-	@$(PYTHON) -m pytest $(ARGS)
+	@$(PYTHON) -m pytest -n $(WORKERS) --dist loadfile $(ARGS)
 
 bench:
 	@.ci/setup bench

@@ -10,7 +10,7 @@ from bench.options import Options
 
 NAMES = (
     "peers", "shaded", "isosurface", "effects", "sampling", "scaling", "startup", "convergence",
-    "tradeoff", "targets",
+    "tradeoff", "targets", "gallery",
 )  # fmt: skip
 
 
@@ -29,6 +29,7 @@ def main(arguments: list[str] | None = None) -> int:
     asked = parser.parse_args(arguments)
 
     modules = {name: importlib.import_module(f"bench.{name}") for name in NAMES}
+    from bench.gallery import TILES
     from bench.scenes import CHEST, SCENES
 
     if asked.list:
@@ -44,7 +45,9 @@ def main(arguments: list[str] | None = None) -> int:
         parser.error(f"--sizes: got {asked.sizes!r}, expected whole numbers from 16, like 512,1024")
     scenes = tuple(filter(None, asked.scenes.split(",")))
     for kind, given, known in (
-        ("NAME", asked.names, NAMES), ("--scenes", scenes, [*(scene.name for scene in (*SCENES, CHEST)), "demo"])
+        ("NAME", asked.names, NAMES), ("--scenes", scenes, [
+            *(scene.name for scene in (*SCENES, CHEST)), "demo", *(tile.scene for tile in TILES)
+        ])
     ):  # fmt: skip
         unknown = [name for name in given if name not in known]
         if unknown:

@@ -157,7 +157,7 @@ INLINE Vectors broadcast3(float4 v)
 INLINE Vectors directed3(Vectors a, float length)
 {
   const floatN square = dot3(a, a);
-  const intN long_enough = MASK(square > 1e-30f) & MASK(square < 1e30f);
+  const intN long_enough = MASK(square > 1e-37f) & MASK(square < 1e38f);
   const floatN inverse = lane_rsqrt(select((floatN)1.0f, square, long_enough));
   return scaled3(a, select((floatN)0.0f, length * inverse, long_enough));
 }

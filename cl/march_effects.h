@@ -64,8 +64,8 @@ INLINE Vectors cued_color(const Scene *scene, Vectors color, floatN depth, float
 #endif
 
 /* Values at which places of a segment its look needs. */
-#define NEEDS_ENDS ((CLASSIFICATION == CLASSIFICATION_PREINTEGRATED) & TRANSLUCENT)
-#define NEEDS_MIDDLE ((CLASSIFICATION != CLASSIFICATION_PREINTEGRATED) & TRANSLUCENT)
+#define NEEDS_ENDS ((CLASSIFICATION == CLASSIFICATION_PREINTEGRATED) & (TRANSLUCENT != 0))
+#define NEEDS_MIDDLE ((CLASSIFICATION != CLASSIFICATION_PREINTEGRATED) & (TRANSLUCENT != 0))
 
 /* One sample a segment, at its middle: it can be fetched ahead. */
 #define SAMPLES_AHEAD (FETCH_AHEAD && CLASSIFICATION == CLASSIFICATION_POST && TRANSLUCENT && !ISOSURFACES && !NOISE)
@@ -195,11 +195,11 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
       ClassCoordinate a, b;
       segment_classes(value2, front, back, length, active & MASK(joined != 0), warp, view, &a, &b);
       visible = may_be_visible(lane_min(a.position, b.position), lane_max(a.position, b.position), active, view);
-      if (!TRANSFER_LAYERS && visible) e = segment_emission(a, b, table, view);
+      if (visible & (TRANSFER_LAYERS == 0)) e = segment_emission(a, b, table, view);
 #elif CLASSIFICATION == CLASSIFICATION_POST
       const ClassCoordinate at = class_coordinate(mid, warp, view);
       visible = may_be_visible(at.position, at.position, active, view);
-      if (!TRANSFER_LAYERS && visible) e = value_emission(at, table);
+      if (visible & (TRANSFER_LAYERS == 0)) e = value_emission(at, table);
 #endif
 #if TRANSLUCENT
 #if TRANSFER_LAYERS

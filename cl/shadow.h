@@ -134,8 +134,8 @@ INLINE floatN extinction_along(const Scene *scene, const Rays *ray, floatN t0, f
 }
 
 #if ISOSURFACES
-/* Optical depth of the surfaces whose iso-values lie between two values, at the points `from` and `to` of the ray. A value that is not
- * finite is on no side. What a mask removes is asked where the value would be met if it ran linearly. */
+/* Optical depth of the surfaces whose iso-values lie between two values, at the points `from` and `to` of the ray. A value that
+ * is not finite is on no side. What a mask removes is asked where the value would be met if it ran linearly. */
 INLINE floatN surfaces_between(const Scene *scene, const Rays *ray, floatN from, floatN to, floatN before, floatN after,
                                intN active, Tally *counted)
 {

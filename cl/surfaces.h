@@ -61,7 +61,7 @@ INLINE floatN parabola_extreme(floatN v0, floatN vm, floatN v1, floatN *value)
 {
   const floatN slope = v1 - v0, bend = 2.0f * (v0 - 2.0f * vm + v1); /* at the middle; twice the curvature */
   const intN curved = MASK(fabs(bend) > 1e-30f);
-  const floatN offset = -slope / select(2.0f * bend, (floatN)1.0f, curved);
+  const floatN offset = -slope / select((floatN)1.0f, 2.0f * bend, curved);
   const intN inside = curved & MASK(fabs(offset) < 0.5f);
   *value = select(vm, vm + 0.5f * slope * offset, inside);
   return select((floatN)0.5f, 0.5f + offset, inside);

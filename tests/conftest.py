@@ -115,7 +115,8 @@ def shared_volume():
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    if not _reports.cache_info().currsize:
+    workers = getattr(terminalreporter.config.option, "numprocesses", None)  # they ask, not we
+    if not workers and not _reports.cache_info().currsize:
         return
     terminalreporter.section("OpenCL devices")
     used = {report.name for report in _chosen(terminalreporter.config)}

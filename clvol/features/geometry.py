@@ -22,8 +22,11 @@ def cuts(clip: Clip, grid: Grid) -> bool:
         lower, upper = np.asarray(clip.lower), np.asarray(clip.upper)
         if clip.keep == "outside":
             return not _apart(corners, _box_corners(lower, upper), grid.direction, np.eye(3))
-        scale = _ROUNDING * max(np.abs(corners).max(), np.abs([lower, upper]).max())
-        return bool(np.any(corners < lower - scale) or np.any(corners > upper + scale))
+        # Each face has its own: another one may lie as good as nowhere.
+        reach = np.abs(corners).max()
+        below = lower - _ROUNDING * np.maximum(reach, np.abs(lower))
+        above = upper + _ROUNDING * np.maximum(reach, np.abs(upper))
+        return bool(np.any(corners < below) or np.any(corners > above))
     offsets = corners - np.asarray(clip.center)
     largest = max(np.abs(offsets).max(), clip.radius)  # so that no square may overflow
     rounding = _ROUNDING * max(np.abs(corners).max(), np.abs(clip.center).max()) / largest

@@ -60,9 +60,8 @@ def scenes(draw, variant):
     values = np.sort(rng.uniform(0, 1, count + 1)) * top
     opacities = rng.choice([0.0, 1.0, 0.5, *rng.random(3)], count + 1)
     opacities[-1] = max(opacities[-1], 0.1)
-    function = TransferFunction(
-        values, opacities, rng.random((count + 1, 3)), float(size.max()) * 10.0 ** draw(st.sampled_from([-1, 0])),
-    )  # fmt: skip
+    unit = float(size.max()) * 10.0 ** draw(st.sampled_from([-1, 0]))
+    function = TransferFunction(values, opacities, rng.random((count + 1, 3)), unit)
     lights = [_light(rng, size) for _ in range(draw(st.integers(1, 4)))]
     surfaces = [
         {"value": float(rng.uniform(0.1, 0.9) * top), "opacity": float(rng.choice([1.0, 0.4])),
@@ -119,8 +118,8 @@ def _clip(rng, size):
         reach = rng.uniform(0.1, 0.4, 3) * size
         return {"type": "box", "lower": (at - reach).tolist(), "upper": (at + reach).tolist(),
                 "keep": "outside"}  # fmt: skip
-    return {"type": "sphere", "center": at.tolist(), "radius": float(rng.uniform(0.1, 0.4) * size.max()),
-            "keep": "outside"}  # fmt: skip
+    radius = float(rng.uniform(0.1, 0.4) * size.max())
+    return {"type": "sphere", "center": at.tolist(), "radius": radius, "keep": "outside"}
 
 
 def brightest(resolved) -> np.ndarray:
@@ -187,8 +186,9 @@ def extreme(value=1.0, unit=1.0, dtype=np.float32, fade=0.05):
         {"point": (np.array([3.0, 8.0, 7.0]) * unit).tolist(), "normal": [1.0, 0.4, -0.3]},
     ]  # fmt: skip
     return scene(
-        array, scaled(HAZE, value, unit), grid={"spacing": (unit,) * 3}, camera=camera, light=lights,
-        material={**MATERIAL, "fade": fade * value / unit}, isosurface=surfaces, clip=clips,
+        array, scaled(HAZE, value, unit), grid={"spacing": (unit,) * 3}, camera=camera,
+        light=lights, material={**MATERIAL, "fade": fade * value / unit}, isosurface=surfaces,
+        clip=clips,
         depth_cue={"start": 10 * unit, "end": 60 * unit, "color": [0.5, 0.4, 0.3]},
         gradient={"storage": "on-the-fly"}, size=SIZE,
     )  # fmt: skip

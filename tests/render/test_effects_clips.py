@@ -27,7 +27,7 @@ HOLES = [
 
 
 def chords(resolved, clips, samples=10001) -> np.ndarray:
-    """Kept lengths [height, width], by asking at ``samples`` places of each ray who is inside what."""
+    """Kept lengths [height, width]: ``samples`` places of each ray, asked what they are in."""
     origins, directions = resolved.camera.world_rays(resolved.image.width, resolved.image.height)
     reach = np.linalg.norm(np.array(resolved.camera.position) - UPPER / 2) + np.linalg.norm(UPPER)
     t = (np.arange(samples) + 0.5) / samples * reach
@@ -53,7 +53,7 @@ def keeps(clip, at) -> np.ndarray:
 
 
 def check_chords(context, clips, camera=CAMERA, slack=5, samples=10001, **integration):
-    """Opacity is 1 - exp(-TAU kept length). ``slack``: places of a ray at which chords begin and end,
+    """Opacity is 1 - exp(-TAU kept length). ``slack``: places of a ray where chords begin and end,
     each known to a place of ``chords``; one more for float32."""
     resolved = scene(np.zeros(SHAPE, np.float32), HAZE, camera=camera, clip=clips,
                      size=(13, 11), integration=integration)  # fmt: skip
@@ -82,7 +82,7 @@ HARD = {
     ],
     "a hole in a hole": [HOLES[0], {**HOLES[0], "radius": 2.0}],
     "a chain of holes": [
-        {**HOLES[0], "center": [x, x * 0.9, 14 - 0.8 * x], "radius": 2.4} for x in (3, 6, 9, 12, 15, 18)
+        {**HOLES[0], "center": [x, x * 0.9, 14 - 0.8 * x], "radius": 2.4} for x in range(3, 19, 3)
     ],
     "everything removed": [{**HOLES[0], "radius": 40.0}],
     "nothing left": [PLANE, {**PLANE, "normal": [-1.0, -0.4, 0.3]}],
@@ -95,7 +95,8 @@ HARD = {
         {"type": "sphere", "center": [1e25] * 3, "radius": 1.0, "keep": "outside"},
     ],
 }  # fmt: skip
-INSIDE = {"position": [9.3, 8.1, 5.4], "target": [2.0, 3.0, 15.0], "up": [0, 1, 0], "fov_degrees": 80.0}
+INSIDE = {"position": [9.3, 8.1, 5.4], "target": [2.0, 3.0, 15.0], "up": [0, 1, 0],
+          "fov_degrees": 80.0}  # fmt: skip
 
 
 @pytest.mark.parametrize("camera", [CAMERA, INSIDE], ids=["outside", "inside"])

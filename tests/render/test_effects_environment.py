@@ -7,8 +7,8 @@ import pytest
 from effect_scenes import LIGHTS, MATERIAL, NOTHING, blobs, oblique, picture, scene, twin
 
 SHAPE = (15, 17, 19)
-# Maps of means have nodes a degree apart: of a sky this smooth they are good to 1e-4; the sky itself
-# is bilinear in angles for the twin, linear over the octahedron's triangles for the kernels.
+# Maps of means have nodes a degree apart: of a sky this smooth they are good to 1e-4; the sky is
+# bilinear in angles for the twin, linear over the octahedron's triangles for the kernels.
 MEANS, SKY = 1e-4, 2e-3
 GLASS = [{"value": 0.4, "opacity": 0.3, "refraction": 1.3}]
 
@@ -46,7 +46,8 @@ def test_pictures_lit_by_an_environment_are_the_twins(context, sky, case):
     environment = {"file": sky, "intensity": 0.7, "rotation_degrees": 30.0}
     keys = {"material": MATERIAL, **keys,
             "environment": {**environment, **keys.get("environment", {})}}  # fmt: skip
-    resolved = scene(blobs(SHAPE), camera=oblique(SHAPE), gradient={"storage": "on-the-fly"}, **keys)
+    gradient = {"storage": "on-the-fly"}
+    resolved = scene(blobs(SHAPE), camera=oblique(SHAPE), gradient=gradient, **keys)
     expected, found = twin(resolved), picture(context, resolved).rgba
     apart = np.abs(found - expected).max(axis=-1) > limit
     # One grazed surface may be missed: see test_effects_surfaces.py.

@@ -1,9 +1,9 @@
 """Lit volumes: the kernels against the plain twin, and what lighting may not do.
 
-Both march the same segments. They differ by float32's rounding: where a ray enters the volume is known
-to about 1e-7 of its size, so of a segment the opacity to some 1e-6 of it; the post-classification
-table has 4096 nodes over the values, which misses its kinks by less than that. ROUNDING is a few times
-what these come to on pictures of opacity 0.2 to 0.7.
+Both march the same segments. They differ by float32's rounding: where a ray enters the volume is
+known to about 1e-7 of its size, so of a segment the opacity to some 1e-6 of it; the
+post-classification table has 4096 nodes over the values, which misses its kinks by less than that.
+ROUNDING is a few times what these come to on pictures of opacity 0.2 to 0.7.
 """
 
 from __future__ import annotations
@@ -89,7 +89,7 @@ VIEWS = {
 
 @pytest.mark.parametrize("view", VIEWS)
 def test_lit_views_are_the_twins(context, view):
-    # A highlight of exponent n has slopes up to sqrt(n) an angle, and float32 angles are known to 1e-6.
+    # A highlight of exponent n has slopes up to sqrt(n) an angle, which float32 knows to 1e-6.
     limit = 2e-4 if view == "shiny" else ROUNDING
     check(context, scene(blobs(SHAPE), **{**LIT, **VIEWS[view]}), limit)
 
@@ -103,8 +103,8 @@ def test_lit_voxels_of_every_type(context, dtype):
 
 @pytest.mark.parametrize("operator", ["central", "sobel"])
 def test_precomputed_gradients_light_like_those_on_the_fly(context, operator):
-    """A direction of three signed bytes is off by up to 0.4 degrees: cosines by 0.007, highlights of
-    exponent 14 by 0.05. Where neighbours' gradients all but cancel it may be more: of few pixels."""
+    """A direction of three signed bytes is off by up to 0.4 degrees: cosines by 0.007, highlights
+    of exponent 14 by 0.05. Where neighbours' gradients all but cancel it may be more: of few."""
     resolved = scene(blobs(SHAPE), **{**LIT, "gradient": {"operator": operator}})
     expected = twin(resolved)
     apart = np.abs(picture(context, resolved).rgba - expected).max(axis=-1)
@@ -163,8 +163,8 @@ def test_light_adds_up_from_0_to_40_lights(context):
 
 def test_a_point_light_at_a_sample_lights_all_the_others(context):
     """There it has no direction and gives nothing; samples lie at k + 1/2 along z."""
-    camera = {"projection": "orthographic", "position": [8.0, 8.0, -16.0], "target": [8.0, 8.0, 8.0],
-              "up": [0.0, 1.0, 0.0], "height": 2.0}  # fmt: skip
+    camera = {"projection": "orthographic", "position": [8.0, 8.0, -16.0],
+              "target": [8.0, 8.0, 8.0], "up": [0.0, 1.0, 0.0], "height": 2.0}  # fmt: skip
     light = [{"type": "point", "position": [8.0, 8.0, 4.5]}]
     resolved = scene(ball((17, 17, 17), (8.0, 8.0, -9.0)), CLAY, size=(1, 1),
                      **{**LIT, "light": light, "camera": camera})  # fmt: skip

@@ -1,4 +1,4 @@
-"""Iso-surfaces: where they are found, in what order, how they bend rays; kernels against the twin."""
+"""Iso-surfaces: where they are found, their order, how they bend rays; kernels against the twin."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ CUBE = (17, 17, 17)
 
 
 def along_z(height=9.0) -> dict:
-    """An orthographic [camera] that looks along +z through a cube of 17 voxels, from 9 before it."""
+    """An orthographic [camera] that looks along +z through a cube of 17 voxels, 9 before it."""
     return {"projection": "orthographic", "position": [8.0, 8.0, -9.0], "target": [8.0, 8.0, 8.0],
             "up": [0.0, 1.0, 0.0], "height": height}  # fmt: skip
 
@@ -52,7 +52,9 @@ ONE_PIXEL = 1.0 / 500
 VARIANTS = {
     "empty": (NOTHING, {}, ONE_PIXEL),
     "in a volume": (None, {}, ONE_PIXEL),
-    "in a volume, preintegrated": (None, {"integration": {"classification": "preintegrated"}}, ONE_PIXEL),
+    "in a volume, preintegrated": (
+        None, {"integration": {"classification": "preintegrated"}}, ONE_PIXEL
+    ),
     "in a volume, pre": (None, {"integration": {"classification": "pre"}}, ONE_PIXEL),
     "fine steps": (NOTHING, {"integration": {"step": 0.3}}, 0.0),
     "long steps": (NOTHING, {"integration": {"step": 4.0}}, 3 * ONE_PIXEL),
@@ -97,8 +99,8 @@ def first_crossings(resolved) -> np.ndarray:
 
 @pytest.mark.parametrize("filter", ["nearest", "linear", "cubic", "catmull-rom"])
 def test_an_opaque_surface_is_where_the_field_takes_its_value(context, filter):
-    """Its depth is the distance to it, to 1e-4 of an edge: bisection in double finds the field's own
-    place. Whatever the step, and with no lights."""
+    """Its depth is the distance to it, to 1e-4 of an edge: bisection in double finds the field's
+    own place. Whatever the step, and with no lights."""
     array = ball(SHAPE, (9.3, 8.1, 6.9))
     camera = oblique(SHAPE, projection="orthographic", height=14.0)
     for step in (0.4, 1.0, 4.0):
@@ -115,8 +117,8 @@ def test_an_opaque_surface_is_where_the_field_takes_its_value(context, filter):
 
 
 def test_a_sphere_is_where_it_is(context):
-    """Squares are met exactly by Catmull-Rom's spline: the surface of r^2 is the sphere itself, also
-    where a ray only grazes it within a segment, and where it just misses."""
+    """Squares are met exactly by Catmull-Rom's spline: the surface of r^2 is the sphere itself,
+    also where a ray only grazes it within a segment, and where it just misses."""
     middle, radius = np.array([8.0, 8.0, 7.4]), 5.0  # between the places that segments look at
     squares = ball(CUBE, middle).astype(np.float64) ** 2
     for step in (1.3, 2.0, 3.3):
@@ -205,7 +207,8 @@ def test_rays_are_refracted_by_snells_law(context, index, falls):
     beyond = np.sqrt(np.maximum(1.0 - sine**2, 0.0))
     path = (5.0 - origins_z) / cosine + 7.0 / np.maximum(beyond, 1e-9)
     # In the middle, where no ray leaves the volume through its sides.
-    reach = (5.0 - origins_z) * np.sqrt(1 - cosine**2) / cosine + 7.0 * sine / np.maximum(beyond, 1e-9)
+    reach = (5.0 - origins_z) * np.sqrt(1 - cosine**2) / cosine
+    reach += 7.0 * sine / np.maximum(beyond, 1e-9)
     whole = (sine < 0.99) & (reach < 7.9)
     assert whole.sum() > 40
     np.testing.assert_allclose(data.rgba[..., 3][whole], 1.0, atol=1e-6)

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from small_scenes import axis_camera, picture, waves
+from small_scenes import axis_camera, picture, rms, waves
 from twin_scenes import absorbed, constant_function, scene
 
 from clvol import TransferFunction, Volume
@@ -312,6 +313,51 @@ def test_fields_lights_and_factors_go_together(context, kind):
     np.testing.assert_allclose(many.rgba, render_twin(resolved), atol=atol)
     np.testing.assert_allclose(one.rgba, many.rgba, atol=1e-6)
     assert one.counters == many.counters
+
+
+@pytest.mark.parametrize("method", ["rays", "volume"])
+def test_shadows_are_of_fields_too(context, method):
+    """The volume's and a density's, masked; both march midpoints."""
+    light = [{"type": "directional", "direction": (-1.0, -0.5, -0.2)}]
+    shadow = {"method": method, "step": 1.0, "bound": 0.0, "resolution": 12}
+    factor = {"points": [{"magnitude": 0.0, "opacity": 0.3}, {"magnitude": 20.0, "opacity": 1.0}]}
+    layers = [{"magnitude": 10.0, "points": [{"value": 50.0, "opacity": 0.4, "color": [1, 0, 0]}]}]
+    resolved = wavy("post", some_fields(), light=light, shadow=shadow, gradient_opacity=factor,
+                    transfer_layer=layers)  # fmt: skip
+    seen = picture(context, resolved)
+    np.testing.assert_allclose(seen.rgba, render_twin(resolved), atol=2e-4)
+    bare = picture(context, replace(resolved, shadow=None))
+    assert rms(seen.rgba, bare.rgba) > 5e-3
+
+
+def test_a_mask_takes_a_surfaces_shadow_with_it(context):
+    """A sheet above a thin fog: where the mask removes the sheet, the fog is in light."""
+    ramp = np.broadcast_to(np.arange(SIZE, dtype=np.float32), (SIZE, SIZE, SIZE))
+    tables = {
+        "light": [{"type": "directional", "direction": (1.0, 0.0, 0.0)}],
+        "shadow": {"method": "rays", "bound": 0.0}, "gradient": {"storage": "on-the-fly"},
+        "isosurface": [{"value": 5.4, "color": [0.0, 1.0, 0.0], "opacity": 0.6}],
+        "material": {"ambient": 0.0, "diffuse": 1.0, "specular": 0.0},
+        "camera": axis_camera((8.3, 8.2, 8.1), 2, height=14.0), "image": {"width": 7, "height": 7},
+    }  # fmt: skip
+    kept = np.repeat(np.array([0, 1], np.uint8), 4).reshape(2, 2, 2)  # from z = 8 on
+    mask = mask_field(kept, spacing=(60.0, 60.0, 16.0), origin=(-30.0, -30.0, 0.0))
+    volume = Volume(np.ascontiguousarray(ramp))
+    function = constant_function(0.02, (1.0, 1.0, 1.0))
+    resolved = scene(volume, function, field=[mask], **tables)
+    np.testing.assert_allclose(picture(context, resolved).rgba, render_twin(resolved), atol=2e-3)
+
+
+@pytest.mark.parametrize("mode", ["maximum", "minimum", "average", "attenuated-maximum"])
+def test_projections_see_what_masks_keep(context, mode):
+    function = TransferFunction([0.0, 60.0, 255.0], [0.1, 0.3, 0.9], np.eye(3))
+    resolved = scene(
+        waves((15, 14, 18)), function, field=[some_fields()[2]], image={"width": 20, "height": 16},
+        integration={"compositing": mode, "step": 0.7},
+    )  # fmt: skip
+    leaping, marching = (picture(context, resolved, skip=skip) for skip in (True, False))
+    np.testing.assert_allclose(leaping.rgba, render_twin(resolved), atol=2e-5)
+    assert np.array_equal(leaping.rgba, marching.rgba)
 
 
 @pytest.mark.parametrize("seed", range(6))
