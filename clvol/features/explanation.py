@@ -14,7 +14,8 @@ from clvol.scene.resolve import ResolvedScene
 
 def explain(resolved: ResolvedScene) -> dict[str, Any]:
     """As ``clvol explain --json``: effects with reasons, and what identifies the compiled
-    kernel. SceneError for what a Renderer would refuse, environments that cannot be read among it."""
+    kernel. SceneError for what a Renderer would refuse, such as environments that cannot be read.
+    """
     refuse_unknown(resolved)
     _read_environment(reduced(resolved).environment)
     listed = [
@@ -37,8 +38,8 @@ def _read_environment(environment: Environment | None) -> None:
 def kernel_hash(resolved: ResolvedScene, lanes: int = 16) -> str:
     """Identifies exactly what gets compiled for this scene: sources and switches.
 
-    On a device with room for what is precomputed. The voxels count as they are rendered: coefficients
-    of a prefilter are found for it.
+    On a device with room for what is precomputed. The voxels count as they are rendered:
+    coefficients of a prefilter are found for it.
     """
     from clvol.opencl.context import compile_options
     from clvol.opencl.kernels_path import kernel_folder

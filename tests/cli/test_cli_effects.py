@@ -1,4 +1,4 @@
-"""Wrong settings of effects, as a user meets them: one line that names the key, status 2, no output."""
+"""Wrong settings of effects, as a user meets them: one line that names the key, status 2, no file."""
 
 from __future__ import annotations
 
@@ -30,11 +30,13 @@ WRONG = {
     "a cube of a wrong shape": (
         '[environment]\nfile = "wide.exr"\nlayout = "cube"\n', "wide.exr"),
     "an iso-value that is no number": ("[[isosurface]]\nvalue = nan\n", "isosurface.0.value: got"),
-    "a refraction of 0": ("[[isosurface]]\nvalue = 30\nrefraction = 0\n", "isosurface.0.refraction"),
+    "a refraction of 0": (
+        "[[isosurface]]\nvalue = 30\nrefraction = 0\n", "isosurface.0.refraction"),
     "no label field": (
         '[[field]]\nfile = "labels.npy"\nrole = "label"\n'
         "labels = [{ label = 1, color = [1, 0, 0] }]\n", "labels.npy"),
-    "an unknown role": ('[[field]]\nfile = "cube.npy"\nrole = "veil"\n', "field.0.role: got 'veil'"),
+    "an unknown role": (
+        '[[field]]\nfile = "cube.npy"\nrole = "veil"\n', "field.0.role: got 'veil'"),
     "four fields": (4 * '[[field]]\nfile = "cube.npy"\nrole = "mask"\n', "field: "),
     "a shadow of no points": (
         LIGHT + "[shadow]\nresolution = 0\n", "shadow.resolution: got 0, expected"),
@@ -47,7 +49,8 @@ WRONG = {
         "[gradient_opacity]\npoints = [{ magnitude = 3, opacity = 0 }, "
         "{ magnitude = 1, opacity = 1 }]\n", "gradient_opacity.points"),
     "99 octaves": (
-        '[[noise]]\ntarget = "value"\namplitude = 1\noctaves = 99\n', "noise.0.octaves: got 99, expected"),
+        '[[noise]]\ntarget = "value"\namplitude = 1\noctaves = 99\n',
+        "noise.0.octaves: got 99, expected"),
     "a box upside down": (
         '[[clip]]\ntype = "box"\nlower = [2, 0, 0]\nupper = [1, 3, 3]\n', "clip.0.upper.0: got 1"),
     "a sphere without radius": (

@@ -153,8 +153,8 @@ def test_all_but_exclusive_effects_are_called_for_together(place):
 
 
 def test_all_effects_go_together(context, contexts, first_device, place):
-    """All on the first device; all but shadows on the others, some of which take a minute to compile
-    both the picture's kernel and the light volume's."""
+    """All on the first device; all but shadows on the others, some of which take a minute to
+    compile both the picture's kernel and the light volume's."""
     if context is contexts(first_device):
         effect = TOGETHER
     else:
@@ -266,7 +266,7 @@ def _refusal(tables, **integration) -> str | None:
     return None
 
 
-@pytest.mark.parametrize("asked, effects", REFUSED, ids=[next(iter(asked.values())) for asked, _ in REFUSED])
+@pytest.mark.parametrize("asked, effects", REFUSED, ids=["reference", "cells", "pre"])
 def test_what_does_not_go_together_is_refused_in_one_line(place, asked, effects):
     (key,) = asked
     refused = set()
@@ -307,7 +307,6 @@ _SHIPPED = sorted([*(ROOT / "data").glob("*.toml"), *(ROOT / "bench" / "gallery"
 _LONGEST = 40  # voxels along an edge
 
 
-@functools.lru_cache(maxsize=None)
 def _coarse(volume: Volume) -> Volume:
     """Every so many voxels of it, over the same place."""
     every = -(-max(volume.grid.size) // _LONGEST)
@@ -321,6 +320,7 @@ def _coarse(volume: Volume) -> Volume:
 
 @functools.lru_cache(maxsize=None)
 def _shipped(path: Path):
+    """The scene, small, of coarse volumes."""
     resolved = load_scene(path).resolve()
     image = resolved.image.model_copy(update={"width": SIZE[0], "height": SIZE[1]})
     integration = resolved.integration.model_copy(update={"table_size": 64})
@@ -335,7 +335,7 @@ def _shipped(path: Path):
 @pytest.mark.parametrize("path", _SHIPPED, ids=lambda path: path.stem)
 def test_every_scene_of_the_repository_renders(context, path, shared_volume):
     if path.parent.name == "gallery":
-        for name in re.findall(r'file = "[^"]*/([^"/]+)"', path.read_text(encoding="utf-8")):
+        for name in re.findall(r'/shared/volumes/([^"/]+)"', path.read_text(encoding="utf-8")):
             shared_volume(name)
     resolved = _shipped(path)
     refuse_unknown(resolved)
