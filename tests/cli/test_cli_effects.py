@@ -1,4 +1,4 @@
-"""Wrong settings of effects, as a user meets them: one line that names the key, status 2, no file."""
+"""Wrong settings of effects: one line that names the key, status 2, no file."""
 
 from __future__ import annotations
 
