@@ -40,7 +40,7 @@ DOWN = {"type": "directional", "direction": [0.0, -1.0, 0.0]}
 @pytest.fixture(autouse=True)
 def not_reduced(monkeypatch):
     """Blocks of one value are not lit, so nothing of theirs would be shadowed."""
-    monkeypatch.setattr("clvol.render.raycast.reduced", lambda resolved: resolved)
+    monkeypatch.setattr("clvol.render.raycast.reduced_for_frames", lambda resolved: resolved)
 
 
 def shadowed(array, function=None, light=SLANTED, shadow=RAYS, **tables):
