@@ -450,8 +450,9 @@ def test_no_shadow_ray_for_what_does_not_count(context):
     assert (found[::2] == 1.0).all() and (found[1::2] < 1.0).all()
 
 
-def test_no_shadow_where_nothing_is_lit(context):
+def test_no_shadow_where_nothing_is_lit(context, monkeypatch):
     """What has opacity has no gradient here, and so nothing is lit."""
+    monkeypatch.undo()  # reduced after all
     of = shadowed(np.zeros((16, 16, 16), np.float32), image={"width": 8, "height": 8})
     caster = Raycaster(context, of)
     assert not caster.switches.get("SHADOWS") and caster.light_volume_samples == 0
