@@ -42,7 +42,7 @@ def _chosen(config: pytest.Config) -> list:
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    for name in {"device", "first_device"} & set(metafunc.fixturenames):
+    for name in sorted({"device", "first_device"} & set(metafunc.fixturenames)):
         reports = _chosen(metafunc.config)
         reports = reports[:1] if name == "first_device" else reports
         if reports:
