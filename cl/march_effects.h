@@ -67,8 +67,9 @@ INLINE Vectors cued_color(const Scene *scene, Vectors color, floatN depth, float
 #define NEEDS_ENDS ((CLASSIFICATION == CLASSIFICATION_PREINTEGRATED) & (TRANSLUCENT != 0))
 #define NEEDS_MIDDLE ((CLASSIFICATION != CLASSIFICATION_PREINTEGRATED) & (TRANSLUCENT != 0))
 
-/* One sample a segment, at its middle: it can be fetched ahead. */
-#define SAMPLES_AHEAD (FETCH_AHEAD && CLASSIFICATION == CLASSIFICATION_POST && TRANSLUCENT && !ISOSURFACES && !NOISE)
+/* One sample a segment, at its middle or its end: it can be fetched ahead. */
+#define SAMPLES_AHEAD (FETCH_AHEAD && CLASSIFICATION != CLASSIFICATION_PRE && TRANSLUCENT && !ISOSURFACES && !NOISE)
+#define AHEAD (CLASSIFICATION == CLASSIFICATION_POST ? 0.5f : 1.0f)
 
 /* Gradients are also reconstructed where nothing is lit, for what depends on them. */
 #define GRADIENT_DECIDES (OPACITY_FACTORS || TRANSFER_LAYERS)
@@ -140,7 +141,7 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
 #endif
 #if SAMPLES_AHEAD
     /* As in render_packet.h: a fetch from beyond the second-level cache takes longer than a step of arithmetic. */
-    const floatN t_ahead = TO_FLOAT(i) + 0.5f;
+    const floatN t_ahead = TO_FLOAT(i) + AHEAD;
     FetchedSample ahead = fetch_sample(volume, view, ray.x0 + t_ahead * ray.dx, ray.y0 + t_ahead * ray.dy, ray.z0 + t_ahead * ray.dz);
     FetchedSample ahead2 = fetch_sample(volume, view, ray.x0 + (t_ahead + 1.0f) * ray.dx, ray.y0 + (t_ahead + 1.0f) * ray.dy,
                                         ray.z0 + (t_ahead + 1.0f) * ray.dz);
@@ -163,12 +164,24 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
 #if SAMPLES_AHEAD
       const FetchedSample sample = ahead;
       ahead = ahead2;
-      ahead2 = fetch_sample(volume, view, ray.x0 + (tm + 2.0f) * ray.dx, ray.y0 + (tm + 2.0f) * ray.dy, ray.z0 + (tm + 2.0f) * ray.dz);
-      mid = sample_value(sample, view);
+      const floatN t_next = t0 + (AHEAD + 2.0f);
+      ahead2 = fetch_sample(volume, view, ray.x0 + t_next * ray.dx, ray.y0 + t_next * ray.dy, ray.z0 + t_next * ray.dz);
+      floatN value = sample_value(sample, view);
       taken -= AS_UINT(active);
-      /* What was fetched ahead is the middle of a whole segment. */
-      const intN shorter = active & MASK(length < 1.0f);
-      if (any_lane(shorter)) mid = select(mid, scene_value(scene, xm, ym, zm), shorter);
+      /* What was fetched ahead belongs to a whole segment; and no segment before may have had the sample at its start. */
+      const intN shorter = active & MASK(length < 1.0f), unknown = NEEDS_ENDS ? active & ~joined : (intN)0;
+      if (any_lane(shorter | unknown)) {
+        _Pragma("unroll 1") for (int k = any_lane(unknown) ? 0 : 1; k < 2; ++k) {
+          const floatN t = k == 0 ? t0 : NEEDS_ENDS ? t1 : tm;
+          const floatN sampled = scene_value(scene, ray.x0 + t * ray.dx, ray.y0 + t * ray.dy, ray.z0 + t * ray.dz);
+          if (k == 0) front = select(front, sampled, unknown), taken -= AS_UINT(unknown);
+          if (k == 1) value = select(value, sampled, shorter);
+        }
+      }
+      if (NEEDS_ENDS)
+        back = value;
+      else
+        mid = value;
 #else
       _Pragma("unroll 1") for (int k = ends && any_lane(active & ~joined) ? 0 : 1; k < 3; ++k) {
         if (!(k < 2 ? ends : middle)) continue;

@@ -127,13 +127,13 @@ def test_giving_up_is_said_and_not_passed_over(first_device, monkeypatch):
 
 def test_pixels_of_the_pilot_are_not_drawn_again(first_device, monkeypatch):
     drawn = []
-    real = target.render_reference
+    real = target._Workshop._errors
 
-    def watched(resolved, on, tolerance, pixels, *rest):
-        drawn.append(np.asarray(pixels))
-        return real(resolved, on, tolerance, pixels, *rest)
+    def watched(self, rgba, at):
+        drawn.append(np.stack(np.divmod(at, self.size[0]), axis=1))
+        return real(self, rgba, at)
 
-    monkeypatch.setattr(target, "render_reference", watched)
+    monkeypatch.setattr(target._Workshop, "_errors", watched)
     monkeypatch.setattr(target, "_PILOT_PIXELS", 1000)
     scene = scene_of()
     workshop_pilot = []

@@ -253,7 +253,12 @@ def test_a_damaged_cache_is_ignored(cached, content):
     (file,) = cache.glob("clvol/devices-*.json")
     file.write_text(content)
     again = run(cache, None)
-    assert again["children"] > 0 and again["reports"] == first["reports"]
+    assert again["children"] > 0 and lasting(again["reports"]) == lasting(first["reports"])
+
+
+def lasting(reports):
+    """Without what a driver reckons from the memory that happens to be free."""
+    return [{k: v for k, v in r.items() if k not in ("global_memory", "max_buffer")} for r in reports]
 
 
 def test_a_cache_folder_that_cannot_be_made_is_no_error(tmp_path, vendors):
