@@ -30,6 +30,17 @@ INLINE Emission no_emission(void)
 /* Two rays' entries, (first node | second node) x (c D, D), weighted and summed over the nodes: four floats a ray. */
 #define ENTRY_SUM(weights, entries) ((weights).s012389ab * (entries).s012389ab + (weights).s4567cdef * (entries).s4567cdef)
 
+/* The sum that belongs to a pair's accumulator in EACH_PAIR. */
+#define h_of(c) H_##c
+#define H_c0 h0
+#define H_c1 h1
+#define H_c2 h2
+#define H_c3 h3
+#define H_c4 h4
+#define H_c5 h5
+#define H_c6 h6
+#define H_c7 h7
+
 /* To an array a channel. */
 INLINE Emission emission_of_pairs(float8 h0, float8 h1, float8 h2, float8 h3, float8 h4, float8 h5, float8 h6, float8 h7)
 {
@@ -59,15 +70,6 @@ INLINE Emission segment_emission_in(ClassCoordinate front, ClassCoordinate back,
   vstore16(at, 0, entry);
   const float16 f = front.fraction;
   float8 h0, h1, h2, h3, h4, h5, h6, h7;
-#define h_of(c) H_##c
-#define H_c0 h0
-#define H_c1 h1
-#define H_c2 h2
-#define H_c3 h3
-#define H_c4 h4
-#define H_c5 h5
-#define H_c6 h6
-#define H_c7 h7
 #define BILINEAR_SUM(c, k, ka, kb, weights)                                                                           \
   {                                                                                                                   \
     __global const float *a_ = table + entry[k], *b_ = table + entry[k + 1];                                          \
@@ -106,17 +108,6 @@ INLINE Emission value_emission_in(ClassCoordinate at, intN first, __global const
   int entry[16];
   vstore16(first + at.node * 4, 0, entry);
   float8 h0, h1, h2, h3, h4, h5, h6, h7;
-#ifndef h_of
-#define h_of(c) H_##c
-#define H_c0 h0
-#define H_c1 h1
-#define H_c2 h2
-#define H_c3 h3
-#define H_c4 h4
-#define H_c5 h5
-#define H_c6 h6
-#define H_c7 h7
-#endif
 #define LINEAR_SUM(c, k, ka, kb, weights)                                                        \
   {                                                                                              \
     const float16 both_ = (float16)(vload8(0, table + entry[k]), vload8(0, table + entry[k + 1])); \

@@ -3,24 +3,7 @@
  *
  * Switches (-D): VOXEL_BITS, VOXEL_SIGNED.
  */
-#if VOXEL_BITS == 8
-#if VOXEL_SIGNED
-typedef char Voxel;
-#else
-typedef uchar Voxel;
-#endif
-#elif VOXEL_BITS == 16
-#if VOXEL_SIGNED
-typedef short Voxel;
-#else
-typedef ushort Voxel;
-#endif
-#elif VOXEL_BITS == 32
-typedef float Voxel;
-#elif VOXEL_BITS == 64
-#pragma OPENCL EXTENSION cl_khr_fp64 : enable
-typedef double Voxel;
-#endif
+#include "voxel_type.h"
 
 #if VOXEL_BITS >= 32
 #define IS_VALUE(v) isfinite(v)

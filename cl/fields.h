@@ -75,8 +75,6 @@ INLINE floatN linear_in_field(const Scene *scene, int k, FieldPlace p)
   return mix_voxels(slices[0], slices[1], fz);
 }
 
-INLINE intN is_finite(floatN v) { return MASK((AS_INT(v) & 0x7f800000) != 0x7f800000); }
-
 /* What fields make of a segment. */
 typedef struct {
   Emission added; /* of a segment of one step, where the masks keep all of it */
@@ -102,7 +100,7 @@ INLINE void add_density(const Scene *scene, int k, floatN value, intN there, Emi
 {
   __constant const Effects *e = scene->effects;
   const float4 map = e->field_map[k]; /* value of coordinate 0, coordinates (or bins) a value, last coordinate, bins */
-  there &= is_finite(value);
+  there &= finite_lanes(value);
   value = select((floatN)map.x, value, there);
   floatN p = (value - map.x) * map.y;
   if (map.w > 0.0f) {
@@ -134,7 +132,7 @@ INLINE floatN above_mask(const Scene *scene, int k, floatN x, floatN y, floatN z
   const float4 map = scene->effects->field_map[k]; /* threshold, 1 or -1 */
   const FieldPlace p = place_in_field(scene, k, x, y, z);
   const floatN value = linear_in_field(scene, k, p);
-  *known = p.inside & is_finite(value);
+  *known = p.inside & finite_lanes(value);
   return select((floatN)-1.0f, map.y * (value - map.x), *known);
 }
 

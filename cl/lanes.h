@@ -132,6 +132,9 @@ INLINE floatN lane_min(floatN a, floatN b) { return LANE_MIN(a, b); }
 INLINE floatN lane_max(floatN a, floatN b) { return LANE_MAX(a, b); }
 INLINE floatN lane_clamp(floatN x, floatN low, floatN high) { return lane_min(lane_max(x, low), high); }
 
+/* Neither NaN nor infinite. */
+INLINE intN finite_lanes(floatN v) { return MASK((AS_INT(v) & 0x7f800000) != 0x7f800000); }
+
 /* Whether a mask has any lane set. PoCL's any() tests lane after lane. */
 INLINE int any_lane(intN mask)
 {

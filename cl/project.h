@@ -173,7 +173,7 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
       kept = kept_by_masks(scene, &ray, t0, lane_min(t0 + 1.0f, ray.length), active, counted);
 #endif
 #if MAY_BE_NAN
-      intN counts = active & MASK((AS_INT(value) & 0x7f800000) != 0x7f800000);
+      intN counts = active & finite_lanes(value);
       const floatN v = lane_clamp(select((floatN)lowest, value, counts), (floatN)lowest, (floatN)highest);
 #else
       intN counts = active;

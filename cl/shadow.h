@@ -140,7 +140,7 @@ INLINE floatN surfaces_between(const Scene *scene, const Rays *ray, floatN from,
                                intN active, Tally *counted)
 {
   const int first = scene->effects->first.y;
-  const intN known = active & MASK((AS_INT(before) & 0x7f800000) != 0x7f800000) & MASK((AS_INT(after) & 0x7f800000) != 0x7f800000);
+  const intN known = active & finite_lanes(before) & finite_lanes(after);
   floatN depth = 0.0f;
   _Pragma("unroll 1") for (int k = 0; k < scene->effects->counts.y; ++k) {
     const float4 surface = scene->items[first + 3 * k];

@@ -19,8 +19,6 @@
 #define CROSSING_EDGES 5e-5f
 #define MOST_BENDS 8
 
-INLINE intN finite_lanes(floatN v) { return MASK((AS_INT(v) & 0x7f800000) != 0x7f800000); }
-
 /* Where between a and b (shares of the segment from `from` on, `length` steps long) the value takes `level`. va, vb: the values there. */
 INLINE floatN crossing_place(const Scene *scene, const Rays *ray, floatN from, floatN length, floatN a, floatN b, floatN va,
                              floatN vb, floatN level, intN crossed, uintN *taken)
