@@ -118,6 +118,10 @@ typedef struct {
   for (int counter_ = 0; counter_ < COUNTERS; ++counter_)                                    \
     counts[(size_t)(tile) * COUNTERS + counter_] = tally_sum(counted[counter_]);
 
+#elif BLOCKS
+
+#include "block_parameters.h"
+
 #else
 
 #define EFFECT_PARAMETERS

@@ -96,7 +96,15 @@ typedef int gather_int8 __attribute__((__vector_size__(32)));
     const uint16 a = GATHER_LONGS(base, offset.lo, SCALE), b = GATHER_LONGS(base, offset.hi, SCALE);               \
     *low = (uint16)(a.even, b.even), *high = (uint16)(a.odd, b.odd);                                               \
   }
+/* 1 / x for normal x, to 2e-8 or so: the hardware's guess of 14 bits and one of Newton's steps. */
+INLINE floatN lane_reciprocal(floatN x)
+{
+  const float16 y = __builtin_astype(__builtin_ia32_rcp14ps512_mask(__builtin_astype(x, gather_float16),
+                                                                    __builtin_astype(x, gather_float16), (ushort)0xffff), float16);
+  return y * (2.0f - x * y);
+}
 #else
+INLINE floatN lane_reciprocal(floatN x) { return 1.0f / x; }
 #define DEFINE_GATHER_TWO(SCALE)                                                                           \
   INLINE void gather_two##SCALE(__global const void *base, intN offset, uintN *low, uintN *high)           \
   {                                                                                                        \
@@ -170,6 +178,40 @@ INLINE floatN lane_rsqrt(floatN x)
   return y;
 #endif
 }
+
+#if LANES == 16
+/* Which lanes are set, as bits. */
+INLINE uint lane_bits(intN mask)
+{
+#if defined(HARDWARE_GATHER) && defined(__AVX512DQ__)
+  return (ushort)__builtin_ia32_cvtd2mask512(__builtin_astype(mask, gather_int16));
+#else
+  int each[16];
+  uint bits = 0;
+  vstore16(mask, 0, each);
+  EACH_LANE(k) bits |= ((uint)each[k] >> 31) << k;
+  return bits;
+#endif
+}
+
+/* The lanes in `bits` one after the other at `to`, which has room for 16; what is behind them is undefined. */
+INLINE void pack_lanes(float16 v, uint bits, float *to)
+{
+#if defined(HARDWARE_GATHER) && __has_builtin(__builtin_ia32_compresssf512_mask)
+  vstore16(__builtin_astype(__builtin_ia32_compresssf512_mask(__builtin_astype(v, gather_float16),
+                                                              __builtin_astype((float16)0.0f, gather_float16), (ushort)bits),
+                            float16), 0, to);
+#else
+  float each[16];
+  vstore16(v, 0, each);
+  EACH_LANE(k)
+  {
+    *to = each[k];
+    to += bits >> k & 1u;
+  }
+#endif
+}
+#endif
 
 DEFINE_GATHER(1)
 DEFINE_GATHER(2)

@@ -11,7 +11,7 @@
 #ifndef MARCH_CELLS_H
 #define MARCH_CELLS_H
 
-#include "opacity.h"
+#include "composite_piece.h"
 
 #if FILTER != FILTER_LINEAR || CLASSIFICATION == CLASSIFICATION_PRE
 #error "quadrature by cells needs the linear filter, and interpolated values that are classified"
@@ -29,103 +29,6 @@ INLINE floatN value_at(const Corners *c, const Rays *ray, floatN cx, floatN cy, 
   const floatN zero = 0.0f, one = 1.0f;
   return value_in_cell(c, lane_clamp(ray->x0 - cx + t * ray->dx, zero, one), lane_clamp(ray->y0 - cy + t * ray->dy, zero, one),
                        lane_clamp(ray->z0 - cz + t * ray->dz, zero, one));
-}
-
-/* acc += (1 - A) (c, 1) (1 - exp(-D length)), where e = (c D, D) is interpolated in the table. */
-#if LANES == 16
-
-#define SCALED_DEPTHS(digit_l, digit_r) \
-  (float16)(e0.s##digit_l, e0.s##digit_r, e1.s##digit_l, e1.s##digit_r, e2.s##digit_l, e2.s##digit_r, e3.s##digit_l, e3.s##digit_r, \
-            e4.s##digit_l, e4.s##digit_r, e5.s##digit_l, e5.s##digit_r, e6.s##digit_l, e6.s##digit_r, e7.s##digit_l, e7.s##digit_r)
-
-#define EACH_ENTRY(SET)                                                                                       \
-  SET(e0, 0, 0, 1) SET(e1, 2, 2, 3) SET(e2, 4, 4, 5) SET(e3, 6, 6, 7) SET(e4, 8, 8, 9) SET(e5, 10, a, b)       \
-  SET(e6, 12, c, d) SET(e7, 14, e, f)
-
-#define ACCUMULATE_ENTRY(c, k, ka, kb, weights) acc->c += weights * ENTRY_##c;
-#define ENTRY_c0 e0
-#define ENTRY_c1 e1
-#define ENTRY_c2 e2
-#define ENTRY_c3 e3
-#define ENTRY_c4 e4
-#define ENTRY_c5 e5
-#define ENTRY_c6 e6
-#define ENTRY_c7 e7
-
-#endif
-
-INLINE floatN weight_of_depth(floatN depth, floatN length, floatN transmittance)
-{
-  const intN thin = MASK(depth < 1e-30f);
-  return transmittance * select(opacity_of_depth(depth * length) / select(depth, (floatN)1.0f, thin), length, thin);
-}
-
-#if CLASSIFICATION == CLASSIFICATION_PREINTEGRATED
-
-INLINE void composite_piece(Accumulator *acc, ClassCoordinate front, ClassCoordinate back, floatN length, floatN transmittance,
-                            __global const float *table, __constant const View *view)
-{
-  const intN at = table_row(front, back, view);
-  const size_t row = 4 * (size_t)view->table.y;
-  const floatN right = back.fraction, left = 1.0f - right;
-#if LANES == 16
-  int entry[16];
-  vstore16(at, 0, entry);
-  const float16 f = front.fraction;
-  float16 e0, e1, e2, e3, e4, e5, e6, e7;
-#define BILINEAR_ENTRY(e, k, ka, kb)                                                                                  \
-  {                                                                                                                   \
-    __global const float *a_ = table + entry[k], *b_ = table + entry[k + 1];                                          \
-    const float16 low_ = (float16)(vload8(0, a_), vload8(0, b_));                                                     \
-    const float16 high_ = (float16)(vload8(0, a_ + row), vload8(0, b_ + row));                                        \
-    e = low_ + f.s##ka##ka##ka##ka##ka##ka##ka##ka##kb##kb##kb##kb##kb##kb##kb##kb * (high_ - low_);                   \
-  }
-  EACH_ENTRY(BILINEAR_ENTRY)
-#undef BILINEAR_ENTRY
-  const float16 depth = left * SCALED_DEPTHS(3, b) + right * SCALED_DEPTHS(7, f);
-  const float16 weight = weight_of_depth(depth, length, transmittance);
-  EACH_PAIR(ACCUMULATE_ENTRY, weight * left, weight * right)
-#else
-  __global const float *a = table + at;
-  const float8 low = vload8(0, a), high = vload8(0, a + row);
-  const float8 r = low + front.fraction * (high - low);
-  const float4 e = left * r.lo + right * r.hi;
-  acc->c += weight_of_depth(e.w, length, transmittance) * e;
-#endif
-}
-
-#else
-
-INLINE void composite_point(Accumulator *acc, ClassCoordinate at, floatN length, floatN transmittance,
-                            __global const float *table)
-{
-  const floatN right = at.fraction, left = 1.0f - right;
-#if LANES == 16
-  int entry[16];
-  vstore16(at.node * 4, 0, entry);
-  float16 e0, e1, e2, e3, e4, e5, e6, e7;
-#define LINEAR_ENTRY(e, k, ka, kb) e = (float16)(vload8(0, table + entry[k]), vload8(0, table + entry[k + 1]));
-  EACH_ENTRY(LINEAR_ENTRY)
-#undef LINEAR_ENTRY
-  const float16 depth = left * SCALED_DEPTHS(3, b) + right * SCALED_DEPTHS(7, f);
-  const float16 weight = weight_of_depth(depth, length, transmittance);
-  EACH_PAIR(ACCUMULATE_ENTRY, weight * left, weight * right)
-#else
-  const float8 r = vload8(0, table + at.node * 4);
-  const float4 e = left * r.lo + right * r.hi;
-  acc->c += weight_of_depth(e.w, length, transmittance) * e;
-#endif
-}
-
-#endif
-
-INLINE void pass_opacity(const Accumulator *acc, floatN *opacity, floatN *median, floatN t0, floatN t1)
-{
-  const floatN before = *opacity;
-  *opacity = accumulated_opacity(acc);
-#if WITH_DEPTH
-  *median = median_step(*median, before, *opacity, t0, t1);
-#endif
 }
 
 /* One cell's piece of the rays in `active`, from t0 to t1 (in steps). */
@@ -153,7 +56,7 @@ INLINE void integrate_cell(Accumulator *acc, floatN *opacity, floatN *median, co
     const ClassCoordinate a = class_coordinate(first, warp, view);
     const ClassCoordinate b = class_coordinate(second, warp, view);
     if (may_be_visible(lane_min(a.position, b.position), lane_max(a.position, b.position), active, view)) {
-      composite_piece(acc, a, b, length * view->voxel.w, select((floatN)0.0f, 1.0f - *opacity, active), table, view);
+      composite_piece(acc, table_row(a, b, view), a, b, length * view->voxel.w, select((floatN)0.0f, 1.0f - *opacity, active), table, view);
       pass_opacity(acc, opacity, median, start, start + length);
     }
     front = back;

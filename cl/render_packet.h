@@ -36,7 +36,9 @@ INLINE floatN median_step(floatN median, floatN before, floatN after, floatN t0,
   return select(median, t0 + f * (t1 - t0), passes);
 }
 
-#if EFFECTS && COMPOSITING
+#if BLOCKS
+#include "march_blocks.h"
+#elif EFFECTS && COMPOSITING
 #include "project.h"
 #elif EFFECTS
 #include "march_effects.h"

@@ -23,6 +23,7 @@ from clvol.features.vocabulary import (
     GRADIENTS,
     METHODS,
     QUADRATURES,
+    STEPPINGS,
     overshoot,
 )
 
@@ -36,6 +37,7 @@ __all__ = [
     "NAMES",
     "NEUTRAL",
     "QUADRATURES",
+    "STEPPINGS",
     "Effect",
     "called_for",
     "effects",

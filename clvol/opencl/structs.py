@@ -24,6 +24,9 @@ def view_dtype(voxel_bits: int) -> np.dtype:
     )
 
 
+BLOCKS = np.dtype([("count", "i4", 4), ("edge", "f4", 4)])
+"""``Blocks`` of cl/block_parameters.h."""
+
 _EFFECTS_FLOAT4 = (
     "local_x", "local_y", "local_z", "gradient_x", "gradient_y", "gradient_z", "gradient_scale",
     "material", "shading", "depth_cue", "depth_color", "projection", "shadow", "light_grid",

@@ -54,6 +54,7 @@ class DeviceVolume:
             if volume.dtype.itemsize == 1:  # 32-bit loads of the last bytes must stay inside
                 self.voxels = context.upload(np.append(data.ravel(), np.zeros(4, data.dtype)))
         self.cells = tuple(cell_count(n) for n in self.size)
+        self.cell_shift = CELL_SHIFT
         self._context, self._data = context, data
         self._gradients: dict[str, tuple[DeviceArray, np.ndarray]] = {}
         self._bounds = {0: self._min_max(plain, 0)}

@@ -277,6 +277,11 @@ class Raycaster:
         other.switches = {**self.switches, "ISOSURFACES": 0}
         return other
 
+    @property
+    def _slices(self) -> int:
+        """Of the tables."""
+        return SLICES
+
     def _build_table(self) -> None:
         if len(self._functions) > 1:
             check_layers(self.resolved, 4 * self._table_size[0])
@@ -401,9 +406,9 @@ class Raycaster:
         rgba = context.take(image)
         depths = context.take(depths) if depth else None
         counters = {}
-        if self.effects.switches:
+        if self._tally is not None:
             counts = np.concatenate([context.take(tally) for tally in tallies])
-            counters = {**self.effects.counted(counts), **tile_counts}
+            counters = {**self._counters(counts), **tile_counts}
         return FrameData(rgba, depths, taken, rays, counters)
 
     def _trace(
@@ -464,10 +469,8 @@ class Raycaster:
         context = self.context
         switches = {**self.switches, "WITH_DEPTH": int(depth)}
         declared = _FILL_ARGUMENTS if name == "fill_between_rays" else _ARGUMENTS
-        if self.effects.switches:
-            self._tally = context.output(np.uint32, (tiles, len(COUNTERS)))
-            declared += _EFFECT_ARGUMENTS
-            arrays = {**arrays, **self.effects.arrays, "counts": self._tally}
+        more, added = self._more_arguments(tiles)
+        declared, arrays = declared + more, {**arrays, **added}
         if chosen is not None:
             switches["TILES_CHOSEN"] = 1
             declared += ", in chosen uint8"
@@ -492,6 +495,17 @@ class Raycaster:
                 context.finish()
             if progress is not None:
                 progress(done)
+
+    def _more_arguments(self, tiles: int) -> tuple[str, dict[str, DeviceArray]]:
+        """What the kernels take beside a plain scene's arguments, for a launch over ``tiles``."""
+        if not self.effects.switches:
+            return "", {}
+        self._tally = self.context.output(np.uint32, (tiles, len(COUNTERS)))
+        return _EFFECT_ARGUMENTS, {**self.effects.arrays, "counts": self._tally}
+
+    def _counters(self, counts: np.ndarray) -> dict[str, int]:
+        """Names and sums of what tiles counted."""
+        return self.effects.counted(counts)
 
     def _most_samples(self) -> float:
         grid = self.resolved.volume.grid
@@ -534,9 +548,9 @@ class Raycaster:
             row["voxel"][0] = volume.values.gain
         row["size"][:3] = volume.size
         row["stride"][:2] = volume.stride
-        row["cells"] = (*volume.cells, CELL_SHIFT)
+        row["cells"] = (*volume.cells, volume.cell_shift)
         entries, width_of_table = self._table_size
-        row["table"] = (nodes.values.size, width_of_table, SLICES, entries)
+        row["table"] = (nodes.values.size, width_of_table, self._slices, entries)
 
     def _check_struct(self) -> None:
         """The compiler's View must be ours, field for field: all fields are 16 bytes wide."""

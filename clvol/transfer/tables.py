@@ -48,6 +48,15 @@ def depths_table(
     return context.upload(table)
 
 
+def depths_tables(
+    context: DeviceContext, function: TransferFunction, nodes: np.ndarray, length: float, slices: int
+) -> DeviceArray:
+    """float32 [slices, n + 2, n + 2, 4] as ``depths_table``: slice k for segments of ``length`` / 2^k."""
+    table = context.read(preintegrated_table(context, function, nodes, length, slices + 1))[1:]
+    table[..., :3] *= table[..., 3:]
+    return context.upload(table)
+
+
 def constant_table(
     context: DeviceContext,
     function: TransferFunction,

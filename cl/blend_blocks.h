@@ -1,0 +1,252 @@
+/* Interblock interpolation: values between the outermost samples of blocks of any resolutions, with no voxels stored twice (Ljung,
+ * Lundstroem, Ynnerman 2006; its two-dimensional form is P2 eq. 5 and 6).
+ *
+ * Around a place there are eight blocks with a corner in common. Each is sampled with clamping, and the values are blended. With d
+ * the distance to the face between blocks i and j (i on this side; in blocks), the weight of j on that edge is
+ *   e_ij = clamp((delta_i - d) / (delta_i + delta_j), 0, 1),   delta = 1 / (2 samples an axis),
+ * 1 at j's outermost samples and 0 at i's. P2 takes for a block the product of the e or 1 - e along its own three edges, and
+ * normalises. So a coarse block counts inside the hull of a fine one's samples, where only their corners touch (in two dimensions:
+ * e12 = e13 = 0, yet e34 e24 > 0). Here a block's weight is also at most what is left on each way from every other block i that
+ * differs from it along several axes: on such a way i's own edge takes the place of the parallel one. Then
+ *   - equal resolutions still give trilinear interpolation of the samples: all parallel edges are alike;
+ *   - the field is continuous: weights are made of products, minima and maxima of continuous functions, and at the planes through
+ *     blocks' centres, where the eight blocks change, the ones that leave have no weight;
+ *   - inside the hull of its samples a block is alone, so no other needs to be looked at there: that is most samples.
+ * The block that holds the place is the origin here; block f = fx + 2 fy + 4 fz lies across the faces whose bits are set. Beyond the
+ * volume's faces the outermost blocks stand in for what is not there.
+ *
+ * A dropped block has delta = 2^-15: what is visible fades to its (invisible) value just before the face.
+ */
+#ifndef BLEND_BLOCKS_H
+#define BLEND_BLOCKS_H
+
+#include "blocks.h"
+
+/* Distances to the nearest faces in blocks, 0 .. 1/2, and whether they are the upper ones. */
+typedef struct {
+  floatN d;
+  intN upper; /* mask */
+  intN corner;
+} FaceAxis;
+
+INLINE FaceAxis nearest_face(floatN p, intN block, const BlockVolume *v)
+{
+  FaceAxis a;
+  const floatN inside = lane_clamp(p * v->blocks->edge.y - TO_FLOAT(block), (floatN)0.0f, (floatN)1.0f);
+  a.upper = MASK(inside >= 0.5f);
+  a.d = select(inside, 1.0f - inside, a.upper);
+  a.corner = block - a.upper;
+  return a;
+}
+
+INLINE floatN half_sample(uintN code) { return AS_FLOAT(AS_INT((127u - code) << 23u)); } /* delta = 2^-code */
+
+/* e of the edge from a block with delta_i, on this side of the face, to one with delta_j. */
+INLINE floatN edge_weight(floatN delta_i, floatN delta_j, floatN d)
+{
+  return lane_max((delta_i - d) * lane_reciprocal(delta_i + delta_j), (floatN)0.0f);
+}
+
+/* The weight along one axis of block f, whose edge along it has the weight e beyond the face. */
+INLINE floatN along(int beyond, floatN e) { return beyond ? e : 1.0f - e; }
+
+/* Weights of all eight blocks where their resolutions differ; `codes`: as in `corners`, with this block's at `own`. */
+INLINE void mixed_weights(uintN codes, uintN own, floatN dx, floatN dy, floatN dz, floatN *weight)
+{
+  floatN delta[8], ex[4], ey[4], ez[4];
+  for (uint f = 0; f < 8; ++f) delta[f] = half_sample((codes >> ((own ^ f) << 2u)) & 15u);
+  for (int k = 0; k < 4; ++k) {
+    const int low = k & 1, high = k >> 1;
+    ex[k] = edge_weight(delta[2 * low + 4 * high], delta[1 + 2 * low + 4 * high], dx); /* by fy, fz */
+    ey[k] = edge_weight(delta[low + 4 * high], delta[2 + low + 4 * high], dy);         /* by fx, fz */
+    ez[k] = edge_weight(delta[low + 2 * high], delta[4 + low + 2 * high], dz);         /* by fx, fy */
+  }
+#define AX(fx, fy, fz) along(fx, ex[(fy) + 2 * (fz)])
+#define AY(fx, fy, fz) along(fy, ey[(fx) + 2 * (fz)])
+#define AZ(fx, fy, fz) along(fz, ez[(fx) + 2 * (fy)])
+  for (int f = 0; f < 8; ++f) {
+    const int x = f & 1, y = f >> 1 & 1, z = f >> 2;
+    const floatN ax = AX(x, y, z), ay = AY(x, y, z), az = AZ(x, y, z);
+    floatN w = ax * ay * az;
+    /* From the blocks that differ along two axes, and from the one that differs along all three. */
+    w = lane_min(w, az * lane_max(AX(x, !y, z) * ay, AY(!x, y, z) * ax));
+    w = lane_min(w, ay * lane_max(AX(x, y, !z) * az, AZ(!x, y, z) * ax));
+    w = lane_min(w, ax * lane_max(AY(x, y, !z) * az, AZ(x, !y, z) * ay));
+    const floatN from_opposite = lane_max(lane_max(AX(x, !y, !z) * ay * az, AY(!x, y, !z) * ax * az), AZ(!x, !y, z) * ax * ay);
+    weight[f] = lane_min(w, from_opposite);
+  }
+#undef AX
+#undef AY
+#undef AZ
+}
+
+/* The same where all eight are alike: trilinear weights. */
+INLINE void equal_weights(uintN code, floatN dx, floatN dy, floatN dz, floatN *weight)
+{
+  const floatN scale = AS_FLOAT(AS_INT((126u + code) << 23u)), zero = 0.0f; /* 1 / (2 delta) */
+  const floatN ex = lane_max(0.5f - dx * scale, zero), ey = lane_max(0.5f - dy * scale, zero), ez = lane_max(0.5f - dz * scale, zero);
+  for (int f = 0; f < 8; ++f) weight[f] = along(f & 1, ex) * along(f >> 1 & 1, ey) * along(f >> 2, ez);
+}
+
+/* What all eight weights depend on: places relative to the block's faces, and codes of the blocks around the nearest corner. */
+typedef struct {
+  FaceAxis x, y, z;
+  uintN codes, own;
+} Around;
+
+INLINE Around blocks_around(const BlockVolume *v, intN bx, intN by, intN bz, floatN px, floatN py, floatN pz, intN active)
+{
+  Around a;
+  a.x = nearest_face(px, bx, v), a.y = nearest_face(py, by, v), a.z = nearest_face(pz, bz, v);
+  const int4 count = v->blocks->count;
+  const intN corner = (a.z.corner * (count.y + 1) + a.y.corner) * (count.x + 1) + a.x.corner;
+  a.codes = gather4(v->corners, corner & active);
+  /* Below the corner's plane a block has the number 0 along that axis, above it 1. */
+  a.own = (AS_UINT(~a.x.upper) & 1u) | (AS_UINT(~a.y.upper) & 2u) | (AS_UINT(~a.z.upper) & 4u);
+  return a;
+}
+
+INLINE void blend_weights(const Around *a, intN active, floatN *weight)
+{
+  const intN mixed = active & MASK(a->codes != (a->codes & 15u) * 0x11111111u);
+  if (any_lane(mixed))
+    mixed_weights(a->codes, a->own, a->x.d, a->y.d, a->z.d, weight);
+  else
+    equal_weights(a->codes & 15u, a->x.d, a->y.d, a->z.d, weight);
+}
+
+/* The block across the nearest face along one axis. */
+INLINE intN across(intN block, const FaceAxis *a, int count)
+{
+  return min(max(block + select((intN)-1, (intN)1, a->upper), (intN)0), (intN)(count - 1));
+}
+
+#if LANES == 1
+
+/* The value at p, where `value` is that of the block `r` which holds p. */
+INLINE floatN blend_blocks(const BlockVolume *v, const Record *r, floatN px, floatN py, floatN pz, floatN value, Tally *tally)
+{
+  const Around a = blocks_around(v, r->x, r->y, r->z, px, py, pz, ~0);
+  const int4 count = v->blocks->count;
+  floatN weight[8], sum = 0.0f, total;
+  blend_weights(&a, ~0, weight);
+  total = weight[0];
+  int blended = 0;
+  for (int f = 1; f < 8; ++f) {
+    if (!(weight[f] > 0.0f)) continue;
+    const Record other = fetch_record(v, f & 1 ? across(r->x, &a.x, count.x) : r->x, f & 2 ? across(r->y, &a.y, count.y) : r->y,
+                                      f & 4 ? across(r->z, &a.z, count.z) : r->z);
+    const BlockSample s = fetch_in_block(v, &other, px, py, pz);
+    sum += weight[f] * (value_in_block(&s, v->view) - value), total += weight[f];
+    ++tally[COUNT_BLOCK_READS];
+    blended = 1;
+  }
+  tally[COUNT_BLENDED] += blended;
+  return blended ? value + sum / total : value;
+}
+
+#else
+
+/* In a packet few samples lie between blocks, and of the seven other blocks one or two have weight: lane by lane most of a vector would
+ * do nothing. So places that need blending are queued over several steps of the packet, and so are the (place, block) pairs that
+ * have weight: both are worked off 16 at a time. (Without the queues blending took more than twice as long.) */
+#define QUEUE_LENGTH (LANES * QUEUED_STEPS)
+#define PAIRS_LENGTH (8 * LANES)
+
+typedef struct {
+  int count;
+  float x[QUEUE_LENGTH + LANES], y[QUEUE_LENGTH + LANES], z[QUEUE_LENGTH + LANES];
+  float value[QUEUE_LENGTH + LANES]; /* of the block that holds the place; at the end the blended one */
+  float id[QUEUE_LENGTH + LANES];    /* bits of where the value belongs */
+} PlaceQueue;
+
+typedef struct {
+  int count;
+  float x[PAIRS_LENGTH + LANES], y[PAIRS_LENGTH + LANES], z[PAIRS_LENGTH + LANES]; /* place */
+  float block[PAIRS_LENGTH + LANES];  /* bits of x | y << 10 | z << 20: the block */
+  float weight[PAIRS_LENGTH + LANES], value[PAIRS_LENGTH + LANES];
+  float slot[PAIRS_LENGTH + LANES];   /* bits of the number in the queue of places */
+} PairQueue;
+
+/* Places of the lanes in `between`; `id` of a lane is where its value lies. */
+INLINE void queue_places(PlaceQueue *q, floatN px, floatN py, floatN pz, floatN value, intN id, intN between)
+{
+  const uint bits = lane_bits(between);
+  const int at = q->count;
+  pack_lanes(px, bits, q->x + at), pack_lanes(py, bits, q->y + at), pack_lanes(pz, bits, q->z + at);
+  pack_lanes(value, bits, q->value + at), pack_lanes(AS_FLOAT(id), bits, q->id + at);
+  q->count += popcount(bits);
+}
+
+/* Works off `count` (at most LANES) pairs from `first` on. */
+INLINE void blend_pairs(const BlockVolume *v, const PairQueue *p, int first, int count, float *sum)
+{
+  const intN active = MASK(LANE_INDEX < count);
+  const intN block = AS_INT(LOAD_LANES(p->block + first)) & active;
+  const Record r = fetch_record(v, block & 1023, (block >> 10) & 1023, block >> 20);
+  const floatN px = LOAD_LANES(p->x + first), py = LOAD_LANES(p->y + first), pz = LOAD_LANES(p->z + first);
+  const BlockSample s = fetch_in_block(v, &r, px, py, pz);
+  float share[LANES];
+  STORE_LANES(LOAD_LANES(p->weight + first) * (value_in_block(&s, v->view) - LOAD_LANES(p->value + first)), share);
+  for (int k = 0; k < count; ++k) sum[as_int(p->slot[first + k])] += share[k];
+}
+
+/* Blends all places of `q`, and puts the values where their ids say. */
+INLINE void blend_queue(const BlockVolume *v, PlaceQueue *q, float *values, Tally *tally)
+{
+  const int4 count = v->blocks->count;
+  PairQueue p;
+  float sum[QUEUE_LENGTH + LANES], total[QUEUE_LENGTH + LANES];
+  p.count = 0;
+  const int places = q->count;
+  _Pragma("unroll 1") for (int first = 0; first < places; first += LANES) {
+    const intN active = MASK(LANE_INDEX < places - first);
+    const floatN zero = 0.0f, half_ = 0.5f;
+    const floatN px = select(half_, LOAD_LANES(q->x + first), active), py = select(half_, LOAD_LANES(q->y + first), active);
+    const floatN pz = select(half_, LOAD_LANES(q->z + first), active), value = LOAD_LANES(q->value + first);
+    const intN bx = block_of(px, v, count.x), by = block_of(py, v, count.y), bz = block_of(pz, v, count.z);
+    const Around a = blocks_around(v, bx, by, bz, px, py, pz, active);
+    floatN weight[8];
+    blend_weights(&a, active, weight);
+    const intN ax = across(bx, &a.x, count.x), ay = across(by, &a.y, count.y) << 10, az = across(bz, &a.z, count.z) << 20;
+    const intN slot = first + LANE_INDEX;
+    floatN all = weight[0];
+    intN blended = 0;
+    _Pragma("unroll 1") for (int f = 1; f < 8; ++f) {
+      const intN here = active & MASK(weight[f] > 0.0f);
+      const uint bits = lane_bits(here);
+      if (!bits) continue;
+      all += weight[f], blended |= here;
+      count_lanes(&tally[COUNT_BLOCK_READS], here);
+      const intN block = (f & 1 ? ax : bx) + (f & 2 ? ay : by << 10) + (f & 4 ? az : bz << 20);
+      const int at = p.count;
+      pack_lanes(px, bits, p.x + at), pack_lanes(py, bits, p.y + at), pack_lanes(pz, bits, p.z + at);
+      pack_lanes(AS_FLOAT(block), bits, p.block + at), pack_lanes(AS_FLOAT(slot), bits, p.slot + at);
+      pack_lanes(weight[f], bits, p.weight + at), pack_lanes(value, bits, p.value + at);
+      p.count += popcount(bits);
+    }
+    count_lanes(&tally[COUNT_BLENDED], blended);
+    STORE_LANES(all, total + first);
+    STORE_LANES(zero, sum + first);
+    int done = 0;
+    _Pragma("unroll 1") for (; done + LANES <= p.count; done += LANES) blend_pairs(v, &p, done, LANES, sum);
+    /* What is left waits for more. */
+    const int rest = p.count - done;
+    if (done && rest) {
+      STORE_LANES(LOAD_LANES(p.x + done), p.x), STORE_LANES(LOAD_LANES(p.y + done), p.y), STORE_LANES(LOAD_LANES(p.z + done), p.z);
+      STORE_LANES(LOAD_LANES(p.block + done), p.block), STORE_LANES(LOAD_LANES(p.slot + done), p.slot);
+      STORE_LANES(LOAD_LANES(p.weight + done), p.weight), STORE_LANES(LOAD_LANES(p.value + done), p.value);
+    }
+    p.count = rest;
+  }
+  if (p.count) blend_pairs(v, &p, 0, p.count, sum);
+  _Pragma("unroll 1") for (int first = 0; first < places; first += LANES) {
+    STORE_LANES(LOAD_LANES(q->value + first) + LOAD_LANES(sum + first) / LOAD_LANES(total + first), q->value + first);
+    for (int k = first; k < min(first + LANES, places); ++k) values[as_int(q->id[k])] = q->value[k];
+  }
+  q->count = 0;
+}
+
+#endif
+
+#endif

@@ -1,0 +1,104 @@
+/* Empty space of a volume of blocks: which cells can show anything, from the samples that are resident. Cells are cubes of
+ * 2^shift voxels, in places p of blocks.h, and lie within one block each.
+ *
+ * What is interpolated in a cell lies between the samples that clamping to a block's hull leaves of the cell: those of its own block,
+ * and, where it touches a face, those of the blocks beyond, whose outermost samples are blended in.
+ *
+ * Switches (-D): LANES (1), VOXEL_BITS, VOXEL_SIGNED, VOXEL_SCALED, VOXEL_HOLES, WARPED_CLASSES, INTERBLOCK, SAMPLE_BUFFERS.
+ */
+#include "lanes.h"
+#include "view.h"
+#include "block_parameters.h"
+#include "classify.h"
+#include "blocks.h"
+
+/* One sample as kernels compute with it. */
+inline float sample_of(const BlockVolume *v, const Record *r, int at)
+{
+  __global const uchar *samples = v->samples[0];
+#if SAMPLE_BUFFERS > 1
+  samples = v->samples[(r->word1 >> 4) & 3];
+#endif
+  at += (int)r->word0;
+#if VOXEL_BITS == 8 && VOXEL_SIGNED
+  return (float)((__global const char *)samples)[at];
+#elif VOXEL_BITS == 8
+  return (float)samples[at];
+#elif VOXEL_BITS == 16 && VOXEL_SIGNED
+  return (float)((__global const short *)samples)[at];
+#elif VOXEL_BITS == 16
+  return (float)((__global const ushort *)samples)[at];
+#elif VOXEL_SCALED
+  return ((__global const float *)samples)[at] * v->view->voxel.x;
+#else
+  return ((__global const float *)samples)[at];
+#endif
+}
+
+/* First and last sample of `s` an axis that interpolation from `low` to `high` (places in the block) uses. */
+inline int2 samples_between(float low, float high, int s, float edge)
+{
+  const float scale = s / edge, top = s - 1;
+  return (int2)((int)floor(clamp(low * scale - 0.5f, 0.0f, top)), (int)ceil(clamp(high * scale - 0.5f, 0.0f, top)));
+}
+
+inline void widen(float value, float *low, float *high)
+{
+  if (!isfinite(value)) return;
+  *low = fmin(*low, value), *high = fmax(*high, value);
+}
+
+/* before  int [nodes]: of the intervals between nodes, how many before this one can show anything
+ * at      uchar [nodes]: whether the node itself does
+ * cells   uchar [z, y, x]: 0 where something can be visible, else 255
+ */
+__kernel void visible_block_cells(__global const uchar *restrict volume, __global const float *restrict warp,
+                                  __global const int *restrict before, __global const uchar *restrict at,
+                                  __constant const View *restrict view, __global const int *restrict index,
+                                  __global const uint *restrict corners, __constant const Blocks *restrict blocks
+                                  MORE_SAMPLE_PARAMETERS, __global uchar *restrict cells)
+{
+  const BlockVolume held = block_volume(volume, view, index, corners, blocks MORE_SAMPLE_ARGUMENTS);
+  const BlockVolume *v = &held;
+  const int cx = get_global_id(0), cy = get_global_id(1), cz = get_global_id(2);
+  const int shift = view->cells.w, edge = 1 << blocks->count.w, cell = 1 << shift;
+  const int bx = (cx << shift) / edge, by = (cy << shift) / edge, bz = (cz << shift) / edge;
+  __global uchar *out = cells + ((size_t)cz * get_global_size(1) + cy) * get_global_size(0) + cx;
+  *out = 255;
+  const Record own = fetch_record(v, bx, by, bz);
+  if (code_of(&own) == CODE_DROPPED) return;
+  float low = INFINITY, high = -INFINITY;
+  /* Places in the block; faces of the block that the cell touches. */
+  const int x = (cx << shift) - bx * edge, y = (cy << shift) - by * edge, z = (cz << shift) - bz * edge;
+  const int4 first = INTERBLOCK ? (int4)(x == 0 ? -1 : 0, y == 0 ? -1 : 0, z == 0 ? -1 : 0, 0) : 0;
+  const int4 last = INTERBLOCK ? (int4)(x + cell == edge, y + cell == edge, z + cell == edge, 0) : 0;
+  for (int dz = first.z; dz <= last.z; ++dz)
+    for (int dy = first.y; dy <= last.y; ++dy)
+      for (int dx = first.x; dx <= last.x; ++dx) {
+        const int nx = bx + dx, ny = by + dy, nz = bz + dz;
+        if (nx < 0 || ny < 0 || nz < 0 || nx >= blocks->count.x || ny >= blocks->count.y || nz >= blocks->count.z) continue;
+        const Record r = fetch_record(v, nx, ny, nz);
+        const int code = code_of(&r);
+        if (code == 1 || code == CODE_DROPPED) {
+          widen(as_float(r.word0), &low, &high);
+          continue;
+        }
+        const int s = 1 << (code - 1);
+        const int2 i = samples_between(x - dx * edge, x - dx * edge + cell, s, edge);
+        const int2 j = samples_between(y - dy * edge, y - dy * edge + cell, s, edge);
+        const int2 k = samples_between(z - dz * edge, z - dz * edge + cell, s, edge);
+        for (int c = k.x; c <= k.y; ++c)
+          for (int b = j.x; b <= j.y; ++b)
+            for (int a = i.x; a <= i.y; ++a) widen(sample_of(v, &r, (c * s + b) * s + a), &low, &high);
+      }
+  if (!(low <= high)) return;
+  const float p = class_position(low, warp, view), q = class_position(high, warp, view), last_node = view->classes.z;
+  if (low == high && p == floor(p)) { /* interpolation keeps it, and it falls on a node */
+    *out = at[(int)p] ? 0 : 255;
+    return;
+  }
+  /* The lowest value of all is node 0 exactly; else rounding may reach the next node. */
+  const float margin = 1e-3f;
+  const int from = (int)clamp(floor(p - margin), 0.0f, last_node), to = (int)clamp(ceil(q + margin), 0.0f, last_node);
+  if (before[to] > before[from] || at[from] || at[to]) *out = 0;
+}

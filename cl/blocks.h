@@ -1,0 +1,190 @@
+/* A volume as blocks, each at its own resolution (P2 sec. 3.1, 3.2), packed in buffers of samples.
+ *
+ * Places are in voxels, p = lattice coordinate + 1/2: block b holds p from edge * b to edge * (b + 1) along each axis, and a block of
+ * s samples an axis has them at its multiples of edge / s, plus a half. Inside a block, values are interpolated linearly between its
+ * own samples, the place clamped to their hull (P2 eq. 3: C[delta, 1 - delta], delta = 1 / 2 s); blend_blocks.h joins blocks.
+ *
+ * A block's two words in `index`: word 1 has in bits 0..3 its code, 1 + log2(s), or CODE_DROPPED for a block that shows nothing and
+ * has no samples; in bits 4..5 the number of its buffer; in bits 8..15 the most steps that a ray may take at once in it (STEPPING
+ * bounded). Word 0 is the place of its first sample in the buffer, or, of a block of one sample and of a dropped one, that one value
+ * (bits of a float): neither takes memory in the buffers.
+ */
+#ifndef BLOCKS_H
+#define BLOCKS_H
+
+#include "block_parameters.h"
+#include "sample_volume.h"
+
+#if FILTER != FILTER_LINEAR || VOXEL_BITS == 64 || VOXEL_PAIRS
+#error "blocks need the linear filter, and samples of at most 32 bits"
+#endif
+
+#define CODE_DROPPED 15
+
+typedef struct {
+  __global const int *index;
+  __global const uint *corners;
+  __constant const Blocks *blocks;
+  __constant const View *view;
+  __global const uchar *samples[SAMPLE_BUFFERS];
+} BlockVolume;
+
+INLINE BlockVolume block_volume(__global const uchar *samples0, __constant const View *view, __global const int *index,
+                                __global const uint *corners, __constant const Blocks *blocks
+#if SAMPLE_BUFFERS > 1
+                                , __global const uchar *samples1
+#endif
+#if SAMPLE_BUFFERS > 2
+                                , __global const uchar *samples2
+#endif
+#if SAMPLE_BUFFERS > 3
+                                , __global const uchar *samples3
+#endif
+)
+{
+  BlockVolume v;
+  v.index = index, v.corners = corners, v.blocks = blocks, v.view = view;
+  v.samples[0] = samples0;
+#if SAMPLE_BUFFERS > 1
+  v.samples[1] = samples1;
+#endif
+#if SAMPLE_BUFFERS > 2
+  v.samples[2] = samples2;
+#endif
+#if SAMPLE_BUFFERS > 3
+  v.samples[3] = samples3;
+#endif
+  return v;
+}
+
+typedef struct {
+  intN x, y, z;      /* block */
+  uintN word0, word1;
+} Record;
+
+INLINE intN code_of(const Record *r) { return AS_INT(r->word1 & 15u); }
+
+INLINE Record fetch_record(const BlockVolume *v, intN x, intN y, intN z)
+{
+  Record r;
+  r.x = x, r.y = y, r.z = z;
+  gather_two4(v->index, 2 * ((z * v->blocks->count.y + y) * v->blocks->count.x + x), &r.word0, &r.word1);
+  return r;
+}
+
+INLINE intN block_of(floatN p, const BlockVolume *v, int count)
+{
+  return min(TO_INT(p * v->blocks->edge.y), (intN)(count - 1));
+}
+
+INLINE Record record_at(const BlockVolume *v, floatN px, floatN py, floatN pz)
+{
+  return fetch_record(v, block_of(px, v, v->blocks->count.x), block_of(py, v, v->blocks->count.y),
+                      block_of(pz, v, v->blocks->count.z));
+}
+
+/* Place along one axis among a block's samples. */
+typedef struct {
+  intN lower;
+  floatN fraction;
+  intN outside; /* beyond the outermost samples */
+} BlockAxis;
+
+/* `place`: in samples, 0 at the first one's centre. `last`: number of the last sample. */
+INLINE BlockAxis block_axis(floatN place, intN last)
+{
+  BlockAxis a;
+  const floatN top = TO_FLOAT(last), zero = 0.0f;
+  a.outside = MASK(place < zero) | MASK(place > top);
+  const floatN clamped = lane_clamp(place, zero, top);
+  a.lower = min(TO_INT(clamped), max(last - 1, (intN)0));
+  a.fraction = clamped - TO_FLOAT(a.lower);
+  return a;
+}
+
+#if SAMPLE_BUFFERS == 1
+#define GATHER_SAMPLES(GATHER, offset) GATHER(v->samples[0], offset)
+#else
+/* Lane by lane from the buffer that has it. */
+#define DEFINE_GATHER_SAMPLES(GATHER)                                                              \
+  INLINE uintN GATHER##_of_samples(const BlockVolume *v, intN buffer, intN offset)                 \
+  {                                                                                                \
+    uintN word = 0u;                                                                               \
+    for (int k = 0; k < SAMPLE_BUFFERS; ++k) {                                                     \
+      const intN here = MASK(buffer == k);                                                         \
+      if (any_lane(here)) word |= GATHER(v->samples[k], offset & here) & AS_UINT(here);            \
+    }                                                                                              \
+    return word;                                                                                   \
+  }
+DEFINE_GATHER_SAMPLES(gather1)
+DEFINE_GATHER_SAMPLES(gather2)
+DEFINE_GATHER_SAMPLES(gather4)
+#define GATHER_SAMPLES(GATHER, offset) GATHER##_of_samples(v, buffer, offset)
+#endif
+
+/* Corners of a cell between samples: `row`, `slice`: samples from one row, one slice to the next; both per lane. */
+INLINE FetchedCorners fetch_block_corners(const BlockVolume *v, intN buffer, intN at, intN row, intN slice)
+{
+  const intN at10 = at + row, at01 = at + slice, at11 = at01 + row;
+#if VOXEL_BITS == 8
+  const FetchedCorners f = {
+    (GATHER_SAMPLES(gather1, at) & 0xffffu) | (GATHER_SAMPLES(gather1, at10) << 16u),
+    (GATHER_SAMPLES(gather1, at01) & 0xffffu) | (GATHER_SAMPLES(gather1, at11) << 16u)};
+#elif VOXEL_BITS == 16
+  const FetchedCorners f = {GATHER_SAMPLES(gather2, at), GATHER_SAMPLES(gather2, at10), GATHER_SAMPLES(gather2, at01),
+                            GATHER_SAMPLES(gather2, at11)};
+#elif SAMPLE_BUFFERS == 1
+  Corners f;
+  uintN low, high;
+  gather_two4(v->samples[0], at, &low, &high), f.v000 = AS_FLOAT(low), f.v100 = AS_FLOAT(high);
+  gather_two4(v->samples[0], at10, &low, &high), f.v010 = AS_FLOAT(low), f.v110 = AS_FLOAT(high);
+  gather_two4(v->samples[0], at01, &low, &high), f.v001 = AS_FLOAT(low), f.v101 = AS_FLOAT(high);
+  gather_two4(v->samples[0], at11, &low, &high), f.v011 = AS_FLOAT(low), f.v111 = AS_FLOAT(high);
+#else
+  Corners f;
+  f.v000 = AS_FLOAT(GATHER_SAMPLES(gather4, at)), f.v100 = AS_FLOAT(GATHER_SAMPLES(gather4, at + 1));
+  f.v010 = AS_FLOAT(GATHER_SAMPLES(gather4, at10)), f.v110 = AS_FLOAT(GATHER_SAMPLES(gather4, at10 + 1));
+  f.v001 = AS_FLOAT(GATHER_SAMPLES(gather4, at01)), f.v101 = AS_FLOAT(GATHER_SAMPLES(gather4, at01 + 1));
+  f.v011 = AS_FLOAT(GATHER_SAMPLES(gather4, at11)), f.v111 = AS_FLOAT(GATHER_SAMPLES(gather4, at11 + 1));
+#endif
+  return f;
+}
+
+/* What is fetched of one block for one place. */
+typedef struct {
+  FetchedCorners corners;
+  floatN fx, fy, fz;
+  floatN value;   /* of a block that has one value */
+  intN is_single;
+  intN outside;   /* beyond its outermost samples, along any axis */
+} BlockSample;
+
+INLINE BlockSample fetch_in_block(const BlockVolume *v, const Record *r, floatN px, floatN py, floatN pz)
+{
+  const int log_edge = v->blocks->count.w;
+  const float edge = v->blocks->edge.x;
+  const intN code = code_of(r);
+  BlockSample s;
+  s.is_single = MASK(code == 1) | MASK(code == CODE_DROPPED);
+  const intN shift = (code - 1) & ~s.is_single, last = ((intN)1 << shift) - 1;
+  const floatN scale = AS_FLOAT((shift + (127 - log_edge)) << 23);
+  const BlockAxis x = block_axis((px - edge * TO_FLOAT(r->x)) * scale - 0.5f, last);
+  const BlockAxis y = block_axis((py - edge * TO_FLOAT(r->y)) * scale - 0.5f, last);
+  const BlockAxis z = block_axis((pz - edge * TO_FLOAT(r->z)) * scale - 0.5f, last);
+  s.fx = x.fraction, s.fy = y.fraction, s.fz = z.fraction;
+  s.outside = (x.outside | y.outside | z.outside) & ~MASK(code == CODE_DROPPED);
+  s.value = AS_FLOAT(r->word0);
+  const intN at = (AS_INT(r->word0) + ((((z.lower << shift) + y.lower) << shift) + x.lower)) & ~s.is_single;
+  s.corners = fetch_block_corners(v, AS_INT((r->word1 >> 4u) & 3u), at, (intN)1 << shift, (intN)1 << (2 * shift));
+  return s;
+}
+
+INLINE floatN value_in_block(const BlockSample *s, __constant const View *view)
+{
+  const Corners c = decode_corners(s->corners, view);
+  const floatN v00 = mix_corners(c.v000, c.v100, s->fx), v10 = mix_corners(c.v010, c.v110, s->fx);
+  const floatN v01 = mix_corners(c.v001, c.v101, s->fx), v11 = mix_corners(c.v011, c.v111, s->fx);
+  return select(mix_corners(mix_corners(v00, v10, s->fy), mix_corners(v01, v11, s->fy), s->fz), s->value, s->is_single);
+}
+
+#endif

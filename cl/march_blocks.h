@@ -1,0 +1,190 @@
+/* A packet of rays through a volume of blocks (P2 sec. 3): as in render_packet.h, but a segment is as many steps long as
+ * step_blocks.h says. Tables hold one slice for each power of two of steps, the longest first; a segment takes the shortest that holds it.
+ *
+ *   preintegrated  values at the ends of segments
+ *   post           values in the middle of each
+ */
+#ifndef MARCH_BLOCKS_H
+#define MARCH_BLOCKS_H
+
+#define QUEUED_STEPS MARCH_STEPS
+#include "blend_blocks.h"
+#include "composite_piece.h"
+#include "step_blocks.h"
+
+#if CLASSIFICATION == CLASSIFICATION_PRE
+#error "blocks are classified after interpolation"
+#endif
+
+INLINE void place_on_ray(const Rays *ray, const BlockVolume *v, floatN t, floatN *px, floatN *py, floatN *pz)
+{
+  const float4 upper = v->view->upper;
+  *px = lane_clamp(ray->x0 + t * ray->dx, (floatN)0.5f, (floatN)(upper.x + 0.5f));
+  *py = lane_clamp(ray->y0 + t * ray->dy, (floatN)0.5f, (floatN)(upper.y + 0.5f));
+  *pz = lane_clamp(ray->z0 + t * ray->dz, (floatN)0.5f, (floatN)(upper.z + 0.5f));
+}
+
+/* Several steps of a packet: where samples are taken does not depend on what they are. So places come first, then all values, in as
+ * few passes as they fill, then classification in order. A ray that turns out to be opaque on the way has taken a few samples for nothing. */
+
+typedef struct {
+  float t[MARCH_STEPS][LANES];     /* of the sample (preintegrated), or of the end of its segment (post) */
+  int active[MARCH_STEPS][LANES];
+  float value[MARCH_STEPS * LANES];
+} March;
+
+/* Of a segment of `length` steps: where its slice begins in the table (in floats), and its length in that slice's. */
+INLINE intN slice_of(floatN *length, __constant const View *view)
+{
+  const intN doublings = min(max((AS_INT(*length) - 1 >> 23) - 126, (intN)0), (intN)(view->table.z - 1));
+  *length *= AS_FLOAT((127 - doublings) << 23);
+  return (view->table.z - 1 - doublings) * (4 * view->table.w);
+}
+
+#if CLASSIFICATION == CLASSIFICATION_PREINTEGRATED
+/* segment_classes() of classify.h for a segment of length b behind one of length a. */
+INLINE void uneven_classes(floatN before, floatN front, floatN back, floatN a, floatN b, intN curved,
+                           __global const float *warp, __constant const View *view, ClassCoordinate *front_class,
+                           ClassCoordinate *back_class)
+{
+  const floatN low = lane_min(lane_min(before, front), back), high = lane_max(lane_max(before, front), back);
+  const floatN both = a + b;
+  floatN shift = (both * front - b * before - a * back) * (b / (6.0f * a * both));
+#if MAY_BE_NAN
+  curved &= finite_lanes(shift);
+#endif
+  shift = select((floatN)0.0f, shift, curved);
+  *front_class = class_coordinate(select(front, lane_clamp(front + shift, low, high), curved), warp, view);
+  *back_class = class_coordinate(select(back, lane_clamp(back + shift, low, high), curved), warp, view);
+}
+#endif
+
+INLINE void render_packet(__global const uchar *volume, __global const float *table, __global const float *warp,
+                          __global const uchar *distances, __constant const View *view EFFECT_PACKET_PARAMETERS, intN px, intN py,
+                          float *rgba, float *depth, uint *samples)
+{
+  const BlockVolume block_samples = block_volume(volume, view, index, corners, blocks MORE_SAMPLE_ARGUMENTS);
+  const BlockVolume *v = &block_samples;
+  Rays ray = make_rays(view, TO_FLOAT(px), TO_FLOAT(py));
+  ray.x0 += 0.5f, ray.y0 += 0.5f, ray.z0 += 0.5f;
+  intN active = MASK(ray.length > 0.0f) & MASK(px < view->image.x) & MASK(py < view->image.y);
+  const floatN zero = 0.0f, one = 1.0f;
+  const floatN end = select(zero, ray.length, active);
+  uintN taken = 0;
+  Accumulator acc;
+  accumulator_clear(&acc);
+  floatN opacity = 0.0f;
+  floatN median = INFINITY; /* in steps */
+#if MIDPOINTS
+  floatN t = 0.0f, t1 = 0.0f; /* where the next segment begins, to be sampled and to be composited */
+#else
+  floatN value1 = 0.0f, value2 = 0.0f; /* the last sample and the one before it, and where they are */
+  floatN t1 = 0.0f, t2 = 0.0f;
+  intN first = ~(intN)0, second = 0;   /* the run of samples begins: no sample before, or only one */
+  floatN t = 0.0f;                     /* the next sample */
+#endif
+
+#if INTERBLOCK && LANES > 1
+  PlaceQueue queue;
+  queue.count = 0;
+#endif
+  while (any_lane(active)) {
+#if SKIP_EMPTY
+    /* A segment that is open depends on its front and the sample before that one. A leap opens a new one. */
+#if MIDPOINTS
+    const floatN from = t;
+#else
+    const floatN from = select(select(t2, t1, second), t, first);
+#endif
+    const floatN visible_at = next_visible(distances, view, from, active, &ray);
+    active &= MASK(visible_at < end);
+    const floatN next = floor(select(t, visible_at, active)) - (MIDPOINTS ? 0.0f : 1.0f);
+    const intN leaps = active & MASK(next > t);
+    t = select(t, next, leaps);
+#if MIDPOINTS
+    t1 = t;
+#else
+    first |= leaps;
+#endif
+    if (!any_lane(active)) break;
+#endif
+    March m;
+    intN walks = active;
+    floatN next_t = t;
+    _Pragma("unroll 1") for (int step = 0; step < MARCH_STEPS; ++step) {
+      floatN x, y, z;
+      place_on_ray(&ray, v, next_t, &x, &y, &z);
+#if MIDPOINTS
+#if STEPPING == STEPPING_FULL
+      const floatN far = lane_min(next_t + 1.0f, end);
+#else
+      const Record front = record_at(v, x, y, z);
+      const floatN far = lane_min(next_t + steps_at_once(v, &ray, &front, next_t), end);
+#endif
+      place_on_ray(&ray, v, next_t + 0.5f * lane_max(far - next_t, zero), &x, &y, &z);
+      const Record here = record_at(v, x, y, z);
+      STORE_LANES(far, m.t[step]);
+#else
+      const Record here = record_at(v, x, y, z);
+      const floatN far = lane_min(next_t + steps_at_once(v, &ray, &here, next_t), end);
+      STORE_LANES(next_t, m.t[step]);
+#endif
+      const BlockSample fetched = fetch_in_block(v, &here, x, y, z);
+      const floatN value = value_in_block(&fetched, view);
+      STORE_LANES(walks, m.active[step]);
+#if INTERBLOCK && LANES == 1
+      m.value[step] = walks && fetched.outside ? blend_blocks(v, &here, x, y, z, value, counted) : value;
+#else
+      STORE_LANES(value, m.value + step * LANES);
+#if INTERBLOCK
+      const intN between = fetched.outside & walks;
+      if (any_lane(between)) queue_places(&queue, x, y, z, value, step * LANES + LANE_INDEX, between);
+#endif
+#endif
+      count_lanes(&counted[COUNT_BLOCK_READS], walks);
+      taken -= AS_UINT(walks);
+      walks &= MASK(next_t < end);
+      next_t = select(next_t, far, walks);
+#if MIDPOINTS
+      walks &= MASK(far < end);
+#endif
+    }
+#if INTERBLOCK && LANES > 1
+    if (queue.count) blend_queue(v, &queue, m.value, counted);
+#endif
+    t = select(t, next_t, active);
+    _Pragma("unroll 1") for (int step = 0; step < MARCH_STEPS; ++step) {
+      active &= LOAD_LANES(m.active[step]);
+      if (!any_lane(active)) break;
+      const floatN value = LOAD_LANES(m.value + step * LANES), at_t = LOAD_LANES(m.t[step]);
+#if MIDPOINTS
+      const ClassCoordinate at = class_coordinate(value, warp, view);
+      if (may_be_visible(at.position, at.position, active, view)) {
+        composite_point(&acc, at, lane_max(at_t - t1, zero), select(zero, 1.0f - opacity, active), table);
+        pass_opacity(&acc, &opacity, &median, t1, at_t);
+      }
+      t1 = select(t1, at_t, active);
+#else
+      const intN closes = active & ~first; /* lanes with a segment that ends here */
+      const floatN long_ = select(one, at_t - t1, closes);
+      ClassCoordinate front, back;
+      uneven_classes(value2, value1, value, select(one, t1 - t2, closes & ~second), long_, closes & ~second, warp, view, &front, &back);
+      if (may_be_visible(lane_min(front.position, back.position), lane_max(front.position, back.position), closes, view)) {
+        floatN share = long_;
+        const intN slice = slice_of(&share, view);
+        composite_piece(&acc, slice + table_row(front, back, view), front, back, share, select(zero, 1.0f - opacity, closes), table, view);
+        pass_opacity(&acc, &opacity, &median, t1, at_t);
+      }
+      value2 = select(value2, value1, active), t2 = select(t2, t1, active);
+      value1 = select(value1, value, active), t1 = select(t1, at_t, active);
+      second = select(second, first, active), first &= ~active;
+#endif
+      active &= MASK(at_t < end) & MASK(opacity < view->march.z);
+    }
+  }
+  accumulator_store(&acc, rgba);
+  STORE_LANES((ray.entry_depth + median * view->march.x) * view->march.w, depth);
+  STORE_LANES(taken, samples);
+}
+
+#endif

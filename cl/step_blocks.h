@@ -1,0 +1,47 @@
+/* How far a ray goes from one sample to the next in a volume of blocks (P2 sec. 3.3), in whole steps.
+ *
+ * full     1
+ * naive    1 / kappa, kappa = samples of the block an axis / its edge in voxels: one step a sample, wherever that leads
+ * limited  min(1 + floor(l), 1 / kappa), l the steps that are left in the block: no farther than the first step in the next one
+ * bounded  min(1 + floor(l), n), n the most steps whose error stays within a bound in that block (bits of `index`, filled by
+ *          clvol/render/multiresolution/bounds.py)
+ */
+#ifndef STEP_BLOCKS_H
+#define STEP_BLOCKS_H
+
+#include "blocks.h"
+#include "features.h"
+
+/* Steps until the ray leaves the block. */
+INLINE floatN steps_in_block(const BlockVolume *v, const Rays *ray, const Record *r, floatN t)
+{
+  const float edge = v->blocks->edge.x;
+  const intN right = MASK(ray->dx > 0.0f), down = MASK(ray->dy > 0.0f), away = MASK(ray->dz > 0.0f);
+  const floatN tx = (edge * TO_FLOAT(r->x - right) - ray->x0) * ray->rx + ray->px;
+  const floatN ty = (edge * TO_FLOAT(r->y - down) - ray->y0) * ray->ry + ray->py;
+  const floatN tz = (edge * TO_FLOAT(r->z - away) - ray->z0) * ray->rz + ray->pz;
+  return lane_min(lane_min(tx, ty), tz) - t;
+}
+
+/* From a place in block `r`, t steps along the ray. */
+INLINE floatN steps_at_once(const BlockVolume *v, const Rays *ray, const Record *r, floatN t)
+{
+#if STEPPING == STEPPING_FULL
+  return 1.0f;
+#else
+#if STEPPING == STEPPING_BOUNDED
+  const floatN most = TO_FLOAT(AS_INT((r->word1 >> 8u) & 255u));
+#else
+  const intN code = code_of(r), coarse = select(code, (intN)1, MASK(code == CODE_DROPPED));
+  const floatN most = TO_FLOAT((intN)1 << (v->blocks->count.w + 1 - coarse));
+#endif
+#if STEPPING == STEPPING_NAIVE
+  return most;
+#else
+  const floatN left = lane_clamp(steps_in_block(v, ray, r, t), (floatN)0.0f, (floatN)255.0f);
+  return lane_max(lane_min(1.0f + floor(left), most), (floatN)1.0f);
+#endif
+#endif
+}
+
+#endif

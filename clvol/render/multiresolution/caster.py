@@ -1,0 +1,175 @@
+"""Rays through a volume of blocks: the host side of cl/march_blocks.h."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from clvol.features import STEPPINGS, reduced_for_frames
+from clvol.opencl.context import DeviceArray, DeviceContext
+from clvol.opencl.structs import BLOCKS
+from clvol.render.empty_space import distance_map
+from clvol.render.multiresolution.device_blocks import DeviceBlocks
+from clvol.render.raycast import Raycaster, _gate, device_function, scene_nodes, segment_classification
+from clvol.scene.resolve import ResolvedScene
+from clvol.schedule.tiles import TILE
+from clvol.transfer import TransferFunction
+from clvol.transfer.classes import visible_cells
+from clvol.transfer.tables import constant_table, depths_tables
+
+BLOCK_COUNTERS = ("block_reads", "blended_samples")  # COUNT_... of cl/block_parameters.h
+LARGEST_FINE_MAP = 200_000  # blocks: with more, empty space is known by blocks alone
+_MORE = ["samples1", "samples2", "samples3"]
+
+
+class BlockedVolume:
+    """A volume on the device as ``DeviceVolume`` is, but as blocks. Lattice coordinates are the same."""
+
+    def __init__(self, blocks: DeviceBlocks) -> None:
+        self.blocks = blocks
+        self.grid = blocks.source.grid
+        self.values = blocks.values
+        self.switches = blocks.switches
+        self.size = tuple(max(n, 2) for n in self.grid.size)
+        self.stride = (0, 0)
+        grid = blocks.source.blocks
+        log_edge = grid.levels - 1
+        self.cell_shift = min(3, log_edge) if grid.count <= LARGEST_FINE_MAP else log_edge
+        self.cells = tuple(n * (grid.edge >> self.cell_shift) for n in reversed(grid.counts))
+
+    @property
+    def voxels(self) -> DeviceArray:
+        return self.blocks.samples[0]
+
+
+class BlockCaster(Raycaster):
+    """As ``Raycaster``, for scenes of emission and absorption and the method "multiresolution".
+
+    ``blocks``: what is resident. ``render`` shows what is resident at that moment; ``set_resident`` must be
+    called when that has changed.
+    """
+
+    def __init__(
+        self,
+        context: DeviceContext,
+        resolved: ResolvedScene,
+        blocks: DeviceBlocks,
+        *,
+        lanes: int | None = None,
+        skip: bool = True,
+        tile: tuple[int, int] = (TILE, TILE),
+    ) -> None:
+        self.blocks = blocks
+        grid = blocks.source.blocks
+        row = np.zeros(1, BLOCKS)
+        row["count"] = (*reversed(grid.counts), grid.levels - 1)
+        row["edge"][0, :2] = (grid.edge, 1.0 / grid.edge)
+        self._blocks = context.upload(row)
+        super().__init__(
+            context, resolved, lanes=lanes, skip=skip, tile=tile, volume=BlockedVolume(blocks)
+        )
+
+    @property
+    def settings(self):
+        return self.resolved.multiresolution
+
+    @property
+    def _slices(self) -> int:
+        """Of lengths that are a step times powers of two."""
+        if self._is_midpoint or self.settings.stepping == "full":
+            return 1
+        return self.blocks.source.blocks.levels
+
+    @property
+    def _is_midpoint(self) -> bool:
+        return segment_classification(self.resolved.integration) != "preintegrated"
+
+    def set_transfer_function(self, function: TransferFunction) -> None:
+        """Another transfer function for the blocks that are resident: tables and empty space."""
+        resolved = self.resolved
+        self.nodes = scene_nodes(resolved, function)
+        mapped = device_function(function, self.volume.values)
+        self._asked_function = function
+        self._set_colors()
+        visible = visible_cells(mapped, self.nodes.values)
+        self.gate = _gate(mapped, self.nodes, visible)
+        self._visible = visible, mapped.opacity(self.nodes.values) > 0
+        warp = self.nodes.warp
+        self.warp = self.context.upload(np.zeros(2, np.float32) if warp is None else warp)
+        self.switches = block_switches(resolved, warp is not None, self.lanes, self.skip)
+        self.switches |= self.blocks.switches
+        self.light_volume_samples = 0
+        self._without_surfaces = None
+        self.set_resident()
+
+    def set_resident(self) -> None:
+        """Finds empty space anew in the blocks that are resident."""
+        context, volume = self.context, self.volume
+        between, at = self._visible
+        view = np.zeros(1, self._view_dtype)
+        self._describe_volume(view[0])
+        names = (
+            "VOXEL_BITS", "VOXEL_SIGNED", "VOXEL_SCALED", "VOXEL_HOLES", "VOXEL_PAIRS", "SAMPLE_BUFFERS",
+            "WARPED_CLASSES", "INTERBLOCK", "FILTER", "CLASSIFICATION",
+        )  # fmt: skip
+        kernel = context.kernel(
+            "block_cells.cl",
+            "visible_block_cells",
+            "in volume V1, in warp float32, in before int32, in at uint8, in view V1, in index int32, "
+            f"in corners uint32, in blocks V1{self._more_samples[0]}, out cells uint8",
+            {name: self.switches[name] for name in names} | {"LANES": 1},
+        )
+        cells = context.empty(np.uint8, volume.cells[::-1])
+        kernel(
+            context.queue,
+            volume.cells,
+            None,
+            volume=volume.voxels,
+            warp=self.warp,
+            before=context.upload(np.concatenate([[0], np.cumsum(between)]).astype(np.int32)),
+            at=context.upload(at.astype(np.uint8)),
+            view=context.upload(view),
+            cells=cells,
+            **self._block_arrays(),
+        )
+        mask = context.read(cells) == 0
+        self.visible_share = float(mask.mean())
+        self.distances = distance_map(context, mask)
+
+    @property
+    def _more_samples(self) -> tuple[str, dict[str, DeviceArray]]:
+        more = dict(zip(_MORE, self.blocks.samples[1:]))
+        return "".join(f", in {name} V1" for name in more), more
+
+    def _block_arrays(self) -> dict[str, DeviceArray]:
+        blocks = self.blocks
+        arrays = {"index": blocks.index, "corners": blocks.corners, "blocks": self._blocks}
+        return {**arrays, **self._more_samples[1]}
+
+    def _more_arguments(self, tiles: int) -> tuple[str, dict[str, DeviceArray]]:
+        self._tally = self.context.output(np.uint32, (tiles, len(BLOCK_COUNTERS)))
+        declared = ", in index int32, in corners uint32, in blocks V1" + self._more_samples[0]
+        return declared + ", out counts uint32", {**self._block_arrays(), "counts": self._tally}
+
+    def _counters(self, counts: np.ndarray) -> dict[str, int]:
+        sums = counts.sum(axis=0, dtype=np.uint64)
+        return {name: int(total) for name, total in zip(BLOCK_COUNTERS, sums)}
+
+    def _table_of(self, function: TransferFunction) -> DeviceArray:
+        arguments = self.context, function, self.nodes.values
+        if self._is_midpoint:
+            return constant_table(*arguments, self.length, "extinction_table")
+        longest = self.length * 2.0 ** (self._slices - 1)
+        return depths_tables(*arguments, longest, self._slices)
+
+
+def block_switches(resolved: ResolvedScene, warped: bool, lanes: int, skip: bool) -> dict[str, int]:
+    """What gets compiled for a scene of blocks, but for what the samples' type and buffers add."""
+    from clvol.render.raycast import raycast_switches
+
+    asked = resolved.multiresolution
+    return {
+        **raycast_switches(resolved, warped=warped, lanes=lanes, skip=skip),
+        "BLOCKS": 1,
+        "STEPPING": STEPPINGS[asked.stepping],
+        "INTERBLOCK": int(asked.interblock),
+    }
