@@ -5,13 +5,14 @@
  * the distance to the face between blocks i and j (i on this side; in blocks), the weight of j on that edge is
  *   e_ij = clamp((delta_i - d) / (delta_i + delta_j), 0, 1),   delta = 1 / (2 samples an axis),
  * 1 at j's outermost samples and 0 at i's. P2 takes for a block the product of the e or 1 - e along its own three edges, and
- * normalises. So a coarse block counts inside the hull of a fine one's samples, where only their corners touch (in two dimensions:
- * e12 = e13 = 0, yet e34 e24 > 0). Here a block's weight is also at most what is left on each way from every other block i that
- * differs from it along several axes: on such a way i's own edge takes the place of the parallel one. Then
- *   - equal resolutions still give trilinear interpolation of the samples: all parallel edges are alike;
- *   - the field is continuous: weights are made of products, minima and maxima of continuous functions, and at the planes through
- *     blocks' centres, where the eight blocks change, the ones that leave have no weight;
- *   - inside the hull of its samples a block is alone, so no other needs to be looked at there: that is most samples.
+ * normalises. So a coarse block counts inside the hull of a fine one's samples where only their corners touch (in two dimensions:
+ * e12 = e13 = 0, yet e34 e24 > 0). Here the weight of any other block is at most
+ *   u = max over the axes of clamp((delta - d) / delta, 0, 1),   delta of the block that holds the place,
+ * which is 0 inside the hull of that block's samples and 1 at its faces. Then
+ *   - inside the hull of its samples a block is alone, so no other needs to be looked at there: that is most samples;
+ *   - the field is continuous: at a face u bounds nothing, and at the planes through blocks' centres, where the eight blocks
+ *     change, the ones that leave have no weight;
+ *   - equal resolutions still give trilinear interpolation of the samples: there products are u_x u_y / 4 or less.
  * The block that holds the place is the origin here; block f = fx + 2 fy + 4 fz lies across the faces whose bits are set. Beyond the
  * volume's faces the outermost blocks stand in for what is not there.
  *
@@ -47,47 +48,6 @@ INLINE floatN edge_weight(floatN delta_i, floatN delta_j, floatN d)
   return lane_max((delta_i - d) * lane_reciprocal(delta_i + delta_j), (floatN)0.0f);
 }
 
-/* The weight along one axis of block f, whose edge along it has the weight e beyond the face. */
-INLINE floatN along(int beyond, floatN e) { return beyond ? e : 1.0f - e; }
-
-/* Weights of all eight blocks where their resolutions differ; `codes`: as in `corners`, with this block's at `own`. */
-INLINE void mixed_weights(uintN codes, uintN own, floatN dx, floatN dy, floatN dz, floatN *weight)
-{
-  floatN delta[8], ex[4], ey[4], ez[4];
-  for (uint f = 0; f < 8; ++f) delta[f] = half_sample((codes >> ((own ^ f) << 2u)) & 15u);
-  for (int k = 0; k < 4; ++k) {
-    const int low = k & 1, high = k >> 1;
-    ex[k] = edge_weight(delta[2 * low + 4 * high], delta[1 + 2 * low + 4 * high], dx); /* by fy, fz */
-    ey[k] = edge_weight(delta[low + 4 * high], delta[2 + low + 4 * high], dy);         /* by fx, fz */
-    ez[k] = edge_weight(delta[low + 2 * high], delta[4 + low + 2 * high], dz);         /* by fx, fy */
-  }
-#define AX(fx, fy, fz) along(fx, ex[(fy) + 2 * (fz)])
-#define AY(fx, fy, fz) along(fy, ey[(fx) + 2 * (fz)])
-#define AZ(fx, fy, fz) along(fz, ez[(fx) + 2 * (fy)])
-  for (int f = 0; f < 8; ++f) {
-    const int x = f & 1, y = f >> 1 & 1, z = f >> 2;
-    const floatN ax = AX(x, y, z), ay = AY(x, y, z), az = AZ(x, y, z);
-    floatN w = ax * ay * az;
-    /* From the blocks that differ along two axes, and from the one that differs along all three. */
-    w = lane_min(w, az * lane_max(AX(x, !y, z) * ay, AY(!x, y, z) * ax));
-    w = lane_min(w, ay * lane_max(AX(x, y, !z) * az, AZ(!x, y, z) * ax));
-    w = lane_min(w, ax * lane_max(AY(x, y, !z) * az, AZ(x, !y, z) * ay));
-    const floatN from_opposite = lane_max(lane_max(AX(x, !y, !z) * ay * az, AY(!x, y, !z) * ax * az), AZ(!x, !y, z) * ax * ay);
-    weight[f] = lane_min(w, from_opposite);
-  }
-#undef AX
-#undef AY
-#undef AZ
-}
-
-/* The same where all eight are alike: trilinear weights. */
-INLINE void equal_weights(uintN code, floatN dx, floatN dy, floatN dz, floatN *weight)
-{
-  const floatN scale = AS_FLOAT(AS_INT((126u + code) << 23u)), zero = 0.0f; /* 1 / (2 delta) */
-  const floatN ex = lane_max(0.5f - dx * scale, zero), ey = lane_max(0.5f - dy * scale, zero), ez = lane_max(0.5f - dz * scale, zero);
-  for (int f = 0; f < 8; ++f) weight[f] = along(f & 1, ex) * along(f >> 1 & 1, ey) * along(f >> 2, ez);
-}
-
 /* What all eight weights depend on: places relative to the block's faces, and codes of the blocks around the nearest corner. */
 typedef struct {
   FaceAxis x, y, z;
@@ -106,13 +66,26 @@ INLINE Around blocks_around(const BlockVolume *v, intN bx, intN by, intN bz, flo
   return a;
 }
 
-INLINE void blend_weights(const Around *a, intN active, floatN *weight)
+/* Weights of all eight blocks, not yet normalised. Written out: in loops everything would live in memory. */
+INLINE void blend_weights(const Around *a, floatN *weight)
 {
-  const intN mixed = active & MASK(a->codes != (a->codes & 15u) * 0x11111111u);
-  if (any_lane(mixed))
-    mixed_weights(a->codes, a->own, a->x.d, a->y.d, a->z.d, weight);
-  else
-    equal_weights(a->codes & 15u, a->x.d, a->y.d, a->z.d, weight);
+#define DELTA(f) half_sample((a->codes >> ((a->own ^ (f##u)) << 2u)) & 15u)
+  const floatN d0 = DELTA(0), d1 = DELTA(1), d2 = DELTA(2), d3 = DELTA(3), d4 = DELTA(4), d5 = DELTA(5), d6 = DELTA(6), d7 = DELTA(7);
+#undef DELTA
+  const floatN dx = a->x.d, dy = a->y.d, dz = a->z.d;
+  const floatN x01 = edge_weight(d0, d1, dx), x23 = edge_weight(d2, d3, dx), x45 = edge_weight(d4, d5, dx), x67 = edge_weight(d6, d7, dx);
+  const floatN y02 = edge_weight(d0, d2, dy), y13 = edge_weight(d1, d3, dy), y46 = edge_weight(d4, d6, dy), y57 = edge_weight(d5, d7, dy);
+  const floatN z04 = edge_weight(d0, d4, dz), z15 = edge_weight(d1, d5, dz), z26 = edge_weight(d2, d6, dz), z37 = edge_weight(d3, d7, dz);
+  const floatN nearest = lane_min(lane_min(dx, dy), dz);
+  const floatN u = lane_max(1.0f - nearest * lane_reciprocal(d0), (floatN)0.0f);
+  weight[0] = (1.0f - x01) * (1.0f - y02) * (1.0f - z04);
+  weight[1] = x01 * (1.0f - y13) * (1.0f - z15);
+  weight[2] = (1.0f - x23) * y02 * (1.0f - z26);
+  weight[3] = lane_min(x23 * y13 * (1.0f - z37), u);
+  weight[4] = (1.0f - x45) * (1.0f - y46) * z04;
+  weight[5] = lane_min(x45 * (1.0f - y57) * z15, u);
+  weight[6] = lane_min((1.0f - x67) * y46 * z26, u);
+  weight[7] = lane_min(x67 * y57 * z37, u);
 }
 
 /* The block across the nearest face along one axis. */
@@ -129,7 +102,7 @@ INLINE floatN blend_blocks(const BlockVolume *v, const Record *r, floatN px, flo
   const Around a = blocks_around(v, r->x, r->y, r->z, px, py, pz, ~0);
   const int4 count = v->blocks->count;
   floatN weight[8], sum = 0.0f, total;
-  blend_weights(&a, ~0, weight);
+  blend_weights(&a, weight);
   total = weight[0];
   int blended = 0;
   for (int f = 1; f < 8; ++f) {
@@ -151,7 +124,7 @@ INLINE floatN blend_blocks(const BlockVolume *v, const Record *r, floatN px, flo
  * do nothing. So places that need blending are queued over several steps of the packet, and so are the (place, block) pairs that
  * have weight: both are worked off 16 at a time. (Without the queues blending took more than twice as long.) */
 #define QUEUE_LENGTH (LANES * QUEUED_STEPS)
-#define PAIRS_LENGTH (8 * LANES)
+#define PAIRS_LENGTH (9 * LANES)
 
 typedef struct {
   int count;
@@ -207,24 +180,31 @@ INLINE void blend_queue(const BlockVolume *v, PlaceQueue *q, float *values, Tall
     const intN bx = block_of(px, v, count.x), by = block_of(py, v, count.y), bz = block_of(pz, v, count.z);
     const Around a = blocks_around(v, bx, by, bz, px, py, pz, active);
     floatN weight[8];
-    blend_weights(&a, active, weight);
+    blend_weights(&a, weight);
     const intN ax = across(bx, &a.x, count.x), ay = across(by, &a.y, count.y) << 10, az = across(bz, &a.z, count.z) << 20;
-    const intN slot = first + LANE_INDEX;
+    float lane[PAIRS_LENGTH];
     floatN all = weight[0];
     intN blended = 0;
+    int end = p.count;
     _Pragma("unroll 1") for (int f = 1; f < 8; ++f) {
       const intN here = active & MASK(weight[f] > 0.0f);
       const uint bits = lane_bits(here);
       if (!bits) continue;
       all += weight[f], blended |= here;
-      count_lanes(&tally[COUNT_BLOCK_READS], here);
       const intN block = (f & 1 ? ax : bx) + (f & 2 ? ay : by << 10) + (f & 4 ? az : bz << 20);
-      const int at = p.count;
-      pack_lanes(px, bits, p.x + at), pack_lanes(py, bits, p.y + at), pack_lanes(pz, bits, p.z + at);
-      pack_lanes(AS_FLOAT(block), bits, p.block + at), pack_lanes(AS_FLOAT(slot), bits, p.slot + at);
-      pack_lanes(weight[f], bits, p.weight + at), pack_lanes(value, bits, p.value + at);
-      p.count += popcount(bits);
+      pack_lanes(AS_FLOAT(LANE_INDEX), bits, lane + (end - p.count));
+      pack_lanes(AS_FLOAT(block), bits, p.block + end), pack_lanes(weight[f], bits, p.weight + end);
+      end += popcount(bits);
     }
+    /* What else a pair needs is a lane of what is here. */
+    _Pragma("unroll 1") for (int at = p.count; at < end; at += LANES) {
+      const intN from = AS_INT(LOAD_LANES(lane + (at - p.count))) & 15;
+      STORE_LANES(permuted_lanes(px, from), p.x + at), STORE_LANES(permuted_lanes(py, from), p.y + at);
+      STORE_LANES(permuted_lanes(pz, from), p.z + at), STORE_LANES(permuted_lanes(value, from), p.value + at);
+      STORE_LANES(AS_FLOAT(first + from), p.slot + at);
+    }
+    tally[COUNT_BLOCK_READS] += AS_UINT(select((intN)0, (intN)(end - p.count), MASK(LANE_INDEX == 0)));
+    p.count = end;
     count_lanes(&tally[COUNT_BLENDED], blended);
     STORE_LANES(all, total + first);
     STORE_LANES(zero, sum + first);

@@ -211,6 +211,21 @@ INLINE void pack_lanes(float16 v, uint bits, float *to)
   }
 #endif
 }
+
+/* v at the lanes `at` (0 .. 15). */
+INLINE float16 permuted_lanes(float16 v, int16 at)
+{
+#if defined(HARDWARE_GATHER) && __has_builtin(__builtin_ia32_permvarsf512)
+  return __builtin_astype(__builtin_ia32_permvarsf512(__builtin_astype(v, gather_float16), __builtin_astype(at, gather_int16)),
+                          float16);
+#else
+  float each[16], chosen[16];
+  int lane[16];
+  vstore16(v, 0, each), vstore16(at, 0, lane);
+  EACH_LANE(k) chosen[k] = each[lane[k] & 15];
+  return vload16(0, chosen);
+#endif
+}
 #endif
 
 DEFINE_GATHER(1)
