@@ -66,13 +66,22 @@ INLINE Around blocks_around(const BlockVolume *v, intN bx, intN by, intN bz, flo
   return a;
 }
 
-/* Weights of all eight blocks, not yet normalised. Written out: in loops everything would live in memory. */
-INLINE void blend_weights(const Around *a, floatN *weight)
+/* Weights of all eight blocks, not yet normalised. Written out: in loops everything would live in memory. Where all are alike parallel
+ * edges have the same weight, bit for bit, and u bounds nothing. */
+INLINE void blend_weights(const Around *a, intN active, floatN *weight)
 {
 #define DELTA(f) half_sample((a->codes >> ((a->own ^ (f##u)) << 2u)) & 15u)
+  const floatN dx = a->x.d, dy = a->y.d, dz = a->z.d;
+  if (!any_lane(active & MASK(a->codes != (a->codes & 15u) * 0x11111111u))) {
+    const floatN d0 = half_sample(a->codes & 15u);
+    const floatN x = edge_weight(d0, d0, dx), y = edge_weight(d0, d0, dy), z = edge_weight(d0, d0, dz);
+    const floatN rx = 1.0f - x, ry = 1.0f - y, rz = 1.0f - z;
+    weight[0] = rx * ry * rz, weight[1] = x * ry * rz, weight[2] = rx * y * rz, weight[3] = x * y * rz;
+    weight[4] = rx * ry * z, weight[5] = x * ry * z, weight[6] = rx * y * z, weight[7] = x * y * z;
+    return;
+  }
   const floatN d0 = DELTA(0), d1 = DELTA(1), d2 = DELTA(2), d3 = DELTA(3), d4 = DELTA(4), d5 = DELTA(5), d6 = DELTA(6), d7 = DELTA(7);
 #undef DELTA
-  const floatN dx = a->x.d, dy = a->y.d, dz = a->z.d;
   const floatN x01 = edge_weight(d0, d1, dx), x23 = edge_weight(d2, d3, dx), x45 = edge_weight(d4, d5, dx), x67 = edge_weight(d6, d7, dx);
   const floatN y02 = edge_weight(d0, d2, dy), y13 = edge_weight(d1, d3, dy), y46 = edge_weight(d4, d6, dy), y57 = edge_weight(d5, d7, dy);
   const floatN z04 = edge_weight(d0, d4, dz), z15 = edge_weight(d1, d5, dz), z26 = edge_weight(d2, d6, dz), z37 = edge_weight(d3, d7, dz);
@@ -102,7 +111,7 @@ INLINE floatN blend_blocks(const BlockVolume *v, const Record *r, floatN px, flo
   const Around a = blocks_around(v, r->x, r->y, r->z, px, py, pz, ~0);
   const int4 count = v->blocks->count;
   floatN weight[8], sum = 0.0f, total;
-  blend_weights(&a, weight);
+  blend_weights(&a, ~(intN)0, weight);
   total = weight[0];
   int blended = 0;
   for (int f = 1; f < 8; ++f) {
@@ -180,7 +189,7 @@ INLINE void blend_queue(const BlockVolume *v, PlaceQueue *q, float *values, Tall
     const intN bx = block_of(px, v, count.x), by = block_of(py, v, count.y), bz = block_of(pz, v, count.z);
     const Around a = blocks_around(v, bx, by, bz, px, py, pz, active);
     floatN weight[8];
-    blend_weights(&a, weight);
+    blend_weights(&a, active, weight);
     const intN ax = across(bx, &a.x, count.x), ay = across(by, &a.y, count.y) << 10, az = across(bz, &a.z, count.z) << 20;
     float lane[PAIRS_LENGTH];
     floatN all = weight[0];

@@ -33,7 +33,7 @@ class BlockedVolume:
         self.stride = (0, 0)
         grid = blocks.source.blocks
         log_edge = grid.levels - 1
-        self.cell_shift = min(3, log_edge) if grid.count <= LARGEST_FINE_MAP else log_edge
+        self.cell_shift = min(2, log_edge) if grid.count <= LARGEST_FINE_MAP else log_edge
         self.cells = tuple(n * (grid.edge >> self.cell_shift) for n in reversed(grid.counts))
 
     @property
