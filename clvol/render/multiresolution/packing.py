@@ -40,8 +40,9 @@ class Packing:
     start   int64 [count]: place of a block's first sample, a multiple of its size; -1 where it has none
     size    int32 [count]: samples of each block: edge^3, (edge / 2)^3, ..., 2^3, or 0
 
-    An octal buddy allocator: free slots of edge^3 are split into eight, and eight free ones merge. Blocks placed into an
-    empty line, largest first, lie one after another without a gap.
+    An octal buddy allocator: free slots of edge^3 are split into eight, and eight free ones merge. What ``place`` puts into
+    an empty line lies there largest first, without a gap; but small blocks first fill what ``capacity`` has beyond whole
+    multiples of edge^3.
     """
 
     def __init__(self, count: int, edge: int, capacity: int) -> None:
