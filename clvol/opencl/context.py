@@ -245,7 +245,7 @@ class DeviceContext:
         return output.host
 
     def write(self, array: DeviceArray, values: np.ndarray, first: int = 0) -> None:
-        """Copies ``values`` into ``array``, from its element ``first`` on; returns when the copy is done."""
+        """Copies ``values`` into ``array``, from element ``first`` on; returns when the copy is done."""
         values = np.ascontiguousarray(values)
         offset = first * array.dtype.itemsize
         cl.enqueue_copy(self.queue, array.buffer, values, dst_offset=offset, is_blocking=True)
@@ -253,8 +253,8 @@ class DeviceContext:
     def copy(
         self, source: DeviceArray, first: int, target: DeviceArray, to: int, count: int
     ) -> None:
-        """Enqueues a copy of ``count`` elements from ``first`` of ``source`` on to ``to`` of ``target``, of the
-        same dtype; in one array they must not overlap."""
+        """Enqueues a copy of ``count`` elements from ``first`` of ``source`` on to ``to`` of ``target``,
+        of the same dtype; in one array they must not overlap."""
         size = source.dtype.itemsize
         cl.enqueue_copy(
             self.queue,

@@ -1,1 +1,1 @@
-"""Rendering from blocks at several resolutions: what of a volume is on a device, and at which level."""
+"""Rendering from blocks at several resolutions: what of a volume is on a device, at which level."""

@@ -9,6 +9,7 @@ import numpy as np
 
 from clvol.errors import RenderError
 from clvol.opencl.context import DeviceArray, DeviceContext
+from clvol.opencl.structs import BLOCK_PAYLOAD
 from clvol.render.layout import ValueMap, value_map, voxel_switches
 from clvol.render.multiresolution.loader import Loader, Piece, requests
 from clvol.render.multiresolution.packing import (
@@ -25,23 +26,28 @@ CODE_DROPPED = 15
 CODE_ONE = 1  # one sample, which is in the index
 
 _WINDOW_BYTES = 16 * 2**20  # blocks in the order of their errors are read by level inside this much
-_PAYLOAD = np.dtype([("from", "i4"), ("to", "i4"), ("size", "i4"), ("codec", "i4")])
 
 
 class DeviceBlocks:
-    """Samples, index and corners on one device, within ``memory_bytes``; blocks are dropped until loaded.
+    """Samples, index and corners on one device; blocks are dropped until they are loaded.
 
-    samples   one to four arrays of samples, in the volume's type (float32 for float64, ``value_map`` applied); those
-              of a block are contiguous [s, s, s] (z, y, x), at a multiple of s^3
-    index     int32 [blocks, 2]. Word 1: bits 0 to 3 a code c, bits 4 and 5 the number of the sample buffer, others 0.
-              c = 1 + log2(samples an axis), or 15 for a dropped block. Word 0: for c >= 2 the place of the first
-              sample in its buffer, else the bits of a float32: the block's one value, ``value_map`` applied
-    corners   uint32 [bz + 1, by + 1, bx + 1]: the codes of the eight blocks around each corner, 4 bits each;
-              nibble dx + 2 dy + 4 dz is block (z - 1 + dz, y - 1 + dy, x - 1 + dx), or the nearest there is
+    samples   one to four arrays of samples, in the volume's type (float32 for float64, with
+              ``value_map`` applied); those of a block are contiguous [s, s, s] (z, y, x), at a
+              multiple of s^3
+    index     int32 [blocks, 2]. Word 1: bits 0 to 3 a code c, bits 4 and 5 the number of the
+              sample buffer, others 0. c = 1 + log2(samples an axis), or 15 for a dropped block.
+              Word 0: for c >= 2 the place of the first sample in its buffer, else the bits of a
+              float32: the block's one value, ``value_map`` applied
+    corners   uint32 [bz + 1, by + 1, bx + 1]: the codes of the eight blocks around each corner, 4
+              bits each; nibble dx + 2 dy + 4 dz is block (z - 1 + dz, y - 1 + dy, x - 1 + dx), or
+              the nearest there is
 
-    Blocks that change are read by a thread (``start``) and put in place by ``commit``, which the thread that
-    renders calls between frames: after it, samples, index and corners agree. Blocks that get smaller come first,
-    so that there is always room for the next one. ``largest_buffer``: bytes, where less than the device allows.
+    Blocks that change are read by a thread (``start``) and put in place by ``commit``. Both are
+    called by the thread that renders, between frames: after them samples, index and corners agree.
+    Blocks that get smaller come first, so that there is always room for the next one.
+
+    ``memory_bytes``: for all of it and the map of empty space; SceneError where it is less than
+    everything but samples takes. ``largest_buffer``: bytes, where less than the device allows.
     """
 
     def __init__(
@@ -137,11 +143,12 @@ class DeviceBlocks:
     def start(
         self, levels: np.ndarray, means: np.ndarray, priority: np.ndarray | None = None
     ) -> None:
-        """Asks for ``levels`` (uint8 [blocks], or DROPPED) instead of what was asked for before; ``commit`` brings them.
+        """Asks for ``levels`` (uint8 [blocks], or DROPPED) instead of anything asked for before.
 
-        ``means`` float [blocks]: the one value of a block, NaN where it has none; what blocks of one sample have, and
-        dropped ones that are not read yet. ``priority`` float [blocks]: of those that grow the largest come first
-        (their errors, say), else they come in order. RenderError if the samples take more than ``sample_bytes``.
+        ``means`` float [blocks]: the one value of a block, NaN where it has none; blocks of one
+        sample have it, and dropped ones that come back until they are read. ``priority`` float
+        [blocks] (their errors, say): of those that grow the largest come first, else they come in
+        order. RenderError if the samples take more than ``sample_bytes``.
         """
         window = _WINDOW_BYTES // self._source.dtype.itemsize
         self._ask(levels, means, priority, window)
@@ -149,8 +156,8 @@ class DeviceBlocks:
     def commit(self) -> bool:
         """Puts in place what has come, and says whether anything changed since the last call.
 
-        Raises what went wrong in reading (VolumeError names the block): then nothing more is to come until the
-        next ``start``, and what is on the device can be used as it is.
+        Raises what went wrong in reading (VolumeError names the block): then nothing more is to
+        come until the next ``start``, and what is on the device can be used as it is.
         """
         error = self._advance()
         if error is not None:
@@ -160,7 +167,7 @@ class DeviceBlocks:
         return changed
 
     def wait(self, progress: Callable[[int, int], None] | None = None) -> bool:
-        """Commits until all is there. ``progress(done, total)``: blocks. True if anything changed."""
+        """Commits until all is there; whether anything changed. ``progress(done, total)``: blocks."""
         total, changed = self.pending, False
         while self.pending:
             changed |= self.commit()
@@ -177,7 +184,7 @@ class DeviceBlocks:
 
     def _abandon(self) -> None:
         self._loader.ask(())
-        self._missing = 0
+        self._missing, self._instant = 0, self._instant[:0]
 
     def _ask(
         self, levels: np.ndarray, means: np.ndarray, priority: np.ndarray | None, window: int
@@ -196,30 +203,30 @@ class DeviceBlocks:
         falls = np.where(sizes > 0, self._levels == DROPPED, (self._levels != goal) | stale)
         self._instant = np.flatnonzero(falls)
         wanted = (sizes > 0) & (self._levels != goal)
-        shrink, grow = np.flatnonzero(wanted & (sizes < now)), np.flatnonzero(wanted & (sizes > now))
+        shrink = np.flatnonzero(wanted & (sizes < now))
+        grow = np.flatnonzero(wanted & (sizes > now))
         if priority is not None:
             grow = grow[np.argsort(-np.asarray(priority)[grow], kind="stable")]
         self._missing = len(shrink) + len(grow)
-        most = self._staging.shape[0], self._payloads.shape[0] // _PAYLOAD.itemsize
+        most = self._staging.shape[0], self._payloads.shape[0] // BLOCK_PAYLOAD.itemsize
         asked = []
         for blocks in (shrink, grow):
             asked += requests(blocks, goal[blocks], self.blocks.edge, *most, window)
         self._loader.ask(asked)
 
     def _checked(self, levels: np.ndarray) -> np.ndarray:
-        count = self.blocks.count
+        where, count, least = "levels of blocks", self.blocks.count, self.blocks.levels - 1
         levels = np.asarray(levels)
-        known = levels.shape == (count,) and ((levels < self.blocks.levels) | (levels == DROPPED)).all()
-        if not known:
-            expected = f"{count} levels below {self.blocks.levels}, or {DROPPED}"
-            raise RenderError("levels of blocks", f"got shape {levels.shape}", expected)
+        if levels.shape != (count,):
+            raise RenderError(where, f"shape {levels.shape}", f"{(count,)}")
+        unknown = ~np.isin(levels, (*range(least + 1), DROPPED))
+        if unknown.any():
+            raise RenderError(where, f"{levels[unknown][0]}", f"0 to {least}, or {DROPPED}")
         levels = levels.astype(np.uint8)
         wanted = int(self._sample_counts(levels).sum())
         if wanted > self._packing.capacity:
             size = self.samples[0].dtype.itemsize
-            raise RenderError(
-                "levels of blocks", f"{wanted * size} bytes", f"at most {self.sample_bytes}"
-            )
+            raise RenderError(where, f"{wanted * size} bytes", f"at most {self.sample_bytes}")
         return levels
 
     def _sample_counts(self, levels: np.ndarray) -> np.ndarray:
@@ -297,7 +304,7 @@ class DeviceBlocks:
         side = self.blocks.samples(piece.level)
         for buffer in np.unique(buffers):
             those = buffers == buffer
-            payloads = np.empty(np.count_nonzero(those), _PAYLOAD)
+            payloads = np.empty(np.count_nonzero(those), BLOCK_PAYLOAD)
             payloads["from"], payloads["to"] = piece.first[those], places[those]
             payloads["size"], payloads["codec"] = side, piece.codec[those]
             context.write(self._payloads, payloads.view(np.uint8))
@@ -320,19 +327,20 @@ class DeviceBlocks:
         """Index and corners of the slabs ``first`` <= bz < ``last``."""
         slab = self.blocks.counts[1] * self.blocks.counts[2]
         self._context.write(self.index, self._words[first * slab : last * slab], 2 * first * slab)
-        codes = (self._words[:, 1] & 15).astype(np.uint32).reshape(self.blocks.counts)
-        corners = corner_codes(codes, first, last)
+        codes = np.where(self._levels == DROPPED, CODE_DROPPED, self.blocks.levels - self._levels)
+        corners = corner_codes(codes.reshape(self.blocks.counts), first, last)
         self._context.write(self.corners, corners, first * corners[0].size)
 
 
 def corner_codes(codes: np.ndarray, first: int, last: int) -> np.ndarray:
-    """uint32 [last - first + 1, by + 1, bx + 1]: ``corners`` of ``DeviceBlocks`` from the slabs ``first`` <= bz < ``last``
-    on, of codes [bz, by, bx]."""
+    """uint32 [last - first + 1, by + 1, bx + 1]: ``corners`` of ``DeviceBlocks`` that touch the
+    slabs ``first`` <= bz < ``last``, from codes [bz, by, bx]."""
     nz, ny, nx = codes.shape
     z = np.clip(np.arange(first - 1, last + 1), 0, nz - 1)
     around = np.pad(codes[z], ((0, 0), (1, 1), (1, 1)), mode="edge").astype(np.uint32)
     found = np.zeros((last - first + 1, ny + 1, nx + 1), np.uint32)
     for j in range(8):
         dz, dy, dx = j >> 2, j >> 1 & 1, j & 1
-        found |= around[dz : dz + len(found), dy : dy + ny + 1, dx : dx + nx + 1] << np.uint32(4 * j)
+        codes_there = around[dz : dz + len(found), dy : dy + ny + 1, dx : dx + nx + 1]
+        found |= codes_there << np.uint32(4 * j)
     return found

@@ -29,7 +29,8 @@ class Request:
 
 @dataclass(frozen=True, eq=False)
 class Piece:
-    """What a ``Request`` brought, as it is staged: block k begins at element ``first[k]`` of ``staged``, in ``codec[k]``."""
+    """What a ``Request`` brought, as it is staged: block k begins at element ``first[k]`` of
+    ``staged``, in ``codec[k]``."""
 
     level: int
     blocks: np.ndarray
@@ -39,10 +40,15 @@ class Piece:
 
 
 def requests(
-    blocks: np.ndarray, levels: np.ndarray, edge: int, most_samples: int, most_blocks: int, window: int
+    blocks: np.ndarray,
+    levels: np.ndarray,
+    edge: int,
+    most_samples: int,
+    most_blocks: int,
+    window: int,
 ) -> list[Request]:
-    """``blocks`` at ``levels``, in that order but for windows of about ``window`` samples: inside one
-    they are by level and then by number, since neighbours at one level are read together.
+    """``blocks`` at ``levels``, in that order but for windows of about ``window`` samples: inside
+    one they are by level and then by number, since neighbours at one level are read together.
 
     No request has more than ``most_samples`` samples or ``most_blocks`` blocks.
     """
@@ -64,7 +70,8 @@ def requests(
 
 
 def staged_piece(request: Request, samples: np.ndarray) -> Piece:
-    """``samples`` [k, s, s, s] as they are staged: one sample of a block that has a single value, after all others."""
+    """``samples`` [k, s, s, s] as they are staged; of blocks that have a single value one sample
+    each, after all others."""
     flat = np.ascontiguousarray(samples).reshape(len(samples), -1)
     constant = flat[:, 0] == flat[:, -1]
     rows = np.flatnonzero(constant)
@@ -81,10 +88,11 @@ def staged_piece(request: Request, samples: np.ndarray) -> Piece:
 
 
 class Loader:
-    """Reads what was last asked for, in order, in one thread that lives as long as there is something to read.
+    """Reads what was last asked for, in order, in one thread that ends when there is no more.
 
-    ``convert``: what becomes of samples before they are staged. No more than a few pieces wait to be taken:
-    until then the thread waits too. An error ends what was asked for and is handed out by ``take``.
+    ``convert``: what becomes of samples before they are staged. No more than a few pieces wait to
+    be taken: until then the thread waits too. An error ends what was asked for and is handed out
+    by ``take``.
     """
 
     def __init__(

@@ -1,8 +1,8 @@
-"""Where blocks' samples lie on a device, and what they and all around them take: arithmetic, without a device.
+"""Where blocks' samples lie on a device, and what all takes there: arithmetic, without a device.
 
-All sample buffers together are one line of places, one after another. Every one but the last holds a whole number of blocks at
-full resolution, and a block of s^3 samples lies at a multiple of s^3: so no block straddles two buffers, and the line can be
-divided as if there were one.
+All sample buffers together are one line of places, one after another. Every one but the last holds
+a whole number of blocks at full resolution, and a block of s^3 samples lies at a multiple of s^3:
+so no block straddles two buffers, and the line can be divided as if there were one.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from clvol.errors import DeviceError, SceneError
+from clvol.opencl.structs import BLOCK_PAYLOAD
 from clvol.render.layout import LARGEST_OFFSET
 from clvol.store.geometry import BlockGrid
 
@@ -20,7 +21,6 @@ SPARE_BYTES = 8  # after the last sample of a buffer: wide loads of it must stay
 SMALLEST = 8  # samples of the smallest slot, 2^3: single samples are in the index itself
 
 _LARGEST_STAGING = 2**20
-_PAYLOAD_BYTES = 16  # BlockPayload of cl/decode_blocks.cl
 _MANY_BLOCKS = 200_000  # from here on cells of empty space are blocks of 16^3 voxels
 
 
@@ -37,12 +37,12 @@ class Move:
 class Packing:
     """The places of ``count`` blocks' samples in a line of ``capacity`` samples.
 
-    start   int64 [count]: place of a block's first sample, a multiple of its size; -1 where it has none
+    start   int64 [count]: place of a block's first sample, a multiple of its size; -1 for none
     size    int32 [count]: samples of each block: edge^3, (edge / 2)^3, ..., 2^3, or 0
 
-    An octal buddy allocator: free slots of edge^3 are split into eight, and eight free ones merge. What ``place`` puts into
-    an empty line lies there largest first, without a gap; but small blocks first fill what ``capacity`` has beyond whole
-    multiples of edge^3.
+    An octal buddy allocator: free slots of edge^3 are split into eight, and eight free ones merge.
+    What ``place`` puts into an empty line lies there largest first, without a gap; but small
+    blocks first fill what ``capacity`` has beyond whole multiples of edge^3.
     """
 
     def __init__(self, count: int, edge: int, capacity: int) -> None:
@@ -64,11 +64,12 @@ class Packing:
         return self._used
 
     def place(self, blocks: np.ndarray, sizes: np.ndarray) -> list[Move]:
-        """Gives each of ``blocks`` (no two alike) a slot of its size, or none for 0, instead of its old one.
+        """Gives each of ``blocks`` (no two alike) a slot of its size, or none, for its old one.
 
-        Always possible where sizes add up to at most ``capacity``; ValueError where they do not, and then nothing has
-        changed. Where free samples are too scattered, blocks of smaller size make room. Returns where they go, to be
-        copied in this order, before anything is written to new slots.
+        Always possible where sizes add up to at most ``capacity``; ValueError where they do not,
+        and then nothing has changed. Where free samples are too scattered, blocks of smaller size
+        make room. Returns where they go, to be copied in this order, before anything is written to
+        new slots.
         """
         blocks, sizes = np.asarray(blocks, np.int64), np.asarray(sizes, np.int64)
         old = self.size[blocks]
@@ -94,8 +95,9 @@ class Packing:
         return moves
 
     def _put_by_force(self, block: int, size: int) -> list[Move]:
-        """Into the slot that has the fewest samples of smaller blocks. There is one: blocks of ``size`` or more never take
-        more than floor(capacity / size) slots of it."""
+        """Into the slot that has the fewest samples of smaller blocks. There is one: blocks of
+        ``size`` or more, this one with them, never take more than floor(capacity / size) slots of
+        it."""
         whole = self.capacity // size * size
         smaller = (self.size > 0) & (self.size < size) & (self.start >= 0) & (self.start < whole)
         smaller = np.flatnonzero(smaller)
@@ -143,14 +145,14 @@ class Packing:
 
 
 def staging_bytes(blocks: BlockGrid) -> tuple[int, int]:
-    """Bytes for samples on their way to the device, at least one block of the widest type, and for what says where
-    they go."""
+    """Bytes for samples on their way to the device, at least one block of the widest type, and for
+    what says where they go."""
     samples = np.clip(blocks.count * blocks.edge**3 // 16, 8 * blocks.edge**3, _LARGEST_STAGING)
-    return int(samples), _PAYLOAD_BYTES * max(int(samples) // 64, 16)
+    return int(samples), BLOCK_PAYLOAD.itemsize * max(int(samples) // 64, 16)
 
 
 def overhead_bytes(blocks: BlockGrid) -> int:
-    """Bytes on the device for all but samples: index, corners, staging and the map of empty space."""
+    """Bytes on the device for all but samples: index, corners, staging, map of empty space."""
     corners = np.prod([n + 1 for n in blocks.counts], dtype=np.int64)
     cell = 16 if blocks.count > _MANY_BLOCKS else 8
     cells = np.prod([-(-n // cell) for n in blocks.shape], dtype=np.int64)
@@ -165,18 +167,18 @@ def sample_dtype(dtype: np.dtype) -> np.dtype:
 def buffer_samples(
     blocks: BlockGrid, dtype: np.dtype, memory_bytes: int, largest_buffer: int
 ) -> list[int]:
-    """How many samples each buffer holds, one to four of them, within ``memory_bytes``: all that is left beside
-    ``overhead_bytes``, or what the whole volume needs at full resolution.
+    """How many samples each buffer holds, one to four of them, within ``memory_bytes``: all that
+    is left beside ``overhead_bytes``, or what the whole volume needs at full resolution.
 
-    ``largest_buffer``: bytes. SceneError where memory does not even hold the rest, DeviceError where a buffer holds no
-    block.
+    ``largest_buffer``: bytes. SceneError where memory does not even hold the rest, DeviceError
+    where a buffer holds no block.
     """
     itemsize, whole = sample_dtype(dtype).itemsize, blocks.edge**3
     limit = min((largest_buffer - SPARE_BYTES) // itemsize, LARGEST_OFFSET)
     each = limit // whole * whole
     if each <= 0:
         raise DeviceError(
-            "largest buffer", f"{largest_buffer} bytes", f"a block of {whole * itemsize} bytes at least"
+            "largest buffer", f"{largest_buffer} bytes", f"a block of {whole * itemsize} or more"
         )
     left = memory_bytes - overhead_bytes(blocks) - SPARE_BYTES
     if left < 0:

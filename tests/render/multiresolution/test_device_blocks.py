@@ -9,7 +9,12 @@ import pytest
 
 from clvol.errors import DeviceError, RenderError, SceneError, VolumeError
 from clvol.render.multiresolution import device_blocks
-from clvol.render.multiresolution.device_blocks import CODE_DROPPED, CODE_ONE, DeviceBlocks, corner_codes
+from clvol.render.multiresolution.device_blocks import (
+    CODE_DROPPED,
+    CODE_ONE,
+    DeviceBlocks,
+    corner_codes,
+)
 from clvol.render.multiresolution.packing import SPARE_BYTES, overhead_bytes
 from clvol.store.source import DROPPED, VolumeBlocks
 from clvol.volume import Volume
@@ -58,7 +63,7 @@ def _held(blocks: DeviceBlocks, source: VolumeBlocks, values: np.ndarray) -> np.
 
 
 def _check(blocks: DeviceBlocks, source: VolumeBlocks, means: np.ndarray) -> np.ndarray:
-    """Index, corners and samples against the source, by a reading of their own; returns the levels found."""
+    """Index, corners and samples against the source, read in their own way; returns the levels."""
     context = blocks._context
     source = getattr(source, "inner", source)
     index, corners = context.read(blocks.index), context.read(blocks.corners)
@@ -225,7 +230,8 @@ def test_levels_that_do_not_fit_are_refused_and_nothing_changes(context):
     blocks.load(levels, means)
     with pytest.raises(RenderError, match="at most"):
         blocks.load(np.zeros_like(levels), means)
-    for wrong in (levels[1:], np.full_like(levels, source.blocks.levels)):
+    unknown = np.full(levels.shape, source.blocks.levels)
+    for wrong in (levels[1:], unknown, unknown - 100):
         with pytest.raises(RenderError, match="levels of blocks"):
             blocks.start(wrong, means)
     np.testing.assert_array_equal(_check(blocks, source, means), levels)
@@ -295,8 +301,8 @@ def _shuffled(count: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _scattered(count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Of eight blocks of 4^3 in the place of one of 8^3 a single one stays, and as many of the others grow as there is
-    memory for: it is nowhere in one piece."""
+    """Of eight blocks of 4^3 in the place of one of 8^3 a single one stays, and as many of the
+    others grow as there is memory for: it is nowhere in one piece."""
     old = np.ones(count, int)
     new = np.where(np.arange(count) % 8, 3, 1)
     grows = np.flatnonzero(new == 3)[: (count * 64 - 64 * np.count_nonzero(new == 1)) // 512]
