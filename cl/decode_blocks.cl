@@ -1,4 +1,5 @@
-/* Unpacks blocks from a staging buffer into the packed buffers that rays sample: a work-item takes one slice of one block.
+/* Unpacks blocks from a staging buffer into the packed buffers that rays sample (a work-item takes one slice of one block), and
+ * brings their index up to date.
  *
  * What is staged is what was stored, each block by its codec (BlockPayload.codec):
  *   RAW       all samples [s, s, s], of the volume's type
@@ -32,20 +33,21 @@ typedef struct {
   int from, to, size, codec;
 } BlockPayload;
 
-/* One axis of work-items goes along z of a block (the largest size there is), the other over the payloads.
+/* One axis of work-items goes over the payloads, at least `count` of them, the other along z of a block (the largest there is).
  *
- * payloads  BlockPayload [payloads]
+ * payloads  BlockPayload [count]
  * staged    Staged: what all payloads refer to
  * samples   Voxel: one of the sample buffers
  */
-__kernel void decode_blocks(__global const BlockPayload *restrict payloads, __global const Staged *restrict staged,
+__kernel void decode_blocks(__global const BlockPayload *restrict payloads, int count, __global const Staged *restrict staged,
 #if STAGED_DOUBLE
                             double bias, double gain,
 #endif
                             __global Voxel *restrict samples)
 {
-  const BlockPayload p = payloads[get_global_id(1)];
-  const int z = get_global_id(0), slice = p.size * p.size;
+  if (get_global_id(0) >= count) return;
+  const BlockPayload p = payloads[get_global_id(0)];
+  const int z = get_global_id(1), slice = p.size * p.size;
   if (z >= p.size) return;
   __global Voxel *out = samples + (size_t)p.to + z * slice;
   __global const Staged *in = staged + p.from;
@@ -56,4 +58,12 @@ __kernel void decode_blocks(__global const BlockPayload *restrict payloads, __gl
     in += z * slice;
     for (int k = 0; k < slice; ++k) out[k] = HELD(in[k]);
   }
+}
+
+/* Index and corners where little of them changes: changes int2 [count] (place, word), words what they are put into. */
+__kernel void put_words(__global const int2 *restrict changes, int count, __global int *restrict words)
+{
+  if (get_global_id(0) >= count) return;
+  const int2 change = changes[get_global_id(0)];
+  words[change.x] = change.y;
 }

@@ -25,6 +25,8 @@ from clvol.store.source import DROPPED, BlockSource
 CODE_DROPPED = 15
 CODE_ONE = 1  # one sample, which is in the index
 
+_GROUP = 64  # work-items: always as many, since PoCL compiles anew for each other number
+_FEW = 64  # one block in so many, at most: then only its own words of the index are written
 _WINDOW_BYTES = 16 * 2**20  # blocks in the order of their errors are read by level inside this much
 
 
@@ -167,7 +169,7 @@ class DeviceBlocks:
         return changed
 
     def wait(self, progress: Callable[[int, int], None] | None = None) -> bool:
-        """Commits until all is there; whether anything changed. ``progress(done, total)``: blocks."""
+        """Commits until all is there; returns as ``commit``. ``progress(done, total)``: blocks."""
         total, changed = self.pending, False
         while self.pending:
             changed |= self.commit()
@@ -249,8 +251,7 @@ class DeviceBlocks:
         blocks = np.concatenate(changed)
         if len(blocks):
             self._changed = True
-            slab = self.blocks.counts[1] * self.blocks.counts[2]
-            self._write_index(int(blocks.min()) // slab, int(blocks.max()) // slab + 1)
+            self._update_index(np.unique(blocks))
         return error
 
     def _set_means(self, blocks: np.ndarray) -> np.ndarray:
@@ -290,11 +291,15 @@ class DeviceBlocks:
         values = "value bias float64, value gain float64, " if double else ""
         self._values = {"bias": self.value_map.bias, "gain": self.value_map.gain} if double else {}
         switches = {"VOXEL_BITS": held.itemsize * 8, "VOXEL_SIGNED": int(held.kind == "i")}
+        switches["STAGED_DOUBLE"] = int(double)
         self._decoder = context.kernel(
             "decode_blocks.cl",
             "decode_blocks",
-            f"in payloads uint8, in staged {dtype}, {values}out samples {held}",
-            switches | {"STAGED_DOUBLE": int(double)},
+            f"in payloads uint8, value count int32, in staged {dtype}, {values}out samples {held}",
+            switches,
+        )
+        self._put = context.kernel(
+            "decode_blocks.cl", "put_words", "in changes uint8, value count int32, out words V1", switches
         )
 
     def _decode(self, piece: Piece) -> None:
@@ -310,9 +315,10 @@ class DeviceBlocks:
             context.write(self._payloads, payloads.view(np.uint8))
             self._decoder(
                 context.queue,
-                (side, len(payloads)),
-                None,
+                (_padded(len(payloads)), side),
+                (_GROUP, 1),
                 payloads=self._payloads,
+                count=len(payloads),
                 staged=self._staging,
                 samples=self.samples[buffer],
                 **self._values,
@@ -323,13 +329,48 @@ class DeviceBlocks:
         with np.errstate(over="ignore", invalid="ignore"):
             return self.value_map(samples).astype(np.float32)
 
+    def _update_index(self, blocks: np.ndarray) -> None:
+        """Index and corners of ``blocks``, in ascending order."""
+        if len(blocks) * _FEW > self.blocks.count:
+            slab = self.blocks.counts[1] * self.blocks.counts[2]
+            self._write_index(int(blocks[0]) // slab, int(blocks[-1]) // slab + 1)
+            return
+        at = 2 * blocks[:, None] + np.arange(2)
+        self._put_words(self.index, at.ravel(), self._words[blocks].ravel())
+        corners = corners_of(self.blocks.places(blocks), self.blocks.counts)
+        at = np.ravel_multi_index(corners.T, self.corners.shape)
+        self._put_words(self.corners, at, corner_codes_at(self._codes(), corners).view(np.int32))
+
+    def _put_words(self, array: DeviceArray, at: np.ndarray, words: np.ndarray) -> None:
+        changes = np.stack([at, words], axis=-1).astype(np.int32)
+        most = self._payloads.shape[0] // changes[0].nbytes
+        for first in range(0, len(changes), most):
+            part = changes[first : first + most]
+            self._context.write(self._payloads, part.view(np.uint8).ravel())
+            self._put(
+                self._context.queue,
+                (_padded(len(part)),),
+                (_GROUP,),
+                changes=self._payloads,
+                count=len(part),
+                words=array,
+            )
+
+    def _codes(self) -> np.ndarray:
+        """uint8 [bz, by, bx]."""
+        codes = np.where(self._levels == DROPPED, CODE_DROPPED, self.blocks.levels - self._levels)
+        return codes.reshape(self.blocks.counts)
+
     def _write_index(self, first: int, last: int) -> None:
         """Index and corners of the slabs ``first`` <= bz < ``last``."""
         slab = self.blocks.counts[1] * self.blocks.counts[2]
         self._context.write(self.index, self._words[first * slab : last * slab], 2 * first * slab)
-        codes = np.where(self._levels == DROPPED, CODE_DROPPED, self.blocks.levels - self._levels)
-        corners = corner_codes(codes.reshape(self.blocks.counts), first, last)
+        corners = corner_codes(self._codes(), first, last)
         self._context.write(self.corners, corners, first * corners[0].size)
+
+
+def _padded(count: int) -> int:
+    return -(-count // _GROUP) * _GROUP
 
 
 def corner_codes(codes: np.ndarray, first: int, last: int) -> np.ndarray:
@@ -343,4 +384,22 @@ def corner_codes(codes: np.ndarray, first: int, last: int) -> np.ndarray:
         dz, dy, dx = j >> 2, j >> 1 & 1, j & 1
         codes_there = around[dz : dz + len(found), dy : dy + ny + 1, dx : dx + nx + 1]
         found |= codes_there << np.uint32(4 * j)
+    return found
+
+
+def corners_of(places: np.ndarray, counts: tuple[int, int, int]) -> np.ndarray:
+    """int64 [k, 3]: the corners (z, y, x) whose codes name one of the blocks ``places`` int64 [n, 3]."""
+    near = places[:, None] + np.stack(np.unravel_index(np.arange(8), (2, 2, 2)), axis=-1)
+    shape = tuple(n + 1 for n in counts)
+    at = np.unique(np.ravel_multi_index(near.reshape(-1, 3).T, shape))
+    return np.stack(np.unravel_index(at, shape), axis=-1)
+
+
+def corner_codes_at(codes: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """uint32 [k]: ``corners`` of ``DeviceBlocks`` at some of them, int64 [k, 3]; codes [bz, by, bx]."""
+    found = np.zeros(len(corners), np.uint32)
+    for j in range(8):
+        around = corners - 1 + np.array([j >> 2, j >> 1 & 1, j & 1])
+        around = np.clip(around, 0, np.array(codes.shape) - 1)
+        found |= codes[tuple(around.T)].astype(np.uint32) << np.uint32(4 * j)
     return found

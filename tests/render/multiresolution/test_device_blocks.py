@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 
 import numpy as np
 import pytest
@@ -14,6 +15,8 @@ from clvol.render.multiresolution.device_blocks import (
     CODE_ONE,
     DeviceBlocks,
     corner_codes,
+    corner_codes_at,
+    corners_of,
 )
 from clvol.render.multiresolution.packing import SPARE_BYTES, overhead_bytes
 from clvol.store.source import DROPPED, VolumeBlocks
@@ -204,6 +207,39 @@ def test_corners_of_some_slabs_are_those_of_all():
         for last in range(first + 1, 6):
             part = corner_codes(codes, first, last)
             np.testing.assert_array_equal(part, whole[first : last + 1])
+
+
+@pytest.mark.parametrize("shape", ((5, 3, 4), (1, 1, 1), (1, 6, 2)))
+def test_corners_of_some_blocks_are_all_that_change_with_them(shape):
+    random = np.random.default_rng(4)
+    before = random.integers(1, 16, shape).astype(np.uint8)
+    after = before.copy()
+    changed = np.unique(random.integers(0, before.size, 3))
+    after.ravel()[changed] = after.ravel()[changed] % 15 + 1
+    whole, expected = corner_codes(before, 0, shape[0]), corner_codes(after, 0, shape[0])
+    corners = corners_of(np.argwhere(before != after), shape)
+    assert len(corners) < expected.size or before.size <= 3
+    whole[tuple(corners.T)] = corner_codes_at(after, corners)
+    np.testing.assert_array_equal(whole, expected)
+
+
+def test_a_few_changes_write_a_few_words_of_the_index(context, monkeypatch):
+    spy = _spy("uint8", (70, 70, 70))
+    means, levels = _means(spy), _levels(spy, 8)
+    blocks = DeviceBlocks(context, spy, 2**20)
+    blocks.load(levels, means)
+    written, write = [], context.write
+    monkeypatch.setattr(
+        context, "write", lambda to, values, *at: (written.append(to), write(to, values, *at))
+    )
+    levels[[0, 300, 728]] = 0, DROPPED, 3
+    blocks.load(levels, means)
+    assert written and not {id(blocks.index), id(blocks.corners)} & {*map(id, written)}
+    np.testing.assert_array_equal(_check(blocks, spy, means), levels)
+    many = _levels(spy, 9)
+    blocks.load(many, means)
+    assert {id(blocks.index), id(blocks.corners)} <= {*map(id, written)}
+    np.testing.assert_array_equal(_check(blocks, spy, means), many)
 
 
 # What cannot be asked for
@@ -412,6 +448,25 @@ def test_a_block_that_appears_shows_its_mean_until_it_is_read(context):
     spy.tickets.release(1000)
     blocks.close()
     assert not blocks.pending
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_goals_that_replace_each_other_at_any_moment_end_in_the_last(context, seed):
+    """The slow source is asked anew before, while and after it is done; memory is as tight as it gets."""
+    random = np.random.default_rng(seed)
+    spy = _spy("int8")
+    means, goals = _means(spy), [_levels(spy, 100 * seed + k) for k in range(12)]
+    blocks = DeviceBlocks(context, spy, max(_bytes_for(spy, goal) for goal in goals))
+    for goal in goals:
+        blocks.start(goal, means, random.random(len(goal)))
+        for _ in range(random.integers(1, 4)):
+            time.sleep(random.choice([0.0, 0.001]))
+            blocks.commit()
+            assert blocks.used_bytes <= blocks.sample_bytes
+        _check(blocks, spy, means)
+    blocks.wait()
+    np.testing.assert_array_equal(_check(blocks, spy, means), goals[-1])
+    blocks.close()
 
 
 # Errors and threads
