@@ -298,9 +298,8 @@ class DeviceBlocks:
             f"in payloads uint8, value count int32, in staged {dtype}, {values}out samples {held}",
             switches,
         )
-        self._put = context.kernel(
-            "decode_blocks.cl", "put_words", "in changes uint8, value count int32, out words V1", switches
-        )
+        declared = "in changes uint8, value count int32, out words V1"
+        self._put = context.kernel("decode_blocks.cl", "put_words", declared, switches)
 
     def _decode(self, piece: Piece) -> None:
         context = self._context
@@ -388,7 +387,7 @@ def corner_codes(codes: np.ndarray, first: int, last: int) -> np.ndarray:
 
 
 def corners_of(places: np.ndarray, counts: tuple[int, int, int]) -> np.ndarray:
-    """int64 [k, 3]: the corners (z, y, x) whose codes name one of the blocks ``places`` int64 [n, 3]."""
+    """int64 [k, 3]: the corners (z, y, x) that have one of the blocks ``places`` int64 [n, 3]."""
     near = places[:, None] + np.stack(np.unravel_index(np.arange(8), (2, 2, 2)), axis=-1)
     shape = tuple(n + 1 for n in counts)
     at = np.unique(np.ravel_multi_index(near.reshape(-1, 3).T, shape))
@@ -396,7 +395,8 @@ def corners_of(places: np.ndarray, counts: tuple[int, int, int]) -> np.ndarray:
 
 
 def corner_codes_at(codes: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """uint32 [k]: ``corners`` of ``DeviceBlocks`` at some of them, int64 [k, 3]; codes [bz, by, bx]."""
+    """uint32 [k]: ``corners`` of ``DeviceBlocks`` at some of them, int64 [k, 3], from codes [bz, by,
+    bx]."""
     found = np.zeros(len(corners), np.uint32)
     for j in range(8):
         around = corners - 1 + np.array([j >> 2, j >> 1 & 1, j & 1])
