@@ -251,7 +251,7 @@ class DeviceBlocks:
         blocks = np.concatenate(changed)
         if len(blocks):
             self._changed = True
-            self._update_index(np.unique(blocks))
+            self._update_index(np.sort(blocks))
         return error
 
     def _set_means(self, blocks: np.ndarray) -> np.ndarray:
@@ -306,8 +306,9 @@ class DeviceBlocks:
         context.write(self._staging, piece.staged)
         buffers, places = np.divmod(self._packing.start[piece.blocks], self._each)
         side = self.blocks.samples(piece.level)
-        for buffer in np.unique(buffers):
-            those = buffers == buffer
+        for buffer, array in enumerate(self.samples):
+            if not (those := buffers == buffer).any():
+                continue
             payloads = np.empty(np.count_nonzero(those), BLOCK_PAYLOAD)
             payloads["from"], payloads["to"] = piece.first[those], places[those]
             payloads["size"], payloads["codec"] = side, piece.codec[those]
@@ -319,7 +320,7 @@ class DeviceBlocks:
                 payloads=self._payloads,
                 count=len(payloads),
                 staged=self._staging,
-                samples=self.samples[buffer],
+                samples=array,
                 **self._values,
             )
 
@@ -329,7 +330,7 @@ class DeviceBlocks:
             return self.value_map(samples).astype(np.float32)
 
     def _update_index(self, blocks: np.ndarray) -> None:
-        """Index and corners of ``blocks``, in ascending order."""
+        """Index and corners of ``blocks``, which ascend."""
         if len(blocks) * _FEW > self.blocks.count:
             slab = self.blocks.counts[1] * self.blocks.counts[2]
             self._write_index(int(blocks[0]) // slab, int(blocks[-1]) // slab + 1)
@@ -390,13 +391,13 @@ def corners_of(places: np.ndarray, counts: tuple[int, int, int]) -> np.ndarray:
     """int64 [k, 3]: the corners (z, y, x) that have one of the blocks ``places`` int64 [n, 3]."""
     near = places[:, None] + np.stack(np.unravel_index(np.arange(8), (2, 2, 2)), axis=-1)
     shape = tuple(n + 1 for n in counts)
-    at = np.unique(np.ravel_multi_index(near.reshape(-1, 3).T, shape))
+    at = np.sort(np.ravel_multi_index(near.reshape(-1, 3).T, shape))
+    at = at[np.diff(at, prepend=-1) > 0]
     return np.stack(np.unravel_index(at, shape), axis=-1)
 
 
 def corner_codes_at(codes: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """uint32 [k]: ``corners`` of ``DeviceBlocks`` at some of them, int64 [k, 3], from codes [bz, by,
-    bx]."""
+    """uint32 [k]: codes around some corners int64 [k, 3], as ``corner_codes`` has them."""
     found = np.zeros(len(corners), np.uint32)
     for j in range(8):
         around = corners - 1 + np.array([j >> 2, j >> 1 & 1, j & 1])

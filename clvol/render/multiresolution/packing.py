@@ -77,12 +77,14 @@ class Packing:
         if used > self.capacity:
             raise ValueError(f"{used} samples where there is room for {self.capacity}")
         self._used = used
-        for size in np.unique(old[old > 0]):
-            self._release(int(size), self.start[blocks[old == size]])
+        for size in self._sizes:
+            if (those := old == size).any():
+                self._release(size, self.start[blocks[those]])
         self.start[blocks], self.size[blocks] = -1, 0
         moves: list[Move] = []
-        for size in np.unique(sizes[sizes > 0])[::-1]:
-            moves += self._put(blocks[sizes == size], int(size))
+        for size in self._sizes:
+            if (those := sizes == size).any():
+                moves += self._put(blocks[those], size)
         return moves
 
     def _put(self, blocks: np.ndarray, size: int) -> list[Move]:
@@ -113,11 +115,11 @@ class Packing:
         self.start[evicted] = -1
         self.start[block] = slot * size
         moves: list[Move] = []
-        for part in np.unique(sizes)[::-1]:
+        for part in self._sizes:
             those = sizes == part
-            moves += self._put(evicted[those], int(part))
+            moves += self._put(evicted[those], part)
             to = self.start[evicted[those]]
-            moves += [Move(*map(int, m), int(part)) for m in zip(evicted[those], old[those], to)]
+            moves += [Move(*map(int, m), part) for m in zip(evicted[those], old[those], to)]
         return moves
 
     def _take(self, size: int, count: int) -> np.ndarray:

@@ -452,7 +452,7 @@ def test_a_block_that_appears_shows_its_mean_until_it_is_read(context):
 
 @pytest.mark.parametrize("seed", range(3))
 def test_goals_that_replace_each_other_at_any_moment_end_in_the_last(context, seed):
-    """Asked anew before, while and after the last goal is reached; memory is no more than needed."""
+    """Asked anew before, while and after a goal is reached; memory is no more than needed."""
     random = np.random.default_rng(seed)
     spy = _spy("int8")
     means, goals = _means(spy), [_levels(spy, 100 * seed + k) for k in range(12)]
