@@ -244,9 +244,26 @@ class DeviceContext:
         self._lent.discard(id(output))
         return output.host
 
-    def write(self, array: DeviceArray, values: np.ndarray) -> None:
-        """Copies ``values`` into ``array``; returns when the copy is done."""
-        cl.enqueue_copy(self.queue, array.buffer, np.ascontiguousarray(values), is_blocking=True)
+    def write(self, array: DeviceArray, values: np.ndarray, first: int = 0) -> None:
+        """Copies ``values`` into ``array``, from element ``first`` on; returns when the copy is done."""
+        values = np.ascontiguousarray(values)
+        offset = first * array.dtype.itemsize
+        cl.enqueue_copy(self.queue, array.buffer, values, dst_offset=offset, is_blocking=True)
+
+    def copy(
+        self, source: DeviceArray, first: int, target: DeviceArray, to: int, count: int
+    ) -> None:
+        """Enqueues a copy of ``count`` elements from ``first`` of ``source`` on to ``to`` of ``target``,
+        of the same dtype; in one array they must not overlap."""
+        size = source.dtype.itemsize
+        cl.enqueue_copy(
+            self.queue,
+            target.buffer,
+            source.buffer,
+            byte_count=count * size,
+            src_offset=first * size,
+            dst_offset=to * size,
+        )
 
     def read(self, array: DeviceArray, out: np.ndarray | None = None) -> np.ndarray:
         """The contents of ``array``; waits for what writes it."""

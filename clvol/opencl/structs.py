@@ -1,6 +1,7 @@
 """Structs shared with the kernels, each declared once here and checked on the device.
 
-Every field is 16 bytes wide, so that numpy and any OpenCL compiler lay them out alike.
+Every field is 16 bytes wide, or all are together, so that numpy and any OpenCL compiler lay them
+out alike.
 """
 
 from __future__ import annotations
@@ -44,6 +45,9 @@ NOISE_TERM = np.dtype(
     [("scale", "f4", 4), ("offset", "f4", 4), ("amplitude", "f4", 4), ("shape", "i4", 4)]
 )
 """``NoiseTerm`` of cl/noise.h."""
+
+BLOCK_PAYLOAD = np.dtype([("from", "i4"), ("to", "i4"), ("size", "i4"), ("codec", "i4")])
+"""``BlockPayload`` of cl/decode_blocks.cl."""
 
 
 def effects_dtype() -> np.dtype:

@@ -1,1 +1,1 @@
-"""Rendering of volumes as blocks at several resolutions (P2): what is resident, and rays through it."""
+"""Rendering from blocks at several resolutions: what of a volume is on a device, at which level."""
