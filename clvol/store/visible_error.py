@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from clvol.store.luv import delta_e_luv, linear_to_luv
-from clvol.store.source import BlockStatistics
+from clvol.store.luv import linear_to_luv
+from clvol.store.source import QUANTILES, BlockStatistics
 from clvol.transfer import TransferFunction
 
 _ENTRIES = 1 << 15
-_PIECE = 1 << 16  # blocks looked at together
+_PIECE = 1 << 14  # blocks looked at together
+# Orders that pair each quantile with low and high ones alike: bits of the number reversed, forwards and backwards.
+_FORWARD = np.array([int(f"{k:03b}"[::-1], 2) for k in range(QUANTILES)])
+_ORDERS = (_FORWARD, _FORWARD[::-1])
 
 
 def transparent(statistics: BlockStatistics, function: TransferFunction) -> np.ndarray:
@@ -58,19 +61,107 @@ class ShownColors:
             alpha = -np.expm1(exponent * np.log1p(-opacities))
         background = np.asarray(background, np.float64)
         shown = between(function.colors) * alpha + background * (1.0 - alpha)
-        self._table = linear_to_luv(shown).astype(np.float32)
-        self.transmittances = (1.0 - alpha[:, 0]).astype(np.float32)
+        self._luv = np.ascontiguousarray(linear_to_luv(shown).T, np.float32)
+        self._transmittances = (1.0 - alpha[:, 0]).astype(np.float32)
         starts = 1 + entries * np.arange(len(pieces))
         self._values = np.stack([values[pieces], values[pieces + 1]], axis=1).ravel()
         self._values = np.append(self._values, values[-1])
         self._places = np.stack([starts, starts + entries - 1], axis=1).ravel().astype(np.float64)
-        self._places = np.append(self._places, len(self._table) - 1)
+        self._places = np.append(self._places, self._transmittances.size - 1)
 
     def places(self, values: np.ndarray) -> np.ndarray:
-        """Entries of the table, intp of ``values``' shape; NaN takes the first one."""
+        """Entries of the table for ``values``, intp of the same shape; NaN takes the first one."""
         found = np.interp(values, self._values, self._places, left=0.0)
-        return np.rint(np.where(np.isnan(found), 0.0, found)).astype(np.intp)
+        np.copyto(found, 0.0, where=np.isnan(found))
+        return np.rint(found, out=found).astype(np.intp)
 
-    def __call__(self, values: np.ndarray) -> np.ndarray:
-        """float32 [..., 3] of ``values`` [...]."""
-        return self._table[self.places(values)]
+    def luv(self, places: np.ndarray) -> np.ndarray:
+        """float32 [3, ...]."""
+        return self._luv[:, places]
+
+    def transmittance(self, places: np.ndarray) -> np.ndarray:
+        """float32, of ``path_length``."""
+        return self._transmittances[places]
+
+
+def block_errors(
+    statistics: BlockStatistics,
+    function: TransferFunction,
+    path_length: float,
+    background: np.ndarray,
+) -> np.ndarray:
+    """float32 [levels, n]: estimated mean Delta-E (CIELUV) over a block's voxels between what the voxel and what the level's sample there
+    show, each along ``path_length`` (world) over ``background`` (linear [3]); 0 at level 0, not falling with the level, finite.
+
+    TEXT
+    """
+    return estimated_errors(statistics, ShownColors(function, path_length, background))
+
+
+def estimated_errors(statistics: BlockStatistics, shown: ShownColors) -> np.ndarray:
+    """``block_errors`` with the table at hand."""
+    out = np.empty(statistics.mean.shape, np.float32)
+    for first in range(0, out.shape[1], _PIECE):
+        piece = slice(first, first + _PIECE)
+        _estimate(
+            statistics.quantiles[:, piece],
+            statistics.deviation[:, piece],
+            statistics.minimum[0, piece],
+            statistics.maximum[0, piece],
+            shown,
+            out[:, piece],
+        )
+    return np.maximum.accumulate(out, axis=0, out=out)
+
+
+def _estimate(
+    quantiles: np.ndarray,
+    deviation: np.ndarray,
+    low: np.ndarray,
+    high: np.ndarray,
+    shown: ShownColors,
+    out: np.ndarray,
+) -> None:
+    full = quantiles[0].astype(np.float64)
+    full_luv = shown.luv(shown.places(full))
+    spread = full - _mean(full)[:, None]
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        # The last level is one sample: its deviation is the block's own.
+        parts = np.where(deviation[-1] > 0, np.minimum(deviation / deviation[-1], 1.0), 0.0)
+    last = len(quantiles) - 1
+    out[0] = 0.0
+    for level in range(1, last + 1):
+        samples = quantiles[level].astype(np.float64)
+        luv = shown.luv(shown.places(samples))
+        out[level] = _mean_delta_e(full_luv, luv)
+        if level == last:
+            break  # all voxels share the one sample: nothing is left to pair
+        paired = np.zeros(out.shape[1], np.float32)
+        for order in _ORDERS:
+            with np.errstate(invalid="ignore", over="ignore"):
+                voxels = samples + np.nan_to_num(parts[level])[:, None] * spread[:, order]
+            voxels = np.clip(voxels, low[:, None], high[:, None])
+            paired += _mean_delta_e(shown.luv(shown.places(voxels)), luv)
+        out[level] = 0.5 * (out[level] + paired / len(_ORDERS))
+
+
+def _mean(values: np.ndarray) -> np.ndarray:
+    """Over the last axis, of values whose sum may overflow."""
+    return (values / values.shape[-1]).sum(axis=-1)
+
+
+def _mean_delta_e(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """[k] of L*, u*, v* [3, k, quantiles]."""
+    difference = a - b
+    difference *= difference
+    return np.sqrt(difference.sum(axis=0)).mean(axis=-1)
+
+
+def block_transmittances(statistics: BlockStatistics, shown: ShownColors) -> np.ndarray:
+    """float32 [n]: mean over a block's voxels of what ``path_length`` of each lets through.
+
+    As if rays met one value each, side by side: more than any other order of the same values lets through. Blocks with holes count
+    as clear.
+    """
+    found = shown.transmittance(shown.places(statistics.quantiles[0])).mean(axis=-1)
+    return np.where(statistics.holes, np.float32(1.0), found)
