@@ -15,8 +15,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from clvol.errors import SceneError
+from clvol.scene.camera import Camera
+from clvol.scene.image import ImageSettings
+from clvol.scene.sizes import format_size
 from clvol.store.geometry import BlockGrid
-from clvol.store.source import DROPPED
+from clvol.store.source import DROPPED, BlockSource
+from clvol.store.view_weight import view_weights, visibility
+from clvol.store.visible_error import (
+    ShownColors,
+    block_transmittances,
+    estimated_errors,
+    transparent,
+)
+from clvol.transfer import TransferFunction
 
 # Delta-E times pixels below which nobody sees an error: less than a tenth of a step of 8 bits in one pixel.
 NEGLIGIBLE = 1e-2
@@ -33,6 +45,73 @@ class Selection:
     bytes: int
     error: float
     bound: float
+
+
+@dataclass(frozen=True, eq=False)
+class SourceErrors:
+    """Of all blocks, whatever the view: ``errors`` float32 [levels, n] (``block_errors``, 0 where dropped), ``dropped`` bool [n],
+    ``transmittances`` float32 [n] of a path of a block's edge."""
+
+    errors: np.ndarray
+    dropped: np.ndarray
+    transmittances: np.ndarray
+
+
+def source_errors(
+    source: BlockSource, function: TransferFunction, background: np.ndarray
+) -> SourceErrors:
+    """From ``source``'s statistics, one part after the other; ``background`` linear [3]. The path is a block's edge times the smallest
+    voxel edge."""
+    blocks = source.blocks
+    path = blocks.edge * source.grid.smallest_edge
+    shown = ShownColors(function, path, background)
+    errors = np.zeros((blocks.levels, blocks.count), np.float32)
+    dropped = np.zeros(blocks.count, bool)
+    transmittances = np.ones(blocks.count, np.float32)
+    for part in source.statistics():
+        piece = slice(part.first, part.first + len(part.reach_low))
+        dropped[piece] = transparent(part, function)
+        errors[:, piece] = estimated_errors(part, shown)
+        transmittances[piece] = block_transmittances(part, shown)
+    errors[:, dropped] = 0.0
+    transmittances[dropped] = 1.0
+    return SourceErrors(errors, dropped, transmittances)
+
+
+def select_blocks(
+    source: BlockSource,
+    function: TransferFunction,
+    background: np.ndarray,
+    camera: Camera | None,
+    image: ImageSettings,
+    memory_bytes: int,
+    overhead_bytes: int = 0,
+    occlusion: bool = False,
+    known: SourceErrors | None = None,
+) -> Selection:
+    """The levels of ``source``'s blocks that look least wrong within ``memory_bytes``, of which ``overhead_bytes`` are taken.
+
+    ``camera`` (complete): errors count by what its picture of the size of ``image`` sees of a block, with ``occlusion`` by the
+    light that gets through to the eye, too; None: all blocks count alike. ``known``: ``source_errors`` of the same source, function
+    and background, which a new view need not find again.
+
+    SceneError if not even one sample a block fits.
+    """
+    cost = level_costs(source.blocks, source.dtype)
+    found = source_errors(source, function, background) if known is None else known
+    needed = overhead_bytes + minimum_bytes(cost, found.dropped)
+    if memory_bytes < needed:
+        expected = f"at least {format_size(needed)} for the coarsest resolution of {source.name}"
+        got = f"got {format_size(memory_bytes)}"
+        raise SceneError("scene: multiresolution.memory", got, expected)
+    errors = found.errors
+    if camera is not None:
+        errors = errors if known is None else errors.copy()
+        grid, blocks = source.grid, source.blocks
+        view_weights(camera, grid, blocks, image.width, image.height).apply(errors)
+        if occlusion:
+            errors *= visibility(camera, grid, blocks, found.transmittances)
+    return select_levels(errors, cost, found.dropped, memory_bytes - overhead_bytes)
 
 
 def level_costs(blocks: BlockGrid, dtype: np.dtype) -> np.ndarray:

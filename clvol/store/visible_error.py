@@ -9,10 +9,11 @@ from clvol.store.source import QUANTILES, BlockStatistics
 from clvol.transfer import TransferFunction
 
 _ENTRIES = 1 << 15
-_PIECE = 1 << 14  # blocks looked at together
+_PIECE = 1 << 11  # blocks looked at together: small enough for the caches
 # Orders that pair each quantile with low and high ones alike: bits of the number reversed, forwards and backwards.
 _FORWARD = np.array([int(f"{k:03b}"[::-1], 2) for k in range(QUANTILES)])
 _ORDERS = (_FORWARD, _FORWARD[::-1])
+_EQUAL = np.full(QUANTILES, 1.0 / QUANTILES, np.float32)
 
 
 def transparent(statistics: BlockStatistics, function: TransferFunction) -> np.ndarray:
@@ -40,7 +41,7 @@ class ShownColors:
     """L*, u*, v* of what a ray shows behind ``path_length`` (world) of one value, over ``background`` (linear [3]).
 
     A table: equally many entries for each piece of ``function`` between two points, the nearest one taken, so that pieces are
-    resolved alike however narrow, and steps are steps.
+    resolved alike however narrow, and steps are steps. NaN shows the background.
     """
 
     def __init__(
@@ -52,32 +53,34 @@ class ShownColors:
         t = np.linspace(0.0, 1.0, entries)[None, :, None]
 
         def between(table: np.ndarray) -> np.ndarray:
-            """[entries of all pieces, k], the first point before and the last behind them."""
+            """[entries of all pieces, k]; before them one for NaN and the first point, behind them the last one."""
             mixed = table[pieces, None] * (1.0 - t) + table[pieces + 1, None] * t
-            return np.concatenate([table[:1], mixed.reshape(-1, table.shape[1]), table[-1:]])
+            ends = table[:1], table[-1:]
+            return np.concatenate([ends[0], ends[0], mixed.reshape(-1, table.shape[1]), ends[1]])
 
         opacities = between(function.opacities[:, None])
+        opacities[0] = 0.0
         with np.errstate(divide="ignore", over="ignore", under="ignore"):
             alpha = -np.expm1(exponent * np.log1p(-opacities))
         background = np.asarray(background, np.float64)
         shown = between(function.colors) * alpha + background * (1.0 - alpha)
         self._luv = np.ascontiguousarray(linear_to_luv(shown).T, np.float32)
         self._transmittances = (1.0 - alpha[:, 0]).astype(np.float32)
-        starts = 1 + entries * np.arange(len(pieces))
+        starts = 2 + entries * np.arange(len(pieces))
         self._values = np.stack([values[pieces], values[pieces + 1]], axis=1).ravel()
         self._values = np.append(self._values, values[-1])
         self._places = np.stack([starts, starts + entries - 1], axis=1).ravel().astype(np.float64)
         self._places = np.append(self._places, self._transmittances.size - 1)
 
     def places(self, values: np.ndarray) -> np.ndarray:
-        """Entries of the table for ``values``, intp of the same shape; NaN takes the first one."""
-        found = np.interp(values, self._values, self._places, left=0.0)
+        """Entries of the table for ``values``, intp of the same shape."""
+        found = np.interp(values, self._values, self._places, left=1.0)
         np.copyto(found, 0.0, where=np.isnan(found))
         return np.rint(found, out=found).astype(np.intp)
 
-    def luv(self, places: np.ndarray) -> np.ndarray:
-        """float32 [3, ...]."""
-        return self._luv[:, places]
+    def luv(self, places: np.ndarray) -> list[np.ndarray]:
+        """L*, u* and v*, float32."""
+        return [component.take(places) for component in self._luv]
 
     def transmittance(self, places: np.ndarray) -> np.ndarray:
         """float32, of ``path_length``."""
@@ -93,7 +96,24 @@ def block_errors(
     """float32 [levels, n]: estimated mean Delta-E (CIELUV) over a block's voxels between what the voxel and what the level's sample there
     show, each along ``path_length`` (world) over ``background`` (linear [3]); 0 at level 0, not falling with the level, finite.
 
-    TEXT
+    Values that are not finite are left out; a level without any other shows the background.
+
+    The mean of three estimates, all of which are exact where a level is one sample (up to the histogram's coarseness):
+      plain    quantile j of the voxels against quantile j of the level: too low, as it misses that values changed places
+      paired   the level's quantiles against voxels spread about each like the block's own quantiles about their mean, scaled so
+               that they deviate from it by ``deviation``; low and high ones are paired alike
+      scaled   the one sample's plain estimate times the share of the block's deviation that the level has
+    Compared on 128^3 of engine, cthead, vismale and tooth with eight transfer functions, a path of a block's edge. Estimate / true error
+    (voxel by voxel), correlation and rms difference over blocks and levels; and by how much the true error left by a selection from
+    the estimates is more than by one from true errors, at 1/4, 1/10 and 1/25 of all bytes (geometric means):
+      plain                       0.54  0.876  0.48   +16 %  +8 %  +6 %
+      level +- deviation          1.52  0.900  0.63   +15 %  +9 %  +9 %
+      max(plain, +- deviation)    1.53  0.905  0.63   +13 %  +8 %  +8 %
+      paired                      1.15  0.913  0.36   +14 %  +8 %  +7 %
+      scaled                      1.21  0.883  0.45    +9 %  +4 %  +3 %
+      mean of plain and paired    0.84  0.947  0.27    +9 %  +4 %  +4 %
+      mean of all three           0.96  0.950  0.22    +7 %  +3 %  +4 %
+    Delta-E of the whole picture against full resolution, likewise: plain +17, +5, +8 %; mean of all three +12, +0, +7 %.
     """
     return estimated_errors(statistics, ShownColors(function, path_length, background))
 
@@ -124,25 +144,27 @@ def _estimate(
 ) -> None:
     full = quantiles[0].astype(np.float64)
     full_luv = shown.luv(shown.places(full))
-    spread = full - _mean(full)[:, None]
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        spread = full - _mean(full)[:, None]
         # The last level is one sample: its deviation is the block's own.
         parts = np.where(deviation[-1] > 0, np.minimum(deviation / deviation[-1], 1.0), 0.0)
+    parts = np.nan_to_num(parts)
     last = len(quantiles) - 1
     out[0] = 0.0
-    for level in range(1, last + 1):
+    for level in range(last, 0, -1):
         samples = quantiles[level].astype(np.float64)
         luv = shown.luv(shown.places(samples))
-        out[level] = _mean_delta_e(full_luv, luv)
+        plain = _mean_delta_e(full_luv, luv)
         if level == last:
-            break  # all voxels share the one sample: nothing is left to pair
-        paired = np.zeros(out.shape[1], np.float32)
+            out[level] = plain
+            continue
+        paired = np.zeros(len(plain), np.float32)
         for order in _ORDERS:
             with np.errstate(invalid="ignore", over="ignore"):
-                voxels = samples + np.nan_to_num(parts[level])[:, None] * spread[:, order]
+                voxels = samples + parts[level][:, None] * spread[:, order]
             voxels = np.clip(voxels, low[:, None], high[:, None])
-            paired += _mean_delta_e(shown.luv(shown.places(voxels)), luv)
-        out[level] = 0.5 * (out[level] + paired / len(_ORDERS))
+            paired += _mean_delta_e(shown.luv(shown.places(voxels)), luv) / len(_ORDERS)
+        out[level] = (plain + paired + parts[level] * out[last]) / 3.0
 
 
 def _mean(values: np.ndarray) -> np.ndarray:
@@ -150,11 +172,14 @@ def _mean(values: np.ndarray) -> np.ndarray:
     return (values / values.shape[-1]).sum(axis=-1)
 
 
-def _mean_delta_e(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """[k] of L*, u*, v* [3, k, quantiles]."""
-    difference = a - b
-    difference *= difference
-    return np.sqrt(difference.sum(axis=0)).mean(axis=-1)
+def _mean_delta_e(a: list[np.ndarray], b: list[np.ndarray]) -> np.ndarray:
+    """float32 [k] of L*, u*, v*, each [k, quantiles]."""
+    squares = np.zeros_like(a[0])
+    for one, other in zip(a, b):
+        difference = one - other
+        difference *= difference
+        squares += difference
+    return np.sqrt(squares, out=squares) @ _EQUAL
 
 
 def block_transmittances(statistics: BlockStatistics, shown: ShownColors) -> np.ndarray:
