@@ -118,20 +118,25 @@ def block_errors(
     return estimated_errors(statistics, ShownColors(function, path_length, background))
 
 
-def estimated_errors(statistics: BlockStatistics, shown: ShownColors) -> np.ndarray:
-    """``block_errors`` with the table at hand."""
-    out = np.empty(statistics.mean.shape, np.float32)
-    for first in range(0, out.shape[1], _PIECE):
-        piece = slice(first, first + _PIECE)
-        _estimate(
+def estimated_errors(
+    statistics: BlockStatistics, shown: ShownColors, wanted: np.ndarray | None = None
+) -> np.ndarray:
+    """``block_errors`` with the table at hand; 0 for blocks that are not ``wanted`` (bool [n])."""
+    out = np.zeros(statistics.mean.shape, np.float32)
+    # A constant block is the same at all levels.
+    varied = (statistics.minimum[0] < statistics.maximum[0]) | statistics.holes
+    blocks = np.flatnonzero(varied if wanted is None else varied & wanted)
+    for first in range(0, len(blocks), _PIECE):
+        piece = blocks[first : first + _PIECE]
+        found = _estimate(
             statistics.quantiles[:, piece],
             statistics.deviation[:, piece],
             statistics.minimum[0, piece],
             statistics.maximum[0, piece],
             shown,
-            out[:, piece],
         )
-    return np.maximum.accumulate(out, axis=0, out=out)
+        out[:, piece] = np.maximum.accumulate(found, axis=0)
+    return out
 
 
 def _estimate(
@@ -140,8 +145,9 @@ def _estimate(
     low: np.ndarray,
     high: np.ndarray,
     shown: ShownColors,
-    out: np.ndarray,
-) -> None:
+) -> np.ndarray:
+    """float32 [levels, k] of k blocks, level by level."""
+    out = np.zeros(deviation.shape, np.float32)
     full = quantiles[0].astype(np.float64)
     full_luv = shown.luv(shown.places(full))
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
@@ -150,7 +156,6 @@ def _estimate(
         parts = np.where(deviation[-1] > 0, np.minimum(deviation / deviation[-1], 1.0), 0.0)
     parts = np.nan_to_num(parts)
     last = len(quantiles) - 1
-    out[0] = 0.0
     for level in range(last, 0, -1):
         samples = quantiles[level].astype(np.float64)
         luv = shown.luv(shown.places(samples))
@@ -165,6 +170,7 @@ def _estimate(
             voxels = np.clip(voxels, low[:, None], high[:, None])
             paired += _mean_delta_e(shown.luv(shown.places(voxels)), luv) / len(_ORDERS)
         out[level] = (plain + paired + parts[level] * out[last]) / 3.0
+    return out
 
 
 def _mean(values: np.ndarray) -> np.ndarray:
