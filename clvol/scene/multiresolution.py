@@ -22,7 +22,11 @@ def _is_size(text: str) -> str:
 
 
 class Multiresolution(Table):
-    """``memory``: what the bricks may take on the device; ``memory_bytes`` is it in bytes."""
+    """``memory``: what the bricks may take on the device; ``memory_bytes`` is it in bytes.
+
+    ``view_weighting``: a block's error counts by what the view sees of it: whether it is in the picture, how many pixels it
+    covers and how many of them a voxel. ``occlusion``: and by how much light reaches the eye from it.
+    """
 
     memory: Annotated[str, BeforeValidator(_as_text), AfterValidator(_is_size)] = Field(
         "96 MiB", description="a size such as \"96 MiB\""
@@ -31,6 +35,8 @@ class Multiresolution(Table):
         "limited", description="'full', 'limited', 'naive' or 'bounded'"
     )
     interblock: bool = Field(True, description="true or false")
+    view_weighting: bool = Field(True, description="true or false")
+    occlusion: bool = Field(False, description="true or false")
 
     @classmethod
     def table_name(cls) -> str:

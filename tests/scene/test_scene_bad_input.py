@@ -93,6 +93,8 @@ MISTAKES = [
     ("light={type=\"headlight\"}", "light", "{'type': 'headlight'}", "a list of tables"),
     ("clip=[1]", "clip.0", "1", "a list of tables"),
     ("multiresolution.interblock=1", "multiresolution.interblock", "1", "true or false"),
+    ("multiresolution.view_weighting=0", "multiresolution.view_weighting", "0", "true or false"),
+    ('multiresolution.occlusion="yes"', "multiresolution.occlusion", "'yes'", "true or false"),
     ("volume.file=3", "volume.file", "3", "the name of a volume file"),
     ('volume="cube"', "volume", "'cube'", "a table"),
     ("camera.position=1979-05-27", "camera.position", "datetime.date", "three finite numbers"),

@@ -66,6 +66,8 @@ normal = [1.0, 0.0, 0.0]
 memory = "96 MiB"
 stepping = "bounded"
 interblock = false
+view_weighting = false
+occlusion = true
 [pyramid]
 levels = 3
 oracle = "minimum"
@@ -108,7 +110,9 @@ def test_every_key_of_a_scene_file_arrives(scene_file, monkeypatch, tmp_path_fac
     assert resolved.lights[1].intensity == 4
     np.testing.assert_array_equal(resolved.isosurfaces[0].color, srgb_to_linear([0.5] * 3))
     assert resolved.clips[0].normal == (1, 0, 0)
-    assert resolved.multiresolution.memory_bytes == 96 * 2**20
+    multiresolution = resolved.multiresolution
+    assert multiresolution.memory_bytes == 96 * 2**20
+    assert not multiresolution.view_weighting and multiresolution.occlusion
     assert resolved.pyramid.oracle == "minimum"
     assert resolved.origin == str(scene_file)
 
