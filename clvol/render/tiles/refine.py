@@ -4,14 +4,17 @@ Errors are mean squares over a tile's pixels without a ray, and over the four ch
 premultiplied). They are known in two ways:
 
 - Before a tile is refined, from the second differences D of the picture across its rays (one line to
-  either side, so over the borders too). Linear interpolation between samples h apart of a function f is off by
-  (h^2 - 4 u^2) f'' / 8 at distance u from the middle: a mean square of D^2 / 120 along an axis,
-  D = h^2 f''. Pictures have edges as well, at which it is more. So the estimates of the tiles that were
-  not refined yet are multiplied by what the refined ones showed: measured over estimated.
+  either side, so over the borders too). Along an axis linear interpolation between samples h apart of a
+  smooth function f is off by (h^2 - 4 u^2) f'' / 8 at distance u from the middle: a mean square of
+  D^2 / 120, D = h^2 f''. Where f jumps by J between two samples it is J^2 / 6 between these two, next to
+  both of which D = J: D^2 / 12. The estimate takes the geometric mean of the two. What was not refined yet
+  is then multiplied by what the refined tiles showed: measured over estimated.
 - When a tile is refined, its new rays show how wrong the picture was before: they stand in the middle
   of the gaps, where interpolation is worst. By how much halving the gaps has lowered it is
   taken from the tiles that were refined twice; until there are some, by a factor of 4 (of the mean
   square: between 16, where the picture is smooth, and 2, where it jumps).
+
+What lies between rays that all show the same is not known: a small thing there counts as no error.
 """
 
 from __future__ import annotations
@@ -21,7 +24,7 @@ import numpy as np
 from clvol.render.tiles.geometry import Resolution, TileGrid, each_axis, lines
 from clvol.render.tiles.work import RayWork
 
-SMOOTH = 1.0 / 120.0
+_OF_SECOND_DIFFERENCES = (120.0 * 12.0) ** -0.5
 _FALL = 0.25  # of a mean square by halving the gaps, until it was measured ...
 _LEAST_FALL, _MOST_FALL = 1.0 / 16.0, 1.0  # ... and what it is held between
 
@@ -42,7 +45,7 @@ def estimated_errors(
         sides = [image[row, p] if axis == 0 else image[p, column] for p in (before, after)]
         second = sides[0] - 2.0 * middle + sides[1]
         total += np.mean(second * second, axis=1)
-    return SMOOTH * mean_of_tiles(total, work, grid.count)
+    return _OF_SECOND_DIFFERENCES * mean_of_tiles(total, work, grid.count)
 
 
 def mean_of_tiles(values: np.ndarray, work: RayWork, count: int) -> np.ndarray:

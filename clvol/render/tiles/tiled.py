@@ -23,6 +23,7 @@ from clvol.scene.multiresolution import Multiresolution
 
 _ROUND = 0.1  # rays of a round of refinement, of those that are left ...
 _LEAST_ROUND = 0.02  # ... but at least so many, of all pixels
+_READS = 1.5  # times as long as reading the image takes, in the end, what is done besides
 _SAFETY = 0.9  # of the time that is left, a round is made for
 
 
@@ -211,8 +212,11 @@ class TiledRenderer:
         work, _ = picture.refine(tiles, report)
         if not refines:
             return picture.frame()
-        deadline = None if seconds is None else start + seconds
-        errors = TileErrors(estimated_errors(picture.read(), picture.grid, picture.resolution, work))
+        reading = self.clock()
+        image = picture.read()
+        reading = _READS * (self.clock() - reading)
+        deadline = None if seconds is None else start + seconds - reading
+        errors = TileErrors(estimated_errors(image, picture.grid, picture.resolution, work))
         self._refine(picture, errors, limit, start, deadline, report)
         frame = picture.frame()
         frame.estimated_rmse = errors.rmse(picture.unknown, width * height)
