@@ -1,14 +1,15 @@
 /* The picture between the rays of its tiles, in place: P2 (Ljung 2006), section 4.2, intertile interpolation.
  *
- * A tile's rays stand on the crossings of its lines (clvol/render/tiles/geometry.py). Within a tile the picture is piecewise linear
- * along either axis, and beyond the outermost lines it stays as it is there. Tiles are blended from the outermost ray of
- * one to that of the next: delta_i is the distance of tile i's outermost line from the border between them, and
+ * A tile's rays stand on the crossings of its lines (clvol/render/tiles/geometry.py). Within a tile the picture is piecewise
+ * linear along either axis, and beyond the outermost lines it stays as it is there. Tiles are blended from the outermost ray
+ * of one to that of the next: delta_i is the distance of tile i's outermost line from the border between them, and
  *
  *   e_ij = clamp((rho + delta_i) / (delta_i + delta_j), 0, 1)                                     (P2, eq. 5)
  *
  * how much tile j counts against i at distance rho beyond the border. Here a tile's two sides have each their own delta.
  *
- * Of the four tiles around a corner let A be the pixel's own, B beside it, C above or below, and D across. P2 (eq. 6) weighs them by
+ * Of the four tiles around a corner let A be the pixel's own, B beside it, C above or below, and D across. P2 (eq. 6) weighs
+ * them by
  *
  *   w_A = (1 - e_AB) (1 - e_AC)    w_B = e_AB (1 - e_BD)    w_C = (1 - e_CD) e_AC    w_D = e_CD e_BD
  *

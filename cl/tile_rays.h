@@ -1,5 +1,6 @@
 /* Rays of a list of pixels, for pictures that are not cast whole (clvol/render/tiles). What casts them is the includer's: before
- * this file it includes a packet renderer, render_packet(PACKET_ARGUMENTS EFFECT_ARGUMENTS, px, py, rgba, depth, samples), and defines
+ * this file it includes a packet renderer, render_packet(PACKET_ARGUMENTS EFFECT_ARGUMENTS, px, py, rgba, depth, samples), and
+ * defines
  *
  *   PACKET_PARAMETERS  the parameters of its scene; the last one is the View, named `view`, of the whole picture
  *   PACKET_ARGUMENTS   their names

@@ -1,13 +1,13 @@
 /* What the rays through the corners of a picture's tiles meet: P2 (Ljung 2006), section 4.1.
  *
- * P2 advances a ray by floor(l) + 1 samples, l to the exit of its block. Here it goes from block to block by their faces (Amanatides and
- * Woo 1987): every block that the ray passes through counts once, none twice.
+ * P2 advances a ray by floor(l) + 1 samples, l to the exit of its block. Here it goes from block to block by their faces
+ * (Amanatides and Woo 1987): every block that the ray passes through counts once, none twice.
  *
- * index       int2 [blocks], bits 0 .. 3 of a block's second word: 1 + log2 of its samples an axis, or 15 where nothing of it is kept
+ * index       int2 [blocks], bits 0 .. 3 of a block's second word: 1 + log2 of its samples an axis, or 15 where it is dropped
  * grid        blocks x, y, z; voxels an edge of one
  * tiles       columns, rows of tiles; edge of a tile in pixels; -
- * statistics  float4 [rows + 1, columns + 1]: greatest, mean and root mean square of the blocks' samples an axis over `edge`, and how
- *             many blocks there were; zeros for a ray that misses
+ * statistics  float4 [rows + 1, columns + 1]: greatest, mean and root mean square of the blocks' samples an axis over an edge,
+ *             and how many blocks there were; zeros for a ray that misses
  *
  * Compiled with LANES 1.
  */

@@ -3,6 +3,6 @@
 geometry.py  where a tile's rays are          work.py    which rays are to be cast
 plan.py      how many rays each tile gets      refine.py  which tiles get more
 launch.py, join.py, statistics.py             the kernels' host side
-tiled.py     pictures from all of it          plain.py   with the plain ray caster
-twin.py      the kernels in numpy
+picture.py, tiled.py                          pictures from all of it
+plain.py     with the plain ray caster        twin.py    the kernels in numpy
 """

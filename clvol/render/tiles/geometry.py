@@ -1,16 +1,16 @@
 """Where a tile's rays are: arithmetic alone.
 
-The picture is cut into tiles of ``size`` by ``size`` pixels, cut short at the right and lower edge. The
-rays of a tile stand on the crossings of some of its columns of pixels and some of its rows: its
-lines. P2 (Ljung 2006, section 4) renders a tile as a small picture of tau by tau pixels of its own, at any
-tau. Here every ray goes through the centre of a pixel of the final picture, so that the picture at full
-resolution is the plain one and a ray once cast stays: with tau lines on an axis of n pixels, line i is
-pixel floor((i + 1/2) n / tau). A tile cut short has as many lines as its length has share of a whole
-one's, rounded up.
+The picture is cut into tiles of ``size`` by ``size`` pixels, cut short at the right and lower edge.
+The rays of a tile stand on the crossings of some of its columns of pixels and some of its rows: its
+lines. P2 (Ljung 2006, section 4) renders a tile as a small picture of tau by tau pixels of its own,
+at any tau. Here every ray goes through the centre of a pixel of the final picture, so that the
+picture at full resolution is the plain one and a ray once cast stays: with tau lines on an axis of
+n pixels, line i is pixel floor((i + 1/2) n / tau). A tile cut short has as many lines as its length
+has share of a whole one's, rounded up.
 
-Refining a tile halves the gaps between its lines and adds lines to those it has: one in the middle of
-each gap, and one half-way from the outermost lines to the borders. (Positions of 2 tau lines by the
-formula above would hold none of the old ones, and a quarter of the rays would be lost for the
+Refining a tile halves the gaps between its lines and adds lines to those it has: one in the middle
+of each gap, and one half-way from the outermost lines to the borders. (Positions of 2 tau lines by
+the formula above would hold none of the old ones, and a quarter of the rays would be lost for the
 interpolation.)
 """
 
@@ -27,7 +27,8 @@ SMALLEST, LARGEST = 2, 256  # pixels an edge of a tile
 
 @dataclass(frozen=True)
 class TileGrid:
-    """Tiles of ``size`` pixels an edge over a picture of ``width`` by ``height``, numbered row by row."""
+    """Tiles of ``size`` pixels an edge over a picture of ``width`` by ``height``, numbered row by
+    row."""
 
     width: int
     height: int
@@ -66,15 +67,15 @@ class TileGrid:
 
 @dataclass(eq=False)
 class Resolution:
-    """What resolution each tile has: ``tau`` (1 ... size) planned, and how often its gaps were halved
-    since; both int64 [tiles]. ``halvings`` -1: no ray at all."""
+    """What resolution each tile has: ``tau`` (1 ... size) planned, and how often its gaps were
+    halved since; both int64 [tiles]. ``halvings`` -1: no ray at all."""
 
     tau: np.ndarray
     halvings: np.ndarray
 
     def on_axis(self, grid: TileGrid, axis: int, tiles: np.ndarray) -> np.ndarray:
-        """int64 [k, 4]: (length, size, tau, halvings) of ``tiles`` on ``axis`` (0: columns, 1: rows),
-        as ``lines`` takes them."""
+        """int64 [k, 4]: (length, size, tau, halvings) of ``tiles`` on ``axis`` (0: columns, 1:
+        rows), as ``lines`` takes them."""
         size = np.full(len(tiles), grid.size)
         keys = (grid.lengths[tiles, axis], size, self.tau[tiles], self.halvings[tiles])
         return np.stack(keys, axis=1)
@@ -82,7 +83,8 @@ class Resolution:
 
 @lru_cache(maxsize=8192)
 def lines(length: int, size: int, tau: int, halvings: int) -> tuple[int, ...]:
-    """The pixels, ascending, in which an axis of ``length`` pixels has its lines; none at -1 halvings."""
+    """The pixels, ascending, in which an axis of ``length`` pixels has its lines; none at -1
+    halvings."""
     if halvings < 0:
         return ()
     if halvings == 0:
@@ -100,16 +102,16 @@ def halved(positions: tuple[int, ...], length: int) -> tuple[int, ...]:
 
 
 def each_axis(function: Callable[..., object], keys: np.ndarray) -> np.ndarray:
-    """``function(length, size, tau, halvings)`` for each row of ``keys`` [k, 4], called once for each
-    different one; int64 [k]."""
+    """``function(length, size, tau, halvings)`` for each row of ``keys`` [k, 4], called once for
+    each different one; int64 [k]."""
     different, inverse = unique_rows(keys)
     values = np.array([function(*map(int, key)) for key in different], np.int64)
     return values[inverse]
 
 
 def unique_rows(keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The different rows of ``keys`` int64 [k, m <= 5] (numbers from -1 to 4094) and which of them each
-    row is [k]. As one number a row: ``np.unique`` over an axis takes ten times as long."""
+    """The different rows of ``keys`` int64 [k, m <= 5] (numbers from -1 to 4094) and which of them
+    each row is [k]. As one number a row: ``np.unique`` over an axis takes ten times as long."""
     packed = (keys + 1) @ (1 << 12 * np.arange(keys.shape[1], dtype=np.int64))
     _, first, inverse = np.unique(packed, return_index=True, return_inverse=True)
     return keys[first], inverse.ravel()
@@ -125,7 +127,8 @@ def ray_counts(grid: TileGrid, resolution: Resolution, tiles: np.ndarray) -> np.
 
 
 class LineTable:
-    """For each pixel of an axis the lines that it lies between, for all sets of lines asked for so far.
+    """For each pixel of an axis the lines that it lies between, for all sets of lines asked for so
+    far.
 
     ``array`` uint8 [entries, 2]: (low, high), the pixels of the nearest lines at or before and at
     or after this one; beyond the outermost line both are that line. A set's entries follow one

@@ -13,7 +13,7 @@ from clvol.render.tiles.work import RayWork
 from clvol.schedule.tiles import bands
 
 _BAND_SECONDS = 0.5
-_PACKETS_AN_ITEM = 4  # of 16 lanes; enough that starting work-items costs nothing, few enough to share
+_PACKETS_AN_ITEM = 4  # of 16 lanes: starting work-items costs nothing, all cores have some
 _LIST_ARGUMENTS = (
     ", in rays int32, value count int32, value rays_an_item int32, out image float32, "
     "out depths float32, out changes float32, out samples uint32"
@@ -24,10 +24,10 @@ _LIST_ARGUMENTS = (
 class PacketRenderer:
     """The kernel ``tile_rays`` of ``file``, which includes a packet renderer and cl/tile_rays.h.
 
-    ``scene_arguments``: declarations of its PACKET_PARAMETERS, "in view V1" last; ``arrays`` holds them
-    all but the view. ``effect_arguments`` (begins with a comma, ends with "out counts uint32") and
-    ``effect_arrays`` (without the counts): those of EFFECT_PARAMETERS, empty where there are none.
-    ``seconds_a_ray``: a guess, for how to cut the work into launches.
+    ``scene_arguments``: declarations of its PACKET_PARAMETERS, "in view V1" last; ``arrays`` holds
+    them all but the view. ``effect_arguments`` (begins with a comma, ends with "out counts uint32")
+    and ``effect_arrays`` (without the counts): those of EFFECT_PARAMETERS, empty where there are
+    none. ``seconds_a_ray``: a guess, for how to cut the work into launches.
     """
 
     file: str
@@ -42,9 +42,9 @@ class PacketRenderer:
 
 @dataclass(frozen=True, eq=False)
 class CastRays:
-    """``changes`` float32 [rays]: mean square over the channels of what each ray changed in the picture.
-    ``samples``: reconstructions of the volume. ``counts`` uint32 [work-items, COUNTERS]: what effects
-    counted, None where there are none."""
+    """``changes`` float32 [rays]: mean square over the channels of what each ray changed in the
+    picture. ``samples``: reconstructions of the volume. ``counts`` uint32 [work-items, COUNTERS]:
+    what effects counted, None where there are none."""
 
     changes: np.ndarray
     samples: int
@@ -62,7 +62,8 @@ def cast_rays(
 ) -> CastRays:
     """Writes the rays of ``work`` into ``image`` [height, width, 4] and ``depths`` [height, width].
 
-    ``view``: ``View`` [1] of the whole picture. ``progress(rays done)`` is called after each launch.
+    ``view``: ``View`` [1] of the whole picture. ``progress(rays done)`` is called after each
+    launch.
     """
     if not work.count:
         none = np.zeros((0, len(COUNTERS)), np.uint32) if packets.effect_arguments else None

@@ -16,8 +16,8 @@ _SECONDS_A_SAMPLE = 1e-8  # as of a whole picture
 
 
 class TileRaycaster(Raycaster):
-    """A ``Raycaster`` that casts lists of rays too: an engine for ``TiledRenderer``. It has no blocks,
-    so all its tiles are of the same resolution to begin with."""
+    """A ``Raycaster`` that casts lists of rays too: an engine for ``TiledRenderer``. It has no
+    blocks, so all its tiles are of the same resolution to begin with."""
 
     def packets(self, depth: bool) -> PacketRenderer:
         has_effects = bool(self.effects.switches)

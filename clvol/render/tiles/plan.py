@@ -1,4 +1,5 @@
-"""From what rays through the tiles' corners meet to the resolution of each tile (P2, section 4.1)."""
+"""From what rays through the tiles' corners meet to the resolution of each tile (P2, section
+4.1)."""
 
 from __future__ import annotations
 
@@ -7,9 +8,10 @@ from typing import Literal
 import numpy as np
 
 MAXIMUM, AVERAGE, RMS, COUNT = range(4)
-"""Of ``corners`` [rows + 1, columns + 1, 4]: the greatest, the mean and the root mean square of the scale
-kappa in [0, 1] (samples an axis over those at full resolution; 0: dropped) of the blocks along the ray
-through a tile corner, and how many blocks there are; 0 for a ray that misses the volume."""
+"""Of ``corners`` [rows + 1, columns + 1, 4]: the greatest, the mean and the root mean square of the
+scale kappa in [0, 1] (samples an axis over those at full resolution; 0: dropped) of the blocks
+along the ray through a tile corner, and how many blocks there are; 0 for a ray that misses the
+volume."""
 
 Priority = Literal["max", "average", "rms"]
 
@@ -18,10 +20,10 @@ def priorities(corners: np.ndarray, priority: Priority) -> np.ndarray:
     """float64 [rows, columns] in [0, 1]: how much resolution each tile deserves.
 
     "max": the greatest of its corners' maxima; "average": the mean of their means; "rms": the root
-    mean square of theirs. Of a tile that lies partly beside the volume only the corners count that meet
-    it: a ray that meets no block has no mean of them. 0 where no corner does. (P2 drops such tiles.
-    But a corner of the volume can poke into a tile between its corners: here they get the lowest
-    quality, and rays that miss cost next to nothing.)
+    mean square of theirs. Of a tile that lies partly beside the volume only the corners count that
+    meet it: a ray that meets no block has no mean of them. 0 where no corner does. (P2 drops such
+    tiles. But a corner of the volume can poke into a tile between its corners: here they get the
+    lowest quality, and rays that miss cost next to nothing.)
     """
     corners = np.asarray(corners, np.float64)
     meets = _of_tiles(corners[..., COUNT]) > 0
@@ -40,7 +42,8 @@ def _of_tiles(corners: np.ndarray) -> np.ndarray:
 
 
 def histogram(priority: np.ndarray, slots: int) -> tuple[np.ndarray, np.ndarray]:
-    """int64 [slots + 1] how many tiles have a priority in each slot, and int64 [...] each one's slot.
+    """int64 [slots + 1] how many tiles have a priority in each slot, and int64 [...] each one's
+    slot.
 
     Slot 0 holds those of priority 0, slot k those in ((k - 1) / slots, k / slots].
     """
@@ -50,9 +53,9 @@ def histogram(priority: np.ndarray, slots: int) -> tuple[np.ndarray, np.ndarray]
 
 
 def qualities(priority: np.ndarray, low: float, high: float, slots: int) -> np.ndarray:
-    """Shares of a tile's edge in (0, 1]: ``high`` in the highest slot that any tile is in, from there
-    linear in the number of the slot down to ``low`` for those of priority 0. ``slots``: P2 takes as many
-    as a block's edge has samples."""
+    """Shares of a tile's edge in (0, 1]: ``high`` in the highest slot that any tile is in, from
+    there linear in the number of the slot down to ``low`` for those of priority 0. ``slots``: P2
+    takes as many as a block's edge has samples."""
     counts, slot = histogram(priority, slots)
     top = int(np.flatnonzero(counts)[-1])
     return low + (high - low) * slot / max(top, 1)

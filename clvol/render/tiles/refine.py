@@ -3,14 +3,15 @@
 Errors are mean squares over a tile's pixels without a ray, and over the four channels (linear,
 premultiplied). They are known in two ways:
 
-- Before a tile is refined, from the second differences D of the picture across its rays (one line to
-  either side, so over the borders too). Along an axis linear interpolation between samples h apart of a
-  smooth function f is off by (h^2 - 4 u^2) f'' / 8 at distance u from the middle: a mean square of
-  D^2 / 120, D = h^2 f''. Where f jumps by J between two samples it is J^2 / 6 between these two, next to
-  both of which D = J: D^2 / 12. The estimate takes the geometric mean of the two. What was not refined yet
-  is then multiplied by what the refined tiles showed: measured over estimated.
-- When a tile is refined, its new rays show how wrong the picture was before: they stand in the middle
-  of the gaps, where interpolation is worst. By how much halving the gaps has lowered it is
+- Before a tile is refined, from the second differences D of the picture across its rays (one line
+  to either side, so over the borders too). Along an axis linear interpolation between samples h
+  apart of a smooth function f is off by (h^2 - 4 u^2) f'' / 8 at distance u from the middle: a mean
+  square of D^2 / 120, D = h^2 f''. Where f jumps by J between two samples it is J^2 / 6 between
+  these two, next to both of which D = J: D^2 / 12. The estimate takes the geometric mean of the
+  two. What was not refined yet is then multiplied by what the refined tiles showed: measured over
+  estimated.
+- When a tile is refined, its new rays show how wrong the picture was before: they stand in the
+  middle of the gaps, where interpolation is worst. By how much halving the gaps has lowered it is
   taken from the tiles that were refined twice; until there are some, by a factor of 4 (of the mean
   square: between 16, where the picture is smooth, and 2, where it jumps).
 
@@ -32,8 +33,8 @@ _LEAST_FALL, _MOST_FALL = 1.0 / 16.0, 1.0  # ... and what it is held between
 def estimated_errors(
     image: np.ndarray, grid: TileGrid, resolution: Resolution, work: RayWork
 ) -> np.ndarray:
-    """float64 [tiles]: mean square errors from second differences of ``image`` [height, width, 4] (joined).
-    ``work``: the rays of all tiles."""
+    """float64 [tiles]: mean square errors from second differences of ``image`` [height, width, 4]
+    (joined). ``work``: the rays of all tiles."""
     tiles = np.arange(grid.count)
     row, column = np.divmod(work.pixels, grid.width)
     middle = image[row, column]
@@ -86,7 +87,8 @@ class TileErrors:
         return np.where(refined, after, self._estimates * self.correction)
 
     def refined(self, tiles: np.ndarray, measured: np.ndarray) -> None:
-        """``tiles`` (numbers) were refined; their new rays were off by ``measured`` [k] from the picture."""
+        """``tiles`` (numbers) were refined; their new rays were off by ``measured`` [k] from the
+        picture."""
         before = self._measured[tiles]
         again = ~np.isnan(before)
         self._again += measured[again].sum(), before[again].sum()
@@ -100,10 +102,11 @@ class TileErrors:
     def choose(
         self, unknown: np.ndarray, costs: np.ndarray, round_rays: float, most_rays: float
     ) -> np.ndarray:
-        """The tiles (numbers) to refine next: those with the greatest sum of squared errors for each ray that
-        refining them costs (so that no large or nearly full tile is favoured), of about ``round_rays``
-        in all, at least one tile, but never more than ``most_rays``. ``unknown``, ``costs`` [tiles]:
-        pixels without a ray, rays that refining adds; 0 where a tile is complete."""
+        """The tiles (numbers) to refine next: those with the greatest sum of squared errors for
+        each ray that refining them costs (so that no large or nearly full tile is favoured), of
+        about ``round_rays`` in all, at least one tile, but never more than ``most_rays``.
+        ``unknown``, ``costs`` [tiles]: pixels without a ray, rays that refining adds; 0 where a
+        tile is complete."""
         open_tiles = np.flatnonzero((costs > 0) & (costs <= most_rays))
         worth = self.mean_squares[open_tiles] * unknown[open_tiles] / costs[open_tiles]
         order = open_tiles[np.argsort(-worth, kind="stable")]

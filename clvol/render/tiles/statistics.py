@@ -22,8 +22,8 @@ def corner_statistics(
     tiles: TileGrid,
 ) -> np.ndarray:
     """float32 [rows + 1, columns + 1, 4], as clvol/render/tiles/plan.py takes them. ``index`` int32
-    [blocks, 2] (bits 0 ... 3 of a block's second word say how many samples it has); ``view``: ``View`` [1]
-    of the whole picture, for voxels of ``voxel_bits``."""
+    [blocks, 2] (bits 0 ... 3 of a block's second word say how many samples it has); ``view``:
+    ``View`` [1] of the whole picture, for voxels of ``voxel_bits``."""
     kernel = context.kernel(
         "tile_statistics.cl", "tile_statistics", _ARGUMENTS, {"LANES": 1, "VOXEL_BITS": voxel_bits}
     )

@@ -14,8 +14,8 @@ DROPPED_CODE = 15
 class JoinTwin:
     """cl/tile_join.cl: what a picture shows between the rays of its tiles.
 
-    ``paper``: P2's weights (eq. 6) as they are, in which a tile across a corner counts even where the
-    pixel's own tile has rays on all sides.
+    ``paper``: P2's weights (eq. 6) as they are, in which a tile across a corner counts even where
+    the pixel's own tile has rays on all sides.
     """
 
     def __init__(self, grid: TileGrid, resolution: Resolution, *, paper: bool = False) -> None:
@@ -31,8 +31,8 @@ class JoinTwin:
         return mask
 
     def join(self, image: np.ndarray, depths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """``image`` [height, width, ...] and ``depths`` [height, width] with all pixels filled from those
-        that have a ray; the others' values are not read."""
+        """``image`` [height, width, ...] and ``depths`` [height, width] with all pixels filled from
+        those that have a ray; the others' values are not read."""
         known = self.is_ray()
         colors = np.array(image, np.float64)
         joined, nearest = colors.copy(), np.array(depths)
@@ -46,8 +46,8 @@ class JoinTwin:
         return joined, nearest
 
     def parts(self, x: int, y: int) -> list[tuple[float, int]]:
-        """(weight, tile) of the four tiles around the corner nearest to a pixel, its own first; not yet
-        divided by their sum."""
+        """(weight, tile) of the four tiles around the corner nearest to a pixel, its own first; not
+        yet divided by their sum."""
         grid = self.grid
         column, row = x // grid.size, y // grid.size
         tile = row * grid.columns + column
@@ -58,8 +58,11 @@ class JoinTwin:
         beside, beyond = beside if meets[0] else column, beyond if meets[1] else row
         a, b = tile, row * grid.columns + beside
         c, d = beyond * grid.columns + column, beyond * grid.columns + beside
-        ab, cd = (self._edge(0, x, i, j, after[0]) if meets[0] else 0.0 for i, j in ((a, b), (c, d)))
-        ac, bd = (self._edge(1, y, i, j, after[1]) if meets[1] else 0.0 for i, j in ((a, c), (b, d)))
+        ab = cd = ac = bd = 0.0
+        if meets[0]:
+            ab, cd = (self._edge(0, x, *pair, after[0]) for pair in ((a, b), (c, d)))
+        if meets[1]:
+            ac, bd = (self._edge(1, y, *pair, after[1]) for pair in ((a, c), (b, d)))
         weights = [(1 - ab) * (1 - ac), ab * (1 - bd), (1 - cd) * ac, cd * bd]
         if not self.paper:
             across = [
@@ -79,7 +82,8 @@ class JoinTwin:
         return float(np.clip((pixel - first) / (second - first), 0.0, 1.0))
 
     def _color(self, image: np.ndarray, tile: int, x: int, y: int) -> np.ndarray:
-        (left, top), along_x, along_y = self.grid.origins[tile], self.lines[0][tile], self.lines[1][tile]
+        left, top = self.grid.origins[tile]
+        along_x, along_y = (lines_of[tile] for lines_of in self.lines)
         rays = image[np.ix_(top + along_y, left + along_x)]
         for position, at in ((y - top, along_y), (x - left, along_x)):
             position = np.clip(position, at[0], at[-1])
@@ -100,9 +104,9 @@ class JoinTwin:
 def corner_statistics_twin(
     index: np.ndarray, blocks: BlockGrid, frame: RayFrame, tiles: TileGrid, upper: np.ndarray
 ) -> np.ndarray:
-    """cl/tile_statistics.cl: float64 [rows + 1, columns + 1, 4]. ``index`` int32 [blocks, 2]; ``upper``:
-    size of the lattice less 1, (x, y, z). Cuts each ray at all faces between blocks, and looks where the middle of
-    each piece is."""
+    """cl/tile_statistics.cl: float64 [rows + 1, columns + 1, 4]. ``index`` int32 [blocks, 2];
+    ``upper``: size of the lattice less 1, (x, y, z). Cuts each ray at all faces between blocks, and
+    looks where the middle of each piece is."""
     codes = np.asarray(index)[:, 1] & 15
     scales = np.where(codes == DROPPED_CODE, 0.0, 2.0 ** (codes - 1.0) / blocks.edge)
     statistics = np.zeros((tiles.rows + 1, tiles.columns + 1, 4))

@@ -12,9 +12,9 @@ from clvol.render.tiles.geometry import Resolution, TileGrid, lines, unique_rows
 
 @dataclass(frozen=True, eq=False)
 class RayWork:
-    """``pixels`` int32 [rays]: row * width + column of each ray; ``tiles`` int32 [rays]: whose it is. A
-    tile's rays follow one another, neighbours near to each other: packets stay narrow, and hold
-    rays of several tiles where one has too few."""
+    """``pixels`` int32 [rays]: row * width + column of each ray; ``tiles`` int32 [rays]: whose it
+    is. A tile's rays follow one another, neighbours near to each other: packets stay narrow, and
+    hold rays of several tiles where one has too few."""
 
     pixels: np.ndarray
     tiles: np.ndarray
@@ -25,8 +25,8 @@ class RayWork:
 
 
 def ray_work(grid: TileGrid, resolution: Resolution, tiles: np.ndarray) -> RayWork:
-    """The rays that ``tiles`` (numbers) need to have their gaps halved once more; those that have none
-    yet, to be as planned."""
+    """The rays that ``tiles`` (numbers) need to have their gaps halved once more; those that have
+    none yet, to be as planned."""
     halvings = resolution.halvings[tiles]
     keys = np.column_stack([grid.lengths[tiles], resolution.tau[tiles], halvings])
     different, inverse = unique_rows(keys)

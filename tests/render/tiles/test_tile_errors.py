@@ -79,7 +79,7 @@ def test_the_worst_error_for_a_ray_comes_first_and_no_budget_is_passed():
     errors = TileErrors(np.array([1.0, 5.0, 3.0, 0.0, 9.0]))
     unknown = np.array([10, 10, 10, 10, 0])
     costs = np.array([4, 40, 4, 4, 0])  # the last one is complete
-    assert list(errors.choose(unknown, costs, 8, 100)) == [0, 2]  # 1 / 40 of 50 is less than 1 / 4 of 10
+    assert list(errors.choose(unknown, costs, 8, 100)) == [0, 2]  # 50 / 40 is less than 10 / 4
     assert list(errors.choose(unknown, costs, 1, 100)) == [2]  # at least one
     assert list(errors.choose(unknown, costs, 1000, 47)) == [0, 2]
     assert list(errors.choose(unknown, costs, 1000, 52)) == [0, 1, 2, 3]

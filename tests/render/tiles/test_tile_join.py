@@ -103,7 +103,8 @@ def test_any_ramp_is_exact_between_equal_tiles(context):
 
 
 def steepest(context, grid: TileGrid, resolution: Resolution) -> float:
-    """The greatest change from one pixel to the next, where tiles next to each other are black and white."""
+    """The greatest change from one pixel to the next, where tiles next to each other are black and
+    white."""
     image = np.zeros((grid.height, grid.width, 4), np.float32)
     for tile, (left, top) in enumerate(grid.origins):
         image[top : top + grid.size, left : left + grid.size] = tile % 2 ^ tile // grid.columns % 2

@@ -33,8 +33,8 @@ def test_priorities_are_of_the_corners_that_meet_the_volume():
 @pytest.mark.parametrize("priority", ["max", "average", "rms"])
 def test_priorities_are_ordered_and_in_the_unit_interval(priority):
     rng = np.random.default_rng(1)
-    kinds = [[rng.choice([0.0, 0.125, 1.0], rng.integers(0, 9)) for _ in range(9)] for _ in range(7)]
-    corners = corners_of(kinds)
+    met = [rng.choice([0.0, 0.125, 1.0], rng.integers(0, 9)) for _ in range(63)]
+    corners = corners_of([met[9 * row : 9 * row + 9] for row in range(7)])
     values = priorities(corners, priority)
     assert values.shape == (6, 8) and values.min() >= 0 and values.max() <= 1
     average, rms, most = (priorities(corners, name) for name in ("average", "rms", "max"))

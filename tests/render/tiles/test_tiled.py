@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from small_scenes import SMOOTH, make_scene, rms, waves
 
-from clvol import TransferFunction
+from clvol import TransferFunction, load_scene
 from clvol.render.tiles.geometry import ray_counts
 from clvol.render.tiles.plain import TileRaycaster
 from clvol.render.tiles.tiled import TiledRenderer
@@ -14,14 +16,18 @@ from clvol.render.tiles.twin import JoinTwin
 from clvol.scene.multiresolution import Multiresolution
 
 EDGES = TransferFunction(
-    [0, 99, 101, 180, 182, 255], [0, 0, 0.3, 0.3, 0.9, 0.9], [[0.2, 0.5, 0.9]] * 3 + [[1, 0.8, 0.3]] * 3
+    [0, 99, 101, 180, 182, 255],
+    [0, 0, 0.3, 0.3, 0.9, 0.9],
+    [[0.2, 0.5, 0.9]] * 3 + [[1, 0.8, 0.3]] * 3,
 )
+DEMO = Path(__file__).resolve().parents[3] / "data" / "demo.toml"
 SIZES = [(7, 5, 16), (7, 5, 3), (1, 1, 2), (61, 45, 16), (33, 70, 9)]
 
 
 @pytest.fixture(scope="module")
 def engines(contexts):
-    """``engine(context)``: one a device, so that nothing is compiled twice; its scene has edges in it."""
+    """``engine(context)``: one a device, so that nothing is compiled twice; its scene has edges in
+    it."""
     made: dict = {}
 
     def engine(context) -> TileRaycaster:
@@ -111,13 +117,32 @@ def test_refining_only_adds_rays_and_takes_errors_away(context, engines):
     frames = [renderer.render(camera, width, height, rays=rays) for rays in
               (1, 800, 1600, 3200, 4800, 6300)]  # fmt: skip
     known = [frame.rays for frame in frames]
-    assert known[0] == renderer.start(camera, width, height).costs.sum()  # the planned ones, in any case
+    planned = renderer.start(camera, width, height).costs.sum()
+    assert known[0] == planned  # are cast in any case
     for frame, rays in zip(frames[1:], (800, 1600, 3200, 4800, 6300)):
         assert rays - 300 < frame.rays <= rays
     errors = [rms(frame.rgba, plain) for frame in frames]
     assert (np.diff(errors) < 0).all() and errors[-1] == 0.0, errors
     for frame, error in list(zip(frames, errors))[1:4]:
         assert 0.4 * error < frame.estimated_rmse < 2.5 * error, (frame.estimated_rmse, error)
+
+
+def test_a_picture_goes_on_where_it_stopped(context, engines):
+    engine = engines(context)
+    camera = engine.resolved.camera
+    plain = engine.render(camera, 90, 70)
+    picture = tiled(engine, 16, tile_high=0.12).start(camera, 90, 70)
+    picture.cast()
+    errors, known = [], []
+    for rays in (1000, 2500, 4000):
+        picture.improve(rays=rays)
+        known.append(JoinTwin(picture.grid, picture.resolution).is_ray())
+        errors.append(rms(picture.read(), plain.rgba))
+    assert errors[0] > errors[1] > errors[2] > 0
+    assert (known[1] | ~known[0]).all() and (known[2] | ~known[1]).all()
+    picture.improve()
+    np.testing.assert_array_equal(picture.frame().rgba, plain.rgba)
+    assert picture.samples == plain.samples  # none was cast twice
 
 
 def test_rays_stay_what_they_are_while_tiles_are_refined(context, engines):
@@ -194,6 +219,30 @@ def test_without_depth_there_is_none_and_colours_are_the_same(first_device, cont
     without = renderer.render(camera, 40, 30, depth=False)
     assert without.depth is None
     np.testing.assert_array_equal(without.rgba, renderer.render(camera, 40, 30).rgba)
+
+
+def test_a_ray_a_work_item_gives_the_same_picture(first_device, contexts):
+    """As on GPUs: there all lanes are one."""
+    scene = make_scene(waves((20, 19, 21)), EDGES, classification="post")
+    engine = TileRaycaster(contexts(first_device), scene, lanes=1)
+    plain = engine.render(scene.camera, 30, 20)
+    known = TiledRenderer(engine, Multiresolution(tiles=8, tile_high=0.4))
+    for rays in (200, 600):
+        frame = known.render(scene.camera, 30, 20, rays=rays)
+        same = np.all(frame.rgba == plain.rgba, axis=2)
+        assert same.sum() >= frame.rays > rays - 60
+    np.testing.assert_array_equal(frame.rgba, plain.rgba)
+
+
+def test_a_real_volume_needs_few_rays_for_most_of_the_picture(first_device, contexts):
+    scene = load_scene(DEMO, ["image.width=128", "image.height=128"]).resolve()
+    engine = TileRaycaster(contexts(first_device), scene)
+    plain = engine.render(scene.camera, 128, 128)
+    renderer = tiled(engine, 8, tile_high=0.125)
+    frames = [renderer.render(scene.camera, 128, 128, rays=n) for n in (1, 4096, 8192, 16384)]
+    errors = [rms(frame.rgba, plain.rgba) for frame in frames]
+    assert errors[1] < 0.5 * errors[0] and errors[2] < 0.25 * errors[0] and errors[3] == 0, errors
+    assert frames[2].samples < plain.samples
 
 
 def test_nothing_is_compiled_once_warm(context, engines):
