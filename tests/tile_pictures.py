@@ -23,7 +23,7 @@ def rays_only(grid: TileGrid, resolution: Resolution, image: np.ndarray) -> np.n
     return np.where(known[..., None], image, np.nan).astype(np.float32)
 
 
-def joined(context, grid, resolution, image, depths=None, tiles=None):
+def joined(context, grid, resolution, image, depths=None, tiles=None, rows_an_item=None):
     """Image and depths filled on the device, from what a ray shows alone."""
     depths = np.zeros(image.shape[:2], np.float32) if depths is None else depths
     known = JoinTwin(grid, resolution).is_ray()
@@ -31,5 +31,5 @@ def joined(context, grid, resolution, image, depths=None, tiles=None):
     context.write(on_device[0], rays_only(grid, resolution, image))
     context.write(on_device[1], np.where(known, depths, np.nan).astype(np.float32))
     tiles = np.arange(grid.count) if tiles is None else tiles
-    Joiner(context, grid).join(resolution, tiles, *on_device)
+    Joiner(context, grid, rows_an_item=rows_an_item).join(resolution, tiles, *on_device)
     return tuple(context.read(each) for each in on_device)

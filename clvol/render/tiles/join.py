@@ -14,10 +14,19 @@ _ARGUMENTS = (
 
 
 class Joiner:
-    """Fills the pixels without a ray of one picture's tiles."""
+    """Fills the pixels without a ray of one picture's tiles. ``rows_an_item``: rows of a tile that
+    a work-item fills; by default a whole tile's where a work-item is slow to start, else one: tiles
+    may be few."""
 
-    def __init__(self, context: DeviceContext, grid: TileGrid, depth: bool = True) -> None:
+    def __init__(
+        self,
+        context: DeviceContext,
+        grid: TileGrid,
+        depth: bool = True,
+        rows_an_item: int | None = None,
+    ) -> None:
         self.context, self.grid = context, grid
+        self.rows_an_item = rows_an_item or (grid.size if context.is_cpu else 1)
         self.kernel = context.kernel(
             "tile_join.cl", "tile_join", _ARGUMENTS, {"WITH_DEPTH": int(depth)}
         )
@@ -35,16 +44,14 @@ class Joiner:
         offsets = self._table.offsets(grid, resolution)
         if self._table.entries != before:
             self._lines = context.upload(self._table.array)
-        # A whole tile each where a work-item is slow to start, else a row: tiles may be few.
-        rows_an_item = grid.size if context.is_cpu else 1
         self.kernel(
             context.queue,
-            (len(chosen) * -(-grid.size // rows_an_item),),
+            (len(chosen) * -(-grid.size // self.rows_an_item),),
             (1,) if context.is_cpu else None,
             lines=self._lines,
             tile_lines=context.upload(offsets),
             chosen=context.upload(np.asarray(chosen, np.int32)),
-            shape=(grid.width, grid.height, grid.size, rows_an_item),
+            shape=(grid.width, grid.height, grid.size, self.rows_an_item),
             image=image,
             depths=depths,
         )

@@ -107,6 +107,11 @@ class TiledPicture:
     def _rays_at(self, halvings: np.ndarray) -> np.ndarray:
         return ray_counts(self.grid, Resolution(self.resolution.tau, halvings), self._tiles)
 
+    def coarsen(self, by: int) -> bool:
+        """Plans a ``by``-th of the lines, rounded up, before any ray is cast; whether that is less."""
+        tau, self.resolution.tau = self.resolution.tau, -(-self.resolution.tau // by)
+        return bool((self.resolution.tau < tau).any())
+
     def cast(self, progress: Callable[[int], None] | None = None) -> None:
         """The planned rays of all tiles. ``progress(rays so far)`` is called after each launch."""
         start = self.clock()

@@ -17,6 +17,8 @@ from clvol.render.tiles.work import RayWork
 from clvol.scene.camera import Camera
 from clvol.scene.multiresolution import Multiresolution
 
+_COARSER = 4  # lines planned, to those that a picture for a given time begins with
+
 
 class TiledRenderer:
     """Renders an engine's scene tile by tile, as ``settings`` say (``tiles`` at least 2).
@@ -76,10 +78,14 @@ class TiledRenderer:
         seconds: float | None = None,
         rays: int | None = None,
     ) -> TiledFrameData:
-        """One picture of ``width`` by ``height``: the planned rays, which are cast in any case, and
-        then refined, worst tiles first, until ``seconds`` have passed since the call, or ``rays``
-        were cast in all, or every pixel has one. (Neither given: not refined.) The rays cast are
-        kept, so a picture with all of them is the plain one, bit for bit.
+        """One picture of ``width`` by ``height``: the planned rays, and then more where they are
+        needed most, until ``seconds`` have passed since the call, or ``rays`` were cast in all, or
+        every pixel has one. (Neither given: no more.) All rays are kept, so a picture with one for
+        each pixel is the plain one, bit for bit.
+
+        A plan of more than ``rays`` is made coarser until it fits, and how fast rays are is known
+        after the first ones: with ``seconds`` given, a sixteenth of the planned ones. At least a
+        ray a tile is cast in any case.
 
         ``progress(rays done, all)`` is called after each launch; what ends with the time never
         comes to all.
@@ -89,6 +95,10 @@ class TiledRenderer:
             nowhere = np.full((height, width), np.inf, np.float32) if depth else None
             return TiledFrameData(np.zeros((height, width, 4), np.float32), nowhere, 0, 0, {}, 0.0)
         picture = self.start(camera, width, height, depth)
+        if seconds is not None:
+            picture.coarsen(_COARSER)
+        while rays is not None and picture.costs.sum() > rays and picture.coarsen(2):
+            pass
         planned, refines = int(picture.costs.sum()), seconds is not None or rays is not None
         most = width * height if rays is None else min(width * height, rays)
         total = max(planned, most) if refines else planned

@@ -157,6 +157,17 @@ def test_the_weights_never_vanish_together():
             assert parts[0][0] > 0 and all(0 <= weight <= 1 for weight, _ in parts)
 
 
+@pytest.mark.parametrize("rows_an_item", [1, 3, 9])
+def test_how_work_is_cut_changes_nothing(context, rows_an_item):
+    grid = TileGrid(40, 35, 9)
+    resolution = random_resolution(grid, 8)
+    image, depths = random_picture(grid, 3)
+    whole = joined(context, grid, resolution, image, depths)
+    cut = joined(context, grid, resolution, image, depths, rows_an_item=rows_an_item)
+    for ours, theirs in zip(cut, whole):
+        np.testing.assert_array_equal(ours, theirs)
+
+
 def test_joining_some_tiles_leaves_the_others_alone(context):
     grid = TileGrid(40, 35, 8)
     resolution = random_resolution(grid, 3)

@@ -114,12 +114,11 @@ def test_refining_only_adds_rays_and_takes_errors_away(context, engines):
     width, height = 90, 70
     plain = engine.render(camera, width, height).rgba
     renderer = tiled(engine, 16, tile_high=0.12)
-    frames = [renderer.render(camera, width, height, rays=rays) for rays in
-              (1, 800, 1600, 3200, 4800, 6300)]  # fmt: skip
-    known = [frame.rays for frame in frames]
-    planned = renderer.start(camera, width, height).costs.sum()
-    assert known[0] == planned  # are cast in any case
-    for frame, rays in zip(frames[1:], (800, 1600, 3200, 4800, 6300)):
+    planned = int(renderer.start(camera, width, height).costs.sum())
+    budgets = (planned, 800, 1600, 3200, 4800, 6300)
+    frames = [renderer.render(camera, width, height, rays=rays) for rays in budgets]
+    assert frames[0].rays == planned
+    for frame, rays in zip(frames[1:], budgets[1:]):
         assert rays - 300 < frame.rays <= rays
     errors = [rms(frame.rgba, plain) for frame in frames]
     assert (np.diff(errors) < 0).all() and errors[-1] == 0.0, errors
@@ -157,6 +156,8 @@ def test_rays_stay_what_they_are_while_tiles_are_refined(context, engines):
         known = JoinTwin(picture.grid, picture.resolution).is_ray()
         assert (known | ~before).all() and known.sum() == picture.rays
         np.testing.assert_array_equal(picture.read()[known], plain.rgba[known])
+        whole, _ = JoinTwin(picture.grid, picture.resolution).join(plain.rgba, plain.depth)
+        np.testing.assert_allclose(picture.read(), whole, atol=2e-6)
         before = known
         open_tiles = tiles[picture.costs > 0]
         shown, chosen = picture.read(), random.choice(open_tiles, -(-len(open_tiles) // 2), False)
@@ -203,6 +204,21 @@ def test_refinement_ends_with_the_time(context, engines):
         assert frame.rays <= max(1000 * seconds, 13 * 10) and clock.reported == frame.rays
     assert cast[0] == 13 * 10 and cast[-1] == 8000  # a ray a tile, and all
     assert cast[1] > 2500 and cast[2] > 5500  # and the time is used
+
+
+def test_a_plan_beyond_the_budget_is_made_coarser(context, engines):
+    engine = engines(context)
+    camera = engine.resolved.camera
+    renderer = tiled(engine, 8, tile_high=0.9)
+    planned = renderer.render(camera, 100, 80).rays
+    for rays in (300, 2000, 5000):
+        assert 0.8 * rays < renderer.render(camera, 100, 80, rays=rays).rays <= rays < planned
+    assert renderer.render(camera, 100, 80, rays=1).rays == 13 * 10  # one a tile
+    for seconds in (1.0, 4.0):
+        clock = Clock(1000.0)
+        timed = TiledRenderer(engine, renderer.settings, clock)
+        rays = timed.render(camera, 100, 80, clock.progress, seconds=seconds).rays
+        assert 800 * seconds < rays <= 1000 * seconds < planned
 
 
 def test_a_scene_that_shows_nothing_casts_no_ray(context, engines):
