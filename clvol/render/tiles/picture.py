@@ -108,7 +108,8 @@ class TiledPicture:
         return ray_counts(self.grid, Resolution(self.resolution.tau, halvings), self._tiles)
 
     def coarsen(self, by: int) -> bool:
-        """Plans a ``by``-th of the lines, rounded up, before any ray is cast; whether that is less."""
+        """Plans a ``by``-th of the lines, rounded up, before any ray is cast; whether that is
+        less."""
         tau, self.resolution.tau = self.resolution.tau, -(-self.resolution.tau // by)
         return bool((self.resolution.tau < tau).any())
 
