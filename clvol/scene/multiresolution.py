@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, BeforeValidator, Field
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from clvol.scene.sizes import parse_size
-from clvol.scene.table import Table
+from clvol.scene.table import Number, Table, Whole, wrong
 
 
 def _as_text(value: object) -> object:
@@ -21,11 +21,19 @@ def _is_size(text: str) -> str:
     return text
 
 
+_TILES = "0 (every pixel has a ray), or a whole number of pixels from 2 to 256"
+_SHARE = "a share of a tile's edge, greater than 0 and at most 1"
+
+
 class Multiresolution(Table):
     """``memory``: what the bricks may take on the device; ``memory_bytes`` is it in bytes.
 
     ``view_weighting``: a block's error counts by what the view sees of it: whether it is in the picture, how many pixels it
     covers and how many of them a voxel. ``occlusion``: and by how much light reaches the eye from it.
+
+    ``tiles``: edge of the tiles that the picture is cut into, in pixels; 0: none, every pixel has a ray.
+    ``tile_priority``: by what of the blocks behind its corners a tile gets its rays. ``tile_low``,
+    ``tile_high``: rays an axis of the tiles of least and of most priority, over ``tiles``.
     """
 
     memory: Annotated[str, BeforeValidator(_as_text), AfterValidator(_is_size)] = Field(
@@ -37,10 +45,25 @@ class Multiresolution(Table):
     interblock: bool = Field(True, description="true or false")
     view_weighting: bool = Field(True, description="true or false")
     occlusion: bool = Field(False, description="true or false")
+    tiles: Whole = Field(0, ge=0, le=256, description=_TILES)
+    tile_priority: Literal["max", "average", "rms"] = Field(
+        "max", description="'max', 'average' or 'rms'"
+    )
+    tile_low: Number = Field(0.1, gt=0, le=1, description=_SHARE)
+    tile_high: Number = Field(0.9, gt=0, le=1, description=_SHARE)
 
     @classmethod
     def table_name(cls) -> str:
         return "multiresolution"
+
+    @model_validator(mode="after")
+    def _tiles_fit(self) -> Multiresolution:
+        if self.tiles == 1:
+            raise wrong("tiles", self.tiles, _TILES)
+        if self.tile_low > self.tile_high:
+            expected = f"at most multiresolution.tile_high, {self.tile_high}"
+            raise wrong("tile_low", self.tile_low, expected)
+        return self
 
     @property
     def memory_bytes(self) -> int:
