@@ -69,6 +69,8 @@ def scene_programs(resolved: ResolvedScene, lanes: int = 16) -> dict[str, dict[s
     from clvol.render.quantise import quantised
     from clvol.render.raycast import raycast_switches, scene_nodes
 
+    if resolved.integration.method == "multiresolution":
+        return _block_programs(reduced_for_frames(resolved), lanes)
     resolved = reduced_for_frames(prefiltered(quantised(reduced_for_frames(resolved))))
     warped = scene_nodes(resolved).warp is not None
     switches = raycast_switches(resolved, warped=warped, lanes=lanes)
@@ -79,4 +81,17 @@ def scene_programs(resolved: ResolvedScene, lanes: int = 16) -> dict[str, dict[s
         programs["light_volume.cl"] = switches
     if switches.get("GRADIENT") == GRADIENTS["precomputed"]:
         programs["gradients.cl"] = storing_switches(switches, resolved.gradient.operator)
+    return programs
+
+
+def _block_programs(resolved: ResolvedScene, lanes: int) -> dict[str, dict[str, int]]:
+    """Of the method "multiresolution", where one buffer holds all samples."""
+    from clvol.render.multiresolution.caster import block_switches
+    from clvol.render.raycast import scene_nodes
+
+    warped = scene_nodes(resolved).warp is not None
+    switches = block_switches(resolved, warped, lanes, True) | {"VOXEL_PAIRS": 0, "SAMPLE_BUFFERS": 1}
+    programs = {"raycast.cl": switches}
+    if resolved.multiresolution.tiles:
+        programs["tile_rays.cl"] = switches
     return programs

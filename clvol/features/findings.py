@@ -3,6 +3,7 @@ all."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Any
 
@@ -74,7 +75,7 @@ def has_no_gradient(scene: ResolvedScene) -> bool:
 def has_values(scene: ResolvedScene) -> bool:
     """Whether any voxel is finite."""
     volume = scene.volume
-    return volume.nan_count + volume.inf_count < volume.data.size
+    return volume.nan_count + volume.inf_count < math.prod(volume.shape)
 
 
 def emits(scene: ResolvedScene) -> bool:

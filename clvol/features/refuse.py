@@ -28,6 +28,14 @@ def refuse_unknown(resolved: ResolvedScene) -> None:
         expected = " or ".join(repr(name) for name in FILTERS)
         raise SceneError(f"{origin}: integration.filter", f"got {integration.filter!r}", expected)
     _refuse_classified_noise(resolved)
+    if integration.method == "multiresolution":
+        _refuse_others(resolved, "integration.method", "multiresolution", "raycast", _PLAIN)
+        for key, wanted in (("filter", ("linear",)), ("quadrature", ("steps",)),
+                            ("classification", ("post", "preintegrated"))):  # fmt: skip
+            got = getattr(integration, key)
+            if got not in wanted:
+                where, expected = f"{origin}: integration.{key}", " or ".join(map(repr, wanted))
+                raise SceneError(where, f"got {got!r} with the method 'multiresolution'", expected)
     if integration.method == "reference":
         _refuse_others(resolved, "integration.method", "reference", "raycast", _BY_REFERENCE)
     elif integration.quadrature == "cells":

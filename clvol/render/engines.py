@@ -11,11 +11,14 @@ from clvol.render.quantise import quantised
 if TYPE_CHECKING:
     from clvol.opencl.context import DeviceContext
     from clvol.render.device_volume import DeviceVolume
+    from clvol.render.multiresolution.engine import MultiresolutionEngine
+    from clvol.render.multiresolution.residency import Residency
     from clvol.render.raycast import Raycaster
     from clvol.scene.resolve import ResolvedScene
     from clvol.volume import Volume
 
 
+_BUDGETS_KEPT = 2  # volumes or budgets of the method "multiresolution"
 _KEPT = 6  # engines: a pre-integration table may take 64 MiB
 
 
@@ -25,10 +28,11 @@ class Engines:
     def __init__(self, context: DeviceContext) -> None:
         self.context = context
         self._quantised: dict[tuple, tuple[tuple, dict]] = {}
-        self._made: dict[tuple, Raycaster] = {}
+        self._made: dict[tuple, Raycaster | MultiresolutionEngine] = {}
         self._volumes: dict[int, tuple[Volume, DeviceVolume]] = {}
+        self._resident: dict[tuple, tuple[Volume, Residency]] = {}
 
-    def make(self, resolved: ResolvedScene) -> Raycaster:
+    def make(self, resolved: ResolvedScene) -> Raycaster | MultiresolutionEngine:
         """What renders ``resolved`` by its ``integration.method``."""
         from clvol.features import reduced_for_frames
         from clvol.render.raycast import Raycaster
@@ -38,13 +42,39 @@ class Engines:
         if key in self._made:
             made = self._made[key] = self._made.pop(key).like(resolved)
             return made
-        held = self._volumes.get(id(resolved.volume))
-        made = Raycaster(self.context, resolved, volume=None if held is None else held[1])
-        self._volumes[id(resolved.volume)] = (resolved.volume, made.volume)
+        if resolved.integration.method == "multiresolution":
+            made = self._of_blocks(resolved)
+        else:
+            held = self._volumes.get(id(resolved.volume))
+            made = Raycaster(self.context, resolved, volume=None if held is None else held[1])
+            self._volumes[id(resolved.volume)] = (resolved.volume, made.volume)
         while len(self._made) >= _KEPT:
             del self._made[next(iter(self._made))]
         self._made[key] = made
         return made
+
+    def _of_blocks(self, resolved: ResolvedScene) -> MultiresolutionEngine:
+        """Engines of one volume and one budget share what is resident: the last ones' budgets are held."""
+        from clvol.render.multiresolution.engine import MultiresolutionEngine
+        from clvol.render.multiresolution.residency import Residency
+
+        key = id(resolved.volume), resolved.multiresolution.memory_bytes
+        if key not in self._resident:
+            while len(self._resident) >= _BUDGETS_KEPT:
+                self._drop(next(iter(self._resident)))
+            self._resident[key] = resolved.volume, Residency(self.context, resolved)
+        return MultiresolutionEngine(self.context, resolved, self._resident[key][1])
+
+    def _drop(self, key: tuple) -> None:
+        _, residency = self._resident.pop(key)
+        residency.blocks.close()
+        kept = {k: m for k, m in self._made.items() if getattr(m, "residency", None) is not residency}
+        self._made = kept
+
+    def close(self) -> None:
+        """Ends the threads that read blocks."""
+        for key in list(self._resident):
+            self._drop(key)
 
     def _with_precision(self, resolved: ResolvedScene) -> ResolvedScene:
         integration = resolved.integration
@@ -79,5 +109,7 @@ def _key(resolved: ResolvedScene) -> tuple:
     """Equal for scenes that an engine may be shared for (Raycaster.like)."""
     alike = resolved.integration.model_copy(update={"step": 1.0, "early_termination": 0.0})
     words = tuple(repr(getattr(resolved, name)) for name in _BY_WORDS)
+    if alike.method == "multiresolution":
+        words += repr(resolved.multiresolution), resolved.background.tobytes()
     arrays = tuple(id(getattr(resolved, name) or None) for name in _BY_IDENTITY)
     return (id(resolved.volume), id(resolved.transfer_function), alike, words, arrays)

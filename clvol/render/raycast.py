@@ -137,13 +137,15 @@ def parts_of_cell(step: float) -> int:
 
 @dataclass
 class FrameData:
-    """A picture as in ``Frame``, how many samples and rays it took, and what its effects counted."""
+    """A picture as in ``Frame``, how many samples and rays it took, what its effects counted, and what else is
+    to be told of it (``notes``, plain JSON types)."""
 
     rgba: np.ndarray
     depth: np.ndarray | None
     samples: int
     rays: int
     counters: dict[str, int] = field(default_factory=dict)
+    notes: dict[str, object] = field(default_factory=dict, kw_only=True)
 
 
 class Raycaster:

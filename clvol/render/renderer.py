@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from clvol.opencl.context import DeviceContext
     from clvol.scene import Scene
     from clvol.scene.resolve import ResolvedScene
+    from clvol.transfer import TransferFunction
 
 
 class Renderer:
@@ -44,7 +45,7 @@ class Renderer:
         loaded = perf_counter()
         self._context = open_context(devices)
         self._raycaster = self._engines = None
-        if self.resolved.integration.method == "raycast":
+        if self.resolved.integration.method != "reference":
             from clvol.render.engines import Engines
 
             self._engines = Engines(self._context)
@@ -60,6 +61,8 @@ class Renderer:
 
     def close(self) -> None:
         """Gives the device's memory back. Nothing can be rendered afterwards."""
+        if self._engines is not None:
+            self._engines.close()
         if self._context is not None:
             self._context.release()
         self._context = self._raycaster = self._engines = None
@@ -97,6 +100,21 @@ class Renderer:
         data = self._raycaster.render(camera, width, height, progress, depth)
         seconds = {"compile": compile_seconds, "render": perf_counter() - start}
         return self._frame(data.rgba, data.depth, seconds, _counted(data))
+
+    def set_transfer_function(self, function: TransferFunction, wait: bool = True) -> None:
+        """Another transfer function for the frames to come; compiles nothing, and keeps the volume.
+
+        By the method "multiresolution" blocks are selected anew, and those that change are read. With
+        ``wait`` False a thread reads them, and frames show what is there: their
+        ``stats["blocks"]["pending"]`` tells how many blocks are still to come.
+        """
+        if self._context is None:
+            raise RenderError("Renderer", "is closed", "a Renderer that is open")
+        self.resolved = replace(self.resolved, transfer_function=function)
+        if self.resolved.integration.method == "multiresolution":
+            self._raycaster.set_transfer_function(function, wait)
+        elif self._engines is not None:
+            self._raycaster = self._engines.make(self.resolved)
 
     def _move_to(self, time: float, camera: Camera) -> None:
         """What is rendered at ``time`` from ``camera``: what has a consequence may depend on both."""
@@ -137,7 +155,10 @@ def check_memory(resolved: ResolvedScene, cap: int | None) -> None:
     from clvol.render.light_volume import light_volume_bytes
 
     image, volume = resolved.image, resolved.volume
-    needed = scene_bytes(volume, resolved.integration.table_size, image.width, image.height)
+    if resolved.integration.method == "multiresolution":
+        needed = resolved.multiresolution.memory_bytes + image.width * image.height * 20
+    else:
+        needed = scene_bytes(volume, resolved.integration.table_size, image.width, image.height)
     needed += light_volume_bytes(resolved) + field_bytes(resolved)
     if cap is not None and needed > cap:
         what = f"needs {needed} bytes on the device, pictures and tables included"
@@ -160,5 +181,5 @@ def open_context(devices: Sequence[Any] | None) -> DeviceContext:
 
 def _counted(data: FrameData) -> dict[str, Any]:
     """What a frame took, for its stats; ``counters`` only where effects counted something."""
-    counted = {"samples": data.samples, "rays": data.rays}
+    counted = {"samples": data.samples, "rays": data.rays, **data.notes}
     return {**counted, "counters": data.counters} if data.counters else counted

@@ -9,7 +9,21 @@ from clvol.opencl.context import DeviceArray, DeviceContext
 from clvol.opencl.structs import BLOCKS
 from clvol.render.empty_space import distance_map
 from clvol.render.multiresolution.device_blocks import DeviceBlocks
-from clvol.render.raycast import Raycaster, _gate, device_function, scene_nodes, segment_classification
+from clvol.render.multiresolution.packing import map_shift
+from clvol.render.raycast import (
+    _SCENE_ARGUMENTS,
+    _SECONDS_A_SAMPLE,
+    Raycaster,
+    _gate,
+    device_function,
+    scene_nodes,
+    segment_classification,
+)
+from clvol.render.tiles.geometry import TileGrid
+from clvol.render.tiles.launch import PacketRenderer
+from clvol.render.tiles.statistics import corner_statistics
+from clvol.render.view import ray_frame
+from clvol.scene.camera import Camera
 from clvol.scene.resolve import ResolvedScene
 from clvol.schedule.tiles import TILE
 from clvol.transfer import TransferFunction
@@ -17,7 +31,6 @@ from clvol.transfer.classes import visible_cells
 from clvol.transfer.tables import constant_table, depths_tables
 
 BLOCK_COUNTERS = ("block_reads", "blended_samples")  # COUNT_... of cl/block_parameters.h
-LARGEST_FINE_MAP = 200_000  # blocks: with more, empty space is known by blocks alone
 _MORE = ["samples1", "samples2", "samples3"]
 
 
@@ -26,14 +39,12 @@ class BlockedVolume:
 
     def __init__(self, blocks: DeviceBlocks) -> None:
         self.blocks = blocks
-        self.grid = blocks.source.grid
-        self.values = blocks.values
+        self.values = blocks.value_map
         self.switches = blocks.switches
-        self.size = tuple(max(n, 2) for n in self.grid.size)
+        grid = blocks.blocks
+        self.size = tuple(max(n, 2) for n in reversed(grid.shape))
         self.stride = (0, 0)
-        grid = blocks.source.blocks
-        log_edge = grid.levels - 1
-        self.cell_shift = min(2, log_edge) if grid.count <= LARGEST_FINE_MAP else log_edge
+        self.cell_shift = map_shift(grid, blocks.memory_bytes)
         self.cells = tuple(n * (grid.edge >> self.cell_shift) for n in reversed(grid.counts))
 
     @property
@@ -59,7 +70,7 @@ class BlockCaster(Raycaster):
         tile: tuple[int, int] = (TILE, TILE),
     ) -> None:
         self.blocks = blocks
-        grid = blocks.source.blocks
+        grid = blocks.blocks
         row = np.zeros(1, BLOCKS)
         row["count"] = (*reversed(grid.counts), grid.levels - 1)
         row["edge"][0, :2] = (grid.edge, 1.0 / grid.edge)
@@ -77,7 +88,7 @@ class BlockCaster(Raycaster):
         """Of lengths that are a step times powers of two."""
         if self._is_midpoint or self.settings.stepping == "full":
             return 1
-        return self.blocks.source.blocks.levels
+        return self.blocks.blocks.levels
 
     @property
     def _is_midpoint(self) -> bool:
@@ -145,10 +156,49 @@ class BlockCaster(Raycaster):
         arrays = {"index": blocks.index, "corners": blocks.corners, "blocks": self._blocks}
         return {**arrays, **self._more_samples[1]}
 
+    @property
+    def _declared(self) -> str:
+        return ", in index int32, in corners uint32, in blocks V1" + self._more_samples[0]
+
     def _more_arguments(self, tiles: int) -> tuple[str, dict[str, DeviceArray]]:
         self._tally = self.context.output(np.uint32, (tiles, len(BLOCK_COUNTERS)))
-        declared = ", in index int32, in corners uint32, in blocks V1" + self._more_samples[0]
-        return declared + ", out counts uint32", {**self._block_arrays(), "counts": self._tally}
+        return self._declared + ", out counts uint32", {**self._block_arrays(), "counts": self._tally}
+
+    # What ``TiledRenderer`` asks for
+
+    def packets(self, depth: bool) -> PacketRenderer:
+        return PacketRenderer(
+            "tile_rays.cl",
+            {**self.switches, "WITH_DEPTH": int(depth)},
+            _SCENE_ARGUMENTS.removesuffix(", "),
+            self._scene_arrays(),
+            self._declared + ", out counts uint32",
+            self._block_arrays(),
+            self.lanes,
+            self._most_samples() * _SECONDS_A_SAMPLE,
+            len(BLOCK_COUNTERS),
+        )
+
+    def picture_view(self, camera: Camera, width: int, height: int) -> np.ndarray:
+        """``View`` [1] of a whole picture."""
+        frame = ray_frame(camera, self.resolved.volume.grid, width, height)
+        return self._frame_view(frame, width, height)
+
+    def blank_view(self) -> np.ndarray:
+        """``View`` [1] of a picture of no pixels."""
+        return np.zeros(1, self._view_dtype)
+
+    def corner_statistics(self, view: np.ndarray, grid: TileGrid) -> tuple[np.ndarray, int]:
+        blocks, bits = self.blocks.blocks, self.volume.switches["VOXEL_BITS"]
+        index = self.blocks.index
+        return corner_statistics(self.context, index, blocks, view, bits, grid), blocks.edge
+
+    def counted(self, counts: np.ndarray) -> dict[str, int]:
+        return self._counters(counts)
+
+    @property
+    def shows_nothing(self) -> bool:
+        return self._shows_nothing
 
     def _counters(self, counts: np.ndarray) -> dict[str, int]:
         sums = counts.sum(axis=0, dtype=np.uint64)

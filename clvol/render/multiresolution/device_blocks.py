@@ -62,6 +62,7 @@ class DeviceBlocks:
     ) -> None:
         self._context, self._source = context, source
         self.blocks = source.blocks
+        self.memory_bytes = memory_bytes
         self.value_map: ValueMap = value_map(source)
         largest = int(context.device.max_mem_alloc_size)
         largest = min(largest, largest_buffer or largest)

@@ -17,11 +17,12 @@ from clvol.render.layout import LARGEST_OFFSET
 from clvol.store.geometry import BlockGrid
 
 MOST_BUFFERS = 4  # the index has two bits for a buffer's number
-SPARE_BYTES = 8  # after the last sample of a buffer: wide loads of it must stay inside
+SPARE_BYTES = 64  # after the last sample of a buffer: wide loads of it must stay inside
 SMALLEST = 8  # samples of the smallest slot, 2^3: single samples are in the index itself
 
 _LARGEST_STAGING = 2**20
-_MANY_BLOCKS = 200_000  # from here on cells of empty space are blocks of 16^3 voxels
+# The map of empty space may take one byte in so many of the budget, thrice: two more are needed to find it.
+_MAP_SHARE = 48
 
 
 @dataclass(frozen=True)
@@ -153,12 +154,25 @@ def staging_bytes(blocks: BlockGrid) -> tuple[int, int]:
     return int(samples), BLOCK_PAYLOAD.itemsize * max(int(samples) // 64, 16)
 
 
-def overhead_bytes(blocks: BlockGrid) -> int:
+def overhead_bytes(blocks: BlockGrid, memory_bytes: int) -> int:
     """Bytes on the device for all but samples: index, corners, staging, map of empty space."""
     corners = np.prod([n + 1 for n in blocks.counts], dtype=np.int64)
-    cell = 16 if blocks.count > _MANY_BLOCKS else 8
-    cells = np.prod([-(-n // cell) for n in blocks.shape], dtype=np.int64)
-    return int(8 * blocks.count + 4 * corners + cells) + sum(staging_bytes(blocks))
+    cells = map_cells(blocks, map_shift(blocks, memory_bytes))
+    return int(8 * blocks.count + 4 * corners + 3 * cells) + sum(staging_bytes(blocks))
+
+
+def map_shift(blocks: BlockGrid, memory_bytes: int) -> int:
+    """log2 of the edge, in voxels, of the cells in which empty space is known: 4 where the budget allows, up to
+    a block's edge."""
+    log_edge = blocks.levels - 1
+    for shift in range(min(2, log_edge), log_edge):
+        if map_cells(blocks, shift) * _MAP_SHARE <= memory_bytes:
+            return shift
+    return log_edge
+
+
+def map_cells(blocks: BlockGrid, shift: int) -> int:
+    return blocks.count * (blocks.edge >> shift) ** 3
 
 
 def sample_dtype(dtype: np.dtype) -> np.dtype:
@@ -182,7 +196,7 @@ def buffer_samples(
         raise DeviceError(
             "largest buffer", f"{largest_buffer} bytes", f"a block of {whole * itemsize} or more"
         )
-    left = memory_bytes - overhead_bytes(blocks) - SPARE_BYTES
+    left = memory_bytes - overhead_bytes(blocks, memory_bytes) - SPARE_BYTES
     if left < 0:
         needed = memory_bytes - left
         raise SceneError(

@@ -28,6 +28,7 @@ class PacketRenderer:
     them all but the view. ``effect_arguments`` (begins with a comma, ends with "out counts uint32")
     and ``effect_arrays`` (without the counts): those of EFFECT_PARAMETERS, empty where there are
     none. ``seconds_a_ray``: a guess, for how to cut the work into launches.
+    ``counters``: numbers that each work-item counts.
     """
 
     file: str
@@ -38,6 +39,7 @@ class PacketRenderer:
     effect_arrays: Mapping[str, DeviceArray] = field(default_factory=dict)
     lanes: int = 1
     seconds_a_ray: float = 1e-6
+    counters: int = len(COUNTERS)
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +68,7 @@ def cast_rays(
     launch.
     """
     if not work.count:
-        none = np.zeros((0, len(COUNTERS)), np.uint32) if packets.effect_arguments else None
+        none = np.zeros((0, packets.counters), np.uint32) if packets.effect_arguments else None
         return CastRays(np.zeros(0, np.float32), 0, none)
     declared = packets.scene_arguments + _LIST_ARGUMENTS + packets.effect_arguments
     kernel = context.kernel(packets.file, "tile_rays", declared, packets.switches)
@@ -75,7 +77,7 @@ def cast_rays(
     arrays = {**packets.arrays, **packets.effect_arrays}
     counts = None
     if packets.effect_arguments:
-        counts = arrays["counts"] = context.empty(np.uint32, (items, len(COUNTERS)))
+        counts = arrays["counts"] = context.empty(np.uint32, (items, packets.counters))
     changes = context.empty(np.float32, (work.count,))
     samples = context.empty(np.uint32, (items,))
     rays = context.upload(work.pixels)

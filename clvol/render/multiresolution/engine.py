@@ -1,0 +1,100 @@
+"""The method "multiresolution": selects and loads blocks, casts rays through them, tile by tile where asked."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable
+from dataclasses import replace
+
+from clvol.opencl.context import DeviceContext
+from clvol.render.multiresolution.caster import BlockCaster
+from clvol.render.multiresolution.residency import Residency
+from clvol.render.raycast import FrameData
+from clvol.render.tiles.tiled import TiledRenderer
+from clvol.render.view import EVERY_PIXEL, PixelLattice
+from clvol.scene.camera import Camera
+from clvol.scene.resolve import ResolvedScene
+from clvol.transfer import TransferFunction
+
+
+class MultiresolutionEngine:
+    """An engine as ``Raycaster`` is one. ``residency`` may be shared: each frame asks for its own blocks.
+
+    A frame waits for its blocks, so a picture is the same however long reading takes; but after
+    ``set_transfer_function(..., wait=False)`` frames show what is there until all has come.
+    """
+
+    def __init__(
+        self, context: DeviceContext, resolved: ResolvedScene, residency: Residency | None = None
+    ) -> None:
+        self.context, self.resolved = context, resolved
+        self.residency = residency or Residency(context, resolved)
+        self.function = resolved.transfer_function
+        self._waits = True
+        self.residency.ask(resolved, self.function)
+        self._shown = self.residency.generation
+        self.caster = BlockCaster(context, resolved, self.residency.blocks)
+
+    @property
+    def visible_share(self) -> float:
+        return self.caster.visible_share
+
+    def like(self, resolved: ResolvedScene) -> MultiresolutionEngine:
+        """The same for ``resolved``, which may differ as for ``Raycaster.like``."""
+        other = copy.copy(self)
+        other.resolved = resolved
+        other.caster = self.caster.like(resolved)
+        return other
+
+    def set_transfer_function(self, function: TransferFunction, wait: bool = True) -> None:
+        """Another transfer function: new tables, and the blocks that it wants. With ``wait`` False a
+        thread reads these while frames are rendered from what is there."""
+        self.function, self._waits = function, wait
+        if self.residency.ask(self.resolved, function, wait=wait):
+            self._shown = -1
+        self.caster.set_transfer_function(function)
+        self._shown = self.residency.generation
+
+    def warm_up(self, width: int, height: int, depth: bool = True) -> None:
+        self.caster.warm_up(width, height, depth)
+        if self._tiles:
+            self._tiled().warm_up(depth)
+
+    def render(
+        self,
+        camera: Camera,
+        width: int,
+        height: int,
+        progress: Callable[[int, int], None] | None = None,
+        depth: bool = True,
+        lattice: PixelLattice = EVERY_PIXEL,
+        seconds: float | None = None,
+    ) -> FrameData:
+        """As ``Raycaster.render``. ``seconds``: of a picture in tiles, which is refined so long."""
+        self._make_resident(camera, width, height)
+        if self._tiles and lattice == EVERY_PIXEL:
+            data = self._tiled().render(camera, width, height, progress, depth, seconds=seconds)
+            data.notes["tiles"] = {"share_of_pixels": data.share}
+            if data.estimated_rmse is not None:
+                data.notes["tiles"]["estimated_rmse"] = data.estimated_rmse
+        else:
+            data = self.caster.render(camera, width, height, progress, depth, lattice)
+        data.notes["blocks"] = self.residency.describe()
+        return data
+
+    @property
+    def _tiles(self) -> bool:
+        return self.resolved.multiresolution.tiles > 0
+
+    def _tiled(self) -> TiledRenderer:
+        return TiledRenderer(self.caster, self.resolved.multiresolution)
+
+    def _make_resident(self, camera: Camera, width: int, height: int) -> None:
+        image = self.resolved.image.model_copy(update={"width": width, "height": height})
+        asked = replace(self.resolved, camera=camera, image=image)
+        self.residency.ask(asked, self.function, wait=self._waits)
+        if not self.residency.blocks.pending:
+            self._waits = True
+        if self._shown != self.residency.generation:
+            self.caster.set_resident()
+            self._shown = self.residency.generation
