@@ -28,9 +28,10 @@ _SHARE = "a share of a tile's edge, greater than 0 and at most 1"
 class Multiresolution(Table):
     """``memory``: what the bricks may take on the device; ``memory_bytes`` is it in bytes.
 
-    ``tiles``: edge of the tiles that the picture is cut into, in pixels; 0: none, every pixel has a ray.
-    ``tile_priority``: by what of the blocks behind its corners a tile gets its rays. ``tile_low``,
-    ``tile_high``: rays an axis of the tiles of least and of most priority, over ``tiles``.
+    ``tiles``: edge of the tiles that the picture is cut into, in pixels; 0: none, every pixel has a
+    ray. ``tile_priority``: by what of the blocks behind its corners a tile gets its rays.
+    ``tile_low``, ``tile_high``: rays an axis of the tiles of least and of most priority, over
+    ``tiles``.
     """
 
     memory: Annotated[str, BeforeValidator(_as_text), AfterValidator(_is_size)] = Field(
