@@ -45,7 +45,7 @@ typedef struct {
   float share;
 } Between;
 
-inline Between between_lines(Span span, int pixel)
+static Between between_lines(Span span, int pixel)
 {
   const int at = clamp(pixel - span.start, 0, span.length - 1);
   const uchar2 near = span.lines[at];
@@ -56,19 +56,19 @@ inline Between between_lines(Span span, int pixel)
 }
 
 /* Distance of the outermost line from the tile's border: the upper one (after = 1) or the lower one. */
-inline float to_border(Span span, int after)
+static float to_border(Span span, int after)
 {
   return after ? (float)span.length - 0.5f - (float)span.lines[span.length - 1].x : (float)span.lines[0].x + 0.5f;
 }
 
 /* e of the next tile against this one, in which the pixel is, `inside` the border between them. */
-inline float edge_weight(Span span, Span next, int after, float inside)
+static float edge_weight(Span span, Span next, int after, float inside)
 {
   const float here = to_border(span, after), there = to_border(next, !after);
   return clamp((here - inside) / (here + there), 0.0f, 1.0f);
 }
 
-inline float4 tile_color(__global const float4 *image, int width, Between x, Between y)
+static float4 tile_color(__global const float4 *image, int width, Between x, Between y)
 {
   __global const float4 *low = image + (size_t)y.low * width, *high = image + (size_t)y.high * width;
   const float4 a = low[x.low] + x.share * (low[x.high] - low[x.low]);
@@ -77,7 +77,7 @@ inline float4 tile_color(__global const float4 *image, int width, Between x, Bet
 }
 
 /* The nearest ray of a tile: keeps it if it is nearer than what was found before. */
-inline void nearest_ray(Between x, Between y, int px, int py, int *distance, int2 *place)
+static void nearest_ray(Between x, Between y, int px, int py, int *distance, int2 *place)
 {
   const int2 ray = (int2)(px - x.low <= x.high - px ? x.low : x.high, py - y.low <= y.high - py ? y.low : y.high);
   const int dx = ray.x - px, dy = ray.y - py;

@@ -17,7 +17,7 @@
 
 #define CODE_DROPPED 15
 
-inline float block_scale(__global const int2 *index, int block, float edge)
+static float block_scale(__global const int2 *index, int block, float edge)
 {
   const int code = index[block].y & 15;
   return code == CODE_DROPPED ? 0.0f : (float)(1 << max(code - 1, 0)) / edge;
@@ -30,12 +30,12 @@ typedef struct {
 } Walk;
 
 /* Not accumulated. A ray that does not move on the axis never leaves. */
-inline void find_exit(Walk *w)
+static void find_exit(Walk *w)
 {
   w->exit = w->inverse == 0.0f ? INFINITY : ((float)(w->at + (w->towards > 0)) - w->origin) * w->inverse;
 }
 
-inline Walk start_walk(float origin, float direction, int blocks)
+static Walk start_walk(float origin, float direction, int blocks)
 {
   Walk w;
   w.origin = origin;
@@ -46,7 +46,7 @@ inline Walk start_walk(float origin, float direction, int blocks)
   return w;
 }
 
-inline void next_block(Walk *w) { w->at += w->towards, find_exit(w); }
+static void next_block(Walk *w) { w->at += w->towards, find_exit(w); }
 
 __kernel void tile_statistics(__global const int2 *restrict index, __constant const View *restrict view, const int4 grid,
                               const int4 tiles, __global float4 *restrict statistics)
