@@ -44,7 +44,7 @@ class Multiresolution(Table):
     )
     interblock: bool = Field(True, description="true or false")
     view_weighting: bool = Field(True, description="true or false")
-    occlusion: bool = Field(False, description="true or false")
+    occlusion: bool = Field(True, description="true or false")
     tiles: Whole = Field(0, ge=0, le=256, description=_TILES)
     tile_priority: Literal["max", "average", "rms"] = Field(
         "max", description="'max', 'average' or 'rms'"

@@ -13,6 +13,11 @@ _PIECE = 1 << 11  # blocks looked at together: small enough for the caches
 # Orders that pair each quantile with low and high ones alike: bits of the number reversed, forwards and backwards.
 _FORWARD = np.array([int(f"{k:03b}"[::-1], 2) for k in range(QUANTILES)])
 _ORDERS = (_FORWARD, _FORWARD[::-1])
+# Of the path, that the mixture of a block's values is looked at behind: four voxels of a block of 16^3.
+_MEDIUM_PATH = 0.25
+_OPAQUE = 50.0  # optical depth, at most
+# What a voxel's own error counts beside that of the mixture: along a ray and over neighbouring ones most of it cancels.
+_OF_VOXELS = 0.1
 _EQUAL = np.full(QUANTILES, 1.0 / QUANTILES, np.float32)
 
 
@@ -65,6 +70,14 @@ class ShownColors:
         background = np.asarray(background, np.float64)
         shown = between(function.colors) * alpha + background * (1.0 - alpha)
         self._luv = np.ascontiguousarray(linear_to_luv(shown).T, np.float32)
+        # The medium itself over a part of the path: optical depth, and colour times it.
+        with np.errstate(divide="ignore"):
+            depths = -exponent * _MEDIUM_PATH * np.log1p(-opacities)
+        depths = np.minimum(depths, _OPAQUE)
+        self._medium = np.ascontiguousarray(
+            np.concatenate([depths, depths * between(function.colors)], axis=1).T, np.float32
+        )
+        self._background = background
         self._transmittances = (1.0 - alpha[:, 0]).astype(np.float32)
         starts = 2 + entries * np.arange(len(pieces))
         self._values = np.stack([values[pieces], values[pieces + 1]], axis=1).ravel()
@@ -82,6 +95,15 @@ class ShownColors:
         """L*, u* and v*, float32."""
         return [component.take(places) for component in self._luv]
 
+    def mixture(self, places: np.ndarray) -> list[np.ndarray]:
+        """L*, u* and v* [k] of what a ray shows behind a quarter of the path in a mixture of the values ``places`` [k, quantiles],
+        equal parts of each."""
+        depth, *emission = (component.take(places).mean(axis=-1) for component in self._medium)
+        alpha = -np.expm1(-depth)
+        share = np.where(depth > 0, alpha / np.where(depth > 0, depth, 1.0), 0.0)
+        shown = [e * share + b * (1.0 - alpha) for e, b in zip(emission, self._background)]
+        return list(linear_to_luv(np.stack(shown, axis=-1)).T)
+
     def transmittance(self, places: np.ndarray) -> np.ndarray:
         """float32, of ``path_length``."""
         return self._transmittances[places]
@@ -93,12 +115,19 @@ def block_errors(
     path_length: float,
     background: np.ndarray,
 ) -> np.ndarray:
-    """float32 [levels, n]: estimated mean Delta-E (CIELUV) over a block's voxels between what the voxel and what the level's sample there
-    show, each along ``path_length`` (world) over ``background`` (linear [3]); 0 at level 0, not falling with the level, finite.
+    """float32 [levels, n]: estimated Delta-E (CIELUV) between what a block shows at full resolution and at a level, over ``background``
+    (linear [3]); 0 at level 0, not falling with the level, finite. ``path_length`` (world): a block's edge.
 
     Values that are not finite are left out; a level without any other shows the background.
 
-    The mean of three estimates, all of which are exact where a level is one sample (up to the histogram's coarseness):
+    The sum of two parts. First, the mixture: Delta-E between what a ray shows behind a quarter of the path in the mean medium of either
+    histogram (means of extinction and emission over it). Second, a tenth of the mean Delta-E over the voxels between what the voxel
+    and the level's sample there show along the whole path. A picture adds up many voxels a pixel, so differences that cancel
+    (noise) do not show, and what thin things lose against their surroundings does. Whole pictures against full resolution, mean
+    CIEDE2000, voxels alone -> mixture alone -> both: chest at 16 MiB 1.46 -> 0.68 -> 0.75; engine at 0.9 MB 0.30 -> 0.27 -> 0.27, with
+    peaks 2.60 -> 2.43 -> 2.39; vismale 0.44 -> 0.48 -> 0.48; aneurism at 0.4 MB 0.99 -> 1.11 -> 1.08.
+
+    The voxels' part is the mean of three estimates, all of which are exact where a level is one sample (up to the histogram's coarseness):
       plain    quantile j of the voxels against quantile j of the level: too low, as it misses that values changed places
       paired   the level's quantiles against voxels spread about each like the block's own quantiles about their mean, scaled so
                that they deviate from it by ``deviation``; low and high ones are paired alike
@@ -135,7 +164,18 @@ def estimated_errors(
             statistics.maximum[0, piece],
             shown,
         )
+        found *= _OF_VOXELS
+        found += _mixture_errors(statistics.quantiles[:, piece], shown)
         out[:, piece] = np.maximum.accumulate(found, axis=0)
+    return out
+
+
+def _mixture_errors(quantiles: np.ndarray, shown: ShownColors) -> np.ndarray:
+    """float32 [levels, k]: Delta-E between the mixtures of the block's values and of each level's."""
+    full, *others = (shown.mixture(shown.places(q.astype(np.float64))) for q in quantiles)
+    out = np.zeros(quantiles.shape[:2], np.float32)
+    for level, luv in enumerate(others, 1):
+        out[level] = np.sqrt(sum((a - b) ** 2 for a, b in zip(full, luv)))
     return out
 
 
