@@ -1,0 +1,81 @@
+"""Zarr arrays by tensorstore: opened with little memory, their errors in words."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+from clvol.errors import VolumeError
+
+_OPEN_FILES = 8
+
+
+def open_array(path: Path, metadata: dict | None = None, *, driver: str = "zarr3", whole: bool = True) -> Any:
+    """The tensorstore array in the folder ``path``; with ``metadata`` made if it is not there.
+
+    ``whole``: every chunk must be there, none stands for the fill value. tensorstore's ValueError passes.
+    """
+    import tensorstore
+
+    spec: dict[str, Any] = {"driver": driver, "kvstore": {"driver": "file", "path": f"{path.absolute()}/"}}
+    spec |= {"recheck_cached_metadata": "open", "recheck_cached_data": True}
+    if whole:
+        spec |= {"fill_missing_data_reads": False, "store_data_equal_to_fill_value": True}
+    if metadata is not None:
+        left = {key: value for key, value in metadata.items() if key not in ("zarr_format", "node_type")}
+        spec |= {"metadata": left, "open": True, "create": True}
+    return tensorstore.open(spec, context=_context()).result()
+
+
+_made: list = []
+
+
+def _context() -> Any:
+    """One for all arrays: nothing is cached, so that what is read is all that takes memory."""
+    if not _made:
+        import tensorstore
+
+        cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+        _made.append(
+            tensorstore.Context(
+                {
+                    "cache_pool": {"total_bytes_limit": 0},
+                    "data_copy_concurrency": {"limit": max(cores, 1)},
+                    "file_io_concurrency": {"limit": _OPEN_FILES},
+                }
+            )
+        )
+    return _made[0]
+
+
+def what_failed(error: BaseException) -> str:
+    """A read that failed, in a few words."""
+    text = str(error)
+    if text.startswith("NOT_FOUND"):
+        return "is missing"
+    if "igest mismatch" in text or "hecksum" in text or "CRC" in text:
+        return "checksum does not match"
+    if text.startswith(("DATA_LOSS", "OUT_OF_RANGE", "INVALID_ARGUMENT", "FAILED_PRECONDITION")):
+        return "is damaged"
+    return f"cannot be read ({system_words(text)})"
+
+
+def system_words(text: str) -> str:
+    """What the system says, out of a message of tensorstore's, such as 'No space left on device'."""
+    text = text.splitlines()[0].split(" [tensorstore_spec=")[0] if text else "unknown error"
+    marker = "[OS error "
+    if marker in text:
+        inside = text.split(marker, 1)[1].split("]", 1)[0]  # "28: ENOSPC No space left on device"
+        words = inside.split(":", 1)[-1].split()
+        return " ".join(words[1:] if words and words[0].isupper() else words)
+    return text[:160]
+
+
+def read_json(path: Path, where: str) -> Any:
+    """VolumeError if the file is no JSON; OSError passes."""
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except (ValueError, RecursionError):
+        raise VolumeError(where, f"{path.name} is damaged", "JSON") from None
