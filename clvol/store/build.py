@@ -73,10 +73,13 @@ class VoxelSource(Protocol):
 
 
 class VolumeSource:
-    """A volume: in memory, mapped from a file, or one that reads boxes itself (``Volume.box``)."""
+    """A volume: in memory, mapped from a file, or one that reads boxes itself (``Volume.box``).
 
-    def __init__(self, volume: Volume) -> None:
-        self.volume = volume
+    ``settings`` (JSON): what else decides how the file's bytes become voxels.
+    """
+
+    def __init__(self, volume: Volume, settings: dict | None = None) -> None:
+        self.volume, self.settings = volume, settings or {}
         self.shape, self.dtype, self.grid = volume.shape, volume.dtype, volume.grid
         self.name, self.frame = volume.name, volume.frame
 
@@ -85,7 +88,8 @@ class VolumeSource:
         """Of a file its place, size and time; of an array without one a digest of its bytes."""
         volume = self.volume
         if volume.path is not None:
-            return {"path": os.path.realpath(volume.path), "files": _files_digest(Path(volume.path))}
+            place = os.path.realpath(volume.path)
+            return {"path": place, "files": _files_digest(Path(volume.path)), "settings": self.settings}
         digest = hashlib.blake2b(digest_size=16)
         for layer in volume.data:
             digest.update(layer)
@@ -167,9 +171,14 @@ def build_store(
     check_place(path, overwrite)
     with _writing(path), _locked(partial_path(path)) as partial:
         build = _Build(source, layout, partial, codec)
-        build.begin(path, restart)
-        build.make_regions(progress, workers)
-        build.finish(path)
+        try:
+            build.begin(path, restart)
+            build.make_regions(progress, workers)
+            build.finish(path)
+        except BaseException:
+            if not build.anything_done():
+                _remove(partial)
+            raise
     return StoredBlocks(path)
 
 
@@ -208,7 +217,8 @@ def _writing(path: Path) -> Iterator[None]:
 
 def _not_written(path: Path, reason: str) -> RenderError:
     kept = partial_path(path)
-    expected = f"a disk that takes it; {kept.name} keeps what is done" if kept.exists() else None
+    kept = f"; {kept.name} keeps what is done" if kept.exists() else ""
+    expected = f"a disk that takes it{kept}"
     return RenderError(str(path), f"the store cannot be written: {reason}", expected)
 
 
@@ -330,6 +340,8 @@ class _Build:
         around, inner = with_neighbours(layout.shape, box)
         voxels = self._voxels(around)
         levels, statistics = describe_region(voxels, inner, layout.edge)
+        for level in range(len(levels)):  # left by an interrupted call, and perhaps not whole
+            (self.partial / layout.shard_file(index, level)).unlink(missing_ok=True)
         futures = [
             array[layout.region(index, level)].write(self._stored(level, samples))
             for level, (array, samples) in enumerate(zip(self.levels, levels))
@@ -353,6 +365,9 @@ class _Build:
         return samples if payload is None else payload.encode(samples, self.layout.parameters[level])
 
     # ---- the journal ----
+
+    def anything_done(self) -> bool:
+        return any(self.journal.glob("*.npz"))
 
     def _note(self, index: int, statistics: BlockStatistics, census: np.ndarray) -> None:
         """In one step: the region is on the disk, with these sizes of files."""

@@ -3,7 +3,7 @@
 STORE/zarr.json         group: OME-Zarr 0.5 ``multiscales``, and what OME-Zarr cannot say under ``clvol``; written last
 STORE/0 ... STORE/4     arrays [z, y, x], level 0 full; a shard is a file, at each level of the same part of the volume
 STORE/blocks/NAME       arrays [level, bz, by, bx] of statistics, as in BlockStatistics
-STORE.partial           a store that is not whole yet: the same, without zarr.json, and with journal/
+STORE.partial           a store that is not whole yet: the same, without zarr.json, and with clvol-journal/
 
 Level 0 has one block in a chunk; coarser levels have the blocks of (chunk / samples)^3 in one.
 """
@@ -27,7 +27,7 @@ from clvol.volume.volume import ACCEPTED_TYPES
 
 VERSION = 1
 ROOT = "zarr.json"
-JOURNAL = "journal"
+JOURNAL = "clvol-journal"
 PARTIAL = ".partial"
 _LONG = 1024  # voxels of the longest axis above which shards are larger, so that files stay few
 _LARGEST_SHARD = 1024

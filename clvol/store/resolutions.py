@@ -304,9 +304,8 @@ def _deviations_of_floats(full: np.ndarray, by_block: list[np.ndarray]) -> np.nd
     for level in range(1, len(by_block)):
         parts = [means[z::2, y::2, x::2].astype(np.float64) for z in (0, 1) for y in (0, 1) for x in (0, 1)]
         if level > 1:
-            inside = [within[z::2, y::2, x::2] for z in (0, 1) for y in (0, 1) for x in (0, 1)]
-            within = sum(inside[1:], start=inside[0])
-        means = sum(parts[1:], start=parts[0]) / 8
+            within = next(_sums(within, 2))
+        means = next(_sums(means, 2)) / 8  # in pairs: exact where all eight are the same
         squares = np.zeros(means.shape)
         for part in parts:
             part -= means

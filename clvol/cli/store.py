@@ -1,0 +1,89 @@
+"""clvol store: a volume as blocks at several resolutions, on disk."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import click
+
+from clvol.cli.options import memory_cap_option, overrides_option
+
+
+@click.command("store", short_help="Build the multiresolution store of a volume.")
+@click.argument("volume", metavar="VOLUME")
+@click.option("-o", "--output", required=True, metavar="STORE", help="The folder to write, an OME-Zarr image.")
+@click.option("--codec", metavar="NAME", help="How samples are compressed: blosc-lz4 (default), zstd or none.")
+@click.option("--edge", type=int, metavar="N", help="Voxels an axis of a block: 4, 8, 16 (default) or 32.")
+@click.option(
+    "--shard",
+    type=int,
+    metavar="N",
+    help="Voxels an axis of a file, a multiple of the edge; 128, or 256 for volumes longer than 1024.",
+)
+@click.option("--overwrite", is_flag=True, help="Replace a store that is there, once the new one is whole.")
+@click.option("--restart", is_flag=True, help="Begin anew what an interrupted call has left unfinished.")
+@overrides_option
+@memory_cap_option("The most memory that the volume may take.")
+@click.option("--quiet", is_flag=True, help="No progress on the terminal.")
+def command(
+    volume: str,
+    output: str,
+    codec: str | None,
+    edge: int | None,
+    shard: int | None,
+    overwrite: bool,
+    restart: bool,
+    overrides: tuple[str, ...],
+    memory_cap: int | None,
+    quiet: bool,
+) -> None:
+    """Store VOLUME as blocks at all resolutions, and print the store's path.
+
+    VOLUME is a volume file, a DICOM folder, a Zarr folder or a scene. A .raw file needs
+    --set volume.dims=[nx,ny,nz] --set 'volume.dtype="uint8"'.
+
+    The store appears whole or not at all. What an interrupted call leaves in STORE.partial, the same
+    call goes on with.
+    """
+    from pathlib import Path
+
+    from clvol.cli.console import say, working
+    from clvol.errors import UsageError
+    from clvol.scene import load_scene
+    from clvol.store.build import VolumeSource, build_store, check_place, unfinished
+
+    check_place(Path(output), overwrite)
+    scene = load_scene(volume, overrides)
+    taken = [Path(volume)] if scene.volume_path is None else [Path(volume), scene.volume_path]
+    if any(os.path.realpath(path).startswith(os.path.realpath(output) + os.sep) for path in taken) or any(
+        os.path.realpath(path) == os.path.realpath(output) for path in taken
+    ):
+        raise UsageError(output, "got what is read", "a folder of its own")
+    with working(f"loading {volume}", quiet):
+        loaded = scene.load_volume(memory_cap)
+    settings = scene.volume.model_dump(mode="json") if hasattr(scene.volume, "model_dump") else {}
+    before = None if restart else unfinished(output)
+    message = f"storing {volume}"
+    if before is not None and not quiet:
+        click.echo(f"going on with {output}.partial: {before.done} of {before.total} regions are done", err=True)
+    chosen = {"codec": codec, "edge": edge, "shard": shard}
+    chosen = {name: value for name, value in chosen.items() if value is not None}
+    with _named_as_options(), working(message, quiet) as progress:
+        source = VolumeSource(loaded, settings)
+        how = {"overwrite": overwrite, "restart": restart, "progress": progress}
+        build_store(source, output, **chosen, **how)
+    say(click.format_filename(output))
+
+
+@contextmanager
+def _named_as_options() -> Iterator[None]:
+    """Errors inside name the options of the command, not the arguments of the function."""
+    from clvol.errors import UsageError
+
+    try:
+        yield
+    except UsageError as error:
+        where = f"--{error.where}" if error.where in ("codec", "edge", "shard") else error.where
+        raise UsageError(where, error.what, error.expected) from None
