@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 import click
@@ -52,29 +52,40 @@ def command(
     from clvol.cli.console import say, working
     from clvol.errors import UsageError
     from clvol.scene import load_scene
-    from clvol.store.build import VolumeSource, build_store, check_place, unfinished
+    from clvol.store.build import VolumeSource, build_store, check_place
 
     check_place(Path(output), overwrite)
     scene = load_scene(volume, overrides)
     taken = [Path(volume)] if scene.volume_path is None else [Path(volume), scene.volume_path]
-    if any(os.path.realpath(path).startswith(os.path.realpath(output) + os.sep) for path in taken) or any(
-        os.path.realpath(path) == os.path.realpath(output) for path in taken
-    ):
+    place = Path(os.path.realpath(output))
+    if any(place in (real, *real.parents) for real in (Path(os.path.realpath(path)) for path in taken)):
         raise UsageError(output, "got what is read", "a folder of its own")
     with working(f"loading {volume}", quiet):
         loaded = scene.load_volume(memory_cap)
     settings = scene.volume.model_dump(mode="json") if hasattr(scene.volume, "model_dump") else {}
-    before = None if restart else unfinished(output)
-    message = f"storing {volume}"
-    if before is not None and not quiet:
-        click.echo(f"going on with {output}.partial: {before.done} of {before.total} regions are done", err=True)
     chosen = {"codec": codec, "edge": edge, "shard": shard}
     chosen = {name: value for name, value in chosen.items() if value is not None}
-    with _named_as_options(), working(message, quiet) as progress:
+    with _named_as_options(), working(f"storing {volume}", quiet) as bar:
         source = VolumeSource(loaded, settings)
-        how = {"overwrite": overwrite, "restart": restart, "progress": progress}
+        how = {"overwrite": overwrite, "restart": restart, "progress": None if quiet else _telling(output, bar)}
         build_store(source, output, **chosen, **how)
     say(click.format_filename(output))
+
+
+def _telling(output: str, bar: Callable | None) -> Callable[[int, int], None]:
+    """Moves the bar, if there is one; tells once where an interrupted store is gone on with."""
+    begun = False
+
+    def progress(done: int, total: int) -> None:
+        nonlocal begun
+        if done and not begun:
+            said = f"going on with {output}.partial: {done} of {total} regions are done"
+            bar(done, total, said) if bar is not None else click.echo(said, err=True)
+        elif bar is not None:
+            bar(done, total)
+        begun = True
+
+    return progress
 
 
 @contextmanager

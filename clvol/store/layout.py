@@ -225,7 +225,8 @@ class StoreFacts:
 
 def parse_root(root: Any, where: str) -> StoreFacts:
     """``root`` is the zarr.json of a group. VolumeError unless it is a store that this clvol reads."""
-    own = root.get("attributes", {}).get("clvol") if isinstance(root, dict) else None
+    attributes = root.get("attributes") if isinstance(root, dict) else None
+    own = attributes.get("clvol") if isinstance(attributes, dict) else None
     if not isinstance(own, dict):
         raise VolumeError(where, "no store of clvol", "a folder that clvol store has written")
     version = own.get("version")
@@ -235,8 +236,9 @@ def parse_root(root: Any, where: str) -> StoreFacts:
         raise VolumeError(where, what, f"version {VERSION}")
     try:
         return _facts(own, where)
-    except VolumeError:
-        raise
+    except VolumeError as error:  # of a grid that there cannot be, or of a codec that is not known
+        what = error.what if error.where == where else f"damaged zarr.json ({error.where} {error.what})"
+        raise VolumeError(where, what, error.expected) from None
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         detail = f"no {error.args[0]}" if isinstance(error, KeyError) else str(error)[:100]
         raise VolumeError(where, f"damaged zarr.json ({detail})", "what clvol store has written") from None
