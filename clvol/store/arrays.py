@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from pathlib import Path
 from typing import Any
 
@@ -64,13 +65,11 @@ def what_failed(error: BaseException) -> str:
 
 def system_words(text: str) -> str:
     """What the system says, out of a message of tensorstore's, such as 'No space left on device'."""
-    text = text.splitlines()[0].split(" [tensorstore_spec=")[0] if text else "unknown error"
-    marker = "[OS error "
-    if marker in text:
-        inside = text.split(marker, 1)[1].split("]", 1)[0]  # "28: ENOSPC No space left on device"
-        words = inside.split(":", 1)[-1].split()
-        return " ".join(words[1:] if words and words[0].isupper() else words)
-    return text[:160]
+    code = re.search(r"os_error_code='(\d+)'", text)
+    if code is not None:
+        return os.strerror(int(code[1]))
+    line = text.splitlines()[0] if text else "unknown error"
+    return line.split(" [tensorstore_spec=")[0][:160]
 
 
 def read_json(path: Path, where: str) -> Any:

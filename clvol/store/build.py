@@ -261,6 +261,8 @@ class _Build:
         if before is None:
             self._clear()
             _write_whole(self.journal / _BUILD, json.dumps(plan, indent=2))
+        for left in self.partial.rglob("*.__lock"):  # tensorstore's, of writes that were killed
+            left.unlink()
         layout = self.layout
         for level in range(layout.blocks.levels):
             metadata = layout.level_metadata(level)

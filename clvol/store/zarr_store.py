@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections import deque
 from collections.abc import Iterator
@@ -19,7 +20,7 @@ from clvol.store.source import BlockStatistics
 
 _FLYING = 64 << 20  # bytes of samples that are being read at a time
 _FLYING_READS = 256
-_SHARD_SHARE = 0.5  # of the chunks in a box; where so many are wanted, the box is read whole
+_SHARD_SHARE = 0.25  # of the chunks in a box; where so many are wanted, reading it whole is quicker
 _WANTED = "an undamaged store (clvol store --overwrite makes it anew)"
 
 
@@ -106,6 +107,9 @@ class StoredBlocks:
         places = self.blocks.places(np.atleast_1d(np.asarray(blocks, np.int64)))
         out = np.empty((len(places), s, s, s), self.dtype)
         for first, samples, members in self._boxes(level, places):
+            if samples.shape == (s, s, s):
+                out[members] = samples
+                continue
             samples = whole_blocks(samples, s)
             z, y, x = (n // s for n in samples.shape)
             by_block = samples.reshape(z, s, y, s, x, s).transpose(0, 2, 4, 1, 3, 5)
@@ -179,8 +183,9 @@ class StoredBlocks:
     def _start(self, level: int, low: np.ndarray, high: np.ndarray) -> tuple[Any, int]:
         side = self.layout.chunk(level)
         ends = self.blocks.level_shape(level)
-        box = tuple(slice(int(a) * side, min(int(b) * side, n)) for a, b, n in zip(low, high, ends))
-        nbytes = self.dtype.itemsize * int(np.prod([s.stop - s.start for s in box]))
+        bounds = zip(low.tolist(), high.tolist(), ends)
+        box = tuple(slice(a * side, min(b * side, n)) for a, b, n in bounds)
+        nbytes = self.dtype.itemsize * math.prod(s.stop - s.start for s in box)
         return self._levels[level][box].read(), nbytes
 
     def _finish(
