@@ -43,6 +43,7 @@ def command(
         return
     grid = loaded.grid
     low, high = loaded.value_range
+    needed = format_size(facts["memory_needed"])
     rows = [
         ("file", str(facts.get("path") or volume)),
         ("format", str(facts.get("format") or "")),
@@ -59,7 +60,7 @@ def command(
         ("blocks", _blocks(store) if store else ""),
         ("codec", ", ".join(dict.fromkeys(store["codecs"])) if store else ""),
         ("on disk", format_size(store["bytes_on_disk"]) if store else ""),
-        ("memory", f"{format_size(facts['memory_needed'])} on the device, picture and tables included"),
+        ("memory", f"{needed} on the device, picture and tables included"),
     ]
     say_table(row for row in rows if row[1])
 
@@ -84,7 +85,8 @@ def _store_facts(volume: Volume) -> dict:
 def _blocks(store: dict) -> str:
     counts, edge = store["blocks_zyx"], store["edge"]
     sizes = ", ".join(f"{edge >> level}^3" for level in range(store["levels"]))
-    return f"{' x '.join(map(str, counts[::-1]))} of {edge}^3, at {sizes}; files of {store['shard']}^3"
+    size = " x ".join(map(str, counts[::-1]))
+    return f"{size} of {edge}^3, at {sizes}; files of {store['shard']}^3"
 
 
 def _numbers(values) -> str:

@@ -13,21 +13,36 @@ from clvol.errors import VolumeError
 _OPEN_FILES = 8
 
 
-def open_array(path: Path, metadata: dict | None = None, *, driver: str = "zarr3", whole: bool = True) -> Any:
+def open_array(
+    path: Path, metadata: dict | None = None, *, driver: str = "zarr3", whole: bool = True
+) -> Any:
     """The tensorstore array in the folder ``path``; with ``metadata`` made if it is not there.
 
-    ``whole``: every chunk must be there, none stands for the fill value. tensorstore's ValueError passes.
+    ``whole``: every chunk must be there, none stands for the fill value. tensorstore's ValueError
+    passes.
     """
     import tensorstore
 
-    spec: dict[str, Any] = {"driver": driver, "kvstore": {"driver": "file", "path": f"{path.absolute()}/"}}
+    spec: dict[str, Any] = {
+        "driver": driver,
+        "kvstore": {"driver": "file", "path": f"{path.absolute()}/"},
+    }
     spec |= {"recheck_cached_metadata": "open", "recheck_cached_data": True}
     if whole:
         spec |= {"fill_missing_data_reads": False, "store_data_equal_to_fill_value": True}
     if metadata is not None:
-        left = {key: value for key, value in metadata.items() if key not in ("zarr_format", "node_type")}
+        left = {
+            key: value for key, value in metadata.items() if key not in ("zarr_format", "node_type")
+        }
         spec |= {"metadata": left, "open": True, "create": True}
     return tensorstore.open(spec, context=_context()).result()
+
+
+def cores() -> int:
+    """Processor cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
 _made: list = []
@@ -38,12 +53,11 @@ def _context() -> Any:
     if not _made:
         import tensorstore
 
-        cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
         _made.append(
             tensorstore.Context(
                 {
                     "cache_pool": {"total_bytes_limit": 0},
-                    "data_copy_concurrency": {"limit": max(cores, 1)},
+                    "data_copy_concurrency": {"limit": cores()},
                     "file_io_concurrency": {"limit": _OPEN_FILES},
                 }
             )
@@ -64,7 +78,8 @@ def what_failed(error: BaseException) -> str:
 
 
 def system_words(text: str) -> str:
-    """What the system says, out of a message of tensorstore's, such as 'No space left on device'."""
+    """What the system says, out of a message of tensorstore's, such as 'No space left on
+    device'."""
     code = re.search(r"os_error_code='(\d+)'", text)
     if code is not None:
         return os.strerror(int(code[1]))

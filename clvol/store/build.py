@@ -1,17 +1,17 @@
-"""Building a store: region by region, in memory that does not grow with the volume; whole or not there at all.
+"""Building a store: region by region, in memory that does not grow with the volume; whole or not
+there at all.
 
-A region is one shard of level 0. All its levels and statistics are made at once, written to STORE.partial, and then noted in
-the journal there: a file a region, with the statistics. What is noted need not be made again when the building is
-interrupted. At the end the statistics become arrays, the group's metadata are written, and the folder gets its name.
+A region is one shard of level 0. All its levels and statistics are made at once, written to
+STORE.partial, and then noted in the journal there: a file a region, with the statistics. What is
+noted need not be made again when the building is interrupted. At the end the statistics become
+arrays, the group's metadata are written, and the folder gets its name.
 """
 
 from __future__ import annotations
 
 import errno
 import fcntl
-import hashlib
 import json
-import mmap
 import os
 import shutil
 import threading
@@ -21,13 +21,12 @@ from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
 
 import numpy as np
 
 from clvol import __version__
 from clvol.errors import ClvolError, RenderError, UsageError, VolumeError
-from clvol.store.arrays import open_array, system_words
+from clvol.store.arrays import cores, open_array, system_words
 from clvol.store.codecs import CODECS, DEFAULT, one_of_codecs
 from clvol.store.geometry import EDGE
 from clvol.store.layout import (
@@ -41,8 +40,8 @@ from clvol.store.layout import (
 )
 from clvol.store.resolutions import describe_region, with_neighbours
 from clvol.store.source import BlockStatistics
+from clvol.store.voxel_source import VolumeSource, VoxelSource
 from clvol.store.zarr_store import StoredBlocks, is_store
-from clvol.volume.grid import Grid
 from clvol.volume.volume import Volume
 
 _BUILD = "build.json"
@@ -54,73 +53,6 @@ _WORKERS = 4
 Progress = Callable[[int, int], None]
 
 
-class VoxelSource(Protocol):
-    """What a store is built of: anything that can give a box of voxels.
-
-    ``identity`` (JSON) changes when the voxels do: an interrupted store goes on only with the same.
-    """
-
-    shape: tuple[int, int, int]
-    dtype: np.dtype
-    grid: Grid
-    name: str | None
-    frame: str
-    identity: dict
-
-    def box(self, z0: int, z1: int, y0: int, y1: int, x0: int, x1: int) -> np.ndarray:
-        """Voxels [z0:z1, y0:y1, x0:x1] of ``dtype``. Called by several threads."""
-        ...
-
-
-class VolumeSource:
-    """A volume: in memory, mapped from a file, or one that reads boxes itself (``Volume.box``).
-
-    ``settings`` (JSON): what else decides how the file's bytes become voxels.
-    """
-
-    def __init__(self, volume: Volume, settings: dict | None = None) -> None:
-        self.volume, self.settings = volume, settings or {}
-        self.shape, self.dtype, self.grid = volume.shape, volume.dtype, volume.grid
-        self.name, self.frame = volume.name, volume.frame
-
-    @property
-    def identity(self) -> dict:
-        """Of a file its place, size and time; of an array without one a digest of its bytes."""
-        volume = self.volume
-        if volume.path is not None:
-            place = os.path.realpath(volume.path)
-            return {"path": place, "files": _files_digest(Path(volume.path)), "settings": self.settings}
-        digest = hashlib.blake2b(digest_size=16)
-        for layer in volume.data:
-            digest.update(layer)
-        return {"digest": digest.hexdigest()}
-
-    def box(self, z0: int, z1: int, y0: int, y1: int, x0: int, x1: int) -> np.ndarray:
-        if hasattr(self.volume, "box"):
-            return self.volume.box(z0, z1, y0, y1, x0, x1)
-        return np.array(self.volume.data[z0:z1, y0:y1, x0:x1])
-
-    def forget(self) -> None:
-        """Pages of a mapped file that have been read need not stay in this process's memory."""
-        if hasattr(self.volume, "box"):
-            return
-        array: Any = self.volume.data
-        while isinstance(array, np.ndarray):
-            array = array.base
-        if isinstance(array, mmap.mmap) and hasattr(mmap, "MADV_DONTNEED"):
-            array.madvise(mmap.MADV_DONTNEED)
-
-
-def _files_digest(path: Path) -> str:
-    """Changes with the names, sizes or times of the file, or of the folder's files."""
-    digest = hashlib.blake2b(digest_size=16)
-    files = sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
-    for file in files:
-        facts = file.stat()
-        digest.update(f"{file.relative_to(path)} {facts.st_size} {facts.st_mtime_ns}\n".encode())
-    return digest.hexdigest()
-
-
 @dataclass(frozen=True)
 class Unfinished:
     """A store that is not whole: ``done`` of ``total`` regions are."""
@@ -130,7 +62,8 @@ class Unfinished:
 
 
 def unfinished(path: str | os.PathLike) -> Unfinished | None:
-    """How far the building of the store ``path`` has come, if it was begun and has not come to its end."""
+    """How far the building of the store ``path`` has come, if it was begun and has not come to its
+    end."""
     journal = partial_path(Path(path)) / JOURNAL
     try:
         total = int(json.loads((journal / _BUILD).read_text(encoding="utf-8"))["regions"])
@@ -154,13 +87,15 @@ def build_store(
 ) -> StoredBlocks:
     """Writes the store ``path`` and opens it.
 
-    ``edge``: voxels an axis of a block; ``shard``: of a file, a multiple of it (None: 128, or 256 for long volumes);
-    ``codec``: a name in ``codecs.CODECS``. ``overwrite`` replaces a store that is there, once the new one is whole.
-    What an interrupted call with the same source and settings has left in PATH.partial is gone on with; ``restart``
-    throws it away. ``progress(done, total)`` counts regions; what it raises interrupts. ``workers``: threads.
+    ``edge``: voxels an axis of a block; ``shard``: of a file, a multiple of it (None: 128, or 256
+    for long volumes); ``codec``: a name in ``codecs.CODECS``. ``overwrite`` replaces a store that
+    is there, once the new one is whole. What an interrupted call with the same source and settings
+    has left in PATH.partial is gone on with; ``restart`` throws it away. ``progress(done, total)``
+    counts regions; what it raises interrupts. ``workers``: threads.
 
-    Raises UsageError where no store can be written as asked, VolumeError where the source cannot be read, and
-    RenderError where writing fails (a full disk): then PATH.partial stays, and the same call goes on with it.
+    Raises UsageError where no store can be written as asked, VolumeError where the source cannot be
+    read, and RenderError where writing fails (a full disk): then PATH.partial stays, and the same
+    call goes on with it.
     """
     if isinstance(source, Volume):
         source = VolumeSource(source)
@@ -192,6 +127,10 @@ def check_place(path: Path, overwrite: bool) -> None:
         raise UsageError(str(path), f"{parent}: {what}", "a place in a folder that exists")
     if not os.access(parent, os.W_OK | os.X_OK):
         raise UsageError(str(path), f"{parent} cannot be written to", "a folder that can")
+    partial = partial_path(path)
+    if os.path.lexists(partial) and not (partial / JOURNAL).is_dir():
+        what = f"{partial.name}, where it is built, is something else"
+        raise UsageError(str(path), what, "another name")
     if not os.path.lexists(path):
         return
     if path.is_symlink() or not path.is_dir():
@@ -199,7 +138,9 @@ def check_place(path: Path, overwrite: bool) -> None:
     if not overwrite:
         raise UsageError(str(path), "exists already", "a new name, or --overwrite")
     if not is_store(path):
-        raise UsageError(str(path), "a folder that is no store", "a store to overwrite, or a new name")
+        raise UsageError(
+            str(path), "a folder that is no store", "a store to overwrite, or a new name"
+        )
 
 
 @contextmanager
@@ -232,7 +173,9 @@ def _locked(partial: Path) -> Iterator[Path]:
         except OSError as error:
             if error.errno not in (errno.EWOULDBLOCK, errno.EACCES):
                 raise
-            raise UsageError(str(partial), "another process is building it", "one at a time") from None
+            raise UsageError(
+                str(partial), "another process is building it", "one at a time"
+            ) from None
         yield partial
 
 
@@ -250,7 +193,7 @@ class _Build:
     # ---- beginning ----
 
     def begin(self, path: Path, restart: bool) -> None:
-        """Goes on with what ``partial`` holds, or begins; VolumeError if it is of something else."""
+        """Goes on with what ``partial`` holds, or begins; UsageError if it is of something else."""
         plan = self._plan()
         before = None if restart else self._plan_before()
         if before is not None and before != plan:
@@ -272,9 +215,9 @@ class _Build:
         layout, grid = self.layout, self.source.grid
         plan = {
             "clvol": __version__, "source": self.source.identity, "name": self.source.name,
-            "shape": layout.shape, "dtype": layout.dtype.name, "spacing": grid.spacing, "origin": grid.origin,
-            "direction": grid.direction.tolist(), "edge": layout.edge, "shard": layout.shard,
-            "codec": self.codec, "regions": self.count,
+            "shape": layout.shape, "dtype": layout.dtype.name,
+            "spacing": grid.spacing, "origin": grid.origin, "direction": grid.direction.tolist(),
+            "edge": layout.edge, "shard": layout.shard, "codec": self.codec, "regions": self.count,
         }  # fmt: skip
         return json.loads(json.dumps(plan))
 
@@ -330,9 +273,8 @@ class _Build:
 
     def _workers(self) -> int:
         """Threads, so many that what they have in hand stays bounded."""
-        cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
         region = (self.layout.shard + 2) ** 3 * self.layout.dtype.itemsize
-        return int(np.clip(_IN_HAND // (3 * region), 1, min(cores, _WORKERS)))
+        return int(np.clip(_IN_HAND // (3 * region), 1, min(cores(), _WORKERS)))
 
     def _make_region(self, index: int) -> None:
         if self._stop.is_set():
@@ -364,7 +306,9 @@ class _Build:
 
     def _stored(self, level: int, samples: np.ndarray) -> np.ndarray:
         payload = self.layout.codecs[level].payload
-        return samples if payload is None else payload.encode(samples, self.layout.parameters[level])
+        if payload is None:
+            return samples
+        return payload.encode(samples, self.layout.parameters[level])
 
     # ---- the journal ----
 
@@ -375,7 +319,9 @@ class _Build:
         """In one step: the region is on the disk, with these sizes of files."""
         region = [-(-(s.stop - s.start) // self.layout.edge) for s in self.layout.region(index)]
         members = {
-            name: getattr(statistics, name).astype(dtype).reshape(self.layout.statistics_shape(name, tuple(region)))
+            name: getattr(statistics, name)
+            .astype(dtype)
+            .reshape(self.layout.statistics_shape(name, tuple(region)))
             for name, dtype in self.layout.statistics_types.items()
         }
         file = self.journal / f"{index}.npz"
@@ -385,7 +331,10 @@ class _Build:
         os.replace(temporary, file)
 
     def _sizes(self, index: int) -> np.ndarray:
-        files = [self.partial / self.layout.shard_file(index, n) for n in range(self.layout.blocks.levels)]
+        files = [
+            self.partial / self.layout.shard_file(index, n)
+            for n in range(self.layout.blocks.levels)
+        ]
         return np.array([file.stat().st_size if file.exists() else -1 for file in files], np.int64)
 
     def _noted(self, index: int) -> np.ndarray | None:
@@ -407,7 +356,12 @@ class _Build:
         _write_whole(self.partial / "blocks" / ROOT, json.dumps(group, indent=2))
         facts = self._facts()
         root = root_metadata(
-            self.layout, self.source.grid, self.source.name, self.source.frame, facts, f"clvol {__version__}"
+            self.layout,
+            self.source.grid,
+            self.source.name,
+            self.source.frame,
+            facts,
+            f"clvol {__version__}",
         )
         _write_whole(self.partial / ROOT, json.dumps(root, indent=2))
         replaced = path.with_name(path.name + _REPLACED)
@@ -416,8 +370,8 @@ class _Build:
             os.rename(path, replaced)
         try:
             os.rename(self.partial, path)
-        except OSError:
-            if replaced.exists():
+        except BaseException:
+            if replaced.exists() and not path.exists():
                 os.rename(replaced, path)
             raise
         _sync_folder(path.parent)
@@ -433,7 +387,9 @@ class _Build:
         by_level = array.rank > 3
         for z in range(nz):
             depth = min(rows, bz - z * rows)
-            plane = np.empty(layout.statistics_shape(name, (depth, by, bx)), layout.statistics_types[name])
+            plane = np.empty(
+                layout.statistics_shape(name, (depth, by, bx)), layout.statistics_types[name]
+            )
             for index in range(z * ny * nx, (z + 1) * ny * nx):
                 _, y, x = (slice(s.start // edge, -(-s.stop // edge)) for s in layout.region(index))
                 with np.load(self.journal / f"{index}.npz") as noted:
@@ -445,16 +401,23 @@ class _Build:
         """Range and counts of all voxels."""
         noted = [self._noted(index) for index in range(self.count)]
         if any(census is None for census in noted):
-            raise RenderError(str(self.partial), "changed by another while it was built", "left alone")
+            raise RenderError(
+                str(self.partial), "changed by another while it was built", "left alone"
+            )
         census = np.stack(noted)
         low, high = float(census[:, 0].min()), float(census[:, 1].max())
         if low > high:
             low = high = 0.0
-        return {"value_range": [low, high], "nan_count": int(census[:, 2].sum()), "inf_count": int(census[:, 3].sum())}
+        return {
+            "value_range": [low, high],
+            "nan_count": int(census[:, 2].sum()),
+            "inf_count": int(census[:, 3].sum()),
+        }
 
 
 def _census(voxels: np.ndarray, statistics: BlockStatistics) -> np.ndarray:
-    """float64 [4]: smallest and largest finite voxel (inf, -inf if there is none), how many are NaN, and infinite."""
+    """float64 [4]: smallest and largest finite voxel (inf, -inf if there is none), how many are
+    NaN, and infinite."""
     low, high = statistics.minimum[0], statistics.maximum[0]
     known = ~np.isnan(low)
     range_ = (low[known].min(), high[known].max()) if known.any() else (np.inf, -np.inf)
@@ -483,5 +446,3 @@ def _sync_folder(path: Path) -> None:
 
 def _remove(path: Path) -> None:
     shutil.rmtree(path, ignore_errors=True)
-
-

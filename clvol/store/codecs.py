@@ -1,8 +1,9 @@
 """Codecs by name: how a level's samples become bytes.
 
-A codec compresses the bytes of samples, and then any Zarr reader opens the level; or it has a ``payload``: what the level's
-array holds is not samples but codes, one block's in one chunk, which clvol itself decodes. A new codec is an entry in
-``CODECS``. Its name and parameters stand in the store, a level at a time.
+A codec compresses the bytes of samples, and then any Zarr reader opens the level; or it has a
+``payload``: what the level's array holds is not samples but codes, one block's in one chunk, which
+clvol itself decodes. A new codec is an entry in ``CODECS``. Its name and parameters stand in the
+store, a level at a time.
 """
 
 from __future__ import annotations
@@ -35,7 +36,8 @@ class Payload(Protocol):
 
 @dataclass(frozen=True)
 class Codec:
-    """``compressor``: the Zarr codec (name, configuration) that follows the one that makes bytes; None for none."""
+    """``compressor``: the Zarr codec (name, configuration) that follows the one that makes bytes;
+    None for none."""
 
     name: str
     lossless: bool
@@ -47,12 +49,16 @@ class Codec:
         return samples if self.payload is None else self.payload.dtype(samples)
 
     def chain(self, dtype: np.dtype) -> list[dict]:
-        """The Zarr codecs of a chunk of ``dtype``; the last adds a checksum that covers what is on disk."""
+        """The Zarr codecs of a chunk of ``dtype``; the last adds a checksum that covers what is on
+        disk."""
         return [as_bytes(dtype), *compressing(self.compressor, dtype), CHECKSUM]
 
 
 CHECKSUM = {"name": "crc32c"}
-_BLOSC = {"name": "blosc", "configuration": {"cname": "lz4", "clevel": 5, "shuffle": "bitshuffle", "blocksize": 0}}
+_BLOSC = {
+    "name": "blosc",
+    "configuration": {"cname": "lz4", "clevel": 5, "shuffle": "bitshuffle", "blocksize": 0},
+}
 _ZSTD = {"name": "zstd", "configuration": {"level": 3, "checksum": False}}
 
 CODECS: dict[str, Codec] = {
@@ -86,7 +92,10 @@ def compressing(compressor: dict | None, dtype: np.dtype) -> list[dict]:
     if compressor is None:
         return []
     if compressor["name"] == "blosc":
-        compressor = {"name": "blosc", "configuration": {**compressor["configuration"], "typesize": dtype.itemsize}}
+        compressor = {
+            "name": "blosc",
+            "configuration": {**compressor["configuration"], "typesize": dtype.itemsize},
+        }
     return [compressor]
 
 

@@ -1,9 +1,11 @@
 """How a store is laid out on disk: names, shapes and metadata. Nothing is read or written here.
 
-STORE/zarr.json         group: OME-Zarr 0.5 ``multiscales``, and what OME-Zarr cannot say under ``clvol``; written last
-STORE/0 ... STORE/4     arrays [z, y, x], level 0 full; a shard is a file, at each level of the same part of the volume
-STORE/blocks/NAME       arrays [level, bz, by, bx] of statistics, as in BlockStatistics
-STORE.partial           a store that is not whole yet: the same, without zarr.json, and with clvol-journal/
+STORE/zarr.json      group: OME-Zarr 0.5 ``multiscales``, and what that cannot say under ``clvol``;
+                     written last
+STORE/0 ... STORE/4  arrays [z, y, x], level 0 full; a shard is a file, at each level of the same
+                     part of the volume
+STORE/blocks/NAME    arrays [level, bz, by, bx] of statistics, as in BlockStatistics
+STORE.partial        a store that is not whole yet: the same, with clvol-journal/
 
 Level 0 has one block in a chunk; coarser levels have the blocks of (chunk / samples)^3 in one.
 """
@@ -46,8 +48,8 @@ def default_shard(shape: tuple[int, int, int]) -> int:
 
 @dataclass(frozen=True)
 class StoreLayout:
-    """``shard`` is in voxels an axis of level 0, a multiple of ``edge``; ``codecs`` one a level, and ``parameters``
-    what a codec with a payload needs beside the codes (JSON)."""
+    """``shard`` is in voxels an axis of level 0, a multiple of ``edge``; ``codecs`` one a level,
+    and ``parameters`` what a codec with a payload needs beside the codes (JSON)."""
 
     shape: tuple[int, int, int]
     dtype: np.dtype
@@ -78,7 +80,9 @@ class StoreLayout:
 
     def shard_file(self, index: int, level: int) -> str:
         """Relative to the store."""
-        return "/".join([str(level), "c", *(str(int(p)) for p in np.unravel_index(index, self.regions))])
+        return "/".join(
+            [str(level), "c", *(str(int(p)) for p in np.unravel_index(index, self.regions))]
+        )
 
     def level_metadata(self, level: int) -> dict:
         """zarr.json of a level."""
@@ -87,7 +91,10 @@ class StoreLayout:
         sharding = {
             "chunk_shape": [self.chunk(level)] * 3,
             "codecs": codec.chain(dtype),
-            "index_codecs": [{"name": "bytes", "configuration": {"endian": "little"}}, {"name": "crc32c"}],
+            "index_codecs": [
+                {"name": "bytes", "configuration": {"endian": "little"}},
+                {"name": "crc32c"},
+            ],
             "index_location": "end",
         }
         codecs = [{"name": "sharding_indexed", "configuration": sharding}]
@@ -107,12 +114,13 @@ class StoreLayout:
 
     @cached_property
     def statistics_types(self) -> dict[str, np.dtype]:
-        """Names of the arrays of statistics and their types: those in which nothing is lost but digits
-        of means of integers beyond float32's."""
+        """Names of the arrays of statistics and their types: those in which nothing is lost but
+        digits of means of integers beyond float32's."""
         real = np.dtype(np.float64 if self.dtype == np.float64 else np.float32)
         return {
-            "minimum": self.dtype, "maximum": self.dtype, "mean": real, "quantiles": np.dtype(np.float32),
-            "deviation": real, "reach_low": self.dtype, "reach_high": self.dtype, "holes": np.dtype(bool),
+            "minimum": self.dtype, "maximum": self.dtype, "mean": real,
+            "quantiles": np.dtype(np.float32), "deviation": real,
+            "reach_low": self.dtype, "reach_high": self.dtype, "holes": np.dtype(bool),
         }  # fmt: skip
 
     def statistics_shape(self, name: str, counts: tuple[int, int, int]) -> tuple[int, ...]:
@@ -149,7 +157,9 @@ def _array(shape: tuple, chunk: Any, dtype: np.dtype, codecs: list, names: list[
     }
 
 
-def check_layout(shape: tuple, dtype: np.dtype, edge: int, shard: int | None, codec: Codec) -> StoreLayout:
+def check_layout(
+    shape: tuple, dtype: np.dtype, edge: int, shard: int | None, codec: Codec
+) -> StoreLayout:
     """The layout of a new store; UsageError for what there cannot be."""
     if edge not in EDGES:
         raise UsageError("edge", f"got {edge!r}", "one of " + ", ".join(map(str, EDGES)))
@@ -158,7 +168,9 @@ def check_layout(shape: tuple, dtype: np.dtype, edge: int, shard: int | None, co
         expected = f"a multiple of the edge {edge}, at most {_LARGEST_SHARD}"
         raise UsageError("shard", f"got {shard!r}", expected)
     levels = edge.bit_length()
-    return StoreLayout(tuple(shape), np.dtype(dtype), edge, shard, (codec,) * levels, ({},) * levels)
+    return StoreLayout(
+        tuple(shape), np.dtype(dtype), edge, shard, (codec,) * levels, ({},) * levels
+    )
 
 
 # ---- the root group ------------------------------------------------------------------------------
@@ -193,7 +205,8 @@ def root_metadata(
 
 
 def _multiscale(layout: StoreLayout, grid: Grid, name: str | None) -> dict:
-    """OME-Zarr knows no rotations: where the grid has one, positions are along its own axes, from its first voxel."""
+    """OME-Zarr knows no rotations: where the grid has one, positions are along its own axes, from
+    its first voxel."""
     spacing = np.asarray(grid.spacing[::-1])
     plain = np.array_equal(grid.direction, np.eye(3))
     origin = np.asarray(grid.origin[::-1]) if plain else np.zeros(3)
@@ -207,7 +220,13 @@ def _multiscale(layout: StoreLayout, grid: Grid, name: str | None) -> dict:
         datasets.append({"path": str(level), "coordinateTransformations": transformations})
     axes = [{"name": axis, "type": "space"} for axis in "zyx"]
     method = {"description": "means of the voxels of level 0", "method": "clvol.store.resolutions"}
-    return {"name": name or "volume", "type": "mean", "metadata": method, "axes": axes, "datasets": datasets}
+    return {
+        "name": name or "volume",
+        "type": "mean",
+        "metadata": method,
+        "axes": axes,
+        "datasets": datasets,
+    }
 
 
 @dataclass(frozen=True, eq=False)
@@ -224,7 +243,8 @@ class StoreFacts:
 
 
 def parse_root(root: Any, where: str) -> StoreFacts:
-    """``root`` is the zarr.json of a group. VolumeError unless it is a store that this clvol reads."""
+    """``root`` is the zarr.json of a group. VolumeError unless it is a store that this clvol
+    reads."""
     attributes = root.get("attributes") if isinstance(root, dict) else None
     own = attributes.get("clvol") if isinstance(attributes, dict) else None
     if not isinstance(own, dict):
@@ -232,16 +252,26 @@ def parse_root(root: Any, where: str) -> StoreFacts:
     version = own.get("version")
     if version != VERSION:
         newer = isinstance(version, int) and version > VERSION
-        what = f"stored by a newer clvol (version {version})" if newer else f"store version {version!r}"
+        what = (
+            f"stored by a newer clvol (version {version})"
+            if newer
+            else f"store version {version!r}"
+        )
         raise VolumeError(where, what, f"version {VERSION}")
     try:
         return _facts(own, where)
     except VolumeError as error:  # of a grid that there cannot be, or of a codec that is not known
-        what = error.what if error.where == where else f"damaged zarr.json ({error.where} {error.what})"
+        what = (
+            error.what
+            if error.where == where
+            else f"damaged zarr.json ({error.where} {error.what})"
+        )
         raise VolumeError(where, what, error.expected) from None
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         detail = f"no {error.args[0]}" if isinstance(error, KeyError) else str(error)[:100]
-        raise VolumeError(where, f"damaged zarr.json ({detail})", "what clvol store has written") from None
+        raise VolumeError(
+            where, f"damaged zarr.json ({detail})", "what clvol store has written"
+        ) from None
 
 
 def _facts(own: dict, where: str) -> StoreFacts:

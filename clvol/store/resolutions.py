@@ -1,8 +1,8 @@
 """Coarser resolutions of an array, and statistics of its blocks, piece by piece.
 
-Coarser samples are means of the voxels themselves (not of already rounded means), rounded to the voxels' type, halves to
-even. Where fewer than half of a sample's voxels are finite the sample is NaN. Sums of integers are exact; a level's sums are
-made of those of the level before.
+Coarser samples are means of the voxels themselves (not of already rounded means), rounded to the
+voxels' type, halves to even. Where fewer than half of a sample's voxels are finite the sample is
+NaN. Sums of integers are exact; a level's sums are made of those of the level before.
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ _LARGE = 1e150  # squares of larger values overflow
 
 
 def block_samples(data: np.ndarray, grid: BlockGrid, level: int, blocks: np.ndarray) -> np.ndarray:
-    """[k, s, s, s] of ``data``'s dtype: samples of ``blocks`` at ``level``, the last ones repeated beyond the array."""
+    """[k, s, s, s] of ``data``'s dtype: samples of ``blocks`` at ``level``, the last ones repeated
+    beyond the array."""
     s = grid.samples(level)
     out = np.empty((len(blocks), s, s, s), data.dtype)
     for k, place in enumerate(grid.places(blocks)):
@@ -29,8 +30,11 @@ def block_samples(data: np.ndarray, grid: BlockGrid, level: int, blocks: np.ndar
     return out
 
 
-def region_level(data: np.ndarray, grid: BlockGrid, level: int, first: tuple, last: tuple) -> np.ndarray:
-    """[z, y, x] of the blocks ``first`` <= (bz, by, bx) < ``last`` at ``level``, the last samples repeated beyond the array."""
+def region_level(
+    data: np.ndarray, grid: BlockGrid, level: int, first: tuple, last: tuple
+) -> np.ndarray:
+    """[z, y, x] of the blocks ``first`` <= (bz, by, bx) < ``last`` at ``level``, the last samples
+    repeated beyond the array."""
     box = _box(data.shape, grid.edge, first, last)
     return whole_blocks(reduced(data[box], level), grid.samples(level))
 
@@ -50,8 +54,8 @@ def whole_blocks(samples: np.ndarray, s: int) -> np.ndarray:
 
 
 def resolutions(box: np.ndarray, levels: int) -> list[np.ndarray]:
-    """``box`` [z, y, x] at levels 0 ... ``levels`` - 1; level 0 is ``box`` itself. Sample i along an axis is of the
-    voxels 2^l i ... 2^l (i + 1) - 1 that the box has."""
+    """``box`` [z, y, x] at levels 0 ... ``levels`` - 1; level 0 is ``box`` itself. Sample i along
+    an axis is of the voxels 2^l i ... 2^l (i + 1) - 1 that the box has."""
     found = [box]
     if levels == 1:
         return found
@@ -101,11 +105,17 @@ def _filled_up(box: np.ndarray, levels: int, value: float) -> np.ndarray:
 
 
 def _sums(box: np.ndarray, levels: int) -> Iterator[np.ndarray]:
-    """Sums over 2^l voxels an axis at levels 1 ... ``levels`` - 1; exact where the box holds integers of at most 16
-    bits and the coarsest level has at most 32 voxels an axis."""
+    """Sums over 2^l voxels an axis at levels 1 ... ``levels`` - 1; exact where the box holds
+    integers of at most 16 bits and the coarsest level has at most 32 voxels an axis."""
     eight_bits = box.dtype.itemsize == 1
     for level in range(1, levels):
-        kind = np.float64 if box.dtype.kind == "f" else np.int16 if eight_bits and level < 3 else np.int32
+        kind = (
+            np.float64
+            if box.dtype.kind == "f"
+            else np.int16
+            if eight_bits and level < 3
+            else np.int32
+        )
         box = np.add(box[::2], box[1::2], dtype=kind)
         box = box[:, ::2] + box[:, 1::2]
         box = box[:, :, ::2] + box[:, :, 1::2]
@@ -133,9 +143,11 @@ def array_statistics(data: np.ndarray, grid: BlockGrid) -> Iterator[BlockStatist
             yield region_statistics(data, grid, first, last)
 
 
-def region_statistics(data: np.ndarray, grid: BlockGrid, first: tuple, last: tuple) -> BlockStatistics:
-    """Of the blocks ``first`` <= (bz, by, bx) < ``last``, in C order. ``first`` of the result is the number of
-    the first; the blocks are consecutive where the caller makes them so."""
+def region_statistics(
+    data: np.ndarray, grid: BlockGrid, first: tuple, last: tuple
+) -> BlockStatistics:
+    """Of the blocks ``first`` <= (bz, by, bx) < ``last``, in C order. ``first`` of the result is
+    the number of the first; the blocks are consecutive where the caller makes them so."""
     box = _box(data.shape, grid.edge, first, last)
     around, inner = with_neighbours(data.shape, box)
     found = describe_region(data[around], inner, grid.edge)[1]
@@ -143,7 +155,8 @@ def region_statistics(data: np.ndarray, grid: BlockGrid, first: tuple, last: tup
 
 
 def with_neighbours(shape: tuple, box: tuple) -> tuple[tuple, tuple]:
-    """The slices ``box`` of an array of ``shape`` and one voxel around, where there is one; and ``box`` inside that."""
+    """The slices ``box`` of an array of ``shape`` and one voxel around, where there is one; and
+    ``box`` inside that."""
     around = tuple(slice(max(s.start - 1, 0), min(s.stop + 1, n)) for s, n in zip(box, shape))
     inner = tuple(slice(s.start - a.start, s.stop - a.start) for s, a in zip(box, around))
     return around, inner
@@ -152,10 +165,11 @@ def with_neighbours(shape: tuple, box: tuple) -> tuple[tuple, tuple]:
 def describe_region(
     around: np.ndarray, inner: tuple[slice, slice, slice], edge: int
 ) -> tuple[list[np.ndarray], BlockStatistics]:
-    """The region ``around[inner]`` at all levels, and the statistics of its blocks in C order (their ``first`` is 0).
+    """The region ``around[inner]`` at all levels, and the statistics of its blocks in C order
+    (their ``first`` is 0).
 
-    The region starts where a block does, and ends where one does or the array ends. ``around`` holds one voxel more
-    on each side, where the array has one.
+    The region starts where a block does, and ends where one does or the array ends. ``around``
+    holds one voxel more on each side, where the array has one.
     """
     start, stop = inner[0].start, inner[0].stop
     plane = max((inner[1].stop - inner[1].start) * (inner[2].stop - inner[2].start), 1)
@@ -179,11 +193,15 @@ def join_statistics(parts: list[BlockStatistics]) -> BlockStatistics:
     """``parts`` one after the other, as of consecutive blocks."""
     names = [field.name for field in fields(BlockStatistics)][1:]
     axis = {"reach_low": 0, "reach_high": 0, "holes": 0}
-    joined = (np.concatenate([getattr(p, name) for p in parts], axis.get(name, 1)) for name in names)
+    joined = (
+        np.concatenate([getattr(p, name) for p in parts], axis.get(name, 1)) for name in names
+    )
     return BlockStatistics(parts[0].first, *joined)
 
 
-def _describe(around: np.ndarray, inner: tuple, edge: int) -> tuple[list[np.ndarray], BlockStatistics]:
+def _describe(
+    around: np.ndarray, inner: tuple, edge: int
+) -> tuple[list[np.ndarray], BlockStatistics]:
     levels = resolutions(around[inner], edge.bit_length())
     full = whole_blocks(levels[0], edge)
     by_block = [split(full, edge)]
@@ -194,17 +212,22 @@ def _describe(around: np.ndarray, inner: tuple, edge: int) -> tuple[list[np.ndar
     summaries = [_summary(samples) for samples in by_block]
     deviation = _deviations(full, by_block)
     low, high, holes = _reach(around, inner, edge)
+
+    def of_levels(name: str) -> np.ndarray:
+        return np.stack([summary[name] for summary in summaries])
+
     found = BlockStatistics(
         0,
-        *(np.stack([summary[name] for summary in summaries]) for name in ("minimum", "maximum", "mean")),
-        np.stack([summary["quantiles"] for summary in summaries]).astype(np.float32),
+        of_levels("minimum"), of_levels("maximum"), of_levels("mean"),
+        of_levels("quantiles").astype(np.float32),
         deviation, low, high, holes,
     )  # fmt: skip
     return levels, found
 
 
 def split(box: np.ndarray, s: int) -> np.ndarray:
-    """[blocks, s, s, s], C order of blocks, of ``box`` [z, y, x], whose axes are multiples of ``s``."""
+    """[blocks, s, s, s], C order of blocks, of ``box`` [z, y, x], whose axes are multiples of
+    ``s``."""
     z, y, x = (n // s for n in box.shape)
     return box.reshape(z, s, y, s, x, s).transpose(0, 2, 4, 1, 3, 5).reshape(-1, s, s, s)
 
@@ -231,7 +254,8 @@ def _summary(samples: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def _summary_with_holes(flat: np.ndarray) -> dict[str, np.ndarray]:
-    """Blocks without holes together, the others one by one. ``flat`` [blocks, n] is in order, NaN last."""
+    """Blocks without holes together, the others one by one. ``flat`` [blocks, n] is in order, NaN
+    last."""
     whole = np.isfinite(flat[:, 0]) & np.isfinite(flat[:, -1])
     count = len(flat)
     out = {name: np.full(count, np.nan) for name in ("minimum", "maximum", "mean")}
@@ -260,7 +284,8 @@ def _mean(values: np.ndarray) -> np.ndarray:
 
 
 def _deviations(full: np.ndarray, by_block: list[np.ndarray]) -> np.ndarray:
-    """[levels, blocks]: root mean square of each level's samples, held constant, minus the voxels ``full`` [z, y, x]."""
+    """[levels, blocks]: root mean square of each level's samples, held constant, minus the voxels
+    ``full`` [z, y, x]."""
     count, edge = len(by_block[0]), by_block[0].shape[1]
     out = np.zeros((len(by_block), count))
     if full.dtype.kind != "f":
@@ -268,7 +293,9 @@ def _deviations(full: np.ndarray, by_block: list[np.ndarray]) -> np.ndarray:
         for level, sums in enumerate(_sums(full, len(by_block)), 1):
             samples = by_block[level].reshape(count, -1).astype(np.int64)
             sums = split(sums, edge >> level).reshape(count, -1)
-            out[level] = squares - 2 * (samples * sums).sum(axis=1) + 8**level * (samples**2).sum(axis=1)
+            out[level] = (
+                squares - 2 * (samples * sums).sum(axis=1) + 8**level * (samples**2).sum(axis=1)
+            )
         return np.sqrt(out / edge**3)
     blocks = by_block[0].reshape(count, -1)
     with np.errstate(invalid="ignore"):
@@ -278,7 +305,9 @@ def _deviations(full: np.ndarray, by_block: list[np.ndarray]) -> np.ndarray:
         out[1:] = _deviations_of_floats(full, by_block)
         return out
     for level in range(1, len(by_block)):
-        out[level, ~plain] = _deviation_with_holes(by_block[0][~plain], by_block[level][~plain], level)
+        out[level, ~plain] = _deviation_with_holes(
+            by_block[0][~plain], by_block[level][~plain], level
+        )
     if plain.any():
         chosen = [samples[plain] for samples in by_block]
         out[1:, plain] = _deviations_of_floats(chosen[0].reshape(-1, edge, edge), chosen)
@@ -296,13 +325,19 @@ def _sums_of_squares(blocks: np.ndarray) -> np.ndarray:
 
 
 def _deviations_of_floats(full: np.ndarray, by_block: list[np.ndarray]) -> np.ndarray:
-    """[levels - 1, blocks]: without cancellation: the squares within a sample's voxels are those within its eight
-    parts and those of the parts' means. ``full`` [z, y, x] may be blocks one upon another."""
+    """[levels - 1, blocks]: without cancellation: the squares within a sample's voxels are those
+    within its eight parts and those of the parts' means. ``full`` [z, y, x] may be blocks one upon
+    another."""
     count, edge = len(by_block[0]), by_block[0].shape[1]
     out = np.empty((len(by_block) - 1, count))
     means, within = full, 0.0
     for level in range(1, len(by_block)):
-        parts = [means[z::2, y::2, x::2].astype(np.float64) for z in (0, 1) for y in (0, 1) for x in (0, 1)]
+        parts = [
+            means[z::2, y::2, x::2].astype(np.float64)
+            for z in (0, 1)
+            for y in (0, 1)
+            for x in (0, 1)
+        ]
         if level > 1:
             within = next(_sums(within, 2))
         means = next(_sums(means, 2)) / 8  # in pairs: exact where all eight are the same
@@ -331,7 +366,9 @@ def _deviation_with_holes(full: np.ndarray, samples: np.ndarray, level: int) -> 
         return np.sqrt(squares.sum(axis=1) / np.maximum(known.sum(axis=1), 1))
 
 
-def _reach(around: np.ndarray, inner: tuple, edge: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _reach(
+    around: np.ndarray, inner: tuple, edge: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """reach_low, reach_high, holes of ``BlockStatistics``."""
     low = high = around
     holes = None

@@ -1,4 +1,5 @@
-"""A store on disk as a source of blocks: checked when it is opened, and again with every chunk that is read."""
+"""A store on disk as a source of blocks: checked when it is opened, and again with every chunk that
+is read."""
 
 from __future__ import annotations
 
@@ -25,7 +26,8 @@ _WANTED = "an undamaged store (clvol store --overwrite makes it anew)"
 
 
 def open_store(path: str | os.PathLike) -> StoredBlocks:
-    """The store in the folder ``path``; VolumeError if it is none, or is not whole, or is of another version."""
+    """The store in the folder ``path``; VolumeError if it is none, or is not whole, or is of
+    another version."""
     return StoredBlocks(path)
 
 
@@ -42,7 +44,9 @@ def is_store(path: str | os.PathLike) -> bool:
 
 def is_unfinished(path: Path) -> bool:
     """Whether the folder is a store whose making has not come to its end."""
-    return path.joinpath(JOURNAL).is_dir() and (path.name.endswith(PARTIAL) or not path.joinpath(ROOT).exists())
+    return path.joinpath(JOURNAL).is_dir() and (
+        path.name.endswith(PARTIAL) or not path.joinpath(ROOT).exists()
+    )
 
 
 def check_finished(path: Path) -> None:
@@ -56,7 +60,8 @@ def check_finished(path: Path) -> None:
 
 
 class StoredBlocks:
-    """A store as a ``BlockSource``. Nothing of it is kept in memory. ``facts`` is what its metadata say."""
+    """A store as a ``BlockSource``. Nothing of it is kept in memory. ``facts`` is what its metadata
+    say."""
 
     def __init__(self, path: str | os.PathLike) -> None:
         self.path = Path(path)
@@ -90,13 +95,21 @@ class StoredBlocks:
         try:
             array = open_array(self.path / name)
         except ValueError as error:
-            raise VolumeError(self._where, f"array {name!r} {what_failed(error)}", _WANTED) from None
+            raise VolumeError(
+                self._where, f"array {name!r} {what_failed(error)}", _WANTED
+            ) from None
         found = list(array.shape), array.dtype.name, list(array.chunk_layout.write_chunk.shape)
-        expected = wanted["shape"], wanted["data_type"], wanted["chunk_grid"]["configuration"]["chunk_shape"]
+        expected = (
+            wanted["shape"],
+            wanted["data_type"],
+            wanted["chunk_grid"]["configuration"]["chunk_shape"],
+        )
         if list(found) != list(expected):
             shape = " x ".join(map(str, expected[0]))
             what = f"array {name!r} is {' x '.join(map(str, found[0]))} {found[1]}"
-            raise VolumeError(self._where, what, f"{shape} {expected[1]} in shards as zarr.json says")
+            raise VolumeError(
+                self._where, what, f"{shape} {expected[1]} in shards as zarr.json says"
+            )
         return array
 
     # ---- samples ----
@@ -122,7 +135,9 @@ class StoredBlocks:
         shape = self.blocks.level_shape(level)
         out = np.empty(shape, self.dtype)
         s = self.blocks.samples(level)
-        for first, samples, _ in self._boxes(level, self.blocks.places(np.arange(self.blocks.count))):
+        for first, samples, _ in self._boxes(
+            level, self.blocks.places(np.arange(self.blocks.count))
+        ):
             out[tuple(slice(f * s, f * s + n) for f, n in zip(first, samples.shape))] = samples
         return out
 
@@ -131,19 +146,26 @@ class StoredBlocks:
         edge = self.blocks.edge
         low = np.array([z0, y0, x0])
         first, last = low // edge, -(-np.array([z1, y1, x1]) // edge)
-        within = np.stack(np.meshgrid(*map(np.arange, first, last), indexing="ij"), -1).reshape(-1, 3)
+        within = np.stack(np.meshgrid(*map(np.arange, first, last), indexing="ij"), -1).reshape(
+            -1, 3
+        )
         out = np.empty((z1 - z0, y1 - y0, x1 - x0), self.dtype)
         for place, samples, _ in self._boxes(0, within):
             start = place * edge
             a = np.maximum(start, low)
             b = np.minimum(start + samples.shape, [z1, y1, x1])
             if (a < b).all():
-                out[tuple(map(slice, a - low, b - low))] = samples[tuple(map(slice, a - start, b - start))]
+                out[tuple(map(slice, a - low, b - low))] = samples[
+                    tuple(map(slice, a - start, b - start))
+                ]
         return out
 
-    def _boxes(self, level: int, places: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-        """Boxes of samples that hold all blocks at ``places`` [k, 3]: each box's first block, its samples (none
-        beyond the array), and which of ``places`` are inside. So many are read at a time as fit into _FLYING."""
+    def _boxes(
+        self, level: int, places: np.ndarray
+    ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+        """Boxes of samples that hold all blocks at ``places`` [k, 3]: each box's first block, its
+        samples (none beyond the array), and which of ``places`` are inside. So many are read at a
+        time as fit into _FLYING."""
         flying: deque = deque()
         size = 0
         for low, high, members in self._plan(level, places):
@@ -156,8 +178,11 @@ class StoredBlocks:
         while flying:
             yield from self._finish(level, places, *flying.popleft()[:-1])
 
-    def _plan(self, level: int, places: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-        """Boxes of chunks to read: their first and last + 1 chunk, and members as in ``_boxes``. Boxes stay in a shard."""
+    def _plan(
+        self, level: int, places: np.ndarray
+    ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+        """Boxes of chunks to read: their first and last + 1 chunk, and members as in ``_boxes``.
+        Boxes stay in a shard."""
         if not len(places):
             return
         per_chunk = self.layout.chunk(level) // self.blocks.samples(level)
@@ -166,7 +191,9 @@ class StoredBlocks:
         counts = chunks.max(axis=0) + 1
         shards = chunks // per_shard
         # In order of shards, and of chunks inside a shard.
-        key = np.ravel_multi_index(tuple(shards.T), tuple(shards.max(axis=0) + 1)) * int(np.prod(counts))
+        key = np.ravel_multi_index(tuple(shards.T), tuple(shards.max(axis=0) + 1)) * int(
+            np.prod(counts)
+        )
         key += np.ravel_multi_index(tuple(chunks.T), tuple(counts))
         order = np.argsort(key, kind="stable")
         same_shard = np.flatnonzero(np.diff(shards[order], axis=0).any(axis=1)) + 1
@@ -189,7 +216,13 @@ class StoredBlocks:
         return self._levels[level][box].read(), nbytes
 
     def _finish(
-        self, level: int, places: np.ndarray, low: np.ndarray, high: np.ndarray, members: np.ndarray, future: Any
+        self,
+        level: int,
+        places: np.ndarray,
+        low: np.ndarray,
+        high: np.ndarray,
+        members: np.ndarray,
+        future: Any,
     ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
         per_chunk = self.layout.chunk(level) // self.blocks.samples(level)
         try:
@@ -201,7 +234,7 @@ class StoredBlocks:
             block = tuple(int(n) for n in places[members[0]])
             what = f"block {block} at level {level}: {what_failed(failure)}"
             raise VolumeError(self._where, what, _WANTED) from None
-        # One of the box's chunks cannot be read; whether it is one that is wanted, and which, they say one by one.
+        # One of the box's chunks cannot be read: which, and whether it is wanted, they say one by one.
         chunks = places[members] // per_chunk
         for chunk in np.unique(chunks, axis=0):
             inside = members[(chunks == chunk).all(axis=1)]
@@ -252,7 +285,8 @@ class StoredBlocks:
 
     def __repr__(self) -> str:
         nx, ny, nz = self.grid.size
-        return f"<StoredBlocks {self.name!r} {nx} x {ny} x {nz} {self.dtype}, blocks of {self.blocks.edge}>"
+        size = f"{nx} x {ny} x {nz}"
+        return f"<StoredBlocks {self.name!r} {size} {self.dtype}, blocks of {self.blocks.edge}>"
 
 
 __all__ = ["StoredBlocks", "check_finished", "is_store", "is_unfinished", "open_store"]

@@ -9,6 +9,7 @@ import pytest
 
 from clvol.store import build
 from clvol.store.zarr_store import open_store
+from clvol.volume.procedural import scene_field
 
 
 @pytest.fixture
@@ -30,13 +31,30 @@ def test_a_store_is_built_and_named_on_stdout(run, folder, volume):
 
 def test_raw_files_and_scenes_are_stored(run, folder, volume):
     volume.tofile(folder / "v.raw")
-    how = ("--set", "volume.dims=[60,50,40]", "--set", 'volume.dtype="uint8"', "--set", "volume.spacing=[1,2,3]")
+    how = (
+        "--set",
+        "volume.dims=[60,50,40]",
+        "--set",
+        'volume.dtype="uint8"',
+        "--set",
+        "volume.spacing=[1,2,3]",
+    )
     assert run("store", "v.raw", "-o", "a", *how).status == 0
     store = open_store(folder / "a")
     assert store.grid.spacing == (1, 2, 3)
     np.testing.assert_array_equal(store.volume_level(0), volume)
     assert run("store", "scene.toml", "-o", "b").status == 0
     assert open_store(folder / "b").layout.shape == (4, 4, 4)
+
+
+def test_a_computed_field_needs_no_memory_for_its_voxels(run, folder):
+    """The cap is for what must be in memory."""
+    (folder / "f.toml").write_text(
+        'version = 1\n[volume]\nfield = "radial"\nsize = [100, 50, 60]\n'
+    )
+    assert run("store", "f.toml", "-o", "f", "--memory-cap", "1 KiB").status == 0
+    stored = open_store(folder / "f").volume_level(0)
+    np.testing.assert_array_equal(stored, scene_field("radial", (100, 50, 60)).data)
 
 
 def test_info_tells_what_a_store_is(run, folder, volume):
@@ -101,7 +119,9 @@ def test_a_full_disk_is_one_line_and_status_4(run, refused, folder, volume, monk
         (["v.npy"], "clvol store: no -o STORE"),
     ],
 )
-def test_impossible_wishes_are_one_line_and_leave_nothing(refused, folder, volume, nothing_left, arguments, said):
+def test_impossible_wishes_are_one_line_and_leave_nothing(
+    refused, folder, volume, nothing_left, arguments, said
+):
     assert said in refused(2, "store", *arguments)
 
 

@@ -1,4 +1,5 @@
-"""A store holds what it was built of, is whole or not there, and is gone on with where it was left."""
+"""A store holds what it was built of, is whole or not there, and is gone on with where it was
+left."""
 
 from __future__ import annotations
 
@@ -14,11 +15,13 @@ import slow_blocks
 
 from clvol.errors import ClvolError, RenderError, UsageError, VolumeError
 from clvol.store import build
-from clvol.store.build import VolumeSource, build_store, unfinished
+from clvol.store.build import build_store, unfinished
 from clvol.store.codecs import CODECS
 from clvol.store.source import VolumeBlocks
+from clvol.store.voxel_source import FieldSource, VolumeSource
 from clvol.store.zarr_store import open_store
 from clvol.volume import Grid, Volume, load_volume
+from clvol.volume.procedural import scene_field
 
 TYPES = ("uint8", "int8", "uint16", "int16", "float32", "float64")
 SHAPES = ((1, 17, 33), (33, 1, 1), (40, 35, 66))
@@ -27,7 +30,9 @@ NAMES = ("minimum", "maximum", "mean", "quantiles", "deviation", "reach_low", "r
 
 def voxels(shape, dtype="uint8", seed: int = 0) -> np.ndarray:
     rng = np.random.default_rng(seed)
-    values = 60 + 20 * np.sin(np.arange(np.prod(shape)) / 50).reshape(shape) + rng.normal(0, 2, shape)
+    values = (
+        60 + 20 * np.sin(np.arange(np.prod(shape)) / 50).reshape(shape) + rng.normal(0, 2, shape)
+    )
     values = values.astype(dtype)
     if values.dtype.kind == "f":
         values[rng.random(shape) < 0.1] = np.nan
@@ -38,13 +43,19 @@ def voxels(shape, dtype="uint8", seed: int = 0) -> np.ndarray:
 
 def joined(source) -> dict[str, np.ndarray]:
     parts = list(source.statistics())
-    assert [part.first for part in parts] == np.cumsum([0] + [len(part.holes) for part in parts])[:-1].tolist()
+    assert [part.first for part in parts] == np.cumsum([0] + [len(part.holes) for part in parts])[
+        :-1
+    ].tolist()
     axis = {name: 0 if name in ("reach_low", "reach_high", "holes") else 1 for name in NAMES}
-    return {name: np.concatenate([getattr(part, name) for part in parts], axis[name]) for name in NAMES}
+    return {
+        name: np.concatenate([getattr(part, name) for part in parts], axis[name]) for name in NAMES
+    }
 
 
 def files(folder: Path) -> dict[str, bytes]:
-    return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
+    return {
+        str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()
+    }
 
 
 class Stop(Exception):
@@ -101,8 +112,21 @@ def test_every_codec_and_edge(tmp_path, codec, edge):
 def test_any_box(tmp_path):
     data = voxels((40, 50, 60))
     store = build_store(Volume(data), tmp_path / "s", shard=32)
-    for z0, z1, y0, y1, x0, x1 in ((0, 40, 0, 50, 0, 60), (5, 6, 31, 33, 16, 60), (39, 40, 49, 50, 59, 60)):
+    for z0, z1, y0, y1, x0, x1 in (
+        (0, 40, 0, 50, 0, 60),
+        (5, 6, 31, 33, 16, 60),
+        (39, 40, 49, 50, 59, 60),
+    ):
         np.testing.assert_array_equal(store.box(z0, z1, y0, y1, x0, x1), data[z0:z1, y0:y1, x0:x1])
+
+
+@pytest.mark.parametrize("kind", ("radial", "ellipsoid", "constant"))
+def test_a_computed_field_is_stored_as_it_would_be_from_memory(tmp_path, kind):
+    size, spacing = (50, 40, 70), (1, 2, 0.5)
+    store = build_store(FieldSource(kind, size, spacing), tmp_path / "s", shard=32)
+    volume = scene_field(kind, size, spacing)
+    assert (store.grid, store.name, store.facts.frame) == (volume.grid, volume.name, volume.frame)
+    np.testing.assert_array_equal(store.volume_level(0), volume.data)
 
 
 def test_repeated_and_no_blocks(tmp_path):
@@ -228,6 +252,15 @@ def test_a_store_is_replaced_only_when_asked_and_only_by_a_whole_one(tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["s"]
 
 
+def test_a_folder_in_the_place_of_the_unfinished_store_is_left_alone(tmp_path):
+    (tmp_path / "s.partial").mkdir()
+    (tmp_path / "s.partial" / "file").write_text("precious")
+    for restart in (False, True):
+        with pytest.raises(UsageError, match="something else"):
+            build_store(Volume(voxels((5, 5, 5))), tmp_path / "s", restart=restart)
+    assert files(tmp_path) == {"s.partial/file": b"precious"}
+
+
 def test_only_a_store_is_ever_overwritten(tmp_path):
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "file").write_text("precious")
@@ -241,7 +274,13 @@ def test_only_a_store_is_ever_overwritten(tmp_path):
 
 @pytest.mark.parametrize(
     ("place", "settings"),
-    [("no/s", {}), ("s.partial", {}), ("s", {"edge": 5}), ("s", {"shard": 24}), ("s", {"codec": "lzma"})],
+    [
+        ("no/s", {}),
+        ("s.partial", {}),
+        ("s", {"edge": 5}),
+        ("s", {"shard": 24}),
+        ("s", {"codec": "lzma"}),
+    ],
 )
 def test_impossible_wishes_are_refused_before_the_work(tmp_path, place, settings):
     with pytest.raises(UsageError) as error:
@@ -287,7 +326,9 @@ def test_a_full_disk_is_one_line_and_what_is_done_is_kept(tmp_path, monkeypatch,
     assert error.value.exit_status == 4
     monkeypatch.undo()
     assert unfinished(tmp_path / "s").done > 0
-    np.testing.assert_array_equal(build_store(volume, tmp_path / "s", shard=32).volume_level(0), volume.data)
+    np.testing.assert_array_equal(
+        build_store(volume, tmp_path / "s", shard=32).volume_level(0), volume.data
+    )
 
 
 def test_a_source_that_lies_is_an_error(tmp_path):
@@ -309,7 +350,8 @@ from clvol.store.build import build_store
 from clvol.volume import Grid
 
 class Generated:
-    shape, dtype, name, frame, identity = (512, 512, 1024), np.dtype(np.uint8), "generated", "index", {}
+    shape, dtype, identity = (512, 512, 1024), np.dtype(np.uint8), {}
+    name, frame = "generated", "index"
     grid = Grid(shape)
 
     def box(self, z0, z1, y0, y1, x0, x1):
@@ -330,8 +372,8 @@ print(peak() - before)
 
 def test_building_takes_less_memory_than_the_volume(tmp_path):
     done = subprocess.run(
-        [sys.executable, "-c", _GENERATED, str(tmp_path / "s")], capture_output=True, text=True, timeout=120,
-        env={**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[2])},
+        [sys.executable, "-c", _GENERATED, str(tmp_path / "s")], capture_output=True, text=True,
+        timeout=120, env={**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[2])},
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     assert int(done.stdout) < 512 * 512 * 1024 * 0.75

@@ -21,7 +21,9 @@ DATA = np.random.default_rng(2).integers(0, 60000, (40, 50, 60)).astype(np.uint1
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory) -> Path:
-    return Path(build_store(Volume(DATA), tmp_path_factory.mktemp("made") / "s.zarr", shard=32).path)
+    return Path(
+        build_store(Volume(DATA), tmp_path_factory.mktemp("made") / "s.zarr", shard=32).path
+    )
 
 
 @pytest.fixture
@@ -39,7 +41,9 @@ def flip(path: Path, at: int) -> None:
 def flip_in_chunk(shard: Path, chunk: tuple[int, int, int], per_axis: int = 2) -> None:
     """One bit in the middle of a chunk, found by the index at the shard's end."""
     content = shard.read_bytes()
-    index = np.frombuffer(content[-(16 * per_axis**3 + 4) : -4], "<u8").reshape(per_axis, per_axis, per_axis, 2)
+    index = np.frombuffer(content[-(16 * per_axis**3 + 4) : -4], "<u8").reshape(
+        per_axis, per_axis, per_axis, 2
+    )
     offset, size = index[chunk]
     flip(shard, int(offset + size // 2))
 
@@ -159,7 +163,8 @@ def test_no_folder_and_no_store(tmp_path):
 
 
 def test_a_codec_whose_payload_is_decoded_by_clvol(tmp_path, monkeypatch):
-    """The slot for lossy codecs: codes on disk of another type, samples as decoded; unknown elsewhere."""
+    """The slot for lossy codecs: codes on disk of another type, samples as decoded; unknown
+    elsewhere."""
 
     class Halved:
         def dtype(self, samples):

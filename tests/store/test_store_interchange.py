@@ -64,15 +64,24 @@ def test_samples_of_all_levels_are_where_they_belong(tmp_path):
 @pytest.fixture
 def store(tmp_path) -> Path:
     direction = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
-    build_store(Volume(DATA, (0.5, 1, 2), (7, 8, 9), direction, frame="RAS"), tmp_path / "v", shard=32)
+    build_store(
+        Volume(DATA, (0.5, 1, 2), (7, 8, 9), direction, frame="RAS"), tmp_path / "v", shard=32
+    )
     return tmp_path / "v"
 
 
 def test_a_store_is_a_volume_that_loads_when_asked_for(store):
     loaded = load_volume(store)
-    assert (loaded.format, loaded.path, loaded.name, loaded.frame) == ("OME-Zarr", str(store), "v", "RAS")
+    assert (loaded.format, loaded.path, loaded.name, loaded.frame) == (
+        "OME-Zarr",
+        str(store),
+        "v",
+        "RAS",
+    )
     assert (loaded.shape, loaded.dtype, loaded.nbytes) == (DATA.shape, DATA.dtype, DATA.nbytes)
-    assert loaded.value_range == (DATA.min(), DATA.max()) and loaded.nan_count == loaded.inf_count == 0
+    assert (
+        loaded.value_range == (DATA.min(), DATA.max()) and loaded.nan_count == loaded.inf_count == 0
+    )
     assert repr(loaded) == "<Volume 'v' 41 x 33 x 20 int16>"
     assert "data" not in vars(loaded)  # nothing of this has read voxels
     np.testing.assert_array_equal(loaded.data, DATA)
@@ -103,15 +112,21 @@ def test_a_store_of_a_store_is_the_same(store, tmp_path):
 # ---- other people's ------------------------------------------------------------------------------
 
 
-def image(path: Path, data: np.ndarray, axes, version: str = "0.5", steps=(), more=(), chunks=None) -> Path:
+def image(
+    path: Path, data: np.ndarray, axes, version: str = "0.5", steps=(), more=(), chunks=None
+) -> Path:
     """An OME-Zarr image of one level."""
     group = zarr.open_group(str(path), mode="w", zarr_format=3 if version == "0.5" else 2)
     group.create_array("full", data=data, chunks=chunks or data.shape)
-    multiscale = {"axes": axes, "datasets": [{"path": "full", "coordinateTransformations": list(steps)}]}
+    multiscale = {
+        "axes": axes,
+        "datasets": [{"path": "full", "coordinateTransformations": list(steps)}],
+    }
     if more:
         multiscale["coordinateTransformations"] = list(more)
-    group.attrs.update({"ome": {"version": "0.5", "multiscales": [multiscale]}} if version == "0.5" else
-                       {"multiscales": [{"version": version, **multiscale}]})  # fmt: skip
+    ome = {"version": "0.5", "multiscales": [multiscale]}
+    older = {"multiscales": [{"version": version, **multiscale}]}
+    group.attrs.update({"ome": ome} if version == "0.5" else older)
     return path
 
 
@@ -121,8 +136,19 @@ TCZYX = [{"name": "t", "type": "time"}, {"name": "c", "type": "channel"}, *ZYX]
 
 @pytest.mark.parametrize("version", ("0.4", "0.5"))
 def test_an_ome_zarr_image(tmp_path, version):
-    steps = [{"type": "scale", "scale": [3, 2, 1]}, {"type": "translation", "translation": [30, 20, 10]}]
-    path = image(tmp_path / "v.zarr", DATA, ZYX, version, steps, [{"type": "scale", "scale": [2, 2, 2]}], (8, 8, 8))
+    steps = [
+        {"type": "scale", "scale": [3, 2, 1]},
+        {"type": "translation", "translation": [30, 20, 10]},
+    ]
+    path = image(
+        tmp_path / "v.zarr",
+        DATA,
+        ZYX,
+        version,
+        steps,
+        [{"type": "scale", "scale": [2, 2, 2]}],
+        (8, 8, 8),
+    )
     loaded = load_volume(path)
     assert (loaded.grid.spacing, loaded.grid.origin) == ((2, 4, 6), (20, 40, 60))
     assert (loaded.name, loaded.frame, loaded.dtype) == ("v", "image", DATA.dtype)
@@ -141,7 +167,9 @@ def test_axes_of_length_one_are_left_out_and_others_refused(tmp_path):
 def test_axes_are_found_by_their_names(tmp_path):
     axes = [{"name": n, "type": "space"} for n in "xyz"]
     steps = [{"type": "scale", "scale": [1, 2, 3]}]
-    loaded = load_volume(image(tmp_path / "v.zarr", DATA.transpose(2, 1, 0).copy(), axes, steps=steps))
+    loaded = load_volume(
+        image(tmp_path / "v.zarr", DATA.transpose(2, 1, 0).copy(), axes, steps=steps)
+    )
     assert loaded.grid.spacing == (1, 2, 3)
     np.testing.assert_array_equal(loaded.data, DATA)
     flat = load_volume(image(tmp_path / "w.zarr", DATA[0], axes[1::-1]))

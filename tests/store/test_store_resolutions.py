@@ -52,7 +52,9 @@ def same_statistics(voxels: np.ndarray, edge: int, **tolerance) -> None:
 def test_integers_as_the_twin_to_the_last_bit(dtype, edge, shape):
     voxels = integers(shape, dtype)
     for level in range(edge.bit_length()):
-        np.testing.assert_array_equal(resolutions.reduced(voxels, level), slow_blocks.reduced(voxels, level))
+        np.testing.assert_array_equal(
+            resolutions.reduced(voxels, level), slow_blocks.reduced(voxels, level)
+        )
     same_statistics(voxels, edge, rtol=1e-12)
 
 

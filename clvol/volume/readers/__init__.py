@@ -58,7 +58,8 @@ def load_volume(
 ) -> Volume:
     """Reads a volume file, or a folder with one DICOM series or in Zarr form.
 
-    What is in Zarr form, clvol's own stores too, is a volume whose voxels are read when ``data`` is first asked for.
+    What is in Zarr form, clvol's own stores too, is a volume whose voxels are read when ``data`` is
+    first asked for.
 
     ``dims`` (nx, ny, nz) and ``dtype`` describe a .raw file and are refused for other formats.
     ``spacing`` (sx, sy, sz) in world units overrides the file's; origin and direction stay.

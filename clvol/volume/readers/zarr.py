@@ -1,4 +1,5 @@
-"""Zarr folders: stores of clvol's, any OME-Zarr (0.4, 0.5) image, or a plain array; read by tensorstore when asked for."""
+"""Zarr folders: stores of clvol's, any OME-Zarr (0.4, 0.5) image, or a plain array; read by
+tensorstore when asked for."""
 
 from __future__ import annotations
 
@@ -33,8 +34,8 @@ def is_zarr(path: Path) -> bool:
 def read(path: Path, options: ReadOptions) -> Volume:
     """The volume in a Zarr folder; nothing but metadata is read before somebody asks for voxels.
 
-    Of a multiscale image the finest level. Axes that are not space (time, channel) must have length 1; an image
-    without z is one slice. Scale and translation of OME-Zarr become spacing and origin.
+    Of a multiscale image the finest level. Axes that are not space (time, channel) must have length
+    1; an image without z is one slice. Scale and translation of OME-Zarr become spacing and origin.
     """
     from clvol.store.zarr_store import is_store, open_store
 
@@ -45,13 +46,21 @@ def read(path: Path, options: ReadOptions) -> Volume:
 
 
 class LazyVolume(Volume):
-    """A volume whose voxels are read when ``data`` is first asked for; ``box`` reads some without that.
+    """A volume whose voxels are read when ``data`` is first asked for; ``box`` reads some without
+    that.
 
-    Shape, type and grid are known before. ``memory_cap`` as for ``load_volume``, checked when voxels are read.
+    Shape, type and grid are known before. ``memory_cap`` as for ``load_volume``, checked when
+    voxels are read.
     """
 
     def __init__(
-        self, dtype: np.dtype, grid: Grid, name: str | None, frame: str, where: str, memory_cap: int | None
+        self,
+        dtype: np.dtype,
+        grid: Grid,
+        name: str | None,
+        frame: str,
+        where: str,
+        memory_cap: int | None,
     ) -> None:
         self._dtype, self._where, self._memory_cap = dtype, where, memory_cap
         self.grid, self.name, self.frame = grid, name, frame
@@ -86,11 +95,14 @@ class LazyVolume(Volume):
 
 
 class StoredVolume(LazyVolume):
-    """A store of clvol's: range and counts are known without reading voxels. ``blocks_source``: its blocks."""
+    """A store of clvol's: range and counts are known without reading voxels. ``blocks_source``: its
+    blocks."""
 
     def __init__(self, source: StoredBlocks, memory_cap: int | None = None) -> None:
         self.blocks_source = source
-        super().__init__(source.dtype, source.grid, source.name, source.facts.frame, str(source.path), memory_cap)
+        super().__init__(
+            source.dtype, source.grid, source.name, source.facts.frame, str(source.path), memory_cap
+        )
 
     @property
     def grid(self) -> Grid:
@@ -121,10 +133,17 @@ class StoredVolume(LazyVolume):
 
 
 class ZarrVolume(LazyVolume):
-    """Somebody else's Zarr array [z, y, x]. Chunks that are not there count as the fill value, as Zarr has it."""
+    """Somebody else's Zarr array [z, y, x]. Chunks that are not there count as the fill value, as
+    Zarr has it."""
 
     def __init__(
-        self, array: Any, grid: Grid, name: str | None, frame: str, where: str, memory_cap: int | None
+        self,
+        array: Any,
+        grid: Grid,
+        name: str | None,
+        frame: str,
+        where: str,
+        memory_cap: int | None,
     ) -> None:
         self._array = array
         dtype = check_type(np.dtype(array.dtype.numpy_dtype), where)
@@ -140,7 +159,9 @@ class ZarrVolume(LazyVolume):
         try:
             voxels = self._array[z0:z1, y0:y1, x0:x1].read().result()
         except ValueError as error:
-            raise VolumeError(self._where, f"a chunk {what_failed(error)}", "undamaged chunks") from None
+            raise VolumeError(
+                self._where, f"a chunk {what_failed(error)}", "undamaged chunks"
+            ) from None
         voxels = np.ascontiguousarray(voxels)
         return voxels.view(np.uint8) if voxels.dtype.kind == "b" else voxels
 
@@ -161,7 +182,9 @@ def _image(path: Path) -> tuple[Any, Grid, str | None, str]:
     if not multiscales and "bioformats2raw.layout" in attributes.get("ome", attributes):
         return _image(path / "0")
     if not isinstance(multiscales, list) or not multiscales:
-        raise VolumeError(where, "a Zarr group without multiscales", "an OME-Zarr image or one array")
+        raise VolumeError(
+            where, "a Zarr group without multiscales", "an OME-Zarr image or one array"
+        )
     return _multiscale(path, where, multiscales[0])
 
 
@@ -169,23 +192,35 @@ def _multiscale(path: Path, where: str, multiscale: dict) -> tuple[Any, Grid, st
     try:
         dataset = multiscale["datasets"][0]
         place = str(dataset["path"])
-        axes = [axis["name"] if isinstance(axis, dict) else str(axis) for axis in multiscale.get("axes", ())]
-        kinds = [axis.get("type") if isinstance(axis, dict) else None for axis in multiscale.get("axes", ())]
+        axes = [
+            axis["name"] if isinstance(axis, dict) else str(axis)
+            for axis in multiscale.get("axes", ())
+        ]
+        kinds = [
+            axis.get("type") if isinstance(axis, dict) else None
+            for axis in multiscale.get("axes", ())
+        ]
         scale, shift = _transformation([dataset, multiscale])
     except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
         raise VolumeError(where, f"damaged multiscales ({error})", "OME-Zarr metadata") from None
     folder = path.joinpath(*(part for part in place.split("/") if part not in ("", ".", "..")))
     array = _array(folder, where)
     rank = array.rank
-    names: list[str | None] = [n if k in (None, "space") and n not in ("t", "c") else None for n, k in zip(axes, kinds)]
+    names: list[str | None] = [
+        n if k in (None, "space") and n not in ("t", "c") else None for n, k in zip(axes, kinds)
+    ]
     if len(axes) != rank:
         if axes:
-            raise VolumeError(where, f"{len(axes)} axes for an array of {rank}", "OME-Zarr metadata")
+            raise VolumeError(
+                where, f"{len(axes)} axes for an array of {rank}", "OME-Zarr metadata"
+            )
         names = [None] * rank
     scale = np.ones(rank) if scale is None else scale
     shift = np.zeros(rank) if shift is None else shift
     if len(scale) != rank or len(shift) != rank:
-        raise VolumeError(where, f"a transformation that is not of {rank} axes", "OME-Zarr metadata")
+        raise VolumeError(
+            where, f"a transformation that is not of {rank} axes", "OME-Zarr metadata"
+        )
     array, kept = _without_length_one(array, names, where)
     # kept: which axis of the file each of z, y, x is; None where there is no z
     steps = [1.0 if k is None else float(scale[k]) for k in kept][::-1]
@@ -213,8 +248,9 @@ def _transformation(parts: list[dict]) -> tuple[np.ndarray | None, np.ndarray | 
 
 
 def _without_length_one(array: Any, names: list, where: str) -> tuple[Any, list[int | None]]:
-    """``array`` as [z, y, x], and which of its axes those were. ``names``: of axes of space; None for others, or
-    everywhere if nothing is known: then axes of length 1 are left out until three are left."""
+    """``array`` as [z, y, x], and which of its axes those were. ``names``: of axes of space; None
+    for others, or everywhere if nothing is known: then axes of length 1 are left out until three
+    are left."""
     shape = list(array.shape)
     space = [k for k, name in enumerate(names) if name is not None]
     if not space:
@@ -252,7 +288,11 @@ def _attributes(path: Path, where: str) -> dict | None:
             attributes = json.loads((path / ".zattrs").read_text(encoding="utf-8"))
         else:
             attributes = {}
-        if attributes is None or isinstance(attributes, dict) and isinstance(attributes.get("ome", {}), dict):
+        if (
+            attributes is None
+            or isinstance(attributes, dict)
+            and isinstance(attributes.get("ome", {}), dict)
+        ):
             return attributes
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
         pass
@@ -266,7 +306,9 @@ def _array(path: Path, where: str) -> Any:
     try:
         return open_array(path, driver=driver, whole=False)
     except ValueError as error:
-        raise VolumeError(where, f"array {path.name!r}: {system_words(str(error))}", "a Zarr array") from None
+        raise VolumeError(
+            where, f"array {path.name!r}: {system_words(str(error))}", "a Zarr array"
+        ) from None
 
 
 def _stem(path: Path) -> str:
