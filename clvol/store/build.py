@@ -109,7 +109,7 @@ def build_store(
         try:
             build.begin(path, restart)
             build.make_regions(progress, workers)
-            build.finish(path)
+            build.finish(path, overwrite)
         except BaseException:
             if not build.anything_done():
                 _remove(partial)
@@ -348,7 +348,7 @@ class _Build:
 
     # ---- the end ----
 
-    def finish(self, path: Path) -> None:
+    def finish(self, path: Path, overwrite: bool) -> None:
         """Statistics, metadata, and the store's name."""
         for name in self.layout.statistics_types:
             self._write_statistics(name)
@@ -365,6 +365,7 @@ class _Build:
         )
         _write_whole(self.partial / ROOT, json.dumps(root, indent=2))
         replaced = path.with_name(path.name + _REPLACED)
+        check_place(path, overwrite)  # again: it may have appeared meanwhile
         _remove(replaced)
         if path.exists():
             os.rename(path, replaced)

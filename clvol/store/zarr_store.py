@@ -234,7 +234,7 @@ class StoredBlocks:
             block = tuple(int(n) for n in places[members[0]])
             what = f"block {block} at level {level}: {what_failed(failure)}"
             raise VolumeError(self._where, what, _WANTED) from None
-        # One of the box's chunks cannot be read: which, and whether it is wanted, they say one by one.
+        # A chunk of the box cannot be read: which, and whether it is wanted, they say one by one.
         chunks = places[members] // per_chunk
         for chunk in np.unique(chunks, axis=0):
             inside = members[(chunks == chunk).all(axis=1)]

@@ -5,8 +5,10 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -127,6 +129,17 @@ def test_a_computed_field_is_stored_as_it_would_be_from_memory(tmp_path, kind):
     volume = scene_field(kind, size, spacing)
     assert (store.grid, store.name, store.facts.frame) == (volume.grid, volume.name, volume.frame)
     np.testing.assert_array_equal(store.volume_level(0), volume.data)
+
+
+def test_several_threads_read_at_a_time(tmp_path):
+    data = voxels((70, 50, 60))
+    store = build_store(Volume(data), tmp_path / "s", shard=32)
+    every = np.arange(store.blocks.count)
+    wanted = {level: store.read(level, every) for level in range(5)}
+    with ThreadPoolExecutor(8) as pool:
+        found = list(pool.map(lambda k: store.read(k % 5, every), range(40)))
+    for k, samples in enumerate(found):
+        np.testing.assert_array_equal(samples, wanted[k % 5])
 
 
 def test_repeated_and_no_blocks(tmp_path):
@@ -250,6 +263,20 @@ def test_a_store_is_replaced_only_when_asked_and_only_by_a_whole_one(tmp_path):
     build_store(new, path, shard=32, overwrite=True)
     np.testing.assert_array_equal(open_store(path).volume_level(0), new.data)
     assert [p.name for p in tmp_path.iterdir()] == ["s"]
+
+
+def test_a_store_that_appears_meanwhile_is_left_alone(tmp_path):
+    path = tmp_path / "s"
+    other = build_store(Volume(voxels((9, 9, 9))), tmp_path / "other")
+
+    def appear(done: int, total: int) -> None:
+        if done == total and not path.exists():
+            shutil.copytree(other.path, path)
+
+    with pytest.raises(UsageError, match="exists already"):
+        build_store(Volume(voxels((20, 20, 20))), path, progress=appear)
+    assert open_store(path).layout.shape == (9, 9, 9)
+    assert unfinished(path).done == 1
 
 
 def test_a_folder_in_the_place_of_the_unfinished_store_is_left_alone(tmp_path):
