@@ -19,7 +19,7 @@ import click
 from clvol import __version__
 from clvol.errors import ClvolError, RenderError, UsageError
 
-COMMANDS = ("render", "explain", "info", "doctor", "compare", "tradeoff")
+COMMANDS = ("render", "explain", "info", "store", "doctor", "compare", "tradeoff")
 INTERRUPTED = 130
 
 

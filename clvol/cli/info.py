@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import click
 
 from clvol.cli.options import json_option, memory_cap_option, overrides_option
+
+if TYPE_CHECKING:
+    from clvol.volume import Volume
 
 
 @click.command("info", short_help="Shape, type, spacing, range and memory of a volume.")
@@ -15,7 +20,7 @@ from clvol.cli.options import json_option, memory_cap_option, overrides_option
 def command(
     volume: str, as_json: bool, overrides: tuple[str, ...], memory_cap: int | None
 ) -> None:
-    """Tell what VOLUME holds: a volume file, a DICOM folder or a scene.
+    """Tell what VOLUME holds: a volume file, a DICOM folder, a Zarr store or a scene.
 
     A .raw file needs --set volume.dims=[nx,ny,nz] --set 'volume.dtype="uint8"'.
     """
@@ -30,11 +35,15 @@ def command(
     facts = describe(loaded)
     image, table_size = scene.image, scene.integration.table_size
     facts["memory_needed"] = scene_bytes(loaded, table_size, image.width, image.height)
+    store = _store_facts(loaded)
+    if store:
+        facts["store"] = store
     if as_json:
         say_json(facts)
         return
     grid = loaded.grid
     low, high = loaded.value_range
+    needed = format_size(facts["memory_needed"])
     rows = [
         ("file", str(facts.get("path") or volume)),
         ("format", str(facts.get("format") or "")),
@@ -48,9 +57,36 @@ def command(
         ("range", f"{low:.9g} to {high:.9g}"),
         ("NaN voxels", str(loaded.nan_count)),
         ("infinite voxels", str(loaded.inf_count)),
-        ("memory", f"{format_size(facts['memory_needed'])} on the device, picture and tables included"),
+        ("blocks", _blocks(store) if store else ""),
+        ("codec", ", ".join(dict.fromkeys(store["codecs"])) if store else ""),
+        ("on disk", format_size(store["bytes_on_disk"]) if store else ""),
+        ("memory", f"{needed} on the device, picture and tables included"),
     ]
     say_table(row for row in rows if row[1])
+
+
+def _store_facts(volume: Volume) -> dict:
+    """What ``clvol store`` has made of it; nothing for other volumes."""
+    source = getattr(volume, "blocks_source", None)
+    if source is None:
+        return {}
+    layout = source.layout
+    return {
+        "edge": layout.edge,
+        "levels": layout.blocks.levels,
+        "blocks_zyx": list(layout.blocks.counts),
+        "shard": layout.shard,
+        "codecs": [codec.name for codec in layout.codecs],
+        "lossless": all(codec.lossless for codec in layout.codecs),
+        "bytes_on_disk": source.bytes_on_disk,
+    }
+
+
+def _blocks(store: dict) -> str:
+    counts, edge = store["blocks_zyx"], store["edge"]
+    sizes = ", ".join(f"{edge >> level}^3" for level in range(store["levels"]))
+    size = " x ".join(map(str, counts[::-1]))
+    return f"{size} of {edge}^3, at {sizes}; files of {store['shard']}^3"
 
 
 def _numbers(values) -> str:

@@ -154,6 +154,7 @@ def load_scene_volume(
     asked: VolumeSettings | Volume, folder: Path, origin: str, memory_cap: int | None
 ) -> Volume:
     """The volume of a scene; ``folder`` is what a file name is relative to."""
+    from clvol.store.zarr_store import check_finished
     from clvol.volume import Volume, load_volume
 
     if isinstance(asked, Volume):
@@ -163,6 +164,7 @@ def load_scene_volume(
     path = folder / asked.file
     is_scene_file = str(path) != origin
     if is_scene_file and not path.exists():
+        check_finished(path)
         got = f"got {asked.file!r}, no such file"
         raise SceneError(f"{origin}: volume.file", got, "a volume file or a DICOM folder")
     volume = load_volume(

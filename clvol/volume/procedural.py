@@ -317,11 +317,19 @@ def sample(
     """
     dtype = check_type(np.dtype(dtype), "dtype")
     grid = Grid(tuple(shape), tuple(spacing), tuple(origin), direction)
-    nz, ny, nx = grid.shape
+    data = sample_box(field, grid, dtype, tuple(slice(0, n) for n in grid.shape))
+    return Volume(data, grid.spacing, grid.origin, grid.direction, name, frame="world")
+
+
+def sample_box(
+    field: Field, grid: Grid, dtype: np.dtype, box: tuple[slice, slice, slice]
+) -> np.ndarray:
+    """The part ``box`` [z, y, x] of what ``sample`` makes, and of no other voxels."""
+    along_z, along_y, along_x = (np.arange(s.start, s.stop, dtype=np.float64) for s in box)
     matrix = grid.index_to_world()[:3]
-    i, j = np.arange(nx, dtype=np.float64), np.arange(ny, dtype=np.float64)[:, None]
-    data = np.empty(grid.shape, dtype=dtype)
-    for k in range(nz):
+    i, j = along_x, along_y[:, None]
+    data = np.empty((len(along_z), len(along_y), len(along_x)), dtype=dtype)
+    for layer, k in zip(data, along_z):
         x, y, z = (row[0] * i + row[1] * j + (row[2] * k + row[3]) for row in matrix)
         values = field(x, y, z)
         if dtype.kind in "iu":
@@ -329,8 +337,8 @@ def sample(
             limits = np.iinfo(dtype)
             if values.min() < limits.min or values.max() > limits.max:
                 raise VolumeError("dtype", f"values outside {dtype}", "a type that holds them")
-        data[k] = values
-    return Volume(data, grid.spacing, grid.origin, grid.direction, name, frame="world")
+        layer[...] = values
+    return data
 
 
 MIDDLE = 128.0  # of the bytes: what noise of either sign can be added to
@@ -344,14 +352,22 @@ def scene_field(
     "radial": 255 in the middle, falling linearly to 0 at the distance of the nearest face.
     "ellipsoid": likewise, to 0 at the ellipsoid that touches all faces. "constant": MIDDLE.
     """
-    shape = tuple(size)[::-1]
-    lower, upper = Grid(shape, tuple(spacing)).index_bounds() * np.asarray(spacing)
+    field, grid = placed_field(kind, size, spacing)
+    return sample(field, grid.shape, spacing, dtype=np.uint8, name=kind)
+
+
+def placed_field(
+    kind: str, size: Sequence[int], spacing: Sequence[float] = (1.0, 1.0, 1.0)
+) -> tuple[Field, Grid]:
+    """The field and the grid of ``scene_field``, without its voxels."""
+    grid = Grid(tuple(size)[::-1], tuple(spacing))
+    lower, upper = grid.index_bounds() * np.asarray(spacing)
     center, half = 0.5 * (lower + upper), 0.5 * (upper - lower)
     field: Field = Constant(MIDDLE)
     if kind != "constant":
         radii = half if kind == "ellipsoid" else np.full(3, half.min())
         field = RadialFall(tuple(center), tuple(radii), 255.0)
-    return sample(field, shape, spacing, dtype=np.uint8, name=kind)
+    return field, grid
 
 
 def unit_box(shape: Sequence[int]) -> tuple[Triple, Triple]:

@@ -1,4 +1,4 @@
-"""Readers: one module a format, chosen by the path's ending.
+"""Readers: one module a format, chosen by the path's ending; for a folder, by what is in it.
 
 A new format is a module with ``read(path, options) -> Volume`` and a line in ``ENDINGS``. Readers
 may let their library's exceptions pass: ``load_volume`` turns every one into a VolumeError that
@@ -36,12 +36,16 @@ ENDINGS: dict[str, tuple[str, str]] = {
     ".raw": ("raw", "raw"),
 }
 FOLDER = ("DICOM", "dicom")
+# Folders may be Zarr whatever their names; this one says so.
+ZARR_ENDING = ".zarr"
+ZARR = ("OME-Zarr", "zarr")
 
 
 def is_volume_path(path: str | os.PathLike) -> bool:
     """Whether the path ends like a volume file, or is a folder. The file need not exist."""
     path = Path(path)
-    return _ending(path) is not None or path.is_dir()
+    name = path.name.lower()
+    return _ending(path) is not None or name.endswith(ZARR_ENDING) or path.is_dir()
 
 
 def load_volume(
@@ -52,7 +56,10 @@ def load_volume(
     spacing: Sequence[float] | None = None,
     memory_cap: int | None = None,
 ) -> Volume:
-    """Reads a volume file, or a folder with one DICOM series.
+    """Reads a volume file, or a folder with one DICOM series or in Zarr form.
+
+    What is in Zarr form, clvol's own stores too, is a volume whose voxels are read when ``data`` is
+    first asked for.
 
     ``dims`` (nx, ny, nz) and ``dtype`` describe a .raw file and are refused for other formats.
     ``spacing`` (sx, sy, sz) in world units overrides the file's; origin and direction stay.
@@ -115,10 +122,13 @@ def _stem(path: Path) -> str:
 
 def _choose(path: Path) -> tuple[str, str]:
     """Format and module for a path that exists and is a plain file or a folder."""
-    known = ", ".join(ENDINGS)
+    known = ", ".join([*ENDINGS, ZARR_ENDING])
     try:
         mode = path.stat().st_mode
     except FileNotFoundError:
+        from clvol.store.zarr_store import check_finished
+
+        check_finished(path)
         raise VolumeError(str(path), "no such file", "a volume file or a DICOM folder") from None
     except (OSError, ValueError) as error:
         raise VolumeError(str(path), _first_line(error), "a volume file") from None
@@ -126,10 +136,18 @@ def _choose(path: Path) -> tuple[str, str]:
     if stat.S_ISDIR(mode):
         if ending is not None:
             raise VolumeError(str(path), "a folder", f"a {ENDINGS[ending][0]} file")
+        from clvol.volume.readers.zarr import is_zarr
+
+        if is_zarr(path):
+            return ZARR
+        if path.name.lower().endswith(ZARR_ENDING):
+            raise VolumeError(str(path), "no Zarr metadata in it", "zarr.json, .zgroup or .zarray")
         return FOLDER
     if not stat.S_ISREG(mode):
         raise VolumeError(str(path), "not a regular file", "a volume file or a DICOM folder")
     if ending is None:
+        if path.name.lower().endswith(ZARR_ENDING):
+            raise VolumeError(str(path), "a file", "a Zarr folder")
         what = f"unknown ending {path.suffix!r}" if path.suffix else "no ending"
         if path.suffix.lower() in (".dcm", ".ima"):
             raise VolumeError(str(path), "one DICOM file", "the folder that holds the series")

@@ -1,0 +1,130 @@
+"""clvol store: a volume as blocks at several resolutions, on disk."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+import click
+
+from clvol.cli.options import memory_cap_option, overrides_option
+
+if TYPE_CHECKING:
+    from clvol.scene import Scene
+    from clvol.store.voxel_source import VoxelSource
+
+
+@click.command("store", short_help="Build the multiresolution store of a volume.")
+@click.argument("volume", metavar="VOLUME")
+@click.option(
+    "-o", "--output", required=True, metavar="STORE", help="The folder to write, an OME-Zarr image."
+)
+@click.option(
+    "--codec", metavar="NAME", help="How samples are compressed: blosc-lz4 (default), zstd or none."
+)
+@click.option(
+    "--edge", type=int, metavar="N", help="Voxels an axis of a block: 4, 8, 16 (default) or 32."
+)
+@click.option(
+    "--shard",
+    type=int,
+    metavar="N",
+    help="Voxels an axis of a file, a multiple of the edge; 128, or 256 for long volumes.",
+)
+@click.option(
+    "--overwrite", is_flag=True, help="Replace a store that is there, once the new one is whole."
+)
+@click.option(
+    "--restart", is_flag=True, help="Begin anew what an interrupted call has left unfinished."
+)
+@overrides_option
+@memory_cap_option("The most memory that the volume may take.")
+@click.option("--quiet", is_flag=True, help="No progress on the terminal.")
+def command(
+    volume: str,
+    output: str,
+    codec: str | None,
+    edge: int | None,
+    shard: int | None,
+    overwrite: bool,
+    restart: bool,
+    overrides: tuple[str, ...],
+    memory_cap: int | None,
+    quiet: bool,
+) -> None:
+    """Store VOLUME as blocks at all resolutions, and print the store's path.
+
+    VOLUME is a volume file, a DICOM folder, a Zarr folder or a scene. A .raw file needs
+    --set volume.dims=[nx,ny,nz] --set 'volume.dtype="uint8"'.
+
+    The store appears whole or not at all. What an interrupted call leaves in STORE.partial, the
+    same call goes on with.
+    """
+    from pathlib import Path
+
+    from clvol.cli.console import say, working
+    from clvol.errors import UsageError
+    from clvol.scene import load_scene
+    from clvol.store.build import build_store, check_place
+
+    check_place(Path(output), overwrite)
+    scene = load_scene(volume, overrides)
+    taken = [Path(volume)] if scene.volume_path is None else [Path(volume), scene.volume_path]
+    place = Path(os.path.realpath(output))
+    if any(
+        place in (real, *real.parents) for real in (Path(os.path.realpath(path)) for path in taken)
+    ):
+        raise UsageError(output, "got what is read", "a folder of its own")
+    chosen = {"codec": codec, "edge": edge, "shard": shard}
+    chosen = {name: value for name, value in chosen.items() if value is not None}
+    source = _source(scene, volume, memory_cap, quiet)
+    with _named_as_options(), working(f"storing {volume}", quiet) as bar:
+        how = {
+            "overwrite": overwrite,
+            "restart": restart,
+            "progress": None if quiet else _telling(output, bar),
+        }
+        build_store(source, output, **chosen, **how)
+    say(click.format_filename(output))
+
+
+def _source(scene: Scene, volume: str, memory_cap: int | None, quiet: bool) -> VoxelSource:
+    """A computed field as it is, without its voxels; anything else as the scene loads it."""
+    from clvol.cli.console import working
+    from clvol.store.voxel_source import FieldSource, VolumeSource
+
+    asked = scene.volume
+    if asked.field is not None:
+        return FieldSource(asked.field, asked.size, asked.spacing or (1.0, 1.0, 1.0))
+    with working(f"loading {volume}", quiet):
+        return VolumeSource(scene.load_volume(memory_cap), asked.model_dump(mode="json"))
+
+
+def _telling(output: str, bar: Callable | None) -> Callable[[int, int], None]:
+    """Moves the bar, if there is one; tells once where an interrupted store is gone on with."""
+    begun = False
+
+    def progress(done: int, total: int) -> None:
+        nonlocal begun
+        if done and not begun:
+            said = f"going on with {output}.partial: {done} of {total} regions are done"
+            bar(done, total, said) if bar is not None else click.echo(said, err=True)
+        elif bar is not None:
+            bar(done, total)
+        begun = True
+
+    return progress
+
+
+@contextmanager
+def _named_as_options() -> Iterator[None]:
+    """Errors inside name the options of the command, not the arguments of the function."""
+    from clvol.errors import UsageError
+
+    try:
+        yield
+    except UsageError as error:
+        where = f"--{error.where}" if error.where in ("codec", "edge", "shard") else error.where
+        raise UsageError(where, error.what, error.expected) from None

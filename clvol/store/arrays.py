@@ -1,0 +1,95 @@
+"""Zarr arrays by tensorstore: opened with little memory, their errors in words."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from pathlib import Path
+from typing import Any
+
+from clvol.errors import VolumeError
+
+_OPEN_FILES = 8
+
+
+def open_array(
+    path: Path, metadata: dict | None = None, *, driver: str = "zarr3", whole: bool = True
+) -> Any:
+    """The tensorstore array in the folder ``path``; with ``metadata`` made if it is not there.
+
+    ``whole``: every chunk must be there, none stands for the fill value. tensorstore's ValueError
+    passes.
+    """
+    import tensorstore
+
+    spec: dict[str, Any] = {
+        "driver": driver,
+        "kvstore": {"driver": "file", "path": f"{path.absolute()}/"},
+    }
+    spec |= {"recheck_cached_metadata": "open", "recheck_cached_data": True}
+    if whole:
+        spec |= {"fill_missing_data_reads": False, "store_data_equal_to_fill_value": True}
+    if metadata is not None:
+        left = {
+            key: value for key, value in metadata.items() if key not in ("zarr_format", "node_type")
+        }
+        spec |= {"metadata": left, "open": True, "create": True}
+    return tensorstore.open(spec, context=_context()).result()
+
+
+def cores() -> int:
+    """Processor cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+_made: list = []
+
+
+def _context() -> Any:
+    """One for all arrays: nothing is cached, so that what is read is all that takes memory."""
+    if not _made:
+        import tensorstore
+
+        _made.append(
+            tensorstore.Context(
+                {
+                    "cache_pool": {"total_bytes_limit": 0},
+                    "data_copy_concurrency": {"limit": cores()},
+                    "file_io_concurrency": {"limit": _OPEN_FILES},
+                }
+            )
+        )
+    return _made[0]
+
+
+def what_failed(error: BaseException) -> str:
+    """A read that failed, in a few words."""
+    text = str(error)
+    if text.startswith("NOT_FOUND"):
+        return "is missing"
+    if "igest mismatch" in text or "hecksum" in text or "CRC" in text:
+        return "checksum does not match"
+    if text.startswith(("DATA_LOSS", "OUT_OF_RANGE", "INVALID_ARGUMENT", "FAILED_PRECONDITION")):
+        return "is damaged"
+    return f"cannot be read ({system_words(text)})"
+
+
+def system_words(text: str) -> str:
+    """What the system says, out of a message of tensorstore's, such as 'No space left on
+    device'."""
+    code = re.search(r"os_error_code='(\d+)'", text)
+    if code is not None:
+        return os.strerror(int(code[1]))
+    line = text.splitlines()[0] if text else "unknown error"
+    return line.split(" [tensorstore_spec=")[0][:160]
+
+
+def read_json(path: Path, where: str) -> Any:
+    """VolumeError if the file is no JSON; OSError passes."""
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except (ValueError, RecursionError):
+        raise VolumeError(where, f"{path.name} is damaged", "JSON") from None

@@ -1,0 +1,298 @@
+"""How a store is laid out on disk: names, shapes and metadata. Nothing is read or written here.
+
+STORE/zarr.json      group: OME-Zarr 0.5 ``multiscales``, and what that cannot say under ``clvol``;
+                     written last
+STORE/0 ... STORE/4  arrays [z, y, x], level 0 full; a shard is a file, at each level of the same
+                     part of the volume
+STORE/blocks/NAME    arrays [level, bz, by, bx] of statistics, as in BlockStatistics
+STORE.partial        a store that is not whole yet: the same, with clvol-journal/
+
+Level 0 has one block in a chunk; coarser levels have the blocks of (chunk / samples)^3 in one.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from clvol.errors import UsageError, VolumeError
+from clvol.store.codecs import Codec, find_codec, statistics_chain
+from clvol.store.geometry import EDGES, BlockGrid
+from clvol.store.source import QUANTILES
+from clvol.volume.grid import Grid
+from clvol.volume.volume import ACCEPTED_TYPES
+
+VERSION = 1
+ROOT = "zarr.json"
+JOURNAL = "clvol-journal"
+PARTIAL = ".partial"
+_LONG = 1024  # voxels of the longest axis above which shards are larger, so that files stay few
+_LARGEST_SHARD = 1024
+_STATISTICS_PIECE = 1 << 18  # levels times blocks in a chunk of statistics
+
+
+def partial_path(path: Path) -> Path:
+    """Where the store ``path`` is built."""
+    return path.with_name(path.name + PARTIAL)
+
+
+def default_shard(shape: tuple[int, int, int]) -> int:
+    """Voxels an axis of a shard."""
+    return 256 if max(shape) > _LONG else 128
+
+
+@dataclass(frozen=True)
+class StoreLayout:
+    """``shard`` is in voxels an axis of level 0, a multiple of ``edge``; ``codecs`` one a level,
+    and ``parameters`` what a codec with a payload needs beside the codes (JSON)."""
+
+    shape: tuple[int, int, int]
+    dtype: np.dtype
+    edge: int
+    shard: int
+    codecs: tuple[Codec, ...]
+    parameters: tuple[dict, ...]
+
+    @cached_property
+    def blocks(self) -> BlockGrid:
+        return BlockGrid(self.shape, self.edge)
+
+    @property
+    def regions(self) -> tuple[int, int, int]:
+        """Shards (z, y, x) of each level."""
+        return tuple(-(-n // self.shard) for n in self.shape)
+
+    def chunk(self, level: int) -> int:
+        """Samples an axis of a chunk."""
+        return math.gcd(self.edge, self.shard >> level)
+
+    def region(self, index: int, level: int = 0) -> tuple[slice, slice, slice]:
+        """Samples [z, y, x] of shard ``index`` (C order) at ``level``."""
+        place = np.unravel_index(index, self.regions)
+        side = self.shard >> level
+        ends = self.blocks.level_shape(level)
+        return tuple(slice(int(p) * side, min((int(p) + 1) * side, n)) for p, n in zip(place, ends))
+
+    def shard_file(self, index: int, level: int) -> str:
+        """Relative to the store."""
+        return "/".join(
+            [str(level), "c", *(str(int(p)) for p in np.unravel_index(index, self.regions))]
+        )
+
+    def level_metadata(self, level: int) -> dict:
+        """zarr.json of a level."""
+        codec = self.codecs[level]
+        dtype = codec.stored_type(self.dtype)
+        sharding = {
+            "chunk_shape": [self.chunk(level)] * 3,
+            "codecs": codec.chain(dtype),
+            "index_codecs": [
+                {"name": "bytes", "configuration": {"endian": "little"}},
+                {"name": "crc32c"},
+            ],
+            "index_location": "end",
+        }
+        codecs = [{"name": "sharding_indexed", "configuration": sharding}]
+        shape = self.blocks.level_shape(level)
+        return _array(shape, [self.shard >> level] * 3, dtype, codecs, ["z", "y", "x"])
+
+    # ---- statistics ----
+
+    @property
+    def statistics_rows(self) -> int:
+        """Rows of blocks along z in a chunk of statistics; a region's are a multiple of it."""
+        rows = self.shard // self.edge
+        _, y, x = self.blocks.counts
+        while rows % 2 == 0 and rows * y * x * self.blocks.levels > _STATISTICS_PIECE:
+            rows //= 2
+        return rows
+
+    @cached_property
+    def statistics_types(self) -> dict[str, np.dtype]:
+        """Names of the arrays of statistics and their types: those in which nothing is lost but
+        digits of means of integers beyond float32's."""
+        real = np.dtype(np.float64 if self.dtype == np.float64 else np.float32)
+        return {
+            "minimum": self.dtype, "maximum": self.dtype, "mean": real,
+            "quantiles": np.dtype(np.float32), "deviation": real,
+            "reach_low": self.dtype, "reach_high": self.dtype, "holes": np.dtype(bool),
+        }  # fmt: skip
+
+    def statistics_shape(self, name: str, counts: tuple[int, int, int]) -> tuple[int, ...]:
+        """Of the array ``name`` over ``counts`` blocks."""
+        if name in ("reach_low", "reach_high", "holes"):
+            return counts
+        return (self.blocks.levels, *counts, *((QUANTILES,) if name == "quantiles" else ()))
+
+    def statistics_metadata(self, name: str) -> dict:
+        """zarr.json of an array of statistics."""
+        dtype = self.statistics_types[name]
+        z, y, x = self.blocks.counts
+        shape = self.statistics_shape(name, (z, y, x))
+        chunk = self.statistics_shape(name, (self.statistics_rows, y, x))
+        names = ["z", "y", "x"]
+        if len(shape) > 3:
+            names = ["level", *names, *(["quantile"] if name == "quantiles" else [])]
+        return _array(shape, chunk, dtype, statistics_chain(dtype), names)
+
+
+def _array(shape: tuple, chunk: Any, dtype: np.dtype, codecs: list, names: list[str]) -> dict:
+    # Every chunk is there, so the fill value is never read; NaN makes that plain where it can.
+    fill: Any = {"f": "NaN", "b": False}.get(dtype.kind, 0)
+    return {
+        "zarr_format": 3,
+        "node_type": "array",
+        "shape": list(shape),
+        "data_type": dtype.name,
+        "chunk_grid": {"name": "regular", "configuration": {"chunk_shape": list(chunk)}},
+        "chunk_key_encoding": {"name": "default", "configuration": {"separator": "/"}},
+        "fill_value": fill,
+        "codecs": codecs,
+        "dimension_names": names,
+    }
+
+
+def check_layout(
+    shape: tuple, dtype: np.dtype, edge: int, shard: int | None, codec: Codec
+) -> StoreLayout:
+    """The layout of a new store; UsageError for what there cannot be."""
+    if edge not in EDGES:
+        raise UsageError("edge", f"got {edge!r}", "one of " + ", ".join(map(str, EDGES)))
+    shard = max(default_shard(shape), edge) if shard is None else shard
+    if not (edge <= shard <= _LARGEST_SHARD and shard % edge == 0):
+        expected = f"a multiple of the edge {edge}, at most {_LARGEST_SHARD}"
+        raise UsageError("shard", f"got {shard!r}", expected)
+    levels = edge.bit_length()
+    return StoreLayout(
+        tuple(shape), np.dtype(dtype), edge, shard, (codec,) * levels, ({},) * levels
+    )
+
+
+# ---- the root group ------------------------------------------------------------------------------
+
+
+def root_metadata(
+    layout: StoreLayout, grid: Grid, name: str | None, frame: str, facts: dict, writer: str
+) -> dict:
+    """zarr.json of the group. ``facts``: value_range, nan_count, inf_count."""
+    own = {
+        "version": VERSION,
+        "writer": writer,
+        "name": name,
+        "shape": list(layout.shape),
+        "dtype": layout.dtype.name,
+        "edge": layout.edge,
+        "shard": layout.shard,
+        "levels": layout.blocks.levels,
+        "quantiles": QUANTILES,
+        "codecs": [
+            {"name": codec.name, "lossless": codec.lossless, "parameters": parameters}
+            for codec, parameters in zip(layout.codecs, layout.parameters)
+        ],
+        "spacing": list(grid.spacing),
+        "origin": list(grid.origin),
+        "direction": grid.direction.tolist(),
+        "frame": frame,
+        **facts,
+    }
+    ome = {"version": "0.5", "multiscales": [_multiscale(layout, grid, name)]}
+    return {"zarr_format": 3, "node_type": "group", "attributes": {"ome": ome, "clvol": own}}
+
+
+def _multiscale(layout: StoreLayout, grid: Grid, name: str | None) -> dict:
+    """OME-Zarr knows no rotations: where the grid has one, positions are along its own axes, from
+    its first voxel."""
+    spacing = np.asarray(grid.spacing[::-1])
+    plain = np.array_equal(grid.direction, np.eye(3))
+    origin = np.asarray(grid.origin[::-1]) if plain else np.zeros(3)
+    datasets = []
+    for level in range(layout.blocks.levels):
+        first = origin + (2**level - 1) / 2 * spacing  # centre of the first sample
+        transformations = [
+            {"type": "scale", "scale": (2**level * spacing).tolist()},
+            {"type": "translation", "translation": first.tolist()},
+        ]
+        datasets.append({"path": str(level), "coordinateTransformations": transformations})
+    axes = [{"name": axis, "type": "space"} for axis in "zyx"]
+    method = {"description": "means of the voxels of level 0", "method": "clvol.store.resolutions"}
+    return {
+        "name": name or "volume",
+        "type": "mean",
+        "metadata": method,
+        "axes": axes,
+        "datasets": datasets,
+    }
+
+
+@dataclass(frozen=True, eq=False)
+class StoreFacts:
+    """What the root group of a store says."""
+
+    layout: StoreLayout
+    grid: Grid
+    name: str | None
+    frame: str
+    value_range: tuple[float, float]
+    nan_count: int
+    inf_count: int
+
+
+def parse_root(root: Any, where: str) -> StoreFacts:
+    """``root`` is the zarr.json of a group. VolumeError unless it is a store that this clvol
+    reads."""
+    attributes = root.get("attributes") if isinstance(root, dict) else None
+    own = attributes.get("clvol") if isinstance(attributes, dict) else None
+    if not isinstance(own, dict):
+        raise VolumeError(where, "no store of clvol", "a folder that clvol store has written")
+    version = own.get("version")
+    if version != VERSION:
+        newer = isinstance(version, int) and version > VERSION
+        what = (
+            f"stored by a newer clvol (version {version})"
+            if newer
+            else f"store version {version!r}"
+        )
+        raise VolumeError(where, what, f"version {VERSION}")
+    try:
+        return _facts(own, where)
+    except VolumeError as error:  # of a grid that there cannot be, or of a codec that is not known
+        what = (
+            error.what
+            if error.where == where
+            else f"damaged zarr.json ({error.where} {error.what})"
+        )
+        raise VolumeError(where, what, error.expected) from None
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
+        detail = f"no {error.args[0]}" if isinstance(error, KeyError) else str(error)[:100]
+        raise VolumeError(
+            where, f"damaged zarr.json ({detail})", "what clvol store has written"
+        ) from None
+
+
+def _facts(own: dict, where: str) -> StoreFacts:
+    edge, shard = own["edge"], own["shard"]
+    if edge not in EDGES:
+        raise ValueError(f"edge {edge}")
+    if not (isinstance(shard, int) and edge <= shard <= _LARGEST_SHARD and shard % edge == 0):
+        raise ValueError(f"shard {shard}")
+    if own["levels"] != edge.bit_length() or len(own["codecs"]) != own["levels"]:
+        raise ValueError(f"{own['levels']} levels for blocks of {edge}")
+    if own["quantiles"] != QUANTILES:
+        raise ValueError(f"{own['quantiles']} quantiles")
+    if own["dtype"] not in ACCEPTED_TYPES:
+        raise ValueError(f"dtype {own['dtype']}")
+    grid = Grid(tuple(own["shape"]), own["spacing"], own["origin"], np.asarray(own["direction"]))
+    codecs = tuple(find_codec(str(entry["name"]), where) for entry in own["codecs"])
+    parameters = tuple(dict(entry.get("parameters", {})) for entry in own["codecs"])
+    low, high = (float(value) for value in own["value_range"])
+    if not (math.isfinite(low) and math.isfinite(high) and low <= high):
+        raise ValueError("value_range")
+    layout = StoreLayout(grid.shape, np.dtype(own["dtype"]), edge, shard, codecs, parameters)
+    name = None if own["name"] is None else str(own["name"])
+    counts = int(own["nan_count"]), int(own["inf_count"])
+    return StoreFacts(layout, grid, name, str(own["frame"]), (low, high), *counts)

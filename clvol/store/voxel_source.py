@@ -1,0 +1,110 @@
+"""What a store is built of: anything that can give a box of voxels."""
+
+from __future__ import annotations
+
+import hashlib
+import mmap
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from clvol.volume.grid import Grid
+from clvol.volume.procedural import placed_field, sample_box
+from clvol.volume.volume import Volume
+
+
+class VoxelSource(Protocol):
+    """What a store is built of: anything that can give a box of voxels.
+
+    ``identity`` (JSON) changes when the voxels do: an interrupted store goes on only with the same.
+    """
+
+    shape: tuple[int, int, int]
+    dtype: np.dtype
+    grid: Grid
+    name: str | None
+    frame: str
+    identity: dict
+
+    def box(self, z0: int, z1: int, y0: int, y1: int, x0: int, x1: int) -> np.ndarray:
+        """Voxels [z0:z1, y0:y1, x0:x1] of ``dtype``. Called by several threads."""
+        ...
+
+
+class VolumeSource:
+    """A volume: in memory, mapped from a file, or one that reads boxes itself (``Volume.box``).
+
+    ``settings`` (JSON): what else decides how the file's bytes become voxels.
+    """
+
+    def __init__(self, volume: Volume, settings: dict | None = None) -> None:
+        self.volume, self.settings = volume, settings or {}
+        self.shape, self.dtype, self.grid = volume.shape, volume.dtype, volume.grid
+        self.name, self.frame = volume.name, volume.frame
+
+    @property
+    def identity(self) -> dict:
+        """Of a file its place, size and time; of an array without one a digest of its bytes."""
+        volume = self.volume
+        if volume.path is not None:
+            place = os.path.realpath(volume.path)
+            return {
+                "path": place,
+                "files": _files_digest(Path(volume.path)),
+                "settings": self.settings,
+            }
+        digest = hashlib.blake2b(digest_size=16)
+        for layer in volume.data:
+            digest.update(layer)
+        return {"digest": digest.hexdigest()}
+
+    def box(self, z0: int, z1: int, y0: int, y1: int, x0: int, x1: int) -> np.ndarray:
+        if hasattr(self.volume, "box"):
+            return self.volume.box(z0, z1, y0, y1, x0, x1)
+        return np.array(self.volume.data[z0:z1, y0:y1, x0:x1])
+
+    def forget(self) -> None:
+        """Pages of a mapped file that have been read need not stay in this process's memory."""
+        if hasattr(self.volume, "box"):
+            return
+        array: Any = self.volume.data
+        while isinstance(array, np.ndarray):
+            array = array.base
+        if isinstance(array, mmap.mmap) and hasattr(mmap, "MADV_DONTNEED"):
+            array.madvise(mmap.MADV_DONTNEED)
+
+
+def _files_digest(path: Path) -> str:
+    """Changes with the names, sizes or times of the file, or of the folder's files."""
+    digest = hashlib.blake2b(digest_size=16)
+    files = sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
+    for file in files:
+        facts = file.stat()
+        digest.update(f"{file.relative_to(path)} {facts.st_size} {facts.st_mtime_ns}\n".encode())
+    return digest.hexdigest()
+
+
+class FieldSource:
+    """A computed field (``clvol.volume.procedural.scene_field``) of any size: no more of it than a
+    box is ever in memory. ``size`` (nx, ny, nz); voxels of 8 bits."""
+
+    dtype = np.dtype(np.uint8)
+    frame = "world"
+
+    def __init__(
+        self, kind: str, size: Sequence[int], spacing: Sequence[float] = (1.0, 1.0, 1.0)
+    ) -> None:
+        self.name = kind
+        self._field, self.grid = placed_field(kind, size, spacing)
+        self.shape = self.grid.shape
+
+    @property
+    def identity(self) -> dict:
+        return {"field": self.name}
+
+    def box(self, z0: int, z1: int, y0: int, y1: int, x0: int, x1: int) -> np.ndarray:
+        box = slice(z0, z1), slice(y0, y1), slice(x0, x1)
+        return sample_box(self._field, self.grid, self.dtype, box)

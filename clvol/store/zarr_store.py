@@ -1,0 +1,292 @@
+"""A store on disk as a source of blocks: checked when it is opened, and again with every chunk that
+is read."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections import deque
+from collections.abc import Iterator
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from clvol.errors import VolumeError
+from clvol.store.arrays import open_array, read_json, what_failed
+from clvol.store.layout import JOURNAL, PARTIAL, ROOT, StoreFacts, parse_root, partial_path
+from clvol.store.resolutions import whole_blocks
+from clvol.store.source import BlockStatistics
+
+_FLYING = 64 << 20  # bytes of samples that are being read at a time
+_FLYING_READS = 256
+_SHARD_SHARE = 0.25  # of the chunks in a box; where so many are wanted, reading it whole is quicker
+_WANTED = "an undamaged store (clvol store --overwrite makes it anew)"
+
+
+def open_store(path: str | os.PathLike) -> StoredBlocks:
+    """The store in the folder ``path``; VolumeError if it is none, or is not whole, or is of
+    another version."""
+    return StoredBlocks(path)
+
+
+def is_store(path: str | os.PathLike) -> bool:
+    """Whether the folder is a store of clvol's, whole or not, of whatever version."""
+    path = Path(path)
+    try:
+        root = read_json(path / ROOT, str(path))
+    except (OSError, ValueError, VolumeError):
+        return is_unfinished(path)
+    attributes = root.get("attributes") if isinstance(root, dict) else None
+    return isinstance(attributes, dict) and "clvol" in attributes
+
+
+def is_unfinished(path: Path) -> bool:
+    """Whether the folder is a store whose making has not come to its end."""
+    return path.joinpath(JOURNAL).is_dir() and (
+        path.name.endswith(PARTIAL) or not path.joinpath(ROOT).exists()
+    )
+
+
+def check_finished(path: Path) -> None:
+    """VolumeError if a store is not whole, or is not there but its beginning is."""
+    expected = "a whole store; the same 'clvol store' command again finishes it"
+    if path.is_dir():
+        if is_unfinished(path):
+            raise VolumeError(str(path), "an unfinished store", expected)
+    elif path.name and not path.exists() and partial_path(path).is_dir():
+        raise VolumeError(str(path), f"an unfinished store ({partial_path(path).name})", expected)
+
+
+class StoredBlocks:
+    """A store as a ``BlockSource``. Nothing of it is kept in memory. ``facts`` is what its metadata
+    say."""
+
+    def __init__(self, path: str | os.PathLike) -> None:
+        self.path = Path(path)
+        self._where = os.fspath(path)
+        self.facts = self._checked_facts()
+        facts = self.facts
+        self.layout, self.blocks = facts.layout, facts.layout.blocks
+        self.name = facts.name or self.path.resolve().name
+        self.grid, self.dtype = facts.grid, facts.layout.dtype
+        self.value_range = facts.value_range
+        self.nan_count, self.inf_count = facts.nan_count, facts.inf_count
+        self._levels = [self._array(str(level), level) for level in range(self.blocks.levels)]
+
+    def _checked_facts(self) -> StoreFacts:
+        check_finished(self.path)
+        try:
+            root = read_json(self.path / ROOT, self._where)
+        except FileNotFoundError:
+            what = f"no {ROOT}" if self.path.is_dir() else "no such folder"
+            raise VolumeError(self._where, what, "a folder that clvol store has written") from None
+        except OSError as error:
+            raise VolumeError(self._where, error.strerror or str(error), "a store") from None
+        return parse_root(root, self._where)
+
+    def _array(self, name: str, level: int | None = None) -> Any:
+        """Level ``level``, or the array of statistics ``name``."""
+        if level is None:
+            wanted = self.layout.statistics_metadata(name.rpartition("/")[2])
+        else:
+            wanted = self.layout.level_metadata(level)
+        try:
+            array = open_array(self.path / name)
+        except ValueError as error:
+            raise VolumeError(
+                self._where, f"array {name!r} {what_failed(error)}", _WANTED
+            ) from None
+        found = list(array.shape), array.dtype.name, list(array.chunk_layout.write_chunk.shape)
+        expected = (
+            wanted["shape"],
+            wanted["data_type"],
+            wanted["chunk_grid"]["configuration"]["chunk_shape"],
+        )
+        if list(found) != list(expected):
+            shape = " x ".join(map(str, expected[0]))
+            what = f"array {name!r} is {' x '.join(map(str, found[0]))} {found[1]}"
+            raise VolumeError(
+                self._where, what, f"{shape} {expected[1]} in shards as zarr.json says"
+            )
+        return array
+
+    # ---- samples ----
+
+    def read(self, level: int, blocks: np.ndarray) -> np.ndarray:
+        """As ``BlockSource.read``: [k, s, s, s]. May be called by several threads."""
+        s = self.blocks.samples(level)
+        places = self.blocks.places(np.atleast_1d(np.asarray(blocks, np.int64)))
+        out = np.empty((len(places), s, s, s), self.dtype)
+        for first, samples, members in self._boxes(level, places):
+            if samples.shape == (s, s, s):
+                out[members] = samples
+                continue
+            samples = whole_blocks(samples, s)
+            z, y, x = (n // s for n in samples.shape)
+            by_block = samples.reshape(z, s, y, s, x, s).transpose(0, 2, 4, 1, 3, 5)
+            within = places[members] - first
+            out[members] = by_block[within[:, 0], within[:, 1], within[:, 2]]
+        return out
+
+    def volume_level(self, level: int = 0) -> np.ndarray:
+        """All samples [z, y, x] of a level: level 0 is the volume."""
+        shape = self.blocks.level_shape(level)
+        out = np.empty(shape, self.dtype)
+        s = self.blocks.samples(level)
+        for first, samples, _ in self._boxes(
+            level, self.blocks.places(np.arange(self.blocks.count))
+        ):
+            out[tuple(slice(f * s, f * s + n) for f, n in zip(first, samples.shape))] = samples
+        return out
+
+    def box(self, z0: int, z1: int, y0: int, y1: int, x0: int, x1: int) -> np.ndarray:
+        """Voxels [z0:z1, y0:y1, x0:x1]."""
+        edge = self.blocks.edge
+        low = np.array([z0, y0, x0])
+        first, last = low // edge, -(-np.array([z1, y1, x1]) // edge)
+        within = np.stack(np.meshgrid(*map(np.arange, first, last), indexing="ij"), -1).reshape(
+            -1, 3
+        )
+        out = np.empty((z1 - z0, y1 - y0, x1 - x0), self.dtype)
+        for place, samples, _ in self._boxes(0, within):
+            start = place * edge
+            a = np.maximum(start, low)
+            b = np.minimum(start + samples.shape, [z1, y1, x1])
+            if (a < b).all():
+                out[tuple(map(slice, a - low, b - low))] = samples[
+                    tuple(map(slice, a - start, b - start))
+                ]
+        return out
+
+    def _boxes(
+        self, level: int, places: np.ndarray
+    ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+        """Boxes of samples that hold all blocks at ``places`` [k, 3]: each box's first block, its
+        samples (none beyond the array), and which of ``places`` are inside. So many are read at a
+        time as fit into _FLYING."""
+        flying: deque = deque()
+        size = 0
+        for low, high, members in self._plan(level, places):
+            future, nbytes = self._start(level, low, high)
+            flying.append((low, high, members, future, nbytes))
+            size += nbytes
+            while flying and (size > _FLYING or len(flying) > _FLYING_READS):
+                size -= flying[0][-1]
+                yield from self._finish(level, places, *flying.popleft()[:-1])
+        while flying:
+            yield from self._finish(level, places, *flying.popleft()[:-1])
+
+    def _plan(
+        self, level: int, places: np.ndarray
+    ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+        """Boxes of chunks to read: their first and last + 1 chunk, and members as in ``_boxes``.
+        Boxes stay in a shard."""
+        if not len(places):
+            return
+        per_chunk = self.layout.chunk(level) // self.blocks.samples(level)
+        per_shard = (self.layout.shard >> level) // self.layout.chunk(level)
+        chunks = places // per_chunk
+        counts = chunks.max(axis=0) + 1
+        shards = chunks // per_shard
+        # In order of shards, and of chunks inside a shard.
+        key = np.ravel_multi_index(tuple(shards.T), tuple(shards.max(axis=0) + 1)) * int(
+            np.prod(counts)
+        )
+        key += np.ravel_multi_index(tuple(chunks.T), tuple(counts))
+        order = np.argsort(key, kind="stable")
+        same_shard = np.flatnonzero(np.diff(shards[order], axis=0).any(axis=1)) + 1
+        for members in np.split(order, same_shard):
+            inside = chunks[members]
+            change = np.flatnonzero(np.diff(inside, axis=0).any(axis=1)) + 1
+            low, high = inside.min(axis=0), inside.max(axis=0) + 1
+            if len(change) + 1 >= _SHARD_SHARE * np.prod(high - low):
+                yield low, high, members
+                continue
+            for part in np.split(members, change):
+                yield chunks[part[0]], chunks[part[0]] + 1, part
+
+    def _start(self, level: int, low: np.ndarray, high: np.ndarray) -> tuple[Any, int]:
+        side = self.layout.chunk(level)
+        ends = self.blocks.level_shape(level)
+        bounds = zip(low.tolist(), high.tolist(), ends)
+        box = tuple(slice(a * side, min(b * side, n)) for a, b, n in bounds)
+        nbytes = self.dtype.itemsize * math.prod(s.stop - s.start for s in box)
+        return self._levels[level][box].read(), nbytes
+
+    def _finish(
+        self,
+        level: int,
+        places: np.ndarray,
+        low: np.ndarray,
+        high: np.ndarray,
+        members: np.ndarray,
+        future: Any,
+    ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+        per_chunk = self.layout.chunk(level) // self.blocks.samples(level)
+        try:
+            yield low * per_chunk, self._decoded(level, future.result()), members
+            return
+        except ValueError as error:
+            failure = error
+        if (high - low == 1).all():
+            block = tuple(int(n) for n in places[members[0]])
+            what = f"block {block} at level {level}: {what_failed(failure)}"
+            raise VolumeError(self._where, what, _WANTED) from None
+        # A chunk of the box cannot be read: which, and whether it is wanted, they say one by one.
+        chunks = places[members] // per_chunk
+        for chunk in np.unique(chunks, axis=0):
+            inside = members[(chunks == chunk).all(axis=1)]
+            again = self._start(level, chunk, chunk + 1)[0]
+            yield from self._finish(level, places, chunk, chunk + 1, inside, again)
+
+    def _decoded(self, level: int, stored: np.ndarray) -> np.ndarray:
+        payload = self.layout.codecs[level].payload
+        if payload is None:
+            return stored
+        return payload.decode(stored, self.dtype, self.layout.parameters[level])
+
+    # ---- statistics ----
+
+    @cached_property
+    def _statistics(self) -> dict[str, Any]:
+        return {name: self._array(f"blocks/{name}") for name in self.layout.statistics_types}
+
+    def statistics(self) -> Iterator[BlockStatistics]:
+        """As ``BlockSource.statistics``: some planes of blocks at a time."""
+        nz, ny, nx = self.blocks.counts
+        rows = self.layout.statistics_rows
+        for z in range(0, nz, rows):
+            end = min(z + rows, nz)
+            found = {name: self._plane(name, z, end) for name in self._statistics}
+            yield BlockStatistics(z * ny * nx, **found)
+
+    def _plane(self, name: str, z: int, end: int) -> np.ndarray:
+        array = self._statistics[name]
+        by_level = array.rank > 3
+        try:
+            values = (array[:, z:end] if by_level else array[z:end]).read().result()
+        except ValueError as error:
+            what = f"{name} of the blocks {z} to {end - 1} along z: {what_failed(error)}"
+            raise VolumeError(self._where, what, _WANTED) from None
+        if name == "quantiles":
+            return values.reshape(values.shape[0], -1, values.shape[-1])
+        values = values.reshape(values.shape[0], -1) if by_level else values.reshape(-1)
+        return values if name == "holes" else values.astype(np.float64)
+
+    # ---- for people ----
+
+    @cached_property
+    def bytes_on_disk(self) -> int:
+        """Of all files of the store."""
+        folders = (Path(folder, name) for folder, _, names in os.walk(self.path) for name in names)
+        return sum(file.stat().st_size for file in folders)
+
+    def __repr__(self) -> str:
+        nx, ny, nz = self.grid.size
+        size = f"{nx} x {ny} x {nz}"
+        return f"<StoredBlocks {self.name!r} {size} {self.dtype}, blocks of {self.blocks.edge}>"
+
+
+__all__ = ["StoredBlocks", "check_finished", "is_store", "is_unfinished", "open_store"]
