@@ -1,8 +1,8 @@
 """CIELUV of linear sRGB colours, and differences in it.
 
-CIE 15:2018 sec. 8.2.2; the linear part of L* is written with the exact fractions (CIE 15 rounds them, which leaves a gap where
-the parts meet). The matrix is IEC 61966-2-1's to seven digits; the white is the sum of its columns, so grey has
-u* = v* = 0.
+CIE 15:2018 sec. 8.2.2; the linear part of L* is written with the exact fractions (CIE 15 rounds
+them, which leaves a gap where the parts meet). The matrix is IEC 61966-2-1's to seven digits; the
+white is the sum of its columns, so grey has u* = v* = 0.
 """
 
 from __future__ import annotations
@@ -31,23 +31,23 @@ _WHITE_UV = np.array([4.0, 9.0]) * _WHITE[:2] / _chromaticity_sums(_WHITE)
 def linear_to_luv(linear: ArrayLike) -> np.ndarray:
     """L*, u*, v* [..., 3] float64 of linear sRGB [..., 3]; white (1, 1, 1) has L* = 100.
 
-    Negative components count as 0. Towards black L* falls to 0 linearly with the luminance while the chromaticity
-    stays bounded, so u* and v* go to 0 with it; black's own chromaticity is taken to be the white's.
+    Negative components count as 0. Towards black L* falls to 0 linearly with the luminance while
+    the chromaticity stays bounded, so u* and v* go to 0 with it; black's own chromaticity is taken
+    to be the white's.
     """
     xyz = np.maximum(np.asarray(linear, np.float64), 0.0) @ _XYZ.T
     y = xyz[..., 1] / _WHITE[1]
     lightness = np.where(y > _EPSILON, 116.0 * np.cbrt(y) - 16.0, _KAPPA * y)
     sums = _chromaticity_sums(xyz)
-    seen = sums > 0
-    uv = np.where(
-        seen[..., None], np.array([4.0, 9.0]) * xyz[..., :2] / np.where(seen, sums, 1.0)[..., None], _WHITE_UV
-    )
+    seen = (sums > 0)[..., None]
+    divisors = np.where(seen, sums[..., None], 1.0)
+    uv = np.where(seen, np.array([4.0, 9.0]) * xyz[..., :2] / divisors, _WHITE_UV)
     return np.concatenate(
         [lightness[..., None], 13.0 * lightness[..., None] * (uv - _WHITE_UV)], axis=-1
     )
 
 
 def delta_e_luv(a: ArrayLike, b: ArrayLike) -> np.ndarray:
-    """Delta-E (CIE 1976 L*u*v*) [...] of L*, u*, v* [..., 3]: about 1 is just noticed side by side."""
+    """Delta-E (CIE 1976 L*u*v*) [...] of L*, u*, v* [..., 3]: about 1 is just noticed."""
     difference = np.asarray(a) - np.asarray(b)
     return np.sqrt((difference * difference).sum(axis=-1))

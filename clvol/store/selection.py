@@ -1,15 +1,18 @@
 """Which resolution of each block is held: the least error for a number of bytes.
 
-A multiple-choice knapsack (Sinha and Zoltners, Operations Research 27, 1979): of each block one level is taken. Upgrades along a
-block's lower convex hull of (bytes, error) buy less and less error a byte, so taking all blocks' upgrades in order of error a byte is the
-greedy with a heap, and where it stops is the optimum of the relaxed problem, in which blocks may be held in part: no selection has
-less error than ``Selection.bound``. The order need not be sorted: only the slope at which the bytes run out is looked for,
-by two histograms of the slopes' bits (a radix selection), so eight million blocks take seconds. What is then left, less than
-one block's bytes, is filled through a heap with the upgrades that still fit. Where the bound is not close yet, which takes few
-blocks, pairs of them are exchanged, one made finer and one coarser, while that helps.
+A multiple-choice knapsack (Sinha and Zoltners, Operations Research 27, 1979): of each block one
+level is taken. Upgrades along a block's lower convex hull of (bytes, error) buy less and less error
+a byte, so taking all blocks' upgrades in order of error a byte is the greedy with a heap, and where
+it stops is the optimum of the relaxed problem, in which blocks may be held in part: no selection
+has less error than ``Selection.bound``. The order need not be sorted: only the slope at which the
+bytes run out is looked for, by two histograms of the slopes' bits (a radix selection), so eight
+million blocks take seconds. What is then left, less than one block's bytes, is filled through a
+heap with the upgrades that still fit. Where the bound is not close yet, which takes few blocks,
+pairs of them are exchanged, one made finer and one coarser, while that helps.
 
-Error of the result / least possible error: 216 blocks of engine, tooth and vismale, three transfer functions, 1 % to 50 % of the bytes: mean
-1.001, worst 1.006; up to 60 random blocks: mean 1.02, worst 1.8.
+Error of the result / least possible error: 216 blocks of engine, tooth and vismale, three transfer
+functions, 1 % to 50 % of the bytes: mean 1.001, worst 1.006; up to 60 random blocks: mean 1.02,
+worst 1.8.
 """
 
 from __future__ import annotations
@@ -34,7 +37,8 @@ from clvol.store.visible_error import (
 )
 from clvol.transfer import TransferFunction
 
-# Delta-E times pixels below which nobody sees an error: less than a tenth of a step of 8 bits in one pixel.
+# Delta-E times pixels below which nobody sees an error: less than a tenth of a step of 8 bits in
+# one pixel.
 NEGLIGIBLE = 1e-2
 _PIECE = 1 << 18  # blocks looked at together
 # Blocks are exchanged until the error is so near to the bound, and this many times at most.
@@ -44,9 +48,10 @@ _ROUNDS = 64
 
 @dataclass(frozen=True, eq=False)
 class Selection:
-    """``levels`` [n] uint8: DROPPED for blocks that take no memory; 0 is full resolution. ``bytes``: what their samples take.
-    ``error``: the sum of the blocks' errors. ``bound``: no levels within the bytes have less error than this, so
-    ``error - bound`` is how far from the best they may be."""
+    """``levels`` [n] uint8: DROPPED for blocks that take no memory; 0 is full resolution.
+    ``bytes``: what their samples take. ``error``: the sum of the blocks' errors. ``bound``: no
+    levels within the bytes have less error than this, so ``error - bound`` is how far from the best
+    they may be."""
 
     levels: np.ndarray
     bytes: int
@@ -56,8 +61,9 @@ class Selection:
 
 @dataclass(frozen=True, eq=False)
 class SourceErrors:
-    """Of all blocks, whatever the view: ``errors`` float32 [levels, n] (``block_errors``, 0 where dropped), ``dropped`` bool [n],
-    ``transmittances`` float32 [n] of a path of a block's edge."""
+    """Of all blocks, whatever the view: ``errors`` float32 [levels, n] (``block_errors``, 0 where
+    dropped), ``dropped`` bool [n], ``transmittances`` float32 [n] of a block's edge of path, which
+    is what ``visibility`` takes."""
 
     errors: np.ndarray
     dropped: np.ndarray
@@ -67,8 +73,8 @@ class SourceErrors:
 def source_errors(
     source: BlockSource, function: TransferFunction, background: np.ndarray
 ) -> SourceErrors:
-    """From ``source``'s statistics, one part after the other; ``background`` linear [3]. The path is a block's edge times the smallest
-    voxel edge."""
+    """From ``source``'s statistics, one part after the other; ``background`` linear [3]. The path
+    is a block's edge times the smallest voxel edge."""
     blocks = source.blocks
     path = blocks.edge * source.grid.smallest_edge
     shown = ShownColors(function, path, background)
@@ -95,11 +101,13 @@ def select_blocks(
     occlusion: bool = False,
     known: SourceErrors | None = None,
 ) -> Selection:
-    """The levels of ``source``'s blocks that look least wrong within ``memory_bytes``, of which ``overhead_bytes`` are taken.
+    """The levels of ``source``'s blocks that look least wrong within ``memory_bytes``, of which
+    ``overhead_bytes`` are taken.
 
-    ``camera`` (complete): errors count by what its picture of the size of ``image`` sees of a block, with ``occlusion`` by the
-    light that gets through to the eye, too; None: all blocks count alike. ``known``: ``source_errors`` of the same source, function
-    and background, which a new view need not find again.
+    ``camera`` (complete): errors count by what its picture of the size of ``image`` sees of a
+    block, with ``occlusion`` by the light that gets through to the eye, too; None: all blocks count
+    alike. ``known``: ``source_errors`` of the same source, function and background, which a new
+    view need not find again.
 
     SceneError if not even one sample a block fits.
     """
@@ -121,8 +129,8 @@ def select_blocks(
 
 
 def level_costs(blocks: BlockGrid, dtype: np.dtype) -> np.ndarray:
-    """int64 [levels]: bytes of a block's samples on the device. One sample is kept in the index, so it costs nothing;
-    float64 volumes are held as float32."""
+    """int64 [levels]: bytes of a block's samples on the device. One sample is kept in the index, so
+    it costs nothing; float64 volumes are held as float32."""
     size = min(np.dtype(dtype).itemsize, 4)
     samples = np.array([blocks.samples(level) for level in range(blocks.levels)], np.int64)
     return np.where(samples > 1, samples**3 * size, 0)
@@ -142,11 +150,13 @@ def select_levels(
 ) -> Selection:
     """The levels of n blocks that ``budget`` bytes are best spent on.
 
-    ``errors`` [levels, n] float32, finite, >= 0, weighted; ``cost`` [levels] bytes of a block, falling with the level; ``dropped`` [n]
-    bool. Errors up to ``negligible`` count as 0; once all are 0 no more bytes are spent. Among equal upgrades the lower numbered
-    block goes first. Takes about four bytes a block and level besides ``errors``.
+    ``errors`` [levels, n] float32, finite, >= 0, weighted; ``cost`` [levels] bytes of a block,
+    falling with the level; ``dropped`` [n] bool. Errors up to ``negligible`` count as 0; once all
+    are 0 no more bytes are spent. Among equal upgrades the lower numbered block goes first. Takes
+    about four bytes a block and level besides ``errors``.
 
-    ValueError if ``budget`` is less than ``minimum_bytes(cost, dropped)``, or the costs do not fall.
+    ValueError if ``budget`` is less than ``minimum_bytes(cost, dropped)``, or the costs do not
+    fall.
     """
     cost = np.asarray(cost, np.int64)
     dropped = np.asarray(dropped, bool)
@@ -190,8 +200,9 @@ def total_error(errors: np.ndarray, levels: np.ndarray, negligible: float = NEGL
 def hull_slopes(
     errors: np.ndarray, cost: np.ndarray, dropped: np.ndarray, negligible: float = NEGLIGIBLE
 ) -> np.ndarray:
-    """float32 [levels - 1, n]: error saved by each byte of the upgrade that ends at a level; 0 where no upgrade of the lower convex hull
-    ends. Along a block the slopes fall from the coarsest level to the finest."""
+    """float32 [levels - 1, n]: error saved by each byte of the upgrade that ends at a level; 0
+    where no upgrade of the lower convex hull ends. Along a block the slopes fall from the coarsest
+    level to the finest."""
     count = errors.shape[1]
     out = np.zeros((len(cost) - 1, count), np.float32)
     for piece in _pieces(count):
@@ -202,8 +213,8 @@ def hull_slopes(
 def _hull_piece(
     errors: np.ndarray, cost: np.ndarray, dropped: np.ndarray, out: np.ndarray
 ) -> None:
-    """``out`` [levels - 1, k] of zeros, from float64 ``errors`` [levels, k]: from the coarsest on, the next corner of the hull is
-    the level of the steepest slope, of equal ones the finest."""
+    """``out`` [levels - 1, k] of zeros, from float64 ``errors`` [levels, k]: from the coarsest on,
+    the next corner of the hull is the level of the steepest slope, of equal ones the finest."""
     last = len(cost) - 1
     blocks = np.flatnonzero(~dropped & (errors[last] > 0))
     here = np.full(len(blocks), last)
@@ -231,9 +242,11 @@ def _pieces(count: int):
 
 
 def _threshold(slopes: np.ndarray, cost: np.ndarray, spare: int) -> np.float32:
-    """The slope of the first upgrades, in order of slope, that do not all fit into ``spare`` bytes; 0 where all fit.
+    """The slope of the first upgrades, in order of slope, that do not all fit into ``spare`` bytes;
+    0 where all fit.
 
-    Floats >= 0 are in the order of their bits: first the upper half of them is found, then the lower.
+    Floats >= 0 are in the order of their bits: first the upper half of them is found, then the
+    lower.
     """
     upper = np.zeros(1 << 16)
     for bits, spent in _steps(slopes, cost):
@@ -250,7 +263,8 @@ def _threshold(slopes: np.ndarray, cost: np.ndarray, spare: int) -> np.float32:
 
 
 def _overflow(spent: np.ndarray, spare: float) -> tuple[int, float]:
-    """The last bin, from the end, up to which ``spent`` sums to more than ``spare``, and the sum before it; -1 if none."""
+    """The last bin, from the end, up to which ``spent`` sums to more than ``spare``, and the sum
+    before it; -1 if none."""
     sums = np.cumsum(spent[::-1])
     at = int(np.searchsorted(sums, spare, side="right"))
     if at == len(sums):
@@ -288,7 +302,8 @@ def _bytes(levels: np.ndarray, cost: np.ndarray) -> int:
 def _take_equal(
     slopes: np.ndarray, cost: np.ndarray, levels: np.ndarray, threshold: np.float32, spare: int
 ) -> int:
-    """Upgrades of exactly ``threshold``, block by block, until one does not fit; the bytes left. Changes ``levels``."""
+    """Upgrades of exactly ``threshold``, block by block, until one does not fit; the bytes left.
+    Changes ``levels``."""
     equal = np.flatnonzero((slopes == threshold).any(axis=0))
     for start in range(0, len(equal), _PIECE):
         blocks = equal[start : start + _PIECE]
@@ -306,10 +321,11 @@ def _take_equal(
 def _fill(
     errors: np.ndarray, cost: np.ndarray, levels: np.ndarray, spare: int, negligible: float
 ) -> int:
-    """Upgrades that fit into ``spare`` bytes, the most error a byte first, changing ``levels``; the bytes left.
+    """Upgrades that fit into ``spare`` bytes, the most error a byte first, changing ``levels``; the
+    bytes left.
 
-    ``spare`` is less than one upgrade's bytes, so few blocks can be upgraded from a level, each to the next finer one at least: the
-    heap starts with that many of the best for each pair of levels.
+    ``spare`` is less than one upgrade's bytes, so few blocks can be upgraded from a level, each to
+    the next finer one at least: the heap starts with that many of the best for each pair of levels.
     """
     heap: list[tuple[float, int, int, int]] = []
 
@@ -339,10 +355,11 @@ def _fill(
 def _exchange(
     errors: np.ndarray, cost: np.ndarray, levels: np.ndarray, spare: int, negligible: float
 ) -> int | None:
-    """One block made finer for another made coarser, where that saves the most error, changing ``levels``; the bytes left
-    then, None if no such pair saves any.
+    """One block made finer for another made coarser, where that saves the most error, changing
+    ``levels``; the bytes left then, None if no such pair saves any.
 
-    For each pair of levels only the two blocks matter that gain most, or lose least: two, since both may be one block.
+    For each pair of levels only the two blocks matter that gain most, or lose least: two, since
+    both may be one block.
     """
     finer: list[tuple[float, int, int, int]] = []  # error saved, block, level, bytes
     coarser: list[tuple[float, int, int, int]] = []  # error added, block, level, bytes
@@ -387,7 +404,8 @@ def _most_saved(
 def exact_levels(
     errors: np.ndarray, cost: np.ndarray, dropped: np.ndarray, budget: int
 ) -> Selection:
-    """The best levels, by dynamic programming over blocks and bytes: for small cases, which tests compare with.
+    """The best levels, by dynamic programming over blocks and bytes: for small cases, which tests
+    compare with.
 
     Time and memory go with n * budget / (greatest common divisor of the costs).
     """

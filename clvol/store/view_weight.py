@@ -1,8 +1,9 @@
-"""What of a block's error the view can see: pixels that the block covers, pixels a voxel, and light that gets through.
+"""What of a block's error the view can see: pixels that the block covers, pixels a voxel, and light
+that gets through.
 
-Blocks are parallelepipeds in world space. Everything about one is a sum over the three axes of what its place along each
-gives, so a picture's planes are tested against millions of blocks by adding three short arrays.
-Lengths are in units of the smallest voxel edge, from the eye.
+Blocks are parallelepipeds in world space. Everything about one is a sum over the three axes of what
+its place along each gives, so a picture's planes are tested against millions of blocks by adding
+three short arrays. Lengths are in units of the smallest voxel edge, from the eye.
 """
 
 from __future__ import annotations
@@ -20,14 +21,16 @@ _MARGIN = 1.0  # voxels that interpolation reaches beyond a block
 _LARGEST_SPACING = 1e6  # pixels, of voxels at the eye
 _TRACED = 1 << 17  # blocks that visibility is looked for at most; beyond, they are taken together
 _OPAQUE = 50.0  # optical depth that lets nothing through
-# Rays go to four corners of a cube a little smaller than the block: past an occluder's edge one of them sees it.
+# Rays go to four corners of a cube a little smaller than the block: past an occluder's edge one of
+# them sees it.
 _AIMS = 0.4 * np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])
 
 
 @dataclass(frozen=True, eq=False)
 class ViewWeights:
-    """``pixels`` [n] float32: area that a block covers in the picture, at most the picture's own; 0 outside the view.
-    ``spacing`` [n] float32: pixels that the longest voxel edge takes at the block's nearest place, at most."""
+    """``pixels`` [n] float32: area that a block covers in the picture, at most the picture's own; 0
+    outside the view. ``spacing`` [n] float32: pixels that the longest voxel edge takes at the
+    block's nearest place, at most."""
 
     pixels: np.ndarray
     spacing: np.ndarray
@@ -35,8 +38,8 @@ class ViewWeights:
     def apply(self, errors: np.ndarray, first: int = 0) -> np.ndarray:
         """``errors`` [levels, k] of the blocks from ``first`` on, weighted in place; returned.
 
-        Samples of a level closer than a pixel are averaged by it, and so are their errors: they count by
-        min(1, pixels between samples)^2.
+        Samples of a level closer than a pixel are averaged by it, and so are their errors: they
+        count by min(1, pixels between samples)^2.
         """
         part = slice(first, first + errors.shape[1])
         for level in range(len(errors)):
@@ -47,8 +50,9 @@ class ViewWeights:
 
 @dataclass(frozen=True, eq=False)
 class _Axes:
-    """``start`` [3]: of index (-0.5, -0.5, -0.5), from the eye. ``steps`` [3, 3]: row k is the world vector of a voxel along x, y
-    or z. ``centres``, ``halves``: of the blocks along x, y and z, in voxels from ``start``."""
+    """``start`` [3]: of index (-0.5, -0.5, -0.5), from the eye. ``steps`` [3, 3]: row k is the
+    world vector of a voxel along x, y or z. ``centres``, ``halves``: of the blocks along x, y and
+    z, in voxels from ``start``."""
 
     start: np.ndarray
     steps: np.ndarray
@@ -61,7 +65,8 @@ class _Axes:
         return float(self.start @ vector) + (z_[z, None, None] + y[:, None] + x)
 
     def reach(self, vector: np.ndarray, z: slice, margin: float = 0.0) -> np.ndarray:
-        """[bz, by, bx]: how far a block extends along ``vector`` from its centre, times |vector|."""
+        """[bz, by, bx]: how far a block extends along ``vector`` from its centre, times
+        |vector|."""
         x, y, z_ = ((h + margin) * abs(float(s @ vector)) for h, s in zip(self.halves, self.steps))
         return z_[z, None, None] + y[:, None] + x
 
@@ -82,10 +87,11 @@ def _axes(camera: Camera, grid: Grid, blocks: BlockGrid) -> _Axes:
 def view_weights(
     camera: Camera, grid: Grid, blocks: BlockGrid, width: int, height: int
 ) -> ViewWeights:
-    """Of ``camera`` (complete) for a picture of ``width`` by ``height`` pixels; ``blocks`` over ``grid``.
+    """Of ``camera`` (complete) for a picture of ``width`` by ``height`` pixels; ``blocks`` over
+    ``grid``.
 
-    A block counts as outside the view if it lies beyond one of the view's planes (the eye's one too), a voxel's reach
-    included. One that may hold the eye covers the whole picture.
+    A block counts as outside the view if it lies beyond one of the view's planes (the eye's one
+    too), a voxel's reach included. One that may hold the eye covers the whole picture.
     """
     axes = _axes(camera, grid, blocks)
     nz, ny, nx = blocks.counts
@@ -128,7 +134,8 @@ def _areas(
     hx, hy, hz = axes.halves
     hz = hz[z, None, None]
     x, y, z_ = axes.steps
-    # Of the three pairs of faces: the normal of one voxel's face, and how many voxels make the face.
+    # Of the three pairs of faces: the normal of one voxel's face, and how many voxels make the
+    # face.
     faces = [(np.cross(y, z_), 4 * hz * hy[:, None]), (np.cross(x, z_), 4 * hz * hx),
              (np.cross(x, y), 4 * hy[:, None] * hx)]  # fmt: skip
     if camera.projection == "orthographic":
@@ -141,8 +148,8 @@ def _areas(
     offsets = depth, axes.along(right, z), axes.along(up, z)
     distance = np.sqrt(sum(part * part for part in offsets))
     radius = float(np.sqrt(((2 * max(h.max() for h in axes.halves) * axes.steps) ** 2).sum())) / 2
-    # The area seen along the line to the eye, p, is sum |normal . p| / |p|; on the screen it is larger by
-    # 1 / (depth^2 cos), cos = depth / |p|: |p| cancels.
+    # The area seen along the line to the eye, p, is sum |normal . p| / |p|; on the screen it is
+    # larger by 1 / (depth^2 cos), cos = depth / |p|: |p| cancels.
     seen = sum(np.abs(axes.along(normal, z)) * count for normal, count in faces)
     area = seen / (pixel**2 * np.maximum(depth, radius) ** 3)
     area = np.where(distance <= radius, float(width * height), area)
@@ -155,10 +162,11 @@ def visibility(
 ) -> np.ndarray:
     """float32 [n]: light that reaches the eye from each block, at least ``VISIBILITY_FLOOR``.
 
-    ``transmittances`` [n]: of a path as long as a block's edge times the smallest voxel edge, through each block. The rays from the
-    eye to four places in the block go through the lattice in steps of a block, reading the nearest one; the clearest counts, and
-    the block itself does not. Many blocks are taken together, by the mean of their transmittances, which is not
-    less than what their mean optical depths let through.
+    ``transmittances`` [n]: of a path as long as a block's edge times the smallest voxel edge,
+    through each block. The rays from the eye to four places in the block go through the lattice in
+    steps of a block, reading the nearest one; the clearest counts, and the block itself does not.
+    Many blocks are taken together, by the mean of their transmittances, which is not less than what
+    their mean optical depths let through.
     """
     factor = 1
     while np.prod([-(-n // factor) for n in blocks.counts]) > _TRACED:
@@ -191,8 +199,9 @@ def _means(values: np.ndarray, factor: int) -> np.ndarray:
 def _depth_before(
     camera: Camera, grid: Grid, depths: np.ndarray, ends: np.ndarray, side: int
 ) -> np.ndarray:
-    """[n]: sum of ``depths`` [z, y, x] from the eye to ``ends`` [n, 3] (x, y, z), all in units of ``side`` voxels; each counts by the part of
-    ``side`` smallest voxel edges that the ray spends in it."""
+    """[n]: sum of ``depths`` [z, y, x] from the eye to ``ends`` [n, 3] (x, y, z), all in units of
+    ``side`` voxels; each counts by the part of ``side`` smallest voxel edges that the ray spends in
+    it."""
     counts = np.array(depths.shape[::-1], np.float64)
     to_index = grid.world_to_index()
     eye = (to_index[:3] @ np.append(np.asarray(camera.position, np.float64), 1.0) + 0.5) / side
@@ -224,7 +233,8 @@ def _depth_before(
 
 
 def _clipped(starts: np.ndarray, ends: np.ndarray, counts: np.ndarray) -> np.ndarray:
-    """``starts`` moved towards ``ends``, which are inside, to where the lattice 0 ... ``counts`` begins."""
+    """``starts`` moved towards ``ends``, which are inside, to where the lattice 0 ... ``counts``
+    begins."""
     delta = ends - starts
     with np.errstate(divide="ignore", invalid="ignore"):
         t = np.where(

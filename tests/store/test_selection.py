@@ -46,7 +46,7 @@ def test_between_the_bound_and_one_upgrade_above_it(seed):
     slack = 1e-6 * float(errors.sum()) + 1e-12
     assert got.bound <= best.error + slack
     assert best.error <= got.error + slack
-    # The relaxed problem holds one block in part: what that block can save is the most that is lost.
+    # The relaxed problem holds one block in part: what that one can save is the most that is lost.
     largest = float((errors[-1] - errors[0])[~dropped].max(initial=0.0))
     assert got.error - got.bound <= largest + slack
 

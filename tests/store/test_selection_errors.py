@@ -76,7 +76,8 @@ def test_transparent_is_exact(function, low, span):
     expected = not (function.opacity(seen) > 0).any()
     if expected and low < high:
         # One float beside a point may be rounded to nothing, half a unit away is not.
-        expected = not (function.opacity(np.clip(seen[:, None] + [-0.25, 0.25], low, high)) > 0).any()
+        beside = np.clip(seen[:, None] + [-0.25, 0.25], low, high)
+        expected = not (function.opacity(beside) > 0).any()
     assert bool(transparent(reaching(low, high), function)[0]) is expected
 
 
@@ -105,7 +106,8 @@ def test_a_block_is_kept_for_what_interpolation_reaches():
 
 def test_errors_start_at_0_and_rise_with_the_level():
     rng = np.random.default_rng(1)
-    errors = block_errors(statistics_of(rng.integers(0, 256, (32, 40, 50), np.uint8)), RAMP, 16, BLACK)
+    array = rng.integers(0, 256, (32, 40, 50), np.uint8)
+    errors = block_errors(statistics_of(array), RAMP, 16.0, BLACK)
     assert errors.dtype == np.float32 and errors.shape == (5, 2 * 3 * 4)
     assert (errors[0] == 0).all() and (np.diff(errors, axis=0) >= 0).all()
     assert (errors[1] > 0).all() and np.isfinite(errors).all()
@@ -125,6 +127,23 @@ def test_of_one_sample_the_mean_difference_is_exact(background):
     assert errors[-1, 0] == pytest.approx(expected, rel=1e-3)
 
 
+def test_few_voxels_that_show_are_not_lost_in_their_groups_mean():
+    rng = np.random.default_rng(6)
+    array = rng.integers(0, 30, (16, 16, 16)).astype(np.uint8)
+    function = TransferFunction([100.0, 101.0], [0.0, 0.9], np.ones((2, 3)), 16.0)
+    sparse = array.copy()
+    sparse.ravel()[rng.choice(4096, 40, replace=False)] = 250
+    assert statistics_of(sparse).quantiles[0, 0].max() < 100
+    errors = block_errors(statistics_of(sparse), function, 16.0, BLACK)[:, 0]
+    full = delta_e_luv(linear_to_luv(np.full(3, 0.9)), linear_to_luv(np.zeros(3)))
+    expected = full * 40 / 4096
+    assert expected / 3 < errors[-1] < 3 * expected and errors[1] > 0.1 * expected
+    assert (block_errors(statistics_of(array), function, 16.0, BLACK) == 0).all()
+    mirrored = TransferFunction([154.0, 155.0], [0.9, 0.0], np.ones((2, 3)), 16.0)
+    low = block_errors(statistics_of(255 - sparse), mirrored, 16.0, BLACK)[:, 0]
+    np.testing.assert_allclose(low, errors, rtol=0.2)
+
+
 def test_what_looks_alike_has_no_error():
     rng = np.random.default_rng(3)
     statistics = statistics_of(rng.integers(0, 256, (16, 16, 32), np.uint8))
@@ -140,10 +159,8 @@ def test_what_looks_alike_has_no_error():
 def test_only_opacity_per_path_counts():
     statistics = statistics_of(np.random.default_rng(4).integers(0, 256, (16, 16, 32), np.uint8))
     one = block_errors(statistics, RAMP, 16.0, BLACK)
-    np.testing.assert_allclose(
-        block_errors(statistics, replace(RAMP, opacity_unit=RAMP.opacity_unit * 1e-20), 16e-20, BLACK),
-        one, rtol=1e-4,
-    )  # fmt: skip
+    small = replace(RAMP, opacity_unit=RAMP.opacity_unit * 1e-20)
+    np.testing.assert_allclose(block_errors(statistics, small, 16e-20, BLACK), one, rtol=1e-4)
     shorter = block_errors(statistics, RAMP, 1.0, BLACK)
     assert (shorter[1:] < one[1:]).all() and (shorter[1:] > 0).all()
 
@@ -215,8 +232,9 @@ def test_estimates_are_near_the_errors_of_real_blocks(brain, name):
     true = true_errors(brain, function, 16.0)
     inner = slice(1, 4)
     assert np.corrcoef(estimated[inner].ravel(), true[inner].ravel())[0, 1] > 0.85
-    assert 0.7 < estimated[inner].sum() / true[inner].sum() < 1.3
-    np.testing.assert_allclose(estimated[4].mean(), true[4].mean(), rtol=0.05)
+    assert 0.8 < estimated[inner].sum() / true[inner].sum() < 1.2
+    # One sample is compared with the histogram alone.
+    assert 0.9 < estimated[4].sum() / true[4].sum() < 1.1
 
 
 def test_on_real_blocks_the_greedy_is_near_the_best(brain):

@@ -88,7 +88,8 @@ def test_what_a_ray_meets_is_never_left_out(grid, projection, at, fov, height):
     to_index = grid.world_to_index()
     index = (origins + along * directions) @ to_index[:3, :3].T + to_index[:3, 3]
     place = np.floor((index + 0.5) / blocks.edge).astype(int).reshape(-1, 3)[:, ::-1]
-    inside = ((index.reshape(-1, 3) > -0.5) & (index.reshape(-1, 3) < np.array(grid.size) - 0.5)).all(1)
+    index = index.reshape(-1, 3)
+    inside = ((index > -0.5) & (index < np.array(grid.size) - 0.5)).all(axis=1)
     met = np.unique(np.ravel_multi_index(tuple(place[inside].T), blocks.counts))
     assert (weights.pixels[met] > 0).all()
     assert np.isfinite(weights.pixels).all() and np.isfinite(weights.spacing).all()
