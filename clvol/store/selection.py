@@ -11,7 +11,7 @@ heap with the upgrades that still fit. Where the bound is not close yet, which t
 pairs of them are exchanged, one made finer and one coarser, while that helps.
 
 Error of the result / least possible error: 216 blocks of engine, tooth and vismale, three transfer
-functions, 1 % to 50 % of the bytes: mean 1.001, worst 1.006; up to 60 random blocks: mean 1.02,
+functions, 1 % to 50 % of the bytes: mean 1.001, worst 1.007; up to 60 random blocks: mean 1.02,
 worst 1.8.
 """
 
