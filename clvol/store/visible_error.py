@@ -141,9 +141,9 @@ def block_errors(
     Second, a tenth of the mean Delta-E over the voxels between what the voxel and the level's sample
     there show along the whole path. A picture adds up many voxels a pixel, so differences that
     cancel (noise) do not show, and what thin things lose against their surroundings does. Whole
-    pictures against full resolution, mean CIEDE2000, voxels alone -> mixture alone -> both: chest at
-    16 MiB 1.46 -> 0.68 -> 0.75; engine at 0.9 MB 0.30 -> 0.27 -> 0.27, with peaks 2.60 -> 2.43 ->
-    2.39; vismale 0.44 -> 0.48 -> 0.48; aneurism at 0.4 MB 0.99 -> 1.11 -> 1.08.
+    pictures against full resolution, mean CIEDE2000, voxels alone -> both, occlusion in both: chest
+    at 16 MiB 1.02 -> 0.61; vismale at 0.9 MB 0.33 -> 0.20; aneurism at 0.4 MB 1.00 -> 0.72; engine
+    with narrow peaks at 0.9 MB 2.36 -> 2.23.
 
     The voxels' part is the mean of three estimates, all of which are exact where a level is one sample (up to the
     histogram's coarseness):
