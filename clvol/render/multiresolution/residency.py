@@ -19,7 +19,7 @@ from clvol.volume import Volume
 
 def block_source(volume: Volume) -> BlockSource:
     """The store that ``volume`` lies in, else its voxels in memory."""
-    found = getattr(volume, "block_source", None)
+    found = getattr(volume, "blocks_source", None)
     return VolumeBlocks(volume) if found is None else found
 
 
