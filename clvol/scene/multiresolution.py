@@ -46,7 +46,7 @@ class Multiresolution(Table):
         "limited", description="'full', 'limited', 'naive' or 'bounded'"
     )
     step_error: Number = Field(
-        1e-3, gt=0, le=1, description="a number greater than 0, at most 1"
+        0.03, gt=0, le=1, description="a number greater than 0, at most 1"
     )
     interblock: bool = Field(True, description="true or false")
     view_weighting: bool = Field(True, description="true or false")
