@@ -122,7 +122,12 @@ def block_scene(volume, function=SHOWN, *, width=24, height=20, camera=None, set
     ).resolve()
 
 
+def picture_of(caster: BlockCaster):
+    """``FrameData`` of the caster's scene."""
+    resolved = caster.resolved
+    return caster.render(resolved.camera, resolved.image.width, resolved.image.height)
+
+
 def block_picture(context, resolved, blocks: DeviceBlocks, **how):
     """``FrameData`` of what is resident in ``blocks``; ``how``: keys of ``BlockCaster``."""
-    caster = BlockCaster(context, resolved, blocks, **how)
-    return caster.render(resolved.camera, resolved.image.width, resolved.image.height)
+    return picture_of(BlockCaster(context, resolved, blocks, **how))

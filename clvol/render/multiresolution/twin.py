@@ -291,10 +291,11 @@ class _March:
         left = np.maximum(np.where(still, np.inf, leaves).min(axis=1) - t, 0.0)
         margin = self._to_faces(state, n, p)
         if self.stepping != "naive":
+            beyond = 1.0 if self.stepping == "limited" else 0.0
             near = np.rint(left)
-            decides = (near > 0) & (near < taken)
+            decides = (near > 1.0 - beyond) & (near <= taken - beyond)
             margin = np.where(decides, np.minimum(margin, np.abs(left - near)), margin)
-            taken = np.maximum(np.minimum(1.0 + np.floor(left), taken), 1.0)
+            taken = np.maximum(np.minimum(beyond + np.floor(left), taken), 1.0)
         state.margin[n] = np.minimum(state.margin[n], margin)
         far = np.minimum(t + taken, state.length[n])
         state.overshoot[n] = np.maximum(state.overshoot[n], far - t - left)

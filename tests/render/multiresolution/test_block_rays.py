@@ -11,6 +11,7 @@ from block_scenes import (
     block_picture,
     block_scene,
     noise,
+    picture_of,
     random_levels,
     resident,
     twin_of,
@@ -18,6 +19,7 @@ from block_scenes import (
 from small_scenes import rms, waves
 
 from clvol import Camera, TransferFunction, Volume
+from clvol.render.multiresolution.caster import BlockCaster
 from clvol.render.multiresolution.twin import render_blocks_twin
 from clvol.render.raycast import Raycaster
 from clvol.render.twin.clip import kept_stretches
@@ -42,13 +44,6 @@ def with_settings(resolved, **settings):
     return replace(resolved, multiresolution=resolved.multiresolution.model_copy(update=settings))
 
 
-def put_most_steps(context, blocks, most: np.ndarray) -> None:
-    """The most steps at once of each block, into the index."""
-    words = context.read(blocks.index)
-    words[:, 1] = (words[:, 1] & 255) | most.astype(np.int32) << 8
-    context.write(blocks.index, words)
-
-
 def check(data, twin, tolerance: float) -> None:
     """The same where rounding decides nothing: nearly everywhere."""
     assert np.isfinite(data.rgba).all()
@@ -68,13 +63,13 @@ def check(data, twin, tolerance: float) -> None:
 @pytest.mark.parametrize("stepping", ("full", "limited", "naive", "bounded"))
 def test_pictures_are_the_twins(context, stepping, classification):
     resolved = scene(stepping=stepping, classification=classification)
+    resolved = with_settings(resolved, step_error=0.05)
     levels = random_levels(BlockGrid(SHAPE), 3)
-    most = np.random.default_rng(1).integers(1, 20, len(levels))
-    blocks = resident(context, resolved.volume, levels)
-    put_most_steps(context, blocks, most)
-    data = block_picture(context, resolved, blocks, skip=False)
+    caster = BlockCaster(context, resolved, resident(context, resolved.volume, levels), skip=False)
+    most = caster.steps if stepping == "bounded" else None
+    assert most is None or len(np.unique(most)) > 2
     twin = render_blocks_twin(resolved, twin_of(resolved.volume, levels), most_steps=most)
-    check(data, twin, CLOSE[classification])
+    check(picture_of(caster), twin, CLOSE[classification])
 
 
 def test_without_interblock_interpolation_blocks_are_clamped(context):
@@ -262,9 +257,7 @@ def test_a_constant_mediums_opacity_is_right_for_segments_of_any_length(
     volume = Volume(np.full(SHAPE, 140, np.uint8))
     resolved = scene(volume, stepping, classification)
     levels = random_levels(BlockGrid(SHAPE), 9)
-    blocks = resident(context, volume, levels)
-    put_most_steps(context, blocks, np.random.default_rng(2).integers(1, 250, len(levels)))
-    data = block_picture(context, resolved, blocks)
+    data = block_picture(context, resolved, resident(context, volume, levels))
     rays = resolved.camera.world_rays(24, 20)
     kept = kept_stretches(volume.grid, (), *(part.reshape(-1, 3) for part in rays))
     hit = np.isfinite(kept.enter)
