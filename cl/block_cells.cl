@@ -2,7 +2,7 @@
  * 2^shift voxels, in places p of blocks.h, and lie within one block each.
  *
  * What is interpolated in a cell lies between the samples that clamping to a block's hull leaves of the cell: those of its own block,
- * and, where it touches a face, those of the blocks beyond, whose outermost samples are blended in.
+ * and, where it reaches beyond the hull of these, those of the blocks beyond, whose outermost samples are blended in.
  *
  * Switches (-D): LANES (1), VOXEL_BITS, VOXEL_SIGNED, VOXEL_SCALED, VOXEL_HOLES, WARPED_CLASSES, INTERBLOCK, SAMPLE_BUFFERS.
  */
@@ -33,10 +33,11 @@ __kernel void visible_block_cells(__global const uchar *restrict volume, __globa
   const Record own = fetch_record(v, bx, by, bz);
   if (code_of(&own) == CODE_DROPPED) return;
   float low = INFINITY, high = -INFINITY;
-  /* Places in the block; faces of the block that the cell touches. */
+  /* Places in the block; faces of the block that the cell comes nearer than half a sample. */
   const int x = (cx << shift) - bx * edge, y = (cy << shift) - by * edge, z = (cz << shift) - bz * edge;
-  const int4 first = INTERBLOCK ? (int4)(x == 0 ? -1 : 0, y == 0 ? -1 : 0, z == 0 ? -1 : 0, 0) : 0;
-  const int4 last = INTERBLOCK ? (int4)(x + cell == edge, y + cell == edge, z + cell == edge, 0) : 0;
+  const int sample = edge >> (code_of(&own) - 1), far = 2 * (edge - cell);
+  const int4 first = INTERBLOCK ? -(int4)(2 * x < sample, 2 * y < sample, 2 * z < sample, 0) : 0;
+  const int4 last = INTERBLOCK ? (int4)(2 * x > far - sample, 2 * y > far - sample, 2 * z > far - sample, 0) : 0;
   for (int dz = first.z; dz <= last.z; ++dz)
     for (int dy = first.y; dy <= last.y; ++dy)
       for (int dx = first.x; dx <= last.x; ++dx) {

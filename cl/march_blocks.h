@@ -36,7 +36,7 @@ typedef struct {
 /* Of a segment of `length` steps: where its slice begins in the table (in floats), and its length in that slice's. */
 INLINE intN slice_of(floatN *length, __constant const View *view)
 {
-  const intN doublings = min(max((AS_INT(*length) - 1 >> 23) - 126, (intN)0), (intN)(view->table.z - 1));
+  const intN doublings = min(max(((AS_INT(*length) - 1) >> 23) - 126, (intN)0), (intN)(view->table.z - 1));
   *length *= AS_FLOAT((127 - doublings) << 23);
   return (view->table.z - 1 - doublings) * (4 * view->table.w);
 }
