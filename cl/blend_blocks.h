@@ -42,6 +42,16 @@ INLINE FaceAxis nearest_face(floatN p, intN block, const BlockVolume *v)
 
 INLINE floatN half_sample(uintN code) { return AS_FLOAT(AS_INT((127u - code) << 23u)); } /* delta = 2^-code */
 
+/* The same of the code in the lowest four bits. */
+INLINE floatN delta_of_nibble(uintN codes)
+{
+#if LANES == 16
+  return permuted_lanes(half_sample(AS_UINT(LANE_INDEX)), AS_INT(codes));
+#else
+  return half_sample(codes & 15u);
+#endif
+}
+
 /* e of the edge from a block with delta_i, on this side of the face, to one with delta_j. */
 INLINE floatN edge_weight(floatN delta_i, floatN delta_j, floatN d)
 {
@@ -70,7 +80,7 @@ INLINE Around blocks_around(const BlockVolume *v, intN bx, intN by, intN bz, flo
  * edges have the same weight, bit for bit, and u bounds nothing. */
 INLINE void blend_weights(const Around *a, intN active, floatN *weight)
 {
-#define DELTA(f) half_sample((a->codes >> ((a->own ^ (f##u)) << 2u)) & 15u)
+#define DELTA(f) delta_of_nibble(a->codes >> ((a->own << 2u) ^ (4u * f##u)))
   const floatN dx = a->x.d, dy = a->y.d, dz = a->z.d;
   if (!any_lane(active & MASK(a->codes != (a->codes & 15u) * 0x11111111u))) {
     const floatN d0 = half_sample(a->codes & 15u);
@@ -167,12 +177,23 @@ typedef struct {
   float total[QUEUE_LENGTH + LANES]; /* weights */
 } PlaceQueue;
 
+/* Other pairs of the places of one vector: six blocks, of each the lanes whose places it has weight for, one after the other. */
+#define OTHERS 6
+
+typedef struct {
+  int any;
+  int from[OTHERS];             /* number of the first pair */
+  uint lanes[OTHERS];           /* as bits */
+  float weight[OTHERS][LANES];  /* also of the lanes that are not there: 0 */
+} OtherPairs;
+
 /* First one pair a place, then the others: these begin at a multiple of LANES. */
 typedef struct {
   int count;
   float slot[PAIRS_LENGTH + LANES];   /* bits of the number in the queue of places */
   float block[PAIRS_LENGTH + LANES];  /* bits of x | y << 10 | z << 20 */
-  float weight[PAIRS_LENGTH + LANES];
+  float weight[QUEUE_LENGTH + LANES]; /* of the first ones */
+  OtherPairs others[QUEUED_STEPS];
 } PairQueue;
 
 /* Places of the lanes in `between`; `id` of a lane is where its value will be. */
@@ -213,20 +234,24 @@ INLINE void queue_pairs(const BlockVolume *v, PlaceQueue *q, PairQueue *p, Tally
     STORE_LANES(weight[0] + first_weight + others, q->total + first);
     count_lanes(&tally[COUNT_BLENDED], active & (by_x | by_y | by_z | MASK(others > zero)));
     count_lanes(&tally[COUNT_BLOCK_READS], active & (by_x | by_y | by_z));
-    if (!any_lane(active & MASK(others > zero))) continue;
-#define QUEUE_PAIRS(f, may, packed)                                                                        \
+    OtherPairs *o = p->others + first / LANES;
+    o->any = any_lane(active & MASK(others > zero));
+    if (!o->any) continue;
+#define QUEUE_PAIRS(k, w, packed)                                                                          \
     {                                                                                                      \
-      const uint bits_ = lane_bits(active & MASK(weight[f] > zero) & (may));                               \
+      const floatN w_ = w;                                                                                 \
+      const uint bits_ = lane_bits(active & MASK(w_ > zero));                                              \
       pack_lanes(slot, bits_, p->slot + pairs), pack_lanes(AS_FLOAT(packed), bits_, p->block + pairs);     \
-      pack_lanes(weight[f], bits_, p->weight + pairs);                                                     \
+      STORE_LANES(w_, o->weight[k]);                                                                       \
+      o->from[k] = pairs, o->lanes[k] = bits_;                                                             \
       pairs += popcount(bits_);                                                                            \
     }
-    QUEUE_PAIRS(2, by_x, bx + ay + cz)
-    QUEUE_PAIRS(4, by_x | by_y, bx + cy + az)
-    QUEUE_PAIRS(3, ~(intN)0, ax + ay + cz)
-    QUEUE_PAIRS(5, ~(intN)0, ax + cy + az)
-    QUEUE_PAIRS(6, ~(intN)0, bx + ay + az)
-    QUEUE_PAIRS(7, ~(intN)0, ax + ay + az)
+    QUEUE_PAIRS(0, select(zero, weight[2], by_x), bx + ay + cz)
+    QUEUE_PAIRS(1, select(zero, weight[4], by_x | by_y), bx + cy + az)
+    QUEUE_PAIRS(2, weight[3], ax + ay + cz)
+    QUEUE_PAIRS(3, weight[5], ax + cy + az)
+    QUEUE_PAIRS(4, weight[6], bx + ay + az)
+    QUEUE_PAIRS(5, weight[7], ax + ay + az)
 #undef QUEUE_PAIRS
   }
   p->count = pairs;
@@ -249,28 +274,16 @@ INLINE void place_pairs(const BlockVolume *v, const PlaceQueue *q, const PairQue
 /* Blends the values of all places with those of their pairs, `of_pairs`, and empties the queue. */
 INLINE void blend_pairs(PlaceQueue *q, const PairQueue *p, const float *of_pairs, float *values)
 {
-  float own[QUEUE_LENGTH + LANES], sum[QUEUE_LENGTH + LANES];
   const int places = q->count;
-  int first = 0;
-  _Pragma("unroll 1") for (; first < places; first += LANES) {
-    const intN active = MASK(LANE_INDEX < places - first);
-    const floatN value = gather_private(values, AS_INT(LOAD_LANES(q->id + first)) & active);
-    STORE_LANES(value, own + first);
-    STORE_LANES(LOAD_LANES(p->weight + first) * (LOAD_LANES(of_pairs + first) - value), sum + first);
-  }
-  _Pragma("unroll 1") for (; first < p->count; first += LANES) {
-    const intN active = MASK(LANE_INDEX < p->count - first);
-    const floatN value = gather_private(own, AS_INT(LOAD_LANES(p->slot + first)) & active);
-    float share[LANES];
-    STORE_LANES(LOAD_LANES(p->weight + first) * (LOAD_LANES(of_pairs + first) - value), share);
-    const int here = min(p->count - first, LANES);
-    _Pragma("unroll 1") for (int k = 0; k < here; ++k) sum[as_int(p->slot[first + k])] += share[k];
-  }
-  _Pragma("unroll 1") for (first = 0; first < places; first += LANES) {
-    float blended[LANES];
-    STORE_LANES(LOAD_LANES(own + first) + LOAD_LANES(sum + first) / LOAD_LANES(q->total + first), blended);
-    const int here = min(places - first, LANES);
-    _Pragma("unroll 1") for (int k = 0; k < here; ++k) values[as_int(q->id[first + k])] = blended[k];
+  _Pragma("unroll 1") for (int first = 0; first < places; first += LANES) {
+    const intN active = MASK(LANE_INDEX < places - first), id = AS_INT(LOAD_LANES(q->id + first)) & active;
+    const floatN value = gather_private(values, id);
+    floatN sum = LOAD_LANES(p->weight + first) * (LOAD_LANES(of_pairs + first) - value);
+    const OtherPairs *o = p->others + first / LANES;
+    if (o->any)
+      for (int k = 0; k < OTHERS; ++k)
+        sum += LOAD_LANES(o->weight[k]) * (unpack_lanes(of_pairs + o->from[k], o->lanes[k]) - value);
+    scatter_private(value + sum / LOAD_LANES(q->total + first), id, lane_bits(active), values);
   }
   q->count = 0;
 }

@@ -228,6 +228,38 @@ INLINE void pack_lanes(float16 v, uint bits, float *to)
 #endif
 }
 
+/* The reverse: the lanes in `bits` from one after the other at `from`, where 16 can be read; the others are 0. */
+INLINE float16 unpack_lanes(__private const float *from, uint bits)
+{
+#if defined(HARDWARE_GATHER) && __has_builtin(__builtin_ia32_expandsf512_mask)
+  return __builtin_astype(__builtin_ia32_expandsf512_mask(__builtin_astype(vload16(0, from), gather_float16),
+                                                          __builtin_astype((float16)0.0f, gather_float16), (ushort)bits),
+                          float16);
+#else
+  float each[16];
+  EACH_LANE(k)
+  {
+    each[k] = bits >> k & 1u ? *from : 0.0f;
+    from += bits >> k & 1u;
+  }
+  return vload16(0, each);
+#endif
+}
+
+/* to[at] = v for the lanes in `bits`. */
+INLINE void scatter_private(float16 v, int16 at, uint bits, __private float *to)
+{
+#if defined(HARDWARE_GATHER) && __has_builtin(__builtin_ia32_scattersiv16sf)
+  __builtin_ia32_scattersiv16sf((void *)to, (ushort)bits, __builtin_astype(at, gather_int16), __builtin_astype(v, gather_float16), 4);
+#else
+  float each[16];
+  int lane[16];
+  vstore16(v, 0, each), vstore16(at, 0, lane);
+  EACH_LANE(k)
+  if (bits >> k & 1u) to[lane[k]] = each[k];
+#endif
+}
+
 /* from[at] for each lane: what a work-item keeps in its own memory. */
 INLINE float16 gather_private(__private const float *from, int16 at)
 {
