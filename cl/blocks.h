@@ -95,8 +95,8 @@ INLINE BlockAxis block_axis(floatN place, intN last)
 {
   BlockAxis a;
   const floatN top = TO_FLOAT(last), zero = 0.0f;
-  a.outside = MASK(place < zero) | MASK(place > top);
   const floatN clamped = lane_clamp(place, zero, top);
+  a.outside = MASK(clamped != place);
   a.lower = min(TO_INT(clamped), max(last - 1, (intN)0));
   a.fraction = clamped - TO_FLOAT(a.lower);
   return a;
