@@ -237,22 +237,19 @@ INLINE void queue_pairs(const BlockVolume *v, PlaceQueue *q, PairQueue *p, Tally
     OtherPairs *o = p->others + first / LANES;
     o->any = any_lane(active & MASK(others > zero));
     if (!o->any) continue;
-#define QUEUE_PAIRS(k, w, packed)                                                                          \
-    {                                                                                                      \
-      const floatN w_ = w;                                                                                 \
-      const uint bits_ = lane_bits(active & MASK(w_ > zero));                                              \
-      pack_lanes(slot, bits_, p->slot + pairs), pack_lanes(AS_FLOAT(packed), bits_, p->block + pairs);     \
-      STORE_LANES(w_, o->weight[k]);                                                                       \
-      o->from[k] = pairs, o->lanes[k] = bits_;                                                             \
-      pairs += popcount(bits_);                                                                            \
+    int block[OTHERS][LANES];
+    STORE_LANES(select(zero, weight[2], by_x), o->weight[0]), STORE_LANES(bx + ay + cz, block[0]);
+    STORE_LANES(select(zero, weight[4], by_x | by_y), o->weight[1]), STORE_LANES(bx + cy + az, block[1]);
+    STORE_LANES(weight[3], o->weight[2]), STORE_LANES(ax + ay + cz, block[2]);
+    STORE_LANES(weight[5], o->weight[3]), STORE_LANES(ax + cy + az, block[3]);
+    STORE_LANES(weight[6], o->weight[4]), STORE_LANES(bx + ay + az, block[4]);
+    STORE_LANES(weight[7], o->weight[5]), STORE_LANES(ax + ay + az, block[5]);
+    _Pragma("unroll 1") for (int k = 0; k < OTHERS; ++k) {
+      const uint bits = lane_bits(active & MASK(LOAD_LANES(o->weight[k]) > zero));
+      pack_lanes(slot, bits, p->slot + pairs), pack_lanes(AS_FLOAT(LOAD_LANES(block[k])), bits, p->block + pairs);
+      o->from[k] = pairs, o->lanes[k] = bits;
+      pairs += popcount(bits);
     }
-    QUEUE_PAIRS(0, select(zero, weight[2], by_x), bx + ay + cz)
-    QUEUE_PAIRS(1, select(zero, weight[4], by_x | by_y), bx + cy + az)
-    QUEUE_PAIRS(2, weight[3], ax + ay + cz)
-    QUEUE_PAIRS(3, weight[5], ax + cy + az)
-    QUEUE_PAIRS(4, weight[6], bx + ay + az)
-    QUEUE_PAIRS(5, weight[7], ax + ay + az)
-#undef QUEUE_PAIRS
   }
   p->count = pairs;
   tally[COUNT_BLOCK_READS] += AS_UINT(select((intN)0, (intN)(pairs - others_from), MASK(LANE_INDEX == 0)));
@@ -281,7 +278,7 @@ INLINE void blend_pairs(PlaceQueue *q, const PairQueue *p, const float *of_pairs
     floatN sum = LOAD_LANES(p->weight + first) * (LOAD_LANES(of_pairs + first) - value);
     const OtherPairs *o = p->others + first / LANES;
     if (o->any)
-      for (int k = 0; k < OTHERS; ++k)
+      _Pragma("unroll 1") for (int k = 0; k < OTHERS; ++k)
         sum += LOAD_LANES(o->weight[k]) * (unpack_lanes(of_pairs + o->from[k], o->lanes[k]) - value);
     scatter_private(value + sum / LOAD_LANES(q->total + first), id, lane_bits(active), values);
   }
