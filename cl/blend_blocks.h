@@ -139,10 +139,10 @@ INLINE floatN blend_blocks(const BlockVolume *v, const Record *r, floatN px, flo
 
 #else
 
-/* In a packet few samples lie between blocks, and of the seven other blocks one or two have weight: lane by lane most of a vector would
- * do nothing. So places that need blending are queued over several steps of the packet, and worked off 16 at a time: first, of each,
- * one block across a face (of most there is no other), then all other (place, block) pairs, which are queued as well. (Without queues
- * blending took more than twice as long.) */
+/* In a packet few samples lie between blocks, and of the seven other blocks one or two have weight: lane by lane most of a
+ * vector would do nothing. So places that need blending are queued over several steps of the packet, and worked off 16 at a
+ * time: first, of each, one block across a face (of most there is no other), then all other (place, block) pairs, which are
+ * queued as well. (Without queues blending took more than twice as long.) */
 #define QUEUE_LENGTH (LANES * QUEUED_STEPS)
 #define PAIRS_LENGTH (7 * QUEUE_LENGTH)
 
@@ -223,7 +223,8 @@ INLINE void queue_pairs(const BlockVolume *v, PlaceQueue *q, PairQueue *p, Tally
     blend_weights(&a, active, weight);
     const intN ax = across(bx, &a.x, count.x), ay = across(by, &a.y, count.y) << 10, az = across(bz, &a.z, count.z) << 20;
     const intN cy = by << 10, cz = bz << 20;
-    const intN by_x = MASK(weight[1] > zero), by_y = MASK(weight[2] > zero) & ~by_x, by_z = MASK(weight[4] > zero) & ~by_x & ~by_y;
+    const intN by_x = MASK(weight[1] > zero), by_y = MASK(weight[2] > zero) & ~by_x;
+    const intN by_z = MASK(weight[4] > zero) & ~by_x & ~by_y;
     const floatN first_weight = select(select(select(zero, weight[4], by_z), weight[2], by_y), weight[1], by_x);
     const intN first_block = select(bx, ax, by_x) + select(cy, ay, by_y) + select(cz, az, by_z);
     const floatN slot = AS_FLOAT(first + LANE_INDEX);
@@ -263,7 +264,8 @@ INLINE void place_pairs(const BlockVolume *v, const PlaceQueue *q, const PairQue
     const intN active = MASK(LANE_INDEX < (first < places ? q->count : p->count) - first);
     const intN slot = AS_INT(LOAD_LANES(p->slot + first)) & active, block = AS_INT(LOAD_LANES(p->block + first)) & active;
     const Record r = fetch_record(v, block & 1023, (block >> 10) & 1023, block >> 20);
-    const BlockPlace place = place_in_block(v, &r, gather_private(q->x, slot), gather_private(q->y, slot), gather_private(q->z, slot));
+    const floatN px = gather_private(q->x, slot), py = gather_private(q->y, slot), pz = gather_private(q->z, slot);
+    const BlockPlace place = place_in_block(v, &r, px, py, pz);
     store_fetch(f, &place);
   }
 }
