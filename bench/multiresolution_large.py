@@ -53,8 +53,8 @@ memory = "{memory}"
 
 class Turbulence:
     """A ball of turbulence, uint8 [edge, edge, edge]: plane waves of random directions, lengths from the whole
-    edge to a few voxels, amplitudes as in a spectrum of the power -5/3, on a hill. Every voxel is a
-    function of its place alone.
+    edge to a few voxels, amplitudes as the root of the length, on a hill. Every voxel is a function of its
+    place alone.
 
     cos(a + b) = cos a cos b - sin a sin b, with a of z and b of y and x: a box is a product of two thin
     matrices, which costs little more than writing it.
@@ -76,7 +76,7 @@ class Turbulence:
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
         self._waves = 2 * np.pi * directions / lengths[:, None]  # radians a voxel, (x, y, z)
         self._phases = random.uniform(0.0, 2 * np.pi, len(lengths))
-        self._amplitudes = 26.0 * (lengths / lengths[0]) ** (1 / 3) * (lengths / lengths[0]) ** 0.35
+        self._amplitudes = 20.0 * (lengths / lengths[0]) ** 0.5
 
     @property
     def identity(self) -> dict:
@@ -90,14 +90,14 @@ class Turbulence:
         hill = [((i - centre) / (0.47 * edge)) ** 2 for i in (z, y, x)]
         left = np.concatenate(
             [np.cos(along) * self._amplitudes, -np.sin(along) * self._amplitudes,
-             190.0 - 110.0 * hill[0][:, None], np.ones((len(z), 1))], axis=1,
+             168.0 - 130.0 * hill[0][:, None], np.ones((len(z), 1))], axis=1,
         ).astype(np.float32)  # fmt: skip
         out = np.empty((len(z), len(y), len(x)), np.uint8)
         for first in range(0, len(y), rows):
             part = slice(first, first + rows)
             across = self._waves[:, :1, None] * x + (self._waves[:, 1:2] * y[part])[:, :, None]
             across = across.astype(np.float32) if edge <= 4096 else across
-            slope = -110.0 * (hill[1][part, None] + hill[2][None, :])
+            slope = -130.0 * (hill[1][part, None] + hill[2][None, :])
             count = slope.size
             right = np.concatenate(
                 [np.cos(across).reshape(-1, count), np.sin(across).reshape(-1, count),
@@ -115,14 +115,14 @@ def large(device: str | None, quick: bool, picture: Path) -> dict[str, Any] | No
     edge = QUICK_EDGE if quick else EDGE
     with tempfile.TemporaryDirectory(prefix="clvol-bench-") as folder:
         store, scene = Path(folder) / "large.zarr", Path(folder) / "large.toml"
-        built = _child([sys.executable, "-m", "bench.multiresolution_large", str(store), str(edge)])
+        built = measured_child([sys.executable, "-m", "bench.multiresolution_large", str(store), str(edge)])
         if built is None:
             return None
         say(f"{edge}^3 stored: {built['seconds']:.0f} s, at most {built['peak_bytes'] / 1e6:.0f} MB")
         scene.write_text(_scene(store, edge, 96 if quick else SIZE), encoding="utf-8")
         stats = Path(folder) / "stats.json"
         chosen = ["--device", device] if device else []
-        rendered = _child([
+        rendered = measured_child([
             sys.executable, "-m", "clvol", "render", str(scene), "-o", str(picture),
             "--stats", str(stats), *chosen,
         ])  # fmt: skip
@@ -140,12 +140,12 @@ def large(device: str | None, quick: bool, picture: Path) -> dict[str, Any] | No
 
 def _scene(store: Path, edge: int, size: int) -> str:
     centre = 0.5 * (edge - 1)
-    x, y, z = (centre + edge * share for share in (1.05, 0.65, 1.45))
+    x, y, z = (centre + edge * share for share in (1.15, 0.75, 1.6))
     return _SCENE.format(store=json.dumps(str(store)), centre=centre, x=x, y=y, z=z, size=size,
                          unit=edge / 48, memory=MEMORY)  # fmt: skip
 
 
-def _child(command: list[str]) -> dict[str, Any] | None:
+def measured_child(command: list[str]) -> dict[str, Any] | None:
     """Seconds and peak bytes of a command that succeeds."""
     paths = [str(_ROOT), *filter(None, [os.environ.get("PYTHONPATH")])]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(paths), "OPENBLAS_NUM_THREADS": "1"}
