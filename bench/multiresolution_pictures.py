@@ -75,11 +75,11 @@ def _row(scene: BlockScene, ratio: float, options: Options, size: int) -> dict[s
         "pictures": [
             (display(full.rgba, black), f"{scene.scene.file}: all voxels, {volume.nbytes / 2**20:.1f} MiB"),
             (display(frame.rgba, black), f"as blocks within {memory / 2**20:.2f} MiB, {ratio:g} : 1"),
-            (display(colored.rgba, black), "the blocks' resolutions, and how many blocks have them"),
+            (display(colored.rgba, black), "the blocks' resolutions, and how many have them"),
             (_heat(apart), f"difference, CIEDE2000: mean {apart.mean():.2f}, largest {apart.max():.1f}"),
         ],
         "legend": [
-            ("nothing seen" if level is None else f"{grid.samples(level)}\u00b3",
+            ("dropped" if level is None else f"{grid.samples(level)}^3",
              None if level is None else COLORS[level], count) for level, count in counts
         ],
     }  # fmt: skip
@@ -92,7 +92,8 @@ def level_tables(levels: np.ndarray, grid: BlockGrid, volume: Volume) -> dict[st
         for level in range(grid.levels)
     ]
     field = {"file": level_volume(levels, grid, volume), "role": "label", "labels": labels}
-    return {"field": [field], "light": [{"type": "headlight"}]}
+    material = {"ambient": 0.35, "diffuse": 0.8, "specular": 0.0}
+    return {"field": [field], "light": [{"type": "headlight"}], "material": material}
 
 
 def level_volume(levels: np.ndarray, grid: BlockGrid, volume: Volume) -> Volume:
@@ -129,7 +130,7 @@ def _legend(pen: Any, text: Any, x: int, y: int, entries: list) -> None:
             pen.rectangle((x, y + 3, x + 10, y + 13), color)
         told = f"{name}: {count}"
         pen.text((x + (14 if color else 0), y), told, _FAINT, text)
-        x += int(text.getlength(told)) + (24 if color else 10)
+        x += int(text.getlength(told)) + (20 if color else 10)
 
 
 def _scale(sheet: Any, pen: Any, text: Any, x: int, y: int) -> None:
