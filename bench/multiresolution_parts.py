@@ -154,6 +154,7 @@ def stepping(
         times = bench.times({name: blocks.turn(caster) for name, caster in casters.items()})
         row = {
             "scene": scene.name, "ratio": ratio, "as_in_paper": as_in_paper, "goal": goal,
+            "classification": scene.scene.classification,
             "blocks": blocks.described(),
             "steppings": {
                 name: stepping_row(name, frames, times) for name in casters
@@ -368,12 +369,14 @@ def selection(bench: Bench, scene: BlockScene, memory: int, **settings: Any) -> 
 
 def changed_function(bench: Bench, scene: BlockScene, other: BlockScene, memory: int, store: Path
                      ) -> dict[str, Any]:  # fmt: skip
-    """Another transfer function while frames go on: how long until its blocks are there, what is
-    read from the disk for it, and how long frames take meanwhile. ``store``: of the scenes' volume."""
+    """Another transfer function while frames (of half the size) go on: how long until its blocks are
+    there, what is read from the disk for it, and how long frames take meanwhile. ``store``: of the
+    scenes' volume."""
     from clvol import Renderer, load_volume
     volume = load_volume(store)
-    scene_asked = scene.asked(volume, bench.size, memory)
-    function = other.asked(volume, bench.size, memory).resolve().transfer_function
+    size = bench.size // 2
+    scene_asked = scene.asked(volume, size, memory)
+    function = other.asked(volume, size, memory).resolve().transfer_function
     with Renderer(scene_asked, [bench.device]) as renderer:
         residency = renderer._raycaster.residency
         idle = [_seconds(renderer) for _ in range(bench.rounds + 1)][1:]
@@ -386,14 +389,15 @@ def changed_function(bench: Bench, scene: BlockScene, other: BlockScene, memory:
             frames.append(_seconds(renderer))
         whole = perf_counter() - start
         after = residency.blocks.levels
-        edge, size = residency.source.blocks.edge, residency.blocks.samples[0].dtype.itemsize
+        edge, itemsize = residency.source.blocks.edge, residency.blocks.samples[0].dtype.itemsize
     read = (after != before) & (after != DROPPED) & (edge >> np.minimum(after, 31) > 1)
     samples = (edge >> after[read].astype(np.int64)) ** 3
     say(f"another transfer function: {whole:.2f} s, {len(frames)} frames meanwhile")
     return {
-        "scene": scene.name, "other": other.name, "memory": memory, "asked_seconds": asked,
+        "scene": scene.name, "other": other.name, "memory": memory, "size": size,
+        "asked_seconds": asked,
         "seconds": whole, "changed": int((after != before).sum()), "blocks": len(after),
-        "read_blocks": int(read.sum()), "read_bytes": int(samples.sum()) * size,
+        "read_blocks": int(read.sum()), "read_bytes": int(samples.sum()) * itemsize,
         "all_bytes": residency.blocks.sample_bytes,
         "idle": summary(idle), "frames": summary(frames) if frames else None,
     }  # fmt: skip

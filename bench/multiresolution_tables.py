@@ -28,7 +28,7 @@ class Verdict:
 
     def __str__(self) -> str:
         side, met = ("at most" if self.at_most else "at least"), "met" if self.is_met else "NOT met"
-        return f"{met:7}  {self.what}: {self.reached:.3g} (goal {side} {self.goal:g})"
+        return f"{met:7}  {self.what}: {self.reached:.4g} (goal {side} {self.goal:g})"
 
 
 def verdicts(result: dict[str, Any]) -> list[Verdict]:
@@ -109,19 +109,19 @@ def _stepping(rows: list[dict[str, Any]]) -> list[str]:
             first = name == "full"
             blocks = row["blocks"]
             cells.append([
-                row["scene"] if first else "", _how(row) if first else "",
-                f"{row['ratio']:g} : 1" if first else "", name,
+                row["scene"] if first else "", row["classification"] if first else "",
+                _how(row) if first else "", f"{row['ratio']:g} : 1" if first else "", name,
                 f"{r['time']['median']:.3f}", _spread(r["time"]), f"{r['faster']:.2f}",
                 f"{row['ratio'] ** (1 / 3):.2f}" if first else "", f"{r['samples'] / 1e6:.1f}",
                 f"{r['samples_ratio']:.2f}", f"{r['ssim']:.4f}", f"{r['delta_e']:.2f}",
                 " ".join(map(str, [*blocks["levels"], blocks["dropped"]])) if first else "",
             ])  # fmt: skip
-    head = ["scene", "levels and leaps", "bytes", "steps", "s", "spread", "faster", "g^(1/3)",
+    head = ["scene", "classification", "levels and leaps", "bytes", "steps", "s", "spread", "faster", "g^(1/3)",
             "M samples", "fewer", "SSIM", "CIEDE2000", "levels"]
     bounded = any("bounded" in row["steppings"] for row in rows)
     lines = ["Steps along the ray, beside \"full\" at the same blocks. As in the paper: levels by the"
              " transfer function alone, no empty space leapt over. As used: by the view, too; leaps.",
-             table(head, cells, left=4)]
+             table(head, cells, left=5)]
     return [*lines, *([] if bounded else ["bounded: left out, no block has a bound here"]), ""]
 
 
@@ -197,7 +197,7 @@ def _selection(rows: list[dict[str, Any]], changes: list[dict[str, Any]]) -> lis
         frames = (f"{meanwhile['frames']} frames meanwhile, median {meanwhile['median']:.3f} s, longest"
                   f" {meanwhile['max']:.3f} s" if meanwhile else "no frame meanwhile")
         lines.append(
-            f"Another function ({c['scene']} to {c['other']}, from a store, {c['memory'] / MiB:g} MiB):"
+            f"Another function ({c['scene']} to {c['other']}, from a store, {c['memory'] / MiB:g} MiB, {c['size']}^2):"
             f" {c['asked_seconds']:.2f} s until frames have it, {c['seconds']:.2f} s until all blocks"
             f" are there; {c['changed']} of {c['blocks']} change, {c['read_blocks']} are read,"
             f" {c['read_bytes'] / MiB:.1f} of {c['all_bytes'] / MiB:.1f} MiB; {frames}, else"
