@@ -11,42 +11,7 @@
 #include "block_parameters.h"
 #include "classify.h"
 #include "blocks.h"
-
-/* One sample as kernels compute with it. */
-inline float sample_of(const BlockVolume *v, const Record *r, int at)
-{
-  __global const uchar *samples = v->samples[0];
-#if SAMPLE_BUFFERS > 1
-  samples = v->samples[(r->word1 >> 4) & 3];
-#endif
-  at += (int)r->word0;
-#if VOXEL_BITS == 8 && VOXEL_SIGNED
-  return (float)((__global const char *)samples)[at];
-#elif VOXEL_BITS == 8
-  return (float)samples[at];
-#elif VOXEL_BITS == 16 && VOXEL_SIGNED
-  return (float)((__global const short *)samples)[at];
-#elif VOXEL_BITS == 16
-  return (float)((__global const ushort *)samples)[at];
-#elif VOXEL_SCALED
-  return ((__global const float *)samples)[at] * v->view->voxel.x;
-#else
-  return ((__global const float *)samples)[at];
-#endif
-}
-
-/* First and last sample of `s` an axis that interpolation from `low` to `high` (places in the block) uses. */
-inline int2 samples_between(float low, float high, int s, float edge)
-{
-  const float scale = s / edge, top = s - 1;
-  return (int2)((int)floor(clamp(low * scale - 0.5f, 0.0f, top)), (int)ceil(clamp(high * scale - 0.5f, 0.0f, top)));
-}
-
-inline void widen(float value, float *low, float *high)
-{
-  if (!isfinite(value)) return;
-  *low = fmin(*low, value), *high = fmax(*high, value);
-}
+#include "block_samples.h"
 
 /* before  int [nodes]: of the intervals between nodes, how many before this one can show anything
  * at      uchar [nodes]: whether the node itself does
@@ -79,7 +44,7 @@ __kernel void visible_block_cells(__global const uchar *restrict volume, __globa
         if (nx < 0 || ny < 0 || nz < 0 || nx >= blocks->count.x || ny >= blocks->count.y || nz >= blocks->count.z) continue;
         const Record r = fetch_record(v, nx, ny, nz);
         const int code = code_of(&r);
-        if (code == 1 || code == CODE_DROPPED) {
+        if (code == CODE_DROPPED) {
           widen(as_float(r.word0), &low, &high);
           continue;
         }
@@ -89,7 +54,7 @@ __kernel void visible_block_cells(__global const uchar *restrict volume, __globa
         const int2 k = samples_between(z - dz * edge, z - dz * edge + cell, s, edge);
         for (int c = k.x; c <= k.y; ++c)
           for (int b = j.x; b <= j.y; ++b)
-            for (int a = i.x; a <= i.y; ++a) widen(sample_of(v, &r, (c * s + b) * s + a), &low, &high);
+            for (int a = i.x; a <= i.y; ++a) widen(own_sample(v, &r, s, a, b, c), &low, &high);
       }
   if (!(low <= high)) return;
   const float p = class_position(low, warp, view), q = class_position(high, warp, view), last_node = view->classes.z;

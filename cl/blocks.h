@@ -5,8 +5,7 @@
  * own samples, the place clamped to their hull (P2 eq. 3: C[delta, 1 - delta], delta = 1 / 2 s); blend_blocks.h joins blocks.
  *
  * A block's two words in `index`: word 1 has in bits 0..3 its code, 1 + log2(s), or CODE_DROPPED for a block that shows nothing and
- * has no samples; in bits 4..5 the number of its buffer; in bits 8..15 the most steps that a ray may take at once in it (STEPPING
- * bounded). Word 0 is the place of its first sample in the buffer, or, of a block of one sample and of a dropped one, that one value
+ * has no samples; in bits 4..5 the number of its buffer. Word 0 is the place of its first sample in the buffer, or, of a block of one sample and of a dropped one, that one value
  * (bits of a float): neither takes memory in the buffers.
  */
 #ifndef BLOCKS_H
@@ -27,6 +26,7 @@ typedef struct {
   __constant const Blocks *blocks;
   __constant const View *view;
   __global const uchar *samples[SAMPLE_BUFFERS];
+  __global const uchar *steps; /* only set where STEPPING is bounded */
 } BlockVolume;
 
 INLINE BlockVolume block_volume(__global const uchar *samples0, __constant const View *view, __global const int *index,
@@ -44,7 +44,7 @@ INLINE BlockVolume block_volume(__global const uchar *samples0, __constant const
 {
   BlockVolume v;
   v.index = index, v.corners = corners, v.blocks = blocks, v.view = view;
-  v.samples[0] = samples0;
+  v.samples[0] = samples0, v.steps = 0;
 #if SAMPLE_BUFFERS > 1
   v.samples[1] = samples1;
 #endif

@@ -63,7 +63,10 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
                           __global const uchar *distances, __constant const View *view EFFECT_PACKET_PARAMETERS, intN px, intN py,
                           float *rgba, float *depth, uint *samples)
 {
-  const BlockVolume block_samples = block_volume(volume, view, index, corners, blocks MORE_SAMPLE_ARGUMENTS);
+  BlockVolume block_samples = block_volume(volume, view, index, corners, blocks MORE_SAMPLE_ARGUMENTS);
+#if STEPPING == STEPPING_BOUNDED
+  block_samples.steps = steps;
+#endif
   const BlockVolume *v = &block_samples;
   Rays ray = make_rays(view, TO_FLOAT(px), TO_FLOAT(py));
   ray.x0 += 0.5f, ray.y0 += 0.5f, ray.z0 += 0.5f;

@@ -31,6 +31,9 @@ class Multiresolution(Table):
     ``view_weighting``: a block's error counts by what the view sees of it: whether it is in the picture, how many pixels it
     covers and how many of them a voxel. ``occlusion``: and by how much light reaches the eye from it.
 
+    ``step_error``: of "bounded" stepping, what one segment may add to the error of a colour (linear,
+    premultiplied).
+
     ``tiles``: edge of the tiles that the picture is cut into, in pixels; 0: none, every pixel has a ray.
     ``tile_priority``: by what of the blocks behind its corners a tile gets its rays. ``tile_low``,
     ``tile_high``: rays an axis of the tiles of least and of most priority, over ``tiles``.
@@ -41,6 +44,9 @@ class Multiresolution(Table):
     )
     stepping: Literal["full", "limited", "naive", "bounded"] = Field(
         "limited", description="'full', 'limited', 'naive' or 'bounded'"
+    )
+    step_error: Number = Field(
+        0.03, gt=0, le=1, description="a number greater than 0, at most 1"
     )
     interblock: bool = Field(True, description="true or false")
     view_weighting: bool = Field(True, description="true or false")
