@@ -33,7 +33,7 @@ def level_sheet(
     from PIL import Image, ImageDraw, ImageFont
 
     text = ImageFont.load_default(_TEXT)
-    height = _TILE + 3 * _LINE
+    height = _TILE + 4 * _LINE
     sheet = Image.new("RGB", (width, 2 * _MARGIN + len(rows) * height), _PAGE)
     pen = ImageDraw.Draw(sheet)
     for i, row in enumerate(rows):
@@ -42,9 +42,10 @@ def level_sheet(
             x = _MARGIN + k * (_TILE + _GAP)
             sheet.paste(Image.fromarray(picture).resize((_TILE, _TILE), Image.Resampling.BOX), (x, y))
             pen.text((x, y + _TILE + 4), caption, _INK, text)
-        x = _MARGIN + 2 * (_TILE + _GAP)
-        _legend(pen, text, x, y + _TILE + 4 + _LINE, row["legend"])
-        _scale(sheet, pen, text, x + _TILE + _GAP, y + _TILE + 4 + _LINE)
+        x, below = _MARGIN + 2 * (_TILE + _GAP), y + _TILE + 4 + _LINE
+        _legend(pen, text, x, below, row["legend"])
+        pen.text((x, below + _LINE), f"nothing to be seen of: {row['dropped']}", _FAINT, text)
+        _scale(sheet, pen, text, x + _TILE + _GAP, below)
     path.parent.mkdir(parents=True, exist_ok=True)
     sheet.save(path, optimize=True)
     return path
@@ -70,7 +71,6 @@ def _row(scene: BlockScene, ratio: float, options: Options, size: int) -> dict[s
     apart = delta_e(frame.rgba, full.rgba)
     black = (0.0, 0.0, 0.0)
     told = frame.stats["blocks"]
-    counts = [*enumerate(told["levels"]), (None, told["dropped"])]
     return {
         "pictures": [
             (display(full.rgba, black), f"{scene.scene.file}: all voxels, {volume.nbytes / 2**20:.1f} MiB"),
@@ -79,9 +79,10 @@ def _row(scene: BlockScene, ratio: float, options: Options, size: int) -> dict[s
             (_heat(apart), f"difference, CIEDE2000: mean {apart.mean():.2f}, largest {apart.max():.1f}"),
         ],
         "legend": [
-            ("dropped" if level is None else f"{grid.samples(level)}^3",
-             None if level is None else COLORS[level], count) for level, count in counts
+            (f"{grid.samples(level)}^3: {count}", COLORS[level])
+            for level, count in enumerate(told["levels"])
         ],
+        "dropped": told["dropped"],
     }  # fmt: skip
 
 
@@ -125,12 +126,10 @@ def _heat(apart: np.ndarray) -> np.ndarray:
 
 
 def _legend(pen: Any, text: Any, x: int, y: int, entries: list) -> None:
-    for name, color, count in entries:
-        if color is not None:
-            pen.rectangle((x, y + 3, x + 10, y + 13), color)
-        told = f"{name}: {count}"
-        pen.text((x + (14 if color else 0), y), told, _FAINT, text)
-        x += int(text.getlength(told)) + (20 if color else 10)
+    for told, color in entries:
+        pen.rectangle((x, y + 3, x + 10, y + 13), color)
+        pen.text((x + 14, y), told, _FAINT, text)
+        x += int(text.getlength(told)) + 24
 
 
 def _scale(sheet: Any, pen: Any, text: Any, x: int, y: int) -> None:
