@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from types import SimpleNamespace
 
 import numpy as np
@@ -222,11 +223,11 @@ def test_the_scene_of_the_large_volume_resolves(tmp_path):
 
 def test_what_is_said_to_be_on_the_device_is_among_its_buffers(volume, first_device, tmp_path):
     shared = Bench(first_device, 24, 1, tmp_path)
-    shared._volumes[FEMALE.scene.file] = volume
-    row = budget(shared, FEMALE, volume.nbytes // 2 + 2**20)
+    post = dataclasses.replace(FEMALE.scene, classification="post")  # its tables are small
+    shared._volumes[post.file] = volume
+    row = budget(shared, dataclasses.replace(FEMALE, scene=post), volume.nbytes // 2 + 2**20)
     assert 0 < row["blocks"]["bytes_of_samples"] < row["on_device"] <= row["all_buffers"]
-    tables = 2 * 2**20  # of transfer functions, generously
-    assert row["all_buffers"] <= row["on_device"] + 2 * row["picture"] + tables
+    assert row["all_buffers"] <= row["on_device"] + 2 * row["picture"] + 2**20
     assert row["memory"] == volume.nbytes // 2 + 2**20 and row["delta_e"] >= 0.0
 
 
