@@ -62,7 +62,7 @@ class Turbulence:
 
     frame, name = "world", "turbulence"
     dtype = np.dtype(np.uint8)
-    shortest, waves = 6.0, 8  # voxels; of each octave
+    shortest, waves = 6.0, 10  # voxels; of each octave
 
     def __init__(self, edge: int) -> None:
         from clvol.volume.grid import Grid

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bench.gallery import save_small
 from bench.multiresolution_scenes import BlockScene
 from bench.options import Options
 
@@ -47,7 +48,7 @@ def level_sheet(
         pen.text((x, below + _LINE), f"nothing to be seen of: {row['dropped']}", _FAINT, text)
         _scale(sheet, pen, text, x + _TILE + _GAP, below)
     path.parent.mkdir(parents=True, exist_ok=True)
-    sheet.save(path, optimize=True)
+    save_small(sheet, path)
     return path
 
 
@@ -129,7 +130,7 @@ def _legend(pen: Any, text: Any, x: int, y: int, entries: list) -> None:
     for told, color in entries:
         pen.rectangle((x, y + 3, x + 10, y + 13), color)
         pen.text((x + 14, y), told, _FAINT, text)
-        x += int(text.getlength(told)) + 24
+        x += int(text.getlength(told)) + 20
 
 
 def _scale(sheet: Any, pen: Any, text: Any, x: int, y: int) -> None:

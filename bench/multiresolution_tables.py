@@ -53,6 +53,8 @@ def verdicts(result: dict[str, Any]) -> list[Verdict]:
         found.append(Verdict(f"{name}: CIEDE2000, mean", row["delta_e"], DELTA_E_GOAL, True))
         share = row["on_device"] / row["memory"]
         found.append(Verdict(f"{name}: of the budget on the device", share, BUDGET_GOAL, True))
+        share = (row["all_buffers"] - row["picture"]) / row["memory"]
+        found.append(Verdict(f"{name}: and with tables of colours", share, BUDGET_GOAL, True))
     for row in result["resident"]:
         name, every, shown = row["scene"], row["rows"]["all"], row["rows"]["shown"]
         found.append(
