@@ -37,7 +37,7 @@ def main(arguments: list[str] | None = None) -> int:
 
     if asked.list:
         for name, module in modules.items():
-            print(f"{name:12}{module.SUMMARY}")
+            print(f"{name:16}{module.SUMMARY}")
         print("scenes:     " + ", ".join(scene.name for scene in SCENES))
         return 0
     try:
