@@ -38,7 +38,7 @@ def main(arguments: list[str] | None = None) -> int:
     if asked.list:
         for name, module in modules.items():
             print(f"{name:16}{module.SUMMARY}")
-        print("scenes:     " + ", ".join(scene.name for scene in SCENES))
+        print("scenes:         " + ", ".join(scene.name for scene in SCENES))
         return 0
     try:
         sizes = tuple(int(size) for size in asked.sizes.split(","))
