@@ -10,7 +10,7 @@ from bench.options import Options
 
 NAMES = (
     "peers", "shaded", "isosurface", "effects", "sampling", "scaling", "startup", "convergence",
-    "tradeoff", "targets", "gallery",
+    "tradeoff", "targets", "multiresolution", "gallery",
 )  # fmt: skip
 
 
@@ -26,16 +26,19 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--frames", type=int, default=9, help="frames a median is taken of, >= 7")
     parser.add_argument("--classification", choices=("preintegrated", "post"),
                         help="of clvol, for peers and shaded; by default what suits each scene")
+    parser.add_argument("--large", action="store_true",
+                        help="multiresolution: also a volume of 8 GiB, which takes minutes and as much disk")
     asked = parser.parse_args(arguments)
 
     modules = {name: importlib.import_module(f"bench.{name}") for name in NAMES}
     from bench.gallery import TILES
+    from bench.multiresolution_scenes import BLOCK_SCENES
     from bench.scenes import CHEST, SCENES
 
     if asked.list:
         for name, module in modules.items():
-            print(f"{name:12}{module.SUMMARY}")
-        print("scenes:     " + ", ".join(scene.name for scene in SCENES))
+            print(f"{name:16}{module.SUMMARY}")
+        print("scenes:         " + ", ".join(scene.name for scene in SCENES))
         return 0
     try:
         sizes = tuple(int(size) for size in asked.sizes.split(","))
@@ -46,7 +49,8 @@ def main(arguments: list[str] | None = None) -> int:
     scenes = tuple(filter(None, asked.scenes.split(",")))
     for kind, given, known in (
         ("NAME", asked.names, NAMES), ("--scenes", scenes, [
-            *(scene.name for scene in (*SCENES, CHEST)), "demo", *(tile.scene for tile in TILES)
+            *(scene.name for scene in (*SCENES, CHEST, *BLOCK_SCENES[:2])), "demo",
+            *(tile.scene for tile in TILES),
         ])
     ):  # fmt: skip
         unknown = [name for name in given if name not in known]
@@ -55,7 +59,7 @@ def main(arguments: list[str] | None = None) -> int:
     if asked.frames < 7:
         parser.error(f"--frames: got {asked.frames}, expected at least 7")
     options = Options(asked.quick, asked.device, sizes, scenes, asked.frames,
-                      asked.classification)
+                      asked.classification, asked.large)
     return run(options, [n for n in NAMES if n in (asked.names or NAMES)], modules)
 
 

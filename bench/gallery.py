@@ -199,10 +199,10 @@ def compose(pictures: list[tuple[Tile, str]], path: Path) -> None:
         for line in textwrap.wrap(tile.caption, _WRAP)[:_LINES]:
             y += _LINE
             pen.text((x, y + 2), line, _FAINT, text)
-    _save(sheet, path)
+    save_small(sheet, path)
 
 
-def _save(sheet: Any, path: Path) -> None:
+def save_small(sheet: Any, path: Path) -> None:
     """As PNG with as many bits a channel, from 8 down to 4, as take no more than _BYTES."""
     import io
 

@@ -18,6 +18,7 @@ class Options:
     scenes: tuple[str, ...] = field(default=())
     frames: int = 9
     classification: str | None = None  # None: what suits each scene
+    large: bool = False  # of multiresolution: the volume of 8 GiB, too
 
     @property
     def folder(self) -> Path:
