@@ -73,7 +73,11 @@ def render_animation(
         parts = temporaries[: len(videos)]
         writers = [stack.enter_context(open_video(path, fps)) for path in parts]
         if todo:
-            renderer = Renderer(asked, devices=devices, memory_cap=memory_cap)
+            by_blocks = resolved.integration.method == "multiresolution"
+            how = {"devices": devices, "memory_cap": memory_cap}
+            renderer = Renderer(asked, **how, **reading_blocks(by_blocks and progress))
+            if by_blocks and progress is not None:
+                progress(None, None, f"rendering {len(todo)} frames of {size}")
             stack.enter_context(renderer)
         for done, (index, seconds, camera) in enumerate(todo):
             report = _part(progress, done, len(todo))
