@@ -369,7 +369,7 @@ class _Workshop:
     ) -> Frame:
         accuracy = {
             **asked, **asdict(found), "how": f"{self.judge.how} at pixels not used for the choice",
-            "settings": dict(trial.settings), "attempts": attempt,
+            "settings": self._counting(trial.settings), "attempts": attempt,
             "tried": len(self.search.measured), "seconds": dict(self.seconds),
         }  # fmt: skip
         pilot = self.search.measure({**trial.settings, **self._without_picture_knobs()})
@@ -380,6 +380,11 @@ class _Workshop:
         counted = {"samples": trial.samples, "rays": trial.rays, "accuracy": accuracy}
         resolved = self._resolved_as(trial.settings)
         return make_frame(resolved, trial.rgba, trial.depth, seconds, counted, self.context.name)
+
+    def _counting(self, settings: dict[str, Any]) -> dict[str, Any]:
+        """Without what has no effect beside the others."""
+        scene = apply(self.resolved, settings)
+        return {k: value for k, value in settings.items() if self.knobs[k].knob.counts(scene)}
 
     def _resolved_as(self, settings: dict[str, Any]) -> ResolvedScene:
         """The scene with ``settings``, whose source says them too."""

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from clvol.cli.console import say, to_json, working
+from clvol.cli.console import reading_blocks, say, to_json, working
 from clvol.cli.outputs import check_frames, numbered, save_picture, together
 from clvol.errors import ClvolError, UsageError
 

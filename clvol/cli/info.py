@@ -44,7 +44,7 @@ def command(
     low, high = loaded.value_range
     needed, by = format_size(facts["memory_needed"]), ""
     if scene.integration.method == "multiresolution":
-        by = f"blocks of {scene.multiresolution.memory}, "
+        by = f"at most {scene.multiresolution.memory} of blocks, "
     rows = [
         ("file", str(facts.get("path") or volume)),
         ("format", str(facts.get("format") or "")),

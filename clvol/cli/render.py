@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 
 import click
@@ -86,7 +86,7 @@ def command(
     """
     start = time.perf_counter()
     check_targets(max_error, time_budget)
-    from clvol.cli.console import say, to_json, working
+    from clvol.cli.console import reading_blocks, say, to_json, working
     from clvol.cli.outputs import check_outputs, save_picture, together
     from clvol.scene import load_scene
 
@@ -192,20 +192,13 @@ def named_as_options() -> Iterator[None]:
         raise type(error)(where, error.what, error.expected) from None
 
 
-def reading_blocks(progress: Callable[..., None] | None) -> dict[str, Callable[[int, int], None]]:
-    """The argument of ``Renderer`` that tells of blocks being read, where anybody looks."""
-    if not progress:
-        return {}
-    return {"progress": lambda done, total: progress(done, total, "reading blocks")}
-
-
 def refinement_in_words(stats: dict) -> str:
     """One line: how far a picture for a given time has come."""
     tiles, taken = stats.get("tiles"), f"{stats['seconds']['render']:.3g} s"
     if tiles is None or tiles.get("estimated_rmse") is None:
-        return f"nothing to be seen, in {taken}"
+        return f"nothing is to be seen; {taken} a frame"
     share, rmse = tiles["share_of_pixels"], tiles["estimated_rmse"]
-    return f"{share:.3g} of the pixels have rays of their own, estimated RMSE {rmse:.3g}, in {taken}"
+    return f"{share:.0%} of pixels have rays of their own, estimated RMSE {rmse:.3g}; {taken} a frame"
 
 
 def accuracy_in_words(stats: dict) -> str:

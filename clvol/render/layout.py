@@ -101,13 +101,18 @@ def scene_bytes(volume: Volume, table_size: int, width: int, height: int) -> int
 
 
 def method_bytes(volume: Volume, scene: Scene | ResolvedScene) -> int:
-    """As ``scene_bytes``, by the method that ``scene`` asks for: its budget is the most that
-    blocks take."""
+    """As ``scene_bytes``, by the method that ``scene`` asks for."""
+    from clvol.render.multiresolution.packing import most_bytes
+    from clvol.store.geometry import BlockGrid
+
     size = scene.image.width, scene.image.height
     table_size = scene.integration.table_size
     if scene.integration.method != "multiresolution":
         return scene_bytes(volume, table_size, *size)
-    return scene.multiresolution.memory_bytes + _table_bytes(table_size) + size[0] * size[1] * 20
+    source = getattr(volume, "blocks_source", None)
+    blocks = BlockGrid(volume.shape) if source is None else source.blocks
+    needed = most_bytes(blocks, volume.dtype, scene.multiresolution.memory_bytes)
+    return needed + _table_bytes(table_size) + size[0] * size[1] * 20
 
 
 def _table_bytes(table_size: int) -> int:

@@ -161,6 +161,14 @@ def overhead_bytes(blocks: BlockGrid, memory_bytes: int) -> int:
     return int(8 * blocks.count + 4 * corners + 3 * cells) + sum(staging_bytes(blocks))
 
 
+def most_bytes(blocks: BlockGrid, dtype: np.dtype, memory_bytes: int) -> int:
+    """Bytes on the device within a budget of ``memory_bytes``: it, or what all blocks take at full
+    resolution."""
+    samples = blocks.count * blocks.edge**3 * sample_dtype(dtype).itemsize
+    needed = overhead_bytes(blocks, memory_bytes) + samples + MOST_BUFFERS * SPARE_BYTES
+    return min(memory_bytes, needed)
+
+
 def map_shift(blocks: BlockGrid, memory_bytes: int) -> int:
     """log2 of the edge, in voxels, of the cells in which empty space is known: 4 where the budget allows, up to
     a block's edge."""
