@@ -598,7 +598,7 @@ def test_what_integrates_emission_and_absorption_alone_refuses_the_rest(tables, 
     refuse_unknown(scene_with(integration={key: got}, light=[DARK]))
 
 
-@pytest.mark.parametrize("method", ["multiresolution", "pyramid"])
+@pytest.mark.parametrize("method", ["pyramid"])
 def test_methods_that_are_not_there_are_refused(method):
     with pytest.raises(SceneError, match=f"integration.method: got '{method}'"):
         refuse_unknown(scene_with(integration={"method": method}))
