@@ -38,6 +38,7 @@ from clvol.errors import UsageError
 from clvol.features import refuse_unknown
 from clvol.render.layout import method_bytes
 from clvol.render.renderer import check_memory, open_context
+from clvol.scene.knob import Knob
 from clvol.scene.scene import Scene
 
 SETTINGS = 160  # tried at most
@@ -154,15 +155,21 @@ class _Sweep:
                 if trial is not None:
                     tried.append(trial.settings)
                     errors.append(trial.rmse)
-                if knob.knob.is_ladder and (trial is None or self.leads_nowhere(trial, errors)):
+                if trial is None and knob.knob.is_ladder:
+                    break
+                if self.leads_nowhere(trial, errors, knob.knob):
                     break
         return tried
 
-    def leads_nowhere(self, trial: Trial, errors: list[float]) -> bool:
+    def leads_nowhere(self, trial: Trial | None, errors: list[float], knob: Knob) -> bool:
         """Whether a ladder's next values can be left out: it takes too long, or is no longer of any use:
         beaten by far, and nothing has changed."""
+        if trial is None or not knob.is_ladder:
+            return False
         if trial.seconds > self.limit:
             return True
+        if knob.saves_memory:
+            return False
         beaten = any(
             t.seconds < _BEATEN * trial.seconds and t.rmse < _BEATEN * trial.rmse
             for t in self.found.values()

@@ -30,6 +30,7 @@ class Knob:
     ``is_continuous``: any value between two of the ladder's may be taken as well.
     ``of_picture``: a pixel depends on its neighbours, so single pixels do not show the effect.
     ``alone``: alternatives that are tried one knob at a time, not in all combinations with others'.
+    ``saves_memory``: cheap values are worth something even where they save no time.
     ``order``: of a ladder's values that are no numbers, the number by which they ascend or descend.
     """
 
@@ -41,6 +42,7 @@ class Knob:
     is_continuous: bool = False
     of_picture: bool = False
     alone: bool = False
+    saves_memory: bool = False
     methods: tuple[str, ...] = ()
     applies: Callable[[Any], bool] = _always
     order: Callable[[Any], Any] = _itself

@@ -77,7 +77,7 @@ class Multiresolution(Table):
         str,
         BeforeValidator(_as_text),
         AfterValidator(_is_size),
-        Knob("memory", "", _budgets, methods=_OURS, order=parse_size),
+        Knob("memory", "", _budgets, saves_memory=True, methods=_OURS, order=parse_size),
     ] = Field("96 MiB", description="a size such as \"96 MiB\"")
     stepping: Annotated[
         Literal["full", "limited", "naive", "bounded"],

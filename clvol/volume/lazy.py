@@ -88,7 +88,13 @@ class FilledVolume(LazyVolume):
         return self._volume.inf_count
 
     def _load(self) -> np.ndarray:
-        voxels = np.require(self._volume._load(), requirements="W")
+        return self._filled(self._volume._load())
+
+    def box(self, z0: int, z1: int, y0: int, y1: int, x0: int, x1: int) -> np.ndarray:
+        return self._filled(self._volume.box(z0, z1, y0, y1, x0, x1))
+
+    def _filled(self, voxels: np.ndarray) -> np.ndarray:
+        voxels = np.require(voxels, requirements="W")
         for layer in voxels:
             np.copyto(layer, self._value, where=np.isnan(layer))
         return voxels
