@@ -186,12 +186,21 @@ def test_budgets_are_tried_whichever_method_the_scene_has(first_device, few_knob
     assert errors[-1] == pytest.approx(own["rmse"], rel=0.1)
 
 
-def test_the_knobs_of_a_method_are_not_combined_with_all_others(first_device, few_knobs):
+def test_the_knobs_of_a_method_are_not_combined_with_all_others(
+    first_device, few_knobs, monkeypatch
+):
+    """But for what the front suggests, which is left out here."""
+    from clvol.accuracy.tradeoff import _Sweep
+
+    monkeypatch.setattr(_Sweep, "front", lambda self: [])
     keys = "classification", "method"
     few_knobs(*(f"integration.{key}" for key in keys), "multiresolution.stepping")
-    scene = scene_of(table_size=64)
-    found = []
-    result, _ = measure_tradeoff(scene, devices=[first_device], frames=1, progress=None)
-    for point in result["points"]:
-        found.append([point["settings"][f"integration.{key}"] for key in keys])
-    assert len(found) == 3 + 2 + 3  # by rays, by blocks, and the other ways of stepping once
+    sweep = _Sweep(scene_of(table_size=64), [first_device], None, None)
+    try:
+        sweep.explore(100)
+    finally:
+        sweep.context.release()
+    found = [trial.settings for trial in sweep.found.values()]
+    pairs = {tuple(settings[f"integration.{key}"] for key in keys) for settings in found}
+    assert len(pairs) == 3 + 2  # by rays, by blocks
+    assert len(found) == len(pairs) + 3  # and the other ways of stepping once
