@@ -1,22 +1,29 @@
 /* Interblock interpolation: values between the outermost samples of blocks of any resolutions, with no voxels stored twice (Ljung,
  * Lundstroem, Ynnerman 2006; its two-dimensional form is P2 eq. 5 and 6).
  *
- * Around a place there are eight blocks with a corner in common. Each is sampled with clamping, and the values are blended. With d
- * the distance to the face between blocks i and j (i on this side; in blocks), the weight of j on that edge is
+ * Around a place there are eight blocks with a corner in common. Each is sampled with clamping, and the values are blended. P2's
+ * weight of block j on the edge from i, d the distance to the face between them (i on this side; in blocks), is
  *   e_ij = clamp((delta_i - d) / (delta_i + delta_j), 0, 1),   delta = 1 / (2 samples an axis),
- * 1 at j's outermost samples and 0 at i's. P2 takes for a block the product of the e or 1 - e along its own three edges, and
- * normalises. So a coarse block counts inside the hull of a fine one's samples where only their corners touch (in two dimensions:
- * e12 = e13 = 0, yet e34 e24 > 0). Here the weight of any other block is at most
- *   u = max over the axes of clamp((delta - d) / delta, 0, 1),   delta of the block that holds the place,
- * which is 0 inside the hull of that block's samples and 1 at its faces. Then
- *   - inside the hull of its samples a block is alone, so no other needs to be looked at there: that is most samples;
- *   - the field is continuous: at a face u bounds nothing, and at the planes through blocks' centres, where the eight blocks
- *     change, the ones that leave have no weight;
- *   - equal resolutions still give trilinear interpolation of the samples: there products are u_x u_y / 4 or less.
+ * and that of a block the product of the e or 1 - e along its own three edges, normalised. Two things are different here:
+ *
+ * 1. delta_i and delta_j are both taken as the smaller one, m: e_ij = clamp(1/2 - d / (2 m), 0, 1). In a coarse block, even one that is
+ *    coarse because it is constant, P2's blend reaches as far as its own outermost sample, up to half a block: what is bright behind
+ *    a face bleeds that far. Here the blend is as wide as the finer one's spacing.
+ * 2. The weight of any other block is at most u = max over the axes of clamp(1 - d / delta, 0, 1), delta of the block that holds the
+ *    place: 0 inside the hull of that block's samples and 1 at its faces. By P2's products a coarse block counts inside the hull of a
+ *    fine one's samples where only their corners touch (in two dimensions: e12 = e13 = 0, yet e34 e24 > 0).
+ *
+ * So
+ *   - inside the hull of its samples a block is alone, and no other needs to be looked at there: that is most samples;
+ *   - the field is continuous: at a face u bounds nothing and both sides agree on m, and at the planes through blocks' centres,
+ *     where the eight blocks change, the ones that leave have no weight;
+ *   - equal resolutions give trilinear interpolation of the samples (products are u_x u_y / 4 or less), and a constant block may
+ *     have one sample beside full resolution without any change.
  * The block that holds the place is the origin here; block f = fx + 2 fy + 4 fz lies across the faces whose bits are set. Beyond the
  * volume's faces the outermost blocks stand in for what is not there.
  *
- * A dropped block has delta = 2^-15: what is visible fades to its (invisible) value just before the face.
+ * Beside a dropped block, which shows nothing and keeps its one value to itself, a block fades from its outermost samples to that value
+ * at the face: what is visible never ends at a face.
  */
 #ifndef BLEND_BLOCKS_H
 #define BLEND_BLOCKS_H
@@ -40,12 +47,27 @@ INLINE FaceAxis nearest_face(floatN p, intN block, const BlockVolume *v)
   return a;
 }
 
-INLINE floatN half_sample(uintN code) { return AS_FLOAT(AS_INT((127u - code) << 23u)); } /* delta = 2^-code */
+/* 1 / (2 delta): samples an axis, of a code; SAMPLES_DROPPED of a dropped block's. */
+INLINE floatN samples_of_code(uintN code) { return AS_FLOAT(AS_INT((code + 126u) << 23u)); }
+#define SAMPLES_DROPPED 16384.0f
 
-/* e of the edge from a block with delta_i, on this side of the face, to one with delta_j. */
-INLINE floatN edge_weight(floatN delta_i, floatN delta_j, floatN d)
+/* The same of the code in the lowest four bits. */
+INLINE floatN samples_of_nibble(uintN codes)
 {
-  return lane_max((delta_i - d) * lane_reciprocal(delta_i + delta_j), (floatN)0.0f);
+#if LANES == 16
+  return permuted_lanes(samples_of_code(AS_UINT(LANE_INDEX)), AS_INT(codes));
+#else
+  return samples_of_code(codes & 15u);
+#endif
+}
+
+/* e of the edge from a block of i samples an axis, on this side of the face, to one of j. `dropped`: one of the two may be. */
+INLINE floatN edge_weight(floatN i, floatN j, floatN d, int dropped)
+{
+  const floatN zero = 0.0f, e = lane_max(0.5f - d * lane_max(i, j), zero);
+  if (!dropped) return e;
+  const intN here = MASK(i == SAMPLES_DROPPED), there = MASK(j == SAMPLES_DROPPED);
+  return select(select(e, lane_max(1.0f - 2.0f * d * i, zero), there & ~here), zero, here & ~there);
 }
 
 /* What all eight weights depend on: places relative to the block's faces, and codes of the blocks around the nearest corner. */
@@ -70,23 +92,27 @@ INLINE Around blocks_around(const BlockVolume *v, intN bx, intN by, intN bz, flo
  * edges have the same weight, bit for bit, and u bounds nothing. */
 INLINE void blend_weights(const Around *a, intN active, floatN *weight)
 {
-#define DELTA(f) half_sample((a->codes >> ((a->own ^ (f##u)) << 2u)) & 15u)
   const floatN dx = a->x.d, dy = a->y.d, dz = a->z.d;
   if (!any_lane(active & MASK(a->codes != (a->codes & 15u) * 0x11111111u))) {
-    const floatN d0 = half_sample(a->codes & 15u);
-    const floatN x = edge_weight(d0, d0, dx), y = edge_weight(d0, d0, dy), z = edge_weight(d0, d0, dz);
+    const floatN n = samples_of_code(a->codes & 15u);
+    const floatN x = edge_weight(n, n, dx, 0), y = edge_weight(n, n, dy, 0), z = edge_weight(n, n, dz, 0);
     const floatN rx = 1.0f - x, ry = 1.0f - y, rz = 1.0f - z;
     weight[0] = rx * ry * rz, weight[1] = x * ry * rz, weight[2] = rx * y * rz, weight[3] = x * y * rz;
     weight[4] = rx * ry * z, weight[5] = x * ry * z, weight[6] = rx * y * z, weight[7] = x * y * z;
     return;
   }
-  const floatN d0 = DELTA(0), d1 = DELTA(1), d2 = DELTA(2), d3 = DELTA(3), d4 = DELTA(4), d5 = DELTA(5), d6 = DELTA(6), d7 = DELTA(7);
-#undef DELTA
-  const floatN x01 = edge_weight(d0, d1, dx), x23 = edge_weight(d2, d3, dx), x45 = edge_weight(d4, d5, dx), x67 = edge_weight(d6, d7, dx);
-  const floatN y02 = edge_weight(d0, d2, dy), y13 = edge_weight(d1, d3, dy), y46 = edge_weight(d4, d6, dy), y57 = edge_weight(d5, d7, dy);
-  const floatN z04 = edge_weight(d0, d4, dz), z15 = edge_weight(d1, d5, dz), z26 = edge_weight(d2, d6, dz), z37 = edge_weight(d3, d7, dz);
+  const int drop = any_lane(active & MASK((a->codes & 0x88888888u) != 0u));
+#define SAMPLES(f) samples_of_nibble(a->codes >> ((a->own << 2u) ^ (4u * f##u)))
+  const floatN n0 = SAMPLES(0), n1 = SAMPLES(1), n2 = SAMPLES(2), n3 = SAMPLES(3), n4 = SAMPLES(4), n5 = SAMPLES(5), n6 = SAMPLES(6), n7 = SAMPLES(7);
+#undef HALF
+  const floatN x01 = edge_weight(n0, n1, dx, drop), x23 = edge_weight(n2, n3, dx, drop);
+  const floatN x45 = edge_weight(n4, n5, dx, drop), x67 = edge_weight(n6, n7, dx, drop);
+  const floatN y02 = edge_weight(n0, n2, dy, drop), y13 = edge_weight(n1, n3, dy, drop);
+  const floatN y46 = edge_weight(n4, n6, dy, drop), y57 = edge_weight(n5, n7, dy, drop);
+  const floatN z04 = edge_weight(n0, n4, dz, drop), z15 = edge_weight(n1, n5, dz, drop);
+  const floatN z26 = edge_weight(n2, n6, dz, drop), z37 = edge_weight(n3, n7, dz, drop);
   const floatN nearest = lane_min(lane_min(dx, dy), dz);
-  const floatN u = lane_max(1.0f - nearest * lane_reciprocal(d0), (floatN)0.0f);
+  const floatN u = lane_max(1.0f - 2.0f * nearest * n0, (floatN)0.0f);
   weight[0] = (1.0f - x01) * (1.0f - y02) * (1.0f - z04);
   weight[1] = x01 * (1.0f - y13) * (1.0f - z15);
   weight[2] = (1.0f - x23) * y02 * (1.0f - z26);
@@ -118,8 +144,8 @@ INLINE floatN blend_blocks(const BlockVolume *v, const Record *r, floatN px, flo
     if (!(weight[f] > 0.0f)) continue;
     const Record other = fetch_record(v, f & 1 ? across(r->x, &a.x, count.x) : r->x, f & 2 ? across(r->y, &a.y, count.y) : r->y,
                                       f & 4 ? across(r->z, &a.z, count.z) : r->z);
-    const BlockSample s = fetch_in_block(v, &other, px, py, pz);
-    sum += weight[f] * (value_in_block(&s, v->view) - value), total += weight[f];
+    const BlockPlace s = place_in_block(v, &other, px, py, pz);
+    sum += weight[f] * (value_in_block(v, &s) - value), total += weight[f];
     ++tally[COUNT_BLOCK_READS];
     blended = 1;
   }
@@ -130,108 +156,150 @@ INLINE floatN blend_blocks(const BlockVolume *v, const Record *r, floatN px, flo
 #else
 
 /* In a packet few samples lie between blocks, and of the seven other blocks one or two have weight: lane by lane most of a vector would
- * do nothing. So places that need blending are queued over several steps of the packet, and so are the (place, block) pairs that
- * have weight: both are worked off 16 at a time. (Without the queues blending took more than twice as long.) */
+ * do nothing. So places that need blending are queued over several steps of the packet, and worked off 16 at a time: first, of each,
+ * one block across a face (of most there is no other), then all other (place, block) pairs, which are queued as well. (Without queues
+ * blending took more than twice as long.) */
 #define QUEUE_LENGTH (LANES * QUEUED_STEPS)
-#define PAIRS_LENGTH (9 * LANES)
+#define PAIRS_LENGTH (7 * QUEUE_LENGTH)
+
+/* Places in blocks whose values are wanted: of the samples of QUEUED_STEPS steps, then of pairs. All addresses come before all
+ * fetches: the loads of many vectors are under way at once. */
+#define FETCHES (INTERBLOCK ? 8 * QUEUED_STEPS + 1 : QUEUED_STEPS)
+
+typedef struct {
+  int at[LANES], shift[LANES];
+  uint word1[LANES];
+  float fx[LANES], fy[LANES], fz[LANES], value[LANES];
+} Fetch;
+
+INLINE void store_fetch(Fetch *f, const BlockPlace *p)
+{
+  STORE_LANES(p->at, f->at), STORE_LANES(p->shift, f->shift), STORE_LANES(p->word1, f->word1), STORE_LANES(p->value, f->value);
+  STORE_LANES(p->fx, f->fx), STORE_LANES(p->fy, f->fy), STORE_LANES(p->fz, f->fz);
+}
+
+INLINE floatN fetched_value(const BlockVolume *v, const Fetch *f)
+{
+  BlockPlace p;
+  p.at = LOAD_LANES(f->at), p.shift = LOAD_LANES(f->shift), p.word1 = LOAD_LANES(f->word1), p.value = LOAD_LANES(f->value);
+  p.fx = LOAD_LANES(f->fx), p.fy = LOAD_LANES(f->fy), p.fz = LOAD_LANES(f->fz);
+  return value_in_block(v, &p);
+}
 
 typedef struct {
   int count;
   float x[QUEUE_LENGTH + LANES], y[QUEUE_LENGTH + LANES], z[QUEUE_LENGTH + LANES];
-  float value[QUEUE_LENGTH + LANES]; /* of the block that holds the place; at the end the blended one */
-  float id[QUEUE_LENGTH + LANES];    /* bits of where the value belongs */
+  float id[QUEUE_LENGTH + LANES]; /* bits of where the value of the block that holds the place is */
+  float total[QUEUE_LENGTH + LANES]; /* weights */
 } PlaceQueue;
 
+/* Other pairs of the places of one vector: six blocks, of each the lanes whose places it has weight for, one after the other. */
+#define OTHERS 6
+
+typedef struct {
+  int any;
+  int from[OTHERS];             /* number of the first pair */
+  uint lanes[OTHERS];           /* as bits */
+  float weight[OTHERS][LANES];  /* also of the lanes that are not there: 0 */
+} OtherPairs;
+
+/* First one pair a place, then the others: these begin at a multiple of LANES. */
 typedef struct {
   int count;
-  float x[PAIRS_LENGTH + LANES], y[PAIRS_LENGTH + LANES], z[PAIRS_LENGTH + LANES]; /* place */
-  float block[PAIRS_LENGTH + LANES];  /* bits of x | y << 10 | z << 20: the block */
-  float weight[PAIRS_LENGTH + LANES], value[PAIRS_LENGTH + LANES];
   float slot[PAIRS_LENGTH + LANES];   /* bits of the number in the queue of places */
+  float block[PAIRS_LENGTH + LANES];  /* bits of x | y << 10 | z << 20 */
+  float weight[QUEUE_LENGTH + LANES]; /* of the first ones */
+  OtherPairs others[QUEUED_STEPS];
 } PairQueue;
 
-/* Places of the lanes in `between`; `id` of a lane is where its value lies. */
-INLINE void queue_places(PlaceQueue *q, floatN px, floatN py, floatN pz, floatN value, intN id, intN between)
+/* Places of the lanes in `between`; `id` of a lane is where its value will be. */
+INLINE void queue_places(PlaceQueue *q, floatN px, floatN py, floatN pz, intN id, intN between)
 {
   const uint bits = lane_bits(between);
   const int at = q->count;
   pack_lanes(px, bits, q->x + at), pack_lanes(py, bits, q->y + at), pack_lanes(pz, bits, q->z + at);
-  pack_lanes(value, bits, q->value + at), pack_lanes(AS_FLOAT(id), bits, q->id + at);
+  pack_lanes(AS_FLOAT(id), bits, q->id + at);
   q->count += popcount(bits);
 }
 
-/* Works off `count` (at most LANES) pairs from `first` on. */
-INLINE void blend_pairs(const BlockVolume *v, const PairQueue *p, int first, int count, float *sum)
-{
-  const intN active = MASK(LANE_INDEX < count);
-  const intN block = AS_INT(LOAD_LANES(p->block + first)) & active;
-  const Record r = fetch_record(v, block & 1023, (block >> 10) & 1023, block >> 20);
-  const floatN px = LOAD_LANES(p->x + first), py = LOAD_LANES(p->y + first), pz = LOAD_LANES(p->z + first);
-  const BlockSample s = fetch_in_block(v, &r, px, py, pz);
-  float share[LANES];
-  STORE_LANES(LOAD_LANES(p->weight + first) * (value_in_block(&s, v->view) - LOAD_LANES(p->value + first)), share);
-  for (int k = 0; k < count; ++k) sum[as_int(p->slot[first + k])] += share[k];
-}
-
-/* Blends all places of `q`, and puts the values where their ids say. */
-INLINE void blend_queue(const BlockVolume *v, PlaceQueue *q, float *values, Tally *tally)
+/* The pairs of all places of `q`. */
+INLINE void queue_pairs(const BlockVolume *v, PlaceQueue *q, PairQueue *p, Tally *tally)
 {
   const int4 count = v->blocks->count;
-  PairQueue p;
-  float sum[QUEUE_LENGTH + LANES], total[QUEUE_LENGTH + LANES];
-  p.count = 0;
-  const int places = q->count;
+  const int places = q->count, others_from = (places + LANES - 1) / LANES * LANES;
+  int pairs = others_from;
   _Pragma("unroll 1") for (int first = 0; first < places; first += LANES) {
     const intN active = MASK(LANE_INDEX < places - first);
     const floatN zero = 0.0f, half_ = 0.5f;
     const floatN px = select(half_, LOAD_LANES(q->x + first), active), py = select(half_, LOAD_LANES(q->y + first), active);
-    const floatN pz = select(half_, LOAD_LANES(q->z + first), active), value = LOAD_LANES(q->value + first);
+    const floatN pz = select(half_, LOAD_LANES(q->z + first), active);
     const intN bx = block_of(px, v, count.x), by = block_of(py, v, count.y), bz = block_of(pz, v, count.z);
     const Around a = blocks_around(v, bx, by, bz, px, py, pz, active);
     floatN weight[8];
     blend_weights(&a, active, weight);
     const intN ax = across(bx, &a.x, count.x), ay = across(by, &a.y, count.y) << 10, az = across(bz, &a.z, count.z) << 20;
-    float lane[PAIRS_LENGTH];
-    floatN all = weight[0];
-    intN blended = 0;
-    int end = p.count;
-    _Pragma("unroll 1") for (int f = 1; f < 8; ++f) {
-      const intN here = active & MASK(weight[f] > 0.0f);
-      const uint bits = lane_bits(here);
-      if (!bits) continue;
-      all += weight[f], blended |= here;
-      const intN block = (f & 1 ? ax : bx) + (f & 2 ? ay : by << 10) + (f & 4 ? az : bz << 20);
-      pack_lanes(AS_FLOAT(LANE_INDEX), bits, lane + (end - p.count));
-      pack_lanes(AS_FLOAT(block), bits, p.block + end), pack_lanes(weight[f], bits, p.weight + end);
-      end += popcount(bits);
+    const intN cy = by << 10, cz = bz << 20;
+    const intN by_x = MASK(weight[1] > zero), by_y = MASK(weight[2] > zero) & ~by_x, by_z = MASK(weight[4] > zero) & ~by_x & ~by_y;
+    const floatN first_weight = select(select(select(zero, weight[4], by_z), weight[2], by_y), weight[1], by_x);
+    const intN first_block = select(bx, ax, by_x) + select(cy, ay, by_y) + select(cz, az, by_z);
+    const floatN slot = AS_FLOAT(first + LANE_INDEX);
+    STORE_LANES(slot, p->slot + first), STORE_LANES(AS_FLOAT(first_block), p->block + first);
+    STORE_LANES(first_weight, p->weight + first);
+    const floatN others = weight[3] + weight[5] + weight[6] + weight[7] + select(zero, weight[2], by_x) +
+                          select(zero, weight[4], by_x | by_y);
+    STORE_LANES(weight[0] + first_weight + others, q->total + first);
+    count_lanes(&tally[COUNT_BLENDED], active & (by_x | by_y | by_z | MASK(others > zero)));
+    count_lanes(&tally[COUNT_BLOCK_READS], active & (by_x | by_y | by_z));
+    OtherPairs *o = p->others + first / LANES;
+    o->any = any_lane(active & MASK(others > zero));
+    if (!o->any) continue;
+#define QUEUE_PAIRS(k, w, packed)                                                                          \
+    {                                                                                                      \
+      const floatN w_ = w;                                                                                 \
+      const uint bits_ = lane_bits(active & MASK(w_ > zero));                                              \
+      pack_lanes(slot, bits_, p->slot + pairs), pack_lanes(AS_FLOAT(packed), bits_, p->block + pairs);     \
+      STORE_LANES(w_, o->weight[k]);                                                                       \
+      o->from[k] = pairs, o->lanes[k] = bits_;                                                             \
+      pairs += popcount(bits_);                                                                            \
     }
-    /* What else a pair needs is a lane of what is here. */
-    _Pragma("unroll 1") for (int at = p.count; at < end; at += LANES) {
-      const intN from = AS_INT(LOAD_LANES(lane + (at - p.count))) & 15;
-      STORE_LANES(permuted_lanes(px, from), p.x + at), STORE_LANES(permuted_lanes(py, from), p.y + at);
-      STORE_LANES(permuted_lanes(pz, from), p.z + at), STORE_LANES(permuted_lanes(value, from), p.value + at);
-      STORE_LANES(AS_FLOAT(first + from), p.slot + at);
-    }
-    tally[COUNT_BLOCK_READS] += AS_UINT(select((intN)0, (intN)(end - p.count), MASK(LANE_INDEX == 0)));
-    p.count = end;
-    count_lanes(&tally[COUNT_BLENDED], blended);
-    STORE_LANES(all, total + first);
-    STORE_LANES(zero, sum + first);
-    int done = 0;
-    _Pragma("unroll 1") for (; done + LANES <= p.count; done += LANES) blend_pairs(v, &p, done, LANES, sum);
-    /* What is left waits for more. */
-    const int rest = p.count - done;
-    if (done && rest) {
-      STORE_LANES(LOAD_LANES(p.x + done), p.x), STORE_LANES(LOAD_LANES(p.y + done), p.y), STORE_LANES(LOAD_LANES(p.z + done), p.z);
-      STORE_LANES(LOAD_LANES(p.block + done), p.block), STORE_LANES(LOAD_LANES(p.slot + done), p.slot);
-      STORE_LANES(LOAD_LANES(p.weight + done), p.weight), STORE_LANES(LOAD_LANES(p.value + done), p.value);
-    }
-    p.count = rest;
+    QUEUE_PAIRS(0, select(zero, weight[2], by_x), bx + ay + cz)
+    QUEUE_PAIRS(1, select(zero, weight[4], by_x | by_y), bx + cy + az)
+    QUEUE_PAIRS(2, weight[3], ax + ay + cz)
+    QUEUE_PAIRS(3, weight[5], ax + cy + az)
+    QUEUE_PAIRS(4, weight[6], bx + ay + az)
+    QUEUE_PAIRS(5, weight[7], ax + ay + az)
+#undef QUEUE_PAIRS
   }
-  if (p.count) blend_pairs(v, &p, 0, p.count, sum);
+  p->count = pairs;
+  tally[COUNT_BLOCK_READS] += AS_UINT(select((intN)0, (intN)(pairs - others_from), MASK(LANE_INDEX == 0)));
+}
+
+/* Where to fetch what pairs want. */
+INLINE void place_pairs(const BlockVolume *v, const PlaceQueue *q, const PairQueue *p, Fetch *f)
+{
+  const int places = (q->count + LANES - 1) / LANES * LANES;
+  _Pragma("unroll 1") for (int first = 0; first < p->count; first += LANES, ++f) {
+    const intN active = MASK(LANE_INDEX < (first < places ? q->count : p->count) - first);
+    const intN slot = AS_INT(LOAD_LANES(p->slot + first)) & active, block = AS_INT(LOAD_LANES(p->block + first)) & active;
+    const Record r = fetch_record(v, block & 1023, (block >> 10) & 1023, block >> 20);
+    const BlockPlace place = place_in_block(v, &r, gather_private(q->x, slot), gather_private(q->y, slot), gather_private(q->z, slot));
+    store_fetch(f, &place);
+  }
+}
+
+/* Blends the values of all places with those of their pairs, `of_pairs`, and empties the queue. */
+INLINE void blend_pairs(PlaceQueue *q, const PairQueue *p, const float *of_pairs, float *values)
+{
+  const int places = q->count;
   _Pragma("unroll 1") for (int first = 0; first < places; first += LANES) {
-    STORE_LANES(LOAD_LANES(q->value + first) + LOAD_LANES(sum + first) / LOAD_LANES(total + first), q->value + first);
-    for (int k = first; k < min(first + LANES, places); ++k) values[as_int(q->id[k])] = q->value[k];
+    const intN active = MASK(LANE_INDEX < places - first), id = AS_INT(LOAD_LANES(q->id + first)) & active;
+    const floatN value = gather_private(values, id);
+    floatN sum = LOAD_LANES(p->weight + first) * (LOAD_LANES(of_pairs + first) - value);
+    const OtherPairs *o = p->others + first / LANES;
+    if (o->any)
+      for (int k = 0; k < OTHERS; ++k)
+        sum += LOAD_LANES(o->weight[k]) * (unpack_lanes(of_pairs + o->from[k], o->lanes[k]) - value);
+    scatter_private(value + sum / LOAD_LANES(q->total + first), id, lane_bits(active), values);
   }
   q->count = 0;
 }

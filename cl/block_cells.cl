@@ -2,7 +2,7 @@
  * 2^shift voxels, in places p of blocks.h, and lie within one block each.
  *
  * What is interpolated in a cell lies between the samples that clamping to a block's hull leaves of the cell: those of its own block,
- * and, where it touches a face, those of the blocks beyond, whose outermost samples are blended in.
+ * and, where it reaches beyond the hull of these, those of the blocks beyond, whose outermost samples are blended in.
  *
  * Switches (-D): LANES (1), VOXEL_BITS, VOXEL_SIGNED, VOXEL_SCALED, VOXEL_HOLES, WARPED_CLASSES, INTERBLOCK, SAMPLE_BUFFERS.
  */
@@ -11,42 +11,7 @@
 #include "block_parameters.h"
 #include "classify.h"
 #include "blocks.h"
-
-/* One sample as kernels compute with it. */
-inline float sample_of(const BlockVolume *v, const Record *r, int at)
-{
-  __global const uchar *samples = v->samples[0];
-#if SAMPLE_BUFFERS > 1
-  samples = v->samples[(r->word1 >> 4) & 3];
-#endif
-  at += (int)r->word0;
-#if VOXEL_BITS == 8 && VOXEL_SIGNED
-  return (float)((__global const char *)samples)[at];
-#elif VOXEL_BITS == 8
-  return (float)samples[at];
-#elif VOXEL_BITS == 16 && VOXEL_SIGNED
-  return (float)((__global const short *)samples)[at];
-#elif VOXEL_BITS == 16
-  return (float)((__global const ushort *)samples)[at];
-#elif VOXEL_SCALED
-  return ((__global const float *)samples)[at] * v->view->voxel.x;
-#else
-  return ((__global const float *)samples)[at];
-#endif
-}
-
-/* First and last sample of `s` an axis that interpolation from `low` to `high` (places in the block) uses. */
-inline int2 samples_between(float low, float high, int s, float edge)
-{
-  const float scale = s / edge, top = s - 1;
-  return (int2)((int)floor(clamp(low * scale - 0.5f, 0.0f, top)), (int)ceil(clamp(high * scale - 0.5f, 0.0f, top)));
-}
-
-inline void widen(float value, float *low, float *high)
-{
-  if (!isfinite(value)) return;
-  *low = fmin(*low, value), *high = fmax(*high, value);
-}
+#include "block_samples.h"
 
 /* before  int [nodes]: of the intervals between nodes, how many before this one can show anything
  * at      uchar [nodes]: whether the node itself does
@@ -68,10 +33,11 @@ __kernel void visible_block_cells(__global const uchar *restrict volume, __globa
   const Record own = fetch_record(v, bx, by, bz);
   if (code_of(&own) == CODE_DROPPED) return;
   float low = INFINITY, high = -INFINITY;
-  /* Places in the block; faces of the block that the cell touches. */
+  /* Places in the block; faces of the block that the cell comes nearer than half a sample. */
   const int x = (cx << shift) - bx * edge, y = (cy << shift) - by * edge, z = (cz << shift) - bz * edge;
-  const int4 first = INTERBLOCK ? (int4)(x == 0 ? -1 : 0, y == 0 ? -1 : 0, z == 0 ? -1 : 0, 0) : 0;
-  const int4 last = INTERBLOCK ? (int4)(x + cell == edge, y + cell == edge, z + cell == edge, 0) : 0;
+  const int sample = edge >> (code_of(&own) - 1), far = 2 * (edge - cell);
+  const int4 first = INTERBLOCK ? -(int4)(2 * x < sample, 2 * y < sample, 2 * z < sample, 0) : 0;
+  const int4 last = INTERBLOCK ? (int4)(2 * x > far - sample, 2 * y > far - sample, 2 * z > far - sample, 0) : 0;
   for (int dz = first.z; dz <= last.z; ++dz)
     for (int dy = first.y; dy <= last.y; ++dy)
       for (int dx = first.x; dx <= last.x; ++dx) {
@@ -79,7 +45,7 @@ __kernel void visible_block_cells(__global const uchar *restrict volume, __globa
         if (nx < 0 || ny < 0 || nz < 0 || nx >= blocks->count.x || ny >= blocks->count.y || nz >= blocks->count.z) continue;
         const Record r = fetch_record(v, nx, ny, nz);
         const int code = code_of(&r);
-        if (code == 1 || code == CODE_DROPPED) {
+        if (code == CODE_DROPPED) {
           widen(as_float(r.word0), &low, &high);
           continue;
         }
@@ -89,7 +55,7 @@ __kernel void visible_block_cells(__global const uchar *restrict volume, __globa
         const int2 k = samples_between(z - dz * edge, z - dz * edge + cell, s, edge);
         for (int c = k.x; c <= k.y; ++c)
           for (int b = j.x; b <= j.y; ++b)
-            for (int a = i.x; a <= i.y; ++a) widen(sample_of(v, &r, (c * s + b) * s + a), &low, &high);
+            for (int a = i.x; a <= i.y; ++a) widen(own_sample(v, &r, s, a, b, c), &low, &high);
       }
   if (!(low <= high)) return;
   const float p = class_position(low, warp, view), q = class_position(high, warp, view), last_node = view->classes.z;

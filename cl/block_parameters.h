@@ -4,6 +4,7 @@
  * corners  a word a corner of the block lattice: the codes of the eight blocks around it, see blend_blocks.h
  * blocks   sizes
  * samples1 ... samples3   further buffers of samples, where one is too small (SAMPLE_BUFFERS)
+ * steps    a byte a block: the most steps that a ray may take at once in it (STEPPING bounded)
  * counts   uint [tiles, BLOCK_COUNTERS], written at a kernel's end
  */
 #ifndef BLOCK_PARAMETERS_H
@@ -47,13 +48,21 @@ INLINE uint tally_sum(Tally tally)
 #error "SAMPLE_BUFFERS must be 1 to 4"
 #endif
 
+#if STEPPING == 3 /* STEPPING_BOUNDED */
+#define STEP_PARAMETERS , __global const uchar *restrict steps
+#define STEP_ARGUMENTS , steps
+#else
+#define STEP_PARAMETERS
+#define STEP_ARGUMENTS
+#endif
+
 #define EFFECT_PARAMETERS                                                                                               \
   , __global const int *restrict index, __global const uint *restrict corners, __constant const Blocks *restrict blocks \
-    MORE_SAMPLE_PARAMETERS, __global uint *restrict counts
+    MORE_SAMPLE_PARAMETERS STEP_PARAMETERS, __global uint *restrict counts
 #define EFFECT_PACKET_PARAMETERS                                                                                 \
-  , __global const int *index, __global const uint *corners, __constant const Blocks *blocks MORE_SAMPLE_PARAMETERS, \
+  , __global const int *index, __global const uint *corners, __constant const Blocks *blocks MORE_SAMPLE_PARAMETERS STEP_PARAMETERS, \
     Tally *counted
-#define EFFECT_ARGUMENTS , index, corners, blocks MORE_SAMPLE_ARGUMENTS, counted
+#define EFFECT_ARGUMENTS , index, corners, blocks MORE_SAMPLE_ARGUMENTS STEP_ARGUMENTS, counted
 #define EFFECT_TALLY Tally counted[BLOCK_COUNTERS] = {0};
 #define EFFECT_STORE_TALLY(tile)                                                                \
   for (int counter_ = 0; counter_ < BLOCK_COUNTERS; ++counter_)                                 \

@@ -3,7 +3,7 @@
  * full     1
  * naive    1 / kappa, kappa = samples of the block an axis / its edge in voxels: one step a sample, wherever that leads
  * limited  min(1 + floor(l), 1 / kappa), l the steps that are left in the block: no farther than the first step in the next one
- * bounded  min(1 + floor(l), n), n the most steps whose error stays within a bound in that block (bits of `index`, filled by
+ * bounded  min(max(floor(l), 1), n): only single steps cross a face; n the most steps whose error stays within a bound in that block (`steps`, filled by
  *          clvol/render/multiresolution/bounds.py)
  */
 #ifndef STEP_BLOCKS_H
@@ -30,7 +30,8 @@ INLINE floatN steps_at_once(const BlockVolume *v, const Rays *ray, const Record 
   return 1.0f;
 #else
 #if STEPPING == STEPPING_BOUNDED
-  const floatN most = TO_FLOAT(AS_INT((r->word1 >> 8u) & 255u));
+  const intN block = (r->z * v->blocks->count.y + r->y) * v->blocks->count.x + r->x;
+  const floatN most = TO_FLOAT(AS_INT(gather1(v->steps, block) & 255u));
 #else
   const intN code = code_of(r), coarse = select(code, (intN)1, MASK(code == CODE_DROPPED));
   const floatN most = TO_FLOAT((intN)1 << (v->blocks->count.w + 1 - coarse));
@@ -39,7 +40,8 @@ INLINE floatN steps_at_once(const BlockVolume *v, const Rays *ray, const Record 
   return most;
 #else
   const floatN left = lane_clamp(steps_in_block(v, ray, r, t), (floatN)0.0f, (floatN)255.0f);
-  return lane_max(lane_min(1.0f + floor(left), most), (floatN)1.0f);
+  const float beyond = STEPPING == STEPPING_LIMITED ? 1.0f : 0.0f;
+  return lane_max(lane_min(beyond + floor(left), most), (floatN)1.0f);
 #endif
 #endif
 }

@@ -68,6 +68,9 @@ class Multiresolution(Table):
     ``view_weighting``: a block's error counts by what the view sees of it: whether it is in the picture, how many pixels it
     covers and how many of them a voxel. ``occlusion``: and by how much light reaches the eye from it.
 
+    ``step_error``: of "bounded" stepping, what one segment may add to the error of a colour (linear,
+    premultiplied).
+
     ``tiles``: edge of the tiles that the picture is cut into, in pixels; 0: none, every pixel has a ray.
     ``tile_priority``: by what of the blocks behind its corners a tile gets its rays. ``tile_low``,
     ``tile_high``: rays an axis of the tiles of least and of most priority, over ``tiles``.
@@ -86,6 +89,13 @@ class Multiresolution(Table):
             is_ladder=False, alone=True, methods=_OURS,
         ),
     ] = Field("limited", description="'full', 'limited', 'naive' or 'bounded'")  # fmt: skip
+    step_error: Annotated[
+        Number,
+        Knob(
+            "step error", "linear light", (0.3, 0.1, 0.03, 0.01, 0.003, 0.001),
+            methods=_OURS, applies=lambda scene: scene.multiresolution.stepping == "bounded",
+        ),
+    ] = Field(0.03, gt=0, le=1, description="a number greater than 0, at most 1")  # fmt: skip
     interblock: Annotated[
         bool,
         Knob("interblock", "", (False, True), is_ladder=False, alone=True, methods=_OURS),

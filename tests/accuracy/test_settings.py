@@ -32,7 +32,7 @@ EXPECTED = {
     "integration.table_size", "integration.voxel_precision",
     "image.ray_spacing", "image.ray_tolerance",
     "multiresolution.memory", "multiresolution.stepping", "multiresolution.interblock",
-    "multiresolution.tiles", "multiresolution.tile_high",
+    "multiresolution.step_error", "multiresolution.tiles", "multiresolution.tile_high",
 }  # fmt: skip
 
 

@@ -56,6 +56,22 @@ def shown_directly(function, values, path, background) -> np.ndarray:
     return linear_to_luv(function.color(values) * alpha + background * (1 - alpha))
 
 
+def voxel_errors(statistics, function, path, background) -> np.ndarray:
+    """[levels, n]: the voxels' part of ``block_errors``, before it counts a tenth."""
+    parts = (getattr(statistics, name) for name in ("quantiles", "minimum", "maximum", "deviation"))
+    return visible_error._estimate(*parts, ShownColors(function, path, background))
+
+
+def mixed_directly(function, values, path, background) -> np.ndarray:
+    """L*, u*, v* behind a quarter of ``path`` in the mean medium of all ``values``."""
+    values = np.ravel(values)
+    extinction = function.extinction(values)
+    emission = (function.color(values) * extinction[:, None]).mean(axis=0)
+    alpha = -np.expm1(-extinction.mean() * path / 4)
+    shown = emission / extinction.mean() * alpha + np.asarray(background) * (1 - alpha)
+    return linear_to_luv(shown)
+
+
 @st.composite
 def stepped_functions(draw):
     """Points at whole numbers, some of them twice, most of them transparent."""
@@ -114,17 +130,35 @@ def test_errors_start_at_0_and_rise_with_the_level():
 
 
 @pytest.mark.parametrize("background", [BLACK, np.ones(3), np.array([0.2, 0.9, 0.0])])
-def test_of_one_sample_the_mean_difference_is_exact(background):
+def test_of_one_sample_both_parts_are_exact(background):
     rng = np.random.default_rng(2)
     groups = rng.integers(0, 256, 8)  # each quantile group holds one value
     array = rng.permuted(np.repeat(groups, 512)).reshape(16, 16, 16).astype(np.uint8)
-    errors = block_errors(statistics_of(array), RAMP, 16.0, background)
+    statistics = statistics_of(array)
     values = array.astype(float)
     mean = np.rint(values.mean())
-    expected = delta_e_luv(
+    of_voxels = delta_e_luv(
         shown_directly(RAMP, values, 16.0, background), shown_directly(RAMP, mean, 16.0, background)
     ).mean()
-    assert errors[-1, 0] == pytest.approx(expected, rel=1e-3)
+    mixture = delta_e_luv(
+        mixed_directly(RAMP, values, 16.0, background), mixed_directly(RAMP, mean, 16.0, background)
+    )
+    voxels = voxel_errors(statistics, RAMP, 16.0, background)
+    assert voxels[-1, 0] == pytest.approx(of_voxels, rel=1e-3)
+    errors = block_errors(statistics, RAMP, 16.0, background)
+    assert errors[-1, 0] == pytest.approx(mixture + 0.1 * of_voxels, rel=1e-3)
+
+
+def test_values_that_change_places_alone_do_not_show_in_the_mixture():
+    """Every 2^3 voxels hold the same eight values: level 1 keeps their mean alone, and where
+    extinction and emission are linear in the value, the mean medium is the same."""
+    eight = np.arange(8).reshape(2, 2, 2) * 4 + 100
+    statistics = statistics_of(np.tile(eight, (8, 8, 8)).astype(np.uint8))
+    white = TransferFunction([0.0, 255.0], [0.0, 1e-4], np.ones((2, 3)), 8.0)
+    errors = block_errors(statistics, white, 16.0, BLACK)[:, 0]
+    voxels = voxel_errors(statistics, white, 16.0, BLACK)[:, 0]
+    np.testing.assert_allclose(errors[1:], 0.1 * voxels[1:], rtol=0.02)
+    assert voxels[1] > 0
 
 
 def test_few_voxels_that_show_are_not_lost_in_their_groups_mean():
@@ -134,10 +168,13 @@ def test_few_voxels_that_show_are_not_lost_in_their_groups_mean():
     sparse = array.copy()
     sparse.ravel()[rng.choice(4096, 40, replace=False)] = 250
     assert statistics_of(sparse).quantiles[0, 0].max() < 100
-    errors = block_errors(statistics_of(sparse), function, 16.0, BLACK)[:, 0]
+    voxels = voxel_errors(statistics_of(sparse), function, 16.0, BLACK)[:, 0]
     full = delta_e_luv(linear_to_luv(np.full(3, 0.9)), linear_to_luv(np.zeros(3)))
     expected = full * 40 / 4096
-    assert expected / 3 < errors[-1] < 3 * expected and errors[1] > 0.1 * expected
+    assert expected / 3 < voxels[-1] < 3 * expected and voxels[1] > 0.1 * expected
+    errors = block_errors(statistics_of(sparse), function, 16.0, BLACK)[:, 0]
+    mixture = delta_e_luv(mixed_directly(function, sparse, 16.0, BLACK), linear_to_luv(np.zeros(3)))
+    assert mixture / 3 < errors[-1] - 0.1 * voxels[-1] < 3 * mixture
     assert (block_errors(statistics_of(array), function, 16.0, BLACK) == 0).all()
     mirrored = TransferFunction([154.0, 155.0], [0.9, 0.0], np.ones((2, 3)), 16.0)
     low = block_errors(statistics_of(255 - sparse), mirrored, 16.0, BLACK)[:, 0]
@@ -228,7 +265,7 @@ def true_errors(volume: Volume, function: TransferFunction, path: float) -> np.n
 def test_estimates_are_near_the_errors_of_real_blocks(brain, name):
     function = preset(name, brain.value_range, 3.0)
     statistics = joined(VolumeBlocks(brain))
-    estimated = block_errors(statistics, function, 16.0, BLACK)
+    estimated = voxel_errors(statistics, function, 16.0, BLACK)
     true = true_errors(brain, function, 16.0)
     inner = slice(1, 4)
     assert np.corrcoef(estimated[inner].ravel(), true[inner].ravel())[0, 1] > 0.85

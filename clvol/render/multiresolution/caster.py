@@ -8,6 +8,7 @@ from clvol.features import STEPPINGS, reduced_for_frames
 from clvol.opencl.context import DeviceArray, DeviceContext
 from clvol.opencl.structs import BLOCKS
 from clvol.render.empty_space import distance_map
+from clvol.render.multiresolution.bounds import most_steps
 from clvol.render.multiresolution.device_blocks import DeviceBlocks
 from clvol.render.multiresolution.packing import map_shift
 from clvol.render.raycast import (
@@ -31,6 +32,12 @@ from clvol.transfer.classes import visible_cells
 from clvol.transfer.tables import constant_table, depths_tables
 
 BLOCK_COUNTERS = ("block_reads", "blended_samples")  # COUNT_... of cl/block_parameters.h
+# Switches of kernels that look at blocks and cast no rays.
+_OF_BLOCKS = (
+    "VOXEL_BITS", "VOXEL_SIGNED", "VOXEL_SCALED", "VOXEL_HOLES", "VOXEL_PAIRS", "SAMPLE_BUFFERS",
+    "WARPED_CLASSES", "INTERBLOCK", "FILTER", "CLASSIFICATION",
+)  # fmt: skip
+_SHORT_SLICES = 2  # SHORT_SLICES of cl/march_blocks.h
 _MORE = ["samples1", "samples2", "samples3"]
 
 
@@ -85,10 +92,11 @@ class BlockCaster(Raycaster):
 
     @property
     def _slices(self) -> int:
-        """Of lengths that are a step times powers of two."""
-        if self._is_midpoint or self.settings.stepping == "full":
+        """Of lengths that are a step times powers of two, those that are shorter too."""
+        if self._is_midpoint:
             return 1
-        return self.blocks.blocks.levels
+        steps = 1 if self.settings.stepping == "full" else self.blocks.blocks.levels
+        return steps + _SHORT_SLICES
 
     @property
     def _is_midpoint(self) -> bool:
@@ -118,16 +126,12 @@ class BlockCaster(Raycaster):
         between, at = self._visible
         view = np.zeros(1, self._view_dtype)
         self._describe_volume(view[0])
-        names = (
-            "VOXEL_BITS", "VOXEL_SIGNED", "VOXEL_SCALED", "VOXEL_HOLES", "VOXEL_PAIRS", "SAMPLE_BUFFERS",
-            "WARPED_CLASSES", "INTERBLOCK", "FILTER", "CLASSIFICATION",
-        )  # fmt: skip
         kernel = context.kernel(
             "block_cells.cl",
             "visible_block_cells",
             "in volume V1, in warp float32, in before int32, in at uint8, in view V1, in index int32, "
             f"in corners uint32, in blocks V1{self._more_samples[0]}, out cells uint8",
-            {name: self.switches[name] for name in names} | {"LANES": 1},
+            {name: self.switches[name] for name in _OF_BLOCKS} | {"LANES": 1},
         )
         cells = context.empty(np.uint8, volume.cells[::-1])
         kernel(
@@ -140,25 +144,66 @@ class BlockCaster(Raycaster):
             at=context.upload(at.astype(np.uint8)),
             view=context.upload(view),
             cells=cells,
-            **self._block_arrays(),
+            **self._resident_arrays(),
         )
+        self._set_steps()
         mask = context.read(cells) == 0
         self.visible_share = float(mask.mean())
         self.distances = distance_map(context, mask)
+
+    def _set_steps(self) -> None:
+        """For bounded stepping: how many steps may be taken at once in each block that is resident."""
+        if self.settings.stepping != "bounded":
+            return
+        context, blocks = self.context, self.blocks.blocks
+        view = np.zeros(1, self._view_dtype)
+        self._describe_volume(view[0])
+        kernel = context.kernel(
+            "block_bounds.cl",
+            "block_bounds",
+            "in volume V1, in view V1, in index int32, in corners uint32, in blocks V1"
+            f"{self._more_samples[0]}, out bounds float32",
+            {name: self.switches[name] for name in _OF_BLOCKS} | {"LANES": 1},
+        )
+        bounds = context.empty(np.float32, (blocks.count, 4))
+        arrays = {"volume": self.volume.voxels, "view": context.upload(view), "bounds": bounds}
+        kernel(context.queue, blocks.counts[::-1], None, **arrays, **self._resident_arrays())
+        self.steps = most_steps(
+            context.read(bounds),
+            device_function(self._asked_function, self.volume.values),
+            self.nodes.values,
+            self.length,
+            self.resolved.integration.step,
+            self.settings.step_error,
+            blocks.edge,
+            self._is_midpoint,
+        )
+        self._steps = context.upload(np.append(self.steps, np.zeros(4, np.uint8)))
+
+    def like(self, resolved: ResolvedScene) -> BlockCaster:
+        other = super().like(resolved)
+        if other.length != self.length:
+            other._set_steps()
+        return other
 
     @property
     def _more_samples(self) -> tuple[str, dict[str, DeviceArray]]:
         more = dict(zip(_MORE, self.blocks.samples[1:]))
         return "".join(f", in {name} V1" for name in more), more
 
-    def _block_arrays(self) -> dict[str, DeviceArray]:
+    def _resident_arrays(self) -> dict[str, DeviceArray]:
         blocks = self.blocks
         arrays = {"index": blocks.index, "corners": blocks.corners, "blocks": self._blocks}
         return {**arrays, **self._more_samples[1]}
 
+    def _block_arrays(self) -> dict[str, DeviceArray]:
+        arrays = self._resident_arrays()
+        return {**arrays, "steps": self._steps} if self.settings.stepping == "bounded" else arrays
+
     @property
     def _declared(self) -> str:
-        return ", in index int32, in corners uint32, in blocks V1" + self._more_samples[0]
+        bounded = ", in steps uint8" if self.settings.stepping == "bounded" else ""
+        return ", in index int32, in corners uint32, in blocks V1" + self._more_samples[0] + bounded
 
     def _more_arguments(self, tiles: int) -> tuple[str, dict[str, DeviceArray]]:
         self._tally = self.context.output(np.uint32, (tiles, len(BLOCK_COUNTERS)))
@@ -208,7 +253,7 @@ class BlockCaster(Raycaster):
         arguments = self.context, function, self.nodes.values
         if self._is_midpoint:
             return constant_table(*arguments, self.length, "extinction_table")
-        longest = self.length * 2.0 ** (self._slices - 1)
+        longest = self.length * 2.0 ** (self._slices - 1 - _SHORT_SLICES)
         return depths_tables(*arguments, longest, self._slices)
 
 

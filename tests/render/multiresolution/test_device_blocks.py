@@ -55,7 +55,15 @@ def _bytes_for(source: VolumeBlocks, levels: np.ndarray) -> int:
     edge = source.blocks.edge
     samples = sum((edge >> int(k)) ** 3 for k in levels if k != DROPPED and edge >> int(k) > 1)
     size = min(source.dtype.itemsize, 4)
-    return overhead_bytes(source.blocks) + SPARE_BYTES * 4 + samples * size
+    return _budget(source, SPARE_BYTES * 4 + samples * size)
+
+
+def _budget(source: VolumeBlocks, sample_bytes: int) -> int:
+    """The budget that leaves ``sample_bytes`` to samples: the map of empty space grows with it."""
+    memory = 0
+    while memory != (memory := sample_bytes + overhead_bytes(source.blocks, memory)):
+        pass
+    return memory
 
 
 def _held(blocks: DeviceBlocks, source: VolumeBlocks, values: np.ndarray) -> np.ndarray:
@@ -179,7 +187,7 @@ def test_blocks_of_one_sample_and_dropped_ones_take_no_samples(context):
     source = VolumeBlocks(_volume("int16"), 8)
     means = _means(source)
     levels = np.where(np.arange(source.blocks.count) % 2, DROPPED, 3)
-    blocks = DeviceBlocks(context, source, overhead_bytes(source.blocks) + SPARE_BYTES)
+    blocks = DeviceBlocks(context, source, _budget(source, SPARE_BYTES))
     blocks.load(levels, means)
     np.testing.assert_array_equal(_check(blocks, source, means), levels)
     assert blocks.used_bytes == blocks.sample_bytes == 0
@@ -196,7 +204,8 @@ def test_no_more_is_allocated_than_full_resolution_needs(context):
     source = VolumeBlocks(_volume("uint8"), 8)
     blocks = DeviceBlocks(context, source, 2**30)
     assert blocks.sample_bytes == source.blocks.count * 8**3
-    assert blocks.device_bytes <= overhead_bytes(source.blocks) + blocks.sample_bytes + SPARE_BYTES
+    overhead = overhead_bytes(source.blocks, blocks.memory_bytes)
+    assert blocks.device_bytes <= overhead + blocks.sample_bytes + SPARE_BYTES
 
 
 def test_corners_of_some_slabs_are_those_of_all():
@@ -247,7 +256,7 @@ def test_a_few_changes_write_a_few_words_of_the_index(context, monkeypatch):
 
 def test_a_budget_below_the_index_says_what_is_needed(context):
     source = VolumeBlocks(_volume("uint8"), 8)
-    needed = overhead_bytes(source.blocks) + SPARE_BYTES
+    needed = _budget(source, SPARE_BYTES)
     with pytest.raises(SceneError, match=f"memory.*at least {needed} bytes"):
         DeviceBlocks(context, source, needed - 1)
     DeviceBlocks(context, source, needed)
@@ -355,7 +364,7 @@ def test_every_frame_of_a_change_in_full_memory_is_a_mixture_of_old_and_new(
     means = _means(spy)
     old, new = states(spy.blocks.count)
     memory = _bytes_for(spy, old)
-    largest = None if buffers == 1 else -(-(memory - overhead_bytes(spy.blocks)) // 2048) * 1024
+    largest = None if buffers == 1 else -(-(memory - overhead_bytes(spy.blocks, memory)) // 2048) * 1024
     blocks = DeviceBlocks(context, spy, memory, largest_buffer=largest)
     assert (len(blocks.samples) > 1) == (buffers > 1)
     blocks.load(old, means)

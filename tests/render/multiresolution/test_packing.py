@@ -12,6 +12,8 @@ from clvol.render.multiresolution.packing import (
     SPARE_BYTES,
     Packing,
     buffer_samples,
+    map_cells,
+    map_shift,
     overhead_bytes,
     sample_dtype,
     staging_bytes,
@@ -140,30 +142,42 @@ def test_buffers_stay_within_the_budget_and_hold_whole_blocks(shape, edge, dtype
     try:
         samples = buffer_samples(blocks, dtype, memory, largest)
     except SceneError:
-        assert memory < overhead_bytes(blocks) + SPARE_BYTES
+        assert memory < overhead_bytes(blocks, memory) + SPARE_BYTES
         return
     except DeviceError:
         assert largest < edge**3 * size + SPARE_BYTES
         return
     assert 1 <= len(samples) <= 4
     needed = sum(n * size + SPARE_BYTES for n in samples)
-    assert overhead_bytes(blocks) + needed <= memory
+    assert overhead_bytes(blocks, memory) + needed <= memory
     assert all(n * size + SPARE_BYTES <= largest for n in samples)
     assert all(n == samples[0] and n % edge**3 == 0 for n in samples[:-1])
-    left = memory - overhead_bytes(blocks) - SPARE_BYTES * 4
+    left = memory - overhead_bytes(blocks, memory) - SPARE_BYTES * 4
     most = min(left // size, blocks.count * edge**3, 4 * ((largest - SPARE_BYTES) // size))
     # Nothing worth mentioning is left unused: below the budget by a slot, or by what a buffer has
     # beyond whole blocks.
     assert sum(samples) >= most - 4 * edge**3
 
 
-def test_overhead_covers_every_part():
+@pytest.mark.parametrize("memory, cell", [(0, 16), (2**15, 16), (2**16, 8), (2**20, 4), (2**40, 4)])
+def test_overhead_covers_every_part(memory, cell):
     blocks = BlockGrid((100, 60, 50), 16)
-    index, corners, cells = 8 * 7 * 4 * 4, 4 * 8 * 5 * 5, 13 * 8 * 7
-    assert overhead_bytes(blocks) == index + corners + cells + sum(staging_bytes(blocks))
-    large = BlockGrid((2048, 2048, 2048), 16)
-    index, corners, cells = 8 * 128**3, 4 * 129**3, 128**3
-    assert overhead_bytes(large) == index + corners + cells + sum(staging_bytes(large))
+    index, corners, cells = 8 * 7 * 4 * 4, 4 * 8 * 5 * 5, 7 * 4 * 4 * (16 // cell) ** 3
+    assert 1 << map_shift(blocks, memory) == cell
+    parts = index + corners + 3 * cells + sum(staging_bytes(blocks))
+    assert overhead_bytes(blocks, memory) == parts
+
+
+@settings(deadline=None)
+@given(
+    st.tuples(*[st.integers(1, 300)] * 3), st.sampled_from((4, 8, 16, 32)), st.integers(0, 10**9)
+)
+def test_the_map_of_empty_space_is_as_fine_as_a_sixteenth_of_the_budget_allows(shape, edge, memory):
+    blocks = BlockGrid(shape, edge)
+    shift = map_shift(blocks, memory)
+    assert min(4, edge) <= 1 << shift <= edge
+    assert 48 * map_cells(blocks, shift) <= memory or 1 << shift == edge
+    assert 1 << shift == min(4, edge) or 48 * map_cells(blocks, shift - 1) > memory
 
 
 @settings(deadline=None)

@@ -1,0 +1,89 @@
+"""How many steps a ray may take at once in each block, for a bound on the error of one such segment.
+
+"bounded" stepping (``cl/step_blocks.h``): step control by the local error, as in solvers of differential equations, in place
+of P2's rule of one step a sample. A segment of length l in a block whose field has slope at most G and curvature at most S
+(``cl/block_bounds.cl``) adds to premultiplied colour or opacity an error of at most
+
+  pre-integrated   l A min(S l^2 / 8, R)                        the field against its chord
+  post             l (A S l^2 / 24 + K G l / 8), at most l B    the midpoint rule, A the slope of what the value emits and
+                                                                absorbs, K how much that slope changes
+
+over the values that the block has: A, K and B (how much emission or extinction itself differs) are taken from the transfer
+function between its lowest and highest value, R is their difference. Attenuation in front only lowers it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from clvol.transfer import TransferFunction
+
+_OPAQUE = 1.0 - 1e-4  # opacities beyond count as this: optical depths stay finite
+
+
+class RangeExtremes:
+    """Largest of ``values`` [n] in any span of them: a table of spans of powers of two."""
+
+    def __init__(self, values: np.ndarray) -> None:
+        self._table = [np.asarray(values, np.float64)]
+        while 2 << (len(self._table) - 1) <= len(values):
+            last, half = self._table[-1], 1 << (len(self._table) - 1)
+            self._table.append(np.maximum(last[:-half], last[half:]))
+
+    def largest(self, first: np.ndarray, last: np.ndarray) -> np.ndarray:
+        """Of values first ... last, both included; ``first`` <= ``last``."""
+        power = np.frexp(last - first + 1)[1] - 1
+        out = np.empty(first.shape)
+        for k, row in enumerate(self._table):
+            those = power == k
+            out[those] = np.maximum(row[first[those]], row[last[those] + 1 - (1 << k)])
+        return out
+
+
+def most_steps(
+    bounds: np.ndarray,
+    function: TransferFunction,
+    nodes: np.ndarray,
+    step_length: float,
+    step_voxels: float,
+    error: float,
+    edge: int,
+    midpoints: bool,
+) -> np.ndarray:
+    """uint8 [n], 1 ... ``edge``: steps at once whose error is at most ``error``.
+
+    ``bounds`` float [n, 4]: of ``block_bounds``. ``function`` over the values that kernels compute with, and its class ``nodes``.
+    ``step_length``: of a step, world; ``step_voxels``: at most so many voxels along any axis.
+    """
+    curvature, slope, low, high = np.asarray(bounds, np.float64).T
+    known = low <= high
+    low, high = np.where(known, low, nodes[0]), np.where(known, high, nodes[0])
+    first = np.clip(np.searchsorted(nodes, low, side="right") - 1, 0, len(nodes) - 2)
+    last = np.clip(np.searchsorted(nodes, high, side="left") - 1, first, len(nodes) - 2)
+    opacity = np.minimum(function.opacity(nodes), _OPAQUE)
+    extinction = -np.log1p(-opacity) / function.opacity_unit
+    color = function.color(nodes)
+    rates = np.concatenate([extinction[:, None], extinction[:, None] * color], axis=1)
+    slopes = np.diff(rates, axis=0) / np.diff(nodes)[:, None]
+    spans = [_spans(slopes[:, k], rates[:, k], first, last) for k in range(rates.shape[1])]
+    steepest, bend, difference = (np.max(each, axis=0) for each in zip(*spans))
+    steps = np.ones(len(bounds), np.int64)
+    goes_on = np.ones(len(bounds), bool)
+    for count in range(2, edge + 1):
+        length, voxels = count * step_length, count * step_voxels
+        if midpoints:
+            found = steepest * curvature * voxels**2 / 24 + bend * slope * voxels / 8
+            found = length * np.minimum(found, difference)
+        else:
+            found = length * steepest * np.minimum(curvature * voxels**2 / 8, high - low)
+        goes_on &= found <= error
+        steps[goes_on] = count
+    return steps.astype(np.uint8)
+
+
+def _spans(slopes: np.ndarray, rates: np.ndarray, first: np.ndarray, last: np.ndarray):
+    """Largest slope, difference of slopes, and difference of rates between nodes ``first`` and ``last`` + 1."""
+    up, down = RangeExtremes(slopes).largest(first, last), RangeExtremes(-slopes).largest(first, last)
+    high = RangeExtremes(rates).largest(first, last + 1)
+    low = -RangeExtremes(-rates).largest(first, last + 1)
+    return np.maximum(np.abs(up), np.abs(down)), up + down, high - low
