@@ -15,6 +15,7 @@ from clvol.accuracy.tradeoff import measure_tradeoff, sentences
 from clvol.errors import SceneError, UsageError
 from clvol.render.reference import render_reference
 from clvol.scene import ImageSettings, Integration
+from clvol.scene.multiresolution import Multiresolution
 from clvol.scene.sizes import parse_size
 
 
@@ -171,6 +172,8 @@ def test_budgets_are_tried_whichever_method_the_scene_has(first_device, few_knob
     """A larger budget is not further from the exact integral of the whole volume, but for noise."""
     few_knobs("integration.method", _MEMORY)
     scene = scene_of(waves((40, 40, 40), np.uint8), table_size=64, method=method)
+    whole = Multiresolution(occlusion=False)  # what is hidden is there as well
+    scene = scene.model_copy(update={"multiresolution": whole})
     result, _ = measure_tradeoff(scene, devices=[first_device], frames=1)
     points = [
         p for p in result["points"]

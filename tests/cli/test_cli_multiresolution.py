@@ -67,6 +67,8 @@ def test_a_store_is_rendered_from_its_blocks(run, stores, first_device):
     blocks = stats["blocks"]
     assert sum(blocks["levels"]) + blocks["dropped"] == 5 * 6 * 7 and blocks["edge"] == 8
     assert blocks["pending"] == 0 and blocks["bytes_on_device"] <= blocks["bytes_allowed"]
+    whole = ("--set", "multiresolution.occlusion=false")  # what is hidden is there as well
+    assert run("render", "v.zarr", "-o", "a.npy", *SMALL, *whole).status == 0
     by_rays = ("--set", 'integration.method="raycast"')
     assert run("render", "v.zarr", "-o", "b.npy", *SMALL, *by_rays).status == 0
     assert run("render", "v.npy", "-o", "c.npy", *SMALL).status == 0
