@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clvol.errors import VolumeError
 from clvol.features import has_exact_integral
 from clvol.render.reference import render_reference
 from clvol.render.view import EVERY_PIXEL
@@ -24,6 +25,19 @@ if TYPE_CHECKING:
 
 FIRST_STEP, LEAST_STEP = 1 / 8, 1 / 128  # smallest voxel edges
 KNOWN = 2e-5  # RMSE: the limit is then known as well as single precision and tables allow
+
+
+def check_judged(resolved: ResolvedScene) -> None:
+    """VolumeError for a store that does not fit into memory.
+
+    Errors are those against all voxels at full resolution. The finest picture that a budget allows
+    could be judged by instead, but is itself wrong by what nobody knows: no error could be claimed.
+    """
+    try:
+        resolved.volume.data
+    except VolumeError as error:
+        what = f"{error.what} in memory: errors are measured against all its voxels"
+        raise VolumeError(error.where, what, error.expected) from None
 
 
 class Judge:
@@ -90,6 +104,7 @@ class Judge:
         settings = {
             "step": step, "early_termination": 0.0, "quadrature": "steps",
             "classification": "pre" if pre else "post", "voxel_precision": "stored",
+            "method": "raycast",
         }  # fmt: skip
         fine = replace(
             asked,

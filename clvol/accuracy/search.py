@@ -45,7 +45,9 @@ class Search:
         self._known: dict[tuple, Measured] = {}
         # Single pixels do not show what depends on their neighbours.
         self._knobs = {k: knob for k, knob in knobs.items() if not knob.knob.of_picture}
-        self._alternatives = [k for k in self._knobs.values() if not k.knob.is_ladder]
+        alternatives = [k for k in self._knobs.values() if not k.knob.is_ladder]
+        self._alternatives = [k for k in alternatives if not k.knob.alone]
+        self._alone = [k for k in alternatives if k.knob.alone]
         self._ladders = [k for k in self._knobs.values() if k.knob.is_ladder and not k.knob.is_main]
         self._main = [k for k in self._knobs.values() if k.knob.is_main]
 
@@ -85,7 +87,16 @@ class Search:
         return None if held is None else self.refined(held, limit)
 
     def refined(self, best: Measured, limit: float) -> Measured:
-        """``best`` with cheaper ladders, as far as ``limit`` still holds."""
+        """``best`` with cheaper alternatives of knobs tried alone, and with cheaper ladders, as far
+        as ``limit`` still holds."""
+        for knob in self._alone:
+            for value in knob.values:
+                settings = {**best.settings, knob.key: value}
+                if not self._possible(settings):
+                    continue
+                tried = self.measure(settings)
+                if tried.rmse <= limit and tried.cost <= _WORTH * best.cost:
+                    best = tried
         for knob in self._ladders:
             while (value := knob.next_to(best.settings[knob.key], -1)) is not None:
                 tried = self.measure({**best.settings, knob.key: value})

@@ -11,6 +11,7 @@ from typing import Any
 
 from clvol.errors import ClvolError
 from clvol.features import refuse_unknown
+from clvol.render.renderer import check_memory
 from clvol.scene.integration import Integration
 from clvol.scene.image import ImageSettings
 from clvol.scene.knob import Knob
@@ -54,8 +55,9 @@ class SceneKnob:
         """The index of ``value``, or that of the next cheaper one and True."""
         if value in self.values:
             return self.values.index(value), False
-        rising = self.values[0] < self.values[-1]
-        cheaper = sum((other < value) == rising for other in self.values)
+        order = self.knob.order
+        rising = order(self.values[0]) < order(self.values[-1])
+        cheaper = sum((order(other) < order(value)) == rising for other in self.values)
         return cheaper - 1, True
 
 
@@ -68,7 +70,7 @@ def scene_knobs(resolved: ResolvedScene) -> dict[str, SceneKnob]:
                 if isinstance(knob, Knob):
                     key = f"{table}.{name}"
                     own = value_of(resolved, key)
-                    values = _with(own, knob.values_for(resolved), knob.is_ladder)
+                    values = _with(own, knob.values_for(resolved), knob)
                     if len(values) > 1:
                         found[key] = SceneKnob(key, knob, values, own, field.description or "")
     return found
@@ -102,10 +104,15 @@ def value_of(scene: Any, key: str) -> Any:
     return getattr(getattr(scene, table), name)
 
 
-def is_possible(resolved: ResolvedScene, settings: Settings) -> bool:
-    """Whether something renders the scene with these settings."""
+def is_possible(
+    resolved: ResolvedScene, settings: Settings, memory_cap: int | None = None
+) -> bool:
+    """Whether something renders the scene with these settings, in ``memory_cap`` bytes of the
+    device if that is given."""
     try:
-        refuse_unknown(apply(resolved, settings))
+        asked = apply(resolved, settings)
+        refuse_unknown(asked)
+        check_memory(asked, memory_cap)
     except ClvolError:
         return False
     return True
@@ -118,7 +125,7 @@ def canonical(
     makes the same picture in the same way is the same settings."""
     scene = apply(resolved, settings)
     return {
-        key: value if knobs[key].knob.applies(scene) else knobs[key].scene_value
+        key: value if knobs[key].knob.counts(scene) else knobs[key].scene_value
         for key, value in settings.items()
     }
 
@@ -151,20 +158,27 @@ def label(knobs: Mapping[str, SceneKnob], settings: Settings, resolved: Resolved
     parts, scene = [], apply(resolved, settings)
     for key, knob in knobs.items():
         value = settings[key]
-        if not knob.knob.applies(scene):
+        if not knob.knob.counts(scene):
             continue
         if knob.knob.is_main or value != knob.scene_value or key.endswith(".classification"):
-            text = value if isinstance(value, str) else f"{knob.knob.title} {value:.4g}"
-            parts.append(text)
-    parts.sort(key=lambda text: " " in text)  # alternatives first
-    return ", ".join(parts)
+            parts.append((knob.knob.is_ladder, said(knob.knob.title, value, knob.knob.is_ladder)))
+    parts.sort(key=lambda part: part[0])  # alternatives first
+    return ", ".join(text for _, text in parts)
 
 
-def _with(own: Any, values: tuple, is_ladder: bool) -> tuple:
+def said(title: str, value: Any, is_ladder: bool = True) -> str:
+    """A knob's value in words: "post", "step 0.5", "no interblock"."""
+    if isinstance(value, bool):
+        return title if value else f"no {title}"
+    text = value if isinstance(value, str) else f"{value:.4g}"
+    return f"{title} {text}" if is_ladder else text
+
+
+def _with(own: Any, values: tuple, knob: Knob) -> tuple:
     """``values`` with the scene's own one in its place."""
     if own in values:
         return values
-    if not is_ladder:
+    if not knob.is_ladder:
         return (*values, own)
-    rising = len(values) < 2 or values[0] < values[-1]
-    return tuple(sorted((*values, own), reverse=not rising))
+    rising = len(values) < 2 or knob.order(values[0]) < knob.order(values[-1])
+    return tuple(sorted((*values, own), key=knob.order, reverse=not rising))

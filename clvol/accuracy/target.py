@@ -33,7 +33,7 @@ from clvol.accuracy.trials import Trial, Trials, root_mean_square
 from clvol.errors import RenderError, UsageError
 from clvol.features import refuse_unknown
 from clvol.opencl.context import DeviceContext
-from clvol.accuracy.judge import Judge
+from clvol.accuracy.judge import Judge, check_judged
 from clvol.render.engines import Engines
 from clvol.render.frame import Frame, make_frame
 from clvol.render.reference import render_reference
@@ -131,6 +131,7 @@ class _Workshop:
             self.resolved = apply(asked, {"integration.method": "raycast"})
         refuse_unknown(self.resolved)
         check_memory(self.resolved, memory_cap)
+        check_judged(self.resolved)
         self.context: DeviceContext = open_context(devices)
         self.engines = Engines(self.context)
         self.depth, self.progress = depth, progress
@@ -156,7 +157,7 @@ class _Workshop:
         self.search = Search(
             self._measure_pilot,
             self.knobs,
-            lambda settings: is_possible(self.resolved, settings),
+            lambda settings: is_possible(self.resolved, settings, memory_cap),
             self._canonical,
         )
 
@@ -164,6 +165,7 @@ class _Workshop:
         return self
 
     def __exit__(self, *exc: object) -> None:
+        self.engines.close()
         self.context.release()
 
     @property
@@ -245,7 +247,10 @@ class _Workshop:
             if best is None or plain.cost < best.cost:
                 best = plain
             room = math.sqrt(max(aim**2 - chosen.rmse**2, 0.0))
-            combinations = _Combinations(self.of_picture)
+            method = chosen.settings.get("integration.method", self.resolved.integration.method)
+            combinations = _Combinations(
+                {key: knob for key, knob in self.of_picture.items() if knob.knob.is_of(method)}
+            )
             while (values := combinations.next()) is not None:
                 tried = self._whole(self._canonical({**chosen.settings, **values}))
                 holds = root_mean_square(tried.rgba - plain.rgba) <= room
@@ -364,7 +369,7 @@ class _Workshop:
     ) -> Frame:
         accuracy = {
             **asked, **asdict(found), "how": f"{self.judge.how} at pixels not used for the choice",
-            "settings": dict(trial.settings), "attempts": attempt,
+            "settings": self._counting(trial.settings), "attempts": attempt,
             "tried": len(self.search.measured), "seconds": dict(self.seconds),
         }  # fmt: skip
         pilot = self.search.measure({**trial.settings, **self._without_picture_knobs()})
@@ -375,6 +380,11 @@ class _Workshop:
         counted = {"samples": trial.samples, "rays": trial.rays, "accuracy": accuracy}
         resolved = self._resolved_as(trial.settings)
         return make_frame(resolved, trial.rgba, trial.depth, seconds, counted, self.context.name)
+
+    def _counting(self, settings: dict[str, Any]) -> dict[str, Any]:
+        """Without what has no effect beside the others."""
+        scene = apply(self.resolved, settings)
+        return {k: value for k, value in settings.items() if self.knobs[k].knob.counts(scene)}
 
     def _resolved_as(self, settings: dict[str, Any]) -> ResolvedScene:
         """The scene with ``settings``, whose source says them too."""

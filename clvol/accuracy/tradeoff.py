@@ -2,7 +2,7 @@
 
 Settings are those of the knobs that the scene's tables declare. Tried are: each knob alone, from
 the scene's own settings; the main ladders (the step) under every combination of alternatives
-(classification, quadrature, filter ...); and then, again and again, the neighbours of whatever lies
+(classification, quadrature, filter ...); by each other method the knobs of that method; and then, again and again, the neighbours of whatever lies
 on the Pareto front so far. Errors are those of all pixels against the exact integral; times are
 medians of frames for which all candidates take turns.
 """
@@ -12,12 +12,13 @@ from __future__ import annotations
 import itertools
 import os
 import platform
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
 
 import clvol
+from clvol.accuracy.judge import check_judged
 from clvol.accuracy.metrics import compare, max_abs
 from clvol.accuracy.search import pareto_front
 from clvol.accuracy.settings import (
@@ -35,8 +36,9 @@ from clvol.accuracy.timing import take_turns
 from clvol.accuracy.trials import Trial, Trials
 from clvol.errors import UsageError
 from clvol.features import refuse_unknown
-from clvol.render.layout import scene_bytes
+from clvol.render.layout import method_bytes
 from clvol.render.renderer import check_memory, open_context
+from clvol.scene.knob import Knob
 from clvol.scene.scene import Scene
 
 SETTINGS = 160  # tried at most
@@ -47,6 +49,7 @@ _STRIDE = 4  # notches of the main ladder between the settings of combinations
 _BEATEN = 0.7  # of both error and time: so much less is not for noise
 _FLOOR = 0.9  # of the error two notches before
 _SAME_ERROR, _SAME_TIME = 0.97, 0.03  # shares that are not worth two names
+_METHOD = "integration.method"
 _DECADES = (1e-1, 3e-2, 1e-2, 3e-3, 1e-3, 3e-4, 1e-4, 3e-5, 1e-5, 1e-6)
 
 Progress = Callable[..., None]  # (done, total, what)
@@ -75,6 +78,7 @@ def measure_tradeoff(
         sweep.explore(settings)
         return sweep.result(frames)
     finally:
+        sweep.trials.engines.close()
         sweep.context.release()
 
 
@@ -85,7 +89,8 @@ class _Sweep:
             resolved = apply(resolved, {"integration.method": "raycast"})
         refuse_unknown(resolved)
         check_memory(resolved, memory_cap)
-        self.resolved, self.progress = resolved, progress
+        check_judged(resolved)
+        self.resolved, self.progress, self.memory_cap = resolved, progress, memory_cap
         self.context = open_context(devices)
         self.knobs = scene_knobs(resolved)
         self.base = canonical(resolved, self.knobs, scene_settings(resolved, self.knobs))
@@ -105,7 +110,13 @@ class _Sweep:
         for key, knob in self.knobs.items():
             for settings in self.ladder(self.base, key, 1):
                 self.sweeps.setdefault(key_of(settings), []).append(key)
-        alternatives = [k for k in self.knobs.values() if not k.knob.is_ladder]
+        for settings in self.by_other_methods():
+            scene = apply(self.resolved, settings)
+            for key, knob in self.knobs.items():
+                if knob.knob.counts(scene) and not knob.knob.counts(self.resolved):
+                    self.ladder(settings, key, 1)
+        knobs = self.knobs.values()
+        alternatives = [k for k in knobs if not k.knob.is_ladder and not k.knob.alone]
         for values in itertools.product(*(k.values for k in alternatives)):
             settings = {**self.base, **{k.key: v for k, v in zip(alternatives, values)}}
             for main in (k for k in self.knobs.values() if k.knob.is_main):
@@ -120,6 +131,17 @@ class _Sweep:
                 for settings in neighbours(self.knobs, trial.settings):
                     self.try_out(settings)
 
+    def by_other_methods(self) -> Iterator[dict[str, Any]]:
+        """The scene's own settings with each other method: some knobs are of that alone."""
+        knob = self.knobs.get(_METHOD)
+        for value in knob.values if knob else ():
+            settings = {**self.base, _METHOD: value}
+            if value != knob.scene_value and self.is_possible(settings):
+                yield settings
+
+    def is_possible(self, settings: dict[str, Any]) -> bool:
+        return is_possible(self.resolved, settings, self.memory_cap)
+
     def ladder(self, settings: dict[str, Any], key: str, stride: int) -> list[dict[str, Any]]:
         """Tries one knob's values from the scene's own outwards, as far as makes sense."""
         knob = self.knobs[key]
@@ -133,15 +155,21 @@ class _Sweep:
                 if trial is not None:
                     tried.append(trial.settings)
                     errors.append(trial.rmse)
-                if knob.knob.is_ladder and (trial is None or self.leads_nowhere(trial, errors)):
+                if trial is None and knob.knob.is_ladder:
+                    break
+                if self.leads_nowhere(trial, errors, knob.knob):
                     break
         return tried
 
-    def leads_nowhere(self, trial: Trial, errors: list[float]) -> bool:
+    def leads_nowhere(self, trial: Trial | None, errors: list[float], knob: Knob) -> bool:
         """Whether a ladder's next values can be left out: it takes too long, or is no longer of any use:
         beaten by far, and nothing has changed."""
+        if trial is None or not knob.is_ladder:
+            return False
         if trial.seconds > self.limit:
             return True
+        if knob.saves_memory:
+            return False
         beaten = any(
             t.seconds < _BEATEN * trial.seconds and t.rmse < _BEATEN * trial.rmse
             for t in self.found.values()
@@ -150,7 +178,7 @@ class _Sweep:
 
     def try_out(self, settings: dict[str, Any]) -> Trial | None:
         """The trial of ``settings``; None if nothing renders them or enough have been tried."""
-        if not is_possible(self.resolved, settings):
+        if not self.is_possible(settings):
             return None
         settings = canonical(self.resolved, self.knobs, settings)
         key = key_of(settings)
@@ -198,8 +226,7 @@ class _Sweep:
 
     def point(self, name: str, trial: Trial, seconds: dict[str, Any]) -> dict[str, Any]:
         sweeps = self.sweeps.get(key_of(trial.settings), [])
-        integration = apply(self.resolved, trial.settings).integration
-        size = self.resolved.image.width, self.resolved.image.height
+        scene = apply(self.resolved, trial.settings)
         return {
             "id": name,
             "label": label(self.knobs, trial.settings, self.resolved),
@@ -212,7 +239,7 @@ class _Sweep:
             "samples": trial.samples,
             "rays": trial.rays,
             "prepare_seconds": trial.prepare_seconds,
-            "device_bytes": scene_bytes(self.resolved.volume, integration.table_size, *size),
+            "device_bytes": method_bytes(scene.volume, scene),
             "on_front": False,
             "sweep": sweeps[0] if len(sweeps) == 1 else None,
         }  # fmt: skip

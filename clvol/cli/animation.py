@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from clvol.cli.console import say, to_json, working
+from clvol.cli.console import reading_blocks, say, to_json, working
 from clvol.cli.outputs import check_frames, numbered, save_picture, together
 from clvol.errors import ClvolError, UsageError
 
@@ -73,7 +73,11 @@ def render_animation(
         parts = temporaries[: len(videos)]
         writers = [stack.enter_context(open_video(path, fps)) for path in parts]
         if todo:
-            renderer = Renderer(asked, devices=devices, memory_cap=memory_cap)
+            by_blocks = resolved.integration.method == "multiresolution"
+            how = {"devices": devices, "memory_cap": memory_cap}
+            renderer = Renderer(asked, **how, **reading_blocks(by_blocks and progress))
+            if by_blocks and progress is not None:
+                progress(None, None, f"rendering {len(todo)} frames of {size}")
             stack.enter_context(renderer)
         for done, (index, seconds, camera) in enumerate(todo):
             report = _part(progress, done, len(todo))

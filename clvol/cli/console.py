@@ -84,6 +84,13 @@ def working(message: str, quiet: bool) -> Iterator[Callable[[int, int], None] | 
         yield update
 
 
+def reading_blocks(progress: Callable[..., None] | None) -> dict[str, Callable[[int, int], None]]:
+    """The argument of ``Renderer`` that tells of blocks being read, where anybody looks."""
+    if not progress:
+        return {}
+    return {"progress": lambda done, total: progress(done, total, "reading blocks")}
+
+
 def _silence() -> None:
     """Send what is still to come on stdout nowhere, the flush at exit included."""
     try:

@@ -25,7 +25,7 @@ def command(
     A .raw file needs --set volume.dims=[nx,ny,nz] --set 'volume.dtype="uint8"'.
     """
     from clvol.cli.console import say_json, say_table
-    from clvol.render.layout import scene_bytes
+    from clvol.render.layout import method_bytes
     from clvol.scene import load_scene
     from clvol.scene.sizes import format_size
     from clvol.volume import describe
@@ -33,8 +33,7 @@ def command(
     scene = load_scene(volume, overrides)
     loaded = scene.load_volume(memory_cap)
     facts = describe(loaded)
-    image, table_size = scene.image, scene.integration.table_size
-    facts["memory_needed"] = scene_bytes(loaded, table_size, image.width, image.height)
+    facts["memory_needed"] = method_bytes(loaded, scene)
     store = _store_facts(loaded)
     if store:
         facts["store"] = store
@@ -43,7 +42,9 @@ def command(
         return
     grid = loaded.grid
     low, high = loaded.value_range
-    needed = format_size(facts["memory_needed"])
+    needed, by = format_size(facts["memory_needed"]), ""
+    if scene.integration.method == "multiresolution":
+        by = f"at most {scene.multiresolution.memory} of blocks, "
     rows = [
         ("file", str(facts.get("path") or volume)),
         ("format", str(facts.get("format") or "")),
@@ -60,7 +61,7 @@ def command(
         ("blocks", _blocks(store) if store else ""),
         ("codec", ", ".join(dict.fromkeys(store["codecs"])) if store else ""),
         ("on disk", format_size(store["bytes_on_disk"]) if store else ""),
-        ("memory", f"{needed} on the device, picture and tables included"),
+        ("memory", f"{needed} on the device, {by}picture and tables included"),
     ]
     say_table(row for row in rows if row[1])
 

@@ -44,7 +44,8 @@ _OPTIONS = {"max_error": "--max-error", "time_budget": "--time-budget"}
     "--time-budget",
     type=float,
     metavar="SECONDS",
-    help="Choose the most accurate settings whose frame takes at most so long, and measure the error.",
+    help="Choose the most accurate settings whose frame takes at most so long, and measure the error. "
+    "By the method multiresolution: refine the picture for so long, and estimate the error.",
 )
 @click.option(
     "--resume",
@@ -72,12 +73,20 @@ def command(
     and of the rays of [image] are chosen anew; what was chosen and measured is told on stderr, in
     --stats and in the header of .exr.
 
+    A store (clvol store) is rendered by the method multiresolution, from so much of it as
+    multiresolution.memory allows. Then --time-budget keeps all settings and refines the picture, worst
+    tiles first, until the time is up; the share of pixels with rays of their own and the estimated
+    distance from the picture with all rays are told. --stats has, beside times and counts: "blocks",
+    how many are at which level (full resolution first) or dropped since they show nothing, their bytes,
+    and the selection's estimated error beside the least possible one; and "tiles", the share of pixels
+    and the estimated RMSE.
+
     A scene with animation.frames above 1 gives a video or numbered pictures, which appear one by
     one.
     """
     start = time.perf_counter()
     check_targets(max_error, time_budget)
-    from clvol.cli.console import say, to_json, working
+    from clvol.cli.console import reading_blocks, say, to_json, working
     from clvol.cli.outputs import check_outputs, save_picture, together
     from clvol.scene import load_scene
 
@@ -97,6 +106,8 @@ def command(
         return
     outputs = check_still(outputs, resume)
     check_outputs(outputs, others, inputs)
+    by_blocks = asked.integration.method == "multiresolution"
+    refines = by_blocks and time_budget is not None
     with working(f"loading {scene}", quiet):
         asked.load_volume(memory_cap)
     load_seconds = time.perf_counter() - start
@@ -107,7 +118,7 @@ def command(
     size = f"{asked.image.width} x {asked.image.height} pixels"
     with working(f"rendering {size}", quiet) as progress:
         how = {"devices": list(devices) or None, "memory_cap": memory_cap}
-        if max_error is not None or time_budget is not None:
+        if max_error is not None or (time_budget is not None and not refines):
             from clvol.accuracy.target import render_in_time, render_to_error
 
             aim = max_error if max_error is not None else time_budget
@@ -115,8 +126,11 @@ def command(
             with named_as_options():
                 frame = render(asked, aim, depth=depth, progress=progress, **how)
         else:
-            with Renderer(asked, **how) as renderer:
-                frame = renderer.render(progress=progress, depth=depth)
+            by_time = {"seconds": time_budget} if refines else {}
+            with Renderer(asked, **how, **reading_blocks(by_blocks and progress)) as renderer:
+                if by_blocks and progress is not None:
+                    progress(None, None, f"rendering {size}")
+                frame = renderer.render(progress=progress, depth=depth, **by_time)
 
     with working("writing", quiet), together([*outputs, *others]) as temporaries:
         write_start = time.perf_counter()
@@ -132,6 +146,8 @@ def command(
         say(click.format_filename(path))
     if not quiet and "accuracy" in frame.stats:
         click.echo(accuracy_in_words(frame.stats), err=True)
+    if not quiet and refines:
+        click.echo(refinement_in_words(frame.stats), err=True)
 
 
 def check_still(outputs: tuple[str, ...], resume: bool) -> tuple[str, ...]:
@@ -176,8 +192,19 @@ def named_as_options() -> Iterator[None]:
         raise type(error)(where, error.what, error.expected) from None
 
 
+def refinement_in_words(stats: dict) -> str:
+    """One line: how far a picture for a given time has come."""
+    tiles, taken = stats.get("tiles"), f"{stats['seconds']['render']:.3g} s"
+    if tiles is None or tiles.get("estimated_rmse") is None:
+        return f"nothing is to be seen; {taken} a frame"
+    share, rmse = tiles["share_of_pixels"], tiles["estimated_rmse"]
+    return f"{share:.0%} of pixels have rays of their own, estimated RMSE {rmse:.3g}; {taken} a frame"
+
+
 def accuracy_in_words(stats: dict) -> str:
     """One line: the error as measured, and with which settings."""
+    from clvol.accuracy.settings import said
+
     measured = stats["accuracy"]
     if stats["method"] == "reference":
         sure = "the exact integral's own error estimate"
@@ -186,7 +213,7 @@ def accuracy_in_words(stats: dict) -> str:
     else:
         sure = "all pixels measured"
     chosen = ", ".join(
-        f"{key.split('.')[1]} {value if isinstance(value, str) else format(value, '.4g')}"
+        said(key.split(".")[1].replace("_", " "), value)
         for key, value in measured["settings"].items()
     )
     return (

@@ -17,6 +17,7 @@ from clvol.features.findings import has_no_gradient
 from clvol.features.values import field_overshoot
 from clvol.features.vocabulary import FILTER_REACH
 from clvol.scene.resolve import ResolvedScene
+from clvol.store.source import BlockSource
 from clvol.transfer import TransferFunction
 
 _BAR = (4, 32)  # cells along z and y of what is looked at together; all along x
@@ -49,8 +50,31 @@ def opacity_meets_gradient(scene: ResolvedScene, anywhere: bool) -> bool:
     asked = (functions, reach, widen)
     answers = _found.setdefault(scene.volume, {})
     if asked not in answers:
-        answers[asked] = _any_bar(scene.volume.data, functions, reach, widen)
+        source = getattr(scene.volume, "blocks_source", None)
+        if source is not None:
+            answers[asked] = _any_block(source, functions, reach, widen)
+        else:
+            answers[asked] = _any_bar(scene.volume.data, functions, reach, widen)
     return answers[asked]
+
+
+def _any_block(
+    source: BlockSource, functions: tuple[TransferFunction, ...] | None, reach: int, widen: float
+) -> bool:
+    """As ``_any_bar`` for a store, from what its blocks hold: no voxel is read."""
+    from scipy.ndimage import maximum_filter, minimum_filter  # takes a tenth of a second
+
+    if reach >= source.blocks.edge:
+        return True
+    ranges = [(part.reach_low, part.reach_high) for part in source.statistics()]
+    low, high = (np.concatenate(part) for part in zip(*ranges))
+    # A cell and what it reaches lie within a block and its neighbours.
+    low = minimum_filter(low.reshape(source.blocks.counts), 3, mode="nearest")
+    high = maximum_filter(high.reshape(source.blocks.counts), 3, mode="nearest")
+    varied = low < high  # of blocks without any value, low is above high
+    if functions is None or not varied.any():
+        return bool(varied.any())
+    return _any_shows(functions, low[varied], high[varied], widen)
 
 
 def _any_bar(

@@ -6,10 +6,19 @@ from clvol.errors import SceneError
 from clvol.features.analysis import effects
 from clvol.features.vocabulary import FILTERS, METHODS
 from clvol.scene.resolve import ResolvedScene
+from clvol.volume.lazy import FilledVolume
 
 _PLAIN = {"emission-absorption"}
 # Filters that the reference integrates exactly.
 _BY_REFERENCE = {*_PLAIN, "nearest filter", "cubic filter"}
+
+# What [integration] may say beside the method "multiresolution".
+_OF_BLOCKS = {
+    "filter": ("linear",),
+    "quadrature": ("steps",),
+    "classification": ("post", "preintegrated"),
+    "voxel_precision": ("stored",),
+}
 
 
 def has_exact_integral(resolved: ResolvedScene) -> bool:
@@ -29,13 +38,7 @@ def refuse_unknown(resolved: ResolvedScene) -> None:
         raise SceneError(f"{origin}: integration.filter", f"got {integration.filter!r}", expected)
     _refuse_classified_noise(resolved)
     if integration.method == "multiresolution":
-        _refuse_others(resolved, "integration.method", "multiresolution", "raycast", _PLAIN)
-        for key, wanted in (("filter", ("linear",)), ("quadrature", ("steps",)),
-                            ("classification", ("post", "preintegrated"))):  # fmt: skip
-            got = getattr(integration, key)
-            if got not in wanted:
-                where, expected = f"{origin}: integration.{key}", " or ".join(map(repr, wanted))
-                raise SceneError(where, f"got {got!r} with the method 'multiresolution'", expected)
+        _refuse_beside_blocks(resolved)
     if integration.method == "reference":
         _refuse_others(resolved, "integration.method", "reference", "raycast", _BY_REFERENCE)
     elif integration.quadrature == "cells":
@@ -47,6 +50,23 @@ def refuse_unknown(resolved: ResolvedScene) -> None:
             expected = "'steps', or the classification 'post' or 'preintegrated'"
             raise SceneError(where, "got 'cells' with the classification 'pre'", expected)
         _refuse_others(resolved, "integration.quadrature", "cells", "steps", _PLAIN)
+
+
+def _refuse_beside_blocks(resolved: ResolvedScene) -> None:
+    """What the method "multiresolution" does not do. Keys come first: some of them are effects too."""
+    integration, origin = resolved.integration, resolved.origin
+    for key, wanted in _OF_BLOCKS.items():
+        got = getattr(integration, key)
+        if got not in wanted:
+            where = f"{origin}: integration.{key}"
+            expected = f"{' or '.join(map(repr, wanted))}, or the method 'raycast'"
+            raise SceneError(where, f"got {got!r} with the method 'multiresolution'", expected)
+    if isinstance(resolved.volume, FilledVolume):
+        where = f"{origin}: volume.nan"
+        what = "got a number for a store with NaN voxels, with the method 'multiresolution'"
+        expected = "'transparent', or a store made with that number, or the method 'raycast'"
+        raise SceneError(where, what, expected)
+    _refuse_others(resolved, "integration.method", "multiresolution", "raycast", _PLAIN)
 
 
 def _refuse_classified_noise(resolved: ResolvedScene) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -32,8 +33,11 @@ class Engines:
         self._volumes: dict[int, tuple[Volume, DeviceVolume]] = {}
         self._resident: dict[tuple, tuple[Volume, Residency]] = {}
 
-    def make(self, resolved: ResolvedScene) -> Raycaster | MultiresolutionEngine:
-        """What renders ``resolved`` by its ``integration.method``."""
+    def make(
+        self, resolved: ResolvedScene, progress: Callable[[int, int], None] | None = None
+    ) -> Raycaster | MultiresolutionEngine:
+        """What renders ``resolved`` by its ``integration.method``. ``progress(done, total)``: of the
+        blocks that are read for it."""
         from clvol.features import reduced_for_frames
         from clvol.render.raycast import Raycaster
 
@@ -43,7 +47,7 @@ class Engines:
             made = self._made[key] = self._made.pop(key).like(resolved)
             return made
         if resolved.integration.method == "multiresolution":
-            made = self._of_blocks(resolved)
+            made = self._of_blocks(resolved, progress)
         else:
             held = self._volumes.get(id(resolved.volume))
             made = Raycaster(self.context, resolved, volume=None if held is None else held[1])
@@ -53,7 +57,9 @@ class Engines:
         self._made[key] = made
         return made
 
-    def _of_blocks(self, resolved: ResolvedScene) -> MultiresolutionEngine:
+    def _of_blocks(
+        self, resolved: ResolvedScene, progress: Callable[[int, int], None] | None
+    ) -> MultiresolutionEngine:
         """Engines of one volume and one budget share what is resident: the last ones' budgets are held."""
         from clvol.render.multiresolution.engine import MultiresolutionEngine
         from clvol.render.multiresolution.residency import Residency
@@ -63,7 +69,7 @@ class Engines:
             while len(self._resident) >= _BUDGETS_KEPT:
                 self._drop(next(iter(self._resident)))
             self._resident[key] = resolved.volume, Residency(self.context, resolved)
-        return MultiresolutionEngine(self.context, resolved, self._resident[key][1])
+        return MultiresolutionEngine(self.context, resolved, self._resident[key][1], progress)
 
     def _drop(self, key: tuple) -> None:
         _, residency = self._resident.pop(key)

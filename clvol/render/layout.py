@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from clvol.volume import Volume
+
+if TYPE_CHECKING:
+    from clvol.scene import Scene
+    from clvol.scene.resolve import ResolvedScene
 
 CELL_SHIFT = 3  # cells of 8^3 for empty space
 # 8-bit volumes are held as pairs (twice the memory) up to this many bytes of pairs.
@@ -92,5 +97,23 @@ def cell_count(size: int) -> int:
 
 def scene_bytes(volume: Volume, table_size: int, width: int, height: int) -> int:
     """Bytes on the device for everything that a picture needs: volume, tables, picture and depth."""
-    table = 4 * (table_size + 2) ** 2 * 16 + 3 * (table_size - 1) ** 2 * 64
-    return device_bytes(volume) + table + width * height * 20
+    return device_bytes(volume) + _table_bytes(table_size) + width * height * 20
+
+
+def method_bytes(volume: Volume, scene: Scene | ResolvedScene) -> int:
+    """As ``scene_bytes``, by the method that ``scene`` asks for."""
+    from clvol.render.multiresolution.packing import most_bytes
+    from clvol.store.geometry import BlockGrid
+
+    size = scene.image.width, scene.image.height
+    table_size = scene.integration.table_size
+    if scene.integration.method != "multiresolution":
+        return scene_bytes(volume, table_size, *size)
+    source = getattr(volume, "blocks_source", None)
+    blocks = BlockGrid(volume.shape) if source is None else source.blocks
+    needed = most_bytes(blocks, volume.dtype, scene.multiresolution.memory_bytes)
+    return needed + _table_bytes(table_size) + size[0] * size[1] * 20
+
+
+def _table_bytes(table_size: int) -> int:
+    return 4 * (table_size + 2) ** 2 * 16 + 3 * (table_size - 1) ** 2 * 64

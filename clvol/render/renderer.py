@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from math import inf
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
@@ -25,7 +26,8 @@ class Renderer:
 
     ``scene``: a ``clvol.Scene`` (or one already resolved). ``devices``: names as in ``clvol doctor``, or
     pyopencl devices; None takes the default one. ``memory_cap``: bytes that the scene may take on the
-    device; what needs more is refused before anything is uploaded. Use it as a context manager, or call ``close``.
+    device; what needs more is refused before anything is uploaded. ``progress(done, total)`` is called
+    while the blocks of the method "multiresolution" are read. Use it as a context manager, or call ``close``.
 
     Raises SceneError and VolumeError (scene or volume wrong, or asking for what is not there),
     DeviceError (no device works), RenderError (a program does not build or fails).
@@ -36,6 +38,7 @@ class Renderer:
         scene: Scene | ResolvedScene,
         devices: Sequence[Any] | None = None,
         memory_cap: int | None = None,
+        progress: Callable[[int, int], None] | None = None,
     ) -> None:
         start = perf_counter()
         self.resolved = scene.resolve() if hasattr(scene, "resolve") else scene
@@ -49,7 +52,11 @@ class Renderer:
             from clvol.render.engines import Engines
 
             self._engines = Engines(self._context)
-            self._raycaster = self._engines.make(self.resolved)
+            try:
+                self._raycaster = self._engines.make(self.resolved, progress)
+            except BaseException:
+                self.close()
+                raise
         self._load_seconds = loaded - start
         self._prepare_seconds = perf_counter() - loaded - self._context.compile_seconds
 
@@ -73,16 +80,25 @@ class Renderer:
         progress: Callable[[int, int], None] | None = None,
         depth: bool = True,
         time: float | None = None,
+        seconds: float | None = None,
     ) -> Frame:
         """The picture from the scene's camera, or from ``camera``, at ``animation.time``, or at
         ``time`` (seconds). Neither compiles anything or uploads the volume anew.
 
         ``progress(done, total)`` is called now and then with shares of the work. Without ``depth``
         none is computed and ``Frame.depth`` is None.
+
+        ``seconds``: of the method "multiresolution" alone, a picture in tiles that is refined for so
+        long, where rays are needed most (in tiles of 16 pixels where the scene has none).
+        ``stats["tiles"]`` then has ``share_of_pixels`` with rays of their own, and
+        ``estimated_rmse``: how far, as the rays tell, it is from the picture with all rays.
+        UsageError for another method. At least one ray a tile is cast, and what blocks the view
+        lacks are read, however long that takes.
         """
         if self._context is None:
             raise RenderError("Renderer", "is closed", "a Renderer that is open")
         resolved = self.resolved
+        by_time = {} if seconds is None else {"seconds": _checked_seconds(resolved, seconds)}
         width, height = resolved.image.width, resolved.image.height
         if camera is None:
             camera = resolved.camera
@@ -93,13 +109,13 @@ class Renderer:
             return self._reference(camera, progress)
         compile_start = perf_counter()
         before = self._context.compile_seconds
-        self._raycaster.warm_up(width, height, depth)
+        self._raycaster.warm_up(width, height, depth, **{name: True for name in by_time})
         compile_seconds = before + perf_counter() - compile_start
         self._context.compile_seconds = 0.0
         start = perf_counter()
-        data = self._raycaster.render(camera, width, height, progress, depth)
-        seconds = {"compile": compile_seconds, "render": perf_counter() - start}
-        return self._frame(data.rgba, data.depth, seconds, _counted(data))
+        data = self._raycaster.render(camera, width, height, progress, depth, **by_time)
+        times = {"compile": compile_seconds, "render": perf_counter() - start}
+        return self._frame(data.rgba, data.depth, times, _counted(data))
 
     def set_transfer_function(self, function: TransferFunction, wait: bool = True) -> None:
         """Another transfer function for the frames to come; compiles nothing, and keeps the volume.
@@ -148,21 +164,31 @@ class Renderer:
         return make_frame(self.resolved, rgba, depth, seconds, counted, self._context.name)
 
 
+def _checked_seconds(resolved: ResolvedScene, seconds: float) -> float:
+    method = resolved.integration.method
+    if method != "multiresolution":
+        raise UsageError("seconds", f"given with the method {method!r}", "'multiresolution'")
+    if not 0.0 < seconds < inf:
+        raise UsageError("seconds", f"got {seconds!r}", "seconds, more than 0")
+    return float(seconds)
+
+
 def check_memory(resolved: ResolvedScene, cap: int | None) -> None:
     """VolumeError if rendering takes more than ``cap`` bytes on the device."""
     from clvol.render.fields import field_bytes
-    from clvol.render.layout import scene_bytes
+    from clvol.render.layout import method_bytes
     from clvol.render.light_volume import light_volume_bytes
 
-    image, volume = resolved.image, resolved.volume
-    if resolved.integration.method == "multiresolution":
-        needed = resolved.multiresolution.memory_bytes + image.width * image.height * 20
-    else:
-        needed = scene_bytes(volume, resolved.integration.table_size, image.width, image.height)
-    needed += light_volume_bytes(resolved) + field_bytes(resolved)
-    if cap is not None and needed > cap:
+    if cap is None:
+        return
+    volume = resolved.volume
+    needed = method_bytes(volume, resolved) + light_volume_bytes(resolved) + field_bytes(resolved)
+    if needed > cap:
         what = f"needs {needed} bytes on the device, pictures and tables included"
-        raise VolumeError(volume.name or "volume", what, f"at most the memory cap of {cap} bytes")
+        expected = f"at most the memory cap of {cap} bytes"
+        if resolved.integration.method == "multiresolution":
+            expected += ", or less multiresolution.memory"
+        raise VolumeError(volume.name or "volume", what, expected)
 
 
 def open_context(devices: Sequence[Any] | None) -> DeviceContext:

@@ -28,15 +28,14 @@ class ImageSettings(Table):
     ray_spacing: Annotated[
         Whole,
         Knob(
-            "ray spacing", "pixels", (8, 4, 2, 1), of_picture=True,
-            applies=lambda scene: scene.integration.method == "raycast",
+            "ray spacing", "pixels", (8, 4, 2, 1), of_picture=True, methods=("raycast",),
         ),
     ] = Field(1, ge=1, le=16, description="a whole number of pixels from 1 to 16")  # fmt: skip
     ray_tolerance: Annotated[
         Number,
         Knob(
             "ray tolerance", "linear light", (0.3, 0.1, 0.03, 0.01, 0.003), of_picture=True,
-            applies=lambda scene: scene.image.ray_spacing > 1,
+            methods=("raycast",), applies=lambda scene: scene.image.ray_spacing > 1,
         ),
     ] = Field(0.01, ge=0, le=1, description="a number from 0 to 1")  # fmt: skip
 

@@ -10,10 +10,7 @@ from clvol.scene.knob import Knob
 from clvol.scene.table import Number, Table, Whole
 
 _STEPS = tuple(2.0 ** (k / 2) for k in range(6, -11, -1))  # 8 ... 1/32
-
-
-def _takes_steps(scene: Any) -> bool:
-    return scene.integration.method == "raycast"
+_BY_STEPS = ("raycast", "multiresolution")
 
 
 def _precisions(scene: Any) -> tuple[str, ...]:
@@ -46,7 +43,7 @@ class Integration(Table):
     ] = Field("raycast", description="'raycast', 'multiresolution', 'pyramid' or 'reference'")
     step: Annotated[
         Number,
-        Knob("step", "voxel edges", _STEPS, is_main=True, is_continuous=True, applies=_takes_steps),
+        Knob("step", "voxel edges", _STEPS, is_main=True, is_continuous=True, methods=_BY_STEPS),
     ] = Field(1.0, gt=0, le=1e6, description="a number greater than 0, at most 1e6")
     classification: Annotated[
         Literal["pre", "post", "preintegrated"],
@@ -76,7 +73,7 @@ class Integration(Table):
     ] = Field(256, ge=16, le=1024, description="a whole number from 16 to 1024")  # fmt: skip
     voxel_precision: Annotated[
         Literal["stored", "uint16", "uint8"],
-        Knob("voxel precision", "", _precisions),
+        Knob("voxel precision", "", _precisions, methods=("raycast",)),
     ] = Field("stored", description="'stored', 'uint16' or 'uint8'")
     tolerance: Number = Field(1e-9, gt=0, lt=1, description="a number between 0 and 1")
 

@@ -26,16 +26,23 @@ _KEY = re.compile(r"[A-Za-z0-9_-]+")
 def load_scene(path: str | Path, overrides: Iterable[str] = ()) -> Scene:
     """The scene in the file ``path`` (.toml), or of the volume file ``path`` with all defaults.
 
+    A store of clvol's is rendered by the method "multiresolution" unless ``overrides`` say otherwise:
+    it may be larger than memory.
+
     ``overrides``: texts such as ``image.width=1024`` or ``light.0.intensity=2``, values in TOML
     syntax, applied in their order. An index one past the end of a list appends to it.
     Raises SceneError whose place is "FILE: KEY". The volume itself is read by ``Scene.resolve``.
     """
+    from clvol.store.zarr_store import is_store
+
     path = Path(path)
     if path.suffix.lower() == ".toml":
         data, folder = _read(path), path.parent
     else:
         _check_ending(path)
         data, folder = {"volume": {"file": str(path)}}, Path()
+        if path.is_dir() and is_store(path):
+            data["integration"] = {"method": "multiresolution"}
     for text in overrides:
         _override(data, text, str(path))
     return Scene.from_data(data, str(path), folder)

@@ -185,7 +185,10 @@ def _computed(asked: VolumeSettings, origin: str, memory_cap: int | None) -> Vol
 
 def _with_nan_as(volume: Volume, value: float) -> Volume:
     from clvol.volume import Volume
+    from clvol.volume.lazy import FilledVolume, LazyVolume
 
+    if isinstance(volume, LazyVolume) and "data" not in vars(volume):
+        return FilledVolume(volume, value)
     data = np.array(volume.data)
     for layer in data:
         np.copyto(layer, value, where=np.isnan(layer))

@@ -11,6 +11,7 @@ import pytest
 from clvol.accuracy.search import Search, pareto_front
 from clvol.accuracy.settings import SceneKnob
 from clvol.scene.knob import Knob
+from clvol.scene.sizes import parse_size
 
 STEPS = tuple(2.0 ** (k / 2) for k in range(6, -11, -1))
 
@@ -115,3 +116,40 @@ def test_the_front_has_what_nothing_beats():
     points = [Point({}, e, t) for e, t in [(1.0, 1.0), (0.5, 2.0), (0.6, 3.0), (0.5, 2.5), (0.1, 9.0)]]
     assert [(p.rmse, p.seconds) for p in pareto_front(points)] == [(1.0, 1.0), (0.5, 2.0), (0.1, 9.0)]
     assert pareto_front([]) == []
+
+
+def test_alternatives_that_are_tried_alone_are_not_combined_but_taken_where_they_are_cheaper():
+    """Two more knobs of four values: 16 times as many combinations, and only few more looks."""
+    more = {
+        key: knob(key, ("w", "x", "y", "z"), is_ladder=False, alone=True) for key in ("one", "two")
+    }
+    factors = {"w": 1.0, "x": 0.5, "y": 2.0, "z": 0.4}
+
+    def measure(settings):
+        point = model(settings)
+        wrong = 3.0 if settings["two"] == "z" else 1.0  # cheap, and not good enough
+        seconds = point.seconds * factors[settings["one"]] * factors[settings["two"]]
+        return Point(dict(settings), wrong * point.rmse, seconds)
+
+    looks = []
+
+    def counted(settings):
+        looks.append(settings)
+        return measure(settings)
+
+    search = Search(counted, {**KNOBS, **more})
+    best = search.cheapest({**START, "one": "w", "two": "w"}, 1e-3)
+    assert best.rmse <= 1e-3
+    assert (best.settings["one"], best.settings["two"]) == ("z", "x")
+    plain = []
+    Search(lambda s: plain.append(s) or model(s), KNOBS).cheapest(START, 1e-3)
+    assert len(looks) <= len(plain) + 12
+
+
+def test_values_that_are_no_numbers_have_an_order_of_their_own():
+    sizes = ("900 KiB", "2 MiB", "16 MiB", "1 GiB")
+    memory = knob("memory", sizes, order=parse_size)
+    assert memory.next_to("2 MiB", 1) == "16 MiB" and memory.next_to("2 MiB", -1) == "900 KiB"
+    assert memory.next_to("3 MiB", 1) == "16 MiB" and memory.next_to("3 MiB", -1) == "2 MiB"
+    assert memory.next_to("1 KiB", 1) == "900 KiB" and memory.next_to("2 GiB", 1) is None
+    assert memory.more("3 MiB", 9) == "1 GiB" and memory.near("3 MiB") == 1

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from small_scenes import make_scene, waves
 
+from clvol import Volume
 from clvol.accuracy.settings import (
     apply,
     canonical,
@@ -17,15 +18,21 @@ from clvol.accuracy.settings import (
     scene_knobs,
     scene_settings,
 )
+from clvol.render.multiresolution.packing import buffer_samples
 from clvol.scene.image import ImageSettings
 from clvol.scene.integration import Integration
 from clvol.scene.knob import Knob
+from clvol.scene.multiresolution import Multiresolution
+from clvol.scene.sizes import parse_size
+from clvol.store.source import VolumeBlocks
 
 EXPECTED = {
     "integration.method", "integration.step", "integration.classification",
     "integration.quadrature", "integration.filter", "integration.early_termination",
     "integration.table_size", "integration.voxel_precision",
     "image.ray_spacing", "image.ray_tolerance",
+    "multiresolution.memory", "multiresolution.stepping", "multiresolution.interblock",
+    "multiresolution.step_error", "multiresolution.tiles", "multiresolution.tile_high",
 }  # fmt: skip
 
 
@@ -50,7 +57,7 @@ def test_every_knob_s_values_are_allowed_by_its_own_key():
 def test_no_other_field_is_a_knob():
     declared = {
         f"{model.table_name()}.{name}"
-        for model in (Integration, ImageSettings)
+        for model in (Integration, ImageSettings, Multiresolution)
         for name, field in model.model_fields.items()
         if any(isinstance(part, Knob) for part in field.metadata)
     }
@@ -112,3 +119,51 @@ def test_a_label_names_what_differs():
     assert label(knobs, own, resolved) == "preintegrated, step 1"
     other = {**own, "integration.table_size": 1024, "integration.filter": "nearest"}
     assert label(knobs, other, resolved) == "preintegrated, nearest, step 1, table size 1024"
+
+
+def test_budgets_ascend_by_their_bytes_and_the_scene_s_own_is_among_them():
+    resolved = make_scene(waves((40, 50, 60), np.uint8))
+    for memory in ("96 MiB", "100 KiB", "1 GB"):
+        own = apply(resolved, {"multiresolution.memory": memory})
+        knob = scene_knobs(own)["multiresolution.memory"]
+        sizes = [parse_size(value) for value in knob.values]
+        assert memory in knob.values and sizes == sorted(set(sizes)) and len(sizes) >= 5
+        assert knob.next_to(knob.values[2], 1) == knob.values[3]
+        assert knob.next_to("1 B", 1) == knob.values[0]  # between is where it belongs
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float64])
+def test_every_budget_that_is_tried_is_enough_and_the_largest_holds_all(dtype):
+    volume = Volume(waves((40, 50, 60), dtype))
+    resolved = make_scene(volume)
+    source = VolumeBlocks(volume)
+    whole = source.blocks.count * source.blocks.edge**3
+    values = scene_knobs(resolved)["multiresolution.memory"].knob.values_for(resolved)
+    held = [sum(buffer_samples(source.blocks, dtype, parse_size(v), 2**31)) for v in values]
+    assert held[0] >= whole / 40 and held[-1] >= 0.99 * whole
+    assert held == sorted(held)
+
+
+def test_the_methods_have_their_own_knobs():
+    resolved = make_scene()
+    knobs = scene_knobs(resolved)
+    own = scene_settings(resolved, knobs)
+    blocks = {**own, "integration.method": "multiresolution"}
+    by_blocks = {"multiresolution.memory": "1 MiB", "multiresolution.stepping": "naive",
+                 "multiresolution.interblock": False, "multiresolution.tiles": 8}  # fmt: skip
+    by_rays = {"image.ray_spacing": 4, "integration.voxel_precision": "uint8"}
+    assert changed(canonical(resolved, knobs, {**own, **by_blocks}), own) == []
+    assert changed(canonical(resolved, knobs, {**blocks, **by_rays}), blocks) == []
+    assert set(changed(canonical(resolved, knobs, {**blocks, **by_blocks}), blocks)) == {*by_blocks}
+    without = {**blocks, "multiresolution.tile_high": 0.5}
+    assert changed(canonical(resolved, knobs, without), blocks) == []
+    said = label(knobs, {**blocks, **by_blocks}, resolved)
+    assert said == "multiresolution, preintegrated, naive, no interblock, step 1, memory 1 MiB, tiles 8"
+
+
+@pytest.mark.parametrize(("memory_cap", "possible"), [(10**9, True), (10**5, False)])
+def test_what_takes_too_much_memory_is_not_possible(memory_cap, possible):
+    resolved = make_scene()
+    for method in ("raycast", "multiresolution"):
+        settings = {"integration.method": method}
+        assert is_possible(resolved, settings, memory_cap) == possible

@@ -10,10 +10,13 @@ from small_scenes import SMOOTH, rms, waves
 
 from clvol import Camera, Scene, Volume
 from clvol.accuracy.report import write_report
+from clvol.accuracy.settings import scene_knobs
 from clvol.accuracy.tradeoff import measure_tradeoff, sentences
 from clvol.errors import SceneError, UsageError
 from clvol.render.reference import render_reference
 from clvol.scene import ImageSettings, Integration
+from clvol.scene.multiresolution import Multiresolution
+from clvol.scene.sizes import parse_size
 
 
 def scene_of(array=None, **integration) -> Scene:
@@ -37,8 +40,9 @@ def test_every_knob_of_the_scene_is_tried_and_none_is_listed_in_the_sweep(swept)
     varied = {key for point in result["points"] for key in point["changed"]}
     knobs = {knob["name"] for knob in result["knobs"]}
     assert "integration.step" in varied and varied <= knobs
-    # What cannot be varied here: one method renders, and the voxels are small already.
-    assert knobs - varied <= {"integration.method", "image.ray_tolerance"}
+    # What has an effect only beside others may not have come to its turn.
+    beside = {"tile_high", "step_error"}
+    assert knobs - varied <= {"image.ray_tolerance", *(f"multiresolution.{key}" for key in beside)}
 
 
 def test_errors_are_those_of_the_pictures(swept, first_device):
@@ -142,3 +146,68 @@ def test_one_setting_is_enough_and_a_blank_scene_no_trouble(first_device, tmp_pa
     assert len(result["points"]) == 1 and result["front"] == [result["baseline"]]
     assert result["points"][0]["rmse"] == 0.0
     write_report(result, pictures, tmp_path)
+
+
+@pytest.fixture
+def few_knobs(monkeypatch):
+    """``few_knobs(*keys)``: the sweep has these alone."""
+    from clvol.accuracy import tradeoff
+
+    def keep(*keys):
+        real = scene_knobs
+
+        def found(resolved):
+            return {key: knob for key, knob in real(resolved).items() if key in keys}
+
+        monkeypatch.setattr(tradeoff, "scene_knobs", found)
+
+    return keep
+
+
+_MEMORY = "multiresolution.memory"
+
+
+@pytest.mark.parametrize("method", ["raycast", "multiresolution"])
+def test_budgets_are_tried_whichever_method_the_scene_has(first_device, few_knobs, method):
+    """A larger budget is not further from the exact integral of the whole volume, but for noise."""
+    few_knobs("integration.method", _MEMORY)
+    scene = scene_of(waves((40, 40, 40), np.uint8), table_size=64, method=method)
+    whole = Multiresolution(occlusion=False)  # what is hidden is there as well
+    scene = scene.model_copy(update={"multiresolution": whole})
+    result, _ = measure_tradeoff(scene, devices=[first_device], frames=1)
+    points = [
+        p for p in result["points"]
+        if p["settings"]["integration.method"] == "multiresolution"
+    ]  # fmt: skip
+    points.sort(key=lambda p: parse_size(p["settings"][_MEMORY]))
+    errors = [p["rmse"] for p in points]
+    assert len(points) == 7 and len(result["points"]) == 8
+    assert errors[0] > 3 * errors[-1]
+    assert all(more <= 1.1 * less for less, more in zip(errors, errors[1:]))
+    taken = [p["device_bytes"] for p in points]
+    assert taken == sorted(taken)
+    own = next(p for p in result["points"] if p["settings"]["integration.method"] == "raycast")
+    assert errors[-1] == pytest.approx(own["rmse"], rel=0.1)
+
+
+def test_the_knobs_of_a_method_are_not_combined_with_all_others(
+    first_device, few_knobs, monkeypatch
+):
+    """But for what the front suggests, which is left out here."""
+    from clvol.accuracy.tradeoff import _Sweep
+
+    monkeypatch.setattr(_Sweep, "front", lambda self: [])
+    keys = "classification", "method"
+    few_knobs(*(f"integration.{key}" for key in (*keys, "step")), "multiresolution.stepping")
+    sweep = _Sweep(scene_of(table_size=64), [first_device], None, None)
+    try:
+        sweep.explore(100)
+    finally:
+        sweep.context.release()
+    found = [trial.settings for trial in sweep.found.values()]
+    pairs = {tuple(settings[f"integration.{key}"] for key in keys) for settings in found}
+    assert len(pairs) == 3 + 2  # by rays, by blocks
+    ways = [settings["multiresolution.stepping"] for settings in found]
+    assert {way: ways.count(way) for way in ways if way != "limited"} == {
+        "naive": 1, "bounded": 1, "full": 1
+    }  # fmt: skip

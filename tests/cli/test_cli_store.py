@@ -131,3 +131,16 @@ def test_a_store_is_not_read_and_overwritten_at_once(run, refused, folder, volum
     assert "got what is read" in refused(2, "store", "v.zarr", "-o", "v.zarr", "--overwrite")
     assert run("store", "v.npy", "-o", "v.zarr", "--overwrite", "--codec", "none").status == 0
     assert open_store(folder / "v.zarr").layout.codecs[0].name == "none"
+
+
+def test_a_read_only_disk_is_one_line_and_leaves_nothing(
+    refused, folder, volume, nothing_left, monkeypatch
+):
+    import os
+
+    def read_only(path, *_, **__):
+        raise OSError(30, "Read-only file system", os.fspath(path))
+
+    monkeypatch.setattr(os, "mkdir", read_only)
+    line = refused(4, "store", "v.npy", "-o", "v.zarr")
+    assert line.startswith("v.zarr: ") and "Read-only file system" in line

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable
 from dataclasses import replace
+from time import perf_counter
 
 from clvol.opencl.context import DeviceContext
 from clvol.render.multiresolution.caster import BlockCaster
@@ -16,6 +17,8 @@ from clvol.scene.camera import Camera
 from clvol.scene.resolve import ResolvedScene
 from clvol.transfer import TransferFunction
 
+TILES = 16  # pixels an edge of the tiles of a picture for a given time, where the scene has none
+
 
 class MultiresolutionEngine:
     """An engine as ``Raycaster`` is one. ``residency`` may be shared: each frame asks for its own blocks.
@@ -25,13 +28,17 @@ class MultiresolutionEngine:
     """
 
     def __init__(
-        self, context: DeviceContext, resolved: ResolvedScene, residency: Residency | None = None
+        self,
+        context: DeviceContext,
+        resolved: ResolvedScene,
+        residency: Residency | None = None,
+        progress: Callable[[int, int], None] | None = None,
     ) -> None:
         self.context, self.resolved = context, resolved
         self.residency = residency or Residency(context, resolved)
         self.function = resolved.transfer_function
         self._waits = True
-        self.residency.ask(resolved, self.function)
+        self.residency.ask(resolved, self.function, progress=progress)
         self._shown = self.residency.generation
         self.caster = BlockCaster(context, resolved, self.residency.blocks)
 
@@ -55,9 +62,13 @@ class MultiresolutionEngine:
         self.caster.set_transfer_function(function)
         self._shown = self.residency.generation
 
-    def warm_up(self, width: int, height: int, depth: bool = True) -> None:
-        self.caster.warm_up(width, height, depth)
-        if self._tiles:
+    def warm_up(
+        self, width: int, height: int, depth: bool = True, seconds: bool = False
+    ) -> None:
+        """As ``Raycaster.warm_up``. ``seconds``: pictures for a given time are to come."""
+        if not seconds:
+            self.caster.warm_up(width, height, depth)
+        if self._tile_size or seconds:
             self._tiled().warm_up(depth)
 
     def render(
@@ -71,9 +82,11 @@ class MultiresolutionEngine:
         seconds: float | None = None,
     ) -> FrameData:
         """As ``Raycaster.render``. ``seconds``: of a picture in tiles, which is refined so long."""
+        start = perf_counter()
         self._make_resident(camera, width, height)
-        if self._tiles and lattice == EVERY_PIXEL:
-            data = self._tiled().render(camera, width, height, progress, depth, seconds=seconds)
+        if (self._tile_size or seconds is not None) and lattice == EVERY_PIXEL:
+            left = None if seconds is None else max(seconds - (perf_counter() - start), 0.0)
+            data = self._tiled().render(camera, width, height, progress, depth, seconds=left)
             data.notes["tiles"] = {"share_of_pixels": data.share}
             if data.estimated_rmse is not None:
                 data.notes["tiles"]["estimated_rmse"] = data.estimated_rmse
@@ -83,11 +96,14 @@ class MultiresolutionEngine:
         return data
 
     @property
-    def _tiles(self) -> bool:
-        return self.resolved.multiresolution.tiles > 0
+    def _tile_size(self) -> int:
+        return self.resolved.multiresolution.tiles
 
     def _tiled(self) -> TiledRenderer:
-        return TiledRenderer(self.caster, self.resolved.multiresolution)
+        settings = self.resolved.multiresolution
+        if not settings.tiles:
+            settings = settings.model_copy(update={"tiles": TILES})
+        return TiledRenderer(self.caster, settings)
 
     def _make_resident(self, camera: Camera, width: int, height: int) -> None:
         image = self.resolved.image.model_copy(update={"width": width, "height": height})

@@ -21,7 +21,8 @@ SPARE_BYTES = 64  # after the last sample of a buffer: wide loads of it must sta
 SMALLEST = 8  # samples of the smallest slot, 2^3: single samples are in the index itself
 
 _LARGEST_STAGING = 2**20
-# The map of empty space may take one byte in so many of the budget, thrice: two more are needed to find it.
+# The map of empty space may take one byte in so many of what is left for samples, thrice: two more
+# are needed to find it.
 _MAP_SHARE = 48
 
 
@@ -156,17 +157,31 @@ def staging_bytes(blocks: BlockGrid) -> tuple[int, int]:
 
 def overhead_bytes(blocks: BlockGrid, memory_bytes: int) -> int:
     """Bytes on the device for all but samples: index, corners, staging, map of empty space."""
+    return _fixed_bytes(blocks) + 3 * map_cells(blocks, map_shift(blocks, memory_bytes))
+
+
+def _fixed_bytes(blocks: BlockGrid) -> int:
+    """Of that, all but the map."""
     corners = np.prod([n + 1 for n in blocks.counts], dtype=np.int64)
-    cells = map_cells(blocks, map_shift(blocks, memory_bytes))
-    return int(8 * blocks.count + 4 * corners + 3 * cells) + sum(staging_bytes(blocks))
+    return int(8 * blocks.count + 4 * corners) + sum(staging_bytes(blocks))
+
+
+def most_bytes(blocks: BlockGrid, dtype: np.dtype, memory_bytes: int) -> int:
+    """Bytes on the device within a budget of ``memory_bytes``: it, or what all blocks take at full
+    resolution."""
+    samples = blocks.count * blocks.edge**3 * sample_dtype(dtype).itemsize
+    needed = overhead_bytes(blocks, memory_bytes) + samples + MOST_BUFFERS * SPARE_BYTES
+    return min(memory_bytes, needed)
 
 
 def map_shift(blocks: BlockGrid, memory_bytes: int) -> int:
     """log2 of the edge, in voxels, of the cells in which empty space is known: 4 where the budget allows, up to
-    a block's edge."""
+    a block's edge. A finer map always fits beside the rest, so what holds in a budget does in all
+    larger ones."""
     log_edge = blocks.levels - 1
+    left = memory_bytes - _fixed_bytes(blocks) - SPARE_BYTES
     for shift in range(min(2, log_edge), log_edge):
-        if map_cells(blocks, shift) * _MAP_SHARE <= memory_bytes:
+        if map_cells(blocks, shift) * _MAP_SHARE <= left:
             return shift
     return log_edge
 

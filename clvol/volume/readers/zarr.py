@@ -4,8 +4,6 @@ tensorstore when asked for."""
 from __future__ import annotations
 
 import json
-import math
-from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,7 +11,7 @@ import numpy as np
 
 from clvol.errors import VolumeError
 from clvol.volume.grid import Grid
-from clvol.volume.memory import check_memory
+from clvol.volume.lazy import LazyVolume
 from clvol.volume.readers.options import ReadOptions
 from clvol.volume.volume import Volume, check_type
 
@@ -43,55 +41,6 @@ def read(path: Path, options: ReadOptions) -> Volume:
         return StoredVolume(open_store(path), options.memory_cap)
     array, grid, name, frame = _image(path)
     return ZarrVolume(array, grid, name, frame, str(path), options.memory_cap)
-
-
-class LazyVolume(Volume):
-    """A volume whose voxels are read when ``data`` is first asked for; ``box`` reads some without
-    that.
-
-    Shape, type and grid are known before. ``memory_cap`` as for ``load_volume``, checked when
-    voxels are read.
-    """
-
-    def __init__(
-        self,
-        dtype: np.dtype,
-        grid: Grid,
-        name: str | None,
-        frame: str,
-        where: str,
-        memory_cap: int | None,
-    ) -> None:
-        self._dtype, self._where, self._memory_cap = dtype, where, memory_cap
-        self.grid, self.name, self.frame = grid, name, frame
-        self.path = self.format = None
-
-    @property
-    def dtype(self) -> np.dtype:
-        return self._dtype
-
-    @property
-    def shape(self) -> tuple[int, int, int]:
-        return self.grid.shape
-
-    @property
-    def nbytes(self) -> int:
-        return math.prod(self.shape) * self._dtype.itemsize
-
-    @cached_property
-    def data(self) -> np.ndarray:
-        """The voxels, all of them; VolumeError if they do not fit or cannot be read."""
-        check_memory(self._where, self.nbytes, self._memory_cap)
-        voxels = self._load()
-        voxels.flags.writeable = False
-        return voxels
-
-    def _load(self) -> np.ndarray:
-        raise NotImplementedError
-
-    def box(self, z0: int, z1: int, y0: int, y1: int, x0: int, x1: int) -> np.ndarray:
-        """Voxels [z0:z1, y0:y1, x0:x1], read from the disk."""
-        raise NotImplementedError
 
 
 class StoredVolume(LazyVolume):

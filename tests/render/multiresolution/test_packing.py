@@ -159,25 +159,30 @@ def test_buffers_stay_within_the_budget_and_hold_whole_blocks(shape, edge, dtype
     assert sum(samples) >= most - 4 * edge**3
 
 
-@pytest.mark.parametrize("memory, cell", [(0, 16), (2**15, 16), (2**16, 8), (2**20, 4), (2**40, 4)])
-def test_overhead_covers_every_part(memory, cell):
+@pytest.mark.parametrize("left, cell", [(0, 16), (2**15, 16), (2**16, 8), (2**20, 4), (2**40, 4)])
+def test_overhead_covers_every_part(left, cell):
     blocks = BlockGrid((100, 60, 50), 16)
     index, corners, cells = 8 * 7 * 4 * 4, 4 * 8 * 5 * 5, 7 * 4 * 4 * (16 // cell) ** 3
+    others = index + corners + sum(staging_bytes(blocks))
+    memory = others + SPARE_BYTES + left
     assert 1 << map_shift(blocks, memory) == cell
-    parts = index + corners + 3 * cells + sum(staging_bytes(blocks))
-    assert overhead_bytes(blocks, memory) == parts
+    assert overhead_bytes(blocks, memory) == others + 3 * cells
 
 
 @settings(deadline=None)
 @given(
     st.tuples(*[st.integers(1, 300)] * 3), st.sampled_from((4, 8, 16, 32)), st.integers(0, 10**9)
 )
-def test_the_map_of_empty_space_is_as_fine_as_a_sixteenth_of_the_budget_allows(shape, edge, memory):
+def test_the_map_of_empty_space_is_as_fine_as_a_sixteenth_of_what_is_left_allows(
+    shape, edge, memory
+):
     blocks = BlockGrid(shape, edge)
     shift = map_shift(blocks, memory)
     assert min(4, edge) <= 1 << shift <= edge
-    assert 48 * map_cells(blocks, shift) <= memory or 1 << shift == edge
-    assert 1 << shift == min(4, edge) or 48 * map_cells(blocks, shift - 1) > memory
+    cells = map_cells(blocks, shift)
+    left = memory - (overhead_bytes(blocks, memory) - 3 * cells) - SPARE_BYTES
+    assert 48 * cells <= left or 1 << shift == edge
+    assert 1 << shift == min(4, edge) or 48 * map_cells(blocks, shift - 1) > left
 
 
 @settings(deadline=None)
