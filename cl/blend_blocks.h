@@ -42,6 +42,16 @@ INLINE FaceAxis nearest_face(floatN p, intN block, const BlockVolume *v)
 
 INLINE floatN half_sample(uintN code) { return AS_FLOAT(AS_INT((127u - code) << 23u)); } /* delta = 2^-code */
 
+/* The same of the code in the lowest four bits. */
+INLINE floatN delta_of_nibble(uintN codes)
+{
+#if LANES == 16
+  return permuted_lanes(half_sample(AS_UINT(LANE_INDEX)), AS_INT(codes));
+#else
+  return half_sample(codes & 15u);
+#endif
+}
+
 /* e of the edge from a block with delta_i, on this side of the face, to one with delta_j. */
 INLINE floatN edge_weight(floatN delta_i, floatN delta_j, floatN d)
 {
@@ -70,7 +80,7 @@ INLINE Around blocks_around(const BlockVolume *v, intN bx, intN by, intN bz, flo
  * edges have the same weight, bit for bit, and u bounds nothing. */
 INLINE void blend_weights(const Around *a, intN active, floatN *weight)
 {
-#define DELTA(f) half_sample((a->codes >> ((a->own ^ (f##u)) << 2u)) & 15u)
+#define DELTA(f) delta_of_nibble(a->codes >> ((a->own << 2u) ^ (4u * f##u)))
   const floatN dx = a->x.d, dy = a->y.d, dz = a->z.d;
   if (!any_lane(active & MASK(a->codes != (a->codes & 15u) * 0x11111111u))) {
     const floatN d0 = half_sample(a->codes & 15u);
@@ -118,8 +128,8 @@ INLINE floatN blend_blocks(const BlockVolume *v, const Record *r, floatN px, flo
     if (!(weight[f] > 0.0f)) continue;
     const Record other = fetch_record(v, f & 1 ? across(r->x, &a.x, count.x) : r->x, f & 2 ? across(r->y, &a.y, count.y) : r->y,
                                       f & 4 ? across(r->z, &a.z, count.z) : r->z);
-    const BlockSample s = fetch_in_block(v, &other, px, py, pz);
-    sum += weight[f] * (value_in_block(&s, v->view) - value), total += weight[f];
+    const BlockPlace s = place_in_block(v, &other, px, py, pz);
+    sum += weight[f] * (value_in_block(v, &s) - value), total += weight[f];
     ++tally[COUNT_BLOCK_READS];
     blended = 1;
   }
@@ -130,108 +140,150 @@ INLINE floatN blend_blocks(const BlockVolume *v, const Record *r, floatN px, flo
 #else
 
 /* In a packet few samples lie between blocks, and of the seven other blocks one or two have weight: lane by lane most of a vector would
- * do nothing. So places that need blending are queued over several steps of the packet, and so are the (place, block) pairs that
- * have weight: both are worked off 16 at a time. (Without the queues blending took more than twice as long.) */
+ * do nothing. So places that need blending are queued over several steps of the packet, and worked off 16 at a time: first, of each,
+ * one block across a face (of most there is no other), then all other (place, block) pairs, which are queued as well. (Without queues
+ * blending took more than twice as long.) */
 #define QUEUE_LENGTH (LANES * QUEUED_STEPS)
-#define PAIRS_LENGTH (9 * LANES)
+#define PAIRS_LENGTH (7 * QUEUE_LENGTH)
+
+/* Places in blocks whose values are wanted: of the samples of QUEUED_STEPS steps, then of pairs. All addresses come before all
+ * fetches: the loads of many vectors are under way at once. */
+#define FETCHES (INTERBLOCK ? 8 * QUEUED_STEPS + 1 : QUEUED_STEPS)
+
+typedef struct {
+  int at[LANES], shift[LANES];
+  uint word1[LANES];
+  float fx[LANES], fy[LANES], fz[LANES], value[LANES];
+} Fetch;
+
+INLINE void store_fetch(Fetch *f, const BlockPlace *p)
+{
+  STORE_LANES(p->at, f->at), STORE_LANES(p->shift, f->shift), STORE_LANES(p->word1, f->word1), STORE_LANES(p->value, f->value);
+  STORE_LANES(p->fx, f->fx), STORE_LANES(p->fy, f->fy), STORE_LANES(p->fz, f->fz);
+}
+
+INLINE floatN fetched_value(const BlockVolume *v, const Fetch *f)
+{
+  BlockPlace p;
+  p.at = LOAD_LANES(f->at), p.shift = LOAD_LANES(f->shift), p.word1 = LOAD_LANES(f->word1), p.value = LOAD_LANES(f->value);
+  p.fx = LOAD_LANES(f->fx), p.fy = LOAD_LANES(f->fy), p.fz = LOAD_LANES(f->fz);
+  return value_in_block(v, &p);
+}
 
 typedef struct {
   int count;
   float x[QUEUE_LENGTH + LANES], y[QUEUE_LENGTH + LANES], z[QUEUE_LENGTH + LANES];
-  float value[QUEUE_LENGTH + LANES]; /* of the block that holds the place; at the end the blended one */
-  float id[QUEUE_LENGTH + LANES];    /* bits of where the value belongs */
+  float id[QUEUE_LENGTH + LANES]; /* bits of where the value of the block that holds the place is */
+  float total[QUEUE_LENGTH + LANES]; /* weights */
 } PlaceQueue;
 
+/* Other pairs of the places of one vector: six blocks, of each the lanes whose places it has weight for, one after the other. */
+#define OTHERS 6
+
+typedef struct {
+  int any;
+  int from[OTHERS];             /* number of the first pair */
+  uint lanes[OTHERS];           /* as bits */
+  float weight[OTHERS][LANES];  /* also of the lanes that are not there: 0 */
+} OtherPairs;
+
+/* First one pair a place, then the others: these begin at a multiple of LANES. */
 typedef struct {
   int count;
-  float x[PAIRS_LENGTH + LANES], y[PAIRS_LENGTH + LANES], z[PAIRS_LENGTH + LANES]; /* place */
-  float block[PAIRS_LENGTH + LANES];  /* bits of x | y << 10 | z << 20: the block */
-  float weight[PAIRS_LENGTH + LANES], value[PAIRS_LENGTH + LANES];
   float slot[PAIRS_LENGTH + LANES];   /* bits of the number in the queue of places */
+  float block[PAIRS_LENGTH + LANES];  /* bits of x | y << 10 | z << 20 */
+  float weight[QUEUE_LENGTH + LANES]; /* of the first ones */
+  OtherPairs others[QUEUED_STEPS];
 } PairQueue;
 
-/* Places of the lanes in `between`; `id` of a lane is where its value lies. */
-INLINE void queue_places(PlaceQueue *q, floatN px, floatN py, floatN pz, floatN value, intN id, intN between)
+/* Places of the lanes in `between`; `id` of a lane is where its value will be. */
+INLINE void queue_places(PlaceQueue *q, floatN px, floatN py, floatN pz, intN id, intN between)
 {
   const uint bits = lane_bits(between);
   const int at = q->count;
   pack_lanes(px, bits, q->x + at), pack_lanes(py, bits, q->y + at), pack_lanes(pz, bits, q->z + at);
-  pack_lanes(value, bits, q->value + at), pack_lanes(AS_FLOAT(id), bits, q->id + at);
+  pack_lanes(AS_FLOAT(id), bits, q->id + at);
   q->count += popcount(bits);
 }
 
-/* Works off `count` (at most LANES) pairs from `first` on. */
-INLINE void blend_pairs(const BlockVolume *v, const PairQueue *p, int first, int count, float *sum)
-{
-  const intN active = MASK(LANE_INDEX < count);
-  const intN block = AS_INT(LOAD_LANES(p->block + first)) & active;
-  const Record r = fetch_record(v, block & 1023, (block >> 10) & 1023, block >> 20);
-  const floatN px = LOAD_LANES(p->x + first), py = LOAD_LANES(p->y + first), pz = LOAD_LANES(p->z + first);
-  const BlockSample s = fetch_in_block(v, &r, px, py, pz);
-  float share[LANES];
-  STORE_LANES(LOAD_LANES(p->weight + first) * (value_in_block(&s, v->view) - LOAD_LANES(p->value + first)), share);
-  for (int k = 0; k < count; ++k) sum[as_int(p->slot[first + k])] += share[k];
-}
-
-/* Blends all places of `q`, and puts the values where their ids say. */
-INLINE void blend_queue(const BlockVolume *v, PlaceQueue *q, float *values, Tally *tally)
+/* The pairs of all places of `q`. */
+INLINE void queue_pairs(const BlockVolume *v, PlaceQueue *q, PairQueue *p, Tally *tally)
 {
   const int4 count = v->blocks->count;
-  PairQueue p;
-  float sum[QUEUE_LENGTH + LANES], total[QUEUE_LENGTH + LANES];
-  p.count = 0;
-  const int places = q->count;
+  const int places = q->count, others_from = (places + LANES - 1) / LANES * LANES;
+  int pairs = others_from;
   _Pragma("unroll 1") for (int first = 0; first < places; first += LANES) {
     const intN active = MASK(LANE_INDEX < places - first);
     const floatN zero = 0.0f, half_ = 0.5f;
     const floatN px = select(half_, LOAD_LANES(q->x + first), active), py = select(half_, LOAD_LANES(q->y + first), active);
-    const floatN pz = select(half_, LOAD_LANES(q->z + first), active), value = LOAD_LANES(q->value + first);
+    const floatN pz = select(half_, LOAD_LANES(q->z + first), active);
     const intN bx = block_of(px, v, count.x), by = block_of(py, v, count.y), bz = block_of(pz, v, count.z);
     const Around a = blocks_around(v, bx, by, bz, px, py, pz, active);
     floatN weight[8];
     blend_weights(&a, active, weight);
     const intN ax = across(bx, &a.x, count.x), ay = across(by, &a.y, count.y) << 10, az = across(bz, &a.z, count.z) << 20;
-    float lane[PAIRS_LENGTH];
-    floatN all = weight[0];
-    intN blended = 0;
-    int end = p.count;
-    _Pragma("unroll 1") for (int f = 1; f < 8; ++f) {
-      const intN here = active & MASK(weight[f] > 0.0f);
-      const uint bits = lane_bits(here);
-      if (!bits) continue;
-      all += weight[f], blended |= here;
-      const intN block = (f & 1 ? ax : bx) + (f & 2 ? ay : by << 10) + (f & 4 ? az : bz << 20);
-      pack_lanes(AS_FLOAT(LANE_INDEX), bits, lane + (end - p.count));
-      pack_lanes(AS_FLOAT(block), bits, p.block + end), pack_lanes(weight[f], bits, p.weight + end);
-      end += popcount(bits);
+    const intN cy = by << 10, cz = bz << 20;
+    const intN by_x = MASK(weight[1] > zero), by_y = MASK(weight[2] > zero) & ~by_x, by_z = MASK(weight[4] > zero) & ~by_x & ~by_y;
+    const floatN first_weight = select(select(select(zero, weight[4], by_z), weight[2], by_y), weight[1], by_x);
+    const intN first_block = select(bx, ax, by_x) + select(cy, ay, by_y) + select(cz, az, by_z);
+    const floatN slot = AS_FLOAT(first + LANE_INDEX);
+    STORE_LANES(slot, p->slot + first), STORE_LANES(AS_FLOAT(first_block), p->block + first);
+    STORE_LANES(first_weight, p->weight + first);
+    const floatN others = weight[3] + weight[5] + weight[6] + weight[7] + select(zero, weight[2], by_x) +
+                          select(zero, weight[4], by_x | by_y);
+    STORE_LANES(weight[0] + first_weight + others, q->total + first);
+    count_lanes(&tally[COUNT_BLENDED], active & (by_x | by_y | by_z | MASK(others > zero)));
+    count_lanes(&tally[COUNT_BLOCK_READS], active & (by_x | by_y | by_z));
+    OtherPairs *o = p->others + first / LANES;
+    o->any = any_lane(active & MASK(others > zero));
+    if (!o->any) continue;
+#define QUEUE_PAIRS(k, w, packed)                                                                          \
+    {                                                                                                      \
+      const floatN w_ = w;                                                                                 \
+      const uint bits_ = lane_bits(active & MASK(w_ > zero));                                              \
+      pack_lanes(slot, bits_, p->slot + pairs), pack_lanes(AS_FLOAT(packed), bits_, p->block + pairs);     \
+      STORE_LANES(w_, o->weight[k]);                                                                       \
+      o->from[k] = pairs, o->lanes[k] = bits_;                                                             \
+      pairs += popcount(bits_);                                                                            \
     }
-    /* What else a pair needs is a lane of what is here. */
-    _Pragma("unroll 1") for (int at = p.count; at < end; at += LANES) {
-      const intN from = AS_INT(LOAD_LANES(lane + (at - p.count))) & 15;
-      STORE_LANES(permuted_lanes(px, from), p.x + at), STORE_LANES(permuted_lanes(py, from), p.y + at);
-      STORE_LANES(permuted_lanes(pz, from), p.z + at), STORE_LANES(permuted_lanes(value, from), p.value + at);
-      STORE_LANES(AS_FLOAT(first + from), p.slot + at);
-    }
-    tally[COUNT_BLOCK_READS] += AS_UINT(select((intN)0, (intN)(end - p.count), MASK(LANE_INDEX == 0)));
-    p.count = end;
-    count_lanes(&tally[COUNT_BLENDED], blended);
-    STORE_LANES(all, total + first);
-    STORE_LANES(zero, sum + first);
-    int done = 0;
-    _Pragma("unroll 1") for (; done + LANES <= p.count; done += LANES) blend_pairs(v, &p, done, LANES, sum);
-    /* What is left waits for more. */
-    const int rest = p.count - done;
-    if (done && rest) {
-      STORE_LANES(LOAD_LANES(p.x + done), p.x), STORE_LANES(LOAD_LANES(p.y + done), p.y), STORE_LANES(LOAD_LANES(p.z + done), p.z);
-      STORE_LANES(LOAD_LANES(p.block + done), p.block), STORE_LANES(LOAD_LANES(p.slot + done), p.slot);
-      STORE_LANES(LOAD_LANES(p.weight + done), p.weight), STORE_LANES(LOAD_LANES(p.value + done), p.value);
-    }
-    p.count = rest;
+    QUEUE_PAIRS(0, select(zero, weight[2], by_x), bx + ay + cz)
+    QUEUE_PAIRS(1, select(zero, weight[4], by_x | by_y), bx + cy + az)
+    QUEUE_PAIRS(2, weight[3], ax + ay + cz)
+    QUEUE_PAIRS(3, weight[5], ax + cy + az)
+    QUEUE_PAIRS(4, weight[6], bx + ay + az)
+    QUEUE_PAIRS(5, weight[7], ax + ay + az)
+#undef QUEUE_PAIRS
   }
-  if (p.count) blend_pairs(v, &p, 0, p.count, sum);
+  p->count = pairs;
+  tally[COUNT_BLOCK_READS] += AS_UINT(select((intN)0, (intN)(pairs - others_from), MASK(LANE_INDEX == 0)));
+}
+
+/* Where to fetch what pairs want. */
+INLINE void place_pairs(const BlockVolume *v, const PlaceQueue *q, const PairQueue *p, Fetch *f)
+{
+  const int places = (q->count + LANES - 1) / LANES * LANES;
+  _Pragma("unroll 1") for (int first = 0; first < p->count; first += LANES, ++f) {
+    const intN active = MASK(LANE_INDEX < (first < places ? q->count : p->count) - first);
+    const intN slot = AS_INT(LOAD_LANES(p->slot + first)) & active, block = AS_INT(LOAD_LANES(p->block + first)) & active;
+    const Record r = fetch_record(v, block & 1023, (block >> 10) & 1023, block >> 20);
+    const BlockPlace place = place_in_block(v, &r, gather_private(q->x, slot), gather_private(q->y, slot), gather_private(q->z, slot));
+    store_fetch(f, &place);
+  }
+}
+
+/* Blends the values of all places with those of their pairs, `of_pairs`, and empties the queue. */
+INLINE void blend_pairs(PlaceQueue *q, const PairQueue *p, const float *of_pairs, float *values)
+{
+  const int places = q->count;
   _Pragma("unroll 1") for (int first = 0; first < places; first += LANES) {
-    STORE_LANES(LOAD_LANES(q->value + first) + LOAD_LANES(sum + first) / LOAD_LANES(total + first), q->value + first);
-    for (int k = first; k < min(first + LANES, places); ++k) values[as_int(q->id[k])] = q->value[k];
+    const intN active = MASK(LANE_INDEX < places - first), id = AS_INT(LOAD_LANES(q->id + first)) & active;
+    const floatN value = gather_private(values, id);
+    floatN sum = LOAD_LANES(p->weight + first) * (LOAD_LANES(of_pairs + first) - value);
+    const OtherPairs *o = p->others + first / LANES;
+    if (o->any)
+      for (int k = 0; k < OTHERS; ++k)
+        sum += LOAD_LANES(o->weight[k]) * (unpack_lanes(of_pairs + o->from[k], o->lanes[k]) - value);
+    scatter_private(value + sum / LOAD_LANES(q->total + first), id, lane_bits(active), values);
   }
   q->count = 0;
 }

@@ -150,23 +150,30 @@ INLINE FetchedCorners fetch_block_corners(const BlockVolume *v, intN buffer, int
   return f;
 }
 
-/* What is fetched of one block for one place. */
+/* A place in one block: where its samples are, and how they are weighted. */
 typedef struct {
-  FetchedCorners corners;
-  floatN fx, fy, fz;
-  floatN value;   /* of a block that has one value */
-  intN is_single;
-  intN outside;   /* beyond its outermost samples, along any axis */
-} BlockSample;
+  intN at, shift;    /* sample of the lower corner, log2 of samples an axis: 0 of a block that has one value */
+  floatN value;      /* that value */
+  floatN fx, fy, fz; /* place between samples, 0 .. 1 */
+  uintN word1;       /* of the block's record */
+  intN outside;      /* beyond its outermost samples, along any axis */
+} BlockPlace;
 
-INLINE BlockSample fetch_in_block(const BlockVolume *v, const Record *r, floatN px, floatN py, floatN pz)
+INLINE intN has_one_value(uintN word1)
+{
+  const uintN code = word1 & 15u;
+  return MASK(code == 1u) | MASK(code == (uintN)CODE_DROPPED);
+}
+
+INLINE BlockPlace place_in_block(const BlockVolume *v, const Record *r, floatN px, floatN py, floatN pz)
 {
   const int log_edge = v->blocks->count.w;
   const float edge = v->blocks->edge.x;
-  const intN code = code_of(r);
-  BlockSample s;
-  s.is_single = MASK(code == 1) | MASK(code == CODE_DROPPED);
-  const intN shift = (code - 1) & ~s.is_single, last = ((intN)1 << shift) - 1;
+  const intN code = code_of(r), is_single = has_one_value(r->word1);
+  BlockPlace s;
+  s.word1 = r->word1;
+  const intN shift = (code - 1) & ~is_single, last = ((intN)1 << shift) - 1;
+  s.shift = shift;
   const floatN scale = AS_FLOAT((shift + (127 - log_edge)) << 23);
   const BlockAxis x = block_axis((px - edge * TO_FLOAT(r->x)) * scale - 0.5f, last);
   const BlockAxis y = block_axis((py - edge * TO_FLOAT(r->y)) * scale - 0.5f, last);
@@ -174,17 +181,17 @@ INLINE BlockSample fetch_in_block(const BlockVolume *v, const Record *r, floatN 
   s.fx = x.fraction, s.fy = y.fraction, s.fz = z.fraction;
   s.outside = (x.outside | y.outside | z.outside) & ~MASK(code == CODE_DROPPED);
   s.value = AS_FLOAT(r->word0);
-  const intN at = (AS_INT(r->word0) + ((((z.lower << shift) + y.lower) << shift) + x.lower)) & ~s.is_single;
-  s.corners = fetch_block_corners(v, AS_INT((r->word1 >> 4u) & 3u), at, (intN)1 << shift, (intN)1 << (2 * shift));
+  s.at = (AS_INT(r->word0) + ((((z.lower << shift) + y.lower) << shift) + x.lower)) & ~is_single;
   return s;
 }
 
-INLINE floatN value_in_block(const BlockSample *s, __constant const View *view)
+INLINE floatN value_in_block(const BlockVolume *v, const BlockPlace *s)
 {
-  const Corners c = decode_corners(s->corners, view);
+  const Corners c = decode_corners(fetch_block_corners(v, AS_INT((s->word1 >> 4u) & 3u), s->at, (intN)1 << s->shift,
+                                                       (intN)1 << (2 * s->shift)), v->view);
   const floatN v00 = mix_corners(c.v000, c.v100, s->fx), v10 = mix_corners(c.v010, c.v110, s->fx);
   const floatN v01 = mix_corners(c.v001, c.v101, s->fx), v11 = mix_corners(c.v011, c.v111, s->fx);
-  return select(mix_corners(mix_corners(v00, v10, s->fy), mix_corners(v01, v11, s->fy), s->fz), s->value, s->is_single);
+  return select(mix_corners(mix_corners(v00, v10, s->fy), mix_corners(v01, v11, s->fy), s->fz), s->value, has_one_value(s->word1));
 }
 
 #endif

@@ -30,10 +30,20 @@
 
 #endif
 
+/* (1 - exp(-x)) / x, x >= 0. Below 1/2, where most segments are, a series that needs no division. */
+INLINE floatN opacity_by_depth(floatN x)
+{
+  floatN p = -1.0f / 40320.0f;
+  p = p * x + 1.0f / 5040.0f, p = p * x - 1.0f / 720.0f, p = p * x + 1.0f / 120.0f, p = p * x - 1.0f / 24.0f;
+  p = p * x + 1.0f / 6.0f, p = p * x - 0.5f, p = p * x + 1.0f;
+  const intN thick = MASK(x > 0.5f);
+  if (any_lane(thick)) p = select(p, opacity_of_depth(x) / x, thick);
+  return p;
+}
+
 INLINE floatN weight_of_depth(floatN depth, floatN length, floatN transmittance)
 {
-  const intN thin = MASK(depth < 1e-30f);
-  return transmittance * select(opacity_of_depth(depth * length) / select(depth, (floatN)1.0f, thin), length, thin);
+  return transmittance * length * opacity_by_depth(depth * length);
 }
 
 #if CLASSIFICATION == CLASSIFICATION_PREINTEGRATED

@@ -21,7 +21,7 @@ typedef uint16 uintN;
 #define PACKET_W 4
 #define PACKET_H 4
 #define EACH_LANE(k) for (int k = 0; k < 16; ++k)
-#define STORE_LANES(v, a) vstore16(v, 0, a)
+#define STORE_LANES(v, a) store_lanes(v, a)
 #define LOAD_LANES(a) vload16(0, a)
 
 #elif LANES == 1
@@ -51,6 +51,16 @@ typedef uint uintN;
 
 /* A call in the inner loop would spill every ray of the packet. */
 #define INLINE inline __attribute__((always_inline))
+
+#if LANES == 16
+/* As vstore16, which PoCL's compiler cuts into three stores: whoever loads the vector soon waits until all are in the cache. */
+typedef float16 stored_float16 __attribute__((aligned(4)));
+typedef int16 stored_int16 __attribute__((aligned(4)));
+typedef uint16 stored_uint16 __attribute__((aligned(4)));
+INLINE void __attribute__((overloadable)) store_lanes(float16 v, __private float *a) { *(__private stored_float16 *)a = v; }
+INLINE void __attribute__((overloadable)) store_lanes(int16 v, __private int *a) { *(__private stored_int16 *)a = v; }
+INLINE void __attribute__((overloadable)) store_lanes(uint16 v, __private uint *a) { *(__private stored_uint16 *)a = v; }
+#endif
 
 /* Without this attribute LLVM's x86 back end splits 512-bit vectors in two halves. */
 #if defined(__has_attribute)
@@ -179,6 +189,12 @@ INLINE floatN lane_rsqrt(floatN x)
 #endif
 }
 
+DEFINE_GATHER(1)
+DEFINE_GATHER(2)
+DEFINE_GATHER(4)
+DEFINE_GATHER_TWO(2)
+DEFINE_GATHER_TWO(4)
+
 #if LANES == 16
 /* Which lanes are set, as bits. */
 INLINE uint lane_bits(intN mask)
@@ -198,9 +214,9 @@ INLINE uint lane_bits(intN mask)
 INLINE void pack_lanes(float16 v, uint bits, float *to)
 {
 #if defined(HARDWARE_GATHER) && __has_builtin(__builtin_ia32_compresssf512_mask)
-  vstore16(__builtin_astype(__builtin_ia32_compresssf512_mask(__builtin_astype(v, gather_float16),
+  store_lanes(__builtin_astype(__builtin_ia32_compresssf512_mask(__builtin_astype(v, gather_float16),
                                                               __builtin_astype((float16)0.0f, gather_float16), (ushort)bits),
-                            float16), 0, to);
+                            float16), to);
 #else
   float each[16];
   vstore16(v, 0, each);
@@ -209,6 +225,52 @@ INLINE void pack_lanes(float16 v, uint bits, float *to)
     *to = each[k];
     to += bits >> k & 1u;
   }
+#endif
+}
+
+/* The reverse: the lanes in `bits` from one after the other at `from`, where 16 can be read; the others are 0. */
+INLINE float16 unpack_lanes(__private const float *from, uint bits)
+{
+#if defined(HARDWARE_GATHER) && __has_builtin(__builtin_ia32_expandsf512_mask)
+  return __builtin_astype(__builtin_ia32_expandsf512_mask(__builtin_astype(vload16(0, from), gather_float16),
+                                                          __builtin_astype((float16)0.0f, gather_float16), (ushort)bits),
+                          float16);
+#else
+  float each[16];
+  EACH_LANE(k)
+  {
+    each[k] = bits >> k & 1u ? *from : 0.0f;
+    from += bits >> k & 1u;
+  }
+  return vload16(0, each);
+#endif
+}
+
+/* to[at] = v for the lanes in `bits`. */
+INLINE void scatter_private(float16 v, int16 at, uint bits, __private float *to)
+{
+#if defined(HARDWARE_GATHER) && __has_builtin(__builtin_ia32_scattersiv16sf)
+  __builtin_ia32_scattersiv16sf((void *)to, (ushort)bits, __builtin_astype(at, gather_int16), __builtin_astype(v, gather_float16), 4);
+#else
+  float each[16];
+  int lane[16];
+  vstore16(v, 0, each), vstore16(at, 0, lane);
+  EACH_LANE(k)
+  if (bits >> k & 1u) to[lane[k]] = each[k];
+#endif
+}
+
+/* from[at] for each lane: what a work-item keeps in its own memory. */
+INLINE float16 gather_private(__private const float *from, int16 at)
+{
+#ifdef HARDWARE_GATHER
+  return as_float16(gather4((__global const void *)(size_t)from, at));
+#else
+  float each[16];
+  int lane[16];
+  vstore16(at, 0, lane);
+  EACH_LANE(k) each[k] = from[lane[k]];
+  return vload16(0, each);
 #endif
 }
 
@@ -227,11 +289,5 @@ INLINE float16 permuted_lanes(float16 v, int16 at)
 #endif
 }
 #endif
-
-DEFINE_GATHER(1)
-DEFINE_GATHER(2)
-DEFINE_GATHER(4)
-DEFINE_GATHER_TWO(2)
-DEFINE_GATHER_TWO(4)
 
 #endif

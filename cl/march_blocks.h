@@ -30,7 +30,12 @@ INLINE void place_on_ray(const Rays *ray, const BlockVolume *v, floatN t, floatN
 typedef struct {
   float t[MARCH_STEPS][LANES];     /* of the sample (preintegrated), or of the end of its segment (post) */
   int active[MARCH_STEPS][LANES];
-  float value[MARCH_STEPS * LANES];
+#if LANES > 1
+  float value[FETCHES * LANES]; /* of samples, then of pairs that are blended in */
+  Fetch fetches[FETCHES];
+#else
+  float value[MARCH_STEPS];
+#endif
 } March;
 
 /* Of a segment of `length` steps: where its slice begins in the table (in floats), and its length in that slice's. */
@@ -132,16 +137,20 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
       const floatN far = lane_min(next_t + steps_at_once(v, &ray, &here, next_t), end);
       STORE_LANES(next_t, m.t[step]);
 #endif
-      const BlockSample fetched = fetch_in_block(v, &here, x, y, z);
-      const floatN value = value_in_block(&fetched, view);
+      const BlockPlace place = place_in_block(v, &here, x, y, z);
       STORE_LANES(walks, m.active[step]);
-#if INTERBLOCK && LANES == 1
-      m.value[step] = walks && fetched.outside ? blend_blocks(v, &here, x, y, z, value, counted) : value;
-#else
-      STORE_LANES(value, m.value + step * LANES);
+#if LANES == 1
+      const floatN value = value_in_block(v, &place);
 #if INTERBLOCK
-      const intN between = fetched.outside & walks;
-      if (any_lane(between)) queue_places(&queue, x, y, z, value, step * LANES + LANE_INDEX, between);
+      m.value[step] = walks && place.outside ? blend_blocks(v, &here, x, y, z, value, counted) : value;
+#else
+      m.value[step] = value;
+#endif
+#else
+      store_fetch(&m.fetches[step], &place);
+#if INTERBLOCK
+      const intN between = place.outside & walks;
+      if (any_lane(between)) queue_places(&queue, x, y, z, step * LANES + LANE_INDEX, between);
 #endif
 #endif
       count_lanes(&counted[COUNT_BLOCK_READS], walks);
@@ -152,8 +161,20 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
       walks &= MASK(far < end);
 #endif
     }
-#if INTERBLOCK && LANES > 1
-    if (queue.count) blend_queue(v, &queue, m.value, counted);
+#if LANES > 1
+    int vectors = MARCH_STEPS;
+#if INTERBLOCK
+    PairQueue pairs;
+    if (queue.count) {
+      queue_pairs(v, &queue, &pairs, counted);
+      place_pairs(v, &queue, &pairs, m.fetches + vectors);
+      vectors += (pairs.count + LANES - 1) / LANES;
+    }
+#endif
+    _Pragma("unroll 1") for (int k = 0; k < vectors; ++k) STORE_LANES(fetched_value(v, &m.fetches[k]), m.value + k * LANES);
+#if INTERBLOCK
+    if (queue.count) blend_pairs(&queue, &pairs, m.value + MARCH_STEPS * LANES, m.value);
+#endif
 #endif
     t = select(t, next_t, active);
     _Pragma("unroll 1") for (int step = 0; step < MARCH_STEPS; ++step) {

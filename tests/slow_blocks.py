@@ -79,7 +79,9 @@ def region_statistics(data: np.ndarray, grid: BlockGrid, first: tuple, last: tup
     return BlockStatistics(
         int(np.ravel_multi_index(first, grid.counts)),
         *(np.stack([summary[name] for summary in summaries]) for name in ("minimum", "maximum", "mean")),
-        np.stack([summary["quantiles"] for summary in summaries]).astype(np.float32),
+        np.stack([summary["quantiles"] for summary in summaries]).astype(
+            np.float64 if data.dtype == np.float64 else np.float32
+        ),
         np.stack([_deviation(by_block[0], samples, k) for k, samples in enumerate(by_block)]),
         low, high, holes,
     )  # fmt: skip

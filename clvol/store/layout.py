@@ -119,7 +119,7 @@ class StoreLayout:
         real = np.dtype(np.float64 if self.dtype == np.float64 else np.float32)
         return {
             "minimum": self.dtype, "maximum": self.dtype, "mean": real,
-            "quantiles": np.dtype(np.float32), "deviation": real,
+            "quantiles": real, "deviation": real,
             "reach_low": self.dtype, "reach_high": self.dtype, "holes": np.dtype(bool),
         }  # fmt: skip
 

@@ -212,6 +212,7 @@ def _describe(
     summaries = [_summary(samples) for samples in by_block]
     deviation = _deviations(full, by_block)
     low, high, holes = _reach(around, inner, edge)
+    real = np.float64 if around.dtype == np.float64 else np.float32
 
     def of_levels(name: str) -> np.ndarray:
         return np.stack([summary[name] for summary in summaries])
@@ -219,7 +220,7 @@ def _describe(
     found = BlockStatistics(
         0,
         of_levels("minimum"), of_levels("maximum"), of_levels("mean"),
-        of_levels("quantiles").astype(np.float32),
+        of_levels("quantiles").astype(real, copy=False),
         deviation, low, high, holes,
     )  # fmt: skip
     return levels, found
