@@ -76,9 +76,9 @@ __kernel void block_bounds(__global const uchar *restrict volume, __constant con
           for (int k = ks.x; k <= ks.y; ++k)
             for (int j = js.x; j <= js.y; ++j)
               for (int i = is.x; i <= is.y; ++i) {
-                const BlockSample sample = fetch_in_block(v, side ? &own : &other, x0 + wide * (i + 0.5f), y0 + wide * (j + 0.5f),
-                                                          z0 + wide * (k + 0.5f));
-                const float there = value_in_block(&sample, view);
+                const BlockPlace place = place_in_block(v, side ? &own : &other, x0 + wide * (i + 0.5f), y0 + wide * (j + 0.5f),
+                                                        z0 + wide * (k + 0.5f));
+                const float there = value_in_block(v, &place);
                 const float here = t == 1 && side ? as_float(other.word0) : own_sample(v, side ? &other : &own, n, i, j, k);
                 widen(there, &low, &high), widen(here, &low, &high);
                 raise((there - here) / distance, &slope);
