@@ -1,22 +1,29 @@
 /* Interblock interpolation: values between the outermost samples of blocks of any resolutions, with no voxels stored twice (Ljung,
  * Lundstroem, Ynnerman 2006; its two-dimensional form is P2 eq. 5 and 6).
  *
- * Around a place there are eight blocks with a corner in common. Each is sampled with clamping, and the values are blended. With d
- * the distance to the face between blocks i and j (i on this side; in blocks), the weight of j on that edge is
+ * Around a place there are eight blocks with a corner in common. Each is sampled with clamping, and the values are blended. P2's
+ * weight of block j on the edge from i, d the distance to the face between them (i on this side; in blocks), is
  *   e_ij = clamp((delta_i - d) / (delta_i + delta_j), 0, 1),   delta = 1 / (2 samples an axis),
- * 1 at j's outermost samples and 0 at i's. P2 takes for a block the product of the e or 1 - e along its own three edges, and
- * normalises. So a coarse block counts inside the hull of a fine one's samples where only their corners touch (in two dimensions:
- * e12 = e13 = 0, yet e34 e24 > 0). Here the weight of any other block is at most
- *   u = max over the axes of clamp((delta - d) / delta, 0, 1),   delta of the block that holds the place,
- * which is 0 inside the hull of that block's samples and 1 at its faces. Then
- *   - inside the hull of its samples a block is alone, so no other needs to be looked at there: that is most samples;
- *   - the field is continuous: at a face u bounds nothing, and at the planes through blocks' centres, where the eight blocks
- *     change, the ones that leave have no weight;
- *   - equal resolutions still give trilinear interpolation of the samples: there products are u_x u_y / 4 or less.
+ * and that of a block the product of the e or 1 - e along its own three edges, normalised. Two things are different here:
+ *
+ * 1. delta_i and delta_j are both taken as the smaller one, m: e_ij = clamp(1/2 - d / (2 m), 0, 1). In a coarse block, even one that is
+ *    coarse because it is constant, P2's blend reaches as far as its own outermost sample, up to half a block: what is bright behind
+ *    a face bleeds that far. Here the blend is as wide as the finer one's spacing.
+ * 2. The weight of any other block is at most u = max over the axes of clamp(1 - d / delta, 0, 1), delta of the block that holds the
+ *    place: 0 inside the hull of that block's samples and 1 at its faces. By P2's products a coarse block counts inside the hull of a
+ *    fine one's samples where only their corners touch (in two dimensions: e12 = e13 = 0, yet e34 e24 > 0).
+ *
+ * So
+ *   - inside the hull of its samples a block is alone, and no other needs to be looked at there: that is most samples;
+ *   - the field is continuous: at a face u bounds nothing and both sides agree on m, and at the planes through blocks' centres,
+ *     where the eight blocks change, the ones that leave have no weight;
+ *   - equal resolutions give trilinear interpolation of the samples (products are u_x u_y / 4 or less), and a constant block may
+ *     have one sample beside full resolution without any change.
  * The block that holds the place is the origin here; block f = fx + 2 fy + 4 fz lies across the faces whose bits are set. Beyond the
  * volume's faces the outermost blocks stand in for what is not there.
  *
- * A dropped block has delta = 2^-15: what is visible fades to its (invisible) value just before the face.
+ * Beside a dropped block, which shows nothing and keeps its one value to itself, a block fades from its outermost samples to that value
+ * at the face: what is visible never ends at a face.
  */
 #ifndef BLEND_BLOCKS_H
 #define BLEND_BLOCKS_H
@@ -40,22 +47,27 @@ INLINE FaceAxis nearest_face(floatN p, intN block, const BlockVolume *v)
   return a;
 }
 
-INLINE floatN half_sample(uintN code) { return AS_FLOAT(AS_INT((127u - code) << 23u)); } /* delta = 2^-code */
+/* 1 / (2 delta): samples an axis, of a code; SAMPLES_DROPPED of a dropped block's. */
+INLINE floatN samples_of_code(uintN code) { return AS_FLOAT(AS_INT((code + 126u) << 23u)); }
+#define SAMPLES_DROPPED 16384.0f
 
 /* The same of the code in the lowest four bits. */
-INLINE floatN delta_of_nibble(uintN codes)
+INLINE floatN samples_of_nibble(uintN codes)
 {
 #if LANES == 16
-  return permuted_lanes(half_sample(AS_UINT(LANE_INDEX)), AS_INT(codes));
+  return permuted_lanes(samples_of_code(AS_UINT(LANE_INDEX)), AS_INT(codes));
 #else
-  return half_sample(codes & 15u);
+  return samples_of_code(codes & 15u);
 #endif
 }
 
-/* e of the edge from a block with delta_i, on this side of the face, to one with delta_j. */
-INLINE floatN edge_weight(floatN delta_i, floatN delta_j, floatN d)
+/* e of the edge from a block of i samples an axis, on this side of the face, to one of j. `dropped`: one of the two may be. */
+INLINE floatN edge_weight(floatN i, floatN j, floatN d, int dropped)
 {
-  return lane_max((delta_i - d) * lane_reciprocal(delta_i + delta_j), (floatN)0.0f);
+  const floatN zero = 0.0f, e = lane_max(0.5f - d * lane_max(i, j), zero);
+  if (!dropped) return e;
+  const intN here = MASK(i == SAMPLES_DROPPED), there = MASK(j == SAMPLES_DROPPED);
+  return select(select(e, lane_max(1.0f - 2.0f * d * i, zero), there & ~here), zero, here & ~there);
 }
 
 /* What all eight weights depend on: places relative to the block's faces, and codes of the blocks around the nearest corner. */
@@ -80,23 +92,27 @@ INLINE Around blocks_around(const BlockVolume *v, intN bx, intN by, intN bz, flo
  * edges have the same weight, bit for bit, and u bounds nothing. */
 INLINE void blend_weights(const Around *a, intN active, floatN *weight)
 {
-#define DELTA(f) delta_of_nibble(a->codes >> ((a->own << 2u) ^ (4u * f##u)))
   const floatN dx = a->x.d, dy = a->y.d, dz = a->z.d;
   if (!any_lane(active & MASK(a->codes != (a->codes & 15u) * 0x11111111u))) {
-    const floatN d0 = half_sample(a->codes & 15u);
-    const floatN x = edge_weight(d0, d0, dx), y = edge_weight(d0, d0, dy), z = edge_weight(d0, d0, dz);
+    const floatN n = samples_of_code(a->codes & 15u);
+    const floatN x = edge_weight(n, n, dx, 0), y = edge_weight(n, n, dy, 0), z = edge_weight(n, n, dz, 0);
     const floatN rx = 1.0f - x, ry = 1.0f - y, rz = 1.0f - z;
     weight[0] = rx * ry * rz, weight[1] = x * ry * rz, weight[2] = rx * y * rz, weight[3] = x * y * rz;
     weight[4] = rx * ry * z, weight[5] = x * ry * z, weight[6] = rx * y * z, weight[7] = x * y * z;
     return;
   }
-  const floatN d0 = DELTA(0), d1 = DELTA(1), d2 = DELTA(2), d3 = DELTA(3), d4 = DELTA(4), d5 = DELTA(5), d6 = DELTA(6), d7 = DELTA(7);
-#undef DELTA
-  const floatN x01 = edge_weight(d0, d1, dx), x23 = edge_weight(d2, d3, dx), x45 = edge_weight(d4, d5, dx), x67 = edge_weight(d6, d7, dx);
-  const floatN y02 = edge_weight(d0, d2, dy), y13 = edge_weight(d1, d3, dy), y46 = edge_weight(d4, d6, dy), y57 = edge_weight(d5, d7, dy);
-  const floatN z04 = edge_weight(d0, d4, dz), z15 = edge_weight(d1, d5, dz), z26 = edge_weight(d2, d6, dz), z37 = edge_weight(d3, d7, dz);
+  const int drop = any_lane(active & MASK((a->codes & 0x88888888u) != 0u));
+#define SAMPLES(f) samples_of_nibble(a->codes >> ((a->own << 2u) ^ (4u * f##u)))
+  const floatN n0 = SAMPLES(0), n1 = SAMPLES(1), n2 = SAMPLES(2), n3 = SAMPLES(3), n4 = SAMPLES(4), n5 = SAMPLES(5), n6 = SAMPLES(6), n7 = SAMPLES(7);
+#undef HALF
+  const floatN x01 = edge_weight(n0, n1, dx, drop), x23 = edge_weight(n2, n3, dx, drop);
+  const floatN x45 = edge_weight(n4, n5, dx, drop), x67 = edge_weight(n6, n7, dx, drop);
+  const floatN y02 = edge_weight(n0, n2, dy, drop), y13 = edge_weight(n1, n3, dy, drop);
+  const floatN y46 = edge_weight(n4, n6, dy, drop), y57 = edge_weight(n5, n7, dy, drop);
+  const floatN z04 = edge_weight(n0, n4, dz, drop), z15 = edge_weight(n1, n5, dz, drop);
+  const floatN z26 = edge_weight(n2, n6, dz, drop), z37 = edge_weight(n3, n7, dz, drop);
   const floatN nearest = lane_min(lane_min(dx, dy), dz);
-  const floatN u = lane_max(1.0f - nearest * lane_reciprocal(d0), (floatN)0.0f);
+  const floatN u = lane_max(1.0f - 2.0f * nearest * n0, (floatN)0.0f);
   weight[0] = (1.0f - x01) * (1.0f - y02) * (1.0f - z04);
   weight[1] = x01 * (1.0f - y13) * (1.0f - z15);
   weight[2] = (1.0f - x23) * y02 * (1.0f - z26);

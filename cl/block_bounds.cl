@@ -66,8 +66,8 @@ __kernel void block_bounds(__global const uchar *restrict volume, __constant con
         const Record other = fetch_record(v, nx, ny, nz);
         const int beyond = code_of(&other);
         const int t = beyond == CODE_DROPPED ? 1 : 1 << (beyond - 1);
-        /* A dropped block's value is met at the face. */
-        const float distance = 0.5f * (spacing + (beyond == CODE_DROPPED ? 0.0f : edge / t));
+        /* The blend is as wide as the finer one's spacing; a dropped block's value is met at the face. */
+        const float distance = beyond == CODE_DROPPED ? 0.5f * spacing : fmin(spacing, edge / t);
         /* At the samples of both that are nearest to the face, edge or corner between them, the other's value there. */
         for (int side = 0; side < 2; ++side) {
           const int n = side ? t : s, sign = side ? -1 : 1;
@@ -76,9 +76,9 @@ __kernel void block_bounds(__global const uchar *restrict volume, __constant con
           for (int k = ks.x; k <= ks.y; ++k)
             for (int j = js.x; j <= js.y; ++j)
               for (int i = is.x; i <= is.y; ++i) {
-                const BlockPlace place = place_in_block(v, side ? &own : &other, x0 + wide * (i + 0.5f), y0 + wide * (j + 0.5f),
-                                                        z0 + wide * (k + 0.5f));
-                const float there = value_in_block(v, &place);
+                const BlockPlace sample = place_in_block(v, side ? &own : &other, x0 + wide * (i + 0.5f), y0 + wide * (j + 0.5f),
+                                                          z0 + wide * (k + 0.5f));
+                const float there = value_in_block(v, &sample);
                 const float here = t == 1 && side ? as_float(other.word0) : own_sample(v, side ? &other : &own, n, i, j, k);
                 widen(there, &low, &high), widen(here, &low, &high);
                 raise((there - here) / distance, &slope);

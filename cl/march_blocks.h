@@ -38,12 +38,16 @@ typedef struct {
 #endif
 } March;
 
+/* Slices for less than a step: of half and of a quarter of it, for the last piece of a ray. (_SHORT_SLICES of caster.py) */
+#define SHORT_SLICES 2
+
 /* Of a segment of `length` steps: where its slice begins in the table (in floats), and its length in that slice's. */
 INLINE intN slice_of(floatN *length, __constant const View *view)
 {
-  const intN doublings = min(max(((AS_INT(*length) - 1) >> 23) - 126, (intN)0), (intN)(view->table.z - 1));
+  const int longest = view->table.z - 1 - SHORT_SLICES;
+  const intN doublings = min(max(((AS_INT(*length) - 1) >> 23) - 126, (intN)-SHORT_SLICES), (intN)longest);
   *length *= AS_FLOAT((127 - doublings) << 23);
-  return (view->table.z - 1 - doublings) * (4 * view->table.w);
+  return (longest - doublings) * (4 * view->table.w);
 }
 
 #if CLASSIFICATION == CLASSIFICATION_PREINTEGRATED

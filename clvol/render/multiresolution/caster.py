@@ -37,6 +37,7 @@ _OF_BLOCKS = (
     "VOXEL_BITS", "VOXEL_SIGNED", "VOXEL_SCALED", "VOXEL_HOLES", "VOXEL_PAIRS", "SAMPLE_BUFFERS",
     "WARPED_CLASSES", "INTERBLOCK", "FILTER", "CLASSIFICATION",
 )  # fmt: skip
+_SHORT_SLICES = 2  # SHORT_SLICES of cl/march_blocks.h
 _MORE = ["samples1", "samples2", "samples3"]
 
 
@@ -91,10 +92,11 @@ class BlockCaster(Raycaster):
 
     @property
     def _slices(self) -> int:
-        """Of lengths that are a step times powers of two."""
-        if self._is_midpoint or self.settings.stepping == "full":
+        """Of lengths that are a step times powers of two, those that are shorter too."""
+        if self._is_midpoint:
             return 1
-        return self.blocks.blocks.levels
+        steps = 1 if self.settings.stepping == "full" else self.blocks.blocks.levels
+        return steps + _SHORT_SLICES
 
     @property
     def _is_midpoint(self) -> bool:
@@ -251,7 +253,7 @@ class BlockCaster(Raycaster):
         arguments = self.context, function, self.nodes.values
         if self._is_midpoint:
             return constant_table(*arguments, self.length, "extinction_table")
-        longest = self.length * 2.0 ** (self._slices - 1)
+        longest = self.length * 2.0 ** (self._slices - 1 - _SHORT_SLICES)
         return depths_tables(*arguments, longest, self._slices)
 
 

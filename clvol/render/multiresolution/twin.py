@@ -26,6 +26,17 @@ _CHUNK = 1 << 14  # places looked at together
 _ACROSS = (np.arange(8)[:, None] >> np.arange(3)) & 1
 
 
+def _edge_weight(near: np.ndarray, far: np.ndarray, d: np.ndarray, p2: bool) -> np.ndarray:
+    """Of the block beyond a face at distance ``d``, on the edge between blocks with half samples
+    ``near`` and ``far``."""
+    if p2:
+        return np.clip((near - d) / (near + far), 0.0, 1.0)
+    e = np.maximum(0.5 - d / (2.0 * np.minimum(near, far)), 0.0)
+    here, there = near == DROPPED_DELTA, far == DROPPED_DELTA
+    e = np.where(there & ~here, np.maximum(1.0 - d / near, 0.0), e)
+    return np.where(here & ~there, 0.0, e)
+
+
 class BlockField:
     """The field of blocks of ``grid``, each at its level (uint8 [blocks], DROPPED for none).
 
@@ -107,8 +118,8 @@ class BlockField:
         """(blocks int64 [n, 8, 3], weights [n, 8] that add up to 1) around places [n, 3].
 
         Block f lies across the nearest faces along the axes whose bits are set in f; beyond the
-        volume the outermost ones stand in. ``p2``: P2's weights, not bounded by the block's own
-        hull.
+        volume the outermost ones stand in. ``p2``: P2's weights, as wide as the coarser block's
+        spacing, and not bounded by the block's own hull.
         """
         own = self.block_at(p)
         inside = np.clip(p / self.grid.edge - own, 0.0, 1.0)
@@ -123,8 +134,7 @@ class BlockField:
                 # Along the edge between blocks `near` and `far`; the one beyond the face has weight
                 # e on it.
                 near, far = f & ~(1 << axis), f | (1 << axis)
-                e = (delta[:, near] - d[:, axis]) / (delta[:, near] + delta[:, far])
-                e = np.clip(e, 0.0, 1.0)
+                e = _edge_weight(delta[:, near], delta[:, far], d[:, axis], p2)
                 weights[:, f] *= e if f == far else 1.0 - e
         if not p2:
             u = np.clip((delta[:, :1] - d) / delta[:, :1], 0.0, 1.0).max(axis=1)

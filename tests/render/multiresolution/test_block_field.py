@@ -100,6 +100,21 @@ def test_dropped_blocks_break_continuity_between_no_others():
         assert np.abs(field(a) - field(b))[kept].max() < 1e-10 * 2**15 * RANGE
 
 
+def test_constant_blocks_may_have_one_sample_beside_full_resolution():
+    """With no others coarse nothing changes. P2's weights reach up to half a block from there."""
+    data = noise((48, 48, 64)).data.copy()
+    data[16:32, 16:32, 16:32], data[:16, 16:32, 48:] = 40, 200
+    volume = Volume(data)
+    levels = np.zeros(BlockGrid(data.shape).count, np.uint8)
+    full = twin_of(volume, levels)
+    constant = full.number(np.array([[1, 1, 1], [3, 1, 0]]))
+    levels[constant] = 4
+    coarse = twin_of(volume, levels)
+    p = random_places(full.grid, 16000, 9).astype(np.float64)
+    np.testing.assert_allclose(coarse(p), full(p), atol=1e-9)
+    assert np.abs(coarse(p, "p2") - full(p, "p2")).max() > 0.1 * RANGE
+
+
 @pytest.mark.parametrize("level", range(5))
 def test_the_field_fades_to_a_dropped_blocks_value_before_its_face(level):
     """In the middle of the face: but for the 2^-15 of a block that stands for half its sample."""
