@@ -155,10 +155,10 @@ INLINE floatN blend_blocks(const BlockVolume *v, const Record *r, floatN px, flo
 
 #else
 
-/* In a packet few samples lie between blocks, and of the seven other blocks one or two have weight: lane by lane most of a vector would
- * do nothing. So places that need blending are queued over several steps of the packet, and worked off 16 at a time: first, of each,
- * one block across a face (of most there is no other), then all other (place, block) pairs, which are queued as well. (Without queues
- * blending took more than twice as long.) */
+/* In a packet few samples lie between blocks, and of the seven other blocks one or two have weight: lane by lane most of a
+ * vector would do nothing. So places that need blending are queued over several steps of the packet, and worked off 16 at a
+ * time: first, of each, one block across a face (of most there is no other), then all other (place, block) pairs, which are
+ * queued as well. (Without queues blending took more than twice as long.) */
 #define QUEUE_LENGTH (LANES * QUEUED_STEPS)
 #define PAIRS_LENGTH (7 * QUEUE_LENGTH)
 
@@ -239,7 +239,8 @@ INLINE void queue_pairs(const BlockVolume *v, PlaceQueue *q, PairQueue *p, Tally
     blend_weights(&a, active, weight);
     const intN ax = across(bx, &a.x, count.x), ay = across(by, &a.y, count.y) << 10, az = across(bz, &a.z, count.z) << 20;
     const intN cy = by << 10, cz = bz << 20;
-    const intN by_x = MASK(weight[1] > zero), by_y = MASK(weight[2] > zero) & ~by_x, by_z = MASK(weight[4] > zero) & ~by_x & ~by_y;
+    const intN by_x = MASK(weight[1] > zero), by_y = MASK(weight[2] > zero) & ~by_x;
+    const intN by_z = MASK(weight[4] > zero) & ~by_x & ~by_y;
     const floatN first_weight = select(select(select(zero, weight[4], by_z), weight[2], by_y), weight[1], by_x);
     const intN first_block = select(bx, ax, by_x) + select(cy, ay, by_y) + select(cz, az, by_z);
     const floatN slot = AS_FLOAT(first + LANE_INDEX);
@@ -253,22 +254,19 @@ INLINE void queue_pairs(const BlockVolume *v, PlaceQueue *q, PairQueue *p, Tally
     OtherPairs *o = p->others + first / LANES;
     o->any = any_lane(active & MASK(others > zero));
     if (!o->any) continue;
-#define QUEUE_PAIRS(k, w, packed)                                                                          \
-    {                                                                                                      \
-      const floatN w_ = w;                                                                                 \
-      const uint bits_ = lane_bits(active & MASK(w_ > zero));                                              \
-      pack_lanes(slot, bits_, p->slot + pairs), pack_lanes(AS_FLOAT(packed), bits_, p->block + pairs);     \
-      STORE_LANES(w_, o->weight[k]);                                                                       \
-      o->from[k] = pairs, o->lanes[k] = bits_;                                                             \
-      pairs += popcount(bits_);                                                                            \
+    int block[OTHERS][LANES];
+    STORE_LANES(select(zero, weight[2], by_x), o->weight[0]), STORE_LANES(bx + ay + cz, block[0]);
+    STORE_LANES(select(zero, weight[4], by_x | by_y), o->weight[1]), STORE_LANES(bx + cy + az, block[1]);
+    STORE_LANES(weight[3], o->weight[2]), STORE_LANES(ax + ay + cz, block[2]);
+    STORE_LANES(weight[5], o->weight[3]), STORE_LANES(ax + cy + az, block[3]);
+    STORE_LANES(weight[6], o->weight[4]), STORE_LANES(bx + ay + az, block[4]);
+    STORE_LANES(weight[7], o->weight[5]), STORE_LANES(ax + ay + az, block[5]);
+    _Pragma("unroll 1") for (int k = 0; k < OTHERS; ++k) {
+      const uint bits = lane_bits(active & MASK(LOAD_LANES(o->weight[k]) > zero));
+      pack_lanes(slot, bits, p->slot + pairs), pack_lanes(AS_FLOAT(LOAD_LANES(block[k])), bits, p->block + pairs);
+      o->from[k] = pairs, o->lanes[k] = bits;
+      pairs += popcount(bits);
     }
-    QUEUE_PAIRS(0, select(zero, weight[2], by_x), bx + ay + cz)
-    QUEUE_PAIRS(1, select(zero, weight[4], by_x | by_y), bx + cy + az)
-    QUEUE_PAIRS(2, weight[3], ax + ay + cz)
-    QUEUE_PAIRS(3, weight[5], ax + cy + az)
-    QUEUE_PAIRS(4, weight[6], bx + ay + az)
-    QUEUE_PAIRS(5, weight[7], ax + ay + az)
-#undef QUEUE_PAIRS
   }
   p->count = pairs;
   tally[COUNT_BLOCK_READS] += AS_UINT(select((intN)0, (intN)(pairs - others_from), MASK(LANE_INDEX == 0)));
@@ -282,7 +280,8 @@ INLINE void place_pairs(const BlockVolume *v, const PlaceQueue *q, const PairQue
     const intN active = MASK(LANE_INDEX < (first < places ? q->count : p->count) - first);
     const intN slot = AS_INT(LOAD_LANES(p->slot + first)) & active, block = AS_INT(LOAD_LANES(p->block + first)) & active;
     const Record r = fetch_record(v, block & 1023, (block >> 10) & 1023, block >> 20);
-    const BlockPlace place = place_in_block(v, &r, gather_private(q->x, slot), gather_private(q->y, slot), gather_private(q->z, slot));
+    const floatN px = gather_private(q->x, slot), py = gather_private(q->y, slot), pz = gather_private(q->z, slot);
+    const BlockPlace place = place_in_block(v, &r, px, py, pz);
     store_fetch(f, &place);
   }
 }
@@ -297,7 +296,7 @@ INLINE void blend_pairs(PlaceQueue *q, const PairQueue *p, const float *of_pairs
     floatN sum = LOAD_LANES(p->weight + first) * (LOAD_LANES(of_pairs + first) - value);
     const OtherPairs *o = p->others + first / LANES;
     if (o->any)
-      for (int k = 0; k < OTHERS; ++k)
+      _Pragma("unroll 1") for (int k = 0; k < OTHERS; ++k)
         sum += LOAD_LANES(o->weight[k]) * (unpack_lanes(of_pairs + o->from[k], o->lanes[k]) - value);
     scatter_private(value + sum / LOAD_LANES(q->total + first), id, lane_bits(active), values);
   }

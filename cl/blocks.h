@@ -95,8 +95,8 @@ INLINE BlockAxis block_axis(floatN place, intN last)
 {
   BlockAxis a;
   const floatN top = TO_FLOAT(last), zero = 0.0f;
-  a.outside = MASK(place < zero) | MASK(place > top);
   const floatN clamped = lane_clamp(place, zero, top);
+  a.outside = MASK(clamped != place);
   a.lower = min(TO_INT(clamped), max(last - 1, (intN)0));
   a.fraction = clamped - TO_FLOAT(a.lower);
   return a;
@@ -191,7 +191,8 @@ INLINE floatN value_in_block(const BlockVolume *v, const BlockPlace *s)
                                                        (intN)1 << (2 * s->shift)), v->view);
   const floatN v00 = mix_corners(c.v000, c.v100, s->fx), v10 = mix_corners(c.v010, c.v110, s->fx);
   const floatN v01 = mix_corners(c.v001, c.v101, s->fx), v11 = mix_corners(c.v011, c.v111, s->fx);
-  return select(mix_corners(mix_corners(v00, v10, s->fy), mix_corners(v01, v11, s->fy), s->fz), s->value, has_one_value(s->word1));
+  const floatN mixed = mix_corners(mix_corners(v00, v10, s->fy), mix_corners(v01, v11, s->fy), s->fz);
+  return select(mixed, s->value, has_one_value(s->word1));
 }
 
 #endif

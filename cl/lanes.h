@@ -53,7 +53,7 @@ typedef uint uintN;
 #define INLINE inline __attribute__((always_inline))
 
 #if LANES == 16
-/* As vstore16, which PoCL's compiler cuts into three stores: whoever loads the vector soon waits until all are in the cache. */
+/* As vstore16, which PoCL's compiler cuts into three stores. */
 typedef float16 stored_float16 __attribute__((aligned(4)));
 typedef int16 stored_int16 __attribute__((aligned(4)));
 typedef uint16 stored_uint16 __attribute__((aligned(4)));
@@ -250,7 +250,8 @@ INLINE float16 unpack_lanes(__private const float *from, uint bits)
 INLINE void scatter_private(float16 v, int16 at, uint bits, __private float *to)
 {
 #if defined(HARDWARE_GATHER) && __has_builtin(__builtin_ia32_scattersiv16sf)
-  __builtin_ia32_scattersiv16sf((void *)to, (ushort)bits, __builtin_astype(at, gather_int16), __builtin_astype(v, gather_float16), 4);
+  __builtin_ia32_scattersiv16sf((void *)to, (ushort)bits, __builtin_astype(at, gather_int16),
+                                __builtin_astype(v, gather_float16), 4);
 #else
   float each[16];
   int lane[16];

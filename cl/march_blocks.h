@@ -7,7 +7,8 @@
 #ifndef MARCH_BLOCKS_H
 #define MARCH_BLOCKS_H
 
-#define QUEUED_STEPS MARCH_STEPS
+/* Steps at a time: the more, the fuller the vectors of what is blended; but the more samples are taken for nothing. */
+#define QUEUED_STEPS 12
 #include "blend_blocks.h"
 #include "composite_piece.h"
 #include "step_blocks.h"
@@ -28,13 +29,13 @@ INLINE void place_on_ray(const Rays *ray, const BlockVolume *v, floatN t, floatN
  * few passes as they fill, then classification in order. A ray that turns out to be opaque on the way has taken a few samples for nothing. */
 
 typedef struct {
-  float t[MARCH_STEPS][LANES];     /* of the sample (preintegrated), or of the end of its segment (post) */
-  int active[MARCH_STEPS][LANES];
+  float t[QUEUED_STEPS][LANES];    /* of the sample (preintegrated), or of the end of its segment (post) */
+  int active[QUEUED_STEPS][LANES];
 #if LANES > 1
   float value[FETCHES * LANES]; /* of samples, then of pairs that are blended in */
   Fetch fetches[FETCHES];
 #else
-  float value[MARCH_STEPS];
+  float value[QUEUED_STEPS];
 #endif
 } March;
 
@@ -123,7 +124,7 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
     March m;
     intN walks = active;
     floatN next_t = t;
-    _Pragma("unroll 1") for (int step = 0; step < MARCH_STEPS; ++step) {
+    _Pragma("unroll 1") for (int step = 0; step < QUEUED_STEPS; ++step) {
       floatN x, y, z;
       place_on_ray(&ray, v, next_t, &x, &y, &z);
 #if MIDPOINTS
@@ -166,7 +167,7 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
 #endif
     }
 #if LANES > 1
-    int vectors = MARCH_STEPS;
+    int vectors = QUEUED_STEPS;
 #if INTERBLOCK
     PairQueue pairs;
     if (queue.count) {
@@ -177,11 +178,11 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
 #endif
     _Pragma("unroll 1") for (int k = 0; k < vectors; ++k) STORE_LANES(fetched_value(v, &m.fetches[k]), m.value + k * LANES);
 #if INTERBLOCK
-    if (queue.count) blend_pairs(&queue, &pairs, m.value + MARCH_STEPS * LANES, m.value);
+    if (queue.count) blend_pairs(&queue, &pairs, m.value + QUEUED_STEPS * LANES, m.value);
 #endif
 #endif
     t = select(t, next_t, active);
-    _Pragma("unroll 1") for (int step = 0; step < MARCH_STEPS; ++step) {
+    _Pragma("unroll 1") for (int step = 0; step < QUEUED_STEPS; ++step) {
       active &= LOAD_LANES(m.active[step]);
       if (!any_lane(active)) break;
       const floatN value = LOAD_LANES(m.value + step * LANES), at_t = LOAD_LANES(m.t[step]);
