@@ -3,8 +3,12 @@
  * full     1
  * naive    1 / kappa, kappa = samples of the block an axis / its edge in voxels: one step a sample, wherever that leads
  * limited  min(1 + floor(l), 1 / kappa), l the steps that are left in the block: no farther than the first step in the next one
- * bounded  min(max(floor(l), 1), n): only single steps cross a face; n the most steps whose error stays within a bound in that block (`steps`, filled by
- *          clvol/render/multiresolution/bounds.py)
+ * bounded  min(max(floor(l), 1), n): only single steps cross a face; n the most steps whose error stays within a bound in that
+ *          block (`steps`, filled by clvol/render/multiresolution/bounds.py)
+ *
+ * P2's limit is for samples that stand for their segments. A pre-integrated segment takes the value to run evenly from one end to the
+ * other, so a long one across a face would show all that lies between the values of two blocks, over most of the first: there
+ * "limited" crosses faces in single steps, too: min(max(floor(l), 1), 1 / kappa).
  */
 #ifndef STEP_BLOCKS_H
 #define STEP_BLOCKS_H
@@ -40,7 +44,7 @@ INLINE floatN steps_at_once(const BlockVolume *v, const Rays *ray, const Record 
   return most;
 #else
   const floatN left = lane_clamp(steps_in_block(v, ray, r, t), (floatN)0.0f, (floatN)255.0f);
-  const float beyond = STEPPING == STEPPING_LIMITED ? 1.0f : 0.0f;
+  const float beyond = STEPPING == STEPPING_LIMITED && MIDPOINTS ? 1.0f : 0.0f;
   return lane_max(lane_min(beyond + floor(left), most), (floatN)1.0f);
 #endif
 #endif

@@ -30,7 +30,8 @@ SHOWN = TransferFunction(
 
 
 def noise(shape, dtype=np.uint8, seed=1, holes=0.0) -> Volume:
-    """Every voxel random, over 0 to 255 (-100 to 100 of signed types); ``holes``: a share that is NaN."""
+    """Every voxel random, over 0 to 255 (-100 to 100 of signed types); ``holes``: a share that is
+    NaN."""
     rng = np.random.default_rng(seed)
     low, high = (-100, 101) if np.dtype(dtype).kind == "i" else (0, 256)
     data = rng.integers(low, high, shape).astype(dtype)
@@ -65,8 +66,9 @@ def twin_of(volume, levels, edge=16) -> BlockField:
 
 
 def random_places(grid: BlockGrid, count: int, seed: int) -> np.ndarray:
-    """float32 [count, 3] (x, y, z) within the volume's domain: random, on and beside faces, on planes through blocks' and samples'
-    centres, and at the volume's hull. ``count``: a multiple of 16."""
+    """float32 [count, 3] (x, y, z) within the volume's domain: random, on and beside faces, on
+    planes through blocks' and samples' centres, and at the volume's hull. ``count``: a multiple of
+    16."""
     rng = np.random.default_rng(seed)
     upper = np.maximum(grid.shape[::-1], 2) - 0.5
     p = 0.5 + rng.random((count, 3)) * (upper - 0.5)
@@ -95,7 +97,8 @@ def values_at(context, blocks: DeviceBlocks, p, interblock=True, lanes=16):
         str(_SOURCE), "block_values",
         "in volume V1, in view V1, in index int32, in corners uint32, in blocks V1"
         + "".join(f", in {name} V1" for name in more)
-        + ", in at float32, value n int32, value interblock int32, out values float32, out counts uint32",
+        + ", in at float32, value n int32, value interblock int32, "
+        "out values float32, out counts uint32",
         {**blocks.switches, "LANES": lanes, "FILTER": FILTERS["linear"]},
     )  # fmt: skip
     n = len(p)
@@ -109,7 +112,9 @@ def values_at(context, blocks: DeviceBlocks, p, interblock=True, lanes=16):
     return context.read(values), context.read(counts).sum(axis=0, dtype=np.uint64)
 
 
-def block_scene(volume, function=SHOWN, *, width=24, height=20, camera=None, settings=None, **integration):
+def block_scene(
+    volume, function=SHOWN, *, width=24, height=20, camera=None, settings=None, **integration
+):
     """A resolved scene of the method "multiresolution"; ``settings``: keys of [multiresolution]."""
     integration = {"early_termination": 0.0, "classification": "post", **integration}
     return Scene(

@@ -590,8 +590,7 @@ def test_effects_without_a_consequence_compile_the_same_kernel():
     ],
 )
 @pytest.mark.parametrize(
-    "key, got",
-    [("method", "reference"), ("method", "multiresolution"), ("quadrature", "cells")],
+    "key, got", [("method", "reference"), ("method", "multiresolution"), ("quadrature", "cells")]
 )
 def test_what_integrates_emission_and_absorption_alone_refuses_the_rest(tables, effect, key, got):
     resolved = scene_with(**tables, integration={key: got})
@@ -612,6 +611,17 @@ def test_the_reference_refuses_what_it_does_not_reconstruct():
                   {"compositing": "maximum"}):  # fmt: skip
         with pytest.raises(SceneError, match="method: got 'reference' in a scene that calls for"):
             refuse_unknown(scene_with(integration={"method": "reference"} | asked))
+
+
+@pytest.mark.parametrize(
+    "key, got",
+    [("filter", "nearest"), ("filter", "cubic"), ("quadrature", "cells"),
+     ("classification", "pre"), ("compositing", "maximum")],
+)  # fmt: skip
+def test_blocks_refuse_what_they_are_not_rendered_by(key, got):
+    refuse_unknown(scene_with(integration={"method": "multiresolution"}))
+    with pytest.raises(SceneError, match="got .*multiresolution|got .*cells"):
+        refuse_unknown(scene_with(integration={"method": "multiresolution", key: got}))
 
 
 def test_nothing_here_needs_a_device():

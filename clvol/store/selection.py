@@ -118,6 +118,9 @@ def select_blocks(
         expected = f"at least {format_size(needed)} for the coarsest resolution of {source.name}"
         got = f"got {format_size(memory_bytes)}"
         raise SceneError("scene: multiresolution.memory", got, expected)
+    everything = all_resolutions(found, cost)
+    if everything.bytes <= memory_bytes - overhead_bytes:
+        return everything
     errors = found.errors
     if camera is not None:
         errors = errors if known is None else errors.copy()
@@ -126,6 +129,13 @@ def select_blocks(
         if occlusion:
             errors *= visibility(camera, grid, blocks, found.transmittances)
     return select_levels(errors, cost, found.dropped, memory_bytes - overhead_bytes)
+
+
+def all_resolutions(found: SourceErrors, cost: np.ndarray) -> Selection:
+    """Full resolution of all blocks that show anything, but for constant ones: one sample of these is as good."""
+    levels = np.where(found.errors[-1] > 0, 0, len(cost) - 1).astype(np.uint8)
+    levels[found.dropped] = DROPPED
+    return Selection(levels, _bytes(levels, cost), 0.0, 0.0)
 
 
 def level_costs(blocks: BlockGrid, dtype: np.dtype) -> np.ndarray:

@@ -1,8 +1,10 @@
-"""The plain twin of rays through a volume of blocks: the definition in numpy, float64, slow and obvious.
+"""The plain twin of rays through a volume of blocks: the definition in numpy, float64, slow and
+obvious.
 
-Only tests use it. It shares with the kernels (cl/blocks.h, cl/blend_blocks.h, cl/step_blocks.h, cl/march_blocks.h) nothing but
-what they define, and with them takes from a ray's entry into the volume the same samples, so that both agree to float32's and the
-tables' rounding. Places are in voxels, p = index + 1/2, as there.
+Only tests use it. It shares with the kernels (cl/blocks.h, cl/blend_blocks.h, cl/step_blocks.h,
+cl/march_blocks.h) nothing but what they define, and with them takes from a ray's entry into the
+volume the same samples, so that both agree to float32's and the tables' rounding. Places are in
+voxels, p = index + 1/2, as there.
 """
 
 from __future__ import annotations
@@ -19,12 +21,14 @@ from clvol.store.source import DROPPED, BlockSource
 
 DROPPED_DELTA = 2.0**-15  # half a sample, in blocks, of a block without samples
 _CHUNK = 1 << 14  # places looked at together
-# Bit x, y, z of the number of a block around a place: it lies across the nearest face along that axis.
+# Bit x, y, z of the number of a block around a place: it lies across the nearest face along that
+# axis.
 _ACROSS = (np.arange(8)[:, None] >> np.arange(3)) & 1
 
 
 def _edge_weight(near: np.ndarray, far: np.ndarray, d: np.ndarray, p2: bool) -> np.ndarray:
-    """Of the block beyond a face at distance ``d``, on the edge between blocks with half samples ``near`` and ``far``."""
+    """Of the block beyond a face at distance ``d``, on the edge between blocks with half samples
+    ``near`` and ``far``."""
     if p2:
         return np.clip((near - d) / (near + far), 0.0, 1.0)
     e = np.maximum(0.5 - d / (2.0 * np.minimum(near, far)), 0.0)
@@ -36,8 +40,8 @@ def _edge_weight(near: np.ndarray, far: np.ndarray, d: np.ndarray, p2: bool) -> 
 class BlockField:
     """The field of blocks of ``grid``, each at its level (uint8 [blocks], DROPPED for none).
 
-    ``samples[level]`` [k, s, s, s] (z, y, x): of the blocks at that level, in order. ``means`` [blocks]: the one value of blocks
-    of one sample and of dropped ones.
+    ``samples[level]`` [k, s, s, s] (z, y, x): of the blocks at that level, in order. ``means``
+    [blocks]: the one value of blocks of one sample and of dropped ones.
     """
 
     def __init__(
@@ -80,15 +84,15 @@ class BlockField:
         return (z * self._counts[1] + y) * self._counts[0] + x
 
     def __call__(self, p: np.ndarray, interblock: bool | str = True) -> np.ndarray:
-        """The field [n] at places [n, 3] (x, y, z). ``interblock``: False for each block by itself, clamped to the hull of its
-        samples; "p2" for P2's own weights."""
+        """The field [n] at places [n, 3] (x, y, z). ``interblock``: False for each block by itself,
+        clamped to the hull of its samples; "p2" for P2's own weights."""
         p = np.asarray(p, np.float64)
         parts = [self._field(p[i : i + _CHUNK], interblock) for i in range(0, len(p), _CHUNK)]
         return np.concatenate(parts) if parts else np.zeros(0)
 
     def in_block(self, blocks: np.ndarray, p: np.ndarray) -> np.ndarray:
-        """Values [n] at ``p`` [n, 3] by the samples of ``blocks`` [n, 3] alone, clamped to their hull. What has weight 0 does
-        not count, even if it is not finite."""
+        """Values [n] at ``p`` [n, 3] by the samples of ``blocks`` [n, 3] alone, clamped to their
+        hull. What has weight 0 does not count, even if it is not finite."""
         number = self.number(blocks)
         out = self.means[number].copy()
         for level, samples in enumerate(self._samples):
@@ -113,8 +117,9 @@ class BlockField:
     def weights(self, p: np.ndarray, p2: bool = False) -> tuple[np.ndarray, np.ndarray]:
         """(blocks int64 [n, 8, 3], weights [n, 8] that add up to 1) around places [n, 3].
 
-        Block f lies across the nearest faces along the axes whose bits are set in f; beyond the volume the outermost ones stand
-        in. ``p2``: P2's weights, as wide as the coarser block's spacing, and not bounded by the block's own hull.
+        Block f lies across the nearest faces along the axes whose bits are set in f; beyond the
+        volume the outermost ones stand in. ``p2``: P2's weights, as wide as the coarser block's
+        spacing, and not bounded by the block's own hull.
         """
         own = self.block_at(p)
         inside = np.clip(p / self.grid.edge - own, 0.0, 1.0)
@@ -126,7 +131,8 @@ class BlockField:
         weights = np.ones(delta.shape)
         for f in range(8):
             for axis in range(3):
-                # Along the edge between blocks `near` and `far`; the one beyond the face has weight e on it.
+                # Along the edge between blocks `near` and `far`; the one beyond the face has weight
+                # e on it.
                 near, far = f & ~(1 << axis), f | (1 << axis)
                 e = _edge_weight(delta[:, near], delta[:, far], d[:, axis], p2)
                 weights[:, f] *= e if f == far else 1.0 - e
@@ -155,11 +161,14 @@ class BlockField:
 
 @dataclass
 class BlockPicture:
-    """``rgba`` float64 [..., 4], premultiplied, linear. ``samples`` int [...]: places on each ray that a value was taken at.
+    """``rgba`` float64 [..., 4], premultiplied, linear. ``samples`` int [...]: places on each ray
+    that a value was taken at.
 
-    ``margin`` [...]: how near, in steps, a ray came to taking other samples, or others of these: by a place next to a face of a
-    block, where that decides, or by a number of steps next to a whole one. Rounding may decide otherwise there.
-    ``overshoot`` [...]: how far, in steps, a segment goes beyond the block that it begins in, at most.
+    ``margin`` [...]: how near, in steps, a ray came to taking other samples, or others of these: by
+    a place next to a face of a block, where that decides, or by a number of steps next to a whole
+    one. Rounding may decide otherwise there.
+    ``overshoot`` [...]: how far, in steps, a segment goes beyond the block that it begins in, at
+    most.
     """
 
     rgba: np.ndarray
@@ -169,7 +178,7 @@ class BlockPicture:
 
 
 @dataclass
-class _State:
+class _Rays:
     """n rays: places origin + t step, t from 0 to ``length``."""
 
     origin: np.ndarray
@@ -193,10 +202,11 @@ def render_blocks_twin(
 ) -> BlockPicture:
     """The picture of ``resolved`` through ``blocks``, without empty space being leapt over.
 
-    ``stepping`` and ``interblock`` instead of the scene's. ``most_steps`` [blocks]: the most steps at once of stepping "bounded".
-    A post-classified segment has the value in its middle; of a preintegrated one the chord between its ends is integrated
-    exactly, shifted so that its mean is that of the parabola through them and the sample before. Its colour is that of a longer
-    one with these ends, as tables have it: of the next power of two of steps, up to a block's edge.
+    ``stepping`` and ``interblock`` instead of the scene's. ``most_steps`` [blocks]: the most steps
+    at once of stepping "bounded". A post-classified segment has the value in its middle; of a
+    preintegrated one the chord between its ends is integrated exactly, shifted so that its mean is
+    that of the parabola through them and the sample before. Its colour is that of a longer one with
+    these ends, as tables have it: of the next power of two of steps, from a quarter to a block's edge.
     """
     settings, integration = resolved.multiresolution, resolved.integration
     stepping = stepping or settings.stepping
@@ -213,11 +223,13 @@ def render_blocks_twin(
     start = origin[hit] + enter[:, None] * direction[hit]
     # An axis of one voxel is a slab, held from the voxel's centre on.
     place = start @ to_index[:3, :3].T + to_index[:3, 3] + np.where(thin, 1.0, 0.5)
-    state = _State(place, unit * direction[hit] @ to_index[:3, :3].T, (leave - enter) / unit)
+    state = _Rays(place, unit * direction[hit] @ to_index[:3, :3].T, (leave - enter) / unit)
     function = MovedFunction(resolved.transfer_function)
     upper = np.maximum(np.array(grid.size), 2) - 0.5
     march = _March(blocks, function, unit, upper, stepping, interblock, most_steps)
     preintegrated = integration.classification == "preintegrated"
+    if stepping == "limited" and not preintegrated:
+        march.beyond = 1.0
     shown, taken = march.by_chords(state) if preintegrated else march.by_middles(state)
 
     def whole(found: np.ndarray, none: float) -> np.ndarray:
@@ -235,9 +247,10 @@ class _March:
         self.blocks, self.function, self.unit = blocks, function, unit
         self.upper, self.interblock = upper, interblock
         self.stepping = stepping
+        self.beyond = 0.0  # steps that may be taken into the next block
         self.most = most_steps if stepping == "bounded" else blocks.sample_edge
 
-    def by_middles(self, state: _State) -> tuple[np.ndarray, np.ndarray]:
+    def by_middles(self, state: _Rays) -> tuple[np.ndarray, np.ndarray]:
         """(rgba [n, 4], samples [n]): values in the middle of segments."""
         rgba, taken, t = self._nothing(state)
         while len(n := np.flatnonzero(t < state.length)):
@@ -250,44 +263,45 @@ class _March:
             t[n] = far
         return rgba, taken
 
-    def by_chords(self, state: _State) -> tuple[np.ndarray, np.ndarray]:
+    def by_chords(self, state: _Rays) -> tuple[np.ndarray, np.ndarray]:
         """The same by values at the ends of segments."""
         rgba, taken, t = self._nothing(state)
         value = self._value(state, np.arange(len(t)), t)
-        before, last = np.full(len(t), np.nan), np.ones(len(t))  # sample before, and how long that segment was
+        # The sample before, and how long the segment from there was.
+        before, last = np.full(len(t), np.nan), np.ones(len(t))
         taken += 1
         while len(n := np.flatnonzero(t < state.length)):
             far = np.minimum(t[n] + self._steps(state, n, t[n]), state.length[n])
             length, back = far - t[n], self._value(state, n, far)
             front, end = shifted_chord(before[n], value[n], back, last[n], length)
-            longer = np.clip(2.0 ** np.ceil(np.log2(length)), 1.0, self.blocks.grid.edge)
+            longer = np.clip(2.0 ** np.ceil(np.log2(length)), 0.25, self.blocks.grid.edge)
             color, depth = of_chord(self.function, front, end, longer * self.unit)
             _composite(rgba, n, color, depth * (length / longer))
             taken[n] += 1
             before[n], value[n], last[n], t[n] = value[n], back, length, far
         return rgba, taken
 
-    def _nothing(self, state: _State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _nothing(self, state: _Rays) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         n = len(state.length)
         return np.zeros((n, 4)), np.zeros(n, int), np.zeros(n)
 
-    def _place(self, state: _State, n: np.ndarray, t: np.ndarray) -> np.ndarray:
+    def _place(self, state: _Rays, n: np.ndarray, t: np.ndarray) -> np.ndarray:
         return np.clip(state.origin[n] + t[:, None] * state.step[n], 0.5, self.upper)
 
-    def _value(self, state: _State, n: np.ndarray, t: np.ndarray) -> np.ndarray:
+    def _value(self, state: _Rays, n: np.ndarray, t: np.ndarray) -> np.ndarray:
         p = self._place(state, n, t)
         if not self.interblock or (self.blocks.levels == DROPPED).any():
             state.margin[n] = np.minimum(state.margin[n], self._to_faces(state, n, p))
         return self.blocks(p, self.interblock)
 
-    def _to_faces(self, state: _State, n: np.ndarray, p: np.ndarray) -> np.ndarray:
+    def _to_faces(self, state: _Rays, n: np.ndarray, p: np.ndarray) -> np.ndarray:
         """Steps from ``p`` to the planes of blocks' faces."""
         edge, step = self.blocks.grid.edge, np.abs(state.step[n])
         still = step < 1e-12
         steps = np.abs(p - edge * np.rint(p / edge)) / np.where(still, 1.0, step)
         return np.where(still, np.inf, steps).min(axis=1)
 
-    def _steps(self, state: _State, n: np.ndarray, t: np.ndarray) -> np.ndarray:
+    def _steps(self, state: _Rays, n: np.ndarray, t: np.ndarray) -> np.ndarray:
         """How far the rays ``n`` go from t."""
         if self.stepping == "full":
             return np.ones(len(n))
@@ -300,7 +314,7 @@ class _March:
         left = np.maximum(np.where(still, np.inf, leaves).min(axis=1) - t, 0.0)
         margin = self._to_faces(state, n, p)
         if self.stepping != "naive":
-            beyond = 1.0 if self.stepping == "limited" else 0.0
+            beyond = self.beyond
             near = np.rint(left)
             decides = (near > 1.0 - beyond) & (near <= taken - beyond)
             margin = np.where(decides, np.minimum(margin, np.abs(left - near)), margin)
@@ -314,8 +328,9 @@ class _March:
 def shifted_chord(
     before: np.ndarray, front: np.ndarray, back: np.ndarray, a: np.ndarray, b: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The ends of a segment of length ``b`` behind one of length ``a``, shifted by -s'' b^2 / 12, s'' that of the parabola
-    through the three values; both stay within these. NaN as ``before``: the chord as it is."""
+    """The ends of a segment of length ``b`` behind one of length ``a``, shifted by -s'' b^2 / 12,
+    s'' that of the parabola through the three values; both stay within these. NaN as ``before``:
+    the chord as it is."""
     curvature = 2.0 * ((back - front) / b - (front - before) / a) / (a + b)
     shift = -curvature * b**2 / 12.0
     low = np.minimum(np.minimum(before, front), back)

@@ -3,6 +3,7 @@
 #include "view.h"
 #include "block_parameters.h"
 #define QUEUED_STEPS 1
+#define INTERBLOCK 1
 #include "blend_blocks.h"
 
 /* at float [3, n]: x, y, z of places p; values float [n]; counts uint [n / LANES, BLOCK_COUNTERS]. n is a multiple of LANES. */
@@ -18,18 +19,25 @@ __kernel WIDE_VECTORS void block_values(__global const uchar *restrict volume, _
   const floatN x = LOAD_LANES(at + first), y = LOAD_LANES(at + n + first), z = LOAD_LANES(at + 2 * n + first);
   Tally counted[BLOCK_COUNTERS] = {0};
   const Record here = record_at(v, x, y, z);
-  const BlockSample fetched = fetch_in_block(v, &here, x, y, z);
-  const floatN value = value_in_block(&fetched, view);
+  const BlockPlace place = place_in_block(v, &here, x, y, z);
   count_lanes(&counted[COUNT_BLOCK_READS], ~(intN)0);
-  float found[LANES];
-  STORE_LANES(value, found);
 #if LANES == 1
-  if (interblock && fetched.outside) found[0] = blend_blocks(v, &here, x, y, z, value, counted);
+  float found[1] = {value_in_block(v, &place)};
+  if (interblock && place.outside) found[0] = blend_blocks(v, &here, x, y, z, found[0], counted);
 #else
+  float found[FETCHES * LANES];
+  Fetch fetches[FETCHES];
   PlaceQueue queue;
-  queue.count = 0;
-  if (interblock) queue_places(&queue, x, y, z, value, LANE_INDEX, fetched.outside);
-  blend_queue(v, &queue, found, counted);
+  PairQueue pairs;
+  store_fetch(fetches, &place);
+  queue.count = 0, pairs.count = 0;
+  if (interblock) queue_places(&queue, x, y, z, LANE_INDEX, place.outside);
+  if (queue.count) {
+    queue_pairs(v, &queue, &pairs, counted);
+    place_pairs(v, &queue, &pairs, fetches + 1);
+  }
+  for (int k = 0; k * LANES < LANES + pairs.count; ++k) STORE_LANES(fetched_value(v, &fetches[k]), found + k * LANES);
+  if (queue.count) blend_pairs(&queue, &pairs, found + LANES, found);
 #endif
   EACH_LANE(k) values[first + k] = found[k];
   for (int k = 0; k < BLOCK_COUNTERS; ++k) counts[get_global_id(0) * BLOCK_COUNTERS + k] = tally_sum(counted[k]);

@@ -54,8 +54,8 @@ def gated(monkeypatch):
 
 
 def two_halves() -> Volume:
-    """Noise in one half, few high voxels in the other: those are what OTHER shows, and only where blocks are fine: coarse ones,
-    which SHOWN leaves them, are empty space."""
+    """Noise in one half, few high voxels in the other: those are what OTHER shows, and only where
+    blocks are fine: coarse ones, which SHOWN leaves them, are empty space."""
     data = noise(SHAPE).data // 2
     rare = np.random.default_rng(2).random(SHAPE) < 0.04
     data[:, :, 32:] = np.where(rare, 255, 0)[:, :, 32:]
@@ -89,7 +89,7 @@ def test_frames_after_another_function_end_in_the_picture_of_a_fresh_engine(cont
         assert np.isfinite(data.rgba).all() and len(stages) < 2000
         assert data.notes["blocks"]["pending"] == engine.residency.blocks.pending
         assert data.notes["blocks"]["levels"] == [np.count_nonzero(levels == k) for k in range(5)]
-        if len(stages) == 1:  # the new function, what was there of blocks: nothing has been read yet
+        if len(stages) == 1:  # nothing has been read yet
             kept = (levels == start) | (levels == DROPPED) | (levels == 4)
             assert kept.all() and data.notes["blocks"]["pending"] > 0
         gate.let_through(1)

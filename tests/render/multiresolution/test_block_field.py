@@ -1,4 +1,5 @@
-"""The field of blocks at different resolutions: what interblock interpolation promises, in numpy and by the kernels."""
+"""The field of blocks at different resolutions: what interblock interpolation promises, in numpy
+and by the kernels."""
 
 from __future__ import annotations
 
@@ -51,8 +52,8 @@ def test_linear_ramps_stay_linear_inside_the_hull_of_all_samples(level):
 
 
 def sides(field: BlockField, count: int, apart: float, seed: int, centres: bool):
-    """Places [2, count, 3] ``apart`` from each other on either side of a block's face, edge or corner (``centres``: of the planes
-    through blocks' centres), and elsewhere anywhere."""
+    """Places [2, count, 3] ``apart`` from each other on either side of a block's face, edge or
+    corner (``centres``: of the planes through blocks' centres), and elsewhere anywhere."""
     rng = np.random.default_rng(seed)
     grid = field.grid
     counts, upper = np.array(grid.counts[::-1]), np.array(grid.shape[::-1]) - 0.5
@@ -72,8 +73,9 @@ def sides(field: BlockField, count: int, apart: float, seed: int, centres: bool)
 @pytest.mark.parametrize("centres", (False, True))
 @pytest.mark.parametrize("edge", (8, 16))
 def test_the_field_is_continuous_across_faces_edges_and_corners_of_any_levels(edge, centres):
-    """Whatever the levels, values 1e-10 voxels apart differ by at most 1e-8 of the range (a slope of 100 ranges a voxel; the
-    noise itself has 1): any seam would show. Without interpolation between blocks they do differ."""
+    """Whatever the levels, values 1e-10 voxels apart differ by at most 1e-8 of the range (a slope
+    of 100 ranges a voxel; the noise itself has 1): any seam would show. Without interpolation
+    between blocks they do differ."""
     shape = (4 * edge, 3 * edge, 5 * edge)
     volume = noise(shape)
     for seed in range(4):
@@ -85,8 +87,8 @@ def test_the_field_is_continuous_across_faces_edges_and_corners_of_any_levels(ed
 
 
 def test_dropped_blocks_break_continuity_between_no_others():
-    """Across faces of blocks that are not dropped, whatever is beside them. Next to a dropped one the field is as steep as 2^-15
-    of a block makes it."""
+    """Across faces of blocks that are not dropped, whatever is beside them. Next to a dropped one
+    the field is as steep as 2^-15 of a block makes it."""
     shape = (64, 48, 80)
     volume = noise(shape)
     for seed in range(4):
@@ -96,6 +98,21 @@ def test_dropped_blocks_break_continuity_between_no_others():
         kept = kept[0] & kept[1]
         assert kept.sum() > 1000
         assert np.abs(field(a) - field(b))[kept].max() < 1e-10 * 2**15 * RANGE
+
+
+def test_constant_blocks_may_have_one_sample_beside_full_resolution():
+    """With no others coarse nothing changes. P2's weights reach up to half a block from there."""
+    data = noise((48, 48, 64)).data.copy()
+    data[16:32, 16:32, 16:32], data[:16, 16:32, 48:] = 40, 200
+    volume = Volume(data)
+    levels = np.zeros(BlockGrid(data.shape).count, np.uint8)
+    full = twin_of(volume, levels)
+    constant = full.number(np.array([[1, 1, 1], [3, 1, 0]]))
+    levels[constant] = 4
+    coarse = twin_of(volume, levels)
+    p = random_places(full.grid, 16000, 9).astype(np.float64)
+    np.testing.assert_allclose(coarse(p), full(p), atol=1e-9)
+    assert np.abs(coarse(p, "p2") - full(p, "p2")).max() > 0.1 * RANGE
 
 
 @pytest.mark.parametrize("level", range(5))
@@ -136,8 +153,9 @@ def test_weights_are_shares_and_fall_to_0_at_the_own_hull():
 
 
 def test_p2_counts_a_coarse_block_inside_the_hull_of_a_fine_ones_samples_and_we_do_not():
-    """A fine block and three coarse ones meet at an edge: there the one beyond the edge has weight by P2's product of the e from the
-    other two to it, however far the place is inside the fine one's samples."""
+    """A fine block and three coarse ones meet at an edge: there the one beyond the edge has weight
+    by P2's product of the e from the other two to it, however far the place is inside the fine
+    one's samples."""
     volume = noise((16, 32, 32))
     field = twin_of(volume, np.array([0, 4, 4, 4], np.uint8))
     place = np.array([[14.0, 14.0, 8.0]])  # a voxel and a half inside block 0's outermost samples
@@ -164,7 +182,8 @@ _TYPES = [("uint8", 0.0, 16), ("uint8", 0.0, 1), ("int16", 0.0, 16), ("float32",
 @pytest.mark.parametrize("shape", SHAPES)
 @pytest.mark.parametrize(("dtype", "holes", "lanes"), _TYPES)
 def test_kernels_give_the_definitions_values(context, dtype, holes, lanes, shape):
-    """Where a place's own block, or one that is blended in, has a hole that is used, both are NaN."""
+    """Where a place's own block, or one that is blended in, has a hole that is used, both are
+    NaN."""
     volume = noise(shape, dtype, holes=holes)
     for edge, seed in ((16, 1), (8, 2)):
         levels = random_levels(BlockGrid(shape, edge), seed, dropped=0.15)
@@ -224,7 +243,8 @@ def test_kernels_count_what_they_read(context, lanes):
 
 @pytest.mark.parametrize("seed", range(2))
 def test_the_kernels_field_has_no_seams(context, seed):
-    """Places 1e-3 apart across faces: no more than the slope allows (100 ranges a voxel), and float32's rounding."""
+    """Places 1e-3 apart across faces: no more than a slope of 10 ranges a voxel allows, and
+    float32's rounding."""
     shape = (64, 48, 80)
     volume, levels = noise(shape), random_levels(BlockGrid(shape), seed)
     field = twin_of(volume, levels)
