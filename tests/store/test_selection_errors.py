@@ -63,11 +63,11 @@ def voxel_errors(statistics, function, path, background) -> np.ndarray:
 
 
 def mixed_directly(function, values, path, background) -> np.ndarray:
-    """L*, u*, v* behind a quarter of ``path`` in the mean medium of all ``values``."""
+    """L*, u*, v* behind a sixteenth of ``path`` in the mean medium of all ``values``."""
     values = np.ravel(values)
     extinction = function.extinction(values)
     emission = (function.color(values) * extinction[:, None]).mean(axis=0)
-    alpha = -np.expm1(-extinction.mean() * path / 4)
+    alpha = -np.expm1(-extinction.mean() * path / 16)
     shown = emission / extinction.mean() * alpha + np.asarray(background) * (1 - alpha)
     return linear_to_luv(shown)
 

@@ -234,9 +234,17 @@ def test_without_a_view_all_blocks_count_alike(source):
     assert got.bytes == 4096 * np.count_nonzero(got.levels == 0) and got.error == 0
 
 
+def test_where_all_fits_all_have_full_resolution_whatever_the_view(source):
+    camera = Camera(position=(150.0, 15.0, 15.5), target=(300.0, 15.5, 15.5))
+    got = select(source, camera.complete(source.grid, IMAGE), 10**9, occlusion=True)
+    np.testing.assert_array_equal(got.levels, select(source, None, 10**9).levels)
+    assert got.error == got.bound == 0
+
+
 def test_a_view_spends_memory_on_what_it_sees(source):
     camera = Camera(position=(150.0, 15.0, 15.5), target=(300.0, 15.5, 15.5))
-    got = select(source, camera.complete(source.grid, IMAGE), 10**9).levels.reshape(2, 2, 20)
+    memory = 40 * 4096
+    got = select(source, camera.complete(source.grid, IMAGE), memory).levels.reshape(2, 2, 20)
     assert set(got[:, :, :7].ravel()) == {4} and (got[:, :, 10:12] < 4).all()
     memory = 20 * 4096
     seen = select(source, camera.complete(source.grid, IMAGE), memory)

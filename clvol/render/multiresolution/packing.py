@@ -11,11 +11,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from clvol.errors import DeviceError, SceneError
+from clvol.errors import DeviceError, SceneError, VolumeError
 from clvol.opencl.structs import BLOCK_PAYLOAD
 from clvol.render.layout import LARGEST_OFFSET
 from clvol.store.geometry import BlockGrid
 
+MOST_BLOCKS = 1024  # along an axis: kernels pack three numbers in 32 bits (cl/blend_blocks.h)
 MOST_BUFFERS = 4  # the index has two bits for a buffer's number
 SPARE_BYTES = 64  # after the last sample of a buffer: wide loads of it must stay inside
 SMALLEST = 8  # samples of the smallest slot, 2^3: single samples are in the index itself
@@ -202,8 +203,14 @@ def buffer_samples(
     is left beside ``overhead_bytes``, or what the whole volume needs at full resolution.
 
     ``largest_buffer``: bytes. SceneError where memory does not even hold the rest, DeviceError
-    where a buffer holds no block.
+    where a buffer holds no block, VolumeError for more than MOST_BLOCKS along an axis.
     """
+    if max(blocks.counts) > MOST_BLOCKS:
+        raise VolumeError(
+            "volume",
+            f"{max(blocks.counts)} blocks of {blocks.edge} voxels along an axis",
+            f"at most {MOST_BLOCKS}: a store of larger blocks (clvol store --edge)",
+        )
     itemsize, whole = sample_dtype(dtype).itemsize, blocks.edge**3
     limit = min((largest_buffer - SPARE_BYTES) // itemsize, LARGEST_OFFSET)
     each = limit // whole * whole

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from clvol.errors import DeviceError, SceneError
+from clvol.errors import DeviceError, SceneError, VolumeError
 from clvol.render.multiresolution.packing import (
     SPARE_BYTES,
     Packing,
@@ -190,3 +190,9 @@ def test_the_map_of_empty_space_is_as_fine_as_a_sixteenth_of_what_is_left_allows
 def test_staging_holds_a_block_of_the_widest_type(shape, edge):
     samples, payloads = staging_bytes(BlockGrid(shape, edge))
     assert 8 * edge**3 <= samples <= 2**20 and payloads >= 16
+
+
+def test_more_blocks_along_an_axis_than_kernels_can_name_are_refused():
+    with pytest.raises(VolumeError, match="1025 blocks of 4 voxels.*at most 1024"):
+        buffer_samples(BlockGrid((4, 4, 4097), 4), np.dtype(np.uint8), 2**30, 2**30)
+    assert buffer_samples(BlockGrid((4, 4, 4096), 4), np.dtype(np.uint8), 2**30, 2**30)
