@@ -2,7 +2,7 @@
 multiresolution_scenes.py and multiresolution_tables.py).
 
 Parts: steps along the ray as the paper's table has them (full, limited, naive, bounded), once as in the paper
-(levels by the transfer function alone, no empty space leapt over) and once as clvol is used; interpolation
+(levels by the transfer function alone, no empty space leapt over, steps of half a voxel) and once as clvol is used; interpolation
 between blocks; tiles of the picture; pictures within a budget; everything resident beside the plain ray caster;
 the selection of levels; with ``--large`` a volume of 8 GiB. Pictures are 1024^2.
 
@@ -29,7 +29,7 @@ from bench.report import load_average, machine, say
 __all__ = ["SUMMARY", "draw", "run", "show"]
 
 SUMMARY = "blocks of different resolution in a memory budget: steps, tiles, error, selection"
-SIZE, QUICK_SIZE, MOST_ROUNDS, QUICK_ROUNDS = 1024, 96, 7, 3
+SIZE, QUICK_SIZE, MOST_ROUNDS, QUICK_ROUNDS = 1024, 96, 5, 3
 MEMORY = 16 * parts.MiB  # of the chest's 138 MiB
 # (scene, voxels' bytes over those allowed, what "limited" has to gain over "full")
 RATIOS = (("female", 11.0, 2.8), ("female", 30.0, 3.3), ("crab", 9.0, 2.1), ("chest", 11.0, None))

@@ -30,6 +30,7 @@ _SLOW = 0.6  # seconds of a frame from which three frames must do
 MiB = 2**20
 # As in the paper: levels chosen by the transfer function alone.
 AS_IN_PAPER = {"view_weighting": False, "occlusion": False}
+PAPER_STEP = 0.5  # voxel edges; P2 does not say. Long steps are multiples of it
 
 
 @dataclass
@@ -146,6 +147,8 @@ def stepping(
     volume = bench.volume(scene)
     settings = AS_IN_PAPER if as_in_paper else {}
     asked = scene.asked(volume, bench.size, int(volume.nbytes / ratio), **settings).resolve()
+    step = PAPER_STEP if as_in_paper else asked.integration.step
+    asked = replace(asked, integration=asked.integration.model_copy(update={"step": step}))
     with bench.blocks(asked) as blocks:
         casters = {name: blocks.caster(skip=not as_in_paper, stepping=name) for name in STEPPINGS}
         if getattr(casters["bounded"], "steps", None) is None:  # steps it may take at once, by block
@@ -154,7 +157,7 @@ def stepping(
         times = bench.times({name: blocks.turn(caster) for name, caster in casters.items()})
         row = {
             "scene": scene.name, "ratio": ratio, "as_in_paper": as_in_paper, "goal": goal,
-            "classification": scene.scene.classification,
+            "classification": scene.scene.classification, "step": step,
             "blocks": blocks.described(),
             "steppings": {
                 name: stepping_row(name, frames, times) for name in casters

@@ -97,7 +97,8 @@ def _flat(rows: Iterable[list[dict[str, Any]]]) -> list[dict[str, Any]]:
 
 
 def _how(row: dict[str, Any]) -> str:
-    return "as in the paper" if row["as_in_paper"] else "as used"
+    how = "as in the paper" if row["as_in_paper"] else "as used"
+    return f"{how}, step {row['step']:g}"
 
 
 def _spread(time: dict[str, Any]) -> str:

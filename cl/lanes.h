@@ -60,6 +60,9 @@ typedef uint16 stored_uint16 __attribute__((aligned(4)));
 INLINE void __attribute__((overloadable)) store_lanes(float16 v, __private float *a) { *(__private stored_float16 *)a = v; }
 INLINE void __attribute__((overloadable)) store_lanes(int16 v, __private int *a) { *(__private stored_int16 *)a = v; }
 INLINE void __attribute__((overloadable)) store_lanes(uint16 v, __private uint *a) { *(__private stored_uint16 *)a = v; }
+INLINE void __attribute__((overloadable)) store_lanes(float16 v, __global float *a) { vstore16(v, 0, a); }
+INLINE void __attribute__((overloadable)) store_lanes(int16 v, __global int *a) { vstore16(v, 0, a); }
+INLINE void __attribute__((overloadable)) store_lanes(uint16 v, __global uint *a) { vstore16(v, 0, a); }
 #endif
 
 /* Without this attribute LLVM's x86 back end splits 512-bit vectors in two halves. */

@@ -50,7 +50,7 @@ def test_errors_are_those_of_the_pictures(swept, first_device):
     exact = render_reference(scene_of(table_size=64).resolve(), first_device)[0]
     assert rms(pictures["reference"], exact) < 1e-6
     points = {point["id"]: point for point in result["points"]}
-    assert len(result["front"]) >= 2
+    assert result["front"]  # how many are on it the clock decides
     for name in (*result["front"], result["baseline"]):
         assert points[name]["rmse"] == pytest.approx(rms(pictures[name], exact), rel=1e-4)
         assert points[name]["seconds"]["frames"] == 3 and points[name]["psnr"] > 0

@@ -250,7 +250,7 @@ def _result() -> dict:
     return {
         "size": 64, "seconds": 1.0, "load_before": None, "load_after": None, "quick": True,
         "missing": ["crab"], "failed": ["tiles: no"],
-        "stepping": [{"scene": "female", "ratio": 8.0, "as_in_paper": True, "goal": 2.8,
+        "stepping": [{"scene": "female", "ratio": 8.0, "as_in_paper": True, "step": 0.5, "goal": 2.8,
                       "classification": "post",
                       "blocks": blocks, "steppings": {"full": even, "limited": limited}}],
         "interblock": [[{"scene": "female", "stepping": "full", "seconds": 1.2, "without": 1.0,
