@@ -23,7 +23,7 @@
  * volume's faces the outermost blocks stand in for what is not there.
  *
  * Beside a dropped block, which shows nothing and keeps its one value to itself, a block fades from its outermost samples to that value
- * at the face: what is visible never ends at a face.
+ * at the face: what is visible does not end at a face, but near its edges, where a second visible block keeps a share up to there.
  */
 #ifndef BLEND_BLOCKS_H
 #define BLEND_BLOCKS_H
@@ -158,9 +158,10 @@ INLINE floatN blend_blocks(const BlockVolume *v, const Record *r, floatN px, flo
 /* In a packet few samples lie between blocks, and of the seven other blocks one or two have weight: lane by lane most of a
  * vector would do nothing. So places that need blending are queued over several steps of the packet, and worked off 16 at a
  * time: first, of each, one block across a face (of most there is no other), then all other (place, block) pairs, which are
- * queued as well. (Without queues blending took more than twice as long.) */
+ * queued as well. What comes out stays in the queue's order, and each step takes its own from there. (Without queues blending took
+ * more than twice as long.) */
 #define QUEUE_LENGTH (LANES * QUEUED_STEPS)
-#define PAIRS_LENGTH (7 * QUEUE_LENGTH)
+#define PAIRS_LENGTH (6 * QUEUE_LENGTH)
 
 /* Places in blocks whose values are wanted: of the samples of QUEUED_STEPS steps, then of pairs. All addresses come before all
  * fetches: the loads of many vectors are under way at once. */
@@ -170,10 +171,18 @@ typedef struct {
   int at[LANES], shift[LANES];
   uint word1[LANES];
   float fx[LANES], fy[LANES], fz[LANES], value[LANES];
+  int full;
 } Fetch;
+
+INLINE void store_full_fetch(Fetch *f, const BlockPlace *p)
+{
+  STORE_LANES(p->at, f->at), STORE_LANES(p->fx, f->fx), STORE_LANES(p->fy, f->fy), STORE_LANES(p->fz, f->fz);
+  f->full = 1;
+}
 
 INLINE void store_fetch(Fetch *f, const BlockPlace *p)
 {
+  f->full = 0;
   STORE_LANES(p->at, f->at), STORE_LANES(p->shift, f->shift), STORE_LANES(p->word1, f->word1), STORE_LANES(p->value, f->value);
   STORE_LANES(p->fx, f->fx), STORE_LANES(p->fy, f->fy), STORE_LANES(p->fz, f->fz);
 }
@@ -181,16 +190,19 @@ INLINE void store_fetch(Fetch *f, const BlockPlace *p)
 INLINE floatN fetched_value(const BlockVolume *v, const Fetch *f)
 {
   BlockPlace p;
-  p.at = LOAD_LANES(f->at), p.shift = LOAD_LANES(f->shift), p.word1 = LOAD_LANES(f->word1), p.value = LOAD_LANES(f->value);
-  p.fx = LOAD_LANES(f->fx), p.fy = LOAD_LANES(f->fy), p.fz = LOAD_LANES(f->fz);
+  p.at = LOAD_LANES(f->at), p.fx = LOAD_LANES(f->fx), p.fy = LOAD_LANES(f->fy), p.fz = LOAD_LANES(f->fz);
+  if (f->full) return value_in_full_block(v, &p);
+  p.shift = LOAD_LANES(f->shift), p.word1 = LOAD_LANES(f->word1), p.value = LOAD_LANES(f->value);
   return value_in_block(v, &p);
 }
 
+/* Places to be blended, and, once that is done, what with: value += share (other - value). */
 typedef struct {
   int count;
+  int from[QUEUED_STEPS];   /* first place of each step */
+  uint lanes[QUEUED_STEPS]; /* its lanes, as bits */
   float x[QUEUE_LENGTH + LANES], y[QUEUE_LENGTH + LANES], z[QUEUE_LENGTH + LANES];
-  float id[QUEUE_LENGTH + LANES]; /* bits of where the value of the block that holds the place is */
-  float total[QUEUE_LENGTH + LANES]; /* weights */
+  float other[QUEUE_LENGTH + LANES], share[QUEUE_LENGTH + LANES];
 } PlaceQueue;
 
 /* Other pairs of the places of one vector: six blocks, of each the lanes whose places it has weight for, one after the other. */
@@ -203,32 +215,35 @@ typedef struct {
   float weight[OTHERS][LANES];  /* also of the lanes that are not there: 0 */
 } OtherPairs;
 
-/* First one pair a place, then the others: these begin at a multiple of LANES. */
 typedef struct {
-  int count;
-  float slot[PAIRS_LENGTH + LANES];   /* bits of the number in the queue of places */
-  float block[PAIRS_LENGTH + LANES];  /* bits of x | y << 10 | z << 20 */
-  float weight[QUEUE_LENGTH + LANES]; /* of the first ones */
+  int vectors, count;                 /* of first pairs, one a place; other pairs */
+  float slot[PAIRS_LENGTH + LANES];   /* other pairs: bits of the number in the queue of places */
+  float block[PAIRS_LENGTH + LANES];  /* and bits of x | y << 10 | z << 20 */
+  float first[QUEUED_STEPS][LANES];   /* weights of the first ones, and of all eight */
+  float total[QUEUED_STEPS][LANES];
   OtherPairs others[QUEUED_STEPS];
 } PairQueue;
 
-/* Places of the lanes in `between`; `id` of a lane is where its value will be. */
-INLINE void queue_places(PlaceQueue *q, floatN px, floatN py, floatN pz, intN id, intN between)
+/* Places of the lanes in `between`, of one step. */
+INLINE void queue_places(PlaceQueue *q, floatN px, floatN py, floatN pz, int step, intN between)
 {
   const uint bits = lane_bits(between);
   const int at = q->count;
+  q->from[step] = at, q->lanes[step] = bits;
+  if (!bits) return;
   pack_lanes(px, bits, q->x + at), pack_lanes(py, bits, q->y + at), pack_lanes(pz, bits, q->z + at);
-  pack_lanes(AS_FLOAT(id), bits, q->id + at);
-  q->count += popcount(bits);
+  q->count = at + popcount(bits);
 }
 
-/* The pairs of all places of `q`. */
-INLINE void queue_pairs(const BlockVolume *v, PlaceQueue *q, PairQueue *p, Tally *tally)
+/* The pairs of all places of `q`, and where to fetch what they want: the first ones' vectors, then the others'. Returns how many vectors. */
+INLINE int queue_pairs(const BlockVolume *v, const PlaceQueue *q, PairQueue *p, Fetch *fetches, Tally *tally)
 {
   const int4 count = v->blocks->count;
-  const int places = q->count, others_from = (places + LANES - 1) / LANES * LANES;
-  int pairs = others_from;
-  _Pragma("unroll 1") for (int first = 0; first < places; first += LANES) {
+  const int places = q->count;
+  int pairs = 0;
+  p->vectors = (places + LANES - 1) / LANES;
+  _Pragma("unroll 1") for (int k = 0; k < p->vectors; ++k) {
+    const int first = k * LANES;
     const intN active = MASK(LANE_INDEX < places - first);
     const floatN zero = 0.0f, half_ = 0.5f;
     const floatN px = select(half_, LOAD_LANES(q->x + first), active), py = select(half_, LOAD_LANES(q->y + first), active);
@@ -237,70 +252,85 @@ INLINE void queue_pairs(const BlockVolume *v, PlaceQueue *q, PairQueue *p, Tally
     const Around a = blocks_around(v, bx, by, bz, px, py, pz, active);
     floatN weight[8];
     blend_weights(&a, active, weight);
-    const intN ax = across(bx, &a.x, count.x), ay = across(by, &a.y, count.y) << 10, az = across(bz, &a.z, count.z) << 20;
-    const intN cy = by << 10, cz = bz << 20;
+    const intN ax = across(bx, &a.x, count.x), ay = across(by, &a.y, count.y), az = across(bz, &a.z, count.z);
     const intN by_x = MASK(weight[1] > zero), by_y = MASK(weight[2] > zero) & ~by_x;
     const intN by_z = MASK(weight[4] > zero) & ~by_x & ~by_y;
+    const Record r = fetch_record(v, select(bx, ax, by_x), select(by, ay, by_y), select(bz, az, by_z));
+    if (all_full(v, &r)) {
+      const BlockPlace place = place_in_full_block(v, &r, px, py, pz);
+      store_full_fetch(fetches + k, &place);
+    } else {
+      const BlockPlace place = place_in_block(v, &r, px, py, pz);
+      store_fetch(fetches + k, &place);
+    }
     const floatN first_weight = select(select(select(zero, weight[4], by_z), weight[2], by_y), weight[1], by_x);
-    const intN first_block = select(bx, ax, by_x) + select(cy, ay, by_y) + select(cz, az, by_z);
-    const floatN slot = AS_FLOAT(first + LANE_INDEX);
-    STORE_LANES(slot, p->slot + first), STORE_LANES(AS_FLOAT(first_block), p->block + first);
-    STORE_LANES(first_weight, p->weight + first);
     const floatN others = weight[3] + weight[5] + weight[6] + weight[7] + select(zero, weight[2], by_x) +
                           select(zero, weight[4], by_x | by_y);
-    STORE_LANES(weight[0] + first_weight + others, q->total + first);
+    STORE_LANES(first_weight, p->first[k]), STORE_LANES(weight[0] + first_weight + others, p->total[k]);
     count_lanes(&tally[COUNT_BLENDED], active & (by_x | by_y | by_z | MASK(others > zero)));
     count_lanes(&tally[COUNT_BLOCK_READS], active & (by_x | by_y | by_z));
-    OtherPairs *o = p->others + first / LANES;
+    OtherPairs *o = p->others + k;
     o->any = any_lane(active & MASK(others > zero));
     if (!o->any) continue;
+    const floatN slot = AS_FLOAT(first + LANE_INDEX);
+    const intN ay10 = ay << 10, az20 = az << 20, by10 = by << 10, bz20 = bz << 20;
     int block[OTHERS][LANES];
-    STORE_LANES(select(zero, weight[2], by_x), o->weight[0]), STORE_LANES(bx + ay + cz, block[0]);
-    STORE_LANES(select(zero, weight[4], by_x | by_y), o->weight[1]), STORE_LANES(bx + cy + az, block[1]);
-    STORE_LANES(weight[3], o->weight[2]), STORE_LANES(ax + ay + cz, block[2]);
-    STORE_LANES(weight[5], o->weight[3]), STORE_LANES(ax + cy + az, block[3]);
-    STORE_LANES(weight[6], o->weight[4]), STORE_LANES(bx + ay + az, block[4]);
-    STORE_LANES(weight[7], o->weight[5]), STORE_LANES(ax + ay + az, block[5]);
-    _Pragma("unroll 1") for (int k = 0; k < OTHERS; ++k) {
-      const uint bits = lane_bits(active & MASK(LOAD_LANES(o->weight[k]) > zero));
-      pack_lanes(slot, bits, p->slot + pairs), pack_lanes(AS_FLOAT(LOAD_LANES(block[k])), bits, p->block + pairs);
-      o->from[k] = pairs, o->lanes[k] = bits;
-      pairs += popcount(bits);
+    STORE_LANES(select(zero, weight[2], by_x), o->weight[0]), STORE_LANES(bx + ay10 + bz20, block[0]);
+    STORE_LANES(select(zero, weight[4], by_x | by_y), o->weight[1]), STORE_LANES(bx + by10 + az20, block[1]);
+    STORE_LANES(weight[3], o->weight[2]), STORE_LANES(ax + ay10 + bz20, block[2]);
+    STORE_LANES(weight[5], o->weight[3]), STORE_LANES(ax + by10 + az20, block[3]);
+    STORE_LANES(weight[6], o->weight[4]), STORE_LANES(bx + ay10 + az20, block[4]);
+    STORE_LANES(weight[7], o->weight[5]), STORE_LANES(ax + ay10 + az20, block[5]);
+    _Pragma("unroll 1") for (int j = 0; j < OTHERS; ++j) {
+      const uint bits = lane_bits(active & MASK(LOAD_LANES(o->weight[j]) > zero));
+      o->lanes[j] = bits;
+      if (!bits) continue;
+      pack_lanes(slot, bits, p->slot + pairs), pack_lanes(AS_FLOAT(LOAD_LANES(block[j])), bits, p->block + pairs);
+      o->from[j] = pairs, pairs += popcount(bits);
     }
   }
   p->count = pairs;
-  tally[COUNT_BLOCK_READS] += AS_UINT(select((intN)0, (intN)(pairs - others_from), MASK(LANE_INDEX == 0)));
-}
-
-/* Where to fetch what pairs want. */
-INLINE void place_pairs(const BlockVolume *v, const PlaceQueue *q, const PairQueue *p, Fetch *f)
-{
-  const int places = (q->count + LANES - 1) / LANES * LANES;
-  _Pragma("unroll 1") for (int first = 0; first < p->count; first += LANES, ++f) {
-    const intN active = MASK(LANE_INDEX < (first < places ? q->count : p->count) - first);
+  tally[COUNT_BLOCK_READS] += AS_UINT(select((intN)0, (intN)pairs, MASK(LANE_INDEX == 0)));
+  fetches += p->vectors;
+  _Pragma("unroll 1") for (int first = 0; first < pairs; first += LANES, ++fetches) {
+    const intN active = MASK(LANE_INDEX < pairs - first);
     const intN slot = AS_INT(LOAD_LANES(p->slot + first)) & active, block = AS_INT(LOAD_LANES(p->block + first)) & active;
     const Record r = fetch_record(v, block & 1023, (block >> 10) & 1023, block >> 20);
-    const floatN px = gather_private(q->x, slot), py = gather_private(q->y, slot), pz = gather_private(q->z, slot);
-    const BlockPlace place = place_in_block(v, &r, px, py, pz);
-    store_fetch(f, &place);
+    const BlockPlace place = place_in_block(v, &r, gather_private(q->x, slot), gather_private(q->y, slot), gather_private(q->z, slot));
+    store_fetch(fetches, &place);
+  }
+  return p->vectors + (pairs + LANES - 1) / LANES;
+}
+
+/* From the values of all pairs to what each place is blended with. Differences to the first one: equal values stay as they are. */
+INLINE void blend_pairs(PlaceQueue *q, const PairQueue *p, const float *of_pairs)
+{
+  const float *of_others = of_pairs + p->vectors * LANES;
+  _Pragma("unroll 1") for (int k = 0; k < p->vectors; ++k) {
+    const floatN first = LOAD_LANES(of_pairs + k * LANES), total = LOAD_LANES(p->total[k]);
+    floatN weight = LOAD_LANES(p->first[k]), other = first;
+    const OtherPairs *o = p->others + k;
+    if (o->any) {
+      floatN sum = 0.0f;
+      _Pragma("unroll 1") for (int j = 0; j < OTHERS; ++j) {
+        if (!o->lanes[j]) continue;
+        const floatN own = LOAD_LANES(o->weight[j]);
+        sum += own * (unpack_lanes(of_others + o->from[j], o->lanes[j]) - first);
+        weight += own;
+      }
+      other += sum / select((floatN)1.0f, weight, MASK(weight > 0.0f));
+    }
+    STORE_LANES(other, q->other + k * LANES), STORE_LANES(weight / total, q->share + k * LANES);
   }
 }
 
-/* Blends the values of all places with those of their pairs, `of_pairs`, and empties the queue. */
-INLINE void blend_pairs(PlaceQueue *q, const PairQueue *p, const float *of_pairs, float *values)
+/* Values of one step, of which those between blocks are blended. */
+INLINE floatN blended_value(const PlaceQueue *q, int step, floatN value)
 {
-  const int places = q->count;
-  _Pragma("unroll 1") for (int first = 0; first < places; first += LANES) {
-    const intN active = MASK(LANE_INDEX < places - first), id = AS_INT(LOAD_LANES(q->id + first)) & active;
-    const floatN value = gather_private(values, id);
-    floatN sum = LOAD_LANES(p->weight + first) * (LOAD_LANES(of_pairs + first) - value);
-    const OtherPairs *o = p->others + first / LANES;
-    if (o->any)
-      _Pragma("unroll 1") for (int k = 0; k < OTHERS; ++k)
-        sum += LOAD_LANES(o->weight[k]) * (unpack_lanes(of_pairs + o->from[k], o->lanes[k]) - value);
-    scatter_private(value + sum / LOAD_LANES(q->total + first), id, lane_bits(active), values);
-  }
-  q->count = 0;
+  const uint bits = q->lanes[step];
+  if (!bits) return value;
+  const floatN other = unpack_lanes(q->other + q->from[step], bits), share = unpack_lanes(q->share + q->from[step], bits);
+  return select(value, value + share * (other - value), MASK(share > 0.0f));
 }
 
 #endif

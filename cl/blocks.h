@@ -83,6 +83,25 @@ INLINE Record record_at(const BlockVolume *v, floatN px, floatN py, floatN pz)
                       block_of(pz, v, v->blocks->count.z));
 }
 
+/* The same where `r` is that of another place: rays stay in a block for many steps, and mostly all of a packet do. */
+INLINE int all_full(const BlockVolume *v, const Record *r)
+{
+#if SAMPLE_BUFFERS == 1
+  return !any_lane(MASK(code_of(r) != v->blocks->count.w + 1));
+#else
+  return 0;
+#endif
+}
+
+INLINE void move_record(const BlockVolume *v, Record *r, int *full, floatN px, floatN py, floatN pz)
+{
+  const intN x = block_of(px, v, v->blocks->count.x), y = block_of(py, v, v->blocks->count.y), z = block_of(pz, v, v->blocks->count.z);
+  if (any_lane(MASK(((x ^ r->x) | (y ^ r->y) | (z ^ r->z)) != 0))) {
+    *r = fetch_record(v, x, y, z);
+    *full = all_full(v, r);
+  }
+}
+
 /* Place along one axis among a block's samples. */
 typedef struct {
   intN lower;
@@ -185,14 +204,40 @@ INLINE BlockPlace place_in_block(const BlockVolume *v, const Record *r, floatN p
   return s;
 }
 
+/* The same in blocks at full resolution: `all_full()` of their records. `shift`, `word1` and `value` are not set. */
+INLINE BlockPlace place_in_full_block(const BlockVolume *v, const Record *r, floatN px, floatN py, floatN pz)
+{
+  const int log_edge = v->blocks->count.w;
+  const float edge = v->blocks->edge.x;
+  const intN last = (1 << log_edge) - 1;
+  BlockPlace s;
+  const BlockAxis x = block_axis(px - edge * TO_FLOAT(r->x) - 0.5f, last), y = block_axis(py - edge * TO_FLOAT(r->y) - 0.5f, last);
+  const BlockAxis z = block_axis(pz - edge * TO_FLOAT(r->z) - 0.5f, last);
+  s.fx = x.fraction, s.fy = y.fraction, s.fz = z.fraction;
+  s.outside = x.outside | y.outside | z.outside;
+  s.at = AS_INT(r->word0) + ((((z.lower << log_edge) + y.lower) << log_edge) + x.lower);
+  return s;
+}
+
+INLINE floatN mixed_corners(const Corners *c, const BlockPlace *s)
+{
+  const floatN v00 = mix_corners(c->v000, c->v100, s->fx), v10 = mix_corners(c->v010, c->v110, s->fx);
+  const floatN v01 = mix_corners(c->v001, c->v101, s->fx), v11 = mix_corners(c->v011, c->v111, s->fx);
+  return mix_corners(mix_corners(v00, v10, s->fy), mix_corners(v01, v11, s->fy), s->fz);
+}
+
+INLINE floatN value_in_full_block(const BlockVolume *v, const BlockPlace *s)
+{
+  const int log_edge = v->blocks->count.w;
+  const Corners c = decode_corners(fetch_block_corners(v, (intN)0, s->at, (intN)(1 << log_edge), (intN)(1 << 2 * log_edge)), v->view);
+  return mixed_corners(&c, s);
+}
+
 INLINE floatN value_in_block(const BlockVolume *v, const BlockPlace *s)
 {
   const Corners c = decode_corners(fetch_block_corners(v, AS_INT((s->word1 >> 4u) & 3u), s->at, (intN)1 << s->shift,
                                                        (intN)1 << (2 * s->shift)), v->view);
-  const floatN v00 = mix_corners(c.v000, c.v100, s->fx), v10 = mix_corners(c.v010, c.v110, s->fx);
-  const floatN v01 = mix_corners(c.v001, c.v101, s->fx), v11 = mix_corners(c.v011, c.v111, s->fx);
-  const floatN mixed = mix_corners(mix_corners(v00, v10, s->fy), mix_corners(v01, v11, s->fy), s->fz);
-  return select(mixed, s->value, has_one_value(s->word1));
+  return select(mixed_corners(&c, s), s->value, has_one_value(s->word1));
 }
 
 #endif

@@ -1,5 +1,6 @@
 /* A packet of rays through a volume of blocks (P2 sec. 3): as in render_packet.h, but a segment is as many steps long as
  * step_blocks.h says. Tables hold one slice for each power of two of steps, the longest first; a segment takes the shortest that holds it.
+ * Where all segments are a step long (STEPPING full) they are looked up and composited as in render_packet.h, which saves an exponential.
  *
  *   preintegrated  values at the ends of segments
  *   post           values in the middle of each
@@ -39,6 +40,8 @@ typedef struct {
 #endif
 } March;
 
+#if STEPPING != STEPPING_FULL
+
 /* Slices for less than a step: of half and of a quarter of it, for the last piece of a ray. (_SHORT_SLICES of caster.py) */
 #define SHORT_SLICES 2
 
@@ -51,7 +54,9 @@ INLINE intN slice_of(floatN *length, __constant const View *view)
   return (longest - doublings) * (4 * view->table.w);
 }
 
-#if CLASSIFICATION == CLASSIFICATION_PREINTEGRATED
+#endif
+
+#if CLASSIFICATION == CLASSIFICATION_PREINTEGRATED && STEPPING != STEPPING_FULL
 /* segment_classes() of classify.h for a segment of length b behind one of length a. */
 INLINE void uneven_classes(floatN before, floatN front, floatN back, floatN a, floatN b, intN curved,
                            __global const float *warp, __constant const View *view, ClassCoordinate *front_class,
@@ -99,7 +104,6 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
 
 #if INTERBLOCK && LANES > 1
   PlaceQueue queue;
-  queue.count = 0;
 #endif
   while (any_lane(active)) {
 #if SKIP_EMPTY
@@ -122,6 +126,11 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
     if (!any_lane(active)) break;
 #endif
     March m;
+#if INTERBLOCK && LANES > 1
+    queue.count = 0;
+#endif
+    Record here = record_at(v, (floatN)0.5f, (floatN)0.5f, (floatN)0.5f);
+    int full = all_full(v, &here);
     intN walks = active;
     floatN next_t = t;
     _Pragma("unroll 1") for (int step = 0; step < QUEUED_STEPS; ++step) {
@@ -131,20 +140,20 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
 #if STEPPING == STEPPING_FULL
       const floatN far = lane_min(next_t + 1.0f, end);
 #else
-      const Record front = record_at(v, x, y, z);
-      const floatN far = lane_min(next_t + steps_at_once(v, &ray, &front, next_t), end);
+      move_record(v, &here, &full, x, y, z);
+      const floatN far = lane_min(next_t + steps_at_once(v, &ray, &here, next_t), end);
 #endif
       place_on_ray(&ray, v, next_t + 0.5f * lane_max(far - next_t, zero), &x, &y, &z);
-      const Record here = record_at(v, x, y, z);
+      move_record(v, &here, &full, x, y, z);
       STORE_LANES(far, m.t[step]);
 #else
-      const Record here = record_at(v, x, y, z);
+      move_record(v, &here, &full, x, y, z);
       const floatN far = lane_min(next_t + steps_at_once(v, &ray, &here, next_t), end);
       STORE_LANES(next_t, m.t[step]);
 #endif
-      const BlockPlace place = place_in_block(v, &here, x, y, z);
       STORE_LANES(walks, m.active[step]);
 #if LANES == 1
+      const BlockPlace place = place_in_block(v, &here, x, y, z);
       const floatN value = value_in_block(v, &place);
 #if INTERBLOCK
       m.value[step] = walks && place.outside ? blend_blocks(v, &here, x, y, z, value, counted) : value;
@@ -152,10 +161,18 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
       m.value[step] = value;
 #endif
 #else
-      store_fetch(&m.fetches[step], &place);
+      intN outside;
+      if (full) {
+        const BlockPlace place = place_in_full_block(v, &here, x, y, z);
+        store_full_fetch(&m.fetches[step], &place);
+        outside = place.outside;
+      } else {
+        const BlockPlace place = place_in_block(v, &here, x, y, z);
+        store_fetch(&m.fetches[step], &place);
+        outside = place.outside;
+      }
 #if INTERBLOCK
-      const intN between = place.outside & walks;
-      if (any_lane(between)) queue_places(&queue, x, y, z, step * LANES + LANE_INDEX, between);
+      queue_places(&queue, x, y, z, step, outside & walks);
 #endif
 #endif
       count_lanes(&counted[COUNT_BLOCK_READS], walks);
@@ -170,26 +187,33 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
     int vectors = QUEUED_STEPS;
 #if INTERBLOCK
     PairQueue pairs;
-    if (queue.count) {
-      queue_pairs(v, &queue, &pairs, counted);
-      place_pairs(v, &queue, &pairs, m.fetches + vectors);
-      vectors += (pairs.count + LANES - 1) / LANES;
-    }
+    if (queue.count) vectors += queue_pairs(v, &queue, &pairs, m.fetches + QUEUED_STEPS, counted);
 #endif
     _Pragma("unroll 1") for (int k = 0; k < vectors; ++k) STORE_LANES(fetched_value(v, &m.fetches[k]), m.value + k * LANES);
 #if INTERBLOCK
-    if (queue.count) blend_pairs(&queue, &pairs, m.value + QUEUED_STEPS * LANES, m.value);
+    if (queue.count) blend_pairs(&queue, &pairs, m.value + QUEUED_STEPS * LANES);
 #endif
 #endif
     t = select(t, next_t, active);
     _Pragma("unroll 1") for (int step = 0; step < QUEUED_STEPS; ++step) {
       active &= LOAD_LANES(m.active[step]);
       if (!any_lane(active)) break;
-      const floatN value = LOAD_LANES(m.value + step * LANES), at_t = LOAD_LANES(m.t[step]);
+      floatN value = LOAD_LANES(m.value + step * LANES);
+      const floatN at_t = LOAD_LANES(m.t[step]);
+#if INTERBLOCK && LANES > 1
+      value = blended_value(&queue, step, value);
+#endif
 #if MIDPOINTS
       const ClassCoordinate at = class_coordinate(value, warp, view);
       if (may_be_visible(at.position, at.position, active, view)) {
-        composite_point(&acc, at, lane_max(at_t - t1, zero), select(zero, 1.0f - opacity, active), table);
+        const floatN length = lane_max(at_t - t1, zero), weight = select(zero, 1.0f - opacity, active);
+#if STEPPING == STEPPING_FULL
+        const intN parts = active & MASK(length < 1.0f);
+        composite_sample(&acc, at, select(weight, zero, parts), table);
+        if (any_lane(parts)) composite_sample_tail(&acc, at, length, weight, parts, table, view);
+#else
+        composite_point(&acc, at, length, weight, table);
+#endif
         pass_opacity(&acc, &opacity, &median, t1, at_t);
       }
       t1 = select(t1, at_t, active);
@@ -197,11 +221,22 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
       const intN closes = active & ~first; /* lanes with a segment that ends here */
       const floatN long_ = select(one, at_t - t1, closes);
       ClassCoordinate front, back;
+#if STEPPING == STEPPING_FULL
+      segment_classes(value2, value1, value, long_, closes & ~second, warp, view, &front, &back);
+#else
       uneven_classes(value2, value1, value, select(one, t1 - t2, closes & ~second), long_, closes & ~second, warp, view, &front, &back);
+#endif
       if (may_be_visible(lane_min(front.position, back.position), lane_max(front.position, back.position), closes, view)) {
+        const floatN weight = select(zero, 1.0f - opacity, closes);
+#if STEPPING == STEPPING_FULL
+        const intN parts = closes & MASK(long_ < 1.0f);
+        composite_segment(&acc, front, back, select(weight, zero, parts), table, view);
+        if (any_lane(parts)) composite_tail(&acc, front, back, long_, weight, parts, table, view);
+#else
         floatN share = long_;
         const intN slice = slice_of(&share, view);
-        composite_piece(&acc, slice + table_row(front, back, view), front, back, share, select(zero, 1.0f - opacity, closes), table, view);
+        composite_piece(&acc, slice + table_row(front, back, view), front, back, share, weight, table, view);
+#endif
         pass_opacity(&acc, &opacity, &median, t1, at_t);
       }
       value2 = select(value2, value1, active), t2 = select(t2, t1, active);

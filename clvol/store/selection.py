@@ -18,6 +18,7 @@ worst 1.8.
 from __future__ import annotations
 
 import heapq
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -118,9 +119,9 @@ def select_blocks(
         expected = f"at least {format_size(needed)} for the coarsest resolution of {source.name}"
         got = f"got {format_size(memory_bytes)}"
         raise SceneError("scene: multiresolution.memory", got, expected)
-    everything = all_resolutions(found, cost)
-    if everything.bytes <= memory_bytes - overhead_bytes:
-        return everything
+    for everything in all_resolutions(found, cost):
+        if everything.bytes <= memory_bytes - overhead_bytes:
+            return everything
     errors = found.errors
     if camera is not None:
         errors = errors if known is None else errors.copy()
@@ -131,11 +132,13 @@ def select_blocks(
     return select_levels(errors, cost, found.dropped, memory_bytes - overhead_bytes)
 
 
-def all_resolutions(found: SourceErrors, cost: np.ndarray) -> Selection:
-    """Full resolution of all blocks that show anything, but for constant ones: one sample of these is as good."""
-    levels = np.where(found.errors[-1] > 0, 0, len(cost) - 1).astype(np.uint8)
-    levels[found.dropped] = DROPPED
-    return Selection(levels, _bytes(levels, cost), 0.0, 0.0)
+def all_resolutions(found: SourceErrors, cost: np.ndarray) -> Iterator[Selection]:
+    """Full resolution of all blocks that show anything: then rays see voxels, and nothing else. And, where that is too
+    much, of all but those whose one sample is estimated to be as good."""
+    for least in (-1.0, 0.0):
+        levels = np.where(found.errors[-1] > least, 0, len(cost) - 1).astype(np.uint8)
+        levels[found.dropped] = DROPPED
+        yield Selection(levels, _bytes(levels, cost), 0.0, 0.0)
 
 
 def level_costs(blocks: BlockGrid, dtype: np.dtype) -> np.ndarray:

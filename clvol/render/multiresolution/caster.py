@@ -27,6 +27,7 @@ from clvol.render.view import ray_frame
 from clvol.scene.camera import Camera
 from clvol.scene.resolve import ResolvedScene
 from clvol.schedule.tiles import TILE
+from clvol.store.source import DROPPED
 from clvol.transfer import TransferFunction
 from clvol.transfer.classes import visible_cells
 from clvol.transfer.tables import constant_table, depths_tables
@@ -93,10 +94,9 @@ class BlockCaster(Raycaster):
     @property
     def _slices(self) -> int:
         """Of lengths that are a step times powers of two, those that are shorter too."""
-        if self._is_midpoint:
-            return 1
-        steps = 1 if self.settings.stepping == "full" else self.blocks.blocks.levels
-        return steps + _SHORT_SLICES
+        if self.stepping == "full":
+            return super()._slices
+        return 1 if self._is_midpoint else self.blocks.blocks.levels + _SHORT_SLICES
 
     @property
     def _is_midpoint(self) -> bool:
@@ -108,21 +108,40 @@ class BlockCaster(Raycaster):
         self.nodes = scene_nodes(resolved, function)
         mapped = device_function(function, self.volume.values)
         self._asked_function = function
+        self.stepping = self._fitting_stepping()
         self._set_colors()
         visible = visible_cells(mapped, self.nodes.values)
         self.gate = _gate(mapped, self.nodes, visible)
         self._visible = visible, mapped.opacity(self.nodes.values) > 0
         warp = self.nodes.warp
         self.warp = self.context.upload(np.zeros(2, np.float32) if warp is None else warp)
-        self.switches = block_switches(resolved, warp is not None, self.lanes, self.skip)
-        self.switches |= self.blocks.switches
+        self._set_switches()
         self.light_volume_samples = 0
         self._without_surfaces = None
         self.set_resident()
 
+    def _set_switches(self) -> None:
+        is_warped = self.nodes.warp is not None
+        self.switches = block_switches(
+            self.resolved, is_warped, self.lanes, self.skip, self.stepping
+        )
+        self.switches |= self.blocks.switches
+
+    def _fitting_stepping(self) -> str:
+        """The scene's, but where all blocks that show anything shall be at full resolution a step a
+        sample is an even step, for which there is a faster kernel."""
+        asked, goal = self.settings.stepping, self.blocks.goal
+        is_even = not ((goal > 0) & (goal != DROPPED)).any()
+        return "full" if is_even and asked in ("limited", "naive") else asked
+
     def set_resident(self) -> None:
         """Finds empty space anew in the blocks that are resident."""
         context, volume = self.context, self.volume
+        stepping = self._fitting_stepping()
+        if stepping != self.stepping:
+            self.stepping = stepping
+            self._build_table()
+            self._set_switches()
         between, at = self._visible
         view = np.zeros(1, self._view_dtype)
         self._describe_volume(view[0])
@@ -153,7 +172,7 @@ class BlockCaster(Raycaster):
 
     def _set_steps(self) -> None:
         """For bounded stepping: how many steps may be taken at once in each block that is resident."""
-        if self.settings.stepping != "bounded":
+        if self.stepping != "bounded":
             return
         context, blocks = self.context, self.blocks.blocks
         view = np.zeros(1, self._view_dtype)
@@ -198,11 +217,11 @@ class BlockCaster(Raycaster):
 
     def _block_arrays(self) -> dict[str, DeviceArray]:
         arrays = self._resident_arrays()
-        return {**arrays, "steps": self._steps} if self.settings.stepping == "bounded" else arrays
+        return {**arrays, "steps": self._steps} if self.stepping == "bounded" else arrays
 
     @property
     def _declared(self) -> str:
-        bounded = ", in steps uint8" if self.settings.stepping == "bounded" else ""
+        bounded = ", in steps uint8" if self.stepping == "bounded" else ""
         return ", in index int32, in corners uint32, in blocks V1" + self._more_samples[0] + bounded
 
     def _more_arguments(self, tiles: int) -> tuple[str, dict[str, DeviceArray]]:
@@ -250,6 +269,8 @@ class BlockCaster(Raycaster):
         return {name: int(total) for name, total in zip(BLOCK_COUNTERS, sums)}
 
     def _table_of(self, function: TransferFunction) -> DeviceArray:
+        if self.stepping == "full":
+            return super()._table_of(function)
         arguments = self.context, function, self.nodes.values
         if self._is_midpoint:
             return constant_table(*arguments, self.length, "extinction_table")
@@ -257,14 +278,17 @@ class BlockCaster(Raycaster):
         return depths_tables(*arguments, longest, self._slices)
 
 
-def block_switches(resolved: ResolvedScene, warped: bool, lanes: int, skip: bool) -> dict[str, int]:
-    """What gets compiled for a scene of blocks, but for what the samples' type and buffers add."""
+def block_switches(
+    resolved: ResolvedScene, warped: bool, lanes: int, skip: bool, stepping: str | None = None
+) -> dict[str, int]:
+    """What gets compiled for a scene of blocks, but for what the samples' type and buffers add.
+    ``stepping`` instead of the scene's."""
     from clvol.render.raycast import raycast_switches
 
     asked = resolved.multiresolution
     return {
         **raycast_switches(resolved, warped=warped, lanes=lanes, skip=skip),
         "BLOCKS": 1,
-        "STEPPING": STEPPINGS[asked.stepping],
+        "STEPPING": STEPPINGS[stepping or asked.stepping],
         "INTERBLOCK": int(asked.interblock),
     }

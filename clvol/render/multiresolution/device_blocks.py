@@ -97,6 +97,11 @@ class DeviceBlocks:
         return self._levels.copy()
 
     @property
+    def goal(self) -> np.ndarray:
+        """uint8 [blocks]: what was asked for last."""
+        return self._goal.copy()
+
+    @property
     def switches(self) -> dict[str, int]:
         """Of kernels that read ``samples``."""
         switches = voxel_switches(self._source, self.value_map)

@@ -224,7 +224,7 @@ def buffer_samples(
         raise SceneError(
             "multiresolution.memory",
             f"{memory_bytes} bytes for {blocks.count} blocks",
-            f"at least {needed} bytes: their index alone takes that",
+            f"at least {needed} bytes: index and staging alone take that",
         )
     total = min(left // itemsize, whole * blocks.count)
     # Each buffer more has its own spare bytes.

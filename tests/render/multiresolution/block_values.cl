@@ -30,14 +30,14 @@ __kernel WIDE_VECTORS void block_values(__global const uchar *restrict volume, _
   PlaceQueue queue;
   PairQueue pairs;
   store_fetch(fetches, &place);
-  queue.count = 0, pairs.count = 0;
-  if (interblock) queue_places(&queue, x, y, z, LANE_INDEX, place.outside);
+  queue.count = 0;
+  queue_places(&queue, x, y, z, 0, interblock ? place.outside : (intN)0);
+  const int vectors = 1 + (queue.count ? queue_pairs(v, &queue, &pairs, fetches + 1, counted) : 0);
+  for (int k = 0; k < vectors; ++k) STORE_LANES(fetched_value(v, &fetches[k]), found + k * LANES);
   if (queue.count) {
-    queue_pairs(v, &queue, &pairs, counted);
-    place_pairs(v, &queue, &pairs, fetches + 1);
+    blend_pairs(&queue, &pairs, found + LANES);
+    STORE_LANES(blended_value(&queue, 0, LOAD_LANES(found)), found);
   }
-  for (int k = 0; k * LANES < LANES + pairs.count; ++k) STORE_LANES(fetched_value(v, &fetches[k]), found + k * LANES);
-  if (queue.count) blend_pairs(&queue, &pairs, found + LANES, found);
 #endif
   EACH_LANE(k) values[first + k] = found[k];
   for (int k = 0; k < BLOCK_COUNTERS; ++k) counts[get_global_id(0) * BLOCK_COUNTERS + k] = tally_sum(counted[k]);
