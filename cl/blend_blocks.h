@@ -171,28 +171,32 @@ typedef struct {
   int at[LANES], shift[LANES];
   uint word1[LANES];
   float fx[LANES], fy[LANES], fz[LANES], value[LANES];
-  int full;
+  int kind; /* alike() of their blocks */
 } Fetch;
 
-INLINE void store_full_fetch(Fetch *f, const BlockPlace *p)
+/* Stores where to fetch what is wanted in the blocks `r`; gives the lanes that are beyond the outermost samples. */
+INLINE intN place_fetch(const BlockVolume *v, Fetch *f, const Record *r, int kind, floatN px, floatN py, floatN pz)
 {
-  STORE_LANES(p->at, f->at), STORE_LANES(p->fx, f->fx), STORE_LANES(p->fy, f->fy), STORE_LANES(p->fz, f->fz);
-  f->full = 1;
-}
-
-INLINE void store_fetch(Fetch *f, const BlockPlace *p)
-{
-  f->full = 0;
-  STORE_LANES(p->at, f->at), STORE_LANES(p->shift, f->shift), STORE_LANES(p->word1, f->word1), STORE_LANES(p->value, f->value);
-  STORE_LANES(p->fx, f->fx), STORE_LANES(p->fy, f->fy), STORE_LANES(p->fz, f->fz);
+  BlockPlace p;
+  f->kind = kind;
+  if (kind == ALIKE_NOT) {
+    p = place_in_block(v, r, px, py, pz);
+    STORE_LANES(p.shift, f->shift);
+  } else
+    p = place_in_alike_block(v, r, kind, px, py, pz);
+  STORE_LANES(p.at, f->at), STORE_LANES(p.fx, f->fx), STORE_LANES(p.fy, f->fy), STORE_LANES(p.fz, f->fz);
+  if (kind != ALIKE_FULL) STORE_LANES(p.word1, f->word1), STORE_LANES(p.value, f->value);
+  return p.outside;
 }
 
 INLINE floatN fetched_value(const BlockVolume *v, const Fetch *f)
 {
   BlockPlace p;
   p.at = LOAD_LANES(f->at), p.fx = LOAD_LANES(f->fx), p.fy = LOAD_LANES(f->fy), p.fz = LOAD_LANES(f->fz);
-  if (f->full) return value_in_full_block(v, &p);
-  p.shift = LOAD_LANES(f->shift), p.word1 = LOAD_LANES(f->word1), p.value = LOAD_LANES(f->value);
+  if (f->kind == ALIKE_FULL) return value_in_alike_block(v, ALIKE_FULL, &p);
+  p.word1 = LOAD_LANES(f->word1), p.value = LOAD_LANES(f->value);
+  if (f->kind == ALIKE_OR_ONE_VALUE) return value_in_alike_block(v, ALIKE_OR_ONE_VALUE, &p);
+  p.shift = LOAD_LANES(f->shift);
   return value_in_block(v, &p);
 }
 
@@ -256,13 +260,7 @@ INLINE int queue_pairs(const BlockVolume *v, const PlaceQueue *q, PairQueue *p, 
     const intN by_x = MASK(weight[1] > zero), by_y = MASK(weight[2] > zero) & ~by_x;
     const intN by_z = MASK(weight[4] > zero) & ~by_x & ~by_y;
     const Record r = fetch_record(v, select(bx, ax, by_x), select(by, ay, by_y), select(bz, az, by_z));
-    if (all_full(v, &r)) {
-      const BlockPlace place = place_in_full_block(v, &r, px, py, pz);
-      store_full_fetch(fetches + k, &place);
-    } else {
-      const BlockPlace place = place_in_block(v, &r, px, py, pz);
-      store_fetch(fetches + k, &place);
-    }
+    place_fetch(v, fetches + k, &r, alike(v, &r), px, py, pz);
     const floatN first_weight = select(select(select(zero, weight[4], by_z), weight[2], by_y), weight[1], by_x);
     const floatN others = weight[3] + weight[5] + weight[6] + weight[7] + select(zero, weight[2], by_x) +
                           select(zero, weight[4], by_x | by_y);
@@ -296,8 +294,7 @@ INLINE int queue_pairs(const BlockVolume *v, const PlaceQueue *q, PairQueue *p, 
     const intN active = MASK(LANE_INDEX < pairs - first);
     const intN slot = AS_INT(LOAD_LANES(p->slot + first)) & active, block = AS_INT(LOAD_LANES(p->block + first)) & active;
     const Record r = fetch_record(v, block & 1023, (block >> 10) & 1023, block >> 20);
-    const BlockPlace place = place_in_block(v, &r, gather_private(q->x, slot), gather_private(q->y, slot), gather_private(q->z, slot));
-    store_fetch(fetches, &place);
+    place_fetch(v, fetches, &r, ALIKE_NOT, gather_private(q->x, slot), gather_private(q->y, slot), gather_private(q->z, slot));
   }
   return p->vectors + (pairs + LANES - 1) / LANES;
 }

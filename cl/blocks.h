@@ -83,25 +83,6 @@ INLINE Record record_at(const BlockVolume *v, floatN px, floatN py, floatN pz)
                       block_of(pz, v, v->blocks->count.z));
 }
 
-/* The same where `r` is that of another place: rays stay in a block for many steps, and mostly all of a packet do. */
-INLINE int all_full(const BlockVolume *v, const Record *r)
-{
-#if SAMPLE_BUFFERS == 1
-  return !any_lane(MASK(code_of(r) != v->blocks->count.w + 1));
-#else
-  return 0;
-#endif
-}
-
-INLINE void move_record(const BlockVolume *v, Record *r, int *full, floatN px, floatN py, floatN pz)
-{
-  const intN x = block_of(px, v, v->blocks->count.x), y = block_of(py, v, v->blocks->count.y), z = block_of(pz, v, v->blocks->count.z);
-  if (any_lane(MASK(((x ^ r->x) | (y ^ r->y) | (z ^ r->z)) != 0))) {
-    *r = fetch_record(v, x, y, z);
-    *full = all_full(v, r);
-  }
-}
-
 /* Place along one axis among a block's samples. */
 typedef struct {
   intN lower;
@@ -204,8 +185,23 @@ INLINE BlockPlace place_in_block(const BlockVolume *v, const Record *r, floatN p
   return s;
 }
 
-/* The same in blocks at full resolution: `all_full()` of their records. `shift`, `word1` and `value` are not set. */
-INLINE BlockPlace place_in_full_block(const BlockVolume *v, const Record *r, floatN px, floatN py, floatN pz)
+/* Whether all of a packet's blocks are alike: FULL resolution, or some of them have ONE_VALUE. Shifts are the same for all lanes then. */
+#define ALIKE_NOT 0
+#define ALIKE_FULL 1
+#define ALIKE_OR_ONE_VALUE 2
+
+INLINE int alike(const BlockVolume *v, const Record *r)
+{
+#if SAMPLE_BUFFERS == 1
+  const intN other = MASK(code_of(r) != v->blocks->count.w + 1);
+  if (!any_lane(other)) return ALIKE_FULL;
+  if (!any_lane(other & ~has_one_value(r->word1))) return ALIKE_OR_ONE_VALUE;
+#endif
+  return ALIKE_NOT;
+}
+
+/* place_in_block() where blocks are alike. `shift` is not set, nor, where all are at full resolution, are `word1` and `value`. */
+INLINE BlockPlace place_in_alike_block(const BlockVolume *v, const Record *r, int kind, floatN px, floatN py, floatN pz)
 {
   const int log_edge = v->blocks->count.w;
   const float edge = v->blocks->edge.x;
@@ -216,7 +212,24 @@ INLINE BlockPlace place_in_full_block(const BlockVolume *v, const Record *r, flo
   s.fx = x.fraction, s.fy = y.fraction, s.fz = z.fraction;
   s.outside = x.outside | y.outside | z.outside;
   s.at = AS_INT(r->word0) + ((((z.lower << log_edge) + y.lower) << log_edge) + x.lower);
+  if (kind == ALIKE_OR_ONE_VALUE) {
+    const intN code = code_of(r);
+    /* Around its one sample a block is outside of its hull everywhere. */
+    s.outside = (s.outside | MASK(code == 1)) & ~MASK(code == CODE_DROPPED);
+    s.at &= ~has_one_value(r->word1);
+    s.word1 = r->word1, s.value = AS_FLOAT(r->word0);
+  }
   return s;
+}
+
+/* The same where `r` is that of another place: rays stay in a block for many steps, and mostly all of a packet do. */
+INLINE void move_record(const BlockVolume *v, Record *r, int *kind, floatN px, floatN py, floatN pz)
+{
+  const intN x = block_of(px, v, v->blocks->count.x), y = block_of(py, v, v->blocks->count.y), z = block_of(pz, v, v->blocks->count.z);
+  if (any_lane(MASK(((x ^ r->x) | (y ^ r->y) | (z ^ r->z)) != 0))) {
+    *r = fetch_record(v, x, y, z);
+    *kind = alike(v, r);
+  }
 }
 
 INLINE floatN mixed_corners(const Corners *c, const BlockPlace *s)
@@ -226,11 +239,12 @@ INLINE floatN mixed_corners(const Corners *c, const BlockPlace *s)
   return mix_corners(mix_corners(v00, v10, s->fy), mix_corners(v01, v11, s->fy), s->fz);
 }
 
-INLINE floatN value_in_full_block(const BlockVolume *v, const BlockPlace *s)
+INLINE floatN value_in_alike_block(const BlockVolume *v, int kind, const BlockPlace *s)
 {
   const int log_edge = v->blocks->count.w;
   const Corners c = decode_corners(fetch_block_corners(v, (intN)0, s->at, (intN)(1 << log_edge), (intN)(1 << 2 * log_edge)), v->view);
-  return mixed_corners(&c, s);
+  const floatN mixed = mixed_corners(&c, s);
+  return kind == ALIKE_FULL ? mixed : select(mixed, s->value, has_one_value(s->word1));
 }
 
 INLINE floatN value_in_block(const BlockVolume *v, const BlockPlace *s)

@@ -130,7 +130,7 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
     queue.count = 0;
 #endif
     Record here = record_at(v, (floatN)0.5f, (floatN)0.5f, (floatN)0.5f);
-    int full = all_full(v, &here);
+    int kind = alike(v, &here);
     intN walks = active;
     floatN next_t = t;
     _Pragma("unroll 1") for (int step = 0; step < QUEUED_STEPS; ++step) {
@@ -140,14 +140,14 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
 #if STEPPING == STEPPING_FULL
       const floatN far = lane_min(next_t + 1.0f, end);
 #else
-      move_record(v, &here, &full, x, y, z);
+      move_record(v, &here, &kind, x, y, z);
       const floatN far = lane_min(next_t + steps_at_once(v, &ray, &here, next_t), end);
 #endif
       place_on_ray(&ray, v, next_t + 0.5f * lane_max(far - next_t, zero), &x, &y, &z);
-      move_record(v, &here, &full, x, y, z);
+      move_record(v, &here, &kind, x, y, z);
       STORE_LANES(far, m.t[step]);
 #else
-      move_record(v, &here, &full, x, y, z);
+      move_record(v, &here, &kind, x, y, z);
       const floatN far = lane_min(next_t + steps_at_once(v, &ray, &here, next_t), end);
       STORE_LANES(next_t, m.t[step]);
 #endif
@@ -161,16 +161,7 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
       m.value[step] = value;
 #endif
 #else
-      intN outside;
-      if (full) {
-        const BlockPlace place = place_in_full_block(v, &here, x, y, z);
-        store_full_fetch(&m.fetches[step], &place);
-        outside = place.outside;
-      } else {
-        const BlockPlace place = place_in_block(v, &here, x, y, z);
-        store_fetch(&m.fetches[step], &place);
-        outside = place.outside;
-      }
+      const intN outside = place_fetch(v, &m.fetches[step], &here, kind, x, y, z);
 #if INTERBLOCK
       queue_places(&queue, x, y, z, step, outside & walks);
 #endif

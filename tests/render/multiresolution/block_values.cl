@@ -19,9 +19,9 @@ __kernel WIDE_VECTORS void block_values(__global const uchar *restrict volume, _
   const floatN x = LOAD_LANES(at + first), y = LOAD_LANES(at + n + first), z = LOAD_LANES(at + 2 * n + first);
   Tally counted[BLOCK_COUNTERS] = {0};
   const Record here = record_at(v, x, y, z);
-  const BlockPlace place = place_in_block(v, &here, x, y, z);
   count_lanes(&counted[COUNT_BLOCK_READS], ~(intN)0);
 #if LANES == 1
+  const BlockPlace place = place_in_block(v, &here, x, y, z);
   float found[1] = {value_in_block(v, &place)};
   if (interblock && place.outside) found[0] = blend_blocks(v, &here, x, y, z, found[0], counted);
 #else
@@ -29,9 +29,9 @@ __kernel WIDE_VECTORS void block_values(__global const uchar *restrict volume, _
   Fetch fetches[FETCHES];
   PlaceQueue queue;
   PairQueue pairs;
-  store_fetch(fetches, &place);
+  const intN outside = place_fetch(v, fetches, &here, alike(v, &here), x, y, z);
   queue.count = 0;
-  queue_places(&queue, x, y, z, 0, interblock ? place.outside : (intN)0);
+  queue_places(&queue, x, y, z, 0, interblock ? outside : (intN)0);
   const int vectors = 1 + (queue.count ? queue_pairs(v, &queue, &pairs, fetches + 1, counted) : 0);
   for (int k = 0; k < vectors; ++k) STORE_LANES(fetched_value(v, &fetches[k]), found + k * LANES);
   if (queue.count) {
