@@ -96,11 +96,10 @@ INLINE intN table_row(ClassCoordinate front, ClassCoordinate back, __constant co
   return (front.node * view->table.y + back.node) * 4;
 }
 
-/* acc += (1 - A) * table(front, back), bilinear, for segments of the full length. */
-INLINE void composite_segment(Accumulator *acc, ClassCoordinate front, ClassCoordinate back, floatN transmittance,
-                              __global const float *table, __constant const View *view)
+/* acc += (1 - A) * table(front, back), bilinear. `at`: table_row() and where the lane's slice begins. */
+INLINE void composite_segment_at(Accumulator *acc, intN at, ClassCoordinate front, ClassCoordinate back, floatN transmittance,
+                                 __global const float *table, __constant const View *view)
 {
-  const intN at = table_row(front, back, view);
   const size_t row = 4 * (size_t)view->table.y;
   const floatN right = transmittance * back.fraction, left = transmittance - right;
 #if LANES == 16
@@ -122,6 +121,13 @@ INLINE void composite_segment(Accumulator *acc, ClassCoordinate front, ClassCoor
   const float8 r = low + front.fraction * (high - low);
   acc->c += left * r.lo + right * r.hi;
 #endif
+}
+
+/* The same for segments of the full length, which are those of the first slice. */
+INLINE void composite_segment(Accumulator *acc, ClassCoordinate front, ClassCoordinate back, floatN transmittance,
+                              __global const float *table, __constant const View *view)
+{
+  composite_segment_at(acc, table_row(front, back, view), front, back, transmittance, table, view);
 }
 
 /* The last, shorter segment of each ray in `active`, from the shortest slice of the table that holds it: slice 1 + k has mean
@@ -153,21 +159,27 @@ INLINE void composite_tail(Accumulator *acc, ClassCoordinate front, ClassCoordin
 
 #elif CLASSIFICATION == CLASSIFICATION_POST
 
-/* acc += (1 - A) * table(value), linear, for segments of the full length. */
-INLINE void composite_sample(Accumulator *acc, ClassCoordinate at, floatN transmittance, __global const float *table)
+/* acc += (1 - A) * table(value), linear. `first`: where the lane's slice begins. */
+INLINE void composite_sample_at(Accumulator *acc, intN first, ClassCoordinate at, floatN transmittance, __global const float *table)
 {
   const floatN right = transmittance * at.fraction, left = transmittance - right;
 #if LANES == 16
   int entry[16];
-  vstore16(at.node * 4, 0, entry);
+  vstore16(first + at.node * 4, 0, entry);
 #define LINEAR_PAIR(c, k, ka, kb, weights) \
   acc->c += weights * (float16)(vload8(0, table + entry[k]), vload8(0, table + entry[k + 1]));
   EACH_PAIR(LINEAR_PAIR, left, right)
 #undef LINEAR_PAIR
 #else
-  const float8 r = vload8(0, table + at.node * 4);
+  const float8 r = vload8(0, table + first + at.node * 4);
   acc->c += left * r.lo + right * r.hi;
 #endif
+}
+
+/* The same for segments of the full length, which are those of the first slice. */
+INLINE void composite_sample(Accumulator *acc, ClassCoordinate at, floatN transmittance, __global const float *table)
+{
+  composite_sample_at(acc, (intN)0, at, transmittance, table);
 }
 
 INLINE void composite_sample_tail(Accumulator *acc, ClassCoordinate at, floatN length_in_steps, floatN transmittance,

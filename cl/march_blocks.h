@@ -1,6 +1,5 @@
 /* A packet of rays through a volume of blocks (P2 sec. 3): as in render_packet.h, but a segment is as many steps long as
- * step_blocks.h says. Tables hold one slice for each power of two of steps, the longest first; a segment takes the shortest that holds it.
- * Where all segments are a step long (STEPPING full) they are looked up and composited as in render_packet.h, which saves an exponential.
+ * step_blocks.h says, and composited as composite_lengths.h does.
  *
  *   preintegrated  values at the ends of segments
  *   post           values in the middle of each
@@ -11,7 +10,7 @@
 /* Steps at a time: the more, the fuller the vectors of what is blended; but the more samples are taken for nothing. */
 #define QUEUED_STEPS 12
 #include "blend_blocks.h"
-#include "composite_piece.h"
+#include "composite_lengths.h"
 #include "step_blocks.h"
 
 #if CLASSIFICATION == CLASSIFICATION_PRE
@@ -39,40 +38,6 @@ typedef struct {
   float value[QUEUED_STEPS];
 #endif
 } March;
-
-#if STEPPING != STEPPING_FULL
-
-/* Slices for less than a step: of half and of a quarter of it, for the last piece of a ray. (_SHORT_SLICES of caster.py) */
-#define SHORT_SLICES 2
-
-/* Of a segment of `length` steps: where its slice begins in the table (in floats), and its length in that slice's. */
-INLINE intN slice_of(floatN *length, __constant const View *view)
-{
-  const int longest = view->table.z - 1 - SHORT_SLICES;
-  const intN doublings = min(max(((AS_INT(*length) - 1) >> 23) - 126, (intN)-SHORT_SLICES), (intN)longest);
-  *length *= AS_FLOAT((127 - doublings) << 23);
-  return (longest - doublings) * (4 * view->table.w);
-}
-
-#endif
-
-#if CLASSIFICATION == CLASSIFICATION_PREINTEGRATED && STEPPING != STEPPING_FULL
-/* segment_classes() of classify.h for a segment of length b behind one of length a. */
-INLINE void uneven_classes(floatN before, floatN front, floatN back, floatN a, floatN b, intN curved,
-                           __global const float *warp, __constant const View *view, ClassCoordinate *front_class,
-                           ClassCoordinate *back_class)
-{
-  const floatN low = lane_min(lane_min(before, front), back), high = lane_max(lane_max(before, front), back);
-  const floatN both = a + b;
-  floatN shift = (both * front - b * before - a * back) * (b / (6.0f * a * both));
-#if MAY_BE_NAN
-  curved &= finite_lanes(shift);
-#endif
-  shift = select((floatN)0.0f, shift, curved);
-  *front_class = class_coordinate(select(front, lane_clamp(front + shift, low, high), curved), warp, view);
-  *back_class = class_coordinate(select(back, lane_clamp(back + shift, low, high), curved), warp, view);
-}
-#endif
 
 INLINE void render_packet(__global const uchar *volume, __global const float *table, __global const float *warp,
                           __global const uchar *distances, __constant const View *view EFFECT_PACKET_PARAMETERS, intN px, intN py,
@@ -197,14 +162,7 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
 #if MIDPOINTS
       const ClassCoordinate at = class_coordinate(value, warp, view);
       if (may_be_visible(at.position, at.position, active, view)) {
-        const floatN length = lane_max(at_t - t1, zero), weight = select(zero, 1.0f - opacity, active);
-#if STEPPING == STEPPING_FULL
-        const intN parts = active & MASK(length < 1.0f);
-        composite_sample(&acc, at, select(weight, zero, parts), table);
-        if (any_lane(parts)) composite_sample_tail(&acc, at, length, weight, parts, table, view);
-#else
-        composite_point(&acc, at, length, weight, table);
-#endif
+        composite_value(&acc, at, lane_max(at_t - t1, zero), 1.0f - opacity, active, table, view);
         pass_opacity(&acc, &opacity, &median, t1, at_t);
       }
       t1 = select(t1, at_t, active);
@@ -218,16 +176,7 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
       uneven_classes(value2, value1, value, select(one, t1 - t2, closes & ~second), long_, closes & ~second, warp, view, &front, &back);
 #endif
       if (may_be_visible(lane_min(front.position, back.position), lane_max(front.position, back.position), closes, view)) {
-        const floatN weight = select(zero, 1.0f - opacity, closes);
-#if STEPPING == STEPPING_FULL
-        const intN parts = closes & MASK(long_ < 1.0f);
-        composite_segment(&acc, front, back, select(weight, zero, parts), table, view);
-        if (any_lane(parts)) composite_tail(&acc, front, back, long_, weight, parts, table, view);
-#else
-        floatN share = long_;
-        const intN slice = slice_of(&share, view);
-        composite_piece(&acc, slice + table_row(front, back, view), front, back, share, weight, table, view);
-#endif
+        composite_chord(&acc, front, back, long_, 1.0f - opacity, closes, table, view);
         pass_opacity(&acc, &opacity, &median, t1, at_t);
       }
       value2 = select(value2, value1, active), t2 = select(t2, t1, active);

@@ -10,6 +10,7 @@ from clvol.transfer.function import TransferFunction
 # Slice 0: premultiplied colour and opacity of whole segments. Slices 1, 2, 3: mean colour and optical
 # depth of segments of length h, h/2, h/4, for the last, shorter piece of each ray.
 SLICES = 4
+SHORT_SLICES = 2  # SHORT_SLICES of cl/composite_lengths.h
 _ARGUMENTS = "in control {real}, in nodes {real}, in pieces int32, in units {real}, value n int32"
 _LARGEST_COMPOSED = 512  # nodes; beyond it the intermediate cells would take more memory than is right
 
@@ -48,13 +49,41 @@ def depths_table(
     return context.upload(table)
 
 
-def depths_tables(
-    context: DeviceContext, function: TransferFunction, nodes: np.ndarray, length: float, slices: int
+def length_slices(doublings: int, by_chords: bool) -> int:
+    """Slices that ``length_tables`` has."""
+    return 2 * doublings + 2 + SHORT_SLICES if by_chords else doublings + 2
+
+
+def length_tables(
+    context: DeviceContext,
+    function: TransferFunction,
+    nodes: np.ndarray,
+    length: float,
+    doublings: int,
+    by_chords: bool,
 ) -> DeviceArray:
-    """float32 [slices, n + 2, n + 2, 4] as ``depths_table``: slice k for segments of ``length`` / 2^k."""
-    table = context.read(preintegrated_table(context, function, nodes, length, slices + 1))[1:]
+    """For segments of any lengths (cl/composite_lengths.h), ``length`` the world length of a step.
+
+    ``by_chords``: float32 [slices, n + 2, n + 2, 4], by the values at both ends: premultiplied colours of
+    segments of 1, 2, ..., 2^doublings steps; then (mean colour times optical depth, optical depth), which
+    both scale with the length, of the same lengths, the longest first, of a half and of a quarter of
+    a step. Else float32 [slices, n + 2, 4], by one value: premultiplied colours likewise, then
+    (emission, extinction) over one step.
+    """
+    arguments = context, function, nodes
+    if not by_chords:
+        colors = [
+            context.read(constant_table(*arguments, length * 2.0**k))[0] for k in range(doublings + 1)
+        ]
+        point = context.read(constant_table(*arguments, length, "extinction_table"))
+        return context.upload(np.stack([*colors, point]))
+    longest, count = length * 2.0**doublings, doublings + 1 + SHORT_SLICES
+    table = context.read(preintegrated_table(*arguments, longest, count + 1))[1:]
+    colors = table[doublings::-1].copy()
+    colors[..., 3] = -np.expm1(-colors[..., 3])
+    colors[..., :3] *= colors[..., 3:]
     table[..., :3] *= table[..., 3:]
-    return context.upload(table)
+    return context.upload(np.concatenate([colors, table]))
 
 
 def constant_table(

@@ -30,7 +30,7 @@ from clvol.schedule.tiles import TILE
 from clvol.store.source import DROPPED
 from clvol.transfer import TransferFunction
 from clvol.transfer.classes import visible_cells
-from clvol.transfer.tables import constant_table, depths_tables
+from clvol.transfer.tables import length_slices, length_tables
 
 BLOCK_COUNTERS = ("block_reads", "blended_samples")  # COUNT_... of cl/block_parameters.h
 # Switches of kernels that look at blocks and cast no rays.
@@ -38,7 +38,6 @@ _OF_BLOCKS = (
     "VOXEL_BITS", "VOXEL_SIGNED", "VOXEL_SCALED", "VOXEL_HOLES", "VOXEL_PAIRS", "SAMPLE_BUFFERS",
     "WARPED_CLASSES", "INTERBLOCK", "FILTER", "CLASSIFICATION",
 )  # fmt: skip
-_SHORT_SLICES = 2  # SHORT_SLICES of cl/march_blocks.h
 _MORE = ["samples1", "samples2", "samples3"]
 
 
@@ -93,10 +92,12 @@ class BlockCaster(Raycaster):
 
     @property
     def _slices(self) -> int:
-        """Of lengths that are a step times powers of two, those that are shorter too."""
-        if self.stepping == "full":
-            return super()._slices
-        return 1 if self._is_midpoint else self.blocks.blocks.levels + _SHORT_SLICES
+        return length_slices(self._doublings, not self._is_midpoint)
+
+    @property
+    def _doublings(self) -> int:
+        """Of a step, up to the longest that is taken at once."""
+        return 0 if self.stepping == "full" else self.blocks.blocks.levels - 1
 
     @property
     def _is_midpoint(self) -> bool:
@@ -269,13 +270,10 @@ class BlockCaster(Raycaster):
         return {name: int(total) for name, total in zip(BLOCK_COUNTERS, sums)}
 
     def _table_of(self, function: TransferFunction) -> DeviceArray:
-        if self.stepping == "full":
-            return super()._table_of(function)
-        arguments = self.context, function, self.nodes.values
-        if self._is_midpoint:
-            return constant_table(*arguments, self.length, "extinction_table")
-        longest = self.length * 2.0 ** (self._slices - 1 - _SHORT_SLICES)
-        return depths_tables(*arguments, longest, self._slices)
+        return length_tables(
+            self.context, function, self.nodes.values, self.length, self._doublings,
+            not self._is_midpoint,
+        )  # fmt: skip
 
 
 def block_switches(
