@@ -42,7 +42,7 @@ INLINE void uneven_classes(floatN before, floatN front, floatN back, floatN a, f
   *back_class = class_coordinate(select(back, lane_clamp(back + shift, low, high), curved), warp, view);
 }
 
-/* Segments of the lanes in `active`, `length` steps long. */
+/* Segments of the lanes in `active`, `length` steps long. Each way for its own lanes: what a ray gets does not depend on others. */
 INLINE void composite_chord(Accumulator *acc, ClassCoordinate front, ClassCoordinate back, floatN length, floatN transmittance,
                             intN active, __global const float *table, __constant const View *view)
 {

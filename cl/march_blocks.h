@@ -7,8 +7,10 @@
 #ifndef MARCH_BLOCKS_H
 #define MARCH_BLOCKS_H
 
-/* Steps at a time: the more, the fuller the vectors of what is blended; but the more samples are taken for nothing. */
-#define QUEUED_STEPS 12
+/* Steps at a time: the more, the fuller the vectors of what is blended; but the more samples are taken for nothing, of which long steps
+ * have fewer to spare. */
+#define QUEUED_STEPS (STEPPING == STEPPING_FULL ? 12 : 8)
+#include "features.h"
 #include "blend_blocks.h"
 #include "composite_lengths.h"
 #include "step_blocks.h"
