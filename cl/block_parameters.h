@@ -10,6 +10,8 @@
 #ifndef BLOCK_PARAMETERS_H
 #define BLOCK_PARAMETERS_H
 
+#include "tally.h"
+
 typedef struct {
   int4 count;  /* blocks x, y, z; log2 of a block's edge in voxels */
   float4 edge; /* voxels, and its inverse; - ; - */
@@ -18,18 +20,6 @@ typedef struct {
 #define COUNT_BLOCK_READS 0 /* values interpolated inside a block: one a sample, and one for each further block that is blended in */
 #define COUNT_BLENDED 1     /* samples that more than one block has a share in */
 #define BLOCK_COUNTERS 2
-
-typedef uintN Tally;
-
-INLINE void count_lanes(Tally *tally, intN mask) { *tally -= AS_UINT(mask); }
-
-INLINE uint tally_sum(Tally tally)
-{
-  uint each[LANES], sum = 0;
-  STORE_LANES(tally, each);
-  EACH_LANE(k) sum += each[k];
-  return sum;
-}
 
 #if SAMPLE_BUFFERS == 1
 #define MORE_SAMPLE_PARAMETERS

@@ -11,6 +11,7 @@
 #include "view.h"
 #include "features.h"
 #include "noise.h"
+#include "tally.h"
 
 typedef struct {
   float4 local_x, local_y, local_z;          /* lattice point to local: rows of the matrix, and in w the shift */
@@ -72,19 +73,6 @@ typedef struct {
 
 #if EFFECTS
 
-typedef uintN Tally;
-
-/* One more for each lane of the mask. */
-INLINE void count(Tally *tally, intN mask) { *tally -= AS_UINT(mask); }
-
-INLINE uint tally_sum(Tally tally)
-{
-  uint each[LANES], sum = 0;
-  STORE_LANES(tally, each);
-  EACH_LANE(k) sum += each[k];
-  return sum;
-}
-
 /* All that a function about the scene may read. */
 typedef struct {
   __global const uchar *volume;
@@ -112,7 +100,7 @@ typedef struct {
 #define EFFECT_ARGUMENTS \
   , effects, items, gradients, cell_flags, environment, light_volume, noise, factors, fields, extinction, counted
 
-/* A kernel's own tally, written to counts[tile, COUNTERS] at its end. Lane by lane: a sum over lanes at every count would cost. */
+/* A kernel's own tally, written to counts[tile, COUNTERS] at its end. */
 #define EFFECT_TALLY Tally counted[COUNTERS] = {0};
 #define EFFECT_STORE_TALLY(tile)                                                             \
   for (int counter_ = 0; counter_ < COUNTERS; ++counter_)                                    \

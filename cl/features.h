@@ -30,4 +30,9 @@
 #define STEPPING_NAIVE 2
 #define STEPPING_BOUNDED 3
 
+#define ORACLE_MINIMUM 0
+#define ORACLE_MAP 1
+#define ORACLE_ERROR 2
+#define ORACLE_CUSTOM 3
+
 #endif

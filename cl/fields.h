@@ -143,7 +143,7 @@ INLINE intN mask_keeps(const Scene *scene, floatN x, floatN y, floatN z, intN ac
   _Pragma("unroll 1") for (int k = 0; k < scene->effects->fields.x; ++k) {
     if (scene->effects->field_size[k].w != FIELD_MASK || !any_lane(kept)) continue;
     intN known;
-    count(&counted[COUNT_FIELD_SAMPLES], kept);
+    count_lanes(&counted[COUNT_FIELD_SAMPLES], kept);
     kept &= MASK(above_mask(scene, k, x, y, z, &known) >= 0.0f);
   }
   return kept;
@@ -174,7 +174,7 @@ INLINE floatN kept_by_masks(const Scene *scene, const Rays *ray, floatN t0, floa
   _Pragma("unroll 1") for (int k = 0; k < scene->effects->fields.x; ++k) {
     const intN kept = MASK(share > 0.0f);
     if (scene->effects->field_size[k].w != FIELD_MASK || !any_lane(kept)) continue;
-    count(&counted[COUNT_FIELD_SAMPLES], kept), count(&counted[COUNT_FIELD_SAMPLES], kept);
+    count_lanes(&counted[COUNT_FIELD_SAMPLES], kept), count_lanes(&counted[COUNT_FIELD_SAMPLES], kept);
     share *= kept_share(scene, k, ray, t0, t1);
   }
   return share;
@@ -195,7 +195,7 @@ INLINE FieldLook look_at_fields(const Scene *scene, const Rays *ray, floatN t0, 
     const FieldPlace p = place_in_field(scene, k, x, y, z);
     const intN there = active & p.inside;
     if (!any_lane(there)) continue;
-    count(&counted[COUNT_FIELD_SAMPLES], there);
+    count_lanes(&counted[COUNT_FIELD_SAMPLES], there);
     add_density(scene, k, linear_in_field(scene, k, p), there, &look.added);
   }
 #endif
@@ -206,7 +206,7 @@ INLINE FieldLook look_at_fields(const Scene *scene, const Rays *ray, floatN t0, 
       const FieldPlace p = place_in_field(scene, k, x, y, z);
       const floatN code = nearest_in_field(scene, k, p);
       const intN labelled = shows & p.inside & MASK(code > 0.0f);
-      count(&counted[COUNT_FIELD_SAMPLES], shows & p.inside);
+      count_lanes(&counted[COUNT_FIELD_SAMPLES], shows & p.inside);
       __global const float *labels = scene->factors + e->field_at[k].y;
       const intN entry = 4 * select((intN)0, TO_INT(code), labelled);
       const Vectors color = {AS_FLOAT(gather4(labels, entry)), AS_FLOAT(gather4(labels + 1, entry)),

@@ -24,7 +24,7 @@ INLINE Vectors shaded_color(const Scene *scene, Vectors color, floatN depth, Vec
                             Vectors view, floatN weight, int on_surface, intN active, Tally *counted)
 {
   if (!any_lane(active)) return color;
-  count(&counted[COUNT_LIT], active);
+  count_lanes(&counted[COUNT_LIT], active);
   const Illumination lit = illuminate(scene, place, normal, view, weight, on_surface, active, counted);
   Vectors shaded = {color.x * lit.diffuse.x + depth * lit.specular.x, color.y * lit.diffuse.y + depth * lit.specular.y,
                     color.z * lit.diffuse.z + depth * lit.specular.z};
@@ -230,7 +230,7 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
       Vectors gradient = {0.0f, 0.0f, 0.0f};
       if (visible) {
         gradient = scene_gradient(scene, xm, ym, zm);
-        count(&counted[COUNT_GRADIENTS], shows);
+        count_lanes(&counted[COUNT_GRADIENTS], shows);
       }
 #endif
 #if TRANSFER_LAYERS
@@ -295,7 +295,7 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
 #if REFRACTION
         may_bend = MASK(bends_left > 0);
 #endif
-        count(&counted[COUNT_SURFACE_TESTS], near);
+        count_lanes(&counted[COUNT_SURFACE_TESTS], near);
         const floatN before = acc.a;
         floatN median_steps = INFINITY;
         const SurfacePassage passage = pass_surfaces(scene, &ray, scaled3(forward, -1.0f), t0, length, front, mid, back, e, active, near, may_bend,

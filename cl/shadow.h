@@ -114,7 +114,7 @@ INLINE floatN extinction_along(const Scene *scene, const Rays *ray, floatN t0, f
 #endif
 #if OPACITY_FACTORS || TRANSFER_LAYERS
   if (any_lane(shows)) {
-    count(&counted[COUNT_GRADIENTS], shows);
+    count_lanes(&counted[COUNT_GRADIENTS], shows);
     const Vectors gradient = scene_gradient(scene, x, y, z);
 #if TRANSFER_LAYERS
     const TablePlace layers = layers_around(scene, gradient, view->table.y);
@@ -166,7 +166,7 @@ INLINE floatN depth_along(const Scene *scene, const Rays *ray, Vectors direction
   intN i = 0;
 #if ISOSURFACES
   floatN before = value_along(scene, ray, lane_min((floatN)apart, 0.5f * ray->length));
-  count(&counted[COUNT_SHADOW_SAMPLES], MASK(i <= last));
+  count_lanes(&counted[COUNT_SHADOW_SAMPLES], MASK(i <= last));
 #endif
   for (;;) {
     const intN going = MASK(i <= last) & MASK(depth < enough);
@@ -184,7 +184,7 @@ INLINE floatN depth_along(const Scene *scene, const Rays *ray, Vectors direction
       const floatN t0 = TO_FLOAT(min(i, max(last, (intN)0)));
       const floatN length = select((floatN)0.0f, lane_min(ray->length - t0, (floatN)1.0f), active);
       const floatN t = t0 + 0.5f * length, value = value_along(scene, ray, t);
-      count(&counted[COUNT_SHADOW_SAMPLES], active);
+      count_lanes(&counted[COUNT_SHADOW_SAMPLES], active);
       const floatN extinction = extinction_along(scene, ray, t0, t0 + length, value, direction, active, counted);
       depth += h * length * select((floatN)0.0f, extinction, active);
 #if ISOSURFACES
@@ -200,7 +200,7 @@ INLINE floatN depth_along(const Scene *scene, const Rays *ray, Vectors direction
     const floatN middle = TO_FLOAT(last) + 0.5f * (ray->length - TO_FLOAT(last));
     const floatN end_value = value_along(scene, ray, ray->length);
     depth += surfaces_between(scene, ray, middle, ray->length, before, end_value, ends, counted);
-    count(&counted[COUNT_SHADOW_SAMPLES], ends);
+    count_lanes(&counted[COUNT_SHADOW_SAMPLES], ends);
   }
 #endif
   return depth;
@@ -211,7 +211,7 @@ INLINE floatN depth_towards(const Scene *scene, Vectors place, Vectors direction
 {
   const Rays whole = rays_towards(scene, place, direction, reach, rays);
   const float apart = SURFACE_OFFSET / scene->effects->shadow.y;
-  count(&counted[COUNT_SHADOW_RAYS], rays);
+  count_lanes(&counted[COUNT_SHADOW_RAYS], rays);
 #if CLIP
   floatN depth = 0.0f, next_from = 0.0f;
   intN open = MASK(whole.length > 0.0f);

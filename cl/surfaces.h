@@ -193,7 +193,7 @@ INLINE SurfacePassage pass_surfaces(const Scene *scene, const Rays *ray, Vectors
       const Vectors gradient = scene_gradient(scene, at.x, at.y, at.z);
       const Vectors normal = directed3(gradient, -1.0f);
       const intN has_normal = crosses & MASK(dot3(normal, normal) > 0.5f);
-      count(&counted[COUNT_GRADIENTS], crosses);
+      count_lanes(&counted[COUNT_GRADIENTS], crosses);
 #if LIGHTING
       color = shaded_color(scene, color, (floatN)1.0f, at, normal, gradient, view, opacity * left, 1, has_normal, counted);
 #endif
@@ -201,7 +201,7 @@ INLINE SurfacePassage pass_surfaces(const Scene *scene, const Rays *ray, Vectors
 #if DEPTH_CUE
       color = cued_color(scene, color, (floatN)1.0f, ray->entry_depth + t * scene->view->march.x);
 #endif
-      count(&counted[COUNT_SURFACE_HITS], crosses);
+      count_lanes(&counted[COUNT_SURFACE_HITS], crosses);
       const floatN weight = left * opacity, before = acc->a;
       acc->r += weight * color.x, acc->g += weight * color.y, acc->b += weight * color.z;
       acc->a += weight;
@@ -219,7 +219,7 @@ INLINE SurfacePassage pass_surfaces(const Scene *scene, const Rays *ray, Vectors
         const Vectors bent = refracted(forward, against, select(safe, 1.0f / safe, rises));
         passage.bends |= bends, passage.at = select(passage.at, t, bends);
         passage.direction = select3(passage.direction, bent, bends);
-        count(&counted[COUNT_BENDS], bends);
+        count_lanes(&counted[COUNT_BENDS], bends);
       }
 #endif
     }

@@ -13,6 +13,7 @@ import time
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -53,11 +54,13 @@ class Argument:
             intent, name, dtype = declaration.split()
             if intent not in ("in", "out", "value"):
                 raise ValueError(f"intent {intent!r} of {name!r}")
-            arguments.append(cls(name, _INT4 if dtype == "int4" else np.dtype(dtype), intent))
+            fours = {"int4": _INT4, "float4": _FLOAT4}
+            arguments.append(cls(name, fours.get(dtype) or np.dtype(dtype), intent))
         return tuple(arguments)
 
 
 _INT4 = np.dtype(("i4", 4))
+_FLOAT4 = np.dtype(("f4", 4))
 _ANY = np.dtype("V1")  # a struct or raw voxels: the kernel's own switches say what it holds
 
 
@@ -156,10 +159,17 @@ class DeviceContext:
     # Programs
 
     def kernel(
-        self, file: str, name: str, declarations: str, switches: Mapping[str, int] | None = None
+        self,
+        file: str,
+        name: str,
+        declarations: str,
+        switches: Mapping[str, int] | None = None,
+        folder: Path | None = None,
     ) -> Kernel:
-        """Kernel ``name`` of cl/``file`` built with ``switches`` (-D), built at most once."""
+        """Kernel ``name`` of cl/``file`` built with ``switches`` (-D), built at most once. ``folder``: one more to
+        include files from."""
         options = compile_options(switches or {})
+        options += ("-I", str(folder)) if folder is not None else ()
         key = (file, name, options)
         if key not in self._kernels:
             self._kernels[key] = Kernel(self._program(file, options), name, declarations)

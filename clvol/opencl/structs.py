@@ -28,6 +28,14 @@ def view_dtype(voxel_bits: int) -> np.dtype:
 BLOCKS = np.dtype([("count", "i4", 4), ("edge", "f4", 4)])
 """``Blocks`` of cl/block_parameters.h."""
 
+PYRAMID = np.dtype(
+    [
+        ("levels", "i4", 4), ("cells", "i4", 4), ("spacing", "f4", 4), ("edges", "f4", 4),
+        ("oracle", "f4", 4),
+    ]
+)  # fmt: skip
+"""``Pyramid`` of cl/pyramid.h."""
+
 _EFFECTS_FLOAT4 = (
     "local_x", "local_y", "local_z", "gradient_x", "gradient_y", "gradient_z", "gradient_scale",
     "material", "shading", "depth_cue", "depth_color", "projection", "shadow", "light_grid",

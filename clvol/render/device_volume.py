@@ -25,6 +25,7 @@ class DeviceVolume:
         _check_fits(context, volume)
         self.grid = volume.grid
         self.values = value_map(volume)
+        self.value_range = tuple(float(v) for v in self.values(volume.value_range))
         self.switches = voxel_switches(volume, self.values)
         self.size = padded_size(volume)
         nx, ny, nz = self.size

@@ -28,23 +28,38 @@ def visible_mask(
     often the background.
     """
     lowest, highest = volume.bounds(FILTER_REACH[filter])
+    mask = shows_between(nodes, between, at, lowest, highest, overshoot(filter), perturbation.added)
+    return spread(mask, perturbation.cells, np.logical_or)
+
+
+def shows_between(
+    nodes: ClassNodes,
+    between: np.ndarray,
+    at: np.ndarray,
+    lowest: np.ndarray,
+    highest: np.ndarray,
+    share: float = 0.0,
+    added: float = 0.0,
+) -> np.ndarray:
+    """bool, of the shape of ``lowest``: whether anything from ``lowest`` to ``highest`` can have opacity; nothing does
+    where lowest > highest. ``between`` and ``at`` as above. ``share`` of the span may come on top on both sides,
+    and ``added`` may be added to or taken from values."""
     any_value = lowest <= highest
     low = np.where(any_value, lowest, nodes.first)
     high = np.where(any_value, highest, nodes.first)
     # The lowest value of all is node 0, also in float32, and so may whole numbers be on a node.
     exact = (low == nodes.first) | ((low == high) & nodes.is_exact(low))
-    exact &= perturbation.added == 0.0
+    exact &= added == 0.0
     low_margin = np.where(exact, 0.0, nodes.rounding)
     high_margin = np.where(exact & (low == high), 0.0, nodes.rounding)
-    low, high = _overshot(low, high, overshoot(filter))
-    low, high = low - perturbation.added, high + perturbation.added
+    low, high = _overshot(low, high, share)
+    low, high = low - added, high + added
     first = np.floor(nodes.position(low) - low_margin)
     last = np.ceil(nodes.position(high) + high_margin)
     first = np.clip(first, 0, between.size).astype(np.int64)
     last = np.clip(last, 0, between.size).astype(np.int64)
     before = np.concatenate([[0], np.cumsum(between)])
-    mask = any_value & np.where(first == last, at[first], before[last] > before[first])
-    return spread(mask, perturbation.cells, np.logical_or)
+    return any_value & np.where(first == last, at[first], before[last] > before[first])
 
 
 def surface_mask(

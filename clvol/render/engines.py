@@ -39,7 +39,6 @@ class Engines:
         """What renders ``resolved`` by its ``integration.method``. ``progress(done, total)``: of the
         blocks that are read for it."""
         from clvol.features import reduced_for_frames
-        from clvol.render.raycast import Raycaster
 
         resolved = self._with_precision(reduced_for_frames(resolved))
         key = _key(resolved)
@@ -49,8 +48,12 @@ class Engines:
         if resolved.integration.method == "multiresolution":
             made = self._of_blocks(resolved, progress)
         else:
+            if resolved.integration.method == "pyramid":
+                from clvol.render.pyramid.caster import PyramidCaster as Caster
+            else:
+                from clvol.render.raycast import Raycaster as Caster
             held = self._volumes.get(id(resolved.volume))
-            made = Raycaster(self.context, resolved, volume=None if held is None else held[1])
+            made = Caster(self.context, resolved, volume=None if held is None else held[1])
             self._volumes[id(resolved.volume)] = (resolved.volume, made.volume)
         while len(self._made) >= _KEPT:
             del self._made[next(iter(self._made))]
@@ -117,5 +120,7 @@ def _key(resolved: ResolvedScene) -> tuple:
     words = tuple(repr(getattr(resolved, name)) for name in _BY_WORDS)
     if alike.method == "multiresolution":
         words += repr(resolved.multiresolution), resolved.background.tobytes()
+    if alike.method == "pyramid":
+        words += (repr(resolved.pyramid),)
     arrays = tuple(id(getattr(resolved, name) or None) for name in _BY_IDENTITY)
     return (id(resolved.volume), id(resolved.transfer_function), alike, words, arrays)

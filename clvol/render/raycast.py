@@ -11,7 +11,7 @@ import numpy as np
 from clvol.errors import RenderError
 from clvol.features import CLASSIFICATIONS, FILTERS, QUADRATURES, overshoot, reduced_for_frames
 from clvol.features.values import reachable
-from clvol.opencl.context import DeviceArray, DeviceContext, restore_interrupts
+from clvol.opencl.context import DeviceArray, DeviceContext, Kernel, restore_interrupts
 from clvol.opencl.structs import effects_dtype, view_dtype
 from clvol.render.device_volume import DeviceVolume
 from clvol.render.effects import ARGUMENTS as _EFFECT_ARGUMENTS
@@ -155,6 +155,8 @@ class Raycaster:
     empty space. ``tile``: pixels (width, height) of a work-item's tile. None of the three
     changes the picture.
     """
+
+    workers = 1  # work-items of a tile
 
     def __init__(
         self,
@@ -477,7 +479,7 @@ class Raycaster:
             switches["TILES_CHOSEN"] = 1
             declared += ", in chosen uint8"
             arrays["chosen"] = context.upload(chosen.astype(np.uint8))
-        kernel = context.kernel(f"{name}.cl", name, declared, switches)
+        kernel = self._kernel_of(name, declared, switches)
         pixels = tiles * self.tile[0] * self.tile[1] if view["image"][0, 0] else 0
         expected = pixels * self._most_samples() * _SECONDS_A_SAMPLE
         done = 0
@@ -486,8 +488,8 @@ class Raycaster:
             context.write(self._view, view)
             kernel(
                 context.queue,
-                (count,),
-                (1,) if self.lanes > 1 else None,
+                (count * self.workers,),
+                (self.workers,) if self.lanes > 1 or self.workers > 1 else None,
                 view=self._view,
                 **self._scene_arrays(),
                 **arrays,
@@ -497,6 +499,9 @@ class Raycaster:
                 context.finish()
             if progress is not None:
                 progress(done)
+
+    def _kernel_of(self, name: str, declared: str, switches: dict[str, int]) -> Kernel:
+        return self.context.kernel(f"{name}.cl", name, declared, switches)
 
     def _more_arguments(self, tiles: int) -> tuple[str, dict[str, DeviceArray]]:
         """What the kernels take beside a plain scene's arguments, for a launch over ``tiles``."""

@@ -1,0 +1,113 @@
+/* The method "pyramid" (cl/pyramid.h): a work-group renders one tile of TILE by TILE pixels.
+ *
+ * Switches (-D): LANES, WORKERS, TILE, ORACLE, LEAPS, and those of voxels and classification as for raycast.cl.
+ */
+#include "render_packet.h"
+#include "pyramid_pixels.h"
+#include "pyramid_leap.h"
+
+#define PACKETS_IN_ROW (TILE / PACKET_W)
+#define PACKETS (TILE * TILE / LANES / WORKERS) /* a work-item's */
+
+/* As for raycast.cl, and
+ * pyramid  numbers of the frame and of the oracle
+ * map      the oracle's own (oracle.h)
+ * counts   uint [tiles, PYRAMID_COUNTERS]
+ */
+__kernel WIDE_VECTORS __attribute__((reqd_work_group_size(WORKERS, 1, 1))) void pyramid(
+  __global const uchar *restrict volume, __global const float *restrict table, __global const float *restrict warp,
+  __global const uchar *restrict distances, __constant const View *restrict view, __global float4 *restrict image,
+  __global float *restrict depths, __global uint *restrict samples, __constant const Pyramid *restrict pyramid,
+  __global const uchar *restrict map, __global uint *restrict counts)
+{
+  const Source source = {volume, view, pyramid, map};
+  const int width = view->image.x, height = view->image.y;
+  const int columns = max(1, (width + TILE - 1) / TILE);
+  const int tile = (int)get_group_id(0) + view->band.x;
+  const int left = tile % columns * TILE, top = tile / columns * TILE;
+  const int levels = pyramid->levels.x + pyramid->levels.y;
+  Tally counted[PYRAMID_COUNTERS] = {0}, taken = 0;
+#if WORKERS > 1
+  __local Levels shared;
+#else
+  Levels shared;
+#endif
+  SHARED Levels *m = &shared;
+  PixelPacket packets[PACKETS];
+  /* Slices at which all pixels take part, and where chunks begin. */
+  const int period = max(CHUNK, 1 << pyramid->levels.x);
+  float begin = INFINITY;
+  if (width > 0) {
+    prepare_levels(view, m, levels, left, top);
+    for (int q = 0; q < PACKETS; ++q) {
+      const int p = q * WORKERS + WORKER;
+      PixelPacket *packet = &packets[q];
+      if (prepare_packet(view, packet, left + p % PACKETS_IN_ROW * PACKET_W, top + p / PACKETS_IN_ROW * PACKET_H))
+        EACH_LANE(k) if (packet->alive[k]) begin = fmin(begin, packet->enter[k]);
+    }
+  }
+  begin = group_min(m, fmax(begin, 0.0f));
+  int base = begin < INFINITY ? (int)begin / period * period : 0, copy = CHUNK - 1;
+  int alive = begin < INFINITY;
+  while (alive) {
+    int slices = CHUNK, next = base + CHUNK;
+    update_levels(&source, m, base, 0, &copy, &taken, counted);
+#if LEAPS
+    if (base % period == 0) {
+      const float free = free_slices(&source, m, distances, base);
+      const int to = free < 1e6f ? (base + (int)free) / period * period - period : base;
+      if (to > next) slices = 1, next = to;
+    }
+#endif
+    for (int i = 1; i < slices; ++i) update_levels(&source, m, base + i, i, &copy, &taken, counted);
+    int goes_on = 0;
+    for (int q = 0; q < PACKETS; ++q) {
+      const int p = q * WORKERS + WORKER;
+      goes_on |= march_packet(&source, m, &packets[q], p % PACKETS_IN_ROW * PACKET_W, p / PACKETS_IN_ROW * PACKET_H, base, slices,
+                              table, warp, &taken, counted);
+      if (next > base + CHUNK) {
+        const intN none = ~(intN)0;
+        STORE_LANES(none, packets[q].first), STORE_LANES(none, packets[q].second);
+      }
+    }
+    SYNCHRONISE();
+    alive = group_any(m, goes_on);
+    base = next;
+  }
+  if (width > 0)
+    for (int q = 0; q < PACKETS; ++q) {
+      const int p = q * WORKERS + WORKER;
+      EACH_LANE(k)
+      {
+        const int x = left + p % PACKETS_IN_ROW * PACKET_W + k % PACKET_W, y = top + p / PACKETS_IN_ROW * PACKET_H + k / PACKET_W;
+        if (x < width && y < height) {
+          const size_t pixel = (size_t)y * width + x;
+          float4 c = vload4(k, packets[q].rgba);
+          c.w = fmin(c.w, 1.0f); /* a sum of shares of what was left may round to more than all */
+          image[pixel] = c;
+#if WITH_DEPTH
+          depths[pixel] = (view->march.y + packets[q].median[k] * view->march.x) * view->march.w;
+#endif
+        }
+      }
+    }
+  /* Sums over the group. */
+#if WORKERS > 1
+  __local uint sums[PYRAMID_COUNTERS + 1];
+  if (WORKER <= PYRAMID_COUNTERS) sums[WORKER] = 0;
+  SYNCHRONISE();
+  for (int c = 0; c < PYRAMID_COUNTERS; ++c) atomic_add(&sums[c], tally_sum(counted[c]));
+  atomic_add(&sums[PYRAMID_COUNTERS], tally_sum(taken));
+  SYNCHRONISE();
+  if (WORKER == 0) {
+    for (int c = 0; c < PYRAMID_COUNTERS; ++c) counts[(size_t)tile * PYRAMID_COUNTERS + c] = sums[c];
+    samples[tile] = sums[PYRAMID_COUNTERS];
+  }
+#else
+  for (int c = 0; c < PYRAMID_COUNTERS; ++c) counts[(size_t)tile * PYRAMID_COUNTERS + c] = tally_sum(counted[c]);
+  samples[tile] = tally_sum(taken);
+#endif
+}
+
+/* The size of Pyramid on the device: the host compares it with its own. */
+__kernel void pyramid_size(__global uint *size) { size[0] = (uint)sizeof(Pyramid); }

@@ -1,0 +1,141 @@
+/* The method "pyramid": adaptive sampling along rays and across them, after Kraus, Strengert, Klein and Ertl 2007 (P1).
+ *
+ * Slices i = 0, 1, 2 ... are a step apart: planes of an orthographic view, spherical shells around the eye of a perspective one. In each,
+ * a pyramid of pixels: level l has a pixel for 2^l by 2^l of the picture's, in their middle. A pixel of a level is
+ *   sampled      where the oracle wants samples nearer than two of the level's pixels are, and on the coarsest level;
+ *   synthesised  from the four nearest of the next level elsewhere (weights 9/16, 3/16, 3/16, 1/16: biquadratic B-splines);
+ *   left alone   on slices that the oracle's distance reaches beyond.
+ * On slice i levels up to top(i) = tz(i) + oversampling take part, tz the zero bits at the end of i, at most `levels`; a pixel takes part
+ * on slices with 2^(tz + 1) steps above its distance. This is the paper's fig. 4, which its hardware could not run, but for these:
+ *
+ *   distances    are lengths (smallest voxel edges), compared with a step along the ray and with the distance of neighbouring rays
+ *                across it. The paper has both equal. Where rays lie nearer than steps, by 2^oversampling or so, the pyramid has as
+ *                many levels more, and slices in between that the paper would skip are not there at all.
+ *   freshness    what is synthesised on a slice shall come from samples of that slice, so coarse pixels take part a little longer:
+ *                up to the distance plus SLACK of their own spacing, as far as other pixels may be that are synthesised from them
+ *                (distances of maps grow by no more than the way, see clvol/render/pyramid/maps.py).
+ *   boundary     a level's rays go on beyond the picture and the volume, where values are those at the volume's hull; a pixel's first
+ *                and last samples are where its own ray meets the hull, and no segment reaches farther.
+ *   tiles        work-items share the picture in tiles, with one coarse pixel of each level more all around. What is computed there depends on
+ *                coarser levels alone, so that no pixel depends on the tile it is in.
+ *   empty space  oracles that know of it let whole tiles leap (pyramid_leap.h).
+ *   opaque rays  stop; and a tile does when all its rays have.
+ *
+ * A work-group is a tile. CPU devices: one work-item (WORKERS 1) that takes 4 by 4 pixels at a time in vector registers; levels above
+ * 0 first, for CHUNK slices, then the picture's pixels, each packet through all of these slices. GPUs: WORKERS work-items, a pixel
+ * at a time each, barriers in between.
+ *
+ * To add an oracle: clvol/render/pyramid/oracles/__init__.py says how.
+ */
+#ifndef PYRAMID_H
+#define PYRAMID_H
+
+#include "lanes.h"
+#include "view.h"
+#include "effects.h"
+#include "tally.h"
+#include "rays.h"
+#include "classify.h"
+
+typedef struct {
+  int4 levels;    /* of coarsening along rays; more of them across (oversampling); - ; - */
+  int4 cells;     /* of the oracle's map x, y, z; log2 of a cell's edge in lattice units */
+  float4 spacing; /* distance of neighbouring rays at slice 0, and by how much it grows a slice (edges); - ; - */
+  float4 edges;   /* smallest edges a lattice unit x, y, z; - */
+  float4 oracle;  /* the oracle's own */
+} Pyramid;
+
+#define MOST_LEVELS 5 /* MOST_LEVELS of clvol/scene/pyramid.py */
+#define CHUNK 8       /* slices */
+#define SLACK 1.5f
+
+#if WORKERS == 1
+#define SHARED __private
+#define WORKER 0
+#define SYNCHRONISE()
+#else
+#define SHARED __local
+#define WORKER ((int)get_local_id(0))
+#define SYNCHRONISE() barrier(CLK_LOCAL_MEM_FENCE)
+#endif
+
+/* A level's pixels in a tile, and one more all around: [side, side], side a multiple of a packet's. */
+#define WIDTH(level) ((TILE >> (level)) + 2)
+#define SIDE(level) ((WIDTH(level) + PACKET_W - 1) & ~(PACKET_W - 1))
+#define AREA(level) (SIDE(level) * SIDE(level))
+#define ALL_LEVELS (AREA(1) + AREA(2) + AREA(3) + AREA(4) + AREA(5) + 2 * SIDE(1)) /* and what loads of patches reach beyond */
+
+INLINE int side_of(int level) { return (WIDTH(level) + PACKET_W - 1) & ~(PACKET_W - 1); }
+INLINE int offset_of(int level)
+{
+  int at = 0;
+  for (int l = 1; l < level; ++l) at += side_of(l) * side_of(l);
+  return at;
+}
+
+/* State of a tile's levels above 0. Level 1 has a copy for each slice of a chunk, for level 0 to look at afterwards. */
+typedef struct {
+  float x0[ALL_LEVELS], y0[ALL_LEVELS], z0[ALL_LEVELS]; /* lattice place at slice 0 ... */
+  float dx[ALL_LEVELS], dy[ALL_LEVELS], dz[ALL_LEVELS]; /* ... and way a slice */
+  float distance[ALL_LEVELS], value[ALL_LEVELS];        /* of levels 2 and above */
+  float distance1[CHUNK][AREA(1) + SIDE(1)], value1[CHUNK][AREA(1) + SIDE(1)];
+#if WORKERS > 1
+  int least, any; /* of a group's work-items */
+#endif
+} Levels;
+
+#define COUNT_ORACLE 0        /* oracle asked */
+#define COUNT_SYNTHESES 1     /* pixels of all levels synthesised */
+#define COUNT_ACCUMULATIONS 2 /* pixels of the picture that a segment was added to */
+#define PYRAMID_COUNTERS 3
+
+/* The least `value` (0 or more) of all work-items of the group. */
+INLINE float group_min(SHARED Levels *m, float value)
+{
+#if WORKERS > 1
+  SYNCHRONISE();
+  if (WORKER == 0) m->least = as_int(INFINITY);
+  SYNCHRONISE();
+  atomic_min(&m->least, as_int(value));
+  SYNCHRONISE();
+  value = as_float(m->least);
+#endif
+  return value;
+}
+
+INLINE int group_any(SHARED Levels *m, int value)
+{
+#if WORKERS > 1
+  SYNCHRONISE();
+  if (WORKER == 0) m->any = 0;
+  SYNCHRONISE();
+  if (value) atomic_or(&m->any, 1);
+  SYNCHRONISE();
+  value = m->any;
+#endif
+  return value;
+}
+
+/* What a sample needs. */
+typedef struct {
+  __global const uchar *volume;
+  __constant const View *view;
+  __constant const Pyramid *pyramid;
+  __global const uchar *map;
+} Source;
+
+INLINE float ray_spacing(const Source *in, int k) { return in->pyramid->spacing.x + (float)k * in->pyramid->spacing.y; }
+
+/* How far along the ray samples may be on slice k, as a power of two of steps. */
+INLINE int slice_level(const Source *in, int k) { return min((int)popcount(~k & (k - 1)), in->pyramid->levels.x); }
+
+#include "oracle.h"
+
+/* Value and wanted distance at a lattice place; `left`: the light that still arrives from there, as far as is known. */
+INLINE void sample_source(const Source *in, floatN x, floatN y, floatN z, floatN left, floatN *value, floatN *distance)
+{
+  *value = sample_value(fetch_sample(in->volume, in->view, x, y, z), in->view);
+  *distance = oracle_distance(in, x, y, z, *value, left);
+}
+
+#endif

@@ -1,0 +1,119 @@
+/* Level 0 of a tile, the picture's pixels: a packet of them through the slices of a chunk at once, its state in registers (cl/pyramid.h). */
+#ifndef PYRAMID_PIXELS_H
+#define PYRAMID_PIXELS_H
+
+#include "composite_lengths.h"
+#include "pyramid_levels.h"
+
+#if CLASSIFICATION != CLASSIFICATION_PREINTEGRATED
+#error "segments of adaptive length are pre-integrated"
+#endif
+
+typedef struct {
+  float x0[LANES], y0[LANES], z0[LANES], dx[LANES], dy[LANES], dz[LANES]; /* rays by slices */
+  float enter[LANES], leave[LANES];
+  float distance[LANES];                                                  /* wanted when it was last looked */
+  float value1[LANES], value2[LANES], t1[LANES], t2[LANES];               /* the last sample and the one before, and their slices */
+  int first[LANES], second[LANES];                                        /* no sample yet, or only one */
+  int alive[LANES];
+  float rgba[4 * LANES], median[LANES];
+} PixelPacket;
+
+#if LANES == 16
+INLINE void accumulator_load(Accumulator *a, const float *rgba)
+{
+#define LOAD_PAIR(c, k) a->c = (float16)(vload4(k, rgba), (float4)0.0f, vload4(k + 1, rgba), (float4)0.0f);
+  LOAD_PAIR(c0, 0) LOAD_PAIR(c1, 2) LOAD_PAIR(c2, 4) LOAD_PAIR(c3, 6)
+  LOAD_PAIR(c4, 8) LOAD_PAIR(c5, 10) LOAD_PAIR(c6, 12) LOAD_PAIR(c7, 14)
+#undef LOAD_PAIR
+}
+#else
+INLINE void accumulator_load(Accumulator *a, const float *rgba) { a->c = vload4(0, rgba); }
+#endif
+
+/* The packet at (column, row) of the picture; returns whether any of its rays meets the volume. */
+INLINE int prepare_packet(__constant const View *view, PixelPacket *p, int column, int row)
+{
+  const intN px = column + (LANE_INDEX & (PACKET_W - 1)), py = row + LANE_INDEX / PACKET_W;
+  const SliceRays r = slice_rays(view, TO_FLOAT(px), TO_FLOAT(py), 1);
+  const intN alive = r.hits & MASK(px < view->image.x) & MASK(py < view->image.y), none = ~(intN)0;
+  const floatN zero = 0.0f, never = INFINITY;
+  STORE_LANES(r.x0, p->x0), STORE_LANES(r.y0, p->y0), STORE_LANES(r.z0, p->z0);
+  STORE_LANES(r.dx, p->dx), STORE_LANES(r.dy, p->dy), STORE_LANES(r.dz, p->dz);
+  STORE_LANES(r.enter, p->enter), STORE_LANES(r.leave, p->leave);
+  STORE_LANES(zero, p->distance), STORE_LANES(zero, p->value1), STORE_LANES(zero, p->value2), STORE_LANES(zero, p->t1), STORE_LANES(zero, p->t2);
+  STORE_LANES(none, p->first), STORE_LANES(none, p->second), STORE_LANES(alive, p->alive), STORE_LANES(never, p->median);
+  for (int k = 0; k < 4 * LANES; ++k) p->rgba[k] = 0.0f;
+  return any_lane(alive);
+}
+
+/* Slices `base` to `base` + `slices` - 1 of the packet at (column, row) of the tile. Returns whether any ray goes on. */
+INLINE int march_packet(const Source *in, SHARED const Levels *m, PixelPacket *p, int column, int row, int base, int slices,
+                        __global const float *table, __global const float *warp, Tally *samples, Tally *counted)
+{
+  __constant const View *view = in->view;
+  intN alive = LOAD_LANES(p->alive);
+  if (!any_lane(alive)) return 0;
+  const floatN enter = LOAD_LANES(p->enter), leave = LOAD_LANES(p->leave);
+  const floatN x0 = LOAD_LANES(p->x0), y0 = LOAD_LANES(p->y0), z0 = LOAD_LANES(p->z0);
+  const floatN dx = LOAD_LANES(p->dx), dy = LOAD_LANES(p->dy), dz = LOAD_LANES(p->dz);
+  floatN distance = LOAD_LANES(p->distance), median = LOAD_LANES(p->median);
+  floatN value1 = LOAD_LANES(p->value1), value2 = LOAD_LANES(p->value2), t1 = LOAD_LANES(p->t1), t2 = LOAD_LANES(p->t2);
+  intN first = LOAD_LANES(p->first), second = LOAD_LANES(p->second);
+  Accumulator acc;
+  accumulator_load(&acc, p->rgba);
+  floatN opacity = accumulated_opacity(&acc);
+  const floatN zero = 0.0f, one = 1.0f;
+  const int most = in->pyramid->levels.x, more = in->pyramid->levels.y;
+  const float h = view->march.x;
+  _Pragma("unroll 1") for (int i = 0; i < slices; ++i) {
+    const int k = base + i, along = slice_level(in, k);
+    intN takes_part = alive;
+    if (along < most) takes_part &= MASK(distance < (float)(2 << along) * h) & MASK(enter < (float)(k + 1));
+    if (!any_lane(takes_part)) continue;
+    const floatN t = lane_clamp((floatN)(float)k, enter, leave);
+    intN sampled = takes_part;
+    floatN value = zero;
+    if (along + more > 0) {
+      const floatN wanted = synthesised_pixels(m->distance1[i], SIDE(1), column, row);
+      value = synthesised_pixels(m->value1[i], SIDE(1), column, row);
+      distance = select(distance, wanted, takes_part);
+      sampled &= MASK(distance < 2.0f * ray_spacing(in, k))
+#if VOXEL_HOLES
+                 | ~finite_lanes(value)
+#endif
+        ;
+      count_lanes(&counted[COUNT_SYNTHESES], takes_part);
+    }
+    if (any_lane(sampled)) {
+      floatN v, d;
+      sample_source(in, x0 + t * dx, y0 + t * dy, z0 + t * dz, 1.0f - opacity, &v, &d);
+      value = select(value, v, sampled), distance = select(distance, d, sampled);
+      count_lanes(samples, sampled), count_lanes(&counted[COUNT_ORACLE], sampled);
+    }
+    const floatN length = t - t1;
+    const intN closes = takes_part & ~first & MASK(length > 0.0f);
+    if (any_lane(closes)) {
+      count_lanes(&counted[COUNT_ACCUMULATIONS], closes);
+      const intN curved = closes & ~second;
+      const floatN long_ = select(one, length, closes);
+      ClassCoordinate front, back;
+      uneven_classes(value2, value1, value, select(one, t1 - t2, curved), long_, curved, warp, view, &front, &back);
+      if (may_be_visible(lane_min(front.position, back.position), lane_max(front.position, back.position), closes, view)) {
+        composite_chord(&acc, front, back, long_, 1.0f - opacity, closes, table, view);
+        pass_opacity(&acc, &opacity, &median, t1, t);
+      }
+    }
+    value2 = select(value2, value1, closes), t2 = select(t2, t1, closes), second &= ~closes;
+    value1 = select(value1, value, takes_part), t1 = select(t1, t, takes_part), first &= ~takes_part;
+    alive &= ~(takes_part & (MASK(t >= leave) | MASK(opacity >= view->march.z)));
+    if (!any_lane(alive)) break;
+  }
+  STORE_LANES(distance, p->distance), STORE_LANES(median, p->median);
+  STORE_LANES(value1, p->value1), STORE_LANES(value2, p->value2), STORE_LANES(t1, p->t1), STORE_LANES(t2, p->t2);
+  STORE_LANES(first, p->first), STORE_LANES(second, p->second), STORE_LANES(alive, p->alive);
+  accumulator_store(&acc, p->rgba);
+  return any_lane(alive);
+}
+
+#endif

@@ -1,0 +1,45 @@
+/* Rays by slices: a place is origin + k * way, k the slice. Slice k is k steps behind the shell around the eye that touches the view's
+ * reference plane (view.h), or behind that plane itself; so neither costs float32 any digits, however far the eye is.
+ */
+#ifndef PYRAMID_RAYS_H
+#define PYRAMID_RAYS_H
+
+#include "pyramid.h"
+
+typedef struct {
+  floatN x0, y0, z0;   /* lattice place at slice 0 */
+  floatN dx, dy, dz;   /* way a slice */
+  floatN enter, leave; /* slices at which the ray meets the volume's hull */
+  intN hits;
+} SliceRays;
+
+/* Through the picture at (column, row), in pixels, which need not be whole or inside. `clipped`: with enter, leave and hits. */
+INLINE SliceRays slice_rays(__constant const View *view, floatN column, floatN row, int clipped)
+{
+  SliceRays r;
+  const floatN u = column - view->lens.z, v = row - view->lens.w;
+  const floatN a = u * view->lens.x, b = v * view->lens.y, square = a * a + b * b;
+  const floatN length = sqrt(1.0f + square), inverse = 1.0f / length;
+  const floatN px = view->plane_origin.x + u * view->plane_du.x + v * view->plane_dv.x;
+  const floatN py = view->plane_origin.y + u * view->plane_du.y + v * view->plane_dv.y;
+  const floatN pz = view->plane_origin.z + u * view->plane_du.z + v * view->plane_dv.z;
+  const floatN dx = (view->ray_forward.x + u * view->ray_du.x + v * view->ray_dv.x) * inverse;
+  const floatN dy = (view->ray_forward.y + u * view->ray_du.y + v * view->ray_dv.y) * inverse;
+  const floatN dz = (view->ray_forward.z + u * view->ray_du.z + v * view->ray_dv.z) * inverse;
+  const floatN back = -view->march.y * square / (1.0f + length); /* from the plane to slice 0, along the ray */
+  const float h = view->march.x;
+  r.x0 = px + back * dx, r.y0 = py + back * dy, r.z0 = pz + back * dz;
+  r.dx = dx * h, r.dy = dy * h, r.dz = dz * h;
+  r.enter = r.leave = 0.0f, r.hits = 0;
+  if (clipped) {
+    floatN enter = -view->march.y * length, leave = INFINITY;
+    clip_to_slab(px, dx, view->upper.x, &enter, &leave);
+    clip_to_slab(py, dy, view->upper.y, &enter, &leave);
+    clip_to_slab(pz, dz, view->upper.z, &enter, &leave);
+    r.hits = MASK(leave > enter);
+    r.enter = select((floatN)0.0f, (enter - back) / h, r.hits), r.leave = select((floatN)0.0f, (leave - back) / h, r.hits);
+  }
+  return r;
+}
+
+#endif

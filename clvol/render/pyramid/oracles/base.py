@@ -1,0 +1,108 @@
+"""What an oracle is, and what it is asked with."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from clvol.render.empty_space import shows_between
+from clvol.transfer import TransferFunction
+from clvol.transfer.classes import ClassNodes, visible_cells
+
+if TYPE_CHECKING:
+    from clvol.opencl.context import DeviceArray, DeviceContext
+    from clvol.render.device_volume import DeviceVolume
+    from clvol.render.pyramid.cells import CellStatistics
+
+# Headers of cl/oracle.h: none of these numbers means a scene's own code.
+KERNEL_MINIMUM, KERNEL_MAP, KERNEL_ERROR, KERNEL_CUSTOM = "minimum", "map", "error", "custom"
+
+
+@dataclass(frozen=True, eq=False)
+class Asked:
+    """A volume and a transfer function that an oracle is asked about, and the map that it may fill.
+
+    ``volume``: on the device, with ``values`` that kernels compute with. ``function``: the transfer
+    function over these, looked up between ``nodes``. ``epsilon``: [pyramid] epsilon. ``opacity_edges``: opacity units in a
+    smallest voxel edge. ``shift``: log2 of a map cell's edge in lattice units. ``edges`` (x, y, z):
+    smallest voxel edges in a lattice unit, at least 1. ``reach``: larger distances, in smallest
+    edges, are as good as this one.
+    """
+
+    context: DeviceContext
+    volume: DeviceVolume
+    function: TransferFunction
+    nodes: ClassNodes
+    epsilon: float
+    opacity_edges: float
+    shift: int
+    edges: tuple[float, float, float]
+    reach: float
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Cells of the map (z, y, x)."""
+        return map_shape(self.volume.size, self.shift)
+
+    @cached_property
+    def statistics(self) -> CellStatistics:
+        """Of the cells: what values they have, and how far those are from interpolated ones."""
+        from clvol.render.pyramid.cells import cell_statistics
+
+        return cell_statistics(self)
+
+    def shows(self, lowest: np.ndarray, highest: np.ndarray) -> np.ndarray:
+        """bool: whether anything from ``lowest`` to ``highest`` can have opacity."""
+        nodes, values = self.nodes, self.nodes.values
+        between, at = visible_cells(self.function, values), self.function.opacity(values) > 0
+        return shows_between(nodes, between, at, lowest, highest)
+
+    @property
+    def scales(self) -> np.ndarray:
+        """Distances between samples that are looked at, 1, 2, 4 ... edges, up to ``reach``."""
+        return 2.0 ** np.arange(np.ceil(np.log2(max(self.reach, 1.0))) + 1)
+
+
+def map_shape(size: tuple[int, int, int], shift: int) -> tuple[int, int, int]:
+    """Cells (z, y, x) of 2^shift lattice cells an axis, for lattice points ``size`` (x, y, z)."""
+    return tuple(max(1, -(-(n - 1) // (1 << shift))) for n in reversed(size))
+
+
+class Oracle(ABC):
+    """``name``: as in [pyramid] oracle. ``kernel``: which header it is asked by. ``folder``: of KERNEL_CUSTOM,
+    where "oracle_custom.h" is. ``takes_epsilon``: whether epsilon changes anything. ``leaps``: whether
+    tiles may leap over space that is empty beyond doubt, without asking."""
+
+    name: str
+    kernel: str = KERNEL_MAP
+    folder: Path | None = None
+    takes_epsilon: bool = True
+    leaps: bool = True
+
+    def numbers(self, asked: Asked) -> tuple[float, float, float, float]:
+        """``pyramid->oracle`` of the kernel."""
+        return (asked.epsilon, 0.0, 0.0, 0.0)
+
+    def map(self, asked: Asked) -> DeviceArray | None:
+        """uint8 on the device: ``in->map`` of the kernel; KERNEL_MAP and KERNEL_ERROR need distances in
+        cells [z, y, x], as ``clvol.render.pyramid.cells.upload_distances`` holds them."""
+        return None
+
+
+class MapOracle(Oracle):
+    """An oracle that knows all distances beforehand."""
+
+    @abstractmethod
+    def distances(self, asked: Asked) -> np.ndarray:
+        """float [z, y, x], ``asked.shape``: how far apart samples may be, in smallest voxel edges, anywhere in
+        each cell. From a cell to another it should grow by no more than the way (pyramid.h, freshness)."""
+
+    def map(self, asked: Asked) -> DeviceArray:
+        from clvol.render.pyramid.cells import upload_distances
+
+        return upload_distances(asked.context, self.distances(asked))

@@ -1,0 +1,18 @@
+"""P1's oracle: the distance to where opacity changes."""
+
+from __future__ import annotations
+
+from clvol.opencl.context import DeviceArray
+from clvol.render.pyramid.cells import bad_opacity_gradients, distance_map, distances_by_scale
+from clvol.render.pyramid.oracles.base import Asked, Oracle
+
+
+class OpacityGradient(Oracle):
+    """Distance to the nearest voxel whose opacity gradient exceeds epsilon (P1 sec. 4): the opacity of a
+    path one smallest voxel edge long, its change over such an edge by central differences."""
+
+    name = "opacity-gradient"
+
+    def map(self, asked: Asked) -> DeviceArray:
+        distances = distances_by_scale(asked, bad_opacity_gradients(asked), [asked.reach])
+        return distance_map(asked, distances)
