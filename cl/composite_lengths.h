@@ -33,7 +33,7 @@ INLINE void uneven_classes(floatN before, floatN front, floatN back, floatN a, f
 {
   const floatN low = lane_min(lane_min(before, front), back), high = lane_max(lane_max(before, front), back);
   const floatN both = a + b;
-  floatN shift = (both * front - b * before - a * back) * (b / (6.0f * a * both));
+  floatN shift = (both * front - b * before - a * back) * (b * lane_reciprocal(6.0f * a * both));
 #if MAY_BE_NAN
   curved &= finite_lanes(shift);
 #endif

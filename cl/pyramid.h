@@ -43,6 +43,7 @@ typedef struct {
   float4 spacing; /* distance of neighbouring rays at slice 0, and by how much it grows a slice (edges); - ; - */
   float4 edges;   /* smallest edges a lattice unit x, y, z; - */
   float4 oracle;  /* the oracle's own */
+  float4 gate;    /* values: nothing at or below x, or at or above y, is visible; - ; - */
 } Pyramid;
 
 #define MOST_LEVELS 5 /* MOST_LEVELS of clvol/scene/pyramid.py */
@@ -131,11 +132,8 @@ INLINE int slice_level(const Source *in, int k) { return min((int)popcount(~k & 
 
 #include "oracle.h"
 
-/* Value and wanted distance at a lattice place; `left`: the light that still arrives from there, as far as is known. */
-INLINE void sample_source(const Source *in, floatN x, floatN y, floatN z, floatN left, floatN *value, floatN *distance)
-{
-  *value = sample_value(fetch_sample(in->volume, in->view, x, y, z), in->view);
-  *distance = oracle_distance(in, x, y, z, *value, left);
-}
+/* A sample is fetched, and then looked at: there may be other work to do while a fetch waits for memory. */
+INLINE FetchedSample fetch_source(const Source *in, floatN x, floatN y, floatN z) { return fetch_sample(in->volume, in->view, x, y, z); }
+INLINE floatN source_value(const Source *in, const FetchedSample *f) { return sample_value(*f, in->view); }
 
 #endif

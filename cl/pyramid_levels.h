@@ -110,11 +110,12 @@ INLINE void update_level(const Source *in, SHARED Levels *m, int level, int k, i
       if (any_lane(sampled)) {
         const int from = rays + at;
         const floatN t = (float)k;
-        floatN v, d;
-        sample_source(in, load_patch(m->x0 + from, side) + t * load_patch(m->dx + from, side),
-                      load_patch(m->y0 + from, side) + t * load_patch(m->dy + from, side),
-                      load_patch(m->z0 + from, side) + t * load_patch(m->dz + from, side), (floatN)1.0f, &v, &d);
-        value = select(value, v, sampled), distance = select(distance, d, sampled);
+        const floatN x = load_patch(m->x0 + from, side) + t * load_patch(m->dx + from, side);
+        const floatN y = load_patch(m->y0 + from, side) + t * load_patch(m->dy + from, side);
+        const floatN z = load_patch(m->z0 + from, side) + t * load_patch(m->dz + from, side);
+        const FetchedSample fetched = fetch_source(in, x, y, z);
+        value = select(value, source_value(in, &fetched), sampled);
+        distance = select(distance, oracle_distance(in, x, y, z, value, (floatN)1.0f), sampled);
         count_lanes(samples, sampled), count_lanes(&counted[COUNT_ORACLE], sampled);
       }
     } else if (distances == old_distance)

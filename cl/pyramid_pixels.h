@@ -66,6 +66,20 @@ INLINE int march_packet(const Source *in, SHARED const Levels *m, PixelPacket *p
   const floatN zero = 0.0f, one = 1.0f;
   const int most = in->pyramid->levels.x, more = in->pyramid->levels.y;
   const float h = view->march.x;
+  /* A packet that was sampled on the last slice mostly is on the next ones: all of them are fetched at once, since a fetch from beyond the
+   * first caches takes longer than all else about a sample. */
+#if FETCH_AHEAD
+  FetchedSample ahead[CHUNK];
+  const int is_dense = any_lane(alive & MASK(distance < 2.0f * h)) && slices == CHUNK;
+  if (is_dense)
+    _Pragma("unroll 1") for (int i = 0; i < CHUNK; ++i) {
+      const floatN t = lane_clamp((floatN)(float)(base + i), enter, leave);
+      ahead[i] = fetch_source(in, x0 + t * dx, y0 + t * dy, z0 + t * dz);
+    }
+#else
+  const int is_dense = 0;
+  FetchedSample ahead[1];
+#endif
   _Pragma("unroll 1") for (int i = 0; i < slices; ++i) {
     const int k = base + i, along = slice_level(in, k);
     intN takes_part = alive;
@@ -76,26 +90,30 @@ INLINE int march_packet(const Source *in, SHARED const Levels *m, PixelPacket *p
     floatN value = zero;
     if (along + more > 0) {
       const floatN wanted = synthesised_pixels(m->distance1[i], SIDE(1), column, row);
-      value = synthesised_pixels(m->value1[i], SIDE(1), column, row);
       distance = select(distance, wanted, takes_part);
-      sampled &= MASK(distance < 2.0f * ray_spacing(in, k))
+      sampled &= MASK(distance < 2.0f * ray_spacing(in, k));
+      if (any_lane(takes_part & ~sampled)) {
+        value = synthesised_pixels(m->value1[i], SIDE(1), column, row);
 #if VOXEL_HOLES
-                 | ~finite_lanes(value)
+        sampled |= takes_part & ~finite_lanes(value);
 #endif
-        ;
+      }
       count_lanes(&counted[COUNT_SYNTHESES], takes_part);
     }
     if (any_lane(sampled)) {
-      floatN v, d;
-      sample_source(in, x0 + t * dx, y0 + t * dy, z0 + t * dz, 1.0f - opacity, &v, &d);
-      value = select(value, v, sampled), distance = select(distance, d, sampled);
+      const floatN x = x0 + t * dx, y = y0 + t * dy, z = z0 + t * dz;
+      const FetchedSample fetched = is_dense ? ahead[i] : fetch_source(in, x, y, z);
+      value = select(value, source_value(in, &fetched), sampled);
+      distance = select(distance, oracle_distance(in, x, y, z, value, 1.0f - opacity), sampled);
       count_lanes(samples, sampled), count_lanes(&counted[COUNT_ORACLE], sampled);
     }
     const floatN length = t - t1;
-    const intN closes = takes_part & ~first & MASK(length > 0.0f);
-    if (any_lane(closes)) {
-      count_lanes(&counted[COUNT_ACCUMULATIONS], closes);
-      const intN curved = closes & ~second;
+    const intN closes = takes_part & ~first & MASK(length > 0.0f), curved = closes & ~second;
+    count_lanes(&counted[COUNT_ACCUMULATIONS], closes);
+    /* The segment's ends stay between the samples that it depends on: where all of these show nothing, no more is to be done. */
+    floatN low = lane_min(value1, value), high = lane_max(value1, value);
+    low = select(low, lane_min(low, value2), curved), high = select(high, lane_max(high, value2), curved);
+    if (any_lane(closes & MASK(high > in->pyramid->gate.x) & MASK(low < in->pyramid->gate.y))) {
       const floatN long_ = select(one, length, closes);
       ClassCoordinate front, back;
       uneven_classes(value2, value1, value, select(one, t1 - t2, curved), long_, curved, warp, view, &front, &back);

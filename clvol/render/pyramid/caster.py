@@ -156,9 +156,22 @@ class PyramidCaster(Raycaster):
         row["spacing"][0, :2] = (plan.spacing, plan.growth)
         row["edges"][0, :3] = self.asked.edges
         row["oracle"][0] = self._oracle_numbers
+        row["gate"][0, :2] = self._value_gate
         self._tally = self.context.output(np.uint32, (tiles, len(COUNTERS)))
         arrays = {"pyramid": self.context.upload(row), "map": self.map, "counts": self._tally}
         return _ARGUMENTS, arrays
+
+    @property
+    def _value_gate(self) -> tuple[float, float]:
+        """``gate`` in values: those of the nodes next to what is visible."""
+        nodes, last = self.nodes.values, self.nodes.values.size - 1
+        low, high = self.gate
+        if not low < high:
+            return np.inf, -np.inf
+        return (
+            -np.inf if low < 0 else float(nodes[int(low)]),
+            np.inf if high > last else float(nodes[int(high)]),
+        )
 
     def _counters(self, counts: np.ndarray) -> dict[str, int]:
         sums = counts.sum(axis=0, dtype=np.uint64)
