@@ -12,6 +12,7 @@
 #include "classify.h"
 #include "blocks.h"
 #include "block_samples.h"
+#include "shows_between.h"
 
 /* before  int [nodes]: of the intervals between nodes, how many before this one can show anything
  * at      uchar [nodes]: whether the node itself does
@@ -57,14 +58,5 @@ __kernel void visible_block_cells(__global const uchar *restrict volume, __globa
           for (int b = j.x; b <= j.y; ++b)
             for (int a = i.x; a <= i.y; ++a) widen(own_sample(v, &r, s, a, b, c), &low, &high);
       }
-  if (!(low <= high)) return;
-  const float p = class_position(low, warp, view), q = class_position(high, warp, view), last_node = view->classes.z;
-  if (low == high && p == floor(p)) { /* interpolation keeps it, and it falls on a node */
-    *out = at[(int)p] ? 0 : 255;
-    return;
-  }
-  /* The lowest value of all is node 0 exactly; else rounding may reach the next node. */
-  const float margin = 1e-3f;
-  const int from = (int)clamp(floor(p - margin), 0.0f, last_node), to = (int)clamp(ceil(q + margin), 0.0f, last_node);
-  if (before[to] > before[from] || at[from] || at[to]) *out = 0;
+  if (shows_between(low, high, warp, before, at, view)) *out = 0;
 }

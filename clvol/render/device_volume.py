@@ -84,9 +84,16 @@ class DeviceVolume:
             self._bounds[apron] = self._min_max(self.plain(), apron)
         return self._bounds[apron]
 
-    def _min_max(self, plain: DeviceArray, apron: int) -> tuple[np.ndarray, np.ndarray]:
+    def min_max(self, shift: int) -> tuple[np.ndarray, np.ndarray]:
+        """As ``bounds(0)``, of cells of 2^``shift`` lattice cells; not kept."""
+        return self._min_max(self.plain(), 0, shift)
+
+    def _min_max(
+        self, plain: DeviceArray, apron: int, shift: int = CELL_SHIFT
+    ) -> tuple[np.ndarray, np.ndarray]:
         context = self._context
-        out = context.empty(self._data.dtype, (*self.cells[::-1], 2))
+        cells = tuple(cell_count(n, shift) for n in self.size)
+        out = context.empty(self._data.dtype, (*cells[::-1], 2))
         kernel = context.kernel(
             "empty_space.cl",
             "min_max_cells",
@@ -95,11 +102,11 @@ class DeviceVolume:
         )
         kernel(
             context.queue,
-            self.cells,
+            cells,
             None,
             volume=plain,
             size=(*self.size, 0),
-            edge=1 << CELL_SHIFT,
+            edge=1 << shift,
             apron=apron,
             cells=out,
         )

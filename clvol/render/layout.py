@@ -91,8 +91,8 @@ def device_bytes(volume: Volume) -> int:
     return int(voxels + cells * (2 * volume.dtype.itemsize + 2))
 
 
-def cell_count(size: int) -> int:
-    return max(1, -(-(size - 1) // (1 << CELL_SHIFT)))
+def cell_count(size: int, shift: int = CELL_SHIFT) -> int:
+    return max(1, -(-(size - 1) // (1 << shift)))
 
 
 def scene_bytes(volume: Volume, table_size: int, width: int, height: int) -> int:

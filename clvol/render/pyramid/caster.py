@@ -25,7 +25,12 @@ from clvol.transfer.tables import length_slices, length_tables
 COUNTERS = ("oracle_samples", "syntheses", "accumulations")  # COUNT_... of cl/pyramid.h
 TILE = 32  # pixels an edge of a tile; a multiple of 2^MOST_LEVELS
 WORKERS = 64  # work-items of a group where they are not one
-_FINE_CELLS = 2**22  # lattice points up to which cells of maps are 2^3, else 4^3
+_MOST_CELLS = 2**25  # of a map, which then is as fine as the voxels; else cells of 2^3
+# Switches of kernels that look at voxels and classes alone.
+_OF_VOXELS = (
+    "VOXEL_BITS", "VOXEL_SIGNED", "VOXEL_SCALED", "VOXEL_HOLES", "VOXEL_PAIRS", "WARPED_CLASSES",
+    "FILTER", "CLASSIFICATION",
+)  # fmt: skip
 _ARGUMENTS = ", in pyramid V1, in map uint8, out counts uint32"
 
 
@@ -72,13 +77,18 @@ class PyramidCaster(Raycaster):
         resolved, volume = self.resolved, self.volume
         grid = resolved.volume.grid
         spacing = np.asarray(grid.spacing) / grid.smallest_edge
+        view = np.zeros(1, self._view_dtype)
+        self._describe_volume(view[0])
         points = float(np.prod(volume.size))
-        shift = 1 if points <= 8 * _FINE_CELLS else 2
+        shift = 0 if points <= _MOST_CELLS else 1
         self.asked = Asked(
             context=self.context,
             volume=volume,
             function=device_function(self._asked_function, volume.values),
             nodes=self.nodes,
+            warp=self.warp,
+            view=view,
+            switches={name: self.switches[name] for name in _OF_VOXELS},
             epsilon=self.settings.epsilon,
             opacity_edges=grid.smallest_edge / self._asked_function.opacity_unit,
             shift=shift,
@@ -88,7 +98,6 @@ class PyramidCaster(Raycaster):
         found = self.oracle.map(self.asked)
         self.map = found if found is not None else self.context.upload(np.zeros(4, np.uint8))
         self._oracle_numbers = self.oracle.numbers(self.asked)
-        vars(self.asked).pop("statistics", None)  # they take more memory than all maps
 
     @property
     def _reach(self) -> float:

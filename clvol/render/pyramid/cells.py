@@ -7,7 +7,7 @@ than the way from one place to another, which the march relies on (cl/pyramid.h,
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -17,68 +17,41 @@ from clvol.render.pyramid.oracles.base import Asked
 BINS = 2048  # of values, for what an error of a value shows
 _WIDEST = 0.05  # of the value range: bins go on beyond it by so much, for interpolated values
 _SPARE = 4  # bytes: a 32-bit gather of the last byte must stay inside
+_FAR = 65535
+_MAPPED = "value bias {real}, value gain {real}"
 
 
-@dataclass(frozen=True, eq=False)
-class CellStatistics:
-    """``values`` float32 [scales + 2, z, y, x] on the device: lowest and highest value of each cell, then by scale the
-    largest deviation of a value from one that is interpolated between samples so far apart.
-    ``scales`` [n]: in smallest edges."""
-
-    values: DeviceArray
-    scales: np.ndarray
-
-    @property
-    def shape(self) -> tuple[int, int, int]:
-        return self.values.shape[1:]
-
-
-def cell_statistics(asked: Asked) -> CellStatistics:
-    """Of all cells of ``asked``'s map."""
+def voxels_bad_for_error(asked: Asked) -> DeviceArray:
+    """uint8 [z, y, x] of voxels: bit s is set where samples ``asked.scales[s]`` apart may show more than epsilon that is wrong."""
     context, volume, scales = asked.context, asked.volume, asked.scales
     # Along an axis with longer edges half a scale may be less than a lattice unit.
     halves = scales[:, None] / 2.0 / np.asarray(asked.edges)
     whole = np.maximum(np.rint(halves), 1).astype(np.int32)
     shares = np.minimum(halves / whole, 1.0).astype(np.float32)
-    shape = asked.shape
-    out = context.empty(np.float32, (len(scales) + 2, *shape))
-    size = (*volume.size, 0)
-    kernel = _kernel(
-        asked, "cell_statistics",
-        "in volume V1, value size int4, value shift int32, in halves int32, in shares float32, "
-        f"{_MAPPED}, out statistics float32", len(scales),
-    )  # fmt: skip
-    kernel(
-        context.queue, shape[::-1], None, volume=volume.plain(), size=size, shift=asked.shift,
-        halves=context.upload(_fours(whole)), shares=context.upload(_fours(shares)),
-        statistics=out, **_mapped(asked),
-    )  # fmt: skip
-    return CellStatistics(out, scales)
-
-
-def bad_for_error(asked: Asked) -> DeviceArray:
-    """uint8 [z, y, x]: bit s is set where samples ``scales[s]`` apart may show more than epsilon that is wrong."""
-    found, context = asked.statistics, asked.context
-    low, high = asked.volume.value_range
+    low, high = volume.value_range
     margin = _WIDEST * (high - low) or 1.0
     first, last = low - margin, high + margin
-    shown = np.stack([segment_colors(asked, first, last, scale) for scale in found.scales])
+    shown = np.stack([segment_colors(asked, first, last, scale) for scale in scales])
     slopes = np.abs(np.diff(shown, axis=1))
     tops = np.maximum(shown[:, 1:], shown[:, :-1])
     bottoms = np.minimum(shown[:, 1:], shown[:, :-1])
-    out = context.empty(np.uint8, found.shape)
     tables = [context.upload(_sparse(table)) for table in (slopes, tops, -bottoms)]
     rows, n = tables[0].shape[1:3]
+    nx, ny, nz = volume.size
+    out = context.empty(np.uint8, (nz, ny, nx))
     kernel = _kernel(
-        asked, "bad_scales",
-        "in statistics float32, in slopes float32, in tops float32, in minus_bottoms float32, "
-        "value n int32, value rows int32, value first float32, value per_value float32, "
-        "value epsilon float32, out bad uint8", len(found.scales),
+        asked, "bad_voxels",
+        f"in volume V1, value size int4, in halves int32, in shares float32, {_MAPPED}, in slopes float32, "
+        "in tops float32, in minus_bottoms float32, in steepest float32, value n int32, "
+        "value rows int32, value first float32, value per_value float32, value epsilon float32, "
+        "out bad uint8", len(scales),
     )  # fmt: skip
     kernel(
-        context.queue, (int(np.prod(found.shape)),), None, statistics=found.values,
-        slopes=tables[0], tops=tables[1], minus_bottoms=tables[2], n=n, rows=rows, first=first,
-        per_value=n / (last - first), epsilon=asked.epsilon, bad=out,
+        context.queue, (ny, nz), None, volume=volume.plain(), size=(*volume.size, 0),
+        halves=context.upload(_fours(whole)), shares=context.upload(_fours(shares)),
+        slopes=tables[0], tops=tables[1], minus_bottoms=tables[2],
+        steepest=context.upload(slopes.max(axis=(1, 2))), n=n, rows=rows, first=first,
+        per_value=n / (last - first), epsilon=asked.epsilon, bad=out, **_mapped(asked),
     )  # fmt: skip
     return out
 
@@ -94,78 +67,98 @@ def segment_colors(asked: Asked, first: float, last: float, edges: float) -> np.
     return np.column_stack([function.color(values) * opacity[:, None], opacity]).astype(np.float32)
 
 
-def bad_opacity_gradients(asked: Asked) -> DeviceArray:
-    """uint8 [z, y, x]: 1 where the opacity (of a smallest edge) changes by more than epsilon over a smallest edge."""
+def voxels_of_steep_opacity(asked: Asked) -> DeviceArray:
+    """uint8 [z, y, x] of voxels: 1 where the opacity (of a smallest edge) changes by more than epsilon over a smallest edge."""
     context, volume = asked.context, asked.volume
     low, high = volume.value_range
     last = high if high > low else low + 1.0
     opacity = segment_colors(asked, low, last, 1.0)[:, 3]
-    out = context.empty(np.uint8, asked.shape)
+    nx, ny, nz = volume.size
+    out = context.empty(np.uint8, (nz, ny, nx))
     kernel = _kernel(
-        asked, "steep_opacity",
-        f"in volume V1, value size int4, value shift int32, {_MAPPED}, in opacity float32, value n int32, "
+        asked, "steep_voxels",
+        f"in volume V1, value size int4, {_MAPPED}, in opacity float32, value n int32, "
         "value first float32, value per_value float32, value edges float4, "
         "value threshold float32, out bad uint8",
     )  # fmt: skip
     kernel(
-        context.queue, asked.shape[::-1], None, volume=volume.plain(), size=(*volume.size, 0),
-        shift=asked.shift, opacity=context.upload(opacity), n=BINS + 1, first=low,
-        per_value=BINS / (last - low), edges=(*asked.edges, 1.0), threshold=asked.epsilon, bad=out,
-        **_mapped(asked),
+        context.queue, (ny, nz), None, volume=volume.plain(), size=(*volume.size, 0),
+        opacity=context.upload(opacity), n=BINS + 1, first=low, per_value=BINS / (last - low),
+        edges=(*asked.edges, 1.0), threshold=asked.epsilon, bad=out, **_mapped(asked),
     )  # fmt: skip
     return out
 
 
-def distances_to_bad(asked: Asked, bad: DeviceArray, bits: int, most: float) -> DeviceArray:
-    """float32 [z, y, x]: the way, in smallest edges, from each cell to the nearest one of ``bad`` with one of ``bits``; larger than
-    ``most`` where there is none so near."""
-    context, shape = asked.context, bad.shape
-    near, spare = (context.empty(np.float32, shape) for _ in range(2))
-    count = (int(np.prod(shape)),)
-    start = _kernel(asked, "start_near", "in bad uint8, value bits uint32, out out float32")
-    start(context.queue, count, None, bad=bad, bits=bits, out=near)
+def cells_of_voxels(asked: Asked, voxels: DeviceArray) -> DeviceArray:
+    """The bits of the cells [z, y, x] of ``asked``'s map, whose rows are padded: those of any voxel at their corners or in them."""
+    context, (nz, ny, nx) = asked.context, asked.shape
+    out = padded_cells(asked)
     kernel = _kernel(
-        asked, "near_pass",
-        "in source float32, out target float32, value cells int4, value axis int32, value window int32, value cell float32",
+        asked, "bad_cells",
+        "in voxels uint8, value size int4, value shift int32, value cells int4, value stride int32, "
+        "out bad uint8",
     )  # fmt: skip
-    for axis, edge in enumerate(asked.edges):
-        cell = edge * (1 << asked.shift)
-        window = int(np.ceil(most / cell)) + 1
-        kernel(
-            context.queue, shape[::-1], None, source=near, target=spare,
-            cells=(*shape[::-1], 0), axis=axis, window=window, cell=cell,
-        )  # fmt: skip
-        near, spare = spare, near
-    return near
-
-
-def distances_by_scale(asked: Asked, bad: DeviceArray, scales: np.ndarray) -> DeviceArray:
-    """float32 [z, y, x]: at each cell the largest of min(scale, way to the cells whose bit says that they are bad for it)."""
-    context, shape = asked.context, bad.shape
-    distances = context.upload(np.zeros(shape, np.float32))
-    widen = _kernel(
-        asked, "widen_distance", "in squares float32, value most float32, out distances float32"
-    )
-    for bit, scale in enumerate(scales):
-        squares = distances_to_bad(asked, bad, 1 << bit, float(scale))
-        widen(
-            context.queue, (int(np.prod(shape)),), None, squares=squares, most=scale,
-            distances=distances,
-        )  # fmt: skip
-    return distances
-
-
-def distance_map(asked: Asked, distances: DeviceArray) -> DeviceArray:
-    """The map as kernels read it (cl/oracle_map.h), uint8 [cells + a few]."""
-    context, count = asked.context, int(np.prod(distances.shape))
-    out = context.empty(np.uint8, (count + _SPARE,))
-    kernel = _kernel(asked, "distance_bytes", "in distances float32, out bytes uint8")
-    kernel(context.queue, (count,), None, distances=distances, bytes=out)
+    kernel(
+        context.queue, (ny, nz), None, voxels=voxels, size=(*asked.volume.size, 0),
+        shift=asked.shift, cells=(nx, ny, nz, 0), stride=out.shape[2], bad=out,
+    )  # fmt: skip
     return out
+
+
+def padded_cells(asked: Asked) -> DeviceArray:
+    """uint8 [z, y, x] for the cells of ``asked``'s map, rows padded; uninitialised."""
+    nz, ny, nx = asked.shape
+    return asked.context.empty(np.uint8, (nz, ny, _stride(nx)))
+
+
+def upload_cells(asked: Asked, bad: np.ndarray) -> DeviceArray:
+    """The same of bits [z, y, x] that are known on the host."""
+    nx = bad.shape[2]
+    return asked.context.upload(np.pad(bad, ((0, 0), (0, 0), (0, _stride(nx) - nx))))
+
+
+def distance_map(asked: Asked, bad: DeviceArray, scales: Sequence[float]) -> DeviceArray:
+    """uint8 [z, y, x] and a few bytes more, as kernels read it (cl/oracle_map.h): at each cell the largest of
+    min(scale, way to the cells whose bit of ``bad`` says that they are bad for it)."""
+    context, (nz, ny, nx) = asked.context, asked.shape
+    cells, stride = (nx, ny, nz, 0), bad.shape[2]
+    found = context.upload(np.zeros(nx * ny * nz + _SPARE, np.uint8))
+    near, spare = (context.empty(np.uint16, bad.shape) for _ in range(2))
+    start = _kernel(asked, "start_near", "in bad uint8, value bits uint32, out near uint16")
+    step = _kernel(
+        asked, "near_pass",
+        "in source uint16, out target uint16, value cells int4, value stride int32, "
+        "value axis int32, value window int32, in gaps uint16",
+    )  # fmt: skip
+    widen = _kernel(
+        asked, "raise_distances",
+        "in near uint16, value cells int4, value stride int32, value most float32, out map uint8",
+    )  # fmt: skip
+    for bit, scale in enumerate(scales):
+        start(context.queue, (bad.nbytes // 16,), None, bad=bad, bits=1 << bit, near=near)
+        for axis, edge in enumerate(asked.edges):
+            gaps = squared_gaps(edge * (1 << asked.shift), float(scale))
+            step(
+                context.queue, (stride // 16, ny, nz), None, source=near, target=spare, cells=cells,
+                stride=stride, axis=axis, window=len(gaps) - 1, gaps=context.upload(gaps),
+            )  # fmt: skip
+            near, spare = spare, near
+        widen(
+            context.queue, (ny, nz), None, near=near, cells=cells, stride=stride, most=scale, map=found
+        )
+    return found
+
+
+def squared_gaps(cell: float, most: float) -> np.ndarray:
+    """uint16: squares of what lies between two cells 0, 1, 2 ... apart, ``cell`` edges each, in sixteenths, rounded down; as far
+    as it is less than ``most``."""
+    count = int(np.ceil(most / cell)) + 2
+    gaps = np.maximum(np.arange(count) - 1, 0) * cell
+    return np.minimum(np.floor(16.0 * gaps**2), _FAR).astype(np.uint16)
 
 
 def upload_distances(context: DeviceContext, distances: np.ndarray) -> DeviceArray:
-    """The same from an array on the host, float [z, y, x]."""
+    """A map from distances on the host, float [z, y, x], in smallest edges."""
     codes = np.append(distance_codes(distances).ravel(), np.zeros(_SPARE, np.uint8))
     return context.upload(codes)
 
@@ -182,7 +175,8 @@ def decoded_distances(codes: np.ndarray) -> np.ndarray:
     return np.where(codes == 0, 0.0, words.view(np.float32).astype(np.float64))
 
 
-_MAPPED = "value bias {real}, value gain {real}"
+def _stride(cells: int) -> int:
+    return -(-cells // 16) * 16
 
 
 def _mapped(asked: Asked) -> dict[str, float]:

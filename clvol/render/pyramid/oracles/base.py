@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clvol.render.empty_space import shows_between
+from clvol.render.layout import cell_count
 from clvol.transfer import TransferFunction
-from clvol.transfer.classes import ClassNodes, visible_cells
+from clvol.transfer.classes import ClassNodes
 
 if TYPE_CHECKING:
     from clvol.opencl.context import DeviceArray, DeviceContext
     from clvol.render.device_volume import DeviceVolume
-    from clvol.render.pyramid.cells import CellStatistics
 
 # Headers of cl/oracle.h: none of these numbers means a scene's own code.
 KERNEL_MINIMUM, KERNEL_MAP, KERNEL_ERROR, KERNEL_CUSTOM = "minimum", "map", "error", "custom"
@@ -28,7 +27,8 @@ class Asked:
     """A volume and a transfer function that an oracle is asked about, and the map that it may fill.
 
     ``volume``: on the device, with ``values`` that kernels compute with. ``function``: the transfer
-    function over these, looked up between ``nodes``. ``epsilon``: [pyramid] epsilon. ``opacity_edges``: opacity units in a
+    function over these, looked up between ``nodes`` (on the device: ``warp``). ``view``: numbers of the volume for
+    kernels that look at it, and ``switches`` of these. ``epsilon``: [pyramid] epsilon. ``opacity_edges``: opacity units in a
     smallest voxel edge. ``shift``: log2 of a map cell's edge in lattice units. ``edges`` (x, y, z):
     smallest voxel edges in a lattice unit, at least 1. ``reach``: larger distances, in smallest
     edges, are as good as this one.
@@ -38,6 +38,9 @@ class Asked:
     volume: DeviceVolume
     function: TransferFunction
     nodes: ClassNodes
+    warp: DeviceArray
+    view: np.ndarray
+    switches: Mapping[str, int]
     epsilon: float
     opacity_edges: float
     shift: int
@@ -49,19 +52,6 @@ class Asked:
         """Cells of the map (z, y, x)."""
         return map_shape(self.volume.size, self.shift)
 
-    @cached_property
-    def statistics(self) -> CellStatistics:
-        """Of the cells: what values they have, and how far those are from interpolated ones."""
-        from clvol.render.pyramid.cells import cell_statistics
-
-        return cell_statistics(self)
-
-    def shows(self, lowest: np.ndarray, highest: np.ndarray) -> np.ndarray:
-        """bool: whether anything from ``lowest`` to ``highest`` can have opacity."""
-        nodes, values = self.nodes, self.nodes.values
-        between, at = visible_cells(self.function, values), self.function.opacity(values) > 0
-        return shows_between(nodes, between, at, lowest, highest)
-
     @property
     def scales(self) -> np.ndarray:
         """Distances between samples that are looked at, 1, 2, 4 ... edges, up to ``reach``."""
@@ -70,7 +60,7 @@ class Asked:
 
 def map_shape(size: tuple[int, int, int], shift: int) -> tuple[int, int, int]:
     """Cells (z, y, x) of 2^shift lattice cells an axis, for lattice points ``size`` (x, y, z)."""
-    return tuple(max(1, -(-(n - 1) // (1 << shift))) for n in reversed(size))
+    return tuple(cell_count(n, shift) for n in reversed(size))
 
 
 class Oracle(ABC):
@@ -90,7 +80,7 @@ class Oracle(ABC):
 
     def map(self, asked: Asked) -> DeviceArray | None:
         """uint8 on the device: ``in->map`` of the kernel; KERNEL_MAP and KERNEL_ERROR need distances in
-        cells [z, y, x], as ``clvol.render.pyramid.cells.upload_distances`` holds them."""
+        cells [z, y, x], as ``clvol.render.pyramid.cells.distance_map`` makes them."""
         return None
 
 

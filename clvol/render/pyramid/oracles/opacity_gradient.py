@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from clvol.opencl.context import DeviceArray
-from clvol.render.pyramid.cells import bad_opacity_gradients, distance_map, distances_by_scale
+from clvol.render.pyramid.cells import cells_of_voxels, distance_map, voxels_of_steep_opacity
 from clvol.render.pyramid.oracles.base import Asked, Oracle
 
 
@@ -14,5 +14,5 @@ class OpacityGradient(Oracle):
     name = "opacity-gradient"
 
     def map(self, asked: Asked) -> DeviceArray:
-        distances = distances_by_scale(asked, bad_opacity_gradients(asked), [asked.reach])
-        return distance_map(asked, distances)
+        bad = cells_of_voxels(asked, voxels_of_steep_opacity(asked))
+        return distance_map(asked, bad, [asked.reach])

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from clvol.opencl.context import DeviceArray
-from clvol.render.pyramid.cells import distance_map, distances_by_scale
+from clvol.render.pyramid.cells import distance_map, padded_cells
 from clvol.render.pyramid.oracles.base import Asked, Oracle
+from clvol.transfer.classes import visible_cells
 
 
 class Visible(Oracle):
@@ -17,7 +18,36 @@ class Visible(Oracle):
     takes_epsilon = False
 
     def map(self, asked: Asked) -> DeviceArray:
-        found = asked.context.read(asked.statistics.values)[:2].astype(np.float64)
-        shown = asked.shows(found[0], found[1]).astype(np.uint8)
-        bad = asked.context.upload(shown)
-        return distance_map(asked, distances_by_scale(asked, bad, [asked.reach]))
+        shown = padded_cells(asked)
+        visible_in_cells(asked, shown)
+        return distance_map(asked, shown, [asked.reach])
+
+
+def visible_in_cells(asked: Asked, cells: DeviceArray, bit: int = 0) -> None:
+    """Sets ``bit`` of the cells (as ``padded_cells``) in which anything can be visible. Bit 0 is the first to be set: it clears
+    all others."""
+    context, function, nodes = asked.context, asked.function, asked.nodes.values
+    nz, ny, nx = asked.shape
+    kernel = context.kernel(
+        "oracle_visible.cl",
+        "visible_cells",
+        "in volume V1, in warp float32, in before int32, in at uint8, in view V1, "
+        "value shift int32, value cells int4, value stride int32, value bit int32, out visible uint8",
+        {**asked.switches, "LANES": 1},
+    )
+    before = np.concatenate([[0], np.cumsum(visible_cells(function, nodes))])
+    kernel(
+        context.queue,
+        (ny, nz),
+        None,
+        volume=asked.volume.plain(),
+        warp=asked.warp,
+        before=context.upload(before.astype(np.int32)),
+        at=context.upload((function.opacity(nodes) > 0).astype(np.uint8)),
+        view=context.upload(asked.view),
+        shift=asked.shift,
+        cells=(nx, ny, nz, 0),
+        stride=cells.shape[2],
+        bit=bit,
+        visible=cells,
+    )

@@ -1,0 +1,22 @@
+/* Whether a transfer function shows anything of a range of values, for kernels that look at single cells (LANES 1). */
+#ifndef SHOWS_BETWEEN_H
+#define SHOWS_BETWEEN_H
+
+#include "classify.h"
+
+/* Of what is interpolated between `low` and `high` (none where low > high).
+ * before  int [nodes]: of the intervals between nodes, how many before this one can show anything
+ * at      uchar [nodes]: whether the node itself does */
+inline int shows_between(float low, float high, __global const float *warp, __global const int *before, __global const uchar *at,
+                         __constant const View *view)
+{
+  if (!(low <= high)) return 0;
+  const float p = class_position(low, warp, view), q = class_position(high, warp, view), last_node = view->classes.z;
+  if (low == high && p == floor(p)) return at[(int)p]; /* interpolation keeps it, and it falls on a node */
+  /* The lowest value of all is node 0 exactly; else rounding may reach the next node. */
+  const float margin = 1e-3f;
+  const int from = (int)clamp(floor(p - margin), 0.0f, last_node), to = (int)clamp(ceil(q + margin), 0.0f, last_node);
+  return before[to] > before[from] || at[from] || at[to];
+}
+
+#endif
