@@ -22,8 +22,10 @@ __kernel WIDE_VECTORS __attribute__((reqd_work_group_size(WORKERS, 1, 1))) void 
 {
   const Source source = {volume, view, pyramid, map};
   const int width = view->image.x, height = view->image.y;
-  const int columns = max(1, (width + TILE - 1) / TILE);
-  const int tile = (int)get_group_id(0) + view->band.x;
+  const int columns = max(1, (width + TILE - 1) / TILE), rows = max(1, (height + TILE - 1) / TILE);
+  /* From the top and the bottom in turns: the last ones, by which cores wait for each other, are then in the middle, where much is to be
+   * seen, and drivers hand out few at a time in the end. */
+  const int place = (int)get_group_id(0) + view->band.x, tile = width > 0 && place & 1 ? columns * rows - 1 - place / 2 : width > 0 ? place / 2 : place;
   const int left = tile % columns * TILE, top = tile / columns * TILE;
   const int levels = pyramid->levels.x + pyramid->levels.y;
   Tally counted[PYRAMID_COUNTERS] = {0}, taken = 0;
