@@ -213,6 +213,9 @@ INLINE uint lane_bits(intN mask)
 #endif
 }
 
+/* The mask that has the lanes in `bits`. */
+INLINE intN lanes_of(uint bits) { return MASK(((intN)(int)bits >> LANE_INDEX & 1) != 0); }
+
 /* The lanes in `bits` one after the other at `to`, which has room for 16; what is behind them is undefined. */
 INLINE void pack_lanes(float16 v, uint bits, float *to)
 {
@@ -292,6 +295,9 @@ INLINE float16 permuted_lanes(float16 v, int16 at)
   return vload16(0, chosen);
 #endif
 }
+#else
+INLINE uint lane_bits(intN mask) { return (uint)mask & 1u; }
+INLINE intN lanes_of(uint bits) { return -(intN)(bits & 1u); }
 #endif
 
 #endif

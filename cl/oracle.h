@@ -1,15 +1,32 @@
 /* The oracle that this program has: oracle_distance(), how far samples around a place may be from each other.
  *
- *   floatN oracle_distance(const Source *in, floatN x, floatN y, floatN z, floatN value, floatN left)
+ *   floatN oracle_distance(const Source *in, floatN x, floatN y, floatN z, floatN value, floatN mapped, floatN left)
  *
- * x, y, z are a lattice place (not always inside the volume), `value` is that there, `left` the light that still arrives from there
- * where that is known, else 1. The result is a length in smallest voxel edges, 0 or more, never NaN. `in->pyramid->oracle` has the
- * oracle's own numbers, and `in->map` its own bytes.
+ * x, y, z are a lattice place (not always inside the volume) and `value` that there; `mapped` is what the oracle's map says of it, if
+ * there is one; `left` is the light that still arrives from there where that is known, else 1. The result is a length in smallest voxel
+ * edges, 0 or more, never NaN. `in->pyramid->oracle` has the oracle's own numbers, and `in->map` its own bytes.
  */
 #ifndef ORACLE_H
 #define ORACLE_H
 
 #include "features.h"
+
+#define ORACLE_HAS_MAP (ORACLE == ORACLE_MAP || ORACLE == ORACLE_ERROR)
+
+/* Bytes of a map: the float's exponent and the first four bits of its mantissa, 1/16 edge to 2^12 edges. The least one stands for 0. */
+INLINE floatN byte_distance(intN byte) { return select(AS_FLOAT((byte + ((127 - 4) << 4)) << 19), (floatN)0.0f, MASK(byte == 0)); }
+
+/* The byte of the cell that holds a place; outside the volume that of the nearest cell. */
+INLINE intN fetch_map(const Source *in, floatN x, floatN y, floatN z)
+{
+  const int4 cells = in->pyramid->cells;
+  const float4 upper = in->view->upper;
+  const floatN zero = 0.0f;
+  const intN cx = min(TO_INT(lane_clamp(x, zero, (floatN)upper.x)) >> cells.w, (intN)(cells.x - 1));
+  const intN cy = min(TO_INT(lane_clamp(y, zero, (floatN)upper.y)) >> cells.w, (intN)(cells.y - 1));
+  const intN cz = min(TO_INT(lane_clamp(z, zero, (floatN)upper.z)) >> cells.w, (intN)(cells.z - 1));
+  return AS_INT(gather1(in->map, (cz * cells.y + cy) * cells.x + cx) & 255u);
+}
 
 #if ORACLE == ORACLE_MINIMUM
 #include "oracle_minimum.h"

@@ -1,8 +1,6 @@
 /* The oracle of a bounded error of what a ray shows: the map is of the distance at which a segment is wrong by epsilon. What less light
  * arrives from may be wrong by more: errors of interpolation grow with the square of the distance. */
-#include "oracle_map.h"
-
-INLINE floatN oracle_distance(const Source *in, floatN x, floatN y, floatN z, floatN value, floatN left)
+INLINE floatN oracle_distance(const Source *in, floatN x, floatN y, floatN z, floatN value, floatN mapped, floatN left)
 {
-  return map_distance(in, x, y, z) * lane_rsqrt(lane_max(left, (floatN)in->pyramid->oracle.x));
+  return mapped * lane_rsqrt(lane_max(left, (floatN)in->pyramid->oracle.x));
 }

@@ -1,2 +1,5 @@
 /* The oracle that always wants full resolution: what the method costs where it saves nothing (P1 tables 2 and 3, "min"). */
-INLINE floatN oracle_distance(const Source *in, floatN x, floatN y, floatN z, floatN value, floatN left) { return 0.0f; }
+INLINE floatN oracle_distance(const Source *in, floatN x, floatN y, floatN z, floatN value, floatN mapped, floatN left)
+{
+  return 0.0f;
+}

@@ -38,22 +38,28 @@ __kernel WIDE_VECTORS __attribute__((reqd_work_group_size(WORKERS, 1, 1))) void 
   PixelPacket packets[PACKETS];
   /* Slices at which all pixels take part, and where chunks begin. */
   const int period = max(CHUNK, 1 << pyramid->levels.x);
-  float begin = INFINITY;
+  float begin = INFINITY, last_enter = -INFINITY, first_leave = INFINITY;
   if (width > 0) {
     prepare_levels(view, m, levels, left, top);
     for (int q = 0; q < PACKETS; ++q) {
       const int p = q * WORKERS + WORKER;
       PixelPacket *packet = &packets[q];
       if (prepare_packet(view, packet, left + p % PACKETS_IN_ROW * PACKET_W, top + p / PACKETS_IN_ROW * PACKET_H))
-        EACH_LANE(k) if (packet->alive[k]) begin = fmin(begin, packet->enter[k]);
+        EACH_LANE(k) if (packet->alive[k])
+        {
+          begin = fmin(begin, packet->enter[k]), last_enter = fmax(last_enter, packet->enter[k]);
+          first_leave = fmin(first_leave, packet->leave[k]);
+        }
     }
   }
   begin = group_min(m, fmax(begin, 0.0f));
-  int base = begin < INFINITY ? (int)begin / period * period : 0, copy = CHUNK - 1;
+  first_leave = group_min(m, fmax(first_leave, 0.0f)), last_enter = group_max(m, fmax(last_enter, 0.0f));
+  int base = begin < INFINITY ? (int)begin / period * period : 0;
   int alive = begin < INFINITY;
   while (alive) {
     int slices = CHUNK, next = base + CHUNK;
-    update_levels(&source, m, base, 0, &copy, &taken, counted);
+    const int well_inside = (float)base > last_enter && (float)next < first_leave;
+    update_levels(&source, m, base, 0, well_inside, &taken, counted);
 #if LEAPS
     if (base % period == 0) {
       const float free = free_slices(&source, m, distances, base);
@@ -61,7 +67,7 @@ __kernel WIDE_VECTORS __attribute__((reqd_work_group_size(WORKERS, 1, 1))) void 
       if (to > next) slices = 1, next = to;
     }
 #endif
-    for (int i = 1; i < slices; ++i) update_levels(&source, m, base + i, i, &copy, &taken, counted);
+    for (int i = 1; i < slices; ++i) update_levels(&source, m, base + i, i, well_inside, &taken, counted);
     int goes_on = 0;
     for (int q = 0; q < PACKETS; ++q) {
       const int p = q * WORKERS + WORKER;

@@ -80,6 +80,9 @@ typedef struct {
   float dx[ALL_LEVELS], dy[ALL_LEVELS], dz[ALL_LEVELS]; /* ... and way a slice */
   float distance[ALL_LEVELS], value[ALL_LEVELS];        /* of levels 2 and above */
   float distance1[CHUNK][AREA(1) + SIDE(1)], value1[CHUNK][AREA(1) + SIDE(1)];
+  float nearest[MOST_LEVELS + 1];                       /* the least distance of each level */
+  uint sampled[AREA(1) / LANES];                        /* of a level that is being updated: patches to sample, and which lanes of them */
+  int copy[CHUNK], last_copy;                           /* of level 1, for each slice: the one that holds there; the last of all */
 #if WORKERS > 1
   int least, any; /* of a group's work-items */
 #endif
@@ -98,6 +101,20 @@ INLINE float group_min(SHARED Levels *m, float value)
   if (WORKER == 0) m->least = as_int(INFINITY);
   SYNCHRONISE();
   atomic_min(&m->least, as_int(value));
+  SYNCHRONISE();
+  value = as_float(m->least);
+#endif
+  return value;
+}
+
+/* The largest, likewise. */
+INLINE float group_max(SHARED Levels *m, float value)
+{
+#if WORKERS > 1
+  SYNCHRONISE();
+  if (WORKER == 0) m->least = 0;
+  SYNCHRONISE();
+  atomic_max(&m->least, as_int(value));
   SYNCHRONISE();
   value = as_float(m->least);
 #endif
@@ -132,8 +149,26 @@ INLINE int slice_level(const Source *in, int k) { return min((int)popcount(~k & 
 
 #include "oracle.h"
 
-/* A sample is fetched, and then looked at: there may be other work to do while a fetch waits for memory. */
-INLINE FetchedSample fetch_source(const Source *in, floatN x, floatN y, floatN z) { return fetch_sample(in->volume, in->view, x, y, z); }
-INLINE floatN source_value(const Source *in, const FetchedSample *f) { return sample_value(*f, in->view); }
+/* A place is fetched, its value and what the oracle's map says, and then looked at: there may be other work to do while memory answers. */
+typedef struct {
+  FetchedSample sample;
+  intN byte;
+} FetchedPlace;
+
+/* Lanes that are not `wanted` all go to one place, which costs no memory traffic. */
+INLINE FetchedPlace fetch_place(const Source *in, floatN x, floatN y, floatN z, intN wanted)
+{
+  FetchedPlace f;
+  const floatN zero = 0.0f;
+  x = select(zero, x, wanted), y = select(zero, y, wanted), z = select(zero, z, wanted);
+  f.sample = fetch_sample(in->volume, in->view, x, y, z);
+  f.byte = ORACLE_HAS_MAP ? fetch_map(in, x, y, z) : (intN)0;
+  return f;
+}
+INLINE floatN place_value(const Source *in, const FetchedPlace *f) { return sample_value(f->sample, in->view); }
+INLINE floatN place_distance(const Source *in, const FetchedPlace *f, floatN x, floatN y, floatN z, floatN value, floatN left)
+{
+  return oracle_distance(in, x, y, z, value, ORACLE_HAS_MAP ? byte_distance(f->byte) : (floatN)0.0f, left);
+}
 
 #endif

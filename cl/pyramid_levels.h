@@ -78,25 +78,62 @@ INLINE void prepare_levels(__constant const View *view, SHARED Levels *m, int le
     }
   }
   for (int p = WORKER; p < AREA(1) + SIDE(1); p += WORKERS) m->distance1[CHUNK - 1][p] = m->value1[CHUNK - 1][p] = 0.0f;
+  if (WORKER == 0) {
+    m->last_copy = CHUNK - 1;
+    for (int level = 0; level <= MOST_LEVELS; ++level) m->nearest[level] = 0.0f;
+  }
+  SYNCHRONISE();
 }
 
-/* One level on slice k; `along`: slice_level(k), `up`: the next level, NULL for the highest that takes part. What does not take part goes
- * over from `old` to `now`. */
-INLINE void update_level(const Source *in, SHARED Levels *m, int level, int k, int along, SHARED const float *old_distance,
-                         SHARED const float *old_value, SHARED float *distances, SHARED float *values,
-                         SHARED const float *up_distance, SHARED const float *up_value, Tally *samples, Tally *counted)
+/* How far a pixel of a level may look that takes part on a slice: slice_level(k) is `along`. */
+INLINE float reach_of(const Source *in, int level, int k, int along)
+{
+  if (along == in->pyramid->levels.x) return INFINITY;
+  return (float)(2 << along) * in->view->march.x + SLACK * ray_spacing(in, k) * (float)(1 << level);
+}
+
+/* Pixels of a level whose place is not so far outside the volume that no pixel of the picture is made from it. */
+INLINE intN near_volume(const Source *in, floatN x, floatN y, floatN z, float spacing)
+{
+  const float4 upper = in->view->upper, edges = in->pyramid->edges;
+  const floatN zero = 0.0f;
+  const floatN ex = (x - lane_clamp(x, zero, (floatN)upper.x)) * edges.x, ey = (y - lane_clamp(y, zero, (floatN)upper.y)) * edges.y;
+  const floatN ez = (z - lane_clamp(z, zero, (floatN)upper.z)) * edges.z;
+  /* Pixels made from this one are up to twice its spacing away along both axes; and they take part a period before and behind. */
+  const float reach = 2.9f * spacing + (float)max(CHUNK, 1 << in->pyramid->levels.x) * in->view->march.x;
+  return MASK(ex * ex + ey * ey + ez * ez <= reach * reach);
+}
+
+/* The pixels `lanes` of the patch at `at` of a level, and their places. */
+INLINE FetchedPlace fetch_pixels(const Source *in, SHARED const Levels *m, int level, int at, uint lanes, float t, floatN *x, floatN *y, floatN *z)
+{
+  const int side = side_of(level), from = offset_of(level) + at;
+  *x = load_patch(m->x0 + from, side) + t * load_patch(m->dx + from, side);
+  *y = load_patch(m->y0 + from, side) + t * load_patch(m->dy + from, side);
+  *z = load_patch(m->z0 + from, side) + t * load_patch(m->dz + from, side);
+  return fetch_place(in, *x, *y, *z, lanes_of(lanes));
+}
+
+/* One level on slice k; `up`: the next level, NULL for the highest that takes part. What does not take part goes over from `old` to
+ * `now`. `well_inside`: all of the tile is inside the volume. First it is found which pixels are to be sampled, then they are, each patch
+ * fetched while the one before is looked at. */
+void update_level(const Source *in, SHARED Levels *m, int level, int k, int along, int well_inside, SHARED const float *old_distance,
+                  SHARED const float *old_value, SHARED float *distances, SHARED float *values, SHARED const float *up_distance,
+                  SHARED const float *up_value, Tally *samples, Tally *counted)
 {
   const int side = side_of(level), side_up = side_of(level + 1), width = WIDTH(level), patches = side / PACKET_W;
-  const int all = along == in->pyramid->levels.x, rays = offset_of(level);
-  const float spacing = ray_spacing(in, k) * (float)(1 << level), dense = 2.0f * spacing;
-  const float reach = all ? INFINITY : (float)(2 << along) * in->view->march.x + SLACK * spacing;
+  const float spacing = ray_spacing(in, k) * (float)(1 << level), dense = 2.0f * spacing, reach = reach_of(in, level, k, along), t = (float)k;
+  const floatN never = INFINITY;
+  floatN nearest = never;
+  int first = -1; /* of this work-item's patches to sample */
   for (int p = WORKER; p < patches * patches; p += WORKERS) {
     const int row = p / patches * PACKET_H, column = p % patches * PACKET_W, at = row * side + column;
-    floatN distance = load_patch(old_distance + at, side), value = load_patch(old_value + at, side);
+    floatN distance = load_patch(old_distance + at, side);
     const intN inside = MASK(column + (LANE_INDEX & (PACKET_W - 1)) < width) & MASK(row + LANE_INDEX / PACKET_W < width);
     const intN takes_part = inside & MASK(distance < reach);
+    intN sampled = takes_part;
     if (any_lane(takes_part)) {
-      intN sampled = takes_part;
+      floatN value = load_patch(old_value + at, side);
       if (up_value) {
         distance = select(distance, synthesised(up_distance, side_up, column, row), takes_part);
         value = select(value, synthesised(up_value, side_up, column, row), takes_part);
@@ -107,39 +144,63 @@ INLINE void update_level(const Source *in, SHARED Levels *m, int level, int k, i
           ;
         count_lanes(&counted[COUNT_SYNTHESES], takes_part);
       }
-      if (any_lane(sampled)) {
-        const int from = rays + at;
-        const floatN t = (float)k;
-        const floatN x = load_patch(m->x0 + from, side) + t * load_patch(m->dx + from, side);
-        const floatN y = load_patch(m->y0 + from, side) + t * load_patch(m->dy + from, side);
-        const floatN z = load_patch(m->z0 + from, side) + t * load_patch(m->dz + from, side);
-        const FetchedSample fetched = fetch_source(in, x, y, z);
-        value = select(value, source_value(in, &fetched), sampled);
-        distance = select(distance, oracle_distance(in, x, y, z, value, (floatN)1.0f), sampled);
-        count_lanes(samples, sampled), count_lanes(&counted[COUNT_ORACLE], sampled);
-      }
-    } else if (distances == old_distance)
-      continue;
-    store_patch(distance, distances + at, side), store_patch(value, values + at, side);
+      store_patch(distance, distances + at, side), store_patch(value, values + at, side);
+    } else if (distances != old_distance)
+      store_patch(distance, distances + at, side), store_patch(load_patch(old_value + at, side), values + at, side);
+    const uint bits = lane_bits(sampled);
+    m->sampled[p] = bits;
+    first = first < 0 && bits ? p : first;
+    nearest = lane_min(nearest, select(never, distance, inside & ~sampled));
   }
+  if (first >= 0) {
+    floatN next_x, next_y, next_z;
+    FetchedPlace next = fetch_pixels(in, m, level, first / patches * PACKET_H * side + first % patches * PACKET_W, m->sampled[first], t, &next_x, &next_y, &next_z);
+    for (int p = first; p < patches * patches;) {
+      const FetchedPlace fetched = next;
+      const floatN x = next_x, y = next_y, z = next_z;
+      const int at = p / patches * PACKET_H * side + p % patches * PACKET_W;
+      intN sampled = lanes_of(m->sampled[p]);
+      for (p += WORKERS; p < patches * patches && !m->sampled[p]; p += WORKERS);
+      if (p < patches * patches)
+        next = fetch_pixels(in, m, level, p / patches * PACKET_H * side + p % patches * PACKET_W, m->sampled[p], t, &next_x, &next_y, &next_z);
+      if (!well_inside) sampled &= near_volume(in, x, y, z, spacing);
+      const floatN value = select(load_patch(values + at, side), place_value(in, &fetched), sampled);
+      const floatN distance = select(load_patch(distances + at, side), place_distance(in, &fetched, x, y, z, value, (floatN)1.0f), sampled);
+      store_patch(distance, distances + at, side), store_patch(value, values + at, side);
+      nearest = lane_min(nearest, select(never, distance, sampled));
+      count_lanes(samples, sampled), count_lanes(&counted[COUNT_ORACLE], sampled);
+    }
+  }
+  float each[LANES], least = INFINITY;
+  STORE_LANES(nearest, each);
+  EACH_LANE(j) least = fmin(least, each[j]);
+  least = group_min(m, least);
+  if (WORKER == 0) m->nearest[level] = least;
   SYNCHRONISE();
 }
 
-/* All levels above 0 on slice k, the i-th of its chunk. `*copy`: the copy of level 1 that is the last. */
-INLINE void update_levels(const Source *in, SHARED Levels *m, int k, int i, int *copy, Tally *samples, Tally *counted)
+/* All levels above 0 on slice k, the i-th of its chunk. */
+INLINE void update_levels(const Source *in, SHARED Levels *m, int k, int i, int well_inside, Tally *samples, Tally *counted)
 {
-  const int along = slice_level(in, k), top = along + in->pyramid->levels.y;
+  const int along = slice_level(in, k), top = along + in->pyramid->levels.y, copy = m->last_copy;
   for (int level = top; level > 1; --level) {
+    if (m->nearest[level] >= reach_of(in, level, k, along)) continue;
     SHARED float *d = m->distance + offset_of(level), *v = m->value + offset_of(level);
     const int up = offset_of(level + 1), synthesises = level < top;
-    update_level(in, m, level, k, along, d, v, d, v, synthesises ? m->distance + up : 0, synthesises ? m->value + up : 0, samples, counted);
+    update_level(in, m, level, k, along, well_inside, d, v, d, v, synthesises ? m->distance + up : 0, synthesises ? m->value + up : 0, samples,
+                 counted);
   }
-  if (top >= 1) {
+  const int changes = top >= 1 && !(m->nearest[1] >= reach_of(in, 1, k, along));
+  if (changes) {
     const int up = offset_of(2), synthesises = top > 1;
-    update_level(in, m, 1, k, along, m->distance1[*copy], m->value1[*copy], m->distance1[i], m->value1[i],
+    update_level(in, m, 1, k, along, well_inside, m->distance1[copy], m->value1[copy], m->distance1[i], m->value1[i],
                  synthesises ? m->distance + up : 0, synthesises ? m->value + up : 0, samples, counted);
-    *copy = i;
   }
+  if (WORKER == 0) {
+    if (changes) m->last_copy = i;
+    m->copy[i] = changes ? i : copy;
+  }
+  SYNCHRONISE();
 }
 
 #endif

@@ -32,7 +32,7 @@ INLINE void accumulator_load(Accumulator *a, const float *rgba) { a->c = vload4(
 #endif
 
 /* The packet at (column, row) of the picture; returns whether any of its rays meets the volume. */
-INLINE int prepare_packet(__constant const View *view, PixelPacket *p, int column, int row)
+int prepare_packet(__constant const View *view, PixelPacket *p, int column, int row)
 {
   const intN px = column + (LANE_INDEX & (PACKET_W - 1)), py = row + LANE_INDEX / PACKET_W;
   const SliceRays r = slice_rays(view, TO_FLOAT(px), TO_FLOAT(py), 1);
@@ -48,7 +48,7 @@ INLINE int prepare_packet(__constant const View *view, PixelPacket *p, int colum
 }
 
 /* Slices `base` to `base` + `slices` - 1 of the packet at (column, row) of the tile. Returns whether any ray goes on. */
-INLINE int march_packet(const Source *in, SHARED const Levels *m, PixelPacket *p, int column, int row, int base, int slices,
+int march_packet(const Source *in, SHARED const Levels *m, PixelPacket *p, int column, int row, int base, int slices,
                         __global const float *table, __global const float *warp, Tally *samples, Tally *counted)
 {
   __constant const View *view = in->view;
@@ -69,16 +69,16 @@ INLINE int march_packet(const Source *in, SHARED const Levels *m, PixelPacket *p
   /* A packet that was sampled on the last slice mostly is on the next ones: all of them are fetched at once, since a fetch from beyond the
    * first caches takes longer than all else about a sample. */
 #if FETCH_AHEAD
-  FetchedSample ahead[CHUNK];
+  FetchedPlace ahead[CHUNK];
   const int is_dense = any_lane(alive & MASK(distance < 2.0f * h)) && slices == CHUNK;
   if (is_dense)
     _Pragma("unroll 1") for (int i = 0; i < CHUNK; ++i) {
       const floatN t = lane_clamp((floatN)(float)(base + i), enter, leave);
-      ahead[i] = fetch_source(in, x0 + t * dx, y0 + t * dy, z0 + t * dz);
+      ahead[i] = fetch_place(in, x0 + t * dx, y0 + t * dy, z0 + t * dz, alive);
     }
 #else
   const int is_dense = 0;
-  FetchedSample ahead[1];
+  FetchedPlace ahead[1];
 #endif
   _Pragma("unroll 1") for (int i = 0; i < slices; ++i) {
     const int k = base + i, along = slice_level(in, k);
@@ -89,11 +89,12 @@ INLINE int march_packet(const Source *in, SHARED const Levels *m, PixelPacket *p
     intN sampled = takes_part;
     floatN value = zero;
     if (along + more > 0) {
-      const floatN wanted = synthesised_pixels(m->distance1[i], SIDE(1), column, row);
+      const int copy = m->copy[i];
+      const floatN wanted = synthesised_pixels(m->distance1[copy], SIDE(1), column, row);
       distance = select(distance, wanted, takes_part);
       sampled &= MASK(distance < 2.0f * ray_spacing(in, k));
       if (any_lane(takes_part & ~sampled)) {
-        value = synthesised_pixels(m->value1[i], SIDE(1), column, row);
+        value = synthesised_pixels(m->value1[copy], SIDE(1), column, row);
 #if VOXEL_HOLES
         sampled |= takes_part & ~finite_lanes(value);
 #endif
@@ -102,9 +103,9 @@ INLINE int march_packet(const Source *in, SHARED const Levels *m, PixelPacket *p
     }
     if (any_lane(sampled)) {
       const floatN x = x0 + t * dx, y = y0 + t * dy, z = z0 + t * dz;
-      const FetchedSample fetched = is_dense ? ahead[i] : fetch_source(in, x, y, z);
-      value = select(value, source_value(in, &fetched), sampled);
-      distance = select(distance, oracle_distance(in, x, y, z, value, 1.0f - opacity), sampled);
+      const FetchedPlace fetched = is_dense ? ahead[i] : fetch_place(in, x, y, z, sampled);
+      value = select(value, place_value(in, &fetched), sampled);
+      distance = select(distance, place_distance(in, &fetched, x, y, z, value, 1.0f - opacity), sampled);
       count_lanes(samples, sampled), count_lanes(&counted[COUNT_ORACLE], sampled);
     }
     const floatN length = t - t1;
