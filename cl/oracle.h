@@ -16,16 +16,21 @@
 /* Bytes of a map: the float's exponent and the first four bits of its mantissa, 1/16 edge to 2^12 edges. The least one stands for 0. */
 INLINE floatN byte_distance(intN byte) { return select(AS_FLOAT((byte + ((127 - 4) << 4)) << 19), (floatN)0.0f, MASK(byte == 0)); }
 
-/* The byte of the cell that holds a place; outside the volume that of the nearest cell. */
+/* The byte of the cell that holds a place inside the volume. `cells`: of the map along x, y, z, and log2 of a cell's edge. */
+INLINE intN fetch_cell(__global const uchar *map, int4 cells, floatN x, floatN y, floatN z)
+{
+  const intN cx = min(TO_INT(x) >> cells.w, (intN)(cells.x - 1)), cy = min(TO_INT(y) >> cells.w, (intN)(cells.y - 1));
+  const intN cz = min(TO_INT(z) >> cells.w, (intN)(cells.z - 1));
+  return AS_INT(gather1(map, (cz * cells.y + cy) * cells.x + cx) & 255u);
+}
+
+/* That of the oracle's map; outside the volume that of the nearest cell. */
 INLINE intN fetch_map(const Source *in, floatN x, floatN y, floatN z)
 {
-  const int4 cells = in->pyramid->cells;
   const float4 upper = in->view->upper;
   const floatN zero = 0.0f;
-  const intN cx = min(TO_INT(lane_clamp(x, zero, (floatN)upper.x)) >> cells.w, (intN)(cells.x - 1));
-  const intN cy = min(TO_INT(lane_clamp(y, zero, (floatN)upper.y)) >> cells.w, (intN)(cells.y - 1));
-  const intN cz = min(TO_INT(lane_clamp(z, zero, (floatN)upper.z)) >> cells.w, (intN)(cells.z - 1));
-  return AS_INT(gather1(in->map, (cz * cells.y + cy) * cells.x + cx) & 255u);
+  return fetch_cell(in->map, in->pyramid->cells, lane_clamp(x, zero, (floatN)upper.x), lane_clamp(y, zero, (floatN)upper.y),
+                    lane_clamp(z, zero, (floatN)upper.z));
 }
 
 #if ORACLE == ORACLE_MINIMUM

@@ -108,7 +108,7 @@ __kernel void bad_cells(__global const uchar *restrict voxels, int4 size, int sh
   }
 }
 
-/* Squared distances are whole sixteenths of a smallest edge's square, at most FAR. */
+/* Squared distances are whole numbers of some unit, at most FAR. */
 #define FAR 65535
 
 /* near  ushort [cells.z, cells.y, stride]: 0 where any of `bits` is set, else FAR */
@@ -157,13 +157,15 @@ __kernel void near_pass(__global const ushort *restrict in, __global ushort *res
   vstore16(best, 0, out + at);
 }
 
-/* map  uchar [cells.z, cells.y, cells.x]: raised to the distance `near` stands for, at most `most`, as a byte (oracle_map.h), rounded down */
-__kernel void raise_distances(__global const ushort *restrict near, int4 cells, int stride, float most, __global uchar *restrict map)
+/* map  uchar [cells.z, cells.y, cells.x]: raised to the distance `near` stands for, at most `most`, as a byte (oracle.h), rounded down.
+ * `unit`: the length in edges whose square is the unit */
+__kernel void raise_distances(__global const ushort *restrict near, int4 cells, int stride, float most, float unit,
+                              __global uchar *restrict map)
 {
   const int y = get_global_id(0), z = get_global_id(1);
   for (int x = 0; x < cells.x; ++x) {
     const ushort square = near[((size_t)z * cells.y + y) * stride + x];
-    const float distance = fmin(most, square == FAR ? most : 0.25f * sqrt((float)square));
+    const float distance = fmin(most, square == FAR ? most : unit * sqrt((float)square));
     const int code = clamp((as_int(distance) >> 19) - ((127 - 4) << 4), 0, 255);
     __global uchar *out = map + ((size_t)z * cells.y + y) * cells.x + x;
     *out = max(*out, (uchar)code);

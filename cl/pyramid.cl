@@ -12,6 +12,7 @@
 /* As for raycast.cl, and
  * pyramid  numbers of the frame and of the oracle
  * map      the oracle's own (oracle.h)
+ * distances  here: from cells to anything visible, as bytes of oracle.h
  * counts   uint [tiles, PYRAMID_COUNTERS]
  */
 __kernel WIDE_VECTORS __attribute__((reqd_work_group_size(WORKERS, 1, 1))) void pyramid(
@@ -38,6 +39,7 @@ __kernel WIDE_VECTORS __attribute__((reqd_work_group_size(WORKERS, 1, 1))) void 
   PixelPacket packets[PACKETS];
   /* Slices at which all pixels take part, and where chunks begin. */
   const int period = max(CHUNK, 1 << pyramid->levels.x);
+  const int columns_of_tile = levels < LEAST_LEVEL ? 1 : (TILE >> levels) * (TILE >> levels);
   float begin = INFINITY, last_enter = -INFINITY, first_leave = INFINITY;
   if (width > 0) {
     prepare_levels(view, m, levels, left, top);
@@ -57,30 +59,31 @@ __kernel WIDE_VECTORS __attribute__((reqd_work_group_size(WORKERS, 1, 1))) void 
   int base = begin < INFINITY ? (int)begin / period * period : 0;
   int alive = begin < INFINITY;
   while (alive) {
-    int slices = CHUNK, next = base + CHUNK;
-    const int well_inside = (float)base > last_enter && (float)next < first_leave;
+    const int well_inside = (float)base > last_enter && (float)(base + CHUNK) < first_leave;
     update_levels(&source, m, base, 0, well_inside, &taken, counted);
 #if LEAPS
-    if (base % period == 0) {
-      const float free = free_slices(&source, m, distances, base);
-      const int to = free < 1e6f ? (base + (int)free) / period * period - period : base;
-      if (to > next) slices = 1, next = to;
-    }
+    send_to_sleep(&source, m, distances, base, period);
 #endif
-    for (int i = 1; i < slices; ++i) update_levels(&source, m, base + i, i, well_inside, &taken, counted);
-    int goes_on = 0;
+    int is_awake = 0;
+    for (int c = 0; c < columns_of_tile; ++c) is_awake |= m->slices[c] > 1;
+    if (is_awake)
+      for (int i = 1; i < CHUNK; ++i) update_levels(&source, m, base + i, i, well_inside, &taken, counted);
+    int goes_on = 0, next = INT_MAX;
     for (int q = 0; q < PACKETS; ++q) {
-      const int p = q * WORKERS + WORKER;
-      goes_on |= march_packet(&source, m, &packets[q], p % PACKETS_IN_ROW * PACKET_W, p / PACKETS_IN_ROW * PACKET_H, base, slices,
-                              table, warp, &taken, counted);
-      if (next > base + CHUNK) {
-        const intN none = ~(intN)0;
-        STORE_LANES(none, packets[q].first), STORE_LANES(none, packets[q].second);
-      }
+      const int p = q * WORKERS + WORKER, column = p % PACKETS_IN_ROW * PACKET_W, row = p / PACKETS_IN_ROW * PACKET_H;
+      const int c = levels < LEAST_LEVEL ? 0 : (row >> levels) * (TILE >> levels) + (column >> levels), slices = m->slices[c];
+      int alive_here;
+      if (slices)
+        alive_here = march_packet(&source, m, &packets[q], column, row, base, slices, table, warp, &taken, counted);
+      else
+        alive_here = any_lane(LOAD_LANES(packets[q].alive));
+      if (slices == 1 && alive_here) alive_here = restart_packet(&packets[q], m->wakes[c]);
+      if (alive_here) next = min(next, max(base + CHUNK, m->wakes[c]));
+      goes_on |= alive_here;
     }
     SYNCHRONISE();
     alive = group_any(m, goes_on);
-    base = next;
+    base = (int)group_min(m, (float)next);
   }
   if (width > 0)
     for (int q = 0; q < PACKETS; ++q) {

@@ -18,7 +18,8 @@
  *                and last samples are where its own ray meets the hull, and no segment reaches farther.
  *   tiles        work-items share the picture in tiles, with one coarse pixel of each level more all around. What is computed there depends on
  *                coarser levels alone, so that no pixel depends on the tile it is in.
- *   empty space  oracles that know of it let whole tiles leap (pyramid_leap.h).
+ *   empty space  under oracles that allow it columns of pixels sleep where nothing is to be seen, and tiles of sleeping columns leap
+ *                (pyramid_leap.h).
  *   opaque rays  stop; and a tile does when all its rays have.
  *
  * A work-group is a tile. CPU devices: one work-item (WORKERS 1) that takes 4 by 4 pixels at a time in vector registers; levels above
@@ -40,6 +41,7 @@
 typedef struct {
   int4 levels;    /* of coarsening along rays; more of them across (oversampling); - ; - */
   int4 cells;     /* of the oracle's map x, y, z; log2 of a cell's edge in lattice units */
+  int4 free_cells; /* likewise of the map of empty space */
   float4 spacing; /* distance of neighbouring rays at slice 0, and by how much it grows a slice (edges); - ; - */
   float4 edges;   /* smallest edges a lattice unit x, y, z; - */
   float4 oracle;  /* the oracle's own */
@@ -74,6 +76,8 @@ INLINE int offset_of(int level)
   return at;
 }
 
+#define COLUMNS (TILE * TILE / 16) /* at most, of the coarsest level */
+
 /* State of a tile's levels above 0. Level 1 has a copy for each slice of a chunk, for level 0 to look at afterwards. */
 typedef struct {
   float x0[ALL_LEVELS], y0[ALL_LEVELS], z0[ALL_LEVELS]; /* lattice place at slice 0 ... */
@@ -81,6 +85,8 @@ typedef struct {
   float distance[ALL_LEVELS], value[ALL_LEVELS];        /* of levels 2 and above */
   float distance1[CHUNK][AREA(1) + SIDE(1)], value1[CHUNK][AREA(1) + SIDE(1)];
   float nearest[MOST_LEVELS + 1];                       /* the least distance of each level */
+  float free_slices[AREA(2) + SIDE(2)];                 /* of the coarsest level (pyramid_leap.h) */
+  int wakes[COLUMNS], slices[COLUMNS];                  /* of columns */
   uint sampled[AREA(1) / LANES];                        /* of a level that is being updated: patches to sample, and which lanes of them */
   int copy[CHUNK], last_copy;                           /* of level 1, for each slice: the one that holds there; the last of all */
 #if WORKERS > 1

@@ -78,6 +78,7 @@ INLINE void prepare_levels(__constant const View *view, SHARED Levels *m, int le
     }
   }
   for (int p = WORKER; p < AREA(1) + SIDE(1); p += WORKERS) m->distance1[CHUNK - 1][p] = m->value1[CHUNK - 1][p] = 0.0f;
+  for (int c = WORKER; c < COLUMNS; c += WORKERS) m->wakes[c] = 0, m->slices[c] = CHUNK;
   if (WORKER == 0) {
     m->last_copy = CHUNK - 1;
     for (int level = 0; level <= MOST_LEVELS; ++level) m->nearest[level] = 0.0f;

@@ -47,6 +47,14 @@ int prepare_packet(__constant const View *view, PixelPacket *p, int column, int 
   return any_lane(alive);
 }
 
+/* The packet begins anew at slice k, before which nothing is visible. Returns whether any ray goes on until then. */
+INLINE int restart_packet(PixelPacket *p, int k)
+{
+  const intN none = ~(intN)0, alive = LOAD_LANES(p->alive) & MASK(LOAD_LANES(p->leave) > (float)k);
+  STORE_LANES(none, p->first), STORE_LANES(none, p->second), STORE_LANES(alive, p->alive);
+  return any_lane(alive);
+}
+
 /* Slices `base` to `base` + `slices` - 1 of the packet at (column, row) of the tile. Returns whether any ray goes on. */
 int march_packet(const Source *in, SHARED const Levels *m, PixelPacket *p, int column, int row, int base, int slices,
                         __global const float *table, __global const float *warp, Tally *samples, Tally *counted)

@@ -30,7 +30,7 @@ BLOCKS = np.dtype([("count", "i4", 4), ("edge", "f4", 4)])
 
 PYRAMID = np.dtype(
     [
-        ("levels", "i4", 4), ("cells", "i4", 4), ("spacing", "f4", 4), ("edges", "f4", 4),
+        ("levels", "i4", 4), ("cells", "i4", 4), ("free_cells", "i4", 4), ("spacing", "f4", 4), ("edges", "f4", 4),
         ("oracle", "f4", 4), ("gate", "f4", 4),
     ]
 )  # fmt: skip

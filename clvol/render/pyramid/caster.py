@@ -12,8 +12,10 @@ from clvol.features import ORACLES
 from clvol.opencl.context import DeviceArray, DeviceContext
 from clvol.opencl.structs import PYRAMID
 from clvol.render.device_volume import DeviceVolume
+from clvol.render.pyramid.cells import distance_map, padded_cells
 from clvol.render.pyramid.oracles import Asked, oracle_named
-from clvol.render.pyramid.oracles.base import map_shape
+from clvol.render.pyramid.oracle import map_shape
+from clvol.render.pyramid.oracles.visible import visible_in_cells
 from clvol.render.pyramid.slices import SlicePlan, slice_plan
 from clvol.render.raycast import FrameData, Raycaster, device_function, raycast_switches
 from clvol.render.view import EVERY_PIXEL, PixelLattice
@@ -25,6 +27,7 @@ from clvol.transfer.tables import length_slices, length_tables
 COUNTERS = ("oracle_samples", "syntheses", "accumulations")  # COUNT_... of cl/pyramid.h
 TILE = 32  # pixels an edge of a tile; a multiple of 2^MOST_LEVELS
 WORKERS = 64  # work-items of a group where they are not one
+_FREE_SHIFT, _FREE_REACH = 2, 250.0  # of the map of empty space: cells of 4^3; smallest edges
 _MOST_CELLS = 2**25  # of a map, which then is as fine as the voxels; else cells of 2^3
 # Switches of kernels that look at voxels and classes alone.
 _OF_VOXELS = (
@@ -96,8 +99,19 @@ class PyramidCaster(Raycaster):
             reach=self._reach,
         )
         found = self.oracle.map(self.asked)
+        self._find_free_space()
         self.map = found if found is not None else self.context.upload(np.zeros(4, np.uint8))
         self._oracle_numbers = self.oracle.numbers(self.asked)
+
+    def _find_free_space(self) -> None:
+        """The map of how far it is to anything visible, on coarse cells: columns sleep by it."""
+        asked = replace(self.asked, shift=_FREE_SHIFT)
+        shown = padded_cells(asked)
+        visible_in_cells(asked, shown)
+        self.free = distance_map(asked, shown, [_FREE_REACH], unit=1.0)
+
+    def _scene_arrays(self) -> dict[str, DeviceArray]:
+        return {**super()._scene_arrays(), "distances": self.free}
 
     @property
     def _reach(self) -> float:
@@ -162,6 +176,8 @@ class PyramidCaster(Raycaster):
         row["levels"][0, :2] = (plan.levels, plan.oversampling)
         shape = map_shape(self.volume.size, self.asked.shift)
         row["cells"][0] = (*reversed(shape), self.asked.shift)
+        free = map_shape(self.volume.size, _FREE_SHIFT)
+        row["free_cells"][0] = (*reversed(free), _FREE_SHIFT)
         row["spacing"][0, :2] = (plan.spacing, plan.growth)
         row["edges"][0, :3] = self.asked.edges
         row["oracle"][0] = self._oracle_numbers

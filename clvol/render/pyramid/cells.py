@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from clvol.opencl.context import DeviceArray, DeviceContext
-from clvol.render.pyramid.oracles.base import Asked
+from clvol.render.pyramid.oracle import Asked
 
 BINS = 2048  # of values, for what an error of a value shows
 _WIDEST = 0.05  # of the value range: bins go on beyond it by so much, for interpolated values
@@ -117,9 +117,12 @@ def upload_cells(asked: Asked, bad: np.ndarray) -> DeviceArray:
     return asked.context.upload(np.pad(bad, ((0, 0), (0, 0), (0, _stride(nx) - nx))))
 
 
-def distance_map(asked: Asked, bad: DeviceArray, scales: Sequence[float]) -> DeviceArray:
-    """uint8 [z, y, x] and a few bytes more, as kernels read it (cl/oracle_map.h): at each cell the largest of
-    min(scale, way to the cells whose bit of ``bad`` says that they are bad for it)."""
+def distance_map(
+    asked: Asked, bad: DeviceArray, scales: Sequence[float], unit: float = 0.25
+) -> DeviceArray:
+    """uint8 [z, y, x] and a few bytes more, as kernels read it (cl/oracle.h): at each cell the largest of
+    min(scale, way to the cells whose bit of ``bad`` says that they are bad for it). Squares of ways are counted in
+    those of ``unit``, up to 2^16: no scale may be longer than 256 units."""
     context, (nz, ny, nx) = asked.context, asked.shape
     cells, stride = (nx, ny, nz, 0), bad.shape[2]
     found = context.upload(np.zeros(nx * ny * nz + _SPARE, np.uint8))
@@ -132,29 +135,31 @@ def distance_map(asked: Asked, bad: DeviceArray, scales: Sequence[float]) -> Dev
     )  # fmt: skip
     widen = _kernel(
         asked, "raise_distances",
-        "in near uint16, value cells int4, value stride int32, value most float32, out map uint8",
+        "in near uint16, value cells int4, value stride int32, value most float32, "
+        "value unit float32, out map uint8",
     )  # fmt: skip
     for bit, scale in enumerate(scales):
         start(context.queue, (bad.nbytes // 16,), None, bad=bad, bits=1 << bit, near=near)
         for axis, edge in enumerate(asked.edges):
-            gaps = squared_gaps(edge * (1 << asked.shift), float(scale))
+            gaps = squared_gaps(edge * (1 << asked.shift), float(scale), unit)
             step(
                 context.queue, (stride // 16, ny, nz), None, source=near, target=spare, cells=cells,
                 stride=stride, axis=axis, window=len(gaps) - 1, gaps=context.upload(gaps),
             )  # fmt: skip
             near, spare = spare, near
         widen(
-            context.queue, (ny, nz), None, near=near, cells=cells, stride=stride, most=scale, map=found
-        )
+            context.queue, (ny, nz), None, near=near, cells=cells, stride=stride, most=scale,
+            unit=unit, map=found,
+        )  # fmt: skip
     return found
 
 
-def squared_gaps(cell: float, most: float) -> np.ndarray:
-    """uint16: squares of what lies between two cells 0, 1, 2 ... apart, ``cell`` edges each, in sixteenths, rounded down; as far
-    as it is less than ``most``."""
+def squared_gaps(cell: float, most: float, unit: float) -> np.ndarray:
+    """uint16: squares of what lies between two cells 0, 1, 2 ... apart, ``cell`` edges each, in those of ``unit``, rounded down; as
+    far as it is less than ``most``."""
     count = int(np.ceil(most / cell)) + 2
     gaps = np.maximum(np.arange(count) - 1, 0) * cell
-    return np.minimum(np.floor(16.0 * gaps**2), _FAR).astype(np.uint16)
+    return np.minimum(np.floor((gaps / unit) ** 2), _FAR).astype(np.uint16)
 
 
 def upload_distances(context: DeviceContext, distances: np.ndarray) -> DeviceArray:
@@ -170,7 +175,7 @@ def distance_codes(distances: np.ndarray) -> np.ndarray:
 
 
 def decoded_distances(codes: np.ndarray) -> np.ndarray:
-    """float64: what bytes stand for (cl/oracle_map.h)."""
+    """float64: what bytes stand for (cl/oracle.h)."""
     words = (np.asarray(codes, np.int32) + ((127 - 4) << 4)) << 19
     return np.where(codes == 0, 0.0, words.view(np.float32).astype(np.float64))
 

@@ -21,7 +21,7 @@ or, with a function of its own in OpenCL C, ``Oracle`` with ``kernel = KERNEL_CU
 
 from __future__ import annotations
 
-from clvol.render.pyramid.oracles.base import (
+from clvol.render.pyramid.oracle import (
     KERNEL_CUSTOM,
     KERNEL_ERROR,
     KERNEL_MAP,

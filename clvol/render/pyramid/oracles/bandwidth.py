@@ -7,7 +7,7 @@ import numpy as np
 from clvol.opencl.context import DeviceArray
 from clvol.render.empty_space import spread
 from clvol.render.pyramid.cells import distance_map, upload_cells
-from clvol.render.pyramid.oracles.base import Asked, Oracle
+from clvol.render.pyramid.oracle import Asked, Oracle
 
 _COARSER = 1  # the grid's cells are twice as long as the map's
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from clvol.opencl.context import DeviceArray
 from clvol.render.pyramid.cells import cells_of_voxels, distance_map, voxels_bad_for_error
-from clvol.render.pyramid.oracles.base import KERNEL_ERROR, Asked, Oracle
+from clvol.render.pyramid.oracle import KERNEL_ERROR, Asked, Oracle
 from clvol.render.pyramid.oracles.visible import visible_in_cells
 
 

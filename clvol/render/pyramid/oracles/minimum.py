@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from clvol.render.pyramid.oracles.base import KERNEL_MINIMUM, Oracle
+from clvol.render.pyramid.oracle import KERNEL_MINIMUM, Oracle
 
 
 class Minimum(Oracle):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from clvol.opencl.context import DeviceArray
 from clvol.render.pyramid.cells import cells_of_voxels, distance_map, voxels_of_steep_opacity
-from clvol.render.pyramid.oracles.base import Asked, Oracle
+from clvol.render.pyramid.oracle import Asked, Oracle
 
 
 class OpacityGradient(Oracle):

@@ -6,7 +6,7 @@ import numpy as np
 
 from clvol.opencl.context import DeviceArray
 from clvol.render.pyramid.cells import distance_map, padded_cells
-from clvol.render.pyramid.oracles.base import Asked, Oracle
+from clvol.render.pyramid.oracle import Asked, Oracle
 from clvol.transfer.classes import visible_cells
 
 
