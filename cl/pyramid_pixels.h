@@ -16,7 +16,7 @@ typedef struct {
   float value1[LANES], value2[LANES], t1[LANES], t2[LANES];               /* the last sample and the one before, and their slices */
   int first[LANES], second[LANES];                                        /* no sample yet, or only one */
   int alive[LANES];
-  float rgba[4 * LANES], median[LANES];
+  float rgba[4 * LANES], opacity[LANES], median[LANES];
 } PixelPacket;
 
 #if LANES == 16
@@ -41,7 +41,7 @@ int prepare_packet(__constant const View *view, PixelPacket *p, int column, int 
   STORE_LANES(r.x0, p->x0), STORE_LANES(r.y0, p->y0), STORE_LANES(r.z0, p->z0);
   STORE_LANES(r.dx, p->dx), STORE_LANES(r.dy, p->dy), STORE_LANES(r.dz, p->dz);
   STORE_LANES(r.enter, p->enter), STORE_LANES(r.leave, p->leave);
-  STORE_LANES(zero, p->distance), STORE_LANES(zero, p->value1), STORE_LANES(zero, p->value2), STORE_LANES(zero, p->t1), STORE_LANES(zero, p->t2);
+  STORE_LANES(zero, p->distance), STORE_LANES(zero, p->opacity), STORE_LANES(zero, p->value1), STORE_LANES(zero, p->value2), STORE_LANES(zero, p->t1), STORE_LANES(zero, p->t2);
   STORE_LANES(none, p->first), STORE_LANES(none, p->second), STORE_LANES(alive, p->alive), STORE_LANES(never, p->median);
   for (int k = 0; k < 4 * LANES; ++k) p->rgba[k] = 0.0f;
   return any_lane(alive);
@@ -55,45 +55,43 @@ INLINE int restart_packet(PixelPacket *p, int k)
   return any_lane(alive);
 }
 
-/* Slices `base` to `base` + `slices` - 1 of the packet at (column, row) of the tile. Returns whether any ray goes on. */
-int march_packet(const Source *in, SHARED const Levels *m, PixelPacket *p, int column, int row, int base, int slices,
+/* Slices `base` to `base` + `slices` - 1 of the packet at (column, row) of the tile. Returns whether any ray goes on. `inside`: all of its
+ * rays are inside the volume on all of these slices. */
+INLINE int march_slices(const Source *in, SHARED const Levels *m, PixelPacket *p, int column, int row, int base, int slices, int inside,
                         __global const float *table, __global const float *warp, Tally *samples, Tally *counted)
 {
   __constant const View *view = in->view;
   intN alive = LOAD_LANES(p->alive);
-  if (!any_lane(alive)) return 0;
   const floatN enter = LOAD_LANES(p->enter), leave = LOAD_LANES(p->leave);
   const floatN x0 = LOAD_LANES(p->x0), y0 = LOAD_LANES(p->y0), z0 = LOAD_LANES(p->z0);
   const floatN dx = LOAD_LANES(p->dx), dy = LOAD_LANES(p->dy), dz = LOAD_LANES(p->dz);
-  floatN distance = LOAD_LANES(p->distance), median = LOAD_LANES(p->median);
+  floatN distance = LOAD_LANES(p->distance), opacity = LOAD_LANES(p->opacity), median = LOAD_LANES(p->median);
   floatN value1 = LOAD_LANES(p->value1), value2 = LOAD_LANES(p->value2), t1 = LOAD_LANES(p->t1), t2 = LOAD_LANES(p->t2);
   intN first = LOAD_LANES(p->first), second = LOAD_LANES(p->second);
-  Accumulator acc;
-  accumulator_load(&acc, p->rgba);
-  floatN opacity = accumulated_opacity(&acc);
   const floatN zero = 0.0f, one = 1.0f;
   const int most = in->pyramid->levels.x, more = in->pyramid->levels.y;
   const float h = view->march.x;
+  Accumulator acc;
+  int shows = 0; /* whether `acc` is needed */
   /* A packet that was sampled on the last slice mostly is on the next ones: all of them are fetched at once, since a fetch from beyond the
    * first caches takes longer than all else about a sample. */
-#if FETCH_AHEAD
   FetchedPlace ahead[CHUNK];
-  const int is_dense = any_lane(alive & MASK(distance < 2.0f * h)) && slices == CHUNK;
+  const int dense_lanes = popcount(lane_bits(alive & MASK(distance < 2.0f * h)));
+  const int is_dense = FETCH_AHEAD && inside && slices == CHUNK && 2 * dense_lanes >= (int)popcount(lane_bits(alive));
   if (is_dense)
     _Pragma("unroll 1") for (int i = 0; i < CHUNK; ++i) {
-      const floatN t = lane_clamp((floatN)(float)(base + i), enter, leave);
+      const float t = (float)(base + i);
       ahead[i] = fetch_place(in, x0 + t * dx, y0 + t * dy, z0 + t * dz, alive);
     }
-#else
-  const int is_dense = 0;
-  FetchedPlace ahead[1];
-#endif
   _Pragma("unroll 1") for (int i = 0; i < slices; ++i) {
     const int k = base + i, along = slice_level(in, k);
     intN takes_part = alive;
-    if (along < most) takes_part &= MASK(distance < (float)(2 << along) * h) & MASK(enter < (float)(k + 1));
+    if (along < most) {
+      takes_part &= MASK(distance < (float)(2 << along) * h);
+      if (!inside) takes_part &= MASK(enter < (float)(k + 1));
+    }
     if (!any_lane(takes_part)) continue;
-    const floatN t = lane_clamp((floatN)(float)k, enter, leave);
+    const floatN t = inside ? (floatN)(float)k : lane_clamp((floatN)(float)k, enter, leave);
     intN sampled = takes_part;
     floatN value = zero;
     if (along + more > 0) {
@@ -117,7 +115,9 @@ int march_packet(const Source *in, SHARED const Levels *m, PixelPacket *p, int c
       count_lanes(samples, sampled), count_lanes(&counted[COUNT_ORACLE], sampled);
     }
     const floatN length = t - t1;
-    const intN closes = takes_part & ~first & MASK(length > 0.0f), curved = closes & ~second;
+    intN closes = takes_part & ~first;
+    if (!inside) closes &= MASK(length > 0.0f);
+    const intN curved = closes & ~second;
     count_lanes(&counted[COUNT_ACCUMULATIONS], closes);
     /* The segment's ends stay between the samples that it depends on: where all of these show nothing, no more is to be done. */
     floatN low = lane_min(value1, value), high = lane_max(value1, value);
@@ -127,20 +127,43 @@ int march_packet(const Source *in, SHARED const Levels *m, PixelPacket *p, int c
       ClassCoordinate front, back;
       uneven_classes(value2, value1, value, select(one, t1 - t2, curved), long_, curved, warp, view, &front, &back);
       if (may_be_visible(lane_min(front.position, back.position), lane_max(front.position, back.position), closes, view)) {
+        if (!shows) accumulator_load(&acc, p->rgba);
+        shows = 1;
         composite_chord(&acc, front, back, long_, 1.0f - opacity, closes, table, view);
         pass_opacity(&acc, &opacity, &median, t1, t);
+        alive &= ~(takes_part & MASK(opacity >= view->march.z));
       }
     }
     value2 = select(value2, value1, closes), t2 = select(t2, t1, closes), second &= ~closes;
     value1 = select(value1, value, takes_part), t1 = select(t1, t, takes_part), first &= ~takes_part;
-    alive &= ~(takes_part & (MASK(t >= leave) | MASK(opacity >= view->march.z)));
+    if (!inside) alive &= ~(takes_part & MASK(t >= leave));
     if (!any_lane(alive)) break;
   }
-  STORE_LANES(distance, p->distance), STORE_LANES(median, p->median);
+  STORE_LANES(distance, p->distance);
   STORE_LANES(value1, p->value1), STORE_LANES(value2, p->value2), STORE_LANES(t1, p->t1), STORE_LANES(t2, p->t2);
   STORE_LANES(first, p->first), STORE_LANES(second, p->second), STORE_LANES(alive, p->alive);
-  accumulator_store(&acc, p->rgba);
+  if (shows) {
+    accumulator_store(&acc, p->rgba);
+    STORE_LANES(opacity, p->opacity), STORE_LANES(median, p->median);
+  }
   return any_lane(alive);
+}
+
+int march_inside(const Source *in, SHARED const Levels *m, PixelPacket *p, int column, int row, int base, int slices,
+                 __global const float *table, __global const float *warp, Tally *samples, Tally *counted)
+{
+  return march_slices(in, m, p, column, row, base, slices, 1, table, warp, samples, counted);
+}
+
+int march_packet(const Source *in, SHARED const Levels *m, PixelPacket *p, int column, int row, int base, int slices,
+                 __global const float *table, __global const float *warp, Tally *samples, Tally *counted)
+{
+  const intN alive = LOAD_LANES(p->alive);
+  if (!any_lane(alive)) return 0;
+  /* On the last slice nothing may end: that is what the other way is for. */
+  const intN cut = alive & (MASK(LOAD_LANES(p->enter) > (float)base) | MASK(LOAD_LANES(p->leave) <= (float)(base + CHUNK)));
+  if (!any_lane(cut)) return march_inside(in, m, p, column, row, base, slices, table, warp, samples, counted);
+  return march_slices(in, m, p, column, row, base, slices, 0, table, warp, samples, counted);
 }
 
 #endif
