@@ -105,15 +105,17 @@ class Trials:
                 resolved.camera, *self.size, depth=self.depth, lattice=self.lattice
             )
             times.append(time.perf_counter() - start)
-        seconds = self._of_picture(engine, min(times))
+        seconds, scale = min(times), 1.0
+        if not getattr(engine, "renders_all_pixels", False):
+            seconds, scale = self._of_picture(engine, seconds), self._scale
         return Trial(
             settings=dict(settings),
             rmse=root_mean_square(data.rgba - self.exact()) if self.judge else np.inf,
             seconds=seconds,
             cost=seconds + PREPARATION * prepare_seconds,
             times=times,
-            samples=round(data.samples * self._scale),
-            rays=round(data.rays * self._scale),
+            samples=round(data.samples * scale),
+            rays=round(data.rays * scale),
             prepare_seconds=prepare_seconds,
             compile_seconds=compile_seconds,
             rgba=data.rgba if keep else None,

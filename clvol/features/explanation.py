@@ -53,11 +53,22 @@ def kernel_hash(resolved: ResolvedScene, lanes: int = 16) -> str:
         programs = scene_programs(resolved, lanes)
         for file, switches in programs.items():
             digest.update(" ".join((file, *compile_options(switches))).encode())
+        digest.update(_custom_source(resolved))
         files = [*programs, "*.h"]
     for pattern in files:
         for path in sorted(kernel_folder().glob(pattern)):
             digest.update(path.read_bytes())
     return digest.hexdigest()[:16]
+
+
+def _custom_source(resolved: ResolvedScene) -> bytes:
+    """What an oracle of the caller's own adds."""
+    if resolved.integration.method != "pyramid":
+        return b""
+    from clvol.render.pyramid.oracles import oracle_named
+
+    folder = oracle_named(resolved.pyramid.oracle).folder
+    return b"" if folder is None else (folder / "oracle_custom.h").read_bytes()
 
 
 def scene_programs(resolved: ResolvedScene, lanes: int = 16) -> dict[str, dict[str, int]]:
@@ -73,6 +84,10 @@ def scene_programs(resolved: ResolvedScene, lanes: int = 16) -> dict[str, dict[s
         return _block_programs(reduced_for_frames(resolved), lanes)
     resolved = reduced_for_frames(prefiltered(quantised(reduced_for_frames(resolved))))
     warped = scene_nodes(resolved).warp is not None
+    if resolved.integration.method == "pyramid":
+        from clvol.render.pyramid.caster import pyramid_switches
+
+        return {"pyramid.cl": pyramid_switches(resolved, warped, lanes)}
     switches = raycast_switches(resolved, warped=warped, lanes=lanes)
     programs = {"raycast.cl": switches}
     if resolved.image.ray_spacing > 1:

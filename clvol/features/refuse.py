@@ -21,6 +21,16 @@ _OF_BLOCKS = {
 }
 
 
+# And beside the method "pyramid", whose segments are of many lengths.
+_OF_PYRAMID = {
+    "filter": ("linear", "cubic", "catmull-rom"),
+    "quadrature": ("steps",),
+    "classification": ("preintegrated",),
+    "compositing": ("over",),
+}
+_BY_PYRAMID = {*_PLAIN, "cubic filter", "catmull-rom filter", "prefilter"}
+
+
 def has_exact_integral(resolved: ResolvedScene) -> bool:
     """Whether the reference integrates the scene: emission and absorption, and its filter."""
     return all(e.name in _BY_REFERENCE for e in effects(resolved) if e.called_for)
@@ -39,6 +49,8 @@ def refuse_unknown(resolved: ResolvedScene) -> None:
     _refuse_classified_noise(resolved)
     if integration.method == "multiresolution":
         _refuse_beside_blocks(resolved)
+    if integration.method == "pyramid":
+        _refuse_beside_pyramid(resolved)
     if integration.method == "reference":
         _refuse_others(resolved, "integration.method", "reference", "raycast", _BY_REFERENCE)
     elif integration.quadrature == "cells":
@@ -54,19 +66,40 @@ def refuse_unknown(resolved: ResolvedScene) -> None:
 
 def _refuse_beside_blocks(resolved: ResolvedScene) -> None:
     """What the method "multiresolution" does not do. Keys come first: some of them are effects too."""
-    integration, origin = resolved.integration, resolved.origin
-    for key, wanted in _OF_BLOCKS.items():
-        got = getattr(integration, key)
-        if got not in wanted:
-            where = f"{origin}: integration.{key}"
-            expected = f"{' or '.join(map(repr, wanted))}, or the method 'raycast'"
-            raise SceneError(where, f"got {got!r} with the method 'multiresolution'", expected)
+    _refuse_keys(resolved, _OF_BLOCKS)
+    origin = resolved.origin
     if isinstance(resolved.volume, FilledVolume):
         where = f"{origin}: volume.nan"
         what = "got a number for a store with NaN voxels, with the method 'multiresolution'"
         expected = "'transparent', or a store made with that number, or the method 'raycast'"
         raise SceneError(where, what, expected)
     _refuse_others(resolved, "integration.method", "multiresolution", "raycast", _PLAIN)
+
+
+def _refuse_beside_pyramid(resolved: ResolvedScene) -> None:
+    """What the method "pyramid" does not do."""
+    from clvol.render.pyramid.oracles import names
+
+    origin, asked = resolved.origin, resolved.pyramid.oracle
+    if asked not in names():
+        expected = " or ".join(map(repr, names()))
+        raise SceneError(f"{origin}: pyramid.oracle", f"got {asked!r}", expected)
+    _refuse_keys(resolved, _OF_PYRAMID)
+    if resolved.image.ray_spacing > 1:
+        what = f"got {resolved.image.ray_spacing} with the method 'pyramid', which finds by itself what to sample"
+        raise SceneError(f"{origin}: image.ray_spacing", what, "1, or the method 'raycast'")
+    _refuse_others(resolved, "integration.method", "pyramid", "raycast", _BY_PYRAMID)
+
+
+def _refuse_keys(resolved: ResolvedScene, known: dict[str, tuple[str, ...]]) -> None:
+    """Keys of [integration] that say what the method does not do."""
+    integration = resolved.integration
+    for key, wanted in known.items():
+        got = getattr(integration, key)
+        if got not in wanted:
+            where = f"{resolved.origin}: integration.{key}"
+            expected = f"{' or '.join(map(repr, wanted))}, or the method 'raycast'"
+            raise SceneError(where, f"got {got!r} with the method {integration.method!r}", expected)
 
 
 def _refuse_classified_noise(resolved: ResolvedScene) -> None:

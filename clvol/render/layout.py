@@ -107,6 +107,10 @@ def method_bytes(volume: Volume, scene: Scene | ResolvedScene) -> int:
 
     size = scene.image.width, scene.image.height
     table_size = scene.integration.table_size
+    if scene.integration.method == "pyramid":
+        from clvol.render.pyramid.layout import pyramid_bytes
+
+        return scene_bytes(volume, table_size, *size) + pyramid_bytes(volume, scene)
     if scene.integration.method != "multiresolution":
         return scene_bytes(volume, table_size, *size)
     source = getattr(volume, "blocks_source", None)

@@ -10,7 +10,7 @@ from clvol.scene.knob import Knob
 from clvol.scene.table import Number, Table, Whole
 
 _STEPS = tuple(2.0 ** (k / 2) for k in range(6, -11, -1))  # 8 ... 1/32
-_BY_STEPS = ("raycast", "multiresolution")
+_BY_STEPS = ("raycast", "multiresolution", "pyramid")
 
 
 def _precisions(scene: Any) -> tuple[str, ...]:

@@ -12,9 +12,9 @@ from clvol.features import ORACLES
 from clvol.opencl.context import DeviceArray, DeviceContext
 from clvol.opencl.structs import PYRAMID
 from clvol.render.device_volume import DeviceVolume
+from clvol.render.pyramid.layout import FREE_REACH, FREE_SHIFT, map_shape, map_shift
 from clvol.render.pyramid.cells import distance_map, padded_cells
 from clvol.render.pyramid.oracles import Asked, oracle_named
-from clvol.render.pyramid.oracle import map_shape
 from clvol.render.pyramid.oracles.visible import visible_in_cells
 from clvol.render.pyramid.slices import SlicePlan, slice_plan
 from clvol.render.raycast import FrameData, Raycaster, device_function, raycast_switches
@@ -27,8 +27,6 @@ from clvol.transfer.tables import length_slices, length_tables
 COUNTERS = ("oracle_samples", "syntheses", "accumulations")  # COUNT_... of cl/pyramid.h
 TILE = 32  # pixels an edge of a tile; a multiple of 2^MOST_LEVELS
 WORKERS = 64  # work-items of a group where they are not one
-_FREE_SHIFT, _FREE_REACH = 2, 250.0  # of the map of empty space: cells of 4^3; smallest edges
-_MOST_CELLS = 2**25  # of a map, which then is as fine as the voxels; else cells of 2^3
 # Switches of kernels that look at voxels and classes alone.
 _OF_VOXELS = (
     "VOXEL_BITS", "VOXEL_SIGNED", "VOXEL_SCALED", "VOXEL_HOLES", "VOXEL_PAIRS", "WARPED_CLASSES",
@@ -58,7 +56,7 @@ class PyramidCaster(Raycaster):
         self.oracle = oracle_named(resolved.pyramid.oracle)
         self.leap = leap
         lanes = lanes or (16 if context.is_cpu else 1)
-        self.workers = workers or (1 if lanes > 1 else WORKERS)
+        self.workers = workers or workers_for(lanes)
         super().__init__(context, resolved, lanes=lanes, tile=(tile, tile), volume=volume)
         self.tile = (tile, tile)
 
@@ -82,8 +80,6 @@ class PyramidCaster(Raycaster):
         spacing = np.asarray(grid.spacing) / grid.smallest_edge
         view = np.zeros(1, self._view_dtype)
         self._describe_volume(view[0])
-        points = float(np.prod(volume.size))
-        shift = 0 if points <= _MOST_CELLS else 1
         self.asked = Asked(
             context=self.context,
             volume=volume,
@@ -94,7 +90,7 @@ class PyramidCaster(Raycaster):
             switches={name: self.switches[name] for name in _OF_VOXELS},
             epsilon=self.settings.epsilon,
             opacity_edges=grid.smallest_edge / self._asked_function.opacity_unit,
-            shift=shift,
+            shift=map_shift(volume.size),
             edges=tuple(float(s) for s in spacing),
             reach=self._reach,
         )
@@ -105,10 +101,10 @@ class PyramidCaster(Raycaster):
 
     def _find_free_space(self) -> None:
         """The map of how far it is to anything visible, on coarse cells: columns sleep by it."""
-        asked = replace(self.asked, shift=_FREE_SHIFT)
+        asked = replace(self.asked, shift=FREE_SHIFT)
         shown = padded_cells(asked)
         visible_in_cells(asked, shown)
-        self.free = distance_map(asked, shown, [_FREE_REACH], unit=1.0)
+        self.free = distance_map(asked, shown, [FREE_REACH], unit=1.0)
 
     def _scene_arrays(self) -> dict[str, DeviceArray]:
         return {**super()._scene_arrays(), "distances": self.free}
@@ -176,8 +172,8 @@ class PyramidCaster(Raycaster):
         row["levels"][0, :2] = (plan.levels, plan.oversampling)
         shape = map_shape(self.volume.size, self.asked.shift)
         row["cells"][0] = (*reversed(shape), self.asked.shift)
-        free = map_shape(self.volume.size, _FREE_SHIFT)
-        row["free_cells"][0] = (*reversed(free), _FREE_SHIFT)
+        free = map_shape(self.volume.size, FREE_SHIFT)
+        row["free_cells"][0] = (*reversed(free), FREE_SHIFT)
         row["spacing"][0, :2] = (plan.spacing, plan.growth)
         row["edges"][0, :3] = self.asked.edges
         row["oracle"][0] = self._oracle_numbers
@@ -213,14 +209,24 @@ class PyramidCaster(Raycaster):
             raise RenderError("struct Pyramid", what, f"{PYRAMID.itemsize}")
 
 
+def workers_for(lanes: int) -> int:
+    """Work-items of a tile where a work-item takes so many pixels at a time."""
+    return 1 if lanes > 1 else WORKERS
+
+
 def pyramid_switches(
-    resolved: ResolvedScene, warped: bool, lanes: int, workers: int, tile: int, leap: bool = True
+    resolved: ResolvedScene,
+    warped: bool,
+    lanes: int,
+    workers: int | None = None,
+    tile: int = TILE,
+    leap: bool = True,
 ) -> dict[str, int]:
     """What gets compiled for a scene of the method "pyramid"."""
     oracle = oracle_named(resolved.pyramid.oracle)
     return {
         **raycast_switches(resolved, warped=warped, lanes=lanes),
-        "WORKERS": workers,
+        "WORKERS": workers or workers_for(lanes),
         "TILE": tile,
         "ORACLE": ORACLES[oracle.kernel],
         "LEAPS": int(leap and oracle.leaps),

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clvol.render.layout import cell_count
+from clvol.render.pyramid.layout import map_shape
 from clvol.transfer import TransferFunction
 from clvol.transfer.classes import ClassNodes
 
@@ -56,11 +56,6 @@ class Asked:
     def scales(self) -> np.ndarray:
         """Distances between samples that are looked at, 1, 2, 4 ... edges, up to ``reach``."""
         return 2.0 ** np.arange(np.ceil(np.log2(max(self.reach, 1.0))) + 1)
-
-
-def map_shape(size: tuple[int, int, int], shift: int) -> tuple[int, int, int]:
-    """Cells (z, y, x) of 2^shift lattice cells an axis, for lattice points ``size`` (x, y, z)."""
-    return tuple(cell_count(n, shift) for n in reversed(size))
 
 
 class Oracle(ABC):

@@ -1,0 +1,40 @@
+"""What maps of the method "pyramid" are like, and what it takes on a device: arithmetic, without a device."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from clvol.render.layout import cell_count, padded_size
+from clvol.transfer.tables import length_slices
+
+if TYPE_CHECKING:
+    from clvol.scene import Scene
+    from clvol.scene.resolve import ResolvedScene
+    from clvol.volume import Volume
+
+FREE_SHIFT, FREE_REACH = 2, 250.0  # of the map of empty space: cells of 4^3; smallest edges
+_MOST_CELLS = 2**25  # of a map, which then is as fine as the voxels; else cells of 2^3
+
+
+def map_shift(size: tuple[int, int, int]) -> int:
+    """log2 of the edge of a map's cells, in lattice units, for lattice points ``size``."""
+    return 0 if float(np.prod(size, dtype=np.float64)) <= _MOST_CELLS else 1
+
+
+def map_shape(size: tuple[int, int, int], shift: int) -> tuple[int, int, int]:
+    """Cells (z, y, x) of 2^shift lattice cells an axis, for lattice points ``size`` (x, y, z)."""
+    return tuple(cell_count(n, shift) for n in reversed(size))
+
+
+def pyramid_bytes(volume: Volume, scene: Scene | ResolvedScene) -> int:
+    """Bytes on the device beside those of the plain ray caster: maps, what they are made with, and tables of all
+    lengths."""
+    size = padded_size(volume)
+    cells = np.prod(map_shape(size, map_shift(size)), dtype=np.int64)
+    voxels = np.prod(size, dtype=np.int64)
+    slices = length_slices(scene.pyramid.levels, by_chords=True)
+    table = slices * (scene.integration.table_size + 2) ** 2 * 16
+    # A byte a voxel, bytes of bits and of the map, and twice a squared distance of two bytes.
+    return int(voxels + 6 * cells + table)
