@@ -219,4 +219,17 @@ INLINE floatN cubic_value(FetchedSample s, __constant const View *view)
 #error "FILTER is unknown"
 #endif
 
+#if SAMPLE_REPEATS
+/* For benches alone: a sample as dear as one from a compact representation, whose every look-up waits for the one before. Values stay
+ * the same (view->upper.w is 0). */
+INLINE FetchedSample fetch_repeated(__global const uchar *volume, __constant const View *view, floatN x, floatN y, floatN z)
+{
+  FetchedSample s = fetch_sample(volume, view, x, y, z);
+  _Pragma("unroll 1") for (int k = 0; k < SAMPLE_REPEATS; ++k) s = fetch_sample(volume, view, x + view->upper.w * sample_value(s, view), y, z);
+  return s;
+}
+#undef fetch_sample
+#define fetch_sample fetch_repeated
+#endif
+
 #endif
