@@ -412,3 +412,51 @@ def _effect_bars(row: dict[str, Any], y: float, time, samples) -> None:
     ):
         axis.annotate(f"{value:.2f}" if value < 10 else f"{value:.0f}", (end, y), (4, 0),
                       textcoords="offset points", va="center", fontsize=8)
+
+
+def crossover_chart(result: dict[str, Any], path: Path) -> Path:
+    """Seconds over what a sample costs, one panel a scene: the plain ray caster and the method
+    "pyramid", where they cross, and both with the cubic filter."""
+    plt = _plt()
+    parts, ways = result["crossover"], (("plain", _VTK, "s"), ("pyramid", _CLVOL, "o"))
+    columns = min(3, len(parts) + 1)
+    rows = -(-(len(parts) + 1) // columns)
+    figure, axes = plt.subplots(rows, columns, figsize=(3.9 * columns, 3.2 * rows), squeeze=False)
+    panels = list(axes.flat)
+    for axis, part in zip(panels, parts):
+        *dearer, cubic = part["rows"]
+        for way, color, marker in ways:
+            axis.loglog([r["cost"] for r in dearer], [r[way]["median"] for r in dearer],
+                        color=color, marker=marker, markersize=4.5, linewidth=1.5, zorder=2)
+            axis.loglog(cubic["cost"], cubic[way]["median"], color=color, marker=marker,
+                        markersize=7, markerfacecolor="white", linestyle="", zorder=3)
+        axis.set_title(f"{part['scene']}\n{_crossing(axis, part['crossing'])}", fontsize=9)
+        axis.grid(True, which="major", color="#e6e6e6", linewidth=0.6)
+        axis.set_axisbelow(True)
+        axis.set_xlabel("cost of a sample, times a plain one's")
+        axis.set_ylabel("seconds a frame")
+        _plain_log(axis)
+    for axis in panels[len(parts):]:
+        axis.axis("off")
+    from matplotlib.lines import Line2D
+
+    names = {"plain": "plain ray caster, leaps over empty space", "pyramid": "pyramid"}
+    handles = [
+        *(Line2D([], [], color=color, marker=marker, label=names[way]) for way, color, marker in ways),
+        *(Line2D([], [], color=color, marker=marker, markersize=7, markerfacecolor="white",
+                 linestyle="", label=f"{way}, cubic filter") for way, color, marker in ways),
+        Line2D([], [], color=_GOAL, linestyle="--", label="from here on the pyramid is faster"),
+        Line2D([], [], linestyle="", label=f"{result['size']} × {result['size']} pixels, step 1"),
+    ]  # fmt: skip
+    panels[len(parts)].legend(handles=handles, loc="center left", fontsize=9)
+    return _save(plt, figure, path, _notes(result))
+
+
+def _crossing(axis, found: dict[str, Any]) -> str:
+    """Marks where the pyramid becomes faster; gives it in words."""
+    if found["kind"] == "at most":
+        return "pyramid faster below a plain sample's cost"
+    if found["seconds"] is None:
+        return "pyramid not faster at any cost tried"
+    axis.axvline(found["seconds"], color=_GOAL, linewidth=1.2, linestyle="--", zorder=1)
+    return f"pyramid faster from a cost of {found['seconds']:.2g} on"

@@ -52,7 +52,7 @@ def run(options: Options) -> dict[str, Any] | None:
         rounds = QUICK_ROUNDS if options.quick else min(options.frames, MOST_ROUNDS)
         bench = parts.Bench(device, result["size"], rounds, Path(folder))
         for name, cases in _cases(bench, scenes, others).items():
-            found = [_attempt(name, case, result["failed"]) for case in cases]
+            found = [attempt(name, case, result["failed"]) for case in cases]
             result[name] = [row for row in found if row is not None]
         if options.large:
             picture = options.folder / "pictures" / "multiresolution-large.png"
@@ -113,7 +113,7 @@ def _cases(
     return cases
 
 
-def _attempt(name: str, case: Callable[[], Any], failed: list[str]) -> Any:
+def attempt(name: str, case: Callable[[], Any], failed: list[str]) -> Any:
     from clvol.errors import ClvolError
 
     try:

@@ -35,7 +35,7 @@ PAPER_STEP = 0.5  # voxel edges; P2 does not say. Long steps are multiples of it
 
 @dataclass
 class Bench:
-    """What all parts share. ``folder``: for stores and other files, removed in the end."""
+    """What all parts share. ``folder``: for stores and other files that parts make."""
 
     device: Any
     size: int
@@ -116,18 +116,24 @@ class Blocks:
         return renderer.render(self.resolved.camera, *self.size, depth=False)
 
     def turn(self, renderer: Any) -> Callable[[], float]:
-        def turn() -> float:
-            start = perf_counter()
-            self.picture(renderer)
-            return perf_counter() - start
-
-        return turn
+        return timed(lambda: self.picture(renderer))
 
     def described(self) -> dict[str, Any]:
         """``Residency.describe``, and the voxels' bytes over those of what is resident."""
         found = self.residency.describe()
         voxels = self.resolved.volume.nbytes
         return {**found, "reduction": voxels / max(found["bytes_of_samples"], 1)}
+
+
+def timed(call: Callable[[], Any]) -> Callable[[], float]:
+    """Gives the seconds that ``call`` takes."""
+
+    def turn() -> float:
+        start = perf_counter()
+        call()
+        return perf_counter() - start
+
+    return turn
 
 
 def alike(picture: np.ndarray, other: np.ndarray) -> dict[str, float]:

@@ -30,26 +30,36 @@ def level_sheet(
     budget; the levels; the difference. ``size``: pixels that are rendered, by default twice those
     of the sheet."""
     rows = [_row(scene, ratio, options, size or 2 * _TILE) for scene, ratio in scenes]
-    width = 2 * _MARGIN + 4 * _TILE + 3 * _GAP
-    from PIL import Image, ImageDraw, ImageFont
-
-    text = ImageFont.load_default(_TEXT)
-    height = _TILE + 4 * _LINE
-    sheet = Image.new("RGB", (width, 2 * _MARGIN + len(rows) * height), _PAGE)
-    pen = ImageDraw.Draw(sheet)
-    for i, row in enumerate(rows):
-        y = _MARGIN + i * height
-        for k, (picture, caption) in enumerate(row["pictures"]):
-            x = _MARGIN + k * (_TILE + _GAP)
-            sheet.paste(Image.fromarray(picture).resize((_TILE, _TILE), Image.Resampling.BOX), (x, y))
-            pen.text((x, y + _TILE + 4), caption, _INK, text)
-        x, below = _MARGIN + 2 * (_TILE + _GAP), y + _TILE + 4 + _LINE
+    sheet, pen, text, places = sheet_of([row["pictures"] for row in rows], lines=2)
+    x = _MARGIN + 2 * (_TILE + _GAP)
+    for row, below in zip(rows, places):
         _legend(pen, text, x, below, row["legend"])
         pen.text((x, below + _LINE), f"nothing to be seen of: {row['dropped']}", _FAINT, text)
         _scale(sheet, pen, text, x + _TILE + _GAP, below)
     path.parent.mkdir(parents=True, exist_ok=True)
     save_small(sheet, path)
     return path
+
+
+def sheet_of(
+    rows: Sequence[Sequence[tuple[np.ndarray, str]]], lines: int = 0
+) -> tuple[Any, Any, Any, list[int]]:
+    """Rows of pictures over their captions, with room for ``lines`` more below each row. Gives the
+    sheet, its pen, its font, and where the first of these lines goes, row by row."""
+    from PIL import Image, ImageDraw, ImageFont
+
+    text = ImageFont.load_default(_TEXT)
+    height, columns = _TILE + (2 + lines) * _LINE, max(map(len, rows))
+    size = (2 * _MARGIN + columns * (_TILE + _GAP) - _GAP, 2 * _MARGIN + len(rows) * height)
+    sheet = Image.new("RGB", size, _PAGE)
+    pen = ImageDraw.Draw(sheet)
+    tops = [_MARGIN + i * height for i in range(len(rows))]
+    for row, y in zip(rows, tops):
+        for k, (picture, caption) in enumerate(row):
+            x = _MARGIN + k * (_TILE + _GAP)
+            sheet.paste(Image.fromarray(picture).resize((_TILE, _TILE), Image.Resampling.BOX), (x, y))
+            pen.text((x, y + _TILE + 4), caption, _INK, text)
+    return sheet, pen, text, [y + _TILE + 4 + _LINE for y in tops]
 
 
 def _row(scene: BlockScene, ratio: float, options: Options, size: int) -> dict[str, Any]:

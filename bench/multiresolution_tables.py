@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
-from bench.report import table
+from bench.report import closing, table
 
 MiB = 2**20
 SSIM_GOAL, INTERBLOCK_GOAL, RESIDENT_GOAL = 0.98, 1.6, 1.5
@@ -79,16 +79,8 @@ def show(result: dict[str, Any]) -> str:
         *_tiles(result["tiles"]), *_budget(result["budget"], result["host"]),
         *_resident(result["resident"]), *_selection(result["selection"], result["change"]),
         *(_large(result["large"]) if result.get("large") else ()),
-        *map(str, verdicts(result)), "",
-        f"{result['seconds']:.0f} s in all; load average {result['load_before']} to"
-        f" {result['load_after']}",
+        *map(str, verdicts(result)), "", *closing(result),
     ]  # fmt: skip
-    if result["failed"]:
-        parts.append("failed: " + "; ".join(result["failed"]))
-    if result["missing"]:
-        parts.append(f"left out, no volume: {', '.join(sorted(set(result['missing'])))}")
-    if result["quick"]:
-        parts.append("This was a quick run at a small size: no figure of it is a result.")
     return "\n".join(parts)
 
 

@@ -28,6 +28,21 @@ def table(head: Sequence[str], rows: Sequence[Sequence[Any]], left: int = 1) -> 
     return "\n".join(line.rstrip() for line in (lines[0], "-" * len(lines[0]), *lines[1:]))
 
 
+def closing(result: dict[str, Any]) -> list[str]:
+    """The last lines of what a run of several parts tells: how long it took, and what is not in it."""
+    lines = [
+        f"{result['seconds']:.0f} s in all; load average {result['load_before']} to"
+        f" {result['load_after']}"
+    ]
+    if result["failed"]:
+        lines.append("failed: " + "; ".join(result["failed"]))
+    if result["missing"]:
+        lines.append(f"left out, no volume: {', '.join(sorted(set(result['missing'])))}")
+    if result["quick"]:
+        lines.append("This was a quick run at a small size: no figure of it is a result.")
+    return lines
+
+
 def load_average() -> list[float] | None:
     return [round(x, 2) for x in os.getloadavg()] if hasattr(os, "getloadavg") else None
 

@@ -2,5 +2,6 @@
  * arrives from may be wrong by more: errors of interpolation grow with the square of the distance. */
 INLINE floatN oracle_distance(const Source *in, floatN x, floatN y, floatN z, floatN value, floatN mapped, floatN left)
 {
-  return mapped * lane_rsqrt(lane_max(left, (floatN)in->pyramid->oracle.x));
+  /* Not less than 1 by rounding: distances are often just at a bound. */
+  return mapped * lane_max(lane_rsqrt(lane_max(left, (floatN)in->pyramid->oracle.x)), (floatN)1.0f);
 }

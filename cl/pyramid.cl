@@ -60,14 +60,14 @@ __kernel WIDE_VECTORS __attribute__((reqd_work_group_size(WORKERS, 1, 1))) void 
   int alive = begin < INFINITY;
   while (alive) {
     const int well_inside = (float)base > last_enter && (float)(base + CHUNK) < first_leave;
-    update_levels(&source, m, base, 0, well_inside, &taken, counted);
+    update_levels(&source, m, base, 0, 1, well_inside, &taken, counted);
 #if LEAPS
     send_to_sleep(&source, m, distances, base, period);
 #endif
     int is_awake = 0;
     for (int c = 0; c < columns_of_tile; ++c) is_awake |= m->slices[c] > 1;
-    if (is_awake)
-      for (int i = 1; i < CHUNK; ++i) update_levels(&source, m, base + i, i, well_inside, &taken, counted);
+    for (int i = 1; i < CHUNK && (WORKERS > 1 || is_awake); ++i)
+      update_levels(&source, m, base + i, i, is_awake, well_inside, &taken, counted);
     int goes_on = 0, next = INT_MAX;
     for (int q = 0; q < PACKETS; ++q) {
       const int p = q * WORKERS + WORKER, column = p % PACKETS_IN_ROW * PACKET_W, row = p / PACKETS_IN_ROW * PACKET_H;

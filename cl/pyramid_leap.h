@@ -15,15 +15,15 @@
 
 #define LEAST_LEVEL 2 /* coarsest levels from which on columns are whole packets */
 
-/* For how many slices from k on nothing is to be seen around each pixel of the coarsest level: into `slices` (as that level's arrays). */
-INLINE void find_free_slices(const Source *in, SHARED Levels *m, __global const uchar *free, int level, int k)
+/* For how many slices from k on nothing is to be seen around each pixel of the coarsest level, if it `looks`. */
+INLINE void find_free_slices(const Source *in, SHARED Levels *m, __global const uchar *free, int looks, int level, int k)
 {
   __constant const View *view = in->view;
   const int4 cells = in->pyramid->free_cells;
   const int side = side_of(level), width = WIDTH(level), patches = side / PACKET_W, at = offset_of(level);
   const float half_diagonal = 0.7072f * ray_spacing(in, k) * (float)(1 << level), t = (float)k;
   const floatN none = 0.0f;
-  for (int p = WORKER; p < patches * patches; p += WORKERS) {
+  for (int p = WORKER; p < (looks ? patches * patches : 0); p += WORKERS) {
     const int row = p / patches * PACKET_H, column = p % patches * PACKET_W, from = at + row * side + column;
     const intN inside = MASK(column + (LANE_INDEX & (PACKET_W - 1)) < width) & MASK(row + LANE_INDEX / PACKET_W < width);
     const floatN x = load_patch(m->x0 + from, side) + t * load_patch(m->dx + from, side);
@@ -46,10 +46,9 @@ INLINE void find_free_slices(const Source *in, SHARED Levels *m, __global const 
 INLINE void send_to_sleep(const Source *in, SHARED Levels *m, __global const uchar *free, int base, int period)
 {
   const int level = in->pyramid->levels.x + in->pyramid->levels.y;
-  if (level < LEAST_LEVEL) return;
-  const int looks = base % period == 0, side = side_of(level), row_of = TILE >> level;
-  if (looks) find_free_slices(in, m, free, level, base);
-  for (int c = WORKER; c < row_of * row_of; c += WORKERS) {
+  const int looks = base % period == 0 && level >= LEAST_LEVEL, side = side_of(level), row_of = TILE >> level;
+  find_free_slices(in, m, free, looks, level, base);
+  for (int c = WORKER; c < (level >= LEAST_LEVEL ? row_of * row_of : 0); c += WORKERS) {
     int slices = m->wakes[c] > base ? 0 : CHUNK;
     if (slices && looks) {
       SHARED const float *around = m->free_slices + c / row_of * side + c % row_of;

@@ -116,18 +116,19 @@ INLINE FetchedPlace fetch_pixels(const Source *in, SHARED const Levels *m, int l
 }
 
 /* One level on slice k; `up`: the next level, NULL for the highest that takes part. What does not take part goes over from `old` to
- * `now`. `well_inside`: all of the tile is inside the volume. First it is found which pixels are to be sampled, then they are, each patch
+ * `now`. `changes`: whether any pixel may. `well_inside`: all of the tile is inside the volume. First it is found which pixels are to be sampled, then they are, each patch
  * fetched while the one before is looked at. */
-void update_level(const Source *in, SHARED Levels *m, int level, int k, int along, int well_inside, SHARED const float *old_distance,
+void update_level(const Source *in, SHARED Levels *m, int changes, int level, int k, int along, int well_inside, SHARED const float *old_distance,
                   SHARED const float *old_value, SHARED float *distances, SHARED float *values, SHARED const float *up_distance,
                   SHARED const float *up_value, Tally *samples, Tally *counted)
 {
   const int side = side_of(level), side_up = side_of(level + 1), width = WIDTH(level), patches = side / PACKET_W;
+  const int all = changes ? patches * patches : 0;
   const float spacing = ray_spacing(in, k) * (float)(1 << level), dense = 2.0f * spacing, reach = reach_of(in, level, k, along), t = (float)k;
   const floatN never = INFINITY;
   floatN nearest = never;
   int first = -1; /* of this work-item's patches to sample */
-  for (int p = WORKER; p < patches * patches; p += WORKERS) {
+  for (int p = WORKER; p < all; p += WORKERS) {
     const int row = p / patches * PACKET_H, column = p % patches * PACKET_W, at = row * side + column;
     floatN distance = load_patch(old_distance + at, side);
     const intN inside = MASK(column + (LANE_INDEX & (PACKET_W - 1)) < width) & MASK(row + LANE_INDEX / PACKET_W < width);
@@ -156,13 +157,13 @@ void update_level(const Source *in, SHARED Levels *m, int level, int k, int alon
   if (first >= 0) {
     floatN next_x, next_y, next_z;
     FetchedPlace next = fetch_pixels(in, m, level, first / patches * PACKET_H * side + first % patches * PACKET_W, m->sampled[first], t, &next_x, &next_y, &next_z);
-    for (int p = first; p < patches * patches;) {
+    for (int p = first; p < all;) {
       const FetchedPlace fetched = next;
       const floatN x = next_x, y = next_y, z = next_z;
       const int at = p / patches * PACKET_H * side + p % patches * PACKET_W;
       intN sampled = lanes_of(m->sampled[p]);
-      for (p += WORKERS; p < patches * patches && !m->sampled[p]; p += WORKERS);
-      if (p < patches * patches)
+      for (p += WORKERS; p < all && !m->sampled[p]; p += WORKERS);
+      if (p < all)
         next = fetch_pixels(in, m, level, p / patches * PACKET_H * side + p % patches * PACKET_W, m->sampled[p], t, &next_x, &next_y, &next_z);
       if (!well_inside) sampled &= near_volume(in, x, y, z, spacing);
       const floatN value = select(load_patch(values + at, side), place_value(in, &fetched), sampled);
@@ -176,26 +177,24 @@ void update_level(const Source *in, SHARED Levels *m, int level, int k, int alon
   STORE_LANES(nearest, each);
   EACH_LANE(j) least = fmin(least, each[j]);
   least = group_min(m, least);
-  if (WORKER == 0) m->nearest[level] = least;
+  if (WORKER == 0 && changes) m->nearest[level] = least;
   SYNCHRONISE();
 }
 
-/* All levels above 0 on slice k, the i-th of its chunk. */
-INLINE void update_levels(const Source *in, SHARED Levels *m, int k, int i, int well_inside, Tally *samples, Tally *counted)
+/* All levels above 0 on slice k, the i-th of its chunk. Work-items that share a tile all come to the same barriers, whatever there is to do:
+ * not all compilers get barriers under conditions right. */
+INLINE void update_levels(const Source *in, SHARED Levels *m, int k, int i, int is_awake, int well_inside, Tally *samples, Tally *counted)
 {
   const int along = slice_level(in, k), top = along + in->pyramid->levels.y, copy = m->last_copy;
-  for (int level = top; level > 1; --level) {
-    if (m->nearest[level] >= reach_of(in, level, k, along)) continue;
-    SHARED float *d = m->distance + offset_of(level), *v = m->value + offset_of(level);
-    const int up = offset_of(level + 1), synthesises = level < top;
-    update_level(in, m, level, k, along, well_inside, d, v, d, v, synthesises ? m->distance + up : 0, synthesises ? m->value + up : 0, samples,
-                 counted);
-  }
-  const int changes = top >= 1 && !(m->nearest[1] >= reach_of(in, 1, k, along));
-  if (changes) {
-    const int up = offset_of(2), synthesises = top > 1;
-    update_level(in, m, 1, k, along, well_inside, m->distance1[copy], m->value1[copy], m->distance1[i], m->value1[i],
-                 synthesises ? m->distance + up : 0, synthesises ? m->value + up : 0, samples, counted);
+  int changes = 0;
+  for (int level = WORKERS == 1 ? top : MOST_LEVELS; level > 0; --level) {
+    const int changes_here = is_awake && level <= top && m->nearest[level] < reach_of(in, level, k, along);
+    if (WORKERS == 1 && !changes_here) continue;
+    const int at = offset_of(level), up = offset_of(level + 1), synthesises = level < top, is_first = level == 1;
+    update_level(in, m, changes_here, level, k, along, well_inside, is_first ? m->distance1[copy] : m->distance + at,
+                 is_first ? m->value1[copy] : m->value + at, is_first ? m->distance1[i] : m->distance + at,
+                 is_first ? m->value1[i] : m->value + at, synthesises ? m->distance + up : 0, synthesises ? m->value + up : 0, samples, counted);
+    if (is_first) changes = changes_here;
   }
   if (WORKER == 0) {
     if (changes) m->last_copy = i;

@@ -86,10 +86,9 @@ INLINE int march_slices(const Source *in, SHARED const Levels *m, PixelPacket *p
   _Pragma("unroll 1") for (int i = 0; i < slices; ++i) {
     const int k = base + i, along = slice_level(in, k);
     intN takes_part = alive;
-    if (along < most) {
-      takes_part &= MASK(distance < (float)(2 << along) * h);
-      if (!inside) takes_part &= MASK(enter < (float)(k + 1));
-    }
+    if (along < most) takes_part &= MASK(distance < (float)(2 << along) * h);
+    /* Before a ray enters the volume only the slice counts from which on it might be asked for. */
+    if (!inside) takes_part &= MASK(enter < (float)(k + (along < most ? 1 : 1 << most)));
     if (!any_lane(takes_part)) continue;
     const floatN t = inside ? (floatN)(float)k : lane_clamp((floatN)(float)k, enter, leave);
     intN sampled = takes_part;

@@ -21,6 +21,7 @@ from clvol.features import (
     FILTERS,
     NAMES,
     NEUTRAL,
+    ORACLES,
     QUADRATURES,
     STEPPINGS,
     called_for,
@@ -46,8 +47,8 @@ LABELS = Volume((ARRAY > 128).astype(np.uint8))
 @pytest.mark.parametrize(
     "prefix, table",
     [("FILTER", FILTERS), ("CLASSIFICATION", CLASSIFICATIONS), ("QUADRATURE", QUADRATURES),
-     ("COMPOSITING", COMPOSITINGS), ("STEPPING", STEPPINGS)],
-)
+     ("COMPOSITING", COMPOSITINGS), ("STEPPING", STEPPINGS), ("ORACLE", ORACLES)],
+)  # fmt: skip
 def test_the_vocabulary_is_one(prefix, table):
     text = (kernel_folder() / "features.h").read_text()
     found = re.finditer(rf"#define {prefix}_(\w+) (\d+)", text)
@@ -601,9 +602,24 @@ def test_what_integrates_emission_and_absorption_alone_refuses_the_rest(tables, 
     refuse_unknown(scene_with(integration={key: got}, light=[DARK]))
 
 
-def test_methods_that_are_not_there_are_refused():
-    with pytest.raises(SceneError, match="integration.method: got 'pyramid'"):
-        refuse_unknown(scene_with(integration={"method": "pyramid"}))
+@pytest.mark.parametrize(
+    "key, got",
+    [("filter", "nearest"), ("quadrature", "cells"), ("classification", "pre"),
+     ("classification", "post"), ("compositing", "maximum")],
+)  # fmt: skip
+def test_the_pyramid_refuses_what_it_is_not_rendered_by(key, got):
+    refuse_unknown(scene_with(integration={"method": "pyramid"}))
+    with pytest.raises(SceneError, match="got .*pyramid"):
+        refuse_unknown(scene_with(integration={"method": "pyramid", key: got}))
+
+
+def test_the_pyramid_refuses_oracles_that_nobody_has_and_sparse_rays():
+    asked = {"integration": {"method": "pyramid"}}
+    with pytest.raises(SceneError, match="pyramid.oracle: got 'delphi', expected 'minimum' or"):
+        refuse_unknown(scene_with(**asked, pyramid={"oracle": "delphi"}))
+    with pytest.raises(SceneError, match="image.ray_spacing: got 2 with the method 'pyramid'"):
+        refuse_unknown(scene_with(**asked, image={"ray_spacing": 2}))
+    refuse_unknown(scene_with(pyramid={"oracle": "delphi"}))  # by no method that asks it
 
 
 def test_the_reference_refuses_what_it_does_not_reconstruct():

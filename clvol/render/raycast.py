@@ -489,7 +489,7 @@ class Raycaster:
             kernel(
                 context.queue,
                 (count * self.workers,),
-                (self.workers,) if self.lanes > 1 or self.workers > 1 else None,
+                self._local_size,
                 view=self._view,
                 **self._scene_arrays(),
                 **arrays,
@@ -499,6 +499,10 @@ class Raycaster:
                 context.finish()
             if progress is not None:
                 progress(done)
+
+    @property
+    def _local_size(self) -> tuple[int] | None:
+        return (1,) if self.lanes > 1 else None
 
     def _kernel_of(self, name: str, declared: str, switches: dict[str, int]) -> Kernel:
         return self.context.kernel(f"{name}.cl", name, declared, switches)

@@ -106,7 +106,10 @@ def test_neighbours_are_one_notch_away():
 def test_what_nothing_renders_is_not_possible():
     resolved = make_scene()
     assert is_possible(resolved, {"integration.step": 0.5})
-    assert not is_possible(resolved, {"integration.method": "pyramid"})
+    assert is_possible(resolved, {"integration.method": "pyramid"})
+    assert not is_possible(
+        resolved, {"integration.method": "pyramid", "integration.classification": "post"}
+    )
     assert not is_possible(
         resolved, {"integration.quadrature": "cells", "integration.filter": "nearest"}
     )

@@ -183,8 +183,8 @@ def test_impossible_times_are_refused_before_any_work(wrong):
 
 
 def test_what_cannot_be_rendered_is_refused_as_ever():
-    with pytest.raises(SceneError, match="integration.method: got 'pyramid'"):
-        render_to_error(scene_of(method="pyramid"), 1e-2)
+    with pytest.raises(SceneError, match="integration.filter: got 'nearest' with"):
+        render_to_error(scene_of(method="pyramid", filter="nearest"), 1e-2)
 
 
 @pytest.mark.parametrize("size", [1, 2, 5])

@@ -133,8 +133,8 @@ def test_wrong_numbers_are_refused(wrong):
 
 
 def test_what_cannot_be_rendered_is_refused():
-    with pytest.raises(SceneError, match="integration.method"):
-        measure_tradeoff(scene_of(method="pyramid"))
+    with pytest.raises(SceneError, match="integration.filter"):
+        measure_tradeoff(scene_of(method="pyramid", filter="nearest"))
 
 
 def test_one_setting_is_enough_and_a_blank_scene_no_trouble(first_device, tmp_path):

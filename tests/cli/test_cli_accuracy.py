@@ -85,7 +85,7 @@ def test_tradeoff_writes_a_page_and_says_what_to_use(run, folder, first_device):
         (["scene.toml", "-o", "out", "--frames", "0"], "clvol tradeoff: --frames: Invalid value"),
         (["scene.toml", "-o", "out", "--settings", "0"], "clvol tradeoff: --settings: Invalid value"),
         (["missing.toml", "-o", "out"], "missing.toml"),
-        (["scene.toml", "-o", "out", "--set", 'integration.method="pyramid"'], "scene.toml: integr"),
+        (["scene.toml", "-o", "out", "--set", 'integration.tolerance=2'], "scene.toml: integr"),
     ],
 )
 def test_wrong_input_to_tradeoff_is_one_line(refused, folder, nothing_left, arguments, said):

@@ -365,8 +365,8 @@ def test_a_volume_alone_is_not_blank_whatever_its_range(device):
 
 def test_what_cannot_be_rendered_is_refused_by_name(device):
     array = waves((8, 8, 8))
-    with pytest.raises(SceneError, match="method"):
-        Renderer(make_scene(array, method="pyramid"), devices=[device])
+    with pytest.raises(SceneError, match="filter: got 'cubic' with the method 'multiresolution'"):
+        Renderer(make_scene(array, method="multiresolution", filter="cubic"), devices=[device])
     with pytest.raises(UsageError, match="devices"):
         Renderer(make_scene(array), devices=[device, device])
     with pytest.raises(DeviceError):

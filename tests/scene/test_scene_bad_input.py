@@ -174,7 +174,8 @@ MISTAKES = [
     ("material.diffuse=2", "material.diffuse", "2", "0 to 1"),
     ('multiresolution.memory="96 bananas"', "multiresolution.memory", "'96 bananas'", "96 MiB"),
     ('multiresolution.stepping="slow"', "multiresolution.stepping", "'slow'", "'limited'"),
-    ("pyramid.levels=0", "pyramid.levels", "0", "from 1"),
+    ("pyramid.levels=-1", "pyramid.levels", "-1", "from 0"),
+    ("pyramid.levels=6", "pyramid.levels", "6", "to 5"),
     # the volume
     ('volume.file="none.npy"', "volume.file", "'none.npy'", "a volume file"),
     ('volume.file=""', "volume.file", "''", "the name of a volume file"),

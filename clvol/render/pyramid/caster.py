@@ -54,7 +54,7 @@ class PyramidCaster(Raycaster):
         volume: DeviceVolume | None = None,
     ) -> None:
         self.oracle = oracle_named(resolved.pyramid.oracle)
-        self.leap = leap
+        self.leap, self._edge = leap, tile
         lanes = lanes or (16 if context.is_cpu else 1)
         self.workers = workers or workers_for(lanes)
         super().__init__(context, resolved, lanes=lanes, tile=(tile, tile), volume=volume)
@@ -69,7 +69,7 @@ class PyramidCaster(Raycaster):
     def set_transfer_function(self, function: TransferFunction) -> None:
         super().set_transfer_function(function)
         self.switches = pyramid_switches(
-            self.resolved, self.nodes.warp is not None, self.lanes, self.workers, self.tile[0],
+            self.resolved, self.nodes.warp is not None, self.lanes, self.workers, self._edge,
             self.leap,
         )  # fmt: skip
         self._ask_oracle()
@@ -161,6 +161,10 @@ class PyramidCaster(Raycaster):
     def warm_up(self, width: int, height: int, depth: bool = True) -> None:
         self._plan = SlicePlan.nowhere(self.settings.levels)
         super().warm_up(width, height, depth)
+
+    @property
+    def _local_size(self) -> tuple[int]:
+        return (self.workers,)
 
     def _kernel_of(self, name: str, declared: str, switches: dict[str, int]):
         name = "pyramid" if name == "raycast" else name

@@ -1,0 +1,174 @@
+"""The method "pyramid" against its plain twin, and against itself where nothing may differ."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from pyramid_scenes import (
+    CAMERA,
+    SHELL,
+    pyramid_picture,
+    pyramid_scene,
+    rendered,
+    twin_picture,
+)
+from small_scenes import axis_camera, rms, waves
+
+from clvol import Volume
+from clvol.render.pyramid.caster import PyramidCaster
+from clvol.render.pyramid.oracles import names
+
+CLOSE = 3e-4  # the tables' interpolation
+COUNTED = ("syntheses", "accumulations")
+
+
+def check(caster, tolerance=CLOSE) -> None:
+    """The twin's picture, from as many segments."""
+    data, twin = rendered(caster), twin_picture(caster)
+    difference = np.abs(data.rgba - twin.rgba).max(axis=-1)
+    # Where a distance is just at a bound rounding decides, rarely.
+    assert np.quantile(difference, 0.998) < tolerance and difference.max() < 0.05
+    assert twin.rgba[..., 3].max() > 0.3
+    counted = data.counters["accumulations"]
+    assert abs(counted - twin.accumulations) <= 2 + 0.002 * counted
+
+
+@pytest.mark.parametrize("oracle", names())
+def test_every_oracles_picture_is_the_twins(context, oracle):
+    check(PyramidCaster(context, pyramid_scene(oracle=oracle)))
+
+
+@pytest.mark.parametrize("levels", (0, 1, 2, 4, 5))
+def test_any_number_of_levels(context, levels):
+    check(PyramidCaster(context, pyramid_scene(levels=levels, epsilon=0.03)))
+
+
+@pytest.mark.parametrize(
+    ("dtype", "low", "high"),
+    [("int8", -100, 100), ("uint8", 0, 255), ("uint16", 0, 3000), ("float32", 0, 1e25), ("float64", 0, 1)],
+)
+def test_other_types(first_device, contexts, dtype, low, high):
+    array = waves((40, 37, 45), dtype, low, high)
+    at = low + np.array([0.0, 0.24, 0.55, 1.0]) * (float(high) - low)
+    function = SHELL.__class__(at, [0.0, 0.02, 0.1, 0.3], [[0.2, 0.5, 0.9]] * 4)
+    for oracle in ("error", "visible", "opacity-gradient", "bandwidth"):
+        scene = pyramid_scene(array, function, oracle=oracle)
+        check(PyramidCaster(contexts(first_device), scene))
+
+
+@pytest.mark.parametrize("filter", ("cubic", "catmull-rom"))
+def test_wide_filters(first_device, contexts, filter):
+    scene = pyramid_scene(filter=filter, width=24, height=20)
+    check(PyramidCaster(contexts(first_device), scene))
+
+
+def test_views_between_rays_and_slices(context):
+    """Parallel rays, rays much nearer than slices, much farther, and an eye inside the volume."""
+    centre = (22.13, 18.29, 19.57)
+    for camera, more in [
+        (axis_camera(centre, axis=2, height=40.37), {}),
+        (axis_camera(centre, axis=0, height=40.37), {"step": 1.83}),
+        ({**CAMERA, "fov_degrees": 8.0}, {"step": 1.0}),
+        ({**CAMERA, "fov_degrees": 60.0}, {"step": 0.3, "width": 17, "height": 13}),
+        ({"position": centre, "target": (40.0, 20.0, 25.0), "fov_degrees": 70.0}, {}),
+    ]:
+        check(PyramidCaster(context, pyramid_scene(camera=camera, **more)))
+
+
+def test_grids_that_are_not_cubes(context):
+    grid = {"spacing": (0.7, 1.9, 1.1), "origin": (3.0, -20.0, 5.0)}
+    array = waves((30, 21, 45))
+    camera = {"position": (-70.0, -60.0, -50.0), "target": (18.0, 0.0, 21.0), "fov_degrees": 34.0}
+    check(PyramidCaster(context, pyramid_scene(array, camera=camera, grid=grid)))
+
+
+@pytest.mark.parametrize("shape", [(1, 30, 25), (25, 1, 1), (3, 2, 5)])
+def test_thin_volumes(context, shape):
+    array = waves((7, 30, 25))[: shape[0], : shape[1], : shape[2]]
+    scene = pyramid_scene(Volume(array), camera=None, width=21, height=34, step=0.25)
+    data, twin = (f(PyramidCaster(context, scene)) for f in (rendered, twin_picture))
+    np.testing.assert_allclose(data.rgba, twin.rgba, atol=CLOSE)
+
+
+def test_holes_stay_where_they_are(context):
+    """A voxel that is not a number is seen by the samples that use it, and by no others."""
+    array = waves((40, 37, 45))
+    array[20, 18, 5:40:7] = np.nan
+    array[5:9, 30, 10:13] = np.inf
+    caster = PyramidCaster(context, pyramid_scene(array, epsilon=0.1))
+    check(caster)
+    data = rendered(caster)
+    assert np.isfinite(data.rgba).all()
+    full = pyramid_picture(context, pyramid_scene(array, oracle="minimum"))
+    assert rms(data.rgba, full.rgba) < 0.01
+
+
+def test_rays_stop_where_they_are_opaque(context):
+    dense = SHELL.__class__([0.0, 255.0], [0.0, 0.9], [[0.2, 0.5, 0.9]] * 2)
+    scene = pyramid_scene(function=dense, early_termination=0.05)
+    check(PyramidCaster(context, scene))
+    stopped = pyramid_picture(context, scene)
+    whole = pyramid_picture(context, pyramid_scene(function=dense))
+    assert stopped.samples < whole.samples
+    assert np.abs(stopped.rgba - whole.rgba).max() <= 0.05
+
+
+# ---- what changes nothing ----
+
+
+@pytest.mark.parametrize("size", [(40, 36), (67, 5), (33, 64), (1, 1), (8, 40)])
+@pytest.mark.parametrize("function", ("smooth", "shell"))
+def test_pictures_do_not_depend_on_tiles(context, size, function):
+    more = {"function": SHELL} if function == "shell" else {}
+    scene = pyramid_scene(width=size[0], height=size[1], **more)
+    small = pyramid_picture(context, scene)
+    large = pyramid_picture(context, scene, tile=64, volume=None)
+    np.testing.assert_array_equal(small.rgba, large.rgba)
+    np.testing.assert_array_equal(small.depth, large.depth)
+
+
+@pytest.mark.parametrize("levels", (1, 3, 4))
+@pytest.mark.parametrize("oracle", ("visible", "error"))
+def test_columns_that_sleep_miss_nothing(context, levels, oracle):
+    array = np.zeros((90, 30, 100), np.float32)
+    array[10:14, 5:20, 80:90] = array[60:80, 12:15, 20:60] = 165.0
+    camera = {"position": (-90.0, 20.0, -40.0), "target": (50.0, 15.0, 45.0), "fov_degrees": 40.0}
+    scene = pyramid_scene(array, SHELL, camera=camera, levels=levels, oracle=oracle, width=64, height=48)
+    sleeping = pyramid_picture(context, scene)
+    awake = pyramid_picture(context, scene, leap=False)
+    np.testing.assert_allclose(sleeping.rgba, awake.rgba, atol=2e-5)
+    assert awake.rgba[..., 3].max() > 0.2
+    assert sleeping.counters["accumulations"] <= awake.counters["accumulations"]
+    if levels > 1:
+        assert sleeping.counters["accumulations"] < 0.95 * awake.counters["accumulations"]
+
+
+def test_one_pixel_a_work_item_makes_the_same_picture(first_device, contexts):
+    """What a GPU runs: work-items that share a tile, on any device."""
+    context = contexts(first_device)
+    for more in ({}, {"function": SHELL}, {"levels": 1, "camera": {**CAMERA, "fov_degrees": 9.0}}):
+        scene = pyramid_scene(width=37, height=30, **more)
+        packets, single = (
+            pyramid_picture(context, scene, **how) for how in ({"lanes": 16}, {"lanes": 1, "workers": 16})
+        )
+        np.testing.assert_allclose(single.rgba, packets.rgba, atol=2e-5)
+        assert single.samples == pytest.approx(packets.samples, rel=0.01)
+
+
+def test_a_frame_is_the_same_each_time(context):
+    caster = PyramidCaster(context, pyramid_scene())
+    first, second = rendered(caster), rendered(caster)
+    np.testing.assert_array_equal(first.rgba, second.rgba)
+    assert first.samples == second.samples and first.counters == second.counters
+
+
+def test_a_camera_move_compiles_nothing(first_device, contexts):
+    context = contexts(first_device)
+    scene = pyramid_scene(height=30)
+    caster = PyramidCaster(context, scene)
+    caster.warm_up(40, 30)
+    before = context.compile_seconds, len(context._programs)
+    for fov in (5.0, 36.0, 90.0):  # some of them with levels more across
+        camera = scene.camera.model_copy(update={"fov_degrees": fov})
+        caster.render(camera, 40, 30)
+    assert (context.compile_seconds, len(context._programs)) == before
