@@ -56,10 +56,8 @@ def test_the_vocabulary_is_one(prefix, table):
 
 
 def scene_with(volume=VOLUME, function=SMOOTH, **tables):
-    scene = Scene(
-        volume=volume, transfer_function=function, image=ImageSettings(width=8, height=8), **tables
-    )
-    return scene.resolve()
+    tables = {"image": ImageSettings(width=8, height=8), **tables}
+    return Scene(volume=volume, transfer_function=function, **tables).resolve()
 
 
 def reasons(resolved) -> dict[str, str]:

@@ -23,6 +23,7 @@ from clvol.scene.image import ImageSettings
 from clvol.scene.integration import Integration
 from clvol.scene.knob import Knob
 from clvol.scene.multiresolution import Multiresolution
+from clvol.scene.pyramid import Pyramid
 from clvol.scene.sizes import parse_size
 from clvol.store.source import VolumeBlocks
 
@@ -31,6 +32,7 @@ EXPECTED = {
     "integration.quadrature", "integration.filter", "integration.early_termination",
     "integration.table_size", "integration.voxel_precision",
     "image.ray_spacing", "image.ray_tolerance",
+    "pyramid.levels", "pyramid.oracle", "pyramid.epsilon",
     "multiresolution.memory", "multiresolution.stepping", "multiresolution.interblock",
     "multiresolution.step_error", "multiresolution.tiles", "multiresolution.tile_high",
 }  # fmt: skip
@@ -57,7 +59,7 @@ def test_every_knob_s_values_are_allowed_by_its_own_key():
 def test_no_other_field_is_a_knob():
     declared = {
         f"{model.table_name()}.{name}"
-        for model in (Integration, ImageSettings, Multiresolution)
+        for model in (Integration, ImageSettings, Multiresolution, Pyramid)
         for name, field in model.model_fields.items()
         if any(isinstance(part, Knob) for part in field.metadata)
     }
