@@ -157,17 +157,17 @@ __kernel void near_pass(__global const ushort *restrict in, __global ushort *res
   vstore16(best, 0, out + at);
 }
 
-/* map  uchar [cells.z, cells.y, cells.x]: raised to the distance `near` stands for, at most `most`, as a byte (oracle.h), rounded down.
- * `unit`: the length in edges whose square is the unit */
-__kernel void raise_distances(__global const ushort *restrict near, int4 cells, int stride, float most, float unit,
-                              __global uchar *restrict map)
+/* map  uchar [cells.z, cells.y, cells.x]: raised or lowered to `base` + the distance `near` stands for, at most `most`, as a byte
+ *      (oracle.h), rounded down. `unit`: the length in edges whose square is the unit */
+__kernel void move_distances(__global const ushort *restrict near, int4 cells, int stride, float base, float most, float unit, int raises,
+                             __global uchar *restrict map)
 {
   const int y = get_global_id(0), z = get_global_id(1);
   for (int x = 0; x < cells.x; ++x) {
     const ushort square = near[((size_t)z * cells.y + y) * stride + x];
-    const float distance = fmin(most, square == FAR ? most : unit * sqrt((float)square));
-    const int code = clamp((as_int(distance) >> 19) - ((127 - 4) << 4), 0, 255);
+    const float distance = square == FAR ? most : fmin(most, base + unit * sqrt((float)square));
+    const uchar code = (uchar)clamp((as_int(distance) >> 19) - ((127 - 4) << 4), 0, 255);
     __global uchar *out = map + ((size_t)z * cells.y + y) * cells.x + x;
-    *out = max(*out, (uchar)code);
+    *out = raises ? max(*out, code) : min(*out, code);
   }
 }

@@ -2,18 +2,18 @@
  *
  * Slices i = 0, 1, 2 ... are a step apart: planes of an orthographic view, spherical shells around the eye of a perspective one. In each,
  * a pyramid of pixels: level l has a pixel for 2^l by 2^l of the picture's, in their middle. A pixel of a level is
- *   sampled      where the oracle wants samples nearer than two of the level's pixels are, and on the coarsest level;
+ *   sampled      where the oracle's distance is less than WITHIN of the level's pixels, and on the coarsest level;
  *   synthesised  from the four nearest of the next level elsewhere (weights 9/16, 3/16, 3/16, 1/16: biquadratic B-splines);
  *   left alone   on slices that the oracle's distance reaches beyond.
  * On slice i levels up to top(i) = tz(i) + oversampling take part, tz the zero bits at the end of i, at most `levels`; a pixel takes part
  * on slices with 2^(tz + 1) steps above its distance. This is the paper's fig. 4, which its hardware could not run, but for these:
  *
  *   distances    are lengths (smallest voxel edges), compared with a step along the ray and with the distance of neighbouring rays
- *                across it. The paper has both equal. Where rays lie nearer than steps, by 2^oversampling or so, the pyramid has as
+ *                across it. The paper has both equal, and samples where the distance is less than two pixels. Where rays lie nearer than steps, by 2^oversampling or so, the pyramid has as
  *                many levels more, and slices in between that the paper would skip are not there at all.
  *   freshness    what is synthesised on a slice shall come from samples of that slice, so coarse pixels take part a little longer:
  *                up to the distance plus SLACK of their own spacing, as far as other pixels may be that are synthesised from them
- *                (distances of maps grow by no more than the way, see clvol/render/pyramid/maps.py).
+ *                (distances of maps grow by no more than the way, see clvol/render/pyramid/cells.py).
  *   boundary     a level's rays go on beyond the picture and the volume, where values are those at the volume's hull; a pixel's first
  *                and last samples are where its own ray meets the hull, and no segment reaches farther.
  *   tiles        work-items share the picture in tiles, with one coarse pixel of each level more all around. What is computed there depends on
@@ -50,7 +50,8 @@ typedef struct {
 
 #define MOST_LEVELS 5 /* MOST_LEVELS of clvol/scene/pyramid.py */
 #define CHUNK 8       /* slices */
-#define SLACK 1.5f
+#define SLACK 0.5f
+#define WITHIN 1.6f /* of a pixel that is synthesised lie all that it is made from but the farthest, which has 1/16 of the weight */
 
 #if WORKERS == 1
 #define SHARED __private

@@ -124,7 +124,7 @@ void update_level(const Source *in, SHARED Levels *m, int changes, int level, in
 {
   const int side = side_of(level), side_up = side_of(level + 1), width = WIDTH(level), patches = side / PACKET_W;
   const int all = changes ? patches * patches : 0;
-  const float spacing = ray_spacing(in, k) * (float)(1 << level), dense = 2.0f * spacing, reach = reach_of(in, level, k, along), t = (float)k;
+  const float spacing = ray_spacing(in, k) * (float)(1 << level), dense = WITHIN * spacing, reach = reach_of(in, level, k, along), t = (float)k;
   const floatN never = INFINITY;
   floatN nearest = never;
   int first = -1; /* of this work-item's patches to sample */

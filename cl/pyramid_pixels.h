@@ -97,7 +97,7 @@ INLINE int march_slices(const Source *in, SHARED const Levels *m, PixelPacket *p
       const int copy = m->copy[i];
       const floatN wanted = synthesised_pixels(m->distance1[copy], SIDE(1), column, row);
       distance = select(distance, wanted, takes_part);
-      sampled &= MASK(distance < 2.0f * ray_spacing(in, k));
+      sampled &= MASK(distance < WITHIN * ray_spacing(in, k));
       if (any_lane(takes_part & ~sampled)) {
         value = synthesised_pixels(m->value1[copy], SIDE(1), column, row);
 #if VOXEL_HOLES

@@ -181,7 +181,7 @@ def test_budgets_are_tried_whichever_method_the_scene_has(first_device, few_knob
     ]  # fmt: skip
     points.sort(key=lambda p: parse_size(p["settings"][_MEMORY]))
     errors = [p["rmse"] for p in points]
-    assert len(points) == 7 and len(result["points"]) == 8
+    assert len(points) == 7 and len(result["points"]) == 7 + 2  # by rays, by a pyramid
     assert errors[0] > 3 * errors[-1]
     assert all(more <= 1.1 * less for less, more in zip(errors, errors[1:]))
     taken = [p["device_bytes"] for p in points]
@@ -206,7 +206,7 @@ def test_the_knobs_of_a_method_are_not_combined_with_all_others(
         sweep.context.release()
     found = [trial.settings for trial in sweep.found.values()]
     pairs = {tuple(settings[f"integration.{key}"] for key in keys) for settings in found}
-    assert len(pairs) == 3 + 2  # by rays, by blocks
+    assert len(pairs) == 3 + 2 + 1  # by rays, by blocks, by a pyramid
     ways = [settings["multiresolution.stepping"] for settings in found]
     assert {way: ways.count(way) for way in ways if way != "limited"} == {
         "naive": 1, "bounded": 1, "full": 1

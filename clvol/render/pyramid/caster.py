@@ -13,7 +13,7 @@ from clvol.opencl.context import DeviceArray, DeviceContext
 from clvol.opencl.structs import PYRAMID
 from clvol.render.device_volume import DeviceVolume
 from clvol.render.pyramid.layout import FREE_REACH, FREE_SHIFT, map_shape, map_shift
-from clvol.render.pyramid.cells import distance_map, padded_cells
+from clvol.render.pyramid.cells import padded_cells, way_map
 from clvol.render.pyramid.oracles import Asked, oracle_named
 from clvol.render.pyramid.oracles.visible import visible_in_cells
 from clvol.render.pyramid.slices import SlicePlan, slice_plan
@@ -104,7 +104,7 @@ class PyramidCaster(Raycaster):
         asked = replace(self.asked, shift=FREE_SHIFT)
         shown = padded_cells(asked)
         visible_in_cells(asked, shown)
-        self.free = distance_map(asked, shown, [FREE_REACH], unit=1.0)
+        self.free = way_map(asked, shown, FREE_REACH, unit=1.0)
 
     def _scene_arrays(self) -> dict[str, DeviceArray]:
         return {**super()._scene_arrays(), "distances": self.free}

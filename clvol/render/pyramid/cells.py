@@ -1,8 +1,8 @@
 """Maps of distances for oracles, found on the device (cl/oracle_cells.cl).
 
-A distance d is right at a place where everything nearer than d can do with samples d apart. So with the set of cells that
-are bad for samples h apart, for each h of a row of scales, the distance is the largest of min(h, way to that set). It grows by no more
-than the way from one place to another, which the march relies on (cl/pyramid.h, freshness).
+With the set of cells that are bad for samples h apart, for each h of a row of scales (1, 2, 4 ... edges), the distance at a place is
+the least of h / 2 + way to that set: where h is bad, half of it, which is not, and more farther from there. So it grows by no more than
+the way from one place to another, which the march relies on (cl/pyramid.h, freshness).
 """
 
 from __future__ import annotations
@@ -117,15 +117,47 @@ def upload_cells(asked: Asked, bad: np.ndarray) -> DeviceArray:
     return asked.context.upload(np.pad(bad, ((0, 0), (0, 0), (0, _stride(nx) - nx))))
 
 
-def distance_map(
-    asked: Asked, bad: DeviceArray, scales: Sequence[float], unit: float = 0.25
-) -> DeviceArray:
-    """uint8 [z, y, x] and a few bytes more, as kernels read it (cl/oracle.h): at each cell the largest of
-    min(scale, way to the cells whose bit of ``bad`` says that they are bad for it). Squares of ways are counted in
-    those of ``unit``, up to 2^16: no scale may be longer than 256 units."""
+def distance_map(asked: Asked, bad: DeviceArray, scales: Sequence[float]) -> DeviceArray:
+    """uint8 [z, y, x] and a few bytes more, as kernels read it (cl/oracle.h): at each cell the least of scale / 2 + way to
+    the cells whose bit of ``bad`` says that they are bad for it, at most ``asked.reach``."""
+    found = _map_of(asked, asked.reach)
+    for bit, scale in enumerate(scales):
+        _move_distances(asked, bad, bit, found, scale / 2.0, asked.reach, raises=False)
+    return found
+
+
+def raise_to_ways(asked: Asked, bad: DeviceArray, bit: int, found: DeviceArray) -> None:
+    """Makes distances of the map ``found`` at least 1 / 2 + the way to the cells that have the bit."""
+    _move_distances(asked, bad, bit, found, 0.5, asked.reach, raises=True)
+
+
+def way_map(asked: Asked, bad: DeviceArray, reach: float, unit: float) -> DeviceArray:
+    """As ``distance_map``, of ways alone, to cells whose bit 0 is set."""
+    found = _map_of(asked, 0.0)
+    _move_distances(asked, bad, 0, found, 0.0, reach, raises=True, unit=unit)
+    return found
+
+
+def _map_of(asked: Asked, distance: float) -> DeviceArray:
+    codes = np.full(np.prod(asked.shape) + _SPARE, distance_codes(np.array(distance)), np.uint8)
+    return asked.context.upload(codes)
+
+
+def _move_distances(
+    asked: Asked,
+    bad: DeviceArray,
+    bit: int,
+    found: DeviceArray,
+    base: float,
+    most: float,
+    *,
+    raises: bool,
+    unit: float = 0.25,
+) -> None:
+    """Raises or lowers the map ``found`` to ``base`` + way to the cells with the bit, at most ``most``, which are less than
+    256 units: squares of ways are counted in those of ``unit``, up to 2^16."""
     context, (nz, ny, nx) = asked.context, asked.shape
     cells, stride = (nx, ny, nz, 0), bad.shape[2]
-    found = context.upload(np.zeros(nx * ny * nz + _SPARE, np.uint8))
     near, spare = (context.empty(np.uint16, bad.shape) for _ in range(2))
     start = _kernel(asked, "start_near", "in bad uint8, value bits uint32, out near uint16")
     step = _kernel(
@@ -133,25 +165,23 @@ def distance_map(
         "in source uint16, out target uint16, value cells int4, value stride int32, "
         "value axis int32, value window int32, in gaps uint16",
     )  # fmt: skip
-    widen = _kernel(
-        asked, "raise_distances",
-        "in near uint16, value cells int4, value stride int32, value most float32, "
-        "value unit float32, out map uint8",
+    move = _kernel(
+        asked, "move_distances",
+        "in near uint16, value cells int4, value stride int32, value base float32, value most float32, "
+        "value unit float32, value raises int32, out map uint8",
     )  # fmt: skip
-    for bit, scale in enumerate(scales):
-        start(context.queue, (bad.nbytes // 16,), None, bad=bad, bits=1 << bit, near=near)
-        for axis, edge in enumerate(asked.edges):
-            gaps = squared_gaps(edge * (1 << asked.shift), float(scale), unit)
-            step(
-                context.queue, (stride // 16, ny, nz), None, source=near, target=spare, cells=cells,
-                stride=stride, axis=axis, window=len(gaps) - 1, gaps=context.upload(gaps),
-            )  # fmt: skip
-            near, spare = spare, near
-        widen(
-            context.queue, (ny, nz), None, near=near, cells=cells, stride=stride, most=scale,
-            unit=unit, map=found,
+    start(context.queue, (bad.nbytes // 16,), None, bad=bad, bits=1 << bit, near=near)
+    for axis, edge in enumerate(asked.edges):
+        gaps = squared_gaps(edge * (1 << asked.shift), most - base, unit)
+        step(
+            context.queue, (stride // 16, ny, nz), None, source=near, target=spare, cells=cells,
+            stride=stride, axis=axis, window=len(gaps) - 1, gaps=context.upload(gaps),
         )  # fmt: skip
-    return found
+        near, spare = spare, near
+    move(
+        context.queue, (ny, nz), None, near=near, cells=cells, stride=stride, base=base, most=most,
+        unit=unit, raises=int(raises), map=found,
+    )  # fmt: skip
 
 
 def squared_gaps(cell: float, most: float, unit: float) -> np.ndarray:

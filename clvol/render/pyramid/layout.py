@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from clvol.volume import Volume
 
 FREE_SHIFT, FREE_REACH = 2, 250.0  # of the map of empty space: cells of 4^3; smallest edges
-_MOST_CELLS = 2**25  # of a map, which then is as fine as the voxels; else cells of 2^3
+_MOST_CELLS = 2**28  # of a map, which then is as fine as the voxels; else cells of 2^3
 
 
 def map_shift(size: tuple[int, int, int]) -> int:

@@ -19,7 +19,7 @@ from clvol.render.twin.field import Field
 from clvol.render.view import ray_frame
 from clvol.scene.resolve import ResolvedScene
 
-SLACK = 1.5  # SLACK of cl/pyramid.h
+SLACK, WITHIN = 0.5, 1.6  # of cl/pyramid.h
 CHUNK = 8
 
 Oracle = Callable[[np.ndarray, np.ndarray], np.ndarray]
@@ -157,7 +157,7 @@ class _March:
         if level < top:
             wanted, made = self._synthesised(level, 1)
             distance[part], value[part] = wanted[part], made[part]
-            sampled = part & ((distance < 2.0 * spacing) | ~np.isfinite(value))
+            sampled = part & ((distance < WITHIN * spacing) | ~np.isfinite(value))
             fresh &= sampled | self._made_of_fresh(level, 1)
             self.syntheses += np.count_nonzero(part)
         self.fresh[level] = fresh
@@ -201,7 +201,7 @@ class _March:
         if top > 0:
             wanted, value = self._synthesised(0, 0)
             self.pixel_distance[part] = wanted[part]
-            sampled = part & ((self.pixel_distance < 2.0 * spacing) | ~np.isfinite(value))
+            sampled = part & ((self.pixel_distance < WITHIN * spacing) | ~np.isfinite(value))
             self.stale += np.count_nonzero(part & ~sampled & ~self._made_of_fresh(0, 0))
             self.syntheses += np.count_nonzero(part)
         if sampled.any():

@@ -3,7 +3,12 @@
 from __future__ import annotations
 
 from clvol.opencl.context import DeviceArray
-from clvol.render.pyramid.cells import cells_of_voxels, distance_map, voxels_bad_for_error
+from clvol.render.pyramid.cells import (
+    cells_of_voxels,
+    distance_map,
+    raise_to_ways,
+    voxels_bad_for_error,
+)
 from clvol.render.pyramid.oracle import KERNEL_ERROR, Asked, Oracle
 from clvol.render.pyramid.oracles.visible import visible_in_cells
 
@@ -22,4 +27,6 @@ class Error(Oracle):
         scales = asked.scales
         bad = cells_of_voxels(asked, voxels_bad_for_error(asked))
         visible_in_cells(asked, bad, len(scales))
-        return distance_map(asked, bad, [*scales, asked.reach])
+        found = distance_map(asked, bad, scales)
+        raise_to_ways(asked, bad, len(scales), found)
+        return found

@@ -15,4 +15,4 @@ class OpacityGradient(Oracle):
 
     def map(self, asked: Asked) -> DeviceArray:
         bad = cells_of_voxels(asked, voxels_of_steep_opacity(asked))
-        return distance_map(asked, bad, [asked.reach])
+        return distance_map(asked, bad, [1.0])

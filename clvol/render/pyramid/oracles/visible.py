@@ -20,7 +20,7 @@ class Visible(Oracle):
     def map(self, asked: Asked) -> DeviceArray:
         shown = padded_cells(asked)
         visible_in_cells(asked, shown)
-        return distance_map(asked, shown, [asked.reach])
+        return distance_map(asked, shown, [1.0])
 
 
 def visible_in_cells(asked: Asked, cells: DeviceArray, bit: int = 0) -> None:
