@@ -4,12 +4,14 @@
  *
  * x, y, z are a lattice place (not always inside the volume) and `value` that there; `mapped` is what the oracle's map says of it, if
  * there is one; `left` is the light that still arrives from there where that is known, else 1. The result is a length in smallest voxel
- * edges, 0 or more, never NaN. `in->pyramid->oracle` has the oracle's own numbers, and `in->map` its own bytes.
+ * edges, 0 or more, never NaN. `in->pyramid->oracle` has the oracle's own numbers, and `in->map` its own bytes. A header that does not look at
+ * `value` says so by ORACLE_NEEDS_VALUE 0: the volume is then sampled less.
  */
 #ifndef ORACLE_H
 #define ORACLE_H
 
 #include "features.h"
+#include "oracle_layout.h"
 
 #define ORACLE_HAS_MAP (ORACLE == ORACLE_MAP || ORACLE == ORACLE_ERROR)
 
@@ -21,7 +23,7 @@ INLINE intN fetch_cell(__global const uchar *map, int4 cells, floatN x, floatN y
 {
   const intN cx = min(TO_INT(x) >> cells.w, (intN)(cells.x - 1)), cy = min(TO_INT(y) >> cells.w, (intN)(cells.y - 1));
   const intN cz = min(TO_INT(z) >> cells.w, (intN)(cells.z - 1));
-  return AS_INT(gather1(map, (cz * cells.y + cy) * cells.x + cx) & 255u);
+  return AS_INT(gather1(map, MAP_AT(cells, cx, cy, cz)) & 255u);
 }
 
 /* That of the oracle's map; outside the volume that of the nearest cell. */
@@ -41,6 +43,9 @@ INLINE intN fetch_map(const Source *in, floatN x, floatN y, floatN z)
 #include "oracle_error.h"
 #else
 #include "oracle_custom.h" /* found in the folder of the oracle's author */
+#endif
+#ifndef ORACLE_NEEDS_VALUE
+#define ORACLE_NEEDS_VALUE 1
 #endif
 
 #endif

@@ -4,6 +4,7 @@
  *
  * Switches (-D): VOXEL_BITS, VOXEL_SIGNED, VOXEL_SCALED; SCALES: distances of samples 1, 2, 4 ... smallest edges.
  */
+#include "oracle_layout.h"
 #include "voxel_type.h"
 
 #if VOXEL_BITS == 64
@@ -157,7 +158,7 @@ __kernel void near_pass(__global const ushort *restrict in, __global ushort *res
   vstore16(best, 0, out + at);
 }
 
-/* map  uchar [cells.z, cells.y, cells.x]: raised or lowered to `base` + the distance `near` stands for, at most `most`, as a byte
+/* map  uchar, as in oracle_layout.h: raised or lowered to `base` + the distance `near` stands for, at most `most`, as a byte
  *      (oracle.h), rounded down. `unit`: the length in edges whose square is the unit */
 __kernel void move_distances(__global const ushort *restrict near, int4 cells, int stride, float base, float most, float unit, int raises,
                              __global uchar *restrict map)
@@ -167,7 +168,7 @@ __kernel void move_distances(__global const ushort *restrict near, int4 cells, i
     const ushort square = near[((size_t)z * cells.y + y) * stride + x];
     const float distance = square == FAR ? most : fmin(most, base + unit * sqrt((float)square));
     const uchar code = (uchar)clamp((as_int(distance) >> 19) - ((127 - 4) << 4), 0, 255);
-    __global uchar *out = map + ((size_t)z * cells.y + y) * cells.x + x;
+    __global uchar *out = map + MAP_AT(cells, x, y, z);
     *out = raises ? max(*out, code) : min(*out, code);
   }
 }

@@ -1,4 +1,6 @@
 /* Oracles that know all distances beforehand (clvol/render/pyramid/cells.py). */
+#define ORACLE_NEEDS_VALUE 0
+
 INLINE floatN oracle_distance(const Source *in, floatN x, floatN y, floatN z, floatN value, floatN mapped, floatN left)
 {
   return mapped;

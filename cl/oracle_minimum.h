@@ -1,4 +1,6 @@
 /* The oracle that always wants full resolution: what the method costs where it saves nothing (P1 tables 2 and 3, "min"). */
+#define ORACLE_NEEDS_VALUE 0
+
 INLINE floatN oracle_distance(const Source *in, floatN x, floatN y, floatN z, floatN value, floatN mapped, floatN left)
 {
   return 0.0f;

@@ -5,6 +5,7 @@
  *   sampled      where the oracle's distance is less than WITHIN of the level's pixels, and on the coarsest level;
  *   synthesised  from the four nearest of the next level elsewhere (weights 9/16, 3/16, 3/16, 1/16: biquadratic B-splines);
  *   left alone   on slices that the oracle's distance reaches beyond.
+ * A pixel above level 0 that is sampled asks the oracle always, and the volume where anything is synthesised from it.
  * On slice i levels up to top(i) = tz(i) + oversampling take part, tz the zero bits at the end of i, at most `levels`; a pixel takes part
  * on slices with 2^(tz + 1) steps above its distance. This is the paper's fig. 4, which its hardware could not run, but for these:
  *
@@ -163,13 +164,13 @@ typedef struct {
 } FetchedPlace;
 
 /* Lanes that are not `wanted` all go to one place, which costs no memory traffic. */
-INLINE FetchedPlace fetch_place(const Source *in, floatN x, floatN y, floatN z, intN wanted)
+INLINE FetchedPlace fetch_place(const Source *in, floatN x, floatN y, floatN z, intN wanted, int with_map)
 {
   FetchedPlace f;
   const floatN zero = 0.0f;
   x = select(zero, x, wanted), y = select(zero, y, wanted), z = select(zero, z, wanted);
   f.sample = fetch_sample(in->volume, in->view, x, y, z);
-  f.byte = ORACLE_HAS_MAP ? fetch_map(in, x, y, z) : (intN)0;
+  f.byte = ORACLE_HAS_MAP && with_map ? fetch_map(in, x, y, z) : (intN)0;
   return f;
 }
 INLINE floatN place_value(const Source *in, const FetchedPlace *f) { return sample_value(f->sample, in->view); }

@@ -105,19 +105,69 @@ INLINE intN near_volume(const Source *in, floatN x, floatN y, floatN z, float sp
   return MASK(ex * ex + ey * ey + ez * ez <= reach * reach);
 }
 
-/* The pixels `lanes` of the patch at `at` of a level, and their places. */
-INLINE FetchedPlace fetch_pixels(const Source *in, SHARED const Levels *m, int level, int at, uint lanes, float t, floatN *x, floatN *y, floatN *z)
+/* Where in its level's arrays a patch begins. */
+INLINE int patch_at(int patch, int patches, int side) { return patch / patches * PACKET_H * side + patch % patches * PACKET_W; }
+
+/* Places on slice `t` of the patch at `at` of a level. */
+INLINE void patch_places(SHARED const Levels *m, int level, int at, float t, floatN *x, floatN *y, floatN *z)
 {
   const int side = side_of(level), from = offset_of(level) + at;
   *x = load_patch(m->x0 + from, side) + t * load_patch(m->dx + from, side);
   *y = load_patch(m->y0 + from, side) + t * load_patch(m->dy + from, side);
   *z = load_patch(m->z0 + from, side) + t * load_patch(m->dz + from, side);
-  return fetch_place(in, *x, *y, *z, lanes_of(lanes));
+}
+
+/* The largest of 3 by 3 distances around each pixel of the patch at (column, row); what is not there does not count. */
+#if LANES == 16
+INLINE float4 largest_in_row(SHARED const float *a, int column, int side)
+{
+  const float4 here = vload4(0, a);
+  const float4 before = column > 0 ? vload4(0, a - 1) : here.s0012, behind = column + 4 < side ? vload4(0, a + 1) : here.s1233;
+  return fmax(fmax(before, behind), here);
+}
+INLINE floatN largest_around(SHARED const float *distances, int column, int row, int side)
+{
+  SHARED const float *a = distances + row * side + column;
+  const float4 r1 = largest_in_row(a, column, side), r2 = largest_in_row(a + side, column, side);
+  const float4 r3 = largest_in_row(a + 2 * side, column, side), r4 = largest_in_row(a + 3 * side, column, side);
+  const float4 r0 = row > 0 ? largest_in_row(a - side, column, side) : r1;
+  const float4 r5 = row + 4 < side ? largest_in_row(a + 4 * side, column, side) : r4;
+  const float4 r12 = fmax(r1, r2), r34 = fmax(r3, r4);
+  return (float16)(fmax(r0, r12), fmax(r12, r3), fmax(r2, r34), fmax(r34, r5));
+}
+#else
+INLINE floatN largest_around(SHARED const float *distances, int column, int row, int side)
+{
+  float largest = 0.0f;
+  for (int y = max(row - 1, 0); y <= min(row + 1, side - 1); ++y)
+    for (int x = max(column - 1, 0); x <= min(column + 1, side - 1); ++x) largest = fmax(largest, distances[y * side + x]);
+  return largest;
+}
+#endif
+
+/* The pixels of a level, out of those to be sampled, whose value is needed, once the oracle has been asked: all but those from which nothing is
+ * synthesised now, since all pixels that would be are sampled, nor before their own next sample (see update_level). */
+INLINE intN needs_value(const Source *in, SHARED const float *distances, int level, int column, int row, int k)
+{
+  const int side = side_of(level), most = in->pyramid->levels.x, more = in->pyramid->levels.y;
+  const float spacing = ray_spacing(in, k) * (float)(1 << level);
+  const floatN own = load_patch(distances + row * side + column, side);
+  /* Just less than the next level's bound: means of distances may be rounded up. */
+  return MASK(largest_around(distances, column, row, side) >= 0.499f * WITHIN * spacing) |
+         MASK(own >= reach_of(in, level, k, max(level - more, 0)));
+}
+
+/* This work-item's next patch to sample after `p`, of `all`. */
+INLINE int next_patch(SHARED const Levels *m, int p, int all)
+{
+  for (p += WORKERS; p < all && !m->sampled[p]; p += WORKERS);
+  return p;
 }
 
 /* One level on slice k; `up`: the next level, NULL for the highest that takes part. What does not take part goes over from `old` to
- * `now`. `changes`: whether any pixel may. `well_inside`: all of the tile is inside the volume. First it is found which pixels are to be sampled, then they are, each patch
- * fetched while the one before is looked at. */
+ * `now`. `changes`: whether any pixel may. `well_inside`: all of the tile is inside the volume. First it is found which pixels are to be
+ * sampled; then the oracle is asked; then, for those whose value is needed, the volume is, each patch fetched while the one before is looked
+ * at. An oracle that needs to know the value is asked last. */
 void update_level(const Source *in, SHARED Levels *m, int changes, int level, int k, int along, int well_inside, SHARED const float *old_distance,
                   SHARED const float *old_value, SHARED float *distances, SHARED float *values, SHARED const float *up_distance,
                   SHARED const float *up_value, Tally *samples, Tally *counted)
@@ -126,8 +176,8 @@ void update_level(const Source *in, SHARED Levels *m, int changes, int level, in
   const int all = changes ? patches * patches : 0;
   const float spacing = ray_spacing(in, k) * (float)(1 << level), dense = WITHIN * spacing, reach = reach_of(in, level, k, along), t = (float)k;
   const floatN never = INFINITY;
-  floatN nearest = never;
-  int first = -1; /* of this work-item's patches to sample */
+  floatN nearest = never, x, y, z;
+  int first = all; /* of this work-item's patches to sample */
   for (int p = WORKER; p < all; p += WORKERS) {
     const int row = p / patches * PACKET_H, column = p % patches * PACKET_W, at = row * side + column;
     floatN distance = load_patch(old_distance + at, side);
@@ -149,28 +199,67 @@ void update_level(const Source *in, SHARED Levels *m, int changes, int level, in
       store_patch(distance, distances + at, side), store_patch(value, values + at, side);
     } else if (distances != old_distance)
       store_patch(distance, distances + at, side), store_patch(load_patch(old_value + at, side), values + at, side);
+    if (!well_inside && any_lane(sampled)) {
+      patch_places(m, level, at, t, &x, &y, &z);
+      sampled &= near_volume(in, x, y, z, spacing);
+    }
     const uint bits = lane_bits(sampled);
     m->sampled[p] = bits;
-    first = first < 0 && bits ? p : first;
+    if (bits) first = min(first, p);
     nearest = lane_min(nearest, select(never, distance, inside & ~sampled));
   }
-  if (first >= 0) {
-    floatN next_x, next_y, next_z;
-    FetchedPlace next = fetch_pixels(in, m, level, first / patches * PACKET_H * side + first % patches * PACKET_W, m->sampled[first], t, &next_x, &next_y, &next_z);
+  floatN next_x, next_y, next_z;
+#if !ORACLE_NEEDS_VALUE
+  intN next_byte;
+  if (first < all) {
+    patch_places(m, level, patch_at(first, patches, side), t, &next_x, &next_y, &next_z);
+    next_byte = ORACLE_HAS_MAP ? fetch_map(in, next_x, next_y, next_z) : (intN)0;
+  }
+  for (int p = first; p < all;) {
+    const int at = patch_at(p, patches, side);
+    const intN sampled = lanes_of(m->sampled[p]), byte = next_byte;
+    x = next_x, y = next_y, z = next_z;
+    p = next_patch(m, p, all);
+    if (p < all) {
+      patch_places(m, level, patch_at(p, patches, side), t, &next_x, &next_y, &next_z);
+      next_byte = ORACLE_HAS_MAP ? fetch_map(in, next_x, next_y, next_z) : (intN)0;
+    }
+    const floatN mapped = ORACLE_HAS_MAP ? byte_distance(byte) : (floatN)0.0f;
+    const floatN distance = select(load_patch(distances + at, side), oracle_distance(in, x, y, z, (floatN)0.0f, mapped, (floatN)1.0f), sampled);
+    store_patch(distance, distances + at, side);
+    nearest = lane_min(nearest, select(never, distance, sampled));
+    count_lanes(&counted[COUNT_ORACLE], sampled);
+  }
+  SYNCHRONISE();
+  const int from = first;
+  first = all;
+  for (int p = from; p < all; p = next_patch(m, p, all)) {
+    m->sampled[p] &= lane_bits(needs_value(in, distances, level, p % patches * PACKET_W, p / patches * PACKET_H, k));
+    if (m->sampled[p]) first = min(first, p);
+  }
+#endif
+  if (first < all) {
+    patch_places(m, level, patch_at(first, patches, side), t, &next_x, &next_y, &next_z);
+    FetchedPlace next = fetch_place(in, next_x, next_y, next_z, lanes_of(m->sampled[first]), ORACLE_NEEDS_VALUE);
     for (int p = first; p < all;) {
       const FetchedPlace fetched = next;
-      const floatN x = next_x, y = next_y, z = next_z;
-      const int at = p / patches * PACKET_H * side + p % patches * PACKET_W;
-      intN sampled = lanes_of(m->sampled[p]);
-      for (p += WORKERS; p < all && !m->sampled[p]; p += WORKERS);
-      if (p < all)
-        next = fetch_pixels(in, m, level, p / patches * PACKET_H * side + p % patches * PACKET_W, m->sampled[p], t, &next_x, &next_y, &next_z);
-      if (!well_inside) sampled &= near_volume(in, x, y, z, spacing);
+      const int at = patch_at(p, patches, side);
+      const intN sampled = lanes_of(m->sampled[p]);
+      x = next_x, y = next_y, z = next_z;
+      p = next_patch(m, p, all);
+      if (p < all) {
+        patch_places(m, level, patch_at(p, patches, side), t, &next_x, &next_y, &next_z);
+        next = fetch_place(in, next_x, next_y, next_z, lanes_of(m->sampled[p]), ORACLE_NEEDS_VALUE);
+      }
       const floatN value = select(load_patch(values + at, side), place_value(in, &fetched), sampled);
+      store_patch(value, values + at, side);
+      count_lanes(samples, sampled);
+#if ORACLE_NEEDS_VALUE
       const floatN distance = select(load_patch(distances + at, side), place_distance(in, &fetched, x, y, z, value, (floatN)1.0f), sampled);
-      store_patch(distance, distances + at, side), store_patch(value, values + at, side);
+      store_patch(distance, distances + at, side);
       nearest = lane_min(nearest, select(never, distance, sampled));
-      count_lanes(samples, sampled), count_lanes(&counted[COUNT_ORACLE], sampled);
+      count_lanes(&counted[COUNT_ORACLE], sampled);
+#endif
     }
   }
   float each[LANES], least = INFINITY;

@@ -81,7 +81,7 @@ INLINE int march_slices(const Source *in, SHARED const Levels *m, PixelPacket *p
   if (is_dense)
     _Pragma("unroll 1") for (int i = 0; i < CHUNK; ++i) {
       const float t = (float)(base + i);
-      ahead[i] = fetch_place(in, x0 + t * dx, y0 + t * dy, z0 + t * dz, alive);
+      ahead[i] = fetch_place(in, x0 + t * dx, y0 + t * dy, z0 + t * dz, alive, 1);
     }
   _Pragma("unroll 1") for (int i = 0; i < slices; ++i) {
     const int k = base + i, along = slice_level(in, k);
@@ -108,7 +108,7 @@ INLINE int march_slices(const Source *in, SHARED const Levels *m, PixelPacket *p
     }
     if (any_lane(sampled)) {
       const floatN x = x0 + t * dx, y = y0 + t * dy, z = z0 + t * dz;
-      const FetchedPlace fetched = is_dense ? ahead[i] : fetch_place(in, x, y, z, sampled);
+      const FetchedPlace fetched = is_dense ? ahead[i] : fetch_place(in, x, y, z, sampled, 1);
       value = select(value, place_value(in, &fetched), sampled);
       distance = select(distance, place_distance(in, &fetched, x, y, z, value, 1.0f - opacity), sampled);
       count_lanes(samples, sampled), count_lanes(&counted[COUNT_ORACLE], sampled);

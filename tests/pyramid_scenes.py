@@ -9,7 +9,7 @@ from small_scenes import SMOOTH, make_scene, waves
 
 from clvol import TransferFunction
 from clvol.render.pyramid.caster import PyramidCaster
-from clvol.render.pyramid.cells import decoded_distances
+from clvol.render.pyramid.cells import read_distances
 from clvol.render.pyramid.twin import PyramidPicture, mapped_oracle, render_pyramid_twin
 from clvol.render.raycast import FrameData
 
@@ -59,6 +59,4 @@ def twin_oracle(caster: PyramidCaster):
 
 def map_distances(caster: PyramidCaster) -> np.ndarray:
     """Distances [z, y, x] of the map that ``caster`` has."""
-    codes = caster.context.read(caster.map)
-    shape = caster.asked.shape
-    return decoded_distances(codes[: np.prod(shape)]).reshape(shape)
+    return read_distances(caster.context, caster.map, caster.asked.shape)

@@ -12,11 +12,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from clvol.opencl.context import DeviceArray, DeviceContext
+from clvol.render.pyramid.layout import BRICK, MAP_SPARE, map_bytes
 from clvol.render.pyramid.oracle import Asked
 
 BINS = 2048  # of values, for what an error of a value shows
 _WIDEST = 0.05  # of the value range: bins go on beyond it by so much, for interpolated values
-_SPARE = 4  # bytes: a 32-bit gather of the last byte must stay inside
 _FAR = 65535
 _MAPPED = "value bias {real}, value gain {real}"
 
@@ -118,7 +118,7 @@ def upload_cells(asked: Asked, bad: np.ndarray) -> DeviceArray:
 
 
 def distance_map(asked: Asked, bad: DeviceArray, scales: Sequence[float]) -> DeviceArray:
-    """uint8 [z, y, x] and a few bytes more, as kernels read it (cl/oracle.h): at each cell the least of scale / 2 + way to
+    """uint8 as kernels read it (cl/oracle_layout.h): at each cell the least of scale / 2 + way to
     the cells whose bit of ``bad`` says that they are bad for it, at most ``asked.reach``."""
     found = _map_of(asked, asked.reach)
     for bit, scale in enumerate(scales):
@@ -139,8 +139,8 @@ def way_map(asked: Asked, bad: DeviceArray, reach: float, unit: float) -> Device
 
 
 def _map_of(asked: Asked, distance: float) -> DeviceArray:
-    codes = np.full(np.prod(asked.shape) + _SPARE, distance_codes(np.array(distance)), np.uint8)
-    return asked.context.upload(codes)
+    code = distance_codes(np.array(distance))
+    return asked.context.upload(np.full(map_bytes(asked.shape), code, np.uint8))
 
 
 def _move_distances(
@@ -194,8 +194,22 @@ def squared_gaps(cell: float, most: float, unit: float) -> np.ndarray:
 
 def upload_distances(context: DeviceContext, distances: np.ndarray) -> DeviceArray:
     """A map from distances on the host, float [z, y, x], in smallest edges."""
-    codes = np.append(distance_codes(distances).ravel(), np.zeros(_SPARE, np.uint8))
-    return context.upload(codes)
+    shape = distances.shape
+    codes = np.pad(distance_codes(distances), [(0, -n % BRICK) for n in shape])
+    bricks = codes.reshape(_in_bricks(shape)).transpose(0, 2, 4, 1, 3, 5)
+    return context.upload(np.append(bricks.ravel(), np.zeros(MAP_SPARE, np.uint8)))
+
+
+def read_distances(context: DeviceContext, found: DeviceArray, shape: tuple[int, int, int]) -> np.ndarray:
+    """float64 [z, y, x]: distances in smallest edges that a map of so many cells has."""
+    nz, ny, nx = shape
+    bricks = context.read(found)[:-MAP_SPARE].reshape(np.take(_in_bricks(shape), (0, 2, 4, 1, 3, 5)))
+    codes = bricks.transpose(0, 3, 1, 4, 2, 5).reshape([n + -n % BRICK for n in shape])
+    return decoded_distances(codes[:nz, :ny, :nx])
+
+
+def _in_bricks(shape: tuple[int, int, int]) -> list[int]:
+    return [n for cells in shape for n in (-(-cells // BRICK), BRICK)]
 
 
 def distance_codes(distances: np.ndarray) -> np.ndarray:

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
 FREE_SHIFT, FREE_REACH = 2, 250.0  # of the map of empty space: cells of 4^3; smallest edges
 _MOST_CELLS = 2**28  # of a map, which then is as fine as the voxels; else cells of 2^3
+BRICK = 4  # cells an axis that are a cache line of a map (cl/oracle_layout.h)
+MAP_SPARE = 4  # bytes: a 32-bit gather of the last byte must stay inside
 
 
 def map_shift(size: tuple[int, int, int]) -> int:
@@ -26,6 +28,12 @@ def map_shift(size: tuple[int, int, int]) -> int:
 def map_shape(size: tuple[int, int, int], shift: int) -> tuple[int, int, int]:
     """Cells (z, y, x) of 2^shift lattice cells an axis, for lattice points ``size`` (x, y, z)."""
     return tuple(cell_count(n, shift) for n in reversed(size))
+
+
+def map_bytes(shape: tuple[int, int, int]) -> int:
+    """Of a map with so many cells."""
+    bricks = np.prod([-(-n // BRICK) for n in shape], dtype=np.int64)
+    return int(bricks) * BRICK**3 + MAP_SPARE
 
 
 def pyramid_bytes(volume: Volume, scene: Scene | ResolvedScene) -> int:

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from clvol.render.multiresolution.twin import shifted_chord
 from clvol.render.pyramid.slices import SlicePlan, slice_plan
@@ -28,11 +29,12 @@ Oracle = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 @dataclass
 class PyramidPicture:
-    """``rgba`` [h, w, 4]. ``samples``, ``syntheses``, ``accumulations``: how many, of all levels.
-    ``stale``: pixels that were synthesised from what no sample of their slice stands behind."""
+    """``rgba`` [h, w, 4]. ``samples`` (of data), ``oracle_samples``, ``syntheses``, ``accumulations``: how many, of all
+    levels. ``stale``: pixels that were synthesised from what no sample of their slice stands behind."""
 
     rgba: np.ndarray
     samples: int
+    oracle_samples: int
     syntheses: int
     accumulations: int
     stale: int
@@ -80,7 +82,7 @@ class _March:
         self.period = max(CHUNK, 1 << self.plan.levels)
         whole = 1 << self.levels
         self.side = [-(-max(self.width, self.height) // whole) * whole >> level for level in range(self.levels + 1)]
-        self.samples = self.syntheses = self.accumulations = self.stale = 0
+        self.samples = self.oracle_samples = self.syntheses = self.accumulations = self.stale = 0
         self._make_levels()
         self._make_pixels()
 
@@ -136,7 +138,7 @@ class _March:
                 k += 1
         rgba = self.rgba[: self.height, : self.width].copy()
         rgba[..., 3] = np.minimum(rgba[..., 3], 1.0)
-        return PyramidPicture(rgba, self.samples, self.syntheses, self.accumulations, self.stale)
+        return PyramidPicture(rgba, self.samples, self.oracle_samples, self.syntheses, self.accumulations, self.stale)
 
     def _slice(self, k: int) -> None:
         most = self.plan.levels
@@ -164,9 +166,20 @@ class _March:
         if sampled.any():
             origin, direction = (a[sampled] for a in self.rays[level])
             place = origin + (self.first_slice + k * self.step) * self.unit * direction
-            value[sampled] = self.field.value(place)
             distance[sampled] = self.oracle(place, np.ones(len(place)))
-            self.samples += len(place)
+            needed = self._needs_value(level, k, spacing)[sampled]
+            value[sampled] = np.where(needed, self.field.value(place), value[sampled])
+            self.oracle_samples += len(place)
+            self.samples += np.count_nonzero(needed)
+
+    def _needs_value(self, level: int, k: int, spacing: float) -> np.ndarray:
+        """Pixels from which others may be synthesised, now or before they are sampled again."""
+        distance = self.distance[level]
+        around = np.pad(distance, 1, mode="edge")
+        largest = sliding_window_view(around, (3, 3)).max(axis=(2, 3))
+        least = max(level - self.plan.oversampling, 0)
+        reach = math.inf if least == self.plan.levels else (2 << least) * self.step + SLACK * spacing
+        return (largest >= 0.499 * WITHIN * spacing) | (distance >= reach)
 
     def _synthesised(self, level: int, around: int) -> tuple[np.ndarray, np.ndarray]:
         """Distance and value of all pixels of a level (and ``around`` more) from the next one (P1 fig. 7)."""
@@ -210,6 +223,7 @@ class _March:
             value[sampled] = self.field.value(place)
             self.pixel_distance[sampled] = self.oracle(place, 1.0 - self.rgba[sampled, 3])
             self.samples += len(place)
+            self.oracle_samples += len(place)
         self._close(part, t, value)
 
     def _close(self, part: np.ndarray, t: np.ndarray, value: np.ndarray) -> None:

@@ -17,6 +17,7 @@ from small_scenes import axis_camera, rms, waves
 from clvol import Volume
 from clvol.render.pyramid.caster import PyramidCaster
 from clvol.render.pyramid.oracles import names
+from clvol.render.pyramid.twin import _March
 
 CLOSE = 3e-4  # the tables' interpolation
 COUNTED = ("syntheses", "accumulations")
@@ -141,6 +142,22 @@ def test_columns_that_sleep_miss_nothing(context, levels, oracle):
     assert sleeping.counters["accumulations"] <= awake.counters["accumulations"]
     if levels > 1:
         assert sleeping.counters["accumulations"] < 0.95 * awake.counters["accumulations"]
+
+
+@pytest.mark.parametrize(
+    "more", [{}, {"step": 1.7}, {"step": 0.2, "width": 12, "height": 9}, {"oracle": "minimum"}]
+)
+def test_values_that_are_not_sampled_are_not_missed(context, monkeypatch, more):
+    """Coarse pixels from which nothing is synthesised."""
+    caster = PyramidCaster(context, pyramid_scene(**more))
+    few, data = twin_picture(caster), rendered(caster)
+    monkeypatch.setattr(
+        _March, "_needs_value", lambda self, level, k, spacing: np.ones(self.distance[level].shape, bool)
+    )
+    all_ = twin_picture(caster)
+    np.testing.assert_array_equal(few.rgba, all_.rgba)
+    assert few.samples < 0.95 * few.oracle_samples == 0.95 * all_.samples
+    assert data.samples < 0.95 * data.counters["oracle_samples"]
 
 
 def test_one_pixel_a_work_item_makes_the_same_picture(first_device, contexts):
