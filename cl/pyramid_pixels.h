@@ -83,13 +83,18 @@ INLINE int march_slices(const Source *in, SHARED const Levels *m, PixelPacket *p
       const float t = (float)(base + i);
       ahead[i] = fetch_place(in, x0 + t * dx, y0 + t * dy, z0 + t * dz, alive, 1);
     }
-  _Pragma("unroll 1") for (int i = 0; i < slices; ++i) {
+  int stride = 1; /* of slices: on none between does any ray take part */
+  _Pragma("unroll 1") for (int i = 0; i < slices; i = (i & -stride) + stride) {
     const int k = base + i, along = slice_level(in, k);
     intN takes_part = alive;
     if (along < most) takes_part &= MASK(distance < (float)(2 << along) * h);
     /* Before a ray enters the volume only the slice counts from which on it might be asked for. */
     if (!inside) takes_part &= MASK(enter < (float)(k + (along < most ? 1 : 1 << most)));
-    if (!any_lane(takes_part)) continue;
+    if (!any_lane(takes_part)) {
+      stride = inside ? min(2 << along, 1 << most) : 1;
+      continue;
+    }
+    stride = 1;
     const floatN t = inside ? (floatN)(float)k : lane_clamp((floatN)(float)k, enter, leave);
     intN sampled = takes_part;
     floatN value = zero;
