@@ -82,7 +82,7 @@ INLINE int offset_of(int level)
 
 /* State of a tile's levels above 0. Level 1 has a copy for each slice of a chunk, for level 0 to look at afterwards. */
 typedef struct {
-  float x0[ALL_LEVELS], y0[ALL_LEVELS], z0[ALL_LEVELS]; /* lattice place at slice 0 ... */
+  float x0[ALL_LEVELS], y0[ALL_LEVELS], z0[ALL_LEVELS]; /* lattice place at slice 0, by patches ... */
   float dx[ALL_LEVELS], dy[ALL_LEVELS], dz[ALL_LEVELS]; /* ... and way a slice */
   float distance[ALL_LEVELS], value[ALL_LEVELS];        /* of levels 2 and above */
   float distance1[CHUNK][AREA(1) + SIDE(1)], value1[CHUNK][AREA(1) + SIDE(1)];

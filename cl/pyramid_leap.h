@@ -20,15 +20,14 @@ INLINE void find_free_slices(const Source *in, SHARED Levels *m, __global const 
 {
   __constant const View *view = in->view;
   const int4 cells = in->pyramid->free_cells;
-  const int side = side_of(level), width = WIDTH(level), patches = side / PACKET_W, at = offset_of(level);
+  const int side = side_of(level), width = WIDTH(level), patches = side / PACKET_W;
   const float half_diagonal = 0.7072f * ray_spacing(in, k) * (float)(1 << level), t = (float)k;
   const floatN none = 0.0f;
   for (int p = WORKER; p < (looks ? patches * patches : 0); p += WORKERS) {
-    const int row = p / patches * PACKET_H, column = p % patches * PACKET_W, from = at + row * side + column;
+    const int row = p / patches * PACKET_H, column = p % patches * PACKET_W;
     const intN inside = MASK(column + (LANE_INDEX & (PACKET_W - 1)) < width) & MASK(row + LANE_INDEX / PACKET_W < width);
-    const floatN x = load_patch(m->x0 + from, side) + t * load_patch(m->dx + from, side);
-    const floatN y = load_patch(m->y0 + from, side) + t * load_patch(m->dy + from, side);
-    const floatN z = load_patch(m->z0 + from, side) + t * load_patch(m->dz + from, side);
+    floatN x, y, z;
+    patch_places(m, level, p, t, &x, &y, &z);
     const floatN cx = lane_clamp(x, none, (floatN)view->upper.x), cy = lane_clamp(y, none, (floatN)view->upper.y);
     const floatN cz = lane_clamp(z, none, (floatN)view->upper.z);
     const floatN ex = (x - cx) * in->pyramid->edges.x, ey = (y - cy) * in->pyramid->edges.y, ez = (z - cz) * in->pyramid->edges.z;

@@ -67,14 +67,15 @@ INLINE void prepare_levels(__constant const View *view, SHARED Levels *m, int le
 {
   for (int level = 1, at = 0; level <= levels; at += side_of(level) * side_of(level), ++level) {
     const int side = side_of(level), patches = side / PACKET_W;
+    const floatN none = 0.0f;
     const float scale = (float)(1 << level), first = 0.5f * scale - 0.5f - scale; /* of the pixel around the tile */
     for (int p = WORKER; p < patches * patches; p += WORKERS) {
-      const int row = p / patches * PACKET_H, column = p % patches * PACKET_W, to = at + row * side + column;
+      const int row = p / patches * PACKET_H, column = p % patches * PACKET_W, to = at + p * LANES;
       const floatN x = TO_FLOAT(column + (LANE_INDEX & (PACKET_W - 1))), y = TO_FLOAT(row + LANE_INDEX / PACKET_W);
       const SliceRays r = slice_rays(view, (float)left + first + scale * x, (float)top + first + scale * y, 0);
-      store_patch(r.x0, m->x0 + to, side), store_patch(r.y0, m->y0 + to, side), store_patch(r.z0, m->z0 + to, side);
-      store_patch(r.dx, m->dx + to, side), store_patch(r.dy, m->dy + to, side), store_patch(r.dz, m->dz + to, side);
-      store_patch((floatN)0.0f, m->distance + to, side), store_patch((floatN)0.0f, m->value + to, side);
+      STORE_LANES(r.x0, m->x0 + to), STORE_LANES(r.y0, m->y0 + to), STORE_LANES(r.z0, m->z0 + to);
+      STORE_LANES(r.dx, m->dx + to), STORE_LANES(r.dy, m->dy + to), STORE_LANES(r.dz, m->dz + to);
+      STORE_LANES(none, m->distance + to), STORE_LANES(none, m->value + to);
     }
   }
   for (int p = WORKER; p < AREA(1) + SIDE(1); p += WORKERS) m->distance1[CHUNK - 1][p] = m->value1[CHUNK - 1][p] = 0.0f;
@@ -108,13 +109,13 @@ INLINE intN near_volume(const Source *in, floatN x, floatN y, floatN z, float sp
 /* Where in its level's arrays a patch begins. */
 INLINE int patch_at(int patch, int patches, int side) { return patch / patches * PACKET_H * side + patch % patches * PACKET_W; }
 
-/* Places on slice `t` of the patch at `at` of a level. */
-INLINE void patch_places(SHARED const Levels *m, int level, int at, float t, floatN *x, floatN *y, floatN *z)
+/* Places on slice `t` of a patch of a level. */
+INLINE void patch_places(SHARED const Levels *m, int level, int patch, float t, floatN *x, floatN *y, floatN *z)
 {
-  const int side = side_of(level), from = offset_of(level) + at;
-  *x = load_patch(m->x0 + from, side) + t * load_patch(m->dx + from, side);
-  *y = load_patch(m->y0 + from, side) + t * load_patch(m->dy + from, side);
-  *z = load_patch(m->z0 + from, side) + t * load_patch(m->dz + from, side);
+  const int from = offset_of(level) + patch * LANES;
+  *x = LOAD_LANES(m->x0 + from) + t * LOAD_LANES(m->dx + from);
+  *y = LOAD_LANES(m->y0 + from) + t * LOAD_LANES(m->dy + from);
+  *z = LOAD_LANES(m->z0 + from) + t * LOAD_LANES(m->dz + from);
 }
 
 /* The largest of 3 by 3 distances around each pixel of the patch at (column, row); what is not there does not count. */
@@ -200,7 +201,7 @@ void update_level(const Source *in, SHARED Levels *m, int changes, int level, in
     } else if (distances != old_distance)
       store_patch(distance, distances + at, side), store_patch(load_patch(old_value + at, side), values + at, side);
     if (!well_inside && any_lane(sampled)) {
-      patch_places(m, level, at, t, &x, &y, &z);
+      patch_places(m, level, p, t, &x, &y, &z);
       sampled &= near_volume(in, x, y, z, spacing);
     }
     const uint bits = lane_bits(sampled);
@@ -212,7 +213,7 @@ void update_level(const Source *in, SHARED Levels *m, int changes, int level, in
 #if !ORACLE_NEEDS_VALUE
   intN next_byte;
   if (first < all) {
-    patch_places(m, level, patch_at(first, patches, side), t, &next_x, &next_y, &next_z);
+    patch_places(m, level, first, t, &next_x, &next_y, &next_z);
     next_byte = ORACLE_HAS_MAP ? fetch_map(in, next_x, next_y, next_z) : (intN)0;
   }
   for (int p = first; p < all;) {
@@ -221,7 +222,7 @@ void update_level(const Source *in, SHARED Levels *m, int changes, int level, in
     x = next_x, y = next_y, z = next_z;
     p = next_patch(m, p, all);
     if (p < all) {
-      patch_places(m, level, patch_at(p, patches, side), t, &next_x, &next_y, &next_z);
+      patch_places(m, level, p, t, &next_x, &next_y, &next_z);
       next_byte = ORACLE_HAS_MAP ? fetch_map(in, next_x, next_y, next_z) : (intN)0;
     }
     const floatN mapped = ORACLE_HAS_MAP ? byte_distance(byte) : (floatN)0.0f;
@@ -239,7 +240,7 @@ void update_level(const Source *in, SHARED Levels *m, int changes, int level, in
   }
 #endif
   if (first < all) {
-    patch_places(m, level, patch_at(first, patches, side), t, &next_x, &next_y, &next_z);
+    patch_places(m, level, first, t, &next_x, &next_y, &next_z);
     FetchedPlace next = fetch_place(in, next_x, next_y, next_z, lanes_of(m->sampled[first]), ORACLE_NEEDS_VALUE);
     for (int p = first; p < all;) {
       const FetchedPlace fetched = next;
@@ -248,7 +249,7 @@ void update_level(const Source *in, SHARED Levels *m, int changes, int level, in
       x = next_x, y = next_y, z = next_z;
       p = next_patch(m, p, all);
       if (p < all) {
-        patch_places(m, level, patch_at(p, patches, side), t, &next_x, &next_y, &next_z);
+        patch_places(m, level, p, t, &next_x, &next_y, &next_z);
         next = fetch_place(in, next_x, next_y, next_z, lanes_of(m->sampled[p]), ORACLE_NEEDS_VALUE);
       }
       const floatN value = select(load_patch(values + at, side), place_value(in, &fetched), sampled);
