@@ -34,19 +34,18 @@ def _row(
     from clvol import Renderer
     from clvol.accuracy.metrics import rmse
     from clvol.image.png import display
-    from clvol.scene.pyramid import DEFAULT_ORACLE
 
     volume, step = scene.scene.load(), {"step": row["step"]}
     asked = {
         "plain": by_rays(scene, volume, row["size"], **step),
-        DEFAULT_ORACLE: by_pyramid(scene, volume, row["size"], step),
+        row["best"]: by_pyramid(scene, volume, row["size"], step, **row["settings"][row["best"]]),
     }
     pictures = {}
     for way, resolved in asked.items():
         with Renderer(resolved, [options.device] if options.device else None) as renderer:
             pictures[way] = renderer.render(depth=False).rgba
     plain, adaptive = pictures.values()
-    names = {"plain": f"{scene.name}, plain ray caster", DEFAULT_ORACLE: "pyramid"}
+    names = {"plain": f"{scene.name}, plain ray caster", row["best"]: f"pyramid, {row['best']}"}
     apart = f"difference times {TIMES}, RMSE {rmse(plain, adaptive):.1e}"
     return [
         *((display(pictures[way], (0.0, 0.0, 0.0)), f"{name}: {_told(row['ways'][way])}")

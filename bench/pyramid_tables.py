@@ -6,11 +6,11 @@ from typing import Any
 
 from bench.curves import Reach
 from bench.multiresolution_tables import Verdict
-from bench.pyramid_parts import CUBIC, DEFAULT_ORACLE, crossing_text
+from bench.pyramid_parts import CUBIC, DELTA_E_GOAL, SSIM_GOAL, crossing_text
 from bench.pyramid_scenes import LEVELS
 from bench.report import closing, table
 
-SSIM_GOAL, DELTA_E_GOAL, OVERHEAD_GOAL = 0.985, 1.0, 1.3
+OVERHEAD_GOAL = 1.3
 # P1, tables 2 and 3: data, way, M fragments, M samples, seconds.
 PAPER = (
     ("aneurysm 512^3", "texture", 49, 99, 0.87),
@@ -29,7 +29,7 @@ def verdicts(result: dict[str, Any]) -> list[Verdict]:
     for row in result["paper"]:
         if row["goals"] is None:
             continue
-        name, best = f"{row['scene']}, {DEFAULT_ORACLE}", row["ways"][DEFAULT_ORACLE]
+        name, best = f"{row['scene']}, {row['best']}", row["ways"][row["best"]]
         goals = row["goals"]
         found += [
             Verdict(f"{name}: times fewer samples than minimum", best["fewer"], goals["fewer"]),
@@ -76,21 +76,21 @@ def _paper(rows: list[dict[str, Any]]) -> list[str]:
                 row["scene"] if first else "", f"{row['step']:.3f}" if first else "",
                 _WAYS.get(way, way), *_time(r["time"]), f"{r['of_plain']:.2f}",
                 f"{r['faster']:.2f}", _millions(r["samples"]), f"{r['fewer']:.1f}",
-                *_counted(r["counters"]),
+                f"{r['fewer_than_p1']:.1f}", *_counted(r["counters"]),
                 f"{r['rmse']:.2e}", f"{r['ssim']:.4f}", f"{r['delta_e']:.3f}",
             ])  # fmt: skip
     if not cells:
         return []
     head = ["scene", "step", "method or oracle", "s", "spread", "x plain", "faster", "M samples",
-            "fewer", "M of the oracle", "M syntheses", "M accumulations", "RMSE", "SSIM",
+            "fewer", "than P1's", "M of the oracle", "M syntheses", "M accumulations", "RMSE", "SSIM",
             "CIEDE2000"]  # fmt: skip
     theirs = [[data, way, fragments, samples, f"{seconds:.2f}"]
               for data, way, fragments, samples, seconds in PAPER]  # fmt: skip
     return [
         "As in the paper: slices as far apart as rays in the middle of the volume (step, in"
-        f" smallest voxel edges); epsilon {rows[0]['epsilon']:g}.",
-        "faster, fewer: seconds and samples of \"minimum\" over the row's. Errors are against the"
-        " exact integral.",
+        " smallest voxel edges), or half as far.",
+        "faster, fewer: seconds and samples of \"minimum\" over the row's; than P1's: that oracle's"
+        " over the row's, as P1 takes a sample wherever it asks. Errors: against the exact integral.",
         table(head, cells, left=3), "", "P1, tables 2 and 3 (512 x 512 pixels):",
         table(["data", "", "M fragments", "M samples", "s"], theirs, left=2), "",
     ]  # fmt: skip
