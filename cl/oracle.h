@@ -18,11 +18,19 @@
 /* Bytes of a map: the float's exponent and the first four bits of its mantissa, 1/16 edge to 2^12 edges. The least one stands for 0. */
 INLINE floatN byte_distance(intN byte) { return select(AS_FLOAT((byte + ((127 - 4) << 4)) << 19), (floatN)0.0f, MASK(byte == 0)); }
 
+/* Where cells begin, in lattice units below 0: those of a volume of blocks are whole parts of these (blocks.h). */
+#if BLOCKS
+#define CELL_MARGIN 0.5f
+#else
+#define CELL_MARGIN 0.0f
+#endif
+
 /* The byte of the cell that holds a place inside the volume. `cells`: of the map along x, y, z, and log2 of a cell's edge. */
 INLINE intN fetch_cell(__global const uchar *map, int4 cells, floatN x, floatN y, floatN z)
 {
-  const intN cx = min(TO_INT(x) >> cells.w, (intN)(cells.x - 1)), cy = min(TO_INT(y) >> cells.w, (intN)(cells.y - 1));
-  const intN cz = min(TO_INT(z) >> cells.w, (intN)(cells.z - 1));
+  const intN cx = min(TO_INT(x + CELL_MARGIN) >> cells.w, (intN)(cells.x - 1));
+  const intN cy = min(TO_INT(y + CELL_MARGIN) >> cells.w, (intN)(cells.y - 1));
+  const intN cz = min(TO_INT(z + CELL_MARGIN) >> cells.w, (intN)(cells.z - 1));
   return AS_INT(gather1(map, MAP_AT(cells, cx, cy, cz)) & 255u);
 }
 

@@ -6,6 +6,13 @@
 #include "pyramid_pixels.h"
 #include "pyramid_leap.h"
 
+#if BLOCKS
+#define SOURCE_PARAMETERS \
+  , __global const int *restrict index, __global const uint *restrict corners, __constant const Blocks *restrict blocks MORE_SAMPLE_PARAMETERS
+#else
+#define SOURCE_PARAMETERS
+#endif
+
 #define PACKETS_IN_ROW (TILE / PACKET_W)
 #define PACKETS (TILE * TILE / LANES / WORKERS) /* a work-item's */
 
@@ -14,14 +21,21 @@
  * map      the oracle's own (oracle.h)
  * distances  here: from cells to anything visible, as bytes of oracle.h
  * counts   uint [tiles, PYRAMID_COUNTERS]
+ * and of a volume of blocks what block_parameters.h says
  */
 __kernel WIDE_VECTORS __attribute__((reqd_work_group_size(WORKERS, 1, 1))) void pyramid(
   __global const uchar *restrict volume, __global const float *restrict table, __global const float *restrict warp,
   __global const uchar *restrict distances, __constant const View *restrict view, __global float4 *restrict image,
   __global float *restrict depths, __global uint *restrict samples, __constant const Pyramid *restrict pyramid,
-  __global const uchar *restrict map, __global uint *restrict counts)
+  __global const uchar *restrict map SOURCE_PARAMETERS, __global uint *restrict counts)
 {
+  Tally counted[PYRAMID_COUNTERS] = {0}, taken = 0;
+#if BLOCKS
+  const BlockVolume block_samples = block_volume(volume, view, index, corners, blocks MORE_SAMPLE_ARGUMENTS);
+  const Source source = {volume, view, pyramid, map, &block_samples, counted + PYRAMID_COUNTERS - BLOCK_COUNTERS};
+#else
   const Source source = {volume, view, pyramid, map};
+#endif
   const int width = view->image.x, height = view->image.y;
   const int columns = max(1, (width + TILE - 1) / TILE), rows = max(1, (height + TILE - 1) / TILE);
   /* From the top and the bottom in turns: the last ones, by which cores wait for each other, are then in the middle, where much is to be
@@ -29,7 +43,6 @@ __kernel WIDE_VECTORS __attribute__((reqd_work_group_size(WORKERS, 1, 1))) void 
   const int place = (int)get_group_id(0) + view->band.x, tile = width > 0 && place & 1 ? columns * rows - 1 - place / 2 : width > 0 ? place / 2 : place;
   const int left = tile % columns * TILE, top = tile / columns * TILE;
   const int levels = pyramid->levels.x + pyramid->levels.y;
-  Tally counted[PYRAMID_COUNTERS] = {0}, taken = 0;
 #if WORKERS > 1
   __local Levels shared;
 #else

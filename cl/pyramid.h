@@ -38,6 +38,9 @@
 #include "tally.h"
 #include "rays.h"
 #include "classify.h"
+#if BLOCKS
+#include "sample_blocks.h"
+#endif
 
 typedef struct {
   int4 levels;    /* of coarsening along rays; more of them across (oversampling); - ; - */
@@ -99,7 +102,11 @@ typedef struct {
 #define COUNT_ORACLE 0        /* oracle asked */
 #define COUNT_SYNTHESES 1     /* pixels of all levels synthesised */
 #define COUNT_ACCUMULATIONS 2 /* pixels of the picture that a segment was added to */
+#if BLOCKS /* and after them those of block_parameters.h */
+#define PYRAMID_COUNTERS (3 + BLOCK_COUNTERS)
+#else
 #define PYRAMID_COUNTERS 3
+#endif
 
 /* The least `value` (0 or more) of all work-items of the group. */
 INLINE float group_min(SHARED Levels *m, float value)
@@ -148,6 +155,10 @@ typedef struct {
   __constant const View *view;
   __constant const Pyramid *pyramid;
   __global const uchar *map;
+#if BLOCKS
+  const BlockVolume *blocks;
+  Tally *block_counters;
+#endif
 } Source;
 
 INLINE float ray_spacing(const Source *in, int k) { return in->pyramid->spacing.x + (float)k * in->pyramid->spacing.y; }
@@ -156,6 +167,28 @@ INLINE float ray_spacing(const Source *in, int k) { return in->pyramid->spacing.
 INLINE int slice_level(const Source *in, int k) { return min((int)popcount(~k & (k - 1)), in->pyramid->levels.x); }
 
 #include "oracle.h"
+
+#if BLOCKS
+
+/* Blocks are found, sampled and blended all at once. */
+typedef struct {
+  floatN x, y, z;
+  intN wanted, byte;
+} FetchedPlace;
+
+#define FETCHES_EARLY 0
+
+INLINE FetchedPlace fetch_place(const Source *in, floatN x, floatN y, floatN z, intN wanted, int with_map)
+{
+  const FetchedPlace f = {x, y, z, wanted, ORACLE_HAS_MAP && with_map ? fetch_map(in, x, y, z) : (intN)0};
+  return f;
+}
+INLINE floatN place_value(const Source *in, const FetchedPlace *f)
+{
+  return blocks_value(in->blocks, f->x, f->y, f->z, f->wanted, in->block_counters);
+}
+
+#else
 
 /* A place is fetched, its value and what the oracle's map says, and then looked at: there may be other work to do while memory answers. */
 typedef struct {
@@ -174,6 +207,11 @@ INLINE FetchedPlace fetch_place(const Source *in, floatN x, floatN y, floatN z, 
   return f;
 }
 INLINE floatN place_value(const Source *in, const FetchedPlace *f) { return sample_value(f->sample, in->view); }
+
+#define FETCHES_EARLY FETCH_AHEAD
+
+#endif
+
 INLINE floatN place_distance(const Source *in, const FetchedPlace *f, floatN x, floatN y, floatN z, floatN value, floatN left)
 {
   return oracle_distance(in, x, y, z, value, ORACLE_HAS_MAP ? byte_distance(f->byte) : (floatN)0.0f, left);

@@ -77,7 +77,7 @@ INLINE int march_slices(const Source *in, SHARED const Levels *m, PixelPacket *p
    * first caches takes longer than all else about a sample. */
   FetchedPlace ahead[CHUNK];
   const int dense_lanes = popcount(lane_bits(alive & MASK(distance < 2.0f * h)));
-  const int is_dense = FETCH_AHEAD && inside && slices == CHUNK && 2 * dense_lanes >= (int)popcount(lane_bits(alive));
+  const int is_dense = FETCHES_EARLY && inside && slices == CHUNK && 2 * dense_lanes >= (int)popcount(lane_bits(alive));
   if (is_dense)
     _Pragma("unroll 1") for (int i = 0; i < CHUNK; ++i) {
       const float t = (float)(base + i);

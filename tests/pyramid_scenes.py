@@ -53,7 +53,7 @@ def twin_oracle(caster: PyramidCaster):
     mapped = mapped_oracle(caster.resolved, map_distances(caster), caster.asked.shift)
     if caster.oracle.kernel == "map":
         return mapped
-    least = caster.settings.epsilon
+    least = caster.pyramid.epsilon
     return lambda places, left: mapped(places, left) / np.sqrt(np.maximum(left, least))
 
 

@@ -107,7 +107,7 @@ def command(
     outputs = check_still(outputs, resume)
     check_outputs(outputs, others, inputs)
     by_blocks = asked.integration.method == "multiresolution"
-    refines = by_blocks and time_budget is not None
+    refines = by_blocks and asked.multiresolution.stepping != "pyramid" and time_budget is not None
     with working(f"loading {scene}", quiet):
         asked.load_volume(memory_cap)
     load_seconds = time.perf_counter() - start

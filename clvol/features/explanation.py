@@ -105,7 +105,12 @@ def _block_programs(resolved: ResolvedScene, lanes: int) -> dict[str, dict[str, 
     from clvol.render.raycast import scene_nodes
 
     warped = scene_nodes(resolved).warp is not None
-    switches = block_switches(resolved, warped, lanes, True) | {"VOXEL_PAIRS": 0, "SAMPLE_BUFFERS": 1}
+    of_samples = {"VOXEL_PAIRS": 0, "SAMPLE_BUFFERS": 1}
+    if resolved.multiresolution.stepping == "pyramid":
+        from clvol.render.pyramid.blocks import block_pyramid_switches
+
+        return {"pyramid.cl": block_pyramid_switches(resolved, warped, lanes) | of_samples}
+    switches = block_switches(resolved, warped, lanes, True) | of_samples
     programs = {"raycast.cl": switches}
     if resolved.multiresolution.tiles:
         programs["tile_rays.cl"] = switches

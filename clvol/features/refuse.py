@@ -73,7 +73,20 @@ def _refuse_beside_blocks(resolved: ResolvedScene) -> None:
         what = "got a number for a store with NaN voxels, with the method 'multiresolution'"
         expected = "'transparent', or a store made with that number, or the method 'raycast'"
         raise SceneError(where, what, expected)
+    if resolved.multiresolution.stepping == "pyramid":
+        _refuse_beside_pyramid_of_blocks(resolved)
     _refuse_others(resolved, "integration.method", "multiresolution", "raycast", _PLAIN)
+
+
+def _refuse_beside_pyramid_of_blocks(resolved: ResolvedScene) -> None:
+    kind, tiles = resolved.integration.classification, resolved.multiresolution.tiles
+    if kind != "preintegrated":
+        where = f"{resolved.origin}: multiresolution.stepping"
+        expected = "the classification 'preintegrated', or another stepping"
+        raise SceneError(where, f"got 'pyramid' with the classification {kind!r}", expected)
+    if tiles:
+        where = f"{resolved.origin}: multiresolution.tiles"
+        raise SceneError(where, f"got {tiles} with the stepping 'pyramid'", "0, or another stepping")
 
 
 def _refuse_beside_pyramid(resolved: ResolvedScene) -> None:

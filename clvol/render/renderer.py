@@ -168,6 +168,8 @@ def _checked_seconds(resolved: ResolvedScene, seconds: float) -> float:
     method = resolved.integration.method
     if method != "multiresolution":
         raise UsageError("seconds", f"given with the method {method!r}", "'multiresolution'")
+    if resolved.multiresolution.stepping == "pyramid":
+        raise UsageError("seconds", "given with the stepping 'pyramid'", "another stepping")
     if not 0.0 < seconds < inf:
         raise UsageError("seconds", f"got {seconds!r}", "seconds, more than 0")
     return float(seconds)

@@ -83,12 +83,12 @@ class Multiresolution(Table):
         Knob("memory", "", _budgets, saves_memory=True, methods=_OURS, order=parse_size),
     ] = Field("96 MiB", description="a size such as \"96 MiB\"")
     stepping: Annotated[
-        Literal["full", "limited", "naive", "bounded"],
+        Literal["full", "limited", "naive", "bounded", "pyramid"],
         Knob(
             "stepping", "", ("naive", "limited", "bounded", "full"),
             is_ladder=False, alone=True, methods=_OURS,
         ),
-    ] = Field("limited", description="'full', 'limited', 'naive' or 'bounded'")  # fmt: skip
+    ] = Field("limited", description="'full', 'limited', 'naive', 'bounded' or 'pyramid'")  # fmt: skip
     step_error: Annotated[
         Number,
         Knob(

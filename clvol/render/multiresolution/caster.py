@@ -167,9 +167,12 @@ class BlockCaster(Raycaster):
             **self._resident_arrays(),
         )
         self._set_steps()
-        mask = context.read(cells) == 0
-        self.visible_share = float(mask.mean())
-        self.distances = distance_map(context, mask)
+        self.shown_cells = context.read(cells) == 0
+        self.visible_share = float(self.shown_cells.mean())
+        self._find_distances()
+
+    def _find_distances(self) -> None:
+        self.distances = distance_map(self.context, self.shown_cells)
 
     def _set_steps(self) -> None:
         """For bounded stepping: how many steps may be taken at once in each block that is resident."""

@@ -20,6 +20,14 @@ from clvol.transfer import TransferFunction
 TILES = 16  # pixels an edge of the tiles of a picture for a given time, where the scene has none
 
 
+def _caster_of(resolved: ResolvedScene) -> type[BlockCaster]:
+    if resolved.multiresolution.stepping == "pyramid":
+        from clvol.render.pyramid.blocks import BlockPyramidCaster
+
+        return BlockPyramidCaster
+    return BlockCaster
+
+
 class MultiresolutionEngine:
     """An engine as ``Raycaster`` is one. ``residency`` may be shared: each frame asks for its own blocks.
 
@@ -40,7 +48,7 @@ class MultiresolutionEngine:
         self._waits = True
         self.residency.ask(resolved, self.function, progress=progress)
         self._shown = self.residency.generation
-        self.caster = BlockCaster(context, resolved, self.residency.blocks)
+        self.caster = _caster_of(resolved)(context, resolved, self.residency.blocks)
 
     @property
     def visible_share(self) -> float:

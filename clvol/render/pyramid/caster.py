@@ -14,12 +14,14 @@ from clvol.opencl.structs import PYRAMID
 from clvol.render.device_volume import DeviceVolume
 from clvol.render.pyramid.layout import FREE_REACH, FREE_SHIFT, map_shape, map_shift
 from clvol.render.pyramid.cells import padded_cells, way_map
-from clvol.render.pyramid.oracles import Asked, oracle_named
+from clvol.render.pyramid.oracle import Asked, BlockCells, Oracle
+from clvol.render.pyramid.oracles import oracle_named
 from clvol.render.pyramid.oracles.visible import visible_in_cells
 from clvol.render.pyramid.slices import SlicePlan, slice_plan
 from clvol.render.raycast import FrameData, Raycaster, device_function, raycast_switches
 from clvol.render.view import EVERY_PIXEL, PixelLattice
 from clvol.scene.camera import Camera
+from clvol.scene.pyramid import Pyramid
 from clvol.scene.resolve import ResolvedScene
 from clvol.transfer import TransferFunction
 from clvol.transfer.tables import length_slices, length_tables
@@ -32,55 +34,37 @@ _OF_VOXELS = (
     "VOXEL_BITS", "VOXEL_SIGNED", "VOXEL_SCALED", "VOXEL_HOLES", "VOXEL_PAIRS", "WARPED_CLASSES",
     "FILTER", "CLASSIFICATION",
 )  # fmt: skip
-_ARGUMENTS = ", in pyramid V1, in map uint8, out counts uint32"
 
 
-class PyramidCaster(Raycaster):
-    """As ``Raycaster``, for scenes of emission and absorption, pre-integrated, and the method "pyramid".
+class PyramidMarch:
+    """What casters of cl/pyramid.cl have in common; another base is the ``Raycaster`` of their volume, and ``_ask_oracle``
+    gives them ``asked``, ``map`` and ``free``."""
 
-    ``tile``: edge in pixels, a power of two from 2^5 on; ``leap``: whether tiles may leap over empty space. Neither
-    changes the picture.
-    """
-
-    def __init__(
-        self,
-        context: DeviceContext,
-        resolved: ResolvedScene,
-        *,
-        lanes: int | None = None,
-        workers: int | None = None,
-        tile: int = TILE,
-        leap: bool = True,
-        volume: DeviceVolume | None = None,
-    ) -> None:
-        self.oracle = oracle_named(resolved.pyramid.oracle)
-        self.leap, self._edge = leap, tile
+    def _prepare_march(
+        self, context: DeviceContext, oracle: Oracle, lanes: int | None, workers: int | None,
+        tile: int, leap: bool,
+    ) -> int:  # fmt: skip
+        """Before the other base prepares what it has. Gives the lanes."""
+        self.oracle, self.leap, self._edge = oracle, leap, tile
         lanes = lanes or (16 if context.is_cpu else 1)
         self.workers = workers or workers_for(lanes)
-        super().__init__(context, resolved, lanes=lanes, tile=(tile, tile), volume=volume)
-        self.tile = (tile, tile)
+        return lanes
 
     @property
-    def settings(self):
+    def pyramid(self) -> Pyramid:
+        """The scene's settings."""
         return self.resolved.pyramid
 
     # What depends on the transfer function
 
-    def set_transfer_function(self, function: TransferFunction) -> None:
-        super().set_transfer_function(function)
-        self.switches = pyramid_switches(
-            self.resolved, self.nodes.warp is not None, self.lanes, self.workers, self._edge,
-            self.leap,
-        )  # fmt: skip
-        self._ask_oracle()
-
-    def _ask_oracle(self) -> None:
+    def _asked(self, shift: int, shape: tuple[int, int, int], blocks: BlockCells | None = None) -> Asked:
+        """The question for a map of so many cells of 2^``shift`` lattice cells."""
         resolved, volume = self.resolved, self.volume
         grid = resolved.volume.grid
         spacing = np.asarray(grid.spacing) / grid.smallest_edge
         view = np.zeros(1, self._view_dtype)
         self._describe_volume(view[0])
-        self.asked = Asked(
+        return Asked(
             context=self.context,
             volume=volume,
             function=device_function(self._asked_function, volume.values),
@@ -88,23 +72,14 @@ class PyramidCaster(Raycaster):
             warp=self.warp,
             view=view,
             switches={name: self.switches[name] for name in _OF_VOXELS},
-            epsilon=self.settings.epsilon,
+            epsilon=self.pyramid.epsilon,
             opacity_edges=grid.smallest_edge / self._asked_function.opacity_unit,
-            shift=map_shift(volume.size),
+            shift=shift,
             edges=tuple(float(s) for s in spacing),
             reach=self._reach,
+            shape=shape,
+            blocks=blocks,
         )
-        found = self.oracle.map(self.asked)
-        self._find_free_space()
-        self.map = found if found is not None else self.context.upload(np.zeros(4, np.uint8))
-        self._oracle_numbers = self.oracle.numbers(self.asked)
-
-    def _find_free_space(self) -> None:
-        """The map of how far it is to anything visible, on coarse cells: columns sleep by it."""
-        asked = replace(self.asked, shift=FREE_SHIFT)
-        shown = padded_cells(asked)
-        visible_in_cells(asked, shown)
-        self.free = way_map(asked, shown, FREE_REACH, unit=1.0)
 
     def _scene_arrays(self) -> dict[str, DeviceArray]:
         return {**super()._scene_arrays(), "distances": self.free}
@@ -112,7 +87,7 @@ class PyramidCaster(Raycaster):
     @property
     def _reach(self) -> float:
         """Distances beyond this are of no use: twice that of the coarsest samples along a ray."""
-        return float(np.clip(2.0 ** (self.settings.levels + 1) * self._longest_step, 1.0, 64.0))
+        return float(np.clip(2.0 ** (self.pyramid.levels + 1) * self._longest_step, 1.0, 64.0))
 
     @property
     def _longest_step(self) -> float:
@@ -120,15 +95,15 @@ class PyramidCaster(Raycaster):
 
     @property
     def _slices(self) -> int:
-        return length_slices(self.settings.levels, by_chords=True)
+        return length_slices(self.pyramid.levels, by_chords=True)
 
     def _table_of(self, function: TransferFunction) -> DeviceArray:
         return length_tables(
-            self.context, function, self.nodes.values, self.length, self.settings.levels,
+            self.context, function, self.nodes.values, self.length, self.pyramid.levels,
             by_chords=True,
         )  # fmt: skip
 
-    def like(self, resolved: ResolvedScene) -> PyramidCaster:
+    def like(self, resolved: ResolvedScene):
         other = super().like(resolved)
         if other._reach != self._reach:
             other._ask_oracle()
@@ -149,7 +124,7 @@ class PyramidCaster(Raycaster):
         self._plan = slice_plan(self.resolved, camera, width, height)
         data = super().render(camera, width, height, progress, depth)
         if self._shows_nothing:
-            data.counters = dict.fromkeys(COUNTERS, 0)
+            data.counters = dict.fromkeys(self.counter_names, 0)
         if lattice != EVERY_PIXEL:
             some = np.s_[lattice.row :: lattice.spacing, lattice.column :: lattice.spacing]
             shown = None if data.depth is None else data.depth[some]
@@ -157,9 +132,10 @@ class PyramidCaster(Raycaster):
         return data
 
     renders_all_pixels = True  # whatever the lattice
+    counter_names: tuple[str, ...] = COUNTERS
 
     def warm_up(self, width: int, height: int, depth: bool = True) -> None:
-        self._plan = SlicePlan.nowhere(self.settings.levels)
+        self._plan = SlicePlan.nowhere(self.pyramid.levels)
         super().warm_up(width, height, depth)
 
     @property
@@ -174,17 +150,25 @@ class PyramidCaster(Raycaster):
         row = np.zeros(1, PYRAMID)
         plan = self._plan
         row["levels"][0, :2] = (plan.levels, plan.oversampling)
-        shape = map_shape(self.volume.size, self.asked.shift)
-        row["cells"][0] = (*reversed(shape), self.asked.shift)
-        free = map_shape(self.volume.size, FREE_SHIFT)
-        row["free_cells"][0] = (*reversed(free), FREE_SHIFT)
+        row["cells"][0] = (*reversed(self.asked.shape), self.asked.shift)
+        row["free_cells"][0] = (*reversed(self.free_shape), self.free_shift)
         row["spacing"][0, :2] = (plan.spacing, plan.growth)
         row["edges"][0, :3] = self.asked.edges
-        row["oracle"][0] = self._oracle_numbers
+        row["oracle"][0] = self.oracle.numbers(self.asked)
         row["gate"][0, :2] = self._value_gate
-        self._tally = self.context.output(np.uint32, (tiles, len(COUNTERS)))
+        self._tally = self.context.output(np.uint32, (tiles, len(self.counter_names)))
+        declared, more = self._source_arguments
         arrays = {"pyramid": self.context.upload(row), "map": self.map, "counts": self._tally}
-        return _ARGUMENTS, arrays
+        return f", in pyramid V1, in map uint8{declared}, out counts uint32", {**arrays, **more}
+
+    @property
+    def _source_arguments(self) -> tuple[str, dict[str, DeviceArray]]:
+        """What samples are taken from beside the first buffer."""
+        return "", {}
+
+    def _uploaded(self, found: DeviceArray | None) -> DeviceArray:
+        """An oracle's map, or what stands for none."""
+        return found if found is not None else self.context.upload(np.zeros(4, np.uint8))
 
     @property
     def _value_gate(self) -> tuple[float, float]:
@@ -200,7 +184,7 @@ class PyramidCaster(Raycaster):
 
     def _counters(self, counts: np.ndarray) -> dict[str, int]:
         sums = counts.sum(axis=0, dtype=np.uint64)
-        return {name: int(total) for name, total in zip(COUNTERS, sums)}
+        return {name: int(total) for name, total in zip(self.counter_names, sums)}
 
     def _check_struct(self) -> None:
         super()._check_struct()
@@ -211,6 +195,53 @@ class PyramidCaster(Raycaster):
         if on_device != PYRAMID.itemsize:
             what = f"{on_device} bytes on the device"
             raise RenderError("struct Pyramid", what, f"{PYRAMID.itemsize}")
+
+
+class PyramidCaster(PyramidMarch, Raycaster):
+    """As ``Raycaster``, for scenes of emission and absorption, pre-integrated, and the method "pyramid".
+
+    ``tile``: edge in pixels, a power of two from 2^5 on; ``leap``: whether tiles may leap over empty space. Neither
+    changes the picture.
+    """
+
+    def __init__(
+        self,
+        context: DeviceContext,
+        resolved: ResolvedScene,
+        *,
+        lanes: int | None = None,
+        workers: int | None = None,
+        tile: int = TILE,
+        leap: bool = True,
+        volume: DeviceVolume | None = None,
+    ) -> None:
+        oracle = oracle_named(resolved.pyramid.oracle)
+        lanes = self._prepare_march(context, oracle, lanes, workers, tile, leap)
+        super().__init__(context, resolved, lanes=lanes, tile=(tile, tile), volume=volume)
+        self.tile = (tile, tile)
+
+    def set_transfer_function(self, function: TransferFunction) -> None:
+        super().set_transfer_function(function)
+        self.switches = pyramid_switches(
+            self.resolved, self.nodes.warp is not None, self.lanes, self.workers, self._edge,
+            self.leap,
+        )  # fmt: skip
+        self._ask_oracle()
+
+    def _ask_oracle(self) -> None:
+        size = self.volume.size
+        shift = map_shift(size)
+        self.asked = self._asked(shift, map_shape(size, shift))
+        self.map = self._uploaded(self.oracle.map(self.asked))
+        self._find_free_space()
+
+    def _find_free_space(self) -> None:
+        """The map of how far it is to anything visible, on coarse cells: columns sleep by it."""
+        self.free_shift, self.free_shape = FREE_SHIFT, map_shape(self.volume.size, FREE_SHIFT)
+        asked = replace(self.asked, shift=FREE_SHIFT, shape=self.free_shape)
+        shown = padded_cells(asked)
+        visible_in_cells(asked, shown)
+        self.free = way_map(asked, shown, FREE_REACH, unit=1.0)
 
 
 def workers_for(lanes: int) -> int:

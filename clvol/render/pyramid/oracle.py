@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clvol.render.pyramid.layout import map_shape
 from clvol.transfer import TransferFunction
 from clvol.transfer.classes import ClassNodes
 
@@ -23,15 +22,24 @@ KERNEL_MINIMUM, KERNEL_MAP, KERNEL_ERROR, KERNEL_CUSTOM = "minimum", "map", "err
 
 
 @dataclass(frozen=True, eq=False)
+class BlockCells:
+    """What cells [z, y, x] of a volume of blocks hold: whether anything is ``shown`` (bool), and the
+    ``spacing`` of their block's samples in voxels."""
+
+    shown: np.ndarray
+    spacing: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
 class Asked:
     """A volume and a transfer function that an oracle is asked about, and the map that it may fill.
 
     ``volume``: on the device, with ``values`` that kernels compute with. ``function``: the transfer
     function over these, looked up between ``nodes`` (on the device: ``warp``). ``view``: numbers of the volume for
-    kernels that look at it, and ``switches`` of these. ``epsilon``: [pyramid] epsilon. ``opacity_edges``: opacity units in a
+    kernels that look at it, and ``switches`` of these. ``shape``: cells of the map (z, y, x). ``epsilon``: [pyramid] epsilon. ``opacity_edges``: opacity units in a
     smallest voxel edge. ``shift``: log2 of a map cell's edge in lattice units. ``edges`` (x, y, z):
     smallest voxel edges in a lattice unit, at least 1. ``reach``: larger distances, in smallest
-    edges, are as good as this one.
+    edges, are as good as this one. ``blocks``: of a volume of blocks, which is not there as voxels.
     """
 
     context: DeviceContext
@@ -46,11 +54,8 @@ class Asked:
     shift: int
     edges: tuple[float, float, float]
     reach: float
-
-    @property
-    def shape(self) -> tuple[int, int, int]:
-        """Cells of the map (z, y, x)."""
-        return map_shape(self.volume.size, self.shift)
+    shape: tuple[int, int, int]
+    blocks: BlockCells | None = None
 
     @property
     def scales(self) -> np.ndarray:

@@ -25,6 +25,8 @@ CHUNK = 8
 
 Oracle = Callable[[np.ndarray, np.ndarray], np.ndarray]
 """Distances [n] in smallest edges at world positions [n, 3] with so much light left [n]."""
+Values = Callable[[np.ndarray], np.ndarray]
+"""Values [n] at world positions [n, 3]."""
 
 
 @dataclass
@@ -40,8 +42,10 @@ class PyramidPicture:
     stale: int
 
 
-def mapped_oracle(resolved: ResolvedScene, distances: np.ndarray, shift: int) -> Oracle:
-    """Of a map: distances [z, y, x] of cells of 2^shift lattice cells."""
+def mapped_oracle(
+    resolved: ResolvedScene, distances: np.ndarray, shift: int, margin: float = 0.0
+) -> Oracle:
+    """Of a map: distances [z, y, x] of cells of 2^shift lattice cells, which begin ``margin`` below 0."""
     grid = resolved.volume.grid
     to_index = grid.world_to_index()
     upper = np.maximum(np.array(grid.size), 2) - 1.0
@@ -49,31 +53,37 @@ def mapped_oracle(resolved: ResolvedScene, distances: np.ndarray, shift: int) ->
 
     def distance(world: np.ndarray, left: np.ndarray) -> np.ndarray:
         index = world @ to_index[:3, :3].T + to_index[:3, 3] + np.where(thin, 0.5, 0.0)
-        cell = np.clip(index, 0.0, upper).astype(np.int64) >> shift
+        cell = (np.clip(index, 0.0, upper) + margin).astype(np.int64) >> shift
         x, y, z = np.minimum(cell, np.array(distances.shape[::-1]) - 1).T
         return distances[z, y, x]
 
     return distance
 
 
-def render_pyramid_twin(resolved: ResolvedScene, oracle: Oracle) -> PyramidPicture:
+def render_pyramid_twin(
+    resolved: ResolvedScene, oracle: Oracle, values: Values | None = None
+) -> PyramidPicture:
     """The picture of ``resolved`` by the method "pyramid" with ``oracle``, whatever its settings name.
+    ``values``: instead of the scene's volume.
 
     Segments are integrated exactly; their colour is that of a longer one with these ends, as tables have it:
     of the next power of two of steps, from a quarter to 2^levels.
     """
-    return _March(resolved, oracle).run()
+    return _March(resolved, oracle, values).run()
 
 
 class _March:
-    def __init__(self, resolved: ResolvedScene, oracle: Oracle) -> None:
+    def __init__(self, resolved: ResolvedScene, oracle: Oracle, values: Values | None) -> None:
         image, integration = resolved.image, resolved.integration
         self.resolved, self.oracle = resolved, oracle
         self.width, self.height = image.width, image.height
         self.plan: SlicePlan = slice_plan(resolved, resolved.camera, image.width, image.height)
         self.step = integration.step
         self.unit = resolved.volume.grid.smallest_edge
-        self.field = Field(resolved.volume, integration.filter, prefilter=integration.prefilter)
+        self.values = values
+        if values is None:
+            field = Field(resolved.volume, integration.filter, prefilter=integration.prefilter)
+            self.values = field.value
         self.function = MovedFunction(resolved.transfer_function)
         self.stop = 1.0 - integration.early_termination
         frame = ray_frame(resolved.camera, resolved.volume.grid, image.width, image.height)
@@ -168,7 +178,7 @@ class _March:
             place = origin + (self.first_slice + k * self.step) * self.unit * direction
             distance[sampled] = self.oracle(place, np.ones(len(place)))
             needed = self._needs_value(level, k, spacing)[sampled]
-            value[sampled] = np.where(needed, self.field.value(place), value[sampled])
+            value[sampled] = np.where(needed, self.values(place), value[sampled])
             self.oracle_samples += len(place)
             self.samples += np.count_nonzero(needed)
 
@@ -220,7 +230,7 @@ class _March:
         if sampled.any():
             way = (self.first_slice + t[sampled] * self.step) * self.unit
             place = self.origin[sampled] + way[:, None] * self.direction[sampled]
-            value[sampled] = self.field.value(place)
+            value[sampled] = self.values(place)
             self.pixel_distance[sampled] = self.oracle(place, 1.0 - self.rgba[sampled, 3])
             self.samples += len(place)
             self.oracle_samples += len(place)

@@ -1,0 +1,90 @@
+"""The method "multiresolution" with the stepping "pyramid": cl/pyramid.cl on a volume of blocks."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from clvol.features import ORACLES
+from clvol.opencl.context import DeviceArray, DeviceContext
+from clvol.render.multiresolution.caster import BLOCK_COUNTERS, BlockCaster, block_switches
+from clvol.render.multiresolution.device_blocks import DeviceBlocks
+from clvol.render.pyramid.caster import COUNTERS, TILE, PyramidMarch, workers_for
+from clvol.render.pyramid.cells import upload_cells, way_map
+from clvol.render.pyramid.layout import FREE_REACH
+from clvol.render.pyramid.oracle import BlockCells
+from clvol.render.pyramid.oracles.resolution import Resolution
+from clvol.scene.resolve import ResolvedScene
+from clvol.store.source import DROPPED
+
+
+class BlockPyramidCaster(PyramidMarch, BlockCaster):
+    """As ``BlockCaster``, pre-integrated, with samples as far apart as the blocks' own: along rays and across them."""
+
+    counter_names = (*COUNTERS, *BLOCK_COUNTERS)
+
+    def __init__(
+        self,
+        context: DeviceContext,
+        resolved: ResolvedScene,
+        blocks: DeviceBlocks,
+        *,
+        lanes: int | None = None,
+        workers: int | None = None,
+        tile: int = TILE,
+        leap: bool = True,
+    ) -> None:
+        lanes = self._prepare_march(context, Resolution(), lanes, workers, tile, leap)
+        super().__init__(context, resolved, blocks, lanes=lanes, tile=(tile, tile))
+        self.tile = (tile, tile)
+
+    def _fitting_stepping(self) -> str:
+        return "pyramid"
+
+    def _set_switches(self) -> None:
+        self.switches = block_pyramid_switches(
+            self.resolved, self.nodes.warp is not None, self.lanes, self.workers, self._edge, self.leap
+        )
+        self.switches |= self.blocks.switches
+
+    def _find_distances(self) -> None:
+        self.distances = None  # columns sleep by ``free``
+
+    def set_resident(self) -> None:
+        super().set_resident()
+        self._ask_oracle()
+
+    def _ask_oracle(self) -> None:
+        blocks, levels = self.blocks.blocks, self.blocks.levels
+        spacing = np.where(levels == DROPPED, np.inf, 2.0 ** np.minimum(levels, blocks.levels))
+        cells = blocks.edge >> self.volume.cell_shift  # of a block, an axis
+        spacing = spacing.reshape(blocks.counts)
+        for axis in range(3):
+            spacing = np.repeat(spacing, cells, axis=axis)
+        held = BlockCells(self.shown_cells, spacing)
+        self.free_shift, self.free_shape = self.volume.cell_shift, held.shown.shape
+        self.asked = self._asked(self.free_shift, self.free_shape, held)
+        self.map = self._uploaded(self.oracle.map(self.asked))
+        shown = upload_cells(self.asked, held.shown.astype(np.uint8))
+        self.free = way_map(self.asked, shown, FREE_REACH, unit=1.0)
+
+    @property
+    def _source_arguments(self) -> tuple[str, dict[str, DeviceArray]]:
+        return self._declared, self._resident_arrays()
+
+
+def block_pyramid_switches(
+    resolved: ResolvedScene,
+    warped: bool,
+    lanes: int,
+    workers: int | None = None,
+    tile: int = TILE,
+    leap: bool = True,
+) -> dict[str, int]:
+    """What gets compiled, but for what the samples' type and buffers add."""
+    return {
+        **block_switches(resolved, warped, lanes, False, "full"),
+        "WORKERS": workers or workers_for(lanes),
+        "TILE": tile,
+        "ORACLE": ORACLES[Resolution.kernel],
+        "LEAPS": int(leap),
+    }
