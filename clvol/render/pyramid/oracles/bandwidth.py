@@ -6,7 +6,7 @@ import numpy as np
 
 from clvol.opencl.context import DeviceArray
 from clvol.render.empty_space import spread
-from clvol.render.pyramid.cells import distance_map, upload_cells
+from clvol.render.pyramid.cells import cells_of_voxels, distance_map, upload_cells
 from clvol.render.pyramid.oracle import Asked, Oracle
 
 _COARSER = 1  # the grid's cells are twice as long as the map's
@@ -28,9 +28,18 @@ class Bandwidth(Oracle):
             around = tuple(int(scale / 2 / (edge * (1 << shift))) for edge in asked.edges)
             span = spread(high, around, np.maximum) - spread(low, around, np.minimum)
             bad |= (span > allowed).astype(np.uint8) << bit
-        if asked.volume.switches["VOXEL_HOLES"]:
-            bad |= asked.volume.holes(shift).astype(np.uint8) * np.uint8(255)
         for axis in range(3):
             bad = np.repeat(bad, 1 << _COARSER, axis=axis)
         nz, ny, nx = asked.shape
-        return distance_map(asked, upload_cells(asked, bad[:nz, :ny, :nx]), asked.scales)
+        bad = bad[:nz, :ny, :nx]
+        if asked.volume.switches["VOXEL_HOLES"]:
+            bad[_holes(asked)] = 255
+        return distance_map(asked, upload_cells(asked, bad), asked.scales)
+
+
+def _holes(asked: Asked) -> np.ndarray:
+    """bool [z, y, x]: cells with a voxel that is not finite."""
+    context, (nz, ny, nx) = asked.context, asked.shape
+    voxels = ~np.isfinite(context.read(asked.volume.plain()))
+    cells = cells_of_voxels(asked, context.upload(voxels.astype(np.uint8)))
+    return context.read(cells)[:nz, :ny, :nx] > 0
