@@ -59,7 +59,7 @@ __kernel WIDE_VECTORS __attribute__((reqd_work_group_size(WORKERS, 1, 1))) void 
     for (int q = 0; q < PACKETS; ++q) {
       const int p = q * WORKERS + WORKER;
       PixelPacket *packet = &packets[q];
-      if (prepare_packet(view, packet, left + p % PACKETS_IN_ROW * PACKET_W, top + p / PACKETS_IN_ROW * PACKET_H))
+      if (prepare_packet(view, pyramid, packet, left + p % PACKETS_IN_ROW * PACKET_W, top + p / PACKETS_IN_ROW * PACKET_H))
         EACH_LANE(k) if (packet->alive[k])
         {
           begin = fmin(begin, packet->enter[k]), last_enter = fmax(last_enter, packet->enter[k]);

@@ -16,7 +16,8 @@
  *                up to the distance plus SLACK of their own spacing, as far as other pixels may be that are synthesised from them
  *                (distances of maps grow by no more than the way, see clvol/render/pyramid/cells.py).
  *   boundary     a level's rays go on beyond the picture and the volume, where values are those at the volume's hull; a pixel's first
- *                and last samples are where its own ray meets the hull, and no segment reaches farther.
+ *                and last samples are where its own ray meets the hull, and no segment reaches farther. Clip planes and boxes cut
+ *                rays in the same way; what is synthesised near a cut comes from values on both of its sides.
  *   tiles        work-items share the picture in tiles, with one coarse pixel of each level more all around. What is computed there depends on
  *                coarser levels alone, so that no pixel depends on the tile it is in.
  *   empty space  under oracles that allow it columns of pixels sleep where nothing is to be seen, and tiles of sleeping columns leap
@@ -42,14 +43,17 @@
 #include "sample_blocks.h"
 #endif
 
+#define MOST_HALVES 16
+
 typedef struct {
-  int4 levels;    /* of coarsening along rays; more of them across (oversampling); - ; - */
+  int4 levels;    /* of coarsening along rays; more of them across (oversampling); halves of space that are kept; - */
   int4 cells;     /* of the oracle's map x, y, z; log2 of a cell's edge in lattice units */
   int4 free_cells; /* likewise of the map of empty space */
   float4 spacing; /* distance of neighbouring rays at slice 0, and by how much it grows a slice (edges); - ; - */
   float4 edges;   /* smallest edges a lattice unit x, y, z; - */
   float4 oracle;  /* the oracle's own */
   float4 gate;    /* values: nothing at or below x, or at or above y, is visible; - ; - */
+  float4 halves[MOST_HALVES]; /* kept is where x, y, z times the lattice point and w are 0 or more together */
 } Pyramid;
 
 #define MOST_LEVELS 5 /* MOST_LEVELS of clvol/scene/pyramid.py */

@@ -32,10 +32,11 @@ INLINE void accumulator_load(Accumulator *a, const float *rgba) { a->c = vload4(
 #endif
 
 /* The packet at (column, row) of the picture; returns whether any of its rays meets the volume. */
-int prepare_packet(__constant const View *view, PixelPacket *p, int column, int row)
+int prepare_packet(__constant const View *view, __constant const Pyramid *pyramid, PixelPacket *p, int column, int row)
 {
   const intN px = column + (LANE_INDEX & (PACKET_W - 1)), py = row + LANE_INDEX / PACKET_W;
-  const SliceRays r = slice_rays(view, TO_FLOAT(px), TO_FLOAT(py), 1);
+  SliceRays r = slice_rays(view, TO_FLOAT(px), TO_FLOAT(py), 1);
+  clip_to_halves(&r, pyramid);
   const intN alive = r.hits & MASK(px < view->image.x) & MASK(py < view->image.y), none = ~(intN)0;
   const floatN zero = 0.0f, never = INFINITY;
   STORE_LANES(r.x0, p->x0), STORE_LANES(r.y0, p->y0), STORE_LANES(r.z0, p->z0);

@@ -42,4 +42,21 @@ INLINE SliceRays slice_rays(__constant const View *view, floatN column, floatN r
   return r;
 }
 
+/* Cuts rays by what clips keep: halves of space, so that one stretch is left at most. */
+INLINE void clip_to_halves(SliceRays *r, __constant const Pyramid *pyramid)
+{
+  for (int j = 0; j < pyramid->levels.z; ++j) {
+    const float4 half_ = pyramid->halves[j];
+    const floatN height = r->x0 * half_.x + r->y0 * half_.y + r->z0 * half_.z + half_.w;
+    const floatN rises = r->dx * half_.x + r->dy * half_.y + r->dz * half_.z;
+    const intN parallel = MASK(fabs(rises) < 1e-12f);
+    const floatN at = -height / select(rises, (floatN)1.0f, parallel);
+    const intN enters = MASK(rises > 0.0f) & ~parallel, leaves = MASK(rises < 0.0f) & ~parallel;
+    r->enter = select(r->enter, lane_max(r->enter, at), enters);
+    r->leave = select(r->leave, lane_min(r->leave, at), leaves);
+    r->hits &= ~(parallel & MASK(height < 0.0f));
+  }
+  r->hits &= MASK(r->leave > r->enter);
+}
+
 #endif

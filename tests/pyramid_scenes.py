@@ -23,14 +23,15 @@ SHELL = TransferFunction(
 
 
 def pyramid_scene(array=None, function=SMOOTH, *, width=40, height=36, camera=CAMERA, **asked):
-    """A resolved scene; ``asked``: keys of [pyramid], then of [integration], or the grid."""
+    """A resolved scene; ``asked``: keys of [pyramid], then of [integration], the grid, or clips."""
+    clips = asked.pop("clips", ())
     of_pyramid = {k: asked.pop(k) for k in ("levels", "oracle", "epsilon") if k in asked}
     array = waves((40, 37, 45)) if array is None else array
     asked = {"step": 0.7, **asked}
     resolved = make_scene(
         array, function, camera=camera, width=width, height=height, method="pyramid", **asked
     )
-    return replace(resolved, pyramid=resolved.pyramid.model_copy(update=of_pyramid))
+    return replace(resolved, clips=clips, pyramid=resolved.pyramid.model_copy(update=of_pyramid))
 
 
 def pyramid_picture(context, resolved, **how) -> FrameData:
@@ -42,9 +43,9 @@ def rendered(caster) -> FrameData:
     return caster.render(resolved.camera, resolved.image.width, resolved.image.height)
 
 
-def twin_picture(caster: PyramidCaster) -> PyramidPicture:
+def twin_picture(caster: PyramidCaster, clips=()) -> PyramidPicture:
     """The twin's, with the oracle that ``caster`` has."""
-    return render_pyramid_twin(caster.resolved, twin_oracle(caster))
+    return render_pyramid_twin(replace(caster.resolved, clips=clips), twin_oracle(caster))
 
 
 def twin_oracle(caster: PyramidCaster):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from clvol.errors import SceneError
-from clvol.features.analysis import effects
+from clvol.features.analysis import effects, reduced_for_frames
 from clvol.features.vocabulary import FILTERS, METHODS
 from clvol.scene.resolve import ResolvedScene
 from clvol.volume.lazy import FilledVolume
@@ -28,7 +28,7 @@ _OF_PYRAMID = {
     "classification": ("preintegrated",),
     "compositing": ("over",),
 }
-_BY_PYRAMID = {*_PLAIN, "cubic filter", "catmull-rom filter", "prefilter"}
+_BY_PYRAMID = {*_PLAIN, "cubic filter", "catmull-rom filter", "prefilter", "clipping"}
 
 
 def has_exact_integral(resolved: ResolvedScene) -> bool:
@@ -91,6 +91,7 @@ def _refuse_beside_pyramid_of_blocks(resolved: ResolvedScene) -> None:
 
 def _refuse_beside_pyramid(resolved: ResolvedScene) -> None:
     """What the method "pyramid" does not do."""
+    from clvol.render.pyramid.clips import halves_of
     from clvol.render.pyramid.oracles import names
 
     origin, asked = resolved.origin, resolved.pyramid.oracle
@@ -101,6 +102,10 @@ def _refuse_beside_pyramid(resolved: ResolvedScene) -> None:
     if resolved.image.ray_spacing > 1:
         what = f"got {resolved.image.ray_spacing} with the method 'pyramid', which finds by itself what to sample"
         raise SceneError(f"{origin}: image.ray_spacing", what, "1, or the method 'raycast'")
+    if halves_of(reduced_for_frames(resolved).clips) is None:
+        what = "got clips that leave more than one stretch of a ray, or are of many planes, with the method 'pyramid'"
+        expected = "planes and boxes that keep what is inside, 16 planes in all, or the method 'raycast'"
+        raise SceneError(f"{origin}: clip", what, expected)
     _refuse_others(resolved, "integration.method", "pyramid", "raycast", _BY_PYRAMID)
 
 

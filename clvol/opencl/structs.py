@@ -28,10 +28,11 @@ def view_dtype(voxel_bits: int) -> np.dtype:
 BLOCKS = np.dtype([("count", "i4", 4), ("edge", "f4", 4)])
 """``Blocks`` of cl/block_parameters.h."""
 
+MOST_HALVES = 16  # MOST_HALVES
 PYRAMID = np.dtype(
     [
         ("levels", "i4", 4), ("cells", "i4", 4), ("free_cells", "i4", 4), ("spacing", "f4", 4), ("edges", "f4", 4),
-        ("oracle", "f4", 4), ("gate", "f4", 4),
+        ("oracle", "f4", 4), ("gate", "f4", 4), ("halves", "f4", (MOST_HALVES, 4)),
     ]
 )  # fmt: skip
 """``Pyramid`` of cl/pyramid.h."""

@@ -59,7 +59,8 @@ def test_lights_and_surfaces_are_refused_by_name(run, volume, folder):
     for table, said in (
         ('[[light]]\ntype = "headlight"\n', "light"),
         ("[[isosurface]]\nvalue = 100.0\n", "surface"),
-        ("[[clip]]\npoint = [20.0, 0.0, 0.0]\nnormal = [1.0, 0.0, 0.0]\n", "clip"),
+        ('[[clip]]\ntype = "sphere"\ncenter = [20.0, 20.0, 20.0]\nradius = 9.0\n', "clip"),
+        ('[[clip]]\ntype = "box"\nlower = [9, 9, 9]\nupper = [20, 20, 20]\nkeep = "outside"\n', "clip"),
     ):
         (folder / "s.toml").write_text("version = 1\n" + scene + table)
         outcome = run("render", "s.toml", "-o", "a.npy", *SMALL)

@@ -8,10 +8,11 @@ from dataclasses import replace
 import numpy as np
 
 from clvol.errors import RenderError
-from clvol.features import ORACLES
+from clvol.features import ORACLES, reduced_for_frames
 from clvol.opencl.context import DeviceArray, DeviceContext
 from clvol.opencl.structs import PYRAMID
 from clvol.render.device_volume import DeviceVolume
+from clvol.render.pyramid.clips import halves_rows
 from clvol.render.pyramid.layout import FREE_REACH, FREE_SHIFT, map_shape, map_shift
 from clvol.render.pyramid.cells import padded_cells, way_map
 from clvol.render.pyramid.oracle import Asked, BlockCells, Oracle
@@ -133,6 +134,7 @@ class PyramidMarch:
 
     renders_all_pixels = True  # whatever the lattice
     counter_names: tuple[str, ...] = COUNTERS
+    _halves = np.zeros((0, 4))  # of space that clips keep
 
     def warm_up(self, width: int, height: int, depth: bool = True) -> None:
         self._plan = SlicePlan.nowhere(self.pyramid.levels)
@@ -156,6 +158,8 @@ class PyramidMarch:
         row["edges"][0, :3] = self.asked.edges
         row["oracle"][0] = self.oracle.numbers(self.asked)
         row["gate"][0, :2] = self._value_gate
+        row["levels"][0, 2] = len(self._halves)
+        row["halves"][0, : len(self._halves)] = self._halves
         self._tally = self.context.output(np.uint32, (tiles, len(self.counter_names)))
         declared, more = self._source_arguments
         arrays = {"pyramid": self.context.upload(row), "map": self.map, "counts": self._tally}
@@ -217,6 +221,9 @@ class PyramidCaster(PyramidMarch, Raycaster):
     ) -> None:
         oracle = oracle_named(resolved.pyramid.oracle)
         lanes = self._prepare_march(context, oracle, lanes, workers, tile, leap)
+        resolved = reduced_for_frames(resolved)
+        self._halves = halves_rows(resolved.clips, resolved.volume.grid)
+        resolved = without_clips(resolved)
         super().__init__(context, resolved, lanes=lanes, tile=(tile, tile), volume=volume)
         self.tile = (tile, tile)
 
@@ -227,6 +234,9 @@ class PyramidCaster(PyramidMarch, Raycaster):
             self.leap,
         )  # fmt: skip
         self._ask_oracle()
+
+    def like(self, resolved: ResolvedScene) -> PyramidCaster:
+        return super().like(without_clips(resolved))
 
     def _ask_oracle(self) -> None:
         size = self.volume.size
@@ -242,6 +252,11 @@ class PyramidCaster(PyramidMarch, Raycaster):
         shown = padded_cells(asked)
         visible_in_cells(asked, shown)
         self.free = way_map(asked, shown, FREE_REACH, unit=1.0)
+
+
+def without_clips(resolved: ResolvedScene) -> ResolvedScene:
+    """What the base of the caster has of the scene: clips are the march's own."""
+    return replace(resolved, clips=()) if resolved.clips else resolved
 
 
 def workers_for(lanes: int) -> int:
@@ -260,7 +275,7 @@ def pyramid_switches(
     """What gets compiled for a scene of the method "pyramid"."""
     oracle = oracle_named(resolved.pyramid.oracle)
     return {
-        **raycast_switches(resolved, warped=warped, lanes=lanes),
+        **raycast_switches(without_clips(resolved), warped=warped, lanes=lanes),
         "WORKERS": workers or workers_for(lanes),
         "TILE": tile,
         "ORACLE": ORACLES[oracle.kernel],

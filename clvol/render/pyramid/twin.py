@@ -128,7 +128,7 @@ class _March:
         columns, rows = np.meshgrid(np.arange(n, dtype=float), np.arange(n, dtype=float))
         self.origin, self.direction = self._world_rays(columns, rows)
         kept = kept_stretches(
-            self.resolved.volume.grid, (), self.origin.reshape(-1, 3), self.direction.reshape(-1, 3)
+            self.resolved.volume.grid, self.resolved.clips, self.origin.reshape(-1, 3), self.direction.reshape(-1, 3)
         )
         enter, leave = kept.enter[:, 0].reshape(shape), kept.leave[:, 0].reshape(shape)
         self.alive = np.isfinite(enter) & (columns < self.width) & (rows < self.height)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from pyramid_scenes import (
@@ -12,9 +14,10 @@ from pyramid_scenes import (
     rendered,
     twin_picture,
 )
-from small_scenes import axis_camera, rms, waves
+from small_scenes import axis_camera, picture, rms, waves
 
 from clvol import Volume
+from clvol.scene.clip import Clip
 from clvol.render.pyramid.caster import PyramidCaster
 from clvol.render.pyramid.oracles import names
 from clvol.render.pyramid.twin import _March
@@ -23,9 +26,9 @@ CLOSE = 3e-4  # the tables' interpolation
 COUNTED = ("syntheses", "accumulations")
 
 
-def check(caster, tolerance=CLOSE) -> None:
+def check(caster, tolerance=CLOSE, clips=()) -> None:
     """The twin's picture, from as many segments."""
-    data, twin = rendered(caster), twin_picture(caster)
+    data, twin = rendered(caster), twin_picture(caster, clips)
     difference = np.abs(data.rgba - twin.rgba).max(axis=-1)
     # Where a distance is just at a bound rounding decides, rarely.
     assert np.quantile(difference, 0.998) < tolerance and difference.max() < 0.05
@@ -112,6 +115,39 @@ def test_rays_stop_where_they_are_opaque(context):
     whole = pyramid_picture(context, pyramid_scene(function=dense))
     assert stopped.samples < whole.samples
     assert np.abs(stopped.rgba - whole.rgba).max() <= 0.05
+
+
+# ---- clips ----
+
+_PLANE = Clip(point=(20.0, 15.0, 18.0), normal=(1.0, 0.6, 0.3))
+_BOX = Clip(type="box", lower=(5.0, 4.5, 6.0), upper=(33.3, 31.0, 28.0))
+
+
+@pytest.mark.parametrize("clips", [(_PLANE,), (_BOX,), (_PLANE, _BOX)], ids=["plane", "box", "both"])
+def test_clips_cut_rays_where_they_meet_them(context, clips):
+    for more in ({}, {"camera": axis_camera((22.13, 18.29, 19.57), axis=1, height=40.37), "step": 1.3}):
+        scene = pyramid_scene(clips=clips, **more)
+        check(PyramidCaster(context, scene), clips=clips)
+        plain = replace(scene, integration=scene.integration.model_copy(update={"method": "raycast"}))
+        cut, whole = picture(context, plain).rgba, picture(context, replace(plain, clips=())).rgba
+        shown = pyramid_picture(context, scene).rgba
+        assert rms(shown, cut) < 0.01 < 0.3 * rms(whole, cut)
+
+
+def test_clips_on_grids_that_are_turned_and_thin(context):
+    turned = {"spacing": (0.7, 1.9, 1.1), "origin": (3.0, -20.0, 5.0), "direction": ((0.0, 1.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 0.0, 1.0))}
+    for array in (waves((30, 21, 45)), waves((30, 21, 1))):
+        scene = pyramid_scene(array, camera=None, grid=turned, step=0.5)
+        middle = scene.volume.grid.world_corners().mean(axis=0)
+        clips = (Clip(point=tuple(middle), normal=(0.2, 1.0, -0.4)),)
+        check(PyramidCaster(context, replace(scene, clips=clips)), clips=clips)
+
+
+def test_a_moved_camera_is_clipped_as_well(context):
+    scene = pyramid_scene(clips=(_PLANE,))
+    caster = PyramidCaster(context, scene)
+    other = caster.like(replace(scene, camera=scene.camera.model_copy(update={"fov_degrees": 25.0})))
+    check(other, clips=(_PLANE,))
 
 
 # ---- what changes nothing ----
