@@ -90,7 +90,7 @@ def test_work_items_that_share_a_tile_and_several_buffers(first_device, contexts
     one = resident(context, volume, levels, 8)
     many = resident(context, volume, levels, 8, largest_buffer=one.sample_bytes // 3)
     packets = picture_of(BlockPyramidCaster(context, scene, one))
-    for blocks, how in ((many, {}), (one, {"lanes": 1, "workers": 16}), (one, {"tile": 64})):
+    for blocks, how in ((many, {"lanes": 1, "workers": 16}), (one, {"tile": 64})):
         other = picture_of(BlockPyramidCaster(context, scene, blocks, **how))
         assert rms(other.rgba, packets.rgba) < 1e-4
     awake = picture_of(BlockPyramidCaster(context, scene, one, leap=False))
