@@ -10,8 +10,9 @@
  * on slices with 2^(tz + 1) steps above its distance. This is the paper's fig. 4, which its hardware could not run, but for these:
  *
  *   distances    are lengths (smallest voxel edges), compared with a step along the ray and with the distance of neighbouring rays
- *                across it. The paper has both equal, and samples where the distance is less than two pixels. Where rays lie nearer than steps, by 2^oversampling or so, the pyramid has as
- *                many levels more, and slices in between that the paper would skip are not there at all.
+ *                across it. The paper has both equal, and samples where the distance is less than two pixels. Where rays lie nearer
+ *                than steps, by 2^oversampling or so, the pyramid has as many levels more, and slices in between that the paper would
+ *                skip are not there at all.
  *   freshness    what is synthesised on a slice shall come from samples of that slice, so coarse pixels take part a little longer:
  *                up to the distance plus SLACK of their own spacing, as far as other pixels may be that are synthesised from them
  *                (distances of maps grow by no more than the way, see clvol/render/pyramid/cells.py).

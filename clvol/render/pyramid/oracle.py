@@ -36,8 +36,8 @@ class Asked:
 
     ``volume``: on the device, with ``values`` that kernels compute with. ``function``: the transfer
     function over these, looked up between ``nodes`` (on the device: ``warp``). ``view``: numbers of the volume for
-    kernels that look at it, and ``switches`` of these. ``shape``: cells of the map (z, y, x). ``epsilon``: [pyramid] epsilon. ``opacity_edges``: opacity units in a
-    smallest voxel edge. ``shift``: log2 of a map cell's edge in lattice units. ``edges`` (x, y, z):
+    kernels that look at it, and ``switches`` of these. ``shape``: cells of the map (z, y, x).
+    ``epsilon``: [pyramid] epsilon. ``opacity_edges``: opacity units in a smallest voxel edge. ``shift``: log2 of a map cell's edge in lattice units. ``edges`` (x, y, z):
     smallest voxel edges in a lattice unit, at least 1. ``reach``: larger distances, in smallest
     edges, are as good as this one. ``blocks``: of a volume of blocks, which is not there as voxels.
     """
