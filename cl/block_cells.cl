@@ -16,7 +16,7 @@
 
 /* before  int [nodes]: of the intervals between nodes, how many before this one can show anything
  * at      uchar [nodes]: whether the node itself does
- * cells   uchar [z, y, x]: 0 where something can be visible, else 255
+ * cells   uchar [z, y, x]: 0 where something can be visible, 1 where samples that are not finite lie beside others, else 255
  */
 __kernel void visible_block_cells(__global const uchar *restrict volume, __global const float *restrict warp,
                                   __global const int *restrict before, __global const uchar *restrict at,
@@ -34,6 +34,7 @@ __kernel void visible_block_cells(__global const uchar *restrict volume, __globa
   const Record own = fetch_record(v, bx, by, bz);
   if (code_of(&own) == CODE_DROPPED) return;
   float low = INFINITY, high = -INFINITY;
+  int holes = 0;
   /* Places in the block; faces of the block that the cell comes nearer than half a sample. */
   const int x = (cx << shift) - bx * edge, y = (cy << shift) - by * edge, z = (cz << shift) - bz * edge;
   const int sample = edge >> (code_of(&own) - 1), far = 2 * (edge - cell);
@@ -56,7 +57,12 @@ __kernel void visible_block_cells(__global const uchar *restrict volume, __globa
         const int2 k = samples_between(z - dz * edge, z - dz * edge + cell, s, edge);
         for (int c = k.x; c <= k.y; ++c)
           for (int b = j.x; b <= j.y; ++b)
-            for (int a = i.x; a <= i.y; ++a) widen(own_sample(v, &r, s, a, b, c), &low, &high);
+            for (int a = i.x; a <= i.y; ++a) {
+              const float sample = own_sample(v, &r, s, a, b, c);
+              holes |= !isfinite(sample);
+              widen(sample, &low, &high);
+            }
       }
   if (shows_between(low, high, warp, before, at, view)) *out = 0;
+  if (holes && low <= high) *out = 1;
 }

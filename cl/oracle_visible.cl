@@ -7,18 +7,21 @@
 #include "shows_between.h"
 #include "voxel_type.h"
 
-/* visible  uchar [cells.z, cells.y, stride]: bit `bit` is set where anything between the voxels of the cell, its upper faces included, can be
+/* apron    voxels around a cell that its values depend on; overshoot: share of their range that these may be beyond it
+ * visible  uchar [cells.z, cells.y, stride]: bit `bit` is set where anything between the voxels of the cell, its upper faces included, can be
  *          seen, or one of them is not finite; bit 0 clears the others, which otherwise stay. Others as for visible_block_cells. */
 __kernel void visible_cells(__global const Voxel *restrict volume, __global const float *restrict warp, __global const int *restrict before,
-                            __global const uchar *restrict at, __constant const View *restrict view, int shift, int4 cells, int stride, int bit,
+                            __global const uchar *restrict at, __constant const View *restrict view, int shift, int apron, float overshoot,
+                            int4 cells, int stride, int bit,
                             __global uchar *restrict visible)
 {
   const int cy = get_global_id(0), cz = get_global_id(1), edge = 1 << shift;
   const int4 size = view->size;
-  const int y0 = cy << shift, z0 = cz << shift, y1 = min(y0 + edge, size.y - 1), z1 = min(z0 + edge, size.z - 1);
+  const int y0 = max((cy << shift) - apron, 0), y1 = min((cy << shift) + edge + apron, size.y - 1);
+  const int z0 = max((cz << shift) - apron, 0), z1 = min((cz << shift) + edge + apron, size.z - 1);
   __global uchar *out = visible + ((size_t)cz * cells.y + cy) * stride;
   for (int cx = 0; cx < stride; ++cx) {
-    const int x0 = cx << shift, x1 = min(x0 + edge, size.x - 1);
+    const int x0 = max((cx << shift) - apron, 0), x1 = min((cx << shift) + edge + apron, size.x - 1);
     float low = INFINITY, high = -INFINITY;
     int hole = 0;
     if (cx < cells.x)
@@ -38,6 +41,8 @@ __kernel void visible_cells(__global const Voxel *restrict volume, __global cons
             else
               hole = 1;
           }
+    const float more = high > low ? overshoot * (high - low) * 1.0001f : 0.0f;
+    low -= more, high += more;
     const int shown = shows_between(low, high, warp, before, at, view) || (hole && low <= high);
     out[cx] = (uchar)((bit ? out[cx] : 0) | shown << bit);
   }

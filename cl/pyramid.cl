@@ -40,7 +40,8 @@ __kernel WIDE_VECTORS __attribute__((reqd_work_group_size(WORKERS, 1, 1))) void 
   const int columns = max(1, (width + TILE - 1) / TILE), rows = max(1, (height + TILE - 1) / TILE);
   /* From the top and the bottom in turns: the last ones, by which cores wait for each other, are then in the middle, where much is to be
    * seen, and drivers hand out few at a time in the end. */
-  const int place = (int)get_group_id(0) + view->band.x, tile = width > 0 && place & 1 ? columns * rows - 1 - place / 2 : width > 0 ? place / 2 : place;
+  const int place = (int)get_group_id(0) + view->band.x, some = width > 0;
+  const int tile = !some ? place : place & 1 ? columns * rows - 1 - place / 2 : place / 2;
   const int left = tile % columns * TILE, top = tile / columns * TILE;
   const int levels = pyramid->levels.x + pyramid->levels.y;
 #if WORKERS > 1
@@ -133,5 +134,5 @@ __kernel WIDE_VECTORS __attribute__((reqd_work_group_size(WORKERS, 1, 1))) void 
 #endif
 }
 
-/* The size of Pyramid on the device: the host compares it with its own. */
-__kernel void pyramid_size(__global uint *size) { size[0] = (uint)sizeof(Pyramid); }
+/* The sizes of Pyramid and View on the device: the host compares them with its own. */
+__kernel void struct_sizes(__global uint *sizes) { sizes[0] = (uint)sizeof(Pyramid), sizes[1] = (uint)sizeof(View); }

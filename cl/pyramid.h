@@ -217,9 +217,16 @@ INLINE floatN place_value(const Source *in, const FetchedPlace *f) { return samp
 
 #endif
 
+/* Never so long that nothing finite can be synthesised from it. */
+#define LONGEST 1e6f
+INLINE floatN asked_distance(const Source *in, floatN x, floatN y, floatN z, floatN value, intN byte, floatN left)
+{
+  const floatN mapped = ORACLE_HAS_MAP ? byte_distance(byte) : (floatN)0.0f;
+  return lane_min(oracle_distance(in, x, y, z, value, mapped, left), (floatN)LONGEST);
+}
 INLINE floatN place_distance(const Source *in, const FetchedPlace *f, floatN x, floatN y, floatN z, floatN value, floatN left)
 {
-  return oracle_distance(in, x, y, z, value, ORACLE_HAS_MAP ? byte_distance(f->byte) : (floatN)0.0f, left);
+  return asked_distance(in, x, y, z, value, f->byte, left);
 }
 
 #endif

@@ -22,6 +22,8 @@ INLINE void find_free_slices(const Source *in, SHARED Levels *m, __global const 
   const int4 cells = in->pyramid->free_cells;
   const int side = side_of(level), width = WIDTH(level), patches = side / PACKET_W;
   const float half_diagonal = 0.7072f * ray_spacing(in, k) * (float)(1 << level), t = (float)k;
+  /* A column is wider by so much an edge of its way. */
+  const float grows = 0.7072f * in->pyramid->spacing.y / view->march.x * (float)(1 << level), more = 1.0f + grows * grows;
   const floatN none = 0.0f;
   for (int p = WORKER; p < (looks ? patches * patches : 0); p += WORKERS) {
     const int row = p / patches * PACKET_H, column = p % patches * PACKET_W;
@@ -32,9 +34,10 @@ INLINE void find_free_slices(const Source *in, SHARED Levels *m, __global const 
     const floatN cz = lane_clamp(z, none, (floatN)view->upper.z);
     const floatN ex = (x - cx) * in->pyramid->edges.x, ey = (y - cy) * in->pyramid->edges.y, ez = (z - cz) * in->pyramid->edges.z;
     const floatN way = byte_distance(fetch_cell(free, cells, select(none, cx, inside), select(none, cy, inside), select(none, cz, inside)));
-    const floatN square = way * way + ex * ex + ey * ey + ez * ez - half_diagonal * half_diagonal;
-    /* Not to the last digit: rounding of places, and of rays that grow apart on the way. */
-    const floatN slices = 0.98f / view->march.x * sqrt(lane_max(square, none)) - 1.0f;
+    /* Its corner is in the ball for w edges: w^2 + (half_diagonal + grows w)^2 = radius^2. */
+    const floatN square = (way * way + ex * ex + ey * ey + ez * ez) * more - half_diagonal * half_diagonal;
+    const floatN edges = (sqrt(lane_max(square, none)) - grows * half_diagonal) / more;
+    const floatN slices = 0.98f / view->march.x * edges - 1.0f; /* but for rounding */
     store_patch(select((floatN)INFINITY, slices, inside), m->free_slices + row * side + column, side);
   }
   SYNCHRONISE();

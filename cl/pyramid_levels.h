@@ -146,8 +146,9 @@ INLINE floatN largest_around(SHARED const float *distances, int column, int row,
 }
 #endif
 
-/* The pixels of a level, out of those to be sampled, whose value is needed, once the oracle has been asked: all but those from which nothing is
- * synthesised now, since all pixels that would be are sampled, nor before their own next sample (see update_level). */
+/* The pixels of a level, out of those to be sampled, whose value is needed, once the oracle has been asked: all but those from which
+ * nothing is synthesised now, since all pixels that would be are sampled, nor before they are sampled again: they are, whenever
+ * their level takes part. */
 INLINE intN needs_value(const Source *in, SHARED const float *distances, int level, int column, int row, int k)
 {
   const int side = side_of(level), most = in->pyramid->levels.x, more = in->pyramid->levels.y;
@@ -166,16 +167,17 @@ INLINE int next_patch(SHARED const Levels *m, int p, int all)
 }
 
 /* One level on slice k; `up`: the next level, NULL for the highest that takes part. What does not take part goes over from `old` to
- * `now`. `changes`: whether any pixel may. `well_inside`: all of the tile is inside the volume. First it is found which pixels are to be
- * sampled; then the oracle is asked; then, for those whose value is needed, the volume is, each patch fetched while the one before is looked
- * at. An oracle that needs to know the value is asked last. */
-void update_level(const Source *in, SHARED Levels *m, int changes, int level, int k, int along, int well_inside, SHARED const float *old_distance,
-                  SHARED const float *old_value, SHARED float *distances, SHARED float *values, SHARED const float *up_distance,
-                  SHARED const float *up_value, Tally *samples, Tally *counted)
+ * `now`. `changes`: whether any pixel may. `well_inside`: all rays of the tile that meet the volume are inside. First it is found
+ * which pixels are to be sampled; then the oracle is asked; then, for those whose value is needed, the volume is, each patch fetched
+ * while the one before is looked at. An oracle that needs to know the value is asked last. */
+void update_level(const Source *in, SHARED Levels *m, int changes, int level, int k, int along, int well_inside,
+                  SHARED const float *old_distance, SHARED const float *old_value, SHARED float *distances, SHARED float *values,
+                  SHARED const float *up_distance, SHARED const float *up_value, Tally *samples, Tally *counted)
 {
   const int side = side_of(level), side_up = side_of(level + 1), width = WIDTH(level), patches = side / PACKET_W;
   const int all = changes ? patches * patches : 0;
-  const float spacing = ray_spacing(in, k) * (float)(1 << level), dense = WITHIN * spacing, reach = reach_of(in, level, k, along), t = (float)k;
+  const float spacing = ray_spacing(in, k) * (float)(1 << level), dense = WITHIN * spacing, t = (float)k;
+  const float reach = reach_of(in, level, k, along);
   const floatN never = INFINITY;
   floatN nearest = never, x, y, z;
   int first = all; /* of this work-item's patches to sample */
@@ -225,8 +227,8 @@ void update_level(const Source *in, SHARED Levels *m, int changes, int level, in
       patch_places(m, level, p, t, &next_x, &next_y, &next_z);
       next_byte = ORACLE_HAS_MAP ? fetch_map(in, next_x, next_y, next_z) : (intN)0;
     }
-    const floatN mapped = ORACLE_HAS_MAP ? byte_distance(byte) : (floatN)0.0f;
-    const floatN distance = select(load_patch(distances + at, side), oracle_distance(in, x, y, z, (floatN)0.0f, mapped, (floatN)1.0f), sampled);
+    const floatN wanted = asked_distance(in, x, y, z, (floatN)0.0f, byte, (floatN)1.0f);
+    const floatN distance = select(load_patch(distances + at, side), wanted, sampled);
     store_patch(distance, distances + at, side);
     nearest = lane_min(nearest, select(never, distance, sampled));
     count_lanes(&counted[COUNT_ORACLE], sampled);
@@ -271,8 +273,8 @@ void update_level(const Source *in, SHARED Levels *m, int changes, int level, in
   SYNCHRONISE();
 }
 
-/* All levels above 0 on slice k, the i-th of its chunk. Work-items that share a tile all come to the same barriers, whatever there is to do:
- * not all compilers get barriers under conditions right. */
+/* All levels above 0 on slice k, the i-th of its chunk. Work-items that share a tile all come to the same barriers, whatever there is
+ * to do: not all compilers get barriers under conditions right. */
 INLINE void update_levels(const Source *in, SHARED Levels *m, int k, int i, int is_awake, int well_inside, Tally *samples, Tally *counted)
 {
   const int along = slice_level(in, k), top = along + in->pyramid->levels.y, copy = m->last_copy;

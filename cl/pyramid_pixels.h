@@ -1,4 +1,5 @@
-/* Level 0 of a tile, the picture's pixels: a packet of them through the slices of a chunk at once, its state in registers (cl/pyramid.h). */
+/* Level 0 of a tile, the picture's pixels: a packet of them through the slices of a chunk at once, its state in registers
+ * (cl/pyramid.h). */
 #ifndef PYRAMID_PIXELS_H
 #define PYRAMID_PIXELS_H
 
@@ -42,7 +43,8 @@ int prepare_packet(__constant const View *view, __constant const Pyramid *pyrami
   STORE_LANES(r.x0, p->x0), STORE_LANES(r.y0, p->y0), STORE_LANES(r.z0, p->z0);
   STORE_LANES(r.dx, p->dx), STORE_LANES(r.dy, p->dy), STORE_LANES(r.dz, p->dz);
   STORE_LANES(r.enter, p->enter), STORE_LANES(r.leave, p->leave);
-  STORE_LANES(zero, p->distance), STORE_LANES(zero, p->opacity), STORE_LANES(zero, p->value1), STORE_LANES(zero, p->value2), STORE_LANES(zero, p->t1), STORE_LANES(zero, p->t2);
+  STORE_LANES(zero, p->distance), STORE_LANES(zero, p->opacity);
+  STORE_LANES(zero, p->value1), STORE_LANES(zero, p->value2), STORE_LANES(zero, p->t1), STORE_LANES(zero, p->t2);
   STORE_LANES(none, p->first), STORE_LANES(none, p->second), STORE_LANES(alive, p->alive), STORE_LANES(never, p->median);
   for (int k = 0; k < 4 * LANES; ++k) p->rgba[k] = 0.0f;
   return any_lane(alive);
@@ -126,7 +128,7 @@ INLINE int march_slices(const Source *in, SHARED const Levels *m, PixelPacket *p
     count_lanes(&counted[COUNT_ACCUMULATIONS], closes);
     /* The segment's ends stay between the samples that it depends on: where all of these show nothing, no more is to be done. */
     floatN low = lane_min(value1, value), high = lane_max(value1, value);
-    low = select(low, lane_min(low, value2), curved), high = select(high, lane_max(high, value2), curved);
+    low = select(low, lane_min(value2, low), curved), high = select(high, lane_max(value2, high), curved); /* not those of a hole */
     if (any_lane(closes & MASK(high > in->pyramid->gate.x) & MASK(low < in->pyramid->gate.y))) {
       const floatN long_ = select(one, length, closes);
       ClassCoordinate front, back;

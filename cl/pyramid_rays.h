@@ -1,5 +1,5 @@
 /* Rays by slices: a place is origin + k * way, k the slice. Slice k is k steps behind the shell around the eye that touches the view's
- * reference plane (view.h), or behind that plane itself; so neither costs float32 any digits, however far the eye is.
+ * reference plane (view.h), or behind that plane itself; so an eye that is far away costs float32 no digits, near the view's axis.
  */
 #ifndef PYRAMID_RAYS_H
 #define PYRAMID_RAYS_H

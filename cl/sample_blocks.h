@@ -1,4 +1,5 @@
-/* Samples of a volume of blocks one packet at a time, for marches that do not take them in runs (the method "pyramid"; runs: march_blocks.h). */
+/* Samples of a volume of blocks one packet at a time, for marches that do not take them in runs (the method "pyramid"; runs:
+ * march_blocks.h). */
 #ifndef SAMPLE_BLOCKS_H
 #define SAMPLE_BLOCKS_H
 

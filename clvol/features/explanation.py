@@ -54,11 +54,15 @@ def kernel_hash(resolved: ResolvedScene, lanes: int = 16) -> str:
         for file, switches in programs.items():
             digest.update(" ".join((file, *compile_options(switches))).encode())
         digest.update(_custom_source(resolved))
-        files = [*programs, "*.h"]
+        files = [*programs, *_MAKING_MAPS.get(resolved.integration.method, ()), "*.h"]
     for pattern in files:
         for path in sorted(kernel_folder().glob(pattern)):
             digest.update(path.read_bytes())
     return digest.hexdigest()[:16]
+
+
+# What finds maps that a picture depends on, beside the programs that render it.
+_MAKING_MAPS = {"pyramid": ("oracle_cells.cl", "oracle_visible.cl"), "multiresolution": ("block_cells.cl",)}
 
 
 def _custom_source(resolved: ResolvedScene) -> bytes:

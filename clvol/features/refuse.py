@@ -28,7 +28,7 @@ _OF_PYRAMID = {
     "classification": ("preintegrated",),
     "compositing": ("over",),
 }
-_BY_PYRAMID = {*_PLAIN, "cubic filter", "catmull-rom filter", "prefilter", "clipping"}
+_BY_PYRAMID = {*_PLAIN, "cubic filter", "catmull-rom filter", "prefilter", "clipping", "colour cycling"}
 
 
 def has_exact_integral(resolved: ResolvedScene) -> bool:
@@ -78,7 +78,14 @@ def _refuse_beside_blocks(resolved: ResolvedScene) -> None:
     _refuse_others(resolved, "integration.method", "multiresolution", "raycast", _PLAIN)
 
 
+def _refuse_sparse_rays(resolved: ResolvedScene, how: str) -> None:
+    if resolved.image.ray_spacing > 1:
+        what = f"got {resolved.image.ray_spacing} with the {how} 'pyramid', which finds by itself what to sample"
+        raise SceneError(f"{resolved.origin}: image.ray_spacing", what, f"1, or another {how}")
+
+
 def _refuse_beside_pyramid_of_blocks(resolved: ResolvedScene) -> None:
+    _refuse_sparse_rays(resolved, "stepping")
     kind, tiles = resolved.integration.classification, resolved.multiresolution.tiles
     if kind != "preintegrated":
         where = f"{resolved.origin}: multiresolution.stepping"
@@ -99,9 +106,7 @@ def _refuse_beside_pyramid(resolved: ResolvedScene) -> None:
         expected = " or ".join(map(repr, names()))
         raise SceneError(f"{origin}: pyramid.oracle", f"got {asked!r}", expected)
     _refuse_keys(resolved, _OF_PYRAMID)
-    if resolved.image.ray_spacing > 1:
-        what = f"got {resolved.image.ray_spacing} with the method 'pyramid', which finds by itself what to sample"
-        raise SceneError(f"{origin}: image.ray_spacing", what, "1, or the method 'raycast'")
+    _refuse_sparse_rays(resolved, "method")
     if halves_of(reduced_for_frames(resolved).clips) is None:
         what = "got clips that leave more than one stretch of a ray, or are of many planes, with the method 'pyramid'"
         expected = "planes and boxes that keep what is inside, 16 planes in all, or the method 'raycast'"

@@ -15,7 +15,7 @@ QUADRATURES = {"steps": 0, "cells": 1}
 METHODS = ("raycast", "multiresolution", "pyramid", "reference")
 # How far rays go at once in a volume of blocks.
 STEPPINGS = {"full": 0, "limited": 1, "naive": 2, "bounded": 3}
-# How the method "pyramid" asks an oracle: all of them that have a map ask alike.
+# How the method "pyramid" asks an oracle.
 ORACLES = {"minimum": 0, "map": 1, "error": 2, "custom": 3}
 # The sum of the weights' magnitudes along an axis, at most: 1 where no weight is negative.
 _WEIGHT = {"catmull-rom": 1.25}

@@ -120,7 +120,10 @@ def _key(resolved: ResolvedScene) -> tuple:
     words = tuple(repr(getattr(resolved, name)) for name in _BY_WORDS)
     if alike.method == "multiresolution":
         words += repr(resolved.multiresolution), resolved.background.tobytes()
-    if alike.method == "pyramid" or resolved.multiresolution.stepping == "pyramid":
-        words += (repr(resolved.pyramid),)
+        words += (repr(resolved.pyramid.levels),)
+    if alike.method == "pyramid":
+        from clvol.render.pyramid.oracles import oracle_named
+
+        words += repr(resolved.pyramid), oracle_named(resolved.pyramid.oracle)
     arrays = tuple(id(getattr(resolved, name) or None) for name in _BY_IDENTITY)
     return (id(resolved.volume), id(resolved.transfer_function), alike, words, arrays)

@@ -102,7 +102,7 @@ def scene_bytes(volume: Volume, table_size: int, width: int, height: int) -> int
 
 def method_bytes(volume: Volume, scene: Scene | ResolvedScene) -> int:
     """As ``scene_bytes``, by the method that ``scene`` asks for."""
-    from clvol.render.multiresolution.packing import most_bytes
+    from clvol.render.multiresolution.packing import map_shift, most_bytes
     from clvol.store.geometry import BlockGrid
 
     size = scene.image.width, scene.image.height
@@ -116,6 +116,11 @@ def method_bytes(volume: Volume, scene: Scene | ResolvedScene) -> int:
     source = getattr(volume, "blocks_source", None)
     blocks = BlockGrid(volume.shape) if source is None else source.blocks
     needed = most_bytes(blocks, volume.dtype, scene.multiresolution.memory_bytes)
+    if scene.multiresolution.stepping == "pyramid":
+        from clvol.render.pyramid.layout import block_pyramid_bytes
+
+        edge = blocks.edge >> map_shift(blocks, scene.multiresolution.memory_bytes)
+        needed += block_pyramid_bytes(tuple(n * edge for n in blocks.counts), scene)
     return needed + _table_bytes(table_size) + size[0] * size[1] * 20
 
 

@@ -207,7 +207,7 @@ class Raycaster:
         if fields:
             mask = (mask | fields.shown) & fields.kept
         self.visible_share = float(mask.mean())
-        self.distances = distance_map(context, mask)
+        self._find_distances(mask)
         warp = self.nodes.warp
         self.warp = context.upload(np.zeros(2, np.float32) if warp is None else warp)
         self.switches = raycast_switches(
@@ -218,6 +218,10 @@ class Raycaster:
         if self._casts_shadows:
             self._build_shadows()
         self._without_surfaces = self._beside_surfaces()
+
+    def _find_distances(self, mask: np.ndarray) -> None:
+        """What rays leap by, from the cells in which anything can be seen."""
+        self.distances = distance_map(self.context, mask)
 
     def _set_colors(self) -> None:
         """The tables, with colours as they are at the scene's time."""

@@ -126,7 +126,9 @@ class Renderer:
         """
         if self._context is None:
             raise RenderError("Renderer", "is closed", "a Renderer that is open")
-        self.resolved = replace(self.resolved, transfer_function=function)
+        resolved = replace(self.resolved, transfer_function=function)
+        refuse_unknown(resolved)  # what a blank scene asks for has no consequence
+        self.resolved = resolved
         if self.resolved.integration.method == "multiresolution":
             self._raycaster.set_transfer_function(function, wait)
         elif self._engines is not None:

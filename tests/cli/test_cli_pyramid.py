@@ -78,6 +78,7 @@ def test_blocks_by_the_pyramid(run, volume, folder, first_device):
     for more, said in (
         (("--set", "multiresolution.tiles=16"), "multiresolution.tiles: got 16"),
         (("--set", 'integration.classification="post"'), "multiresolution.stepping: got 'pyramid'"),
+        (("--set", "image.ray_spacing=4"), "image.ray_spacing: got 4 with the stepping 'pyramid'"),
     ):
         outcome = run("render", "v.zarr", "-o", "c.npy", *SMALL, *BLOCKS, *more)
         assert outcome.status == 2 and said in outcome.err

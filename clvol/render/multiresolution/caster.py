@@ -7,7 +7,6 @@ import numpy as np
 from clvol.features import STEPPINGS, reduced_for_frames
 from clvol.opencl.context import DeviceArray, DeviceContext
 from clvol.opencl.structs import BLOCKS
-from clvol.render.empty_space import distance_map
 from clvol.render.multiresolution.bounds import most_steps
 from clvol.render.multiresolution.device_blocks import DeviceBlocks
 from clvol.render.multiresolution.packing import map_shift
@@ -39,6 +38,7 @@ _OF_BLOCKS = (
     "WARPED_CLASSES", "INTERBLOCK", "FILTER", "CLASSIFICATION",
 )  # fmt: skip
 _MORE = ["samples1", "samples2", "samples3"]
+_EMPTY, _BESIDE_HOLES = 255, 1  # of cl/block_cells.cl
 
 
 class BlockedVolume:
@@ -167,12 +167,10 @@ class BlockCaster(Raycaster):
             **self._resident_arrays(),
         )
         self._set_steps()
-        self.shown_cells = context.read(cells) == 0
+        found = context.read(cells)
+        self.shown_cells, self.hole_cells = found != _EMPTY, found == _BESIDE_HOLES
         self.visible_share = float(self.shown_cells.mean())
-        self._find_distances()
-
-    def _find_distances(self) -> None:
-        self.distances = distance_map(self.context, self.shown_cells)
+        self._find_distances(self.shown_cells)
 
     def _set_steps(self) -> None:
         """For bounded stepping: how many steps may be taken at once in each block that is resident."""

@@ -54,6 +54,11 @@ class MultiresolutionEngine:
     def visible_share(self) -> float:
         return self.caster.visible_share
 
+    @property
+    def renders_all_pixels(self) -> bool:
+        """Whether it does whatever the lattice."""
+        return getattr(self.caster, "renders_all_pixels", False)
+
     def like(self, resolved: ResolvedScene) -> MultiresolutionEngine:
         """The same for ``resolved``, which may differ as for ``Raycaster.like``."""
         other = copy.copy(self)

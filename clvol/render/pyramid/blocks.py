@@ -46,9 +46,6 @@ class BlockPyramidCaster(PyramidMarch, BlockCaster):
         )
         self.switches |= self.blocks.switches
 
-    def _find_distances(self) -> None:
-        self.distances = None  # columns sleep by ``free``
-
     def set_resident(self) -> None:
         super().set_resident()
         self._ask_oracle()
@@ -60,10 +57,10 @@ class BlockPyramidCaster(PyramidMarch, BlockCaster):
         spacing = spacing.reshape(blocks.counts)
         for axis in range(3):
             spacing = np.repeat(spacing, cells, axis=axis)
-        held = BlockCells(self.shown_cells, spacing)
+        held = BlockCells(self.shown_cells, spacing, self.hole_cells)
         self.free_shift, self.free_shape = self.volume.cell_shift, held.shown.shape
         self.asked = self._asked(self.free_shift, self.free_shape, held)
-        self.map = self._uploaded(self.oracle.map(self.asked))
+        self.map = self._oracle_map()
         shown = upload_cells(self.asked, held.shown.astype(np.uint8))
         self.free = way_map(self.asked, shown, FREE_REACH, unit=1.0)
 

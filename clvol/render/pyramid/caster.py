@@ -13,13 +13,25 @@ from clvol.opencl.context import DeviceArray, DeviceContext
 from clvol.opencl.structs import PYRAMID
 from clvol.render.device_volume import DeviceVolume
 from clvol.render.pyramid.clips import halves_rows
-from clvol.render.pyramid.layout import FREE_REACH, FREE_SHIFT, map_shape, map_shift
+from clvol.render.pyramid.layout import FREE_REACH, FREE_SHIFT, map_bytes, map_shape, map_shift
 from clvol.render.pyramid.cells import padded_cells, way_map
-from clvol.render.pyramid.oracle import Asked, BlockCells, Oracle
+from clvol.render.pyramid.oracle import (
+    KERNEL_ERROR,
+    KERNEL_MAP,
+    Asked,
+    BlockCells,
+    Oracle,
+)
 from clvol.render.pyramid.oracles import oracle_named
 from clvol.render.pyramid.oracles.visible import visible_in_cells
 from clvol.render.pyramid.slices import SlicePlan, slice_plan
-from clvol.render.raycast import FrameData, Raycaster, device_function, raycast_switches
+from clvol.render.raycast import (
+    FrameData,
+    Raycaster,
+    cycled_function,
+    device_function,
+    raycast_switches,
+)
 from clvol.render.view import EVERY_PIXEL, PixelLattice
 from clvol.scene.camera import Camera
 from clvol.scene.pyramid import Pyramid
@@ -29,6 +41,7 @@ from clvol.transfer.tables import length_slices, length_tables
 
 COUNTERS = ("oracle_samples", "syntheses", "accumulations")  # COUNT_... of cl/pyramid.h
 TILE = 32  # pixels an edge of a tile; a multiple of 2^MOST_LEVELS
+_MOST_SLICES = 2**23
 WORKERS = 64  # work-items of a group where they are not one
 # Switches of kernels that look at voxels and classes alone.
 _OF_VOXELS = (
@@ -68,7 +81,7 @@ class PyramidMarch:
         return Asked(
             context=self.context,
             volume=volume,
-            function=device_function(self._asked_function, volume.values),
+            function=device_function(cycled_function(resolved, self._asked_function), volume.values),
             nodes=self.nodes,
             warp=self.warp,
             view=view,
@@ -79,6 +92,7 @@ class PyramidMarch:
             edges=tuple(float(s) for s in spacing),
             reach=self._reach,
             shape=shape,
+            filter=resolved.integration.filter,
             blocks=blocks,
         )
 
@@ -106,7 +120,8 @@ class PyramidMarch:
 
     def like(self, resolved: ResolvedScene):
         other = super().like(resolved)
-        if other._reach != self._reach:
+        moved = resolved.animation.time != self.resolved.animation.time and resolved.animation.cycle
+        if other._reach != self._reach or moved:
             other._ask_oracle()
         return other
 
@@ -123,6 +138,7 @@ class PyramidMarch:
     ) -> FrameData:
         """As ``Raycaster.render``. Pixels depend on their neighbours: of a ``lattice`` all are rendered."""
         self._plan = slice_plan(self.resolved, camera, width, height)
+        self._check_slices(camera)
         data = super().render(camera, width, height, progress, depth)
         if self._shows_nothing:
             data.counters = dict.fromkeys(self.counter_names, 0)
@@ -131,6 +147,22 @@ class PyramidMarch:
             shown = None if data.depth is None else data.depth[some]
             data = replace(data, rgba=data.rgba[some], depth=shown)
         return data
+
+    def _check_slices(self, camera: Camera) -> None:
+        """RenderError where slices are too many to be told apart in float32."""
+        grid = self.resolved.volume.grid
+        away = grid.world_corners() - np.asarray(camera.position, np.float64)
+        if camera.projection == "orthographic":
+            ways = away @ camera.basis()[0]
+            first = ways.min()
+        else:
+            ways = np.linalg.norm(away, axis=1)
+            first = max((away @ camera.basis()[0]).min(), 0.0)
+        slices = (ways.max() - first) / self.length
+        if not slices < _MOST_SLICES:
+            what = f"{slices:.3g} slices by the method 'pyramid'"
+            expected = f"at most {_MOST_SLICES}: longer steps, a nearer eye, or the method 'raycast'"
+            raise RenderError(f"{self.resolved.origin}: integration.step", what, expected)
 
     renders_all_pixels = True  # whatever the lattice
     counter_names: tuple[str, ...] = COUNTERS
@@ -170,8 +202,14 @@ class PyramidMarch:
         """What samples are taken from beside the first buffer."""
         return "", {}
 
-    def _uploaded(self, found: DeviceArray | None) -> DeviceArray:
-        """An oracle's map, or what stands for none."""
+    def _oracle_map(self) -> DeviceArray:
+        """What the oracle found, or what stands for none. RenderError where the kernel would look beyond it."""
+        found = self.oracle.map(self.asked)
+        needed = map_bytes(self.asked.shape) if self.oracle.kernel in (KERNEL_MAP, KERNEL_ERROR) else 0
+        held = 0 if found is None else found.nbytes
+        if held < needed:
+            where = f"oracle {self.oracle.name!r}"
+            raise RenderError(where, f"gave a map of {held} bytes", f"{needed} (clvol.render.pyramid.cells)")
         return found if found is not None else self.context.upload(np.zeros(4, np.uint8))
 
     @property
@@ -191,14 +229,18 @@ class PyramidMarch:
         return {name: int(total) for name, total in zip(self.counter_names, sums)}
 
     def _check_struct(self) -> None:
-        super()._check_struct()
-        kernel = self._kernel_of("pyramid_size", "out size uint32", self.switches)
-        size = self.context.empty(np.uint32, (1,))
-        kernel(self.context.queue, (1,), (1,), size=size)
-        on_device = int(self.context.read(size)[0])
-        if on_device != PYRAMID.itemsize:
-            what = f"{on_device} bytes on the device"
-            raise RenderError("struct Pyramid", what, f"{PYRAMID.itemsize}")
+        """As the base does, by pyramid.cl: nothing else of raycast.cl is compiled."""
+        kernel = self._kernel_of("struct_sizes", "out sizes uint32", self.switches)
+        sizes = self.context.empty(np.uint32, (2,))
+        kernel(self.context.queue, (1,), (1,), sizes=sizes)
+        ours = {"Pyramid": PYRAMID, "View": self._view_dtype}
+        for on_device, (name, dtype) in zip(self.context.read(sizes), ours.items()):
+            if on_device != dtype.itemsize:
+                what = f"{on_device} bytes on the device"
+                raise RenderError(f"struct {name}", what, f"{dtype.itemsize}")
+
+    def _find_distances(self, *_: np.ndarray) -> None:
+        self.distances = None  # columns sleep by ``free``
 
 
 class PyramidCaster(PyramidMarch, Raycaster):
@@ -242,7 +284,7 @@ class PyramidCaster(PyramidMarch, Raycaster):
         size = self.volume.size
         shift = map_shift(size)
         self.asked = self._asked(shift, map_shape(size, shift))
-        self.map = self._uploaded(self.oracle.map(self.asked))
+        self.map = self._oracle_map()
         self._find_free_space()
 
     def _find_free_space(self) -> None:

@@ -140,7 +140,9 @@ def way_map(asked: Asked, bad: DeviceArray, reach: float, unit: float) -> Device
 
 def _map_of(asked: Asked, distance: float) -> DeviceArray:
     code = distance_codes(np.array(distance))
-    return asked.context.upload(np.full(map_bytes(asked.shape), code, np.uint8))
+    found = asked.context.empty(np.uint8, (map_bytes(asked.shape),))
+    asked.context.write(found, np.full(found.shape, code, np.uint8))
+    return found
 
 
 def _move_distances(

@@ -29,11 +29,15 @@ def halves_of(clips: Sequence[Clip]) -> list[tuple[np.ndarray, np.ndarray]] | No
 
 
 def halves_rows(clips: Sequence[Clip], grid: Grid) -> np.ndarray:
-    """float64 [n, 4]: ``halves`` of cl/pyramid.h, their normals of length 1 in lattice units."""
+    """float64 [n, 4]: ``halves`` of cl/pyramid.h, their normals of length 1 in lattice units. ValueError where ``halves_of`` gives
+    None."""
     matrix = grid.index_to_world()
     thin = np.where(np.asarray(grid.size) == 1, 0.5, 0.0)  # such an axis is held twice
     rows = []
-    for point, normal in halves_of(clips) or []:
+    halves = halves_of(clips)
+    if halves is None:
+        raise ValueError("clips that are no halves of space")  # refused before
+    for point, normal in halves:
         along = normal @ matrix[:3, :3]
         with np.errstate(over="ignore"):
             height = normal @ (matrix[:3, 3] - point) - along @ thin

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from clvol.errors import RenderError
 from clvol.transfer import TransferFunction
 from clvol.transfer.classes import ClassNodes
 
@@ -17,17 +18,18 @@ if TYPE_CHECKING:
     from clvol.opencl.context import DeviceArray, DeviceContext
     from clvol.render.device_volume import DeviceVolume
 
-# Headers of cl/oracle.h: none of these numbers means a scene's own code.
+# Headers of cl/oracle.h. The last is a file of the caller's own; no scene can bring one.
 KERNEL_MINIMUM, KERNEL_MAP, KERNEL_ERROR, KERNEL_CUSTOM = "minimum", "map", "error", "custom"
 
 
 @dataclass(frozen=True, eq=False)
 class BlockCells:
-    """What cells [z, y, x] of a volume of blocks hold: whether anything is ``shown`` (bool), and the
-    ``spacing`` of their block's samples in voxels."""
+    """What cells [z, y, x] of a volume of blocks hold: whether anything is ``shown`` (bool), the ``spacing`` of
+    their block's samples in voxels, and whether some of them are ``holes`` (bool): not finite, beside others."""
 
     shown: np.ndarray
     spacing: np.ndarray
+    holes: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +41,7 @@ class Asked:
     kernels that look at it, and ``switches`` of these. ``shape``: cells of the map (z, y, x).
     ``epsilon``: [pyramid] epsilon. ``opacity_edges``: opacity units in a smallest voxel edge. ``shift``: log2 of a map cell's edge in lattice units. ``edges`` (x, y, z):
     smallest voxel edges in a lattice unit, at least 1. ``reach``: larger distances, in smallest
-    edges, are as good as this one. ``blocks``: of a volume of blocks, which is not there as voxels.
+    edges, are as good as this one. ``filter``: [integration] filter. ``blocks``: of a volume of blocks, which is not there as voxels.
     """
 
     context: DeviceContext
@@ -55,6 +57,7 @@ class Asked:
     edges: tuple[float, float, float]
     reach: float
     shape: tuple[int, int, int]
+    filter: str = "linear"
     blocks: BlockCells | None = None
 
     @property
@@ -95,4 +98,10 @@ class MapOracle(Oracle):
     def map(self, asked: Asked) -> DeviceArray:
         from clvol.render.pyramid.cells import upload_distances
 
-        return upload_distances(asked.context, self.distances(asked))
+        distances = np.asarray(self.distances(asked), np.float64)
+        where = f"oracle {self.name!r}"
+        if distances.shape != asked.shape:
+            raise RenderError(where, f"gave distances {distances.shape}", f"{asked.shape}, as asked.shape")
+        if not (distances >= 0).all():
+            raise RenderError(where, "gave a distance that is negative or not a number", "0 or more")
+        return upload_distances(asked.context, distances)

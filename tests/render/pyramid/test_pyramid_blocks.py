@@ -97,6 +97,30 @@ def test_work_items_that_share_a_tile_and_several_buffers(first_device, contexts
     assert rms(awake.rgba, packets.rgba) < 1e-3
 
 
+def test_no_step_leads_over_a_hole(context):
+    """Two values that show nothing, and between them a layer that is no value: no segment goes from one to the other."""
+    array = np.full(SHAPE, 20.0, np.float32)
+    array[:, :, 23:] = 240.0
+    array[:, :, 22] = np.nan
+    between = SHOWN.__class__([0.0, 60.0, 100.0, 140.0, 255.0], [0.0, 0.0, 0.9, 0.0, 0.0], [[1, 1, 1]] * 5)
+    volume = Volume(array)
+    blocks = resident(context, volume, np.zeros(BlockGrid(SHAPE, 16).count, np.uint8))
+    scene = scene_of(volume, function=between, step=1.3)
+    data = picture_of(BlockPyramidCaster(context, scene, blocks))
+    even = scene.multiresolution.model_copy(update={"stepping": "full"})
+    expected = block_picture(context, replace(scene, multiresolution=even), blocks)
+    assert not expected.rgba.any() and not data.rgba.any()
+
+
+def test_trials_know_that_all_pixels_are_rendered(first_device):
+    scene = scene_of(Volume(waves(SHAPE)))
+    with Renderer(scene, [first_device]) as renderer:
+        assert renderer._raycaster.renders_all_pixels
+    asked = scene.multiresolution.model_copy(update={"stepping": "limited"})
+    with Renderer(replace(scene, multiresolution=asked), [first_device]) as renderer:
+        assert not renderer._raycaster.renders_all_pixels
+
+
 def test_nothing_resident_shows_nothing(context):
     volume = Volume(waves(SHAPE))
     levels = np.full(BlockGrid(SHAPE, 16).count, DROPPED, np.uint8)

@@ -10,7 +10,7 @@ from pyramid_scenes import SHELL, map_distances, pyramid_picture, pyramid_scene,
 from small_scenes import rms, waves
 
 from clvol import TransferFunction
-from clvol.errors import SceneError
+from clvol.errors import RenderError, SceneError
 from clvol.render.pyramid import oracles as known
 from clvol.render.pyramid.caster import PyramidCaster
 from clvol.render.pyramid.cells import (
@@ -266,6 +266,45 @@ INLINE floatN oracle_distance(const Source *in, floatN x, floatN y, floatN z, fl
 """
 
 
+def test_maps_that_do_not_fit_are_refused(context, registered):
+    """The kernel would look beyond them."""
+
+    class Wrong(_Everywhere):
+        found = np.zeros((3, 3, 3))
+
+        def distances(self, asked):
+            return self.found
+
+    class NoMap(Oracle):
+        name = "no-map"
+
+    wrong = Wrong()
+    registered(wrong), registered(NoMap())
+    scene = pyramid_scene(oracle="everywhere")
+    with pytest.raises(RenderError, match=r"gave distances \(3, 3, 3\)"):
+        PyramidCaster(context, scene)
+    for number in (np.nan, -1.0):
+        wrong.found = np.full((39, 36, 44), number)
+        with pytest.raises(RenderError, match="negative or not a number"):
+            PyramidCaster(context, scene)
+    wrong.found = np.full((39, 36, 44), np.inf)
+    assert np.isfinite(pyramid_picture(context, scene).rgba).all()
+    with pytest.raises(RenderError, match="gave a map of 0 bytes"):
+        PyramidCaster(context, pyramid_scene(oracle="no-map"))
+
+
+def test_a_renderer_has_the_oracle_that_a_name_means_now(context, registered):
+    from clvol.render.engines import Engines
+
+    engines = Engines(context)
+    registered(_Everywhere())
+    scene = pyramid_scene(oracle="everywhere")
+    first = engines.make(scene)
+    assert engines.make(scene).oracle is first.oracle
+    registered(_Everywhere())
+    assert engines.make(scene).oracle is not first.oracle
+
+
 def test_an_oracle_in_opencl_c(context, registered, tmp_path):
     """It may look at the value: then every coarse sample is one of the volume, too."""
 
@@ -293,8 +332,6 @@ def test_an_oracle_in_opencl_c(context, registered, tmp_path):
 
 
 def test_an_oracle_that_does_not_compile_is_named(context, registered, tmp_path):
-    from clvol.errors import RenderError
-
     class Broken(Oracle):
         name, kernel, folder = "broken", KERNEL_CUSTOM, tmp_path
 

@@ -17,6 +17,7 @@ from pyramid_scenes import (
 from small_scenes import axis_camera, picture, rms, waves
 
 from clvol import Volume
+from clvol.errors import RenderError
 from clvol.scene.clip import Clip
 from clvol.render.pyramid.caster import PyramidCaster
 from clvol.render.pyramid.oracles import names
@@ -105,6 +106,35 @@ def test_holes_stay_where_they_are(context):
     assert np.isfinite(data.rgba).all()
     full = pyramid_picture(context, pyramid_scene(array, oracle="minimum"))
     assert rms(data.rgba, full.rgba) < 0.01
+
+
+def test_a_hole_is_the_same_in_a_packet_and_alone(first_device, contexts):
+    """What follows a hole depends on no neighbour."""
+    context = contexts(first_device)
+    array = waves((40, 37, 45))
+    array[::6, 18:21, ::5] = np.nan
+    scene = pyramid_scene(array, oracle="minimum")
+    packets, single = (
+        pyramid_picture(context, scene, **how) for how in ({"lanes": 16}, {"lanes": 1, "workers": 16})
+    )
+    assert rms(packets.rgba, single.rgba) < 1e-5
+    check(PyramidCaster(context, scene, lanes=1, workers=16))
+
+
+def test_what_is_visible_by_overshoot_alone_is_seen(context):
+    """No voxel shows, but what Catmull and Rom's filter makes of them does."""
+    array = np.zeros((30, 30, 30), np.float32)
+    array[10:20, 10:20, 10:20] = 100.0
+    function = SHELL.__class__([0.0, 101.0, 103.0, 200.0], [0.0, 0.0, 0.5, 0.5], [[1.0, 0.8, 0.6]] * 4)
+    camera = axis_camera((14.5, 14.5, 14.5), axis=2, height=32.0)
+    for oracle in ("visible", "error"):
+        asked = {"filter": "catmull-rom", "camera": camera, "oracle": oracle, "step": 0.5}
+        scene = pyramid_scene(array, function, **asked)
+        sleeping, awake = (pyramid_picture(context, scene, leap=leap) for leap in (True, False))
+        assert rms(sleeping.rgba, awake.rgba) < 2e-5
+        plain = replace(scene, integration=scene.integration.model_copy(update={"method": "raycast"}))
+        shown = picture(context, plain)
+        assert shown.rgba[..., 3].max() > 0.1 and rms(sleeping.rgba, shown.rgba) < 0.02
 
 
 def test_rays_stop_where_they_are_opaque(context):
@@ -213,6 +243,46 @@ def test_a_frame_is_the_same_each_time(context):
     first, second = rendered(caster), rendered(caster)
     np.testing.assert_array_equal(first.rgba, second.rgba)
     assert first.samples == second.samples and first.counters == second.counters
+
+
+def test_columns_of_wide_views_wake_in_time(context):
+    """Rays grow apart while their column sleeps."""
+    array = np.zeros((24, 200, 200), np.uint8)
+    array[4:6, 3:60:7, 3:60:7] = array[10:12, 120:190:9, 130:190:9] = 165
+    camera = {"position": (100.0, 100.0, -70.0), "target": (100.0, 100.0, 12.0), "fov_degrees": 100.0}
+    scene = pyramid_scene(array, SHELL, camera=camera, levels=5, oracle="visible", width=64, height=64)
+    sleeping, awake = (pyramid_picture(context, scene, leap=leap) for leap in (True, False))
+    np.testing.assert_allclose(sleeping.rgba, awake.rgba, atol=2e-5)
+    assert sleeping.counters["syntheses"] <= awake.counters["syntheses"]
+
+
+def test_another_step_asks_the_oracle_anew(context):
+    scene = pyramid_scene()
+    for step in (4.0, 0.5):
+        other = pyramid_scene(step=step)
+        found = PyramidCaster(context, scene).like(other)
+        fresh = pyramid_picture(context, other)
+        np.testing.assert_array_equal(rendered(found).rgba, fresh.rgba)
+
+
+def test_colours_that_cycle_are_asked_about_as_they_are(context):
+    scene = pyramid_scene(function=SHELL, step=0.4)
+    animation = scene.animation.model_copy(update={"cycle": 0.5, "time": 0.0})
+    scene = replace(scene, animation=animation)
+    later = replace(scene, animation=animation.model_copy(update={"time": 0.7}))
+    found = rendered(PyramidCaster(context, scene).like(later))
+    np.testing.assert_array_equal(found.rgba, pyramid_picture(context, later).rgba)
+    plain = replace(later, integration=later.integration.model_copy(update={"method": "raycast"}))
+    assert rms(found.rgba, picture(context, plain).rgba) < 0.01
+    assert rms(found.rgba, pyramid_picture(context, scene).rgba) > 0.02
+
+
+def test_more_slices_than_can_be_told_apart_are_an_error(context):
+    caster = PyramidCaster(context, pyramid_scene(step=5e-6))
+    with pytest.raises(RenderError, match="slices by the method 'pyramid'"):
+        rendered(caster)
+    far = {"position": (1e9, 0.0, 0.0), "target": (22.0, 18.0, 20.0), "fov_degrees": 1e-6}
+    assert np.isfinite(pyramid_picture(context, pyramid_scene(camera=far)).rgba).all()
 
 
 def test_a_camera_move_compiles_nothing(first_device, contexts):

@@ -10,13 +10,14 @@ To add one:
 
     class Everywhere(MapOracle):
         name = "everywhere-alike"
-        def distances(self, asked):                      # in smallest voxel edges, [z, y, x] of asked.cells
+        def distances(self, asked):                      # in smallest voxel edges, [z, y, x] of asked.shape
             return np.full(asked.shape, 4.0)
 
     register(Everywhere())                               # then [pyramid] oracle = "everywhere-alike"
 
 or, with a function of its own in OpenCL C, ``Oracle`` with ``kernel = KERNEL_CUSTOM`` and ``folder`` that of a file
-"oracle_custom.h"; one that does not look at the sample's value says ``#define ORACLE_NEEDS_VALUE 0``. Such code is the caller's own: no scene or data file can bring any.
+"oracle_custom.h"; one that does not look at the sample's value says ``#define ORACLE_NEEDS_VALUE 0``. Such code is the
+caller's own: no scene or data file can bring any.
 """
 
 from __future__ import annotations

@@ -22,4 +22,5 @@ class Resolution(Oracle):
         bad = np.zeros(asked.shape, np.uint8)
         for bit, scale in enumerate(asked.scales):
             bad |= ((spacing < scale) & shown).astype(np.uint8) << bit
+        bad[asked.blocks.holes] = 255
         return distance_map(asked, upload_cells(asked, bad), asked.scales)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from clvol.features import FILTER_REACH, overshoot
 from clvol.opencl.context import DeviceArray
 from clvol.render.pyramid.cells import distance_map, padded_cells
 from clvol.render.pyramid.oracle import Asked, Oracle
@@ -32,7 +33,7 @@ def visible_in_cells(asked: Asked, cells: DeviceArray, bit: int = 0) -> None:
         "oracle_visible.cl",
         "visible_cells",
         "in volume V1, in warp float32, in before int32, in at uint8, in view V1, "
-        "value shift int32, value cells int4, value stride int32, value bit int32, out visible uint8",
+        "value shift int32, value apron int32, value overshoot float32, value cells int4, value stride int32, value bit int32, out visible uint8",
         {**asked.switches, "LANES": 1},
     )
     before = np.concatenate([[0], np.cumsum(visible_cells(function, nodes))])
@@ -46,6 +47,8 @@ def visible_in_cells(asked: Asked, cells: DeviceArray, bit: int = 0) -> None:
         at=context.upload((function.opacity(nodes) > 0).astype(np.uint8)),
         view=context.upload(asked.view),
         shift=asked.shift,
+        apron=FILTER_REACH[asked.filter],
+        overshoot=overshoot(asked.filter),
         cells=(nx, ny, nz, 0),
         stride=cells.shape[2],
         bit=bit,
