@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from clvol.features import ORACLES
 from clvol.opencl.context import DeviceArray, DeviceContext
 from clvol.render.multiresolution.caster import BLOCK_COUNTERS, BlockCaster, block_switches
 from clvol.render.multiresolution.device_blocks import DeviceBlocks
-from clvol.render.pyramid.caster import COUNTERS, TILE, PyramidMarch, workers_for
+from clvol.render.pyramid.caster import COUNTERS, TILE, PyramidMarch, march_switches
 from clvol.render.pyramid.cells import upload_cells, way_map
 from clvol.render.pyramid.layout import FREE_REACH
 from clvol.render.pyramid.oracle import BlockCells
@@ -70,18 +69,8 @@ class BlockPyramidCaster(PyramidMarch, BlockCaster):
 
 
 def block_pyramid_switches(
-    resolved: ResolvedScene,
-    warped: bool,
-    lanes: int,
-    workers: int | None = None,
-    tile: int = TILE,
-    leap: bool = True,
+    resolved: ResolvedScene, warped: bool, lanes: int, *how: int | None
 ) -> dict[str, int]:
-    """What gets compiled, but for what the samples' type and buffers add."""
-    return {
-        **block_switches(resolved, warped, lanes, False, "full"),
-        "WORKERS": workers or workers_for(lanes),
-        "TILE": tile,
-        "ORACLE": ORACLES[Resolution.kernel],
-        "LEAPS": int(leap),
-    }
+    """What gets compiled, but for what the samples' type and buffers add. ``how``: as for ``march_switches``."""
+    switches = block_switches(resolved, warped, lanes, False, "full")
+    return {**switches, **march_switches(Resolution(), lanes, *how)}

@@ -306,20 +306,23 @@ def workers_for(lanes: int) -> int:
     return 1 if lanes > 1 else WORKERS
 
 
-def pyramid_switches(
-    resolved: ResolvedScene,
-    warped: bool,
-    lanes: int,
-    workers: int | None = None,
-    tile: int = TILE,
-    leap: bool = True,
+def march_switches(
+    oracle: Oracle, lanes: int, workers: int | None = None, tile: int = TILE, leap: bool = True
 ) -> dict[str, int]:
-    """What gets compiled for a scene of the method "pyramid"."""
-    oracle = oracle_named(resolved.pyramid.oracle)
+    """What cl/pyramid.cl has beside the switches of what it samples."""
     return {
-        **raycast_switches(without_clips(resolved), warped=warped, lanes=lanes),
         "WORKERS": workers or workers_for(lanes),
         "TILE": tile,
         "ORACLE": ORACLES[oracle.kernel],
         "LEAPS": int(leap and oracle.leaps),
+    }
+
+
+def pyramid_switches(
+    resolved: ResolvedScene, warped: bool, lanes: int, *how: int | None
+) -> dict[str, int]:
+    """What gets compiled for a scene of the method "pyramid". ``how``: as for ``march_switches``."""
+    return {
+        **raycast_switches(without_clips(resolved), warped=warped, lanes=lanes),
+        **march_switches(oracle_named(resolved.pyramid.oracle), lanes, *how),
     }
