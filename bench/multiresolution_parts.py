@@ -102,8 +102,12 @@ class Blocks:
 
     def caster(self, skip: bool = True, **settings: Any) -> Any:
         from clvol.render.multiresolution.caster import BlockCaster
+        from clvol.render.multiresolution.engine import caster_of
 
-        made = BlockCaster(self.context, self.asked(**settings), self.residency.blocks, skip=skip)
+        asked = self.asked(**settings)
+        kind = caster_of(asked)
+        how = {"skip": skip} if kind is BlockCaster else {}
+        made = kind(self.context, asked, self.residency.blocks, **how)
         made.warm_up(*self.size, depth=False)
         return made
 

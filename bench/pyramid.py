@@ -3,7 +3,7 @@ pyramid_tables.py).
 
 Parts: the paper's tables of samples and seconds; from which cost of a sample on the pyramid is
 faster than the plain ray caster, which leaps over empty space; every oracle; pictures of more and
-more pixels.
+more pixels; steps through blocks.
 """
 
 from __future__ import annotations
@@ -29,7 +29,8 @@ EDGE, QUICK_EDGE = 512, 320  # voxels that the aneurism is resampled to
 # What P1 gains over its "min".
 ANEURISM_GOALS, CHEST_GOALS = {"fewer": 56.0, "faster": 3.4}, {"fewer": 4.7, "faster": 1.8}
 HALF = 0.5  # the distance of rays between slices: what the paper's leaves wrong is then small
-PARTS = ("paper", "crossover", "oracles", "sizes")
+RATIO, QUICK_RATIO = 11.0, 4.0  # of voxels' bytes to those of blocks
+PARTS = ("paper", "crossover", "oracles", "sizes", "blocks")
 CROSSOVER = (ANEURISM, ENGINE, HEPTANE, FEMALE)
 ORACLES = (ENGINE, HEPTANE, ANEURISM)
 PICTURES = (ANEURISM, FEMALE)
@@ -77,6 +78,10 @@ def _cases(
         "oracles": [
             lambda s=scene: parts.oracles(bench, s, epsilons)
             for scene in ORACLES if scene in scenes
+        ],
+        "blocks": [
+            lambda s=scene: parts.blocks(bench, s, QUICK_RATIO if quick else RATIO)
+            for scene in (HEPTANE, FEMALE) if scene in scenes
         ],
         "sizes": [lambda: parts.sizes(bench, HEPTANE, sizes) for _ in range(HEPTANE in scenes)],
     }  # fmt: skip

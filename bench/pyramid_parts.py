@@ -11,7 +11,7 @@ from typing import Any
 
 from bench.curves import Reach, reach
 from bench.effects import ratio_of
-from bench.multiresolution_parts import Bench, alike, timed
+from bench.multiresolution_parts import Bench, alike, stepping_row, timed
 from bench.multiresolution_scenes import BlockScene
 from bench.pyramid_scenes import by_pyramid, by_rays, ray_spacing, resampled
 from bench.reference_cache import exact_picture
@@ -26,6 +26,7 @@ SIZES, QUICK_SIZES = (256, 512, 1024, 2048), (48, 96)
 PAPER_WAYS = ((DEFAULT_ORACLE, 0.01), (DEFAULT_ORACLE, 0.3), ("opacity-gradient", 0.01),
               ("opacity-gradient", 0.025))  # fmt: skip
 SSIM_GOAL, DELTA_E_GOAL = 0.985, 1.0
+BLOCK_STEPPINGS = ("full", "limited", "naive", "pyramid")
 CUBIC = "cubic"  # the level of dearness after the REPEATS
 FINE_STEP = 0.125  # voxel edges, of the pictures that errors are measured against
 
@@ -264,6 +265,26 @@ def oracles(bench: Bench, scene: BlockScene, epsilons: Sequence[float]) -> dict[
 def _prepare(bench: Bench, resolved: Any, volume: Any) -> None:
     _made(bench, resolved, volume)
     bench.context.finish()
+
+
+# Through blocks
+
+
+def blocks(bench: Bench, scene: BlockScene, ratio: float) -> dict[str, Any]:
+    """Steppings of the method "multiresolution" over "full", at the same blocks: ``ratio`` : 1 of the
+    voxels' bytes."""
+    voxels = bench.volume(scene)
+    tables = {"integration": {"classification": "preintegrated"}}
+    asked = scene.asked(voxels, bench.size, int(voxels.nbytes / ratio), tables).resolve()
+    with bench.blocks(asked) as held:
+        casters = {name: held.caster(stepping=name) for name in BLOCK_STEPPINGS}
+        frames = {name: held.picture(made) for name, made in casters.items()}
+        times = bench.times({name: held.turn(made) for name, made in casters.items()})
+        rows = {name: stepping_row(name, frames, times) for name in casters}
+        found = {"scene": scene.name, "ratio": ratio, "blocks": held.described(), "rows": rows}
+    say(f"{scene.name} {ratio:g} : 1, stepping \"pyramid\": {rows['pyramid']['faster']:.2f} times"
+        f" as fast as \"full\", SSIM {rows['pyramid']['ssim']:.4f}")
+    return found
 
 
 # How it grows

@@ -49,7 +49,7 @@ def show(result: dict[str, Any]) -> str:
     lines = [
         f"{size} x {size} pixels where nothing else is said, pre-integrated, levels {LEVELS}",
         *_paper(result["paper"]), *_crossover(result["crossover"]), *_oracles(result["oracles"]),
-        *_sizes(result["sizes"]), *map(str, verdicts(result)), "", *closing(result),
+        *_sizes(result["sizes"]), *_blocks(result["blocks"]), *map(str, verdicts(result)), "", *closing(result),
     ]  # fmt: skip
     return "\n".join(lines)
 
@@ -146,6 +146,22 @@ def _oracles(parts: list[dict[str, Any]]) -> list[str]:
         " Prepare: tables and map, the volume being there.",
         table(head, cells, left=3), "",
     ]  # fmt: skip
+
+
+def _blocks(parts: list[dict[str, Any]]) -> list[str]:
+    cells = [
+        [part["scene"] if name == "full" else "", f"{part['blocks']['reduction']:.1f} : 1", name,
+         *_time(r["time"]), f"{r['faster']:.2f}", _millions(r["samples"]), f"{r['ssim']:.4f}",
+         f"{r['delta_e']:.2f}"]
+        for part in parts for name, r in part["rows"].items()
+    ]  # fmt: skip
+    if not cells:
+        return []
+    head = ["scene", "bytes", "steps", "s", "spread", "faster", "M samples", "SSIM", "CIEDE2000"]
+    return [
+        "Through blocks, step 1: faster and alike beside \"full\" at the same blocks.",
+        table(head, cells, left=3), "",
+    ]
 
 
 def _sizes(parts: list[list[dict[str, Any]]]) -> list[str]:

@@ -229,6 +229,13 @@ def _result() -> dict:
             "rows": [{"oracle": "minimum", "epsilon": None, "samples": 1, "counters": _COUNTERS,
                       "time": _time(0.1), "prepare": 0.25, "from_minimum": 0.0, "from_fine": 1e-3}],
         }],
+        "blocks": [{
+            "scene": "heptane", "ratio": 11.0, "blocks": {"reduction": 11.2},
+            "rows": dict.fromkeys(
+                ("full", "pyramid"),
+                {"time": _time(0.1), "faster": 2.0, "samples": 5, "ssim": 0.9, "delta_e": 0.1},
+            ),
+        }],
         "sizes": [[{
             "scene": "heptane", "size": 2048, "oversampling": 2, "faster": _RATIO, "rmse": 1e-3,
             "plain": {"time": _time(0.1), "samples": 10},
@@ -300,6 +307,9 @@ def test_a_quick_run_measures_shows_and_draws(first_device, shared_volume, monke
     assert [row["level"] for row in result["crossover"][0]["rows"]] == [0, 4, "cubic"]
     assert [part["scene"] for part in result["oracles"]] == ["aneurism"]
     assert [row["size"] for row in result["sizes"][0]] == [48, 96]
+    (part,) = result["blocks"]
+    assert part["scene"] == "heptane" and list(part["rows"]) == ["full", "limited", "naive", "pyramid"]
+    assert part["rows"]["pyramid"]["samples"] < part["rows"]["full"]["samples"]
     assert "no figure of it is a result" in show(result)
     drawn = bench.draw(result, options)
     assert [path.name for path in drawn] == ["pyramid-crossover.png", "pyramid.png"]

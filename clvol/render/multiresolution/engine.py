@@ -20,7 +20,8 @@ from clvol.transfer import TransferFunction
 TILES = 16  # pixels an edge of the tiles of a picture for a given time, where the scene has none
 
 
-def _caster_of(resolved: ResolvedScene) -> type[BlockCaster]:
+def caster_of(resolved: ResolvedScene) -> type[BlockCaster]:
+    """What renders the scene's stepping."""
     if resolved.multiresolution.stepping == "pyramid":
         from clvol.render.pyramid.blocks import BlockPyramidCaster
 
@@ -48,7 +49,7 @@ class MultiresolutionEngine:
         self._waits = True
         self.residency.ask(resolved, self.function, progress=progress)
         self._shown = self.residency.generation
-        self.caster = _caster_of(resolved)(context, resolved, self.residency.blocks)
+        self.caster = caster_of(resolved)(context, resolved, self.residency.blocks)
 
     @property
     def visible_share(self) -> float:
