@@ -198,10 +198,11 @@ class DeviceContext:
 
     # Buffers
 
-    def upload(self, array: np.ndarray) -> DeviceArray:
-        """A read-only copy of ``array`` on the device."""
+    def upload(self, array: np.ndarray, *, writable: bool = False) -> DeviceArray:
+        """A copy of ``array`` on the device, that kernels may only read unless it is ``writable``."""
         array = np.ascontiguousarray(array)
-        flags = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
+        kind = cl.mem_flags.READ_WRITE if writable else cl.mem_flags.READ_ONLY
+        flags = kind | cl.mem_flags.COPY_HOST_PTR
         return self._buffer(flags, array.dtype, array.shape, array)
 
     def share(self, array: np.ndarray) -> DeviceArray:

@@ -143,7 +143,7 @@ def distance_map(context: DeviceContext, mask: np.ndarray) -> DeviceArray:
         {"VOXEL_BITS": 8, "VOXEL_SIGNED": 0},
     )
     cells = mask.shape[::-1]
-    spare = [context.upload(padded), context.upload(padded)]
+    spare = [context.upload(padded, writable=True) for _ in range(2)]
     for axis in range(3):
         target = spare[axis % 2]
         kernel(

@@ -132,7 +132,7 @@ def fill_light_volume(
     group = 1 if lanes > 1 else _WORK_GROUP
     channels = _floats(resolved) // points
     arrives = context.empty(np.float32, (len(lights), *size[::-1], channels))
-    counts = context.upload(np.zeros(items, np.uint32))
+    counts = context.upload(np.zeros(items, np.uint32), writable=True)
     cone = np.zeros((1 + CONE_DIRECTIONS, 4), np.float32)
     cone[0] = (*(1.0 - np.asarray(resolved.shadow.scatter_color)), CONE_DIRECTIONS)
     cone[1:, :3] = cone_directions(resolved.shadow.cone_degrees)

@@ -140,9 +140,8 @@ def way_map(asked: Asked, bad: DeviceArray, reach: float, unit: float) -> Device
 
 def _map_of(asked: Asked, distance: float) -> DeviceArray:
     code = distance_codes(np.array(distance))
-    found = asked.context.empty(np.uint8, (map_bytes(asked.shape),))
-    asked.context.write(found, np.full(found.shape, code, np.uint8))
-    return found
+    codes = np.full(map_bytes(asked.shape), code, np.uint8)
+    return asked.context.upload(codes, writable=True)
 
 
 def _move_distances(
