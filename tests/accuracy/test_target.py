@@ -51,7 +51,8 @@ def test_the_error_holds_and_the_claim_holds(first_device, function, limit):
     assert true <= found["bound"] and true == pytest.approx(found["rmse"], rel=0.1)
     assert 0 < found["pixels"] <= found["of_pixels"] == 160 * 160
     assert found["confidence"] in (0.95, 1.0)
-    assert found["settings"]["integration.method"] == "raycast"
+    # Whichever was fastest just now, but not the exact integral.
+    assert found["settings"]["integration.method"] in ("raycast", "multiresolution", "pyramid")
 
 
 def test_less_error_costs_more(first_device):
