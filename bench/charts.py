@@ -39,6 +39,12 @@ def _save(plt, figure, path: Path, notes: str) -> Path:
     return path
 
 
+def _grid(axis) -> None:
+    """Faint lines behind all that is drawn."""
+    axis.grid(True, which="major", color="#e6e6e6", linewidth=0.6)
+    axis.set_axisbelow(True)
+
+
 def _plain_log(axis, *, x: bool = True, y: bool = True) -> None:
     """Ticks at 1, 2, 5 of each decade where there are few, written as numbers; powers elsewhere."""
     from matplotlib.ticker import FuncFormatter, LogFormatterSciNotation, LogLocator, NullFormatter
@@ -140,8 +146,7 @@ def error_time_chart(result: dict[str, Any], size: int, path: Path) -> Path:
                     linewidth=0.9, alpha=0.8)
         axis.axhline(s["headline"]["vtk_rmse"], color=_VTK, linewidth=0.8, linestyle=":")
         axis.set_title(f"{s['scene']}: {s['summary']}\nclvol: {s['classification']}", fontsize=9)
-        axis.grid(True, which="major", color="#e6e6e6", linewidth=0.6)
-        axis.set_axisbelow(True)
+        _grid(axis)
         axis.set_xlabel("milliseconds a frame")
         axis.set_ylabel("RMSE")
         _plain_log(axis)
@@ -181,8 +186,7 @@ def tradeoff_chart(result: dict[str, Any], path: Path) -> Path:
         if s["vtk"]:
             _step_curve(axis, s["vtk"], _VTK, "s")
         axis.set_title(f"{s['scene']}, {s['size']}\u00b2")
-        axis.grid(True, which="major", color="#e6e6e6", linewidth=0.6)
-        axis.set_axisbelow(True)
+        _grid(axis)
         axis.set_xlabel("milliseconds a frame")
         axis.set_ylabel("RMSE")
         _plain_log(axis)
@@ -260,8 +264,7 @@ def scaling_chart(result: dict[str, Any], path: Path) -> Path:
     right.set_xticks(edges, list(map(str, edges)))
     right.minorticks_off()
     for axis in (left, right):
-        axis.grid(True, which="major", color="#e6e6e6", linewidth=0.6)
-        axis.set_axisbelow(True)
+        _grid(axis)
     return _save(plt, figure, path, _notes(result))
 
 
@@ -431,8 +434,7 @@ def crossover_chart(result: dict[str, Any], path: Path) -> Path:
             axis.loglog(cubic["cost"], cubic[way]["median"], color=color, marker=marker,
                         markersize=7, markerfacecolor="white", linestyle="", zorder=3)
         axis.set_title(f"{part['scene']}\n{_crossing(axis, part['crossing'])}", fontsize=9)
-        axis.grid(True, which="major", color="#e6e6e6", linewidth=0.6)
-        axis.set_axisbelow(True)
+        _grid(axis)
         axis.set_xlabel("cost of a sample, times a plain one's")
         axis.set_ylabel("seconds a frame")
         _plain_log(axis)

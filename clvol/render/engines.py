@@ -120,7 +120,8 @@ def _key(resolved: ResolvedScene) -> tuple:
     words = tuple(repr(getattr(resolved, name)) for name in _BY_WORDS)
     if alike.method == "multiresolution":
         words += repr(resolved.multiresolution), resolved.background.tobytes()
-        words += (repr(resolved.pyramid.levels),)
+        if resolved.multiresolution.stepping == "pyramid":
+            words += (repr(resolved.pyramid.levels),)
     if alike.method == "pyramid":
         from clvol.render.pyramid.oracles import oracle_named
 

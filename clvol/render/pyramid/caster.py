@@ -102,11 +102,8 @@ class PyramidMarch:
     @property
     def _reach(self) -> float:
         """Distances beyond this are of no use: twice that of the coarsest samples along a ray."""
-        return float(np.clip(2.0 ** (self.pyramid.levels + 1) * self._longest_step, 1.0, 64.0))
-
-    @property
-    def _longest_step(self) -> float:
-        return max(1.0, self.resolved.integration.step)
+        step = max(1.0, self.resolved.integration.step)
+        return float(np.clip(2.0 ** (self.pyramid.levels + 1) * step, 1.0, 64.0))
 
     @property
     def _slices(self) -> int:

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from clvol.opencl.context import DeviceArray, DeviceContext
-from clvol.render.pyramid.layout import BRICK, MAP_SPARE, map_bytes
+from clvol.render.pyramid.layout import BRICK, MAP_SPARE, map_bytes, padded_row
 from clvol.render.pyramid.oracle import Asked
 
 BINS = 2048  # of values, for what an error of a value shows
@@ -108,13 +108,13 @@ def cells_of_voxels(asked: Asked, voxels: DeviceArray) -> DeviceArray:
 def padded_cells(asked: Asked) -> DeviceArray:
     """uint8 [z, y, x] for the cells of ``asked``'s map, rows padded; uninitialised."""
     nz, ny, nx = asked.shape
-    return asked.context.empty(np.uint8, (nz, ny, _stride(nx)))
+    return asked.context.empty(np.uint8, (nz, ny, padded_row(nx)))
 
 
 def upload_cells(asked: Asked, bad: np.ndarray) -> DeviceArray:
     """The same of bits [z, y, x] that are known on the host."""
     nx = bad.shape[2]
-    return asked.context.upload(np.pad(bad, ((0, 0), (0, 0), (0, _stride(nx) - nx))))
+    return asked.context.upload(np.pad(bad, ((0, 0), (0, 0), (0, padded_row(nx) - nx))))
 
 
 def distance_map(asked: Asked, bad: DeviceArray, scales: Sequence[float]) -> DeviceArray:
@@ -223,10 +223,6 @@ def decoded_distances(codes: np.ndarray) -> np.ndarray:
     """float64: what bytes stand for (cl/oracle.h)."""
     words = (np.asarray(codes, np.int32) + ((127 - 4) << 4)) << 19
     return np.where(codes == 0, 0.0, words.view(np.float32).astype(np.float64))
-
-
-def _stride(cells: int) -> int:
-    return -(-cells // 16) * 16
 
 
 def _mapped(asked: Asked) -> dict[str, float]:

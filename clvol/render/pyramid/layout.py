@@ -30,6 +30,11 @@ def map_shape(size: tuple[int, int, int], shift: int) -> tuple[int, int, int]:
     return tuple(cell_count(n, shift) for n in reversed(size))
 
 
+def padded_row(cells: int) -> int:
+    """Of an array of cells that a map is made from: whole vectors."""
+    return -(-cells // 16) * 16
+
+
 def map_bytes(shape: tuple[int, int, int]) -> int:
     """Of a map with so many cells."""
     bricks = np.prod([-(-n // BRICK) for n in shape], dtype=np.int64)
@@ -54,7 +59,7 @@ def block_pyramid_bytes(cells: tuple[int, int, int], scene: Scene | ResolvedScen
 def _bytes_to_make(shape: tuple[int, int, int]) -> int:
     """A map, and beside it bits and twice a squared distance of two bytes, in rows of whole vectors."""
     nz, ny, nx = shape
-    return map_bytes(shape) + nz * ny * (nx + -nx % 16) * (1 + 2 * 2)
+    return map_bytes(shape) + nz * ny * padded_row(nx) * (1 + 2 * 2)
 
 
 def _length_bytes(scene: Scene | ResolvedScene) -> int:

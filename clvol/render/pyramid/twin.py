@@ -162,8 +162,7 @@ class _March:
 
     def _update(self, level: int, top: int, k: int, along: int, spacing: float) -> None:
         distance, value = self.distance[level], self.value[level]
-        reach = math.inf if along == self.plan.levels else (2 << along) * self.step + SLACK * spacing
-        part = distance < reach
+        part = distance < self._reach(along, spacing)
         sampled = part
         fresh = part.copy()
         if level < top:
@@ -188,8 +187,11 @@ class _March:
         around = np.pad(distance, 1, mode="edge")
         largest = sliding_window_view(around, (3, 3)).max(axis=(2, 3))
         least = max(level - self.plan.oversampling, 0)
-        reach = math.inf if least == self.plan.levels else (2 << least) * self.step + SLACK * spacing
-        return (largest >= 0.499 * WITHIN * spacing) | (distance >= reach)
+        return (largest >= 0.499 * WITHIN * spacing) | (distance >= self._reach(least, spacing))
+
+    def _reach(self, along: int, spacing: float) -> float:
+        """How far a pixel may look that takes part on a slice: reach_of() of cl/pyramid_levels.h."""
+        return math.inf if along == self.plan.levels else (2 << along) * self.step + SLACK * spacing
 
     def _synthesised(self, level: int, around: int) -> tuple[np.ndarray, np.ndarray]:
         """Distance and value of all pixels of a level (and ``around`` more) from the next one (P1 fig. 7)."""

@@ -33,7 +33,8 @@ def visible_in_cells(asked: Asked, cells: DeviceArray, bit: int = 0) -> None:
         "oracle_visible.cl",
         "visible_cells",
         "in volume V1, in warp float32, in before int32, in at uint8, in view V1, "
-        "value shift int32, value apron int32, value overshoot float32, value cells int4, value stride int32, value bit int32, out visible uint8",
+        "value shift int32, value apron int32, value overshoot float32, value cells int4, "
+        "value stride int32, value bit int32, out visible uint8",
         {**asked.switches, "LANES": 1},
     )
     before = np.concatenate([[0], np.cumsum(visible_cells(function, nodes))])
