@@ -92,7 +92,7 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
   const intN on_picture = MASK(px < view->image.x) & MASK(py < view->image.y);
   uintN taken = 0;
   Gathered acc;
-  acc.r = acc.g = acc.b = acc.a = 0.0f;
+  gathered_clear(&acc);
   floatN median = INFINITY; /* in edges from the eye */
   Rays ray = whole_ray;
   floatN next_from = 0.0f;  /* where the next stretch may begin, in steps along whole_ray */
@@ -191,7 +191,7 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
 #if CLASSIFICATION == CLASSIFICATION_PRE && TRANSLUCENT
         const FetchedSample sample = fetch_sample(volume, view, x, y, z);
         const floatN value = sample_value(sample, view);
-        if (!TRANSFER_LAYERS && k == 2) e = classified_emission(sample, view, warp, table);
+        if (!TRANSFER_LAYERS && k == 2) e = classified_emission(sample, view, table);
 #else
         const floatN value = scene_value(scene, x, y, z);
 #endif
@@ -205,14 +205,13 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
 #if !TRANSLUCENT
       visible = 0;
 #elif CLASSIFICATION == CLASSIFICATION_PREINTEGRATED
-      ClassCoordinate a, b;
-      segment_classes(value2, front, back, length, active & MASK(joined != 0), warp, view, &a, &b);
-      visible = may_be_visible(lane_min(a.position, b.position), lane_max(a.position, b.position), active, view);
-      if (visible & (TRANSFER_LAYERS == 0)) e = segment_emission(a, b, table, view);
+      floatN a = front, b = back;
+      segment_ends(value2, &a, &b, length, active & MASK(joined != 0));
+      visible = may_be_visible(lane_min(a, b), lane_max(a, b), active, view);
+      if (visible & (TRANSFER_LAYERS == 0)) e = segment_emission_in(a, b, active, (intN)0, table, view);
 #elif CLASSIFICATION == CLASSIFICATION_POST
-      const ClassCoordinate at = class_coordinate(mid, warp, view);
-      visible = may_be_visible(at.position, at.position, active, view);
-      if (visible & (TRANSFER_LAYERS == 0)) e = value_emission(at, table);
+      visible = may_be_visible(mid, mid, active, view);
+      if (visible & (TRANSFER_LAYERS == 0)) e = value_emission_in(mid, (intN)0, table, view);
 #endif
 #if TRANSLUCENT
 #if TRANSFER_LAYERS
@@ -235,15 +234,15 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
 #endif
 #if TRANSFER_LAYERS
       if (visible) {
-        const TablePlace layers = layers_around(scene, gradient, 4 * view->table.w);
+        const TablePlace layers = layers_around(scene, gradient, view->pieces.z);
         _Pragma("unroll 1") for (int k = 0; k < 2; ++k) {
           const intN first = k ? layers.high : layers.low;
 #if CLASSIFICATION == CLASSIFICATION_PREINTEGRATED
-          const Emission layer = segment_emission_in(a, b, first, table, view);
+          const Emission layer = segment_emission_in(a, b, active, first, table, view);
 #elif CLASSIFICATION == CLASSIFICATION_POST
-          const Emission layer = value_emission_in(at, first, table);
+          const Emission layer = value_emission_in(mid, first, table, view);
 #else
-          const Emission layer = classified_emission_in(fetch_sample(volume, view, xm, ym, zm), view, warp, first, table);
+          const Emission layer = classified_emission_in(fetch_sample(volume, view, xm, ym, zm), view, first, table);
 #endif
           e = k ? mixed_emission(e, layer, layers.share) : layer;
         }
@@ -341,9 +340,7 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
 #if ENVIRONMENT_VISIBLE
   show_environment(scene, forward, on_picture, &acc);
 #endif
-  float r[LANES], g[LANES], b[LANES], a[LANES];
-  STORE_LANES(acc.r, r), STORE_LANES(acc.g, g), STORE_LANES(acc.b, b), STORE_LANES(acc.a, a);
-  EACH_LANE(k) vstore4((float4)(r[k], g[k], b[k], a[k]), k, rgba);
+  gathered_store(&acc, rgba);
   STORE_LANES(median * view->march.w, depth);
   STORE_LANES(taken, samples);
 }

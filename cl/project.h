@@ -1,5 +1,5 @@
 /* A packet of LANES rays under another compositing than "over": one value of each ray is picked, and the transfer function's
- * colour and opacity there (of one opacity unit: the table's slice 0) are the picture. Switch COMPOSITING:
+ * colour and opacity there (of one opacity unit) are the picture. Switch COMPOSITING:
  *
  *   MAXIMUM, MINIMUM    the largest, smallest of the values
  *   AVERAGE             their mean by length
@@ -213,23 +213,21 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
 #else
   const intN any_value = MASK(best > NO_SCORE);
 #endif
-  const Emission shown = value_emission(class_coordinate(picked, warp, view), table);
+  SegmentColor shown = color_of_value(picked, (floatN)1.0f, table, (intN)0, view);
   floatN weight = 1.0f;
 #if COMPOSITING == COMPOSITING_ATTENUATED_MAXIMUM
   weight = opacity_share;
 #endif
   weight = select((floatN)0.0f, weight, any_value);
 #if WITH_DEPTH
-  picked_at = select((floatN)INFINITY, picked_at, MASK(weight * shown.d > 0.0f));
+  picked_at = select((floatN)INFINITY, picked_at, MASK(weight * shown.a > 0.0f));
 #endif
-  Gathered acc = {weight * shown.r, weight * shown.g, weight * shown.b, weight * shown.d};
+  Gathered acc = {weight * shown.r, weight * shown.g, weight * shown.b, weight * shown.a};
 #if ENVIRONMENT_VISIBLE
   const Vectors forward = scaled3(direction_to_local(effects, whole_ray.dx, whole_ray.dy, whole_ray.dz), 1.0f / h);
   show_environment(scene, forward, on_picture, &acc);
 #endif
-  float r[LANES], g[LANES], b[LANES], a[LANES];
-  STORE_LANES(acc.r, r), STORE_LANES(acc.g, g), STORE_LANES(acc.b, b), STORE_LANES(acc.a, a);
-  EACH_LANE(k) vstore4((float4)(r[k], g[k], b[k], a[k]), k, rgba);
+  gathered_store(&acc, rgba);
   STORE_LANES(picked_at * view->march.w, depth);
   STORE_LANES(taken, samples);
 }

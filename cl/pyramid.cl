@@ -88,7 +88,7 @@ __kernel WIDE_VECTORS __attribute__((reqd_work_group_size(WORKERS, 1, 1))) void 
       const int c = levels < LEAST_LEVEL ? 0 : (row >> levels) * (TILE >> levels) + (column >> levels), slices = m->slices[c];
       int alive_here;
       if (slices)
-        alive_here = march_packet(&source, m, &packets[q], column, row, base, slices, table, warp, &taken, counted);
+        alive_here = march_packet(&source, m, &packets[q], column, row, base, slices, table, &taken, counted);
       else
         alive_here = any_lane(LOAD_LANES(packets[q].alive));
       if (slices == 1 && alive_here) alive_here = restart_packet(&packets[q], m->wakes[c]);

@@ -3,7 +3,6 @@
 #ifndef PYRAMID_PIXELS_H
 #define PYRAMID_PIXELS_H
 
-#include "composite_lengths.h"
 #include "pyramid_levels.h"
 
 #if CLASSIFICATION != CLASSIFICATION_PREINTEGRATED
@@ -19,18 +18,6 @@ typedef struct {
   int alive[LANES];
   float rgba[4 * LANES], opacity[LANES], median[LANES];
 } PixelPacket;
-
-#if LANES == 16
-INLINE void accumulator_load(Accumulator *a, const float *rgba)
-{
-#define LOAD_PAIR(c, k) a->c = (float16)(vload4(k, rgba), (float4)0.0f, vload4(k + 1, rgba), (float4)0.0f);
-  LOAD_PAIR(c0, 0) LOAD_PAIR(c1, 2) LOAD_PAIR(c2, 4) LOAD_PAIR(c3, 6)
-  LOAD_PAIR(c4, 8) LOAD_PAIR(c5, 10) LOAD_PAIR(c6, 12) LOAD_PAIR(c7, 14)
-#undef LOAD_PAIR
-}
-#else
-INLINE void accumulator_load(Accumulator *a, const float *rgba) { a->c = vload4(0, rgba); }
-#endif
 
 /* The packet at (column, row) of the picture; returns whether any of its rays meets the volume. */
 int prepare_packet(__constant const View *view, __constant const Pyramid *pyramid, PixelPacket *p, int column, int row)
@@ -61,7 +48,7 @@ INLINE int restart_packet(PixelPacket *p, int k)
 /* Slices `base` to `base` + `slices` - 1 of the packet at (column, row) of the tile. Returns whether any ray goes on. `inside`: all of its
  * rays are inside the volume on all of these slices. */
 INLINE int march_slices(const Source *in, SHARED const Levels *m, PixelPacket *p, int column, int row, int base, int slices, int inside,
-                        __global const float *table, __global const float *warp, Tally *samples, Tally *counted)
+                        __global const float *table, Tally *samples, Tally *counted)
 {
   __constant const View *view = in->view;
   intN alive = LOAD_LANES(p->alive);
@@ -74,7 +61,7 @@ INLINE int march_slices(const Source *in, SHARED const Levels *m, PixelPacket *p
   const floatN zero = 0.0f, one = 1.0f;
   const int most = in->pyramid->levels.x, more = in->pyramid->levels.y;
   const float h = view->march.x;
-  Accumulator acc;
+  Gathered acc;
   int shows = 0; /* whether `acc` is needed */
   /* A packet that was sampled on the last slice mostly is on the next ones: all of them are fetched at once, since a fetch from beyond the
    * first caches takes longer than all else about a sample. */
@@ -131,13 +118,14 @@ INLINE int march_slices(const Source *in, SHARED const Levels *m, PixelPacket *p
     low = select(low, lane_min(value2, low), curved), high = select(high, lane_max(value2, high), curved); /* not those of a hole */
     if (any_lane(closes & MASK(high > in->pyramid->gate.x) & MASK(low < in->pyramid->gate.y))) {
       const floatN long_ = select(one, length, closes);
-      ClassCoordinate front, back;
-      uneven_classes(value2, value1, value, select(one, t1 - t2, curved), long_, curved, warp, view, &front, &back);
-      if (may_be_visible(lane_min(front.position, back.position), lane_max(front.position, back.position), closes, view)) {
-        if (!shows) accumulator_load(&acc, p->rgba);
+      floatN front = value1, back = value;
+      uneven_ends(value2, &front, &back, select(one, t1 - t2, curved), long_, curved);
+      if (may_be_visible(lane_min(front, back), lane_max(front, back), closes, view)) {
+        if (!shows) gathered_load(&acc, p->rgba);
         shows = 1;
-        composite_chord(&acc, front, back, long_, 1.0f - opacity, closes, table, view);
-        pass_opacity(&acc, &opacity, &median, t1, t);
+        composite_segment(&acc, front, back, long_, closes, table, view);
+        pass_opacity(&acc, opacity, &median, t1, t);
+        opacity = acc.a;
         alive &= ~(takes_part & MASK(opacity >= view->march.z));
       }
     }
@@ -150,27 +138,27 @@ INLINE int march_slices(const Source *in, SHARED const Levels *m, PixelPacket *p
   STORE_LANES(value1, p->value1), STORE_LANES(value2, p->value2), STORE_LANES(t1, p->t1), STORE_LANES(t2, p->t2);
   STORE_LANES(first, p->first), STORE_LANES(second, p->second), STORE_LANES(alive, p->alive);
   if (shows) {
-    accumulator_store(&acc, p->rgba);
+    gathered_store(&acc, p->rgba);
     STORE_LANES(opacity, p->opacity), STORE_LANES(median, p->median);
   }
   return any_lane(alive);
 }
 
 int march_inside(const Source *in, SHARED const Levels *m, PixelPacket *p, int column, int row, int base, int slices,
-                 __global const float *table, __global const float *warp, Tally *samples, Tally *counted)
+                 __global const float *table, Tally *samples, Tally *counted)
 {
-  return march_slices(in, m, p, column, row, base, slices, 1, table, warp, samples, counted);
+  return march_slices(in, m, p, column, row, base, slices, 1, table, samples, counted);
 }
 
 int march_packet(const Source *in, SHARED const Levels *m, PixelPacket *p, int column, int row, int base, int slices,
-                 __global const float *table, __global const float *warp, Tally *samples, Tally *counted)
+                 __global const float *table, Tally *samples, Tally *counted)
 {
   const intN alive = LOAD_LANES(p->alive);
   if (!any_lane(alive)) return 0;
   /* On the last slice nothing may end: that is what the other way is for. */
   const intN cut = alive & (MASK(LOAD_LANES(p->enter) > (float)base) | MASK(LOAD_LANES(p->leave) <= (float)(base + CHUNK)));
-  if (!any_lane(cut)) return march_inside(in, m, p, column, row, base, slices, table, warp, samples, counted);
-  return march_slices(in, m, p, column, row, base, slices, 0, table, warp, samples, counted);
+  if (!any_lane(cut)) return march_inside(in, m, p, column, row, base, slices, table, samples, counted);
+  return march_slices(in, m, p, column, row, base, slices, 0, table, samples, counted);
 }
 
 #endif

@@ -103,7 +103,7 @@ INLINE floatN extinction_along(const Scene *scene, const Rays *ray, floatN t0, f
   const floatN t = 0.5f * (t0 + t1);
   const floatN x = ray->x0 + t * ray->dx, y = ray->y0 + t * ray->dy, z = ray->z0 + t * ray->dz;
 #if TRANSFER_LAYERS
-  intN shows = may_be_visible(at.position, at.position, active, view) ? active : (intN)0;
+  intN shows = may_be_visible(value, value, active, view) ? active : (intN)0;
 #else
   e.d = select((floatN)0.0f, extinction_of(scene, at, (intN)0) * view->march.x, active);
   intN shows = MASK(e.d > 0.0f);
