@@ -40,6 +40,8 @@
 #define ROW_NEXT_OPAQUE 18   /* the first piece from this one on that is opaque all along; the number of columns where there is none */
 #define ROW_LAST_OPAQUE 19   /* the last such piece up to this one; -1 where there is none */
 #define ROW_UNITS 20         /* length of a step in opacity units */
+#define ROW_FROM 21          /* BEGIN; without end for piece 0, */
+#define ROW_TO 22            /* and END; without end for the last one: the values that belong to the piece */
 
 /* The optical depth of what is opaque at once: zero times it is zero, and any share of it that counts is opaque. */
 #define OPAQUE_DEPTH 1e15f
@@ -121,9 +123,9 @@ INLINE floatN emission_position(floatN depth, floatN moment)
 {
   const floatN d = lane_min(depth, (floatN)1e6f);
   const floatN x = (1.0f + d * (0.10844598f + d * 0.02004298f)) *
-                   lane_reciprocal(2.0f + d * (0.55022529f + d * (0.13179018f + d * 0.02004298f)));
-  const floatN y = (1.0f + 0.15f * d) * lane_reciprocal(1.0f + d * (0.15f + 0.025f * d));
-  return lane_clamp(x - moment * y, (floatN)0.0f, (floatN)1.0f);
+                   rough_reciprocal(2.0f + d * (0.55022529f + d * (0.13179018f + d * 0.02004298f)));
+  const floatN y = (1.0f + 0.15f * d) * rough_reciprocal(1.0f + d * (0.15f + 0.025f * d));
+  return lane_max(x - moment * y, (floatN)0.0f);
 }
 
 /* Appends a stretch of optical depth `depth` and colour (r, g, b) behind what `s` holds. */
@@ -134,9 +136,14 @@ INLINE void append_stretch(SegmentColor *s, floatN r, floatN g, floatN b, floatN
   s->a += share, s->depth += depth;
 }
 
-/* Appends the part of `piece` from w0 to w1 (shares of the piece), which is `units` opacity units long. */
-INLINE void append_part(SegmentColor *s, intN piece, floatN w0, floatN w1, floatN units, __global const float *table, intN first,
-                        __constant const View *view)
+/* What a part of a piece emits and absorbs. */
+typedef struct {
+  floatN r, g, b, depth; /* not premultiplied */
+} PiecePart;
+
+/* The part of `piece` from w0 to w1 (shares of the piece), which is `units` opacity units long. */
+INLINE PiecePart part_of_piece(intN piece, floatN w0, floatN w1, floatN units, __global const float *table, intN first,
+                               __constant const View *view)
 {
 #define PIECE_ROW(row) piece_row(table, first, view, row, piece)
   const floatN a = PIECE_ROW(ROW_OPACITY), change = PIECE_ROW(ROW_OPACITY_CHANGE);
@@ -145,11 +152,13 @@ INLINE void append_part(SegmentColor *s, intN piece, floatN w0, floatN w1, float
   floatN spread, moment;
   spread_and_moment(lane_clamp(0.5f * (a0 - a1) * lane_reciprocal(clear), (floatN)-1.0f, (floatN)1.0f), &spread, &moment);
   const floatN rate = depth_of_opacity(mean) + spread, depth = rate * units;
-  const floatN at = emission_position(depth, moment * lane_reciprocal(lane_max(rate, (floatN)1e-30f)));
+  const floatN at = emission_position(depth, moment * rough_reciprocal(lane_max(rate, (floatN)1e-30f)));
   const floatN w = w0 + at * (w1 - w0);
-  append_stretch(s, PIECE_ROW(ROW_COLOR) + w * PIECE_ROW(ROW_COLOR_CHANGE), PIECE_ROW(ROW_COLOR + 1) + w * PIECE_ROW(ROW_COLOR_CHANGE + 1),
-                 PIECE_ROW(ROW_COLOR + 2) + w * PIECE_ROW(ROW_COLOR_CHANGE + 2), depth);
+  const PiecePart part = {PIECE_ROW(ROW_COLOR) + w * PIECE_ROW(ROW_COLOR_CHANGE),
+                          PIECE_ROW(ROW_COLOR + 1) + w * PIECE_ROW(ROW_COLOR_CHANGE + 1),
+                          PIECE_ROW(ROW_COLOR + 2) + w * PIECE_ROW(ROW_COLOR_CHANGE + 2), depth};
 #undef PIECE_ROW
+  return part;
 }
 
 #if TRANSFER_PIECES == 16
@@ -162,14 +171,13 @@ INLINE void append_whole_pieces(SegmentColor *s, intN low, intN high, intN rises
   const floatN zero = 0.0f;
   SegmentColor m = {zero, zero, zero, zero, zero};
   const int stride = view->pieces.x;
-  int from[LANES], to[LANES], on[LANES], begin = view->pieces.w, end = 0;
-  STORE_LANES(low, from), STORE_LANES(high, to), STORE_LANES(active, on);
-  EACH_LANE(k) if (on[k]) begin = min(begin, from[k] + 1), end = max(end, to[k]);
-  _Pragma("unroll 1") for (int p = begin; p < end; ++p) {
+  low = select((intN)TRANSFER_PIECES, low, active);
+  _Pragma("unroll 1") for (int p = 1; p < view->pieces.w - 1; ++p) {
     __global const float *row = table + p;
 #define UNIFORM_ROW(k) row[(k) * stride]
     if (!(UNIFORM_ROW(ROW_DEPTH) > 0.0f)) continue;
-    const intN inside = active & MASK(low < p) & MASK(high > p);
+    const intN inside = MASK(low < p) & MASK(high > p);
+    if (!any_lane(inside)) continue;
     const floatN depth = select(zero, UNIFORM_ROW(ROW_DEPTH) * (UNIFORM_ROW(ROW_LENGTH) * per), inside);
     const floatN moment = UNIFORM_ROW(ROW_MOMENT);
     const floatN at = emission_position(depth, select(-moment, moment, rises)), w = select(1.0f - at, at, rises);
@@ -228,26 +236,49 @@ INLINE SegmentColor color_of_segment(floatN front, floatN back, floatN units, in
   front = select(zero, front, finite), back = select(zero, back, finite), units = select(zero, units, finite);
   active &= finite;
 #endif
-  const intN in_front = piece_of(front, table, first, view), behind = piece_of(back, table, first, view);
+  const intN in_front = piece_of(front, table, first, view);
   const floatN begin = piece_row(table, first, view, ROW_BEGIN, in_front), inverse = piece_row(table, first, view, ROW_INVERSE, in_front);
   const floatN w0 = lane_clamp((front - begin) * inverse, zero, one);
   floatN w1 = lane_clamp((back - begin) * inverse, zero, one);
-  const intN crosses = active & MASK(in_front != behind);
+  const intN crosses = active & (MASK(back < piece_row(table, first, view, ROW_FROM, in_front)) |
+                                 MASK(back >= piece_row(table, first, view, ROW_TO, in_front)));
+  const intN front_shows = active & MASK(piece_row(table, first, view, ROW_DEPTH, in_front) > 0.0f);
   if (!any_lane(crosses)) {
-    append_part(&s, in_front, w0, w1, units, table, first, view);
+    if (!any_lane(front_shows)) return s; /* between peaks */
+    const PiecePart part = part_of_piece(in_front, w0, w1, units, table, first, view);
+    append_stretch(&s, part.r, part.g, part.b, part.depth);
     return s;
   }
-  const intN rises = MASK(back > front);
+  /* Pieces in which nothing shows need not be looked at: most often one end of the segment is in such a piece, and then the part at the other
+   * end is found in the same pass as those of rays that stay in one piece. */
+  const intN behind = piece_of(back, table, first, view), rises = MASK(back > front);
+  const intN back_shows = crosses & MASK(piece_row(table, first, view, ROW_DEPTH, behind) > 0.0f);
+  const intN swaps = back_shows & ~front_shows, both = back_shows & front_shows;
   const floatN per = units * lane_reciprocal(lane_max(fabs(back - front), (floatN)1e-30f));
   const floatN leaves_at = select(begin, piece_row(table, first, view, ROW_END, in_front), rises);
+  const floatN behind_begin = piece_row(table, first, view, ROW_BEGIN, behind);
+  const floatN enters_at = select(piece_row(table, first, view, ROW_END, behind), behind_begin, rises);
+  const floatN front_units = select(units, fabs(leaves_at - front) * per, crosses), back_units = fabs(back - enters_at) * per;
   w1 = select(w1, select(zero, one, rises), crosses);
-  append_part(&s, in_front, w0, w1, select(units, fabs(leaves_at - front) * per, crosses), table, first, view);
+  const floatN last0 = select(one, zero, rises);
+  const floatN last1 = lane_clamp((back - behind_begin) * piece_row(table, first, view, ROW_INVERSE, behind), zero, one);
+  PiecePart last = {zero, zero, zero, zero};
+  if (any_lane(front_shows | swaps)) {
+    last = part_of_piece(select(in_front, behind, swaps), select(w0, last0, swaps), select(w1, last1, swaps),
+                         select(front_units, back_units, swaps), table, first, view);
+    if (any_lane(front_shows)) append_stretch(&s, last.r, last.g, last.b, select(zero, last.depth, front_shows));
+  }
   const intN low = select(behind, in_front, rises), high = select(in_front, behind, rises);
   const intN passes = crosses & MASK(high - low > 1);
   if (any_lane(passes)) append_whole_pieces(&s, low, high, rises, per, passes, table, first, view);
-  const floatN enters_at = select(piece_row(table, first, view, ROW_END, behind), piece_row(table, first, view, ROW_BEGIN, behind), rises);
-  const floatN last = lane_clamp((back - piece_row(table, first, view, ROW_BEGIN, behind)) * piece_row(table, first, view, ROW_INVERSE, behind), zero, one);
-  append_part(&s, behind, select(one, zero, rises), last, select(zero, fabs(back - enters_at) * per, crosses), table, first, view);
+  if (any_lane(back_shows)) {
+    if (any_lane(both)) {
+      const PiecePart more = part_of_piece(behind, last0, last1, back_units, table, first, view);
+      last.r = select(last.r, more.r, both), last.g = select(last.g, more.g, both), last.b = select(last.b, more.b, both);
+      last.depth = select(last.depth, more.depth, both);
+    }
+    append_stretch(&s, last.r, last.g, last.b, select(zero, last.depth, back_shows));
+  }
   return s;
 }
 

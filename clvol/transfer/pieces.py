@@ -16,10 +16,12 @@ import numpy as np
 from clvol.transfer.function import TransferFunction
 
 IN_REGISTERS = 16  # pieces that a packet holds in registers: TRANSFER_PIECES
-ROWS = 21
+ROWS = 23
 OPAQUE_DEPTH = 1e15  # of cl/transfer_pieces.h
 (BEGIN, END, INVERSE, OPACITY, OPACITY_CHANGE, COLOR, COLOR_CHANGE, LENGTH, DEPTH, MOMENT, DEPTHS, COLORS,
- NEXT_OPAQUE, LAST_OPAQUE, UNITS) = (0, 1, 2, 3, 4, 5, 8, 11, 12, 13, 14, 15, 18, 19, 20)  # fmt: skip
+ NEXT_OPAQUE, LAST_OPAQUE, UNITS, FROM, TO) = (
+    0, 1, 2, 3, 4, 5, 8, 11, 12, 13, 14, 15, 18, 19, 20, 21, 22
+)  # fmt: skip
 
 
 def piece_count(function: TransferFunction) -> int:
@@ -79,8 +81,10 @@ def piece_table(function: TransferFunction, step: float, width: int | None = Non
     table[LAST_OPAQUE] = -1
     table[LAST_OPAQUE, piece] = np.maximum.accumulate(np.where(opaque, index, -1))
     table[UNITS] = step / function.opacity_unit
+    table[FROM], table[TO] = table[BEGIN], table[END]
+    table[FROM, 0], table[TO, count - 1] = -np.inf, np.inf
     with np.errstate(over="ignore", under="ignore"):
-        return np.clip(table, -3e38, np.inf).astype(np.float32)
+        return np.where(np.isinf(table), table, np.clip(table, -3e38, 3e38)).astype(np.float32)
 
 
 def depth_and_moment(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
