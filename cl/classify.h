@@ -73,20 +73,25 @@ INLINE int may_be_visible(floatN low, floatN high, intN active, __constant const
  * falls between them. `length` is in steps, and that of the segment before is one: where this one is shorter, s'' is that of unevenly
  * spaced samples. Shifted ends stay within the three samples: what is transparent around stays so.
  */
-INLINE void segment_classes(floatN before, floatN front, floatN back, floatN length, intN curved,
-                            __global const float *warp, __constant const View *view, ClassCoordinate *front_class,
-                            ClassCoordinate *back_class)
+INLINE void shift_ends(floatN before, floatN *front, floatN *back, floatN length, intN curved)
 {
 #if FILTER != FILTER_NEAREST
-  const floatN low = lane_min(lane_min(before, front), back), high = lane_max(lane_max(before, front), back);
-  floatN shift = ((1.0f + length) * front - length * before - back) * (length / (6.0f * (1.0f + length)));
+  const floatN low = lane_min(lane_min(before, *front), *back), high = lane_max(lane_max(before, *front), *back);
+  floatN shift = ((1.0f + length) * *front - length * before - *back) * (length / (6.0f * (1.0f + length)));
 #if MAY_BE_NAN
   curved &= MASK((AS_INT(shift) & 0x7f800000) != 0x7f800000);
 #endif
   shift = select((floatN)0.0f, shift, curved);
-  front = select(front, lane_clamp(front + shift, low, high), curved);
-  back = select(back, lane_clamp(back + shift, low, high), curved);
+  *front = select(*front, lane_clamp(*front + shift, low, high), curved);
+  *back = select(*back, lane_clamp(*back + shift, low, high), curved);
 #endif
+}
+
+INLINE void segment_classes(floatN before, floatN front, floatN back, floatN length, intN curved,
+                            __global const float *warp, __constant const View *view, ClassCoordinate *front_class,
+                            ClassCoordinate *back_class)
+{
+  shift_ends(before, &front, &back, length, curved);
   *front_class = class_coordinate(front, warp, view);
   *back_class = class_coordinate(back, warp, view);
 }
@@ -278,6 +283,14 @@ INLINE void classified_samples(FetchedSample s, __constant const View *view, __g
                                __global const float *table, float4 *emission_extinction)
 {
   classified_samples_in(s, view, warp, (intN)0, table, emission_extinction);
+}
+
+/* Optical depths of a step. */
+INLINE floatN classified_depth(const float4 *emission_extinction)
+{
+  float depth[LANES];
+  EACH_LANE_ROLLED(k) depth[k] = emission_extinction[k].w;
+  return LOAD_LANES(depth);
 }
 
 INLINE void composite_classified(Accumulator *acc, const float4 *emission_extinction, floatN length_in_steps,

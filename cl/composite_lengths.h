@@ -15,8 +15,6 @@ INLINE intN power_of(floatN length) { return (AS_INT(length) >> 23) - 127; }
 
 #if CLASSIFICATION == CLASSIFICATION_PREINTEGRATED
 
-#define SHORT_SLICES 2 /* (SHORT_SLICES of tables.py) */
-
 /* Of a segment of `length` steps: its slice of (c D, D), from the beginning of the table in floats, and its length in that slice's. */
 INLINE intN slice_of(floatN *length, __constant const View *view)
 {
@@ -26,20 +24,27 @@ INLINE intN slice_of(floatN *length, __constant const View *view)
   return (2 * longest + 1 - doublings) * (4 * view->table.w);
 }
 
-/* segment_classes() of classify.h for a segment of length b behind one of length a. */
-INLINE void uneven_classes(floatN before, floatN front, floatN back, floatN a, floatN b, intN curved,
-                           __global const float *warp, __constant const View *view, ClassCoordinate *front_class,
-                           ClassCoordinate *back_class)
+/* shift_ends() of classify.h for a segment of length b behind one of length a. */
+INLINE void shift_uneven_ends(floatN before, floatN *front, floatN *back, floatN a, floatN b, intN curved)
 {
-  const floatN low = lane_min(lane_min(before, front), back), high = lane_max(lane_max(before, front), back);
+  const floatN low = lane_min(lane_min(before, *front), *back), high = lane_max(lane_max(before, *front), *back);
   const floatN both = a + b;
-  floatN shift = (both * front - b * before - a * back) * (b * lane_reciprocal(6.0f * a * both));
+  floatN shift = (both * *front - b * before - a * *back) * (b * lane_reciprocal(6.0f * a * both));
 #if MAY_BE_NAN
   curved &= finite_lanes(shift);
 #endif
   shift = select((floatN)0.0f, shift, curved);
-  *front_class = class_coordinate(select(front, lane_clamp(front + shift, low, high), curved), warp, view);
-  *back_class = class_coordinate(select(back, lane_clamp(back + shift, low, high), curved), warp, view);
+  *front = select(*front, lane_clamp(*front + shift, low, high), curved);
+  *back = select(*back, lane_clamp(*back + shift, low, high), curved);
+}
+
+/* segment_classes() of classify.h likewise. */
+INLINE void uneven_classes(floatN before, floatN front, floatN back, floatN a, floatN b, intN curved,
+                           __global const float *warp, __constant const View *view, ClassCoordinate *front_class,
+                           ClassCoordinate *back_class)
+{
+  shift_uneven_ends(before, &front, &back, a, b, curved);
+  *front_class = class_coordinate(front, warp, view), *back_class = class_coordinate(back, warp, view);
 }
 
 /* Segments of the lanes in `active`, `length` steps long. Each way for its own lanes: what a ray gets does not depend on others. */

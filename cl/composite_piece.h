@@ -6,6 +6,7 @@
 #define COMPOSITE_PIECE_H
 
 #include "classify.h"
+#include "half_opacity.h"
 #include "opacity.h"
 
 #if LANES == 16
@@ -105,13 +106,14 @@ INLINE void composite_point(Accumulator *acc, ClassCoordinate at, floatN length,
 
 #endif
 
-/* Opacity after a piece from t0 to t1 (in steps), and where it passed one half. */
-INLINE void pass_opacity(const Accumulator *acc, floatN *opacity, floatN *median, floatN t0, floatN t1)
+/* Opacity after a piece from t0 to t1 (in steps) with these values at its ends, and whether it passed one half there. */
+INLINE void pass_opacity(const Accumulator *acc, floatN *opacity, HalfOpacity *half_, floatN t0, floatN t1, floatN front, floatN back)
 {
   const floatN before = *opacity;
   *opacity = accumulated_opacity(acc);
 #if WITH_DEPTH
-  *median = median_step(*median, before, *opacity, t0, t1);
+  const intN passes = passes_half(before, *opacity);
+  if (any_lane(passes)) note_half(half_, passes, before, t0, t1 - t0, front, back);
 #endif
 }
 

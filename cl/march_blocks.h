@@ -59,7 +59,7 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
   Accumulator acc;
   accumulator_clear(&acc);
   floatN opacity = 0.0f;
-  floatN median = INFINITY; /* in steps */
+  HalfOpacity half_ = no_half(); /* in steps */
 #if MIDPOINTS
   floatN t = 0.0f, t1 = 0.0f; /* where the next segment begins, to be sampled and to be composited */
 #else
@@ -165,7 +165,7 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
       const ClassCoordinate at = class_coordinate(value, warp, view);
       if (may_be_visible(at.position, at.position, active, view)) {
         composite_value(&acc, at, lane_max(at_t - t1, zero), 1.0f - opacity, active, table, view);
-        pass_opacity(&acc, &opacity, &median, t1, at_t);
+        pass_opacity(&acc, &opacity, &half_, t1, at_t, value, value);
       }
       t1 = select(t1, at_t, active);
 #else
@@ -179,7 +179,13 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
 #endif
       if (may_be_visible(lane_min(front.position, back.position), lane_max(front.position, back.position), closes, view)) {
         composite_chord(&acc, front, back, long_, 1.0f - opacity, closes, table, view);
-        pass_opacity(&acc, &opacity, &median, t1, at_t);
+        floatN first_value = value1, second_value = value;
+#if STEPPING == STEPPING_FULL
+        shift_ends(value2, &first_value, &second_value, long_, closes & ~second);
+#else
+        shift_uneven_ends(value2, &first_value, &second_value, select(one, t1 - t2, closes & ~second), long_, closes & ~second);
+#endif
+        pass_opacity(&acc, &opacity, &half_, t1, at_t, first_value, second_value);
       }
       value2 = select(value2, value1, active), t2 = select(t2, t1, active);
       value1 = select(value1, value, active), t1 = select(t1, at_t, active);
@@ -189,7 +195,9 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
     }
   }
   accumulator_store(&acc, rgba);
-  STORE_LANES((ray.entry_depth + median * view->march.x) * view->march.w, depth);
+#if WITH_DEPTH
+  STORE_LANES((ray.entry_depth + half_place(&half_, 1.0f, table, warp, view) * view->march.x) * view->march.w, depth);
+#endif
   STORE_LANES(taken, samples);
 }
 

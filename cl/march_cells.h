@@ -32,7 +32,7 @@ INLINE floatN value_at(const Corners *c, const Rays *ray, floatN cx, floatN cy, 
 }
 
 /* One cell's piece of the rays in `active`, from t0 to t1 (in steps). */
-INLINE void integrate_cell(Accumulator *acc, floatN *opacity, floatN *median, const Corners *c, const Rays *ray, floatN cx, floatN cy, floatN cz,
+INLINE void integrate_cell(Accumulator *acc, floatN *opacity, HalfOpacity *half_, const Corners *c, const Rays *ray, floatN cx, floatN cy, floatN cz,
                            floatN t0, floatN t1, intN active, __global const float *table, __global const float *warp,
                            __constant const View *view)
 {
@@ -57,7 +57,7 @@ INLINE void integrate_cell(Accumulator *acc, floatN *opacity, floatN *median, co
     const ClassCoordinate b = class_coordinate(second, warp, view);
     if (may_be_visible(lane_min(a.position, b.position), lane_max(a.position, b.position), active, view)) {
       composite_piece(acc, table_row(a, b, view), a, b, length * view->voxel.w, select((floatN)0.0f, 1.0f - *opacity, active), table, view);
-      pass_opacity(acc, opacity, median, start, start + length);
+      pass_opacity(acc, opacity, half_, start, start + length, first, second);
     }
     front = back;
   }
@@ -66,11 +66,12 @@ INLINE void integrate_cell(Accumulator *acc, floatN *opacity, floatN *median, co
   const float inwards = parts > 1 ? 0.07735027f : 0.0f;
   _Pragma("unroll 1") for (int part = 0; part < parts; ++part) {
     const floatN t = t0 + length * ((float)part + (part & 1 ? 0.5f + inwards : 0.5f - inwards));
-    const ClassCoordinate at = class_coordinate(value_at(c, ray, cx, cy, cz, t), warp, view);
+    const floatN value = value_at(c, ray, cx, cy, cz, t);
+    const ClassCoordinate at = class_coordinate(value, warp, view);
     if (may_be_visible(at.position, at.position, active, view)) {
       const floatN transmittance = select((floatN)0.0f, 1.0f - *opacity, active);
       composite_point(acc, at, length * view->voxel.w, transmittance, table);
-      pass_opacity(acc, opacity, median, t0 + length * (float)part, t0 + length * (float)(part + 1));
+      pass_opacity(acc, opacity, half_, t0 + length * (float)part, t0 + length * (float)(part + 1), value, value);
     }
   }
 #endif
@@ -93,7 +94,8 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
   uintN taken = 0;
   Accumulator acc;
   accumulator_clear(&acc);
-  floatN opacity = 0.0f, median = INFINITY;
+  floatN opacity = 0.0f;
+  HalfOpacity half_ = no_half(); /* in steps */
 
   while (any_lane(active)) {
 #if SKIP_EMPTY
@@ -126,14 +128,16 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
       ix = select(ix, nx, active), iy = select(iy, ny, active), iz = select(iz, nz, active);
       ahead = fetch_corners(volume, view, ix, iy, iz);
       const Corners c = decode_corners(fetched, view);
-      integrate_cell(&acc, &opacity, &median, &c, &ray, cx, cy, cz, t, t1, here, table, warp, view);
+      integrate_cell(&acc, &opacity, &half_, &c, &ray, cx, cy, cz, t, t1, here, table, warp, view);
       taken += AS_UINT(here) & evaluations;
       t = select(t, t1, here);
       active &= MASK(opacity < view->march.z);
     }
   }
   accumulator_store(&acc, rgba);
-  STORE_LANES((ray.entry_depth + median * view->march.x) * view->march.w, depth);
+#if WITH_DEPTH
+  STORE_LANES((ray.entry_depth + half_place(&half_, 1.0f, table, warp, view) * view->march.x) * view->march.w, depth);
+#endif
   STORE_LANES(taken, samples);
 }
 

@@ -16,6 +16,7 @@
 #include "effects.h"
 #include "rays.h"
 #include "classify.h"
+#include "half_opacity.h"
 #include "skip_empty.h"
 
 #ifndef MARCH_STEPS
@@ -26,15 +27,6 @@
 
 /* `last` of a ray that needs no more samples, not even of its last piece. */
 #define DONE (-2)
-
-/* Opacity went from `before` to `after` over the steps t0 .. t1: where it passed one half, for rays that had not yet. */
-INLINE floatN median_step(floatN median, floatN before, floatN after, floatN t0, floatN t1)
-{
-  const intN passes = MASK(after >= 0.5f) & MASK(before < 0.5f);
-  if (!any_lane(passes)) return median;
-  const floatN f = (0.5f - before) / select((floatN)1.0f, after - before, passes);
-  return select(median, t0 + f * (t1 - t0), passes);
-}
 
 #if BLOCKS
 #include "march_blocks.h"
@@ -65,7 +57,7 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
   Accumulator acc;
   accumulator_clear(&acc);
   floatN opacity = 0.0f;
-  floatN median = INFINITY; /* in steps */
+  HalfOpacity half_ = no_half(); /* in steps */
 #if !MIDPOINTS
   floatN value1 = 0.0f, value2 = 0.0f;  /* the last sample and the one before */
   intN start = 0;                      /* where the unbroken run of samples began: there is no sample before */
@@ -113,7 +105,9 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
       const floatN weight = select((floatN)0.0f, 1.0f - opacity, closes);
       const floatN value = sample_value(sample, view);
       ClassCoordinate front, back;
-      segment_classes(value2, value1, value, 1.0f, closes & MASK(i > start + 1), warp, view, &front, &back);
+      const intN curved = closes & MASK(i > start + 1);
+      const floatN value0 = value2;
+      segment_classes(value2, value1, value, 1.0f, curved, warp, view, &front, &back);
       value2 = select(value2, value1, active), value1 = select(value1, value, active);
       visible = may_be_visible(lane_min(front.position, back.position), lane_max(front.position, back.position), closes, view);
       if (visible) composite_segment(&acc, front, back, weight, table, view);
@@ -133,7 +127,20 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
         const floatN before = opacity;
         opacity = accumulated_opacity(&acc);
 #if WITH_DEPTH
-        median = median_step(median, before, opacity, t + (offset - 1.0f), t + offset);
+        const intN passes = passes_half(before, opacity);
+        if (any_lane(passes)) {
+#if CLASSIFICATION == CLASSIFICATION_PREINTEGRATED
+          floatN first = value2, second = value1;
+          shift_ends(value0, &first, &second, 1.0f, curved);
+          note_half(&half_, passes, before, t - 1.0f, 1.0f, first, second);
+#elif CLASSIFICATION == CLASSIFICATION_POST
+          const floatN value = sample_value(sample, view);
+          note_half(&half_, passes, before, t - 0.5f, 1.0f, value, value);
+#else
+          note_half(&half_, passes, before, t - 0.5f, 1.0f, 0.0f, 0.0f);
+          note_whole(&half_, passes, classified_depth(classified), 0.0f);
+#endif
+        }
 #endif
         last = select(last, (intN)DONE, MASK(opacity >= view->march.z));
       }
@@ -146,15 +153,17 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
   if (any_lane(active)) {
     const floatN t = MIDPOINTS ? whole + 0.5f * rest : ray.length;
     const FetchedSample sample = fetch_along(volume, view, &ray, t);
-    const floatN weight = select((floatN)0.0f, 1.0f - opacity, active);
+    const floatN weight = select((floatN)0.0f, 1.0f - opacity, active), value = sample_value(sample, view);
+    floatN first = value, second = value;
     taken -= AS_UINT(active);
 #if CLASSIFICATION == CLASSIFICATION_PREINTEGRATED
-    ClassCoordinate front, back;
-    segment_classes(value2, value1, sample_value(sample, view), rest, active & MASK(i > start + 1), warp, view, &front, &back);
+    first = value1;
+    shift_ends(value2, &first, &second, rest, active & MASK(i > start + 1));
+    const ClassCoordinate front = class_coordinate(first, warp, view), back = class_coordinate(second, warp, view);
     if (may_be_visible(lane_min(front.position, back.position), lane_max(front.position, back.position), active, view))
       composite_tail(&acc, front, back, rest, weight, active, table, view);
 #elif CLASSIFICATION == CLASSIFICATION_POST
-    const ClassCoordinate at = class_coordinate(sample_value(sample, view), warp, view);
+    const ClassCoordinate at = class_coordinate(value, warp, view);
     if (may_be_visible(at.position, at.position, active, view))
       composite_sample_tail(&acc, at, rest, weight, active, table, view);
 #else
@@ -163,11 +172,17 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
     composite_classified(&acc, classified, rest, weight, active);
 #endif
 #if WITH_DEPTH
-    median = median_step(median, opacity, accumulated_opacity(&acc), whole, ray.length);
+    const intN passes = passes_half(opacity, accumulated_opacity(&acc));
+    note_half(&half_, passes, opacity, whole, rest, first, second);
+#if CLASSIFICATION == CLASSIFICATION_PRE
+    note_whole(&half_, passes, rest * classified_depth(classified), 0.0f);
+#endif
 #endif
   }
   accumulator_store(&acc, rgba);
-  STORE_LANES((ray.entry_depth + median * view->march.x) * view->march.w, depth);
+#if WITH_DEPTH
+  STORE_LANES((ray.entry_depth + half_place(&half_, 1.0f, table, warp, view) * view->march.x) * view->march.w, depth);
+#endif
   STORE_LANES(taken, samples);
 }
 
