@@ -71,7 +71,7 @@ INLINE int may_be_visible(floatN low, floatN high, intN active, __constant const
  * the shifted chord is right to third order, and neighbouring segments still meet but for a third difference, so that no narrow peak
  * falls between them. Shifted ends stay within the three samples: what is transparent around stays so.
  */
-INLINE void shift_ends(floatN before, floatN *front, floatN *back, floatN shift, intN curved)
+INLINE void shift_by(floatN before, floatN *front, floatN *back, floatN shift, intN curved)
 {
   const floatN low = lane_min(lane_min(before, *front), *back), high = lane_max(lane_max(before, *front), *back);
 #if MAY_BE_NAN
@@ -82,19 +82,19 @@ INLINE void shift_ends(floatN before, floatN *front, floatN *back, floatN shift,
 }
 
 /* The same behind a segment of one step. */
-INLINE void segment_ends(floatN before, floatN *front, floatN *back, floatN length, intN curved)
+INLINE void shift_ends(floatN before, floatN *front, floatN *back, floatN length, intN curved)
 {
 #if FILTER != FILTER_NEAREST
   const floatN shift = ((1.0f + length) * *front - length * before - *back) * (length / (6.0f * (1.0f + length)));
-  shift_ends(before, front, back, shift, curved);
+  shift_by(before, front, back, shift, curved);
 #endif
 }
 
-INLINE void uneven_ends(floatN before, floatN *front, floatN *back, floatN a, floatN b, intN curved)
+INLINE void shift_uneven_ends(floatN before, floatN *front, floatN *back, floatN a, floatN b, intN curved)
 {
   const floatN both = a + b;
   const floatN shift = (both * *front - b * before - a * *back) * (b * lane_reciprocal(6.0f * a * both));
-  shift_ends(before, front, back, shift, curved);
+  shift_by(before, front, back, shift, curved);
 }
 
 /* Segments of the rays in `active`, `length` steps long, from the value `front` to `back`. */

@@ -88,7 +88,6 @@ typedef struct {
   __global const uint *noise;
   __global const float *factors;
   __global const float *fields;
-  __global const float *extinction; /* by class coordinate, an edge: [nodes + 2] */
 } Scene;
 
 #define EFFECT_PARAMETERS                                                                                              \
@@ -96,9 +95,9 @@ typedef struct {
     __global const uint *restrict gradients, __global const uchar *restrict cell_flags,                                \
     __global const float4 *restrict environment, __global const float4 *restrict light_volume,                         \
     __global const uint *restrict noise, __global const float *restrict factors, __global const float *restrict fields, \
-    __global const float *restrict extinction, __global uint *restrict counts
+    __global uint *restrict counts
 #define EFFECT_ARGUMENTS \
-  , effects, items, gradients, cell_flags, environment, light_volume, noise, factors, fields, extinction, counted
+  , effects, items, gradients, cell_flags, environment, light_volume, noise, factors, fields, counted
 
 /* A kernel's own tally, written to counts[tile, COUNTERS] at its end. */
 #define EFFECT_TALLY Tally counted[COUNTERS] = {0};

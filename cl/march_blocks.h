@@ -57,7 +57,7 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
   uintN taken = 0;
   Gathered acc;
   gathered_clear(&acc);
-  floatN median = INFINITY; /* in steps */
+  HalfOpacity half_ = no_half(); /* in steps */
 #if MIDPOINTS
   floatN t = 0.0f, t1 = 0.0f; /* where the next segment begins, to be sampled and to be composited */
 #else
@@ -163,7 +163,7 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
       if (may_be_visible(value, value, active, view)) {
         const floatN before = acc.a;
         composite_value(&acc, value, lane_max(at_t - t1, zero), active, table, view);
-        pass_opacity(&acc, before, &median, t1, at_t);
+        pass_opacity(&acc, before, &half_, t1, at_t, value, value);
       }
       t1 = select(t1, at_t, active);
 #else
@@ -171,14 +171,14 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
       const floatN long_ = select(one, at_t - t1, closes);
       floatN front = value1, back = value;
 #if STEPPING == STEPPING_FULL
-      segment_ends(value2, &front, &back, long_, closes & ~second);
+      shift_ends(value2, &front, &back, long_, closes & ~second);
 #else
-      uneven_ends(value2, &front, &back, select(one, t1 - t2, closes & ~second), long_, closes & ~second);
+      shift_uneven_ends(value2, &front, &back, select(one, t1 - t2, closes & ~second), long_, closes & ~second);
 #endif
       if (may_be_visible(lane_min(front, back), lane_max(front, back), closes, view)) {
         const floatN before = acc.a;
         composite_segment(&acc, front, back, long_, closes, table, view);
-        pass_opacity(&acc, before, &median, t1, at_t);
+        pass_opacity(&acc, before, &half_, t1, at_t, front, back);
       }
       value2 = select(value2, value1, active), t2 = select(t2, t1, active);
       value1 = select(value1, value, active), t1 = select(t1, at_t, active);
@@ -188,7 +188,9 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
     }
   }
   gathered_store(&acc, rgba);
-  STORE_LANES((ray.entry_depth + median * view->march.x) * view->march.w, depth);
+#if WITH_DEPTH
+  STORE_LANES((ray.entry_depth + half_place(&half_, 1.0f, table, view) * view->march.x) * view->march.w, depth);
+#endif
   STORE_LANES(taken, samples);
 }
 

@@ -28,7 +28,7 @@ INLINE floatN value_at(const Corners *c, const Rays *ray, floatN cx, floatN cy, 
 }
 
 /* One cell's piece of the rays in `active`, from t0 to t1 (in steps). */
-INLINE void integrate_cell(Gathered *acc, floatN *median, const Corners *c, const Rays *ray, floatN cx, floatN cy, floatN cz,
+INLINE void integrate_cell(Gathered *acc, HalfOpacity *half_, const Corners *c, const Rays *ray, floatN cx, floatN cy, floatN cz,
                            floatN t0, floatN t1, intN active, __global const float *table, __constant const View *view)
 {
   const int parts = (int)view->voxel.y;
@@ -51,7 +51,7 @@ INLINE void integrate_cell(Gathered *acc, floatN *median, const Corners *c, cons
     if (may_be_visible(lane_min(first, second), lane_max(first, second), active, view)) {
       const floatN before = acc->a;
       composite_segment(acc, first, second, length, active, table, view);
-      pass_opacity(acc, before, median, start, start + length);
+      pass_opacity(acc, before, half_, start, start + length, first, second);
     }
     front = back;
   }
@@ -64,7 +64,7 @@ INLINE void integrate_cell(Gathered *acc, floatN *median, const Corners *c, cons
     if (may_be_visible(value, value, active, view)) {
       const floatN before = acc->a;
       composite_value(acc, value, length, active, table, view);
-      pass_opacity(acc, before, median, t0 + length * (float)part, t0 + length * (float)(part + 1));
+      pass_opacity(acc, before, half_, t0 + length * (float)part, t0 + length * (float)(part + 1), value, value);
     }
   }
 #endif
@@ -87,7 +87,7 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
   uintN taken = 0;
   Gathered acc;
   gathered_clear(&acc);
-  floatN median = INFINITY;
+  HalfOpacity half_ = no_half(); /* in steps */
 
   while (any_lane(active)) {
 #if SKIP_EMPTY
@@ -120,14 +120,16 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
       ix = select(ix, nx, active), iy = select(iy, ny, active), iz = select(iz, nz, active);
       ahead = fetch_corners(volume, view, ix, iy, iz);
       const Corners c = decode_corners(fetched, view);
-      integrate_cell(&acc, &median, &c, &ray, cx, cy, cz, t, t1, here, table, view);
+      integrate_cell(&acc, &half_, &c, &ray, cx, cy, cz, t, t1, here, table, view);
       taken += AS_UINT(here) & evaluations;
       t = select(t, t1, here);
       active &= MASK(acc.a < view->march.z);
     }
   }
   gathered_store(&acc, rgba);
-  STORE_LANES((ray.entry_depth + median * view->march.x) * view->march.w, depth);
+#if WITH_DEPTH
+  STORE_LANES((ray.entry_depth + half_place(&half_, 1.0f, table, view) * view->march.x) * view->march.w, depth);
+#endif
   STORE_LANES(taken, samples);
 }
 

@@ -90,11 +90,11 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
                           __global const uchar *distances, __constant const View *view_, __constant const Effects *effects,
                           __global const float4 *items, __global const uint *gradients, __global const uchar *cell_flags,
                           __global const float4 *environment, __global const float4 *light_volume, __global const uint *noise,
-                          __global const float *factors, __global const float *fields, __global const float *extinction,
+                          __global const float *factors, __global const float *fields,
                           Tally *counted, intN px, intN py, float *rgba, float *depth, uint *samples)
 {
   const Scene scene_ = {volume, table, warp, distances, view_, effects, items, gradients, cell_flags, environment, light_volume,
-                        noise, factors, fields, extinction};
+                        noise, factors, fields};
   const Scene *scene = &scene_;
   __constant const View *view = view_;
   const float h = view->march.x, lowest = effects->value_bounds.x, highest = effects->value_bounds.y;

@@ -16,8 +16,17 @@ typedef struct {
   float value1[LANES], value2[LANES], t1[LANES], t2[LANES];               /* the last sample and the one before, and their slices */
   int first[LANES], second[LANES];                                        /* no sample yet, or only one */
   int alive[LANES];
-  float rgba[4 * LANES], opacity[LANES], median[LANES];
+  float rgba[4 * LANES], opacity[LANES];
+#if WITH_DEPTH
+  HalfOpacity half_; /* in slices */
+#endif
 } PixelPacket;
+
+#if WITH_DEPTH
+#define HALF_OF(packet) (&(packet)->half_)
+#else
+#define HALF_OF(packet) 0
+#endif
 
 /* The packet at (column, row) of the picture; returns whether any of its rays meets the volume. */
 int prepare_packet(__constant const View *view, __constant const Pyramid *pyramid, PixelPacket *p, int column, int row)
@@ -26,13 +35,16 @@ int prepare_packet(__constant const View *view, __constant const Pyramid *pyrami
   SliceRays r = slice_rays(view, TO_FLOAT(px), TO_FLOAT(py), 1);
   clip_to_halves(&r, pyramid);
   const intN alive = r.hits & MASK(px < view->image.x) & MASK(py < view->image.y), none = ~(intN)0;
-  const floatN zero = 0.0f, never = INFINITY;
+  const floatN zero = 0.0f;
   STORE_LANES(r.x0, p->x0), STORE_LANES(r.y0, p->y0), STORE_LANES(r.z0, p->z0);
   STORE_LANES(r.dx, p->dx), STORE_LANES(r.dy, p->dy), STORE_LANES(r.dz, p->dz);
   STORE_LANES(r.enter, p->enter), STORE_LANES(r.leave, p->leave);
   STORE_LANES(zero, p->distance), STORE_LANES(zero, p->opacity);
   STORE_LANES(zero, p->value1), STORE_LANES(zero, p->value2), STORE_LANES(zero, p->t1), STORE_LANES(zero, p->t2);
-  STORE_LANES(none, p->first), STORE_LANES(none, p->second), STORE_LANES(alive, p->alive), STORE_LANES(never, p->median);
+  STORE_LANES(none, p->first), STORE_LANES(none, p->second), STORE_LANES(alive, p->alive);
+#if WITH_DEPTH
+  p->half_ = no_half();
+#endif
   for (int k = 0; k < 4 * LANES; ++k) p->rgba[k] = 0.0f;
   return any_lane(alive);
 }
@@ -55,7 +67,7 @@ INLINE int march_slices(const Source *in, SHARED const Levels *m, PixelPacket *p
   const floatN enter = LOAD_LANES(p->enter), leave = LOAD_LANES(p->leave);
   const floatN x0 = LOAD_LANES(p->x0), y0 = LOAD_LANES(p->y0), z0 = LOAD_LANES(p->z0);
   const floatN dx = LOAD_LANES(p->dx), dy = LOAD_LANES(p->dy), dz = LOAD_LANES(p->dz);
-  floatN distance = LOAD_LANES(p->distance), opacity = LOAD_LANES(p->opacity), median = LOAD_LANES(p->median);
+  floatN distance = LOAD_LANES(p->distance), opacity = LOAD_LANES(p->opacity);
   floatN value1 = LOAD_LANES(p->value1), value2 = LOAD_LANES(p->value2), t1 = LOAD_LANES(p->t1), t2 = LOAD_LANES(p->t2);
   intN first = LOAD_LANES(p->first), second = LOAD_LANES(p->second);
   const floatN zero = 0.0f, one = 1.0f;
@@ -119,12 +131,12 @@ INLINE int march_slices(const Source *in, SHARED const Levels *m, PixelPacket *p
     if (any_lane(closes & MASK(high > in->pyramid->gate.x) & MASK(low < in->pyramid->gate.y))) {
       const floatN long_ = select(one, length, closes);
       floatN front = value1, back = value;
-      uneven_ends(value2, &front, &back, select(one, t1 - t2, curved), long_, curved);
+      shift_uneven_ends(value2, &front, &back, select(one, t1 - t2, curved), long_, curved);
       if (may_be_visible(lane_min(front, back), lane_max(front, back), closes, view)) {
         if (!shows) gathered_load(&acc, p->rgba);
         shows = 1;
         composite_segment(&acc, front, back, long_, closes, table, view);
-        pass_opacity(&acc, opacity, &median, t1, t);
+        pass_opacity(&acc, opacity, HALF_OF(p), t1, t, front, back);
         opacity = acc.a;
         alive &= ~(takes_part & MASK(opacity >= view->march.z));
       }
@@ -139,7 +151,7 @@ INLINE int march_slices(const Source *in, SHARED const Levels *m, PixelPacket *p
   STORE_LANES(first, p->first), STORE_LANES(second, p->second), STORE_LANES(alive, p->alive);
   if (shows) {
     gathered_store(&acc, p->rgba);
-    STORE_LANES(opacity, p->opacity), STORE_LANES(median, p->median);
+    STORE_LANES(opacity, p->opacity);
   }
   return any_lane(alive);
 }

@@ -16,6 +16,7 @@
 #include "effects.h"
 #include "rays.h"
 #include "classify.h"
+#include "half_opacity.h"
 #include "skip_empty.h"
 
 #ifndef MARCH_STEPS
@@ -26,23 +27,6 @@
 
 /* `last` of a ray that needs no more samples, not even of its last piece. */
 #define DONE (-2)
-
-/* Opacity went from `before` to `after` over the steps t0 .. t1: where it passed one half, for rays that had not yet. */
-INLINE floatN median_step(floatN median, floatN before, floatN after, floatN t0, floatN t1)
-{
-  const intN passes = MASK(after >= 0.5f) & MASK(before < 0.5f);
-  if (!any_lane(passes)) return median;
-  const floatN f = (0.5f - before) / select((floatN)1.0f, after - before, passes);
-  return select(median, t0 + f * (t1 - t0), passes);
-}
-
-/* The same after a segment from t0 to t1, which the rays had `before` its opacity. */
-INLINE void pass_opacity(const Gathered *acc, floatN before, floatN *median, floatN t0, floatN t1)
-{
-#if WITH_DEPTH
-  *median = median_step(*median, before, acc->a, t0, t1);
-#endif
-}
 
 #if BLOCKS
 #include "march_blocks.h"
@@ -72,7 +56,7 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
   uintN taken = 0;
   Gathered acc;
   gathered_clear(&acc);
-  floatN median = INFINITY; /* in steps */
+  HalfOpacity half_ = no_half(); /* in steps */
 #if !MIDPOINTS
   floatN value1 = 0.0f, value2 = 0.0f;  /* the last sample and the one before */
   intN start = 0;                      /* where the unbroken run of samples began: there is no sample before */
@@ -120,7 +104,7 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
       const intN closes = active & MASK(i > start); /* lanes with a segment that ends here */
       const floatN value = sample_value(sample, view);
       floatN front = value1, back = value;
-      segment_ends(value2, &front, &back, 1.0f, closes & MASK(i > start + 1));
+      shift_ends(value2, &front, &back, 1.0f, closes & MASK(i > start + 1));
       value2 = select(value2, value1, active), value1 = select(value1, value, active);
       visible = may_be_visible(lane_min(front, back), lane_max(front, back), closes, view);
       if (visible) composite_segment(&acc, front, back, (floatN)1.0f, closes, table, view);
@@ -130,11 +114,22 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
       if (visible) composite_value(&acc, value, (floatN)1.0f, active, table, view);
 #else
       visible = 1;
-      composite_classified(&acc, classified_emission(sample, view, table), (floatN)1.0f, active);
+      const Emission classified = classified_emission(sample, view, table);
+      composite_classified(&acc, classified, (floatN)1.0f, active);
 #endif
       if (visible) {
 #if WITH_DEPTH
-        median = median_step(median, before, acc.a, t + (offset - 1.0f), t + offset);
+        const intN passes = passes_half(before, acc.a);
+        if (any_lane(passes)) {
+#if CLASSIFICATION == CLASSIFICATION_PREINTEGRATED
+          note_half(&half_, passes, before, t - 1.0f, 1.0f, front, back);
+#elif CLASSIFICATION == CLASSIFICATION_POST
+          note_half(&half_, passes, before, t - 0.5f, 1.0f, value, value);
+#else
+          note_half(&half_, passes, before, t - 0.5f, 1.0f, 0.0f, 0.0f);
+          note_whole(&half_, passes, classified.d, 0.0f);
+#endif
+        }
 #endif
         last = select(last, (intN)DONE, MASK(acc.a >= view->march.z));
       }
@@ -147,25 +142,32 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
   if (any_lane(active)) {
     const floatN t = MIDPOINTS ? whole + 0.5f * rest : ray.length;
     const FetchedSample sample = fetch_along(volume, view, &ray, t);
-    const floatN before = acc.a;
+    const floatN before = acc.a, value = sample_value(sample, view);
+    floatN front = value, back = value;
     taken -= AS_UINT(active);
 #if CLASSIFICATION == CLASSIFICATION_PREINTEGRATED
-    floatN front = value1, back = sample_value(sample, view);
-    segment_ends(value2, &front, &back, rest, active & MASK(i > start + 1));
+    front = value1;
+    shift_ends(value2, &front, &back, rest, active & MASK(i > start + 1));
     if (may_be_visible(lane_min(front, back), lane_max(front, back), active, view))
       composite_segment(&acc, front, back, rest, active, table, view);
 #elif CLASSIFICATION == CLASSIFICATION_POST
-    const floatN value = sample_value(sample, view);
     if (may_be_visible(value, value, active, view)) composite_value(&acc, value, rest, active, table, view);
 #else
-    composite_classified(&acc, classified_emission(sample, view, table), rest, active);
+    const Emission classified = classified_emission(sample, view, table);
+    composite_classified(&acc, classified, rest, active);
 #endif
 #if WITH_DEPTH
-    median = median_step(median, before, acc.a, whole, ray.length);
+    const intN passes = passes_half(before, acc.a);
+    note_half(&half_, passes, before, whole, rest, front, back);
+#if CLASSIFICATION == CLASSIFICATION_PRE
+    note_whole(&half_, passes, rest * classified.d, 0.0f);
+#endif
 #endif
   }
   gathered_store(&acc, rgba);
-  STORE_LANES((ray.entry_depth + median * view->march.x) * view->march.w, depth);
+#if WITH_DEPTH
+  STORE_LANES((ray.entry_depth + half_place(&half_, 1.0f, table, view) * view->march.x) * view->march.w, depth);
+#endif
   STORE_LANES(taken, samples);
 }
 

@@ -18,7 +18,7 @@ from clvol.render.effects import ARGUMENTS as _EFFECT_ARGUMENTS
 from clvol.render.effects import COUNTERS, EffectState, effect_switches
 from clvol.render.empty_space import dilated, distance_map, surface_mask, visible_mask
 from clvol.render.layout import CELL_SHIFT, Perturbation, value_map, voxel_switches
-from clvol.render.light_volume import METHODS, extinctions, fill_light_volume
+from clvol.render.light_volume import METHODS, fill_light_volume, shadow_step
 from clvol.render.noise import perturbation
 from clvol.render.opacity_factors import layer_functions, stacked
 from clvol.render.project import hidden_score
@@ -273,11 +273,8 @@ class Raycaster:
         return bool(self.effects.switches.get("SHADOWS"))
 
     def _build_shadows(self) -> None:
-        """What shadows need, which neither the camera nor the step changes."""
-        arrays, edge = self.effects.arrays, self.resolved.volume.grid.smallest_edge
-        nodes = self.nodes.values
-        tables = [extinctions(self.context, each, nodes, edge) for each in self._functions]
-        arrays["extinction"] = stacked(self.context, tables)
+        """What shadows need, which no camera changes."""
+        arrays = self.effects.arrays
         if self.switches["SHADOWS"] == METHODS["volume"] and self.visible_share:
             view = np.zeros(1, self._view_dtype)
             self._describe_volume(view[0])
@@ -344,7 +341,8 @@ class Raycaster:
             if resolved.isosurfaces:
                 other._surface_cells()
         later = resolved.animation.time != self.resolved.animation.time
-        if later and resolved.noise and other._casts_shadows:  # cycling moves no opacity
+        moved = later and bool(resolved.noise)  # cycling moves no opacity
+        if other._casts_shadows and (moved or shadow_step(resolved) != shadow_step(self.resolved)):
             other._build_shadows()
         other._without_surfaces = other._beside_surfaces()
         return other
