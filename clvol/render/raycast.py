@@ -317,7 +317,8 @@ class Raycaster:
 
     def _build_table(self) -> None:
         width = max(columns(piece_count(function)) for function in self._functions)
-        tables = [piece_table(function, self.length, width) for function in self._functions]
+        origin = float(np.float32(self.nodes.first))
+        tables = [piece_table(each, self.length, width, origin) for each in self._functions]
         self._pieces = (width, 0, tables[0].size, max(map(piece_count, self._functions)))
         self._units = self.length / self._functions[0].opacity_unit
         self.table = self.context.upload(np.concatenate(tables, axis=None))

@@ -10,8 +10,8 @@ __kernel void segment_colors(__global const float *table, __constant const View 
   const size_t first = get_global_id(0) * LANES;
   const floatN s0 = LOAD_LANES(front + first), s1 = LOAD_LANES(back + first), length = LOAD_LANES(units + first);
   const intN all = ~(intN)0;
-  const SegmentColor s = of_one ? color_of_value(s0, length, table, (intN)0, view)
-                                  : color_of_segment(s0, s1, length, all, table, (intN)0, view);
+  const Pieces f = scene_pieces(table, (intN)0, view);
+  const SegmentColor s = of_one ? color_of_value(s0, length, f) : color_of_segment(s0, s1, length, all, f);
   const floatN channels[5] = {s.r, s.g, s.b, s.a, s.depth};
   for (int c = 0; c < 5; ++c) {
     float each[LANES];
