@@ -69,7 +69,9 @@ def _shape(header: MetaHeader) -> tuple[int, int, int]:
     kind = header.text("ObjectType", "Image")
     if kind.lower() != "image":
         raise header.wrong("ObjectType", "Image")
-    dimension = header.whole("NDims", 0)
+    if not header.text("NDims"):
+        raise header.wrong("NDims", "NDims = 3")
+    dimension = header.whole("NDims", 3)
     channels = header.whole("ElementNumberOfChannels", 1)
     if dimension != 3 or channels != 1 or header.text("ElementType").endswith("_ARRAY"):
         raise VolumeError(

@@ -123,19 +123,19 @@ def _shape(path: Path, header: NrrdHeader) -> tuple[int, int, int]:
 
 def _grid(path: Path, shape: tuple[int, int, int], header: NrrdHeader) -> tuple[Grid, str | None]:
     """The grid, and the unit of its lengths where the header knows one."""
-    origin = header.get("space origin")
+    origin = _three(path, header, "space origin")
     directions = header.get("space directions")
     if directions is not None:
         rows = np.asarray(directions, dtype=np.float64)
         if rows.shape != (3, 3) or np.isnan(rows).all(axis=1).any():
             raise VolumeError(str(path), "an axis without a space direction", "three directions")
         factors, unit = _unit(header, "space units", (2, 2, 2))  # of the world's axes
-        origin = np.zeros(3) if origin is None else np.asarray(origin, np.float64)
+        origin = np.zeros(3) if origin is None else origin
         return Grid.from_steps(shape, (rows * factors).T, origin * factors), unit
     sizes = np.asarray(shape[::-1], dtype=np.float64)
     cell = np.array([word != "node" for word in header.get("centerings", ["cell"] * 3)])
-    lower, upper = header.numbers("axis mins"), header.numbers("axis maxs")
-    steps = header.numbers("spacings")
+    lower, upper = _three(path, header, "axis mins"), _three(path, header, "axis maxs")
+    steps = _three(path, header, "spacings")
     if steps is None and lower is not None and upper is not None and cell.size == 3:
         steps = (upper - lower) / np.maximum(np.where(cell, sizes, sizes - 1.0), 1.0)
     # NaN is the format's way to say that a spacing is not known.
@@ -143,11 +143,20 @@ def _grid(path: Path, shape: tuple[int, int, int], header: NrrdHeader) -> tuple[
     if origin is None and lower is not None and cell.size == 3:
         known = np.where(np.isnan(lower), 0.0, lower)
         origin = known + np.where(np.isnan(lower) | ~cell, 0.0, 0.5 * steps)
-    if steps.shape != (3,):
-        raise VolumeError(str(path), f"{steps.size} spacings", "three, one for each axis")
     factors, unit = _unit(header, "units", shape[::-1])
-    origin = np.zeros(3) if origin is None else np.asarray(origin, np.float64)
+    origin = np.zeros(3) if origin is None else origin
     return Grid.from_steps(shape, np.diag(steps * factors), origin * factors), unit
+
+
+def _three(path: Path, header: NrrdHeader, name: str) -> np.ndarray | None:
+    """A field's three numbers, float64; None where it is not there."""
+    value = header.get(name)
+    if value is None:
+        return None
+    numbers = np.asarray(value, np.float64)
+    if numbers.shape != (3,):
+        raise VolumeError(str(path), f"{name} of {numbers.size} numbers", "three numbers")
+    return numbers
 
 
 def _unit(

@@ -13,8 +13,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, BinaryIO
 
-import numpy as np
-
 from clvol.errors import VolumeError
 
 LIMIT = 1 << 20  # bytes of a header
@@ -45,11 +43,6 @@ class NrrdHeader:
 
     def get(self, name: str, default: Any = None) -> Any:
         return self.fields.get(name, default)
-
-    def numbers(self, name: str) -> np.ndarray | None:
-        """A list of numbers, float64."""
-        value = self.fields.get(name)
-        return None if value is None else np.asarray(value, dtype=np.float64)
 
 
 def read_header(path: Path, file: BinaryIO) -> NrrdHeader:
