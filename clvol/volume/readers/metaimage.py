@@ -13,7 +13,13 @@ import numpy as np
 from clvol.errors import VolumeError
 from clvol.volume.axis import ValueAxis
 from clvol.volume.grid import Grid
-from clvol.volume.readers.beside import data_files, find_beside, listed_files, numbered_names
+from clvol.volume.readers.beside import (
+    data_files,
+    exists_beside,
+    find_beside,
+    listed_files,
+    numbered_names,
+)
 from clvol.volume.readers.metaimage_header import LIMIT, MetaHeader, read_header
 from clvol.volume.readers.options import ReadOptions
 from clvol.volume.readers.samples import Part, read_parts
@@ -57,8 +63,9 @@ def read(path: Path, options: ReadOptions) -> Volume:
         data = read_parts(parts, shape, dtype, encoding=encoding, memory_cap=options.memory_cap)
     except VolumeError as error:
         if encoding == "text":
-            error = VolumeError(error.where, f"BinaryData = False: {error.what}", f"{error.expected}; or binary data")
-        raise error
+            what, expected = f"BinaryData = False: {error.what}", f"{error.expected}; or binary data"
+            raise VolumeError(error.where, what, expected) from error
+        raise
     return Volume(
         data, grid.spacing, grid.origin, grid.direction, frame="LPS",
         slope=axis.slope, offset=axis.offset,
@@ -138,7 +145,7 @@ def _files(header: MetaHeader, sizes: tuple[int, int, int]) -> list[Path]:
     if words[:1] == [b"LIST"] and all(word.isdigit() for word in words[1:2]):
         axes = int(words[1]) if len(words) > 1 else None
         return listed_files(header.path, _list(header), axes, sizes)
-    if b"%" in name and 1 <= len(words) <= 3:
+    if b"%" in name and len(words) <= 3 and not exists_beside(header.path, name):
         return _numbered(header, sizes)
     return data_files(header.path, name, sizes)
 
