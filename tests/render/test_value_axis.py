@@ -12,7 +12,7 @@ from clvol.features import explain
 from clvol.scene import load_scene
 from clvol.volume import Volume
 from clvol.volume.axis import ValueAxis, turned
-from tests.small_scenes import rms, waves
+from small_scenes import rms, waves
 
 STORED = waves((17, 15, 19), np.uint8)
 LABELS = np.repeat(np.arange(17, dtype=np.int16)[:, None, None], 15, axis=1).repeat(19, axis=2)
