@@ -52,6 +52,7 @@ def command(
         ("shape", f"{list(loaded.shape)}  [z, y, x]"),
         ("type", str(loaded.dtype)),
         ("spacing", _numbers(grid.spacing)),
+        ("unit", loaded.unit or "not known"),
         ("origin", _numbers(grid.origin)),
         ("direction", "; ".join(_numbers(row) for row in grid.direction) + "  (row by row)"),
         ("frame", str(facts.get("frame") or "")),

@@ -168,7 +168,14 @@ def load_scene_volume(
         got = f"got {asked.file!r}, no such file"
         raise SceneError(f"{origin}: volume.file", got, "a volume file or a DICOM folder")
     volume = load_volume(
-        path, dims=asked.dims, dtype=asked.dtype, spacing=asked.spacing, memory_cap=memory_cap
+        path,
+        dims=asked.dims,
+        dtype=asked.dtype,
+        spacing=asked.spacing,
+        channel=asked.channel,
+        time=asked.time,
+        series=asked.series,
+        memory_cap=memory_cap,
     )
     if asked.nan != "transparent" and volume.nan_count:
         volume = _with_nan_as(volume, asked.nan)
@@ -202,6 +209,7 @@ def _with_nan_as(volume: Volume, value: float) -> Volume:
         frame=volume.frame,
         path=volume.path,
         format=volume.format,
+        unit=volume.unit,
     )
 
 

@@ -28,9 +28,10 @@ class LazyVolume(Volume):
         frame: str,
         where: str,
         memory_cap: int | None,
+        unit: str | None = None,
     ) -> None:
         self._dtype, self._where, self._memory_cap = dtype, where, memory_cap
-        self.grid, self.name, self.frame = grid, name, frame
+        self.grid, self.name, self.frame, self.unit = grid, name, frame, unit
         self.path = self.format = None
 
     @property
@@ -67,7 +68,9 @@ class FilledVolume(LazyVolume):
     def __init__(self, volume: LazyVolume, value: float) -> None:
         self._volume, self._value = volume, value
         where, cap = volume._where, volume._memory_cap
-        super().__init__(volume.dtype, volume.grid, volume.name, volume.frame, where, cap)
+        super().__init__(
+            volume.dtype, volume.grid, volume.name, volume.frame, where, cap, volume.unit
+        )
         self.path, self.format = volume.path, volume.format
 
     @property

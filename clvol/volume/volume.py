@@ -28,8 +28,9 @@ class Volume:
     and ``direction`` are as in Grid.
 
     ``data`` is the C-contiguous, native-endian, read-only array. ``frame`` names the world's
-    frame ("LPS", "RAS", ... ; "index" where nothing is known), ``path`` and ``format`` say where
-    the volume came from, or are None.
+    frame ("LPS", "RAS", ... ; "index" where nothing is known), ``unit`` its unit of length ("mm",
+    "µm", ... ; None where it is not known), ``path`` and ``format`` say where the volume came from,
+    or are None.
     """
 
     def __init__(
@@ -43,6 +44,7 @@ class Volume:
         frame: str = "index",
         path: str | None = None,
         format: str | None = None,
+        unit: str | None = None,
     ) -> None:
         self.data = _as_voxels(array)
         self.grid = Grid(self.data.shape, tuple(spacing), tuple(origin), direction)
@@ -50,6 +52,7 @@ class Volume:
         self.frame = frame
         self.path = path
         self.format = format
+        self.unit = unit
 
     @property
     def dtype(self) -> np.dtype:
@@ -159,7 +162,8 @@ def describe(volume: Volume) -> dict:
     """What ``clvol info`` shows, as plain JSON types.
 
     ``direction`` is row by row (column k is index axis k), ``bounds_world`` the lower and the upper
-    corner of the axis-parallel box around the domain.
+    corner of the axis-parallel box around the domain, ``unit`` the name of the world's unit of
+    length or None.
     """
     corners = volume.grid.world_corners()
     return {
@@ -172,6 +176,7 @@ def describe(volume: Volume) -> dict:
         "origin": list(volume.grid.origin),
         "direction": volume.grid.direction.tolist(),
         "frame": volume.frame,
+        "unit": volume.unit,
         "value_range": list(volume.value_range),
         "nan_count": volume.nan_count,
         "inf_count": volume.inf_count,

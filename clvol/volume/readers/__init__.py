@@ -10,13 +10,14 @@ from __future__ import annotations
 
 import os
 import stat
+import warnings
 from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
 
 import numpy as np
 
-from clvol.errors import ClvolError, VolumeError
+from clvol.errors import ClvolError, ClvolWarning, VolumeError
 from clvol.volume.grid import Grid
 from clvol.volume.readers.options import ReadOptions
 from clvol.volume.readers.quiet import quiet
@@ -55,6 +56,9 @@ def load_volume(
     dtype: str | np.dtype | None = None,
     spacing: Sequence[float] | None = None,
     memory_cap: int | None = None,
+    channel: int | str | None = None,
+    time: int | str | None = None,
+    series: int | str | None = None,
 ) -> Volume:
     """Reads a volume file, or a folder with one DICOM series or in Zarr form.
 
@@ -67,17 +71,22 @@ def load_volume(
     anything is read; without it, 75 % of the available memory, and .npy and .raw files, which are
     mapped and take no memory of their own, may have any size.
 
+    ``channel``, ``time`` and ``series`` choose where a file has several: an index from 0 or a name;
+    for DICOM series also the SeriesInstanceUID. Without them a file with several is refused, and
+    the error lists what there is.
+
     Voxels keep the file's type; big-endian data become native. Nothing is converted, cropped or
     downsampled. World coordinates are in the file's own frame, named by ``Volume.frame``.
 
-    Raises VolumeError, naming the path, for whatever cannot be read exactly.
+    Raises VolumeError, naming the path, for whatever cannot be read exactly; warns
+    (ClvolWarning) of what it had to leave out or to assume.
     """
     try:
         where = os.fspath(path)
         file = Path(where)
     except TypeError:
         raise VolumeError("volume", f"path of type {type(path).__name__}", "a path") from None
-    options = ReadOptions(dims, dtype, spacing, memory_cap)
+    options = ReadOptions(dims, dtype, spacing, memory_cap, channel, time, series)
     format_name, module = _choose(file)
     if module != "raw" and (dims is not None or dtype is not None):
         raise VolumeError(where, "dims or dtype given", "dims and dtype only with a .raw file")
@@ -85,6 +94,7 @@ def load_volume(
         with quiet():
             reader = import_module(f"{__name__}.{module}")
             volume = reader.read(file, options)
+            options.check_consulted(where)
             if spacing is not None:
                 grid = volume.grid
                 volume.grid = Grid(grid.shape, tuple(spacing), grid.origin, grid.direction)
@@ -106,6 +116,8 @@ def load_volume(
     volume.format = format_name
     if volume.name is None:
         volume.name = _stem(file)
+    for text in options.notes:
+        warnings.warn(ClvolWarning(where, text), stacklevel=2)
     return volume
 
 
