@@ -37,16 +37,19 @@ ENDINGS: dict[str, tuple[str, str]] = {
     ".raw": ("raw", "raw"),
 }
 FOLDER = ("DICOM", "dicom")
+SLICES = ("TIFF slices", "tiff_slices")
 # Folders may be Zarr whatever their names; this one says so.
 ZARR_ENDING = ".zarr"
 ZARR = ("OME-Zarr", "zarr")
 
 
 def is_volume_path(path: str | os.PathLike) -> bool:
-    """Whether the path ends like a volume file, or is a folder. The file need not exist."""
+    """Whether the path ends like a volume file, or is a folder or a DICOM file of whatever name. The
+    file need not exist."""
     path = Path(path)
-    name = path.name.lower()
-    return _ending(path) is not None or name.endswith(ZARR_ENDING) or path.is_dir()
+    if _ending(path) is not None or path.name.lower().endswith(ZARR_ENDING) or path.is_dir():
+        return True
+    return path.is_file() and _is_dicom_file(path)
 
 
 def load_volume(
@@ -60,7 +63,7 @@ def load_volume(
     time: int | str | None = None,
     series: int | str | None = None,
 ) -> Volume:
-    """Reads a volume file, or a folder with one DICOM series or in Zarr form.
+    """Reads a volume file, or a folder: DICOM or TIFF slices, or in Zarr form.
 
     What is in Zarr form, clvol's own stores too, is a volume whose voxels are read when ``data`` is
     first asked for.
@@ -145,6 +148,8 @@ def _choose(path: Path) -> tuple[str, str]:
     except (OSError, ValueError) as error:
         raise VolumeError(str(path), _first_line(error), "a volume file") from None
     ending = _ending(path)
+    if stat.S_ISREG(mode) and ending is None and _is_dicom_file(path):
+        return FOLDER
     if stat.S_ISDIR(mode):
         if ending is not None:
             raise VolumeError(str(path), "a folder", f"a {ENDINGS[ending][0]} file")
@@ -154,19 +159,35 @@ def _choose(path: Path) -> tuple[str, str]:
             return ZARR
         if path.name.lower().endswith(ZARR_ENDING):
             raise VolumeError(str(path), "no Zarr metadata in it", "zarr.json, .zgroup or .zarray")
-        return FOLDER
+        return _folder(path)
     if not stat.S_ISREG(mode):
         raise VolumeError(str(path), "not a regular file", "a volume file or a DICOM folder")
     if ending is None:
         if path.name.lower().endswith(ZARR_ENDING):
             raise VolumeError(str(path), "a file", "a Zarr folder")
         what = f"unknown ending {path.suffix!r}" if path.suffix else "no ending"
-        if path.suffix.lower() in (".dcm", ".ima"):
-            raise VolumeError(str(path), "one DICOM file", "the folder that holds the series")
         raise VolumeError(str(path), what, f"one of {known}, or a DICOM folder")
     if path.stat().st_size == 0:
         raise VolumeError(str(path), "empty file", f"a {ENDINGS[ending][0]} file")
     return ENDINGS[ending]
+
+
+def _is_dicom_file(path: Path) -> bool:
+    from clvol.volume.readers.dicom import is_dicom
+
+    return is_dicom(path)
+
+
+def _folder(path: Path) -> tuple[str, str]:
+    """A folder with TIFF files is a stack of slices, unless there are DICOM files in it."""
+    from clvol.volume.readers.dicom import has_dicom
+    from clvol.volume.readers.tiff_slices import slice_files
+
+    try:
+        return SLICES if slice_files(path) and not has_dicom(path) else FOLDER
+    except OSError as error:
+        reason = error.strerror or _first_line(error)
+        raise VolumeError(str(path), reason, "a folder that can be read") from None
 
 
 def _first_line(error: BaseException) -> str:
