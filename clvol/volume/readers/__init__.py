@@ -18,7 +18,10 @@ from pathlib import Path
 import numpy as np
 
 from clvol.errors import ClvolError, ClvolWarning, VolumeError
+from clvol.volume.axis import ValueAxis
 from clvol.volume.grid import Grid
+from clvol.volume.lazy import narrowed_volume
+from clvol.volume.narrow import Narrowing, narrowing
 from clvol.volume.readers.options import ReadOptions
 from clvol.volume.readers.quiet import quiet
 from clvol.volume.volume import Volume
@@ -58,6 +61,11 @@ def load_volume(
     dims: Sequence[int] | None = None,
     dtype: str | np.dtype | None = None,
     spacing: Sequence[float] | None = None,
+    header_bytes: int | None = None,
+    byte_order: str | None = None,
+    slope: float = 1.0,
+    offset: float = 0.0,
+    labels: bool = False,
     memory_cap: int | None = None,
     channel: int | str | None = None,
     time: int | str | None = None,
@@ -68,8 +76,12 @@ def load_volume(
     What is in Zarr form, clvol's own stores too, is a volume whose voxels are read when ``data`` is
     first asked for.
 
-    ``dims`` (nx, ny, nz) and ``dtype`` describe a .raw file and are refused for other formats.
+    ``dims`` (nx, ny, nz) and ``dtype`` describe a .raw file, ``header_bytes`` what comes before its
+    voxels (-1: whatever it is, the voxels end the file) and ``byte_order`` ("little", "big") them;
+    all four are refused for other formats.
     ``spacing`` (sx, sy, sz) in world units overrides the file's; origin and direction stay.
+    ``slope`` and ``offset``, as for ``Volume``, are of the values that the file states: where a file
+    has a slope and an offset of its own, those are applied first. ``labels`` as for ``Volume``.
     ``memory_cap`` is the most bytes that the voxels may take, checked against the header before
     anything is read; without it, 75 % of the available memory, and .npy and .raw files, which are
     mapped and take no memory of their own, may have any size.
@@ -78,7 +90,8 @@ def load_volume(
     for DICOM series also the SeriesInstanceUID. Without them a file with several is refused, and
     the error lists what there is.
 
-    Voxels keep the file's type; big-endian data become native. Nothing is converted, cropped or
+    Voxels keep the file's type; big-endian data become native, and integers of 32 and 64 bits are
+    narrowed without loss (``Volume``). Nothing else is converted, nothing is cropped or
     downsampled. World coordinates are in the file's own frame, named by ``Volume.frame``.
 
     Raises VolumeError, naming the path, for whatever cannot be read exactly; warns
@@ -89,20 +102,29 @@ def load_volume(
         file = Path(where)
     except TypeError:
         raise VolumeError("volume", f"path of type {type(path).__name__}", "a path") from None
-    options = ReadOptions(dims, dtype, spacing, memory_cap, channel, time, series)
+    axis = ValueAxis(slope, offset)
+    options = ReadOptions(
+        dims, dtype, spacing, memory_cap, channel, time, series, header_bytes, byte_order
+    )
     format_name, module = _choose(file)
-    if module != "raw" and (dims is not None or dtype is not None):
-        raise VolumeError(where, "dims or dtype given", "dims and dtype only with a .raw file")
+    for_raw = {
+        "dims": dims, "dtype": dtype, "header_bytes": header_bytes, "byte_order": byte_order
+    }  # fmt: skip
+    given = [name for name, value in for_raw.items() if value is not None]
+    if module != "raw" and given:
+        raise VolumeError(where, f"{given[0]} given", f"{given[0]} only with a .raw file")
     try:
-        with quiet():
+        how = Narrowing(memory_cap, labels)
+        with quiet(), narrowing(how):
             reader = import_module(f"{__name__}.{module}")
-            volume = reader.read(file, options)
+            volume = narrowed_volume(reader.read(file, options), how)
             options.check_consulted(where)
             if spacing is not None:
                 grid = volume.grid
                 volume.grid = Grid(grid.shape, tuple(spacing), grid.origin, grid.direction)
     except VolumeError as error:
-        what = error.what if error.where in (where, str(file)) else f"{error.where}: {error.what}"
+        own = error.where in (where, str(file), "volume")
+        what = error.what if own else f"{error.where}: {error.what}"
         raise VolumeError(where, what, error.expected) from error.__cause__
     except ClvolError:
         raise
@@ -115,6 +137,7 @@ def load_volume(
         raise VolumeError(
             where, f"unreadable: {_first_line(error)}", f"an undamaged {format_name} file"
         ) from error
+    volume.axis = axis.after(volume.axis)
     volume.path = where
     volume.format = format_name
     if volume.name is None:

@@ -1,33 +1,37 @@
-"""NRRD: .nrrd with its data attached, .nhdr (or .nrrd) with one data file beside it.
+"""NRRD: .nrrd with its data attached, .nhdr (or .nrrd) with its data in files beside it.
 
-pynrrd parses the header. It would hold three copies of a compressed volume while reading, so the
-voxels are read by ``read_samples``. Format: teem.sourceforge.net/nrrd/format.html.
+pynrrd would hold three copies of a compressed volume while reading, so the voxels are read by
+``read_parts``. Format: teem.sourceforge.net/nrrd/format.html.
 """
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, BinaryIO
 
 import numpy as np
 
 from clvol.errors import VolumeError
 from clvol.volume.grid import Grid
-from clvol.volume.memory import check_memory
+from clvol.volume.readers.beside import data_files, listed_files
+from clvol.volume.readers.nrrd_header import NrrdHeader, read_header
 from clvol.volume.readers.options import ReadOptions
-from clvol.volume.readers.samples import read_samples
+from clvol.volume.readers.samples import Part, read_parts
+from clvol.volume.readers.units import one_unit
 from clvol.volume.volume import ACCEPTED, Volume
 
-_HEADER_LIMIT = 1 << 20
 _TYPES = {
-    "int8": ("signed char", "int8", "int8_t"),
-    "uint8": ("uchar", "unsigned char", "uint8", "uint8_t"),
-    "int16": ("short", "short int", "signed short", "signed short int", "int16", "int16_t"),
-    "uint16": ("ushort", "unsigned short", "unsigned short int", "uint16", "uint16_t"),
-    "float32": ("float",),
-    "float64": ("double",),
+    "int8": "signed char|int8|int8_t",
+    "uint8": "uchar|unsigned char|uint8|uint8_t",
+    "int16": "short|short int|signed short|signed short int|int16|int16_t",
+    "uint16": "ushort|unsigned short|unsigned short int|uint16|uint16_t",
+    "int32": "int|signed int|int32|int32_t",
+    "uint32": "uint|unsigned int|uint32|uint32_t",
+    "int64": "longlong|long long|long long int|signed long long|signed long long int|int64|int64_t",
+    "uint64": "ulonglong|unsigned long long|unsigned long long int|uint64|uint64_t",
+    "float32": "float",
+    "float64": "double",
 }
-_TYPE_BY_NAME = {alias: name for name, aliases in _TYPES.items() for alias in aliases}
+_TYPE_BY_NAME = {alias: name for name, aliases in _TYPES.items() for alias in aliases.split("|")}
 _ENCODINGS = {
     "raw": "raw",
     "gz": "deflate",
@@ -37,6 +41,7 @@ _ENCODINGS = {
     "txt": "text",
     "text": "text",
     "ascii": "text",
+    "hex": "hex",
 }
 _FRAMES = {
     "left-posterior-superior": "LPS",
@@ -48,69 +53,46 @@ _FRAMES = {
 }
 # Kinds of an axis along which samples are spread in space.
 _SPATIAL_KINDS = ("domain", "space", "none", "???")
+_LINE = 1 << 20
 
 
 def read(path: Path, options: ReadOptions) -> Volume:
     """The volume in a NRRD file; the world frame is the header's ``space``.
 
-    Accepts the encodings raw, gzip, bzip2 and text. Geometry comes from ``space directions`` and
-    ``space origin`` (the centre of the first voxel) or, without them, from ``spacings`` and
-    ``axis mins`` (with cell centering, the default, the outer face of the first voxel).
+    Accepts the encodings raw, gzip, bzip2, text and hex, and voxels over several files (a list or a
+    numbered pattern). Geometry comes from ``space directions`` and ``space origin`` (the centre of
+    the first voxel) or, without them, from ``spacings`` and ``axis mins`` (with cell centering, the
+    default, the outer face of the first voxel). Where units of length differ from axis to axis, all
+    are brought to the first one's.
     """
-    import nrrd
-
     with path.open("rb") as file:
-        lines = _header_lines(path, file)
+        header = read_header(path, file)
         attached = file.tell()
-        header = nrrd.read_header(lines)
-        for field in ("dimension", "type", "encoding", "sizes"):
-            if field not in header:
-                raise VolumeError(str(path), f"NRRD header without {field!r}", f"a {field!r} field")
-        dtype = _dtype(path, header)
-        shape = _shape(path, header)
-        encoding = _ENCODINGS.get(str(header["encoding"]).lower())
-        if encoding is None:
-            raise VolumeError(
-                str(path), f"encoding {header['encoding']!r}", "raw, gzip, bzip2 or text"
-            )
-        grid = _grid(path, shape, header)
-        source, start = _data_file(path, header, attached)
-        data = _read_data(source, start, header, shape, dtype, encoding, options)
+    for field in ("dimension", "type", "encoding", "sizes"):
+        if field not in header.fields:
+            raise VolumeError(str(path), f"NRRD header without {field!r}", f"a {field!r} field")
+    encoding = _ENCODINGS.get(header.get("encoding"))
+    if encoding is None:
+        what = f"encoding {header.get('encoding')!r}"
+        raise VolumeError(str(path), what, "raw, gzip, bzip2, text or hex")
+    dtype = _dtype(path, header, encoding)
+    shape = _shape(path, header)
+    grid, unit = _grid(path, shape, header)
+    parts = _parts(path, header, attached, shape, encoding)
+    data = read_parts(parts, shape, dtype, encoding=encoding, memory_cap=options.memory_cap)
     space = str(header.get("space", "")).strip()
-    frame = _FRAMES.get(space.lower(), space) or "index"
-    return Volume(data, grid.spacing, grid.origin, grid.direction, frame=frame)
+    frame = _FRAMES.get(space.lower().replace(" ", "-"), space) or "index"
+    volume = Volume(data, grid.spacing, grid.origin, grid.direction, frame=frame)
+    volume.unit = unit
+    return volume
 
 
-def _header_lines(path: Path, file: BinaryIO) -> list[str]:
-    """The header up to its blank line, leaving ``file`` at the first byte after it."""
-    lines: list[str] = []
-    room = _HEADER_LIMIT
-    while line := file.readline(room):
-        if not lines and not line.startswith(b"NRRD000"):
-            raise VolumeError(str(path), "no NRRD header", "a file that starts with NRRD000")
-        room -= len(line)
-        if room <= 0:
-            raise VolumeError(str(path), "endless NRRD header", f"at most {_HEADER_LIMIT} bytes")
-        text = line.decode("ascii", "replace").rstrip()
-        if not text:
-            break
-        if ":" not in text and not text.startswith("#") and lines:
-            raise VolumeError(str(path), f"NRRD header line {text[:60]!r}", "FIELD: VALUE")
-        lines.append(text)
-    return lines
-
-
-def _field(header: dict[str, Any], *names: str) -> Any:
-    """The first of several spellings of a field that the header has, else None."""
-    return next((header[name] for name in names if name in header), None)
-
-
-def _dtype(path: Path, header: dict[str, Any]) -> np.dtype:
-    name = _TYPE_BY_NAME.get(str(header["type"]).lower())
+def _dtype(path: Path, header: NrrdHeader, encoding: str) -> np.dtype:
+    name = _TYPE_BY_NAME.get(header.get("type"))
     if name is None:
-        raise VolumeError(str(path), f"voxels of type {header['type']!r}", ACCEPTED)
+        raise VolumeError(str(path), f"voxels of type {header.get('type')!r}", ACCEPTED)
     dtype = np.dtype(name)
-    if dtype.itemsize == 1 or _ENCODINGS.get(str(header["encoding"]).lower()) == "text":
+    if dtype.itemsize == 1 or encoding == "text":
         return dtype
     orders = {"little": "<", "big": ">"}
     endian = header.get("endian")
@@ -119,12 +101,12 @@ def _dtype(path: Path, header: dict[str, Any]) -> np.dtype:
     return dtype.newbyteorder(orders[endian])
 
 
-def _shape(path: Path, header: dict[str, Any]) -> tuple[int, int, int]:
-    sizes = [int(n) for n in header["sizes"]]
-    kinds = [str(kind) for kind in header.get("kinds", ())]
-    if header["dimension"] != len(sizes):
+def _shape(path: Path, header: NrrdHeader) -> tuple[int, int, int]:
+    sizes = [int(n) for n in header.get("sizes")]
+    dimension, kinds = header.get("dimension"), header.get("kinds", ())
+    if dimension != len(sizes):
         raise VolumeError(
-            str(path), f"dimension {header['dimension']} with {len(sizes)} sizes", "as many sizes"
+            str(path), f"dimension {dimension} with {len(sizes)} sizes", "as many sizes"
         )
     strange = [kind for kind in kinds if kind.lower() not in _SPATIAL_KINDS]
     if len(sizes) != 3 or strange:
@@ -139,19 +121,21 @@ def _shape(path: Path, header: dict[str, Any]) -> tuple[int, int, int]:
     return tuple(sizes[::-1])
 
 
-def _grid(path: Path, shape: tuple[int, int, int], header: dict[str, Any]) -> Grid:
-    origin = _field(header, "space origin")
-    directions = _field(header, "space directions")
+def _grid(path: Path, shape: tuple[int, int, int], header: NrrdHeader) -> tuple[Grid, str | None]:
+    """The grid, and the unit of its lengths where the header knows one."""
+    origin = header.get("space origin")
+    directions = header.get("space directions")
     if directions is not None:
         rows = np.asarray(directions, dtype=np.float64)
         if rows.shape != (3, 3) or np.isnan(rows).all(axis=1).any():
             raise VolumeError(str(path), "an axis without a space direction", "three directions")
-        return Grid.from_steps(shape, rows.T, (0.0, 0.0, 0.0) if origin is None else origin)
+        factors, unit = _unit(header, "space units", (2, 2, 2))  # of the world's axes
+        origin = np.zeros(3) if origin is None else np.asarray(origin, np.float64)
+        return Grid.from_steps(shape, (rows * factors).T, origin * factors), unit
     sizes = np.asarray(shape[::-1], dtype=np.float64)
-    cell = np.array([word.lower() != "node" for word in header.get("centerings", ["cell"] * 3)])
-    lower = _numbers(header, "axis mins", "axismins")
-    upper = _numbers(header, "axis maxs", "axismaxs")
-    steps = _numbers(header, "spacings")
+    cell = np.array([word != "node" for word in header.get("centerings", ["cell"] * 3)])
+    lower, upper = header.numbers("axis mins"), header.numbers("axis maxs")
+    steps = header.numbers("spacings")
     if steps is None and lower is not None and upper is not None and cell.size == 3:
         steps = (upper - lower) / np.maximum(np.where(cell, sizes, sizes - 1.0), 1.0)
     # NaN is the format's way to say that a spacing is not known.
@@ -159,79 +143,59 @@ def _grid(path: Path, shape: tuple[int, int, int], header: dict[str, Any]) -> Gr
     if origin is None and lower is not None and cell.size == 3:
         known = np.where(np.isnan(lower), 0.0, lower)
         origin = known + np.where(np.isnan(lower) | ~cell, 0.0, 0.5 * steps)
-    return Grid.from_steps(shape, np.diag(steps), (0.0, 0.0, 0.0) if origin is None else origin)
+    if steps.shape != (3,):
+        raise VolumeError(str(path), f"{steps.size} spacings", "three, one for each axis")
+    factors, unit = _unit(header, "units", shape[::-1])
+    origin = np.zeros(3) if origin is None else np.asarray(origin, np.float64)
+    return Grid.from_steps(shape, np.diag(steps * factors), origin * factors), unit
 
 
-def _numbers(header: dict[str, Any], *names: str) -> np.ndarray | None:
-    value = _field(header, *names)
-    return None if value is None else np.asarray(value, dtype=np.float64)
+def _unit(
+    header: NrrdHeader, field: str, sizes: tuple[int, int, int]
+) -> tuple[np.ndarray, str | None]:
+    """What lengths along the three axes are to be multiplied by, and the unit that they are then
+    in."""
+    names = header.get(field, ())
+    if len(names) != 3:
+        return np.ones(3), None
+    factors, unit, _ = one_unit(names, [n > 1 for n in sizes])
+    return np.asarray(factors, np.float64), unit
 
 
-def _data_file(path: Path, header: dict[str, Any], attached: int) -> tuple[Path, int]:
-    """The file with the voxels, and where they start in it before any skip."""
-    name = _field(header, "data file", "datafile")
-    if name is None:
-        return path, attached
-    # LIST and number patterns (with %) spread the data over several files.
-    if name.split()[0] == "LIST" or "%" in name:
-        raise VolumeError(str(path), f"data file {name!r}", "one data file")
-    source = path.parent / name
-    if not source.is_file():
-        raise VolumeError(str(path), f"data file {name!r} is missing", "the file beside the header")
-    return source, 0
-
-
-def _read_data(
-    source: Path,
-    start: int,
-    header: dict[str, Any],
-    shape: tuple[int, int, int],
-    dtype: np.dtype,
-    encoding: str,
-    options: ReadOptions,
-) -> np.ndarray:
-    """Skips lines in the file as stored, then bytes in the data as decoded, as the format says."""
-    skip_lines = _field(header, "line skip", "lineskip") or 0
-    skip_bytes = _field(header, "byte skip", "byteskip") or 0
+def _parts(
+    path: Path, header: NrrdHeader, attached: int, shape: tuple[int, int, int], encoding: str
+) -> list[Part]:
+    """Where the voxels are. Lines are skipped in a file as stored, bytes in the data as decoded, in
+    each file anew."""
+    skip_lines, skip_bytes = header.get("line skip", 0), header.get("byte skip", 0)
     if skip_lines < 0 or skip_bytes < (-1 if encoding == "raw" else 0):
         raise VolumeError(
-            str(source), f"line skip {skip_lines}, byte skip {skip_bytes}", "skips of 0 or more"
+            str(path), f"line skip {skip_lines}, byte skip {skip_bytes}", "skips of 0 or more"
         )
-    if skip_lines:
-        with source.open("rb") as file:
-            file.seek(start)
-            for _ in range(skip_lines):
-                if not file.readline(_HEADER_LIMIT):
-                    break
-            start = file.tell()
-    if encoding == "text":
-        return _read_text(source, start + skip_bytes, shape, dtype, options)
-    return read_samples(
-        source,
-        shape,
-        dtype,
-        offset=None if skip_bytes == -1 else start,
-        encoding=encoding,
-        skip=max(skip_bytes, 0),
-        memory_cap=options.memory_cap,
-    )
+    files, start = [path], attached
+    if header.data_file is not None:
+        files, start = _files(path, header, shape[::-1]), 0
+    parts = []
+    for file in files:
+        offset = None
+        if skip_bytes != -1:
+            offset = _after_lines(file, start, skip_lines) if skip_lines else start
+        parts.append(Part(file, offset, max(skip_bytes, 0)))
+    return parts
 
 
-def _read_text(
-    source: Path, start: int, shape: tuple[int, int, int], dtype: np.dtype, options: ReadOptions
-) -> np.ndarray:
-    count = shape[0] * shape[1] * shape[2]
-    if 2 * count - 1 > source.stat().st_size:  # a digit and a blank a voxel
-        raise VolumeError(str(source), "too few numbers", f"{count} numbers")
-    check_memory(str(source), count * 8, options.memory_cap)
-    with source.open("rb") as file:
+def _files(path: Path, header: NrrdHeader, sizes: tuple[int, int, int]) -> list[Path]:
+    words = header.data_file.split()
+    if words[:1] == [b"LIST"] and (header.listed or len(words) <= 2):
+        axes = int(words[1]) if len(words) == 2 and words[1].isdigit() else None
+        return listed_files(path, header.listed, axes, sizes)
+    return data_files(path, header.data_file, sizes)
+
+
+def _after_lines(path: Path, start: int, count: int) -> int:
+    """Where the data begin after so many lines."""
+    with path.open("rb") as file:
         file.seek(start)
-        words = file.read().split()
-    if len(words) != count:
-        raise VolumeError(str(source), f"{len(words)} numbers", f"{count} numbers")
-    numbers = np.array(words).astype(np.float64)
-    with np.errstate(all="ignore"):
-        data = numbers.astype(dtype)
-    if dtype.kind in "iu" and not np.array_equal(data, numbers):
-        raise VolumeError(str(source), "numbers outside the type", f"whole numbers of {dtype}")
-    return data.reshape(shape)
+        while count and (piece := file.readline(_LINE)):
+            count -= piece.endswith(b"\n")
+        return file.tell()

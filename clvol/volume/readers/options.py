@@ -18,7 +18,8 @@ _SEVERAL = {"channel": "channels", "time": "times", "series": "series"}
 
 @dataclass(frozen=True)
 class ReadOptions:
-    """``dims`` (nx, ny, nz) and ``dtype`` for .raw; ``spacing`` or None; cap in bytes or None.
+    """``dims`` (nx, ny, nz), ``dtype``, ``header_bytes`` (-1: the voxels end the file) and
+    ``byte_order`` ("little", "big") for .raw; ``spacing`` or None; cap in bytes or None.
 
     ``channel``, ``time`` and ``series`` (an index from 0, a name, or None) choose among several;
     readers ask ``choose`` for them. ``notes`` collects what readers ``warn`` of.
@@ -31,6 +32,8 @@ class ReadOptions:
     channel: int | str | None = None
     time: int | str | None = None
     series: int | str | None = None
+    header_bytes: int | None = None
+    byte_order: str | None = None
     notes: list[str] = field(default_factory=list)
     consulted: set[str] = field(default_factory=set)
 

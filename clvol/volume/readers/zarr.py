@@ -67,7 +67,7 @@ class StoredVolume(LazyVolume):
         self.blocks_source.grid = grid
 
     @property
-    def value_range(self) -> tuple[float, float]:
+    def stored_range(self) -> tuple[float, float]:
         return self.blocks_source.value_range
 
     @property
