@@ -186,6 +186,9 @@ def load_scene_volume(
         dims=asked.dims,
         dtype=asked.dtype,
         spacing=asked.spacing,
+        channel=asked.channel,
+        time=asked.time,
+        series=asked.series,
         header_bytes=asked.header_bytes,
         byte_order=asked.byte_order,
         slope=asked.slope,
@@ -227,6 +230,7 @@ def _with_nan_as(volume: Volume, value: float) -> Volume:
         frame=volume.frame,
         path=volume.path,
         format=volume.format,
+        unit=volume.unit,
         slope=volume.slope,
         offset=volume.offset,
     )

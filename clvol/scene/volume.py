@@ -31,6 +31,16 @@ def is_path(text: str) -> str:
     return text
 
 
+def _choice(value: Any) -> Any:
+    number = plain(value)
+    if isinstance(number, int) and not isinstance(number, bool) and 0 <= number < 2**31:
+        return number
+    if isinstance(value, str) and value:
+        return value
+    raise ValueError("neither an index nor a name")
+
+
+_Choice = Annotated[Any, BeforeValidator(_choice)]
 _Side = Annotated[Whole, Field(ge=1, le=2**31 - 1)]
 
 
@@ -40,6 +50,8 @@ class VolumeSettings(Table):
     whatever it is, they end the file), ``byte_order`` how numbers of several bytes are stored.
     ``nan`` is what a NaN voxel counts as. Values are ``slope`` * stored + ``offset``, on top of the
     file's own slope and offset where it has them; all else of the scene speaks of these values.
+    ``channel``, ``time`` and ``series`` choose, by index from 0 or by name, where a file has
+    several; a DICOM series also by its SeriesInstanceUID.
 
     In place of a file: ``field``, computed on ``size`` (nx, ny, nz) voxels of 8 bits, 1 apart or as
     ``spacing`` says (``clvol.volume.procedural.scene_field``)."""
@@ -60,6 +72,11 @@ class VolumeSettings(Table):
         None, description="three whole numbers [nx, ny, nz] greater than 0"
     )
     dtype: str | None = Field(None, min_length=1, description="a voxel type such as 'uint16'")
+    channel: _Choice = Field(None, description="the index (from 0) or the name of a channel")
+    time: _Choice = Field(None, description="the index (from 0) of a time")
+    series: _Choice = Field(
+        None, description="the index (from 0) or the name of a series, or a SeriesInstanceUID"
+    )
     header_bytes: Annotated[Whole, Field(ge=-1, le=2**62)] | None = Field(
         None, description="a whole number of bytes, or -1"
     )
@@ -87,7 +104,7 @@ class VolumeSettings(Table):
             raise wrong("size", self.size, "a size beside field alone; for a .raw file, dims")
         if abs(self.slope) < 1e-30:
             raise wrong("slope", self.slope, "a finite number that is not 0")
-        for key in ("dims", "dtype", "header_bytes", "byte_order"):
+        for key in ("dims", "dtype", "header_bytes", "byte_order", "channel", "time", "series"):
             value = getattr(self, key)
             if self.field is not None and value is not None:
                 raise wrong(key, value, f"no {key} beside field; it has its size, and 8 bits")

@@ -32,9 +32,10 @@ class LazyVolume(Volume):
         frame: str,
         where: str,
         memory_cap: int | None,
+        unit: str | None = None,
     ) -> None:
         self._dtype, self._where, self._memory_cap = dtype, where, memory_cap
-        self.grid, self.name, self.frame = grid, name, frame
+        self.grid, self.name, self.frame, self.unit = grid, name, frame, unit
         self.path = self.format = None
         self.axis = ValueAxis()
 
@@ -75,7 +76,9 @@ class _Converted(LazyVolume):
     def __init__(self, volume: LazyVolume) -> None:
         self._volume = volume
         where, cap = volume._where, volume._memory_cap
-        super().__init__(volume.dtype, volume.grid, volume.name, volume.frame, where, cap)
+        super().__init__(
+            volume.dtype, volume.grid, volume.name, volume.frame, where, cap, volume.unit
+        )
         self.path, self.format, self.axis = volume.path, volume.format, volume.axis
 
     def _load(self) -> np.ndarray:

@@ -41,8 +41,9 @@ class Volume:
     +-2^53, which no scene names, may become +-2^53.
 
     ``data`` is the C-contiguous, native-endian, read-only array. ``frame`` names the world's
-    frame ("LPS", "RAS", ... ; "index" where nothing is known), ``path`` and ``format`` say where
-    the volume came from, or are None.
+    frame ("LPS", "RAS", ... ; "index" where nothing is known), ``unit`` its unit of length ("mm",
+    "µm", ... ; None where it is not known), ``path`` and ``format`` say where the volume came from,
+    or are None.
     """
 
     axis = ValueAxis()
@@ -59,6 +60,7 @@ class Volume:
         frame: str = "index",
         path: str | None = None,
         format: str | None = None,
+        unit: str | None = None,
         slope: float = 1.0,
         offset: float = 0.0,
         labels: bool = False,
@@ -70,6 +72,7 @@ class Volume:
         self.frame = frame
         self.path = path
         self.format = format
+        self.unit = unit
 
     @property
     def dtype(self) -> np.dtype:
@@ -222,8 +225,9 @@ def describe(volume: Volume) -> dict:
     """What ``clvol info`` shows, as plain JSON types.
 
     ``direction`` is row by row (column k is index axis k), ``bounds_world`` the lower and the upper
-    corner of the axis-parallel box around the domain. ``value_range`` is of values, which are slope *
-    stored + offset; ``dtype`` is of what is stored.
+    corner of the axis-parallel box around the domain, ``unit`` the name of the world's unit of
+    length or None. ``value_range`` is of values, which are slope * stored + offset; ``dtype`` is of
+    what is stored.
     """
     corners = volume.grid.world_corners()
     return {
@@ -237,6 +241,7 @@ def describe(volume: Volume) -> dict:
         "origin": list(volume.grid.origin),
         "direction": volume.grid.direction.tolist(),
         "frame": volume.frame,
+        "unit": volume.unit,
         "slope": volume.slope,
         "offset": volume.offset,
         "value_range": list(volume.value_range),

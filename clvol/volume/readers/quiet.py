@@ -10,7 +10,7 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-_LOGGERS = ("nibabel", "nibabel.global", "tifffile", "nrrd")
+_LOGGERS = ("nibabel", "nibabel.global", "tifffile", "nrrd", "pydicom")
 _lock = threading.RLock()
 
 

@@ -1,0 +1,168 @@
+"""A folder of TIFF slices, one image a file, in the natural order of the files' names."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections import Counter
+from collections.abc import Hashable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from clvol.errors import VolumeError
+from clvol.volume.memory import check_memory
+from clvol.volume.readers.options import ReadOptions
+from clvol.volume.readers.quiet import errors_logged
+from clvol.volume.readers.tiff import read as read_file
+from clvol.volume.readers.tiff import read_page, single_page
+from clvol.volume.readers.tiff_spacing import Spacing, spacing_of
+from clvol.volume.volume import Volume, check_type
+
+_ENDINGS = (".tif", ".tiff")
+_NUMBER = re.compile(r"(\d+)")
+_NAMED = 3  # files that a message names
+
+
+def slice_files(path: Path) -> list[Path]:
+    """The TIFF files of a folder, sl_2 before sl_10; hidden ones are no slices."""
+    with os.scandir(path) as entries:
+        names = [entry.name for entry in entries if entry.is_file()]
+    found = [n for n in names if n.lower().endswith(_ENDINGS) and not n.startswith(".")]
+    return [path / name for name in sorted(found, key=_natural)]
+
+
+def read(path: Path, options: ReadOptions) -> Volume:
+    """The volume whose slices are the folder's TIFF files, the first one at z index 0.
+
+    Files whose names differ in more than numbers are stacks of their own, chosen by
+    ``options.series``. Spacing as in one TIFF file. VolumeError for slices of several sizes or
+    types; a number that is missing between others is warned of.
+    """
+    files = _one_stack(path, slice_files(path), options)
+    if len(files) == 1:
+        return read_file(files[0], options)
+    facts = [_facts(path, file) for file in files]
+    for what, values in (
+        ("pixels", [fact.shape for fact in facts]),
+        ("type", [fact.dtype.name for fact in facts]),
+    ):
+        _check_alike(path, files, values, what)
+    _warn_of_gaps(files, options)
+    shape = (len(files), *facts[0].shape)
+    dtype = check_type(facts[0].dtype, str(path))
+    nbytes = int(np.prod(shape, dtype=object)) * dtype.itemsize
+    check_memory(str(path), max(nbytes, facts[0].decoded), options.memory_cap)
+    data = np.empty(shape, dtype)
+    for plane, file in zip(data, files):
+        plane[...] = _pixels(path, file, options).reshape(plane.shape)
+    spacing = _spacing(files[0], options)
+    return Volume(data, spacing.lengths, frame="image", unit=spacing.unit)
+
+
+@dataclass(frozen=True)
+class _Facts:
+    shape: tuple[int, int]
+    dtype: np.dtype
+    decoded: int
+
+
+def _facts(path: Path, file: Path) -> _Facts:
+    with _opened(path, file) as tiff:
+        page = single_page(tiff)
+        if page is None:
+            pages = len(tiff.pages)
+            what = f"{file.name} holds {pages} images" if pages > 1 else f"{file.name} is in colour"
+            raise VolumeError(str(path), what, "files of one slice of scalars each")
+        tile = page.tilewidth * page.tilelength * page.tiledepth if page.is_tiled else 0
+        decoded = max(page.size, tile) * page.dtype.itemsize
+        return _Facts((page.imagelength, page.imagewidth), np.dtype(page.dtype), decoded)
+
+
+def _pixels(path: Path, file: Path, options: ReadOptions) -> np.ndarray:
+    with errors_logged("tifffile") as errors, _opened(path, file) as tiff:
+        pixels = read_page(file, single_page(tiff))
+        if errors:
+            raise VolumeError(str(path), f"{file.name} is damaged: {errors[0]}", "undamaged slices")
+    return pixels
+
+
+def _opened(path: Path, file: Path) -> Any:
+    import tifffile
+
+    try:
+        return tifffile.TiffFile(file)
+    except (tifffile.TiffFileError, ValueError, OSError) as error:
+        what = f"{file.name} is no TIFF file that can be read ({error})"
+        raise VolumeError(str(path), what, "undamaged slices") from None
+
+
+def _spacing(file: Path, options: ReadOptions) -> Spacing:
+    import tifffile
+
+    with tifffile.TiffFile(file) as tiff:
+        return spacing_of(tiff, tiff.series[0] if tiff.series else None, 2, options)
+
+
+# ---- names ---------------------------------------------------------------------------------------
+
+
+def _natural(name: str) -> list[Any]:
+    """Numbers in a name count as numbers: a key for sorting."""
+    parts = _NUMBER.split(name.casefold())
+    return [(1, int(part), "") if part.isdecimal() else (0, 0, part) for part in parts] + [name]
+
+
+def _one_stack(path: Path, files: list[Path], options: ReadOptions) -> list[Path]:
+    """The files of the stack that the caller wants."""
+    patterns: dict[str, list[Path]] = {}
+    for file in files:
+        patterns.setdefault(_NUMBER.sub("#", file.name), []).append(file)
+    if len(patterns) == 1 or all(len(group) == 1 for group in patterns.values()):
+        files = [file for group in patterns.values() for file in group]
+        if options.series is not None:
+            options.choose("series", str(path), [next(iter(patterns))])
+        return sorted(files, key=lambda file: _natural(file.name))
+    names = list(patterns)
+    shown = [f'"{name}" ({len(patterns[name])} files)' for name in names]
+    return patterns[names[options.choose("series", str(path), names, shown=shown)]]
+
+
+def _check_alike(path: Path, files: list[Path], values: list[Hashable], what: str) -> None:
+    """VolumeError that names the files that differ from most of the others."""
+    counts = Counter(values)
+    usual, number = counts.most_common(1)[0]
+    if number == len(files):
+        return
+    odd = [k for k, value in enumerate(values) if value != usual]
+    shown = [f"{files[k].name} ({_show(values[k])})" for k in odd[:_NAMED]]
+    more = f" and {len(odd) - _NAMED} more files" if len(odd) > _NAMED else ""
+    raise VolumeError(
+        str(path),
+        f"{', '.join(shown)}{more} beside {number} slices of {what} {_show(usual)}",
+        f"slices of one {'size' if what == 'pixels' else what}",
+    )
+
+
+def _show(value: Hashable) -> str:
+    return " x ".join(map(str, reversed(value))) if isinstance(value, tuple) else str(value)
+
+
+def _warn_of_gaps(files: list[Path], options: ReadOptions) -> None:
+    """Of numbers that are left out between the first and the last, if it is one that counts."""
+    found = [[int(part) for part in _NUMBER.findall(file.name)] for file in files]
+    varying = [k for k in range(len(found[0])) if len({numbers[k] for numbers in found}) > 1]
+    if len({len(numbers) for numbers in found}) > 1 or len(varying) != 1:
+        return
+    numbers = [one[varying[0]] for one in found]
+    steps = [after - before for before, after in zip(numbers, numbers[1:])]
+    usual = min(steps)
+    for k, step in enumerate(steps):
+        if step != usual and Counter(steps)[usual] >= len(steps) / 2:
+            options.warn(
+                f"between {files[k].name} and {files[k + 1].name} slices may be missing; "
+                "they are taken as neighbours"
+            )
+            return
