@@ -237,7 +237,6 @@ def describe(volume: Volume) -> dict:
         "size_xyz": list(volume.grid.size),
         "dtype": volume.dtype.name,
         "spacing": list(volume.grid.spacing),
-        "unit": volume.unit,
         "origin": list(volume.grid.origin),
         "direction": volume.grid.direction.tolist(),
         "frame": volume.frame,

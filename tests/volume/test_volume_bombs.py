@@ -187,6 +187,7 @@ def mutated(draw: random.Random, whole: bytes) -> bytes:
     return whole
 
 
+@pytest.mark.filterwarnings("ignore::clvol.errors.ClvolWarning")
 @pytest.mark.parametrize("ending", HEADERS)
 def test_mutated_headers_are_read_or_refused(tmp_path: Path, capfd, ending) -> None:
     """Neither a crash nor a hang nor any other exception, nor the words of a library."""

@@ -58,13 +58,13 @@ def read_samples(
 
 def read_parts(
     parts: Sequence[Part],
-    shape: tuple[int, int, int],
+    shape: tuple[int, ...],
     dtype: np.dtype,
     *,
     encoding: str = "raw",
     memory_cap: int | None = None,
 ) -> np.ndarray:
-    """The voxels [z, y, x] that a header promises, native-endian; ``parts`` hold equally many, one
+    """The voxels [..., z, y, x] that a header promises, native-endian; ``parts`` hold equally many, one
     after the other.
 
     ``encoding`` is "raw", "deflate" (zlib or gzip stream), "bzip2", "text" (numbers with blanks
@@ -82,6 +82,33 @@ def read_parts(
     if not samples.dtype.isnative:
         samples = samples.byteswap(inplace=True)
     return samples.view(dtype.newbyteorder("="))
+
+
+def read_chosen(
+    parts: Sequence[Part],
+    shape: tuple[int, ...],
+    dtype: np.dtype,
+    which: tuple[int | slice, ...],
+    *,
+    encoding: str = "raw",
+    memory_cap: int | None = None,
+) -> np.ndarray:
+    """``array[which]``, three axes of ``array``, the one of ``read_parts`` of any ``shape``. Of plain
+    data in one file no more than that comes into memory, of others all of it."""
+    if not any(isinstance(index, int) for index in which):
+        return read_parts(parts, shape, dtype, encoding=encoding, memory_cap=memory_cap)
+    if encoding != "raw" or len(parts) > 1:
+        whole = read_parts(parts, shape, dtype, encoding=encoding, memory_cap=memory_cap)
+        return np.ascontiguousarray(whole[which])
+    part, count = parts[0], math.prod(shape)
+    _check_promise(part, count, dtype, encoding)
+    taken = math.prod(n for n, index in zip(shape, which) if not isinstance(index, int))
+    check_memory(os.fspath(part.path), taken * dtype.itemsize, memory_cap)
+    start = part.offset
+    if start is None:
+        start = part.path.stat().st_size - count * dtype.itemsize - part.skip
+    mapped = np.memmap(part.path, dtype=dtype, mode="r", offset=start + part.skip, shape=shape)
+    return np.array(mapped[which], dtype=dtype.newbyteorder("="), order="C")
 
 
 def _check_promise(part: Part, count: int, dtype: np.dtype, encoding: str) -> None:
