@@ -168,3 +168,16 @@ def test_wide_and_narrowed_voxels_together_hold_the_cap(tmp_path: Path) -> None:
         assert load_volume(path, memory_cap=216).data.nbytes == 24
         with pytest.raises(VolumeError, match="216 bytes|192 bytes"):
             load_volume(path, memory_cap=215).data
+
+
+def test_lazy_voxels_are_narrowed_and_turned_box_by_box(tmp_path: Path) -> None:
+    array = cube([3, 200], "int32")
+    path = tmp_path / "v.zarr"
+    write(path, array)
+    volume = load_volume(path, slope=-2.0, offset=1.0)
+    assert "data" not in vars(volume) and volume.dtype == np.uint8
+    plain, axis = volume.plain
+    assert "data" not in vars(plain) and plain.dtype == np.uint8
+    assert np.array_equal(axis.values(plain.box(0, 2, 1, 3, 2, 4)), 1.0 - 2.0 * array[:, 1:, 2:])
+    assert np.array_equal(axis.values(plain.data), 1.0 - 2.0 * array)
+    assert volume.value_range == (-399.0, 1.0)

@@ -323,3 +323,12 @@ def test_what_pynrrd_writes(tmp_path: Path, dtype, encoding, detached) -> None:
     assert volume.grid.spacing == (0.5, 2.0, 3.0) and volume.frame == "RAS"
     there = (volume.grid.index_to_world() @ [3, 1, 1, 1])[:3]
     np.testing.assert_allclose(there, [1 + 2 * 1, 2 + 0.5 * 3, 3 + 3 * 1])
+
+
+def test_a_list_of_ten_thousand_slices(tmp_path: Path) -> None:
+    """Longer than any header is without it."""
+    name = f"{'long name ' * 11}.raw"
+    (tmp_path / name).write_bytes(b"\7\0")
+    changed = {"sizes": "1 1 12000", "data_file": "LIST\n" + "\n".join([name] * 12000)}
+    volume = load_volume(write(tmp_path / "v.nhdr", b"", **changed))
+    assert volume.shape == (12000, 1, 1) and volume.value_range == (7.0, 7.0)

@@ -103,6 +103,15 @@ def test_text_without_blanks_and_with_too_many_numbers(tmp_path: Path) -> None:
     assert "hold more" in refused(nrrd(path, b"00" * (2 * MIB), encoding="hex"))
 
 
+def test_lines_are_skipped_by_the_million(tmp_path: Path) -> None:
+    data = b"\n" * (8 * MIB) + bytes(range(24))
+    path = nrrd(tmp_path / "v.nrrd", data, line_skip=str(8 * MIB))
+    start = time.monotonic()
+    assert load_volume(path).data.ravel().tolist() == list(range(24))
+    refused(nrrd(path, data, line_skip="9" * 18))
+    assert time.monotonic() - start < 5.0
+
+
 @pytest.mark.parametrize("sizes", ["4000 4000 4000", "99999999999 99999999999 9", "1 1 2000000"])
 @pytest.mark.parametrize("encoding", ["raw", "gzip", "bzip2", "text", "hex"])
 def test_sizes_over_the_cap_are_refused_before_anything(tmp_path: Path, encoding, sizes) -> None:

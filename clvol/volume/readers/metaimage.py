@@ -20,7 +20,7 @@ from clvol.volume.readers.beside import (
     listed_files,
     numbered_names,
 )
-from clvol.volume.readers.metaimage_header import LIMIT, MetaHeader, read_header
+from clvol.volume.readers.metaimage_header import LIST_LIMIT, MetaHeader, read_header
 from clvol.volume.readers.options import ReadOptions
 from clvol.volume.readers.samples import Part, read_chosen
 from clvol.volume.volume import ACCEPTED, Volume
@@ -166,9 +166,9 @@ def _list(header: MetaHeader) -> list[bytes]:
     """The names after ElementDataFile = LIST, one a line."""
     with header.path.open("rb") as file:
         file.seek(header.rest)
-        text = file.read(LIMIT + 1)
-    if len(text) > LIMIT:
-        raise VolumeError(str(header.path), "an endless list of data files", f"{LIMIT} bytes")
+        text = file.read(LIST_LIMIT + 1)
+    if len(text) > LIST_LIMIT:
+        raise VolumeError(str(header.path), "an endless list of data files", f"{LIST_LIMIT} bytes")
     return [line.strip() for line in text.splitlines() if line.strip()]
 
 

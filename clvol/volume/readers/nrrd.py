@@ -50,7 +50,7 @@ _FRAMES = {
     "ras": "RAS",
     "las": "LAS",
 }
-_LINE = 1 << 20
+_BLOCK = 1 << 20
 
 
 def read(path: Path, options: ReadOptions) -> Volume:
@@ -131,9 +131,14 @@ def _files(path: Path, header: NrrdHeader, sizes: tuple[int, ...]) -> list[Path]
 
 
 def _after_lines(path: Path, start: int, count: int) -> int:
-    """Where the data begin after so many lines."""
+    """Where the data begin after so many lines; the end of the file if there are fewer."""
     with path.open("rb") as file:
         file.seek(start)
-        while count and (piece := file.readline(_LINE)):
-            count -= piece.endswith(b"\n")
-        return file.tell()
+        while block := file.read(_BLOCK):
+            lines = block.count(b"\n")
+            if lines >= count:
+                ends = np.flatnonzero(np.frombuffer(block, np.uint8) == ord("\n"))
+                return start + int(ends[count - 1]) + 1
+            count -= lines
+            start += len(block)
+    return start

@@ -16,6 +16,7 @@ from typing import Any, BinaryIO
 from clvol.errors import VolumeError
 
 LIMIT = 1 << 20  # bytes of a header
+LIST_LIMIT = 1 << 26  # and of the names of data files after it
 _READ = (
     "dimension", "type", "sizes", "encoding", "endian", "space", "space dimension",
     "space directions", "space origin", "space units", "spacings", "axis mins", "axis maxs",
@@ -81,6 +82,7 @@ def _lines(path: Path, file: BinaryIO, header: NrrdHeader):
         elif not is_first and not text.startswith(b"#"):
             yield text
             in_list = header.data_file is not None and _is_list(header.data_file)
+            room += LIST_LIMIT if in_list else 0
         is_first = False
 
 
