@@ -175,7 +175,7 @@ def _choose(path: Path) -> tuple[str, str]:
     except (OSError, ValueError) as error:
         raise VolumeError(str(path), _first_line(error), "a volume file") from None
     ending = _ending(path)
-    if stat.S_ISREG(mode) and ending is None and _is_dicom_file(path):
+    if stat.S_ISREG(mode) and ending in (None, ".img") and _is_dicom_file(path):
         return FOLDER
     if stat.S_ISDIR(mode):
         if ending is not None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from clvol.errors import VolumeError
 from clvol.volume.memory import check_memory
 from clvol.volume.readers.options import ReadOptions
 from clvol.volume.readers.quiet import errors_logged
+from clvol.volume.readers.stream_size import LOOKED_AT, j2k_size, jpeg_size
 from clvol.volume.readers.tiff_spacing import ome_channels, ome_image, spacing_of
 from clvol.volume.volume import Volume, check_type
 
@@ -21,6 +23,9 @@ _CHANNELS, _TIMES = "CSE", "T"
 _PLAIN_SLICES = "IQ"  # a sequence of pages, and an axis that nobody has named
 _COLOURS = ("red", "green", "blue", "alpha")
 _RGB, _PALETTE, _YCBCR = 2, 3, 6
+# Compressions that are decoded into room of the size that the page's directory says.
+_BOUNDED = (1, 5, 8, 32773, 32946, 34925, 34926, 50000)
+_JPEGS, _J2KS = (6, 7, 33007), (33003, 33004, 33005, 34712)
 _REDUCED = 1  # NewSubfileType: a thumbnail or another resolution
 
 
@@ -212,10 +217,11 @@ def _allocated(
 
 
 def _check_pages(path: Path, pages: list[Any], itemsize: int) -> None:
-    """Every byte that the page directories promise must be in the file."""
+    """Every byte that the page directories promise must be in the file, and no more in a stream."""
     for page in pages:
         if page is None:
             raise VolumeError(str(path), "a page is missing", "a whole stack")
+        _check_compression(path, page)
         segments = list(zip(page.dataoffsets, page.databytecounts))
         stored = Path(page.parent.filehandle.path).stat().st_size
         end = max((offset + count for offset, count in segments), default=0)
@@ -227,6 +233,30 @@ def _check_pages(path: Path, pages: list[Any], itemsize: int) -> None:
                 str(path),
                 f"voxel data cut off ({stored} bytes in the file)",
                 f"{max(end, needed)} bytes as its pages promise",
+            )
+
+
+def _check_compression(path: Path, page: Any) -> None:
+    """Streams that state their own size would be decoded whole, and cut to the page's."""
+    compression = int(page.keyframe.compression)
+    if compression in _BOUNDED:
+        return
+    size_of = jpeg_size if compression in _JPEGS else j2k_size if compression in _J2KS else None
+    if size_of is None:
+        name = getattr(page.keyframe.compression, "name", compression)
+        expected = "no compression, or LZW, Deflate, PackBits, Zstandard, LZMA, JPEG or JPEG 2000"
+        raise VolumeError(str(path), f"pages compressed as {name}", expected)
+    keyframe = page.keyframe
+    most = (keyframe.imagelength, keyframe.imagewidth)
+    if keyframe.is_tiled:
+        most = (keyframe.tilelength, keyframe.tilewidth)
+    for offset, count in zip(page.dataoffsets, page.databytecounts):
+        with page.parent.filehandle.lock or nullcontext():
+            page.parent.filehandle.seek(offset)
+            size = size_of(page.parent.filehandle.read(min(count, LOOKED_AT)))
+        if count and (size is None or size[0] > most[0] or size[1] > most[1]):
+            raise VolumeError(
+                str(path), f"a stream of {size} pixels in a segment of {most}", "streams that fit"
             )
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 from collections import Counter
 from collections.abc import Hashable
 from dataclasses import dataclass
@@ -16,13 +15,13 @@ from clvol.errors import VolumeError
 from clvol.volume.memory import check_memory
 from clvol.volume.readers.options import ReadOptions
 from clvol.volume.readers.quiet import errors_logged
+from clvol.volume.readers.slice_names import natural, one_stack, warn_of_gaps
 from clvol.volume.readers.tiff import read as read_file
 from clvol.volume.readers.tiff import read_page, single_page
 from clvol.volume.readers.tiff_spacing import Spacing, spacing_of
 from clvol.volume.volume import Volume, check_type
 
 _ENDINGS = (".tif", ".tiff")
-_NUMBER = re.compile(r"(\d+)")
 _NAMED = 3  # files that a message names
 
 
@@ -31,17 +30,17 @@ def slice_files(path: Path) -> list[Path]:
     with os.scandir(path) as entries:
         names = [entry.name for entry in entries if entry.is_file()]
     found = [n for n in names if n.lower().endswith(_ENDINGS) and not n.startswith(".")]
-    return [path / name for name in sorted(found, key=_natural)]
+    return [path / name for name in sorted(found, key=natural)]
 
 
 def read(path: Path, options: ReadOptions) -> Volume:
     """The volume whose slices are the folder's TIFF files, the first one at z index 0.
 
     Files whose names differ in more than numbers are stacks of their own, chosen by
-    ``options.series``. Spacing as in one TIFF file. VolumeError for slices of several sizes or
+    ``options.series``; names that count channels or times, too, by those. Spacing as in one TIFF file. VolumeError for slices of several sizes or
     types; a number that is missing between others is warned of.
     """
-    files = _one_stack(path, slice_files(path), options)
+    files = one_stack(path, slice_files(path), options)
     if len(files) == 1:
         return read_file(files[0], options)
     facts = [_facts(path, file) for file in files]
@@ -50,7 +49,7 @@ def read(path: Path, options: ReadOptions) -> Volume:
         ("type", [fact.dtype.name for fact in facts]),
     ):
         _check_alike(path, files, values, what)
-    _warn_of_gaps(files, options)
+    warn_of_gaps(files, options)
     shape = (len(files), *facts[0].shape)
     dtype = check_type(facts[0].dtype, str(path))
     nbytes = int(np.prod(shape, dtype=object)) * dtype.itemsize
@@ -106,30 +105,6 @@ def _spacing(file: Path, options: ReadOptions) -> Spacing:
         return spacing_of(tiff, tiff.series[0] if tiff.series else None, 2, options)
 
 
-# ---- names ---------------------------------------------------------------------------------------
-
-
-def _natural(name: str) -> list[Any]:
-    """Numbers in a name count as numbers: a key for sorting."""
-    parts = _NUMBER.split(name.casefold())
-    return [(1, int(part), "") if part.isdecimal() else (0, 0, part) for part in parts] + [name]
-
-
-def _one_stack(path: Path, files: list[Path], options: ReadOptions) -> list[Path]:
-    """The files of the stack that the caller wants."""
-    patterns: dict[str, list[Path]] = {}
-    for file in files:
-        patterns.setdefault(_NUMBER.sub("#", file.name), []).append(file)
-    if len(patterns) == 1 or all(len(group) == 1 for group in patterns.values()):
-        files = [file for group in patterns.values() for file in group]
-        if options.series is not None:
-            options.choose("series", str(path), [next(iter(patterns))])
-        return sorted(files, key=lambda file: _natural(file.name))
-    names = list(patterns)
-    shown = [f'"{name}" ({len(patterns[name])} files)' for name in names]
-    return patterns[names[options.choose("series", str(path), names, shown=shown)]]
-
-
 def _check_alike(path: Path, files: list[Path], values: list[Hashable], what: str) -> None:
     """VolumeError that names the files that differ from most of the others."""
     counts = Counter(values)
@@ -148,21 +123,3 @@ def _check_alike(path: Path, files: list[Path], values: list[Hashable], what: st
 
 def _show(value: Hashable) -> str:
     return " x ".join(map(str, reversed(value))) if isinstance(value, tuple) else str(value)
-
-
-def _warn_of_gaps(files: list[Path], options: ReadOptions) -> None:
-    """Of numbers that are left out between the first and the last, if it is one that counts."""
-    found = [[int(part) for part in _NUMBER.findall(file.name)] for file in files]
-    varying = [k for k in range(len(found[0])) if len({numbers[k] for numbers in found}) > 1]
-    if len({len(numbers) for numbers in found}) > 1 or len(varying) != 1:
-        return
-    numbers = [one[varying[0]] for one in found]
-    steps = [after - before for before, after in zip(numbers, numbers[1:])]
-    usual = min(steps)
-    for k, step in enumerate(steps):
-        if step != usual and Counter(steps)[usual] >= len(steps) / 2:
-            options.warn(
-                f"between {files[k].name} and {files[k + 1].name} slices may be missing; "
-                "they are taken as neighbours"
-            )
-            return

@@ -19,6 +19,7 @@ from clvol.volume.grid import Grid
 from clvol.volume.memory import check_memory
 from clvol.volume.readers.options import ReadOptions
 from clvol.volume.readers.units import one_unit
+from clvol.volume.readers.zarr_blosc import check_blosc
 from clvol.volume.readers.zarr_axes import AXES, Axis, Placed, place_axes
 
 _LARGEST_METADATA = 64 << 20
@@ -150,8 +151,9 @@ def _array(path: Path, where: str) -> Any:
         ) from None
 
 
-def _checked(array: Any, where: str, options: ReadOptions) -> Any:
-    """``array``, if one of its chunks fits as it is decoded: it may be larger than the array."""
+def _checked(path: Path, where: str, options: ReadOptions) -> Any:
+    """The array in a folder, if its chunks fit as they are decoded: they may be larger than it."""
+    array = _array(path, where)
     chunk = array.chunk_layout.read_chunk.shape or array.shape
     nbytes = math.prod(int(n) for n in chunk) * array.dtype.numpy_dtype.itemsize
     try:
@@ -160,13 +162,14 @@ def _checked(array: Any, where: str, options: ReadOptions) -> Any:
         sizes = " x ".join(map(str, chunk))
         what = error.what.replace("the volume needs", f"a chunk of {sizes} needs")
         raise VolumeError(where, what, error.expected) from None
+    check_blosc(path, where, nbytes, options.memory_cap)
     return array
 
 
 def _plain(group: Path, path: Path, node: Node, options: ReadOptions) -> Image:
     """An array without OME's metadata. Coordinates beside it, as xarray writes them, are heeded."""
     where = str(group)
-    array = _checked(_array(path, where), where, options)
+    array = _checked(path, where, options)
     names = node.dimensions or [None] * array.rank
     if len(names) != array.rank:
         raise VolumeError(
@@ -191,12 +194,11 @@ def _coordinates(
 ) -> tuple[float, float, str | None]:
     """Step, first place and unit of an axis's coordinates, if they are even."""
     node = read_node(path, where)
-    array = _array(path, where)
+    array = _checked(path, where, options)
     if not node.is_array or tuple(array.shape) != (count,) or count < 2:
         return 1.0, 0.0, None
     if array.dtype.numpy_dtype.kind not in "iuf":
         return 1.0, 0.0, None
-    _checked(array, where, options)
     values = np.asarray(array.read().result(), np.float64)
     step = float(values[-1] - values[0]) / (count - 1)
     off = np.abs(values - (values[0] + step * np.arange(count))).max()
@@ -253,7 +255,7 @@ def _multiscale(path: Path, attributes: dict, multiscale: dict, options: ReadOpt
     except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
         raise VolumeError(where, f"damaged multiscales ({error})", "OME-Zarr metadata") from None
     folder = path.joinpath(*(part for part in place.split("/") if part not in ("", ".", "..")))
-    array = _checked(_array(folder, where), where, options)
+    array = _checked(folder, where, options)
     rank = array.rank
     if not axes:  # before version 0.3 all had five
         axes = [Axis(name) for name in (AXES if rank == len(AXES) else [None] * rank)]

@@ -105,6 +105,10 @@ def frames_of(image: Image, where: str) -> list[Frame]:
     if count < 1 or groups and len(groups) < count:
         what = f"{image.name} describes {len(groups or ())} of {count} frames"
         raise VolumeError(where, what, "a whole multi-frame file")
+    stored = image.path.stat().st_size
+    if count > stored:
+        what = f"{image.name} says that it has {count} frames in {stored} bytes"
+        raise VolumeError(where, what, "a whole multi-frame file")
     try:
         return [_frame(image, k, count) for k in range(count)]
     except (TypeError, ValueError, AttributeError, IndexError, ArithmeticError) as error:
