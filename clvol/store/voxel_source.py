@@ -53,11 +53,8 @@ class VolumeSource:
         volume = self.volume
         if volume.path is not None:
             place = os.path.realpath(volume.path)
-            return {
-                "path": place,
-                "files": _files_digest(Path(volume.path)),
-                "settings": self.settings,
-            }
+            files = [_files_digest(Path(name)) for name in (volume.path, *volume.files)]
+            return {"path": place, "files": " ".join(files), "settings": self.settings}
         digest = hashlib.blake2b(digest_size=16)
         for layer in volume.data:
             digest.update(layer)

@@ -47,7 +47,7 @@ class Volume:
     """
 
     axis = ValueAxis()
-    unit: str | None = None
+    files: tuple[str, ...] = ()  # data files beside ``path`` that the voxels come from
 
     def __init__(
         self,

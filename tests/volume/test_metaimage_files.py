@@ -235,3 +235,8 @@ def test_a_slope_and_an_offset_of_the_header_label_the_values(tmp_path: Path) ->
     expect(path)
     assert volume.dtype == np.int16 and volume.value_range == (-5.0, 41.0)
     assert load_volume(path, slope=-1.0, offset=1.0).value_range == (-40.0, 6.0)
+
+
+def test_the_unit_of_distance_is_named(tmp_path: Path) -> None:
+    assert load_volume(write(tmp_path / "v.mha", DistanceUnits="um")).unit == "µm"
+    assert load_volume(write(tmp_path / "v.mha", DistanceUnits="?")).unit is None

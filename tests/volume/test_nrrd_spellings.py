@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from clvol.errors import VolumeError
+from clvol.store.voxel_source import VolumeSource
 from clvol.volume import load_volume
 
 VOXELS = np.arange(2 * 3 * 4, dtype="<i2").reshape(2, 3, 4)
@@ -332,3 +333,16 @@ def test_a_list_of_ten_thousand_slices(tmp_path: Path) -> None:
     changed = {"sizes": "1 1 12000", "data_file": "LIST\n" + "\n".join([name] * 12000)}
     volume = load_volume(write(tmp_path / "v.nhdr", b"", **changed))
     assert volume.shape == (12000, 1, 1) and volume.value_range == (7.0, 7.0)
+
+
+def test_data_files_are_known_and_their_change_is_another_source(tmp_path: Path) -> None:
+    """An interrupted store goes on only with the same voxels."""
+    slices(tmp_path, ["s1.raw", "s2.raw"])
+    path = write(tmp_path / "v.nhdr", b"", data_file="s%d.raw 1 2 1")
+    volume = load_volume(path)
+    assert volume.files == (str(tmp_path / "s1.raw"), str(tmp_path / "s2.raw"))
+    before = VolumeSource(volume).identity
+    assert VolumeSource(load_volume(path)).identity == before
+    os.utime(tmp_path / "s2.raw", ns=(1, 1))
+    assert VolumeSource(load_volume(path)).identity != before
+    assert load_volume(write(tmp_path / "w.nrrd")).files == ()

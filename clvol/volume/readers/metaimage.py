@@ -22,7 +22,8 @@ from clvol.volume.readers.beside import (
 )
 from clvol.volume.readers.metaimage_header import LIST_LIMIT, MetaHeader, read_header
 from clvol.volume.readers.options import ReadOptions
-from clvol.volume.readers.samples import Part, read_chosen
+from clvol.volume.readers.samples import Part, names_beside, read_chosen
+from clvol.volume.readers.units import find_unit
 from clvol.volume.volume import ACCEPTED, Volume
 
 _TYPES = {
@@ -76,10 +77,13 @@ def read(path: Path, options: ReadOptions) -> Volume:
             what, expected = f"BinaryData = False: {error.what}", f"{error.expected}; or binary data"
             raise VolumeError(error.where, what, expected) from error
         raise
-    return Volume(
+    unit = find_unit(header.text("DistanceUnits"))
+    volume = Volume(
         data, grid.spacing, grid.origin, grid.direction, frame="LPS",
-        slope=axis.slope, offset=axis.offset,
+        unit=None if unit is None else unit[0], slope=axis.slope, offset=axis.offset,
     )  # fmt: skip
+    volume.files = names_beside(path, parts)
+    return volume
 
 
 def _sizes(header: MetaHeader) -> tuple[tuple[int, ...], int]:

@@ -25,6 +25,7 @@ _ALIASES = {
 }
 _READ = {
     "ObjectType", "NDims", "DimSize", "ElementType", "ElementNumberOfChannels", "BinaryData",
+    "DistanceUnits",
     "CompressedData", "CompressedDataSize", "HeaderSize", "ElementToIntensityFunctionSlope",
     "ElementToIntensityFunctionOffset", _DATA_FILE,
 }.union(*_ALIASES.values())  # fmt: skip

@@ -15,7 +15,7 @@ from clvol.volume.readers.beside import data_files, listed_files
 from clvol.volume.readers.nrrd_grid import axes_of, grid_of
 from clvol.volume.readers.nrrd_header import NrrdHeader, read_header
 from clvol.volume.readers.options import ReadOptions
-from clvol.volume.readers.samples import Part, read_chosen
+from clvol.volume.readers.samples import Part, names_beside, read_chosen
 from clvol.volume.volume import ACCEPTED, Volume
 
 _TYPES = {
@@ -83,7 +83,9 @@ def read(path: Path, options: ReadOptions) -> Volume:
     )
     space = str(header.get("space", "")).strip()
     frame = _FRAMES.get(space.lower().replace(" ", "-"), space) or "index"
-    return Volume(data, grid.spacing, grid.origin, grid.direction, frame=frame, unit=unit)
+    volume = Volume(data, grid.spacing, grid.origin, grid.direction, frame=frame, unit=unit)
+    volume.files = names_beside(path, parts)
+    return volume
 
 
 def _dtype(path: Path, header: NrrdHeader, encoding: str) -> np.dtype:

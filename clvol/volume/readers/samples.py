@@ -41,6 +41,11 @@ class Part:
     size: int | None = None
 
 
+def names_beside(path: Path, parts: Sequence[Part]) -> tuple[str, ...]:
+    """The files of ``parts`` other than ``path``."""
+    return tuple(os.fspath(part.path) for part in parts if part.path != path)
+
+
 def read_samples(
     path: Path,
     shape: tuple[int, int, int],
