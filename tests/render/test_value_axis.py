@@ -23,7 +23,7 @@ TYPES = ["uint8", "int8", "uint16", "int16", "float32", "float64"]
 
 
 def tables(axis: ValueAxis, volume: Volume, **parts) -> dict:
-    """A scene with everything that is stated in values, said in those of ``axis``."""
+    """A scene said in values of ``axis``; ``effects``: with all else that is stated in values."""
     gain = abs(axis.slope)
 
     def points(*stored: float) -> list[dict]:
@@ -50,6 +50,13 @@ def tables(axis: ValueAxis, volume: Volume, **parts) -> dict:
                     {"magnitude": 20.0 * gain, "opacity": 1.0},
                 ]
             },
+            "directional_opacity": {
+                "points": [
+                    {"derivative": 0.0, "opacity": 0.5},
+                    {"derivative": 15.0 * gain, "opacity": 1.0},
+                ]
+            },
+            "transfer_layer": [{"magnitude": 12.0 * gain, "points": points(40, 120, 200)}],
             "noise": [{"target": "value", "amplitude": 6.0 * gain, "frequency": 0.2}],
         }
     return scene | parts
@@ -89,6 +96,10 @@ def said_in_stored(axis: ValueAxis, stored: np.ndarray, **parts) -> tuple[dict, 
             for point in one["transfer_function"]["points"]
         ]
     }
+    for k, layer in enumerate(one.get("transfer_layer", ())):
+        other["transfer_layer"][k]["points"] = [
+            {**point, "value": in_stored(point["value"])} for point in layer["points"]
+        ]
     for k, surface in enumerate(one.get("isosurface", ())):
         other["isosurface"][k] = {**surface, "value": in_stored(surface["value"])}
     return one, other
