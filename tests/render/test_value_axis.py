@@ -281,3 +281,23 @@ def test_impossible_axes_are_refused(tmp_path, text) -> None:
         load_scene(tmp_path / "v.npy", [f"volume.{text}"])
     with pytest.raises(clvol.errors.VolumeError):
         Volume(STORED, slope=0.0)
+
+
+@pytest.mark.parametrize("dtype", ["int32", "uint32", "int64", "uint64"])
+def test_labels_of_any_integers_are_told_apart(first_device, tmp_path, dtype) -> None:
+    """Neighbours that float32 holds as one; the picture is that of small labels."""
+    top = np.iinfo(dtype).max
+    numbers = np.array([top // 2**11 - 5, top // 2**11 - 4, top], dtype)
+    places = LABELS % 3
+    np.save(tmp_path / "large.npy", numbers[places])
+    scenes = []
+    for file, names in ((str(tmp_path / "large.npy"), numbers), (Volume(places), [0, 1, 2])):
+        labels = [
+            {"label": int(names[0]), "color": [1.0, 0.1, 0.0], "opacity": 0.6},
+            {"label": int(names[1]), "color": [0.0, 0.2, 1.0]},
+        ]
+        field = {"file": file, "role": "label", "labels": labels}
+        scenes.append({**tables(PLAIN, Volume(STORED)), "field": [field]})
+    found, wanted = renderings(*scenes, first_device)
+    np.testing.assert_array_equal(found, wanted)
+    assert np.ptp(found[..., 0] - found[..., 2]) > 0.05
