@@ -147,26 +147,49 @@ def test_shapes_of_npy_headers_that_lie(tmp_path: Path, shape) -> None:
     refused(tmp_path / "v.npy")
 
 
+def header(end: str, *lines: str) -> bytes:
+    return ("\n".join(lines) + end).encode()
+
+
+NRRD = "NRRD0004", "type: short", "dimension: 3", "sizes: 4 3 2", "endian: little"
+META = "NDims = 3", "DimSize = 4 3 2", "ElementType = MET_SHORT"
 HEADERS = {
     ".nrrd": [
-        b'NRRD0004\ntype: short\ndimension: 3\nsizes: 4 3 2\nspace: LPS\nspace directions: (1,0,0) (0,1,0) (0,0,2)\nspace origin: (1,2,3)\nspace units: "mm" "mm" "um"\nendian: little\nencoding: raw\nbyte skip: 0\nk:=v\n\n'
+        header(
+            "\n\n", *NRRD, "space: LPS", "space directions: (1,0,0) (0,1,0) (0,0,2)",
+            "space origin: (1,2,3)", 'space units: "mm" "mm" "um"', "encoding: raw",
+            "byte skip: 0", "k:=v",
+        )
         + VOXELS.tobytes(),
-        b"NRRD0004\ntype: short\ndimension: 3\nsizes: 4 3 2\nspacings: 1 nan 2\naxis mins: 0 0 0\ncenterings: node cell none\nendian: little\nencoding: gzip\nline skip: 0\n\n"
+        header(
+            "\n\n", *NRRD, "spacings: 1 nan 2", "axis mins: 0 0 0", "centerings: node cell none",
+            "encoding: gzip", "line skip: 0",
+        )
         + gzip.compress(VOXELS.tobytes()),
-        b"NRRD0004\ntype: short\ndimension: 3\nsizes: 4 3 2\nendian: little\nencoding: raw\ndata file: s%d.raw 1 2 1\n",
-        b"NRRD0004\ntype: short\ndimension: 3\nsizes: 4 3 2\nendian: little\nencoding: raw\ndata file: LIST 2\ns1.raw\ns2.raw\n",
-        b"NRRD0004\ntype: short\ndimension: 3\nsizes: 4 3 2\nencoding: ascii\n\n"
-        + " ".join(map(str, VOXELS.ravel())).encode(),
+        header("\n", *NRRD, "encoding: raw", "data file: s%d.raw 1 2 1"),
+        header("\n", *NRRD, "encoding: raw", "data file: LIST 2", "s1.raw", "s2.raw"),
+        header("\n\n", *NRRD, "encoding: ascii") + " ".join(map(str, VOXELS.ravel())).encode(),
+        header("\n\n", *NRRD, "encoding: hex") + VOXELS.tobytes().hex().encode(),
     ],
     ".mha": [
-        b"ObjectType = Image\nNDims = 3\nBinaryData = True\nCompressedData = False\nTransformMatrix = 1 0 0 0 1 0 0 0 1\nOffset = 10 -20 30\nElementSpacing = 0.5 0.75 1.25\n0008|0060 = CT\nDimSize = 4 3 2\nElementType = MET_SHORT\nElementDataFile = LOCAL\n"
+        header(
+            "\n", "ObjectType = Image", "BinaryData = True", "CompressedData = False",
+            "TransformMatrix = 1 0 0 0 1 0 0 0 1", "Offset = 10 -20 30",
+            "ElementSpacing = 0.5 0.75 1.25", "0008|0060 = CT", *META, "ElementDataFile = LOCAL",
+        )
         + VOXELS.tobytes(),
-        b"NDims = 3\nCompressedData = True\nCompressedDataSize = 50\nHeaderSize = 0\nDimSize = 4 3 2\nElementType = MET_SHORT\nElementDataFile = LOCAL\n"
+        header(
+            "\n", "CompressedData = True", "CompressedDataSize = 50", "HeaderSize = 0", *META,
+            "ElementDataFile = LOCAL",
+        )
         + zlib.compress(VOXELS.tobytes()),
-        b"NDims = 3\nDimSize = 4 3 2\nElementType = MET_SHORT\nElementDataFile = LIST\ns1.raw\ns2.raw\n",
-        b"NDims = 3\nDimSize = 4 3 2\nElementToIntensityFunctionSlope = 2\nElementType = MET_SHORT\nElementDataFile = s%d.raw 1 2 1\n",
+        header("\n", *META, "ElementDataFile = LIST", "s1.raw", "s2.raw"),
+        header(
+            "\n", "ElementToIntensityFunctionSlope = 2", *META, "ElementDataFile = s%d.raw 1 2 1"
+        ),
+        header("\n", "ElementNumberOfChannels = 1", *META, "ElementDataFile = s%d.raw 1"),
     ],
-}
+}  # fmt: skip
 WORDS = (
     b"-1|0|100|1e400|nan|inf|-9223372036854775809|%d|%s%s%s|%999d|LIST|LOCAL|\xff\xfe|\0|(|)|none|:="
     b"|=|:|\n|\r|3|1 2 3 4|4294967296|hex|gzip|bzip2|True|../|/dev/zero|/dev/stdin|."
