@@ -69,6 +69,17 @@ def test_a_byte_skip_into_a_bomb_is_refused_at_once(tmp_path: Path, skip) -> Non
         refused(path, cap=None)
 
 
+@pytest.mark.parametrize(
+    "skips", [{"byte_skip": str(40 * MIB), "encoding": "bzip2"}, {"line_skip": str(6 * MIB)}]
+)
+def test_one_file_named_a_thousand_times_is_no_bomb(tmp_path: Path, skips) -> None:
+    (tmp_path / "bomb").write_bytes(bz2.compress(ZEROS) * 11 if "byte_skip" in skips else b"\n" * (8 * MIB))
+    named = "data file: LIST\n" + "bomb\n" * 1000
+    path = nrrd(tmp_path / "v.nhdr", b"", sizes="1 1 1000", **skips)
+    path.write_bytes(path.read_bytes().rstrip() + b"\n" + named.encode())
+    refused(path)
+
+
 def test_a_reasonable_byte_skip_is_taken(tmp_path: Path) -> None:
     data = bytes(3 * MIB) + bytes(range(24))
     for encoding, pack in (("gzip", gzip.compress), ("bzip2", bz2.compress)):

@@ -50,7 +50,7 @@ _FRAMES = {
     "ras": "RAS",
     "las": "LAS",
 }
-_BLOCK = 1 << 20
+_BLOCK = 1 << 17
 
 
 def read(path: Path, options: ReadOptions) -> Volume:
@@ -115,13 +115,12 @@ def _parts(
     files, start = [path], attached
     if header.data_file is not None:
         files, start = _files(path, header, sizes), 0
-    parts = []
-    for file in files:
-        offset = None
-        if skip_bytes != -1:
-            offset = _after_lines(file, start, skip_lines) if skip_lines else start
-        parts.append(Part(file, offset, max(skip_bytes, 0)))
-    return parts
+    if skip_bytes == -1:
+        return [Part(file, None) for file in files]
+    starts = dict.fromkeys(files, start)
+    if skip_lines:
+        starts = {file: _after_lines(file, start, skip_lines) for file in starts}
+    return [Part(file, starts[file], skip_bytes) for file in files]
 
 
 def _files(path: Path, header: NrrdHeader, sizes: tuple[int, ...]) -> list[Path]:

@@ -79,6 +79,8 @@ def read_parts(
     count = math.prod(shape) // len(parts)
     for part in parts:
         _check_promise(part, count, dtype, encoding)
+    if encoding in ("deflate", "bzip2"):
+        _check_skips(parts, math.prod(shape) * dtype.itemsize)
     check_memory(os.fspath(parts[0].path), math.prod(shape) * dtype.itemsize, memory_cap)
     samples = np.empty(shape, dtype=dtype.newbyteorder("=") if encoding == "text" else dtype)
     flat = samples.reshape(-1)
@@ -137,10 +139,15 @@ def _check_promise(part: Part, count: int, dtype: np.dtype, encoding: str) -> No
     elif encoding == "hex" and 2 * nbytes > there:
         what = f"encoding hex with {max(there, 0)} digits"
         raise VolumeError(os.fspath(part.path), what, f"{2 * nbytes} digits")
-    most = _SKIP_RATIO * nbytes + _SKIP_LEAST
-    if encoding in ("deflate", "bzip2") and part.skip > most:
-        what = f"a byte skip of {show_bytes(part.skip)} in compressed data"
-        raise VolumeError(os.fspath(part.path), what, f"at most {show_bytes(most)}")
+
+
+def _check_skips(parts: Sequence[Part], nbytes: int) -> None:
+    """VolumeError where far more than ``nbytes`` would be decoded to be skipped."""
+    skipped, most = sum(part.skip for part in parts), _SKIP_RATIO * nbytes + _SKIP_LEAST
+    if skipped > most:
+        files = f" of {len(parts)} files" if len(parts) > 1 else ""
+        what = f"a byte skip of {show_bytes(skipped)} in the compressed data{files}"
+        raise VolumeError(os.fspath(parts[0].path), what, f"at most {show_bytes(most)}")
 
 
 def _fill(part: Part, target: np.ndarray, encoding: str) -> None:
