@@ -214,6 +214,7 @@ def test_header_size_of_every_file(tmp_path: Path) -> None:
         ({"Offset": "1 2"}, "Offset = 1 2"),
         ({"TransformMatrix": "1 0 0"}, "TransformMatrix = 1 0 0"),
         ({"HeaderSize": "-2"}, "HeaderSize = -2"),
+        ({"HeaderSize": "-1", "DimSize": "4 3 3"}, "48 bytes of voxel data, expected 72"),
         ({"ElementDataFile": "LIST"}, "2 in all"),
         ({"ElementDataFile": "s%d.raw 1 9"}, "9 data files"),
         ({"ElementDataFile": "n" * 5000}, "missing"),

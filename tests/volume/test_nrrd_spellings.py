@@ -279,6 +279,20 @@ def test_skips_of_attached_and_detached_data(tmp_path: Path, encoding, end) -> N
     expect(write(tmp_path / "v.nhdr", b"", end, **skips, data_file="d"))
 
 
+@pytest.mark.parametrize("encoding", ["raw", "gzip", "bzip2"])
+def test_data_at_the_end_of_what_is_there(tmp_path: Path, encoding) -> None:
+    for before in (b"", b"seven b", bytes(3 << 20)):
+        packed = PACK[encoding](before + VOXELS.tobytes())
+        expect(write(tmp_path / "v.nrrd", packed, encoding=encoding, byte_skip="-1"))
+    if encoding == "raw":
+        data = b"before" + VOXELS.tobytes() + b"after"
+        expect(write(tmp_path / "v.nrrd", data, byte_skip="-6"))
+    # Never bytes of the header for voxels.
+    short = PACK[encoding](VOXELS.tobytes()[:-1])
+    said = refused(write(tmp_path / "v.nrrd", short, encoding=encoding, byte_skip="-1"))
+    assert "47 bytes" in said
+
+
 UNITS = [
     ('"mm" "mm" "um"', (0.5, 2.0, 0.003), "mm"),
     ('"um" "um" "nm"', (0.5, 2.0, 0.003), "µm"),

@@ -148,9 +148,9 @@ def _parts(header: MetaHeader, sizes: tuple[int, ...], encoding: str) -> list[Pa
     if files == [header.path]:
         start = skipped if skipped > 0 else header.rest
     size = header.whole("CompressedDataSize", 0) if encoding == "deflate" else 0
-    at_end = skipped == -1 and encoding == "raw"
+    behind = 0 if skipped == -1 and encoding == "raw" else None
     only = size if size > 0 and len(files) == 1 else None
-    return [Part(file, None if at_end else start, 0, only) for file in files]
+    return [Part(file, start, 0, only, behind) for file in files]
 
 
 def _files(header: MetaHeader, sizes: tuple[int, ...]) -> list[Path]:

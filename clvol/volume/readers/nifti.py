@@ -1,6 +1,6 @@
 """NIfTI-1 and NIfTI-2: .nii, .nii.gz, and pairs .hdr and .img.
 
-nibabel parses the header and the affine; the voxels are read by ``read_samples``.
+nibabel parses the header and the affine; the voxels are read by ``read_parts``.
 """
 
 from __future__ import annotations

@@ -108,19 +108,20 @@ def _parts(
     """Where the voxels are. Lines are skipped in a file as stored, bytes in the data as decoded, in
     each file anew."""
     skip_lines, skip_bytes = header.get("line skip", 0), header.get("byte skip", 0)
-    if skip_lines < 0 or skip_bytes < (-1 if encoding == "raw" else 0):
+    # Below 0 it counts from the end: -1 for data that end there, -2 for a byte behind them.
+    least = {"raw": -(2**40), "deflate": -1, "bzip2": -1}.get(encoding, 0)
+    if skip_lines < 0 or skip_bytes < least:
         raise VolumeError(
             str(path), f"line skip {skip_lines}, byte skip {skip_bytes}", "skips of 0 or more"
         )
     files, start = [path], attached
     if header.data_file is not None:
         files, start = _files(path, header, sizes), 0
-    if skip_bytes == -1:
-        return [Part(file, None) for file in files]
     starts = dict.fromkeys(files, start)
     if skip_lines:
         starts = {file: _after_lines(file, start, skip_lines) for file in starts}
-    return [Part(file, starts[file], skip_bytes) for file in files]
+    behind = -1 - skip_bytes if skip_bytes < 0 else None
+    return [Part(file, starts[file], max(skip_bytes, 0), None, behind) for file in files]
 
 
 def _files(path: Path, header: NrrdHeader, sizes: tuple[int, ...]) -> list[Path]:

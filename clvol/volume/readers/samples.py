@@ -31,34 +31,30 @@ _SKIP_RATIO, _SKIP_LEAST = 8, 64 << 20
 
 @dataclass(frozen=True)
 class Part:
-    """Where in a file a part of the voxels is. ``offset``: first byte of the data; None: the data
-    end with the file (plain data only). ``skip``: bytes left out at the start of the decoded data,
-    or of the text. ``size``: bytes of the encoded data; None: all up to the end of the file."""
+    """Where in a file a part of the voxels is.
+
+    ``offset``: first byte of the data. ``skip``: bytes left out at the start of the decoded data, or
+    of the text. ``size``: bytes of the encoded data; None: all up to the end of the file. ``behind``:
+    not None where the data lie at the end, that many bytes before it: of the file, or of the decoded
+    data if they are compressed; ``offset`` is then where they begin at the earliest.
+    """
 
     path: Path
-    offset: int | None = 0
+    offset: int = 0
     skip: int = 0
     size: int | None = None
+    behind: int | None = None
+
+    def start(self, nbytes: int) -> int:
+        """The first byte of ``nbytes`` plain ones."""
+        if self.behind is None:
+            return self.offset + self.skip
+        return self.path.stat().st_size - self.behind - nbytes
 
 
 def names_beside(path: Path, parts: Sequence[Part]) -> tuple[str, ...]:
     """The files of ``parts`` other than ``path``."""
     return tuple(os.fspath(part.path) for part in parts if part.path != path)
-
-
-def read_samples(
-    path: Path,
-    shape: tuple[int, int, int],
-    dtype: np.dtype,
-    *,
-    offset: int | None,
-    encoding: str = "raw",
-    skip: int = 0,
-    memory_cap: int | None = None,
-) -> np.ndarray:
-    """``read_parts`` of one file."""
-    part = Part(path, offset, skip)
-    return read_parts([part], shape, dtype, encoding=encoding, memory_cap=memory_cap)
 
 
 def read_parts(
@@ -111,10 +107,8 @@ def read_chosen(
     _check_promise(part, count, dtype, encoding)
     taken = math.prod(n for n, index in zip(shape, which) if not isinstance(index, int))
     check_memory(os.fspath(part.path), taken * dtype.itemsize, memory_cap)
-    start = part.offset
-    if start is None:
-        start = part.path.stat().st_size - count * dtype.itemsize - part.skip
-    mapped = np.memmap(part.path, dtype=dtype, mode="r", offset=start + part.skip, shape=shape)
+    start = part.start(count * dtype.itemsize)
+    mapped = np.memmap(part.path, dtype=dtype, mode="r", offset=start, shape=shape)
     return np.array(mapped[which], dtype=dtype.newbyteorder("="), order="C")
 
 
@@ -122,14 +116,17 @@ def _check_promise(part: Part, count: int, dtype: np.dtype, encoding: str) -> No
     """VolumeError where the file is plainly too small, or asks for much work to no end."""
     nbytes = count * dtype.itemsize
     stored = part.path.stat().st_size
-    start = stored - nbytes - part.skip if part.offset is None else part.offset
-    there = stored - start
+    there = stored - part.offset
     if part.size is not None:
         if part.size > there:
             _wrong_size(part.path, f"{max(there, 0)} bytes of encoded data", part.size)
         there = part.size
     if encoding == "raw":
-        _check_size(part.path, there - part.skip, nbytes)
+        if part.behind is None:
+            _check_size(part.path, there - part.skip, nbytes)
+        elif part.start(nbytes) < part.offset:
+            said = f" before a byte skip of {-1 - part.behind}" if part.behind else ""
+            _wrong_size(part.path, f"{max(there - part.behind, 0)} bytes of voxel data{said}", nbytes)
     elif encoding == "deflate":
         if nbytes + part.skip > _DEFLATE_RATIO * there:
             _wrong_size(part.path, f"{max(there, 0)} bytes of compressed data", nbytes)
@@ -159,18 +156,18 @@ def _fill(part: Part, target: np.ndarray, encoding: str) -> None:
             return
         view = memoryview(target.view(np.uint8))
         if encoding == "raw":
-            start = part.offset
-            if start is None:
-                start = part.path.stat().st_size - len(view) - part.skip
-            file.seek(start + part.skip)
+            file.seek(part.start(len(view)))
             got = _fill_raw(file, view)
             _check_size(part.path, got, len(view))
         elif encoding == "hex":
             file.seek(part.offset + part.skip)
             _fill_decoded(part.path, hex_bytes(file, os.fspath(part.path)), 0, view)
         else:
-            file.seek(part.offset or 0)
-            _fill_decoded(part.path, _decoded(_Limited(file, part.size), encoding), part.skip, view)
+            file.seek(part.offset)
+            blocks = _decoded(_Limited(file, part.size), encoding)
+            if part.behind is not None:
+                blocks = iter([_last(part.path, blocks, len(view))])
+            _fill_decoded(part.path, blocks, part.skip, view)
 
 
 class _Limited:
@@ -215,6 +212,21 @@ def _fill_decoded(path: Path, blocks: Iterator[bytes], skip: int, view: memoryvi
         ) from error
     if at != len(view):
         _wrong_size(path, f"the encoded data hold {max(at, 0)} bytes", len(view))
+
+
+def _last(path: Path, blocks: Iterator[bytes], nbytes: int) -> bytes:
+    """The last ``nbytes`` of all that ``blocks`` yields, or all of them if there are fewer."""
+    tail, passed = bytearray(), 0
+    most = _SKIP_RATIO * nbytes + _SKIP_LEAST
+    for block in blocks:
+        tail += block
+        if len(tail) > 2 * nbytes + _BLOCK:
+            passed += len(tail) - nbytes
+            del tail[: len(tail) - nbytes]
+        if passed > most:
+            what = f"more than {show_bytes(most)} of compressed data to skip"
+            raise VolumeError(os.fspath(path), what, "less before the voxels")
+    return bytes(tail[max(len(tail) - nbytes, 0) :])
 
 
 def _decoded(file: _Limited, encoding: str) -> Iterator[bytes]:
