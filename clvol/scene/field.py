@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 LARGEST_COUNT = 3
 LARGEST_LABELS = 65536
-_LARGEST_LABEL = 2**31 - 1
+_LARGEST_LABEL = 2**53 - 1  # of 64-bit labels, beyond it none is kept apart
 _READ_BY = {"label": "labels", "density": "points", "mask": None}
 _NEEDED = {
     "labels": "a list of labels { label = …, color = [r, g, b] } for a field of role 'label'",
@@ -56,7 +56,7 @@ class FieldLabel(Table):
     """``opacity`` is a factor on the volume's own extinction."""
 
     label: Whole = Field(
-        ge=-_LARGEST_LABEL, le=_LARGEST_LABEL, description="a whole number of at most 31 bits"
+        ge=-_LARGEST_LABEL, le=_LARGEST_LABEL, description="a whole number of at most 53 bits"
     )
     color: Color = Field(description="three numbers [r, g, b] from 0 to 1")
     opacity: Fraction = Field(1.0, description="a number from 0 to 1")

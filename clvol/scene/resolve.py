@@ -221,7 +221,7 @@ def _with_nan_as(volume: Volume, value: float) -> Volume:
     for layer in data:
         np.copyto(layer, value, where=np.isnan(layer))
     grid = volume.grid
-    return Volume(
+    filled = Volume(
         data,
         spacing=grid.spacing,
         origin=grid.origin,
@@ -234,6 +234,8 @@ def _with_nan_as(volume: Volume, value: float) -> Volume:
         slope=volume.slope,
         offset=volume.offset,
     )
+    filled.files = volume.files
+    return filled
 
 
 def _check_step_count(scene: Scene, grid: Grid) -> None:

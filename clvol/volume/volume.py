@@ -47,7 +47,7 @@ class Volume:
     """
 
     axis = ValueAxis()
-    unit: str | None = None
+    files: tuple[str, ...] = ()  # data files beside ``path`` that the voxels come from
 
     def __init__(
         self,
@@ -237,7 +237,6 @@ def describe(volume: Volume) -> dict:
         "size_xyz": list(volume.grid.size),
         "dtype": volume.dtype.name,
         "spacing": list(volume.grid.spacing),
-        "unit": volume.unit,
         "origin": list(volume.grid.origin),
         "direction": volume.grid.direction.tolist(),
         "frame": volume.frame,

@@ -188,7 +188,16 @@ def test_a_plain_array(tmp_path, zarr_format, dtype):
     np.testing.assert_array_equal(store.volume_level(0), data)
 
 
-@pytest.mark.parametrize("dtype", ("uint32", "complex64", "float16"))
+@pytest.mark.parametrize("dtype", ("uint32", "int64", "float16"))
+def test_wide_types_are_stored_narrowed(tmp_path, dtype):
+    zarr.create_array(str(tmp_path / "v"), data=DATA.astype(dtype), chunks=(8, 16, 16))
+    kept = "float32" if dtype == "float16" else "uint16"
+    store = build_store(load_volume(tmp_path / "v"), tmp_path / "s", shard=32)
+    assert store.dtype == kept
+    np.testing.assert_array_equal(store.volume_level(0), DATA)
+
+
+@pytest.mark.parametrize("dtype", ("complex64", "complex128"))
 def test_types_that_are_no_voxels_are_refused(tmp_path, dtype):
     zarr.create_array(str(tmp_path / "v"), data=DATA.astype(dtype))
     with pytest.raises(VolumeError, match="expected"):

@@ -298,8 +298,10 @@ def test_wrong_nrrd_headers(tmp_path: Path, capfd, fields, word) -> None:
     [
         (dict(ElementType="MET_INT"), "96 bytes"),
         (dict(ElementType="MET_STRING"), "uint8, int8"),
-        (dict(ElementNumberOfChannels="3"), "3 channel"),
-        (dict(NDims="4", DimSize="4 3 2 1"), "4-D"),
+        (dict(ElementNumberOfChannels="3"), "3 channels: 0, 1, 2"),
+        (dict(NDims="5", DimSize="4 3 2 1 1"), "5-D"),
+        (dict(NDims="4", DimSize="4 3 2"), "4 sizes"),
+        (dict(NDims="4", DimSize="4 3 1 2"), "2 times"),
         (dict(NDims="2", DimSize="12 2"), "2-D"),
         (dict(DimSize="4 -3 2"), "DimSize"),
         (dict(ElementSpacing="1 0 1"), "spacing"),

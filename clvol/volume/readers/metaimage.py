@@ -13,10 +13,17 @@ import numpy as np
 from clvol.errors import VolumeError
 from clvol.volume.axis import ValueAxis
 from clvol.volume.grid import Grid
-from clvol.volume.readers.beside import data_files, find_beside, listed_files, numbered_names
-from clvol.volume.readers.metaimage_header import LIMIT, MetaHeader, read_header
+from clvol.volume.readers.beside import (
+    data_files,
+    exists_beside,
+    find_beside,
+    listed_files,
+    numbered_names,
+)
+from clvol.volume.readers.metaimage_header import LIST_LIMIT, MetaHeader, read_header
 from clvol.volume.readers.options import ReadOptions
-from clvol.volume.readers.samples import Part, read_parts
+from clvol.volume.readers.samples import Part, names_beside, read_chosen
+from clvol.volume.readers.units import find_unit
 from clvol.volume.volume import ACCEPTED, Volume
 
 _TYPES = {
@@ -34,17 +41,26 @@ _TYPES = {
     "MET_DOUBLE": "float64",
 }
 
+_MOST_CHANNELS = 10**6
+
 
 def read(path: Path, options: ReadOptions) -> Volume:
     """The volume in a MetaImage file; world coordinates are ITK's (LPS).
 
     The voxels may be compressed, text, and in several files (a list or a numbered pattern). A slope
-    and an offset of the header (ElementToIntensityFunction) become the volume's.
+    and an offset of the header (ElementToIntensityFunction) become the volume's. Of several channels
+    and times (the fourth dimension) ``options`` choose one.
     """
     header = read_header(path)
-    shape = _shape(header)
+    sizes, channels = _sizes(header)
     dtype = _dtype(header)
-    grid = _grid(header, shape)
+    grid = _grid(header, sizes)
+    shape, which = sizes[::-1], (slice(None),) * 3
+    if len(sizes) == 4:
+        which = (options.choose("time", str(path), [None] * sizes[3]), *which)
+    if channels > 1:
+        which = (*which, options.choose("channel", str(path), [None] * channels))
+        shape = (*shape, channels)
     axis = _axis(header)
     compressed = header.is_true("CompressedData")
     encoding = "deflate" if compressed else "raw"
@@ -52,55 +68,64 @@ def read(path: Path, options: ReadOptions) -> Volume:
         encoding = "text"
         if compressed:
             raise header.wrong("BinaryData", "binary data where they are compressed")
-    parts = _parts(header, shape, encoding)
+    parts = _parts(header, sizes, encoding)
+    cap = options.memory_cap
     try:
-        data = read_parts(parts, shape, dtype, encoding=encoding, memory_cap=options.memory_cap)
+        data = read_chosen(parts, shape, dtype, which, encoding=encoding, memory_cap=cap)
     except VolumeError as error:
         if encoding == "text":
-            error = VolumeError(error.where, f"BinaryData = False: {error.what}", f"{error.expected}; or binary data")
-        raise error
-    return Volume(
+            what, expected = f"BinaryData = False: {error.what}", f"{error.expected}; or binary data"
+            raise VolumeError(error.where, what, expected) from error
+        raise
+    unit = find_unit(header.text("DistanceUnits"))
+    volume = Volume(
         data, grid.spacing, grid.origin, grid.direction, frame="LPS",
-        slope=axis.slope, offset=axis.offset,
+        unit=None if unit is None else unit[0], slope=axis.slope, offset=axis.offset,
     )  # fmt: skip
+    volume.files = names_beside(path, parts)
+    return volume
 
 
-def _shape(header: MetaHeader) -> tuple[int, int, int]:
-    kind = header.text("ObjectType", "Image")
-    if kind.lower() != "image":
+def _sizes(header: MetaHeader) -> tuple[tuple[int, ...], int]:
+    """Sizes (x, y, z) or (x, y, z, t), and how many channels each element has."""
+    if header.text("ObjectType", "Image").lower() != "image":
         raise header.wrong("ObjectType", "Image")
-    dimension = header.whole("NDims", 0)
+    if not header.text("NDims"):
+        raise header.wrong("NDims", "NDims = 3")
+    dimension = header.whole("NDims", 3)
     channels = header.whole("ElementNumberOfChannels", 1)
-    if dimension != 3 or channels != 1 or header.text("ElementType").endswith("_ARRAY"):
+    if dimension not in (3, 4) or not 1 <= channels <= _MOST_CHANNELS:
         raise VolumeError(
             str(header.path),
             f"{dimension}-D data with {channels} channel(s)",
-            "3-D data with one scalar per voxel",
+            "3-D data, or 4-D data with times",
         )
-    sizes = header.text("DimSize").split()
-    plain = all(word.isascii() and word.isdecimal() and len(word) < 10 for word in sizes)
-    if len(sizes) != 3 or not plain or min(map(int, sizes)) < 1:
-        raise header.wrong("DimSize", "three sizes above zero")
-    return tuple(int(word) for word in sizes[::-1])
+    words = header.text("DimSize").split()
+    plain = all(word.isascii() and word.isdecimal() and len(word) < 10 for word in words)
+    if len(words) != dimension or not plain or min(map(int, words)) < 1:
+        raise header.wrong("DimSize", f"{dimension} sizes above zero")
+    return tuple(map(int, words)), channels
 
 
 def _dtype(header: MetaHeader) -> np.dtype:
-    name = _TYPES.get(header.text("ElementType").upper())
+    name = _TYPES.get(header.text("ElementType").upper().removesuffix("_ARRAY"))
     if name is None:
         raise header.wrong("ElementType", ACCEPTED)
     return np.dtype(name).newbyteorder(">" if header.is_true("BinaryDataByteOrderMSB") else "<")
 
 
-def _grid(header: MetaHeader, shape: tuple[int, int, int]) -> Grid:
-    """A negative spacing becomes a flip of the direction."""
-    spacing = header.numbers("ElementSpacing", 3)
-    origin, matrix = header.numbers("Offset", 3), header.numbers("TransformMatrix", 9)
-    spacing = np.ones(3) if spacing is None else spacing
+def _grid(header: MetaHeader, sizes: tuple[int, ...]) -> Grid:
+    """A negative spacing becomes a flip of the direction. What is said of times is left out."""
+    count = len(sizes)
+    spacing, origin = header.numbers("ElementSpacing", count), header.numbers("Offset", count)
+    matrix = header.numbers("TransformMatrix", count * count)
+    spacing = np.ones(3) if spacing is None else spacing[:3]
     if not np.isfinite(spacing).all():
-        raise header.wrong("ElementSpacing", "a spacing of three finite numbers")
-    # Three numbers a row for each axis of the image: its direction in the world.
-    direction = np.eye(3) if matrix is None else matrix.reshape(3, 3).T
-    return Grid.from_steps(shape, direction * spacing, np.zeros(3) if origin is None else origin)
+        raise header.wrong("ElementSpacing", "a spacing of finite numbers")
+    # A row of numbers for each axis of the image: its direction in the world.
+    direction = np.eye(3) if matrix is None else matrix.reshape(count, count)[:3, :3].T
+    origin = np.zeros(3) if origin is None else origin[:3]
+    return Grid.from_steps(sizes[2::-1], direction * spacing, origin)
 
 
 def _axis(header: MetaHeader) -> ValueAxis:
@@ -113,12 +138,12 @@ def _axis(header: MetaHeader) -> ValueAxis:
     )
 
 
-def _parts(header: MetaHeader, shape: tuple[int, int, int], encoding: str) -> list[Part]:
+def _parts(header: MetaHeader, sizes: tuple[int, ...], encoding: str) -> list[Part]:
     """Where the voxels are; HeaderSize bytes of each file come before them, or whatever is there."""
     skipped = header.whole("HeaderSize", 0)
     if skipped < -1:
         raise header.wrong("HeaderSize", "-1, or bytes before the data")
-    files = _files(header, shape[::-1])
+    files = _files(header, sizes)
     start = max(skipped, 0)
     if files == [header.path]:
         start = skipped if skipped > 0 else header.rest
@@ -128,7 +153,7 @@ def _parts(header: MetaHeader, shape: tuple[int, int, int], encoding: str) -> li
     return [Part(file, None if at_end else start, 0, only) for file in files]
 
 
-def _files(header: MetaHeader, sizes: tuple[int, int, int]) -> list[Path]:
+def _files(header: MetaHeader, sizes: tuple[int, ...]) -> list[Path]:
     name = header.data_file
     words = name.split()
     if name.upper() == b"LOCAL":
@@ -136,7 +161,7 @@ def _files(header: MetaHeader, sizes: tuple[int, int, int]) -> list[Path]:
     if words[:1] == [b"LIST"] and all(word.isdigit() for word in words[1:2]):
         axes = int(words[1]) if len(words) > 1 else None
         return listed_files(header.path, _list(header), axes, sizes)
-    if b"%" in name and 1 <= len(words) <= 3:
+    if b"%" in name and len(words) <= 3 and not exists_beside(header.path, name):
         return _numbered(header, sizes)
     return data_files(header.path, name, sizes)
 
@@ -145,13 +170,13 @@ def _list(header: MetaHeader) -> list[bytes]:
     """The names after ElementDataFile = LIST, one a line."""
     with header.path.open("rb") as file:
         file.seek(header.rest)
-        text = file.read(LIMIT + 1)
-    if len(text) > LIMIT:
-        raise VolumeError(str(header.path), "an endless list of data files", f"{LIMIT} bytes")
+        text = file.read(LIST_LIMIT + 1)
+    if len(text) > LIST_LIMIT:
+        raise VolumeError(str(header.path), "an endless list of data files", f"{LIST_LIMIT} bytes")
     return [line.strip() for line in text.splitlines() if line.strip()]
 
 
-def _numbered(header: MetaHeader, sizes: tuple[int, int, int]) -> list[Path]:
+def _numbered(header: MetaHeader, sizes: tuple[int, ...]) -> list[Path]:
     """A pattern with first and last number, or the first, or none: from 1 on, by 1."""
     words = header.data_file.split()
     try:

@@ -14,6 +14,7 @@ import numpy as np
 from clvol.errors import VolumeError
 
 LIMIT = 1 << 20  # bytes of a header
+LIST_LIMIT = 1 << 26  # and of the names of data files after it
 _DATA_FILE = "ElementDataFile"
 # Further names of a field, as MetaIO reads them; the first that is there holds.
 _ALIASES = {
@@ -24,6 +25,7 @@ _ALIASES = {
 }
 _READ = {
     "ObjectType", "NDims", "DimSize", "ElementType", "ElementNumberOfChannels", "BinaryData",
+    "DistanceUnits",
     "CompressedData", "CompressedDataSize", "HeaderSize", "ElementToIntensityFunctionSlope",
     "ElementToIntensityFunctionOffset", _DATA_FILE,
 }.union(*_ALIASES.values())  # fmt: skip

@@ -11,12 +11,11 @@ from pathlib import Path
 import numpy as np
 
 from clvol.errors import VolumeError
-from clvol.volume.grid import Grid
 from clvol.volume.readers.beside import data_files, listed_files
+from clvol.volume.readers.nrrd_grid import axes_of, grid_of
 from clvol.volume.readers.nrrd_header import NrrdHeader, read_header
 from clvol.volume.readers.options import ReadOptions
-from clvol.volume.readers.samples import Part, read_parts
-from clvol.volume.readers.units import one_unit
+from clvol.volume.readers.samples import Part, names_beside, read_chosen
 from clvol.volume.volume import ACCEPTED, Volume
 
 _TYPES = {
@@ -51,9 +50,7 @@ _FRAMES = {
     "ras": "RAS",
     "las": "LAS",
 }
-# Kinds of an axis along which samples are spread in space.
-_SPATIAL_KINDS = ("domain", "space", "none", "???")
-_LINE = 1 << 20
+_BLOCK = 1 << 17
 
 
 def read(path: Path, options: ReadOptions) -> Volume:
@@ -63,7 +60,8 @@ def read(path: Path, options: ReadOptions) -> Volume:
     numbered pattern). Geometry comes from ``space directions`` and ``space origin`` (the centre of
     the first voxel) or, without them, from ``spacings`` and ``axis mins`` (with cell centering, the
     default, the outer face of the first voxel). Where units of length differ from axis to axis, all
-    are brought to the first one's.
+    are brought to the first one's. Of axes of channels and times, before, between or after those in
+    space, ``options`` choose one.
     """
     with path.open("rb") as file:
         header = read_header(path, file)
@@ -76,14 +74,17 @@ def read(path: Path, options: ReadOptions) -> Volume:
         what = f"encoding {header.get('encoding')!r}"
         raise VolumeError(str(path), what, "raw, gzip, bzip2, text or hex")
     dtype = _dtype(path, header, encoding)
-    shape = _shape(path, header)
-    grid, unit = _grid(path, shape, header)
-    parts = _parts(path, header, attached, shape, encoding)
-    data = read_parts(parts, shape, dtype, encoding=encoding, memory_cap=options.memory_cap)
+    axes = axes_of(path, header)
+    grid, unit = grid_of(path, axes, header, options)
+    which = axes.choose(path, options)
+    parts = _parts(path, header, attached, axes.sizes, encoding)
+    data = read_chosen(
+        parts, axes.sizes[::-1], dtype, which, encoding=encoding, memory_cap=options.memory_cap
+    )
     space = str(header.get("space", "")).strip()
     frame = _FRAMES.get(space.lower().replace(" ", "-"), space) or "index"
-    volume = Volume(data, grid.spacing, grid.origin, grid.direction, frame=frame)
-    volume.unit = unit
+    volume = Volume(data, grid.spacing, grid.origin, grid.direction, frame=frame, unit=unit)
+    volume.files = names_beside(path, parts)
     return volume
 
 
@@ -101,69 +102,8 @@ def _dtype(path: Path, header: NrrdHeader, encoding: str) -> np.dtype:
     return dtype.newbyteorder(orders[endian])
 
 
-def _shape(path: Path, header: NrrdHeader) -> tuple[int, int, int]:
-    sizes = [int(n) for n in header.get("sizes")]
-    dimension, kinds = header.get("dimension"), header.get("kinds", ())
-    if dimension != len(sizes):
-        raise VolumeError(
-            str(path), f"dimension {dimension} with {len(sizes)} sizes", "as many sizes"
-        )
-    strange = [kind for kind in kinds if kind.lower() not in _SPATIAL_KINDS]
-    if len(sizes) != 3 or strange:
-        note = f" with an axis of kind {', '.join(strange)}" if strange else ""
-        raise VolumeError(
-            str(path),
-            f"{len(sizes)}-D data{note}, sizes {' '.join(map(str, sizes))}",
-            "three axes in space and one scalar per voxel",
-        )
-    if min(sizes) < 1:
-        raise VolumeError(str(path), f"sizes {' '.join(map(str, sizes))}", "sizes of at least 1")
-    return tuple(sizes[::-1])
-
-
-def _grid(path: Path, shape: tuple[int, int, int], header: NrrdHeader) -> tuple[Grid, str | None]:
-    """The grid, and the unit of its lengths where the header knows one."""
-    origin = header.get("space origin")
-    directions = header.get("space directions")
-    if directions is not None:
-        rows = np.asarray(directions, dtype=np.float64)
-        if rows.shape != (3, 3) or np.isnan(rows).all(axis=1).any():
-            raise VolumeError(str(path), "an axis without a space direction", "three directions")
-        factors, unit = _unit(header, "space units", (2, 2, 2))  # of the world's axes
-        origin = np.zeros(3) if origin is None else np.asarray(origin, np.float64)
-        return Grid.from_steps(shape, (rows * factors).T, origin * factors), unit
-    sizes = np.asarray(shape[::-1], dtype=np.float64)
-    cell = np.array([word != "node" for word in header.get("centerings", ["cell"] * 3)])
-    lower, upper = header.numbers("axis mins"), header.numbers("axis maxs")
-    steps = header.numbers("spacings")
-    if steps is None and lower is not None and upper is not None and cell.size == 3:
-        steps = (upper - lower) / np.maximum(np.where(cell, sizes, sizes - 1.0), 1.0)
-    # NaN is the format's way to say that a spacing is not known.
-    steps = np.ones(3) if steps is None else np.where(np.isnan(steps), 1.0, steps)
-    if origin is None and lower is not None and cell.size == 3:
-        known = np.where(np.isnan(lower), 0.0, lower)
-        origin = known + np.where(np.isnan(lower) | ~cell, 0.0, 0.5 * steps)
-    if steps.shape != (3,):
-        raise VolumeError(str(path), f"{steps.size} spacings", "three, one for each axis")
-    factors, unit = _unit(header, "units", shape[::-1])
-    origin = np.zeros(3) if origin is None else np.asarray(origin, np.float64)
-    return Grid.from_steps(shape, np.diag(steps * factors), origin * factors), unit
-
-
-def _unit(
-    header: NrrdHeader, field: str, sizes: tuple[int, int, int]
-) -> tuple[np.ndarray, str | None]:
-    """What lengths along the three axes are to be multiplied by, and the unit that they are then
-    in."""
-    names = header.get(field, ())
-    if len(names) != 3:
-        return np.ones(3), None
-    factors, unit, _ = one_unit(names, [n > 1 for n in sizes])
-    return np.asarray(factors, np.float64), unit
-
-
 def _parts(
-    path: Path, header: NrrdHeader, attached: int, shape: tuple[int, int, int], encoding: str
+    path: Path, header: NrrdHeader, attached: int, sizes: tuple[int, ...], encoding: str
 ) -> list[Part]:
     """Where the voxels are. Lines are skipped in a file as stored, bytes in the data as decoded, in
     each file anew."""
@@ -174,17 +114,16 @@ def _parts(
         )
     files, start = [path], attached
     if header.data_file is not None:
-        files, start = _files(path, header, shape[::-1]), 0
-    parts = []
-    for file in files:
-        offset = None
-        if skip_bytes != -1:
-            offset = _after_lines(file, start, skip_lines) if skip_lines else start
-        parts.append(Part(file, offset, max(skip_bytes, 0)))
-    return parts
+        files, start = _files(path, header, sizes), 0
+    if skip_bytes == -1:
+        return [Part(file, None) for file in files]
+    starts = dict.fromkeys(files, start)
+    if skip_lines:
+        starts = {file: _after_lines(file, start, skip_lines) for file in starts}
+    return [Part(file, starts[file], skip_bytes) for file in files]
 
 
-def _files(path: Path, header: NrrdHeader, sizes: tuple[int, int, int]) -> list[Path]:
+def _files(path: Path, header: NrrdHeader, sizes: tuple[int, ...]) -> list[Path]:
     words = header.data_file.split()
     if words[:1] == [b"LIST"] and (header.listed or len(words) <= 2):
         axes = int(words[1]) if len(words) == 2 and words[1].isdigit() else None
@@ -193,9 +132,14 @@ def _files(path: Path, header: NrrdHeader, sizes: tuple[int, int, int]) -> list[
 
 
 def _after_lines(path: Path, start: int, count: int) -> int:
-    """Where the data begin after so many lines."""
+    """Where the data begin after so many lines; the end of the file if there are fewer."""
     with path.open("rb") as file:
         file.seek(start)
-        while count and (piece := file.readline(_LINE)):
-            count -= piece.endswith(b"\n")
-        return file.tell()
+        while block := file.read(_BLOCK):
+            lines = block.count(b"\n")
+            if lines >= count:
+                ends = np.flatnonzero(np.frombuffer(block, np.uint8) == ord("\n"))
+                return start + int(ends[count - 1]) + 1
+            count -= lines
+            start += len(block)
+    return start

@@ -13,11 +13,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, BinaryIO
 
-import numpy as np
-
 from clvol.errors import VolumeError
 
 LIMIT = 1 << 20  # bytes of a header
+LIST_LIMIT = 1 << 26  # and of the names of data files after it
 _READ = (
     "dimension", "type", "sizes", "encoding", "endian", "space", "space dimension",
     "space directions", "space origin", "space units", "spacings", "axis mins", "axis maxs",
@@ -45,11 +44,6 @@ class NrrdHeader:
 
     def get(self, name: str, default: Any = None) -> Any:
         return self.fields.get(name, default)
-
-    def numbers(self, name: str) -> np.ndarray | None:
-        """A list of numbers, float64."""
-        value = self.fields.get(name)
-        return None if value is None else np.asarray(value, dtype=np.float64)
 
 
 def read_header(path: Path, file: BinaryIO) -> NrrdHeader:
@@ -88,6 +82,7 @@ def _lines(path: Path, file: BinaryIO, header: NrrdHeader):
         elif not is_first and not text.startswith(b"#"):
             yield text
             in_list = header.data_file is not None and _is_list(header.data_file)
+            room += LIST_LIMIT if in_list else 0
         is_first = False
 
 

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import logging
-import os
-import sys
 import threading
 import warnings
 from collections.abc import Iterator
@@ -60,24 +58,3 @@ class _Collector(logging.Handler):
     def emit(self, record: logging.LogRecord) -> None:
         self._messages.append(record.getMessage())
         raise LoggedError(self._messages[0])
-
-
-@contextmanager
-def quiet_native() -> Iterator[None]:
-    """Sends the process's stderr (file descriptor 2) to nowhere: MetaIO and GDCM write there."""
-    with _lock:
-        try:
-            saved = os.dup(2)
-        except OSError:  # stderr is closed: nothing to keep quiet
-            yield
-            return
-        try:
-            if sys.stderr is not None:
-                sys.stderr.flush()
-            nowhere = os.open(os.devnull, os.O_WRONLY)
-            os.dup2(nowhere, 2)
-            os.close(nowhere)
-            yield
-        finally:
-            os.dup2(saved, 2)
-            os.close(saved)

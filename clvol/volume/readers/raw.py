@@ -39,7 +39,7 @@ def read(path: Path, options: ReadOptions) -> Volume:
     if stored - header != nbytes:
         sizes = " x ".join(map(str, shape[::-1]))
         after = f" after {header} bytes of header" if header > 0 else ""
-        hint = "; header_bytes says what comes before them" if header == 0 < stored - nbytes else ""
+        hint = "; volume.header_bytes says what comes before them" if header == 0 < stored - nbytes else ""
         raise VolumeError(
             str(path),
             f"{max(stored - header, 0)} bytes of voxel data{after}",

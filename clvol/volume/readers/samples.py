@@ -41,6 +41,11 @@ class Part:
     size: int | None = None
 
 
+def names_beside(path: Path, parts: Sequence[Part]) -> tuple[str, ...]:
+    """The files of ``parts`` other than ``path``."""
+    return tuple(os.fspath(part.path) for part in parts if part.path != path)
+
+
 def read_samples(
     path: Path,
     shape: tuple[int, int, int],
@@ -58,13 +63,13 @@ def read_samples(
 
 def read_parts(
     parts: Sequence[Part],
-    shape: tuple[int, int, int],
+    shape: tuple[int, ...],
     dtype: np.dtype,
     *,
     encoding: str = "raw",
     memory_cap: int | None = None,
 ) -> np.ndarray:
-    """The voxels [z, y, x] that a header promises, native-endian; ``parts`` hold equally many, one
+    """The voxels [..., z, y, x] that a header promises, native-endian; ``parts`` hold equally many, one
     after the other.
 
     ``encoding`` is "raw", "deflate" (zlib or gzip stream), "bzip2", "text" (numbers with blanks
@@ -74,6 +79,8 @@ def read_parts(
     count = math.prod(shape) // len(parts)
     for part in parts:
         _check_promise(part, count, dtype, encoding)
+    if encoding in ("deflate", "bzip2"):
+        _check_skips(parts, math.prod(shape) * dtype.itemsize)
     check_memory(os.fspath(parts[0].path), math.prod(shape) * dtype.itemsize, memory_cap)
     samples = np.empty(shape, dtype=dtype.newbyteorder("=") if encoding == "text" else dtype)
     flat = samples.reshape(-1)
@@ -82,6 +89,33 @@ def read_parts(
     if not samples.dtype.isnative:
         samples = samples.byteswap(inplace=True)
     return samples.view(dtype.newbyteorder("="))
+
+
+def read_chosen(
+    parts: Sequence[Part],
+    shape: tuple[int, ...],
+    dtype: np.dtype,
+    which: tuple[int | slice, ...],
+    *,
+    encoding: str = "raw",
+    memory_cap: int | None = None,
+) -> np.ndarray:
+    """``array[which]``, three axes of ``array``, the one of ``read_parts`` of any ``shape``. Of plain
+    data in one file no more than that comes into memory, of others all of it."""
+    if not any(isinstance(index, int) for index in which):
+        return read_parts(parts, shape, dtype, encoding=encoding, memory_cap=memory_cap)
+    if encoding != "raw" or len(parts) > 1:
+        whole = read_parts(parts, shape, dtype, encoding=encoding, memory_cap=memory_cap)
+        return np.ascontiguousarray(whole[which])
+    part, count = parts[0], math.prod(shape)
+    _check_promise(part, count, dtype, encoding)
+    taken = math.prod(n for n, index in zip(shape, which) if not isinstance(index, int))
+    check_memory(os.fspath(part.path), taken * dtype.itemsize, memory_cap)
+    start = part.offset
+    if start is None:
+        start = part.path.stat().st_size - count * dtype.itemsize - part.skip
+    mapped = np.memmap(part.path, dtype=dtype, mode="r", offset=start + part.skip, shape=shape)
+    return np.array(mapped[which], dtype=dtype.newbyteorder("="), order="C")
 
 
 def _check_promise(part: Part, count: int, dtype: np.dtype, encoding: str) -> None:
@@ -105,10 +139,15 @@ def _check_promise(part: Part, count: int, dtype: np.dtype, encoding: str) -> No
     elif encoding == "hex" and 2 * nbytes > there:
         what = f"encoding hex with {max(there, 0)} digits"
         raise VolumeError(os.fspath(part.path), what, f"{2 * nbytes} digits")
-    most = _SKIP_RATIO * nbytes + _SKIP_LEAST
-    if encoding in ("deflate", "bzip2") and part.skip > most:
-        what = f"a byte skip of {show_bytes(part.skip)} in compressed data"
-        raise VolumeError(os.fspath(part.path), what, f"at most {show_bytes(most)}")
+
+
+def _check_skips(parts: Sequence[Part], nbytes: int) -> None:
+    """VolumeError where far more than ``nbytes`` would be decoded to be skipped."""
+    skipped, most = sum(part.skip for part in parts), _SKIP_RATIO * nbytes + _SKIP_LEAST
+    if skipped > most:
+        files = f" of {len(parts)} files" if len(parts) > 1 else ""
+        what = f"a byte skip of {show_bytes(skipped)} in the compressed data{files}"
+        raise VolumeError(os.fspath(parts[0].path), what, f"at most {show_bytes(most)}")
 
 
 def _fill(part: Part, target: np.ndarray, encoding: str) -> None:

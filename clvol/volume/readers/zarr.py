@@ -56,6 +56,7 @@ class StoredVolume(LazyVolume):
         super().__init__(
             source.dtype, source.grid, source.name, source.facts.frame, str(source.path), memory_cap
         )
+        self.axis = source.facts.axis
 
     @property
     def grid(self) -> Grid:
@@ -77,6 +78,13 @@ class StoredVolume(LazyVolume):
     @property
     def inf_count(self) -> int:
         return self.blocks_source.inf_count
+
+    def _turned(self) -> Volume:
+        from clvol.store.turned import TurnedBlocks
+
+        other = StoredVolume(TurnedBlocks(self.blocks_source), self._memory_cap)
+        other.path, other.format = self.path, self.format
+        return other
 
     def _load(self) -> np.ndarray:
         return self.blocks_source.volume_level(0)
