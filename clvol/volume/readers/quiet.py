@@ -31,7 +31,8 @@ def quiet() -> Iterator[None]:
 
 @contextmanager
 def errors_logged(name: str) -> Iterator[list[str]]:
-    """Collects what a library logs at level ERROR instead of raising it, and prints nothing."""
+    """Raises what a library only logs at level ERROR, and prints nothing. What the library itself
+    catches of that is in the list."""
     logger = logging.getLogger(name)
     messages: list[str] = []
     handler = _Collector(messages)
@@ -45,6 +46,10 @@ def errors_logged(name: str) -> Iterator[list[str]]:
         logger.disabled, logger.propagate = before
 
 
+class LoggedError(Exception):
+    """What a library has logged: going on can take forever, since every page of a file may err."""
+
+
 class _Collector(logging.Handler):
     def __init__(self, messages: list[str]) -> None:
         super().__init__(logging.ERROR)
@@ -52,3 +57,4 @@ class _Collector(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         self._messages.append(record.getMessage())
+        raise LoggedError(self._messages[0])

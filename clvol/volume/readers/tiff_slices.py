@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Hashable
+from collections.abc import Hashable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -56,8 +57,8 @@ def read(path: Path, options: ReadOptions) -> Volume:
     check_memory(str(path), max(nbytes, facts[0].decoded), options.memory_cap)
     data = np.empty(shape, dtype)
     for plane, file in zip(data, files):
-        plane[...] = _pixels(path, file, options).reshape(plane.shape)
-    spacing = _spacing(files[0], options)
+        plane[...] = _pixels(path, file).reshape(plane.shape)
+    spacing = _spacing(path, files[0], options)
     return Volume(data, spacing.lengths, frame="image", unit=spacing.unit)
 
 
@@ -80,28 +81,30 @@ def _facts(path: Path, file: Path) -> _Facts:
         return _Facts((page.imagelength, page.imagewidth), np.dtype(page.dtype), decoded)
 
 
-def _pixels(path: Path, file: Path, options: ReadOptions) -> np.ndarray:
-    with errors_logged("tifffile") as errors, _opened(path, file) as tiff:
-        pixels = read_page(file, single_page(tiff))
-        if errors:
-            raise VolumeError(str(path), f"{file.name} is damaged: {errors[0]}", "undamaged slices")
-    return pixels
+def _pixels(path: Path, file: Path) -> np.ndarray:
+    with _opened(path, file) as tiff:
+        return read_page(file, single_page(tiff))
 
 
-def _opened(path: Path, file: Path) -> Any:
+@contextmanager
+def _opened(path: Path, file: Path) -> Iterator[Any]:
+    """The file as tifffile has it; whatever goes wrong with it names it."""
     import tifffile
 
     try:
-        return tifffile.TiffFile(file)
-    except (tifffile.TiffFileError, ValueError, OSError) as error:
-        what = f"{file.name} is no TIFF file that can be read ({error})"
-        raise VolumeError(str(path), what, "undamaged slices") from None
+        with errors_logged("tifffile"), tifffile.TiffFile(file) as tiff:
+            yield tiff
+    except (VolumeError, MemoryError):
+        raise
+    except Exception as error:
+        reason = " ".join(str(error).split())[:200] or type(error).__name__
+        raise VolumeError(
+            str(path), f"{file.name} cannot be read ({reason})", "undamaged slices"
+        ) from error
 
 
-def _spacing(file: Path, options: ReadOptions) -> Spacing:
-    import tifffile
-
-    with tifffile.TiffFile(file) as tiff:
+def _spacing(path: Path, file: Path, options: ReadOptions) -> Spacing:
+    with _opened(path, file) as tiff:
         return spacing_of(tiff, tiff.series[0] if tiff.series else None, 2, options)
 
 

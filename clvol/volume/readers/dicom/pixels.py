@@ -11,7 +11,7 @@ import numpy as np
 
 from clvol.errors import VolumeError
 from clvol.volume.memory import check_memory
-from clvol.volume.readers.dicom.codecs import PLUGIN, SYNTAXES, use_codecs
+from clvol.volume.readers.dicom.codecs import SYNTAXES, decoded_frames
 from clvol.volume.readers.dicom.frames import Frame
 from clvol.volume.readers.options import ReadOptions
 
@@ -20,7 +20,6 @@ _SMALL = ("uint8", "int8", "uint16", "int16")
 
 def read_frames(path: Path, frames: list[Frame], options: ReadOptions) -> np.ndarray:
     """Values [z, y, x] in the smallest accepted type that holds each exactly."""
-    use_codecs()
     if any(frame.image.header.get("ModalityLUTSequence") for frame in frames):
         options.warn("a table for the values (Modality LUT) is not applied; they are as stored")
     stored: np.ndarray | None = None
@@ -70,11 +69,13 @@ def _decoded(frames: list[Frame]) -> Iterator[np.ndarray]:
 
     image = frames[0].image
     syntax = image.header.file_meta.get("TransferSyntaxUID")
-    how = {"raw": True, "decoding_plugin": PLUGIN if syntax in SYNTAXES else ""}
-    if int(image.header.get("NumberOfFrames") or 1) == 1:
-        yield pixel_array(image.path, **how).reshape(frames[0].rows, frames[0].columns)
+    indices = [frame.index for frame in frames]
+    if syntax in SYNTAXES:
+        yield from decoded_frames(image.path, image.header, indices)
+    elif int(image.header.get("NumberOfFrames") or 1) == 1:
+        yield pixel_array(image.path, raw=True).reshape(frames[0].rows, frames[0].columns)
     else:
-        yield from iter_pixels(image.path, indices=[frame.index for frame in frames], **how)
+        yield from iter_pixels(image.path, raw=True, indices=indices)
 
 
 def _used_bits(pixels: np.ndarray, header: Any) -> np.ndarray:
