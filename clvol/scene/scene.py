@@ -167,11 +167,14 @@ class Scene(Table):
         """The volumes of the fields, each read once and kept. ``memory_cap``: bytes that each may
         take in memory. Raises SceneError, VolumeError."""
         volumes = []
+        with_values = {settings.file for settings in self.field if settings.role != "label"}
         for i, settings in enumerate(self.field):
             volume, where = settings.file, f"{self._origin}: field.{i}"
             if isinstance(volume, str):
                 if volume not in self._fields:
-                    self._fields[volume] = settings.load(self._folder, where, memory_cap)
+                    self._fields[volume] = settings.load(
+                        self._folder, where, memory_cap, labels=volume not in with_values
+                    )
                 volume = self._fields[volume]
             volumes.append(volume)
         return tuple(volumes)
