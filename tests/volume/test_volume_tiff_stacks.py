@@ -135,6 +135,31 @@ def test_only_the_chosen_pages_count_for_the_memory_cap(tmp_path) -> None:
     assert "memory cap" in refusal(path, channel=1, time=1, memory_cap=one - 1)
 
 
+@pytest.mark.parametrize("bigtiff", [False, True])
+@pytest.mark.parametrize("order", "<>")
+def test_a_chain_of_pages_without_an_end(tmp_path, bigtiff, order) -> None:
+    """The last page's link leads to the first page, or to itself."""
+    (tmp_path / "s").mkdir()
+    for target in (0, -1):
+        path = tmp_path / "s" / "v.tif"
+        with tifffile.TiffWriter(path, bigtiff=bigtiff, byteorder=order) as writer:
+            for plane in voxels("uint8"):
+                writer.write(plane, photometric="minisblack", metadata=None)
+        with tifffile.TiffFile(path) as file:
+            last = file.pages[-1].offset
+            size, tag = (8, 20) if bigtiff else (2, 12)
+            link = last + size + tag * len(file.pages[-1].tags)
+            offset = file.pages[target].offset
+        whole = bytearray(path.read_bytes())
+        width = 8 if bigtiff else 4
+        whole[link : link + width] = offset.to_bytes(width, "little" if order == "<" else "big")
+        path.write_bytes(whole)
+        assert "leads back" in refusal(path)
+        tifffile.imwrite(tmp_path / "s" / "w.tif", voxels("uint8")[0])
+        assert "v.tif" in refusal(tmp_path / "s")
+        (tmp_path / "s" / "w.tif").unlink()
+
+
 # ---- folders -------------------------------------------------------------------------------------
 
 

@@ -15,6 +15,7 @@ from clvol.volume.memory import check_memory
 from clvol.volume.readers.options import ReadOptions
 from clvol.volume.readers.quiet import errors_logged
 from clvol.volume.readers.stream_size import LOOKED_AT, j2k_size, jpeg_size
+from clvol.volume.readers.tiff_chain import check_chain
 from clvol.volume.readers.tiff_spacing import ome_channels, ome_image, spacing_of
 from clvol.volume.volume import Volume, check_type
 
@@ -39,6 +40,7 @@ def read(path: Path, options: ReadOptions) -> Volume:
     """
     import tifffile
 
+    check_chain(path, str(path))
     # A chain of pages that breaks off is only logged; the pages after it would be cropped.
     with errors_logged("tifffile") as errors, tifffile.TiffFile(path) as file:
         stack = _single_pages(file, options)

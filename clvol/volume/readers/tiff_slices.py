@@ -19,6 +19,7 @@ from clvol.volume.readers.quiet import errors_logged
 from clvol.volume.readers.slice_names import natural, one_stack, warn_of_gaps
 from clvol.volume.readers.tiff import read as read_file
 from clvol.volume.readers.tiff import read_page, single_page
+from clvol.volume.readers.tiff_chain import check_chain
 from clvol.volume.readers.tiff_spacing import Spacing, spacing_of
 from clvol.volume.volume import Volume, check_type
 
@@ -92,6 +93,7 @@ def _opened(path: Path, file: Path) -> Iterator[Any]:
     import tifffile
 
     try:
+        check_chain(file, f"{file.name} in {path}")
         with errors_logged("tifffile"), tifffile.TiffFile(file) as tiff:
             yield tiff
     except (VolumeError, MemoryError):
