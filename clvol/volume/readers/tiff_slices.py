@@ -39,8 +39,9 @@ def read(path: Path, options: ReadOptions) -> Volume:
     """The volume whose slices are the folder's TIFF files, the first one at z index 0.
 
     Files whose names differ in more than numbers are stacks of their own, chosen by
-    ``options.series``; names that count channels or times, too, by those. Spacing as in one TIFF file. VolumeError for slices of several sizes or
-    types; a number that is missing between others is warned of.
+    ``options.series``; names that count channels or times, too, by those. Spacing as in one TIFF
+    file. VolumeError for slices of several sizes or types; a number that is missing between others
+    is warned of.
     """
     files = one_stack(path, slice_files(path), options)
     if len(files) == 1:

@@ -173,7 +173,8 @@ def _split(
             return _one_group(path, frames, key, groups, f"{name} ", options)
     repeats = np.bincount(levels, minlength=count)
     if key == "time" and count > 1 and (repeats == repeats[0]).all():
-        return _one_group(path, frames, key, _in_turn(frames, levels), "InstanceNumber's turn ", options)
+        turns = _in_turn(frames, levels)
+        return _one_group(path, frames, key, turns, "by InstanceNumber: ", options)
     return frames
 
 

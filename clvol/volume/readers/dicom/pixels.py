@@ -106,7 +106,8 @@ def _limits(frames: list[Frame], dtype: np.dtype) -> tuple[float, float] | None:
     bits = max(
         int(frame.image.header.get("BitsStored") or dtype.itemsize * 8) for frame in frames
     )
-    return (-(2.0 ** (bits - 1)), 2.0 ** (bits - 1) - 1) if dtype.kind == "i" else (0.0, 2.0**bits - 1)
+    half = 2.0 ** (bits - 1)
+    return (-half, half - 1) if dtype.kind == "i" else (0.0, 2 * half - 1)
 
 
 def _rescaled(
