@@ -163,8 +163,10 @@ def _split(
 ) -> list[Frame]:
     """Where several slices lie at each place, those that the caller wants."""
     levels = levels_of(frames)
+    if levels[0] < 0:  # of slices without a place, only a film says what it is
+        levels, names = np.zeros(len(frames), int), tuple({"FrameInTime"} & {*names})
     count = int(levels.max()) + 1
-    if count < 1 or count == len(frames):
+    if count == len(frames):
         return frames
     for name in names:
         groups = _groups(frames, name)
