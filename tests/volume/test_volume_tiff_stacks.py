@@ -43,6 +43,15 @@ def test_compressed_tiles_and_strips(tmp_path, predictor, tile, compression, dty
     assert np.array_equal(load_volume(tmp_path / "v.tif").data, array)
 
 
+@pytest.mark.parametrize("compression", [None, "zlib"])
+def test_one_bit_a_voxel(tmp_path, compression) -> None:
+    array = voxels("uint8") % 3 == 0
+    tifffile.imwrite(
+        tmp_path / "v.tif", array, photometric="minisblack", compression=compression
+    )
+    assert np.array_equal(load_volume(tmp_path / "v.tif").data, array)
+
+
 def test_frames_of_an_ome_file_written_one_by_one(tmp_path) -> None:
     with tifffile.TiffWriter(tmp_path / "v.ome.tif") as writer:
         for plane in voxels():

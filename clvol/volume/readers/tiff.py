@@ -228,7 +228,7 @@ def _check_pages(path: Path, pages: list[Any], itemsize: int) -> None:
         stored = Path(page.parent.filehandle.path).stat().st_size
         end = max((offset + count for offset, count in segments), default=0)
         promised = sum(count for _, count in segments)
-        needed = math.prod(page.shape) * itemsize
+        needed = _stored_bytes(page, itemsize)
         # Several segments may be of equal bytes; a sparse one counts as zeros.
         if end > stored or page.keyframe.compression == 1 and promised < needed:
             raise VolumeError(
@@ -236,6 +236,16 @@ def _check_pages(path: Path, pages: list[Any], itemsize: int) -> None:
                 f"voxel data cut off ({stored} bytes in the file)",
                 f"{max(end, needed)} bytes as its pages promise",
             )
+
+
+def _stored_bytes(page: Any, itemsize: int) -> int:
+    """What an uncompressed page takes in the file: its rows begin at whole bytes."""
+    keyframe = page.keyframe
+    bits = keyframe.bitspersample
+    if isinstance(bits, int) and bits % 8:
+        row = -(-keyframe.imagewidth * keyframe.samplesperpixel * bits // 8)
+        return row * keyframe.imagelength * keyframe.imagedepth
+    return math.prod(page.shape) * itemsize
 
 
 def _check_compression(path: Path, page: Any) -> None:
