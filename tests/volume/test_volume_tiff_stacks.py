@@ -137,6 +137,40 @@ def test_images_of_a_file_are_series(tmp_path) -> None:
         assert np.array_equal(volume.data, voxels() + 1) and volume.grid.spacing == (2, 2, 3)
 
 
+def test_an_ome_image_over_several_files(tmp_path) -> None:
+    """One file a time point; each names the others, and any of them is the image."""
+    names = [f"v_t{t}.ome.tif" for t in range(3)]
+    uuids = [f"urn:uuid:00000000-0000-0000-0000-00000000000{t}" for t in range(3)]
+    data = "".join(
+        f'<TiffData FirstT="{t}" FirstZ="0" FirstC="0" IFD="0" PlaneCount="6">'
+        f'<UUID FileName="{names[t]}">{uuids[t]}</UUID></TiffData>'
+        for t in range(3)
+    )
+    for t in range(3):
+        xml = (
+            '<?xml version="1.0" encoding="UTF-8"?><OME UUID="' + uuids[t] + '" '
+            'xmlns="http://www.openmicroscopy.org/Schemas/OME/2016-06"><Image ID="Image:0">'
+            '<Pixels ID="Pixels:0" DimensionOrder="XYZCT" Type="uint8" SizeX="8" SizeY="7" '
+            'SizeZ="6" SizeC="1" SizeT="3" PhysicalSizeX="2" PhysicalSizeY="2" PhysicalSizeZ="3">'
+            '<Channel ID="Channel:0:0" SamplesPerPixel="1"/>' + data + "</Pixels></Image></OME>"
+        )
+        tifffile.imwrite(
+            tmp_path / names[t],
+            voxels("uint8") + 40 * t,
+            description=xml,
+            metadata=None,
+            photometric="minisblack",
+        )
+    assert "3 times" in refusal(tmp_path / names[0])
+    for t in range(3):
+        volume, _ = loaded(tmp_path / names[0], time=t)
+        assert np.array_equal(volume.data, voxels("uint8") + 40 * t)
+        assert volume.grid.spacing == (2, 2, 3)
+        assert volume.files == tuple(str(tmp_path / name) for name in names[1:])
+    (tmp_path / names[2]).unlink()
+    assert "missing" in refusal(tmp_path / names[0], time=2)
+
+
 def test_only_the_chosen_pages_count_for_the_memory_cap(tmp_path) -> None:
     path = written(tmp_path / "v.tif", "ome", "zlib")
     one = voxels("uint8").nbytes

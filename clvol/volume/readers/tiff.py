@@ -55,7 +55,19 @@ def read(path: Path, options: ReadOptions) -> Volume:
         spacing = spacing_of(file, chosen, data.shape[0], options)
         if errors:
             raise VolumeError(str(path), f"damaged: {errors[0]}", "an undamaged TIFF file")
-    return Volume(data, spacing.lengths, frame="image", unit=spacing.unit)
+        beside = _other_files(file, chosen)
+    volume = Volume(data, spacing.lengths, frame="image", unit=spacing.unit)
+    volume.files = beside
+    return volume
+
+
+def _other_files(file: Any, series: Any) -> tuple[str, ...]:
+    """Files that pages of an OME-TIFF lie in, beside the one that was named."""
+    if not series.is_multifile:
+        return ()
+    own = file.filehandle.path
+    paths = {page.parent.filehandle.path for page in series.pages if page is not None}
+    return tuple(sorted(paths - {own}))
 
 
 def _full_size(file: Any) -> list[Any]:
