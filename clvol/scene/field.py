@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,11 +11,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field, WrapValidator, model_validator
 
-from clvol.errors import SceneError
+from clvol.errors import SceneError, VolumeError
 from clvol.scene.table import AsTuple, Color, Fraction, Number, Table, Whole, wrong
 from clvol.scene.transfer_function import ControlPoint, check_points
 from clvol.scene.transfer_layer import function_of
-from clvol.scene.volume import is_path, path_text
+from clvol.scene.volume import Choice, is_path, path_text
 from clvol.volume.axis import ValueAxis
 
 if TYPE_CHECKING:
@@ -73,7 +74,8 @@ def _file(value: Any, check: Callable[[Any], Any]) -> Any:
 
 
 class FieldSettings(Table):
-    """``file`` is relative to the scene file; from Python it may be a ``clvol.Volume``.
+    """``file`` is relative to the scene file; from Python it may be a ``clvol.Volume``. ``channel``,
+    ``time`` and ``series`` choose where it has several, as in [volume].
 
     A field has its own grid and is looked up by world position: a label from the nearest voxel,
     density and mask linearly between voxels. Outside the grid is no label and no density, and
@@ -88,6 +90,9 @@ class FieldSettings(Table):
         ],
         WrapValidator(_file),
     ] = Field(description="the name of a volume file, in quotes")
+    channel: Choice = Field(None, description="the index (from 0) or the name of a channel")
+    time: Choice = Field(None, description="the index (from 0) of a time")
+    series: Choice = Field(None, description="the index (from 0) or the name of a series")
     role: Literal["label", "density", "mask"] = Field(
         description="'label', 'density' or 'mask'"
     )
@@ -146,7 +151,20 @@ class FieldSettings(Table):
         if not path.exists():
             got = f"got {self.file!r}, no such file"
             raise SceneError(f"{where}.file", got, "a volume file or a DICOM folder")
-        return load_volume(path, labels=labels, memory_cap=memory_cap)
+        try:
+            return load_volume(path, labels=labels, memory_cap=memory_cap, **self.choices)
+        except VolumeError as error:  # readers know of no other table
+            table = where.rpartition(": ")[2]
+            what, expected = (
+                text and re.sub(r"\bvolume\.(channel|time|series)\b", rf"{table}.\1", text)
+                for text in (error.what, error.expected)
+            )
+            raise VolumeError(error.where, what, expected) from error.__cause__
+
+    @property
+    def choices(self) -> dict[str, int | str | None]:
+        """Which of several channels, times or series; None where nothing is said."""
+        return {"channel": self.channel, "time": self.time, "series": self.series}
 
     def resolved(
         self, volume: Volume, opacity_unit: float, decoded: Callable[[object], np.ndarray]

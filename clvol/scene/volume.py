@@ -40,7 +40,7 @@ def _choice(value: Any) -> Any:
     raise ValueError("neither an index nor a name")
 
 
-_Choice = Annotated[Any, BeforeValidator(_choice)]
+Choice = Annotated[Any, BeforeValidator(_choice)]
 _Side = Annotated[Whole, Field(ge=1, le=2**31 - 1)]
 
 
@@ -72,9 +72,9 @@ class VolumeSettings(Table):
         None, description="three whole numbers [nx, ny, nz] greater than 0"
     )
     dtype: str | None = Field(None, min_length=1, description="a voxel type such as 'uint16'")
-    channel: _Choice = Field(None, description="the index (from 0) or the name of a channel")
-    time: _Choice = Field(None, description="the index (from 0) of a time")
-    series: _Choice = Field(
+    channel: Choice = Field(None, description="the index (from 0) or the name of a channel")
+    time: Choice = Field(None, description="the index (from 0) of a time")
+    series: Choice = Field(
         None, description="the index (from 0) or the name of a series, or a SeriesInstanceUID"
     )
     header_bytes: Annotated[Whole, Field(ge=-1, le=2**62)] | None = Field(

@@ -237,6 +237,18 @@ def test_an_enhanced_file_that_lacks_groups(tmp_path) -> None:
     assert "describes 5 of 6 frames" in refusal(path)
 
 
+@pytest.mark.parametrize("placed", [False, True])
+def test_a_film_has_times(tmp_path, placed) -> None:
+    def edit(data, k):
+        data.NumberOfFrames, data.Rows, data.Columns, data.FrameTime = 6, 7, 8, "40"
+        if not placed:
+            del data.ImagePositionPatient
+
+    dicom_series(tmp_path / "us", voxels().reshape(1, 42, 8), edit=edit)
+    assert "6 times" in refusal(tmp_path / "us")
+    assert np.array_equal(load_volume(tmp_path / "us", time=4).data, voxels()[4:5])
+
+
 def test_one_slice_of_a_series_says_so(tmp_path) -> None:
     paths = dicom_series(tmp_path / "ct")
     volume, warned = loaded(paths[2])

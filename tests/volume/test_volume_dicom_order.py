@@ -23,6 +23,22 @@ def test_rounded_positions_are_taken_for_even_ones(tmp_path, digits, gap, first)
     assert ("rounded" in warned) == (off > 0.01 * mean)
 
 
+def test_positions_in_whole_millimetres(tmp_path) -> None:
+    dicom_series(tmp_path / "ct", places=[0, 2, 5, 8, 10, 12])  # 2.5 apart
+    volume, warned = loaded(tmp_path / "ct")
+    assert volume.grid.spacing[2] == 2.4 and "rounded" in warned
+
+
+def test_what_the_header_leaves_out_is_told(tmp_path) -> None:
+    def edit(data, k):
+        del data.PixelSpacing, data.ImageOrientationPatient
+
+    dicom_series(tmp_path / "ct", edit=edit)
+    volume, warned = loaded(tmp_path / "ct")
+    assert volume.grid.spacing == (1, 1, 2)
+    assert "no PixelSpacing" in warned and "no ImageOrientationPatient" in warned
+
+
 @pytest.mark.parametrize("missing", [1, 2, 4])
 @pytest.mark.parametrize("gap", [1.0, 2.0, 1 / 3])
 def test_a_missing_slice_is_named_with_its_neighbours(tmp_path, missing, gap) -> None:

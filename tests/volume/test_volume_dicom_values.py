@@ -7,8 +7,11 @@ from pathlib import Path
 import imagecodecs
 import numpy as np
 import pytest
+import SimpleITK
 from pydicom.encaps import encapsulate
 from pydicom.uid import (
+    ExplicitVRBigEndian,
+    ImplicitVRLittleEndian,
     JPEG2000Lossless,
     JPEGBaseline8Bit,
     JPEGLosslessSV1,
@@ -86,6 +89,50 @@ def test_compressed_slices(tmp_path, syntax, encode) -> None:
 
     dicom_series(tmp_path / "ct", array, edit=edit, syntax=syntax)
     assert np.array_equal(loaded(tmp_path / "ct")[0].data, array)
+
+
+@pytest.mark.parametrize("syntax", [ImplicitVRLittleEndian, ExplicitVRBigEndian])
+def test_other_ways_to_write_numbers(tmp_path, syntax) -> None:
+    array = voxels()
+
+    def edit(data, k):
+        if syntax == ExplicitVRBigEndian:
+            data.PixelData = array[k].astype(">i2").tobytes()
+
+    dicom_series(tmp_path / "ct", array, edit=edit, syntax=syntax)
+    assert np.array_equal(loaded(tmp_path / "ct")[0].data, array)
+
+
+def test_floating_point_pixels(tmp_path) -> None:
+    def edit(data, k):
+        del data.PixelData, data.BitsStored, data.HighBit, data.PixelRepresentation
+        data.FloatPixelData, data.BitsAllocated = (voxels("float32")[k] / 3).tobytes(), 32
+
+    dicom_series(tmp_path / "map", edit=edit)
+    assert np.array_equal(loaded(tmp_path / "map")[0].data, voxels("float32") / 3)
+
+
+@pytest.mark.parametrize("compressed", [False, True])
+def test_a_series_that_itk_has_written(tmp_path, compressed) -> None:
+    image = SimpleITK.GetImageFromArray(voxels("uint16"))
+    image.SetSpacing((0.5, 0.75, 1.0))
+    writer = SimpleITK.ImageFileWriter()
+    writer.KeepOriginalImageUIDOn()
+    writer.SetUseCompression(compressed)
+    for k in range(6):
+        plane = image[:, :, k]
+        for tag, value in {
+            "0008|0060": "CT",
+            "0020|000e": "1.2.3.77",
+            "0020|0037": "1\\0\\0\\0\\1\\0",
+            "0020|0032": f"10\\20\\{30 + 1.5 * k}",
+        }.items():
+            plane.SetMetaData(tag, value)
+        writer.SetFileName(str(tmp_path / f"{9 - k}.dcm"))
+        writer.Execute(plane)
+    volume, _ = loaded(tmp_path)
+    assert np.array_equal(volume.data, voxels("uint16"))
+    assert volume.grid.spacing == (0.5, 0.75, 1.5) and volume.grid.origin == (10, 20, 30)
 
 
 def test_run_lengths(tmp_path) -> None:

@@ -91,6 +91,7 @@ def test_pairs(tmp_path, kind, packed, asked) -> None:
     assert np.array_equal(volume.data, voxels()) and volume.name == "v"
     np.testing.assert_allclose(volume.grid.index_to_world(), QFORM, atol=1e-5)
     other = {".hdr": ".img", ".img": ".hdr"}[asked]
+    assert volume.files == (str(tmp_path / f"v{other}{packed}"),)
     (tmp_path / f"v{other}{packed}").unlink()
     assert f"no v{other} beside it" in refusal(tmp_path / f"v{asked}{packed}")
 

@@ -43,6 +43,15 @@ def test_compressed_tiles_and_strips(tmp_path, predictor, tile, compression, dty
     assert np.array_equal(load_volume(tmp_path / "v.tif").data, array)
 
 
+@pytest.mark.parametrize("compression", [None, "zlib"])
+def test_one_bit_a_voxel(tmp_path, compression) -> None:
+    array = voxels("uint8") % 3 == 0
+    tifffile.imwrite(
+        tmp_path / "v.tif", array, photometric="minisblack", compression=compression
+    )
+    assert np.array_equal(load_volume(tmp_path / "v.tif").data, array)
+
+
 def test_frames_of_an_ome_file_written_one_by_one(tmp_path) -> None:
     with tifffile.TiffWriter(tmp_path / "v.ome.tif") as writer:
         for plane in voxels():
@@ -128,11 +137,70 @@ def test_images_of_a_file_are_series(tmp_path) -> None:
         assert np.array_equal(volume.data, voxels() + 1) and volume.grid.spacing == (2, 2, 3)
 
 
+def test_an_ome_image_over_several_files(tmp_path) -> None:
+    """One file a time point; each names the others, and any of them is the image."""
+    names = [f"v_t{t}.ome.tif" for t in range(3)]
+    uuids = [f"urn:uuid:00000000-0000-0000-0000-00000000000{t}" for t in range(3)]
+    data = "".join(
+        f'<TiffData FirstT="{t}" FirstZ="0" FirstC="0" IFD="0" PlaneCount="6">'
+        f'<UUID FileName="{names[t]}">{uuids[t]}</UUID></TiffData>'
+        for t in range(3)
+    )
+    for t in range(3):
+        xml = (
+            '<?xml version="1.0" encoding="UTF-8"?><OME UUID="' + uuids[t] + '" '
+            'xmlns="http://www.openmicroscopy.org/Schemas/OME/2016-06"><Image ID="Image:0">'
+            '<Pixels ID="Pixels:0" DimensionOrder="XYZCT" Type="uint8" SizeX="8" SizeY="7" '
+            'SizeZ="6" SizeC="1" SizeT="3" PhysicalSizeX="2" PhysicalSizeY="2" PhysicalSizeZ="3">'
+            '<Channel ID="Channel:0:0" SamplesPerPixel="1"/>' + data + "</Pixels></Image></OME>"
+        )
+        tifffile.imwrite(
+            tmp_path / names[t],
+            voxels("uint8") + 40 * t,
+            description=xml,
+            metadata=None,
+            photometric="minisblack",
+        )
+    assert "3 times" in refusal(tmp_path / names[0])
+    for t in range(3):
+        volume, _ = loaded(tmp_path / names[0], time=t)
+        assert np.array_equal(volume.data, voxels("uint8") + 40 * t)
+        assert volume.grid.spacing == (2, 2, 3)
+        assert volume.files == tuple(str(tmp_path / name) for name in names[1:])
+    (tmp_path / names[2]).unlink()
+    assert "missing" in refusal(tmp_path / names[0], time=2)
+
+
 def test_only_the_chosen_pages_count_for_the_memory_cap(tmp_path) -> None:
     path = written(tmp_path / "v.tif", "ome", "zlib")
     one = voxels("uint8").nbytes
     assert load_volume(path, channel=1, time=1, memory_cap=one).nbytes == one
     assert "memory cap" in refusal(path, channel=1, time=1, memory_cap=one - 1)
+
+
+@pytest.mark.parametrize("bigtiff", [False, True])
+@pytest.mark.parametrize("order", "<>")
+def test_a_chain_of_pages_without_an_end(tmp_path, bigtiff, order) -> None:
+    """The last page's link leads to the first page, or to itself."""
+    (tmp_path / "s").mkdir()
+    for target in (0, -1):
+        path = tmp_path / "s" / "v.tif"
+        with tifffile.TiffWriter(path, bigtiff=bigtiff, byteorder=order) as writer:
+            for plane in voxels("uint8"):
+                writer.write(plane, photometric="minisblack", metadata=None)
+        with tifffile.TiffFile(path) as file:
+            last = file.pages[-1].offset
+            size, tag = (8, 20) if bigtiff else (2, 12)
+            link = last + size + tag * len(file.pages[-1].tags)
+            offset = file.pages[target].offset
+        whole = bytearray(path.read_bytes())
+        width = 8 if bigtiff else 4
+        whole[link : link + width] = offset.to_bytes(width, "little" if order == "<" else "big")
+        path.write_bytes(whole)
+        assert "leads back" in refusal(path)
+        tifffile.imwrite(tmp_path / "s" / "w.tif", voxels("uint8")[0])
+        assert "v.tif" in refusal(tmp_path / "s")
+        (tmp_path / "s" / "w.tif").unlink()
 
 
 # ---- folders -------------------------------------------------------------------------------------

@@ -140,7 +140,7 @@ def test_names_of_other_dimensions(tmp_path, version) -> None:
     path = plain(tmp_path / "v.zarr", ordered("xyctz"), names, version)
     assert np.array_equal(load_volume(path, channel=1, time=2).data, voxels() + 1200)
     assert "volume.channel" in refusal(path, time=0)
-    for names in (None, ["dim_0", "dim_1", "dim_2"], ["a", "b", "c_"]):
+    for names in (None, [None] * 3, [None, "y", "x"], ["dim_0", "dim_1", "dim_2"], ["a", "b", "c_"]):
         kept = plain(tmp_path / f"{names}.zarr", voxels(), names, version)
         assert np.array_equal(load_volume(kept).data, voxels())
 

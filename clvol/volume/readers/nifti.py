@@ -58,9 +58,11 @@ def read(path: Path, options: ReadOptions) -> Volume:
     data = _voxels(data_file, start, shape, stored, which, times * channels, options)
     if result is not None:
         data = _scale(data, slope, inter, result)
-    return Volume(
+    volume = Volume(
         data, grid.spacing, grid.origin, grid.direction, frame=frame, unit=unit_of(header)
     )
+    volume.files = tuple(str(file) for file in (header_file, data_file) if file != path)
+    return volume
 
 
 def _scaling(header: Any, options: ReadOptions) -> tuple[float | None, float | None]:

@@ -15,6 +15,7 @@ from clvol.volume.memory import check_memory
 from clvol.volume.readers.options import ReadOptions
 from clvol.volume.readers.quiet import errors_logged
 from clvol.volume.readers.stream_size import LOOKED_AT, j2k_size, jpeg_size
+from clvol.volume.readers.tiff_chain import check_chain
 from clvol.volume.readers.tiff_spacing import ome_channels, ome_image, spacing_of
 from clvol.volume.volume import Volume, check_type
 
@@ -39,6 +40,7 @@ def read(path: Path, options: ReadOptions) -> Volume:
     """
     import tifffile
 
+    check_chain(path, str(path))
     # A chain of pages that breaks off is only logged; the pages after it would be cropped.
     with errors_logged("tifffile") as errors, tifffile.TiffFile(path) as file:
         stack = _single_pages(file, options)
@@ -53,7 +55,19 @@ def read(path: Path, options: ReadOptions) -> Volume:
         spacing = spacing_of(file, chosen, data.shape[0], options)
         if errors:
             raise VolumeError(str(path), f"damaged: {errors[0]}", "an undamaged TIFF file")
-    return Volume(data, spacing.lengths, frame="image", unit=spacing.unit)
+        beside = _other_files(file, chosen)
+    volume = Volume(data, spacing.lengths, frame="image", unit=spacing.unit)
+    volume.files = beside
+    return volume
+
+
+def _other_files(file: Any, series: Any) -> tuple[str, ...]:
+    """Files that pages of an OME-TIFF lie in, beside the one that was named."""
+    if not series.is_multifile:
+        return ()
+    own = file.filehandle.path
+    paths = {page.parent.filehandle.path for page in series.pages if page is not None}
+    return tuple(sorted(paths - {own}))
 
 
 def _full_size(file: Any) -> list[Any]:
@@ -226,7 +240,7 @@ def _check_pages(path: Path, pages: list[Any], itemsize: int) -> None:
         stored = Path(page.parent.filehandle.path).stat().st_size
         end = max((offset + count for offset, count in segments), default=0)
         promised = sum(count for _, count in segments)
-        needed = math.prod(page.shape) * itemsize
+        needed = _stored_bytes(page, itemsize)
         # Several segments may be of equal bytes; a sparse one counts as zeros.
         if end > stored or page.keyframe.compression == 1 and promised < needed:
             raise VolumeError(
@@ -234,6 +248,16 @@ def _check_pages(path: Path, pages: list[Any], itemsize: int) -> None:
                 f"voxel data cut off ({stored} bytes in the file)",
                 f"{max(end, needed)} bytes as its pages promise",
             )
+
+
+def _stored_bytes(page: Any, itemsize: int) -> int:
+    """What an uncompressed page takes in the file: its rows begin at whole bytes."""
+    keyframe = page.keyframe
+    bits = keyframe.bitspersample
+    if isinstance(bits, int) and bits % 8:
+        row = -(-keyframe.imagewidth * keyframe.samplesperpixel * bits // 8)
+        return row * keyframe.imagelength * keyframe.imagedepth
+    return math.prod(page.shape) * itemsize
 
 
 def _check_compression(path: Path, page: Any) -> None:

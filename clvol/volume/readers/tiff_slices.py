@@ -19,6 +19,7 @@ from clvol.volume.readers.quiet import errors_logged
 from clvol.volume.readers.slice_names import natural, one_stack, warn_of_gaps
 from clvol.volume.readers.tiff import read as read_file
 from clvol.volume.readers.tiff import read_page, single_page
+from clvol.volume.readers.tiff_chain import check_chain
 from clvol.volume.readers.tiff_spacing import Spacing, spacing_of
 from clvol.volume.volume import Volume, check_type
 
@@ -38,8 +39,9 @@ def read(path: Path, options: ReadOptions) -> Volume:
     """The volume whose slices are the folder's TIFF files, the first one at z index 0.
 
     Files whose names differ in more than numbers are stacks of their own, chosen by
-    ``options.series``; names that count channels or times, too, by those. Spacing as in one TIFF file. VolumeError for slices of several sizes or
-    types; a number that is missing between others is warned of.
+    ``options.series``; names that count channels or times, too, by those. Spacing as in one TIFF
+    file. VolumeError for slices of several sizes or types; a number that is missing between others
+    is warned of.
     """
     files = one_stack(path, slice_files(path), options)
     if len(files) == 1:
@@ -92,6 +94,7 @@ def _opened(path: Path, file: Path) -> Iterator[Any]:
     import tifffile
 
     try:
+        check_chain(file, f"{file.name} in {path}")
         with errors_logged("tifffile"), tifffile.TiffFile(file) as tiff:
             yield tiff
     except (VolumeError, MemoryError):

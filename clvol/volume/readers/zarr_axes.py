@@ -56,7 +56,7 @@ def place_axes(axes: Sequence[Axis], shape: Sequence[int], where: str) -> Placed
     if {"x", "y"} <= set(by_kind):
         z = by_kind.get("z")
         long = [k for k in unknown if shape[k] != 1]
-        if z is None and len(long) == 1 and axes[long[0]].type == "space":
+        if z is None and len(long) == 1 and _may_be_z(axes[long[0]]):
             z = long.pop()
         if long:
             raise _unclear(axes, shape, where)
@@ -70,6 +70,10 @@ def place_axes(axes: Sequence[Axis], shape: Sequence[int], where: str) -> Placed
             raise _unclear(axes, shape, where)
         space = tuple(unknown)
     return Placed(space, by_kind.get("c"), by_kind.get("t"))
+
+
+def _may_be_z(axis: Axis) -> bool:
+    return axis.type == "space" or not axis.name
 
 
 def _unclear(axes: Sequence[Axis], shape: Sequence[int], where: str) -> VolumeError:

@@ -39,6 +39,8 @@ def read(path: Path, options: ReadOptions) -> Volume:
     frames = chosen_frames(path, find_images(path, options), options)
     frames, step = in_order(path, frames, options)
     first = frames[0]
+    for text in first.lacks:
+        options.warn(f"no {text}")
     shape = (len(frames), first.rows, first.columns)
     check_memory(str(path), math.prod(shape) * first.bits_allocated // 8, options.memory_cap)
     steps = np.stack([first.axes[0] * first.spacing[1], first.axes[1] * first.spacing[0], step], 1)

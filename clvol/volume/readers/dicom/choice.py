@@ -163,8 +163,10 @@ def _split(
 ) -> list[Frame]:
     """Where several slices lie at each place, those that the caller wants."""
     levels = levels_of(frames)
+    if levels[0] < 0:  # of slices without a place, only a film says what it is
+        levels, names = np.zeros(len(frames), int), tuple({"FrameInTime"} & {*names})
     count = int(levels.max()) + 1
-    if count < 1 or count == len(frames):
+    if count == len(frames):
         return frames
     for name in names:
         groups = _groups(frames, name)
@@ -173,7 +175,8 @@ def _split(
             return _one_group(path, frames, key, groups, f"{name} ", options)
     repeats = np.bincount(levels, minlength=count)
     if key == "time" and count > 1 and (repeats == repeats[0]).all():
-        return _one_group(path, frames, key, _in_turn(frames, levels), "InstanceNumber's turn ", options)
+        turns = _in_turn(frames, levels)
+        return _one_group(path, frames, key, turns, "by InstanceNumber: ", options)
     return frames
 
 

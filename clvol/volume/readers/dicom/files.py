@@ -17,7 +17,7 @@ _MAGIC_AT, _MAGIC = 128, b"DICM"
 # The first element of a file without preamble: group 2 or 8, little-endian.
 _BARE = (b"\x02\x00\x00\x00", b"\x02\x00\x02\x00", b"\x08\x00")
 _DICOM_ENDINGS = (".dcm", ".ima", ".dicom")
-_DEFLATED = "1.2.840.10008.1.2.1.99"
+DEFLATED = "1.2.840.10008.1.2.1.99"
 _DEFLATE_RATIO = 1032  # zlib's technical notes
 _DEEPEST = 6  # folders below the one that was named
 _NAMED = 3
@@ -153,7 +153,7 @@ def _header(path: Path, marked: bool, options: ReadOptions) -> Any:
     from pydicom import dcmread
     from pydicom.filereader import read_file_meta_info
 
-    if marked and read_file_meta_info(path).get("TransferSyntaxUID") == _DEFLATED:
+    if marked and read_file_meta_info(path).get("TransferSyntaxUID") == DEFLATED:
         _check_deflated(path, options)
     return dcmread(path, stop_before_pixels=True, specific_tags=_HEADER, force=not marked)
 

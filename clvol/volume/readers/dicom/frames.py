@@ -52,7 +52,7 @@ class Frame:
     """``axes`` are the unit directions (LPS) in which columns and rows count up, ``spacing`` is
     between (rows, columns), mm. ``position`` is the first pixel's centre, None where the file does
     not say; ``rounding`` what its digits can leave out along x, y, z. ``facts`` hold what slices at
-    one place may differ in."""
+    one place may differ in, ``lacks`` says what the file leaves out, and what is taken instead."""
 
     image: Image
     index: int
@@ -64,6 +64,7 @@ class Frame:
     slope: float
     intercept: float
     facts: dict[str, Any] = field(default_factory=dict)
+    lacks: tuple[str, ...] = ()
 
     @property
     def name(self) -> str:
@@ -127,12 +128,14 @@ def _frame(image: Image, index: int, count: int) -> Frame:
     offsets = header.get("GridFrameOffsetVector")
     has_groups = bool(header.get("PerFrameFunctionalGroupsSequence"))
     facts = {key: value for key in (*CHANNELS, *TIMES) if (value := look(key)) is not None}
-    if count > 1 and point is not None and not has_groups:
+    if count > 1 and not has_groups:
         normal = np.cross(axes[0], axes[1])
-        if offsets:  # relative to the first frame, or places on the patient's axis
-            point = point + normal * (float(offsets[index]) - float(offsets[0]))
-        elif header.get("FrameTime") or header.get("FrameTimeVector"):
+        if not offsets and (header.get("FrameTime") or header.get("FrameTimeVector")):
             facts["FrameInTime"] = index
+        elif point is None:
+            pass
+        elif offsets:  # relative to the first frame, or places on the patient's axis
+            point = point + normal * (float(offsets[index]) - float(offsets[0]))
         elif look("SpacingBetweenSlices"):
             point = point + normal * float(look("SpacingBetweenSlices")) * index
     if kind := look.frame_type():
@@ -160,6 +163,14 @@ def _frame(image: Image, index: int, count: int) -> Frame:
         slope,
         intercept,
         {key: _plain(value) for key, value in facts.items()},
+        tuple(
+            text
+            for known, text in (
+                (spacing, "PixelSpacing, so pixels are taken to be 1 mm apart"),
+                (look("ImageOrientationPatient"), "ImageOrientationPatient, so slices are axial"),
+            )
+            if known is None
+        ),
     )
 
 

@@ -14,8 +14,8 @@ from clvol.volume.readers.options import ReadOptions
 
 # Positions are written with few digits; they may be off by this share of a gap without a word.
 _GAP_TOLERANCE = 0.01
-# What rounding may do at most; a slice that is missing moves others by a third of a gap or more.
-_ROUNDING_TOLERANCE = 0.25
+# How unlike gaps may be where positions are rounded; where a slice is missing it is about 2.
+_ROUNDED_RATIO = 1.5
 
 
 def in_order(
@@ -37,7 +37,9 @@ def in_order(
     if worst <= _GAP_TOLERANCE * gap:
         return frames, step
     rounding = np.min([frame.rounding for frame in frames], axis=0)  # zeros at the end are dropped
-    if worst <= _ROUNDING_TOLERANCE * gap and (off <= rounding * 1.0001 + 1e-9).all():
+    gaps = np.diff(positions @ normal)
+    alike = gaps.max() <= _ROUNDED_RATIO * gaps.min() * (1 + 1e-9)
+    if alike and (off <= rounding * 1.0001 + 1e-9).all():
         options.warn(
             f"slice positions seem to be rounded (they are up to {worst:.3g} mm off); slices are "
             f"taken to be {gap:.6g} mm apart"

@@ -12,6 +12,7 @@ import numpy as np
 from clvol.errors import VolumeError
 from clvol.volume.memory import check_memory
 from clvol.volume.readers.dicom.codecs import SYNTAXES, decoded_frames
+from clvol.volume.readers.dicom.files import DEFLATED
 from clvol.volume.readers.dicom.frames import Frame
 from clvol.volume.readers.options import ReadOptions
 
@@ -65,6 +66,7 @@ def _stored(path: Path, frames: list[Frame]) -> Iterator[np.ndarray]:
 
 
 def _decoded(frames: list[Frame]) -> Iterator[np.ndarray]:
+    from pydicom import dcmread
     from pydicom.pixels import iter_pixels, pixel_array
 
     image = frames[0].image
@@ -72,10 +74,13 @@ def _decoded(frames: list[Frame]) -> Iterator[np.ndarray]:
     indices = [frame.index for frame in frames]
     if syntax in SYNTAXES:
         yield from decoded_frames(image.path, image.header, indices)
-    elif int(image.header.get("NumberOfFrames") or 1) == 1:
-        yield pixel_array(image.path, raw=True).reshape(frames[0].rows, frames[0].columns)
+        return
+    # pydicom reads pixels alone, where it can; a deflated file it has to inflate whole
+    source = dcmread(image.path) if syntax == DEFLATED else image.path
+    if int(image.header.get("NumberOfFrames") or 1) == 1:
+        yield pixel_array(source, raw=True).reshape(frames[0].rows, frames[0].columns)
     else:
-        yield from iter_pixels(image.path, raw=True, indices=indices)
+        yield from iter_pixels(source, raw=True, indices=indices)
 
 
 def _used_bits(pixels: np.ndarray, header: Any) -> np.ndarray:
@@ -101,7 +106,8 @@ def _limits(frames: list[Frame], dtype: np.dtype) -> tuple[float, float] | None:
     bits = max(
         int(frame.image.header.get("BitsStored") or dtype.itemsize * 8) for frame in frames
     )
-    return (-(2.0 ** (bits - 1)), 2.0 ** (bits - 1) - 1) if dtype.kind == "i" else (0.0, 2.0**bits - 1)
+    half = 2.0 ** (bits - 1)
+    return (-half, half - 1) if dtype.kind == "i" else (0.0, 2 * half - 1)
 
 
 def _rescaled(
