@@ -19,10 +19,10 @@ _FINITE = (-1e30, 1e30)  # what a scene's numbers may be
 _SLICES = 2**22  # voxels quantised at a time, in double precision
 
 
-def quantised(resolved: ResolvedScene) -> ResolvedScene:
+def quantised(resolved: ResolvedScene, codes: Volume | None = None) -> ResolvedScene:
     """``resolved`` with its voxels as ``integration.voxel_precision`` says: evenly spaced over the
     volume's range, rounded to nearest, and all that is stated in values (the transfer function, iso-values, ...) in the
-    same numbers.
+    same numbers. ``codes``: the volume that this made of ``resolved.volume`` before.
 
     SceneError if a voxel is not finite, which no integer says.
     """
@@ -43,16 +43,21 @@ def quantised(resolved: ResolvedScene) -> ResolvedScene:
     def code(values: np.ndarray) -> np.ndarray:
         return (np.asarray(values, np.float64) - low) / span * most
 
+    if codes is None:
+        codes = _volume_of_codes(volume, code, asked)
+    return replace(resolved, volume=codes, **_in_codes(resolved, code, most / span))
+
+
+def _volume_of_codes(volume: Volume, code: Callable, dtype: str) -> Volume:
     grid, flat = volume.grid, volume.data.reshape(-1)
-    codes = np.empty(flat.size, asked)
+    codes = np.empty(flat.size, dtype)
     for start in range(0, flat.size, _SLICES):
         part = slice(start, start + _SLICES)
         codes[part] = np.rint(code(flat[part]))
-    small = Volume(
+    return Volume(
         codes.reshape(volume.data.shape),
         spacing=grid.spacing, origin=grid.origin, direction=grid.direction, name=volume.name,
     )  # fmt: skip
-    return replace(resolved, volume=small, **_in_codes(resolved, code, most / span))
 
 
 def _in_codes(resolved: ResolvedScene, code: Callable, per_value: float) -> dict[str, Any]:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from math import inf
 from time import perf_counter
@@ -29,6 +31,9 @@ class Renderer:
     device; what needs more is refused before anything is uploaded. ``progress(done, total)`` is called
     while the blocks of the method "multiresolution" are read. Use it as a context manager, or call ``close``.
 
+    Several threads may call a Renderer: they take turns, and each gets the picture that it asked for. A transfer
+    function that one of them sets holds for all. RenderError for a call from inside a ``progress`` of its own.
+
     Raises SceneError and VolumeError (scene or volume wrong, or asking for what is not there),
     DeviceError (no device works), RenderError (a program does not build or fails).
     """
@@ -41,6 +46,7 @@ class Renderer:
         progress: Callable[[int, int], None] | None = None,
     ) -> None:
         start = perf_counter()
+        self._lock, self._is_busy = threading.RLock(), False
         self.resolved = scene.resolve() if hasattr(scene, "resolve") else scene
         refuse_unknown(self.resolved)
         check_memory(self.resolved, memory_cap)
@@ -67,12 +73,28 @@ class Renderer:
         self.close()
 
     def close(self) -> None:
-        """Gives the device's memory back. Nothing can be rendered afterwards."""
-        if self._engines is not None:
-            self._engines.close()
-        if self._context is not None:
-            self._context.release()
-        self._context = self._raycaster = self._engines = None
+        """Gives the device's memory back, when frames that other threads are rendering are done. Nothing can be
+        rendered afterwards."""
+        with self._turn(may_be_closed=True):
+            if self._engines is not None:
+                self._engines.close()
+            if self._context is not None:
+                self._context.release()
+            self._context = self._raycaster = self._engines = None
+
+    @contextmanager
+    def _turn(self, may_be_closed: bool = False) -> Iterator[None]:
+        """One thread at a time: engines, kernels and buffers are for one frame at a time."""
+        with self._lock:
+            if self._is_busy:  # the lock lets a thread in that holds it
+                raise RenderError("Renderer", "is called by its own progress", "a call after the frame")
+            if self._context is None and not may_be_closed:
+                raise RenderError("Renderer", "is closed", "a Renderer that is open")
+            self._is_busy = True
+            try:
+                yield
+            finally:
+                self._is_busy = False
 
     def render(
         self,
@@ -95,8 +117,10 @@ class Renderer:
         UsageError for another method. At least one ray a tile is cast, and what blocks the view
         lacks are read, however long that takes.
         """
-        if self._context is None:
-            raise RenderError("Renderer", "is closed", "a Renderer that is open")
+        with self._turn():
+            return self._render(camera, progress, depth, time, seconds)
+
+    def _render(self, camera, progress, depth, time, seconds) -> Frame:
         resolved = self.resolved
         by_time = {} if seconds is None else {"seconds": _checked_seconds(resolved, seconds)}
         width, height = resolved.image.width, resolved.image.height
@@ -124,15 +148,12 @@ class Renderer:
         ``wait`` False a thread reads them, and frames show what is there: their
         ``stats["blocks"]["pending"]`` tells how many blocks are still to come.
         """
-        if self._context is None:
-            raise RenderError("Renderer", "is closed", "a Renderer that is open")
-        resolved = replace(self.resolved, transfer_function=function)
-        refuse_unknown(resolved)  # what a blank scene asks for has no consequence
-        self.resolved = resolved
-        if self.resolved.integration.method == "multiresolution":
-            self._raycaster.set_transfer_function(function, wait)
-        elif self._engines is not None:
-            self._raycaster = self._engines.make(self.resolved)
+        with self._turn():
+            resolved = replace(self.resolved, transfer_function=function)
+            refuse_unknown(resolved)  # what a blank scene asks for has no consequence
+            if self._engines is not None:
+                self._raycaster = self._engines.make(resolved, wait=wait)
+            self.resolved = resolved
 
     def _move_to(self, time: float, camera: Camera) -> None:
         """What is rendered at ``time`` from ``camera``: what has a consequence may depend on both."""
@@ -140,10 +161,10 @@ class Renderer:
         is_new_time = time != resolved.animation.time
         if is_new_time:
             animation = resolved.animation.model_copy(update={"time": time})
-            self.resolved = resolved = replace(resolved, animation=animation)
-        if self._engines is None or not (is_new_time or resolved.depth_cue):
-            return
-        self._raycaster = self._engines.make(replace(resolved, camera=camera))
+            resolved = replace(resolved, animation=animation)
+        if self._engines is not None and (is_new_time or resolved.depth_cue):
+            self._raycaster = self._engines.make(replace(resolved, camera=camera))
+        self.resolved = resolved  # once there is an engine for it
 
     def _reference(self, camera: Camera, progress) -> Frame:
         from clvol.render.reference import render_reference
