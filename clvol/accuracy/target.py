@@ -368,7 +368,7 @@ class _Workshop:
         self, trial: Trial, found: ErrorEstimate, asked: dict[str, float], attempt: int
     ) -> Frame:
         accuracy = {
-            **asked, **asdict(found), "how": f"{self.judge.how} at pixels not used for the choice",
+            **asked, **asdict(found), "how": f"{self.judge.how} at {where_measured(found)}",
             "settings": self._counting(trial.settings), "attempts": attempt,
             "tried": len(self.search.measured), "seconds": dict(self.seconds),
         }  # fmt: skip
@@ -400,6 +400,13 @@ class _Workshop:
     def report(self, what: str) -> None:
         if self.progress is not None:
             self.progress(None, None, what)
+
+
+def where_measured(found: ErrorEstimate) -> str:
+    """In words, the pixels that ``found`` rests on."""
+    if found.pixels >= found.of_pixels:
+        return "all pixels"
+    return "the pixels that settings were chosen by, and at others, drawn where errors are expected"
 
 
 class _Combinations:
