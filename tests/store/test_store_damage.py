@@ -118,7 +118,9 @@ def change(store: Path, **own) -> None:
 @pytest.mark.parametrize(
     ("own", "said"),
     [
-        ({"version": 2}, "stored by a newer clvol (version 2)"),
+        ({"version": 3}, "stored by a newer clvol (version 3)"),
+        ({"checksums": {"table": [], "statistics": {}}}, "damaged zarr.json"),
+        ({"checksums": None}, "damaged zarr.json"),
         ({"version": "x"}, "version 'x'"),
         ({"codecs": [{"name": "vector-9"}] * 5}, "stored by a newer clvol (codec 'vector-9')"),
         ({"edge": 5}, "damaged zarr.json"),
