@@ -74,8 +74,12 @@ def _filter_axis(source: np.ndarray, out: np.ndarray, axis: int) -> None:
     for start in range(0, source.shape[across], thick):
         chunk = (slice(None),) * across + (slice(start, start + thick),)
         lines = np.moveaxis(source[chunk], axis, 0)
-        right = 6.0 * lines.reshape(n, -1).astype(np.float64)
+        right = lines.reshape(n, -1).astype(np.float64)
+        first = right[0].copy()  # coefficients of the changes from there: a constant line stays what it is
+        right -= first
+        right *= 6.0
         solved = linalg.solveh_banded(bands, right, overwrite_b=True, check_finite=False)
+        solved += first
         np.moveaxis(out[chunk], axis, 0)[...] = solved.reshape(lines.shape)
 
 
