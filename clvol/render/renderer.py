@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from clvol.errors import RenderError, UsageError, VolumeError
 from clvol.features import refuse_unknown
 from clvol.render.frame import Frame, make_frame
+from clvol.render.notices import Notices
 from clvol.scene.camera import Camera
 
 if TYPE_CHECKING:
@@ -33,6 +34,9 @@ class Renderer:
 
     Several threads may call a Renderer: they take turns, and each gets the picture that it asked for. A transfer
     function that one of them sets holds for all. RenderError for a call from inside a ``progress`` of its own.
+
+    What can hardly be meant (a blank picture, say) is told with the module ``warnings``, as a ``ClvolWarning``, once
+    for each cause; ``Frame.stats["warnings"]`` lists those of a frame, if there are any.
 
     Raises SceneError and VolumeError (scene or volume wrong, or asking for what is not there),
     DeviceError (no device works), RenderError (a program does not build or fails).
@@ -63,6 +67,7 @@ class Renderer:
             except BaseException:
                 self.close()
                 raise
+        self._notices = Notices(self.resolved)
         self._load_seconds = loaded - start
         self._prepare_seconds = perf_counter() - loaded - self._context.compile_seconds
 
@@ -139,7 +144,7 @@ class Renderer:
         start = perf_counter()
         data = self._raycaster.render(camera, width, height, progress, depth, **by_time)
         times = {"compile": compile_seconds, "render": perf_counter() - start}
-        return self._frame(data.rgba, data.depth, times, _counted(data))
+        return self._frame(camera, data.rgba, data.depth, times, _counted(data))
 
     def set_transfer_function(self, function: TransferFunction, wait: bool = True) -> None:
         """Another transfer function for the frames to come; compiles nothing, and keeps the volume.
@@ -154,6 +159,7 @@ class Renderer:
             if self._engines is not None:
                 self._raycaster = self._engines.make(resolved, wait=wait)
             self.resolved = resolved
+            self._notices.of_scene(resolved)
 
     def _move_to(self, time: float, camera: Camera) -> None:
         """What is rendered at ``time`` from ``camera``: what has a consequence may depend on both."""
@@ -178,12 +184,13 @@ class Renderer:
             progress=progress,
         )
         seconds = {"compile": 0.0, "render": perf_counter() - start}
-        return self._frame(rgba, depth, seconds, counters)
+        return self._frame(camera, rgba, depth, seconds, counters)
 
-    def _frame(self, rgba, depth, seconds: dict, counted: dict) -> Frame:
+    def _frame(self, camera: Camera, rgba, depth, seconds: dict, counted: dict) -> Frame:
         first = {"load": self._load_seconds, "prepare": self._prepare_seconds}
         self._load_seconds = self._prepare_seconds = 0.0
         seconds = {**first, **seconds}
+        counted |= self._notices.of_picture(self.resolved, camera, rgba, depth)
         return make_frame(self.resolved, rgba, depth, seconds, counted, self._context.name)
 
 
