@@ -127,6 +127,8 @@ class Renderer:
 
     def _render(self, camera, progress, depth, time, seconds) -> Frame:
         resolved = self.resolved
+        for volume in (resolved.volume, *(field.volume for field in resolved.fields)):
+            volume.check_unchanged()
         by_time = {} if seconds is None else {"seconds": _checked_seconds(resolved, seconds)}
         width, height = resolved.image.width, resolved.image.height
         if camera is None:

@@ -16,6 +16,7 @@ ACCEPTED = "uint8, int8, uint16, int16, float32, float64 (bool counts as uint8)"
 
 # Voxels looked at together: small enough for the cache, large enough to hide Python.
 _BLOCK = 1 << 20
+_LOOKED_AT = 257  # voxels that are compared to find a change
 
 
 class Volume:
@@ -24,13 +25,16 @@ class Volume:
     ``array`` is 3-D, of uint8, int8, uint16, int16, float32 or float64; bool is viewed as uint8
     (0 and 1). Anything else is a VolumeError: nothing is converted silently. Other byte orders and
     memory layouts are copied into native C order, values and type unchanged; otherwise the array is
-    shared, not copied, and must not be changed while the volume is in use. ``spacing``, ``origin``
-    and ``direction`` are as in Grid.
+    shared, not copied, and must not be changed once the volume was used: for changed voxels make
+    another Volume (which costs nothing) and another Renderer. ``check_unchanged``, which a Renderer
+    calls for each frame, finds most changes. ``spacing``, ``origin`` and ``direction`` are as in Grid.
 
     ``data`` is the C-contiguous, native-endian, read-only array. ``frame`` names the world's
     frame ("LPS", "RAS", ... ; "index" where nothing is known), ``path`` and ``format`` say where
     the volume came from, or are None.
     """
+
+    _seen: bytes | None = None  # of voxels that somebody else may write to: some, as they were
 
     def __init__(
         self,
@@ -68,7 +72,15 @@ class Volume:
 
     @cached_property
     def _census(self) -> _Census:
+        self._seen = _some_bytes(self.data)
         return _take_census(self.data)
+
+    def check_unchanged(self) -> None:
+        """VolumeError if voxels were changed since the range was found, which empty space and tables rest on.
+        Looks at some of them, evenly spread: whoever computes in place is found, one voxel may not be."""
+        if self._seen is not None and _some_bytes(self.data) != self._seen:
+            what = "its array was changed while the volume is in use"
+            raise VolumeError(self.name or "volume", what, "another Volume and Renderer for changed voxels")
 
     @property
     def value_range(self) -> tuple[float, float]:
@@ -130,6 +142,17 @@ def _as_voxels(array: np.ndarray) -> np.ndarray:
     voxels = np.ascontiguousarray(array, dtype=native).view()
     voxels.flags.writeable = False
     return voxels
+
+
+def _some_bytes(data: np.ndarray) -> bytes | None:
+    """Some voxels of an array that somebody can write to; None for any other."""
+    owner = data
+    while isinstance(owner, np.ndarray) and not owner.flags.writeable:
+        owner = owner.base
+    if not isinstance(owner, np.ndarray):  # a file that is mapped, or bytes
+        return None
+    flat = data.reshape(-1)
+    return flat[:: max(1, flat.size // _LOOKED_AT)].tobytes()
 
 
 def _take_census(data: np.ndarray) -> _Census:

@@ -122,6 +122,18 @@ def test_blocks_that_could_not_be_read_are_read_again(first_device, monkeypatch)
         assert alike(frame, renderer.render())
 
 
+@pytest.mark.parametrize("dtype", (np.uint8, np.float32))
+def test_voxels_changed_between_frames_are_no_picture_of_both(dtype, first_device):
+    """A simulation that computes in place: an error that says what to do, never empty space of one state around
+    voxels of another."""
+    array = waves((21, 34, 27)).astype(dtype)
+    with Renderer(Scene(volume=Volume(array), transfer_function=FUNCTIONS[1]), [first_device]) as renderer:
+        renderer.render()
+        array[...] = 255 - array
+        with pytest.raises(VolumeError, match="expected another Volume and Renderer"):
+            renderer.render()
+
+
 # Keys
 
 
