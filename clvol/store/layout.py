@@ -5,7 +5,7 @@ STORE/zarr.json      group: OME-Zarr 0.5 ``multiscales``, and what that cannot s
 STORE/0 ... STORE/4  arrays [z, y, x], level 0 full; a shard is a file, at each level of the same
                      part of the volume
 STORE/blocks/NAME    arrays [level, bz, by, bx] of statistics, as in BlockStatistics
-STORE/blocks/checksums  array [region, chunk]: which chunk belongs where (places.py); not in version 1
+STORE/blocks/checksums  array [region, chunk]: which chunk belongs where (places.py); older stores have none
 STORE.partial        a store that is not whole yet: the same, with clvol-journal/
 
 Level 0 has one block in a chunk; coarser levels have the blocks of (chunk / samples)^3 in one.
@@ -28,8 +28,7 @@ from clvol.store.source import QUANTILES
 from clvol.volume.grid import Grid
 from clvol.volume.volume import ACCEPTED_TYPES
 
-VERSION = 2
-WITHOUT_PLACES = 1  # the version before: read as it is, but nothing tells whether a shard is in its place
+VERSION = 1
 ROOT = "zarr.json"
 JOURNAL = "clvol-journal"
 PARTIAL = ".partial"
@@ -262,7 +261,7 @@ class StoreFacts:
     value_range: tuple[float, float]
     nan_count: int
     inf_count: int
-    checksums: dict | None  # "table": of its parts, "statistics": of files, by array; None in version 1
+    checksums: dict | None  # "table": of its parts, "statistics": of files, by array; None in older stores
 
 
 def parse_root(root: Any, where: str) -> StoreFacts:
@@ -273,7 +272,7 @@ def parse_root(root: Any, where: str) -> StoreFacts:
     if not isinstance(own, dict):
         raise VolumeError(where, "no store of clvol", "a folder that clvol store has written")
     version = own.get("version")
-    if version not in (WITHOUT_PLACES, VERSION):
+    if version != VERSION:
         newer = isinstance(version, int) and version > VERSION
         what = (
             f"stored by a newer clvol (version {version})"
@@ -318,7 +317,7 @@ def _facts(own: dict, where: str) -> StoreFacts:
     layout = StoreLayout(grid.shape, np.dtype(own["dtype"]), edge, shard, codecs, parameters)
     name = None if own["name"] is None else str(own["name"])
     counts = int(own["nan_count"]), int(own["inf_count"])
-    checksums = None if own["version"] == WITHOUT_PLACES else _checksums(own["checksums"], layout)
+    checksums = _checksums(own["checksums"], layout) if "checksums" in own else None
     return StoreFacts(layout, grid, name, str(own["frame"]), (low, high), *counts, checksums)
 
 

@@ -62,8 +62,8 @@ def check_finished(path: Path) -> None:
 
 class StoredBlocks:
     """A store as a ``BlockSource``. Nothing of it is kept in memory but some checksums. ``facts`` is what its
-    metadata say. ``checks_places``: whether what is read is known to belong where it was read (not in stores of
-    version 1)."""
+    metadata say. ``checks_places``: whether what is read is known to belong where it was read (not of older
+    stores)."""
 
     def __init__(self, path: str | os.PathLike) -> None:
         self.path = Path(path)

@@ -118,7 +118,7 @@ def change(store: Path, **own) -> None:
 @pytest.mark.parametrize(
     ("own", "said"),
     [
-        ({"version": 3}, "stored by a newer clvol (version 3)"),
+        ({"version": 2}, "stored by a newer clvol (version 2)"),
         ({"checksums": {"table": [], "statistics": {}}}, "damaged zarr.json"),
         ({"checksums": None}, "damaged zarr.json"),
         ({"version": "x"}, "version 'x'"),

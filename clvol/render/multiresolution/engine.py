@@ -15,6 +15,7 @@ from clvol.render.tiles.tiled import TiledRenderer
 from clvol.render.view import EVERY_PIXEL, PixelLattice
 from clvol.scene.camera import Camera
 from clvol.scene.resolve import ResolvedScene
+from clvol.transfer import TransferFunction
 
 TILES = 16  # pixels an edge of the tiles of a picture for a given time, where the scene has none
 
@@ -70,6 +71,16 @@ class MultiresolutionEngine:
     ) -> None:
         """Asks for the blocks of the scene's own view. ``wait`` None: as was said last."""
         self.residency.ask(self.resolved, wait=wait, progress=progress)
+
+    def set_transfer_function(self, function: TransferFunction, wait: bool = True) -> None:
+        """Another transfer function: new tables, and the blocks that it wants. With ``wait`` False a
+        thread reads these while frames are rendered from what is there.
+
+        For an engine that nobody shares: ``Engines`` keep theirs by their function, and make another one."""
+        self.resolved = replace(self.resolved, transfer_function=function)
+        self.ask(wait)
+        self.caster.set_transfer_function(function)
+        self._shown = self.residency.generation
 
     def warm_up(
         self, width: int, height: int, depth: bool = True, seconds: bool = False

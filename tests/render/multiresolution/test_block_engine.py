@@ -68,12 +68,6 @@ def tight_scene(volume, function=SHOWN):
     return block_scene(volume, function, camera=CAMERA, settings=settings, step=0.83)
 
 
-def shown(engine, function, wait=True):
-    """Another engine for ``function``, with the same blocks on the device."""
-    resolved = replace(engine.resolved, transfer_function=function)
-    return MultiresolutionEngine(engine.context, resolved, engine.residency, wait=wait)
-
-
 def frame(engine):
     return engine.render(engine.resolved.camera, 24, 20)
 
@@ -85,7 +79,7 @@ def test_frames_after_another_function_end_in_the_picture_of_a_fresh_engine(cont
     before = frame(engine)
     start = engine.residency.blocks.levels
     gate.is_open = False
-    engine = shown(engine, OTHER, wait=False)
+    engine.set_transfer_function(OTHER, wait=False)
     resolved = replace(tight_scene(volume), transfer_function=OTHER)
     stages = []
     while not stages or engine.residency.blocks.pending:
@@ -117,7 +111,7 @@ def test_a_frame_in_between_is_right_for_what_is_resident(context, gated):
     engine = MultiresolutionEngine(context, tight_scene(volume))
     frame(engine)
     gate.is_open = False
-    engine = shown(engine, OTHER, wait=False)
+    engine.set_transfer_function(OTHER, wait=False)
     data = frame(engine)
     assert data.notes["blocks"]["pending"] > 0
     blocks = engine.residency.blocks
@@ -146,10 +140,10 @@ def test_waiting_is_all_at_once(context):
     volume = two_halves()
     engine = MultiresolutionEngine(context, tight_scene(volume))
     first = frame(engine)
-    engine = shown(engine, OTHER)
+    engine.set_transfer_function(OTHER)
     assert engine.residency.blocks.pending == 0
     other = frame(engine)
     fresh = MultiresolutionEngine(context, tight_scene(volume, OTHER))
     np.testing.assert_array_equal(other.rgba, frame(fresh).rgba)
-    engine = shown(engine, SHOWN)
+    engine.set_transfer_function(SHOWN)
     np.testing.assert_array_equal(frame(engine).rgba, first.rgba)
