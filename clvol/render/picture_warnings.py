@@ -16,7 +16,7 @@ from clvol.scene.resolve import ResolvedScene, default_opacity_unit
 from clvol.volume import Grid
 
 _PIXELS = 64  # an axis, of those that are looked at first
-_RAYS = 24  # an axis, of those that are followed
+_RAYS, _FEW = 24, 7  # an axis, of those that are followed
 _POINTS = 24  # an axis, of the volume's where clips are looked at
 _OPAQUE = 0.99
 _ENTRY = 0.6  # steps, or smallest voxel edges where steps are shorter: opaque before that is opaque at the face
@@ -47,8 +47,8 @@ def _blank(
 ) -> ClvolWarning:
     what = "is blank: " + (f"its opacity is at most {100 * largest:.2g} %" if largest else "nothing is visible")
     grid = resolved.volume.grid
-    origins, directions = _rays(camera, shape)
-    near, far = _through(grid, origins, directions)
+    rays = camera.world_rays_at(*shape[::-1], *_lattice(shape, _RAYS))
+    near, far = _through(grid, *rays)
     if not (far > near).any():
         what += ", since no ray (or hardly any) meets the volume"
         return ClvolWarning("camera", f"the picture {what}", "set camera.target to a place in the volume, or come nearer")
@@ -80,11 +80,13 @@ def _box(
     plain = not (resolved.isosurfaces or resolved.clips or resolved.fields)
     if low == high or not plain or min(grid.shape) < _SMALLEST or resolved.integration.compositing != "over":
         return None
-    origins, directions = _rays(camera, alpha.shape)
-    near, far = _through(grid, origins, directions)
-    covered = far - near > _THIN * grid.smallest_edge
-    rows, columns = _lattice(alpha.shape)
-    if covered.sum() < 9 or (alpha[np.ix_(rows, columns)][covered] < _OPAQUE).any():
+    for count in (_FEW, _RAYS):  # of most opaque bodies a few show that there is something around them
+        rows, columns = _lattice(alpha.shape, count)
+        near, far = _through(grid, *camera.world_rays_at(*alpha.shape[::-1], rows, columns))
+        covered = far - near > _THIN * grid.smallest_edge
+        if (alpha[np.ix_(rows, columns)][covered] < _OPAQUE).any():
+            return None
+    if covered.sum() < 9:
         return None
     if depth is not None:
         entry = _ENTRY * max(resolved.integration.step, 1.0) * grid.smallest_edge
@@ -129,14 +131,9 @@ def _opaque_share_of_faces(resolved: ResolvedScene) -> float:
     return float((depth >= np.log(2.0)).mean())
 
 
-def _lattice(shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
-    return tuple(np.unique(np.linspace(0, n - 1, min(n, _RAYS)).round().astype(int)) for n in shape)
-
-
-def _rays(camera: Camera, shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
-    """Origins and unit directions [k, l, 3] of the rays of ``_lattice``."""
-    rows, columns = _lattice(shape)
-    return camera.world_rays_at(shape[1], shape[0], rows, columns)
+def _lattice(shape: tuple[int, int], count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Rows and columns, up to ``count`` of each, spread over a picture."""
+    return tuple(np.unique(np.linspace(0, n - 1, min(n, count)).round().astype(int)) for n in shape)
 
 
 def _through(grid: Grid, origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
