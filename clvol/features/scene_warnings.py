@@ -29,6 +29,11 @@ _TRANSLUCENT = 0.9  # opacities above may well be meant as opaque
 
 def scene_warnings(resolved: ResolvedScene) -> list[ClvolWarning]:
     """Of all but the camera."""
+    with np.errstate(all="ignore"):  # numbers near the end of double precision prove nothing
+        return _scene_warnings(resolved)
+
+
+def _scene_warnings(resolved: ResolvedScene) -> list[ClvolWarning]:
     found = Findings(resolved)
     if not found.has_values:
         what = "none of its voxels is a finite number: nothing is visible"
@@ -71,7 +76,7 @@ def camera_warning(camera: Camera, grid: Grid, width: int, height: int) -> Clvol
 
 def largest_depth(resolved: ResolvedScene) -> float:
     """A bound of the optical depth that the transfer function gives any ray (inf where it is opaque)."""
-    with np.errstate(over="ignore", invalid="ignore"):
+    with np.errstate(all="ignore"):
         return float(_extinctions(resolved).max() * diagonal(resolved.volume.grid))
 
 
@@ -202,8 +207,7 @@ def _extinctions(resolved: ResolvedScene) -> np.ndarray:
     function, (low, high) = resolved.transfer_function, reachable(resolved)
     inside = (function.values >= low) & (function.values <= high)
     opacities = np.concatenate([function.opacities[inside], function.opacity(np.array([low, high]))])
-    with np.errstate(divide="ignore"):
-        return -np.log1p(-opacities) / function.opacity_unit
+    return -np.log1p(-opacities) / function.opacity_unit
 
 
 def _unit_too_large(resolved: ResolvedScene, found: Findings) -> ClvolWarning | None:

@@ -209,6 +209,27 @@ def test_frames_are_of_one_function_while_others_set_it(first_device):
             assert all(threads.map(work, range(6)))
 
 
+def test_blocks_read_in_the_background_end_in_the_right_picture_whoever_looks(first_device):
+    """Threads that set functions without waiting, and threads that render meanwhile."""
+    with Renderer(scene_of("multiresolution"), [first_device]) as renderer:
+
+        def work(number: int) -> None:
+            for turn in range(5):
+                if number % 2:
+                    function = FUNCTIONS[(number + turn) % len(FUNCTIONS)]
+                    renderer.set_transfer_function(function, wait=False)
+                else:
+                    assert np.isfinite(renderer.render().rgba).all()
+
+        with ThreadPoolExecutor(6) as threads:
+            list(threads.map(work, range(6)))
+        renderer.set_transfer_function(FUNCTIONS[1], wait=False)
+        while (frame := renderer.render()).stats["blocks"]["pending"]:
+            pass
+    with Renderer(scene_of("multiresolution", FUNCTIONS[1]), [first_device]) as renderer:
+        assert alike(frame, renderer.render())
+
+
 def test_renderers_in_threads_of_their_own_do_not_meet(first_device):
     """Two and more of one scene and volume: compiled, rendered and closed at the same time."""
     scenes = {kind: scene_of(kind) for kind in ("raycast", "lit", "multiresolution", "reference")}

@@ -184,3 +184,17 @@ def test_a_volume_in_the_corner_of_the_picture_is_seen():
         position = target + rng.normal(size=3) * 60
         camera = Camera(position=tuple(position), target=tuple(target), fov_degrees=float(rng.uniform(1, 120)))
         assert camera_warning(camera.complete(grid, scene_of().image), grid, 40, 32) is None
+
+
+@pytest.mark.parametrize("spacing", (1e-28, 1.0, 1e28))
+@pytest.mark.parametrize("unit", (1e-300, 1.0, 1e300))
+@pytest.mark.parametrize("largest", (1e-300, 1.0, 1e300))
+def test_no_numbers_are_too_large_or_small_to_be_looked_at(spacing, unit, largest):
+    """Without a numerical warning or an error; each line says one thing."""
+    data = np.linspace(-largest, largest, 4 * 5 * 6).reshape(4, 5, 6)
+    for values in ([-largest, 0, largest], [-1e308, 0, 1e308], [0.0, 1e-320, 1.0]):
+        resolved = scene_of(Volume(data, spacing=(spacing,) * 3), function(values, [0.0, 0.5, 1.0], unit)).resolve()
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            for said in scene_warnings(resolved):
+                assert str(said).count("\n") == 0 and "nan" not in str(said)
