@@ -21,6 +21,7 @@ from clvol.transfer import PRESETS, TransferFunction
 from clvol.volume import Grid
 
 BLANK = 1e-3  # opacity below which nobody sees anything
+_FAINT = 0.02  # largest opacity of any ray below which the unit can hardly be meant
 _NARROW = 0.01  # of a range: less is a tiny part of it
 _LEAST_HOUNSFIELD_SPAN = 100.0
 _SOLID = -math.log(1e-3)  # optical depth: nothing comes through
@@ -211,12 +212,12 @@ def _extinctions(resolved: ResolvedScene) -> np.ndarray:
 
 
 def _unit_too_large(resolved: ResolvedScene, found: Findings) -> ClvolWarning | None:
-    if found.surfaces or found.adds or not largest_depth(resolved) < BLANK:
+    if found.surfaces or found.adds or not largest_depth(resolved) < _FAINT:
         return None
     unit, length = resolved.transfer_function.opacity_unit, diagonal(resolved.volume.grid)
     what = (
         f"opacities are for a length of {unit:g}, but the volume is {length:.3g} long in all: at most "
-        f"{100 * -math.expm1(-largest_depth(resolved)):.2g} % of the light is absorbed, and the picture is blank"
+        f"{100 * -math.expm1(-largest_depth(resolved)):.2g} % of the light is absorbed, and next to nothing is visible"
     )
     return ClvolWarning("transfer_function.opacity_unit", what, _set_unit(resolved))
 

@@ -196,12 +196,12 @@ class Places:
             what = f"the table of checksums {what_failed(error)}"
             raise VolumeError(self._where, what, self._wanted) from None
         if self._expected["table"][part] != part_checksum(found):
-            raise VolumeError(self._where, "the table of checksums is another store's", self._wanted)
+            raise VolumeError(self._where, "the table of checksums belongs to another store", self._wanted)
         return found
 
     def check_statistics(self, name: str, z: int) -> None:
         """Of the row ``z`` of chunks."""
         path = self._folder / statistics_file(self._layout, name, z)
         if file_checksum(path) != self._expected["statistics"][name][z]:
-            raise VolumeError(self._where, f"{name} of the blocks are of another place", self._wanted)
+            raise VolumeError(self._where, f"{name} of the blocks belong to another place", self._wanted)
 

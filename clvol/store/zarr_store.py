@@ -267,7 +267,7 @@ class StoredBlocks:
         if within.any():
             side = self.layout.chunk(level) // self.blocks.samples(level)
             block = tuple(int(n) for n in misplaced[within][0] * side)
-            what = f"block {block} at level {level}: is of another place"
+            what = f"block {block} at level {level}: its data belong to another place"
             raise VolumeError(self._where, what, _WANTED)
 
     def _decoded(self, level: int, stored: np.ndarray) -> np.ndarray:

@@ -65,7 +65,7 @@ CASES = {
     "offset hounsfield": (scene_of((NOISE * 4000).astype(np.uint16), {"preset": "ct-tissue"}), "set volume.offset"),
     "unit too large": (scene_of(transfer_function=function([0, 1], [0, 0.5], 1e6)), "transfer_function.opacity_unit:",
                        "a length of 1e+06", "set transfer_function.opacity_unit to about 1.03"),
-    "spacing in metres": (scene_of(spacing=1e-6), "transfer_function.opacity_unit:", "blank"),
+    "spacing in metres": (scene_of(spacing=3e-4), "transfer_function.opacity_unit:", "at most 1.3 % of the light"),
     "spacing in nanometres": (scene_of(spacing=1e3), "transfer_function.opacity_unit:", "opaque within one voxel"),
     "box": (scene_of(transfer_function=function([0, 1], [1, 1])), "nothing but the faces of a box is visible"),
     "looks away": (scene_of(**AWAY), "camera: looks away"),

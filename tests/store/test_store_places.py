@@ -76,17 +76,17 @@ def test_a_shard_in_the_place_of_another_is_found_by_its_blocks(copied, level, c
     places = np.stack(np.unravel_index(np.arange(60), counts), axis=-1)
     inside = ((places >= (0, 2, 0)) & (places < (2, 4, 2))).all(axis=1)
     for block in np.flatnonzero(inside):
-        assert_refused(lambda: store.read(level, np.array([block])), f"at level {level}", "of another place")
+        assert_refused(lambda: store.read(level, np.array([block])), f"at level {level}", "to another place")
     store.read(level, np.flatnonzero(~inside))  # all others are right
-    assert_refused(lambda: store.read(level, np.arange(60)), "of another place")
+    assert_refused(lambda: store.read(level, np.arange(60)), "to another place")
 
 
 def test_the_voxels_of_a_moved_shard_are_read_by_nobody(copied):
     path = copied()
     swap(path / "0/c/0/0/0", path / "0/c/0/0/1")
     volume = load_volume(path)
-    assert_refused(lambda: volume.data, "block (0, 0, 0) at level 0: is of another place")
-    assert_refused(lambda: volume.box(0, 4, 0, 4, 20, 40), "of another place")
+    assert_refused(lambda: volume.data, "block (0, 0, 0) at level 0: its data belong to another place")
+    assert_refused(lambda: volume.box(0, 4, 0, 4, 20, 40), "to another place")
     np.testing.assert_array_equal(volume.box(0, 40, 32, 70, 0, 60), voxels(1)[:, 32:])
 
 
@@ -94,7 +94,7 @@ def test_the_voxels_of_a_moved_shard_are_read_by_nobody(copied):
 def test_a_shard_of_another_store_is_found(copied, made, file):
     path = copied(1)
     shutil.copy(made(2) / file, path / file)
-    assert_refused(lambda: everything(path), f"at level {file[0]}", "of another place")
+    assert_refused(lambda: everything(path), f"at level {file[0]}", "to another place")
 
 
 def test_a_level_in_the_place_of_another_is_found(copied):
@@ -117,7 +117,7 @@ def test_a_chunk_in_the_place_of_another_is_found(copied):
     content[b : b + size] = content[a : a + size]
     shard.write_bytes(content)
     store = open_store(path)
-    assert_refused(lambda: store.read(0, np.arange(60)), "block (1, 1, 0) at level 0: is of another place")
+    assert_refused(lambda: store.read(0, np.arange(60)), "block (1, 1, 0) at level 0: its data belong to another place")
     store.read(0, np.setdiff1d(np.arange(60), [np.ravel_multi_index((1, 1, 0), (3, 5, 4))]))
 
 
@@ -128,13 +128,13 @@ def test_statistics_of_another_place_are_found(copied, made, name):
     other = made(2, "zstd") / files[0].relative_to(path)
     if other.read_bytes() != files[0].read_bytes():  # else nothing is wrong
         shutil.copy(other, files[0])
-        assert_refused(lambda: list(open_store(path).statistics()), name, "of another place")
+        assert_refused(lambda: list(open_store(path).statistics()), name, "to another place")
 
 
 def test_swapped_statistics_are_found(copied):
     path = copied()
     swap(path / "blocks/reach_low/c", path / "blocks/reach_high/c")
-    assert_refused(lambda: list(open_store(path).statistics()), "of another place")
+    assert_refused(lambda: list(open_store(path).statistics()), "to another place")
 
 
 @pytest.mark.parametrize("part", ("blocks", "blocks/checksums", "zarr.json"))
