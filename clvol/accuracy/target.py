@@ -36,6 +36,7 @@ from clvol.opencl.context import DeviceContext
 from clvol.accuracy.judge import Judge, check_judged
 from clvol.render.engines import Engines
 from clvol.render.frame import Frame, make_frame
+from clvol.render.notices import Notices
 from clvol.render.reference import render_reference
 from clvol.render.renderer import check_memory, open_context
 from clvol.render.view import PixelLattice
@@ -359,16 +360,15 @@ class _Workshop:
             "seconds": dict(self.seconds),
         }  # fmt: skip
         seconds = {"load": self.load_seconds, "render": taken}
-        return make_frame(
-            resolved, rgba, depth if self.depth else None, seconds,
-            {**counters, "accuracy": accuracy}, self.context.name,
-        )  # fmt: skip
+        depth = depth if self.depth else None
+        counted = {**counters, "accuracy": accuracy, **self._warnings(rgba, depth)}
+        return make_frame(resolved, rgba, depth, seconds, counted, self.context.name)
 
     def _frame(
         self, trial: Trial, found: ErrorEstimate, asked: dict[str, float], attempt: int
     ) -> Frame:
         accuracy = {
-            **asked, **asdict(found), "how": f"{self.judge.how} at pixels not used for the choice",
+            **asked, **asdict(found), "how": f"{self.judge.how} at {where_measured(found)}",
             "settings": self._counting(trial.settings), "attempts": attempt,
             "tried": len(self.search.measured), "seconds": dict(self.seconds),
         }  # fmt: skip
@@ -378,8 +378,12 @@ class _Workshop:
             "compile": pilot.compile_seconds + trial.compile_seconds, "render": trial.seconds,
         }  # fmt: skip
         counted = {"samples": trial.samples, "rays": trial.rays, "accuracy": accuracy}
+        counted |= self._warnings(trial.rgba, trial.depth)
         resolved = self._resolved_as(trial.settings)
         return make_frame(resolved, trial.rgba, trial.depth, seconds, counted, self.context.name)
+
+    def _warnings(self, rgba: np.ndarray, depth: np.ndarray | None) -> dict[str, Any]:
+        return Notices(self.asked).of_picture(self.asked, self.asked.camera, rgba, depth)
 
     def _counting(self, settings: dict[str, Any]) -> dict[str, Any]:
         """Without what has no effect beside the others."""
@@ -400,6 +404,13 @@ class _Workshop:
     def report(self, what: str) -> None:
         if self.progress is not None:
             self.progress(None, None, what)
+
+
+def where_measured(found: ErrorEstimate) -> str:
+    """In words, the pixels that ``found`` rests on."""
+    if found.pixels >= found.of_pixels:
+        return "all pixels"
+    return "the pixels that settings were chosen by, and at others, drawn where errors are expected"
 
 
 class _Combinations:

@@ -119,7 +119,10 @@ class _Totals:
         counters = dict(self._known.get("counters", {}))
         for name, value in stats.get("counters", {}).items():
             counters[name] = counters.get(name, 0) + value
+        warned = [*self._known.get("warnings", []), *stats.get("warnings", [])]
         self._known = {**stats, **summed} | ({"counters": counters} if counters else {})
+        if warned:
+            self._known["warnings"] = list(dict.fromkeys(warned))
         for stage, seconds in {**stats.get("seconds", {}), "write": write_seconds}.items():
             self.seconds[stage] = self.seconds.get(stage, 0.0) + seconds
 

@@ -81,6 +81,7 @@ def _store_facts(volume: Volume) -> dict:
         "codecs": [codec.name for codec in layout.codecs],
         "lossless": all(codec.lossless for codec in layout.codecs),
         "bytes_on_disk": source.bytes_on_disk,
+        "checks_places": source.checks_places,
     }
 
 

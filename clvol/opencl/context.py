@@ -10,7 +10,6 @@ import signal
 import sys
 import threading
 import time
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,6 +21,7 @@ import pyopencl as cl
 from clvol.errors import DeviceError, RenderError
 from clvol.opencl.devices import report_of
 from clvol.opencl.kernels_path import kernel_folder
+from clvol.quietly import without_warnings
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,7 +124,8 @@ _KEPT, _LARGEST_KEPT = 6, 64 * 2**20  # outputs kept to be written again, bytes 
 
 
 class DeviceContext:
-    """A context and an in-order queue on one device, with its programs built so far.
+    """A context and an in-order queue on one device, with its programs built so far. For one thread at a time:
+    kernels hold their arguments, and the ``Renderer`` that has a context lets threads in one by one.
 
     ``more_options``: compiler flags by the device's name, for tests: some compilers optimise for ten
     seconds what is then run once.
@@ -170,7 +171,7 @@ class DeviceContext:
         include files from."""
         options = compile_options(switches or {})
         options += ("-I", str(folder)) if folder is not None else ()
-        key = (file, name, options)
+        key = (file, name, options, declarations)
         if key not in self._kernels:
             self._kernels[key] = Kernel(self._program(file, options), name, declarations)
         return self._kernels[key]
@@ -181,8 +182,7 @@ class DeviceContext:
             folder = kernel_folder()
             source = (folder / file).read_text(encoding="utf-8")
             try:
-                with warnings.catch_warnings():  # a driver's "compilation done" is no news
-                    warnings.simplefilter("ignore", cl.CompilerWarning)
+                with without_warnings(cl.CompilerWarning):  # a driver's "compilation done" is no news
                     program = cl.Program(self.context, source).build(
                         [*options, *self.more_options.get(self.name, ()), "-I", str(folder)]
                     )
@@ -237,6 +237,8 @@ class DeviceContext:
         if output.nbytes <= _LARGEST_KEPT:
             self._outputs.append((output, sys.getrefcount(output.host)))
             self._lent.add(id(output))
+            for dropped, _ in self._outputs[:-_KEPT]:
+                self._lent.discard(id(dropped))  # another object may get its number
             del self._outputs[:-_KEPT]
         return output
 

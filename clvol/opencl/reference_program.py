@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
@@ -13,6 +12,7 @@ import numpy as np
 
 from clvol.errors import DeviceError, RenderError
 from clvol.opencl.kernels_path import kernel_folder
+from clvol.quietly import without_warnings
 
 if TYPE_CHECKING:
     import pyopencl
@@ -164,9 +164,8 @@ def _program(device: pyopencl.Device, voxel: str, filter: str, preclassified: bo
     context = cl.Context([device])
     source = (folder / "reference.cl").read_text(encoding="utf-8")
     try:
-        with warnings.catch_warnings():
-            # Intel's compiler remarks on how it vectorised; nobody needs to read that.
-            warnings.simplefilter("ignore", cl.CompilerWarning)
+        # Intel's compiler remarks on how it vectorised; nobody needs to read that.
+        with without_warnings(cl.CompilerWarning):
             return context, cl.Program(context, source).build(options=options)
     except cl.RuntimeError as error:
         log = " ".join(str(error).split())[:2000]

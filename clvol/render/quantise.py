@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -14,10 +15,10 @@ from clvol.volume import Volume
 _SLICES = 2**22  # voxels quantised at a time, in double precision
 
 
-def quantised(resolved: ResolvedScene) -> ResolvedScene:
+def quantised(resolved: ResolvedScene, codes: Volume | None = None) -> ResolvedScene:
     """``resolved`` with its voxels as ``integration.voxel_precision`` says: evenly spaced over the
     volume's range, rounded to nearest, and all that is stated in values (the transfer function, iso-values, ...) in the
-    same numbers.
+    same numbers. ``codes``: the volume that this made of ``resolved.volume`` before.
 
     SceneError if a voxel is not finite, which no integer says.
     """
@@ -38,13 +39,18 @@ def quantised(resolved: ResolvedScene) -> ResolvedScene:
     def code(values: np.ndarray) -> np.ndarray:
         return (np.asarray(values, np.float64) - low) / span * most
 
+    if codes is None:
+        codes = _volume_of_codes(volume, code, asked)
+    return replace(resolved, volume=codes, **in_codes(resolved, code, most / span))
+
+
+def _volume_of_codes(volume: Volume, code: Callable, dtype: str) -> Volume:
     grid, flat = volume.grid, volume.data.reshape(-1)
-    codes = np.empty(flat.size, asked)
+    codes = np.empty(flat.size, dtype)
     for start in range(0, flat.size, _SLICES):
         part = slice(start, start + _SLICES)
         codes[part] = np.rint(code(flat[part]))
-    small = Volume(
+    return Volume(
         codes.reshape(volume.data.shape),
         spacing=grid.spacing, origin=grid.origin, direction=grid.direction, name=volume.name,
     )  # fmt: skip
-    return replace(resolved, volume=small, **in_codes(resolved, code, most / span))

@@ -38,6 +38,7 @@ from clvol.store.layout import (
     partial_path,
     root_metadata,
 )
+from clvol.store.places import TABLE, part_checksum, region_checksums, statistics_checksums
 from clvol.store.resolutions import describe_region, with_neighbours
 from clvol.store.source import BlockStatistics
 from clvol.store.voxel_source import VolumeSource, VoxelSource
@@ -241,7 +242,7 @@ class _Build:
 
     def make_regions(self, progress: Progress | None, workers: int | None) -> None:
         """All regions that the journal does not have, by several threads."""
-        left = [index for index in range(self.count) if self._noted(index) is None]
+        left = [index for index in range(self.count) if self._noted(index, read=True) is None]
         done = self.count - len(left)
         if progress is not None:
             progress(done, self.count)
@@ -317,7 +318,7 @@ class _Build:
         return any(self.journal.glob("*.npz"))
 
     def _note(self, index: int, statistics: BlockStatistics, census: np.ndarray) -> None:
-        """In one step: the region is on the disk, with these sizes of files."""
+        """In one step: the region is on the disk, with these sizes and checksums of files."""
         region = [-(-(s.stop - s.start) // self.layout.edge) for s in self.layout.region(index)]
         members = {
             name: getattr(statistics, name)
@@ -328,7 +329,8 @@ class _Build:
         file = self.journal / f"{index}.npz"
         temporary = file.with_suffix(".writing")
         with temporary.open("wb") as stream:
-            np.savez(stream, census=census, sizes=self._sizes(index), **members)
+            known = {"place": index, "sizes": self._sizes(index), "checksums": self._checksums(index)}
+            np.savez(stream, census=census, **known, **members)
         os.replace(temporary, file)
 
     def _sizes(self, index: int) -> np.ndarray:
@@ -338,11 +340,17 @@ class _Build:
         ]
         return np.array([file.stat().st_size if file.exists() else -1 for file in files], np.int64)
 
-    def _noted(self, index: int) -> np.ndarray | None:
-        """The census of a region that is done, its files as they were then."""
+    def _checksums(self, index: int) -> np.ndarray:
+        return region_checksums(self.partial, self.layout, index)
+
+    def _noted(self, index: int, read: bool = False) -> np.ndarray | None:
+        """The census of a region that is done, its files as they were then. ``read``: by what they hold, too, not
+        by their sizes alone."""
         try:
             with np.load(self.journal / f"{index}.npz") as noted:
-                same = np.array_equal(noted["sizes"], self._sizes(index))
+                same = noted["place"] == index and np.array_equal(noted["sizes"], self._sizes(index))
+                if same and read:
+                    same = np.array_equal(noted["checksums"], self._checksums(index))
                 return noted["census"] if same else None
         except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
             return None
@@ -355,9 +363,9 @@ class _Build:
             self._write_statistics(name)
         group = {"zarr_format": 3, "node_type": "group", "attributes": {}}
         _write_whole(self.partial / "blocks" / ROOT, json.dumps(group, indent=2))
-        facts = self._facts()
         axis = getattr(self.source, "axis", ValueAxis())
-        facts |= {"slope": axis.slope, "offset": axis.offset}
+        facts = {**self._facts(), "slope": axis.slope, "offset": axis.offset}
+        facts["checksums"] = self._write_table()
         root = root_metadata(
             self.layout,
             self.source.grid,
@@ -400,6 +408,20 @@ class _Build:
                     plane[(slice(None),) * (2 if by_level else 1) + (y, x)] = noted[name]
             here = slice(z * rows, z * rows + depth)
             (array[:, here] if by_level else array[here]).write(plane).result()
+
+    def _write_table(self) -> dict:
+        """The table of checksums; what the root says of it, and of the statistics."""
+        layout, parts = self.layout, []
+        array = open_array(self.partial / "blocks" / TABLE, layout.table_metadata())
+        for first in range(0, self.count, layout.table_rows):
+            last = min(first + layout.table_rows, self.count)
+            rows = []
+            for index in range(first, last):
+                with np.load(self.journal / f"{index}.npz") as noted:
+                    rows.append(noted["checksums"])
+            array[first:last].write(np.stack(rows)).result()
+            parts.append(part_checksum(np.stack(rows)))
+        return {"table": parts, "statistics": statistics_checksums(self.partial, layout)}
 
     def _facts(self) -> dict:
         """Range and counts of all voxels."""

@@ -23,6 +23,7 @@ ACCEPTED = (
 
 # Voxels looked at together: small enough for the cache, large enough to hide Python.
 _BLOCK = 1 << 20
+_LOOKED_AT = 257  # voxels that are compared to find a change
 
 
 class Volume:
@@ -32,8 +33,10 @@ class Volume:
     (0 and 1). Integers of 32 and 64 bits, and float16, are copied into the smallest of these types
     that holds every value exactly; where none does it is a VolumeError, and so is anything else:
     no value is changed. Other byte orders and memory layouts are copied into native C order, values
-    and type unchanged; otherwise the array is shared, not copied, and must not be changed while the
-    volume is in use. ``spacing``, ``origin`` and ``direction`` are as in Grid.
+    and type unchanged; otherwise the array is shared, not copied, and must not be changed once the
+    volume was used: for changed voxels make another Volume (which costs nothing) and another Renderer.
+    ``check_unchanged``, which a Renderer calls for each frame, finds most changes. ``spacing``,
+    ``origin`` and ``direction`` are as in Grid.
 
     ``slope`` (not 0) and ``offset``: what the stored numbers mean. Values are slope * stored +
     offset, and all that speaks of values (``value_range``, transfer functions, iso-values, labels)
@@ -48,6 +51,7 @@ class Volume:
 
     axis = ValueAxis()
     files: tuple[str, ...] = ()  # data files beside ``path`` that the voxels come from
+    _seen: bytes | None = None  # of voxels that somebody else may write to: some, as they were
 
     def __init__(
         self,
@@ -91,7 +95,15 @@ class Volume:
 
     @cached_property
     def _census(self) -> _Census:
+        self._seen = _some_bytes(self.data)
         return _take_census(self.data)
+
+    def check_unchanged(self) -> None:
+        """VolumeError if voxels were changed since the range was found, which empty space and tables rest on.
+        Looks at some of them, evenly spread: whoever computes in place is found, one voxel may not be."""
+        if self._seen is not None and _some_bytes(self.data) != self._seen:
+            what = "its array was changed while the volume is in use"
+            raise VolumeError(self.name or "volume", what, "another Volume and Renderer for changed voxels")
 
     @property
     def slope(self) -> float:
@@ -196,6 +208,17 @@ def _as_voxels(array: np.ndarray, how: Narrowing) -> np.ndarray:
     voxels = narrowed(np.ascontiguousarray(array, dtype=native), "volume", how).view()
     voxels.flags.writeable = False
     return voxels
+
+
+def _some_bytes(data: np.ndarray) -> bytes | None:
+    """Some voxels of an array that somebody can write to; None for any other."""
+    owner = data
+    while isinstance(owner, np.ndarray) and not owner.flags.writeable:
+        owner = owner.base
+    if not isinstance(owner, np.ndarray):  # a file that is mapped, or bytes
+        return None
+    flat = data.reshape(-1)
+    return flat[:: max(1, flat.size // _LOOKED_AT)].tobytes()
 
 
 def _take_census(data: np.ndarray) -> _Census:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import logging
-import threading
-import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+from clvol.quietly import FILTERS as _lock
+from clvol.quietly import without_warnings
+
 _LOGGERS = ("nibabel", "nibabel.global", "tifffile", "nrrd", "pydicom")
-_lock = threading.RLock()
 
 
 @contextmanager
@@ -21,8 +21,7 @@ def quiet() -> Iterator[None]:
         try:
             for logger in loggers:
                 logger.disabled = True
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")
+            with without_warnings():
                 yield
         finally:
             for logger, disabled in zip(loggers, before):
