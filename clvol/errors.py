@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from clvol.text import one_line
+
 
 class ClvolError(Exception):
     """Base of every error that clvol raises on purpose.
 
     ``where`` names the place (a file, a scene key, an argument), ``what`` what was found there,
     ``expected`` what would have been right. ``str()`` is the one line that the command prints:
-    ``WHERE: WHAT, expected EXPECTED``. ``exit_status`` is the command's exit status.
+    ``WHERE: WHAT, expected EXPECTED``, with escapes in the place of control characters.
+    ``exit_status`` is the command's exit status.
     """
 
     exit_status = 4
@@ -20,8 +23,8 @@ class ClvolError(Exception):
         super().__init__(where, what, expected)
 
     def __str__(self) -> str:
-        tail = f", expected {self.expected}" if self.expected else ""
-        return " ".join(f"{self.where}: {self.what}{tail}".split())
+        tail = f", expected {one_line(self.expected)}" if self.expected else ""
+        return f"{one_line(self.where)}: {one_line(self.what)}{tail}".strip()
 
 
 class SceneError(ClvolError):

@@ -1,108 +1,67 @@
 """The command ``clvol``: one module a command, imported when that command is called.
 
-Exit status: 0 done; 2 the input is wrong; 3 no device works; 4 the render failed; 130 interrupted.
+Exit status: 0 done; 2 the input is wrong; 3 no device works; 4 the render failed; 130 interrupted;
+143 ended by SIGTERM, 129 by SIGHUP (128 plus the signal's number for others that ask for an end).
 Every error is one line on stderr, ``clvol: error: WHERE: WHAT, expected WHAT``. The environment
 variable CLVOL_DEBUG=1 adds the traceback.
+
+Nothing but this is imported before signals are looked after.
 """
 
 from __future__ import annotations
 
 import os
 import sys
-import traceback
-import warnings
 from collections.abc import Sequence
-from importlib import import_module
 
-import click
-
-from clvol import __version__
-from clvol.errors import ClvolError, RenderError, UsageError
+from clvol.interrupts import stoppable
 
 COMMANDS = ("render", "explain", "info", "store", "doctor", "compare", "tradeoff")
 INTERRUPTED = 130
 
 
-class _Commands(click.Group):
-    """Commands that are imported by name; each module calls its own ``command``."""
-
-    def list_commands(self, ctx: click.Context) -> list[str]:
-        return list(COMMANDS)
-
-    def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
-        return import_module(f"clvol.cli.{name}").command if name in COMMANDS else None
-
-    def resolve_command(self, ctx: click.Context, args: list[str]):
-        if args[0] not in COMMANDS:
-            raise UsageError("clvol", f"unknown command {args[0]!r}", _one_command())
-        return super().resolve_command(ctx, args)
-
-
-@click.group(
-    cls=_Commands,
-    invoke_without_command=True,
-    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
-)
-@click.version_option(__version__, prog_name="clvol", message="%(prog)s %(version)s")
-@click.pass_context
-def cli(context: click.Context) -> None:
-    """Volume rendering that says how wrong its pictures are."""
-    if context.invoked_subcommand is None:
-        raise UsageError("clvol", "no command", _one_command())
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line (``sys.argv`` by default) and return the exit status."""
-    given = list(sys.argv[1:] if arguments is None else arguments)
     debug = os.environ.get("CLVOL_DEBUG") == "1"
+    try:
+        with stoppable(for_good=arguments is None):
+            return _run(sys.argv[1:] if arguments is None else arguments, debug)
+    except KeyboardInterrupt as stop:
+        line = getattr(stop, "line", "interrupted")
+        return _failed(line, getattr(stop, "status", INTERRUPTED), debug)
+
+
+def _run(given: Sequence[str], debug: bool) -> int:
+    import warnings
+
     with warnings.catch_warnings():
         if not (debug or sys.warnoptions):
             warnings.simplefilter("ignore")  # libraries' warnings; errors take one line alone
+        from clvol.cli.group import run, told
+
         try:
-            with cli.make_context("clvol", given) as context:
-                cli.invoke(context)
-            return 0
-        except click.exceptions.Exit as stop:
-            return stop.exit_code
-        except (KeyboardInterrupt, click.Abort):
-            return _failed("interrupted", INTERRUPTED, debug)
-        except click.ClickException as error:
-            return _failed(str(_usage_error(error)), UsageError.exit_status, debug)
-        except ClvolError as error:
-            return _failed(str(error), error.exit_status, debug)
-        except MemoryError:
-            line = "memory: not enough for this scene, expected a smaller volume or image"
-            return _failed(line, RenderError.exit_status, debug)
+            return run(given)
         except Exception as error:
-            return _failed(f"internal: {type(error).__name__}: {error}", 4, debug)
+            status, line = told(error)
+            return _failed(line, status, debug)
 
 
 def _failed(line: str, status: int, debug: bool) -> int:
+    from clvol.text import one_line, printable_lines
+
+    said = f"clvol: error: {one_line(line)}\n"
     if debug:
-        traceback.print_exc()
+        import traceback
+
+        said = printable_lines(traceback.format_exc()) + said
     try:
-        click.echo("clvol: error: " + " ".join(line.split()), err=True)
-    except OSError:  # nobody listens on stderr
+        if sys.stderr is not None:
+            sys.stderr.write(said.encode(_encoding(), "backslashreplace").decode(_encoding()))
+            sys.stderr.flush()
+    except (OSError, ValueError):  # nobody listens on stderr, or it is closed
         pass
     return status
 
 
-def _one_command() -> str:
-    return "one of " + ", ".join(COMMANDS) + "; see 'clvol --help'"
-
-
-def _usage_error(error: click.ClickException) -> ClvolError:
-    """click's words in the form of all other errors."""
-    context = getattr(error, "ctx", None)
-    command = context.command_path if context else "clvol"
-    see = f"what '{command} --help' says"
-    if isinstance(error, click.MissingParameter) and error.param is not None:
-        name = error.param.opts[0] if error.param.opts[0].startswith("-") else ""
-        wanted = " ".join(filter(None, [name, str(error.param.metavar or error.param.name)]))
-        return UsageError(command, f"no {wanted}", f"{wanted}; see '{command} --help'")
-    if isinstance(error, click.NoSuchOption):
-        near = " or ".join(error.possibilities or ())
-        return UsageError(command, f"unknown option {error.option_name}", near or see)
-    if isinstance(error, click.BadParameter) and error.param is not None:
-        command = f"{command}: {error.param.opts[0]}"
-    return UsageError(command, error.format_message().rstrip("."), see)
+def _encoding() -> str:
+    return getattr(sys.stderr, "encoding", None) or "utf-8"

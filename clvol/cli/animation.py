@@ -8,9 +8,7 @@ from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 
-import click
-
-from clvol.cli.console import reading_blocks, say, to_json, working
+from clvol.cli.console import note, reading_blocks, say_path, to_json, working
 from clvol.cli.outputs import check_frames, numbered, save_picture, together
 from clvol.errors import ClvolError, UsageError
 
@@ -102,9 +100,9 @@ def render_animation(
             known = totals.stats() | {"frames": len(todo), "frames_kept": len(kept)}
             temporaries[-1].write_text(to_json(known) + "\n", encoding="utf-8")
     for path in [*written, *videos, *others]:
-        say(click.format_filename(path))
+        say_path(path)
     if kept and not quiet:
-        click.echo(f"{len(kept)} of {count} frames were there already", err=True)
+        note(f"{len(kept)} of {count} frames were there already")
 
 
 class _Totals:

@@ -43,7 +43,7 @@ def command(a: str, b: str, outputs: tuple[str, ...], as_json: bool) -> None:
         say_json(measured)
     else:
         rows = [(name, f"{value:.6g}") for name, value in measured.items()]
-        say_table(rows + [("difference", click.format_filename(path)) for path in outputs])
+        say_table(rows + [("difference", path) for path in outputs])
 
 
 def _write(first, second, outputs: tuple[str, ...]) -> None:

@@ -86,7 +86,7 @@ def command(
     """
     start = time.perf_counter()
     check_targets(max_error, time_budget)
-    from clvol.cli.console import reading_blocks, say, to_json, working
+    from clvol.cli.console import note, reading_blocks, say_path, to_json, working
     from clvol.cli.outputs import check_outputs, save_picture, together
     from clvol.scene import load_scene
 
@@ -143,11 +143,11 @@ def command(
             text = to_json({**frame.stats, "seconds": seconds}) + "\n"
             temporaries[-1].write_text(text, encoding="utf-8")
     for path in [*outputs, *others]:
-        say(click.format_filename(path))
+        say_path(path)
     if not quiet and "accuracy" in frame.stats:
-        click.echo(accuracy_in_words(frame.stats), err=True)
+        note(accuracy_in_words(frame.stats))
     if not quiet and refines:
-        click.echo(refinement_in_words(frame.stats), err=True)
+        note(refinement_in_words(frame.stats))
 
 
 def check_still(outputs: tuple[str, ...], resume: bool) -> tuple[str, ...]:

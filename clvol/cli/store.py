@@ -64,7 +64,7 @@ def command(
     """
     from pathlib import Path
 
-    from clvol.cli.console import say, working
+    from clvol.cli.console import say_path, working
     from clvol.errors import UsageError
     from clvol.scene import load_scene
     from clvol.store.build import build_store, check_place
@@ -87,7 +87,7 @@ def command(
             "progress": None if quiet else _telling(output, bar),
         }
         build_store(source, output, **chosen, **how)
-    say(click.format_filename(output))
+    say_path(output)
 
 
 def _source(scene: Scene, volume: str, memory_cap: int | None, quiet: bool) -> VoxelSource:
@@ -104,13 +104,15 @@ def _source(scene: Scene, volume: str, memory_cap: int | None, quiet: bool) -> V
 
 def _telling(output: str, bar: Callable | None) -> Callable[[int, int], None]:
     """Moves the bar, if there is one; tells once where an interrupted store is gone on with."""
+    from clvol.cli.console import note
+
     begun = False
 
     def progress(done: int, total: int) -> None:
         nonlocal begun
         if done and not begun:
             said = f"going on with {output}.partial: {done} of {total} regions are done"
-            bar(done, total, said) if bar is not None else click.echo(said, err=True)
+            bar(done, total, said) if bar is not None else note(said)
         elif bar is not None:
             bar(done, total)
         begun = True

@@ -43,9 +43,10 @@ def command(
     Writes index.html (to look at), tradeoff.json, tradeoff.png and images to DIR, and says which
     settings to use for which error. Takes minutes; nothing else should run meanwhile.
     """
-    from clvol.cli.console import say, working
+    from clvol.cli.console import say, say_path, working
     from clvol.cli.outputs import check_folder
     from clvol.scene import load_scene
+    from clvol.text import printable
 
     asked = load_scene(scene, overrides)
     check_folder(folder)
@@ -63,5 +64,5 @@ def command(
     with working("writing", quiet):
         paths = write_report(result, pictures, Path(folder))
     for sentence in result["sentences"]:
-        say(sentence["text"])
-    say(click.format_filename(next(path for path in paths if path.name == "index.html")))
+        say(printable(sentence["text"]))
+    say_path(next(path for path in paths if path.name == "index.html"))
