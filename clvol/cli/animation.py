@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 
 from clvol.cli.console import note, reading_blocks, say_path, to_json, working
-from clvol.cli.outputs import check_frames, numbered, save_picture, together
+from clvol.cli.outputs import check_frames, numbered, save_picture
 from clvol.errors import ClvolError, UsageError
 
 if TYPE_CHECKING:
@@ -22,7 +21,6 @@ _SHARES = 1000  # parts of a frame that progress counts
 def render_animation(
     asked: Scene,
     outputs: Sequence[str],
-    inputs: Sequence[str | os.PathLike],
     stats: str | None,
     *,
     resume: bool,
@@ -36,7 +34,7 @@ def render_animation(
     appear at the end or not at all. ``resume``: frames whose pictures are all there, whole and of
     this very scene are not rendered again.
     """
-    from clvol.image import check_video, is_video, open_video
+    from clvol.image import atomic_paths, check_video, is_video, open_video
 
     start = time.perf_counter()
     videos = [path for path in outputs if is_video(path)]
@@ -47,7 +45,7 @@ def render_animation(
         check_video(path, fps, asked.image.width, asked.image.height)
     if resume and videos:
         raise UsageError("--resume", f"given with {videos[0]}", "numbered pictures alone")
-    check_frames(stills, videos, others, inputs, count)
+    check_frames(stills, videos, others, count)
 
     with working("loading", quiet):
         resolved = asked.resolve(memory_cap)
@@ -66,7 +64,7 @@ def render_animation(
     todo = [frame for frame in frames(resolved) if frame[0] not in kept]
     size = f"{resolved.image.width} x {resolved.image.height} pixels"
     with ExitStack() as stack:
-        temporaries = stack.enter_context(together([*videos, *others]))
+        temporaries = stack.enter_context(atomic_paths([*videos, *others]))
         progress = stack.enter_context(working(f"rendering {len(todo)} frames of {size}", quiet))
         parts = temporaries[: len(videos)]
         writers = [stack.enter_context(open_video(path, fps)) for path in parts]
@@ -82,7 +80,7 @@ def render_animation(
             frame = renderer.render(camera=camera, time=seconds, progress=report, depth=depth)
             write_start = time.perf_counter()
             names = [numbered(path, index) for path in stills]
-            with together(names) as places:
+            with atomic_paths(names) as places:
                 for name, place in zip(names, places):
                     save_picture(frame, place, name)
             for writer in writers:

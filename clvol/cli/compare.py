@@ -25,6 +25,7 @@ def command(a: str, b: str, outputs: tuple[str, ...], as_json: bool) -> None:
     the CIEDE2000 colour difference as displayed."""
     from clvol.cli.console import say_json, say_table
     from clvol.cli.outputs import check_outputs
+    from clvol.inputs import Inputs, protected
     from clvol.errors import UsageError
     from clvol.image import load_image
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
@@ -65,18 +64,15 @@ def command(
     from pathlib import Path
 
     from clvol.cli.console import say_path, working
-    from clvol.errors import UsageError
+    from clvol.cli.outputs import scene_inputs
     from clvol.scene import load_scene
-    from clvol.store.build import build_store, check_place
+    from clvol.store.build import build_store, check_place, places_of
 
     check_place(Path(output), overwrite)
     scene = load_scene(volume, overrides)
-    taken = [Path(volume)] if scene.volume_path is None else [Path(volume), scene.volume_path]
-    place = Path(os.path.realpath(output))
-    if any(
-        place in (real, *real.parents) for real in (Path(os.path.realpath(path)) for path in taken)
-    ):
-        raise UsageError(output, "got what is read", "a folder of its own")
+    inputs = scene_inputs(volume, scene)
+    for place in places_of(Path(output)):
+        inputs.check_folder(place)
     chosen = {"codec": codec, "edge": edge, "shard": shard}
     chosen = {name: value for name, value in chosen.items() if value is not None}
     source = _source(scene, volume, memory_cap, quiet)

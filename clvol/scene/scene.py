@@ -163,6 +163,16 @@ class Scene(Table):
             self._loaded = load_scene_volume(self.volume, self._folder, self._origin, memory_cap)
         return self._loaded
 
+    def load(self, memory_cap: int | None = None) -> None:
+        """Reads the volume and the fields, which are kept, and looks at the environment's size.
+
+        ``memory_cap``: bytes that each of them may take in memory. Raises SceneError, VolumeError.
+        """
+        self.load_volume(memory_cap)
+        self.load_fields(memory_cap)
+        if self.environment is not None:
+            self.environment.found_in(self._folder, self._origin, memory_cap)
+
     def load_fields(self, memory_cap: int | None = None) -> tuple[Volume, ...]:
         """The volumes of the fields, each read once and kept. ``memory_cap``: bytes that each may
         take in memory. Raises SceneError, VolumeError."""
@@ -196,6 +206,13 @@ class Scene(Table):
         """The volume's file or folder; None for one handed over as an array or computed."""
         file = getattr(self.volume, "file", None)
         return None if file is None else self._folder / file
+
+    @property
+    def input_paths(self) -> list[Path]:
+        """The files and folders that the scene names: volume, fields, environment."""
+        named = [self.volume, *self.field, self.environment]
+        files = (getattr(table, "file", None) for table in named)
+        return [self._folder / file for file in files if isinstance(file, str)]
 
     @property
     def folder(self) -> Path:
