@@ -18,6 +18,7 @@ from clvol.transfer.color import linear_to_srgb, srgb_to_linear
 
 _ROWS = 256  # rows encoded at a time, so that double precision needs little memory
 _LARGEST_TEXT = 1 << 20
+_DEPTH_AT = 24  # byte of the file: bits a channel
 _KEYWORDS = {"scene": "Scene"}  # of the texts that have another name in a PNG
 
 
@@ -82,6 +83,11 @@ def read(path: str, memory_cap: int | None = None) -> tuple[np.ndarray, None, di
         header = {k: v for k, v in image.info.items() if isinstance(v, (str, int, float))}
         is_grey16 = image.mode.startswith("I")
         header["bits"] = 16 if is_grey16 else 8
+        file.seek(_DEPTH_AT)
+        if file.read(1) == b"\x10" and not is_grey16:  # Pillow takes such colour as 8 bits
+            header["unread_bits"] = 8
+        if "icc_profile" in image.info or {"gamma", "srgb"} & set(image.info) == {"gamma"}:
+            header["unread_profile"] = True
         header["has_alpha"] = "A" in image.mode or "transparency" in image.info
         header |= {name: header[key] for name, key in _KEYWORDS.items() if key in header}
         pixels = np.asarray(image if is_grey16 else image.convert("RGBA"))

@@ -107,7 +107,7 @@ def resolve(scene: Scene, memory_cap: int | None = None) -> ResolvedScene:
     )
     environment, cue = scene.environment, scene.depth_cue
     if environment is not None:
-        environment = environment.found_in(scene.folder, scene.origin)
+        environment = environment.found_in(scene.folder, scene.origin, memory_cap)
     if cue is not None:
         cue = cue.complete(camera, volume.grid).model_copy(update={"color": decoded(cue.color)})
     return ResolvedScene(
