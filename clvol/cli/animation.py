@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from clvol.cli.console import note, reading_blocks, say_path, to_json, working
@@ -12,10 +13,15 @@ from clvol.cli.outputs import check_frames, numbered, save_picture
 from clvol.errors import ClvolError, UsageError
 
 if TYPE_CHECKING:
+    from clvol.render.made_from import MadeFrom
     from clvol.scene import Scene
+    from clvol.scene.camera import Camera
     from clvol.scene.resolve import ResolvedScene
 
 _SHARES = 1000  # parts of a frame that progress counts
+# What reading one of our pictures takes; others need not be read.
+_BYTES_PER_PIXEL = 48
+_HEADER_BYTES = 1 << 20
 
 
 def render_animation(
@@ -31,8 +37,8 @@ def render_animation(
     """Renders all frames of ``asked`` and prints the files written.
 
     A frame's pictures appear together when it is done and stay whatever follows; videos and stats
-    appear at the end or not at all. ``resume``: frames whose pictures are all there, whole and of
-    this very scene are not rendered again.
+    appear at the end or not at all. ``resume``: frames whose pictures are all there, whole and made
+    from the very same (``clvol.render.made_from``) are not rendered again.
     """
     from clvol.image import atomic_paths, check_video, is_video, open_video
 
@@ -48,6 +54,7 @@ def render_animation(
     check_frames(stills, videos, others, count)
 
     with working("loading", quiet):
+        asked.load(memory_cap)
         resolved = asked.resolve(memory_cap)
     load_seconds = time.perf_counter() - start
 
@@ -57,7 +64,11 @@ def render_animation(
     kept = set()
     if resume:
         with working("looking at what is there", quiet):
-            kept = {index for index in range(count) if _is_there(stills, index, resolved)}
+            size = resolved.image.width, resolved.image.height
+            for index, seconds, camera in frames(resolved):
+                expected = {"size": size, "made_from": _told(resolved, index, seconds, camera)()}
+                if _is_there(stills, index, expected, resolved.source):
+                    kept.add(index)
     written: list[str] = []
     totals = _Totals()
     depth = any(path.lower().endswith(".exr") for path in stills)
@@ -78,6 +89,7 @@ def render_animation(
         for done, (index, seconds, camera) in enumerate(todo):
             report = _part(progress, done, len(todo))
             frame = renderer.render(camera=camera, time=seconds, progress=report, depth=depth)
+            frame.made_from = _told(resolved, index, seconds, camera)
             write_start = time.perf_counter()
             names = [numbered(path, index) for path in stills]
             with atomic_paths(names) as places:
@@ -101,6 +113,13 @@ def render_animation(
         say_path(path)
     if kept and not quiet:
         note(f"{len(kept)} of {count} frames were there already")
+
+
+def _told(resolved: ResolvedScene, index: int, seconds: float, camera: Camera) -> MadeFrom:
+    from clvol.render.made_from import MadeFrom
+
+    animation = resolved.animation.model_copy(update={"time": seconds})
+    return MadeFrom(replace(resolved, animation=animation), camera, index)
 
 
 class _Totals:
@@ -134,19 +153,32 @@ def _part(
     )
 
 
-def _is_there(stills: Sequence[str], index: int, resolved: ResolvedScene) -> bool:
-    """Whether all pictures of a frame are whole, of the right size and, where they say which scene
-    they show, of this one."""
-    from clvol.image import load_image
+def _is_there(stills: Sequence[str], index: int, expected: dict[str, Any], scene: str) -> bool:
+    """Whether all pictures of a frame are whole, and made from what is ``expected``."""
+    return all(_is_made_from(numbered(path, index), expected, scene) for path in stills)
 
-    for path in stills:
-        try:
-            picture = load_image(numbered(path, index))
-        except ClvolError:
-            return False
-        header = {name.lower(): value for name, value in picture["header"].items()}
-        if picture["rgba"].shape[:2] != (resolved.image.height, resolved.image.width):
-            return False
-        if header.get("scene", resolved.source) != resolved.source:
-            return False
-    return True
+
+def _is_made_from(path: str, expected: dict[str, Any], scene: str) -> bool:
+    """What does not say what it was made from counts as made from something else."""
+    import clvol
+    from clvol.image import is_intact, load_image
+    from clvol.text import without_surrogates
+
+    width, height = expected["size"]
+    try:
+        picture = load_image(path, _BYTES_PER_PIXEL * width * height + _HEADER_BYTES)
+        told = dict(picture["made_from"] or {})
+    except ClvolError:
+        return False
+    if not is_intact(path, picture) or picture["rgba"].shape[:2] != (height, width):
+        return False
+    del told["pixels"]
+    header = {name.lower(): value for name, value in picture["header"].items()}
+    same = {
+        "software": f"clvol {clvol.__version__}",
+        "clvol_version": clvol.__version__,
+        "scene": without_surrogates(scene),
+    }
+    if any(header.get(name, value) != value for name, value in same.items()):
+        return False
+    return told == expected["made_from"]

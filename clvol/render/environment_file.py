@@ -19,6 +19,7 @@ import numpy as np
 from clvol.errors import SceneError, UsageError
 from clvol.image import exr
 from clvol.render.environment import LARGEST_ROWS, RadianceMap
+from clvol.volume.memory import DEFAULT_SHARE, available_memory
 
 LAYOUTS = ("latlong", "cube")
 _FILES = "an OpenEXR file with channels R, G, B"
@@ -37,9 +38,11 @@ def load_radiance(
     memory_cap: int | None = None,
 ) -> RadianceMap:
     """The file's radiance times ``intensity``, turned about +y (``RadianceMap``); a cube of n x n
-    faces becomes 2 n rows of latitude. ``memory_cap``: bytes that reading may take
-    (``clvol.image.limits``). SceneError names the file and what is wrong with it."""
+    faces becomes 2 n rows of latitude. ``memory_cap``: bytes that reading may
+    take; 75 % of the available memory where it is None. SceneError names the file and what is wrong with it."""
     where = str(path)
+    if memory_cap is None:
+        memory_cap = int(DEFAULT_SHARE * available_memory())
     texels = _read(where, memory_cap)
     height, width = texels.shape[:2]
     got = f"is {width} x {height} texels (width x height)"
@@ -60,7 +63,7 @@ def load_radiance(
     return RadianceMap(texels, float(np.radians(rotation_degrees)))
 
 
-def _read(where: str, memory_cap: int | None) -> np.ndarray:
+def _read(where: str, memory_cap: int) -> np.ndarray:
     """float32 [height, width, 3]."""
     try:
         with open(where, "rb") as file:

@@ -7,10 +7,12 @@ from dataclasses import replace
 from math import inf
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
+from weakref import WeakSet
 
 from clvol.errors import RenderError, UsageError, VolumeError
 from clvol.features import refuse_unknown
 from clvol.render.frame import Frame, make_frame
+from clvol.render.made_from import MadeFrom
 from clvol.scene.camera import Camera
 
 if TYPE_CHECKING:
@@ -48,6 +50,7 @@ class Renderer:
         loaded = perf_counter()
         self._context = open_context(devices)
         self._raycaster = self._engines = None
+        self._told: WeakSet[MadeFrom] = WeakSet()
         if self.resolved.integration.method != "reference":
             from clvol.render.engines import Engines
 
@@ -68,6 +71,8 @@ class Renderer:
 
     def close(self) -> None:
         """Gives the device's memory back. Nothing can be rendered afterwards."""
+        for told in list(self._told):  # of frames that are kept: they need not keep the volume
+            told()
         if self._engines is not None:
             self._engines.close()
         if self._context is not None:
@@ -115,7 +120,7 @@ class Renderer:
         start = perf_counter()
         data = self._raycaster.render(camera, width, height, progress, depth, **by_time)
         times = {"compile": compile_seconds, "render": perf_counter() - start}
-        return self._frame(data.rgba, data.depth, times, _counted(data))
+        return self._frame(camera, data.rgba, data.depth, times, _counted(data))
 
     def set_transfer_function(self, function: TransferFunction, wait: bool = True) -> None:
         """Another transfer function for the frames to come; compiles nothing, and keeps the volume.
@@ -157,13 +162,15 @@ class Renderer:
             progress=progress,
         )
         seconds = {"compile": 0.0, "render": perf_counter() - start}
-        return self._frame(rgba, depth, seconds, counters)
+        return self._frame(camera, rgba, depth, seconds, counters)
 
-    def _frame(self, rgba, depth, seconds: dict, counted: dict) -> Frame:
+    def _frame(self, camera: Camera, rgba, depth, seconds: dict, counted: dict) -> Frame:
         first = {"load": self._load_seconds, "prepare": self._prepare_seconds}
         self._load_seconds = self._prepare_seconds = 0.0
         seconds = {**first, **seconds}
-        return make_frame(self.resolved, rgba, depth, seconds, counted, self._context.name)
+        told = MadeFrom(self.resolved, camera)
+        self._told.add(told)
+        return make_frame(self.resolved, rgba, depth, seconds, counted, self._context.name, told)
 
 
 def _checked_seconds(resolved: ResolvedScene, seconds: float) -> float:
