@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-_LONGEST = 4000  # characters that one part of a message may have
+_LONGEST = 1500  # characters that one part of a message may have
 
 
 def printable(text: object) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -137,7 +138,7 @@ class FieldSettings(Table):
         if isinstance(self.file, Volume):
             return self.file
         path = folder / self.file
-        if not path.exists():
+        if not os.path.exists(path):
             got = f"got {self.file!r}, no such file"
             raise SceneError(f"{where}.file", got, "a volume file or a DICOM folder")
         return load_volume(path, memory_cap=memory_cap)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -163,7 +164,7 @@ def load_scene_volume(
         return _computed(asked, origin, memory_cap)
     path = folder / asked.file
     is_scene_file = str(path) != origin
-    if is_scene_file and not path.exists():
+    if is_scene_file and not os.path.exists(path):
         check_finished(path)
         got = f"got {asked.file!r}, no such file"
         raise SceneError(f"{origin}: volume.file", got, "a volume file or a DICOM folder")

@@ -45,7 +45,7 @@ def is_volume_path(path: str | os.PathLike) -> bool:
     """Whether the path ends like a volume file, or is a folder. The file need not exist."""
     path = Path(path)
     name = path.name.lower()
-    return _ending(path) is not None or name.endswith(ZARR_ENDING) or path.is_dir()
+    return _ending(path) is not None or name.endswith(ZARR_ENDING) or os.path.isdir(path)
 
 
 def load_volume(
