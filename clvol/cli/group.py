@@ -62,8 +62,9 @@ def told(error: Exception) -> tuple[int, str]:
     if isinstance(error, MemoryError):
         line = "memory: not enough for this scene, expected a smaller volume or image"
         return RenderError.exit_status, line
-    if isinstance(error, OSError) and error.filename is not None and error.strerror:
-        where = os.fsdecode(error.filename) if not isinstance(error.filename, int) else "file"
+    if isinstance(error, OSError) and error.strerror:
+        named = isinstance(error.filename, (str, bytes, os.PathLike))
+        where = os.fsdecode(error.filename) if named else "system"
         return 4, str(ClvolError(where, error.strerror, "a file that can be read and written"))
     return 4, f"internal: {type(error).__name__}: {error}"
 

@@ -26,7 +26,7 @@ import numpy as np
 
 from clvol import __version__
 from clvol.errors import ClvolError, RenderError, UsageError, VolumeError
-from clvol.store.arrays import cores, open_array, system_words
+from clvol.store.arrays import NOT_UTF8, cores, is_utf8, open_array, system_words
 from clvol.store.codecs import CODECS, DEFAULT, one_of_codecs
 from clvol.store.geometry import EDGE
 from clvol.store.layout import (
@@ -138,6 +138,8 @@ def check_place(path: Path, overwrite: bool) -> None:
 
 
 def _check_place(path: Path, overwrite: bool) -> None:
+    if not is_utf8(str(path.absolute())):
+        raise UsageError(str(path), NOT_UTF8, "a name in UTF-8")
     if not path.name or path.name.endswith((PARTIAL, _REPLACED)):
         raise UsageError(str(path), "no name for a store", f"a name that does not end in {PARTIAL}")
     parent = path.parent

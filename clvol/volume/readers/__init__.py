@@ -136,6 +136,7 @@ def _choose(path: Path) -> tuple[str, str]:
     if stat.S_ISDIR(mode):
         if ending is not None:
             raise VolumeError(str(path), "a folder", f"a {ENDINGS[ending][0]} file")
+        _check_entries(path)
         from clvol.volume.readers.zarr import is_zarr
 
         if is_zarr(path):
@@ -155,6 +156,15 @@ def _choose(path: Path) -> tuple[str, str]:
     if path.stat().st_size == 0:
         raise VolumeError(str(path), "empty file", f"a {ENDINGS[ending][0]} file")
     return ENDINGS[ending]
+
+
+def _check_entries(folder: Path) -> None:
+    """VolumeError for a pipe, a socket or a device in the folder: whoever opens one may wait."""
+    with os.scandir(folder) as entries:
+        for entry in entries:
+            if not (entry.is_dir() or entry.is_file()) and os.path.exists(entry.path):
+                what = f"{entry.name} is a pipe, a socket or a device"
+                raise VolumeError(str(folder), what, "files alone")
 
 
 def _first_line(error: BaseException) -> str:
