@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from clvol.cli.console import note, reading_blocks, say_path, to_json, working
@@ -72,13 +73,14 @@ def render_animation(
     written: list[str] = []
     totals = _Totals()
     depth = any(path.lower().endswith(".exr") for path in stills)
+    of_all = partial(_told_of_all, resolved, count)
     todo = [frame for frame in frames(resolved) if frame[0] not in kept]
     size = f"{resolved.image.width} x {resolved.image.height} pixels"
     with ExitStack() as stack:
         temporaries = stack.enter_context(atomic_paths([*videos, *others]))
         progress = stack.enter_context(working(f"rendering {len(todo)} frames of {size}", quiet))
         parts = temporaries[: len(videos)]
-        writers = [stack.enter_context(open_video(path, fps)) for path in parts]
+        writers = [stack.enter_context(open_video(path, fps, of_all)) for path in parts]
         if todo:
             by_blocks = resolved.integration.method == "multiresolution"
             how = {"devices": devices, "memory_cap": memory_cap}
@@ -120,6 +122,12 @@ def _told(resolved: ResolvedScene, index: int, seconds: float, camera: Camera) -
 
     animation = resolved.animation.model_copy(update={"time": seconds})
     return MadeFrom(replace(resolved, animation=animation), camera, index)
+
+
+def _told_of_all(resolved: ResolvedScene, count: int) -> dict[str, Any]:
+    from clvol.render.made_from import MadeFrom
+
+    return {**MadeFrom(resolved)(), "frames": count}
 
 
 class _Totals:
