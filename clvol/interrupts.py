@@ -3,21 +3,28 @@
 The command (``clvol.cli``) turns the signals that ask a process to stop into an exception of the
 main thread (``stoppable``), so that every ``finally`` runs. Python's callers keep the handlers that
 they have. Temporary files are known here from before they exist (``expect_temporary``).
+
+Imports little: a signal that comes before ``stoppable`` is Python's own affair.
 """
 
 from __future__ import annotations
 
 import os
 import signal
+import sys
 import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from typing import Any
 
 _NAMES = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGXCPU", "SIGUSR1", "SIGUSR2")
 SIGNALS = tuple(getattr(signal, name) for name in _NAMES if hasattr(signal, name))
 _GRACE = 20.0  # seconds for an orderly end; then the process ends at once
+_AGAIN = 0.05  # seconds until a signal that got lost comes again
 _SAME = 1.0  # seconds within which a second signal is the first one once more, sent twice
 
 _temporaries: dict[str, int] = {}  # path to the process that made it
@@ -38,18 +45,18 @@ class Stopped(KeyboardInterrupt):
         return "interrupted" if name == "SIGINT" else f"interrupted by {name}"
 
 
-@dataclass
 class _State:
     """What has been asked of this process, while ``stoppable`` is at work."""
 
-    held: int = 0  # blocks of ``held`` that the main thread is in
-    first: int | None = None  # the signal that came first
-    since: float = 0.0  # and when
-    raised: bool = False
-    finished: bool = True
+    def __init__(self, finished: bool) -> None:
+        self.held = 0  # blocks of ``held`` that the main thread is in
+        self.first: int | None = None  # the signal that came first
+        self.since = 0.0  # and when
+        self.raised = False
+        self.finished = finished
 
 
-_state = _State()
+_state = _State(finished=True)
 
 
 @contextmanager
@@ -71,6 +78,7 @@ def stoppable(for_good: bool = False) -> Iterator[None]:
     watched, watch = os.pipe()
     os.set_blocking(watch, False)
     wakeup = signal.set_wakeup_fd(watch, warn_on_full_buffer=False)
+    hook, sys.unraisablehook = sys.unraisablehook, _unraisable
     try:
         for number in SIGNALS:
             if signal.getsignal(number) not in (signal.SIG_IGN, None):
@@ -82,8 +90,17 @@ def stoppable(for_good: bool = False) -> Iterator[None]:
         discard_temporaries()
         signal.set_wakeup_fd(wakeup)
         os.close(watch)  # which ends the thread
+        if not for_good:
+            sys.unraisablehook = hook
         for number, handler in () if for_good else before.items():
             signal.signal(number, handler)
+
+
+def check_stopped() -> None:
+    """Raises Stopped again, if it was raised and something has made another exception of it: the
+    import of a library written in C, for one."""
+    if _state.raised and not _state.finished:
+        raise Stopped(_state.first)
 
 
 @contextmanager
@@ -132,9 +149,20 @@ def _stop(number: int, _frame: object) -> None:
         return
     if _state.first is None:
         _state.first, _state.since = number, now
-        _raise()
-    elif now - _state.since > _SAME:
+    elif _state.raised and now - _state.since > _SAME:
         _end_at_once(_state.first)
+    _raise()
+
+
+def _unraisable(told: Any) -> None:
+    """Where Python cannot raise (in a destructor, say) it would print Stopped and forget it: instead
+    it is raised again a moment later."""
+    if not isinstance(told.exc_value, Stopped):
+        sys.__unraisablehook__(told)
+    elif not _state.finished:
+        _state.raised = False
+        main = threading.main_thread().ident
+        threading.Timer(_AGAIN, signal.pthread_kill, (main, told.exc_value.number)).start()
 
 
 def _raise() -> None:

@@ -14,7 +14,7 @@ import os
 import sys
 from collections.abc import Sequence
 
-from clvol.interrupts import stoppable
+from clvol.interrupts import check_stopped, stoppable
 
 COMMANDS = ("render", "explain", "info", "store", "doctor", "compare", "tradeoff")
 INTERRUPTED = 130
@@ -37,11 +37,12 @@ def _run(given: Sequence[str], debug: bool) -> int:
     with warnings.catch_warnings():
         if not (debug or sys.warnoptions):
             warnings.simplefilter("ignore")  # libraries' warnings; errors take one line alone
-        from clvol.cli.group import run, told
-
         try:
+            from clvol.cli.group import run, told
+
             return run(given)
         except Exception as error:
+            check_stopped()
             status, line = told(error)
             return _failed(line, status, debug)
 
