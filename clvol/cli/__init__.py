@@ -23,12 +23,23 @@ INTERRUPTED = 130
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line (``sys.argv`` by default) and return the exit status."""
     debug = os.environ.get("CLVOL_DEBUG") == "1"
+    _open_standard()
     try:
         with stoppable(for_good=arguments is None):
             return _run(sys.argv[1:] if arguments is None else arguments, debug)
     except KeyboardInterrupt as stop:
         line = getattr(stop, "line", "interrupted")
         return _failed(line, getattr(stop, "status", INTERRUPTED), debug)
+
+
+def _open_standard() -> None:
+    """Where standard input, output or error is closed, nothing else that is opened may get its
+    number: what libraries print would go into a picture."""
+    for descriptor in range(3):
+        try:
+            os.fstat(descriptor)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # takes the lowest number that is free
 
 
 def _run(given: Sequence[str], debug: bool) -> int:

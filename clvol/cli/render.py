@@ -54,7 +54,8 @@ _OPTIONS = {"max_error": "--max-error", "time_budget": "--time-budget"}
 @click.option(
     "--resume",
     is_flag=True,
-    help="Of an animation's numbered pictures, keep what is there, whole and of this scene.",
+    help="Of an animation's numbered pictures, keep what is there, whole and made from the very same: "
+    "scene, voxels, version.",
 )
 @click.option("--stats", metavar="FILE", help="Where to write times and counts as JSON.")
 @memory_cap_option("The most memory that the volume may take, here and on the device.")

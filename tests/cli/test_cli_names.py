@@ -222,3 +222,18 @@ def test_no_temporary_folder_at_all(refused, folder, renderer, monkeypatch):
     line = refused(4, "render", "scene.toml", "-o", "x.npy")
     assert "No usable temporary directory" in line and "internal" not in line
     assert not os.path.exists("x.npy")
+
+
+@pytest.mark.parametrize("closed", [[0], [1], [2], [0, 1, 2]])
+def test_standard_streams_that_are_closed(folder, closed):
+    """The numbers that are free then are not those of files that are written."""
+    np.save("a.npy", np.zeros((12, 12, 4), np.float32))
+    code = (
+        f"import os, sys\nfor n in {closed}: os.close(n)\n"
+        f"os.execv({sys.executable!r}, [{sys.executable!r}, '-m', 'clvol', *sys.argv[1:]])"
+    )
+    words = ["compare", "a.npy", "a.npy", "-o", "d.npy", "-o", "d.exr"]
+    done = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, timeout=60)
+    assert done.returncode == 0
+    for name in ("d.npy", "d.exr"):
+        assert not load_image(name)["rgba"].any()
