@@ -8,6 +8,7 @@ import json
 from typing import TYPE_CHECKING, Any
 
 import clvol
+from clvol.errors import ClvolError
 from clvol.plain import plain
 
 if TYPE_CHECKING:
@@ -52,8 +53,8 @@ def _told(resolved: ResolvedScene, camera: Camera, frame: int | None) -> dict[st
 
 
 def _sources(resolved: ResolvedScene) -> dict[str, Any]:
-    """Digests of "voxels", and, where the scene has such, "fields" and "environment"; None for what
-    is gone meanwhile."""
+    """Digests of "voxels", and, where the scene has such, "fields" and "environment"; None for
+    what is gone meanwhile, or does not fit into memory."""
     from clvol.volume.digest import file_digest, volume_digest
 
     by_blocks = resolved.integration.method == "multiresolution"
@@ -63,7 +64,7 @@ def _sources(resolved: ResolvedScene) -> dict[str, Any]:
         found["fields"] = [volume_digest(field.volume) for field in resolved.fields]
         if resolved.environment is not None:
             found["environment"] = file_digest(resolved.environment.path)
-    except OSError:
+    except (OSError, ClvolError):
         pass
     return {name: value for name, value in found.items() if value or name == "voxels"}
 
