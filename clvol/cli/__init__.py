@@ -2,8 +2,9 @@
 
 Exit status: 0 done; 2 the input is wrong; 3 no device works; 4 the render failed; 130 interrupted;
 143 ended by SIGTERM, 129 by SIGHUP (128 plus the signal's number for others that ask for an end).
-Every error is one line on stderr, ``clvol: error: WHERE: WHAT, expected WHAT``. The environment
-variable CLVOL_DEBUG=1 adds the traceback.
+Every error is one line on stderr, ``clvol: error: WHERE: WHAT, expected WHAT``, and every warning one that begins
+``clvol: warning: ``; warnings change neither the status nor what is written. The environment variable CLVOL_DEBUG=1
+adds the traceback.
 
 Nothing but this is imported before signals are looked after.
 """
@@ -12,7 +13,8 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 
 from clvol.interrupts import check_stopped, stoppable
 
@@ -43,36 +45,70 @@ def _open_standard() -> None:
 
 
 def _run(given: Sequence[str], debug: bool) -> int:
-    import warnings
-
-    with warnings.catch_warnings():
-        if not (debug or sys.warnoptions):
-            warnings.simplefilter("ignore")  # libraries' warnings; errors take one line alone
+    with _warnings_kept(debug) as warned:
         try:
             from clvol.cli.group import run, told
 
-            return run(given)
+            status = run(given)
+            for line in warned:
+                _say_on_stderr("clvol: warning: ", line)
+            return status
         except Exception as error:
             check_stopped()
             status, line = told(error)
             return _failed(line, status, debug)
 
 
-def _failed(line: str, status: int, debug: bool) -> int:
-    from clvol.text import one_line, printable_lines
+@contextmanager
+def _warnings_kept(debug: bool) -> Iterator[dict[str, None]]:
+    """Yields the lines of clvol's own warnings, to be told at the end: a bar may be drawn meanwhile, and an error
+    is one line alone. Of others none is shown."""
+    import warnings
 
-    said = f"clvol: error: {one_line(line)}\n"
+    from clvol.errors import ClvolWarning
+
+    kept: dict[str, None] = {}
+    with warnings.catch_warnings():
+        if not (debug or sys.warnoptions):
+            warnings.simplefilter("ignore")
+        warnings.filterwarnings("always", category=ClvolWarning)
+        show = warnings.showwarning
+
+        def keep(message, category, *rest, **more) -> None:
+            if issubclass(category, ClvolWarning):
+                kept[str(message)] = None
+            else:
+                show(message, category, *rest, **more)
+
+        warnings.showwarning = keep
+        yield kept
+
+
+def _failed(line: str, status: int, debug: bool) -> int:
     if debug:
         import traceback
 
-        said = printable_lines(traceback.format_exc()) + said
+        from clvol.text import printable_lines
+
+        _write_on_stderr(printable_lines(traceback.format_exc()))
+    _say_on_stderr("clvol: error: ", line)
+    return status
+
+
+def _say_on_stderr(head: str, line: str) -> None:
+    """One line, in which nothing can move a terminal's cursor."""
+    from clvol.text import one_line
+
+    _write_on_stderr(f"{head}{one_line(line)}\n")
+
+
+def _write_on_stderr(text: str) -> None:
     try:
         if sys.stderr is not None:
-            sys.stderr.write(said.encode(_encoding(), "backslashreplace").decode(_encoding()))
+            sys.stderr.write(text.encode(_encoding(), "backslashreplace").decode(_encoding()))
             sys.stderr.flush()
     except (OSError, ValueError):  # nobody listens on stderr, or it is closed
         pass
-    return status
 
 
 def _encoding() -> str:

@@ -20,7 +20,8 @@ _OME_FILE = re.compile(rb'FileName="([^"]{1,1000})"')
 
 def parts_of(path: str | os.PathLike) -> list[Path]:
     """Files beside ``path`` that the volume in it may be spread over: what a NRRD or MetaImage
-    header names, the other half of a pair, the other files of an OME-TIFF. They exist."""
+    header names, the other half of a pair, the other files of an OME-TIFF, the DICOM files in the
+    folder of one. They exist."""
     path = Path(path)
     name = path.name.lower()
     try:
@@ -36,9 +37,19 @@ def parts_of(path: str | os.PathLike) -> list[Path]:
             found = _ome(path)
         else:
             found = iter(())
+        if is_dicom(path):
+            found = (part for part in sorted(path.parent.iterdir()) if is_dicom(part))
         return [part for part in dict.fromkeys(found) if part != path]
     except (OSError, ValueError):
         return []
+
+
+def is_dicom(path: Path) -> bool:
+    """Whether this is a DICOM file: then others in its folder may be slices of the same volume."""
+    if not os.path.isfile(path):
+        return False
+    with path.open("rb") as file:
+        return file.read(132)[128:] == b"DICM" or path.suffix.lower() in (".dcm", ".ima")
 
 
 def _named(path: Path, key: str, sign: str) -> Iterator[Path]:

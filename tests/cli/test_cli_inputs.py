@@ -110,6 +110,14 @@ def dicom(folder):
     return ["slices/1.dcm", "slices/2", "slices/3.dcm"]
 
 
+def one_dicom_file(folder):
+    """It may stand for the series that it belongs to."""
+    for name in ("one", "two"):
+        (folder / name).write_bytes(bytes(128) + b"DICM")
+    _scene(folder, file="one")
+    return ["one", "two"]
+
+
 def tiff_slices(folder):
     _data(folder, "slices/s1.tif", "slices/s2.tif")
     _scene(folder, file="slices")
@@ -134,7 +142,7 @@ def array_of_a_store(folder):
 
 KINDS = [
     environment, fields, nrrd, nrrd_old_spelling, nrrd_list, nrrd_pattern, metaimage, metaimage_list,
-    metaimage_pattern, nifti_pair, raw, dicom, tiff_slices, store, array_of_a_store,
+    metaimage_pattern, nifti_pair, raw, dicom, one_dicom_file, tiff_slices, store, array_of_a_store,
 ]  # fmt: skip
 
 

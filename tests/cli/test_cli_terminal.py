@@ -126,3 +126,21 @@ def test_the_message_of_progress(run, folder, renderer, monkeypatch):
     with working(f"loading {EVIL}", False) as progress:
         progress(1, 2, f"reading {EVIL}")
     assert EVIL[:5] not in told.getvalue() and "\u202e" not in told.getvalue()
+
+
+def test_warnings_are_one_line_each_after_the_result(run, folder, monkeypatch):
+    import warnings
+
+    from clvol.errors import ClvolWarning
+    from clvol.scene import load_scene
+
+    def warning(*given):
+        warnings.warn(ClvolWarning(f"scene: {EVIL}", "odd\n\x1b", "another"), stacklevel=1)
+        warnings.warn(UserWarning("of a library"), stacklevel=1)
+        return load_scene(*given)
+
+    monkeypatch.setattr("clvol.scene.load_scene", warning)
+    outcome = run("info", "cube.npy")
+    assert outcome.status == 0 and harmless(outcome)
+    assert outcome.err.startswith("clvol: warning: scene: ") and outcome.err.count("\n") == 1
+    assert outcome.err.endswith("odd \\x1b; another\n")
