@@ -22,6 +22,14 @@ COMMANDS = ("render", "explain", "info", "store", "doctor", "compare", "tradeoff
 INTERRUPTED = 130
 
 
+def __getattr__(name: str):
+    if name == "cli":  # the group of commands, once somebody asks
+        from clvol.cli.group import cli
+
+        return cli
+    raise AttributeError(f"module 'clvol.cli' has no attribute {name!r}")
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line (``sys.argv`` by default) and return the exit status."""
     debug = os.environ.get("CLVOL_DEBUG") == "1"
