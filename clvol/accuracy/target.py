@@ -50,6 +50,7 @@ _PILOT_PIXELS = 10_000
 _DRAWN_PIXELS = 2_048  # at first; then twice as many until the bound says yes or no
 _ATTEMPTS = 6
 _PICTURES_KEPT, _BYTES_KEPT = (3, 24), 2**29  # at least and most; in between, as memory allows
+_SHORTEST = 1e-9  # seconds: no picture takes less, whatever the device
 _AIM = 0.95  # share of the error that is aimed at: the bound lies a little above the error
 _SHARES = (1.0, 0.7, 0.4)  # of the error, left to what shows on single pixels
 _FIRST_ERROR, _LARGEST_ERROR = 1e-2, 0.5  # where a time's search begins, and gives up
@@ -115,6 +116,8 @@ def check_time_budget(value: float) -> None:
     """UsageError for a time that cannot be aimed at."""
     if not 0.0 < value < math.inf:
         raise UsageError("time_budget", f"got {value!r}", "seconds, more than 0")
+    if value < _SHORTEST:
+        raise UsageError("time_budget", f"got {value!r}", f"seconds, at least {_SHORTEST:g}")
 
 
 class _Workshop:
@@ -206,7 +209,8 @@ class _Workshop:
             else:
                 low = error
             # The error falls with about the square of the time.
-            guess = error * min(max((seconds / (_AIM * budget)) ** 2, 0.03), 30.0)
+            over = min(seconds / (_AIM * budget), 1e3)  # whose square no budget makes overflow
+            guess = error * min(max(over**2, 0.03), 30.0)
             if low > 0:
                 guess = max(guess, low * (high / low) ** 0.25)
             most = high * (low / high) ** 0.25 if low > 0 else high / 1.3

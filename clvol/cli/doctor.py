@@ -16,13 +16,14 @@ def command(as_json: bool) -> None:
     from clvol.cli.console import say, say_json, say_table
     from clvol.opencl.devices import list_devices, select
     from clvol.scene.sizes import format_size
+    from clvol.text import printable
 
     reports = list_devices(fresh=True)
     if as_json:
         say_json({"devices": [asdict(report) for report in reports]})
     else:
         for report in reports:
-            say(f"{report.name}: {'works' if report.working else 'does not work'}")
+            say(printable(f"{report.name}: {'works' if report.working else 'does not work'}"))
             rows = [("  platform", report.platform)]
             if not report.working:
                 rows.append(("  reason", report.reason))

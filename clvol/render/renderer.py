@@ -9,10 +9,12 @@ from dataclasses import replace
 from math import inf
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
+from weakref import WeakSet
 
 from clvol.errors import RenderError, UsageError, VolumeError
 from clvol.features import refuse_unknown
 from clvol.render.frame import Frame, make_frame
+from clvol.render.made_from import MadeFrom
 from clvol.render.notices import Notices
 from clvol.scene.camera import Camera
 
@@ -58,6 +60,7 @@ class Renderer:
         loaded = perf_counter()
         self._context = open_context(devices)
         self._raycaster = self._engines = None
+        self._told: WeakSet[MadeFrom] = WeakSet()
         if self.resolved.integration.method != "reference":
             from clvol.render.engines import Engines
 
@@ -81,6 +84,8 @@ class Renderer:
         """Gives the device's memory back, when frames that other threads are rendering are done. Nothing can be
         rendered afterwards."""
         with self._turn(may_be_closed=True):
+            for told in list(self._told):  # of frames that are kept: they need not keep the volume
+                told()
             if self._engines is not None:
                 self._engines.close()
             if self._context is not None:
@@ -194,7 +199,9 @@ class Renderer:
         self._load_seconds = self._prepare_seconds = 0.0
         seconds = {**first, **seconds}
         counted |= self._notices.of_picture(self.resolved, camera, rgba, depth)
-        return make_frame(self.resolved, rgba, depth, seconds, counted, self._context.name)
+        told = MadeFrom(self.resolved, camera)
+        self._told.add(told)
+        return make_frame(self.resolved, rgba, depth, seconds, counted, self._context.name, told)
 
 
 def _checked_seconds(resolved: ResolvedScene, seconds: float) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -148,7 +149,7 @@ class FieldSettings(Table):
         if isinstance(self.file, Volume):
             return self.file
         path = folder / self.file
-        if not path.exists():
+        if not os.path.exists(path):
             got = f"got {self.file!r}, no such file"
             raise SceneError(f"{where}.file", got, "a volume file or a DICOM folder")
         try:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -120,7 +121,7 @@ def resolve(scene: Scene, memory_cap: int | None = None) -> ResolvedScene:
     )
     environment, cue = scene.environment, scene.depth_cue
     if environment is not None:
-        environment = environment.found_in(scene.folder, scene.origin)
+        environment = environment.found_in(scene.folder, scene.origin, memory_cap)
     if cue is not None:
         cue = cue.complete(camera, volume.grid).model_copy(update={"color": decoded(cue.color)})
     asked_for = ResolvedScene(
@@ -177,7 +178,7 @@ def load_scene_volume(
         return _computed(asked, origin, memory_cap)
     path = folder / asked.file
     is_scene_file = str(path) != origin
-    if is_scene_file and not path.exists():
+    if is_scene_file and not os.path.exists(path):
         check_finished(path)
         got = f"got {asked.file!r}, no such file"
         raise SceneError(f"{origin}: volume.file", got, "a volume file or a DICOM folder")

@@ -26,7 +26,7 @@ import numpy as np
 
 from clvol import __version__
 from clvol.errors import ClvolError, RenderError, UsageError, VolumeError
-from clvol.store.arrays import cores, open_array, system_words
+from clvol.store.arrays import NOT_UTF8, cores, is_utf8, open_array, system_words
 from clvol.store.codecs import CODECS, DEFAULT, one_of_codecs
 from clvol.store.geometry import EDGE
 from clvol.store.layout import (
@@ -119,8 +119,29 @@ def build_store(
     return StoredBlocks(path)
 
 
+def places_of(path: Path) -> tuple[Path, Path, Path]:
+    """The folders that writing the store ``path`` makes or removes: the store, where it is built,
+    and where a store that it replaces goes."""
+    return path, partial_path(path), _replaced_path(path)
+
+
+def _replaced_path(path: Path) -> Path:
+    return path.with_name(path.name + _REPLACED)
+
+
 def check_place(path: Path, overwrite: bool) -> None:
     """UsageError now, before the work, if the store could not be written to ``path``."""
+    try:
+        _check_place(path, overwrite)
+    except (OSError, ValueError) as error:
+        why = getattr(error, "strerror", None) or str(error)
+        what = f"no folder can have this name: {why}"
+        raise UsageError(str(path), what, "the name of a new folder") from None
+
+
+def _check_place(path: Path, overwrite: bool) -> None:
+    if not is_utf8(str(path.absolute())):
+        raise UsageError(str(path), NOT_UTF8, "a name in UTF-8")
     if not path.name or path.name.endswith((PARTIAL, _REPLACED)):
         raise UsageError(str(path), "no name for a store", f"a name that does not end in {PARTIAL}")
     parent = path.parent
@@ -129,8 +150,16 @@ def check_place(path: Path, overwrite: bool) -> None:
         raise UsageError(str(path), f"{parent}: {what}", "a place in a folder that exists")
     if not os.access(parent, os.W_OK | os.X_OK):
         raise UsageError(str(path), f"{parent} cannot be written to", "a folder that can")
-    partial = partial_path(path)
-    if os.path.lexists(partial) and not (partial / JOURNAL).is_dir():
+    for place in places_of(path):
+        try:
+            os.lstat(place)  # a name that is too long is known now
+        except FileNotFoundError:
+            pass
+    partial, replaced = partial_path(path), _replaced_path(path)
+    if os.path.lexists(replaced) and (replaced.is_symlink() or not is_store(replaced)):
+        what = f"{replaced.name}, where a store that is replaced goes, is something else"
+        raise UsageError(str(path), what, "another name")
+    if os.path.islink(partial) or os.path.lexists(partial) and not (partial / JOURNAL).is_dir():
         what = f"{partial.name}, where it is built, is something else"
         raise UsageError(str(path), what, "another name")
     if not os.path.lexists(path):
@@ -375,7 +404,7 @@ class _Build:
             f"clvol {__version__}",
         )
         _write_whole(self.partial / ROOT, json.dumps(root, indent=2))
-        replaced = path.with_name(path.name + _REPLACED)
+        replaced = _replaced_path(path)
         check_place(path, overwrite)  # again: it may have appeared meanwhile
         _remove(replaced)
         if path.exists():

@@ -45,18 +45,18 @@ def is_store(path: str | os.PathLike) -> bool:
 
 def is_unfinished(path: Path) -> bool:
     """Whether the folder is a store whose making has not come to its end."""
-    return path.joinpath(JOURNAL).is_dir() and (
-        path.name.endswith(PARTIAL) or not path.joinpath(ROOT).exists()
+    return os.path.isdir(path / JOURNAL) and (
+        path.name.endswith(PARTIAL) or not os.path.exists(path / ROOT)
     )
 
 
 def check_finished(path: Path) -> None:
     """VolumeError if a store is not whole, or is not there but its beginning is."""
     expected = "a whole store; the same 'clvol store' command again finishes it"
-    if path.is_dir():
+    if os.path.isdir(path):
         if is_unfinished(path):
             raise VolumeError(str(path), "an unfinished store", expected)
-    elif path.name and not path.exists() and partial_path(path).is_dir():
+    elif path.name and not os.path.exists(path) and os.path.isdir(partial_path(path)):
         raise VolumeError(str(path), f"an unfinished store ({partial_path(path).name})", expected)
 
 
@@ -89,7 +89,7 @@ class StoredBlocks:
         try:
             root = read_json(self.path / ROOT, self._where)
         except FileNotFoundError:
-            what = f"no {ROOT}" if self.path.is_dir() else "no such folder"
+            what = f"no {ROOT}" if os.path.isdir(self.path) else "no such folder"
             raise VolumeError(self._where, what, "a folder that clvol store has written") from None
         except OSError as error:
             raise VolumeError(self._where, error.strerror or str(error), "a store") from None

@@ -54,9 +54,10 @@ def is_volume_path(path: str | os.PathLike) -> bool:
     """Whether the path ends like a volume file, or is a folder or a DICOM file of whatever name. The
     file need not exist."""
     path = Path(path)
-    if _ending(path) is not None or path.name.lower().endswith(ZARR_ENDING) or path.is_dir():
+    name = path.name.lower()
+    if _ending(path) is not None or name.endswith(ZARR_ENDING) or os.path.isdir(path):
         return True
-    return path.is_file() and _is_dicom_file(path)
+    return os.path.isfile(path) and _is_dicom_file(path)
 
 
 def load_volume(
@@ -180,6 +181,7 @@ def _choose(path: Path) -> tuple[str, str]:
     if stat.S_ISDIR(mode):
         if ending is not None:
             raise VolumeError(str(path), "a folder", f"a {ENDINGS[ending][0]} file")
+        _check_entries(path)
         from clvol.volume.readers.zarr import is_zarr
 
         if is_zarr(path):
@@ -215,6 +217,15 @@ def _folder(path: Path) -> tuple[str, str]:
     except OSError as error:
         reason = error.strerror or _first_line(error)
         raise VolumeError(str(path), reason, "a folder that can be read") from None
+
+
+def _check_entries(folder: Path) -> None:
+    """VolumeError for a pipe, a socket or a device in the folder: whoever opens one may wait."""
+    with os.scandir(folder) as entries:
+        for entry in entries:
+            if not (entry.is_dir() or entry.is_file()) and os.path.exists(entry.path):
+                what = f"{entry.name} is a pipe, a socket or a device"
+                raise VolumeError(str(folder), what, "files alone")
 
 
 def _first_line(error: BaseException) -> str:
