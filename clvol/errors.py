@@ -24,6 +24,16 @@ class ClvolError(Exception):
         return " ".join(f"{self.where}: {self.what}{tail}".split())
 
 
+class ClvolWarning(UserWarning):
+    """What the user should know though it stops nothing: ``WHERE: WHAT``, one line.
+
+    The command prints it on stderr as ``clvol: warning: WHERE: WHAT``.
+    """
+
+    def __init__(self, where: str, what: str) -> None:
+        super().__init__(" ".join(f"{where}: {what}".split()))
+
+
 class SceneError(ClvolError):
     """The scene is wrong: an unknown key, a wrong type, an impossible value."""
 

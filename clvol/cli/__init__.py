@@ -11,13 +11,13 @@ import os
 import sys
 import traceback
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from importlib import import_module
 
 import click
 
 from clvol import __version__
-from clvol.errors import ClvolError, RenderError, UsageError
+from clvol.errors import ClvolError, ClvolWarning, RenderError, UsageError
 
 COMMANDS = ("render", "explain", "info", "store", "doctor", "compare", "tradeoff")
 INTERRUPTED = 130
@@ -58,6 +58,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     with warnings.catch_warnings():
         if not (debug or sys.warnoptions):
             warnings.simplefilter("ignore")  # libraries' warnings; errors take one line alone
+        warnings.simplefilter("always", ClvolWarning)
+        warnings.showwarning = _show_warning(warnings.showwarning)
         try:
             with cli.make_context("clvol", given) as context:
                 cli.invoke(context)
@@ -80,11 +82,27 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _failed(line: str, status: int, debug: bool) -> int:
     if debug:
         traceback.print_exc()
+    _tell("clvol: error: " + " ".join(line.split()))
+    return status
+
+
+def _show_warning(others: Callable[..., None]) -> Callable[..., None]:
+    """Shows clvol's own warnings as one line each; libraries' as ``others`` does."""
+
+    def show(message, category, *place, **more) -> None:
+        if issubclass(category, ClvolWarning):
+            _tell("clvol: warning: " + " ".join(str(message).split()))
+        else:
+            others(message, category, *place, **more)
+
+    return show
+
+
+def _tell(line: str) -> None:
     try:
-        click.echo("clvol: error: " + " ".join(line.split()), err=True)
+        click.echo(line, err=True)
     except OSError:  # nobody listens on stderr
         pass
-    return status
 
 
 def _one_command() -> str:

@@ -1,0 +1,147 @@
+"""Compiled programs kept for later processes, each file with a digest of all that it holds.
+
+An OpenCL implementation crashes on a damaged program (PoCL aborts the process), so nothing is handed to
+one that is not, byte for byte, what was written. Whatever is wrong with the folder costs time, never a
+picture: it is told once, and the program is compiled anew.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import stat
+import struct
+import tempfile
+import time
+from pathlib import Path
+
+from clvol.opencl.folders import cache_folder, why_no_cache
+from clvol.opencl.notices import notice
+
+_MAGIC = b"clvolprogram1\n"
+_DIGEST = 32
+_MOST = 512 * 2**20  # bytes of one folder; the oldest go first
+_TOUCHED = 24 * 3600.0  # seconds after which a file that is read counts as new again
+_ENDING = ".program"
+
+Files = dict[str, bytes]  # by their path within the program's folder, "" for a program in one piece
+
+
+def program_folder(pocl: bool = False) -> Path | None:
+    """Where programs are kept: in the user's cache folder; PoCL's in POCL_CACHE_DIR if that is set."""
+    named = os.environ.get("POCL_CACHE_DIR") if pocl else None
+    if named:
+        return Path(named).absolute() / "clvol"
+    folder = cache_folder()
+    return None if folder is None else folder / "programs"
+
+
+def read_program(folder: Path | None, key: str) -> Files | None:
+    """What :func:`write_program` kept under ``key``, or None: not there, or damaged."""
+    path = _path(folder, key)
+    if path is None:
+        return None
+    try:
+        with open(path, "rb") as file:
+            # A file that others may write to could hold anybody's code.
+            status = os.fstat(file.fileno())
+            if hasattr(os, "geteuid") and (
+                status.st_uid not in (os.geteuid(), 0) or status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
+            ):
+                notice(f"cache {folder}", "its files belong to others and are not used; programs are compiled anew")
+                return None
+            content = file.read()
+    except FileNotFoundError:
+        return None
+    except OSError as error:
+        notice(f"cache {folder}", f"cannot be read ({error.strerror}); programs are compiled anew")
+        return None
+    files = _unpacked(content)
+    if files is None:
+        notice(f"cache {folder}", "damaged; what is damaged is compiled anew")
+    elif time.time() - status.st_mtime > _TOUCHED:
+        try:
+            os.utime(path)
+        except OSError:
+            pass
+    return files
+
+
+def write_program(folder: Path | None, key: str, files: Files) -> None:
+    """Keeps ``files`` under ``key``. Nothing is raised where that cannot be done."""
+    path = _path(folder, key)
+    if path is None:
+        notice("cache", f"there is none ({why_no_cache()}); programs are compiled anew each time")
+        return
+    temporary = None
+    try:
+        path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        number, temporary = tempfile.mkstemp(prefix=".", suffix=".part", dir=path.parent)
+        with os.fdopen(number, "wb") as file:
+            file.write(_packed(files))
+        os.replace(temporary, path)
+        temporary = None
+        _prune(path.parent)
+    except OSError as error:
+        what = f"cannot be written ({error.strerror}); programs are compiled anew each time"
+        notice(f"cache {folder}", what)
+    finally:
+        if temporary is not None:
+            try:
+                os.unlink(temporary)
+            except OSError:
+                pass
+
+
+def _path(folder: Path | None, key: str) -> Path | None:
+    return None if folder is None else folder / f"{key}{_ENDING}"
+
+
+def _packed(files: Files) -> bytes:
+    header = json.dumps([[name, len(content)] for name, content in files.items()]).encode()
+    body = struct.pack("<Q", len(header)) + header + b"".join(files.values())
+    return _MAGIC + hashlib.blake2b(body, digest_size=_DIGEST).digest() + body
+
+
+def _unpacked(content: bytes) -> Files | None:
+    """None for what is not, to the last byte, what :func:`_packed` gave."""
+    start = len(_MAGIC) + _DIGEST
+    body = memoryview(content)[start:]
+    if not content.startswith(_MAGIC) or len(body) < 8:
+        return None
+    if hashlib.blake2b(body, digest_size=_DIGEST).digest() != content[len(_MAGIC) : start]:
+        return None
+    (size,) = struct.unpack("<Q", body[:8])
+    at = 8 + size
+    files = {}
+    for name, length in json.loads(bytes(body[8:at])):
+        files[name] = bytes(body[at : at + length])
+        at += length
+    return files
+
+
+_pruned: set[Path] = set()
+
+
+def _prune(folder: Path) -> None:
+    """Once a process and folder: the oldest programs go where all take too much."""
+    if folder in _pruned:
+        return
+    _pruned.add(folder)
+    found = []
+    now = time.time()
+    with os.scandir(folder) as entries:
+        for entry in entries:
+            if entry.name.endswith((_ENDING, ".part")):
+                status = entry.stat(follow_symlinks=False)
+                if entry.name.endswith(".part") and now - status.st_mtime > _TOUCHED:
+                    os.unlink(entry.path)  # of a process that was killed
+                else:
+                    found.append((status.st_mtime, status.st_size, entry.path))
+    total = sum(size for _, size, _ in found)
+    for _, size, path in sorted(found):
+        if total <= _MOST:
+            break
+        os.unlink(path)
+        total -= size
