@@ -14,6 +14,7 @@ from pathlib import Path
 from clvol.opencl.folders import cache_folder, why_no_cache
 from clvol.opencl.kernels_path import kernel_folder
 from clvol.opencl.notices import notice
+from clvol.opencl.program_store import EACH_TIME
 from clvol.opencl.reports import DeviceReport, Findings, Icd
 
 _FORMAT = 2  # of the cache file
@@ -125,7 +126,7 @@ def write_cache(key: str, findings: Findings) -> None:
     _came_from_cache = False
     path = _cache_file(key)
     if path is None:
-        notice("cache", f"there is none ({why_no_cache()}); devices are probed and programs compiled each time")
+        notice("cache", f"there is none ({why_no_cache()}); {EACH_TIME}")
         return
     selection = findings.selection
     content = {"key": key, "reports": [asdict(report) for report in findings.reports],
@@ -139,8 +140,7 @@ def write_cache(key: str, findings: Findings) -> None:
         for old in files[:-_KEPT]:
             old.unlink(missing_ok=True)
     except OSError as error:
-        what = f"cannot be written ({error.strerror}); devices are probed and programs compiled each time"
-        notice(f"cache {path.parent}", what)
+        notice(f"cache {path.parent}", f"cannot be written ({error.strerror}); {EACH_TIME}")
         try:
             temporary.unlink(missing_ok=True)
         except OSError:

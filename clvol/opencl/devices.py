@@ -409,12 +409,7 @@ def _run_child(request: dict, selection: list[Icd] | None, time_limit: float) ->
     """Run one probe child to its end or to its time limit."""
     from clvol.opencl import probe
 
-    environment = dict(os.environ)
-    environment.pop(_VENDORS, None)
-    if _original_vendors is not None:
-        environment[_VENDORS] = _original_vendors
-    # The child must find the very modules this process uses, however it came to its path.
-    environment["PYTHONPATH"] = os.pathsep.join(os.path.abspath(p) for p in sys.path)
+    environment = child_environment()
     environment["PYOPENCL_NO_CACHE"] = "1"
     environment["PYTHONWARNINGS"] = "ignore"
     environment.pop("PYTHONFAULTHANDLER", None)
@@ -429,14 +424,13 @@ def _run_child(request: dict, selection: list[Icd] | None, time_limit: float) ->
             icds.mkdir()
             _write_selection(selection, icds)
             environment[_VENDORS] = str(icds)
-        python = sys.executable or shutil.which("python3") or "python3"
+        command = child_command(probe.__file__, json.dumps(request))
         try:
             process = subprocess.Popen(
-                [python, probe.__file__, json.dumps(request)], env=environment, cwd=folder,
-                stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=stderr,
-                start_new_session=True)
+                command, env=environment, cwd=folder, stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE, stderr=stderr, start_new_session=True)
         except OSError as error:
-            child.death = f"{python} cannot be started: {error.strerror}"
+            child.death = f"{command[0]} cannot be started: {error.strerror}"
             return child
         lines: queue.Queue[bytes | None] = queue.Queue()
 
@@ -457,7 +451,7 @@ def _run_child(request: dict, selection: list[Icd] | None, time_limit: float) ->
         except ValueError:  # half a line
             status = process.wait(timeout=time_limit)
         finally:
-            _kill(process)
+            end_child(process)
             reader.join(timeout=1.0)
             process.stdout.close() if not reader.is_alive() else None
         if hung:
@@ -469,8 +463,29 @@ def _run_child(request: dict, selection: list[Icd] | None, time_limit: float) ->
     return child
 
 
-def _kill(process: subprocess.Popen) -> None:
-    """End the child and whatever its drivers have started."""
+# Not by PYTHONPATH, in which a folder's name cannot hold a colon.
+_START = "import json, runpy, sys; sys.path[:] = json.loads(sys.argv.pop(1)); del sys.argv[0]; "
+_START += "runpy.run_path(sys.argv[0], run_name='__main__')"
+
+
+def child_command(file: str, *arguments: str) -> list[str]:
+    """The command that runs a Python file with just the modules that this process finds."""
+    python = sys.executable or shutil.which("python3") or "python3"
+    path = json.dumps([os.path.abspath(p) for p in sys.path])
+    return [python, "-c", _START, path, file, *arguments]
+
+
+def child_environment() -> dict[str, str]:
+    """The environment that this process was started with."""
+    environment = dict(os.environ)
+    environment.pop(_VENDORS, None)
+    if _original_vendors is not None:
+        environment[_VENDORS] = _original_vendors
+    return environment
+
+
+def end_child(process: subprocess.Popen) -> None:
+    """End the child, if it has not ended, and whatever its drivers have started."""
     if process.poll() is None:
         try:
             os.killpg(process.pid, signal.SIGKILL)

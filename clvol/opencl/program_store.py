@@ -23,7 +23,8 @@ _MAGIC = b"clvolprogram1\n"
 _DIGEST = 32
 _MOST = 512 * 2**20  # bytes of one folder; the oldest go first
 _TOUCHED = 24 * 3600.0  # seconds after which a file that is read counts as new again
-_ENDING = ".program"
+ENDING = ".program"
+EACH_TIME = "devices are probed and programs compiled each time"
 
 Files = dict[str, bytes]  # by their path within the program's folder, "" for a program in one piece
 
@@ -49,17 +50,17 @@ def read_program(folder: Path | None, key: str) -> Files | None:
             if hasattr(os, "geteuid") and (
                 status.st_uid not in (os.geteuid(), 0) or status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
             ):
-                notice(f"cache {folder}", "its files belong to others and are not used; programs are compiled anew")
+                notice(_where(folder), "files that others may write are not used; programs are compiled anew")
                 return None
             content = file.read()
     except FileNotFoundError:
         return None
     except OSError as error:
-        notice(f"cache {folder}", f"cannot be read ({error.strerror}); programs are compiled anew")
+        notice(_where(folder), f"cannot be read ({error.strerror}); programs are compiled anew")
         return None
     files = _unpacked(content)
     if files is None:
-        notice(f"cache {folder}", "damaged; what is damaged is compiled anew")
+        notice(_where(folder), "damaged; what is damaged is compiled anew")
     elif time.time() - status.st_mtime > _TOUCHED:
         try:
             os.utime(path)
@@ -72,7 +73,7 @@ def write_program(folder: Path | None, key: str, files: Files) -> None:
     """Keeps ``files`` under ``key``. Nothing is raised where that cannot be done."""
     path = _path(folder, key)
     if path is None:
-        notice("cache", f"there is none ({why_no_cache()}); programs are compiled anew each time")
+        notice("cache", f"there is none ({why_no_cache()}); {EACH_TIME}")
         return
     temporary = None
     try:
@@ -84,8 +85,7 @@ def write_program(folder: Path | None, key: str, files: Files) -> None:
         temporary = None
         _prune(path.parent)
     except OSError as error:
-        what = f"cannot be written ({error.strerror}); programs are compiled anew each time"
-        notice(f"cache {folder}", what)
+        notice(_where(folder), f"cannot be written ({error.strerror}); {EACH_TIME}")
     finally:
         if temporary is not None:
             try:
@@ -94,8 +94,19 @@ def write_program(folder: Path | None, key: str, files: Files) -> None:
                 pass
 
 
+def is_whole(path: str | os.PathLike) -> bool:
+    """Whether a file of the store is what was written. Raises OSError."""
+    with open(path, "rb") as file:
+        return _unpacked(file.read()) is not None
+
+
+def _where(folder: Path) -> str:
+    """The cache in messages: a folder of ours by the folder that it lies in."""
+    return f"cache {folder.parent}"
+
+
 def _path(folder: Path | None, key: str) -> Path | None:
-    return None if folder is None else folder / f"{key}{_ENDING}"
+    return None if folder is None else folder / f"{key}{ENDING}"
 
 
 def _packed(files: Files) -> bytes:
@@ -133,7 +144,7 @@ def _prune(folder: Path) -> None:
     now = time.time()
     with os.scandir(folder) as entries:
         for entry in entries:
-            if entry.name.endswith((_ENDING, ".part")):
+            if entry.name.endswith((ENDING, ".part")):
                 status = entry.stat(follow_symlinks=False)
                 if entry.name.endswith(".part") and now - status.st_mtime > _TOUCHED:
                     os.unlink(entry.path)  # of a process that was killed
