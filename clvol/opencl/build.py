@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import atexit
 import hashlib
+import os
 import threading
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -46,9 +48,8 @@ def build_program(context: cl.Context, source: str, options: Sequence[str]) -> A
         warnings.simplefilter("ignore", cl.CompilerWarning)
         if device.platform.name == _POCL:
             pocl_programs.restore(key)
-            before = pocl_programs.folders_now()
             program = _built(cl._cl._Program(context, source), words)
-            pocl_programs.built(key, pocl_programs.folders_now() - before)
+            pocl_programs.built(key)
             return program
         if _has_cache(device):
             return _built(cl._cl._Program(context, source), words)
@@ -70,17 +71,41 @@ def build_program(context: cl.Context, source: str, options: Sequence[str]) -> A
 
 def _built(program: Any, options: bytes) -> Any:
     # Not pyopencl.Program.build: that adds a -I of its own, and its cache.
-    program.build(options, None)
+    with _in_plain_folder():
+        program.build(options, None)
     return program
 
 
-@atexit.register
-def keep_programs() -> None:
-    """Keeps for later processes what was compiled so far; also done at the end of the process."""
+@contextmanager
+def _in_plain_folder() -> Iterator[None]:
+    """Elsewhere while the working folder's name has a quote in it: Intel's compiler is told to look there
+    for files, in quotes, and would take the rest of the name for options."""
+    try:
+        folder = os.getcwd()
+    except OSError:
+        folder = ""
+    if '"' not in folder:
+        yield
+        return
+    here = os.open(".", os.O_RDONLY)
+    try:
+        os.chdir(os.sep)
+        yield
+    finally:
+        os.fchdir(here)
+        os.close(here)
+
+
+def keep_programs(everything: bool = False) -> None:
+    """Keeps for later processes what was compiled of the programs built since the last call, or of all;
+    also done at the end of the process."""
     if is_forked():  # the parent's to keep, and its lock may never be given back
         return
     with _lock:
-        pocl_programs.keep()
+        pocl_programs.keep(everything)
+
+
+atexit.register(keep_programs, everything=True)
 
 
 def program_key(device: cl.Device, source: str, options: Sequence[str]) -> str:

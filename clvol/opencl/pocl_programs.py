@@ -22,6 +22,8 @@ _owner = 0
 _store: Path | None = None
 _places: dict[str, str] = {}  # of programs, by key: PoCL's folder, relative to ours
 _kept: dict[str, dict[str, int]] = {}  # by key: sizes of the files that the store has
+_asked: set[str] = set()  # keys of what was built since `keep` was last called
+_seen: set[str] = set()  # PoCL's folders of programs so far
 
 
 @contextmanager
@@ -33,8 +35,8 @@ def own_pocl_folder() -> Iterator[None]:
         _store = program_folder(pocl=True)
         _folder, _owner = scratch_folder() / "pocl", os.getpid()
         _folder.mkdir(exist_ok=True)
-        _places.clear()
-        _kept.clear()
+        for known in (_places, _kept, _asked, _seen):
+            known.clear()
     os.environ[_VARIABLE] = str(_folder)
     try:
         yield
@@ -47,12 +49,15 @@ def own_pocl_folder() -> Iterator[None]:
 
 def restore(key: str) -> None:
     """Gives PoCL the program of this key, if the store has it whole."""
-    if _folder is None or key in _places:
+    if _folder is None:
+        return
+    _asked.add(key)
+    if key in _places:
         return
     files = read_program(_store, key)
     if not files:
         return
-    place = os.sep.join(next(iter(files)).split("/")[:2])
+    place = "/".join(next(iter(files)).split("/")[:2])
     if (_folder / place).exists():  # compiled, under another key, from the same text
         _places[key] = place
         return
@@ -64,29 +69,29 @@ def restore(key: str) -> None:
     except OSError:  # no room: PoCL may find some that it can do with
         return
     _places[key] = place
+    _seen.add(place)
     _kept[key] = {name: len(content) for name, content in files.items()}
 
 
-def folders_now() -> set[str]:
-    """PoCL's folders of programs, relative to ours; empty where PoCL uses another one."""
+def built(key: str) -> None:
+    """Says that the program of this key has just been built."""
     if _folder is None:
-        return set()
-    return {f"{a.name}{os.sep}{b.name}" for a in _folders_in(_folder) for b in _folders_in(a)}
-
-
-def built(key: str, new: set[str]) -> None:
-    """Says that a build under ``key`` made the folders ``new``."""
-    if len(new) == 1:
+        return
+    new = {f"{a.name}/{b.name}" for a in _folders_in(_folder) for b in _folders_in(a)} - _seen
+    _seen.update(new)
+    if len(new) == 1 and new != {_places.get(key)}:
         (_places[key],) = new
         _kept.pop(key, None)
 
 
-def keep() -> None:
-    """Writes to the store what was compiled since the last call."""
+def keep(everything: bool = False) -> None:
+    """Writes to the store what was compiled of the programs built since the last call, or of all."""
     if _folder is None or _owner != os.getpid() or os.environ.get("POCL_KERNEL_CACHE") == "0":
         return
-    for key, place in _places.items():
-        sizes = _sizes(_folder / place)
+    keys = list(_places) if everything else [key for key in _asked if key in _places]
+    _asked.clear()
+    for key in keys:
+        sizes = _sizes(_folder / _places[key])
         if sizes and sizes != _kept.get(key):
             files: Files = {}
             try:
