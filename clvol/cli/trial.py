@@ -31,7 +31,7 @@ class Trial:
 
 def try_render(name: str, time_limit: float = TIME_LIMIT) -> Trial:
     """Renders a small picture on the device called ``name`` in a child process, and checks it."""
-    from clvol.opencl.devices import child_command, child_environment, end_child
+    from clvol.opencl.children import child_command, child_environment, end_child
     from clvol.opencl.folders import scratch_folder
     from clvol.opencl.probe import first_meaningful_line
 

@@ -12,19 +12,16 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import queue
-import shutil
-import signal
-import subprocess
-import sys
 import tempfile
-import threading
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from clvol.errors import DeviceError
 from clvol.opencl import device_cache
+from clvol.opencl.children import ORIGINAL_VENDORS, VENDORS, write_selection
+from clvol.opencl.children import Child as _Child
+from clvol.opencl.children import run_child as _run_child
 from clvol.opencl.folders import cache_folder, scratch_folder
 from clvol.opencl.forks import check_fork, opencl_used
 from clvol.opencl.kernels_path import kernel_folder
@@ -37,22 +34,9 @@ if TYPE_CHECKING:
 TIME_LIMIT = 30.0  # seconds that each step of a probe (listing, one device) may take
 HOW_TO_GET_ONE = 'a CPU device: "apt install pocl-opencl-icd", or pip install "clvol[cpu]"'
 
-_VENDORS = "OCL_ICD_VENDORS"
 _HOME = "PYOPENCL_HOME"
 
-
-@dataclass
-class _Child:
-    """What one probe child said before it finished or died."""
-
-    events: list[dict] = field(default_factory=list)
-    death: str = ""  # one line, "" when it finished
-
-    def has(self, event: str) -> bool:
-        return any(e["event"] == event for e in self.events)
-
-
-_original_vendors = os.environ.get(_VENDORS)
+_original_vendors = ORIGINAL_VENDORS
 _original_home: str | None = None
 _found: Findings | None = None
 
@@ -281,18 +265,12 @@ def _platforms_wanted() -> tuple[list[Icd], bool]:
     return list(wanted.values()), native
 
 
-def _write_selection(icds: list[Icd], folder: Path) -> None:
-    for number, icd in enumerate(icds):
-        name = f"{number:02d}-{Path(icd.path).stem}.icd"
-        (folder / name).write_bytes(os.fsencode(icd.library + "\n"))
-
-
 def _point_loader_at(selection: list[Icd] | None) -> None:
     """Restrict this process (and its children) to the selection; None: the loader's own choice."""
     global _original_home
     if selection is None:
-        if os.environ.get(_VENDORS) != _original_vendors:
-            for name, value in ((_VENDORS, _original_vendors), (_HOME, _original_home)):
+        if os.environ.get(VENDORS) != _original_vendors:
+            for name, value in ((VENDORS, _original_vendors), (_HOME, _original_home)):
                 os.environ.pop(name, None)
                 if value is not None:
                     os.environ[name] = value
@@ -307,7 +285,7 @@ def _point_loader_at(selection: list[Icd] | None) -> None:
         if not target.is_dir():
             folder.mkdir(parents=True, exist_ok=True)
             with tempfile.TemporaryDirectory(dir=folder, prefix=".platforms-") as fresh:
-                _write_selection(selection, Path(fresh))
+                write_selection(selection, Path(fresh))
                 os.chmod(fresh, 0o755)
                 try:
                     os.rename(fresh, target)
@@ -320,13 +298,13 @@ def _point_loader_at(selection: list[Icd] | None) -> None:
         # Lives as long as this process, and so do the children that inherit the variable.
         target = scratch_folder() / f"platforms-{digest[:16]}"
         target.mkdir(exist_ok=True)
-        _write_selection(selection, target)
+        write_selection(selection, target)
     from clvol.opencl import binding  # pyopencl sets the variable, by which its loader finds the wheel's .icd
 
     del binding
     if _original_home is None:
         _original_home = os.environ.get(_HOME)
-    os.environ[_VENDORS] = str(target)
+    os.environ[VENDORS] = str(target)
     os.environ[_HOME] = str(target)
 
 
@@ -337,7 +315,8 @@ def _probe(wanted: list[Icd], native: bool, time_limit: float) -> Findings:
     """Probe the platforms; ``native`` says that the loader finds them all by itself."""
     selection = None if native else list(wanted)
     broken: list[DeviceReport] = []
-    reports, death = _probe_devices(wanted, selection, time_limit)
+    ends: list[str] = []
+    reports, death = _probe_devices(wanted, selection, time_limit, ends)
     if death is not None:
         # Some platform takes the process down as soon as the loader asks it. Take them in one by
         # one; this also finds two that are well alone but cannot live in one process.
@@ -355,11 +334,33 @@ def _probe(wanted: list[Icd], native: bool, time_limit: float) -> Findings:
                     selection.append(icd)
         reports, death = [], None
         if selection:
-            reports, death = _probe_devices(selection, selection, time_limit)
+            reports, death = _probe_devices(selection, selection, time_limit, ends)
         if death is not None:  # it lists now and then only: better no device than a crash
             broken += [_icd_report(icd, death) for icd in selection]
             reports, selection = [], []
+    if any(ends):
+        kept, useless = _without_bad_ends(wanted if selection is None else selection, time_limit)
+        if useless:
+            selection, broken = kept, broken + useless
     return Findings(_named(reports + broken), selection)
+
+
+def _without_bad_ends(
+    icds: list[Icd], time_limit: float
+) -> tuple[list[Icd], list[DeviceReport]]:
+    """Those that have a device or let a process end well; and reports of the others, which would only
+    spoil its exit status."""
+    kept, useless = [], []
+    for icd in icds:
+        child: _Child = _run_child({"enumerate_only": True}, [icd], time_limit)
+        platforms = sum(e["count"] for e in child.events if e["event"] == "platforms")
+        empty = sum(e["event"] == "device" for e in child.events)  # that is all it tells of when listing
+        if child.end and platforms <= empty:
+            reason = f"it has no device, and a process that loads it {child.end} at its end"
+            useless.append(_icd_report(icd, reason))
+        else:
+            kept.append(icd)
+    return kept, useless
 
 
 def _icd_report(icd: Icd, reason: str) -> DeviceReport:
@@ -369,9 +370,10 @@ def _icd_report(icd: Icd, reason: str) -> DeviceReport:
 
 
 def _probe_devices(
-    icds: list[Icd], selection: list[Icd] | None, time_limit: float
+    icds: list[Icd], selection: list[Icd] | None, time_limit: float, ends: list[str]
 ) -> tuple[list[DeviceReport], str | None]:
-    """Probe every device; the second value is how the child died if it could not even list them."""
+    """Probe every device; the second value is how the child died if it could not even list them. How it
+    ended is appended to ``ends``."""
     found: dict[tuple[int, int], DeviceReport] = {}
     unloadable: list[DeviceReport] = []
     known = {f.name for f in fields(DeviceReport)}
@@ -380,6 +382,7 @@ def _probe_devices(
                    "salt": os.urandom(6).hex(), "skip": sorted(found),
                    "libraries": [[icd.path, icd.library] for icd in icds]}
         child = _run_child(request, selection, time_limit)
+        ends.append(child.end)
         if child.death and not child.has("started"):
             return [], child.death
         current: tuple[int, int] | None = None
@@ -403,108 +406,3 @@ def _probe_devices(
         if child.death and not child.has("listed"):
             return [], child.death
         return [found[key] for key in sorted(found)] + unloadable, None
-
-
-def _run_child(request: dict, selection: list[Icd] | None, time_limit: float) -> _Child:
-    """Run one probe child to its end or to its time limit."""
-    from clvol.opencl import probe
-
-    environment = child_environment()
-    environment["PYOPENCL_NO_CACHE"] = "1"
-    environment["PYTHONWARNINGS"] = "ignore"
-    environment.pop("PYTHONFAULTHANDLER", None)
-    child = _Child()
-    with tempfile.TemporaryDirectory(prefix="probe-", dir=scratch_folder()) as folder, \
-            open(os.path.join(folder, "stderr"), "w+b") as stderr:
-        request = {**request, "only_vendors_folder": selection is not None}
-        environment["POCL_CACHE_DIR"] = os.path.join(folder, "pocl")  # no cache that is damaged or full
-        os.mkdir(environment["POCL_CACHE_DIR"])
-        if selection is not None:
-            icds = Path(folder) / "icd"
-            icds.mkdir()
-            _write_selection(selection, icds)
-            environment[_VENDORS] = str(icds)
-        command = child_command(probe.__file__, json.dumps(request))
-        try:
-            process = subprocess.Popen(
-                command, env=environment, cwd=folder, stdin=subprocess.DEVNULL,
-                stdout=subprocess.PIPE, stderr=stderr, start_new_session=True)
-        except OSError as error:
-            child.death = f"{command[0]} cannot be started: {error.strerror}"
-            return child
-        lines: queue.Queue[bytes | None] = queue.Queue()
-
-        def read() -> None:
-            for line in process.stdout:
-                lines.put(line)
-            lines.put(None)
-
-        reader = threading.Thread(target=read, daemon=True)
-        reader.start()
-        hung = False
-        try:
-            while (line := lines.get(timeout=time_limit)) is not None:
-                child.events.append(json.loads(line))
-            status = process.wait(timeout=time_limit)
-        except (queue.Empty, subprocess.TimeoutExpired):
-            hung = True
-        except ValueError:  # half a line
-            status = process.wait(timeout=time_limit)
-        finally:
-            end_child(process)
-            reader.join(timeout=1.0)
-            process.stdout.close() if not reader.is_alive() else None
-        if hung:
-            child.death = f"no answer within {time_limit:g} s"
-        elif status != 0 or not child.has("done"):
-            stderr.seek(0)
-            text = stderr.read()[-20000:].decode("utf-8", errors="replace")
-            child.death = _death(status, text, probe)
-    return child
-
-
-# Not by PYTHONPATH, in which a folder's name cannot hold a colon.
-_START = "import json, runpy, sys; sys.path[:] = json.loads(sys.argv.pop(1)); del sys.argv[0]; "
-_START += "runpy.run_path(sys.argv[0], run_name='__main__')"
-
-
-def child_command(file: str, *arguments: str) -> list[str]:
-    """The command that runs a Python file with just the modules that this process finds."""
-    python = sys.executable or shutil.which("python3") or "python3"
-    path = json.dumps([os.path.abspath(p) for p in sys.path])
-    return [python, "-c", _START, path, file, *arguments]
-
-
-def child_environment() -> dict[str, str]:
-    """The environment that this process was started with."""
-    environment = dict(os.environ)
-    environment.pop(_VENDORS, None)
-    if _original_vendors is not None:
-        environment[_VENDORS] = _original_vendors
-    return environment
-
-
-def end_child(process: subprocess.Popen) -> None:
-    """End the child, if it has not ended, and whatever its drivers have started."""
-    if process.poll() is None:
-        try:
-            os.killpg(process.pid, signal.SIGKILL)
-        except (OSError, AttributeError):
-            process.kill()
-        process.wait()
-
-
-def _death(status: int, stderr: str, probe: Any) -> str:
-    """One line on how a child ended that should have finished."""
-    if status < 0:
-        try:
-            how = f"crashed ({signal.Signals(-status).name})"
-        except ValueError:
-            how = f"crashed (signal {-status})"
-        line = probe.first_meaningful_line(stderr)
-    else:
-        how = f"ended with status {status}"
-        # An uncaught exception: its message is the last line of the traceback.
-        lines = [line for line in stderr.splitlines() if line.strip()]
-        line = probe.first_meaningful_line(lines[-1]) if lines else ""
-    return f"{how}: {line}" if line else how
