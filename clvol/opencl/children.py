@@ -48,6 +48,7 @@ def run_child(request: dict, selection: list[Icd] | None, time_limit: float) -> 
 
     environment = child_environment()
     environment["PYOPENCL_NO_CACHE"] = "1"
+    environment["OPENBLAS_NUM_THREADS"] = "1"  # numpy gives up where it may not start all it wants
     environment["PYTHONWARNINGS"] = "ignore"
     environment.pop("PYTHONFAULTHANDLER", None)
     child = Child()
