@@ -123,8 +123,10 @@ def _lines_in_time(source: int, limit: Callable[[], float]) -> Iterator[bytes]:
         yield line
 
 
-# Not by PYTHONPATH, in which a folder's name cannot hold a colon.
-_START = "import json, runpy, sys; sys.path[:] = json.loads(sys.argv.pop(1)); del sys.argv[0]; "
+# Not by PYTHONPATH, in which a folder's name cannot hold a colon; and not from the working folder, whatever
+# modules lie there.
+_START = "import sys; del sys.path[0]; import json, runpy; "
+_START += "sys.path[:] = json.loads(sys.argv.pop(1)); del sys.argv[0]; "
 _START += "runpy.run_path(sys.argv[0], run_name='__main__')"
 
 

@@ -136,15 +136,19 @@ def write_cache(key: str, findings: Findings) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         temporary.write_text(json.dumps(content, indent=1), encoding="utf-8")
         os.replace(temporary, path)
-        files = sorted(path.parent.glob("devices-*.json"), key=lambda p: p.stat().st_mtime)
-        for old in files[:-_KEPT]:
-            old.unlink(missing_ok=True)
     except OSError as error:
         notice(f"cache {path.parent}", f"cannot be written ({error.strerror}); {EACH_TIME}")
         try:
             temporary.unlink(missing_ok=True)
         except OSError:
             pass
+        return
+    try:
+        files = sorted(path.parent.glob("devices-*.json"), key=lambda p: p.stat().st_mtime)
+        for old in files[:-_KEPT]:
+            old.unlink()
+    except OSError:  # another process was at it, too
+        pass
 
 
 def forget(key: str) -> None:

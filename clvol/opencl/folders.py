@@ -11,7 +11,6 @@ import os
 import shutil
 import tempfile
 from pathlib import Path
-from typing import IO
 
 from clvol.errors import DeviceError
 
@@ -21,8 +20,8 @@ except ImportError:  # not on Windows
     fcntl = None
 
 _ROOM = 64 * 2**20  # bytes that compilers may need for what they write
-_PREFIX = "clvol-"
-_LOCK = "lock"
+_PREFIX = "clvol-scratch-"
+_MARK = "belongs-to-a-running-clvol"
 
 
 def cache_folder() -> Path | None:
@@ -46,7 +45,7 @@ def why_no_cache() -> str:
 
 _scratch: Path | None = None
 _scratch_owner = 0
-_scratch_lock: IO[bytes] | None = None
+_scratch_lock = -1
 
 
 def scratch_folder() -> Path:
@@ -66,7 +65,7 @@ def scratch_folder() -> Path:
             tried.append(f"{base}: {error.strerror}")
             continue
         try:
-            _scratch_lock = _lock(folder / _LOCK)
+            _scratch_lock = _hold(folder)
         except OSError as error:
             tried.append(f"{base}: {error.strerror}")
             shutil.rmtree(folder, ignore_errors=True)
@@ -120,15 +119,18 @@ def _is_roomy(base: str) -> bool:
     return not no_code and files and status.f_bavail * status.f_frsize >= _ROOM
 
 
-def _lock(path: Path) -> IO[bytes]:
-    """Opens and holds ``path`` until this process ends, however it ends."""
-    file = open(path, "wb")
-    if fcntl is not None:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:  # a file system without locks
-            pass
-    return file
+def _hold(folder: Path) -> int:
+    """Locks ``folder`` until this process ends, however it ends: against our own sweeping, and against
+    systemd's, which removes what is old from /tmp."""
+    if fcntl is None:
+        return -1
+    number = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(number, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:  # a file system without locks
+        pass
+    (folder / _MARK).touch()
+    return number
 
 
 def _sweep(base: str) -> None:
@@ -143,16 +145,14 @@ def _sweep(base: str) -> None:
     for path in found:
         folder = Path(path)
         try:
-            status = folder.stat()
-            if folder == _scratch or status.st_uid != os.geteuid():
+            if folder == _scratch or folder.stat().st_uid != os.geteuid() or not (folder / _MARK).exists():
                 continue
+            number = os.open(folder, os.O_RDONLY)
             try:
-                file = open(folder / _LOCK, "r+b")
-            except FileNotFoundError:
-                continue
-            with file:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                fcntl.flock(number, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 shutil.rmtree(folder, ignore_errors=True)
+            finally:
+                os.close(number)
         except OSError:  # held, or gone
             continue
 

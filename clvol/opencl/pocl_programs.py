@@ -54,6 +54,10 @@ def restore(key: str) -> None:
     _asked.add(key)
     if key in _places:
         return
+    try:
+        _folder.mkdir(parents=True, exist_ok=True)  # somebody may have tidied up
+    except OSError:
+        return
     files = read_program(_store, key)
     if not files:
         return

@@ -7,6 +7,7 @@ picture: it is told once, and the program is compiled anew.
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 import os
@@ -15,6 +16,7 @@ import struct
 import tempfile
 import time
 from pathlib import Path
+from typing import IO
 
 from clvol.opencl.folders import cache_folder, why_no_cache
 from clvol.opencl.notices import notice
@@ -44,7 +46,7 @@ def read_program(folder: Path | None, key: str) -> Files | None:
     if path is None:
         return None
     try:
-        with open(path, "rb") as file:
+        with _open(path) as file:
             # A file that others may write to could hold anybody's code.
             status = os.fstat(file.fileno())
             if hasattr(os, "geteuid") and (
@@ -77,13 +79,14 @@ def write_program(folder: Path | None, key: str, files: Files) -> None:
         return
     temporary = None
     try:
-        path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        path.parent.mkdir(parents=True, exist_ok=True)
         number, temporary = tempfile.mkstemp(prefix=".", suffix=".part", dir=path.parent)
         with os.fdopen(number, "wb") as file:
+            if hasattr(os, "fchmod"):
+                os.fchmod(number, 0o644)  # a cache may be filled by one user for others to read
             file.write(_packed(files))
         os.replace(temporary, path)
         temporary = None
-        _prune(path.parent)
     except OSError as error:
         notice(_where(folder), f"cannot be written ({error.strerror}); {EACH_TIME}")
     finally:
@@ -92,12 +95,25 @@ def write_program(folder: Path | None, key: str, files: Files) -> None:
                 os.unlink(temporary)
             except OSError:
                 pass
+    try:
+        _prune(path.parent)
+    except OSError:  # another process was at it, too
+        pass
 
 
 def is_whole(path: str | os.PathLike) -> bool:
     """Whether a file of the store is what was written. Raises OSError."""
-    with open(path, "rb") as file:
+    with _open(path) as file:
         return _unpacked(file.read()) is not None
+
+
+def _open(path: str | os.PathLike) -> IO[bytes]:
+    """OSError for what is no file: a pipe, say, would keep us waiting."""
+    number = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))
+    if not stat.S_ISREG(os.fstat(number).st_mode):
+        os.close(number)
+        raise OSError(errno.EINVAL, "not a file")
+    return os.fdopen(number, "rb")
 
 
 def _where(folder: Path) -> str:

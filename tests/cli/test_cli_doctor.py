@@ -62,6 +62,13 @@ def test_a_small_picture_comes_out_of_every_device(device):
     assert try_render(report_of(device).name) == Trial("", {})
 
 
+def test_modules_in_the_working_folder_are_none_of_ours(tmp_path, monkeypatch, first_device):
+    for name in ("json", "runpy", "numpy", "clvol"):
+        (tmp_path / f"{name}.py").write_text("raise SystemExit('not this one')")
+    monkeypatch.chdir(tmp_path)
+    assert try_render(report_of(first_device).name) == Trial("", {})
+
+
 @pytest.mark.parametrize("code, expected", [
     ("raise SystemExit(9)", "rendering ended with status 9"),
     ("import os; os.abort()", "rendering crashed (SIGABRT)"),

@@ -70,10 +70,11 @@ def test_what_a_killed_process_left_is_swept_and_nothing_else(bases, monkeypatch
     places = [Path(other.stdout.readline().strip()) for other in others]
     others[0].kill()
     others[0].wait()
-    (bases[0] / "clvol-of-mine").mkdir()
+    for name in ("clvol-of-mine", "clvol-scratch-of-mine"):
+        (bases[0] / name).mkdir()
     mine = folders.scratch_folder()
     assert not places[0].exists() and places[1].is_dir() and mine.is_dir()
-    assert (bases[0] / "clvol-of-mine").is_dir()
+    assert (bases[0] / "clvol-of-mine").is_dir() and (bases[0] / "clvol-scratch-of-mine").is_dir()
     others[1].communicate("")
     assert not places[1].exists()  # it ended as it should
 

@@ -88,6 +88,24 @@ def test_code_that_others_may_write_is_not_run(store):
         assert read_program(store, "key") is None
 
 
+def test_what_is_no_file_keeps_nobody_waiting(store):
+    store.mkdir(parents=True)
+    os.mkfifo(store / "key.program")
+    with pytest.warns(ClvolWarning, match="cannot be read"):
+        assert read_program(store, "key") is None
+    write_program(store, "key", FILES)
+    assert read_program(store, "key") == FILES
+
+
+def test_what_one_user_kept_another_may_read(store):
+    umask = os.umask(0o002)  # as many distributions set it: files that the group may write
+    try:
+        write_program(store, "key", FILES)
+    finally:
+        os.umask(umask)
+    assert (store / "key.program").stat().st_mode & 0o777 == 0o644 and read_program(store, "key") == FILES
+
+
 def test_the_oldest_go_where_all_take_too_much(store, monkeypatch):
     for number in range(10):
         write_program(store, f"key{number}", FILES)
