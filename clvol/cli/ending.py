@@ -18,6 +18,9 @@ from clvol.cli import main
 
 def command_line() -> NoReturn:
     """The command ``clvol``, to the end of the process."""
+    # numpy's library starts a thread a core when it is loaded, and ends the process where that many are not
+    # allowed (ulimit -u). Nothing here multiplies matrices large enough for a second one.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     leave(main())
 
 

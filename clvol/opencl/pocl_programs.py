@@ -8,6 +8,7 @@ So it gets a fresh folder each time, to which only what the store has checked is
 from __future__ import annotations
 
 import os
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -17,6 +18,7 @@ from clvol.opencl.program_store import Files, program_folder, read_program, writ
 
 _VARIABLE = "POCL_CACHE_DIR"
 
+_opening = threading.Lock()
 _folder: Path | None = None
 _owner = 0
 _store: Path | None = None
@@ -30,21 +32,22 @@ _seen: set[str] = set()  # PoCL's folders of programs so far
 def own_pocl_folder() -> Iterator[None]:
     """The first OpenCL call of a process belongs in here: PoCL reads its environment just once."""
     global _folder, _owner, _store
-    before = os.environ.get(_VARIABLE)
-    if _folder is None or _owner != os.getpid():
-        _store = program_folder(pocl=True)
-        _folder, _owner = scratch_folder() / "pocl", os.getpid()
-        _folder.mkdir(exist_ok=True)
-        for known in (_places, _kept, _asked, _seen):
-            known.clear()
-    os.environ[_VARIABLE] = str(_folder)
-    try:
-        yield
-    finally:  # children of this process have folders of their own
-        if before is None:
-            os.environ.pop(_VARIABLE, None)
-        else:
-            os.environ[_VARIABLE] = before
+    with _opening:  # the environment is everybody's
+        before = os.environ.get(_VARIABLE)
+        if _folder is None or _owner != os.getpid():
+            _store = program_folder(pocl=True)
+            _folder, _owner = scratch_folder() / "pocl", os.getpid()
+            _folder.mkdir(exist_ok=True)
+            for known in (_places, _kept, _asked, _seen):
+                known.clear()
+        os.environ[_VARIABLE] = str(_folder)
+        try:
+            yield
+        finally:  # children of this process have folders of their own
+            if before is None:
+                os.environ.pop(_VARIABLE, None)
+            else:
+                os.environ[_VARIABLE] = before
 
 
 def restore(key: str) -> None:

@@ -133,8 +133,8 @@ def test_no_cache_costs_time_and_one_warning(tmp_path, usual, trouble, first_dev
 
 
 @pytest.mark.parametrize("trouble", ["gone", "full", "no code"])
-def test_a_folder_for_temporary_files_that_is_of_no_use(tmp_path, usual, trouble, device):
-    """Both implementations must do: PoCL links and loads its programs from there."""
+def test_a_folder_for_temporary_files_that_is_of_no_use(tmp_path, usual, trouble, first_device):
+    """PoCL links its programs there, and loads them from there."""
     from clvol.opencl.devices import report_of
 
     place = tmp_path / "tmp"
@@ -144,12 +144,26 @@ def test_a_folder_for_temporary_files_that_is_of_no_use(tmp_path, usual, trouble
         if subprocess.run(["mount", "-t", "tmpfs", "-o", options, "tmpfs", place], capture_output=True).returncode:
             pytest.skip("only root can make a small disk (mount)")
     try:
-        picture, said = render(tmp_path, "--device", report_of(device).name,
+        picture, said = render(tmp_path, "--device", report_of(first_device).name,
                                XDG_CACHE_HOME=tmp_path / "cache", TMPDIR=place)
     finally:
         if trouble != "gone":
             subprocess.run(["umount", place], check=True)
     assert np.allclose(picture, usual[1], atol=1e-6) and said == ""
+
+
+@pytest.mark.parametrize("limit", ["-v 600000", "-f 100", "-n 12"])
+def test_too_little_of_anything_is_a_picture_or_one_error(tmp_path, usual, limit, first_device):
+    """Memory, size of files, open files."""
+    limited = ("sh", "-c", f'ulimit {limit} && exec "$@"', "sh")
+    done = run("render", ROOT / "data/brainsmall.nrrd", "-o", "a.npy", "--set", "image.width=16",
+               "--set", "image.height=16", cwd=tmp_path, prefix=limited, XDG_CACHE_HOME=tmp_path / "cache")
+    if done.returncode == 0:
+        assert np.allclose(np.load(tmp_path / "a.npy"), usual[1], atol=1e-6)
+    else:
+        assert done.returncode in (3, 4), done.stderr
+        assert done.stderr.startswith("clvol: error: ") and done.stderr.count("\n") == 1
+        assert not (tmp_path / "a.npy").exists()
 
 
 def test_many_processes_share_a_cache(tmp_path, usual, first_device):
