@@ -96,6 +96,24 @@ def test_a_damaged_cache_of_pocl_harms_nobody(tmp_path, usual, first_device):
         assert "damaged" in warnings(said)[0] and "named" in said
 
 
+@pytest.mark.parametrize("first", ["", "import pyopencl; "])
+def test_pyopencl_s_own_caches_are_not_used(cached, tmp_path, first, device):
+    """Whoever imported it first: it fails where they cannot be written, are damaged, or locked."""
+    from clvol.opencl.devices import report_of
+
+    cache, picture = cached
+    for name in ("pytools", "pyopencl"):
+        (cache / name).write_text("a file where the folder should be")
+    code = f"{first}import sys; from clvol.cli import main; sys.exit(main())"
+    kept = {k: v for k, v in os.environ.items() if not k.startswith(UNSET)}
+    kept |= {"PYTHONPATH": str(ROOT), "XDG_CACHE_HOME": str(cache)}
+    done = subprocess.run([sys.executable, "-c", code, "render", ROOT / "data/brainsmall.nrrd", "-o", "a.npy",
+                           "--set", "image.width=16", "--set", "image.height=16", "--device",
+                           report_of(device).name], cwd=tmp_path, env=kept, capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert np.allclose(np.load(tmp_path / "a.npy"), picture, atol=1e-6)
+
+
 @pytest.mark.parametrize("trouble", ["a file", "not allowed", "no home", "full"])
 def test_no_cache_costs_time_and_one_warning(tmp_path, usual, trouble, first_device):
     prefix: tuple = ()
