@@ -15,8 +15,7 @@ render:
 	@.ci/setup
 	@mkdir -p out
 	@$(PYTHON) -m clvol render data/demo.toml -o out/demo.exr -o out/demo.png
-	@echo "$(CURDIR)/out/demo.exr"
-	@echo "$(CURDIR)/out/demo.png"
+	@printf '%s\n' "$$PWD/out/demo.exr" "$$PWD/out/demo.png"
 
 test:
 	@.ci/setup test cpu

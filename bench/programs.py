@@ -16,12 +16,8 @@ def bench_kernels(
     context: DeviceContext, file: str, declarations: Mapping[str, str], switches: Mapping[str, int]
 ) -> list[Kernel]:
     """The kernels named in ``declarations`` (name -> arguments) of bench/kernels/``file``."""
-    import pyopencl as cl
-
+    from clvol.opencl.build import build_file
     from clvol.opencl.context import Kernel, compile_options
-    from clvol.opencl.kernels_path import kernel_folder
 
-    source = (_FOLDER / file).read_text(encoding="utf-8")
-    options = [*compile_options(switches), "-I", str(kernel_folder())]
-    program = cl.Program(context.context, source).build(options, cache_dir=False)
+    program = build_file(context.context, _FOLDER / file, compile_options(switches))
     return [Kernel(program, name, arguments) for name, arguments in declarations.items()]

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import sys
-
-from clvol.cli import main
+from clvol.cli.ending import command_line
 
 if __name__ == "__main__":
-    sys.exit(main())
+    command_line()

@@ -2,40 +2,80 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
+from typing import TYPE_CHECKING
 
 import click
 
 from clvol.cli.options import json_option
 
+if TYPE_CHECKING:
+    from clvol.opencl.cache_report import CacheReport
+    from clvol.opencl.reports import DeviceReport
+
 
 @click.command("doctor", short_help="The OpenCL devices: working, or why not.")
 @json_option
 def command(as_json: bool) -> None:
-    """List the OpenCL devices, each probed with a small kernel. Status 3 if none works."""
-    from clvol.cli.console import say, say_json, say_table
+    """List the OpenCL devices, with a small picture rendered on each, and what is kept on disk and
+    where. Status 3 if no device works."""
+    from clvol.cli.console import say, say_json, working
+    from clvol.cli.trial import try_render
+    from clvol.opencl.cache_report import report_caches
     from clvol.opencl.devices import list_devices, select
-    from clvol.scene.sizes import format_size
     from clvol.text import printable
 
-    reports = list_devices(fresh=True)
+    caches = report_caches()
+    reports = []
+    problems = list(caches.problems)
+    for report in list_devices(fresh=True):
+        if report.working:
+            with working(f"rendering on {report.name}", as_json):
+                trial = try_render(report.name)
+            report = replace(report, working=not trial.reason, reason=trial.reason)
+            told = (f"{where}: {what}" for where, what in trial.notices.items())
+            # The caches were looked at already.
+            problems += [t for t in told if t not in problems and not (caches.problems and t.startswith("cache"))]
+        reports.append(report)
+    caches = replace(caches, problems=problems)
     if as_json:
-        say_json({"devices": [asdict(report) for report in reports]})
+        say_json({"devices": [asdict(report) for report in reports], "cache": asdict(caches)})
     else:
         for report in reports:
             say(printable(f"{report.name}: {'works' if report.working else 'does not work'}"))
-            rows = [("  platform", report.platform)]
-            if not report.working:
-                rows.append(("  reason", report.reason))
-            if report.device:
-                double = "yes" if report.fp64 else "no"
-                memory = format_size(report.global_memory)
-                buffer = format_size(report.max_buffer)
-                rows += [
-                    ("  device", report.device),
-                    ("  driver", f"{report.driver} ({report.version})"),
-                    ("  memory", f"{memory}, at most {buffer} in one buffer"),
-                    ("  units", f"{report.compute_units}, double precision: {double}"),
-                ]
-            say_table(rows)
+            _tell_device(report)
+        _tell_caches(caches)
     select(reports)  # raises the DeviceError, which says how to get a device
+
+
+def _tell_device(report: DeviceReport) -> None:
+    from clvol.cli.console import say_table
+    from clvol.scene.sizes import format_size
+
+    rows = [("  platform", report.platform)]
+    if not report.working:
+        rows.append(("  reason", report.reason))
+    if report.device:
+        double = "yes" if report.fp64 else "no"
+        memory = format_size(report.global_memory)
+        buffer = format_size(report.max_buffer)
+        rows += [
+            ("  device", report.device),
+            ("  driver", f"{report.driver} ({report.version})"),
+            ("  memory", f"{memory}, at most {buffer} in one buffer"),
+            ("  units", f"{report.compute_units}, double precision: {double}"),
+        ]
+    say_table(rows)
+
+
+def _tell_caches(caches: CacheReport) -> None:
+    from clvol.cli.console import say, say_table
+    from clvol.scene.sizes import format_size
+
+    say(f"cache: {caches.folder or 'none'}")
+    programs = f"{caches.programs}, {format_size(caches.size)}"
+    rows = [("  programs", programs), ("  temporary files", caches.temporary or "nowhere")]
+    if caches.pocl_folder is not None:
+        rows.append(("  PoCL's programs", caches.pocl_folder))
+    rows += [("  problem", problem) for problem in caches.problems]
+    say_table(rows)

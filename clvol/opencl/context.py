@@ -16,12 +16,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyopencl as cl
 
 from clvol.errors import DeviceError, RenderError
+from clvol.opencl.binding import cl
+from clvol.opencl.build import build_file, keep_programs
 from clvol.opencl.devices import report_of
-from clvol.opencl.kernels_path import kernel_folder
-from clvol.quietly import without_warnings
+from clvol.opencl.forks import check_fork, is_forked, opencl_used
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +67,7 @@ _ANY = np.dtype("V1")  # a struct or raw voxels: the kernel's own switches say w
 class Kernel:
     """A kernel and the arguments it takes. Not for two threads at once."""
 
-    def __init__(self, program: cl.Program, name: str, declarations: str) -> None:
+    def __init__(self, program: Any, name: str, declarations: str) -> None:
         self.name = name
         self.arguments = Argument.declare(declarations)
         self._kernel = cl.Kernel(program, name)
@@ -85,6 +85,7 @@ class Kernel:
         local_size: Sequence[int] | None,
         **given: Any,
     ) -> cl.Event:
+        check_fork()
         if given.keys() != {argument.name for argument in self.arguments}:
             expected = ", ".join(argument.name for argument in self.arguments)
             raise RenderError(f"kernel {self.name}", f"got {', '.join(given)}", expected)
@@ -134,6 +135,7 @@ class DeviceContext:
     more_options: Mapping[str, tuple[str, ...]] = {}
 
     def __init__(self, device: cl.Device) -> None:
+        opencl_used()
         self.device = device
         report = report_of(device)
         self.name = report.name if report is not None else device.name.strip()
@@ -147,12 +149,15 @@ class DeviceContext:
             raise DeviceError(self.name, f"cannot be used ({error})", "a working device") from None
         self._outputs: list[tuple[DeviceArray, int]] = []
         self._lent: set[int] = set()  # of the outputs above: not yet taken
-        self._programs: dict[tuple, cl.Program] = {}
+        self._programs: dict[tuple, Any] = {}
         self._kernels: dict[tuple, Kernel] = {}
 
     def release(self) -> None:
-        """Waits for the queue and forgets programs and kernels."""
+        """Waits for the queue, forgets kernels and programs, and keeps these for later processes."""
+        if is_forked():  # the parent's: it would wait for ever
+            return
         self.queue.finish()
+        keep_programs()
         self._outputs.clear()
         self._programs.clear()
         self._kernels.clear()
@@ -170,31 +175,28 @@ class DeviceContext:
         """Kernel ``name`` of cl/``file`` built with ``switches`` (-D), built at most once. ``folder``: one more to
         include files from."""
         options = compile_options(switches or {})
-        options += ("-I", str(folder)) if folder is not None else ()
-        key = (file, name, options, declarations)
+        key = (file, name, options, folder, declarations)
         if key not in self._kernels:
-            self._kernels[key] = Kernel(self._program(file, options), name, declarations)
+            self._kernels[key] = Kernel(self._program(file, options, folder), name, declarations)
         return self._kernels[key]
 
-    def _program(self, file: str, options: tuple[str, ...]) -> cl.Program:
-        if (file, options) not in self._programs:
+    def _program(self, file: str, options: tuple[str, ...], folder: Path | None) -> Any:
+        key = (file, options, folder)
+        if key not in self._programs:
+            check_fork()
             start = time.perf_counter()
-            folder = kernel_folder()
-            source = (folder / file).read_text(encoding="utf-8")
+            more = self.more_options.get(self.name, ())
             try:
-                with without_warnings(cl.CompilerWarning):  # a driver's "compilation done" is no news
-                    program = cl.Program(self.context, source).build(
-                        [*options, *self.more_options.get(self.name, ()), "-I", str(folder)]
-                    )
+                program = build_file(self.context, file, (*options, *more), folder)
             except cl.RuntimeError as error:
                 lines = [line for line in str(error).splitlines() if "error" in line.lower()]
                 reason = lines[0] if lines else str(error)
                 what = f"does not build on {self.name} with {' '.join(options)}: {reason}"
                 raise RenderError(f"cl/{file}", what) from None
             restore_interrupts()
-            self._programs[file, options] = program
+            self._programs[key] = program
             self.compile_seconds += time.perf_counter() - start
-        return self._programs[file, options]
+        return self._programs[key]
 
     # Buffers
 
@@ -220,6 +222,7 @@ class DeviceContext:
     def output(self, dtype: Any, shape: Sequence[int]) -> DeviceArray:
         """An array for ``take`` to hand out after a kernel has written it: on a CPU device the kernel
         writes straight into host memory."""
+        check_fork()
         if not self.is_cpu:
             return self.empty(dtype, shape)
         key = (np.dtype(dtype), tuple(shape))
@@ -245,6 +248,7 @@ class DeviceContext:
     def take(self, output: DeviceArray) -> np.ndarray:
         """The contents of an ``output`` once all that was enqueued is done; the output is used up until
         nobody holds what this returns, or a view of it."""
+        check_fork()
         if output.host is None:
             return self.read(output)
         try:
@@ -259,6 +263,7 @@ class DeviceContext:
 
     def write(self, array: DeviceArray, values: np.ndarray, first: int = 0) -> None:
         """Copies ``values`` into ``array``, from element ``first`` on; returns when the copy is done."""
+        check_fork()
         values = np.ascontiguousarray(values)
         offset = first * array.dtype.itemsize
         cl.enqueue_copy(self.queue, array.buffer, values, dst_offset=offset, is_blocking=True)
@@ -268,6 +273,7 @@ class DeviceContext:
     ) -> None:
         """Enqueues a copy of ``count`` elements from ``first`` of ``source`` on to ``to`` of ``target``,
         of the same dtype; in one array they must not overlap."""
+        check_fork()
         size = source.dtype.itemsize
         cl.enqueue_copy(
             self.queue,
@@ -280,6 +286,7 @@ class DeviceContext:
 
     def read(self, array: DeviceArray, out: np.ndarray | None = None) -> np.ndarray:
         """The contents of ``array``; waits for what writes it."""
+        check_fork()
         if out is None:
             out = np.empty(array.shape, array.dtype)
         cl.enqueue_copy(self.queue, out, array.buffer, is_blocking=True)
@@ -287,6 +294,7 @@ class DeviceContext:
 
     def finish(self) -> None:
         """Waits for all that was enqueued; RenderError if any of it failed."""
+        check_fork()
         try:
             self.queue.finish()
         except cl.Error as error:
@@ -295,6 +303,7 @@ class DeviceContext:
     def _buffer(
         self, flags: int, dtype: np.dtype, shape: tuple[int, ...], host: np.ndarray | None
     ) -> DeviceArray:
+        check_fork()
         nbytes = int(np.prod(shape, dtype=np.int64)) * dtype.itemsize
         limit = int(self.device.max_mem_alloc_size)
         if nbytes > limit:

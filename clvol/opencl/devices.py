@@ -12,20 +12,20 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import platform as host
-import queue
-import shutil
-import signal
-import subprocess
-import sys
 import tempfile
-import threading
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from clvol.errors import DeviceError
+from clvol.opencl import device_cache
+from clvol.opencl.children import ORIGINAL_VENDORS, VENDORS, write_selection
+from clvol.opencl.children import Child as _Child
+from clvol.opencl.children import run_child as _run_child
+from clvol.opencl.folders import cache_folder, scratch_folder
+from clvol.opencl.forks import check_fork, opencl_used
 from clvol.opencl.kernels_path import kernel_folder
+from clvol.opencl.reports import DeviceReport, Findings, Icd
 from clvol.opencl.runtime import environment_libraries, loader_folder, register_runtimes
 
 if TYPE_CHECKING:
@@ -34,76 +34,11 @@ if TYPE_CHECKING:
 TIME_LIMIT = 30.0  # seconds that each step of a probe (listing, one device) may take
 HOW_TO_GET_ONE = 'a CPU device: "apt install pocl-opencl-icd", or pip install "clvol[cpu]"'
 
-_VENDORS = "OCL_ICD_VENDORS"
 _HOME = "PYOPENCL_HOME"
-_FORMAT = 1  # of the cache file
-_KEPT = 16  # cache files kept in the folder
-# Environment variables that change what a platform lists or how it behaves start like this.
-_RELEVANT = ("OCL_", "OPENCL_", "POCL_", "CL_CONFIG", "CUDA_", "GPU_", "ROCR_", "HIP_", "RUSTICL_",
-             "LD_LIBRARY_PATH", "LD_PRELOAD")
 
-
-@dataclass(frozen=True)
-class DeviceReport:
-    """What ``clvol doctor`` tells of one device, or of a platform that yields none.
-
-    ``name`` is short, unique and stable ("pocl", "intel", "nvidia", "pocl:1"); ``reason`` is one
-    line, "" for a working device. Memory figures are bytes; zero or "" where nothing is known
-    because the platform broke before it could tell.
-    """
-
-    name: str
-    platform: str
-    device: str = ""
-    vendor: str = ""
-    version: str = ""
-    platform_version: str = ""
-    opencl_c: str = ""
-    driver: str = ""
-    type: str = ""
-    compute_units: int = 0
-    global_memory: int = 0
-    max_buffer: int = 0
-    local_memory: int = 0
-    max_work_group: int = 0
-    fp64: bool = False
-    extensions: tuple[str, ...] = ()
-    working: bool = False
-    reason: str = ""
-    device_index: int = -1  # within its platform
-
-
-@dataclass(frozen=True)
-class Icd:
-    """One line that tells the OpenCL loader of a platform's library."""
-
-    path: str  # the .icd file (or the library itself, where the environment names it directly)
-    library: str  # its line: a path, or a name that the dynamic linker finds
-
-
-@dataclass
-class _Child:
-    """What one probe child said before it finished or died."""
-
-    events: list[dict] = field(default_factory=list)
-    death: str = ""  # one line, "" when it finished
-
-    def has(self, event: str) -> bool:
-        return any(e["event"] == event for e in self.events)
-
-
-@dataclass
-class _Findings:
-    """The outcome of a probe: the reports, and the platforms to use if not the loader's own."""
-
-    reports: list[DeviceReport]
-    selection: list[Icd] | None = None
-
-
-_original_vendors = os.environ.get(_VENDORS)
+_original_vendors = ORIGINAL_VENDORS
 _original_home: str | None = None
-_found: _Findings | None = None
-_temporary_folder: tempfile.TemporaryDirectory | None = None
+_found: Findings | None = None
 
 
 # --- public -----------------------------------------------------------------------------------
@@ -121,14 +56,14 @@ def list_devices(*, fresh: bool = False, time_limit: float = TIME_LIMIT) -> list
     if _found is None or fresh:
         register_runtimes()
         wanted, native = _platforms_wanted()
-        key = _cache_key(wanted)
-        findings = None if fresh else _read_cache(key)
+        key = device_cache.cache_key(wanted, _original_vendors)
+        findings = None if fresh else device_cache.read_cache(key)
         if findings is None:
             findings = _probe(wanted, native, time_limit)
             if any(report.working for report in findings.reports):
-                _write_cache(key, findings)
+                device_cache.write_cache(key, findings)
             else:
-                _forget(key)
+                device_cache.forget(key)
         _found = findings
         _point_loader_at(findings.selection)
     return list(_found.reports)
@@ -141,6 +76,7 @@ def open_device(name: str | None = None) -> pyopencl.Device:
     type, in any case. A device that was found working earlier but cannot be opened now is probed
     again. Raises :class:`clvol.errors.DeviceError` with what was found and why it does not work.
     """
+    check_fork()
     pin_threads()
     for fresh in (False, True):
         reports = list_devices(fresh=fresh)
@@ -148,7 +84,7 @@ def open_device(name: str | None = None) -> pyopencl.Device:
             candidates = select(reports, name)
         except DeviceError:
             # The cache may be out of date (a driver repaired, a device added): look once more.
-            if fresh or not _came_from_cache():
+            if fresh or not device_cache.came_from_cache():
                 raise
             continue
         for report in candidates:
@@ -214,17 +150,7 @@ def forget_devices() -> None:
     """Drop what is known, here and in the cache: call it when a device that worked fails."""
     global _found
     _found = None
-    _forget(_cache_key(_platforms_wanted()[0]))
-
-
-def cache_folder() -> Path | None:
-    """The user's cache folder for clvol (``XDG_CACHE_HOME`` respected), or None."""
-    import platformdirs
-
-    try:
-        return platformdirs.user_cache_path("clvol")
-    except (OSError, RuntimeError, KeyError):
-        return None
+    device_cache.forget(device_cache.cache_key(_platforms_wanted()[0], _original_vendors))
 
 
 # --- choosing and opening -----------------------------------------------------------------------
@@ -246,16 +172,20 @@ def _nothing_works(reports: list[DeviceReport]) -> str:
 
 def _open(report: DeviceReport) -> pyopencl.Device | None:
     """The device itself, or None when it is no longer what the report says."""
-    import pyopencl as cl
+    from clvol.opencl.binding import cl
+    from clvol.opencl.pocl_programs import own_pocl_folder
 
+    opencl_used()
     try:
-        # Not by the platform's index: the loader reads a folder in whatever order it comes.
-        for platform in cl.get_platforms():
-            if (platform.name, platform.version) == (report.platform, report.platform_version):
-                devices = platform.get_devices()
-                if report.device_index < len(devices) and _is(devices[report.device_index], report):
-                    cl.Context([devices[report.device_index]])
-                    return devices[report.device_index]
+        with own_pocl_folder():
+            # Not by the platform's index: the loader reads a folder in whatever order it comes.
+            for platform in cl.get_platforms():
+                if (platform.name, platform.version) == (report.platform, report.platform_version):
+                    devices = platform.get_devices()
+                    index = report.device_index
+                    if index < len(devices) and _is(devices[index], report):
+                        cl.Context([devices[index]])
+                        return devices[index]
     except cl.Error:
         pass
     return None
@@ -312,7 +242,7 @@ def _icds_in(folder: Path) -> list[Icd]:
 
 def _icd(path: Path) -> list[Icd]:
     try:
-        lines = path.read_text(encoding="utf-8", errors="replace").split("\n")
+        lines = os.fsdecode(path.read_bytes()).split("\n")
     except OSError:
         return []
     library = lines[0].strip()
@@ -335,18 +265,12 @@ def _platforms_wanted() -> tuple[list[Icd], bool]:
     return list(wanted.values()), native
 
 
-def _write_selection(icds: list[Icd], folder: Path) -> None:
-    for number, icd in enumerate(icds):
-        name = f"{number:02d}-{Path(icd.path).stem}.icd"
-        (folder / name).write_text(icd.library + "\n", encoding="utf-8")
-
-
 def _point_loader_at(selection: list[Icd] | None) -> None:
     """Restrict this process (and its children) to the selection; None: the loader's own choice."""
-    global _temporary_folder, _original_home
+    global _original_home
     if selection is None:
-        if os.environ.get(_VENDORS) != _original_vendors:
-            for name, value in ((_VENDORS, _original_vendors), (_HOME, _original_home)):
+        if os.environ.get(VENDORS) != _original_vendors:
+            for name, value in ((VENDORS, _original_vendors), (_HOME, _original_home)):
                 os.environ.pop(name, None)
                 if value is not None:
                     os.environ[name] = value
@@ -361,7 +285,7 @@ def _point_loader_at(selection: list[Icd] | None) -> None:
         if not target.is_dir():
             folder.mkdir(parents=True, exist_ok=True)
             with tempfile.TemporaryDirectory(dir=folder, prefix=".platforms-") as fresh:
-                _write_selection(selection, Path(fresh))
+                write_selection(selection, Path(fresh))
                 os.chmod(fresh, 0o755)
                 try:
                     os.rename(fresh, target)
@@ -372,26 +296,27 @@ def _point_loader_at(selection: list[Icd] | None) -> None:
                     os.mkdir(fresh)  # what the with statement expects to remove
     except OSError:
         # Lives as long as this process, and so do the children that inherit the variable.
-        _temporary_folder = tempfile.TemporaryDirectory(prefix="clvol-platforms-")
-        target = Path(_temporary_folder.name)
-        _write_selection(selection, target)
-    import pyopencl  # sets the variable, from which its loader finds the .icd files in the wheel
+        target = scratch_folder() / f"platforms-{digest[:16]}"
+        target.mkdir(exist_ok=True)
+        write_selection(selection, target)
+    from clvol.opencl import binding  # pyopencl sets the variable, by which its loader finds the wheel's .icd
 
-    del pyopencl
+    del binding
     if _original_home is None:
         _original_home = os.environ.get(_HOME)
-    os.environ[_VENDORS] = str(target)
+    os.environ[VENDORS] = str(target)
     os.environ[_HOME] = str(target)
 
 
 # --- probing in child processes -------------------------------------------------------------------
 
 
-def _probe(wanted: list[Icd], native: bool, time_limit: float) -> _Findings:
+def _probe(wanted: list[Icd], native: bool, time_limit: float) -> Findings:
     """Probe the platforms; ``native`` says that the loader finds them all by itself."""
     selection = None if native else list(wanted)
     broken: list[DeviceReport] = []
-    reports, death = _probe_devices(wanted, selection, time_limit)
+    ends: list[str] = []
+    reports, death = _probe_devices(wanted, selection, time_limit, ends)
     if death is not None:
         # Some platform takes the process down as soon as the loader asks it. Take them in one by
         # one; this also finds two that are well alone but cannot live in one process.
@@ -409,11 +334,33 @@ def _probe(wanted: list[Icd], native: bool, time_limit: float) -> _Findings:
                     selection.append(icd)
         reports, death = [], None
         if selection:
-            reports, death = _probe_devices(selection, selection, time_limit)
+            reports, death = _probe_devices(selection, selection, time_limit, ends)
         if death is not None:  # it lists now and then only: better no device than a crash
             broken += [_icd_report(icd, death) for icd in selection]
             reports, selection = [], []
-    return _Findings(_named(reports + broken), selection)
+    if any(ends):
+        kept, useless = _without_bad_ends(wanted if selection is None else selection, time_limit)
+        if useless:
+            selection, broken = kept, broken + useless
+    return Findings(_named(reports + broken), selection)
+
+
+def _without_bad_ends(
+    icds: list[Icd], time_limit: float
+) -> tuple[list[Icd], list[DeviceReport]]:
+    """Those that have a device or let a process end well; and reports of the others, which would only
+    spoil its exit status."""
+    kept, useless = [], []
+    for icd in icds:
+        child: _Child = _run_child({"enumerate_only": True}, [icd], time_limit)
+        platforms = sum(e["count"] for e in child.events if e["event"] == "platforms")
+        empty = sum(e["event"] == "device" for e in child.events)  # that is all it tells of when listing
+        if child.end and platforms <= empty:
+            reason = f"it has no device, and a process that loads it {child.end} at its end"
+            useless.append(_icd_report(icd, reason))
+        else:
+            kept.append(icd)
+    return kept, useless
 
 
 def _icd_report(icd: Icd, reason: str) -> DeviceReport:
@@ -423,9 +370,10 @@ def _icd_report(icd: Icd, reason: str) -> DeviceReport:
 
 
 def _probe_devices(
-    icds: list[Icd], selection: list[Icd] | None, time_limit: float
+    icds: list[Icd], selection: list[Icd] | None, time_limit: float, ends: list[str]
 ) -> tuple[list[DeviceReport], str | None]:
-    """Probe every device; the second value is how the child died if it could not even list them."""
+    """Probe every device; the second value is how the child died if it could not even list them. How it
+    ended is appended to ``ends``."""
     found: dict[tuple[int, int], DeviceReport] = {}
     unloadable: list[DeviceReport] = []
     known = {f.name for f in fields(DeviceReport)}
@@ -434,6 +382,7 @@ def _probe_devices(
                    "salt": os.urandom(6).hex(), "skip": sorted(found),
                    "libraries": [[icd.path, icd.library] for icd in icds]}
         child = _run_child(request, selection, time_limit)
+        ends.append(child.end)
         if child.death and not child.has("started"):
             return [], child.death
         current: tuple[int, int] | None = None
@@ -457,212 +406,3 @@ def _probe_devices(
         if child.death and not child.has("listed"):
             return [], child.death
         return [found[key] for key in sorted(found)] + unloadable, None
-
-
-def _run_child(request: dict, selection: list[Icd] | None, time_limit: float) -> _Child:
-    """Run one probe child to its end or to its time limit."""
-    from clvol.opencl import probe
-
-    environment = dict(os.environ)
-    environment.pop(_VENDORS, None)
-    if _original_vendors is not None:
-        environment[_VENDORS] = _original_vendors
-    # The child must find the very modules this process uses, however it came to its path.
-    environment["PYTHONPATH"] = os.pathsep.join(os.path.abspath(p) for p in sys.path)
-    environment["PYOPENCL_NO_CACHE"] = "1"
-    environment["PYTHONWARNINGS"] = "ignore"
-    environment.pop("PYTHONFAULTHANDLER", None)
-    child = _Child()
-    with tempfile.TemporaryDirectory(prefix="clvol-probe-") as folder, \
-            open(os.path.join(folder, "stderr"), "w+b") as stderr:
-        request = {**request, "only_vendors_folder": selection is not None}
-        if selection is not None:
-            icds = Path(folder) / "icd"
-            icds.mkdir()
-            _write_selection(selection, icds)
-            environment[_VENDORS] = str(icds)
-        python = sys.executable or shutil.which("python3") or "python3"
-        try:
-            process = subprocess.Popen(
-                [python, probe.__file__, json.dumps(request)], env=environment, cwd=folder,
-                stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=stderr,
-                start_new_session=True)
-        except OSError as error:
-            child.death = f"{python} cannot be started: {error.strerror}"
-            return child
-        lines: queue.Queue[bytes | None] = queue.Queue()
-
-        def read() -> None:
-            for line in process.stdout:
-                lines.put(line)
-            lines.put(None)
-
-        reader = threading.Thread(target=read, daemon=True)
-        reader.start()
-        hung = False
-        try:
-            while (line := lines.get(timeout=time_limit)) is not None:
-                child.events.append(json.loads(line))
-            status = process.wait(timeout=time_limit)
-        except (queue.Empty, subprocess.TimeoutExpired):
-            hung = True
-        except ValueError:  # half a line
-            status = process.wait(timeout=time_limit)
-        finally:
-            _kill(process)
-            reader.join(timeout=1.0)
-            process.stdout.close() if not reader.is_alive() else None
-        if hung:
-            child.death = f"no answer within {time_limit:g} s"
-        elif status != 0 or not child.has("done"):
-            stderr.seek(0)
-            text = stderr.read()[-20000:].decode("utf-8", errors="replace")
-            child.death = _death(status, text, probe)
-    return child
-
-
-def _kill(process: subprocess.Popen) -> None:
-    """End the child and whatever its drivers have started."""
-    if process.poll() is None:
-        try:
-            os.killpg(process.pid, signal.SIGKILL)
-        except (OSError, AttributeError):
-            process.kill()
-        process.wait()
-
-
-def _death(status: int, stderr: str, probe: Any) -> str:
-    """One line on how a child ended that should have finished."""
-    if status < 0:
-        try:
-            how = f"crashed ({signal.Signals(-status).name})"
-        except ValueError:
-            how = f"crashed (signal {-status})"
-        line = probe.first_meaningful_line(stderr)
-    else:
-        how = f"ended with status {status}"
-        # An uncaught exception: its message is the last line of the traceback.
-        lines = [line for line in stderr.splitlines() if line.strip()]
-        line = probe.first_meaningful_line(lines[-1]) if lines else ""
-    return f"{how}: {line}" if line else how
-
-
-# --- the cache ------------------------------------------------------------------------------------
-
-
-_cached_at_start = False
-
-
-def _came_from_cache() -> bool:
-    return _cached_at_start
-
-
-def _stat(path: str | Path) -> list:
-    try:
-        status = os.stat(path)
-    except OSError:
-        return [str(path)]
-    return [str(path), status.st_mtime_ns, status.st_size]
-
-
-def _cache_key(wanted: list[Icd]) -> str:
-    """A digest of all that can change a probe's outcome and can be looked at cheaply."""
-    from importlib import metadata
-
-    try:
-        version = metadata.version("pyopencl")
-    except metadata.PackageNotFoundError:
-        version = ""
-    folders = ["/usr/lib", f"/usr/lib/{host.machine()}-linux-gnu", "/usr/lib64", "/usr/local/lib"]
-    libraries = []
-    for icd in wanted:
-        libraries.append([icd.path, icd.library, _stat(icd.path)])
-        if os.path.isabs(icd.library):
-            libraries[-1].append(_stat(icd.library))
-        else:  # the dynamic linker's names: wherever the library lies, one of these changes with it
-            libraries[-1] += [_stat(os.path.join(f, icd.library)) for f in folders]
-    here = Path(__file__).parent
-    try:
-        processors = len(os.sched_getaffinity(0))
-    except AttributeError:
-        processors = os.cpu_count() or 1
-    facts = [
-        _FORMAT, version, sys.executable, host.node(), host.machine(), host.release(), processors,
-        libraries,
-        _stat("/etc/ld.so.cache"), _stat(here / "probe.py"), _stat(kernel_folder() / "probe.cl"),
-        _original_vendors,
-        sorted((k, v) for k, v in os.environ.items() if k.startswith(_RELEVANT) and k != _VENDORS),
-    ]
-    return hashlib.sha256(json.dumps(facts).encode()).hexdigest()
-
-
-def _cache_file(key: str) -> Path | None:
-    folder = cache_folder()
-    return None if folder is None else folder / f"devices-{key[:24]}.json"
-
-
-def _read_cache(key: str) -> _Findings | None:
-    """What an earlier process found, or None: not there, unreadable, damaged, or of another key."""
-    global _cached_at_start
-    path = _cache_file(key)
-    _cached_at_start = False
-    try:
-        content = json.loads(path.read_text(encoding="utf-8")) if path else None
-        if not content or content["key"] != key:
-            return None
-        reports = []
-        for item in content["reports"]:
-            report = DeviceReport(**{**item, "extensions": tuple(item["extensions"])})
-            if any(not isinstance(getattr(report, n), kind) for n, kind in _FIELD_TYPES.items()):
-                return None
-            reports.append(report)
-        selection = content["selection"]
-        if selection is not None:
-            selection = [Icd(str(path), str(library)) for path, library in selection]
-    except (OSError, ValueError, KeyError, TypeError):
-        return None
-    if not any(report.working for report in reports):
-        return None
-    _cached_at_start = True
-    return _Findings(reports, selection)
-
-
-_FIELD_TYPES = {
-    "name": str, "platform": str, "platform_version": str, "device": str, "driver": str,
-    "type": str, "reason": str, "working": bool, "device_index": int, "global_memory": int, "max_buffer": int,
-    "compute_units": int, "fp64": bool,
-}
-
-
-def _write_cache(key: str, findings: _Findings) -> None:
-    """Keep the findings for later processes; a folder that cannot be written to is no error."""
-    global _cached_at_start
-    _cached_at_start = False
-    path = _cache_file(key)
-    if path is None:
-        return
-    selection = findings.selection
-    content = {"key": key, "reports": [asdict(report) for report in findings.reports],
-               "selection": None if selection is None else [[i.path, i.library] for i in selection]}
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        temporary.write_text(json.dumps(content, indent=1), encoding="utf-8")
-        os.replace(temporary, path)
-        files = sorted(path.parent.glob("devices-*.json"), key=lambda p: p.stat().st_mtime)
-        for old in files[:-_KEPT]:
-            old.unlink()
-    except OSError:
-        try:
-            temporary.unlink(missing_ok=True)
-        except OSError:
-            pass
-
-
-def _forget(key: str) -> None:
-    path = _cache_file(key)
-    try:
-        if path is not None:
-            path.unlink(missing_ok=True)
-    except OSError:
-        pass

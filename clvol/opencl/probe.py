@@ -1,6 +1,6 @@
 """The child process that tries OpenCL platforms, so that a broken one cannot take the host down.
 
-Run as a file (``python probe.py``) by :mod:`clvol.opencl.devices` with a JSON request as its only
+Run as a file by :mod:`clvol.opencl.devices` with a JSON request as its only
 argument; answers one JSON object a line on what was standard output when it started::
 
     {"event": "started"}                        pyopencl is imported, no OpenCL call made yet
@@ -17,15 +17,10 @@ answering. The file imports nothing of clvol: it must start quickly, whatever th
 
 from __future__ import annotations
 
-import sys
-
-if __name__ == "__main__":
-    # Python puts this file's folder first on the path; its modules are no top-level names.
-    sys.path.pop(0)
-
 import json
 import os
 import re
+import sys
 
 _PROPERTIES = {  # report's name -> pyopencl's
     "device": "name",
@@ -205,5 +200,5 @@ if __name__ == "__main__":
         stream.flush()
 
     main(json.loads(sys.argv[1]), send)
-    # A driver that crashes while it is unloaded has done its work: do not wait for its destructors.
-    os._exit(0)
+    # Not os._exit: whoever reads sees from the exit status whether the libraries let a process end.
+    stream.close()

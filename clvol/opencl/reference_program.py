@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clvol.errors import DeviceError, RenderError
-from clvol.opencl.kernels_path import kernel_folder
-from clvol.quietly import without_warnings
+from clvol.opencl.forks import check_fork, opencl_used
 
 if TYPE_CHECKING:
     import pyopencl
@@ -70,8 +69,9 @@ def integrate_rays(
     Raises DeviceError (no fp64, the volume does not fit in one buffer, the device fails) and
     RenderError (the kernel does not build).
     """
-    import pyopencl as cl
+    from clvol.opencl.binding import cl
 
+    check_fork()
     _check(device, voxels)
     count = len(origins)
     result = RayIntegrals(
@@ -151,22 +151,20 @@ def _check(device: pyopencl.Device, voxels: np.ndarray) -> None:
 @lru_cache(maxsize=32)
 def _program(device: pyopencl.Device, voxel: str, filter: str, preclassified: bool):
     """The context and the built program of one variant; one build a process."""
-    import pyopencl as cl
+    from clvol.opencl.binding import cl
+    from clvol.opencl.build import build_file
 
-    folder = kernel_folder()
-    options = ["-cl-std=CL1.2", "-I", str(folder), f"-DREFERENCE_VOXEL={_VOXEL_NAMES[voxel]}"]
+    options = ["-cl-std=CL1.2", f"-DREFERENCE_VOXEL={_VOXEL_NAMES[voxel]}"]
     if voxel.startswith("float"):
         options.append("-DREFERENCE_FLOATING")
     if filter != "linear":
         options.append(f"-DREFERENCE_{filter.upper()}")
     if preclassified:
         options.append("-DREFERENCE_PRECLASSIFIED")
+    opencl_used()
     context = cl.Context([device])
-    source = (folder / "reference.cl").read_text(encoding="utf-8")
     try:
-        # Intel's compiler remarks on how it vectorised; nobody needs to read that.
-        with without_warnings(cl.CompilerWarning):
-            return context, cl.Program(context, source).build(options=options)
+        return context, build_file(context, "reference.cl", options)
     except cl.RuntimeError as error:
         log = " ".join(str(error).split())[:2000]
         what = f"it does not build with {' '.join(options)}: {log}"

@@ -59,12 +59,12 @@ def register_runtimes() -> list[Path]:
     if folder is None or not libraries:
         return []
     target = folder / _ICD
-    line = f"{libraries[0]}\n"
+    line = os.fsencode(libraries[0]) + b"\n"
     try:
-        if target.is_file() and target.read_text(encoding="utf-8") == line:
+        if target.is_file() and target.read_bytes() == line:
             return [target]
         temporary = folder / f".{_ICD}.{os.getpid()}"
-        temporary.write_text(line, encoding="utf-8")
+        temporary.write_bytes(line)
         os.replace(temporary, target)
     except OSError:
         return []
@@ -73,4 +73,4 @@ def register_runtimes() -> list[Path]:
 
 if __name__ == "__main__":  # `python -m clvol.opencl.runtime`, used by the Makefile
     for icd in register_runtimes():
-        print(f"{icd}: {icd.read_text(encoding='utf-8').strip()}")
+        print(f"{icd}: {os.fsdecode(icd.read_bytes()).strip()}".encode(errors="replace").decode())

@@ -66,3 +66,31 @@ def test_a_loader_without_a_folder_is_pointed_at_the_library(environment, tmp_pa
     assert [icd.library for icd in icds] == [str(library)]
     devices._point_loader_at(None)
     assert "OCL_ICD_VENDORS" not in os.environ
+
+
+def test_an_environment_that_cannot_be_written_is_used_all_the_same(environment, tmp_path, monkeypatch):
+    """As root installs it for everybody, or in a container."""
+    library, loader = environment
+    monkeypatch.setattr(devices, "loader_folder", lambda: loader)
+    monkeypatch.setattr(devices, "_original_vendors", None)
+    monkeypatch.setenv("OPENCL_VENDOR_PATH", str(tmp_path / "empty"))
+
+    def refuse(*_, **__):
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(runtime.Path, "write_bytes", refuse)
+    assert runtime.register_runtimes() == []
+    wanted, native = devices._platforms_wanted()
+    assert not native and [icd.library for icd in wanted] == [str(library)]
+    assert list(loader.iterdir()) == []
+
+
+def test_a_path_that_is_not_utf_8_is_registered(environment, tmp_path, monkeypatch):
+    library, loader = environment
+    odd = os.fsdecode(bytes(tmp_path) + b"/odd-\xff")
+    os.makedirs(os.path.join(odd, "lib"))
+    library.rename(os.path.join(odd, "lib", library.name))
+    runtime.sys.prefix = runtime.sys.exec_prefix = odd
+    assert runtime.register_runtimes() == [loader / "intel.icd"]
+    assert (loader / "intel.icd").read_bytes() == os.fsencode(odd) + b"/lib/libintelocl.so\n"
+    assert devices._icd(loader / "intel.icd")[0].library == os.path.join(odd, "lib", library.name)

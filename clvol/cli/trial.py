@@ -1,0 +1,125 @@
+"""A small picture rendered on one device, in a process of its own, as ``clvol render`` would.
+
+The probe of the devices asks the least of them. A render needs more: all kernels, the compiler's work on
+them, folders for programs and for temporary files. ``clvol doctor`` says that a device works when a
+picture came out of it, and the picture was right.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import numpy as np
+
+TIME_LIMIT = 180.0  # seconds; compilers take ten of them where nothing is cached
+_MARK = "clvol-trial: "
+_EDGE, _OPACITY, _VALUE = 8, 0.1, 100
+
+
+@dataclass(frozen=True)
+class Trial:
+    """``reason``: one line on what went wrong, "" if the picture was right; ``notices``: what is wrong
+    with the machine otherwise, by where."""
+
+    reason: str = ""
+    notices: dict[str, str] = field(default_factory=dict)
+
+
+def try_render(name: str, time_limit: float = TIME_LIMIT) -> Trial:
+    """Renders a small picture on the device called ``name`` in a child process, and checks it."""
+    from clvol.opencl.children import child_command, child_environment, end_child
+    from clvol.opencl.folders import scratch_folder
+    from clvol.opencl.probe import first_meaningful_line
+
+    command = child_command(__file__, name)
+    with tempfile.TemporaryFile(dir=scratch_folder()) as stderr:
+        try:
+            process = subprocess.Popen(
+                command, env=child_environment(), stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
+                stderr=stderr, start_new_session=True,
+            )  # fmt: skip
+        except OSError as error:
+            return Trial(f"{command[0]} cannot be started: {error.strerror}")
+        try:
+            out, _ = process.communicate(timeout=time_limit)
+        except subprocess.TimeoutExpired:
+            return Trial(f"rendering: no picture within {time_limit:g} s")
+        finally:
+            end_child(process)
+        for line in out.decode("utf-8", errors="replace").splitlines():
+            if line.startswith(_MARK):
+                answer = json.loads(line.removeprefix(_MARK))
+                return Trial(answer["reason"], answer["notices"])
+        stderr.seek(0)
+        said = first_meaningful_line(stderr.read()[-20000:].decode("utf-8", errors="replace"))
+    status = process.returncode
+    try:
+        how = f"crashed ({signal.Signals(-status).name})" if status < 0 else f"ended with status {status}"
+    except ValueError:
+        how = f"crashed (signal {-status})"
+    return Trial(f"rendering {how}: {said}" if said else f"rendering {how}")
+
+
+def _render(name: str) -> str:
+    """What is wrong with the picture of a box of one value, or ""."""
+    import numpy as np
+
+    from clvol import Renderer, Scene, TransferFunction, Volume
+
+    voxels = np.full((_EDGE, _EDGE, _EDGE), _VALUE, np.uint8)
+    point = {"opacity": _OPACITY, "color": [1.0, 0.5, 0.25]}
+    scene = Scene(
+        volume=Volume(voxels),
+        camera={"projection": "orthographic", "height": 4.0, "position": [3.5, 3.5, 20.0],
+                "target": [3.5, 3.5, 3.5], "up": [0.0, 1.0, 0.0]},
+        image={"width": 32, "height": 32},
+        transfer_function={"color_space": "linear", "points": [{"value": 0.0, **point}, {"value": 255.0, **point}]},
+        integration={"early_termination": 0.0},
+    )  # fmt: skip
+    with Renderer(scene, devices=[name]) as renderer:
+        rgba = renderer.render().rgba
+    off = float(np.abs(rgba - _expected()).max())
+    return "" if off < 1e-4 else f"rendering: the picture is wrong by {off:.3g}"
+
+
+def _expected() -> np.ndarray:
+    """Every pixel: the box is as deep as its voxels' centres are apart."""
+    import numpy as np
+
+    alpha = 1.0 - (1.0 - _OPACITY) ** (_EDGE - 1)
+    return np.array([1.0, 0.5, 0.25, 1.0]) * alpha
+
+
+def main(name: str) -> None:
+    import warnings
+
+    from clvol.errors import ClvolError
+    from clvol.opencl.notices import told
+
+    # Drivers print: keep the answer apart from whatever they write to standard output.
+    answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
+    os.dup2(2, 1)
+    warnings.simplefilter("ignore")
+    try:
+        reason = _render(name)
+    except ClvolError as error:
+        reason = f"rendering: {error}"
+    except Exception as error:
+        reason = f"rendering: {type(error).__name__}: {error}"
+    answers.write(_MARK + json.dumps({"reason": " ".join(reason.split()), "notices": told()}) + "\n")
+    answers.flush()
+
+
+if __name__ == "__main__":
+    from clvol.cli.ending import leave
+
+    main(sys.argv[1])
+    leave(0)

@@ -1,0 +1,141 @@
+"""Programs built from source, or from what an earlier process compiled of the same source."""
+
+from __future__ import annotations
+
+import atexit
+import hashlib
+import os
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from clvol.opencl import pocl_programs, program_store
+from clvol.opencl.binding import cl
+from clvol.opencl.forks import is_forked
+from clvol.opencl.kernels_path import kernel_folder
+from clvol.opencl.source import whole_source
+from clvol.quietly import without_warnings
+
+_POCL = "Portable Computing Language"
+_lock = threading.Lock()  # PoCL compiles one program at a time anyway
+
+
+def build_file(
+    context: cl.Context, file: str | Path, options: Sequence[str], folder: Path | None = None
+) -> Any:
+    """The program of ``file`` (of cl/, or an absolute path), built; ``folder``: one more to include from.
+
+    Raises RenderError for a source that is not there, and pyopencl's RuntimeError with the compiler's
+    words where it does not build.
+    """
+    kernels = kernel_folder()
+    folders = (kernels,) if folder is None else (Path(folder), kernels)
+    return build_program(context, whole_source(kernels / file, folders), options)
+
+
+def build_program(context: cl.Context, source: str, options: Sequence[str]) -> Any:
+    """``source`` (without any #include) built for the context's one device.
+
+    ``options`` are words without blanks or quotes: implementations differ in how they take those.
+    """
+    device = context.devices[0]
+    words = " ".join(options).encode()
+    key = program_key(device, source, options)
+    with _lock, without_warnings(cl.CompilerWarning):  # a driver's "compilation done" is no news
+        if device.platform.name == _POCL:
+            pocl_programs.restore(key)
+            program = _built(cl._cl._Program(context, source), words)
+            pocl_programs.built(key)
+            return program
+        if _has_cache(device):
+            return _built(cl._cl._Program(context, source), words)
+        store = program_store.program_folder()
+        kept = program_store.read_program(store, key)
+        if kept is not None:
+            try:
+                return _built(cl._cl._Program(context, [device], [kept[""]]), words)
+            except (cl.Error, KeyError):  # not this driver's after all
+                pass
+        program = _built(cl._cl._Program(context, source), words)
+        try:
+            (binary,) = program.get_info(cl.program_info.BINARIES)
+        except (cl.Error, ValueError):  # it gives none
+            return program
+        program_store.write_program(store, key, {"": bytes(binary)})
+        return program
+
+
+def _built(program: Any, options: bytes) -> Any:
+    # Not pyopencl.Program.build: that adds a -I of its own, and its cache.
+    with _in_plain_folder():
+        program.build(options, None)
+    return program
+
+
+@contextmanager
+def _in_plain_folder() -> Iterator[None]:
+    """Elsewhere while the working folder's name has a quote in it: Intel's compiler is told to look there
+    for files, in quotes, and would take the rest of the name for options."""
+    try:
+        folder = os.getcwd()
+    except OSError:
+        folder = ""
+    if '"' not in folder:
+        yield
+        return
+    here = os.open(".", os.O_RDONLY)
+    try:
+        os.chdir(os.sep)
+        yield
+    finally:
+        os.fchdir(here)
+        os.close(here)
+
+
+def keep_programs(everything: bool = False) -> None:
+    """Keeps for later processes what was compiled of the programs built since the last call, or of all;
+    also done at the end of the process."""
+    if is_forked():  # the parent's to keep, and its lock may never be given back
+        return
+    with _lock:
+        pocl_programs.keep(everything)
+
+
+atexit.register(keep_programs, everything=True)
+
+
+def program_key(device: cl.Device, source: str, options: Sequence[str]) -> str:
+    """A digest of all that the compiled program depends on."""
+    digest = hashlib.blake2b(digest_size=20)
+    for text in (*_identity(device), *options, source):
+        digest.update(text.encode("utf-8", errors="surrogateescape") + b"\0")
+    return digest.hexdigest()
+
+
+def _has_cache(device: cl.Device) -> bool:
+    """Whether the driver keeps programs itself, soundly."""
+    return "NVIDIA" in device.platform.name.upper()
+
+
+@lru_cache(maxsize=None)
+def _identity(device: cl.Device) -> tuple[str, ...]:
+    platform = device.platform
+    return (
+        platform.name, platform.version, device.name, device.vendor, device.version,
+        device.driver_version, str(device.vendor_id), str(device.address_bits),
+        _processor() if device.type & cl.device_type.CPU else "",
+    )  # fmt: skip
+
+
+def _processor() -> str:
+    """What this machine's processor can do: a home folder may be shared with another one that cannot."""
+    try:
+        with open("/proc/cpuinfo", "rb") as file:
+            lines = file.read(8192).decode("ascii", errors="replace").split("\n")
+    except OSError:
+        return ""
+    wanted = ("model name", "flags", "Features", "CPU part", "isa")
+    return "\n".join(line for line in lines[:60] if line.split("\t")[0].strip() in wanted)

@@ -1,0 +1,132 @@
+"""PoCL's compiled programs: a folder of this process alone, filled from and kept in the program store.
+
+PoCL keeps what it compiles in a folder that all processes of a user share. It aborts the process where
+that folder cannot be written, is full, lies where no code may be loaded from, or holds a damaged file.
+So it gets a fresh folder each time, to which only what the store has checked is copied.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from clvol.opencl.folders import scratch_folder
+from clvol.opencl.program_store import Files, program_folder, read_program, write_program
+
+_VARIABLE = "POCL_CACHE_DIR"
+
+_opening = threading.Lock()
+_folder: Path | None = None
+_owner = 0
+_store: Path | None = None
+_places: dict[str, str] = {}  # of programs, by key: PoCL's folder, relative to ours
+_kept: dict[str, dict[str, int]] = {}  # by key: sizes of the files that the store has
+_asked: set[str] = set()  # keys of what was built since `keep` was last called
+_seen: set[str] = set()  # PoCL's folders of programs so far
+
+
+@contextmanager
+def own_pocl_folder() -> Iterator[None]:
+    """The first OpenCL call of a process belongs in here: PoCL reads its environment just once."""
+    global _folder, _owner, _store
+    with _opening:  # the environment is everybody's
+        before = os.environ.get(_VARIABLE)
+        if _folder is None or _owner != os.getpid():
+            _store = program_folder(pocl=True)
+            _folder, _owner = scratch_folder() / "pocl", os.getpid()
+            _folder.mkdir(exist_ok=True)
+            for known in (_places, _kept, _asked, _seen):
+                known.clear()
+        os.environ[_VARIABLE] = str(_folder)
+        try:
+            yield
+        finally:  # children of this process have folders of their own
+            if before is None:
+                os.environ.pop(_VARIABLE, None)
+            else:
+                os.environ[_VARIABLE] = before
+
+
+def restore(key: str) -> None:
+    """Gives PoCL the program of this key, if the store has it whole."""
+    if _folder is None:
+        return
+    _asked.add(key)
+    if key in _places:
+        return
+    try:
+        _folder.mkdir(parents=True, exist_ok=True)  # somebody may have tidied up
+    except OSError:
+        return
+    files = read_program(_store, key)
+    if not files:
+        return
+    place = "/".join(next(iter(files)).split("/")[:2])
+    if (_folder / place).exists():  # compiled, under another key, from the same text
+        _places[key] = place
+        return
+    try:
+        for name, content in files.items():
+            path = _folder / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(content)
+    except OSError:  # no room: PoCL may find some that it can do with
+        return
+    _places[key] = place
+    _seen.add(place)
+    _kept[key] = {name: len(content) for name, content in files.items()}
+
+
+def built(key: str) -> None:
+    """Says that the program of this key has just been built."""
+    if _folder is None:
+        return
+    new = {f"{a.name}/{b.name}" for a in _folders_in(_folder) for b in _folders_in(a)} - _seen
+    _seen.update(new)
+    if len(new) == 1 and new != {_places.get(key)}:
+        (_places[key],) = new
+        _kept.pop(key, None)
+
+
+def keep(everything: bool = False) -> None:
+    """Writes to the store what was compiled of the programs built since the last call, or of all."""
+    if _folder is None or _owner != os.getpid() or os.environ.get("POCL_KERNEL_CACHE") == "0":
+        return
+    keys = list(_places) if everything else [key for key in _asked if key in _places]
+    _asked.clear()
+    for key in keys:
+        sizes = _sizes(_folder / _places[key])
+        if sizes and sizes != _kept.get(key):
+            files: Files = {}
+            try:
+                for name in sizes:
+                    files[name] = (_folder / name).read_bytes()
+            except OSError:
+                continue
+            _kept[key] = sizes
+            write_program(_store, key, files)
+
+
+def _folders_in(folder: Path) -> list[os.DirEntry]:
+    try:
+        with os.scandir(folder) as entries:
+            return [entry for entry in entries if entry.is_dir(follow_symlinks=False)]
+    except OSError:
+        return []
+
+
+def _sizes(folder: Path) -> dict[str, int]:
+    """Of all files of a program but its time stamp, by their paths within our folder."""
+    sizes = {}
+    for parent, _, names in os.walk(folder):
+        for name in names:
+            path = Path(parent, name)
+            if name != "last_accessed" and not name.startswith("tempfile"):
+                try:
+                    sizes[path.relative_to(_folder).as_posix()] = path.stat().st_size
+                except OSError:
+                    pass
+    return sizes
