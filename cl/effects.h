@@ -82,7 +82,7 @@ typedef struct {
   __constant const Effects *effects;
   __global const float4 *items;
   __global const uint *gradients;
-  __global const uchar *cell_flags;
+  __global const uchar *surface_distances;
   __global const float4 *environment;
   __global const float4 *light_volume;
   __global const uint *noise;
@@ -93,12 +93,12 @@ typedef struct {
 
 #define EFFECT_PARAMETERS                                                                                              \
   , __constant const Effects *restrict effects, __global const float4 *restrict items,                                 \
-    __global const uint *restrict gradients, __global const uchar *restrict cell_flags,                                \
+    __global const uint *restrict gradients, __global const uchar *restrict surface_distances,                                \
     __global const float4 *restrict environment, __global const float4 *restrict light_volume,                         \
     __global const uint *restrict noise, __global const float *restrict factors, __global const float *restrict fields, \
     __global const float *restrict extinction, __global uint *restrict counts
 #define EFFECT_ARGUMENTS \
-  , effects, items, gradients, cell_flags, environment, light_volume, noise, factors, fields, extinction, counted
+  , effects, items, gradients, surface_distances, environment, light_volume, noise, factors, fields, extinction, counted
 
 /* A kernel's own tally, written to counts[tile, COUNTERS] at its end. */
 #define EFFECT_TALLY Tally counted[COUNTERS] = {0};

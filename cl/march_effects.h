@@ -71,23 +71,32 @@ INLINE Vectors cued_color(const Scene *scene, Vectors color, floatN depth, float
 #define SAMPLES_AHEAD (FETCH_AHEAD && CLASSIFICATION != CLASSIFICATION_PRE && TRANSLUCENT && !ISOSURFACES && !NOISE)
 #define AHEAD (CLASSIFICATION == CLASSIFICATION_POST ? 0.5f : 1.0f)
 
+/* Surfaces are walked to in edges, whatever the step; where nothing else shows a kept stretch is one segment. */
+#if ISOSURFACES
+#define RAY_UNIT(h) 1.0f
+#else
+#define RAY_UNIT(h) (h)
+#endif
+#define ONE_SEGMENT (ISOSURFACES && !TRANSLUCENT)
+
 /* Gradients are also reconstructed where nothing is lit, for what depends on them. */
 #define GRADIENT_DECIDES (OPACITY_FACTORS || TRANSFER_LAYERS)
 
 INLINE void render_packet(__global const uchar *volume, __global const float *table, __global const float *warp,
                           __global const uchar *distances, __constant const View *view_, __constant const Effects *effects,
-                          __global const float4 *items, __global const uint *gradients, __global const uchar *cell_flags,
+                          __global const float4 *items, __global const uint *gradients, __global const uchar *surface_distances,
                           __global const float4 *environment, __global const float4 *light_volume, __global const uint *noise,
                           __global const float *factors, __global const float *fields, __global const float *extinction,
                           Tally *counted, intN px, intN py, float *rgba, float *depth, uint *samples)
 {
-  const Scene scene_ = {volume, table, warp, distances, view_, effects, items, gradients, cell_flags, environment, light_volume,
+  const Scene scene_ = {volume, table, warp, distances, view_, effects, items, gradients, surface_distances, environment, light_volume,
                         noise, factors, fields, extinction};
   const Scene *scene = &scene_;
   __constant const View *view = view_;
   const float h = view->march.x;
-  Rays whole_ray = make_rays(view, TO_FLOAT(px), TO_FLOAT(py));
-  Vectors forward = scaled3(direction_to_local(effects, whole_ray.dx, whole_ray.dy, whole_ray.dz), 1.0f / h);
+  const float unit = RAY_UNIT(h); /* of whole_ray and next_from, in edges */
+  Rays whole_ray = make_rays_of_step(view, TO_FLOAT(px), TO_FLOAT(py), unit);
+  Vectors forward = scaled3(direction_to_local(effects, whole_ray.dx, whole_ray.dy, whole_ray.dz), 1.0f / unit);
   intN alive = MASK(whole_ray.length >= 0.0f) & MASK(px < view->image.x) & MASK(py < view->image.y);
   const intN on_picture = MASK(px < view->image.x) & MASK(py < view->image.y);
   uintN taken = 0;
@@ -95,9 +104,12 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
   acc.r = acc.g = acc.b = acc.a = 0.0f;
   floatN median = INFINITY; /* in edges from the eye */
   Rays ray = whole_ray;
-  floatN next_from = 0.0f;  /* where the next stretch may begin, in steps along whole_ray */
+  floatN next_from = 0.0f;  /* where the next stretch may begin, along whole_ray */
 #if CLIP
   Vectors cut_normal = {0.0f, 0.0f, 0.0f};
+#endif
+#if ISOSURFACES
+  SurfaceWalk walk = walk_along(whole_ray, (floatN)0.0f);
 #endif
 #if REFRACTION
   intN bends_left = MOST_BENDS;
@@ -110,9 +122,9 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
     const intN stretches = alive & MASK(i > last);
     if (any_lane(stretches)) {
 #if CLIP
-      const Stretch next = next_stretch(scene, &whole_ray, next_from);
+      const Stretch next = next_stretch(scene, &whole_ray, next_from, unit);
       const intN found = stretches & MASK(next.enter < next.leave);
-      const Rays along = ray_along(&whole_ray, next.enter, next.leave, found, h);
+      const Rays along = ray_along(&whole_ray, next.enter, next.leave, found, unit);
       cut_normal = select3(cut_normal, next.normal, stretches);
       next_from = select(next_from, next.leave, found);
 #else
@@ -120,15 +132,20 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
       const Rays along = whole_ray;
       next_from = select(next_from, whole_ray.length, stretches);
 #endif
+#if ISOSURFACES
+      walk = select_walks(walk, walk_along(along, (floatN)0.0f), stretches);
+      ray = select_rays(ray, rays_in_steps(along, h), stretches);
+#else
       ray = select_rays(ray, along, stretches);
+#endif
       i = select(i, (intN)0, stretches), joined = select(joined, (intN)0, stretches);
-      const floatN cells = ceil(lane_max(ray.length, (floatN)0.0f));
-      last = select(last, TO_INT(cells) - 1, stretches);
+      const floatN segments = ONE_SEGMENT ? (floatN)1.0f : ceil(lane_max(ray.length, (floatN)0.0f));
+      last = select(last, TO_INT(segments) - 1, stretches);
       alive &= found | ~stretches;
       last = select(last, (intN)DONE, ~alive);
     }
     if (!any_lane(alive)) break;
-#if SKIP_EMPTY
+#if SKIP_EMPTY && !ONE_SEGMENT
     {
       const intN going = alive & MASK(i <= last);
       const floatN visible_at = next_visible(distances, view, TO_FLOAT(i), going, &ray);
@@ -146,19 +163,12 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
     FetchedSample ahead2 = fetch_sample(volume, view, ray.x0 + (t_ahead + 1.0f) * ray.dx, ray.y0 + (t_ahead + 1.0f) * ray.dy,
                                         ray.z0 + (t_ahead + 1.0f) * ray.dz);
 #endif
-    _Pragma("unroll 1") for (int step = 0; step < MARCH_STEPS; ++step) {
+    _Pragma("unroll 1") for (int step = 0; step < (ONE_SEGMENT ? 1 : MARCH_STEPS); ++step) {
       const intN active = alive & MASK(i <= last);
-      const floatN t0 = TO_FLOAT(i), t1 = lane_min(t0 + 1.0f, ray.length);
+      const floatN t0 = TO_FLOAT(i), t1 = ONE_SEGMENT ? ray.length : lane_min(t0 + 1.0f, ray.length);
       const floatN length = select((floatN)1.0f, t1 - t0, active), tm = t0 + 0.5f * length;
       const floatN xm = ray.x0 + tm * ray.dx, ym = ray.y0 + tm * ray.dy, zm = ray.z0 + tm * ray.dz;
-#if ISOSURFACES
-      /* Values at the ends and the middle tell surfaces; where none can be, the segment needs no more than usual. */
-      const intN near = active & surfaces_near(scene, xm, ym, zm);
-      const int look = any_lane(near);
-#else
-      const int look = 0;
-#endif
-      const int ends = NEEDS_ENDS | look, middle = NEEDS_MIDDLE | look;
+      const int ends = NEEDS_ENDS, middle = NEEDS_MIDDLE;
       floatN front = value1, back = 0.0f, mid = 0.0f;
       Emission e = no_emission();
 #if SAMPLES_AHEAD
@@ -290,27 +300,22 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
       }
 #endif
 #if ISOSURFACES
-      if (look) {
+      {
         intN may_bend = 0;
 #if REFRACTION
         may_bend = MASK(bends_left > 0);
 #endif
-        count_lanes(&counted[COUNT_SURFACE_TESTS], near);
-        const floatN before = acc.a;
-        floatN median_steps = INFINITY;
-        const SurfacePassage passage = pass_surfaces(scene, &ray, scaled3(forward, -1.0f), t0, length, front, mid, back, e, active, near, may_bend,
-                                                     &acc, &median_steps, &taken, counted);
+        floatN median_edges = INFINITY;
+        const SurfacePassage passage = pass_surfaces(scene, &walk, scaled3(forward, -1.0f), t0 * h, t1 * h, e, visible, active,
+                                                     MASK(i == last), may_bend, &acc, &median_edges, &taken, counted);
 #if WITH_DEPTH
-        const intN on_surface = MASK(median_steps < INFINITY) & MASK(median == INFINITY);
-        median = select(median, ray.entry_depth + select((floatN)0.0f, median_steps, on_surface) * h, on_surface);
-        if (any_lane(MASK(acc.a >= 0.5f) & MASK(median == INFINITY)))
-          median = median_step(median, before, acc.a, ray.entry_depth + t0 * h, ray.entry_depth + t1 * h);
+        median = select(median, ray.entry_depth + median_edges, MASK(median_edges < INFINITY) & MASK(median == INFINITY));
 #endif
         last = select(last, (intN)DONE, MASK(acc.a >= view->march.z));
         alive &= MASK(acc.a < view->march.z);
 #if REFRACTION
         if (any_lane(passage.bends)) {
-          const Rays bent = bent_rays(scene, &ray, passage.at, passage.direction);
+          const Rays bent = bent_rays(scene, &walk.ray, passage.at, passage.direction);
           whole_ray = select_rays(whole_ray, bent, passage.bends);
           forward = select3(forward, passage.direction, passage.bends);
           next_from = select(next_from, (floatN)0.0f, passage.bends);
@@ -318,8 +323,8 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
           bends_left += passage.bends;
         }
 #endif
-      } else
-#endif
+      }
+#else
       if (visible) {
         const floatN before = acc.a;
         composite_emission(&acc, e, length, active);
@@ -330,6 +335,7 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
         last = select(last, (intN)DONE, MASK(acc.a >= view->march.z));
         alive &= MASK(acc.a < view->march.z);
       }
+#endif
       if (ends) {
         value2 = select(value2, front, active), value1 = select(value1, back, active);
         joined |= active;
