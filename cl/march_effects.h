@@ -68,7 +68,7 @@ INLINE Vectors cued_color(const Scene *scene, Vectors color, floatN depth, float
 #define NEEDS_MIDDLE ((CLASSIFICATION != CLASSIFICATION_PREINTEGRATED) & (TRANSLUCENT != 0))
 
 /* One sample a segment, at its middle or its end: it can be fetched ahead. */
-#define SAMPLES_AHEAD (FETCH_AHEAD && CLASSIFICATION != CLASSIFICATION_PRE && TRANSLUCENT && !ISOSURFACES && !NOISE)
+#define SAMPLES_AHEAD (FETCH_AHEAD && CLASSIFICATION != CLASSIFICATION_PRE && TRANSLUCENT && !NOISE)
 #define AHEAD (CLASSIFICATION == CLASSIFICATION_POST ? 0.5f : 1.0f)
 
 /* Surfaces are walked to in edges, whatever the step; where nothing else shows a kept stretch is one segment. */
@@ -162,6 +162,10 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
     FetchedSample ahead = fetch_sample(volume, view, ray.x0 + t_ahead * ray.dx, ray.y0 + t_ahead * ray.dy, ray.z0 + t_ahead * ray.dz);
     FetchedSample ahead2 = fetch_sample(volume, view, ray.x0 + (t_ahead + 1.0f) * ray.dx, ray.y0 + (t_ahead + 1.0f) * ray.dy,
                                         ray.z0 + (t_ahead + 1.0f) * ray.dz);
+#endif
+#if ISOSURFACES && !ONE_SEGMENT
+    /* All rays of the packet at once; in the segments only those that met a surface go on. */
+    find_surfaces(scene, &walk, alive & MASK(i <= last), h * TO_FLOAT(i + MARCH_STEPS), &taken, &counted[COUNT_SURFACE_TESTS]);
 #endif
     _Pragma("unroll 1") for (int step = 0; step < (ONE_SEGMENT ? 1 : MARCH_STEPS); ++step) {
       const intN active = alive & MASK(i <= last);
