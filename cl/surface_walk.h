@@ -8,7 +8,7 @@
  *   cell_step.h     nearest filter: a jump where the ray enters
  *   cell_sampled.h  noise: samples
  * A place is above a surface where its value is at least the iso-value; a ray meets the surface where it changes sides. The value on a
- * face is the same for both cells, so a surface in a face is met once, and one that is only touched from below is not.
+ * face is the same for both cells, so that a surface in a face is met once.
  */
 #ifndef SURFACE_WALK_H
 #define SURFACE_WALK_H

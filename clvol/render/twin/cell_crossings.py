@@ -9,6 +9,8 @@ from clvol.render.twin.surfaces import Crossings, crossings, in_order
 
 _DEGREES = {"linear": 3, "cubic": 9, "catmull-rom": 9}
 _BISECTIONS = 60
+_AT_START = 1e-9  # world length
+_BEYOND = 1e-9  # of a jump: world length
 
 
 def medium_crossings(
@@ -22,9 +24,7 @@ def medium_crossings(
     return cell_crossings(medium.field, origin, direction, t0, t1, isovalues, known_side=known_side)
 
 
-def cell_crossings(
-    field, origin, direction, t0, t1, isovalues, *, known_side=None
-) -> Crossings:
+def cell_crossings(field, origin, direction, t0, t1, isovalues, *, known_side=None) -> Crossings:
     """Every change of side of a ``Field`` between t0 and t1 [n] on rays from world ``origin`` [n, 3]
     along unit ``direction`` [n, 3], in order. ``isovalues`` [k]; ``known_side`` int [n, k]: 1 or -1
     where it is known which side a ray starts on (it starts on that surface), else 0. A cell
@@ -49,21 +49,23 @@ def _cell_ends(field, origin, direction, t0, t1) -> np.ndarray:
         low, high = np.minimum(i0, i1), np.maximum(i0, i1)
         count = int(np.max(np.ceil(high) - np.floor(low), initial=0))
         planes = np.floor(low)[:, None] + 1 + np.arange(count)
-        inside = planes < high[:, None]
         span = np.where(i1 == i0, 1.0, i1 - i0)[:, None]
         t = t0[:, None] + (planes - i0[:, None]) / span * (t1 - t0)[:, None]
-        columns.append(np.where(inside, np.clip(t, t0[:, None], t1[:, None]), t1[:, None]))
+        # A ray that starts in a face, but for rounding, starts in the cell that it enters there.
+        inside = (planes < high[:, None]) & (t > t0[:, None] + _AT_START)
+        columns.append(np.where(inside, np.minimum(t, t1[:, None]), t1[:, None]))
     return np.sort(np.concatenate(columns, axis=1), axis=1)
 
 
 def _jumps(field, origin, direction, ray, a, b, isovalues):
     """(rays, places, surfaces, rising) of jumps between neighbouring voxels."""
     value = field.value(origin[ray] + (0.5 * (a + b))[:, None] * direction[ray])
+    beyond = a + np.minimum(_BEYOND, 0.5 * (b - a))  # whose gradient the surface has
     pairs = (ray[1:] == ray[:-1]) & np.isfinite(value[1:]) & np.isfinite(value[:-1])
     found = []
     for k, isovalue in enumerate(isovalues):
         jump = np.nonzero(pairs & ((value[1:] >= isovalue) != (value[:-1] >= isovalue)))[0]
-        found.append((ray[jump], a[jump + 1], np.full(len(jump), k), value[jump + 1] >= isovalue))
+        found.append((ray[jump], beyond[jump + 1], np.full(len(jump), k), value[jump + 1] >= isovalue))
     return [np.concatenate(part) for part in zip(*found)]
 
 
@@ -75,16 +77,21 @@ def _roots(field, origin, direction, ray, a, b, isovalues, known_side):
     at = origin[ray][:, None, :] + t[..., None] * direction[ray][:, None, :]
     values = field.value(at.reshape(-1, 3)).reshape(t.shape)
     curve = values @ np.linalg.inv(chebyshev.chebvander(nodes, degree)).T
+    # Two cells must agree on the side of the face between them: one value for both.
+    faces = [field.value(origin[ray] + end[:, None] * direction[ray]) for end in (a, b)]
     reach = np.abs(curve[:, 1:]).sum(axis=1)
     is_first = np.concatenate([[True], ray[1:] != ray[:-1]])[: len(ray)]
     candidate = np.zeros(len(ray), bool)
     for isovalue in isovalues:
         candidate |= np.abs(curve[:, 0] - isovalue) <= reach * (1 + 1e-9)
+        candidate |= (faces[0] >= isovalue) != (faces[1] >= isovalue)
     candidate &= np.isfinite(reach)
     brackets = []
     for p in np.nonzero(candidate)[0]:
         cuts = _turns(curve[p])
         v = chebyshev.chebval(cuts, curve[p])
+        for end, values in zip((0, -1), faces):
+            v[end] = values[p] if np.isfinite(values[p]) else v[end]
         for k, isovalue in enumerate(isovalues):
             above = v >= isovalue
             if known_side is not None and is_first[p] and known_side[ray[p], k]:
