@@ -1,6 +1,6 @@
-/* Surfaces in a cell of a field that is no polynomial: noise perturbs its values or places. It is sampled where the ray enters and leaves
- * the cell and half way (or, where a parabola through the three has its extreme beyond an iso-value that the three are all on one side
- * of, at that extreme: a surface that is only grazed). A change of side brackets a crossing, and regula falsi (the Illinois form, with
+/* Surfaces in a cell of a field that is no polynomial: noise perturbs its values or places. Each half of the ray's stretch through the
+ * cell is sampled at its ends and its middle (or, where a parabola through the three has its extreme beyond an iso-value that the three
+ * are all on one side of, at that extreme: a surface that is only grazed). A change of side brackets a crossing, and regula falsi (the Illinois form, with
  * steps over the root so that the bracket shrinks from both ends) finds it in the field itself. Where the field changes sides twice
  * between two of the places both crossings are missed; where these are does not depend on the step.
  */
@@ -62,31 +62,41 @@ INLINE floatN parabola_extreme(floatN v0, floatN vm, floatN v1, floatN *value)
   return select((floatN)0.5f, 0.5f + offset, inside);
 }
 
-/* The first surface in the cell that `ray` crosses from t0 to t1 (edges), where it has the values v0 and v1, from `rank` of half number
+/* The first surface in the cell that `ray` crosses from t0 to t1 (edges), where it has the values v0 and v1, from `rank` of piece number
  * `piece` on. */
 INLINE CellHit look_in_cell(const Scene *scene, const Rays *ray, floatN t0, floatN t1, floatN v0, floatN v1, intN piece, intN rank,
                             intN open, uintN *taken)
 {
   CellHit hit = no_hit();
-  const floatN length = t1 - t0;
-  const floatN vm = value_on_ray(scene, ray, t0 + 0.5f * length);
-  *taken -= AS_UINT(open);
-  const intN finite0 = open & finite_lanes(v0) & finite_lanes(vm), finite1 = open & finite_lanes(vm) & finite_lanes(v1);
-  floatN cut = 0.5f, v_cut = vm, peak;
-  const floatN at_peak = parabola_extreme(v0, vm, v1, &peak);
-  const floatN low = lane_min(lane_min(v0, v1), vm), high = lane_max(lane_max(v0, v1), vm);
-  const intN grazed = finite0 & finite1 & (meets_a_surface(scene, lane_min(low, peak), low) | meets_a_surface(scene, high, lane_max(high, peak)));
-  if (any_lane(grazed)) {
-    const floatN value = value_on_ray(scene, ray, t0 + at_peak * length);
-    *taken -= AS_UINT(grazed);
-    const intN better = grazed & finite_lanes(value);
-    cut = select(cut, at_peak, better), v_cut = select(v_cut, value, better);
-  }
   Bracket bracket = {0.0f, 0.0f, 0.0f, 0.0f, 0.0f};
-  const intN first = MASK(piece == 0);
-  const floatN zero = 0.0f, one = 1.0f;
-  find_between(scene, (intN)0, zero, cut, v0, v_cut, rank, finite0 & first, &hit, &bracket);
-  find_between(scene, (intN)1, cut, one, v_cut, v1, select(rank, (intN)0, first), finite1, &hit, &bracket);
+  const floatN length = t1 - t0;
+  floatN first = v0;
+  _Pragma("unroll 1") for (int half_of = 0; half_of < 2; ++half_of) {
+    const float start = 0.5f * (float)half_of;
+    floatN middle = 0.0f, last = v1, cut = start + 0.25f, v_cut = 0.0f, peak;
+    _Pragma("unroll 1") for (int k = half_of; k < 2; ++k) { /* the value half way through the cell is known from the first half on */
+      const floatN value = value_on_ray(scene, ray, t0 + (k == half_of ? start + 0.25f : 0.5f) * length);
+      if (k == half_of) middle = value; else last = value;
+      *taken -= AS_UINT(open);
+    }
+    const intN finite0 = open & finite_lanes(first) & finite_lanes(middle), finite1 = open & finite_lanes(middle) & finite_lanes(last);
+    v_cut = middle;
+    const floatN at_peak = start + 0.5f * parabola_extreme(first, middle, last, &peak);
+    const floatN low = lane_min(lane_min(first, last), middle), high = lane_max(lane_max(first, last), middle);
+    const intN grazed = finite0 & finite1 & (meets_a_surface(scene, lane_min(low, peak), low) | meets_a_surface(scene, high, lane_max(high, peak)));
+    if (any_lane(grazed)) {
+      const floatN value = value_on_ray(scene, ray, t0 + at_peak * length);
+      *taken -= AS_UINT(grazed);
+      const intN better = grazed & finite_lanes(value);
+      cut = select(cut, at_peak, better), v_cut = select(v_cut, value, better);
+    }
+    _Pragma("unroll 1") for (int k = 0; k < 2; ++k) {
+      const intN number = 2 * half_of + k, from = select((intN)0, rank, MASK(number == piece));
+      const floatN a = k ? cut : (floatN)start, b = k ? (floatN)(start + 0.5f) : cut;
+      find_between(scene, number, a, b, k ? v_cut : first, k ? last : v_cut, from, (k ? finite1 : finite0) & MASK(number >= piece), &hit, &bracket);
+    }
+    first = last;
+  }
   if (any_lane(hit.found)) hit.share = sampled_root(scene, ray, t0, length, bracket, hit.found, taken);
   return hit;
 }

@@ -71,12 +71,7 @@ INLINE Vectors cued_color(const Scene *scene, Vectors color, floatN depth, float
 #define SAMPLES_AHEAD (FETCH_AHEAD && CLASSIFICATION != CLASSIFICATION_PRE && TRANSLUCENT && !NOISE)
 #define AHEAD (CLASSIFICATION == CLASSIFICATION_POST ? 0.5f : 1.0f)
 
-/* Surfaces are walked to in edges, whatever the step; where nothing else shows a kept stretch is one segment. */
-#if ISOSURFACES
-#define RAY_UNIT(h) 1.0f
-#else
-#define RAY_UNIT(h) (h)
-#endif
+/* Where nothing but surfaces shows a kept stretch is one segment. */
 #define ONE_SEGMENT (ISOSURFACES && !TRANSLUCENT)
 
 /* Gradients are also reconstructed where nothing is lit, for what depends on them. */
@@ -94,9 +89,8 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
   const Scene *scene = &scene_;
   __constant const View *view = view_;
   const float h = view->march.x;
-  const float unit = RAY_UNIT(h); /* of whole_ray and next_from, in edges */
-  Rays whole_ray = make_rays_of_step(view, TO_FLOAT(px), TO_FLOAT(py), unit);
-  Vectors forward = scaled3(direction_to_local(effects, whole_ray.dx, whole_ray.dy, whole_ray.dz), 1.0f / unit);
+  Rays whole_ray = make_rays_of_step(view, TO_FLOAT(px), TO_FLOAT(py), 1.0f); /* in edges: where clips cut depends on no step */
+  Vectors forward = direction_to_local(effects, whole_ray.dx, whole_ray.dy, whole_ray.dz);
   intN alive = MASK(whole_ray.length >= 0.0f) & MASK(px < view->image.x) & MASK(py < view->image.y);
   const intN on_picture = MASK(px < view->image.x) & MASK(py < view->image.y);
   uintN taken = 0;
@@ -122,9 +116,9 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
     const intN stretches = alive & MASK(i > last);
     if (any_lane(stretches)) {
 #if CLIP
-      const Stretch next = next_stretch(scene, &whole_ray, next_from, unit);
+      const Stretch next = next_stretch(scene, &whole_ray, next_from, 1.0f);
       const intN found = stretches & MASK(next.enter < next.leave);
-      const Rays along = ray_along(&whole_ray, next.enter, next.leave, found, unit);
+      const Rays along = ray_along(&whole_ray, next.enter, next.leave, found, 1.0f);
       cut_normal = select3(cut_normal, next.normal, stretches);
       next_from = select(next_from, next.leave, found);
 #else
@@ -134,10 +128,8 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
 #endif
 #if ISOSURFACES
       walk = select_walks(walk, walk_along(along, (floatN)0.0f), stretches);
-      ray = select_rays(ray, rays_in_steps(along, h), stretches);
-#else
-      ray = select_rays(ray, along, stretches);
 #endif
+      ray = select_rays(ray, rays_in_steps(along, h), stretches);
       i = select(i, (intN)0, stretches), joined = select(joined, (intN)0, stretches);
       const floatN segments = ONE_SEGMENT ? (floatN)1.0f : ceil(lane_max(ray.length, (floatN)0.0f));
       last = select(last, TO_INT(segments) - 1, stretches);
@@ -309,12 +301,8 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
 #if REFRACTION
         may_bend = MASK(bends_left > 0);
 #endif
-        floatN median_edges = INFINITY;
-        const SurfacePassage passage = pass_surfaces(scene, &walk, scaled3(forward, -1.0f), t0 * h, t1 * h, e, visible, active,
-                                                     MASK(i == last), may_bend, &acc, &median_edges, &taken, counted);
-#if WITH_DEPTH
-        median = select(median, ray.entry_depth + median_edges, MASK(median_edges < INFINITY) & MASK(median == INFINITY));
-#endif
+        const SurfacePassage passage = pass_surfaces(scene, &walk, scaled3(forward, -1.0f), t0 * h, t1 * h, length, e, visible,
+                                                     active, MASK(i == last), may_bend, &acc, &median, &taken, counted);
         last = select(last, (intN)DONE, MASK(acc.a >= view->march.z));
         alive &= MASK(acc.a < view->march.z);
 #if REFRACTION

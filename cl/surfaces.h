@@ -61,22 +61,22 @@ INLINE Vectors refracted(Vectors direction, Vectors normal, floatN ratio)
 }
 #endif
 
-/* The volume from `from` to `to` (edges), of which a step emits and absorbs `e`. */
-INLINE void composite_stretch(Gathered *acc, Emission e, float steps, floatN from, floatN to, intN active, floatN *median)
+/* The volume from `from` to `to` (edges from the eye), `length` steps, of which a step emits and absorbs `e`. */
+INLINE void composite_stretch(Gathered *acc, Emission e, floatN length, floatN from, floatN to, intN active, floatN *median)
 {
 #if WITH_DEPTH
   const floatN before = acc->a;
 #endif
-  composite_emission(acc, e, steps * (to - from), active);
+  composite_emission(acc, e, length, active);
 #if WITH_DEPTH
   *median = median_step(*median, before, acc->a, from, to);
 #endif
 }
 
-/* The surfaces of a walk in one segment, from t0 to t1 in edges, with the volume before, between and behind them: `e` of a whole step,
- * nothing unless `visible`. Lanes in `last`: nothing of the walk is left for another segment. `median` in edges along the walk's ray. */
-INLINE SurfacePassage pass_surfaces(const Scene *scene, SurfaceWalk *walk, Vectors view, floatN t0, floatN t1, Emission e, int visible,
-                                    intN active, intN last, intN may_bend, Gathered *acc, floatN *median, uintN *taken, Tally *counted)
+/* The surfaces of a walk in one segment, from t0 to t1 in edges, `length` steps long, with the volume before, between and behind them:
+ * `e` of a whole step, nothing unless `visible`. Lanes in `last`: nothing of the walk is left for another segment. `median` in edges from the eye. */
+INLINE SurfacePassage pass_surfaces(const Scene *scene, SurfaceWalk *walk, Vectors view, floatN t0, floatN t1, floatN length,
+                                    Emission e, int visible, intN active, intN last, intN may_bend, Gathered *acc, floatN *median, uintN *taken, Tally *counted)
 {
   __constant const Effects *effects = scene->effects;
   const float steps = 1.0f / scene->view->march.x, enough = scene->view->march.z;
@@ -84,6 +84,7 @@ INLINE SurfacePassage pass_surfaces(const Scene *scene, SurfaceWalk *walk, Vecto
   SurfacePassage passage;
   passage.bends = 0, passage.at = 0.0f;
   passage.direction = scaled3(view, -1.0f);
+  const floatN eye = walk->ray.entry_depth;
   floatN front = t0; /* so far is done */
   for (;;) {
     const intN wanted = active & ~passage.bends & MASK(acc->a < enough);
@@ -97,7 +98,7 @@ INLINE SurfacePassage pass_surfaces(const Scene *scene, SurfaceWalk *walk, Vecto
     if (!any_lane(crosses)) continue;
 #endif
     const floatN place = select(front, lane_clamp(walk->at, front, t1), crosses);
-    if (visible) composite_stretch(acc, e, steps, front, place, crosses, median);
+    if (visible) composite_stretch(acc, e, steps * (place - front), eye + front, eye + place, crosses, median);
     front = place;
     const intN surface = effects->first.y + 3 * walk->surface;
     const intN color_at = 4 * (surface + 1) + select((intN)4, (intN)0, walk->rising);
@@ -115,7 +116,7 @@ INLINE SurfacePassage pass_surfaces(const Scene *scene, SurfaceWalk *walk, Vecto
 #endif
 #endif
 #if DEPTH_CUE
-    color = cued_color(scene, color, (floatN)1.0f, walk->ray.entry_depth + walk->at);
+    color = cued_color(scene, color, (floatN)1.0f, eye + walk->at);
 #endif
     count_lanes(&counted[COUNT_SURFACE_HITS], crosses);
     const floatN weight = left * opacity;
@@ -123,7 +124,7 @@ INLINE SurfacePassage pass_surfaces(const Scene *scene, SurfaceWalk *walk, Vecto
     acc->r += weight * color.x, acc->g += weight * color.y, acc->b += weight * color.z;
     acc->a += weight;
 #if WITH_DEPTH
-    *median = median_step(*median, before, acc->a, walk->at, walk->at);
+    *median = median_step(*median, before, acc->a, eye + walk->at, eye + walk->at);
 #endif
 #if REFRACTION
     const floatN index = AS_FLOAT(gather4(scene->items, 4 * surface + 2));
@@ -140,7 +141,9 @@ INLINE SurfacePassage pass_surfaces(const Scene *scene, SurfaceWalk *walk, Vecto
 #endif
   }
   const intN rest = active & ~passage.bends;
-  if (visible) composite_stretch(acc, e, steps, front, t1, rest, median);
+  /* A segment without a surface is what it is without surfaces, bit for bit. */
+  if (visible) composite_stretch(acc, e, select(steps * (t1 - front), length, MASK(front == t0)), eye + front, eye + t1, rest,
+                                 median);
   return passage;
 }
 
