@@ -88,17 +88,16 @@ typedef struct {
   __global const uint *noise;
   __global const float *factors;
   __global const float *fields;
-  __global const float *extinction; /* by class coordinate, an edge: [nodes + 2] */
 } Scene;
 
 #define EFFECT_PARAMETERS                                                                                              \
   , __constant const Effects *restrict effects, __global const float4 *restrict items,                                 \
-    __global const uint *restrict gradients, __global const uchar *restrict surface_distances,                                \
+    __global const uint *restrict gradients, __global const uchar *restrict surface_distances,                         \
     __global const float4 *restrict environment, __global const float4 *restrict light_volume,                         \
     __global const uint *restrict noise, __global const float *restrict factors, __global const float *restrict fields, \
-    __global const float *restrict extinction, __global uint *restrict counts
+    __global uint *restrict counts
 #define EFFECT_ARGUMENTS \
-  , effects, items, gradients, surface_distances, environment, light_volume, noise, factors, fields, extinction, counted
+  , effects, items, gradients, surface_distances, environment, light_volume, noise, factors, fields, counted
 
 /* A kernel's own tally, written to counts[tile, COUNTERS] at its end. */
 #define EFFECT_TALLY Tally counted[COUNTERS] = {0};

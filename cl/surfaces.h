@@ -61,22 +61,23 @@ INLINE Vectors refracted(Vectors direction, Vectors normal, floatN ratio)
 }
 #endif
 
-/* The volume from `from` to `to` (edges from the eye), `length` steps, of which a step emits and absorbs `e`. */
-INLINE void composite_stretch(Gathered *acc, Emission e, floatN length, floatN from, floatN to, intN active, floatN *median)
+/* The volume from `from` to `to` (edges), `length` steps, of which a step emits and absorbs `e`. */
+INLINE void composite_stretch(Gathered *acc, Emission e, floatN length, floatN from, floatN to, intN active, HalfBetween *half_)
 {
 #if WITH_DEPTH
   const floatN before = acc->a;
 #endif
   composite_emission(acc, e, length, active);
 #if WITH_DEPTH
-  *median = median_step(*median, before, acc->a, from, to);
+  note_between(half_, before, acc->a, from, to);
 #endif
 }
 
 /* The surfaces of a walk in one segment, from t0 to t1 in edges, `length` steps long, with the volume before, between and behind them:
- * `e` of a whole step, nothing unless `visible`. Lanes in `last`: nothing of the walk is left for another segment. `median` in edges from the eye. */
+ * `e` of a whole step, nothing unless `visible`. Lanes in `last`: nothing of the walk is left for another segment. */
 INLINE SurfacePassage pass_surfaces(const Scene *scene, SurfaceWalk *walk, Vectors view, floatN t0, floatN t1, floatN length,
-                                    Emission e, int visible, intN active, intN last, intN may_bend, Gathered *acc, floatN *median, uintN *taken, Tally *counted)
+                                    Emission e, int visible, intN active, intN last, intN may_bend, Gathered *acc,
+                                    HalfBetween *half_, uintN *taken, Tally *counted)
 {
   __constant const Effects *effects = scene->effects;
   const float steps = 1.0f / scene->view->march.x, enough = scene->view->march.z;
@@ -98,7 +99,7 @@ INLINE SurfacePassage pass_surfaces(const Scene *scene, SurfaceWalk *walk, Vecto
     if (!any_lane(crosses)) continue;
 #endif
     const floatN place = select(front, lane_clamp(walk->at, front, t1), crosses);
-    if (visible) composite_stretch(acc, e, steps * (place - front), eye + front, eye + place, crosses, median);
+    if (visible) composite_stretch(acc, e, steps * (place - front), front, place, crosses, half_);
     front = place;
     const intN surface = effects->first.y + 3 * walk->surface;
     const intN color_at = 4 * (surface + 1) + select((intN)4, (intN)0, walk->rising);
@@ -124,7 +125,7 @@ INLINE SurfacePassage pass_surfaces(const Scene *scene, SurfaceWalk *walk, Vecto
     acc->r += weight * color.x, acc->g += weight * color.y, acc->b += weight * color.z;
     acc->a += weight;
 #if WITH_DEPTH
-    *median = median_step(*median, before, acc->a, eye + walk->at, eye + walk->at);
+    note_between(half_, before, acc->a, place, place);
 #endif
 #if REFRACTION
     const floatN index = AS_FLOAT(gather4(scene->items, 4 * surface + 2));
@@ -142,8 +143,7 @@ INLINE SurfacePassage pass_surfaces(const Scene *scene, SurfaceWalk *walk, Vecto
   }
   const intN rest = active & ~passage.bends;
   /* A segment without a surface is what it is without surfaces, bit for bit. */
-  if (visible) composite_stretch(acc, e, select(steps * (t1 - front), length, MASK(front == t0)), eye + front, eye + t1, rest,
-                                 median);
+  if (visible) composite_stretch(acc, e, select(steps * (t1 - front), length, MASK(front == t0)), front, t1, rest, half_);
   return passage;
 }
 
