@@ -1,8 +1,8 @@
 /* Surfaces in a cell of a field that is no polynomial: noise perturbs its values or places. Each half of the ray's stretch through the
  * cell is sampled at its ends and its middle (or, where a parabola through the three has its extreme beyond an iso-value that the three
- * are all on one side of, at that extreme: a surface that is only grazed). A change of side brackets a crossing, and regula falsi (the Illinois form, with
- * steps over the root so that the bracket shrinks from both ends) finds it in the field itself. Where the field changes sides twice
- * between two of the places both crossings are missed; where these are does not depend on the step.
+ * are all on one side of, at that extreme: a surface that is only grazed). A change of side brackets a crossing, and regula falsi (the
+ * Illinois form, with steps over the root so that the bracket shrinks from both ends) finds it in the field itself. Where the field
+ * changes sides twice between two of the places both crossings are missed; where these are does not depend on the step.
  */
 #ifndef CELL_SAMPLED_H
 #define CELL_SAMPLED_H

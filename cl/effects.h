@@ -50,7 +50,7 @@ typedef struct {
 /* What is counted beside samples: one number each a tile. clvol/render/effects.py names them in this order. */
 #define COUNT_GRADIENTS 0        /* gradients reconstructed */
 #define COUNT_LIT 1              /* samples lit */
-#define COUNT_SURFACE_TESTS 2    /* segments tested for surfaces */
+#define COUNT_SURFACE_TESTS 2    /* cells tested for surfaces */
 #define COUNT_SURFACE_HITS 3     /* surfaces met */
 #define COUNT_SHADOW_RAYS 4
 #define COUNT_SHADOW_SAMPLES 5   /* reconstructions on shadow rays; not among `samples` */
