@@ -101,14 +101,14 @@ INLINE void shift_uneven_ends(floatN before, floatN *front, floatN *back, floatN
 INLINE void composite_segment(Gathered *acc, floatN front, floatN back, floatN length, intN active, __global const float *table,
                               __constant const View *view)
 {
-  composite_color(acc, color_of_segment(front, back, length * view->gate.z, active, table, (intN)0, view), active);
+  composite_color(acc, color_of_segment(front, back, length * view->gate.z, active, scene_pieces(table, (intN)0, view)), active);
 }
 
 /* Of one value. */
 INLINE void composite_value(Gathered *acc, floatN value, floatN length, intN active, __global const float *table,
                             __constant const View *view)
 {
-  composite_color(acc, color_of_value(value, length * view->gate.z, table, (intN)0, view), active);
+  composite_color(acc, color_of_value(value, length * view->gate.z, scene_pieces(table, (intN)0, view)), active);
 }
 
 /* Emission and absorption over one step at a point. */
@@ -124,11 +124,11 @@ INLINE Emission no_emission(void)
 }
 
 /* (c D, D) of a value over `units` opacity units. */
-INLINE Emission emission_of_value(floatN value, floatN units, __global const float *table, intN first, __constant const View *view)
+INLINE Emission emission_of_value(floatN value, floatN units, Pieces f)
 {
-  floatN r, g, b, opacity;
-  classify_value(value, table, first, view, &r, &g, &b, &opacity);
-  const floatN depth = lane_min(depth_of_opacity(opacity) * units, (floatN)OPAQUE_DEPTH);
+  floatN r, g, b, extinction;
+  classify_value(value, f, &r, &g, &b, &extinction);
+  const floatN depth = lane_min(extinction * units, (floatN)OPAQUE_DEPTH);
   const Emission e = {r * depth, g * depth, b * depth, depth};
   return e;
 }
@@ -175,10 +175,11 @@ INLINE Emission classified_emission_in(FetchedSample s, __constant const View *v
 {
   floatN value[TAPS], weight[TAPS];
   filter_taps(s, view, value, weight);
-  const floatN units = units_of_step(table, first, view);
+  const Pieces f = scene_pieces(table, first, view);
+  const floatN units = units_of_step(f, view);
   Emission e = no_emission();
   _Pragma("unroll 1") for (int v = 0; v < TAPS; ++v) {
-    const Emission voxel = emission_of_value(value[v], units, table, first, view);
+    const Emission voxel = emission_of_value(value[v], units, f);
     e.r += weight[v] * voxel.r, e.g += weight[v] * voxel.g, e.b += weight[v] * voxel.b, e.d += weight[v] * voxel.d;
   }
 #if FILTER == FILTER_CATMULL_ROM

@@ -36,9 +36,9 @@ typedef struct {
   int4 factor_offsets;                       /* where the tables of each begin */
   int4 fields;                               /* how many; - */
   float4 field_x[3], field_y[3], field_z[3]; /* lattice point to the field's: rows of the matrix, and in w the shift */
-  float4 field_map[3];                       /* see fields.h: of a density's values to its classes; a mask's threshold and side */
+  float4 field_map[3];                       /* see fields.h: of a density's function; a mask's threshold and side */
   int4 field_size[3];                        /* lattice points x, y, z; role */
-  int4 field_at[3];                          /* where its voxels begin in `fields`; its table and warp in `factors`; - */
+  int4 field_at[3];                          /* where its voxels begin in `fields`; its table in `factors`; - ; - */
   int4 noise_counts;                         /* terms that add to values, and after them those that move places; - ; - */
   NoiseTerm noise_terms[NOISE_TERMS];
 } Effects;

@@ -26,12 +26,14 @@ INLINE Emission emission_of_color(SegmentColor s)
 INLINE Emission segment_emission_in(floatN front, floatN back, intN active, intN first, __global const float *table,
                                     __constant const View *view)
 {
-  return emission_of_color(color_of_segment(front, back, units_of_step(table, first, view), active, table, first, view));
+  const Pieces f = scene_pieces(table, first, view);
+  return emission_of_color(color_of_segment(front, back, units_of_step(f, view), active, f));
 }
 
 INLINE Emission value_emission_in(floatN value, intN first, __global const float *table, __constant const View *view)
 {
-  return emission_of_color(color_of_value(value, units_of_step(table, first, view), table, first, view));
+  const Pieces f = scene_pieces(table, first, view);
+  return emission_of_color(color_of_value(value, units_of_step(f, view), f));
 }
 
 /* acc += (1 - A) (c, 1) (1 - exp(-D length)) for the rays in `active`; length in steps, at most 1. */

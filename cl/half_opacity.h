@@ -109,11 +109,12 @@ INLINE floatN share_to_half(const HalfOpacity *half_, __global const float *tabl
 /* Optical depth a step of values that run from `front` to `back`, of the lanes in `active`. */
 INLINE floatN depth_between(floatN front, floatN back, intN active, intN first, __global const float *table, __constant const View *view)
 {
-  const floatN units = units_of_step(table, first, view);
+  const Pieces f = scene_pieces(table, first, view);
+  const floatN units = units_of_step(f, view);
 #if CLASSIFICATION == CLASSIFICATION_PREINTEGRATED
-  return color_of_segment(front, back, units, active, table, first, view).depth;
+  return color_of_segment(front, back, units, active, f).depth;
 #else
-  return color_of_value(back, units, table, first, view).depth;
+  return color_of_value(back, units, f).depth;
 #endif
 }
 

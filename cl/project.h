@@ -213,7 +213,7 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
 #else
   const intN any_value = MASK(best > NO_SCORE);
 #endif
-  SegmentColor shown = color_of_value(picked, (floatN)1.0f, table, (intN)0, view);
+  SegmentColor shown = color_of_value(picked, (floatN)1.0f, scene_pieces(table, (intN)0, view));
   floatN weight = 1.0f;
 #if COMPOSITING == COMPOSITING_ATTENUATED_MAXIMUM
   weight = opacity_share;

@@ -39,9 +39,12 @@
 #define ROW_COLORS 15        /* and of LENGTH times the mean of the colour times -log(1 - alpha): red, green, blue */
 #define ROW_NEXT_OPAQUE 18   /* the first piece from this one on that is opaque all along; the number of columns where there is none */
 #define ROW_LAST_OPAQUE 19   /* the last such piece up to this one; -1 where there is none */
-#define ROW_UNITS 20         /* length of a step in opacity units */
+#define ROW_UNITS 20         /* length of a step in opacity units, in all columns */
 #define ROW_FROM 21          /* BEGIN; without end for piece 0, */
 #define ROW_TO 22            /* and END; without end for the last one: the values that belong to the piece */
+#define ROW_CLEAR 23         /* 1 - opacity at BEGIN, which float32 cannot get from an opacity near 1, */
+#define ROW_CLEAR_CHANGE 24  /* and how much more at END */
+#define ROW_ORIGIN 25        /* what all values are counted from, in all columns: a small range may be far from 0 */
 
 /* The optical depth of what is opaque at once: zero times it is zero, and any share of it that counts is opaque. */
 #define OPAQUE_DEPTH 1e15f
@@ -51,38 +54,47 @@ typedef struct {
   floatN depth;      /* -log(1 - a), which `a` forgets where it rounds to 1 */
 } SegmentColor;
 
-/* `first`: where a lane's function begins in `table`, in floats. */
-INLINE floatN piece_row(__global const float *table, intN first, __constant const View *view, int row, intN piece)
+/* A function's matrix, and how it is looked up. */
+typedef struct {
+  __global const float *rows;
+  intN first;    /* where a lane's own matrix begins in `rows`, in floats; 0 where `in_registers` */
+  int columns;   /* a power of two */
+  int count;     /* pieces */
+  int in_registers;
+  float origin;
+} Pieces;
+
+/* The scene's function, or where there are layers the one that begins `first` floats into `table`. */
+INLINE Pieces scene_pieces(__global const float *table, intN first, __constant const View *view)
 {
-#if LANES == 16 && TRANSFER_PIECES == 16
-  return permuted_lanes(vload16(row, table), piece);
-#elif LANES == 16
-  return AS_FLOAT(gather4(table + row * view->pieces.x, first + piece));
+  const Pieces f = {table, first, view->pieces.x, view->pieces.w, TRANSFER_PIECES == 16, table[ROW_ORIGIN * view->pieces.x]};
+  return f;
+}
+
+INLINE floatN piece_row(Pieces f, int row, intN piece)
+{
+#if LANES == 16
+  if (f.in_registers) return permuted_lanes(vload16(row, f.rows), piece);
+  return AS_FLOAT(gather4(f.rows + row * f.columns, f.first + piece));
 #else
-  return table[first + row * view->pieces.x + piece];
+  return f.rows[f.first + row * f.columns + piece];
 #endif
 }
 
-/* The last piece that begins at or below `value`. */
-INLINE intN piece_of(floatN value, __global const float *table, intN first, __constant const View *view)
+/* The last piece that begins at or below `value`, which is counted from the function's origin, as all values below are. */
+INLINE intN piece_of(floatN value, Pieces f)
 {
   intN piece = 0;
-#if LANES == 16 && TRANSFER_PIECES == 16
-  for (int step = 8; step > 0; step >>= 1)
-#else
-  for (int step = view->pieces.x >> 1; step > 0; step >>= 1)
-#endif
-  {
+  for (int step = f.in_registers ? 8 : f.columns >> 1; step > 0; step >>= 1) {
     const intN next = piece + step;
-    piece = select(piece, next, MASK(value >= piece_row(table, first, view, ROW_BEGIN, next)));
+    piece = select(piece, next, MASK(value >= piece_row(f, ROW_BEGIN, next)));
   }
   return piece;
 }
 
-/* -log(1 - a) for a in 0 .. 1, to float precision also where a is tiny; OPAQUE_DEPTH for 1. */
-INLINE floatN depth_of_opacity(floatN a)
+/* -log(q), where q = 1 - a is in 0 .. 1, to float precision also where a is tiny; OPAQUE_DEPTH for q = 0. */
+INLINE floatN depth_of_clear(floatN q, floatN a)
 {
-  const floatN q = 1.0f - a;
   const intN shifted = AS_INT(q) - 0x3f400000; /* 3/4 */
   const intN exponent = shifted >> 23;
   const floatN m = AS_FLOAT(AS_INT(q) - (exponent << 23)); /* 3/4 .. 3/2 */
@@ -107,8 +119,8 @@ INLINE void spread_and_moment(floatN r, floatN *spread, floatN *moment)
   const intN wide = MASK(x > 0.25f);
   if (any_lane(wide)) {
     const floatN size = select((floatN)1.0f, fabs(r), wide), clear = lane_max(1.0f - size, (floatN)0.0f);
-    const floatN up = -depth_of_opacity(1.0f - (1.0f + size) * 0.5f) + 0.693147181f; /* log(1 + r) */
-    const floatN down = select(-depth_of_opacity(size), (floatN)0.0f, MASK(clear <= 0.0f)); /* log(1 - r), whose factors vanish at 1 */
+    const floatN up = -depth_of_clear((1.0f + size) * 0.5f, 0.5f - 0.5f * size) + 0.693147181f; /* log(1 + r) */
+    const floatN down = select(-depth_of_clear(clear, size), (floatN)0.0f, MASK(clear <= 0.0f)); /* log(1 - r), whose factors vanish at 1 */
     const floatN rest = 0.5f * clear * (1.0f + size) * (up - down);
     const floatN inverse = lane_reciprocal(size);
     const floatN all = (size - rest) * inverse * inverse * 0.25f;
@@ -142,16 +154,15 @@ typedef struct {
 } PiecePart;
 
 /* The part of `piece` from w0 to w1 (shares of the piece), which is `units` opacity units long. */
-INLINE PiecePart part_of_piece(intN piece, floatN w0, floatN w1, floatN units, __global const float *table, intN first,
-                               __constant const View *view)
+INLINE PiecePart part_of_piece(intN piece, floatN w0, floatN w1, floatN units, Pieces f)
 {
-#define PIECE_ROW(row) piece_row(table, first, view, row, piece)
-  const floatN a = PIECE_ROW(ROW_OPACITY), change = PIECE_ROW(ROW_OPACITY_CHANGE);
-  const floatN a0 = lane_min(a + w0 * change, (floatN)1.0f), a1 = lane_min(a + w1 * change, (floatN)1.0f);
-  const floatN mean = 0.5f * (a0 + a1), clear = lane_max(1.0f - mean, (floatN)1e-12f);
+#define PIECE_ROW(row) piece_row(f, row, piece)
+  const floatN zero = 0.0f, one = 1.0f, q = PIECE_ROW(ROW_CLEAR), q_change = PIECE_ROW(ROW_CLEAR_CHANGE);
+  const floatN q0 = lane_max(q + w0 * q_change, zero), q1 = lane_max(q + w1 * q_change, zero), clear = 0.5f * (q0 + q1);
+  const floatN opacity = PIECE_ROW(ROW_OPACITY) + 0.5f * (w0 + w1) * PIECE_ROW(ROW_OPACITY_CHANGE);
   floatN spread, moment;
-  spread_and_moment(lane_clamp(0.5f * (a0 - a1) * lane_reciprocal(clear), (floatN)-1.0f, (floatN)1.0f), &spread, &moment);
-  const floatN rate = depth_of_opacity(mean) + spread, depth = rate * units;
+  spread_and_moment(lane_clamp(0.5f * (q1 - q0) * lane_reciprocal(lane_max(clear, (floatN)1e-30f)), -one, one), &spread, &moment);
+  const floatN rate = depth_of_clear(clear, opacity) + spread, depth = rate * units;
   const floatN at = emission_position(depth, moment * rough_reciprocal(lane_max(rate, (floatN)1e-30f)));
   const floatN w = w0 + at * (w1 - w0);
   const PiecePart part = {PIECE_ROW(ROW_COLOR) + w * PIECE_ROW(ROW_COLOR_CHANGE),
@@ -161,20 +172,16 @@ INLINE PiecePart part_of_piece(intN piece, floatN w0, floatN w1, floatN units, _
   return part;
 }
 
-#if TRANSFER_PIECES == 16
-
 /* Appends all pieces between `low` and `high` (neither of them) for the lanes in `rises`, and in the reverse order for others: pieces go by
  * upwards, and a lane whose value falls has each before, not behind, what it has. `per`: opacity units per value. */
-INLINE void append_whole_pieces(SegmentColor *s, intN low, intN high, intN rises, floatN per, intN active, __global const float *table,
-                                intN first, __constant const View *view)
+INLINE void append_one_by_one(SegmentColor *s, intN low, intN high, intN rises, floatN per, intN active, Pieces f)
 {
   const floatN zero = 0.0f;
   SegmentColor m = {zero, zero, zero, zero, zero};
-  const int stride = view->pieces.x;
-  low = select((intN)TRANSFER_PIECES, low, active);
-  _Pragma("unroll 1") for (int p = 1; p < view->pieces.w - 1; ++p) {
-    __global const float *row = table + p;
-#define UNIFORM_ROW(k) row[(k) * stride]
+  low = select((intN)f.count, low, active);
+  _Pragma("unroll 1") for (int p = 1; p < f.count - 1; ++p) {
+    __global const float *row = f.rows + p;
+#define UNIFORM_ROW(k) row[(k) * f.columns]
     if (!(UNIFORM_ROW(ROW_DEPTH) > 0.0f)) continue;
     const intN inside = MASK(low < p) & MASK(high > p);
     if (!any_lane(inside)) continue;
@@ -195,20 +202,17 @@ INLINE void append_whole_pieces(SegmentColor *s, intN low, intN high, intN rises
   s->depth += m.depth;
 }
 
-#else
-
 /* Appends all pieces between `low` and `high` (neither of them) at once, in their mean colour, from sums over all pieces before each: where
  * there are many, each is thin. What is opaque all along ends the light, and is seen in the colour of the end that it is entered by. */
-INLINE void append_whole_pieces(SegmentColor *s, intN low, intN high, intN rises, floatN per, intN active, __global const float *table,
-                                intN first, __constant const View *view)
+INLINE void append_at_once(SegmentColor *s, intN low, intN high, intN rises, floatN per, intN active, Pieces f)
 {
   const floatN zero = 0.0f, one = 1.0f;
   low = select((intN)-1, low, active), high = select((intN)0, high, active);
-  const intN up = TO_INT(piece_row(table, first, view, ROW_NEXT_OPAQUE, low + 1));
-  const intN down = TO_INT(piece_row(table, first, view, ROW_LAST_OPAQUE, max(high - 1, (intN)0)));
+  const intN up = TO_INT(piece_row(f, ROW_NEXT_OPAQUE, low + 1));
+  const intN down = TO_INT(piece_row(f, ROW_LAST_OPAQUE, max(high - 1, (intN)0)));
   const intN wall = select(down, up, rises), is_wall = active & select(MASK(down > low), MASK(up < high), rises);
   high = select(high, wall, is_wall & rises), low = select(low, wall, is_wall & ~rises);
-#define SUM_OF(row) lane_max(piece_row(table, first, view, row, high) - piece_row(table, first, view, row, low + 1), zero)
+#define SUM_OF(row) lane_max(piece_row(f, row, high) - piece_row(f, row, low + 1), zero)
   const floatN depths = SUM_OF(ROW_DEPTHS), scale = lane_reciprocal(lane_max(depths, (floatN)1e-30f));
   append_stretch(s, lane_min(SUM_OF(ROW_COLORS) * scale, one), lane_min(SUM_OF(ROW_COLORS + 1) * scale, one),
                  lane_min(SUM_OF(ROW_COLORS + 2) * scale, one), select(zero, depths * per, active));
@@ -216,18 +220,15 @@ INLINE void append_whole_pieces(SegmentColor *s, intN low, intN high, intN rises
   if (any_lane(is_wall)) {
     const intN piece = select((intN)0, wall, is_wall);
     const floatN w = select(one, zero, rises);
-#define WALL_COLOR(c) piece_row(table, first, view, ROW_COLOR + c, piece) + w * piece_row(table, first, view, ROW_COLOR_CHANGE + c, piece)
+#define WALL_COLOR(c) piece_row(f, ROW_COLOR + c, piece) + w * piece_row(f, ROW_COLOR_CHANGE + c, piece)
     append_stretch(s, WALL_COLOR(0), WALL_COLOR(1), WALL_COLOR(2), select(zero, (floatN)OPAQUE_DEPTH, is_wall));
 #undef WALL_COLOR
   }
 }
 
-#endif
-
 /* A segment along which the value runs from `front` to `back`, `units` opacity units long, of the lanes in `active`; others' are undefined.
  * One with an end that is not finite is transparent. */
-INLINE SegmentColor color_of_segment(floatN front, floatN back, floatN units, intN active, __global const float *table, intN first,
-                                     __constant const View *view)
+INLINE SegmentColor color_of_segment(floatN front, floatN back, floatN units, intN active, Pieces f)
 {
   const floatN zero = 0.0f, one = 1.0f;
   SegmentColor s = {zero, zero, zero, zero, zero};
@@ -236,44 +237,50 @@ INLINE SegmentColor color_of_segment(floatN front, floatN back, floatN units, in
   front = select(zero, front, finite), back = select(zero, back, finite), units = select(zero, units, finite);
   active &= finite;
 #endif
-  const intN in_front = piece_of(front, table, first, view);
-  const floatN begin = piece_row(table, first, view, ROW_BEGIN, in_front), inverse = piece_row(table, first, view, ROW_INVERSE, in_front);
+  front -= f.origin, back -= f.origin;
+  const intN in_front = piece_of(front, f);
+  const floatN begin = piece_row(f, ROW_BEGIN, in_front), inverse = piece_row(f, ROW_INVERSE, in_front);
   const floatN w0 = lane_clamp((front - begin) * inverse, zero, one);
   floatN w1 = lane_clamp((back - begin) * inverse, zero, one);
-  const intN crosses = active & (MASK(back < piece_row(table, first, view, ROW_FROM, in_front)) |
-                                 MASK(back >= piece_row(table, first, view, ROW_TO, in_front)));
-  const intN front_shows = active & MASK(piece_row(table, first, view, ROW_DEPTH, in_front) > 0.0f);
+  const intN crosses = active & (MASK(back < piece_row(f, ROW_FROM, in_front)) |
+                                 MASK(back >= piece_row(f, ROW_TO, in_front)));
+  const intN front_shows = active & MASK(piece_row(f, ROW_DEPTH, in_front) > 0.0f);
   if (!any_lane(crosses)) {
     if (!any_lane(front_shows)) return s; /* between peaks */
-    const PiecePart part = part_of_piece(in_front, w0, w1, units, table, first, view);
+    const PiecePart part = part_of_piece(in_front, w0, w1, units, f);
     append_stretch(&s, part.r, part.g, part.b, part.depth);
     return s;
   }
   /* Pieces in which nothing shows need not be looked at: most often one end of the segment is in such a piece, and then the part at the other
    * end is found in the same pass as those of rays that stay in one piece. */
-  const intN behind = piece_of(back, table, first, view), rises = MASK(back > front);
-  const intN back_shows = crosses & MASK(piece_row(table, first, view, ROW_DEPTH, behind) > 0.0f);
+  const intN behind = piece_of(back, f), rises = MASK(back > front);
+  const intN back_shows = crosses & MASK(piece_row(f, ROW_DEPTH, behind) > 0.0f);
   const intN swaps = back_shows & ~front_shows, both = back_shows & front_shows;
   const floatN per = units * lane_reciprocal(lane_max(fabs(back - front), (floatN)1e-30f));
-  const floatN leaves_at = select(begin, piece_row(table, first, view, ROW_END, in_front), rises);
-  const floatN behind_begin = piece_row(table, first, view, ROW_BEGIN, behind);
-  const floatN enters_at = select(piece_row(table, first, view, ROW_END, behind), behind_begin, rises);
+  const floatN leaves_at = select(begin, piece_row(f, ROW_END, in_front), rises);
+  const floatN behind_begin = piece_row(f, ROW_BEGIN, behind);
+  const floatN enters_at = select(piece_row(f, ROW_END, behind), behind_begin, rises);
   const floatN front_units = select(units, fabs(leaves_at - front) * per, crosses), back_units = fabs(back - enters_at) * per;
   w1 = select(w1, select(zero, one, rises), crosses);
   const floatN last0 = select(one, zero, rises);
-  const floatN last1 = lane_clamp((back - behind_begin) * piece_row(table, first, view, ROW_INVERSE, behind), zero, one);
+  const floatN last1 = lane_clamp((back - behind_begin) * piece_row(f, ROW_INVERSE, behind), zero, one);
   PiecePart last = {zero, zero, zero, zero};
   if (any_lane(front_shows | swaps)) {
     last = part_of_piece(select(in_front, behind, swaps), select(w0, last0, swaps), select(w1, last1, swaps),
-                         select(front_units, back_units, swaps), table, first, view);
+                         select(front_units, back_units, swaps), f);
     if (any_lane(front_shows)) append_stretch(&s, last.r, last.g, last.b, select(zero, last.depth, front_shows));
   }
   const intN low = select(behind, in_front, rises), high = select(in_front, behind, rises);
   const intN passes = crosses & MASK(high - low > 1);
-  if (any_lane(passes)) append_whole_pieces(&s, low, high, rises, per, passes, table, first, view);
+  if (any_lane(passes)) {
+    if (f.in_registers)
+      append_one_by_one(&s, low, high, rises, per, passes, f);
+    else
+      append_at_once(&s, low, high, rises, per, passes, f);
+  }
   if (any_lane(back_shows)) {
     if (any_lane(both)) {
-      const PiecePart more = part_of_piece(behind, last0, last1, back_units, table, first, view);
+      const PiecePart more = part_of_piece(behind, last0, last1, back_units, f);
       last.r = select(last.r, more.r, both), last.g = select(last.g, more.g, both), last.b = select(last.b, more.b, both);
       last.depth = select(last.depth, more.depth, both);
     }
@@ -282,42 +289,43 @@ INLINE SegmentColor color_of_segment(floatN front, floatN back, floatN units, in
   return s;
 }
 
-/* Opacity (over an opacity unit) and colour of a value, not multiplied; transparent where it is not finite. */
-INLINE void classify_value(floatN value, __global const float *table, intN first, __constant const View *view, floatN *r, floatN *g,
-                           floatN *b, floatN *opacity)
+/* Extinction (per opacity unit) and colour of a value, not multiplied; transparent where it is not finite. */
+INLINE void classify_value(floatN value, Pieces f, floatN *r, floatN *g, floatN *b, floatN *extinction)
 {
 #if VOXEL_HOLES
   const intN finite = finite_lanes(value);
   value = select((floatN)0.0f, value, finite);
 #endif
-  const intN piece = piece_of(value, table, first, view);
-#define PIECE_ROW(row) piece_row(table, first, view, row, piece)
+  value -= f.origin;
+  const intN piece = piece_of(value, f);
+#define PIECE_ROW(row) piece_row(f, row, piece)
   const floatN w = lane_clamp((value - PIECE_ROW(ROW_BEGIN)) * PIECE_ROW(ROW_INVERSE), (floatN)0.0f, (floatN)1.0f);
   *r = PIECE_ROW(ROW_COLOR) + w * PIECE_ROW(ROW_COLOR_CHANGE), *g = PIECE_ROW(ROW_COLOR + 1) + w * PIECE_ROW(ROW_COLOR_CHANGE + 1);
   *b = PIECE_ROW(ROW_COLOR + 2) + w * PIECE_ROW(ROW_COLOR_CHANGE + 2);
-  *opacity = lane_min(PIECE_ROW(ROW_OPACITY) + w * PIECE_ROW(ROW_OPACITY_CHANGE), (floatN)1.0f);
+  const floatN clear = lane_max(PIECE_ROW(ROW_CLEAR) + w * PIECE_ROW(ROW_CLEAR_CHANGE), (floatN)0.0f);
+  *extinction = depth_of_clear(clear, PIECE_ROW(ROW_OPACITY) + w * PIECE_ROW(ROW_OPACITY_CHANGE));
 #undef PIECE_ROW
 #if VOXEL_HOLES
-  *opacity = select((floatN)0.0f, *opacity, finite);
+  *extinction = select((floatN)0.0f, *extinction, finite);
 #endif
 }
 
 /* A segment of one value. */
-INLINE SegmentColor color_of_value(floatN value, floatN units, __global const float *table, intN first, __constant const View *view)
+INLINE SegmentColor color_of_value(floatN value, floatN units, Pieces f)
 {
   const floatN zero = 0.0f;
-  floatN r, g, b, opacity;
+  floatN r, g, b, extinction;
   SegmentColor s = {zero, zero, zero, zero, zero};
-  classify_value(value, table, first, view, &r, &g, &b, &opacity);
-  append_stretch(&s, r, g, b, depth_of_opacity(opacity) * units);
+  classify_value(value, f, &r, &g, &b, &extinction);
+  append_stretch(&s, r, g, b, extinction * units);
   return s;
 }
 
-/* The function's length of a step in opacity units. */
-INLINE floatN units_of_step(__global const float *table, intN first, __constant const View *view)
+/* The scene's function's length of a step in opacity units. */
+INLINE floatN units_of_step(Pieces f, __constant const View *view)
 {
 #if TRANSFER_LAYERS
-  return piece_row(table, first, view, ROW_UNITS, (intN)0);
+  return piece_row(f, ROW_UNITS, (intN)0);
 #else
   return (floatN)view->gate.z;
 #endif

@@ -1,8 +1,9 @@
 """The command ``clvol``: one module a command, imported when that command is called.
 
 Exit status: 0 done; 2 the input is wrong; 3 no device works; 4 the render failed; 130 interrupted.
-Every error is one line on stderr, ``clvol: error: WHERE: WHAT, expected WHAT``. The environment
-variable CLVOL_DEBUG=1 adds the traceback.
+Every error is one line on stderr, ``clvol: error: WHERE: WHAT, expected WHAT``, and every warning one that begins
+``clvol: warning: ``; warnings change neither the status nor what is written. The environment variable CLVOL_DEBUG=1
+adds the traceback.
 """
 
 from __future__ import annotations
@@ -11,13 +12,14 @@ import os
 import sys
 import traceback
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from importlib import import_module
 
 import click
 
 from clvol import __version__
-from clvol.errors import ClvolError, RenderError, UsageError
+from clvol.errors import ClvolError, ClvolWarning, RenderError, UsageError
 
 COMMANDS = ("render", "explain", "info", "store", "doctor", "compare", "tradeoff")
 INTERRUPTED = 130
@@ -55,12 +57,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line (``sys.argv`` by default) and return the exit status."""
     given = list(sys.argv[1:] if arguments is None else arguments)
     debug = os.environ.get("CLVOL_DEBUG") == "1"
-    with warnings.catch_warnings():
-        if not (debug or sys.warnoptions):
-            warnings.simplefilter("ignore")  # libraries' warnings; errors take one line alone
+    with _warnings_kept(debug) as told:
         try:
             with cli.make_context("clvol", given) as context:
                 cli.invoke(context)
+            for line in told:
+                _say_on_stderr("clvol: warning: " + line)
             return 0
         except click.exceptions.Exit as stop:
             return stop.exit_code
@@ -77,14 +79,42 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return _failed(f"internal: {type(error).__name__}: {error}", 4, debug)
 
 
+@contextmanager
+def _warnings_kept(debug: bool) -> Iterator[dict[str, None]]:
+    """Yields the lines of clvol's own warnings, to be told at the end: a bar may be drawn meanwhile, and an error
+    is one line alone. Of others none is shown."""
+    told: dict[str, None] = {}
+    with warnings.catch_warnings():
+        if not (debug or sys.warnoptions):
+            warnings.simplefilter("ignore")
+        warnings.filterwarnings("always", category=ClvolWarning)
+        show = warnings.showwarning
+
+        def keep(message, category, *rest, **more) -> None:
+            if issubclass(category, ClvolWarning):
+                told[str(message)] = None
+            else:
+                show(message, category, *rest, **more)
+
+        warnings.showwarning = keep
+        yield told
+
+
 def _failed(line: str, status: int, debug: bool) -> int:
     if debug:
         traceback.print_exc()
+    _say_on_stderr("clvol: error: " + line)
+    return status
+
+
+def _say_on_stderr(line: str) -> None:
+    """One line, in which nothing can move a terminal's cursor."""
+    line = " ".join(line.split())
+    shown = "".join(c if c.isprintable() else repr(c)[1:-1] for c in line)
     try:
-        click.echo("clvol: error: " + " ".join(line.split()), err=True)
+        click.echo(shown, err=True)
     except OSError:  # nobody listens on stderr
         pass
-    return status
 
 
 def _one_command() -> str:

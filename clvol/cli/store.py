@@ -94,10 +94,12 @@ def _source(scene: Scene, volume: str, memory_cap: int | None, quiet: bool) -> V
     """A computed field as it is, without its voxels; anything else as the scene loads it."""
     from clvol.cli.console import working
     from clvol.store.voxel_source import FieldSource, VolumeSource
+    from clvol.volume.axis import ValueAxis
 
     asked = scene.volume
     if asked.field is not None:
-        return FieldSource(asked.field, asked.size, asked.spacing or (1.0, 1.0, 1.0))
+        axis = ValueAxis(asked.slope, asked.offset)
+        return FieldSource(asked.field, asked.size, asked.spacing or (1.0, 1.0, 1.0), axis)
     with working(f"loading {volume}", quiet):
         return VolumeSource(scene.load_volume(memory_cap), asked.model_dump(mode="json"))
 

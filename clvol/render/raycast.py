@@ -41,7 +41,7 @@ from clvol.transfer.pieces import (
 )
 from clvol.transfer.union import union
 
-CONSTANT_NODES = 4096  # of the one-dimensional tables of pre- and post-classification
+_NODES, CONSTANT_NODES = 256, 4096  # of the values that maps of empty space tell apart
 _WIDEST = 8.0  # ranges that noise may widen the nodes by, on either side
 _SECONDS_A_SAMPLE = 1e-8  # a first guess, for how to cut a frame into launches
 _BAND_SECONDS = 0.5
@@ -124,7 +124,7 @@ def scene_nodes(resolved: ResolvedScene, function: TransferFunction | None = Non
     return class_nodes(
         device_function(union(layer_functions(resolved, function)), values),
         (low, high),
-        integration.table_size if preintegrated else CONSTANT_NODES,
+        _NODES if preintegrated else CONSTANT_NODES,
         integer=integer,
         # Colours that cycle fall on no nodes, and tables of even ones are made ten times as fast.
         may_warp=preintegrated and not resolved.animation.cycle,
@@ -317,7 +317,8 @@ class Raycaster:
 
     def _build_table(self) -> None:
         width = max(columns(piece_count(function)) for function in self._functions)
-        tables = [piece_table(function, self.length, width) for function in self._functions]
+        origin = float(np.float32(self.nodes.first))
+        tables = [piece_table(each, self.length, width, origin) for each in self._functions]
         self._pieces = (width, 0, tables[0].size, max(map(piece_count, self._functions)))
         self._units = self.length / self._functions[0].opacity_unit
         self.table = self.context.upload(np.concatenate(tables, axis=None))

@@ -126,6 +126,7 @@ class Renderer:
         """
         if self._context is None:
             raise RenderError("Renderer", "is closed", "a Renderer that is open")
+        function = self.resolved.in_stored_values(function)
         resolved = replace(self.resolved, transfer_function=function)
         refuse_unknown(resolved)  # what a blank scene asks for has no consequence
         self.resolved = resolved

@@ -111,7 +111,7 @@ class Scene(Table):
     _origin: str = PrivateAttr("scene")  # what error messages call the place the scene came from
     _folder: Path = PrivateAttr(Path())  # what volume.file is relative to
     _loaded: Any = PrivateAttr(None)  # the volume, once loaded from its file
-    _fields: dict[str, Any] = PrivateAttr(default_factory=dict)  # and those of the fields, by file
+    _fields: dict[tuple, Any] = PrivateAttr(default_factory=dict)  # and the fields', by what is asked
 
     @model_validator(mode="after")
     def _not_contradictory(self) -> Scene:
@@ -167,12 +167,16 @@ class Scene(Table):
         """The volumes of the fields, each read once and kept. ``memory_cap``: bytes that each may
         take in memory. Raises SceneError, VolumeError."""
         volumes = []
+        with_values = {settings.file for settings in self.field if settings.role != "label"}
         for i, settings in enumerate(self.field):
             volume, where = settings.file, f"{self._origin}: field.{i}"
             if isinstance(volume, str):
-                if volume not in self._fields:
-                    self._fields[volume] = settings.load(self._folder, where, memory_cap)
-                volume = self._fields[volume]
+                asked = volume, *settings.choices.values()
+                if asked not in self._fields:
+                    self._fields[asked] = settings.load(
+                        self._folder, where, memory_cap, labels=volume not in with_values
+                    )
+                volume = self._fields[asked]
             volumes.append(volume)
         return tuple(volumes)
 

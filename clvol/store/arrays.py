@@ -25,7 +25,7 @@ def open_array(
 
     spec: dict[str, Any] = {
         "driver": driver,
-        "kvstore": {"driver": "file", "path": f"{path.absolute()}/"},
+        "kvstore": {"driver": "file", "path": f"{path.resolve()}/"},
     }
     spec |= {"recheck_cached_metadata": "open", "recheck_cached_data": True}
     if whole:

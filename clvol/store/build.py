@@ -42,6 +42,7 @@ from clvol.store.resolutions import describe_region, with_neighbours
 from clvol.store.source import BlockStatistics
 from clvol.store.voxel_source import VolumeSource, VoxelSource
 from clvol.store.zarr_store import StoredBlocks, is_store
+from clvol.volume.axis import ValueAxis
 from clvol.volume.volume import Volume
 
 _BUILD = "build.json"
@@ -355,6 +356,8 @@ class _Build:
         group = {"zarr_format": 3, "node_type": "group", "attributes": {}}
         _write_whole(self.partial / "blocks" / ROOT, json.dumps(group, indent=2))
         facts = self._facts()
+        axis = getattr(self.source, "axis", ValueAxis())
+        facts |= {"slope": axis.slope, "offset": axis.offset}
         root = root_metadata(
             self.layout,
             self.source.grid,

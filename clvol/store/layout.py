@@ -25,6 +25,7 @@ from clvol.store.codecs import Codec, find_codec, statistics_chain
 from clvol.store.geometry import EDGES, BlockGrid
 from clvol.store.source import QUANTILES
 from clvol.volume.grid import Grid
+from clvol.volume.axis import ValueAxis
 from clvol.volume.volume import ACCEPTED_TYPES
 
 VERSION = 1
@@ -179,7 +180,7 @@ def check_layout(
 def root_metadata(
     layout: StoreLayout, grid: Grid, name: str | None, frame: str, facts: dict, writer: str
 ) -> dict:
-    """zarr.json of the group. ``facts``: value_range, nan_count, inf_count."""
+    """zarr.json of the group. ``facts``: value_range, nan_count, inf_count, slope, offset."""
     own = {
         "version": VERSION,
         "writer": writer,
@@ -240,6 +241,7 @@ class StoreFacts:
     value_range: tuple[float, float]
     nan_count: int
     inf_count: int
+    axis: ValueAxis = ValueAxis()
 
 
 def parse_root(root: Any, where: str) -> StoreFacts:
@@ -295,4 +297,5 @@ def _facts(own: dict, where: str) -> StoreFacts:
     layout = StoreLayout(grid.shape, np.dtype(own["dtype"]), edge, shard, codecs, parameters)
     name = None if own["name"] is None else str(own["name"])
     counts = int(own["nan_count"]), int(own["inf_count"])
-    return StoreFacts(layout, grid, name, str(own["frame"]), (low, high), *counts)
+    axis = ValueAxis(own.get("slope", 1.0), own.get("offset", 0.0))
+    return StoreFacts(layout, grid, name, str(own["frame"]), (low, high), *counts, axis)

@@ -16,11 +16,11 @@ import numpy as np
 from clvol.transfer.function import TransferFunction
 
 IN_REGISTERS = 16  # pieces that a packet holds in registers: TRANSFER_PIECES
-ROWS = 23
+ROWS = 26
 OPAQUE_DEPTH = 1e15  # of cl/transfer_pieces.h
 (BEGIN, END, INVERSE, OPACITY, OPACITY_CHANGE, COLOR, COLOR_CHANGE, LENGTH, DEPTH, MOMENT, DEPTHS, COLORS,
- NEXT_OPAQUE, LAST_OPAQUE, UNITS, FROM, TO) = (
-    0, 1, 2, 3, 4, 5, 8, 11, 12, 13, 14, 15, 18, 19, 20, 21, 22
+ NEXT_OPAQUE, LAST_OPAQUE, UNITS, FROM, TO, CLEAR, CLEAR_CHANGE, ORIGIN) = (
+    0, 1, 2, 3, 4, 5, 8, 11, 12, 13, 14, 15, 18, 19, 20, 21, 22, 23, 24, 25
 )  # fmt: skip
 
 
@@ -35,18 +35,21 @@ def columns(count: int) -> int:
     return max(IN_REGISTERS, 1 << (count - 1).bit_length())
 
 
-def piece_table(function: TransferFunction, step: float, width: int | None = None) -> np.ndarray:
+def piece_table(
+    function: TransferFunction, step: float, width: int | None = None, origin: float = 0.0
+) -> np.ndarray:
     """float32 [ROWS, columns]: the pieces of ``function``, ascending by value; ``step``: world length of a step.
 
-    ``width``: columns, at least ``columns(piece_count(function))``. Columns behind the last piece begin at
-    infinity and so are never looked up.
+    ``origin``: what kernels count values from, a float32. ``width``: columns, at least
+    ``columns(piece_count(function))``; those behind the last piece begin at infinity and so are never
+    looked up.
     """
     count = piece_count(function)
     width = width or columns(count)
     table = np.zeros((ROWS, width))
     table[BEGIN] = np.inf
-    values, opacities, colors = function.values, function.opacities, function.colors
-    has_length = np.flatnonzero(values[1:] > values[:-1])
+    values, opacities, colors = function.values - origin, function.opacities, function.colors
+    has_length = np.flatnonzero(function.values[1:] > function.values[:-1])
     # What lies below the first control point and above the last one is constant.
     low = np.concatenate([[0], has_length, [values.size - 1]])
     high = np.concatenate([[0], has_length + 1, [values.size - 1]])
@@ -61,6 +64,8 @@ def piece_table(function: TransferFunction, step: float, width: int | None = Non
     table[INVERSE, piece] = np.minimum(inverse, 3e38)
     table[OPACITY, piece] = opacities[low]
     table[OPACITY_CHANGE, piece] = opacities[high] - opacities[low]
+    table[CLEAR, piece] = 1.0 - opacities[low]
+    table[CLEAR_CHANGE, piece] = opacities[low] - opacities[high]
     table[COLOR : COLOR + 3, piece] = colors[low].T
     table[COLOR_CHANGE : COLOR_CHANGE + 3, piece] = (colors[high] - colors[low]).T
     depth, moment = depth_and_moment(opacities[low], opacities[high])
@@ -81,6 +86,7 @@ def piece_table(function: TransferFunction, step: float, width: int | None = Non
     table[LAST_OPAQUE] = -1
     table[LAST_OPAQUE, piece] = np.maximum.accumulate(np.where(opaque, index, -1))
     table[UNITS] = step / function.opacity_unit
+    table[ORIGIN] = origin
     table[FROM], table[TO] = table[BEGIN], table[END]
     table[FROM, 0], table[TO, count - 1] = -np.inf, np.inf
     with np.errstate(over="ignore", under="ignore"):
@@ -128,9 +134,14 @@ def value_gate(function: TransferFunction) -> tuple[float, float]:
     first, last = int(shown[0]), int(shown[-1])
     low, high = -np.inf, np.inf
     if first > 0:
-        low = np.float32(function.values[first - 1])
-        if low == np.float32(function.values[first]):  # a step: the later point holds at its value
+        value = function.values[first - 1]
+        low = np.float32(value)
+        # Of a step the later point holds at its value; and a knot that float32 does not hold is none.
+        if low > value or value == function.values[first]:
             low = np.nextafter(low, np.float32(-np.inf))
     if last + 1 < function.values.size:
-        high = np.float32(function.values[last + 1])
+        value = function.values[last + 1]
+        high = np.float32(value)
+        if high < value:
+            high = np.nextafter(high, np.float32(np.inf))
     return float(low), float(high)
