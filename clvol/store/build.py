@@ -358,6 +358,7 @@ class _Build:
         facts = self._facts()
         axis = getattr(self.source, "axis", ValueAxis())
         facts |= {"slope": axis.slope, "offset": axis.offset}
+        facts["unit"] = getattr(self.source, "unit", None)
         root = root_metadata(
             self.layout,
             self.source.grid,
