@@ -394,6 +394,7 @@ class _Build:
         _write_whole(self.partial / "blocks" / ROOT, json.dumps(group, indent=2))
         axis = getattr(self.source, "axis", ValueAxis())
         facts = {**self._facts(), "slope": axis.slope, "offset": axis.offset}
+        facts["unit"] = getattr(self.source, "unit", None)
         facts["checksums"] = self._write_table()
         root = root_metadata(
             self.layout,

@@ -27,6 +27,7 @@ from clvol.store.geometry import EDGES, BlockGrid
 from clvol.store.source import QUANTILES
 from clvol.volume.grid import Grid
 from clvol.volume.axis import ValueAxis
+from clvol.volume.readers.units import ome_name
 from clvol.volume.volume import ACCEPTED_TYPES
 
 VERSION = 1
@@ -201,7 +202,7 @@ def check_layout(
 def root_metadata(
     layout: StoreLayout, grid: Grid, name: str | None, frame: str, facts: dict, writer: str
 ) -> dict:
-    """zarr.json of the group. ``facts``: value_range, nan_count, inf_count, slope, offset, checksums."""
+    """zarr.json of the group. ``facts``: value_range, nan_count, inf_count, slope, offset, unit, checksums."""
     own = {
         "version": VERSION,
         "writer": writer,
@@ -222,11 +223,11 @@ def root_metadata(
         "frame": frame,
         **facts,
     }
-    ome = {"version": "0.5", "multiscales": [_multiscale(layout, grid, name)]}
+    ome = {"version": "0.5", "multiscales": [_multiscale(layout, grid, name, facts.get("unit"))]}
     return {"zarr_format": 3, "node_type": "group", "attributes": {"ome": ome, "clvol": own}}
 
 
-def _multiscale(layout: StoreLayout, grid: Grid, name: str | None) -> dict:
+def _multiscale(layout: StoreLayout, grid: Grid, name: str | None, unit: str | None) -> dict:
     """OME-Zarr knows no rotations: where the grid has one, positions are along its own axes, from
     its first voxel."""
     spacing = np.asarray(grid.spacing[::-1])
@@ -241,6 +242,8 @@ def _multiscale(layout: StoreLayout, grid: Grid, name: str | None) -> dict:
         ]
         datasets.append({"path": str(level), "coordinateTransformations": transformations})
     axes = [{"name": axis, "type": "space"} for axis in "zyx"]
+    if (said := ome_name(unit)) is not None:
+        axes = [{**axis, "unit": said} for axis in axes]
     method = {"description": "means of the voxels of level 0", "method": "clvol.store.resolutions"}
     return {
         "name": name or "volume",
@@ -263,6 +266,7 @@ class StoreFacts:
     nan_count: int
     inf_count: int
     axis: ValueAxis = ValueAxis()
+    unit: str | None = None
     checksums: dict | None = None  # "table": of its parts, "statistics": of files, by array; None in older stores
 
 
@@ -320,8 +324,11 @@ def _facts(own: dict, where: str) -> StoreFacts:
     name = None if own["name"] is None else str(own["name"])
     counts = int(own["nan_count"]), int(own["inf_count"])
     axis = ValueAxis(own.get("slope", 1.0), own.get("offset", 0.0))
+    unit = None if own.get("unit") is None else str(own["unit"])
     checksums = _checksums(own["checksums"], layout) if "checksums" in own else None
-    return StoreFacts(layout, grid, name, str(own["frame"]), (low, high), *counts, axis, checksums)
+    return StoreFacts(
+        layout, grid, name, str(own["frame"]), (low, high), *counts, axis, unit, checksums
+    )
 
 
 def _checksums(own: dict, layout: StoreLayout) -> dict:

@@ -46,6 +46,7 @@ class VolumeSource:
         self.volume, self.settings = volume, settings or {}
         self.shape, self.dtype, self.grid = volume.shape, volume.dtype, volume.grid
         self.name, self.frame, self.axis = volume.name, volume.frame, volume.axis
+        self.unit = volume.unit
 
     @property
     def identity(self) -> dict:

@@ -66,6 +66,24 @@ def test_a_localizer_is_left_out_with_a_warning(tmp_path, own_series, said) -> N
         assert load_volume(tmp_path / "ct", series="1.2.3.5").shape == (1, 5, 5)
 
 
+@pytest.mark.parametrize("count", [1, 3])
+@pytest.mark.parametrize("colour", [False, True])
+def test_pictures_of_a_screen_are_left_out_with_a_warning(tmp_path, count, colour) -> None:
+    dicom_series(tmp_path / "ct")
+
+    def edit(data, k):
+        del data.ImagePositionPatient, data.ImageOrientationPatient
+        if colour:
+            data.SamplesPerPixel, data.PhotometricInterpretation = 3, "RGB"
+
+    dicom_series(
+        tmp_path / "ct", np.zeros((count, 3, 4), "uint8"), prefix="a", series="1.2.5", edit=edit
+    )
+    volume, warned = loaded(tmp_path / "ct")
+    assert np.array_equal(volume.data, voxels())
+    assert "a0.dcm" in warned and "no place in space" in warned
+
+
 def test_localizers_alone_are_a_volume(tmp_path) -> None:
     def edit(data, k):
         data.ImageType = ["ORIGINAL", "PRIMARY", "LOCALIZER"]
@@ -82,6 +100,7 @@ def test_localizers_alone_are_a_volume(tmp_path) -> None:
         (dict(orientation=(1, 0, 0, 0, 0, -1)), "lies otherwise"),
         (dict(edit=lambda data: setattr(data, "PixelSpacing", ["2", "1"])), "spaced otherwise"),
         (dict(plane=np.zeros((7, 9), "int16")), "another size (9 x 7)"),
+        (dict(edit=lambda data: delattr(data, "ImagePositionPatient")), "no position"),
     ],
 )
 def test_one_odd_slice_is_named(tmp_path, which, odd, word) -> None:

@@ -13,7 +13,8 @@ from click.testing import CliRunner
 from slice_files import loaded, voxels
 
 from clvol.cli.info import command as info
-from clvol.volume import load_volume
+from clvol.store.build import build_store
+from clvol.volume import Volume, load_volume
 from clvol.volume.readers.units import find_unit, one_unit
 
 METRES = {
@@ -178,3 +179,12 @@ def test_resolution_tags(tmp_path) -> None:
         )
         volume = load_volume(tmp_path / "v.tif")
         assert volume.grid.spacing[0] == pytest.approx(spacing, rel=1e-12) and volume.unit == unit
+
+
+@pytest.mark.parametrize("unit", ["mm", "µm", "Å", "in", "pixel", None])
+def test_a_store_keeps_the_unit(tmp_path, unit) -> None:
+    build_store(Volume(voxels(), (1, 2, 3), unit=unit), tmp_path / "s.zarr")
+    assert load_volume(tmp_path / "s.zarr").unit == unit
+    said = json.loads((tmp_path / "s.zarr" / "zarr.json").read_text())
+    for axis in said["attributes"]["ome"]["multiscales"][0]["axes"]:
+        assert axis.get("unit") == (LONG_NAMES | {"in": "inch", "pixel": None, None: None})[unit]

@@ -2,8 +2,9 @@
 
 A new format is a module with ``read(path, options) -> Volume`` and a line in ``ENDINGS``. Readers
 may let their library's exceptions pass: ``load_volume`` turns every one into a VolumeError that
-names the file. Libraries are imported where they are used, so that nothing is slow that is not
-needed.
+names the file. Where there are several channels, times or series they ask ``options.choose``, and
+``options.warn`` takes what the user should know though it stops nothing. Libraries are imported
+where they are used, so that nothing is slow that is not needed.
 """
 
 from __future__ import annotations

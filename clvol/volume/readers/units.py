@@ -68,6 +68,14 @@ def find_unit(name: str | None) -> tuple[str, float | None] | None:
     return _NAMES.get(lower) or _NAMES.get(lower.replace("_", "").replace(" ", ""))
 
 
+def ome_name(symbol: str | None) -> str | None:
+    """The name by which OME-Zarr calls a unit; None for what it has no name for."""
+    others = {"Å": "angstrom", "in": "inch", "ft": "foot", "yd": "yard", "mi": "mile", "pc": "parsec"}
+    for prefix, (letter, _) in _PREFIXES.items():
+        others[f"{letter}m"] = f"{prefix}meter"
+    return others.get(symbol or "")
+
+
 def one_unit(
     names: Sequence[str | None], used: Sequence[bool] | None = None
 ) -> tuple[list[float], str | None, str | None]:

@@ -56,7 +56,7 @@ class StoredVolume(LazyVolume):
         super().__init__(
             source.dtype, source.grid, source.name, source.facts.frame, str(source.path), memory_cap
         )
-        self.axis = source.facts.axis
+        self.axis, self.unit = source.facts.axis, source.facts.unit
 
     @property
     def grid(self) -> Grid:

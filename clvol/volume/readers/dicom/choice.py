@@ -60,16 +60,16 @@ def _without_others(
     """Without series of localizers and of pictures of a screen, if others are left."""
     kept = {}
     left_out = []
+    placed = {uid: any(_has_place(image) for image in images) for uid, images in series.items()}
     for uid, images in series.items():
         first = images[0].header
-        placed = any(_has_place(image) for image in images)
         try:
             localizer = all(
                 frame.is_localizer for image in images for frame in frames_of(image, str(path))
             )
         except VolumeError:  # in colour, say; an error if it is this one that is wanted
             localizer = False
-        if localizer or not placed and len(images) == 1:
+        if localizer or any(placed.values()) and not placed[uid]:
             kind = "a localizer" if localizer else "no place in space"
             left_out.append(f"{images[0].name} ({kind}, series {first.get('SeriesInstanceUID')})")
         else:
@@ -127,7 +127,7 @@ def _alike(path: Path, frames: list[Frame]) -> list[Frame]:
     verb = verb.replace("is ", "are ") if len(odd) > 1 else verb
     raise VolumeError(
         str(path),
-        f"{names}{more} {verb} than the other {len(kinds[0])} slices",
+        f"{names}{more} {verb}, unlike the other {len(kinds[0])} slices",
         "parallel slices of one size and spacing",
     )
 
@@ -135,6 +135,8 @@ def _alike(path: Path, frames: list[Frame]) -> list[Frame]:
 def _difference(one: Frame, other: Frame) -> str | None:
     if (one.rows, one.columns) != (other.rows, other.columns):
         return f"has another size ({one.columns} x {one.rows})"
+    if (one.position is None) != (other.position is None):
+        return "has no position in space" if one.position is None else "has a position in space"
     if not np.allclose(one.axes, other.axes, atol=1e-3):
         return "lies otherwise"
     if not np.allclose(one.spacing, other.spacing, rtol=1e-3):

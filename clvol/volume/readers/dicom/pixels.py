@@ -136,7 +136,7 @@ def _rescaled(
                 dtype = np.dtype(np.float64)
                 break
     if dtype.itemsize != stored.itemsize:
-        check_memory(str(path), stored.size * dtype.itemsize, options.memory_cap)
+        check_memory(str(path), stored.nbytes + stored.size * dtype.itemsize, options.memory_cap)
         out = np.empty(stored.shape, dtype)
     else:
         out = stored.view(dtype)
