@@ -135,6 +135,21 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
     }
   }
   accumulator_store(&acc, rgba);
+#if WITH_DEPTH && MIDPOINTS
+  const intN noted = MASK(half_.from < INFINITY);
+  if (any_lane(noted)) {
+    floatN values[3]; /* at the ends and in the middle: Gauss's points are not there */
+    _Pragma("unroll 1") for (int k = 0; k < 3; ++k) {
+      const floatN along = select((floatN)0.0f, half_.from + 0.5f * (float)k * half_.length, noted);
+      const FetchedSample sample = fetch_sample(volume, view, ray.x0 + along * ray.dx, ray.y0 + along * ray.dy, ray.z0 + along * ray.dz);
+      values[k] = sample_value(sample, view);
+    }
+    taken += AS_UINT(noted) & 3u;
+    half_.front = half_.back = values[1];
+    note_ends(&half_, depth_between(values[0], values[0], (intN)0, depths_of(table, view), warp, view),
+              depth_between(values[2], values[2], (intN)0, depths_of(table, view), warp, view));
+  }
+#endif
 #if WITH_DEPTH
   STORE_LANES((ray.entry_depth + half_place(&half_, 1.0f, table, warp, view) * view->march.x) * view->march.w, depth);
 #endif

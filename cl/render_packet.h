@@ -23,8 +23,6 @@
 #define MARCH_STEPS 8
 #endif
 
-#define MIDPOINTS (CLASSIFICATION != CLASSIFICATION_PREINTEGRATED)
-
 /* `last` of a ray that needs no more samples, not even of its last piece. */
 #define DONE (-2)
 
@@ -180,6 +178,26 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
 #endif
   }
   accumulator_store(&acc, rgba);
+#if WITH_DEPTH && MIDPOINTS
+  const intN noted = MASK(half_.from < INFINITY);
+  if (any_lane(noted)) {
+    floatN ends[2];
+    _Pragma("unroll 1") for (int k = 0; k < 2; ++k) {
+      const floatN t = select((floatN)0.0f, half_.from + (k ? half_.length : (floatN)0.0f), noted);
+      const FetchedSample sample = fetch_along(volume, view, &ray, t);
+      taken -= AS_UINT(noted);
+#if CLASSIFICATION == CLASSIFICATION_POST
+      const floatN value = sample_value(sample, view);
+      ends[k] = depth_between(value, value, (intN)0, depths_of(table, view), warp, view);
+#else
+      float4 classified[LANES];
+      classified_samples(sample, view, warp, table, classified);
+      ends[k] = classified_depth(classified);
+#endif
+    }
+    note_ends(&half_, ends[0], ends[1]);
+  }
+#endif
 #if WITH_DEPTH
   STORE_LANES((ray.entry_depth + half_place(&half_, 1.0f, table, warp, view) * view->march.x) * view->march.w, depth);
 #endif
