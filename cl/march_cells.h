@@ -64,14 +64,24 @@ INLINE void integrate_cell(Accumulator *acc, floatN *opacity, HalfOpacity *half_
 #else
   /* Of each pair of parts the first point lies at 0.42265 of the first part, the second at 0.57735 of the second. */
   const float inwards = parts > 1 ? 0.07735027f : 0.0f;
+  const int alone = parts == 1;
+  floatN before = *opacity; /* before both */
   _Pragma("unroll 1") for (int part = 0; part < parts; ++part) {
     const floatN t = t0 + length * ((float)part + (part & 1 ? 0.5f + inwards : 0.5f - inwards));
     const floatN value = value_at(c, ray, cx, cy, cz, t);
+    if (!(part & 1)) before = *opacity;
     const ClassCoordinate at = class_coordinate(value, warp, view);
     if (may_be_visible(at.position, at.position, active, view)) {
       const floatN transmittance = select((floatN)0.0f, 1.0f - *opacity, active);
       composite_point(acc, at, length * view->voxel.w, transmittance, table);
-      pass_opacity(acc, opacity, half_, t0 + length * (float)part, t0 + length * (float)(part + 1), value, value);
+      const floatN between = *opacity;
+      *opacity = accumulated_opacity(acc);
+#if WITH_DEPTH
+      /* Only both points together are the rule. */
+      const intN passes = passes_half(between, *opacity);
+      if (any_lane(passes))
+        note_half(half_, passes, before, t0 + length * (float)(part & ~1), length * (alone ? 1.0f : 2.0f), value, value);
+#endif
     }
   }
 #endif

@@ -171,10 +171,12 @@ def test_pre_integrated_depth_is_exact_at_any_step(context, profile):
 
 @pytest.mark.parametrize("rule", [r for r in RULES if r not in CHORDS], ids=lambda rule: "-".join(rule.values()))
 def test_depth_by_midpoints_is_as_exact_as_their_sums(context, rule):
-    """To a thousandth at steps of one, and four times better at half of it: what is left is the rule's own error."""
+    """To a thousandth at steps of one, four times better at half of it: what is left is the rule's own error."""
     for profile in ("thin", "steep", "opaque at the end"):
         function = PROFILES[profile]
         expected = depth_along_ramp(function)
+        if rule["classification"] == "pre":  # extinction is linear between voxels: not quite the same medium
+            expected = seen(context, ramp(), function, integration={"method": "reference", **rule})
         for step in (1.0, 0.5):
             depth = seen(context, ramp(), function, integration={"step": step, **rule})
             wrong = np.abs(depth - expected).max()
@@ -257,7 +259,7 @@ def test_from_an_eye_inside_depth_begins_at_the_eye(context, rule):
 def test_depth_does_not_depend_on_the_step(context):
     """Oblique rays through a ramp along an axis, at steps that divide nothing."""
     camera = {"position": [20.0, -31.0, -40.0], "target": list(MIDDLE), "fov_degrees": 5.0}
-    for function in (PROFILES["steep"], PROFILES["a jump to opaque"]):
+    for function in (rising(0.2), rising(0.9)):
         pictures = [
             seen(context, ramp(), function, camera=camera, size=(16, 12), integration={"step": step, **FINE})
             for step in (0.31, 0.83, 1.9)
