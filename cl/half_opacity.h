@@ -143,7 +143,8 @@ INLINE __global const float *depths_of(__global const float *table, __constant c
   return table + 3 + (size_t)slice * 4 * entries;
 }
 
-/* Optical depth a step of values that run from `front` to `back`. */
+/* Optical depth a step of values that run from `front` to `back`: all that depth and shadows know of the tables. `first`: where in
+ * `depths` a lane's begin, in floats. */
 INLINE floatN depth_between(floatN front, floatN back, intN first, __global const float *depths, __global const float *warp,
                             __constant const View *view)
 {
