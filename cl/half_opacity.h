@@ -5,7 +5,8 @@
  * by which it was composited:
  *   preintegrated  the value runs linearly from front to back, and D(x) = x D(front, front + x (back - front)): optical depths
  *                  scale with the length
- *   pre, post      constant
+ *   pre, post      extinction runs linearly from the front to the middle, where it was classified, and on to the back: both ends are
+ *                  classified for that (note_ends) after the march; where they are not it is constant
  * Where effects change what a segment absorbs (HALF_SCALED) D has this profile times what makes it the segment's own.
  */
 #ifndef HALF_OPACITY_H
@@ -16,13 +17,17 @@
 
 /* What was composited is noted by itself, and the profile is scaled to it. */
 #define HALF_SCALED ((EFFECTS && !SEGMENT_OPACITIES) || CLASSIFICATION == CLASSIFICATION_PRE)
+#define MIDPOINTS (CLASSIFICATION != CLASSIFICATION_PREINTEGRATED)
 #define HALF_TOLERANCE 1e-4f /* steps */
 
 typedef struct {
   floatN from;         /* where the segment begins, in steps or edges; INFINITY: none yet */
   floatN length;       /* steps */
   floatN wanted;       /* optical depth from its front to the place */
-  floatN front, back;  /* values at its ends */
+  floatN front, back;  /* values at its ends; of midpoints, both the one in the middle */
+#if MIDPOINTS
+  floatN first, last;  /* optical depth a step at its ends; below 0: not known */
+#endif
 #if HALF_SCALED
   floatN whole;        /* its optical depth */
   floatN steady;       /* the share of that which does not follow the values */
@@ -38,6 +43,9 @@ INLINE HalfOpacity no_half(void)
   HalfOpacity half_;
   half_.from = INFINITY;
   half_.length = half_.wanted = half_.front = half_.back = 0.0f;
+#if MIDPOINTS
+  half_.first = half_.last = -1.0f;
+#endif
 #if HALF_SCALED
   half_.whole = half_.steady = 0.0f;
 #endif
@@ -96,18 +104,40 @@ INLINE void note_layers(HalfOpacity *half_, intN passes, intN low, intN high, fl
 }
 #endif
 
+#if MIDPOINTS
+INLINE void note_ends(HalfOpacity *half_, floatN first, floatN last) { half_->first = first, half_->last = last; }
+
+/* x >= 0 with a x + b x^2 = d, where extinction does not fall below 0. */
+INLINE floatN share_of_linear(floatN a, floatN b, floatN d)
+{
+  const floatN root = a + sqrt(lane_max(a * a + 4.0f * b * d, (floatN)0.0f));
+  return 2.0f * d / select((floatN)1.0f, root, MASK(root > 0.0f));
+}
+
+/* How far into the segment (0 .. 1) the place is: of optical depth `wanted`, where `middle` is that of the segment if all of it
+ * were as its middle is. */
+INLINE floatN share_by_middle(const HalfOpacity *half_, floatN wanted, floatN middle)
+{
+  const intN ends = MASK(half_->first >= 0.0f) & MASK(half_->last >= 0.0f);
+  const floatN a = select(middle, half_->first * half_->length, ends), b = select(middle, half_->last * half_->length, ends);
+  const floatN half_way = 0.25f * (a + middle), beyond = wanted - half_way;
+  const floatN before = lane_min(share_of_linear(a, middle - a, wanted), (floatN)0.5f);
+  const floatN after = 0.5f + share_of_linear(middle, b - middle, lane_max(beyond, (floatN)0.0f));
+  return select(before, after, MASK(beyond > 0.0f));
+}
+#endif
+
 #if CLASSIFICATION == CLASSIFICATION_PRE
 
 INLINE floatN share_to_half(const HalfOpacity *half_, __global const float *table, __constant const View *view)
 {
-  const intN any = MASK(half_->whole > 0.0f);
-  return select((floatN)0.0f, half_->wanted / select((floatN)1.0f, half_->whole, any), any);
+  return select((floatN)0.0f, share_by_middle(half_, half_->wanted, half_->whole), MASK(half_->whole > 0.0f));
 }
 
 #else
 
-/* Optical depth a step of values that run from `front` to `back`, of the lanes in `active`. */
-INLINE floatN depth_between(floatN front, floatN back, intN active, intN first, __global const float *table, __constant const View *view)
+/* Optical depth a step of values that run from `front` to `back`, of the lanes in `active`. Not inlined: it is rare, and large. */
+RARE floatN depth_between(floatN front, floatN back, intN active, intN first, __global const float *table, __constant const View *view)
 {
   const Pieces f = scene_pieces(table, first, view);
   const floatN units = units_of_step(f, view);
@@ -149,9 +179,11 @@ INLINE floatN share_to_half(const HalfOpacity *half_, __global const float *tabl
 #else
   const floatN uniform = 0.0f, values = 1.0f;
 #endif
+#if !MIDPOINTS
   wanted = lane_min(wanted, whole);
-#if CLASSIFICATION != CLASSIFICATION_PREINTEGRATED
-  return select(zero, wanted / select(one, whole, noted), noted);
+#endif
+#if MIDPOINTS
+  return select(zero, share_by_middle(half_, wanted, whole), noted);
 #else
   /* From a parabola with the right slope at the front and the right end, which is all where extinction is linear; then between the
    * two sides, each time as far as the chord goes or half way. */

@@ -49,6 +49,9 @@ typedef uint uintN;
 /* Lane by lane where it is rare: unrolled, such loops take compilers many seconds. */
 #define EACH_LANE_ROLLED(k) _Pragma("unroll 1") EACH_LANE(k)
 
+/* For what is large and rare: inlined everywhere it would take compilers minutes. */
+#define RARE __attribute__((noinline))
+
 /* A call in the inner loop would spill every ray of the packet. */
 #define INLINE inline __attribute__((always_inline))
 
@@ -295,11 +298,7 @@ INLINE float16 permuted_lanes(float16 v, int16 at)
   return __builtin_astype(__builtin_ia32_permvarsf512(__builtin_astype(v, gather_float16), __builtin_astype(at, gather_int16)),
                           float16);
 #else
-  float each[16], chosen[16];
-  int lane[16];
-  vstore16(v, 0, each), vstore16(at, 0, lane);
-  EACH_LANE(k) chosen[k] = each[lane[k] & 15];
-  return vload16(0, chosen);
+  return shuffle(v, as_uint16(at));
 #endif
 }
 #else

@@ -58,13 +58,21 @@ INLINE void integrate_cell(Gathered *acc, HalfOpacity *half_, const Corners *c, 
 #else
   /* Of each pair of parts the first point lies at 0.42265 of the first part, the second at 0.57735 of the second. */
   const float inwards = parts > 1 ? 0.07735027f : 0.0f;
+  const int alone = parts == 1;
+  floatN before = acc->a; /* before both */
   _Pragma("unroll 1") for (int part = 0; part < parts; ++part) {
     const floatN t = t0 + length * ((float)part + (part & 1 ? 0.5f + inwards : 0.5f - inwards));
     const floatN value = value_at(c, ray, cx, cy, cz, t);
+    if (!(part & 1)) before = acc->a;
     if (may_be_visible(value, value, active, view)) {
-      const floatN before = acc->a;
+      const floatN between = acc->a;
       composite_value(acc, value, length, active, table, view);
-      pass_opacity(acc, before, half_, t0 + length * (float)part, t0 + length * (float)(part + 1), value, value);
+#if WITH_DEPTH
+      /* Only both points together are the rule. */
+      const intN passes = passes_half(between, acc->a);
+      if (any_lane(passes))
+        note_half(half_, passes, before, t0 + length * (float)(part & ~1), length * (alone ? 1.0f : 2.0f), value, value);
+#endif
     }
   }
 #endif
@@ -127,6 +135,21 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
     }
   }
   gathered_store(&acc, rgba);
+#if WITH_DEPTH && MIDPOINTS
+  const intN noted = MASK(half_.from < INFINITY);
+  if (any_lane(noted)) {
+    floatN values[3]; /* at the ends and in the middle: Gauss's points are not there */
+    _Pragma("unroll 1") for (int k = 0; k < 3; ++k) {
+      const floatN along = select((floatN)0.0f, half_.from + 0.5f * (float)k * half_.length, noted);
+      const FetchedSample sample = fetch_sample(volume, view, ray.x0 + along * ray.dx, ray.y0 + along * ray.dy, ray.z0 + along * ray.dz);
+      values[k] = sample_value(sample, view);
+    }
+    taken += AS_UINT(noted) & 3u;
+    half_.front = half_.back = values[1];
+    note_ends(&half_, depth_between(values[0], values[0], noted, (intN)0, table, view),
+              depth_between(values[2], values[2], noted, (intN)0, table, view));
+  }
+#endif
 #if WITH_DEPTH
   STORE_LANES((ray.entry_depth + half_place(&half_, 1.0f, table, view) * view->march.x) * view->march.w, depth);
 #endif

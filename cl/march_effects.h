@@ -380,6 +380,20 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
   show_environment(scene, forward, on_picture, &acc);
 #endif
   gathered_store(&acc, rgba);
+#if WITH_DEPTH && CLASSIFICATION == CLASSIFICATION_POST && TRANSLUCENT && !REFRACTION && !TRANSFER_LAYERS
+  const intN noted = MASK(half_.from < INFINITY) & MASK(half_.length > 0.0f);
+  if (any_lane(noted)) {
+    floatN ends[2];
+    _Pragma("unroll 1") for (int k = 0; k < 2; ++k) {
+      const floatN along = (half_.from - ray.entry_depth) * (1.0f / h) + (k ? half_.length : (floatN)0.0f);
+      const floatN t = select((floatN)0.0f, along, noted);
+      const floatN value = scene_value(scene, ray.x0 + t * ray.dx, ray.y0 + t * ray.dy, ray.z0 + t * ray.dz);
+      ends[k] = depth_between(value, value, noted, (intN)0, table, view);
+      taken -= AS_UINT(noted);
+    }
+    note_ends(&half_, ends[0], ends[1]);
+  }
+#endif
 #if WITH_DEPTH
   STORE_LANES(half_place(&half_, h, table, view) * view->march.w, depth);
 #endif

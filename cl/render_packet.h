@@ -23,8 +23,6 @@
 #define MARCH_STEPS 8
 #endif
 
-#define MIDPOINTS (CLASSIFICATION != CLASSIFICATION_PREINTEGRATED)
-
 /* `last` of a ray that needs no more samples, not even of its last piece. */
 #define DONE (-2)
 
@@ -165,6 +163,24 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
 #endif
   }
   gathered_store(&acc, rgba);
+#if WITH_DEPTH && MIDPOINTS
+  const intN noted = MASK(half_.from < INFINITY);
+  if (any_lane(noted)) {
+    floatN ends[2];
+    _Pragma("unroll 1") for (int k = 0; k < 2; ++k) {
+      const floatN t = select((floatN)0.0f, half_.from + (k ? half_.length : (floatN)0.0f), noted);
+      const FetchedSample sample = fetch_along(volume, view, &ray, t);
+      taken -= AS_UINT(noted);
+#if CLASSIFICATION == CLASSIFICATION_POST
+      const floatN value = sample_value(sample, view);
+      ends[k] = depth_between(value, value, noted, (intN)0, table, view);
+#else
+      ends[k] = classified_emission(sample, view, table).d;
+#endif
+    }
+    note_ends(&half_, ends[0], ends[1]);
+  }
+#endif
 #if WITH_DEPTH
   STORE_LANES((ray.entry_depth + half_place(&half_, 1.0f, table, view) * view->march.x) * view->march.w, depth);
 #endif
