@@ -54,6 +54,13 @@ typedef struct {
   floatN depth;      /* -log(1 - a), which `a` forgets where it rounds to 1 */
 } SegmentColor;
 
+/* Without the hardware's gathers and permutations a look-up is so many instructions that compilers want it in one place. */
+#if LANES == 16 && !defined(HARDWARE_GATHER)
+#define LOOKED_UP RARE
+#else
+#define LOOKED_UP INLINE
+#endif
+
 /* A function's matrix, and how it is looked up. */
 typedef struct {
   __global const float *rows;
@@ -154,7 +161,7 @@ typedef struct {
 } PiecePart;
 
 /* The part of `piece` from w0 to w1 (shares of the piece), which is `units` opacity units long. */
-INLINE PiecePart part_of_piece(intN piece, floatN w0, floatN w1, floatN units, Pieces f)
+LOOKED_UP PiecePart part_of_piece(intN piece, floatN w0, floatN w1, floatN units, Pieces f)
 {
 #define PIECE_ROW(row) piece_row(f, row, piece)
   const floatN zero = 0.0f, one = 1.0f, q = PIECE_ROW(ROW_CLEAR), q_change = PIECE_ROW(ROW_CLEAR_CHANGE);
@@ -228,7 +235,7 @@ INLINE void append_at_once(SegmentColor *s, intN low, intN high, intN rises, flo
 
 /* A segment along which the value runs from `front` to `back`, `units` opacity units long, of the lanes in `active`; others' are undefined.
  * One with an end that is not finite is transparent. */
-INLINE SegmentColor color_of_segment(floatN front, floatN back, floatN units, intN active, Pieces f)
+LOOKED_UP SegmentColor color_of_segment(floatN front, floatN back, floatN units, intN active, Pieces f)
 {
   const floatN zero = 0.0f, one = 1.0f;
   SegmentColor s = {zero, zero, zero, zero, zero};
@@ -311,7 +318,7 @@ INLINE void classify_value(floatN value, Pieces f, floatN *r, floatN *g, floatN 
 }
 
 /* A segment of one value. */
-INLINE SegmentColor color_of_value(floatN value, floatN units, Pieces f)
+LOOKED_UP SegmentColor color_of_value(floatN value, floatN units, Pieces f)
 {
   const floatN zero = 0.0f;
   floatN r, g, b, extinction;
