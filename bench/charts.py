@@ -273,7 +273,7 @@ def convergence_chart(result: dict[str, Any], path: Path) -> Path:
     everywhere. From the coarsest error, where orders 1, 2 and 3 would lead."""
     plt = _plt()
     axis_labels = {
-        "step": "step", "table": "1 / nodes of the table", "grid": "voxel edge",
+        "step": "step", "grid": "voxel edge",
         "pixel": "pixel edge / picture edge",
     }  # fmt: skip
     rows = result["rows"]
@@ -320,7 +320,7 @@ def convergence_chart(result: dict[str, Any], path: Path) -> Path:
         Line2D([], [], color=_CLVOL, marker="o", markersize=4.5, label="RMS error"),
         Line2D([], [], color=_GOAL, linestyle="--", label="the order that theory expects"),
         Line2D([], [], color="#c8c8c8", linestyle="--", label="other orders"),
-        Line2D([], [], color=_VTK, linestyle=":", label="floor: rounding, tables"),
+        Line2D([], [], color=_VTK, linestyle=":", label="floor: rounding"),
     ]
     panels[len(rows)].legend(handles=handles, loc="center left", fontsize=9)
     return _save(plt, figure, path, _notes(result))

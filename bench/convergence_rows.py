@@ -2,10 +2,9 @@
 
 Etiene et al. 2014 ("Verifying volume rendering using discretization error analysis", IEEE TVCG
 20(1)) refine the step along the ray, the grid and the pixels. Each row here refines one of them,
-or the classification table, and compares with a value that knows nothing of what is refined:
+and compares with a value that knows nothing of what is refined:
 
   step   the exact integral of the same trilinear field (clvol.render.reference)
-  table  the same, for a field that is linear along rays: the table is all that is wrong
   grid   the integral of the analytic field that the grid samples (``analytic_picture`` below)
   pixel  exact values at points of the image that are the centre of no pixel
 
@@ -27,11 +26,10 @@ from clvol.render.raycast import Raycaster
 from clvol.render.reference import render_reference, to_index
 from clvol.scene import ImageSettings, Integration
 from clvol.transfer.preintegration import preintegrate
-from clvol.transfer.tables import SLICES
 from clvol.volume.procedural import LinearRamp, Smooth, sample, unit_box
 
 if TYPE_CHECKING:
-    from clvol.opencl.context import DeviceArray, DeviceContext
+    from clvol.opencl.context import DeviceContext
     from clvol.scene.resolve import ResolvedScene
 
 BAND = 0.2  # about the expected order
@@ -81,7 +79,7 @@ class Case:
 
     def scene(self, size: int, step: float, **integration: Any) -> ResolvedScene:
         """``size`` by ``size`` pixels; ``step`` in world units."""
-        integration = {"early_termination": 0.0, "table_size": 256, **integration}
+        integration = {"early_termination": 0.0, **integration}
         return Scene(
             volume=self.volume,
             transfer_function=self.function,
@@ -121,12 +119,12 @@ def over_bytes(function: TransferFunction) -> TransferFunction:
 def raycast(
     context: DeviceContext,
     scene: ResolvedScene,
-    table: Callable[[Raycaster], DeviceArray] | None = None,
+    spoil: Callable[[Raycaster], None] | None = None,
 ) -> np.ndarray:
-    """rgba, float64 [height, width, 4]; with ``table(caster)`` in place of the ray caster's own."""
+    """rgba, float64 [height, width, 4]; by a ray caster that ``spoil`` has changed, for tests."""
     caster = Raycaster(context, scene)
-    if table is not None:
-        caster.table = table(caster)
+    if spoil is not None:
+        spoil(caster)
     image = scene.image
     return caster.render(scene.camera, image.width, image.height).rgba.astype(np.float64)
 
@@ -135,40 +133,8 @@ def exact(context: DeviceContext, scene: ResolvedScene, pixels=None) -> np.ndarr
     return render_reference(scene, context.device, TOLERANCE, pixels)[0]
 
 
-def table_without_self_attenuation(caster: Raycaster) -> DeviceArray:
-    """The ray caster's table, but with C = int c tau dt: light is not attenuated within its own
-    segment (Engel, Kraus, Ertl 2001, "High-quality pre-integrated volume rendering using
-    hardware-accelerated pixel shading", their approximation of the colour). Opacity is as always.
-
-    With the integral functions T(s) = int tau ds and K(s) = int c tau ds over the values,
-    a segment of length d has depth d (T_b - T_f) / (s_b - s_f), and K likewise. For functions
-    without control points inside the volume's range: T and K by Gauss-Legendre between nodes.
-    """
-    function, nodes = caster.resolved.transfer_function, caster.nodes.values
-    x, w = np.polynomial.legendre.leggauss(8)
-    width = np.diff(nodes)
-    s = nodes[:-1, None] + 0.5 * width[:, None] * (x + 1.0)
-    rates = _rates(function, s)  # [cells, 8, (c tau, tau)]
-    cells = 0.5 * width[:, None] * np.einsum("j,ijk->ik", w, rates)
-    primitive = np.vstack([np.zeros(4), np.cumsum(cells, axis=0)])
-    span = nodes[None, :] - nodes[:, None]
-    np.fill_diagonal(span, 1.0)
-    mean = (primitive[None, :] - primitive[:, None]) / span[..., None]  # [front, back, 4]
-    diagonal = np.arange(nodes.size)
-    mean[diagonal, diagonal] = _rates(function, nodes)
-
-    n = nodes.size
-    table = np.zeros((SLICES, n + 2, n + 2, 4), np.float32)
-    for k in range(SLICES):
-        integrals = mean * (caster.length / 2.0 ** max(k - 1, 0))
-        depth = integrals[..., 3]
-        opacity = -np.expm1(-depth)
-        if k == 0:
-            table[k, :n, :n] = np.concatenate([integrals[..., :3], opacity[..., None]], axis=2)
-        else:  # mean colour and optical depth
-            color = integrals[..., :3] / opacity[..., None]
-            table[k, :n, :n] = np.concatenate([color, depth[..., None]], axis=2)
-    return caster.context.upload(table)
+def _without_self_attenuation(scene: ResolvedScene) -> np.ndarray:
+    return chords_picture(scene, segment=segment_without_self_attenuation)
 
 
 def _rates(function: TransferFunction, s: np.ndarray) -> np.ndarray:
@@ -177,11 +143,27 @@ def _rates(function: TransferFunction, s: np.ndarray) -> np.ndarray:
     return np.concatenate([function.color(s) * tau, tau], axis=-1)
 
 
+def segment_without_self_attenuation(
+    function: TransferFunction, front: np.ndarray, back: np.ndarray, length: np.ndarray
+) -> np.ndarray:
+    """As ``preintegrate``, but with C = int c tau dt: light is not attenuated within its own segment
+    (Engel, Kraus and Ertl 2001, their approximation of the colour). Opacity is as always. By
+    Gauss-Legendre, for functions without control points between ``front`` and ``back``."""
+    x, w = np.polynomial.legendre.leggauss(8)
+    s = front[..., None] + 0.5 * (x + 1.0) * (back - front)[..., None]
+    integrals = 0.5 * length[..., None] * np.einsum("j,...jk->...k", w, _rates(function, s))
+    opacity = -np.expm1(-integrals[..., 3:])
+    return np.concatenate([integrals[..., :3], opacity], axis=-1)
+
+
 def chords_picture(
-    scene: ResolvedScene, last_piece: bool = True, attenuate: bool = True
+    scene: ResolvedScene,
+    last_piece: bool = True,
+    attenuate: bool = True,
+    segment: Callable[..., np.ndarray] = preintegrate,
 ) -> np.ndarray:
     """Pre-integration as published, in double precision on the host: values at the ends of each
-    segment, linear between them, no correction, each segment integrated by itself and composited.
+    segment, linear between them, no correction, each ``segment`` integrated by itself and composited.
     Without ``last_piece`` or without ``attenuate`` (between segments) it is wrong, for tests."""
     from scipy.ndimage import map_coordinates
 
@@ -197,7 +179,7 @@ def chords_picture(
     values = map_coordinates(
         volume.data, points[..., ::-1].reshape(-1, 3).T, np.float64, order=1, mode="nearest"
     ).reshape(t.shape)
-    segments = preintegrate(
+    segments = segment(
         scene.transfer_function, values[:, :-1], values[:, 1:], np.diff(t, axis=1)
     )
     rgba = np.zeros((len(t), 4))
@@ -271,7 +253,7 @@ def rms(a: np.ndarray, b: np.ndarray) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Row:
-    """``measure(context)`` runs it. ``refined``: "step", "table", "grid" or "pixel". ``reason``:
+    """``measure(context)`` runs it. ``refined``: "step", "grid" or "pixel". ``reason``:
     why theory expects this order."""
 
     name: str
@@ -291,7 +273,7 @@ def step_row(
     case: Callable[[], Case],
     steps: tuple[float, ...],
     channels: slice = slice(0, 4),
-    table: Callable[[Raycaster], DeviceArray] | None = None,
+    spoil: Callable[[Raycaster], None] | None = None,
     host: Callable[[ResolvedScene], np.ndarray] | None = None,
     **integration: Any,
 ) -> Row:
@@ -303,7 +285,7 @@ def step_row(
 
         def error(step: float) -> float:
             scene = shown.scene(SIDE, step, **integration)
-            rgba = raycast(context, scene, table) if host is None else host(scene)
+            rgba = raycast(context, scene, spoil) if host is None else host(scene)
             return rms(rgba[..., channels], reference[..., channels])
 
         errors = tuple(error(step) for step in steps)
@@ -315,18 +297,6 @@ def step_row(
         return Convergence(steps, errors, math.sqrt(max(left**2 - own**2, 0.0)))
 
     return Row(name, "step", title, expected, reason, measure)
-
-
-def _table(context: DeviceContext) -> Convergence:
-    case = Case(gridded(RAMP, 3), STEEP)
-    step, reference = 1 / 4, exact(context, case.scene(SIDE, 1.0))
-
-    def error(nodes: int) -> float:
-        scene = case.scene(SIDE, step, classification="preintegrated", table_size=nodes)
-        return rms(raycast(context, scene), reference)
-
-    nodes = (16, 32, 64, 128, 256)
-    return Convergence(tuple(1 / n for n in nodes), tuple(map(error, nodes)), error(1024))
 
 
 GRIDS = (9, 17, 33, 65, 129)  # samples an axis
@@ -413,16 +383,16 @@ ROWS: tuple[Row, ...] = (
         classification="preintegrated",
     ),
     step_row(
-        "no-self-attenuation", "attenuation in the segment neglected: colour", 1.0,
+        "no-self-attenuation", "attenuation in the segment neglected (host): colour", 1.0,
         "each segment is too bright by tau h / 2 of its light",
         lambda: Case(gridded(FIELD, 17), SMOOTH), steps_of_two(2, 7), slice(0, 3),
-        table_without_self_attenuation, classification="preintegrated",
+        host=_without_self_attenuation, classification="preintegrated",
     ),
     step_row(
-        "no-self-attenuation-opacity", "attenuation in the segment neglected: opacity", 2.0,
+        "no-self-attenuation-opacity", "attenuation in the segment neglected (host): opacity", 2.0,
         "opacity has no such term: as pre-integrated",
         lambda: Case(gridded(FIELD, 3), SMOOTH), steps_of_two(2, 5), slice(3, 4),
-        table_without_self_attenuation, classification="preintegrated",
+        host=_without_self_attenuation, classification="preintegrated",
     ),
     step_row(
         "post-kinks", "post-classified, kinks in the function", 2.0,
@@ -431,9 +401,8 @@ ROWS: tuple[Row, ...] = (
     ),
     step_row(
         "preintegrated-kinks", "pre-integrated, kinks in the function", 2.0,
-        "the table is exact across kinks; the chord stays what it was",
+        "the integral is exact across kinks; the chord stays what it was",
         lambda: Case(gridded(FIELD, 9), KINKS), steps_of_two(2, 5), classification="preintegrated",
-        table_size=384,
     ),
     step_row(
         "post-step", "post-classified, step in the function", 1.0,
@@ -442,19 +411,14 @@ ROWS: tuple[Row, ...] = (
     ),
     step_row(
         "preintegrated-step", "pre-integrated, step in the function", 2.0,
-        "the table knows the step; the chord crosses its value O(h^2) off",
+        "the integral knows the step; the chord crosses its value O(h^2) off",
         lambda: Case(one_cell(), STEP, _ALONG), steps_of_two(1, 4), classification="preintegrated",
-        table_size=384,
     ),
     step_row(
         "nearest", "post-classified, nearest filter", 1.0,
         "the field jumps between voxels: as with a step, at every one of them",
         lambda: Case(bytes_of_field(17), over_bytes(SMOOTH)), steps_of_two(5, 9),
         classification="post", filter="nearest",
-    ),
-    Row(
-        "table", "table", "pre-integrated, table alone", 2.0,
-        "bilinear interpolation between nodes; the chord of a linear value is exact", _table,
     ),
     _grid_row(
         "grid-reference", "exact integral of the trilinear field",

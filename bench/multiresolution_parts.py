@@ -87,7 +87,7 @@ class Blocks:
 
         self.context, self.resolved = context, resolved
         self.residency = Residency(context, resolved)
-        self.residency.ask(resolved, resolved.transfer_function)
+        self.residency.ask(resolved)
 
     def hold(self, levels: np.ndarray) -> None:
         """``levels`` instead of those that were selected."""

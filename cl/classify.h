@@ -1,15 +1,15 @@
 /* Classification: from reconstructed values to the colour and opacity of a ray segment.
  *
- * Values become class coordinates first: position among the nodes of the tables, 0 .. nodes - 1. The map is linear
- * where nodes are evenly spaced, else piecewise linear (WARPED_CLASSES: a table of equal bins), so that nodes
- * crowd where the transfer function varies and every control point falls on one. A value that is not finite gets coordinate
- * `nodes`, whose table entries are zero: such a sample is transparent.
+ *   pre            the filter's voxels are classified, extinction and emission interpolated
+ *   post           the value is interpolated, then classified, at the middle of the segment
+ *   preintegrated  the transfer function is integrated between the values at both ends of the segment (transfer_pieces.h)
  *
- *   pre            the filter's voxels are classified, extinction and emission interpolated    (P4 sec. 4)
- *   post           the value is interpolated, then classified, at the middle of the segment    (P4 sec. 4)
- *   preintegrated  table over the values at both ends of the segment, and its length           (P4 sec. 8)
+ * All take the transfer function's linear pieces as they are, for segments of any length. What is not finite is transparent.
+ * Maps of what is visible, and some effects, have tables with a node per class coordinate instead: their position among the nodes,
+ * 0 .. nodes - 1. The map to it is linear where nodes are evenly spaced, else piecewise linear (WARPED_CLASSES: a table of equal
+ * bins), so that nodes crowd where the transfer function varies. A value that is not finite gets the coordinate `nodes`, whose entries are 0.
  *
- * To add one: composite_segment() and composite_tail() of this form, and a value of CLASSIFICATION in features.h.
+ * To add one: composite_segment() of this form, and a value of CLASSIFICATION in features.h.
  */
 #ifndef CLASSIFY_H
 #define CLASSIFY_H
@@ -17,6 +17,7 @@
 #include "composite.h"
 #include "features.h"
 #include "sample_volume.h"
+#include "transfer_pieces.h"
 
 #define MAY_BE_NAN VOXEL_HOLES
 
@@ -57,157 +58,85 @@ INLINE ClassCoordinate class_coordinate(floatN value, __global const float *warp
   return c;
 }
 
-/* Whether any of these lanes can be visible: most packets in sparse data stop here, before the table. */
+/* Whether any of these lanes can be visible: most packets in sparse data stop here. */
 INLINE int may_be_visible(floatN low, floatN high, intN active, __constant const View *view)
 {
   return any_lane(active & MASK(high > view->gate.x) & MASK(low < view->gate.y));
 }
 
-#if CLASSIFICATION == CLASSIFICATION_PREINTEGRATED
-
-/* The classes at both ends of the segment from `front` to `back`.
+/* The values between which the function is integrated, for the segment from `front` to `back`, `b` steps long, behind one of `a` steps.
  *
- * P4 takes the value to run linearly between its ends: the trapezoid rule, whose mean is off by s'' h^2 / 12, twice the
+ * Pre-integration takes the value to run linearly between its ends: the trapezoid rule, whose mean is off by s'' h^2 / 12, twice the
  * midpoint rule's error. So both ends are shifted by minus that, s'' taken from the three last samples (where `curved`): the mean of
  * the shifted chord is right to third order, and neighbouring segments still meet but for a third difference, so that no narrow peak
- * falls between them. `length` is in steps, and that of the segment before is one: where this one is shorter, s'' is that of unevenly
- * spaced samples. Shifted ends stay within the three samples: what is transparent around stays so.
+ * falls between them. Shifted ends stay within the three samples: what is transparent around stays so.
  */
-INLINE void segment_classes(floatN before, floatN front, floatN back, floatN length, intN curved,
-                            __global const float *warp, __constant const View *view, ClassCoordinate *front_class,
-                            ClassCoordinate *back_class)
+INLINE void shift_by(floatN before, floatN *front, floatN *back, floatN shift, intN curved)
+{
+  const floatN low = lane_min(lane_min(before, *front), *back), high = lane_max(lane_max(before, *front), *back);
+#if MAY_BE_NAN
+  curved &= finite_lanes(shift);
+#endif
+  *front = select(*front, lane_clamp(*front + shift, low, high), curved);
+  *back = select(*back, lane_clamp(*back + shift, low, high), curved);
+}
+
+/* The same behind a segment of one step. */
+INLINE void shift_ends(floatN before, floatN *front, floatN *back, floatN length, intN curved)
 {
 #if FILTER != FILTER_NEAREST
-  const floatN low = lane_min(lane_min(before, front), back), high = lane_max(lane_max(before, front), back);
-  floatN shift = ((1.0f + length) * front - length * before - back) * (length / (6.0f * (1.0f + length)));
-#if MAY_BE_NAN
-  curved &= MASK((AS_INT(shift) & 0x7f800000) != 0x7f800000);
-#endif
-  shift = select((floatN)0.0f, shift, curved);
-  front = select(front, lane_clamp(front + shift, low, high), curved);
-  back = select(back, lane_clamp(back + shift, low, high), curved);
-#endif
-  *front_class = class_coordinate(front, warp, view);
-  *back_class = class_coordinate(back, warp, view);
-}
-
-INLINE intN table_row(ClassCoordinate front, ClassCoordinate back, __constant const View *view)
-{
-  return (front.node * view->table.y + back.node) * 4;
-}
-
-/* acc += (1 - A) * table(front, back), bilinear. `at`: table_row() and where the lane's slice begins. */
-INLINE void composite_segment_at(Accumulator *acc, intN at, ClassCoordinate front, ClassCoordinate back, floatN transmittance,
-                                 __global const float *table, __constant const View *view)
-{
-  const size_t row = 4 * (size_t)view->table.y;
-  const floatN right = transmittance * back.fraction, left = transmittance - right;
-#if LANES == 16
-  int entry[16];
-  vstore16(at, 0, entry);
-  const float16 f = front.fraction;
-#define BILINEAR_PAIR(c, k, ka, kb, weights)                                                                          \
-  {                                                                                                                   \
-    __global const float *a_ = table + entry[k], *b_ = table + entry[k + 1];                                          \
-    const float16 low_ = (float16)(vload8(0, a_), vload8(0, b_));                                                     \
-    const float16 high_ = (float16)(vload8(0, a_ + row), vload8(0, b_ + row));                                        \
-    acc->c += weights * (low_ + f.s##ka##ka##ka##ka##ka##ka##ka##ka##kb##kb##kb##kb##kb##kb##kb##kb * (high_ - low_)); \
-  }
-  EACH_PAIR(BILINEAR_PAIR, left, right)
-#undef BILINEAR_PAIR
-#else
-  __global const float *a = table + at;
-  const float8 low = vload8(0, a), high = vload8(0, a + row);
-  const float8 r = low + front.fraction * (high - low);
-  acc->c += left * r.lo + right * r.hi;
+  const floatN shift = ((1.0f + length) * *front - length * before - *back) * (length / (6.0f * (1.0f + length)));
+  shift_by(before, front, back, shift, curved);
 #endif
 }
 
-/* The same for segments of the full length, which are those of the first slice. */
-INLINE void composite_segment(Accumulator *acc, ClassCoordinate front, ClassCoordinate back, floatN transmittance,
-                              __global const float *table, __constant const View *view)
+INLINE void shift_uneven_ends(floatN before, floatN *front, floatN *back, floatN a, floatN b, intN curved)
 {
-  composite_segment_at(acc, table_row(front, back, view), front, back, transmittance, table, view);
+  const floatN both = a + b;
+  const floatN shift = (both * *front - b * before - a * *back) * (b * lane_reciprocal(6.0f * a * both));
+  shift_by(before, front, back, shift, curved);
 }
 
-/* The last, shorter segment of each ray in `active`, from the shortest slice of the table that holds it: slice 1 + k has mean
- * colours and optical depths of segments of length h / 2^k. */
-INLINE void composite_tail(Accumulator *acc, ClassCoordinate front, ClassCoordinate back, floatN length_in_steps,
-                           floatN transmittance, intN active, __global const float *table, __constant const View *view)
+/* Segments of the rays in `active`, `length` steps long, from the value `front` to `back`. */
+INLINE void composite_segment(Gathered *acc, floatN front, floatN back, floatN length, intN active, __global const float *table,
+                              __constant const View *view)
 {
-  int entry[LANES], on[LANES];
-  float f[LANES], b[LANES], length[LANES], weight[LANES];
-  float4 rgba[LANES];
-  STORE_LANES(table_row(front, back, view), entry), STORE_LANES(active, on);
-  STORE_LANES(front.fraction, f), STORE_LANES(back.fraction, b);
-  STORE_LANES(length_in_steps, length), STORE_LANES(transmittance, weight);
-  EACH_LANE_ROLLED(k)
-  {
-    rgba[k] = 0.0f;
-    if (on[k]) {
-      int slice = 1;
-      float ratio = length[k];
-      for (; slice + 1 < view->table.z && ratio <= 0.5f; ++slice) ratio *= 2.0f;
-      __global const float *a = table + (size_t)slice * 4 * view->table.w + entry[k];
-      const float8 low = vload8(0, a), high = vload8(0, a + 4 * (size_t)view->table.y);
-      const float8 r = low + f[k] * (high - low);
-      rgba[k] = weight[k] * part_of_segment(r.lo + b[k] * (r.hi - r.lo), ratio);
-    }
-  }
-  accumulate_lanes(acc, rgba);
+  composite_color(acc, color_of_segment(front, back, length * view->gate.z, active, scene_pieces(table, (intN)0, view)), active);
 }
 
-#elif CLASSIFICATION == CLASSIFICATION_POST
-
-/* acc += (1 - A) * table(value), linear. `first`: where the lane's slice begins. */
-INLINE void composite_sample_at(Accumulator *acc, intN first, ClassCoordinate at, floatN transmittance, __global const float *table)
+/* Of one value. */
+INLINE void composite_value(Gathered *acc, floatN value, floatN length, intN active, __global const float *table,
+                            __constant const View *view)
 {
-  const floatN right = transmittance * at.fraction, left = transmittance - right;
-#if LANES == 16
-  int entry[16];
-  vstore16(first + at.node * 4, 0, entry);
-#define LINEAR_PAIR(c, k, ka, kb, weights) \
-  acc->c += weights * (float16)(vload8(0, table + entry[k]), vload8(0, table + entry[k + 1]));
-  EACH_PAIR(LINEAR_PAIR, left, right)
-#undef LINEAR_PAIR
-#else
-  const float8 r = vload8(0, table + first + at.node * 4);
-  acc->c += left * r.lo + right * r.hi;
-#endif
+  composite_color(acc, color_of_value(value, length * view->gate.z, scene_pieces(table, (intN)0, view)), active);
 }
 
-/* The same for segments of the full length, which are those of the first slice. */
-INLINE void composite_sample(Accumulator *acc, ClassCoordinate at, floatN transmittance, __global const float *table)
+/* Emission and absorption over one step at a point. */
+typedef struct {
+  floatN r, g, b, d; /* colour times optical depth, and optical depth */
+} Emission;
+
+INLINE Emission no_emission(void)
 {
-  composite_sample_at(acc, (intN)0, at, transmittance, table);
+  Emission e;
+  e.r = e.g = e.b = e.d = 0.0f;
+  return e;
 }
 
-INLINE void composite_sample_tail(Accumulator *acc, ClassCoordinate at, floatN length_in_steps, floatN transmittance,
-                                  intN active, __global const float *table, __constant const View *view)
+/* (c D, D) of a value over `units` opacity units. */
+INLINE Emission emission_of_value(floatN value, floatN units, Pieces f)
 {
-  int entry[LANES], on[LANES];
-  float f[LANES], length[LANES], weight[LANES];
-  float4 rgba[LANES];
-  STORE_LANES(at.node * 4, entry), STORE_LANES(active, on), STORE_LANES(at.fraction, f);
-  STORE_LANES(length_in_steps, length), STORE_LANES(transmittance, weight);
-  EACH_LANE_ROLLED(k)
-  {
-    rgba[k] = 0.0f;
-    if (on[k]) {
-      const float8 r = vload8(0, table + 4 * view->table.y + entry[k]);
-      rgba[k] = weight[k] * part_of_segment(r.lo + f[k] * (r.hi - r.lo), length[k]);
-    }
-  }
-  accumulate_lanes(acc, rgba);
+  floatN r, g, b, extinction;
+  classify_value(value, f, &r, &g, &b, &extinction);
+  const floatN depth = lane_min(extinction * units, (floatN)OPAQUE_DEPTH);
+  const Emission e = {r * depth, g * depth, b * depth, depth};
+  return e;
 }
 
-#elif CLASSIFICATION == CLASSIFICATION_PRE
+#if CLASSIFICATION == CLASSIFICATION_PRE
 
-/* Emission and extinction at a point, each over one step: the table holds (c tau h, tau h) of the classified voxels, and the
- * same reconstruction filter interpolates them (NaN voxels make them NaN, hence transparent). Not a fast path: the look-ups
- * of a lane's voxels are scalar. An opaque voxel's extinction is a large finite number, so that
- * zero weight times it is zero; what it touches is opaque all the same.
- */
+/* The classified voxels of a filter, interpolated by it. An opaque voxel's extinction is a large finite number, so that
+ * zero weight times it is zero; what it touches is opaque all the same. */
 #if !WIDE_FILTER
 #define TAPS 8
 
@@ -241,65 +170,51 @@ INLINE void filter_taps(FetchedSample s, __constant const View *view, floatN *va
 
 #endif
 
-/* `first`: where in `table` a lane's table begins, in floats. */
-INLINE void classified_samples_in(FetchedSample s, __constant const View *view, __global const float *warp, intN first,
-                                  __global const float *table, float4 *emission_extinction)
+/* `first`: where in `table` a lane's function begins, in floats. */
+INLINE Emission classified_emission_in(FetchedSample s, __constant const View *view, intN first, __global const float *table)
 {
-  floatN value[TAPS], tap_weight[TAPS];
-  filter_taps(s, view, value, tap_weight);
-  EACH_LANE_ROLLED(k) emission_extinction[k] = 0.0f;
+  floatN value[TAPS], weight[TAPS];
+  filter_taps(s, view, value, weight);
+  const Pieces f = scene_pieces(table, first, view);
+  const floatN units = units_of_step(f, view);
+  Emission e = no_emission();
   _Pragma("unroll 1") for (int v = 0; v < TAPS; ++v) {
-    const ClassCoordinate at = class_coordinate(value[v], warp, view);
-    int entry[LANES];
-    float f[LANES], weight[LANES];
-    STORE_LANES(first + at.node * 4, entry), STORE_LANES(at.fraction, f), STORE_LANES(tap_weight[v], weight);
-    EACH_LANE_ROLLED(k)
-    {
-      const float8 r = vload8(0, table + entry[k]);
-      emission_extinction[k] += weight[k] * (r.lo + f[k] * (r.hi - r.lo));
-    }
+    const Emission voxel = emission_of_value(value[v], units, f);
+    e.r += weight[v] * voxel.r, e.g += weight[v] * voxel.g, e.b += weight[v] * voxel.b, e.d += weight[v] * voxel.d;
   }
 #if FILTER == FILTER_CATMULL_ROM
   /* Negative weights may leave less than no light and no medium. */
-  EACH_LANE_ROLLED(k) emission_extinction[k] = fmax(emission_extinction[k], 0.0f);
+  const floatN zero = 0.0f;
+  e.r = lane_max(e.r, zero), e.g = lane_max(e.g, zero), e.b = lane_max(e.b, zero), e.d = lane_max(e.d, zero);
 #endif
 #if MAY_BE_NAN
   /* One voxel that is not finite, used, makes the whole sample transparent. */
-  floatN sum = 0.0f;
-  for (int v = 0; v < TAPS; ++v)
-    sum += select((floatN)0.0f, value[v] - value[v], MASK(tap_weight[v] != 0.0f));
-  float bad[LANES];
-  STORE_LANES(sum, bad);
-  EACH_LANE_ROLLED(k) if (bad[k] != 0.0f) emission_extinction[k] = 0.0f;
+  intN bad = 0;
+  for (int v = 0; v < TAPS; ++v) bad |= MASK(weight[v] != 0.0f) & ~finite_lanes(value[v]);
+  e.r = select(e.r, (floatN)0.0f, bad), e.g = select(e.g, (floatN)0.0f, bad);
+  e.b = select(e.b, (floatN)0.0f, bad), e.d = select(e.d, (floatN)0.0f, bad);
 #endif
+  return e;
 }
 
-INLINE void classified_samples(FetchedSample s, __constant const View *view, __global const float *warp,
-                               __global const float *table, float4 *emission_extinction)
+INLINE Emission classified_emission(FetchedSample s, __constant const View *view, __global const float *table)
 {
-  classified_samples_in(s, view, warp, (intN)0, table, emission_extinction);
+  return classified_emission_in(s, view, (intN)0, table);
 }
 
-INLINE void composite_classified(Accumulator *acc, const float4 *emission_extinction, floatN length_in_steps,
-                                 floatN transmittance, intN active)
+/* A sample's `length` steps. */
+INLINE void composite_classified(Gathered *acc, Emission e, floatN length, intN active)
 {
-  int on[LANES];
-  float length[LANES], weight[LANES];
-  float4 rgba[LANES];
-  STORE_LANES(active, on), STORE_LANES(length_in_steps, length), STORE_LANES(transmittance, weight);
-  EACH_LANE_ROLLED(k)
-  {
-    const float4 e = emission_extinction[k];
-    rgba[k] = 0.0f;
-    if (on[k] && e.w > 0.0f) {
-      const float opacity = -expm1(-e.w * length[k]);
-      rgba[k] = weight[k] * (float4)(e.xyz * (opacity / e.w), opacity);
-    }
-  }
-  accumulate_lanes(acc, rgba);
+  const intN thin = MASK(e.d < 1e-30f);
+  const floatN opacity = opacity_of_depth(e.d * length);
+  const floatN weight = select(opacity / select(e.d, (floatN)1.0f, thin), length, thin);
+  const SegmentColor s = {weight * e.r, weight * e.g, weight * e.b, opacity, e.d};
+  composite_color(acc, s, active);
 }
 
-#else
+#endif
+
+#if CLASSIFICATION != CLASSIFICATION_PRE && CLASSIFICATION != CLASSIFICATION_POST && CLASSIFICATION != CLASSIFICATION_PREINTEGRATED
 #error "CLASSIFICATION is unknown"
 #endif
 

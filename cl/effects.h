@@ -36,9 +36,9 @@ typedef struct {
   int4 factor_offsets;                       /* where the tables of each begin */
   int4 fields;                               /* how many; - */
   float4 field_x[3], field_y[3], field_z[3]; /* lattice point to the field's: rows of the matrix, and in w the shift */
-  float4 field_map[3];                       /* see fields.h: of a density's values to its classes; a mask's threshold and side */
+  float4 field_map[3];                       /* see fields.h: of a density's function; a mask's threshold and side */
   int4 field_size[3];                        /* lattice points x, y, z; role */
-  int4 field_at[3];                          /* where its voxels begin in `fields`; its table and warp in `factors`; - */
+  int4 field_at[3];                          /* where its voxels begin in `fields`; its table in `factors`; - ; - */
   int4 noise_counts;                         /* terms that add to values, and after them those that move places; - ; - */
   NoiseTerm noise_terms[NOISE_TERMS];
 } Effects;
@@ -88,7 +88,6 @@ typedef struct {
   __global const uint *noise;
   __global const float *factors;
   __global const float *fields;
-  __global const float *extinction; /* by class coordinate, an edge: [nodes + 2] */
 } Scene;
 
 #define EFFECT_PARAMETERS                                                                                              \
@@ -96,9 +95,9 @@ typedef struct {
     __global const uint *restrict gradients, __global const uchar *restrict cell_flags,                                \
     __global const float4 *restrict environment, __global const float4 *restrict light_volume,                         \
     __global const uint *restrict noise, __global const float *restrict factors, __global const float *restrict fields, \
-    __global const float *restrict extinction, __global uint *restrict counts
+    __global uint *restrict counts
 #define EFFECT_ARGUMENTS \
-  , effects, items, gradients, cell_flags, environment, light_volume, noise, factors, fields, extinction, counted
+  , effects, items, gradients, cell_flags, environment, light_volume, noise, factors, fields, counted
 
 /* A kernel's own tally, written to counts[tile, COUNTERS] at its end. */
 #define EFFECT_TALLY Tally counted[COUNTERS] = {0};

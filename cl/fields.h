@@ -3,7 +3,7 @@
  *
  * All voxels are floats in `fields`: of labels not their numbers, but their place among those that have a colour, from 1 on,
  * and 0 for all others; what is not finite is NaN. An axis of one voxel is held twice. Tables lie in `factors`: of labels
- * (colour, factor) by their place; of densities a warp (bins + 1 class coordinates, if any) and (c D, D) over one edge by class.
+ * (colour, factor) by their place; of densities the pieces of their function (transfer_pieces.h).
  * Outside its grid a field is nothing: no label, no density, and what is masked is removed.
  */
 #ifndef FIELDS_H
@@ -95,31 +95,31 @@ INLINE FieldLook no_fields(void)
 
 #if FIELDS & FIELD_DENSITY
 
-/* (c D, D) of a step of value v: linear between the nodes of its table. */
-INLINE void add_density(const Scene *scene, int k, floatN value, intN there, Emission *added)
+/* Adds (c D, D) of a step through density `k` where its value is `value`, of the segment of `ray` from t0 to t1. Where the opacity reaches 1
+ * in a slope (field_map.z) the extinction has a pole, which is integrated between the segment's ends and its middle, not sampled. */
+INLINE void add_density(const Scene *scene, int k, floatN value, const Rays *ray, floatN t0, floatN t1, intN there, Emission *added)
 {
   __constant const Effects *e = scene->effects;
-  const float4 map = e->field_map[k]; /* value of coordinate 0, coordinates (or bins) a value, last coordinate, bins */
+  const float4 map = e->field_map[k]; /* columns and count of its pieces; whether there is a pole; a smallest edge in its opacity units */
+  __global const float *rows = scene->factors + e->field_at[k].y;
+  const Pieces f = {rows, (intN)0, (int)map.x, (int)map.y, 0, rows[ROW_ORIGIN * (int)map.x]};
+  const floatN units = map.w * scene->view->march.x;
   there &= finite_lanes(value);
-  value = select((floatN)map.x, value, there);
-  floatN p = (value - map.x) * map.y;
-  if (map.w > 0.0f) {
-    __global const float *warp = scene->factors + e->field_at[k].z;
-    p = lane_clamp(p, (floatN)0.0f, (floatN)map.w);
-    const intN bin = min(TO_INT(p), (intN)((int)map.w - 1));
-    const floatN low = AS_FLOAT(gather4(warp, bin)), high = AS_FLOAT(gather4(warp + 1, bin));
-    p = low + (p - TO_FLOAT(bin)) * (high - low);
+  value = select((floatN)0.0f, value, there);
+  Emission own = emission_of_value(value, units, f);
+  if (map.z > 0.0f && any_lane(there)) {
+    own = no_emission();
+    _Pragma("unroll 1") for (int end = 0; end < 2; ++end) {
+      const floatN t = end ? t1 : t0;
+      const FieldPlace p = place_in_field(scene, k, ray->x0 + t * ray->dx, ray->y0 + t * ray->dy, ray->z0 + t * ray->dz);
+      const floatN other = linear_in_field(scene, k, p);
+      const Emission half_ = emission_of_color(color_of_segment(value, select(value, other, finite_lanes(other)), 0.5f * units, there, f));
+      own.r += half_.r, own.g += half_.g, own.b += half_.b, own.d += half_.d;
+    }
   }
-  p = lane_clamp(p, (floatN)0.0f, (floatN)map.z);
-  const intN node = min(TO_INT(p), (intN)((int)map.z - 1)), entry = 4 * node;
-  const floatN share = p - TO_FLOAT(node);
-  __global const float *table = scene->factors + e->field_at[k].y;
-  floatN sums[4];
-  _Pragma("unroll 1") for (int c = 0; c < 4; ++c) {
-    const floatN low = AS_FLOAT(gather4(table + c, entry)), high = AS_FLOAT(gather4(table + 4 + c, entry));
-    sums[c] = select((floatN)0.0f, (low + share * (high - low)) * scene->view->march.x, there);
-  }
-  added->r += sums[0], added->g += sums[1], added->b += sums[2], added->d += sums[3];
+  const floatN zero = 0.0f;
+  added->r += select(zero, own.r, there), added->g += select(zero, own.g, there);
+  added->b += select(zero, own.b, there), added->d += select(zero, own.d, there);
 }
 
 #endif
@@ -196,7 +196,7 @@ INLINE FieldLook look_at_fields(const Scene *scene, const Rays *ray, floatN t0, 
     const intN there = active & p.inside;
     if (!any_lane(there)) continue;
     count_lanes(&counted[COUNT_FIELD_SAMPLES], there);
-    add_density(scene, k, linear_in_field(scene, k, p), there, &look.added);
+    add_density(scene, k, linear_in_field(scene, k, p), ray, t0, t1, there, &look.added);
   }
 #endif
 #if FIELDS & FIELD_LABEL

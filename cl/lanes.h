@@ -116,8 +116,15 @@ INLINE floatN lane_reciprocal(floatN x)
                                                                     __builtin_astype(x, gather_float16), (ushort)0xffff), float16);
   return y * (2.0f - x * y);
 }
+/* 1 / x for normal x, to 6e-5. */
+INLINE floatN rough_reciprocal(floatN x)
+{
+  return __builtin_astype(__builtin_ia32_rcp14ps512_mask(__builtin_astype(x, gather_float16), __builtin_astype(x, gather_float16),
+                                                         (ushort)0xffff), float16);
+}
 #else
 INLINE floatN lane_reciprocal(floatN x) { return 1.0f / x; }
+INLINE floatN rough_reciprocal(floatN x) { return 1.0f / x; }
 #define DEFINE_GATHER_TWO(SCALE)                                                                           \
   INLINE void gather_two##SCALE(__global const void *base, intN offset, uintN *low, uintN *high)           \
   {                                                                                                        \

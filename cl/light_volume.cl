@@ -36,7 +36,7 @@ __kernel WIDE_VECTORS void light_volume(__global const uchar *restrict volume, _
                                         __global const float4 *restrict items, __global const uint *restrict gradients,
                                         __global const uchar *restrict cell_flags, __global const uint *restrict noise,
                                         __global const float *restrict factors, __global const float *restrict fields,
-                                        __global const float *restrict extinction, __global const float4 *restrict cone,
+                                        __global const float4 *restrict cone,
                                         int light, int index, int first, __global float *restrict arrives,
                                         __global uint *restrict samples)
 {
@@ -44,7 +44,7 @@ __kernel WIDE_VECTORS void light_volume(__global const uchar *restrict volume, _
   const int points = size.x * size.y * size.z, item = get_global_id(0) + first / LANES;
   if (item * LANES >= points) return;
   const Scene scene_ = {volume, table, warp, distances, view, effects, items, gradients, cell_flags, items, items,
-                        noise, factors, fields, extinction};
+                        noise, factors, fields};
   const Scene *scene = &scene_;
   EFFECT_TALLY
   const intN point = min(item * LANES + LANE_INDEX, (intN)(points - 1));

@@ -1,5 +1,5 @@
 /* A packet of rays through a volume of blocks (P2 sec. 3): as in render_packet.h, but a segment is as many steps long as
- * step_blocks.h says, and composited as composite_lengths.h does.
+ * step_blocks.h says, and composited at once.
  *
  *   preintegrated  values at the ends of segments
  *   post           values in the middle of each
@@ -12,7 +12,6 @@
 #define QUEUED_STEPS (STEPPING == STEPPING_FULL ? 12 : 8)
 #include "features.h"
 #include "blend_blocks.h"
-#include "composite_lengths.h"
 #include "step_blocks.h"
 
 #if CLASSIFICATION == CLASSIFICATION_PRE
@@ -56,10 +55,9 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
   const floatN zero = 0.0f, one = 1.0f;
   const floatN end = select(zero, ray.length, active);
   uintN taken = 0;
-  Accumulator acc;
-  accumulator_clear(&acc);
-  floatN opacity = 0.0f;
-  floatN median = INFINITY; /* in steps */
+  Gathered acc;
+  gathered_clear(&acc);
+  HalfOpacity half_ = no_half(); /* in steps */
 #if MIDPOINTS
   floatN t = 0.0f, t1 = 0.0f; /* where the next segment begins, to be sampled and to be composited */
 #else
@@ -162,34 +160,37 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
       value = blended_value(&queue, step, value);
 #endif
 #if MIDPOINTS
-      const ClassCoordinate at = class_coordinate(value, warp, view);
-      if (may_be_visible(at.position, at.position, active, view)) {
-        composite_value(&acc, at, lane_max(at_t - t1, zero), 1.0f - opacity, active, table, view);
-        pass_opacity(&acc, &opacity, &median, t1, at_t);
+      if (may_be_visible(value, value, active, view)) {
+        const floatN before = acc.a;
+        composite_value(&acc, value, lane_max(at_t - t1, zero), active, table, view);
+        pass_opacity(&acc, before, &half_, t1, at_t, value, value);
       }
       t1 = select(t1, at_t, active);
 #else
       const intN closes = active & ~first; /* lanes with a segment that ends here */
       const floatN long_ = select(one, at_t - t1, closes);
-      ClassCoordinate front, back;
+      floatN front = value1, back = value;
 #if STEPPING == STEPPING_FULL
-      segment_classes(value2, value1, value, long_, closes & ~second, warp, view, &front, &back);
+      shift_ends(value2, &front, &back, long_, closes & ~second);
 #else
-      uneven_classes(value2, value1, value, select(one, t1 - t2, closes & ~second), long_, closes & ~second, warp, view, &front, &back);
+      shift_uneven_ends(value2, &front, &back, select(one, t1 - t2, closes & ~second), long_, closes & ~second);
 #endif
-      if (may_be_visible(lane_min(front.position, back.position), lane_max(front.position, back.position), closes, view)) {
-        composite_chord(&acc, front, back, long_, 1.0f - opacity, closes, table, view);
-        pass_opacity(&acc, &opacity, &median, t1, at_t);
+      if (may_be_visible(lane_min(front, back), lane_max(front, back), closes, view)) {
+        const floatN before = acc.a;
+        composite_segment(&acc, front, back, long_, closes, table, view);
+        pass_opacity(&acc, before, &half_, t1, at_t, front, back);
       }
       value2 = select(value2, value1, active), t2 = select(t2, t1, active);
       value1 = select(value1, value, active), t1 = select(t1, at_t, active);
       second = select(second, first, active), first &= ~active;
 #endif
-      active &= MASK(at_t < end) & MASK(opacity < view->march.z);
+      active &= MASK(at_t < end) & MASK(acc.a < view->march.z);
     }
   }
-  accumulator_store(&acc, rgba);
-  STORE_LANES((ray.entry_depth + median * view->march.x) * view->march.w, depth);
+  gathered_store(&acc, rgba);
+#if WITH_DEPTH
+  STORE_LANES((ray.entry_depth + half_place(&half_, 1.0f, table, view) * view->march.x) * view->march.w, depth);
+#endif
   STORE_LANES(taken, samples);
 }
 

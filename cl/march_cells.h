@@ -4,14 +4,10 @@
  * steps once these are shorter than a voxel. Between the faces high order pays. The eight corners are fetched once a cell,
  * however often the field is evaluated in it (PARTS = view->voxel.y parts a cell, 1 or even):
  *   post           two Gauss-Legendre points for every two parts; for PARTS = 1 the midpoint alone
- *   preintegrated  the chords between the ends of the parts, each shifted so that its mean is the cubic's (Simpson's rule);
- *                  the table's depths and colours scale with a chord's length
- * Pieces differ in length, so tables hold (c D, D) of one length, and opacity is 1 - exp(-D length).
+ *   preintegrated  the chords between the ends of the parts, each shifted so that its mean is the cubic's (Simpson's rule)
  */
 #ifndef MARCH_CELLS_H
 #define MARCH_CELLS_H
-
-#include "composite_piece.h"
 
 #if FILTER != FILTER_LINEAR || CLASSIFICATION == CLASSIFICATION_PRE
 #error "quadrature by cells needs the linear filter, and interpolated values that are classified"
@@ -32,9 +28,8 @@ INLINE floatN value_at(const Corners *c, const Rays *ray, floatN cx, floatN cy, 
 }
 
 /* One cell's piece of the rays in `active`, from t0 to t1 (in steps). */
-INLINE void integrate_cell(Accumulator *acc, floatN *opacity, floatN *median, const Corners *c, const Rays *ray, floatN cx, floatN cy, floatN cz,
-                           floatN t0, floatN t1, intN active, __global const float *table, __global const float *warp,
-                           __constant const View *view)
+INLINE void integrate_cell(Gathered *acc, HalfOpacity *half_, const Corners *c, const Rays *ray, floatN cx, floatN cy, floatN cz,
+                           floatN t0, floatN t1, intN active, __global const float *table, __constant const View *view)
 {
   const int parts = (int)view->voxel.y;
   const floatN length = (t1 - t0) * (1.0f / view->voxel.y);
@@ -53,11 +48,10 @@ INLINE void integrate_cell(Accumulator *acc, floatN *opacity, floatN *median, co
     const intN bad = MASK((AS_INT(middle) & 0x7f800000) == 0x7f800000);
     first = select(first, middle, bad), second = select(second, middle, bad);
 #endif
-    const ClassCoordinate a = class_coordinate(first, warp, view);
-    const ClassCoordinate b = class_coordinate(second, warp, view);
-    if (may_be_visible(lane_min(a.position, b.position), lane_max(a.position, b.position), active, view)) {
-      composite_piece(acc, table_row(a, b, view), a, b, length * view->voxel.w, select((floatN)0.0f, 1.0f - *opacity, active), table, view);
-      pass_opacity(acc, opacity, median, start, start + length);
+    if (may_be_visible(lane_min(first, second), lane_max(first, second), active, view)) {
+      const floatN before = acc->a;
+      composite_segment(acc, first, second, length, active, table, view);
+      pass_opacity(acc, before, half_, start, start + length, first, second);
     }
     front = back;
   }
@@ -66,11 +60,11 @@ INLINE void integrate_cell(Accumulator *acc, floatN *opacity, floatN *median, co
   const float inwards = parts > 1 ? 0.07735027f : 0.0f;
   _Pragma("unroll 1") for (int part = 0; part < parts; ++part) {
     const floatN t = t0 + length * ((float)part + (part & 1 ? 0.5f + inwards : 0.5f - inwards));
-    const ClassCoordinate at = class_coordinate(value_at(c, ray, cx, cy, cz, t), warp, view);
-    if (may_be_visible(at.position, at.position, active, view)) {
-      const floatN transmittance = select((floatN)0.0f, 1.0f - *opacity, active);
-      composite_point(acc, at, length * view->voxel.w, transmittance, table);
-      pass_opacity(acc, opacity, median, t0 + length * (float)part, t0 + length * (float)(part + 1));
+    const floatN value = value_at(c, ray, cx, cy, cz, t);
+    if (may_be_visible(value, value, active, view)) {
+      const floatN before = acc->a;
+      composite_value(acc, value, length, active, table, view);
+      pass_opacity(acc, before, half_, t0 + length * (float)part, t0 + length * (float)(part + 1), value, value);
     }
   }
 #endif
@@ -91,9 +85,9 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
   intN ix = zero, iy = zero, iz = zero, known = zero; /* cell; whether it is known */
   floatN t = 0.0f;
   uintN taken = 0;
-  Accumulator acc;
-  accumulator_clear(&acc);
-  floatN opacity = 0.0f, median = INFINITY;
+  Gathered acc;
+  gathered_clear(&acc);
+  HalfOpacity half_ = no_half(); /* in steps */
 
   while (any_lane(active)) {
 #if SKIP_EMPTY
@@ -126,14 +120,16 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
       ix = select(ix, nx, active), iy = select(iy, ny, active), iz = select(iz, nz, active);
       ahead = fetch_corners(volume, view, ix, iy, iz);
       const Corners c = decode_corners(fetched, view);
-      integrate_cell(&acc, &opacity, &median, &c, &ray, cx, cy, cz, t, t1, here, table, warp, view);
+      integrate_cell(&acc, &half_, &c, &ray, cx, cy, cz, t, t1, here, table, view);
       taken += AS_UINT(here) & evaluations;
       t = select(t, t1, here);
-      active &= MASK(opacity < view->march.z);
+      active &= MASK(acc.a < view->march.z);
     }
   }
-  accumulator_store(&acc, rgba);
-  STORE_LANES((ray.entry_depth + median * view->march.x) * view->march.w, depth);
+  gathered_store(&acc, rgba);
+#if WITH_DEPTH
+  STORE_LANES((ray.entry_depth + half_place(&half_, 1.0f, table, view) * view->march.x) * view->march.w, depth);
+#endif
   STORE_LANES(taken, samples);
 }
 

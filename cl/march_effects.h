@@ -71,6 +71,27 @@ INLINE Vectors cued_color(const Scene *scene, Vectors color, floatN depth, float
 #define SAMPLES_AHEAD (FETCH_AHEAD && CLASSIFICATION != CLASSIFICATION_PRE && TRANSLUCENT && !ISOSURFACES && !NOISE)
 #define AHEAD (CLASSIFICATION == CLASSIFICATION_POST ? 0.5f : 1.0f)
 
+/* For the place where opacity reaches one half: a segment's values, and what else is noted of it, `part` steps long. */
+#if CLASSIFICATION == CLASSIFICATION_PREINTEGRATED && TRANSLUCENT
+#define SEGMENT_VALUES(first, second) const floatN first = a, second = b;
+#else
+#define SEGMENT_VALUES(first, second) const floatN first = mid, second = mid;
+#endif
+#if FIELDS && TRANSLUCENT
+#define STEADY_SHARE (look_of_fields.added.d * look_of_fields.kept / select((floatN)1.0f, e.d, MASK(e.d > 0.0f)))
+#else
+#define STEADY_SHARE 0.0f
+#endif
+#if TRANSFER_LAYERS && TRANSLUCENT
+#define NOTE_SEGMENT(passes, part)                         \
+  note_whole(&half_, passes, e.d * (part), STEADY_SHARE); \
+  note_layers(&half_, passes, layers.low, layers.high, layers.share);
+#elif HALF_SCALED
+#define NOTE_SEGMENT(passes, part) note_whole(&half_, passes, e.d * (part), STEADY_SHARE);
+#else
+#define NOTE_SEGMENT(passes, part)
+#endif
+
 /* Gradients are also reconstructed where nothing is lit, for what depends on them. */
 #define GRADIENT_DECIDES (OPACITY_FACTORS || TRANSFER_LAYERS)
 
@@ -78,11 +99,11 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
                           __global const uchar *distances, __constant const View *view_, __constant const Effects *effects,
                           __global const float4 *items, __global const uint *gradients, __global const uchar *cell_flags,
                           __global const float4 *environment, __global const float4 *light_volume, __global const uint *noise,
-                          __global const float *factors, __global const float *fields, __global const float *extinction,
+                          __global const float *factors, __global const float *fields,
                           Tally *counted, intN px, intN py, float *rgba, float *depth, uint *samples)
 {
   const Scene scene_ = {volume, table, warp, distances, view_, effects, items, gradients, cell_flags, environment, light_volume,
-                        noise, factors, fields, extinction};
+                        noise, factors, fields};
   const Scene *scene = &scene_;
   __constant const View *view = view_;
   const float h = view->march.x;
@@ -92,8 +113,8 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
   const intN on_picture = MASK(px < view->image.x) & MASK(py < view->image.y);
   uintN taken = 0;
   Gathered acc;
-  acc.r = acc.g = acc.b = acc.a = 0.0f;
-  floatN median = INFINITY; /* in edges from the eye */
+  gathered_clear(&acc);
+  HalfOpacity half_ = no_half(); /* in edges from the eye */
   Rays ray = whole_ray;
   floatN next_from = 0.0f;  /* where the next stretch may begin, in steps along whole_ray */
 #if CLIP
@@ -191,7 +212,7 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
 #if CLASSIFICATION == CLASSIFICATION_PRE && TRANSLUCENT
         const FetchedSample sample = fetch_sample(volume, view, x, y, z);
         const floatN value = sample_value(sample, view);
-        if (!TRANSFER_LAYERS && k == 2) e = classified_emission(sample, view, warp, table);
+        if (!TRANSFER_LAYERS && k == 2) e = classified_emission(sample, view, table);
 #else
         const floatN value = scene_value(scene, x, y, z);
 #endif
@@ -205,14 +226,13 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
 #if !TRANSLUCENT
       visible = 0;
 #elif CLASSIFICATION == CLASSIFICATION_PREINTEGRATED
-      ClassCoordinate a, b;
-      segment_classes(value2, front, back, length, active & MASK(joined != 0), warp, view, &a, &b);
-      visible = may_be_visible(lane_min(a.position, b.position), lane_max(a.position, b.position), active, view);
-      if (visible & (TRANSFER_LAYERS == 0)) e = segment_emission(a, b, table, view);
+      floatN a = front, b = back;
+      shift_ends(value2, &a, &b, length, active & MASK(joined != 0));
+      visible = may_be_visible(lane_min(a, b), lane_max(a, b), active, view);
+      if (visible & (TRANSFER_LAYERS == 0)) e = segment_emission_in(a, b, active, (intN)0, table, view);
 #elif CLASSIFICATION == CLASSIFICATION_POST
-      const ClassCoordinate at = class_coordinate(mid, warp, view);
-      visible = may_be_visible(at.position, at.position, active, view);
-      if (visible & (TRANSFER_LAYERS == 0)) e = value_emission(at, table);
+      visible = may_be_visible(mid, mid, active, view);
+      if (visible & (TRANSFER_LAYERS == 0)) e = value_emission_in(mid, (intN)0, table, view);
 #endif
 #if TRANSLUCENT
 #if TRANSFER_LAYERS
@@ -234,16 +254,17 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
       }
 #endif
 #if TRANSFER_LAYERS
+      TablePlace layers = {0, 0, 0.0f};
       if (visible) {
-        const TablePlace layers = layers_around(scene, gradient, 4 * view->table.w);
+        layers = layers_around(scene, gradient, view->pieces.z);
         _Pragma("unroll 1") for (int k = 0; k < 2; ++k) {
           const intN first = k ? layers.high : layers.low;
 #if CLASSIFICATION == CLASSIFICATION_PREINTEGRATED
-          const Emission layer = segment_emission_in(a, b, first, table, view);
+          const Emission layer = segment_emission_in(a, b, active, first, table, view);
 #elif CLASSIFICATION == CLASSIFICATION_POST
-          const Emission layer = value_emission_in(at, first, table);
+          const Emission layer = value_emission_in(mid, first, table, view);
 #else
-          const Emission layer = classified_emission_in(fetch_sample(volume, view, xm, ym, zm), view, warp, first, table);
+          const Emission layer = classified_emission_in(fetch_sample(volume, view, xm, ym, zm), view, first, table);
 #endif
           e = k ? mixed_emission(e, layer, layers.share) : layer;
         }
@@ -296,15 +317,19 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
         may_bend = MASK(bends_left > 0);
 #endif
         count_lanes(&counted[COUNT_SURFACE_TESTS], near);
-        const floatN before = acc.a;
-        floatN median_steps = INFINITY;
+        HalfBetween between;
+        between.from = INFINITY, between.to = between.before = 0.0f;
         const SurfacePassage passage = pass_surfaces(scene, &ray, scaled3(forward, -1.0f), t0, length, front, mid, back, e, active, near, may_bend,
-                                                     &acc, &median_steps, &taken, counted);
+                                                     &acc, &between, &taken, counted);
 #if WITH_DEPTH
-        const intN on_surface = MASK(median_steps < INFINITY) & MASK(median == INFINITY);
-        median = select(median, ray.entry_depth + select((floatN)0.0f, median_steps, on_surface) * h, on_surface);
-        if (any_lane(MASK(acc.a >= 0.5f) & MASK(median == INFINITY)))
-          median = median_step(median, before, acc.a, ray.entry_depth + t0 * h, ray.entry_depth + t1 * h);
+        const intN passes = MASK(between.from < INFINITY);
+        if (any_lane(passes)) {
+          SEGMENT_VALUES(first, second)
+          const floatN from = select((floatN)0.0f, between.from, passes);
+          note_half(&half_, passes, between.before, ray.entry_depth + (t0 + from * length) * h, (between.to - from) * length,
+                    first + from * (second - first), first + between.to * (second - first));
+          NOTE_SEGMENT(passes, (between.to - from) * length)
+        }
 #endif
         last = select(last, (intN)DONE, MASK(acc.a >= view->march.z));
         alive &= MASK(acc.a < view->march.z);
@@ -324,8 +349,12 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
         const floatN before = acc.a;
         composite_emission(&acc, e, length, active);
 #if WITH_DEPTH
-        if (any_lane(MASK(acc.a >= 0.5f) & MASK(before < 0.5f)))
-          median = median_step(median, before, acc.a, ray.entry_depth + t0 * h, ray.entry_depth + t1 * h);
+        const intN passes = passes_half(before, acc.a);
+        if (any_lane(passes)) {
+          SEGMENT_VALUES(first, second)
+          note_half(&half_, passes, before, ray.entry_depth + t0 * h, length, first, second);
+          NOTE_SEGMENT(passes, length)
+        }
 #endif
         last = select(last, (intN)DONE, MASK(acc.a >= view->march.z));
         alive &= MASK(acc.a < view->march.z);
@@ -341,10 +370,10 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
 #if ENVIRONMENT_VISIBLE
   show_environment(scene, forward, on_picture, &acc);
 #endif
-  float r[LANES], g[LANES], b[LANES], a[LANES];
-  STORE_LANES(acc.r, r), STORE_LANES(acc.g, g), STORE_LANES(acc.b, b), STORE_LANES(acc.a, a);
-  EACH_LANE(k) vstore4((float4)(r[k], g[k], b[k], a[k]), k, rgba);
-  STORE_LANES(median * view->march.w, depth);
+  gathered_store(&acc, rgba);
+#if WITH_DEPTH
+  STORE_LANES(half_place(&half_, h, table, view) * view->march.w, depth);
+#endif
   STORE_LANES(taken, samples);
 }
 

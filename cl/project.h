@@ -1,5 +1,5 @@
 /* A packet of LANES rays under another compositing than "over": one value of each ray is picked, and the transfer function's
- * colour and opacity there (of one opacity unit: the table's slice 0) are the picture. Switch COMPOSITING:
+ * colour and opacity there (of one opacity unit) are the picture. Switch COMPOSITING:
  *
  *   MAXIMUM, MINIMUM    the largest, smallest of the values
  *   AVERAGE             their mean by length
@@ -90,11 +90,11 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
                           __global const uchar *distances, __constant const View *view_, __constant const Effects *effects,
                           __global const float4 *items, __global const uint *gradients, __global const uchar *cell_flags,
                           __global const float4 *environment, __global const float4 *light_volume, __global const uint *noise,
-                          __global const float *factors, __global const float *fields, __global const float *extinction,
+                          __global const float *factors, __global const float *fields,
                           Tally *counted, intN px, intN py, float *rgba, float *depth, uint *samples)
 {
   const Scene scene_ = {volume, table, warp, distances, view_, effects, items, gradients, cell_flags, environment, light_volume,
-                        noise, factors, fields, extinction};
+                        noise, factors, fields};
   const Scene *scene = &scene_;
   __constant const View *view = view_;
   const float h = view->march.x, lowest = effects->value_bounds.x, highest = effects->value_bounds.y;
@@ -213,23 +213,21 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
 #else
   const intN any_value = MASK(best > NO_SCORE);
 #endif
-  const Emission shown = value_emission(class_coordinate(picked, warp, view), table);
+  SegmentColor shown = color_of_value(picked, (floatN)1.0f, scene_pieces(table, (intN)0, view));
   floatN weight = 1.0f;
 #if COMPOSITING == COMPOSITING_ATTENUATED_MAXIMUM
   weight = opacity_share;
 #endif
   weight = select((floatN)0.0f, weight, any_value);
 #if WITH_DEPTH
-  picked_at = select((floatN)INFINITY, picked_at, MASK(weight * shown.d > 0.0f));
+  picked_at = select((floatN)INFINITY, picked_at, MASK(weight * shown.a > 0.0f));
 #endif
-  Gathered acc = {weight * shown.r, weight * shown.g, weight * shown.b, weight * shown.d};
+  Gathered acc = {weight * shown.r, weight * shown.g, weight * shown.b, weight * shown.a};
 #if ENVIRONMENT_VISIBLE
   const Vectors forward = scaled3(direction_to_local(effects, whole_ray.dx, whole_ray.dy, whole_ray.dz), 1.0f / h);
   show_environment(scene, forward, on_picture, &acc);
 #endif
-  float r[LANES], g[LANES], b[LANES], a[LANES];
-  STORE_LANES(acc.r, r), STORE_LANES(acc.g, g), STORE_LANES(acc.b, b), STORE_LANES(acc.a, a);
-  EACH_LANE(k) vstore4((float4)(r[k], g[k], b[k], a[k]), k, rgba);
+  gathered_store(&acc, rgba);
   STORE_LANES(picked_at * view->march.w, depth);
   STORE_LANES(taken, samples);
 }

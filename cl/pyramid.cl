@@ -88,7 +88,7 @@ __kernel WIDE_VECTORS __attribute__((reqd_work_group_size(WORKERS, 1, 1))) void 
       const int c = levels < LEAST_LEVEL ? 0 : (row >> levels) * (TILE >> levels) + (column >> levels), slices = m->slices[c];
       int alive_here;
       if (slices)
-        alive_here = march_packet(&source, m, &packets[q], column, row, base, slices, table, warp, &taken, counted);
+        alive_here = march_packet(&source, m, &packets[q], column, row, base, slices, table, &taken, counted);
       else
         alive_here = any_lane(LOAD_LANES(packets[q].alive));
       if (slices == 1 && alive_here) alive_here = restart_packet(&packets[q], m->wakes[c]);
@@ -102,6 +102,10 @@ __kernel WIDE_VECTORS __attribute__((reqd_work_group_size(WORKERS, 1, 1))) void 
   if (width > 0)
     for (int q = 0; q < PACKETS; ++q) {
       const int p = q * WORKERS + WORKER;
+#if WITH_DEPTH
+      float places[LANES];
+      STORE_LANES(half_place(&packets[q].half_, 1.0f, table, view), places);
+#endif
       EACH_LANE(k)
       {
         const int x = left + p % PACKETS_IN_ROW * PACKET_W + k % PACKET_W, y = top + p / PACKETS_IN_ROW * PACKET_H + k / PACKET_W;
@@ -111,7 +115,7 @@ __kernel WIDE_VECTORS __attribute__((reqd_work_group_size(WORKERS, 1, 1))) void 
           c.w = fmin(c.w, 1.0f); /* a sum of shares of what was left may round to more than all */
           image[pixel] = c;
 #if WITH_DEPTH
-          depths[pixel] = (view->march.y + packets[q].median[k] * view->march.x) * view->march.w;
+          depths[pixel] = (view->march.y + places[k] * view->march.x) * view->march.w;
 #endif
         }
       }

@@ -3,7 +3,6 @@
 #ifndef PYRAMID_PIXELS_H
 #define PYRAMID_PIXELS_H
 
-#include "composite_lengths.h"
 #include "pyramid_levels.h"
 
 #if CLASSIFICATION != CLASSIFICATION_PREINTEGRATED
@@ -17,19 +16,16 @@ typedef struct {
   float value1[LANES], value2[LANES], t1[LANES], t2[LANES];               /* the last sample and the one before, and their slices */
   int first[LANES], second[LANES];                                        /* no sample yet, or only one */
   int alive[LANES];
-  float rgba[4 * LANES], opacity[LANES], median[LANES];
+  float rgba[4 * LANES], opacity[LANES];
+#if WITH_DEPTH
+  HalfOpacity half_; /* in slices */
+#endif
 } PixelPacket;
 
-#if LANES == 16
-INLINE void accumulator_load(Accumulator *a, const float *rgba)
-{
-#define LOAD_PAIR(c, k) a->c = (float16)(vload4(k, rgba), (float4)0.0f, vload4(k + 1, rgba), (float4)0.0f);
-  LOAD_PAIR(c0, 0) LOAD_PAIR(c1, 2) LOAD_PAIR(c2, 4) LOAD_PAIR(c3, 6)
-  LOAD_PAIR(c4, 8) LOAD_PAIR(c5, 10) LOAD_PAIR(c6, 12) LOAD_PAIR(c7, 14)
-#undef LOAD_PAIR
-}
+#if WITH_DEPTH
+#define HALF_OF(packet) (&(packet)->half_)
 #else
-INLINE void accumulator_load(Accumulator *a, const float *rgba) { a->c = vload4(0, rgba); }
+#define HALF_OF(packet) 0
 #endif
 
 /* The packet at (column, row) of the picture; returns whether any of its rays meets the volume. */
@@ -39,13 +35,16 @@ int prepare_packet(__constant const View *view, __constant const Pyramid *pyrami
   SliceRays r = slice_rays(view, TO_FLOAT(px), TO_FLOAT(py), 1);
   clip_to_halves(&r, pyramid);
   const intN alive = r.hits & MASK(px < view->image.x) & MASK(py < view->image.y), none = ~(intN)0;
-  const floatN zero = 0.0f, never = INFINITY;
+  const floatN zero = 0.0f;
   STORE_LANES(r.x0, p->x0), STORE_LANES(r.y0, p->y0), STORE_LANES(r.z0, p->z0);
   STORE_LANES(r.dx, p->dx), STORE_LANES(r.dy, p->dy), STORE_LANES(r.dz, p->dz);
   STORE_LANES(r.enter, p->enter), STORE_LANES(r.leave, p->leave);
   STORE_LANES(zero, p->distance), STORE_LANES(zero, p->opacity);
   STORE_LANES(zero, p->value1), STORE_LANES(zero, p->value2), STORE_LANES(zero, p->t1), STORE_LANES(zero, p->t2);
-  STORE_LANES(none, p->first), STORE_LANES(none, p->second), STORE_LANES(alive, p->alive), STORE_LANES(never, p->median);
+  STORE_LANES(none, p->first), STORE_LANES(none, p->second), STORE_LANES(alive, p->alive);
+#if WITH_DEPTH
+  p->half_ = no_half();
+#endif
   for (int k = 0; k < 4 * LANES; ++k) p->rgba[k] = 0.0f;
   return any_lane(alive);
 }
@@ -61,20 +60,20 @@ INLINE int restart_packet(PixelPacket *p, int k)
 /* Slices `base` to `base` + `slices` - 1 of the packet at (column, row) of the tile. Returns whether any ray goes on. `inside`: all of its
  * rays are inside the volume on all of these slices. */
 INLINE int march_slices(const Source *in, SHARED const Levels *m, PixelPacket *p, int column, int row, int base, int slices, int inside,
-                        __global const float *table, __global const float *warp, Tally *samples, Tally *counted)
+                        __global const float *table, Tally *samples, Tally *counted)
 {
   __constant const View *view = in->view;
   intN alive = LOAD_LANES(p->alive);
   const floatN enter = LOAD_LANES(p->enter), leave = LOAD_LANES(p->leave);
   const floatN x0 = LOAD_LANES(p->x0), y0 = LOAD_LANES(p->y0), z0 = LOAD_LANES(p->z0);
   const floatN dx = LOAD_LANES(p->dx), dy = LOAD_LANES(p->dy), dz = LOAD_LANES(p->dz);
-  floatN distance = LOAD_LANES(p->distance), opacity = LOAD_LANES(p->opacity), median = LOAD_LANES(p->median);
+  floatN distance = LOAD_LANES(p->distance), opacity = LOAD_LANES(p->opacity);
   floatN value1 = LOAD_LANES(p->value1), value2 = LOAD_LANES(p->value2), t1 = LOAD_LANES(p->t1), t2 = LOAD_LANES(p->t2);
   intN first = LOAD_LANES(p->first), second = LOAD_LANES(p->second);
   const floatN zero = 0.0f, one = 1.0f;
   const int most = in->pyramid->levels.x, more = in->pyramid->levels.y;
   const float h = view->march.x;
-  Accumulator acc;
+  Gathered acc;
   int shows = 0; /* whether `acc` is needed */
   /* A packet that was sampled on the last slice mostly is on the next ones: all of them are fetched at once, since a fetch from beyond the
    * first caches takes longer than all else about a sample. */
@@ -131,13 +130,14 @@ INLINE int march_slices(const Source *in, SHARED const Levels *m, PixelPacket *p
     low = select(low, lane_min(value2, low), curved), high = select(high, lane_max(value2, high), curved); /* not those of a hole */
     if (any_lane(closes & MASK(high > in->pyramid->gate.x) & MASK(low < in->pyramid->gate.y))) {
       const floatN long_ = select(one, length, closes);
-      ClassCoordinate front, back;
-      uneven_classes(value2, value1, value, select(one, t1 - t2, curved), long_, curved, warp, view, &front, &back);
-      if (may_be_visible(lane_min(front.position, back.position), lane_max(front.position, back.position), closes, view)) {
-        if (!shows) accumulator_load(&acc, p->rgba);
+      floatN front = value1, back = value;
+      shift_uneven_ends(value2, &front, &back, select(one, t1 - t2, curved), long_, curved);
+      if (may_be_visible(lane_min(front, back), lane_max(front, back), closes, view)) {
+        if (!shows) gathered_load(&acc, p->rgba);
         shows = 1;
-        composite_chord(&acc, front, back, long_, 1.0f - opacity, closes, table, view);
-        pass_opacity(&acc, &opacity, &median, t1, t);
+        composite_segment(&acc, front, back, long_, closes, table, view);
+        pass_opacity(&acc, opacity, HALF_OF(p), t1, t, front, back);
+        opacity = acc.a;
         alive &= ~(takes_part & MASK(opacity >= view->march.z));
       }
     }
@@ -150,27 +150,27 @@ INLINE int march_slices(const Source *in, SHARED const Levels *m, PixelPacket *p
   STORE_LANES(value1, p->value1), STORE_LANES(value2, p->value2), STORE_LANES(t1, p->t1), STORE_LANES(t2, p->t2);
   STORE_LANES(first, p->first), STORE_LANES(second, p->second), STORE_LANES(alive, p->alive);
   if (shows) {
-    accumulator_store(&acc, p->rgba);
-    STORE_LANES(opacity, p->opacity), STORE_LANES(median, p->median);
+    gathered_store(&acc, p->rgba);
+    STORE_LANES(opacity, p->opacity);
   }
   return any_lane(alive);
 }
 
 int march_inside(const Source *in, SHARED const Levels *m, PixelPacket *p, int column, int row, int base, int slices,
-                 __global const float *table, __global const float *warp, Tally *samples, Tally *counted)
+                 __global const float *table, Tally *samples, Tally *counted)
 {
-  return march_slices(in, m, p, column, row, base, slices, 1, table, warp, samples, counted);
+  return march_slices(in, m, p, column, row, base, slices, 1, table, samples, counted);
 }
 
 int march_packet(const Source *in, SHARED const Levels *m, PixelPacket *p, int column, int row, int base, int slices,
-                 __global const float *table, __global const float *warp, Tally *samples, Tally *counted)
+                 __global const float *table, Tally *samples, Tally *counted)
 {
   const intN alive = LOAD_LANES(p->alive);
   if (!any_lane(alive)) return 0;
   /* On the last slice nothing may end: that is what the other way is for. */
   const intN cut = alive & (MASK(LOAD_LANES(p->enter) > (float)base) | MASK(LOAD_LANES(p->leave) <= (float)(base + CHUNK)));
-  if (!any_lane(cut)) return march_inside(in, m, p, column, row, base, slices, table, warp, samples, counted);
-  return march_slices(in, m, p, column, row, base, slices, 0, table, warp, samples, counted);
+  if (!any_lane(cut)) return march_inside(in, m, p, column, row, base, slices, table, samples, counted);
+  return march_slices(in, m, p, column, row, base, slices, 0, table, samples, counted);
 }
 
 #endif

@@ -132,7 +132,7 @@ static inline double reference_mean_before(const ReferenceCurve *f, double w)
 /* The mean over the whole range. */
 static inline double reference_mean(const double b[4])
 {
-    return 0.25 * (b[0] + b[1] + b[2] + b[3]);
+    return b[0] + 0.25 * ((b[1] - b[0]) + (b[2] - b[0]) + (b[3] - b[0]));
 }
 
 /* Writes 0, the turning points inside (0, 1) in order, and 1; returns how many. Between two

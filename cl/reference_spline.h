@@ -154,24 +154,25 @@ static inline double reference_curve_slope(const ReferenceCurve *f, double w)
     return reference_bernstein(f->slope, REFERENCE_DEGREE - 1, w);
 }
 
-/* The mean from 0 to w: its coefficients are the means of the first, the first two, ... ones. */
+/* The mean from 0 to w: its coefficients are the means of the first, the first two, ... ones. Here as everywhere
+ * from b[0] on, so that a constant keeps its value. */
 static inline double reference_mean_before(const ReferenceCurve *f, double w)
 {
     double c[REFERENCE_DEGREE + 1], sum = 0.0;
     for (int i = 0; i <= REFERENCE_DEGREE; ++i) {
-        sum += f->bernstein[i];
+        sum += f->bernstein[i] - f->bernstein[0];
         c[i] = reference_binomial_9[i] * (sum / (i + 1.0));
     }
-    return reference_bernstein(c, REFERENCE_DEGREE, w);
+    return f->bernstein[0] + reference_bernstein(c, REFERENCE_DEGREE, w);
 }
 
 /* The mean over the whole range. */
 static inline double reference_mean(const double b[REFERENCE_DEGREE + 1])
 {
     double sum = 0.0;
-    for (int i = 0; i <= REFERENCE_DEGREE; ++i)
-        sum += b[i];
-    return sum / (REFERENCE_DEGREE + 1.0);
+    for (int i = 1; i <= REFERENCE_DEGREE; ++i)
+        sum += b[i] - b[0];
+    return b[0] + sum / (REFERENCE_DEGREE + 1.0);
 }
 
 /* How often the coefficients change sign; their first and last sign, 0 if all are 0. */

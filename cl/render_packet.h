@@ -16,6 +16,7 @@
 #include "effects.h"
 #include "rays.h"
 #include "classify.h"
+#include "half_opacity.h"
 #include "skip_empty.h"
 
 #ifndef MARCH_STEPS
@@ -26,15 +27,6 @@
 
 /* `last` of a ray that needs no more samples, not even of its last piece. */
 #define DONE (-2)
-
-/* Opacity went from `before` to `after` over the steps t0 .. t1: where it passed one half, for rays that had not yet. */
-INLINE floatN median_step(floatN median, floatN before, floatN after, floatN t0, floatN t1)
-{
-  const intN passes = MASK(after >= 0.5f) & MASK(before < 0.5f);
-  if (!any_lane(passes)) return median;
-  const floatN f = (0.5f - before) / select((floatN)1.0f, after - before, passes);
-  return select(median, t0 + f * (t1 - t0), passes);
-}
 
 #if BLOCKS
 #include "march_blocks.h"
@@ -62,10 +54,9 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
   intN last = select((intN)DONE, TO_INT(whole) - MIDPOINTS, hits);
   intN i = 0;
   uintN taken = 0;
-  Accumulator acc;
-  accumulator_clear(&acc);
-  floatN opacity = 0.0f;
-  floatN median = INFINITY; /* in steps */
+  Gathered acc;
+  gathered_clear(&acc);
+  HalfOpacity half_ = no_half(); /* in steps */
 #if !MIDPOINTS
   floatN value1 = 0.0f, value2 = 0.0f;  /* the last sample and the one before */
   intN start = 0;                      /* where the unbroken run of samples began: there is no sample before */
@@ -107,35 +98,40 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
       const FetchedSample sample = fetch_along(volume, view, &ray, t);
 #endif
       taken -= AS_UINT(active);
+      const floatN before = acc.a;
       int visible;
 #if CLASSIFICATION == CLASSIFICATION_PREINTEGRATED
       const intN closes = active & MASK(i > start); /* lanes with a segment that ends here */
-      const floatN weight = select((floatN)0.0f, 1.0f - opacity, closes);
       const floatN value = sample_value(sample, view);
-      ClassCoordinate front, back;
-      segment_classes(value2, value1, value, 1.0f, closes & MASK(i > start + 1), warp, view, &front, &back);
+      floatN front = value1, back = value;
+      shift_ends(value2, &front, &back, 1.0f, closes & MASK(i > start + 1));
       value2 = select(value2, value1, active), value1 = select(value1, value, active);
-      visible = may_be_visible(lane_min(front.position, back.position), lane_max(front.position, back.position), closes, view);
-      if (visible) composite_segment(&acc, front, back, weight, table, view);
+      visible = may_be_visible(lane_min(front, back), lane_max(front, back), closes, view);
+      if (visible) composite_segment(&acc, front, back, (floatN)1.0f, closes, table, view);
 #elif CLASSIFICATION == CLASSIFICATION_POST
-      const floatN weight = select((floatN)0.0f, 1.0f - opacity, active);
-      const ClassCoordinate at = class_coordinate(sample_value(sample, view), warp, view);
-      visible = may_be_visible(at.position, at.position, active, view);
-      if (visible) composite_sample(&acc, at, weight, table);
+      const floatN value = sample_value(sample, view);
+      visible = may_be_visible(value, value, active, view);
+      if (visible) composite_value(&acc, value, (floatN)1.0f, active, table, view);
 #else
-      const floatN weight = select((floatN)0.0f, 1.0f - opacity, active);
-      float4 classified[LANES];
-      classified_samples(sample, view, warp, table, classified);
       visible = 1;
-      composite_classified(&acc, classified, (floatN)1.0f, weight, active);
+      const Emission classified = classified_emission(sample, view, table);
+      composite_classified(&acc, classified, (floatN)1.0f, active);
 #endif
       if (visible) {
-        const floatN before = opacity;
-        opacity = accumulated_opacity(&acc);
 #if WITH_DEPTH
-        median = median_step(median, before, opacity, t + (offset - 1.0f), t + offset);
+        const intN passes = passes_half(before, acc.a);
+        if (any_lane(passes)) {
+#if CLASSIFICATION == CLASSIFICATION_PREINTEGRATED
+          note_half(&half_, passes, before, t - 1.0f, 1.0f, front, back);
+#elif CLASSIFICATION == CLASSIFICATION_POST
+          note_half(&half_, passes, before, t - 0.5f, 1.0f, value, value);
+#else
+          note_half(&half_, passes, before, t - 0.5f, 1.0f, 0.0f, 0.0f);
+          note_whole(&half_, passes, classified.d, 0.0f);
 #endif
-        last = select(last, (intN)DONE, MASK(opacity >= view->march.z));
+        }
+#endif
+        last = select(last, (intN)DONE, MASK(acc.a >= view->march.z));
       }
       i -= active;
     }
@@ -146,28 +142,32 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
   if (any_lane(active)) {
     const floatN t = MIDPOINTS ? whole + 0.5f * rest : ray.length;
     const FetchedSample sample = fetch_along(volume, view, &ray, t);
-    const floatN weight = select((floatN)0.0f, 1.0f - opacity, active);
+    const floatN before = acc.a, value = sample_value(sample, view);
+    floatN front = value, back = value;
     taken -= AS_UINT(active);
 #if CLASSIFICATION == CLASSIFICATION_PREINTEGRATED
-    ClassCoordinate front, back;
-    segment_classes(value2, value1, sample_value(sample, view), rest, active & MASK(i > start + 1), warp, view, &front, &back);
-    if (may_be_visible(lane_min(front.position, back.position), lane_max(front.position, back.position), active, view))
-      composite_tail(&acc, front, back, rest, weight, active, table, view);
+    front = value1;
+    shift_ends(value2, &front, &back, rest, active & MASK(i > start + 1));
+    if (may_be_visible(lane_min(front, back), lane_max(front, back), active, view))
+      composite_segment(&acc, front, back, rest, active, table, view);
 #elif CLASSIFICATION == CLASSIFICATION_POST
-    const ClassCoordinate at = class_coordinate(sample_value(sample, view), warp, view);
-    if (may_be_visible(at.position, at.position, active, view))
-      composite_sample_tail(&acc, at, rest, weight, active, table, view);
+    if (may_be_visible(value, value, active, view)) composite_value(&acc, value, rest, active, table, view);
 #else
-    float4 classified[LANES];
-    classified_samples(sample, view, warp, table, classified);
-    composite_classified(&acc, classified, rest, weight, active);
+    const Emission classified = classified_emission(sample, view, table);
+    composite_classified(&acc, classified, rest, active);
 #endif
 #if WITH_DEPTH
-    median = median_step(median, opacity, accumulated_opacity(&acc), whole, ray.length);
+    const intN passes = passes_half(before, acc.a);
+    note_half(&half_, passes, before, whole, rest, front, back);
+#if CLASSIFICATION == CLASSIFICATION_PRE
+    note_whole(&half_, passes, rest * classified.d, 0.0f);
+#endif
 #endif
   }
-  accumulator_store(&acc, rgba);
-  STORE_LANES((ray.entry_depth + median * view->march.x) * view->march.w, depth);
+  gathered_store(&acc, rgba);
+#if WITH_DEPTH
+  STORE_LANES((ray.entry_depth + half_place(&half_, 1.0f, table, view) * view->march.x) * view->march.w, depth);
+#endif
   STORE_LANES(taken, samples);
 }
 

@@ -1,8 +1,8 @@
 /* Shadows: the share of a light that arrives at a place, through the translucent volume and the iso-surfaces before it.
  *
  * T = exp(-D), D the optical depth along the straight line to the light: as far as the volume's domain or, if it is nearer, a point
- * light. D is the midpoint rule's over steps of shadow.step edges from the place on, the last one shorter, whatever the scene's
- * classification: a value is classified by the one-dimensional table of extinctions (`extinction`). A surface adds
+ * light. D is integrated as by the eye's rays: over steps of shadow.step edges from the place on, the last one shorter, under
+ * the scene's classification and filter, chords shifted by the curvature and so on. A surface adds
  * -log(1 - opacity) where successive samples lie on both sides of its iso-value; none is shaded, so that there is no
  * recursion. What is clipped away casts no shadow. The march ends where D is beyond shadow.w: T is below 1e-3 there.
  *
@@ -26,6 +26,8 @@
 #define SHADOW_H
 
 #include "clip.h"
+#include "emission.h"
+#include "half_opacity.h"
 #include "opacity.h"
 #include "skip_empty.h"
 #if OPACITY_FACTORS || TRANSFER_LAYERS
@@ -83,30 +85,40 @@ INLINE floatN value_along(const Scene *scene, const Rays *ray, floatN t)
   return scene_value(scene, ray->x0 + t * ray->dx, ray->y0 + t * ray->dy, ray->z0 + t * ray->dz);
 }
 
-INLINE floatN extinction_of(const Scene *scene, ClassCoordinate at, intN first)
+/* Values at the ends of segments; else in their middle. */
+#define SHADOW_ENDS (CLASSIFICATION == CLASSIFICATION_PREINTEGRATED)
+
+/* The values of a segment of a shadow ray. */
+typedef struct {
+  floatN front, back; /* at its ends, shifted by the curvature; or both the one in the middle */
+} SegmentValues;
+
+/* Optical depth of a step of the eye's of each of these segments, by the functions that begin `first` floats on. (x, y, z): its middle. */
+INLINE floatN depth_of_values(const Scene *scene, SegmentValues v, floatN x, floatN y, floatN z, intN active, intN first)
 {
-  const floatN low = AS_FLOAT(gather4(scene->extinction, first + at.node));
-  const floatN high = AS_FLOAT(gather4(scene->extinction + 1, first + at.node));
-  return low + at.fraction * (high - low);
+#if CLASSIFICATION == CLASSIFICATION_PRE
+  const FetchedSample sample = fetch_sample(scene->volume, scene->view, x, y, z);
+  return classified_emission_in(sample, scene->view, first, scene->table).d;
+#else
+  return depth_between(v.front, v.back, active, first, scene->table, scene->view);
+#endif
 }
 
-/* Mean optical depth an edge from t0 to t1 of the ray, where the value is `value` in the middle. */
-INLINE floatN extinction_along(const Scene *scene, const Rays *ray, floatN t0, floatN t1, floatN value, Vectors direction,
+/* Mean optical depth an edge from t0 to t1 of the ray. */
+INLINE floatN extinction_along(const Scene *scene, const Rays *ray, floatN t0, floatN t1, SegmentValues v, Vectors direction,
                                intN active, Tally *counted)
 {
   __constant const View *view = scene->view;
-  const ClassCoordinate at = class_coordinate(value, scene->warp, view);
-#if !(FIELDS || OPACITY_FACTORS || TRANSFER_LAYERS)
-  return extinction_of(scene, at, (intN)0);
-#else
-  Emission e = no_emission(); /* of a step of the eye's rays, by which tables of fields count */
   const floatN t = 0.5f * (t0 + t1);
   const floatN x = ray->x0 + t * ray->dx, y = ray->y0 + t * ray->dy, z = ray->z0 + t * ray->dz;
-#if TRANSFER_LAYERS
-  intN shows = may_be_visible(at.position, at.position, active, view) ? active : (intN)0;
-#else
-  e.d = select((floatN)0.0f, extinction_of(scene, at, (intN)0) * view->march.x, active);
-  intN shows = MASK(e.d > 0.0f);
+  intN shows = active;
+#if CLASSIFICATION != CLASSIFICATION_PRE
+  if (!may_be_visible(lane_min(v.front, v.back), lane_max(v.front, v.back), active, view)) shows = 0;
+#endif
+  Emission e = no_emission(); /* of a step of the eye's rays, by which fields count */
+#if !TRANSFER_LAYERS
+  if (any_lane(shows)) e.d = select((floatN)0.0f, depth_of_values(scene, v, x, y, z, shows, (intN)0), shows);
+  shows = MASK(e.d > 0.0f);
 #endif
 #if FIELDS
   const FieldLook look = look_at_fields(scene, ray, t0, t1, x, y, z, shows, active, counted);
@@ -117,9 +129,9 @@ INLINE floatN extinction_along(const Scene *scene, const Rays *ray, floatN t0, f
     count_lanes(&counted[COUNT_GRADIENTS], shows);
     const Vectors gradient = scene_gradient(scene, x, y, z);
 #if TRANSFER_LAYERS
-    const TablePlace layers = layers_around(scene, gradient, view->table.y);
-    const floatN low = extinction_of(scene, at, layers.low), high = extinction_of(scene, at, layers.high);
-    e.d = (low + layers.share * (high - low)) * view->march.x;
+    const TablePlace layers = layers_around(scene, gradient, view->pieces.z);
+    const floatN low = depth_of_values(scene, v, x, y, z, shows, layers.low);
+    e.d = low + layers.share * (depth_of_values(scene, v, x, y, z, shows, layers.high) - low);
 #endif
 #if OPACITY_FACTORS
     weigh_by_gradient(scene, &e, gradient, direction);
@@ -129,8 +141,7 @@ INLINE floatN extinction_along(const Scene *scene, const Rays *ray, floatN t0, f
 #if FIELDS
   apply_fields(look, &e);
 #endif
-  return e.d * (1.0f / view->march.x);
-#endif
+  return select((floatN)0.0f, e.d * (1.0f / view->march.x), active);
 }
 
 #if ISOSURFACES
@@ -164,6 +175,10 @@ INLINE floatN depth_along(const Scene *scene, const Rays *ray, Vectors direction
   const floatN segments = select((floatN)0.0f, ceil(ray->length), rays & MASK(ray->length > 0.0f));
   const intN last = TO_INT(segments) - 1;
   intN i = 0;
+#if SHADOW_ENDS
+  intN joined = 0; /* the values at the segment's start, and one step before, are known */
+  floatN value1 = 0.0f, value2 = 0.0f;
+#endif
 #if ISOSURFACES
   floatN before = value_along(scene, ray, lane_min((floatN)apart, 0.5f * ray->length));
   count_lanes(&counted[COUNT_SHADOW_SAMPLES], MASK(i <= last));
@@ -172,29 +187,50 @@ INLINE floatN depth_along(const Scene *scene, const Rays *ray, Vectors direction
     const intN going = MASK(i <= last) & MASK(depth < enough);
     if (!any_lane(going)) break;
 #if SHADOWS_LEAP
-    /* With surfaces the sample before the first visible segment is taken too, to tell its side. */
+    /* The segment before the first visible one is taken too: for the curvature, or to tell the side of surfaces. */
     const floatN visible_at = next_visible(scene->distances, scene->view, TO_FLOAT(i), going, ray);
-    const floatN to = lane_clamp(visible_at - (float)ISOSURFACES, (floatN)0.0f, TO_FLOAT(max(last, (intN)0)) + 1.0f);
-    i = select(i, max(i, TO_INT(to)), going);
+    const floatN to = lane_clamp(visible_at - (float)(ISOSURFACES | SHADOW_ENDS), (floatN)0.0f, TO_FLOAT(max(last, (intN)0)) + 1.0f);
+    const intN leaps = going & MASK(TO_INT(to) > i);
+    i = select(i, TO_INT(to), leaps);
     i = select(i, last + 1, going & MASK(visible_at >= ray->length));
+#if SHADOW_ENDS
+    joined &= ~leaps;
+#endif
 #endif
     _Pragma("unroll 1") for (int step = 0; step < SHADOW_STEPS; ++step) {
       const intN active = MASK(i <= last) & MASK(depth < enough);
       if (!any_lane(active)) break;
       const floatN t0 = TO_FLOAT(min(i, max(last, (intN)0)));
       const floatN length = select((floatN)0.0f, lane_min(ray->length - t0, (floatN)1.0f), active);
-      const floatN t = t0 + 0.5f * length, value = value_along(scene, ray, t);
+#if SHADOW_ENDS
+      const floatN at = t0 + length;
+      floatN front = value1, value = 0.0f;
+      const intN opens = active & ~joined;
+      _Pragma("unroll 1") for (int k = any_lane(opens) ? 0 : 1; k < 2; ++k) {
+        value = value_along(scene, ray, k ? at : t0);
+        if (k == 0) front = select(front, value, opens), count_lanes(&counted[COUNT_SHADOW_SAMPLES], opens);
+      }
+      SegmentValues v = {front, value};
+      shift_ends(value2, &v.front, &v.back, select((floatN)1.0f, length, active), active & joined);
+      value2 = select(value2, front, active), value1 = select(value1, value, active);
+      joined |= active;
+#elif CLASSIFICATION == CLASSIFICATION_PRE && !ISOSURFACES
+      const floatN at = t0 + 0.5f * length, value = 0.0f;
+      const SegmentValues v = {value, value};
+#else
+      const floatN at = t0 + 0.5f * length, value = value_along(scene, ray, at);
+      const SegmentValues v = {value, value};
+#endif
       count_lanes(&counted[COUNT_SHADOW_SAMPLES], active);
-      const floatN extinction = extinction_along(scene, ray, t0, t0 + length, value, direction, active, counted);
-      depth += h * length * select((floatN)0.0f, extinction, active);
+      depth += h * length * extinction_along(scene, ray, t0, t0 + length, v, direction, active, counted);
 #if ISOSURFACES
-      depth += surfaces_between(scene, ray, lane_max(t - 1.0f, (floatN)0.0f), t, before, value, active, counted);
+      depth += surfaces_between(scene, ray, SHADOW_ENDS ? t0 : lane_max(at - 1.0f, (floatN)0.0f), at, before, value, active, counted);
       before = select(before, value, active);
 #endif
       i -= active;
     }
   }
-#if ISOSURFACES
+#if ISOSURFACES && !SHADOW_ENDS
   const intN ends = MASK(last >= 0) & MASK(depth < enough);
   if (any_lane(ends)) {
     const floatN middle = TO_FLOAT(last) + 0.5f * (ray->length - TO_FLOAT(last));

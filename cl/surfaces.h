@@ -143,7 +143,7 @@ INLINE Vectors refracted(Vectors direction, Vectors normal, floatN ratio)
 
 /* The surfaces in one segment, with the volume before, between and behind them: `e` of a whole step. */
 INLINE SurfacePassage pass_surfaces(const Scene *scene, const Rays *ray, Vectors view, floatN t0, floatN length, floatN v0, floatN vm,
-                                    floatN v1, Emission e, intN active, intN near, intN may_bend, Gathered *acc, floatN *median,
+                                    floatN v1, Emission e, intN active, intN near, intN may_bend, Gathered *acc, HalfBetween *half_,
                                     uintN *taken, Tally *counted)
 {
   __constant const Effects *effects = scene->effects;
@@ -183,7 +183,11 @@ INLINE SurfacePassage pass_surfaces(const Scene *scene, const Rays *ray, Vectors
       crosses = mask_keeps(scene, at.x, at.y, at.z, crosses, counted);
       if (!any_lane(crosses)) continue;
 #endif
+      const floatN before_part = acc->a;
       composite_emission(acc, e, length * (place - passage.front), crosses);
+#if WITH_DEPTH
+      note_between(half_, before_part, acc->a, passage.front, place);
+#endif
       const intN color_at = 4 * (surface + 1) + select((intN)4, (intN)0, rises);
       Vectors color = {AS_FLOAT(gather4(scene->items, color_at)), AS_FLOAT(gather4(scene->items, color_at + 1)),
                        AS_FLOAT(gather4(scene->items, color_at + 2))};
@@ -206,7 +210,7 @@ INLINE SurfacePassage pass_surfaces(const Scene *scene, const Rays *ray, Vectors
       acc->r += weight * color.x, acc->g += weight * color.y, acc->b += weight * color.z;
       acc->a += weight;
 #if WITH_DEPTH
-      *median = median_step(*median, before, acc->a, t, t);
+      note_between(half_, before, acc->a, place, place);
 #endif
       passage.front = select(passage.front, place, crosses);
 #if REFRACTION
@@ -225,7 +229,11 @@ INLINE SurfacePassage pass_surfaces(const Scene *scene, const Rays *ray, Vectors
     }
   }
   const intN rest = active & ~passage.bends;
+  const floatN before_rest = acc->a;
   composite_emission(acc, e, length * (1.0f - passage.front), rest);
+#if WITH_DEPTH
+  note_between(half_, before_rest, acc->a, passage.front, (floatN)1.0f);
+#endif
   return passage;
 }
 

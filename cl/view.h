@@ -25,9 +25,9 @@ typedef struct {
                          of an edge */
   float4 upper;         /* size - 1 */
   float4 classes;       /* value of class coordinate 0; class coordinates a value; last coordinate; bins of the warp */
-  float4 gate;          /* class coordinates between which something is visible: low, high */
+  float4 gate;          /* values: nothing at or below x, or at or above y, is visible; a step in opacity units; - */
   float4 voxel;         /* gain of scaled float32 voxels; parts that quadrature by cells cuts each cell's piece in; how far
-                         * apart rays may be that pixels are interpolated between; a step in lengths of the tables for cells */
+                         * apart rays may be that pixels are interpolated between; - */
 #if VOXEL_BITS == 64
   double2 voxel_double; /* float64 voxels are read as (v - bias) * gain: bias, gain */
 #else
@@ -38,7 +38,8 @@ typedef struct {
   int4 cells;           /* cells of the distance map x, y, z; log2 of a cell's edge */
   int4 image;           /* width, height; tile width, height in pixels */
   int4 band;            /* first tile of this launch; of a lattice of rays: spacing in pixels, columns, rows */
-  int4 table;           /* nodes an axis; float4s from row to row; slices; float4s from slice to slice */
+  int4 table;           /* class nodes; entries of a table by them; - ; - */
+  int4 pieces;          /* of the transfer function: columns of its table; - ; floats of a function; pieces */
 } View;
 
 #endif

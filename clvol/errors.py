@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from clvol.text import one_line
+
 
 class ClvolError(Exception):
     """Base of every error that clvol raises on purpose.
 
     ``where`` names the place (a file, a scene key, an argument), ``what`` what was found there,
     ``expected`` what would have been right. ``str()`` is the one line that the command prints:
-    ``WHERE: WHAT, expected EXPECTED``. ``exit_status`` is the command's exit status.
+    ``WHERE: WHAT, expected EXPECTED``, with escapes in the place of control characters.
+    ``exit_status`` is the command's exit status.
     """
 
     exit_status = 4
@@ -20,7 +23,41 @@ class ClvolError(Exception):
         super().__init__(where, what, expected)
 
     def __str__(self) -> str:
-        tail = f", expected {self.expected}" if self.expected else ""
+        tail = f", expected {one_line(self.expected)}" if self.expected else ""
+        return f"{one_line(self.where)}: {one_line(self.what)}{tail}".strip()
+
+
+class ClvolWarning(UserWarning):
+    """What can hardly be meant, though it is no error: the picture is what was asked for.
+
+    ``where`` names the place (a scene key), ``what`` is found there and what follows from it, ``advice`` what to set. ``str()`` is
+    the line that the command prints: ``WHERE: WHAT; ADVICE``.
+    """
+
+    def __init__(self, where: str, what: str, advice: str | None = None) -> None:
+        self.where, self.what = str(where), str(what)
+        self.advice = None if advice is None else str(advice)
+        super().__init__(where, what, advice)
+
+    def __str__(self) -> str:
+        tail = f"; {self.advice}" if self.advice else ""
+        return " ".join(f"{self.where}: {self.what}{tail}".split())
+
+
+class ClvolWarning(UserWarning):
+    """What can hardly be meant, though it is no error: the picture is what was asked for.
+
+    ``where`` names the place (a scene key), ``what`` is found there and what follows from it, ``advice`` what to set. ``str()`` is
+    the line that the command prints: ``WHERE: WHAT; ADVICE``.
+    """
+
+    def __init__(self, where: str, what: str, advice: str | None = None) -> None:
+        self.where, self.what = str(where), str(what)
+        self.advice = None if advice is None else str(advice)
+        super().__init__(where, what, advice)
+
+    def __str__(self) -> str:
+        tail = f"; {self.advice}" if self.advice else ""
         return " ".join(f"{self.where}: {self.what}{tail}".split())
 
 

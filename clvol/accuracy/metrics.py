@@ -8,6 +8,7 @@ for a screen still counts.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,26 +18,28 @@ from clvol.transfer.color import linear_to_srgb
 
 BLACK = (0.0, 0.0, 0.0)
 _WINDOW = 11  # pixels: SSIM's Gaussian of sigma 1.5 (Wang et al. 2004)
-_ROWS = 256  # rows taken to Lab at a time
+_ROWS = 128  # rows looked at at a time
 
 
 def rmse(a: ArrayLike, b: ArrayLike) -> float:
-    """Root of the mean squared difference over all pixels and the four channels, linear light."""
-    a, b = as_pair(a, b)
-    return math.sqrt(np.mean(np.square(a - b)))
+    """Root of the mean squared difference over all pixels and channels, linear light."""
+    a, b = _pair(a, b)
+    total = sum(float(np.sum(np.square(x - y))) for x, y in _parts(a, b))
+    return math.sqrt(total / a.size)
 
 
 def max_abs(a: ArrayLike, b: ArrayLike) -> float:
     """Largest absolute difference in any pixel and channel, linear light."""
-    a, b = as_pair(a, b)
-    return float(np.abs(a - b).max())
+    a, b = _pair(a, b)
+    return float(np.max([np.abs(x - y).max() for x, y in _parts(a, b)]))  # NaN spreads
 
 
 def psnr(a: ArrayLike, b: ArrayLike, background: ArrayLike = BLACK) -> float:
     """Peak signal-to-noise ratio of the displayed pictures, dB (white = 1); inf where equal."""
-    a, b = _displayed(*as_pair(a, b), background)
-    mean_square = float(np.mean(np.square(a - b)))
-    return math.inf if mean_square == 0.0 else -10.0 * math.log10(mean_square)
+    a, b = _pair(a, b)
+    shown = (_displayed(x, y, background) for x, y in _parts(a, b))
+    total = sum(float(np.sum(np.square(x - y))) for x, y in shown)
+    return math.inf if total == 0.0 else -10.0 * math.log10(total / (a.size // a.shape[2] * 3))
 
 
 def ssim(a: ArrayLike, b: ArrayLike, background: ArrayLike = BLACK) -> float:
@@ -46,28 +49,34 @@ def ssim(a: ArrayLike, b: ArrayLike, background: ArrayLike = BLACK) -> float:
     """
     from skimage.metrics import structural_similarity
 
-    a, b = (
-        np.pad(shown, [(0, max(0, _WINDOW - n)) for n in shown.shape[:2]] + [(0, 0)], mode="edge")
-        for shown in _displayed(*as_pair(a, b), background)
-    )
-    return float(
-        structural_similarity(
-            a, b, data_range=1.0, channel_axis=-1,
+    a, b = _pair(a, b)
+    wider = [(0, max(0, _WINDOW - n)) for n in a.shape[:2]] + [(0, 0)]
+    if any(after for _, after in wider):
+        a, b = np.pad(a, wider, mode="edge"), np.pad(b, wider, mode="edge")
+    height, width, margin = *a.shape[:2], _WINDOW // 2
+    total = 0.0
+    for row in range(margin, height - margin, _ROWS):  # pixels whose window lies in the picture
+        part = slice(row - margin, min(row + _ROWS, height - margin) + margin)
+        _, similar = structural_similarity(
+            *_displayed(a[part].astype(float), b[part].astype(float), background),
+            data_range=1.0, channel_axis=-1, full=True,
             gaussian_weights=True, sigma=1.5, use_sample_covariance=False,
-        )
-    )
+        )  # fmt: skip
+        total += float(similar[margin:-margin, margin:-margin].sum())
+    return total / (3 * (height - 2 * margin) * (width - 2 * margin))
 
 
 def delta_e(a: ArrayLike, b: ArrayLike, background: ArrayLike = BLACK) -> np.ndarray:
     """CIEDE2000 colour difference of the displayed pictures, float64 [height, width] (D65)."""
     from skimage.color import deltaE_ciede2000, rgb2lab
 
-    a, b = as_pair(a, b)
-    parts = []
-    for row in range(0, a.shape[0], _ROWS):
-        part = slice(row, row + _ROWS)
-        parts.append(deltaE_ciede2000(*map(rgb2lab, _displayed(a[part], b[part], background))))
-    return np.concatenate(parts)
+    a, b = _pair(a, b)
+    return np.concatenate(
+        [
+            deltaE_ciede2000(*map(rgb2lab, _displayed(x, y, background)))
+            for x, y in _parts(a, b)
+        ]
+    )
 
 
 def compare(a: ArrayLike, b: ArrayLike, background: ArrayLike = BLACK) -> dict[str, float]:
@@ -90,7 +99,19 @@ def compare(a: ArrayLike, b: ArrayLike, background: ArrayLike = BLACK) -> dict[s
 
 def as_pair(a: ArrayLike, b: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
     """Both as float64; UsageError unless they are [height, width, 4] and of the same size."""
-    a, b = np.asarray(a, dtype=np.float64), np.asarray(b, dtype=np.float64)
+    a, b = _pair(a, b)
+    return a.astype(np.float64, copy=False), b.astype(np.float64, copy=False)
+
+
+def _parts(a: np.ndarray, b: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Some rows of both at a time, as float64: large pictures are never there in full precision."""
+    for row in range(0, a.shape[0], _ROWS):
+        part = slice(row, row + _ROWS)
+        yield a[part].astype(np.float64), b[part].astype(np.float64)
+
+
+def _pair(a: ArrayLike, b: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+    a, b = np.asarray(a), np.asarray(b)
     for name, array in (("first picture", a), ("second picture", b)):
         if array.ndim != 3 or array.shape[2] != 4 or array.size == 0:
             raise UsageError(name, f"an array of shape {array.shape}", "[height, width, 4]")

@@ -36,6 +36,7 @@ from clvol.opencl.context import DeviceContext
 from clvol.accuracy.judge import Judge, check_judged
 from clvol.render.engines import Engines
 from clvol.render.frame import Frame, make_frame
+from clvol.render.notices import Notices
 from clvol.render.reference import render_reference
 from clvol.render.renderer import check_memory, open_context
 from clvol.render.view import PixelLattice
@@ -49,6 +50,7 @@ _PILOT_PIXELS = 10_000
 _DRAWN_PIXELS = 2_048  # at first; then twice as many until the bound says yes or no
 _ATTEMPTS = 6
 _PICTURES_KEPT, _BYTES_KEPT = (3, 24), 2**29  # at least and most; in between, as memory allows
+_SHORTEST = 1e-9  # seconds: no picture takes less, whatever the device
 _AIM = 0.95  # share of the error that is aimed at: the bound lies a little above the error
 _SHARES = (1.0, 0.7, 0.4)  # of the error, left to what shows on single pixels
 _FIRST_ERROR, _LARGEST_ERROR = 1e-2, 0.5  # where a time's search begins, and gives up
@@ -114,6 +116,8 @@ def check_time_budget(value: float) -> None:
     """UsageError for a time that cannot be aimed at."""
     if not 0.0 < value < math.inf:
         raise UsageError("time_budget", f"got {value!r}", "seconds, more than 0")
+    if value < _SHORTEST:
+        raise UsageError("time_budget", f"got {value!r}", f"seconds, at least {_SHORTEST:g}")
 
 
 class _Workshop:
@@ -205,7 +209,8 @@ class _Workshop:
             else:
                 low = error
             # The error falls with about the square of the time.
-            guess = error * min(max((seconds / (_AIM * budget)) ** 2, 0.03), 30.0)
+            over = min(seconds / (_AIM * budget), 1e3)  # whose square no budget makes overflow
+            guess = error * min(max(over**2, 0.03), 30.0)
             if low > 0:
                 guess = max(guess, low * (high / low) ** 0.25)
             most = high * (low / high) ** 0.25 if low > 0 else high / 1.3
@@ -359,16 +364,15 @@ class _Workshop:
             "seconds": dict(self.seconds),
         }  # fmt: skip
         seconds = {"load": self.load_seconds, "render": taken}
-        return make_frame(
-            resolved, rgba, depth if self.depth else None, seconds,
-            {**counters, "accuracy": accuracy}, self.context.name,
-        )  # fmt: skip
+        depth = depth if self.depth else None
+        counted = {**counters, "accuracy": accuracy, **self._warnings(rgba, depth)}
+        return make_frame(resolved, rgba, depth, seconds, counted, self.context.name)
 
     def _frame(
         self, trial: Trial, found: ErrorEstimate, asked: dict[str, float], attempt: int
     ) -> Frame:
         accuracy = {
-            **asked, **asdict(found), "how": f"{self.judge.how} at pixels not used for the choice",
+            **asked, **asdict(found), "how": f"{self.judge.how} at {where_measured(found)}",
             "settings": self._counting(trial.settings), "attempts": attempt,
             "tried": len(self.search.measured), "seconds": dict(self.seconds),
         }  # fmt: skip
@@ -378,8 +382,12 @@ class _Workshop:
             "compile": pilot.compile_seconds + trial.compile_seconds, "render": trial.seconds,
         }  # fmt: skip
         counted = {"samples": trial.samples, "rays": trial.rays, "accuracy": accuracy}
+        counted |= self._warnings(trial.rgba, trial.depth)
         resolved = self._resolved_as(trial.settings)
         return make_frame(resolved, trial.rgba, trial.depth, seconds, counted, self.context.name)
+
+    def _warnings(self, rgba: np.ndarray, depth: np.ndarray | None) -> dict[str, Any]:
+        return Notices(self.asked).of_picture(self.asked, self.asked.camera, rgba, depth)
 
     def _counting(self, settings: dict[str, Any]) -> dict[str, Any]:
         """Without what has no effect beside the others."""
@@ -400,6 +408,13 @@ class _Workshop:
     def report(self, what: str) -> None:
         if self.progress is not None:
             self.progress(None, None, what)
+
+
+def where_measured(found: ErrorEstimate) -> str:
+    """In words, the pixels that ``found`` rests on."""
+    if found.pixels >= found.of_pixels:
+        return "all pixels"
+    return "the pixels that settings were chosen by, and at others, drawn where errors are expected"
 
 
 class _Combinations:

@@ -37,6 +37,7 @@ from clvol.accuracy.trials import Trial, Trials
 from clvol.errors import UsageError
 from clvol.features import refuse_unknown
 from clvol.render.layout import method_bytes
+from clvol.render.notices import Notices
 from clvol.render.renderer import check_memory, open_context
 from clvol.scene.knob import Knob
 from clvol.scene.scene import Scene
@@ -76,7 +77,10 @@ def measure_tradeoff(
     sweep = _Sweep(scene, devices, memory_cap, progress)
     try:
         sweep.explore(settings)
-        return sweep.result(frames)
+        result, pictures = sweep.result(frames)
+        asked = sweep.resolved
+        Notices(asked).of_picture(asked, asked.camera, pictures["reference"], None)
+        return result, pictures
     finally:
         sweep.trials.engines.close()
         sweep.context.release()

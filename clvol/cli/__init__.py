@@ -1,126 +1,123 @@
 """The command ``clvol``: one module a command, imported when that command is called.
 
-Exit status: 0 done; 2 the input is wrong; 3 no device works; 4 the render failed; 130 interrupted.
-Every error is one line on stderr, ``clvol: error: WHERE: WHAT, expected WHAT``. The environment
-variable CLVOL_DEBUG=1 adds the traceback.
+Exit status: 0 done; 2 the input is wrong; 3 no device works; 4 the render failed; 130 interrupted;
+143 ended by SIGTERM, 129 by SIGHUP (128 plus the signal's number for others that ask for an end).
+Every error is one line on stderr, ``clvol: error: WHERE: WHAT, expected WHAT``, and every warning one that begins
+``clvol: warning: ``; warnings change neither the status nor what is written. The environment variable CLVOL_DEBUG=1
+adds the traceback.
+
+Nothing but this is imported before signals are looked after.
 """
 
 from __future__ import annotations
 
 import os
 import sys
-import traceback
-import warnings
-from collections.abc import Callable, Sequence
-from importlib import import_module
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 
-import click
-
-from clvol import __version__
-from clvol.errors import ClvolError, ClvolWarning, RenderError, UsageError
+from clvol.interrupts import check_stopped, stoppable
 
 COMMANDS = ("render", "explain", "info", "store", "doctor", "compare", "tradeoff")
 INTERRUPTED = 130
 
 
-class _Commands(click.Group):
-    """Commands that are imported by name; each module calls its own ``command``."""
+def __getattr__(name: str):
+    if name == "cli":  # the group of commands, once somebody asks
+        from clvol.cli.group import cli
 
-    def list_commands(self, ctx: click.Context) -> list[str]:
-        return list(COMMANDS)
-
-    def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
-        return import_module(f"clvol.cli.{name}").command if name in COMMANDS else None
-
-    def resolve_command(self, ctx: click.Context, args: list[str]):
-        if args[0] not in COMMANDS:
-            raise UsageError("clvol", f"unknown command {args[0]!r}", _one_command())
-        return super().resolve_command(ctx, args)
-
-
-@click.group(
-    cls=_Commands,
-    invoke_without_command=True,
-    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
-)
-@click.version_option(__version__, prog_name="clvol", message="%(prog)s %(version)s")
-@click.pass_context
-def cli(context: click.Context) -> None:
-    """Volume rendering that says how wrong its pictures are."""
-    if context.invoked_subcommand is None:
-        raise UsageError("clvol", "no command", _one_command())
+        return cli
+    raise AttributeError(f"module 'clvol.cli' has no attribute {name!r}")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line (``sys.argv`` by default) and return the exit status."""
-    given = list(sys.argv[1:] if arguments is None else arguments)
     debug = os.environ.get("CLVOL_DEBUG") == "1"
+    _open_standard()
+    try:
+        with stoppable(for_good=arguments is None):
+            return _run(sys.argv[1:] if arguments is None else arguments, debug)
+    except KeyboardInterrupt as stop:
+        line = getattr(stop, "line", "interrupted")
+        return _failed(line, getattr(stop, "status", INTERRUPTED), debug)
+
+
+def _open_standard() -> None:
+    """Where standard input, output or error is closed, nothing else that is opened may get its
+    number: what libraries print would go into a picture."""
+    for descriptor in range(3):
+        try:
+            os.fstat(descriptor)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # takes the lowest number that is free
+
+
+def _run(given: Sequence[str], debug: bool) -> int:
+    with _warnings_kept(debug) as warned:
+        try:
+            from clvol.cli.group import run, told
+
+            status = run(given)
+            for line in warned:
+                _say_on_stderr("clvol: warning: ", line)
+            return status
+        except Exception as error:
+            check_stopped()
+            status, line = told(error)
+            return _failed(line, status, debug)
+
+
+@contextmanager
+def _warnings_kept(debug: bool) -> Iterator[dict[str, None]]:
+    """Yields the lines of clvol's own warnings, to be told at the end: a bar may be drawn meanwhile, and an error
+    is one line alone. Of others none is shown."""
+    import warnings
+
+    from clvol.errors import ClvolWarning
+
+    kept: dict[str, None] = {}
     with warnings.catch_warnings():
         if not (debug or sys.warnoptions):
-            warnings.simplefilter("ignore")  # libraries' warnings; errors take one line alone
-        warnings.simplefilter("always", ClvolWarning)
-        warnings.showwarning = _show_warning(warnings.showwarning)
-        try:
-            with cli.make_context("clvol", given) as context:
-                cli.invoke(context)
-            return 0
-        except click.exceptions.Exit as stop:
-            return stop.exit_code
-        except (KeyboardInterrupt, click.Abort):
-            return _failed("interrupted", INTERRUPTED, debug)
-        except click.ClickException as error:
-            return _failed(str(_usage_error(error)), UsageError.exit_status, debug)
-        except ClvolError as error:
-            return _failed(str(error), error.exit_status, debug)
-        except MemoryError:
-            line = "memory: not enough for this scene, expected a smaller volume or image"
-            return _failed(line, RenderError.exit_status, debug)
-        except Exception as error:
-            return _failed(f"internal: {type(error).__name__}: {error}", 4, debug)
+            warnings.simplefilter("ignore")
+        warnings.filterwarnings("always", category=ClvolWarning)
+        show = warnings.showwarning
+
+        def keep(message, category, *rest, **more) -> None:
+            if issubclass(category, ClvolWarning):
+                kept[str(message)] = None
+            else:
+                show(message, category, *rest, **more)
+
+        warnings.showwarning = keep
+        yield kept
 
 
 def _failed(line: str, status: int, debug: bool) -> int:
     if debug:
-        traceback.print_exc()
-    _tell("clvol: error: " + " ".join(line.split()))
+        import traceback
+
+        from clvol.text import printable_lines
+
+        _write_on_stderr(printable_lines(traceback.format_exc()))
+    _say_on_stderr("clvol: error: ", line)
     return status
 
 
-def _show_warning(others: Callable[..., None]) -> Callable[..., None]:
-    """Shows clvol's own warnings as one line each; libraries' as ``others`` does."""
+def _say_on_stderr(head: str, line: str) -> None:
+    """One line, in which nothing can move a terminal's cursor."""
+    from clvol.text import one_line
 
-    def show(message, category, *place, **more) -> None:
-        if issubclass(category, ClvolWarning):
-            _tell("clvol: warning: " + " ".join(str(message).split()))
-        else:
-            others(message, category, *place, **more)
-
-    return show
+    _write_on_stderr(f"{head}{one_line(line)}\n")
 
 
-def _tell(line: str) -> None:
+def _write_on_stderr(text: str) -> None:
     try:
-        click.echo(line, err=True)
-    except OSError:  # nobody listens on stderr
+        if sys.stderr is not None:
+            sys.stderr.write(text.encode(_encoding(), "backslashreplace").decode(_encoding()))
+            sys.stderr.flush()
+    except (OSError, ValueError):  # nobody listens on stderr, or it is closed
         pass
 
 
-def _one_command() -> str:
-    return "one of " + ", ".join(COMMANDS) + "; see 'clvol --help'"
-
-
-def _usage_error(error: click.ClickException) -> ClvolError:
-    """click's words in the form of all other errors."""
-    context = getattr(error, "ctx", None)
-    command = context.command_path if context else "clvol"
-    see = f"what '{command} --help' says"
-    if isinstance(error, click.MissingParameter) and error.param is not None:
-        name = error.param.opts[0] if error.param.opts[0].startswith("-") else ""
-        wanted = " ".join(filter(None, [name, str(error.param.metavar or error.param.name)]))
-        return UsageError(command, f"no {wanted}", f"{wanted}; see '{command} --help'")
-    if isinstance(error, click.NoSuchOption):
-        near = " or ".join(error.possibilities or ())
-        return UsageError(command, f"unknown option {error.option_name}", near or see)
-    if isinstance(error, click.BadParameter) and error.param is not None:
-        command = f"{command}: {error.param.opts[0]}"
-    return UsageError(command, error.format_message().rstrip("."), see)
+def _encoding() -> str:
+    return getattr(sys.stderr, "encoding", None) or "utf-8"

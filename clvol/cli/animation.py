@@ -2,29 +2,32 @@
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
+from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
-import click
-
-from clvol.cli.console import reading_blocks, say, to_json, working
-from clvol.cli.outputs import check_frames, numbered, save_picture, together
+from clvol.cli.console import note, reading_blocks, say_path, to_json, working
+from clvol.cli.outputs import check_frames, numbered, save_picture
 from clvol.errors import ClvolError, UsageError
 
 if TYPE_CHECKING:
+    from clvol.render.made_from import MadeFrom
     from clvol.scene import Scene
+    from clvol.scene.camera import Camera
     from clvol.scene.resolve import ResolvedScene
 
 _SHARES = 1000  # parts of a frame that progress counts
+# What reading one of our pictures takes; others need not be read.
+_BYTES_PER_PIXEL = 48
+_HEADER_BYTES = 1 << 20
 
 
 def render_animation(
     asked: Scene,
     outputs: Sequence[str],
-    inputs: Sequence[str | os.PathLike],
     stats: str | None,
     *,
     resume: bool,
@@ -35,10 +38,10 @@ def render_animation(
     """Renders all frames of ``asked`` and prints the files written.
 
     A frame's pictures appear together when it is done and stay whatever follows; videos and stats
-    appear at the end or not at all. ``resume``: frames whose pictures are all there, whole and of
-    this very scene are not rendered again.
+    appear at the end or not at all. ``resume``: frames whose pictures are all there, whole and made
+    from the very same (``clvol.render.made_from``) are not rendered again.
     """
-    from clvol.image import check_video, is_video, open_video
+    from clvol.image import atomic_paths, check_video, is_video, open_video
 
     start = time.perf_counter()
     videos = [path for path in outputs if is_video(path)]
@@ -49,9 +52,10 @@ def render_animation(
         check_video(path, fps, asked.image.width, asked.image.height)
     if resume and videos:
         raise UsageError("--resume", f"given with {videos[0]}", "numbered pictures alone")
-    check_frames(stills, videos, others, inputs, count)
+    check_frames(stills, videos, others, count)
 
     with working("loading", quiet):
+        asked.load(memory_cap)
         resolved = asked.resolve(memory_cap)
     load_seconds = time.perf_counter() - start
 
@@ -61,17 +65,22 @@ def render_animation(
     kept = set()
     if resume:
         with working("looking at what is there", quiet):
-            kept = {index for index in range(count) if _is_there(stills, index, resolved)}
+            size = resolved.image.width, resolved.image.height
+            for index, seconds, camera in frames(resolved):
+                expected = {"size": size, "made_from": _told(resolved, index, seconds, camera)()}
+                if _is_there(stills, index, expected, resolved.source):
+                    kept.add(index)
     written: list[str] = []
     totals = _Totals()
     depth = any(path.lower().endswith(".exr") for path in stills)
+    of_all = partial(_told_of_all, resolved, count)
     todo = [frame for frame in frames(resolved) if frame[0] not in kept]
     size = f"{resolved.image.width} x {resolved.image.height} pixels"
     with ExitStack() as stack:
-        temporaries = stack.enter_context(together([*videos, *others]))
+        temporaries = stack.enter_context(atomic_paths([*videos, *others]))
         progress = stack.enter_context(working(f"rendering {len(todo)} frames of {size}", quiet))
         parts = temporaries[: len(videos)]
-        writers = [stack.enter_context(open_video(path, fps)) for path in parts]
+        writers = [stack.enter_context(open_video(path, fps, of_all)) for path in parts]
         if todo:
             by_blocks = resolved.integration.method == "multiresolution"
             how = {"devices": devices, "memory_cap": memory_cap}
@@ -82,9 +91,10 @@ def render_animation(
         for done, (index, seconds, camera) in enumerate(todo):
             report = _part(progress, done, len(todo))
             frame = renderer.render(camera=camera, time=seconds, progress=report, depth=depth)
+            frame.made_from = _told(resolved, index, seconds, camera)
             write_start = time.perf_counter()
             names = [numbered(path, index) for path in stills]
-            with together(names) as places:
+            with atomic_paths(names) as places:
                 for name, place in zip(names, places):
                     save_picture(frame, place, name)
             for writer in writers:
@@ -102,9 +112,22 @@ def render_animation(
             known = totals.stats() | {"frames": len(todo), "frames_kept": len(kept)}
             temporaries[-1].write_text(to_json(known) + "\n", encoding="utf-8")
     for path in [*written, *videos, *others]:
-        say(click.format_filename(path))
+        say_path(path)
     if kept and not quiet:
-        click.echo(f"{len(kept)} of {count} frames were there already", err=True)
+        note(f"{len(kept)} of {count} frames were there already")
+
+
+def _told(resolved: ResolvedScene, index: int, seconds: float, camera: Camera) -> MadeFrom:
+    from clvol.render.made_from import MadeFrom
+
+    animation = resolved.animation.model_copy(update={"time": seconds})
+    return MadeFrom(replace(resolved, animation=animation), camera, index)
+
+
+def _told_of_all(resolved: ResolvedScene, count: int) -> dict[str, Any]:
+    from clvol.render.made_from import MadeFrom
+
+    return {**MadeFrom(resolved)(), "frames": count}
 
 
 class _Totals:
@@ -119,7 +142,10 @@ class _Totals:
         counters = dict(self._known.get("counters", {}))
         for name, value in stats.get("counters", {}).items():
             counters[name] = counters.get(name, 0) + value
+        warned = [*self._known.get("warnings", []), *stats.get("warnings", [])]
         self._known = {**stats, **summed} | ({"counters": counters} if counters else {})
+        if warned:
+            self._known["warnings"] = list(dict.fromkeys(warned))
         for stage, seconds in {**stats.get("seconds", {}), "write": write_seconds}.items():
             self.seconds[stage] = self.seconds.get(stage, 0.0) + seconds
 
@@ -138,19 +164,32 @@ def _part(
     )
 
 
-def _is_there(stills: Sequence[str], index: int, resolved: ResolvedScene) -> bool:
-    """Whether all pictures of a frame are whole, of the right size and, where they say which scene
-    they show, of this one."""
-    from clvol.image import load_image
+def _is_there(stills: Sequence[str], index: int, expected: dict[str, Any], scene: str) -> bool:
+    """Whether all pictures of a frame are whole, and made from what is ``expected``."""
+    return all(_is_made_from(numbered(path, index), expected, scene) for path in stills)
 
-    for path in stills:
-        try:
-            picture = load_image(numbered(path, index))
-        except ClvolError:
-            return False
-        header = {name.lower(): value for name, value in picture["header"].items()}
-        if picture["rgba"].shape[:2] != (resolved.image.height, resolved.image.width):
-            return False
-        if header.get("scene", resolved.source) != resolved.source:
-            return False
-    return True
+
+def _is_made_from(path: str, expected: dict[str, Any], scene: str) -> bool:
+    """What does not say what it was made from counts as made from something else."""
+    import clvol
+    from clvol.image import is_intact, load_image
+    from clvol.text import without_surrogates
+
+    width, height = expected["size"]
+    try:
+        picture = load_image(path, _BYTES_PER_PIXEL * width * height + _HEADER_BYTES)
+        told = dict(picture["made_from"] or {})
+    except ClvolError:
+        return False
+    if not is_intact(path, picture) or picture["rgba"].shape[:2] != (height, width):
+        return False
+    del told["pixels"]
+    header = {name.lower(): value for name, value in picture["header"].items()}
+    same = {
+        "software": f"clvol {clvol.__version__}",
+        "clvol_version": clvol.__version__,
+        "scene": without_surrogates(scene),
+    }
+    if any(header.get(name, value) != value for name, value in same.items()):
+        return False
+    return told == expected["made_from"] and told["voxels"] is not None  # None: nobody knows

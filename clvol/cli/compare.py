@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import click
 
-from clvol.cli.options import json_option
+from clvol.cli.options import json_option, memory_cap_option
 
 
 @click.command("compare", short_help="How far two pictures are apart.")
@@ -20,39 +22,73 @@ from clvol.cli.options import json_option
     "linear). Repeatable.",
 )
 @json_option
-def command(a: str, b: str, outputs: tuple[str, ...], as_json: bool) -> None:
+@memory_cap_option("The most memory that each picture may take while it is read: 1 GiB if not given.")
+def command(
+    a: str, b: str, outputs: tuple[str, ...], as_json: bool, memory_cap: int | None
+) -> None:
     """Compare the pictures A and B (.exr, .png, .npy): RMSE, largest difference, PSNR, SSIM, and
-    the CIEDE2000 colour difference as displayed."""
+    the CIEDE2000 colour difference as displayed.
+
+    A PNG has no opacity and shows its background: beside an .exr or .npy, that is put over the
+    background which the pictures tell, and the colours are compared. What is left out is told, and
+    what rounding to 8 bits alone would make.
+    """
+    from clvol.inputs import Inputs, protected
+
+    with protected(Inputs([a, b])):
+        _compare(a, b, outputs, as_json, memory_cap)
+
+
+def _compare(
+    a: str, b: str, outputs: tuple[str, ...], as_json: bool, memory_cap: int | None
+) -> None:
+    from clvol.accuracy.pair import comparable
     from clvol.cli.console import say_json, say_table
     from clvol.cli.outputs import check_outputs
     from clvol.errors import UsageError
     from clvol.image import load_image
 
-    check_outputs(outputs, [], [a, b])
-    first, second = load_image(a)["rgba"], load_image(b)["rgba"]
-    if first.shape != second.shape:
-        height, width = first.shape[:2]
-        got = f"got {second.shape[1]} x {second.shape[0]} pixels"
-        raise UsageError(b, got, f"{width} x {height} pixels, as in {a}")
-    from clvol.accuracy.metrics import compare
-
-    measured = compare(first, second)
+    check_outputs(outputs, [])
+    first, second = load_image(a, memory_cap), load_image(b, memory_cap)
+    shape, other = first["rgba"].shape, second["rgba"].shape
+    if shape != other:
+        got = f"got {other[1]} x {other[0]} pixels"
+        raise UsageError(b, got, f"{shape[1]} x {shape[0]} pixels, as in {a}")
+    pair = comparable(first, second, (a, b))
+    measured = pair.measures()
     if outputs:
-        _write(first, second, outputs)
+        _write(pair.first, pair.second, outputs)
     if as_json:
         say_json(measured)
     else:
-        rows = [(name, f"{value:.6g}") for name, value in measured.items()]
-        say_table(rows + [("difference", click.format_filename(path)) for path in outputs])
+        say_table(_rows(measured) + [("difference", path) for path in outputs])
+
+
+def _rows(measured: dict[str, Any]) -> list[tuple[str, str]]:
+    rows = [(name, f"{v:.6g}") for name, v in measured.items() if isinstance(v, float)]
+    rows.append(("compared", measured["compared"]))
+    if measured["background"] is not None:
+        color = " ".join(f"{value:.6g}" for value in measured["background"])
+        rows.append(("background", f"{color}  (linear light)"))
+    rows += [("left out", sentence) for sentence in measured["left_out"]]
+    rounding = measured["rounding"]
+    if rounding is not None:
+        said = f"one of the two is rounded to {rounding['bits']} bits of sRGB"
+        if "rmse" in rounding:
+            alone = f"rmse {rounding['rmse']:.3g}, max_abs {rounding['max_abs']:.3g}"
+            said += f", which alone makes {alone}"
+        rows.append(("rounding", said))
+    return rows
 
 
 def _write(first, second, outputs: tuple[str, ...]) -> None:
     """The difference of two float32 [height, width, 4] as each of the files, all or none."""
     from clvol.accuracy.difference import difference_picture, signed_difference
-    from clvol.cli.outputs import save_picture, together
+    from clvol.cli.outputs import save_picture
+    from clvol.image import atomic_paths
     from clvol.render.frame import Frame
 
-    with together(outputs) as temporaries:
+    with atomic_paths(outputs) as temporaries:
         for path, temporary in zip(outputs, temporaries):
             if path.lower().endswith(".png"):
                 from PIL import Image

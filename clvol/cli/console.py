@@ -13,12 +13,14 @@ import click
 
 from clvol.errors import RenderError
 from clvol.plain import plain
+from clvol.text import json_escaped, printable, printable_lines
 
 
 def say(text: str) -> None:
-    """One text on stdout. A reader that has gone away is no error; a full disk is one."""
+    """One text on stdout, control characters as escapes but for line ends. A reader that has gone
+    away is no error; a full disk is one."""
     try:
-        click.echo(text)
+        click.echo(_encodable(printable_lines(text), sys.stdout))
         if sys.stdout is not None:
             sys.stdout.flush()
     except BrokenPipeError:
@@ -32,14 +34,28 @@ def say_json(value: Any) -> None:
     say(to_json(value))
 
 
+def say_path(path: str | os.PathLike) -> None:
+    """The name of a file that was written, on a line of its own."""
+    say(printable(os.fspath(path)))
+
+
+def note(text: str) -> None:
+    """One line on stderr, beside the result. Nobody needs to listen."""
+    try:
+        click.echo(_encodable(printable(text), sys.stderr), err=True)
+    except OSError:
+        pass
+
+
 def to_json(value: Any) -> str:
-    """``value`` as JSON: numpy numbers as numbers, infinite ones and NaN as null."""
-    return json.dumps(plain(value), indent=2, ensure_ascii=False, allow_nan=False)
+    """``value`` as JSON: numpy numbers as numbers, infinite ones and NaN as null; characters that
+    are not printable as escapes."""
+    return json_escaped(json.dumps(plain(value), indent=2, ensure_ascii=False, allow_nan=False))
 
 
 def say_table(rows: Iterable[tuple[str, str]]) -> None:
-    """Names and values in two columns."""
-    rows = list(rows)
+    """Names and values in two columns, each on one line."""
+    rows = [(printable(name), printable(value)) for name, value in rows]
     width = max((len(name) for name, _ in rows), default=0)
     say("\n".join(f"{name:<{width}}  {value}".rstrip() for name, value in rows))
 
@@ -74,10 +90,10 @@ def working(message: str, quiet: bool) -> Iterator[Callable[[int, int], None] | 
         TimeRemainingColumn(),
     )
     with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
-        task = progress.add_task(escape(message), total=None)
+        task = progress.add_task(escape(printable(message)), total=None)
 
         def update(done: int | None, total: int | None, what: str | None = None) -> None:
-            said = {} if what is None else {"description": escape(what)}
+            said = {} if what is None else {"description": escape(printable(what))}
             counted = {} if done is None else {"completed": done}
             progress.update(task, total=total, **counted, **said)
 
@@ -89,6 +105,12 @@ def reading_blocks(progress: Callable[..., None] | None) -> dict[str, Callable[[
     if not progress:
         return {}
     return {"progress": lambda done, total: progress(done, total, "reading blocks")}
+
+
+def _encodable(text: str, stream: Any) -> str:
+    """``text`` with escapes for what the stream's encoding has no characters for."""
+    encoding = getattr(stream, "encoding", None) or "utf-8"
+    return text.encode(encoding, "backslashreplace").decode(encoding)
 
 
 def _silence() -> None:

@@ -23,6 +23,7 @@ def command(as_json: bool) -> None:
     from clvol.cli.trial import try_render
     from clvol.opencl.cache_report import report_caches
     from clvol.opencl.devices import list_devices, select
+    from clvol.text import printable
 
     caches = report_caches()
     reports = []
@@ -41,7 +42,7 @@ def command(as_json: bool) -> None:
         say_json({"devices": [asdict(report) for report in reports], "cache": asdict(caches)})
     else:
         for report in reports:
-            say(f"{report.name}: {'works' if report.working else 'does not work'}")
+            say(printable(f"{report.name}: {'works' if report.working else 'does not work'}"))
             _tell_device(report)
         _tell_caches(caches)
     select(reports)  # raises the DeviceError, which says how to get a device
@@ -70,8 +71,9 @@ def _tell_device(report: DeviceReport) -> None:
 def _tell_caches(caches: CacheReport) -> None:
     from clvol.cli.console import say, say_table
     from clvol.scene.sizes import format_size
+    from clvol.text import printable
 
-    say(f"cache: {caches.folder or 'none'}")
+    say(printable(f"cache: {caches.folder or 'none'}"))
     programs = f"{caches.programs}, {format_size(caches.size)}"
     rows = [("  programs", programs), ("  temporary files", caches.temporary or "nowhere")]
     if caches.pocl_folder is not None:

@@ -31,3 +31,5 @@ def command(
         for effect in told["effects"]
     )
     say(f"kernel {told['kernel_hash']}")
+    for warning in told["warnings"]:
+        say(f"warning: {warning}")

@@ -51,11 +51,12 @@ def command(
         ("size", " x ".join(str(n) for n in grid.size) + "  (x, y, z)"),
         ("shape", f"{list(loaded.shape)}  [z, y, x]"),
         ("type", str(loaded.dtype)),
-        ("spacing", _numbers(grid.spacing)),
+        ("spacing", _numbers(grid.spacing) + (f"  ({loaded.unit})" if loaded.unit else "")),
         ("origin", _numbers(grid.origin)),
         ("direction", "; ".join(_numbers(row) for row in grid.direction) + "  (row by row)"),
         ("frame", str(facts.get("frame") or "")),
         ("range", f"{low:.9g} to {high:.9g}"),
+        ("values", "" if loaded.axis.is_plain else _line(loaded)),
         ("NaN voxels", str(loaded.nan_count)),
         ("infinite voxels", str(loaded.inf_count)),
         ("blocks", _blocks(store) if store else ""),
@@ -80,6 +81,7 @@ def _store_facts(volume: Volume) -> dict:
         "codecs": [codec.name for codec in layout.codecs],
         "lossless": all(codec.lossless for codec in layout.codecs),
         "bytes_on_disk": source.bytes_on_disk,
+        "checks_places": source.checks_places,
     }
 
 
@@ -88,6 +90,10 @@ def _blocks(store: dict) -> str:
     sizes = ", ".join(f"{edge >> level}^3" for level in range(store["levels"]))
     size = " x ".join(map(str, counts[::-1]))
     return f"{size} of {edge}^3, at {sizes}; files of {store['shard']}^3"
+
+
+def _line(volume: Volume) -> str:
+    return f"{volume.slope:.9g} * stored {'-' if volume.offset < 0 else '+'} {abs(volume.offset):.9g}"
 
 
 def _numbers(values) -> str:

@@ -4,34 +4,53 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from clvol.errors import ClvolError, UsageError
+from clvol.inputs import Inputs, check_not_read
+
+if TYPE_CHECKING:
+    from clvol.scene import Scene
 
 
-def check_outputs(
-    pictures: Sequence[str], others: Sequence[str], inputs: Iterable[str | os.PathLike]
-) -> None:
+def scene_inputs(scene: str, asked: Scene) -> Inputs:
+    """All that rendering the scene file or volume ``scene`` reads."""
+    return Inputs([scene, *asked.input_paths])
+
+
+def check_outputs(pictures: Sequence[str], others: Sequence[str]) -> None:
     """UsageError now, before the work, if one of the files could not be written later.
 
     ``pictures`` must end as a picture does, ``others`` as they like; none may be the same file as
-    another or as one of ``inputs``.
+    another, nor, inside of ``clvol.inputs.protected``, one that is read.
     """
     from clvol.image import check_output, check_output_folder
 
-    taken = {os.path.realpath(path): "that is read" for path in inputs}
-    for path in [*pictures, *others]:
-        real = os.path.realpath(path) if "\0" not in path else path
-        if real in taken:
-            raise UsageError(path, f"got a file {taken[real]}", "a file of its own")
-        taken[real] = "that is written already"
+    _check_apart([*pictures, *others])
     for path in pictures:
         check_output(path)
     for path in others:
         check_output_folder(path)
+
+
+def _check_apart(paths: Iterable[str]) -> None:
+    taken: set[object] = set()
+    for path in paths:
+        check_not_read(path)
+        marks = _marks(path)
+        if not taken.isdisjoint(marks):
+            raise UsageError(path, "got a file that is written already", "a file of its own")
+        taken |= marks
+
+
+def _marks(path: str) -> set[object]:
+    """What two names of one file have in common: the real path, or, of a file that is there, which
+    it is."""
+    if "\0" in path:
+        return {path}
+    return {os.path.realpath(path), _identity(path)} - {None}
 
 
 _NUMBER = re.compile(r"%(?:0([1-9]))?d")
@@ -49,15 +68,11 @@ def numbered(path: str, index: int) -> str:
 
 
 def check_frames(
-    stills: Sequence[str],
-    videos: Sequence[str],
-    others: Sequence[str],
-    inputs: Iterable[str | os.PathLike],
-    count: int,
+    stills: Sequence[str], videos: Sequence[str], others: Sequence[str], count: int
 ) -> None:
     """``check_outputs`` for an animation of ``count`` frames: every still has a number in its
     name, and no two of all files are the same."""
-    from clvol.image import ENDINGS, VIDEO_ENDINGS
+    from clvol.image import ENDINGS, VIDEO_ENDINGS, check_output_folder
 
     for path in stills:
         if Path(path).suffix.lower() not in ENDINGS:
@@ -68,50 +83,39 @@ def check_frames(
             known = ", ".join(VIDEO_ENDINGS)
             expected = f"a name with a number such as {stem}_%04d{ending}, or one of {known}"
             raise UsageError(path, f"one name for {count} frames", expected)
-    inputs = list(inputs)
-    check_outputs([numbered(path, 0) for path in stills], [*videos, *others], inputs)
-    taken = {os.path.realpath(path) for path in [*inputs, *videos, *others]}
+    check_outputs([numbered(path, 0) for path in stills], [*videos, *others])
+    taken = set().union(*(_marks(path) for path in [*videos, *others]))
     for path in stills:
+        check_output_folder(numbered(path, count - 1))  # the longest name
         folder, name = os.path.split(path)
         folder = os.path.realpath(folder)
         for index in range(count):
             place = os.path.join(folder, numbered(name, index))
-            real = os.path.realpath(place) if os.path.islink(place) else place
-            if real in taken:
+            is_there = os.path.lexists(place)
+            marks = _marks(place) if is_there else {place}
+            if not taken.isdisjoint(marks):
                 raise UsageError(path, f"frame {index} is a file that is used already", "its own")
-            taken.add(real)
+            if is_there:
+                check_not_read(place)
+            taken |= marks
+
+
+REPORT = ("index.html", "tradeoff.json", "tradeoff.png")
 
 
 def check_folder(folder: str) -> None:
-    """UsageError now, before the work, if files could not be written to ``folder`` later."""
+    """UsageError now, before the work, if a report could not be written to ``folder`` later."""
     from clvol.image import check_output_folder
 
     if os.path.lexists(folder) and not os.path.isdir(folder):
         raise UsageError(folder, "got a file", "a folder, or a name for a new one")
-    check_output_folder(os.path.join(folder, "x") if os.path.isdir(folder) else folder)
-
-
-@contextmanager
-def together(paths: Sequence[str]) -> Iterator[list[Path]]:
-    """Temporary files to write in place of ``paths``; after the block all take their places.
-
-    If the block or any of the moves fails, none of ``paths`` is left as written here, and files
-    that were there before the block stay if it is the block that fails.
-    """
-    from clvol.image import atomic_path
-
-    before = {path: _identity(path) for path in paths}
-    moving = False
-    try:
-        with ExitStack() as stack:
-            yield [stack.enter_context(atomic_path(path)) for path in paths]
-            moving = True
-    except BaseException:
-        if moving:
-            for path in paths:
-                if _identity(path) != before[path]:
-                    Path(path).unlink(missing_ok=True)
-        raise
+    if not os.path.isdir(folder):
+        check_output_folder(folder)
+        return
+    images = os.path.join(folder, "images")
+    there = os.listdir(images) if os.path.isdir(images) else []
+    for name in [*REPORT, *(f"images/{name}" for name in there if name.endswith(".png"))]:
+        check_output_folder(os.path.join(folder, name))
 
 
 def save_picture(frame: Any, temporary: Path, path: str) -> None:

@@ -5,11 +5,15 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import TYPE_CHECKING
 
 import click
 
 from clvol.cli.options import memory_cap_option, overrides_option, scene_argument
 from clvol.errors import UsageError
+
+if TYPE_CHECKING:
+    from clvol.scene import Scene
 
 _OPTIONS = {"max_error": "--max-error", "time_budget": "--time-budget"}
 
@@ -50,7 +54,8 @@ _OPTIONS = {"max_error": "--max-error", "time_budget": "--time-budget"}
 @click.option(
     "--resume",
     is_flag=True,
-    help="Of an animation's numbered pictures, keep what is there, whole and of this scene.",
+    help="Of an animation's numbered pictures, keep what is there, whole and made from the very same: "
+    "scene, voxels, version.",
 )
 @click.option("--stats", metavar="FILE", help="Where to write times and counts as JSON.")
 @memory_cap_option("The most memory that the volume may take, here and on the device.")
@@ -84,17 +89,19 @@ def command(
     A scene with animation.frames above 1 gives a video or numbered pictures, which appear one by
     one.
     """
-    start = time.perf_counter()
     check_targets(max_error, time_budget)
-    from clvol.cli.console import reading_blocks, say, to_json, working
-    from clvol.cli.outputs import check_outputs, save_picture, together
+    from clvol.cli.outputs import scene_inputs
+    from clvol.inputs import protected
     from clvol.scene import load_scene
 
-    others = [] if stats is None else [stats]
+    start = time.perf_counter()
     asked = load_scene(scene, overrides)
-    volume_path = asked.volume_path
-    inputs = [scene] if volume_path is None else [scene, volume_path]
-    if asked.animation.frames > 1:
+    with protected(scene_inputs(scene, asked)):
+        if asked.animation.frames == 1:
+            outputs = check_still(outputs, resume)
+            aims = {"max_error": max_error, "time_budget": time_budget}
+            _render_still(asked, outputs, stats, list(devices) or None, memory_cap, quiet, start, **aims)
+            return
         from clvol.cli.animation import render_animation
 
         if max_error is not None or time_budget is not None:
@@ -102,14 +109,32 @@ def command(
             what = f"given for an animation of {asked.animation.frames} frames"
             raise UsageError(option, what, "one frame: --set animation.frames=1")
         how = {"devices": list(devices) or None, "memory_cap": memory_cap}
-        render_animation(asked, outputs, inputs, stats, resume=resume, quiet=quiet, **how)
-        return
-    outputs = check_still(outputs, resume)
-    check_outputs(outputs, others, inputs)
+        render_animation(asked, outputs, stats, resume=resume, quiet=quiet, **how)
+
+
+def _render_still(
+    asked: Scene,
+    outputs: tuple[str, ...],
+    stats: str | None,
+    devices: list[str] | None,
+    memory_cap: int | None,
+    quiet: bool,
+    start: float,
+    *,
+    max_error: float | None,
+    time_budget: float | None,
+) -> None:
+    """One picture as all of ``outputs``; ``start`` is when the command began (``perf_counter``)."""
+    from clvol.cli.console import note, reading_blocks, say_path, to_json, working
+    from clvol.cli.outputs import check_outputs, save_picture
+    from clvol.image import atomic_paths
+
+    others = [] if stats is None else [stats]
+    check_outputs(outputs, others)
     by_blocks = asked.integration.method == "multiresolution"
     refines = by_blocks and asked.multiresolution.stepping != "pyramid" and time_budget is not None
-    with working(f"loading {scene}", quiet):
-        asked.load_volume(memory_cap)
+    with working(f"loading {asked.origin}", quiet):
+        asked.load(memory_cap)
     load_seconds = time.perf_counter() - start
 
     from clvol.render import Renderer
@@ -117,7 +142,7 @@ def command(
     depth = any(path.lower().endswith(".exr") for path in outputs)
     size = f"{asked.image.width} x {asked.image.height} pixels"
     with working(f"rendering {size}", quiet) as progress:
-        how = {"devices": list(devices) or None, "memory_cap": memory_cap}
+        how = {"devices": devices, "memory_cap": memory_cap}
         if max_error is not None or (time_budget is not None and not refines):
             from clvol.accuracy.target import render_in_time, render_to_error
 
@@ -132,7 +157,7 @@ def command(
                     progress(None, None, f"rendering {size}")
                 frame = renderer.render(progress=progress, depth=depth, **by_time)
 
-    with working("writing", quiet), together([*outputs, *others]) as temporaries:
+    with working("writing", quiet), atomic_paths([*outputs, *others]) as temporaries:
         write_start = time.perf_counter()
         for path, temporary in zip(outputs, temporaries):
             save_picture(frame, temporary, path)
@@ -143,11 +168,11 @@ def command(
             text = to_json({**frame.stats, "seconds": seconds}) + "\n"
             temporaries[-1].write_text(text, encoding="utf-8")
     for path in [*outputs, *others]:
-        say(click.format_filename(path))
+        say_path(path)
     if not quiet and "accuracy" in frame.stats:
-        click.echo(accuracy_in_words(frame.stats), err=True)
+        note(accuracy_in_words(frame.stats))
     if not quiet and refines:
-        click.echo(refinement_in_words(frame.stats), err=True)
+        note(refinement_in_words(frame.stats))
 
 
 def check_still(outputs: tuple[str, ...], resume: bool) -> tuple[str, ...]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
@@ -64,19 +63,16 @@ def command(
     """
     from pathlib import Path
 
-    from clvol.cli.console import say, working
-    from clvol.errors import UsageError
+    from clvol.cli.console import say_path, working
+    from clvol.cli.outputs import scene_inputs
     from clvol.scene import load_scene
-    from clvol.store.build import build_store, check_place
+    from clvol.store.build import build_store, check_place, places_of
 
     check_place(Path(output), overwrite)
     scene = load_scene(volume, overrides)
-    taken = [Path(volume)] if scene.volume_path is None else [Path(volume), scene.volume_path]
-    place = Path(os.path.realpath(output))
-    if any(
-        place in (real, *real.parents) for real in (Path(os.path.realpath(path)) for path in taken)
-    ):
-        raise UsageError(output, "got what is read", "a folder of its own")
+    inputs = scene_inputs(volume, scene)
+    for place in places_of(Path(output)):
+        inputs.check_folder(place)
     chosen = {"codec": codec, "edge": edge, "shard": shard}
     chosen = {name: value for name, value in chosen.items() if value is not None}
     source = _source(scene, volume, memory_cap, quiet)
@@ -87,30 +83,34 @@ def command(
             "progress": None if quiet else _telling(output, bar),
         }
         build_store(source, output, **chosen, **how)
-    say(click.format_filename(output))
+    say_path(output)
 
 
 def _source(scene: Scene, volume: str, memory_cap: int | None, quiet: bool) -> VoxelSource:
     """A computed field as it is, without its voxels; anything else as the scene loads it."""
     from clvol.cli.console import working
     from clvol.store.voxel_source import FieldSource, VolumeSource
+    from clvol.volume.axis import ValueAxis
 
     asked = scene.volume
     if asked.field is not None:
-        return FieldSource(asked.field, asked.size, asked.spacing or (1.0, 1.0, 1.0))
+        axis = ValueAxis(asked.slope, asked.offset)
+        return FieldSource(asked.field, asked.size, asked.spacing or (1.0, 1.0, 1.0), axis)
     with working(f"loading {volume}", quiet):
         return VolumeSource(scene.load_volume(memory_cap), asked.model_dump(mode="json"))
 
 
 def _telling(output: str, bar: Callable | None) -> Callable[[int, int], None]:
     """Moves the bar, if there is one; tells once where an interrupted store is gone on with."""
+    from clvol.cli.console import note
+
     begun = False
 
     def progress(done: int, total: int) -> None:
         nonlocal begun
         if done and not begun:
             said = f"going on with {output}.partial: {done} of {total} regions are done"
-            bar(done, total, said) if bar is not None else click.echo(said, err=True)
+            bar(done, total, said) if bar is not None else note(said)
         elif bar is not None:
             bar(done, total)
         begun = True

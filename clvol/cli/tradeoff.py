@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from clvol.cli.options import memory_cap_option, overrides_option, scene_argument
+
+if TYPE_CHECKING:
+    from clvol.scene import Scene
 
 
 @click.command("tradeoff", short_help="Error against time, over everything that trades one for the other.")
@@ -43,25 +47,36 @@ def command(
     Writes index.html (to look at), tradeoff.json, tradeoff.png and images to DIR, and says which
     settings to use for which error. Takes minutes; nothing else should run meanwhile.
     """
-    from clvol.cli.console import say, working
-    from clvol.cli.outputs import check_folder
+    from clvol.cli.console import say, say_path
+    from clvol.cli.outputs import scene_inputs
+    from clvol.inputs import protected
     from clvol.scene import load_scene
+    from clvol.text import printable
 
     asked = load_scene(scene, overrides)
+    how = {"devices": list(devices) or None, "frames": frames, "settings": settings}
+    with protected(scene_inputs(scene, asked)):
+        result, paths = _report(asked, folder, memory_cap, quiet, **how)
+    for sentence in result["sentences"]:
+        say(printable(sentence["text"]))
+    say_path(next(path for path in paths if path.name == "index.html"))
+
+
+def _report(
+    asked: Scene, folder: str, memory_cap: int | None, quiet: bool, **how: Any
+) -> tuple[dict[str, Any], list[Path]]:
+    """Measures and writes; what was measured, and the files."""
+    from clvol.cli.console import working
+    from clvol.cli.outputs import check_folder
+
     check_folder(folder)
-    with working(f"loading {scene}", quiet):
-        asked.load_volume(memory_cap)
+    with working(f"loading {asked.origin}", quiet):
+        asked.load(memory_cap)
 
     from clvol.accuracy.report import write_report
     from clvol.accuracy.tradeoff import measure_tradeoff
 
     with working("measuring", quiet) as progress:
-        result, pictures = measure_tradeoff(
-            asked, devices=list(devices) or None, memory_cap=memory_cap, frames=frames,
-            settings=settings, progress=progress,
-        )  # fmt: skip
+        result, pictures = measure_tradeoff(asked, memory_cap=memory_cap, progress=progress, **how)
     with working("writing", quiet):
-        paths = write_report(result, pictures, Path(folder))
-    for sentence in result["sentences"]:
-        say(sentence["text"])
-    say(click.format_filename(next(path for path in paths if path.name == "index.html")))
+        return result, write_report(result, pictures, Path(folder))

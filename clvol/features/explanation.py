@@ -7,21 +7,29 @@ from typing import Any
 
 from clvol.features.analysis import effects, reduced, reduced_for_frames
 from clvol.features.refuse import refuse_unknown
+from clvol.features.scene_warnings import camera_warning, scene_warnings
 from clvol.features.vocabulary import GRADIENTS
 from clvol.scene.environment import Environment
 from clvol.scene.resolve import ResolvedScene
 
 
 def explain(resolved: ResolvedScene) -> dict[str, Any]:
-    """As ``clvol explain --json``: effects with reasons, and what identifies the compiled
-    kernel. SceneError for what a Renderer would refuse, such as environments that cannot be read.
+    """As ``clvol explain --json``: effects with reasons, what identifies the compiled kernel, and "warnings",
+    of what can hardly be meant. SceneError for what a Renderer would refuse, such as environments that cannot be read.
     """
     refuse_unknown(resolved)
     _read_environment(reduced(resolved).environment)
     listed = [
         {"name": e.name, "called_for": e.called_for, "reason": e.reason} for e in effects(resolved)
     ]
-    return {"effects": listed, "kernel_hash": kernel_hash(resolved)}
+    image, told = resolved.image, scene_warnings(resolved)
+    away = camera_warning(resolved.camera, resolved.volume.grid, image.width, image.height)
+    told += [] if away is None else [away]
+    return {
+        "effects": listed,
+        "kernel_hash": kernel_hash(resolved),
+        "warnings": [str(warning) for warning in told],
+    }
 
 
 def _read_environment(environment: Environment | None) -> None:

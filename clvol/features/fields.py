@@ -68,6 +68,7 @@ def _no_label(field: ResolvedField, found: Findings) -> str | None:
 def _no_density(field: ResolvedField, scene: ResolvedScene) -> str | None:
     low, high = field.volume.value_range
     if not shows(field.function, low, high):
+        low, high = field.axis.span((low, high))
         return f"the field's points are transparent over its range {low:g} to {high:g}"
     if grids_apart(scene.volume.grid, field.volume.grid):
         return "the field does not meet the volume"
@@ -79,7 +80,7 @@ def _mask_keeps_all(field: ResolvedField, scene: ResolvedScene) -> str | None:
     low, high = volume.value_range
     whole = low > field.threshold if field.keep == "above" else high < field.threshold
     if whole and not (volume.nan_count or volume.inf_count) and _reaches_only(scene, volume):
-        return f"the mask is {field.keep} {field.threshold:g} all over the volume"
+        return f"the mask is {field.keep} {field.axis.values(field.threshold):g} all over the volume"
     return None
 
 

@@ -21,7 +21,7 @@ def cuts(clip: Clip, grid: Grid) -> bool:
     if clip.type == "box":
         lower, upper = np.asarray(clip.lower), np.asarray(clip.upper)
         if clip.keep == "outside":
-            return not _apart(corners, _box_corners(lower, upper), grid.direction, np.eye(3))
+            return not box_apart(grid, lower, upper)
         # Each face has its own: another one may lie as good as nowhere.
         reach = np.abs(corners).max()
         below = lower - _ROUNDING * np.maximum(reach, np.abs(lower))
@@ -31,10 +31,15 @@ def cuts(clip: Clip, grid: Grid) -> bool:
     largest = max(np.abs(offsets).max(), clip.radius)  # so that no square may overflow
     rounding = _ROUNDING * max(np.abs(corners).max(), np.abs(clip.center).max()) / largest
     if clip.keep == "outside":
-        nearest = _nearest_distance(np.asarray(clip.center), grid, largest)
+        nearest = nearest_distance(np.asarray(clip.center), grid, largest)
         return nearest < clip.radius / largest - rounding
     distances = np.linalg.norm(offsets / largest, axis=1)
     return bool(distances.max() > clip.radius / largest + rounding)
+
+
+def box_apart(grid: Grid, lower: np.ndarray, upper: np.ndarray) -> bool:
+    """Whether the box from ``lower`` to ``upper`` [3] and the domain of ``grid`` touch at most."""
+    return _apart(grid.world_corners(), _box_corners(lower, upper), grid.direction, np.eye(3))
 
 
 def holds(grid: Grid, corners: np.ndarray) -> bool:
@@ -87,7 +92,7 @@ def _apart(
     return False
 
 
-def _nearest_distance(point: np.ndarray, grid: Grid, scale: float) -> float:
+def nearest_distance(point: np.ndarray, grid: Grid, scale: float) -> float:
     """Distance from ``point`` to the domain over ``scale``, or less if the grid is oblique."""
     direction, spacing = grid.direction, np.asarray(grid.spacing)
     lower, upper = grid.index_bounds()

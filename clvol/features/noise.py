@@ -24,8 +24,16 @@ def _noise(found: Findings) -> None:
         found.change(noise=())
         return
     found.change(noise=kept)
-    reasons = (f"noise of amplitude {noise.amplitude:g} moves every {noise.target}" for noise in kept)
+    reasons = (
+        f"noise of amplitude {_amplitude(noise, found):g} moves every {noise.target}"
+        for noise in kept
+    )
     found.note(yes(name, joined(reasons)))
+
+
+def _amplitude(noise: Noise, found: Findings) -> float:
+    """As it was asked for."""
+    return noise.amplitude * (found.scene.axis.slope if noise.target == "value" else 1.0)
 
 
 def _with_octaves_that_count(noise: Noise) -> Noise:

@@ -50,9 +50,10 @@ def _reason(surface: Isosurface, found: Findings) -> str:
     if not found.has_values:
         return NO_VALUES
     low, high = reachable(found.scene)
+    value = found.scene.axis.values(surface.value)
     if not low <= surface.value <= high:
         outside = f"outside the data's range {range_text(found.scene)}"
-        return f"iso-value {surface.value:g} lies {outside}"
+        return f"iso-value {value:g} lies {outside}"
     if surface.refraction != 1 and not has_background(found.scene):
         return NOTHING_VISIBLE
-    return f"the isosurface at {surface.value:g} is transparent"
+    return f"the isosurface at {value:g} is transparent"

@@ -67,5 +67,5 @@ def steepest(scene: ResolvedScene) -> float:
 
 
 def range_text(scene: ResolvedScene) -> str:
-    low, high = scene.volume.value_range
+    low, high = scene.axis.span(scene.volume.value_range)
     return f"{low:g} to {high:g}"

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from clvol.image.atomic import atomic_path, check_output_folder
-from clvol.image.files import ENDINGS, check_output, load_image, save_frame
+from clvol.image.atomic import atomic_path, atomic_paths, check_output_folder
+from clvol.image.files import ENDINGS, check_output, is_intact, load_image, save_frame
 from clvol.image.video import VIDEO_ENDINGS, check_video, is_video, open_video
 
 __all__ = [
-    "ENDINGS", "VIDEO_ENDINGS", "atomic_path", "check_output", "check_output_folder", "check_video",
-    "is_video", "load_image", "open_video", "save_frame",
+    "ENDINGS", "VIDEO_ENDINGS", "atomic_path", "atomic_paths", "check_output", "check_output_folder", "check_video",
+    "is_intact", "is_video", "load_image", "open_video", "save_frame",
 ]

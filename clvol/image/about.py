@@ -2,9 +2,17 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
+from collections.abc import Iterable
 from importlib import metadata
 from typing import Any
+
+import numpy as np
+
+from clvol.text import without_surrogates
+
+MADE_FROM = "made_from"
 
 
 def _version(package: str) -> str:
@@ -19,8 +27,10 @@ def _plain(value: Any) -> Any:
     return value.tolist() if hasattr(value, "tolist") else str(value)
 
 
-def facts(frame: Any) -> dict[str, str]:
-    """Texts for a header: software, versions, device, statistics, scene (where there is one)."""
+def facts(frame: Any, held: Iterable[np.ndarray] = ()) -> dict[str, str]:
+    """Texts for a header: software, versions, device, statistics, background, and, where they are
+    known, the scene and what the picture was made from (``clvol.render.made_from``), with a digest
+    of the pixels that the file is to hold, ``held``."""
     import clvol
 
     stats = getattr(frame, "stats", None) or {}
@@ -35,7 +45,23 @@ def facts(frame: Any) -> dict[str, str]:
     if "accuracy" in stats:  # the picture's own claim, as numbers that any reader of headers finds
         for name in ("rmse", "bound", "confidence"):
             texts[f"error_{name}"] = repr(float(stats["accuracy"][name]))
+    background = getattr(frame, "background", None)
+    if background is not None:
+        texts["background"] = json.dumps([float(x) for x in np.asarray(background).reshape(3)])
     scene = getattr(frame, "scene_source", None)
     if scene:
         texts["scene"] = scene
-    return texts
+    made_from = getattr(frame, MADE_FROM, None)
+    if made_from is not None:
+        texts[MADE_FROM] = json.dumps({**made_from(), "pixels": digest(held)})
+    return {name: without_surrogates(text) for name, text in texts.items()}
+
+
+def digest(arrays: Iterable[np.ndarray]) -> str:
+    """Of shapes, types and contents, 32 hexadecimal digits."""
+    known = hashlib.blake2b(digest_size=16)
+    for array in arrays:
+        array = np.ascontiguousarray(array)
+        known.update(f"{array.dtype.str} {array.shape}\n".encode())
+        known.update(array.data)
+    return known.hexdigest()

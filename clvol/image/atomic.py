@@ -5,18 +5,26 @@ from __future__ import annotations
 import errno
 import os
 import secrets
-from collections.abc import Iterator
+import stat
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
 from clvol.errors import ClvolError, RenderError, UsageError
+from clvol.inputs import check_not_read
+from clvol.interrupts import expect_temporary, forget_temporary, held
+
+_NO_FILE = ((stat.S_ISDIR, "this is a folder"), (stat.S_ISCHR, "this is a device"),
+            (stat.S_ISBLK, "this is a device"), (stat.S_ISFIFO, "this is a pipe"),
+            (stat.S_ISSOCK, "this is a socket"))  # fmt: skip
 
 
 def check_output_folder(path: str | os.PathLike[str]) -> Path:
     """``path`` resolved, if a file can be created there; an existing file is left untouched.
 
     Worth calling before hours of work. Raises :class:`clvol.errors.UsageError` when the folder does
-    not exist or cannot be written to, or when ``path`` is a folder.
+    not exist or cannot be written to, when ``path`` is a folder, a device, a pipe or a socket, or a
+    file that is read (``clvol.inputs.protected``).
     """
     target, temporary = _begin(path)
     _remove(temporary)
@@ -32,19 +40,63 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
     Raises :class:`clvol.errors.UsageError` for an impossible place and
     :class:`clvol.errors.RenderError`, which names ``path``, when writing fails.
     """
-    target, temporary = _begin(path)
+    with atomic_paths([path]) as temporaries:
+        yield temporaries[0]
+
+
+@contextmanager
+def atomic_paths(paths: Sequence[str | os.PathLike[str]]) -> Iterator[list[Path]]:
+    """As ``atomic_path`` for several files: after the block all take their places, or none does.
+
+    If a move fails, those that were made before it are taken back: of these, files that were there
+    before are lost.
+    """
+    drafts: list[tuple[str, Path, Path]] = []
     try:
-        yield temporary
-        with open(temporary, "rb+") as file:
-            os.fsync(file.fileno())
-        os.replace(temporary, target)
-    except ClvolError:
-        raise
+        for path in paths:
+            drafts.append((str(path), *_begin(path)))
+        yield [temporary for _, _, temporary in drafts]
+        for said, _, temporary in drafts:
+            with _writing(said):
+                _flush(temporary)
+        with held():
+            _move(drafts)
     except OSError as error:
-        raise RenderError(str(path), f"the file cannot be written: {_why(error)}") from error
+        known = [said for said, _, temporary in drafts if str(error.filename) == str(temporary)]
+        raise _not_written(", ".join(known or [said for said, _, _ in drafts]), error) from error
     finally:
-        _remove(temporary)
-    _sync_folder(target.parent)
+        for _, _, temporary in drafts:
+            _remove(temporary)
+    for folder in dict.fromkeys(target.parent for _, target, _ in drafts):
+        _sync_folder(folder)
+
+
+def _move(drafts: list[tuple[str, Path, Path]]) -> None:
+    moved: list[Path] = []
+    try:
+        for said, target, temporary in drafts:
+            _check_target(said, target)  # again: it may have come meanwhile
+        for said, target, temporary in drafts:
+            with _writing(said):
+                os.replace(temporary, target)
+            forget_temporary(temporary)
+            moved.append(target)
+    except BaseException:
+        for target in moved:
+            _remove(target)
+        raise
+
+
+@contextmanager
+def _writing(said: str) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise _not_written(said, error) from error
+
+
+def _not_written(said: str, error: OSError) -> ClvolError:
+    return RenderError(said, f"the file cannot be written: {_why(error)}")
 
 
 def _begin(path: str | os.PathLike[str]) -> tuple[Path, Path]:
@@ -52,12 +104,7 @@ def _begin(path: str | os.PathLike[str]) -> tuple[Path, Path]:
     try:
         target = Path(os.path.realpath(path))
         folder = target.parent
-        if os.path.isdir(target):
-            raise UsageError(str(path), "this is a folder", "the name of a file")
-        if os.path.isdir(folder) and not os.path.lexists(target):
-            os.lstat(target)  # a name that is too long is known now, not after the work
-    except FileNotFoundError:
-        pass
+        _check_target(str(path), target)
     except (OSError, ValueError) as error:
         raise UsageError(str(path), f"no file can have this name: {_why(error)}",
                          "the name of a file") from error
@@ -65,14 +112,55 @@ def _begin(path: str | os.PathLike[str]) -> tuple[Path, Path]:
         what = "is no folder" if os.path.exists(folder) else "does not exist"
         raise UsageError(str(path), f'the folder "{folder}" {what}', "an existing folder")
     temporary = folder / f".{secrets.token_hex(6)}.part{target.suffix}"
+    expect_temporary(temporary)
     try:
         os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
     except OSError as error:
+        forget_temporary(temporary)
         if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EIO):
             raise RenderError(str(path), f"the file cannot be written: {error.strerror}") from error
         raise UsageError(str(path), f'no file can be created in "{folder}": {error.strerror}',
                          "a folder that can be written to") from error
+    except BaseException:
+        _remove(temporary)
+        raise
     return target, temporary
+
+
+def _check_target(said: str, target: Path) -> None:
+    """UsageError for what must not be replaced; OSError for a name that is too long, which is known
+    now and not after the work."""
+    try:
+        mode = os.lstat(target).st_mode
+    except (FileNotFoundError, NotADirectoryError):
+        mode = 0
+    except OSError as error:
+        if error.errno == errno.ENAMETOOLONG and not os.path.isdir(target.parent):
+            mode = 0  # it is the folder that is not there
+        else:
+            raise
+    for is_kind, what in _NO_FILE:
+        if is_kind(mode):
+            raise UsageError(said, what, "the name of a file")
+    if mode:
+        _check_not_standard(said, target)
+    check_not_read(said)
+
+
+def _check_not_standard(said: str, target: Path) -> None:
+    """What standard output or error go to is being written."""
+    for descriptor, name in ((1, "standard output"), (2, "standard error")):
+        try:
+            same = os.path.samestat(os.fstat(descriptor), os.stat(target))
+        except OSError:
+            continue
+        if same:
+            raise UsageError(said, f"{name} goes there", "a file of its own")
+
+
+def _flush(temporary: Path) -> None:
+    with open(temporary, "rb+") as file:
+        os.fsync(file.fileno())
 
 
 def _why(error: Exception) -> str:
@@ -81,9 +169,10 @@ def _why(error: Exception) -> str:
 
 def _remove(temporary: Path) -> None:
     try:
-        temporary.unlink(missing_ok=True)
+        os.unlink(temporary)
     except OSError:
         pass
+    forget_temporary(temporary)
 
 
 def _sync_folder(folder: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 from importlib import import_module
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from clvol.errors import UsageError
+from clvol.image.about import MADE_FROM, digest
 from clvol.image.atomic import atomic_path, check_output_folder
 
 ENDINGS = {".exr": "exr", ".png": "png", ".npy": "npy"}  # ending -> module of this package
@@ -35,9 +37,10 @@ def save_frame(frame: Any, path: str | os.PathLike[str]) -> None:
 
     ``frame.rgba`` is float32 [height, width, 4], linear, premultiplied, row 0 on top;
     ``frame.depth`` float32 [height, width] in world units or None; ``frame.background`` [3] linear;
-    ``frame.stats`` a dict; ``frame.scene_source`` a str or None. EXR holds rgba and depth as they
-    are, NPY rgba, PNG the image over the background. Raises :class:`clvol.errors.UsageError` for an
-    unknown ending or an impossible place, :class:`clvol.errors.RenderError` when writing fails.
+    ``frame.stats`` a dict; ``frame.scene_source`` a str or None; ``frame.made_from`` a function that
+    gives a dict, or None. EXR holds rgba and depth as they are, NPY rgba, PNG the image over the
+    background. Raises :class:`clvol.errors.UsageError` for an unknown ending or an impossible place,
+    :class:`clvol.errors.RenderError` when writing fails.
     """
     module = _format(path)
     rgba = np.asarray(frame.rgba, dtype=np.float32)
@@ -47,18 +50,23 @@ def save_frame(frame: Any, path: str | os.PathLike[str]) -> None:
         module.write(frame, rgba, temporary)
 
 
-def load_image(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """Read a picture: ``{"rgba", "depth", "header"}``.
+def load_image(path: str | os.PathLike[str], memory_cap: int | None = None) -> dict[str, Any]:
+    """Read a picture: ``{"rgba", "depth", "header", "has_alpha", "background", "made_from"}``.
 
     ``rgba`` is float32 [height, width, 4], linear, premultiplied (a PNG is decoded from sRGB),
-    ``depth`` float32 [height, width] or None, ``header`` a dict of what the file says about itself.
-    Raises :class:`clvol.errors.UsageError` when the file is missing or is no such picture.
+    ``depth`` float32 [height, width] or None, ``header`` a dict of what the file says about itself:
+    from it, whether the file has an alpha, the ``background`` ([3], linear) that the picture is over
+    or goes over, and what it was made from (a dict); None where the file does not say so.
+
+    ``memory_cap``: bytes that reading it may take; 1 GiB, or 75 % of the available memory where that
+    is less. Nothing is allocated beyond it. Raises :class:`clvol.errors.UsageError` when the file is
+    missing, is no such picture, or takes more.
     """
     module = _format(path)
     if not os.path.isfile(path):
         raise UsageError(str(path), "there is no such file", "a picture (.exr, .png, .npy)")
     try:
-        rgba, depth, header = module.read(os.fspath(path))
+        rgba, depth, header = module.read(os.fspath(path), memory_cap)
     except UsageError:
         raise
     # The libraries raise whatever they like on damaged files.
@@ -66,5 +74,35 @@ def load_image(path: str | os.PathLike[str]) -> dict[str, Any]:
         why = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise UsageError(str(path), f"the picture cannot be read: {why}",
                          f"a whole {Path(path).suffix.lower()} file") from error
-    rgba = np.ascontiguousarray(rgba, dtype=np.float32)
-    return {"rgba": rgba, "depth": depth, "header": header}
+    return {
+        "rgba": np.ascontiguousarray(rgba, dtype=np.float32),
+        "depth": depth,
+        "has_alpha": header.pop("has_alpha"),
+        "background": _background(header),
+        MADE_FROM: _parsed(header, MADE_FROM, dict),
+        "header": header,
+    }
+
+
+def is_intact(path: str | os.PathLike[str], picture: dict[str, Any]) -> bool:
+    """Whether the pixels of ``picture``, as ``load_image`` has read it from ``path``, are those that
+    were written."""
+    held = _format(path).held(picture["rgba"], picture["depth"])
+    return (picture[MADE_FROM] or {}).get("pixels") == digest(held)
+
+
+def _background(header: dict[str, Any]) -> np.ndarray | None:
+    told = _parsed(header, "background", list)
+    try:
+        color = np.array(told, dtype=np.float64)
+    except (TypeError, ValueError):
+        return None
+    return color if color.shape == (3,) and np.isfinite(color).all() else None
+
+
+def _parsed(header: dict[str, Any], key: str, kind: type) -> Any:
+    try:
+        value = json.loads(header[key])
+    except (KeyError, TypeError, ValueError, RecursionError):
+        return None
+    return value if isinstance(value, kind) else None

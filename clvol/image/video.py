@@ -8,8 +8,9 @@ written; an .mp4 is written frame by frame.
 from __future__ import annotations
 
 import importlib.util
+import json
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Protocol
@@ -17,6 +18,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from clvol.errors import RenderError, UsageError
+from clvol.image.about import MADE_FROM
 from clvol.image.png import display
 
 # ending -> most frames a second, largest width and height
@@ -63,12 +65,16 @@ def check_video(path: str | os.PathLike[str], fps: float, width: int, height: in
 
 
 @contextmanager
-def open_video(path: Path, fps: float) -> Iterator[VideoWriter]:
+def open_video(
+    path: Path, fps: float, made_from: Callable[[], dict[str, Any]] | None = None
+) -> Iterator[VideoWriter]:
     """Yields a writer for the video file ``path``, which is complete after the block, or after the
-    writer's ``finish``. A block that ends early leaves a file that is no video: write to a temporary
+    writer's ``finish``. What ``made_from`` gives when the first frame comes goes into the file, as
+    JSON: a GIF's and an MP4's comment, WebP's XMP, the text "made_from" of an APNG. A block that ends early leaves a file that is no video: write to a temporary
     one (``clvol.image.atomic_path``). RenderError for no frame at all or frames of several sizes.
     """
-    writer = _Mp4(path, fps) if _ending(path) == ".mp4" else _Pillow(path, fps)
+    kind = _Mp4 if _ending(path) == ".mp4" else _Pillow
+    writer = kind(path, fps, made_from)
     try:
         yield writer
         writer.finish()
@@ -79,8 +85,11 @@ def open_video(path: Path, fps: float) -> Iterator[VideoWriter]:
 class _Frames:
     """Frames as displayed, all of the first one's size."""
 
-    def __init__(self, path: Path, fps: float) -> None:
+    def __init__(
+        self, path: Path, fps: float, made_from: Callable[[], dict[str, Any]] | None
+    ) -> None:
         self.path, self.fps = path, fps
+        self._made_from = made_from
         self.count, self.finished = 0, False
         self._shape: tuple[int, ...] | None = None
 
@@ -93,6 +102,10 @@ class _Frames:
         self._shape = shown.shape
         self._take(shown)
         self.count += 1
+
+    def about(self) -> str | None:
+        """What the video says about itself."""
+        return None if self._made_from is None else json.dumps(self._made_from())
 
     def finish(self) -> None:
         if self.finished:
@@ -107,8 +120,10 @@ class _Frames:
 
 
 class _Pillow(_Frames):
-    def __init__(self, path: Path, fps: float) -> None:
-        super().__init__(path, fps)
+    def __init__(
+        self, path: Path, fps: float, made_from: Callable[[], dict[str, Any]] | None
+    ) -> None:
+        super().__init__(path, fps, made_from)
         self.ending = _ending(path)
         self._images: list[Any] = []
 
@@ -122,12 +137,20 @@ class _Pillow(_Frames):
         self._images.append(image)
 
     def _write(self) -> None:
+        from PIL import PngImagePlugin
+
         unit = 10 if self.ending == ".gif" else 1
         how: dict[str, Any] = {"duration": frame_times(self.count, self.fps, unit), "loop": 0}
         if self.ending == ".webp":
             how |= {"quality": _QUALITY, "method": 4}
         elif self.ending == ".gif":
             how |= {"optimize": False}
+        about = self.about()
+        if about is not None and self.ending == ".apng":
+            how["pnginfo"] = PngImagePlugin.PngInfo()
+            how["pnginfo"].add_itxt(MADE_FROM, about, zip=True)
+        elif about is not None:
+            how["xmp" if self.ending == ".webp" else "comment"] = about.encode()
         first, *others = self._images
         form = {".gif": "GIF", ".webp": "WEBP", ".apng": "PNG"}[self.ending]
         with open(self.path, "wb") as file:
@@ -148,9 +171,11 @@ class _Mp4(_Frames):
         if self._process is None:
             import imageio_ffmpeg
 
+            about = self.about()
+            told = [] if about is None else ["-metadata", f"comment={about}"]
             self._process = imageio_ffmpeg.write_frames(
                 str(self.path), shown.shape[1::-1], fps=self.fps, codec="libx264", quality=8,
-                macro_block_size=2, ffmpeg_log_level="error",
+                macro_block_size=2, ffmpeg_log_level="error", output_params=told,
             )  # fmt: skip
             self._process.send(None)
         self._process.send(np.ascontiguousarray(shown))

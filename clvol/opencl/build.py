@@ -6,7 +6,6 @@ import atexit
 import hashlib
 import os
 import threading
-import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import lru_cache
@@ -18,6 +17,7 @@ from clvol.opencl.binding import cl
 from clvol.opencl.forks import is_forked
 from clvol.opencl.kernels_path import kernel_folder
 from clvol.opencl.source import whole_source
+from clvol.quietly import without_warnings
 
 _POCL = "Portable Computing Language"
 _lock = threading.Lock()  # PoCL compiles one program at a time anyway
@@ -44,8 +44,7 @@ def build_program(context: cl.Context, source: str, options: Sequence[str]) -> A
     device = context.devices[0]
     words = " ".join(options).encode()
     key = program_key(device, source, options)
-    with _lock, warnings.catch_warnings():  # a driver's "compilation done" is no news
-        warnings.simplefilter("ignore", cl.CompilerWarning)
+    with _lock:
         if device.platform.name == _POCL:
             pocl_programs.restore(key)
             program = _built(cl._cl._Program(context, source), words)
@@ -71,7 +70,7 @@ def build_program(context: cl.Context, source: str, options: Sequence[str]) -> A
 
 def _built(program: Any, options: bytes) -> Any:
     # Not pyopencl.Program.build: that adds a -I of its own, and its cache.
-    with _in_plain_folder():
+    with _in_plain_folder(), without_warnings(cl.CompilerWarning):  # "compilation done" is no news
         program.build(options, None)
     return program
 

@@ -125,7 +125,8 @@ _KEPT, _LARGEST_KEPT = 6, 64 * 2**20  # outputs kept to be written again, bytes 
 
 
 class DeviceContext:
-    """A context and an in-order queue on one device, with its programs built so far.
+    """A context and an in-order queue on one device, with its programs built so far. For one thread at a time:
+    kernels hold their arguments, and the ``Renderer`` that has a context lets threads in one by one.
 
     ``more_options``: compiler flags by the device's name, for tests: some compilers optimise for ten
     seconds what is then run once.
@@ -174,7 +175,7 @@ class DeviceContext:
         """Kernel ``name`` of cl/``file`` built with ``switches`` (-D), built at most once. ``folder``: one more to
         include files from."""
         options = compile_options(switches or {})
-        key = (file, name, options, folder)
+        key = (file, name, options, declarations, folder)
         if key not in self._kernels:
             self._kernels[key] = Kernel(self._program(file, options, folder), name, declarations)
         return self._kernels[key]
@@ -239,6 +240,8 @@ class DeviceContext:
         if output.nbytes <= _LARGEST_KEPT:
             self._outputs.append((output, sys.getrefcount(output.host)))
             self._lent.add(id(output))
+            for dropped, _ in self._outputs[:-_KEPT]:
+                self._lent.discard(id(dropped))  # another object may get its number
             del self._outputs[:-_KEPT]
         return output
 

@@ -12,7 +12,7 @@ _FLOAT4_BEFORE = (
     "plane_origin", "plane_du", "plane_dv", "ray_forward", "ray_du", "ray_dv", "lens", "march",
     "upper", "classes", "gate", "voxel",
 )  # fmt: skip
-_INT4 = ("size", "stride", "cells", "image", "band", "table")
+_INT4 = ("size", "stride", "cells", "image", "band", "table", "pieces")
 
 
 def view_dtype(voxel_bits: int) -> np.dtype:

@@ -25,6 +25,7 @@ from clvol.render.light_volume import (
     casting_lights,
     check_fits,
     shadow_numbers,
+    shadow_step,
     shadow_switches,
 )
 from clvol.render.noise import TARGETS, device_noise, device_tiles, perturbation
@@ -58,7 +59,7 @@ _FAR = 1e12  # smallest edges: from there light comes from one direction, to flo
 ARGUMENTS = (
     ", in effects V1, in items float32, in gradients uint32, in cell_flags uint8, "
     "in environment float32, in light_volume float32, in noise uint32, in factors float32, "
-    "in fields float32, in extinction float32, out counts uint32"
+    "in fields float32, out counts uint32"
 )
 
 
@@ -176,7 +177,7 @@ class EffectState:
             for name, dtype in (
                 ("items", np.float32), ("gradients", np.uint32), ("cell_flags", np.uint8),
                 ("environment", np.float32), ("light_volume", np.float32), ("noise", np.uint32),
-                ("factors", np.float32), ("fields", np.float32), ("extinction", np.float32),
+                ("factors", np.float32), ("fields", np.float32),
             )
         }  # fmt: skip
         self.arrays: dict[str, DeviceArray] = none
@@ -285,8 +286,11 @@ class EffectState:
     def like(self, resolved: ResolvedScene) -> EffectState:
         """The same for ``resolved``, which may differ in ``animation.time`` and in the step alone."""
         other = self.copy()
-        if self.switches and (resolved.noise or "COMPOSITING" in self.switches):
+        changes = resolved.noise or self.switches.get("SHADOWS") or "COMPOSITING" in self.switches
+        if self.switches and changes:
             other.numbers = self.numbers.copy()
+            if self.switches.get("SHADOWS"):
+                other.numbers[0]["shadow"][1] = shadow_step(resolved)
             if resolved.noise:
                 other._fill_noise(resolved)
             other.numbers[0]["projection"][2] = attenuation_a_step(resolved)

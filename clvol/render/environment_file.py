@@ -16,9 +16,10 @@ from pathlib import Path
 
 import numpy as np
 
-from clvol.errors import SceneError
+from clvol.errors import SceneError, UsageError
 from clvol.image import exr
 from clvol.render.environment import LARGEST_ROWS, RadianceMap
+from clvol.volume.memory import DEFAULT_SHARE, available_memory
 
 LAYOUTS = ("latlong", "cube")
 _FILES = "an OpenEXR file with channels R, G, B"
@@ -34,11 +35,15 @@ def load_radiance(
     layout: str = "latlong",
     intensity: float = 1.0,
     rotation_degrees: float = 0.0,
+    memory_cap: int | None = None,
 ) -> RadianceMap:
     """The file's radiance times ``intensity``, turned about +y (``RadianceMap``); a cube of n x n
-    faces becomes 2 n rows of latitude. SceneError names the file and what is wrong with it."""
+    faces becomes 2 n rows of latitude. ``memory_cap``: bytes that reading may
+    take; 75 % of the available memory where it is None. SceneError names the file and what is wrong with it."""
     where = str(path)
-    texels = _read(where)
+    if memory_cap is None:
+        memory_cap = int(DEFAULT_SHARE * available_memory())
+    texels = _read(where, memory_cap)
     height, width = texels.shape[:2]
     got = f"is {width} x {height} texels (width x height)"
     if layout == "latlong" and (width != 2 * height or height < 2):
@@ -58,7 +63,7 @@ def load_radiance(
     return RadianceMap(texels, float(np.radians(rotation_degrees)))
 
 
-def _read(where: str) -> np.ndarray:
+def _read(where: str, memory_cap: int) -> np.ndarray:
     """float32 [height, width, 3]."""
     try:
         with open(where, "rb") as file:
@@ -68,8 +73,10 @@ def _read(where: str) -> np.ndarray:
     if magic != b"\x76\x2f\x31\x01":
         raise SceneError(where, "is not an OpenEXR file", _FILES)
     try:
-        channels = exr.channels(where)
-    except (RuntimeError, ValueError) as error:
+        channels = exr.channels(where, memory_cap)
+    except UsageError as error:
+        raise SceneError(error.where, error.what, error.expected) from None
+    except Exception as error:  # the library raises whatever it likes on damaged files
         raise SceneError(where, f"cannot be read ({error})", _FILES) from None
     there = ", ".join(sorted(channels)) or "none"
     if any(name not in channels for name in "RGB"):

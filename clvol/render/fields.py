@@ -14,7 +14,7 @@ from clvol.render.empty_space import visible_mask
 from clvol.render.layout import CELL_SHIFT, LARGEST_OFFSET, ValueMap, padded_size, value_map
 from clvol.transfer import TransferFunction
 from clvol.transfer.classes import ClassNodes, class_nodes, visible_cells
-from clvol.transfer.tables import constant_table
+from clvol.transfer.pieces import has_opaque_point, piece_count, piece_table
 
 if TYPE_CHECKING:
     from clvol.opencl.context import DeviceContext
@@ -64,7 +64,7 @@ class SceneFields:
             numbers["field_size"][k] = (*part.voxels.shape[::-1], _ROLES[part.field.role])
             numbers["field_at"][k][0] = begin
             begin += part.voxels.size
-            part.fill(context, numbers, k, place, edge)
+            part.fill(numbers, k, place, edge)
         self.voxels = context.upload(np.concatenate([part.voxels.ravel() for part in parts]))
         self.shown, self.kept = np.zeros(cells[::-1], bool), np.ones(cells[::-1], bool)
         for part in parts:
@@ -97,7 +97,7 @@ class _Part:
         self.voxels = _voxels(field, self.values)
         self.matrix, self.shift = between_lattices(volume.grid, field.volume.grid)
 
-    def fill(self, context, numbers: np.ndarray, k: int, place, edge: float) -> None:
+    def fill(self, numbers: np.ndarray, k: int, place, edge: float) -> None:
         """``edge``: world length of the volume's smallest edge."""
         field = self.field
         if field.role == "label":
@@ -108,12 +108,11 @@ class _Part:
             numbers["field_map"][k][:2] = (float(self.values(field.threshold)), side)
         else:
             function, nodes = self._density
-            table = constant_table(context, function, nodes.values, edge, "extinction_table")
-            numbers["field_at"][k][1] = place(context.read(table))
-            warp = np.zeros(0) if nodes.warp is None else nodes.warp
-            numbers["field_at"][k][2] = place(warp)
-            bins = max(warp.size - 1.0, 0.0)
-            numbers["field_map"][k] = (nodes.first, nodes.per_value, nodes.last_coordinate, bins)
+            table = piece_table(function, edge, origin=float(np.float32(nodes.first)))
+            numbers["field_at"][k][1] = place(table.ravel())
+            pole = float(has_opaque_point(function))
+            units = edge / function.opacity_unit
+            numbers["field_map"][k] = (table.shape[1], piece_count(function), pole, units)
 
     @property
     def _density(self) -> tuple[TransferFunction, ClassNodes]:

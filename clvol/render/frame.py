@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from clvol.features import called_for
+from clvol.render.made_from import MadeFrom
 
 if TYPE_CHECKING:
     from clvol.scene.resolve import ResolvedScene
@@ -23,7 +25,8 @@ class Frame:
     ``depth`` float32 [height, width]: world distance along the ray from the eye (orthographic: from the
     camera plane) to where opacity reaches one half; infinite where it never does.
     ``background`` [3], linear. ``stats`` as ``--stats`` writes them. ``scene_source``: the scene as a
-    scene file's text.
+    scene file's text. ``made_from``: a function that tells what the picture was made from
+    (``clvol.render.made_from``).
     """
 
     rgba: np.ndarray
@@ -31,6 +34,7 @@ class Frame:
     background: np.ndarray = field(default_factory=lambda: np.zeros(3))
     stats: dict[str, Any] = field(default_factory=dict)
     scene_source: str | None = None
+    made_from: Callable[[], dict[str, Any]] | None = None
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Writes .exr, .png or .npy, by ending; the file appears whole or not at all."""
@@ -46,9 +50,13 @@ def make_frame(
     seconds: dict[str, float],
     counted: dict[str, Any],
     device: str,
+    told: Callable[[], dict[str, Any]] | None = None,
 ) -> Frame:
     """A frame of ``resolved`` with stats: ``seconds`` by stage (those that are missing took none) and
-    what else was ``counted``."""
+    what else was ``counted``. ``told``: its ``made_from``; looked for now where it is None."""
+    if told is None:
+        told = MadeFrom(resolved)
+        told()
     stages = {stage: seconds.get(stage, 0.0) for stage in STAGES}
     stats = {
         "seconds": {**stages, "total": sum(stages.values())},
@@ -63,4 +71,5 @@ def make_frame(
         resolved.background,
         stats,
         resolved.source,
+        told,
     )

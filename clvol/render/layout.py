@@ -95,9 +95,9 @@ def cell_count(size: int, shift: int = CELL_SHIFT) -> int:
     return max(1, -(-(size - 1) // (1 << shift)))
 
 
-def scene_bytes(volume: Volume, table_size: int, width: int, height: int) -> int:
-    """Bytes on the device for everything that a picture needs: volume, tables, picture and depth."""
-    return device_bytes(volume) + _table_bytes(table_size) + width * height * 20
+def scene_bytes(volume: Volume, width: int, height: int) -> int:
+    """Bytes on the device for everything that a picture needs: volume, picture and depth."""
+    return device_bytes(volume) + width * height * 20
 
 
 def method_bytes(volume: Volume, scene: Scene | ResolvedScene) -> int:
@@ -106,13 +106,12 @@ def method_bytes(volume: Volume, scene: Scene | ResolvedScene) -> int:
     from clvol.store.geometry import BlockGrid
 
     size = scene.image.width, scene.image.height
-    table_size = scene.integration.table_size
     if scene.integration.method == "pyramid":
         from clvol.render.pyramid.layout import pyramid_bytes
 
-        return scene_bytes(volume, table_size, *size) + pyramid_bytes(volume, scene)
+        return scene_bytes(volume, *size) + pyramid_bytes(volume, scene)
     if scene.integration.method != "multiresolution":
-        return scene_bytes(volume, table_size, *size)
+        return scene_bytes(volume, *size)
     source = getattr(volume, "blocks_source", None)
     blocks = BlockGrid(volume.shape) if source is None else source.blocks
     needed = most_bytes(blocks, volume.dtype, scene.multiresolution.memory_bytes)
@@ -121,8 +120,4 @@ def method_bytes(volume: Volume, scene: Scene | ResolvedScene) -> int:
 
         edge = blocks.edge >> map_shift(blocks, scene.multiresolution.memory_bytes)
         needed += block_pyramid_bytes(tuple(n * edge for n in blocks.counts), scene)
-    return needed + _table_bytes(table_size) + size[0] * size[1] * 20
-
-
-def _table_bytes(table_size: int) -> int:
-    return 4 * (table_size + 2) ** 2 * 16 + 3 * (table_size - 1) ** 2 * 64
+    return needed + size[0] * size[1] * 20

@@ -1,7 +1,4 @@
-"""Shadows' host side: what of a light arrives at the points of a light volume (cl/shadow.h).
-
-For method "rays" there is only the table of extinctions that shadow rays are classified by.
-"""
+"""Shadows' host side: what of a light arrives at the points of a light volume (cl/shadow.h)."""
 
 from __future__ import annotations
 
@@ -15,8 +12,6 @@ from clvol.render.gradients import DeviceLimits
 from clvol.scene.resolve import ResolvedScene
 from clvol.scene.shadow import Shadow
 from clvol.schedule.tiles import bands
-from clvol.transfer import TransferFunction
-from clvol.transfer.tables import constant_table
 from clvol.volume import Grid
 
 METHODS = {"rays": 1, "volume": 2}  # SHADOWS of cl/shadow.h
@@ -27,7 +22,7 @@ _WORK_GROUP = 64
 _ARGUMENTS = (
     "in volume V1, in table float32, in warp float32, in distances uint8, in view V1, "
     "in effects V1, in items float32, in gradients uint32, in cell_flags uint8, in noise uint32, "
-    "in factors float32, in fields float32, in extinction float32, in cone float32, "
+    "in factors float32, in fields float32, in cone float32, "
     "value light int32, value index int32, value first int32, out arrives float32, "
     "out samples uint32"
 )
@@ -48,6 +43,12 @@ def shadow_switches(resolved: ResolvedScene) -> dict[str, int]:
         "SHADOWS": 0 if shadow is None else METHODS[shadow.method],
         "SCATTERING": int(shadow is not None and _scatters(shadow)),
     }
+
+
+def shadow_step(resolved: ResolvedScene) -> float:
+    """Steps of the march to the lights, in smallest voxel edges."""
+    step = resolved.shadow.step
+    return resolved.integration.step if step is None else step
 
 
 def light_size(grid: Grid, resolution: int) -> tuple[int, int, int]:
@@ -85,23 +86,16 @@ def shadow_numbers(resolved: ResolvedScene, padded: tuple[int, int, int]) -> dic
     attenuated = less[less > 0] if _scatters(shadow) else np.ones(1)
     slowest = attenuated.min() if attenuated.size else 1.0
     numbers = {
-        "shadow": (shadow.bound, shadow.step, shadow.scattering, -np.log(TRANSPARENT) / slowest)
-    }
+        "shadow": (
+            shadow.bound, shadow_step(resolved), shadow.scattering, -np.log(TRANSPARENT) / slowest
+        )
+    }  # fmt: skip
     if shadow.method == "volume":
         size = light_size(resolved.volume.grid, shadow.resolution)
         scale = (np.asarray(size) - 1.0) / (np.asarray(padded) - 1.0)
         numbers["light_grid"] = (*scale, 0.0)
         numbers["light_size"] = (*size, len(casting_lights(resolved)))
     return numbers
-
-
-def extinctions(
-    context: DeviceContext, function: TransferFunction, nodes: np.ndarray, edge: float
-) -> DeviceArray:
-    """float32 [n + 2]: optical depth of a world length ``edge`` at each class node; 0 for what is
-    not a number."""
-    table = context.read(constant_table(context, function, nodes, edge, "extinction_table"))
-    return context.upload(np.ascontiguousarray(table[:, 3]))
 
 
 def cone_directions(degrees: float, count: int = CONE_DIRECTIONS) -> np.ndarray:
@@ -141,7 +135,7 @@ def fill_light_volume(
     kernel = context.kernel("light_volume.cl", "light_volume", _ARGUMENTS, switches)
     given |= {"view": context.upload(view), "cone": context.upload(cone)}
     rays = 1 + CONE_DIRECTIONS * switches["SCATTERING"]
-    expected = points * rays * sum(resolved.volume.grid.size) / resolved.shadow.step
+    expected = points * rays * sum(resolved.volume.grid.size) / shadow_step(resolved)
     taken = 0
     for index, light in enumerate(lights):
         for first, count in bands(items, expected * _SECONDS_A_SAMPLE, _BAND_SECONDS):

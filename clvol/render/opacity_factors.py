@@ -8,8 +8,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clvol.errors import SceneError
-from clvol.render.layout import LARGEST_OFFSET
 from clvol.transfer import TransferFunction
 
 if TYPE_CHECKING:
@@ -53,16 +51,6 @@ def layer_places(resolved: ResolvedScene, per_edge: float) -> np.ndarray:
 def _float32(values: Sequence) -> np.ndarray:
     with np.errstate(over="ignore", under="ignore"):
         return np.array(values, np.float64).astype(np.float32).clip(None, np.finfo(np.float32).max)
-
-
-def check_layers(resolved: ResolvedScene, floats: int) -> None:
-    """SceneError where the layers' tables, of ``floats`` numbers each, need larger offsets than
-    kernels count with."""
-    layers = 1 + len(resolved.transfer_layers)
-    if layers * floats > LARGEST_OFFSET:
-        where = f"{resolved.origin}: integration.table_size"
-        what = f"got {resolved.integration.table_size} for tables of {layers} layers"
-        raise SceneError(where, what, f"at most {LARGEST_OFFSET} numbers in all of them")
 
 
 def stacked(context: DeviceContext, tables: list[DeviceArray]) -> DeviceArray:

@@ -8,7 +8,6 @@ from clvol.render.device_volume import DeviceVolume
 from clvol.render.empty_space import cell_bounds
 from clvol.render.layout import UNPERTURBED, Perturbation
 from clvol.scene.resolve import ResolvedScene
-from clvol.transfer.classes import ClassNodes
 
 LEVELS, LEVEL_SHIFT = 3, 2  # BOUND_... of cl/project.h
 NO_SCORE = np.float32(-3e38)
@@ -59,14 +58,13 @@ def score_bounds(
     return np.concatenate([level.ravel() for level in levels])
 
 
-def hidden_score(mode: str, nodes: ClassNodes, gate: tuple[float, float]) -> float:
-    """The score up to which nothing shows; ``gate``: class coordinates between which something does.
-    One node less, for rounding."""
+def hidden_score(mode: str, gate: tuple[float, float]) -> float:
+    """The score up to which nothing shows; ``gate``: values between which something does."""
     low, high = gate
-    if mode == "maximum" and low >= 1:
-        return float(nodes.values[int(min(low, nodes.values.size - 1.0)) - 1])
-    if mode == "minimum" and high + 1 < nodes.values.size:
-        return -float(nodes.values[int(max(high, 0.0)) + 1])
+    if mode == "maximum" and np.isfinite(low):
+        return float(low)
+    if mode == "minimum" and np.isfinite(high):
+        return -float(high)
     return float(NO_SCORE)
 
 

@@ -4,25 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
 from clvol.errors import SceneError
-from clvol.scene.isosurface import Isosurface
-from clvol.scene.opacity_factor import OpacityFactor
+from clvol.scene.codes import in_codes
 from clvol.scene.resolve import ResolvedScene
-from clvol.transfer import TransferFunction
 from clvol.volume import Volume
 
-_FINITE = (-1e30, 1e30)  # what a scene's numbers may be
 _SLICES = 2**22  # voxels quantised at a time, in double precision
 
 
-def quantised(resolved: ResolvedScene) -> ResolvedScene:
+def quantised(resolved: ResolvedScene, codes: Volume | None = None) -> ResolvedScene:
     """``resolved`` with its voxels as ``integration.voxel_precision`` says: evenly spaced over the
     volume's range, rounded to nearest, and all that is stated in values (the transfer function, iso-values, ...) in the
-    same numbers.
+    same numbers. ``codes``: the volume that this made of ``resolved.volume`` before.
 
     SceneError if a voxel is not finite, which no integer says.
     """
@@ -43,48 +39,18 @@ def quantised(resolved: ResolvedScene) -> ResolvedScene:
     def code(values: np.ndarray) -> np.ndarray:
         return (np.asarray(values, np.float64) - low) / span * most
 
+    if codes is None:
+        codes = _volume_of_codes(volume, code, asked)
+    return replace(resolved, volume=codes, **in_codes(resolved, code, most / span))
+
+
+def _volume_of_codes(volume: Volume, code: Callable, dtype: str) -> Volume:
     grid, flat = volume.grid, volume.data.reshape(-1)
-    codes = np.empty(flat.size, asked)
+    codes = np.empty(flat.size, dtype)
     for start in range(0, flat.size, _SLICES):
         part = slice(start, start + _SLICES)
         codes[part] = np.rint(code(flat[part]))
-    small = Volume(
+    return Volume(
         codes.reshape(volume.data.shape),
         spacing=grid.spacing, origin=grid.origin, direction=grid.direction, name=volume.name,
     )  # fmt: skip
-    return replace(resolved, volume=small, **_in_codes(resolved, code, most / span))
-
-
-def _in_codes(resolved: ResolvedScene, code: Callable, per_value: float) -> dict[str, Any]:
-    """All of a scene that is stated in values, in codes; ``per_value``: codes a unit of the value."""
-
-    def function(asked: TransferFunction) -> TransferFunction:
-        values = np.clip(code(asked.values), -1e300, 1e300)
-        return TransferFunction(values, asked.opacities, asked.colors, asked.opacity_unit)
-
-    def factor(asked: OpacityFactor | None) -> OpacityFactor | None:
-        return asked and replace(asked, at=asked.at * per_value)
-
-    def scaled(table: Any, key: str) -> Any:
-        return table.model_copy(update={key: float(np.clip(getattr(table, key) * per_value, *_FINITE))})
-
-    def level(surface: Isosurface) -> Isosurface:
-        value = float(np.clip(code(surface.value), *_FINITE))
-        return surface.model_copy(update={"value": value})
-
-    layers = (
-        replace(layer, magnitude=layer.magnitude * per_value, function=function(layer.function))
-        for layer in resolved.transfer_layers
-    )
-    return {
-        "transfer_function": function(resolved.transfer_function),
-        "isosurfaces": tuple(level(surface) for surface in resolved.isosurfaces),
-        "material": scaled(resolved.material, "fade"),
-        "gradient_opacity": factor(resolved.gradient_opacity),
-        "directional_opacity": factor(resolved.directional_opacity),
-        "transfer_layers": tuple(layers),
-        "noise": tuple(
-            scaled(term, "amplitude") if term.target == "value" else term
-            for term in resolved.noise
-        ),
-    }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -18,9 +18,9 @@ from clvol.render.effects import ARGUMENTS as _EFFECT_ARGUMENTS
 from clvol.render.effects import COUNTERS, EffectState, effect_switches
 from clvol.render.empty_space import dilated, distance_map, surface_mask, visible_mask
 from clvol.render.layout import CELL_SHIFT, Perturbation, value_map, voxel_switches
-from clvol.render.light_volume import METHODS, extinctions, fill_light_volume
+from clvol.render.light_volume import METHODS, fill_light_volume, shadow_step
 from clvol.render.noise import perturbation
-from clvol.render.opacity_factors import check_layers, layer_functions, stacked
+from clvol.render.opacity_factors import layer_functions, stacked
 from clvol.render.project import hidden_score
 from clvol.render.tile_effects import tiles_that_see
 from clvol.render.view import EVERY_PIXEL, PixelLattice, RayFrame, ray_frame
@@ -31,11 +31,17 @@ from clvol.schedule.tiles import TILE, bands, tiling
 from clvol.transfer import TransferFunction
 from clvol.transfer.classes import ClassNodes, class_nodes, visible_cells
 from clvol.transfer.cycle import cycled
-from clvol.transfer.tables import SLICES, constant_table, depths_table, preintegrated_table
+from clvol.transfer.pieces import (
+    IN_REGISTERS,
+    columns,
+    has_opaque_point,
+    piece_count,
+    piece_table,
+    value_gate,
+)
 from clvol.transfer.union import union
 
-PIECE = 0.5  # smallest edges: of the tables of quadrature by cells, about as long as a cell's pieces are
-CONSTANT_NODES = 4096  # of the one-dimensional tables of pre- and post-classification
+_NODES, CONSTANT_NODES = 256, 4096  # of the values that maps of empty space tell apart
 _WIDEST = 8.0  # ranges that noise may widen the nodes by, on either side
 _SECONDS_A_SAMPLE = 1e-8  # a first guess, for how to cut a frame into launches
 _BAND_SECONDS = 0.5
@@ -47,26 +53,53 @@ _FILL_ARGUMENTS = (
 )
 
 
-def segment_classification(integration: Integration) -> str:
-    """How segments are classified; of a projection's, the values are. Under the nearest filter values do not run from one sample to the
-    next, they jump: a pre-integrated segment of constant value is a post-classified one."""
+def segment_classification(
+    integration: Integration, functions: Sequence[TransferFunction] = ()
+) -> str:
+    """How segments are classified by ``functions``. Projections classify values, not segments.
+
+    Under the nearest filter values do not run from one sample to the next, they jump: a pre-integrated
+    segment of constant value is a post-classified one. Under the others, where the opacity reaches 1 in a
+    slope the extinction has a pole: a sample in the middle of a segment may meet it, whose integral is finite.
+    So such functions are integrated along segments, however they were to be sampled.
+    """
     if integration.compositing != "over":
         return "post"
-    if integration.filter == "nearest" and integration.classification == "preintegrated":
-        return "post"
+    if integration.filter == "nearest":
+        return "post" if integration.classification == "preintegrated" else integration.classification
+    if integration.classification == "post" and any(map(has_opaque_point, functions)):
+        return "preintegrated"
     return integration.classification
 
 
+def transfer_pieces(resolved: ResolvedScene, functions: Sequence[TransferFunction]) -> int:
+    """TRANSFER_PIECES: 16 where registers hold all pieces, else 0. Layers differ from lane to lane; and
+    where colours cycle the number of pieces changes, which must compile nothing."""
+    in_memory = len(functions) > 1 or resolved.animation.cycle
+    if in_memory or max(map(piece_count, functions)) > IN_REGISTERS:
+        return 0
+    return IN_REGISTERS
+
+
 def raycast_switches(
-    resolved: ResolvedScene, *, warped: bool, lanes: int, skip: bool = True, depth: bool = True
+    resolved: ResolvedScene,
+    *,
+    warped: bool,
+    lanes: int,
+    skip: bool = True,
+    depth: bool = True,
+    function: TransferFunction | None = None,
 ) -> dict[str, int]:
-    """What gets compiled for this scene; nothing that changes from frame to frame."""
+    """What gets compiled for this scene, or with ``function`` instead of its own; nothing that changes
+    from frame to frame."""
     integration = resolved.integration
+    functions = layer_functions(resolved, function)
     return {
         **voxel_switches(resolved.volume, value_map(resolved.volume)),
         "LANES": lanes,
         "FILTER": FILTERS[integration.filter],
-        "CLASSIFICATION": CLASSIFICATIONS[segment_classification(integration)],
+        "CLASSIFICATION": CLASSIFICATIONS[segment_classification(integration, functions)],
+        "TRANSFER_PIECES": transfer_pieces(resolved, functions),
         "QUADRATURE": QUADRATURES[integration.quadrature],
         "WARPED_CLASSES": int(warped),
         "SKIP_EMPTY": int(skip),
@@ -91,7 +124,7 @@ def scene_nodes(resolved: ResolvedScene, function: TransferFunction | None = Non
     return class_nodes(
         device_function(union(layer_functions(resolved, function)), values),
         (low, high),
-        integration.table_size if preintegrated else CONSTANT_NODES,
+        _NODES if preintegrated else CONSTANT_NODES,
         integer=integer,
         # Colours that cycle fall on no nodes, and tables of even ones are made ten times as fast.
         may_warp=preintegrated and not resolved.animation.cycle,
@@ -192,7 +225,7 @@ class Raycaster:
         self._asked_function = function
         self._set_colors()
         visible = visible_cells(mapped, self.nodes.values)
-        self.gate = _gate(mapped, self.nodes, visible)
+        self.gate = value_gate(mapped)
         at_nodes = mapped.opacity(self.nodes.values) > 0
         mask = visible_mask(
             self.volume, resolved.integration.filter, self.nodes, visible, at_nodes, self._moved
@@ -202,7 +235,7 @@ class Raycaster:
         if resolved.integration.compositing != "over":  # a mean may be a value of no cell
             mask = np.full_like(mask, visible.any() or at_nodes.any())
             mode = resolved.integration.compositing
-            self.effects.set_hidden(hidden_score(mode, self.nodes, self.gate))
+            self.effects.set_hidden(hidden_score(mode, self.gate))
         fields = self.effects.switches and self.effects.fields
         if fields:
             mask = (mask | fields.shown) & fields.kept
@@ -211,7 +244,7 @@ class Raycaster:
         warp = self.nodes.warp
         self.warp = context.upload(np.zeros(2, np.float32) if warp is None else warp)
         self.switches = raycast_switches(
-            resolved, warped=warp is not None, lanes=self.lanes, skip=self.skip
+            resolved, warped=warp is not None, lanes=self.lanes, skip=self.skip, function=function
         )
         self.switches |= self.effects.switches  # the device may be too small for some
         self.light_volume_samples = 0
@@ -240,11 +273,8 @@ class Raycaster:
         return bool(self.effects.switches.get("SHADOWS"))
 
     def _build_shadows(self) -> None:
-        """What shadows need, which neither the camera nor the step changes."""
-        arrays, edge = self.effects.arrays, self.resolved.volume.grid.smallest_edge
-        nodes = self.nodes.values
-        tables = [extinctions(self.context, each, nodes, edge) for each in self._functions]
-        arrays["extinction"] = stacked(self.context, tables)
+        """What shadows need, which no camera changes."""
+        arrays = self.effects.arrays
         if self.switches["SHADOWS"] == METHODS["volume"] and self.visible_share:
             view = np.zeros(1, self._view_dtype)
             self._describe_volume(view[0])
@@ -285,51 +315,18 @@ class Raycaster:
         other.switches = {**self.switches, "ISOSURFACES": 0}
         return other
 
-    @property
-    def _slices(self) -> int:
-        """Of the tables."""
-        return SLICES
-
     def _build_table(self) -> None:
-        if len(self._functions) > 1:
-            check_layers(self.resolved, 4 * self._table_size[0])
-        tables = [self._table_of(function) for function in self._functions]
-        self.table = stacked(self.context, tables)
-
-    @property
-    def _table_size(self) -> tuple[int, int]:
-        """Entries of a table's slice, and of its row."""
-        row = self.nodes.values.size + 2
-        preintegrated = segment_classification(self.resolved.integration) == "preintegrated"
-        return (row if preintegrated else 1) * row, row
-
-    def _table_of(self, function: TransferFunction) -> DeviceArray:
-        integration, nodes = self.resolved.integration, self.nodes.values
-        arguments = self.context, function, nodes
-        kind = segment_classification(integration)
-        effects = self.effects.switches
-        if "COMPOSITING" in effects:
-            return constant_table(*arguments, function.opacity_unit)
-        by_cells = integration.quadrature == "cells"  # whatever the step: pieces are of any length
-        if by_cells or effects and not effects["SEGMENT_OPACITIES"]:  # cut, or absorbing less
-            length = self._piece if by_cells else self.length
-            if kind == "preintegrated":
-                return depths_table(*arguments, length)
-            return constant_table(*arguments, length, "extinction_table")
-        if kind == "preintegrated":  # effects want no shorter pieces
-            return preintegrated_table(*arguments, self.length, 2 if effects else SLICES)
-        kernel = "classify_table" if kind == "post" else "extinction_table"
-        return constant_table(*arguments, self.length, kernel)
+        width = max(columns(piece_count(function)) for function in self._functions)
+        origin = float(np.float32(self.nodes.first))
+        tables = [piece_table(each, self.length, width, origin) for each in self._functions]
+        self._pieces = (width, 0, tables[0].size, max(map(piece_count, self._functions)))
+        self._units = self.length / self._functions[0].opacity_unit
+        self.table = self.context.upload(np.concatenate(tables, axis=None))
 
     @property
     def length(self) -> float:
         """World length of a step."""
         return self.resolved.integration.step * self.resolved.volume.grid.smallest_edge
-
-    @property
-    def _piece(self) -> float:
-        """World length of the segments in the tables of quadrature by cells."""
-        return PIECE * self.resolved.volume.grid.smallest_edge
 
     def like(self, resolved: ResolvedScene) -> Raycaster:
         """The same for ``resolved``, which may differ in camera, image, animation, step and early
@@ -338,15 +335,15 @@ class Raycaster:
         other = copy.copy(self)
         other.resolved = resolved = reduced_for_frames(resolved)
         other.effects = self.effects.like(resolved)
-        by_cells = resolved.integration.quadrature == "cells"
         if _shift(resolved) != _shift(self.resolved):
             other._set_colors()
-        if not by_cells and other.length != self.length:
+        if other.length != self.length:
             other._build_table()
             if resolved.isosurfaces:
                 other._surface_cells()
         later = resolved.animation.time != self.resolved.animation.time
-        if later and resolved.noise and other._casts_shadows:  # cycling moves no opacity
+        moved = later and bool(resolved.noise)  # cycling moves no opacity
+        if other._casts_shadows and (moved or shadow_step(resolved) != shadow_step(self.resolved)):
             other._build_shadows()
         other._without_surfaces = other._beside_surfaces()
         return other
@@ -554,9 +551,9 @@ class Raycaster:
         row["march"][0] = step
         row["classes"] = (nodes.first, nodes.per_value, nodes.last_coordinate, bins)
         row["upper"][:3] = np.asarray(volume.size) - 1
-        row["gate"][:2] = self.gate
+        row["gate"][:3] = (*self.gate, self._units)
         parts = parts_of_cell(self.resolved.integration.step)
-        row["voxel"][1:] = (parts, self.resolved.image.ray_tolerance, step / PIECE)
+        row["voxel"][1:3] = (parts, self.resolved.image.ray_tolerance)
         if volume.switches["VOXEL_BITS"] == 64:
             row["voxel_double"] = (volume.values.bias, volume.values.gain)
         else:
@@ -564,8 +561,8 @@ class Raycaster:
         row["size"][:3] = volume.size
         row["stride"][:2] = volume.stride
         row["cells"] = (*volume.cells, volume.cell_shift)
-        entries, width_of_table = self._table_size
-        row["table"] = (nodes.values.size, width_of_table, self._slices, entries)
+        row["table"][:2] = (nodes.values.size, nodes.values.size + 2)
+        row["pieces"] = self._pieces
 
     def _check_struct(self) -> None:
         """The compiler's View must be ours, field for field: all fields are 16 bytes wide."""
@@ -584,18 +581,3 @@ def _stages(progress: Callable[[int, int], None] | None, tiles: list[int]):
     if progress is None:
         return lambda stage: None
     return lambda stage: lambda done: progress(sum(tiles[:stage]) + done, sum(tiles))
-
-
-def _gate(
-    function: TransferFunction, nodes: ClassNodes, visible: np.ndarray
-) -> tuple[float, float]:
-    """Class coordinates (low, high): a segment whose values are all <= low or all >= high has no
-    opacity."""
-    shown = np.flatnonzero(visible)
-    if not shown.size:
-        return np.inf, -np.inf
-    first, last = int(shown[0]), int(shown[-1]) + 1
-    ends = function.opacity(nodes.values[[0, -1]]) > 0
-    low = -1.0 if first == 0 and ends[0] else float(first)
-    high = nodes.last_coordinate + 1.0 if last == visible.size and ends[1] else float(last)
-    return low, high

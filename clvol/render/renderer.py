@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from math import inf
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
+from weakref import WeakSet
 
 from clvol.errors import RenderError, UsageError, VolumeError
 from clvol.features import refuse_unknown
+from clvol.opencl.forks import check_fork, is_forked
 from clvol.render.frame import Frame, make_frame
+from clvol.render.made_from import MadeFrom
+from clvol.render.notices import Notices
 from clvol.scene.camera import Camera
 
 if TYPE_CHECKING:
@@ -29,6 +35,12 @@ class Renderer:
     device; what needs more is refused before anything is uploaded. ``progress(done, total)`` is called
     while the blocks of the method "multiresolution" are read. Use it as a context manager, or call ``close``.
 
+    Several threads may call a Renderer: they take turns, and each gets the picture that it asked for. A transfer
+    function that one of them sets holds for all. RenderError for a call from inside a ``progress`` of its own.
+
+    What can hardly be meant (a blank picture, say) is told with the module ``warnings``, as a ``ClvolWarning``, once
+    for each cause; ``Frame.stats["warnings"]`` lists those of a frame, if there are any.
+
     Raises SceneError and VolumeError (scene or volume wrong, or asking for what is not there),
     DeviceError (no device works), RenderError (a program does not build or fails).
     """
@@ -41,6 +53,7 @@ class Renderer:
         progress: Callable[[int, int], None] | None = None,
     ) -> None:
         start = perf_counter()
+        self._lock, self._is_busy = threading.RLock(), False
         self.resolved = scene.resolve() if hasattr(scene, "resolve") else scene
         refuse_unknown(self.resolved)
         check_memory(self.resolved, memory_cap)
@@ -48,6 +61,7 @@ class Renderer:
         loaded = perf_counter()
         self._context = open_context(devices)
         self._raycaster = self._engines = None
+        self._told: WeakSet[MadeFrom] = WeakSet()
         if self.resolved.integration.method != "reference":
             from clvol.render.engines import Engines
 
@@ -57,6 +71,7 @@ class Renderer:
             except BaseException:
                 self.close()
                 raise
+        self._notices = Notices(self.resolved)
         self._load_seconds = loaded - start
         self._prepare_seconds = perf_counter() - loaded - self._context.compile_seconds
 
@@ -67,12 +82,33 @@ class Renderer:
         self.close()
 
     def close(self) -> None:
-        """Gives the device's memory back. Nothing can be rendered afterwards."""
-        if self._engines is not None:
-            self._engines.close()
-        if self._context is not None:
-            self._context.release()
-        self._context = self._raycaster = self._engines = None
+        """Gives the device's memory back, when frames that other threads are rendering are done. Nothing can be
+        rendered afterwards."""
+        if is_forked():  # the parent's, whose threads may have held the lock
+            return
+        with self._turn(may_be_closed=True):
+            for told in list(self._told):  # of frames that are kept: they need not keep the volume
+                told()
+            if self._engines is not None:
+                self._engines.close()
+            if self._context is not None:
+                self._context.release()
+            self._context = self._raycaster = self._engines = None
+
+    @contextmanager
+    def _turn(self, may_be_closed: bool = False) -> Iterator[None]:
+        """One thread at a time: engines, kernels and buffers are for one frame at a time."""
+        check_fork()
+        with self._lock:
+            if self._is_busy:  # the lock lets a thread in that holds it
+                raise RenderError("Renderer", "is called by its own progress", "a call after the frame")
+            if self._context is None and not may_be_closed:
+                raise RenderError("Renderer", "is closed", "a Renderer that is open")
+            self._is_busy = True
+            try:
+                yield
+            finally:
+                self._is_busy = False
 
     def render(
         self,
@@ -95,9 +131,13 @@ class Renderer:
         UsageError for another method. At least one ray a tile is cast, and what blocks the view
         lacks are read, however long that takes.
         """
-        if self._context is None:
-            raise RenderError("Renderer", "is closed", "a Renderer that is open")
+        with self._turn():
+            return self._render(camera, progress, depth, time, seconds)
+
+    def _render(self, camera, progress, depth, time, seconds) -> Frame:
         resolved = self.resolved
+        for volume in (resolved.volume, *(field.volume for field in resolved.fields)):
+            volume.check_unchanged()
         by_time = {} if seconds is None else {"seconds": _checked_seconds(resolved, seconds)}
         width, height = resolved.image.width, resolved.image.height
         if camera is None:
@@ -115,7 +155,7 @@ class Renderer:
         start = perf_counter()
         data = self._raycaster.render(camera, width, height, progress, depth, **by_time)
         times = {"compile": compile_seconds, "render": perf_counter() - start}
-        return self._frame(data.rgba, data.depth, times, _counted(data))
+        return self._frame(camera, data.rgba, data.depth, times, _counted(data))
 
     def set_transfer_function(self, function: TransferFunction, wait: bool = True) -> None:
         """Another transfer function for the frames to come; compiles nothing, and keeps the volume.
@@ -124,15 +164,14 @@ class Renderer:
         ``wait`` False a thread reads them, and frames show what is there: their
         ``stats["blocks"]["pending"]`` tells how many blocks are still to come.
         """
-        if self._context is None:
-            raise RenderError("Renderer", "is closed", "a Renderer that is open")
-        resolved = replace(self.resolved, transfer_function=function)
-        refuse_unknown(resolved)  # what a blank scene asks for has no consequence
-        self.resolved = resolved
-        if self.resolved.integration.method == "multiresolution":
-            self._raycaster.set_transfer_function(function, wait)
-        elif self._engines is not None:
-            self._raycaster = self._engines.make(self.resolved)
+        with self._turn():
+            function = self.resolved.in_stored_values(function)
+            resolved = replace(self.resolved, transfer_function=function)
+            refuse_unknown(resolved)  # what a blank scene asks for has no consequence
+            if self._engines is not None:
+                self._raycaster = self._engines.make(resolved, wait=wait)
+            self.resolved = resolved
+            self._notices.of_scene(resolved)
 
     def _move_to(self, time: float, camera: Camera) -> None:
         """What is rendered at ``time`` from ``camera``: what has a consequence may depend on both."""
@@ -140,10 +179,10 @@ class Renderer:
         is_new_time = time != resolved.animation.time
         if is_new_time:
             animation = resolved.animation.model_copy(update={"time": time})
-            self.resolved = resolved = replace(resolved, animation=animation)
-        if self._engines is None or not (is_new_time or resolved.depth_cue):
-            return
-        self._raycaster = self._engines.make(replace(resolved, camera=camera))
+            resolved = replace(resolved, animation=animation)
+        if self._engines is not None and (is_new_time or resolved.depth_cue):
+            self._raycaster = self._engines.make(replace(resolved, camera=camera))
+        self.resolved = resolved  # once there is an engine for it
 
     def _reference(self, camera: Camera, progress) -> Frame:
         from clvol.render.reference import render_reference
@@ -157,13 +196,16 @@ class Renderer:
             progress=progress,
         )
         seconds = {"compile": 0.0, "render": perf_counter() - start}
-        return self._frame(rgba, depth, seconds, counters)
+        return self._frame(camera, rgba, depth, seconds, counters)
 
-    def _frame(self, rgba, depth, seconds: dict, counted: dict) -> Frame:
+    def _frame(self, camera: Camera, rgba, depth, seconds: dict, counted: dict) -> Frame:
         first = {"load": self._load_seconds, "prepare": self._prepare_seconds}
         self._load_seconds = self._prepare_seconds = 0.0
         seconds = {**first, **seconds}
-        return make_frame(self.resolved, rgba, depth, seconds, counted, self._context.name)
+        counted |= self._notices.of_picture(self.resolved, camera, rgba, depth)
+        told = MadeFrom(self.resolved, camera)
+        self._told.add(told)
+        return make_frame(self.resolved, rgba, depth, seconds, counted, self._context.name, told)
 
 
 def _checked_seconds(resolved: ResolvedScene, seconds: float) -> float:

@@ -131,9 +131,15 @@ class Camera(Table):
         Row 0 is on top. Perspective rays start at ``position``, orthographic ones on the plane
         through ``position``. Pixels are square: ``fov_degrees`` or ``height`` spans the rows.
         """
+        return self.world_rays_at(width, height, np.arange(height), np.arange(width))
+
+    def world_rays_at(
+        self, width: int, height: int, rows: np.ndarray, columns: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """As ``world_rays``, of the pixels where ``rows`` [k] and ``columns`` [l] cross: [k, l, 3]."""
         forward, right, up = self.basis()
-        x = ((np.arange(width) + 0.5) / width * 2 - 1) * (width / height)
-        y = 1 - (np.arange(height) + 0.5) / height * 2
+        x = ((np.asarray(columns) + 0.5) / width * 2 - 1) * (width / height)
+        y = 1 - (np.asarray(rows) + 0.5) / height * 2
         across = x[None, :, None] * right + y[:, None, None] * up
         if self.projection == "orthographic":
             if self.height is None:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field
 
-from clvol.errors import SceneError
+from clvol.errors import SceneError, UsageError
 from clvol.scene.table import Number, Table
 from clvol.scene.volume import is_path, path_text
 
@@ -41,11 +42,25 @@ class Environment(Table):
         """The file; of a resolved scene's environment, with the scene's folder before it."""
         return Path(self.file)
 
-    def found_in(self, folder: Path, origin: str) -> Environment:
-        """This with its file looked up in ``folder``; SceneError if it is not there, or no EXR."""
+    def found_in(self, folder: Path, origin: str, memory_cap: int | None = None) -> Environment:
+        """This with its file looked up in ``folder``; SceneError if it is not there, is no EXR, or
+        takes more than ``memory_cap`` bytes (1 GiB where it is None)."""
         path, where = folder / self.file, f"{origin}: environment.file"
         if path.suffix.lower() != ".exr":
             raise SceneError(where, f"got {self.file!r}", "a picture in EXR (.exr)")
-        if not path.is_file():
+        if not os.path.isfile(path):
             raise SceneError(where, f"got {self.file!r}, no such file", "a picture in EXR (.exr)")
+        _check_size(str(path), memory_cap)
         return self.model_copy(update={"file": str(path)})
+
+
+def _check_size(path: str, memory_cap: int | None) -> None:
+    """A file that is no EXR is told of when it is read."""
+    from clvol.image.exr import check_size
+
+    try:
+        check_size(path, memory_cap)
+    except UsageError as error:
+        raise SceneError(error.where, error.what, error.expected) from None
+    except (OSError, RuntimeError, ValueError):
+        pass

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,11 +12,12 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field, WrapValidator, model_validator
 
-from clvol.errors import SceneError
+from clvol.errors import SceneError, VolumeError
 from clvol.scene.table import AsTuple, Color, Fraction, Number, Table, Whole, wrong
 from clvol.scene.transfer_function import ControlPoint, check_points
 from clvol.scene.transfer_layer import function_of
-from clvol.scene.volume import is_path, path_text
+from clvol.scene.volume import Choice, is_path, path_text
+from clvol.volume.axis import ValueAxis
 
 if TYPE_CHECKING:
     from clvol.transfer import TransferFunction
@@ -22,7 +25,7 @@ if TYPE_CHECKING:
 
 LARGEST_COUNT = 3
 LARGEST_LABELS = 65536
-_LARGEST_LABEL = 2**31 - 1
+_LARGEST_LABEL = 2**53 - 1  # of 64-bit labels, beyond it none is kept apart
 _READ_BY = {"label": "labels", "density": "points", "mask": None}
 _NEEDED = {
     "labels": "a list of labels { label = …, color = [r, g, b] } for a field of role 'label'",
@@ -36,7 +39,8 @@ class ResolvedField:
 
     "label": ``labels`` int64 [n], ascending, none twice, ``colors`` float64 [n, 3] in linear light,
     ``factors`` float64 [n] in [0, 1] on the extinction. "density": ``function``. "mask":
-    ``threshold``, and ``keep``, "above" or "below" it.
+    ``threshold``, and ``keep``, "above" or "below" it. All in what ``volume`` holds; ``axis`` leads
+    from there to the values of the volume asked for.
     """
 
     volume: Volume
@@ -47,13 +51,14 @@ class ResolvedField:
     function: TransferFunction | None = None
     threshold: float | None = None
     keep: Literal["above", "below"] | None = None
+    axis: ValueAxis = ValueAxis()
 
 
 class FieldLabel(Table):
     """``opacity`` is a factor on the volume's own extinction."""
 
     label: Whole = Field(
-        ge=-_LARGEST_LABEL, le=_LARGEST_LABEL, description="a whole number of at most 31 bits"
+        ge=-_LARGEST_LABEL, le=_LARGEST_LABEL, description="a whole number of at most 53 bits"
     )
     color: Color = Field(description="three numbers [r, g, b] from 0 to 1")
     opacity: Fraction = Field(1.0, description="a number from 0 to 1")
@@ -70,7 +75,8 @@ def _file(value: Any, check: Callable[[Any], Any]) -> Any:
 
 
 class FieldSettings(Table):
-    """``file`` is relative to the scene file; from Python it may be a ``clvol.Volume``.
+    """``file`` is relative to the scene file; from Python it may be a ``clvol.Volume``. ``channel``,
+    ``time`` and ``series`` choose where it has several, as in [volume].
 
     A field has its own grid and is looked up by world position: a label from the nearest voxel,
     density and mask linearly between voxels. Outside the grid is no label and no density, and
@@ -85,6 +91,9 @@ class FieldSettings(Table):
         ],
         WrapValidator(_file),
     ] = Field(description="the name of a volume file, in quotes")
+    channel: Choice = Field(None, description="the index (from 0) or the name of a channel")
+    time: Choice = Field(None, description="the index (from 0) of a time")
+    series: Choice = Field(None, description="the index (from 0) or the name of a series")
     role: Literal["label", "density", "mask"] = Field(
         description="'label', 'density' or 'mask'"
     )
@@ -129,18 +138,34 @@ class FieldSettings(Table):
                 raise wrong(f"labels.{i}.label", label.label, "each label once")
             seen.add(label.label)
 
-    def load(self, folder: Path, where: str, memory_cap: int | None) -> Volume:
+    def load(
+        self, folder: Path, where: str, memory_cap: int | None, labels: bool = False
+    ) -> Volume:
         """The field's volume; ``folder`` is what its file is relative to, ``where`` the place of
-        this table for error messages. Raises SceneError if it is not there, VolumeError."""
+        this table for error messages, ``labels`` whether nothing but labels are read from the file.
+        Raises SceneError if it is not there, VolumeError."""
         from clvol.volume import Volume, load_volume
 
         if isinstance(self.file, Volume):
             return self.file
         path = folder / self.file
-        if not path.exists():
+        if not os.path.exists(path):
             got = f"got {self.file!r}, no such file"
             raise SceneError(f"{where}.file", got, "a volume file or a DICOM folder")
-        return load_volume(path, memory_cap=memory_cap)
+        try:
+            return load_volume(path, labels=labels, memory_cap=memory_cap, **self.choices)
+        except VolumeError as error:  # readers know of no other table
+            table = where.rpartition(": ")[2]
+            what, expected = (
+                text and re.sub(r"\bvolume\.(channel|time|series)\b", rf"{table}.\1", text)
+                for text in (error.what, error.expected)
+            )
+            raise VolumeError(error.where, what, expected) from error.__cause__
+
+    @property
+    def choices(self) -> dict[str, int | str | None]:
+        """Which of several channels, times or series; None where nothing is said."""
+        return {"channel": self.channel, "time": self.time, "series": self.series}
 
     def resolved(
         self, volume: Volume, opacity_unit: float, decoded: Callable[[object], np.ndarray]

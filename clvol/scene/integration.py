@@ -31,9 +31,9 @@ class Integration(Table):
 
     ``quadrature``: even "steps" along a ray, or "cells": pieces from one cell of the linear filter to the
     next, each cut into as many parts as ``step`` goes into 1: one, or an even number.
-    ``early_termination``: a ray may stop at this transmittance; 0 means never. ``table_size``:
-    entries an axis of the pre-integration table. ``tolerance``: the error that the reference
-    method aims at, in linear premultiplied colour. ``voxel_precision``: what voxels are held as
+    ``early_termination``: a ray may stop at this transmittance; 0 means never. ``table_size``
+    changes nothing any more: segments were once looked up in a table of so many entries an axis, and are
+    integrated in closed form now. ``tolerance``: the error that the reference method aims at, in linear premultiplied colour. ``voxel_precision``: what voxels are held as
     while rendering, "stored" as they are, or quantised evenly over the volume's range.
     """
 
@@ -64,13 +64,7 @@ class Integration(Table):
     early_termination: Annotated[
         Number, Knob("early termination", "transmittance", (0.1, 0.03, 0.01, 1e-3, 1e-4, 0.0))
     ] = Field(1e-3, ge=0, lt=1, description="a transmittance from 0 to less than 1")
-    table_size: Annotated[
-        Whole,
-        Knob(
-            "table size", "nodes an axis", (32, 64, 128, 256, 512, 1024),
-            applies=lambda scene: scene.integration.classification == "preintegrated",
-        ),
-    ] = Field(256, ge=16, le=1024, description="a whole number from 16 to 1024")  # fmt: skip
+    table_size: Whole = Field(256, ge=16, le=1024, description="a whole number from 16 to 1024")
     voxel_precision: Annotated[
         Literal["stored", "uint16", "uint8"],
         Knob("voxel precision", "", _precisions, methods=("raycast",)),

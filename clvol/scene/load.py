@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import sys
 from collections.abc import Iterable
@@ -41,7 +42,7 @@ def load_scene(path: str | Path, overrides: Iterable[str] = ()) -> Scene:
     else:
         _check_ending(path)
         data, folder = {"volume": {"file": str(path)}}, Path()
-        if path.is_dir() and is_store(path):
+        if os.path.isdir(path) and is_store(path):
             data["integration"] = {"method": "multiresolution"}
     for text in overrides:
         _override(data, text, str(path))
@@ -55,7 +56,7 @@ def _check_ending(path: Path) -> None:
     if path.suffix.lower() in _DICOM_FILES or is_volume_path(path):
         return
     what = f"unknown ending {path.suffix!r}" if path.suffix else "no ending"
-    if "\0" in str(path) or not path.exists():
+    if not os.path.exists(path):
         what = "no such file"
     known = ", ".join(ENDINGS)
     raise SceneError(path, what, f"a scene (.toml), or a volume: {known} or a DICOM folder")
@@ -63,6 +64,9 @@ def _check_ending(path: Path) -> None:
 
 def _read(path: Path) -> dict[str, Any]:
     try:
+        if os.path.exists(path) and not os.path.isfile(path):  # a pipe would be waited for
+            what = "a folder" if os.path.isdir(path) else "not a regular file"
+            raise SceneError(path, what, "a scene file (.toml)")
         with path.open("rb") as file:
             raw = file.read(LARGEST_FILE + 1)
     except FileNotFoundError:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +15,7 @@ from clvol.errors import SceneError
 from clvol.scene.animation import Animation
 from clvol.scene.camera import Camera
 from clvol.scene.clip import Clip
+from clvol.scene.codes import code_of, function_in_codes, in_stored_values
 from clvol.scene.depth_cue import DepthCue
 from clvol.scene.environment import Environment
 from clvol.scene.field import ResolvedField
@@ -32,6 +34,7 @@ from clvol.scene.transfer_function import TransferFunctionSettings
 from clvol.scene.transfer_layer import TransferLayer
 from clvol.scene.volume import VolumeSettings
 from clvol.transfer import TransferFunction, srgb_to_linear
+from clvol.volume.axis import ValueAxis
 
 if TYPE_CHECKING:
     from clvol.scene.scene import Scene
@@ -47,6 +50,10 @@ class ResolvedScene:
 
     ``source`` is the scene as asked for, the text of a scene file. ``origin`` names the scene file
     (or "scene") for error messages of the form "ORIGIN: TABLE.KEY".
+
+    Where the volume asked for has a slope and an offset, ``volume`` has neither, and all that is
+    stated in values is in stored numbers here; ``axis`` leads from them to the values, for messages,
+    and ``in_stored_values`` takes what is set later.
     """
 
     volume: Volume
@@ -74,11 +81,18 @@ class ResolvedScene:
     depth_cue: DepthCue | None = None
     animation: Animation = Animation()
     voxel_range: tuple[float, float] | None = None  # where ``volume`` holds other than voxels
+    axis: ValueAxis = ValueAxis()
 
     @property
     def data_range(self) -> tuple[float, float]:
         """Lowest and highest finite voxel, which is what shares of the range mean."""
         return self.voxel_range or self.volume.value_range
+
+    def in_stored_values(self, function: TransferFunction) -> TransferFunction:
+        """``function`` of values as one of what ``volume`` holds."""
+        if self.axis.is_plain:
+            return function
+        return function_in_codes(function, code_of(self.axis, self.volume.dtype))
 
 
 def resolve(scene: Scene, memory_cap: int | None = None) -> ResolvedScene:
@@ -107,10 +121,10 @@ def resolve(scene: Scene, memory_cap: int | None = None) -> ResolvedScene:
     )
     environment, cue = scene.environment, scene.depth_cue
     if environment is not None:
-        environment = environment.found_in(scene.folder, scene.origin)
+        environment = environment.found_in(scene.folder, scene.origin, memory_cap)
     if cue is not None:
         cue = cue.complete(camera, volume.grid).model_copy(update={"color": decoded(cue.color)})
-    return ResolvedScene(
+    asked_for = ResolvedScene(
         volume=volume,
         camera=camera,
         image=scene.image,
@@ -136,6 +150,7 @@ def resolve(scene: Scene, memory_cap: int | None = None) -> ResolvedScene:
         depth_cue=cue,
         animation=scene.animation,
     )
+    return in_stored_values(asked_for)
 
 
 def _surface(asked: Isosurface, decoded: Callable[[object], np.ndarray]) -> Isosurface:
@@ -163,12 +178,23 @@ def load_scene_volume(
         return _computed(asked, origin, memory_cap)
     path = folder / asked.file
     is_scene_file = str(path) != origin
-    if is_scene_file and not path.exists():
+    if is_scene_file and not os.path.exists(path):
         check_finished(path)
         got = f"got {asked.file!r}, no such file"
         raise SceneError(f"{origin}: volume.file", got, "a volume file or a DICOM folder")
     volume = load_volume(
-        path, dims=asked.dims, dtype=asked.dtype, spacing=asked.spacing, memory_cap=memory_cap
+        path,
+        dims=asked.dims,
+        dtype=asked.dtype,
+        spacing=asked.spacing,
+        channel=asked.channel,
+        time=asked.time,
+        series=asked.series,
+        header_bytes=asked.header_bytes,
+        byte_order=asked.byte_order,
+        slope=asked.slope,
+        offset=asked.offset,
+        memory_cap=memory_cap,
     )
     if asked.nan != "transparent" and volume.nan_count:
         volume = _with_nan_as(volume, asked.nan)
@@ -180,20 +206,23 @@ def _computed(asked: VolumeSettings, origin: str, memory_cap: int | None) -> Vol
     from clvol.volume.procedural import scene_field
 
     check_memory(f"{origin}: volume.size", math.prod(asked.size), memory_cap)
-    return scene_field(asked.field, asked.size, asked.spacing or (1.0, 1.0, 1.0))
+    volume = scene_field(asked.field, asked.size, asked.spacing or (1.0, 1.0, 1.0))
+    volume.axis = ValueAxis(asked.slope, asked.offset)
+    return volume
 
 
 def _with_nan_as(volume: Volume, value: float) -> Volume:
     from clvol.volume import Volume
     from clvol.volume.lazy import FilledVolume, LazyVolume
 
+    value = float(volume.axis.stored(value))
     if isinstance(volume, LazyVolume) and "data" not in vars(volume):
         return FilledVolume(volume, value)
     data = np.array(volume.data)
     for layer in data:
         np.copyto(layer, value, where=np.isnan(layer))
     grid = volume.grid
-    return Volume(
+    filled = Volume(
         data,
         spacing=grid.spacing,
         origin=grid.origin,
@@ -202,7 +231,12 @@ def _with_nan_as(volume: Volume, value: float) -> Volume:
         frame=volume.frame,
         path=volume.path,
         format=volume.format,
+        unit=volume.unit,
+        slope=volume.slope,
+        offset=volume.offset,
     )
+    filled.files = volume.files
+    return filled
 
 
 def _check_step_count(scene: Scene, grid: Grid) -> None:

@@ -111,7 +111,8 @@ class Scene(Table):
     _origin: str = PrivateAttr("scene")  # what error messages call the place the scene came from
     _folder: Path = PrivateAttr(Path())  # what volume.file is relative to
     _loaded: Any = PrivateAttr(None)  # the volume, once loaded from its file
-    _fields: dict[str, Any] = PrivateAttr(default_factory=dict)  # and those of the fields, by file
+    _memory_cap: int | None = PrivateAttr(None)  # what the files may take, once they are loaded
+    _fields: dict[tuple, Any] = PrivateAttr(default_factory=dict)  # and the fields', by what is asked
 
     @model_validator(mode="after")
     def _not_contradictory(self) -> Scene:
@@ -149,7 +150,7 @@ class Scene(Table):
         copy._origin, copy._folder = self._origin, self._folder
         if "volume" not in (update or {}):
             copy._loaded = self._loaded
-        copy._fields = self._fields
+        copy._fields, copy._memory_cap = self._fields, self._memory_cap
         return copy
 
     def load_volume(self, memory_cap: int | None = None) -> Volume:
@@ -163,27 +164,43 @@ class Scene(Table):
             self._loaded = load_scene_volume(self.volume, self._folder, self._origin, memory_cap)
         return self._loaded
 
+    def load(self, memory_cap: int | None = None) -> None:
+        """Reads the volume and the fields, which are kept, and looks at the environment's size.
+
+        ``memory_cap``: bytes that each of them may take in memory. Raises SceneError, VolumeError.
+        """
+        self._memory_cap = memory_cap
+        self.load_volume(memory_cap)
+        self.load_fields(memory_cap)
+        if self.environment is not None:
+            self.environment.found_in(self._folder, self._origin, memory_cap)
+
     def load_fields(self, memory_cap: int | None = None) -> tuple[Volume, ...]:
         """The volumes of the fields, each read once and kept. ``memory_cap``: bytes that each may
         take in memory. Raises SceneError, VolumeError."""
         volumes = []
+        with_values = {settings.file for settings in self.field if settings.role != "label"}
         for i, settings in enumerate(self.field):
             volume, where = settings.file, f"{self._origin}: field.{i}"
             if isinstance(volume, str):
-                if volume not in self._fields:
-                    self._fields[volume] = settings.load(self._folder, where, memory_cap)
-                volume = self._fields[volume]
+                asked = volume, *settings.choices.values()
+                if asked not in self._fields:
+                    self._fields[asked] = settings.load(
+                        self._folder, where, memory_cap, labels=volume not in with_values
+                    )
+                volume = self._fields[asked]
             volumes.append(volume)
         return tuple(volumes)
 
     def resolve(self, memory_cap: int | None = None) -> ResolvedScene:
         """The scene with its volume loaded, every default filled in and colours in linear light.
 
-        ``memory_cap``: bytes that the volume may take in memory. Raises SceneError, VolumeError.
+        ``memory_cap``: bytes that each file may take in memory; None: as for ``load``. Raises
+        SceneError, VolumeError.
         """
         from clvol.scene.resolve import resolve
 
-        return resolve(self, memory_cap)
+        return resolve(self, self._memory_cap if memory_cap is None else memory_cap)
 
     def to_toml(self) -> str:
         """The scene as asked for, as the text of a scene file, without any voxels."""
@@ -196,6 +213,13 @@ class Scene(Table):
         """The volume's file or folder; None for one handed over as an array or computed."""
         file = getattr(self.volume, "file", None)
         return None if file is None else self._folder / file
+
+    @property
+    def input_paths(self) -> list[Path]:
+        """The files and folders that the scene names: volume, fields, environment."""
+        named = [self.volume, *self.field, self.environment]
+        files = (getattr(table, "file", None) for table in named)
+        return [self._folder / file for file in files if isinstance(file, str)]
 
     @property
     def folder(self) -> Path:

@@ -13,8 +13,9 @@ class Shadow(Table):
     """Shadows of all lights with ``casts_shadow`` but headlights, which cast none.
 
     ``method``: "volume" marches towards each light from the points of a light volume,
-    ``resolution`` of them along the volume's longest axis; "rays" from each sample. ``step`` is
-    that march's, in smallest voxel edges. ``bound``: a ray is cast only where opacity times
+    ``resolution`` of them along the volume's longest axis; "rays" from each sample. Either march
+    classifies as the scene's rays are; ``step`` is its step, in smallest voxel edges, the scene's if
+    left out. ``bound``: a ray is cast only where opacity times
     remaining transmittance of the sample is above it. ``scattering``: the share of light that
     arrives scattered forward, within ``cone_degrees`` about the light's direction and attenuated by
     1 - ``scatter_color`` (linear light) of the extinction.
@@ -22,7 +23,9 @@ class Shadow(Table):
 
     method: Literal["volume", "rays"] = Field("volume", description="'volume' or 'rays'")
     resolution: Whole = Field(64, ge=4, le=512, description="a whole number from 4 to 512")
-    step: Number = Field(1.0, gt=0, le=1e6, description="a number greater than 0, at most 1e6")
+    step: Number | None = Field(
+        None, gt=0, le=1e6, description="a number greater than 0, at most 1e6"
+    )
     bound: Fraction = Field(1e-3, description="a number from 0 to 1")
     scattering: Fraction = Field(0.0, description="a number from 0 to 1")
     scatter_color: Color = Field(

@@ -17,6 +17,8 @@ from pydantic_core import PydanticCustomError
 
 from clvol.errors import SceneError
 
+_KINDS = {dict: "table", list: "list"}
+_LONGEST_KEY = 100  # for which one that is meant is looked for
 LARGEST_LENGTH = 1e30  # keeps the square of a coordinate's ratio to a voxel within a double
 
 
@@ -74,6 +76,8 @@ def shown(value: Any, limit: int = 60) -> str:
         text = " ".join(repr(value).split())
     except ValueError:  # an integer of more digits than Python prints
         text = "an integer of thousands of digits"
+    except RecursionError:
+        text = f"a {_KINDS.get(type(value), 'value')} nested hundreds deep"
     return text if len(text) <= limit else text[: limit - 1] + "…"
 
 
@@ -106,7 +110,7 @@ def scene_error(
 
 def expected_key(key: str, keys: list[str]) -> str:
     """What to say was expected in place of the unknown ``key``: all of ``keys``, nearest named."""
-    near = get_close_matches(key, keys, n=1)
+    near = get_close_matches(key, keys, n=1) if len(key) <= _LONGEST_KEY else ()
     hint = f" (did you mean {near[0]!r}?)" if near else ""
     return "one of " + ", ".join(keys) + hint
 

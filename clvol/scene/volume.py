@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
-from clvol.scene.table import AsTuple, Length, Table, Whole, plain, wrong
+from clvol.scene.table import AsTuple, Length, Number, Table, Whole, plain, wrong
 
 
 def _nan_policy(value: Any) -> str | float:
@@ -31,12 +31,27 @@ def is_path(text: str) -> str:
     return text
 
 
+def _choice(value: Any) -> Any:
+    number = plain(value)
+    if isinstance(number, int) and not isinstance(number, bool) and 0 <= number < 2**31:
+        return number
+    if isinstance(value, str) and value:
+        return value
+    raise ValueError("neither an index nor a name")
+
+
+Choice = Annotated[Any, BeforeValidator(_choice)]
 _Side = Annotated[Whole, Field(ge=1, le=2**31 - 1)]
 
 
 class VolumeSettings(Table):
     """``file`` is relative to the scene file. ``spacing`` overrides the file's. ``dims`` (nx, ny,
-    nz) and ``dtype`` say what a .raw file holds. ``nan`` is what a NaN voxel counts as.
+    nz) and ``dtype`` say what a .raw file holds, ``header_bytes`` what comes before its voxels (-1:
+    whatever it is, they end the file), ``byte_order`` how numbers of several bytes are stored.
+    ``nan`` is what a NaN voxel counts as. Values are ``slope`` * stored + ``offset``, on top of the
+    file's own slope and offset where it has them; all else of the scene speaks of these values.
+    ``channel``, ``time`` and ``series`` choose, by index from 0 or by name, where a file has
+    several; a DICOM series also by its SeriesInstanceUID.
 
     In place of a file: ``field``, computed on ``size`` (nx, ny, nz) voxels of 8 bits, 1 apart or as
     ``spacing`` says (``clvol.volume.procedural.scene_field``)."""
@@ -57,6 +72,21 @@ class VolumeSettings(Table):
         None, description="three whole numbers [nx, ny, nz] greater than 0"
     )
     dtype: str | None = Field(None, min_length=1, description="a voxel type such as 'uint16'")
+    channel: Choice = Field(None, description="the index (from 0) or the name of a channel")
+    time: Choice = Field(None, description="the index (from 0) of a time")
+    series: Choice = Field(
+        None, description="the index (from 0) or the name of a series, or a SeriesInstanceUID"
+    )
+    header_bytes: Annotated[Whole, Field(ge=-1, le=2**62)] | None = Field(
+        None, description="a whole number of bytes, or -1"
+    )
+    byte_order: Literal["little", "big"] | None = Field(None, description="'little' or 'big'")
+    slope: Annotated[Number, Field(ge=-1e30, le=1e30)] = Field(
+        1.0, description="a finite number that is not 0"
+    )
+    offset: Annotated[Number, Field(ge=-1e30, le=1e30)] = Field(
+        0.0, description="a finite number"
+    )
     nan: Annotated[Any, BeforeValidator(_nan_policy)] = Field(
         "transparent", description="'transparent' or a finite number"
     )
@@ -72,7 +102,9 @@ class VolumeSettings(Table):
             raise wrong("size", None, expected)
         if self.field is None and self.size is not None:
             raise wrong("size", self.size, "a size beside field alone; for a .raw file, dims")
-        for key in ("dims", "dtype"):
+        if abs(self.slope) < 1e-30:
+            raise wrong("slope", self.slope, "a finite number that is not 0")
+        for key in ("dims", "dtype", "header_bytes", "byte_order", "channel", "time", "series"):
             value = getattr(self, key)
             if self.field is not None and value is not None:
                 raise wrong(key, value, f"no {key} beside field; it has its size, and 8 bits")

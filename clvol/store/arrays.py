@@ -23,10 +23,10 @@ def open_array(
     """
     import tensorstore
 
-    spec: dict[str, Any] = {
-        "driver": driver,
-        "kvstore": {"driver": "file", "path": f"{path.absolute()}/"},
-    }
+    place = f"{path.resolve()}/"
+    if not is_utf8(place):
+        raise ValueError(NOT_UTF8)
+    spec: dict[str, Any] = {"driver": driver, "kvstore": {"driver": "file", "path": place}}
     spec |= {"recheck_cached_metadata": "open", "recheck_cached_data": True}
     if whole:
         spec |= {"fill_missing_data_reads": False, "store_data_equal_to_fill_value": True}
@@ -36,6 +36,14 @@ def open_array(
         }
         spec |= {"metadata": left, "open": True, "create": True}
     return tensorstore.open(spec, context=_context()).result()
+
+
+NOT_UTF8 = "a name that is not UTF-8, which tensorstore cannot open"
+
+
+def is_utf8(path: str) -> bool:
+    """Whether the name is text. Python marks bytes that are none as surrogates."""
+    return not re.search("[\ud800-\udfff]", path)
 
 
 def cores() -> int:
@@ -89,6 +97,8 @@ def system_words(text: str) -> str:
 
 def read_json(path: Path, where: str) -> Any:
     """VolumeError if the file is no JSON; OSError passes."""
+    if os.path.exists(path) and not os.path.isfile(path):  # a pipe would be waited for
+        raise VolumeError(where, f"{path.name} is no regular file", "JSON")
     try:
         return json.loads(path.read_text(encoding="utf-8"))
     except (ValueError, RecursionError):

@@ -26,7 +26,7 @@ import numpy as np
 
 from clvol import __version__
 from clvol.errors import ClvolError, RenderError, UsageError, VolumeError
-from clvol.store.arrays import cores, open_array, system_words
+from clvol.store.arrays import NOT_UTF8, cores, is_utf8, open_array, system_words
 from clvol.store.codecs import CODECS, DEFAULT, one_of_codecs
 from clvol.store.geometry import EDGE
 from clvol.store.layout import (
@@ -38,10 +38,12 @@ from clvol.store.layout import (
     partial_path,
     root_metadata,
 )
+from clvol.store.places import TABLE, part_checksum, region_checksums, statistics_checksums
 from clvol.store.resolutions import describe_region, with_neighbours
 from clvol.store.source import BlockStatistics
 from clvol.store.voxel_source import VolumeSource, VoxelSource
 from clvol.store.zarr_store import StoredBlocks, is_store
+from clvol.volume.axis import ValueAxis
 from clvol.volume.volume import Volume
 
 _BUILD = "build.json"
@@ -117,8 +119,29 @@ def build_store(
     return StoredBlocks(path)
 
 
+def places_of(path: Path) -> tuple[Path, Path, Path]:
+    """The folders that writing the store ``path`` makes or removes: the store, where it is built,
+    and where a store that it replaces goes."""
+    return path, partial_path(path), _replaced_path(path)
+
+
+def _replaced_path(path: Path) -> Path:
+    return path.with_name(path.name + _REPLACED)
+
+
 def check_place(path: Path, overwrite: bool) -> None:
     """UsageError now, before the work, if the store could not be written to ``path``."""
+    try:
+        _check_place(path, overwrite)
+    except (OSError, ValueError) as error:
+        why = getattr(error, "strerror", None) or str(error)
+        what = f"no folder can have this name: {why}"
+        raise UsageError(str(path), what, "the name of a new folder") from None
+
+
+def _check_place(path: Path, overwrite: bool) -> None:
+    if not is_utf8(str(path.absolute())):
+        raise UsageError(str(path), NOT_UTF8, "a name in UTF-8")
     if not path.name or path.name.endswith((PARTIAL, _REPLACED)):
         raise UsageError(str(path), "no name for a store", f"a name that does not end in {PARTIAL}")
     parent = path.parent
@@ -127,8 +150,16 @@ def check_place(path: Path, overwrite: bool) -> None:
         raise UsageError(str(path), f"{parent}: {what}", "a place in a folder that exists")
     if not os.access(parent, os.W_OK | os.X_OK):
         raise UsageError(str(path), f"{parent} cannot be written to", "a folder that can")
-    partial = partial_path(path)
-    if os.path.lexists(partial) and not (partial / JOURNAL).is_dir():
+    for place in places_of(path):
+        try:
+            os.lstat(place)  # a name that is too long is known now
+        except FileNotFoundError:
+            pass
+    partial, replaced = partial_path(path), _replaced_path(path)
+    if os.path.lexists(replaced) and (replaced.is_symlink() or not is_store(replaced)):
+        what = f"{replaced.name}, where a store that is replaced goes, is something else"
+        raise UsageError(str(path), what, "another name")
+    if os.path.islink(partial) or os.path.lexists(partial) and not (partial / JOURNAL).is_dir():
         what = f"{partial.name}, where it is built, is something else"
         raise UsageError(str(path), what, "another name")
     if not os.path.lexists(path):
@@ -240,7 +271,7 @@ class _Build:
 
     def make_regions(self, progress: Progress | None, workers: int | None) -> None:
         """All regions that the journal does not have, by several threads."""
-        left = [index for index in range(self.count) if self._noted(index) is None]
+        left = [index for index in range(self.count) if self._noted(index, read=True) is None]
         done = self.count - len(left)
         if progress is not None:
             progress(done, self.count)
@@ -316,7 +347,7 @@ class _Build:
         return any(self.journal.glob("*.npz"))
 
     def _note(self, index: int, statistics: BlockStatistics, census: np.ndarray) -> None:
-        """In one step: the region is on the disk, with these sizes of files."""
+        """In one step: the region is on the disk, with these sizes and checksums of files."""
         region = [-(-(s.stop - s.start) // self.layout.edge) for s in self.layout.region(index)]
         members = {
             name: getattr(statistics, name)
@@ -327,7 +358,8 @@ class _Build:
         file = self.journal / f"{index}.npz"
         temporary = file.with_suffix(".writing")
         with temporary.open("wb") as stream:
-            np.savez(stream, census=census, sizes=self._sizes(index), **members)
+            known = {"place": index, "sizes": self._sizes(index), "checksums": self._checksums(index)}
+            np.savez(stream, census=census, **known, **members)
         os.replace(temporary, file)
 
     def _sizes(self, index: int) -> np.ndarray:
@@ -337,11 +369,17 @@ class _Build:
         ]
         return np.array([file.stat().st_size if file.exists() else -1 for file in files], np.int64)
 
-    def _noted(self, index: int) -> np.ndarray | None:
-        """The census of a region that is done, its files as they were then."""
+    def _checksums(self, index: int) -> np.ndarray:
+        return region_checksums(self.partial, self.layout, index)
+
+    def _noted(self, index: int, read: bool = False) -> np.ndarray | None:
+        """The census of a region that is done, its files as they were then. ``read``: by what they hold, too, not
+        by their sizes alone."""
         try:
             with np.load(self.journal / f"{index}.npz") as noted:
-                same = np.array_equal(noted["sizes"], self._sizes(index))
+                same = noted["place"] == index and np.array_equal(noted["sizes"], self._sizes(index))
+                if same and read:
+                    same = np.array_equal(noted["checksums"], self._checksums(index))
                 return noted["census"] if same else None
         except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
             return None
@@ -354,7 +392,9 @@ class _Build:
             self._write_statistics(name)
         group = {"zarr_format": 3, "node_type": "group", "attributes": {}}
         _write_whole(self.partial / "blocks" / ROOT, json.dumps(group, indent=2))
-        facts = self._facts()
+        axis = getattr(self.source, "axis", ValueAxis())
+        facts = {**self._facts(), "slope": axis.slope, "offset": axis.offset}
+        facts["checksums"] = self._write_table()
         root = root_metadata(
             self.layout,
             self.source.grid,
@@ -364,7 +404,7 @@ class _Build:
             f"clvol {__version__}",
         )
         _write_whole(self.partial / ROOT, json.dumps(root, indent=2))
-        replaced = path.with_name(path.name + _REPLACED)
+        replaced = _replaced_path(path)
         check_place(path, overwrite)  # again: it may have appeared meanwhile
         _remove(replaced)
         if path.exists():
@@ -397,6 +437,20 @@ class _Build:
                     plane[(slice(None),) * (2 if by_level else 1) + (y, x)] = noted[name]
             here = slice(z * rows, z * rows + depth)
             (array[:, here] if by_level else array[here]).write(plane).result()
+
+    def _write_table(self) -> dict:
+        """The table of checksums; what the root says of it, and of the statistics."""
+        layout, parts = self.layout, []
+        array = open_array(self.partial / "blocks" / TABLE, layout.table_metadata())
+        for first in range(0, self.count, layout.table_rows):
+            last = min(first + layout.table_rows, self.count)
+            rows = []
+            for index in range(first, last):
+                with np.load(self.journal / f"{index}.npz") as noted:
+                    rows.append(noted["checksums"])
+            array[first:last].write(np.stack(rows)).result()
+            parts.append(part_checksum(np.stack(rows)))
+        return {"table": parts, "statistics": statistics_checksums(self.partial, layout)}
 
     def _facts(self) -> dict:
         """Range and counts of all voxels."""

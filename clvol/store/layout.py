@@ -5,6 +5,7 @@ STORE/zarr.json      group: OME-Zarr 0.5 ``multiscales``, and what that cannot s
 STORE/0 ... STORE/4  arrays [z, y, x], level 0 full; a shard is a file, at each level of the same
                      part of the volume
 STORE/blocks/NAME    arrays [level, bz, by, bx] of statistics, as in BlockStatistics
+STORE/blocks/checksums  array [region, chunk]: which chunk belongs where (places.py); older stores have none
 STORE.partial        a store that is not whole yet: the same, with clvol-journal/
 
 Level 0 has one block in a chunk; coarser levels have the blocks of (chunk / samples)^3 in one.
@@ -25,6 +26,7 @@ from clvol.store.codecs import Codec, find_codec, statistics_chain
 from clvol.store.geometry import EDGES, BlockGrid
 from clvol.store.source import QUANTILES
 from clvol.volume.grid import Grid
+from clvol.volume.axis import ValueAxis
 from clvol.volume.volume import ACCEPTED_TYPES
 
 VERSION = 1
@@ -34,6 +36,7 @@ PARTIAL = ".partial"
 _LONG = 1024  # voxels of the longest axis above which shards are larger, so that files stay few
 _LARGEST_SHARD = 1024
 _STATISTICS_PIECE = 1 << 18  # levels times blocks in a chunk of statistics
+_TABLE_PIECE = 1 << 16  # checksums in a chunk of their table
 
 
 def partial_path(path: Path) -> Path:
@@ -141,6 +144,25 @@ class StoreLayout:
         return _array(shape, chunk, dtype, statistics_chain(dtype), names)
 
 
+    # ---- checksums by place ----
+
+    @cached_property
+    def table_chunks(self) -> int:
+        """Chunks of all levels of a region."""
+        return sum(((self.shard >> k) // self.chunk(k)) ** 3 for k in range(self.blocks.levels))
+
+    @property
+    def table_rows(self) -> int:
+        """Regions in a chunk of the table of checksums."""
+        return min(max(_TABLE_PIECE // self.table_chunks, 1), math.prod(self.regions))
+
+    def table_metadata(self) -> dict:
+        """zarr.json of the table of checksums."""
+        dtype, shape = np.dtype(np.uint32), (math.prod(self.regions), self.table_chunks)
+        chunk = (self.table_rows, self.table_chunks)
+        return _array(shape, chunk, dtype, statistics_chain(dtype), ["region", "chunk"])
+
+
 def _array(shape: tuple, chunk: Any, dtype: np.dtype, codecs: list, names: list[str]) -> dict:
     # Every chunk is there, so the fill value is never read; NaN makes that plain where it can.
     fill: Any = {"f": "NaN", "b": False}.get(dtype.kind, 0)
@@ -179,7 +201,7 @@ def check_layout(
 def root_metadata(
     layout: StoreLayout, grid: Grid, name: str | None, frame: str, facts: dict, writer: str
 ) -> dict:
-    """zarr.json of the group. ``facts``: value_range, nan_count, inf_count."""
+    """zarr.json of the group. ``facts``: value_range, nan_count, inf_count, slope, offset, checksums."""
     own = {
         "version": VERSION,
         "writer": writer,
@@ -240,6 +262,8 @@ class StoreFacts:
     value_range: tuple[float, float]
     nan_count: int
     inf_count: int
+    axis: ValueAxis = ValueAxis()
+    checksums: dict | None = None  # "table": of its parts, "statistics": of files, by array; None in older stores
 
 
 def parse_root(root: Any, where: str) -> StoreFacts:
@@ -295,4 +319,14 @@ def _facts(own: dict, where: str) -> StoreFacts:
     layout = StoreLayout(grid.shape, np.dtype(own["dtype"]), edge, shard, codecs, parameters)
     name = None if own["name"] is None else str(own["name"])
     counts = int(own["nan_count"]), int(own["inf_count"])
-    return StoreFacts(layout, grid, name, str(own["frame"]), (low, high), *counts)
+    axis = ValueAxis(own.get("slope", 1.0), own.get("offset", 0.0))
+    checksums = _checksums(own["checksums"], layout) if "checksums" in own else None
+    return StoreFacts(layout, grid, name, str(own["frame"]), (low, high), *counts, axis, checksums)
+
+
+def _checksums(own: dict, layout: StoreLayout) -> dict:
+    known = {"table": own["table"], **{name: own["statistics"][name] for name in layout.statistics_types}}
+    for name, found in known.items():
+        if not isinstance(found, list):
+            raise ValueError(f"checksums of {name}")
+    return {"table": own["table"], "statistics": own["statistics"]}

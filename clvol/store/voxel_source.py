@@ -11,6 +11,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from clvol.volume.axis import ValueAxis
 from clvol.volume.grid import Grid
 from clvol.volume.procedural import placed_field, sample_box
 from clvol.volume.volume import Volume
@@ -19,6 +20,7 @@ from clvol.volume.volume import Volume
 class VoxelSource(Protocol):
     """What a store is built of: anything that can give a box of voxels.
 
+    A source may have an ``axis`` (``ValueAxis``): what its numbers mean, which the store then says.
     ``identity`` (JSON) changes when the voxels do: an interrupted store goes on only with the same.
     """
 
@@ -43,7 +45,7 @@ class VolumeSource:
     def __init__(self, volume: Volume, settings: dict | None = None) -> None:
         self.volume, self.settings = volume, settings or {}
         self.shape, self.dtype, self.grid = volume.shape, volume.dtype, volume.grid
-        self.name, self.frame = volume.name, volume.frame
+        self.name, self.frame, self.axis = volume.name, volume.frame, volume.axis
 
     @property
     def identity(self) -> dict:
@@ -51,11 +53,8 @@ class VolumeSource:
         volume = self.volume
         if volume.path is not None:
             place = os.path.realpath(volume.path)
-            return {
-                "path": place,
-                "files": _files_digest(Path(volume.path)),
-                "settings": self.settings,
-            }
+            files = [_files_digest(Path(name)) for name in (volume.path, *volume.files)]
+            return {"path": place, "files": " ".join(files), "settings": self.settings}
         digest = hashlib.blake2b(digest_size=16)
         for layer in volume.data:
             digest.update(layer)
@@ -95,9 +94,13 @@ class FieldSource:
     frame = "world"
 
     def __init__(
-        self, kind: str, size: Sequence[int], spacing: Sequence[float] = (1.0, 1.0, 1.0)
+        self,
+        kind: str,
+        size: Sequence[int],
+        spacing: Sequence[float] = (1.0, 1.0, 1.0),
+        axis: ValueAxis = ValueAxis(),
     ) -> None:
-        self.name = kind
+        self.name, self.axis = kind, axis
         self._field, self.grid = placed_field(kind, size, spacing)
         self.shape = self.grid.shape
 

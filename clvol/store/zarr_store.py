@@ -16,6 +16,7 @@ import numpy as np
 from clvol.errors import VolumeError
 from clvol.store.arrays import open_array, read_json, what_failed
 from clvol.store.layout import JOURNAL, PARTIAL, ROOT, StoreFacts, parse_root, partial_path
+from clvol.store.places import TABLE, Places, per_axis
 from clvol.store.resolutions import whole_blocks
 from clvol.store.source import BlockStatistics
 
@@ -44,24 +45,25 @@ def is_store(path: str | os.PathLike) -> bool:
 
 def is_unfinished(path: Path) -> bool:
     """Whether the folder is a store whose making has not come to its end."""
-    return path.joinpath(JOURNAL).is_dir() and (
-        path.name.endswith(PARTIAL) or not path.joinpath(ROOT).exists()
+    return os.path.isdir(path / JOURNAL) and (
+        path.name.endswith(PARTIAL) or not os.path.exists(path / ROOT)
     )
 
 
 def check_finished(path: Path) -> None:
     """VolumeError if a store is not whole, or is not there but its beginning is."""
     expected = "a whole store; the same 'clvol store' command again finishes it"
-    if path.is_dir():
+    if os.path.isdir(path):
         if is_unfinished(path):
             raise VolumeError(str(path), "an unfinished store", expected)
-    elif path.name and not path.exists() and partial_path(path).is_dir():
+    elif path.name and not os.path.exists(path) and os.path.isdir(partial_path(path)):
         raise VolumeError(str(path), f"an unfinished store ({partial_path(path).name})", expected)
 
 
 class StoredBlocks:
-    """A store as a ``BlockSource``. Nothing of it is kept in memory. ``facts`` is what its metadata
-    say."""
+    """A store as a ``BlockSource``. Nothing of it is kept in memory but some checksums. ``facts`` is what its
+    metadata say. ``checks_places``: whether what is read is known to belong where it was read (not of older
+    stores)."""
 
     def __init__(self, path: str | os.PathLike) -> None:
         self.path = Path(path)
@@ -74,21 +76,30 @@ class StoredBlocks:
         self.value_range = facts.value_range
         self.nan_count, self.inf_count = facts.nan_count, facts.inf_count
         self._levels = [self._array(str(level), level) for level in range(self.blocks.levels)]
+        self.checks_places = facts.checksums is not None
+        self._places: Places | None = None
+        if self.checks_places:
+            table = self._array(f"blocks/{TABLE}")
+            self._places = Places(
+                self.path, self.layout, facts.checksums, lambda: table, self._where, _WANTED
+            )
 
     def _checked_facts(self) -> StoreFacts:
         check_finished(self.path)
         try:
             root = read_json(self.path / ROOT, self._where)
         except FileNotFoundError:
-            what = f"no {ROOT}" if self.path.is_dir() else "no such folder"
+            what = f"no {ROOT}" if os.path.isdir(self.path) else "no such folder"
             raise VolumeError(self._where, what, "a folder that clvol store has written") from None
         except OSError as error:
             raise VolumeError(self._where, error.strerror or str(error), "a store") from None
         return parse_root(root, self._where)
 
     def _array(self, name: str, level: int | None = None) -> Any:
-        """Level ``level``, or the array of statistics ``name``."""
-        if level is None:
+        """Level ``level``, or the array of statistics or checksums ``name``."""
+        if name == f"blocks/{TABLE}":
+            wanted = self.layout.table_metadata()
+        elif level is None:
             wanted = self.layout.statistics_metadata(name.rpartition("/")[2])
         else:
             wanted = self.layout.level_metadata(level)
@@ -168,9 +179,9 @@ class StoredBlocks:
         time as fit into _FLYING."""
         flying: deque = deque()
         size = 0
-        for low, high, members in self._plan(level, places):
+        for low, high, members, misplaced in self._plan(level, places):
             future, nbytes = self._start(level, low, high)
-            flying.append((low, high, members, future, nbytes))
+            flying.append((low, high, members, misplaced, future, nbytes))
             size += nbytes
             while flying and (size > _FLYING or len(flying) > _FLYING_READS):
                 size -= flying[0][-1]
@@ -180,13 +191,13 @@ class StoredBlocks:
 
     def _plan(
         self, level: int, places: np.ndarray
-    ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-        """Boxes of chunks to read: their first and last + 1 chunk, and members as in ``_boxes``.
-        Boxes stay in a shard."""
+    ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
+        """Boxes of chunks to read: their first and last + 1 chunk, members as in ``_boxes``, and the
+        chunks [n, 3] of these members' that are of another place. Boxes stay in a shard."""
         if not len(places):
             return
         per_chunk = self.layout.chunk(level) // self.blocks.samples(level)
-        per_shard = (self.layout.shard >> level) // self.layout.chunk(level)
+        per_shard = per_axis(self.layout, level)
         chunks = places // per_chunk
         counts = chunks.max(axis=0) + 1
         shards = chunks // per_shard
@@ -197,15 +208,19 @@ class StoredBlocks:
         key += np.ravel_multi_index(tuple(chunks.T), tuple(counts))
         order = np.argsort(key, kind="stable")
         same_shard = np.flatnonzero(np.diff(shards[order], axis=0).any(axis=1)) + 1
+        buffer = bytearray()
         for members in np.split(order, same_shard):
             inside = chunks[members]
+            misplaced = inside[:0]
+            if self._places is not None:
+                misplaced = inside[self._places.wrong(level, shards[members[0]], inside, buffer)]
             change = np.flatnonzero(np.diff(inside, axis=0).any(axis=1)) + 1
             low, high = inside.min(axis=0), inside.max(axis=0) + 1
             if len(change) + 1 >= _SHARD_SHARE * np.prod(high - low):
-                yield low, high, members
+                yield low, high, members, misplaced
                 continue
             for part in np.split(members, change):
-                yield chunks[part[0]], chunks[part[0]] + 1, part
+                yield chunks[part[0]], chunks[part[0]] + 1, part, misplaced
 
     def _start(self, level: int, low: np.ndarray, high: np.ndarray) -> tuple[Any, int]:
         side = self.layout.chunk(level)
@@ -222,11 +237,14 @@ class StoredBlocks:
         low: np.ndarray,
         high: np.ndarray,
         members: np.ndarray,
+        misplaced: np.ndarray,
         future: Any,
     ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
         per_chunk = self.layout.chunk(level) // self.blocks.samples(level)
         try:
-            yield low * per_chunk, self._decoded(level, future.result()), members
+            stored = future.result()
+            self._check_places(level, low, high, misplaced)
+            yield low * per_chunk, self._decoded(level, stored), members
             return
         except ValueError as error:
             failure = error
@@ -239,7 +257,18 @@ class StoredBlocks:
         for chunk in np.unique(chunks, axis=0):
             inside = members[(chunks == chunk).all(axis=1)]
             again = self._start(level, chunk, chunk + 1)[0]
-            yield from self._finish(level, places, chunk, chunk + 1, inside, again)
+            yield from self._finish(level, places, chunk, chunk + 1, inside, misplaced, again)
+
+    def _check_places(
+        self, level: int, low: np.ndarray, high: np.ndarray, misplaced: np.ndarray
+    ) -> None:
+        """VolumeError if any of the chunks ``misplaced`` [n, 3] lies between ``low`` and ``high`` [3]."""
+        within = ((misplaced >= low) & (misplaced < high)).all(axis=1)
+        if within.any():
+            side = self.layout.chunk(level) // self.blocks.samples(level)
+            block = tuple(int(n) for n in misplaced[within][0] * side)
+            what = f"block {block} at level {level}: its data belong to another place"
+            raise VolumeError(self._where, what, _WANTED)
 
     def _decoded(self, level: int, stored: np.ndarray) -> np.ndarray:
         payload = self.layout.codecs[level].payload
@@ -260,6 +289,9 @@ class StoredBlocks:
         for z in range(0, nz, rows):
             end = min(z + rows, nz)
             found = {name: self._plane(name, z, end) for name in self._statistics}
+            if self._places is not None:
+                for name in found:
+                    self._places.check_statistics(name, z // rows)
             yield BlockStatistics(z * ny * nx, **found)
 
     def _plane(self, name: str, z: int, end: int) -> np.ndarray:

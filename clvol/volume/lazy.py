@@ -7,9 +7,13 @@ from functools import cached_property
 
 import numpy as np
 
+from clvol.volume.axis import ValueAxis, turned
 from clvol.volume.grid import Grid
 from clvol.volume.memory import check_memory
+from clvol.volume.narrow import WIDE_TYPES, Narrowing, cast, exact_type
 from clvol.volume.volume import Volume
+
+_SLAB = 1 << 26  # bytes read together to find a type
 
 
 class LazyVolume(Volume):
@@ -28,10 +32,12 @@ class LazyVolume(Volume):
         frame: str,
         where: str,
         memory_cap: int | None,
+        unit: str | None = None,
     ) -> None:
         self._dtype, self._where, self._memory_cap = dtype, where, memory_cap
-        self.grid, self.name, self.frame = grid, name, frame
+        self.grid, self.name, self.frame, self.unit = grid, name, frame, unit
         self.path = self.format = None
+        self.axis = ValueAxis()
 
     @property
     def dtype(self) -> np.dtype:
@@ -60,21 +66,88 @@ class LazyVolume(Volume):
         """Voxels [z0:z1, y0:y1, x0:x1], read from the disk."""
         raise NotImplementedError
 
+    def _turned(self) -> Volume:
+        return TurnedVolume(self)
 
-class FilledVolume(LazyVolume):
-    """``volume`` with ``value`` in the place of NaN, once its voxels are asked for."""
 
-    def __init__(self, volume: LazyVolume, value: float) -> None:
-        self._volume, self._value = volume, value
+class _Converted(LazyVolume):
+    """``volume`` with other voxels; all else is the same."""
+
+    def __init__(self, volume: LazyVolume) -> None:
+        self._volume = volume
         where, cap = volume._where, volume._memory_cap
-        super().__init__(volume.dtype, volume.grid, volume.name, volume.frame, where, cap)
-        self.path, self.format = volume.path, volume.format
+        super().__init__(
+            volume.dtype, volume.grid, volume.name, volume.frame, where, cap, volume.unit
+        )
+        self.path, self.format, self.axis = volume.path, volume.format, volume.axis
+
+    def _load(self) -> np.ndarray:
+        return self._of(self._volume._load())
+
+    def box(self, z0: int, z1: int, y0: int, y1: int, x0: int, x1: int) -> np.ndarray:
+        return self._of(self._volume.box(z0, z1, y0, y1, x0, x1))
+
+    def _of(self, voxels: np.ndarray) -> np.ndarray:
+        raise NotImplementedError
+
+
+class TurnedVolume(_Converted):
+    """``volume`` with the order of its voxels reversed (``clvol.volume.axis.turned``)."""
+
+    def _of(self, voxels: np.ndarray) -> np.ndarray:
+        return turned(voxels, self._dtype)
+
+
+def narrowed_volume(volume: Volume, how: Narrowing) -> Volume:
+    """``volume``, of a wide type if it is read when asked for, in a type that volumes may have."""
+    if isinstance(volume, LazyVolume) and volume.dtype.name in WIDE_TYPES:
+        return NarrowedVolume(volume, how)
+    return volume
+
+
+class NarrowedVolume(_Converted):
+    """``volume`` in the smallest type that holds every value exactly, found when it is first asked
+    for: all voxels are read once for that, part by part."""
+
+    def __init__(self, volume: LazyVolume, how: Narrowing) -> None:
+        super().__init__(volume)
+        self._how = how
+
+    @cached_property
+    def dtype(self) -> np.dtype:
+        nz, ny, nx = self.shape
+        depth = max(1, _SLAB // (ny * nx * self._dtype.itemsize))
+        boxes = (
+            self._volume.box(z, min(z + depth, nz), 0, ny, 0, nx) for z in range(0, nz, depth)
+        )
+        return exact_type(self._dtype, boxes, self._where, self._how)
 
     @property
-    def value_range(self) -> tuple[float, float]:
+    def nbytes(self) -> int:
+        return math.prod(self.shape) * self.dtype.itemsize
+
+    def _load(self) -> np.ndarray:
+        wide = math.prod(self.shape) * self._dtype.itemsize
+        if self._memory_cap is not None:
+            check_memory(self._where, wide + self.nbytes, self._memory_cap)
+        return super()._load()
+
+    def _of(self, voxels: np.ndarray) -> np.ndarray:
+        return cast(voxels, self.dtype, self._how)
+
+
+class FilledVolume(_Converted):
+    """``volume`` with ``value``, as stored, in the place of NaN, once its voxels are asked for."""
+
+    def __init__(self, volume: LazyVolume, value: float) -> None:
+        super().__init__(volume)
+        self._value = value
+
+    @property
+    def stored_range(self) -> tuple[float, float]:
         inner = self._volume
         value = float(self.dtype.type(self._value))
-        low, high = inner.value_range
+        low, high = inner.stored_range
         if inner.nan_count + inner.inf_count == math.prod(self.shape):  # none of them is finite
             return value, value
         return min(low, value), max(high, value)
@@ -87,13 +160,7 @@ class FilledVolume(LazyVolume):
     def inf_count(self) -> int:
         return self._volume.inf_count
 
-    def _load(self) -> np.ndarray:
-        return self._filled(self._volume._load())
-
-    def box(self, z0: int, z1: int, y0: int, y1: int, x0: int, x1: int) -> np.ndarray:
-        return self._filled(self._volume.box(z0, z1, y0, y1, x0, x1))
-
-    def _filled(self, voxels: np.ndarray) -> np.ndarray:
+    def _of(self, voxels: np.ndarray) -> np.ndarray:
         voxels = np.require(voxels, requirements="W")
         for layer in voxels:
             np.copyto(layer, self._value, where=np.isnan(layer))

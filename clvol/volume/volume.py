@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -9,28 +11,47 @@ from functools import cached_property
 import numpy as np
 
 from clvol.errors import VolumeError
+from clvol.volume.axis import ValueAxis, turned
 from clvol.volume.grid import Grid
+from clvol.volume.narrow import WIDE_TYPES, Narrowing, asked_narrowing, narrowed
 
 ACCEPTED_TYPES = ("uint8", "int8", "uint16", "int16", "float32", "float64")
-ACCEPTED = "uint8, int8, uint16, int16, float32, float64 (bool counts as uint8)"
+ACCEPTED = (
+    "uint8, int8, uint16, int16, float32, float64 (bool counts as uint8; 32- and 64-bit integers "
+    "and float16 become one of these)"
+)
 
 # Voxels looked at together: small enough for the cache, large enough to hide Python.
 _BLOCK = 1 << 20
+_LOOKED_AT = 257  # voxels that are compared to find a change
 
 
 class Volume:
     """An array [z, y, x] of scalars on a regular grid.
 
     ``array`` is 3-D, of uint8, int8, uint16, int16, float32 or float64; bool is viewed as uint8
-    (0 and 1). Anything else is a VolumeError: nothing is converted silently. Other byte orders and
-    memory layouts are copied into native C order, values and type unchanged; otherwise the array is
-    shared, not copied, and must not be changed while the volume is in use. ``spacing``, ``origin``
-    and ``direction`` are as in Grid.
+    (0 and 1). Integers of 32 and 64 bits, and float16, are copied into the smallest of these types
+    that holds every value exactly; where none does it is a VolumeError, and so is anything else:
+    no value is changed. Other byte orders and memory layouts are copied into native C order, values
+    and type unchanged; otherwise the array is shared, not copied, and must not be changed once the
+    volume was used: for changed voxels make another Volume (which costs nothing) and another Renderer.
+    ``check_unchanged``, which a Renderer calls for each frame, finds most changes. ``spacing``,
+    ``origin`` and ``direction`` are as in Grid.
+
+    ``slope`` (not 0) and ``offset``: what the stored numbers mean. Values are slope * stored +
+    offset, and all that speaks of values (``value_range``, transfer functions, iso-values, labels)
+    means these; ``data`` stays what is stored. ``labels``: the voxels are labels, so integers beyond
+    +-2^53, which no scene names, may become +-2^53.
 
     ``data`` is the C-contiguous, native-endian, read-only array. ``frame`` names the world's
-    frame ("LPS", "RAS", ... ; "index" where nothing is known), ``path`` and ``format`` say where
-    the volume came from, or are None.
+    frame ("LPS", "RAS", ... ; "index" where nothing is known), ``unit`` its unit of length ("mm",
+    "µm", ... ; None where it is not known), ``path`` and ``format`` say where the volume came from,
+    or are None.
     """
+
+    axis = ValueAxis()
+    files: tuple[str, ...] = ()  # data files beside ``path`` that the voxels come from
+    _seen: bytes | None = None  # of voxels that somebody else may write to: some, as they were
 
     def __init__(
         self,
@@ -43,13 +64,19 @@ class Volume:
         frame: str = "index",
         path: str | None = None,
         format: str | None = None,
+        unit: str | None = None,
+        slope: float = 1.0,
+        offset: float = 0.0,
+        labels: bool = False,
     ) -> None:
-        self.data = _as_voxels(array)
+        self.axis = ValueAxis(slope, offset)
+        self.data = _as_voxels(array, Narrowing(labels=True) if labels else asked_narrowing())
         self.grid = Grid(self.data.shape, tuple(spacing), tuple(origin), direction)
         self.name = name
         self.frame = frame
         self.path = path
         self.format = format
+        self.unit = unit
 
     @property
     def dtype(self) -> np.dtype:
@@ -68,12 +95,62 @@ class Volume:
 
     @cached_property
     def _census(self) -> _Census:
+        self._seen = _some_bytes(self.data)
         return _take_census(self.data)
+
+    def check_unchanged(self) -> None:
+        """VolumeError if voxels were changed since the range was found, which empty space and tables rest on.
+        Looks at some of them, evenly spread: whoever computes in place is found, one voxel may not be."""
+        if self._seen is not None and _some_bytes(self.data) != self._seen:
+            what = "its array was changed while the volume is in use"
+            raise VolumeError(self.name or "volume", what, "another Volume and Renderer for changed voxels")
+
+    @property
+    def slope(self) -> float:
+        """Values are slope * stored + offset; never 0."""
+        return self.axis.slope
+
+    @property
+    def offset(self) -> float:
+        """See ``slope``."""
+        return self.axis.offset
 
     @property
     def value_range(self) -> tuple[float, float]:
-        """Smallest and largest finite voxel; (0.0, 0.0) if no voxel is finite."""
+        """Smallest and largest value of a finite voxel; (0.0, 0.0) if no voxel is finite."""
+        if self.axis.is_plain:
+            return self.stored_range
+        if self.nan_count + self.inf_count == math.prod(self.shape):
+            return 0.0, 0.0
+        return self.axis.span(self.stored_range)
+
+    @property
+    def stored_range(self) -> tuple[float, float]:
+        """As ``value_range``, of what ``data`` holds."""
         return self._census.lower, self._census.upper
+
+    @cached_property
+    def plain(self) -> tuple[Volume, ValueAxis]:
+        """A volume whose values are its voxels, and the axis, of slope above 0, that leads from them
+        to this volume's values. Where the slope here is below 0 its voxels are mirrored in their
+        type, so that what is higher there is higher here; else they are the same."""
+        if self.axis.is_plain:
+            return self, self.axis
+        if self.axis.slope > 0:
+            plain, axis = copy.copy(self), self.axis
+        else:
+            plain, axis = self._turned(), self.axis.turned(self.dtype)
+        plain.axis = ValueAxis()
+        return plain, axis
+
+    def _turned(self) -> Volume:
+        """As this, with the order of its voxels reversed."""
+        data = turned(self.data, self.dtype)
+        data.flags.writeable = False
+        other = copy.copy(self)
+        other.__dict__.pop("_census", None)
+        other.data = data
+        return other
 
     @property
     def nan_count(self) -> int:
@@ -100,19 +177,20 @@ class _Census:
 
 
 def check_type(dtype: np.dtype, where: str) -> np.dtype:
-    """The native type in which voxels of ``dtype`` are kept; VolumeError if there is none."""
+    """The native type in which voxels of ``dtype`` are read; VolumeError if there is none. One of
+    ``WIDE_TYPES`` is narrowed once its values are known."""
     if dtype.fields is not None or dtype.kind == "c" or dtype.subdtype is not None:
         kind = "complex" if dtype.kind == "c" else "RGB or vector"
         raise VolumeError(where, f"{kind} voxels ({dtype})", f"one scalar per voxel: {ACCEPTED}")
     if dtype.kind == "b":
         return np.dtype(np.uint8)
     native = dtype.newbyteorder("=")
-    if native.name not in ACCEPTED_TYPES:
+    if native.name not in ACCEPTED_TYPES and native.name not in WIDE_TYPES:
         raise VolumeError(where, f"voxels of type {native.name}", ACCEPTED)
     return native
 
 
-def _as_voxels(array: np.ndarray) -> np.ndarray:
+def _as_voxels(array: np.ndarray, how: Narrowing) -> np.ndarray:
     if isinstance(array, np.ma.MaskedArray):
         raise VolumeError("volume", "a masked array", "a plain array (masked voxels set to NaN)")
     try:
@@ -127,9 +205,20 @@ def _as_voxels(array: np.ndarray) -> np.ndarray:
         raise VolumeError("volume", f"empty array of shape {array.shape}", "at least one voxel")
     if array.dtype.kind == "b":
         array = np.ascontiguousarray(array).view(np.uint8)
-    voxels = np.ascontiguousarray(array, dtype=native).view()
+    voxels = narrowed(np.ascontiguousarray(array, dtype=native), "volume", how).view()
     voxels.flags.writeable = False
     return voxels
+
+
+def _some_bytes(data: np.ndarray) -> bytes | None:
+    """Some voxels of an array that somebody can write to; None for any other."""
+    owner = data
+    while isinstance(owner, np.ndarray) and not owner.flags.writeable:
+        owner = owner.base
+    if not isinstance(owner, np.ndarray):  # a file that is mapped, or bytes
+        return None
+    flat = data.reshape(-1)
+    return flat[:: max(1, flat.size // _LOOKED_AT)].tobytes()
 
 
 def _take_census(data: np.ndarray) -> _Census:
@@ -159,7 +248,9 @@ def describe(volume: Volume) -> dict:
     """What ``clvol info`` shows, as plain JSON types.
 
     ``direction`` is row by row (column k is index axis k), ``bounds_world`` the lower and the upper
-    corner of the axis-parallel box around the domain.
+    corner of the axis-parallel box around the domain, ``unit`` the name of the world's unit of
+    length or None. ``value_range`` is of values, which are slope * stored + offset; ``dtype`` is of
+    what is stored.
     """
     corners = volume.grid.world_corners()
     return {
@@ -172,6 +263,9 @@ def describe(volume: Volume) -> dict:
         "origin": list(volume.grid.origin),
         "direction": volume.grid.direction.tolist(),
         "frame": volume.frame,
+        "unit": volume.unit,
+        "slope": volume.slope,
+        "offset": volume.offset,
         "value_range": list(volume.value_range),
         "nan_count": volume.nan_count,
         "inf_count": volume.inf_count,

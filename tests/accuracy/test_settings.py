@@ -30,7 +30,7 @@ from clvol.store.source import VolumeBlocks
 EXPECTED = {
     "integration.method", "integration.step", "integration.classification",
     "integration.quadrature", "integration.filter", "integration.early_termination",
-    "integration.table_size", "integration.voxel_precision",
+    "integration.voxel_precision",
     "image.ray_spacing", "image.ray_tolerance",
     "pyramid.levels", "pyramid.oracle", "pyramid.epsilon",
     "multiresolution.memory", "multiresolution.stepping", "multiresolution.interblock",
@@ -86,7 +86,7 @@ def test_settings_that_make_the_same_picture_are_the_same():
     knobs = scene_knobs(resolved)
     own = scene_settings(resolved, knobs)
     other = canonical(
-        resolved, knobs, {**own, "integration.table_size": 64, "image.ray_tolerance": 0.3}
+        resolved, knobs, {**own, "image.ray_tolerance": 0.3}
     )
     assert key_of(other) == key_of(own) and changed(other, own) == []
     sparse = canonical(resolved, knobs, {**own, "image.ray_spacing": 4, "image.ray_tolerance": 0.3})
@@ -122,8 +122,8 @@ def test_a_label_names_what_differs():
     knobs = scene_knobs(resolved)
     own = scene_settings(resolved, knobs)
     assert label(knobs, own, resolved) == "preintegrated, step 1"
-    other = {**own, "integration.table_size": 1024, "integration.filter": "nearest"}
-    assert label(knobs, other, resolved) == "preintegrated, nearest, step 1, table size 1024"
+    other = {**own, "integration.early_termination": 0.1, "integration.filter": "nearest"}
+    assert label(knobs, other, resolved) == "preintegrated, nearest, step 1, early termination 0.1"
 
 
 def test_budgets_ascend_by_their_bytes_and_the_scene_s_own_is_among_them():

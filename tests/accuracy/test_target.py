@@ -51,8 +51,19 @@ def test_the_error_holds_and_the_claim_holds(first_device, function, limit):
     assert true <= found["bound"] and true == pytest.approx(found["rmse"], rel=0.1)
     assert 0 < found["pixels"] <= found["of_pixels"] == 160 * 160
     assert found["confidence"] in (0.95, 1.0)
+    assert (found["how"] == "exact integral at all pixels") == (found["pixels"] == found["of_pixels"])
     # Whichever was fastest just now, but not the exact integral.
     assert found["settings"]["integration.method"] in ("raycast", "multiresolution", "pyramid")
+
+
+def test_the_words_name_the_pixels_that_an_error_rests_on(first_device, monkeypatch):
+    """Those that settings were chosen by count as well, once each: nothing says that they do not."""
+    monkeypatch.setattr(target, "_PILOT_PIXELS", 400)
+    monkeypatch.setattr(target, "_DRAWN_PIXELS", 64)
+    found = render_to_error(scene_of(size=60), 1e-2, devices=[first_device]).stats["accuracy"]
+    assert found["pixels"] < found["of_pixels"]
+    chosen_by = "the pixels that settings were chosen by"
+    assert found["how"] == f"exact integral at {chosen_by}, and at others, drawn where errors are expected"
 
 
 def test_less_error_costs_more(first_device):
@@ -195,6 +206,7 @@ def test_tiny_pictures_are_measured_whole(first_device, size):
     found = frame.stats["accuracy"]
     assert found["pixels"] == size * size and found["confidence"] == 1.0
     assert found["bound"] == found["rmse"] <= 1e-3
+    assert found["how"] == "exact integral at all pixels"
     assert true_error(frame, scene, first_device) == pytest.approx(found["rmse"], rel=1e-2, abs=2e-6)
 
 

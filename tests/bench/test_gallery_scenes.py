@@ -10,6 +10,7 @@ from small_scenes import picture
 
 from bench.gallery import SCENES, TILE, TILES, compose, shrunk
 from clvol.features import explain, reduced
+from clvol.render.picture_warnings import picture_warning
 
 WIDTH, HEIGHT = 32, 24
 
@@ -49,8 +50,16 @@ def test_a_tile_calls_for_its_effect_and_says_so(tile):
 
 
 @pytest.mark.parametrize("tile", TILES, ids=lambda tile: tile.name)
+def test_nothing_is_to_warn_of_in_a_tile(tile):
+    assert explain(_resolved(tile))["warnings"] == []
+
+
+@pytest.mark.parametrize("tile", TILES, ids=lambda tile: tile.name)
 def test_a_tile_renders_a_picture_that_is_not_blank(first_device, contexts, tile):
-    rgba = picture(contexts(first_device), reduced(_resolved(tile))).rgba
+    scene = _resolved(tile)
+    data = picture(contexts(first_device), reduced(scene))
+    rgba = data.rgba
+    assert picture_warning(scene, scene.camera, rgba, data.depth) is None
     assert rgba.shape == (HEIGHT, WIDTH, 4)
     assert np.isfinite(rgba).all()
     assert rgba[..., 3].max() > 0.5

@@ -38,7 +38,7 @@ VOLUME = Volume(blobs((15, 17, 19), top=255, dtype=np.uint8))
 CAMERA = {"position": [34.0, 22.0, -27.0], "target": [9.0, 8.0, 7.0], "fov_degrees": 32.0}
 FUNCTION = scaled(HAZE, 255.0)
 QUICK = {"table_size": 64, "classification": "post"}  # tables and programs that are soon made
-SHARED = {"empty_space.cl", "preintegrate.cl"}  # what every scene compiles
+SHARED = {"empty_space.cl"}  # what every scene compiles
 TOGETHER = EffectScene("all together", "together", together)
 ALL_UNUSED = EffectScene("all without consequence", "together", all_unused)
 

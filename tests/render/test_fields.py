@@ -410,7 +410,7 @@ def test_fields_count_for_the_memory_cap():
     array, mask = np.ones((3, 3, 3), np.uint8), np.ones((50, 50, 50), np.uint8)
     bare, masked = scene(array), scene(array, field=[mask_field(mask, 0.5)])
     image = bare.image
-    cap = scene_bytes(bare.volume, bare.integration.table_size, image.width, image.height)
+    cap = scene_bytes(bare.volume, image.width, image.height)
     check_memory(bare, cap)
     check_memory(masked, cap + 4 * mask.size)
     with pytest.raises(VolumeError, match="memory cap"):

@@ -8,8 +8,6 @@ from small_scenes import axis_camera, picture, waves
 from twin_scenes import RAMP_SIZE, constant_function, ramp, scene
 
 from clvol import TransferFunction, Volume
-from clvol.errors import SceneError
-from clvol.render.opacity_factors import check_layers
 from clvol.render.twin import render_twin
 from clvol.transfer.union import union
 
@@ -193,11 +191,3 @@ def test_a_union_shows_exactly_where_one_of_its_functions_does():
     assert np.array_equal(both.opacity(values) > 0, shows)
     assert set(one.values) | set(other.values) == set(both.values)
     assert union([one]) is one
-
-
-def test_tables_beyond_what_kernels_count_with_are_refused():
-    layers = [layer(float(k + 1), [0.0], [0.5], [[1, 0, 0]]) for k in range(64)]
-    resolved = scene(WAVES, transfer_layer=layers)
-    check_layers(resolved, 4 * 2000**2)
-    with pytest.raises(SceneError, match="table_size"):
-        check_layers(resolved, 4 * 4098**2)

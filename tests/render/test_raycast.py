@@ -375,8 +375,8 @@ def test_what_cannot_be_rendered_is_refused_by_name(device):
 
 def test_the_memory_cap_refuses_before_the_upload(device):
     scene = make_scene(waves((16, 16, 16), np.uint8))
-    with pytest.raises(VolumeError, match="at most the memory cap of 1000000 bytes"):
-        Renderer(scene, devices=[device], memory_cap=10**6)
+    with pytest.raises(VolumeError, match="at most the memory cap of 10000 bytes"):
+        Renderer(scene, devices=[device], memory_cap=10**4)
     Renderer(scene, devices=[device], memory_cap=10**8).close()
 
 

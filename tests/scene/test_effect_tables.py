@@ -289,7 +289,7 @@ def ascending(key: str, lowest: float = 0.0):
 
 
 LABEL = st.fixed_dictionaries(
-    {"label": st.integers(-(2**31) + 1, 2**31 - 1), "color": COLOR}, optional={"opacity": UNIT}
+    {"label": st.integers(-(2**53) + 1, 2**53 - 1), "color": COLOR}, optional={"opacity": UNIT}
 )
 TABLES = st.fixed_dictionaries(
     {},

@@ -119,6 +119,8 @@ def change(store: Path, **own) -> None:
     ("own", "said"),
     [
         ({"version": 2}, "stored by a newer clvol (version 2)"),
+        ({"checksums": {"table": [], "statistics": {}}}, "damaged zarr.json"),
+        ({"checksums": None}, "damaged zarr.json"),
         ({"version": "x"}, "version 'x'"),
         ({"codecs": [{"name": "vector-9"}] * 5}, "stored by a newer clvol (codec 'vector-9')"),
         ({"edge": 5}, "damaged zarr.json"),

@@ -57,6 +57,17 @@ def nifti(path: Path, shape=(4, 3, 2), dtype="int16", **fields) -> Path:
     return path
 
 
+def nifti_pair(path: Path) -> Path:
+    """``path`` is the file of the pair to damage, the header or the voxels."""
+    packed = path.suffix == ".gz"
+    stem = path.name.split(".")[0]
+    whole = nifti(path.with_name("pair.nii"), vox_offset=0, magic=b"ni1").read_bytes()
+    for ending, data in ((".hdr", whole[:348]), (".img", VOXELS.tobytes())):
+        name = stem + ending + (".gz" if packed else "")
+        path.with_name(name).write_bytes(gzip.compress(data) if packed else data)
+    return path
+
+
 def refused(path: Path | str, **options) -> str:
     """The message of the VolumeError, which names the path, is one line, and came quickly."""
     start = time.monotonic()
@@ -78,6 +89,8 @@ def good(folder: Path, ending: str) -> Path:
         return metaimage(path, VOXELS.tobytes())
     if ending.startswith(".nii"):
         return nifti(path)
+    if ending.startswith((".hdr", ".img")):
+        return nifti_pair(path)
     if ending in (".tif", ".tiff"):
         tifffile.imwrite(path, VOXELS, photometric="minisblack")
     elif ending == ".npy":
@@ -157,7 +170,7 @@ def test_unknown_endings_are_refused_naming_the_known_ones(tmp_path: Path) -> No
         (tmp_path / name).write_bytes(b"data")
         assert ".nrrd" in refused(tmp_path / name)
     (tmp_path / "slice.dcm").write_bytes(b"data")
-    assert "folder" in refused(tmp_path / "slice.dcm")
+    assert "no DICOM file" in refused(tmp_path / "slice.dcm")
 
 
 def test_what_is_no_path_is_refused() -> None:
@@ -248,7 +261,7 @@ def test_compressed_data_that_are_too_short_are_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "fields, word",
     [
-        (dict(type="int"), "uint8, int8"),
+        (dict(type="int"), "96 bytes"),
         (dict(type="block"), "uint8, int8"),
         (dict(type=""), "type"),
         (dict(sizes=""), "sizes"),
@@ -283,9 +296,12 @@ def test_wrong_nrrd_headers(tmp_path: Path, capfd, fields, word) -> None:
 @pytest.mark.parametrize(
     "fields, word",
     [
-        (dict(ElementType="MET_INT"), "uint8, int8"),
-        (dict(ElementNumberOfChannels="3"), "3 channel"),
-        (dict(NDims="4", DimSize="4 3 2 1"), "4-D"),
+        (dict(ElementType="MET_INT"), "96 bytes"),
+        (dict(ElementType="MET_STRING"), "uint8, int8"),
+        (dict(ElementNumberOfChannels="3"), "3 channels: 0, 1, 2"),
+        (dict(NDims="5", DimSize="4 3 2 1 1"), "5-D"),
+        (dict(NDims="4", DimSize="4 3 2"), "4 sizes"),
+        (dict(NDims="4", DimSize="4 3 1 2"), "2 times"),
         (dict(NDims="2", DimSize="12 2"), "2-D"),
         (dict(DimSize="4 -3 2"), "DimSize"),
         (dict(ElementSpacing="1 0 1"), "spacing"),
@@ -305,14 +321,14 @@ def test_wrong_metaimage_headers(tmp_path: Path, capfd, fields, word) -> None:
 @pytest.mark.parametrize(
     "fields, word",
     [
-        (dict(shape=(4, 3, 2, 2), dtype="uint8"), "4-D"),
+        (dict(shape=(4, 3, 2, 2), dtype="uint8"), "2 times: 0, 1, expected volume.time"),
+        (dict(shape=(4, 3, 2, 1, 1, 2), dtype="uint8"), "6-D"),
         (dict(dtype=np.dtype([("R", "u1"), ("G", "u1"), ("B", "u1")])), "RGB"),
-        (dict(dtype="int32"), "uint8, int8"),
+        (dict(dtype="int32"), "96 bytes"),
         (dict(dtype="complex64"), "complex"),
         (dict(datatype=7777), ""),
         (dict(vox_offset=16), "vox_offset"),
         (dict(magic=b"ni1"), "single-file"),
-        (dict(sform_code=1), "spacing"),
         (dict(sform_code=1, srow_x=[1, 1, 0, 0], srow_z=[0, 0, 1, 0]), "singular"),
         (dict(sform_code=1, srow_x=[np.nan, 1, 0, 0]), "finite"),
         (dict(pixdim=[1, 0, 1, 1, 1, 1, 1, 1]), "spacing"),
@@ -330,11 +346,12 @@ def test_wrong_nifti_headers(tmp_path: Path, capfd, fields, word) -> None:
 @pytest.mark.parametrize(
     "array, options, word",
     [
-        (np.zeros((4, 5, 3), "u1"), dict(photometric="rgb"), "axes YXS"),
-        (np.zeros((2, 4, 5, 3), "u1"), dict(photometric="rgb"), "YXS"),
-        (np.zeros((2, 3, 4, 5), "u1"), dict(imagej=True, metadata=dict(axes="TZYX")), "TZYX"),
-        (np.zeros((2, 4, 5), "u2"), dict(imagej=True, metadata=dict(axes="CYX")), "CYX"),
-        (np.zeros((2, 4, 5), "i4"), dict(photometric="minisblack"), "uint8, int8"),
+        (np.zeros((4, 5, 3), "u1"), dict(photometric="rgb"), 'channels: 0 "red"'),
+        (np.zeros((2, 4, 5, 3), "u1"), dict(photometric="rgb"), "volume.channel"),
+        (np.zeros((2, 3, 4, 5), "u1"), dict(imagej=True, metadata=dict(axes="TZYX")), "2 times"),
+        (np.zeros((2, 4, 5), "u2"), dict(imagej=True, metadata=dict(axes="CYX")), "2 channels"),
+        (np.zeros((2, 3, 4, 5), "u1"), dict(photometric="minisblack"), "axes QQYX"),
+        (np.full((2, 4, 5), 2**63 - 1, "i8"), dict(photometric="minisblack"), "int64 voxels"),
         (np.zeros((2, 4, 5), "c8"), dict(photometric="minisblack"), "complex"),
     ],
 )
@@ -348,7 +365,7 @@ def test_tiff_pages_of_different_sizes_are_refused(tmp_path: Path) -> None:
     with tifffile.TiffWriter(tmp_path / "v.tif") as writer:
         writer.write(np.zeros((4, 5), "u1"))
         writer.write(np.zeros((3, 5), "u1"))
-    assert "different kinds" in refused(tmp_path / "v.tif")
+    assert "2 series: 0 (4 x 5, YX), 1 (3 x 5, YX)" in refused(tmp_path / "v.tif")
 
 
 def test_tiff_with_a_broken_chain_of_pages_is_refused_not_cropped(tmp_path: Path, capfd) -> None:
@@ -386,7 +403,8 @@ def test_tiff_compressed_pages_cut_or_damaged_are_refused(tmp_path: Path, capfd)
     [
         (np.zeros((2, 3, 4, 3), "u1"), "4-D"),
         (np.zeros((3, 4), "u1"), "2-D"),
-        (np.zeros((2, 3, 4), "i4"), "uint8, int8"),
+        (np.full((2, 3, 4), 2**64 - 1, "u8"), "uint64 voxels"),
+        (np.zeros((2, 3, 4), "c16"), "complex"),
         (np.zeros((2, 3, 4), [("r", "u1"), ("g", "u1")]), "vector"),
         (np.zeros((2, 0, 4), "u1"), ""),
         (np.array([[[None]]]), ""),
@@ -415,7 +433,12 @@ def test_an_npz_named_npy_is_refused(tmp_path: Path) -> None:
         dict(dims=(4, 3, 0), dtype="<i2"),
         dict(dims=(-4, -3, 2), dtype="<i2"),
         dict(dims=(4.5, 3, 2), dtype="<i2"),
-        dict(dims=(2, 3, 2), dtype="<i4"),
+        dict(dims=(1, 3, 2), dtype="<c8"),
+        dict(dims=(4, 3, 2), dtype="<i2", header_bytes=1),
+        dict(dims=(4, 3, 2), dtype="<i2", header_bytes=-2),
+        dict(dims=(4, 3, 2), dtype="<i2", header_bytes=2**70),
+        dict(dims=(4, 3, 2), dtype="<i2", byte_order="big"),
+        dict(dims=(4, 3, 2), dtype="<i2", byte_order="middle"),
         dict(dims=(4, 3, 2), dtype="no type"),
         dict(dims=(4, 3, 2), dtype="O"),
         dict(dims=(4, 3, 2), dtype="<i2", spacing=(1, 0, 1)),

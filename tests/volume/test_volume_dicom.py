@@ -149,7 +149,8 @@ def test_several_series_are_listed(tmp_path: Path, capfd) -> None:
     write_series(tmp_path / "ct", voxels())
     write_series(tmp_path / "ct", voxels()[:2], prefix="t")
     message = refused(tmp_path / "ct")
-    assert "2 DICOM series" in message and "(4 files)" in message and "(2 files)" in message
+    assert "2 series: 0 1.2." in message and "volume.series" in message
+    assert "(4 files)" in message and "(2 files)" in message
     assert capfd.readouterr() == ("", "")
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Mapping
-from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +27,7 @@ def write_report(
     ``index.html`` holds all that it shows. All files appear, each whole, or none does. Raises
     UsageError where the folder cannot be one, RenderError when writing fails.
     """
-    from clvol.image import atomic_path
+    from clvol.image import atomic_paths
 
     result = plain(result)
     contents = _contents(result, pictures)
@@ -36,9 +35,9 @@ def write_report(
     made = _make_folders([folder, folder / "images"])
     paths = [folder / name for name in contents]
     try:
-        with ExitStack() as stack:
-            for path, data in zip(paths, contents.values()):
-                stack.enter_context(atomic_path(path)).write_bytes(data)
+        with atomic_paths(paths) as temporaries:
+            for temporary, data in zip(temporaries, contents.values()):
+                temporary.write_bytes(data)
     except BaseException:
         for new in reversed(made):
             try:

@@ -14,7 +14,6 @@ from clvol.render.raycast import (
     _SCENE_ARGUMENTS,
     _SECONDS_A_SAMPLE,
     Raycaster,
-    _gate,
     device_function,
     scene_nodes,
     segment_classification,
@@ -29,13 +28,13 @@ from clvol.schedule.tiles import TILE
 from clvol.store.source import DROPPED
 from clvol.transfer import TransferFunction
 from clvol.transfer.classes import visible_cells
-from clvol.transfer.tables import length_slices, length_tables
+from clvol.transfer.pieces import value_gate
 
 BLOCK_COUNTERS = ("block_reads", "blended_samples")  # COUNT_... of cl/block_parameters.h
 # Switches of kernels that look at blocks and cast no rays.
 _OF_BLOCKS = (
     "VOXEL_BITS", "VOXEL_SIGNED", "VOXEL_SCALED", "VOXEL_HOLES", "VOXEL_PAIRS", "SAMPLE_BUFFERS",
-    "WARPED_CLASSES", "INTERBLOCK", "FILTER", "CLASSIFICATION",
+    "WARPED_CLASSES", "INTERBLOCK", "FILTER", "CLASSIFICATION", "TRANSFER_PIECES",
 )  # fmt: skip
 _MORE = ["samples1", "samples2", "samples3"]
 _EMPTY, _BESIDE_HOLES = 255, 1  # of cl/block_cells.cl
@@ -91,17 +90,9 @@ class BlockCaster(Raycaster):
         return self.resolved.multiresolution
 
     @property
-    def _slices(self) -> int:
-        return length_slices(self._doublings, not self._is_midpoint)
-
-    @property
-    def _doublings(self) -> int:
-        """Of a step, up to the longest that is taken at once."""
-        return 0 if self.stepping == "full" else self.blocks.blocks.levels - 1
-
-    @property
     def _is_midpoint(self) -> bool:
-        return segment_classification(self.resolved.integration) != "preintegrated"
+        functions = [self._asked_function]
+        return segment_classification(self.resolved.integration, functions) != "preintegrated"
 
     def set_transfer_function(self, function: TransferFunction) -> None:
         """Another transfer function for the blocks that are resident: tables and empty space."""
@@ -112,7 +103,7 @@ class BlockCaster(Raycaster):
         self.stepping = self._fitting_stepping()
         self._set_colors()
         visible = visible_cells(mapped, self.nodes.values)
-        self.gate = _gate(mapped, self.nodes, visible)
+        self.gate = value_gate(mapped)
         self._visible = visible, mapped.opacity(self.nodes.values) > 0
         warp = self.nodes.warp
         self.warp = self.context.upload(np.zeros(2, np.float32) if warp is None else warp)
@@ -124,7 +115,7 @@ class BlockCaster(Raycaster):
     def _set_switches(self) -> None:
         is_warped = self.nodes.warp is not None
         self.switches = block_switches(
-            self.resolved, is_warped, self.lanes, self.skip, self.stepping
+            self.resolved, is_warped, self.lanes, self.skip, self.stepping, self._asked_function
         )
         self.switches |= self.blocks.switches
 
@@ -141,7 +132,6 @@ class BlockCaster(Raycaster):
         stepping = self._fitting_stepping()
         if stepping != self.stepping:
             self.stepping = stepping
-            self._build_table()
             self._set_switches()
         between, at = self._visible
         view = np.zeros(1, self._view_dtype)
@@ -270,23 +260,24 @@ class BlockCaster(Raycaster):
         sums = counts.sum(axis=0, dtype=np.uint64)
         return {name: int(total) for name, total in zip(BLOCK_COUNTERS, sums)}
 
-    def _table_of(self, function: TransferFunction) -> DeviceArray:
-        return length_tables(
-            self.context, function, self.nodes.values, self.length, self._doublings,
-            not self._is_midpoint,
-        )  # fmt: skip
-
 
 def block_switches(
-    resolved: ResolvedScene, warped: bool, lanes: int, skip: bool, stepping: str | None = None
+    resolved: ResolvedScene,
+    warped: bool,
+    lanes: int,
+    skip: bool,
+    stepping: str | None = None,
+    function: TransferFunction | None = None,
 ) -> dict[str, int]:
     """What gets compiled for a scene of blocks, but for what the samples' type and buffers add.
-    ``stepping`` instead of the scene's."""
+    ``stepping`` and ``function`` instead of the scene's."""
     from clvol.render.raycast import raycast_switches
 
     asked = resolved.multiresolution
     return {
-        **raycast_switches(resolved, warped=warped, lanes=lanes, skip=skip),
+        **raycast_switches(
+            resolved, warped=warped, lanes=lanes, skip=skip, function=function
+        ),
         "BLOCKS": 1,
         "STEPPING": STEPPINGS[stepping or asked.stepping],
         "INTERBLOCK": int(asked.interblock),

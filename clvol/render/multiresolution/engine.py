@@ -32,8 +32,8 @@ def caster_of(resolved: ResolvedScene) -> type[BlockCaster]:
 class MultiresolutionEngine:
     """An engine as ``Raycaster`` is one. ``residency`` may be shared: each frame asks for its own blocks.
 
-    A frame waits for its blocks, so a picture is the same however long reading takes; but after
-    ``set_transfer_function(..., wait=False)`` frames show what is there until all has come.
+    A frame waits for its blocks, so a picture is the same however long reading takes; but where ``wait`` is
+    False frames show what is there until all has come, a thread reading the rest.
     """
 
     def __init__(
@@ -42,12 +42,11 @@ class MultiresolutionEngine:
         resolved: ResolvedScene,
         residency: Residency | None = None,
         progress: Callable[[int, int], None] | None = None,
+        wait: bool | None = None,
     ) -> None:
         self.context, self.resolved = context, resolved
         self.residency = residency or Residency(context, resolved)
-        self.function = resolved.transfer_function
-        self._waits = True
-        self.residency.ask(resolved, self.function, progress=progress)
+        self.ask(wait, progress)
         self._shown = self.residency.generation
         self.caster = caster_of(resolved)(context, resolved, self.residency.blocks)
 
@@ -67,12 +66,19 @@ class MultiresolutionEngine:
         other.caster = self.caster.like(resolved)
         return other
 
+    def ask(
+        self, wait: bool | None = None, progress: Callable[[int, int], None] | None = None
+    ) -> None:
+        """Asks for the blocks of the scene's own view. ``wait`` None: as was said last."""
+        self.residency.ask(self.resolved, wait=wait, progress=progress)
+
     def set_transfer_function(self, function: TransferFunction, wait: bool = True) -> None:
         """Another transfer function: new tables, and the blocks that it wants. With ``wait`` False a
-        thread reads these while frames are rendered from what is there."""
-        self.function, self._waits = function, wait
-        if self.residency.ask(self.resolved, function, wait=wait):
-            self._shown = -1
+        thread reads these while frames are rendered from what is there.
+
+        For an engine that nobody shares: ``Engines`` keep theirs by their function, and make another one."""
+        self.resolved = replace(self.resolved, transfer_function=function)
+        self.ask(wait)
         self.caster.set_transfer_function(function)
         self._shown = self.residency.generation
 
@@ -121,10 +127,7 @@ class MultiresolutionEngine:
 
     def _make_resident(self, camera: Camera, width: int, height: int) -> None:
         image = self.resolved.image.model_copy(update={"width": width, "height": height})
-        asked = replace(self.resolved, camera=camera, image=image)
-        self.residency.ask(asked, self.function, wait=self._waits)
-        if not self.residency.blocks.pending:
-            self._waits = True
+        self.residency.ask(replace(self.resolved, camera=camera, image=image))
         if self._shown != self.residency.generation:
             self.caster.set_resident()
             self._shown = self.residency.generation

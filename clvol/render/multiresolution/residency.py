@@ -42,29 +42,37 @@ class Residency:
         self._errors: tuple[TransferFunction, np.ndarray, SourceErrors] | None = None
         self._means: np.ndarray | None = None
         self._asked: tuple = ()
+        self._waits = True
         self.generation = 0  # one more whenever something on the device has changed
 
     def ask(
         self,
         resolved: ResolvedScene,
-        function: TransferFunction,
         *,
-        wait: bool = True,
+        wait: bool | None = None,
         progress: Callable[[int, int], None] | None = None,
     ) -> bool:
-        """Levels for ``resolved`` under ``function``; says whether anything on the device changed.
+        """Levels for ``resolved``; says whether anything on the device changed.
 
         ``wait``: until all is there; else a thread reads, and ``DeviceBlocks.commit`` puts in place what has come.
+        None: as was said last, but once all has come what is asked for next is waited for.
         """
-        changed = self._ask(resolved, function, wait, progress)
+        if wait is not None:
+            self._waits = wait
+        try:
+            changed = self._ask(resolved, self._waits, progress)
+        except BaseException:
+            self._asked = ()  # what has not come is asked for again
+            raise
+        self._waits |= not self.blocks.pending
         self.generation += changed
         return changed
 
-    def _ask(self, resolved: ResolvedScene, function: TransferFunction, wait: bool, progress) -> bool:
-        settings = resolved.multiresolution
+    def _ask(self, resolved: ResolvedScene, wait: bool, progress) -> bool:
+        settings, function = resolved.multiresolution, resolved.transfer_function
         camera = resolved.camera if settings.view_weighting else None
         view = (camera, resolved.image.width, resolved.image.height) if camera else None
-        asked = (function, view, settings.occlusion)
+        asked = (function, view, settings.occlusion, resolved.background.tobytes())
         if asked == self._asked:
             return self.blocks.wait(progress) if wait else self.blocks.commit()
         known = self._source_errors(function, resolved.background)
@@ -86,7 +94,7 @@ class Residency:
             self._means = np.concatenate([part.mean[-1] for part in self.source.statistics()])
         if self._errors is not None:
             old_function, old_background, errors = self._errors
-            if old_function is function and np.array_equal(old_background, background):
+            if old_function == function and np.array_equal(old_background, background):
                 return errors
         errors = source_errors(self.source, function, background)
         self._errors = function, np.array(background), errors

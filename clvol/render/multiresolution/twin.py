@@ -104,14 +104,16 @@ class BlockField:
             place = np.clip(place, 0.0, s - 1.0)
             lower = np.minimum(np.floor(place), s - 2).astype(np.int64)
             fraction = place - lower
+            x, y, z = (lower + np.round(fraction).astype(np.int64)).T
+            base = samples[self._slot[number[those]], z, y, x].astype(np.float64)  # has the largest weight
             total = np.zeros(len(those))
             for corner in _ACROSS:
                 weight = np.where(corner, fraction, 1.0 - fraction).prod(axis=1)
                 x, y, z = (lower + corner).T
                 value = samples[self._slot[number[those]], z, y, x]
                 with np.errstate(invalid="ignore"):
-                    total += np.where(weight != 0.0, weight * value, 0.0)
-            out[those] = total
+                    total += np.where(weight != 0.0, weight * (value - base), 0.0)
+            out[those] = base + total
         return out
 
     def weights(self, p: np.ndarray, p2: bool = False) -> tuple[np.ndarray, np.ndarray]:

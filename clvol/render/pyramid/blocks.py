@@ -14,6 +14,7 @@ from clvol.render.pyramid.oracle import BlockCells
 from clvol.render.pyramid.oracles.resolution import Resolution
 from clvol.scene.resolve import ResolvedScene
 from clvol.store.source import DROPPED
+from clvol.transfer import TransferFunction
 
 
 class BlockPyramidCaster(PyramidMarch, BlockCaster):
@@ -41,8 +42,9 @@ class BlockPyramidCaster(PyramidMarch, BlockCaster):
 
     def _set_switches(self) -> None:
         self.switches = block_pyramid_switches(
-            self.resolved, self.nodes.warp is not None, self.lanes, self.workers, self._edge, self.leap
-        )
+            self.resolved, self.nodes.warp is not None, self.lanes, self.workers, self._edge, self.leap,
+            function=self._asked_function,
+        )  # fmt: skip
         self.switches |= self.blocks.switches
 
     def set_resident(self) -> None:
@@ -69,8 +71,13 @@ class BlockPyramidCaster(PyramidMarch, BlockCaster):
 
 
 def block_pyramid_switches(
-    resolved: ResolvedScene, warped: bool, lanes: int, *how: int | None
+    resolved: ResolvedScene,
+    warped: bool,
+    lanes: int,
+    *how: int | None,
+    function: TransferFunction | None = None,
 ) -> dict[str, int]:
-    """What gets compiled, but for what the samples' type and buffers add. ``how``: as for ``march_switches``."""
-    switches = block_switches(resolved, warped, lanes, False, "full")
+    """What gets compiled, but for what the samples' type and buffers add. ``how``: as for ``march_switches``.
+    ``function`` instead of the scene's."""
+    switches = block_switches(resolved, warped, lanes, False, "full", function)
     return {**switches, **march_switches(Resolution(), lanes, *how)}

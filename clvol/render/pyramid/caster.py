@@ -37,7 +37,6 @@ from clvol.scene.camera import Camera
 from clvol.scene.pyramid import Pyramid
 from clvol.scene.resolve import ResolvedScene
 from clvol.transfer import TransferFunction
-from clvol.transfer.tables import length_slices, length_tables
 
 COUNTERS = ("oracle_samples", "syntheses", "accumulations")  # COUNT_... of cl/pyramid.h
 TILE = 32  # pixels an edge of a tile; a multiple of 2^MOST_LEVELS
@@ -46,7 +45,7 @@ WORKERS = 64  # work-items of a group where they are not one
 # Switches of kernels that look at voxels and classes alone.
 _OF_VOXELS = (
     "VOXEL_BITS", "VOXEL_SIGNED", "VOXEL_SCALED", "VOXEL_HOLES", "VOXEL_PAIRS", "WARPED_CLASSES",
-    "FILTER", "CLASSIFICATION",
+    "FILTER", "CLASSIFICATION", "TRANSFER_PIECES",
 )  # fmt: skip
 
 
@@ -104,16 +103,6 @@ class PyramidMarch:
         """Distances beyond this are of no use: twice that of the coarsest samples along a ray."""
         step = max(1.0, self.resolved.integration.step)
         return float(np.clip(2.0 ** (self.pyramid.levels + 1) * step, 1.0, 64.0))
-
-    @property
-    def _slices(self) -> int:
-        return length_slices(self.pyramid.levels, by_chords=True)
-
-    def _table_of(self, function: TransferFunction) -> DeviceArray:
-        return length_tables(
-            self.context, function, self.nodes.values, self.length, self.pyramid.levels,
-            by_chords=True,
-        )  # fmt: skip
 
     def like(self, resolved: ResolvedScene):
         other = super().like(resolved)
@@ -186,7 +175,7 @@ class PyramidMarch:
         row["spacing"][0, :2] = (plan.spacing, plan.growth)
         row["edges"][0, :3] = self.asked.edges
         row["oracle"][0] = self.oracle.numbers(self.asked)
-        row["gate"][0, :2] = self._value_gate
+        row["gate"][0, :2] = self.gate
         row["levels"][0, 2] = len(self._halves)
         row["halves"][0, : len(self._halves)] = self._halves
         self._tally = self.context.output(np.uint32, (tiles, len(self.counter_names)))
@@ -208,18 +197,6 @@ class PyramidMarch:
             where = f"oracle {self.oracle.name!r}"
             raise RenderError(where, f"gave a map of {held} bytes", f"{needed} (clvol.render.pyramid.cells)")
         return found if found is not None else self.context.upload(np.zeros(4, np.uint8))
-
-    @property
-    def _value_gate(self) -> tuple[float, float]:
-        """``gate`` in values: those of the nodes next to what is visible."""
-        nodes, last = self.nodes.values, self.nodes.values.size - 1
-        low, high = self.gate
-        if not low < high:
-            return np.inf, -np.inf
-        return (
-            -np.inf if low < 0 else float(nodes[int(low)]),
-            np.inf if high > last else float(nodes[int(high)]),
-        )
 
     def _counters(self, counts: np.ndarray) -> dict[str, int]:
         sums = counts.sum(axis=0, dtype=np.uint64)
@@ -270,7 +247,7 @@ class PyramidCaster(PyramidMarch, Raycaster):
         super().set_transfer_function(function)
         self.switches = pyramid_switches(
             self.resolved, self.nodes.warp is not None, self.lanes, self.workers, self._edge,
-            self.leap,
+            self.leap, function=function,
         )  # fmt: skip
         self._ask_oracle()
 
@@ -316,10 +293,16 @@ def march_switches(
 
 
 def pyramid_switches(
-    resolved: ResolvedScene, warped: bool, lanes: int, *how: int | None
+    resolved: ResolvedScene,
+    warped: bool,
+    lanes: int,
+    *how: int | None,
+    function: TransferFunction | None = None,
 ) -> dict[str, int]:
-    """What gets compiled for a scene of the method "pyramid". ``how``: as for ``march_switches``."""
+    """What gets compiled for a scene of the method "pyramid". ``how``: as for ``march_switches``.
+    ``function`` instead of the scene's."""
+    plain = without_clips(resolved)
     return {
-        **raycast_switches(without_clips(resolved), warped=warped, lanes=lanes),
+        **raycast_switches(plain, warped=warped, lanes=lanes, function=function),
         **march_switches(oracle_named(resolved.pyramid.oracle), lanes, *how),
     }

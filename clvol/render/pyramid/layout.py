@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clvol.render.layout import cell_count, padded_size
-from clvol.transfer.tables import length_slices
 
 if TYPE_CHECKING:
     from clvol.scene import Scene
@@ -48,24 +47,18 @@ def pyramid_bytes(volume: Volume, scene: Scene | ResolvedScene) -> int:
     shapes = map_shape(size, map_shift(size)), map_shape(size, FREE_SHIFT)
     voxels = int(np.prod(size, dtype=np.int64))  # a byte of bits for each
     ranges = _RANGES if scene.pyramid.oracle == "error" else 0
-    return voxels + ranges + sum(map(_bytes_to_make, shapes)) + _length_bytes(scene)
+    return voxels + ranges + sum(map(_bytes_to_make, shapes))
 
 
 def block_pyramid_bytes(cells: tuple[int, int, int], scene: Scene | ResolvedScene) -> int:
     """Beside those of the other steppings through blocks, with a map of empty space of so many cells."""
-    return 2 * _bytes_to_make(cells) + _length_bytes(scene)
+    return 2 * _bytes_to_make(cells)
 
 
 def _bytes_to_make(shape: tuple[int, int, int]) -> int:
     """A map, and beside it bits and twice a squared distance of two bytes, in rows of whole vectors."""
     nz, ny, nx = shape
     return map_bytes(shape) + nz * ny * padded_row(nx) * (1 + 2 * 2)
-
-
-def _length_bytes(scene: Scene | ResolvedScene) -> int:
-    """Tables of segments, and what they are made from."""
-    slices = 2 * length_slices(scene.pyramid.levels, by_chords=True)
-    return slices * (scene.integration.table_size + 2) ** 2 * 16
 
 
 _RANGES = 9 * 2**20  # what values near one show, of the oracle "error"

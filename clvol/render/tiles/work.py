@@ -53,7 +53,10 @@ def _pattern(
     wanted[cast] = False
     row, column = np.nonzero(wanted)
     order = np.argsort(_spread(column) | _spread(row) << 1, kind="stable")
-    return row[order], column[order]
+    found = row[order], column[order]
+    for axis in found:
+        axis.flags.writeable = False  # kept for all that ask
+    return found
 
 
 def _array(length: int, size: int, tau: int, halvings: int) -> np.ndarray:

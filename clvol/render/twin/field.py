@@ -53,17 +53,24 @@ class GridSampler:
     def __call__(self, world: np.ndarray, derivative: int | None = None) -> np.ndarray:
         """The field [n] or [n, channels] at world positions [n, 3]."""
         parts = [
-            weighted_mean(*self.taps(world[i : i + _CHUNK], derivative))
+            weighted_mean(*self.taps(world[i : i + _CHUNK], derivative), float(derivative is None))
             for i in range(0, len(world), _CHUNK)
         ]
         return np.concatenate(parts) if parts else np.zeros((0, *self.array.shape[3:]))
 
 
-def weighted_mean(voxels: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Sum over k of voxels [n, k, ...] times weights [n, k]; what has weight 0 does not count."""
+def weighted_mean(voxels: np.ndarray, weights: np.ndarray, total: float = 1.0) -> np.ndarray:
+    """Sum over k of voxels [n, k, ...] times weights [n, k]; what has weight 0 does not count.
+
+    ``total``: what weights add up to but for rounding, 1 or 0 (of a derivative). Counted from the voxel of the largest
+    weight, so that equal voxels give exactly their value: a step of a transfer function may lie right there.
+    """
+    rows = np.arange(len(weights))
+    base = voxels[rows, np.abs(weights).argmax(axis=1)]
     weights = weights.reshape(weights.shape + (1,) * (voxels.ndim - 2))
     with np.errstate(invalid="ignore"):
-        return np.where(weights != 0.0, voxels * weights, 0.0).sum(axis=1)
+        changes = np.where(weights != 0.0, (voxels - base[:, None]) * weights, 0.0).sum(axis=1)
+    return base + changes if total else changes
 
 
 def axis_taps(

@@ -84,7 +84,7 @@ class _March:
         self.stop = 1.0 - integration.early_termination
         self.environment = _environment(resolved.environment, environment_map)
         self.surfaces = resolved.isosurfaces if self.mode == "over" else ()
-        shadows = None if resolved.shadow is None else Shadows(resolved, self.medium)
+        shadows = None if resolved.shadow is None else Shadows(resolved, self.medium, step)
         self.shader = Shader(resolved, self.environment, shadows)
 
     def render(self, origin: np.ndarray, direction: np.ndarray) -> np.ndarray:

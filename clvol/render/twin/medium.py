@@ -100,7 +100,6 @@ class Medium:
         end: np.ndarray,
         direction: np.ndarray,
         *,
-        classification: str | None = None,
         before: np.ndarray | None = None,
         curved: np.ndarray | None = None,
         steps: np.ndarray | None = None,
@@ -110,10 +109,9 @@ class Medium:
         Pre-integrated chords are ``curved`` [n] where the ray has a sample at ``before`` [n, 3],
         one step before the start; ``steps`` [n] is then the segments' length in steps.
         """
-        classification = classification or self.classification
         middle = 0.5 * (start + end)
         length = np.linalg.norm(end - start, axis=1)
-        parts = self._classified(start, end, length, classification, before, curved, steps)
+        parts = self._classified(start, end, length, before, curved, steps)
         gradient = self.gradient(middle)
         slope = _finite_norm(gradient)
         if len(parts) == 1:
@@ -143,15 +141,15 @@ class Medium:
                 share = share * _kept_by_mask(field, sampler, start, end)
         return share
 
-    def _classified(self, start, end, length, classification, before, curved, steps):
+    def _classified(self, start, end, length, before, curved, steps):
         """(colour, optical depth) of the segments by each layer's function."""
         middle = 0.5 * (start + end)
-        if classification == "pre":
+        if self.classification == "pre":
             moved, added = self._perturbed(middle)
             voxels, weights = self.field.value.taps(moved)
             voxels = voxels + np.broadcast_to(added, len(middle))[:, None]
             return [classify.of_voxels(f, voxels, weights, length) for f in self.functions]
-        if classification == "post":
+        if self.classification == "post":
             value = self.value(middle)
             return [classify.of_value(f, value, length) for f in self.functions]
         front, back = self.value(start), self.value(end)

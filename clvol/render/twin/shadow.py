@@ -17,16 +17,21 @@ _SUBDIVISIONS = 8  # within a step of a shadow ray
 
 
 class Shadows:
-    """Transmittance towards the lights of a resolved scene with a [shadow]."""
+    """Transmittance towards the lights of a resolved scene with a [shadow].
 
-    def __init__(self, resolved, medium: Medium) -> None:
+    ``step``: of rays to lights, in smallest voxel edges, where the [shadow] has none of its own; None: the
+    scene's.
+    """
+
+    def __init__(self, resolved, medium: Medium, step: float | None = None) -> None:
         self.settings = resolved.shadow
         self.lights = resolved.lights
         self.clips = resolved.clips
         self.medium = medium
         self.isovalues = [s.value for s in resolved.isosurfaces]
         self.opacities = np.array([s.opacity for s in resolved.isosurfaces])
-        self.step = self.settings.step * medium.grid.smallest_edge
+        step = self.settings.step or step or resolved.integration.step
+        self.step = step * medium.grid.smallest_edge
         self._volumes: dict[int, GridSampler] = {}
 
     def transmittance(self, number, at, to_light, distance, weight, surface, gradient):
@@ -50,7 +55,7 @@ class Shadows:
 
     def optical_depth(self, at, direction, distance, known_side=None) -> np.ndarray:
         """[n] from ``at`` along ``direction`` as far as ``distance``: segments of one step each,
-        the last one shorter, classified at their middles; a surface counts with its opacity."""
+        the last one shorter, classified as the scene's; a surface counts with its opacity."""
         depth = np.zeros(len(at))
         kept = kept_stretches(self.medium.grid, self.clips, at, direction)
         for enter, leave in zip(kept.enter.T, kept.leave.T):
@@ -62,7 +67,11 @@ class Shadows:
                 t1 = np.minimum(enter[rays] + (i + 1) * self.step, leave[rays])
                 o, d = at[rays], direction[rays]
                 start, end = o + t0[:, None] * d, o + t1[:, None] * d
-                depth[rays] += self.medium.segment(start, end, d, classification="post").depth
+                before = start - self.step * d
+                depth[rays] += self.medium.segment(
+                    start, end, d, before=before, curved=np.full(len(rays), i > 0),
+                    steps=(t1 - t0) / self.step,
+                ).depth  # fmt: skip
                 if self.isovalues:
                     side = None if known_side is None else known_side[rays] * (t0 == 0)[:, None]
                     met = crossings(

@@ -1,97 +1,153 @@
-"""NIfTI-1 and NIfTI-2: .nii and .nii.gz.
+"""NIfTI-1 and NIfTI-2: .nii, .nii.gz, and pairs .hdr and .img.
 
-nibabel parses the header and the affine; the voxels are read by ``read_samples``.
+nibabel parses the header and the affine; the voxels are read by ``read_parts``.
 """
 
 from __future__ import annotations
 
 import gzip
 import math
-import struct
+import zlib
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 
 from clvol.errors import VolumeError
-from clvol.volume.grid import Grid
 from clvol.volume.memory import check_memory
+from clvol.volume.readers.nifti_header import (
+    files_of,
+    grid_of,
+    is_packed,
+    read_header,
+    sizes_of,
+    unit_of,
+)
 from clvol.volume.readers.options import ReadOptions
-from clvol.volume.readers.samples import read_samples
+from clvol.volume.readers.samples import Part, read_parts
 from clvol.volume.volume import Volume, check_type
 
-_XFORM_NAMES = {1: "scanner", 2: "aligned", 3: "Talairach", 4: "MNI"}
+_DEFLATE_RATIO = 1032  # zlib's technical notes
 
 
 def read(path: Path, options: ReadOptions) -> Volume:
-    """The volume in a NIfTI file; world coordinates are NIfTI's (RAS), by sform, else qform.
+    """The volume in a NIfTI file or pair; world coordinates are NIfTI's (RAS), by sform, else
+    qform; without either, voxel sizes count and the frame is that of the indices.
 
     Where ``scl_slope`` and ``scl_inter`` are a real scaling (not slope 0, nor slope 1 with inter 0)
     the values are slope * stored + inter: computed in float64 and kept as float32 for stored 8- and
-    16-bit integers and float32, as float64 for stored 32-bit integers and float64. Without a
-    scaling the stored type is kept. Trailing axes of length 1 are dropped.
+    16-bit integers and float32, as float64 for wider types. Without a scaling the stored type is
+    kept. Of several times (the fourth axis) and channels (the fifth) ``options`` choose.
     """
-    from nibabel.nifti1 import Nifti1Header
-    from nibabel.nifti2 import Nifti2Header
-
-    compressed = path.name.lower().endswith(".gz")
-    with gzip.open(path) if compressed else path.open("rb") as file:
-        block = _header_block(path, file)
-    header_type = {348: Nifti1Header, 540: Nifti2Header}[len(block)]
-    header = header_type(block, check=False)
-    shape = _shape(path, header)
+    header_file, data_file = files_of(path)
+    header, single = read_header(header_file)
+    shape, times, channels = sizes_of(path, header)
     stored = header.get_data_dtype()
-    slope, inter = header.get_slope_inter()
+    slope, inter = _scaling(header, options)
     scaled = slope is not None and (slope, inter) != (1.0, 0.0)
     if not (scaled and stored.kind in "iu" and stored.itemsize == 4):
         check_type(stored, str(path))
-    affine = header.get_best_affine()
-    grid = Grid.from_steps(shape, affine[:3, :3], affine[:3, 3])
+    grid, frame = grid_of(path, header, shape, options)
     result = _scaled_type(stored) if scaled else None
     voxel = stored.itemsize + (result.itemsize if scaled else 0)
     check_memory(str(path), voxel * math.prod(shape), options.memory_cap)
-    start = header.get_data_offset() or header_type.single_vox_offset
-    if start < header_type.single_vox_offset:
-        least = header_type.single_vox_offset
-        raise VolumeError(str(path), f"vox_offset {start}", f"{least} or more")
-    data = read_samples(
-        path,
-        shape,
-        stored,
-        offset=0 if compressed else start,
-        encoding="deflate" if compressed else "raw",
-        skip=start if compressed else 0,
-        memory_cap=options.memory_cap,
-    )
+    start = _data_offset(path, header, single)
+    which = options.choose("time", str(path), [None] * times) if times > 1 else 0
+    if channels > 1:
+        which += times * options.choose("channel", str(path), [None] * channels)
+    data = _voxels(data_file, start, shape, stored, which, times * channels, options)
     if result is not None:
         data = _scale(data, slope, inter, result)
-    label = _XFORM_NAMES.get(int(header["sform_code"]) or int(header["qform_code"]))
-    frame = f"RAS ({label})" if label else "RAS"
-    return Volume(data, grid.spacing, grid.origin, grid.direction, frame=frame)
+    volume = Volume(
+        data, grid.spacing, grid.origin, grid.direction, frame=frame, unit=unit_of(header)
+    )
+    volume.files = tuple(str(file) for file in (header_file, data_file) if file != path)
+    return volume
 
 
-def _header_block(path: Path, file: BinaryIO) -> bytes:
-    """The 348 bytes of a NIfTI-1 header or the 540 of a NIfTI-2 header, in either byte order."""
-    block = file.read(540)
-    for order in ("<", ">"):
-        size = struct.unpack(order + "i", block[:4].ljust(4, b"\0"))[0]
-        if size == 348 and block[344:348] == b"n+1\0":
-            return block[:348]
-        if size == 540 and len(block) == 540 and block[4:8] == b"n+2\0":
-            return block
-    raise VolumeError(str(path), "no NIfTI header", "a single-file NIfTI-1 or NIfTI-2 header")
+def _scaling(header: Any, options: ReadOptions) -> tuple[float | None, float | None]:
+    """Slope and offset; None where there is no scaling."""
+    if np.isnan(float(header["scl_inter"])) and np.isfinite(float(header["scl_slope"])):
+        header = header.copy()
+        header["scl_inter"] = 0.0
+        if float(header["scl_slope"]) != 0.0:
+            options.warn("scl_inter is not a number, and counts as 0")
+    return header.get_slope_inter()
 
 
-def _shape(path: Path, header: Any) -> tuple[int, int, int]:
-    sizes = [int(n) for n in header.get_data_shape()]
-    spatial = sizes[:3] + [1] * (3 - len(sizes))
-    if not sizes or min(sizes) < 1 or any(n != 1 for n in sizes[3:]):
+def _data_offset(path: Path, header: Any, single: bool) -> int:
+    """Where voxels begin in their file."""
+    start = header.get_data_offset()
+    if not single:
+        least = 0
+    else:
+        least = header.single_vox_offset
+        start = start or least
+    if start < least:
+        raise VolumeError(str(path), f"vox_offset {start}", f"{least} or more")
+    return start
+
+
+def _voxels(
+    path: Path,
+    start: int,
+    shape: tuple[int, int, int],
+    dtype: np.dtype,
+    which: int,
+    count: int,
+    options: ReadOptions,
+) -> np.ndarray:
+    """Volume ``which`` of ``count`` that lie one after the other."""
+    nbytes = math.prod(shape) * dtype.itemsize
+    if is_packed(path):
+        if count > 1:
+            return _from_stream(path, start, shape, dtype, which, count, options)
+        part, encoding = Part(path, skip=start), "deflate"
+    else:
+        there = path.stat().st_size - start
+        if there != nbytes * count:
+            raise VolumeError(
+                str(path),
+                f"{max(there, 0)} bytes of voxel data",
+                f"{nbytes * count} bytes as the header promises",
+            )
+        part, encoding = Part(path, start + which * nbytes, size=nbytes), "raw"
+    return read_parts([part], shape, dtype, encoding=encoding, memory_cap=options.memory_cap)
+
+
+def _from_stream(
+    path: Path,
+    start: int,
+    shape: tuple[int, int, int],
+    dtype: np.dtype,
+    which: int,
+    count: int,
+    options: ReadOptions,
+) -> np.ndarray:
+    """What comes before it in the gzip stream is decoded and let go."""
+    nbytes = math.prod(shape) * dtype.itemsize
+    stored = path.stat().st_size
+    if start + nbytes * count > _DEFLATE_RATIO * stored:
+        what = f"{stored} bytes of compressed data"
+        raise VolumeError(str(path), what, f"{nbytes * count} bytes as the header promises")
+    check_memory(str(path), nbytes, options.memory_cap)
+    data = np.empty(shape, dtype)
+    view = memoryview(data.reshape(-1).view(np.uint8))
+    got = 0
+    try:
+        with gzip.open(path) as file:
+            file.seek(start + which * nbytes)
+            while got < nbytes and (step := file.readinto(view[got : got + (1 << 24)])):
+                got += step
+    except (EOFError, zlib.error, gzip.BadGzipFile):
+        pass
+    if got != nbytes:
         raise VolumeError(
-            str(path),
-            f"{len(sizes)}-D data, sizes {' '.join(map(str, sizes))}",
-            "three axes in space and one scalar per voxel",
+            str(path), f"compressed data that end or are damaged in volume {which}", "whole data"
         )
-    return tuple(spatial[::-1])
+    if not data.dtype.isnative:
+        data = data.byteswap(inplace=True)
+    return data.view(dtype.newbyteorder("="))
 
 
 def _scaled_type(stored: np.dtype) -> np.dtype:

@@ -8,6 +8,7 @@ import numpy as np
 
 from clvol.errors import VolumeError
 from clvol.volume.memory import check_memory
+from clvol.volume.narrow import WIDE_TYPES
 from clvol.volume.readers.options import ReadOptions
 from clvol.volume.volume import Volume, check_type
 
@@ -22,11 +23,11 @@ def read(path: Path, options: ReadOptions) -> Volume:
         if hasattr(array, "close"):
             array.close()
         raise VolumeError(str(path), "no .npy array (an .npz archive?)", "one array")
-    check_type(array.dtype, str(path))
+    native = check_type(array.dtype, str(path))
     stored = path.stat().st_size
     if array.size and array.offset + array.nbytes != stored:
         what = f"{stored - array.offset} bytes of voxel data"
         raise VolumeError(str(path), what, f"{array.nbytes} bytes as the header promises")
-    mapped = array.flags.c_contiguous and array.dtype.isnative
+    mapped = array.flags.c_contiguous and array.dtype.isnative and native.name not in WIDE_TYPES
     check_memory(str(path), array.nbytes, options.memory_cap, mapped=mapped)
     return Volume(array)

@@ -1,18 +1,110 @@
-"""What the caller says about a file beside its path."""
+"""What the caller says about a file beside its path, and what a reader has to say beside the voxels."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
+
+from clvol.errors import VolumeError
+
+Key = Literal["channel", "time", "series"]
+_SHOWN = 12
+_ONE = {"channel": "one channel", "time": "one time", "series": "one series"}
+_SEVERAL = {"channel": "channels", "time": "times", "series": "series"}
 
 
 @dataclass(frozen=True)
 class ReadOptions:
-    """``dims`` (nx, ny, nz) and ``dtype`` for .raw; ``spacing`` or None; cap in bytes or None."""
+    """``dims`` (nx, ny, nz), ``dtype``, ``header_bytes`` (-1: the voxels end the file) and
+    ``byte_order`` ("little", "big") for .raw; ``spacing`` or None; cap in bytes or None.
+
+    ``channel``, ``time`` and ``series`` (an index from 0, a name, or None) choose among several;
+    readers ask ``choose`` for them. ``notes`` collects what readers ``warn`` of.
+    """
 
     dims: Sequence[int] | None = None
     dtype: str | np.dtype | None = None
     spacing: Sequence[float] | None = None
     memory_cap: int | None = None
+    channel: int | str | None = None
+    time: int | str | None = None
+    series: int | str | None = None
+    header_bytes: int | None = None
+    byte_order: str | None = None
+    notes: list[str] = field(default_factory=list)
+    consulted: set[str] = field(default_factory=set)
+
+    def warn(self, text: str) -> None:
+        """A whole sentence's worth of what the user should know; it does not stop the reading."""
+        if text not in self.notes:
+            self.notes.append(text)
+
+    def choose(
+        self,
+        key: Key,
+        where: str,
+        names: Sequence[str | None],
+        *,
+        numbers: Sequence[int] | None = None,
+        shown: Sequence[str] | None = None,
+    ) -> int:
+        """The index of what the caller wants among several channels, times or series.
+
+        ``names`` holds their names, None where one has none, and is as long as there are choices.
+        ``numbers`` are what whole numbers mean, if not 0, 1, 2...; ``shown`` is what the list in an
+        error message says of each, if not its name. VolumeError, which lists them, unless exactly
+        one is meant; nothing needs to be said where there is one alone.
+        """
+        self.consulted.add(key)
+        wanted = getattr(self, key)
+        count = len(names)
+        if wanted is None and count == 1:
+            return 0
+        numbers = range(count) if numbers is None else numbers
+        if wanted is not None:
+            found = _found(wanted, names, numbers)
+            if len(found) == 1:
+                return found[0]
+        listed = _listed(numbers, shown or [_quoted(name) for name in names])
+        if wanted is None:
+            what = f"{count} {_SEVERAL[key]}: {listed}"
+        elif count == 1:
+            what = f"volume.{key} = {_quoted(wanted)}, where there is {_ONE[key]}: {listed}"
+        else:
+            what = f"volume.{key} = {_quoted(wanted)} among {count} {_SEVERAL[key]}: {listed}"
+        raise VolumeError(where, what, f"volume.{key} = one of them")
+
+    def check_consulted(self, where: str) -> None:
+        """VolumeError if a key was given that the file has no choice for; 0 is always there."""
+        for key in ("channel", "time", "series"):
+            wanted = getattr(self, key)
+            if wanted is not None and wanted != 0 and key not in self.consulted:
+                what = f"volume.{key} = {_quoted(wanted)}, where there is {_ONE[key]}"
+                raise VolumeError(where, what, f"no volume.{key} for this file")
+
+
+def _found(wanted: int | str, names: Sequence[str | None], numbers: Sequence[int]) -> list[int]:
+    """By name, in other capitals where that is unique, or by number."""
+    if not isinstance(wanted, str):
+        return [k for k, number in enumerate(numbers) if number == wanted]
+    same = [k for k, name in enumerate(names) if name == wanted]
+    if not same:
+        folded = wanted.strip().casefold()
+        same = [k for k, name in enumerate(names) if (name or "").strip().casefold() == folded]
+    if not same and wanted.strip().isdecimal():
+        same = [k for k, number in enumerate(numbers) if str(number) == wanted.strip()]
+    return same
+
+
+def _listed(numbers: Sequence[int], shown: Sequence[str]) -> str:
+    said = [" ".join(filter(None, (str(n), text))) for n, text in zip(numbers, shown)]
+    if len(said) > _SHOWN:
+        said = [*said[: _SHOWN - 1], f"... {said[-1]}"]
+    return ", ".join(said)
+
+
+def _quoted(value: int | str | None) -> str:
+    return f'"{value}"' if isinstance(value, str) else "" if value is None else str(value)

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import logging
-import os
-import sys
-import threading
-import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-_LOGGERS = ("nibabel", "nibabel.global", "tifffile", "nrrd")
-_lock = threading.RLock()
+from clvol.quietly import FILTERS as _lock
+from clvol.quietly import without_warnings
+
+_LOGGERS = ("nibabel", "nibabel.global", "tifffile", "nrrd", "pydicom")
 
 
 @contextmanager
@@ -23,8 +21,7 @@ def quiet() -> Iterator[None]:
         try:
             for logger in loggers:
                 logger.disabled = True
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")
+            with without_warnings():
                 yield
         finally:
             for logger, disabled in zip(loggers, before):
@@ -33,7 +30,8 @@ def quiet() -> Iterator[None]:
 
 @contextmanager
 def errors_logged(name: str) -> Iterator[list[str]]:
-    """Collects what a library logs at level ERROR instead of raising it, and prints nothing."""
+    """Raises what a library only logs at level ERROR, and prints nothing. What the library itself
+    catches of that is in the list."""
     logger = logging.getLogger(name)
     messages: list[str] = []
     handler = _Collector(messages)
@@ -47,6 +45,10 @@ def errors_logged(name: str) -> Iterator[list[str]]:
         logger.disabled, logger.propagate = before
 
 
+class LoggedError(Exception):
+    """What a library has logged: going on can take forever, since every page of a file may err."""
+
+
 class _Collector(logging.Handler):
     def __init__(self, messages: list[str]) -> None:
         super().__init__(logging.ERROR)
@@ -54,24 +56,4 @@ class _Collector(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         self._messages.append(record.getMessage())
-
-
-@contextmanager
-def quiet_native() -> Iterator[None]:
-    """Sends the process's stderr (file descriptor 2) to nowhere: MetaIO and GDCM write there."""
-    with _lock:
-        try:
-            saved = os.dup(2)
-        except OSError:  # stderr is closed: nothing to keep quiet
-            yield
-            return
-        try:
-            if sys.stderr is not None:
-                sys.stderr.flush()
-            nowhere = os.open(os.devnull, os.O_WRONLY)
-            os.dup2(nowhere, 2)
-            os.close(nowhere)
-            yield
-        finally:
-            os.dup2(saved, 2)
-            os.close(saved)
+        raise LoggedError(self._messages[0])

@@ -1,15 +1,12 @@
-"""The tables that the device builds, against their double-precision twin."""
+"""Class nodes: values that maps of empty space tell apart."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from clvol.opencl.context import DeviceContext
 from clvol.transfer import TransferFunction
 from clvol.transfer.classes import class_nodes, visible_cells
-from clvol.transfer.preintegration import preintegrate
-from clvol.transfer.tables import SLICES, constant_table, preintegrated_table
 
 COLORS = [[0.9, 0.1, 0.0], [0.0, 0.8, 0.1], [0.1, 0.2, 1.0], [0.7, 0.7, 0.2], [1.0, 0.0, 1.0], [0, 1, 1]]
 FUNCTIONS = {
@@ -29,59 +26,6 @@ FUNCTIONS = {
 def function_of(name: str, unit: float = 1.0) -> TransferFunction:
     values, opacities = FUNCTIONS[name]
     return TransferFunction(values, opacities, COLORS[: len(values)], unit)
-
-
-@pytest.fixture(scope="module")
-def context(device):
-    return DeviceContext(device)
-
-
-@pytest.mark.parametrize("length", [1e-6, 0.3, 1.0, 50.0, 1e6])
-@pytest.mark.parametrize("name", FUNCTIONS)
-@pytest.mark.parametrize("even", [True, False])
-def test_every_entry_is_the_integral_to_1e_6(context, name, length, even):
-    function = function_of(name, unit=0.8)
-    if even:
-        nodes = np.arange(64.0)
-    else:
-        nodes = np.sort(np.concatenate([np.linspace(0, 63, 40), np.linspace(29, 33, 23)]))
-    table = context.read(preintegrated_table(context, function, nodes, length))
-    n = nodes.size
-    assert table.shape == (SLICES, n + 2, n + 2, 4)
-    expected = preintegrate(function, nodes[:, None], nodes[None, :], length)
-    limit = 1e-6 if context.has_double else 1e-5
-    np.testing.assert_allclose(table[0, :n, :n], expected, rtol=0, atol=limit)
-    # Thin segments keep their relative accuracy: thousands of them must add up.
-    thin = (expected[..., 3] < 1e-3) & (expected[..., 3] > 1e-30)
-    relative = table[0, :n, :n][thin] / np.where(expected[thin] > 0, expected[thin], 1) - (expected[thin] > 0)
-    assert np.abs(relative).max(initial=0) < 1e-5
-    for k in range(1, SLICES):
-        color_depth = table[k, :n, :n].astype(np.float64)
-        got = -np.expm1(-color_depth[..., 3])
-        expected = preintegrate(function, nodes[:, None], nodes[None, :], length / 2 ** (k - 1))
-        np.testing.assert_allclose(got, expected[..., 3], rtol=0, atol=limit)
-        np.testing.assert_allclose(color_depth[..., :3] * got[..., None], expected[..., :3], rtol=0, atol=limit)
-    assert not table[:, n:].any() and not table[:, :, n:].any()
-
-
-@pytest.mark.parametrize("name", FUNCTIONS)
-def test_a_segment_of_constant_value_is_the_diagonal(context, name):
-    function, nodes = function_of(name), np.linspace(0, 63, 127)
-    table = context.read(constant_table(context, function, nodes, 0.7))
-    expected = preintegrate(function, nodes, nodes, 0.7)
-    np.testing.assert_allclose(table[0, :-2], expected, rtol=0, atol=1e-6 if context.has_double else 1e-5)
-    extinction = context.read(constant_table(context, function, nodes, 0.7, "extinction_table"))
-    np.testing.assert_allclose(-np.expm1(-extinction[:-2, 3].astype(float)), expected[..., 3], rtol=0, atol=1e-6)
-    assert np.isfinite(extinction).all()
-
-
-def test_a_thousand_control_points_are_one_table(context):
-    values = np.linspace(0, 63, 1000)
-    function = TransferFunction(values, 0.2 + 0.2 * np.sin(values), np.tile([[0.3, 0.5, 0.7]], (1000, 1)))
-    nodes = np.arange(64.0)
-    table = context.read(preintegrated_table(context, function, nodes, 1.0))[0, :64, :64]
-    expected = preintegrate(function, nodes[:, None], nodes[None, :], 1.0)
-    np.testing.assert_allclose(table, expected, rtol=0, atol=1e-6 if context.has_double else 1e-5)
 
 
 def test_integer_values_with_integer_points_have_them_all_as_nodes():

@@ -1,0 +1,334 @@
+/* The transfer function as linear pieces, and what a chord through them emits and absorbs, in closed form.
+ *
+ * Opacity and colour are linear between control points. Along a segment the value runs linearly from `front` to `back`, so the
+ * segment is a few stretches, one per piece that it crosses: the rest of the piece that it begins in, whole pieces, and the beginning
+ * of the piece that it ends in. On each, 1 - alpha runs linearly from q0 to q1; with m their mean and r = (q1 - q0) / (q1 + q0):
+ *   mean of -log(1 - alpha)      -log m + S(r),   S = r^2 / 6 + r^4 / 20 + ... = 1 - ((1 + r) log(1 + r) - (1 - r) log(1 - r)) / (2 r)
+ *   its first moment             -M(r),           M = r / 6 + r^3 / 30 + ...   = (r - (1 - r^2) / 2 (log(1 + r) - log(1 - r))) / (4 r^2)
+ * (the moment about the middle, over lengths of the stretch). Both stay finite where alpha reaches 1 at one end, which is why an
+ * opacity of 1 at one control point is no wall. The light that leaves a stretch comes, on average, from the position
+ *   X(D) - M / (mean) Y(D),   X = 1 / D - 1 / (exp(D) - 1),  Y = 6 D int x (1 - x) exp(-D x) dx / (1 - exp(-D)),  D its optical depth:
+ * first order in how far the extinction is from constant; colour is linear, so that is where it is taken. X and Y are rational
+ * approximations, to 1e-3 and 2e-2, which are exact where D vanishes.
+ *
+ * This is pre-integration (Engel, Kraus and Ertl 2001) without a table: nothing is sampled, so there are no nodes that narrow
+ * pieces fall between, and any length of segment costs the same. Its attenuation within the segment is not neglected.
+ *
+ * The function is a matrix of floats in `table`, a row per property (ROW_...) and a column per piece; clvol/transfer/pieces.py has
+ * the same rows. Piece 0 lies below all control points and the last one above them. Packets of 16 hold rows of up to 16 pieces in
+ * registers (TRANSFER_PIECES 16); else they are gathered from memory (TRANSFER_PIECES 0).
+ */
+#ifndef TRANSFER_PIECES_H
+#define TRANSFER_PIECES_H
+
+#include "lanes.h"
+#include "opacity.h"
+#include "view.h"
+
+#define ROW_BEGIN 0          /* value of the control point below; of piece 0, of the one above */
+#define ROW_END 1            /* and above; of the last piece, of the one below */
+#define ROW_INVERSE 2        /* 1 / (END - BEGIN); 0 where the piece has no length, or no end */
+#define ROW_OPACITY 3        /* at BEGIN, */
+#define ROW_OPACITY_CHANGE 4 /* and how much more at END */
+#define ROW_COLOR 5          /* red, green, blue at BEGIN */
+#define ROW_COLOR_CHANGE 8   /* and how much more at END */
+#define ROW_LENGTH 11        /* END - BEGIN, also where float32 cannot tell them apart */
+#define ROW_DEPTH 12         /* mean of -log(1 - alpha) over the piece, at most OPAQUE_DEPTH */
+#define ROW_MOMENT 13        /* M(r) / DEPTH, upwards */
+#define ROW_DEPTHS 14        /* sum of LENGTH DEPTH of all pieces before that are not opaque */
+#define ROW_COLORS 15        /* and of LENGTH times the mean of the colour times -log(1 - alpha): red, green, blue */
+#define ROW_NEXT_OPAQUE 18   /* the first piece from this one on that is opaque all along; the number of columns where there is none */
+#define ROW_LAST_OPAQUE 19   /* the last such piece up to this one; -1 where there is none */
+#define ROW_UNITS 20         /* length of a step in opacity units, in all columns */
+#define ROW_FROM 21          /* BEGIN; without end for piece 0, */
+#define ROW_TO 22            /* and END; without end for the last one: the values that belong to the piece */
+#define ROW_CLEAR 23         /* 1 - opacity at BEGIN, which float32 cannot get from an opacity near 1, */
+#define ROW_CLEAR_CHANGE 24  /* and how much more at END */
+#define ROW_ORIGIN 25        /* what all values are counted from, in all columns: a small range may be far from 0 */
+
+/* The optical depth of what is opaque at once: zero times it is zero, and any share of it that counts is opaque. */
+#define OPAQUE_DEPTH 1e15f
+
+typedef struct {
+  floatN r, g, b, a; /* premultiplied */
+  floatN depth;      /* -log(1 - a), which `a` forgets where it rounds to 1 */
+} SegmentColor;
+
+/* A function's matrix, and how it is looked up. */
+typedef struct {
+  __global const float *rows;
+  intN first;    /* where a lane's own matrix begins in `rows`, in floats; 0 where `in_registers` */
+  int columns;   /* a power of two */
+  int count;     /* pieces */
+  int in_registers;
+  float origin;
+} Pieces;
+
+/* The scene's function, or where there are layers the one that begins `first` floats into `table`. */
+INLINE Pieces scene_pieces(__global const float *table, intN first, __constant const View *view)
+{
+  const Pieces f = {table, first, view->pieces.x, view->pieces.w, TRANSFER_PIECES == 16, table[ROW_ORIGIN * view->pieces.x]};
+  return f;
+}
+
+INLINE floatN piece_row(Pieces f, int row, intN piece)
+{
+#if LANES == 16
+  if (f.in_registers) return permuted_lanes(vload16(row, f.rows), piece);
+  return AS_FLOAT(gather4(f.rows + row * f.columns, f.first + piece));
+#else
+  return f.rows[f.first + row * f.columns + piece];
+#endif
+}
+
+/* The last piece that begins at or below `value`, which is counted from the function's origin, as all values below are. */
+INLINE intN piece_of(floatN value, Pieces f)
+{
+  intN piece = 0;
+  for (int step = f.in_registers ? 8 : f.columns >> 1; step > 0; step >>= 1) {
+    const intN next = piece + step;
+    piece = select(piece, next, MASK(value >= piece_row(f, ROW_BEGIN, next)));
+  }
+  return piece;
+}
+
+/* -log(q), where q = 1 - a is in 0 .. 1, to float precision also where a is tiny; OPAQUE_DEPTH for q = 0. */
+INLINE floatN depth_of_clear(floatN q, floatN a)
+{
+  const intN shifted = AS_INT(q) - 0x3f400000; /* 3/4 */
+  const intN exponent = shifted >> 23;
+  const floatN m = AS_FLOAT(AS_INT(q) - (exponent << 23)); /* 3/4 .. 3/2 */
+  const floatN t = select(m - 1.0f, -a, MASK(exponent == 0));
+  floatN p = -0.0527572967f;
+  p = p * t + 0.110125907f, p = p * t - 0.130752504f, p = p * t + 0.143716052f, p = p * t - 0.166475564f;
+  p = p * t + 0.199971393f, p = p * t - 0.250001788f, p = p * t + 0.333333462f;
+  p = t + t * t * (p * t - 0.5f);
+  return select(-0.693147181f * TO_FLOAT(exponent) - p, (floatN)OPAQUE_DEPTH, MASK(q <= 0.0f));
+}
+
+/* S(r) and M(r) of the head of this file, for r in -1 .. 1. */
+INLINE void spread_and_moment(floatN r, floatN *spread, floatN *moment)
+{
+  const floatN x = r * r;
+  floatN s = 0.0143637899f, m = 0.00791397970f;
+  s = s * x + 0.0126870628f, m = m * x + 0.00728464220f;
+  s = s * x + 0.0239149313f, m = m * x + 0.0143428529f;
+  s = s * x + 0.0499968641f, m = m * x + 0.0333316326f;
+  s = s * x + 0.166666687f, m = m * x + 0.166666672f;
+  s *= x, m *= r;
+  const intN wide = MASK(x > 0.25f);
+  if (any_lane(wide)) {
+    const floatN size = select((floatN)1.0f, fabs(r), wide), clear = lane_max(1.0f - size, (floatN)0.0f);
+    const floatN up = -depth_of_clear((1.0f + size) * 0.5f, 0.5f - 0.5f * size) + 0.693147181f; /* log(1 + r) */
+    const floatN down = select(-depth_of_clear(clear, size), (floatN)0.0f, MASK(clear <= 0.0f)); /* log(1 - r), whose factors vanish at 1 */
+    const floatN rest = 0.5f * clear * (1.0f + size) * (up - down);
+    const floatN inverse = lane_reciprocal(size);
+    const floatN all = (size - rest) * inverse * inverse * 0.25f;
+    s = select(s, 1.0f - 0.5f * ((1.0f + size) * up - clear * down) * inverse, wide);
+    m = select(m, select(all, -all, MASK(r < 0.0f)), wide);
+  }
+  *spread = s, *moment = m;
+}
+
+/* Where along a stretch of optical depth D the light comes from, 0 .. 1; `moment`: M / (mean of -log(1 - alpha)). */
+INLINE floatN emission_position(floatN depth, floatN moment)
+{
+  const floatN d = lane_min(depth, (floatN)1e6f);
+  const floatN x = (1.0f + d * (0.10844598f + d * 0.02004298f)) *
+                   rough_reciprocal(2.0f + d * (0.55022529f + d * (0.13179018f + d * 0.02004298f)));
+  const floatN y = (1.0f + 0.15f * d) * rough_reciprocal(1.0f + d * (0.15f + 0.025f * d));
+  return lane_max(x - moment * y, (floatN)0.0f);
+}
+
+/* Appends a stretch of optical depth `depth` and colour (r, g, b) behind what `s` holds. */
+INLINE void append_stretch(SegmentColor *s, floatN r, floatN g, floatN b, floatN depth)
+{
+  const floatN opacity = opacity_of_depth(depth), share = opacity - s->a * opacity;
+  s->r += share * r, s->g += share * g, s->b += share * b;
+  s->a += share, s->depth += depth;
+}
+
+/* What a part of a piece emits and absorbs. */
+typedef struct {
+  floatN r, g, b, depth; /* not premultiplied */
+} PiecePart;
+
+/* The part of `piece` from w0 to w1 (shares of the piece), which is `units` opacity units long. */
+INLINE PiecePart part_of_piece(intN piece, floatN w0, floatN w1, floatN units, Pieces f)
+{
+#define PIECE_ROW(row) piece_row(f, row, piece)
+  const floatN zero = 0.0f, one = 1.0f, q = PIECE_ROW(ROW_CLEAR), q_change = PIECE_ROW(ROW_CLEAR_CHANGE);
+  const floatN q0 = lane_max(q + w0 * q_change, zero), q1 = lane_max(q + w1 * q_change, zero), clear = 0.5f * (q0 + q1);
+  const floatN opacity = PIECE_ROW(ROW_OPACITY) + 0.5f * (w0 + w1) * PIECE_ROW(ROW_OPACITY_CHANGE);
+  floatN spread, moment;
+  spread_and_moment(lane_clamp(0.5f * (q1 - q0) * lane_reciprocal(lane_max(clear, (floatN)1e-30f)), -one, one), &spread, &moment);
+  const floatN rate = depth_of_clear(clear, opacity) + spread, depth = rate * units;
+  const floatN at = emission_position(depth, moment * rough_reciprocal(lane_max(rate, (floatN)1e-30f)));
+  const floatN w = w0 + at * (w1 - w0);
+  const PiecePart part = {PIECE_ROW(ROW_COLOR) + w * PIECE_ROW(ROW_COLOR_CHANGE),
+                          PIECE_ROW(ROW_COLOR + 1) + w * PIECE_ROW(ROW_COLOR_CHANGE + 1),
+                          PIECE_ROW(ROW_COLOR + 2) + w * PIECE_ROW(ROW_COLOR_CHANGE + 2), depth};
+#undef PIECE_ROW
+  return part;
+}
+
+/* Appends all pieces between `low` and `high` (neither of them) for the lanes in `rises`, and in the reverse order for others: pieces go by
+ * upwards, and a lane whose value falls has each before, not behind, what it has. `per`: opacity units per value. */
+INLINE void append_one_by_one(SegmentColor *s, intN low, intN high, intN rises, floatN per, intN active, Pieces f)
+{
+  const floatN zero = 0.0f;
+  SegmentColor m = {zero, zero, zero, zero, zero};
+  low = select((intN)f.count, low, active);
+  _Pragma("unroll 1") for (int p = 1; p < f.count - 1; ++p) {
+    __global const float *row = f.rows + p;
+#define UNIFORM_ROW(k) row[(k) * f.columns]
+    if (!(UNIFORM_ROW(ROW_DEPTH) > 0.0f)) continue;
+    const intN inside = MASK(low < p) & MASK(high > p);
+    if (!any_lane(inside)) continue;
+    const floatN depth = select(zero, UNIFORM_ROW(ROW_DEPTH) * (UNIFORM_ROW(ROW_LENGTH) * per), inside);
+    const floatN moment = UNIFORM_ROW(ROW_MOMENT);
+    const floatN at = emission_position(depth, select(-moment, moment, rises)), w = select(1.0f - at, at, rises);
+    const floatN opacity = opacity_of_depth(depth);
+    /* What is in front of what: m before the piece, or the piece before m. */
+    const floatN share = select(opacity, opacity - m.a * opacity, rises), left = select(1.0f - opacity, (floatN)1.0f, rises);
+    m.r = left * m.r + share * (UNIFORM_ROW(ROW_COLOR) + w * UNIFORM_ROW(ROW_COLOR_CHANGE));
+    m.g = left * m.g + share * (UNIFORM_ROW(ROW_COLOR + 1) + w * UNIFORM_ROW(ROW_COLOR_CHANGE + 1));
+    m.b = left * m.b + share * (UNIFORM_ROW(ROW_COLOR + 2) + w * UNIFORM_ROW(ROW_COLOR_CHANGE + 2));
+    m.a = left * m.a + share, m.depth += depth;
+#undef UNIFORM_ROW
+  }
+  const floatN left = 1.0f - s->a;
+  s->r += left * m.r, s->g += left * m.g, s->b += left * m.b, s->a += left * m.a;
+  s->depth += m.depth;
+}
+
+/* Appends all pieces between `low` and `high` (neither of them) at once, in their mean colour, from sums over all pieces before each: where
+ * there are many, each is thin. What is opaque all along ends the light, and is seen in the colour of the end that it is entered by. */
+INLINE void append_at_once(SegmentColor *s, intN low, intN high, intN rises, floatN per, intN active, Pieces f)
+{
+  const floatN zero = 0.0f, one = 1.0f;
+  low = select((intN)-1, low, active), high = select((intN)0, high, active);
+  const intN up = TO_INT(piece_row(f, ROW_NEXT_OPAQUE, low + 1));
+  const intN down = TO_INT(piece_row(f, ROW_LAST_OPAQUE, max(high - 1, (intN)0)));
+  const intN wall = select(down, up, rises), is_wall = active & select(MASK(down > low), MASK(up < high), rises);
+  high = select(high, wall, is_wall & rises), low = select(low, wall, is_wall & ~rises);
+#define SUM_OF(row) lane_max(piece_row(f, row, high) - piece_row(f, row, low + 1), zero)
+  const floatN depths = SUM_OF(ROW_DEPTHS), scale = lane_reciprocal(lane_max(depths, (floatN)1e-30f));
+  append_stretch(s, lane_min(SUM_OF(ROW_COLORS) * scale, one), lane_min(SUM_OF(ROW_COLORS + 1) * scale, one),
+                 lane_min(SUM_OF(ROW_COLORS + 2) * scale, one), select(zero, depths * per, active));
+#undef SUM_OF
+  if (any_lane(is_wall)) {
+    const intN piece = select((intN)0, wall, is_wall);
+    const floatN w = select(one, zero, rises);
+#define WALL_COLOR(c) piece_row(f, ROW_COLOR + c, piece) + w * piece_row(f, ROW_COLOR_CHANGE + c, piece)
+    append_stretch(s, WALL_COLOR(0), WALL_COLOR(1), WALL_COLOR(2), select(zero, (floatN)OPAQUE_DEPTH, is_wall));
+#undef WALL_COLOR
+  }
+}
+
+/* A segment along which the value runs from `front` to `back`, `units` opacity units long, of the lanes in `active`; others' are undefined.
+ * One with an end that is not finite is transparent. */
+INLINE SegmentColor color_of_segment(floatN front, floatN back, floatN units, intN active, Pieces f)
+{
+  const floatN zero = 0.0f, one = 1.0f;
+  SegmentColor s = {zero, zero, zero, zero, zero};
+#if VOXEL_HOLES
+  const intN finite = finite_lanes(front) & finite_lanes(back);
+  front = select(zero, front, finite), back = select(zero, back, finite), units = select(zero, units, finite);
+  active &= finite;
+#endif
+  front -= f.origin, back -= f.origin;
+  const intN in_front = piece_of(front, f);
+  const floatN begin = piece_row(f, ROW_BEGIN, in_front), inverse = piece_row(f, ROW_INVERSE, in_front);
+  const floatN w0 = lane_clamp((front - begin) * inverse, zero, one);
+  floatN w1 = lane_clamp((back - begin) * inverse, zero, one);
+  const intN crosses = active & (MASK(back < piece_row(f, ROW_FROM, in_front)) |
+                                 MASK(back >= piece_row(f, ROW_TO, in_front)));
+  const intN front_shows = active & MASK(piece_row(f, ROW_DEPTH, in_front) > 0.0f);
+  if (!any_lane(crosses)) {
+    if (!any_lane(front_shows)) return s; /* between peaks */
+    const PiecePart part = part_of_piece(in_front, w0, w1, units, f);
+    append_stretch(&s, part.r, part.g, part.b, part.depth);
+    return s;
+  }
+  /* Pieces in which nothing shows need not be looked at: most often one end of the segment is in such a piece, and then the part at the other
+   * end is found in the same pass as those of rays that stay in one piece. */
+  const intN behind = piece_of(back, f), rises = MASK(back > front);
+  const intN back_shows = crosses & MASK(piece_row(f, ROW_DEPTH, behind) > 0.0f);
+  const intN swaps = back_shows & ~front_shows, both = back_shows & front_shows;
+  const floatN per = units * lane_reciprocal(lane_max(fabs(back - front), (floatN)1e-30f));
+  const floatN leaves_at = select(begin, piece_row(f, ROW_END, in_front), rises);
+  const floatN behind_begin = piece_row(f, ROW_BEGIN, behind);
+  const floatN enters_at = select(piece_row(f, ROW_END, behind), behind_begin, rises);
+  const floatN front_units = select(units, fabs(leaves_at - front) * per, crosses), back_units = fabs(back - enters_at) * per;
+  w1 = select(w1, select(zero, one, rises), crosses);
+  const floatN last0 = select(one, zero, rises);
+  const floatN last1 = lane_clamp((back - behind_begin) * piece_row(f, ROW_INVERSE, behind), zero, one);
+  PiecePart last = {zero, zero, zero, zero};
+  if (any_lane(front_shows | swaps)) {
+    last = part_of_piece(select(in_front, behind, swaps), select(w0, last0, swaps), select(w1, last1, swaps),
+                         select(front_units, back_units, swaps), f);
+    if (any_lane(front_shows)) append_stretch(&s, last.r, last.g, last.b, select(zero, last.depth, front_shows));
+  }
+  const intN low = select(behind, in_front, rises), high = select(in_front, behind, rises);
+  const intN passes = crosses & MASK(high - low > 1);
+  if (any_lane(passes)) {
+    if (f.in_registers)
+      append_one_by_one(&s, low, high, rises, per, passes, f);
+    else
+      append_at_once(&s, low, high, rises, per, passes, f);
+  }
+  if (any_lane(back_shows)) {
+    if (any_lane(both)) {
+      const PiecePart more = part_of_piece(behind, last0, last1, back_units, f);
+      last.r = select(last.r, more.r, both), last.g = select(last.g, more.g, both), last.b = select(last.b, more.b, both);
+      last.depth = select(last.depth, more.depth, both);
+    }
+    append_stretch(&s, last.r, last.g, last.b, select(zero, last.depth, back_shows));
+  }
+  return s;
+}
+
+/* Extinction (per opacity unit) and colour of a value, not multiplied; transparent where it is not finite. */
+INLINE void classify_value(floatN value, Pieces f, floatN *r, floatN *g, floatN *b, floatN *extinction)
+{
+#if VOXEL_HOLES
+  const intN finite = finite_lanes(value);
+  value = select((floatN)0.0f, value, finite);
+#endif
+  value -= f.origin;
+  const intN piece = piece_of(value, f);
+#define PIECE_ROW(row) piece_row(f, row, piece)
+  const floatN w = lane_clamp((value - PIECE_ROW(ROW_BEGIN)) * PIECE_ROW(ROW_INVERSE), (floatN)0.0f, (floatN)1.0f);
+  *r = PIECE_ROW(ROW_COLOR) + w * PIECE_ROW(ROW_COLOR_CHANGE), *g = PIECE_ROW(ROW_COLOR + 1) + w * PIECE_ROW(ROW_COLOR_CHANGE + 1);
+  *b = PIECE_ROW(ROW_COLOR + 2) + w * PIECE_ROW(ROW_COLOR_CHANGE + 2);
+  const floatN clear = lane_max(PIECE_ROW(ROW_CLEAR) + w * PIECE_ROW(ROW_CLEAR_CHANGE), (floatN)0.0f);
+  *extinction = depth_of_clear(clear, PIECE_ROW(ROW_OPACITY) + w * PIECE_ROW(ROW_OPACITY_CHANGE));
+#undef PIECE_ROW
+#if VOXEL_HOLES
+  *extinction = select((floatN)0.0f, *extinction, finite);
+#endif
+}
+
+/* A segment of one value. */
+INLINE SegmentColor color_of_value(floatN value, floatN units, Pieces f)
+{
+  const floatN zero = 0.0f;
+  floatN r, g, b, extinction;
+  SegmentColor s = {zero, zero, zero, zero, zero};
+  classify_value(value, f, &r, &g, &b, &extinction);
+  append_stretch(&s, r, g, b, extinction * units);
+  return s;
+}
+
+/* The scene's function's length of a step in opacity units. */
+INLINE floatN units_of_step(Pieces f, __constant const View *view)
+{
+#if TRANSFER_LAYERS
+  return piece_row(f, ROW_UNITS, (intN)0);
+#else
+  return (floatN)view->gate.z;
+#endif
+}
+
+#endif

@@ -1,0 +1,187 @@
+"""What a command reads, and that nothing which it writes takes its place.
+
+Files are told apart by device and number (links, other spellings and mounts of one file are that
+file), folders by what is in them.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from clvol.errors import UsageError
+
+_ZARR = ("zarr.json", ".zgroup", ".zarray", ".zattrs")
+# How what we write begins: such a file in a folder of slices is none of the slices.
+_PICTURES = (b"\x89PNG", b"\x76\x2f\x31\x01", b"\x93NUMPY", b"GIF8", b"RIFF", b"{")
+
+Identity = tuple[int, int]
+
+
+class Inputs:
+    """Files and folders that are read. Of a Zarr store everything counts, and new files in it too;
+    of another folder every file that is there, but pictures as clvol writes them."""
+
+    def __init__(self, paths: Iterable[str | os.PathLike] = ()) -> None:
+        self._paths = [os.fspath(path) for path in paths]
+        self._files: dict[Identity, str] = {}
+        self._folders: dict[Identity, str] = {}  # all within folders that are read
+        self._closed: set[Identity] = set()  # of those, in which nothing new may appear
+        self._roots: list[str] = []  # real paths
+        self._is_known = False
+
+    def check_file(self, path: str | os.PathLike) -> None:
+        """UsageError if writing the file ``path`` would change what is read."""
+        if "\0" in os.fspath(path):  # no file can have this name, as others tell
+            return
+        self._look()
+        real = os.path.realpath(path)
+        here = _identity(real)
+        if real in self._roots or here in self._files:
+            raise UsageError(str(path), "got a file that is read", "a file of its own")
+        for folder in Path(real).parents:
+            identity = _identity(folder)
+            if identity in self._closed:
+                what = f"a place in {self._folders[identity]}, which is read"
+                raise UsageError(str(path), what, "a place outside of it")
+
+    def check_folder(self, path: str | os.PathLike) -> None:
+        """UsageError if making the folder ``path`` anew, or removing it, would change what is read."""
+        self._look()
+        real = os.path.realpath(path)
+        here = _identity(real)
+        if real in self._roots or here in self._files or here in self._folders:
+            raise UsageError(str(path), "got what is read", "a folder of its own")
+        for root in self._roots:
+            above = Path(root).parents
+            if any(str(up) == real or (here and _identity(up) == here) for up in above):
+                raise UsageError(str(path), f"holds {root}, which is read", "a folder of its own")
+        for up in Path(real).parents:
+            if _identity(up) in self._folders:
+                what = f"a place in {self._folders[_identity(up)]}, which is read"
+                raise UsageError(str(path), what, "a place outside of it")
+        if here is not None and not self._files.keys().isdisjoint(_files_in(real)):
+            raise UsageError(str(path), "holds a link to what is read", "a folder of its own")
+
+    def _look(self) -> None:
+        """Once: what the paths stand for."""
+        if self._is_known:
+            return
+        self._is_known = True
+        from clvol.volume.parts import parts_of
+
+        for path in self._paths:
+            if "\0" in path:
+                continue
+            for one in (path, *parts_of(path)):
+                real = os.path.realpath(one)
+                self._roots.append(real)
+                if os.path.isdir(real):
+                    self._add_folder(_outermost_store(real), path)
+                elif (identity := _identity(real)) is not None:
+                    self._files[identity] = path
+
+    def _add_folder(self, top: str, said: str) -> None:
+        is_zarr = _is_zarr(top)
+        self._roots.append(top)
+        for folder, entries in _walk(top) if is_zarr else _level(top):
+            identity = _identity(folder)
+            if identity is not None:
+                self._folders[identity] = said
+                if is_zarr:
+                    self._closed.add(identity)
+            for entry in entries:
+                if is_zarr or not _is_picture(entry.path):
+                    if (found := _identity(entry.path)) is not None:
+                        self._files.setdefault(found, said)
+
+
+_protected: list[Inputs] = []
+
+
+@contextmanager
+def protected(inputs: Inputs) -> Iterator[Inputs]:
+    """Whatever is written by ``clvol.image`` in the block is checked against ``inputs``."""
+    _protected.append(inputs)
+    try:
+        yield inputs
+    finally:
+        _protected.remove(inputs)
+
+
+def check_not_read(path: str | os.PathLike) -> None:
+    """UsageError if ``path`` is protected."""
+    for inputs in _protected:
+        inputs.check_file(path)
+
+
+def _identity(path: str | os.PathLike) -> Identity | None:
+    try:
+        found = os.stat(path)
+    except (OSError, ValueError):
+        return None
+    return found.st_dev, found.st_ino
+
+
+def _walk(top: str) -> Iterator[tuple[str, list[os.DirEntry]]]:
+    """Folders and their other entries, through links, each folder once."""
+    seen: set[Identity | None] = set()
+    waiting = [top]
+    while waiting:
+        folder = waiting.pop()
+        if (identity := _identity(folder)) in seen:
+            continue
+        seen.add(identity)
+        for _, entries in _level(folder):
+            folders = {entry.path for entry in entries if _is_folder(entry)}
+            waiting += folders
+            yield folder, [entry for entry in entries if entry.path not in folders]
+
+
+def _level(folder: str) -> Iterator[tuple[str, list[os.DirEntry]]]:
+    """The folder alone."""
+    try:
+        with os.scandir(folder) as found:
+            entries = list(found)
+    except OSError:
+        return
+    yield folder, entries
+
+
+def _is_folder(entry: os.DirEntry) -> bool:
+    try:
+        return entry.is_dir()
+    except OSError:
+        return False
+
+
+def _files_in(top: str) -> Iterator[Identity]:
+    for _, entries in _walk(top):
+        for entry in entries:
+            if (identity := _identity(entry.path)) is not None:
+                yield identity
+
+
+def _is_zarr(folder: str) -> bool:
+    return any(os.path.lexists(os.path.join(folder, name)) for name in _ZARR)
+
+
+def _outermost_store(folder: str) -> str:
+    """The store that ``folder`` is a group or an array of, or ``folder`` itself."""
+    while (up := os.path.dirname(folder)) != folder and _is_zarr(folder) and _is_zarr(up):
+        folder = up
+    return folder
+
+
+def _is_picture(path: str) -> bool:
+    """Whether a file in a folder of slices is one of our pictures or JSON, and no slice."""
+    try:
+        if not os.path.isfile(path):
+            return True
+        with open(path, "rb") as file:
+            head = file.read(132)
+    except OSError:
+        return False
+    return head[128:] != b"DICM" and (head.startswith(_PICTURES) or head[4:8] == b"ftyp")

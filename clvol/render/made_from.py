@@ -1,0 +1,80 @@
+"""What a picture was made from, so that another time it is known whether it would come out the
+same: version, scene, voxels, camera, and which frame it is."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from typing import TYPE_CHECKING, Any
+
+import clvol
+from clvol.errors import ClvolError
+from clvol.plain import plain
+
+if TYPE_CHECKING:
+    from clvol.scene.camera import Camera
+    from clvol.scene.resolve import ResolvedScene
+
+_LOOK = ("integration", "image", "multiresolution", "pyramid")  # what measuring errors may change
+
+
+class MadeFrom:
+    """Called, tells what the picture of ``resolved`` from ``camera`` at its ``animation.time`` is
+    made from: a dict of JSON values, the same for the same picture. ``frame`` is its number in an
+    animation, or None.
+
+    Nothing is looked for before the first call; until then the scene, with its volume, is held.
+    """
+
+    def __init__(
+        self, resolved: ResolvedScene, camera: Camera | None = None, frame: int | None = None
+    ) -> None:
+        self._asked: tuple | None = (resolved, camera or resolved.camera, frame)
+        self._told: dict[str, Any] = {}
+
+    def __call__(self) -> dict[str, Any]:
+        if self._asked is not None:
+            self._told, self._asked = _told(*self._asked), None
+        return self._told
+
+
+def _told(resolved: ResolvedScene, camera: Camera, frame: int | None) -> dict[str, Any]:
+    facts: dict[str, Any] = {
+        "clvol": clvol.__version__,
+        "scene": _digest(resolved.source or ""),
+        "look": _digest(_look(resolved)),
+        "camera": camera.model_dump(mode="json"),
+        "time": resolved.animation.time,
+        **_sources(resolved),
+    }
+    if frame is not None:
+        facts["frame"] = frame
+    return json.loads(json.dumps(plain(facts)))
+
+
+def _sources(resolved: ResolvedScene) -> dict[str, Any]:
+    """Digests of "voxels", and, where the scene has such, "fields" and "environment"; None for
+    what is gone meanwhile, or does not fit into memory."""
+    from clvol.volume.digest import file_digest, volume_digest
+
+    by_blocks = resolved.integration.method == "multiresolution"
+    found: dict[str, Any] = {"voxels": None, "fields": None, "environment": None}
+    try:
+        found["voxels"] = volume_digest(resolved.volume, by_blocks)
+        found["fields"] = [volume_digest(field.volume) for field in resolved.fields]
+        if resolved.environment is not None:
+            found["environment"] = file_digest(resolved.environment.path)
+    except (OSError, ClvolError):
+        pass
+    return {name: value for name, value in found.items() if value or name == "voxels"}
+
+
+def _look(resolved: ResolvedScene) -> str:
+    function = resolved.transfer_function
+    numbers = [function.values, function.opacities, function.colors, function.opacity_unit]
+    tables = {name: getattr(resolved, name).model_dump(mode="json") for name in _LOOK}
+    return json.dumps(plain([numbers, resolved.background, tables]), sort_keys=True)
+
+
+def _digest(text: str) -> str:
+    return hashlib.blake2b(text.encode("utf-8", "surrogatepass"), digest_size=16).hexdigest()

@@ -1,0 +1,61 @@
+"""Warnings of a scene and its pictures, each told once."""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from typing import Any
+
+import numpy as np
+
+from clvol.errors import ClvolWarning
+from clvol.features.scene_warnings import camera_warning, scene_warnings
+from clvol.quietly import FILTERS
+from clvol.render.picture_warnings import picture_warning
+from clvol.scene.camera import Camera
+from clvol.scene.resolve import ResolvedScene
+
+
+class Notices:
+    """What there is to warn of in the frames of one scene, whose transfer function and camera may change."""
+
+    def __init__(self, resolved: ResolvedScene) -> None:
+        self._told: set[tuple[str, str]] = set()
+        self.of_scene(resolved)
+
+    def of_scene(self, resolved: ResolvedScene) -> None:
+        self._of_scene = scene_warnings(resolved)
+
+    def of_picture(
+        self, resolved: ResolvedScene, camera: Camera, rgba: np.ndarray, depth: np.ndarray | None
+    ) -> dict[str, Any]:
+        """Tells what has not been told, and gives "warnings" for a frame's stats, or nothing."""
+        height, width = rgba.shape[:2]
+        found = list(self._of_scene)
+        away = camera_warning(camera, resolved.volume.grid, width, height)
+        if away is not None:
+            found.append(away)
+        elif not found and (of_picture := picture_warning(resolved, camera, rgba, depth)) is not None:
+            found.append(of_picture)
+        for warning in found:
+            self._tell(warning)
+        return {"warnings": [str(warning) for warning in found]} if found else {}
+
+    def _tell(self, warning: ClvolWarning) -> None:
+        # One cause is told once, though its numbers may differ from frame to frame.
+        cause = warning.where, warning.what.partition(":")[0]
+        if cause not in self._told:
+            self._told.add(cause)
+            with FILTERS:
+                warnings.warn(warning, stacklevel=_callers_level())
+
+
+def _callers_level() -> int:
+    """For ``warnings.warn``: the first frame outside this package, from who calls this function on."""
+    level, frame = 1, sys._getframe(1)
+    package = __name__.partition(".")[0]
+    while frame.f_back is not None:
+        if frame.f_globals.get("__name__", "").partition(".")[0] not in (package, "contextlib"):
+            break
+        level, frame = level + 1, frame.f_back
+    return level

@@ -1,0 +1,120 @@
+"""Scenes said in other numbers: all that is stated in values, along an axis of its own.
+
+Voxels may be held as numbers that mean values (``ValueAxis``), or be quantised; what a scene says
+in values then has to be said in those numbers. Both go through ``in_codes``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clvol.scene.isosurface import Isosurface
+from clvol.transfer import TransferFunction
+from clvol.volume.axis import ValueAxis
+
+if TYPE_CHECKING:
+    from clvol.scene.field import ResolvedField
+    from clvol.scene.opacity_factor import OpacityFactor
+    from clvol.scene.resolve import ResolvedScene
+
+Code = Callable[[np.ndarray], np.ndarray]
+_FINITE = (-1e30, 1e30)  # what a scene's numbers may be
+_LARGEST = 1e300
+
+
+def in_stored_values(resolved: ResolvedScene) -> ResolvedScene:
+    """``resolved``, whose volume and fields may have slopes and offsets, in stored numbers: their
+    voxels are then their values. ``axis`` leads back, for messages."""
+    fields = tuple(_field_in_stored(field) for field in resolved.fields)
+    if any(a is not b for a, b in zip(fields, resolved.fields)):
+        resolved = replace(resolved, fields=fields)
+    volume, axis = resolved.volume.plain
+    if axis.is_plain:
+        return resolved
+    code = code_of(axis, volume.dtype)
+    changed = in_codes(resolved, code, 1.0 / axis.slope)
+    return replace(resolved, volume=volume, axis=axis, **changed)
+
+
+def code_of(axis: ValueAxis, dtype: np.dtype) -> Code:
+    """From values to the stored numbers of voxels of ``dtype``."""
+    whole = dtype.kind in "iu"
+    return lambda values: axis.stored(values, whole=whole)
+
+
+def in_codes(resolved: ResolvedScene, code: Code, per_value: float) -> dict[str, Any]:
+    """All of a scene that is stated in values of the volume, in codes, which rise with them;
+    ``per_value``: codes a unit of the value."""
+
+    def factor(asked: OpacityFactor | None) -> OpacityFactor | None:
+        return asked and replace(asked, at=asked.at * per_value)
+
+    def scaled(table: Any, key: str) -> Any:
+        number = float(np.clip(getattr(table, key) * per_value, *_FINITE))
+        return table.model_copy(update={key: number})
+
+    def level(surface: Isosurface) -> Isosurface:
+        value = float(np.clip(code(surface.value), *_FINITE))
+        return surface.model_copy(update={"value": value})
+
+    layers = (
+        replace(
+            layer,
+            magnitude=layer.magnitude * per_value,
+            function=function_in_codes(layer.function, code),
+        )
+        for layer in resolved.transfer_layers
+    )
+    return {
+        "transfer_function": function_in_codes(resolved.transfer_function, code),
+        "isosurfaces": tuple(level(surface) for surface in resolved.isosurfaces),
+        "material": scaled(resolved.material, "fade"),
+        "gradient_opacity": factor(resolved.gradient_opacity),
+        "directional_opacity": factor(resolved.directional_opacity),
+        "transfer_layers": tuple(layers),
+        "noise": tuple(
+            scaled(term, "amplitude") if term.target == "value" else term
+            for term in resolved.noise
+        ),
+    }
+
+
+def function_in_codes(asked: TransferFunction, code: Code) -> TransferFunction:
+    """The same function of codes."""
+    values = np.clip(code(asked.values), -_LARGEST, _LARGEST)
+    return TransferFunction(values, asked.opacities, asked.colors, asked.opacity_unit)
+
+
+def _field_in_stored(field: ResolvedField) -> ResolvedField:
+    volume, axis = field.volume.plain
+    if axis.is_plain:
+        return field
+    code = code_of(axis, volume.dtype)
+    changed: dict[str, Any] = {"volume": volume, "axis": axis}
+    if field.role == "mask":
+        changed["threshold"] = float(code(field.threshold))
+    elif field.role == "density":
+        changed["function"] = function_in_codes(field.function, code)
+    else:
+        changed |= _labels_in_stored(field, code)
+    return replace(field, **changed)
+
+
+def _labels_in_stored(field: ResolvedField, code: Code) -> dict[str, np.ndarray]:
+    """Labels that no voxel can have are left out."""
+    stored = code(field.labels)
+    kept = (stored == np.rint(stored)) & (np.abs(stored) < 2.0**53)
+    if not kept.any():
+        kept[:1], stored = True, np.full(stored.shape, 2.0**53)  # a label that never occurs
+    found = {
+        "labels": stored[kept].astype(np.int64),
+        "colors": field.colors[kept],
+        "factors": field.factors[kept],
+    }
+    for array in found.values():
+        array.setflags(write=False)
+    return found

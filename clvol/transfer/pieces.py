@@ -1,0 +1,147 @@
+"""The transfer function as linear pieces with their integrals: what cl/transfer_pieces.h looks up.
+
+On a piece 1 - opacity runs linearly from q0 to q1. With m their mean and r = (q1 - q0) / (q1 + q0), the mean of
+-log(1 - opacity) is -log m + S(r), and its first moment about the middle, over lengths of the piece, is -M(r):
+
+    S(r) = 1 - ((1 + r) log(1 + r) - (1 - r) log(1 - r)) / (2 r)
+    M(r) = (r - (1 - r^2) / 2 (log(1 + r) - log(1 - r))) / (4 r^2)
+
+Both are finite where one end has opacity 1.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from clvol.transfer.function import TransferFunction
+
+IN_REGISTERS = 16  # pieces that a packet holds in registers: TRANSFER_PIECES
+ROWS = 26
+OPAQUE_DEPTH = 1e15  # of cl/transfer_pieces.h
+(BEGIN, END, INVERSE, OPACITY, OPACITY_CHANGE, COLOR, COLOR_CHANGE, LENGTH, DEPTH, MOMENT, DEPTHS, COLORS,
+ NEXT_OPAQUE, LAST_OPAQUE, UNITS, FROM, TO, CLEAR, CLEAR_CHANGE, ORIGIN) = (
+    0, 1, 2, 3, 4, 5, 8, 11, 12, 13, 14, 15, 18, 19, 20, 21, 22, 23, 24, 25
+)  # fmt: skip
+
+
+def piece_count(function: TransferFunction) -> int:
+    """Pieces of ``function``: between its control points, and one beyond either end."""
+    values = function.values
+    return int(np.count_nonzero(values[1:] > values[:-1])) + 2
+
+
+def columns(count: int) -> int:
+    """Columns that a table of ``count`` pieces has: a power of two, since pieces are found by bisection."""
+    return max(IN_REGISTERS, 1 << (count - 1).bit_length())
+
+
+def piece_table(
+    function: TransferFunction, step: float, width: int | None = None, origin: float = 0.0
+) -> np.ndarray:
+    """float32 [ROWS, columns]: the pieces of ``function``, ascending by value; ``step``: world length of a step.
+
+    ``origin``: what kernels count values from, a float32. ``width``: columns, at least
+    ``columns(piece_count(function))``; those behind the last piece begin at infinity and so are never
+    looked up.
+    """
+    count = piece_count(function)
+    width = width or columns(count)
+    table = np.zeros((ROWS, width))
+    table[BEGIN] = np.inf
+    values, opacities, colors = function.values - origin, function.opacities, function.colors
+    has_length = np.flatnonzero(function.values[1:] > function.values[:-1])
+    # What lies below the first control point and above the last one is constant.
+    low = np.concatenate([[0], has_length, [values.size - 1]])
+    high = np.concatenate([[0], has_length + 1, [values.size - 1]])
+    piece = slice(0, count)
+    table[BEGIN, piece], table[END, piece] = values[low], values[high]
+    with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
+        length = values[high] - values[low]
+        begin, end = (table[row, piece].astype(np.float32) for row in (BEGIN, END))
+        told_apart = (end - begin).astype(np.float64)
+        inverse = np.where(told_apart > 0, 1.0 / np.where(told_apart > 0, told_apart, 1.0), 0.0)
+    table[LENGTH, piece] = length
+    table[INVERSE, piece] = np.minimum(inverse, 3e38)
+    table[OPACITY, piece] = opacities[low]
+    table[OPACITY_CHANGE, piece] = opacities[high] - opacities[low]
+    table[CLEAR, piece] = 1.0 - opacities[low]
+    table[CLEAR_CHANGE, piece] = opacities[low] - opacities[high]
+    table[COLOR : COLOR + 3, piece] = colors[low].T
+    table[COLOR_CHANGE : COLOR_CHANGE + 3, piece] = (colors[high] - colors[low]).T
+    depth, moment = depth_and_moment(opacities[low], opacities[high])
+    table[DEPTH, piece] = depth
+    table[MOMENT, piece] = moment / np.maximum(depth, 1e-300)
+    opaque = depth >= OPAQUE_DEPTH
+    counted = np.where(opaque, 0.0, depth) * length
+    middle = 0.5 * (colors[low] + colors[high]) * counted[:, None]
+    sums = middle - (colors[high] - colors[low]) * np.where(opaque, 0.0, moment * length)[:, None]
+    before = np.zeros((4, width))
+    before[0, 1 : count + 1] = np.cumsum(counted)[: width - 1]
+    before[1:, 1 : count + 1] = np.cumsum(sums, axis=0)[: width - 1].T
+    table[DEPTHS : DEPTHS + 4] = before
+    index = np.arange(count)
+    after = np.minimum.accumulate(np.where(opaque, index, width)[::-1])[::-1]
+    table[NEXT_OPAQUE] = width
+    table[NEXT_OPAQUE, piece] = after
+    table[LAST_OPAQUE] = -1
+    table[LAST_OPAQUE, piece] = np.maximum.accumulate(np.where(opaque, index, -1))
+    table[UNITS] = step / function.opacity_unit
+    table[ORIGIN] = origin
+    table[FROM], table[TO] = table[BEGIN], table[END]
+    table[FROM, 0], table[TO, count - 1] = -np.inf, np.inf
+    with np.errstate(over="ignore", under="ignore"):
+        return np.where(np.isinf(table), table, np.clip(table, -3e38, 3e38)).astype(np.float32)
+
+
+def depth_and_moment(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Mean of -log(1 - opacity) while the opacity runs linearly from ``first`` to ``second``, at most
+    OPAQUE_DEPTH, and M(r) of this module's head: float64 arrays of their shape."""
+    first, second = np.asarray(first, np.float64), np.asarray(second, np.float64)
+    mean = 0.5 * (first + second)
+    clear = 0.5 * ((1.0 - first) + (1.0 - second))
+    opaque = clear <= 0.0
+    r = np.clip(0.5 * (first - second) / np.where(opaque, 1.0, clear), -1.0, 1.0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        up, down = np.log1p(r), np.log1p(-r)
+        up_part = np.where(r > -1.0, (1.0 + r) * up, 0.0)
+        down_part = np.where(r < 1.0, (1.0 - r) * down, 0.0)
+        spread = 1.0 - (up_part - down_part) / (2.0 * r)
+        rest = np.where(np.abs(r) < 1.0, (1.0 - r * r) * (up - down), 0.0)
+        moment = (r - 0.5 * rest) / (4.0 * r * r)
+        depth = np.where(mean < 0.5, -np.log1p(-np.minimum(mean, 0.5)), -np.log(clear))
+    small = np.abs(r) < 0.1
+    series = sum(r ** (2 * k) / (2 * k * (2 * k + 1)) for k in range(1, 9))
+    spread = np.where(small, series, spread)
+    series = sum(r**n / (2 * n * (n + 2)) for n in range(1, 17, 2))
+    moment = np.where(small, series, moment)
+    depth = np.where(opaque, OPAQUE_DEPTH, np.minimum(depth + spread, OPAQUE_DEPTH))
+    return depth, np.where(opaque, 0.0, moment)
+
+
+def has_opaque_point(function: TransferFunction) -> bool:
+    """Whether the extinction is unbounded somewhere beside where it is infinite: the opacity reaches 1 in a
+    slope. What is classified by single samples must not sample that."""
+    values, opacities = function.values, function.opacities
+    slopes = (values[1:] > values[:-1]) & (opacities[1:] != opacities[:-1])
+    return bool(np.any(slopes & (np.maximum(opacities[1:], opacities[:-1]) >= 1.0)))
+
+
+def value_gate(function: TransferFunction) -> tuple[float, float]:
+    """(low, high): where all values are <= low, or all are >= high, nothing has opacity, in float32."""
+    shown = np.flatnonzero(function.opacities > 0)
+    if not shown.size:
+        return np.inf, -np.inf
+    first, last = int(shown[0]), int(shown[-1])
+    low, high = -np.inf, np.inf
+    if first > 0:
+        value = function.values[first - 1]
+        low = np.float32(value)
+        # Of a step the later point holds at its value; and a knot that float32 does not hold is none.
+        if low > value or value == function.values[first]:
+            low = np.nextafter(low, np.float32(-np.inf))
+    if last + 1 < function.values.size:
+        value = function.values[last + 1]
+        high = np.float32(value)
+        if high < value:
+            high = np.nextafter(high, np.float32(np.inf))
+    return float(low), float(high)

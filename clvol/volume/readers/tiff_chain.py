@@ -1,0 +1,49 @@
+"""The chain of a TIFF file's page directories: it must not lead back to where it has been."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+from typing import BinaryIO
+
+from clvol.errors import VolumeError
+
+# (format of an offset, of the number of tags, bytes of a tag) by the version in the header.
+_KINDS = {42: ("I", "H", 12), 43: ("Q", "Q", 20)}
+
+
+def check_chain(path: Path, where: str) -> None:
+    """VolumeError for a chain of pages that has no end, which tifffile would follow for good.
+
+    Whatever else is wrong with the file is left to tifffile.
+    """
+    with path.open("rb") as file:
+        header = file.read(16)
+        order = {b"II": "<", b"MM": ">"}.get(header[:2])
+        kind = None if order is None else _KINDS.get(struct.unpack(order + "H", header[2:4])[0])
+        if kind is None or len(header) < 16:
+            return
+        pointer, count, tag = order + kind[0], order + kind[1], kind[2]
+        at = 4 if kind[0] == "I" else 8
+        offset = struct.unpack_from(pointer, header, at)[0]
+        seen: set[int] = set()
+        while offset:
+            if offset in seen:
+                what = f"a chain of pages that leads back after {len(seen)} of them"
+                raise VolumeError(where, what, "an undamaged TIFF file")
+            seen.add(offset)
+            if offset >= 2**62:  # no file is so long
+                return
+            file.seek(offset)
+            tags = _number(file, count)
+            if tags is None:
+                return
+            if tags >= 2**40:
+                return
+            file.seek(offset + struct.calcsize(count) + tags * tag)
+            offset = _number(file, pointer)
+
+
+def _number(file: BinaryIO, form: str) -> int | None:
+    raw = file.read(struct.calcsize(form))
+    return struct.unpack(form, raw)[0] if len(raw) == struct.calcsize(form) else None
