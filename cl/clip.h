@@ -73,8 +73,8 @@ INLINE void inside_clip(const Scene *scene, int k, Vectors origin, Vectors direc
   }
 }
 
-/* The next stretch of the ray at or after `from` (in steps). */
-INLINE Stretch next_stretch(const Scene *scene, const Rays *ray, floatN from)
+/* The next stretch of the ray at or after `from` (in steps of `step` edges). */
+INLINE Stretch next_stretch(const Scene *scene, const Rays *ray, floatN from, float step)
 {
   __constant const Effects *e = scene->effects;
   const Vectors origin = to_local(e, ray->x0, ray->y0, ray->z0);
@@ -114,7 +114,7 @@ INLINE Stretch next_stretch(const Scene *scene, const Rays *ray, floatN from)
   }
   /* A clip through the domain's own face cuts nothing off: rounding may not tell. */
   const Vectors none = {0.0f, 0.0f, 0.0f};
-  s.normal = select3(none, s.normal, MASK(s.enter > from + LEAST_CUT / scene->view->march.x));
+  s.normal = select3(none, s.normal, MASK(s.enter > from + LEAST_CUT / step));
   return s;
 }
 

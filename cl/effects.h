@@ -50,7 +50,7 @@ typedef struct {
 /* What is counted beside samples: one number each a tile. clvol/render/effects.py names them in this order. */
 #define COUNT_GRADIENTS 0        /* gradients reconstructed */
 #define COUNT_LIT 1              /* samples lit */
-#define COUNT_SURFACE_TESTS 2    /* segments tested for surfaces */
+#define COUNT_SURFACE_TESTS 2    /* cells tested for surfaces */
 #define COUNT_SURFACE_HITS 3     /* surfaces met */
 #define COUNT_SHADOW_RAYS 4
 #define COUNT_SHADOW_SAMPLES 5   /* reconstructions on shadow rays; not among `samples` */
@@ -82,7 +82,7 @@ typedef struct {
   __constant const Effects *effects;
   __global const float4 *items;
   __global const uint *gradients;
-  __global const uchar *cell_flags;
+  __global const uchar *surface_distances;
   __global const float4 *environment;
   __global const float4 *light_volume;
   __global const uint *noise;
@@ -92,12 +92,12 @@ typedef struct {
 
 #define EFFECT_PARAMETERS                                                                                              \
   , __constant const Effects *restrict effects, __global const float4 *restrict items,                                 \
-    __global const uint *restrict gradients, __global const uchar *restrict cell_flags,                                \
+    __global const uint *restrict gradients, __global const uchar *restrict surface_distances,                         \
     __global const float4 *restrict environment, __global const float4 *restrict light_volume,                         \
     __global const uint *restrict noise, __global const float *restrict factors, __global const float *restrict fields, \
     __global uint *restrict counts
 #define EFFECT_ARGUMENTS \
-  , effects, items, gradients, cell_flags, environment, light_volume, noise, factors, fields, counted
+  , effects, items, gradients, surface_distances, environment, light_volume, noise, factors, fields, counted
 
 /* A kernel's own tally, written to counts[tile, COUNTERS] at its end. */
 #define EFFECT_TALLY Tally counted[COUNTERS] = {0};

@@ -50,7 +50,7 @@ INLINE HalfOpacity no_half(void)
 /* Lanes whose opacity went past one half. */
 INLINE intN passes_half(floatN before, floatN after) { return MASK(after >= 0.5f) & MASK(before < 0.5f); }
 
-/* In a segment that surfaces may cut: between which shares of it opacity passes one half, and the opacity before. At a surface
+/* In a segment that surfaces may cut: between which places (edges) opacity passes one half, and the opacity before. At a surface
  * both are its place. */
 typedef struct {
   floatN from, to, before; /* from: INFINITY where it does not */

@@ -34,7 +34,7 @@ __kernel WIDE_VECTORS void light_volume(__global const uchar *restrict volume, _
                                         __global const float *restrict warp, __global const uchar *restrict distances,
                                         __constant const View *restrict view, __constant const Effects *restrict effects,
                                         __global const float4 *restrict items, __global const uint *restrict gradients,
-                                        __global const uchar *restrict cell_flags, __global const uint *restrict noise,
+                                        __global const uchar *restrict surface_distances, __global const uint *restrict noise,
                                         __global const float *restrict factors, __global const float *restrict fields,
                                         __global const float4 *restrict cone,
                                         int light, int index, int first, __global float *restrict arrives,
@@ -43,7 +43,7 @@ __kernel WIDE_VECTORS void light_volume(__global const uchar *restrict volume, _
   const int4 size = effects->light_size;
   const int points = size.x * size.y * size.z, item = get_global_id(0) + first / LANES;
   if (item * LANES >= points) return;
-  const Scene scene_ = {volume, table, warp, distances, view, effects, items, gradients, cell_flags, items, items,
+  const Scene scene_ = {volume, table, warp, distances, view, effects, items, gradients, surface_distances, items, items,
                         noise, factors, fields};
   const Scene *scene = &scene_;
   EFFECT_TALLY

@@ -68,8 +68,11 @@ INLINE Vectors cued_color(const Scene *scene, Vectors color, floatN depth, float
 #define NEEDS_MIDDLE ((CLASSIFICATION != CLASSIFICATION_PREINTEGRATED) & (TRANSLUCENT != 0))
 
 /* One sample a segment, at its middle or its end: it can be fetched ahead. */
-#define SAMPLES_AHEAD (FETCH_AHEAD && CLASSIFICATION != CLASSIFICATION_PRE && TRANSLUCENT && !ISOSURFACES && !NOISE)
+#define SAMPLES_AHEAD (FETCH_AHEAD && CLASSIFICATION != CLASSIFICATION_PRE && TRANSLUCENT && !NOISE)
 #define AHEAD (CLASSIFICATION == CLASSIFICATION_POST ? 0.5f : 1.0f)
+
+/* Where nothing but surfaces shows a kept stretch is one segment. */
+#define ONE_SEGMENT (ISOSURFACES && !TRANSLUCENT)
 
 /* For the place where opacity reaches one half: a segment's values, and what else is noted of it, `part` steps long. */
 #if CLASSIFICATION == CLASSIFICATION_PREINTEGRATED && TRANSLUCENT
@@ -97,18 +100,18 @@ INLINE Vectors cued_color(const Scene *scene, Vectors color, floatN depth, float
 
 INLINE void render_packet(__global const uchar *volume, __global const float *table, __global const float *warp,
                           __global const uchar *distances, __constant const View *view_, __constant const Effects *effects,
-                          __global const float4 *items, __global const uint *gradients, __global const uchar *cell_flags,
+                          __global const float4 *items, __global const uint *gradients, __global const uchar *surface_distances,
                           __global const float4 *environment, __global const float4 *light_volume, __global const uint *noise,
                           __global const float *factors, __global const float *fields,
                           Tally *counted, intN px, intN py, float *rgba, float *depth, uint *samples)
 {
-  const Scene scene_ = {volume, table, warp, distances, view_, effects, items, gradients, cell_flags, environment, light_volume,
+  const Scene scene_ = {volume, table, warp, distances, view_, effects, items, gradients, surface_distances, environment, light_volume,
                         noise, factors, fields};
   const Scene *scene = &scene_;
   __constant const View *view = view_;
   const float h = view->march.x;
-  Rays whole_ray = make_rays(view, TO_FLOAT(px), TO_FLOAT(py));
-  Vectors forward = scaled3(direction_to_local(effects, whole_ray.dx, whole_ray.dy, whole_ray.dz), 1.0f / h);
+  Rays whole_ray = make_rays_of_step(view, TO_FLOAT(px), TO_FLOAT(py), 1.0f); /* in edges: where clips cut depends on no step */
+  Vectors forward = direction_to_local(effects, whole_ray.dx, whole_ray.dy, whole_ray.dz);
   intN alive = MASK(whole_ray.length >= 0.0f) & MASK(px < view->image.x) & MASK(py < view->image.y);
   const intN on_picture = MASK(px < view->image.x) & MASK(py < view->image.y);
   uintN taken = 0;
@@ -116,9 +119,12 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
   gathered_clear(&acc);
   HalfOpacity half_ = no_half(); /* in edges from the eye */
   Rays ray = whole_ray;
-  floatN next_from = 0.0f;  /* where the next stretch may begin, in steps along whole_ray */
+  floatN next_from = 0.0f;  /* where the next stretch may begin, along whole_ray */
 #if CLIP
   Vectors cut_normal = {0.0f, 0.0f, 0.0f};
+#endif
+#if ISOSURFACES
+  SurfaceWalk walk = walk_along(whole_ray, (floatN)0.0f);
 #endif
 #if REFRACTION
   intN bends_left = MOST_BENDS;
@@ -131,9 +137,9 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
     const intN stretches = alive & MASK(i > last);
     if (any_lane(stretches)) {
 #if CLIP
-      const Stretch next = next_stretch(scene, &whole_ray, next_from);
+      const Stretch next = next_stretch(scene, &whole_ray, next_from, 1.0f);
       const intN found = stretches & MASK(next.enter < next.leave);
-      const Rays along = ray_along(&whole_ray, next.enter, next.leave, found, h);
+      const Rays along = ray_along(&whole_ray, next.enter, next.leave, found, 1.0f);
       cut_normal = select3(cut_normal, next.normal, stretches);
       next_from = select(next_from, next.leave, found);
 #else
@@ -141,15 +147,18 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
       const Rays along = whole_ray;
       next_from = select(next_from, whole_ray.length, stretches);
 #endif
-      ray = select_rays(ray, along, stretches);
+#if ISOSURFACES
+      walk = select_walks(walk, walk_along(along, (floatN)0.0f), stretches);
+#endif
+      ray = select_rays(ray, rays_in_steps(along, h), stretches);
       i = select(i, (intN)0, stretches), joined = select(joined, (intN)0, stretches);
-      const floatN cells = ceil(lane_max(ray.length, (floatN)0.0f));
-      last = select(last, TO_INT(cells) - 1, stretches);
+      const floatN segments = ONE_SEGMENT ? (floatN)1.0f : ceil(lane_max(ray.length, (floatN)0.0f));
+      last = select(last, TO_INT(segments) - 1, stretches);
       alive &= found | ~stretches;
       last = select(last, (intN)DONE, ~alive);
     }
     if (!any_lane(alive)) break;
-#if SKIP_EMPTY
+#if SKIP_EMPTY && !ONE_SEGMENT
     {
       const intN going = alive & MASK(i <= last);
       const floatN visible_at = next_visible(distances, view, TO_FLOAT(i), going, &ray);
@@ -167,19 +176,16 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
     FetchedSample ahead2 = fetch_sample(volume, view, ray.x0 + (t_ahead + 1.0f) * ray.dx, ray.y0 + (t_ahead + 1.0f) * ray.dy,
                                         ray.z0 + (t_ahead + 1.0f) * ray.dz);
 #endif
-    _Pragma("unroll 1") for (int step = 0; step < MARCH_STEPS; ++step) {
+#if ISOSURFACES && !ONE_SEGMENT
+    /* All rays of the packet at once; in the segments only those that met a surface go on. */
+    find_surfaces(scene, &walk, alive & MASK(i <= last), h * TO_FLOAT(i + MARCH_STEPS), &taken, &counted[COUNT_SURFACE_TESTS]);
+#endif
+    _Pragma("unroll 1") for (int step = 0; step < (ONE_SEGMENT ? 1 : MARCH_STEPS); ++step) {
       const intN active = alive & MASK(i <= last);
-      const floatN t0 = TO_FLOAT(i), t1 = lane_min(t0 + 1.0f, ray.length);
+      const floatN t0 = TO_FLOAT(i), t1 = ONE_SEGMENT ? ray.length : lane_min(t0 + 1.0f, ray.length);
       const floatN length = select((floatN)1.0f, t1 - t0, active), tm = t0 + 0.5f * length;
       const floatN xm = ray.x0 + tm * ray.dx, ym = ray.y0 + tm * ray.dy, zm = ray.z0 + tm * ray.dz;
-#if ISOSURFACES
-      /* Values at the ends and the middle tell surfaces; where none can be, the segment needs no more than usual. */
-      const intN near = active & surfaces_near(scene, xm, ym, zm);
-      const int look = any_lane(near);
-#else
-      const int look = 0;
-#endif
-      const int ends = NEEDS_ENDS | look, middle = NEEDS_MIDDLE | look;
+      const int ends = NEEDS_ENDS, middle = NEEDS_MIDDLE;
       floatN front = value1, back = 0.0f, mid = 0.0f;
       Emission e = no_emission();
 #if SAMPLES_AHEAD
@@ -311,31 +317,33 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
       }
 #endif
 #if ISOSURFACES
-      if (look) {
+      {
         intN may_bend = 0;
 #if REFRACTION
         may_bend = MASK(bends_left > 0);
 #endif
-        count_lanes(&counted[COUNT_SURFACE_TESTS], near);
+        const floatN from_edges = t0 * h, to_edges = ONE_SEGMENT ? walk.ray.length : t1 * h;
         HalfBetween between;
         between.from = INFINITY, between.to = between.before = 0.0f;
-        const SurfacePassage passage = pass_surfaces(scene, &ray, scaled3(forward, -1.0f), t0, length, front, mid, back, e, active, near, may_bend,
-                                                     &acc, &between, &taken, counted);
+        const SurfacePassage passage = pass_surfaces(scene, &walk, scaled3(forward, -1.0f), from_edges, to_edges, length, e, visible, active,
+                                                     MASK(i == last), may_bend, &acc, &between, &taken, counted);
 #if WITH_DEPTH
         const intN passes = MASK(between.from < INFINITY);
         if (any_lane(passes)) {
           SEGMENT_VALUES(first, second)
-          const floatN from = select((floatN)0.0f, between.from, passes);
-          note_half(&half_, passes, between.before, ray.entry_depth + (t0 + from * length) * h, (between.to - from) * length,
-                    first + from * (second - first), first + between.to * (second - first));
-          NOTE_SEGMENT(passes, (between.to - from) * length)
+          const intN uncut = MASK(between.from == from_edges) & MASK(between.to == to_edges);
+          const floatN from = select((floatN)0.0f, between.from, passes), part = select((between.to - from) / h, length, uncut);
+          const floatN slope = (second - first) / length, at = from / h - t0;
+          note_half(&half_, passes, between.before, ray.entry_depth + from, part, select(first + at * slope, first, uncut),
+                    select(first + (at + part) * slope, second, uncut));
+          NOTE_SEGMENT(passes, part)
         }
 #endif
         last = select(last, (intN)DONE, MASK(acc.a >= view->march.z));
         alive &= MASK(acc.a < view->march.z);
 #if REFRACTION
         if (any_lane(passage.bends)) {
-          const Rays bent = bent_rays(scene, &ray, passage.at, passage.direction);
+          const Rays bent = bent_rays(scene, &walk.ray, passage.at, passage.direction);
           whole_ray = select_rays(whole_ray, bent, passage.bends);
           forward = select3(forward, passage.direction, passage.bends);
           next_from = select(next_from, (floatN)0.0f, passage.bends);
@@ -343,8 +351,8 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
           bends_left += passage.bends;
         }
 #endif
-      } else
-#endif
+      }
+#else
       if (visible) {
         const floatN before = acc.a;
         composite_emission(&acc, e, length, active);
@@ -359,6 +367,7 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
         last = select(last, (intN)DONE, MASK(acc.a >= view->march.z));
         alive &= MASK(acc.a < view->march.z);
       }
+#endif
       if (ends) {
         value2 = select(value2, front, active), value1 = select(value1, back, active);
         joined |= active;

@@ -88,12 +88,12 @@ INLINE floatN middle_of(const Rays *ray, intN i)
 
 INLINE void render_packet(__global const uchar *volume, __global const float *table, __global const float *warp,
                           __global const uchar *distances, __constant const View *view_, __constant const Effects *effects,
-                          __global const float4 *items, __global const uint *gradients, __global const uchar *cell_flags,
+                          __global const float4 *items, __global const uint *gradients, __global const uchar *surface_distances,
                           __global const float4 *environment, __global const float4 *light_volume, __global const uint *noise,
                           __global const float *factors, __global const float *fields,
                           Tally *counted, intN px, intN py, float *rgba, float *depth, uint *samples)
 {
-  const Scene scene_ = {volume, table, warp, distances, view_, effects, items, gradients, cell_flags, environment, light_volume,
+  const Scene scene_ = {volume, table, warp, distances, view_, effects, items, gradients, surface_distances, environment, light_volume,
                         noise, factors, fields};
   const Scene *scene = &scene_;
   __constant const View *view = view_;
@@ -120,7 +120,7 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
     const intN stretches = alive & MASK(i > last);
     if (any_lane(stretches)) {
 #if CLIP
-      const Stretch next = next_stretch(scene, &whole_ray, next_from);
+      const Stretch next = next_stretch(scene, &whole_ray, next_from, h);
       const intN found = stretches & MASK(next.enter < next.leave);
       const Rays along = ray_along(&whole_ray, next.enter, next.leave, found, h);
       next_from = select(next_from, next.leave, found);

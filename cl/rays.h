@@ -35,8 +35,8 @@ INLINE floatN finite_inverse(floatN d, floatN *never)
   return 1.0f / select(d, (floatN)1e-12f, still);
 }
 
-/* Rays through the centres of the pixels (column, row), row 0 on top. */
-INLINE Rays make_rays(__constant const View *view, floatN column, floatN row)
+/* Rays through the centres of the pixels (column, row), row 0 on top, with steps of h edges. */
+INLINE Rays make_rays_of_step(__constant const View *view, floatN column, floatN row, float h)
 {
   Rays r;
   const floatN u = column - view->lens.z, v = row - view->lens.w;
@@ -53,7 +53,6 @@ INLINE Rays make_rays(__constant const View *view, floatN column, floatN row)
   clip_to_slab(px, dx, view->upper.x, &enter, &leave);
   clip_to_slab(py, dy, view->upper.y, &enter, &leave);
   clip_to_slab(pz, dz, view->upper.z, &enter, &leave);
-  const float h = view->march.x;
   const intN hits = MASK(leave > enter);
   enter = select((floatN)0.0f, enter, hits);
   leave = select((floatN)-h, leave, hits);
@@ -62,6 +61,21 @@ INLINE Rays make_rays(__constant const View *view, floatN column, floatN row)
   r.rx = finite_inverse(r.dx, &r.px), r.ry = finite_inverse(r.dy, &r.py), r.rz = finite_inverse(r.dz, &r.pz);
   r.length = (leave - enter) / h;
   r.entry_depth = enter + to_plane;
+  return r;
+}
+
+INLINE Rays make_rays(__constant const View *view, floatN column, floatN row)
+{
+  return make_rays_of_step(view, column, row, view->march.x);
+}
+
+/* Rays whose unit of length is `h` times as long. */
+INLINE Rays rays_in_steps(Rays r, float h)
+{
+  const float shorter = 1.0f / h;
+  r.dx *= h, r.dy *= h, r.dz *= h;
+  r.rx *= shorter, r.ry *= shorter, r.rz *= shorter;
+  r.length = r.length / h;
   return r;
 }
 

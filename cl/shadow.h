@@ -2,14 +2,14 @@
  *
  * T = exp(-D), D the optical depth along the straight line to the light: as far as the volume's domain or, if it is nearer, a point
  * light. D is integrated as by the eye's rays: over steps of shadow.step edges from the place on, the last one shorter, under
- * the scene's classification and filter, chords shifted by the curvature and so on. A surface adds
- * -log(1 - opacity) where successive samples lie on both sides of its iso-value; none is shaded, so that there is no
- * recursion. What is clipped away casts no shadow. The march ends where D is beyond shadow.w: T is below 1e-3 there.
+ * the scene's classification and filter, chords shifted by the curvature and so on. A surface adds -log(1 - opacity) where the
+ * ray meets it, as the eye's rays do; none is shaded, so that there is no recursion. What is clipped away casts no shadow. The
+ * march ends where D is beyond shadow.w: T is below 1e-3 there.
  *
  * A shadow ray starts in the very surface that it lights: on which side of it the ray runs is told by the value SURFACE_OFFSET
  * edges along it, not by that at its start, which is the iso-value but for rounding. 0.1 edges stay below all that the voxels
- * resolve, and are 1e-4 edges above the surface where the light grazes it at N.L = 1e-3: twice as far as the surface itself
- * may be off (CROSSING_EDGES). A surface lit at a lower angle shows nothing of that light.
+ * resolve, and are 1e-4 edges above the surface where the light grazes it at N.L = 1e-3: farther than the surface itself may be
+ * off. A surface lit at a lower angle shows nothing of that light.
  *
  * SHADOWS_BY_RAYS: a march from each sample. Samples whose weight (opacity times what is left of the eye's ray) is not above
  * shadow.bound cast none, and get the light without a shadow: such a sample changes the picture by less than the bound, n of
@@ -30,6 +30,9 @@
 #include "half_opacity.h"
 #include "opacity.h"
 #include "skip_empty.h"
+#if ISOSURFACES
+#include "surface_walk.h"
+#endif
 #if OPACITY_FACTORS || TRANSFER_LAYERS
 #include "opacity_factors.h"
 #endif
@@ -39,8 +42,6 @@
 
 #define SURFACE_OFFSET 0.1f
 #define SHADOW_STEPS 8 /* between looks at the distance map */
-/* Voxels that are not finite part a volume in pieces, and which side of a surface one is on says nothing about the next. */
-#define SHADOWS_LEAP (SKIP_EMPTY && !(ISOSURFACES && VOXEL_HOLES))
 #define LIGHT_CHANNELS (SCATTERING ? 4 : 1)
 
 /* A local direction of unit length in lattice units an edge. What is parallel to an axis' faces but for rounding is made so: a ray
@@ -145,29 +146,29 @@ INLINE floatN extinction_along(const Scene *scene, const Rays *ray, floatN t0, f
 }
 
 #if ISOSURFACES
-/* Optical depth of the surfaces whose iso-values lie between two values, at the points `from` and `to` of the ray. A value that
- * is not finite is on no side. What a mask removes is asked where the value would be met if it ran linearly. */
-INLINE floatN surfaces_between(const Scene *scene, const Rays *ray, floatN from, floatN to, floatN before, floatN after,
-                               intN active, Tally *counted)
+/* `depth` and that of the surfaces that the rays meet from `apart` edges on: where the eye's rays would (surface_walk.h). */
+INLINE floatN depth_of_surfaces(const Scene *scene, const Rays *ray, floatN depth, float apart, intN rays, Tally *counted)
 {
-  const int first = scene->effects->first.y;
-  const intN known = active & finite_lanes(before) & finite_lanes(after);
-  floatN depth = 0.0f;
-  _Pragma("unroll 1") for (int k = 0; k < scene->effects->counts.y; ++k) {
-    const float4 surface = scene->items[first + 3 * k];
-    intN crosses = known & (MASK(before >= surface.x) ^ MASK(after >= surface.x));
+  const Rays in_edges = rays_in_steps(*ray, 1.0f / scene->effects->shadow.y);
+  SurfaceWalk walk = walk_along(in_edges, lane_min((floatN)apart, 0.5f * in_edges.length));
+  Tally cells = 0;
+  for (;;) {
+    const intN wanted = rays & MASK(depth < scene->effects->shadow.w);
+    find_surfaces(scene, &walk, wanted, (floatN)INFINITY, &counted[COUNT_SHADOW_SAMPLES], &cells);
+    intN meets = wanted & walk.found;
+    if (!any_lane(meets)) return depth;
+    walk.found &= ~meets;
 #if FIELDS & FIELD_MASK
-    if (!any_lane(crosses)) continue;
-    const floatN share = (surface.x - before) / select((floatN)1.0f, after - before, crosses), t = from + share * (to - from);
-    crosses = mask_keeps(scene, ray->x0 + t * ray->dx, ray->y0 + t * ray->dy, ray->z0 + t * ray->dz, crosses, counted);
+    const Vectors at = surface_place(&walk);
+    meets = mask_keeps(scene, at.x, at.y, at.z, meets, counted);
 #endif
-    depth += select((floatN)0.0f, (floatN)surface.w, crosses);
+    const intN surface = scene->effects->first.y + 3 * walk.surface;
+    depth += select((floatN)0.0f, AS_FLOAT(gather4(scene->items, 4 * surface + 3)), meets);
   }
-  return depth;
 }
 #endif
 
-/* `depth` and what one kept stretch of the rays adds. The side of the surfaces that they start on is told at `apart` steps. */
+/* `depth` and what one kept stretch of the rays adds. Surfaces count from `apart` edges on. */
 INLINE floatN depth_along(const Scene *scene, const Rays *ray, Vectors direction, floatN depth, float apart, intN rays,
                           Tally *counted)
 {
@@ -180,16 +181,15 @@ INLINE floatN depth_along(const Scene *scene, const Rays *ray, Vectors direction
   floatN value1 = 0.0f, value2 = 0.0f;
 #endif
 #if ISOSURFACES
-  floatN before = value_along(scene, ray, lane_min((floatN)apart, 0.5f * ray->length));
-  count_lanes(&counted[COUNT_SHADOW_SAMPLES], MASK(i <= last));
+  depth = depth_of_surfaces(scene, ray, depth, apart, MASK(i <= last), counted);
 #endif
   for (;;) {
     const intN going = MASK(i <= last) & MASK(depth < enough);
     if (!any_lane(going)) break;
-#if SHADOWS_LEAP
-    /* The segment before the first visible one is taken too: for the curvature, or to tell the side of surfaces. */
+#if SKIP_EMPTY
+    /* The segment before the first visible one is taken too: for the curvature. */
     const floatN visible_at = next_visible(scene->distances, scene->view, TO_FLOAT(i), going, ray);
-    const floatN to = lane_clamp(visible_at - (float)(ISOSURFACES | SHADOW_ENDS), (floatN)0.0f, TO_FLOAT(max(last, (intN)0)) + 1.0f);
+    const floatN to = lane_clamp(visible_at - (float)SHADOW_ENDS, (floatN)0.0f, TO_FLOAT(max(last, (intN)0)) + 1.0f);
     const intN leaps = going & MASK(TO_INT(to) > i);
     i = select(i, TO_INT(to), leaps);
     i = select(i, last + 1, going & MASK(visible_at >= ray->length));
@@ -214,7 +214,7 @@ INLINE floatN depth_along(const Scene *scene, const Rays *ray, Vectors direction
       shift_ends(value2, &v.front, &v.back, select((floatN)1.0f, length, active), active & joined);
       value2 = select(value2, front, active), value1 = select(value1, value, active);
       joined |= active;
-#elif CLASSIFICATION == CLASSIFICATION_PRE && !ISOSURFACES
+#elif CLASSIFICATION == CLASSIFICATION_PRE
       const floatN at = t0 + 0.5f * length, value = 0.0f;
       const SegmentValues v = {value, value};
 #else
@@ -223,22 +223,9 @@ INLINE floatN depth_along(const Scene *scene, const Rays *ray, Vectors direction
 #endif
       count_lanes(&counted[COUNT_SHADOW_SAMPLES], active);
       depth += h * length * extinction_along(scene, ray, t0, t0 + length, v, direction, active, counted);
-#if ISOSURFACES
-      depth += surfaces_between(scene, ray, SHADOW_ENDS ? t0 : lane_max(at - 1.0f, (floatN)0.0f), at, before, value, active, counted);
-      before = select(before, value, active);
-#endif
       i -= active;
     }
   }
-#if ISOSURFACES && !SHADOW_ENDS
-  const intN ends = MASK(last >= 0) & MASK(depth < enough);
-  if (any_lane(ends)) {
-    const floatN middle = TO_FLOAT(last) + 0.5f * (ray->length - TO_FLOAT(last));
-    const floatN end_value = value_along(scene, ray, ray->length);
-    depth += surfaces_between(scene, ray, middle, ray->length, before, end_value, ends, counted);
-    count_lanes(&counted[COUNT_SHADOW_SAMPLES], ends);
-  }
-#endif
   return depth;
 }
 
@@ -246,13 +233,13 @@ INLINE floatN depth_along(const Scene *scene, const Rays *ray, Vectors direction
 INLINE floatN depth_towards(const Scene *scene, Vectors place, Vectors direction, floatN reach, intN rays, Tally *counted)
 {
   const Rays whole = rays_towards(scene, place, direction, reach, rays);
-  const float apart = SURFACE_OFFSET / scene->effects->shadow.y;
+  const float apart = SURFACE_OFFSET;
   count_lanes(&counted[COUNT_SHADOW_RAYS], rays);
 #if CLIP
   floatN depth = 0.0f, next_from = 0.0f;
   intN open = MASK(whole.length > 0.0f);
   _Pragma("unroll 1") for (int stretch = 0;; ++stretch) {
-    const Stretch kept = next_stretch(scene, &whole, next_from);
+    const Stretch kept = next_stretch(scene, &whole, next_from, scene->effects->shadow.y);
     open &= MASK(kept.enter < kept.leave);
     if (!any_lane(open)) return depth;
     const Rays ray = ray_along(&whole, kept.enter, kept.leave, open, scene->effects->shadow.y);

@@ -44,33 +44,6 @@ class ClvolWarning(UserWarning):
         return " ".join(f"{self.where}: {self.what}{tail}".split())
 
 
-class ClvolWarning(UserWarning):
-    """What can hardly be meant, though it is no error: the picture is what was asked for.
-
-    ``where`` names the place (a scene key), ``what`` is found there and what follows from it, ``advice`` what to set. ``str()`` is
-    the line that the command prints: ``WHERE: WHAT; ADVICE``.
-    """
-
-    def __init__(self, where: str, what: str, advice: str | None = None) -> None:
-        self.where, self.what = str(where), str(what)
-        self.advice = None if advice is None else str(advice)
-        super().__init__(where, what, advice)
-
-    def __str__(self) -> str:
-        tail = f"; {self.advice}" if self.advice else ""
-        return " ".join(f"{self.where}: {self.what}{tail}".split())
-
-
-class ClvolWarning(UserWarning):
-    """What the user should know though it stops nothing: ``WHERE: WHAT``, one line.
-
-    The command prints it on stderr as ``clvol: warning: WHERE: WHAT``.
-    """
-
-    def __init__(self, where: str, what: str) -> None:
-        super().__init__(" ".join(f"{where}: {what}".split()))
-
-
 class SceneError(ClvolError):
     """The scene is wrong: an unknown key, a wrong type, an impossible value."""
 

@@ -72,7 +72,7 @@ def _render(name: str) -> str:
     """What is wrong with the picture of a box of one value, or ""."""
     import numpy as np
 
-    from clvol import Renderer, Scene, TransferFunction, Volume
+    from clvol import Renderer, Scene, Volume
 
     voxels = np.full((_EDGE, _EDGE, _EDGE), _VALUE, np.uint8)
     point = {"opacity": _OPACITY, "color": [1.0, 0.5, 0.25]}

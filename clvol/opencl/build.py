@@ -44,7 +44,11 @@ def build_program(context: cl.Context, source: str, options: Sequence[str]) -> A
     device = context.devices[0]
     words = " ".join(options).encode()
     key = program_key(device, source, options)
+<<<<<<< HEAD
     with _lock:
+=======
+    with _lock, without_warnings(cl.CompilerWarning):  # a driver's "compilation done" is no news
+>>>>>>> main
         if device.platform.name == _POCL:
             pocl_programs.restore(key)
             program = _built(cl._cl._Program(context, source), words)

@@ -57,7 +57,7 @@ OPAQUE_DEPTH = 1e15  # of a surface; finite, so that any share of it counts
 CLIP_TYPES = {"plane": 0, "box": 1, "sphere": 2}
 _FAR = 1e12  # smallest edges: from there light comes from one direction, to float32
 ARGUMENTS = (
-    ", in effects V1, in items float32, in gradients uint32, in cell_flags uint8, "
+    ", in effects V1, in items float32, in gradients uint32, in surface_distances uint8, "
     "in environment float32, in light_volume float32, in noise uint32, in factors float32, "
     "in fields float32, out counts uint32"
 )
@@ -175,7 +175,7 @@ class EffectState:
         none = {
             name: context.upload(np.zeros(4, dtype))
             for name, dtype in (
-                ("items", np.float32), ("gradients", np.uint32), ("cell_flags", np.uint8),
+                ("items", np.float32), ("gradients", np.uint32), ("surface_distances", np.uint8),
                 ("environment", np.float32), ("light_volume", np.float32), ("noise", np.uint32),
                 ("factors", np.float32), ("fields", np.float32),
             )
@@ -347,10 +347,9 @@ class EffectState:
             other.arrays = dict(self.arrays)
         return other
 
-    def set_surfaces(self, mask: np.ndarray) -> None:
-        """``mask`` bool [z, y, x]: cells in or next to which a surface can be."""
-        flags = np.concatenate([mask.ravel().astype(np.uint8), np.zeros(4, np.uint8)])
-        self.arrays["cell_flags"] = self.context.upload(flags)
+    def set_surfaces(self, distances: DeviceArray) -> None:
+        """``distances``: as of ``distance_map``, to the cells in which a surface can be."""
+        self.arrays["surface_distances"] = distances
 
     def counted(self, counts: np.ndarray) -> dict[str, int]:
         """Sums over tiles of what was counted: ``counts`` uint32 [tiles, len(COUNTERS)]."""

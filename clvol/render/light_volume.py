@@ -21,7 +21,7 @@ _SECONDS_A_SAMPLE, _BAND_SECONDS = 1e-8, 0.5
 _WORK_GROUP = 64
 _ARGUMENTS = (
     "in volume V1, in table float32, in warp float32, in distances uint8, in view V1, "
-    "in effects V1, in items float32, in gradients uint32, in cell_flags uint8, in noise uint32, "
+    "in effects V1, in items float32, in gradients uint32, in surface_distances uint8, in noise uint32, "
     "in factors float32, in fields float32, in cone float32, "
     "value light int32, value index int32, value first int32, out arrives float32, "
     "out samples uint32"

@@ -17,7 +17,7 @@ from clvol.render.device_volume import DeviceVolume
 from clvol.render.effects import ARGUMENTS as _EFFECT_ARGUMENTS
 from clvol.render.effects import COUNTERS, EffectState, effect_switches
 from clvol.render.empty_space import dilated, distance_map, surface_mask, visible_mask
-from clvol.render.layout import CELL_SHIFT, Perturbation, value_map, voxel_switches
+from clvol.render.layout import Perturbation, value_map, voxel_switches
 from clvol.render.light_volume import METHODS, fill_light_volume, shadow_step
 from clvol.render.noise import perturbation
 from clvol.render.opacity_factors import layer_functions, stacked
@@ -291,14 +291,14 @@ class Raycaster:
         }
 
     def _surface_cells(self) -> np.ndarray:
-        """bool [z, y, x]: cells in which an iso-surface can be. Tells the effects, which look a step
-        around."""
+        """bool [z, y, x]: cells in which an iso-surface can be. Tells the effects."""
         levels = [float(self.volume.values(s.value)) for s in self.resolved.isosurfaces]
-        mask = surface_mask(self.volume, self.resolved.integration.filter, levels, self._moved)
-        reach = self.resolved.integration.step / (1 << CELL_SHIFT)
-        around = dilated(mask) if reach < 1 else np.ones_like(mask)
-        self.effects.set_surfaces(around)
-        self.surface_cells = around
+        filter = self.resolved.integration.filter
+        mask = surface_mask(self.volume, filter, levels, self._moved)
+        if filter == "nearest":  # what is nearest to one voxel lies in two cells
+            mask = dilated(mask)
+        self.effects.set_surfaces(distance_map(self.context, mask))
+        self.surface_cells = mask
         return mask
 
     def _beside_surfaces(self) -> Raycaster | None:
@@ -339,8 +339,6 @@ class Raycaster:
             other._set_colors()
         if other.length != self.length:
             other._build_table()
-            if resolved.isosurfaces:
-                other._surface_cells()
         later = resolved.animation.time != self.resolved.animation.time
         moved = later and bool(resolved.noise)  # cycling moves no opacity
         if other._casts_shadows and (moved or shadow_step(resolved) != shadow_step(self.resolved)):

@@ -10,7 +10,7 @@ __kernel void light_at(__global const uchar *restrict volume, __global const flo
                        int light, __global float *restrict shares)
 {
   EFFECT_TALLY
-  const Scene scene = {volume, table, warp, distances, view, effects, items, gradients, cell_flags, environment, light_volume,
+  const Scene scene = {volume, table, warp, distances, view, effects, items, gradients, surface_distances, environment, light_volume,
                        noise, factors, fields};
   const int first = get_global_id(0) * LANES;
   const Vectors place = {LOAD_LANES(places + first), LOAD_LANES(places + n + first), LOAD_LANES(places + 2 * n + first)};

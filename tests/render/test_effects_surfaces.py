@@ -9,8 +9,8 @@ from effect_scenes import (
 )  # fmt: skip
 
 from clvol import TransferFunction
+from clvol.render.twin.cell_crossings import medium_crossings
 from clvol.render.twin.medium import Medium
-from clvol.render.twin.surfaces import crossings
 
 SHAPE = (15, 17, 19)
 CAMERA = oblique(SHAPE)
@@ -36,48 +36,48 @@ def ramp(values=range(17)) -> np.ndarray:
     return np.broadcast_to(np.array(values, np.float32)[:, None, None], CUBE).copy()
 
 
-def check(context, resolved, grazed=0.0, limit=ROUNDING):
-    """The twin looks at 64 places a segment, the kernels at three and a parabola's extreme: of a
-    share ``grazed`` of the pixels a surface comes and goes between those."""
+def check(context, resolved, limit=ROUNDING, others=0):
+    """The twin finds the roots of each cell's polynomial in double precision: all pixels but so many
+    ``others`` are its."""
     expected = twin(resolved)
     data = picture(context, resolved)
     assert 0.05 < expected[..., 3].mean()
-    apart = np.abs(data.rgba - expected).max(axis=-1) > limit
-    assert apart.mean() <= grazed, f"{apart.sum()} of {apart.size}"
+    apart = np.abs(data.rgba - expected).max(axis=-1)
+    assert np.sum(apart > limit) <= others, f"{np.sum(apart > limit)}, {apart.max()}"
     return data
 
 
-# Trilinear fields have kinks where a ray goes from cell to cell, smooth filters have none.
-ONE_PIXEL = 1.0 / 500
 VARIANTS = {
-    "empty": (NOTHING, {}, ONE_PIXEL),
-    "in a volume": (None, {}, ONE_PIXEL),
-    "in a volume, preintegrated": (
-        None, {"integration": {"classification": "preintegrated"}}, ONE_PIXEL
-    ),
-    "in a volume, pre": (None, {"integration": {"classification": "pre"}}, ONE_PIXEL),
-    "fine steps": (NOTHING, {"integration": {"step": 0.3}}, 0.0),
-    "long steps": (NOTHING, {"integration": {"step": 4.0}}, 3 * ONE_PIXEL),
-    "nearest": (NOTHING, {"integration": {"filter": "nearest", "step": 0.1}}, 8 * ONE_PIXEL),
-    "cubic": (NOTHING, {"integration": {"filter": "cubic"}}, 0.0),
-    "catmull-rom": (NOTHING, {"integration": {"filter": "catmull-rom"}}, 0.0),
-    "one-sided": (NOTHING, {"material": {**MATERIAL, "two_sided": False}}, ONE_PIXEL),
-    "glass": (NOTHING, {"isosurface": GLASS}, ONE_PIXEL),
-    "glass in a volume": (None, {"isosurface": GLASS}, ONE_PIXEL),
-    "thin glass": (NOTHING, {"isosurface": [{**GLASS[0], "refraction": 0.7}]}, ONE_PIXEL),
+    "empty": (NOTHING, {}),
+    "in a volume": (None, {}),
+    "in a volume, preintegrated": (None, {"integration": {"classification": "preintegrated"}}),
+    "in a volume, pre": (None, {"integration": {"classification": "pre"}}),
+    "fine steps": (NOTHING, {"integration": {"step": 0.3}}),
+    "long steps": (NOTHING, {"integration": {"step": 4.0}}),
+    "nearest": (NOTHING, {"integration": {"filter": "nearest"}}),
+    "cubic": (NOTHING, {"integration": {"filter": "cubic"}}),
+    "prefiltered": (NOTHING, {"integration": {"filter": "cubic", "prefilter": True}}),
+    "catmull-rom": (NOTHING, {"integration": {"filter": "catmull-rom"}}),
+    "one-sided": (NOTHING, {"material": {**MATERIAL, "two_sided": False}}),
+    "glass": (NOTHING, {"isosurface": GLASS}),
+    "glass in a volume": (None, {"isosurface": GLASS}),
+    "thin glass": (NOTHING, {"isosurface": [{**GLASS[0], "refraction": 0.7}]}),
 }  # fmt: skip
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_surfaces_are_the_twins(context, variant):
-    function, keys, grazed = VARIANTS[variant]
+    function, keys = VARIANTS[variant]
     functions = {} if function is None else {"function": function}
     # A bent ray goes on 2e-3 edges from the surface: that much of the volume's opacity is not seen.
     limit = 1e-3 if variant == "glass in a volume" else ROUNDING
+    # Interpolated gradients are not quite the field's: one ray that glances off goes on through the
+    # surface, which the twin, starting in it, meets again and again.
+    others = 1 if "glass" in variant else 0
     resolved = scene(
         blobs(SHAPE), **functions, **{**LIT, "camera": CAMERA, "isosurface": TWO, **keys}
     )
-    check(context, resolved, grazed, limit)
+    check(context, resolved, limit, others)
 
 
 _firsts: dict = {}
@@ -91,16 +91,16 @@ def first_crossings(resolved) -> np.ndarray:
         origins, directions = resolved.camera.world_rays(*SIZE)
         rays = origins.reshape(-1, 3), directions.reshape(-1, 3)
         start = np.full(len(rays[0]), 45.0)
-        met = crossings(Medium(resolved).value, *rays, start, start + 35.0,
-                        [resolved.isosurfaces[0].value], subdivisions=500)  # fmt: skip
+        met = medium_crossings(Medium(resolved), *rays, start, start + 35.0,
+                               [resolved.isosurfaces[0].value])  # fmt: skip
         _firsts[filter] = met.t[:, 0].reshape(origins.shape[:2])
     return _firsts[filter]
 
 
 @pytest.mark.parametrize("filter", ["nearest", "linear", "cubic", "catmull-rom"])
 def test_an_opaque_surface_is_where_the_field_takes_its_value(context, filter):
-    """Its depth is the distance to it, to 1e-4 of an edge: bisection in double finds the field's
-    own place. Whatever the step, and with no lights."""
+    """Its depth is the distance to it, to 1e-4 of an edge: the root of the field's polynomial in
+    double. Whatever the step, and with no lights."""
     array = ball(SHAPE, (9.3, 8.1, 6.9))
     camera = oblique(SHAPE, projection="orthographic", height=14.0)
     for step in (0.4, 1.0, 4.0):
@@ -109,11 +109,8 @@ def test_an_opaque_surface_is_where_the_field_takes_its_value(context, filter):
         depth = picture(context, resolved).depth
         first = first_crossings(resolved)
         both = np.isfinite(first) & np.isfinite(depth)
-        # What the two disagree about are crossings that a segment hides: two of them in a half.
-        hidden = 0.2 if filter == "nearest" else 0.01 if step > 1 else 0.0
-        assert both.mean() > 0.2 and (np.isfinite(first) != np.isfinite(depth)).mean() <= hidden
-        apart = np.abs(depth[both] - first[both])
-        assert np.mean(apart > 1e-4) <= hidden, apart.max()
+        assert both.mean() > 0.2 and np.array_equal(np.isfinite(first), np.isfinite(depth))
+        np.testing.assert_allclose(depth[both], first[both], rtol=0, atol=1e-4)
 
 
 def test_a_sphere_is_where_it_is(context):
@@ -128,7 +125,7 @@ def test_a_sphere_is_where_it_is(context):
         data = picture(context, resolved)
         origins, _ = resolved.camera.world_rays(61, 61)
         away = np.sum((origins[..., :2] - middle[:2]) ** 2, axis=-1)
-        clear = np.abs(away - radius**2) > 1e-3
+        clear = np.abs(away - radius**2) > 1e-4
         assert clear.mean() > 0.99 and np.sum((away > 24.5) & (away < 25)) > 10
         assert np.array_equal((data.rgba[..., 3] == 1.0)[clear], (away < radius**2)[clear])
         inner = away < radius**2 - 0.05
@@ -243,7 +240,7 @@ def test_leaping_lanes_and_tiles_change_no_surface(context):
     assert np.array_equal(one, picture(context, resolved, tile=(4, 12)).rgba)
     other = picture(context, resolved, lanes=1 if context.is_cpu else 16).rgba
     # Another compilation: a grazed surface may be missed or met.
-    assert np.mean(np.abs(one - other).max(axis=-1) > 1e-4) <= 2 * ONE_PIXEL
+    assert np.sum(np.abs(one - other).max(axis=-1) > 1e-4) <= 1
 
 
 def test_holes_hide_only_the_surfaces_that_use_them(context):
@@ -266,5 +263,4 @@ def test_holes_hide_only_the_surfaces_that_use_them(context):
     np.testing.assert_allclose(data.rgba[untouched], whole[untouched], rtol=0, atol=1e-4)
     assert np.abs(data.rgba - whole).max() > 0.1
     expected = twin(resolved)
-    # Half a segment beside a hole has no surface.
-    assert np.mean(np.abs(data.rgba - expected).max(axis=-1) > ROUNDING) < 0.03
+    np.testing.assert_allclose(data.rgba, expected, rtol=0, atol=ROUNDING)

@@ -6,13 +6,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from clvol.render.twin.cell_crossings import medium_crossings
 from clvol.render.twin.clip import kept_stretches
 from clvol.render.twin.environment import EnvironmentMap
 from clvol.render.twin.medium import Medium
 from clvol.render.twin.project import Projection
 from clvol.render.twin.shade import Shader
 from clvol.render.twin.shadow import Shadows
-from clvol.render.twin.surfaces import bent, crossings
+from clvol.render.twin.surfaces import bent
 
 MOST_BENDS = 8
 
@@ -133,8 +134,8 @@ class _March:
 
     def _segment_with_surfaces(self, rays, n, t0, t1) -> np.ndarray:
         """A segment cut at its crossings; which of the rays ``n`` were bent."""
-        met = crossings(
-            self.medium.value, rays.origin[n], rays.direction[n], t0, t1,
+        met = medium_crossings(
+            self.medium, rays.origin[n], rays.direction[n], t0, t1,
             [surface.value for surface in self.surfaces],
             known_side=np.where((rays.i[n] == 0)[:, None], rays.side[n], 0),
         )  # fmt: skip

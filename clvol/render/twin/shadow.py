@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from clvol.render.twin import classify
+from clvol.render.twin.cell_crossings import medium_crossings
 from clvol.render.twin.clip import kept_stretches
 from clvol.render.twin.field import GridSampler
 from clvol.render.twin.medium import Medium
 from clvol.render.twin.shade import toward
-from clvol.render.twin.surfaces import crossings
 from clvol.volume import Grid
 
 CONE_DIRECTIONS = 13
@@ -74,8 +74,8 @@ class Shadows:
                 ).depth  # fmt: skip
                 if self.isovalues:
                     side = None if known_side is None else known_side[rays] * (t0 == 0)[:, None]
-                    met = crossings(
-                        self.medium.value, o, d, t0, t1, self.isovalues,
+                    met = medium_crossings(
+                        self.medium, o, d, t0, t1, self.isovalues,
                         known_side=side, subdivisions=_SUBDIVISIONS,
                     )  # fmt: skip
                     depth[rays] += self._surfaces_depth(met, o, d)

@@ -50,7 +50,14 @@ def crossings(
             low, high = np.where(is_after, low, middle), np.where(is_after, middle, high)
         found.append((ray, high, np.full(len(ray), k), rising))
     ray, at, surface, rising = (np.concatenate(part) for part in zip(*found))
-    order = np.lexsort((at, ray))
+    return in_order(n, ray, at, surface, rising, isovalues)
+
+
+def in_order(n: int, ray, at, surface, rising, isovalues) -> Crossings:
+    """Those of n rays, each of the crossings on ``ray`` and ``at`` a place; of two at one place the
+    lower iso-value comes first where the value rises, the higher one where it falls."""
+    level = np.asarray(isovalues, np.float64)[surface]
+    order = np.lexsort((np.where(rising, level, -level), at, ray))
     ray, at, surface, rising = ray[order], at[order], surface[order], rising[order]
     counts = np.bincount(ray, minlength=n)
     slot = np.arange(len(ray)) - np.repeat(np.cumsum(counts) - counts, counts)
