@@ -44,11 +44,7 @@ def build_program(context: cl.Context, source: str, options: Sequence[str]) -> A
     device = context.devices[0]
     words = " ".join(options).encode()
     key = program_key(device, source, options)
-<<<<<<< HEAD
-    with _lock:
-=======
     with _lock, without_warnings(cl.CompilerWarning):  # a driver's "compilation done" is no news
->>>>>>> main
         if device.platform.name == _POCL:
             pocl_programs.restore(key)
             program = _built(cl._cl._Program(context, source), words)
@@ -74,7 +70,7 @@ def build_program(context: cl.Context, source: str, options: Sequence[str]) -> A
 
 def _built(program: Any, options: bytes) -> Any:
     # Not pyopencl.Program.build: that adds a -I of its own, and its cache.
-    with _in_plain_folder(), without_warnings(cl.CompilerWarning):  # "compilation done" is no news
+    with _in_plain_folder():
         program.build(options, None)
     return program
 

@@ -175,11 +175,7 @@ class DeviceContext:
         """Kernel ``name`` of cl/``file`` built with ``switches`` (-D), built at most once. ``folder``: one more to
         include files from."""
         options = compile_options(switches or {})
-<<<<<<< HEAD
-        key = (file, name, options, declarations, folder)
-=======
         key = (file, name, options, folder, declarations)
->>>>>>> main
         if key not in self._kernels:
             self._kernels[key] = Kernel(self._program(file, options, folder), name, declarations)
         return self._kernels[key]
