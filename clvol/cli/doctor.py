@@ -71,8 +71,9 @@ def _tell_device(report: DeviceReport) -> None:
 def _tell_caches(caches: CacheReport) -> None:
     from clvol.cli.console import say, say_table
     from clvol.scene.sizes import format_size
+    from clvol.text import printable
 
-    say(f"cache: {caches.folder or 'none'}")
+    say(printable(f"cache: {caches.folder or 'none'}"))
     programs = f"{caches.programs}, {format_size(caches.size)}"
     rows = [("  programs", programs), ("  temporary files", caches.temporary or "nowhere")]
     if caches.pocl_folder is not None:

@@ -13,6 +13,7 @@ from weakref import WeakSet
 
 from clvol.errors import RenderError, UsageError, VolumeError
 from clvol.features import refuse_unknown
+from clvol.opencl.forks import check_fork, is_forked
 from clvol.render.frame import Frame, make_frame
 from clvol.render.made_from import MadeFrom
 from clvol.render.notices import Notices
@@ -83,6 +84,8 @@ class Renderer:
     def close(self) -> None:
         """Gives the device's memory back, when frames that other threads are rendering are done. Nothing can be
         rendered afterwards."""
+        if is_forked():  # the parent's, whose threads may have held the lock
+            return
         with self._turn(may_be_closed=True):
             for told in list(self._told):  # of frames that are kept: they need not keep the volume
                 told()
@@ -95,6 +98,7 @@ class Renderer:
     @contextmanager
     def _turn(self, may_be_closed: bool = False) -> Iterator[None]:
         """One thread at a time: engines, kernels and buffers are for one frame at a time."""
+        check_fork()
         with self._lock:
             if self._is_busy:  # the lock lets a thread in that holds it
                 raise RenderError("Renderer", "is called by its own progress", "a call after the frame")

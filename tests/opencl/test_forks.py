@@ -57,6 +57,18 @@ told = {
     "to an error": child(lambda: clvol.render_to_error(scene(), 1e-2)),
     "closed": child(used.close), "left": child(unused.render, sys.exit),
 }
+import threading
+turn, done = threading.Event(), threading.Event()
+def hold():
+    with used._turn():
+        turn.set()
+        done.wait(60)
+holder = threading.Thread(target=hold)
+holder.start()
+turn.wait()
+told["in another thread's turn"] = child(used.render)
+done.set()
+holder.join()
 used.render()  # the parent's works as before
 print(json.dumps(told))
 """
