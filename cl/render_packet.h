@@ -85,9 +85,11 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
     FetchedSample ahead = fetch_along(volume, view, &ray, TO_FLOAT(i) + offset);
     FetchedSample ahead2 = fetch_along(volume, view, &ray, TO_FLOAT(i) + 1.0f + offset);
 #endif
+    /* Not from i, which waits for what the steps before have shown: fetches need not. A ray that is done goes on for nothing. */
+    const floatN first_t = TO_FLOAT(i) + offset;
     _Pragma("unroll 1") for (int step = 0; step < MARCH_STEPS; ++step) {
       const intN active = MASK(i <= last);
-      const floatN t = TO_FLOAT(i) + offset;
+      const floatN t = first_t + (float)step;
 #if FETCH_AHEAD
       const FetchedSample sample = ahead;
       ahead = ahead2;

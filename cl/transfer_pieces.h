@@ -92,7 +92,14 @@ INLINE floatN piece_row(Pieces f, int row, intN piece)
 INLINE intN piece_of(floatN value, Pieces f)
 {
   intN piece = 0;
-  for (int step = f.in_registers ? 8 : f.columns >> 1; step > 0; step >>= 1) {
+  if (f.in_registers) {
+    _Pragma("unroll") for (int step = 8; step > 0; step >>= 1) {
+      const intN next = piece + step;
+      piece = select(piece, next, MASK(value >= piece_row(f, ROW_BEGIN, next)));
+    }
+    return piece;
+  }
+  for (int step = f.columns >> 1; step > 0; step >>= 1) {
     const intN next = piece + step;
     piece = select(piece, next, MASK(value >= piece_row(f, ROW_BEGIN, next)));
   }
@@ -137,20 +144,57 @@ INLINE void spread_and_moment(floatN r, floatN *spread, floatN *moment)
   *spread = s, *moment = m;
 }
 
-/* Where along a stretch of optical depth D the light comes from, 0 .. 1; `moment`: M / (mean of -log(1 - alpha)). */
+/* The same for |r| <= 1/3. */
+INLINE void spread_and_moment_of_thin(floatN r, floatN *spread, floatN *moment)
+{
+  const floatN x = r * r;
+  floatN s = 0.0161565486f, m = 0.00919363182f;
+  s = s * x + 0.0236460138f, m = m * x + 0.0141951293f;
+  s = s * x + 0.0500037037f, m = m * x + 0.0333353840f;
+  s = s * x + 0.166666657f, m = m * x + 0.166666657f;
+  *spread = s * x, *moment = m * r;
+}
+
+/* -log(1 - a) for a in 0 .. 1/2. */
+INLINE floatN depth_of_thin(floatN a)
+{
+  floatN p = 1.44252288f;
+  p = p * a - 1.69866586f, p = p * a + 1.26001048f, p = p * a - 0.204539746f, p = p * a + 0.269869834f;
+  p = p * a + 0.242774457f, p = p * a + 0.333702564f, p = p * a + 0.499992818f, p = p * a + 1.0f;
+  return p * a;
+}
+
+/* Where along a stretch of optical depth D the light comes from, 0 .. 1; `moment`: M / (mean of -log(1 - alpha)). A series up to D = 1, and
+ * beyond it the rational approximations. */
 INLINE floatN emission_position(floatN depth, floatN moment)
 {
-  const floatN d = lane_min(depth, (floatN)1e6f);
-  const floatN x = (1.0f + d * (0.10844598f + d * 0.02004298f)) *
-                   rough_reciprocal(2.0f + d * (0.55022529f + d * (0.13179018f + d * 0.02004298f)));
-  const floatN y = (1.0f + 0.15f * d) * rough_reciprocal(1.0f + d * (0.15f + 0.025f * d));
-  return lane_max(x - moment * y, (floatN)0.0f);
+  floatN at = 0.5f - moment - depth * (1.0f / 12.0f - depth * (moment * (1.0f / 60.0f) + depth * (1.0f / 720.0f)));
+  const intN thick = MASK(depth > 1.0f);
+  if (any_lane(thick)) {
+    const floatN d = lane_min(depth, (floatN)1e6f);
+    const floatN x = (1.0f + d * (0.10844598f + d * 0.02004298f)) *
+                     rough_reciprocal(2.0f + d * (0.55022529f + d * (0.13179018f + d * 0.02004298f)));
+    const floatN y = (1.0f + 0.15f * d) * rough_reciprocal(1.0f + d * (0.15f + 0.025f * d));
+    at = select(at, lane_max(x - moment * y, (floatN)0.0f), thick);
+  }
+  return at;
+}
+
+/* 1 - exp(-D), by a polynomial up to D = 1. */
+INLINE floatN opacity_of_stretch(floatN depth)
+{
+  floatN p = -0.000913546712f;
+  p = p * depth + 0.00783987436f, p = p * depth - 0.0414209664f, p = p * depth + 0.166610464f, p = p * depth - 0.499995261f;
+  p = depth * (p * depth + 0.99999994f);
+  const intN thick = MASK(depth > 1.0f);
+  if (any_lane(thick)) p = select(p, opacity_of_depth(depth), thick);
+  return p;
 }
 
 /* Appends a stretch of optical depth `depth` and colour (r, g, b) behind what `s` holds. */
 INLINE void append_stretch(SegmentColor *s, floatN r, floatN g, floatN b, floatN depth)
 {
-  const floatN opacity = opacity_of_depth(depth), share = opacity - s->a * opacity;
+  const floatN opacity = opacity_of_stretch(depth), share = opacity - s->a * opacity;
   s->r += share * r, s->g += share * g, s->b += share * b;
   s->a += share, s->depth += depth;
 }
@@ -167,9 +211,18 @@ LOOKED_UP PiecePart part_of_piece(intN piece, floatN w0, floatN w1, floatN units
   const floatN zero = 0.0f, one = 1.0f, q = PIECE_ROW(ROW_CLEAR), q_change = PIECE_ROW(ROW_CLEAR_CHANGE);
   const floatN q0 = lane_max(q + w0 * q_change, zero), q1 = lane_max(q + w1 * q_change, zero), clear = 0.5f * (q0 + q1);
   const floatN opacity = PIECE_ROW(ROW_OPACITY) + 0.5f * (w0 + w1) * PIECE_ROW(ROW_OPACITY_CHANGE);
+  /* Thin parts, most of all, take short series; each lane by its own. */
   floatN spread, moment;
-  spread_and_moment(lane_clamp(0.5f * (q1 - q0) * lane_reciprocal(lane_max(clear, (floatN)1e-30f)), -one, one), &spread, &moment);
-  const floatN rate = depth_of_clear(clear, opacity) + spread, depth = rate * units;
+  const floatN r = lane_clamp(0.5f * (q1 - q0) * lane_reciprocal(lane_max(clear, (floatN)1e-30f)), -one, one);
+  spread_and_moment_of_thin(r, &spread, &moment);
+  floatN rate = depth_of_thin(opacity) + spread;
+  const intN dense = MASK(lane_min(q0, q1) < 0.5f);
+  if (any_lane(dense)) {
+    floatN wide_spread, wide_moment;
+    spread_and_moment(r, &wide_spread, &wide_moment);
+    rate = select(rate, depth_of_clear(clear, opacity) + wide_spread, dense), moment = select(moment, wide_moment, dense);
+  }
+  const floatN depth = rate * units;
   const floatN at = emission_position(depth, moment * rough_reciprocal(lane_max(rate, (floatN)1e-30f)));
   const floatN w = w0 + at * (w1 - w0);
   const PiecePart part = {PIECE_ROW(ROW_COLOR) + w * PIECE_ROW(ROW_COLOR_CHANGE),
@@ -195,7 +248,7 @@ INLINE void append_one_by_one(SegmentColor *s, intN low, intN high, intN rises, 
     const floatN depth = select(zero, UNIFORM_ROW(ROW_DEPTH) * (UNIFORM_ROW(ROW_LENGTH) * per), inside);
     const floatN moment = UNIFORM_ROW(ROW_MOMENT);
     const floatN at = emission_position(depth, select(-moment, moment, rises)), w = select(1.0f - at, at, rises);
-    const floatN opacity = opacity_of_depth(depth);
+    const floatN opacity = opacity_of_stretch(depth);
     /* What is in front of what: m before the piece, or the piece before m. */
     const floatN share = select(opacity, opacity - m.a * opacity, rises), left = select(1.0f - opacity, (floatN)1.0f, rises);
     m.r = left * m.r + share * (UNIFORM_ROW(ROW_COLOR) + w * UNIFORM_ROW(ROW_COLOR_CHANGE));
