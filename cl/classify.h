@@ -5,9 +5,6 @@
  *   preintegrated  the transfer function is integrated between the values at both ends of the segment (transfer_pieces.h)
  *
  * All take the transfer function's linear pieces as they are, for segments of any length. What is not finite is transparent.
- * Maps of what is visible, and some effects, have tables with a node per class coordinate instead: their position among the nodes,
- * 0 .. nodes - 1. The map to it is linear where nodes are evenly spaced, else piecewise linear (WARPED_CLASSES: a table of equal
- * bins), so that nodes crowd where the transfer function varies. A value that is not finite gets the coordinate `nodes`, whose entries are 0.
  *
  * To add one: composite_segment() of this form, and a value of CLASSIFICATION in features.h.
  */
@@ -20,43 +17,6 @@
 #include "transfer_pieces.h"
 
 #define MAY_BE_NAN VOXEL_HOLES
-
-typedef struct {
-  intN node;       /* lower node */
-  floatN fraction; /* 0 .. 1 towards the next one */
-  floatN position; /* node + fraction */
-} ClassCoordinate;
-
-/* Bins of the warp: warp[b] is the class coordinate of the lower edge of bin b. */
-INLINE floatN class_position(floatN value, __global const float *warp, __constant const View *view)
-{
-  floatN p = (value - view->classes.x) * view->classes.y;
-#if WARPED_CLASSES
-  p = lane_clamp(p, (floatN)0.0f, (floatN)view->classes.w);
-  const intN bin = min(TO_INT(p), (intN)(int)(view->classes.w - 1.0f));
-  const floatN low = AS_FLOAT(gather4(warp, bin)), high = AS_FLOAT(gather4(warp + 1, bin));
-  p = low + (p - TO_FLOAT(bin)) * (high - low);
-#endif
-  return lane_clamp(p, (floatN)0.0f, (floatN)view->classes.z);
-}
-
-INLINE ClassCoordinate class_coordinate(floatN value, __global const float *warp, __constant const View *view)
-{
-  ClassCoordinate c;
-#if MAY_BE_NAN
-  const intN bad = MASK((AS_INT(value) & 0x7f800000) == 0x7f800000);
-  value = select(value, (floatN)view->classes.x, bad);
-#endif
-  const floatN p = class_position(value, warp, view);
-  c.node = min(TO_INT(p), (intN)((int)view->classes.z - 1));
-  c.fraction = p - TO_FLOAT(c.node);
-  c.position = p;
-#if MAY_BE_NAN
-  c.node = select(c.node, (intN)((int)view->classes.z + 1), bad);
-  c.fraction = select(c.fraction, (floatN)0.0f, bad);
-#endif
-  return c;
-}
 
 /* Whether any of these lanes can be visible: most packets in sparse data stop here. */
 INLINE int may_be_visible(floatN low, floatN high, intN active, __constant const View *view)

@@ -1,13 +1,13 @@
 /* The ray caster: a ray for every pixel. A work-item renders one tile of pixels, a packet of rays at a time (render_packet.h).
  *
  * Switches (-D): LANES, VOXEL_BITS, VOXEL_SIGNED, VOXEL_SCALED, VOXEL_PAIRS, VOXEL_HOLES, FILTER, CLASSIFICATION, QUADRATURE,
- * WARPED_CLASSES, SKIP_EMPTY, WITH_DEPTH.
+ * TRANSFER_PIECES, SKIP_EMPTY, WITH_DEPTH.
  */
 #include "render_packet.h"
 
 /* volume     voxels in their own type, laid out as fetch_voxel.h says
- * table      colours and opacities (premultiplied) of segments, see classify.h
- * warp       class coordinates at the edges of equal bins of the value range (only read if WARPED_CLASSES)
+ * table      pieces of the transfer function, see transfer_pieces.h
+ * warp       not read: of kernels that find what is visible (shows_between.h)
  * distances  a byte a cell, see skip_empty.h (only read if SKIP_EMPTY)
  * image      float4 [height, width], premultiplied, linear
  * depths     float [height, width], world distance along the ray from the eye to where opacity reaches one half, else infinity

@@ -2,7 +2,23 @@
 #ifndef SHOWS_BETWEEN_H
 #define SHOWS_BETWEEN_H
 
-#include "classify.h"
+#include "lanes.h"
+#include "view.h"
+
+/* The position of a value among the nodes that tell values apart, 0 .. nodes - 1: linear where nodes are evenly spaced, else piecewise linear
+ * (WARPED_CLASSES: a table of equal bins), so that nodes crowd where the transfer function varies.
+ * Bins of the warp: warp[b] is the class coordinate of the lower edge of bin b. */
+INLINE floatN class_position(floatN value, __global const float *warp, __constant const View *view)
+{
+  floatN p = (value - view->classes.x) * view->classes.y;
+#if WARPED_CLASSES
+  p = lane_clamp(p, (floatN)0.0f, (floatN)view->classes.w);
+  const intN bin = min(TO_INT(p), (intN)(int)(view->classes.w - 1.0f));
+  const floatN low = AS_FLOAT(gather4(warp, bin)), high = AS_FLOAT(gather4(warp + 1, bin));
+  p = low + (p - TO_FLOAT(bin)) * (high - low);
+#endif
+  return lane_clamp(p, (floatN)0.0f, (floatN)view->classes.z);
+}
 
 /* Of what is interpolated between `low` and `high` (none where low > high).
  * before  int [nodes]: of the intervals between nodes, how many before this one can show anything

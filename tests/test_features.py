@@ -388,7 +388,7 @@ def test_samples_with_opacity_and_gradient_are_never_called_absent(data):
 def switches(resolved) -> dict:
     from clvol.render.raycast import raycast_switches
 
-    return raycast_switches(reduced(resolved), warped=False, lanes=16)
+    return raycast_switches(reduced(resolved), lanes=16)
 
 
 ADDITIONS = st.fixed_dictionaries(

@@ -90,17 +90,16 @@ def scene_programs(resolved: ResolvedScene, lanes: int = 16) -> dict[str, dict[s
     from clvol.render.light_volume import METHODS
     from clvol.render.prefilter import prefiltered
     from clvol.render.quantise import quantised
-    from clvol.render.raycast import raycast_switches, scene_nodes
+    from clvol.render.raycast import raycast_switches
 
     if resolved.integration.method == "multiresolution":
         return _block_programs(reduced_for_frames(resolved), lanes)
     resolved = reduced_for_frames(prefiltered(quantised(reduced_for_frames(resolved))))
-    warped = scene_nodes(resolved).warp is not None
     if resolved.integration.method == "pyramid":
         from clvol.render.pyramid.caster import pyramid_switches
 
-        return {"pyramid.cl": pyramid_switches(resolved, warped, lanes)}
-    switches = raycast_switches(resolved, warped=warped, lanes=lanes)
+        return {"pyramid.cl": pyramid_switches(resolved, lanes)}
+    switches = raycast_switches(resolved, lanes=lanes)
     programs = {"raycast.cl": switches}
     if resolved.image.ray_spacing > 1:
         programs["fill_between_rays.cl"] = switches
@@ -114,15 +113,13 @@ def scene_programs(resolved: ResolvedScene, lanes: int = 16) -> dict[str, dict[s
 def _block_programs(resolved: ResolvedScene, lanes: int) -> dict[str, dict[str, int]]:
     """Of the method "multiresolution", where one buffer holds all samples."""
     from clvol.render.multiresolution.caster import block_switches
-    from clvol.render.raycast import scene_nodes
 
-    warped = scene_nodes(resolved).warp is not None
     of_samples = {"VOXEL_PAIRS": 0, "SAMPLE_BUFFERS": 1}
     if resolved.multiresolution.stepping == "pyramid":
         from clvol.render.pyramid.blocks import block_pyramid_switches
 
-        return {"pyramid.cl": block_pyramid_switches(resolved, warped, lanes) | of_samples}
-    switches = block_switches(resolved, warped, lanes, True) | of_samples
+        return {"pyramid.cl": block_pyramid_switches(resolved, lanes) | of_samples}
+    switches = block_switches(resolved, lanes, True) | of_samples
     programs = {"raycast.cl": switches}
     if resolved.multiresolution.tiles:
         programs["tile_rays.cl"] = switches

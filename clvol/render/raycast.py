@@ -84,7 +84,6 @@ def transfer_pieces(resolved: ResolvedScene, functions: Sequence[TransferFunctio
 def raycast_switches(
     resolved: ResolvedScene,
     *,
-    warped: bool,
     lanes: int,
     skip: bool = True,
     depth: bool = True,
@@ -101,7 +100,6 @@ def raycast_switches(
         "CLASSIFICATION": CLASSIFICATIONS[segment_classification(integration, functions)],
         "TRANSFER_PIECES": transfer_pieces(resolved, functions),
         "QUADRATURE": QUADRATURES[integration.quadrature],
-        "WARPED_CLASSES": int(warped),
         "SKIP_EMPTY": int(skip),
         "WITH_DEPTH": int(depth),
         **effect_switches(resolved),
@@ -244,7 +242,7 @@ class Raycaster:
         warp = self.nodes.warp
         self.warp = context.upload(np.zeros(2, np.float32) if warp is None else warp)
         self.switches = raycast_switches(
-            resolved, warped=warp is not None, lanes=self.lanes, skip=self.skip, function=function
+            resolved, lanes=self.lanes, skip=self.skip, function=function
         )
         self.switches |= self.effects.switches  # the device may be too small for some
         self.light_volume_samples = 0

@@ -34,7 +34,7 @@ BLOCK_COUNTERS = ("block_reads", "blended_samples")  # COUNT_... of cl/block_par
 # Switches of kernels that look at blocks and cast no rays.
 _OF_BLOCKS = (
     "VOXEL_BITS", "VOXEL_SIGNED", "VOXEL_SCALED", "VOXEL_HOLES", "VOXEL_PAIRS", "SAMPLE_BUFFERS",
-    "WARPED_CLASSES", "INTERBLOCK", "FILTER", "CLASSIFICATION", "TRANSFER_PIECES",
+    "INTERBLOCK", "FILTER", "CLASSIFICATION", "TRANSFER_PIECES",
 )  # fmt: skip
 _MORE = ["samples1", "samples2", "samples3"]
 _EMPTY, _BESIDE_HOLES = 255, 1  # of cl/block_cells.cl
@@ -113,9 +113,8 @@ class BlockCaster(Raycaster):
         self.set_resident()
 
     def _set_switches(self) -> None:
-        is_warped = self.nodes.warp is not None
         self.switches = block_switches(
-            self.resolved, is_warped, self.lanes, self.skip, self.stepping, self._asked_function
+            self.resolved, self.lanes, self.skip, self.stepping, self._asked_function
         )
         self.switches |= self.blocks.switches
 
@@ -141,7 +140,7 @@ class BlockCaster(Raycaster):
             "visible_block_cells",
             "in volume V1, in warp float32, in before int32, in at uint8, in view V1, in index int32, "
             f"in corners uint32, in blocks V1{self._more_samples[0]}, out cells uint8",
-            {name: self.switches[name] for name in _OF_BLOCKS} | {"LANES": 1},
+            self._switches_of_blocks,
         )
         cells = context.empty(np.uint8, volume.cells[::-1])
         kernel(
@@ -162,6 +161,11 @@ class BlockCaster(Raycaster):
         self.visible_share = float(self.shown_cells.mean())
         self._find_distances(self.shown_cells)
 
+    @property
+    def _switches_of_blocks(self) -> dict[str, int]:
+        of_blocks = {name: self.switches[name] for name in _OF_BLOCKS}
+        return of_blocks | {"LANES": 1, "WARPED_CLASSES": int(self.nodes.warp is not None)}
+
     def _set_steps(self) -> None:
         """For bounded stepping: how many steps may be taken at once in each block that is resident."""
         if self.stepping != "bounded":
@@ -174,7 +178,7 @@ class BlockCaster(Raycaster):
             "block_bounds",
             "in volume V1, in view V1, in index int32, in corners uint32, in blocks V1"
             f"{self._more_samples[0]}, out bounds float32",
-            {name: self.switches[name] for name in _OF_BLOCKS} | {"LANES": 1},
+            self._switches_of_blocks,
         )
         bounds = context.empty(np.float32, (blocks.count, 4))
         arrays = {"volume": self.volume.voxels, "view": context.upload(view), "bounds": bounds}
@@ -263,7 +267,6 @@ class BlockCaster(Raycaster):
 
 def block_switches(
     resolved: ResolvedScene,
-    warped: bool,
     lanes: int,
     skip: bool,
     stepping: str | None = None,
@@ -276,7 +279,7 @@ def block_switches(
     asked = resolved.multiresolution
     return {
         **raycast_switches(
-            resolved, warped=warped, lanes=lanes, skip=skip, function=function
+            resolved, lanes=lanes, skip=skip, function=function
         ),
         "BLOCKS": 1,
         "STEPPING": STEPPINGS[stepping or asked.stepping],

@@ -42,9 +42,8 @@ class BlockPyramidCaster(PyramidMarch, BlockCaster):
 
     def _set_switches(self) -> None:
         self.switches = block_pyramid_switches(
-            self.resolved, self.nodes.warp is not None, self.lanes, self.workers, self._edge, self.leap,
-            function=self._asked_function,
-        )  # fmt: skip
+            self.resolved, self.lanes, self.workers, self._edge, self.leap, function=self._asked_function
+        )
         self.switches |= self.blocks.switches
 
     def set_resident(self) -> None:
@@ -72,12 +71,11 @@ class BlockPyramidCaster(PyramidMarch, BlockCaster):
 
 def block_pyramid_switches(
     resolved: ResolvedScene,
-    warped: bool,
     lanes: int,
     *how: int | None,
     function: TransferFunction | None = None,
 ) -> dict[str, int]:
     """What gets compiled, but for what the samples' type and buffers add. ``how``: as for ``march_switches``.
     ``function`` instead of the scene's."""
-    switches = block_switches(resolved, warped, lanes, False, "full", function)
+    switches = block_switches(resolved, lanes, False, "full", function)
     return {**switches, **march_switches(Resolution(), lanes, *how)}

@@ -44,8 +44,7 @@ _MOST_SLICES = 2**23
 WORKERS = 64  # work-items of a group where they are not one
 # Switches of kernels that look at voxels and classes alone.
 _OF_VOXELS = (
-    "VOXEL_BITS", "VOXEL_SIGNED", "VOXEL_SCALED", "VOXEL_HOLES", "VOXEL_PAIRS", "WARPED_CLASSES",
-    "FILTER", "CLASSIFICATION", "TRANSFER_PIECES",
+    "VOXEL_BITS", "VOXEL_SIGNED", "VOXEL_SCALED", "VOXEL_HOLES", "VOXEL_PAIRS", "FILTER", "CLASSIFICATION", "TRANSFER_PIECES",
 )  # fmt: skip
 
 
@@ -84,7 +83,8 @@ class PyramidMarch:
             nodes=self.nodes,
             warp=self.warp,
             view=view,
-            switches={name: self.switches[name] for name in _OF_VOXELS},
+            switches={name: self.switches[name] for name in _OF_VOXELS}
+            | {"WARPED_CLASSES": int(self.nodes.warp is not None)},
             epsilon=self.pyramid.epsilon,
             opacity_edges=grid.smallest_edge / self._asked_function.opacity_unit,
             shift=shift,
@@ -246,8 +246,7 @@ class PyramidCaster(PyramidMarch, Raycaster):
     def set_transfer_function(self, function: TransferFunction) -> None:
         super().set_transfer_function(function)
         self.switches = pyramid_switches(
-            self.resolved, self.nodes.warp is not None, self.lanes, self.workers, self._edge,
-            self.leap, function=function,
+            self.resolved, self.lanes, self.workers, self._edge, self.leap, function=function,
         )  # fmt: skip
         self._ask_oracle()
 
@@ -294,7 +293,6 @@ def march_switches(
 
 def pyramid_switches(
     resolved: ResolvedScene,
-    warped: bool,
     lanes: int,
     *how: int | None,
     function: TransferFunction | None = None,
@@ -303,6 +301,6 @@ def pyramid_switches(
     ``function`` instead of the scene's."""
     plain = without_clips(resolved)
     return {
-        **raycast_switches(plain, warped=warped, lanes=lanes, function=function),
+        **raycast_switches(plain, lanes=lanes, function=function),
         **march_switches(oracle_named(resolved.pyramid.oracle), lanes, *how),
     }
