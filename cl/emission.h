@@ -17,8 +17,9 @@ INLINE Emission emission_of_color(SegmentColor s)
 #if SEGMENT_OPACITIES
   const Emission e = {s.r, s.g, s.b, s.a};
 #else
-  const floatN scale = select(s.depth / select((floatN)1.0f, s.a, MASK(s.a > 0.0f)), (floatN)0.0f, MASK(s.a <= 0.0f));
-  const Emission e = {s.r * scale, s.g * scale, s.b * scale, s.depth};
+  const floatN depth = lane_min(s.depth, (floatN)OPAQUE_DEPTH);
+  const floatN scale = select(depth / select((floatN)1.0f, s.a, MASK(s.a > 0.0f)), (floatN)0.0f, MASK(s.a <= 0.0f));
+  const Emission e = {s.r * scale, s.g * scale, s.b * scale, depth};
 #endif
   return e;
 }

@@ -8,8 +8,8 @@
  * (the moment about the middle, over lengths of the stretch). Both stay finite where alpha reaches 1 at one end, which is why an
  * opacity of 1 at one control point is no wall. The light that leaves a stretch comes, on average, from the position
  *   X(D) - M / (mean) Y(D),   X = 1 / D - 1 / (exp(D) - 1),  Y = 6 D int x (1 - x) exp(-D x) dx / (1 - exp(-D)),  D its optical depth:
- * first order in how far the extinction is from constant; colour is linear, so that is where it is taken. X and Y are rational
- * approximations, to 1e-3 and 2e-2, which are exact where D vanishes.
+ * first order in how far the extinction is from constant; colour is linear, so that is where it is taken. X and Y are series up to D = 1
+ * and rational approximations beyond (to 1e-3 and 2e-2).
  *
  * This is pre-integration (Engel, Kraus and Ertl 2001) without a table: nothing is sampled, so there are no nodes that narrow
  * pieces fall between, and any length of segment costs the same. Its attenuation within the segment is not neglected.
