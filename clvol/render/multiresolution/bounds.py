@@ -56,6 +56,7 @@ def most_steps(
     ``step_length``: of a step, world; ``step_voxels``: at most so many voxels along any axis.
     """
     curvature, slope, low, high = np.asarray(bounds, np.float64).T
+    nodes = _with_knots(nodes, function.values)
     known = low <= high
     low, high = np.where(known, low, nodes[0]), np.where(known, high, nodes[0])
     first = np.clip(np.searchsorted(nodes, low, side="right") - 1, 0, len(nodes) - 2)
@@ -79,6 +80,12 @@ def most_steps(
         goes_on &= found <= error
         steps[goes_on] = count
     return steps.astype(np.uint8)
+
+
+def _with_knots(nodes: np.ndarray, knots: np.ndarray) -> np.ndarray:
+    """``nodes`` and, between them, all ``knots`` with what lies just below them: no piece, and no step, is missed."""
+    inside = knots[(knots > nodes[0]) & (knots < nodes[-1])]
+    return np.unique(np.concatenate([nodes, inside, np.nextafter(inside, -np.inf)]))
 
 
 def _spans(slopes: np.ndarray, rates: np.ndarray, first: np.ndarray, last: np.ndarray):

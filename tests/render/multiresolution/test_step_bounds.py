@@ -1,0 +1,35 @@
+"""Bounded stepping sees all of a transfer function, also what lies between two nodes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from clvol import TransferFunction
+from clvol.render.multiresolution.bounds import most_steps
+
+NODES = np.linspace(0.0, 1.0, 257)
+WHITE = [1.0, 1.0, 1.0]
+
+
+def steps_for(function, low, high, midpoints):
+    curvature, slope = 1e-3 * (high - low), 0.1 * (high - low)
+    bounds = np.array([[curvature, slope, low, high]], np.float32)
+    return int(most_steps(bounds, function, NODES, 1.0, 1.0, 1e-3, 16, midpoints)[0])
+
+
+@pytest.mark.parametrize("midpoints", [False, True])
+def test_a_peak_between_two_nodes_shortens_steps(midpoints):
+    flat = TransferFunction([0.0, 1.0], [0.05, 0.05], [WHITE] * 2)
+    centre = 0.5 * (NODES[100] + NODES[101])
+    points = [0.0, centre - 1e-4, centre, centre + 1e-4, 1.0]
+    peak = TransferFunction(points, [0.05, 0.05, 0.9, 0.05, 0.05], [WHITE] * 5)
+    assert steps_for(flat, 0.2, 0.6, midpoints) == 16
+    assert steps_for(peak, 0.2, 0.6, midpoints) == 1
+    assert steps_for(peak, 0.5, 0.6, midpoints) == 16
+
+
+def test_a_step_between_two_nodes_shortens_steps():
+    at = 0.5 * (NODES[100] + NODES[101])
+    step = TransferFunction([0.0, at, at, 1.0], [0.1, 0.1, 0.6, 0.6], [WHITE] * 4)
+    assert steps_for(step, 0.2, 0.6, True) == 1 and steps_for(step, 0.2, 0.6, False) == 1
