@@ -17,6 +17,7 @@ from pydicom.uid import (
 )
 
 from clvol.errors import ClvolWarning, VolumeError
+from clvol.text import one_line
 from clvol.volume import Volume, load_volume
 
 SHAPE = (6, 7, 8)
@@ -39,12 +40,12 @@ def loaded(path: Path, **options) -> tuple[Volume, str]:
 
 
 def refusal(path: Path, **options) -> str:
-    """The message of the VolumeError, one line that begins with the path."""
+    """The message of the VolumeError, one line that begins with the path as it is shown."""
     try:
         loaded(path, **options)
     except VolumeError as error:
         message = str(error)
-        assert message.startswith(f"{path}: ") and "\n" not in message
+        assert message.startswith(f"{one_line(path)}: ") and "\n" not in message
         assert error.exit_status == 2
         return message
     raise AssertionError(f"{path} was read")

@@ -13,6 +13,7 @@ import errno
 import fcntl
 import json
 import os
+import re
 import shutil
 import threading
 import zipfile
@@ -26,6 +27,7 @@ import numpy as np
 
 from clvol import __version__
 from clvol.errors import ClvolError, RenderError, UsageError, VolumeError
+from clvol.interrupts import held
 from clvol.store.arrays import NOT_UTF8, cores, is_utf8, open_array, system_words
 from clvol.store.codecs import CODECS, DEFAULT, one_of_codecs
 from clvol.store.geometry import EDGE
@@ -114,7 +116,7 @@ def build_store(
             build.finish(path, overwrite)
         except BaseException:
             if not build.anything_done():
-                _remove(partial)
+                build.discard()
             raise
     return StoredBlocks(path)
 
@@ -159,7 +161,7 @@ def _check_place(path: Path, overwrite: bool) -> None:
     if os.path.lexists(replaced) and (replaced.is_symlink() or not is_store(replaced)):
         what = f"{replaced.name}, where a store that is replaced goes, is something else"
         raise UsageError(str(path), what, "another name")
-    if os.path.islink(partial) or os.path.lexists(partial) and not (partial / JOURNAL).is_dir():
+    if os.path.lexists(partial) and not _is_ours(partial):
         what = f"{partial.name}, where it is built, is something else"
         raise UsageError(str(path), what, "another name")
     if not os.path.lexists(path):
@@ -172,6 +174,22 @@ def _check_place(path: Path, overwrite: bool) -> None:
         raise UsageError(
             str(path), "a folder that is no store", "a store to overwrite, or a new name"
         )
+
+
+def _is_ours(partial: Path) -> bool:
+    """Whether ``partial`` is the folder of a building, or what one leaves that is killed as it begins or
+    as it clears away: no more than empty folders and descriptions of levels."""
+    if partial.is_symlink() or not partial.is_dir():
+        return False
+    if (partial / JOURNAL).is_dir():
+        return True
+    for entry in partial.rglob("*"):
+        level, *inner = entry.relative_to(partial).parts
+        if entry.is_symlink() or not re.fullmatch("[0-9]+|blocks", level):
+            return False
+        if not entry.is_dir() and not (len(inner) == 1 and re.match(rf"{ROOT}(\.__lock)?$", inner[0])):
+            return False
+    return True
 
 
 @contextmanager
@@ -197,7 +215,8 @@ def _not_written(path: Path, reason: str) -> RenderError:
 @contextmanager
 def _locked(partial: Path) -> Iterator[Path]:
     """The folder ``partial``, made if it is not there, and nobody else's for the time."""
-    (partial / JOURNAL).mkdir(parents=True, exist_ok=True)
+    with held():
+        (partial / JOURNAL).mkdir(parents=True, exist_ok=True)
     with (partial / JOURNAL / _LOCK).open("a") as lock:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -240,7 +259,8 @@ class _Build:
         layout = self.layout
         for level in range(layout.blocks.levels):
             metadata = layout.level_metadata(level)
-            self.levels.append(open_array(self.partial / str(level), metadata))
+            with held():  # else tensorstore goes on making the folder that is removed
+                self.levels.append(open_array(self.partial / str(level), metadata))
 
     def _plan(self) -> dict:
         layout, grid = self.layout, self.source.grid
@@ -342,6 +362,13 @@ class _Build:
         return payload.encode(samples, self.layout.parameters[level])
 
     # ---- the journal ----
+
+    def discard(self) -> None:
+        """Removes the folder; what tells that it is ours last, so that one that is killed here is known again."""
+        for entry in self.partial.iterdir():
+            if entry.name != JOURNAL:
+                _remove(entry) if entry.is_dir() else entry.unlink(missing_ok=True)
+        _remove(self.partial)
 
     def anything_done(self) -> bool:
         return any(self.journal.glob("*.npz"))

@@ -129,13 +129,16 @@ class Volume:
         """As ``value_range``, of what ``data`` holds."""
         return self._census.lower, self._census.upper
 
-    @cached_property
+    @property
     def plain(self) -> tuple[Volume, ValueAxis]:
         """A volume whose values are its voxels, and the axis, of slope above 0, that leads from them
         to this volume's values. Where the slope here is below 0 its voxels are mirrored in their
         type, so that what is higher there is higher here; else they are the same."""
-        if self.axis.is_plain:
-            return self, self.axis
+        # Not cached where it is this volume: one that names itself outlives its last user.
+        return (self, self.axis) if self.axis.is_plain else self._plain
+
+    @cached_property
+    def _plain(self) -> tuple[Volume, ValueAxis]:
         if self.axis.slope > 0:
             plain, axis = copy.copy(self), self.axis
         else:

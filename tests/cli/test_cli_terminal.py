@@ -65,7 +65,7 @@ def test_scenes_in_error_lines(run, folder, text):
 def test_raw_bytes_in_a_scene(run, folder):
     (folder / "evil.toml").write_bytes(b"\x1b[31m\xff\x9b = 1\n")
     assert harmless(run("info", "evil.toml"))
-    (folder / "evil.toml").write_text("\x1b[31m\u202e = 1\n")
+    (folder / "evil.toml").write_text("\x1b[31m\u202e = 1\n", encoding="utf-8")
     assert harmless(run("info", "evil.toml"))
 
 
@@ -89,6 +89,7 @@ def test_names_of_files_that_were_written(run, folder, renderer):
 
 @pytest.mark.parametrize("as_json", [[], ["--json"]])
 def test_what_drivers_say(run, monkeypatch, as_json):
+    from clvol.cli import trial
     from clvol.opencl import devices
     from clvol.opencl.devices import DeviceReport
 
@@ -97,8 +98,12 @@ def test_what_drivers_say(run, monkeypatch, as_json):
         DeviceReport("works", "p", EVIL, driver=EVIL, working=True),
     ]
     monkeypatch.setattr(devices, "list_devices", lambda **_: found)
+    monkeypatch.setattr(trial, "try_render", lambda name: trial.Trial(notices={EVIL: EVIL + "\nmore"}))
     outcome = run("doctor", *as_json)
     assert outcome.status == 0 and harmless(outcome)
+    monkeypatch.setattr(trial, "try_render", lambda name: trial.Trial(EVIL + "\nmore"))
+    outcome = run("doctor", *as_json)
+    assert outcome.status == 3 and harmless(outcome) and outcome.err.count("\n") == 1
     monkeypatch.setattr(devices, "list_devices", lambda **_: found[:1])
     outcome = run("doctor", *as_json)
     assert outcome.status == 3 and harmless(outcome) and outcome.err.count("\n") == 1

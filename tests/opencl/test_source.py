@@ -21,7 +21,7 @@ FIXED = {"LANES": 16, "SAMPLE_BUFFERS": 1}
 
 def switches() -> list[str]:
     """The names that the kernels' conditions ask for, but for those that the kernels themselves define."""
-    text = "\n".join(path.read_text() for path in kernel_folder().iterdir())
+    text = "\n".join(path.read_text(encoding="utf-8") for path in kernel_folder().iterdir())
     asked = {name for line in re.findall(r"^ *# *(?:if|elif)(.*)", text, re.MULTILINE)
              for name in re.findall(r"\b[A-Z][A-Z_0-9]+\b", line)}
     defined = set(re.findall(r"^ *# *define +([A-Z_0-9]+)", text, re.MULTILINE))
@@ -29,7 +29,7 @@ def switches() -> list[str]:
 
 
 def preprocessed(path: Path, *options: str) -> tuple[str, int]:
-    done = subprocess.run(["gcc", "-E", "-w", "-x", "c", *options, path], capture_output=True, text=True)
+    done = subprocess.run(["gcc", "-E", "-w", "-x", "c", *options, path], capture_output=True, encoding="utf-8")
     code = "".join(line for line in done.stdout.splitlines() if not line.startswith("#"))
     return re.sub(r"\s+", "", code), done.returncode
 
@@ -40,8 +40,8 @@ def test_a_whole_source_is_what_the_preprocessor_makes_of_the_files(tmp_path, fi
         pytest.skip("no C preprocessor (gcc) to compare with")
     folder = kernel_folder()
     whole = tmp_path / "whole.c"
-    whole.write_text(whole_source(folder / file, [folder]))
-    assert not re.search(r'^ *# *include *"', whole.read_text(), re.MULTILINE)
+    whole.write_text(whole_source(folder / file, [folder]), encoding="utf-8")
+    assert not re.search(r'^ *# *include *"', whole.read_text(encoding="utf-8"), re.MULTILINE)
     rng = random.Random(file)
     for _ in range(3):
         chosen = {name: rng.choice([0, 1, 2]) for name in switches() if rng.random() < 0.7}
@@ -52,7 +52,7 @@ def test_a_whole_source_is_what_the_preprocessor_makes_of_the_files(tmp_path, fi
 
 def write(folder: Path, **files: str) -> Path:
     for name, text in files.items():
-        (folder / name.replace("_h", ".h").replace("_cl", ".cl")).write_text(text)
+        (folder / name.replace("_h", ".h").replace("_cl", ".cl")).write_text(text, encoding="utf-8")
     return folder / "main.cl"
 
 
@@ -91,7 +91,7 @@ def test_includes_of_every_kind(tmp_path, kind, files):
         pytest.skip("no C preprocessor (gcc) to compare with")
     main = write(tmp_path, **files)
     whole = tmp_path / "whole.c"
-    whole.write_text(whole_source(main, []))
+    whole.write_text(whole_source(main, []), encoding="utf-8")
     for options in ((), ("-DA=1",)):
         expected = preprocessed(main, *options)
         assert expected[1] == 0 and preprocessed(whole, *options) == expected
@@ -110,8 +110,8 @@ def test_an_error_names_file_and_line(tmp_path):
     main = write(tmp_path, main_cl='int a;\n#include "x.h"\nint b;\nwrong here;\n',
                  x_h=GUARDED.format("X", "/* two\nlines */\nbad there;"))
     whole = tmp_path / "whole.c"
-    whole.write_text(whole_source(main, []))
-    done = subprocess.run(["gcc", "-fsyntax-only", whole], capture_output=True, text=True)
+    whole.write_text(whole_source(main, []), encoding="utf-8")
+    done = subprocess.run(["gcc", "-fsyntax-only", whole], capture_output=True, encoding="utf-8")
     assert "x.h:5:" in done.stderr and "main.cl:4:" in done.stderr
 
 

@@ -279,6 +279,30 @@ def test_a_store_that_appears_meanwhile_is_left_alone(tmp_path):
     assert unfinished(path).done == 1
 
 
+@pytest.mark.parametrize("left", [(), ("0/zarr.json",), ("0/zarr.json.__lock", "1/zarr.json", "blocks/holes")])
+def test_what_a_building_leaves_that_is_killed_as_it_begins_is_no_hindrance(tmp_path, left):
+    """Before it has its journal, or when that is gone again."""
+    volume = Volume(voxels((5, 5, 5)))
+    (tmp_path / "s.partial").mkdir()
+    for name in left:
+        (tmp_path / "s.partial" / name).parent.mkdir(exist_ok=True)
+        if name == "blocks/holes":
+            (tmp_path / "s.partial" / name).mkdir()
+        else:
+            (tmp_path / "s.partial" / name).write_text("{")
+    np.testing.assert_array_equal(build_store(volume, tmp_path / "s").volume_level(0), volume.data)
+    assert not (tmp_path / "s.partial").exists()
+
+
+@pytest.mark.parametrize("name", ["zarr.json", "0/c", "0/zarr.json.txt", "0/c/0", "data/x", "1/0/zarr.json"])
+def test_a_folder_that_holds_anything_is_not_taken_for_a_building(tmp_path, name):
+    (tmp_path / "s.partial" / name).parent.mkdir(parents=True)
+    (tmp_path / "s.partial" / name).write_text("precious")
+    with pytest.raises(UsageError, match="something else"):
+        build_store(Volume(voxels((5, 5, 5))), tmp_path / "s", restart=True)
+    assert files(tmp_path) == {f"s.partial/{name}": b"precious"}
+
+
 def test_a_folder_in_the_place_of_the_unfinished_store_is_left_alone(tmp_path):
     (tmp_path / "s.partial").mkdir()
     (tmp_path / "s.partial" / "file").write_text("precious")
