@@ -207,8 +207,7 @@ def render_blocks_twin(
     ``stepping`` and ``interblock`` instead of the scene's. ``most_steps`` [blocks]: the most steps
     at once of stepping "bounded". A post-classified segment has the value in its middle; of a
     preintegrated one the chord between its ends is integrated exactly, shifted so that its mean is
-    that of the parabola through them and the sample before. Its colour is that of a longer one with
-    these ends, as tables have it: of the next power of two of steps, from a quarter to a block's edge.
+    that of the parabola through them and the sample before.
     """
     settings, integration = resolved.multiresolution, resolved.integration
     stepping = stepping or settings.stepping
@@ -276,9 +275,8 @@ class _March:
             far = np.minimum(t[n] + self._steps(state, n, t[n]), state.length[n])
             length, back = far - t[n], self._value(state, n, far)
             front, end = shifted_chord(before[n], value[n], back, last[n], length)
-            longer = np.clip(2.0 ** np.ceil(np.log2(length)), 0.25, self.blocks.grid.edge)
-            color, depth = of_chord(self.function, front, end, longer * self.unit)
-            _composite(rgba, n, color, depth * (length / longer))
+            color, depth = of_chord(self.function, front, end, length * self.unit)
+            _composite(rgba, n, color, depth)
             taken[n] += 1
             before[n], value[n], last[n], t[n] = value[n], back, length, far
         return rgba, taken

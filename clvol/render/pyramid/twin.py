@@ -246,9 +246,8 @@ class _March:
             before = np.where(self.second, np.nan, self.value2)[closes]
             a = np.where(self.second, 1.0, self.t1 - self.t2)[closes]
             front, back = shifted_chord(before, self.value1[closes], value[closes], a, length)
-            longer = np.clip(2.0 ** np.ceil(np.log2(length)), 0.25, 1 << self.plan.levels)
-            color, depth = of_chord(self.function, front, back, longer * self.step * self.unit)
-            opacity = -np.expm1(-depth * (length / longer))
+            color, depth = of_chord(self.function, front, back, length * self.step * self.unit)
+            opacity = -np.expm1(-depth)
             weight = (1.0 - self.rgba[closes, 3]) * opacity
             self.rgba[closes] += weight[:, None] * np.column_stack([color, np.ones(len(color))])
         self.value2[closes], self.t2[closes] = self.value1[closes], self.t1[closes]
