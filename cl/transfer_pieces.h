@@ -7,9 +7,9 @@
  *   its first moment             -M(r),           M = r / 6 + r^3 / 30 + ...   = (r - (1 - r^2) / 2 (log(1 + r) - log(1 - r))) / (4 r^2)
  * (the moment about the middle, over lengths of the stretch). Both stay finite where alpha reaches 1 at one end, which is why an
  * opacity of 1 at one control point is no wall. The light that leaves a stretch comes, on average, from the position
- *   X(D) - M / (mean) Y(D),   X = 1 / D - 1 / (exp(D) - 1),  Y = 6 D int x (1 - x) exp(-D x) dx / (1 - exp(-D)),  D its optical depth:
- * first order in how far the extinction is from constant; colour is linear, so that is where it is taken. Where first order is not enough,
- * since the stretch is thick, the position is integrated instead.
+ *   1/2 - m - D / 12 + 3/5 m^2 D + m D^2 / 60 + D^3 / 720,   m = M / (mean),  D its optical depth:
+ * a series in how thick the stretch is and how far its extinction is from constant; colour is linear, so that is where it is taken. Where
+ * the series is not enough the position is integrated instead.
  *
  * This is pre-integration (Engel, Kraus and Ertl 2001) without a table: nothing is sampled, so there are no nodes that narrow
  * pieces fall between, and any length of segment costs the same. Its attenuation within the segment is not neglected.
@@ -169,7 +169,7 @@ INLINE floatN depth_of_thin(floatN a)
 INLINE floatN emission_position(floatN depth, floatN moment)
 {
   depth = lane_min(depth, (floatN)1.0f);
-  return 0.5f - moment - depth * (1.0f / 12.0f - depth * (moment * (1.0f / 60.0f) + depth * (1.0f / 720.0f)));
+  return 0.5f - moment - depth * (1.0f / 12.0f - 0.6f * moment * moment - depth * (moment * (1.0f / 60.0f) + depth * (1.0f / 720.0f)));
 }
 
 /* 1 - exp(-D), by a polynomial up to D = 1. */
@@ -195,7 +195,7 @@ INLINE void append_stretch(SegmentColor *s, floatN r, floatN g, floatN b, floatN
 __constant float thick_position[6] = {0.00114009163f, 0.02869477f, 0.144925186f, 0.383544372f, 0.689904156f, 0.933609606f};
 __constant float thick_weight[6] = {0.0057848131f, 0.0611113173f, 0.178130346f, 0.289783588f, 0.299650256f, 0.165539679f};
 
-/* As emission_position() where first order is not enough, for `units` opacity units along which 1 - alpha runs from q0 to q1, and alpha from a0
+/* As emission_position() where its series is not enough, for `units` opacity units along which 1 - alpha runs from q0 to q1, and alpha from a0
  * to a1: int (exp(-D(x)) - exp(-D)) dx / (1 - exp(-D)), to 1e-4 up to D = 8 and 3e-3 beyond. */
 RARE floatN emission_position_of_thick(floatN q0, floatN q1, floatN a0, floatN a1, floatN units)
 {
@@ -215,8 +215,8 @@ RARE floatN emission_position_of_thick(floatN q0, floatN q1, floatN a0, floatN a
   return sum * rough_reciprocal(lane_max(whole, least));
 }
 
-/* Lanes for which first order is not enough: where colours would be off by 1e-4. */
-INLINE intN is_thick(floatN depth, floatN moment) { return MASK(depth > 1.0f) | MASK(depth * fabs(moment) > 0.012f); }
+/* Lanes for which the series is not enough: where colours would be off by 1e-4. */
+INLINE intN is_thick(floatN depth, floatN moment) { return MASK(depth > 1.0f) | MASK(depth * fabs(moment) > 0.08f); }
 
 /* What a part of a piece emits and absorbs. */
 typedef struct {
