@@ -11,7 +11,6 @@ import numpy as np
 from clvol.transfer import TransferFunction
 
 if TYPE_CHECKING:
-    from clvol.opencl.context import DeviceArray, DeviceContext
     from clvol.scene.opacity_factor import OpacityFactor
     from clvol.scene.resolve import ResolvedScene
 
@@ -51,10 +50,3 @@ def layer_places(resolved: ResolvedScene, per_edge: float) -> np.ndarray:
 def _float32(values: Sequence) -> np.ndarray:
     with np.errstate(over="ignore", under="ignore"):
         return np.array(values, np.float64).astype(np.float32).clip(None, np.finfo(np.float32).max)
-
-
-def stacked(context: DeviceContext, tables: list[DeviceArray]) -> DeviceArray:
-    """``tables`` of one shape, one behind the other."""
-    if len(tables) == 1:
-        return tables[0]
-    return context.upload(np.stack([context.read(table) for table in tables]))

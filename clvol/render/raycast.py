@@ -20,7 +20,7 @@ from clvol.render.empty_space import dilated, distance_map, surface_mask, visibl
 from clvol.render.layout import Perturbation, value_map, voxel_switches
 from clvol.render.light_volume import METHODS, fill_light_volume, shadow_step
 from clvol.render.noise import perturbation
-from clvol.render.opacity_factors import layer_functions, stacked
+from clvol.render.opacity_factors import layer_functions
 from clvol.render.project import hidden_score
 from clvol.render.tile_effects import tiles_that_see
 from clvol.render.view import EVERY_PIXEL, PixelLattice, RayFrame, ray_frame
