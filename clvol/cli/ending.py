@@ -14,6 +14,7 @@ import threading
 from typing import NoReturn
 
 from clvol.cli import main
+from clvol.limits import keep_room_to_import
 
 
 def command_line() -> NoReturn:
@@ -21,6 +22,7 @@ def command_line() -> NoReturn:
     # numpy's library starts a thread a core when it is loaded, and ends the process where that many are not
     # allowed (ulimit -u). Nothing here multiplies matrices large enough for a second one.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    keep_room_to_import()
     leave(main())
 
 

@@ -67,7 +67,7 @@ def load_image(path: str | os.PathLike[str], memory_cap: int | None = None) -> d
         raise UsageError(str(path), "there is no such file", "a picture (.exr, .png, .npy)")
     try:
         rgba, depth, header = module.read(os.fspath(path), memory_cap)
-    except UsageError:
+    except (UsageError, MemoryError):
         raise
     # The libraries raise whatever they like on damaged files.
     except Exception as error:

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from clvol.errors import DeviceError, RenderError
+from clvol.limits import check_room_for_opencl
 from clvol.opencl.binding import cl
 from clvol.opencl.build import build_file, keep_programs
 from clvol.opencl.devices import report_of
@@ -135,6 +136,7 @@ class DeviceContext:
     more_options: Mapping[str, tuple[str, ...]] = {}
 
     def __init__(self, device: cl.Device) -> None:
+        check_room_for_opencl(loaded=True)
         opencl_used()
         self.device = device
         report = report_of(device)

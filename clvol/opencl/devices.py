@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 from clvol.errors import DeviceError
 from clvol.opencl import device_cache
+from clvol.limits import check_room_for_opencl
 from clvol.opencl.children import ORIGINAL_VENDORS, VENDORS, write_selection
 from clvol.opencl.children import Child as _Child
 from clvol.opencl.children import run_child as _run_child
@@ -50,7 +51,8 @@ def list_devices(*, fresh: bool = False, time_limit: float = TIME_LIMIT) -> list
     ``fresh`` probes anew whatever the cache says (``clvol doctor``); ``time_limit`` is in seconds
     for each step. Nothing an OpenCL library does in its own process (crash, hang, wrong results)
     makes this call fail; no platform at all gives an empty list. Where some platform must be left
-    out, this process's ``OCL_ICD_VENDORS`` is set: call it before the first OpenCL call.
+    out, this process's ``OCL_ICD_VENDORS`` is set: call it before the first OpenCL call. Raises
+    :class:`clvol.errors.RenderError` where a limit on memory leaves compilers no room (``ulimit -v``).
     """
     global _found
     if _found is None or fresh:
@@ -59,6 +61,7 @@ def list_devices(*, fresh: bool = False, time_limit: float = TIME_LIMIT) -> list
         key = device_cache.cache_key(wanted, _original_vendors)
         findings = None if fresh else device_cache.read_cache(key)
         if findings is None:
+            check_room_for_opencl(loaded=False)
             findings = _probe(wanted, native, time_limit)
             if any(report.working for report in findings.reports):
                 device_cache.write_cache(key, findings)

@@ -76,6 +76,8 @@ def _read(where: str, memory_cap: int) -> np.ndarray:
         channels = exr.channels(where, memory_cap)
     except UsageError as error:
         raise SceneError(error.where, error.what, error.expected) from None
+    except MemoryError:
+        raise
     except Exception as error:  # the library raises whatever it likes on damaged files
         raise SceneError(where, f"cannot be read ({error})", _FILES) from None
     there = ", ".join(sorted(channels)) or "none"

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy import linalg, ndimage
 
 from clvol.scene.resolve import ResolvedScene
 from clvol.volume import Volume
@@ -67,6 +66,8 @@ def _filter_axis(source: np.ndarray, out: np.ndarray, axis: int) -> None:
     if n == 1:
         out[...] = source
         return
+    from scipy import linalg  # takes a quarter of a second, not to be waited for by other scenes
+
     bands = np.full((2, n), 4.0)
     bands[0], bands[1, 0], bands[1, -1] = 1.0, 5.0, 5.0
     across = 1 if axis == 0 else 0
@@ -87,6 +88,8 @@ def _filled(data: np.ndarray, bad: np.ndarray, spacing: tuple[float, float, floa
     """``data`` [z, y, x] with the nearest finite voxel, in the world, at each ``bad`` one."""
     if bad.all():
         return np.zeros_like(data)
+    from scipy import ndimage
+
     nearest = ndimage.distance_transform_edt(
         bad, sampling=spacing[::-1], return_distances=False, return_indices=True
     )

@@ -170,7 +170,8 @@ def test_a_folder_for_temporary_files_that_is_of_no_use(tmp_path, usual, trouble
     assert np.allclose(picture, usual[1], atol=1e-6) and said == ""
 
 
-@pytest.mark.parametrize("limit", ["-v 600000", "-f 100", "-n 12"])
+@pytest.mark.parametrize("limit", ["-v 100000", "-v 200000", "-v 600000", "-v 1000000", "-v 1600000", "-f 100",
+                                   "-n 12"])
 def test_too_little_of_anything_is_a_picture_or_one_error(tmp_path, usual, limit, first_device):
     """Memory, size of files, open files."""
     limited = ("sh", "-c", f'ulimit {limit} && exec "$@"', "sh")
@@ -182,6 +183,19 @@ def test_too_little_of_anything_is_a_picture_or_one_error(tmp_path, usual, limit
         assert done.returncode in (3, 4), done.stderr
         assert done.stderr.startswith("clvol: error: ") and done.stderr.count("\n") == 1
         assert not (tmp_path / "a.npy").exists()
+
+
+@pytest.mark.parametrize("kilobytes", [300_000, 600_000, 1_000_000, 1_600_000])
+def test_too_little_memory_though_devices_are_known(tmp_path, cached, kilobytes, first_device):
+    """Nothing is probed then: libraries and compilers are loaded at once."""
+    limited = ("sh", "-c", f'ulimit -v {kilobytes} && exec "$@"', "sh")
+    done = run("render", ROOT / "data/brainsmall.nrrd", "-o", "a.npy", "--set", "image.width=16", "--set",
+               "image.height=16", "--set", 'integration.filter="nearest"', cwd=tmp_path, prefix=limited,
+               XDG_CACHE_HOME=cached[0])
+    if done.returncode:
+        assert done.returncode == 4 and "ulimit -v" in done.stderr, done.stderr
+        assert done.stderr.startswith("clvol: error: memory: ") and done.stderr.count("\n") == 1
+    assert (tmp_path / "a.npy").exists() == (done.returncode == 0)
 
 
 def test_many_processes_share_a_cache(tmp_path, usual, first_device):

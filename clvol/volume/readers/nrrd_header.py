@@ -127,6 +127,8 @@ def _parsed(path: Path, texts: dict[str, str]) -> dict[str, Any]:
             raise VolumeError(str(path), f"sizes {text[:60]}", "whole numbers of at least 1")
         try:
             fields[name] = nrrd.read_header(["NRRD0005", f"{name}: {text}"])[name]
+        except (MemoryError, ImportError):
+            raise
         except Exception as error:  # of values that are none it raises whatever comes
             what = f"field {name!r} is {text[:60]!r} ({error})"
             raise VolumeError(str(path), what, "a value as the NRRD format has it") from None

@@ -130,7 +130,7 @@ def _read(folder: Path, path: Path, options: ReadOptions) -> Image | str | None:
     name = _name(folder, path)
     try:
         header = _header(path, marked, options)
-    except VolumeError:
+    except (VolumeError, MemoryError):
         raise
     except Exception as error:  # whatever pydicom makes of damaged bytes
         if not marked:
