@@ -4,7 +4,7 @@ Etiene et al. 2014 ("Verifying volume rendering using discretization error analy
 20(1)) refine the step along the ray, the grid and the pixels. Each row here refines one of them,
 and compares with a value that knows nothing of what is refined:
 
-  step   the exact integral of the same trilinear field (clvol.render.reference)
+  step   the exact integral of the same trilinear field (clvol.integrators.reference.picture)
   grid   the integral of the analytic field that the grid samples (``analytic_picture`` below)
   pixel  exact values at points of the image that are the centre of no pixel
 
@@ -22,8 +22,8 @@ import numpy as np
 
 from clvol import Camera, Scene, TransferFunction, Volume
 from clvol.accuracy.convergence import Convergence
-from clvol.render.raycast import Raycaster
-from clvol.render.reference import render_reference, to_index
+from clvol.integrators.raycast.caster import Raycaster
+from clvol.integrators.reference.picture import render_reference, to_index
 from clvol.scene import ImageSettings, Integration
 from clvol.transfer.preintegration import preintegrate
 from clvol.volume.procedural import LinearRamp, Smooth, sample, unit_box

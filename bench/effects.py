@@ -97,7 +97,7 @@ class _Costs:
 
     def _cost(self, effect: EffectScene, plain: Any) -> dict[str, Any]:
         from clvol.errors import ClvolError
-        from clvol.features import kernel_hash
+        from clvol.explanation import kernel_hash
 
         row = {"name": effect.name, "group": effect.group, "over_name": effect.over, "over": None}
         try:
@@ -155,7 +155,7 @@ class _Costs:
         return found
 
     def _same(self, renderer: Any, plain: Any) -> dict[str, bool]:
-        from clvol.features import kernel_hash
+        from clvol.explanation import kernel_hash
 
         frame = renderer.render(depth=False)
         first = kernel_hash(self._kept["plain"].resolved)

@@ -83,7 +83,7 @@ class Blocks:
     """A scene's blocks on a device, and what renders them: ``caster``."""
 
     def __init__(self, context: Any, resolved: Any) -> None:
-        from clvol.render.multiresolution.residency import Residency
+        from clvol.integrators.multiresolution.residency import Residency
 
         self.context, self.resolved = context, resolved
         self.residency = Residency(context, resolved)
@@ -101,8 +101,8 @@ class Blocks:
         return replace(self.resolved, multiresolution=table)
 
     def caster(self, skip: bool = True, **settings: Any) -> Any:
-        from clvol.render.multiresolution.caster import BlockCaster
-        from clvol.render.multiresolution.engine import caster_of
+        from clvol.integrators.multiresolution.caster import BlockCaster
+        from clvol.integrators.multiresolution.engine import caster_of
 
         asked = self.asked(**settings)
         kind = caster_of(asked)
@@ -219,7 +219,7 @@ def interblock(bench: Bench, scene: BlockScene, ratio: float) -> list[dict[str, 
 def tiles(bench: Bench, scene: BlockScene, ratio: float) -> dict[str, Any]:
     """Tiles over a ray for every pixel: every priority and size, and the one case that the goal is
     about: tiles of 16 by "max", with the highest tile_high that leaves SHARE_GOAL of the rays."""
-    from clvol.render.tiles.tiled import TiledRenderer
+    from clvol.integrators.tiles.tiled import TiledRenderer
 
     volume = bench.volume(scene)
     asked = scene.asked(volume, bench.size, int(volume.nbytes / ratio)).resolve()
@@ -311,7 +311,7 @@ def live_bytes(context: Any) -> int:
 
 
 def _plain_caster(context: Any, resolved: Any) -> Any:
-    from clvol.render.raycast import Raycaster
+    from clvol.integrators.raycast.caster import Raycaster
 
     caster = Raycaster(context, resolved)
     caster.warm_up(resolved.image.width, resolved.image.height, False)
@@ -357,8 +357,8 @@ def resident(bench: Bench, scene: BlockScene) -> dict[str, Any]:
 
 def selection(bench: Bench, scene: BlockScene, memory: int, **settings: Any) -> dict[str, Any]:
     """How near to the best possible the selected levels are, and how long finding them takes."""
-    from clvol.render.multiresolution.packing import overhead_bytes
-    from clvol.store.selection import select_blocks, source_errors
+    from clvol.integrators.multiresolution.sample_allocator import overhead_bytes
+    from clvol.integrators.multiresolution.selection import select_blocks, source_errors
 
     volume = bench.volume(scene)
     asked = scene.asked(volume, bench.size, memory, **settings).resolve()

@@ -23,11 +23,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bench.curves import geometric_mean, reach
-from clvol.accuracy.timing import take_turns
 from bench.options import Options
 from bench.pictures import save_side_by_side
 from bench.report import load_average, machine, say, table
 from bench.scenes import SCENES, BenchScene, available
+from clvol.accuracy.timing import take_turns
 
 if TYPE_CHECKING:
     from clvol.scene.resolve import ResolvedScene
@@ -234,7 +234,7 @@ def alignment(resolved: ResolvedScene, picture: np.ndarray, device: Any) -> dict
     """Where in VTK's pixels its rays go: RMSE of its picture against the exact rays through points
     shifted by half a pixel, and against its own flips; [0, 0] and "none" are best where it agrees.
     """
-    from clvol.render.reference import integrate_world_rays
+    from clvol.integrators.reference.picture import integrate_world_rays
 
     height, width, _ = picture.shape
     seen = np.argwhere(picture[..., 3] > 0)

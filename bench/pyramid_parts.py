@@ -40,9 +40,9 @@ def caster(bench: Bench, resolved: Any, volume: Any = None, **how: Any) -> Any:
 
 def _made(bench: Bench, resolved: Any, volume: Any = None, **how: Any) -> Any:
     if resolved.integration.method == "pyramid":
-        from clvol.render.pyramid.caster import PyramidCaster as Caster
+        from clvol.integrators.pyramid.caster import PyramidCaster as Caster
     else:
-        from clvol.render.raycast import Raycaster as Caster
+        from clvol.integrators.raycast.caster import Raycaster as Caster
     return Caster(bench.context, resolved, volume=volume, **how)
 
 
@@ -229,7 +229,7 @@ def crossing_text(found: Reach) -> str:
 
 def oracles(bench: Bench, scene: BlockScene, epsilons: Sequence[float]) -> dict[str, Any]:
     """Every oracle with every epsilon that changes anything."""
-    from clvol.render.pyramid.oracles import names, oracle_named
+    from clvol.integrators.pyramid.oracles import names, oracle_named
 
     voxels = bench.volume(scene)
     rays = caster(bench, by_rays(scene, voxels, bench.size))
@@ -292,7 +292,7 @@ def blocks(bench: Bench, scene: BlockScene, ratio: float) -> dict[str, Any]:
 
 def sizes(bench: Bench, scene: BlockScene, edges: Sequence[int]) -> list[dict[str, Any]]:
     """Pictures of more and more pixels: the slices stay, rays come to lie nearer than they."""
-    from clvol.render.pyramid.slices import slice_plan
+    from clvol.integrators.pyramid.slices import slice_plan
 
     voxels, casters, volume = bench.volume(scene), {}, None
     for edge in edges:

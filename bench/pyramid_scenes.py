@@ -44,7 +44,7 @@ def by_pyramid(
 def ray_spacing(resolved: ResolvedScene) -> float:
     """How far neighbouring rays of a perspective view are apart in the middle of the volume, in
     smallest voxel edges: the step with which slices lie as far apart, as P1 has it."""
-    from clvol.render.view import ray_frame
+    from clvol.device.view import ray_frame
 
     camera, grid, image = resolved.camera, resolved.volume.grid, resolved.image
     lens = ray_frame(camera, grid, image.width, image.height).lens[0]

@@ -64,7 +64,7 @@ def exact_picture(
     say: Callable[[str], None] = lambda text: None,
 ) -> Exact:
     """``render_reference`` at ``chosen_pixels``, from ``folder`` where it was made before."""
-    from clvol.render.reference import render_reference
+    from clvol.integrators.reference.picture import render_reference
 
     pixels = chosen_pixels(resolved.image.width, most_pixels)
     path = folder / f"{_key(resolved, pixels)}.npy"

@@ -17,10 +17,10 @@ from typing import Any
 
 import numpy as np
 
-from clvol.accuracy.timing import take_turns
 from bench.options import Options
 from bench.report import load_average, machine, say, table
 from bench.scenes import SCENES
+from clvol.accuracy.timing import take_turns
 
 SUMMARY = "the trilinear sampling alone, beside the whole loop and the machine's gathers"
 SCENE_NAMES = ("engine-smooth", "heptane")
@@ -52,8 +52,8 @@ def run(options: Options) -> dict[str, Any] | None:
 
 def _take_apart(scene, size: int, context, rounds: int) -> dict[str, Any]:
     from bench.programs import bench_kernels
-    from clvol.render.raycast import Raycaster
-    from clvol.render.view import ray_frame
+    from clvol.device.view import ray_frame
+    from clvol.integrators.raycast.caster import Raycaster
     from clvol.schedule.tiles import tiling
 
     resolved = scene.scene(scene.load(), size).resolve()

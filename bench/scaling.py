@@ -9,10 +9,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from clvol.accuracy.timing import take_turns
 from bench.options import Options
 from bench.report import load_average, machine, say, table
 from bench.scenes import camera
+from clvol.accuracy.timing import take_turns
 
 SUMMARY = "time and samples against volume size and image size"
 VOLUME_EDGES, IMAGE_EDGES = (64, 128, 256, 384, 512), (128, 256, 512, 1024, 2048)

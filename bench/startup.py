@@ -15,10 +15,10 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from clvol.accuracy.timing import summary
 from bench.options import Options
 from bench.report import load_average, machine, say, table
 from bench.scenes import VOLUMES
+from clvol.accuracy.timing import summary
 
 SUMMARY = "whole-process times of clvol --help and clvol render, and peak memory"
 HELP_GOAL, RENDER_GOAL, MEMORY_GOAL = 0.4, 2.0, 350e6  # seconds, seconds, bytes beyond the volume

@@ -6,7 +6,7 @@
  *   CONSTANT  one sample, which fills the block
  *   VECTOR_QUANTISED is the number kept for P2's codec: indices into a codebook
  * Samples are of the volume's own type here and there, but for float64: those are brought into float's range as
- * (v - bias) * gain and held as float32 (clvol/render/layout.py, ValueMap), so that no ray computes in double.
+ * (v - bias) * gain and held as float32 (clvol/device/memory.py, ValueMap), so that no ray computes in double.
  *
  * Where this departs from P2 (sec. 3.2): there the CPU unpacks blocks and the GPU holds them as they are used; here only what
  * is stored crosses the bus.

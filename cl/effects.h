@@ -47,7 +47,7 @@ typedef struct {
 #define SHADOWS_BY_RAYS 1
 #define SHADOWS_BY_VOLUME 2
 
-/* What is counted beside samples: one number each a tile. clvol/render/effects.py names them in this order. */
+/* What is counted beside samples: one number each a tile. clvol/device/effects.py names them in this order. */
 #define COUNT_GRADIENTS 0        /* gradients reconstructed */
 #define COUNT_LIT 1              /* samples lit */
 #define COUNT_SURFACE_TESTS 2    /* cells tested for surfaces */

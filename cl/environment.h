@@ -1,4 +1,4 @@
-/* Environment maps: the radiance of a direction from a map stored by octahedron (clvol/render/environment.py).
+/* Environment maps: the radiance of a direction from a map stored by octahedron (clvol/device/environment.py).
  *
  * The octahedron |x| + |y| + |z| = 1 is unfolded on a square, +y in its middle, -y at its four corners, the equator on the lines
  * |u| + |v| = 1. Nodes lie on the square's edges too, those of one direction with one value: no look-up needs a neighbour across

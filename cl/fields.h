@@ -13,7 +13,7 @@
 #include "emission.h"
 #include "rays.h"
 
-/* As in clvol/render/fields.py: bits of FIELDS, and roles. */
+/* As in clvol/device/fields.py: bits of FIELDS, and roles. */
 #define FIELD_LABEL 1
 #define FIELD_DENSITY 2
 #define FIELD_MASK 4

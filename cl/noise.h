@@ -1,5 +1,5 @@
 /* Volumetric noise: a tile of 32^3 texels that repeats in space, summed over octaves, perturbs values or places.
- * (Engel and Ertl 2002. clvol/render/noise.py says what the tile holds, fills these structs and has the twin in double.)
+ * (Engel and Ertl 2002. clvol/device/noise.py says what the tile holds, fills these structs and has the twin in double.)
  *
  * Each octave doubles the place and takes away whole tiles, both of which are exact in binary: what octaves lose is the
  * rounding of the place itself. Terms move by an offset that the host reduces to one tile.

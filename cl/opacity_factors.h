@@ -11,7 +11,7 @@
 #include "effects.h"
 #include "emission.h"
 
-/* As in clvol/render/opacity_factors.py: bits of OPACITY_FACTORS. */
+/* As in clvol/device/opacity_factors.py: bits of OPACITY_FACTORS. */
 #define FACTOR_GRADIENT 1
 #define FACTOR_DIRECTIONAL 2
 

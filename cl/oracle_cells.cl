@@ -1,5 +1,5 @@
 /* What oracles of the method "pyramid" know beforehand: cells that are bad for samples some distance apart, and how far every cell is from
- * such ones (clvol/render/pyramid/cells.py). Cells are cubes of 2^shift lattice cells. Arrays of cells have rows `stride` long, a
+ * such ones (clvol/integrators/pyramid/cells.py). Cells are cubes of 2^shift lattice cells. Arrays of cells have rows `stride` long, a
  * multiple of 16.
  *
  * Switches (-D): VOXEL_BITS, VOXEL_SIGNED, VOXEL_SCALED; SCALES: distances of samples 1, 2, 4 ... smallest edges.

@@ -1,4 +1,4 @@
-/* How maps of distances lie in memory (clvol/render/pyramid/cells.py). */
+/* How maps of distances lie in memory (clvol/integrators/pyramid/cells.py). */
 #ifndef ORACLE_LAYOUT_H
 #define ORACLE_LAYOUT_H
 

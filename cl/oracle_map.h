@@ -1,4 +1,4 @@
-/* Oracles that know all distances beforehand (clvol/render/pyramid/cells.py). */
+/* Oracles that know all distances beforehand (clvol/integrators/pyramid/cells.py). */
 #define ORACLE_NEEDS_VALUE 0
 
 INLINE floatN oracle_distance(const Source *in, floatN x, floatN y, floatN z, floatN value, floatN mapped, floatN left)

@@ -1,4 +1,4 @@
-/* Which cells of an oracle's map can show anything (clvol/render/pyramid/oracles/visible.py): cubes of 2^shift lattice cells.
+/* Which cells of an oracle's map can show anything (clvol/integrators/pyramid/oracles/visible.py): cubes of 2^shift lattice cells.
  *
  * Switches (-D): LANES (1), those of voxels, WARPED_CLASSES.
  */

@@ -15,7 +15,7 @@
  *                skip are not there at all.
  *   freshness    what is synthesised on a slice shall come from samples of that slice, so coarse pixels take part a little longer:
  *                up to the distance plus SLACK of their own spacing, as far as other pixels may be that are synthesised from them
- *                (distances of maps grow by no more than the way, see clvol/render/pyramid/cells.py).
+ *                (distances of maps grow by no more than the way, see clvol/integrators/pyramid/cells.py).
  *   boundary     a level's rays go on beyond the picture and the volume, where values are those at the volume's hull; a pixel's first
  *                and last samples are where its own ray meets the hull, and no segment reaches farther. Clip planes and boxes cut
  *                rays in the same way; what is synthesised near a cut comes from values on both of its sides.
@@ -29,7 +29,7 @@
  * 0 first, for CHUNK slices, then the picture's pixels, each packet through all of these slices. GPUs: WORKERS work-items, a pixel
  * at a time each, barriers in between.
  *
- * To add an oracle: clvol/render/pyramid/oracles/__init__.py says how.
+ * To add an oracle: clvol/integrators/pyramid/oracles/__init__.py says how.
  */
 #ifndef PYRAMID_H
 #define PYRAMID_H

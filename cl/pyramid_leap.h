@@ -1,6 +1,6 @@
 /* Columns of a tile, a pixel of the coarsest level wide, that sleep where nothing is visible.
  *
- * A map says how far it is from a place to anything visible (`free`, clvol/render/pyramid/caster.py), and outside the volume the way to it
+ * A map says how far it is from a place to anything visible (`free`, clvol/integrators/pyramid/caster.py), and outside the volume the way to it
  * adds up: squares of both, since the volume is convex. So there is a ball around each pixel of the coarsest level in which nothing is to
  * be seen. The rays of a column, and all that their values are made from, stay inside its own pixel's ball and those of the eight around
  * it for as many slices as the least of them reaches beyond half the diagonal of a pixel. In these balls, which overlap, values lie in

@@ -122,7 +122,7 @@ INLINE floatN nearest_value(FetchedSample s, __constant const View *view)
  * read the same blocks of the B-spline by a sampler's trilinear look-ups, whose places take six divisions. Without a sampler
  * the plain weights do.)
  *
- * cubic        the voxels are the coefficients of a uniform cubic B-spline (no prefilter here: clvol/render/prefilter.py)
+ * cubic        the voxels are the coefficients of a uniform cubic B-spline (no prefilter here: clvol/device/prefilter.py)
  * catmull-rom  Catmull and Rom 1974: the piecewise cubic through the voxels with central differences as its slopes there;
  *              overshoots, since its outer weights are negative: clvol/features.py has by how much
  */

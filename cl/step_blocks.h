@@ -4,7 +4,7 @@
  * naive    1 / kappa, kappa = samples of the block an axis / its edge in voxels: one step a sample, wherever that leads
  * limited  min(1 + floor(l), 1 / kappa), l the steps that are left in the block: no farther than the first step in the next one
  * bounded  min(max(floor(l), 1), n): only single steps cross a face; n the most steps whose error stays within a bound in that
- *          block (`steps`, filled by clvol/render/multiresolution/bounds.py)
+ *          block (`steps`, filled by clvol/integrators/multiresolution/bounds.py)
  *
  * P2's limit is for samples that stand for their segments. A pre-integrated segment takes the value to run evenly from one end to the
  * other, so a long one across a face would show all that lies between the values of two blocks, over most of the first: there

@@ -1,6 +1,6 @@
 /* The picture between the rays of its tiles, in place: P2 (Ljung 2006), section 4.2, intertile interpolation.
  *
- * A tile's rays stand on the crossings of its lines (clvol/render/tiles/geometry.py). Within a tile the picture is piecewise
+ * A tile's rays stand on the crossings of its lines (clvol/integrators/tiles/geometry.py). Within a tile the picture is piecewise
  * linear along either axis, and beyond the outermost lines it stays as it is there. Tiles are blended from the outermost ray
  * of one to that of the next: delta_i is the distance of tile i's outermost line from the border between them, and
  *

@@ -1,4 +1,4 @@
-/* What one frame needs, as one struct: the host fills it (clvol/render/view.py holds the same layout as a numpy dtype, and
+/* What one frame needs, as one struct: the host fills it (clvol/device/view.py holds the same layout as a numpy dtype, and
  * a kernel reports its size so that a test compares the two). Everything that changes from frame to frame is here and
  * nothing of it is a compiler switch: a camera move never compiles.
  *

@@ -5,14 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from reference.multiresolution import BlockField
 
 from clvol import Scene, TransferFunction, Volume
 from clvol.features import FILTERS
+from clvol.integrators.multiresolution.caster import BlockCaster
+from clvol.integrators.multiresolution.device_blocks import DeviceBlocks
+from clvol.integrators.multiresolution.sample_allocator import overhead_bytes
 from clvol.opencl.structs import BLOCKS, view_dtype
-from clvol.render.multiresolution.caster import BlockCaster
-from clvol.render.multiresolution.device_blocks import DeviceBlocks
-from clvol.render.multiresolution.packing import overhead_bytes
-from clvol.render.multiresolution.twin import BlockField
 from clvol.scene import ImageSettings, Integration
 from clvol.scene.multiresolution import Multiresolution
 from clvol.store.geometry import BlockGrid

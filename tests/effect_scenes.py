@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+from reference import render_twin
 
 from clvol import Scene, TransferFunction, Volume
-from clvol.render.twin import render_twin
 
 LIGHTS = (
     {"type": "directional", "direction": [-1.0, -2.0, -0.7], "color": [1.0, 0.9, 0.6]},
@@ -76,8 +76,8 @@ def oblique(shape, spacing=(1.0, 1.0, 1.0), *, away=2.2, **keys) -> dict:
 
 def picture(context, resolved, **how):
     """``FrameData`` of the ray caster; ``how``: keys of ``Raycaster``."""
-    from clvol.render.prefilter import prefiltered
-    from clvol.render.raycast import Raycaster
+    from clvol.device.prefilter import prefiltered
+    from clvol.integrators.raycast.caster import Raycaster
 
     caster = Raycaster(context, prefiltered(resolved), **how)
     return caster.render(resolved.camera, resolved.image.width, resolved.image.height)

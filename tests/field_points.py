@@ -8,10 +8,10 @@ import numpy as np
 from scipy import ndimage
 
 from clvol import Volume
+from clvol.device.gradients import precompute
+from clvol.device.volume import DeviceVolume
 from clvol.features import FILTERS, GRADIENTS
 from clvol.opencl.structs import view_dtype
-from clvol.render.device_volume import DeviceVolume
-from clvol.render.gradients import precompute
 
 _SOURCE = Path(__file__).parent / "render" / "gradient_points.cl"
 TYPES = (np.uint8, np.int8, np.uint16, np.int16, np.float32, np.float64)

@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from reference.pyramid import PyramidPicture, mapped_oracle, render_pyramid_twin
 from small_scenes import SMOOTH, make_scene, waves
 
 from clvol import TransferFunction
-from clvol.render.pyramid.caster import PyramidCaster
-from clvol.render.pyramid.cells import read_distances
-from clvol.render.pyramid.twin import PyramidPicture, mapped_oracle, render_pyramid_twin
-from clvol.render.raycast import FrameData
+from clvol.integrators.pyramid.caster import PyramidCaster
+from clvol.integrators.pyramid.cells import read_distances
+from clvol.integrators.raycast.caster import FrameData
 
 CAMERA = {"position": (-55.0, -38.0, -61.0), "target": (22.0, 18.0, 20.0), "fov_degrees": 36.0}
 # A thin shell: most of the volume shows nothing.

@@ -16,7 +16,7 @@ import numpy as np
 
 from clvol import Camera, Renderer, Scene, TransferFunction, Volume
 from clvol.errors import ClvolWarning
-from clvol.render.reference import render_reference
+from clvol.integrators.reference.picture import render_reference
 from clvol.scene import ImageSettings, Integration
 from clvol.scene.pyramid import Pyramid
 

@@ -8,8 +8,8 @@ import numpy as np
 from twin_scenes import ramp, scene
 
 from clvol import TransferFunction
-from clvol.render.effects import ARGUMENTS, COUNTERS
-from clvol.render.raycast import Raycaster
+from clvol.device.effects import ARGUMENTS, COUNTERS
+from clvol.integrators.raycast.caster import Raycaster
 
 _SOURCE = str(Path(__file__).parent / "render" / "light_at.cl")
 SIDE = 15.0  # of the block

@@ -56,7 +56,7 @@ def axis_camera(centre, axis=0, height=1.0, distance=40.0, sign=1, **keys) -> di
 
 def picture(context, resolved, **how):
     """``FrameData`` of the ray caster; ``how``: the camera, or keys of ``Raycaster``."""
-    from clvol.render.raycast import Raycaster
+    from clvol.integrators.raycast.caster import Raycaster
 
     camera = how.pop("camera", resolved.camera)
     caster = Raycaster(context, resolved, **how)
@@ -65,7 +65,7 @@ def picture(context, resolved, **how):
 
 def exact(device, resolved, tolerance=1e-9) -> np.ndarray:
     """The reference's picture."""
-    from clvol.render.reference import render_reference
+    from clvol.integrators.reference.picture import render_reference
 
     return render_reference(resolved, device, tolerance=tolerance)[0]
 

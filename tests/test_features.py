@@ -15,6 +15,7 @@ from small_scenes import SMOOTH, make_scene, waves
 
 from clvol import Camera, TransferFunction, Volume
 from clvol.errors import SceneError
+from clvol.explanation import explain, kernel_hash
 from clvol.features import (
     CLASSIFICATIONS,
     COMPOSITINGS,
@@ -27,9 +28,7 @@ from clvol.features import (
     called_for,
     effects,
     emits,
-    explain,
     is_lit,
-    kernel_hash,
     reduced,
     refuse_unknown,
 )
@@ -386,7 +385,7 @@ def test_samples_with_opacity_and_gradient_are_never_called_absent(data):
 
 
 def switches(resolved) -> dict:
-    from clvol.render.raycast import raycast_switches
+    from clvol.integrators.raycast.caster import raycast_switches
 
     return raycast_switches(reduced(resolved), lanes=16)
 

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from reference import render_twin
 from small_scenes import SMOOTH, waves
-from test_features import CALLED, CLEAR, FAR, FADING, IDLE, IDLE_LABEL, LABELS, ONES, POINTS, SUN
+from test_features import CALLED, CLEAR, FADING, FAR, IDLE, IDLE_LABEL, LABELS, ONES, POINTS, SUN
 
 from clvol import Camera, Volume
 from clvol.features import reduced
-from clvol.render.twin import render_twin
 from clvol.scene import ImageSettings, Scene
 
 VOLUME = Volume(waves((8, 9, 10), np.uint8))

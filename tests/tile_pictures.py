@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+from reference.tiles import JoinTwin
 
-from clvol.render.tiles.geometry import Resolution, TileGrid
-from clvol.render.tiles.join import Joiner
-from clvol.render.tiles.twin import JoinTwin
+from clvol.integrators.tiles.geometry import Resolution, TileGrid
+from clvol.integrators.tiles.join import Joiner
 
 GRIDS = [(7, 5, 16), (7, 5, 3), (1, 1, 16), (33, 20, 8), (40, 35, 16), (9, 9, 2), (50, 3, 13)]
 

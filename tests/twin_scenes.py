@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+from reference import render_twin
 
 from clvol import Scene, TransferFunction, Volume
-from clvol.render.twin import render_twin
 
 RAMP_SIZE = 16
 

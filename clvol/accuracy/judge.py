@@ -1,6 +1,6 @@
 """What the pictures of a scene are judged by.
 
-Emission and absorption have an exact integral (clvol.render.reference). Effects have none that
+Emission and absorption have an exact integral (clvol.integrators.reference.picture). Effects have none that
 shares no code with the ray caster; scenes with effects are judged by the limit that the ray caster
 itself tends to as its steps become small, and that limit says how well it is known.
 """
@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clvol.device.view import EVERY_PIXEL
 from clvol.errors import VolumeError
 from clvol.features import has_exact_integral
-from clvol.render.reference import render_reference
-from clvol.render.view import EVERY_PIXEL
+from clvol.integrators.reference.picture import render_reference
 from clvol.scene.resolve import LARGEST_STEP_COUNT, ResolvedScene
 
 if TYPE_CHECKING:

@@ -12,8 +12,8 @@ from typing import Any
 from clvol.errors import ClvolError
 from clvol.features import refuse_unknown
 from clvol.render.renderer import check_memory
-from clvol.scene.integration import Integration
 from clvol.scene.image import ImageSettings
+from clvol.scene.integration import Integration
 from clvol.scene.knob import Knob
 from clvol.scene.multiresolution import Multiresolution
 from clvol.scene.pyramid import Pyramid

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from clvol.accuracy.estimate import ErrorEstimate, draw, estimate
+from clvol.accuracy.judge import Judge, check_judged
 from clvol.accuracy.search import Search
 from clvol.accuracy.settings import (
     SceneKnob,
@@ -30,16 +31,15 @@ from clvol.accuracy.settings import (
     tables_with,
 )
 from clvol.accuracy.trials import Trial, Trials, root_mean_square
+from clvol.device.view import PixelLattice
 from clvol.errors import RenderError, UsageError
 from clvol.features import refuse_unknown
+from clvol.integrators.reference.picture import render_reference
 from clvol.opencl.context import DeviceContext
-from clvol.accuracy.judge import Judge, check_judged
 from clvol.render.engines import Engines
 from clvol.render.frame import Frame, make_frame
 from clvol.render.notices import Notices
-from clvol.render.reference import render_reference
 from clvol.render.renderer import check_memory, open_context
-from clvol.render.view import PixelLattice
 from clvol.scene.resolve import ResolvedScene
 from clvol.scene.scene import Scene
 

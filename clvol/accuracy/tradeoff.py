@@ -34,9 +34,9 @@ from clvol.accuracy.settings import (
 )
 from clvol.accuracy.timing import take_turns
 from clvol.accuracy.trials import Trial, Trials
+from clvol.device.memory import method_bytes
 from clvol.errors import UsageError
 from clvol.features import refuse_unknown
-from clvol.render.layout import method_bytes
 from clvol.render.notices import Notices
 from clvol.render.renderer import check_memory, open_context
 from clvol.scene.knob import Knob

@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from clvol.accuracy.settings import Settings, apply
-from clvol.opencl.context import DeviceContext
 from clvol.accuracy.judge import Judge
+from clvol.accuracy.settings import Settings, apply
+from clvol.device.view import EVERY_PIXEL, PixelLattice
+from clvol.opencl.context import DeviceContext
 from clvol.render.engines import Engines
-from clvol.render.view import EVERY_PIXEL, PixelLattice
 from clvol.scene.resolve import ResolvedScene
 
 # Tables are built once for all views of a scene; a single view should still not wait for ever.

@@ -60,7 +60,7 @@ def render_animation(
     load_seconds = time.perf_counter() - start
 
     from clvol.render import Renderer
-    from clvol.render.animation import frames
+    from clvol.schedule.animation import frames
 
     kept = set()
     if resume:

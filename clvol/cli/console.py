@@ -12,7 +12,7 @@ from typing import Any
 import click
 
 from clvol.errors import RenderError
-from clvol.plain import plain
+from clvol.json_values import plain
 from clvol.text import json_escaped, printable, printable_lines
 
 

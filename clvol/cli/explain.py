@@ -20,7 +20,7 @@ def command(
     from clvol.scene import load_scene
 
     resolved = load_scene(scene, overrides).resolve(memory_cap)
-    from clvol.features import explain
+    from clvol.explanation import explain
 
     told = explain(resolved)
     if as_json:

@@ -25,7 +25,7 @@ def command(
     A .raw file needs --set volume.dims=[nx,ny,nz] --set 'volume.dtype="uint8"'.
     """
     from clvol.cli.console import say_json, say_table
-    from clvol.render.layout import method_bytes
+    from clvol.device.memory import method_bytes
     from clvol.scene import load_scene
     from clvol.scene.sizes import format_size
     from clvol.volume import describe

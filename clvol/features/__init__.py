@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from clvol.features.analysis import NAMES, called_for, effects, reduced, reduced_for_frames
 from clvol.features.effect import Effect
-from clvol.features.explanation import explain, kernel_hash
 from clvol.features.findings import emits
 from clvol.features.lighting import NEUTRAL, is_lit
 from clvol.features.refuse import has_exact_integral, refuse_unknown
@@ -44,10 +43,8 @@ __all__ = [
     "called_for",
     "effects",
     "emits",
-    "explain",
     "has_exact_integral",
     "is_lit",
-    "kernel_hash",
     "overshoot",
     "reduced",
     "reduced_for_frames",

@@ -52,7 +52,7 @@ def _note_operator(found: Findings, settings: GradientSettings) -> None:
 
 
 def _note_storage(found: Findings, settings: GradientSettings) -> None:
-    from clvol.render.gradients import DeviceLimits, chosen_storage
+    from clvol.device.gradients import DeviceLimits, chosen_storage
 
     endless = DeviceLimits(memory=2**63, buffer=2**63)
     volume = found.scene.volume

@@ -98,8 +98,8 @@ def _refuse_beside_pyramid_of_blocks(resolved: ResolvedScene) -> None:
 
 def _refuse_beside_pyramid(resolved: ResolvedScene) -> None:
     """What the method "pyramid" does not do."""
-    from clvol.render.pyramid.clips import halves_of
-    from clvol.render.pyramid.oracles import names
+    from clvol.integrators.pyramid.clips import halves_of
+    from clvol.integrators.pyramid.oracles import names
 
     origin, asked = resolved.origin, resolved.pyramid.oracle
     if asked not in names():

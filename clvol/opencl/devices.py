@@ -18,8 +18,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from clvol.errors import DeviceError
-from clvol.opencl import device_cache
 from clvol.limits import check_room_for_opencl
+from clvol.opencl import device_cache
 from clvol.opencl.children import ORIGINAL_VENDORS, VENDORS, write_selection
 from clvol.opencl.children import Child as _Child
 from clvol.opencl.children import run_child as _run_child

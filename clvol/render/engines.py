@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from clvol.render.prefilter import prefiltered
-from clvol.render.quantise import quantised
+from clvol.device.prefilter import prefiltered
+from clvol.device.quantise import quantised
 from clvol.render.scene_key import engine_key
 
 if TYPE_CHECKING:
+    from clvol.device.volume import DeviceVolume
+    from clvol.integrators.multiresolution.engine import MultiresolutionEngine
+    from clvol.integrators.multiresolution.residency import Residency
+    from clvol.integrators.raycast.caster import Raycaster
     from clvol.opencl.context import DeviceContext
-    from clvol.render.device_volume import DeviceVolume
-    from clvol.render.multiresolution.engine import MultiresolutionEngine
-    from clvol.render.multiresolution.residency import Residency
-    from clvol.render.raycast import Raycaster
     from clvol.scene.resolve import ResolvedScene
     from clvol.volume import Volume
 
@@ -62,9 +61,9 @@ class Engines:
             made = self._of_blocks(resolved, progress, wait)
         else:
             if resolved.integration.method == "pyramid":
-                from clvol.render.pyramid.caster import PyramidCaster as Caster
+                from clvol.integrators.pyramid.caster import PyramidCaster as Caster
             else:
-                from clvol.render.raycast import Raycaster as Caster
+                from clvol.integrators.raycast.caster import Raycaster as Caster
             made = Caster(self.context, resolved, volume=self._volumes.get(resolved.volume))
             self._volumes[resolved.volume] = made.volume
         while len(self._made) >= _KEPT:
@@ -76,8 +75,8 @@ class Engines:
         self, resolved: ResolvedScene, progress: Callable[[int, int], None] | None, wait: bool | None
     ) -> MultiresolutionEngine:
         """Engines of one volume and one budget share what is resident: the last ones' budgets are held."""
-        from clvol.render.multiresolution.engine import MultiresolutionEngine
-        from clvol.render.multiresolution.residency import Residency
+        from clvol.integrators.multiresolution.engine import MultiresolutionEngine
+        from clvol.integrators.multiresolution.residency import Residency
 
         key = resolved.volume, resolved.multiresolution.memory_bytes
         if key not in self._resident:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import clvol
 from clvol.errors import ClvolError
-from clvol.plain import plain
+from clvol.json_values import plain
 
 if TYPE_CHECKING:
     from clvol.scene.camera import Camera

@@ -20,7 +20,7 @@ from clvol.render.notices import Notices
 from clvol.scene.camera import Camera
 
 if TYPE_CHECKING:
-    from clvol.render.raycast import FrameData
+    from clvol.integrators.raycast.caster import FrameData
     from clvol.opencl.context import DeviceContext
     from clvol.scene import Scene
     from clvol.scene.resolve import ResolvedScene
@@ -185,7 +185,7 @@ class Renderer:
         self.resolved = resolved  # once there is an engine for it
 
     def _reference(self, camera: Camera, progress) -> Frame:
-        from clvol.render.reference import render_reference
+        from clvol.integrators.reference.picture import render_reference
 
         resolved = replace(self.resolved, camera=camera)
         start = perf_counter()
@@ -221,9 +221,9 @@ def _checked_seconds(resolved: ResolvedScene, seconds: float) -> float:
 
 def check_memory(resolved: ResolvedScene, cap: int | None) -> None:
     """VolumeError if rendering takes more than ``cap`` bytes on the device."""
-    from clvol.render.fields import field_bytes
-    from clvol.render.layout import method_bytes
-    from clvol.render.light_volume import light_volume_bytes
+    from clvol.device.fields import field_bytes
+    from clvol.device.light_volume import light_volume_bytes
+    from clvol.device.memory import method_bytes
 
     if cap is None:
         return

@@ -34,7 +34,7 @@ def engine_key(resolved: ResolvedScene) -> tuple[Hashable, ...]:
         if resolved.multiresolution.stepping == "pyramid":
             parts.append(resolved.pyramid.levels)
     if integration.method == "pyramid":
-        from clvol.render.pyramid.oracles import oracle_named
+        from clvol.integrators.pyramid.oracles import oracle_named
 
         parts += resolved.pyramid, oracle_named(resolved.pyramid.oracle)
     return tuple(map(value_key, parts))

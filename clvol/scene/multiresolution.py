@@ -25,8 +25,8 @@ def _is_size(text: str) -> str:
 
 def _budgets(resolved: Any) -> tuple[str, ...]:
     """Sizes with room for shares of the volume, up to all of it, beside what else is needed."""
-    from clvol.render.multiresolution.packing import overhead_bytes, sample_dtype
-    from clvol.render.multiresolution.residency import block_source
+    from clvol.integrators.multiresolution.residency import block_source
+    from clvol.integrators.multiresolution.sample_allocator import overhead_bytes, sample_dtype
 
     blocks = block_source(resolved.volume).blocks
     whole = blocks.count * blocks.edge**3 * sample_dtype(resolved.volume.dtype).itemsize

@@ -15,20 +15,20 @@ _OURS = ("pyramid",)
 
 
 def _oracles(*_: Any) -> tuple[str, ...]:
-    from clvol.render.pyramid.oracles import names
+    from clvol.integrators.pyramid.oracles import names
 
     return names()
 
 
 def _has_epsilon(scene: Any) -> bool:
-    from clvol.render.pyramid.oracles import oracle_named
+    from clvol.integrators.pyramid.oracles import oracle_named
 
     return oracle_named(scene.pyramid.oracle).takes_epsilon
 
 
 class Pyramid(Table):
     """``levels``: samples may be up to 2^levels steps apart, along rays and across them. ``oracle``: what says how
-    far apart they may be (clvol/render/pyramid/oracles). ``epsilon``: what the oracle allows."""
+    far apart they may be (clvol/integrators/pyramid/oracles). ``epsilon``: what the oracle allows."""
 
     levels: Annotated[
         Whole, Knob("levels", "", (5, 4, 3, 2, 1, 0), methods=_OURS)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from clvol.readers import ENDINGS, is_volume_path, load_volume
 from clvol.volume.grid import Grid
-from clvol.volume.readers import ENDINGS, is_volume_path, load_volume
 from clvol.volume.volume import ACCEPTED_TYPES, Volume, describe
 
 __all__ = [

@@ -18,7 +18,7 @@ from clvol.accuracy.settings import (
     scene_knobs,
     scene_settings,
 )
-from clvol.render.multiresolution.packing import buffer_samples
+from clvol.integrators.multiresolution.sample_allocator import buffer_samples
 from clvol.scene.image import ImageSettings
 from clvol.scene.integration import Integration
 from clvol.scene.knob import Knob

@@ -12,7 +12,7 @@ from clvol import Camera, Scene, TransferFunction, Volume
 from clvol.accuracy import target
 from clvol.accuracy.target import render_in_time, render_to_error
 from clvol.errors import RenderError, SceneError, UsageError
-from clvol.render.reference import render_reference
+from clvol.integrators.reference.picture import render_reference
 from clvol.scene import ImageSettings, Integration
 
 PEAKS = TransferFunction(

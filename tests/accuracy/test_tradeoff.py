@@ -13,7 +13,7 @@ from clvol.accuracy.report import write_report
 from clvol.accuracy.settings import scene_knobs
 from clvol.accuracy.tradeoff import measure_tradeoff, sentences
 from clvol.errors import SceneError, UsageError
-from clvol.render.reference import render_reference
+from clvol.integrators.reference.picture import render_reference
 from clvol.scene import ImageSettings, Integration
 from clvol.scene.multiresolution import Multiresolution
 from clvol.scene.sizes import parse_size

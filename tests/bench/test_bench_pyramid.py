@@ -69,7 +69,7 @@ def test_scenes_of_both_methods_differ_in_the_method_alone(scene, volume):
 
 @pytest.mark.parametrize("scene", PYRAMID_SCENES, ids=lambda scene: scene.name)
 def test_the_step_of_the_paper_is_the_spacing_of_rays(scene, volume):
-    from clvol.render.pyramid.slices import slice_plan
+    from clvol.integrators.pyramid.slices import slice_plan
 
     plain = by_rays(scene, volume, 64)
     step = ray_spacing(plain)

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from bench.curves import geometric_mean, lower_envelope, reach
-from clvol.accuracy.timing import FEWEST_FRAMES, summary, take_turns
 from bench.peers import headline, overall
 from bench.reference_cache import Exact, chosen_pixels
 from bench.scenes import OPACITY_UNIT, SCENES, camera
+from clvol.accuracy.timing import FEWEST_FRAMES, summary, take_turns
 
 SIDE = 9
 
@@ -209,7 +209,7 @@ def test_rmse_is_over_the_chosen_pixels_and_all_channels():
 def test_vtk_draws_the_same_view(device):
     pytest.importorskip("vtkmodules", reason="vtk is not installed, so there is no peer to compare")
     from bench.vtk_peer import VtkPeer
-    from clvol.render.reference import render_reference
+    from clvol.integrators.reference.picture import render_reference
     from clvol.volume.procedural import Gaussian, sample
 
     field = Gaussian(center=(14.0, 20.0, 17.0), sigma=8.0, amplitude=250.0)

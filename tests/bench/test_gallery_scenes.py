@@ -9,7 +9,8 @@ import pytest
 from small_scenes import picture
 
 from bench.gallery import SCENES, TILE, TILES, compose, shrunk
-from clvol.features import explain, reduced
+from clvol.explanation import explain
+from clvol.features import reduced
 from clvol.render.picture_warnings import picture_warning
 
 WIDTH, HEIGHT = 32, 24

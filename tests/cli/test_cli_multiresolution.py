@@ -10,11 +10,11 @@ import pytest
 from small_scenes import rms, waves
 
 from clvol import Volume
-from clvol.render.multiresolution.packing import SPARE_BYTES, overhead_bytes
+from clvol.integrators.multiresolution.sample_allocator import SPARE_BYTES, overhead_bytes
+from clvol.readers.zarr import StoredVolume
 from clvol.store.build import build_store
 from clvol.store.geometry import BlockGrid
 from clvol.store.zarr_store import StoredBlocks
-from clvol.volume.readers.zarr import StoredVolume
 
 SMALL = ("--set", "image.width=24", "--set", "image.height=20")
 BLOCKS = ("--set", 'integration.method="multiresolution"')
@@ -222,7 +222,7 @@ def test_a_time_budget_refines_tiles_and_tells_how_far_it_came(run, stores, firs
 
 
 def test_an_animation_selects_blocks_anew_for_every_view(run, stores, first_device, monkeypatch):
-    from clvol.render.multiresolution import residency
+    from clvol.integrators.multiresolution import residency
 
     views = []
     real = residency.select_blocks

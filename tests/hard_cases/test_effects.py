@@ -7,9 +7,9 @@ import pytest
 from effect_scenes import HAZE, LIGHTS, MATERIAL, SIZE, blobs, oblique, picture, scaled, scene
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from reference import render_twin
 
 from clvol import TransferFunction
-from clvol.render.twin import render_twin
 
 # What compiles a program of its own: voxel type, holes, filter, classification, gradients.
 VARIANTS = {

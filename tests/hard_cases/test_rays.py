@@ -9,7 +9,7 @@ from small_scenes import axis_camera, exact, make_scene, picture, waves
 from clvol import Camera, Scene, TransferFunction, Volume
 from clvol.errors import SceneError
 from clvol.features import called_for, refuse_unknown
-from clvol.render.reference import integrate_world_rays
+from clvol.integrators.reference.picture import integrate_world_rays
 
 CLASSIFICATIONS = ("pre", "post", "preintegrated")
 GREY = [[0.3, 0.5, 0.7]]

@@ -9,11 +9,11 @@ import pytest
 from small_scenes import axis_camera, exact, make_scene, picture, waves
 
 from clvol import TransferFunction, Volume
+from clvol.device.memory import LARGEST_OFFSET
+from clvol.device.volume import DeviceVolume
 from clvol.errors import DeviceError, VolumeError
+from clvol.integrators.reference.picture import render_reference
 from clvol.opencl.structs import view_dtype
-from clvol.render.device_volume import DeviceVolume
-from clvol.render.layout import LARGEST_OFFSET
-from clvol.render.reference import render_reference
 
 CLASSIFICATIONS = ("pre", "post", "preintegrated")
 GREY = [[0.3, 0.5, 0.7]]
@@ -160,7 +160,7 @@ def test_voxels_beyond_2_31_bytes_are_read(context):
     camera = axis_camera([17995.0, 16379.0, 2.5], 2, 4.0, distance=9.0)
     function = TransferFunction([0, 500], [0.0, 0.2], GREY * 2)
     scene = make_scene(volume, function, camera=camera, width=4, height=4, step=0.02)
-    from clvol.render import device_volume
+    from clvol.device import volume as device_volume
 
     grid = np.zeros(tuple(device_volume.cell_count(n) for n in (4, 16384, 18000)))
     known = DeviceVolume._min_max

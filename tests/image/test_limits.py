@@ -190,7 +190,7 @@ def test_every_command_holds_the_cap_for_environments(tmp_path, command, monkeyp
 
 
 def test_a_radiance_map_read_alone_holds_a_cap(tmp_path):
-    from clvol.render.environment_file import load_radiance
+    from clvol.device.environment_file import load_radiance
 
     exr(tmp_path / "bomb.exr", 65534, 32767)
     with pytest.raises(SceneError, match="pixels needs"):

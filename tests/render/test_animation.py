@@ -9,8 +9,8 @@ import pytest
 from small_scenes import make_scene
 
 from clvol import Renderer
-from clvol.render.animation import frames, orbited
 from clvol.scene import Animation, Camera
+from clvol.schedule.animation import frames, orbited
 
 CAMERA = Camera(position=(7.0, 3.0, 12.0), target=(1.0, 2.0, 3.0), up=(0.1, 1.0, -0.2))
 
@@ -68,8 +68,8 @@ def test_turning_back_leads_back():
 
 
 def test_a_frame_compiles_and_uploads_nothing(device, monkeypatch):
+    from clvol.device.volume import DeviceVolume
     from clvol.opencl.context import DeviceContext
-    from clvol.render.device_volume import DeviceVolume
 
     resolved = scene_of(frames=3, orbit_degrees=90.0)
     with Renderer(resolved, [device]) as renderer:

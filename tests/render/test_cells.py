@@ -8,9 +8,10 @@ from small_scenes import SMOOTH, make_scene, rms, waves
 
 from clvol import TransferFunction
 from clvol.errors import SceneError
-from clvol.features import kernel_hash, refuse_unknown
-from clvol.render.raycast import Raycaster, parts_of_cell
-from clvol.render.reference import render_reference
+from clvol.explanation import kernel_hash
+from clvol.features import refuse_unknown
+from clvol.integrators.raycast.caster import Raycaster, parts_of_cell
+from clvol.integrators.reference.picture import render_reference
 
 KINDS = ("post", "preintegrated")
 PEAKS = TransferFunction(

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from reference import render_twin
+from reference.field import Field, GridSampler
+from reference.multiresolution import BlockField
 from small_scenes import axis_camera, exact, make_scene, picture
 
 from clvol import TransferFunction
-from clvol.render.multiresolution.twin import BlockField
-from clvol.render.prefilter import coefficients
-from clvol.render.twin import render_twin
-from clvol.render.twin.field import Field, GridSampler
+from clvol.device.prefilter import coefficients
 from clvol.store.source import VolumeBlocks
 from clvol.volume import Volume
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+
 from bench.convergence_rows import (
     RAMP,
     ROWS,
@@ -21,7 +22,6 @@ from bench.convergence_rows import (
     step_row,
     steps_of_two,
 )
-
 from clvol.transfer.preintegration import preintegrate
 from clvol.volume.procedural import Constant
 

@@ -9,8 +9,8 @@ import pytest
 from small_scenes import axis_camera, make_scene
 
 from clvol import Camera, Scene, TransferFunction, Volume
+from clvol.integrators.reference.picture import render_reference
 from clvol.render.engines import Engines
-from clvol.render.reference import render_reference
 
 SHAPE = (64, 8, 8)
 MIDDLE = (3.5, 3.5, 31.5)

@@ -11,7 +11,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from effect_scenes import (
-    HAZE, LIGHTS, MATERIAL, ball, blobs, oblique, picture, scaled, scene, twin,
+    HAZE,
+    LIGHTS,
+    MATERIAL,
+    ball,
+    blobs,
+    oblique,
+    picture,
+    scaled,
+    scene,
+    twin,
 )  # fmt: skip
 
 from clvol import TransferFunction

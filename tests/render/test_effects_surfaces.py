@@ -5,12 +5,21 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from effect_scenes import (
-    LIGHTS, MATERIAL, NOTHING, SIZE, ball, blobs, oblique, picture, scene, twin,
+    LIGHTS,
+    MATERIAL,
+    NOTHING,
+    SIZE,
+    ball,
+    blobs,
+    oblique,
+    picture,
+    scene,
+    twin,
 )  # fmt: skip
+from reference.cell_crossings import medium_crossings
+from reference.medium import Medium
 
 from clvol import TransferFunction
-from clvol.render.twin.cell_crossings import medium_crossings
-from clvol.render.twin.medium import Medium
 
 SHAPE = (15, 17, 19)
 CAMERA = oblique(SHAPE)

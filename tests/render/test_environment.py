@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from clvol.errors import SceneError
-from clvol.render.environment import (
+from clvol.device.environment import (
     LARGEST_ROWS,
     MapPlace,
     RadianceMap,
@@ -19,7 +18,8 @@ from clvol.render.environment import (
     octahedral_coordinates,
     octahedral_directions,
 )
-from clvol.render.environment_file import cube_coordinates, cube_directions, load_radiance
+from clvol.device.environment_file import cube_coordinates, cube_directions, load_radiance
+from clvol.errors import SceneError
 
 SOURCE = Path(__file__).with_name("environment_look_up.cl")
 STUDIO = Path(__file__).resolve().parents[2] / "data" / "studio.exr"

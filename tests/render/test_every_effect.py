@@ -24,13 +24,13 @@ from bench.effect_scenes import (
     with_tables,
 )
 from clvol import Scene, Volume, load_scene
+from clvol.device.prefilter import prefiltered
 from clvol.errors import SceneError
-from clvol.features import called_for, kernel_hash, refuse_unknown
-from clvol.features.explanation import scene_programs
+from clvol.explanation import kernel_hash, scene_programs
+from clvol.features import called_for, refuse_unknown
+from clvol.integrators.raycast.caster import Raycaster
 from clvol.opencl.context import compile_options
 from clvol.render.engines import Engines
-from clvol.render.prefilter import prefiltered
-from clvol.render.raycast import Raycaster
 
 ROOT = Path(__file__).resolve().parents[2]
 SIZE = (16, 12)

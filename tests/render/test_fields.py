@@ -7,15 +7,15 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from reference import render_twin
 from small_scenes import axis_camera, picture, rms, waves
 from twin_scenes import absorbed, constant_function, scene
 
 from clvol import TransferFunction, Volume
+from clvol.device.fields import SceneFields, bounds_around, cell_boxes
+from clvol.device.memory import scene_bytes
 from clvol.errors import VolumeError
-from clvol.render.fields import SceneFields, bounds_around, cell_boxes
-from clvol.render.layout import scene_bytes
 from clvol.render.renderer import check_memory
-from clvol.render.twin import render_twin
 
 KINDS = ("post", "preintegrated", "pre")
 SIZE = 17

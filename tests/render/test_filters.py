@@ -10,14 +10,15 @@ from hypothesis import strategies as st
 from small_scenes import SMOOTH, axis_camera, make_scene, picture, rms, waves
 
 from clvol import TransferFunction, Volume
+from clvol.device import prefilter
+from clvol.device.empty_space import visible_mask
+from clvol.device.prefilter import coefficients, prefiltered
+from clvol.device.volume import DeviceVolume
 from clvol.errors import SceneError
-from clvol.features import FILTERS, kernel_hash, overshoot
-from clvol.render import prefilter
-from clvol.render.device_volume import DeviceVolume
-from clvol.render.empty_space import visible_mask
-from clvol.render.prefilter import coefficients, prefiltered
-from clvol.render.raycast import scene_nodes
-from clvol.transfer.classes import visible_cells
+from clvol.explanation import kernel_hash
+from clvol.features import FILTERS, overshoot
+from clvol.integrators.raycast.caster import scene_nodes
+from clvol.transfer.lookup_nodes import visible_cells
 
 CLASSIFICATIONS = ("pre", "post", "preintegrated")
 THIN = [(1, 8, 8), (8, 1, 8), (8, 8, 1), (1, 1, 1), (2, 2, 2), (3, 2, 5)]

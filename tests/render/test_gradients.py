@@ -16,16 +16,16 @@ from field_points import (
 from small_scenes import waves
 
 from clvol import Volume
-from clvol.features import GRADIENTS
-from clvol.render import layout
-from clvol.render.device_volume import DeviceVolume
-from clvol.render.gradients import (
+from clvol.device import memory as layout
+from clvol.device.gradients import (
     DeviceLimits,
     chosen_storage,
     gradient_bytes,
     gradient_switch,
     precompute,
 )
+from clvol.device.volume import DeviceVolume
+from clvol.features import GRADIENTS
 
 OPERATORS = ("central", "sobel")
 THIN = [(1, 5, 6), (5, 1, 6), (5, 6, 1), (1, 1, 4), (1, 1, 1), (2, 2, 2), (3, 2, 5)]

@@ -9,9 +9,9 @@ import pytest
 from small_scenes import SMOOTH, make_scene, rms, waves
 
 from clvol import Renderer, TransferFunction
+from clvol.device.view import PixelLattice
+from clvol.integrators.raycast.caster import Raycaster
 from clvol.render.engines import Engines
-from clvol.render.raycast import Raycaster
-from clvol.render.view import PixelLattice
 
 SIZE = (53, 47)
 

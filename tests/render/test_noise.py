@@ -10,8 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from clvol.errors import SceneError
-from clvol.render.noise import (
+from clvol.device.noise import (
     CENTRE,
     MOST_TERMS,
     TERM_DTYPE,
@@ -25,6 +24,7 @@ from clvol.render.noise import (
     tile_words,
     value_bound,
 )
+from clvol.errors import SceneError
 from clvol.scene import Noise
 from clvol.scene.load import tomllib
 from clvol.volume import Grid

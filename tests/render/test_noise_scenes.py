@@ -7,15 +7,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from reference import render_twin
 from small_scenes import picture, waves
 
 from clvol import Camera, Scene, TransferFunction, Volume, load_scene
+from clvol.device.noise import perturbation
 from clvol.errors import SceneError
-from clvol.features import explain, kernel_hash, reduced
+from clvol.explanation import explain, kernel_hash
+from clvol.features import reduced
+from clvol.integrators.raycast.caster import Raycaster
 from clvol.render import Renderer
-from clvol.render.noise import perturbation
-from clvol.render.raycast import Raycaster
-from clvol.render.twin import render_twin
 from clvol.scene import ImageSettings
 from clvol.volume import Grid
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from reference import render_twin
 from small_scenes import axis_camera, picture, waves
 from twin_scenes import RAMP_SIZE, constant_function, ramp, scene
 
 from clvol import TransferFunction, Volume
-from clvol.render.twin import render_twin
-from clvol.transfer.union import union
+from clvol.transfer.opacity_envelope import union
 
 KINDS = ("post", "preintegrated", "pre")
 SIZE = 17

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from reference import render_twin
 from small_scenes import axis_camera, picture, waves
 
 from clvol import Camera, Scene, TransferFunction, Volume
-from clvol.features import kernel_hash, reduced
+from clvol.explanation import kernel_hash
+from clvol.features import reduced
 from clvol.render import Renderer
-from clvol.render.twin import render_twin
 from clvol.scene import ImageSettings
 
 MODES = ("maximum", "minimum", "average", "attenuated-maximum")

@@ -7,9 +7,9 @@ import pytest
 from small_scenes import SMOOTH, make_scene, rms, waves
 
 from clvol import TransferFunction
+from clvol.device.quantise import quantised
 from clvol.errors import SceneError
-from clvol.render.quantise import quantised
-from clvol.render.reference import render_reference
+from clvol.integrators.reference.picture import render_reference
 
 
 def of(array, precision, **more):

@@ -8,8 +8,8 @@ from small_scenes import SMOOTH, exact, make_scene, picture, rms, waves
 
 from clvol import Camera, Renderer, TransferFunction, Volume
 from clvol.errors import DeviceError, RenderError, SceneError, UsageError, VolumeError
+from clvol.integrators.raycast.caster import Raycaster
 from clvol.opencl.structs import view_dtype
-from clvol.render.raycast import Raycaster
 
 CLASSIFICATIONS = ("pre", "post", "preintegrated")
 TYPES = (np.uint8, np.int8, np.uint16, np.int16, np.float32, np.float64)
@@ -165,7 +165,7 @@ def test_tiles_do_not_change_a_bit(context, classification):
 
 @pytest.mark.parametrize("classification", CLASSIFICATIONS)
 def test_launching_in_bands_does_not_change_a_bit(context, classification, monkeypatch):
-    from clvol.render import raycast
+    from clvol.integrators.raycast import caster as raycast
 
     scene = make_scene(waves((21, 19, 23)), width=45, height=70, classification=classification)
     whole = picture(context, scene, lanes=16)
@@ -381,7 +381,7 @@ def test_the_memory_cap_refuses_before_the_upload(device):
 
 
 def test_a_volume_larger_than_one_buffer_is_refused_with_the_numbers(context, monkeypatch):
-    from clvol.render import device_volume
+    from clvol.device import volume as device_volume
 
     class Small:
         def __init__(self, device):

@@ -8,12 +8,12 @@ from functools import lru_cache
 
 import numpy as np
 import pytest
+from reference.ray import integrate_ray
 
 import clvol
 from clvol.errors import SceneError, UsageError
+from clvol.integrators.reference.picture import FILTERS, integrate_world_rays, render_reference
 from clvol.opencl.kernels_path import kernel_folder
-from clvol.render.reference import FILTERS, integrate_world_rays, render_reference
-from clvol.render.reference_ray import integrate_ray
 from clvol.transfer import TransferFunction
 from clvol.transfer.preintegration import preintegrate
 from clvol.volume import Volume

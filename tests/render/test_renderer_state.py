@@ -9,12 +9,12 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
+from small_scenes import make_scene, waves
 
 from clvol import Camera, Renderer, Scene, TransferFunction, Volume
 from clvol.errors import RenderError, VolumeError
 from clvol.render.scene_key import engine_key, value_key
 from clvol.store.source import VolumeBlocks
-from small_scenes import make_scene, waves
 
 FUNCTIONS = [
     TransferFunction([0, 100, 255], [0, first, last], [color] * 3, opacity_unit=10.0)

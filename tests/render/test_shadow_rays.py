@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from reference.medium import Medium
+from reference.shadow import Shadows
 from shadow_scenes import BALL, RAYS, ball, inside, shadowed, share
 
 from clvol import TransferFunction
-from clvol.render.raycast import Raycaster
-from clvol.render.twin.medium import Medium
-from clvol.render.twin.shadow import Shadows
+from clvol.integrators.raycast.caster import Raycaster
 
 TOWARDS = np.array([0.6, 0.8, 0.0])  # the way that the light of shadowed() comes from
 PLACES = inside(160, 0.0, 23.0)
@@ -23,7 +23,7 @@ FINE = 1 / 64
 @pytest.fixture(autouse=True)
 def not_reduced(monkeypatch):
     """As in test_shadows.py: nothing of a scene is left out."""
-    monkeypatch.setattr("clvol.render.raycast.reduced_for_frames", lambda resolved: resolved)
+    monkeypatch.setattr("clvol.integrators.raycast.caster.reduced_for_frames", lambda resolved: resolved)
 
 
 def lit(function, classification, step, shadow=RAYS, **integration):

@@ -6,6 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from reference import render_twin
+from reference.shadow import turned
 from shadow_scenes import (
     BALL,
     BLOCK,
@@ -21,23 +23,21 @@ from shadow_scenes import (
     share,
 )
 from small_scenes import axis_camera
-from twin_scenes import constant_function, ramp, scene
+from twin_scenes import constant_function, ramp
 
 from clvol import Renderer, TransferFunction
-from clvol.errors import SceneError, VolumeError
-from clvol.render import light_volume
-from clvol.render.effects import effect_switches
-from clvol.render.gradients import DeviceLimits
-from clvol.render.light_volume import (
+from clvol.device import light_volume
+from clvol.device.effects import effect_switches
+from clvol.device.gradients import DeviceLimits
+from clvol.device.light_volume import (
     CONE_DIRECTIONS,
     check_fits,
     cone_directions,
     light_size,
     light_volume_bytes,
 )
-from clvol.render.raycast import Raycaster
-from clvol.render.twin import render_twin
-from clvol.render.twin.shadow import turned
+from clvol.errors import SceneError, VolumeError
+from clvol.integrators.raycast.caster import Raycaster
 from clvol.volume import Grid
 
 TAU = -np.log(0.9)  # of constant_function(), a world length
@@ -46,7 +46,7 @@ TAU = -np.log(0.9)  # of constant_function(), a world length
 @pytest.fixture(autouse=True)
 def not_reduced(monkeypatch):
     """Blocks of one value are not lit, so nothing of theirs would be shadowed."""
-    monkeypatch.setattr("clvol.render.raycast.reduced_for_frames", lambda resolved: resolved)
+    monkeypatch.setattr("clvol.integrators.raycast.caster.reduced_for_frames", lambda resolved: resolved)
 
 
 def to_exit(places, towards, upper=SIDE):

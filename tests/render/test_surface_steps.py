@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from effect_scenes import HAZE, LIGHTS, MATERIAL, NOTHING, ball, oblique, picture, scene
+from reference.cell_crossings import cell_crossings
+from reference.field import Field
 
 from clvol import TransferFunction, Volume, load_volume
-from clvol.render.twin.cell_crossings import cell_crossings
-from clvol.render.twin.field import Field
 
 FILTERS = ["nearest", "linear", "cubic", "catmull-rom"]
 STEPS = (4.0, 1.3, 1.0, 0.5, 0.125)

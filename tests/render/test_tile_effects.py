@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from small_scenes import make_scene, waves
 
-from clvol.render.effects import LocalSpace
-from clvol.render.layout import CELL_SHIFT, padded_size
-from clvol.render.raycast import Raycaster
-from clvol.render.tile_effects import tiles_that_see
-from clvol.render.view import ray_frame
+from clvol.device.effects import LocalSpace
+from clvol.device.memory import CELL_SHIFT, padded_size
+from clvol.device.tile_effects import tiles_that_see
+from clvol.device.view import ray_frame
+from clvol.integrators.raycast.caster import Raycaster
 from clvol.scene import Camera, ImageSettings, Isosurface
 from clvol.volume import Volume
 

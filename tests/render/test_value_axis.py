@@ -5,14 +5,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from small_scenes import rms, waves
 
 import clvol
 from clvol.cli import main
-from clvol.features import explain
+from clvol.explanation import explain
 from clvol.scene import load_scene
 from clvol.volume import Volume
 from clvol.volume.axis import ValueAxis, turned
-from small_scenes import rms, waves
 
 STORED = waves((17, 15, 19), np.uint8)
 LABELS = np.repeat(np.arange(17, dtype=np.int16)[:, None, None], 15, axis=1).repeat(19, axis=2)

@@ -12,7 +12,7 @@ from small_scenes import SMOOTH, waves
 from bench.scenes import SCENES as BENCH_SCENES
 from clvol import Camera, Renderer, Scene, TransferFunction, Volume, load_scene, render_to_error
 from clvol.errors import ClvolWarning
-from clvol.features import explain
+from clvol.explanation import explain
 from clvol.features.scene_warnings import camera_warning, scene_warnings
 
 DATA = Path(__file__).resolve().parents[2] / "data"

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from skimage.color import rgb2luv
 
-from clvol.store.luv import delta_e_luv, linear_to_luv
+from clvol.integrators.multiresolution.luv import delta_e_luv, linear_to_luv
 from clvol.transfer import linear_to_srgb
 
 COLORS = np.random.default_rng(0).random((500, 3))

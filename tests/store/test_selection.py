@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from clvol.store import selection
+from clvol.integrators.multiresolution import selection
+from clvol.integrators.multiresolution.selection import exact_levels, level_costs, minimum_bytes, select_levels
 from clvol.store.geometry import BlockGrid
-from clvol.store.selection import exact_levels, level_costs, minimum_bytes, select_levels
 from clvol.store.source import DROPPED
 
 COST = np.array([4096, 512, 64, 8, 0])

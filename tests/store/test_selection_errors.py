@@ -11,12 +11,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from clvol import TransferFunction, Volume
-from clvol.store import visible_error
-from clvol.store.luv import delta_e_luv, linear_to_luv
+from clvol.integrators.multiresolution import visible_error
+from clvol.integrators.multiresolution.luv import delta_e_luv, linear_to_luv
+from clvol.integrators.multiresolution.selection import exact_levels, level_costs, select_levels
+from clvol.integrators.multiresolution.visible_error import ShownColors, block_errors, block_transmittances, transparent
 from clvol.store.resolutions import reduced
-from clvol.store.selection import exact_levels, level_costs, select_levels
 from clvol.store.source import BlockStatistics, VolumeBlocks
-from clvol.store.visible_error import ShownColors, block_errors, block_transmittances, transparent
 from clvol.transfer import preset
 from clvol.volume import load_volume
 

@@ -14,12 +14,12 @@ from scipy.spatial import ConvexHull
 
 from clvol import Camera, TransferFunction, Volume
 from clvol.errors import SceneError
+from clvol.integrators.multiresolution import view_weight
+from clvol.integrators.multiresolution.selection import select_blocks, source_errors
+from clvol.integrators.multiresolution.view_weight import VISIBILITY_FLOOR, ViewWeights, view_weights, visibility
 from clvol.scene import ImageSettings
-from clvol.store import view_weight
 from clvol.store.geometry import BlockGrid
-from clvol.store.selection import select_blocks, source_errors
 from clvol.store.source import DROPPED, VolumeBlocks
-from clvol.store.view_weight import VISIBILITY_FLOOR, ViewWeights, view_weights, visibility
 from clvol.volume import Grid
 
 IMAGE = ImageSettings(width=60, height=40)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from clvol.transfer import TransferFunction
-from clvol.transfer.classes import class_nodes, visible_cells
+from clvol.transfer.lookup_nodes import class_nodes, visible_cells
 
 COLORS = [[0.9, 0.1, 0.0], [0.0, 0.8, 0.1], [0.1, 0.2, 1.0], [0.7, 0.7, 0.2], [1.0, 0.0, 1.0], [0, 1, 1]]
 FUNCTIONS = {

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import nibabel
-import numpy as np
 import nrrd
+import numpy as np
 import pytest
 import SimpleITK
 import tensorstore

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from clvol.errors import UsageError
-from clvol.plain import plain
+from clvol.json_values import plain
 
 BLACK = (0.0, 0.0, 0.0)
 

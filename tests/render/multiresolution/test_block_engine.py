@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from block_scenes import SHOWN, block_scene, noise
+from reference.multiresolution import BlockField, render_blocks_twin
 
 from clvol import Camera, TransferFunction, Volume
-from clvol.render.multiresolution import residency
-from clvol.render.multiresolution.engine import MultiresolutionEngine
-from clvol.render.multiresolution.twin import BlockField, render_blocks_twin
+from clvol.integrators.multiresolution import residency
+from clvol.integrators.multiresolution.engine import MultiresolutionEngine
 from clvol.store.source import DROPPED, VolumeBlocks
 
 SHAPE = (48, 40, 64)

@@ -6,10 +6,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from block_scenes import noise, random_levels, random_places, resident, twin_of, values_at
+from reference.multiresolution import BlockField
 from scipy.ndimage import map_coordinates
 
 from clvol import Volume
-from clvol.render.multiresolution.twin import BlockField
 from clvol.store.geometry import BlockGrid
 from clvol.store.resolutions import region_level
 from clvol.store.source import DROPPED, VolumeBlocks

@@ -17,16 +17,16 @@ from block_scenes import (
     resident,
     twin_of,
 )
+from reference.clip import kept_stretches
+from reference.multiresolution import render_blocks_twin
 from small_scenes import rms, waves
 
 from clvol import Camera, TransferFunction, Volume
-from clvol.render.multiresolution.caster import BlockCaster
-from clvol.render.multiresolution.twin import render_blocks_twin
-from clvol.render.raycast import Raycaster
-from clvol.render.twin.clip import kept_stretches
+from clvol.integrators.multiresolution.caster import BlockCaster
+from clvol.integrators.multiresolution.visible_error import transparent
+from clvol.integrators.raycast.caster import Raycaster
 from clvol.store.geometry import BlockGrid
 from clvol.store.source import DROPPED, VolumeBlocks
-from clvol.store.visible_error import transparent
 
 SHAPE = (40, 33, 50)
 CAMERA = Camera(position=(-55.0, -38.0, -61.0), target=(25.0, 16.0, 20.0), fov_degrees=28.0)

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from clvol.errors import DeviceError, RenderError, SceneError, VolumeError
-from clvol.render.multiresolution import device_blocks
-from clvol.render.multiresolution.device_blocks import (
+from clvol.integrators.multiresolution import device_blocks
+from clvol.integrators.multiresolution.device_blocks import (
     CODE_DROPPED,
     CODE_ONE,
     DeviceBlocks,
@@ -18,7 +18,7 @@ from clvol.render.multiresolution.device_blocks import (
     corner_codes_at,
     corners_of,
 )
-from clvol.render.multiresolution.packing import SPARE_BYTES, overhead_bytes
+from clvol.integrators.multiresolution.sample_allocator import SPARE_BYTES, overhead_bytes
 from clvol.store.source import DROPPED, VolumeBlocks
 from clvol.volume import Volume
 

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from clvol.errors import SceneError
-from clvol.render.multiresolution.packing import buffer_samples, most_bytes, overhead_bytes
+from clvol.integrators.multiresolution.sample_allocator import buffer_samples, most_bytes, overhead_bytes
 from clvol.store.geometry import BlockGrid
 
 _shapes = st.tuples(*[st.integers(1, 700)] * 3)

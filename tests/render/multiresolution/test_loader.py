@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from clvol.errors import VolumeError
-from clvol.render.multiresolution.loader import (
+from clvol.integrators.multiresolution.loader import (
     CONSTANT,
     RAW,
     Loader,

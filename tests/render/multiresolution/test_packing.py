@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from clvol.errors import DeviceError, SceneError, VolumeError
-from clvol.render.multiresolution.packing import (
+from clvol.integrators.multiresolution.sample_allocator import (
     SPARE_BYTES,
     Packing,
     buffer_samples,

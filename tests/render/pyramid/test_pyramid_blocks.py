@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from block_scenes import SHOWN, block_picture, block_scene, picture_of, random_levels, resident, twin_of
 from pyramid_scenes import CAMERA, map_distances, pyramid_picture, pyramid_scene
+from reference.pyramid import mapped_oracle, render_pyramid_twin
 from small_scenes import rms, waves
 
 from clvol import Renderer, Volume
-from clvol.render.pyramid.blocks import BlockPyramidCaster
-from clvol.render.pyramid.twin import mapped_oracle, render_pyramid_twin
+from clvol.integrators.pyramid.blocks import BlockPyramidCaster
 from clvol.store.geometry import BlockGrid
 from clvol.store.source import DROPPED
 

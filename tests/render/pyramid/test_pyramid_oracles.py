@@ -11,9 +11,9 @@ from small_scenes import rms, waves
 
 from clvol import TransferFunction
 from clvol.errors import RenderError, SceneError
-from clvol.render.pyramid import oracles as known
-from clvol.render.pyramid.caster import PyramidCaster
-from clvol.render.pyramid.cells import (
+from clvol.integrators.pyramid import oracles as known
+from clvol.integrators.pyramid.caster import PyramidCaster
+from clvol.integrators.pyramid.cells import (
     distance_map,
     raise_to_ways,
     read_distances,
@@ -23,8 +23,8 @@ from clvol.render.pyramid.cells import (
     voxels_of_steep_opacity,
     way_map,
 )
-from clvol.render.pyramid.oracles import KERNEL_CUSTOM, MapOracle, Oracle, register
-from clvol.render.pyramid.oracles.visible import visible_in_cells
+from clvol.integrators.pyramid.oracles import KERNEL_CUSTOM, MapOracle, Oracle, register
+from clvol.integrators.pyramid.oracles.visible import visible_in_cells
 
 SHAPE = (17, 14, 21)
 EDGES = (1.0, 1.7, 2.3)  # smallest edges a voxel x, y, z
@@ -125,7 +125,7 @@ def test_distances_grow_by_no_more_than_the_way(context, oracle, function):
 
 def test_visible_is_what_a_cell_can_show(asked):
     """Values of the shell's function show between 150 and 180."""
-    from clvol.render.pyramid.cells import padded_cells
+    from clvol.integrators.pyramid.cells import padded_cells
 
     cells = padded_cells(asked)
     visible_in_cells(asked, cells)

@@ -7,9 +7,9 @@ import pytest
 from pyramid_scenes import CAMERA, pyramid_scene
 from small_scenes import axis_camera, waves
 
-from clvol.render.pyramid.cells import distance_codes, decoded_distances, squared_gaps
-from clvol.render.pyramid.layout import map_bytes, map_shape, map_shift, pyramid_bytes
-from clvol.render.pyramid.slices import SlicePlan, slice_plan
+from clvol.integrators.pyramid.cells import decoded_distances, distance_codes, squared_gaps
+from clvol.integrators.pyramid.layout import map_bytes, map_shape, map_shift, pyramid_bytes
+from clvol.integrators.pyramid.slices import SlicePlan, slice_plan
 
 
 def plan_of(**asked) -> SlicePlan:

@@ -14,14 +14,14 @@ from pyramid_scenes import (
     rendered,
     twin_picture,
 )
+from reference.pyramid import _March
 from small_scenes import axis_camera, picture, rms, waves
 
 from clvol import Volume
 from clvol.errors import RenderError
+from clvol.integrators.pyramid.caster import PyramidCaster
+from clvol.integrators.pyramid.oracles import names
 from clvol.scene.clip import Clip
-from clvol.render.pyramid.caster import PyramidCaster
-from clvol.render.pyramid.oracles import names
-from clvol.render.pyramid.twin import _March
 
 CLOSE = 3e-4  # the tables' interpolation
 COUNTED = ("syntheses", "accumulations")

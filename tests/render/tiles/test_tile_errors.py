@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from reference.tiles import JoinTwin
 from tile_pictures import rays_only
 
-from clvol.render.tiles.geometry import Resolution, TileGrid
-from clvol.render.tiles.refine import TileErrors, estimated_errors
-from clvol.render.tiles.twin import JoinTwin
-from clvol.render.tiles.work import ray_work
+from clvol.integrators.tiles.geometry import Resolution, TileGrid
+from clvol.integrators.tiles.refine import TileErrors, estimated_errors
+from clvol.integrators.tiles.work import ray_work
 
 
 def estimates_and_errors(image: np.ndarray, size: int, tau: int):

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from tile_pictures import random_resolution
 
-from clvol.render.tiles.geometry import LineTable, Resolution, TileGrid, halved, lines, ray_counts
-from clvol.render.tiles.join import around
-from clvol.render.tiles.work import ray_work
+from clvol.integrators.tiles.geometry import LineTable, Resolution, TileGrid, halved, lines, ray_counts
+from clvol.integrators.tiles.join import around
+from clvol.integrators.tiles.work import ray_work
 
 GRIDS = [(7, 5, 16), (7, 5, 3), (1, 1, 16), (33, 20, 8), (64, 48, 16), (5, 300, 256), (9, 9, 2)]
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from reference.tiles import JoinTwin
 from tile_pictures import GRIDS, joined, random_resolution, rays_only
 
-from clvol.render.tiles.geometry import Resolution, TileGrid
-from clvol.render.tiles.twin import JoinTwin
+from clvol.integrators.tiles.geometry import Resolution, TileGrid
 
 LEVELS = (1, 2, 3, 5, 8, 9, 13, 16)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from clvol.render.tiles.plan import histogram, plan, planned_tau, priorities, qualities
+from clvol.integrators.tiles.plan import histogram, plan, planned_tau, priorities, qualities
 
 
 def corners_of(values: list[list[list[float]]]) -> np.ndarray:

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from reference.tiles import DROPPED_CODE, corner_statistics_twin
 from small_scenes import make_scene
 
+from clvol.device.view import ray_frame
+from clvol.integrators.tiles.geometry import TileGrid
+from clvol.integrators.tiles.plan import COUNT, MAXIMUM
+from clvol.integrators.tiles.statistics import corner_statistics
 from clvol.opencl.structs import view_dtype
-from clvol.render.tiles.geometry import TileGrid
-from clvol.render.tiles.plan import COUNT, MAXIMUM
-from clvol.render.tiles.statistics import corner_statistics
-from clvol.render.tiles.twin import DROPPED_CODE, corner_statistics_twin
-from clvol.render.view import ray_frame
 from clvol.store.geometry import BlockGrid
 
 SHAPE = (21, 37, 30)

@@ -6,13 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from reference.tile_raycaster import TileRaycaster
+from reference.tiles import JoinTwin
 from small_scenes import SMOOTH, make_scene, rms, waves
 
 from clvol import TransferFunction, load_scene
-from clvol.render.tiles.geometry import ray_counts
-from clvol.render.tiles.plain import TileRaycaster
-from clvol.render.tiles.tiled import TiledRenderer
-from clvol.render.tiles.twin import JoinTwin
+from clvol.integrators.tiles.geometry import ray_counts
+from clvol.integrators.tiles.tiled import TiledRenderer
 from clvol.scene.multiresolution import Multiresolution
 
 EDGES = TransferFunction(

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from small_scenes import SMOOTH, make_scene, picture, waves
+from reference import render_twin
+from reference.ray import integrate_ray
+from small_scenes import make_scene, picture, waves
 from twin_scenes import absorbed, along_z, constant_function, ramp, ray, scene
 
 from clvol import TransferFunction, Volume
-from clvol.render.reference_ray import integrate_ray
-from clvol.render.twin import render_twin
 
 BLOCK = np.zeros((16, 16, 16))
 COLOR = np.array([0.8, 0.5, 0.2])
@@ -248,7 +248,7 @@ def test_noise_of_one_level_moves_all_places_along_the_volumes_axes():
 
 
 def test_octaves_double_the_frequency():
-    from clvol.render.twin.noise import fractal_noise, tile_noise
+    from reference.noise import fractal_noise, tile_noise
 
     tile = np.random.default_rng(3).integers(0, 256, (32, 32, 32, 4)).astype(np.uint8)
     volume = Volume(np.zeros((5, 9, 17)), spacing=(0.5, 0.5, 1.0), origin=(1.0, 2.0, 3.0))
@@ -262,7 +262,7 @@ def test_octaves_double_the_frequency():
 
 
 def test_noise_repeats_and_moves_with_time():
-    from clvol.render.twin.noise import tile_noise
+    from reference.noise import tile_noise
 
     tile = np.random.default_rng(3).integers(0, 256, (32, 32, 32, 4)).astype(np.uint8)
     p = np.random.default_rng(4).uniform(-2, 2, (20, 3))

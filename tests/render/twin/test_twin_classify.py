@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-
-from clvol import TransferFunction
-from clvol.render.twin.classify import (
+from reference.classify import (
     MovedFunction,
     curvature_shift,
     layer_weights,
@@ -14,6 +12,8 @@ from clvol.render.twin.classify import (
     of_value,
     of_voxels,
 )
+
+from clvol import TransferFunction
 
 PEAKS = TransferFunction(
     [0.0, 1.0, 2.0, 2.0, 3.0, 4.0],

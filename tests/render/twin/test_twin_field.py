@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from reference.field import Field, spline_coefficients
 
 from clvol import Volume
-from clvol.render.twin.field import Field, spline_coefficients
 
 ANALYTIC = ("cubic", "catmull-rom")
 TILTED = np.array([[0.6, 0.8, 0.0], [-0.8, 0.6, 0.0], [0.0, 0.0, 1.0]])

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from reference.environment import EnvironmentMap, cube_texels, latlong_texels
 from twin_scenes import absorbed, along_z, constant_function, ramp, ray, scene
 
 from clvol import TransferFunction
-from clvol.render.twin.environment import EnvironmentMap, cube_texels, latlong_texels
 
 COLOR = np.array([0.8, 0.5, 0.2])
 OPACITY = absorbed(0.1, 15.0)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from reference.medium import Medium
+from reference.shadow import Shadows, cone_directions, light_grid, turned
 from twin_scenes import absorbed, along_z, constant_function, ramp, scene
 
 from clvol import TransferFunction, Volume
-from clvol.render.twin.medium import Medium
-from clvol.render.twin.shadow import Shadows, cone_directions, light_grid, turned
 from clvol.volume import Grid
 
 TAU = -np.log(0.9)

@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from reference.classify import MovedFunction, of_chord
+from reference.surfaces import bent, crossings
 from twin_scenes import absorbed, along_z, constant_function, ramp, ray, scene
 
 from clvol import TransferFunction
-from clvol.render.twin.classify import MovedFunction, of_chord
-from clvol.render.twin.surfaces import bent, crossings
 from clvol.scene.clip import Clip
 
 CLEAR = constant_function(0.0)
@@ -166,7 +166,7 @@ def test_a_sphere_of_glass_turns_a_ray_twice():
     a, b = np.arccos(cosines)
     s = sphere_scene(surface={"opacity": 0.0, "refraction": index},
                      depth_cue=BLACK_TO_WHITE)  # fmt: skip
-    from clvol.render.twin.march import _March
+    from reference.march import _March
 
     march, seen = _March(s, None, None, None), []
     restart = march._restart

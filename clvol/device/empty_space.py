@@ -1,0 +1,154 @@
+"""Which cells of a volume can be visible, and how far every cell is from the nearest of them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from clvol.device.memory import UNPERTURBED, Perturbation
+from clvol.device.volume import DeviceVolume
+from clvol.features import FILTER_REACH, overshoot
+from clvol.opencl.context import DeviceArray, DeviceContext
+from clvol.transfer.lookup_nodes import ClassNodes
+
+_ROUNDING = 2e-6  # of a filter's sums, as a share of the largest value: a few times float32's
+
+
+def visible_mask(
+    volume: DeviceVolume,
+    filter: str,
+    nodes: ClassNodes,
+    between: np.ndarray,
+    at: np.ndarray,
+    perturbation: Perturbation = UNPERTURBED,
+) -> np.ndarray:
+    """bool [z, y, x]: whether anything that ``filter`` interpolates in a cell can have opacity.
+
+    ``between`` bool [n - 1]: whether look-ups between node k and k + 1 can give any. ``at`` bool [n]:
+    whether node k itself has any, which is all that a cell of one value, a node, asks for: most
+    often the background.
+    """
+    lowest, highest = volume.bounds(FILTER_REACH[filter])
+    mask = shows_between(nodes, between, at, lowest, highest, overshoot(filter), perturbation.added)
+    return spread(mask, perturbation.cells, np.logical_or)
+
+
+def shows_between(
+    nodes: ClassNodes,
+    between: np.ndarray,
+    at: np.ndarray,
+    lowest: np.ndarray,
+    highest: np.ndarray,
+    share: float = 0.0,
+    added: float = 0.0,
+) -> np.ndarray:
+    """bool, of the shape of ``lowest``: whether anything from ``lowest`` to ``highest`` can have opacity; nothing does
+    where lowest > highest. ``between`` and ``at`` as above. ``share`` of the span may come on top on both sides,
+    and ``added`` may be added to or taken from values."""
+    any_value = lowest <= highest
+    low = np.where(any_value, lowest, nodes.first)
+    high = np.where(any_value, highest, nodes.first)
+    # The lowest value of all is node 0, also in float32, and so may whole numbers be on a node.
+    exact = (low == nodes.first) | ((low == high) & nodes.is_exact(low))
+    exact &= added == 0.0
+    low_margin = np.where(exact, 0.0, nodes.rounding)
+    high_margin = np.where(exact & (low == high), 0.0, nodes.rounding)
+    low, high = _overshot(low, high, share)
+    low, high = low - added, high + added
+    first = np.floor(nodes.position(low) - low_margin)
+    last = np.ceil(nodes.position(high) + high_margin)
+    first = np.clip(first, 0, between.size).astype(np.int64)
+    last = np.clip(last, 0, between.size).astype(np.int64)
+    before = np.concatenate([[0], np.cumsum(between)])
+    return any_value & np.where(first == last, at[first], before[last] > before[first])
+
+
+def surface_mask(
+    volume: DeviceVolume,
+    filter: str,
+    levels: list[float],
+    perturbation: Perturbation = UNPERTURBED,
+) -> np.ndarray:
+    """bool [z, y, x]: whether what ``filter`` interpolates in a cell can take one of ``levels``."""
+    lowest, highest = cell_bounds(volume, filter, perturbation)
+    mask = np.zeros(lowest.shape, bool)
+    for level in levels:
+        mask |= (lowest <= level) & (level <= highest)
+    return mask
+
+
+def cell_bounds(
+    volume: DeviceVolume, filter: str, perturbation: Perturbation = UNPERTURBED
+) -> tuple[np.ndarray, np.ndarray]:
+    """The lowest and the highest value, [z, y, x], that a sample in each cell can have, but for rounding;
+    infinite, with low > high, where there is none."""
+    lowest, highest = volume.bounds(FILTER_REACH[filter])
+    any_value = lowest <= highest
+    lowest, highest = _overshot(lowest, highest, overshoot(filter))
+    lowest = np.where(any_value, lowest - perturbation.added, np.inf)
+    highest = np.where(any_value, highest + perturbation.added, -np.inf)
+    reach = perturbation.cells
+    return spread(lowest, reach, np.minimum), spread(highest, reach, np.maximum)
+
+
+def spread(array: np.ndarray, cells: tuple[int, int, int], over: np.ufunc) -> np.ndarray:
+    """``over`` (np.maximum, say) all of ``array`` [z, y, x] that is up to ``cells`` (x, y, z) away."""
+    for axis, count in zip((2, 1, 0), cells):
+        reach, most = 0, min(count, array.shape[axis] - 1)
+        while reach < most:  # windows add up
+            step = min(most - reach, 2 * reach + 1)
+            grown = array.copy()
+            ahead, behind = ([slice(None)] * 3 for _ in range(2))
+            ahead[axis], behind[axis] = slice(step, None), slice(None, -step)
+            ahead, behind = tuple(ahead), tuple(behind)
+            over(grown[ahead], array[behind], out=grown[ahead])
+            over(grown[behind], array[ahead], out=grown[behind])
+            array, reach = grown, reach + step
+    return array
+
+
+def dilated(mask: np.ndarray) -> np.ndarray:
+    """``mask`` and all cells next to it, diagonally too."""
+    for axis in range(mask.ndim):
+        grown = mask.copy()
+        ahead = [slice(None)] * mask.ndim
+        behind = list(ahead)
+        ahead[axis], behind[axis] = slice(1, None), slice(None, -1)
+        grown[tuple(ahead)] |= mask[tuple(behind)]
+        grown[tuple(behind)] |= mask[tuple(ahead)]
+        mask = grown
+    return mask
+def _overshot(low: np.ndarray, high: np.ndarray, share: float) -> tuple[np.ndarray, np.ndarray]:
+    """The values that a filter can give of voxels from ``low`` to ``high``: ``share`` of their span
+    more on both sides, and rounding. Of equal voxels it gives exactly that value."""
+    if not share:
+        return low, high
+    more = share * (high - low) + _ROUNDING * np.maximum(np.abs(low), np.abs(high))
+    more = np.where(low == high, 0.0, more)
+    return low - more, high + more
+
+
+def distance_map(context: DeviceContext, mask: np.ndarray) -> DeviceArray:
+    """uint8 [z, y, x] on the device: distance in cells (maximum norm, at most 255) to the nearest
+    cell of ``mask``; 0 in it."""
+    start = np.where(mask, 0, 255).astype(np.uint8)
+    # A 32-bit gather of the last byte must stay inside the buffer.
+    padded = np.concatenate([start.ravel(), np.full(4, 255, np.uint8)])
+    distances = context.upload(padded)
+    if not mask.any():
+        return distances
+    kernel = context.kernel(
+        "empty_space.cl",
+        "distance_pass",
+        "in source uint8, out target uint8, value cells int4, value axis int32",
+        {"VOXEL_BITS": 8, "VOXEL_SIGNED": 0},
+    )
+    cells = mask.shape[::-1]
+    spare = [context.upload(padded, writable=True) for _ in range(2)]
+    for axis in range(3):
+        target = spare[axis % 2]
+        kernel(
+            context.queue, cells, None, source=distances, target=target, cells=(*cells, 0), axis=axis
+        )
+        distances = target
+    context.finish()
+    return distances

@@ -1,0 +1,235 @@
+"""What cl/fields.h reads: voxels of further volumes, where they are, and what their values mean."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from clvol.device.empty_space import visible_mask
+from clvol.device.memory import CELL_SHIFT, LARGEST_OFFSET, ValueMap, padded_size, value_map
+from clvol.errors import VolumeError
+from clvol.transfer import TransferFunction
+from clvol.transfer.lookup_nodes import ClassNodes, class_nodes, visible_cells
+from clvol.transfer.pieces import has_opaque_point, piece_count, piece_table
+
+if TYPE_CHECKING:
+    from clvol.opencl.context import DeviceContext
+    from clvol.scene.field import ResolvedField
+    from clvol.scene.resolve import ResolvedScene
+    from clvol.volume import Grid, Volume
+
+LABEL, DENSITY, MASK = 1, 2, 4  # roles, and bits of FIELDS
+_ROLES = {"label": LABEL, "density": DENSITY, "mask": MASK}
+_DENSITY_NODES = 4096
+_ROUNDING = 4e-6  # of a linear interpolation in float32, as a share of the largest value
+_MARGIN = 0.02  # voxels of the volume that a sample may be off its cell, generously
+_FINEST_SHIFT = 1e-9  # voxels: below that it is rounding of the affines
+
+
+def field_switches(resolved: ResolvedScene) -> dict[str, int]:
+    bits = 0
+    for field in resolved.fields:
+        bits |= _ROLES[field.role]
+    return {"FIELDS": bits}
+
+
+class SceneFields:
+    """The fields of a scene: ``voxels``, the buffer `fields`; ``numbers`` of struct Effects.
+
+    ``shown`` bool [z, y, x]: in which ``cells`` of the volume a density can have opacity;
+    ``kept``: in which all masks may keep something. ``place(array)`` puts numbers into the buffer
+    `factors` and returns where they begin.
+    """
+
+    def __init__(
+        self,
+        context: DeviceContext,
+        resolved: ResolvedScene,
+        cells: tuple[int, int, int],
+        place: Callable[[np.ndarray], int],
+        numbers: np.ndarray,
+    ) -> None:
+        _check_fits(context, resolved)
+        parts = [_Part(field, resolved.volume) for field in resolved.fields]
+        numbers["fields"][0] = len(parts)
+        edge = resolved.volume.grid.smallest_edge
+        begin = 0
+        for k, part in enumerate(parts):
+            for axis, name in enumerate(("field_x", "field_y", "field_z")):
+                numbers[name][k] = (*part.matrix[axis], part.shift[axis])
+            numbers["field_size"][k] = (*part.voxels.shape[::-1], _ROLES[part.field.role])
+            numbers["field_at"][k][0] = begin
+            begin += part.voxels.size
+            part.fill(numbers, k, place, edge)
+        self.voxels = context.upload(np.concatenate([part.voxels.ravel() for part in parts]))
+        self.shown, self.kept = np.zeros(cells[::-1], bool), np.ones(cells[::-1], bool)
+        for part in parts:
+            if part.field.role == "density":
+                self.shown |= part.density_cells(cells)
+            elif part.field.role == "mask":
+                self.kept &= part.mask_cells(cells)
+
+
+def field_bytes(resolved: ResolvedScene) -> int:
+    """Bytes on the device for the voxels of all fields."""
+    return 4 * sum(math.prod(padded_size(field.volume)) for field in resolved.fields)
+
+
+def _check_fits(context: DeviceContext, resolved: ResolvedScene) -> None:
+    needed = field_bytes(resolved)
+    largest = min(int(context.device.max_mem_alloc_size), 4 * LARGEST_OFFSET)
+    if needed > largest:
+        what = f"the voxels of all fields need {needed} bytes as float32 on {context.name}"
+        raise VolumeError("fields", what, f"at most {largest} bytes in one buffer")
+
+
+class _Part:
+    """One field. ``voxels`` float32 [z, y, x]; ``matrix`` float64 [3, 3] and ``shift`` [3]: from
+    lattice points of the volume to its own."""
+
+    def __init__(self, field: ResolvedField, volume: Volume) -> None:
+        self.field = field
+        self.values = ValueMap() if field.role == "label" else value_map(field.volume)
+        self.voxels = _voxels(field, self.values)
+        self.matrix, self.shift = between_lattices(volume.grid, field.volume.grid)
+
+    def fill(self, numbers: np.ndarray, k: int, place, edge: float) -> None:
+        """``edge``: world length of the volume's smallest edge."""
+        field = self.field
+        if field.role == "label":
+            table = np.column_stack([field.colors, field.factors])
+            numbers["field_at"][k][1] = place(np.vstack([[0.0, 0.0, 0.0, 1.0], table]))
+        elif field.role == "mask":
+            side = 1.0 if field.keep == "above" else -1.0
+            numbers["field_map"][k][:2] = (float(self.values(field.threshold)), side)
+        else:
+            function, nodes = self._density
+            table = piece_table(function, edge, origin=float(np.float32(nodes.first)))
+            numbers["field_at"][k][1] = place(table.ravel())
+            pole = float(has_opaque_point(function))
+            units = edge / function.opacity_unit
+            numbers["field_map"][k] = (table.shape[1], piece_count(function), pole, units)
+
+    @property
+    def _density(self) -> tuple[TransferFunction, ClassNodes]:
+        from clvol.integrators.raycast.caster import device_function
+
+        volume = self.field.volume
+        function = device_function(self.field.function, self.values)
+        span = tuple(float(v) for v in self.values(volume.value_range))
+        integer = volume.dtype.kind in "iu"
+        return function, class_nodes(function, span, _DENSITY_NODES, integer=integer)
+
+    def density_cells(self, cells: tuple[int, int, int]) -> np.ndarray:
+        function, nodes = self._density
+        bounds = _Bounds(*self._bounds(cells))
+        visible = visible_cells(function, nodes.values)
+        at_nodes = function.opacity(nodes.values) > 0
+        return visible_mask(bounds, "linear", nodes, visible, at_nodes)
+
+    def mask_cells(self, cells: tuple[int, int, int]) -> np.ndarray:
+        low, high = self._bounds(cells)
+        level = np.float32(self.values(self.field.threshold))  # as the kernel compares
+        inside = low <= high
+        return inside & (high >= level if self.field.keep == "above" else low <= level)
+
+    def _bounds(self, cells: tuple[int, int, int]) -> tuple[np.ndarray, np.ndarray]:
+        """Float64 [z, y, x]: between which values everything lies that is interpolated in each cell
+        of the volume; low > high where nothing is."""
+        middle, reach = cell_boxes(cells, self.matrix, self.shift)
+        low, high = bounds_around(self.voxels, middle, reach)
+        rounding = np.where(low < high, _ROUNDING * np.maximum(np.abs(low), np.abs(high)), 0.0)
+        return low - rounding, high + rounding
+
+
+@dataclass(frozen=True)
+class _Bounds:
+    """As ``DeviceVolume``, to ``visible_mask``."""
+
+    low: np.ndarray
+    high: np.ndarray
+
+    def bounds(self, apron: int) -> tuple[np.ndarray, np.ndarray]:
+        return self.low, self.high
+
+
+def _voxels(field: ResolvedField, values: ValueMap) -> np.ndarray:
+    """float32 [z, y, x] as cl/fields.h wants them; axes of one voxel twice."""
+    data = field.volume.data
+    if field.role == "label":
+        voxels = _label_codes(data, field.labels)
+    else:
+        voxels = (data if values == ValueMap() else values(data)).astype(np.float32)
+        if data.dtype.kind == "f":
+            voxels[~np.isfinite(voxels)] = np.nan
+    for axis, n in enumerate(voxels.shape):
+        voxels = np.repeat(voxels, 2, axis=axis) if n == 1 else voxels
+    return np.ascontiguousarray(voxels)
+
+
+def _label_codes(data: np.ndarray, labels: np.ndarray) -> np.ndarray:
+    """float32 as ``data``: the place of each voxel's label among ``labels`` (ascending), from 1
+    on, or 0."""
+    codes = np.empty(data.shape, np.float32)
+    for z, voxels in enumerate(data):  # slice by slice: int64 takes eight bytes a voxel
+        wanted = voxels.astype(np.float64)
+        at = np.searchsorted(labels, wanted).clip(None, labels.size - 1)
+        codes[z] = np.where(labels[at] == wanted, at + 1, 0)
+    return codes
+
+
+def between_lattices(volume: Grid, field: Grid) -> tuple[np.ndarray, np.ndarray]:
+    """float64 matrix [3, 3] and shift [3]: from lattice points of ``volume`` to those of ``field``,
+    by way of the world. An axis of one voxel runs from 0 to 1 in a lattice, from -1/2 to 1/2 in
+    indices.
+
+    Formed relative to the volume's first voxel: a far origin of both grids cancels first.
+    """
+    to_index = field.world_to_index()[:3, :3]
+    matrix = to_index @ volume.index_to_world()[:3, :3]
+    thin_volume, thin_field = (0.5 * (np.asarray(grid.size) == 1) for grid in (volume, field))
+    shift = to_index @ np.subtract(volume.origin, field.origin)
+    shift = shift - matrix @ thin_volume + thin_field
+    matrix, shift = (np.where(np.abs(a) < _FINEST_SHIFT, 0.0, a) for a in (matrix, shift))
+    return matrix, shift
+
+
+def cell_boxes(
+    cells: tuple[int, int, int], matrix: np.ndarray, shift: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Boxes in a field's lattice around the volume's cells: middles float64 [z, y, x, 3], and how
+    far all of them reach from there [3]."""
+    edge = 1 << CELL_SHIFT
+    axes = [edge * (np.arange(n) + 0.5) for n in cells]
+    z, y, x = np.meshgrid(axes[2], axes[1], axes[0], indexing="ij")
+    middle = np.stack([x, y, z], axis=-1) @ matrix.T + shift
+    return middle, np.abs(matrix).sum(axis=1) * (0.5 * edge + _MARGIN) + _MARGIN
+
+
+def bounds_around(
+    voxels: np.ndarray, middle: np.ndarray, reach: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Float64 [...]: smallest and largest finite voxel of ``voxels`` [z, y, x] that is used by what
+    is interpolated within ``reach`` [3] of each of ``middle`` [..., 3] (x, y, z), or a few more;
+    low > high where there is none."""
+    from scipy import ndimage  # takes a tenth of a second, not to be waited for without fields
+
+    upper = np.array(voxels.shape[::-1]) - 1
+    meets = np.all((middle + reach >= 0) & (middle - reach <= upper), axis=-1)
+    first = np.clip(np.floor(middle - reach), 0, upper).astype(np.int64)
+    # From the voxel before the lowest place to the one beyond the highest.
+    count = np.minimum(np.ceil(2.0 * np.minimum(reach, 1e9)) + 2, upper + 1).astype(np.int64)
+    size = tuple(int(n) for n in count[::-1])
+    ahead = tuple(-(n // 2) for n in size)
+    places = tuple(first[..., axis] for axis in (2, 1, 0))
+    found = []
+    for filter, outside in ((ndimage.minimum_filter, np.inf), (ndimage.maximum_filter, -np.inf)):
+        filled = np.where(np.isnan(voxels), np.float32(outside), voxels)
+        bound = filter(filled, size=size, mode="constant", cval=outside, origin=ahead)
+        found.append(bound[places].astype(np.float64))
+    low, high = found
+    return np.where(meets, low, np.inf), np.where(meets, high, -np.inf)

@@ -1,0 +1,223 @@
+"""Volumetric noise: a small tile that repeats in space, summed over octaves (cl/noise.h).
+
+After Engel and Ertl, "Interactive high-quality volume rendering with flexible consumer graphics
+hardware" (Eurographics 2002, state of the art reports), section on volumetric effects: a noise
+volume of 32^3 texels with four channels perturbs the value that is looked up, or the place where
+the volume is sampled.
+
+The tile. Each channel is Gaussian noise of a band of one octave to either side of CENTRE cycles a
+tile: a wave of k cycles has the amplitude cos(pi/2 log2(k/CENTRE)) / k between CENTRE/2 and
+2 CENTRE and none outside, so octaves overlap such that their powers add up smoothly. Then texels
+are ranked: each of the 256 bytes occurs 128 times in a channel. Values so spread evenly over -1 ..
+1, their mean is exactly 0, their standard deviation 0.58, and 98 % of the power stays in the band:
+a texel differs from its neighbour by 0.23 on average, where it would by 0.67 in white noise.
+
+The sum: fBm(q) = sum over k < octaves of gain^k tile(2^k q + offset), q in tiles, trilinear between
+texels, periodic. A term is used in two ways: "value" adds amplitude * fBm to the value by the
+fourth channel, "coordinate" moves the place by amplitude * fBm of the first three. Several terms
+add up, and all are taken at the place that has not been moved.
+
+Noise is fixed to the volume: its axes are the volume's index axes, q = frequency * (distance from
+the lower corner of the domain) / (the domain's longest edge), and it moves along them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from functools import lru_cache
+from typing import Protocol
+
+import numpy as np
+
+from clvol.device.memory import CELL_SHIFT, Perturbation
+from clvol.errors import SceneError
+from clvol.opencl.structs import MOST_NOISE_TERMS as MOST_TERMS
+from clvol.opencl.structs import NOISE_TERM as TERM_DTYPE
+from clvol.volume.grid import Grid
+
+TILE = 32  # texels an edge
+CHANNELS = 4  # x, y, z of a displacement; the value
+CENTRE = 4.0  # cycles a tile in the middle of the band
+TARGETS = {"value": 0, "coordinate": 1}  # NOISE_... of cl/noise.h
+# What float32 may add to a bound that is exact in real numbers: a few roundings an octave.
+_ROUNDING = 1.0 + 1e-5
+_PLACE_ROUNDING = 0.01  # lattice units: far more than rounding of a place
+
+
+class Noise(Protocol):
+    """One term, as a scene states it: a [noise] table has these attributes."""
+
+    target: str  # "value" or "coordinate"
+    amplitude: float  # units of the value, or world length
+    frequency: float  # tiles along the domain's longest edge
+    octaves: int
+    gain: float
+    seed: int
+    velocity: Sequence[float]  # [3], tiles a second
+
+
+@lru_cache(maxsize=8)
+def noise_tile(seed: int) -> np.ndarray:
+    """uint8 [32, 32, 32, 4] (z, y, x, channel), read-only; byte b stands for b / 127.5 - 1.
+
+    ``seed``: any integer; it alone decides.
+    """
+    cycles = np.fft.fftfreq(TILE, 1.0 / TILE)
+    k = np.sqrt(sum(axis**2 for axis in np.meshgrid(cycles, cycles, cycles, indexing="ij")))
+    octave = np.log2(np.maximum(k, 1e-9) / CENTRE)
+    band = np.where(np.abs(octave) < 1, np.cos(0.5 * np.pi * octave) / np.maximum(k, 1.0), 0.0)
+    white = _white(seed)
+    tile = np.empty((TILE, TILE, TILE, CHANNELS), np.uint8)
+    for channel in range(CHANNELS):
+        smooth = np.fft.ifftn(np.fft.fftn(white[channel]) * band).real
+        ranks = np.empty(TILE**3, np.int64)
+        ranks[np.argsort(smooth, axis=None, kind="stable")] = np.arange(TILE**3)
+        tile[..., channel] = (ranks * 256 // TILE**3).reshape(TILE, TILE, TILE)
+    tile.setflags(write=False)
+    return tile
+
+
+def _white(seed: int) -> np.ndarray:
+    """float64 [channel, z, y, x], uniform in [0, 1): splitmix64 (Steele et al. 2014), whose numbers
+    no version of a library changes."""
+    state = np.arange(CHANNELS * TILE**3, dtype=np.uint64)
+    state += np.uint64(seed % 2**44 << 20)  # a stretch of 2^20 numbers for each seed
+    golden = np.uint64(0x9E3779B97F4A7C15)
+    mixed = (state + np.uint64(1)) * golden
+    for shift, factor in ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB)):
+        mixed = (mixed ^ (mixed >> np.uint64(shift))) * np.uint64(factor)
+    mixed ^= mixed >> np.uint64(31)
+    return (mixed >> np.uint64(11)).astype(np.float64).reshape(CHANNELS, TILE, TILE, TILE) / 2**53
+
+
+def tile_words(tile: np.ndarray) -> np.ndarray:
+    """uint32 [32^3] for the device: channel c of a texel in bits 8 c .. 8 c + 7."""
+    words = tile.astype(np.uint32) << (8 * np.arange(CHANNELS, dtype=np.uint32))
+    return np.bitwise_or.reduce(words, axis=-1).ravel()
+
+
+def fractal_noise(tile: np.ndarray, noise: Noise, position: np.ndarray, time: float = 0.0):
+    """The twin of cl/noise.h in double precision: float64 [..., 4], the fBm of every channel.
+
+    ``position`` [..., 3]: (x, y, z) in tiles (frequency included, velocity not). ``time``: seconds.
+    """
+    position = np.asarray(position, np.float64)
+    offset = _offset(noise, time)
+    total = np.zeros((*position.shape[:-1], CHANNELS))
+    for octave in range(noise.octaves):
+        total += noise.gain**octave * _trilinear(tile, position * 2.0**octave + offset)
+    return total
+
+
+def perturbed(
+    noises: Iterable[Noise], grid: Grid, place: np.ndarray, time: float = 0.0
+) -> tuple[np.ndarray, np.ndarray]:
+    """What all of ``noises`` do at ``place`` [..., 3]: the place to sample instead (float64 [..., 3])
+    and what to add to the value there (float64 [...]). Places are index coordinates (x, y, z) of
+    ``grid``.
+    """
+    place = np.asarray(place, np.float64)
+    moved, added = place.copy(), np.zeros(place.shape[:-1])
+    for noise in noises:
+        position = (place - grid.index_bounds()[0]) * _tiles_an_index(noise, grid)
+        sums = fractal_noise(noise_tile(noise.seed), noise, position, time)
+        if noise.target == "value":
+            added += noise.amplitude * sums[..., 3]
+        else:
+            moved += noise.amplitude * sums[..., :3] / np.asarray(grid.spacing)
+    return moved, added
+
+
+def value_bound(noise: Noise) -> float:
+    """The most that ``noise`` adds to, or takes from, a value: 0 for one that moves places."""
+    return _bound(noise, slice(3, 4)) if noise.target == "value" else 0.0
+
+
+def displacement_bound(noise: Noise) -> float:
+    """The farthest that ``noise`` moves a place along any index axis, world length: 0 for one that
+    changes values."""
+    return _bound(noise, slice(0, 3)) if noise.target == "coordinate" else 0.0
+
+
+def perturbation(noises: Iterable[Noise], grid: Grid, value_gain: float = 1.0) -> Perturbation:
+    """What all of ``noises`` together do at most, for leaping over cells."""
+    noises = list(noises)
+    moved = sum(displacement_bound(noise) for noise in noises) / np.asarray(grid.spacing)
+    # Lattice units; farther than any volume's size there is nothing else to reach.
+    cells = np.ceil(np.minimum(moved + _PLACE_ROUNDING, 2.0**31) / (1 << CELL_SHIFT))
+    cells = np.where(moved > 0, cells, 0).astype(np.int64)
+    return Perturbation(
+        sum(value_bound(noise) for noise in noises) * value_gain, tuple(int(n) for n in cells)
+    )
+
+
+def _bound(noise: Noise, channels: slice) -> float:
+    """Interpolation stays within the texels; octaves at their worst all peak in one place."""
+    peak = np.abs(noise_tile(noise.seed)[..., channels] / 127.5 - 1.0).max()
+    octaves = sum(abs(noise.gain) ** k for k in range(noise.octaves))
+    return abs(noise.amplitude) * float(peak) * octaves * _ROUNDING
+
+
+def device_noise(
+    noises: Sequence[Noise], grid: Grid, time: float = 0.0, value_gain: float = 1.0
+) -> tuple[np.ndarray, int, int]:
+    """(terms, values, coordinates) for cl/noise.h: TERM_DTYPE [MOST_TERMS], those that change
+    values first, and how many there are of each kind. Changes from frame to frame with ``time`` alone.
+
+    ``value_gain``: what the device multiplies differences of values by (``ValueMap.gain``). Terms
+    refer to the tiles of ``device_tiles`` for the same noises. SceneError for more than MOST_TERMS.
+    """
+    if len(noises) > MOST_TERMS:
+        raise SceneError("scene: noise", f"got {len(noises)}", f"at most {MOST_TERMS} terms")
+    terms = np.zeros(MOST_TERMS, TERM_DTYPE)
+    ordered = sorted(noises, key=lambda noise: TARGETS[noise.target])
+    seeds = _seeds(noises)
+    for term, noise in zip(terms, ordered):
+        term["scale"][:3] = _tiles_an_index(noise, grid)
+        term["scale"][3] = noise.gain
+        term["offset"][:3] = _offset(noise, time)
+        if noise.target == "value":
+            term["amplitude"][3] = noise.amplitude * value_gain
+        else:
+            term["amplitude"][:3] = noise.amplitude / np.asarray(grid.spacing)
+        first = seeds.index(noise.seed) * TILE**3
+        term["shape"] = (noise.octaves, TARGETS[noise.target], first, 0)
+    values = sum(noise.target == "value" for noise in noises)
+    return terms, values, len(ordered) - values
+
+
+def device_tiles(noises: Iterable[Noise]) -> np.ndarray:
+    """uint32 [n 32^3]: the tiles of all seeds of ``noises``, one after another."""
+    return np.concatenate([tile_words(noise_tile(seed)) for seed in _seeds(noises)])
+
+
+def _seeds(noises: Iterable[Noise]) -> list[int]:
+    return list(dict.fromkeys(noise.seed for noise in noises))
+
+
+def _tiles_an_index(noise: Noise, grid: Grid) -> np.ndarray:
+    """float64 [3]: tiles from one voxel to the next along x, y, z."""
+    lower, upper = grid.index_bounds()
+    spacing = np.asarray(grid.spacing)
+    return noise.frequency * spacing / ((upper - lower) * spacing).max()
+
+
+def _offset(noise: Noise, time: float) -> np.ndarray:
+    """float64 [3], 0 .. 1: how far noise has moved after ``time``, but for whole tiles."""
+    moved = np.array([math.fmod(float(speed) * time, 1.0) for speed in noise.velocity])
+    return moved - np.floor(moved)
+
+
+def _trilinear(tile: np.ndarray, position: np.ndarray) -> np.ndarray:
+    """float64 [..., 4], -1 .. 1, at ``position`` [..., 3] in tiles. Texel i sits at i / 32."""
+    texel = (position - np.floor(position)) * TILE
+    low = np.floor(texel).astype(np.int64)
+    f = texel - low
+    total = np.zeros((*position.shape[:-1], CHANNELS))
+    for corner in range(8):
+        step = np.array([corner & 1, corner >> 1 & 1, corner >> 2])
+        x, y, z = np.moveaxis((low + step) % TILE, -1, 0)
+        weight = np.where(step == 1, f, 1.0 - f).prod(axis=-1)
+        total += weight[..., None] * tile[z, y, x]
+    return total / 127.5 - 1.0

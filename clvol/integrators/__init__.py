@@ -1,0 +1,1 @@
+"""The ways of rendering a scene, one folder each."""

@@ -1,0 +1,287 @@
+"""Rays through a volume of blocks: the host side of cl/march_blocks.h."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from clvol.device.view import ray_frame
+from clvol.features import STEPPINGS
+from clvol.integrators.multiresolution.bounds import most_steps
+from clvol.integrators.multiresolution.device_blocks import DeviceBlocks
+from clvol.integrators.multiresolution.sample_allocator import map_shift
+from clvol.integrators.raycast.caster import (
+    _SCENE_ARGUMENTS,
+    _SECONDS_A_SAMPLE,
+    Raycaster,
+    device_function,
+    scene_nodes,
+    segment_classification,
+)
+from clvol.integrators.tiles.geometry import TileGrid
+from clvol.integrators.tiles.launch import PacketRenderer
+from clvol.integrators.tiles.statistics import corner_statistics
+from clvol.opencl.context import DeviceArray, DeviceContext
+from clvol.opencl.structs import BLOCKS
+from clvol.scene.camera import Camera
+from clvol.scene.resolve import ResolvedScene
+from clvol.schedule.tiles import TILE
+from clvol.store.source import DROPPED
+from clvol.transfer import TransferFunction
+from clvol.transfer.lookup_nodes import visible_cells
+from clvol.transfer.pieces import value_gate
+
+BLOCK_COUNTERS = ("block_reads", "blended_samples")  # COUNT_... of cl/block_parameters.h
+# Switches of kernels that look at blocks and cast no rays.
+_OF_BLOCKS = (
+    "VOXEL_BITS", "VOXEL_SIGNED", "VOXEL_SCALED", "VOXEL_HOLES", "VOXEL_PAIRS", "SAMPLE_BUFFERS",
+    "INTERBLOCK", "FILTER", "CLASSIFICATION", "TRANSFER_PIECES",
+)  # fmt: skip
+_MORE = ["samples1", "samples2", "samples3"]
+_EMPTY, _BESIDE_HOLES = 255, 1  # of cl/block_cells.cl
+
+
+class BlockedVolume:
+    """A volume on the device as ``DeviceVolume`` is, but as blocks. Lattice coordinates are the same."""
+
+    def __init__(self, blocks: DeviceBlocks) -> None:
+        self.blocks = blocks
+        self.values = blocks.value_map
+        self.switches = blocks.switches
+        grid = blocks.blocks
+        self.size = tuple(max(n, 2) for n in reversed(grid.shape))
+        self.stride = (0, 0)
+        self.cell_shift = map_shift(grid, blocks.memory_bytes)
+        self.cells = tuple(n * (grid.edge >> self.cell_shift) for n in reversed(grid.counts))
+
+    @property
+    def voxels(self) -> DeviceArray:
+        return self.blocks.samples[0]
+
+
+class BlockCaster(Raycaster):
+    """As ``Raycaster``, for scenes of emission and absorption and the method "multiresolution".
+
+    ``blocks``: what is resident. ``render`` shows what is resident at that moment; ``set_resident`` must be
+    called when that has changed.
+    """
+
+    def __init__(
+        self,
+        context: DeviceContext,
+        resolved: ResolvedScene,
+        blocks: DeviceBlocks,
+        *,
+        lanes: int | None = None,
+        skip: bool = True,
+        tile: tuple[int, int] = (TILE, TILE),
+    ) -> None:
+        self.blocks = blocks
+        grid = blocks.blocks
+        row = np.zeros(1, BLOCKS)
+        row["count"] = (*reversed(grid.counts), grid.levels - 1)
+        row["edge"][0, :2] = (grid.edge, 1.0 / grid.edge)
+        self._blocks = context.upload(row)
+        super().__init__(
+            context, resolved, lanes=lanes, skip=skip, tile=tile, volume=BlockedVolume(blocks)
+        )
+
+    @property
+    def settings(self):
+        return self.resolved.multiresolution
+
+    @property
+    def _is_midpoint(self) -> bool:
+        functions = [self._asked_function]
+        return segment_classification(self.resolved.integration, functions) != "preintegrated"
+
+    def set_transfer_function(self, function: TransferFunction) -> None:
+        """Another transfer function for the blocks that are resident: tables and empty space."""
+        resolved = self.resolved
+        self.nodes = scene_nodes(resolved, function)
+        mapped = device_function(function, self.volume.values)
+        self._asked_function = function
+        self.stepping = self._fitting_stepping()
+        self._set_colors()
+        visible = visible_cells(mapped, self.nodes.values)
+        self.gate = value_gate(mapped)
+        self._visible = visible, mapped.opacity(self.nodes.values) > 0
+        warp = self.nodes.warp
+        self.warp = self.context.upload(np.zeros(2, np.float32) if warp is None else warp)
+        self._set_switches()
+        self.light_volume_samples = 0
+        self._without_surfaces = None
+        self.set_resident()
+
+    def _set_switches(self) -> None:
+        self.switches = block_switches(
+            self.resolved, self.lanes, self.skip, self.stepping, self._asked_function
+        )
+        self.switches |= self.blocks.switches
+
+    def _fitting_stepping(self) -> str:
+        """The scene's, but where all blocks that show anything shall be at full resolution a step a
+        sample is an even step, for which there is a faster kernel."""
+        asked, goal = self.settings.stepping, self.blocks.goal
+        is_even = not ((goal > 0) & (goal != DROPPED)).any()
+        return "full" if is_even and asked in ("limited", "naive") else asked
+
+    def set_resident(self) -> None:
+        """Finds empty space anew in the blocks that are resident."""
+        context, volume = self.context, self.volume
+        stepping = self._fitting_stepping()
+        if stepping != self.stepping:
+            self.stepping = stepping
+            self._set_switches()
+        between, at = self._visible
+        view = np.zeros(1, self._view_dtype)
+        self._describe_volume(view[0])
+        kernel = context.kernel(
+            "block_cells.cl",
+            "visible_block_cells",
+            "in volume V1, in warp float32, in before int32, in at uint8, in view V1, in index int32, "
+            f"in corners uint32, in blocks V1{self._more_samples[0]}, out cells uint8",
+            self._switches_of_blocks,
+        )
+        cells = context.empty(np.uint8, volume.cells[::-1])
+        kernel(
+            context.queue,
+            volume.cells,
+            None,
+            volume=volume.voxels,
+            warp=self.warp,
+            before=context.upload(np.concatenate([[0], np.cumsum(between)]).astype(np.int32)),
+            at=context.upload(at.astype(np.uint8)),
+            view=context.upload(view),
+            cells=cells,
+            **self._resident_arrays(),
+        )
+        self._set_steps()
+        found = context.read(cells)
+        self.shown_cells, self.hole_cells = found != _EMPTY, found == _BESIDE_HOLES
+        self.visible_share = float(self.shown_cells.mean())
+        self._find_distances(self.shown_cells)
+
+    @property
+    def _switches_of_blocks(self) -> dict[str, int]:
+        of_blocks = {name: self.switches[name] for name in _OF_BLOCKS}
+        return of_blocks | {"LANES": 1, "WARPED_CLASSES": int(self.nodes.warp is not None)}
+
+    def _set_steps(self) -> None:
+        """For bounded stepping: how many steps may be taken at once in each block that is resident."""
+        if self.stepping != "bounded":
+            return
+        context, blocks = self.context, self.blocks.blocks
+        view = np.zeros(1, self._view_dtype)
+        self._describe_volume(view[0])
+        kernel = context.kernel(
+            "block_bounds.cl",
+            "block_bounds",
+            "in volume V1, in view V1, in index int32, in corners uint32, in blocks V1"
+            f"{self._more_samples[0]}, out bounds float32",
+            self._switches_of_blocks,
+        )
+        bounds = context.empty(np.float32, (blocks.count, 4))
+        arrays = {"volume": self.volume.voxels, "view": context.upload(view), "bounds": bounds}
+        kernel(context.queue, blocks.counts[::-1], None, **arrays, **self._resident_arrays())
+        self.steps = most_steps(
+            context.read(bounds),
+            device_function(self._asked_function, self.volume.values),
+            self.nodes.values,
+            self.length,
+            self.resolved.integration.step,
+            self.settings.step_error,
+            blocks.edge,
+            self._is_midpoint,
+        )
+        self._steps = context.upload(np.append(self.steps, np.zeros(4, np.uint8)))
+
+    def like(self, resolved: ResolvedScene) -> BlockCaster:
+        other = super().like(resolved)
+        if other.length != self.length:
+            other._set_steps()
+        return other
+
+    @property
+    def _more_samples(self) -> tuple[str, dict[str, DeviceArray]]:
+        more = dict(zip(_MORE, self.blocks.samples[1:]))
+        return "".join(f", in {name} V1" for name in more), more
+
+    def _resident_arrays(self) -> dict[str, DeviceArray]:
+        blocks = self.blocks
+        arrays = {"index": blocks.index, "corners": blocks.corners, "blocks": self._blocks}
+        return {**arrays, **self._more_samples[1]}
+
+    def _block_arrays(self) -> dict[str, DeviceArray]:
+        arrays = self._resident_arrays()
+        return {**arrays, "steps": self._steps} if self.stepping == "bounded" else arrays
+
+    @property
+    def _declared(self) -> str:
+        bounded = ", in steps uint8" if self.stepping == "bounded" else ""
+        return ", in index int32, in corners uint32, in blocks V1" + self._more_samples[0] + bounded
+
+    def _more_arguments(self, tiles: int) -> tuple[str, dict[str, DeviceArray]]:
+        self._tally = self.context.output(np.uint32, (tiles, len(BLOCK_COUNTERS)))
+        return self._declared + ", out counts uint32", {**self._block_arrays(), "counts": self._tally}
+
+    # What ``TiledRenderer`` asks for
+
+    def packets(self, depth: bool) -> PacketRenderer:
+        return PacketRenderer(
+            "tile_rays.cl",
+            {**self.switches, "WITH_DEPTH": int(depth)},
+            _SCENE_ARGUMENTS.removesuffix(", "),
+            self._scene_arrays(),
+            self._declared + ", out counts uint32",
+            self._block_arrays(),
+            self.lanes,
+            self._most_samples() * _SECONDS_A_SAMPLE,
+            len(BLOCK_COUNTERS),
+        )
+
+    def picture_view(self, camera: Camera, width: int, height: int) -> np.ndarray:
+        """``View`` [1] of a whole picture."""
+        frame = ray_frame(camera, self.resolved.volume.grid, width, height)
+        return self._frame_view(frame, width, height)
+
+    def blank_view(self) -> np.ndarray:
+        """``View`` [1] of a picture of no pixels."""
+        return np.zeros(1, self._view_dtype)
+
+    def corner_statistics(self, view: np.ndarray, grid: TileGrid) -> tuple[np.ndarray, int]:
+        blocks, bits = self.blocks.blocks, self.volume.switches["VOXEL_BITS"]
+        index = self.blocks.index
+        return corner_statistics(self.context, index, blocks, view, bits, grid), blocks.edge
+
+    def counted(self, counts: np.ndarray) -> dict[str, int]:
+        return self._counters(counts)
+
+    @property
+    def shows_nothing(self) -> bool:
+        return self._shows_nothing
+
+    def _counters(self, counts: np.ndarray) -> dict[str, int]:
+        sums = counts.sum(axis=0, dtype=np.uint64)
+        return {name: int(total) for name, total in zip(BLOCK_COUNTERS, sums)}
+
+
+def block_switches(
+    resolved: ResolvedScene,
+    lanes: int,
+    skip: bool,
+    stepping: str | None = None,
+    function: TransferFunction | None = None,
+) -> dict[str, int]:
+    """What gets compiled for a scene of blocks, but for what the samples' type and buffers add.
+    ``stepping`` and ``function`` instead of the scene's."""
+    from clvol.integrators.raycast.caster import raycast_switches
+
+    asked = resolved.multiresolution
+    return {
+        **raycast_switches(
+            resolved, lanes=lanes, skip=skip, function=function
+        ),
+        "BLOCKS": 1,
+        "STEPPING": STEPPINGS[stepping or asked.stepping],
+        "INTERBLOCK": int(asked.interblock),
+    }

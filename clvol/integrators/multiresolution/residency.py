@@ -1,0 +1,118 @@
+"""Which blocks of a volume are on the device, at which level, for a scene and a view."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from clvol.errors import SceneError
+from clvol.integrators.multiresolution.device_blocks import DeviceBlocks
+from clvol.integrators.multiresolution.selection import Selection, SourceErrors, select_blocks, source_errors
+from clvol.opencl.context import DeviceContext
+from clvol.scene.resolve import ResolvedScene
+from clvol.store.source import DROPPED, BlockSource, VolumeBlocks
+from clvol.transfer import TransferFunction
+from clvol.volume import Volume
+
+
+def block_source(volume: Volume) -> BlockSource:
+    """The store that ``volume`` lies in, else its voxels in memory."""
+    found = getattr(volume, "blocks_source", None)
+    return VolumeBlocks(volume) if found is None else found
+
+
+class Residency:
+    """The blocks of one volume within one budget.
+
+    ``ask`` selects levels for a scene; what differs from what is there is read, at once or by a thread while
+    frames go on with what there is (``DeviceBlocks``).
+    """
+
+    def __init__(self, context: DeviceContext, resolved: ResolvedScene) -> None:
+        self.source = block_source(resolved.volume)
+        memory = resolved.multiresolution.memory_bytes
+        try:
+            self.blocks = DeviceBlocks(context, self.source, memory)
+        except SceneError as error:
+            raise SceneError(f"{resolved.origin}: {error.where}", error.what, error.expected) from None
+        self.memory_bytes = memory
+        self.selection: Selection | None = None
+        self._errors: tuple[TransferFunction, np.ndarray, SourceErrors] | None = None
+        self._means: np.ndarray | None = None
+        self._asked: tuple = ()
+        self._waits = True
+        self.generation = 0  # one more whenever something on the device has changed
+
+    def ask(
+        self,
+        resolved: ResolvedScene,
+        *,
+        wait: bool | None = None,
+        progress: Callable[[int, int], None] | None = None,
+    ) -> bool:
+        """Levels for ``resolved``; says whether anything on the device changed.
+
+        ``wait``: until all is there; else a thread reads, and ``DeviceBlocks.commit`` puts in place what has come.
+        None: as was said last, but once all has come what is asked for next is waited for.
+        """
+        if wait is not None:
+            self._waits = wait
+        try:
+            changed = self._ask(resolved, self._waits, progress)
+        except BaseException:
+            self._asked = ()  # what has not come is asked for again
+            raise
+        self._waits |= not self.blocks.pending
+        self.generation += changed
+        return changed
+
+    def _ask(self, resolved: ResolvedScene, wait: bool, progress) -> bool:
+        settings, function = resolved.multiresolution, resolved.transfer_function
+        camera = resolved.camera if settings.view_weighting else None
+        view = (camera, resolved.image.width, resolved.image.height) if camera else None
+        asked = (function, view, settings.occlusion, resolved.background.tobytes())
+        if asked == self._asked:
+            return self.blocks.wait(progress) if wait else self.blocks.commit()
+        known = self._source_errors(function, resolved.background)
+        self.selection = select_blocks(
+            self.source, function, resolved.background, camera, resolved.image,
+            self.blocks.sample_bytes, occlusion=settings.occlusion, known=known,
+        )  # fmt: skip
+        self._asked = asked
+        if wait:
+            self.blocks.load(self.selection.levels, self._means, progress)
+            self.blocks.commit()
+            return True
+        priority = known.errors[-1]
+        self.blocks.start(self.selection.levels, self._means, priority)
+        return self.blocks.commit()
+
+    def _source_errors(self, function: TransferFunction, background: np.ndarray) -> SourceErrors:
+        if self._means is None:
+            self._means = np.concatenate([part.mean[-1] for part in self.source.statistics()])
+        if self._errors is not None:
+            old_function, old_background, errors = self._errors
+            if old_function == function and np.array_equal(old_background, background):
+                return errors
+        errors = source_errors(self.source, function, background)
+        self._errors = function, np.array(background), errors
+        return errors
+
+    def describe(self) -> dict[str, Any]:
+        """For stats: blocks by level (full resolution first), dropped, still to come; bytes; and the selection's
+        error (Delta-E times pixels where views weigh, else Delta-E, summed over blocks) with its lower bound."""
+        levels = self.blocks.levels
+        counts = np.bincount(levels, minlength=DROPPED + 1)
+        return {
+            "levels": counts[: self.source.blocks.levels].tolist(),
+            "dropped": int(counts[DROPPED]),
+            "pending": self.blocks.pending,
+            "edge": self.source.blocks.edge,
+            "bytes_of_samples": self.blocks.used_bytes,
+            "bytes_on_device": self.blocks.device_bytes,
+            "bytes_allowed": self.memory_bytes,
+            "estimated_error": self.selection.error,
+            "least_possible_error": self.selection.bound,
+        }

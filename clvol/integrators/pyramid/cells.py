@@ -1,0 +1,254 @@
+"""Maps of distances for oracles, found on the device (cl/oracle_cells.cl).
+
+With the set of cells that are bad for samples h apart, for each h of a row of scales (1, 2, 4 ... edges), the distance at a place is
+the least of h / 2 + way to that set: where h is bad, half of it, which is not, and more farther from there. So it grows by no more than
+the way from one place to another, which the march relies on (cl/pyramid.h, freshness).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from clvol.integrators.pyramid.layout import BRICK, MAP_SPARE, map_bytes, padded_row
+from clvol.integrators.pyramid.oracle import Asked
+from clvol.opencl.context import DeviceArray, DeviceContext
+
+BINS = 2048  # of values, for what an error of a value shows
+_WIDEST = 0.05  # of the value range: bins go on beyond it by so much, for interpolated values
+_FAR = 65535
+_MAPPED = "value bias {real}, value gain {real}"
+
+
+def voxels_bad_for_error(asked: Asked) -> DeviceArray:
+    """uint8 [z, y, x] of voxels: bit s is set where samples ``asked.scales[s]`` apart may show more than epsilon that is wrong."""
+    context, volume, scales = asked.context, asked.volume, asked.scales
+    # Along an axis with longer edges half a scale may be less than a lattice unit.
+    halves = scales[:, None] / 2.0 / np.asarray(asked.edges)
+    whole = np.maximum(np.rint(halves), 1).astype(np.int32)
+    shares = np.minimum(halves / whole, 1.0).astype(np.float32)
+    low, high = volume.value_range
+    margin = _WIDEST * (high - low) or 1.0
+    first, last = low - margin, high + margin
+    shown = np.stack([segment_colors(asked, first, last, scale) for scale in scales])
+    slopes = np.abs(np.diff(shown, axis=1))
+    tops = np.maximum(shown[:, 1:], shown[:, :-1])
+    bottoms = np.minimum(shown[:, 1:], shown[:, :-1])
+    tables = [context.upload(_sparse(table)) for table in (slopes, tops, -bottoms)]
+    rows, n = tables[0].shape[1:3]
+    nx, ny, nz = volume.size
+    out = context.empty(np.uint8, (nz, ny, nx))
+    kernel = _kernel(
+        asked, "bad_voxels",
+        f"in volume V1, value size int4, in halves int32, in shares float32, {_MAPPED}, in slopes float32, "
+        "in tops float32, in minus_bottoms float32, in steepest float32, value n int32, "
+        "value rows int32, value first float32, value per_value float32, value epsilon float32, "
+        "out bad uint8", len(scales),
+    )  # fmt: skip
+    kernel(
+        context.queue, (ny, nz), None, volume=volume.plain(), size=(*volume.size, 0),
+        halves=context.upload(_fours(whole)), shares=context.upload(_fours(shares)),
+        slopes=tables[0], tops=tables[1], minus_bottoms=tables[2],
+        steepest=context.upload(slopes.max(axis=(1, 2))), n=n, rows=rows, first=first,
+        per_value=n / (last - first), epsilon=asked.epsilon, bad=out, **_mapped(asked),
+    )  # fmt: skip
+    return out
+
+
+def segment_colors(asked: Asked, first: float, last: float, edges: float) -> np.ndarray:
+    """float32 [BINS + 1, 4]: premultiplied colour and opacity of a segment of one value, ``edges`` long, at the ends of
+    even bins from ``first`` to ``last``."""
+    values = np.linspace(first, last, BINS + 1)
+    function = asked.function
+    with np.errstate(divide="ignore", over="ignore"):
+        depth = -np.log1p(-function.opacity(values)) * (edges * asked.opacity_edges)
+    opacity = -np.expm1(-depth)
+    return np.column_stack([function.color(values) * opacity[:, None], opacity]).astype(np.float32)
+
+
+def voxels_of_steep_opacity(asked: Asked) -> DeviceArray:
+    """uint8 [z, y, x] of voxels: 1 where the opacity (of a smallest edge) changes by more than epsilon over a smallest edge."""
+    context, volume = asked.context, asked.volume
+    low, high = volume.value_range
+    last = high if high > low else low + 1.0
+    opacity = segment_colors(asked, low, last, 1.0)[:, 3]
+    nx, ny, nz = volume.size
+    out = context.empty(np.uint8, (nz, ny, nx))
+    kernel = _kernel(
+        asked, "steep_voxels",
+        f"in volume V1, value size int4, {_MAPPED}, in opacity float32, value n int32, "
+        "value first float32, value per_value float32, value edges float4, "
+        "value threshold float32, out bad uint8",
+    )  # fmt: skip
+    kernel(
+        context.queue, (ny, nz), None, volume=volume.plain(), size=(*volume.size, 0),
+        opacity=context.upload(opacity), n=BINS + 1, first=low, per_value=BINS / (last - low),
+        edges=(*asked.edges, 1.0), threshold=asked.epsilon, bad=out, **_mapped(asked),
+    )  # fmt: skip
+    return out
+
+
+def cells_of_voxels(asked: Asked, voxels: DeviceArray) -> DeviceArray:
+    """The bits of the cells [z, y, x] of ``asked``'s map, whose rows are padded: those of any voxel at their corners or in them."""
+    context, (nz, ny, nx) = asked.context, asked.shape
+    out = padded_cells(asked)
+    kernel = _kernel(
+        asked, "bad_cells",
+        "in voxels uint8, value size int4, value shift int32, value cells int4, value stride int32, "
+        "out bad uint8",
+    )  # fmt: skip
+    kernel(
+        context.queue, (ny, nz), None, voxels=voxels, size=(*asked.volume.size, 0),
+        shift=asked.shift, cells=(nx, ny, nz, 0), stride=out.shape[2], bad=out,
+    )  # fmt: skip
+    return out
+
+
+def padded_cells(asked: Asked) -> DeviceArray:
+    """uint8 [z, y, x] for the cells of ``asked``'s map, rows padded; uninitialised."""
+    nz, ny, nx = asked.shape
+    return asked.context.empty(np.uint8, (nz, ny, padded_row(nx)))
+
+
+def upload_cells(asked: Asked, bad: np.ndarray) -> DeviceArray:
+    """The same of bits [z, y, x] that are known on the host."""
+    nx = bad.shape[2]
+    return asked.context.upload(np.pad(bad, ((0, 0), (0, 0), (0, padded_row(nx) - nx))))
+
+
+def distance_map(asked: Asked, bad: DeviceArray, scales: Sequence[float]) -> DeviceArray:
+    """uint8 as kernels read it (cl/oracle_layout.h): at each cell the least of scale / 2 + way to
+    the cells whose bit of ``bad`` says that they are bad for it, at most ``asked.reach``."""
+    found = _map_of(asked, asked.reach)
+    for bit, scale in enumerate(scales):
+        _move_distances(asked, bad, bit, found, scale / 2.0, asked.reach, raises=False)
+    return found
+
+
+def raise_to_ways(asked: Asked, bad: DeviceArray, bit: int, found: DeviceArray) -> None:
+    """Makes distances of the map ``found`` at least 1 / 2 + the way to the cells that have the bit."""
+    _move_distances(asked, bad, bit, found, 0.5, asked.reach, raises=True)
+
+
+def way_map(asked: Asked, bad: DeviceArray, reach: float, unit: float) -> DeviceArray:
+    """As ``distance_map``, of ways alone, to cells whose bit 0 is set."""
+    found = _map_of(asked, 0.0)
+    _move_distances(asked, bad, 0, found, 0.0, reach, raises=True, unit=unit)
+    return found
+
+
+def _map_of(asked: Asked, distance: float) -> DeviceArray:
+    code = distance_codes(np.array(distance))
+    codes = np.full(map_bytes(asked.shape), code, np.uint8)
+    return asked.context.upload(codes, writable=True)
+
+
+def _move_distances(
+    asked: Asked,
+    bad: DeviceArray,
+    bit: int,
+    found: DeviceArray,
+    base: float,
+    most: float,
+    *,
+    raises: bool,
+    unit: float = 0.25,
+) -> None:
+    """Raises or lowers the map ``found`` to ``base`` + way to the cells with the bit, at most ``most``, which are less than
+    256 units: squares of ways are counted in those of ``unit``, up to 2^16."""
+    context, (nz, ny, nx) = asked.context, asked.shape
+    cells, stride = (nx, ny, nz, 0), bad.shape[2]
+    near, spare = (context.empty(np.uint16, bad.shape) for _ in range(2))
+    start = _kernel(asked, "start_near", "in bad uint8, value bits uint32, out near uint16")
+    step = _kernel(
+        asked, "near_pass",
+        "in source uint16, out target uint16, value cells int4, value stride int32, "
+        "value axis int32, value window int32, in gaps uint16",
+    )  # fmt: skip
+    move = _kernel(
+        asked, "move_distances",
+        "in near uint16, value cells int4, value stride int32, value base float32, value most float32, "
+        "value unit float32, value raises int32, out map uint8",
+    )  # fmt: skip
+    start(context.queue, (bad.nbytes // 16,), None, bad=bad, bits=1 << bit, near=near)
+    for axis, edge in enumerate(asked.edges):
+        gaps = squared_gaps(edge * (1 << asked.shift), most - base, unit)
+        step(
+            context.queue, (stride // 16, ny, nz), None, source=near, target=spare, cells=cells,
+            stride=stride, axis=axis, window=len(gaps) - 1, gaps=context.upload(gaps),
+        )  # fmt: skip
+        near, spare = spare, near
+    move(
+        context.queue, (ny, nz), None, near=near, cells=cells, stride=stride, base=base, most=most,
+        unit=unit, raises=int(raises), map=found,
+    )  # fmt: skip
+
+
+def squared_gaps(cell: float, most: float, unit: float) -> np.ndarray:
+    """uint16: squares of what lies between two cells 0, 1, 2 ... apart, ``cell`` edges each, in those of ``unit``, rounded down; as
+    far as it is less than ``most``."""
+    count = int(np.ceil(most / cell)) + 2
+    gaps = np.maximum(np.arange(count) - 1, 0) * cell
+    return np.minimum(np.floor((gaps / unit) ** 2), _FAR).astype(np.uint16)
+
+
+def upload_distances(context: DeviceContext, distances: np.ndarray) -> DeviceArray:
+    """A map from distances on the host, float [z, y, x], in smallest edges."""
+    shape = distances.shape
+    codes = np.pad(distance_codes(distances), [(0, -n % BRICK) for n in shape])
+    bricks = codes.reshape(_in_bricks(shape)).transpose(0, 2, 4, 1, 3, 5)
+    return context.upload(np.append(bricks.ravel(), np.zeros(MAP_SPARE, np.uint8)))
+
+
+def read_distances(context: DeviceContext, found: DeviceArray, shape: tuple[int, int, int]) -> np.ndarray:
+    """float64 [z, y, x]: distances in smallest edges that a map of so many cells has."""
+    nz, ny, nx = shape
+    bricks = context.read(found)[:-MAP_SPARE].reshape(np.take(_in_bricks(shape), (0, 2, 4, 1, 3, 5)))
+    codes = bricks.transpose(0, 3, 1, 4, 2, 5).reshape([n + -n % BRICK for n in shape])
+    return decoded_distances(codes[:nz, :ny, :nx])
+
+
+def _in_bricks(shape: tuple[int, int, int]) -> list[int]:
+    return [n for cells in shape for n in (-(-cells // BRICK), BRICK)]
+
+
+def distance_codes(distances: np.ndarray) -> np.ndarray:
+    """uint8: distances in edges (0 or more) as bytes, rounded down to four binary digits."""
+    words = np.maximum(np.asarray(distances, np.float32), 0).view(np.int32) >> 19
+    return np.clip(words - ((127 - 4) << 4), 0, 255).astype(np.uint8)
+
+
+def decoded_distances(codes: np.ndarray) -> np.ndarray:
+    """float64: what bytes stand for (cl/oracle.h)."""
+    words = (np.asarray(codes, np.int32) + ((127 - 4) << 4)) << 19
+    return np.where(codes == 0, 0.0, words.view(np.float32).astype(np.float64))
+
+
+def _mapped(asked: Asked) -> dict[str, float]:
+    values = asked.volume.values
+    return {"bias": values.bias, "gain": values.gain}
+
+
+def _kernel(asked: Asked, name: str, declared: str, scales: int = 1):
+    switches = {
+        key: asked.volume.switches[key] for key in ("VOXEL_BITS", "VOXEL_SIGNED", "VOXEL_SCALED")
+    }
+    real = "float64" if switches["VOXEL_BITS"] == 64 else "float32"
+    declared = declared.replace("{real}", real)
+    return asked.context.kernel("oracle_cells.cl", name, declared, {**switches, "SCALES": scales})
+
+
+def _fours(rows: np.ndarray) -> np.ndarray:
+    """[n, 3] as [n, 4]."""
+    return np.pad(rows, ((0, 0), (0, 1)))
+
+
+def _sparse(table: np.ndarray) -> np.ndarray:
+    """[..., rows, n, 4] of ``table`` [s, n, 4]: in row k the largest of 2^k entries from each on, which must all be there."""
+    rows = [table]
+    while 2 ** len(rows) <= table.shape[1]:
+        half = 2 ** (len(rows) - 1)
+        last = rows[-1]
+        rows.append(np.concatenate([np.maximum(last[:, :-half], last[:, half:]), last[:, -half:]], axis=1))
+    return np.ascontiguousarray(np.stack(rows, axis=1))

@@ -1,0 +1,45 @@
+"""The oracle of the data alone, from a min-max grid."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from clvol.device.empty_space import spread
+from clvol.integrators.pyramid.cells import cells_of_voxels, distance_map, upload_cells
+from clvol.integrators.pyramid.oracle import Asked, Oracle
+from clvol.opencl.context import DeviceArray
+
+_COARSER = 1  # the grid's cells are twice as long as the map's
+
+
+class Bandwidth(Oracle):
+    """How far values can be interpolated within epsilon, a share of the volume's range, whatever the transfer function
+    makes of them: an interpolated value lies between its samples, so where lowest and highest value
+    nearer than half a distance differ by no more than epsilon, samples may be that distance apart."""
+
+    name = "bandwidth"
+
+    def map(self, asked: Asked) -> DeviceArray:
+        shift = asked.shift + _COARSER
+        low, high = asked.volume.min_max(shift)
+        allowed = asked.epsilon * np.ptp(asked.volume.value_range)
+        bad = np.zeros(low.shape, np.uint8)
+        for bit, scale in enumerate(asked.scales):
+            around = tuple(int(scale / 2 / (edge * (1 << shift))) for edge in asked.edges)
+            span = spread(high, around, np.maximum) - spread(low, around, np.minimum)
+            bad |= (span > allowed).astype(np.uint8) << bit
+        for axis in range(3):
+            bad = np.repeat(bad, 1 << _COARSER, axis=axis)
+        nz, ny, nx = asked.shape
+        bad = bad[:nz, :ny, :nx]
+        if asked.volume.switches["VOXEL_HOLES"]:
+            bad[_holes(asked)] = 255
+        return distance_map(asked, upload_cells(asked, bad), asked.scales)
+
+
+def _holes(asked: Asked) -> np.ndarray:
+    """bool [z, y, x]: cells with a voxel that is not finite."""
+    context, (nz, ny, nx) = asked.context, asked.shape
+    voxels = ~np.isfinite(context.read(asked.volume.plain()))
+    cells = cells_of_voxels(asked, context.upload(voxels.astype(np.uint8)))
+    return context.read(cells)[:nz, :ny, :nx] > 0

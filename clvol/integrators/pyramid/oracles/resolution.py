@@ -1,0 +1,26 @@
+"""Oracle of volumes of blocks: nothing lies between a block's samples that is not in them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from clvol.integrators.pyramid.cells import distance_map, upload_cells
+from clvol.integrators.pyramid.oracle import Asked, Oracle
+from clvol.opencl.context import DeviceArray
+
+
+class Resolution(Oracle):
+    """The spacing of the samples of the block there (P2's kappa, here across rays as well as along them), of blocks that show
+    anything, and how far it is to them. Asked by the stepping "pyramid" of the method "multiresolution": no scene can
+    name it."""
+
+    name = "resolution"
+    takes_epsilon = False
+
+    def map(self, asked: Asked) -> DeviceArray:
+        shown, spacing = asked.blocks.shown, asked.blocks.spacing
+        bad = np.zeros(asked.shape, np.uint8)
+        for bit, scale in enumerate(asked.scales):
+            bad |= ((spacing < scale) & shown).astype(np.uint8) << bit
+        bad[asked.blocks.holes] = 255
+        return distance_map(asked, upload_cells(asked, bad), asked.scales)

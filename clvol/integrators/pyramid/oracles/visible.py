@@ -1,0 +1,57 @@
+"""The oracle of empty space."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from clvol.features import FILTER_REACH, overshoot
+from clvol.integrators.pyramid.cells import distance_map, padded_cells
+from clvol.integrators.pyramid.oracle import Asked, Oracle
+from clvol.opencl.context import DeviceArray
+from clvol.transfer.lookup_nodes import visible_cells
+
+
+class Visible(Oracle):
+    """Distance to the nearest cell in which anything can be visible: what is empty is not sampled densely, and
+    all else is, so that pictures are those of the minimum distance but for what lies next to visible space."""
+
+    name = "visible"
+    takes_epsilon = False
+
+    def map(self, asked: Asked) -> DeviceArray:
+        shown = padded_cells(asked)
+        visible_in_cells(asked, shown)
+        return distance_map(asked, shown, [1.0])
+
+
+def visible_in_cells(asked: Asked, cells: DeviceArray, bit: int = 0) -> None:
+    """Sets ``bit`` of the cells (as ``padded_cells``) in which anything can be visible. Bit 0 is the first to be set: it clears
+    all others."""
+    context, function, nodes = asked.context, asked.function, asked.nodes.values
+    nz, ny, nx = asked.shape
+    kernel = context.kernel(
+        "oracle_visible.cl",
+        "visible_cells",
+        "in volume V1, in warp float32, in before int32, in at uint8, in view V1, "
+        "value shift int32, value apron int32, value overshoot float32, value cells int4, "
+        "value stride int32, value bit int32, out visible uint8",
+        {**asked.switches, "LANES": 1},
+    )
+    before = np.concatenate([[0], np.cumsum(visible_cells(function, nodes))])
+    kernel(
+        context.queue,
+        (ny, nz),
+        None,
+        volume=asked.volume.plain(),
+        warp=asked.warp,
+        before=context.upload(before.astype(np.int32)),
+        at=context.upload((function.opacity(nodes) > 0).astype(np.uint8)),
+        view=context.upload(asked.view),
+        shift=asked.shift,
+        apron=FILTER_REACH[asked.filter],
+        overshoot=overshoot(asked.filter),
+        cells=(nx, ny, nz, 0),
+        stride=cells.shape[2],
+        bit=bit,
+        visible=cells,
+    )

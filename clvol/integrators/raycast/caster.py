@@ -1,0 +1,579 @@
+"""The ray caster's host side: device state of one scene, and a frame from it (cl/raycast.cl)."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from clvol.device.effects import ARGUMENTS as _EFFECT_ARGUMENTS
+from clvol.device.effects import COUNTERS, EffectState, effect_switches
+from clvol.device.empty_space import dilated, distance_map, surface_mask, visible_mask
+from clvol.device.light_volume import METHODS, fill_light_volume, shadow_step
+from clvol.device.memory import Perturbation, value_map, voxel_switches
+from clvol.device.noise import perturbation
+from clvol.device.opacity_factors import layer_functions
+from clvol.device.projection import hidden_score
+from clvol.device.tile_effects import tiles_that_see
+from clvol.device.view import EVERY_PIXEL, PixelLattice, RayFrame, ray_frame
+from clvol.device.volume import DeviceVolume
+from clvol.errors import RenderError
+from clvol.features import CLASSIFICATIONS, FILTERS, QUADRATURES, overshoot, reduced_for_frames
+from clvol.features.values import reachable
+from clvol.opencl.context import DeviceArray, DeviceContext, Kernel, restore_interrupts
+from clvol.opencl.structs import effects_dtype, view_dtype
+from clvol.scene.camera import Camera
+from clvol.scene.integration import Integration
+from clvol.scene.resolve import ResolvedScene
+from clvol.schedule.tiles import TILE, bands, tiling
+from clvol.transfer import TransferFunction
+from clvol.transfer.cycle import cycled
+from clvol.transfer.lookup_nodes import ClassNodes, class_nodes, visible_cells
+from clvol.transfer.opacity_envelope import union
+from clvol.transfer.pieces import (
+    IN_REGISTERS,
+    columns,
+    has_opaque_point,
+    piece_count,
+    piece_table,
+    value_gate,
+)
+
+_NODES, CONSTANT_NODES = 256, 4096  # of the values that maps of empty space tell apart
+_WIDEST = 8.0  # ranges that noise may widen the nodes by, on either side
+_SECONDS_A_SAMPLE = 1e-8  # a first guess, for how to cut a frame into launches
+_BAND_SECONDS = 0.5
+_SCENE_ARGUMENTS = "in volume V1, in table float32, in warp float32, in distances uint8, in view V1, "
+_ARGUMENTS = _SCENE_ARGUMENTS + "out image float32, out depths float32, out samples uint32"
+_FILL_ARGUMENTS = (
+    _SCENE_ARGUMENTS + "in coarse float32, in coarse_depths float32, "
+    "out image float32, out depths float32, out samples uint32, out rays uint32"
+)
+
+
+def segment_classification(
+    integration: Integration, functions: Sequence[TransferFunction] = ()
+) -> str:
+    """How segments are classified by ``functions``. Projections classify values, not segments.
+
+    Under the nearest filter values do not run from one sample to the next, they jump: a pre-integrated
+    segment of constant value is a post-classified one. Under the others, where the opacity reaches 1 in a
+    slope the extinction has a pole: a sample in the middle of a segment may meet it, whose integral is finite.
+    So such functions are integrated along segments, however they were to be sampled.
+    """
+    if integration.compositing != "over":
+        return "post"
+    if integration.filter == "nearest":
+        return "post" if integration.classification == "preintegrated" else integration.classification
+    if integration.classification == "post" and any(map(has_opaque_point, functions)):
+        return "preintegrated"
+    return integration.classification
+
+
+def transfer_pieces(resolved: ResolvedScene, functions: Sequence[TransferFunction]) -> int:
+    """TRANSFER_PIECES: 16 where registers hold all pieces, else 0. Layers differ from lane to lane; and
+    where colours cycle the number of pieces changes, which must compile nothing."""
+    in_memory = len(functions) > 1 or resolved.animation.cycle
+    if in_memory or max(map(piece_count, functions)) > IN_REGISTERS:
+        return 0
+    return IN_REGISTERS
+
+
+def raycast_switches(
+    resolved: ResolvedScene,
+    *,
+    lanes: int,
+    skip: bool = True,
+    depth: bool = True,
+    function: TransferFunction | None = None,
+) -> dict[str, int]:
+    """What gets compiled for this scene, or with ``function`` instead of its own; nothing that changes
+    from frame to frame."""
+    integration = resolved.integration
+    functions = layer_functions(resolved, function)
+    return {
+        **voxel_switches(resolved.volume, value_map(resolved.volume)),
+        "LANES": lanes,
+        "FILTER": FILTERS[integration.filter],
+        "CLASSIFICATION": CLASSIFICATIONS[segment_classification(integration, functions)],
+        "TRANSFER_PIECES": transfer_pieces(resolved, functions),
+        "QUADRATURE": QUADRATURES[integration.quadrature],
+        "SKIP_EMPTY": int(skip),
+        "WITH_DEPTH": int(depth),
+        **effect_switches(resolved),
+    }
+
+
+def scene_nodes(resolved: ResolvedScene, function: TransferFunction | None = None) -> ClassNodes:
+    """The class nodes for a scene's volume and classification; all layers' tables share them."""
+    volume, integration = resolved.volume, resolved.integration
+    values = value_map(volume)
+    preintegrated = segment_classification(integration) == "preintegrated"
+    integer = volume.dtype.kind in "iu"
+    low, high = (float(v) for v in values(volume.value_range))
+    if integration.classification != "pre":  # what is classified may overshoot the voxels
+        more = overshoot(integration.filter) * (high - low)
+        more = float(np.ceil(more)) if integer else more
+        if resolved.noise:
+            more, integer = more + _noise_range(resolved, high - low), False
+        low, high = low - more, high + more
+    return class_nodes(
+        device_function(union(layer_functions(resolved, function)), values),
+        (low, high),
+        _NODES if preintegrated else CONSTANT_NODES,
+        integer=integer,
+        # Colours that cycle fall on no nodes, and tables of even ones are made ten times as fast.
+        may_warp=preintegrated and not resolved.animation.cycle,
+    )
+
+
+def _noise_range(resolved: ResolvedScene, span: float) -> float:
+    """By how much noise widens the range of values, at most _WIDEST times that of the volume and of
+    the transfer function: nodes must not be lost on what is beyond."""
+    gain = value_map(resolved.volume).gain
+    added = perturbation(resolved.noise, resolved.volume.grid, gain).added
+    return min(added, _WIDEST * max(span, np.ptp(resolved.transfer_function.values) * gain))
+
+
+def cycled_function(resolved: ResolvedScene, function: TransferFunction) -> TransferFunction:
+    """``function`` with its colours moved as far as they have come at ``animation.time``."""
+    shift, value_range, reach = _shift(resolved), resolved.data_range, reachable(resolved)
+    if shift is None:
+        return function
+    beyond = None if reach == value_range else reach
+    return cycled(function, shift, value_range, beyond, opacity=False)
+
+
+def _shift(resolved: ResolvedScene) -> float | None:
+    """How far colours have moved, in ranges of the volume; None where they do not."""
+    animation = resolved.animation
+    return animation.cycle * animation.time if animation.cycle else None
+
+
+def device_function(function: TransferFunction, values) -> TransferFunction:
+    """The transfer function over the values that kernels compute with."""
+    if values.bias == 0.0 and values.gain == 1.0:
+        return function
+    finite = np.clip(values(function.values), -1e300, 1e300)
+    return TransferFunction(finite, function.opacities, function.colors, function.opacity_unit)
+
+
+def parts_of_cell(step: float) -> int:
+    """Parts that quadrature by cells cuts each cell's piece in: as many as ``step`` goes into 1, one or
+    an even number (Gauss's points come in pairs)."""
+    return 1 if step > 0.75 else 2 * max(1, round(0.5 / step))
+
+
+@dataclass
+class FrameData:
+    """A picture as in ``Frame``, how many samples and rays it took, what its effects counted, and what else is
+    to be told of it (``notes``, plain JSON types)."""
+
+    rgba: np.ndarray
+    depth: np.ndarray | None
+    samples: int
+    rays: int
+    counters: dict[str, int] = field(default_factory=dict)
+    notes: dict[str, object] = field(default_factory=dict, kw_only=True)
+
+
+class Raycaster:
+    """Device state for a scene: volume, tables, distance map, program; ``render`` makes a frame.
+
+    ``lanes``: rays a work-item marches together (16 on CPU devices, 1 elsewhere). ``skip``: leap over
+    empty space. ``tile``: pixels (width, height) of a work-item's tile. None of the three
+    changes the picture.
+    """
+
+    workers = 1  # work-items of a tile
+
+    def __init__(
+        self,
+        context: DeviceContext,
+        resolved: ResolvedScene,
+        *,
+        lanes: int | None = None,
+        skip: bool = True,
+        tile: tuple[int, int] = (TILE, TILE),
+        volume: DeviceVolume | None = None,
+    ) -> None:
+        self.context = context
+        self.resolved = resolved = reduced_for_frames(resolved)
+        self.lanes = lanes or (16 if context.is_cpu else 1)
+        self.skip = skip
+        self.tile = tile if self.lanes > 1 else (1, 1)
+        self.volume = volume or DeviceVolume(context, resolved.volume)
+        self.effects = EffectState(context, resolved, self.volume)
+        self._view_dtype = view_dtype(self.volume.switches["VOXEL_BITS"])
+        self._warm: set[tuple] = set()
+        self._tally = None
+        self._none = context.empty(np.float32, (4,))
+        self._view = context.empty(self._view_dtype, (1,))
+        self.set_transfer_function(resolved.transfer_function)
+        self._check_struct()
+
+    def set_transfer_function(self, function: TransferFunction) -> None:
+        """Another transfer function: rebuilds the table and the visible cells, nothing else."""
+        resolved, context = self.resolved, self.context
+        # Where the nodes are depends on no cycling: it compiles nothing.
+        self.nodes = scene_nodes(resolved, function)
+        mapped = device_function(union(layer_functions(resolved, function)), self.volume.values)
+        self._asked_function = function
+        self._set_colors()
+        visible = visible_cells(mapped, self.nodes.values)
+        self.gate = value_gate(mapped)
+        at_nodes = mapped.opacity(self.nodes.values) > 0
+        mask = visible_mask(
+            self.volume, resolved.integration.filter, self.nodes, visible, at_nodes, self._moved
+        )
+        if resolved.isosurfaces:
+            mask |= self._surface_cells()
+        if resolved.integration.compositing != "over":  # a mean may be a value of no cell
+            mask = np.full_like(mask, visible.any() or at_nodes.any())
+            mode = resolved.integration.compositing
+            self.effects.set_hidden(hidden_score(mode, self.gate))
+        fields = self.effects.switches and self.effects.fields
+        if fields:
+            mask = (mask | fields.shown) & fields.kept
+        self.visible_share = float(mask.mean())
+        self._find_distances(mask)
+        warp = self.nodes.warp
+        self.warp = context.upload(np.zeros(2, np.float32) if warp is None else warp)
+        self.switches = raycast_switches(
+            resolved, lanes=self.lanes, skip=self.skip, function=function
+        )
+        self.switches |= self.effects.switches  # the device may be too small for some
+        self.light_volume_samples = 0
+        if self._casts_shadows:
+            self._build_shadows()
+        self._without_surfaces = self._beside_surfaces()
+
+    def _find_distances(self, mask: np.ndarray) -> None:
+        """What rays leap by, from the cells in which anything can be seen."""
+        self.distances = distance_map(self.context, mask)
+
+    def _set_colors(self) -> None:
+        """The tables, with colours as they are at the scene's time."""
+        functions = layer_functions(self.resolved, self._asked_function)
+        moved = [cycled_function(self.resolved, function) for function in functions]
+        self._functions = [device_function(function, self.volume.values) for function in moved]
+        self._build_table()
+
+    @property
+    def _moved(self) -> Perturbation:
+        resolved = self.resolved
+        return perturbation(resolved.noise, resolved.volume.grid, self.volume.values.gain)
+
+    @property
+    def _casts_shadows(self) -> bool:
+        return bool(self.effects.switches.get("SHADOWS"))
+
+    def _build_shadows(self) -> None:
+        """What shadows need, which no camera changes."""
+        arrays = self.effects.arrays
+        if self.switches["SHADOWS"] == METHODS["volume"] and self.visible_share:
+            view = np.zeros(1, self._view_dtype)
+            self._describe_volume(view[0])
+            arrays["light_volume"], self.light_volume_samples = fill_light_volume(
+                self.context, self.resolved, self.switches, view, {**self._scene_arrays(), **arrays}
+            )
+
+    def _scene_arrays(self) -> dict[str, DeviceArray]:
+        return {
+            "volume": self.volume.voxels,
+            "table": self.table,
+            "warp": self.warp,
+            "distances": self.distances,
+        }
+
+    def _surface_cells(self) -> np.ndarray:
+        """bool [z, y, x]: cells in which an iso-surface can be. Tells the effects."""
+        levels = [float(self.volume.values(s.value)) for s in self.resolved.isosurfaces]
+        filter = self.resolved.integration.filter
+        mask = surface_mask(self.volume, filter, levels, self._moved)
+        if filter == "nearest":  # what is nearest to one voxel lies in two cells
+            mask = dilated(mask)
+        self.effects.set_surfaces(distance_map(self.context, mask))
+        self.surface_cells = mask
+        return mask
+
+    def _beside_surfaces(self) -> Raycaster | None:
+        """For tiles that see no surface, but may see something else: all else is the same, and so is
+        what it computes. None where no tile is without."""
+        switches = self.effects.switches
+        if not switches.get("ISOSURFACES") or switches["REFRACTION"]:
+            return None  # bent rays go anywhere
+        if not switches["TRANSLUCENT"] or switches["SHADOWS"] == METHODS["rays"]:
+            return None  # rays to lights may meet surfaces that the eye's do not
+        other = copy.copy(self)
+        other.effects = self.effects.copy()
+        other.effects.switches = {**switches, "ISOSURFACES": 0}
+        other.switches = {**self.switches, "ISOSURFACES": 0}
+        return other
+
+    def _build_table(self) -> None:
+        width = max(columns(piece_count(function)) for function in self._functions)
+        origin = float(np.float32(self.nodes.first))
+        tables = [piece_table(each, self.length, width, origin) for each in self._functions]
+        self._pieces = (width, 0, tables[0].size, max(map(piece_count, self._functions)))
+        self._units = self.length / self._functions[0].opacity_unit
+        self.table = self.context.upload(np.concatenate(tables, axis=None))
+
+    @property
+    def length(self) -> float:
+        """World length of a step."""
+        return self.resolved.integration.step * self.resolved.volume.grid.smallest_edge
+
+    def like(self, resolved: ResolvedScene) -> Raycaster:
+        """The same for ``resolved``, which may differ in camera, image, animation, step and early
+        termination alone. Shares what these leave as it is: the volume, empty space, and often the
+        tables. Compiles nothing."""
+        other = copy.copy(self)
+        other.resolved = resolved = reduced_for_frames(resolved)
+        other.effects = self.effects.like(resolved)
+        if _shift(resolved) != _shift(self.resolved):
+            other._set_colors()
+        if other.length != self.length:
+            other._build_table()
+        later = resolved.animation.time != self.resolved.animation.time
+        moved = later and bool(resolved.noise)  # cycling moves no opacity
+        if other._casts_shadows and (moved or shadow_step(resolved) != shadow_step(self.resolved)):
+            other._build_shadows()
+        other._without_surfaces = other._beside_surfaces()
+        return other
+
+    def render(
+        self,
+        camera: Camera,
+        width: int,
+        height: int,
+        progress: Callable[[int, int], None] | None = None,
+        depth: bool = True,
+        lattice: PixelLattice = EVERY_PIXEL,
+    ) -> FrameData:
+        """One picture of ``width`` by ``height``, or of its pixels on ``lattice`` alone.
+        ``progress(tiles done, all)`` is called after each launch.
+
+        With the scene's ``image.ray_spacing`` the rays of its lattice are cast first, and then those
+        of all pixels that cannot be interpolated between them (a ``lattice`` has all its rays).
+        """
+        grid, context = self.resolved.volume.grid, self.context
+        lattice_width, lattice_height = lattice.size(width, height)
+        if self._shows_nothing:  # nothing can be seen: no ray needs to be cast
+            shape = (lattice_height, lattice_width)
+            nowhere = np.full(shape, np.inf, np.float32) if depth else None
+            return FrameData(np.zeros((*shape, 4), np.float32), nowhere, 0, 0)
+        spacing = self.resolved.image.ray_spacing
+        fills = spacing > 1 and lattice == EVERY_PIXEL
+        if fills:
+            lattice = PixelLattice(spacing)
+            lattice_width, lattice_height = lattice.size(width, height)
+        frame = ray_frame(camera, grid, width, height, lattice)
+        view = self._frame_view(frame, lattice_width, lattice_height)
+        tiles = [tiling(lattice_width, lattice_height, *self.tile).count]
+        tiles += [tiling(width, height, *self.tile).count] if fills else []
+        report = _stages(progress, tiles)
+        image = context.output(np.float32, (lattice_height, lattice_width, 4))
+        depths = self._none
+        if depth:
+            depths = context.output(np.float32, (lattice_height, lattice_width))
+        samples = context.output(np.uint32, (tiles[0],))
+        rays = lattice_width * lattice_height
+        outputs = {"image": image, "depths": depths, "samples": samples}
+        size = (lattice_width, lattice_height)
+        tallies, tile_counts = self._trace(
+            frame, size, view, tiles[0], depth, report(0), outputs
+        )
+        counted = [samples]
+        if fills:
+            view = self._frame_view(ray_frame(camera, grid, width, height), width, height)
+            view["band"][0, 1:] = (spacing, lattice_width, lattice_height)
+            coarse, coarse_depths = image, depths
+            image = context.output(np.float32, (height, width, 4))
+            depths = context.output(np.float32, (height, width)) if depth else self._none
+            counted.append(context.output(np.uint32, (tiles[1],)))
+            added = context.output(np.uint32, (tiles[1],))
+            self._launches("fill_between_rays", view, tiles[1], depth, report(1),
+                           coarse=coarse, coarse_depths=coarse_depths, image=image,
+                           depths=depths, samples=counted[1], rays=added)  # fmt: skip
+            tallies.append(self._tally)
+            rays += int(context.take(added).sum(dtype=np.uint64))
+            context.take(coarse)
+            if depth:
+                context.take(coarse_depths)
+        taken = sum(int(context.take(count).sum(dtype=np.uint64)) for count in counted)
+        rgba = context.take(image)
+        depths = context.take(depths) if depth else None
+        counters = {}
+        if self._tally is not None:
+            counts = np.concatenate([context.take(tally) for tally in tallies])
+            counters = {**self._counters(counts), **tile_counts}
+        return FrameData(rgba, depths, taken, rays, counters)
+
+    def _trace(
+        self, frame: RayFrame, size: tuple[int, int], view, tiles: int, depth: bool, progress, outputs
+    ) -> tuple[list[DeviceArray], dict[str, int]]:
+        """The rays of all pixels, into ``outputs``. Tiles that can see no surface are rendered by
+        kernels that know of none. Gives what was counted, and how many tiles were of either kind."""
+        if self._without_surfaces is None:
+            self._launches("raycast", view, tiles, depth, progress, **outputs)
+            return [self._tally], {}
+        seen = tiles_that_see(
+            self.surface_cells, self.volume.size, frame, self.effects.space.matrix, size, self.tile
+        )
+        done = 0
+        tallies = []
+        report = None if progress is None else lambda more: progress(int(done + more * share))
+        for engine, chosen in ((self, seen), (self._without_surfaces, ~seen)):
+            share = chosen.mean()
+            if share:
+                engine._launches("raycast", view, tiles, depth, report, chosen=chosen, **outputs)
+                tallies.append(engine._tally)
+            done += share * tiles
+        counted = {"tiles_with_surfaces": seen.sum(), "tiles_without_surfaces": (~seen).sum()}
+        return tallies, {name: int(count) for name, count in counted.items()}
+
+    @property
+    def _shows_nothing(self) -> bool:
+        return not self.visible_share and not self.switches.get("ENVIRONMENT_VISIBLE")
+
+    def warm_up(self, width: int, height: int, depth: bool = True) -> None:
+        """Compiles everything a frame of this size needs: final code is made at the first launch."""
+        tiles = tiling(width, height, *self.tile).count
+        fills = self.resolved.image.ray_spacing > 1
+        key = (tiles, depth, fills, tuple(self.switches.items()))
+        if key in self._warm or self._shows_nothing:
+            return
+        view = np.zeros(1, self._view_dtype)  # an image without pixels: every work-item returns
+        view["image"][0] = (0, 0, *self.tile)
+        counts = [self.context.empty(np.uint32, (tiles,)) for _ in range(2)]
+        none = {"image": self._none, "depths": self._none, "samples": counts[0]}
+        self._launches("raycast", view, tiles, depth, None, **none)
+        if self._without_surfaces is not None:
+            nowhere = np.zeros(tiles, bool)
+            for engine in (self, self._without_surfaces):
+                engine._launches("raycast", view, tiles, depth, None, chosen=nowhere, **none)
+        if fills:
+            none |= {"coarse": self._none, "coarse_depths": self._none, "rays": counts[1]}
+            self._launches("fill_between_rays", view, tiles, depth, None, **none)
+        self.context.finish()
+        restore_interrupts()
+        self._warm.add(key)
+
+    def _launches(
+        self, name: str, view, tiles: int, depth: bool, progress, chosen=None, **arrays
+    ) -> None:
+        """Kernel ``name`` over all tiles, or those of ``chosen`` (bool [tiles]), in as many launches as
+        keep each one short."""
+        context = self.context
+        switches = {**self.switches, "WITH_DEPTH": int(depth)}
+        declared = _FILL_ARGUMENTS if name == "fill_between_rays" else _ARGUMENTS
+        more, added = self._more_arguments(tiles)
+        declared, arrays = declared + more, {**arrays, **added}
+        if chosen is not None:
+            switches["TILES_CHOSEN"] = 1
+            declared += ", in chosen uint8"
+            arrays["chosen"] = context.upload(chosen.astype(np.uint8))
+        kernel = self._kernel_of(name, declared, switches)
+        pixels = tiles * self.tile[0] * self.tile[1] if view["image"][0, 0] else 0
+        expected = pixels * self._most_samples() * _SECONDS_A_SAMPLE
+        done = 0
+        for first, count in bands(tiles, expected, _BAND_SECONDS):
+            view["band"][0, 0] = first
+            context.write(self._view, view)
+            kernel(
+                context.queue,
+                (count * self.workers,),
+                self._local_size,
+                view=self._view,
+                **self._scene_arrays(),
+                **arrays,
+            )
+            done += count
+            if done < tiles or progress is not None:
+                context.finish()
+            if progress is not None:
+                progress(done)
+
+    @property
+    def _local_size(self) -> tuple[int] | None:
+        return (1,) if self.lanes > 1 else None
+
+    def _kernel_of(self, name: str, declared: str, switches: dict[str, int]) -> Kernel:
+        return self.context.kernel(f"{name}.cl", name, declared, switches)
+
+    def _more_arguments(self, tiles: int) -> tuple[str, dict[str, DeviceArray]]:
+        """What the kernels take beside a plain scene's arguments, for a launch over ``tiles``."""
+        if not self.effects.switches:
+            return "", {}
+        self._tally = self.context.output(np.uint32, (tiles, len(COUNTERS)))
+        return _EFFECT_ARGUMENTS, {**self.effects.arrays, "counts": self._tally}
+
+    def _counters(self, counts: np.ndarray) -> dict[str, int]:
+        """Names and sums of what tiles counted."""
+        return self.effects.counted(counts)
+
+    def _most_samples(self) -> float:
+        grid = self.resolved.volume.grid
+        corners = grid.world_corners()
+        diagonal = np.linalg.norm(corners.max(axis=0) - corners.min(axis=0))
+        return float(diagonal / self.length)
+
+    def _frame_view(self, frame: RayFrame, width: int, height: int) -> np.ndarray:
+        view = np.zeros(1, self._view_dtype)
+        row = view[0]
+        names = ("plane_origin", "plane_du", "plane_dv", "ray_forward", "ray_du", "ray_dv")
+        sources = (frame.origin, frame.du, frame.dv, frame.forward, frame.ray_du, frame.ray_dv)
+        with np.errstate(over="ignore", under="ignore"):
+            for name, source in zip(names, sources):
+                row[name][:3] = source
+            row["lens"] = (*frame.lens, *frame.centre)
+            self._describe_volume(row)
+            stop = 1.0 - self.resolved.integration.early_termination
+            row["march"][1:] = (frame.distance, stop, frame.unit)
+        finite = [np.isfinite(row[name]).all() for name in (*names, "lens", "march", "classes")]
+        if not all(finite) or not min(row["march"][0], row["march"][3]) > 0:
+            where = f"{self.resolved.origin}: camera"
+            raise RenderError(where, "numbers beyond float32", "a camera and units nearer to 1")
+        row["image"] = (width, height, *self.tile)
+        return view
+
+    def _describe_volume(self, row: np.void) -> None:
+        """The fields of a ``View`` that no camera changes."""
+        volume, nodes, step = self.volume, self.nodes, self.resolved.integration.step
+        bins = 0.0 if nodes.warp is None else nodes.warp.size - 1.0
+        row["march"][0] = step
+        row["classes"] = (nodes.first, nodes.per_value, nodes.last_coordinate, bins)
+        row["upper"][:3] = np.asarray(volume.size) - 1
+        row["gate"][:3] = (*self.gate, self._units)
+        parts = parts_of_cell(self.resolved.integration.step)
+        row["voxel"][1:3] = (parts, self.resolved.image.ray_tolerance)
+        if volume.switches["VOXEL_BITS"] == 64:
+            row["voxel_double"] = (volume.values.bias, volume.values.gain)
+        else:
+            row["voxel"][0] = volume.values.gain
+        row["size"][:3] = volume.size
+        row["stride"][:2] = volume.stride
+        row["cells"] = (*volume.cells, volume.cell_shift)
+        row["table"][:2] = (nodes.values.size, nodes.values.size + 2)
+        row["pieces"] = self._pieces
+
+    def _check_struct(self) -> None:
+        """The compiler's View must be ours, field for field: all fields are 16 bytes wide."""
+        kernel = self.context.kernel("raycast.cl", "view_size", "out size uint32", self.switches)
+        size = self.context.empty(np.uint32, (2,))
+        kernel(self.context.queue, (1,), (1,), size=size)
+        ours = {"View": self._view_dtype, "Effects": effects_dtype()}
+        for on_device, (name, dtype) in zip(self.context.read(size), ours.items()):
+            if on_device != dtype.itemsize:
+                what = f"{on_device} bytes on the device"
+                raise RenderError(f"struct {name}", what, f"{dtype.itemsize}")
+
+
+def _stages(progress: Callable[[int, int], None] | None, tiles: list[int]):
+    """For each stage of a frame a function of the tiles that it has done, or None."""
+    if progress is None:
+        return lambda stage: None
+    return lambda stage: lambda done: progress(sum(tiles[:stage]) + done, sum(tiles))

@@ -1,0 +1,67 @@
+"""The picture between the rays of its tiles, on the device (cl/tile_join.cl)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from clvol.integrators.tiles.geometry import LineTable, Resolution, TileGrid
+from clvol.opencl.context import DeviceArray, DeviceContext
+
+_ARGUMENTS = (
+    "in lines uint8, in tile_lines int32, in chosen int32, value shape int4, "
+    "out image float32, out depths float32"
+)
+
+
+class Joiner:
+    """Fills the pixels without a ray of one picture's tiles. ``rows_an_item``: rows of a tile that
+    a work-item fills; by default a whole tile's where a work-item is slow to start, else one: tiles
+    may be few."""
+
+    def __init__(
+        self,
+        context: DeviceContext,
+        grid: TileGrid,
+        depth: bool = True,
+        rows_an_item: int | None = None,
+    ) -> None:
+        self.context, self.grid = context, grid
+        self.rows_an_item = rows_an_item or (grid.size if context.is_cpu else 1)
+        self.kernel = context.kernel(
+            "tile_join.cl", "tile_join", _ARGUMENTS, {"WITH_DEPTH": int(depth)}
+        )
+        self._table = LineTable()
+        self._lines: DeviceArray | None = None
+
+    def join(
+        self, resolution: Resolution, chosen: np.ndarray, image: DeviceArray, depths: DeviceArray
+    ) -> None:
+        """Every tile has rays. ``chosen``: the tiles (numbers) to fill."""
+        if not len(chosen):
+            return
+        context, grid = self.context, self.grid
+        before = self._table.entries
+        offsets = self._table.offsets(grid, resolution)
+        if self._table.entries != before:
+            self._lines = context.upload(self._table.array)
+        self.kernel(
+            context.queue,
+            (len(chosen) * -(-grid.size // self.rows_an_item),),
+            (1,) if context.is_cpu else None,
+            lines=self._lines,
+            tile_lines=context.upload(offsets),
+            chosen=context.upload(np.asarray(chosen, np.int32)),
+            shape=(grid.width, grid.height, grid.size, self.rows_an_item),
+            image=image,
+            depths=depths,
+        )
+
+
+def around(grid: TileGrid, tiles: np.ndarray) -> np.ndarray:
+    """int64: ``tiles`` (numbers) and all that touch them, which show something of them."""
+    touched = np.zeros((grid.rows + 2, grid.columns + 2), bool)
+    row, column = np.divmod(np.asarray(tiles, np.int64), grid.columns)
+    for dy in range(3):
+        for dx in range(3):
+            touched[row + dy, column + dx] = True
+    return np.flatnonzero(touched[1:-1, 1:-1])

@@ -1,0 +1,110 @@
+"""Casts the rays of a list of pixels with any packet renderer (cl/tile_rays.h)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from clvol.device.effects import COUNTERS
+from clvol.integrators.tiles.work import RayWork
+from clvol.opencl.context import DeviceArray, DeviceContext
+from clvol.schedule.tiles import bands
+
+_BAND_SECONDS = 0.5
+_PACKETS_AN_ITEM = 4  # of 16 lanes: starting work-items costs nothing, all cores have some
+_LIST_ARGUMENTS = (
+    ", in rays int32, value count int32, value rays_an_item int32, out image float32, "
+    "out depths float32, out changes float32, out samples uint32"
+)
+
+
+@dataclass(frozen=True, eq=False)
+class PacketRenderer:
+    """The kernel ``tile_rays`` of ``file``, which includes a packet renderer and cl/tile_rays.h.
+
+    ``scene_arguments``: declarations of its PACKET_PARAMETERS, "in view V1" last; ``arrays`` holds
+    them all but the view. ``effect_arguments`` (begins with a comma, ends with "out counts uint32")
+    and ``effect_arrays`` (without the counts): those of EFFECT_PARAMETERS, empty where there are
+    none. ``seconds_a_ray``: a guess, for how to cut the work into launches.
+    ``counters``: numbers that each work-item counts.
+    """
+
+    file: str
+    switches: Mapping[str, int]
+    scene_arguments: str
+    arrays: Mapping[str, DeviceArray]
+    effect_arguments: str = ""
+    effect_arrays: Mapping[str, DeviceArray] = field(default_factory=dict)
+    lanes: int = 1
+    seconds_a_ray: float = 1e-6
+    counters: int = len(COUNTERS)
+
+
+@dataclass(frozen=True, eq=False)
+class CastRays:
+    """``changes`` float32 [rays]: mean square over the channels of what each ray changed in the
+    picture. ``samples``: reconstructions of the volume. ``counts`` uint32 [work-items, COUNTERS]:
+    what effects counted, None where there are none."""
+
+    changes: np.ndarray
+    samples: int
+    counts: np.ndarray | None
+
+
+def cast_rays(
+    context: DeviceContext,
+    packets: PacketRenderer,
+    view: np.ndarray,
+    work: RayWork,
+    image: DeviceArray,
+    depths: DeviceArray,
+    progress: Callable[[int], None] | None = None,
+) -> CastRays:
+    """Writes the rays of ``work`` into ``image`` [height, width, 4] and ``depths`` [height, width].
+
+    ``view``: ``View`` [1] of the whole picture. ``progress(rays done)`` is called after each
+    launch.
+    """
+    if not work.count:
+        none = np.zeros((0, packets.counters), np.uint32) if packets.effect_arguments else None
+        return CastRays(np.zeros(0, np.float32), 0, none)
+    declared = packets.scene_arguments + _LIST_ARGUMENTS + packets.effect_arguments
+    kernel = context.kernel(packets.file, "tile_rays", declared, packets.switches)
+    rays_an_item = packets.lanes * _PACKETS_AN_ITEM if packets.lanes > 1 else 1
+    items = -(-work.count // rays_an_item)
+    arrays = {**packets.arrays, **packets.effect_arrays}
+    counts = None
+    if packets.effect_arguments:
+        counts = arrays["counts"] = context.empty(np.uint32, (items, packets.counters))
+    changes = context.empty(np.float32, (work.count,))
+    samples = context.empty(np.uint32, (items,))
+    rays = context.upload(work.pixels)
+    on_device = context.empty(view.dtype, (1,))
+    expected = work.count * packets.seconds_a_ray
+    for first, launched in bands(items, expected, _BAND_SECONDS):
+        view["band"][0, 0] = first
+        context.write(on_device, view)
+        kernel(
+            context.queue,
+            (launched,),
+            (1,) if packets.lanes > 1 else None,
+            view=on_device,
+            rays=rays,
+            count=work.count,
+            rays_an_item=rays_an_item,
+            image=image,
+            depths=depths,
+            changes=changes,
+            samples=samples,
+            **arrays,
+        )
+        context.finish()
+        if progress is not None:
+            progress(min((first + launched) * rays_an_item, work.count))
+    return CastRays(
+        context.read(changes),
+        int(context.read(samples).sum(dtype=np.uint64)),
+        None if counts is None else context.read(counts),
+    )

@@ -1,0 +1,44 @@
+"""What the rays through the corners of tiles meet, from the index of blocks on the device."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from clvol.integrators.tiles.geometry import TileGrid
+from clvol.opencl.context import DeviceArray, DeviceContext
+from clvol.store.geometry import BlockGrid
+
+_ARGUMENTS = (
+    "in index int32, in view V1, value grid int4, value tiles int4, out statistics float32"
+)
+
+
+def corner_statistics(
+    context: DeviceContext,
+    index: DeviceArray,
+    blocks: BlockGrid,
+    view: np.ndarray,
+    voxel_bits: int,
+    tiles: TileGrid,
+) -> np.ndarray:
+    """float32 [rows + 1, columns + 1, 4], as clvol/integrators/tiles/plan.py takes them. ``index`` int32
+    [blocks, 2] (bits 0 ... 3 of a block's second word say how many samples it has); ``view``:
+    ``View`` [1] of the whole picture, for voxels of ``voxel_bits``."""
+    kernel = context.kernel(
+        "tile_statistics.cl", "tile_statistics", _ARGUMENTS, {"LANES": 1, "VOXEL_BITS": voxel_bits}
+    )
+    shape = (tiles.rows + 1, tiles.columns + 1)
+    statistics = context.empty(np.float32, (*shape, 4))
+    on_device = context.upload(view)
+    z, y, x = blocks.counts
+    kernel(
+        context.queue,
+        (shape[0] * shape[1],),
+        (1,) if context.is_cpu else None,
+        index=index,
+        view=on_device,
+        grid=(x, y, z, blocks.edge),
+        tiles=(tiles.columns, tiles.rows, tiles.size, 0),
+        statistics=statistics,
+    )
+    return context.read(statistics)

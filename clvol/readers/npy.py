@@ -1,0 +1,33 @@
+"""NumPy's .npy: one array [z, y, x], mapped into memory, never unpickled."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from clvol.errors import VolumeError
+from clvol.readers.options import ReadOptions
+from clvol.volume.memory import check_memory
+from clvol.volume.narrow import WIDE_TYPES
+from clvol.volume.volume import Volume, check_type
+
+
+def read(path: Path, options: ReadOptions) -> Volume:
+    """The volume in a .npy file, voxels 1 apart, the first at the origin.
+
+    A C-ordered native array is mapped; any other is copied into that form.
+    """
+    array = np.load(path, mmap_mode="r", allow_pickle=False)
+    if not isinstance(array, np.memmap):
+        if hasattr(array, "close"):
+            array.close()
+        raise VolumeError(str(path), "no .npy array (an .npz archive?)", "one array")
+    native = check_type(array.dtype, str(path))
+    stored = path.stat().st_size
+    if array.size and array.offset + array.nbytes != stored:
+        what = f"{stored - array.offset} bytes of voxel data"
+        raise VolumeError(str(path), what, f"{array.nbytes} bytes as the header promises")
+    mapped = array.flags.c_contiguous and array.dtype.isnative and native.name not in WIDE_TYPES
+    check_memory(str(path), array.nbytes, options.memory_cap, mapped=mapped)
+    return Volume(array)

@@ -1,0 +1,127 @@
+"""Zarr folders: stores of clvol's, any OME-Zarr image, or a plain array; read by tensorstore when
+asked for."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clvol.errors import VolumeError
+from clvol.readers.options import ReadOptions
+from clvol.readers.zarr_image import find_image
+from clvol.volume.grid import Grid
+from clvol.volume.lazy import LazyVolume
+from clvol.volume.volume import Volume, check_type
+
+if TYPE_CHECKING:
+    from clvol.store.zarr_store import StoredBlocks
+
+_MARKS = ("zarr.json", ".zgroup", ".zarray")
+
+
+def is_zarr(path: Path) -> bool:
+    """Whether the folder is a Zarr array or group, or a store whose making was interrupted."""
+    from clvol.store.zarr_store import is_unfinished
+
+    return any((path / name).exists() for name in _MARKS) or is_unfinished(path)
+
+
+def read(path: Path, options: ReadOptions) -> Volume:
+    """The volume in a Zarr folder; nothing but metadata is read before somebody asks for voxels.
+
+    Of a multiscale image the finest level. Axes are told apart by their names, wherever there are
+    some; channel and time are chosen by ``options``; an image without z is one slice. Scale and
+    translation of OME-Zarr become spacing and origin, in the unit of x.
+    """
+    from clvol.store.zarr_store import is_store, open_store
+
+    if is_store(path):
+        return StoredVolume(open_store(path), options.memory_cap)
+    image = find_image(path, options)
+    volume = ZarrVolume(
+        image.array, image.grid, image.name, image.frame, str(path), options.memory_cap
+    )
+    volume.unit = image.unit
+    return volume
+
+
+class StoredVolume(LazyVolume):
+    """A store of clvol's: range and counts are known without reading voxels. ``blocks_source``: its
+    blocks."""
+
+    def __init__(self, source: StoredBlocks, memory_cap: int | None = None) -> None:
+        self.blocks_source = source
+        super().__init__(
+            source.dtype, source.grid, source.name, source.facts.frame, str(source.path), memory_cap
+        )
+        self.axis, self.unit = source.facts.axis, source.facts.unit
+
+    @property
+    def grid(self) -> Grid:
+        """Also that of ``blocks_source``."""
+        return self.blocks_source.grid
+
+    @grid.setter
+    def grid(self, grid: Grid) -> None:
+        self.blocks_source.grid = grid
+
+    @property
+    def stored_range(self) -> tuple[float, float]:
+        return self.blocks_source.value_range
+
+    @property
+    def nan_count(self) -> int:
+        return self.blocks_source.nan_count
+
+    @property
+    def inf_count(self) -> int:
+        return self.blocks_source.inf_count
+
+    def _turned(self) -> Volume:
+        from clvol.store.turned import TurnedBlocks
+
+        other = StoredVolume(TurnedBlocks(self.blocks_source), self._memory_cap)
+        other.path, other.format = self.path, self.format
+        return other
+
+    def _load(self) -> np.ndarray:
+        return self.blocks_source.volume_level(0)
+
+    def box(self, z0: int, z1: int, y0: int, y1: int, x0: int, x1: int) -> np.ndarray:
+        return self.blocks_source.box(z0, z1, y0, y1, x0, x1)
+
+
+class ZarrVolume(LazyVolume):
+    """Somebody else's Zarr array [z, y, x]. Chunks that are not there count as the fill value, as
+    Zarr has it."""
+
+    def __init__(
+        self,
+        array: Any,
+        grid: Grid,
+        name: str | None,
+        frame: str,
+        where: str,
+        memory_cap: int | None,
+    ) -> None:
+        self._array = array
+        dtype = check_type(np.dtype(array.dtype.numpy_dtype), where)
+        super().__init__(dtype, grid, name, frame, where, memory_cap)
+
+    def _load(self) -> np.ndarray:
+        nz, ny, nx = self.shape
+        return self.box(0, nz, 0, ny, 0, nx)
+
+    def box(self, z0: int, z1: int, y0: int, y1: int, x0: int, x1: int) -> np.ndarray:
+        from clvol.store.arrays import what_failed
+
+        try:
+            voxels = self._array[z0:z1, y0:y1, x0:x1].read().result()
+        except ValueError as error:
+            raise VolumeError(
+                self._where, f"a chunk {what_failed(error)}", "undamaged chunks"
+            ) from None
+        voxels = np.ascontiguousarray(voxels)
+        return voxels.view(np.uint8) if voxels.dtype.kind == "b" else voxels

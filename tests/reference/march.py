@@ -1,0 +1,236 @@
+"""All rays of a picture from front to back, a segment at a time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from reference.cell_crossings import medium_crossings
+from reference.clip import kept_stretches
+from reference.environment import EnvironmentMap
+from reference.medium import Medium
+from reference.project import Projection
+from reference.shade import Shader
+from reference.shadow import Shadows
+from reference.surfaces import bent
+
+MOST_BENDS = 8
+
+
+def render_twin(
+    resolved,
+    camera=None,
+    *,
+    step: float | None = None,
+    rays: tuple[np.ndarray, np.ndarray] | None = None,
+    noise_tile: np.ndarray | None = None,
+    environment_map: np.ndarray | None = None,
+) -> np.ndarray:
+    """The picture of ``resolved``, premultiplied linear RGBA, float64 [height, width, 4].
+
+    ``camera``: another, complete one. ``step``: in smallest voxel edges, instead of the scene's.
+    ``rays``: world origins and unit directions, float64 [..., 3] each, instead of the camera's:
+    then [..., 4]. ``noise_tile`` uint8 [z, y, x, 4] and ``environment_map`` [h, w, 3] instead of
+    what the scene names.
+    """
+    if rays is None:
+        camera = camera or resolved.camera
+        rays = camera.world_rays(resolved.image.width, resolved.image.height)
+    shape = rays[0].shape[:-1]
+    origin, direction = (np.asarray(part, np.float64).reshape(-1, 3) for part in rays)
+    march = _March(resolved, step, noise_tile, environment_map)
+    return march.render(origin, direction).reshape(*shape, 4)
+
+
+@dataclass
+class _Rays:
+    """The state of n rays: where they are (``i`` segments into stretch ``slot``), what they
+    gathered, and on which side of each surface they are known to start (0: not known)."""
+
+    origin: np.ndarray
+    direction: np.ndarray
+    kept: object
+    side: np.ndarray
+    travelled: np.ndarray = field(init=False)  # world length before origin, of a bent ray
+    slot: np.ndarray = field(init=False)
+    i: np.ndarray = field(init=False)
+    bends: np.ndarray = field(init=False)
+    alive: np.ndarray = field(init=False)
+    color: np.ndarray = field(init=False)
+    opacity: np.ndarray = field(init=False)
+
+    def __post_init__(self) -> None:
+        n = len(self.origin)
+        self.travelled, self.opacity, self.color = np.zeros(n), np.zeros(n), np.zeros((n, 3))
+        self.slot, self.i, self.bends = (np.zeros(n, int) for _ in range(3))
+        self.alive = np.isfinite(self.kept.enter[:, 0])
+
+    def at(self, rays: np.ndarray, t: np.ndarray) -> np.ndarray:
+        return self.origin[rays] + t[:, None] * self.direction[rays]
+
+    def composite(self, rays: np.ndarray, color: np.ndarray, opacity: np.ndarray) -> None:
+        weight = (1.0 - self.opacity[rays]) * opacity
+        self.color[rays] += weight[:, None] * color
+        self.opacity[rays] += weight
+
+
+class _March:
+    def __init__(self, resolved, step, noise_tile, environment_map) -> None:
+        self.resolved = resolved
+        integration = resolved.integration
+        self.mode = getattr(integration, "compositing", "over")
+        self.medium = Medium(resolved, noise_tile)
+        self.step = (step or integration.step) * self.medium.grid.smallest_edge
+        self.stop = 1.0 - integration.early_termination
+        self.environment = _environment(resolved.environment, environment_map)
+        self.surfaces = resolved.isosurfaces if self.mode == "over" else ()
+        shadows = None if resolved.shadow is None else Shadows(resolved, self.medium, step)
+        self.shader = Shader(resolved, self.environment, shadows)
+
+    def render(self, origin: np.ndarray, direction: np.ndarray) -> np.ndarray:
+        grid, clips = self.medium.grid, self.resolved.clips
+        kept = kept_stretches(grid, clips, origin, direction)
+        side = np.zeros((len(origin), len(self.surfaces)), int)
+        rays = _Rays(origin.copy(), direction.copy(), kept, side)
+        projection = None
+        if self.mode != "over":
+            attenuation = self.resolved.integration.attenuation
+            projection = Projection(self.mode, attenuation, self.medium, len(origin))
+        while rays.alive.any():
+            self._advance(rays, np.nonzero(rays.alive)[0], projection)
+        rgba = np.column_stack([rays.color, rays.opacity])
+        if projection is not None:
+            rgba = projection.rgba()
+        if self.environment is not None and self.resolved.environment.visible:
+            behind = self.environment.radiance(rays.direction)
+            rgba[:, :3] += (1.0 - rgba[:, 3:]) * behind
+            rgba[:, 3] = 1.0
+        return rgba
+
+    def _advance(self, rays: _Rays, n: np.ndarray, projection) -> None:
+        """One segment of each of the rays numbered ``n``."""
+        enter, leave = rays.kept.enter[n, rays.slot[n]], rays.kept.leave[n, rays.slot[n]]
+        t0 = enter + rays.i[n] * self.step
+        t1 = np.minimum(enter + (rays.i[n] + 1) * self.step, leave)
+        if projection is not None:
+            projection.add(n, rays.at(n, t0), rays.at(n, t1))
+            bent_rays = np.zeros(len(n), bool)
+        elif self.surfaces:
+            bent_rays = self._segment_with_surfaces(rays, n, t0, t1)
+        else:
+            color, depth = self._look(rays, n, t0, t1)
+            rays.composite(n, color, -np.expm1(-depth))
+            bent_rays = np.zeros(len(n), bool)
+        on, t1, leave = n[~bent_rays], t1[~bent_rays], leave[~bent_rays]
+        rays.i[on] += 1
+        ended = on[t1 >= leave]
+        rays.slot[ended] += 1
+        rays.i[ended] = 0
+        last = rays.slot >= rays.kept.enter.shape[1]
+        rays.slot[last] = rays.kept.enter.shape[1] - 1
+        rays.alive &= ~last & np.isfinite(rays.kept.enter[np.arange(len(last)), rays.slot])
+        rays.alive &= rays.opacity < self.stop
+
+    def _segment_with_surfaces(self, rays, n, t0, t1) -> np.ndarray:
+        """A segment cut at its crossings; which of the rays ``n`` were bent."""
+        met = medium_crossings(
+            self.medium, rays.origin[n], rays.direction[n], t0, t1,
+            [surface.value for surface in self.surfaces],
+            known_side=np.where((rays.i[n] == 0)[:, None], rays.side[n], 0),
+        )  # fmt: skip
+        color, depth = self._look(rays, n, t0, t1)
+        depth_per_length = depth / np.where(t1 > t0, t1 - t0, 1.0)
+        going, was_bent = np.ones(len(n), bool), np.zeros(len(n), bool)
+        start = t0
+        for k in range(met.t.shape[1] + 1):
+            at = met.t[:, k] if k < met.t.shape[1] else np.full(len(n), np.inf)
+            end = np.minimum(at, t1)
+            here = going & (end > start)
+            opacity = -np.expm1(-depth_per_length * (end - start))
+            rays.composite(n[here], color[here], opacity[here])
+            going &= np.isfinite(at) & (rays.opacity[n] < self.stop)
+            if going.any():
+                surface, rising = met.surface[going, k], met.rising[going, k]
+                was_bent[going] = self._surface(rays, n[going], at[going], surface, rising)
+                going &= ~was_bent & (rays.opacity[n] < self.stop)
+            start = end
+        return was_bent
+
+    def _look(self, rays, n, t0, t1) -> tuple[np.ndarray, np.ndarray]:
+        """(colour [n, 3], lit and cued, optical depth [n]) of the volume from t0 to t1."""
+        enter = rays.kept.enter[n, rays.slot[n]]
+        segment = self.medium.segment(
+            rays.at(n, t0), rays.at(n, t1), rays.direction[n],
+            before=rays.at(n, t0 - self.step), curved=rays.i[n] > 0, steps=(t1 - t0) / self.step,
+        )  # fmt: skip
+        normal = rays.kept.normal[n, rays.slot[n]]
+        tm = 0.5 * (t0 + t1)
+        share = np.clip(1.0 - (tm - enter) / self.medium.grid.smallest_edge, 0.0, 1.0)
+        share = np.where(np.any(normal != 0, axis=1), share, 0.0)
+        weight = -np.expm1(-segment.depth) * (1.0 - rays.opacity[n])
+        color, seen = segment.color.copy(), segment.depth > 0
+        color[seen] = self.shader.lit(
+            color[seen], segment.middle[seen], segment.gradient[seen], rays.direction[n[seen]],
+            weight=weight[seen], cut_normal=normal[seen], cut_share=share[seen],
+        )  # fmt: skip
+        return self._cued(color, rays.travelled[n] + tm), segment.depth
+
+    def _surface(self, rays, n, t, surface, rising) -> np.ndarray:
+        """Composites crossings of the rays ``n`` at ``t``; which of them were bent there.
+
+        A mask removes surfaces too.
+        """
+        at = rays.at(n, t)
+        kept = self.medium.is_kept(at)
+        gradient = self.medium.gradient(at)
+        front = np.array([s.color for s in self.surfaces], float)[surface]
+        back = np.array([s.back_color for s in self.surfaces], float)[surface]
+        opacity = np.array([s.opacity for s in self.surfaces], float)[surface] * kept
+        index = np.array([s.refraction for s in self.surfaces], float)[surface]
+        color = self.shader.lit(
+            np.where(rising[:, None], front, back), at, gradient, rays.direction[n],
+            weight=opacity * (1.0 - rays.opacity[n]), surface=surface,
+        )  # fmt: skip
+        rays.composite(n, self._cued(color, rays.travelled[n] + t), opacity)
+        bends = kept & (index != 1.0) & (rays.bends[n] < MOST_BENDS)
+        bends &= (rays.opacity[n] < self.stop) & np.any(gradient != 0, axis=1)
+        bends &= np.isfinite(gradient).all(axis=1)
+        if bends.any():
+            direction, reflected = bent(rays.direction[n], gradient, index, rising)
+            side = np.where(rising != reflected, 1, -1)
+            self._restart(
+                rays, n[bends], at[bends], direction[bends], t[bends], surface[bends], side[bends]
+            )
+        return bends
+
+    def _restart(self, rays, n, at, direction, t, surface, side) -> None:
+        """Rays ``n`` go on from ``at`` in another direction."""
+        rays.origin[n], rays.direction[n] = at, direction
+        rays.travelled[n] += t
+        rays.bends[n] += 1
+        kept = kept_stretches(self.medium.grid, self.resolved.clips, at, direction)
+        rays.kept.enter[n], rays.kept.leave[n] = kept.enter, kept.leave
+        rays.kept.normal[n] = kept.normal
+        rays.slot[n] = rays.i[n] = 0
+        rays.side[n] = 0
+        rays.side[n, surface] = side
+
+    def _cued(self, color: np.ndarray, distance: np.ndarray) -> np.ndarray:
+        cue = self.resolved.depth_cue
+        if cue is None:
+            return color
+        share = np.clip((distance - cue.start) / (cue.end - cue.start), 0.0, 1.0) * cue.strength
+        return color + share[:, None] * (np.asarray(cue.color, float) - color)
+
+
+def _environment(settings, texels) -> EnvironmentMap | None:
+    if settings is None or settings.intensity == 0:
+        return None
+    if texels is None:
+        from clvol.image import exr
+
+        texels = exr.read(str(settings.path))[0][..., :3]
+    return EnvironmentMap(
+        texels, settings.layout, settings.intensity, settings.rotation_degrees
+    )

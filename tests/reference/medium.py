@@ -1,0 +1,212 @@
+"""The translucent volume: what every segment of a ray, or of a shadow ray, is made of."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from clvol.device.noise import noise_tile
+from reference import classify
+from reference.field import Field, GridSampler
+from reference.noise import fractal_noise
+
+
+@dataclass
+class Segment:
+    """Of n segments: ``color`` [n, 3] (linear), optical ``depth`` [n], ``middle`` (world) [n, 3]
+    and the ``gradient`` there [n, 3] (value per world length, world axes)."""
+
+    color: np.ndarray
+    depth: np.ndarray
+    middle: np.ndarray
+    gradient: np.ndarray
+
+
+class Medium:
+    """The volume of a resolved scene with its transfer functions, factors, fields and noise.
+
+    ``tile``: uint8 [z, y, x, 4] for all terms; without it, their seeds decide.
+    """
+
+    def __init__(self, resolved, tile: np.ndarray | None = None) -> None:
+        integration, volume = resolved.integration, resolved.volume
+        self.grid = volume.grid
+        self.value_range = volume.value_range
+        self.field = Field(
+            volume,
+            integration.filter,
+            resolved.gradient.operator,
+            getattr(integration, "prefilter", False),
+        )
+        self.classification = integration.classification
+        if integration.filter == "nearest" and self.classification == "preintegrated":
+            self.classification = "post"  # values jump: a chord between them is not there
+        self.noise = tuple(term for term in resolved.noise if term.amplitude != 0)
+        self.tile = tile
+        animation = resolved.animation
+        self.time = animation.time
+        shift = animation.cycle * self.time if animation.cycle else None
+        layers = [(0.0, resolved.transfer_function)]
+        layers += [(layer.magnitude, layer.function) for layer in resolved.transfer_layers]
+        self.layers_at = np.array([magnitude for magnitude, _ in layers])
+        self.functions = [
+            classify.MovedFunction(function, self.value_range, shift) for _, function in layers
+        ]
+        self.gradient_opacity = resolved.gradient_opacity
+        self.directional_opacity = resolved.directional_opacity
+        self.fields = [(field, _sampler(field)) for field in resolved.fields]
+
+    def value(self, world: np.ndarray) -> np.ndarray:
+        """The field's value [n] at [n, 3], noise included; NaN where there is none."""
+        moved, added = self._perturbed(world)
+        return self.field.value(moved) + added
+
+    def gradient(self, world: np.ndarray) -> np.ndarray:
+        """The gradient [n, 3] of the field. With noise: differences of ``value`` over a smallest voxel
+        edge along the index axes, one-sided at the volume's faces."""
+        if not self.noise:
+            return self.field.gradient(world)
+        lower, upper = self.grid.index_bounds()
+        to_index, to_world = self.grid.world_to_index(), self.grid.index_to_world()
+        index = world @ to_index[:3, :3].T + to_index[:3, 3]
+        slopes = []
+        for axis in range(3):
+            reach = 0.5 * self.grid.smallest_edge / self.grid.spacing[axis]
+            ends = [index.copy(), index.copy()]
+            for end, sign in zip(ends, (-1, 1)):
+                at = index[:, axis] + sign * reach
+                end[:, axis] = np.clip(at, lower[axis], upper[axis])
+            first, last = (self.value(end @ to_world[:3, :3].T + to_world[:3, 3]) for end in ends)
+            length = ends[1][:, axis] - ends[0][:, axis]
+            slopes.append((last - first) / np.where(length > 0, length, 1.0))
+        return np.stack(slopes, axis=-1) @ to_index[:3, :3]
+
+    def _perturbed(self, world: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Where the volume is sampled [n, 3] (beyond its faces that is on them), and what is added."""
+        moved, added = world.copy(), np.zeros(len(world))
+        for term in self.noise:
+            tile = noise_tile(term.seed) if self.tile is None else self.tile
+            sums = fractal_noise(term, tile, self.grid, world, self.time)
+            if term.target == "value":
+                added += term.amplitude * sums[:, 3]
+            else:
+                moved += term.amplitude * sums[:, :3] @ self.grid.direction.T
+        return moved, added
+
+    def segment(
+        self,
+        start: np.ndarray,
+        end: np.ndarray,
+        direction: np.ndarray,
+        *,
+        before: np.ndarray | None = None,
+        curved: np.ndarray | None = None,
+        steps: np.ndarray | None = None,
+    ) -> Segment:
+        """The segments from ``start`` to ``end`` [n, 3] on rays of unit ``direction`` [n, 3].
+
+        Pre-integrated chords are ``curved`` [n] where the ray has a sample at ``before`` [n, 3],
+        one step before the start; ``steps`` [n] is then the segments' length in steps.
+        """
+        middle = 0.5 * (start + end)
+        length = np.linalg.norm(end - start, axis=1)
+        parts = self._classified(start, end, length, before, curved, steps)
+        gradient = self.gradient(middle)
+        slope = _finite_norm(gradient)
+        if len(parts) == 1:
+            color, depth = parts[0]
+        else:
+            weights = classify.layer_weights(slope, self.layers_at)
+            parts = [(c, d * w) for (c, d), w in zip(parts, weights.T)]
+            color, depth = classify.combined(parts)
+        if self.gradient_opacity is not None:
+            depth = depth * _factor(self.gradient_opacity, slope)
+        if self.directional_opacity is not None:
+            along = np.abs(np.sum(gradient * direction, axis=1))
+            along = np.where(np.isfinite(along), along, 0.0)
+            depth = depth * _factor(self.directional_opacity, along)
+        color, depth = self._with_fields(color, depth, start, middle, end, length)
+        return Segment(color, depth, middle, gradient)
+
+    def is_kept(self, world: np.ndarray) -> np.ndarray:
+        """Whether all masks keep these places [n, 3]: bool [n]."""
+        return self.kept_share(world, world) > 0
+
+    def kept_share(self, start: np.ndarray, end: np.ndarray) -> np.ndarray:
+        """The share [n] of each segment that the masks keep."""
+        share = np.ones(len(start))
+        for field, sampler in self.fields:
+            if field.role == "mask":
+                share = share * _kept_by_mask(field, sampler, start, end)
+        return share
+
+    def _classified(self, start, end, length, before, curved, steps):
+        """(colour, optical depth) of the segments by each layer's function."""
+        middle = 0.5 * (start + end)
+        if self.classification == "pre":
+            moved, added = self._perturbed(middle)
+            voxels, weights = self.field.value.taps(moved)
+            voxels = voxels + np.broadcast_to(added, len(middle))[:, None]
+            return [classify.of_voxels(f, voxels, weights, length) for f in self.functions]
+        if self.classification == "post":
+            value = self.value(middle)
+            return [classify.of_value(f, value, length) for f in self.functions]
+        front, back = self.value(start), self.value(end)
+        if curved is not None and curved.any():
+            shifted = classify.curvature_shift(
+                self.value(before), front, back, steps, self.field.filter
+            )
+            front, back = (np.where(curved, s, v) for s, v in zip(shifted, (front, back)))
+        return [classify.of_chord(f, front, back, length) for f in self.functions]
+
+    def _with_fields(self, color, depth, start, middle, end, length):
+        for field, sampler in self.fields:
+            if field.role == "label":
+                label, inside = sampler(middle), sampler.inside(middle)
+                for k, number in enumerate(field.labels):
+                    is_it = inside & (label == number)
+                    color = np.where(is_it[:, None], field.colors[k], color)
+                    depth = np.where(is_it, depth * field.factors[k], depth)
+        for field, sampler in self.fields:
+            if field.role == "density":
+                value = np.where(sampler.inside(middle), sampler(middle), np.nan)
+                function = classify.MovedFunction(field.function)
+                added = classify.of_value(function, value, length)
+                color, depth = classify.combined([(color, depth), added])
+        return color, depth * self.kept_share(start, end)
+
+
+def _sampler(field) -> GridSampler:
+    filter = "nearest" if field.role == "label" else "linear"
+    return GridSampler(field.volume.data, field.volume.grid, filter)
+
+
+def _kept_by_mask(field, sampler, start, end):
+    """The share [n] kept: the mask runs linearly from end to end. Of a segment with an end outside
+    the mask's grid, or where it is not finite, nothing is kept."""
+    ends, known = [], np.ones(len(start), bool)
+    for at in (start, end):
+        above = sampler(at) - field.threshold
+        ends.append(above if field.keep == "above" else -above)
+        known &= sampler.inside(at) & np.isfinite(above)
+    first, last = (np.where(known, signed, -1.0) for signed in ends)
+    crosses = (first >= 0) != (last >= 0)
+    at = first / np.where(crosses, first - last, 1.0)
+    kept = np.where((first >= 0) & (last >= 0), 1.0, 0.0)
+    return np.where(crosses, np.where(first >= 0, at, 1.0 - at), kept)
+
+
+def _finite_norm(gradient: np.ndarray) -> np.ndarray:
+    slope = np.linalg.norm(gradient, axis=1)
+    return np.where(np.isfinite(slope), slope, 0.0)
+
+
+def _factor(factor, x: np.ndarray) -> np.ndarray:
+    """Linear between the points ``at``; of two at one place the later one holds."""
+    at, factors = np.asarray(factor.at), np.asarray(factor.factors)
+    high = np.clip(np.searchsorted(at, x, side="right"), 0, len(at))
+    low, high = np.clip(high - 1, 0, len(at) - 1), np.clip(high, 0, len(at) - 1)
+    span = at[high] - at[low]
+    share = np.clip((x - at[low]) / np.where(span > 0, span, 1.0), 0.0, 1.0)
+    return factors[low] + share * (factors[high] - factors[low])

@@ -1,0 +1,53 @@
+"""The plain ray caster for pictures made of tiles (cl/tile_rays.cl)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from clvol.device.effects import ARGUMENTS as EFFECT_ARGUMENTS
+from clvol.device.view import ray_frame
+from clvol.integrators.raycast.caster import Raycaster
+from clvol.integrators.tiles.geometry import TileGrid
+from clvol.integrators.tiles.launch import PacketRenderer
+from clvol.scene.camera import Camera
+
+_SCENE_ARGUMENTS = "in volume V1, in table float32, in warp float32, in distances uint8, in view V1"
+_SECONDS_A_SAMPLE = 1e-8  # as of a whole picture
+
+
+class TileRaycaster(Raycaster):
+    """A ``Raycaster`` that casts lists of rays too: an engine for ``TiledRenderer``. It has no
+    blocks, so all its tiles are of the same resolution to begin with."""
+
+    def packets(self, depth: bool) -> PacketRenderer:
+        has_effects = bool(self.effects.switches)
+        return PacketRenderer(
+            "tile_rays.cl",
+            {**self.switches, "WITH_DEPTH": int(depth)},
+            _SCENE_ARGUMENTS,
+            self._scene_arrays(),
+            EFFECT_ARGUMENTS if has_effects else "",
+            self.effects.arrays if has_effects else {},
+            self.lanes,
+            self._most_samples() * _SECONDS_A_SAMPLE,
+        )
+
+    def picture_view(self, camera: Camera, width: int, height: int) -> np.ndarray:
+        """``View`` [1] of a whole picture."""
+        frame = ray_frame(camera, self.resolved.volume.grid, width, height)
+        return self._frame_view(frame, width, height)
+
+    def blank_view(self) -> np.ndarray:
+        """``View`` [1] of a picture of no pixels."""
+        return np.zeros(1, self._view_dtype)
+
+    def corner_statistics(self, view: np.ndarray, grid: TileGrid) -> None:
+        return None
+
+    def counted(self, counts: np.ndarray) -> dict[str, int]:
+        """What effects counted, by name."""
+        return self.effects.counted(counts)
+
+    @property
+    def shows_nothing(self) -> bool:
+        return self._shows_nothing
