@@ -21,7 +21,8 @@ from bench.multiresolution_scenes import BlockScene
 from bench.report import say
 from clvol.accuracy.metrics import delta_e, ssim
 from clvol.accuracy.timing import summary, take_turns
-from clvol.store.source import DROPPED, BlockStatistics, VolumeBlocks
+from clvol.store.source import DROPPED, BlockStatistics
+from clvol.store.volume_blocks import VolumeBlocks
 
 STEPPINGS = ("full", "limited", "naive", "bounded")
 PRIORITIES, TILE_SIZES = ("max", "average", "rms"), (8, 12, 16, 24)

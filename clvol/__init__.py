@@ -11,7 +11,7 @@ __version__ = "0.1.0"
 
 _LAZY = {
     "Volume": "clvol.volume",
-    "load_volume": "clvol.volume",
+    "load_volume": "clvol.readers",
     "Scene": "clvol.scene",
     "load_scene": "clvol.scene",
     "Camera": "clvol.scene",

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from clvol import __version__
 from clvol.text import without_surrogates
 
 MADE_FROM = "made_from"
@@ -31,12 +32,10 @@ def facts(frame: Any, held: Iterable[np.ndarray] = ()) -> dict[str, str]:
     """Texts for a header: software, versions, device, statistics, background, and, where they are
     known, the scene and what the picture was made from (``clvol.render.made_from``), with a digest
     of the pixels that the file is to hold, ``held``."""
-    import clvol
-
     stats = getattr(frame, "stats", None) or {}
     texts = {
-        "software": f"clvol {clvol.__version__}",
-        "clvol_version": clvol.__version__,
+        "software": f"clvol {__version__}",
+        "clvol_version": __version__,
         "pyopencl_version": _version("pyopencl"),
         "numpy_version": _version("numpy"),
         "device": ", ".join(str(d) for d in stats.get("devices", ())) or "unknown",

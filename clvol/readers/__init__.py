@@ -19,8 +19,12 @@ from pathlib import Path
 import numpy as np
 
 from clvol.errors import ClvolError, ClvolWarning, VolumeError
+from clvol.readers.dicom.files import has_dicom, is_dicom
 from clvol.readers.options import ReadOptions
 from clvol.readers.quiet import quiet
+from clvol.readers.tiff_slices import slice_files
+from clvol.readers.zarr import is_zarr
+from clvol.store.zarr_store import check_finished
 from clvol.volume.axis import ValueAxis
 from clvol.volume.grid import Grid
 from clvol.volume.lazy import narrowed_volume
@@ -58,7 +62,7 @@ def is_volume_path(path: str | os.PathLike) -> bool:
     name = path.name.lower()
     if _ending(path) is not None or name.endswith(ZARR_ENDING) or os.path.isdir(path):
         return True
-    return os.path.isfile(path) and _is_dicom_file(path)
+    return os.path.isfile(path) and is_dicom(path)
 
 
 def load_volume(
@@ -170,21 +174,17 @@ def _choose(path: Path) -> tuple[str, str]:
     try:
         mode = path.stat().st_mode
     except FileNotFoundError:
-        from clvol.store.zarr_store import check_finished
-
         check_finished(path)
         raise VolumeError(str(path), "no such file", "a volume file or a DICOM folder") from None
     except (OSError, ValueError) as error:
         raise VolumeError(str(path), _first_line(error), "a volume file") from None
     ending = _ending(path)
-    if stat.S_ISREG(mode) and ending in (None, ".img") and _is_dicom_file(path):
+    if stat.S_ISREG(mode) and ending in (None, ".img") and is_dicom(path):
         return FOLDER
     if stat.S_ISDIR(mode):
         if ending is not None:
             raise VolumeError(str(path), "a folder", f"a {ENDINGS[ending][0]} file")
         _check_entries(path)
-        from clvol.readers.zarr import is_zarr
-
         if is_zarr(path):
             return ZARR
         if path.name.lower().endswith(ZARR_ENDING):
@@ -202,17 +202,8 @@ def _choose(path: Path) -> tuple[str, str]:
     return ENDINGS[ending]
 
 
-def _is_dicom_file(path: Path) -> bool:
-    from clvol.readers.dicom import is_dicom
-
-    return is_dicom(path)
-
-
 def _folder(path: Path) -> tuple[str, str]:
     """A folder with TIFF files is a stack of slices, unless there are DICOM files in it."""
-    from clvol.readers.dicom import has_dicom
-    from clvol.readers.tiff_slices import slice_files
-
     try:
         return SLICES if slice_files(path) and not has_dicom(path) else FOLDER
     except OSError as error:

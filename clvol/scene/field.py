@@ -144,7 +144,8 @@ class FieldSettings(Table):
         """The field's volume; ``folder`` is what its file is relative to, ``where`` the place of
         this table for error messages, ``labels`` whether nothing but labels are read from the file.
         Raises SceneError if it is not there, VolumeError."""
-        from clvol.volume import Volume, load_volume
+        from clvol.readers import load_volume
+        from clvol.volume import Volume
 
         if isinstance(self.file, Volume):
             return self.file

@@ -51,7 +51,7 @@ def load_scene(path: str | Path, overrides: Iterable[str] = ()) -> Scene:
 
 def _check_ending(path: Path) -> None:
     """SceneError for a file that is plainly neither a scene nor a volume."""
-    from clvol.volume import ENDINGS, is_volume_path
+    from clvol.readers import ENDINGS, is_volume_path
 
     if path.suffix.lower() in _DICOM_FILES or is_volume_path(path):
         return

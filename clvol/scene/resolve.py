@@ -169,8 +169,9 @@ def load_scene_volume(
     asked: VolumeSettings | Volume, folder: Path, origin: str, memory_cap: int | None
 ) -> Volume:
     """The volume of a scene; ``folder`` is what a file name is relative to."""
+    from clvol.readers import load_volume
     from clvol.store.zarr_store import check_finished
-    from clvol.volume import Volume, load_volume
+    from clvol.volume import Volume
 
     if isinstance(asked, Volume):
         return asked

@@ -22,12 +22,12 @@ from typing import Any
 import numpy as np
 
 from clvol.errors import UsageError, VolumeError
-from clvol.readers.units import ome_name
 from clvol.store.codecs import Codec, find_codec, statistics_chain
 from clvol.store.geometry import EDGES, BlockGrid
 from clvol.store.source import QUANTILES
 from clvol.volume.axis import ValueAxis
 from clvol.volume.grid import Grid
+from clvol.volume.units import ome_name
 from clvol.volume.volume import ACCEPTED_TYPES
 
 VERSION = 1

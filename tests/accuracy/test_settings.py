@@ -25,7 +25,7 @@ from clvol.scene.knob import Knob
 from clvol.scene.multiresolution import Multiresolution
 from clvol.scene.pyramid import Pyramid
 from clvol.scene.sizes import parse_size
-from clvol.store.source import VolumeBlocks
+from clvol.store.volume_blocks import VolumeBlocks
 
 EXPECTED = {
     "integration.method", "integration.step", "integration.classification",

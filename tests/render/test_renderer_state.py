@@ -14,7 +14,7 @@ from small_scenes import make_scene, waves
 from clvol import Camera, Renderer, Scene, TransferFunction, Volume
 from clvol.errors import RenderError, VolumeError
 from clvol.render.scene_key import engine_key, value_key
-from clvol.store.source import VolumeBlocks
+from clvol.store.volume_blocks import VolumeBlocks
 
 FUNCTIONS = [
     TransferFunction([0, 100, 255], [0, first, last], [color] * 3, opacity_unit=10.0)

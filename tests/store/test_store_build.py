@@ -16,13 +16,14 @@ import pytest
 import slow_blocks
 
 from clvol.errors import ClvolError, RenderError, UsageError, VolumeError
+from clvol.readers import load_volume
 from clvol.store import build
 from clvol.store.build import build_store, unfinished
 from clvol.store.codecs import CODECS
-from clvol.store.source import VolumeBlocks
+from clvol.store.volume_blocks import VolumeBlocks
 from clvol.store.voxel_source import FieldSource, VolumeSource
 from clvol.store.zarr_store import open_store
-from clvol.volume import Grid, Volume, load_volume
+from clvol.volume import Grid, Volume
 from clvol.volume.procedural import scene_field
 
 TYPES = ("uint8", "int8", "uint16", "int16", "float32", "float64")

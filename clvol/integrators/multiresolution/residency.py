@@ -12,7 +12,8 @@ from clvol.integrators.multiresolution.device_blocks import DeviceBlocks
 from clvol.integrators.multiresolution.selection import Selection, SourceErrors, select_blocks, source_errors
 from clvol.opencl.context import DeviceContext
 from clvol.scene.resolve import ResolvedScene
-from clvol.store.source import DROPPED, BlockSource, VolumeBlocks
+from clvol.store.source import DROPPED, BlockSource
+from clvol.store.volume_blocks import VolumeBlocks
 from clvol.transfer import TransferFunction
 from clvol.volume import Volume
 
