@@ -13,17 +13,10 @@ from clvol.readers.options import ReadOptions
 from clvol.readers.zarr_image import find_image
 from clvol.store.arrays import what_failed
 from clvol.store.turned import TurnedBlocks
-from clvol.store.zarr_store import StoredBlocks, is_store, is_unfinished, open_store
+from clvol.store.zarr_store import StoredBlocks, is_store, open_store
 from clvol.volume.grid import Grid
 from clvol.volume.lazy import LazyVolume
 from clvol.volume.volume import Volume, check_type
-
-_MARKS = ("zarr.json", ".zgroup", ".zarray")
-
-
-def is_zarr(path: Path) -> bool:
-    """Whether the folder is a Zarr array or group, or a store whose making was interrupted."""
-    return any((path / name).exists() for name in _MARKS) or is_unfinished(path)
 
 
 def read(path: Path, options: ReadOptions) -> Volume:
