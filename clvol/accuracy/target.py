@@ -21,13 +21,13 @@ from clvol.accuracy.estimate import ErrorEstimate, draw, estimate
 from clvol.accuracy.judge import Judge, check_judged
 from clvol.accuracy.search import Search
 from clvol.accuracy.settings import (
-    SceneKnob,
+    SceneTunable,
     apply,
     canonical,
     is_possible,
     key_of,
-    scene_knobs,
     scene_settings,
+    scene_tunables,
     tables_with,
 )
 from clvol.accuracy.trials import Trial, Trials, root_mean_square
@@ -74,7 +74,7 @@ def render_to_error(
     """The picture with the cheapest settings that hold an error.
 
     ``max_error``: RMSE of linear premultiplied RGBA against the exact integral, 1e-10 to 1. Of the scene's
-    knobs (step, classification, ...) all are free. ``frame.stats["accuracy"]`` has "rmse", "bound" and
+    tunables (step, classification, ...) all are free. ``frame.stats["accuracy"]`` has "rmse", "bound" and
     "confidence" as measured, the "settings" chosen, and what it took. Other arguments as for
     ``clvol.Renderer``; ``seed`` of the drawn pixels.
 
@@ -121,7 +121,7 @@ def check_time_budget(value: float) -> None:
 
 
 class _Workshop:
-    """Device, pilot and knobs of one call."""
+    """Device, pilot and tunables of one call."""
 
     def __init__(
         self, scene, devices, memory_cap, error: float, depth: bool, progress, seed: int
@@ -142,9 +142,9 @@ class _Workshop:
         self.rng = np.random.default_rng(seed)
         self.error = error
         self.size = asked.image.width, asked.image.height
-        self.knobs = scene_knobs(self.resolved)
-        self.start = scene_settings(self.resolved, self.knobs)
-        self.of_picture = {k: v for k, v in self.knobs.items() if v.knob.of_picture}
+        self.tunables = scene_tunables(self.resolved)
+        self.start = scene_settings(self.resolved, self.tunables)
+        self.of_picture = {k: v for k, v in self.tunables.items() if v.tunable.of_picture}
         self.pictures: dict[tuple, Trial] = {}
         self.seconds = {"pilot": 0.0, "pictures": 0.0, "measure": 0.0}
         self.load_seconds = time.perf_counter() - start
@@ -160,7 +160,7 @@ class _Workshop:
         )  # fmt: skip
         self.search = Search(
             self._measure_pilot,
-            self.knobs,
+            self.tunables,
             lambda settings: is_possible(self.resolved, settings, memory_cap),
             self._canonical,
         )
@@ -225,17 +225,17 @@ class _Workshop:
 
     def _plain(self) -> dict[str, Any]:
         """The scene's settings with every pixel's own ray."""
-        return self._canonical({**self.start, **self._without_picture_knobs()})
+        return self._canonical({**self.start, **self._without_picture_tunables()})
 
-    def _without_picture_knobs(self) -> dict[str, Any]:
-        return {key: knob.values[-1] for key, knob in self.of_picture.items()}
+    def _without_picture_tunables(self) -> dict[str, Any]:
+        return {key: tunable.values[-1] for key, tunable in self.of_picture.items()}
 
     def _measure_pilot(self, settings: dict[str, Any]) -> Trial:
         self.report("choosing settings")
         return self.pilot.run(settings)
 
     def _cheapest_picture(self, aim: float) -> Trial | None:
-        """The cheapest whole picture found that holds ``aim``. The knobs of pictures need some of the
+        """The cheapest whole picture found that holds ``aim``. The tunables of pictures need some of the
         error for themselves, so the pilot is asked for a part of it as well. What they add
         shows beside the picture without them."""
         best: Trial | None = None
@@ -254,7 +254,7 @@ class _Workshop:
             room = math.sqrt(max(aim**2 - chosen.rmse**2, 0.0))
             method = chosen.settings.get("integration.method", self.resolved.integration.method)
             combinations = _Combinations(
-                {key: knob for key, knob in self.of_picture.items() if knob.knob.is_of(method)}
+                {key: tunable for key, tunable in self.of_picture.items() if tunable.tunable.is_of(method)}
             )
             while (values := combinations.next()) is not None:
                 tried = self._whole(self._canonical({**chosen.settings, **values}))
@@ -265,7 +265,7 @@ class _Workshop:
         return best
 
     def _canonical(self, settings: dict[str, Any]) -> dict[str, Any]:
-        return canonical(self.resolved, self.knobs, settings)
+        return canonical(self.resolved, self.tunables, settings)
 
     def _whole(self, settings: dict[str, Any]) -> Trial:
         key = key_of(settings)
@@ -323,11 +323,11 @@ class _Workshop:
     def _finer(self, picture: Trial) -> np.ndarray:
         """A rendering that tells roughly where the picture is wrong."""
         settings = dict(picture.settings)
-        for key, knob in self.knobs.items():
-            if knob.knob.of_picture:
-                settings[key] = knob.values[-1]
-            elif knob.knob.is_main:
-                settings[key] = knob.next_to(settings[key], 2) or knob.values[-1]
+        for key, tunable in self.tunables.items():
+            if tunable.tunable.of_picture:
+                settings[key] = tunable.values[-1]
+            elif tunable.tunable.is_main:
+                settings[key] = tunable.next_to(settings[key], 2) or tunable.values[-1]
         settings = self._canonical(settings)
         if settings == picture.settings:
             settings = min(self.search.measured, key=lambda trial: trial.rmse).settings
@@ -376,7 +376,7 @@ class _Workshop:
             "settings": self._counting(trial.settings), "attempts": attempt,
             "tried": len(self.search.measured), "seconds": dict(self.seconds),
         }  # fmt: skip
-        pilot = self.search.measure({**trial.settings, **self._without_picture_knobs()})
+        pilot = self.search.measure({**trial.settings, **self._without_picture_tunables()})
         seconds = {
             "load": self.load_seconds, "prepare": pilot.prepare_seconds,
             "compile": pilot.compile_seconds + trial.compile_seconds, "render": trial.seconds,
@@ -392,7 +392,7 @@ class _Workshop:
     def _counting(self, settings: dict[str, Any]) -> dict[str, Any]:
         """Without what has no effect beside the others."""
         scene = apply(self.resolved, settings)
-        return {k: value for k, value in settings.items() if self.knobs[k].knob.counts(scene)}
+        return {k: value for k, value in settings.items() if self.tunables[k].tunable.counts(scene)}
 
     def _resolved_as(self, settings: dict[str, Any]) -> ResolvedScene:
         """The scene with ``settings``, whose source says them too."""
@@ -418,14 +418,14 @@ def where_measured(found: ErrorEstimate) -> str:
 
 
 class _Combinations:
-    """Combinations of the values of knobs, middle ones first, so that what is learnt from one leaves few
+    """Combinations of the values of tunables, middle ones first, so that what is learnt from one leaves few
     others to be tried."""
 
-    def __init__(self, knobs: dict[str, SceneKnob]) -> None:
-        # Without its last value, which is to do without the knob.
+    def __init__(self, tunables: dict[str, SceneTunable]) -> None:
+        # Without its last value, which is to do without the tunable.
         self._ladders = {
-            key: knob.values[:-1] if knob.values[-1] == knob.scene_value else knob.values
-            for key, knob in knobs.items()
+            key: tunable.values[:-1] if tunable.values[-1] == tunable.scene_value else tunable.values
+            for key, tunable in tunables.items()
         }
         places = itertools.product(*(range(len(values)) for values in self._ladders.values()))
         middle = [(len(values) - 1) / 2 for values in self._ladders.values()]
@@ -440,7 +440,7 @@ class _Combinations:
         return {key: values[k] for (key, values), k in zip(self._ladders.items(), place)}
 
     def drop(self, values: dict[str, Any], cheaper: bool) -> None:
-        """Takes out this one, and all that are cheaper in no knob less (or else more accurate)."""
+        """Takes out this one, and all that are cheaper in no tunable less (or else more accurate)."""
         place = [self._ladders[key].index(value) for key, value in values.items()]
         self._left = [
             p for p in self._left

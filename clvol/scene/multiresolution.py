@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import math
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
-from clvol.scene.knob import Knob
 from clvol.scene.sizes import parse_size
 from clvol.scene.table import Number, Table, Whole, wrong
 
@@ -23,41 +21,6 @@ def _is_size(text: str) -> str:
     return text
 
 
-def _budgets(resolved: Any) -> tuple[str, ...]:
-    """Sizes with room for shares of the volume, up to all of it, beside what else is needed."""
-    from clvol.integrators.multiresolution.residency import block_source
-    from clvol.integrators.multiresolution.sample_allocator import overhead_bytes, sample_dtype
-
-    blocks = block_source(resolved.volume).blocks
-    whole = blocks.count * blocks.edge**3 * sample_dtype(resolved.volume.dtype).itemsize
-    sizes = []
-    for halvings in range(_SHARES, -1, -1):
-        share = size = whole >> halvings
-        for _ in range(2):  # the map of empty space is finer where the size allows
-            size = share + overhead_bytes(blocks, size)
-        sizes.append(_readable(size))
-    return tuple(dict.fromkeys(sizes))
-
-
-def _readable(size: float) -> str:
-    """``size`` bytes rounded up to two digits, with a unit."""
-    unit = min(max(int(math.log(size, 1024)), 0), len(_UNITS) - 1)
-    value = size / 1024**unit
-    digit = 10 ** max(math.floor(math.log10(value)) - 1, -1)
-    return f"{math.ceil(value / digit) * digit:.4g} {_UNITS[unit]}"
-
-
-def _in_tiles(scene: Any) -> bool:
-    return scene.multiresolution.tiles > 0
-
-
-def _tile_shares(resolved: Any) -> tuple[float, ...]:
-    return tuple(s for s in (0.3, 0.5, 0.7, 0.9, 1.0) if s >= resolved.multiresolution.tile_low)
-
-
-_SHARES = 5  # halvings of the volume that budgets are tried for
-_UNITS = ("B", "KiB", "MiB", "GiB", "TiB")
-_OURS = ("multiresolution",)
 _TILES = "0 (every pixel has a ray), or a whole number of pixels from 2 to 256"
 _SHARE = "a share of a tile's edge, greater than 0 and at most 1"
 
@@ -76,46 +39,24 @@ class Multiresolution(Table):
     ``tile_high``: rays an axis of the tiles of least and of most priority, over ``tiles``.
     """
 
-    memory: Annotated[
-        str,
-        BeforeValidator(_as_text),
-        AfterValidator(_is_size),
-        Knob("memory", "", _budgets, saves_memory=True, methods=_OURS, order=parse_size),
-    ] = Field("96 MiB", description="a size such as \"96 MiB\"")
-    stepping: Annotated[
-        Literal["full", "limited", "naive", "bounded", "pyramid"],
-        Knob(
-            "stepping", "", ("naive", "limited", "bounded", "full"),
-            is_ladder=False, alone=True, methods=_OURS,
-        ),
-    ] = Field("limited", description="'full', 'limited', 'naive', 'bounded' or 'pyramid'")  # fmt: skip
-    step_error: Annotated[
-        Number,
-        Knob(
-            "step error", "linear light", (0.3, 0.1, 0.03, 0.01, 0.003, 0.001),
-            methods=_OURS, applies=lambda scene: scene.multiresolution.stepping == "bounded",
-        ),
-    ] = Field(0.03, gt=0, le=1, description="a number greater than 0, at most 1")  # fmt: skip
-    interblock: Annotated[
-        bool,
-        Knob("interblock", "", (False, True), is_ladder=False, alone=True, methods=_OURS),
-    ] = Field(True, description="true or false")
+    memory: Annotated[str, BeforeValidator(_as_text), AfterValidator(_is_size)] = Field(
+        "96 MiB", description="a size such as \"96 MiB\""
+    )
+    stepping: Literal["full", "limited", "naive", "bounded", "pyramid"] = Field(
+        "limited", description="'full', 'limited', 'naive', 'bounded' or 'pyramid'"
+    )
+    step_error: Number = Field(
+        0.03, gt=0, le=1, description="a number greater than 0, at most 1"
+    )
+    interblock: bool = Field(True, description="true or false")
     view_weighting: bool = Field(True, description="true or false")
     occlusion: bool = Field(True, description="true or false")
-    tiles: Annotated[
-        Whole, Knob("tiles", "pixels", (32, 16, 8, 0), of_picture=True, methods=_OURS)
-    ] = Field(0, ge=0, le=256, description=_TILES)
+    tiles: Whole = Field(0, ge=0, le=256, description=_TILES)
     tile_priority: Literal["max", "average", "rms"] = Field(
         "max", description="'max', 'average' or 'rms'"
     )
     tile_low: Number = Field(0.1, gt=0, le=1, description=_SHARE)
-    tile_high: Annotated[
-        Number,
-        Knob(
-            "highest share of rays", "of a tile's edge", _tile_shares, of_picture=True,
-            methods=_OURS, applies=_in_tiles,
-        ),
-    ] = Field(0.9, gt=0, le=1, description=_SHARE)  # fmt: skip
+    tile_high: Number = Field(0.9, gt=0, le=1, description=_SHARE)
 
     @classmethod
     def table_name(cls) -> str:
