@@ -32,7 +32,9 @@ from clvol.features import (
     reduced,
     refuse_unknown,
 )
+from clvol.features.half_spaces import MOST_HALF_SPACES
 from clvol.opencl.kernels_path import kernel_folder
+from clvol.opencl.structs import MOST_HALVES
 from clvol.scene import ImageSettings, Scene
 
 ARRAY = waves((8, 9, 10), np.uint8)  # 0 to 255
@@ -52,6 +54,16 @@ def test_the_vocabulary_is_one(prefix, table):
     text = (kernel_folder() / "features.h").read_text()
     found = re.finditer(rf"#define {prefix}_(\w+) (\d+)", text)
     assert {m[1].lower().replace("_", "-"): int(m[2]) for m in found} == table
+
+
+def test_what_refuses_a_scene_knows_the_oracles_and_the_room_for_half_spaces():
+    code = "from clvol.features.vocabulary import ORACLE_NAMES; print(*ORACLE_NAMES, sep=',')"
+    code += "; from clvol.integrators.pyramid.oracles import names; print(*names(), sep=',')"
+    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    listed, registered = said.stdout.split()  # in a process where no test has registered one of its own
+    assert listed == registered
+    assert MOST_HALF_SPACES == MOST_HALVES
+    assert f"#define MOST_HALVES {MOST_HALF_SPACES}\n" in (kernel_folder() / "pyramid.h").read_text()
 
 
 def scene_with(volume=VOLUME, function=SMOOTH, **tables):

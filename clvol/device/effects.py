@@ -14,7 +14,7 @@ import numpy as np
 from clvol.device.environment import environment_maps
 from clvol.device.environment_file import load_radiance
 from clvol.device.fields import SceneFields, field_switches
-from clvol.device.gradients import DeviceLimits, gradient_switch
+from clvol.device.gradients import gradient_switch
 from clvol.device.light_volume import (
     METHODS,
     casting_lights,
@@ -23,7 +23,7 @@ from clvol.device.light_volume import (
     shadow_step,
     shadow_switches,
 )
-from clvol.device.memory import ValueMap, padded_size
+from clvol.device.memory import ValueMap
 from clvol.device.noise import TARGETS, device_noise, device_tiles, perturbation
 from clvol.device.opacity_factors import factor_rows, factor_switches, layer_places
 from clvol.device.projection import (
@@ -35,10 +35,12 @@ from clvol.device.projection import (
 )
 from clvol.device.volume import DeviceVolume
 from clvol.features import COMPOSITINGS, GRADIENTS, emits, is_lit
+from clvol.features.gradient_storage import UNLIMITED, DeviceLimits
 from clvol.opencl.context import DeviceArray, DeviceContext
 from clvol.opencl.structs import effects_dtype
 from clvol.scene.resolve import ResolvedScene
 from clvol.volume import Grid
+from clvol.volume.voxel_layout import padded_size
 
 # As numbered in cl/effects.h, each with the switch that it takes to be counted at all.
 _BY_RAYS = ("shadow_rays", "shadow_samples")  # nor is it counted where shadows are by volume
@@ -127,7 +129,7 @@ def _gradient(resolved: ResolvedScene, limits: DeviceLimits | None) -> int:
     asked = resolved.gradient
     if resolved.noise:  # differences of noisy values, whatever the operator is
         return GRADIENTS["central"]
-    limits = limits or DeviceLimits(memory=2**63, buffer=2**63)
+    limits = limits or UNLIMITED
     return gradient_switch(
         resolved.volume, resolved.integration.filter, asked.operator, asked.storage, limits
     )

@@ -10,11 +10,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clvol.device.empty_space import visible_mask
-from clvol.device.memory import CELL_SHIFT, LARGEST_OFFSET, ValueMap, padded_size, value_map
+from clvol.device.memory import ValueMap, value_map
 from clvol.errors import VolumeError
 from clvol.transfer import TransferFunction
 from clvol.transfer.lookup_nodes import ClassNodes, class_nodes, visible_cells
 from clvol.transfer.pieces import has_opaque_point, piece_count, piece_table
+from clvol.volume.voxel_layout import CELL_SHIFT, LARGEST_OFFSET, padded_size
 
 if TYPE_CHECKING:
     from clvol.opencl.context import DeviceContext

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from clvol.device.gradients import DeviceLimits
 from clvol.errors import SceneError
+from clvol.features.gradient_storage import DeviceLimits
 from clvol.opencl.context import DeviceArray, DeviceContext
 from clvol.scene.resolve import ResolvedScene
 from clvol.scene.shadow import Shadow

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from clvol.errors import SceneError
 from clvol.features.analysis import effects, reduced_for_frames
-from clvol.features.vocabulary import FILTERS, METHODS
+from clvol.features.half_spaces import half_spaces
+from clvol.features.vocabulary import FILTERS, METHODS, ORACLE_NAMES
 from clvol.scene.resolve import ResolvedScene
 from clvol.volume.lazy import FilledVolume
 
@@ -98,16 +99,13 @@ def _refuse_beside_pyramid_of_blocks(resolved: ResolvedScene) -> None:
 
 def _refuse_beside_pyramid(resolved: ResolvedScene) -> None:
     """What the method "pyramid" does not do."""
-    from clvol.integrators.pyramid.clips import halves_of
-    from clvol.integrators.pyramid.oracles import names
-
     origin, asked = resolved.origin, resolved.pyramid.oracle
-    if asked not in names():
-        expected = " or ".join(map(repr, names()))
+    if asked not in ORACLE_NAMES:
+        expected = " or ".join(map(repr, ORACLE_NAMES))
         raise SceneError(f"{origin}: pyramid.oracle", f"got {asked!r}", expected)
     _refuse_keys(resolved, _OF_PYRAMID)
     _refuse_sparse_rays(resolved, "method")
-    if halves_of(reduced_for_frames(resolved).clips) is None:
+    if half_spaces(reduced_for_frames(resolved).clips) is None:
         what = "got clips that leave more than one stretch of a ray, or are of many planes, with the method 'pyramid'"
         expected = "planes and boxes that keep what is inside, 16 planes in all, or the method 'raycast'"
         raise SceneError(f"{origin}: clip", what, expected)

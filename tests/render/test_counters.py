@@ -7,9 +7,9 @@ import pytest
 from effect_scenes import NOTHING, ball
 
 from clvol import Scene, TransferFunction, Volume
-from clvol.device.memory import CELL_SHIFT
 from clvol.integrators.raycast.caster import Raycaster
 from clvol.render.engines import Engines
+from clvol.volume.voxel_layout import CELL_SHIFT
 
 GREY = [0.5, 0.5, 0.5]
 SIDE, PIXELS = 33, (12, 10)

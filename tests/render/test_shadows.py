@@ -28,7 +28,6 @@ from twin_scenes import constant_function, ramp
 from clvol import Renderer, TransferFunction
 from clvol.device import light_volume
 from clvol.device.effects import effect_switches
-from clvol.device.gradients import DeviceLimits
 from clvol.device.light_volume import (
     CONE_DIRECTIONS,
     check_fits,
@@ -37,6 +36,7 @@ from clvol.device.light_volume import (
     light_volume_bytes,
 )
 from clvol.errors import SceneError, VolumeError
+from clvol.features.gradient_storage import DeviceLimits
 from clvol.integrators.raycast.caster import Raycaster
 from clvol.volume import Grid
 
