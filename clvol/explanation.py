@@ -5,10 +5,22 @@ from __future__ import annotations
 import hashlib
 from typing import Any
 
+from clvol.device.environment_file import load_radiance
+from clvol.device.gradients import storing_switches
+from clvol.device.light_volume import METHODS
+from clvol.device.prefilter import prefiltered
+from clvol.device.quantise import quantised
 from clvol.features.analysis import effects, reduced, reduced_for_frames
 from clvol.features.refuse import refuse_unknown
 from clvol.features.scene_warnings import camera_warning, scene_warnings
 from clvol.features.vocabulary import GRADIENTS
+from clvol.integrators.multiresolution.caster import block_switches
+from clvol.integrators.pyramid.blocks import block_pyramid_switches
+from clvol.integrators.pyramid.caster import pyramid_switches
+from clvol.integrators.pyramid.oracles import oracle_named
+from clvol.integrators.raycast.caster import raycast_switches
+from clvol.opencl.context import compile_options
+from clvol.opencl.kernels_path import kernel_folder
 from clvol.scene.environment import Environment
 from clvol.scene.resolve import ResolvedScene
 
@@ -34,8 +46,6 @@ def explain(resolved: ResolvedScene) -> dict[str, Any]:
 
 def _read_environment(environment: Environment | None) -> None:
     """SceneError if it cannot be rendered."""
-    from clvol.device.environment_file import load_radiance
-
     if environment is not None:
         load_radiance(
             environment.path, environment.layout, environment.intensity,
@@ -49,9 +59,6 @@ def kernel_hash(resolved: ResolvedScene, lanes: int = 16) -> str:
     On a device with room for what is precomputed. The voxels count as they are rendered:
     coefficients of a prefilter are found for it.
     """
-    from clvol.opencl.context import compile_options
-    from clvol.opencl.kernels_path import kernel_folder
-
     digest = hashlib.sha256()
     if resolved.integration.method == "reference":
         resolved = reduced(resolved)
@@ -77,7 +84,6 @@ def _custom_source(resolved: ResolvedScene) -> bytes:
     """What an oracle of the caller's own adds."""
     if resolved.integration.method != "pyramid":
         return b""
-    from clvol.integrators.pyramid.oracles import oracle_named
 
     folder = oracle_named(resolved.pyramid.oracle).folder
     return b"" if folder is None else (folder / "oracle_custom.h").read_bytes()
@@ -86,18 +92,10 @@ def _custom_source(resolved: ResolvedScene) -> bytes:
 def scene_programs(resolved: ResolvedScene, lanes: int = 16) -> dict[str, dict[str, int]]:
     """The files of cl/ that the ray caster compiles for this scene (beside those that all scenes
     share, for tables and empty space), each with its switches."""
-    from clvol.device.gradients import storing_switches
-    from clvol.device.light_volume import METHODS
-    from clvol.device.prefilter import prefiltered
-    from clvol.device.quantise import quantised
-    from clvol.integrators.raycast.caster import raycast_switches
-
     if resolved.integration.method == "multiresolution":
         return _block_programs(reduced_for_frames(resolved), lanes)
     resolved = reduced_for_frames(prefiltered(quantised(reduced_for_frames(resolved))))
     if resolved.integration.method == "pyramid":
-        from clvol.integrators.pyramid.caster import pyramid_switches
-
         return {"pyramid.cl": pyramid_switches(resolved, lanes)}
     switches = raycast_switches(resolved, lanes=lanes)
     programs = {"raycast.cl": switches}
@@ -112,12 +110,8 @@ def scene_programs(resolved: ResolvedScene, lanes: int = 16) -> dict[str, dict[s
 
 def _block_programs(resolved: ResolvedScene, lanes: int) -> dict[str, dict[str, int]]:
     """Of the method "multiresolution", where one buffer holds all samples."""
-    from clvol.integrators.multiresolution.caster import block_switches
-
     of_samples = {"VOXEL_PAIRS": 0, "SAMPLE_BUFFERS": 1}
     if resolved.multiresolution.stepping == "pyramid":
-        from clvol.integrators.pyramid.blocks import block_pyramid_switches
-
         return {"pyramid.cl": block_pyramid_switches(resolved, lanes) | of_samples}
     switches = block_switches(resolved, lanes, True) | of_samples
     programs = {"raycast.cl": switches}

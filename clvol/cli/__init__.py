@@ -18,7 +18,6 @@ from contextlib import contextmanager
 
 from clvol.interrupts import check_stopped, stoppable
 
-COMMANDS = ("render", "explain", "info", "store", "doctor", "compare", "tradeoff")
 INTERRUPTED = 130
 
 

@@ -9,8 +9,9 @@ from importlib import import_module
 import click
 
 from clvol import __version__
-from clvol.cli import COMMANDS
 from clvol.errors import ClvolError, RenderError, UsageError
+
+COMMANDS = ("render", "explain", "info", "store", "doctor", "compare", "tradeoff")  # each a module of this package
 
 
 class _Commands(click.Group):

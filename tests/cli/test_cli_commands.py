@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import clvol
-from clvol.cli import COMMANDS
+from clvol.cli.group import COMMANDS
 
 
 def test_help_names_every_command(run):
