@@ -108,7 +108,7 @@ def reports(monkeypatch):
 
 
 def test_doctor_tells_of_working_and_broken_devices(run, reports):
-    from clvol.opencl.devices import DeviceReport
+    from clvol.opencl.reports import DeviceReport
 
     reports(
         DeviceReport("pocl", "Portable Computing Language", "cpu", working=True, type="CPU",
@@ -124,7 +124,7 @@ def test_doctor_tells_of_working_and_broken_devices(run, reports):
 
 
 def test_doctor_without_a_working_device_has_status_3(run, reports):
-    from clvol.opencl.devices import DeviceReport
+    from clvol.opencl.reports import DeviceReport
 
     for found in ([], [DeviceReport("broken", "Broken", reason="its platform crashed")]):
         reports(*found)
@@ -138,9 +138,9 @@ def test_explain_tells_what_the_scene_calls_for(run, folder, monkeypatch):
     told = {"effects": [{"name": "skip", "called_for": True, "reason": "empty space"},
                         {"name": "shade", "called_for": False, "reason": "no light"}],
             "kernel_hash": "abc"}
-    module = ModuleType("clvol.features")
+    module = ModuleType("clvol.explanation")
     module.explain = lambda resolved: told if resolved.image.width == 8 else None
-    monkeypatch.setitem(sys.modules, "clvol.features", module)
+    monkeypatch.setitem(sys.modules, "clvol.explanation", module)
     assert json.loads(run("explain", "scene.toml", "--json").out) == told
     lines = run("explain", "scene.toml").out.splitlines()
     assert lines[0].split() == ["yes", "skip", "empty", "space"]
