@@ -144,7 +144,6 @@ class StoreLayout:
             names = ["level", *names, *(["quantile"] if name == "quantiles" else [])]
         return _array(shape, chunk, dtype, statistics_chain(dtype), names)
 
-
     # ---- checksums by place ----
 
     @cached_property
