@@ -41,8 +41,8 @@ def run(options: Options) -> dict[str, Any] | None:
 
 def _scene(scene: BenchScene, volume, device: Any, options: Options) -> list[dict[str, Any]]:
     from bench.reference_cache import exact_picture
+    from clvol.accuracy.error_target import render_to_error
     from clvol.accuracy.settings import scene_settings, scene_tunables
-    from clvol.accuracy.target import render_to_error
     from clvol.accuracy.trials import Trials
     from clvol.opencl.context import DeviceContext
 

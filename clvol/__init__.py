@@ -18,8 +18,8 @@ _LAZY = {
     "TransferFunction": "clvol.transfer",
     "Renderer": "clvol.render",
     "Frame": "clvol.render",
-    "render_to_error": "clvol.accuracy.target",
-    "render_in_time": "clvol.accuracy.target",
+    "render_to_error": "clvol.accuracy.error_target",
+    "render_in_time": "clvol.accuracy.time_target",
     "errors": "clvol.errors",
 }
 __all__ = sorted(_LAZY)

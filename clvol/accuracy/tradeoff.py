@@ -2,8 +2,8 @@
 
 Settings are values of the tunables (clvol/accuracy/tunables.py). Tried are: each tunable alone, from
 the scene's own settings; the main ladders (the step) under every combination of alternatives
-(classification, quadrature, filter ...); by each other method the tunables of that method; and then, again and again, the neighbours of whatever lies
-on the Pareto front so far. Errors are those of all pixels against the exact integral; times are
+(classification, quadrature, filter ...); by each other method the tunables of that method; and then,
+again and again, the neighbours of whatever lies on the Pareto front so far. Errors are those of all pixels against the exact integral; times are
 medians of frames for which all candidates take turns.
 """
 
@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 import clvol
-from clvol.accuracy.judge import check_judged
+from clvol.accuracy.ground_truth import check_has_truth
 from clvol.accuracy.metrics import compare, max_abs
 from clvol.accuracy.search import pareto_front
 from clvol.accuracy.settings import (
@@ -93,7 +93,7 @@ class _Sweep:
             resolved = apply(resolved, {"integration.method": "raycast"})
         refuse_unknown(resolved)
         check_memory(resolved, memory_cap)
-        check_judged(resolved)
+        check_has_truth(resolved)
         self.resolved, self.progress, self.memory_cap = resolved, progress, memory_cap
         self.context = open_context(devices)
         self.tunables = scene_tunables(resolved)
@@ -266,7 +266,7 @@ class _Sweep:
                 "system": platform.system(), "clvol": clvol.__version__,
             },
             "reference": {
-                "how": self.trials.judge.how,
+                "how": self.trials.truth.how,
                 "step": counters.get("step"),
                 "tolerance": self.trials.tolerance,
                 "seconds": counters.get("seconds"),

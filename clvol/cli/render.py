@@ -144,7 +144,8 @@ def _render_still(
     with working(f"rendering {size}", quiet) as progress:
         how = {"devices": devices, "memory_cap": memory_cap}
         if max_error is not None or (time_budget is not None and not refines):
-            from clvol.accuracy.target import render_in_time, render_to_error
+            from clvol.accuracy.error_target import render_to_error
+            from clvol.accuracy.time_target import render_in_time
 
             aim = max_error if max_error is not None else time_budget
             render = render_in_time if max_error is None else render_to_error
@@ -194,7 +195,8 @@ def check_targets(max_error: float | None, time_budget: float | None) -> None:
     """UsageError now, before anything is loaded, for what could not be aimed at."""
     if max_error is None and time_budget is None:
         return
-    from clvol.accuracy.target import check_max_error, check_time_budget
+    from clvol.accuracy.error_target import check_max_error
+    from clvol.accuracy.time_target import check_time_budget
 
     if max_error is not None and time_budget is not None:
         raise UsageError("--time-budget", "given beside --max-error", "one of the two")
