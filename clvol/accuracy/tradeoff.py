@@ -3,8 +3,8 @@
 Settings are values of the tunables (clvol/accuracy/tunables.py). Tried are: each tunable alone, from
 the scene's own settings; the main ladders (the step) under every combination of alternatives
 (classification, quadrature, filter ...); by each other method the tunables of that method; and then,
-again and again, the neighbours of whatever lies on the Pareto front so far. Errors are those of all pixels against the exact integral; times are
-medians of frames for which all candidates take turns.
+again and again, the neighbours of whatever lies on the Pareto front so far. Errors are those of all
+pixels against the exact integral; times are medians of frames for which all candidates take turns.
 """
 
 from __future__ import annotations

@@ -13,7 +13,7 @@ from clvol.device.empty_space import visible_mask
 from clvol.device.memory import ValueMap, value_map
 from clvol.errors import VolumeError
 from clvol.transfer import TransferFunction
-from clvol.transfer.lookup_nodes import ClassNodes, class_nodes, visible_cells
+from clvol.transfer.lookup_nodes import LookupNodes, lookup_nodes, visible_cells
 from clvol.transfer.pieces import has_opaque_point, piece_count, piece_table
 from clvol.volume.voxel_layout import CELL_SHIFT, LARGEST_OFFSET, padded_size
 
@@ -116,14 +116,14 @@ class _Part:
             numbers["field_map"][k] = (table.shape[1], piece_count(function), pole, units)
 
     @property
-    def _density(self) -> tuple[TransferFunction, ClassNodes]:
+    def _density(self) -> tuple[TransferFunction, LookupNodes]:
         from clvol.integrators.raycast.caster import device_function
 
         volume = self.field.volume
         function = device_function(self.field.function, self.values)
         span = tuple(float(v) for v in self.values(volume.value_range))
         integer = volume.dtype.kind in "iu"
-        return function, class_nodes(function, span, _DENSITY_NODES, integer=integer)
+        return function, lookup_nodes(function, span, _DENSITY_NODES, integer=integer)
 
     def density_cells(self, cells: tuple[int, int, int]) -> np.ndarray:
         function, nodes = self._density

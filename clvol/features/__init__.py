@@ -3,7 +3,7 @@
 One vocabulary in Python and in cl/features.h (a test compares them). What has no effect on the
 image is not called for: it is neither compiled nor paid for. Nothing here needs a device.
 
-Each effect, or a few that belong together, is a module with a function ``judge``, a pass over the
+Each effect, or a few that belong together, is a module with a function ``analyse``, a pass over the
 scene: it notes its effects with reasons and takes out of the scene what has no consequence.
 """
 

@@ -22,7 +22,7 @@ def uses_of_gradients(scene: ResolvedScene, lit: bool) -> list[str]:
     return [use for use, is_there in uses.items() if is_there]
 
 
-def judge(found: Findings) -> None:
+def analyse(found: Findings) -> None:
     scene = found.scene
     settings, filter = scene.gradient, scene.integration.filter
     uses = uses_of_gradients(scene, found.lit)

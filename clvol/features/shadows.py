@@ -7,7 +7,7 @@ from clvol.features.findings import Findings
 from clvol.scene.resolve import ResolvedScene
 
 
-def judge(found: Findings) -> None:
+def analyse(found: Findings) -> None:
     scene = found.scene
     shadow = scene.shadow
     idle = _why_none(found)

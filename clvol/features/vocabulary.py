@@ -17,7 +17,7 @@ METHODS = ("raycast", "multiresolution", "pyramid", "reference")
 STEPPINGS = {"full": 0, "limited": 1, "naive": 2, "bounded": 3}
 # How the method "pyramid" asks an oracle.
 ORACLES = {"minimum": 0, "map": 1, "error": 2, "custom": 3}
-# What [pyramid] oracle may name, from the one that samples most. ``clvol.integrators.pyramid.oracles.register`` adds others.
+# Names of oracles, from the one that samples most. ``clvol.integrators.pyramid.oracles.register`` adds others.
 ORACLE_NAMES = ["minimum", "visible", "opacity-gradient", "bandwidth", "error"]
 # The sum of the weights' magnitudes along an axis, at most: 1 where no weight is negative.
 _WEIGHT = {"catmull-rom": 1.25}

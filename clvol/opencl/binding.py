@@ -1,7 +1,7 @@
 """pyopencl, imported when it is first used, and without the caches of its own.
 
-Importing clvol makes no OpenCL call and loads no OpenCL library: ``cl`` stands for the module pyopencl, which is imported
-when an attribute of it is first asked for.
+Importing clvol makes no OpenCL call and loads no OpenCL library: ``cl`` stands for the module pyopencl,
+which is imported when an attribute of it is first asked for.
 
 pyopencl's caches lie in the user's cache folder, and pyopencl fails where that cannot be written, is full, damaged
 or locked by another process. Programs are kept by :mod:`clvol.opencl.program_store` instead; what is

@@ -63,7 +63,8 @@ def cache_key(wanted: list[Icd], vendors: str | None) -> str:
     sources = [*sorted(Path(__file__).parent.glob("*.py")), *sorted(kernel_folder().iterdir())]
     facts = [
         _FORMAT, version, sys.executable, host.node(), host.machine(), host.release(), processors,
-        libraries, _stat("/etc/ld.so.cache"), _stat("/usr/bin/ld"), [_stat(source) for source in sources], _limits(), vendors,
+        libraries, _stat("/etc/ld.so.cache"), _stat("/usr/bin/ld"), [_stat(source) for source in sources],
+        _limits(), vendors,
         sorted((k, v) for k, v in os.environ.items() if k.startswith(_RELEVANT) and k != _VENDORS),
     ]
     return hashlib.sha256(json.dumps(facts).encode()).hexdigest()

@@ -1,4 +1,4 @@
-"""Probing all platforms in child processes (:mod:`clvol.opencl.probe`), so that a broken one takes only a child down."""
+"""Probing all platforms in child processes (:mod:`clvol.opencl.probe`): a broken one takes only a child down."""
 
 from __future__ import annotations
 

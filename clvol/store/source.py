@@ -20,8 +20,8 @@ class BlockStatistics:
     """Of the blocks ``first`` ... ``first + n - 1``; arrays [levels, n] are of each level's samples.
 
     minimum, maximum, mean   [levels, n] float64: of the finite samples; NaN where none is
-    quantiles                [levels, n, QUANTILES] float32 (float64 for float64 voxels): the simplified histogram: finite samples in order,
-                             in as many groups of equal size, each group's mean
+    quantiles                [levels, n, QUANTILES] float32 (float64 for float64 voxels): the simplified histogram:
+                             finite samples in order, in as many groups of equal size, each group's mean
     deviation                [levels, n] float64: root mean square, over the block's voxels, of the level's
                              piecewise constant field minus the voxels; 0 at level 0
     reach_low, reach_high    [n] float64: smallest and largest finite voxel of the block and of one voxel around

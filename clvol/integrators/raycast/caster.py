@@ -30,8 +30,8 @@ from clvol.scene.resolve import ResolvedScene
 from clvol.schedule.tiles import TILE, bands, tiling
 from clvol.transfer import TransferFunction
 from clvol.transfer.cycle import cycled
-from clvol.transfer.lookup_nodes import ClassNodes, class_nodes, visible_cells
-from clvol.transfer.opacity_envelope import union
+from clvol.transfer.lookup_nodes import LookupNodes, lookup_nodes, visible_cells
+from clvol.transfer.opacity_envelope import opacity_envelope
 from clvol.transfer.pieces import (
     IN_REGISTERS,
     columns,
@@ -106,8 +106,8 @@ def raycast_switches(
     }
 
 
-def scene_nodes(resolved: ResolvedScene, function: TransferFunction | None = None) -> ClassNodes:
-    """The class nodes for a scene's volume and classification; all layers' tables share them."""
+def scene_nodes(resolved: ResolvedScene, function: TransferFunction | None = None) -> LookupNodes:
+    """The lookup nodes for a scene's volume and classification; all layers' tables share them."""
     volume, integration = resolved.volume, resolved.integration
     values = value_map(volume)
     preintegrated = segment_classification(integration) == "preintegrated"
@@ -119,8 +119,8 @@ def scene_nodes(resolved: ResolvedScene, function: TransferFunction | None = Non
         if resolved.noise:
             more, integer = more + _noise_range(resolved, high - low), False
         low, high = low - more, high + more
-    return class_nodes(
-        device_function(union(layer_functions(resolved, function)), values),
+    return lookup_nodes(
+        device_function(opacity_envelope(layer_functions(resolved, function)), values),
         (low, high),
         _NODES if preintegrated else CONSTANT_NODES,
         integer=integer,
@@ -219,7 +219,7 @@ class Raycaster:
         resolved, context = self.resolved, self.context
         # Where the nodes are depends on no cycling: it compiles nothing.
         self.nodes = scene_nodes(resolved, function)
-        mapped = device_function(union(layer_functions(resolved, function)), self.volume.values)
+        mapped = device_function(opacity_envelope(layer_functions(resolved, function)), self.volume.values)
         self._asked_function = function
         self._set_colors()
         visible = visible_cells(mapped, self.nodes.values)
