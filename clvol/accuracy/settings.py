@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from clvol.errors import ClvolError
-from clvol.features import refuse_unknown
+from clvol.integrators.registry import check_scene
 from clvol.render.renderer import check_memory
 from clvol.scene.image import ImageSettings
 from clvol.scene.integration import Integration
@@ -111,7 +111,7 @@ def is_possible(
     device if that is given."""
     try:
         asked = apply(resolved, settings)
-        refuse_unknown(asked)
+        check_scene(asked)
         check_memory(asked, memory_cap)
     except ClvolError:
         return False

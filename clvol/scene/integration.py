@@ -71,6 +71,11 @@ class Integration(Table):
     ] = Field("stored", description="'stored', 'uint16' or 'uint8'")
     tolerance: Number = Field(1e-9, gt=0, lt=1, description="a number between 0 and 1")
 
+    @property
+    def takes_steps(self) -> bool:
+        """Whether ``step`` counts: not for the exact integral."""
+        return self.method in _BY_STEPS
+
     @classmethod
     def table_name(cls) -> str:
         return "integration"
