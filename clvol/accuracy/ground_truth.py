@@ -15,13 +15,13 @@ import numpy as np
 
 from clvol.device.view import EVERY_PIXEL
 from clvol.errors import VolumeError
-from clvol.features import has_exact_integral
+from clvol.integrators.reference.integrator import has_exact_integral
 from clvol.integrators.reference.picture import render_reference
 from clvol.scene.resolve import LARGEST_STEP_COUNT, ResolvedScene
 
 if TYPE_CHECKING:
     from clvol.opencl.context import DeviceContext
-    from clvol.render.engines import Engines
+    from clvol.render.prepared_cache import PreparedCache
 
 FIRST_STEP, LEAST_STEP = 1 / 8, 1 / 128  # smallest voxel edges
 KNOWN = 2e-5  # RMSE: the limit is then known as well as single precision and tables allow
@@ -48,7 +48,7 @@ class GroundTruth:
     the step made. It is known once pixels were requested, and 0 for the exact integral.
     """
 
-    def __init__(self, resolved: ResolvedScene, context: DeviceContext, engines: Engines) -> None:
+    def __init__(self, resolved: ResolvedScene, context: DeviceContext, engines: PreparedCache) -> None:
         self.resolved, self._context, self._engines = resolved, context, engines
         self.is_exact = has_exact_integral(resolved)
         self.error = 0.0
@@ -113,6 +113,6 @@ class GroundTruth:
             gradient=asked.gradient.model_copy(update={"storage": "on-the-fly"}),
         )
         size = asked.image.width, asked.image.height
-        engine = self._engines.make(fine)
+        engine = self._engines.prepare(fine)
         engine.warm_up(*size, False)
         return engine.render(asked.camera, *size, progress, depth=False, lattice=EVERY_PIXEL)

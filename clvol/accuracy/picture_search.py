@@ -32,11 +32,11 @@ from clvol.accuracy.settings import (
 )
 from clvol.accuracy.trials import Trial, Trials, root_mean_square
 from clvol.device.view import PixelLattice
-from clvol.features import refuse_unknown
+from clvol.integrators.registry import check_scene, integrator_of
 from clvol.opencl.context import DeviceContext
-from clvol.render.engines import Engines
 from clvol.render.frame import Frame, make_frame
 from clvol.render.notices import Notices
+from clvol.render.prepared_cache import PreparedCache
 from clvol.render.renderer import check_memory, open_context
 from clvol.scene.resolve import ResolvedScene
 from clvol.scene.scene import Scene
@@ -72,14 +72,12 @@ class PictureSearch:
         self.scene = scene
         asked = scene.resolve()
         self.asked = asked
-        self.resolved = asked
-        if asked.integration.method == "reference":
-            self.resolved = apply(asked, {"integration.method": "raycast"})
-        refuse_unknown(self.resolved)
+        self.resolved = apply(asked, {"integration.method": integrator_of(asked).tuned_as})
+        check_scene(self.resolved)
         check_memory(self.resolved, memory_cap)
         check_has_truth(self.resolved)
         self.context: DeviceContext = open_context(devices)
-        self.engines = Engines(self.context)
+        self.engines = PreparedCache(self.context)
         self.depth, self.progress = depth, progress
         rng = np.random.default_rng(seed)
         self._tolerance = min(max(error * _SHARE_OF_ERROR, 1e-12), 1e-5)

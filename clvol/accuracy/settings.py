@@ -11,7 +11,7 @@ from typing import Any
 
 from clvol.accuracy.tunables import TABLES, TUNABLES, Tunable
 from clvol.errors import ClvolError
-from clvol.features import refuse_unknown
+from clvol.integrators.registry import check_scene
 from clvol.render.renderer import check_memory
 from clvol.scene.resolve import ResolvedScene
 from clvol.scene.table import Table
@@ -102,7 +102,7 @@ def is_possible(
     device if that is given."""
     try:
         asked = apply(resolved, settings)
-        refuse_unknown(asked)
+        check_scene(asked)
         check_memory(asked, memory_cap)
     except ClvolError:
         return False

@@ -35,9 +35,8 @@ from clvol.accuracy.settings import (
 from clvol.accuracy.timing import take_turns
 from clvol.accuracy.trials import Trial, Trials
 from clvol.accuracy.tunables import Tunable
-from clvol.device.memory import method_bytes
 from clvol.errors import UsageError
-from clvol.features import refuse_unknown
+from clvol.integrators.registry import check_scene, integrator_of
 from clvol.render.notices import Notices
 from clvol.render.renderer import check_memory, open_context
 from clvol.scene.scene import Scene
@@ -89,9 +88,8 @@ def measure_tradeoff(
 class _Sweep:
     def __init__(self, scene: Scene, devices, memory_cap, progress: Progress | None) -> None:
         resolved = scene.resolve()
-        if resolved.integration.method == "reference":
-            resolved = apply(resolved, {"integration.method": "raycast"})
-        refuse_unknown(resolved)
+        resolved = apply(resolved, {_METHOD: integrator_of(resolved).tuned_as})
+        check_scene(resolved)
         check_memory(resolved, memory_cap)
         check_has_truth(resolved)
         self.resolved, self.progress, self.memory_cap = resolved, progress, memory_cap
@@ -243,7 +241,7 @@ class _Sweep:
             "samples": trial.samples,
             "rays": trial.rays,
             "prepare_seconds": trial.prepare_seconds,
-            "device_bytes": method_bytes(scene.volume, scene),
+            "device_bytes": integrator_of(scene).device_bytes(scene.volume, scene),
             "on_front": False,
             "sweep": sweeps[0] if len(sweeps) == 1 else None,
         }  # fmt: skip

@@ -13,7 +13,7 @@ from clvol.accuracy.ground_truth import GroundTruth
 from clvol.accuracy.settings import Settings, apply
 from clvol.device.view import EVERY_PIXEL, PixelLattice
 from clvol.opencl.context import DeviceContext
-from clvol.render.engines import Engines
+from clvol.render.prepared_cache import PreparedCache
 from clvol.scene.resolve import ResolvedScene
 
 # Tables are built once for all views of a scene; a single view should still finish quickly.
@@ -57,7 +57,7 @@ class Trials:
         self,
         resolved: ResolvedScene,
         context: DeviceContext,
-        engines: Engines | None = None,
+        engines: PreparedCache | None = None,
         *,
         lattice: PixelLattice = EVERY_PIXEL,
         tolerance: float = 1e-9,
@@ -67,7 +67,7 @@ class Trials:
         truth: GroundTruth | bool = True,
     ) -> None:
         self.resolved, self.context = resolved, context
-        self.engines = engines or Engines(context)
+        self.engines = engines or PreparedCache(context)
         self.lattice, self.frames, self.depth = lattice, frames, depth
         self.size = resolved.image.width, resolved.image.height
         self.tolerance = tolerance
@@ -92,7 +92,7 @@ class Trials:
         """Renders with ``settings``, a few times; with ``keep`` the trial holds the picture."""
         resolved = apply(self.resolved, settings)
         start, compiled = time.perf_counter(), self.context.compile_seconds
-        engine = self.engines.make(resolved)
+        engine = self.engines.prepare(resolved)
         compile_seconds = self.context.compile_seconds - compiled
         prepare_seconds = time.perf_counter() - start - compile_seconds
         start = time.perf_counter()
@@ -124,7 +124,7 @@ class Trials:
 
     def frames_of(self, settings: Settings) -> Callable[[], tuple[float, np.ndarray]]:
         """A function that renders one more frame: (seconds, picture). All is prepared and stays so."""
-        engine = self.engines.make(apply(self.resolved, settings))
+        engine = self.engines.prepare(apply(self.resolved, settings))
         engine.warm_up(*self.size, self.depth)
 
         def frame() -> tuple[float, np.ndarray]:

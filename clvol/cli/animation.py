@@ -59,6 +59,7 @@ def render_animation(
         resolved = asked.resolve(memory_cap)
     load_seconds = time.perf_counter() - start
 
+    from clvol.integrators.registry import integrator_of
     from clvol.render import Renderer
     from clvol.schedule.animation import frames
 
@@ -82,7 +83,7 @@ def render_animation(
         parts = temporaries[: len(videos)]
         writers = [stack.enter_context(open_video(path, fps, of_all)) for path in parts]
         if todo:
-            by_blocks = resolved.integration.method == "multiresolution"
+            by_blocks = integrator_of(resolved).reads_blocks
             how = {"devices": devices, "memory_cap": memory_cap}
             renderer = Renderer(asked, **how, **reading_blocks(by_blocks and progress))
             if by_blocks and progress is not None:

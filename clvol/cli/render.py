@@ -128,11 +128,12 @@ def _render_still(
     from clvol.cli.console import note, reading_blocks, say_path, to_json, working
     from clvol.cli.outputs import check_outputs, save_picture
     from clvol.image import atomic_paths
+    from clvol.integrators.registry import integrator_of
 
     others = [] if stats is None else [stats]
     check_outputs(outputs, others)
-    by_blocks = asked.integration.method == "multiresolution"
-    refines = by_blocks and asked.multiresolution.stepping != "pyramid" and time_budget is not None
+    integrator = integrator_of(asked)
+    by_blocks, refines = integrator.reads_blocks, integrator.refines_in_time(asked) and time_budget is not None
     with working(f"loading {asked.origin}", quiet):
         asked.load(memory_cap)
     load_seconds = time.perf_counter() - start

@@ -285,7 +285,7 @@ class EffectState:
         self.numbers[0]["projection"][3] = score
         self.arrays["effects"] = self.context.upload(self.numbers)
 
-    def like(self, resolved: ResolvedScene) -> EffectState:
+    def for_scene(self, resolved: ResolvedScene) -> EffectState:
         """The same for ``resolved``, which may differ in ``animation.time`` and in the step alone."""
         other = self.copy()
         changes = resolved.noise or self.switches.get("SHADOWS") or "COMPOSITING" in self.switches

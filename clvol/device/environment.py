@@ -1,6 +1,6 @@
 """Environment maps: light from all directions, averaged over lobes once so that a sample's share of
-it is one look-up (the diffuse and specular environment maps of Engel and Ertl 2002; Ramamoorthi and
-Hanrahan 2001; Heidrich and Seidel 1999).
+it is one look-up (diffuse and specular environment maps, Engel and Ertl 2002; Ramamoorthi and Hanrahan 2001;
+Heidrich and Seidel 1999).
 
 A radiance map covers all directions by latitude and longitude: the unit direction (x, y, z), y up,
 is at column u w, row v h with u = atan2(x, -z) / 2 pi + 1/2 and v = acos(y) / pi: row 0 is +y, the

@@ -3,16 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from clvol.volume import Volume
 from clvol.volume.voxel_layout import device_bytes, holds_pairs
-
-if TYPE_CHECKING:
-    from clvol.scene import Scene
-    from clvol.scene.resolve import ResolvedScene
 
 # Magnitudes that float32 arithmetic takes as they are, squares of their gradients too.
 _PLAIN_RANGE = (1e-12, 1e18)
@@ -71,26 +66,3 @@ def voxel_switches(volume: Volume, values: ValueMap) -> dict[str, int]:
 def scene_bytes(volume: Volume, width: int, height: int) -> int:
     """Bytes on the device for everything that a picture needs: volume, picture and depth."""
     return device_bytes(volume) + width * height * 20
-
-
-def method_bytes(volume: Volume, scene: Scene | ResolvedScene) -> int:
-    """As ``scene_bytes``, by the method that ``scene`` asks for."""
-    from clvol.integrators.multiresolution.sample_allocator import map_shift, most_bytes
-    from clvol.store.geometry import BlockGrid
-
-    size = scene.image.width, scene.image.height
-    if scene.integration.method == "pyramid":
-        from clvol.integrators.pyramid.layout import pyramid_bytes
-
-        return scene_bytes(volume, *size) + pyramid_bytes(volume, scene)
-    if scene.integration.method != "multiresolution":
-        return scene_bytes(volume, *size)
-    source = getattr(volume, "blocks_source", None)
-    blocks = BlockGrid(volume.shape) if source is None else source.blocks
-    needed = most_bytes(blocks, volume.dtype, scene.multiresolution.memory_bytes)
-    if scene.multiresolution.stepping == "pyramid":
-        from clvol.integrators.pyramid.layout import block_pyramid_bytes
-
-        edge = blocks.edge >> map_shift(blocks, scene.multiresolution.memory_bytes)
-        needed += block_pyramid_bytes(tuple(n * edge for n in blocks.counts), scene)
-    return needed + size[0] * size[1] * 20

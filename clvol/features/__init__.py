@@ -13,14 +13,12 @@ from clvol.features.analysis import NAMES, called_for, effects, reduced, reduced
 from clvol.features.effect import Effect
 from clvol.features.findings import emits
 from clvol.features.lighting import NEUTRAL, is_lit
-from clvol.features.refuse import has_exact_integral, refuse_unknown
 from clvol.features.vocabulary import (
     CLASSIFICATIONS,
     COMPOSITINGS,
     FILTER_REACH,
     FILTERS,
     GRADIENTS,
-    METHODS,
     ORACLES,
     QUADRATURES,
     STEPPINGS,
@@ -33,7 +31,6 @@ __all__ = [
     "FILTERS",
     "FILTER_REACH",
     "GRADIENTS",
-    "METHODS",
     "NAMES",
     "NEUTRAL",
     "ORACLES",
@@ -43,10 +40,8 @@ __all__ = [
     "called_for",
     "effects",
     "emits",
-    "has_exact_integral",
     "is_lit",
     "overshoot",
     "reduced",
     "reduced_for_frames",
-    "refuse_unknown",
 ]

@@ -8,6 +8,8 @@ from pydantic import Field
 
 from clvol.scene.table import Number, Table, Whole
 
+_BY_STEPS = ("raycast", "multiresolution", "pyramid")
+
 
 class Integration(Table):
     """``step`` is in units of the smallest voxel edge.
@@ -48,6 +50,11 @@ class Integration(Table):
         "stored", description="'stored', 'uint16' or 'uint8'"
     )
     tolerance: Number = Field(1e-9, gt=0, lt=1, description="a number between 0 and 1")
+
+    @property
+    def takes_steps(self) -> bool:
+        """Whether ``step`` counts: not for the exact integral."""
+        return self.method in _BY_STEPS
 
     @classmethod
     def table_name(cls) -> str:

@@ -237,7 +237,7 @@ def _with_nan_as(volume: Volume, value: float) -> Volume:
 
 
 def _check_step_count(scene: Scene, grid: Grid) -> None:
-    if scene.integration.method == "reference":
+    if not scene.integration.takes_steps:
         return
     lower, upper = grid.index_bounds()
     edges = (np.asarray(upper) - np.asarray(lower)) * np.asarray(grid.spacing) / grid.smallest_edge

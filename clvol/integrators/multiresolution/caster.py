@@ -195,8 +195,8 @@ class BlockCaster(Raycaster):
         )
         self._steps = context.upload(np.append(self.steps, np.zeros(4, np.uint8)))
 
-    def like(self, resolved: ResolvedScene) -> BlockCaster:
-        other = super().like(resolved)
+    def for_scene(self, resolved: ResolvedScene) -> BlockCaster:
+        other = super().for_scene(resolved)
         if other.length != self.length:
             other._set_steps()
         return other

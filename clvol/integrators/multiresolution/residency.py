@@ -101,6 +101,10 @@ class Residency:
         self._errors = function, np.array(background), errors
         return errors
 
+    def close(self) -> None:
+        """Ends the thread that reads blocks."""
+        self.blocks.close()
+
     def describe(self) -> dict[str, Any]:
         """For stats: blocks by level (full resolution first), dropped, still to come; bytes; and the selection's
         error (Delta-E times pixels where views weigh, else Delta-E, summed over blocks) with its lower bound."""

@@ -11,6 +11,7 @@ from clvol.device.view import EVERY_PIXEL, PixelLattice
 from clvol.device.volume import DeviceVolume
 from clvol.errors import RenderError
 from clvol.features import ORACLES, reduced_for_frames
+from clvol.integrators.base import FrameData
 from clvol.integrators.pyramid.cells import padded_cells, way_map
 from clvol.integrators.pyramid.clips import halves_rows
 from clvol.integrators.pyramid.layout import FREE_REACH, FREE_SHIFT, map_bytes, map_shape, map_shift
@@ -25,7 +26,6 @@ from clvol.integrators.pyramid.oracles import oracle_named
 from clvol.integrators.pyramid.oracles.visible import visible_in_cells
 from clvol.integrators.pyramid.slices import SlicePlan, slice_plan
 from clvol.integrators.raycast.caster import (
-    FrameData,
     Raycaster,
     cycled_function,
     device_function,
@@ -104,8 +104,8 @@ class PyramidMarch:
         step = max(1.0, self.resolved.integration.step)
         return float(np.clip(2.0 ** (self.pyramid.levels + 1) * step, 1.0, 64.0))
 
-    def like(self, resolved: ResolvedScene):
-        other = super().like(resolved)
+    def for_scene(self, resolved: ResolvedScene):
+        other = super().for_scene(resolved)
         moved = resolved.animation.time != self.resolved.animation.time and resolved.animation.cycle
         if other._reach != self._reach or moved:
             other._ask_oracle()
@@ -129,9 +129,8 @@ class PyramidMarch:
         if self._shows_nothing:
             data.counters = dict.fromkeys(self.counter_names, 0)
         if lattice != EVERY_PIXEL:
-            some = np.s_[lattice.row :: lattice.spacing, lattice.column :: lattice.spacing]
-            shown = None if data.depth is None else data.depth[some]
-            data = replace(data, rgba=data.rgba[some], depth=shown)
+            shown = None if data.depth is None else data.depth[lattice.slices]
+            data = replace(data, rgba=data.rgba[lattice.slices], depth=shown)
         return data
 
     def _check_slices(self, camera: Camera) -> None:
@@ -250,8 +249,8 @@ class PyramidCaster(PyramidMarch, Raycaster):
         )  # fmt: skip
         self._ask_oracle()
 
-    def like(self, resolved: ResolvedScene) -> PyramidCaster:
-        return super().like(without_clips(resolved))
+    def for_scene(self, resolved: ResolvedScene) -> PyramidCaster:
+        return super().for_scene(without_clips(resolved))
 
     def _ask_oracle(self) -> None:
         size = self.volume.size

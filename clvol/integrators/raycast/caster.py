@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -22,6 +21,7 @@ from clvol.device.volume import DeviceVolume
 from clvol.errors import RenderError
 from clvol.features import CLASSIFICATIONS, FILTERS, QUADRATURES, overshoot, reduced_for_frames
 from clvol.features.values import reachable
+from clvol.integrators.base import FrameData, Shared
 from clvol.opencl.context import DeviceArray, DeviceContext, Kernel, restore_interrupts
 from clvol.opencl.structs import effects_dtype, view_dtype
 from clvol.scene.camera import Camera
@@ -166,17 +166,9 @@ def parts_of_cell(step: float) -> int:
     return 1 if step > 0.75 else 2 * max(1, round(0.5 / step))
 
 
-@dataclass
-class FrameData:
-    """A picture as in ``Frame``, how many samples and rays it took, what its effects counted, and what else is
-    to be told of it (``notes``, plain JSON types)."""
-
-    rgba: np.ndarray
-    depth: np.ndarray | None
-    samples: int
-    rays: int
-    counters: dict[str, int] = field(default_factory=dict)
-    notes: dict[str, object] = field(default_factory=dict, kw_only=True)
+def device_volume(shared: Shared, resolved: ResolvedScene) -> DeviceVolume:
+    """The scene's volume on the device, the same for all scenes that have it."""
+    return shared.keep("volume", resolved.volume, lambda: DeviceVolume(shared.context, resolved.volume))
 
 
 class Raycaster:
@@ -188,6 +180,8 @@ class Raycaster:
     """
 
     workers = 1  # work-items of a tile
+    renders_all_pixels = False
+    held: Sequence[object] = ()
 
     def __init__(
         self,
@@ -326,13 +320,11 @@ class Raycaster:
         """World length of a step."""
         return self.resolved.integration.step * self.resolved.volume.grid.smallest_edge
 
-    def like(self, resolved: ResolvedScene) -> Raycaster:
-        """The same for ``resolved``, which may differ in camera, image, animation, step and early
-        termination alone. Shares what these leave as it is: the volume, empty space, and often the
-        tables. Compiles nothing."""
+    def for_scene(self, resolved: ResolvedScene) -> Raycaster:
+        """As ``Prepared.for_scene``: shares the volume, empty space, and often the tables."""
         other = copy.copy(self)
         other.resolved = resolved = reduced_for_frames(resolved)
-        other.effects = self.effects.like(resolved)
+        other.effects = self.effects.for_scene(resolved)
         if _shift(resolved) != _shift(self.resolved):
             other._set_colors()
         if other.length != self.length:

@@ -1,4 +1,4 @@
-"""Pictures made of tiles, with a density of rays chosen per tile (Ljung 2006, sec. 4)."""
+"""Pictures made of tiles, with ray density chosen per tile (Ljung 2006, section 4)."""
 
 from __future__ import annotations
 

@@ -253,9 +253,9 @@ def test_an_oracle_from_python(context, registered):
 
 
 def refused(resolved):
-    from clvol.features.refuse import refuse_unknown
+    from clvol.integrators.registry import check_scene
 
-    refuse_unknown(resolved)
+    check_scene(resolved)
 
 
 _BY_VALUE = """
@@ -294,15 +294,15 @@ def test_maps_that_do_not_fit_are_refused(context, registered):
 
 
 def test_a_renderer_has_the_oracle_that_a_name_means_now(context, registered):
-    from clvol.render.engines import Engines
+    from clvol.render.prepared_cache import PreparedCache
 
-    engines = Engines(context)
+    engines = PreparedCache(context)
     registered(_Everywhere())
     scene = pyramid_scene(oracle="everywhere")
-    first = engines.make(scene)
-    assert engines.make(scene).oracle is first.oracle
+    first = engines.prepare(scene)
+    assert engines.prepare(scene).oracle is first.oracle
     registered(_Everywhere())
-    assert engines.make(scene).oracle is not first.oracle
+    assert engines.prepare(scene).oracle is not first.oracle
 
 
 def test_an_oracle_in_opencl_c(context, registered, tmp_path):

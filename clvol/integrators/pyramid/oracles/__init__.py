@@ -22,7 +22,6 @@ caller's own: no scene or data file can bring any.
 
 from __future__ import annotations
 
-from clvol.features.vocabulary import ORACLE_NAMES
 from clvol.integrators.pyramid.oracle import (
     KERNEL_CUSTOM,
     KERNEL_ERROR,
@@ -52,8 +51,6 @@ __all__ = [
 def register(oracle: Oracle) -> None:
     """Makes ``oracle`` known by its name, instead of one of the same name."""
     _known[oracle.name] = oracle
-    if oracle.name not in ORACLE_NAMES:
-        ORACLE_NAMES.append(oracle.name)
 
 
 def names() -> tuple[str, ...]:
