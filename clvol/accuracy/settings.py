@@ -152,12 +152,13 @@ def label(tunables: Mapping[str, SceneTunable], settings: Settings, resolved: Re
         if not tunable.tunable.counts(scene):
             continue
         if tunable.tunable.is_main or value != tunable.scene_value or key.endswith(".classification"):
-            parts.append((tunable.tunable.is_ladder, said(tunable.tunable.title, value, tunable.tunable.is_ladder)))
+            about = tunable.tunable
+            parts.append((about.is_ladder, format_setting(about.title, value, about.is_ladder)))
     parts.sort(key=lambda part: part[0])  # alternatives first
     return ", ".join(text for _, text in parts)
 
 
-def said(title: str, value: Any, is_ladder: bool = True) -> str:
+def format_setting(title: str, value: Any, is_ladder: bool = True) -> str:
     """A tunable's value in words: "post", "step 0.5", "no interblock"."""
     if isinstance(value, bool):
         return title if value else f"no {title}"

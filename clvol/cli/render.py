@@ -231,7 +231,7 @@ def refinement_in_words(stats: dict) -> str:
 
 def accuracy_in_words(stats: dict) -> str:
     """One line: the error as measured, and with which settings."""
-    from clvol.accuracy.settings import said
+    from clvol.accuracy.settings import format_setting
 
     measured = stats["accuracy"]
     if stats["method"] == "reference":
@@ -241,7 +241,7 @@ def accuracy_in_words(stats: dict) -> str:
     else:
         sure = "all pixels measured"
     chosen = ", ".join(
-        said(key.split(".")[1].replace("_", " "), value)
+        format_setting(key.split(".")[1].replace("_", " "), value)
         for key, value in measured["settings"].items()
     )
     return (

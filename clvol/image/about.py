@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from clvol import __version__
+import clvol
 from clvol.text import without_surrogates
 
 MADE_FROM = "made_from"
@@ -34,8 +34,8 @@ def facts(frame: Any, held: Iterable[np.ndarray] = ()) -> dict[str, str]:
     of the pixels that the file is to hold, ``held``."""
     stats = getattr(frame, "stats", None) or {}
     texts = {
-        "software": f"clvol {__version__}",
-        "clvol_version": __version__,
+        "software": f"clvol {clvol.__version__}",
+        "clvol_version": clvol.__version__,
         "pyopencl_version": _version("pyopencl"),
         "numpy_version": _version("numpy"),
         "device": ", ".join(str(d) for d in stats.get("devices", ())) or "unknown",
