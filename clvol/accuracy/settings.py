@@ -31,13 +31,13 @@ class SceneTunable:
     about: str
 
     def next_to(self, value: Any, notches: int) -> Any | None:
-        """The value so many notches more accurate (or cheaper, below 0), None past the ends."""
+        """The value ``notches`` steps more accurate (or cheaper, below 0); None past the ends."""
         at, between = self._place(value)
         at += notches + (between and notches < 0)
         return self.values[at] if 0 <= at < len(self.values) else None
 
     def more(self, value: Any, notches: int) -> Any:
-        """The value so many notches more accurate, at most the last one."""
+        """The value ``notches`` steps more accurate, at most the last one."""
         return self.values[min(self._place(value)[0] + notches, len(self.values) - 1)]
 
     def near(self, value: Any) -> int:
@@ -79,7 +79,7 @@ def apply(resolved: ResolvedScene, settings: Settings) -> ResolvedScene:
 
 
 def tables_with(scene: Any, settings: Settings) -> dict[str, Table]:
-    """The tables of ``scene`` (resolved or not) that ``settings`` are of, with what they say."""
+    """The tables of ``scene`` (resolved or not) that ``settings`` belong to, with their values replaced."""
     updates: dict[str, dict[str, Any]] = {}
     for key, value in settings.items():
         table, name = key.split(".")
@@ -98,7 +98,7 @@ def value_of(scene: Any, key: str) -> Any:
 def is_possible(
     resolved: ResolvedScene, settings: Settings, memory_cap: int | None = None
 ) -> bool:
-    """Whether something renders the scene with these settings, in ``memory_cap`` bytes of the
+    """Whether the scene can be rendered with these settings, in ``memory_cap`` bytes of the
     device if that is given."""
     try:
         asked = apply(resolved, settings)
@@ -112,8 +112,10 @@ def is_possible(
 def canonical(
     resolved: ResolvedScene, tunables: Mapping[str, SceneTunable], settings: Settings
 ) -> dict[str, Any]:
-    """``settings`` with the scene's own value wherever a tunable has no effect beside the others: what
-    makes the same picture in the same way is the same settings."""
+    """``settings`` with the scene's own value wherever a tunable has no effect beside the others.
+
+    Settings that make the same picture in the same way are therefore equal.
+    """
     scene = apply(resolved, settings)
     return {
         key: value if tunables[key].tunable.counts(scene) else tunables[key].scene_value
@@ -122,7 +124,7 @@ def canonical(
 
 
 def key_of(settings: Settings) -> tuple:
-    """For dictionaries of settings."""
+    """A hashable key that is equal for equal settings."""
     return tuple(sorted(settings.items(), key=lambda item: item[0]))
 
 

@@ -122,7 +122,7 @@ _FIELD_TYPES = {
 
 
 def write_cache(key: str, findings: Findings) -> None:
-    """Keep the findings for later processes; a folder that cannot be written to is told, once."""
+    """Keeps the findings for later processes; a folder that cannot be written to is reported, once."""
     global _came_from_cache
     _came_from_cache = False
     path = _cache_file(key)

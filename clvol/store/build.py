@@ -24,9 +24,9 @@ from clvol.interrupts import held
 from clvol.store.arrays import cores, open_array, system_words
 from clvol.store.build_folder import check_place, locked, replaced_path
 from clvol.store.codecs import CODECS, DEFAULT, one_of_codecs
+from clvol.store.format import JOURNAL, ROOT, StoreLayout, check_layout, partial_path, root_metadata
 from clvol.store.geometry import EDGE
 from clvol.store.journal import Journal, write_whole
-from clvol.store.layout import JOURNAL, ROOT, StoreLayout, check_layout, partial_path, root_metadata
 from clvol.store.places import TABLE, part_checksum, statistics_checksums
 from clvol.store.resolutions import describe_region, with_neighbours
 from clvol.store.source import BlockStatistics

@@ -13,8 +13,8 @@ from pathlib import Path
 from clvol.errors import UsageError
 from clvol.interrupts import held
 from clvol.store.arrays import NOT_UTF8, is_utf8
+from clvol.store.format import JOURNAL, PARTIAL, ROOT, partial_path
 from clvol.store.journal import LOCK
-from clvol.store.layout import JOURNAL, PARTIAL, ROOT, partial_path
 from clvol.store.zarr_store import is_store
 
 _REPLACED = ".replaced"

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from clvol.store.layout import JOURNAL, StoreLayout, partial_path
+from clvol.store.format import JOURNAL, StoreLayout, partial_path
 from clvol.store.places import region_checksums
 from clvol.store.source import BlockStatistics
 

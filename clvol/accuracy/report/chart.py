@@ -6,7 +6,7 @@ import io
 import warnings
 
 from clvol.accuracy.report import wording
-from clvol.accuracy.report.layout import Label, LogAxis, place_labels
+from clvol.accuracy.report.label_layout import Label, LogAxis, place_labels
 from clvol.accuracy.report.svg import error_ticks, name_order, point_name, ranges
 from clvol.accuracy.report.sweep import Point, Sweep, median, plottable
 
