@@ -11,6 +11,7 @@ import numpy as np
 
 from clvol.device.empty_space import visible_mask
 from clvol.device.memory import CELL_SHIFT, LARGEST_OFFSET, ValueMap, padded_size, value_map
+from clvol.device.transfer_lookup import device_function
 from clvol.errors import VolumeError
 from clvol.transfer import TransferFunction
 from clvol.transfer.lookup_nodes import ClassNodes, class_nodes, visible_cells
@@ -116,8 +117,6 @@ class _Part:
 
     @property
     def _density(self) -> tuple[TransferFunction, ClassNodes]:
-        from clvol.integrators.raycast.caster import device_function
-
         volume = self.field.volume
         function = device_function(self.field.function, self.values)
         span = tuple(float(v) for v in self.values(volume.value_range))
