@@ -387,7 +387,7 @@ def test_samples_with_opacity_and_gradient_are_never_called_absent(data):
 
 
 def switches(resolved) -> dict:
-    from clvol.integrators.raycast.caster import raycast_switches
+    from clvol.integrators.raycast.switches import raycast_switches
 
     return raycast_switches(reduced(resolved), lanes=16)
 

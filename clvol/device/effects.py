@@ -61,7 +61,7 @@ _FAR = 1e12  # smallest edges: from there light comes from one direction, to flo
 ARGUMENTS = (
     ", in effects V1, in items float32, in gradients uint32, in surface_distances uint8, "
     "in environment float32, in light_volume float32, in noise uint32, in factors float32, "
-    "in fields float32, out counts uint32"
+    "in fields float32"
 )
 
 
@@ -353,14 +353,13 @@ class EffectState:
         """``distances``: as of ``distance_map``, to the cells in which a surface can be."""
         self.arrays["surface_distances"] = distances
 
-    def counted(self, counts: np.ndarray) -> dict[str, int]:
-        """Sums over tiles of what was counted: ``counts`` uint32 [tiles, len(COUNTERS)]."""
-        sums = counts.sum(axis=0, dtype=np.uint64)
+    def counted(self, sums: dict[str, int]) -> dict[str, int]:
+        """Of sums by the names of COUNTERS those that the scene's effects count."""
         by_volume = self.switches.get("SHADOWS") == METHODS["volume"]
         return {
-            name: int(total)
-            for (name, switch), total in zip(COUNTERS.items(), sums)
-            if self.switches.get(switch) and not (by_volume and name in _BY_RAYS)
+            name: total
+            for name, total in sums.items()
+            if self.switches.get(COUNTERS[name]) and not (by_volume and name in _BY_RAYS)
         }
 
 

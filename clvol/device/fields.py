@@ -11,6 +11,7 @@ import numpy as np
 
 from clvol.device.empty_space import visible_mask
 from clvol.device.memory import ValueMap, value_map
+from clvol.device.transfer_lookup import device_function
 from clvol.errors import VolumeError
 from clvol.transfer import TransferFunction
 from clvol.transfer.lookup_nodes import LookupNodes, lookup_nodes, visible_cells
@@ -117,8 +118,6 @@ class _Part:
 
     @property
     def _density(self) -> tuple[TransferFunction, LookupNodes]:
-        from clvol.integrators.raycast.caster import device_function
-
         volume = self.field.volume
         function = device_function(self.field.function, self.values)
         span = tuple(float(v) for v in self.values(volume.value_range))

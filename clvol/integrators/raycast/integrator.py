@@ -12,7 +12,8 @@ from clvol.device.voxels import as_rendered
 from clvol.features import GRADIENTS
 from clvol.features.refuse import refuse_quadrature
 from clvol.integrators.base import Prepared, Progress, Shared
-from clvol.integrators.raycast.caster import Raycaster, device_volume, raycast_switches
+from clvol.integrators.raycast.caster import Raycaster, device_volume
+from clvol.integrators.raycast.switches import raycast_switches
 from clvol.scene.resolve import ResolvedScene
 from clvol.volume import Volume
 

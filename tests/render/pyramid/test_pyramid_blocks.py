@@ -34,7 +34,7 @@ def twin_of_caster(caster, field):
         index = world @ to_index[:3, :3].T + to_index[:3, 3]
         return field(np.clip(index, 0.0, upper) + 0.5)
 
-    oracle = mapped_oracle(caster.resolved, map_distances(caster), caster.asked.shift, 0.5)
+    oracle = mapped_oracle(caster.resolved, map_distances(caster), caster.march.asked.shift, 0.5)
     return render_pyramid_twin(caster.resolved, oracle, values)
 
 
