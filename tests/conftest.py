@@ -6,9 +6,8 @@ import functools
 from pathlib import Path
 
 import pytest
+from helpers.paths import VOLUMES
 
-_ROOT = Path(__file__).resolve().parent.parent
-_VOLUMES = _ROOT.parent / "shared" / "volumes"
 _no_device = ""  # why, when there is none
 
 
@@ -106,7 +105,7 @@ def shared_volume():
     """``shared_volume(name)``: the path of a real volume kept beside the repository, or a skip."""
 
     def find(name: str) -> Path:
-        path = _VOLUMES / name
+        path = VOLUMES / name
         if not path.exists():
             pytest.skip(f"the volume {name} is not in ../shared/volumes")
         return path

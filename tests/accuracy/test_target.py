@@ -6,7 +6,7 @@ import time
 
 import numpy as np
 import pytest
-from small_scenes import SMOOTH, rms, waves
+from helpers.small_scenes import SMOOTH, rms, waves
 
 from clvol import Camera, Scene, TransferFunction, Volume
 from clvol.accuracy import target

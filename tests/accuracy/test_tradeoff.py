@@ -6,7 +6,7 @@ import json
 
 import numpy as np
 import pytest
-from small_scenes import SMOOTH, rms, waves
+from helpers.small_scenes import SMOOTH, rms, waves
 
 from clvol import Camera, Scene, Volume
 from clvol.accuracy.report import write_report

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from small_scenes import picture
+from helpers.small_scenes import picture
 
 from bench.gallery import SCENES, TILE, TILES, compose, shrunk
 from clvol.explanation import explain

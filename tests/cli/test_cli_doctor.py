@@ -6,15 +6,14 @@ import json
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
+from helpers.paths import ROOT
 
 from clvol.cli import trial
 from clvol.cli.trial import Trial, try_render
 from clvol.opencl.devices import DeviceReport, report_of
 
-ROOT = Path(__file__).resolve().parents[2]
 TWO = [DeviceReport("pocl", "Portable Computing Language", "cpu", working=True, type="CPU"),
        DeviceReport("intel", "Intel(R) OpenCL", "cpu", working=True, type="CPU")]
 

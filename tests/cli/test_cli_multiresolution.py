@@ -7,7 +7,7 @@ import shutil
 
 import numpy as np
 import pytest
-from small_scenes import rms, waves
+from helpers.small_scenes import rms, waves
 
 from clvol import Volume
 from clvol.integrators.multiresolution.sample_allocator import SPARE_BYTES, overhead_bytes

@@ -6,7 +6,7 @@ import json
 
 import numpy as np
 import pytest
-from small_scenes import rms, waves
+from helpers.small_scenes import rms, waves
 
 SMALL = ("--set", "image.width=24", "--set", "image.height=20")
 PYRAMID = ("--set", 'integration.method="pyramid"')

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from effect_scenes import HAZE, LIGHTS, MATERIAL, SIZE, blobs, oblique, picture, scaled, scene
+from helpers.effect_scenes import HAZE, LIGHTS, MATERIAL, SIZE, blobs, oblique, picture, scaled, scene
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from reference import render_twin

@@ -1,9 +1,9 @@
-"""Whatever the scene, less step is less error (tests/random_scenes.py runs more of them)."""
+"""Whatever the scene, less step is less error (tests/helpers/random_scenes.py runs more of them)."""
 
 from __future__ import annotations
 
 import pytest
-from random_scenes import errors, random_scene, shrinks
+from helpers.random_scenes import errors, random_scene, shrinks
 
 
 @pytest.mark.parametrize("seed", range(16))

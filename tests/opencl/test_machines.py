@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.paths import ROOT
 
-ROOT = Path(__file__).resolve().parents[2]
 UNSET = ("OCL_", "POCL_", "PYOPENCL", "XDG_", "TMP", "TEMP")
 
 

@@ -10,8 +10,8 @@ import sysconfig
 from pathlib import Path
 
 import pytest
+from helpers.paths import ROOT
 
-ROOT = Path(__file__).resolve().parents[2]
 # What shells, make, pip, the OpenCL loader and compilers take for something else, but a colon, which
 # no virtual environment can have in its path.
 NAMES = {

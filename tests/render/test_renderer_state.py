@@ -9,7 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
-from small_scenes import make_scene, waves
+from helpers.small_scenes import make_scene, waves
 
 from clvol import Camera, Renderer, Scene, TransferFunction, Volume
 from clvol.errors import RenderError, VolumeError

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from small_scenes import rms, waves
+from helpers.small_scenes import rms, waves
 
 import clvol
 from clvol.cli import main

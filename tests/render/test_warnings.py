@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import warnings
-from pathlib import Path
 
 import numpy as np
 import pytest
-from small_scenes import SMOOTH, waves
+from helpers.paths import DATA
+from helpers.small_scenes import SMOOTH, waves
 
-from bench.scenes import SCENES as BENCH_SCENES
 from clvol import Camera, Renderer, Scene, TransferFunction, Volume, load_scene, render_to_error
 from clvol.errors import ClvolWarning
 from clvol.explanation import explain
 from clvol.features.scene_warnings import camera_warning, scene_warnings
 
-DATA = Path(__file__).resolve().parents[2] / "data"
 NOISE = (np.random.default_rng(0).random((36, 34, 38)) ** 2).astype(np.float32)
 SHOWN = TransferFunction([0, 1], [0, 0.5], [[1, 1, 1]] * 2)
 
@@ -164,14 +162,6 @@ def test_explain_says_what_needs_no_picture():
 def test_shipped_scenes_are_quiet(name, first_device):
     size = ["image.width=48", "image.height=36", "animation.frames=1"]
     assert warned(load_scene(DATA / f"{name}.toml", size), first_device)[0] == []
-
-
-@pytest.mark.parametrize("asked", BENCH_SCENES, ids=lambda asked: asked.name)
-def test_scenes_of_the_bench_are_quiet(asked, shared_volume):
-    shared_volume(asked.file)
-    resolved = asked.scene(asked.load(), 64).resolve()
-    assert scene_warnings(resolved) == []
-    assert camera_warning(resolved.camera, resolved.volume.grid, 64, 64) is None
 
 
 def test_a_volume_in_the_corner_of_the_picture_is_seen():
