@@ -7,7 +7,7 @@ from helpers.random_scenes import errors, random_scene, shrinks
 
 
 @pytest.mark.parametrize("seed", range(16))
-def test_the_error_shrinks_with_the_step(first_device, seed):
+def test_the_error_shrinks_with_the_step(device, seed):
     scene = random_scene(seed)
-    found = errors(first_device, scene)
+    found = errors(device, scene)
     assert shrinks(found), f"{scene}: {found}"

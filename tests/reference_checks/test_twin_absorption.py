@@ -41,11 +41,11 @@ def test_halving_the_step_converges_to_the_exact_integral(filter, classification
     "filter, classification",
     [("linear", "preintegrated"), ("linear", "pre"), ("cubic", "preintegrated"), ("cubic", "post")],
 )
-def test_the_kernel_has_the_same_segments(first_device, contexts, filter, classification):
+def test_the_kernel_has_the_same_segments(context, filter, classification):
     s = make_scene(waves((12, 12, 12)), filter=filter, classification=classification,
                    width=16, height=16, step=0.7, table_size=1024)  # fmt: skip
     twin = render_twin(s)
-    difference = np.abs(picture(contexts(first_device), s).rgba - twin).max()
+    difference = np.abs(picture(context, s).rgba - twin).max()
     assert difference < (1e-4 if classification == "preintegrated" else 1e-5)
     # The test can tell segments apart.
     assert np.abs(render_twin(s, step=0.8) - twin).max() > 5 * difference

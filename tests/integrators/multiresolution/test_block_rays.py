@@ -83,8 +83,7 @@ def test_without_interblock_interpolation_blocks_are_clamped(context):
 
 
 @pytest.mark.parametrize("edge", (8, 32))
-def test_blocks_of_other_edges(first_device, contexts, edge):
-    context = contexts(first_device)
+def test_blocks_of_other_edges(context, edge):
     resolved = scene(stepping="limited", classification="preintegrated")
     levels = random_levels(BlockGrid(SHAPE, edge), 5)
     blocks = resident(context, resolved.volume, levels, edge)
@@ -96,8 +95,7 @@ def test_blocks_of_other_edges(first_device, contexts, edge):
 @pytest.mark.parametrize(
     ("dtype", "holes"), [("int8", 0), ("uint16", 0), ("float32", 0.02), ("float64", 0)]
 )
-def test_other_types(first_device, contexts, dtype, holes):
-    context = contexts(first_device)
+def test_other_types(context, dtype, holes):
     resolved = scene(noise(SHAPE, dtype, holes=holes))
     levels = random_levels(BlockGrid(SHAPE), 6)
     data = block_picture(context, resolved, resident(context, resolved.volume, levels), skip=False)
@@ -168,8 +166,7 @@ def test_leaping_over_empty_space_changes_no_bit_of_full_steps(context, sparse, 
         assert leaps.samples < 0.9 * walks.samples and leaps.rgba[..., 3].max() > 0.3
 
 
-def test_leaping_changes_limited_steps_by_less_than_they_are_wrong(first_device, contexts, sparse):
-    context = contexts(first_device)
+def test_leaping_changes_limited_steps_by_less_than_they_are_wrong(context, sparse):
     blocks = resident(context, sparse, random_levels(BlockGrid(sparse.shape), 2))
     full = block_picture(context, ball_scene(sparse), blocks)
     resolved = ball_scene(sparse, stepping="limited")
@@ -225,8 +222,7 @@ def test_pixels_are_the_same_in_any_tile_bit_for_bit(context, stepping):
         assert other.samples == pictures[0].samples and other.counters == pictures[0].counters
 
 
-def test_several_buffers_give_the_same_picture(first_device, contexts):
-    context = contexts(first_device)
+def test_several_buffers_give_the_same_picture(context):
     resolved = scene(noise(SHAPE, np.uint16), stepping="limited")
     levels = random_levels(BlockGrid(SHAPE), 8)
     one = resident(context, resolved.volume, levels)
@@ -287,8 +283,7 @@ def test_steps_go_no_farther_than_the_first_step_in_the_next_block(stepping, mos
     assert render_blocks_twin(resolved, field, stepping="naive").overshoot.max() > 3.0
 
 
-def test_coarse_blocks_take_fewer_samples(first_device, contexts):
-    context = contexts(first_device)
+def test_coarse_blocks_take_fewer_samples(context):
     resolved, count = scene(classification="preintegrated"), BlockGrid(SHAPE).count
     taken: dict[str, list] = {name: [] for name in ("full", "limited", "naive")}
     for level in range(5):

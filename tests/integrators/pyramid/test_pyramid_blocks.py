@@ -82,8 +82,7 @@ def test_coarse_blocks_take_fewer_samples_across_rays_too(context):
     assert rms(both.rgba, even.rgba) < 0.01
 
 
-def test_work_items_that_share_a_tile_and_several_buffers(first_device, contexts):
-    context = contexts(first_device)
+def test_work_items_that_share_a_tile_and_several_buffers(context):
     volume = Volume(waves(SHAPE, np.uint16, 0, 255))
     levels = random_levels(BlockGrid(SHAPE, 8), 3, 0.2)
     scene = scene_of(volume)
@@ -112,12 +111,12 @@ def test_no_step_leads_over_a_hole(context):
     assert not expected.rgba.any() and not data.rgba.any()
 
 
-def test_trials_know_that_all_pixels_are_rendered(first_device):
+def test_trials_know_that_all_pixels_are_rendered(device):
     scene = scene_of(Volume(waves(SHAPE)))
-    with Renderer(scene, [first_device]) as renderer:
+    with Renderer(scene, [device]) as renderer:
         assert renderer._raycaster.renders_all_pixels
     asked = scene.multiresolution.model_copy(update={"stepping": "limited"})
-    with Renderer(replace(scene, multiresolution=asked), [first_device]) as renderer:
+    with Renderer(replace(scene, multiresolution=asked), [device]) as renderer:
         assert not renderer._raycaster.renders_all_pixels
 
 
@@ -128,13 +127,13 @@ def test_nothing_resident_shows_nothing(context):
     assert data.samples == 0 and not data.rgba.any() and data.counters["block_reads"] == 0
 
 
-def test_by_the_renderer_within_a_budget(first_device):
+def test_by_the_renderer_within_a_budget(device):
     volume = Volume(waves((64, 64, 64)))
     scene = block_scene(
         volume, classification="preintegrated", width=48, height=48,
         settings={"stepping": "pyramid", "memory": "200 KiB"},
     )  # fmt: skip
-    with Renderer(scene, [first_device]) as renderer:
+    with Renderer(scene, [device]) as renderer:
         first = renderer.render()
         levels = first.stats["blocks"]["levels"]
         assert sum(levels[1:]) > 0 and first.rgba[..., 3].max() > 0.2

@@ -358,17 +358,16 @@ def test_errors_fall_with_epsilon_to_those_of_full_resolution(context):
         assert errors[-1] < 2e-4 and errors[-1] < 0.05 * errors[0]
 
 
-def test_pictures_go_to_the_exact_integral(first_device, contexts):
+def test_pictures_go_to_the_exact_integral(device, context):
     """As epsilon, levels and steps go to 0 together: with the order of pre-integration."""
     from helpers.small_scenes import exact
 
-    context = contexts(first_device)
     array = waves((20, 19, 22))
     camera = {"position": (-35.0, -20.0, -30.0), "target": (10.0, 9.0, 10.0), "fov_degrees": 40.0}
     base = {"camera": camera, "width": 16, "height": 14, "table_size": 512}
     scene = pyramid_scene(array, **base)
     plain = replace(scene, integration=scene.integration.model_copy(update={"method": "raycast"}))
-    truth = exact(first_device, plain, 1e-6)
+    truth = exact(device, plain, 1e-6)
     errors = [
         rms(pyramid_picture(context, pyramid_scene(array, levels=n, epsilon=e, step=h, **base)).rgba, truth)
         for n, e, h in ((3, 0.3, 1.0), (2, 0.03, 0.5), (1, 3e-3, 0.25), (0, 3e-4, 0.125))

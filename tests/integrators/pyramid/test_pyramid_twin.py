@@ -52,19 +52,19 @@ def test_any_number_of_levels(context, levels):
     ("dtype", "low", "high"),
     [("int8", -100, 100), ("uint8", 0, 255), ("uint16", 0, 3000), ("float32", 0, 1e25), ("float64", 0, 1)],
 )
-def test_other_types(first_device, contexts, dtype, low, high):
+def test_other_types(context, dtype, low, high):
     array = waves((40, 37, 45), dtype, low, high)
     at = low + np.array([0.0, 0.24, 0.55, 1.0]) * (float(high) - low)
     function = SHELL.__class__(at, [0.0, 0.02, 0.1, 0.3], [[0.2, 0.5, 0.9]] * 4)
     for oracle in ("error", "visible", "opacity-gradient", "bandwidth"):
         scene = pyramid_scene(array, function, oracle=oracle)
-        check(PyramidCaster(contexts(first_device), scene))
+        check(PyramidCaster(context, scene))
 
 
 @pytest.mark.parametrize("filter", ("cubic", "catmull-rom"))
-def test_wide_filters(first_device, contexts, filter):
+def test_wide_filters(context, filter):
     scene = pyramid_scene(filter=filter, width=24, height=20)
-    check(PyramidCaster(contexts(first_device), scene))
+    check(PyramidCaster(context, scene))
 
 
 def test_views_between_rays_and_slices(context):
@@ -108,9 +108,8 @@ def test_holes_stay_where_they_are(context):
     assert rms(data.rgba, full.rgba) < 0.01
 
 
-def test_a_hole_is_the_same_in_a_packet_and_alone(first_device, contexts):
+def test_a_hole_is_the_same_in_a_packet_and_alone(context):
     """What follows a hole depends on no neighbour."""
-    context = contexts(first_device)
     array = waves((40, 37, 45))
     array[::6, 18:21, ::5] = np.nan
     scene = pyramid_scene(array, oracle="minimum")
@@ -226,9 +225,8 @@ def test_values_that_are_not_sampled_are_not_missed(context, monkeypatch, more):
     assert data.samples < 0.95 * data.counters["oracle_samples"]
 
 
-def test_one_pixel_a_work_item_makes_the_same_picture(first_device, contexts):
+def test_one_pixel_a_work_item_makes_the_same_picture(device, context):
     """What a GPU runs: work-items that share a tile, on any device."""
-    context = contexts(first_device)
     for more in ({}, {"function": SHELL}, {"levels": 1, "camera": {**CAMERA, "fov_degrees": 9.0}}):
         scene = pyramid_scene(width=37, height=30, **more)
         packets, single = (
@@ -285,8 +283,7 @@ def test_more_slices_than_can_be_told_apart_are_an_error(context):
     assert np.isfinite(pyramid_picture(context, pyramid_scene(camera=far)).rgba).all()
 
 
-def test_a_camera_move_compiles_nothing(first_device, contexts):
-    context = contexts(first_device)
+def test_a_camera_move_compiles_nothing(context):
     scene = pyramid_scene(height=30)
     caster = PyramidCaster(context, scene)
     caster.warm_up(40, 30)

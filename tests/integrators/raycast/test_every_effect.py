@@ -1,5 +1,4 @@
-"""Every effect that a scene may state, alone and with the others, on every device: it renders and
-shows, costs nothing where it has no consequence, and is refused where it cannot be."""
+"""Every effect that a scene may state, alone and with the others: it renders and shows, costs nothing where it has no consequence, and is refused where it cannot be."""
 
 from __future__ import annotations
 
@@ -71,8 +70,8 @@ _rendered: dict = {}
 
 
 def rendered(context, place, effect: EffectScene | None) -> Rendered:
-    """The scene that ``effect`` asks for (None: the plain one); once a device."""
-    key = context.name, effect and effect.name
+    """The scene that ``effect`` asks for (None: the plain one); rendered once."""
+    key = effect and effect.name
     if key not in _rendered:
         resolved = scene_of(effect and effect.tables(place))
         refuse_unknown(resolved)
@@ -116,15 +115,6 @@ def test_every_effect_shows(context, place, effect):
         assert found.hash != plain.hash
 
 
-@pytest.mark.parametrize("effect", EFFECTS, ids=named)
-def test_devices_agree(context, place, effect):
-    """Each with all that were tested before it."""
-    ours = rendered(context, place, effect)
-    for (_, name), other in _rendered.items():
-        if name == effect.name:
-            np.testing.assert_allclose(ours.rgba, other.rgba, atol=2e-3)
-
-
 _ALONE = (
     "Catmull-Rom, lit", "refraction", "scattering", "two-value function", "mask field",
     "noise on place", "attenuated maximum",
@@ -132,8 +122,8 @@ _ALONE = (
 
 
 @pytest.mark.parametrize("name", _ALONE)
-def test_a_ray_alone_sees_what_a_packet_sees(first_device, contexts, place, name):
-    context, effect = contexts(first_device), by_name(name)
+def test_a_ray_alone_sees_what_a_packet_sees(context, place, name):
+    effect = by_name(name)
     found = rendered(context, place, effect)
     resolved = prefiltered(scene_of(effect.tables(place)))
     alone = Raycaster(context, resolved, lanes=1).render(resolved.camera, *SIZE)
@@ -152,17 +142,8 @@ def test_all_but_exclusive_effects_are_called_for_together(place):
     assert asked - set(called_for(scene_of(together(place)))) == exclusive
 
 
-def test_all_effects_go_together(context, contexts, first_device, place):
-    """All on the first device; all but shadows on the others, some of which take a minute to
-    compile both the picture's kernel and the light volume's."""
-    if context is contexts(first_device):
-        effect = TOGETHER
-    else:
-        def unshadowed(place):
-            return {key: table for key, table in together(place).items() if key != "shadow"}
-
-        effect = EffectScene("all but shadows", "together", unshadowed)
-    found = rendered(context, place, effect)
+def test_all_effects_go_together(context, place):
+    found = rendered(context, place, TOGETHER)
     check(found.rgba)
     counters = ("lit_samples", "surface_hits", "bends", "field_samples", "gradients")
     assert all(found.counters[name] > 0 for name in counters)
@@ -212,7 +193,7 @@ def test_explain_names_what_is_compiled(context, place, effect):
 CYCLING = {"time": 2.0, "cycle": 0.5}
 
 
-def test_explain_knows_what_converts_voxels_and_what_comes_round(first_device):
+def test_explain_knows_what_converts_voxels_and_what_comes_round(device):
     """Whatever the voxels are turned into, and colours that are where they began: one fresh device
     each, on which nothing else was built."""
     from clvol.opencl.context import DeviceContext
@@ -226,7 +207,7 @@ def test_explain_knows_what_converts_voxels_and_what_comes_round(first_device):
         replace(scene_of(voxel_precision="uint8"), volume=Volume(VOLUME.data.astype(np.float32))),
     ]  # fmt: skip
     for resolved in scenes:
-        context = DeviceContext(first_device)
+        context = DeviceContext(device)
         Engines(context).make(resolved).render(resolved.camera, *SIZE)
         said = {(file, compile_options(s)) for file, s in scene_programs(resolved).items()}
         assert {key[:2] for key in context._programs if key[0] not in SHARED} == said

@@ -16,11 +16,6 @@ SHAPE = (9, 11, 10)
 LIT = {"light": LIGHTS, "material": MATERIAL}
 
 
-@pytest.fixture
-def first(first_device, contexts):
-    return contexts(first_device)
-
-
 def rough(shape=SHAPE, seed=1, dtype=np.uint8) -> np.ndarray:
     """Independent voxels: fields that turn in every cell."""
     return np.random.default_rng(seed).integers(0, 256, shape).astype(dtype)
@@ -41,10 +36,10 @@ def assert_same(pictures):
     return first
 
 
-def test_a_vessel_tree_covers_the_same_pixels(first, shared_volume):
+def test_a_vessel_tree_covers_the_same_pixels(context, shared_volume):
     """Vessels a voxel wide: what even steps meet of them hangs on where the samples fall."""
     volume = load_volume(shared_volume("aneurism.nrrd"))
-    same = assert_same(at_steps(first, volume, size=(128, 128), isosurface=[{"value": 100.0}]))
+    same = assert_same(at_steps(context, volume, size=(128, 128), isosurface=[{"value": 100.0}]))
     assert np.sum(same.rgba[..., 3] == 1.0) == np.isfinite(same.depth).sum() == 902
 
 
@@ -61,21 +56,21 @@ def test_surfaces_alone_are_the_same_picture_bit_for_bit(context, filter):
     assert same.counters["surface_hits"] > 400 and same.counters["bends"] > 100
 
 
-def test_noise_moves_surfaces_the_same_way_at_every_step(first):
+def test_noise_moves_surfaces_the_same_way_at_every_step(context):
     noise = [{"target": "value", "amplitude": 30.0, "frequency": 3.0},
              {"target": "coordinate", "amplitude": 0.4, "frequency": 2.0}]  # fmt: skip
     surfaces = [{"value": 90.0, "opacity": 0.3}, {"value": 140.0}]
-    same = assert_same(at_steps(first, 20 * ball(SHAPE), camera=oblique(SHAPE), noise=noise,
+    same = assert_same(at_steps(context, 20 * ball(SHAPE), camera=oblique(SHAPE), noise=noise,
                                 isosurface=surfaces, steps=(3.0, 0.7)))  # fmt: skip
     assert same.counters["surface_hits"] > 200
 
 
 @pytest.mark.parametrize("filter", ["linear", "cubic"])
-def test_only_the_volume_between_surfaces_depends_on_the_step(first, filter):
+def test_only_the_volume_between_surfaces_depends_on_the_step(context, filter):
     """Hits and the share that surfaces leave are the same; the haze converges."""
     surfaces = [{"value": 120.0, "opacity": 0.4}, {"value": 60.0, "opacity": 0.2}]
     haze = TransferFunction(255.0 * HAZE.values, HAZE.opacities, HAZE.colors)
-    pictures = list(at_steps(first, rough(), haze, filter=filter, camera=oblique(SHAPE),
+    pictures = list(at_steps(context, rough(), haze, filter=filter, camera=oblique(SHAPE),
                              isosurface=surfaces, steps=(2.0, 0.5, 0.125, 0.0625)))  # fmt: skip
     assert len({p.counters["surface_hits"] for p in pictures}) == 1
     apart = [np.abs(p.rgba - pictures[-1].rgba).max() for p in pictures[:-1]]
@@ -244,7 +239,7 @@ def test_a_slab_of_one_voxel(context):
                              isosurface=[{"value": 120.0, "opacity": 0.4}]))  # fmt: skip
 
 
-def test_shadows_of_surfaces_do_not_depend_on_the_shadow_s_step(first):
+def test_shadows_of_surfaces_do_not_depend_on_the_shadow_s_step(context):
     """A ball before a wall: the share of its light that arrives."""
     array = np.zeros((17, 17, 17), np.float32)
     array[:, :, :] = np.maximum(6.0 - ball((17, 17, 17), (8, 8, 5)), 0.0)
@@ -252,7 +247,7 @@ def test_shadows_of_surfaces_do_not_depend_on_the_shadow_s_step(first):
     light = [{"type": "directional", "direction": [0.1, 0.2, 1.0]}]
     camera = {"position": [30.0, 8.0, 2.0], "target": [8.0, 8.0, 8.0], "up": [0.0, 1.0, 0.0]}
     pictures = [
-        picture(first, scene(array, NOTHING, camera=camera, light=light, isosurface=[
+        picture(context, scene(array, NOTHING, camera=camera, light=light, isosurface=[
             {"value": 3.0, "opacity": 0.6}, {"value": 5.5, "opacity": 0.3}],
             shadow={"method": "rays", "bound": 0.0, "step": step}))
         for step in (3.0, 1.0, 0.25)

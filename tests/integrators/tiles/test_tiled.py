@@ -24,9 +24,8 @@ SIZES = [(7, 5, 16), (7, 5, 3), (1, 1, 2), (61, 45, 16), (33, 70, 9)]
 
 
 @pytest.fixture(scope="module")
-def engines(contexts):
-    """``engine(context)``: one a device, so that nothing is compiled twice; its scene has edges in
-    it."""
+def engines():
+    """``engines(context)``: one per context, so that nothing is compiled twice; its scene has edges in it."""
     made: dict = {}
 
     def engine(context) -> TileRaycaster:
@@ -227,8 +226,8 @@ def test_a_scene_that_shows_nothing_casts_no_ray(context, engines):
     assert not frame.rgba.any() and np.isinf(frame.depth).all() and frame.rays == 0
 
 
-def test_without_depth_there_is_none_and_colours_are_the_same(first_device, contexts, engines):
-    engine = engines(contexts(first_device))
+def test_without_depth_there_is_none_and_colours_are_the_same(context, engines):
+    engine = engines(context)
     camera = engine.resolved.camera
     renderer = tiled(engine, 16)
     without = renderer.render(camera, 40, 30, depth=False)
@@ -236,10 +235,10 @@ def test_without_depth_there_is_none_and_colours_are_the_same(first_device, cont
     np.testing.assert_array_equal(without.rgba, renderer.render(camera, 40, 30).rgba)
 
 
-def test_a_ray_a_work_item_gives_the_same_picture(first_device, contexts):
+def test_a_ray_a_work_item_gives_the_same_picture(context):
     """As on GPUs: there all lanes are one."""
     scene = make_scene(waves((20, 19, 21)), EDGES, classification="post")
-    engine = TileRaycaster(contexts(first_device), scene, lanes=1)
+    engine = TileRaycaster(context, scene, lanes=1)
     plain = engine.render(scene.camera, 30, 20)
     known = TiledRenderer(engine, Multiresolution(tiles=8, tile_high=0.4))
     for rays in (200, 600):
@@ -249,9 +248,9 @@ def test_a_ray_a_work_item_gives_the_same_picture(first_device, contexts):
     np.testing.assert_array_equal(frame.rgba, plain.rgba)
 
 
-def test_a_real_volume_needs_few_rays_for_most_of_the_picture(first_device, contexts):
+def test_a_real_volume_needs_few_rays_for_most_of_the_picture(context):
     scene = load_scene(DEMO, ["image.width=128", "image.height=128"]).resolve()
-    engine = TileRaycaster(contexts(first_device), scene)
+    engine = TileRaycaster(context, scene)
     plain = engine.render(scene.camera, 128, 128)
     renderer = tiled(engine, 8, tile_high=0.125)
     frames = [renderer.render(scene.camera, 128, 128, rays=n) for n in (1, 4096, 8192, 16384)]
@@ -269,9 +268,9 @@ def test_nothing_is_compiled_once_warm(context, engines):
     assert engine.context.compile_seconds == before
 
 
-def test_effects_are_those_of_the_plain_picture(first_device, contexts):
+def test_effects_are_those_of_the_plain_picture(context):
     scene = make_scene(waves((20, 19, 21)), SMOOTH, classification="post", compositing="maximum")
-    engine = TileRaycaster(contexts(first_device), scene)
+    engine = TileRaycaster(context, scene)
     plain = engine.render(scene.camera, 30, 20)
     whole = tiled(engine, 8).render(scene.camera, 30, 20, rays=600)
     np.testing.assert_array_equal(whole.rgba, plain.rgba)
