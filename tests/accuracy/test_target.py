@@ -56,6 +56,7 @@ def test_the_error_holds_and_the_claim_holds(device, function, limit):
     assert found["settings"]["integration.method"] in ("raycast", "multiresolution", "pyramid")
 
 
+@pytest.mark.slow
 def test_the_words_name_the_pixels_that_an_error_rests_on(device, monkeypatch):
     """Those that settings were chosen by count as well, once each: nothing says that they do not."""
     monkeypatch.setattr(target, "_PILOT_PIXELS", 400)
@@ -100,6 +101,7 @@ def test_what_no_setting_reaches_is_integrated_exactly(device):
     assert true_error(frame, scene, device) <= 1e-7
 
 
+@pytest.mark.slow
 def test_a_scene_that_asks_for_the_exact_integral_is_rendered_quickly_to_an_error(device):
     scene = scene_of(method="reference")
     frame = render_to_error(scene, 1e-2, devices=[device])
@@ -107,6 +109,7 @@ def test_a_scene_that_asks_for_the_exact_integral_is_rendered_quickly_to_an_erro
     assert true_error(frame, scene, device) <= 1e-2
 
 
+@pytest.mark.slow
 def test_a_bound_that_fails_is_never_claimed(device, monkeypatch):
     """A pilot that is far too hopeful: its errors are told ten times too small."""
     real = target.Trials.run
@@ -162,6 +165,7 @@ def test_pixels_of_the_pilot_are_not_drawn_again(device, monkeypatch):
     assert len(measured) > 500 and not pilot & measured
 
 
+@pytest.mark.slow
 def test_a_time_is_held_and_more_of_it_buys_less_error(device):
     scene = scene_of()
     seconds = (0.004, 0.04)

@@ -35,6 +35,7 @@ def swept(device):
     )
 
 
+@pytest.mark.slow
 def test_every_knob_of_the_scene_is_tried_and_none_is_listed_in_the_sweep(swept):
     result, _ = swept
     varied = {key for point in result["points"] for key in point["changed"]}
@@ -188,6 +189,7 @@ def test_budgets_are_tried_whichever_method_the_scene_has(device, few_knobs, met
     assert errors[-1] == pytest.approx(own["rmse"], rel=0.1)
 
 
+@pytest.mark.slow
 def test_the_knobs_of_a_method_are_not_combined_with_all_others(
     device, few_knobs, monkeypatch
 ):

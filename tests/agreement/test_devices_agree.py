@@ -59,7 +59,8 @@ SCENES = {
     "pre-classified, nearest, int16": (volume_of(np.int16), nothing, {"classification": "pre", "filter": "nearest"}),
     "Sobel gradients, opacity by gradient": (
         BYTES, effects("three lights", "Sobel, on the fly", "gradient opacity", "directional opacity"), {}),
-    "precomputed gradients of float32": (volume_of(np.float32), effects("gradients precomputed", "two-value function"), {}),
+    "precomputed gradients of float32": (
+        volume_of(np.float32), effects("gradients precomputed", "two-value function"), {}),
     "prefiltered cubic, lit": (BYTES, effects("cubic, lit"), {"prefilter": True}),
     "Catmull-Rom, refraction": (BYTES, effects("refraction"), {"filter": "catmull-rom"}),
     "shadow rays": (BYTES, effects("shadow rays", "three surfaces"), {}),

@@ -20,7 +20,8 @@ SAID = (
 
 
 def test_a_warning_is_a_line_and_no_status(run, folder, device):
-    outcome = run("render", "scene.toml", "--set", BESIDE, "-o", "a.npy", "--stats", "s.json", "--device", report_of(device).name)
+    name = report_of(device).name
+    outcome = run("render", "scene.toml", "--set", BESIDE, "-o", "a.npy", "--stats", "s.json", "--device", name)
     assert (outcome.status, outcome.err) == (0, f"clvol: warning: {SAID}\n")
     assert outcome.out.split() == ["a.npy", "s.json"]
     assert json.loads((folder / "s.json").read_text())["warnings"] == [SAID]

@@ -6,6 +6,7 @@ import pytest
 from helpers.random_scenes import errors, random_scene, shrinks
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(16))
 def test_the_error_shrinks_with_the_step(device, seed):
     scene = random_scene(seed)

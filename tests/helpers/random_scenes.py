@@ -1,8 +1,8 @@
 """Scenes by a seed: any volume, function, view, filter, classification and method, beside their exact integral.
 
-    python tests/helpers/random_scenes.py 500        # that many, from seed 0; prints those whose error does not shrink with the step
+    python tests/helpers/random_scenes.py 500        # so many, from seed 0; prints whose error does not shrink
 
-``tests/hard_cases/test_random_scenes.py`` runs the first few on every device.
+``tests/hard_cases/test_random_scenes.py`` runs the first few.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The plain twin of clvol.store.resolutions: the same definitions, voxel by voxel and slowly.
 
-Coarser samples are means of the voxels themselves (not of already rounded means), rounded to the voxels' type. Where fewer than
-half of a sample's voxels are finite the sample is NaN.
+Coarser samples are means of the voxels themselves (not of already rounded means), rounded to the voxels' type. Where
+fewer than half of a sample's voxels are finite the sample is NaN.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ def block_samples(data: np.ndarray, grid: BlockGrid, level: int, blocks: np.ndar
 
 
 def region_level(data: np.ndarray, grid: BlockGrid, level: int, first: tuple, last: tuple) -> np.ndarray:
-    """[z, y, x] of the blocks ``first`` <= (bz, by, bx) < ``last`` at ``level``, the last samples repeated beyond the array."""
+    """[z, y, x] of the blocks ``first`` <= (bz, by, bx) < ``last`` at ``level``, last samples repeated beyond it."""
     edge = grid.edge
     box = tuple(slice(a * edge, min(b * edge, n)) for a, b, n in zip(first, last, data.shape))
     found = reduced(data[box], level)

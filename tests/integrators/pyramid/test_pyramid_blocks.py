@@ -97,7 +97,7 @@ def test_work_items_that_share_a_tile_and_several_buffers(context):
 
 
 def test_no_step_leads_over_a_hole(context):
-    """Two values that show nothing, and between them a layer that is no value: no segment goes from one to the other."""
+    """Two values that show nothing, a layer of NaN between them: no segment goes from one to the other."""
     array = np.full(SHAPE, 20.0, np.float32)
     array[:, :, 23:] = 240.0
     array[:, :, 22] = np.nan

@@ -111,7 +111,8 @@ def test_distances_grow_by_no_more_than_the_way(context, oracle, function):
     """What the march relies on to find what it synthesises fresh; but for rounding."""
     epsilon = 0.3 if oracle == "bandwidth" else 0.01
     more = {"function": SHELL} if function == "shell" else {}
-    caster = PyramidCaster(context, pyramid_scene(waves(SHAPE), grid=GRID, camera=None, oracle=oracle, epsilon=epsilon, **more))
+    resolved = pyramid_scene(waves(SHAPE), grid=GRID, camera=None, oracle=oracle, epsilon=epsilon, **more)
+    caster = PyramidCaster(context, resolved)
     found = map_distances(caster)
     assert found.max() > 0.5
     for axis, edge in enumerate(EDGES[::-1]):

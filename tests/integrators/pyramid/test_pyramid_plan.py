@@ -22,7 +22,9 @@ def test_parallel_rays_stay_as_far_apart_as_they_are():
     assert plan.growth == 0.0 and plan.spacing == pytest.approx(1.0) and plan.oversampling == 0
 
 
-@pytest.mark.parametrize(("step", "levels", "more"), [(1.0, 3, 0), (2.0, 3, 1), (4.1, 3, 2), (9.0, 3, 2), (9.0, 1, 3), (0.2, 3, 0)])
+@pytest.mark.parametrize(
+    ("step", "levels", "more"), [(1.0, 3, 0), (2.0, 3, 1), (4.1, 3, 2), (9.0, 3, 2), (9.0, 1, 3), (0.2, 3, 0)]
+)
 def test_rays_nearer_than_slices_get_levels_more(step, levels, more):
     """Of all there may be, five."""
     camera = axis_camera((22.0, 18.0, 19.5), height=36.0)

@@ -164,7 +164,8 @@ def test_clips_cut_rays_where_they_meet_them(context, clips):
 
 
 def test_clips_on_grids_that_are_turned_and_thin(context):
-    turned = {"spacing": (0.7, 1.9, 1.1), "origin": (3.0, -20.0, 5.0), "direction": ((0.0, 1.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 0.0, 1.0))}
+    direction = ((0.0, 1.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
+    turned = {"spacing": (0.7, 1.9, 1.1), "origin": (3.0, -20.0, 5.0), "direction": direction}
     for array in (waves((30, 21, 45)), waves((30, 21, 1))):
         scene = pyramid_scene(array, camera=None, grid=turned, step=0.5)
         middle = scene.volume.grid.world_corners().mean(axis=0)

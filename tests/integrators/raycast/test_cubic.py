@@ -171,8 +171,8 @@ def test_leaping_over_empty_space_changes_no_bit_and_takes_fewer_samples(
     array[9, 17, 33] = 255  # a voxel inside a cell is seen in the cell before
     array[23, 39, 15] = 255  # and in the one behind
     array[50:60, 40:55, 5:9] = rough((10, 15, 4))
-    function = TransferFunction([0, 1, 255], [0, 0.02, 0.5], GREY * 3)
-    for function in (function, PEAKS):
+    rising = TransferFunction([0, 1, 255], [0, 0.02, 0.5], GREY * 3)
+    for function in (rising, PEAKS):
         scene = cubic_scene(
             array, function, width=64, height=64, classification=classification, step=0.6
         )

@@ -1,4 +1,5 @@
-"""Every effect that a scene may state, alone and with the others: it renders and shows, costs nothing where it has no consequence, and is refused where it cannot be."""
+"""Every effect that a scene may state, alone and with the others: it renders and shows, costs nothing where it
+has no consequence, and is refused where it cannot be."""
 
 from __future__ import annotations
 
@@ -299,7 +300,7 @@ def _coarse(volume: Volume) -> Volume:
     )  # fmt: skip
 
 
-@functools.lru_cache(maxsize=None)
+@functools.cache
 def _shipped(path: Path):
     """The scene, small, of coarse volumes."""
     resolved = load_scene(path).resolve()

@@ -1,4 +1,4 @@
-"""Less step is never more error: narrow peaks, opacity 1 at a point, walls, many control points, and the shipped scene."""
+"""Less step is never more error: narrow peaks, opacity 1 at a point, walls, many control points, the shipped scene."""
 
 from __future__ import annotations
 
