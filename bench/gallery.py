@@ -7,10 +7,11 @@ out, and said to be.
 from __future__ import annotations
 
 import textwrap
-import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import tomllib
 
 from bench.options import Options
 from bench.report import machine, say, table

@@ -2,9 +2,9 @@
 multiresolution_scenes.py and multiresolution_tables.py).
 
 Parts: steps along the ray as the paper's table has them (full, limited, naive, bounded), once as in the paper
-(levels by the transfer function alone, no empty space leapt over, steps of half a voxel) and once as clvol is used; interpolation
-between blocks; tiles of the picture; pictures within a budget; everything resident beside the plain ray caster;
-the selection of levels; with ``--large`` a volume of 8 GiB. Pictures are 1024^2.
+(levels by the transfer function alone, no empty space leapt over, steps of half a voxel) and once as clvol is used;
+interpolation between blocks; tiles of the picture; pictures within a budget; everything resident beside the plain ray
+caster; the selection of levels; with ``--large`` a volume of 8 GiB. Pictures are 1024^2.
 
 "full" is the same blocks with even steps; "of full resolution" is the plain ray caster with every voxel.
 """

@@ -1,8 +1,8 @@
 """What accuracy costs in time: every scene's sweep over its knobs, and VTK's own curve beside it.
 
-clvol's curve is the Pareto front that `clvol tradeoff` finds; its page for each scene is kept among the results. VTK's knob is
-its sample distance; its seconds are the smaller of its window's (less an empty one's) and its mapper's own, as in
-bench/peers.py, and its errors those of its rays against the same exact integral over all pixels.
+clvol's curve is the Pareto front that `clvol tradeoff` finds; its page for each scene is kept among the results. VTK's
+knob is its sample distance; its seconds are the smaller of its window's (less an empty one's) and its mapper's own,
+as in bench/peers.py, and its errors those of its rays against the same exact integral over all pixels.
 """
 
 from __future__ import annotations

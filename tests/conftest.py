@@ -1,14 +1,17 @@
-"""What every test may ask for: each working OpenCL device in turn, and real volumes."""
+"""What every test may ask for: OpenCL devices, and real volumes; and which tests `make test` leaves out."""
 
 from __future__ import annotations
 
+import contextlib
+import ctypes
 import functools
+import gc
+import sys
 from pathlib import Path
 
 import pytest
+from helpers.paths import VOLUMES
 
-_ROOT = Path(__file__).resolve().parent.parent
-_VOLUMES = _ROOT.parent / "shared" / "volumes"
 _no_device = ""  # why, when there is none
 
 
@@ -41,39 +44,73 @@ def _chosen(config: pytest.Config) -> list:
     return list(dict.fromkeys(chosen))
 
 
+_DEVICE_FIXTURES = {
+    "device": slice(0, 1),  # the first device
+    "other_device": slice(1, None),  # each one but the first
+    "each_device": slice(None),
+}
+
+
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    for name in sorted({"device", "first_device"} & set(metafunc.fixturenames)):
+    for name in sorted(_DEVICE_FIXTURES.keys() & set(metafunc.fixturenames)):
         reports = _chosen(metafunc.config)
-        reports = reports[:1] if name == "first_device" else reports
+        if reports:
+            reason = "only one OpenCL device works here, so there is none to compare it with"
+        else:
+            reason = _no_device
+        reports = reports[_DEVICE_FIXTURES[name]]
         if reports:
             parameters = [pytest.param(report, id=report.name) for report in reports]
         else:
-            parameters = [pytest.param(None, id="none", marks=pytest.mark.skip(reason=_no_device))]
+            parameters = [pytest.param(None, id="none", marks=pytest.mark.skip(reason=reason))]
         metafunc.parametrize(name, parameters, indirect=True, scope="session")
 
 
-@pytest.fixture(scope="session", autouse=True)
-def _quick_compilers():
-    """Intel's compiler takes ten times as long to optimise a program as all tests take to run it. The
-    first device's programs are optimised: that both agree is a test of the code, not of compilers."""
-    from clvol.opencl.context import DeviceContext
+@pytest.hookimpl(tryfirst=True)  # before pytest deselects by marker
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Marks as `slow` what `make test` leaves out: see tests/README.md, "Tiers"."""
+    seen: set[tuple[Path, str]] = set()
+    for item in items:
+        if not isinstance(item, pytest.Function) or not _uses_device(item):
+            continue
+        function = (item.path, getattr(item.cls, "__name__", "") + item.originalname)
+        if function in seen and not item.get_closest_marker("every_case"):
+            item.add_marker("slow")
+        seen.add(function)
 
-    DeviceContext.more_options = {"intel": ("-cl-opt-disable",)}
-    yield
-    DeviceContext.more_options = {}
+
+def _uses_device(item: pytest.Function) -> bool:
+    return bool({*_DEVICE_FIXTURES, "contexts"} & set(item.fixturenames))
 
 
-@pytest.fixture(scope="session")
-def device(request: pytest.FixtureRequest):
-    """A pyopencl.Device; the test runs once on each one that works."""
+def _opened(request: pytest.FixtureRequest):
     from clvol.opencl.devices import open_device
 
     return open_device(request.param.name)
 
 
 @pytest.fixture(scope="session")
+def device(request: pytest.FixtureRequest):
+    """The first pyopencl.Device that works (or of ``--device``): what most tests run on."""
+    return _opened(request)
+
+
+@pytest.fixture(scope="session")
+def other_device(request: pytest.FixtureRequest):
+    """A pyopencl.Device other than the first one, to be compared with it: one test for each."""
+    return _opened(request)
+
+
+@pytest.fixture(scope="session")
+def each_device(request: pytest.FixtureRequest):
+    """A pyopencl.Device; the test runs once on each one that works."""
+    return _opened(request)
+
+
+@pytest.fixture(scope="module")
 def contexts():
-    """One context a device, kept for the session so that nothing is compiled twice."""
+    """``contexts(device)``: one ``DeviceContext`` per device, kept for the tests of a file, so that nothing is
+    compiled twice, and released with its programs after them."""
     from clvol.opencl.context import DeviceContext
 
     made: dict = {}
@@ -83,22 +120,26 @@ def contexts():
             made[device] = DeviceContext(device)
         return made[device]
 
-    return context_of
+    yield context_of
+    for context in made.values():
+        context.release()
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def context(device, contexts):
-    """The device's ``DeviceContext``."""
+    """The first device's ``DeviceContext``."""
     return contexts(device)
 
 
-@pytest.fixture(scope="session")
-def first_device(request: pytest.FixtureRequest):
-    """One pyopencl.Device, for what renders under dozens of settings: there it is the choice that is
-    tested, and some compilers take ten seconds for each of the programs, which are tested elsewhere."""
-    from clvol.opencl.devices import open_device
-
-    return open_device(request.param.name)
+@pytest.fixture(scope="module", autouse=True)
+def _memory_given_back():
+    """Returns to the system, after each file, what compilers and released programs leave to the allocator:
+    it amounts to gigabytes in a long run."""
+    yield
+    gc.collect()
+    if sys.platform == "linux":
+        with contextlib.suppress(OSError, AttributeError):  # another C library than glibc
+            ctypes.CDLL("libc.so.6").malloc_trim(0)
 
 
 @pytest.fixture(scope="session")
@@ -106,7 +147,7 @@ def shared_volume():
     """``shared_volume(name)``: the path of a real volume kept beside the repository, or a skip."""
 
     def find(name: str) -> Path:
-        path = _VOLUMES / name
+        path = VOLUMES / name
         if not path.exists():
             pytest.skip(f"the volume {name} is not in ../shared/volumes")
         return path

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import json
-import unicodedata
 
 import pytest
+from helpers.terminal_text import is_harmless
 
 from clvol.cli.console import to_json
 from clvol.errors import SceneError, VolumeError
@@ -15,10 +15,6 @@ HOSTILE = [
     "\x1b[31m", "\x1b]0;title\x07", "\x9b31m", "\x7f", "a\rb", "a\x08b", "\0", "\u202eexe.txt",
     "\u2066x\u2069", "\u200b", "\ufeff", "\u2028", "\x85", "\udcff", "\U000e0001", "line\nline",
 ]  # fmt: skip
-
-
-def is_harmless(text: str) -> bool:
-    return all(unicodedata.category(c) not in ("Cc", "Cf", "Cs", "Co", "Zl", "Zp") for c in text)
 
 
 @pytest.mark.parametrize("text", HOSTILE)

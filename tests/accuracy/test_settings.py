@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from small_scenes import make_scene, waves
+from helpers.small_scenes import make_scene, waves
 
 from clvol import Volume
 from clvol.accuracy.settings import (

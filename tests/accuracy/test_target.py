@@ -6,7 +6,7 @@ import time
 
 import numpy as np
 import pytest
-from small_scenes import SMOOTH, rms, waves
+from helpers.small_scenes import SMOOTH, rms, waves
 
 from clvol import Camera, Scene, TransferFunction, Volume
 from clvol.accuracy import error_target, measurement, picture_search
@@ -34,8 +34,8 @@ def scene_of(function=SMOOTH, array=None, size=160, **integration) -> Scene:
     )  # fmt: skip
 
 
-def true_error(frame, scene, first_device) -> float:
-    return rms(frame.rgba, render_reference(scene.resolve(), first_device, tolerance=1e-8)[0])
+def true_error(frame, scene, device) -> float:
+    return rms(frame.rgba, render_reference(scene.resolve(), device, tolerance=1e-8)[0])
 
 
 @pytest.fixture(params=["smooth", "peaks"])
@@ -44,11 +44,11 @@ def function(request):
 
 
 @pytest.mark.parametrize("limit", [1e-2, 1e-3])
-def test_the_error_holds_and_the_claim_holds(first_device, function, limit):
+def test_the_error_holds_and_the_claim_holds(device, function, limit):
     scene = scene_of(function)
-    frame = render_to_error(scene, limit, devices=[first_device])
+    frame = render_to_error(scene, limit, devices=[device])
     found = frame.stats["accuracy"]
-    true = true_error(frame, scene, first_device)
+    true = true_error(frame, scene, device)
     assert true <= limit
     assert found["rmse"] <= found["bound"] <= limit and found["max_error"] == limit
     assert true <= found["bound"] and true == pytest.approx(found["rmse"], rel=0.1)
@@ -59,29 +59,30 @@ def test_the_error_holds_and_the_claim_holds(first_device, function, limit):
     assert found["settings"]["integration.method"] in ("raycast", "multiresolution", "pyramid")
 
 
-def test_the_words_name_the_pixels_that_an_error_rests_on(first_device, monkeypatch):
+@pytest.mark.slow
+def test_the_words_name_the_pixels_that_an_error_rests_on(device, monkeypatch):
     """Those that settings were chosen by count as well, once each: nothing says that they do not."""
     monkeypatch.setattr(picture_search, "_PILOT_PIXELS", 400)
     monkeypatch.setattr(measurement, "_DRAWN_PIXELS", 64)
-    found = render_to_error(scene_of(size=60), 1e-2, devices=[first_device]).stats["accuracy"]
+    found = render_to_error(scene_of(size=60), 1e-2, devices=[device]).stats["accuracy"]
     assert found["pixels"] < found["of_pixels"]
     chosen_by = "the pixels that settings were chosen by"
     assert found["how"] == f"exact integral at {chosen_by}, and at others, drawn where errors are expected"
 
 
-def test_less_error_costs_more(first_device):
+def test_less_error_costs_more(device):
     scene = scene_of()
     samples = [
-        render_to_error(scene, limit, devices=[first_device]).stats["samples"] for limit in (1e-1, 1e-4)
+        render_to_error(scene, limit, devices=[device]).stats["samples"] for limit in (1e-1, 1e-4)
     ]
     assert samples[1] > 3 * samples[0]
 
 
-def test_the_frame_says_how_to_make_it_again(first_device):
+def test_the_frame_says_how_to_make_it_again(device):
     from clvol import Renderer
 
     scene = scene_of()
-    frame = render_to_error(scene, 3e-3, devices=[first_device])
+    frame = render_to_error(scene, 3e-3, devices=[device])
     chosen = frame.stats["accuracy"]["settings"]
     tables = {"integration": {}, "image": {}}
     for key, value in chosen.items():
@@ -90,27 +91,29 @@ def test_the_frame_says_how_to_make_it_again(first_device):
     again = scene.model_copy(
         update={name: getattr(scene, name).model_copy(update=keys) for name, keys in tables.items()}
     )
-    with Renderer(again, [first_device]) as renderer:
+    with Renderer(again, [device]) as renderer:
         assert np.array_equal(renderer.render().rgba, frame.rgba)
     assert f"step = {chosen['integration.step']!r}" in frame.scene_source
 
 
-def test_what_no_setting_reaches_is_integrated_exactly(first_device):
+def test_what_no_setting_reaches_is_integrated_exactly(device):
     scene = scene_of(size=24)
-    frame = render_to_error(scene, 1e-7, devices=[first_device])
+    frame = render_to_error(scene, 1e-7, devices=[device])
     assert frame.stats["method"] == "reference"
     assert frame.stats["accuracy"]["bound"] <= 1e-7
-    assert true_error(frame, scene, first_device) <= 1e-7
+    assert true_error(frame, scene, device) <= 1e-7
 
 
-def test_a_scene_that_asks_for_the_exact_integral_is_rendered_quickly_to_an_error(first_device):
+@pytest.mark.slow
+def test_a_scene_that_asks_for_the_exact_integral_is_rendered_quickly_to_an_error(device):
     scene = scene_of(method="reference")
-    frame = render_to_error(scene, 1e-2, devices=[first_device])
+    frame = render_to_error(scene, 1e-2, devices=[device])
     assert frame.stats["method"] == "raycast"
-    assert true_error(frame, scene, first_device) <= 1e-2
+    assert true_error(frame, scene, device) <= 1e-2
 
 
-def test_a_bound_that_fails_is_never_claimed(first_device, monkeypatch):
+@pytest.mark.slow
+def test_a_bound_that_fails_is_never_claimed(device, monkeypatch):
     """A pilot that is far too hopeful: its errors are told ten times too small."""
     real = Trials.run
 
@@ -121,12 +124,12 @@ def test_a_bound_that_fails_is_never_claimed(first_device, monkeypatch):
 
     monkeypatch.setattr(Trials, "run", hopeful)
     scene = scene_of()
-    frame = render_to_error(scene, 1e-3, devices=[first_device])
+    frame = render_to_error(scene, 1e-3, devices=[device])
     assert frame.stats["accuracy"]["attempts"] > 1
-    assert true_error(frame, scene, first_device) <= 1e-3
+    assert true_error(frame, scene, device) <= 1e-3
 
 
-def test_giving_up_is_said_and_not_passed_over(first_device, monkeypatch):
+def test_giving_up_is_said_and_not_passed_over(device, monkeypatch):
     monkeypatch.setattr(error_target, "_ATTEMPTS", 1)
     real = Trials.run
 
@@ -137,10 +140,10 @@ def test_giving_up_is_said_and_not_passed_over(first_device, monkeypatch):
 
     monkeypatch.setattr(Trials, "run", blind)
     with pytest.raises(RenderError, match="max_error: the error could not be brought below 0.0001"):
-        render_to_error(scene_of(), 1e-4, devices=[first_device])
+        render_to_error(scene_of(), 1e-4, devices=[device])
 
 
-def test_pixels_of_the_pilot_are_not_drawn_again(first_device, monkeypatch):
+def test_pixels_of_the_pilot_are_not_drawn_again(device, monkeypatch):
     drawn = []
     real = Measurement._errors
 
@@ -159,28 +162,29 @@ def test_pixels_of_the_pilot_are_not_drawn_again(first_device, monkeypatch):
         return lattices[0]
 
     monkeypatch.setattr(picture_search, "_pilot_lattice", lattice)
-    render_to_error(scene, 1e-2, devices=[first_device])
+    render_to_error(scene, 1e-2, devices=[device])
     pilot = {tuple(p) for p in lattices[0].pixels(160, 160)}
     measured = {tuple(p) for pixels in drawn for p in pixels}
     assert len(measured) > 500 and not pilot & measured
 
 
-def test_a_time_is_held_and_more_of_it_buys_less_error(first_device):
+@pytest.mark.slow
+def test_a_time_is_held_and_more_of_it_buys_less_error(device):
     scene = scene_of()
     seconds = (0.004, 0.04)
-    frames = [render_in_time(scene, s, devices=[first_device]) for s in seconds]
+    frames = [render_in_time(scene, s, devices=[device]) for s in seconds]
     for frame, budget in zip(frames, seconds):
         assert frame.stats["seconds"]["render"] <= budget
         assert frame.stats["accuracy"]["time_budget"] == budget
     found = [frame.stats["accuracy"]["bound"] for frame in frames]
     assert found[1] < 0.5 * found[0]
     for frame, bound in zip(frames, found):
-        assert true_error(frame, scene, first_device) <= bound
+        assert true_error(frame, scene, device) <= bound
 
 
-def test_a_time_that_nothing_holds_is_refused_with_what_would(first_device):
+def test_a_time_that_nothing_holds_is_refused_with_what_would(device):
     with pytest.raises(UsageError, match="time_budget: got 1e-07 s, expected at least .* s here"):
-        render_in_time(scene_of(), 1e-7, devices=[first_device])
+        render_in_time(scene_of(), 1e-7, devices=[device])
 
 
 @pytest.mark.parametrize("wrong", [0.0, -1.0, 2.0, np.nan, np.inf, 1e-11])
@@ -203,17 +207,17 @@ def test_what_cannot_be_rendered_is_refused_as_ever():
 
 
 @pytest.mark.parametrize("size", [1, 2, 5])
-def test_tiny_pictures_are_measured_whole(first_device, size):
+def test_tiny_pictures_are_measured_whole(device, size):
     scene = scene_of(size=size)
-    frame = render_to_error(scene, 1e-3, devices=[first_device])
+    frame = render_to_error(scene, 1e-3, devices=[device])
     found = frame.stats["accuracy"]
     assert found["pixels"] == size * size and found["confidence"] == 1.0
     assert found["bound"] == found["rmse"] <= 1e-3
     assert found["how"] == "exact integral at all pixels"
-    assert true_error(frame, scene, first_device) == pytest.approx(found["rmse"], rel=1e-2, abs=2e-6)
+    assert true_error(frame, scene, device) == pytest.approx(found["rmse"], rel=1e-2, abs=2e-6)
 
 
-def test_a_blank_picture_has_no_error(first_device):
+def test_a_blank_picture_has_no_error(device):
     clear = TransferFunction([0.0, 255.0], [0.0, 0.0], [[1, 1, 1]] * 2)
-    frame = render_to_error(scene_of(clear), 1e-5, devices=[first_device])
+    frame = render_to_error(scene_of(clear), 1e-5, devices=[device])
     assert not frame.rgba.any() and frame.stats["accuracy"]["bound"] == 0.0

@@ -6,7 +6,7 @@ import json
 
 import numpy as np
 import pytest
-from small_scenes import SMOOTH, rms, waves
+from helpers.small_scenes import SMOOTH, rms, waves
 
 from clvol import Camera, Scene, Volume
 from clvol.accuracy.report import write_report
@@ -28,13 +28,14 @@ def scene_of(array=None, **integration) -> Scene:
 
 
 @pytest.fixture(scope="module")
-def swept(first_device):
+def swept(device):
     # As many settings as show the tunables of pictures too; on tables that are quickly made.
     return measure_tradeoff(
-        scene_of(table_size=64), devices=[first_device], frames=3, settings=70
+        scene_of(table_size=64), devices=[device], frames=3, settings=70
     )
 
 
+@pytest.mark.slow
 def test_every_tunable_of_the_scene_is_tried_and_none_is_listed_in_the_sweep(swept):
     result, _ = swept
     varied = {key for point in result["points"] for key in point["changed"]}
@@ -45,9 +46,9 @@ def test_every_tunable_of_the_scene_is_tried_and_none_is_listed_in_the_sweep(swe
     assert tunables - varied <= {"image.ray_tolerance", *(f"multiresolution.{key}" for key in beside)}
 
 
-def test_errors_are_those_of_the_pictures(swept, first_device):
+def test_errors_are_those_of_the_pictures(swept, device):
     result, pictures = swept
-    exact = render_reference(scene_of(table_size=64).resolve(), first_device)[0]
+    exact = render_reference(scene_of(table_size=64).resolve(), device)[0]
     assert rms(pictures["reference"], exact) < 1e-6
     points = {point["id"]: point for point in result["points"]}
     assert result["front"]  # how many are on it the clock decides
@@ -135,12 +136,12 @@ def test_what_cannot_be_rendered_is_refused():
         measure_tradeoff(scene_of(method="pyramid", filter="nearest"))
 
 
-def test_one_setting_is_enough_and_a_blank_scene_no_trouble(first_device, tmp_path):
+def test_one_setting_is_enough_and_a_blank_scene_no_trouble(device, tmp_path):
     from clvol import TransferFunction
 
     clear = TransferFunction([0.0, 255.0], [0.0, 0.0], [[1, 1, 1]] * 2)
     scene = scene_of().model_copy(update={"transfer_function": clear})
-    result, pictures = measure_tradeoff(scene, devices=[first_device], frames=1, settings=1)
+    result, pictures = measure_tradeoff(scene, devices=[device], frames=1, settings=1)
     assert len(result["points"]) == 1 and result["front"] == [result["baseline"]]
     assert result["points"][0]["rmse"] == 0.0
     write_report(result, pictures, tmp_path)
@@ -166,13 +167,13 @@ _MEMORY = "multiresolution.memory"
 
 
 @pytest.mark.parametrize("method", ["raycast", "multiresolution"])
-def test_budgets_are_tried_whichever_method_the_scene_has(first_device, few_tunables, method):
+def test_budgets_are_tried_whichever_method_the_scene_has(device, few_tunables, method):
     """A larger budget is not further from the exact integral of the whole volume, but for noise."""
     few_tunables("integration.method", _MEMORY)
     scene = scene_of(waves((40, 40, 40), np.uint8), table_size=64, method=method)
     whole = Multiresolution(occlusion=False)  # what is hidden is there as well
     scene = scene.model_copy(update={"multiresolution": whole})
-    result, _ = measure_tradeoff(scene, devices=[first_device], frames=1)
+    result, _ = measure_tradeoff(scene, devices=[device], frames=1)
     points = [
         p for p in result["points"]
         if p["settings"]["integration.method"] == "multiresolution"
@@ -188,8 +189,9 @@ def test_budgets_are_tried_whichever_method_the_scene_has(first_device, few_tuna
     assert errors[-1] == pytest.approx(own["rmse"], rel=0.1)
 
 
+@pytest.mark.slow
 def test_the_tunables_of_a_method_are_not_combined_with_all_others(
-    first_device, few_tunables, monkeypatch
+    device, few_tunables, monkeypatch
 ):
     """But for what the front suggests, which is left out here."""
     from clvol.accuracy.tradeoff import _Sweep
@@ -197,7 +199,7 @@ def test_the_tunables_of_a_method_are_not_combined_with_all_others(
     monkeypatch.setattr(_Sweep, "front", lambda self: [])
     keys = "classification", "method"
     few_tunables(*(f"integration.{key}" for key in (*keys, "step")), "multiresolution.stepping")
-    sweep = _Sweep(scene_of(table_size=64), [first_device], None, None)
+    sweep = _Sweep(scene_of(table_size=64), [device], None, None)
     try:
         sweep.explore(100)
     finally:

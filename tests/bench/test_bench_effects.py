@@ -348,7 +348,7 @@ def _result(**parts):
     }  # fmt: skip
 
 
-def test_effects_are_measured_shown_and_drawn(ball, quick, first_device, monkeypatch):
+def test_effects_are_measured_shown_and_drawn(ball, quick, device, monkeypatch):
     pytest.importorskip("matplotlib", reason="matplotlib draws the chart")
     from bench import effects
 
@@ -357,7 +357,7 @@ def test_effects_are_measured_shown_and_drawn(ball, quick, first_device, monkeyp
     monkeypatch.setattr(effects, "ALL", _refused())
     monkeypatch.setattr(effects, "UNUSED", tuple(map(by_name, dead)))
     monkeypatch.setattr(effects, "all_unused", lambda place: by_name(dead[0]).tables(place))
-    scene = effects._Costs(ball, 24, first_device, quick).measure()
+    scene = effects._Costs(ball, 24, device, quick).measure()
     nearest, cubic, refused = scene["rows"]
     assert nearest["samples"] > 0 and nearest["plain"]["ratio"] > 0
     assert not cubic["same_kernel"] and not cubic["same_picture"]
@@ -377,21 +377,21 @@ def _refused():
     return EffectScene("all together", "together", lambda place: missing)
 
 
-def test_shaded_frames_are_measured_and_shown(ball, quick, first_device):
+def test_shaded_frames_are_measured_and_shown(ball, quick, device):
     _vtk()
     from bench import shaded
 
-    row = shaded._compare(ball, ball.load(), 48, "directional", first_device, 1, quick)
+    row = shaded._compare(ball, ball.load(), 48, "directional", device, 1, quick)
     assert row["is_lit"] and row["apart"]["best_flip"] == "none" and row["apart"]["outline"] < 0.05
     assert row["vtk_seconds"] > 0 and row["samples"]["shaded"] > 0
     assert "NOT lit" not in shaded.show(_result(rows=[row], vtk="9", threads=1))
 
 
-def test_surfaces_are_measured_and_shown(ball, quick, first_device):
+def test_surfaces_are_measured_and_shown(ball, quick, device):
     _vtk()
     from bench import isosurface
 
-    row = isosurface._compare(ball, ball.load(), 100.0, first_device, quick)
+    row = isosurface._compare(ball, ball.load(), 100.0, device, quick)
     assert row["apart"]["best_flip"] == "none" and row["apart"]["outline"] < 0.05
     assert row["apart"]["rmse"] < 0.05
     text = isosurface.show(_result(rows=[row], vtk="9"))

@@ -165,8 +165,8 @@ def test_differences_are_shown_as_displayed():
     assert shown[1, 2].tolist() == [0, 255, 0] and shown[0, 1].max() == 0
 
 
-def test_dearer_samples_change_no_picture(volume, first_device, tmp_path):
-    shared = Bench(first_device, 32, 1, tmp_path)
+def test_dearer_samples_change_no_picture(volume, device, tmp_path):
+    shared = Bench(device, 32, 1, tmp_path)
     plain = caster(shared, by_rays(ANEURISM, volume, 32))
     other = dearer(plain, 3)
     assert other.switches["SAMPLE_REPEATS"] == 3 and "SAMPLE_REPEATS" not in plain.switches
@@ -285,7 +285,7 @@ def test_the_crossover_is_drawn(tmp_path):
 # All of it
 
 
-def test_a_quick_run_measures_shows_and_draws(first_device, shared_volume, monkeypatch, tmp_path):
+def test_a_quick_run_measures_shows_and_draws(device, shared_volume, monkeypatch, tmp_path):
     for name in ("aneurism.nrrd", "heptane.nrrd"):
         shared_volume(name)
     monkeypatch.setattr("bench.options.RESULTS", tmp_path)

@@ -12,6 +12,7 @@ from bench.peers import headline, overall
 from bench.reference_cache import Exact, chosen_pixels
 from bench.scenes import OPACITY_UNIT, SCENES, camera
 from clvol.accuracy.timing import FEWEST_FRAMES, summary, take_turns
+from clvol.features.scene_warnings import camera_warning, scene_warnings
 
 SIDE = 9
 
@@ -69,6 +70,14 @@ def test_real_scene_has_its_volume_without_origin_or_direction(scene, shared_vol
     grid = scene.load(path.parent).grid
     assert tuple(grid.origin) == (0.0, 0.0, 0.0)
     assert np.array_equal(grid.direction, np.eye(3))
+
+
+@pytest.mark.parametrize("scene", SCENES, ids=lambda s: s.name)
+def test_nothing_is_to_warn_of_in_a_scene(scene, shared_volume):
+    shared_volume(scene.file)
+    resolved = scene.scene(scene.load(), 64).resolve()
+    assert scene_warnings(resolved) == []
+    assert camera_warning(resolved.camera, resolved.volume.grid, 64, 64) is None
 
 
 # Curves

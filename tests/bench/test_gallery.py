@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
-from small_scenes import picture
+from helpers.paths import ROOT
+from helpers.small_scenes import picture
 
 from clvol import load_scene
 from clvol.features import called_for, reduced
 
-GALLERY = Path(__file__).resolve().parents[2] / "bench" / "gallery"
+GALLERY = ROOT / "bench" / "gallery"
 SHOWN = {
     "inia19-labels": "label field",
     "tooth-layers": "two-dimensional transfer function",

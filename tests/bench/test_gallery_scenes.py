@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from small_scenes import picture
+from helpers.small_scenes import picture
 
 from bench.gallery import SCENES, TILE, TILES, compose, shrunk
 from clvol.explanation import explain
@@ -56,9 +56,9 @@ def test_nothing_is_to_warn_of_in_a_tile(tile):
 
 
 @pytest.mark.parametrize("tile", TILES, ids=lambda tile: tile.name)
-def test_a_tile_renders_a_picture_that_is_not_blank(first_device, contexts, tile):
+def test_a_tile_renders_a_picture_that_is_not_blank(context, tile):
     scene = _resolved(tile)
-    data = picture(contexts(first_device), reduced(scene))
+    data = picture(context, reduced(scene))
     rgba = data.rgba
     assert picture_warning(scene, scene.camera, rgba, data.depth) is None
     assert rgba.shape == (HEIGHT, WIDTH, 4)

@@ -10,7 +10,7 @@ import pytest
 from clvol.image import load_image
 
 
-def test_an_error_is_held_told_and_kept_with_the_picture(run, folder, first_device):
+def test_an_error_is_held_told_and_kept_with_the_picture(run, folder, device):
     outcome = run("render", "scene.toml", "-o", "a.exr", "--stats", "s.json", "--max-error", "1e-3")
     assert outcome.status == 0 and outcome.out.split() == ["a.exr", "s.json"]
     assert outcome.err.startswith("RMSE ") and "step" in outcome.err and outcome.err.count("\n") == 1
@@ -27,7 +27,7 @@ def test_an_error_is_held_told_and_kept_with_the_picture(run, folder, first_devi
     assert measured["rmse"] <= 1e-3
 
 
-def test_a_time_is_held_and_quiet_says_nothing(run, folder, first_device):
+def test_a_time_is_held_and_quiet_says_nothing(run, folder, device):
     outcome = run("render", "scene.toml", "-o", "a.npy", "--stats", "s.json", "--time-budget", "0.5",
                   "--quiet")  # fmt: skip
     assert (outcome.status, outcome.err) == (0, "")
@@ -53,12 +53,12 @@ def test_impossible_targets_are_one_line(refused, folder, nothing_left, argument
     assert refused(2, "render", "scene.toml", "-o", "a.npy", *arguments).startswith(said)
 
 
-def test_a_time_too_short_says_what_is_possible(refused, folder, nothing_left, first_device):
+def test_a_time_too_short_says_what_is_possible(refused, folder, nothing_left, device):
     said = refused(2, "render", "scene.toml", "-o", "a.npy", "--time-budget", "1e-9")
     assert said.startswith("--time-budget: got 1e-09 s, expected at least ")
 
 
-def test_tradeoff_writes_a_page_and_says_what_to_use(run, folder, first_device):
+def test_tradeoff_writes_a_page_and_says_what_to_use(run, folder, device):
     outcome = run("tradeoff", "scene.toml", "-o", "out", "--settings", "6", "--frames", "1",
                   "--set", "integration.table_size=32")  # fmt: skip
     assert outcome.status == 0

@@ -6,16 +6,15 @@ import json
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
+from helpers.paths import ROOT
 
 from clvol.cli import trial
 from clvol.cli.trial import Trial, try_render
 from clvol.opencl.devices import report_of
 from clvol.opencl.reports import DeviceReport
 
-ROOT = Path(__file__).resolve().parents[2]
 TWO = [DeviceReport("pocl", "Portable Computing Language", "cpu", working=True, type="CPU"),
        DeviceReport("intel", "Intel(R) OpenCL", "cpu", working=True, type="CPU")]
 
@@ -63,11 +62,11 @@ def test_a_small_picture_comes_out_of_every_device(device):
     assert try_render(report_of(device).name) == Trial("", {})
 
 
-def test_modules_in_the_working_folder_are_none_of_ours(tmp_path, monkeypatch, first_device):
+def test_modules_in_the_working_folder_are_none_of_ours(tmp_path, monkeypatch, device):
     for name in ("json", "runpy", "numpy", "clvol"):
         (tmp_path / f"{name}.py").write_text("raise SystemExit('not this one')")
     monkeypatch.chdir(tmp_path)
-    assert try_render(report_of(first_device).name) == Trial("", {})
+    assert try_render(report_of(device).name) == Trial("", {})
 
 
 @pytest.mark.parametrize("code, expected", [
@@ -83,14 +82,14 @@ def test_whatever_happens_to_the_trial_is_an_answer(tmp_path, monkeypatch, code,
     assert try_render("pocl", 5.0).reason == expected
 
 
-def test_a_wrong_picture_is_found_out(first_device, monkeypatch):
-    assert trial._render(report_of(first_device).name) == ""
+def test_a_wrong_picture_is_found_out(device, monkeypatch):
+    assert trial._render(report_of(device).name) == ""
     real = trial._expected
     monkeypatch.setattr(trial, "_expected", lambda: real() * 1.01)
-    assert "the picture is wrong by" in trial._render(report_of(first_device).name)
+    assert "the picture is wrong by" in trial._render(report_of(device).name)
 
 
-def test_without_its_kernels_it_does_not_say_that_devices_work(tmp_path, first_device):
+def test_without_its_kernels_it_does_not_say_that_devices_work(tmp_path, device):
     """The installation itself is tried: one that lacks a file that only renders need."""
     import shutil
 

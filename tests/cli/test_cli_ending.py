@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.paths import ROOT
 
-ROOT = Path(__file__).resolve().parents[2]
 _LIBRARY = """
 #include <signal.h>
 #include <stdio.h>
@@ -48,14 +48,14 @@ def library(tmp_path):
 
 
 @pytest.mark.parametrize("what", DESTRUCTORS)
-def test_a_library_in_the_process_does_not_change_how_it_ends(tmp_path, library, what, first_device):
+def test_a_library_in_the_process_does_not_change_how_it_ends(tmp_path, library, what, device):
     """Loaded beside the device's own, whoever loaded it."""
     from clvol.opencl.devices import report_of
 
     code = ("import ctypes, sys; ctypes.CDLL(sys.argv.pop(1)); "
             "from clvol.cli.ending import command_line; command_line()")
     render = ["render", ROOT / "data/brainsmall.nrrd", "-o", "a.npy", "--set", "image.width=16",
-              "--set", "image.height=16", "--device", report_of(first_device).name]
+              "--set", "image.height=16", "--device", report_of(device).name]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     done = subprocess.run([sys.executable, "-c", code, library(what), *render], cwd=tmp_path,
                           env=environment, capture_output=True, text=True, timeout=120)

@@ -7,7 +7,7 @@ import shutil
 
 import numpy as np
 import pytest
-from small_scenes import rms, waves
+from helpers.small_scenes import rms, waves
 
 from clvol import Volume
 from clvol.integrators.multiresolution.sample_allocator import SPARE_BYTES, overhead_bytes
@@ -59,7 +59,7 @@ def voxels_untouched(monkeypatch):
     monkeypatch.setattr(StoredBlocks, "box", touched)
 
 
-def test_a_store_is_rendered_from_its_blocks(run, stores, first_device):
+def test_a_store_is_rendered_from_its_blocks(run, stores, device):
     outcome = run("render", "v.zarr", "-o", "a.npy", *SMALL, "--stats", "s.json")
     assert (outcome.status, outcome.out) == (0, "a.npy\ns.json\n")
     stats = json.loads((stores / "s.json").read_text())
@@ -94,7 +94,7 @@ def test_a_store_is_rendered_from_its_blocks(run, stores, first_device):
     ],
 )  # fmt: skip
 def test_no_voxel_of_a_store_is_read_that_is_not_in_a_wanted_block(
-    run, stores, voxels_untouched, first_device, arguments
+    run, stores, voxels_untouched, device, arguments
 ):
     outcome = run(*arguments)
     assert outcome.status == 0, outcome
@@ -114,7 +114,7 @@ def test_what_is_refused_is_so_before_voxels_are_read(
     assert "voxels of a store were read" not in refused(2, *arguments)
 
 
-def test_a_memory_that_is_named_as_the_least_is_enough(run, refused, stores, first_device):
+def test_a_memory_that_is_named_as_the_least_is_enough(run, refused, stores, device):
     def memory(size):
         return "render", "v.zarr", "-o", "a.npy", *SMALL, "--set", f"multiresolution.memory={size}"
 
@@ -166,7 +166,7 @@ def test_a_damaged_block_is_named_and_no_picture_is_written(refused, stores, not
     assert ") at level 0: is damaged, expected an undamaged store" in line
 
 
-def test_a_damaged_block_that_is_not_wanted_spoils_nothing(run, stores, first_device):
+def test_a_damaged_block_that_is_not_wanted_spoils_nothing(run, stores, device):
     least = overhead_bytes(BlockGrid((40, 45, 50), 8), 0) + SPARE_BYTES
     memory = ("--set", f"multiresolution.memory={least}")  # every block is one sample
     assert run("render", "damaged.zarr", "-o", "a.npy", *SMALL, *memory).status == 0
@@ -191,7 +191,7 @@ def test_stores_that_are_not_whole_or_of_other_versions_are_refused(refused, sto
 
 
 def test_nan_as_a_number_is_refused_by_blocks_and_honoured_elsewhere(
-    run, refused, stores, first_device
+    run, refused, stores, device
 ):
     fill = ("--set", "volume.nan=255")
     line = refused(2, "render", "holes.zarr", "-o", "a.npy", *SMALL, *fill)
@@ -206,7 +206,7 @@ def test_nan_as_a_number_is_refused_by_blocks_and_honoured_elsewhere(
     assert facts["nan_count"] == 0 and facts["value_range"] == [0, 255]
 
 
-def test_a_time_budget_refines_tiles_and_tells_how_far_it_came(run, stores, first_device):
+def test_a_time_budget_refines_tiles_and_tells_how_far_it_came(run, stores, device):
     outcome = run("render", "v.zarr", "-o", "a.npy", *SMALL, "--time-budget", "5", "--stats", "s")
     assert outcome.status == 0
     assert outcome.err.startswith("100% of pixels have rays of their own, estimated RMSE 0; ")
@@ -221,7 +221,7 @@ def test_a_time_budget_refines_tiles_and_tells_how_far_it_came(run, stores, firs
         assert run("render", "v.zarr", "-o", "c.npy", "--time-budget", budget).status == 2
 
 
-def test_an_animation_selects_blocks_anew_for_every_view(run, stores, first_device, monkeypatch):
+def test_an_animation_selects_blocks_anew_for_every_view(run, stores, device, monkeypatch):
     from clvol.integrators.multiresolution import residency
 
     views = []
@@ -240,7 +240,7 @@ def test_an_animation_selects_blocks_anew_for_every_view(run, stores, first_devi
     assert all(rms(a, b) > 1e-3 for a, b in zip(pictures, pictures[1:]))
 
 
-def test_an_error_is_held_for_a_store_against_all_its_voxels(run, refused, stores, first_device):
+def test_an_error_is_held_for_a_store_against_all_its_voxels(run, refused, stores, device):
     cap = ("--memory-cap", "50 KiB")
     said = refused(2, "render", "v.zarr", "-o", "a.npy", *SMALL, "--max-error", "1e-2", *cap)
     assert "on the device" in said or "errors are measured against all its voxels" in said

@@ -84,7 +84,7 @@ def test_aims_that_cannot_be(refused, nothing_left, option, value):
     assert option in refused(2, "render", "scene.toml", "-o", "b.png", f"{option}={value}")
 
 
-def test_the_search_for_a_time_takes_any_number(first_device):
+def test_the_search_for_a_time_takes_any_number(device):
     """What overflowed: the ratio of a time to the budget, squared."""
     import clvol
     from clvol.accuracy.time_target import render_in_time
@@ -93,9 +93,9 @@ def test_the_search_for_a_time_takes_any_number(first_device):
     volume = clvol.Volume(np.arange(64, dtype=np.uint8).reshape(4, 4, 4))
     scene = clvol.Scene(volume=volume, image={"width": 8, "height": 6})
     with pytest.raises(UsageError, match="time_budget: got 1e-09 s, expected at least"):
-        render_in_time(scene, 1e-9, devices=[first_device])
+        render_in_time(scene, 1e-9, devices=[device])
     with pytest.raises(UsageError, match="time_budget: got 1e-305, expected seconds, at least"):
-        render_in_time(scene, 1e-305, devices=[first_device])
+        render_in_time(scene, 1e-305, devices=[device])
 
 
 # --- pipes
@@ -191,7 +191,7 @@ def test_a_store_has_a_name_in_utf_8(refused, run, bytes_in_names):
 
 
 @pytest.mark.parametrize("room", ["full", "missing", "a file"])
-def test_a_temporary_folder_that_takes_nothing(folder, room, first_device, monkeypatch):
+def test_a_temporary_folder_that_takes_nothing(folder, room, device, monkeypatch):
     """Whatever a picture needs of it is had elsewhere, or one line says what is wrong."""
     from clvol.opencl.devices import report_of
 
@@ -203,7 +203,7 @@ def test_a_temporary_folder_that_takes_nothing(folder, room, first_device, monke
         place.chmod(0o500)
     environment = os.environ | {"TMPDIR": str(place)}
     done = command(
-        "render", "scene.toml", "-o", "x.npy", "--device", report_of(first_device).name, env=environment
+        "render", "scene.toml", "-o", "x.npy", "--device", report_of(device).name, env=environment
     )
     if done.returncode == 0:
         assert np.load("x.npy").shape == (6, 8, 4) and done.stderr == ""

@@ -6,7 +6,7 @@ import json
 
 import numpy as np
 import pytest
-from small_scenes import rms, waves
+from helpers.small_scenes import rms, waves
 
 SMALL = ("--set", "image.width=24", "--set", "image.height=20")
 PYRAMID = ("--set", 'integration.method="pyramid"')
@@ -19,7 +19,7 @@ def volume(folder):
     return "v.npy"
 
 
-def test_a_volume_is_rendered_and_its_samples_are_counted(run, volume, folder, first_device):
+def test_a_volume_is_rendered_and_its_samples_are_counted(run, volume, folder, device):
     outcome = run("render", volume, "-o", "a.npy", *SMALL, *PYRAMID, "--stats", "s.json")
     assert (outcome.status, outcome.out) == (0, "a.npy\ns.json\n")
     stats = json.loads((folder / "s.json").read_text())
@@ -67,7 +67,7 @@ def test_lights_and_surfaces_are_refused_by_name(run, volume, folder):
         assert outcome.status == 2 and said in outcome.err and "'raycast'" in outcome.err
 
 
-def test_blocks_by_the_pyramid(run, volume, folder, first_device):
+def test_blocks_by_the_pyramid(run, volume, folder, device):
     assert run("store", volume, "-o", "v.zarr", "--edge", "8").status == 0
     outcome = run("render", "v.zarr", "-o", "a.npy", *SMALL, *BLOCKS, "--stats", "s.json")
     assert outcome.status == 0, outcome.err
@@ -84,7 +84,7 @@ def test_blocks_by_the_pyramid(run, volume, folder, first_device):
         assert outcome.status == 2 and said in outcome.err
 
 
-def test_explain_tells_of_both(run, volume, folder, first_device):
+def test_explain_tells_of_both(run, volume, folder, device):
     plain, adaptive, blocks = (
         run("explain", volume, *SMALL, *how) for how in ((), PYRAMID, BLOCKS)
     )
@@ -92,7 +92,7 @@ def test_explain_tells_of_both(run, volume, folder, first_device):
     assert len({outcome.out for outcome in (plain, adaptive, blocks)}) == 3
 
 
-def test_an_error_is_met(run, volume, folder, first_device):
+def test_an_error_is_met(run, volume, folder, device):
     more = ("--max-error", "3e-3", "--stats", "s.json")
     outcome = run("render", volume, "-o", "a.npy", *SMALL, *PYRAMID, *more)
     assert outcome.status == 0, outcome.err
@@ -100,7 +100,7 @@ def test_an_error_is_met(run, volume, folder, first_device):
     assert rms(np.load("a.npy"), np.load("b.npy")) < 3.5e-3
 
 
-def test_a_video_and_a_later_time_are_rendered(run, volume, folder, first_device):
+def test_a_video_and_a_later_time_are_rendered(run, volume, folder, device):
     more = ("--set", "animation.frames=2", "--set", "animation.orbit_degrees=90.0")
     outcome = run("render", volume, "-o", "f_%02d.npy", *SMALL, *PYRAMID, *more)
     if outcome.status:  # stills of animations are pictures

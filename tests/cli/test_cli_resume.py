@@ -230,11 +230,11 @@ def test_a_large_store_is_not_read_whole(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("ending", ENDINGS)
-def test_every_picture_says_what_it_is_of(run, folder, first_device, ending):
+def test_every_picture_says_what_it_is_of(run, folder, device, ending):
     """Single pictures, by the real renderer, and another camera is another picture."""
     from clvol.opencl.devices import report_of
 
-    name = report_of(first_device).name
+    name = report_of(device).name
     told = []
     for more in ([], ["--set", "camera.fov_degrees=20.0"]):
         words = ["render", "scene.toml", "-o", f"x.{ending}", "--device", name, *more]
@@ -248,7 +248,7 @@ def test_every_picture_says_what_it_is_of(run, folder, first_device, ending):
     assert first["voxels"] == second["voxels"] and first["camera"] != second["camera"]
 
 
-def test_frames_from_python_say_what_they_show(folder, first_device):
+def test_frames_from_python_say_what_they_show(folder, device):
     """Another camera, time or transfer function than the scene's own; and a frame that outlives its
     renderer does not keep the volume alive."""
     import gc
@@ -259,7 +259,7 @@ def test_frames_from_python_say_what_they_show(folder, first_device):
 
     volume = clvol.Volume(np.arange(64, dtype=np.uint8).reshape(4, 4, 4))
     scene = clvol.Scene(volume=volume, image={"width": 8, "height": 6})
-    with clvol.Renderer(scene, devices=[first_device]) as renderer:
+    with clvol.Renderer(scene, devices=[device]) as renderer:
         camera = renderer.resolved.camera.model_copy(update={"fov_degrees": 20.0})
         frames = [renderer.render(), renderer.render(camera=camera), renderer.render(time=1.0)]
         white = TransferFunction([0, 63], [0, 0.5], [[1, 1, 1]] * 2, 1.0)

@@ -53,10 +53,10 @@ def hidden(folder) -> list[str]:
 
 
 @pytest.fixture
-def device_name(first_device) -> str:
+def device_name(device) -> str:
     from clvol.opencl.devices import report_of
 
-    return report_of(first_device).name
+    return report_of(device).name
 
 
 @pytest.mark.parametrize("seed", range(KILLS))

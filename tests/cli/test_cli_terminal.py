@@ -6,7 +6,7 @@ import json
 
 import numpy as np
 import pytest
-from test_text import is_harmless
+from helpers.terminal_text import is_harmless
 
 EVIL = "\x1b]0;x\x07\x1b[2J\u202e\x9b1m"
 

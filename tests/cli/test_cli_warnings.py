@@ -19,23 +19,24 @@ SAID = (
 )
 
 
-def test_a_warning_is_a_line_and_no_status(run, folder, first_device):
-    outcome = run("render", "scene.toml", "--set", BESIDE, "-o", "a.npy", "--stats", "s.json", "--device", report_of(first_device).name)
+def test_a_warning_is_a_line_and_no_status(run, folder, device):
+    name = report_of(device).name
+    outcome = run("render", "scene.toml", "--set", BESIDE, "-o", "a.npy", "--stats", "s.json", "--device", name)
     assert (outcome.status, outcome.err) == (0, f"clvol: warning: {SAID}\n")
     assert outcome.out.split() == ["a.npy", "s.json"]
     assert json.loads((folder / "s.json").read_text())["warnings"] == [SAID]
     assert not np.load("a.npy").any()
 
 
-def test_a_good_scene_is_quiet(run, folder, first_device):
-    outcome = run("render", "scene.toml", "-o", "a.npy", "--stats", "s.json", "--device", report_of(first_device).name)
+def test_a_good_scene_is_quiet(run, folder, device):
+    outcome = run("render", "scene.toml", "-o", "a.npy", "--stats", "s.json", "--device", report_of(device).name)
     assert (outcome.status, outcome.err) == (0, "")
     assert "warnings" not in json.loads((folder / "s.json").read_text())
 
 
-def test_an_animation_says_it_once(run, folder, first_device):
+def test_an_animation_says_it_once(run, folder, device):
     outcome = run("render", "scene.toml", "--set", BESIDE, "--set", "animation.frames=3", "-o", "a_%d.npy",
-                  "--stats", "s.json", "--device", report_of(first_device).name)  # fmt: skip
+                  "--stats", "s.json", "--device", report_of(device).name)  # fmt: skip
     assert (outcome.status, outcome.err) == (0, f"clvol: warning: {SAID}\n")
     assert json.loads((folder / "s.json").read_text())["warnings"] == [SAID]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from effect_scenes import HAZE, LIGHTS, MATERIAL, SIZE, blobs, oblique, picture, scaled, scene
+from helpers.effect_scenes import HAZE, LIGHTS, MATERIAL, SIZE, blobs, oblique, picture, scaled, scene
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from reference import render_twin
@@ -132,6 +132,7 @@ def brightest(resolved) -> np.ndarray:
     return np.maximum.reduce([color, lit, np.array(resolved.depth_cue.color)])
 
 
+@pytest.mark.slow
 @variants
 def test_pictures_with_effects_are_finite_bounded_and_the_same_again(context, variant):
     @examples(15)
@@ -154,6 +155,7 @@ def test_pictures_with_effects_are_finite_bounded_and_the_same_again(context, va
     assert np.mean(seen) > 0.25, "too many of these scenes are blank"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("variant", ["uint8", "float64 with holes, cubic, pre"])
 def test_random_scenes_are_mostly_the_twins(context, variant):
     """Rays that graze a surface, or bend at one of noise, may go either way: of most scenes' pixels

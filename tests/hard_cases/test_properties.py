@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from helpers.small_scenes import exact, make_scene, picture
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from small_scenes import exact, make_scene, picture
 
 from clvol import TransferFunction, Volume
 

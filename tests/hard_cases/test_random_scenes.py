@@ -1,13 +1,14 @@
-"""Whatever the scene, less step is less error (tests/random_scenes.py runs more of them)."""
+"""Whatever the scene, less step is less error (tests/helpers/random_scenes.py runs more of them)."""
 
 from __future__ import annotations
 
 import pytest
-from random_scenes import errors, random_scene, shrinks
+from helpers.random_scenes import errors, random_scene, shrinks
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(16))
-def test_the_error_shrinks_with_the_step(first_device, seed):
+def test_the_error_shrinks_with_the_step(device, seed):
     scene = random_scene(seed)
-    found = errors(first_device, scene)
+    found = errors(device, scene)
     assert shrinks(found), f"{scene}: {found}"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from small_scenes import axis_camera, exact, make_scene, picture, waves
+from helpers.small_scenes import axis_camera, exact, make_scene, picture, waves
 
 from clvol import Camera, Scene, TransferFunction, Volume
 from clvol.errors import SceneError

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from small_scenes import axis_camera, exact, make_scene, picture, waves
+from helpers.small_scenes import axis_camera, exact, make_scene, picture, waves
 
 from clvol import TransferFunction, Volume
 from clvol.device.volume import DeviceVolume

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from small_scenes import axis_camera, exact, make_scene, picture, rms, waves
+from helpers.small_scenes import axis_camera, exact, make_scene, picture, rms, waves
 
 from clvol import TransferFunction
 from clvol.transfer.preintegration import preintegrate

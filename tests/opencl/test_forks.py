@@ -89,19 +89,19 @@ def run(code: str, name: str) -> dict:
     return json.loads(done.stdout.splitlines()[-1])
 
 
-def test_a_forked_child_is_told_at_once(first_device):
+def test_a_forked_child_is_told_at_once(device):
     from clvol.opencl.devices import report_of
 
-    told = run(_USED, report_of(first_device).name)
+    told = run(_USED, report_of(device).name)
     assert told.pop("closed") == "fine"
     for how, said in told.items():
         assert said.startswith("DeviceError 3 OpenCL: ") and '"spawn"' in said, (how, said)
 
 
-def test_children_may_use_it_where_the_parent_did_not(first_device):
+def test_children_may_use_it_where_the_parent_did_not(device):
     from clvol.opencl.devices import report_of
 
     code = _UNUSED.replace("with multi", "def work(number):\n    return new().rgba.shape\n\nwith multi")
-    told = run(code, report_of(first_device).name)
+    told = run(code, report_of(device).name)
     assert (told["pictures"], told["parent"]) == (3, 16)
     assert told["child"].startswith("DeviceError 3 OpenCL: ")

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.paths import ROOT
 
-ROOT = Path(__file__).resolve().parents[2]
 UNSET = ("OCL_", "POCL_", "PYOPENCL", "XDG_", "TMP", "TEMP")
 
 
@@ -59,7 +59,7 @@ def files(folder: Path) -> list[Path]:
 
 
 @pytest.mark.parametrize("damage", ["garbled", "cut"])
-def test_a_damaged_cache_costs_time_and_one_warning(cached, tmp_path, damage, first_device):
+def test_a_damaged_cache_costs_time_and_one_warning(cached, tmp_path, damage, device):
     cache, picture = cached
     assert len(files(cache)) > 2
     for path in files(cache):
@@ -76,7 +76,7 @@ def test_a_damaged_cache_costs_time_and_one_warning(cached, tmp_path, damage, fi
     assert np.array_equal(again, picture) and said == ""
 
 
-def test_a_damaged_cache_of_pocl_harms_nobody(tmp_path, usual, first_device):
+def test_a_damaged_cache_of_pocl_harms_nobody(tmp_path, usual, device):
     """PoCL aborts the process on it; whatever lies where PoCL would look, or is told to look."""
     for home in (tmp_path / "pocl" / "kcache", tmp_path / "named"):
         for number in range(3):
@@ -87,7 +87,7 @@ def test_a_damaged_cache_of_pocl_harms_nobody(tmp_path, usual, first_device):
         assert np.array_equal(picture, usual[1])
     # Where programs are to be kept was said.
     kept = files(tmp_path / "named" / "clvol")
-    if first_device.platform.name == "Portable Computing Language":
+    if device.platform.name == "Portable Computing Language":
         assert kept
         for path in kept:
             path.write_bytes(path.read_bytes()[:-1])
@@ -115,7 +115,7 @@ def test_pyopencl_s_own_caches_are_not_used(cached, tmp_path, first, device):
 
 
 @pytest.mark.parametrize("trouble", ["a file", "not allowed", "no home", "full"])
-def test_no_cache_costs_time_and_one_warning(tmp_path, usual, trouble, first_device):
+def test_no_cache_costs_time_and_one_warning(tmp_path, usual, trouble, device):
     prefix: tuple = ()
     variables: dict = {"XDG_CACHE_HOME": tmp_path / "cache"}
     if trouble == "a file":
@@ -151,7 +151,7 @@ def test_no_cache_costs_time_and_one_warning(tmp_path, usual, trouble, first_dev
 
 
 @pytest.mark.parametrize("trouble", ["gone", "full", "no code"])
-def test_a_folder_for_temporary_files_that_is_of_no_use(tmp_path, usual, trouble, first_device):
+def test_a_folder_for_temporary_files_that_is_of_no_use(tmp_path, usual, trouble, device):
     """PoCL links its programs there, and loads them from there."""
     from clvol.opencl.devices import report_of
 
@@ -162,7 +162,7 @@ def test_a_folder_for_temporary_files_that_is_of_no_use(tmp_path, usual, trouble
         if subprocess.run(["mount", "-t", "tmpfs", "-o", options, "tmpfs", place], capture_output=True).returncode:
             pytest.skip("only root can make a small disk (mount)")
     try:
-        picture, said = render(tmp_path, "--device", report_of(first_device).name,
+        picture, said = render(tmp_path, "--device", report_of(device).name,
                                XDG_CACHE_HOME=tmp_path / "cache", TMPDIR=place)
     finally:
         if trouble != "gone":
@@ -172,7 +172,7 @@ def test_a_folder_for_temporary_files_that_is_of_no_use(tmp_path, usual, trouble
 
 @pytest.mark.parametrize("limit", ["-v 100000", "-v 200000", "-v 600000", "-v 1000000", "-v 1600000", "-f 100",
                                    "-n 12"])
-def test_too_little_of_anything_is_a_picture_or_one_error(tmp_path, usual, limit, first_device):
+def test_too_little_of_anything_is_a_picture_or_one_error(tmp_path, usual, limit, device):
     """Memory, size of files, open files."""
     limited = ("sh", "-c", f'ulimit {limit} && exec "$@"', "sh")
     done = run("render", ROOT / "data/brainsmall.nrrd", "-o", "a.npy", "--set", "image.width=16",
@@ -186,7 +186,7 @@ def test_too_little_of_anything_is_a_picture_or_one_error(tmp_path, usual, limit
 
 
 @pytest.mark.parametrize("kilobytes", [300_000, 600_000, 1_000_000, 1_600_000])
-def test_too_little_memory_though_devices_are_known(tmp_path, cached, kilobytes, first_device):
+def test_too_little_memory_though_devices_are_known(tmp_path, cached, kilobytes, device):
     """Nothing is probed then: libraries and compilers are loaded at once."""
     limited = ("sh", "-c", f'ulimit -v {kilobytes} && exec "$@"', "sh")
     done = run("render", ROOT / "data/brainsmall.nrrd", "-o", "a.npy", "--set", "image.width=16", "--set",
@@ -198,7 +198,7 @@ def test_too_little_memory_though_devices_are_known(tmp_path, cached, kilobytes,
     assert (tmp_path / "a.npy").exists() == (done.returncode == 0)
 
 
-def test_many_processes_share_a_cache(tmp_path, usual, first_device):
+def test_many_processes_share_a_cache(tmp_path, usual, device):
     kept = {k: v for k, v in os.environ.items() if not k.startswith(UNSET)}
     kept |= {"PYTHONPATH": str(ROOT), "XDG_CACHE_HOME": str(tmp_path / "cache")}
     command = [sys.executable, "-m", "clvol", "render", ROOT / "data/brainsmall.nrrd",
@@ -212,7 +212,7 @@ def test_many_processes_share_a_cache(tmp_path, usual, first_device):
     assert not [path for path in files(tmp_path / "cache") if path.name.endswith(".part")]
 
 
-def test_nothing_is_left_among_temporary_files(tmp_path, usual, first_device):
+def test_nothing_is_left_among_temporary_files(tmp_path, usual, device):
     place = tmp_path / "tmp"
     place.mkdir()
     render(tmp_path, XDG_CACHE_HOME=tmp_path / "cache", TMPDIR=place)

@@ -116,7 +116,8 @@ def test_an_error_names_file_and_line(tmp_path):
 
 
 def test_what_is_not_there_is_an_error_only_where_it_is_needed(tmp_path, context):
-    main = write(tmp_path, main_cl='#if NEEDED\n#include "gone.h"\n#endif\nkernel void f(global int *a) { a[0] = 1; }\n')
+    source = '#if NEEDED\n#include "gone.h"\n#endif\nkernel void f(global int *a) { a[0] = 1; }\n'
+    main = write(tmp_path, main_cl=source)
     context.kernel(str(main), "f", "out a int32", {"NEEDED": 0})
     with pytest.raises(RenderError, match="gone.h is not found"):
         context.kernel(str(main), "f", "out a int32", {"NEEDED": 1})

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
-DATA = Path(__file__).resolve().parents[2] / "data"
+from helpers.paths import DATA
 
 
 def test_every_volume_names_its_source_and_licence():

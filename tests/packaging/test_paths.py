@@ -10,8 +10,8 @@ import sysconfig
 from pathlib import Path
 
 import pytest
+from helpers.paths import ROOT
 
-ROOT = Path(__file__).resolve().parents[2]
 # What shells, make, pip, the OpenCL loader and compilers take for something else, but a colon, which
 # no virtual environment can have in its path.
 NAMES = {
@@ -36,7 +36,7 @@ def environment(tmp_path: Path, **more: str) -> dict[str, str]:
 
 
 @pytest.mark.parametrize("kind", NAMES)
-def test_make_sets_up_and_renders_in_a_folder_of_any_name(tmp_path, kind, first_device):
+def test_make_sets_up_and_renders_in_a_folder_of_any_name(tmp_path, kind, device):
     if shutil.which("make") is None:
         pytest.skip("make is not installed")
     folder = copy_of_checkout(tmp_path / NAMES[kind])

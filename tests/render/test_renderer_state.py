@@ -9,7 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
-from small_scenes import make_scene, waves
+from helpers.small_scenes import make_scene, waves
 
 from clvol import Camera, Renderer, Scene, TransferFunction, Volume
 from clvol.errors import RenderError, VolumeError
@@ -58,19 +58,19 @@ def alike(frame, other) -> bool:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_no_picture_depends_on_what_was_rendered_before(kind, first_device):
+def test_no_picture_depends_on_what_was_rendered_before(kind, device):
     """Any order of functions, times and views gives what a Renderer gives that has rendered nothing."""
     chosen = random.Random(kind)
     expected = {}
 
     def fresh(function: int, time: float, camera: int):
         if (function, time, camera) not in expected:
-            with Renderer(scene_of(kind, FUNCTIONS[function]), [first_device]) as renderer:
+            with Renderer(scene_of(kind, FUNCTIONS[function]), [device]) as renderer:
                 expected[function, time, camera] = renderer.render(CAMERAS[camera], time=time)
         return expected[function, time, camera]
 
     shown = 0
-    with Renderer(scene_of(kind), [first_device]) as renderer:
+    with Renderer(scene_of(kind), [device]) as renderer:
         for _ in range(16):
             if chosen.random() < 0.5:
                 shown = chosen.randrange(len(FUNCTIONS))
@@ -86,28 +86,28 @@ def test_no_picture_depends_on_what_was_rendered_before(kind, first_device):
     assert len(differ) > 5  # the cases are no single picture
 
 
-def test_a_function_that_comes_back_after_another_time_is_shown(first_device):
+def test_a_function_that_comes_back_after_another_time_is_shown(device):
     """The case of a stale picture: f1, set f2, time 1, set f1, time 2."""
-    with Renderer(scene_of("multiresolution"), [first_device]) as renderer:
+    with Renderer(scene_of("multiresolution"), [device]) as renderer:
         renderer.render()
         renderer.set_transfer_function(FUNCTIONS[1])
         renderer.render(time=1.0)
         renderer.set_transfer_function(FUNCTIONS[0])
         frame = renderer.render(time=2.0)
-    with Renderer(scene_of("multiresolution"), [first_device]) as renderer:
+    with Renderer(scene_of("multiresolution"), [device]) as renderer:
         assert alike(frame, renderer.render(time=2.0))
     assert frame.rgba[..., 0].max() > 0.1 and frame.rgba[..., 1].max() == 0
 
 
 @pytest.mark.parametrize("kind", ("fewer bits", "prefiltered"))
-def test_another_function_leaves_converted_voxels_where_they_are(kind, first_device):
-    with Renderer(scene_of(kind), [first_device]) as renderer:
+def test_another_function_leaves_converted_voxels_where_they_are(kind, device):
+    with Renderer(scene_of(kind), [device]) as renderer:
         before = renderer._prepared.volume
         renderer.set_transfer_function(FUNCTIONS[1])
         assert renderer._prepared.volume is before
 
 
-def test_blocks_that_could_not_be_read_are_read_again(first_device, monkeypatch):
+def test_blocks_that_could_not_be_read_are_read_again(device, monkeypatch):
     broken, read = [False], VolumeBlocks.read
 
     def failing(self, level, blocks):
@@ -116,23 +116,23 @@ def test_blocks_that_could_not_be_read_are_read_again(first_device, monkeypatch)
         return read(self, level, blocks)
 
     monkeypatch.setattr(VolumeBlocks, "read", failing)
-    with Renderer(scene_of("multiresolution"), [first_device]) as renderer:
+    with Renderer(scene_of("multiresolution"), [device]) as renderer:
         broken[0] = True
         with pytest.raises(VolumeError):
             renderer.set_transfer_function(FUNCTIONS[1])
         broken[0] = False
         renderer.set_transfer_function(FUNCTIONS[1])
         frame = renderer.render()
-    with Renderer(scene_of("multiresolution", FUNCTIONS[1]), [first_device]) as renderer:
+    with Renderer(scene_of("multiresolution", FUNCTIONS[1]), [device]) as renderer:
         assert alike(frame, renderer.render())
 
 
 @pytest.mark.parametrize("dtype", (np.uint8, np.float32))
-def test_voxels_changed_between_frames_are_no_picture_of_both(dtype, first_device):
+def test_voxels_changed_between_frames_are_no_picture_of_both(dtype, device):
     """A simulation that computes in place: an error that says what to do, never empty space of one state around
     voxels of another."""
     array = waves((21, 34, 27)).astype(dtype)
-    with Renderer(Scene(volume=Volume(array), transfer_function=FUNCTIONS[1]), [first_device]) as renderer:
+    with Renderer(Scene(volume=Volume(array), transfer_function=FUNCTIONS[1]), [device]) as renderer:
         renderer.render()
         array[...] = 255 - array
         with pytest.raises(VolumeError, match="expected another Volume and Renderer"):
@@ -174,10 +174,10 @@ def test_a_key_keeps_what_it_names_alive():
 
 
 @pytest.mark.parametrize("kind", ("raycast", "lit", "multiresolution", "pyramid", "reference"))
-def test_each_thread_gets_its_own_picture(kind, first_device):
+def test_each_thread_gets_its_own_picture(kind, device):
     views = [Camera(position=(60.0 - 9 * k, 20.0 + 7 * k, 40.0)) for k in range(6)]
     times = [0.0, 1.0, 2.5]
-    with Renderer(scene_of(kind), [first_device]) as renderer:
+    with Renderer(scene_of(kind), [device]) as renderer:
         expected = [[renderer.render(view, time=time) for time in times] for view in views]
 
         def work(number: int) -> bool:
@@ -192,9 +192,9 @@ def test_each_thread_gets_its_own_picture(kind, first_device):
             assert all(threads.map(work, range(8)))
 
 
-def test_frames_are_of_one_function_while_others_set_it(first_device):
+def test_frames_are_of_one_function_while_others_set_it(device):
     """Each frame is whole under one of the functions that threads set, never a mixture."""
-    with Renderer(scene_of("multiresolution"), [first_device]) as renderer:
+    with Renderer(scene_of("multiresolution"), [device]) as renderer:
         allowed = []
         for function in FUNCTIONS:
             renderer.set_transfer_function(function)
@@ -214,9 +214,9 @@ def test_frames_are_of_one_function_while_others_set_it(first_device):
             assert all(threads.map(work, range(6)))
 
 
-def test_blocks_read_in_the_background_end_in_the_right_picture_whoever_looks(first_device):
+def test_blocks_read_in_the_background_end_in_the_right_picture_whoever_looks(device):
     """Threads that set functions without waiting, and threads that render meanwhile."""
-    with Renderer(scene_of("multiresolution"), [first_device]) as renderer:
+    with Renderer(scene_of("multiresolution"), [device]) as renderer:
 
         def work(number: int) -> None:
             for turn in range(5):
@@ -231,28 +231,28 @@ def test_blocks_read_in_the_background_end_in_the_right_picture_whoever_looks(fi
         renderer.set_transfer_function(FUNCTIONS[1], wait=False)
         while (frame := renderer.render()).stats["blocks"]["pending"]:
             pass
-    with Renderer(scene_of("multiresolution", FUNCTIONS[1]), [first_device]) as renderer:
+    with Renderer(scene_of("multiresolution", FUNCTIONS[1]), [device]) as renderer:
         assert alike(frame, renderer.render())
 
 
-def test_renderers_in_threads_of_their_own_do_not_meet(first_device):
+def test_renderers_in_threads_of_their_own_do_not_meet(device):
     """Two and more of one scene and volume: compiled, rendered and closed at the same time."""
     scenes = {kind: scene_of(kind) for kind in ("raycast", "lit", "multiresolution", "reference")}
     expected = {}
     for kind, scene in scenes.items():
-        with Renderer(scene, [first_device]) as renderer:
+        with Renderer(scene, [device]) as renderer:
             expected[kind] = renderer.render()
 
     def work(kind: str) -> bool:
-        with Renderer(scenes[kind], [first_device]) as renderer:
+        with Renderer(scenes[kind], [device]) as renderer:
             return all(alike(renderer.render(), expected[kind]) for _ in range(3))
 
     with ThreadPoolExecutor(8) as threads:
         assert all(threads.map(work, list(scenes) * 3))
 
 
-def test_a_renderer_closed_by_another_thread_ends_in_an_error_or_a_whole_picture(first_device):
-    renderer = Renderer(scene_of("multiresolution"), [first_device])
+def test_a_renderer_closed_by_another_thread_ends_in_an_error_or_a_whole_picture(device):
+    renderer = Renderer(scene_of("multiresolution"), [device])
     expected, results = renderer.render(), []
     begun = threading.Barrier(5)
 
@@ -277,8 +277,8 @@ def test_a_renderer_closed_by_another_thread_ends_in_an_error_or_a_whole_picture
 
 
 @pytest.mark.parametrize("call", ("render", "close", "set_transfer_function"))
-def test_a_call_from_its_own_progress_is_refused_and_does_not_hang(call, first_device):
-    with Renderer(scene_of("raycast"), [first_device]) as renderer:
+def test_a_call_from_its_own_progress_is_refused_and_does_not_hang(call, device):
+    with Renderer(scene_of("raycast"), [device]) as renderer:
         expected = renderer.render()
         arguments = [FUNCTIONS[1]] if call == "set_transfer_function" else []
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from small_scenes import rms, waves
+from helpers.small_scenes import rms, waves
 
 import clvol
 from clvol.cli import main
@@ -112,17 +112,17 @@ def said_in_stored(axis: ValueAxis, stored: np.ndarray, **parts) -> tuple[dict, 
         *((method, AXES[2]) for method in ("multiresolution", "pyramid", "reference")),
     ],
 )
-def test_every_method_shows_the_same_picture(first_device, method, axis) -> None:
+def test_every_method_shows_the_same_picture(device, method, axis) -> None:
     settings = {"method": method, "early_termination": 0.0}
     one, other = said_in_stored(axis, STORED, integration=settings)
-    found, wanted = renderings(one, other, first_device)
+    found, wanted = renderings(one, other, device)
     assert found[..., 3].max() > 0.1
     np.testing.assert_array_equal(found, wanted)
 
 
 @pytest.mark.parametrize("axis", AXES[2:])
-def test_all_effects_that_speak_of_values(first_device, axis) -> None:
-    found, wanted = renderings(*said_in_stored(axis, STORED, effects=True), first_device)
+def test_all_effects_that_speak_of_values(device, axis) -> None:
+    found, wanted = renderings(*said_in_stored(axis, STORED, effects=True), device)
     assert found[..., 3].max() > 0.1
     np.testing.assert_allclose(found, wanted, atol=2e-6)
 
@@ -131,7 +131,7 @@ def test_all_effects_that_speak_of_values(first_device, axis) -> None:
     "dtype, compositing",
     [("uint8", "minimum"), *((dtype, "maximum") for dtype in ("uint8", "int16", "float32"))],
 )
-def test_projections_are_of_values_whatever_the_slopes_sign(first_device, dtype, compositing) -> None:
+def test_projections_are_of_values_whatever_the_slopes_sign(device, dtype, compositing) -> None:
     """The highest value of a falling axis is the lowest number stored; beside the values themselves
     as voxels."""
     stored = (STORED.astype(np.float64) / 2).astype(dtype)
@@ -148,36 +148,36 @@ def test_projections_are_of_values_whatever_the_slopes_sign(first_device, dtype,
     }
     one = {"volume": labelled(stored, axis), **parts}
     other = {"volume": Volume(values.astype(np.float32)), **parts}
-    found, wanted = renderings(one, other, first_device)
+    found, wanted = renderings(one, other, device)
     assert np.ptp(wanted[..., 3]) > 0.1
     np.testing.assert_allclose(found, wanted, atol=3e-3)
 
 
 @pytest.mark.parametrize("dtype, slope", [("uint8", 0.5), *((dtype, -0.5) for dtype in TYPES[1:])])
-def test_values_mean_what_voxels_converted_beforehand_mean(first_device, dtype, slope) -> None:
+def test_values_mean_what_voxels_converted_beforehand_mean(device, dtype, slope) -> None:
     """The exact integrals of both agree: by no path of our own but the voxels."""
     stored = (STORED.astype(np.float64) / 2).astype(dtype)
     axis = ValueAxis(slope, -20.0)
     parts = {"integration": {"method": "reference"}, "image": {"width": 10, "height": 8}}
     one = tables(axis, labelled(stored, axis), **parts)
     other = {**one, "volume": Volume(axis.values(stored.astype(np.float64)).astype(np.float32))}
-    found, wanted = renderings(one, other, first_device)
+    found, wanted = renderings(one, other, device)
     assert found[..., 3].max() > 0.05
     assert rms(found, wanted) < 1e-5
 
 
-def test_a_function_set_later_is_of_values_too(first_device) -> None:
+def test_a_function_set_later_is_of_values_too(device) -> None:
     axis = AXES[2]
     scene = clvol.Scene(**tables(axis, labelled(STORED, axis)))
     function = scene.resolve().axis  # of stored numbers; the function below is of values
-    with clvol.Renderer(scene, devices=[first_device]) as renderer:
+    with clvol.Renderer(scene, devices=[device]) as renderer:
         before = renderer.render().rgba
         values = [axis.values(v) for v in (240, 160, 90, 20)]
         other = clvol.TransferFunction(values, [0.5, 0.3, 0.0, 0.0], np.full((4, 3), 0.5))
         renderer.set_transfer_function(other)
         later = renderer.render().rgba
     with clvol.Renderer(
-        scene.model_copy(update={"transfer_function": other}), devices=[first_device]
+        scene.model_copy(update={"transfer_function": other}), devices=[device]
     ) as renderer:
         np.testing.assert_array_equal(later, renderer.render().rgba)
     assert rms(before, later) > 1e-3 and function.slope > 0
@@ -185,7 +185,7 @@ def test_a_function_set_later_is_of_values_too(first_device) -> None:
 
 @pytest.mark.parametrize("role", ["label", "density", "mask"])
 @pytest.mark.parametrize("axis", [AXES[0], AXES[2]])
-def test_fields_have_values_of_their_own(first_device, axis, role) -> None:
+def test_fields_have_values_of_their_own(device, axis, role) -> None:
     numbers, plain_axis = as_plain(LABELS, axis)
     scenes = []
     for volume, value in (
@@ -204,13 +204,13 @@ def test_fields_have_values_of_their_own(first_device, axis, role) -> None:
                 {"value": high, "opacity": 0.3, "color": [1, 1, 0]},
             ]
         scenes.append({**tables(PLAIN, Volume(STORED)), "field": [field]})
-    found, wanted = renderings(*scenes, first_device)
+    found, wanted = renderings(*scenes, device)
     np.testing.assert_array_equal(found, wanted)
-    without = renderings(tables(PLAIN, Volume(STORED)), scenes[1], first_device)[0]
+    without = renderings(tables(PLAIN, Volume(STORED)), scenes[1], device)[0]
     assert rms(found, without) > 1e-3
 
 
-def test_steps_meet_whole_numbers_that_division_misses(first_device) -> None:
+def test_steps_meet_whole_numbers_that_division_misses(device) -> None:
     """1.1 / 0.1 is not 11: a step at the value 1.1 is at the stored 11 all the same."""
     stored = np.repeat(np.arange(9, 14, dtype=np.uint8), 25).reshape(5, 5, 5)
     axis = ValueAxis(0.1, 0.0)
@@ -254,7 +254,7 @@ def test_ranges_and_reasons_are_told_in_values(tmp_path, capfd) -> None:
 
 
 @pytest.mark.parametrize("axis", AXES[1:])
-def test_a_store_keeps_the_axis(tmp_path, first_device, axis) -> None:
+def test_a_store_keeps_the_axis(tmp_path, device, axis) -> None:
     np.save(tmp_path / "v.npy", STORED)
     sets = [f"volume.slope={axis.slope}", f"volume.offset={axis.offset}"]
     arguments = [word for text in sets for word in ("--set", text)]
@@ -267,7 +267,7 @@ def test_a_store_keeps_the_axis(tmp_path, first_device, axis) -> None:
     settings = {"method": "multiresolution", "early_termination": 0.0}
     one = tables(axis, clvol.load_volume(store), integration=settings)
     other = tables(axis, labelled(STORED, axis), integration=settings)
-    np.testing.assert_array_equal(*renderings(one, other, first_device))
+    np.testing.assert_array_equal(*renderings(one, other, device))
     again = clvol.load_volume(store, slope=2.0, offset=1.0)
     assert again.value_range == ValueAxis(2.0, 1.0).span(volume.value_range)
 
@@ -284,7 +284,7 @@ def test_impossible_axes_are_refused(tmp_path, text) -> None:
 
 
 @pytest.mark.parametrize("dtype", ["int32", "uint32", "int64", "uint64"])
-def test_labels_of_any_integers_are_told_apart(first_device, tmp_path, dtype) -> None:
+def test_labels_of_any_integers_are_told_apart(device, tmp_path, dtype) -> None:
     """Neighbours that float32 holds as one; the picture is that of small labels."""
     top = np.iinfo(dtype).max
     numbers = np.array([top // 2**11 - 5, top // 2**11 - 4, top], dtype)
@@ -298,6 +298,6 @@ def test_labels_of_any_integers_are_told_apart(first_device, tmp_path, dtype) ->
         ]
         field = {"file": file, "role": "label", "labels": labels}
         scenes.append({**tables(PLAIN, Volume(STORED)), "field": [field]})
-    found, wanted = renderings(*scenes, first_device)
+    found, wanted = renderings(*scenes, device)
     np.testing.assert_array_equal(found, wanted)
     assert np.ptp(found[..., 0] - found[..., 2]) > 0.05

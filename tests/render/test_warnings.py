@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import warnings
-from pathlib import Path
 
 import numpy as np
 import pytest
-from small_scenes import SMOOTH, waves
+from helpers.paths import DATA
+from helpers.small_scenes import SMOOTH, waves
 
-from bench.scenes import SCENES as BENCH_SCENES
 from clvol import Camera, Renderer, Scene, TransferFunction, Volume, load_scene, render_to_error
 from clvol.errors import ClvolWarning
 from clvol.explanation import explain
 from clvol.features.scene_warnings import camera_warning, scene_warnings
 
-DATA = Path(__file__).resolve().parents[2] / "data"
 NOISE = (np.random.default_rng(0).random((36, 34, 38)) ** 2).astype(np.float32)
 SHOWN = TransferFunction([0, 1], [0, 0.5], [[1, 1, 1]] * 2)
 
@@ -106,9 +104,9 @@ GOOD = {
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_what_can_hardly_be_meant_is_said_with_reason_and_remedy(case, first_device):
+def test_what_can_hardly_be_meant_is_said_with_reason_and_remedy(case, device):
     scene, *parts = CASES[case]
-    said, _ = warned(scene, first_device)
+    said, _ = warned(scene, device)
     assert len(said) == 1, said
     assert all(part in said[0] for part in parts), said
     assert "\n" not in said[0] and ": " in said[0]
@@ -116,26 +114,26 @@ def test_what_can_hardly_be_meant_is_said_with_reason_and_remedy(case, first_dev
 
 
 @pytest.mark.parametrize("case", GOOD)
-def test_good_scenes_are_quiet(case, first_device):
-    assert warned(GOOD[case], first_device)[0] == []
+def test_good_scenes_are_quiet(case, device):
+    assert warned(GOOD[case], device)[0] == []
 
 
 @pytest.mark.parametrize("depth", (True, False))
-def test_a_box_is_found_with_and_without_depth(depth, first_device):
-    assert len(warned(CASES["box"][0], first_device, depth=depth)[0]) == 1
-    assert warned(GOOD["opaque body"], first_device, depth=depth)[0] == []
+def test_a_box_is_found_with_and_without_depth(depth, device):
+    assert len(warned(CASES["box"][0], device, depth=depth)[0]) == 1
+    assert warned(GOOD["opaque body"], device, depth=depth)[0] == []
 
 
 @pytest.mark.parametrize("method", ("pyramid", "reference", "multiresolution"))
-def test_every_method_warns(method, first_device):
+def test_every_method_warns(method, device):
     scene = scene_of(transfer_function=function([1000, 2000], [0, 0.5]), integration={"method": method})
-    assert len(warned(scene, first_device)[0]) == 1
+    assert len(warned(scene, device)[0]) == 1
 
 
-def test_a_cause_is_told_once_and_listed_with_every_frame(first_device):
+def test_a_cause_is_told_once_and_listed_with_every_frame(device):
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        with Renderer(scene_of(), [first_device]) as renderer:
+        with Renderer(scene_of(), [device]) as renderer:
             assert "warnings" not in renderer.render().stats
             frames = [renderer.render(AWAY["camera"].model_copy(update={"up": (0.0, 1.0, k)})) for k in range(3)]
             assert len(caught) == 1
@@ -147,9 +145,9 @@ def test_a_cause_is_told_once_and_listed_with_every_frame(first_device):
     assert all(len(frame.stats["warnings"]) == 1 for frame in frames)
 
 
-def test_pictures_to_an_error_warn_too(first_device):
+def test_pictures_to_an_error_warn_too(device):
     with pytest.warns(ClvolWarning, match="nothing is visible"):
-        frame = render_to_error(CASES["beside"][0], 1e-2, devices=[first_device])
+        frame = render_to_error(CASES["beside"][0], 1e-2, devices=[device])
     assert len(frame.stats["warnings"]) == 1
 
 
@@ -161,17 +159,9 @@ def test_explain_says_what_needs_no_picture():
 
 
 @pytest.mark.parametrize("name", ("demo", "cloud", "fireball"))
-def test_shipped_scenes_are_quiet(name, first_device):
+def test_shipped_scenes_are_quiet(name, device):
     size = ["image.width=48", "image.height=36", "animation.frames=1"]
-    assert warned(load_scene(DATA / f"{name}.toml", size), first_device)[0] == []
-
-
-@pytest.mark.parametrize("asked", BENCH_SCENES, ids=lambda asked: asked.name)
-def test_scenes_of_the_bench_are_quiet(asked, shared_volume):
-    shared_volume(asked.file)
-    resolved = asked.scene(asked.load(), 64).resolve()
-    assert scene_warnings(resolved) == []
-    assert camera_warning(resolved.camera, resolved.volume.grid, 64, 64) is None
+    assert warned(load_scene(DATA / f"{name}.toml", size), device)[0] == []
 
 
 def test_a_volume_in_the_corner_of_the_picture_is_seen():

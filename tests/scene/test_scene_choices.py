@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import tifffile
 from click.testing import CliRunner
-from slice_files import voxels
+from helpers.slice_files import voxels
 
 from clvol.cli import main
 from clvol.cli.info import command as info
@@ -48,7 +48,7 @@ def test_info_chooses_and_an_error_lists(channels, capsys) -> None:
 
 
 def test_info_tells_warnings_on_stderr(tmp_path, capsys) -> None:
-    from slice_files import dicom_series
+    from helpers.slice_files import dicom_series
 
     dicom_series(tmp_path / "ct", places=[0, 0.3, 0.7, 1.0, 1.3, 1.7])
     assert main(["info", str(tmp_path / "ct"), "--json"]) == 0

@@ -13,7 +13,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import slow_blocks
+from helpers import slow_blocks
+from helpers.paths import ROOT
 
 from clvol.errors import ClvolError, RenderError, UsageError, VolumeError
 from clvol.readers import load_volume
@@ -426,7 +427,7 @@ print(peak() - before)
 def test_building_takes_less_memory_than_the_volume(tmp_path):
     done = subprocess.run(
         [sys.executable, "-c", _GENERATED, str(tmp_path / "s")], capture_output=True, text=True,
-        timeout=120, env={**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[2])},
+        timeout=120, env={**os.environ, "PYTHONPATH": str(ROOT)},
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     assert int(done.stdout) < 512 * 512 * 1024 * 0.75

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-import slow_blocks
+from helpers import slow_blocks
 
 from clvol.store import resolutions
 from clvol.store.geometry import BlockGrid
