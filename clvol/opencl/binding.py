@@ -11,7 +11,7 @@ lost is a file of generated Python functions, which are made faster than they ar
 from __future__ import annotations
 
 import os
-from functools import lru_cache
+from functools import cache
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
@@ -20,7 +20,7 @@ from clvol.errors import DeviceError
 _VARIABLE = "PYOPENCL_NO_CACHE"
 
 
-@lru_cache(maxsize=None)
+@cache
 def load_pyopencl() -> ModuleType:
     """The module pyopencl; DeviceError where it cannot be loaded."""
     before = os.environ.get(_VARIABLE)

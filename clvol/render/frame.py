@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clvol.features import called_for
+from clvol.image import save_frame
 from clvol.render.made_from import MadeFrom
 
 if TYPE_CHECKING:
@@ -38,8 +39,6 @@ class Frame:
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Writes .exr, .png or .npy, by ending; the file appears whole or not at all."""
-        from clvol.image import save_frame
-
         save_frame(self, path)
 
 

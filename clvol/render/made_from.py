@@ -11,6 +11,7 @@ import clvol
 from clvol.errors import ClvolError
 from clvol.integrators.registry import integrator_of
 from clvol.json_values import plain
+from clvol.volume.digest import file_digest, volume_digest
 
 if TYPE_CHECKING:
     from clvol.scene.camera import Camera
@@ -56,8 +57,6 @@ def _told(resolved: ResolvedScene, camera: Camera, frame: int | None) -> dict[st
 def _sources(resolved: ResolvedScene) -> dict[str, Any]:
     """Digests of "voxels", and, where the scene has such, "fields" and "environment"; None for
     what is gone meanwhile, or does not fit into memory."""
-    from clvol.volume.digest import file_digest, volume_digest
-
     by_blocks = integrator_of(resolved).reads_blocks
     found: dict[str, Any] = {"voxels": None, "fields": None, "environment": None}
     try:

@@ -11,6 +11,7 @@ from clvol.device.view import EVERY_PIXEL, PixelLattice
 from clvol.integrators.base import FrameData
 from clvol.integrators.multiresolution.caster import BlockCaster
 from clvol.integrators.multiresolution.residency import Residency
+from clvol.integrators.pyramid.blocks import BlockPyramidCaster
 from clvol.integrators.tiles.tiled import TiledRenderer
 from clvol.opencl.context import DeviceContext
 from clvol.scene.camera import Camera
@@ -23,8 +24,6 @@ TILES = 16  # pixels an edge of the tiles of a picture for a given time, where t
 def caster_of(resolved: ResolvedScene) -> type[BlockCaster]:
     """What renders the scene's stepping."""
     if resolved.multiresolution.stepping == "pyramid":
-        from clvol.integrators.pyramid.blocks import BlockPyramidCaster
-
         return BlockPyramidCaster
     return BlockCaster
 

@@ -8,12 +8,15 @@ the way from one place to another, which the march relies on (cl/pyramid.h, fres
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from clvol.integrators.pyramid.layout import BRICK, MAP_SPARE, map_bytes, padded_row
-from clvol.integrators.pyramid.oracle import Asked
 from clvol.opencl.context import DeviceArray, DeviceContext
+
+if TYPE_CHECKING:
+    from clvol.integrators.pyramid.oracle import Asked
 
 BINS = 2048  # of values, for what an error of a value shows
 _WIDEST = 0.05  # of the value range: bins go on beyond it by so much, for interpolated values

@@ -47,7 +47,10 @@ class Pyramid:
         refuse_keys(resolved, _KEYS)
         refuse_sparse_rays(resolved, "method")
         if halves_of(reduced_for_frames(resolved).clips) is None:
-            what = "got clips that leave more than one stretch of a ray, or are of many planes, with the method 'pyramid'"
+            what = (
+                "got clips that leave more than one stretch of a ray, or are of many planes, "
+                "with the method 'pyramid'"
+            )
             expected = "planes and boxes that keep what is inside, 16 planes in all, or the method 'raycast'"
             raise SceneError(f"{origin}: clip", what, expected)
         refuse_effects(resolved, "integration.method", self.name, "raycast", _EFFECTS)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clvol.errors import RenderError
+from clvol.integrators.pyramid.cells import upload_distances
 from clvol.transfer import TransferFunction
 from clvol.transfer.lookup_nodes import LookupNodes
 
@@ -39,9 +40,10 @@ class Asked:
     ``volume``: on the device, with ``values`` that kernels compute with. ``function``: the transfer
     function over these, looked up between ``nodes`` (on the device: ``warp``). ``view``: numbers of the volume for
     kernels that look at it, and ``switches`` of these. ``shape``: cells of the map (z, y, x).
-    ``epsilon``: [pyramid] epsilon. ``opacity_edges``: opacity units in a smallest voxel edge. ``shift``: log2 of a map cell's edge in lattice units. ``edges`` (x, y, z):
-    smallest voxel edges in a lattice unit, at least 1. ``reach``: larger distances, in smallest
-    edges, are as good as this one. ``filter``: [integration] filter. ``blocks``: of a volume of blocks, which is not there as voxels.
+    ``epsilon``: [pyramid] epsilon. ``opacity_edges``: opacity units in a smallest voxel edge. ``shift``: log2 of a map
+    cell's edge in lattice units. ``edges`` (x, y, z): smallest voxel edges in a lattice unit, at least 1. ``reach``:
+    larger distances, in smallest edges, are as good as this one. ``filter``: [integration] filter. ``blocks``: of a
+    volume of blocks, which is not there as voxels.
     """
 
     context: DeviceContext
@@ -96,8 +98,6 @@ class MapOracle(Oracle):
         each cell. From a cell to another it should grow by no more than the way (pyramid.h, freshness)."""
 
     def map(self, asked: Asked) -> DeviceArray:
-        from clvol.integrators.pyramid.cells import upload_distances
-
         distances = np.asarray(self.distances(asked), np.float64)
         where = f"oracle {self.name!r}"
         if distances.shape != asked.shape:

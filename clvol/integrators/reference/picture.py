@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from clvol.errors import SceneError, UsageError
+from clvol.integrators.reference.program import integrate_rays
 
 if TYPE_CHECKING:
     import pyopencl
@@ -95,8 +96,6 @@ def integrate_world_rays(
     ``origins`` and unit ``directions`` are float64 [n, 3]; the ray is origin + t direction, t >= 0.
     ``filter``: "nearest", "linear" or "cubic".
     """
-    from clvol.integrators.reference.program import integrate_rays
-
     if filter not in FILTERS:
         expected = " or ".join(repr(name) for name in FILTERS)
         raise UsageError("filter", f"got {filter!r}", expected)

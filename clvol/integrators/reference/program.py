@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clvol.errors import DeviceError, RenderError
+from clvol.opencl.binding import cl
+from clvol.opencl.build import build_file
 from clvol.opencl.forks import check_fork, opencl_used
 
 if TYPE_CHECKING:
@@ -69,8 +71,6 @@ def integrate_rays(
     Raises DeviceError (no fp64, the volume does not fit in one buffer, the device fails) and
     RenderError (the kernel does not build).
     """
-    from clvol.opencl.binding import cl
-
     check_fork()
     _check(device, voxels)
     count = len(origins)
@@ -151,9 +151,6 @@ def _check(device: pyopencl.Device, voxels: np.ndarray) -> None:
 @lru_cache(maxsize=32)
 def _program(device: pyopencl.Device, voxel: str, filter: str, preclassified: bool):
     """The context and the built program of one variant; one build a process."""
-    from clvol.opencl.binding import cl
-    from clvol.opencl.build import build_file
-
     options = ["-cl-std=CL1.2", f"-DREFERENCE_VOXEL={_VOXEL_NAMES[voxel]}"]
     if voxel.startswith("float"):
         options.append("-DREFERENCE_FLOATING")

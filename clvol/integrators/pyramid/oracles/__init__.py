@@ -31,6 +31,11 @@ from clvol.integrators.pyramid.oracle import (
     MapOracle,
     Oracle,
 )
+from clvol.integrators.pyramid.oracles.bandwidth import Bandwidth
+from clvol.integrators.pyramid.oracles.error import Error
+from clvol.integrators.pyramid.oracles.minimum import Minimum
+from clvol.integrators.pyramid.oracles.opacity_gradient import OpacityGradient
+from clvol.integrators.pyramid.oracles.visible import Visible
 
 _known: dict[str, Oracle] = {}
 
@@ -63,15 +68,5 @@ def oracle_named(name: str) -> Oracle:
     return _known[name]
 
 
-def _register_ours() -> None:
-    from clvol.integrators.pyramid.oracles.bandwidth import Bandwidth
-    from clvol.integrators.pyramid.oracles.error import Error
-    from clvol.integrators.pyramid.oracles.minimum import Minimum
-    from clvol.integrators.pyramid.oracles.opacity_gradient import OpacityGradient
-    from clvol.integrators.pyramid.oracles.visible import Visible
-
-    for kind in (Minimum, Visible, OpacityGradient, Bandwidth, Error):
-        register(kind())
-
-
-_register_ours()
+for _kind in (Minimum, Visible, OpacityGradient, Bandwidth, Error):
+    register(_kind())

@@ -8,8 +8,8 @@ from clvol.opencl.context import DeviceArray
 
 
 class OpacityGradient(Oracle):
-    """Distance to the nearest voxel whose opacity gradient exceeds epsilon (Kraus et al. 2007, section 4): the opacity of a
-    path one smallest voxel edge long, its change over such an edge by central differences."""
+    """Distance to the nearest voxel whose opacity gradient exceeds epsilon (Kraus et al. 2007, section 4): the
+    opacity of a path one smallest voxel edge long, its change over such an edge by central differences."""
 
     name = "opacity-gradient"
 
