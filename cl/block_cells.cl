@@ -20,14 +20,12 @@
  */
 __kernel void visible_block_cells(__global const uchar *restrict volume, __global const float *restrict warp,
                                   __global const int *restrict before, __global const uchar *restrict at,
-                                  __constant const View *restrict view, __global const int *restrict index,
-                                  __global const uint *restrict corners, __constant const Blocks *restrict blocks
-                                  MORE_SAMPLE_PARAMETERS, __global uchar *restrict cells)
+                                  __constant const View *restrict view, BLOCK_PARAMETERS, __global uchar *restrict cells)
 {
-  const BlockVolume held = block_volume(volume, view, index, corners, blocks MORE_SAMPLE_ARGUMENTS);
+  const BlockVolume held = BLOCK_VOLUME;
   const BlockVolume *v = &held;
   const int cx = get_global_id(0), cy = get_global_id(1), cz = get_global_id(2);
-  const int shift = view->cells.w, edge = 1 << blocks->count.w, cell = 1 << shift;
+  const int shift = view->cell_shift, edge = 1 << blocks->log_edge, cell = 1 << shift;
   const int bx = (cx << shift) / edge, by = (cy << shift) / edge, bz = (cz << shift) / edge;
   __global uchar *out = cells + ((size_t)cz * get_global_size(1) + cy) * get_global_size(0) + cx;
   *out = 255;

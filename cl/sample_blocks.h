@@ -4,6 +4,8 @@
 #define SAMPLE_BLOCKS_H
 
 #include "blend_blocks.h"
+#include "blocks.h"
+#include "tally.h"
 
 #if INTERBLOCK && LANES > 1
 /* As blend_blocks() for one lane: the lanes `between` blocks, whose own block `r` gives `value`. */

@@ -3,7 +3,9 @@
 #define SCENE_VALUE_H
 
 #include "effects.h"
+#include "noise.h"
 #include "sample_volume.h"
+#include "scene.h"
 
 /* Switch NOISE: the sum of what its terms do. */
 #define NOISE_ADDS 1
@@ -17,10 +19,10 @@ INLINE floatN scene_value(const Scene *scene, floatN x, floatN y, floatN z)
   __constant const Effects *e = scene->effects;
 #endif
 #if NOISE & NOISE_ADDS
-  const floatN added = added_noise(scene->noise, e->noise_terms, e->noise_counts.x, x, y, z);
+  const floatN added = added_noise(scene->noise, e->noise_terms, e->added_terms, x, y, z);
 #endif
 #if NOISE & NOISE_MOVES
-  displace(scene->noise, e->noise_terms + e->noise_counts.x, e->noise_counts.y, &x, &y, &z);
+  displace(scene->noise, e->noise_terms + e->added_terms, e->moving_terms, &x, &y, &z);
 #endif
   const floatN value = sample_value(fetch_sample(scene->volume, scene->view, x, y, z), scene->view);
 #if NOISE & NOISE_ADDS

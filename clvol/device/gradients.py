@@ -10,6 +10,7 @@ import numpy as np
 from clvol.device.memory import LARGEST_OFFSET, device_bytes, holds_pairs, padded_size
 from clvol.device.volume import DeviceVolume
 from clvol.features import GRADIENTS
+from clvol.opencl.arguments import INT4, RAW, reads, value, writes
 from clvol.opencl.context import DeviceArray, DeviceContext
 from clvol.volume import Volume
 
@@ -17,6 +18,7 @@ OPERATORS = ("central", "sobel")
 _ANALYTIC = ("cubic", "catmull-rom")  # filters that have a derivative of their own
 _ROOTS, _DIRECTIONS = 255, 127  # largest numbers of a code's root of length, and of its direction
 _SHARE = 0.5  # of a device's memory that volume and gradients together may take
+_SIZE = ("size.x", "size.y", "size.z")
 
 
 @dataclass(frozen=True)
@@ -92,18 +94,18 @@ def precompute(
     switches = storing_switches(volume.switches, operator)
     nx, ny, nz = volume.size
     given = {"volume": volume.plain(), "size": (nx, ny, nz, 0), "metric": metric}
-    declared = f"in volume V1, value size int4, in metric {np.dtype(real).name}, "
+    declared = (reads("volume", RAW, *_SIZE), value("size", INT4), reads("metric", real, 4))
 
     rows = context.empty(np.float32, (nz, ny))
     kernel = context.kernel(
-        "gradients.cl", "largest_gradients", declared + "out largest float32", switches
+        "gradients.cl", "largest_gradients", (*declared, writes("largest", np.float32, *_SIZE[1:])), switches
     )
     kernel(context.queue, (ny, nz), None, **given, largest=rows)
     context.finish()
     largest = float(context.read(rows).max())
 
     codes = context.empty(np.uint32, (nz, ny, nx))
-    declared += "value largest float32, out codes uint32"
+    declared += (value("largest", np.float32), writes("codes", np.uint32, *_SIZE))
     kernel = context.kernel("gradients.cl", "store_gradients", declared, switches)
     kernel(context.queue, (ny, nz), None, **given, largest=largest, codes=codes)
     context.finish()

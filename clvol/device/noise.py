@@ -175,14 +175,14 @@ def device_noise(
     seeds = _seeds(noises)
     for term, noise in zip(terms, ordered):
         term["scale"][:3] = _tiles_an_index(noise, grid)
-        term["scale"][3] = noise.gain
+        term["gain"] = noise.gain
         term["offset"][:3] = _offset(noise, time)
         if noise.target == "value":
-            term["amplitude"][3] = noise.amplitude * value_gain
+            term["value_amplitude"] = noise.amplitude * value_gain
         else:
             term["amplitude"][:3] = noise.amplitude / np.asarray(grid.spacing)
-        first = seeds.index(noise.seed) * TILE**3
-        term["shape"] = (noise.octaves, TARGETS[noise.target], first, 0)
+        term["octaves"], term["target"] = noise.octaves, TARGETS[noise.target]
+        term["first_texel"] = seeds.index(noise.seed) * TILE**3
     values = sum(noise.target == "value" for noise in noises)
     return terms, values, len(ordered) - values
 

@@ -4,13 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 
+from clvol.device.arguments import (
+    Arguments,
+    block_arguments,
+    counts_argument,
+    scene_arguments,
+    view_argument,
+)
 from clvol.device.view import ray_frame
 from clvol.features import STEPPINGS
 from clvol.integrators.multiresolution.bounds import most_steps
 from clvol.integrators.multiresolution.device_blocks import DeviceBlocks
 from clvol.integrators.multiresolution.sample_allocator import map_shift
 from clvol.integrators.raycast.caster import (
-    _SCENE_ARGUMENTS,
     _SECONDS_A_SAMPLE,
     Raycaster,
     device_function,
@@ -20,11 +26,13 @@ from clvol.integrators.raycast.caster import (
 from clvol.integrators.tiles.geometry import TileGrid
 from clvol.integrators.tiles.launch import PacketRenderer
 from clvol.integrators.tiles.statistics import corner_statistics
+from clvol.opencl.arguments import RAW, Argument, reads, writes
 from clvol.opencl.context import DeviceArray, DeviceContext
 from clvol.opencl.structs import BLOCKS
 from clvol.scene.camera import Camera
 from clvol.scene.resolve import ResolvedScene
 from clvol.schedule.tiles import TILE
+from clvol.store.geometry import BlockGrid
 from clvol.store.source import DROPPED
 from clvol.transfer import TransferFunction
 from clvol.transfer.lookup_nodes import visible_cells
@@ -58,6 +66,14 @@ class BlockedVolume:
         return self.blocks.samples[0]
 
 
+def blocks_struct(grid: BlockGrid) -> np.ndarray:
+    """``Blocks`` [1] of cl/block_parameters.h."""
+    row = np.zeros(1, BLOCKS)
+    row["count"][0, :3] = grid.counts[::-1]
+    row["edge"], row["inverse_edge"], row["log_edge"] = grid.edge, 1.0 / grid.edge, grid.levels - 1
+    return row
+
+
 class BlockCaster(Raycaster):
     """As ``Raycaster``, for scenes of emission and absorption and the method "multiresolution".
 
@@ -77,13 +93,14 @@ class BlockCaster(Raycaster):
     ) -> None:
         self.blocks = blocks
         grid = blocks.blocks
-        row = np.zeros(1, BLOCKS)
-        row["count"] = (*reversed(grid.counts), grid.levels - 1)
-        row["edge"][0, :2] = (grid.edge, 1.0 / grid.edge)
-        self._blocks = context.upload(row)
+        self._blocks = context.upload(blocks_struct(grid))
         super().__init__(
             context, resolved, lanes=lanes, skip=skip, tile=tile, volume=BlockedVolume(blocks)
         )
+
+    @property
+    def _structs(self) -> dict[str, np.dtype]:
+        return {**super()._structs, "Blocks": BLOCKS}
 
     @property
     def settings(self):
@@ -138,8 +155,10 @@ class BlockCaster(Raycaster):
         kernel = context.kernel(
             "block_cells.cl",
             "visible_block_cells",
-            "in volume V1, in warp float32, in before int32, in at uint8, in view V1, in index int32, "
-            f"in corners uint32, in blocks V1{self._more_samples[0]}, out cells uint8",
+            (
+                reads("volume", RAW), reads("warp", np.float32, 2), reads("before", np.int32), reads("at", np.uint8),
+                self._view_argument, *self._block_arguments, writes("cells", np.uint8, *volume.cells),
+            ),
             self._switches_of_blocks,
         )
         cells = context.empty(np.uint8, volume.cells[::-1])
@@ -176,8 +195,10 @@ class BlockCaster(Raycaster):
         kernel = context.kernel(
             "block_bounds.cl",
             "block_bounds",
-            "in volume V1, in view V1, in index int32, in corners uint32, in blocks V1"
-            f"{self._more_samples[0]}, out bounds float32",
+            (
+                reads("volume", RAW), self._view_argument, *self._block_arguments,
+                writes("bounds", np.float32, blocks.count, 4),
+            ),
             self._switches_of_blocks,
         )
         bounds = context.empty(np.float32, (blocks.count, 4))
@@ -202,27 +223,30 @@ class BlockCaster(Raycaster):
         return other
 
     @property
-    def _more_samples(self) -> tuple[str, dict[str, DeviceArray]]:
-        more = dict(zip(_MORE, self.blocks.samples[1:]))
-        return "".join(f", in {name} V1" for name in more), more
+    def _view_argument(self) -> Argument:
+        return view_argument(self.volume.switches["VOXEL_BITS"])
+
+    @property
+    def _block_arguments(self) -> Arguments:
+        return block_arguments(len(self.blocks.samples))
 
     def _resident_arrays(self) -> dict[str, DeviceArray]:
         blocks = self.blocks
         arrays = {"index": blocks.index, "corners": blocks.corners, "blocks": self._blocks}
-        return {**arrays, **self._more_samples[1]}
+        return {**arrays, **dict(zip(_MORE, blocks.samples[1:]))}
 
     def _block_arrays(self) -> dict[str, DeviceArray]:
         arrays = self._resident_arrays()
         return {**arrays, "steps": self._steps} if self.stepping == "bounded" else arrays
 
     @property
-    def _declared(self) -> str:
-        bounded = ", in steps uint8" if self.stepping == "bounded" else ""
-        return ", in index int32, in corners uint32, in blocks V1" + self._more_samples[0] + bounded
+    def _declared(self) -> Arguments:
+        return block_arguments(len(self.blocks.samples), bounded=self.stepping == "bounded")
 
-    def _more_arguments(self, tiles: int) -> tuple[str, dict[str, DeviceArray]]:
+    def _more_arguments(self, tiles: int) -> tuple[Arguments, Arguments, dict[str, DeviceArray]]:
         self._tally = self.context.output(np.uint32, (tiles, len(BLOCK_COUNTERS)))
-        return self._declared + ", out counts uint32", {**self._block_arrays(), "counts": self._tally}
+        arrays = {**self._block_arrays(), "counts": self._tally}
+        return self._declared, counts_argument(len(BLOCK_COUNTERS)), arrays
 
     # What ``TiledRenderer`` asks for
 
@@ -230,10 +254,8 @@ class BlockCaster(Raycaster):
         return PacketRenderer(
             "tile_rays.cl",
             {**self.switches, "WITH_DEPTH": int(depth)},
-            _SCENE_ARGUMENTS.removesuffix(", "),
-            self._scene_arrays(),
-            self._declared + ", out counts uint32",
-            self._block_arrays(),
+            scene_arguments(self.volume.switches["VOXEL_BITS"]) + self._declared,
+            {**self._scene_arrays(), **self._block_arrays()},
             self.lanes,
             self._most_samples() * _SECONDS_A_SAMPLE,
             len(BLOCK_COUNTERS),

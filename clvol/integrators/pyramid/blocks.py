@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from clvol.device.arguments import Arguments
 from clvol.integrators.multiresolution.caster import BLOCK_COUNTERS, BlockCaster, block_switches
 from clvol.integrators.multiresolution.device_blocks import DeviceBlocks
 from clvol.integrators.pyramid.caster import COUNTERS, TILE, PyramidMarch, march_switches
@@ -65,7 +66,7 @@ class BlockPyramidCaster(PyramidMarch, BlockCaster):
         self.free = way_map(self.asked, shown, FREE_REACH, unit=1.0)
 
     @property
-    def _source_arguments(self) -> tuple[str, dict[str, DeviceArray]]:
+    def _source_arguments(self) -> tuple[Arguments, dict[str, DeviceArray]]:
         return self._declared, self._resident_arrays()
 
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from clvol.device.arguments import Arguments, counts_argument
 from clvol.device.view import EVERY_PIXEL, PixelLattice
 from clvol.device.volume import DeviceVolume
 from clvol.errors import RenderError
@@ -31,7 +32,9 @@ from clvol.integrators.raycast.caster import (
     device_function,
     raycast_switches,
 )
+from clvol.opencl.arguments import reads
 from clvol.opencl.context import DeviceArray, DeviceContext
+from clvol.opencl.struct_check import REPORT_ARGUMENTS, check_structs
 from clvol.opencl.structs import PYRAMID
 from clvol.scene.camera import Camera
 from clvol.scene.pyramid import Pyramid
@@ -162,31 +165,32 @@ class PyramidMarch:
     def _local_size(self) -> tuple[int]:
         return (self.workers,)
 
-    def _kernel_of(self, name: str, declared: str, switches: dict[str, int]):
+    def _kernel_of(self, name: str, declared: Arguments, switches: dict[str, int]):
         name = "pyramid" if name == "raycast" else name
         return self.context.kernel("pyramid.cl", name, declared, switches, self.oracle.folder)
 
-    def _more_arguments(self, tiles: int) -> tuple[str, dict[str, DeviceArray]]:
+    def _more_arguments(self, tiles: int) -> tuple[Arguments, Arguments, dict[str, DeviceArray]]:
         row = np.zeros(1, PYRAMID)
         plan = self._plan
-        row["levels"][0, :2] = (plan.levels, plan.oversampling)
-        row["cells"][0] = (*reversed(self.asked.shape), self.asked.shift)
-        row["free_cells"][0] = (*reversed(self.free_shape), self.free_shift)
-        row["spacing"][0, :2] = (plan.spacing, plan.growth)
+        row["levels"], row["oversampling"] = plan.levels, plan.oversampling
+        row["cells"][0, :3], row["cell_shift"] = self.asked.shape[::-1], self.asked.shift
+        row["free_cells"][0, :3], row["free_shift"] = self.free_shape[::-1], self.free_shift
+        row["ray_spacing"], row["spacing_growth"] = plan.spacing, plan.growth
         row["edges"][0, :3] = self.asked.edges
         row["oracle"][0] = self.oracle.numbers(self.asked)
-        row["gate"][0, :2] = self.gate
-        row["levels"][0, 2] = len(self._halves)
+        row["gate_low"], row["gate_high"] = self.gate
+        row["half_count"] = len(self._halves)
         row["halves"][0, : len(self._halves)] = self._halves
         self._tally = self.context.output(np.uint32, (tiles, len(self.counter_names)))
         declared, more = self._source_arguments
         arrays = {"pyramid": self.context.upload(row), "map": self.map, "counts": self._tally}
-        return f", in pyramid V1, in map uint8{declared}, out counts uint32", {**arrays, **more}
+        own = (reads("pyramid", PYRAMID), reads("map", np.uint8), *counts_argument(len(self.counter_names)))
+        return declared, own, {**arrays, **more}
 
     @property
-    def _source_arguments(self) -> tuple[str, dict[str, DeviceArray]]:
+    def _source_arguments(self) -> tuple[Arguments, dict[str, DeviceArray]]:
         """What samples are taken from beside the first buffer."""
-        return "", {}
+        return (), {}
 
     def _oracle_map(self) -> DeviceArray:
         """What the oracle found, or what stands for none. RenderError where the kernel would look beyond it."""
@@ -204,14 +208,8 @@ class PyramidMarch:
 
     def _check_struct(self) -> None:
         """As the base does, by pyramid.cl: nothing else of raycast.cl is compiled."""
-        kernel = self._kernel_of("struct_sizes", "out sizes uint32", self.switches)
-        sizes = self.context.empty(np.uint32, (2,))
-        kernel(self.context.queue, (1,), (1,), sizes=sizes)
-        ours = {"Pyramid": PYRAMID, "View": self._view_dtype}
-        for on_device, (name, dtype) in zip(self.context.read(sizes), ours.items()):
-            if on_device != dtype.itemsize:
-                what = f"{on_device} bytes on the device"
-                raise RenderError(f"struct {name}", what, f"{dtype.itemsize}")
+        kernel = self._kernel_of("struct_fields", REPORT_ARGUMENTS, self.switches)
+        check_structs(self.context, kernel, {**self._structs, "Pyramid": PYRAMID})
 
     def _find_distances(self, *_: np.ndarray) -> None:
         self.distances = None  # columns sleep by ``free``

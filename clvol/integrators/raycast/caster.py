@@ -8,7 +8,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from clvol.device.effects import ARGUMENTS as _EFFECT_ARGUMENTS
+from clvol.device.arguments import (
+    EFFECT_ARGUMENTS,
+    Arguments,
+    counts_argument,
+    picture_arguments,
+    scene_arguments,
+)
 from clvol.device.effects import COUNTERS, EffectState, effect_switches
 from clvol.device.empty_space import dilated, distance_map, surface_mask, visible_mask
 from clvol.device.light_volume import METHODS, fill_light_volume, shadow_step
@@ -22,8 +28,10 @@ from clvol.device.volume import DeviceVolume
 from clvol.errors import RenderError
 from clvol.features import CLASSIFICATIONS, FILTERS, QUADRATURES, overshoot, reduced_for_frames
 from clvol.features.values import reachable
+from clvol.opencl.arguments import reads, writes
 from clvol.opencl.context import DeviceArray, DeviceContext, Kernel, restore_interrupts
-from clvol.opencl.structs import effects_dtype, view_dtype
+from clvol.opencl.struct_check import REPORT_ARGUMENTS, check_structs
+from clvol.opencl.structs import EFFECTS, FIELD, NOISE_TERM, view_dtype
 from clvol.scene.camera import Camera
 from clvol.scene.integration import Integration
 from clvol.scene.resolve import ResolvedScene
@@ -41,15 +49,18 @@ from clvol.transfer.pieces import (
     value_gate,
 )
 
+# Fields of a ``View`` that a camera or a unit of length may take beyond float32, beside its vectors.
+_FINITE = (
+    "tangent", "centre", "step", "plane_distance", "stop_opacity", "edge_length",
+    "first_value", "nodes_per_value", "last_node", "warp_bins",
+)  # fmt: skip
 _NODES, CONSTANT_NODES = 256, 4096  # of the values that maps of empty space tell apart
 _WIDEST = 8.0  # ranges that noise may widen the nodes by, on either side
 _SECONDS_A_SAMPLE = 1e-8  # a first guess, for how to cut a frame into launches
 _BAND_SECONDS = 0.5
-_SCENE_ARGUMENTS = "in volume V1, in table float32, in warp float32, in distances uint8, in view V1, "
-_ARGUMENTS = _SCENE_ARGUMENTS + "out image float32, out depths float32, out samples uint32"
-_FILL_ARGUMENTS = (
-    _SCENE_ARGUMENTS + "in coarse float32, in coarse_depths float32, "
-    "out image float32, out depths float32, out samples uint32, out rays uint32"
+_COARSE_ARGUMENTS = (
+    reads("coarse", np.float32, "columns", "rows", 4),
+    reads("coarse_depths", np.float32),
 )
 
 
@@ -284,7 +295,6 @@ class Raycaster:
         return {
             "volume": self.volume.voxels,
             "table": self.table,
-            "warp": self.warp,
             "distances": self.distances,
         }
 
@@ -317,7 +327,7 @@ class Raycaster:
         width = max(columns(piece_count(function)) for function in self._functions)
         origin = float(np.float32(self.nodes.first))
         tables = [piece_table(each, self.length, width, origin) for each in self._functions]
-        self._pieces = (width, 0, tables[0].size, max(map(piece_count, self._functions)))
+        self._pieces = (width, tables[0].size, max(map(piece_count, self._functions)))
         self._units = self.length / self._functions[0].opacity_unit
         self.table = self.context.upload(np.concatenate(tables, axis=None))
 
@@ -389,7 +399,7 @@ class Raycaster:
         counted = [samples]
         if fills:
             view = self._frame_view(ray_frame(camera, grid, width, height), width, height)
-            view["band"][0, 1:] = (spacing, lattice_width, lattice_height)
+            view["ray_spacing"], view["lattice"] = spacing, (lattice_width, lattice_height)
             coarse, coarse_depths = image, depths
             image = context.output(np.float32, (height, width, 4))
             depths = context.output(np.float32, (height, width)) if depth else self._none
@@ -447,7 +457,7 @@ class Raycaster:
         if key in self._warm or self._shows_nothing:
             return
         view = np.zeros(1, self._view_dtype)  # an image without pixels: every work-item returns
-        view["image"][0] = (0, 0, *self.tile)
+        view["tile"] = self.tile
         counts = [self.context.empty(np.uint32, (tiles,)) for _ in range(2)]
         none = {"image": self._none, "depths": self._none, "samples": counts[0]}
         self._launches("raycast", view, tiles, depth, None, **none)
@@ -469,24 +479,30 @@ class Raycaster:
         keep each one short."""
         context = self.context
         switches = {**self.switches, "WITH_DEPTH": int(depth)}
-        declared = _FILL_ARGUMENTS if name == "fill_between_rays" else _ARGUMENTS
-        more, added = self._more_arguments(tiles)
-        declared, arrays = declared + more, {**arrays, **added}
+        variant, more, added = self._more_arguments(tiles)
+        declared = scene_arguments(switches["VOXEL_BITS"]) + variant
+        fills = name == "fill_between_rays"
+        declared += (_COARSE_ARGUMENTS if fills else ()) + picture_arguments(depth=depth)
+        declared += ((writes("rays", np.uint32, "tiles"),) if fills else ()) + more
+        arrays = {**arrays, **added}
+        sizes = dict(zip(("width", "height"), view["image"][0].tolist())) | {"tiles": tiles}
+        sizes |= dict(zip(("columns", "rows"), view["lattice"][0].tolist()))
         if chosen is not None:
             switches["TILES_CHOSEN"] = 1
-            declared += ", in chosen uint8"
+            declared += (reads("chosen", np.uint8, "tiles"),)
             arrays["chosen"] = context.upload(chosen.astype(np.uint8))
         kernel = self._kernel_of(name, declared, switches)
         pixels = tiles * self.tile[0] * self.tile[1] if view["image"][0, 0] else 0
         expected = pixels * self._most_samples() * _SECONDS_A_SAMPLE
         done = 0
         for first, count in bands(tiles, expected, _BAND_SECONDS):
-            view["band"][0, 0] = first
+            view["first_tile"] = first
             context.write(self._view, view)
             kernel(
                 context.queue,
                 (count * self.workers,),
                 self._local_size,
+                sizes=sizes,
                 view=self._view,
                 **self._scene_arrays(),
                 **arrays,
@@ -501,15 +517,17 @@ class Raycaster:
     def _local_size(self) -> tuple[int] | None:
         return (1,) if self.lanes > 1 else None
 
-    def _kernel_of(self, name: str, declared: str, switches: dict[str, int]) -> Kernel:
+    def _kernel_of(self, name: str, declared: Arguments, switches: dict[str, int]) -> Kernel:
         return self.context.kernel(f"{name}.cl", name, declared, switches)
 
-    def _more_arguments(self, tiles: int) -> tuple[str, dict[str, DeviceArray]]:
-        """What the kernels take beside a plain scene's arguments, for a launch over ``tiles``."""
+    def _more_arguments(self, tiles: int) -> tuple[Arguments, Arguments, dict[str, DeviceArray]]:
+        """What the kernels take beside a plain scene's arguments, for a launch over ``tiles``: of the scene, at
+        the end, and the arrays of both."""
         if not self.effects.switches:
-            return "", {}
+            return (), (), {}
         self._tally = self.context.output(np.uint32, (tiles, len(COUNTERS)))
-        return _EFFECT_ARGUMENTS, {**self.effects.arrays, "counts": self._tally}
+        arrays = {**self.effects.arrays, "counts": self._tally}
+        return EFFECT_ARGUMENTS, counts_argument(len(COUNTERS)), arrays
 
     def _counters(self, counts: np.ndarray) -> dict[str, int]:
         """Names and sums of what tiles counted."""
@@ -529,47 +547,48 @@ class Raycaster:
         with np.errstate(over="ignore", under="ignore"):
             for name, source in zip(names, sources):
                 row[name][:3] = source
-            row["lens"] = (*frame.lens, *frame.centre)
+            row["tangent"], row["centre"] = frame.lens, frame.centre
             self._describe_volume(row)
-            stop = 1.0 - self.resolved.integration.early_termination
-            row["march"][1:] = (frame.distance, stop, frame.unit)
-        finite = [np.isfinite(row[name]).all() for name in (*names, "lens", "march", "classes")]
-        if not all(finite) or not min(row["march"][0], row["march"][3]) > 0:
+            row["plane_distance"], row["edge_length"] = frame.distance, frame.unit
+            row["stop_opacity"] = 1.0 - self.resolved.integration.early_termination
+        finite = [np.isfinite(row[name]).all() for name in (*names, *_FINITE)]
+        if not all(finite) or not min(row["step"], row["edge_length"]) > 0:
             where = f"{self.resolved.origin}: camera"
             raise RenderError(where, "numbers beyond float32", "a camera and units nearer to 1")
-        row["image"] = (width, height, *self.tile)
+        row["image"], row["tile"] = (width, height), self.tile
         return view
 
     def _describe_volume(self, row: np.void) -> None:
         """The fields of a ``View`` that no camera changes."""
         volume, nodes, step = self.volume, self.nodes, self.resolved.integration.step
         bins = 0.0 if nodes.warp is None else nodes.warp.size - 1.0
-        row["march"][0] = step
-        row["classes"] = (nodes.first, nodes.per_value, nodes.last_coordinate, bins)
+        row["step"] = step
+        row["first_value"], row["nodes_per_value"] = nodes.first, nodes.per_value
+        row["last_node"], row["warp_bins"] = nodes.last_coordinate, bins
         row["upper"][:3] = np.asarray(volume.size) - 1
-        row["gate"][:3] = (*self.gate, self._units)
-        parts = parts_of_cell(self.resolved.integration.step)
-        row["voxel"][1:3] = (parts, self.resolved.image.ray_tolerance)
+        row["gate_low"], row["gate_high"] = self.gate
+        row["step_units"] = self._units
+        row["cell_parts"] = parts_of_cell(step)
+        row["ray_tolerance"] = self.resolved.image.ray_tolerance
         if volume.switches["VOXEL_BITS"] == 64:
-            row["voxel_double"] = (volume.values.bias, volume.values.gain)
+            row["voxel_bias_double"], row["voxel_gain_double"] = volume.values.bias, volume.values.gain
         else:
-            row["voxel"][0] = volume.values.gain
+            row["voxel_gain"] = volume.values.gain
         row["size"][:3] = volume.size
-        row["stride"][:2] = volume.stride
-        row["cells"] = (*volume.cells, volume.cell_shift)
-        row["table"][:2] = (nodes.values.size, nodes.values.size + 2)
-        row["pieces"] = self._pieces
+        row["row_stride"], row["slice_stride"] = volume.stride
+        row["cells"][:3], row["cell_shift"] = volume.cells, volume.cell_shift
+        row["piece_columns"], row["function_floats"], row["piece_count"] = self._pieces
 
     def _check_struct(self) -> None:
-        """The compiler's View must be ours, field for field: all fields are 16 bytes wide."""
-        kernel = self.context.kernel("raycast.cl", "view_size", "out size uint32", self.switches)
-        size = self.context.empty(np.uint32, (2,))
-        kernel(self.context.queue, (1,), (1,), size=size)
-        ours = {"View": self._view_dtype, "Effects": effects_dtype()}
-        for on_device, (name, dtype) in zip(self.context.read(size), ours.items()):
-            if on_device != dtype.itemsize:
-                what = f"{on_device} bytes on the device"
-                raise RenderError(f"struct {name}", what, f"{dtype.itemsize}")
+        """The compiler's structs must be ours, field for field."""
+        kernel = self.context.kernel("raycast.cl", "struct_fields", REPORT_ARGUMENTS, self.switches)
+        check_structs(self.context, kernel, self._structs)
+
+    @property
+    def _structs(self) -> dict[str, np.dtype]:
+        """What the program shares with the host, by name."""
+        effects = {"Field": FIELD, "NoiseTerm": NOISE_TERM, "Effects": EFFECTS} if self.effects.switches else {}
+        return {"View": self._view_dtype, **effects}
 
 
 def _stages(progress: Callable[[int, int], None] | None, tiles: list[int]):
