@@ -158,7 +158,7 @@ INLINE floatN blend_blocks(const BlockVolume *v, const Record *r, floatN px, flo
     ++tally[COUNT_BLOCK_READS];
     blended = 1;
   }
-  tally[COUNT_BLENDED] += blended;
+  tally[COUNT_BLENDED_SAMPLES] += blended;
   return blended ? value + sum / total : value;
 }
 
@@ -274,7 +274,7 @@ INLINE int queue_pairs(const BlockVolume *v, const PlaceQueue *q, PairQueue *p, 
     const floatN others = weight[3] + weight[5] + weight[6] + weight[7] + select(zero, weight[2], by_x) +
                           select(zero, weight[4], by_x | by_y);
     STORE_LANES(first_weight, p->first[k]), STORE_LANES(weight[0] + first_weight + others, p->total[k]);
-    count_lanes(&tally[COUNT_BLENDED], active & (by_x | by_y | by_z | MASK(others > zero)));
+    count_lanes(&tally[COUNT_BLENDED_SAMPLES], active & (by_x | by_y | by_z | MASK(others > zero)));
     count_lanes(&tally[COUNT_BLOCK_READS], active & (by_x | by_y | by_z));
     OtherPairs *o = p->others + k;
     o->any = any_lane(active & MASK(others > zero));

@@ -28,7 +28,7 @@ typedef struct {
   FIELD(Blocks, log_edge)
 
 #define COUNT_BLOCK_READS 0 /* values interpolated inside a block: one a sample, and one for each further block that is blended in */
-#define COUNT_BLENDED 1     /* samples that more than one block has a share in */
+#define COUNT_BLENDED_SAMPLES 1     /* samples that more than one block has a share in */
 #define BLOCK_COUNTERS 2
 
 typedef struct {

@@ -12,6 +12,7 @@
 #define BLOCKS_H
 
 #include "block_parameters.h"
+#include "features.h"
 #include "lanes.h"
 #include "sample_volume.h"
 #include "view.h"
@@ -19,8 +20,6 @@
 #if FILTER != FILTER_LINEAR || VOXEL_BITS == 64 || VOXEL_PAIRS
 #error "blocks need the linear filter, and samples of at most 32 bits"
 #endif
-
-#define CODE_DROPPED 15
 
 typedef struct {
   intN x, y, z;      /* block */

@@ -19,6 +19,8 @@
 #include "view.h"
 
 #define MAY_BE_NAN VOXEL_HOLES
+/* Whether a segment is classified by the value in its middle, not by those at its ends. */
+#define MIDPOINTS (CLASSIFICATION != CLASSIFICATION_PREINTEGRATED)
 
 /* Whether any of these lanes can be visible: most packets in sparse data stop here. */
 INLINE int may_be_visible(floatN low, floatN high, intN active, __constant const View *view)

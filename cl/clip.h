@@ -1,19 +1,16 @@
 /* Which stretches of a ray are kept: clip planes, boxes and spheres, exactly along the ray.
  *
  * A clip keeps or removes a convex set, so that a ray is inside it along one stretch. Each is three items: (kind, -, -, radius);
- * point or centre or lower corner; normal or upper corner; all local. The first `counts.z` keep what is inside, the next
- * `counts.w` remove it. Within a stretch nothing is clipped, and so no sample, segment or shadow knows of it.
+ * point or centre or lower corner; normal or upper corner; all local. The first `kept_clips` keep what is inside, the next
+ * `removed_clips` remove it. Within a stretch nothing is clipped, and so no sample, segment or shadow knows of it.
  */
 #ifndef CLIP_H
 #define CLIP_H
 
 #include "effects.h"
+#include "features.h"
 #include "rays.h"
 #include "scene.h"
-
-#define CLIP_PLANE 0
-#define CLIP_BOX 1
-#define CLIP_SPHERE 2
 
 #define LEAST_CUT 1e-3f /* edges: where less of a ray is cut off, no cut face shows */
 

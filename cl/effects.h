@@ -13,8 +13,6 @@
 #include "noise.h"
 #include "vectors.h"
 
-#define MOST_FIELDS 3
-
 /* A further volume (fields.h). */
 typedef struct {
   float4 x, y, z;      /* lattice point of the volume to the field's: rows of the matrix, with the shift in w */
@@ -39,7 +37,7 @@ typedef struct {
   float4 noise_reach;                        /* x, y, z: half an edge, in lattice units */
   int4 light_size;                           /* x, y, z: points of the light volume */
   Field fields[MOST_FIELDS];
-  NoiseTerm noise_terms[NOISE_TERMS];        /* those that add to values, and after them those that move places */
+  NoiseTerm noise_terms[MOST_NOISE_TERMS];        /* those that add to values, and after them those that move places */
   int along_axes;         /* whether the lattice is along the local axes */
   float ambient, diffuse, specular, shininess;
   float fade;             /* 1 / the magnitude per edge below which shading fades; 0: it does not */
@@ -91,13 +89,9 @@ typedef struct {
   FIELD(Effects, layer_table), FIELD(Effects, field_count), FIELD(Effects, added_terms), \
   FIELD(Effects, moving_terms)
 
-/* SHADOWS, see shadow.h. */
-#define SHADOWS_BY_RAYS 1
-#define SHADOWS_BY_VOLUME 2
-
-/* What is counted beside samples: one number each a tile. clvol/device/effects.py names them in this order. */
+/* What is counted beside samples: one number each a tile. clvol/features/vocabulary.py names them in this order. */
 #define COUNT_GRADIENTS 0        /* gradients reconstructed */
-#define COUNT_LIT 1              /* samples lit */
+#define COUNT_LIT_SAMPLES 1              /* samples lit */
 #define COUNT_SURFACE_TESTS 2    /* cells tested for surfaces */
 #define COUNT_SURFACE_HITS 3     /* surfaces met */
 #define COUNT_SHADOW_RAYS 4

@@ -11,15 +11,11 @@
 
 #include "effects.h"
 #include "emission.h"
+#include "features.h"
 #include "rays.h"
 #include "scene.h"
 
-/* As in clvol/device/fields.py: bits of FIELDS, and roles. */
-#define FIELD_LABEL 1
-#define FIELD_DENSITY 2
-#define FIELD_MASK 4
-
-#define FIELD_EDGE 1e-3f /* voxels beyond the outermost ones that still count, for rounding */
+#define OUTER_MARGIN 1e-3f /* voxels beyond the outermost ones that still count, for rounding */
 
 typedef struct {
   floatN x, y, z; /* lattice point of the field, within it */
@@ -35,9 +31,9 @@ INLINE FieldPlace place_in_field(const Scene *scene, int k, floatN x, floatN y, 
   p.x = ax.x * x + ax.y * y + ax.z * z + ax.w;
   p.y = ay.x * x + ay.y * y + ay.z * z + ay.w;
   p.z = az.x * x + az.y * y + az.z * z + az.w;
-  p.inside = MASK(p.x >= -FIELD_EDGE) & MASK(p.x <= upper.x + FIELD_EDGE);
-  p.inside &= MASK(p.y >= -FIELD_EDGE) & MASK(p.y <= upper.y + FIELD_EDGE);
-  p.inside &= MASK(p.z >= -FIELD_EDGE) & MASK(p.z <= upper.z + FIELD_EDGE);
+  p.inside = MASK(p.x >= -OUTER_MARGIN) & MASK(p.x <= upper.x + OUTER_MARGIN);
+  p.inside &= MASK(p.y >= -OUTER_MARGIN) & MASK(p.y <= upper.y + OUTER_MARGIN);
+  p.inside &= MASK(p.z >= -OUTER_MARGIN) & MASK(p.z <= upper.z + OUTER_MARGIN);
   p.x = lane_clamp(p.x, (floatN)0.0f, (floatN)upper.x);
   p.y = lane_clamp(p.y, (floatN)0.0f, (floatN)upper.y);
   p.z = lane_clamp(p.z, (floatN)0.0f, (floatN)upper.z);

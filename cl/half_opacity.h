@@ -21,7 +21,6 @@
 
 /* What was composited is noted by itself, and the profile is scaled to it. */
 #define HALF_SCALED ((EFFECTS && !SEGMENT_OPACITIES) || CLASSIFICATION == CLASSIFICATION_PRE)
-#define MIDPOINTS (CLASSIFICATION != CLASSIFICATION_PREINTEGRATED)
 #define HALF_TOLERANCE 1e-4f /* steps */
 
 typedef struct {

@@ -12,7 +12,7 @@
  */
 #include "render_packet.h"
 
-#if SHADOWS == SHADOWS_BY_VOLUME
+#if SHADOWS == SHADOWS_VOLUME
 
 /* Unit vectors across `axis`, which is one too. */
 INLINE void axes_across(Vectors axis, Vectors *u, Vectors *v)

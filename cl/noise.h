@@ -7,12 +7,10 @@
 #ifndef NOISE_H
 #define NOISE_H
 
+#include "features.h"
 #include "lanes.h"
 #include "struct_fields.h"
 
-#define NOISE_VALUE 0
-#define NOISE_COORDINATE 1
-#define NOISE_TERMS 4
 #define NOISE_TILE 32
 #define NOISE_TEXELS (NOISE_TILE * NOISE_TILE * NOISE_TILE)
 
@@ -23,7 +21,7 @@ typedef struct {
   float value_amplitude; /* units of the value, of a term that adds to values */
   float gain;            /* from octave to octave */
   int octaves;
-  int target;            /* NOISE_VALUE or NOISE_COORDINATE */
+  int target;            /* NOISE_TARGET_VALUE or NOISE_TARGET_COORDINATE */
   int first_texel;       /* of its tile */
 } NoiseTerm;
 
@@ -102,7 +100,7 @@ INLINE void fractal_noise(__global const uint *tiles, __constant const NoiseTerm
   *sum_x = sx, *sum_y = sy, *sum_z = sz;
 }
 
-/* What terms[0 .. count - 1], all NOISE_VALUE, add to the value at a lattice place. */
+/* What terms[0 .. count - 1], all NOISE_TARGET_VALUE, add to the value at a lattice place. */
 INLINE floatN added_noise(__global const uint *tiles, __constant const NoiseTerm *terms, int count, floatN x, floatN y, floatN z)
 {
   floatN sum = 0.0f;
@@ -114,7 +112,7 @@ INLINE floatN added_noise(__global const uint *tiles, __constant const NoiseTerm
   return sum;
 }
 
-/* Moves a lattice place by terms[0 .. count - 1], all NOISE_COORDINATE and all taken where it was at first. */
+/* Moves a lattice place by terms[0 .. count - 1], all NOISE_TARGET_COORDINATE and all taken where it was at first. */
 INLINE void displace(__global const uint *tiles, __constant const NoiseTerm *terms, int count, floatN *x, floatN *y, floatN *z)
 {
   const floatN x0 = *x, y0 = *y, z0 = *z;

@@ -10,11 +10,8 @@
 
 #include "effects.h"
 #include "emission.h"
+#include "features.h"
 #include "scene.h"
-
-/* As in clvol/device/opacity_factors.py: bits of OPACITY_FACTORS. */
-#define FACTOR_GRADIENT 1
-#define FACTOR_DIRECTIONAL 2
 
 /* Without over- or underflow of the squares. */
 INLINE floatN length3(Vectors a)
@@ -66,10 +63,10 @@ INLINE void weigh_by_gradient(const Scene *scene, Emission *e, Vectors gradient,
 {
   __constant const Effects *effects = scene->effects;
   floatN factor = 1.0f;
-#if OPACITY_FACTORS & FACTOR_GRADIENT
+#if OPACITY_FACTORS & OPACITY_FACTOR_GRADIENT
   factor *= opacity_factor(scene, effects->gradient_opacity_table, effects->gradient_opacity_points, length3(gradient));
 #endif
-#if OPACITY_FACTORS & FACTOR_DIRECTIONAL
+#if OPACITY_FACTORS & OPACITY_FACTOR_DIRECTIONAL
   factor *= opacity_factor(scene, effects->directional_opacity_table, effects->directional_opacity_points, fabs(dot3(gradient, forward)));
 #endif
   e->r *= factor, e->g *= factor, e->b *= factor, e->d *= factor;

@@ -34,6 +34,7 @@
 #ifndef PYRAMID_H
 #define PYRAMID_H
 
+#include "features.h"
 #include "lanes.h"
 #include "view.h"
 #include "struct_fields.h"
@@ -43,8 +44,6 @@
 #else
 #include "sample_volume.h"
 #endif
-
-#define MOST_HALVES 16
 
 typedef struct {
   float4 halves[MOST_HALVES]; /* half-spaces that clips keep: where (x, y, z) times the lattice point, plus w, is 0 or more */
@@ -70,7 +69,6 @@ typedef struct {
   FIELD(Pyramid, oversampling), FIELD(Pyramid, half_count), FIELD(Pyramid, ray_spacing), \
   FIELD(Pyramid, spacing_growth), FIELD(Pyramid, gate_low), FIELD(Pyramid, gate_high)
 
-#define MOST_LEVELS 5 /* MOST_LEVELS of clvol/scene/pyramid.py */
 #define CHUNK 8       /* slices */
 #define SLACK 0.5f
 #define WITHIN 1.6f /* of a pixel that is synthesised lie all that it is made from but the farthest, which has 1/16 of the weight */
@@ -117,7 +115,7 @@ typedef struct {
 #endif
 } Levels;
 
-#define COUNT_ORACLE 0        /* oracle asked */
+#define COUNT_ORACLE_SAMPLES 0        /* oracle asked */
 #define COUNT_SYNTHESES 1     /* pixels of all levels synthesised */
 #define COUNT_ACCUMULATIONS 2 /* pixels of the picture that a segment was added to */
 #if BLOCKS /* and after them those of block_parameters.h */

@@ -235,7 +235,7 @@ void update_level(const Source *in, SHARED Levels *m, int changes, int level, in
     const floatN distance = select(load_patch(distances + at, side), wanted, sampled);
     store_patch(distance, distances + at, side);
     nearest = lane_min(nearest, select(never, distance, sampled));
-    count_lanes(&counted[COUNT_ORACLE], sampled);
+    count_lanes(&counted[COUNT_ORACLE_SAMPLES], sampled);
   }
   SYNCHRONISE();
   const int from = first;
@@ -265,7 +265,7 @@ void update_level(const Source *in, SHARED Levels *m, int changes, int level, in
       const floatN distance = select(load_patch(distances + at, side), place_distance(in, &fetched, x, y, z, value, (floatN)1.0f), sampled);
       store_patch(distance, distances + at, side);
       nearest = lane_min(nearest, select(never, distance, sampled));
-      count_lanes(&counted[COUNT_ORACLE], sampled);
+      count_lanes(&counted[COUNT_ORACLE_SAMPLES], sampled);
 #endif
     }
   }

@@ -122,7 +122,7 @@ INLINE int march_slices(const Source *in, SHARED const Levels *m, PixelPacket *p
       const FetchedPlace fetched = is_dense ? ahead[i] : fetch_place(in, x, y, z, sampled, 1);
       value = select(value, place_value(in, &fetched), sampled);
       distance = select(distance, place_distance(in, &fetched, x, y, z, value, 1.0f - opacity), sampled);
-      count_lanes(samples, sampled), count_lanes(&counted[COUNT_ORACLE], sampled);
+      count_lanes(samples, sampled), count_lanes(&counted[COUNT_ORACLE_SAMPLES], sampled);
     }
     const floatN length = t - t1;
     intN closes = takes_part & ~first;

@@ -3,13 +3,10 @@
 #define SCENE_VALUE_H
 
 #include "effects.h"
+#include "features.h"
 #include "noise.h"
 #include "sample_volume.h"
 #include "scene.h"
-
-/* Switch NOISE: the sum of what its terms do. */
-#define NOISE_ADDS 1
-#define NOISE_MOVES 2
 
 /* The value at a lattice point. Both kinds of noise are taken there; a place that is moved out of the domain is taken back to its
  * face. */

@@ -10,16 +10,13 @@
 #define SHADE_H
 
 #include "effects.h"
+#include "features.h"
 #include "lanes.h"
 #include "power.h"
 #include "scene.h"
 #include "tally.h"
 
 #if LIGHTING
-
-#define LIGHT_DIRECTIONAL 0
-#define LIGHT_POINT 1
-#define LIGHT_HEAD 2
 
 #if GRADIENT
 #include "gradient.h"
@@ -52,7 +49,7 @@ INLINE Illumination illuminate(const Scene *scene, Vectors place, Vectors normal
   lit.specular.x = lit.specular.y = lit.specular.z = 0.0f;
 #if LIGHTS
   const Vectors lit_place = place;
-#if SHADOWS == SHADOWS_BY_VOLUME && ISOSURFACES
+#if SHADOWS == SHADOWS_VOLUME && ISOSURFACES
   if (on_surface) place = beyond_surface(scene, place, normal);
 #endif
   _Pragma("unroll 1") for (int k = 0; k < e->light_count; ++k) {
@@ -63,7 +60,7 @@ INLINE Illumination illuminate(const Scene *scene, Vectors place, Vectors normal
       const Vectors from = {at.x - here.x, at.y - here.y, at.z - here.z};
       towards = unit3(from);
     }
-    if (at.w == LIGHT_HEAD) towards = view;
+    if (at.w == LIGHT_HEADLIGHT) towards = view;
     const floatN cosine = lane_max(dot3(normal, towards), (floatN)0.0f);
     const intN faces = lightable & MASK(cosine > 0.0f);
     if (!any_lane(faces)) continue;
@@ -105,7 +102,7 @@ INLINE Vectors shaded_color(const Scene *scene, Vectors color, floatN depth, Vec
                             Vectors view, floatN weight, int on_surface, intN active, Tally *counted)
 {
   if (!any_lane(active)) return color;
-  count_lanes(&counted[COUNT_LIT], active);
+  count_lanes(&counted[COUNT_LIT_SAMPLES], active);
   const Illumination lit = illuminate(scene, place, normal, view, weight, on_surface, active, counted);
   Vectors shaded = {color.x * lit.diffuse.x + depth * lit.specular.x, color.y * lit.diffuse.y + depth * lit.specular.y,
                     color.z * lit.diffuse.z + depth * lit.specular.z};

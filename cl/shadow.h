@@ -11,11 +11,11 @@
  * resolve, and are 1e-4 edges above the surface where the light grazes it at N.L = 1e-3: farther than the surface itself may be
  * off. A surface lit at a lower angle shows nothing of that light.
  *
- * SHADOWS_BY_RAYS: a march from each sample. Samples whose weight (opacity times what is left of the eye's ray) is not above
+ * SHADOWS_RAYS: a march from each sample. Samples whose weight (opacity times what is left of the eye's ray) is not above
  * shadow.bound cast none, and get the light without a shadow: such a sample changes the picture by less than the bound, n of
  * them on a ray by less than n times as much. They do so in very thin fog; a bound of 0 casts for all.
  *
- * SHADOWS_BY_VOLUME: the same march from each point of a grid (light_volume.cl), trilinear between them. Each point has a ray of
+ * SHADOWS_VOLUME: the same march from each point of a grid (light_volume.cl), trilinear between them. Each point has a ray of
  * its own, so that nothing diffuses from slice to slice as in volumes of shadows that are swept slice by slice (Behrens and
  * Ratering 1998; P4 sec. 5.4 names what that costs: blurred shadows, dark surfaces). What an opaque voxel hides is dark in those
  * light cells alone that touch its shadow. A light cell that a surface passes through has dark corners behind it, by which the
@@ -265,7 +265,7 @@ INLINE floatN distance_to_light(float4 light, Vectors here)
   return sqrt(dot3(way, way));
 }
 
-#if SHADOWS == SHADOWS_BY_VOLUME
+#if SHADOWS == SHADOWS_VOLUME
 
 INLINE floatN light_edge(__global const float *volume, intN at, floatN f)
 {
@@ -284,7 +284,7 @@ INLINE floatN light_between(__global const float *volume, intN at, int row, int 
 
 #endif
 
-#if SHADOWS == SHADOWS_BY_VOLUME && ISOSURFACES
+#if SHADOWS == SHADOWS_VOLUME && ISOSURFACES
 /* How far one edge of a light cell goes along `normal`: (x, y, z) is a lattice unit in local space. */
 INLINE floatN light_cell_along(Vectors normal, float x, float y, float z, float points)
 {
@@ -309,7 +309,7 @@ INLINE Vectors light_that_arrives(const Scene *scene, Vectors place, Vectors tow
 {
   __constant const Effects *e = scene->effects;
   Vectors share;
-#if SHADOWS == SHADOWS_BY_VOLUME
+#if SHADOWS == SHADOWS_VOLUME
   const int4 size = e->light_size;
   const int row = LIGHT_CHANNELS * size.x, slice = row * size.y;
   const floatN zero = 0.0f;

@@ -14,6 +14,7 @@
 #define STEP_BLOCKS_H
 
 #include "blocks.h"
+#include "classify.h"
 #include "features.h"
 #include "rays.h"
 

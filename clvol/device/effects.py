@@ -35,26 +35,17 @@ from clvol.device.projection import (
 )
 from clvol.device.volume import DeviceVolume
 from clvol.features import COMPOSITINGS, GRADIENTS, emits, is_lit
+from clvol.features.vocabulary import CLIPS, EFFECT_COUNTERS, LIGHTS
 from clvol.opencl.context import DeviceArray, DeviceContext
 from clvol.opencl.structs import EFFECTS
 from clvol.scene.resolve import ResolvedScene
 from clvol.volume import Grid
 
-# As numbered in cl/effects.h, each with the switch that it takes to be counted at all.
+# Each with the switch that it takes to be counted at all, in the order of EFFECT_COUNTERS.
 _BY_RAYS = ("shadow_rays", "shadow_samples")  # nor is it counted where shadows are by volume
-COUNTERS = {
-    "gradients": "GRADIENT",
-    "lit_samples": "LIGHTING",
-    "surface_tests": "ISOSURFACES",
-    "surface_hits": "ISOSURFACES",
-    "shadow_rays": "SHADOWS",
-    "shadow_samples": "SHADOWS",
-    "field_samples": "FIELDS",
-    "bends": "REFRACTION",
-}
-LIGHT_TYPES = {"directional": 0, "point": 1, "headlight": 2}
+_COUNTED_BY = ("GRADIENT", "LIGHTING", "ISOSURFACES", "ISOSURFACES", "SHADOWS", "SHADOWS", "FIELDS", "REFRACTION")
+COUNTERS = dict(zip(EFFECT_COUNTERS, _COUNTED_BY, strict=True))
 OPAQUE_DEPTH = 1e15  # of a surface; finite, so that any share of it counts
-CLIP_TYPES = {"plane": 0, "box": 1, "sphere": 2}
 _FAR = 1e12  # smallest edges: from there light comes from one direction, to float32
 
 
@@ -303,11 +294,11 @@ class EffectState:
             at = np.zeros(3)
             if light.type == "directional":
                 at = -_unit(light.direction)
-            kind = LIGHT_TYPES[light.type]
+            kind = LIGHTS[light.type]
             if light.type == "point":
                 at = space.point(light.position)
                 if np.abs(at).max() > _FAR:
-                    at, kind = _unit(at), LIGHT_TYPES["directional"]
+                    at, kind = _unit(at), LIGHTS["directional"]
             lights.append((*at, kind))
             volume = casting.index(number) if number in casting else -1.0
             lights.append((*(np.asarray(light.color) * light.intensity), volume))
@@ -327,7 +318,7 @@ class EffectState:
                 first = (first @ second) * second  # the plane's nearest point has the most digits
             elif clip.type == "box":
                 second = space.point(clip.upper)
-            clips.append((CLIP_TYPES[clip.type], 0.0, 0.0, min(radius, _FAR)))
+            clips.append((CLIPS[clip.type], 0.0, 0.0, min(radius, _FAR)))
             clips.append((*np.clip(first, -_FAR, _FAR), 0.0))
             clips.append((*np.clip(second, -_FAR, _FAR), 0.0))
         return lights, surfaces, clips

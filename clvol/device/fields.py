@@ -12,6 +12,7 @@ import numpy as np
 from clvol.device.empty_space import visible_mask
 from clvol.device.memory import CELL_SHIFT, LARGEST_OFFSET, ValueMap, padded_size, value_map
 from clvol.errors import VolumeError
+from clvol.features.vocabulary import FIELD_ROLES
 from clvol.transfer import TransferFunction
 from clvol.transfer.lookup_nodes import ClassNodes, class_nodes, visible_cells
 from clvol.transfer.pieces import has_opaque_point, piece_count, piece_table
@@ -22,8 +23,6 @@ if TYPE_CHECKING:
     from clvol.scene.resolve import ResolvedScene
     from clvol.volume import Grid, Volume
 
-LABEL, DENSITY, MASK = 1, 2, 4  # roles, and bits of FIELDS
-_ROLES = {"label": LABEL, "density": DENSITY, "mask": MASK}
 _DENSITY_NODES = 4096
 _ROUNDING = 4e-6  # of a linear interpolation in float32, as a share of the largest value
 _MARGIN = 0.02  # voxels of the volume that a sample may be off its cell, generously
@@ -33,7 +32,7 @@ _FINEST_SHIFT = 1e-9  # voxels: below that it is rounding of the affines
 def field_switches(resolved: ResolvedScene) -> dict[str, int]:
     bits = 0
     for field in resolved.fields:
-        bits |= _ROLES[field.role]
+        bits |= FIELD_ROLES[field.role]
     return {"FIELDS": bits}
 
 
@@ -63,7 +62,7 @@ class SceneFields:
             for axis, name in enumerate("xyz"):
                 row[name] = (*part.matrix[axis], part.shift[axis])
             row["size"][:3] = part.voxels.shape[::-1]
-            row["role"], row["first_voxel"] = _ROLES[part.field.role], begin
+            row["role"], row["first_voxel"] = FIELD_ROLES[part.field.role], begin
             begin += part.voxels.size
             part.fill(row, place, edge)
         self.voxels = context.upload(np.concatenate([part.voxels.ravel() for part in parts]))

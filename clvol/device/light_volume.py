@@ -10,6 +10,7 @@ import numpy as np
 from clvol.device.arguments import EFFECT_ARGUMENTS, scene_arguments
 from clvol.device.gradients import DeviceLimits
 from clvol.errors import SceneError
+from clvol.features.vocabulary import SHADOW_METHODS as METHODS
 from clvol.opencl.arguments import reads, value, writes
 from clvol.opencl.context import DeviceArray, DeviceContext
 from clvol.scene.resolve import ResolvedScene
@@ -17,7 +18,6 @@ from clvol.scene.shadow import Shadow
 from clvol.schedule.tiles import bands
 from clvol.volume import Grid
 
-METHODS = {"rays": 1, "volume": 2}  # SHADOWS of cl/shadow.h
 CONE_DIRECTIONS = 13
 TRANSPARENT = 1e-3  # a march stops where less than that arrives
 _SECONDS_A_SAMPLE, _BAND_SECONDS = 1e-8, 0.5

@@ -32,6 +32,7 @@ import numpy as np
 
 from clvol.device.memory import CELL_SHIFT, Perturbation
 from clvol.errors import SceneError
+from clvol.features.vocabulary import NOISE_TARGETS as TARGETS
 from clvol.opencl.structs import MOST_NOISE_TERMS as MOST_TERMS
 from clvol.opencl.structs import NOISE_TERM as TERM_DTYPE
 from clvol.volume.grid import Grid
@@ -39,7 +40,6 @@ from clvol.volume.grid import Grid
 TILE = 32  # texels an edge
 CHANNELS = 4  # x, y, z of a displacement; the value
 CENTRE = 4.0  # cycles a tile in the middle of the band
-TARGETS = {"value": 0, "coordinate": 1}  # NOISE_... of cl/noise.h
 # What float32 may add to a bound that is exact in real numbers: a few roundings an octave.
 _ROUNDING = 1.0 + 1e-5
 _PLACE_ROUNDING = 0.01  # lattice units: far more than rounding of a place

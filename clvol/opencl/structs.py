@@ -10,6 +10,9 @@ from typing import Any
 
 import numpy as np
 
+# Lengths of arrays in structs, as in cl/features.h: how many of each a scene may have.
+MOST_FIELDS, MOST_NOISE_TERMS, MOST_HALVES = 3, 4, 16
+
 _TYPES = {
     "float": np.dtype("f4"), "float2": np.dtype(("f4", 2)), "float4": np.dtype(("f4", 4)),
     "int": np.dtype("i4"), "int2": np.dtype(("i4", 2)), "int4": np.dtype(("i4", 4)),
@@ -82,7 +85,6 @@ BLOCKS = struct(("int4", "count"), ("float", "edge inverse_edge"), ("int", "log_
 BLOCK_PAYLOAD = struct(("int", "from to size codec"))
 """``BlockPayload`` of cl/decode_blocks.cl."""
 
-MOST_HALVES = 16  # of cl/pyramid.h
 PYRAMID = struct(
     ("float4", "halves", MOST_HALVES),
     ("float4", "oracle edges"),
@@ -92,7 +94,6 @@ PYRAMID = struct(
 )
 """``Pyramid`` of cl/pyramid.h."""
 
-MOST_NOISE_TERMS = 4  # NOISE_TERMS of cl/noise.h
 NOISE_TERM = struct(
     ("float4", "scale offset amplitude"),
     ("float", "value_amplitude gain"),
@@ -100,7 +101,6 @@ NOISE_TERM = struct(
 )
 """``NoiseTerm`` of cl/noise.h."""
 
-MOST_FIELDS = 3  # of cl/effects.h
 FIELD = struct(
     ("float4", "x y z"),
     ("int4", "size"),

@@ -13,6 +13,7 @@ from clvol.device.arguments import (
 )
 from clvol.device.view import ray_frame
 from clvol.features import STEPPINGS
+from clvol.features.vocabulary import BLOCK_COUNTERS, CELLS
 from clvol.integrators.multiresolution.bounds import most_steps
 from clvol.integrators.multiresolution.device_blocks import DeviceBlocks
 from clvol.integrators.multiresolution.sample_allocator import map_shift
@@ -38,14 +39,12 @@ from clvol.transfer import TransferFunction
 from clvol.transfer.lookup_nodes import visible_cells
 from clvol.transfer.pieces import value_gate
 
-BLOCK_COUNTERS = ("block_reads", "blended_samples")  # COUNT_... of cl/block_parameters.h
 # Switches of kernels that look at blocks and cast no rays.
 _OF_BLOCKS = (
     "VOXEL_BITS", "VOXEL_SIGNED", "VOXEL_SCALED", "VOXEL_HOLES", "VOXEL_PAIRS", "SAMPLE_BUFFERS",
     "INTERBLOCK", "FILTER", "CLASSIFICATION", "TRANSFER_PIECES",
 )  # fmt: skip
 _MORE = ["samples1", "samples2", "samples3"]
-_EMPTY, _BESIDE_HOLES = 255, 1  # of cl/block_cells.cl
 
 
 class BlockedVolume:
@@ -176,7 +175,7 @@ class BlockCaster(Raycaster):
         )
         self._set_steps()
         found = context.read(cells)
-        self.shown_cells, self.hole_cells = found != _EMPTY, found == _BESIDE_HOLES
+        self.shown_cells, self.hole_cells = found != CELLS["empty"], found == CELLS["beside-holes"]
         self.visible_share = float(self.shown_cells.mean())
         self._find_distances(self.shown_cells)
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from clvol.device.memory import ValueMap, value_map, voxel_switches
 from clvol.errors import RenderError
+from clvol.features.vocabulary import CODE_DROPPED
 from clvol.integrators.multiresolution.loader import Loader, Piece, requests
 from clvol.integrators.multiresolution.sample_allocator import (
     SPARE_BYTES,
@@ -23,7 +24,6 @@ from clvol.opencl.context import DeviceArray, DeviceContext
 from clvol.opencl.structs import BLOCK_PAYLOAD
 from clvol.store.source import DROPPED, BlockSource
 
-CODE_DROPPED = 15
 CODE_ONE = 1  # one sample, which is in the index
 
 _GROUP = 64  # work-items: always as many, since PoCL compiles anew for each other number

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from clvol.device.arguments import Arguments
-from clvol.integrators.multiresolution.caster import BLOCK_COUNTERS, BlockCaster, block_switches
+from clvol.features.vocabulary import BLOCK_COUNTERS, PYRAMID_COUNTERS
+from clvol.integrators.multiresolution.caster import BlockCaster, block_switches
 from clvol.integrators.multiresolution.device_blocks import DeviceBlocks
-from clvol.integrators.pyramid.caster import COUNTERS, TILE, PyramidMarch, march_switches
+from clvol.integrators.pyramid.caster import TILE, PyramidMarch, march_switches
 from clvol.integrators.pyramid.cells import upload_cells, way_map
 from clvol.integrators.pyramid.layout import FREE_REACH
 from clvol.integrators.pyramid.oracle import BlockCells
@@ -21,7 +22,7 @@ from clvol.transfer import TransferFunction
 class BlockPyramidCaster(PyramidMarch, BlockCaster):
     """As ``BlockCaster``, pre-integrated, with samples as far apart as the blocks' own: along rays and across them."""
 
-    counter_names = (*COUNTERS, *BLOCK_COUNTERS)
+    counter_names = (*PYRAMID_COUNTERS, *BLOCK_COUNTERS)
 
     def __init__(
         self,

@@ -12,6 +12,7 @@ from clvol.device.view import EVERY_PIXEL, PixelLattice
 from clvol.device.volume import DeviceVolume
 from clvol.errors import RenderError
 from clvol.features import ORACLES, reduced_for_frames
+from clvol.features.vocabulary import PYRAMID_COUNTERS
 from clvol.integrators.pyramid.cells import padded_cells, way_map
 from clvol.integrators.pyramid.clips import halves_rows
 from clvol.integrators.pyramid.layout import FREE_REACH, FREE_SHIFT, map_bytes, map_shape, map_shift
@@ -41,7 +42,6 @@ from clvol.scene.pyramid import Pyramid
 from clvol.scene.resolve import ResolvedScene
 from clvol.transfer import TransferFunction
 
-COUNTERS = ("oracle_samples", "syntheses", "accumulations")  # COUNT_... of cl/pyramid.h
 TILE = 32  # pixels an edge of a tile; a multiple of 2^MOST_LEVELS
 _MOST_SLICES = 2**23
 WORKERS = 64  # work-items of a group where they are not one
@@ -154,7 +154,7 @@ class PyramidMarch:
             raise RenderError(f"{self.resolved.origin}: integration.step", what, expected)
 
     renders_all_pixels = True  # whatever the lattice
-    counter_names: tuple[str, ...] = COUNTERS
+    counter_names: tuple[str, ...] = PYRAMID_COUNTERS
     _halves = np.zeros((0, 4))  # of space that clips keep
 
     def warm_up(self, width: int, height: int, depth: bool = True) -> None:
