@@ -29,6 +29,15 @@
 #define BLEND_BLOCKS_H
 
 #include "blocks.h"
+#include "features.h"
+#include "lanes.h"
+#include "tally.h"
+
+/* Steps whose samples are taken together. The more, the fuller the vectors of what is blended; but also the more samples are taken
+ * in vain behind the place where a ray ends, and long steps have fewer to spare. */
+#ifndef QUEUED_STEPS
+#define QUEUED_STEPS (STEPPING == STEPPING_FULL ? 12 : 8)
+#endif
 
 /* Distances to the nearest faces in blocks, 0 .. 1/2, and whether they are the upper ones. */
 typedef struct {
@@ -40,7 +49,7 @@ typedef struct {
 INLINE FaceAxis nearest_face(floatN p, intN block, const BlockVolume *v)
 {
   FaceAxis a;
-  const floatN inside = lane_clamp(p * v->blocks->edge.y - TO_FLOAT(block), (floatN)0.0f, (floatN)1.0f);
+  const floatN inside = lane_clamp(p * v->blocks->inverse_edge - TO_FLOAT(block), (floatN)0.0f, (floatN)1.0f);
   a.upper = MASK(inside >= 0.5f);
   a.d = select(inside, 1.0f - inside, a.upper);
   a.corner = block - a.upper;
@@ -149,7 +158,7 @@ INLINE floatN blend_blocks(const BlockVolume *v, const Record *r, floatN px, flo
     ++tally[COUNT_BLOCK_READS];
     blended = 1;
   }
-  tally[COUNT_BLENDED] += blended;
+  tally[COUNT_BLENDED_SAMPLES] += blended;
   return blended ? value + sum / total : value;
 }
 
@@ -265,7 +274,7 @@ INLINE int queue_pairs(const BlockVolume *v, const PlaceQueue *q, PairQueue *p, 
     const floatN others = weight[3] + weight[5] + weight[6] + weight[7] + select(zero, weight[2], by_x) +
                           select(zero, weight[4], by_x | by_y);
     STORE_LANES(first_weight, p->first[k]), STORE_LANES(weight[0] + first_weight + others, p->total[k]);
-    count_lanes(&tally[COUNT_BLENDED], active & (by_x | by_y | by_z | MASK(others > zero)));
+    count_lanes(&tally[COUNT_BLENDED_SAMPLES], active & (by_x | by_y | by_z | MASK(others > zero)));
     count_lanes(&tally[COUNT_BLOCK_READS], active & (by_x | by_y | by_z));
     OtherPairs *o = p->others + k;
     o->any = any_lane(active & MASK(others > zero));

@@ -25,10 +25,9 @@ inline int2 outermost(int direction, int n)
  *         zeros and lowest > highest for a dropped block or one without a finite value
  */
 __kernel void block_bounds(__global const uchar *restrict volume, __constant const View *restrict view,
-                           __global const int *restrict index, __global const uint *restrict corners,
-                           __constant const Blocks *restrict blocks MORE_SAMPLE_PARAMETERS, __global float4 *restrict bounds)
+                           BLOCK_PARAMETERS, __global float4 *restrict bounds)
 {
-  const BlockVolume held = block_volume(volume, view, index, corners, blocks MORE_SAMPLE_ARGUMENTS);
+  const BlockVolume held = BLOCK_VOLUME;
   const BlockVolume *v = &held;
   const int bx = get_global_id(0), by = get_global_id(1), bz = get_global_id(2);
   __global float4 *out = bounds + ((size_t)bz * blocks->count.y + by) * blocks->count.x + bx;
@@ -37,7 +36,7 @@ __kernel void block_bounds(__global const uchar *restrict volume, __constant con
   const int code = code_of(&own);
   if (code == CODE_DROPPED) return;
   const int s = 1 << (code - 1);
-  const float edge = blocks->edge.x, spacing = edge / s;
+  const float edge = blocks->edge, spacing = edge / s;
   float slope = 0.0f, second = 0.0f, mixed = 0.0f, across = 0.0f, low = INFINITY, high = -INFINITY;
   for (int k = 0; k < s; ++k)
     for (int j = 0; j < s; ++j)

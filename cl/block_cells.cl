@@ -10,27 +10,27 @@
 #include "view.h"
 #include "block_parameters.h"
 #include "classify.h"
+#include "features.h"
 #include "blocks.h"
 #include "block_samples.h"
 #include "shows_between.h"
 
 /* before  int [nodes]: of the intervals between nodes, how many before this one can show anything
  * at      uchar [nodes]: whether the node itself does
- * cells   uchar [z, y, x]: 0 where something can be visible, 1 where samples that are not finite lie beside others, else 255
+ * cells   uchar [z, y, x]: CELL_VISIBLE where something can be visible, CELL_BESIDE_HOLES where samples that are not finite lie beside
+ *         others, else CELL_EMPTY
  */
 __kernel void visible_block_cells(__global const uchar *restrict volume, __global const float *restrict warp,
                                   __global const int *restrict before, __global const uchar *restrict at,
-                                  __constant const View *restrict view, __global const int *restrict index,
-                                  __global const uint *restrict corners, __constant const Blocks *restrict blocks
-                                  MORE_SAMPLE_PARAMETERS, __global uchar *restrict cells)
+                                  __constant const View *restrict view, BLOCK_PARAMETERS, __global uchar *restrict cells)
 {
-  const BlockVolume held = block_volume(volume, view, index, corners, blocks MORE_SAMPLE_ARGUMENTS);
+  const BlockVolume held = BLOCK_VOLUME;
   const BlockVolume *v = &held;
   const int cx = get_global_id(0), cy = get_global_id(1), cz = get_global_id(2);
-  const int shift = view->cells.w, edge = 1 << blocks->count.w, cell = 1 << shift;
+  const int shift = view->cell_shift, edge = 1 << blocks->log_edge, cell = 1 << shift;
   const int bx = (cx << shift) / edge, by = (cy << shift) / edge, bz = (cz << shift) / edge;
   __global uchar *out = cells + ((size_t)cz * get_global_size(1) + cy) * get_global_size(0) + cx;
-  *out = 255;
+  *out = CELL_EMPTY;
   const Record own = fetch_record(v, bx, by, bz);
   if (code_of(&own) == CODE_DROPPED) return;
   float low = INFINITY, high = -INFINITY;
@@ -63,6 +63,6 @@ __kernel void visible_block_cells(__global const uchar *restrict volume, __globa
               widen(sample, &low, &high);
             }
       }
-  if (shows_between(low, high, warp, before, at, view)) *out = 0;
-  if (holes && low <= high) *out = 1;
+  if (shows_between(low, high, warp, before, at, view)) *out = CELL_VISIBLE;
+  if (holes && low <= high) *out = CELL_BESIDE_HOLES;
 }

@@ -10,52 +10,65 @@
 #ifndef BLOCK_PARAMETERS_H
 #define BLOCK_PARAMETERS_H
 
-#include "tally.h"
+#include "features.h"
+#include "lanes.h"
+#include "struct_fields.h"
+#include "view.h"
 
 typedef struct {
-  int4 count;  /* blocks x, y, z; log2 of a block's edge in voxels */
-  float4 edge; /* voxels, and its inverse; - ; - */
+  int4 count;         /* x, y, z: blocks */
+  float edge;         /* of a block, voxels */
+  float inverse_edge;
+  int log_edge;       /* log2 of it */
 } Blocks;
 
+/* Reported to the host (struct_fields.h). */
+#define BLOCKS_FIELDS  \
+  STRUCT(Blocks), FIELD(Blocks, count), FIELD(Blocks, edge), FIELD(Blocks, inverse_edge), \
+  FIELD(Blocks, log_edge)
+
 #define COUNT_BLOCK_READS 0 /* values interpolated inside a block: one a sample, and one for each further block that is blended in */
-#define COUNT_BLENDED 1     /* samples that more than one block has a share in */
+#define COUNT_BLENDED_SAMPLES 1     /* samples that more than one block has a share in */
 #define BLOCK_COUNTERS 2
+
+typedef struct {
+  __global const int *index;
+  __global const uint *corners;
+  __constant const Blocks *blocks;
+  __constant const View *view;
+  __global const uchar *samples[SAMPLE_BUFFERS];
+  __global const uchar *steps; /* only set where STEPPING is bounded */
+} BlockVolume;
 
 #if SAMPLE_BUFFERS == 1
 #define MORE_SAMPLE_PARAMETERS
-#define MORE_SAMPLE_ARGUMENTS
+#define BLOCK_SAMPLES {volume}
 #elif SAMPLE_BUFFERS == 2
 #define MORE_SAMPLE_PARAMETERS , __global const uchar *restrict samples1
-#define MORE_SAMPLE_ARGUMENTS , samples1
+#define BLOCK_SAMPLES {volume, samples1}
 #elif SAMPLE_BUFFERS == 3
 #define MORE_SAMPLE_PARAMETERS , __global const uchar *restrict samples1, __global const uchar *restrict samples2
-#define MORE_SAMPLE_ARGUMENTS , samples1, samples2
+#define BLOCK_SAMPLES {volume, samples1, samples2}
 #elif SAMPLE_BUFFERS == 4
 #define MORE_SAMPLE_PARAMETERS \
   , __global const uchar *restrict samples1, __global const uchar *restrict samples2, __global const uchar *restrict samples3
-#define MORE_SAMPLE_ARGUMENTS , samples1, samples2, samples3
+#define BLOCK_SAMPLES {volume, samples1, samples2, samples3}
 #else
 #error "SAMPLE_BUFFERS must be 1 to 4"
 #endif
 
-#if STEPPING == 3 /* STEPPING_BOUNDED */
-#define STEP_PARAMETERS , __global const uchar *restrict steps
-#define STEP_ARGUMENTS , steps
+#if STEPPING == STEPPING_BOUNDED
+#define STEP_PARAMETER , __global const uchar *restrict steps
+#define BLOCK_STEPS steps
 #else
-#define STEP_PARAMETERS
-#define STEP_ARGUMENTS
+#define STEP_PARAMETER
+#define BLOCK_STEPS 0
 #endif
 
-#define EFFECT_PARAMETERS                                                                                               \
-  , __global const int *restrict index, __global const uint *restrict corners, __constant const Blocks *restrict blocks \
-    MORE_SAMPLE_PARAMETERS STEP_PARAMETERS, __global uint *restrict counts
-#define EFFECT_PACKET_PARAMETERS                                                                                 \
-  , __global const int *index, __global const uint *corners, __constant const Blocks *blocks MORE_SAMPLE_PARAMETERS STEP_PARAMETERS, \
-    Tally *counted
-#define EFFECT_ARGUMENTS , index, corners, blocks MORE_SAMPLE_ARGUMENTS STEP_ARGUMENTS, counted
-#define EFFECT_TALLY Tally counted[BLOCK_COUNTERS] = {0};
-#define EFFECT_STORE_TALLY(tile)                                                                \
-  for (int counter_ = 0; counter_ < BLOCK_COUNTERS; ++counter_)                                 \
-    counts[(size_t)(tile) * BLOCK_COUNTERS + counter_] = tally_sum(counted[counter_]);
+/* The parameters of a kernel beside `volume` and `view`, and the BlockVolume of all of them as an initialiser. */
+#define BLOCK_PARAMETERS                                                                                              \
+  __global const int *restrict index, __global const uint *restrict corners, __constant const Blocks *restrict blocks \
+    MORE_SAMPLE_PARAMETERS STEP_PARAMETER
+#define BLOCK_VOLUME {index, corners, blocks, view, BLOCK_SAMPLES, BLOCK_STEPS}
 
 #endif

@@ -3,6 +3,7 @@
 #define BLOCK_SAMPLES_H
 
 #include "blocks.h"
+#include "lanes.h"
 
 /* One sample as kernels compute with it. */
 inline float sample_of(const BlockVolume *v, const Record *r, int at)
@@ -21,7 +22,7 @@ inline float sample_of(const BlockVolume *v, const Record *r, int at)
 #elif VOXEL_BITS == 16
   return (float)((__global const ushort *)samples)[at];
 #elif VOXEL_SCALED
-  return ((__global const float *)samples)[at] * v->view->voxel.x;
+  return ((__global const float *)samples)[at] * v->view->voxel_gain;
 #else
   return ((__global const float *)samples)[at];
 #endif

@@ -12,50 +12,14 @@
 #define BLOCKS_H
 
 #include "block_parameters.h"
+#include "features.h"
+#include "lanes.h"
 #include "sample_volume.h"
+#include "view.h"
 
 #if FILTER != FILTER_LINEAR || VOXEL_BITS == 64 || VOXEL_PAIRS
 #error "blocks need the linear filter, and samples of at most 32 bits"
 #endif
-
-#define CODE_DROPPED 15
-
-typedef struct {
-  __global const int *index;
-  __global const uint *corners;
-  __constant const Blocks *blocks;
-  __constant const View *view;
-  __global const uchar *samples[SAMPLE_BUFFERS];
-  __global const uchar *steps; /* only set where STEPPING is bounded */
-} BlockVolume;
-
-INLINE BlockVolume block_volume(__global const uchar *samples0, __constant const View *view, __global const int *index,
-                                __global const uint *corners, __constant const Blocks *blocks
-#if SAMPLE_BUFFERS > 1
-                                , __global const uchar *samples1
-#endif
-#if SAMPLE_BUFFERS > 2
-                                , __global const uchar *samples2
-#endif
-#if SAMPLE_BUFFERS > 3
-                                , __global const uchar *samples3
-#endif
-)
-{
-  BlockVolume v;
-  v.index = index, v.corners = corners, v.blocks = blocks, v.view = view;
-  v.samples[0] = samples0, v.steps = 0;
-#if SAMPLE_BUFFERS > 1
-  v.samples[1] = samples1;
-#endif
-#if SAMPLE_BUFFERS > 2
-  v.samples[2] = samples2;
-#endif
-#if SAMPLE_BUFFERS > 3
-  v.samples[3] = samples3;
-#endif
-  return v;
-}
 
 typedef struct {
   intN x, y, z;      /* block */
@@ -74,7 +38,7 @@ INLINE Record fetch_record(const BlockVolume *v, intN x, intN y, intN z)
 
 INLINE intN block_of(floatN p, const BlockVolume *v, int count)
 {
-  return min(TO_INT(p * v->blocks->edge.y), (intN)(count - 1));
+  return min(TO_INT(p * v->blocks->inverse_edge), (intN)(count - 1));
 }
 
 INLINE Record record_at(const BlockVolume *v, floatN px, floatN py, floatN pz)
@@ -167,8 +131,8 @@ INLINE intN has_one_value(uintN word1)
 
 INLINE BlockPlace place_in_block(const BlockVolume *v, const Record *r, floatN px, floatN py, floatN pz)
 {
-  const int log_edge = v->blocks->count.w;
-  const float edge = v->blocks->edge.x;
+  const int log_edge = v->blocks->log_edge;
+  const float edge = v->blocks->edge;
   const intN code = code_of(r), is_single = has_one_value(r->word1);
   BlockPlace s;
   s.word1 = r->word1;
@@ -193,7 +157,7 @@ INLINE BlockPlace place_in_block(const BlockVolume *v, const Record *r, floatN p
 INLINE int alike(const BlockVolume *v, const Record *r)
 {
 #if SAMPLE_BUFFERS == 1
-  const intN other = MASK(code_of(r) != v->blocks->count.w + 1);
+  const intN other = MASK(code_of(r) != v->blocks->log_edge + 1);
   if (!any_lane(other)) return ALIKE_FULL;
   if (!any_lane(other & ~has_one_value(r->word1))) return ALIKE_OR_ONE_VALUE;
 #endif
@@ -203,8 +167,8 @@ INLINE int alike(const BlockVolume *v, const Record *r)
 /* place_in_block() where blocks are alike. `shift` is not set, nor, where all are at full resolution, are `word1` and `value`. */
 INLINE BlockPlace place_in_alike_block(const BlockVolume *v, const Record *r, int kind, floatN px, floatN py, floatN pz)
 {
-  const int log_edge = v->blocks->count.w;
-  const float edge = v->blocks->edge.x;
+  const int log_edge = v->blocks->log_edge;
+  const float edge = v->blocks->edge;
   const intN last = (1 << log_edge) - 1;
   BlockPlace s;
   const BlockAxis x = block_axis(px - edge * TO_FLOAT(r->x) - 0.5f, last), y = block_axis(py - edge * TO_FLOAT(r->y) - 0.5f, last);
@@ -241,7 +205,7 @@ INLINE floatN mixed_corners(const Corners *c, const BlockPlace *s)
 
 INLINE floatN value_in_alike_block(const BlockVolume *v, int kind, const BlockPlace *s)
 {
-  const int log_edge = v->blocks->count.w;
+  const int log_edge = v->blocks->log_edge;
   const Corners c = decode_corners(fetch_block_corners(v, (intN)0, s->at, (intN)(1 << log_edge), (intN)(1 << 2 * log_edge)), v->view);
   const floatN mixed = mixed_corners(&c, s);
   return kind == ALIKE_FULL ? mixed : select(mixed, s->value, has_one_value(s->word1));

@@ -7,8 +7,11 @@
 #ifndef CELL_CUBIC_H
 #define CELL_CUBIC_H
 
-#include "surface_levels.h"
+#include "lanes.h"
 #include "sample_volume.h"
+#include "scene.h"
+#include "surface_levels.h"
+#include "vectors.h"
 
 #define ROOT_SHARE 1e-6f /* of a cell: to this roots are found */
 

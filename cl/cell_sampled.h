@@ -7,9 +7,12 @@
 #ifndef CELL_SAMPLED_H
 #define CELL_SAMPLED_H
 
-#include "surface_levels.h"
-#include "scene_value.h"
+#include "features.h"
+#include "lanes.h"
 #include "rays.h"
+#include "scene.h"
+#include "scene_value.h"
+#include "surface_levels.h"
 
 #define CROSSING_EDGES 5e-5f
 

@@ -8,8 +8,12 @@
 #ifndef CELL_SPLINE_H
 #define CELL_SPLINE_H
 
-#include "surface_levels.h"
+#include "features.h"
+#include "lanes.h"
 #include "sample_volume.h"
+#include "scene.h"
+#include "surface_levels.h"
+#include "vectors.h"
 
 #define DEGREE 9
 #define WHOLE_STRETCH 1024 /* the stretch in parts of the smallest size: a power of two */

@@ -3,8 +3,10 @@
 #ifndef CELL_STEP_H
 #define CELL_STEP_H
 
-#include "surface_levels.h"
+#include "lanes.h"
 #include "sample_volume.h"
+#include "scene.h"
+#include "surface_levels.h"
 
 typedef FetchedSample CellVoxels;
 

@@ -13,15 +13,19 @@
 
 #include "composite.h"
 #include "features.h"
+#include "lanes.h"
 #include "sample_volume.h"
 #include "transfer_pieces.h"
+#include "view.h"
 
 #define MAY_BE_NAN VOXEL_HOLES
+/* Whether a segment is classified by the value in its middle, not by those at its ends. */
+#define MIDPOINTS (CLASSIFICATION != CLASSIFICATION_PREINTEGRATED)
 
 /* Whether any of these lanes can be visible: most packets in sparse data stop here. */
 INLINE int may_be_visible(floatN low, floatN high, intN active, __constant const View *view)
 {
-  return any_lane(active & MASK(high > view->gate.x) & MASK(low < view->gate.y));
+  return any_lane(active & MASK(high > view->gate_low) & MASK(low < view->gate_high));
 }
 
 /* The values between which the function is integrated, for the segment from `front` to `back`, `b` steps long, behind one of `a` steps.
@@ -61,14 +65,14 @@ INLINE void shift_uneven_ends(floatN before, floatN *front, floatN *back, floatN
 INLINE void composite_segment(Gathered *acc, floatN front, floatN back, floatN length, intN active, __global const float *table,
                               __constant const View *view)
 {
-  composite_color(acc, color_of_segment(front, back, length * view->gate.z, active, scene_pieces(table, (intN)0, view)), active);
+  composite_color(acc, color_of_segment(front, back, length * view->step_units, active, scene_pieces(table, (intN)0, view)), active);
 }
 
 /* Of one value. */
 INLINE void composite_value(Gathered *acc, floatN value, floatN length, intN active, __global const float *table,
                             __constant const View *view)
 {
-  composite_color(acc, color_of_value(value, length * view->gate.z, scene_pieces(table, (intN)0, view)), active);
+  composite_color(acc, color_of_value(value, length * view->step_units, scene_pieces(table, (intN)0, view)), active);
 }
 
 /* Emission and absorption over one step at a point. */

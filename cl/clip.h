@@ -1,18 +1,16 @@
 /* Which stretches of a ray are kept: clip planes, boxes and spheres, exactly along the ray.
  *
  * A clip keeps or removes a convex set, so that a ray is inside it along one stretch. Each is three items: (kind, -, -, radius);
- * point or centre or lower corner; normal or upper corner; all local. The first `counts.z` keep what is inside, the next
- * `counts.w` remove it. Within a stretch nothing is clipped, and so no sample, segment or shadow knows of it.
+ * point or centre or lower corner; normal or upper corner; all local. The first `kept_clips` keep what is inside, the next
+ * `removed_clips` remove it. Within a stretch nothing is clipped, and so no sample, segment or shadow knows of it.
  */
 #ifndef CLIP_H
 #define CLIP_H
 
 #include "effects.h"
+#include "features.h"
 #include "rays.h"
-
-#define CLIP_PLANE 0
-#define CLIP_BOX 1
-#define CLIP_SPHERE 2
+#include "scene.h"
 
 #define LEAST_CUT 1e-3f /* edges: where less of a ray is cut off, no cut face shows */
 
@@ -38,7 +36,7 @@ INLINE void clip_axis(floatN origin, floatN direction, float low, float high, in
 INLINE void inside_clip(const Scene *scene, int k, Vectors origin, Vectors direction, floatN *enter, floatN *leave,
                         Vectors *normal)
 {
-  __global const float4 *item = scene->items + scene->effects->first.z + 3 * k;
+  __global const float4 *item = scene->items + scene->effects->first_clip + 3 * k;
   const float4 kind = item[0], a = item[1], b = item[2];
   *enter = -1e30f, *leave = 1e30f;
   if (kind.x == CLIP_PLANE) {
@@ -84,24 +82,24 @@ INLINE Stretch next_stretch(const Scene *scene, const Rays *ray, floatN from, fl
   floatN enter, leave;
   s.enter = from, s.leave = ray->length;
   s.normal.x = s.normal.y = s.normal.z = 0.0f;
-  _Pragma("unroll 1") for (int k = 0; k < e->counts.z; ++k) {
+  _Pragma("unroll 1") for (int k = 0; k < e->kept_clips; ++k) {
     inside_clip(scene, k, origin, direction, &enter, &leave, &normal);
     const intN later = MASK(enter > s.enter);
     s.normal = select3(s.normal, normal, later);
     s.enter = select(s.enter, enter, later), s.leave = lane_min(s.leave, leave);
   }
-  const int holes = e->counts.w;
+  const int holes = e->removed_clips;
   /* Out of one hole may be into another: each pass leaves at least one for good. */
   _Pragma("unroll 1") for (int pass = 0; pass < holes; ++pass) {
     intN moved = 0;
     _Pragma("unroll 1") for (int k = 0; k < holes; ++k) {
-      inside_clip(scene, e->counts.z + k, origin, direction, &enter, &leave, &normal);
+      inside_clip(scene, e->kept_clips + k, origin, direction, &enter, &leave, &normal);
       const intN within = MASK(enter <= s.enter) & MASK(s.enter < leave);
       /* Where the ray leaves a convex set its face looks along the ray, and what is kept lies beyond. */
       const Vectors at = sum3(origin, scaled3(direction, leave));
       Vectors outwards;
       floatN back_enter, back_leave;
-      inside_clip(scene, e->counts.z + k, at, scaled3(direction, -1.0f), &back_enter, &back_leave, &outwards);
+      inside_clip(scene, e->kept_clips + k, at, scaled3(direction, -1.0f), &back_enter, &back_leave, &outwards);
       s.normal = select3(s.normal, scaled3(outwards, -1.0f), within);
       s.enter = select(s.enter, leave, within);
       moved |= within;
@@ -109,7 +107,7 @@ INLINE Stretch next_stretch(const Scene *scene, const Rays *ray, floatN from, fl
     if (!any_lane(moved)) break;
   }
   _Pragma("unroll 1") for (int k = 0; k < holes; ++k) {
-    inside_clip(scene, e->counts.z + k, origin, direction, &enter, &leave, &normal);
+    inside_clip(scene, e->kept_clips + k, origin, direction, &enter, &leave, &normal);
     s.leave = select(s.leave, lane_min(s.leave, enter), MASK(leave > enter) & MASK(enter > s.enter));
   }
   /* A clip through the domain's own face cuts nothing off: rounding may not tell. */

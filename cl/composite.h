@@ -6,6 +6,7 @@
 #ifndef COMPOSITE_H
 #define COMPOSITE_H
 
+#include "lanes.h"
 #include "transfer_pieces.h"
 
 typedef struct {

@@ -2,9 +2,9 @@
  * brings their index up to date.
  *
  * What is staged is what was stored, each block by its codec (BlockPayload.codec):
- *   RAW       all samples [s, s, s], of the volume's type
- *   CONSTANT  one sample, which fills the block
- *   VECTOR_QUANTISED is the number kept for P2's codec: indices into a codebook
+ *   CODEC_RAW       all samples [s, s, s], of the volume's type
+ *   CODEC_CONSTANT  one sample, which fills the block
+ *   CODEC_VECTOR_QUANTISED is the number kept for P2's codec: indices into a codebook
  * Samples are of the volume's own type here and there, but for float64: those are brought into float's range as
  * (v - bias) * gain and held as float32 (clvol/device/memory.py, ValueMap), so that no ray computes in double.
  *
@@ -13,6 +13,8 @@
  *
  * Switches (-D): VOXEL_BITS, VOXEL_SIGNED of the samples that are held; STAGED_DOUBLE where float64 is staged.
  */
+#include "features.h"
+#include "struct_fields.h"
 #include "voxel_type.h"
 
 #if STAGED_DOUBLE
@@ -24,14 +26,15 @@ typedef Voxel Staged;
 #define HELD(v) (v)
 #endif
 
-#define RAW 0
-#define CONSTANT 1
-#define VECTOR_QUANTISED 2
 
 /* from: where in `staged` it begins; to: place of the first sample in `samples`; size: samples an axis; codec as above. */
 typedef struct {
   int from, to, size, codec;
 } BlockPayload;
+
+/* Reported to the host (struct_fields.h). */
+#define BLOCK_PAYLOAD_FIELDS \
+  STRUCT(BlockPayload), FIELD(BlockPayload, from), FIELD(BlockPayload, to), FIELD(BlockPayload, size), FIELD(BlockPayload, codec)
 
 /* One axis of work-items goes over the payloads, at least `count` of them, the other along z of a block (the largest there is).
  *
@@ -51,10 +54,10 @@ __kernel void decode_blocks(__global const BlockPayload *restrict payloads, int 
   if (z >= p.size) return;
   __global Voxel *out = samples + (size_t)p.to + z * slice;
   __global const Staged *in = staged + p.from;
-  if (p.codec == CONSTANT) {
+  if (p.codec == CODEC_CONSTANT) {
     const Voxel v = HELD(in[0]);
     for (int k = 0; k < slice; ++k) out[k] = v;
-  } else if (p.codec == RAW) {
+  } else if (p.codec == CODEC_RAW) {
     in += z * slice;
     for (int k = 0; k < slice; ++k) out[k] = HELD(in[k]);
   }

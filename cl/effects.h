@@ -11,148 +11,94 @@
 #include "view.h"
 #include "features.h"
 #include "noise.h"
-#include "tally.h"
+#include "vectors.h"
+
+/* A further volume (fields.h). */
+typedef struct {
+  float4 x, y, z;      /* lattice point of the volume to the field's: rows of the matrix, with the shift in w */
+  int4 size;           /* x, y, z: lattice points */
+  int role;            /* FIELD_... */
+  int first_voxel;     /* in `fields` */
+  int table;           /* where its table begins in `factors` */
+  int piece_columns;   /* of a density's function: columns of its table, */
+  int piece_count;     /* its pieces, */
+  int has_pole;        /* whether its opacity reaches 1 in a slope, */
+  float edge_units;    /* and opacity units per edge */
+  float threshold;     /* of a mask: the value of its border, */
+  float side;          /* 1 where larger values are kept, -1 where smaller ones are */
+} Field;
 
 typedef struct {
-  float4 local_x, local_y, local_z;          /* lattice point to local: rows of the matrix, and in w the shift */
-  float4 gradient_x, gradient_y, gradient_z; /* derivative per lattice unit to derivative per edge along the local axes */
-  float4 gradient_scale;                     /* of precomputed gradients, see gradient.h */
-  float4 material;                           /* ambient, diffuse, specular, shininess */
-  float4 shading;                            /* 1 / (magnitude per edge below which shading fades), or 0; two-sided; - ; - */
-  float4 depth_cue;                          /* distance where it starts, 1 / its length (edges), strength; - */
-  float4 depth_color;
-  float4 projection;                         /* lowest value of the volume, 1 / range, attenuation a step; score up to which nothing shows */
-  float4 shadow;                             /* bound; step (edges); strength of scattering; depth beyond which nothing arrives */
-  float4 light_grid;                         /* lattice point to light grid: scale x, y, z; - */
-  float4 environment;                        /* intensity of what is seen; - */
-  float4 value_bounds;                       /* lowest, highest value that a sample can have; - ; - */
-  float4 noise_reach;                        /* half a smallest edge, in lattice units along x, y, z; - */
-  int4 counts;                               /* lights, surfaces, clips that keep, clips that remove */
-  int4 first;                                /* of the items: first light, surface, clip; - */
-  int4 light_size;                           /* points of the light volume x, y, z; lights in it */
-  int4 maps;                                 /* of the environment: side of the diffuse, specular, background map; - */
-  int4 map_offsets;                          /* where they begin */
-  int4 factors;                              /* points of gradient opacity, of directional opacity; layers; - */
-  int4 factor_offsets;                       /* where the tables of each begin */
-  int4 fields;                               /* how many; - */
-  float4 field_x[3], field_y[3], field_z[3]; /* lattice point to the field's: rows of the matrix, and in w the shift */
-  float4 field_map[3];                       /* see fields.h: of a density's function; a mask's threshold and side */
-  int4 field_size[3];                        /* lattice points x, y, z; role */
-  int4 field_at[3];                          /* where its voxels begin in `fields`; its table in `factors`; - ; - */
-  int4 noise_counts;                         /* terms that add to values, and after them those that move places; - ; - */
-  NoiseTerm noise_terms[NOISE_TERMS];
+  float4 local_x, local_y, local_z;          /* lattice point to local: rows of the matrix, with the shift in w */
+  float4 gradient_x, gradient_y, gradient_z; /* derivative per lattice unit to derivative per edge along the local axes: rows */
+  float4 gradient_scale;                     /* of precomputed gradients (gradient.h) */
+  float4 cue_color;                          /* of depth cueing: r, g, b */
+  float4 light_grid;                         /* x, y, z: points of the light volume per lattice unit */
+  float4 noise_reach;                        /* x, y, z: half an edge, in lattice units */
+  int4 light_size;                           /* x, y, z: points of the light volume */
+  Field fields[MOST_FIELDS];
+  NoiseTerm noise_terms[MOST_NOISE_TERMS];        /* those that add to values, and after them those that move places */
+  int along_axes;         /* whether the lattice is along the local axes */
+  float ambient, diffuse, specular, shininess;
+  float fade;             /* 1 / the magnitude per edge below which shading fades; 0: it does not */
+  int two_sided;          /* whether surfaces are lit from behind, too */
+  float cue_start;        /* of depth cueing: edges from the eye to where it begins, */
+  float cue_per_edge;     /* 1 / the edges over which it grows, */
+  float cue_strength;     /* and what it grows to, 0 .. 1 */
+  float lowest_value;     /* of the volume, for projections */
+  float values_per_range; /* 1 / the range of its values */
+  float attenuation;      /* per step */
+  float hidden_score;     /* score up to which a projection shows nothing */
+  float lowest_sample, highest_sample; /* bounds of every sample */
+  float shadow_bound;     /* shadow rays are cast for samples that count for more than this */
+  float shadow_step;      /* edges */
+  float shadow_depth;     /* optical depth beyond which no light arrives */
+  float scattering;       /* share of the light that is scattered, 0 .. 1 */
+  int light_count, surface_count, kept_clips, removed_clips;
+  int first_light, first_surface, first_clip;                  /* in `items` */
+  int diffuse_map_size, specular_map_size, sky_map_size;       /* nodes per side of the maps of the environment, */
+  int diffuse_map, specular_map, sky_map;                      /* and where they begin in `environment` */
+  int gradient_opacity_points, directional_opacity_points;     /* of opacity factors */
+  int layer_count;                                             /* of a function of two values */
+  int gradient_opacity_table, directional_opacity_table, layer_table; /* where these begin in `factors` */
+  int field_count, added_terms, moving_terms;
 } Effects;
 
-/* SHADOWS, see shadow.h. */
-#define SHADOWS_BY_RAYS 1
-#define SHADOWS_BY_VOLUME 2
+/* Reported to the host (struct_fields.h). */
+#define FIELD_FIELDS  \
+  STRUCT(Field), FIELD(Field, x), FIELD(Field, y), FIELD(Field, z), FIELD(Field, size), FIELD(Field, role), \
+  FIELD(Field, first_voxel), FIELD(Field, table), FIELD(Field, piece_columns), FIELD(Field, piece_count), \
+  FIELD(Field, has_pole), FIELD(Field, edge_units), FIELD(Field, threshold), FIELD(Field, side)
+#define EFFECTS_FIELDS NOISE_TERM_FIELDS, FIELD_FIELDS, \
+  STRUCT(Effects), FIELD(Effects, local_x), FIELD(Effects, local_y), FIELD(Effects, local_z), \
+  FIELD(Effects, gradient_x), FIELD(Effects, gradient_y), FIELD(Effects, gradient_z), \
+  FIELD(Effects, gradient_scale), FIELD(Effects, cue_color), FIELD(Effects, light_grid), \
+  FIELD(Effects, noise_reach), FIELD(Effects, light_size), FIELD(Effects, fields), FIELD(Effects, noise_terms), \
+  FIELD(Effects, along_axes), FIELD(Effects, ambient), FIELD(Effects, diffuse), FIELD(Effects, specular), \
+  FIELD(Effects, shininess), FIELD(Effects, fade), FIELD(Effects, two_sided), FIELD(Effects, cue_start), \
+  FIELD(Effects, cue_per_edge), FIELD(Effects, cue_strength), FIELD(Effects, lowest_value), \
+  FIELD(Effects, values_per_range), FIELD(Effects, attenuation), FIELD(Effects, hidden_score), \
+  FIELD(Effects, lowest_sample), FIELD(Effects, highest_sample), FIELD(Effects, shadow_bound), \
+  FIELD(Effects, shadow_step), FIELD(Effects, shadow_depth), FIELD(Effects, scattering), \
+  FIELD(Effects, light_count), FIELD(Effects, surface_count), FIELD(Effects, kept_clips), \
+  FIELD(Effects, removed_clips), FIELD(Effects, first_light), FIELD(Effects, first_surface), \
+  FIELD(Effects, first_clip), FIELD(Effects, diffuse_map_size), FIELD(Effects, specular_map_size), \
+  FIELD(Effects, sky_map_size), FIELD(Effects, diffuse_map), FIELD(Effects, specular_map), \
+  FIELD(Effects, sky_map), FIELD(Effects, gradient_opacity_points), FIELD(Effects, directional_opacity_points), \
+  FIELD(Effects, layer_count), FIELD(Effects, gradient_opacity_table), FIELD(Effects, directional_opacity_table), \
+  FIELD(Effects, layer_table), FIELD(Effects, field_count), FIELD(Effects, added_terms), \
+  FIELD(Effects, moving_terms)
 
-/* What is counted beside samples: one number each a tile. clvol/device/effects.py names them in this order. */
+/* What is counted beside samples: one number each a tile. clvol/features/vocabulary.py names them in this order. */
 #define COUNT_GRADIENTS 0        /* gradients reconstructed */
-#define COUNT_LIT 1              /* samples lit */
+#define COUNT_LIT_SAMPLES 1              /* samples lit */
 #define COUNT_SURFACE_TESTS 2    /* cells tested for surfaces */
 #define COUNT_SURFACE_HITS 3     /* surfaces met */
 #define COUNT_SHADOW_RAYS 4
 #define COUNT_SHADOW_SAMPLES 5   /* reconstructions on shadow rays; not among `samples` */
 #define COUNT_FIELD_SAMPLES 6    /* of further fields */
 #define COUNT_BENDS 7            /* rays refracted or reflected */
-#define COUNTERS 8
-
-/* TILES_CHOSEN: this launch renders only the tiles marked in `chosen`; another one renders the others, without some effect. */
-#if TILES_CHOSEN
-#define CHOSEN_PARAMETER , __global const uchar *restrict chosen
-#define RETURN_UNLESS_CHOSEN(tile) \
-  if (!chosen[tile]) {             \
-    EFFECT_STORE_TALLY(tile)       \
-    return;                        \
-  }
-#else
-#define CHOSEN_PARAMETER
-#define RETURN_UNLESS_CHOSEN(tile)
-#endif
-
-#if EFFECTS
-
-/* All that a function about the scene may read. */
-typedef struct {
-  __global const uchar *volume;
-  __global const float *table, *warp;
-  __global const uchar *distances;
-  __constant const View *view;
-  __constant const Effects *effects;
-  __global const float4 *items;
-  __global const uint *gradients;
-  __global const uchar *surface_distances;
-  __global const float4 *environment;
-  __global const float4 *light_volume;
-  __global const uint *noise;
-  __global const float *factors;
-  __global const float *fields;
-} Scene;
-
-#define EFFECT_PARAMETERS                                                                                              \
-  , __constant const Effects *restrict effects, __global const float4 *restrict items,                                 \
-    __global const uint *restrict gradients, __global const uchar *restrict surface_distances,                         \
-    __global const float4 *restrict environment, __global const float4 *restrict light_volume,                         \
-    __global const uint *restrict noise, __global const float *restrict factors, __global const float *restrict fields, \
-    __global uint *restrict counts
-#define EFFECT_ARGUMENTS \
-  , effects, items, gradients, surface_distances, environment, light_volume, noise, factors, fields, counted
-
-/* A kernel's own tally, written to counts[tile, COUNTERS] at its end. */
-#define EFFECT_TALLY Tally counted[COUNTERS] = {0};
-#define EFFECT_STORE_TALLY(tile)                                                             \
-  for (int counter_ = 0; counter_ < COUNTERS; ++counter_)                                    \
-    counts[(size_t)(tile) * COUNTERS + counter_] = tally_sum(counted[counter_]);
-
-#elif BLOCKS
-
-#include "block_parameters.h"
-
-#else
-
-#define EFFECT_PARAMETERS
-#define EFFECT_ARGUMENTS
-#define EFFECT_TALLY
-#define EFFECT_STORE_TALLY(tile)
-
-#endif
-
-/* A packet of vectors. */
-typedef struct {
-  floatN x, y, z;
-} Vectors;
-
-INLINE floatN dot3(Vectors a, Vectors b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
-INLINE Vectors scaled3(Vectors a, floatN s)
-{
-  const Vectors r = {a.x * s, a.y * s, a.z * s};
-  return r;
-}
-INLINE Vectors sum3(Vectors a, Vectors b)
-{
-  const Vectors r = {a.x + b.x, a.y + b.y, a.z + b.z};
-  return r;
-}
-INLINE Vectors select3(Vectors a, Vectors b, intN mask)
-{
-  const Vectors r = {select(a.x, b.x, mask), select(a.y, b.y, mask), select(a.z, b.z, mask)};
-  return r;
-}
-INLINE Vectors broadcast3(float4 v)
-{
-  const Vectors r = {v.x, v.y, v.z};
-  return r;
-}
-/* Times a length, of unit length before; 0 stays 0 (and so does what is too short to have a direction). */
-INLINE Vectors directed3(Vectors a, float length)
-{
-  const floatN square = dot3(a, a);
-  const intN long_enough = MASK(square > 1e-37f) & MASK(square < 1e38f);
-  const floatN inverse = lane_rsqrt(select((floatN)1.0f, square, long_enough));
-  return scaled3(a, select((floatN)0.0f, length * inverse, long_enough));
-}
-INLINE Vectors unit3(Vectors a) { return directed3(a, 1.0f); }
+#define EFFECT_COUNTERS 8
 
 INLINE Vectors to_local(__constant const Effects *e, floatN x, floatN y, floatN z)
 {
@@ -172,7 +118,7 @@ INLINE Vectors direction_to_local(__constant const Effects *e, floatN x, floatN 
 /* From a derivative per lattice unit to one per edge along the local axes. */
 INLINE Vectors gradient_to_local(__constant const Effects *e, floatN x, floatN y, floatN z)
 {
-  if (e->gradient_x.w != 0.0f) { /* the lattice is along the axes */
+  if (e->along_axes) { /* the lattice is along the axes */
     const Vectors along = {e->gradient_x.x * x, e->gradient_y.y * y, e->gradient_z.z * z};
     return along;
   }

@@ -8,7 +8,9 @@
 #define EMISSION_H
 
 #include "classify.h"
+#include "composite.h"
 #include "opacity.h"
+#include "transfer_pieces.h"
 
 /* ..._in: by the functions that begin `first` floats into `table`, a lane's own. */
 

@@ -7,6 +7,8 @@
 #ifndef ENVIRONMENT_H
 #define ENVIRONMENT_H
 
+#include "lanes.h"
+
 /* Linear over a triangle: exactly its nodes' value where they are the same. */
 INLINE floatN environment_linear(__global const float *values, intN corner, intN beside, intN beneath, floatN s, floatN t)
 {

@@ -5,6 +5,8 @@
 #define FETCH_EDGE_H
 
 #include "fetch_voxel.h"
+#include "lanes.h"
+#include "view.h"
 
 typedef struct {
   floatN v0, v1; /* x, x + 1 */
@@ -46,11 +48,11 @@ INLINE Edge fetch_edge(__global const uchar *volume, __constant const View *view
 #elif VOXEL_BITS == 32
   e.v0 = AS_FLOAT(gather4(volume, at)), e.v1 = AS_FLOAT(gather4(volume + 4, at));
 #if VOXEL_SCALED
-  e.v0 *= view->voxel.x, e.v1 *= view->voxel.x;
+  e.v0 *= view->voxel_gain, e.v1 *= view->voxel_gain;
 #endif
 #else
   __global const double *voxels = (__global const double *)volume;
-  const double bias = view->voxel_double.x, gain = view->voxel_double.y;
+  const double bias = view->voxel_bias_double, gain = view->voxel_gain_double;
   int each[LANES];
   STORE_LANES(at, each);
   e.v0 = fetch_double(voxels, each, bias, gain), e.v1 = fetch_double(voxels + 1, each, bias, gain);

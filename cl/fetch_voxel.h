@@ -12,6 +12,9 @@
 #ifndef FETCH_VOXEL_H
 #define FETCH_VOXEL_H
 
+#include "lanes.h"
+#include "view.h"
+
 typedef struct {
   floatN v000, v100, v010, v110, v001, v101, v011, v111; /* vXYZ */
 } Corners;
@@ -20,11 +23,11 @@ typedef struct {
  * row and slice may be more. */
 INLINE intN corner_offset(__constant const View *view, intN ix, intN iy, intN iz)
 {
-  return iz * view->stride.y + iy * view->stride.x + ix;
+  return iz * view->slice_stride + iy * view->row_stride + ix;
 }
 #define ELEMENT_BYTES (VOXEL_PAIRS ? 2 : VOXEL_BITS / 8)
-INLINE size_t row_bytes(__constant const View *view) { return ELEMENT_BYTES * (size_t)view->stride.x; }
-INLINE size_t slice_bytes(__constant const View *view) { return ELEMENT_BYTES * (size_t)view->stride.y; }
+INLINE size_t row_bytes(__constant const View *view) { return ELEMENT_BYTES * (size_t)view->row_stride; }
+INLINE size_t slice_bytes(__constant const View *view) { return ELEMENT_BYTES * (size_t)view->slice_stride; }
 
 #if VOXEL_BITS == 8
 
@@ -140,8 +143,8 @@ INLINE FetchedCorners fetch_corners(__global const uchar *bytes, __constant cons
   __global const double *volume = (__global const double *)bytes;
   int at[LANES];
   STORE_LANES(corner_offset(view, ix, iy, iz), at);
-  const size_t row = (size_t)view->stride.x, slice = (size_t)view->stride.y;
-  const double bias = view->voxel_double.x, gain = view->voxel_double.y;
+  const size_t row = (size_t)view->row_stride, slice = (size_t)view->slice_stride;
+  const double bias = view->voxel_bias_double, gain = view->voxel_gain_double;
   c.v000 = fetch_double(volume, at, bias, gain), c.v100 = fetch_double(volume + 1, at, bias, gain);
   c.v010 = fetch_double(volume + row, at, bias, gain), c.v110 = fetch_double(volume + row + 1, at, bias, gain);
   c.v001 = fetch_double(volume + slice, at, bias, gain), c.v101 = fetch_double(volume + slice + 1, at, bias, gain);
@@ -158,7 +161,7 @@ INLINE FetchedCorners fetch_corners(__global const uchar *bytes, __constant cons
 INLINE Corners decode_corners(FetchedCorners f, __constant const View *view)
 {
 #if VOXEL_SCALED
-  const float gain = view->voxel.x;
+  const float gain = view->voxel_gain;
   f.v000 *= gain, f.v100 *= gain, f.v010 *= gain, f.v110 *= gain;
   f.v001 *= gain, f.v101 *= gain, f.v011 *= gain, f.v111 *= gain;
 #endif

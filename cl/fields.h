@@ -11,14 +11,11 @@
 
 #include "effects.h"
 #include "emission.h"
+#include "features.h"
 #include "rays.h"
+#include "scene.h"
 
-/* As in clvol/device/fields.py: bits of FIELDS, and roles. */
-#define FIELD_LABEL 1
-#define FIELD_DENSITY 2
-#define FIELD_MASK 4
-
-#define FIELD_EDGE 1e-3f /* voxels beyond the outermost ones that still count, for rounding */
+#define OUTER_MARGIN 1e-3f /* voxels beyond the outermost ones that still count, for rounding */
 
 typedef struct {
   floatN x, y, z; /* lattice point of the field, within it */
@@ -28,15 +25,15 @@ typedef struct {
 INLINE FieldPlace place_in_field(const Scene *scene, int k, floatN x, floatN y, floatN z)
 {
   __constant const Effects *e = scene->effects;
-  const float4 ax = e->field_x[k], ay = e->field_y[k], az = e->field_z[k];
-  const float4 upper = convert_float4(e->field_size[k]) - 1.0f;
+  const float4 ax = e->fields[k].x, ay = e->fields[k].y, az = e->fields[k].z;
+  const float4 upper = convert_float4(e->fields[k].size) - 1.0f;
   FieldPlace p;
   p.x = ax.x * x + ax.y * y + ax.z * z + ax.w;
   p.y = ay.x * x + ay.y * y + ay.z * z + ay.w;
   p.z = az.x * x + az.y * y + az.z * z + az.w;
-  p.inside = MASK(p.x >= -FIELD_EDGE) & MASK(p.x <= upper.x + FIELD_EDGE);
-  p.inside &= MASK(p.y >= -FIELD_EDGE) & MASK(p.y <= upper.y + FIELD_EDGE);
-  p.inside &= MASK(p.z >= -FIELD_EDGE) & MASK(p.z <= upper.z + FIELD_EDGE);
+  p.inside = MASK(p.x >= -OUTER_MARGIN) & MASK(p.x <= upper.x + OUTER_MARGIN);
+  p.inside &= MASK(p.y >= -OUTER_MARGIN) & MASK(p.y <= upper.y + OUTER_MARGIN);
+  p.inside &= MASK(p.z >= -OUTER_MARGIN) & MASK(p.z <= upper.z + OUTER_MARGIN);
   p.x = lane_clamp(p.x, (floatN)0.0f, (floatN)upper.x);
   p.y = lane_clamp(p.y, (floatN)0.0f, (floatN)upper.y);
   p.z = lane_clamp(p.z, (floatN)0.0f, (floatN)upper.z);
@@ -45,9 +42,9 @@ INLINE FieldPlace place_in_field(const Scene *scene, int k, floatN x, floatN y, 
 
 INLINE floatN nearest_in_field(const Scene *scene, int k, FieldPlace p)
 {
-  const int4 size = scene->effects->field_size[k];
+  const int4 size = scene->effects->fields[k].size;
   const intN ix = TO_INT(p.x + 0.5f), iy = TO_INT(p.y + 0.5f), iz = TO_INT(p.z + 0.5f);
-  return AS_FLOAT(gather4(scene->fields + scene->effects->field_at[k].x, (iz * size.y + iy) * size.x + ix));
+  return AS_FLOAT(gather4(scene->fields + scene->effects->fields[k].first_voxel, (iz * size.y + iy) * size.x + ix));
 }
 
 /* Voxels of no weight do not count: they may be NaN. */
@@ -59,12 +56,12 @@ INLINE floatN mix_voxels(floatN a, floatN b, floatN share)
 
 INLINE floatN linear_in_field(const Scene *scene, int k, FieldPlace p)
 {
-  const int4 size = scene->effects->field_size[k];
+  const int4 size = scene->effects->fields[k].size;
   const intN ix = min(TO_INT(p.x), (intN)(size.x - 2)), iy = min(TO_INT(p.y), (intN)(size.y - 2));
   const intN iz = min(TO_INT(p.z), (intN)(size.z - 2));
   const floatN fx = p.x - TO_FLOAT(ix), fy = p.y - TO_FLOAT(iy), fz = p.z - TO_FLOAT(iz);
   const intN at = (iz * size.y + iy) * size.x + ix;
-  __global const float *voxels = scene->fields + scene->effects->field_at[k].x;
+  __global const float *voxels = scene->fields + scene->effects->fields[k].first_voxel;
   floatN slices[2];
   _Pragma("unroll 1") for (int z = 0; z < 2; ++z) {
     __global const float *a = voxels + (size_t)z * size.x * size.y, *b = a + size.x;
@@ -96,18 +93,18 @@ INLINE FieldLook no_fields(void)
 #if FIELDS & FIELD_DENSITY
 
 /* Adds (c D, D) of a step through density `k` where its value is `value`, of the segment of `ray` from t0 to t1. Where the opacity reaches 1
- * in a slope (field_map.z) the extinction has a pole, which is integrated between the segment's ends and its middle, not sampled. */
+ * in a slope (has_pole) the extinction has a pole, which is integrated between the segment's ends and its middle, not sampled. */
 INLINE void add_density(const Scene *scene, int k, floatN value, const Rays *ray, floatN t0, floatN t1, intN there, Emission *added)
 {
   __constant const Effects *e = scene->effects;
-  const float4 map = e->field_map[k]; /* columns and count of its pieces; whether there is a pole; a smallest edge in its opacity units */
-  __global const float *rows = scene->factors + e->field_at[k].y;
-  const Pieces f = {rows, (intN)0, (int)map.x, (int)map.y, 0, rows[ROW_ORIGIN * (int)map.x]};
-  const floatN units = map.w * scene->view->march.x;
+  __constant const Field *field = &e->fields[k];
+  __global const float *rows = scene->factors + e->fields[k].table;
+  const Pieces f = {rows, (intN)0, field->piece_columns, field->piece_count, 0, rows[ROW_ORIGIN * field->piece_columns]};
+  const floatN units = field->edge_units * scene->view->step;
   there &= finite_lanes(value);
   value = select((floatN)0.0f, value, there);
   Emission own = emission_of_value(value, units, f);
-  if (map.z > 0.0f && any_lane(there)) {
+  if (field->has_pole && any_lane(there)) {
     own = no_emission();
     _Pragma("unroll 1") for (int end = 0; end < 2; ++end) {
       const floatN t = end ? t1 : t0;
@@ -129,19 +126,19 @@ INLINE void add_density(const Scene *scene, int k, floatN value, const Rays *ray
 /* How far above its threshold a mask is on the side that is kept; below 0 outside. `known`: whether there is any mask. */
 INLINE floatN above_mask(const Scene *scene, int k, floatN x, floatN y, floatN z, intN *known)
 {
-  const float4 map = scene->effects->field_map[k]; /* threshold, 1 or -1 */
+  __constant const Field *field = &scene->effects->fields[k];
   const FieldPlace p = place_in_field(scene, k, x, y, z);
   const floatN value = linear_in_field(scene, k, p);
   *known = p.inside & finite_lanes(value);
-  return select((floatN)-1.0f, map.y * (value - map.x), *known);
+  return select((floatN)-1.0f, field->side * (value - field->threshold), *known);
 }
 
 /* Whether all masks keep a place. */
 INLINE intN mask_keeps(const Scene *scene, floatN x, floatN y, floatN z, intN active, Tally *counted)
 {
   intN kept = active;
-  _Pragma("unroll 1") for (int k = 0; k < scene->effects->fields.x; ++k) {
-    if (scene->effects->field_size[k].w != FIELD_MASK || !any_lane(kept)) continue;
+  _Pragma("unroll 1") for (int k = 0; k < scene->effects->field_count; ++k) {
+    if (scene->effects->fields[k].role != FIELD_MASK || !any_lane(kept)) continue;
     intN known;
     count_lanes(&counted[COUNT_FIELD_SAMPLES], kept);
     kept &= MASK(above_mask(scene, k, x, y, z, &known) >= 0.0f);
@@ -171,9 +168,9 @@ INLINE floatN kept_share(const Scene *scene, int k, const Rays *ray, floatN t0, 
 INLINE floatN kept_by_masks(const Scene *scene, const Rays *ray, floatN t0, floatN t1, intN active, Tally *counted)
 {
   floatN share = select((floatN)0.0f, (floatN)1.0f, active);
-  _Pragma("unroll 1") for (int k = 0; k < scene->effects->fields.x; ++k) {
+  _Pragma("unroll 1") for (int k = 0; k < scene->effects->field_count; ++k) {
     const intN kept = MASK(share > 0.0f);
-    if (scene->effects->field_size[k].w != FIELD_MASK || !any_lane(kept)) continue;
+    if (scene->effects->fields[k].role != FIELD_MASK || !any_lane(kept)) continue;
     count_lanes(&counted[COUNT_FIELD_SAMPLES], kept), count_lanes(&counted[COUNT_FIELD_SAMPLES], kept);
     share *= kept_share(scene, k, ray, t0, t1);
   }
@@ -190,8 +187,8 @@ INLINE FieldLook look_at_fields(const Scene *scene, const Rays *ray, floatN t0, 
   __constant const Effects *e = scene->effects;
   FieldLook look = no_fields();
 #if FIELDS & FIELD_DENSITY
-  _Pragma("unroll 1") for (int k = 0; k < e->fields.x; ++k) {
-    if (e->field_size[k].w != FIELD_DENSITY) continue;
+  _Pragma("unroll 1") for (int k = 0; k < e->field_count; ++k) {
+    if (e->fields[k].role != FIELD_DENSITY) continue;
     const FieldPlace p = place_in_field(scene, k, x, y, z);
     const intN there = active & p.inside;
     if (!any_lane(there)) continue;
@@ -201,13 +198,13 @@ INLINE FieldLook look_at_fields(const Scene *scene, const Rays *ray, floatN t0, 
 #endif
 #if FIELDS & FIELD_LABEL
   if (any_lane(shows)) {
-    _Pragma("unroll 1") for (int k = 0; k < e->fields.x; ++k) {
-      if (e->field_size[k].w != FIELD_LABEL) continue;
+    _Pragma("unroll 1") for (int k = 0; k < e->field_count; ++k) {
+      if (e->fields[k].role != FIELD_LABEL) continue;
       const FieldPlace p = place_in_field(scene, k, x, y, z);
       const floatN code = nearest_in_field(scene, k, p);
       const intN labelled = shows & p.inside & MASK(code > 0.0f);
       count_lanes(&counted[COUNT_FIELD_SAMPLES], shows & p.inside);
-      __global const float *labels = scene->factors + e->field_at[k].y;
+      __global const float *labels = scene->factors + e->fields[k].table;
       const intN entry = 4 * select((intN)0, TO_INT(code), labelled);
       const Vectors color = {AS_FLOAT(gather4(labels, entry)), AS_FLOAT(gather4(labels + 1, entry)),
                              AS_FLOAT(gather4(labels + 2, entry))};

@@ -1,7 +1,7 @@
 /* Image sampling: the rays of every n-th pixel of every n-th row are there (`coarse`: a lattice's picture, from raycast.cl);
  * what lies between four of them is interpolated where they agree, and gets a ray of its own where not.
  *
- * coarse         float4 [rows, columns] of the lattice; view->band: -, spacing n, columns, rows; view->voxel.z: how far apart the
+ * coarse         float4 [rows, columns] of the lattice; view->ray_spacing is n, view->lattice columns and rows; view->ray_tolerance: how far apart the
  *                four corners may be in any channel
  * coarse_depths  float [rows, columns] (only read if WITH_DEPTH)
  * samples, rays  uint [tiles]
@@ -18,7 +18,7 @@ INLINE Interpolated between_rays(__global const float4 *coarse, __global const f
                                  int x, int y)
 {
   Interpolated between;
-  const int n = view->band.y, columns = view->band.z, rows = view->band.w;
+  const int n = view->ray_spacing, columns = view->lattice.x, rows = view->lattice.y;
   const int cx = x / n, cy = y / n;
   const float fx = (float)(x - cx * n) / (float)n, fy = (float)(y - cy * n) / (float)n;
   const int right = fx > 0.0f, below = fy > 0.0f;
@@ -29,7 +29,7 @@ INLINE Interpolated between_rays(__global const float4 *coarse, __global const f
   const float4 range = fmax(fmax(c00, c10), fmax(c01, c11)) - fmin(fmin(c00, c10), fmin(c01, c11));
   const float4 top = c00 + fx * (c10 - c00), bottom = c01 + fx * (c11 - c01);
   between.rgba = top + fy * (bottom - top);
-  between.agree = fmax(fmax(range.x, range.y), fmax(range.z, range.w)) <= view->voxel.z || !(right | below);
+  between.agree = fmax(fmax(range.x, range.y), fmax(range.z, range.w)) <= view->ray_tolerance || !(right | below);
 #if WITH_DEPTH
   const float d00 = coarse_depths[at], d10 = coarse_depths[at + right];
   const float d01 = coarse_depths[at + down], d11 = coarse_depths[at + down + right];
@@ -41,19 +41,18 @@ INLINE Interpolated between_rays(__global const float4 *coarse, __global const f
   return between;
 }
 
-__kernel WIDE_VECTORS void fill_between_rays(__global const uchar *restrict volume, __global const float *restrict table,
-                                             __global const float *restrict warp, __global const uchar *restrict distances,
-                                             __constant const View *restrict view, __global const float4 *restrict coarse,
+__kernel WIDE_VECTORS void fill_between_rays(SCENE_PARAMETERS, __global const float4 *restrict coarse,
                                              __global const float *restrict coarse_depths, __global float4 *restrict image,
                                              __global float *restrict depths, __global uint *restrict samples,
-                                             __global uint *restrict rays EFFECT_PARAMETERS)
+                                             __global uint *restrict rays COUNTS_PARAMETER)
 {
-  EFFECT_TALLY
+  const Scene scene = SCENE;
+  DECLARE_TALLIES
   const int width = view->image.x, height = view->image.y;
-  const int columns = max(1, (width + view->image.z - 1) / view->image.z);
-  const int tile = (int)get_global_id(0) + view->band.x;
-  const int left = tile % columns * view->image.z, top = tile / columns * view->image.w;
-  const int right = min(left + view->image.z, width), bottom = min(top + view->image.w, height);
+  const int columns = max(1, (width + view->tile.x - 1) / view->tile.x);
+  const int tile = (int)get_global_id(0) + view->first_tile;
+  const int left = tile % columns * view->tile.x, top = tile / columns * view->tile.y;
+  const int right = min(left + view->tile.x, width), bottom = min(top + view->tile.y, height);
   int column[LANES], row[LANES];
   uint total = 0, traced = 0;
   int waiting = 0, x = left, y = top;
@@ -76,7 +75,7 @@ __kernel WIDE_VECTORS void fill_between_rays(__global const uchar *restrict volu
     float rgba[4 * LANES], depth[LANES];
     uint taken[LANES];
     for (int k = waiting; k < LANES; ++k) column[k] = width, row[k] = height; /* outside: no ray */
-    render_packet(volume, table, warp, distances, view EFFECT_ARGUMENTS, LOAD_LANES(column), LOAD_LANES(row), rgba, depth, taken);
+    render_packet(&scene, LOAD_LANES(column), LOAD_LANES(row), rgba, depth, taken, counted);
     for (int k = 0; k < waiting; ++k) {
       const size_t pixel = (size_t)row[k] * width + column[k];
       image[pixel] = vload4(k, rgba);
@@ -88,7 +87,7 @@ __kernel WIDE_VECTORS void fill_between_rays(__global const uchar *restrict volu
     traced += (uint)waiting;
     waiting = 0;
   }
-  EFFECT_STORE_TALLY(tile)
+  STORE_TALLIES(tile)
   samples[tile] = total;
   rays[tile] = traced;
 }

@@ -15,7 +15,9 @@
 
 #include "features.h"
 #include "fetch_edge.h"
+#include "lanes.h"
 #include "sample_volume.h"
+#include "view.h"
 
 typedef struct {
   floatN x, y, z;
@@ -139,7 +141,7 @@ INLINE SliceDifferences slice_differences(__global const uchar *slice, intN at, 
 INLINE Gradient inner_gradient(__global const uchar *volume, __constant const View *view, Place x, Place y, Place z)
 {
   const intN corner = corner_offset(view, x.index, y.index, z.index);
-  const intN at = corner - (intN)(view->stride.x + 1), below = at + (intN)(2 * view->stride.x);
+  const intN at = corner - (intN)(view->row_stride + 1), below = at + (intN)(2 * view->row_stride);
   const size_t slice = slice_bytes(view);
   const SliceDifferences s0 = slice_differences(volume, at, below, x.f, y.f);
   const SliceDifferences s1 = slice_differences(volume + slice, at, below, x.f, y.f);

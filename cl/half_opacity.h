@@ -13,11 +13,14 @@
 #define HALF_OPACITY_H
 
 #include "classify.h"
+#include "features.h"
+#include "lanes.h"
 #include "opacity.h"
+#include "transfer_pieces.h"
+#include "view.h"
 
 /* What was composited is noted by itself, and the profile is scaled to it. */
 #define HALF_SCALED ((EFFECTS && !SEGMENT_OPACITIES) || CLASSIFICATION == CLASSIFICATION_PRE)
-#define MIDPOINTS (CLASSIFICATION != CLASSIFICATION_PREINTEGRATED)
 #define HALF_TOLERANCE 1e-4f /* steps */
 
 typedef struct {

@@ -12,7 +12,7 @@
  */
 #include "render_packet.h"
 
-#if SHADOWS == SHADOWS_BY_VOLUME
+#if SHADOWS == SHADOWS_VOLUME
 
 /* Unit vectors across `axis`, which is one too. */
 INLINE void axes_across(Vectors axis, Vectors *u, Vectors *v)
@@ -30,29 +30,22 @@ INLINE void axes_across(Vectors axis, Vectors *u, Vectors *v)
  * samples  uint [work-items]: reconstructions of the volume
  * light    number of the light among all; index: among those that cast shadows; first: point of this launch
  */
-__kernel WIDE_VECTORS void light_volume(__global const uchar *restrict volume, __global const float *restrict table,
-                                        __global const float *restrict warp, __global const uchar *restrict distances,
-                                        __constant const View *restrict view, __constant const Effects *restrict effects,
-                                        __global const float4 *restrict items, __global const uint *restrict gradients,
-                                        __global const uchar *restrict surface_distances, __global const uint *restrict noise,
-                                        __global const float *restrict factors, __global const float *restrict fields,
-                                        __global const float4 *restrict cone,
+__kernel WIDE_VECTORS void light_volume(SCENE_PARAMETERS, __global const float4 *restrict cone,
                                         int light, int index, int first, __global float *restrict arrives,
                                         __global uint *restrict samples)
 {
   const int4 size = effects->light_size;
   const int points = size.x * size.y * size.z, item = get_global_id(0) + first / LANES;
   if (item * LANES >= points) return;
-  const Scene scene_ = {volume, table, warp, distances, view, effects, items, gradients, surface_distances, items, items,
-                        noise, factors, fields};
+  const Scene scene_ = SCENE;
   const Scene *scene = &scene_;
-  EFFECT_TALLY
+  Tally counted[SCENE_COUNTERS] = {0};
   const intN point = min(item * LANES + LANE_INDEX, (intN)(points - 1));
   const intN z = point / (size.x * size.y), y = point / size.x - z * size.y, x = point - (z * size.y + y) * size.x;
   const Vectors place = {TO_FLOAT(x) * (view->upper.x / (float)(size.x - 1)), TO_FLOAT(y) * (view->upper.y / (float)(size.y - 1)),
                          TO_FLOAT(z) * (view->upper.z / (float)(size.z - 1))};
   const Vectors here = to_local(effects, place.x, place.y, place.z);
-  const float4 at = items[effects->first.x + 2 * light];
+  const float4 at = items[effects->first_light + 2 * light];
   const floatN reach = distance_to_light(at, here);
   Vectors towards = broadcast3(at);
   if (at.w == LIGHT_POINT) {
@@ -78,7 +71,7 @@ __kernel WIDE_VECTORS void light_volume(__global const uchar *restrict volume, _
       scattered.z += 1.0f - opacity_of_depth(less.z * depth);
     }
   }
-  const float s = SCATTERING ? effects->shadow.z : 0.0f, mean = s / (float)max(directions, 1);
+  const float s = SCATTERING ? effects->scattering : 0.0f, mean = s / (float)max(directions, 1);
   float r[LANES], g[LANES], b[LANES];
   STORE_LANES((1.0f - s) * straight + mean * scattered.x, r);
   STORE_LANES((1.0f - s) * straight + mean * scattered.y, g);

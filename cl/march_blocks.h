@@ -7,11 +7,13 @@
 #ifndef MARCH_BLOCKS_H
 #define MARCH_BLOCKS_H
 
-/* Steps at a time: the more, the fuller the vectors of what is blended; but the more samples are taken for nothing, of which long steps
- * have fewer to spare. */
-#define QUEUED_STEPS (STEPPING == STEPPING_FULL ? 12 : 8)
-#include "features.h"
 #include "blend_blocks.h"
+#include "classify.h"
+#include "features.h"
+#include "half_opacity.h"
+#include "rays.h"
+#include "scene.h"
+#include "skip_empty.h"
 #include "step_blocks.h"
 
 #if CLASSIFICATION == CLASSIFICATION_PRE
@@ -40,15 +42,12 @@ typedef struct {
 #endif
 } March;
 
-INLINE void render_packet(__global const uchar *volume, __global const float *table, __global const float *warp,
-                          __global const uchar *distances, __constant const View *view EFFECT_PACKET_PARAMETERS, intN px, intN py,
-                          float *rgba, float *depth, uint *samples)
+INLINE void render_packet(const Scene *scene, intN px, intN py, float *rgba, float *depth, uint *samples, Tally *counted)
 {
-  BlockVolume block_samples = block_volume(volume, view, index, corners, blocks MORE_SAMPLE_ARGUMENTS);
-#if STEPPING == STEPPING_BOUNDED
-  block_samples.steps = steps;
-#endif
-  const BlockVolume *v = &block_samples;
+  __global const uchar *distances = scene->distances;
+  __global const float *table = scene->table;
+  __constant const View *view = scene->view;
+  const BlockVolume *v = &scene->blocks;
   Rays ray = make_rays(view, TO_FLOAT(px), TO_FLOAT(py));
   ray.x0 += 0.5f, ray.y0 += 0.5f, ray.z0 += 0.5f;
   intN active = MASK(ray.length > 0.0f) & MASK(px < view->image.x) & MASK(py < view->image.y);
@@ -184,12 +183,12 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
       value1 = select(value1, value, active), t1 = select(t1, at_t, active);
       second = select(second, first, active), first &= ~active;
 #endif
-      active &= MASK(at_t < end) & MASK(acc.a < view->march.z);
+      active &= MASK(at_t < end) & MASK(acc.a < view->stop_opacity);
     }
   }
   gathered_store(&acc, rgba);
 #if WITH_DEPTH
-  STORE_LANES((ray.entry_depth + half_place(&half_, 1.0f, table, view) * view->march.x) * view->march.w, depth);
+  STORE_LANES((ray.entry_depth + half_place(&half_, 1.0f, table, view) * view->step) * view->edge_length, depth);
 #endif
   STORE_LANES(taken, samples);
 }

@@ -2,12 +2,21 @@
  *
  * Inside a cell the trilinear field along a ray is a cubic; at the faces it has kinks, and kinks are most of the error of even
  * steps once these are shorter than a voxel. Between the faces high order pays. The eight corners are fetched once a cell,
- * however often the field is evaluated in it (PARTS = view->voxel.y parts a cell, 1 or even):
+ * however often the field is evaluated in it (PARTS = view->cell_parts parts a cell, 1 or even):
  *   post           two Gauss-Legendre points for every two parts; for PARTS = 1 the midpoint alone
  *   preintegrated  the chords between the ends of the parts, each shifted so that its mean is the cubic's (Simpson's rule)
  */
 #ifndef MARCH_CELLS_H
 #define MARCH_CELLS_H
+
+#include "classify.h"
+#include "features.h"
+#include "half_opacity.h"
+#include "march.h"
+#include "rays.h"
+#include "sample_volume.h"
+#include "scene.h"
+#include "skip_empty.h"
 
 #if FILTER != FILTER_LINEAR || CLASSIFICATION == CLASSIFICATION_PRE
 #error "quadrature by cells needs the linear filter, and interpolated values that are classified"
@@ -31,8 +40,8 @@ INLINE floatN value_at(const Corners *c, const Rays *ray, floatN cx, floatN cy, 
 INLINE void integrate_cell(Gathered *acc, HalfOpacity *half_, const Corners *c, const Rays *ray, floatN cx, floatN cy, floatN cz,
                            floatN t0, floatN t1, intN active, __global const float *table, __constant const View *view)
 {
-  const int parts = (int)view->voxel.y;
-  const floatN length = (t1 - t0) * (1.0f / view->voxel.y);
+  const int parts = view->cell_parts;
+  const floatN length = (t1 - t0) * (1.0f / (float)parts);
 #if CLASSIFICATION == CLASSIFICATION_PREINTEGRATED
   floatN front = value_at(c, ray, cx, cy, cz, t0);
   _Pragma("unroll 1") for (int part = 0; part < parts; ++part) {
@@ -79,16 +88,17 @@ INLINE void integrate_cell(Gathered *acc, HalfOpacity *half_, const Corners *c, 
 }
 
 /* The packet's rays from cell to cell. `taken` counts evaluations of the field. */
-INLINE void render_packet(__global const uchar *volume, __global const float *table, __global const float *warp,
-                          __global const uchar *distances, __constant const View *view, intN px, intN py,
-                          float *rgba, float *depth, uint *samples)
+INLINE void render_packet(const Scene *scene, intN px, intN py, float *rgba, float *depth, uint *samples, Tally *counted)
 {
+  __global const uchar *volume = scene->volume, *distances = scene->distances;
+  __global const float *table = scene->table;
+  __constant const View *view = scene->view;
   const Rays ray = make_rays(view, TO_FLOAT(px), TO_FLOAT(py));
   const intN zero = 0, last_x = view->size.x - 2, last_y = view->size.y - 2, last_z = view->size.z - 2;
   const intN right = MASK(ray.rx > 0.0f), down = MASK(ray.ry > 0.0f), away = MASK(ray.rz > 0.0f);
   const intN step_x = select((intN)-1, (intN)1, right), step_y = select((intN)-1, (intN)1, down);
   const intN step_z = select((intN)-1, (intN)1, away);
-  const uint evaluations = CLASSIFICATION == CLASSIFICATION_POST ? (uint)view->voxel.y : 2u * (uint)view->voxel.y + 1u;
+  const uint evaluations = CLASSIFICATION == CLASSIFICATION_POST ? (uint)view->cell_parts : 2u * (uint)view->cell_parts + 1u;
   intN active = MASK(ray.length > 0.0f) & MASK(px < view->image.x) & MASK(py < view->image.y);
   intN ix = zero, iy = zero, iz = zero, known = zero; /* cell; whether it is known */
   floatN t = 0.0f;
@@ -131,7 +141,7 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
       integrate_cell(&acc, &half_, &c, &ray, cx, cy, cz, t, t1, here, table, view);
       taken += AS_UINT(here) & evaluations;
       t = select(t, t1, here);
-      active &= MASK(acc.a < view->march.z);
+      active &= MASK(acc.a < view->stop_opacity);
     }
   }
   gathered_store(&acc, rgba);
@@ -151,7 +161,7 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
   }
 #endif
 #if WITH_DEPTH
-  STORE_LANES((ray.entry_depth + half_place(&half_, 1.0f, table, view) * view->march.x) * view->march.w, depth);
+  STORE_LANES((ray.entry_depth + half_place(&half_, 1.0f, table, view) * view->step) * view->edge_length, depth);
 #endif
   STORE_LANES(taken, samples);
 }

@@ -12,44 +12,25 @@
 #ifndef MARCH_EFFECTS_H
 #define MARCH_EFFECTS_H
 
+#include "classify.h"
+#include "composite.h"
 #include "emission.h"
-#include "clip.h"
+#include "features.h"
+#include "half_opacity.h"
+#include "march.h"
+#include "rays.h"
+#include "scene.h"
 #include "scene_value.h"
-
-#include "shade.h"
-
+#include "skip_empty.h"
+#if CLIP
+#include "clip.h"
+#endif
 #if LIGHTING
-/* c (times `depth`) lit, where there is a normal; fading to the unlit colour where the gradient is short. */
-INLINE Vectors shaded_color(const Scene *scene, Vectors color, floatN depth, Vectors place, Vectors normal, Vectors gradient,
-                            Vectors view, floatN weight, int on_surface, intN active, Tally *counted)
-{
-  if (!any_lane(active)) return color;
-  count_lanes(&counted[COUNT_LIT], active);
-  const Illumination lit = illuminate(scene, place, normal, view, weight, on_surface, active, counted);
-  Vectors shaded = {color.x * lit.diffuse.x + depth * lit.specular.x, color.y * lit.diffuse.y + depth * lit.specular.y,
-                    color.z * lit.diffuse.z + depth * lit.specular.z};
-  if (scene->effects->shading.x > 0.0f) {
-    const floatN share = lane_min(sqrt(dot3(gradient, gradient)) * scene->effects->shading.x, (floatN)1.0f);
-    shaded.x = color.x + share * (shaded.x - color.x), shaded.y = color.y + share * (shaded.y - color.y);
-    shaded.z = color.z + share * (shaded.z - color.z);
-  }
-  return select3(color, shaded, active);
-}
+#include "shade.h"
 #endif
-
 #if DEPTH_CUE
-/* c (times `depth`) at a distance from the eye (edges), towards the cue's colour. */
-INLINE Vectors cued_color(const Scene *scene, Vectors color, floatN depth, floatN distance)
-{
-  __constant const Effects *e = scene->effects;
-  const floatN share = e->depth_cue.z * lane_clamp((distance - e->depth_cue.x) * e->depth_cue.y, (floatN)0.0f, (floatN)1.0f);
-  const Vectors cued = {color.x + share * (e->depth_color.x * depth - color.x),
-                        color.y + share * (e->depth_color.y * depth - color.y),
-                        color.z + share * (e->depth_color.z * depth - color.z)};
-  return cued;
-}
+#include "depth_cue.h"
 #endif
-
 #if OPACITY_FACTORS || TRANSFER_LAYERS
 #include "opacity_factors.h"
 #endif
@@ -98,18 +79,13 @@ INLINE Vectors cued_color(const Scene *scene, Vectors color, floatN depth, float
 /* Gradients are also reconstructed where nothing is lit, for what depends on them. */
 #define GRADIENT_DECIDES (OPACITY_FACTORS || TRANSFER_LAYERS)
 
-INLINE void render_packet(__global const uchar *volume, __global const float *table, __global const float *warp,
-                          __global const uchar *distances, __constant const View *view_, __constant const Effects *effects,
-                          __global const float4 *items, __global const uint *gradients, __global const uchar *surface_distances,
-                          __global const float4 *environment, __global const float4 *light_volume, __global const uint *noise,
-                          __global const float *factors, __global const float *fields,
-                          Tally *counted, intN px, intN py, float *rgba, float *depth, uint *samples)
+INLINE void render_packet(const Scene *scene, intN px, intN py, float *rgba, float *depth, uint *samples, Tally *counted)
 {
-  const Scene scene_ = {volume, table, warp, distances, view_, effects, items, gradients, surface_distances, environment, light_volume,
-                        noise, factors, fields};
-  const Scene *scene = &scene_;
-  __constant const View *view = view_;
-  const float h = view->march.x;
+  __global const uchar *volume = scene->volume, *distances = scene->distances;
+  __global const float *table = scene->table;
+  __constant const View *view = scene->view;
+  __constant const Effects *effects = scene->effects;
+  const float h = view->step;
   Rays whole_ray = make_rays_of_step(view, TO_FLOAT(px), TO_FLOAT(py), 1.0f); /* in edges: where clips cut depends on no step */
   Vectors forward = direction_to_local(effects, whole_ray.dx, whole_ray.dy, whole_ray.dz);
   intN alive = MASK(whole_ray.length >= 0.0f) & MASK(px < view->image.x) & MASK(py < view->image.y);
@@ -262,7 +238,7 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
 #if TRANSFER_LAYERS
       TablePlace layers = {0, 0, 0.0f};
       if (visible) {
-        layers = layers_around(scene, gradient, view->pieces.z);
+        layers = layers_around(scene, gradient, view->function_floats);
         _Pragma("unroll 1") for (int k = 0; k < 2; ++k) {
           const intN first = k ? layers.high : layers.low;
 #if CLASSIFICATION == CLASSIFICATION_PREINTEGRATED
@@ -299,7 +275,7 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
         const floatN inside = lane_clamp(tm * h, (floatN)0.0f, (floatN)1.0f);
         const intN cut = MASK(dot3(cut_normal, cut_normal) > 0.5f) & MASK(inside < 1.0f);
         if (any_lane(cut)) {
-          const intN two_sided = effects->shading.y > 0.0f ? (intN)-1 : (intN)0;
+          const intN two_sided = effects->two_sided ? (intN)-1 : (intN)0;
           const intN behind = two_sided & MASK(dot3(normal, cut_normal) < 0.0f);
           const Vectors toward = select3(normal, scaled3(normal, -1.0f), behind);
           normal = select3(normal, unit3(sum3(scaled3(toward, inside), scaled3(cut_normal, 1.0f - inside))), cut);
@@ -339,8 +315,8 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
           NOTE_SEGMENT(passes, part)
         }
 #endif
-        last = select(last, (intN)DONE, MASK(acc.a >= view->march.z));
-        alive &= MASK(acc.a < view->march.z);
+        last = select(last, (intN)DONE, MASK(acc.a >= view->stop_opacity));
+        alive &= MASK(acc.a < view->stop_opacity);
 #if REFRACTION
         if (any_lane(passage.bends)) {
           const Rays bent = bent_rays(scene, &walk.ray, passage.at, passage.direction);
@@ -364,8 +340,8 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
           NOTE_SEGMENT(passes, length)
         }
 #endif
-        last = select(last, (intN)DONE, MASK(acc.a >= view->march.z));
-        alive &= MASK(acc.a < view->march.z);
+        last = select(last, (intN)DONE, MASK(acc.a >= view->stop_opacity));
+        alive &= MASK(acc.a < view->stop_opacity);
       }
 #endif
       if (ends) {
@@ -395,7 +371,7 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
   }
 #endif
 #if WITH_DEPTH
-  STORE_LANES(half_place(&half_, h, table, view) * view->march.w, depth);
+  STORE_LANES(half_place(&half_, h, table, view) * view->edge_length, depth);
 #endif
   STORE_LANES(taken, samples);
 }

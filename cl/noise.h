@@ -7,20 +7,29 @@
 #ifndef NOISE_H
 #define NOISE_H
 
+#include "features.h"
 #include "lanes.h"
+#include "struct_fields.h"
 
-#define NOISE_VALUE 0
-#define NOISE_COORDINATE 1
-#define NOISE_TERMS 4
 #define NOISE_TILE 32
 #define NOISE_TEXELS (NOISE_TILE * NOISE_TILE * NOISE_TILE)
 
 typedef struct {
-  float4 scale;     /* tiles a lattice unit along x, y, z; gain from octave to octave */
-  float4 offset;    /* tiles, 0 .. 1, along x, y, z; - */
-  float4 amplitude; /* lattice units along x, y, z (coordinate); units of the value (value) */
-  int4 shape;       /* octaves; NOISE_VALUE or NOISE_COORDINATE; first texel of its tile; - */
+  float4 scale;          /* x, y, z: tiles per lattice unit */
+  float4 offset;         /* x, y, z: tiles, 0 .. 1 */
+  float4 amplitude;      /* x, y, z: lattice units, of a term that moves places */
+  float value_amplitude; /* units of the value, of a term that adds to values */
+  float gain;            /* from octave to octave */
+  int octaves;
+  int target;            /* NOISE_TARGET_VALUE or NOISE_TARGET_COORDINATE */
+  int first_texel;       /* of its tile */
 } NoiseTerm;
+
+/* Reported to the host (struct_fields.h). */
+#define NOISE_TERM_FIELDS  \
+  STRUCT(NoiseTerm), FIELD(NoiseTerm, scale), FIELD(NoiseTerm, offset), FIELD(NoiseTerm, amplitude), \
+  FIELD(NoiseTerm, value_amplitude), FIELD(NoiseTerm, gain), FIELD(NoiseTerm, octaves), FIELD(NoiseTerm, target), \
+  FIELD(NoiseTerm, first_texel)
 
 /* The eight texels around a place, x changing fastest, and the place between them. */
 typedef struct {
@@ -66,10 +75,10 @@ INLINE floatN fractal_noise_value(__global const uint *tiles, __constant const N
   floatN sum = 0.0f;
   float weight = 1.0f;
   x = within_tile(x), y = within_tile(y), z = within_tile(z);
-  _Pragma("unroll 1") for (int octave = 0; octave < term->shape.x; ++octave) {
-    const NoiseTexels t = fetch_noise(tiles + term->shape.z, x + term->offset.x, y + term->offset.y, z + term->offset.z);
+  _Pragma("unroll 1") for (int octave = 0; octave < term->octaves; ++octave) {
+    const NoiseTexels t = fetch_noise(tiles + term->first_texel, x + term->offset.x, y + term->offset.y, z + term->offset.z);
     sum += weight * noise_channel(&t, 3);
-    weight *= term->scale.w;
+    weight *= term->gain;
     x = within_tile(x + x), y = within_tile(y + y), z = within_tile(z + z);
   }
   return sum;
@@ -82,28 +91,28 @@ INLINE void fractal_noise(__global const uint *tiles, __constant const NoiseTerm
   floatN sx = 0.0f, sy = 0.0f, sz = 0.0f;
   float weight = 1.0f;
   x = within_tile(x), y = within_tile(y), z = within_tile(z);
-  _Pragma("unroll 1") for (int octave = 0; octave < term->shape.x; ++octave) {
-    const NoiseTexels t = fetch_noise(tiles + term->shape.z, x + term->offset.x, y + term->offset.y, z + term->offset.z);
+  _Pragma("unroll 1") for (int octave = 0; octave < term->octaves; ++octave) {
+    const NoiseTexels t = fetch_noise(tiles + term->first_texel, x + term->offset.x, y + term->offset.y, z + term->offset.z);
     sx += weight * noise_channel(&t, 0), sy += weight * noise_channel(&t, 1), sz += weight * noise_channel(&t, 2);
-    weight *= term->scale.w;
+    weight *= term->gain;
     x = within_tile(x + x), y = within_tile(y + y), z = within_tile(z + z);
   }
   *sum_x = sx, *sum_y = sy, *sum_z = sz;
 }
 
-/* What terms[0 .. count - 1], all NOISE_VALUE, add to the value at a lattice place. */
+/* What terms[0 .. count - 1], all NOISE_TARGET_VALUE, add to the value at a lattice place. */
 INLINE floatN added_noise(__global const uint *tiles, __constant const NoiseTerm *terms, int count, floatN x, floatN y, floatN z)
 {
   floatN sum = 0.0f;
   _Pragma("unroll 1") for (int k = 0; k < count; ++k) {
     __constant const NoiseTerm *term = terms + k;
-    sum += term->amplitude.w *
+    sum += term->value_amplitude *
            fractal_noise_value(tiles, term, x * term->scale.x, y * term->scale.y, z * term->scale.z);
   }
   return sum;
 }
 
-/* Moves a lattice place by terms[0 .. count - 1], all NOISE_COORDINATE and all taken where it was at first. */
+/* Moves a lattice place by terms[0 .. count - 1], all NOISE_TARGET_COORDINATE and all taken where it was at first. */
 INLINE void displace(__global const uint *tiles, __constant const NoiseTerm *terms, int count, floatN *x, floatN *y, floatN *z)
 {
   const floatN x0 = *x, y0 = *y, z0 = *z;

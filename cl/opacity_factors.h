@@ -10,10 +10,8 @@
 
 #include "effects.h"
 #include "emission.h"
-
-/* As in clvol/device/opacity_factors.py: bits of OPACITY_FACTORS. */
-#define FACTOR_GRADIENT 1
-#define FACTOR_DIRECTIONAL 2
+#include "features.h"
+#include "scene.h"
 
 /* Without over- or underflow of the squares. */
 INLINE floatN length3(Vectors a)
@@ -65,11 +63,11 @@ INLINE void weigh_by_gradient(const Scene *scene, Emission *e, Vectors gradient,
 {
   __constant const Effects *effects = scene->effects;
   floatN factor = 1.0f;
-#if OPACITY_FACTORS & FACTOR_GRADIENT
-  factor *= opacity_factor(scene, effects->factor_offsets.x, effects->factors.x, length3(gradient));
+#if OPACITY_FACTORS & OPACITY_FACTOR_GRADIENT
+  factor *= opacity_factor(scene, effects->gradient_opacity_table, effects->gradient_opacity_points, length3(gradient));
 #endif
-#if OPACITY_FACTORS & FACTOR_DIRECTIONAL
-  factor *= opacity_factor(scene, effects->factor_offsets.y, effects->factors.y, fabs(dot3(gradient, forward)));
+#if OPACITY_FACTORS & OPACITY_FACTOR_DIRECTIONAL
+  factor *= opacity_factor(scene, effects->directional_opacity_table, effects->directional_opacity_points, fabs(dot3(gradient, forward)));
 #endif
   e->r *= factor, e->g *= factor, e->b *= factor, e->d *= factor;
 }
@@ -82,7 +80,7 @@ INLINE void weigh_by_gradient(const Scene *scene, Emission *e, Vectors gradient,
 INLINE TablePlace layers_around(const Scene *scene, Vectors gradient, int floats)
 {
   __constant const Effects *effects = scene->effects;
-  TablePlace p = place_in_table(scene->factors + effects->factor_offsets.z, effects->factors.z, length3(gradient));
+  TablePlace p = place_in_table(scene->factors + effects->layer_table, effects->layer_count, length3(gradient));
   p.low *= floats, p.high *= floats;
   return p;
 }

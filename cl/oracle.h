@@ -11,7 +11,9 @@
 #define ORACLE_H
 
 #include "features.h"
+#include "lanes.h"
 #include "oracle_layout.h"
+#include "pyramid.h"
 
 #define ORACLE_HAS_MAP (ORACLE == ORACLE_MAP || ORACLE == ORACLE_ERROR)
 
@@ -25,12 +27,13 @@ INLINE floatN byte_distance(intN byte) { return select(AS_FLOAT((byte + ((127 - 
 #define CELL_MARGIN 0.0f
 #endif
 
-/* The byte of the cell that holds a place inside the volume. `cells`: of the map along x, y, z, and log2 of a cell's edge. */
-INLINE intN fetch_cell(__global const uchar *map, int4 cells, floatN x, floatN y, floatN z)
+/* The byte of the cell that holds a place inside the volume. `cells`: of the map along x, y, z, whose edge is 2^shift lattice
+ * units. */
+INLINE intN fetch_cell(__global const uchar *map, int4 cells, int shift, floatN x, floatN y, floatN z)
 {
-  const intN cx = min(TO_INT(x + CELL_MARGIN) >> cells.w, (intN)(cells.x - 1));
-  const intN cy = min(TO_INT(y + CELL_MARGIN) >> cells.w, (intN)(cells.y - 1));
-  const intN cz = min(TO_INT(z + CELL_MARGIN) >> cells.w, (intN)(cells.z - 1));
+  const intN cx = min(TO_INT(x + CELL_MARGIN) >> shift, (intN)(cells.x - 1));
+  const intN cy = min(TO_INT(y + CELL_MARGIN) >> shift, (intN)(cells.y - 1));
+  const intN cz = min(TO_INT(z + CELL_MARGIN) >> shift, (intN)(cells.z - 1));
   return AS_INT(gather1(map, MAP_AT(cells, cx, cy, cz)) & 255u);
 }
 
@@ -39,7 +42,7 @@ INLINE intN fetch_map(const Source *in, floatN x, floatN y, floatN z)
 {
   const float4 upper = in->view->upper;
   const floatN zero = 0.0f;
-  return fetch_cell(in->map, in->pyramid->cells, lane_clamp(x, zero, (floatN)upper.x), lane_clamp(y, zero, (floatN)upper.y),
+  return fetch_cell(in->map, in->pyramid->cells, in->pyramid->cell_shift, lane_clamp(x, zero, (floatN)upper.x), lane_clamp(y, zero, (floatN)upper.y),
                     lane_clamp(z, zero, (floatN)upper.z));
 }
 

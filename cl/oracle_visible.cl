@@ -30,9 +30,9 @@ __kernel void visible_cells(__global const Voxel *restrict volume, __global cons
           for (int x = x0; x <= x1; ++x) {
             const Voxel voxel = volume[((size_t)z * size.y + y) * size.x + x];
 #if VOXEL_BITS == 64
-            const float v = (float)((voxel - view->voxel_double.x) * view->voxel_double.y);
+            const float v = (float)((voxel - view->voxel_bias_double) * view->voxel_gain_double);
 #elif VOXEL_SCALED
-            const float v = voxel * view->voxel.x;
+            const float v = voxel * view->voxel_gain;
 #else
             const float v = (float)voxel;
 #endif

@@ -20,9 +20,16 @@
 #define PROJECT_H
 
 #include "background.h"
+#include "classify.h"
 #include "clip.h"
+#include "composite.h"
 #include "emission.h"
+#include "features.h"
+#include "march.h"
+#include "rays.h"
+#include "scene.h"
 #include "scene_value.h"
+#include "skip_empty.h"
 #if FIELDS
 #include "fields.h"
 #endif
@@ -51,7 +58,7 @@ INLINE floatN next_above(const Scene *scene, const Rays *ray, floatN t, floatN n
     const intN x = TO_INT(lane_clamp(ray->x0 + t * ray->dx, (floatN)0.0f, (floatN)view->upper.x));
     const intN y = TO_INT(lane_clamp(ray->y0 + t * ray->dy, (floatN)0.0f, (floatN)view->upper.y));
     const intN z = TO_INT(lane_clamp(ray->z0 + t * ray->dz, (floatN)0.0f, (floatN)view->upper.z));
-    int shift = view->cells.w, nx = view->cells.x, ny = view->cells.y, nz = view->cells.z, first = 0;
+    int shift = view->cell_shift, nx = view->cells.x, ny = view->cells.y, nz = view->cells.z, first = 0;
     intN leaps = active, across = shift;
     _Pragma("unroll 1") for (int level = 0; level < BOUND_LEVELS; ++level) {
       const intN cx = min(x >> shift, (intN)(nx - 1)), cy = min(y >> shift, (intN)(ny - 1)), cz = min(z >> shift, (intN)(nz - 1));
@@ -64,7 +71,7 @@ INLINE floatN next_above(const Scene *scene, const Rays *ray, floatN t, floatN n
       nx = (nx + (1 << BOUND_SHIFT) - 1) >> BOUND_SHIFT, ny = (ny + (1 << BOUND_SHIFT) - 1) >> BOUND_SHIFT;
       nz = (nz + (1 << BOUND_SHIFT) - 1) >> BOUND_SHIFT;
     }
-    if (shift == view->cells.w) return entered; /* no lane leaps */
+    if (shift == view->cell_shift) return entered; /* no lane leaps */
     const intN fx = ((x >> across) + right) << across, fy = ((y >> across) + down) << across;
     const intN fz = ((z >> across) + away) << across;
     const floatN leave_x = (TO_FLOAT(fx) - ray->x0) * ray->rx + ray->px, leave_y = (TO_FLOAT(fy) - ray->y0) * ray->ry + ray->py;
@@ -86,18 +93,12 @@ INLINE floatN middle_of(const Rays *ray, intN i)
   return 0.5f * (t + lane_min(t + 1.0f, ray->length));
 }
 
-INLINE void render_packet(__global const uchar *volume, __global const float *table, __global const float *warp,
-                          __global const uchar *distances, __constant const View *view_, __constant const Effects *effects,
-                          __global const float4 *items, __global const uint *gradients, __global const uchar *surface_distances,
-                          __global const float4 *environment, __global const float4 *light_volume, __global const uint *noise,
-                          __global const float *factors, __global const float *fields,
-                          Tally *counted, intN px, intN py, float *rgba, float *depth, uint *samples)
+INLINE void render_packet(const Scene *scene, intN px, intN py, float *rgba, float *depth, uint *samples, Tally *counted)
 {
-  const Scene scene_ = {volume, table, warp, distances, view_, effects, items, gradients, surface_distances, environment, light_volume,
-                        noise, factors, fields};
-  const Scene *scene = &scene_;
-  __constant const View *view = view_;
-  const float h = view->march.x, lowest = effects->value_bounds.x, highest = effects->value_bounds.y;
+  __global const float *table = scene->table;
+  __constant const View *view = scene->view;
+  __constant const Effects *effects = scene->effects;
+  const float h = view->step, lowest = effects->lowest_sample, highest = effects->highest_sample;
   const Rays whole_ray = make_rays(view, TO_FLOAT(px), TO_FLOAT(py));
   const intN on_picture = MASK(px < view->image.x) & MASK(py < view->image.y);
   intN alive = MASK(whole_ray.length >= 0.0f) & on_picture;
@@ -144,7 +145,7 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
     {
       const intN going = alive & MASK(i <= last);
       const floatN t = middle_of(&ray, i);
-      floatN needed = lane_max(best, (floatN)effects->projection.w);
+      floatN needed = lane_max(best, (floatN)effects->hidden_score);
 #if COMPOSITING == COMPOSITING_ATTENUATED_MAXIMUM
       /* What lies ahead counts for no more than here: a ray ends where nothing ahead could win. Of its last stretch alone, since
        * what is left out would be missing from the integral in the next. */
@@ -185,7 +186,7 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
       sum += length * (v - lowest), length_sum += length;
 #else
 #if COMPOSITING == COMPOSITING_ATTENUATED_MAXIMUM
-      const floatN share = lane_max((v - effects->projection.x) * effects->projection.y, (floatN)0.0f);
+      const floatN share = lane_max((v - effects->lowest_value) * effects->values_per_range, (floatN)0.0f);
       const floatN length = kept * select((floatN)0.0f, lane_min(ray.length - TO_FLOAT(i), (floatN)1.0f), counts);
       const floatN score = share * attenuation;
 #elif COMPOSITING == COMPOSITING_MINIMUM
@@ -201,7 +202,7 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
 #if COMPOSITING == COMPOSITING_ATTENUATED_MAXIMUM
       opacity_share = select(opacity_share, attenuation, better);
       passed += share * length;
-      attenuation = exp(-effects->projection.z * passed);
+      attenuation = exp(-effects->attenuation * passed);
 #endif
 #endif
       i -= active;
@@ -228,7 +229,7 @@ INLINE void render_packet(__global const uchar *volume, __global const float *ta
   show_environment(scene, forward, on_picture, &acc);
 #endif
   gathered_store(&acc, rgba);
-  STORE_LANES(picked_at * view->march.w, depth);
+  STORE_LANES(picked_at * view->edge_length, depth);
   STORE_LANES(taken, samples);
 }
 

@@ -2,16 +2,10 @@
  *
  * Switches (-D): LANES, WORKERS, TILE, ORACLE, LEAPS, and those of voxels and classification as for raycast.cl.
  */
-#include "render_packet.h"
-#include "pyramid_pixels.h"
+#include "half_opacity.h"
 #include "pyramid_leap.h"
-
-#if BLOCKS
-#define SOURCE_PARAMETERS \
-  , __global const int *restrict index, __global const uint *restrict corners, __constant const Blocks *restrict blocks MORE_SAMPLE_PARAMETERS
-#else
-#define SOURCE_PARAMETERS
-#endif
+#include "pyramid_pixels.h"
+#include "scene.h"
 
 #define PACKETS_IN_ROW (TILE / PACKET_W)
 #define PACKETS (TILE * TILE / LANES / WORKERS) /* a work-item's */
@@ -24,14 +18,12 @@
  * and of a volume of blocks what block_parameters.h says
  */
 __kernel WIDE_VECTORS __attribute__((reqd_work_group_size(WORKERS, 1, 1))) void pyramid(
-  __global const uchar *restrict volume, __global const float *restrict table, __global const float *restrict warp,
-  __global const uchar *restrict distances, __constant const View *restrict view, __global float4 *restrict image,
-  __global float *restrict depths, __global uint *restrict samples, __constant const Pyramid *restrict pyramid,
-  __global const uchar *restrict map SOURCE_PARAMETERS, __global uint *restrict counts)
+  SCENE_PARAMETERS, __global float4 *restrict image, __global float *restrict depths, __global uint *restrict samples,
+  __constant const Pyramid *restrict pyramid, __global const uchar *restrict map, __global uint *restrict counts)
 {
   Tally counted[PYRAMID_COUNTERS] = {0}, taken = 0;
 #if BLOCKS
-  const BlockVolume block_samples = block_volume(volume, view, index, corners, blocks MORE_SAMPLE_ARGUMENTS);
+  const BlockVolume block_samples = BLOCK_VOLUME;
   const Source source = {volume, view, pyramid, map, &block_samples, counted + PYRAMID_COUNTERS - BLOCK_COUNTERS};
 #else
   const Source source = {volume, view, pyramid, map};
@@ -40,10 +32,10 @@ __kernel WIDE_VECTORS __attribute__((reqd_work_group_size(WORKERS, 1, 1))) void 
   const int columns = max(1, (width + TILE - 1) / TILE), rows = max(1, (height + TILE - 1) / TILE);
   /* From the top and the bottom in turns: the last ones, by which cores wait for each other, are then in the middle, where much is to be
    * seen, and drivers hand out few at a time in the end. */
-  const int place = (int)get_group_id(0) + view->band.x, some = width > 0;
+  const int place = (int)get_group_id(0) + view->first_tile, some = width > 0;
   const int tile = !some ? place : place & 1 ? columns * rows - 1 - place / 2 : place / 2;
   const int left = tile % columns * TILE, top = tile / columns * TILE;
-  const int levels = pyramid->levels.x + pyramid->levels.y;
+  const int levels = pyramid->levels + pyramid->oversampling;
 #if WORKERS > 1
   __local Levels shared;
 #else
@@ -52,7 +44,7 @@ __kernel WIDE_VECTORS __attribute__((reqd_work_group_size(WORKERS, 1, 1))) void 
   SHARED Levels *m = &shared;
   PixelPacket packets[PACKETS];
   /* Slices at which all pixels take part, and where chunks begin. */
-  const int period = max(CHUNK, 1 << pyramid->levels.x);
+  const int period = max(CHUNK, 1 << pyramid->levels);
   const int columns_of_tile = levels < LEAST_LEVEL ? 1 : (TILE >> levels) * (TILE >> levels);
   float begin = INFINITY, last_enter = -INFINITY, first_leave = INFINITY;
   if (width > 0) {
@@ -115,7 +107,7 @@ __kernel WIDE_VECTORS __attribute__((reqd_work_group_size(WORKERS, 1, 1))) void 
           c.w = fmin(c.w, 1.0f); /* a sum of shares of what was left may round to more than all */
           image[pixel] = c;
 #if WITH_DEPTH
-          depths[pixel] = (view->march.y + places[k] * view->march.x) * view->march.w;
+          depths[pixel] = (view->plane_distance + places[k] * view->step) * view->edge_length;
 #endif
         }
       }
@@ -138,5 +130,8 @@ __kernel WIDE_VECTORS __attribute__((reqd_work_group_size(WORKERS, 1, 1))) void 
 #endif
 }
 
-/* The sizes of Pyramid and View on the device: the host compares them with its own. */
-__kernel void struct_sizes(__global uint *sizes) { sizes[0] = (uint)sizeof(Pyramid), sizes[1] = (uint)sizeof(View); }
+#if BLOCKS
+REPORT_FIELDS(VIEW_FIELDS, PYRAMID_FIELDS, BLOCKS_FIELDS)
+#else
+REPORT_FIELDS(VIEW_FIELDS, PYRAMID_FIELDS)
+#endif

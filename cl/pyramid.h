@@ -34,30 +34,41 @@
 #ifndef PYRAMID_H
 #define PYRAMID_H
 
+#include "features.h"
 #include "lanes.h"
 #include "view.h"
-#include "effects.h"
+#include "struct_fields.h"
 #include "tally.h"
-#include "rays.h"
-#include "classify.h"
 #if BLOCKS
 #include "sample_blocks.h"
+#else
+#include "sample_volume.h"
 #endif
 
-#define MOST_HALVES 16
-
 typedef struct {
-  int4 levels;    /* of coarsening along rays; more of them across (oversampling); halves of space that are kept; - */
-  int4 cells;     /* of the oracle's map x, y, z; log2 of a cell's edge in lattice units */
-  int4 free_cells; /* likewise of the map of empty space */
-  float4 spacing; /* distance of neighbouring rays at slice 0, and by how much it grows a slice (edges); - ; - */
-  float4 edges;   /* smallest edges a lattice unit x, y, z; - */
-  float4 oracle;  /* the oracle's own */
-  float4 gate;    /* values: nothing at or below x, or at or above y, is visible; - ; - */
-  float4 halves[MOST_HALVES]; /* kept is where x, y, z times the lattice point and w are 0 or more together */
+  float4 halves[MOST_HALVES]; /* half-spaces that clips keep: where (x, y, z) times the lattice point, plus w, is 0 or more */
+  float4 oracle;              /* numbers of the oracle's own */
+  float4 edges;               /* x, y, z: edges per lattice unit */
+  int4 cells;                 /* x, y, z: cells of the oracle's map */
+  int4 free_cells;            /* x, y, z: cells of the map of empty space */
+  int cell_shift;             /* log2 of a cell of the oracle's map, lattice units */
+  int free_shift;             /* and of a cell of the map of empty space */
+  int levels;                 /* of coarsening along rays */
+  int oversampling;           /* levels of coarsening across rays beyond those */
+  int half_count;             /* half-spaces in `halves` */
+  float ray_spacing;          /* edges between neighbouring rays at slice 0, */
+  float spacing_growth;       /* and by how much they grow per slice */
+  float gate_low;             /* no value at or below this one is visible, */
+  float gate_high;            /* nor any at or above that one */
 } Pyramid;
 
-#define MOST_LEVELS 5 /* MOST_LEVELS of clvol/scene/pyramid.py */
+/* Reported to the host (struct_fields.h). */
+#define PYRAMID_FIELDS  \
+  STRUCT(Pyramid), FIELD(Pyramid, halves), FIELD(Pyramid, oracle), FIELD(Pyramid, edges), FIELD(Pyramid, cells), \
+  FIELD(Pyramid, free_cells), FIELD(Pyramid, cell_shift), FIELD(Pyramid, free_shift), FIELD(Pyramid, levels), \
+  FIELD(Pyramid, oversampling), FIELD(Pyramid, half_count), FIELD(Pyramid, ray_spacing), \
+  FIELD(Pyramid, spacing_growth), FIELD(Pyramid, gate_low), FIELD(Pyramid, gate_high)
+
 #define CHUNK 8       /* slices */
 #define SLACK 0.5f
 #define WITHIN 1.6f /* of a pixel that is synthesised lie all that it is made from but the farthest, which has 1/16 of the weight */
@@ -104,7 +115,7 @@ typedef struct {
 #endif
 } Levels;
 
-#define COUNT_ORACLE 0        /* oracle asked */
+#define COUNT_ORACLE_SAMPLES 0        /* oracle asked */
 #define COUNT_SYNTHESES 1     /* pixels of all levels synthesised */
 #define COUNT_ACCUMULATIONS 2 /* pixels of the picture that a segment was added to */
 #if BLOCKS /* and after them those of block_parameters.h */
@@ -166,67 +177,9 @@ typedef struct {
 #endif
 } Source;
 
-INLINE float ray_spacing(const Source *in, int k) { return in->pyramid->spacing.x + (float)k * in->pyramid->spacing.y; }
+INLINE float ray_spacing(const Source *in, int k) { return in->pyramid->ray_spacing + (float)k * in->pyramid->spacing_growth; }
 
 /* How far along the ray samples may be on slice k, as a power of two of steps. */
-INLINE int slice_level(const Source *in, int k) { return min((int)popcount(~k & (k - 1)), in->pyramid->levels.x); }
-
-#include "oracle.h"
-
-#if BLOCKS
-
-/* Blocks are found, sampled and blended all at once. */
-typedef struct {
-  floatN x, y, z;
-  intN wanted, byte;
-} FetchedPlace;
-
-#define FETCHES_EARLY 0
-
-INLINE FetchedPlace fetch_place(const Source *in, floatN x, floatN y, floatN z, intN wanted, int with_map)
-{
-  const FetchedPlace f = {x, y, z, wanted, ORACLE_HAS_MAP && with_map ? fetch_map(in, x, y, z) : (intN)0};
-  return f;
-}
-INLINE floatN place_value(const Source *in, const FetchedPlace *f)
-{
-  return blocks_value(in->blocks, f->x, f->y, f->z, f->wanted, in->block_counters);
-}
-
-#else
-
-/* A place is fetched, its value and what the oracle's map says, and then looked at: there may be other work to do while memory answers. */
-typedef struct {
-  FetchedSample sample;
-  intN byte;
-} FetchedPlace;
-
-/* Lanes that are not `wanted` all go to one place, which costs no memory traffic. */
-INLINE FetchedPlace fetch_place(const Source *in, floatN x, floatN y, floatN z, intN wanted, int with_map)
-{
-  FetchedPlace f;
-  const floatN zero = 0.0f;
-  x = select(zero, x, wanted), y = select(zero, y, wanted), z = select(zero, z, wanted);
-  f.sample = fetch_sample(in->volume, in->view, x, y, z);
-  f.byte = ORACLE_HAS_MAP && with_map ? fetch_map(in, x, y, z) : (intN)0;
-  return f;
-}
-INLINE floatN place_value(const Source *in, const FetchedPlace *f) { return sample_value(f->sample, in->view); }
-
-#define FETCHES_EARLY FETCH_AHEAD
-
-#endif
-
-/* Never so long that nothing finite can be synthesised from it. */
-#define LONGEST 1e6f
-INLINE floatN asked_distance(const Source *in, floatN x, floatN y, floatN z, floatN value, intN byte, floatN left)
-{
-  const floatN mapped = ORACLE_HAS_MAP ? byte_distance(byte) : (floatN)0.0f;
-  return lane_min(oracle_distance(in, x, y, z, value, mapped, left), (floatN)LONGEST);
-}
-INLINE floatN place_distance(const Source *in, const FetchedPlace *f, floatN x, floatN y, floatN z, floatN value, floatN left)
-{
-  return asked_distance(in, x, y, z, value, f->byte, left);
-}
+INLINE int slice_level(const Source *in, int k) { return min((int)popcount(~k & (k - 1)), in->pyramid->levels); }
 
 #endif

@@ -11,6 +11,7 @@
 #ifndef PYRAMID_LEAP_H
 #define PYRAMID_LEAP_H
 
+#include "oracle.h"
 #include "pyramid_levels.h"
 
 #define LEAST_LEVEL 2 /* coarsest levels from which on columns are whole packets */
@@ -23,7 +24,7 @@ INLINE void find_free_slices(const Source *in, SHARED Levels *m, __global const 
   const int side = side_of(level), width = WIDTH(level), patches = side / PACKET_W;
   const float half_diagonal = 0.7072f * ray_spacing(in, k) * (float)(1 << level), t = (float)k;
   /* A column is wider by so much an edge of its way. */
-  const float grows = 0.7072f * in->pyramid->spacing.y / view->march.x * (float)(1 << level), more = 1.0f + grows * grows;
+  const float grows = 0.7072f * in->pyramid->spacing_growth / view->step * (float)(1 << level), more = 1.0f + grows * grows;
   const floatN none = 0.0f;
   for (int p = WORKER; p < (looks ? patches * patches : 0); p += WORKERS) {
     const int row = p / patches * PACKET_H, column = p % patches * PACKET_W;
@@ -33,11 +34,11 @@ INLINE void find_free_slices(const Source *in, SHARED Levels *m, __global const 
     const floatN cx = lane_clamp(x, none, (floatN)view->upper.x), cy = lane_clamp(y, none, (floatN)view->upper.y);
     const floatN cz = lane_clamp(z, none, (floatN)view->upper.z);
     const floatN ex = (x - cx) * in->pyramid->edges.x, ey = (y - cy) * in->pyramid->edges.y, ez = (z - cz) * in->pyramid->edges.z;
-    const floatN way = byte_distance(fetch_cell(free, cells, select(none, cx, inside), select(none, cy, inside), select(none, cz, inside)));
+    const floatN way = byte_distance(fetch_cell(free, cells, in->pyramid->free_shift, select(none, cx, inside), select(none, cy, inside), select(none, cz, inside)));
     /* Its corner is in the ball for w edges: w^2 + (half_diagonal + grows w)^2 = radius^2. */
     const floatN square = (way * way + ex * ex + ey * ey + ez * ez) * more - half_diagonal * half_diagonal;
     const floatN edges = (sqrt(lane_max(square, none)) - grows * half_diagonal) / more;
-    const floatN slices = 0.98f / view->march.x * edges - 1.0f; /* but for rounding */
+    const floatN slices = 0.98f / view->step * edges - 1.0f; /* but for rounding */
     store_patch(select((floatN)INFINITY, slices, inside), m->free_slices + row * side + column, side);
   }
   SYNCHRONISE();
@@ -47,7 +48,7 @@ INLINE void find_free_slices(const Source *in, SHARED Levels *m, __global const 
  * all; and when it wakes. */
 INLINE void send_to_sleep(const Source *in, SHARED Levels *m, __global const uchar *free, int base, int period)
 {
-  const int level = in->pyramid->levels.x + in->pyramid->levels.y;
+  const int level = in->pyramid->levels + in->pyramid->oversampling;
   const int looks = base % period == 0 && level >= LEAST_LEVEL, side = side_of(level), row_of = TILE >> level;
   find_free_slices(in, m, free, looks, level, base);
   for (int c = WORKER; c < (level >= LEAST_LEVEL ? row_of * row_of : 0); c += WORKERS) {

@@ -2,7 +2,11 @@
 #ifndef PYRAMID_LEVELS_H
 #define PYRAMID_LEVELS_H
 
+#include "lanes.h"
+#include "pyramid_places.h"
 #include "pyramid_rays.h"
+#include "tally.h"
+#include "view.h"
 
 #if LANES == 16
 /* 4 by 4 of an array whose rows are `side` apart. */
@@ -90,8 +94,8 @@ INLINE void prepare_levels(__constant const View *view, SHARED Levels *m, int le
 /* How far a pixel of a level may look that takes part on a slice: slice_level(k) is `along`. */
 INLINE float reach_of(const Source *in, int level, int k, int along)
 {
-  if (along == in->pyramid->levels.x) return INFINITY;
-  return (float)(2 << along) * in->view->march.x + SLACK * ray_spacing(in, k) * (float)(1 << level);
+  if (along == in->pyramid->levels) return INFINITY;
+  return (float)(2 << along) * in->view->step + SLACK * ray_spacing(in, k) * (float)(1 << level);
 }
 
 /* Pixels of a level whose place is not so far outside the volume that no pixel of the picture is made from it. */
@@ -102,7 +106,7 @@ INLINE intN near_volume(const Source *in, floatN x, floatN y, floatN z, float sp
   const floatN ex = (x - lane_clamp(x, zero, (floatN)upper.x)) * edges.x, ey = (y - lane_clamp(y, zero, (floatN)upper.y)) * edges.y;
   const floatN ez = (z - lane_clamp(z, zero, (floatN)upper.z)) * edges.z;
   /* Pixels made from this one are up to twice its spacing away along both axes; and they take part a period before and behind. */
-  const float reach = 2.9f * spacing + (float)max(CHUNK, 1 << in->pyramid->levels.x) * in->view->march.x;
+  const float reach = 2.9f * spacing + (float)max(CHUNK, 1 << in->pyramid->levels) * in->view->step;
   return MASK(ex * ex + ey * ey + ez * ez <= reach * reach);
 }
 
@@ -151,7 +155,7 @@ INLINE floatN largest_around(SHARED const float *distances, int column, int row,
  * their level takes part. */
 INLINE intN needs_value(const Source *in, SHARED const float *distances, int level, int column, int row, int k)
 {
-  const int side = side_of(level), most = in->pyramid->levels.x, more = in->pyramid->levels.y;
+  const int side = side_of(level), most = in->pyramid->levels, more = in->pyramid->oversampling;
   const float spacing = ray_spacing(in, k) * (float)(1 << level);
   const floatN own = load_patch(distances + row * side + column, side);
   /* Just less than the next level's bound: means of distances may be rounded up. */
@@ -231,7 +235,7 @@ void update_level(const Source *in, SHARED Levels *m, int changes, int level, in
     const floatN distance = select(load_patch(distances + at, side), wanted, sampled);
     store_patch(distance, distances + at, side);
     nearest = lane_min(nearest, select(never, distance, sampled));
-    count_lanes(&counted[COUNT_ORACLE], sampled);
+    count_lanes(&counted[COUNT_ORACLE_SAMPLES], sampled);
   }
   SYNCHRONISE();
   const int from = first;
@@ -261,7 +265,7 @@ void update_level(const Source *in, SHARED Levels *m, int changes, int level, in
       const floatN distance = select(load_patch(distances + at, side), place_distance(in, &fetched, x, y, z, value, (floatN)1.0f), sampled);
       store_patch(distance, distances + at, side);
       nearest = lane_min(nearest, select(never, distance, sampled));
-      count_lanes(&counted[COUNT_ORACLE], sampled);
+      count_lanes(&counted[COUNT_ORACLE_SAMPLES], sampled);
 #endif
     }
   }
@@ -277,7 +281,7 @@ void update_level(const Source *in, SHARED Levels *m, int changes, int level, in
  * to do: not all compilers get barriers under conditions right. */
 INLINE void update_levels(const Source *in, SHARED Levels *m, int k, int i, int is_awake, int well_inside, Tally *samples, Tally *counted)
 {
-  const int along = slice_level(in, k), top = along + in->pyramid->levels.y, copy = m->last_copy;
+  const int along = slice_level(in, k), top = along + in->pyramid->oversampling, copy = m->last_copy;
   int changes = 0;
   for (int level = WORKERS == 1 ? top : MOST_LEVELS; level > 0; --level) {
     const int changes_here = is_awake && level <= top && m->nearest[level] < reach_of(in, level, k, along);

@@ -3,6 +3,10 @@
 #ifndef PYRAMID_PIXELS_H
 #define PYRAMID_PIXELS_H
 
+#include "classify.h"
+#include "composite.h"
+#include "features.h"
+#include "half_opacity.h"
 #include "pyramid_levels.h"
 
 #if CLASSIFICATION != CLASSIFICATION_PREINTEGRATED
@@ -71,8 +75,8 @@ INLINE int march_slices(const Source *in, SHARED const Levels *m, PixelPacket *p
   floatN value1 = LOAD_LANES(p->value1), value2 = LOAD_LANES(p->value2), t1 = LOAD_LANES(p->t1), t2 = LOAD_LANES(p->t2);
   intN first = LOAD_LANES(p->first), second = LOAD_LANES(p->second);
   const floatN zero = 0.0f, one = 1.0f;
-  const int most = in->pyramid->levels.x, more = in->pyramid->levels.y;
-  const float h = view->march.x;
+  const int most = in->pyramid->levels, more = in->pyramid->oversampling;
+  const float h = view->step;
   Gathered acc;
   int shows = 0; /* whether `acc` is needed */
   /* A packet that was sampled on the last slice mostly is on the next ones: all of them are fetched at once, since a fetch from beyond the
@@ -118,7 +122,7 @@ INLINE int march_slices(const Source *in, SHARED const Levels *m, PixelPacket *p
       const FetchedPlace fetched = is_dense ? ahead[i] : fetch_place(in, x, y, z, sampled, 1);
       value = select(value, place_value(in, &fetched), sampled);
       distance = select(distance, place_distance(in, &fetched, x, y, z, value, 1.0f - opacity), sampled);
-      count_lanes(samples, sampled), count_lanes(&counted[COUNT_ORACLE], sampled);
+      count_lanes(samples, sampled), count_lanes(&counted[COUNT_ORACLE_SAMPLES], sampled);
     }
     const floatN length = t - t1;
     intN closes = takes_part & ~first;
@@ -128,7 +132,7 @@ INLINE int march_slices(const Source *in, SHARED const Levels *m, PixelPacket *p
     /* The segment's ends stay between the samples that it depends on: where all of these show nothing, no more is to be done. */
     floatN low = lane_min(value1, value), high = lane_max(value1, value);
     low = select(low, lane_min(value2, low), curved), high = select(high, lane_max(value2, high), curved); /* not those of a hole */
-    if (any_lane(closes & MASK(high > in->pyramid->gate.x) & MASK(low < in->pyramid->gate.y))) {
+    if (any_lane(closes & MASK(high > in->pyramid->gate_low) & MASK(low < in->pyramid->gate_high))) {
       const floatN long_ = select(one, length, closes);
       floatN front = value1, back = value;
       shift_uneven_ends(value2, &front, &back, select(one, t1 - t2, curved), long_, curved);
@@ -138,7 +142,7 @@ INLINE int march_slices(const Source *in, SHARED const Levels *m, PixelPacket *p
         composite_segment(&acc, front, back, long_, closes, table, view);
         pass_opacity(&acc, opacity, HALF_OF(p), t1, t, front, back);
         opacity = acc.a;
-        alive &= ~(takes_part & MASK(opacity >= view->march.z));
+        alive &= ~(takes_part & MASK(opacity >= view->stop_opacity));
       }
     }
     value2 = select(value2, value1, closes), t2 = select(t2, t1, closes), second &= ~closes;

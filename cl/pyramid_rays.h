@@ -4,7 +4,10 @@
 #ifndef PYRAMID_RAYS_H
 #define PYRAMID_RAYS_H
 
+#include "lanes.h"
 #include "pyramid.h"
+#include "rays.h"
+#include "view.h"
 
 typedef struct {
   floatN x0, y0, z0;   /* lattice place at slice 0 */
@@ -17,8 +20,8 @@ typedef struct {
 INLINE SliceRays slice_rays(__constant const View *view, floatN column, floatN row, int clipped)
 {
   SliceRays r;
-  const floatN u = column - view->lens.z, v = row - view->lens.w;
-  const floatN a = u * view->lens.x, b = v * view->lens.y, square = a * a + b * b;
+  const floatN u = column - view->centre.x, v = row - view->centre.y;
+  const floatN a = u * view->tangent.x, b = v * view->tangent.y, square = a * a + b * b;
   const floatN length = sqrt(1.0f + square), inverse = 1.0f / length;
   const floatN px = view->plane_origin.x + u * view->plane_du.x + v * view->plane_dv.x;
   const floatN py = view->plane_origin.y + u * view->plane_du.y + v * view->plane_dv.y;
@@ -26,13 +29,13 @@ INLINE SliceRays slice_rays(__constant const View *view, floatN column, floatN r
   const floatN dx = (view->ray_forward.x + u * view->ray_du.x + v * view->ray_dv.x) * inverse;
   const floatN dy = (view->ray_forward.y + u * view->ray_du.y + v * view->ray_dv.y) * inverse;
   const floatN dz = (view->ray_forward.z + u * view->ray_du.z + v * view->ray_dv.z) * inverse;
-  const floatN back = -view->march.y * square / (1.0f + length); /* from the plane to slice 0, along the ray */
-  const float h = view->march.x;
+  const floatN back = -view->plane_distance * square / (1.0f + length); /* from the plane to slice 0, along the ray */
+  const float h = view->step;
   r.x0 = px + back * dx, r.y0 = py + back * dy, r.z0 = pz + back * dz;
   r.dx = dx * h, r.dy = dy * h, r.dz = dz * h;
   r.enter = r.leave = 0.0f, r.hits = 0;
   if (clipped) {
-    floatN enter = -view->march.y * length, leave = INFINITY;
+    floatN enter = -view->plane_distance * length, leave = INFINITY;
     clip_to_slab(px, dx, view->upper.x, &enter, &leave);
     clip_to_slab(py, dy, view->upper.y, &enter, &leave);
     clip_to_slab(pz, dz, view->upper.z, &enter, &leave);
@@ -45,7 +48,7 @@ INLINE SliceRays slice_rays(__constant const View *view, floatN column, floatN r
 /* Cuts rays by what clips keep: halves of space, so that one stretch is left at most. */
 INLINE void clip_to_halves(SliceRays *r, __constant const Pyramid *pyramid)
 {
-  for (int j = 0; j < pyramid->levels.z; ++j) {
+  for (int j = 0; j < pyramid->half_count; ++j) {
     const float4 half_ = pyramid->halves[j];
     const floatN height = r->x0 * half_.x + r->y0 * half_.y + r->z0 * half_.z + half_.w;
     const floatN rises = r->dx * half_.x + r->dy * half_.y + r->dz * half_.z;

@@ -5,33 +5,43 @@
  */
 #include "render_packet.h"
 
-/* volume     voxels in their own type, laid out as fetch_voxel.h says
- * table      pieces of the transfer function, see transfer_pieces.h
- * warp       not read: of kernels that find what is visible (shows_between.h)
- * distances  a byte a cell, see skip_empty.h (only read if SKIP_EMPTY)
+/* TILES_CHOSEN: this launch renders only the tiles that are marked in `chosen`, uchar [tiles]; another launch renders the others,
+ * without some effect. */
+#if TILES_CHOSEN
+#define CHOSEN_PARAMETER , __global const uchar *restrict chosen
+#define RETURN_UNLESS_CHOSEN(tile) \
+  if (!chosen[tile]) {             \
+    STORE_TALLIES(tile)            \
+    return;                        \
+  }
+#else
+#define CHOSEN_PARAMETER
+#define RETURN_UNLESS_CHOSEN(tile)
+#endif
+
+/* The scene's arguments are described in scene.h.
  * image      float4 [height, width], premultiplied, linear
  * depths     float [height, width], world distance along the ray from the eye to where opacity reaches one half, else infinity
  * samples    uint [tiles], reconstructions of the volume
  */
-__kernel WIDE_VECTORS void raycast(__global const uchar *restrict volume, __global const float *restrict table,
-                                   __global const float *restrict warp, __global const uchar *restrict distances,
-                                   __constant const View *restrict view, __global float4 *restrict image,
-                                   __global float *restrict depths, __global uint *restrict samples EFFECT_PARAMETERS CHOSEN_PARAMETER)
+__kernel WIDE_VECTORS void raycast(SCENE_PARAMETERS, __global float4 *restrict image, __global float *restrict depths,
+                                   __global uint *restrict samples COUNTS_PARAMETER CHOSEN_PARAMETER)
 {
-  EFFECT_TALLY
+  const Scene scene = SCENE;
+  DECLARE_TALLIES
   const int width = view->image.x, height = view->image.y;
-  const int columns = max(1, (width + view->image.z - 1) / view->image.z);
-  const int tile = (int)get_global_id(0) + view->band.x;
+  const int columns = max(1, (width + view->tile.x - 1) / view->tile.x);
+  const int tile = (int)get_global_id(0) + view->first_tile;
   RETURN_UNLESS_CHOSEN(tile)
-  const int left = tile % columns * view->image.z, top = tile / columns * view->image.w;
+  const int left = tile % columns * view->tile.x, top = tile / columns * view->tile.y;
   uint total = 0;
-  for (int row = top; row < min(top + view->image.w, height); row += PACKET_H)
-    for (int column = left; column < min(left + view->image.z, width); column += PACKET_W) {
+  for (int row = top; row < min(top + view->tile.y, height); row += PACKET_H)
+    for (int column = left; column < min(left + view->tile.x, width); column += PACKET_W) {
       float rgba[4 * LANES], depth[LANES];
       uint taken[LANES];
       const intN lane = LANE_INDEX;
       const intN px = column + (lane & (PACKET_W - 1)), py = row + lane / PACKET_W;
-      render_packet(volume, table, warp, distances, view EFFECT_ARGUMENTS, px, py, rgba, depth, taken);
+      render_packet(&scene, px, py, rgba, depth, taken, counted);
       EACH_LANE(k)
       {
         const int x = column + k % PACKET_W, y = row + k / PACKET_W;
@@ -47,9 +57,14 @@ __kernel WIDE_VECTORS void raycast(__global const uchar *restrict volume, __glob
         }
       }
     }
-  EFFECT_STORE_TALLY(tile)
+  STORE_TALLIES(tile)
   samples[tile] = total;
 }
 
-/* The sizes of View and Effects on the device: the host compares them with its own. */
-__kernel void view_size(__global uint *size) { size[0] = (uint)sizeof(View), size[1] = (uint)sizeof(Effects); }
+#if EFFECTS
+REPORT_FIELDS(VIEW_FIELDS, EFFECTS_FIELDS)
+#elif BLOCKS
+REPORT_FIELDS(VIEW_FIELDS, BLOCKS_FIELDS)
+#else
+REPORT_FIELDS(VIEW_FIELDS)
+#endif

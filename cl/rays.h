@@ -5,6 +5,9 @@
 #ifndef RAYS_H
 #define RAYS_H
 
+#include "lanes.h"
+#include "view.h"
+
 typedef struct {
   floatN x0, y0, z0;   /* lattice point of entry */
   floatN dx, dy, dz;   /* lattice units a step */
@@ -39,8 +42,8 @@ INLINE floatN finite_inverse(floatN d, floatN *never)
 INLINE Rays make_rays_of_step(__constant const View *view, floatN column, floatN row, float h)
 {
   Rays r;
-  const floatN u = column - view->lens.z, v = row - view->lens.w;
-  const floatN a = u * view->lens.x, b = v * view->lens.y;
+  const floatN u = column - view->centre.x, v = row - view->centre.y;
+  const floatN a = u * view->tangent.x, b = v * view->tangent.y;
   const floatN length = sqrt(1.0f + a * a + b * b), inverse = 1.0f / length;
   const floatN px = view->plane_origin.x + u * view->plane_du.x + v * view->plane_dv.x;
   const floatN py = view->plane_origin.y + u * view->plane_du.y + v * view->plane_dv.y;
@@ -48,7 +51,7 @@ INLINE Rays make_rays_of_step(__constant const View *view, floatN column, floatN
   const floatN dx = (view->ray_forward.x + u * view->ray_du.x + v * view->ray_dv.x) * inverse;
   const floatN dy = (view->ray_forward.y + u * view->ray_du.y + v * view->ray_dv.y) * inverse;
   const floatN dz = (view->ray_forward.z + u * view->ray_du.z + v * view->ray_dv.z) * inverse;
-  const floatN to_plane = view->march.y * length;
+  const floatN to_plane = view->plane_distance * length;
   floatN enter = -to_plane, leave = INFINITY;
   clip_to_slab(px, dx, view->upper.x, &enter, &leave);
   clip_to_slab(py, dy, view->upper.y, &enter, &leave);
@@ -66,7 +69,7 @@ INLINE Rays make_rays_of_step(__constant const View *view, floatN column, floatN
 
 INLINE Rays make_rays(__constant const View *view, floatN column, floatN row)
 {
-  return make_rays_of_step(view, column, row, view->march.x);
+  return make_rays_of_step(view, column, row, view->step);
 }
 
 /* Rays whose unit of length is `h` times as long. */

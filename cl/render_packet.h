@@ -1,30 +1,22 @@
-/* A packet of LANES rays from front to back: emission and absorption along each.
+/* The march of this program: the switches choose one of them. Each defines
  *
- * All rays of a packet march together, each at its own depth: they leap over empty space (skip_empty.h), then take MARCH_STEPS
- * samples, and so on until every ray has left the volume or is opaque. Lanes that have nothing to do are masked; what
- * a lane computes never depends on its neighbours, so a pixel is the same, bit for bit, whatever packet it is in.
+ *   void render_packet(const Scene *scene, intN px, intN py, float *rgba, float *depth, uint *samples, Tally *counted)
  *
- * Sampling along a ray of length L (in steps of length h): n = floor(L) whole segments and one of length L - n.
- *   preintegrated   values at 0, 1, ..., n and L; a segment's colour depends on the values at its ends
- *   pre, post       values at the middle of each segment
+ * for the rays through the pixels (px, py), a packet of LANES; a lane outside the picture has no ray.
+ * rgba     float [LANES, 4]: premultiplied, linear
+ * depth    float [LANES]: world distance along the ray from the eye to where opacity reaches one half, else infinity; written only
+ *          where WITH_DEPTH is set
+ * samples  uint [LANES]: reconstructions of the volume
+ * counted  SCENE_COUNTERS tallies (scene.h)
+ *
+ * To add one: a file march_NAME.h with this function, which includes march.h; a switch for it below, and in
+ * raycast_switches() of clvol/integrators/raycast.
  */
 #ifndef RENDER_PACKET_H
 #define RENDER_PACKET_H
 
-#include "lanes.h"
-#include "view.h"
-#include "effects.h"
-#include "rays.h"
-#include "classify.h"
-#include "half_opacity.h"
-#include "skip_empty.h"
-
-#ifndef MARCH_STEPS
-#define MARCH_STEPS 8
-#endif
-
-/* `last` of a ray that needs no more samples, not even of its last piece. */
-#define DONE (-2)
+#include "features.h"
+#include "scene.h"
 
 #if BLOCKS
 #include "march_blocks.h"
@@ -35,160 +27,7 @@
 #elif QUADRATURE == QUADRATURE_CELLS
 #include "march_cells.h"
 #else
-
-INLINE FetchedSample fetch_along(__global const uchar *volume, __constant const View *view, const Rays *ray, floatN t)
-{
-  return fetch_sample(volume, view, ray->x0 + t * ray->dx, ray->y0 + t * ray->dy, ray->z0 + t * ray->dz);
-}
-
-INLINE void render_packet(__global const uchar *volume, __global const float *table, __global const float *warp,
-                          __global const uchar *distances, __constant const View *view, intN px, intN py,
-                          float *rgba, float *depth, uint *samples)
-{
-  const Rays ray = make_rays(view, TO_FLOAT(px), TO_FLOAT(py));
-  const floatN whole = floor(ray.length), rest = ray.length - whole;
-  const intN hits = MASK(ray.length >= 0.0f) & MASK(px < view->image.x) & MASK(py < view->image.y);
-  const floatN offset = MIDPOINTS ? 0.5f : 0.0f;
-  intN last = select((intN)DONE, TO_INT(whole) - MIDPOINTS, hits);
-  intN i = 0;
-  uintN taken = 0;
-  Gathered acc;
-  gathered_clear(&acc);
-  HalfOpacity half_ = no_half(); /* in steps */
-#if !MIDPOINTS
-  floatN value1 = 0.0f, value2 = 0.0f;  /* the last sample and the one before */
-  intN start = 0;                      /* where the unbroken run of samples began: there is no sample before */
-#endif
-
-  while (any_lane(MASK(i <= last))) {
-#if SKIP_EMPTY
-    /* Of midpoints, the first one inside the visible cell is next. Else two samples before it open a new segment, and one that is
-     * open depends on samples i - 2 and i - 1. */
-#if MIDPOINTS
-    const floatN from = TO_FLOAT(i) + offset;
-#else
-    const floatN from = TO_FLOAT(max(i - 2, start));
-#endif
-    const floatN visible_at = next_visible(distances, view, from, MASK(i <= last), &ray);
-    const floatN finite = lane_clamp(visible_at, (floatN)0.0f, TO_FLOAT(max(last, (intN)0)) + 1.0f);
-    const intN next = TO_INT(MIDPOINTS ? ceil(finite - 0.5f) : finite) - (MIDPOINTS ? 0 : 1);
-    const intN leaps = MASK(i <= last) & MASK(next > i);
-    i = select(i, next, leaps);
-    last = select(last, (intN)DONE, MASK(i <= last) & MASK(visible_at >= ray.length));
-#if !MIDPOINTS
-    start = select(start, i, leaps);
-#endif
-#endif
-    /* Two steps ahead: a fetch from beyond the second-level cache takes longer than a step of arithmetic. (Two variables, not
-     * an array: an array would live in memory. Three steps ahead gain nothing.) */
-#if FETCH_AHEAD
-    FetchedSample ahead = fetch_along(volume, view, &ray, TO_FLOAT(i) + offset);
-    FetchedSample ahead2 = fetch_along(volume, view, &ray, TO_FLOAT(i) + 1.0f + offset);
-#endif
-    /* Not from i, which waits for what the steps before have shown: fetches need not. A ray that is done goes on for nothing. */
-    const floatN first_t = TO_FLOAT(i) + offset;
-    _Pragma("unroll 1") for (int step = 0; step < MARCH_STEPS; ++step) {
-      const intN active = MASK(i <= last);
-      const floatN t = first_t + (float)step;
-#if FETCH_AHEAD
-      const FetchedSample sample = ahead;
-      ahead = ahead2;
-      ahead2 = fetch_along(volume, view, &ray, t + 2.0f);
-#else
-      const FetchedSample sample = fetch_along(volume, view, &ray, t);
-#endif
-      taken -= AS_UINT(active);
-      const floatN before = acc.a;
-      int visible;
-#if CLASSIFICATION == CLASSIFICATION_PREINTEGRATED
-      const intN closes = active & MASK(i > start); /* lanes with a segment that ends here */
-      const floatN value = sample_value(sample, view);
-      floatN front = value1, back = value;
-      shift_ends(value2, &front, &back, 1.0f, closes & MASK(i > start + 1));
-      value2 = select(value2, value1, active), value1 = select(value1, value, active);
-      visible = may_be_visible(lane_min(front, back), lane_max(front, back), closes, view);
-      if (visible) composite_segment(&acc, front, back, (floatN)1.0f, closes, table, view);
-#elif CLASSIFICATION == CLASSIFICATION_POST
-      const floatN value = sample_value(sample, view);
-      visible = may_be_visible(value, value, active, view);
-      if (visible) composite_value(&acc, value, (floatN)1.0f, active, table, view);
-#else
-      visible = 1;
-      const Emission classified = classified_emission(sample, view, table);
-      composite_classified(&acc, classified, (floatN)1.0f, active);
-#endif
-      if (visible) {
-#if WITH_DEPTH
-        const intN passes = passes_half(before, acc.a);
-        if (any_lane(passes)) {
-#if CLASSIFICATION == CLASSIFICATION_PREINTEGRATED
-          note_half(&half_, passes, before, t - 1.0f, 1.0f, front, back);
-#elif CLASSIFICATION == CLASSIFICATION_POST
-          note_half(&half_, passes, before, t - 0.5f, 1.0f, value, value);
-#else
-          note_half(&half_, passes, before, t - 0.5f, 1.0f, 0.0f, 0.0f);
-          note_whole(&half_, passes, classified.d, 0.0f);
-#endif
-        }
-#endif
-        last = select(last, (intN)DONE, MASK(acc.a >= view->march.z));
-      }
-      i -= active;
-    }
-  }
-
-  /* The last piece of each ray, shorter than a step. */
-  const intN active = MASK(i == last + 1) & MASK(rest > 0.0f);
-  if (any_lane(active)) {
-    const floatN t = MIDPOINTS ? whole + 0.5f * rest : ray.length;
-    const FetchedSample sample = fetch_along(volume, view, &ray, t);
-    const floatN before = acc.a, value = sample_value(sample, view);
-    floatN front = value, back = value;
-    taken -= AS_UINT(active);
-#if CLASSIFICATION == CLASSIFICATION_PREINTEGRATED
-    front = value1;
-    shift_ends(value2, &front, &back, rest, active & MASK(i > start + 1));
-    if (may_be_visible(lane_min(front, back), lane_max(front, back), active, view))
-      composite_segment(&acc, front, back, rest, active, table, view);
-#elif CLASSIFICATION == CLASSIFICATION_POST
-    if (may_be_visible(value, value, active, view)) composite_value(&acc, value, rest, active, table, view);
-#else
-    const Emission classified = classified_emission(sample, view, table);
-    composite_classified(&acc, classified, rest, active);
-#endif
-#if WITH_DEPTH
-    const intN passes = passes_half(before, acc.a);
-    note_half(&half_, passes, before, whole, rest, front, back);
-#if CLASSIFICATION == CLASSIFICATION_PRE
-    note_whole(&half_, passes, rest * classified.d, 0.0f);
-#endif
-#endif
-  }
-  gathered_store(&acc, rgba);
-#if WITH_DEPTH && MIDPOINTS
-  const intN noted = MASK(half_.from < INFINITY);
-  if (any_lane(noted)) {
-    floatN ends[2];
-    _Pragma("unroll 1") for (int k = 0; k < 2; ++k) {
-      const floatN t = select((floatN)0.0f, half_.from + (k ? half_.length : (floatN)0.0f), noted);
-      const FetchedSample sample = fetch_along(volume, view, &ray, t);
-      taken -= AS_UINT(noted);
-#if CLASSIFICATION == CLASSIFICATION_POST
-      const floatN value = sample_value(sample, view);
-      ends[k] = depth_between(value, value, noted, (intN)0, table, view);
-#else
-      ends[k] = classified_emission(sample, view, table).d;
-#endif
-    }
-    note_ends(&half_, ends[0], ends[1]);
-  }
-#endif
-#if WITH_DEPTH
-  STORE_LANES((ray.entry_depth + half_place(&half_, 1.0f, table, view) * view->march.x) * view->march.w, depth);
-#endif
-  STORE_LANES(taken, samples);
-}
-
+#include "march_plain.h"
 #endif
 
 #endif

@@ -4,6 +4,8 @@
 #define SAMPLE_BLOCKS_H
 
 #include "blend_blocks.h"
+#include "blocks.h"
+#include "tally.h"
 
 #if INTERBLOCK && LANES > 1
 /* As blend_blocks() for one lane: the lanes `between` blocks, whose own block `r` gives `value`. */
@@ -26,7 +28,7 @@ INLINE floatN blend_lanes(const BlockVolume *v, const Record *r, floatN px, floa
     count_lanes(&tally[COUNT_BLOCK_READS], blends);
   }
   const intN blended = between & MASK(others > zero);
-  count_lanes(&tally[COUNT_BLENDED], blended);
+  count_lanes(&tally[COUNT_BLENDED_SAMPLES], blended);
   return select(value, value + sum / select((floatN)1.0f, total + others, blended), blended);
 }
 #endif

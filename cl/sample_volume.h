@@ -8,6 +8,8 @@
 
 #include "features.h"
 #include "fetch_voxel.h"
+#include "lanes.h"
+#include "view.h"
 
 #define WIDE_FILTER (FILTER == FILTER_CUBIC || FILTER == FILTER_CATMULL_ROM)
 
@@ -221,11 +223,11 @@ INLINE floatN cubic_value(FetchedSample s, __constant const View *view)
 
 #if SAMPLE_REPEATS
 /* For benches alone: a sample as dear as one from a compact representation, whose every look-up waits for the one before. Values stay
- * the same (view->upper.w is 0). */
+ * the same (view->zero is 0). */
 INLINE FetchedSample fetch_repeated(__global const uchar *volume, __constant const View *view, floatN x, floatN y, floatN z)
 {
   FetchedSample s = fetch_sample(volume, view, x, y, z);
-  _Pragma("unroll 1") for (int k = 0; k < SAMPLE_REPEATS; ++k) s = fetch_sample(volume, view, x + view->upper.w * sample_value(s, view), y, z);
+  _Pragma("unroll 1") for (int k = 0; k < SAMPLE_REPEATS; ++k) s = fetch_sample(volume, view, x + view->zero * sample_value(s, view), y, z);
   return s;
 }
 #undef fetch_sample

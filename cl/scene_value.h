@@ -3,11 +3,10 @@
 #define SCENE_VALUE_H
 
 #include "effects.h"
+#include "features.h"
+#include "noise.h"
 #include "sample_volume.h"
-
-/* Switch NOISE: the sum of what its terms do. */
-#define NOISE_ADDS 1
-#define NOISE_MOVES 2
+#include "scene.h"
 
 /* The value at a lattice point. Both kinds of noise are taken there; a place that is moved out of the domain is taken back to its
  * face. */
@@ -17,10 +16,10 @@ INLINE floatN scene_value(const Scene *scene, floatN x, floatN y, floatN z)
   __constant const Effects *e = scene->effects;
 #endif
 #if NOISE & NOISE_ADDS
-  const floatN added = added_noise(scene->noise, e->noise_terms, e->noise_counts.x, x, y, z);
+  const floatN added = added_noise(scene->noise, e->noise_terms, e->added_terms, x, y, z);
 #endif
 #if NOISE & NOISE_MOVES
-  displace(scene->noise, e->noise_terms + e->noise_counts.x, e->noise_counts.y, &x, &y, &z);
+  displace(scene->noise, e->noise_terms + e->added_terms, e->moving_terms, &x, &y, &z);
 #endif
   const floatN value = sample_value(fetch_sample(scene->volume, scene->view, x, y, z), scene->view);
 #if NOISE & NOISE_ADDS

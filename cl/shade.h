@@ -10,13 +10,13 @@
 #define SHADE_H
 
 #include "effects.h"
+#include "features.h"
+#include "lanes.h"
 #include "power.h"
+#include "scene.h"
+#include "tally.h"
 
 #if LIGHTING
-
-#define LIGHT_DIRECTIONAL 0
-#define LIGHT_POINT 1
-#define LIGHT_HEAD 2
 
 #if GRADIENT
 #include "gradient.h"
@@ -41,26 +41,26 @@ INLINE Illumination illuminate(const Scene *scene, Vectors place, Vectors normal
   __constant const Effects *e = scene->effects;
   Illumination lit;
   floatN facing = dot3(normal, view);
-  const intN turned = MASK(facing < 0.0f) & (e->shading.y > 0.0f ? (intN)-1 : (intN)0);
+  const intN turned = MASK(facing < 0.0f) & (e->two_sided ? (intN)-1 : (intN)0);
   normal = select3(normal, scaled3(normal, -1.0f), turned);
   facing = select(facing, -facing, turned);
   const intN lightable = active & MASK(facing >= 0.0f); /* a back face gets no light but the ambient one */
-  lit.diffuse.x = lit.diffuse.y = lit.diffuse.z = e->material.x;
+  lit.diffuse.x = lit.diffuse.y = lit.diffuse.z = e->ambient;
   lit.specular.x = lit.specular.y = lit.specular.z = 0.0f;
 #if LIGHTS
   const Vectors lit_place = place;
-#if SHADOWS == SHADOWS_BY_VOLUME && ISOSURFACES
+#if SHADOWS == SHADOWS_VOLUME && ISOSURFACES
   if (on_surface) place = beyond_surface(scene, place, normal);
 #endif
-  _Pragma("unroll 1") for (int k = 0; k < e->counts.x; ++k) {
-    const float4 at = scene->items[e->first.x + 2 * k], intensity = scene->items[e->first.x + 2 * k + 1];
+  _Pragma("unroll 1") for (int k = 0; k < e->light_count; ++k) {
+    const float4 at = scene->items[e->first_light + 2 * k], intensity = scene->items[e->first_light + 2 * k + 1];
     Vectors towards = broadcast3(at);
     if (at.w == LIGHT_POINT) {
       const Vectors here = to_local(e, lit_place.x, lit_place.y, lit_place.z);
       const Vectors from = {at.x - here.x, at.y - here.y, at.z - here.z};
       towards = unit3(from);
     }
-    if (at.w == LIGHT_HEAD) towards = view;
+    if (at.w == LIGHT_HEADLIGHT) towards = view;
     const floatN cosine = lane_max(dot3(normal, towards), (floatN)0.0f);
     const intN faces = lightable & MASK(cosine > 0.0f);
     if (!any_lane(faces)) continue;
@@ -71,30 +71,47 @@ INLINE Illumination illuminate(const Scene *scene, Vectors place, Vectors normal
       arriving.x *= shadow.x, arriving.y *= shadow.y, arriving.z *= shadow.z;
     }
 #endif
-    const floatN diffuse = select((floatN)0.0f, e->material.y * cosine, faces);
+    const floatN diffuse = select((floatN)0.0f, e->diffuse * cosine, faces);
     lit.diffuse.x += diffuse * arriving.x, lit.diffuse.y += diffuse * arriving.y, lit.diffuse.z += diffuse * arriving.z;
 #if SPECULAR
     /* N.H, with |L + V| = sqrt(2 + 2 L.V) */
     const floatN between = lane_max(2.0f + 2.0f * dot3(towards, view), (floatN)1e-12f);
     const floatN aligned = lane_clamp((cosine + facing) * lane_rsqrt(between), (floatN)0.0f, (floatN)1.0f);
-    const floatN shine = select((floatN)0.0f, e->material.z * lane_power(aligned, e->material.w), faces);
+    const floatN shine = select((floatN)0.0f, e->specular * lane_power(aligned, e->shininess), faces);
     lit.specular.x += shine * arriving.x, lit.specular.y += shine * arriving.y, lit.specular.z += shine * arriving.z;
 #endif
   }
 #endif
 #if ENVIRONMENT
   Vectors from_all;
-  environment_look_up(scene->environment + e->map_offsets.x, e->maps.x, normal.x, normal.y, normal.z, &from_all.x, &from_all.y,
+  environment_look_up(scene->environment + e->diffuse_map, e->diffuse_map_size, normal.x, normal.y, normal.z, &from_all.x, &from_all.y,
                       &from_all.z);
-  lit.diffuse = sum3(lit.diffuse, scaled3(from_all, e->material.y));
+  lit.diffuse = sum3(lit.diffuse, scaled3(from_all, e->diffuse));
 #if SPECULAR
   const floatN twice = 2.0f * facing;
-  environment_look_up(scene->environment + e->map_offsets.y, e->maps.y, twice * normal.x - view.x, twice * normal.y - view.y,
+  environment_look_up(scene->environment + e->specular_map, e->specular_map_size, twice * normal.x - view.x, twice * normal.y - view.y,
                       twice * normal.z - view.z, &from_all.x, &from_all.y, &from_all.z);
-  lit.specular = sum3(lit.specular, scaled3(from_all, e->material.z));
+  lit.specular = sum3(lit.specular, scaled3(from_all, e->specular));
 #endif
 #endif
   return lit;
+}
+
+/* c (times `depth`) lit, where there is a normal; fading to the unlit colour where the gradient is short. */
+INLINE Vectors shaded_color(const Scene *scene, Vectors color, floatN depth, Vectors place, Vectors normal, Vectors gradient,
+                            Vectors view, floatN weight, int on_surface, intN active, Tally *counted)
+{
+  if (!any_lane(active)) return color;
+  count_lanes(&counted[COUNT_LIT_SAMPLES], active);
+  const Illumination lit = illuminate(scene, place, normal, view, weight, on_surface, active, counted);
+  Vectors shaded = {color.x * lit.diffuse.x + depth * lit.specular.x, color.y * lit.diffuse.y + depth * lit.specular.y,
+                    color.z * lit.diffuse.z + depth * lit.specular.z};
+  if (scene->effects->fade > 0.0f) {
+    const floatN share = lane_min(sqrt(dot3(gradient, gradient)) * scene->effects->fade, (floatN)1.0f);
+    shaded.x = color.x + share * (shaded.x - color.x), shaded.y = color.y + share * (shaded.y - color.y);
+    shaded.z = color.z + share * (shaded.z - color.z);
+  }
+  return select3(color, shaded, active);
 }
 
 #endif

@@ -11,11 +11,11 @@
  * resolve, and are 1e-4 edges above the surface where the light grazes it at N.L = 1e-3: farther than the surface itself may be
  * off. A surface lit at a lower angle shows nothing of that light.
  *
- * SHADOWS_BY_RAYS: a march from each sample. Samples whose weight (opacity times what is left of the eye's ray) is not above
+ * SHADOWS_RAYS: a march from each sample. Samples whose weight (opacity times what is left of the eye's ray) is not above
  * shadow.bound cast none, and get the light without a shadow: such a sample changes the picture by less than the bound, n of
  * them on a ray by less than n times as much. They do so in very thin fog; a bound of 0 casts for all.
  *
- * SHADOWS_BY_VOLUME: the same march from each point of a grid (light_volume.cl), trilinear between them. Each point has a ray of
+ * SHADOWS_VOLUME: the same march from each point of a grid (light_volume.cl), trilinear between them. Each point has a ray of
  * its own, so that nothing diffuses from slice to slice as in volumes of shadows that are swept slice by slice (Behrens and
  * Ratering 1998; P4 sec. 5.4 names what that costs: blurred shadows, dark surfaces). What an opaque voxel hides is dark in those
  * light cells alone that touch its shadow. A light cell that a surface passes through has dark corners behind it, by which the
@@ -25,11 +25,16 @@
 #ifndef SHADOW_H
 #define SHADOW_H
 
+#include "classify.h"
 #include "clip.h"
 #include "emission.h"
 #include "half_opacity.h"
 #include "opacity.h"
+#include "rays.h"
+#include "scene.h"
+#include "scene_value.h"
 #include "skip_empty.h"
+#include "tally.h"
 #if ISOSURFACES
 #include "surface_walk.h"
 #endif
@@ -63,7 +68,7 @@ INLINE Vectors direction_to_lattice(__constant const Effects *e, Vectors d)
 INLINE Rays rays_towards(const Scene *scene, Vectors place, Vectors direction, floatN reach, intN rays)
 {
   const float4 upper = scene->view->upper;
-  const float h = scene->effects->shadow.y;
+  const float h = scene->effects->shadow_step;
   const Vectors d = direction_to_lattice(scene->effects, direction);
   Rays r;
   /* A place on a face may be beyond it by a rounding. */
@@ -130,7 +135,7 @@ INLINE floatN extinction_along(const Scene *scene, const Rays *ray, floatN t0, f
     count_lanes(&counted[COUNT_GRADIENTS], shows);
     const Vectors gradient = scene_gradient(scene, x, y, z);
 #if TRANSFER_LAYERS
-    const TablePlace layers = layers_around(scene, gradient, view->pieces.z);
+    const TablePlace layers = layers_around(scene, gradient, view->function_floats);
     const floatN low = depth_of_values(scene, v, x, y, z, shows, layers.low);
     e.d = low + layers.share * (depth_of_values(scene, v, x, y, z, shows, layers.high) - low);
 #endif
@@ -142,18 +147,18 @@ INLINE floatN extinction_along(const Scene *scene, const Rays *ray, floatN t0, f
 #if FIELDS
   apply_fields(look, &e);
 #endif
-  return select((floatN)0.0f, e.d * (1.0f / view->march.x), active);
+  return select((floatN)0.0f, e.d * (1.0f / view->step), active);
 }
 
 #if ISOSURFACES
 /* `depth` and that of the surfaces that the rays meet from `apart` edges on: where the eye's rays would (surface_walk.h). */
 INLINE floatN depth_of_surfaces(const Scene *scene, const Rays *ray, floatN depth, float apart, intN rays, Tally *counted)
 {
-  const Rays in_edges = rays_in_steps(*ray, 1.0f / scene->effects->shadow.y);
+  const Rays in_edges = rays_in_steps(*ray, 1.0f / scene->effects->shadow_step);
   SurfaceWalk walk = walk_along(in_edges, lane_min((floatN)apart, 0.5f * in_edges.length));
   Tally cells = 0;
   for (;;) {
-    const intN wanted = rays & MASK(depth < scene->effects->shadow.w);
+    const intN wanted = rays & MASK(depth < scene->effects->shadow_depth);
     find_surfaces(scene, &walk, wanted, (floatN)INFINITY, &counted[COUNT_SHADOW_SAMPLES], &cells);
     intN meets = wanted & walk.found;
     if (!any_lane(meets)) return depth;
@@ -162,7 +167,7 @@ INLINE floatN depth_of_surfaces(const Scene *scene, const Rays *ray, floatN dept
     const Vectors at = surface_place(&walk);
     meets = mask_keeps(scene, at.x, at.y, at.z, meets, counted);
 #endif
-    const intN surface = scene->effects->first.y + 3 * walk.surface;
+    const intN surface = scene->effects->first_surface + 3 * walk.surface;
     depth += select((floatN)0.0f, AS_FLOAT(gather4(scene->items, 4 * surface + 3)), meets);
   }
 }
@@ -172,7 +177,7 @@ INLINE floatN depth_of_surfaces(const Scene *scene, const Rays *ray, floatN dept
 INLINE floatN depth_along(const Scene *scene, const Rays *ray, Vectors direction, floatN depth, float apart, intN rays,
                           Tally *counted)
 {
-  const float h = scene->effects->shadow.y, enough = scene->effects->shadow.w;
+  const float h = scene->effects->shadow_step, enough = scene->effects->shadow_depth;
   const floatN segments = select((floatN)0.0f, ceil(ray->length), rays & MASK(ray->length > 0.0f));
   const intN last = TO_INT(segments) - 1;
   intN i = 0;
@@ -239,13 +244,13 @@ INLINE floatN depth_towards(const Scene *scene, Vectors place, Vectors direction
   floatN depth = 0.0f, next_from = 0.0f;
   intN open = MASK(whole.length > 0.0f);
   _Pragma("unroll 1") for (int stretch = 0;; ++stretch) {
-    const Stretch kept = next_stretch(scene, &whole, next_from, scene->effects->shadow.y);
+    const Stretch kept = next_stretch(scene, &whole, next_from, scene->effects->shadow_step);
     open &= MASK(kept.enter < kept.leave);
     if (!any_lane(open)) return depth;
-    const Rays ray = ray_along(&whole, kept.enter, kept.leave, open, scene->effects->shadow.y);
+    const Rays ray = ray_along(&whole, kept.enter, kept.leave, open, scene->effects->shadow_step);
     next_from = select(next_from, kept.leave, open);
     depth = depth_along(scene, &ray, direction, depth, stretch ? 0.0f : apart, open, counted);
-    open &= MASK(depth < scene->effects->shadow.w);
+    open &= MASK(depth < scene->effects->shadow_depth);
   }
 #else
   return depth_along(scene, &whole, direction, (floatN)0.0f, apart, rays, counted);
@@ -260,7 +265,7 @@ INLINE floatN distance_to_light(float4 light, Vectors here)
   return sqrt(dot3(way, way));
 }
 
-#if SHADOWS == SHADOWS_BY_VOLUME
+#if SHADOWS == SHADOWS_VOLUME
 
 INLINE floatN light_edge(__global const float *volume, intN at, floatN f)
 {
@@ -279,7 +284,7 @@ INLINE floatN light_between(__global const float *volume, intN at, int row, int 
 
 #endif
 
-#if SHADOWS == SHADOWS_BY_VOLUME && ISOSURFACES
+#if SHADOWS == SHADOWS_VOLUME && ISOSURFACES
 /* How far one edge of a light cell goes along `normal`: (x, y, z) is a lattice unit in local space. */
 INLINE floatN light_cell_along(Vectors normal, float x, float y, float z, float points)
 {
@@ -304,7 +309,7 @@ INLINE Vectors light_that_arrives(const Scene *scene, Vectors place, Vectors tow
 {
   __constant const Effects *e = scene->effects;
   Vectors share;
-#if SHADOWS == SHADOWS_BY_VOLUME
+#if SHADOWS == SHADOWS_VOLUME
   const int4 size = e->light_size;
   const int row = LIGHT_CHANNELS * size.x, slice = row * size.y;
   const floatN zero = 0.0f;
@@ -323,7 +328,7 @@ INLINE Vectors light_that_arrives(const Scene *scene, Vectors place, Vectors tow
   share.y = share.z = share.x;
 #endif
 #else
-  const intN cast = faces & MASK(weight > e->shadow.x);
+  const intN cast = faces & MASK(weight > e->shadow_bound);
   share.x = share.y = share.z = 1.0f;
   if (any_lane(cast)) {
     const floatN reach = distance_to_light(light, to_local(e, place.x, place.y, place.z));

@@ -10,14 +10,14 @@
  * Bins of the warp: warp[b] is the class coordinate of the lower edge of bin b. */
 INLINE floatN class_position(floatN value, __global const float *warp, __constant const View *view)
 {
-  floatN p = (value - view->classes.x) * view->classes.y;
+  floatN p = (value - view->first_value) * view->nodes_per_value;
 #if WARPED_CLASSES
-  p = lane_clamp(p, (floatN)0.0f, (floatN)view->classes.w);
-  const intN bin = min(TO_INT(p), (intN)(int)(view->classes.w - 1.0f));
+  p = lane_clamp(p, (floatN)0.0f, (floatN)view->warp_bins);
+  const intN bin = min(TO_INT(p), (intN)(int)(view->warp_bins - 1.0f));
   const floatN low = AS_FLOAT(gather4(warp, bin)), high = AS_FLOAT(gather4(warp + 1, bin));
   p = low + (p - TO_FLOAT(bin)) * (high - low);
 #endif
-  return lane_clamp(p, (floatN)0.0f, (floatN)view->classes.z);
+  return lane_clamp(p, (floatN)0.0f, (floatN)view->last_node);
 }
 
 /* Of what is interpolated between `low` and `high` (none where low > high).
@@ -27,7 +27,7 @@ inline int shows_between(float low, float high, __global const float *warp, __gl
                          __constant const View *view)
 {
   if (!(low <= high)) return 0;
-  const float p = class_position(low, warp, view), q = class_position(high, warp, view), last_node = view->classes.z;
+  const float p = class_position(low, warp, view), q = class_position(high, warp, view), last_node = view->last_node;
   if (low == high && p == floor(p)) return at[(int)p]; /* interpolation keeps it, and it falls on a node */
   /* The lowest value of all is node 0 exactly; else rounding may reach the next node. */
   const float margin = 1e-3f;

@@ -7,7 +7,9 @@
 #ifndef SKIP_EMPTY_H_INCLUDED
 #define SKIP_EMPTY_H_INCLUDED
 
+#include "lanes.h"
 #include "rays.h"
+#include "view.h"
 
 /* Leaps stop a little short of a face, and look beyond it from a little behind it: lattice units, far more than rounding, far less than
  * shows. The share of t keeps t + margin above t where a ray has so many steps that rounding would swallow it. */
@@ -19,7 +21,7 @@
 INLINE floatN next_visible(__global const uchar *distances, __constant const View *view, floatN t, intN active,
                            const Rays *ray)
 {
-  const int shift = view->cells.w;
+  const int shift = view->cell_shift;
   const intN zero = 0, last_x = view->cells.x - 1, last_y = view->cells.y - 1, last_z = view->cells.z - 1;
   const intN right = MASK(ray->dx > 0.0f), down = MASK(ray->dy > 0.0f), away = MASK(ray->dz > 0.0f);
   const floatN fastest = lane_max(lane_max(fabs(ray->dx), fabs(ray->dy)), fabs(ray->dz));

@@ -14,12 +14,14 @@
 #define STEP_BLOCKS_H
 
 #include "blocks.h"
+#include "classify.h"
 #include "features.h"
+#include "rays.h"
 
 /* Steps until the ray leaves the block. */
 INLINE floatN steps_in_block(const BlockVolume *v, const Rays *ray, const Record *r, floatN t)
 {
-  const float edge = v->blocks->edge.x;
+  const float edge = v->blocks->edge;
   const intN right = MASK(ray->dx > 0.0f), down = MASK(ray->dy > 0.0f), away = MASK(ray->dz > 0.0f);
   const floatN tx = (edge * TO_FLOAT(r->x - right) - ray->x0) * ray->rx + ray->px;
   const floatN ty = (edge * TO_FLOAT(r->y - down) - ray->y0) * ray->ry + ray->py;
@@ -38,7 +40,7 @@ INLINE floatN steps_at_once(const BlockVolume *v, const Rays *ray, const Record 
   const floatN most = TO_FLOAT(AS_INT(gather1(v->steps, block) & 255u));
 #else
   const intN code = code_of(r), coarse = select(code, (intN)1, MASK(code == CODE_DROPPED));
-  const floatN most = TO_FLOAT((intN)1 << (v->blocks->count.w + 1 - coarse));
+  const floatN most = TO_FLOAT((intN)1 << (v->blocks->log_edge + 1 - coarse));
 #endif
 #if STEPPING == STEPPING_NAIVE
   return most;

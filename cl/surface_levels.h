@@ -3,6 +3,8 @@
 #define SURFACE_LEVELS_H
 
 #include "effects.h"
+#include "lanes.h"
+#include "scene.h"
 
 /* What was found in a cell: lanes, the surface's number, whether the value rises through it, where (a share of the ray's stretch
  * through the cell), and the piece of the stretch and the place among the surfaces that a later search goes on at. */
@@ -24,13 +26,13 @@ typedef struct {
   floatN a, b, va, vb, level;
 } Bracket;
 
-INLINE float iso_value(const Scene *scene, int k) { return scene->items[scene->effects->first.y + 3 * k].x; }
+INLINE float iso_value(const Scene *scene, int k) { return scene->items[scene->effects->first_surface + 3 * k].x; }
 
 /* Lanes in which some iso-value lies between low and high. */
 INLINE intN meets_a_surface(const Scene *scene, floatN low, floatN high)
 {
   intN meets = 0;
-  _Pragma("unroll 1") for (int k = 0; k < scene->effects->counts.y; ++k) {
+  _Pragma("unroll 1") for (int k = 0; k < scene->effects->surface_count; ++k) {
     const float level = iso_value(scene, k);
     meets |= MASK(low < level) & MASK(high >= level);
   }
@@ -43,7 +45,7 @@ INLINE intN meets_a_surface(const Scene *scene, floatN low, floatN high)
 INLINE void find_between(const Scene *scene, intN piece, floatN a, floatN b, floatN va, floatN vb, intN rank, intN open, CellHit *hit,
                          Bracket *bracket)
 {
-  const int surfaces = scene->effects->counts.y;
+  const int surfaces = scene->effects->surface_count;
   const intN rises = MASK(vb >= va);
   _Pragma("unroll 1") for (int r = 0; r < surfaces; ++r) {
     const floatN level = select((floatN)iso_value(scene, surfaces - 1 - r), (floatN)iso_value(scene, r), rises);

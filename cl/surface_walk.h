@@ -13,8 +13,11 @@
 #ifndef SURFACE_WALK_H
 #define SURFACE_WALK_H
 
-#include "surface_levels.h"
+#include "rays.h"
+#include "scene.h"
 #include "skip_empty.h"
+#include "surface_levels.h"
+#include "tally.h"
 
 #if NOISE
 #include "cell_sampled.h"
@@ -92,7 +95,7 @@ INLINE Vectors gradient_place(const SurfaceWalk *w, Vectors place)
 INLINE intN no_surface_around(const Scene *scene, intN ix, intN iy, intN iz)
 {
   __constant const View *view = scene->view;
-  const int shift = view->cells.w;
+  const int shift = view->cell_shift;
   const intN cx = min(ix >> shift, (intN)(view->cells.x - 1)), cy = min(iy >> shift, (intN)(view->cells.y - 1));
   const intN cz = min(iz >> shift, (intN)(view->cells.z - 1));
   const uintN distance = gather1(scene->surface_distances, (cz * view->cells.y + cy) * view->cells.x + cx) & 255u;
@@ -197,7 +200,7 @@ INLINE void find_surfaces(const Scene *scene, SurfaceWalk *w, intN wanted, float
       w->piece = select(w->piece, hit.piece, hit.found), w->rank = select(w->rank, hit.rank, hit.found);
       w->at = select(w->at, from + hit.share * (t1 - from), hit.found);
       const intN moves = goes_on & ~hit.found, ends = open & ~goes_on & ~hit.found;
-      const intN next_block = MASK((((nx ^ w->ix) | (ny ^ w->iy) | (nz ^ w->iz)) >> view->cells.w) != 0) & moves;
+      const intN next_block = MASK((((nx ^ w->ix) | (ny ^ w->iy) | (nz ^ w->iz)) >> view->cell_shift) != 0) & moves;
       w->ix = select(w->ix, nx, moves), w->iy = select(w->iy, ny, moves), w->iz = select(w->iz, nz, moves);
       w->low.x = select(w->low.x, select(high.x, entry_x, over_x), moves);
       w->low.y = select(w->low.y, select(high.y, entry_y, over_y), moves);

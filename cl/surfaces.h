@@ -9,8 +9,22 @@
 #ifndef SURFACES_H
 #define SURFACES_H
 
+#include "composite.h"
 #include "emission.h"
+#include "half_opacity.h"
+#include "rays.h"
+#include "scene.h"
+#include "scene_value.h"
+#include "skip_empty.h"
+#if LIGHTING
 #include "shade.h"
+#endif
+#if DEPTH_CUE
+#include "depth_cue.h"
+#endif
+#if FIELDS
+#include "fields.h"
+#endif
 #include "surface_walk.h"
 
 #define MOST_BENDS 8
@@ -80,7 +94,7 @@ INLINE SurfacePassage pass_surfaces(const Scene *scene, SurfaceWalk *walk, Vecto
                                     HalfBetween *half_, uintN *taken, Tally *counted)
 {
   __constant const Effects *effects = scene->effects;
-  const float steps = 1.0f / scene->view->march.x, enough = scene->view->march.z;
+  const float steps = 1.0f / scene->view->step, enough = scene->view->stop_opacity;
   const floatN until = select(t1, (floatN)INFINITY, last);
   SurfacePassage passage;
   passage.bends = 0, passage.at = 0.0f;
@@ -101,7 +115,7 @@ INLINE SurfacePassage pass_surfaces(const Scene *scene, SurfaceWalk *walk, Vecto
     const floatN place = select(front, lane_clamp(walk->at, front, t1), crosses);
     if (visible) composite_stretch(acc, e, steps * (place - front), front, place, crosses, half_);
     front = place;
-    const intN surface = effects->first.y + 3 * walk->surface;
+    const intN surface = effects->first_surface + 3 * walk->surface;
     const intN color_at = 4 * (surface + 1) + select((intN)4, (intN)0, walk->rising);
     Vectors color = {AS_FLOAT(gather4(scene->items, color_at)), AS_FLOAT(gather4(scene->items, color_at + 1)),
                      AS_FLOAT(gather4(scene->items, color_at + 2))};

@@ -11,11 +11,10 @@
  *
  * Compiled with LANES 1.
  */
+#include "features.h"
 #include "lanes.h"
 #include "view.h"
 #include "rays.h"
-
-#define CODE_DROPPED 15
 
 static float block_scale(__global const int2 *index, int block, float edge)
 {

@@ -74,7 +74,7 @@ typedef struct {
 /* The scene's function, or where there are layers the one that begins `first` floats into `table`. */
 INLINE Pieces scene_pieces(__global const float *table, intN first, __constant const View *view)
 {
-  const Pieces f = {table, first, view->pieces.x, view->pieces.w, TRANSFER_PIECES == 16, table[ROW_ORIGIN * view->pieces.x]};
+  const Pieces f = {table, first, view->piece_columns, view->piece_count, TRANSFER_PIECES == 16, table[ROW_ORIGIN * view->piece_columns]};
   return f;
 }
 
@@ -420,7 +420,7 @@ INLINE floatN units_of_step(Pieces f, __constant const View *view)
 #if TRANSFER_LAYERS
   return piece_row(f, ROW_UNITS, (intN)0);
 #else
-  return (floatN)view->gate.z;
+  return (floatN)view->step_units;
 #endif
 }
 

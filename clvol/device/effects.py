@@ -36,33 +36,19 @@ from clvol.device.projection import (
 from clvol.device.volume import DeviceVolume
 from clvol.features import COMPOSITINGS, GRADIENTS, emits, is_lit
 from clvol.features.gradient_storage import UNLIMITED, DeviceLimits
+from clvol.features.vocabulary import CLIPS, EFFECT_COUNTERS, LIGHTS
 from clvol.opencl.context import DeviceArray, DeviceContext
-from clvol.opencl.structs import effects_dtype
+from clvol.opencl.structs import EFFECTS
 from clvol.scene.resolve import ResolvedScene
 from clvol.volume import Grid
 from clvol.volume.voxel_layout import padded_size
 
-# As numbered in cl/effects.h, each with the switch that it takes to be counted at all.
+# Each with the switch that it takes to be counted at all, in the order of EFFECT_COUNTERS.
 _BY_RAYS = ("shadow_rays", "shadow_samples")  # nor is it counted where shadows are by volume
-COUNTERS = {
-    "gradients": "GRADIENT",
-    "lit_samples": "LIGHTING",
-    "surface_tests": "ISOSURFACES",
-    "surface_hits": "ISOSURFACES",
-    "shadow_rays": "SHADOWS",
-    "shadow_samples": "SHADOWS",
-    "field_samples": "FIELDS",
-    "bends": "REFRACTION",
-}
-LIGHT_TYPES = {"directional": 0, "point": 1, "headlight": 2}
+_COUNTED_BY = ("GRADIENT", "LIGHTING", "ISOSURFACES", "ISOSURFACES", "SHADOWS", "SHADOWS", "FIELDS", "REFRACTION")
+COUNTERS = dict(zip(EFFECT_COUNTERS, _COUNTED_BY, strict=True))
 OPAQUE_DEPTH = 1e15  # of a surface; finite, so that any share of it counts
-CLIP_TYPES = {"plane": 0, "box": 1, "sphere": 2}
 _FAR = 1e12  # smallest edges: from there light comes from one direction, to float32
-ARGUMENTS = (
-    ", in effects V1, in items float32, in gradients uint32, in surface_distances uint8, "
-    "in environment float32, in light_volume float32, in noise uint32, in factors float32, "
-    "in fields float32"
-)
 
 
 def effect_switches(
@@ -173,7 +159,7 @@ class EffectState:
         self.context = context
         self._value_gain = volume.values.gain
         self.space = LocalSpace(resolved.volume.grid, padded_size(resolved.volume))
-        self.numbers = np.zeros(1, effects_dtype())
+        self.numbers = np.zeros(1, EFFECTS)
         none = {
             name: context.upload(np.zeros(4, dtype))
             for name, dtype in (
@@ -208,16 +194,14 @@ class EffectState:
             numbers[f"local_{name}"] = (*space.matrix[axis], space.shift[axis])
             numbers[f"gradient_{name}"][:3] = space.inverse_transpose[axis]
         diagonal = np.diag(np.diag(space.inverse_transpose))
-        numbers["gradient_x"][3] = float(np.array_equal(diagonal, space.inverse_transpose))
+        numbers["along_axes"] = np.array_equal(diagonal, space.inverse_transpose)
         material = resolved.material
-        numbers["material"] = (
-            material.ambient, material.diffuse, material.specular, material.shininess
-        )  # fmt: skip
+        for name in ("ambient", "diffuse", "specular", "shininess", "two_sided"):
+            numbers[name] = getattr(material, name)
         per_edge = values.gain * space.unit  # from value per world length
         fade = material.fade * per_edge
         # Within float32, so that what fades most is not taken for what does not fade.
-        per_fade = float(np.clip(1.0 / fade, 1e-30, 1e30)) if fade > 0 else 0.0
-        numbers["shading"][:2] = (per_fade, float(material.two_sided))
+        numbers["fade"] = float(np.clip(1.0 / fade, 1e-30, 1e30)) if fade > 0 else 0.0
         if resolved.depth_cue is not None:
             self._fill_depth_cue(resolved.depth_cue)
         lights, surfaces, clips = self._items(resolved, values)
@@ -225,10 +209,9 @@ class EffectState:
         if rows:
             self.arrays["items"] = self.context.upload(np.array(rows, np.float32))
         keeps = sum(clip.keep == "inside" for clip in resolved.clips)
-        numbers["counts"] = (
-            len(resolved.lights), len(resolved.isosurfaces), keeps, len(resolved.clips) - keeps
-        )  # fmt: skip
-        numbers["first"][:3] = (0, len(lights), len(lights) + len(surfaces))
+        numbers["light_count"], numbers["surface_count"] = len(resolved.lights), len(resolved.isosurfaces)
+        numbers["kept_clips"], numbers["removed_clips"] = keeps, len(resolved.clips) - keeps
+        numbers["first_surface"], numbers["first_clip"] = len(lights), len(lights) + len(surfaces)
 
     def _add_factors(self, resolved: ResolvedScene, volume: DeviceVolume) -> None:
         """Opacity factors, transfer layers and fields: their tables share a buffer."""
@@ -239,11 +222,11 @@ class EffectState:
             tables.append(np.asarray(array, np.float32).ravel())
             return sum(table.size for table in tables[:-1])
 
-        for k, factor in enumerate((resolved.gradient_opacity, resolved.directional_opacity)):
-            rows = factor_rows(factor, per_edge)
-            numbers["factors"][k], numbers["factor_offsets"][k] = rows.shape[1], place(rows)
+        for name in ("gradient_opacity", "directional_opacity"):
+            rows = factor_rows(getattr(resolved, name), per_edge)
+            numbers[f"{name}_points"], numbers[f"{name}_table"] = rows.shape[1], place(rows)
         places = layer_places(resolved, per_edge)
-        numbers["factors"][2], numbers["factor_offsets"][2] = places.size, place(places)
+        numbers["layer_count"], numbers["layer_table"] = places.size, place(places)
         if resolved.fields:
             self.fields = SceneFields(self.context, resolved, volume.cells, place, numbers)
             self.arrays["fields"] = self.fields.voxels
@@ -257,32 +240,31 @@ class EffectState:
         )  # fmt: skip
         maps = environment_maps(radiance, resolved.material.shininess, sky=asked.visible)
         self.arrays["environment"] = self.context.upload(maps.nodes)
-        places = [maps.diffuse, maps.specular, maps.sky or maps.diffuse]
-        self.numbers[0]["maps"][:3] = [place.size for place in places]
-        self.numbers[0]["map_offsets"][:3] = [place.offset for place in places]
+        places = {"diffuse": maps.diffuse, "specular": maps.specular, "sky": maps.sky or maps.diffuse}
+        for name, place in places.items():
+            self.numbers[f"{name}_map_size"], self.numbers[f"{name}_map"] = place.size, place.offset
 
     def _fill_noise(self, resolved: ResolvedScene) -> None:
         """The terms at ``animation.time``."""
         grid, numbers = resolved.volume.grid, self.numbers[0]
-        terms, *counts = device_noise(
+        numbers["noise_terms"], numbers["added_terms"], numbers["moving_terms"] = device_noise(
             resolved.noise, grid, resolved.animation.time, self._value_gain
         )
-        numbers["noise_terms"], numbers["noise_counts"][:2] = terms, counts
         numbers["noise_reach"][:3] = 0.5 * grid.smallest_edge / np.asarray(grid.spacing)
 
     def _add_projection(self, resolved: ResolvedScene, volume: DeviceVolume) -> None:
         moved = perturbation(resolved.noise, resolved.volume.grid, self._value_gain)
         numbers = self.numbers[0]
-        numbers["value_bounds"][:2] = sample_bounds(volume, resolved, moved)
-        numbers["projection"][:2] = normalisation(volume, resolved)
-        numbers["projection"][2] = attenuation_a_step(resolved)
-        numbers["projection"][3] = NO_SCORE
+        numbers["lowest_sample"], numbers["highest_sample"] = sample_bounds(volume, resolved, moved)
+        numbers["lowest_value"], numbers["values_per_range"] = normalisation(volume, resolved)
+        numbers["attenuation"] = attenuation_a_step(resolved)
+        numbers["hidden_score"] = NO_SCORE
         if resolved.integration.compositing != "average":
             self.arrays["factors"] = self.context.upload(score_bounds(volume, resolved, moved))
 
     def set_hidden(self, score: float) -> None:
         """``score``: samples that score no more than that show nothing."""
-        self.numbers[0]["projection"][3] = score
+        self.numbers["hidden_score"] = score
         self.arrays["effects"] = self.context.upload(self.numbers)
 
     def for_scene(self, resolved: ResolvedScene) -> EffectState:
@@ -292,18 +274,19 @@ class EffectState:
         if self.switches and changes:
             other.numbers = self.numbers.copy()
             if self.switches.get("SHADOWS"):
-                other.numbers[0]["shadow"][1] = shadow_step(resolved)
+                other.numbers["shadow_step"] = shadow_step(resolved)
             if resolved.noise:
                 other._fill_noise(resolved)
-            other.numbers[0]["projection"][2] = attenuation_a_step(resolved)
+            other.numbers["attenuation"] = attenuation_a_step(resolved)
             other.arrays["effects"] = self.context.upload(other.numbers)
         return other
 
     def _fill_depth_cue(self, cue: Any) -> None:
         unit = self.space.unit
         length = max((cue.end - cue.start) / unit, 1e-30)
-        self.numbers[0]["depth_cue"][:3] = (cue.start / unit, 1.0 / length, cue.strength)
-        self.numbers[0]["depth_color"][:3] = cue.color
+        numbers = self.numbers[0]
+        numbers["cue_start"], numbers["cue_per_edge"] = cue.start / unit, 1.0 / length
+        numbers["cue_strength"], numbers["cue_color"][:3] = cue.strength, cue.color
 
     def _items(self, resolved: ResolvedScene, values: ValueMap) -> tuple[list, list, list]:
         space = self.space
@@ -313,11 +296,11 @@ class EffectState:
             at = np.zeros(3)
             if light.type == "directional":
                 at = -_unit(light.direction)
-            kind = LIGHT_TYPES[light.type]
+            kind = LIGHTS[light.type]
             if light.type == "point":
                 at = space.point(light.position)
                 if np.abs(at).max() > _FAR:
-                    at, kind = _unit(at), LIGHT_TYPES["directional"]
+                    at, kind = _unit(at), LIGHTS["directional"]
             lights.append((*at, kind))
             volume = casting.index(number) if number in casting else -1.0
             lights.append((*(np.asarray(light.color) * light.intensity), volume))
@@ -337,7 +320,7 @@ class EffectState:
                 first = (first @ second) * second  # the plane's nearest point has the most digits
             elif clip.type == "box":
                 second = space.point(clip.upper)
-            clips.append((CLIP_TYPES[clip.type], 0.0, 0.0, min(radius, _FAR)))
+            clips.append((CLIPS[clip.type], 0.0, 0.0, min(radius, _FAR)))
             clips.append((*np.clip(first, -_FAR, _FAR), 0.0))
             clips.append((*np.clip(second, -_FAR, _FAR), 0.0))
         return lights, surfaces, clips

@@ -7,6 +7,7 @@ import numpy as np
 from clvol.device.memory import UNPERTURBED, Perturbation
 from clvol.device.volume import DeviceVolume
 from clvol.features import FILTER_REACH, overshoot
+from clvol.opencl.arguments import INT4, reads, value, writes
 from clvol.opencl.context import DeviceArray, DeviceContext
 from clvol.transfer.lookup_nodes import LookupNodes
 
@@ -139,7 +140,12 @@ def distance_map(context: DeviceContext, mask: np.ndarray) -> DeviceArray:
     kernel = context.kernel(
         "empty_space.cl",
         "distance_pass",
-        "in source uint8, out target uint8, value cells int4, value axis int32",
+        (
+            reads("source", np.uint8, "cells.x", "cells.y", "cells.z"),
+            writes("target", np.uint8, "cells.x", "cells.y", "cells.z"),
+            value("cells", INT4),
+            value("axis", np.int32),
+        ),
         {"VOXEL_BITS": 8, "VOXEL_SIGNED": 0},
     )
     cells = mask.shape[::-1]

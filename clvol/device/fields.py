@@ -13,6 +13,7 @@ from clvol.device.empty_space import visible_mask
 from clvol.device.memory import ValueMap, value_map
 from clvol.device.transfer_lookup import device_function
 from clvol.errors import VolumeError
+from clvol.features.vocabulary import FIELD_ROLES
 from clvol.transfer import TransferFunction
 from clvol.transfer.lookup_nodes import LookupNodes, lookup_nodes, visible_cells
 from clvol.transfer.pieces import has_opaque_point, piece_count, piece_table
@@ -24,8 +25,6 @@ if TYPE_CHECKING:
     from clvol.scene.resolve import ResolvedScene
     from clvol.volume import Grid, Volume
 
-LABEL, DENSITY, MASK = 1, 2, 4  # roles, and bits of FIELDS
-_ROLES = {"label": LABEL, "density": DENSITY, "mask": MASK}
 _DENSITY_NODES = 4096
 _ROUNDING = 4e-6  # of a linear interpolation in float32, as a share of the largest value
 _MARGIN = 0.02  # voxels of the volume that a sample may be off its cell, generously
@@ -35,7 +34,7 @@ _FINEST_SHIFT = 1e-9  # voxels: below that it is rounding of the affines
 def field_switches(resolved: ResolvedScene) -> dict[str, int]:
     bits = 0
     for field in resolved.fields:
-        bits |= _ROLES[field.role]
+        bits |= FIELD_ROLES[field.role]
     return {"FIELDS": bits}
 
 
@@ -57,16 +56,17 @@ class SceneFields:
     ) -> None:
         _check_fits(context, resolved)
         parts = [_Part(field, resolved.volume) for field in resolved.fields]
-        numbers["fields"][0] = len(parts)
+        numbers["field_count"] = len(parts)
         edge = resolved.volume.grid.smallest_edge
         begin = 0
         for k, part in enumerate(parts):
-            for axis, name in enumerate(("field_x", "field_y", "field_z")):
-                numbers[name][k] = (*part.matrix[axis], part.shift[axis])
-            numbers["field_size"][k] = (*part.voxels.shape[::-1], _ROLES[part.field.role])
-            numbers["field_at"][k][0] = begin
+            row = numbers["fields"][k]
+            for axis, name in enumerate("xyz"):
+                row[name] = (*part.matrix[axis], part.shift[axis])
+            row["size"][:3] = part.voxels.shape[::-1]
+            row["role"], row["first_voxel"] = FIELD_ROLES[part.field.role], begin
             begin += part.voxels.size
-            part.fill(numbers, k, place, edge)
+            part.fill(row, place, edge)
         self.voxels = context.upload(np.concatenate([part.voxels.ravel() for part in parts]))
         self.shown, self.kept = np.zeros(cells[::-1], bool), np.ones(cells[::-1], bool)
         for part in parts:
@@ -99,22 +99,21 @@ class _Part:
         self.voxels = _voxels(field, self.values)
         self.matrix, self.shift = between_lattices(volume.grid, field.volume.grid)
 
-    def fill(self, numbers: np.ndarray, k: int, place, edge: float) -> None:
-        """``edge``: world length of the volume's smallest edge."""
+    def fill(self, row: np.void, place: Callable[[np.ndarray], int], edge: float) -> None:
+        """Fills what of the struct ``Field`` depends on the role. ``edge``: world length of the volume's smallest edge."""
         field = self.field
         if field.role == "label":
             table = np.column_stack([field.colors, field.factors])
-            numbers["field_at"][k][1] = place(np.vstack([[0.0, 0.0, 0.0, 1.0], table]))
+            row["table"] = place(np.vstack([[0.0, 0.0, 0.0, 1.0], table]))
         elif field.role == "mask":
-            side = 1.0 if field.keep == "above" else -1.0
-            numbers["field_map"][k][:2] = (float(self.values(field.threshold)), side)
+            row["threshold"] = float(self.values(field.threshold))
+            row["side"] = 1.0 if field.keep == "above" else -1.0
         else:
             function, nodes = self._density
             table = piece_table(function, edge, origin=float(np.float32(nodes.first)))
-            numbers["field_at"][k][1] = place(table.ravel())
-            pole = float(has_opaque_point(function))
-            units = edge / function.opacity_unit
-            numbers["field_map"][k] = (table.shape[1], piece_count(function), pole, units)
+            row["table"] = place(table.ravel())
+            row["piece_columns"], row["piece_count"] = table.shape[1], piece_count(function)
+            row["has_pole"], row["edge_units"] = has_opaque_point(function), edge / function.opacity_unit
 
     @property
     def _density(self) -> tuple[TransferFunction, LookupNodes]:

@@ -9,6 +9,7 @@ import numpy as np
 
 from clvol.features.gradient_storage import DeviceLimits, chosen_storage
 from clvol.features.vocabulary import GRADIENTS
+from clvol.opencl.arguments import INT4, RAW, reads, value, writes
 from clvol.opencl.context import DeviceArray, DeviceContext
 from clvol.volume import Volume
 
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
 OPERATORS = ("central", "sobel")
 _ANALYTIC = ("cubic", "catmull-rom")  # filters that have a derivative of their own
 _ROOTS, _DIRECTIONS = 255, 127  # largest numbers of a code's root of length, and of its direction
+_SIZE = ("size.x", "size.y", "size.z")
 
 
 def gradient_switch(
@@ -58,18 +60,18 @@ def precompute(
     switches = storing_switches(volume.switches, operator)
     nx, ny, nz = volume.size
     given = {"volume": volume.plain(), "size": (nx, ny, nz, 0), "metric": metric}
-    declared = f"in volume V1, value size int4, in metric {np.dtype(real).name}, "
+    declared = (reads("volume", RAW, *_SIZE), value("size", INT4), reads("metric", real, 4))
 
     rows = context.empty(np.float32, (nz, ny))
     kernel = context.kernel(
-        "gradients.cl", "largest_gradients", declared + "out largest float32", switches
+        "gradients.cl", "largest_gradients", (*declared, writes("largest", np.float32, *_SIZE[1:])), switches
     )
     kernel(context.queue, (ny, nz), None, **given, largest=rows)
     context.finish()
     largest = float(context.read(rows).max())
 
     codes = context.empty(np.uint32, (nz, ny, nx))
-    declared += "value largest float32, out codes uint32"
+    declared += (value("largest", np.float32), writes("codes", np.uint32, *_SIZE))
     kernel = context.kernel("gradients.cl", "store_gradients", declared, switches)
     kernel(context.queue, (ny, nz), None, **given, largest=largest, codes=codes)
     context.finish()

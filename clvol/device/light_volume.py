@@ -3,28 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
+from clvol.device.arguments import EFFECT_ARGUMENTS, scene_arguments
 from clvol.errors import SceneError
 from clvol.features.gradient_storage import DeviceLimits
+from clvol.features.vocabulary import SHADOW_METHODS as METHODS
+from clvol.opencl.arguments import reads, value, writes
 from clvol.opencl.context import DeviceArray, DeviceContext
 from clvol.scene.resolve import ResolvedScene
 from clvol.scene.shadow import Shadow
 from clvol.schedule.tiles import bands
 from clvol.volume import Grid
 
-METHODS = {"rays": 1, "volume": 2}  # SHADOWS of cl/shadow.h
 CONE_DIRECTIONS = 13
 TRANSPARENT = 1e-3  # a march stops where less than that arrives
 _SECONDS_A_SAMPLE, _BAND_SECONDS = 1e-8, 0.5
 _WORK_GROUP = 64
 _ARGUMENTS = (
-    "in volume V1, in table float32, in warp float32, in distances uint8, in view V1, "
-    "in effects V1, in items float32, in gradients uint32, in surface_distances uint8, in noise uint32, "
-    "in factors float32, in fields float32, in cone float32, "
-    "value light int32, value index int32, value first int32, out arrives float32, "
-    "out samples uint32"
+    reads("cone", np.float32, 1 + CONE_DIRECTIONS, 4),
+    value("light", np.int32),
+    value("index", np.int32),
+    value("first", np.int32),
+    writes("arrives", np.float32, "lights", "points", "channels"),
+    writes("samples", np.uint32, "items"),
 )
 
 
@@ -79,22 +83,23 @@ def check_fits(resolved: ResolvedScene, limits: DeviceLimits) -> None:
         raise SceneError(where, what, f"at most {room} bytes, all that the device gives")
 
 
-def shadow_numbers(resolved: ResolvedScene, padded: tuple[int, int, int]) -> dict[str, tuple]:
+def shadow_numbers(resolved: ResolvedScene, padded: tuple[int, int, int]) -> dict[str, Any]:
     """The fields of ``Effects`` that shadows need. ``padded``: lattice points of the volume."""
     shadow = resolved.shadow
     less = 1.0 - np.asarray(shadow.scatter_color, float)
     attenuated = less[less > 0] if _scatters(shadow) else np.ones(1)
     slowest = attenuated.min() if attenuated.size else 1.0
-    numbers = {
-        "shadow": (
-            shadow.bound, shadow_step(resolved), shadow.scattering, -np.log(TRANSPARENT) / slowest
-        )
-    }  # fmt: skip
+    numbers: dict[str, Any] = {
+        "shadow_bound": shadow.bound,
+        "shadow_step": shadow_step(resolved),
+        "shadow_depth": -np.log(TRANSPARENT) / slowest,
+        "scattering": shadow.scattering,
+    }
     if shadow.is_volume:
         size = light_size(resolved.volume.grid, shadow.resolution)
         scale = (np.asarray(size) - 1.0) / (np.asarray(padded) - 1.0)
         numbers["light_grid"] = (*scale, 0.0)
-        numbers["light_size"] = (*size, len(casting_lights(resolved)))
+        numbers["light_size"] = (*size, 0)
     return numbers
 
 
@@ -117,7 +122,7 @@ def fill_light_volume(
     """The light volumes of all lights that cast shadows, float32 [lights, z, y, x, channels], and
     how many reconstructions of the volume that took.
 
-    ``switches``: the picture's. ``arrays``: those of the scene that the kernel takes by name.
+    ``switches``: the picture's. ``arrays``: those of the scene and its effects, by name.
     """
     lights = casting_lights(resolved)
     size = light_size(resolved.volume.grid, resolved.shadow.resolution)
@@ -130,10 +135,10 @@ def fill_light_volume(
     cone = np.zeros((1 + CONE_DIRECTIONS, 4), np.float32)
     cone[0] = (*(1.0 - np.asarray(resolved.shadow.scatter_color)), CONE_DIRECTIONS)
     cone[1:, :3] = cone_directions(resolved.shadow.cone_degrees)
-    declared = {name.split()[1] for name in _ARGUMENTS.split(", ")}
-    given = {name: array for name, array in arrays.items() if name in declared}
-    kernel = context.kernel("light_volume.cl", "light_volume", _ARGUMENTS, switches)
-    given |= {"view": context.upload(view), "cone": context.upload(cone)}
+    declared = scene_arguments(switches["VOXEL_BITS"]) + EFFECT_ARGUMENTS + _ARGUMENTS
+    kernel = context.kernel("light_volume.cl", "light_volume", declared, switches)
+    given = {**arrays, "view": context.upload(view), "cone": context.upload(cone)}
+    sizes = {"lights": len(lights), "points": points, "channels": channels, "items": items}
     rays = 1 + CONE_DIRECTIONS * switches["SCATTERING"]
     expected = points * rays * sum(resolved.volume.grid.size) / shadow_step(resolved)
     taken = 0
@@ -143,6 +148,7 @@ def fill_light_volume(
                 context.queue,
                 (-(-count // group) * group,),
                 (group,),
+                sizes=sizes,
                 light=light,
                 index=index,
                 first=first * lanes,

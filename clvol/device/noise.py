@@ -32,6 +32,7 @@ import numpy as np
 
 from clvol.device.memory import Perturbation
 from clvol.errors import SceneError
+from clvol.features.vocabulary import NOISE_TARGETS as TARGETS
 from clvol.opencl.structs import MOST_NOISE_TERMS as MOST_TERMS
 from clvol.opencl.structs import NOISE_TERM as TERM_DTYPE
 from clvol.volume.grid import Grid
@@ -40,7 +41,6 @@ from clvol.volume.voxel_layout import CELL_SHIFT
 TILE = 32  # texels an edge
 CHANNELS = 4  # x, y, z of a displacement; the value
 CENTRE = 4.0  # cycles a tile in the middle of the band
-TARGETS = {"value": 0, "coordinate": 1}  # NOISE_... of cl/noise.h
 # What float32 may add to a bound that is exact in real numbers: a few roundings an octave.
 _ROUNDING = 1.0 + 1e-5
 _PLACE_ROUNDING = 0.01  # lattice units: far more than rounding of a place
@@ -176,14 +176,14 @@ def device_noise(
     seeds = _seeds(noises)
     for term, noise in zip(terms, ordered):
         term["scale"][:3] = _tiles_an_index(noise, grid)
-        term["scale"][3] = noise.gain
+        term["gain"] = noise.gain
         term["offset"][:3] = _offset(noise, time)
         if noise.target == "value":
-            term["amplitude"][3] = noise.amplitude * value_gain
+            term["value_amplitude"] = noise.amplitude * value_gain
         else:
             term["amplitude"][:3] = noise.amplitude / np.asarray(grid.spacing)
-        first = seeds.index(noise.seed) * TILE**3
-        term["shape"] = (noise.octaves, TARGETS[noise.target], first, 0)
+        term["octaves"], term["target"] = noise.octaves, TARGETS[noise.target]
+        term["first_texel"] = seeds.index(noise.seed) * TILE**3
     values = sum(noise.target == "value" for noise in noises)
     return terms, values, len(ordered) - values
 

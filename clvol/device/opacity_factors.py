@@ -8,18 +8,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from clvol.features.vocabulary import OPACITY_FACTORS
 from clvol.transfer import TransferFunction
 
 if TYPE_CHECKING:
     from clvol.scene.opacity_factor import OpacityFactor
     from clvol.scene.resolve import ResolvedScene
 
-GRADIENT, DIRECTIONAL = 1, 2  # bits of OPACITY_FACTORS
-
 
 def factor_switches(resolved: ResolvedScene) -> dict[str, int]:
-    bits = GRADIENT * int(resolved.gradient_opacity is not None)
-    bits |= DIRECTIONAL * int(resolved.directional_opacity is not None)
+    bits = OPACITY_FACTORS["gradient"] * int(resolved.gradient_opacity is not None)
+    bits |= OPACITY_FACTORS["directional"] * int(resolved.directional_opacity is not None)
     return {"OPACITY_FACTORS": bits, "TRANSFER_LAYERS": int(bool(resolved.transfer_layers))}
 
 

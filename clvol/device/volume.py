@@ -7,6 +7,7 @@ import numpy as np
 from clvol.device.gradients import precompute
 from clvol.device.memory import value_map, voxel_switches
 from clvol.errors import VolumeError
+from clvol.opencl.arguments import INT4, RAW, reads, value, writes
 from clvol.opencl.context import DeviceArray, DeviceContext
 from clvol.volume import Volume
 from clvol.volume.voxel_layout import CELL_SHIFT, LARGEST_OFFSET, cell_count, device_bytes, holds_pairs, padded_size
@@ -36,7 +37,11 @@ class DeviceVolume:
             pair_rows = context.kernel(
                 "empty_space.cl",
                 "pair_rows",
-                "in volume V1, value size int4, out pairs uint8",
+                (
+                    reads("volume", RAW, "size.x", "size.y", "size.z"),
+                    value("size", INT4),
+                    writes("pairs", np.uint8, nz * (ny - 1) * nx, 2),
+                ),
                 self._grid_switches,
             )
             size = (nx, ny, nz, 0)
@@ -89,7 +94,13 @@ class DeviceVolume:
         kernel = context.kernel(
             "empty_space.cl",
             "min_max_cells",
-            "in volume V1, value size int4, value edge int32, value apron int32, out cells V1",
+            (
+                reads("volume", RAW, "size.x", "size.y", "size.z", self._data.dtype.itemsize),
+                value("size", INT4),
+                value("edge", np.int32),
+                value("apron", np.int32),
+                writes("cells", self._data.dtype, *out.shape),
+            ),
             self._grid_switches,
         )
         kernel(

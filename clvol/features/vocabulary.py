@@ -1,4 +1,7 @@
-"""Names of what gets compiled, as numbered in cl/features.h."""
+"""The vocabulary that the host and the kernels share, as numbered in cl/features.h; counters in the headers that count.
+
+tests/test_features.py compares all of it with the #defines.
+"""
 
 from __future__ import annotations
 
@@ -16,6 +19,29 @@ QUADRATURES = {"steps": 0, "cells": 1}
 STEPPINGS = {"full": 0, "limited": 1, "naive": 2, "bounded": 3}
 # How the method "pyramid" asks an oracle.
 ORACLES = {"minimum": 0, "map": 1, "error": 2, "custom": 3}
+# How shadows are found: SHADOWS.
+SHADOW_METHODS = {"rays": 1, "volume": 2}
+# Bits of OPACITY_FACTORS.
+OPACITY_FACTORS = {"gradient": 1, "directional": 2}
+# Roles of fields, and bits of FIELDS.
+FIELD_ROLES = {"label": 1, "density": 2, "mask": 4}
+# What a term of noise perturbs; bit 1 << n of NOISE says whether any does.
+NOISE_TARGETS = {"value": 0, "coordinate": 1}
+LIGHTS = {"directional": 0, "point": 1, "headlight": 2}
+CLIPS = {"plane": 0, "box": 1, "sphere": 2}
+# How a block's samples reach the device.
+BLOCK_CODECS = {"raw": 0, "constant": 1, "vector-quantised": 2}
+CODE_DROPPED = 15  # of a block without samples
+# What is in a cell of a volume of blocks.
+CELLS = {"visible": 0, "beside-holes": 1, "empty": 255}
+
+# What is counted beside samples, in the order of COUNT_... of the header that is named.
+EFFECT_COUNTERS = (  # cl/effects.h
+    "gradients", "lit_samples", "surface_tests", "surface_hits", "shadow_rays", "shadow_samples", "field_samples", "bends",
+)  # fmt: skip
+BLOCK_COUNTERS = ("block_reads", "blended_samples")  # cl/block_parameters.h
+PYRAMID_COUNTERS = ("oracle_samples", "syntheses", "accumulations")  # cl/pyramid.h
+
 # The sum of the weights' magnitudes along an axis, at most: 1 where no weight is negative.
 _WEIGHT = {"catmull-rom": 1.25}
 

@@ -1,6 +1,6 @@
 """One device opened for work: its context and queue, buffers, programs and kernels.
 
-Kernels are called by name with arguments that were declared beforehand (dtype and intent), so that
+Kernels are called by name with arguments that were declared beforehand (clvol/opencl/arguments.py), so that
 a wrong array is a Python error and not a wrong picture.
 """
 
@@ -19,6 +19,7 @@ import numpy as np
 
 from clvol.errors import DeviceError, RenderError
 from clvol.limits import check_room_for_opencl
+from clvol.opencl.arguments import Argument, known_sizes
 from clvol.opencl.binding import cl
 from clvol.opencl.build import build_file, keep_programs
 from clvol.opencl.devices import report_of
@@ -39,38 +40,12 @@ class DeviceArray:
         return int(np.prod(self.shape, dtype=np.int64)) * self.dtype.itemsize
 
 
-@dataclass(frozen=True)
-class Argument:
-    """One kernel argument: a buffer of ``dtype`` read ("in") or written ("out"), or a "value"."""
-
-    name: str
-    dtype: np.dtype
-    intent: str
-
-    @classmethod
-    def declare(cls, declarations: str) -> tuple[Argument, ...]:
-        """From "in volume uint8, out image float32, value edge int32"."""
-        arguments = []
-        for declaration in declarations.split(","):
-            intent, name, dtype = declaration.split()
-            if intent not in ("in", "out", "value"):
-                raise ValueError(f"intent {intent!r} of {name!r}")
-            fours = {"int4": _INT4, "float4": _FLOAT4}
-            arguments.append(cls(name, fours.get(dtype) or np.dtype(dtype), intent))
-        return tuple(arguments)
-
-
-_INT4 = np.dtype(("i4", 4))
-_FLOAT4 = np.dtype(("f4", 4))
-_ANY = np.dtype("V1")  # a struct or raw voxels: the kernel's own switches say what it holds
-
-
 class Kernel:
     """A kernel and the arguments it takes. Not for two threads at once."""
 
-    def __init__(self, program: Any, name: str, declarations: str) -> None:
+    def __init__(self, program: Any, name: str, arguments: tuple[Argument, ...]) -> None:
         self.name = name
-        self.arguments = Argument.declare(declarations)
+        self.arguments = arguments
         self._kernel = cl.Kernel(program, name)
         if self._kernel.num_args != len(self.arguments):
             raise RenderError(
@@ -84,34 +59,34 @@ class Kernel:
         queue: cl.CommandQueue,
         global_size: Sequence[int],
         local_size: Sequence[int] | None,
+        *,
+        sizes: Mapping[str, int] | None = None,
         **given: Any,
     ) -> cl.Event:
+        """Enqueues the kernel with its arguments by name. ``sizes``: what names in their shapes stand for, beside the
+        kernel's own integer values."""
         check_fork()
         if given.keys() != {argument.name for argument in self.arguments}:
             expected = ", ".join(argument.name for argument in self.arguments)
             raise RenderError(f"kernel {self.name}", f"got {', '.join(given)}", expected)
+        values = {a.name: a.checked_value(self.name, given[a.name]) for a in self.arguments if a.intent == "value"}
+        known = {**(sizes or {}), **known_sizes(values)}
         for index, argument in enumerate(self.arguments):
-            self._kernel.set_arg(index, self._checked(argument, given[argument.name]))
+            if argument.intent == "value":
+                self._kernel.set_arg(index, values[argument.name])
+                continue
+            array = given[argument.name]
+            if not isinstance(array, DeviceArray):
+                where = f"kernel {self.name}, argument {argument.name}"
+                raise RenderError(where, f"got {type(array).__name__}", "a DeviceArray")
+            argument.check_buffer(self.name, array, known)
+            self._kernel.set_arg(index, array.buffer)
         return cl.enqueue_nd_range_kernel(
             queue,
             self._kernel,
             tuple(int(n) for n in global_size),
             None if local_size is None else tuple(int(n) for n in local_size),
         )
-
-    def _checked(self, argument: Argument, value: Any) -> Any:
-        where = f"kernel {self.name}, argument {argument.name}"
-        if argument.intent == "value":
-            value = np.asarray(value, dtype=argument.dtype.base)
-            if value.shape != argument.dtype.shape:
-                expected = f"shape {argument.dtype.shape}"
-                raise RenderError(where, f"got shape {value.shape}", expected)
-            return value if value.shape else argument.dtype.type(value)
-        if not isinstance(value, DeviceArray):
-            raise RenderError(where, f"got {type(value).__name__}", "a DeviceArray")
-        if argument.dtype != _ANY and value.dtype != argument.dtype:
-            raise RenderError(where, f"got {value.dtype}", str(argument.dtype))
-        return value.buffer
 
 
 def restore_interrupts() -> None:
@@ -170,16 +145,17 @@ class DeviceContext:
         self,
         file: str,
         name: str,
-        declarations: str,
+        arguments: Sequence[Argument],
         switches: Mapping[str, int] | None = None,
         folder: Path | None = None,
     ) -> Kernel:
         """Kernel ``name`` of cl/``file`` built with ``switches`` (-D), built at most once. ``folder``: one more to
         include files from."""
         options = compile_options(switches or {})
-        key = (file, name, options, folder, declarations)
+        arguments = tuple(arguments)
+        key = (file, name, options, folder, arguments)
         if key not in self._kernels:
-            self._kernels[key] = Kernel(self._program(file, options, folder), name, declarations)
+            self._kernels[key] = Kernel(self._program(file, options, folder), name, arguments)
         return self._kernels[key]
 
     def _program(self, file: str, options: tuple[str, ...], folder: Path | None) -> Any:

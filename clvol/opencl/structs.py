@@ -1,70 +1,130 @@
-"""Structs shared with the kernels, each declared once here and checked on the device.
+"""Structs shared with the kernels, each declared once here; clvol/opencl/struct_check.py compares them with the device's.
 
-Every field is 16 bytes wide, or all are together, so that numpy and any OpenCL compiler lay them
-out alike.
+``struct`` lays fields out as OpenCL C does. What a field means stands beside it in the header that is named.
 """
 
 from __future__ import annotations
 
+from functools import lru_cache
+from typing import Any
+
 import numpy as np
 
-_FLOAT4_BEFORE = (
-    "plane_origin", "plane_du", "plane_dv", "ray_forward", "ray_du", "ray_dv", "lens", "march",
-    "upper", "classes", "gate", "voxel",
-)  # fmt: skip
-_INT4 = ("size", "stride", "cells", "image", "band", "table", "pieces")
+# Lengths of arrays in structs, as in cl/features.h: how many of each a scene may have.
+MOST_FIELDS, MOST_NOISE_TERMS, MOST_HALVES = 3, 4, 16
+
+_TYPES = {
+    "float": np.dtype("f4"), "float2": np.dtype(("f4", 2)), "float4": np.dtype(("f4", 4)),
+    "int": np.dtype("i4"), "int2": np.dtype(("i4", 2)), "int4": np.dtype(("i4", 4)),
+    "double": np.dtype("f8"),
+}  # fmt: skip
+
+FieldType = str | np.dtype
 
 
+def struct(*groups: tuple[FieldType, str] | tuple[FieldType, str, int]) -> np.dtype:
+    """A struct of OpenCL C as a numpy dtype: (type, "names of fields") or (type, name, length of the array).
+
+    Each field is at the next multiple of its alignment, vectors aligned to their size and structs to their widest field;
+    the size is a multiple of the widest alignment. ValueError for a type that is not known.
+    """
+    names, formats, offsets = [], [], []
+    end, widest = 0, 1
+    for kind, called, *length in groups:
+        if isinstance(kind, str) and kind not in _TYPES:
+            raise ValueError(f"type {kind!r} of {called!r}")
+        dtype = _TYPES[kind] if isinstance(kind, str) else kind
+        alignment = _alignment(dtype)
+        widest = max(widest, alignment)
+        made = np.dtype((dtype, (length[0],))) if length else dtype
+        for name in called.split():
+            start = -(-end // alignment) * alignment
+            names.append(name), formats.append(made), offsets.append(start)
+            end = start + made.itemsize
+    size = -(-end // widest) * widest
+    return np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": size})
+
+
+def _alignment(dtype: np.dtype) -> int:
+    """Bytes: of a scalar, a vector of two or four, or a struct."""
+    if dtype.fields is None:
+        return dtype.itemsize
+    return max(_element_alignment(field[0]) for field in dtype.fields.values())
+
+
+def _element_alignment(dtype: np.dtype) -> int:
+    """Of a field of a struct, which may be an array of vectors or of structs: no array of scalars."""
+    if dtype.base.fields is not None:
+        return _alignment(dtype.base)
+    return dtype.base.itemsize * (dtype.shape[-1] if dtype.shape else 1)
+
+
+@lru_cache
 def view_dtype(voxel_bits: int) -> np.dtype:
     """``View`` of cl/view.h, for volumes of ``voxel_bits`` (8, 16, 32 or 64)."""
-    double = ("f8", 2) if voxel_bits == 64 else ("f4", 4)
-    return np.dtype(
-        [(name, "f4", 4) for name in _FLOAT4_BEFORE]
-        + [("voxel_double", *double)]
-        + [(name, "i4", 4) for name in _INT4]
+    doubles: tuple[Any, ...] = (("double", "voxel_bias_double voxel_gain_double"),) if voxel_bits == 64 else ()
+    return struct(
+        ("float4", "plane_origin plane_du plane_dv ray_forward ray_du ray_dv upper"),
+        ("int4", "size cells"),
+        *doubles,
+        ("float2", "tangent centre"),
+        ("int2", "image tile lattice"),
+        ("int", "ray_spacing"),
+        ("float", "ray_tolerance"),
+        ("int", "first_tile"),
+        ("float", "step plane_distance stop_opacity edge_length"),
+        ("float", "first_value nodes_per_value last_node warp_bins"),
+        ("float", "gate_low gate_high step_units voxel_gain zero"),
+        ("int", "cell_shift cell_parts row_stride slice_stride piece_columns piece_count function_floats"),
     )
 
 
-BLOCKS = np.dtype([("count", "i4", 4), ("edge", "f4", 4)])
+BLOCKS = struct(("int4", "count"), ("float", "edge inverse_edge"), ("int", "log_edge"))
 """``Blocks`` of cl/block_parameters.h."""
 
-MOST_HALVES = 16  # MOST_HALVES
-PYRAMID = np.dtype(
-    [
-        ("levels", "i4", 4), ("cells", "i4", 4), ("free_cells", "i4", 4), ("spacing", "f4", 4), ("edges", "f4", 4),
-        ("oracle", "f4", 4), ("gate", "f4", 4), ("halves", "f4", (MOST_HALVES, 4)),
-    ]
-)  # fmt: skip
+BLOCK_PAYLOAD = struct(("int", "from to size codec"))
+"""``BlockPayload`` of cl/decode_blocks.cl."""
+
+PYRAMID = struct(
+    ("float4", "halves", MOST_HALVES),
+    ("float4", "oracle edges"),
+    ("int4", "cells free_cells"),
+    ("int", "cell_shift free_shift levels oversampling half_count"),
+    ("float", "ray_spacing spacing_growth gate_low gate_high"),
+)
 """``Pyramid`` of cl/pyramid.h."""
 
-_EFFECTS_FLOAT4 = (
-    "local_x", "local_y", "local_z", "gradient_x", "gradient_y", "gradient_z", "gradient_scale",
-    "material", "shading", "depth_cue", "depth_color", "projection", "shadow", "light_grid",
-    "environment", "value_bounds", "noise_reach",
-)  # fmt: skip
-_EFFECTS_INT4 = (
-    "counts", "first", "light_size", "maps", "map_offsets", "factors", "factor_offsets", "fields",
-)  # fmt: skip
-MOST_FIELDS = 3
-_FIELD_FLOAT4 = ("field_x", "field_y", "field_z", "field_map")
-_FIELD_INT4 = ("field_size", "field_at")
-
-MOST_NOISE_TERMS = 4  # NOISE_TERMS
-NOISE_TERM = np.dtype(
-    [("scale", "f4", 4), ("offset", "f4", 4), ("amplitude", "f4", 4), ("shape", "i4", 4)]
+NOISE_TERM = struct(
+    ("float4", "scale offset amplitude"),
+    ("float", "value_amplitude gain"),
+    ("int", "octaves target first_texel"),
 )
 """``NoiseTerm`` of cl/noise.h."""
 
-BLOCK_PAYLOAD = np.dtype([("from", "i4"), ("to", "i4"), ("size", "i4"), ("codec", "i4")])
-"""``BlockPayload`` of cl/decode_blocks.cl."""
+FIELD = struct(
+    ("float4", "x y z"),
+    ("int4", "size"),
+    ("int", "role first_voxel table piece_columns piece_count has_pole"),
+    ("float", "edge_units threshold side"),
+)
+"""``Field`` of cl/effects.h."""
 
-
-def effects_dtype() -> np.dtype:
-    """``Effects`` of cl/effects.h."""
-    return np.dtype(
-        [(name, "f4", 4) for name in _EFFECTS_FLOAT4]
-        + [(name, "i4", 4) for name in _EFFECTS_INT4]
-        + [(name, "f4", (MOST_FIELDS, 4)) for name in _FIELD_FLOAT4]
-        + [(name, "i4", (MOST_FIELDS, 4)) for name in _FIELD_INT4]
-        + [("noise_counts", "i4", 4), ("noise_terms", NOISE_TERM, MOST_NOISE_TERMS)]
-    )
+EFFECTS = struct(
+    ("float4", "local_x local_y local_z gradient_x gradient_y gradient_z"),
+    ("float4", "gradient_scale cue_color light_grid noise_reach"),
+    ("int4", "light_size"),
+    (FIELD, "fields", MOST_FIELDS),
+    (NOISE_TERM, "noise_terms", MOST_NOISE_TERMS),
+    ("int", "along_axes"),
+    ("float", "ambient diffuse specular shininess fade"),
+    ("int", "two_sided"),
+    ("float", "cue_start cue_per_edge cue_strength"),
+    ("float", "lowest_value values_per_range attenuation hidden_score lowest_sample highest_sample"),
+    ("float", "shadow_bound shadow_step shadow_depth scattering"),
+    ("int", "light_count surface_count kept_clips removed_clips first_light first_surface first_clip"),
+    ("int", "diffuse_map_size specular_map_size sky_map_size diffuse_map specular_map sky_map"),
+    ("int", "gradient_opacity_points directional_opacity_points layer_count"),
+    ("int", "gradient_opacity_table directional_opacity_table layer_table"),
+    ("int", "field_count added_terms moving_terms"),
+)
+"""``Effects`` of cl/effects.h."""

@@ -40,6 +40,3 @@ __kernel void perturb(__global const uint *tiles, __constant const NoiseTerm *te
   STORE_LANES(added, each);
   EACH_LANE(k) done[3 * n + first + k] = each[k];
 }
-
-/* The compiler's NoiseTerm. */
-__kernel void term_size(__global uint *size) { size[0] = sizeof(NoiseTerm); }

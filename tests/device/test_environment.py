@@ -21,6 +21,7 @@ from clvol.device.environment import (
 )
 from clvol.device.environment_file import cube_coordinates, cube_directions, load_radiance
 from clvol.errors import SceneError
+from clvol.opencl.arguments import reads, value, writes
 
 SOURCE = Path(__file__).with_name("environment_look_up.cl")
 STUDIO = DATA / "studio.exr"
@@ -270,8 +271,10 @@ def _on_device(context, lanes, nodes, place, directions) -> np.ndarray:
     n = len(directions)
     kernel = context.kernel(
         str(SOURCE), "look_up",
-        "in map float32, value offset int32, value size int32, value n int32, in x float32, "
-        "in y float32, in z float32, out radiance float32",
+        (
+            reads("map", np.float32), value("offset", np.int32), value("size", np.int32), value("n", np.int32),
+            *(reads(axis, np.float32, "n") for axis in "xyz"), writes("radiance", np.float32, 3, "n"),
+        ),
         {"LANES": lanes},
     )  # fmt: skip
     radiance = context.empty(np.float32, (3, n))

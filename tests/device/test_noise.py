@@ -26,6 +26,7 @@ from clvol.device.noise import (
     value_bound,
 )
 from clvol.errors import SceneError
+from clvol.opencl.arguments import reads, value, writes
 from clvol.scene import Noise
 from clvol.scene.load import tomllib
 from clvol.volume import Grid
@@ -76,18 +77,19 @@ def call(context, name, noises, place, lanes, outputs, time=0.0, **values):
     n = len(place)
     made, in_value, in_place = device_noise(noises, GRID, time)
     counts = {"values": in_value, "coordinates": in_place} if name == "perturb" else {}
-    declared = ", ".join(f"value {key} int32" for key in ("n", *counts))
     kernel = context.kernel(
         SOURCE, name,
-        f"in tiles uint32, in terms V1, in x float32, in y float32, in z float32, "
-        f"out {outputs} float32, {declared}",
+        (
+            reads("tiles", np.uint32), reads("terms", TERM_DTYPE), *(reads(axis, np.float32, "n") for axis in "xyz"),
+            writes(outputs, np.float32, 4, "n"), *(value(key, np.int32) for key in ("n", *counts)),
+        ),
         {"LANES": lanes},
     )  # fmt: skip
     out = context.empty(np.float32, (4, n))
     kernel(
         context.queue, (n // lanes,), (1,), tiles=context.upload(device_tiles(noises)),
         terms=context.upload(made), n=n, **counts, **{outputs: out},
-        **{key: context.upload(value) for key, value in lanes_of(place).items()},
+        **{key: context.upload(array) for key, array in lanes_of(place).items()},
     )  # fmt: skip
     return context.read(out).T.astype(np.float64)
 
@@ -294,13 +296,6 @@ def test_the_kernel_too_stays_within_the_bounds(context, lanes, octaves):
     found = np.abs(call(context, "noise_sums", [term], place, lanes, "sums"))
     assert found[:, 3].max() <= value_bound(term)
     assert found[:, :3].max() <= displacement_bound(Term("coordinate", octaves=octaves, gain=1.0))
-
-
-def test_the_struct_is_the_compilers(context):
-    kernel = context.kernel(SOURCE, "term_size", "out size uint32", {"LANES": 1})
-    size = context.empty(np.uint32, (1,))
-    kernel(context.queue, (1,), (1,), size=size)
-    assert context.read(size)[0] == TERM_DTYPE.itemsize
 
 
 def test_more_terms_than_there_is_room_for_are_refused():

@@ -31,12 +31,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from clvol import Camera, TransferFunction, Volume
+from clvol.device import noise, projection
+from clvol.device.effects import COUNTERS, OPAQUE_DEPTH
 from clvol.errors import SceneError
 from clvol.explanation import explain, kernel_hash
 from clvol.features import (
     CLASSIFICATIONS,
     COMPOSITINGS,
     FILTERS,
+    GRADIENTS,
     NAMES,
     NEUTRAL,
     ORACLES,
@@ -47,20 +50,72 @@ from clvol.features import (
     emits,
     is_lit,
     reduced,
+    vocabulary,
 )
 from clvol.integrators.registry import check_scene
 from clvol.opencl.kernels_path import kernel_folder
+from clvol.opencl.structs import MOST_FIELDS, MOST_HALVES, MOST_NOISE_TERMS
+from clvol.scene.pyramid import MOST_LEVELS
+
+COUNTED = {
+    "effects.h": vocabulary.EFFECT_COUNTERS,
+    "block_parameters.h": vocabulary.BLOCK_COUNTERS,
+    "pyramid.h": vocabulary.PYRAMID_COUNTERS,
+}
+# Prefix of the names in cl/features.h: the table in Python.
+VOCABULARY = {
+    "FILTER": FILTERS, "CLASSIFICATION": CLASSIFICATIONS, "GRADIENT": GRADIENTS, "COMPOSITING": COMPOSITINGS,
+    "QUADRATURE": QUADRATURES, "STEPPING": STEPPINGS, "ORACLE": ORACLES, "SHADOWS": vocabulary.SHADOW_METHODS,
+    "OPACITY_FACTOR": vocabulary.OPACITY_FACTORS, "FIELD": vocabulary.FIELD_ROLES,
+    "NOISE_TARGET": vocabulary.NOISE_TARGETS, "LIGHT": vocabulary.LIGHTS, "CLIP": vocabulary.CLIPS,
+    "CODEC": vocabulary.BLOCK_CODECS, "CELL": vocabulary.CELLS, "CODE": {"dropped": vocabulary.CODE_DROPPED},
+    "MOST": {"fields": MOST_FIELDS, "noise-terms": MOST_NOISE_TERMS, "halves": MOST_HALVES, "levels": MOST_LEVELS},
+}  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    "prefix, table",
-    [("FILTER", FILTERS), ("CLASSIFICATION", CLASSIFICATIONS), ("QUADRATURE", QUADRATURES),
-     ("COMPOSITING", COMPOSITINGS), ("STEPPING", STEPPINGS), ("ORACLE", ORACLES)],
-)  # fmt: skip
-def test_the_vocabulary_is_one(prefix, table):
-    text = (kernel_folder() / "features.h").read_text()
-    found = re.finditer(rf"#define {prefix}_(\w+) (\d+)", text)
-    assert {m[1].lower().replace("_", "-"): int(m[2]) for m in found} == table
+def defined(header: str) -> dict[str, float]:
+    """Numbers that a header of cl/ defines, by name."""
+    text = (kernel_folder() / header).read_text()
+    found = re.finditer(r"^#define (\w+) \(?(-?[\d.]+(?:e-?\d+)?)f?\)?(?= *(?:/\*|$))", text, re.MULTILINE)
+    return {m[1]: float(m[2]) for m in found}
+
+
+def spoken(name: str) -> str:
+    return name.lower().replace("_", "-")
+
+
+@pytest.mark.parametrize("prefix", VOCABULARY)
+def test_the_vocabulary_is_one(prefix):
+    found = {name: n for name, n in defined("features.h").items() if name.startswith(f"{prefix}_")}
+    assert {spoken(name.removeprefix(f"{prefix}_")): n for name, n in found.items()} == VOCABULARY[prefix]
+
+
+def test_every_name_of_the_header_is_in_the_vocabulary():
+    known = {f"{prefix}_{word.upper().replace('-', '_')}" for prefix, table in VOCABULARY.items() for word in table}
+    assert set(defined("features.h")) == known
+
+
+@pytest.mark.parametrize("header", COUNTED)
+def test_counters_are_in_one_order(header):
+    found = {name: n for name, n in defined(header).items() if name.startswith("COUNT_")}
+    expected = {f"COUNT_{name.upper()}": k for k, name in enumerate(COUNTED[header])}
+    assert found == expected
+
+
+def test_counters_of_effects_are_as_many_as_the_header_says():
+    assert defined("effects.h")["EFFECT_COUNTERS"] == len(vocabulary.EFFECT_COUNTERS) == len(COUNTERS)
+    assert defined("block_parameters.h")["BLOCK_COUNTERS"] == len(vocabulary.BLOCK_COUNTERS)
+
+
+@pytest.mark.parametrize("header, name, here", [
+    ("noise.h", "NOISE_TILE", noise.TILE),
+    ("project.h", "BOUND_LEVELS", projection.LEVELS),
+    ("project.h", "BOUND_SHIFT", projection.LEVEL_SHIFT),
+    ("project.h", "NO_SCORE", projection.NO_SCORE),
+    ("transfer_pieces.h", "OPAQUE_DEPTH", OPAQUE_DEPTH),
+])  # fmt: skip
+def test_constants_of_both_sides_are_the_same(header, name, here):
+    assert np.float32(defined(header)[name]) == np.float32(here)
 
 
 def reasons(resolved) -> dict[str, str]:

@@ -9,9 +9,11 @@ import pytest
 from helpers.small_scenes import axis_camera, exact, make_scene, picture, waves
 
 from clvol import TransferFunction, Volume
+from clvol.device.arguments import view_argument
 from clvol.device.volume import DeviceVolume
 from clvol.errors import DeviceError, VolumeError
 from clvol.integrators.reference.picture import render_reference
+from clvol.opencl.arguments import reads, writes
 from clvol.opencl.structs import view_dtype
 from clvol.volume.voxel_layout import LARGEST_OFFSET
 
@@ -110,7 +112,10 @@ def test_addresses_are_right_up_to_2_31_voxels(context, lanes, bits, pairs):
     }  # fmt: skip
     kernel = context.kernel(
         str(SOURCE), "corner_offsets",
-        "in view V1, in x int32, in y int32, in z int32, out offsets int32, out bytes uint64",
+        (
+            view_argument(bits), *(reads(axis, np.int32) for axis in "xyz"), writes("offsets", np.int32),
+            writes("bytes", np.uint64),
+        ),
         switches,
     )  # fmt: skip
     rng = np.random.default_rng(5)
@@ -121,7 +126,7 @@ def test_addresses_are_right_up_to_2_31_voxels(context, lanes, bits, pairs):
         cells[:, 0], cells[:, 1] = 0, [n - 2 for n in size]
         stride = (nx, nx * (ny - 1)) if pairs else (nx, nx * ny)
         view = np.zeros(1, view_dtype(bits))
-        view["size"][0, :3], view["stride"][0, :2] = size, stride
+        view["size"][0, :3], view["row_stride"], view["slice_stride"] = size, *stride
         offsets, sizes = context.empty(np.int32, (64,)), context.empty(np.uint64, (64,))
         kernel(
             context.queue, (64 // lanes,), (1,), view=context.upload(view),

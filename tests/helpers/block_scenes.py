@@ -8,11 +8,13 @@ import numpy as np
 from reference.multiresolution import BlockField
 
 from clvol import Scene, TransferFunction, Volume
+from clvol.device.arguments import block_arguments, view_argument
 from clvol.features import FILTERS
-from clvol.integrators.multiresolution.caster import BlockCaster
+from clvol.integrators.multiresolution.caster import BlockCaster, blocks_struct
 from clvol.integrators.multiresolution.device_blocks import DeviceBlocks
 from clvol.integrators.multiresolution.sample_allocator import overhead_bytes
-from clvol.opencl.structs import BLOCKS, view_dtype
+from clvol.opencl.arguments import RAW, reads, value, writes
+from clvol.opencl.structs import view_dtype
 from clvol.scene import ImageSettings, Integration
 from clvol.scene.multiresolution import Multiresolution
 from clvol.store.geometry import BlockGrid
@@ -88,25 +90,23 @@ def random_places(grid: BlockGrid, count: int, seed: int) -> np.ndarray:
 def values_at(context, blocks: DeviceBlocks, p, interblock=True, lanes=16):
     """The kernels' values float32 [n] at places [n, 3], and their counters uint64 [2]."""
     grid = blocks.blocks
-    row = np.zeros(1, BLOCKS)
-    row["count"] = (*reversed(grid.counts), grid.levels - 1)
-    row["edge"][0, :2] = (grid.edge, 1.0 / grid.edge)
     view = np.zeros(1, view_dtype(blocks.switches["VOXEL_BITS"]))
-    view["voxel"][0, 0] = blocks.value_map.gain
+    view["voxel_gain"] = blocks.value_map.gain
     more = {f"samples{k}": array for k, array in enumerate(blocks.samples) if k}
     kernel = context.kernel(
         str(_SOURCE), "block_values",
-        "in volume V1, in view V1, in index int32, in corners uint32, in blocks V1"
-        + "".join(f", in {name} V1" for name in more)
-        + ", in at float32, value n int32, value interblock int32, "
-        "out values float32, out counts uint32",
+        (
+            reads("volume", RAW), view_argument(blocks.switches["VOXEL_BITS"]), *block_arguments(len(blocks.samples)),
+            reads("at", np.float32, 3, "n"), value("n", np.int32), value("interblock", np.int32),
+            writes("values", np.float32, "n"), writes("counts", np.uint32, len(p) // lanes, 2),
+        ),
         {**blocks.switches, "LANES": lanes, "FILTER": FILTERS["linear"]},
     )  # fmt: skip
     n = len(p)
     values, counts = context.empty(np.float32, (n,)), context.empty(np.uint32, (n // lanes, 2))
     kernel(
         context.queue, (n // lanes,), (1,), volume=blocks.samples[0], view=context.upload(view),
-        index=blocks.index, corners=blocks.corners, blocks=context.upload(row), **more,
+        index=blocks.index, corners=blocks.corners, blocks=context.upload(blocks_struct(grid)), **more,
         at=context.upload(np.ascontiguousarray(p.T, np.float32)), n=n, interblock=int(interblock),
         values=values, counts=counts,
     )  # fmt: skip

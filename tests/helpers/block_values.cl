@@ -8,12 +8,11 @@
 
 /* at float [3, n]: x, y, z of places p; values float [n]; counts uint [n / LANES, BLOCK_COUNTERS]. n is a multiple of LANES. */
 __kernel WIDE_VECTORS void block_values(__global const uchar *restrict volume, __constant const View *restrict view,
-                                        __global const int *restrict index, __global const uint *restrict corners,
-                                        __constant const Blocks *restrict blocks MORE_SAMPLE_PARAMETERS,
+                                        BLOCK_PARAMETERS,
                                         __global const float *restrict at, int n, int interblock, __global float *restrict values,
                                         __global uint *restrict counts)
 {
-  const BlockVolume held = block_volume(volume, view, index, corners, blocks MORE_SAMPLE_ARGUMENTS);
+  const BlockVolume held = BLOCK_VOLUME;
   const BlockVolume *v = &held;
   const size_t first = get_global_id(0) * LANES;
   const floatN x = LOAD_LANES(at + first), y = LOAD_LANES(at + n + first), z = LOAD_LANES(at + 2 * n + first);

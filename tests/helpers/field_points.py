@@ -8,9 +8,11 @@ import numpy as np
 from scipy import ndimage
 
 from clvol import Volume
+from clvol.device.arguments import view_argument
 from clvol.device.gradients import precompute
 from clvol.device.volume import DeviceVolume
 from clvol.features import FILTERS, GRADIENTS
+from clvol.opencl.arguments import FLOAT4, RAW, reads, value, writes
 from clvol.opencl.structs import view_dtype
 
 _SOURCE = Path(__file__).with_name("gradient_points.cl")
@@ -43,17 +45,19 @@ def evaluate(context, volume, gradient, at, *, filter="linear", operator="centra
         codes, scale = precompute(context, resident, operator)
     bits = resident.switches["VOXEL_BITS"]
     view = np.zeros(1, view_dtype(bits))
-    view["size"][0, :3], view["stride"][0, :2] = resident.size, resident.stride
+    view["size"][0, :3], (view["row_stride"], view["slice_stride"]) = resident.size, resident.stride
     view["upper"][0, :3] = np.asarray(resident.size) - 1
-    view["voxel"][0, 0] = resident.values.gain
+    view["voxel_gain"] = resident.values.gain
     if bits == 64:
-        view["voxel_double"] = resident.values.bias, resident.values.gain
+        view["voxel_bias_double"], view["voxel_gain_double"] = resident.values.bias, resident.values.gain
     switches = {**resident.switches, "LANES": lanes, "FILTER": FILTERS[filter],
                 "GRADIENT": GRADIENTS[gradient]}  # fmt: skip
     kernel = context.kernel(
         str(_SOURCE), "gradient_points",
-        "in volume V1, in gradients uint32, in view V1, value scale 4f4, in at float32, "
-        "value n int32, out out float32",
+        (
+            reads("volume", RAW), reads("gradients", np.uint32), view_argument(bits), value("scale", FLOAT4),
+            reads("at", np.float32, 3, "n"), value("n", np.int32), writes("out", np.float32, 4, "n"),
+        ),
         switches,
     )  # fmt: skip
     n = len(at)

@@ -4,19 +4,16 @@
 /* places  float [4, n]: lattice x, y, z, and the sample's weight; n a multiple of LANES
  * shares  float [3, n]
  * light   number among all lights */
-__kernel void light_at(__global const uchar *restrict volume, __global const float *restrict table,
-                       __global const float *restrict warp, __global const uchar *restrict distances,
-                       __constant const View *restrict view EFFECT_PARAMETERS, __global const float *restrict places, int n,
+__kernel void light_at(SCENE_PARAMETERS COUNTS_PARAMETER, __global const float *restrict places, int n,
                        int light, __global float *restrict shares)
 {
-  EFFECT_TALLY
-  const Scene scene = {volume, table, warp, distances, view, effects, items, gradients, surface_distances, environment, light_volume,
-                       noise, factors, fields};
+  DECLARE_TALLIES
+  const Scene scene = SCENE;
   const int first = get_global_id(0) * LANES;
   const Vectors place = {LOAD_LANES(places + first), LOAD_LANES(places + n + first), LOAD_LANES(places + 2 * n + first)};
   const floatN weight = LOAD_LANES(places + 3 * n + first);
   const Vectors here = to_local(effects, place.x, place.y, place.z);
-  const float4 at = items[effects->first.x + 2 * light], intensity = items[effects->first.x + 2 * light + 1];
+  const float4 at = items[effects->first_light + 2 * light], intensity = items[effects->first_light + 2 * light + 1];
   Vectors towards = broadcast3(at);
   if (at.w == LIGHT_POINT) {
     const Vectors way = {at.x - here.x, at.y - here.y, at.z - here.z};
@@ -24,5 +21,5 @@ __kernel void light_at(__global const uchar *restrict volume, __global const flo
   }
   const Vectors share = light_that_arrives(&scene, place, towards, at, (int)intensity.w, weight, (intN)-1, counted);
   STORE_LANES(share.x, shares + first), STORE_LANES(share.y, shares + n + first), STORE_LANES(share.z, shares + 2 * n + first);
-  EFFECT_STORE_TALLY(get_global_id(0))
+  STORE_TALLIES(get_global_id(0))
 }

@@ -7,8 +7,10 @@ from pathlib import Path
 import numpy as np
 
 from clvol import TransferFunction
-from clvol.device.effects import ARGUMENTS, COUNTERS
+from clvol.device.arguments import EFFECT_ARGUMENTS, counts_argument, scene_arguments
+from clvol.device.effects import COUNTERS
 from clvol.integrators.raycast.caster import Raycaster
+from clvol.opencl.arguments import reads, value, writes
 from helpers.twin_scenes import ramp, scene
 
 _SOURCE = str(Path(__file__).with_name("light_at.cl"))
@@ -39,12 +41,13 @@ def arriving(caster: Raycaster, places, weight=1.0, light=0):
     view = caster.volume_view()
     kernel = context.kernel(
         _SOURCE, "light_at",
-        "in volume V1, in table float32, in warp float32, in distances uint8, in view V1"
-        + ARGUMENTS + ", out counts uint32, in places float32, value n int32, value light int32, out shares float32",
+        scene_arguments(caster.switches["VOXEL_BITS"]) + EFFECT_ARGUMENTS + counts_argument(len(COUNTERS))
+        + (reads("places", np.float32, 4, "n"), value("n", np.int32), value("light", np.int32),
+           writes("shares", np.float32, 3, "n")),
         {**caster.switches, "WITH_DEPTH": 0},
     )  # fmt: skip
     kernel(
-        context.queue, (n // lanes,), (1,), view=context.upload(view), counts=counts,
+        context.queue, (n // lanes,), (1,), sizes={"tiles": n // lanes}, view=context.upload(view), counts=counts,
         places=context.upload(given), n=n, light=light, shares=shares,
         **caster._scene_arrays(), **caster.effects.arrays,
     )  # fmt: skip

@@ -8,9 +8,11 @@ import shutil
 import subprocess
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from clvol.errors import RenderError
+from clvol.opencl.arguments import writes
 from clvol.opencl.kernels_path import kernel_folder
 from clvol.opencl.source import whole_source
 
@@ -118,9 +120,9 @@ def test_an_error_names_file_and_line(tmp_path):
 def test_what_is_not_there_is_an_error_only_where_it_is_needed(tmp_path, context):
     source = '#if NEEDED\n#include "gone.h"\n#endif\nkernel void f(global int *a) { a[0] = 1; }\n'
     main = write(tmp_path, main_cl=source)
-    context.kernel(str(main), "f", "out a int32", {"NEEDED": 0})
+    context.kernel(str(main), "f", [writes("a", np.int32)], {"NEEDED": 0})
     with pytest.raises(RenderError, match="gone.h is not found"):
-        context.kernel(str(main), "f", "out a int32", {"NEEDED": 1})
+        context.kernel(str(main), "f", [writes("a", np.int32)], {"NEEDED": 1})
 
 
 @pytest.mark.parametrize("files, what", [

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from clvol.device.effects import ARGUMENTS as EFFECT_ARGUMENTS
+from clvol.device.arguments import EFFECT_ARGUMENTS, scene_arguments
+from clvol.device.effects import COUNTERS
 from clvol.device.view import ray_frame
 from clvol.integrators.raycast.caster import Raycaster
 from clvol.integrators.tiles.geometry import TileGrid
 from clvol.integrators.tiles.launch import PacketRenderer
 from clvol.scene.camera import Camera
 
-_SCENE_ARGUMENTS = "in volume V1, in table float32, in warp float32, in distances uint8, in view V1"
 _SECONDS_A_SAMPLE = 1e-8  # as of a whole picture
 
 
@@ -24,12 +24,11 @@ class TileRaycaster(Raycaster):
         return PacketRenderer(
             "tile_rays.cl",
             {**self.switches, "WITH_DEPTH": int(depth)},
-            _SCENE_ARGUMENTS,
-            self._scene_arrays(),
-            EFFECT_ARGUMENTS + ", out counts uint32" if has_effects else "",
-            self.effects.arrays if has_effects else {},
+            scene_arguments(self.switches["VOXEL_BITS"]) + (EFFECT_ARGUMENTS if has_effects else ()),
+            {**self._scene_arrays(), **(self.effects.arrays if has_effects else {})},
             self.lanes,
             self._most_samples() * _SECONDS_A_SAMPLE,
+            len(COUNTERS) if has_effects else 0,
         )
 
     def picture_view(self, camera: Camera, width: int, height: int) -> np.ndarray:

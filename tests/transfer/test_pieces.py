@@ -7,6 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from clvol.device.arguments import view_argument
+from clvol.opencl.arguments import reads, value, writes
 from clvol.opencl.structs import view_dtype
 from clvol.transfer import TransferFunction
 from clvol.transfer.pieces import (
@@ -61,13 +63,15 @@ def segments_of(context, function, front, back, units, *, lanes=None, in_memory=
     count = piece_count(function)
     width = columns(count)
     view = np.zeros(1, view_dtype(8))
-    view["gate"][0, 2] = 1.0
-    view["pieces"][0] = (width, 0, 0, count)
+    view["step_units"] = 1.0
+    view["piece_columns"], view["piece_count"] = width, count
     pieces = 0 if in_memory or count > IN_REGISTERS else IN_REGISTERS
     kernel = context.kernel(
         SOURCE, "segment_colors",
-        "in table float32, in view V1, in front float32, in back float32, in units float32, "
-        "value of_one int32, value n int32, out colors float32",
+        (
+            reads("table", np.float32), view_argument(8), *(reads(a, np.float32, "n") for a in ("front", "back", "units")),
+            value("of_one", np.int32), value("n", np.int32), writes("colors", np.float32, 5, "n"),
+        ),
         {"LANES": lanes, "VOXEL_BITS": 8, "VOXEL_HOLES": 1, "TRANSFER_PIECES": pieces,
          "TRANSFER_LAYERS": 0},
     )  # fmt: skip

@@ -4,36 +4,43 @@ from __future__ import annotations
 
 import numpy as np
 
+from clvol.device.arguments import (
+    Arguments,
+    block_arguments,
+    scene_arguments,
+    view_argument,
+)
 from clvol.device.transfer_lookup import device_function, scene_nodes, segment_classification
 from clvol.device.view import ray_frame
 from clvol.features import STEPPINGS
+from clvol.features.vocabulary import BLOCK_COUNTERS, CELLS
 from clvol.integrators.multiresolution.bounds import most_steps
 from clvol.integrators.multiresolution.device_blocks import DeviceBlocks
 from clvol.integrators.multiresolution.sample_allocator import map_shift
-from clvol.integrators.raycast.caster import _SCENE_ARGUMENTS, _SECONDS_A_SAMPLE, Raycaster
+from clvol.integrators.raycast.caster import _SECONDS_A_SAMPLE, Raycaster
 from clvol.integrators.raycast.march import March
 from clvol.integrators.raycast.switches import raycast_switches
 from clvol.integrators.tiles.geometry import TileGrid
 from clvol.integrators.tiles.launch import PacketRenderer
 from clvol.integrators.tiles.statistics import corner_statistics
+from clvol.opencl.arguments import RAW, Argument, reads, writes
 from clvol.opencl.context import DeviceArray, DeviceContext
 from clvol.opencl.structs import BLOCKS
 from clvol.scene.camera import Camera
 from clvol.scene.resolve import ResolvedScene
 from clvol.schedule.tiles import TILE
+from clvol.store.geometry import BlockGrid
 from clvol.store.source import DROPPED
 from clvol.transfer import TransferFunction
 from clvol.transfer.lookup_nodes import visible_cells
 from clvol.transfer.pieces import value_gate
 
-BLOCK_COUNTERS = ("block_reads", "blended_samples")  # COUNT_... of cl/block_parameters.h
 # Switches of kernels that look at blocks and cast no rays.
 _OF_BLOCKS = (
     "VOXEL_BITS", "VOXEL_SIGNED", "VOXEL_SCALED", "VOXEL_HOLES", "VOXEL_PAIRS", "SAMPLE_BUFFERS",
     "INTERBLOCK", "FILTER", "CLASSIFICATION", "TRANSFER_PIECES",
 )  # fmt: skip
 _MORE = ["samples1", "samples2", "samples3"]
-_EMPTY, _BESIDE_HOLES = 255, 1  # of cl/block_cells.cl
 
 
 class BlockedVolume:
@@ -52,6 +59,14 @@ class BlockedVolume:
     @property
     def voxels(self) -> DeviceArray:
         return self.blocks.samples[0]
+
+
+def blocks_struct(grid: BlockGrid) -> np.ndarray:
+    """``Blocks`` [1] of cl/block_parameters.h."""
+    row = np.zeros(1, BLOCKS)
+    row["count"][0, :3] = grid.counts[::-1]
+    row["edge"], row["inverse_edge"], row["log_edge"] = grid.edge, 1.0 / grid.edge, grid.levels - 1
+    return row
 
 
 class BlockCaster(Raycaster):
@@ -74,12 +89,13 @@ class BlockCaster(Raycaster):
     ) -> None:
         self.blocks = blocks
         grid = blocks.blocks
-        row = np.zeros(1, BLOCKS)
-        row["count"] = (*reversed(grid.counts), grid.levels - 1)
-        row["edge"][0, :2] = (grid.edge, 1.0 / grid.edge)
-        self._blocks = context.upload(row)
+        self._blocks = context.upload(blocks_struct(grid))
         volume = BlockedVolume(blocks)
         super().__init__(context, resolved, lanes=lanes, skip=skip, tile=tile, volume=volume, march=march)
+
+    @property
+    def structs(self) -> dict[str, np.dtype]:
+        return {**super().structs, "Blocks": BLOCKS}
 
     @property
     def settings(self):
@@ -135,8 +151,10 @@ class BlockCaster(Raycaster):
         kernel = context.kernel(
             "block_cells.cl",
             "visible_block_cells",
-            "in volume V1, in warp float32, in before int32, in at uint8, in view V1, in index int32, "
-            f"in corners uint32, in blocks V1{self._more_samples[0]}, out cells uint8",
+            (
+                reads("volume", RAW), reads("warp", np.float32, 2), reads("before", np.int32), reads("at", np.uint8),
+                self._view_argument, *self._block_arguments, writes("cells", np.uint8, *volume.cells),
+            ),
             self._switches_of_blocks,
         )
         cells = context.empty(np.uint8, volume.cells[::-1])
@@ -154,7 +172,7 @@ class BlockCaster(Raycaster):
         )
         self._set_steps()
         found = context.read(cells)
-        self.shown_cells, self.hole_cells = found != _EMPTY, found == _BESIDE_HOLES
+        self.shown_cells, self.hole_cells = found != CELLS["empty"], found == CELLS["beside-holes"]
         self.visible_share = float(self.shown_cells.mean())
         self.march.find_empty_space(self, self.shown_cells)
         self.march.scene_changed(self)
@@ -173,8 +191,10 @@ class BlockCaster(Raycaster):
         kernel = context.kernel(
             "block_bounds.cl",
             "block_bounds",
-            "in volume V1, in view V1, in index int32, in corners uint32, in blocks V1"
-            f"{self._more_samples[0]}, out bounds float32",
+            (
+                reads("volume", RAW), self._view_argument, *self._block_arguments,
+                writes("bounds", np.float32, blocks.count, 4),
+            ),
             self._switches_of_blocks,
         )
         bounds = context.empty(np.float32, (blocks.count, 4))
@@ -199,26 +219,28 @@ class BlockCaster(Raycaster):
         return other
 
     @property
-    def _more_samples(self) -> tuple[str, dict[str, DeviceArray]]:
-        more = dict(zip(_MORE, self.blocks.samples[1:]))
-        return "".join(f", in {name} V1" for name in more), more
+    def _view_argument(self) -> Argument:
+        return view_argument(self.volume.switches["VOXEL_BITS"])
+
+    @property
+    def _block_arguments(self) -> Arguments:
+        return block_arguments(len(self.blocks.samples))
 
     def _resident_arrays(self) -> dict[str, DeviceArray]:
         blocks = self.blocks
         arrays = {"index": blocks.index, "corners": blocks.corners, "blocks": self._blocks}
-        return {**arrays, **self._more_samples[1]}
+        return {**arrays, **dict(zip(_MORE, blocks.samples[1:]))}
 
     def _block_arrays(self) -> dict[str, DeviceArray]:
         arrays = self._resident_arrays()
         return {**arrays, "steps": self._steps} if self.stepping == "bounded" else arrays
 
     @property
-    def _declared(self) -> str:
-        bounded = ", in steps uint8" if self.stepping == "bounded" else ""
-        return ", in index int32, in corners uint32, in blocks V1" + self._more_samples[0] + bounded
+    def _declared(self) -> Arguments:
+        return block_arguments(len(self.blocks.samples), bounded=self.stepping == "bounded")
 
     @property
-    def _sample_arguments(self) -> tuple[str, dict[str, DeviceArray]]:
+    def _sample_arguments(self) -> tuple[Arguments, dict[str, DeviceArray]]:
         return self._declared, self._block_arrays()
 
     @property
@@ -231,10 +253,8 @@ class BlockCaster(Raycaster):
         return PacketRenderer(
             "tile_rays.cl",
             {**self.switches, "WITH_DEPTH": int(depth)},
-            _SCENE_ARGUMENTS.removesuffix(", "),
-            self._scene_arrays(),
-            self._declared + ", out counts uint32",
-            self._block_arrays(),
+            scene_arguments(self.volume.switches["VOXEL_BITS"]) + self._declared,
+            {**self._scene_arrays(), **self._block_arrays()},
             self.lanes,
             self._most_samples() * _SECONDS_A_SAMPLE,
             len(BLOCK_COUNTERS),

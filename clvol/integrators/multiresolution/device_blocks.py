@@ -9,6 +9,7 @@ import numpy as np
 
 from clvol.device.memory import ValueMap, value_map, voxel_switches
 from clvol.errors import RenderError
+from clvol.features.vocabulary import CODE_DROPPED
 from clvol.integrators.multiresolution.loader import Loader, Piece, requests
 from clvol.integrators.multiresolution.sample_allocator import (
     SPARE_BYTES,
@@ -18,11 +19,11 @@ from clvol.integrators.multiresolution.sample_allocator import (
     sample_dtype,
     staging_bytes,
 )
+from clvol.opencl.arguments import RAW, reads, value, writes
 from clvol.opencl.context import DeviceArray, DeviceContext
 from clvol.opencl.structs import BLOCK_PAYLOAD
 from clvol.store.source import DROPPED, BlockSource
 
-CODE_DROPPED = 15
 CODE_ONE = 1  # one sample, which is in the index
 
 _GROUP = 64  # work-items: always as many, since PoCL compiles anew for each other number
@@ -294,17 +295,25 @@ class DeviceBlocks:
         dtype = np.dtype(np.float64) if double else held
         self._staging = context.empty(dtype, (staged // dtype.itemsize,))
         self._payloads = context.empty(np.uint8, (payloads,))
-        values = "value bias float64, value gain float64, " if double else ""
+        values = (value("bias", np.float64), value("gain", np.float64)) if double else ()
         self._values = {"bias": self.value_map.bias, "gain": self.value_map.gain} if double else {}
         switches = {"VOXEL_BITS": held.itemsize * 8, "VOXEL_SIGNED": int(held.kind == "i")}
         switches["STAGED_DOUBLE"] = int(double)
         self._decoder = context.kernel(
             "decode_blocks.cl",
             "decode_blocks",
-            f"in payloads uint8, value count int32, in staged {dtype}, {values}out samples {held}",
+            (
+                reads("payloads", np.uint8, "count", BLOCK_PAYLOAD.itemsize),
+                value("count", np.int32),
+                reads("staged", dtype),
+                *values,
+                writes("samples", held),
+            ),
             switches,
         )
-        declared = "in changes uint8, value count int32, out words V1"
+        declared = (
+            reads("changes", np.uint8, "count", 8), value("count", np.int32), writes("words", RAW)
+        )  # fmt: skip
         self._put = context.kernel("decode_blocks.cl", "put_words", declared, switches)
 
     def _decode(self, piece: Piece) -> None:

@@ -12,9 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from clvol.features.vocabulary import BLOCK_CODECS
 from clvol.store.source import BlockSource
 
-RAW, CONSTANT = 0, 1  # codecs of cl/decode_blocks.cl
+RAW, CONSTANT = BLOCK_CODECS["raw"], BLOCK_CODECS["constant"]
 
 _MOST_READY = 8  # pieces that wait to be taken
 

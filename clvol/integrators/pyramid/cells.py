@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clvol.integrators.pyramid.layout import BRICK, MAP_SPARE, map_bytes, padded_row
+from clvol.opencl.arguments import FLOAT4, INT4, RAW, Argument, reads, value, writes
 from clvol.opencl.context import DeviceArray, DeviceContext
 
 if TYPE_CHECKING:
@@ -21,7 +22,8 @@ if TYPE_CHECKING:
 BINS = 2048  # of values, for what an error of a value shows
 _WIDEST = 0.05  # of the value range: bins go on beyond it by so much, for interpolated values
 _FAR = 65535
-_MAPPED = "value bias {real}, value gain {real}"
+_VOXELS = ("size.z", "size.y", "size.x")  # shapes of arrays, by arguments of the kernels
+_CELLS = ("cells.z", "cells.y", "stride")
 
 
 def voxels_bad_for_error(asked: Asked) -> DeviceArray:
@@ -44,10 +46,11 @@ def voxels_bad_for_error(asked: Asked) -> DeviceArray:
     out = context.empty(np.uint8, (nz, ny, nx))
     kernel = _kernel(
         asked, "bad_voxels",
-        f"in volume V1, value size int4, in halves int32, in shares float32, {_MAPPED}, in slopes float32, "
-        "in tops float32, in minus_bottoms float32, in steepest float32, value n int32, "
-        "value rows int32, value first float32, value per_value float32, value epsilon float32, "
-        "out bad uint8", len(scales),
+        reads("volume", RAW), value("size", INT4), reads("halves", np.int32, len(scales), 4),
+        reads("shares", np.float32, len(scales), 4), *_mapped_arguments(asked), *_tables(len(scales)),
+        reads("steepest", np.float32, len(scales)), value("n", np.int32), value("rows", np.int32),
+        value("first", np.float32), value("per_value", np.float32), value("epsilon", np.float32),
+        writes("bad", np.uint8, *_VOXELS), scales=len(scales),
     )  # fmt: skip
     kernel(
         context.queue, (ny, nz), None, volume=volume.plain(), size=(*volume.size, 0),
@@ -80,9 +83,9 @@ def voxels_of_steep_opacity(asked: Asked) -> DeviceArray:
     out = context.empty(np.uint8, (nz, ny, nx))
     kernel = _kernel(
         asked, "steep_voxels",
-        f"in volume V1, value size int4, {_MAPPED}, in opacity float32, value n int32, "
-        "value first float32, value per_value float32, value edges float4, "
-        "value threshold float32, out bad uint8",
+        reads("volume", RAW), value("size", INT4), *_mapped_arguments(asked), reads("opacity", np.float32, "n"),
+        value("n", np.int32), value("first", np.float32), value("per_value", np.float32), value("edges", FLOAT4),
+        value("threshold", np.float32), writes("bad", np.uint8, *_VOXELS),
     )  # fmt: skip
     kernel(
         context.queue, (ny, nz), None, volume=volume.plain(), size=(*volume.size, 0),
@@ -98,8 +101,8 @@ def cells_of_voxels(asked: Asked, voxels: DeviceArray) -> DeviceArray:
     out = padded_cells(asked)
     kernel = _kernel(
         asked, "bad_cells",
-        "in voxels uint8, value size int4, value shift int32, value cells int4, value stride int32, "
-        "out bad uint8",
+        reads("voxels", np.uint8, *_VOXELS), value("size", INT4), value("shift", np.int32), value("cells", INT4),
+        value("stride", np.int32), writes("bad", np.uint8, *_CELLS),
     )  # fmt: skip
     kernel(
         context.queue, (ny, nz), None, voxels=voxels, size=(*asked.volume.size, 0),
@@ -163,16 +166,18 @@ def _move_distances(
     context, (nz, ny, nx) = asked.context, asked.shape
     cells, stride = (nx, ny, nz, 0), bad.shape[2]
     near, spare = (context.empty(np.uint16, bad.shape) for _ in range(2))
-    start = _kernel(asked, "start_near", "in bad uint8, value bits uint32, out near uint16")
+    start = _kernel(
+        asked, "start_near", reads("bad", np.uint8), value("bits", np.uint32), writes("near", np.uint16)
+    )  # fmt: skip
     step = _kernel(
         asked, "near_pass",
-        "in source uint16, out target uint16, value cells int4, value stride int32, "
-        "value axis int32, value window int32, in gaps uint16",
+        reads("source", np.uint16, *_CELLS), writes("target", np.uint16, *_CELLS), value("cells", INT4),
+        value("stride", np.int32), value("axis", np.int32), value("window", np.int32), reads("gaps", np.uint16, "window"),
     )  # fmt: skip
     move = _kernel(
         asked, "move_distances",
-        "in near uint16, value cells int4, value stride int32, value base float32, value most float32, "
-        "value unit float32, value raises int32, out map uint8",
+        reads("near", np.uint16, *_CELLS), value("cells", INT4), value("stride", np.int32), value("base", np.float32),
+        value("most", np.float32), value("unit", np.float32), value("raises", np.int32), writes("map", np.uint8),
     )  # fmt: skip
     start(context.queue, (bad.nbytes // 16,), None, bad=bad, bits=1 << bit, near=near)
     for axis, edge in enumerate(asked.edges):
@@ -228,18 +233,26 @@ def decoded_distances(codes: np.ndarray) -> np.ndarray:
     return np.where(codes == 0, 0.0, words.view(np.float32).astype(np.float64))
 
 
+def _tables(scales: int) -> tuple[Argument, ...]:
+    return tuple(reads(name, np.float32, scales, "rows", "n", 4) for name in ("slopes", "tops", "minus_bottoms"))
+
+
+def _mapped_arguments(asked: Asked) -> tuple[Argument, ...]:
+    """MAP_PARAMETERS of cl/oracle_cells.cl."""
+    real = np.float64 if asked.volume.switches["VOXEL_BITS"] == 64 else np.float32
+    return value("bias", real), value("gain", real)
+
+
 def _mapped(asked: Asked) -> dict[str, float]:
     values = asked.volume.values
     return {"bias": values.bias, "gain": values.gain}
 
 
-def _kernel(asked: Asked, name: str, declared: str, scales: int = 1):
+def _kernel(asked: Asked, name: str, *arguments: Argument, scales: int = 1):
     switches = {
         key: asked.volume.switches[key] for key in ("VOXEL_BITS", "VOXEL_SIGNED", "VOXEL_SCALED")
     }
-    real = "float64" if switches["VOXEL_BITS"] == 64 else "float32"
-    declared = declared.replace("{real}", real)
-    return asked.context.kernel("oracle_cells.cl", name, declared, {**switches, "SCALES": scales})
+    return asked.context.kernel("oracle_cells.cl", name, arguments, {**switches, "SCALES": scales})
 
 
 def _fours(rows: np.ndarray) -> np.ndarray:

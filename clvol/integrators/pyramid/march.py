@@ -8,17 +8,20 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from clvol.device.arguments import Arguments
 from clvol.device.transfer_lookup import cycled_function, device_function
 from clvol.errors import RenderError
 from clvol.features import ORACLES
+from clvol.features.vocabulary import PYRAMID_COUNTERS
 from clvol.integrators.pyramid.cells import padded_cells, way_map
 from clvol.integrators.pyramid.clips import halves_rows
 from clvol.integrators.pyramid.layout import FREE_REACH, FREE_SHIFT, map_bytes, map_shape, map_shift
 from clvol.integrators.pyramid.oracle import KERNEL_ERROR, KERNEL_MAP, Asked, BlockCells, Oracle
 from clvol.integrators.pyramid.oracles.visible import visible_in_cells
 from clvol.integrators.pyramid.slices import SlicePlan, slice_plan
-from clvol.integrators.raycast.march import check_sizes
+from clvol.opencl.arguments import reads
 from clvol.opencl.context import DeviceArray, DeviceContext, Kernel
+from clvol.opencl.struct_check import REPORT_ARGUMENTS, check_structs
 from clvol.opencl.structs import PYRAMID
 from clvol.scene.camera import Camera
 from clvol.scene.resolve import ResolvedScene
@@ -26,7 +29,6 @@ from clvol.scene.resolve import ResolvedScene
 if TYPE_CHECKING:
     from clvol.integrators.raycast.caster import Raycaster
 
-COUNTERS = ("oracle_samples", "syntheses", "accumulations")  # COUNT_... of cl/pyramid.h
 TILE = 32  # pixels an edge of a tile; a multiple of 2^MOST_LEVELS
 WORKERS = 64  # work-items of a group where they are not one
 _MOST_SLICES = 2**23
@@ -46,7 +48,7 @@ class SliceMarch:
     """
 
     renders_all_pixels = True
-    counters = COUNTERS
+    counters = PYRAMID_COUNTERS
 
     def __init__(
         self, oracle: Oracle, lanes: int, workers: int | None = None, tile: int = TILE, leap: bool = True
@@ -72,7 +74,7 @@ class SliceMarch:
     def local_size(self, lanes: int) -> tuple[int]:
         return (self.workers,)
 
-    def kernel(self, context: DeviceContext, name: str, declared: str, switches: dict[str, int]) -> Kernel:
+    def kernel(self, context: DeviceContext, name: str, declared: Arguments, switches: dict[str, int]) -> Kernel:
         name = "pyramid" if name == "raycast" else name
         return context.kernel("pyramid.cl", name, declared, switches, self.oracle.folder)
 
@@ -99,27 +101,25 @@ class SliceMarch:
         self._plan = slice_plan(scene, camera, width, height)
         _check_slices(scene, camera, caster.length)
 
-    def arguments(self, caster: Raycaster) -> tuple[str, dict[str, DeviceArray]]:
+    def arguments(self, caster: Raycaster) -> tuple[Arguments, dict[str, DeviceArray]]:
         row = np.zeros(1, PYRAMID)
         plan = self._plan
-        row["levels"][0, :2] = (plan.levels, plan.oversampling)
-        row["cells"][0] = (*reversed(self.asked.shape), self.asked.shift)
-        row["free_cells"][0] = (*reversed(self.free_shape), self.free_shift)
-        row["spacing"][0, :2] = (plan.spacing, plan.growth)
+        row["levels"], row["oversampling"] = plan.levels, plan.oversampling
+        row["cells"][0, :3], row["cell_shift"] = self.asked.shape[::-1], self.asked.shift
+        row["free_cells"][0, :3], row["free_shift"] = self.free_shape[::-1], self.free_shift
+        row["ray_spacing"], row["spacing_growth"] = plan.spacing, plan.growth
         row["edges"][0, :3] = self.asked.edges
         row["oracle"][0] = self.oracle.numbers(self.asked)
-        row["gate"][0, :2] = caster.gate
-        row["levels"][0, 2] = len(self._halves)
+        row["gate_low"], row["gate_high"] = caster.gate
+        row["half_count"] = len(self._halves)
         row["halves"][0, : len(self._halves)] = self._halves
         arrays = {"pyramid": caster.context.upload(row), "map": self.map}
-        return ", in pyramid V1, in map uint8", arrays
+        return (reads("pyramid", PYRAMID), reads("map", np.uint8)), arrays
 
     def check_structs(self, caster: Raycaster) -> None:
         """By pyramid.cl: nothing of raycast.cl is compiled."""
-        kernel = self.kernel(caster.context, "struct_sizes", "out sizes uint32", caster.switches)
-        sizes = caster.context.empty(np.uint32, (2,))
-        kernel(caster.context.queue, (1,), (1,), sizes=sizes)
-        check_sizes(caster.context.read(sizes), {"Pyramid": PYRAMID, "View": caster.view_dtype})
+        kernel = self.kernel(caster.context, "struct_fields", REPORT_ARGUMENTS, caster.switches)
+        check_structs(caster.context, kernel, {**caster.structs, "Pyramid": PYRAMID})
 
     def _ask(self, caster: Raycaster) -> None:
         """Finds ``map`` and ``free`` for the caster's scene."""

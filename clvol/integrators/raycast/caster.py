@@ -8,7 +8,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from clvol.device.effects import ARGUMENTS as _EFFECT_ARGUMENTS
+from clvol.device.arguments import (
+    EFFECT_ARGUMENTS,
+    Arguments,
+    counts_argument,
+    picture_arguments,
+    scene_arguments,
+)
 from clvol.device.effects import COUNTERS, EffectState
 from clvol.device.empty_space import dilated, distance_map, surface_mask, visible_mask
 from clvol.device.light_volume import METHODS, fill_light_volume, shadow_step
@@ -30,8 +36,9 @@ from clvol.features import reduced_for_frames
 from clvol.integrators.base import FrameData, Shared
 from clvol.integrators.raycast.march import March, RayMarch
 from clvol.integrators.raycast.switches import raycast_switches
+from clvol.opencl.arguments import reads, writes
 from clvol.opencl.context import DeviceArray, DeviceContext, restore_interrupts
-from clvol.opencl.structs import view_dtype
+from clvol.opencl.structs import EFFECTS, FIELD, NOISE_TERM, view_dtype
 from clvol.scene.camera import Camera
 from clvol.scene.resolve import ResolvedScene
 from clvol.schedule.tiles import TILE, bands, tiling
@@ -45,13 +52,16 @@ from clvol.transfer.pieces import (
     value_gate,
 )
 
+# Fields of a ``View`` that a camera or a unit of length may take beyond float32, beside its vectors.
+_FINITE = (
+    "tangent", "centre", "step", "plane_distance", "stop_opacity", "edge_length",
+    "first_value", "nodes_per_value", "last_node", "warp_bins",
+)  # fmt: skip
 _SECONDS_A_SAMPLE = 1e-8  # a first guess, for how to cut a frame into launches
 _BAND_SECONDS = 0.5
-_SCENE_ARGUMENTS = "in volume V1, in table float32, in warp float32, in distances uint8, in view V1, "
-_ARGUMENTS = _SCENE_ARGUMENTS + "out image float32, out depths float32, out samples uint32"
-_FILL_ARGUMENTS = (
-    _SCENE_ARGUMENTS + "in coarse float32, in coarse_depths float32, "
-    "out image float32, out depths float32, out samples uint32, out rays uint32"
+_COARSE_ARGUMENTS = (
+    reads("coarse", np.float32, "columns", "rows", 4),
+    reads("coarse_depths", np.float32),
 )
 
 
@@ -174,7 +184,6 @@ class Raycaster:
         return {
             "volume": self.volume.voxels,
             "table": self.table,
-            "warp": self.warp,
             "distances": self.distances,
         }
 
@@ -207,7 +216,7 @@ class Raycaster:
         width = max(columns(piece_count(function)) for function in self._functions)
         origin = float(np.float32(self.nodes.first))
         tables = [piece_table(each, self.length, width, origin) for each in self._functions]
-        self._pieces = (width, 0, tables[0].size, max(map(piece_count, self._functions)))
+        self._pieces = (width, tables[0].size, max(map(piece_count, self._functions)))
         self._units = self.length / self._functions[0].opacity_unit
         self.table = self.context.upload(np.concatenate(tables, axis=None))
 
@@ -297,7 +306,7 @@ class Raycaster:
         counted = [samples]
         if fills:
             view = self._frame_view(ray_frame(camera, grid, width, height), width, height)
-            view["band"][0, 1:] = (spacing, lattice_width, lattice_height)
+            view["ray_spacing"], view["lattice"] = spacing, (lattice_width, lattice_height)
             coarse, coarse_depths = image, depths
             image = context.output(np.float32, (height, width, 4))
             depths = context.output(np.float32, (height, width)) if depth else self._none
@@ -356,7 +365,7 @@ class Raycaster:
             return
         self.march.begin(self, None, width, height)
         view = np.zeros(1, self.view_dtype)  # an image without pixels: every work-item returns
-        view["image"][0] = (0, 0, *self.tile)
+        view["tile"] = self.tile
         counts = [self.context.empty(np.uint32, (tiles,)) for _ in range(2)]
         none = {"image": self._none, "depths": self._none, "samples": counts[0]}
         self._launches("raycast", view, tiles, depth, None, **none)
@@ -378,24 +387,30 @@ class Raycaster:
         keep each one short."""
         context = self.context
         switches = {**self.switches, "WITH_DEPTH": int(depth)}
-        declared = _FILL_ARGUMENTS if name == "fill_between_rays" else _ARGUMENTS
-        more, added = self._more_arguments(tiles)
-        declared, arrays = declared + more, {**arrays, **added}
+        variant, more, added = self._more_arguments(tiles)
+        declared = scene_arguments(switches["VOXEL_BITS"]) + variant
+        fills = name == "fill_between_rays"
+        declared += (_COARSE_ARGUMENTS if fills else ()) + picture_arguments(depth=depth)
+        declared += ((writes("rays", np.uint32, "tiles"),) if fills else ()) + more
+        arrays = {**arrays, **added}
+        sizes = dict(zip(("width", "height"), view["image"][0].tolist())) | {"tiles": tiles}
+        sizes |= dict(zip(("columns", "rows"), view["lattice"][0].tolist()))
         if chosen is not None:
             switches["TILES_CHOSEN"] = 1
-            declared += ", in chosen uint8"
+            declared += (reads("chosen", np.uint8, "tiles"),)
             arrays["chosen"] = context.upload(chosen.astype(np.uint8))
         kernel = self.march.kernel(context, name, declared, switches)
         pixels = tiles * self.tile[0] * self.tile[1] if view["image"][0, 0] else 0
         expected = pixels * self._most_samples() * _SECONDS_A_SAMPLE
         done = 0
         for first, count in bands(tiles, expected, _BAND_SECONDS):
-            view["band"][0, 0] = first
+            view["first_tile"] = first
             context.write(self._view, view)
             kernel(
                 context.queue,
                 (count * self.march.workers,),
                 self.march.local_size(self.lanes),
+                sizes=sizes,
                 view=self._view,
                 **self._scene_arrays(),
                 **arrays,
@@ -406,23 +421,23 @@ class Raycaster:
             if progress is not None:
                 progress(done)
 
-    def _more_arguments(self, tiles: int) -> tuple[str, dict[str, DeviceArray]]:
+    def _more_arguments(self, tiles: int) -> tuple[Arguments, Arguments, dict[str, DeviceArray]]:
         """What the kernels take beside the arguments of a scene of emission and absorption, for a launch over
-        ``tiles``."""
+        ``tiles``: after those of the scene, at the end, and the arrays of both."""
         names = self._counter_names
         if not names:
-            return "", {}
+            return (), (), {}
         self._tally = self.context.output(np.uint32, (tiles, len(names)))
-        declared, arrays = self.march.arguments(self)
-        more, added = self._sample_arguments
-        return f"{declared}{more}, out counts uint32", {**arrays, **added, "counts": self._tally}
+        own, arrays = self.march.arguments(self)
+        variant, added = self._sample_arguments
+        return variant, own + counts_argument(len(names)), {**arrays, **added, "counts": self._tally}
 
     @property
-    def _sample_arguments(self) -> tuple[str, dict[str, DeviceArray]]:
+    def _sample_arguments(self) -> tuple[Arguments, dict[str, DeviceArray]]:
         """Declared arguments of what changes or replaces samples of the volume, and what they are."""
         if not self.effects.switches:
-            return "", {}
-        return _EFFECT_ARGUMENTS, self.effects.arrays
+            return (), {}
+        return EFFECT_ARGUMENTS, self.effects.arrays
 
     @property
     def _counter_names(self) -> tuple[str, ...]:
@@ -449,15 +464,15 @@ class Raycaster:
         with np.errstate(over="ignore", under="ignore"):
             for name, source in zip(names, sources):
                 row[name][:3] = source
-            row["lens"] = (*frame.lens, *frame.centre)
+            row["tangent"], row["centre"] = frame.lens, frame.centre
             self._describe_volume(row)
-            stop = 1.0 - self.resolved.integration.early_termination
-            row["march"][1:] = (frame.distance, stop, frame.unit)
-        finite = [np.isfinite(row[name]).all() for name in (*names, "lens", "march", "classes")]
-        if not all(finite) or not min(row["march"][0], row["march"][3]) > 0:
+            row["plane_distance"], row["edge_length"] = frame.distance, frame.unit
+            row["stop_opacity"] = 1.0 - self.resolved.integration.early_termination
+        finite = [np.isfinite(row[name]).all() for name in (*names, *_FINITE)]
+        if not all(finite) or not min(row["step"], row["edge_length"]) > 0:
             where = f"{self.resolved.origin}: camera"
             raise RenderError(where, "numbers beyond float32", "a camera and units nearer to 1")
-        row["image"] = (width, height, *self.tile)
+        row["image"], row["tile"] = (width, height), self.tile
         return view
 
     def volume_view(self) -> np.ndarray:
@@ -470,21 +485,29 @@ class Raycaster:
         """The fields of a ``View`` that no camera changes."""
         volume, nodes, step = self.volume, self.nodes, self.resolved.integration.step
         bins = 0.0 if nodes.warp is None else nodes.warp.size - 1.0
-        row["march"][0] = step
-        row["classes"] = (nodes.first, nodes.per_value, nodes.last_coordinate, bins)
+        row["step"] = step
+        row["first_value"], row["nodes_per_value"] = nodes.first, nodes.per_value
+        row["last_node"], row["warp_bins"] = nodes.last_coordinate, bins
         row["upper"][:3] = np.asarray(volume.size) - 1
-        row["gate"][:3] = (*self.gate, self._units)
-        parts = parts_of_cell(self.resolved.integration.step)
-        row["voxel"][1:3] = (parts, self.resolved.image.ray_tolerance)
+        row["gate_low"], row["gate_high"] = self.gate
+        row["step_units"] = self._units
+        row["cell_parts"] = parts_of_cell(step)
+        row["ray_tolerance"] = self.resolved.image.ray_tolerance
         if volume.switches["VOXEL_BITS"] == 64:
-            row["voxel_double"] = (volume.values.bias, volume.values.gain)
+            row["voxel_bias_double"], row["voxel_gain_double"] = volume.values.bias, volume.values.gain
         else:
-            row["voxel"][0] = volume.values.gain
+            row["voxel_gain"] = volume.values.gain
         row["size"][:3] = volume.size
-        row["stride"][:2] = volume.stride
-        row["cells"] = (*volume.cells, volume.cell_shift)
-        row["table"][:2] = (nodes.values.size, nodes.values.size + 2)
-        row["pieces"] = self._pieces
+        row["row_stride"], row["slice_stride"] = volume.stride
+        row["cells"][:3], row["cell_shift"] = volume.cells, volume.cell_shift
+        row["piece_columns"], row["function_floats"], row["piece_count"] = self._pieces
+
+
+    @property
+    def structs(self) -> dict[str, np.dtype]:
+        """What the program shares with the host, by name."""
+        effects = {"Field": FIELD, "NoiseTerm": NOISE_TERM, "Effects": EFFECTS} if self.effects.switches else {}
+        return {"View": self.view_dtype, **effects}
 
 
 def lanes_of(context: DeviceContext, lanes: int | None = None) -> int:

@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
+from clvol.device.arguments import Arguments
 from clvol.device.empty_space import distance_map
-from clvol.errors import RenderError
 from clvol.opencl.context import DeviceArray, DeviceContext, Kernel
-from clvol.opencl.structs import effects_dtype
+from clvol.opencl.struct_check import REPORT_ARGUMENTS, check_structs
 from clvol.scene.camera import Camera
 from clvol.scene.resolve import ResolvedScene
 
@@ -37,7 +37,7 @@ class March(Protocol):
 
     def local_size(self, lanes: int) -> tuple[int] | None: ...
 
-    def kernel(self, context: DeviceContext, name: str, declared: str, switches: dict[str, int]) -> Kernel: ...
+    def kernel(self, context: DeviceContext, name: str, declared: Arguments, switches: dict[str, int]) -> Kernel: ...
 
     def find_empty_space(self, caster: Raycaster, mask: np.ndarray) -> None:
         """``mask`` bool [z, y, x]: the cells in which anything can be seen. Sets ``caster.distances``."""
@@ -55,7 +55,7 @@ class March(Protocol):
         """A frame from ``camera`` follows; None: one without pixels."""
         ...
 
-    def arguments(self, caster: Raycaster) -> tuple[str, dict[str, DeviceArray]]:
+    def arguments(self, caster: Raycaster) -> tuple[Arguments, dict[str, DeviceArray]]:
         """Declared arguments of its kernel, beside those of the samples, and what they are for the next launch."""
         ...
 
@@ -80,7 +80,7 @@ class RayMarch:
     def local_size(self, lanes: int) -> tuple[int] | None:
         return (1,) if lanes > 1 else None
 
-    def kernel(self, context: DeviceContext, name: str, declared: str, switches: dict[str, int]) -> Kernel:
+    def kernel(self, context: DeviceContext, name: str, declared: Arguments, switches: dict[str, int]) -> Kernel:
         return context.kernel(f"{name}.cl", name, declared, switches)
 
     def find_empty_space(self, caster: Raycaster, mask: np.ndarray) -> None:
@@ -95,18 +95,9 @@ class RayMarch:
     def begin(self, caster: Raycaster, camera: Camera | None, width: int, height: int) -> None:
         pass
 
-    def arguments(self, caster: Raycaster) -> tuple[str, dict[str, DeviceArray]]:
-        return "", {}
+    def arguments(self, caster: Raycaster) -> tuple[Arguments, dict[str, DeviceArray]]:
+        return (), {}
 
     def check_structs(self, caster: Raycaster) -> None:
-        kernel = caster.context.kernel("raycast.cl", "view_size", "out size uint32", caster.switches)
-        size = caster.context.empty(np.uint32, (2,))
-        kernel(caster.context.queue, (1,), (1,), size=size)
-        check_sizes(caster.context.read(size), {"View": caster.view_dtype, "Effects": effects_dtype()})
-
-
-def check_sizes(on_device: np.ndarray, ours: dict[str, np.dtype]) -> None:
-    """RenderError where structs of the device and of the host differ in size (bytes)."""
-    for size, (name, dtype) in zip(on_device, ours.items()):
-        if size != dtype.itemsize:
-            raise RenderError(f"struct {name}", f"{size} bytes on the device", f"{dtype.itemsize}")
+        kernel = caster.context.kernel("raycast.cl", "struct_fields", REPORT_ARGUMENTS, caster.switches)
+        check_structs(caster.context, kernel, caster.structs)

@@ -5,11 +5,16 @@ from __future__ import annotations
 import numpy as np
 
 from clvol.integrators.tiles.geometry import LineTable, Resolution, TileGrid
+from clvol.opencl.arguments import INT4, reads, value, writes
 from clvol.opencl.context import DeviceArray, DeviceContext
 
 _ARGUMENTS = (
-    "in lines uint8, in tile_lines int32, in chosen int32, value shape int4, "
-    "out image float32, out depths float32"
+    reads("lines", np.uint8),
+    reads("tile_lines", np.int32),
+    reads("chosen", np.int32),
+    value("shape", INT4),
+    writes("image", np.float32, "shape.x", "shape.y", 4),
+    writes("depths", np.float32),
 )
 
 

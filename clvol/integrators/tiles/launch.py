@@ -1,45 +1,47 @@
-"""Casts the rays of a list of pixels with any packet renderer (cl/tile_rays.h)."""
+"""Casts the rays of a list of pixels with any packet renderer (cl/tile_rays.cl)."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
-from clvol.device.effects import COUNTERS
+from clvol.device.arguments import Arguments, counts_argument
 from clvol.integrators.tiles.work import RayWork
+from clvol.opencl.arguments import reads, value, writes
 from clvol.opencl.context import DeviceArray, DeviceContext
 from clvol.schedule.tiles import bands
 
 _BAND_SECONDS = 0.5
 _PACKETS_AN_ITEM = 4  # of 16 lanes: starting work-items costs nothing, all cores have some
 _LIST_ARGUMENTS = (
-    ", in rays int32, value count int32, value rays_an_item int32, out image float32, "
-    "out depths float32, out changes float32, out samples uint32"
+    reads("rays", np.int32, "count"),
+    value("count", np.int32),
+    value("rays_an_item", np.int32),
+    writes("image", np.float32, "width", "height", 4),
+    writes("depths", np.float32),
+    writes("changes", np.float32, "count"),
+    writes("samples", np.uint32, "tiles"),
 )
 
 
 @dataclass(frozen=True, eq=False)
 class PacketRenderer:
-    """The kernel ``tile_rays`` of ``file``, which includes a packet renderer and cl/tile_rays.h.
+    """The kernel ``tile_rays`` of ``file``.
 
-    ``scene_arguments``: declarations of its PACKET_PARAMETERS, "in view V1" last; ``arrays`` holds
-    them all but the view. ``effect_arguments`` (begins with a comma, ends with "out counts uint32")
-    and ``effect_arrays`` (without the counts): those of EFFECT_PARAMETERS, empty where there are
-    none. ``seconds_a_ray``: a guess, for how to cut the work into launches.
-    ``counters``: numbers that each work-item counts.
+    ``arguments``: those of the scene (SCENE_PARAMETERS of cl/scene.h); ``arrays`` holds them all but the view.
+    ``seconds_a_ray``: a guess, for how to cut the work into launches. ``counters``: numbers that each work-item
+    counts; 0: it counts nothing.
     """
 
     file: str
     switches: Mapping[str, int]
-    scene_arguments: str
+    arguments: Arguments
     arrays: Mapping[str, DeviceArray]
-    effect_arguments: str = ""
-    effect_arrays: Mapping[str, DeviceArray] = field(default_factory=dict)
     lanes: int = 1
     seconds_a_ray: float = 1e-6
-    counters: int = len(COUNTERS)
+    counters: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,15 +70,17 @@ def cast_rays(
     launch.
     """
     if not work.count:
-        none = np.zeros((0, packets.counters), np.uint32) if packets.effect_arguments else None
+        none = np.zeros((0, packets.counters), np.uint32) if packets.counters else None
         return CastRays(np.zeros(0, np.float32), 0, none)
-    declared = packets.scene_arguments + _LIST_ARGUMENTS + packets.effect_arguments
+    counting = counts_argument(packets.counters) if packets.counters else ()
+    declared = packets.arguments + _LIST_ARGUMENTS + counting
     kernel = context.kernel(packets.file, "tile_rays", declared, packets.switches)
     rays_an_item = packets.lanes * _PACKETS_AN_ITEM if packets.lanes > 1 else 1
     items = -(-work.count // rays_an_item)
-    arrays = {**packets.arrays, **packets.effect_arrays}
+    arrays = dict(packets.arrays)
+    width, height = (int(n) for n in view["image"][0])
     counts = None
-    if packets.effect_arguments:
+    if packets.counters:
         counts = arrays["counts"] = context.empty(np.uint32, (items, packets.counters))
     changes = context.empty(np.float32, (work.count,))
     samples = context.empty(np.uint32, (items,))
@@ -84,12 +88,13 @@ def cast_rays(
     on_device = context.empty(view.dtype, (1,))
     expected = work.count * packets.seconds_a_ray
     for first, launched in bands(items, expected, _BAND_SECONDS):
-        view["band"][0, 0] = first
+        view["first_tile"] = first
         context.write(on_device, view)
         kernel(
             context.queue,
             (launched,),
             (1,) if packets.lanes > 1 else None,
+            sizes={"tiles": items, "width": width, "height": height},
             view=on_device,
             rays=rays,
             count=work.count,

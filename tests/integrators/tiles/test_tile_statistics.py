@@ -24,8 +24,9 @@ def view_of(frame) -> np.ndarray:
     sources = (frame.origin, frame.du, frame.dv, frame.forward, frame.ray_du, frame.ray_dv)
     for name, source in zip(names, sources):
         view[0][name][:3] = source
-    view["lens"] = (*frame.lens, *frame.centre)
-    view["march"] = (0.7, frame.distance, 1.0, frame.unit)
+    view["tangent"], view["centre"] = frame.lens, frame.centre
+    view["step"], view["plane_distance"] = 0.7, frame.distance
+    view["stop_opacity"], view["edge_length"] = 1.0, frame.unit
     view["upper"][0, :3] = UPPER
     return view
 
@@ -35,7 +36,7 @@ def both(context, camera: dict, blocks: BlockGrid, codes: np.ndarray, tiles: Til
     scene = make_scene(np.zeros(SHAPE, np.uint8), camera=camera)
     frame = ray_frame(scene.camera, scene.volume.grid, tiles.width, tiles.height)
     view = view_of(frame)
-    view["image"] = (tiles.width, tiles.height, 4, 4)
+    view["image"], view["tile"] = (tiles.width, tiles.height), 4
     rng = np.random.default_rng(9)
     index = rng.integers(0, 2**31, (blocks.count, 2)).astype(np.int32)  # what else is in there
     index[:, 1] = index[:, 1] & ~15 | codes

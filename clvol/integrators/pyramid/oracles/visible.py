@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from clvol.device.arguments import view_argument
 from clvol.features import FILTER_REACH, overshoot
 from clvol.integrators.pyramid.cells import distance_map, padded_cells
 from clvol.integrators.pyramid.oracle import Asked, Oracle
+from clvol.opencl.arguments import INT4, RAW, reads, value, writes
 from clvol.opencl.context import DeviceArray
 from clvol.transfer.lookup_nodes import visible_cells
 
@@ -32,9 +34,20 @@ def visible_in_cells(asked: Asked, cells: DeviceArray, bit: int = 0) -> None:
     kernel = context.kernel(
         "oracle_visible.cl",
         "visible_cells",
-        "in volume V1, in warp float32, in before int32, in at uint8, in view V1, "
-        "value shift int32, value apron int32, value overshoot float32, value cells int4, "
-        "value stride int32, value bit int32, out visible uint8",
+        (
+            reads("volume", RAW),
+            reads("warp", np.float32, 2),
+            reads("before", np.int32),
+            reads("at", np.uint8),
+            view_argument(asked.switches["VOXEL_BITS"]),
+            value("shift", np.int32),
+            value("apron", np.int32),
+            value("overshoot", np.float32),
+            value("cells", INT4),
+            value("stride", np.int32),
+            value("bit", np.int32),
+            writes("visible", np.uint8, "cells.z", "cells.y", "stride"),
+        ),
         {**asked.switches, "LANES": 1},
     )
     before = np.concatenate([[0], np.cumsum(visible_cells(function, nodes))])

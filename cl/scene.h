@@ -1,0 +1,80 @@
+/* All that a kernel may read of its scene, as one struct: the volume, its transfer function and what the variant adds,
+ * EFFECTS (effects.h) or BLOCKS (block_parameters.h). Functions about the scene take `const Scene *`.
+ *
+ *   SCENE_PARAMETERS   the parameters of a kernel that the struct is made of; clvol/device/arguments.py declares the same
+ *   SCENE              their names as an initialiser: const Scene scene = SCENE;
+ *   COUNTS_PARAMETER   the last parameter of a kernel that counts what the variant does, or nothing
+ *
+ * volume     voxels in their own type, laid out as fetch_voxel.h says; of a volume of blocks, the first buffer of samples
+ * table      pieces of the transfer function (transfer_pieces.h)
+ * distances  uchar per cell of empty space (skip_empty.h); read only where SKIP_EMPTY is set
+ * counts     uint [tiles, SCENE_COUNTERS]
+ */
+#ifndef SCENE_H
+#define SCENE_H
+
+#include "tally.h"
+#include "view.h"
+#if EFFECTS
+#include "effects.h"
+#elif BLOCKS
+#include "block_parameters.h"
+#endif
+
+typedef struct {
+  __global const uchar *volume;
+  __global const float *table;
+  __global const uchar *distances;
+  __constant const View *view;
+#if EFFECTS
+  __constant const Effects *effects;
+  __global const float4 *items;
+  __global const uint *gradients;
+  __global const uchar *surface_distances;
+  __global const float4 *environment;
+  __global const float4 *light_volume;
+  __global const uint *noise;
+  __global const float *factors;
+  __global const float *fields;
+#elif BLOCKS
+  BlockVolume blocks;
+#endif
+} Scene;
+
+#if EFFECTS
+#define VARIANT_PARAMETERS                                                                               \
+  , __constant const Effects *restrict effects, __global const float4 *restrict items,                   \
+    __global const uint *restrict gradients, __global const uchar *restrict surface_distances,           \
+    __global const float4 *restrict environment, __global const float4 *restrict light_volume,           \
+    __global const uint *restrict noise, __global const float *restrict factors, __global const float *restrict fields
+#define VARIANT , effects, items, gradients, surface_distances, environment, light_volume, noise, factors, fields
+#define SCENE_COUNTERS EFFECT_COUNTERS
+#elif BLOCKS
+#define VARIANT_PARAMETERS , BLOCK_PARAMETERS
+#define VARIANT , BLOCK_VOLUME
+#define SCENE_COUNTERS BLOCK_COUNTERS
+#else
+#define VARIANT_PARAMETERS
+#define VARIANT
+#define SCENE_COUNTERS 0
+#endif
+
+#define SCENE_PARAMETERS                                                              \
+  __global const uchar *restrict volume, __global const float *restrict table,        \
+    __global const uchar *restrict distances, __constant const View *restrict view VARIANT_PARAMETERS
+#define SCENE {volume, table, distances, view VARIANT}
+
+/* A work-item's own tallies, `counted`, and how they get to row `row` of `counts` when it ends. */
+#if SCENE_COUNTERS
+#define COUNTS_PARAMETER , __global uint *restrict counts
+#define DECLARE_TALLIES Tally counted[SCENE_COUNTERS] = {0};
+#define STORE_TALLIES(row)                                        \
+  for (int counter_ = 0; counter_ < SCENE_COUNTERS; ++counter_)   \
+    counts[(size_t)(row) * SCENE_COUNTERS + counter_] = tally_sum(counted[counter_]);
+#else
+#define COUNTS_PARAMETER
+#define DECLARE_TALLIES Tally *const counted = 0;
+#define STORE_TALLIES(row)
+#endif
+
+#endif

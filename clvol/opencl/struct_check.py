@@ -1,0 +1,61 @@
+"""Compares structs as numpy has them with what the device's compiler makes of them (cl/struct_fields.h)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from clvol.errors import RenderError
+from clvol.opencl.arguments import value, writes
+from clvol.opencl.context import DeviceContext, Kernel
+
+_CAPACITY = 256
+_RECORD = np.dtype([("name", "S56"), ("offset", "u4"), ("bytes", "u4")])  # StructField
+REPORT_ARGUMENTS = (writes("fields", _RECORD, "capacity"), value("capacity", np.int32))
+"""Of the kernel ``struct_fields`` that REPORT_FIELDS makes."""
+
+Layout = dict[str, tuple[int, int]]  # of a struct, and of its fields by name: offset and size in bytes
+_WHOLE = ""  # the name of the struct itself
+
+
+def check_structs(context: DeviceContext, kernel: Kernel, expected: Mapping[str, np.dtype]) -> None:
+    """RenderError unless the device has the structs of ``expected`` (by name in OpenCL C) field for field.
+
+    ``kernel``: ``struct_fields`` of a program that reports them; it may report others.
+    """
+    found = reported_structs(context, kernel)
+    for name, dtype in expected.items():
+        if name not in found:
+            raise RenderError(f"struct {name}", "is not reported by the device", ", ".join(sorted(found)))
+        compare(name, found[name], layout_of(dtype))
+
+
+def reported_structs(context: DeviceContext, kernel: Kernel) -> dict[str, Layout]:
+    """What the device reports, by the struct's name."""
+    records = context.upload(np.zeros(_CAPACITY, _RECORD), writable=True)
+    kernel(context.queue, (1,), (1,), fields=records, capacity=_CAPACITY)
+    found: dict[str, Layout] = {}
+    for record in context.read(records):
+        owner, _, field = record["name"].decode().partition(".")
+        if owner:
+            found.setdefault(owner, {})[field] = int(record["offset"]), int(record["bytes"])
+    return found
+
+
+def layout_of(dtype: np.dtype) -> Layout:
+    """Offsets and sizes in bytes of a dtype and its fields."""
+    fields = {name: (field[1], field[0].itemsize) for name, field in dtype.fields.items()}
+    return {_WHOLE: (0, dtype.itemsize), **fields}
+
+
+def compare(name: str, device: Layout, ours: Layout) -> None:
+    """RenderError for the first field that is not the same."""
+    for field in {**ours, **device}:
+        if device.get(field) != ours.get(field):
+            where = f"struct {name}" + (f", field {field}" if field else "")
+            raise RenderError(where, f"{_said(device.get(field))} on the device", _said(ours.get(field)))
+
+
+def _said(place: tuple[int, int] | None) -> str:
+    return "no such field" if place is None else f"{place[1]} bytes at {place[0]}"
