@@ -255,6 +255,7 @@ def test_a_mask_removes_surfaces(context, keep, shown):
     np.testing.assert_allclose(rgba[..., 3], shown, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_mask_over_surfaces_and_volume_leaves_no_haze_where_it_removes(context):
     ramp = np.broadcast_to(np.arange(SIZE, dtype=np.float32), (SIZE, SIZE, SIZE))
     surface = {"value": 3.4, "color": [0.0, 1.0, 0.0], "opacity": 0.7}
@@ -303,6 +304,7 @@ def test_fields_agree_with_the_definition(context, which):
     assert leaping.counters["field_samples"] > 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_fields_lights_and_factors_go_together(context, kind):
     factor = {"points": [{"magnitude": 0.0, "opacity": 0.3}, {"magnitude": 20.0, "opacity": 1.0}]}
@@ -315,6 +317,7 @@ def test_fields_lights_and_factors_go_together(context, kind):
     assert one.counters == many.counters
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["rays", "volume"])
 def test_shadows_are_of_fields_too(context, method):
     """The volume's and a density's, masked; both march midpoints."""
@@ -330,6 +333,7 @@ def test_shadows_are_of_fields_too(context, method):
     assert rms(seen.rgba, bare.rgba) > 5e-3
 
 
+@pytest.mark.slow
 def test_a_mask_takes_a_surfaces_shadow_with_it(context):
     """A sheet above a thin fog: where the mask removes the sheet, the fog is in light."""
     ramp = np.broadcast_to(np.arange(SIZE, dtype=np.float32), (SIZE, SIZE, SIZE))
@@ -360,6 +364,7 @@ def test_projections_see_what_masks_keep(context, mode):
     assert np.array_equal(leaping.rgba, marching.rgba)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(6))
 def test_leaping_over_what_fields_do_not_show_changes_no_bit(context, seed):
     rng = np.random.default_rng(seed)

@@ -230,6 +230,7 @@ def test_blocks_read_in_the_background_end_in_the_right_picture_whoever_looks(de
         assert alike(frame, renderer.render())
 
 
+@pytest.mark.slow
 def test_renderers_in_threads_of_their_own_do_not_meet(device):
     """Two and more of one scene and volume: compiled, rendered and closed at the same time."""
     scenes = {kind: scene_of(kind) for kind in ("raycast", "lit", "multiresolution", "reference")}

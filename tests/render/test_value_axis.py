@@ -120,6 +120,7 @@ def test_every_method_shows_the_same_picture(device, method, axis) -> None:
     np.testing.assert_array_equal(found, wanted)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("axis", AXES[2:])
 def test_all_effects_that_speak_of_values(device, axis) -> None:
     found, wanted = renderings(*said_in_stored(axis, STORED, effects=True), device)
@@ -253,6 +254,7 @@ def test_ranges_and_reasons_are_told_in_values(tmp_path, capfd) -> None:
     assert "-255 to 0" in told and "-1 * stored + 0" in told
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("axis", AXES[1:])
 def test_a_store_keeps_the_axis(tmp_path, device, axis) -> None:
     np.save(tmp_path / "v.npy", STORED)

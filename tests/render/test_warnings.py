@@ -145,6 +145,7 @@ def test_a_cause_is_told_once_and_listed_with_every_frame(device):
     assert all(len(frame.stats["warnings"]) == 1 for frame in frames)
 
 
+@pytest.mark.slow
 def test_pictures_to_an_error_warn_too(device):
     with pytest.warns(ClvolWarning, match="nothing is visible"):
         frame = render_to_error(CASES["beside"][0], 1e-2, devices=[device])

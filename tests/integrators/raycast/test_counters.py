@@ -137,6 +137,7 @@ RADIUS = 3.0
 BALL = {"value": RADIUS, "opacity": 0.5, "color": [0.9, 0.4, 0.2]}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("skip", [False, True])
 def test_surfaces_are_looked_for_only_in_cells_near_them(context, skip):
     resolved = scene_of(CORNER, HAZE, isosurface=[BALL])
@@ -154,6 +155,7 @@ def test_surfaces_are_looked_for_only_in_cells_near_them(context, skip):
     assert 2 * inside <= data.counters["surface_hits"] <= 2 * touching
 
 
+@pytest.mark.slow
 def test_tiles_that_see_no_surface_test_none(context):
     size = (96, 80)
     resolved = scene_of(CORNER, HAZE, size, isosurface=[BALL])
