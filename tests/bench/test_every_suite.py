@@ -36,6 +36,6 @@ def test_a_quick_run_measures_shows_and_draws(name, device, shared_volume, tmp_p
     words = ["--scenes", ",".join(scenes)] if scenes else []
     assert main(["--quick", *words, name]) == 0, capsys.readouterr().out
     shown = capsys.readouterr().out
-    kept = [path for path in (tmp_path / "quick").rglob("*.json") if path.name.startswith(name)]
-    assert len(kept) == 1 and json.loads(kept[0].read_text(encoding="utf-8"))["quick"]
-    assert f"== {name}:" in shown and str(kept[0]) in shown
+    kept = tmp_path / "quick" / f"{name}.json"
+    assert json.loads(kept.read_text(encoding="utf-8"))["quick"]
+    assert f"== {name}:" in shown and str(kept) in shown
