@@ -164,6 +164,7 @@ def test_a_density_adds_its_extinction_and_emission(context, dtype):
     np.testing.assert_allclose(rgba[..., :2], np.broadcast_to(seen, (5, 5, 2)), atol=3e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_density_shows_where_the_volume_is_transparent(context, kind):
     array = np.zeros((50, 50, 50), np.float32)
@@ -195,6 +196,7 @@ def test_where_a_density_is_no_number_there_is_none(context):
     np.testing.assert_allclose(rgba[..., 3], absorbed(0.1, LENGTH), atol=2e-6)
 
 
+@pytest.mark.slow
 def test_gradients_of_the_volume_do_not_weight_a_density(context):
     field = density_field(np.ones((2, 2, 2), np.uint8), spacing=(16.0,) * 3)
     ramp = np.broadcast_to(np.arange(SIZE, dtype=np.float32), (SIZE, SIZE, SIZE))
@@ -352,6 +354,7 @@ def test_a_mask_takes_a_surfaces_shadow_with_it(context):
     np.testing.assert_allclose(picture(context, resolved).rgba, render_twin(resolved), atol=2e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", ["maximum", "minimum", "average", "attenuated-maximum"])
 def test_projections_see_what_masks_keep(context, mode):
     function = TransferFunction([0.0, 60.0, 255.0], [0.1, 0.3, 0.9], np.eye(3))

@@ -128,6 +128,7 @@ def test_all_effects_that_speak_of_values(device, axis) -> None:
     np.testing.assert_allclose(found, wanted, atol=2e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "dtype, compositing",
     [("uint8", "minimum"), *((dtype, "maximum") for dtype in ("uint8", "int16", "float32"))],
@@ -184,6 +185,7 @@ def test_a_function_set_later_is_of_values_too(device) -> None:
     assert rms(before, later) > 1e-3 and function.slope > 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("role", ["label", "density", "mask"])
 @pytest.mark.parametrize("axis", [AXES[0], AXES[2]])
 def test_fields_have_values_of_their_own(device, axis, role) -> None:

@@ -124,6 +124,7 @@ def test_a_box_is_found_with_and_without_depth(depth, device):
     assert warned(GOOD["opaque body"], device, depth=depth)[0] == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ("pyramid", "reference", "multiresolution"))
 def test_every_method_warns(method, device):
     scene = scene_of(transfer_function=function([1000, 2000], [0, 0.5]), integration={"method": method})

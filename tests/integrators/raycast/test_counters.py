@@ -126,6 +126,7 @@ def test_no_shadow_ray_below_the_bound(context):
     np.testing.assert_allclose(none.rgba, unshadowed.rgba, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_light_volume_takes_no_shadow_rays(context):
     data = shadowed(context, method="volume", resolution=5)
     assert data.counters == dict.fromkeys(NAMES, showing(scene_of()) * DEPTH)
