@@ -103,12 +103,7 @@ _KEPT, _LARGEST_KEPT = 6, 64 * 2**20  # outputs kept to be written again, bytes 
 class DeviceContext:
     """A context and an in-order queue on one device, with its programs built so far. For one thread at a time:
     kernels hold their arguments, and the ``Renderer`` that has a context lets threads in one by one.
-
-    ``more_options``: compiler flags by the device's name, for tests: some compilers optimise for ten
-    seconds what is then run once.
     """
-
-    more_options: Mapping[str, tuple[str, ...]] = {}
 
     def __init__(self, device: cl.Device) -> None:
         check_room_for_opencl(loaded=True)
@@ -163,9 +158,8 @@ class DeviceContext:
         if key not in self._programs:
             check_fork()
             start = time.perf_counter()
-            more = self.more_options.get(self.name, ())
             try:
-                program = build_file(self.context, file, (*options, *more), folder)
+                program = build_file(self.context, file, options, folder)
             except cl.RuntimeError as error:
                 lines = [line for line in str(error).splitlines() if "error" in line.lower()]
                 reason = lines[0] if lines else str(error)

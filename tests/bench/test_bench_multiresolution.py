@@ -283,14 +283,6 @@ def test_every_goal_is_judged_by_what_was_reached():
     ]  # fmt: skip
 
 
-def test_figures_are_shown_with_what_is_left_out():
-    text = show(_result())
-    for told in ("2.00", "0.9900", "36.0%", "1.00e-01", "no frame meanwhile", "left out, no volume: crab",
-                 "failed: tiles: no", "bounded: left out", "no figure of it is a result"):  # fmt: skip
-        assert told in text
-    assert text.count("NOT met") == 4
-
-
 def test_the_large_volume_is_told_and_judged():
     child = {"peak_bytes": 3 * 2**30, "seconds": 80.0}
     large = {

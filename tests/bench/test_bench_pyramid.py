@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from bench import pyramid as bench
-from bench.charts import crossover_chart
 from bench.curves import Reach
 from bench.options import Options
 from bench.pyramid_parts import (
@@ -260,26 +259,6 @@ def test_goals_of_errors_and_of_the_overhead_may_be_missed():
     row["ways"][BEST] |= {"ssim": 0.98, "delta_e": 1.1}
     row["overhead"] = {**_RATIO, "ratio": 1.4}
     assert [verdict.is_met for verdict in verdicts(result)[:5]] == [True, *4 * [False]]
-
-
-def test_figures_are_shown_with_what_is_left_out():
-    text = show(_result())
-    for told in ("plain, no skipping", "60.0", "0.9900", "from 9.00 times", "at no cost",
-                 "below the cost", "abdomen 512^3", "162", "0.38", "2048",
-                 "left out, no volume: chest", "failed: oracles: no",
-                 "no figure of it is a result"):  # fmt: skip
-        assert told in text
-    assert text.count("NOT met") == 2
-
-
-def test_parts_without_a_scene_show_nothing():
-    text = show(_result() | dict.fromkeys(bench.PARTS, []))
-    assert "oracle" not in text.replace("failed: oracles: no", "")
-
-
-def test_the_crossover_is_drawn(tmp_path):
-    path = crossover_chart(_result(), tmp_path / "chart.png")
-    assert path.stat().st_size > 10_000
 
 
 # All of it

@@ -10,6 +10,7 @@ import pytest
 from clvol.image import load_image
 
 
+@pytest.mark.slow
 def test_an_error_is_held_told_and_kept_with_the_picture(run, folder, device):
     outcome = run("render", "scene.toml", "-o", "a.exr", "--stats", "s.json", "--max-error", "1e-3")
     assert outcome.status == 0 and outcome.out.split() == ["a.exr", "s.json"]
@@ -27,6 +28,7 @@ def test_an_error_is_held_told_and_kept_with_the_picture(run, folder, device):
     assert measured["rmse"] <= 1e-3
 
 
+@pytest.mark.slow
 def test_a_time_is_held_and_quiet_says_nothing(run, folder, device):
     outcome = run("render", "scene.toml", "-o", "a.npy", "--stats", "s.json", "--time-budget", "0.5",
                   "--quiet")  # fmt: skip
@@ -53,6 +55,7 @@ def test_impossible_targets_are_one_line(refused, folder, nothing_left, argument
     assert refused(2, "render", "scene.toml", "-o", "a.npy", *arguments).startswith(said)
 
 
+@pytest.mark.slow
 def test_a_time_too_short_says_what_is_possible(refused, folder, nothing_left, device):
     said = refused(2, "render", "scene.toml", "-o", "a.npy", "--time-budget", "1e-9")
     assert said.startswith("--time-budget: got 1e-09 s, expected at least ")

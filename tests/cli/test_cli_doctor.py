@@ -89,6 +89,7 @@ def test_a_wrong_picture_is_found_out(device, monkeypatch):
     assert "the picture is wrong by" in trial._render(report_of(device).name)
 
 
+@pytest.mark.slow
 def test_without_its_kernels_it_does_not_say_that_devices_work(tmp_path, device):
     """The installation itself is tried: one that lacks a file that only renders need."""
     import shutil

@@ -114,6 +114,7 @@ def test_what_is_refused_is_so_before_voxels_are_read(
     assert "voxels of a store were read" not in refused(2, *arguments)
 
 
+@pytest.mark.slow
 def test_a_memory_that_is_named_as_the_least_is_enough(run, refused, stores, device):
     def memory(size):
         return "render", "v.zarr", "-o", "a.npy", *SMALL, "--set", f"multiresolution.memory={size}"
@@ -190,6 +191,7 @@ def test_stores_that_are_not_whole_or_of_other_versions_are_refused(refused, sto
     assert {path.name for path in stores.iterdir()}.isdisjoint({"a.png", "t"})
 
 
+@pytest.mark.slow
 def test_nan_as_a_number_is_refused_by_blocks_and_honoured_elsewhere(
     run, refused, stores, device
 ):
@@ -206,6 +208,7 @@ def test_nan_as_a_number_is_refused_by_blocks_and_honoured_elsewhere(
     assert facts["nan_count"] == 0 and facts["value_range"] == [0, 255]
 
 
+@pytest.mark.slow
 def test_a_time_budget_refines_tiles_and_tells_how_far_it_came(run, stores, device):
     outcome = run("render", "v.zarr", "-o", "a.npy", *SMALL, "--time-budget", "5", "--stats", "s")
     assert outcome.status == 0
@@ -240,6 +243,7 @@ def test_an_animation_selects_blocks_anew_for_every_view(run, stores, device, mo
     assert all(rms(a, b) > 1e-3 for a, b in zip(pictures, pictures[1:]))
 
 
+@pytest.mark.slow
 def test_an_error_is_held_for_a_store_against_all_its_voxels(run, refused, stores, device):
     cap = ("--memory-cap", "50 KiB")
     said = refused(2, "render", "v.zarr", "-o", "a.npy", *SMALL, "--max-error", "1e-2", *cap)

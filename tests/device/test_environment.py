@@ -192,6 +192,7 @@ def test_a_turn_about_y_turns_all_maps():
     assert np.all(left > 100.0 * ahead)
 
 
+@pytest.mark.slow
 def test_a_large_map_is_averaged_by_area():
     rows = LARGEST_ROWS + 180
     texels = np.repeat(smooth(texel_directions(rows))[..., :1], 3, axis=2).astype(np.float32)

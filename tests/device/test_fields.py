@@ -164,6 +164,7 @@ def test_a_density_adds_its_extinction_and_emission(context, dtype):
     np.testing.assert_allclose(rgba[..., :2], np.broadcast_to(seen, (5, 5, 2)), atol=3e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_density_shows_where_the_volume_is_transparent(context, kind):
     array = np.zeros((50, 50, 50), np.float32)
@@ -195,6 +196,7 @@ def test_where_a_density_is_no_number_there_is_none(context):
     np.testing.assert_allclose(rgba[..., 3], absorbed(0.1, LENGTH), atol=2e-6)
 
 
+@pytest.mark.slow
 def test_gradients_of_the_volume_do_not_weight_a_density(context):
     field = density_field(np.ones((2, 2, 2), np.uint8), spacing=(16.0,) * 3)
     ramp = np.broadcast_to(np.arange(SIZE, dtype=np.float32), (SIZE, SIZE, SIZE))
@@ -255,6 +257,7 @@ def test_a_mask_removes_surfaces(context, keep, shown):
     np.testing.assert_allclose(rgba[..., 3], shown, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_mask_over_surfaces_and_volume_leaves_no_haze_where_it_removes(context):
     ramp = np.broadcast_to(np.arange(SIZE, dtype=np.float32), (SIZE, SIZE, SIZE))
     surface = {"value": 3.4, "color": [0.0, 1.0, 0.0], "opacity": 0.7}
@@ -303,6 +306,7 @@ def test_fields_agree_with_the_definition(context, which):
     assert leaping.counters["field_samples"] > 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_fields_lights_and_factors_go_together(context, kind):
     factor = {"points": [{"magnitude": 0.0, "opacity": 0.3}, {"magnitude": 20.0, "opacity": 1.0}]}
@@ -315,6 +319,7 @@ def test_fields_lights_and_factors_go_together(context, kind):
     assert one.counters == many.counters
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["rays", "volume"])
 def test_shadows_are_of_fields_too(context, method):
     """The volume's and a density's, masked; both march midpoints."""
@@ -330,6 +335,7 @@ def test_shadows_are_of_fields_too(context, method):
     assert rms(seen.rgba, bare.rgba) > 5e-3
 
 
+@pytest.mark.slow
 def test_a_mask_takes_a_surfaces_shadow_with_it(context):
     """A sheet above a thin fog: where the mask removes the sheet, the fog is in light."""
     ramp = np.broadcast_to(np.arange(SIZE, dtype=np.float32), (SIZE, SIZE, SIZE))
@@ -348,6 +354,7 @@ def test_a_mask_takes_a_surfaces_shadow_with_it(context):
     np.testing.assert_allclose(picture(context, resolved).rgba, render_twin(resolved), atol=2e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", ["maximum", "minimum", "average", "attenuated-maximum"])
 def test_projections_see_what_masks_keep(context, mode):
     function = TransferFunction([0.0, 60.0, 255.0], [0.1, 0.3, 0.9], np.eye(3))
@@ -360,6 +367,7 @@ def test_projections_see_what_masks_keep(context, mode):
     assert np.array_equal(leaping.rgba, marching.rgba)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(6))
 def test_leaping_over_what_fields_do_not_show_changes_no_bit(context, seed):
     rng = np.random.default_rng(seed)

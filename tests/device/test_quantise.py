@@ -35,6 +35,7 @@ def test_values_are_rounded_to_evenly_spaced_ones(dtype, precision, levels):
     assert small.volume.grid is not None and small.volume.grid.spacing == scene.volume.grid.spacing
 
 
+@pytest.mark.slow
 def test_more_bits_mean_less_error(device):
     array = waves((15, 16, 17))
     exact = render_reference(of(array, "stored"), device)[0]

@@ -69,6 +69,7 @@ def test_every_tile_with_a_ray_through_a_marked_cell_is_found(seed):
     assert 0 < found < some  # not simply all of them
 
 
+@pytest.mark.slow
 def test_tiles_without_surfaces_are_rendered_without_and_show_the_same(context):
     array = waves((40, 33, 36))
     array[:, :, 12:] *= 0.5  # the surface is on one side

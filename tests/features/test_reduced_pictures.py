@@ -121,6 +121,7 @@ TABLES = st.fixed_dictionaries(
 )  # fmt: skip
 
 
+@pytest.mark.slow
 @settings(max_examples=60, deadline=None)
 @given(tables=TABLES, varies=st.integers(0, 4), clear=st.integers(0, 4))
 def test_any_scene_keeps_its_picture(sky_file, tables, varies, clear):

@@ -204,6 +204,7 @@ NUMBERS = [
 ]  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("value, unit, dtype", NUMBERS)
 def test_units_of_value_and_length_do_not_show(context, value, unit, dtype):
     """Lights, fading, surfaces, clips and cues, over values and lengths of any magnitude."""

@@ -54,6 +54,7 @@ def test_thin_volumes_are_slabs_one_voxel_thick(device, context, shape, dtype, f
     agree(device, context, scene, 3e-3 if filter_name == "nearest" else 5e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("classification", CLASSIFICATIONS)
 @pytest.mark.parametrize("shape", [(3, 5, 7), (11, 2, 9), (17, 9, 3), (2, 33, 10), (8, 16, 24)])
 def test_sizes_that_are_multiples_of_nothing(device, context, shape, classification):

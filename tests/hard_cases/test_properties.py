@@ -134,6 +134,7 @@ def check_same(one, other, limit, jumps=0.0):
 JUMPS = 0.03
 
 
+@pytest.mark.slow
 @variants
 def test_a_picture_is_finite_and_bounded_by_its_transfer_function(context, variant):
     @examples(60)
@@ -300,6 +301,7 @@ def test_a_fine_step_comes_to_the_reference(device, context, variant):
     check()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("variant", ["uint8, preintegrated", "float32 with holes, preintegrated"])
 def test_leaping_over_empty_space_changes_no_bit(context, variant):
     @examples(25)

@@ -143,6 +143,7 @@ def test_addresses_are_right_up_to_2_31_voxels(context, lanes, bits, pairs):
         assert bits == 8 or far.max() * element > 2**31
 
 
+@pytest.mark.slow
 def test_voxels_beyond_2_31_bytes_are_read(context):
     """A view of a volume whose bytes no 32-bit offset reaches, most of it memory never touched."""
     if not context.is_cpu:

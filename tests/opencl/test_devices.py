@@ -116,18 +116,18 @@ def working(result: dict) -> list[str]:
 # --- the machine's own devices
 
 
-def test_every_working_device_tells_what_it_is(device):
-    report = devices.report_of(device)
+def test_every_working_device_tells_what_it_is(each_device):
+    report = devices.report_of(each_device)
     assert report is not None and report.working and report.reason == ""
     assert report.compute_units > 0 and report.max_buffer > 0
     assert report.global_memory >= report.max_buffer > 0
     assert report.fp64 == ("cl_khr_fp64" in report.extensions)
 
 
-def test_a_device_is_found_again_by_its_name(device):
-    report = devices.report_of(device)
-    assert devices.open_device(report.name) == device
-    assert devices.open_device(report.name.upper()) == device
+def test_a_device_is_found_again_by_its_name(each_device):
+    report = devices.report_of(each_device)
+    assert devices.open_device(report.name) == each_device
+    assert devices.open_device(report.name.upper()) == each_device
 
 
 def test_a_library_registered_twice_is_one_platform(tmp_path, vendors):

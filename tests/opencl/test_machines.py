@@ -97,7 +97,7 @@ def test_a_damaged_cache_of_pocl_harms_nobody(tmp_path, usual, device):
 
 
 @pytest.mark.parametrize("first", ["", "import pyopencl; "])
-def test_pyopencl_s_own_caches_are_not_used(cached, tmp_path, first, device):
+def test_pyopencl_s_own_caches_are_not_used(cached, tmp_path, first, each_device):
     """Whoever imported it first: it fails where they cannot be written, are damaged, or locked."""
     from clvol.opencl.devices import report_of
 
@@ -109,7 +109,7 @@ def test_pyopencl_s_own_caches_are_not_used(cached, tmp_path, first, device):
     kept |= {"PYTHONPATH": str(ROOT), "XDG_CACHE_HOME": str(cache)}
     done = subprocess.run([sys.executable, "-c", code, "render", ROOT / "data/brainsmall.nrrd", "-o", "a.npy",
                            "--set", "image.width=16", "--set", "image.height=16", "--device",
-                           report_of(device).name], cwd=tmp_path, env=kept, capture_output=True, text=True)
+                           report_of(each_device).name], cwd=tmp_path, env=kept, capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, "")
     assert np.allclose(np.load(tmp_path / "a.npy"), picture, atol=1e-6)
 

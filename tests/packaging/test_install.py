@@ -73,7 +73,7 @@ def test_every_folder_with_modules_is_a_package():
 
 
 def test_the_wheel_holds_every_module_and_kernel(wheel):
-    expected = {str(p.relative_to(ROOT)) for p in (ROOT / "clvol").rglob("*.py")}
+    expected = {str(p.relative_to(ROOT)) for p in (ROOT / "clvol").rglob("*.py")} | {"clvol/py.typed"}
     kernels = [p for p in (ROOT / "cl").rglob("*") if p.suffix in (".cl", ".h")]
     expected |= {f"clvol/{p.relative_to(ROOT)}" for p in kernels}
     held = set(zipfile.ZipFile(wheel).namelist())

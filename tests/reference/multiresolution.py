@@ -85,7 +85,7 @@ class BlockField:
 
     def __call__(self, p: np.ndarray, interblock: bool | str = True) -> np.ndarray:
         """The field [n] at places [n, 3] (x, y, z). ``interblock``: False for each block by itself,
-        clamped to the hull of its samples; "p2" for P2's own weights."""
+        clamped to the hull of its samples; "p2" for the weights of Ljung 2006."""
         p = np.asarray(p, np.float64)
         parts = [self._field(p[i : i + _CHUNK], interblock) for i in range(0, len(p), _CHUNK)]
         return np.concatenate(parts) if parts else np.zeros(0)
@@ -120,7 +120,7 @@ class BlockField:
         """(blocks int64 [n, 8, 3], weights [n, 8] that add up to 1) around places [n, 3].
 
         Block f lies across the nearest faces along the axes whose bits are set in f; beyond the
-        volume the outermost ones stand in. ``p2``: P2's weights, as wide as the coarser block's
+        volume the outermost ones stand in. ``p2``: the weights of Ljung 2006, as wide as the coarser block's
         spacing, and not bounded by the block's own hull.
         """
         own = self.block_at(p)

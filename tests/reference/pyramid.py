@@ -1,4 +1,4 @@
-"""The plain twin of cl/pyramid.cl: P1's fig. 4 slice by slice over the whole picture, in double precision.
+"""The numpy reference of cl/pyramid.cl: Kraus et al. 2007, fig. 4, slice by slice over the whole picture, in double.
 
 No tiles, no chunks, nothing is leapt over. What differs from the paper is in the head of cl/pyramid.h.
 """
@@ -194,7 +194,7 @@ class _March:
         return math.inf if along == self.plan.levels else (2 << along) * self.step + SLACK * spacing
 
     def _synthesised(self, level: int, around: int) -> tuple[np.ndarray, np.ndarray]:
-        """Distance and value of all pixels of a level (and ``around`` more) from the next one (P1 fig. 7)."""
+        """Distance and value of all pixels of a level (and ``around`` more) from the next one (Kraus et al. 2007, fig. 7)."""
         n = self.side[level]
         x = np.arange(n + 2 * around) - around
         low = np.floor((x - 1) / 2).astype(int) + 1  # that one counts from the pixel around

@@ -14,7 +14,7 @@ DROPPED_CODE = 15
 class JoinTwin:
     """cl/tile_join.cl: what a picture shows between the rays of its tiles.
 
-    ``paper``: P2's weights (eq. 6) as they are, in which a tile across a corner counts even where
+    ``paper``: the weights of Ljung 2006 (eq. 6) as they are, in which a tile across a corner counts even where
     the pixel's own tile has rays on all sides.
     """
 
@@ -75,7 +75,7 @@ class JoinTwin:
         return [(float(w), int(t)) for w, t in zip(weights, (a, b, c, d))]
 
     def _edge(self, axis: int, pixel: int, here: int, there: int, after: bool) -> float:
-        """e of P2, eq. 5, along ``axis``: 0 on tile ``here``'s outermost line, 1 on ``there``'s."""
+        """e of Ljung 2006, eq. 5, along ``axis``: 0 on tile ``here``'s outermost line, 1 on ``there``'s."""
         outermost = [self.grid.origins[t][axis] + self.lines[axis][t] for t in (here, there)]
         first = outermost[0][-1 if after else 0]
         second = outermost[1][0 if after else -1]

@@ -57,6 +57,7 @@ def alike(frame, other) -> bool:
     return np.array_equal(frame.rgba, other.rgba) and np.array_equal(frame.depth, other.depth)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_no_picture_depends_on_what_was_rendered_before(kind, device):
     """Any order of functions, times and views gives what a Renderer gives that has rendered nothing."""
@@ -86,6 +87,7 @@ def test_no_picture_depends_on_what_was_rendered_before(kind, device):
     assert len(differ) > 5  # the cases are no single picture
 
 
+@pytest.mark.slow
 def test_a_function_that_comes_back_after_another_time_is_shown(device):
     """The case of a stale picture: f1, set f2, time 1, set f1, time 2."""
     with Renderer(scene_of("multiresolution"), [device]) as renderer:
@@ -127,6 +129,7 @@ def test_blocks_that_could_not_be_read_are_read_again(device, monkeypatch):
         assert alike(frame, renderer.render())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dtype", (np.uint8, np.float32))
 def test_voxels_changed_between_frames_are_no_picture_of_both(dtype, device):
     """A simulation that computes in place: an error that says what to do, never empty space of one state around
@@ -235,6 +238,7 @@ def test_blocks_read_in_the_background_end_in_the_right_picture_whoever_looks(de
         assert alike(frame, renderer.render())
 
 
+@pytest.mark.slow
 def test_renderers_in_threads_of_their_own_do_not_meet(device):
     """Two and more of one scene and volume: compiled, rendered and closed at the same time."""
     scenes = {kind: scene_of(kind) for kind in ("raycast", "lit", "multiresolution", "reference")}

@@ -120,6 +120,7 @@ def test_every_method_shows_the_same_picture(device, method, axis) -> None:
     np.testing.assert_array_equal(found, wanted)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("axis", AXES[2:])
 def test_all_effects_that_speak_of_values(device, axis) -> None:
     found, wanted = renderings(*said_in_stored(axis, STORED, effects=True), device)
@@ -127,6 +128,7 @@ def test_all_effects_that_speak_of_values(device, axis) -> None:
     np.testing.assert_allclose(found, wanted, atol=2e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "dtype, compositing",
     [("uint8", "minimum"), *((dtype, "maximum") for dtype in ("uint8", "int16", "float32"))],
@@ -183,6 +185,7 @@ def test_a_function_set_later_is_of_values_too(device) -> None:
     assert rms(before, later) > 1e-3 and function.slope > 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("role", ["label", "density", "mask"])
 @pytest.mark.parametrize("axis", [AXES[0], AXES[2]])
 def test_fields_have_values_of_their_own(device, axis, role) -> None:
@@ -253,6 +256,7 @@ def test_ranges_and_reasons_are_told_in_values(tmp_path, capfd) -> None:
     assert "-255 to 0" in told and "-1 * stored + 0" in told
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("axis", AXES[1:])
 def test_a_store_keeps_the_axis(tmp_path, device, axis) -> None:
     np.save(tmp_path / "v.npy", STORED)

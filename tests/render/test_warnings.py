@@ -124,6 +124,7 @@ def test_a_box_is_found_with_and_without_depth(depth, device):
     assert warned(GOOD["opaque body"], device, depth=depth)[0] == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ("pyramid", "reference", "multiresolution"))
 def test_every_method_warns(method, device):
     scene = scene_of(transfer_function=function([1000, 2000], [0, 0.5]), integration={"method": method})
@@ -145,6 +146,7 @@ def test_a_cause_is_told_once_and_listed_with_every_frame(device):
     assert all(len(frame.stats["warnings"]) == 1 for frame in frames)
 
 
+@pytest.mark.slow
 def test_pictures_to_an_error_warn_too(device):
     with pytest.warns(ClvolWarning, match="nothing is visible"):
         frame = render_to_error(CASES["beside"][0], 1e-2, devices=[device])

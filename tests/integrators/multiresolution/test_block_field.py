@@ -102,7 +102,7 @@ def test_dropped_blocks_break_continuity_between_no_others():
 
 
 def test_constant_blocks_may_have_one_sample_beside_full_resolution():
-    """With no others coarse nothing changes. P2's weights reach up to half a block from there."""
+    """With no others coarse nothing changes. The weights of Ljung 2006 reach up to half a block from there."""
     data = noise((48, 48, 64)).data.copy()
     data[16:32, 16:32, 16:32], data[:16, 16:32, 48:] = 40, 200
     volume = Volume(data)
@@ -155,7 +155,7 @@ def test_weights_are_shares_and_fall_to_0_at_the_own_hull():
 
 def test_p2_counts_a_coarse_block_inside_the_hull_of_a_fine_ones_samples_and_we_do_not():
     """A fine block and three coarse ones meet at an edge: there the one beyond the edge has weight
-    by P2's product of the e from the other two to it, however far the place is inside the fine
+    by the product in Ljung 2006 of the e from the other two to it, however far the place is inside the fine
     one's samples."""
     volume = noise((16, 32, 32))
     field = twin_of(volume, np.array([0, 4, 4, 4], np.uint8))

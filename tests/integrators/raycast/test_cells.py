@@ -131,6 +131,7 @@ def test_a_voxel_that_is_not_a_number_hides_the_cells_that_use_it(device, contex
     assert rms(data.rgba, render_reference(scene, device)[0]) < 1e-4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_opaque_data_stop_rays_and_have_a_depth(device, context, kind):
     z, y, x = np.mgrid[:33, :33, :33] - 16.0

@@ -126,6 +126,7 @@ def test_no_shadow_ray_below_the_bound(context):
     np.testing.assert_allclose(none.rgba, unshadowed.rgba, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_light_volume_takes_no_shadow_rays(context):
     data = shadowed(context, method="volume", resolution=5)
     assert data.counters == dict.fromkeys(NAMES, showing(scene_of()) * DEPTH)
@@ -137,6 +138,7 @@ RADIUS = 3.0
 BALL = {"value": RADIUS, "opacity": 0.5, "color": [0.9, 0.4, 0.2]}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("skip", [False, True])
 def test_surfaces_are_looked_for_only_in_cells_near_them(context, skip):
     resolved = scene_of(CORNER, HAZE, isosurface=[BALL])
@@ -154,6 +156,7 @@ def test_surfaces_are_looked_for_only_in_cells_near_them(context, skip):
     assert 2 * inside <= data.counters["surface_hits"] <= 2 * touching
 
 
+@pytest.mark.slow
 def test_tiles_that_see_no_surface_test_none(context):
     size = (96, 80)
     resolved = scene_of(CORNER, HAZE, size, isosurface=[BALL])

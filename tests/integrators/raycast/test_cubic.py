@@ -54,6 +54,7 @@ def along_z(size, **keys):
 # --- against the exact integral --------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dtype", TYPES)
 def test_every_voxel_type_agrees_with_the_exact_integral(device, context, dtype):
     low, high = (-100, 100) if np.dtype(dtype).kind == "i" else (0, 255)
@@ -67,6 +68,7 @@ def test_every_voxel_type_agrees_with_the_exact_integral(device, context, dtype)
     assert rms(exact(device, linear), reference) > 0.01  # the test can tell the filters apart
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("classification", CLASSIFICATIONS)
 @pytest.mark.parametrize("lanes", [1, 16])
 def test_every_classification_agrees_with_the_exact_integral(
@@ -88,6 +90,7 @@ def test_thin_volumes_agree_with_the_exact_integral(device, context, shape, dtyp
     np.testing.assert_allclose(picture(context, scene).rgba, reference, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_large_8_bit_volumes_are_not_held_as_pairs(device, context, monkeypatch):
     scene = cubic_scene(rough((12, 13, 14)), step=0.05)
     pairs = picture(context, scene)
@@ -184,6 +187,7 @@ def test_leaping_over_empty_space_changes_no_bit_and_takes_fewer_samples(
         assert leaping.samples < 0.5 * walking.samples
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dtype", [np.uint16, np.float32])
 @pytest.mark.parametrize("sign", [1, -1])
 def test_rounding_never_leaves_the_range_of_the_voxels(context, dtype, sign):
@@ -204,6 +208,7 @@ def test_rounding_never_leaves_the_range_of_the_voxels(context, dtype, sign):
     assert np.array_equal(leaping.rgba, walking.rgba)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("first, second", [("linear", "cubic"), ("cubic", "linear")])
 def test_ray_casters_of_two_filters_may_share_a_volume(context, first, second):
     array = np.zeros((33, 33, 33), np.uint8)

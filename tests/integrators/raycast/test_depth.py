@@ -235,6 +235,7 @@ def test_layers_take_theirs(context):
         assert np.abs(depth - (ENTRY + high)).max() < 1e-3 * step
 
 
+@pytest.mark.slow
 def test_densities_add_to_what_is_absorbed(context):
     field = {"file": Volume(uniform()), "role": "density", "points": points(level(0.3))}
     extinction = -math.log1p(-0.3) + math.log(2.0) / half(0.4)

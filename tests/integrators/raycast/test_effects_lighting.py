@@ -120,6 +120,7 @@ def test_precomputed_gradients_light_like_those_on_the_fly(context, operator):
     assert np.sqrt(np.mean(apart**2)) < 5e-3 and np.mean(apart > 5e-3) < 0.01
 
 
+@pytest.mark.slow
 def test_lanes_tiles_and_leaping_change_nothing(context):
     array = np.zeros((40, 17, 19), np.float32)
     array[:15] = blobs(SHAPE)

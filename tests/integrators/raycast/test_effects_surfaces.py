@@ -239,6 +239,7 @@ def test_after_eight_bends_a_ray_goes_straight_on(context):
     np.testing.assert_allclose(data.rgba[..., 3], 1.0 - 0.9**10, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_leaping_lanes_and_tiles_change_no_surface(context):
     array = np.zeros((48, 17, 19), np.float32)
     array[:15] = blobs(SHAPE)
@@ -252,6 +253,7 @@ def test_leaping_lanes_and_tiles_change_no_surface(context):
     assert np.sum(np.abs(one - other).max(axis=-1) > 1e-4) <= 1
 
 
+@pytest.mark.slow
 def test_holes_hide_only_the_surfaces_that_use_them(context):
     """Pixels whose rays keep a voxel's distance from every hole do not change."""
     array = blobs(SHAPE)

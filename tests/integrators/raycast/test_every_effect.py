@@ -123,6 +123,7 @@ _ALONE = (
 )  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", _ALONE)
 def test_a_ray_alone_sees_what_a_packet_sees(context, place, name):
     effect = by_name(name)
@@ -144,6 +145,7 @@ def test_all_but_exclusive_effects_are_called_for_together(place):
     assert asked - set(called_for(scene_of(together(place)))) == exclusive
 
 
+@pytest.mark.slow
 def test_all_effects_go_together(context, place):
     found = rendered(context, place, TOGETHER)
     check(found.rgba)
@@ -195,6 +197,7 @@ def test_explain_names_what_is_compiled(context, place, effect):
 CYCLING = {"time": 2.0, "cycle": 0.5}
 
 
+@pytest.mark.slow
 def test_explain_knows_what_converts_voxels_and_what_comes_round(device):
     """Whatever the voxels are turned into, and colours that are where they began: one fresh device
     each, on which nothing else was built."""
