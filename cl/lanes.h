@@ -104,9 +104,10 @@ typedef float gather_float16 __attribute__((__vector_size__(64)));
 /* Two words per lane, at byte B * offset and 4 after it: the hardware takes as long for 64 bits as for 32. */
 typedef long gather_long8 __attribute__((__vector_size__(64)));
 typedef int gather_int8 __attribute__((__vector_size__(32)));
-#define GATHER_LONGS(base, offset, SCALE)                                                                               \
-  __builtin_astype(__builtin_ia32_gathersiv8di(none, (const void *)(size_t)(base), __builtin_astype(offset, gather_int8), \
-                                               (uchar)0xff, SCALE), uint16)
+#define GATHER_LONGS(base, offset, SCALE)                                                                  \
+  __builtin_astype(__builtin_ia32_gathersiv8di(none, (const void *)(size_t)(base),                         \
+                                               __builtin_astype(offset, gather_int8), (uchar)0xff, SCALE), \
+                   uint16)
 #define DEFINE_GATHER_TWO(SCALE)                                                                                   \
   INLINE void gather_two##SCALE(__global const void *base, int16 offset, uint16 *low, uint16 *high)                \
   {                                                                                                                \
@@ -267,21 +268,6 @@ INLINE float16 unpack_lanes(__private const float *from, uint bits)
     from += bits >> k & 1u;
   }
   return vload16(0, each);
-#endif
-}
-
-/* to[at] = v for the lanes in `bits`. */
-INLINE void scatter_private(float16 v, int16 at, uint bits, __private float *to)
-{
-#if defined(HARDWARE_GATHER) && __has_builtin(__builtin_ia32_scattersiv16sf)
-  __builtin_ia32_scattersiv16sf((void *)to, (ushort)bits, __builtin_astype(at, gather_int16),
-                                __builtin_astype(v, gather_float16), 4);
-#else
-  float each[16];
-  int lane[16];
-  vstore16(v, 0, each), vstore16(at, 0, lane);
-  EACH_LANE(k)
-  if (bits >> k & 1u) to[lane[k]] = each[k];
 #endif
 }
 

@@ -13,7 +13,6 @@
 #include "struct_fields.h"
 
 #define NOISE_TILE 32
-#define NOISE_TEXELS (NOISE_TILE * NOISE_TILE * NOISE_TILE)
 
 typedef struct {
   float4 scale;          /* x, y, z: tiles per lattice unit */
@@ -22,14 +21,13 @@ typedef struct {
   float value_amplitude; /* units of the value, of a term that adds to values */
   float gain;            /* from octave to octave */
   int octaves;
-  int target;            /* NOISE_TARGET_VALUE or NOISE_TARGET_COORDINATE */
   int first_texel;       /* of its tile */
 } NoiseTerm;
 
 /* Reported to the host (struct_fields.h). */
 #define NOISE_TERM_FIELDS  \
   STRUCT(NoiseTerm), FIELD(NoiseTerm, scale), FIELD(NoiseTerm, offset), FIELD(NoiseTerm, amplitude), \
-  FIELD(NoiseTerm, value_amplitude), FIELD(NoiseTerm, gain), FIELD(NoiseTerm, octaves), FIELD(NoiseTerm, target), \
+  FIELD(NoiseTerm, value_amplitude), FIELD(NoiseTerm, gain), FIELD(NoiseTerm, octaves), \
   FIELD(NoiseTerm, first_texel)
 
 /* The eight texels around a place, x changing fastest, and the place between them. */

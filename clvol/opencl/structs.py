@@ -99,7 +99,7 @@ PYRAMID = struct(
 NOISE_TERM = struct(
     ("float4", "scale offset amplitude"),
     ("float", "value_amplitude gain"),
-    ("int", "octaves target first_texel"),
+    ("int", "octaves first_texel"),
 )
 """``NoiseTerm`` of cl/noise.h."""
 
