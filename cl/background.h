@@ -12,7 +12,8 @@ INLINE void show_environment(const Scene *scene, Vectors forward, intN on_pictur
 {
   __constant const Effects *e = scene->effects;
   Vectors seen;
-  environment_look_up(scene->environment + e->sky_map, e->sky_map_size, forward.x, forward.y, forward.z, &seen.x, &seen.y,
+  environment_look_up(scene->environment + e->sky_map, e->sky_map_size, forward.x, forward.y, forward.z, &seen.x,
+                      &seen.y,
                       &seen.z);
   const floatN left = select((floatN)0.0f, 1.0f - acc->a, on_picture);
   acc->r += left * seen.x, acc->g += left * seen.y, acc->b += left * seen.z;

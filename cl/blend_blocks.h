@@ -1,29 +1,37 @@
-/* Interblock interpolation: values between the outermost samples of blocks of any resolutions, with no voxels stored twice (Ljung,
- * Lundstroem, Ynnerman 2006; its two-dimensional form is P2 eq. 5 and 6).
+/* Interblock interpolation: values between the outermost samples of blocks of any resolutions, with no voxels stored
+ * twice (Ljung, Lundstroem, Ynnerman 2006; its two-dimensional form is Ljung 2006, eq. 5 and 6).
  *
- * Around a place there are eight blocks with a corner in common. Each is sampled with clamping, and the values are blended. P2's
- * weight of block j on the edge from i, d the distance to the face between them (i on this side; in blocks), is
- *   e_ij = clamp((delta_i - d) / (delta_i + delta_j), 0, 1),   delta = 1 / (2 samples an axis),
- * and that of a block the product of the e or 1 - e along its own three edges, normalised. Two things are different here:
+ * Around a place there are eight blocks with a corner in common. Each is sampled with clamping, and the values are
+ * blended. Their weight of block j on the edge from i, d the distance to the face between them (i on this side; in
+ * blocks), is
+ *   e_ij = clamp((delta_i - d) / (delta_i + delta_j), 0, 1),   delta = 1 / (2 samples per axis),
+ * and that of a block the product of the e or 1 - e along its own three edges, normalised. Two things are different
+ * here:
  *
- * 1. delta_i and delta_j are both taken as the smaller one, m: e_ij = clamp(1/2 - d / (2 m), 0, 1). In a coarse block, even one that is
- *    coarse because it is constant, P2's blend reaches as far as its own outermost sample, up to half a block: what is bright behind
- *    a face bleeds that far. Here the blend is as wide as the finer one's spacing.
- * 2. The weight of any other block is at most u = max over the axes of clamp(1 - d / delta, 0, 1), delta of the block that holds the
- *    place: 0 inside the hull of that block's samples and 1 at its faces. By P2's products a coarse block counts inside the hull of a
- *    fine one's samples where only their corners touch (in two dimensions: e12 = e13 = 0, yet e34 e24 > 0).
+ * 1. delta_i and delta_j are both taken as the smaller one, m: e_ij = clamp(1/2 - d / (2 m), 0, 1). In a coarse block,
+ * even one that is
+ *    coarse because it is constant, their blend reaches as far as its own outermost sample, up to half a block: what
+ *    is bright behind a face bleeds that far. Here the blend is as wide as the finer one's spacing.
+ * 2. The weight of any other block is at most u = max over the axes of clamp(1 - d / delta, 0, 1), delta of the block
+ * that holds the
+ *    place: 0 inside the hull of that block's samples and 1 at its faces. By their products a coarse block counts
+ *    inside the hull of a fine one's samples where only their corners touch (in two dimensions: e12 = e13 = 0, yet e34
+ *    e24 > 0).
  *
  * So
  *   - inside the hull of its samples a block is alone, and no other needs to be looked at there: that is most samples;
- *   - the field is continuous: at a face u bounds nothing and both sides agree on m, and at the planes through blocks' centres,
+ *   - the field is continuous: at a face u bounds nothing and both sides agree on m, and at the planes through blocks'
+ *   centres,
  *     where the eight blocks change, the ones that leave have no weight;
- *   - equal resolutions give trilinear interpolation of the samples (products are u_x u_y / 4 or less), and a constant block may
+ *   - equal resolutions give trilinear interpolation of the samples (products are u_x u_y / 4 or less), and a constant
+ *   block may
  *     have one sample beside full resolution without any change.
- * The block that holds the place is the origin here; block f = fx + 2 fy + 4 fz lies across the faces whose bits are set. Beyond the
- * volume's faces the outermost blocks stand in for what is not there.
+ * The block that holds the place is the origin here; block f = fx + 2 fy + 4 fz lies across the faces whose bits are
+ * set. Beyond the volume's faces the outermost blocks stand in for what is not there.
  *
- * Beside a dropped block, which shows nothing and keeps its one value to itself, a block fades from its outermost samples to that value
- * at the face: what is visible does not end at a face, but near its edges, where a second visible block keeps a share up to there.
+ * Beside a dropped block, which shows nothing and keeps its one value to itself, a block fades from its outermost
+ * samples to that value at the face: what is visible does not end at a face, but near its edges, where a second
+ * visible block keeps a share up to there.
  */
 #ifndef BLEND_BLOCKS_H
 #define BLEND_BLOCKS_H
@@ -33,8 +41,8 @@
 #include "lanes.h"
 #include "tally.h"
 
-/* Steps whose samples are taken together. The more, the fuller the vectors of what is blended; but also the more samples are taken
- * in vain behind the place where a ray ends, and long steps have fewer to spare. */
+/* Steps whose samples are taken together. The more, the fuller the vectors of what is blended; but also the more
+ * samples are taken in vain behind the place where a ray ends, and long steps have fewer to spare. */
 #ifndef QUEUED_STEPS
 #define QUEUED_STEPS (STEPPING == STEPPING_FULL ? 12 : 8)
 #endif
@@ -56,7 +64,7 @@ INLINE FaceAxis nearest_face(floatN p, intN block, const BlockVolume *v)
   return a;
 }
 
-/* 1 / (2 delta): samples an axis, of a code; SAMPLES_DROPPED of a dropped block's. */
+/* 1 / (2 delta): samples per axis, of a code; SAMPLES_DROPPED of a dropped block's. */
 INLINE floatN samples_of_code(uintN code) { return AS_FLOAT(AS_INT((code + 126u) << 23u)); }
 #define SAMPLES_DROPPED 16384.0f
 
@@ -70,7 +78,8 @@ INLINE floatN samples_of_nibble(uintN codes)
 #endif
 }
 
-/* e of the edge from a block of i samples an axis, on this side of the face, to one of j. `dropped`: one of the two may be. */
+/* e of the edge from a block of i samples per axis, on this side of the face, to one of j. `dropped`: one of the two
+ * may be. */
 INLINE floatN edge_weight(floatN i, floatN j, floatN d, int dropped)
 {
   const floatN zero = 0.0f, e = lane_max(0.5f - d * lane_max(i, j), zero);
@@ -79,13 +88,15 @@ INLINE floatN edge_weight(floatN i, floatN j, floatN d, int dropped)
   return select(select(e, lane_max(1.0f - 2.0f * d * i, zero), there & ~here), zero, here & ~there);
 }
 
-/* What all eight weights depend on: places relative to the block's faces, and codes of the blocks around the nearest corner. */
+/* What all eight weights depend on: places relative to the block's faces, and codes of the blocks around the nearest
+ * corner. */
 typedef struct {
   FaceAxis x, y, z;
   uintN codes, own;
 } Around;
 
-INLINE Around blocks_around(const BlockVolume *v, intN bx, intN by, intN bz, floatN px, floatN py, floatN pz, intN active)
+INLINE Around blocks_around(const BlockVolume *v, intN bx, intN by, intN bz, floatN px, floatN py, floatN pz,
+                            intN active)
 {
   Around a;
   a.x = nearest_face(px, bx, v), a.y = nearest_face(py, by, v), a.z = nearest_face(pz, bz, v);
@@ -97,8 +108,8 @@ INLINE Around blocks_around(const BlockVolume *v, intN bx, intN by, intN bz, flo
   return a;
 }
 
-/* Weights of all eight blocks, not yet normalised. Written out: in loops everything would live in memory. Where all are alike parallel
- * edges have the same weight, bit for bit, and u bounds nothing. */
+/* Weights of all eight blocks, not yet normalised. Written out: in loops everything would live in memory. Where all
+ * are alike parallel edges have the same weight, bit for bit, and u bounds nothing. */
 INLINE void blend_weights(const Around *a, intN active, floatN *weight)
 {
   const floatN dx = a->x.d, dy = a->y.d, dz = a->z.d;
@@ -112,7 +123,8 @@ INLINE void blend_weights(const Around *a, intN active, floatN *weight)
   }
   const int drop = any_lane(active & MASK((a->codes & 0x88888888u) != 0u));
 #define SAMPLES(f) samples_of_nibble(a->codes >> ((a->own << 2u) ^ (4u * f##u)))
-  const floatN n0 = SAMPLES(0), n1 = SAMPLES(1), n2 = SAMPLES(2), n3 = SAMPLES(3), n4 = SAMPLES(4), n5 = SAMPLES(5), n6 = SAMPLES(6), n7 = SAMPLES(7);
+  const floatN n0 = SAMPLES(0), n1 = SAMPLES(1), n2 = SAMPLES(2), n3 = SAMPLES(3), n4 = SAMPLES(4), n5 = SAMPLES(5);
+  const floatN n6 = SAMPLES(6), n7 = SAMPLES(7);
 #undef HALF
   const floatN x01 = edge_weight(n0, n1, dx, drop), x23 = edge_weight(n2, n3, dx, drop);
   const floatN x45 = edge_weight(n4, n5, dx, drop), x67 = edge_weight(n6, n7, dx, drop);
@@ -141,7 +153,8 @@ INLINE intN across(intN block, const FaceAxis *a, int count)
 #if LANES == 1
 
 /* The value at p, where `value` is that of the block `r` which holds p. */
-INLINE floatN blend_blocks(const BlockVolume *v, const Record *r, floatN px, floatN py, floatN pz, floatN value, Tally *tally)
+INLINE floatN blend_blocks(const BlockVolume *v, const Record *r, floatN px, floatN py, floatN pz, floatN value,
+                           Tally *tally)
 {
   const Around a = blocks_around(v, r->x, r->y, r->z, px, py, pz, ~0);
   const int4 count = v->blocks->count;
@@ -151,7 +164,8 @@ INLINE floatN blend_blocks(const BlockVolume *v, const Record *r, floatN px, flo
   int blended = 0;
   for (int f = 1; f < 8; ++f) {
     if (!(weight[f] > 0.0f)) continue;
-    const Record other = fetch_record(v, f & 1 ? across(r->x, &a.x, count.x) : r->x, f & 2 ? across(r->y, &a.y, count.y) : r->y,
+    const Record other = fetch_record(v, f & 1 ? across(r->x, &a.x, count.x) : r->x,
+                                      f & 2 ? across(r->y, &a.y, count.y) : r->y,
                                       f & 4 ? across(r->z, &a.z, count.z) : r->z);
     const BlockPlace s = place_in_block(v, &other, px, py, pz);
     sum += weight[f] * (value_in_block(v, &s) - value), total += weight[f];
@@ -164,16 +178,16 @@ INLINE floatN blend_blocks(const BlockVolume *v, const Record *r, floatN px, flo
 
 #else
 
-/* In a packet few samples lie between blocks, and of the seven other blocks one or two have weight: lane by lane most of a
- * vector would do nothing. So places that need blending are queued over several steps of the packet, and worked off 16 at a
- * time: first, of each, one block across a face (of most there is no other), then all other (place, block) pairs, which are
- * queued as well. What comes out stays in the queue's order, and each step takes its own from there. (Without queues blending took
- * more than twice as long.) */
+/* In a packet few samples lie between blocks, and of the seven other blocks one or two have weight: lane by lane most
+ * of a vector would do nothing. So places that need blending are queued over several steps of the packet, and worked
+ * off 16 at a time: first, of each, one block across a face (of most there is no other), then all other (place, block)
+ * pairs, which are queued as well. What comes out stays in the queue's order, and each step takes its own from there.
+ * (Without queues blending took more than twice as long.) */
 #define QUEUE_LENGTH (LANES * QUEUED_STEPS)
 #define PAIRS_LENGTH (6 * QUEUE_LENGTH)
 
-/* Places in blocks whose values are wanted: of the samples of QUEUED_STEPS steps, then of pairs. All addresses come before all
- * fetches: the loads of many vectors are under way at once. */
+/* Places in blocks whose values are wanted: of the samples of QUEUED_STEPS steps, then of pairs. All addresses come
+ * before all fetches: the loads of many vectors are under way at once. */
 #define FETCHES (INTERBLOCK ? 8 * QUEUED_STEPS + 1 : QUEUED_STEPS)
 
 typedef struct {
@@ -218,7 +232,8 @@ typedef struct {
   float other[QUEUE_LENGTH + LANES], share[QUEUE_LENGTH + LANES];
 } PlaceQueue;
 
-/* Other pairs of the places of one vector: six blocks, of each the lanes whose places it has weight for, one after the other. */
+/* Other pairs of the places of one vector: six blocks, of each the lanes whose places it has weight for, one after the
+ * other. */
 #define OTHERS 6
 
 typedef struct {
@@ -248,7 +263,8 @@ INLINE void queue_places(PlaceQueue *q, floatN px, floatN py, floatN pz, int ste
   q->count = at + popcount(bits);
 }
 
-/* The pairs of all places of `q`, and where to fetch what they want: the first ones' vectors, then the others'. Returns how many vectors. */
+/* The pairs of all places of `q`, and where to fetch what they want: the first ones' vectors, then the others'.
+ * Returns how many vectors. */
 INLINE int queue_pairs(const BlockVolume *v, const PlaceQueue *q, PairQueue *p, Fetch *fetches, Tally *tally)
 {
   const int4 count = v->blocks->count;
@@ -259,7 +275,8 @@ INLINE int queue_pairs(const BlockVolume *v, const PlaceQueue *q, PairQueue *p, 
     const int first = k * LANES;
     const intN active = MASK(LANE_INDEX < places - first);
     const floatN zero = 0.0f, half_ = 0.5f;
-    const floatN px = select(half_, LOAD_LANES(q->x + first), active), py = select(half_, LOAD_LANES(q->y + first), active);
+    const floatN px = select(half_, LOAD_LANES(q->x + first), active);
+    const floatN py = select(half_, LOAD_LANES(q->y + first), active);
     const floatN pz = select(half_, LOAD_LANES(q->z + first), active);
     const intN bx = block_of(px, v, count.x), by = block_of(py, v, count.y), bz = block_of(pz, v, count.z);
     const Around a = blocks_around(v, bx, by, bz, px, py, pz, active);
@@ -301,14 +318,17 @@ INLINE int queue_pairs(const BlockVolume *v, const PlaceQueue *q, PairQueue *p, 
   fetches += p->vectors;
   _Pragma("unroll 1") for (int first = 0; first < pairs; first += LANES, ++fetches) {
     const intN active = MASK(LANE_INDEX < pairs - first);
-    const intN slot = AS_INT(LOAD_LANES(p->slot + first)) & active, block = AS_INT(LOAD_LANES(p->block + first)) & active;
+    const intN slot = AS_INT(LOAD_LANES(p->slot + first)) & active;
+    const intN block = AS_INT(LOAD_LANES(p->block + first)) & active;
     const Record r = fetch_record(v, block & 1023, (block >> 10) & 1023, block >> 20);
-    place_fetch(v, fetches, &r, ALIKE_NOT, gather_private(q->x, slot), gather_private(q->y, slot), gather_private(q->z, slot));
+    place_fetch(v, fetches, &r, ALIKE_NOT, gather_private(q->x, slot), gather_private(q->y, slot),
+                gather_private(q->z, slot));
   }
   return p->vectors + (pairs + LANES - 1) / LANES;
 }
 
-/* From the values of all pairs to what each place is blended with. Differences to the first one: equal values stay as they are. */
+/* From the values of all pairs to what each place is blended with. Differences to the first one: equal values stay as
+ * they are. */
 INLINE void blend_pairs(PlaceQueue *q, const PairQueue *p, const float *of_pairs)
 {
   const float *of_others = of_pairs + p->vectors * LANES;
@@ -335,7 +355,8 @@ INLINE floatN blended_value(const PlaceQueue *q, int step, floatN value)
 {
   const uint bits = q->lanes[step];
   if (!bits) return value;
-  const floatN other = unpack_lanes(q->other + q->from[step], bits), share = unpack_lanes(q->share + q->from[step], bits);
+  const floatN other = unpack_lanes(q->other + q->from[step], bits);
+  const floatN share = unpack_lanes(q->share + q->from[step], bits);
   return select(value, value + share * (other - value), MASK(share > 0.0f));
 }
 

@@ -1,8 +1,10 @@
-/* How much the field varies in each block that is resident: what bounds the error of a step through it (clvol/integrators/multiresolution/
- * bounds.py). Along a unit direction (in voxels) a trilinear field's slope and curvature are at most what its samples' first, second and
- * mixed differences say; across a face the neighbour's outermost value counts, at its distance.
+/* How much the field varies in each block that is resident: what bounds the error of a step through it
+ * (clvol/integrators/multiresolution/ bounds.py). Along a unit direction (in voxels) a trilinear field's slope and
+ * curvature are at most what its samples' first, second and mixed differences say; across a face the neighbour's
+ * outermost value counts, at its distance.
  *
- * Switches (-D): LANES (1), VOXEL_BITS, VOXEL_SIGNED, VOXEL_SCALED, VOXEL_HOLES, INTERBLOCK, SAMPLE_BUFFERS, CLASSIFICATION, FILTER.
+ * Switches (-D): LANES (1), VOXEL_BITS, VOXEL_SIGNED, VOXEL_SCALED, VOXEL_HOLES, INTERBLOCK, SAMPLE_BUFFERS,
+ * CLASSIFICATION, FILTER.
  */
 #include "lanes.h"
 #include "view.h"
@@ -21,8 +23,8 @@ inline int2 outermost(int direction, int n)
   return (int2)(direction > 0 ? n - 1 : 0, direction < 0 ? 0 : n - 1);
 }
 
-/* bounds  float4 a block: largest curvature (value a voxel^2), largest slope (value a voxel), lowest and highest value;
- *         zeros and lowest > highest for a dropped block or one without a finite value
+/* bounds  float4 per block: largest curvature (value per voxel^2), largest slope (value per voxel), lowest and highest
+ *         value; zeros and lowest > highest for a dropped block or one without a finite value
  */
 __kernel void block_bounds(__global const uchar *restrict volume, __constant const View *restrict view,
                            BLOCK_PARAMETERS, __global float4 *restrict bounds)
@@ -43,9 +45,12 @@ __kernel void block_bounds(__global const uchar *restrict volume, __constant con
       for (int i = 0; i < s; ++i) {
         const float c = own_sample(v, &own, s, i, j, k);
         widen(c, &low, &high);
-        const float px = i + 1 < s ? own_sample(v, &own, s, i + 1, j, k) : c, mx = i > 0 ? own_sample(v, &own, s, i - 1, j, k) : c;
-        const float py = j + 1 < s ? own_sample(v, &own, s, i, j + 1, k) : c, my = j > 0 ? own_sample(v, &own, s, i, j - 1, k) : c;
-        const float pz = k + 1 < s ? own_sample(v, &own, s, i, j, k + 1) : c, mz = k > 0 ? own_sample(v, &own, s, i, j, k - 1) : c;
+        const float px = i + 1 < s ? own_sample(v, &own, s, i + 1, j, k) : c;
+        const float mx = i > 0 ? own_sample(v, &own, s, i - 1, j, k) : c;
+        const float py = j + 1 < s ? own_sample(v, &own, s, i, j + 1, k) : c;
+        const float my = j > 0 ? own_sample(v, &own, s, i, j - 1, k) : c;
+        const float pz = k + 1 < s ? own_sample(v, &own, s, i, j, k + 1) : c;
+        const float mz = k > 0 ? own_sample(v, &own, s, i, j, k - 1) : c;
         raise((px - c) / spacing, &slope), raise((py - c) / spacing, &slope), raise((pz - c) / spacing, &slope);
         const float per_area = 1.0f / (spacing * spacing);
         if (i > 0 && i + 1 < s) raise((px - 2.0f * c + mx) * per_area, &second);
@@ -60,8 +65,8 @@ __kernel void block_bounds(__global const uchar *restrict volume, __constant con
     for (int dy = -1; dy <= 1; ++dy)
       for (int dx = -1; dx <= 1; ++dx) {
         const int nx = bx + dx, ny = by + dy, nz = bz + dz;
-        if (!(dx || dy || dz) || nx < 0 || ny < 0 || nz < 0 || nx >= blocks->count.x || ny >= blocks->count.y || nz >= blocks->count.z)
-          continue;
+        if (!(dx || dy || dz) || nx < 0 || ny < 0 || nz < 0) continue;
+        if (nx >= blocks->count.x || ny >= blocks->count.y || nz >= blocks->count.z) continue;
         const Record other = fetch_record(v, nx, ny, nz);
         const int beyond = code_of(&other);
         const int t = beyond == CODE_DROPPED ? 1 : 1 << (beyond - 1);
@@ -71,14 +76,17 @@ __kernel void block_bounds(__global const uchar *restrict volume, __constant con
         for (int side = 0; side < 2; ++side) {
           const int n = side ? t : s, sign = side ? -1 : 1;
           const int2 is = outermost(sign * dx, n), js = outermost(sign * dy, n), ks = outermost(sign * dz, n);
-          const float wide = edge / n, x0 = edge * (side ? nx : bx), y0 = edge * (side ? ny : by), z0 = edge * (side ? nz : bz);
+          const float wide = edge / n, x0 = edge * (side ? nx : bx), y0 = edge * (side ? ny : by);
+          const float z0 = edge * (side ? nz : bz);
           for (int k = ks.x; k <= ks.y; ++k)
             for (int j = js.x; j <= js.y; ++j)
               for (int i = is.x; i <= is.y; ++i) {
-                const BlockPlace sample = place_in_block(v, side ? &own : &other, x0 + wide * (i + 0.5f), y0 + wide * (j + 0.5f),
+                const BlockPlace sample = place_in_block(v, side ? &own : &other, x0 + wide * (i + 0.5f),
+                                                         y0 + wide * (j + 0.5f),
                                                           z0 + wide * (k + 0.5f));
                 const float there = value_in_block(v, &sample);
-                const float here = t == 1 && side ? as_float(other.word0) : own_sample(v, side ? &other : &own, n, i, j, k);
+                const float here = t == 1 && side ? as_float(other.word0)
+                    : own_sample(v, side ? &other : &own, n, i, j, k);
                 widen(there, &low, &high), widen(here, &low, &high);
                 raise((there - here) / distance, &slope);
                 if (abs(dx) + abs(dy) + abs(dz) == 1) raise((there - here) / (distance * distance), &across);

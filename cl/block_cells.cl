@@ -1,10 +1,12 @@
-/* Empty space of a volume of blocks: which cells can show anything, from the samples that are resident. Cells are cubes of
- * 2^shift voxels, in places p of blocks.h, and lie within one block each.
+/* Empty space of a volume of blocks: which cells can show anything, from the samples that are resident. Cells are
+ * cubes of 2^shift voxels, in places p of blocks.h, and lie within one block each.
  *
- * What is interpolated in a cell lies between the samples that clamping to a block's hull leaves of the cell: those of its own block,
- * and, where it reaches beyond the hull of these, those of the blocks beyond, whose outermost samples are blended in.
+ * What is interpolated in a cell lies between the samples that clamping to a block's hull leaves of the cell: those of
+ * its own block, and, where it reaches beyond the hull of these, those of the blocks beyond, whose outermost samples
+ * are blended in.
  *
- * Switches (-D): LANES (1), VOXEL_BITS, VOXEL_SIGNED, VOXEL_SCALED, VOXEL_HOLES, WARPED_CLASSES, INTERBLOCK, SAMPLE_BUFFERS.
+ * Switches (-D): LANES (1), VOXEL_BITS, VOXEL_SIGNED, VOXEL_SCALED, VOXEL_HOLES, WARPED_CLASSES, INTERBLOCK,
+ * SAMPLE_BUFFERS.
  */
 #include "lanes.h"
 #include "view.h"
@@ -17,12 +19,13 @@
 
 /* before  int [nodes]: of the intervals between nodes, how many before this one can show anything
  * at      uchar [nodes]: whether the node itself does
- * cells   uchar [z, y, x]: CELL_VISIBLE where something can be visible, CELL_BESIDE_HOLES where samples that are not finite lie beside
- *         others, else CELL_EMPTY
+ * cells   uchar [z, y, x]: CELL_VISIBLE where something can be visible, CELL_BESIDE_HOLES where samples that are not
+ *         finite lie beside others, else CELL_EMPTY
  */
 __kernel void visible_block_cells(__global const uchar *restrict volume, __global const float *restrict warp,
                                   __global const int *restrict before, __global const uchar *restrict at,
-                                  __constant const View *restrict view, BLOCK_PARAMETERS, __global uchar *restrict cells)
+                                  __constant const View *restrict view, BLOCK_PARAMETERS,
+                                      __global uchar *restrict cells)
 {
   const BlockVolume held = BLOCK_VOLUME;
   const BlockVolume *v = &held;
@@ -44,7 +47,8 @@ __kernel void visible_block_cells(__global const uchar *restrict volume, __globa
     for (int dy = first.y; dy <= last.y; ++dy)
       for (int dx = first.x; dx <= last.x; ++dx) {
         const int nx = bx + dx, ny = by + dy, nz = bz + dz;
-        if (nx < 0 || ny < 0 || nz < 0 || nx >= blocks->count.x || ny >= blocks->count.y || nz >= blocks->count.z) continue;
+        if (nx < 0 || ny < 0 || nz < 0) continue;
+        if (nx >= blocks->count.x || ny >= blocks->count.y || nz >= blocks->count.z) continue;
         const Record r = fetch_record(v, nx, ny, nz);
         const int code = code_of(&r);
         if (code == CODE_DROPPED) {

@@ -1,10 +1,11 @@
-/* What kernels need of a volume held as blocks (BLOCKS), beside the first buffer of samples, which stands in the place of the volume:
+/* What kernels need of a volume that is stored as blocks (BLOCKS), beside the first buffer of samples, which is in the
+ * place of the volume:
  *
- * index    int2 a block, in C order of (z, y, x), see blocks.h
- * corners  a word a corner of the block lattice: the codes of the eight blocks around it, see blend_blocks.h
+ * index    int2 per block, in C order of (z, y, x), see blocks.h
+ * corners  a word per corner of the block lattice: the codes of the eight blocks around it, see blend_blocks.h
  * blocks   sizes
  * samples1 ... samples3   further buffers of samples, where one is too small (SAMPLE_BUFFERS)
- * steps    a byte a block: the most steps that a ray may take at once in it (STEPPING bounded)
+ * steps    a byte per block: the most steps that a ray may take at once in it (STEPPING bounded)
  * counts   uint [tiles, BLOCK_COUNTERS], written at a kernel's end
  */
 #ifndef BLOCK_PARAMETERS_H
@@ -27,7 +28,8 @@ typedef struct {
   STRUCT(Blocks), FIELD(Blocks, count), FIELD(Blocks, edge), FIELD(Blocks, inverse_edge), \
   FIELD(Blocks, log_edge)
 
-#define COUNT_BLOCK_READS 0 /* values interpolated inside a block: one a sample, and one for each further block that is blended in */
+/* values interpolated inside a block: one per sample, and one for each further block that is blended in */
+#define COUNT_BLOCK_READS 0
 #define COUNT_BLENDED_SAMPLES 1     /* samples that more than one block has a share in */
 #define BLOCK_COUNTERS 2
 
@@ -51,7 +53,8 @@ typedef struct {
 #define BLOCK_SAMPLES {volume, samples1, samples2}
 #elif SAMPLE_BUFFERS == 4
 #define MORE_SAMPLE_PARAMETERS \
-  , __global const uchar *restrict samples1, __global const uchar *restrict samples2, __global const uchar *restrict samples3
+  , __global const uchar *restrict samples1, __global const uchar *restrict samples2, \
+      __global const uchar *restrict samples3
 #define BLOCK_SAMPLES {volume, samples1, samples2, samples3}
 #else
 #error "SAMPLE_BUFFERS must be 1 to 4"

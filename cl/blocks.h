@@ -1,12 +1,14 @@
-/* A volume as blocks, each at its own resolution (P2 sec. 3.1, 3.2), packed in buffers of samples.
+/* A volume as blocks, each at its own resolution (Ljung 2006, sections 3.1 and 3.2), packed in buffers of samples.
  *
- * Places are in voxels, p = lattice coordinate + 1/2: block b holds p from edge * b to edge * (b + 1) along each axis, and a block of
- * s samples an axis has them at its multiples of edge / s, plus a half. Inside a block, values are interpolated linearly between its
- * own samples, the place clamped to their hull (P2 eq. 3: C[delta, 1 - delta], delta = 1 / 2 s); blend_blocks.h joins blocks.
+ * Places are in voxels, p = lattice coordinate + 1/2: block b holds p from edge * b to edge * (b + 1) along each axis,
+ * and a block of s samples per axis has them at its multiples of edge / s, plus a half. Inside a block, values are
+ * interpolated linearly between its own samples, the place clamped to their hull (Ljung 2006, eq. 3: C[delta, 1 -
+ * delta], delta = 1 / 2 s); blend_blocks.h joins blocks.
  *
- * A block's two words in `index`: word 1 has in bits 0..3 its code, 1 + log2(s), or CODE_DROPPED for a block that shows nothing and
- * has no samples; in bits 4..5 the number of its buffer. Word 0 is the place of its first sample in the buffer, or, of a block of one sample and of a dropped one, that one value
- * (bits of a float): neither takes memory in the buffers.
+ * A block's two words in `index`: word 1 has in bits 0..3 its code, 1 + log2(s), or CODE_DROPPED for a block that
+ * shows nothing and has no samples; in bits 4..5 the number of its buffer. Word 0 is the place of its first sample in
+ * the buffer. For a block of one sample, and for a dropped one, it is that one value (bits of a float): neither takes
+ * memory in the buffers.
  */
 #ifndef BLOCKS_H
 #define BLOCKS_H
@@ -116,7 +118,7 @@ INLINE FetchedCorners fetch_block_corners(const BlockVolume *v, intN buffer, int
 
 /* A place in one block: where its samples are, and how they are weighted. */
 typedef struct {
-  intN at, shift;    /* sample of the lower corner, log2 of samples an axis: 0 of a block that has one value */
+  intN at, shift;    /* sample of the lower corner, log2 of samples per axis: 0 of a block that has one value */
   floatN value;      /* that value */
   floatN fx, fy, fz; /* place between samples, 0 .. 1 */
   uintN word1;       /* of the block's record */
@@ -149,7 +151,8 @@ INLINE BlockPlace place_in_block(const BlockVolume *v, const Record *r, floatN p
   return s;
 }
 
-/* Whether all of a packet's blocks are alike: FULL resolution, or some of them have ONE_VALUE. Shifts are the same for all lanes then. */
+/* Whether all of a packet's blocks are alike: FULL resolution, or some of them have ONE_VALUE. Shifts are the same for
+ * all lanes then. */
 #define ALIKE_NOT 0
 #define ALIKE_FULL 1
 #define ALIKE_OR_ONE_VALUE 2
@@ -164,14 +167,16 @@ INLINE int alike(const BlockVolume *v, const Record *r)
   return ALIKE_NOT;
 }
 
-/* place_in_block() where blocks are alike. `shift` is not set, nor, where all are at full resolution, are `word1` and `value`. */
+/* place_in_block() where blocks are alike. `shift` is not set, nor, where all are at full resolution, are `word1` and
+ * `value`. */
 INLINE BlockPlace place_in_alike_block(const BlockVolume *v, const Record *r, int kind, floatN px, floatN py, floatN pz)
 {
   const int log_edge = v->blocks->log_edge;
   const float edge = v->blocks->edge;
   const intN last = (1 << log_edge) - 1;
   BlockPlace s;
-  const BlockAxis x = block_axis(px - edge * TO_FLOAT(r->x) - 0.5f, last), y = block_axis(py - edge * TO_FLOAT(r->y) - 0.5f, last);
+  const BlockAxis x = block_axis(px - edge * TO_FLOAT(r->x) - 0.5f, last);
+  const BlockAxis y = block_axis(py - edge * TO_FLOAT(r->y) - 0.5f, last);
   const BlockAxis z = block_axis(pz - edge * TO_FLOAT(r->z) - 0.5f, last);
   s.fx = x.fraction, s.fy = y.fraction, s.fz = z.fraction;
   s.outside = x.outside | y.outside | z.outside;
@@ -189,7 +194,8 @@ INLINE BlockPlace place_in_alike_block(const BlockVolume *v, const Record *r, in
 /* The same where `r` is that of another place: rays stay in a block for many steps, and mostly all of a packet do. */
 INLINE void move_record(const BlockVolume *v, Record *r, int *kind, floatN px, floatN py, floatN pz)
 {
-  const intN x = block_of(px, v, v->blocks->count.x), y = block_of(py, v, v->blocks->count.y), z = block_of(pz, v, v->blocks->count.z);
+  const intN x = block_of(px, v, v->blocks->count.x), y = block_of(py, v, v->blocks->count.y);
+  const intN z = block_of(pz, v, v->blocks->count.z);
   if (any_lane(MASK(((x ^ r->x) | (y ^ r->y) | (z ^ r->z)) != 0))) {
     *r = fetch_record(v, x, y, z);
     *kind = alike(v, r);
@@ -206,7 +212,8 @@ INLINE floatN mixed_corners(const Corners *c, const BlockPlace *s)
 INLINE floatN value_in_alike_block(const BlockVolume *v, int kind, const BlockPlace *s)
 {
   const int log_edge = v->blocks->log_edge;
-  const Corners c = decode_corners(fetch_block_corners(v, (intN)0, s->at, (intN)(1 << log_edge), (intN)(1 << 2 * log_edge)), v->view);
+  const Corners c = decode_corners(fetch_block_corners(v, (intN)0, s->at, (intN)(1 << log_edge),
+                                                       (intN)(1 << 2 * log_edge)), v->view);
   const floatN mixed = mixed_corners(&c, s);
   return kind == ALIKE_FULL ? mixed : select(mixed, s->value, has_one_value(s->word1));
 }

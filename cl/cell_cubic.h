@@ -1,8 +1,8 @@
-/* Surfaces in a cell of the linear filter. Along a ray the field is a cubic there; its Bernstein coefficients are means of the field's
- * values at the eight corners of the box that the stretch through the cell is the diagonal of (the blossom of the trilinear form). A
- * cell whose voxels are all on one side of every iso-value is told by them alone; else the cubic is cut where it turns (Marmitt et al.,
- * "Fast and accurate ray-voxel intersection techniques for iso-surface ray tracing", VMV 2004), and what changes side on a piece has
- * exactly one root there.
+/* Surfaces in a cell of the linear filter. Along a ray the field is a cubic there; its Bernstein coefficients are
+ * means of the field's values at the eight corners of the box that the stretch through the cell is the diagonal of
+ * (the blossom of the trilinear form). A cell whose voxels are all on one side of every iso-value is told by them
+ * alone; else the cubic is cut where it turns (Marmitt et al. 2004), and what changes side on a piece has exactly one
+ * root there.
  */
 #ifndef CELL_CUBIC_H
 #define CELL_CUBIC_H
@@ -47,17 +47,21 @@ INLINE CellCurve cell_curve(const Corners *c, Vectors low, Vectors high, intN ac
   const floatN hhl = mix_ends(hh0, hh1, low.z), hlh = mix_ends(hl0, hl1, high.z), lhh = mix_ends(lh0, lh1, high.z);
   CellCurve f;
   f.b0 = mix_ends(ll0, ll1, low.z), f.b3 = mix_ends(hh0, hh1, high.z);
-  const floatN b1 = hll + ((lhl - hll) + (llh - hll)) * (1.0f / 3.0f), b2 = hhl + ((hlh - hhl) + (lhh - hhl)) * (1.0f / 3.0f);
+  const floatN b1 = hll + ((lhl - hll) + (llh - hll)) * (1.0f / 3.0f);
+  const floatN b2 = hhl + ((hlh - hhl) + (lhh - hhl)) * (1.0f / 3.0f);
   const floatN d0 = b1 - f.b0, d1 = b2 - b1, d2 = f.b3 - b2;
   f.p1 = 3.0f * d0, f.p2 = 3.0f * (d1 - d0), f.p3 = (d2 - d1) - (d1 - d0);
-  const intN one_way = (MASK(d0 >= 0.0f) & MASK(d1 >= 0.0f) & MASK(d2 >= 0.0f)) | (MASK(d0 <= 0.0f) & MASK(d1 <= 0.0f) & MASK(d2 <= 0.0f));
+  const intN one_way = (MASK(d0 >= 0.0f) & MASK(d1 >= 0.0f) & MASK(d2 >= 0.0f)) |
+      (MASK(d0 <= 0.0f) & MASK(d1 <= 0.0f) & MASK(d2 <= 0.0f));
   f.turns = active & ~one_way;
   f.w1 = 1.0f, f.w2 = 1.0f;
   if (any_lane(f.turns)) {
-    const floatN largest = lane_max(lane_max(fabs(d0), fabs(d1)), fabs(d2)), scale = 1.0f / select((floatN)1.0f, largest, f.turns);
+    const floatN largest = lane_max(lane_max(fabs(d0), fabs(d1)), fabs(d2));
+    const floatN scale = 1.0f / select((floatN)1.0f, largest, f.turns);
     const floatN e0 = d0 * scale, e1 = d1 * scale, e2 = d2 * scale;
     const floatN curve = (e0 - e1) + (e2 - e1), slope = 2.0f * (e1 - e0), under = slope * slope - 4.0f * curve * e0;
-    const floatN root = sqrt(lane_max(under, (floatN)0.0f)), q = -0.5f * (slope + select(root, -root, MASK(slope < 0.0f)));
+    const floatN root = sqrt(lane_max(under, (floatN)0.0f));
+    const floatN q = -0.5f * (slope + select(root, -root, MASK(slope < 0.0f)));
     /* Infinite or not a number where there is no second one: 0 or 1 then. */
     const floatN zero = 0.0f, one = 1.0f, r1 = lane_clamp(q / curve, zero, one), r2 = lane_clamp(e0 / q, zero, one);
     f.w1 = select(one, lane_min(r1, r2), f.turns & MASK(under > 0.0f));
@@ -73,7 +77,8 @@ INLINE floatN curve_root(const CellCurve *f, Bracket k, intN open)
   const intN rises = MASK(k.vb >= k.va);
   floatN w = k.a + (k.level - k.va) / select((floatN)1.0f, k.vb - k.va, open) * (k.b - k.a);
   _Pragma("unroll 1") for (int i = 0; i < 40 && any_lane(open); ++i) {
-    const floatN miss = base + w * (f->p1 + w * (f->p2 + w * f->p3)), slope = f->p1 + w * (2.0f * f->p2 + 3.0f * w * f->p3);
+    const floatN miss = base + w * (f->p1 + w * (f->p2 + w * f->p3));
+    const floatN slope = f->p1 + w * (2.0f * f->p2 + 3.0f * w * f->p3);
     const intN behind = ~(MASK(miss >= 0.0f) ^ rises);
     k.b = select(k.b, w, open & behind), k.a = select(k.a, w, open & ~behind);
     floatN next = w - miss / slope;
@@ -94,8 +99,10 @@ INLINE void drop_unused(floatN *v0, floatN *v1, floatN low, floatN high)
 }
 #endif
 
-/* The first surface in the cell, from `rank` of piece number `piece` on. A cell that uses a voxel that is not finite has none. */
-INLINE CellHit look_in_cell(const Scene *scene, CellVoxels voxels, Vectors low, Vectors high, intN piece, intN rank, intN open)
+/* The first surface in the cell, from `rank` of piece number `piece` on. A cell that uses a voxel that is not finite
+ * has none. */
+INLINE CellHit look_in_cell(const Scene *scene, CellVoxels voxels, Vectors low, Vectors high, intN piece, intN rank,
+                            intN open)
 {
   CellHit hit = no_hit();
   Corners c = decode_corners(voxels, scene->view);
@@ -106,7 +113,8 @@ INLINE CellHit look_in_cell(const Scene *scene, CellVoxels voxels, Vectors low, 
   drop_unused(&c.v001, &c.v011, low.y, high.y), drop_unused(&c.v101, &c.v111, low.y, high.y);
   drop_unused(&c.v000, &c.v001, low.z, high.z), drop_unused(&c.v100, &c.v101, low.z, high.z);
   drop_unused(&c.v010, &c.v011, low.z, high.z), drop_unused(&c.v110, &c.v111, low.z, high.z);
-  open &= finite_lanes((c.v000 - c.v000) + (c.v100 - c.v100) + (c.v010 - c.v010) + (c.v110 - c.v110) + (c.v001 - c.v001) +
+  open &= finite_lanes((c.v000 - c.v000) + (c.v100 - c.v100) + (c.v010 - c.v010) + (c.v110 - c.v110) +
+                       (c.v001 - c.v001) +
                        (c.v101 - c.v101) + (c.v011 - c.v011) + (c.v111 - c.v111));
 #endif
   const floatN lowest = lane_min(lane_min(lane_min(c.v000, c.v100), lane_min(c.v010, c.v110)),

@@ -1,8 +1,9 @@
-/* Surfaces in a cell of a field that is no polynomial: noise perturbs its values or places. Each half of the ray's stretch through the
- * cell is sampled at its ends and its middle (or, where a parabola through the three has its extreme beyond an iso-value that the three
- * are all on one side of, at that extreme: a surface that is only grazed). A change of side brackets a crossing, and regula falsi (the
- * Illinois form, with steps over the root so that the bracket shrinks from both ends) finds it in the field itself. Where the field
- * changes sides twice between two of the places both crossings are missed; where these are does not depend on the step.
+/* Surfaces in a cell of a field that is no polynomial: noise perturbs its values or places. Each half of the ray's
+ * stretch through the cell is sampled at its ends and its middle (or, where a parabola through the three has its
+ * extreme beyond an iso-value that the three are all on one side of, at that extreme: a surface that is only grazed).
+ * A change of side brackets a crossing, and regula falsi (the Illinois form, with steps over the root so that the
+ * bracket shrinks from both ends) finds it in the field itself. Where the field changes sides twice between two of the
+ * places both crossings are missed; where these are does not depend on the step.
  */
 #ifndef CELL_SAMPLED_H
 #define CELL_SAMPLED_H
@@ -22,7 +23,8 @@ INLINE floatN value_on_ray(const Scene *scene, const Rays *ray, floatN t)
 }
 
 /* Where on the stretch of `ray` (edges) from `from` on, `length` long, the value takes the bracket's level. */
-INLINE floatN sampled_root(const Scene *scene, const Rays *ray, floatN from, floatN length, Bracket k, intN open, uintN *taken)
+INLINE floatN sampled_root(const Scene *scene, const Rays *ray, floatN from, floatN length, Bracket k, intN open,
+                           uintN *taken)
 {
   const floatN tolerance = CROSSING_EDGES / lane_max(length, (floatN)1e-6f);
   floatN fa = k.va - k.level, fb = k.vb - k.level;
@@ -53,8 +55,8 @@ INLINE floatN sampled_root(const Scene *scene, const Rays *ray, floatN from, flo
 #endif
 }
 
-/* The extreme of the parabola through the values at a stretch's start, middle and end: its place (0 .. 1) and value. Lanes without one
- * inside get the middle. */
+/* The extreme of the parabola through the values at a stretch's start, middle and end: its place (0 .. 1) and value.
+ * Lanes without one inside get the middle. */
 INLINE floatN parabola_extreme(floatN v0, floatN vm, floatN v1, floatN *value)
 {
   const floatN slope = v1 - v0, bend = 2.0f * (v0 - 2.0f * vm + v1); /* at the middle; twice the curvature */
@@ -65,9 +67,10 @@ INLINE floatN parabola_extreme(floatN v0, floatN vm, floatN v1, floatN *value)
   return select((floatN)0.5f, 0.5f + offset, inside);
 }
 
-/* The first surface in the cell that `ray` crosses from t0 to t1 (edges), where it has the values v0 and v1, from `rank` of piece number
- * `piece` on. */
-INLINE CellHit look_in_cell(const Scene *scene, const Rays *ray, floatN t0, floatN t1, floatN v0, floatN v1, intN piece, intN rank,
+/* The first surface in the cell that `ray` crosses from t0 to t1 (edges), where it has the values v0 and v1, from
+ * `rank` of piece number `piece` on. */
+INLINE CellHit look_in_cell(const Scene *scene, const Rays *ray, floatN t0, floatN t1, floatN v0, floatN v1,
+                            intN piece, intN rank,
                             intN open, uintN *taken)
 {
   CellHit hit = no_hit();
@@ -77,16 +80,19 @@ INLINE CellHit look_in_cell(const Scene *scene, const Rays *ray, floatN t0, floa
   _Pragma("unroll 1") for (int half_of = 0; half_of < 2; ++half_of) {
     const float start = 0.5f * (float)half_of;
     floatN middle = 0.0f, last = v1, cut = start + 0.25f, v_cut = 0.0f, peak;
-    _Pragma("unroll 1") for (int k = half_of; k < 2; ++k) { /* the value half way through the cell is known from the first half on */
+    /* The value half way through the cell is known from the first half on. */
+    _Pragma("unroll 1") for (int k = half_of; k < 2; ++k) {
       const floatN value = value_on_ray(scene, ray, t0 + (k == half_of ? start + 0.25f : 0.5f) * length);
       if (k == half_of) middle = value; else last = value;
       *taken -= AS_UINT(open);
     }
-    const intN finite0 = open & finite_lanes(first) & finite_lanes(middle), finite1 = open & finite_lanes(middle) & finite_lanes(last);
+    const intN finite0 = open & finite_lanes(first) & finite_lanes(middle);
+    const intN finite1 = open & finite_lanes(middle) & finite_lanes(last);
     v_cut = middle;
     const floatN at_peak = start + 0.5f * parabola_extreme(first, middle, last, &peak);
     const floatN low = lane_min(lane_min(first, last), middle), high = lane_max(lane_max(first, last), middle);
-    const intN grazed = finite0 & finite1 & (meets_a_surface(scene, lane_min(low, peak), low) | meets_a_surface(scene, high, lane_max(high, peak)));
+    const intN grazed = finite0 & finite1 &
+        (meets_a_surface(scene, lane_min(low, peak), low) | meets_a_surface(scene, high, lane_max(high, peak)));
     if (any_lane(grazed)) {
       const floatN value = value_on_ray(scene, ray, t0 + at_peak * length);
       *taken -= AS_UINT(grazed);
@@ -96,7 +102,8 @@ INLINE CellHit look_in_cell(const Scene *scene, const Rays *ray, floatN t0, floa
     _Pragma("unroll 1") for (int k = 0; k < 2; ++k) {
       const intN number = 2 * half_of + k, from = select((intN)0, rank, MASK(number == piece));
       const floatN a = k ? cut : (floatN)start, b = k ? (floatN)(start + 0.5f) : cut;
-      find_between(scene, number, a, b, k ? v_cut : first, k ? last : v_cut, from, (k ? finite1 : finite0) & MASK(number >= piece), &hit, &bracket);
+      find_between(scene, number, a, b, k ? v_cut : first, k ? last : v_cut, from,
+                   (k ? finite1 : finite0) & MASK(number >= piece), &hit, &bracket);
     }
     first = last;
   }

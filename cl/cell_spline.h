@@ -1,9 +1,11 @@
-/* Surfaces in a cell of the filters of 64 voxels. Along a ray the field is a polynomial of degree 9 there, whose Bernstein coefficients
- * are found axis by axis: the four voxels of a row give those of the row's cubic in the cell, the polar form (blossom) at the ends of
- * the stretch those of the stretch's box, and the stretch is that box's diagonal (as in reference_spline.h).
+/* Surfaces in a cell of the filters of 64 voxels. Along a ray the field is a polynomial of degree 9 there, whose
+ * Bernstein coefficients are found axis by axis: the four voxels of a row give those of the row's cubic in the cell,
+ * the polar form (blossom) at the ends of the stretch those of the stretch's box, and the stretch is that box's
+ * diagonal (as in reference_spline.h).
  *
- * Then halves, quarters, ... of the stretch are looked at from front to back, until one runs one way, or no iso-value lies between its
- * coefficients, which bound what it takes. Parts of a thousandth end that: what turns within so little is near to rounding.
+ * Then halves, quarters, ... of the stretch are looked at from front to back, until one runs one way, or no iso-value
+ * lies between its coefficients, which bound what it takes. Parts of a thousandth end that: what turns within so
+ * little is near to rounding.
  */
 #ifndef CELL_SPLINE_H
 #define CELL_SPLINE_H
@@ -19,7 +21,8 @@
 #define WHOLE_STRETCH 1024 /* the stretch in parts of the smallest size: a power of two */
 #define ROOT_SHARE 1e-6f   /* of a cell: to this roots are found */
 #define ONE_WAY 1e-6f      /* of the largest coefficient: what turns back by less runs one way but for rounding */
-#define OVERSHOOT 0.48f    /* of the voxels' span: as far the negative weights of Catmull and Rom's spline take it (1.25^3 / 2 - 1 / 2) */
+/* of the voxels' span: as far the negative weights of Catmull and Rom's spline take it (1.25^3 / 2 - 1 / 2) */
+#define OVERSHOOT 0.48f
 
 __constant float spline_binomial_3[4] = {1.0f, 3.0f, 3.0f, 1.0f};
 __constant float spline_binomial_9[DEGREE + 1] = {1.0f, 9.0f, 36.0f, 84.0f, 126.0f, 126.0f, 84.0f, 36.0f, 9.0f, 1.0f};
@@ -27,13 +30,15 @@ __constant float spline_binomial_9[DEGREE + 1] = {1.0f, 9.0f, 36.0f, 84.0f, 126.
 /* Exact at both ends: what two cells make of the face between them is the same, bit for bit. */
 INLINE floatN mix_ends(floatN a, floatN b, floatN u) { return select(a + u * (b - a), b, MASK(u == 1.0f)); }
 
-/* The 64 voxels that a cell uses, x fastest; beyond the volume the outermost ones count. `lowest`, `highest`: of them. Gives the lanes
- * in which all are finite. */
-INLINE intN fetch_taps(__global const uchar *volume, __constant const View *view, intN ix, intN iy, intN iz, floatN *tap, floatN *lowest,
+/* The 64 voxels that a cell uses, x fastest; beyond the volume the outermost ones count. `lowest`, `highest`: of them.
+ * Gives the lanes in which all are finite. */
+INLINE intN fetch_taps(__global const uchar *volume, __constant const View *view, intN ix, intN iy, intN iz,
+                       floatN *tap, floatN *lowest,
                        floatN *highest)
 {
   const intN zero = 0, one = 1;
-  const intN first_x = MASK(ix == 0), last_x = MASK(ix == view->size.x - 2), first_y = MASK(iy == 0), last_y = MASK(iy == view->size.y - 2);
+  const intN first_x = MASK(ix == 0), last_x = MASK(ix == view->size.x - 2), first_y = MASK(iy == 0);
+  const intN last_y = MASK(iy == view->size.y - 2);
   const intN first_z = MASK(iz == 0), last_z = MASK(iz == view->size.z - 2);
   const intN low_x = ix - select(one, zero, first_x), high_x = ix + select(one, zero, last_x);
   floatN sum = 0.0f;
@@ -66,7 +71,8 @@ INLINE intN fetch_taps(__global const uchar *volume, __constant const View *view
   return finite_lanes(sum);
 }
 
-/* Replaces the four voxels c[0], c[stride], ... by the Bernstein coefficients of their cubic in the cell, from `low` to `high` in it. */
+/* Replaces the four voxels c[0], c[stride], ... by the Bernstein coefficients of their cubic in the cell, from `low`
+ * to `high` in it. */
 INLINE void row_piece(floatN *c, int stride, floatN low, floatN high)
 {
   const floatN p0 = c[0], p1 = c[stride], p2 = c[2 * stride], p3 = c[3 * stride];
@@ -78,7 +84,8 @@ INLINE void row_piece(floatN *c, int stride, floatN low, floatN high)
 #endif
   const floatN l0 = mix_ends(e0, e1, low), l1 = mix_ends(e1, e2, low), l2 = mix_ends(e2, e3, low);
   const floatN h0 = mix_ends(e0, e1, high), h1 = mix_ends(e1, e2, high), h2 = mix_ends(e2, e3, high);
-  const floatN ll0 = mix_ends(l0, l1, low), ll1 = mix_ends(l1, l2, low), hh0 = mix_ends(h0, h1, high), hh1 = mix_ends(h1, h2, high);
+  const floatN ll0 = mix_ends(l0, l1, low), ll1 = mix_ends(l1, l2, low), hh0 = mix_ends(h0, h1, high);
+  const floatN hh1 = mix_ends(h1, h2, high);
   c[0] = mix_ends(ll0, ll1, low), c[stride] = mix_ends(ll0, ll1, high);
   c[2 * stride] = mix_ends(hh0, hh1, low), c[3 * stride] = mix_ends(hh0, hh1, high);
 }
@@ -108,7 +115,8 @@ INLINE void stretch_coefficients(floatN *tap, Vectors low, Vectors high, floatN 
   _Pragma("unroll 1") for (int m = 0; m <= DEGREE; ++m) coefficient[m] = 0.0f;
   _Pragma("unroll 1") for (int at = 0; at < 64; ++at) {
     const int i = at & 3, j = at >> 2 & 3, k = at >> 4;
-    const float weight = spline_binomial_3[i] * spline_binomial_3[j] * spline_binomial_3[k] / spline_binomial_9[i + j + k];
+    const float weight = spline_binomial_3[i] * spline_binomial_3[j] *
+        spline_binomial_3[k] / spline_binomial_9[i + j + k];
     coefficient[i + j + k] += weight * (tap[at] - base);
   }
   _Pragma("unroll 1") for (int m = 0; m < DEGREE; ++m) coefficient[m] += base;
@@ -126,7 +134,8 @@ INLINE floatN spline_at(const floatN *coefficient, floatN w, floatN *slope)
   return select(b[0] + w * (b[1] - b[0]), coefficient[DEGREE], MASK(w == 1.0f));
 }
 
-/* The least and the largest coefficient of the part from a to b of the curve; gives the lanes in which it runs one way. */
+/* The least and the largest coefficient of the part from a to b of the curve; gives the lanes in which it runs one
+ * way. */
 INLINE intN bound_part(const floatN *coefficient, floatN a, floatN b, floatN *lowest, floatN *highest)
 {
   floatN c[DEGREE + 1];
@@ -164,9 +173,10 @@ INLINE floatN spline_root(const floatN *coefficient, Bracket k, intN open)
   return w;
 }
 
-/* The first surface in the cell (ix, iy, iz), from `rank` of the part that begins at `piece` on. A cell that uses a voxel that is not
- * finite has none. */
-INLINE CellHit look_in_cell(const Scene *scene, intN ix, intN iy, intN iz, Vectors low, Vectors high, intN piece, intN rank, intN open)
+/* The first surface in the cell (ix, iy, iz), from `rank` of the part that begins at `piece` on. A cell that uses a
+ * voxel that is not finite has none. */
+INLINE CellHit look_in_cell(const Scene *scene, intN ix, intN iy, intN iz, Vectors low, Vectors high, intN piece,
+                            intN rank, intN open)
 {
   CellHit hit = no_hit();
   floatN tap[64], coefficient[DEGREE + 1], lowest, highest;
@@ -199,7 +209,8 @@ INLINE CellHit look_in_cell(const Scene *scene, intN ix, intN iy, intN iz, Vecto
   for (;;) {
     left &= MASK(at < WHOLE_STRETCH);
     if (!any_lane(left)) break;
-    const floatN a = TO_FLOAT(at) * (1.0f / WHOLE_STRETCH), b = TO_FLOAT(at + max(size, (intN)1)) * (1.0f / WHOLE_STRETCH);
+    const floatN a = TO_FLOAT(at) * (1.0f / WHOLE_STRETCH);
+    const floatN b = TO_FLOAT(at + max(size, (intN)1)) * (1.0f / WHOLE_STRETCH);
     const intN one_way = bound_part(coefficient, a, b, &lowest, &highest) | MASK(size <= 1);
     const intN meets = left & meets_a_surface(scene, lowest, highest), asks = meets & one_way;
     if (any_lane(asks)) {

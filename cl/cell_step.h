@@ -1,5 +1,5 @@
-/* Surfaces of the nearest filter: the value is a voxel's own as far as half way to the next one, and jumps there. A "cell" is what is
- * nearest to one voxel, and has the surfaces that the value jumps over where the ray enters it. */
+/* Surfaces of the nearest filter: the value is a voxel's own as far as half way to the next one, and jumps there. A
+ * "cell" is what is nearest to one voxel, and has the surfaces that the value jumps over where the ray enters it. */
 #ifndef CELL_STEP_H
 #define CELL_STEP_H
 
@@ -21,7 +21,8 @@ INLINE CellHit look_in_cell(const Scene *scene, floatN before, floatN value, int
   CellHit hit = no_hit();
   Bracket bracket = {0.0f, 0.0f, 0.0f, 0.0f, 0.0f};
   const floatN zero = 0.0f;
-  find_between(scene, (intN)0, zero, zero, before, value, rank, open & finite_lanes(before) & finite_lanes(value), &hit, &bracket);
+  find_between(scene, (intN)0, zero, zero, before, value, rank, open & finite_lanes(before) & finite_lanes(value),
+               &hit, &bracket);
   return hit;
 }
 

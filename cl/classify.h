@@ -2,9 +2,11 @@
  *
  *   pre            the filter's voxels are classified, extinction and emission interpolated
  *   post           the value is interpolated, then classified, at the middle of the segment
- *   preintegrated  the transfer function is integrated between the values at both ends of the segment (transfer_pieces.h)
+ *   preintegrated  the transfer function is integrated between the values at both ends of the segment
+ *                  (transfer_pieces.h)
  *
- * All take the transfer function's linear pieces as they are, for segments of any length. What is not finite is transparent.
+ * All take the transfer function's linear pieces as they are, for segments of any length. What is not finite is
+ * transparent.
  *
  * To add one: composite_segment() of this form, and a value of CLASSIFICATION in features.h.
  */
@@ -28,12 +30,14 @@ INLINE int may_be_visible(floatN low, floatN high, intN active, __constant const
   return any_lane(active & MASK(high > view->gate_low) & MASK(low < view->gate_high));
 }
 
-/* The values between which the function is integrated, for the segment from `front` to `back`, `b` steps long, behind one of `a` steps.
+/* The values between which the function is integrated, for the segment from `front` to `back`, `b` steps long, behind
+ * one of `a` steps.
  *
- * Pre-integration takes the value to run linearly between its ends: the trapezoid rule, whose mean is off by s'' h^2 / 12, twice the
- * midpoint rule's error. So both ends are shifted by minus that, s'' taken from the three last samples (where `curved`): the mean of
- * the shifted chord is right to third order, and neighbouring segments still meet but for a third difference, so that no narrow peak
- * falls between them. Shifted ends stay within the three samples: what is transparent around stays so.
+ * Pre-integration takes the value to run linearly between its ends: the trapezoid rule, whose mean is off by s'' h^2 /
+ * 12, twice the midpoint rule's error. So both ends are shifted by minus that, s'' taken from the three last samples
+ * (where `curved`): the mean of the shifted chord is right to third order, and neighbouring segments still meet but
+ * for a third difference, so that no narrow peak falls between them. Shifted ends stay within the three samples: what
+ * is transparent around stays so.
  */
 INLINE void shift_by(floatN before, floatN *front, floatN *back, floatN shift, intN curved)
 {
@@ -62,10 +66,12 @@ INLINE void shift_uneven_ends(floatN before, floatN *front, floatN *back, floatN
 }
 
 /* Segments of the rays in `active`, `length` steps long, from the value `front` to `back`. */
-INLINE void composite_segment(Gathered *acc, floatN front, floatN back, floatN length, intN active, __global const float *table,
+INLINE void composite_segment(Gathered *acc, floatN front, floatN back, floatN length, intN active,
+                              __global const float *table,
                               __constant const View *view)
 {
-  composite_color(acc, color_of_segment(front, back, length * view->step_units, active, scene_pieces(table, (intN)0, view)), active);
+  composite_color(acc, color_of_segment(front, back, length * view->step_units, active,
+                                        scene_pieces(table, (intN)0, view)), active);
 }
 
 /* Of one value. */
@@ -135,7 +141,8 @@ INLINE void filter_taps(FetchedSample s, __constant const View *view, floatN *va
 #endif
 
 /* `first`: where in `table` a lane's function begins, in floats. */
-INLINE Emission classified_emission_in(FetchedSample s, __constant const View *view, intN first, __global const float *table)
+INLINE Emission classified_emission_in(FetchedSample s, __constant const View *view, intN first,
+                                       __global const float *table)
 {
   floatN value[TAPS], weight[TAPS];
   filter_taps(s, view, value, weight);
@@ -178,7 +185,8 @@ INLINE void composite_classified(Gathered *acc, Emission e, floatN length, intN 
 
 #endif
 
-#if CLASSIFICATION != CLASSIFICATION_PRE && CLASSIFICATION != CLASSIFICATION_POST && CLASSIFICATION != CLASSIFICATION_PREINTEGRATED
+#if CLASSIFICATION != CLASSIFICATION_PRE && CLASSIFICATION != CLASSIFICATION_POST && \
+  CLASSIFICATION != CLASSIFICATION_PREINTEGRATED
 #error "CLASSIFICATION is unknown"
 #endif
 

@@ -1,8 +1,9 @@
 /* Which stretches of a ray are kept: clip planes, boxes and spheres, exactly along the ray.
  *
- * A clip keeps or removes a convex set, so that a ray is inside it along one stretch. Each is three items: (kind, -, -, radius);
- * point or centre or lower corner; normal or upper corner; all local. The first `kept_clips` keep what is inside, the next
- * `removed_clips` remove it. Within a stretch nothing is clipped, and so no sample, segment or shadow knows of it.
+ * A clip keeps or removes a convex set, so that a ray is inside it along one stretch. Each is three items: (kind, -,
+ * -, radius); point or centre or lower corner; normal or upper corner; all local. The first `kept_clips` keep what is
+ * inside, the next `removed_clips` remove it. Within a stretch nothing is clipped, and so no sample, segment or shadow
+ * knows of it.
  */
 #ifndef CLIP_H
 #define CLIP_H
@@ -16,11 +17,13 @@
 
 typedef struct {
   floatN enter, leave;    /* in steps from the ray's entry into the volume; leave <= enter: nothing more is kept */
-  Vectors normal;         /* of the clip that the stretch begins at, outwards of what is kept; 0 where it begins at none */
+  /* of the clip that the stretch begins at, outwards of what is kept; 0 where it begins at none */
+  Vectors normal;
 } Stretch;
 
 /* One axis of a box. */
-INLINE void clip_axis(floatN origin, floatN direction, float low, float high, int axis, floatN *enter, floatN *leave, intN *face)
+INLINE void clip_axis(floatN origin, floatN direction, float low, float high, int axis, floatN *enter, floatN *leave,
+                      intN *face)
 {
   const intN parallel = MASK(fabs(direction) < 1e-12f);
   const intN inside = MASK(origin >= low) & MASK(origin <= high);
@@ -32,7 +35,8 @@ INLINE void clip_axis(floatN origin, floatN direction, float low, float high, in
   *enter = lane_max(*enter, from), *leave = lane_min(*leave, to);
 }
 
-/* Where the ray origin + t direction (local) is inside clip `k`; enter > leave: nowhere. `normal` outwards, where it enters. */
+/* Where the ray origin + t direction (local) is inside clip `k`; enter > leave: nowhere. `normal` outwards, where it
+ * enters. */
 INLINE void inside_clip(const Scene *scene, int k, Vectors origin, Vectors direction, floatN *enter, floatN *leave,
                         Vectors *normal)
 {

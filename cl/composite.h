@@ -1,7 +1,7 @@
-/* Front-to-back compositing of a packet's rays, an array a channel.
+/* Front-to-back compositing of a packet's rays, an array per channel.
  *
- * Opacity is accumulated, not transmittance: A += (1 - A) a keeps the small opacities of thousands of nearly transparent
- * segments, where a product of numbers just below 1 loses them.
+ * Opacity is accumulated, not transmittance: A += (1 - A) a keeps the small opacities of thousands of nearly
+ * transparent segments, where a product of numbers just below 1 loses them.
  */
 #ifndef COMPOSITE_H
 #define COMPOSITE_H
@@ -15,7 +15,7 @@ typedef struct {
 
 INLINE void gathered_clear(Gathered *acc) { acc->r = acc->g = acc->b = acc->a = 0.0f; }
 
-/* The packet's colours, four floats a ray. */
+/* The packet's colours, four floats per ray. */
 INLINE void gathered_store(const Gathered *acc, float *rgba)
 {
   float r[LANES], g[LANES], b[LANES], a[LANES];

@@ -1,15 +1,15 @@
-/* Unpacks blocks from a staging buffer into the packed buffers that rays sample (a work-item takes one slice of one block), and
- * brings their index up to date.
+/* Unpacks blocks from a staging buffer into the packed buffers that rays sample (a work-item takes one slice of one
+ * block), and brings their index up to date.
  *
  * What is staged is what was stored, each block by its codec (BlockPayload.codec):
  *   CODEC_RAW       all samples [s, s, s], of the volume's type
  *   CODEC_CONSTANT  one sample, which fills the block
- *   CODEC_VECTOR_QUANTISED is the number kept for P2's codec: indices into a codebook
+ *   CODEC_VECTOR_QUANTISED is reserved for the codec of Ljung 2006: indices into a codebook
  * Samples are of the volume's own type here and there, but for float64: those are brought into float's range as
  * (v - bias) * gain and held as float32 (clvol/device/memory.py, ValueMap), so that no ray computes in double.
  *
- * Where this departs from P2 (sec. 3.2): there the CPU unpacks blocks and the GPU holds them as they are used; here only what
- * is stored crosses the bus.
+ * Where this departs from Ljung 2006, section 3.2: there the CPU unpacks blocks and the GPU holds them as they are
+ * used; here only what is stored crosses the bus.
  *
  * Switches (-D): VOXEL_BITS, VOXEL_SIGNED of the samples that are held; STAGED_DOUBLE where float64 is staged.
  */
@@ -27,22 +27,26 @@ typedef Voxel Staged;
 #endif
 
 
-/* from: where in `staged` it begins; to: place of the first sample in `samples`; size: samples an axis; codec as above. */
+/* from: where in `staged` it begins; to: place of the first sample in `samples`; size: samples per axis; codec as
+ * above. */
 typedef struct {
   int from, to, size, codec;
 } BlockPayload;
 
 /* Reported to the host (struct_fields.h). */
 #define BLOCK_PAYLOAD_FIELDS \
-  STRUCT(BlockPayload), FIELD(BlockPayload, from), FIELD(BlockPayload, to), FIELD(BlockPayload, size), FIELD(BlockPayload, codec)
+  STRUCT(BlockPayload), FIELD(BlockPayload, from), FIELD(BlockPayload, to), FIELD(BlockPayload, size), \
+      FIELD(BlockPayload, codec)
 
-/* One axis of work-items goes over the payloads, at least `count` of them, the other along z of a block (the largest there is).
+/* One axis of work-items goes over the payloads, at least `count` of them, the other along z of a block (the largest
+ * there is).
  *
  * payloads  BlockPayload [count]
  * staged    Staged: what all payloads refer to
  * samples   Voxel: one of the sample buffers
  */
-__kernel void decode_blocks(__global const BlockPayload *restrict payloads, int count, __global const Staged *restrict staged,
+__kernel void decode_blocks(__global const BlockPayload *restrict payloads, int count,
+                            __global const Staged *restrict staged,
 #if STAGED_DOUBLE
                             double bias, double gain,
 #endif

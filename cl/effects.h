@@ -1,6 +1,6 @@
-/* What the effects of a scene need beside the view: numbers in one struct (clvol/opencl/structs.py holds the same layout), lists
- * (lights, surfaces, clips) in `items`, and what has an array of its own. Compiled only where EFFECTS is set: a plain scene's
- * kernels have none of it.
+/* What the effects of a scene need beside the view: numbers in one struct (clvol/opencl/structs.py holds the same
+ * layout), lists (lights, surfaces, clips) in `items`, and what has an array of its own. Compiled only where EFFECTS
+ * is set: a plain scene's kernels have none of it.
  *
  * "Local" space: the world's axes, origin in the middle of the volume, smallest voxel edges as the unit.
  */
@@ -30,7 +30,8 @@ typedef struct {
 
 typedef struct {
   float4 local_x, local_y, local_z;          /* lattice point to local: rows of the matrix, with the shift in w */
-  float4 gradient_x, gradient_y, gradient_z; /* derivative per lattice unit to derivative per edge along the local axes: rows */
+  /* derivative per lattice unit to derivative per edge along the local axes: rows */
+  float4 gradient_x, gradient_y, gradient_z;
   float4 gradient_scale;                     /* of precomputed gradients (gradient.h) */
   float4 cue_color;                          /* of depth cueing: r, g, b */
   float4 light_grid;                         /* x, y, z: points of the light volume per lattice unit */

@@ -1,8 +1,8 @@
-/* What a segment emits and absorbs, one array a channel: effects change each channel by itself.
+/* What a segment emits and absorbs, one array per channel: effects change each channel by itself.
  *
- * It is (colour times optical depth, optical depth) of a segment one step long; both scale with the length. Where nothing
- * changes what a segment absorbs (SEGMENT_OPACITIES) it is (premultiplied colour, opacity) instead, which saves the exponential:
- * only the last, shorter segment of a stretch has to go back to its depth.
+ * It is (colour times optical depth, optical depth) of a segment one step long; both scale with the length. Where
+ * nothing changes what a segment absorbs (SEGMENT_OPACITIES) it is (premultiplied colour, opacity) instead, which
+ * saves the exponential: only the last, shorter segment of a stretch has to go back to its depth.
  */
 #ifndef EMISSION_H
 #define EMISSION_H
@@ -45,7 +45,8 @@ INLINE void composite_emission(Gathered *acc, Emission e, floatN length, intN ac
   const floatN left = select((floatN)0.0f, 1.0f - acc->a, active);
 #if SEGMENT_OPACITIES
   floatN part = left;
-  if (any_lane(active & MASK(length < 1.0f))) part = left * select((floatN)1.0f, share_of_opacity(e.d, length), MASK(length < 1.0f));
+  if (any_lane(active & MASK(length < 1.0f))) part = left * select((floatN)1.0f, share_of_opacity(e.d, length),
+                                                                   MASK(length < 1.0f));
   acc->r += part * e.r, acc->g += part * e.g, acc->b += part * e.b, acc->a += part * e.d;
 #else
   const intN thin = MASK(e.d < 1e-30f);

@@ -1,5 +1,6 @@
-/* The acceleration structure for empty space: a min-max grid of the volume (built once), the cells in which the transfer
- * function shows anything (once a transfer function, on the host: a few thousand cells), and the distance map from them.
+/* The acceleration structure for empty space: a min-max grid of the volume (built once), the cells in which the
+ * transfer function shows anything (once a transfer function, on the host: a few thousand cells), and the distance map
+ * from them.
  *
  * Switches (-D): VOXEL_BITS, VOXEL_SIGNED.
  */
@@ -11,9 +12,9 @@
 #define IS_VALUE(v) 1
 #endif
 
-/* Smallest and largest finite voxel of each cell of edge^3 lattice cells, its upper faces and `apron` voxels more on each side
- * included (0: (edge + 1)^3 voxels): whatever a filter that reaches so far interpolates inside lies between. A cell without
- * any has low > high.
+/* Smallest and largest finite voxel of each cell of edge^3 lattice cells, its upper faces and `apron` voxels more on
+ * each side included (0: (edge + 1)^3 voxels): whatever a filter that reaches so far interpolates inside lies between.
+ * A cell without any has low > high.
  *
  * volume  Voxel [size.z, size.y, size.x]; cells Voxel [cells.z, cells.y, cells.x, 2] (low, high)
  */
@@ -41,8 +42,8 @@ __kernel void min_max_cells(__global const Voxel *restrict volume, int4 size, in
   out[0] = low, out[1] = high;
 }
 
-/* One of three passes of the distance transform in the maximum norm, along the axis whose neighbours are `stride` apart:
- * out = min over k of max(|k|, in[cell + k]). 0 stays 0, and 255 stands for 255 or more.
+/* One of three passes of the distance transform in the maximum norm, along the axis whose neighbours are `stride`
+ * apart: out = min over k of max(|k|, in[cell + k]). 0 stays 0, and 255 stands for 255 or more.
  */
 __kernel void distance_pass(__global const uchar *restrict in, __global uchar *restrict out, int4 cells, int axis)
 {

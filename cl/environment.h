@@ -1,8 +1,8 @@
 /* Environment maps: the radiance of a direction from a map stored by octahedron (clvol/device/environment.py).
  *
- * The octahedron |x| + |y| + |z| = 1 is unfolded on a square, +y in its middle, -y at its four corners, the equator on the lines
- * |u| + |v| = 1. Nodes lie on the square's edges too, those of one direction with one value: no look-up needs a neighbour across
- * an edge. Values are linear over triangles, half cells cut parallel to the equator's line.
+ * The octahedron |x| + |y| + |z| = 1 is unfolded on a square, +y in its middle, -y at its four corners, the equator on
+ * the lines |u| + |v| = 1. Nodes lie on the square's edges too, those of one direction with one value: no look-up
+ * needs a neighbour across an edge. Values are linear over triangles, half cells cut parallel to the equator's line.
  */
 #ifndef ENVIRONMENT_H
 #define ENVIRONMENT_H
@@ -10,14 +10,15 @@
 #include "lanes.h"
 
 /* Linear over a triangle: exactly its nodes' value where they are the same. */
-INLINE floatN environment_linear(__global const float *values, intN corner, intN beside, intN beneath, floatN s, floatN t)
+INLINE floatN environment_linear(__global const float *values, intN corner, intN beside, intN beneath, floatN s,
+                                 floatN t)
 {
   const floatN at = AS_FLOAT(gather4(values, corner));
   return at + s * (AS_FLOAT(gather4(values, beside)) - at) + t * (AS_FLOAT(gather4(values, beneath)) - at);
 }
 
-/* The radiance in direction (x, y, z), of any length. map: the map's first node (r, g, b, 0) of size x size, size odd, row after
- * row. A direction of length 0, or one that is not a number, gives the value of some direction. */
+/* The radiance in direction (x, y, z), of any length. map: the map's first node (r, g, b, 0) of size x size, size odd,
+ * row after row. A direction of length 0, or one that is not a number, gives the value of some direction. */
 INLINE void environment_look_up(__global const float4 *map, int size, floatN x, floatN y, floatN z,
                                 floatN *r, floatN *g, floatN *b)
 {

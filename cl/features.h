@@ -1,6 +1,6 @@
-/* The vocabulary that the host and the kernels share: what switches and type codes mean. clvol/features/vocabulary.py has the
- * same names and numbers, and tests/test_features.py compares all of them. Counters (COUNT_...) are in the headers that count:
- * effects.h, block_parameters.h, pyramid.h.
+/* The vocabulary that the host and the kernels share: what switches and type codes mean. clvol/features/vocabulary.py
+ * has the same names and numbers, and tests/test_features.py compares all of them. Counters (COUNT_...) are in the
+ * headers that count: effects.h, block_parameters.h, pyramid.h.
  */
 #ifndef FEATURES_H
 #define FEATURES_H

@@ -1,5 +1,6 @@
-/* Less than a block of 2^3 voxels: an edge of two along x, or a face of four in a slice, in as few gathers as the voxel type
- * allows (fetch_voxel.h has the layouts). Unlike a block's an edge's row may be the last one, and so may a face's slice.
+/* Less than a block of 2^3 voxels: an edge of two along x, or a face of four in a slice, in as few gathers as the
+ * voxel type allows (fetch_voxel.h has the layouts). Unlike a block's an edge's row may be the last one, and so may a
+ * face's slice.
  */
 #ifndef FETCH_EDGE_H
 #define FETCH_EDGE_H

@@ -1,13 +1,14 @@
 /* Corners of lattice cells, fetched for a packet of rays in as few gathers as the voxel type allows.
  *
- * 8 bit: the device holds pairs (v[y], v[y + 1]) for every x (twice the memory): one 32-bit word at (x, y) then has the
- * four corners x, x + 1 by y, y + 1, so a trilinear sample is two gathers. Where that would be too much memory
- * (VOXEL_PAIRS 0) four. (Pairs in bricks of one cache line each were tried: the arithmetic cost more than the cache gave.)
- * 16 bit: a word has x and x + 1, four gathers. 32 bit: eight gathers. 64 bit: eight loads a lane, brought into float range as (v - bias) * gain in double.
- * Indices are those of the lower corner and at most size - 2, so no fetch leaves the buffer.
+ * 8 bit: the device holds pairs (v[y], v[y + 1]) for every x (twice the memory): one 32-bit word at (x, y) then has
+ * the four corners x, x + 1 by y, y + 1, so a trilinear sample is two gathers. Where that would be too much memory
+ * (VOXEL_PAIRS 0) four. (Pairs in bricks of one cache line each were tried: the arithmetic cost more than the cache
+ * gave.) 16 bit: a word has x and x + 1, four gathers. 32 bit: eight gathers. 64 bit: eight loads a lane, brought into
+ * float range as (v - bias) * gain in double. Indices are those of the lower corner and at most size - 2, so no fetch
+ * leaves the buffer.
  *
- * Fetching and decoding are two functions, so that a march can fetch a step ahead: a fetch waits for the cache much longer than
- * all arithmetic takes.
+ * Fetching and decoding are two functions, so that a march can fetch a step ahead: a fetch waits for the cache much
+ * longer than all arithmetic takes.
  */
 #ifndef FETCH_VOXEL_H
 #define FETCH_VOXEL_H
@@ -19,8 +20,8 @@ typedef struct {
   floatN v000, v100, v010, v110, v001, v101, v011, v111; /* vXYZ */
 } Corners;
 
-/* Elements from the first voxel (or pair) to the lower corner: below 2^31, as the host makes sure. Bytes from there to the next
- * row and slice may be more. */
+/* Elements from the first voxel (or pair) to the lower corner: below 2^31, as the host makes sure. Bytes from there to
+ * the next row and slice may be more. */
 INLINE intN corner_offset(__constant const View *view, intN ix, intN iy, intN iz)
 {
   return iz * view->slice_stride + iy * view->row_stride + ix;
@@ -43,7 +44,8 @@ typedef struct {
 
 #if VOXEL_PAIRS
 
-INLINE FetchedCorners fetch_corners(__global const uchar *volume, __constant const View *view, intN ix, intN iy, intN iz)
+INLINE FetchedCorners fetch_corners(__global const uchar *volume, __constant const View *view, intN ix, intN iy,
+                                    intN iz)
 {
   const intN at = corner_offset(view, ix, iy, iz);
   const FetchedCorners f = {gather2(volume, at), gather2(volume + slice_bytes(view), at)};
@@ -60,7 +62,8 @@ INLINE Corners decode_corners(FetchedCorners f, __constant const View *view)
 
 #else
 
-INLINE FetchedCorners fetch_corners(__global const uchar *volume, __constant const View *view, intN ix, intN iy, intN iz)
+INLINE FetchedCorners fetch_corners(__global const uchar *volume, __constant const View *view, intN ix, intN iy,
+                                    intN iz)
 {
   const intN at = corner_offset(view, ix, iy, iz);
   const size_t row = row_bytes(view), slice = slice_bytes(view);
@@ -93,7 +96,8 @@ typedef struct {
   uintN w00, w10, w01, w11; /* wYZ */
 } FetchedCorners;
 
-INLINE FetchedCorners fetch_corners(__global const uchar *volume, __constant const View *view, intN ix, intN iy, intN iz)
+INLINE FetchedCorners fetch_corners(__global const uchar *volume, __constant const View *view, intN ix, intN iy,
+                                    intN iz)
 {
   const intN at = corner_offset(view, ix, iy, iz);
   const size_t row = row_bytes(view), slice = slice_bytes(view);
@@ -116,7 +120,8 @@ typedef Corners FetchedCorners;
 
 #if VOXEL_BITS == 32
 
-INLINE FetchedCorners fetch_corners(__global const uchar *volume, __constant const View *view, intN ix, intN iy, intN iz)
+INLINE FetchedCorners fetch_corners(__global const uchar *volume, __constant const View *view, intN ix, intN iy,
+                                    intN iz)
 {
   Corners c;
   const intN at = corner_offset(view, ix, iy, iz);
@@ -157,7 +162,8 @@ INLINE FetchedCorners fetch_corners(__global const uchar *bytes, __constant cons
 #error "VOXEL_BITS must be 8, 16, 32 or 64"
 #endif
 
-/* VOXEL_SCALED: a gain, a power of two, brings extreme float32 ranges to where differences neither overflow nor vanish. */
+/* VOXEL_SCALED: a gain, a power of two, brings extreme float32 ranges to where differences neither overflow nor
+ * vanish. */
 INLINE Corners decode_corners(FetchedCorners f, __constant const View *view)
 {
 #if VOXEL_SCALED

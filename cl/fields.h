@@ -1,10 +1,10 @@
-/* Further volumes on their own grids, looked up by place: labels replace colours and weight the extinction, densities add a
- * medium of their own, masks cut.
+/* Further volumes on their own grids, looked up by place: labels replace colours and weight the extinction, densities
+ * add a medium of their own, masks cut.
  *
- * All voxels are floats in `fields`: of labels not their numbers, but their place among those that have a colour, from 1 on,
- * and 0 for all others; what is not finite is NaN. An axis of one voxel is held twice. Tables lie in `factors`: of labels
- * (colour, factor) by their place; of densities the pieces of their function (transfer_pieces.h).
- * Outside its grid a field is nothing: no label, no density, and what is masked is removed.
+ * All voxels are floats in `fields`: of labels not their numbers, but their place among those that have a colour, from
+ * 1 on, and 0 for all others; what is not finite is NaN. An axis of one voxel is held twice. Tables lie in `factors`:
+ * of labels (colour, factor) by their place; of densities the pieces of their function (transfer_pieces.h). Outside
+ * its grid a field is nothing: no label, no density, and what is masked is removed.
  */
 #ifndef FIELDS_H
 #define FIELDS_H
@@ -92,14 +92,17 @@ INLINE FieldLook no_fields(void)
 
 #if FIELDS & FIELD_DENSITY
 
-/* Adds (c D, D) of a step through density `k` where its value is `value`, of the segment of `ray` from t0 to t1. Where the opacity reaches 1
- * in a slope (has_pole) the extinction has a pole, which is integrated between the segment's ends and its middle, not sampled. */
-INLINE void add_density(const Scene *scene, int k, floatN value, const Rays *ray, floatN t0, floatN t1, intN there, Emission *added)
+/* Adds (c D, D) of a step through density `k` where its value is `value`, of the segment of `ray` from t0 to t1. Where
+ * the opacity reaches 1 in a slope (has_pole) the extinction has a pole, which is integrated between the segment's
+ * ends and its middle, not sampled. */
+INLINE void add_density(const Scene *scene, int k, floatN value, const Rays *ray, floatN t0, floatN t1, intN there,
+                        Emission *added)
 {
   __constant const Effects *e = scene->effects;
   __constant const Field *field = &e->fields[k];
   __global const float *rows = scene->factors + e->fields[k].table;
-  const Pieces f = {rows, (intN)0, field->piece_columns, field->piece_count, 0, rows[ROW_ORIGIN * field->piece_columns]};
+  const Pieces f = {rows, (intN)0, field->piece_columns, field->piece_count, 0,
+                    rows[ROW_ORIGIN * field->piece_columns]};
   const floatN units = field->edge_units * scene->view->step;
   there &= finite_lanes(value);
   value = select((floatN)0.0f, value, there);
@@ -108,9 +111,11 @@ INLINE void add_density(const Scene *scene, int k, floatN value, const Rays *ray
     own = no_emission();
     _Pragma("unroll 1") for (int end = 0; end < 2; ++end) {
       const floatN t = end ? t1 : t0;
-      const FieldPlace p = place_in_field(scene, k, ray->x0 + t * ray->dx, ray->y0 + t * ray->dy, ray->z0 + t * ray->dz);
+      const FieldPlace p = place_in_field(scene, k, ray->x0 + t * ray->dx, ray->y0 + t * ray->dy,
+                                          ray->z0 + t * ray->dz);
       const floatN other = linear_in_field(scene, k, p);
-      const Emission half_ = emission_of_color(color_of_segment(value, select(value, other, finite_lanes(other)), 0.5f * units, there, f));
+      const Emission half_ = emission_of_color(color_of_segment(value, select(value, other, finite_lanes(other)),
+                                                                0.5f * units, there, f));
       own.r += half_.r, own.g += half_.g, own.b += half_.b, own.d += half_.d;
     }
   }
@@ -123,7 +128,8 @@ INLINE void add_density(const Scene *scene, int k, floatN value, const Rays *ray
 
 #if FIELDS & FIELD_MASK
 
-/* How far above its threshold a mask is on the side that is kept; below 0 outside. `known`: whether there is any mask. */
+/* How far above its threshold a mask is on the side that is kept; below 0 outside. `known`: whether there is any
+ * mask. */
 INLINE floatN above_mask(const Scene *scene, int k, floatN x, floatN y, floatN z, intN *known)
 {
   __constant const Field *field = &scene->effects->fields[k];
@@ -179,8 +185,8 @@ INLINE floatN kept_by_masks(const Scene *scene, const Rays *ray, floatN t0, floa
 
 #endif
 
-/* What the fields make of a segment of `ray` from t0 to t1 with its middle at (x, y, z), where the volume itself may show
- * something (`shows`), for the rays in `active`. */
+/* What the fields make of a segment of `ray` from t0 to t1 with its middle at (x, y, z), where the volume itself may
+ * show something (`shows`), for the rays in `active`. */
 INLINE FieldLook look_at_fields(const Scene *scene, const Rays *ray, floatN t0, floatN t1, floatN x, floatN y, floatN z,
                                 intN shows, intN active, Tally *counted)
 {

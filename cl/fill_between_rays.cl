@@ -1,8 +1,8 @@
-/* Image sampling: the rays of every n-th pixel of every n-th row are there (`coarse`: a lattice's picture, from raycast.cl);
- * what lies between four of them is interpolated where they agree, and gets a ray of its own where not.
+/* Image sampling: the rays of every n-th pixel of every n-th row are there (`coarse`: a lattice's picture, from
+ * raycast.cl); what lies between four of them is interpolated where they agree, and gets a ray of its own where not.
  *
- * coarse         float4 [rows, columns] of the lattice; view->ray_spacing is n, view->lattice columns and rows; view->ray_tolerance: how far apart the
- *                four corners may be in any channel
+ * coarse         float4 [rows, columns] of the lattice; view->ray_spacing is n, view->lattice columns and rows;
+ *                view->ray_tolerance: how far apart the four corners may be in any channel
  * coarse_depths  float [rows, columns] (only read if WITH_DEPTH)
  * samples, rays  uint [tiles]
  */
@@ -14,7 +14,8 @@ typedef struct {
   int agree;
 } Interpolated;
 
-INLINE Interpolated between_rays(__global const float4 *coarse, __global const float *coarse_depths, __constant const View *view,
+INLINE Interpolated between_rays(__global const float4 *coarse, __global const float *coarse_depths,
+                                 __constant const View *view,
                                  int x, int y)
 {
   Interpolated between;
@@ -42,7 +43,8 @@ INLINE Interpolated between_rays(__global const float4 *coarse, __global const f
 }
 
 __kernel WIDE_VECTORS void fill_between_rays(SCENE_PARAMETERS, __global const float4 *restrict coarse,
-                                             __global const float *restrict coarse_depths, __global float4 *restrict image,
+                                             __global const float *restrict coarse_depths,
+                                                 __global float4 *restrict image,
                                              __global float *restrict depths, __global uint *restrict samples,
                                              __global uint *restrict rays COUNTS_PARAMETER)
 {

@@ -1,12 +1,16 @@
-/* The gradient of the field at lattice points (clamped to the domain): gradient_at(), change of the value that kernels compute
- * with a lattice unit, along the lattice axes. What is not finite is 0. Switch GRADIENT:
+/* The gradient of the field at lattice points (clamped to the domain): gradient_at(), change of the value that kernels
+ * compute per lattice unit, along the lattice axes. What is not finite is 0. Switch GRADIENT:
  *
  *   CENTRAL      on the fly: differences of voxels over two voxels, one-sided over one at the volume's faces,
- *                interpolated trilinearly (under the nearest filter: those of the nearest voxel)                  32 voxels
- *   SOBEL        on the fly: the derivative [-1 0 1]/2 along the axis, one-sided at faces, of voxels smoothed by [1 2 1]/4 along
- *                the other two, beyond faces the outermost ones; interpolated likewise                            64 voxels
- *   PRECOMPUTED  either of the two at the voxels, held in four bytes each (gradients.cl), interpolated likewise    8 words
- *   ANALYTIC     the derivative of a filter of 64 voxels (sample_volume.h)                                        64 voxels
+ *                interpolated trilinearly (under the nearest filter: those of the nearest voxel)                  32
+ *                voxels
+ *   SOBEL        on the fly: the derivative [-1 0 1]/2 along the axis, one-sided at faces, of voxels smoothed by [1 2
+ *                1]/4 along the other two, beyond faces the outermost ones; interpolated likewise
+ *                64 voxels
+ *   PRECOMPUTED  either of the two at the voxels, held in four bytes each (gradients.cl), interpolated likewise    8
+ *                words
+ *   ANALYTIC     the derivative of a filter of 64 voxels (sample_volume.h)                                        64
+ *                voxels
  *
  * To add one: a function of gradient_at()'s form, and a value of GRADIENT in features.h.
  */
@@ -57,7 +61,8 @@ INLINE Gradient finite_gradient(Gradient g)
 
 #if GRADIENT == GRADIENT_CENTRAL
 
-/* Along an axis, whose four voxels (or means across it) are a, b, c, d, those missing at a face equal to their neighbours. */
+/* Along an axis, whose four voxels (or means across it) are a, b, c, d, those missing at a face equal to their
+ * neighbours. */
 INLINE floatN mixed_differences(floatN a, floatN b, floatN c, floatN d, intN first, intN last, floatN f)
 {
   const floatN whole = 1.0f, part = 0.5f;
@@ -95,13 +100,16 @@ INLINE Gradient central_gradient(__global const uchar *volume, __constant const 
   const floatN c01 = select(d.v001, d.v101, last_x), c11 = select(d.v011, d.v111, last_x);
   Gradient g;
   g.x = mixed_differences(mix_four(a.v000, a.v010, a.v001, a.v011, y.f, z.f), mix_four(b00, b10, b01, b11, y.f, z.f),
-                          mix_four(c00, c10, c01, c11, y.f, z.f), mix_four(d.v100, d.v110, d.v101, d.v111, y.f, z.f), first_x,
+                          mix_four(c00, c10, c01, c11, y.f, z.f), mix_four(d.v100, d.v110, d.v101, d.v111, y.f, z.f),
+                              first_x,
                           last_x, x.f);
 
   const floatN m00 = mix_corners(b00, c00, x.f), m10 = mix_corners(b10, c10, x.f); /* mYZ */
   const floatN m01 = mix_corners(b01, c01, x.f), m11 = mix_corners(b11, c11, x.f);
-  const Face above = {fetch_edge(volume, view, x.index, low_y, z.index), fetch_edge(volume, view, x.index, low_y, z.index + 1)};
-  const Face below = {fetch_edge(volume, view, x.index, high_y, z.index), fetch_edge(volume, view, x.index, high_y, z.index + 1)};
+  const Face above = {fetch_edge(volume, view, x.index, low_y, z.index),
+                      fetch_edge(volume, view, x.index, low_y, z.index + 1)};
+  const Face below = {fetch_edge(volume, view, x.index, high_y, z.index),
+                      fetch_edge(volume, view, x.index, high_y, z.index + 1)};
   g.y = mixed_differences(mix_face(above, x.f, z.f), mix_corners(m00, m01, z.f), mix_corners(m10, m11, z.f),
                           mix_face(below, x.f, z.f), first_y, last_y, y.f);
 
@@ -177,7 +185,8 @@ INLINE void add_stored(Gradient *g, intN *bad, uintN word, floatN weight)
 {
   const intN w = AS_INT(word);
   const floatN root = TO_FLOAT(AS_INT(word >> 24u)), share = weight * root * root;
-  g->x += share * TO_FLOAT(w << 24 >> 24), g->y += share * TO_FLOAT(w << 16 >> 24), g->z += share * TO_FLOAT(w << 8 >> 24);
+  g->x += share * TO_FLOAT(w << 24 >> 24), g->y += share * TO_FLOAT(w << 16 >> 24),
+      g->z += share * TO_FLOAT(w << 8 >> 24);
 #if VOXEL_HOLES
   *bad |= MASK((w & 255) == 128) & MASK(weight != 0.0f);
 #endif
@@ -245,7 +254,8 @@ INLINE GradientAxis gradient_axis(floatN x, float upper, int size)
   a.mean = spline_axis(x, size);
   const intN first = MASK(a.mean.low == index), last = MASK(a.mean.high == index);
 #if FILTER == FILTER_CUBIC
-  a.slope = axis_in_blocks(index, first, last, -0.5f * v * v, u * (1.5f * u - 2.0f), v * (2.0f - 1.5f * v), 0.5f * u * u);
+  a.slope = axis_in_blocks(index, first, last, -0.5f * v * v, u * (1.5f * u - 2.0f), v * (2.0f - 1.5f * v),
+                           0.5f * u * u);
 #else
   const floatN d1 = u * (4.5f * u - 5.0f), d2 = v * (5.0f - 4.5f * v);
   a.slope = axis_in_blocks(index, first, last, v * (u - 0.5f * v), d1, d2, u * (0.5f * u - v));
@@ -257,8 +267,8 @@ INLINE GradientAxis gradient_axis(floatN x, float upper, int size)
 #error "GRADIENT is unknown, or not for this filter"
 #endif
 
-/* A row of four voxels along x, its mean and derivative. Without holes both count from the second voxel, so that a constant
- * field has exactly no derivative. */
+/* A row of four voxels along x, its mean and derivative. Without holes both count from the second voxel, so that a
+ * constant field has exactly no derivative. */
 INLINE floatN row_mean(floatN p0, floatN p1, floatN p2, floatN p3, SplineAxis a)
 {
 #if VOXEL_HOLES
@@ -300,7 +310,8 @@ INLINE void add_slope(BasedSum *s, floatN weight, floatN slope)
 INLINE Gradient gradient_at(__global const uchar *volume, __global const uint *gradients, __constant const View *view,
                             float4 gradient_scale, floatN px, floatN py, floatN pz)
 {
-  const GradientAxis x = gradient_axis(px, view->upper.x, view->size.x), y = gradient_axis(py, view->upper.y, view->size.y);
+  const GradientAxis x = gradient_axis(px, view->upper.x, view->size.x);
+  const GradientAxis y = gradient_axis(py, view->upper.y, view->size.y);
   const GradientAxis z = gradient_axis(pz, view->upper.z, view->size.z);
   BasedSum along_x = {0.0f, 0.0f, 0}, along_y = {0.0f, 0.0f, 0}, along_z = {0.0f, 0.0f, 0};
   _Pragma("unroll 1") for (int block = 0; block < 4; ++block) {

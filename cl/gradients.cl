@@ -1,10 +1,10 @@
-/* Gradients at the voxels, central differences or Sobel's (gradient.h), in four bytes each: a direction of three signed bytes x,
- * y, z (bits 0, 8, 16), and as byte 3 the square root of a length over the largest one (P2).
+/* Gradients at the voxels, central differences or Sobel's (gradient.h), in four bytes each: a direction of three
+ * signed bytes x, y, z (bits 0, 8, 16), and as byte 3 the square root of a length over the largest one (Ljung 2006).
  *
- * Where this differs from P2: lengths are those of the largest component, and the root is rounded up, so that a direction need
- * not be of unit length: component = (byte 3 / 255)^2 * largest * (direction / 127). What rounding the length is wrong by the
- * direction makes up for: a component is off by at most 1/254 of the largest of the three, and a little for short ones.
- * Byte 0 is -128 where the gradient is not finite.
+ * Where this differs from Ljung: lengths are those of the largest component, and the root is rounded up, so that a
+ * direction need not be of unit length: component = (byte 3 / 255)^2 * largest * (direction / 127). What rounding the
+ * length is wrong by the direction makes up for: a component is off by at most 1/254 of the largest of the three, and
+ * a little for short ones. Byte 0 is -128 where the gradient is not finite.
  *
  * Axes are scaled alike in the world, so that directions are as good across the long edges of a voxel as along them.
  *
@@ -20,8 +20,9 @@ typedef float Real;
 typedef float4 Real4;
 #endif
 
-/* A column of voxels, [z - 1 ... z + 1, y - 1 ... y + 1] at one x: the smoothed value and the derivatives along y and z. Rows and
- * slices beyond the volume are its outermost ones, where differences are over one voxel: factors `over` of y and z. */
+/* A column of voxels, [z - 1 ... z + 1, y - 1 ... y + 1] at one x: the smoothed value and the derivatives along y and
+ * z. Rows and slices beyond the volume are its outermost ones, where differences are over one voxel: factors `over` of
+ * y and z. */
 typedef struct {
   Real value, dy, dz;
 } Column;
@@ -34,7 +35,8 @@ typedef struct {
 static Rows rows_around(__global const Voxel *volume, int4 size, int y, int z, Real before)
 {
   Rows r;
-  const int below = min(y + 1, size.y - 1), above = max(y - 1, 0), behind = min(z + 1, size.z - 1), front = max(z - 1, 0);
+  const int below = min(y + 1, size.y - 1), above = max(y - 1, 0), behind = min(z + 1, size.z - 1);
+  const int front = max(z - 1, 0);
   const int ys[3] = {above, y, below}, zs[3] = {front, z, behind};
   for (int k = 0; k < 3; ++k)
     for (int j = 0; j < 3; ++j) r.rows[k][j] = volume + ((size_t)zs[k] * size.y + ys[j]) * size.x;
@@ -114,7 +116,8 @@ static uint gradient_code(float4 g, float largest)
   if (g.w == 0.0f) return 0u;
   const float root = clamp(ceil(255.0f * sqrt(g.w / largest)), 1.0f, 255.0f);
   const float unit = 127.0f / (largest * (root / 255.0f) * (root / 255.0f));
-  return direction_byte(g.x, unit) | direction_byte(g.y, unit) << 8 | direction_byte(g.z, unit) << 16 | (uint)root << 24;
+  return direction_byte(g.x, unit) | direction_byte(g.y, unit) << 8 | direction_byte(g.z, unit) << 16 |
+      (uint)root << 24;
 }
 
 /* Of each row of voxels the largest component of a finite gradient.

@@ -1,12 +1,12 @@
 /* Depth: where along a ray its opacity reaches one half.
  *
- * A march notes the segment in which that is (note_half), and the place in it is found once a ray, after the march (half_place): where
- * the segment's own optical depth from its front on comes to what was left, ln (2 T), T the transmittance before it. Its profile is that
- * by which it was composited:
- *   preintegrated  the value runs linearly from front to back, and D(x) = x D(front, front + x (back - front)): optical depths
- *                  scale with the length
- *   pre, post      extinction runs linearly from the front to the middle, where it was classified, and on to the back: both ends are
- *                  classified for that (note_ends) after the march; where they are not it is constant
+ * A march notes the segment in which that is (note_half), and the place in it is found once per ray, after the march
+ * (half_place): where the segment's own optical depth from its front on comes to what was left, ln (2 T), T the
+ * transmittance before it. Its profile is that by which it was composited:
+ *   preintegrated  the value runs linearly from front to back, and D(x) = x D(front, front + x (back - front)):
+ *                  optical depths scale with the length
+ *   pre, post      extinction runs linearly from the front to the middle, where it was classified, and on to the back:
+ *                  both ends are classified for that (note_ends) after the march; where they are not it is constant
  * Where effects change what a segment absorbs (HALF_SCALED) D has this profile times what makes it the segment's own.
  */
 #ifndef HALF_OPACITY_H
@@ -29,7 +29,7 @@ typedef struct {
   floatN wanted;       /* optical depth from its front to the place */
   floatN front, back;  /* values at its ends; of midpoints, both the one in the middle */
 #if MIDPOINTS
-  floatN first, last;  /* optical depth a step at its ends; below 0: not known */
+  floatN first, last;  /* optical depth per step at its ends; below 0: not known */
 #endif
 #if HALF_SCALED
   floatN whole;        /* its optical depth */
@@ -61,8 +61,8 @@ INLINE HalfOpacity no_half(void)
 /* Lanes whose opacity went past one half. */
 INLINE intN passes_half(floatN before, floatN after) { return MASK(after >= 0.5f) & MASK(before < 0.5f); }
 
-/* In a segment that surfaces may cut: between which places (edges) opacity passes one half, and the opacity before. At a surface
- * both are its place. */
+/* In a segment that surfaces may cut: between which places (edges) opacity passes one half, and the opacity before. At
+ * a surface both are its place. */
 typedef struct {
   floatN from, to, before; /* from: INFINITY where it does not */
 } HalfBetween;
@@ -75,7 +75,8 @@ INLINE void note_between(HalfBetween *between, floatN before, floatN after, floa
 }
 
 /* Opacity passed one half, from `before`, in the lanes' segment that begins at `from`. */
-INLINE void note_half(HalfOpacity *half_, intN passes, floatN before, floatN from, floatN length, floatN front, floatN back)
+INLINE void note_half(HalfOpacity *half_, intN passes, floatN before, floatN from, floatN length, floatN front,
+                      floatN back)
 {
   half_->from = select(half_->from, from, passes);
   half_->length = select(half_->length, length, passes);
@@ -84,7 +85,8 @@ INLINE void note_half(HalfOpacity *half_, intN passes, floatN before, floatN fro
 }
 
 /* After a segment from t0 to t1 (in steps), before which the rays had the opacity `before`. */
-INLINE void pass_opacity(const Gathered *acc, floatN before, HalfOpacity *half_, floatN t0, floatN t1, floatN front, floatN back)
+INLINE void pass_opacity(const Gathered *acc, floatN before, HalfOpacity *half_, floatN t0, floatN t1, floatN front,
+                         floatN back)
 {
 #if WITH_DEPTH
   const intN passes = passes_half(before, acc->a);
@@ -117,12 +119,13 @@ INLINE floatN share_of_linear(floatN a, floatN b, floatN d)
   return 2.0f * d / select((floatN)1.0f, root, MASK(root > 0.0f));
 }
 
-/* How far into the segment (0 .. 1) the place is: of optical depth `wanted`, where `middle` is that of the segment if all of it
- * were as its middle is. */
+/* How far into the segment (0 .. 1) the place is: of optical depth `wanted`, where `middle` is that of the segment if
+ * all of it were as its middle is. */
 INLINE floatN share_by_middle(const HalfOpacity *half_, floatN wanted, floatN middle)
 {
   const intN ends = MASK(half_->first >= 0.0f) & MASK(half_->last >= 0.0f);
-  const floatN a = select(middle, half_->first * half_->length, ends), b = select(middle, half_->last * half_->length, ends);
+  const floatN a = select(middle, half_->first * half_->length, ends);
+  const floatN b = select(middle, half_->last * half_->length, ends);
   const floatN half_way = 0.25f * (a + middle), beyond = wanted - half_way;
   const floatN before = lane_min(share_of_linear(a, middle - a, wanted), (floatN)0.5f);
   const floatN after = 0.5f + share_of_linear(middle, b - middle, lane_max(beyond, (floatN)0.0f));
@@ -139,8 +142,10 @@ INLINE floatN share_to_half(const HalfOpacity *half_, __global const float *tabl
 
 #else
 
-/* Optical depth a step of values that run from `front` to `back`, of the lanes in `active`. Not inlined: it is rare, and large. */
-RARE floatN depth_between(floatN front, floatN back, intN active, intN first, __global const float *table, __constant const View *view)
+/* Optical depth per step of values that run from `front` to `back`, of the lanes in `active`. Not inlined: it is rare,
+ * and large. */
+RARE floatN depth_between(floatN front, floatN back, intN active, intN first, __global const float *table,
+                          __constant const View *view)
 {
   const Pieces f = scene_pieces(table, first, view);
   const floatN units = units_of_step(f, view);
@@ -174,7 +179,8 @@ INLINE floatN share_to_half(const HalfOpacity *half_, __global const float *tabl
   noted &= MASK(whole > 0.0f);
   floatN wanted = half_->wanted;
 #if HALF_SCALED
-  /* Of D(x) = (1 - steady) whole' D'(x) / D'(1) + steady whole' x, D' the function's and whole' what was noted: in units of the first. */
+  /* Of D(x) = (1 - steady) whole' D'(x) / D'(1) + steady whole' x, D' the function's and whole' what was noted: in
+   * units of the first. */
   const intN absorbs = MASK(half_->whole > 0.0f);
   const floatN unit = whole / select(one, half_->whole, absorbs), uniform = half_->steady * whole;
   const floatN values = 1.0f - half_->steady;
@@ -188,8 +194,8 @@ INLINE floatN share_to_half(const HalfOpacity *half_, __global const float *tabl
 #if MIDPOINTS
   return select(zero, share_by_middle(half_, wanted, whole), noted);
 #else
-  /* From a parabola with the right slope at the front and the right end, which is all where extinction is linear; then between the
-   * two sides, each time as far as the chord goes or half way. */
+  /* From a parabola with the right slope at the front and the right end, which is all where extinction is linear; then
+   * between the two sides, each time as far as the chord goes or half way. */
   const HalfOpacity point = *half_;
   HalfOpacity start = point;
   start.back = start.front;

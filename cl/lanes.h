@@ -1,4 +1,4 @@
-/* A packet of rays, one ray a lane.
+/* A packet of rays, one ray per lane.
  *
  * LANES is 16 where one work-item marches a packet with vector registers (CPU devices), and 1 where a work-item
  * is a ray (GPUs). Masks are all bits set or none in both cases: wrap every comparison in MASK().
@@ -60,9 +60,11 @@ typedef uint uintN;
 typedef float16 stored_float16 __attribute__((aligned(4)));
 typedef int16 stored_int16 __attribute__((aligned(4)));
 typedef uint16 stored_uint16 __attribute__((aligned(4)));
-INLINE void __attribute__((overloadable)) store_lanes(float16 v, __private float *a) { *(__private stored_float16 *)a = v; }
+INLINE void __attribute__((overloadable)) store_lanes(float16 v,
+                                                      __private float *a) { *(__private stored_float16 *)a = v; }
 INLINE void __attribute__((overloadable)) store_lanes(int16 v, __private int *a) { *(__private stored_int16 *)a = v; }
-INLINE void __attribute__((overloadable)) store_lanes(uint16 v, __private uint *a) { *(__private stored_uint16 *)a = v; }
+INLINE void __attribute__((overloadable)) store_lanes(uint16 v,
+                                                      __private uint *a) { *(__private stored_uint16 *)a = v; }
 INLINE void __attribute__((overloadable)) store_lanes(float16 v, __global float *a) { vstore16(v, 0, a); }
 INLINE void __attribute__((overloadable)) store_lanes(int16 v, __global int *a) { vstore16(v, 0, a); }
 INLINE void __attribute__((overloadable)) store_lanes(uint16 v, __global uint *a) { vstore16(v, 0, a); }
@@ -99,12 +101,13 @@ typedef float gather_float16 __attribute__((__vector_size__(64)));
                                    __builtin_astype(offset, gather_int16), (ushort)0xffff, SCALE),        \
       uint16);                                                                                            \
   }
-/* Two words a lane, at byte B * offset and 4 after it: the hardware takes as long for 64 bits as for 32. */
+/* Two words per lane, at byte B * offset and 4 after it: the hardware takes as long for 64 bits as for 32. */
 typedef long gather_long8 __attribute__((__vector_size__(64)));
 typedef int gather_int8 __attribute__((__vector_size__(32)));
-#define GATHER_LONGS(base, offset, SCALE)                                                                               \
-  __builtin_astype(__builtin_ia32_gathersiv8di(none, (const void *)(size_t)(base), __builtin_astype(offset, gather_int8), \
-                                               (uchar)0xff, SCALE), uint16)
+#define GATHER_LONGS(base, offset, SCALE)                                                                  \
+  __builtin_astype(__builtin_ia32_gathersiv8di(none, (const void *)(size_t)(base),                         \
+                                               __builtin_astype(offset, gather_int8), (uchar)0xff, SCALE), \
+                   uint16)
 #define DEFINE_GATHER_TWO(SCALE)                                                                                   \
   INLINE void gather_two##SCALE(__global const void *base, int16 offset, uint16 *low, uint16 *high)                \
   {                                                                                                                \
@@ -116,13 +119,15 @@ typedef int gather_int8 __attribute__((__vector_size__(32)));
 INLINE floatN lane_reciprocal(floatN x)
 {
   const float16 y = __builtin_astype(__builtin_ia32_rcp14ps512_mask(__builtin_astype(x, gather_float16),
-                                                                    __builtin_astype(x, gather_float16), (ushort)0xffff), float16);
+                                                                    __builtin_astype(x, gather_float16),
+                                                                        (ushort)0xffff), float16);
   return y * (2.0f - x * y);
 }
 /* 1 / x for normal x, to 6e-5. */
 INLINE floatN rough_reciprocal(floatN x)
 {
-  return __builtin_astype(__builtin_ia32_rcp14ps512_mask(__builtin_astype(x, gather_float16), __builtin_astype(x, gather_float16),
+  return __builtin_astype(__builtin_ia32_rcp14ps512_mask(__builtin_astype(x, gather_float16),
+                                                         __builtin_astype(x, gather_float16),
                                                          (ushort)0xffff), float16);
 }
 #else
@@ -156,7 +161,8 @@ INLINE uint gather_word2(__global const void *base, int at)
 INLINE uint gather_word4(__global const void *base, int at) { return ((__global const uint *)base)[at]; }
 #endif
 
-/* min, max and clamp that compile to one instruction each: OpenCL's own look for NaN first on PoCL. With a NaN the result is b. */
+/* min, max and clamp that compile to one instruction each: OpenCL's own look for NaN first on PoCL. With a NaN the
+ * result is b. */
 #define LANE_MIN(a, b) select((b), (a), MASK((a) < (b)))
 #define LANE_MAX(a, b) select((b), (a), MASK((a) > (b)))
 INLINE floatN lane_min(floatN a, floatN b) { return LANE_MIN(a, b); }
@@ -181,8 +187,8 @@ INLINE int any_lane(intN mask)
 #endif
 }
 
-/* 1 / sqrt(x) for normal x > 0, to 3e-7: the hardware's guess of 14 bits where there is one, else one from the exponent, then
- * Newton's steps. Packets' square roots and divisions take many times as long. */
+/* 1 / sqrt(x) for normal x > 0, to 3e-7: the hardware's guess of 14 bits where there is one, else one from the
+ * exponent, then Newton's steps. Packets' square roots and divisions take many times as long. */
 INLINE floatN lane_rsqrt(floatN x)
 {
   const floatN halved = 0.5f * x;
@@ -191,7 +197,8 @@ INLINE floatN lane_rsqrt(floatN x)
 #else
 #if defined(HARDWARE_GATHER) && __has_builtin(__builtin_ia32_rsqrt14ps512_mask)
   floatN y = __builtin_astype(__builtin_ia32_rsqrt14ps512_mask(__builtin_astype(x, gather_float16),
-                                                               __builtin_astype(x, gather_float16), (ushort)0xffff), float16);
+                                                               __builtin_astype(x, gather_float16), (ushort)0xffff),
+                                                                   float16);
 #else
   floatN y = AS_FLOAT(0x5f375a86 - (AS_INT(x) >> 1));
   y *= 1.5f - halved * y * y;
@@ -231,7 +238,8 @@ INLINE void pack_lanes(float16 v, uint bits, float *to)
 {
 #if defined(HARDWARE_GATHER) && __has_builtin(__builtin_ia32_compresssf512_mask)
   store_lanes(__builtin_astype(__builtin_ia32_compresssf512_mask(__builtin_astype(v, gather_float16),
-                                                              __builtin_astype((float16)0.0f, gather_float16), (ushort)bits),
+                                                              __builtin_astype((float16)0.0f, gather_float16),
+                                                                  (ushort)bits),
                             float16), to);
 #else
   float each[16];
@@ -249,7 +257,8 @@ INLINE float16 unpack_lanes(__private const float *from, uint bits)
 {
 #if defined(HARDWARE_GATHER) && __has_builtin(__builtin_ia32_expandsf512_mask)
   return __builtin_astype(__builtin_ia32_expandsf512_mask(__builtin_astype(vload16(0, from), gather_float16),
-                                                          __builtin_astype((float16)0.0f, gather_float16), (ushort)bits),
+                                                          __builtin_astype((float16)0.0f, gather_float16),
+                                                              (ushort)bits),
                           float16);
 #else
   float each[16];
@@ -259,21 +268,6 @@ INLINE float16 unpack_lanes(__private const float *from, uint bits)
     from += bits >> k & 1u;
   }
   return vload16(0, each);
-#endif
-}
-
-/* to[at] = v for the lanes in `bits`. */
-INLINE void scatter_private(float16 v, int16 at, uint bits, __private float *to)
-{
-#if defined(HARDWARE_GATHER) && __has_builtin(__builtin_ia32_scattersiv16sf)
-  __builtin_ia32_scattersiv16sf((void *)to, (ushort)bits, __builtin_astype(at, gather_int16),
-                                __builtin_astype(v, gather_float16), 4);
-#else
-  float each[16];
-  int lane[16];
-  vstore16(v, 0, each), vstore16(at, 0, lane);
-  EACH_LANE(k)
-  if (bits >> k & 1u) to[lane[k]] = each[k];
 #endif
 }
 
@@ -295,7 +289,8 @@ INLINE float16 gather_private(__private const float *from, int16 at)
 INLINE float16 permuted_lanes(float16 v, int16 at)
 {
 #if defined(HARDWARE_GATHER) && __has_builtin(__builtin_ia32_permvarsf512)
-  return __builtin_astype(__builtin_ia32_permvarsf512(__builtin_astype(v, gather_float16), __builtin_astype(at, gather_int16)),
+  return __builtin_astype(__builtin_ia32_permvarsf512(__builtin_astype(v, gather_float16),
+                                                      __builtin_astype(at, gather_int16)),
                           float16);
 #else
   return shuffle(v, as_uint16(at));

@@ -1,12 +1,13 @@
-/* Fills a light volume: for each point of a grid over the volume the share of one light that arrives there, by the march of
- * shadow.h.
+/* Fills a light volume: for each point of a grid over the volume the share of one light that arrives there, by the
+ * march of shadow.h.
  *
  * SCATTERING: S = (1 - s) T + s T_cone, with T_cone the mean over CONE directions in a cone about that to the light of
- * exp(-(1 - colour) D). It stands for light that is scattered forward on its way: what a cone of light brings, of which a share
- * `colour` of all that is taken out of each ray scatters on within the cone. Kniss et al. (2003) sweep such a cone through the
- * volume slice by slice (half-angle slicing), light that left one ray going on along others; here each ray goes straight to
- * the light. So this lacks light that turns by more than the cone's angle, multiple scattering round an opaque obstacle wider than
- * the cone, and any light spent twice is not made up for: energy is not conserved, only never more than the light's own.
+ * exp(-(1 - colour) D). It stands for light that is scattered forward on its way: what a cone of light brings, of
+ * which a share `colour` of all that is taken out of each ray scatters on within the cone. Kniss et al. (2003) sweep
+ * such a cone through the volume slice by slice (half-angle slicing), light that left one ray going on along others;
+ * here each ray goes straight to the light. So this lacks light that turns by more than the cone's angle, multiple
+ * scattering round an opaque obstacle wider than the cone, and any light spent twice is not made up for: energy is not
+ * conserved, only never more than the light's own.
  *
  * Switches (-D): those of the picture.
  */
@@ -42,7 +43,8 @@ __kernel WIDE_VECTORS void light_volume(SCENE_PARAMETERS, __global const float4 
   Tally counted[SCENE_COUNTERS] = {0};
   const intN point = min(item * LANES + LANE_INDEX, (intN)(points - 1));
   const intN z = point / (size.x * size.y), y = point / size.x - z * size.y, x = point - (z * size.y + y) * size.x;
-  const Vectors place = {TO_FLOAT(x) * (view->upper.x / (float)(size.x - 1)), TO_FLOAT(y) * (view->upper.y / (float)(size.y - 1)),
+  const Vectors place = {TO_FLOAT(x) * (view->upper.x / (float)(size.x - 1)),
+                         TO_FLOAT(y) * (view->upper.y / (float)(size.y - 1)),
                          TO_FLOAT(z) * (view->upper.z / (float)(size.z - 1))};
   const Vectors here = to_local(effects, place.x, place.y, place.z);
   const float4 at = items[effects->first_light + 2 * light];

@@ -1,5 +1,5 @@
-/* A packet of rays through a volume of blocks (P2 sec. 3): as in render_packet.h, but a segment is as many steps long as
- * step_blocks.h says, and composited at once.
+/* A packet of rays through a volume of blocks (Ljung 2006, section 3): as in march_plain.h, but a segment is as many
+ * steps long as step_blocks.h says, and composited at once.
  *
  *   preintegrated  values at the ends of segments
  *   post           values in the middle of each
@@ -28,8 +28,9 @@ INLINE void place_on_ray(const Rays *ray, const BlockVolume *v, floatN t, floatN
   *pz = lane_clamp(ray->z0 + t * ray->dz, (floatN)0.5f, (floatN)(upper.z + 0.5f));
 }
 
-/* Several steps of a packet: where samples are taken does not depend on what they are. So places come first, then all values, in as
- * few passes as they fill, then classification in order. A ray that turns out to be opaque on the way has taken a few samples for nothing. */
+/* Several steps of a packet: where samples are taken does not depend on what they are. So places come first, then all
+ * values, in as few passes as they fill, then classification in order. A ray that turns out to be opaque on the way
+ * has taken a few samples for nothing. */
 
 typedef struct {
   float t[QUEUED_STEPS][LANES];    /* of the sample (preintegrated), or of the end of its segment (post) */
@@ -42,7 +43,8 @@ typedef struct {
 #endif
 } March;
 
-INLINE void render_packet(const Scene *scene, intN px, intN py, float *rgba, float *depth, uint *samples, Tally *counted)
+INLINE void render_packet(const Scene *scene, intN px, intN py, float *rgba, float *depth, uint *samples,
+                          Tally *counted)
 {
   __global const uchar *distances = scene->distances;
   __global const float *table = scene->table;
@@ -144,7 +146,8 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, float *rgba, flo
     PairQueue pairs;
     if (queue.count) vectors += queue_pairs(v, &queue, &pairs, m.fetches + QUEUED_STEPS, counted);
 #endif
-    _Pragma("unroll 1") for (int k = 0; k < vectors; ++k) STORE_LANES(fetched_value(v, &m.fetches[k]), m.value + k * LANES);
+    _Pragma("unroll 1") for (int k = 0; k < vectors; ++k)
+      STORE_LANES(fetched_value(v, &m.fetches[k]), m.value + k * LANES);
 #if INTERBLOCK
     if (queue.count) blend_pairs(&queue, &pairs, m.value + QUEUED_STEPS * LANES);
 #endif

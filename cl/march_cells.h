@@ -1,10 +1,11 @@
 /* Quadrature by cells: a ray is cut where it enters another lattice cell, and each piece is integrated by itself.
  *
- * Inside a cell the trilinear field along a ray is a cubic; at the faces it has kinks, and kinks are most of the error of even
- * steps once these are shorter than a voxel. Between the faces high order pays. The eight corners are fetched once a cell,
- * however often the field is evaluated in it (PARTS = view->cell_parts parts a cell, 1 or even):
- *   post           two Gauss-Legendre points for every two parts; for PARTS = 1 the midpoint alone
- *   preintegrated  the chords between the ends of the parts, each shifted so that its mean is the cubic's (Simpson's rule)
+ * Inside a cell the trilinear field along a ray is a cubic; at the faces it has kinks, and kinks are most of the error
+ * of even steps once these are shorter than a voxel. Between the faces high order pays. The eight corners are fetched
+ * once per cell, however often the field is evaluated in it (view->cell_parts parts per cell, 1 or an even number):
+ *   post           two Gauss-Legendre points for every two parts; for one part the midpoint alone
+ *   preintegrated  the chords between the ends of the parts, each shifted so that its mean is the cubic's (Simpson's
+ *                  rule)
  */
 #ifndef MARCH_CELLS_H
 #define MARCH_CELLS_H
@@ -32,12 +33,14 @@ INLINE floatN value_in_cell(const Corners *c, floatN x, floatN y, floatN z)
 INLINE floatN value_at(const Corners *c, const Rays *ray, floatN cx, floatN cy, floatN cz, floatN t)
 {
   const floatN zero = 0.0f, one = 1.0f;
-  return value_in_cell(c, lane_clamp(ray->x0 - cx + t * ray->dx, zero, one), lane_clamp(ray->y0 - cy + t * ray->dy, zero, one),
+  return value_in_cell(c, lane_clamp(ray->x0 - cx + t * ray->dx, zero, one),
+                       lane_clamp(ray->y0 - cy + t * ray->dy, zero, one),
                        lane_clamp(ray->z0 - cz + t * ray->dz, zero, one));
 }
 
 /* One cell's piece of the rays in `active`, from t0 to t1 (in steps). */
-INLINE void integrate_cell(Gathered *acc, HalfOpacity *half_, const Corners *c, const Rays *ray, floatN cx, floatN cy, floatN cz,
+INLINE void integrate_cell(Gathered *acc, HalfOpacity *half_, const Corners *c, const Rays *ray, floatN cx, floatN cy,
+                           floatN cz,
                            floatN t0, floatN t1, intN active, __global const float *table, __constant const View *view)
 {
   const int parts = view->cell_parts;
@@ -80,7 +83,8 @@ INLINE void integrate_cell(Gathered *acc, HalfOpacity *half_, const Corners *c, 
       /* Only both points together are the rule. */
       const intN passes = passes_half(between, acc->a);
       if (any_lane(passes))
-        note_half(half_, passes, before, t0 + length * (float)(part & ~1), length * (alone ? 1.0f : 2.0f), value, value);
+        note_half(half_, passes, before, t0 + length * (float)(part & ~1), length * (alone ? 1.0f : 2.0f), value,
+                  value);
 #endif
     }
   }
@@ -88,7 +92,8 @@ INLINE void integrate_cell(Gathered *acc, HalfOpacity *half_, const Corners *c, 
 }
 
 /* The packet's rays from cell to cell. `taken` counts evaluations of the field. */
-INLINE void render_packet(const Scene *scene, intN px, intN py, float *rgba, float *depth, uint *samples, Tally *counted)
+INLINE void render_packet(const Scene *scene, intN px, intN py, float *rgba, float *depth, uint *samples,
+                          Tally *counted)
 {
   __global const uchar *volume = scene->volume, *distances = scene->distances;
   __global const float *table = scene->table;
@@ -98,7 +103,8 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, float *rgba, flo
   const intN right = MASK(ray.rx > 0.0f), down = MASK(ray.ry > 0.0f), away = MASK(ray.rz > 0.0f);
   const intN step_x = select((intN)-1, (intN)1, right), step_y = select((intN)-1, (intN)1, down);
   const intN step_z = select((intN)-1, (intN)1, away);
-  const uint evaluations = CLASSIFICATION == CLASSIFICATION_POST ? (uint)view->cell_parts : 2u * (uint)view->cell_parts + 1u;
+  const uint evaluations = CLASSIFICATION == CLASSIFICATION_POST ? (uint)view->cell_parts
+      : 2u * (uint)view->cell_parts + 1u;
   intN active = MASK(ray.length > 0.0f) & MASK(px < view->image.x) & MASK(py < view->image.y);
   intN ix = zero, iy = zero, iz = zero, known = zero; /* cell; whether it is known */
   floatN t = 0.0f;
@@ -132,7 +138,8 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, float *rgba, flo
       /* At least one index moves on, or the ray ends: the march is finite. */
       const intN nx = ix + (step_x & MASK(tx <= leave)), ny = iy + (step_y & MASK(ty <= leave));
       const intN nz = iz + (step_z & MASK(tz <= leave));
-      const intN inside = MASK(nx >= zero) & MASK(nx <= last_x) & MASK(ny >= zero) & MASK(ny <= last_y) & MASK(nz >= zero) &
+      const intN inside = MASK(nx >= zero) & MASK(nx <= last_x) & MASK(ny >= zero) & MASK(ny <= last_y) &
+          MASK(nz >= zero) &
                           MASK(nz <= last_z);
       active &= inside & MASK(t1 < ray.length);
       ix = select(ix, nx, active), iy = select(iy, ny, active), iz = select(iz, nz, active);
@@ -151,7 +158,8 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, float *rgba, flo
     floatN values[3]; /* at the ends and in the middle: Gauss's points are not there */
     _Pragma("unroll 1") for (int k = 0; k < 3; ++k) {
       const floatN along = select((floatN)0.0f, half_.from + 0.5f * (float)k * half_.length, noted);
-      const FetchedSample sample = fetch_sample(volume, view, ray.x0 + along * ray.dx, ray.y0 + along * ray.dy, ray.z0 + along * ray.dz);
+      const FetchedSample sample = fetch_sample(volume, view, ray.x0 + along * ray.dx, ray.y0 + along * ray.dy,
+                                                ray.z0 + along * ray.dz);
       values[k] = sample_value(sample, view);
     }
     taken += AS_UINT(noted) & 3u;

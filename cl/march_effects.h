@@ -1,13 +1,17 @@
-/* A packet of LANES rays through a scene with effects: emission and absorption as in render_packet.h, with what the scene calls for.
+/* A packet of LANES rays through a scene with effects: emission and absorption as in march_plain.h, with what the
+ * scene calls for.
  *
- * A ray's kept stretches (clip.h) are cut into segments one step long, the last one shorter, and the leaping and masking are those of
- * render_packet.h. What one segment emits and absorbs is kept in an array a channel (emission.h), on which effects work in turn:
- *   opacity_factors.h  extinction weighted by the gradient and by the derivative along the ray, or from a function of two values
+ * A ray's kept stretches (clip.h) are cut into segments one step long, the last one shorter, and the leaping and
+ * masking are those of march_plain.h. What one segment emits and absorbs is kept in an array per channel (emission.h),
+ * on which effects work in turn:
+ *   opacity_factors.h  extinction weighted by the gradient and by the derivative along the ray, or from a function of
+ *                      two values
  *   fields.h           further volumes: labels, densities, masks
  *   shade.h            lights, environment, shadows
  *   depth cueing
  *   surfaces.h         iso-surfaces in the segment, in order with the volume before and behind them
- * Gradients are taken, and lights asked, only where a segment has opacity (LIGHTING, see cl/effects.h for what is counted).
+ * Gradients are taken, and lights asked, only where a segment has opacity (LIGHTING, see cl/effects.h for what is
+ * counted).
  */
 #ifndef MARCH_EFFECTS_H
 #define MARCH_EFFECTS_H
@@ -48,7 +52,7 @@
 #define NEEDS_ENDS ((CLASSIFICATION == CLASSIFICATION_PREINTEGRATED) & (TRANSLUCENT != 0))
 #define NEEDS_MIDDLE ((CLASSIFICATION != CLASSIFICATION_PREINTEGRATED) & (TRANSLUCENT != 0))
 
-/* One sample a segment, at its middle or its end: it can be fetched ahead. */
+/* One sample per segment, at its middle or its end: it can be fetched ahead. */
 #define SAMPLES_AHEAD (FETCH_AHEAD && CLASSIFICATION != CLASSIFICATION_PRE && TRANSLUCENT && !NOISE)
 #define AHEAD (CLASSIFICATION == CLASSIFICATION_POST ? 0.5f : 1.0f)
 
@@ -79,14 +83,16 @@
 /* Gradients are also reconstructed where nothing is lit, for what depends on them. */
 #define GRADIENT_DECIDES (OPACITY_FACTORS || TRANSFER_LAYERS)
 
-INLINE void render_packet(const Scene *scene, intN px, intN py, float *rgba, float *depth, uint *samples, Tally *counted)
+INLINE void render_packet(const Scene *scene, intN px, intN py, float *rgba, float *depth, uint *samples,
+                          Tally *counted)
 {
   __global const uchar *volume = scene->volume, *distances = scene->distances;
   __global const float *table = scene->table;
   __constant const View *view = scene->view;
   __constant const Effects *effects = scene->effects;
   const float h = view->step;
-  Rays whole_ray = make_rays_of_step(view, TO_FLOAT(px), TO_FLOAT(py), 1.0f); /* in edges: where clips cut depends on no step */
+  /* in edges: where clips cut depends on no step */
+  Rays whole_ray = make_rays_of_step(view, TO_FLOAT(px), TO_FLOAT(py), 1.0f);
   Vectors forward = direction_to_local(effects, whole_ray.dx, whole_ray.dy, whole_ray.dz);
   intN alive = MASK(whole_ray.length >= 0.0f) & MASK(px < view->image.x) & MASK(py < view->image.y);
   const intN on_picture = MASK(px < view->image.x) & MASK(py < view->image.y);
@@ -146,15 +152,18 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, float *rgba, flo
     }
 #endif
 #if SAMPLES_AHEAD
-    /* As in render_packet.h: a fetch from beyond the second-level cache takes longer than a step of arithmetic. */
+    /* As in march_plain.h: a fetch from beyond the second-level cache takes longer than a step of arithmetic. */
     const floatN t_ahead = TO_FLOAT(i) + AHEAD;
-    FetchedSample ahead = fetch_sample(volume, view, ray.x0 + t_ahead * ray.dx, ray.y0 + t_ahead * ray.dy, ray.z0 + t_ahead * ray.dz);
-    FetchedSample ahead2 = fetch_sample(volume, view, ray.x0 + (t_ahead + 1.0f) * ray.dx, ray.y0 + (t_ahead + 1.0f) * ray.dy,
+    FetchedSample ahead = fetch_sample(volume, view, ray.x0 + t_ahead * ray.dx, ray.y0 + t_ahead * ray.dy,
+                                       ray.z0 + t_ahead * ray.dz);
+    FetchedSample ahead2 = fetch_sample(volume, view, ray.x0 + (t_ahead + 1.0f) * ray.dx,
+                                        ray.y0 + (t_ahead + 1.0f) * ray.dy,
                                         ray.z0 + (t_ahead + 1.0f) * ray.dz);
 #endif
 #if ISOSURFACES && !ONE_SEGMENT
     /* All rays of the packet at once; in the segments only those that met a surface go on. */
-    find_surfaces(scene, &walk, alive & MASK(i <= last), h * TO_FLOAT(i + MARCH_STEPS), &taken, &counted[COUNT_SURFACE_TESTS]);
+    find_surfaces(scene, &walk, alive & MASK(i <= last), h * TO_FLOAT(i + MARCH_STEPS), &taken,
+                  &counted[COUNT_SURFACE_TESTS]);
 #endif
     _Pragma("unroll 1") for (int step = 0; step < (ONE_SEGMENT ? 1 : MARCH_STEPS); ++step) {
       const intN active = alive & MASK(i <= last);
@@ -171,7 +180,8 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, float *rgba, flo
       ahead2 = fetch_sample(volume, view, ray.x0 + t_next * ray.dx, ray.y0 + t_next * ray.dy, ray.z0 + t_next * ray.dz);
       floatN value = sample_value(sample, view);
       taken -= AS_UINT(active);
-      /* What was fetched ahead belongs to a whole segment; and no segment before may have had the sample at its start. */
+      /* What was fetched ahead belongs to a whole segment; and no segment before may have had the sample at its
+       * start. */
       const intN shorter = active & MASK(length < 1.0f), unknown = NEEDS_ENDS ? active & ~joined : (intN)0;
       if (any_lane(shorter | unknown)) {
         _Pragma("unroll 1") for (int k = any_lane(unknown) ? 0 : 1; k < 2; ++k) {
@@ -284,7 +294,8 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, float *rgba, flo
         const intN lit = shows & MASK(dot3(normal, normal) > 0.5f);
         const Vectors place = {xm, ym, zm};
         const floatN weight = (1.0f - acc.a) * segment_opacity(e);
-        color = shaded_color(scene, color, e.d, place, normal, gradient, scaled3(forward, -1.0f), weight, 0, lit, counted);
+        color = shaded_color(scene, color, e.d, place, normal, gradient, scaled3(forward, -1.0f), weight, 0, lit,
+                             counted);
 #endif
 #if DEPTH_CUE
         color = cued_color(scene, color, e.d, ray.entry_depth + tm * h);
@@ -301,16 +312,19 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, float *rgba, flo
         const floatN from_edges = t0 * h, to_edges = ONE_SEGMENT ? walk.ray.length : t1 * h;
         HalfBetween between;
         between.from = INFINITY, between.to = between.before = 0.0f;
-        const SurfacePassage passage = pass_surfaces(scene, &walk, scaled3(forward, -1.0f), from_edges, to_edges, length, e, visible, active,
+        const SurfacePassage passage = pass_surfaces(scene, &walk, scaled3(forward, -1.0f), from_edges, to_edges,
+                                                     length, e, visible, active,
                                                      MASK(i == last), may_bend, &acc, &between, &taken, counted);
 #if WITH_DEPTH
         const intN passes = MASK(between.from < INFINITY);
         if (any_lane(passes)) {
           SEGMENT_VALUES(first, second)
           const intN uncut = MASK(between.from == from_edges) & MASK(between.to == to_edges);
-          const floatN from = select((floatN)0.0f, between.from, passes), part = select((between.to - from) / h, length, uncut);
+          const floatN from = select((floatN)0.0f, between.from, passes);
+          const floatN part = select((between.to - from) / h, length, uncut);
           const floatN slope = (second - first) / length, at = from / h - t0;
-          note_half(&half_, passes, between.before, ray.entry_depth + from, part, select(first + at * slope, first, uncut),
+          note_half(&half_, passes, between.before, ray.entry_depth + from, part,
+                    select(first + at * slope, first, uncut),
                     select(first + (at + part) * slope, second, uncut));
           NOTE_SEGMENT(passes, part)
         }

@@ -1,8 +1,9 @@
 /* A packet of LANES rays from front to back: emission and absorption along each.
  *
- * All rays of a packet march together, each at its own depth: they leap over empty space (skip_empty.h), then take MARCH_STEPS
- * samples, and so on until every ray has left the volume or is opaque. Lanes that have nothing to do are masked; what
- * a lane computes never depends on its neighbours, so a pixel is the same, bit for bit, whatever packet it is in.
+ * All rays of a packet march together, each at its own depth: they leap over empty space (skip_empty.h), then take
+ * MARCH_STEPS samples, and so on until every ray has left the volume or is opaque. Lanes that have nothing to do are
+ * masked; what a lane computes never depends on its neighbours, so a pixel is the same, bit for bit, whatever packet
+ * it is in.
  *
  * Sampling along a ray of length L (in steps of length h): n = floor(L) whole segments and one of length L - n.
  *   preintegrated   values at 0, 1, ..., n and L; a segment's colour depends on the values at its ends
@@ -24,7 +25,8 @@ INLINE FetchedSample fetch_along(__global const uchar *volume, __constant const 
   return fetch_sample(volume, view, ray->x0 + t * ray->dx, ray->y0 + t * ray->dy, ray->z0 + t * ray->dz);
 }
 
-INLINE void render_packet(const Scene *scene, intN px, intN py, float *rgba, float *depth, uint *samples, Tally *counted)
+INLINE void render_packet(const Scene *scene, intN px, intN py, float *rgba, float *depth, uint *samples,
+                          Tally *counted)
 {
   __global const uchar *volume = scene->volume, *distances = scene->distances;
   __global const float *table = scene->table;
@@ -46,8 +48,8 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, float *rgba, flo
 
   while (any_lane(MASK(i <= last))) {
 #if SKIP_EMPTY
-    /* Of midpoints, the first one inside the visible cell is next. Else two samples before it open a new segment, and one that is
-     * open depends on samples i - 2 and i - 1. */
+    /* Of midpoints, the first one inside the visible cell is next. Else two samples before it open a new segment, and
+     * one that is open depends on samples i - 2 and i - 1. */
 #if MIDPOINTS
     const floatN from = TO_FLOAT(i) + offset;
 #else
@@ -63,13 +65,14 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, float *rgba, flo
     start = select(start, i, leaps);
 #endif
 #endif
-    /* Two steps ahead: a fetch from beyond the second-level cache takes longer than a step of arithmetic. (Two variables, not
-     * an array: an array would live in memory. Three steps ahead gain nothing.) */
+    /* Two steps ahead: a fetch from beyond the second-level cache takes longer than a step of arithmetic. (Two
+     * variables, not an array: an array would live in memory. Three steps ahead gain nothing.) */
 #if FETCH_AHEAD
     FetchedSample ahead = fetch_along(volume, view, &ray, TO_FLOAT(i) + offset);
     FetchedSample ahead2 = fetch_along(volume, view, &ray, TO_FLOAT(i) + 1.0f + offset);
 #endif
-    /* Not from i, which waits for what the steps before have shown: fetches need not. A ray that is done goes on for nothing. */
+    /* Not from i, which waits for what the steps before have shown: fetches need not. A ray that is done goes on for
+     * nothing. */
     const floatN first_t = TO_FLOAT(i) + offset;
     _Pragma("unroll 1") for (int step = 0; step < MARCH_STEPS; ++step) {
       const intN active = MASK(i <= last);

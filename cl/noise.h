@@ -1,5 +1,6 @@
 /* Volumetric noise: a tile of 32^3 texels that repeats in space, summed over octaves, perturbs values or places.
- * (Engel and Ertl 2002. clvol/device/noise.py says what the tile holds, fills these structs and has the twin in double.)
+ * (Engel and Ertl 2002. clvol/device/noise.py says what the tile holds, fills these structs and has the twin in
+ * double.)
  *
  * Each octave doubles the place and takes away whole tiles, both of which are exact in binary: what octaves lose is the
  * rounding of the place itself. Terms move by an offset that the host reduces to one tile.
@@ -12,7 +13,6 @@
 #include "struct_fields.h"
 
 #define NOISE_TILE 32
-#define NOISE_TEXELS (NOISE_TILE * NOISE_TILE * NOISE_TILE)
 
 typedef struct {
   float4 scale;          /* x, y, z: tiles per lattice unit */
@@ -21,14 +21,13 @@ typedef struct {
   float value_amplitude; /* units of the value, of a term that adds to values */
   float gain;            /* from octave to octave */
   int octaves;
-  int target;            /* NOISE_TARGET_VALUE or NOISE_TARGET_COORDINATE */
   int first_texel;       /* of its tile */
 } NoiseTerm;
 
 /* Reported to the host (struct_fields.h). */
 #define NOISE_TERM_FIELDS  \
   STRUCT(NoiseTerm), FIELD(NoiseTerm, scale), FIELD(NoiseTerm, offset), FIELD(NoiseTerm, amplitude), \
-  FIELD(NoiseTerm, value_amplitude), FIELD(NoiseTerm, gain), FIELD(NoiseTerm, octaves), FIELD(NoiseTerm, target), \
+  FIELD(NoiseTerm, value_amplitude), FIELD(NoiseTerm, gain), FIELD(NoiseTerm, octaves), \
   FIELD(NoiseTerm, first_texel)
 
 /* The eight texels around a place, x changing fastest, and the place between them. */
@@ -70,13 +69,15 @@ INLINE floatN noise_channel(const NoiseTexels *t, int channel)
 }
 
 /* The sum over octaves at (x, y, z) in tiles: one channel of it, ... */
-INLINE floatN fractal_noise_value(__global const uint *tiles, __constant const NoiseTerm *term, floatN x, floatN y, floatN z)
+INLINE floatN fractal_noise_value(__global const uint *tiles, __constant const NoiseTerm *term, floatN x, floatN y,
+                                  floatN z)
 {
   floatN sum = 0.0f;
   float weight = 1.0f;
   x = within_tile(x), y = within_tile(y), z = within_tile(z);
   _Pragma("unroll 1") for (int octave = 0; octave < term->octaves; ++octave) {
-    const NoiseTexels t = fetch_noise(tiles + term->first_texel, x + term->offset.x, y + term->offset.y, z + term->offset.z);
+    const NoiseTexels t = fetch_noise(tiles + term->first_texel, x + term->offset.x, y + term->offset.y,
+                                      z + term->offset.z);
     sum += weight * noise_channel(&t, 3);
     weight *= term->gain;
     x = within_tile(x + x), y = within_tile(y + y), z = within_tile(z + z);
@@ -92,7 +93,8 @@ INLINE void fractal_noise(__global const uint *tiles, __constant const NoiseTerm
   float weight = 1.0f;
   x = within_tile(x), y = within_tile(y), z = within_tile(z);
   _Pragma("unroll 1") for (int octave = 0; octave < term->octaves; ++octave) {
-    const NoiseTexels t = fetch_noise(tiles + term->first_texel, x + term->offset.x, y + term->offset.y, z + term->offset.z);
+    const NoiseTexels t = fetch_noise(tiles + term->first_texel, x + term->offset.x, y + term->offset.y,
+                                      z + term->offset.z);
     sx += weight * noise_channel(&t, 0), sy += weight * noise_channel(&t, 1), sz += weight * noise_channel(&t, 2);
     weight *= term->gain;
     x = within_tile(x + x), y = within_tile(y + y), z = within_tile(z + z);
@@ -101,7 +103,8 @@ INLINE void fractal_noise(__global const uint *tiles, __constant const NoiseTerm
 }
 
 /* What terms[0 .. count - 1], all NOISE_TARGET_VALUE, add to the value at a lattice place. */
-INLINE floatN added_noise(__global const uint *tiles, __constant const NoiseTerm *terms, int count, floatN x, floatN y, floatN z)
+INLINE floatN added_noise(__global const uint *tiles, __constant const NoiseTerm *terms, int count, floatN x,
+                          floatN y, floatN z)
 {
   floatN sum = 0.0f;
   _Pragma("unroll 1") for (int k = 0; k < count; ++k) {
@@ -113,7 +116,8 @@ INLINE floatN added_noise(__global const uint *tiles, __constant const NoiseTerm
 }
 
 /* Moves a lattice place by terms[0 .. count - 1], all NOISE_TARGET_COORDINATE and all taken where it was at first. */
-INLINE void displace(__global const uint *tiles, __constant const NoiseTerm *terms, int count, floatN *x, floatN *y, floatN *z)
+INLINE void displace(__global const uint *tiles, __constant const NoiseTerm *terms, int count, floatN *x, floatN *y,
+                     floatN *z)
 {
   const floatN x0 = *x, y0 = *y, z0 = *z;
   _Pragma("unroll 1") for (int k = 0; k < count; ++k) {

@@ -1,9 +1,10 @@
-/* What the gradient decides about a segment: factors on its extinction by the gradient's magnitude and by the derivative along
- * the ray, and emission and extinction from a function of value and magnitude (P4 sec. 5).
+/* What the gradient decides about a segment: factors on its extinction by the gradient's magnitude and by the
+ * derivative along the ray, and emission and extinction from a function of value and magnitude (Engel and Ertl 2002,
+ * section 5).
  *
- * Tables in `factors` are two rows of `n` floats: places ascending (per edge; of two at one place the later one holds there), and
- * factors at them, linear in between. Of the layers of a function of two values only the places are there: their
- * look-up tables lie one behind the other in `table`.
+ * Tables in `factors` are two rows of `n` floats: places ascending (per edge; of two at one place the later one holds
+ * there), and factors at them, linear in between. Of the layers of a function of two values only the places are there:
+ * their look-up tables lie one behind the other in `table`.
  */
 #ifndef OPACITY_FACTORS_H
 #define OPACITY_FACTORS_H
@@ -43,7 +44,8 @@ INLINE TablePlace place_in_table(__global const float *places, int n, floatN x)
   p.low = max(above - 1, zero), p.high = min(above, last);
   const floatN from = AS_FLOAT(gather4(places, p.low)), to = AS_FLOAT(gather4(places, p.high)), span = to - from;
   const intN wide = MASK(span > 0.0f);
-  p.share = select((floatN)0.0f, lane_clamp((x - from) / select((floatN)1.0f, span, wide), (floatN)0.0f, (floatN)1.0f), wide);
+  p.share = select((floatN)0.0f,
+                   lane_clamp((x - from) / select((floatN)1.0f, span, wide), (floatN)0.0f, (floatN)1.0f), wide);
   return p;
 }
 
@@ -67,7 +69,8 @@ INLINE void weigh_by_gradient(const Scene *scene, Emission *e, Vectors gradient,
   factor *= opacity_factor(scene, effects->gradient_opacity_table, effects->gradient_opacity_points, length3(gradient));
 #endif
 #if OPACITY_FACTORS & OPACITY_FACTOR_DIRECTIONAL
-  factor *= opacity_factor(scene, effects->directional_opacity_table, effects->directional_opacity_points, fabs(dot3(gradient, forward)));
+  factor *= opacity_factor(scene, effects->directional_opacity_table, effects->directional_opacity_points,
+                           fabs(dot3(gradient, forward)));
 #endif
   e->r *= factor, e->g *= factor, e->b *= factor, e->d *= factor;
 }
@@ -76,7 +79,8 @@ INLINE void weigh_by_gradient(const Scene *scene, Emission *e, Vectors gradient,
 
 #if TRANSFER_LAYERS
 
-/* The two layers' tables that a gradient's magnitude lies between, of `floats` each, as floats from the beginning of the first. */
+/* The two layers' tables that a gradient's magnitude lies between, of `floats` each, as floats from the beginning of
+ * the first. */
 INLINE TablePlace layers_around(const Scene *scene, Vectors gradient, int floats)
 {
   __constant const Effects *effects = scene->effects;
@@ -87,7 +91,8 @@ INLINE TablePlace layers_around(const Scene *scene, Vectors gradient, int floats
 
 INLINE Emission mixed_emission(Emission a, Emission b, floatN share)
 {
-  const Emission e = {a.r + share * (b.r - a.r), a.g + share * (b.g - a.g), a.b + share * (b.b - a.b), a.d + share * (b.d - a.d)};
+  const Emission e = {a.r + share * (b.r - a.r), a.g + share * (b.g - a.g), a.b + share * (b.b - a.b),
+                      a.d + share * (b.d - a.d)};
   return e;
 }
 

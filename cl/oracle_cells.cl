@@ -1,6 +1,6 @@
-/* What oracles of the method "pyramid" know beforehand: cells that are bad for samples some distance apart, and how far every cell is from
- * such ones (clvol/integrators/pyramid/cells.py). Cells are cubes of 2^shift lattice cells. Arrays of cells have rows `stride` long, a
- * multiple of 16.
+/* What oracles of the method "pyramid" know beforehand: cells that are bad for samples some distance apart, and how
+ * far every cell is from such ones (clvol/integrators/pyramid/cells.py). Cells are cubes of 2^shift lattice cells.
+ * Arrays of cells have rows `stride` long, a multiple of 16.
  *
  * Switches (-D): VOXEL_BITS, VOXEL_SIGNED, VOXEL_SCALED; SCALES: distances of samples 1, 2, 4 ... smallest edges.
  */
@@ -21,7 +21,8 @@
 
 #define VOXEL_AT(i, j, k) VALUE(volume[((size_t)(k) * size.y + (j)) * size.x + (i)])
 
-/* The largest (or smallest, of negatives) of a table over bins `from` to `to`: row k has that over 2^k bins from each on. */
+/* The largest (or smallest, of negatives) of a table over bins `from` to `to`: row k has that over 2^k bins from each
+ * on. */
 inline float4 most_between(__global const float4 *table, int n, int from, int to)
 {
   const int k = 31 - clz(to - from + 1);
@@ -30,23 +31,28 @@ inline float4 most_between(__global const float4 *table, int n, int from, int to
 
 /* Which scales are bad for a voxel: where samples so far apart may show more than `epsilon` that is wrong.
  *
- * How far its value is from what linear interpolation between samples `scale` edges apart, it in the middle, makes of it is the sum over
- * the axes of |v - (v- + v+) / 2|, v- and v+ half of that way before and behind. Beyond the volume its outermost voxels count.
- * What is shown differs by the steepest change a value nearby times that, or by all the change there is nearby.
+ * How far its value is from what linear interpolation between samples `scale` edges apart, it in the middle, makes of
+ * it is the sum over the axes of |v - (v- + v+) / 2|, v- and v+ half of that way before and behind. Beyond the volume
+ * its outermost voxels count. What is shown differs by the steepest change per value nearby times that, or by all the
+ * change there is nearby.
  *
  * volume     Voxel [size.z, size.y, size.x]
  * halves     int4 [SCALES]: half of each scale, in lattice units along x, y, z, at least 1
- * shares     float4 [SCALES]: what counts of the difference along each axis: less where half the scale is no whole lattice unit, since
- *            between voxels the field is nearly straight
- * slopes     float4 [SCALES, rows, n]: change of (premultiplied colour, opacity) of a segment as long as the scale, a bin
+ * shares     float4 [SCALES]: what counts of the difference along each axis: less where half the scale is no whole
+ *            lattice unit, since between voxels the field is nearly straight
+ * slopes     float4 [SCALES, rows, n]: change of (premultiplied colour, opacity) of a segment as long as the scale, a
+ *            bin
  * tops, minus_bottoms  likewise that colour, and its negative
  * steepest   float [SCALES]: largest of all slopes
  * first, per_value  bin 0 begins at `first`; bins a value
- * bad        uchar [size.z, size.y, size.x]: bit s is set where scale s is bad; beside a voxel that is not finite all are
+ * bad        uchar [size.z, size.y, size.x]: bit s is set where scale s is bad; beside a voxel that is not finite all
+ *            are
  */
-__kernel void bad_voxels(__global const Voxel *restrict volume, int4 size, __constant int4 *halves, __constant float4 *shares MAP_PARAMETERS,
+__kernel void bad_voxels(__global const Voxel *restrict volume, int4 size, __constant int4 *halves,
+                         __constant float4 *shares MAP_PARAMETERS,
                          __global const float4 *restrict slopes, __global const float4 *restrict tops,
-                         __global const float4 *restrict minus_bottoms, __constant float *steepest, int n, int rows, float first,
+                         __global const float4 *restrict minus_bottoms, __constant float *steepest, int n, int rows,
+                             float first,
                          float per_value, float epsilon, __global uchar *restrict bad)
 {
   const int y = get_global_id(0), z = get_global_id(1);
@@ -75,9 +81,11 @@ __kernel void bad_voxels(__global const Voxel *restrict volume, int4 size, __con
   }
 }
 
-/* bad  uchar [size.z, size.y, size.x]: 1 where the opacity changes by more than `threshold` a smallest edge (central differences).
- * opacity  float [n]: by bins of values; edges: smallest edges a lattice unit along x, y, z */
-__kernel void steep_voxels(__global const Voxel *restrict volume, int4 size MAP_PARAMETERS, __global const float *restrict opacity, int n,
+/* bad  uchar [size.z, size.y, size.x]: 1 where the opacity changes by more than `threshold` a smallest edge (central
+ *      differences).
+ * opacity  float [n]: by bins of values; edges: smallest edges per lattice unit along x, y, z */
+__kernel void steep_voxels(__global const Voxel *restrict volume, int4 size MAP_PARAMETERS,
+                           __global const float *restrict opacity, int n,
                            float first, float per_value, float4 edges, float threshold, __global uchar *restrict bad)
 {
 #define OPACITY_AT(i, j, k) opacity[clamp((int)((VOXEL_AT(i, j, k) - first) * per_value), 0, n - 1)]
@@ -93,7 +101,8 @@ __kernel void steep_voxels(__global const Voxel *restrict volume, int4 size MAP_
 }
 
 /* cells  uchar [cells.z, cells.y, stride]: bits of any voxel of the cell, its upper faces included; 0 beyond cells.x */
-__kernel void bad_cells(__global const uchar *restrict voxels, int4 size, int shift, int4 cells, int stride, __global uchar *restrict bad)
+__kernel void bad_cells(__global const uchar *restrict voxels, int4 size, int shift, int4 cells, int stride,
+                        __global uchar *restrict bad)
 {
   const int cy = get_global_id(0), cz = get_global_id(1), edge = 1 << shift;
   const int y0 = cy << shift, z0 = cz << shift, y1 = min(y0 + edge, size.y - 1), z1 = min(z0 + edge, size.z - 1);
@@ -120,9 +129,11 @@ __kernel void start_near(__global const uchar *restrict bad, uint bits, __global
   vstore16(select((ushort16)0, (ushort16)FAR, convert_ushort16(b) == (ushort16)0), i, near);
 }
 
-/* One of three passes that find, of every cell, the squared distance to the nearest cell of a set: between the nearest points of both.
+/* One of three passes that find, of every cell, the squared distance to the nearest cell of a set: between the nearest
+ * points of both.
  * gaps  ushort [window + 1]: squares of what lies between two cells so many cells apart along `axis` */
-__kernel void near_pass(__global const ushort *restrict in, __global ushort *restrict out, int4 cells, int stride, int axis, int window,
+__kernel void near_pass(__global const ushort *restrict in, __global ushort *restrict out, int4 cells, int stride,
+                        int axis, int window,
                         __constant ushort *gaps)
 {
   const int x = 16 * get_global_id(0), y = get_global_id(1), z = get_global_id(2);
@@ -151,16 +162,18 @@ __kernel void near_pass(__global const ushort *restrict in, __global ushort *res
   } else {
     const size_t row = axis == 1 ? stride : (size_t)stride * cells.y;
     const int place = axis == 1 ? y : z, count = axis == 1 ? cells.y : cells.z;
-    for (int k = 1; k <= min(window, place); ++k) best = min(best, add_sat(vload16(0, in + at - k * row), (ushort16)gaps[k]));
+    for (int k = 1; k <= min(window, place); ++k) best = min(best,
+                                                             add_sat(vload16(0, in + at - k * row), (ushort16)gaps[k]));
     for (int k = 1; k <= min(window, count - 1 - place); ++k)
       best = min(best, add_sat(vload16(0, in + at + k * row), (ushort16)gaps[k]));
   }
   vstore16(best, 0, out + at);
 }
 
-/* map  uchar, as in oracle_layout.h: raised or lowered to `base` + the distance `near` stands for, at most `most`, as a byte
- *      (oracle.h), rounded down. `unit`: the length in edges whose square is the unit */
-__kernel void move_distances(__global const ushort *restrict near, int4 cells, int stride, float base, float most, float unit, int raises,
+/* map  uchar, as in oracle_layout.h: raised or lowered to `base` + the distance `near` stands for, at most `most`, as
+ *      a byte (oracle.h), rounded down. `unit`: the length in edges whose square is the unit */
+__kernel void move_distances(__global const ushort *restrict near, int4 cells, int stride, float base, float most,
+                             float unit, int raises,
                              __global uchar *restrict map)
 {
   const int y = get_global_id(0), z = get_global_id(1);

@@ -1,5 +1,6 @@
-/* The oracle of a bounded error of what a ray shows: the map is of the distance at which a segment is wrong by epsilon. What less light
- * arrives from may be wrong by more: errors of interpolation grow with the square of the distance. */
+/* The oracle of a bounded error of what a ray shows: the map is of the distance at which a segment is wrong by
+ * epsilon. What less light arrives from may be wrong by more: errors of interpolation grow with the square of the
+ * distance. */
 #ifndef ORACLE_ERROR_H
 #define ORACLE_ERROR_H
 

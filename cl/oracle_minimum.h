@@ -1,4 +1,5 @@
-/* The oracle that always wants full resolution: what the method costs where it saves nothing (P1 tables 2 and 3, "min"). */
+/* The oracle that always wants full resolution: what the method costs where it saves nothing
+ * (Kraus et al. 2007, tables 2 and 3, "min"). */
 #ifndef ORACLE_MINIMUM_H
 #define ORACLE_MINIMUM_H
 

@@ -1,4 +1,5 @@
-/* Which cells of an oracle's map can show anything (clvol/integrators/pyramid/oracles/visible.py): cubes of 2^shift lattice cells.
+/* Which cells of an oracle's map can show anything (clvol/integrators/pyramid/oracles/visible.py): cubes of 2^shift
+ * lattice cells.
  *
  * Switches (-D): LANES (1), those of voxels, WARPED_CLASSES.
  */
@@ -8,10 +9,13 @@
 #include "voxel_type.h"
 
 /* apron    voxels around a cell that its values depend on; overshoot: share of their range that these may be beyond it
- * visible  uchar [cells.z, cells.y, stride]: bit `bit` is set where anything between the voxels of the cell, its upper faces included, can be
- *          seen, or one of them is not finite; bit 0 clears the others, which otherwise stay. Others as for visible_block_cells. */
-__kernel void visible_cells(__global const Voxel *restrict volume, __global const float *restrict warp, __global const int *restrict before,
-                            __global const uchar *restrict at, __constant const View *restrict view, int shift, int apron, float overshoot,
+ * visible  uchar [cells.z, cells.y, stride]: bit `bit` is set where anything between the voxels of the cell, its upper
+ *          faces included, can be seen, or one of them is not finite; bit 0 clears the others, which otherwise stay.
+ *          Others as for visible_block_cells. */
+__kernel void visible_cells(__global const Voxel *restrict volume, __global const float *restrict warp,
+                            __global const int *restrict before,
+                            __global const uchar *restrict at, __constant const View *restrict view, int shift,
+                                int apron, float overshoot,
                             int4 cells, int stride, int bit,
                             __global uchar *restrict visible)
 {

@@ -4,8 +4,8 @@
 
 #include "lanes.h"
 
-/* log2 for normal x > 0: relative error below 2e-7 also next to x = 1, where a large exponent would show it. No division: a
- * polynomial in f = m - 1 for the mantissa m in sqrt(1/2) .. sqrt(2) (Chebyshev's points), times f. */
+/* log2 for normal x > 0: relative error below 2e-7 also next to x = 1, where a large exponent would show it. No
+ * division: a polynomial in f = m - 1 for the mantissa m in sqrt(1/2) .. sqrt(2) (Chebyshev's points), times f. */
 INLINE floatN lane_log2(floatN x)
 {
   const intN shifted = AS_INT(x) - 0x3f3504f3; /* sqrt(1/2) */

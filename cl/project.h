@@ -1,20 +1,21 @@
-/* A packet of LANES rays under another compositing than "over": one value of each ray is picked, and the transfer function's
- * colour and opacity there (of one opacity unit) are the picture. Switch COMPOSITING:
+/* A packet of LANES rays under another compositing than "over": one value of each ray is picked, and the transfer
+ * function's colour and opacity there (of one opacity unit) are the picture. Switch COMPOSITING:
  *
  *   MAXIMUM, MINIMUM    the largest, smallest of the values
  *   AVERAGE             their mean by length
- *   ATTENUATED_MAXIMUM  the largest of (value normalised to the volume's range, at least 0) times exp(-attenuation times
- *                       the integral of that before it); its opacity is attenuated as much
+ *   ATTENUATED_MAXIMUM  the largest of (value normalised to the volume's range, at least 0) times exp(-attenuation
+ *                       times the integral of that before it); its opacity is attenuated as much
  *
- * A ray's kept stretches (clip.h) are cut into segments one step long, the last one shorter, and the value at each one's middle
- * counts. Values that are not finite do not, nor what masks remove (fields.h); a ray without any shows nothing. Of equal ones the first counts. Values are clamped
- * to the bounds that hold for all samples (value_bounds), which rounding alone could leave.
+ * A ray's kept stretches (clip.h) are cut into segments one step long, the last one shorter, and the value at each
+ * one's middle counts. Values that are not finite do not, nor what masks remove (fields.h); a ray without any shows
+ * nothing. Of equal ones the first counts. Values are clamped to the bounds that hold for all samples (value_bounds),
+ * which rounding alone could leave.
  *
- * Leaping (SKIP_EMPTY). `factors` holds, for each cell of empty space, a bound of the score of every sample in it, and then the
- * same for cells 4 and 16 times as long: a ray leaps out of the largest cell of these that cannot change its result, and ends
- * where none ahead can. Nor do scores count that are transparent with all below them (projection.w). Attenuated, what is leapt
- * over would be missing from the integral: only cells where all of it is 0 are leapt over, and rays end early. Averages need
- * every sample. The picture is the same to the bit.
+ * Leaping (SKIP_EMPTY). `factors` holds, for each cell of empty space, a bound of the score of every sample in it, and
+ * then the same for cells 4 and 16 times as long: a ray leaps out of the largest cell of these that cannot change its
+ * result, and ends where none ahead can. Nor do scores count that are transparent with all below them (projection.w).
+ * Attenuated, what is leapt over would be missing from the integral: only cells where all of it is 0 are leapt over,
+ * and rays end early. Averages need every sample. The picture is the same to the bit.
  */
 #ifndef PROJECT_H
 #define PROJECT_H
@@ -38,12 +39,13 @@
 #define BOUND_SHIFT 2 /* from one level to the next, log2 */
 #define NO_SCORE (-3e38f)
 
-#define LEAPS (SKIP_EMPTY && COMPOSITING != COMPOSITING_AVERAGE)
+#define SCORE_LEAPS (SKIP_EMPTY && COMPOSITING != COMPOSITING_AVERAGE)
 
-#if LEAPS
+#if SCORE_LEAPS
 
-/* For each ray at parameter t (in steps): t itself where a sample in its cell can score more than `needed`, else where it first
- * enters a cell of which that holds (a little before), or infinity if it never does. Compare next_visible() in skip_empty.h. */
+/* For each ray at parameter t (in steps): t itself where a sample in its cell can score more than `needed`, else where
+ * it first enters a cell of which that holds (a little before), or infinity if it never does. Compare next_visible()
+ * in skip_empty.h. */
 INLINE floatN next_above(const Scene *scene, const Rays *ray, floatN t, floatN needed, intN active)
 {
   __constant const View *view = scene->view;
@@ -61,7 +63,8 @@ INLINE floatN next_above(const Scene *scene, const Rays *ray, floatN t, floatN n
     int shift = view->cell_shift, nx = view->cells.x, ny = view->cells.y, nz = view->cells.z, first = 0;
     intN leaps = active, across = shift;
     _Pragma("unroll 1") for (int level = 0; level < BOUND_LEVELS; ++level) {
-      const intN cx = min(x >> shift, (intN)(nx - 1)), cy = min(y >> shift, (intN)(ny - 1)), cz = min(z >> shift, (intN)(nz - 1));
+      const intN cx = min(x >> shift, (intN)(nx - 1)), cy = min(y >> shift, (intN)(ny - 1));
+      const intN cz = min(z >> shift, (intN)(nz - 1));
       const floatN bound = AS_FLOAT(gather4(bounds + first, (cz * ny + cy) * nx + cx));
       leaps &= MASK(bound <= needed);
       if (!any_lane(leaps)) break;
@@ -74,7 +77,8 @@ INLINE floatN next_above(const Scene *scene, const Rays *ray, floatN t, floatN n
     if (shift == view->cell_shift) return entered; /* no lane leaps */
     const intN fx = ((x >> across) + right) << across, fy = ((y >> across) + down) << across;
     const intN fz = ((z >> across) + away) << across;
-    const floatN leave_x = (TO_FLOAT(fx) - ray->x0) * ray->rx + ray->px, leave_y = (TO_FLOAT(fy) - ray->y0) * ray->ry + ray->py;
+    const floatN leave_x = (TO_FLOAT(fx) - ray->x0) * ray->rx + ray->px;
+    const floatN leave_y = (TO_FLOAT(fy) - ray->y0) * ray->ry + ray->py;
     const floatN leave = lane_min(lane_min(leave_x, leave_y), (TO_FLOAT(fz) - ray->z0) * ray->rz + ray->pz);
     const floatN face = lane_max(leave, t), margin = least_margin + SHARE_OF_T * face;
     entered = select(entered, face - margin, active);
@@ -93,7 +97,8 @@ INLINE floatN middle_of(const Rays *ray, intN i)
   return 0.5f * (t + lane_min(t + 1.0f, ray->length));
 }
 
-INLINE void render_packet(const Scene *scene, intN px, intN py, float *rgba, float *depth, uint *samples, Tally *counted)
+INLINE void render_packet(const Scene *scene, intN px, intN py, float *rgba, float *depth, uint *samples,
+                          Tally *counted)
 {
   __global const float *table = scene->table;
   __constant const View *view = scene->view;
@@ -111,7 +116,7 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, float *rgba, flo
   floatN sum = 0.0f, length_sum = 0.0f;
 #elif COMPOSITING == COMPOSITING_ATTENUATED_MAXIMUM
   floatN attenuation = 1.0f, passed = 0.0f, opacity_share = 1.0f;
-#if LEAPS
+#if SCORE_LEAPS
   floatN looked_to = 0.0f; /* before that no sample need be asked whether the ray may end, in steps */
 #endif
 #endif
@@ -136,22 +141,23 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, float *rgba, flo
       last = select(last, TO_INT(cells) - 1, stretches);
       alive &= found | ~stretches;
       last = select(last, (intN)DONE, ~alive);
-#if LEAPS && COMPOSITING == COMPOSITING_ATTENUATED_MAXIMUM
+#if SCORE_LEAPS && COMPOSITING == COMPOSITING_ATTENUATED_MAXIMUM
       looked_to = select(looked_to, (floatN)0.0f, stretches);
 #endif
     }
     if (!any_lane(alive)) break;
-#if LEAPS
+#if SCORE_LEAPS
     {
       const intN going = alive & MASK(i <= last);
       const floatN t = middle_of(&ray, i);
       floatN needed = lane_max(best, (floatN)effects->hidden_score);
 #if COMPOSITING == COMPOSITING_ATTENUATED_MAXIMUM
-      /* What lies ahead counts for no more than here: a ray ends where nothing ahead could win. Of its last stretch alone, since
-       * what is left out would be missing from the integral in the next. */
+      /* What lies ahead counts for no more than here: a ray ends where nothing ahead could win. Of its last stretch
+       * alone, since what is left out would be missing from the integral in the next. */
       const intN looks = going & MASK(t >= looked_to) & MASK(next_from >= whole_ray.length);
       if (any_lane(looks)) {
-        looked_to = select(looked_to, next_above(scene, &ray, t, best / lane_max(attenuation, (floatN)1e-30f), looks), looks);
+        looked_to = select(looked_to, next_above(scene, &ray, t, best / lane_max(attenuation, (floatN)1e-30f), looks),
+                           looks);
         last = select(last, (intN)DONE, looks & MASK(looked_to >= ray.length));
       }
       needed = select((floatN)NO_SCORE, (floatN)0.0f, MASK(best >= 0.0f));

@@ -30,8 +30,8 @@ __kernel WIDE_VECTORS __attribute__((reqd_work_group_size(WORKERS, 1, 1))) void 
 #endif
   const int width = view->image.x, height = view->image.y;
   const int columns = max(1, (width + TILE - 1) / TILE), rows = max(1, (height + TILE - 1) / TILE);
-  /* From the top and the bottom in turns: the last ones, by which cores wait for each other, are then in the middle, where much is to be
-   * seen, and drivers hand out few at a time in the end. */
+  /* From the top and the bottom in turns: the last ones, by which cores wait for each other, are then in the middle,
+   * where much is to be seen, and drivers hand out few at a time in the end. */
   const int place = (int)get_group_id(0) + view->first_tile, some = width > 0;
   const int tile = !some ? place : place & 1 ? columns * rows - 1 - place / 2 : place / 2;
   const int left = tile % columns * TILE, top = tile / columns * TILE;
@@ -52,7 +52,8 @@ __kernel WIDE_VECTORS __attribute__((reqd_work_group_size(WORKERS, 1, 1))) void 
     for (int q = 0; q < PACKETS; ++q) {
       const int p = q * WORKERS + WORKER;
       PixelPacket *packet = &packets[q];
-      if (prepare_packet(view, pyramid, packet, left + p % PACKETS_IN_ROW * PACKET_W, top + p / PACKETS_IN_ROW * PACKET_H))
+      if (prepare_packet(view, pyramid, packet, left + p % PACKETS_IN_ROW * PACKET_W,
+                         top + p / PACKETS_IN_ROW * PACKET_H))
         EACH_LANE(k) if (packet->alive[k])
         {
           begin = fmin(begin, packet->enter[k]), last_enter = fmax(last_enter, packet->enter[k]);
@@ -77,7 +78,8 @@ __kernel WIDE_VECTORS __attribute__((reqd_work_group_size(WORKERS, 1, 1))) void 
     int goes_on = 0, next = INT_MAX;
     for (int q = 0; q < PACKETS; ++q) {
       const int p = q * WORKERS + WORKER, column = p % PACKETS_IN_ROW * PACKET_W, row = p / PACKETS_IN_ROW * PACKET_H;
-      const int c = levels < LEAST_LEVEL ? 0 : (row >> levels) * (TILE >> levels) + (column >> levels), slices = m->slices[c];
+      const int c = levels < LEAST_LEVEL ? 0 : (row >> levels) * (TILE >> levels) + (column >> levels);
+      const int slices = m->slices[c];
       int alive_here;
       if (slices)
         alive_here = march_packet(&source, m, &packets[q], column, row, base, slices, table, &taken, counted);
@@ -100,7 +102,8 @@ __kernel WIDE_VECTORS __attribute__((reqd_work_group_size(WORKERS, 1, 1))) void 
 #endif
       EACH_LANE(k)
       {
-        const int x = left + p % PACKETS_IN_ROW * PACKET_W + k % PACKET_W, y = top + p / PACKETS_IN_ROW * PACKET_H + k / PACKET_W;
+        const int x = left + p % PACKETS_IN_ROW * PACKET_W + k % PACKET_W;
+        const int y = top + p / PACKETS_IN_ROW * PACKET_H + k / PACKET_W;
         if (x < width && y < height) {
           const size_t pixel = (size_t)y * width + x;
           float4 c = vload4(k, packets[q].rgba);
@@ -131,7 +134,8 @@ __kernel WIDE_VECTORS __attribute__((reqd_work_group_size(WORKERS, 1, 1))) void 
 }
 
 #if BLOCKS
-REPORT_FIELDS(VIEW_FIELDS, PYRAMID_FIELDS, BLOCKS_FIELDS)
+#define REPORTED_FIELDS VIEW_FIELDS, PYRAMID_FIELDS, BLOCKS_FIELDS
 #else
-REPORT_FIELDS(VIEW_FIELDS, PYRAMID_FIELDS)
+#define REPORTED_FIELDS VIEW_FIELDS, PYRAMID_FIELDS
 #endif
+REPORT_FIELDS

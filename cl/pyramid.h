@@ -1,33 +1,39 @@
-/* The method "pyramid": adaptive sampling along rays and across them, after Kraus, Strengert, Klein and Ertl 2007 (P1).
+/* The method "pyramid": adaptive sampling along rays and across them, after Kraus, Strengert, Klein and Ertl
+ * (2007).
  *
- * Slices i = 0, 1, 2 ... are a step apart: planes of an orthographic view, spherical shells around the eye of a perspective one. In each,
- * a pyramid of pixels: level l has a pixel for 2^l by 2^l of the picture's, in their middle. A pixel of a level is
+ * Slices i = 0, 1, 2 ... are a step apart: planes of an orthographic view, spherical shells around the eye of a
+ * perspective one. In each, a pyramid of pixels: level l has a pixel for 2^l by 2^l of the picture's, in their middle.
+ * A pixel of a level is
  *   sampled      where the oracle's distance is less than WITHIN of the level's pixels, and on the coarsest level;
- *   synthesised  from the four nearest of the next level elsewhere (weights 9/16, 3/16, 3/16, 1/16: biquadratic B-splines);
+ *   synthesised  from the four nearest of the next level elsewhere (weights 9/16, 3/16, 3/16, 1/16: biquadratic
+ *                B-splines);
  *   left alone   on slices that the oracle's distance reaches beyond.
  * A pixel above level 0 that is sampled asks the oracle always, and the volume where anything is synthesised from it.
- * On slice i levels up to top(i) = tz(i) + oversampling take part, tz the zero bits at the end of i, at most `levels`; a pixel takes part
- * on slices with 2^(tz + 1) steps above its distance. This is the paper's fig. 4, which its hardware could not run, but for these:
+ * On slice i levels up to top(i) = tz(i) + oversampling take part, tz the zero bits at the end of i, at most `levels`;
+ * a pixel takes part on slices with 2^(tz + 1) steps above its distance. This is the paper's fig. 4, which its
+ * hardware could not run, but for these:
  *
- *   distances    are lengths (smallest voxel edges), compared with a step along the ray and with the distance of neighbouring rays
- *                across it. The paper has both equal, and samples where the distance is less than two pixels. Where rays lie nearer
- *                than steps, by 2^oversampling or so, the pyramid has as many levels more, and slices in between that the paper would
- *                skip are not there at all.
- *   freshness    what is synthesised on a slice shall come from samples of that slice, so coarse pixels take part a little longer:
- *                up to the distance plus SLACK of their own spacing, as far as other pixels may be that are synthesised from them
- *                (distances of maps grow by no more than the way, see clvol/integrators/pyramid/cells.py).
- *   boundary     a level's rays go on beyond the picture and the volume, where values are those at the volume's hull; a pixel's first
- *                and last samples are where its own ray meets the hull, and no segment reaches farther. Clip planes and boxes cut
- *                rays in the same way; what is synthesised near a cut comes from values on both of its sides.
- *   tiles        work-items share the picture in tiles, with one coarse pixel of each level more all around. What is computed there depends on
- *                coarser levels alone, so that no pixel depends on the tile it is in.
- *   empty space  under oracles that allow it columns of pixels sleep where nothing is to be seen, and tiles of sleeping columns leap
- *                (pyramid_leap.h).
+ *   distances    are lengths (smallest voxel edges), compared with a step along the ray and with the distance of
+ *                neighbouring rays across it. The paper has both equal, and samples where the distance is less than
+ *                two pixels. Where rays lie nearer than steps, by 2^oversampling or so, the pyramid has as many levels
+ *                more, and slices in between that the paper would skip are not there at all.
+ *   freshness    what is synthesised on a slice shall come from samples of that slice, so coarse pixels take part a
+ *                little longer: up to the distance plus SLACK of their own spacing, as far as other pixels may be that
+ *                are synthesised from them (distances of maps grow by no more than the way, see
+ *                clvol/integrators/pyramid/cells.py).
+ *   boundary     a level's rays go on beyond the picture and the volume, where values are those at the volume's hull;
+ *                a pixel's first and last samples are where its own ray meets the hull, and no segment reaches
+ *                farther. Clip planes and boxes cut rays in the same way; what is synthesised near a cut comes from
+ *                values on both of its sides.
+ *   tiles        work-items share the picture in tiles, with one coarse pixel of each level more all around. What is
+ *                computed there depends on coarser levels alone, so that no pixel depends on the tile it is in.
+ *   empty space  under oracles that allow it columns of pixels sleep where nothing is to be seen, and tiles of
+ *                sleeping columns leap (pyramid_leap.h).
  *   opaque rays  stop; and a tile does when all its rays have.
  *
- * A work-group is a tile. CPU devices: one work-item (WORKERS 1) that takes 4 by 4 pixels at a time in vector registers; levels above
- * 0 first, for CHUNK slices, then the picture's pixels, each packet through all of these slices. GPUs: WORKERS work-items, a pixel
- * at a time each, barriers in between.
+ * A work-group is a tile. CPU devices: one work-item (WORKERS 1) that takes 4 by 4 pixels at a time in vector
+ * registers; levels above 0 first, for CHUNK slices, then the picture's pixels, each packet through all of these
+ * slices. GPUs: WORKERS work-items, a pixel at a time each, barriers in between.
  *
  * To add an oracle: clvol/integrators/pyramid/oracles/__init__.py says how.
  */
@@ -46,7 +52,8 @@
 #endif
 
 typedef struct {
-  float4 halves[MOST_HALVES]; /* half-spaces that clips keep: where (x, y, z) times the lattice point, plus w, is 0 or more */
+  /* half-spaces that clips keep: where (x, y, z) times the lattice point, plus w, is 0 or more */
+  float4 halves[MOST_HALVES];
   float4 oracle;              /* numbers of the oracle's own */
   float4 edges;               /* x, y, z: edges per lattice unit */
   int4 cells;                 /* x, y, z: cells of the oracle's map */
@@ -71,7 +78,8 @@ typedef struct {
 
 #define CHUNK 8       /* slices */
 #define SLACK 0.5f
-#define WITHIN 1.6f /* of a pixel that is synthesised lie all that it is made from but the farthest, which has 1/16 of the weight */
+/* of a pixel that is synthesised lie all that it is made from but the farthest, which has 1/16 of the weight */
+#define WITHIN 1.6f
 
 #if WORKERS == 1
 #define SHARED __private
@@ -87,7 +95,8 @@ typedef struct {
 #define WIDTH(level) ((TILE >> (level)) + 2)
 #define SIDE(level) ((WIDTH(level) + PACKET_W - 1) & ~(PACKET_W - 1))
 #define AREA(level) (SIDE(level) * SIDE(level))
-#define ALL_LEVELS (AREA(1) + AREA(2) + AREA(3) + AREA(4) + AREA(5) + 2 * SIDE(1)) /* and what loads of patches reach beyond */
+/* and what loads of patches reach beyond */
+#define ALL_LEVELS (AREA(1) + AREA(2) + AREA(3) + AREA(4) + AREA(5) + 2 * SIDE(1))
 
 INLINE int side_of(int level) { return (WIDTH(level) + PACKET_W - 1) & ~(PACKET_W - 1); }
 INLINE int offset_of(int level)
@@ -102,14 +111,16 @@ INLINE int offset_of(int level)
 /* State of a tile's levels above 0. Level 1 has a copy for each slice of a chunk, for level 0 to look at afterwards. */
 typedef struct {
   float x0[ALL_LEVELS], y0[ALL_LEVELS], z0[ALL_LEVELS]; /* lattice place at slice 0, by patches ... */
-  float dx[ALL_LEVELS], dy[ALL_LEVELS], dz[ALL_LEVELS]; /* ... and way a slice */
+  float dx[ALL_LEVELS], dy[ALL_LEVELS], dz[ALL_LEVELS]; /* ... and way per slice */
   float distance[ALL_LEVELS], value[ALL_LEVELS];        /* of levels 2 and above */
   float distance1[CHUNK][AREA(1) + SIDE(1)], value1[CHUNK][AREA(1) + SIDE(1)];
   float nearest[MOST_LEVELS + 1];                       /* the least distance of each level */
   float free_slices[AREA(2) + SIDE(2)];                 /* of the coarsest level (pyramid_leap.h) */
   int wakes[COLUMNS], slices[COLUMNS];                  /* of columns */
-  uint sampled[AREA(1) / LANES];                        /* of a level that is being updated: patches to sample, and which lanes of them */
-  int copy[CHUNK], last_copy;                           /* of level 1, for each slice: the one that holds there; the last of all */
+  /* of a level that is being updated: patches to sample, and which lanes of them */
+  uint sampled[AREA(1) / LANES];
+  /* of level 1, for each slice: the one that holds there; the last of all */
+  int copy[CHUNK], last_copy;
 #if WORKERS > 1
   int least, any; /* of a group's work-items */
 #endif
@@ -177,7 +188,8 @@ typedef struct {
 #endif
 } Source;
 
-INLINE float ray_spacing(const Source *in, int k) { return in->pyramid->ray_spacing + (float)k * in->pyramid->spacing_growth; }
+INLINE float ray_spacing(const Source *in,
+                         int k) { return in->pyramid->ray_spacing + (float)k * in->pyramid->spacing_growth; }
 
 /* How far along the ray samples may be on slice k, as a power of two of steps. */
 INLINE int slice_level(const Source *in, int k) { return min((int)popcount(~k & (k - 1)), in->pyramid->levels); }

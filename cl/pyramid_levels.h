@@ -16,24 +16,26 @@ INLINE floatN load_patch(SHARED const float *a, int side)
 }
 INLINE void store_patch(floatN v, SHARED float *a, int side)
 {
-  vstore4(v.s0123, 0, a), vstore4(v.s4567, 0, a + side), vstore4(v.s89ab, 0, a + 2 * side), vstore4(v.scdef, 0, a + 3 * side);
+  vstore4(v.s0123, 0, a), vstore4(v.s4567, 0, a + side), vstore4(v.s89ab, 0, a + 2 * side),
+      vstore4(v.scdef, 0, a + 3 * side);
 }
 #else
 INLINE floatN load_patch(SHARED const float *a, int side) { return a[0]; }
 INLINE void store_patch(floatN v, SHARED float *a, int side) { a[0] = v; }
 #endif
 
-/* Synthesis (P1 fig. 5 to 7) of the patch at (column, row) of a level, from the next one, whose rows are `side` apart. A pixel between
- * two others a quarter of their distance from the nearer one: that one has 3/4 of the weight along this axis. Weights count from the
- * nearer one, so equal values give exactly that value. Columns and rows count from the pixel around the tile; those of level 0, which
- * has none there, from one more (`from`). */
+/* Synthesis (Kraus et al. 2007, figs. 5 to 7) of the patch at (column, row) of a level, from the next one, whose rows
+ * are `side` apart. A pixel between two others a quarter of their distance from the nearer one: that one has 3/4 of
+ * the weight along this axis. Weights count from the nearer one, so equal values give exactly that value. Columns and
+ * rows count from the pixel around the tile; those of level 0, which has none there, from one more (`from`). */
 #if LANES == 16
 /* Of a patch of level 1 and above. */
 INLINE floatN synthesised(SHARED const float *up, int side, int column, int row)
 {
   const float16 c = load_patch(up + (row >> 1) * side + (column >> 1), side);
   const float16 x0 = c.s001144558899ccdd, x1 = c.s1122556699aaddee;
-  const float16 near_x = (float16)(0.25f, 0.75f, 0.25f, 0.75f, 0.25f, 0.75f, 0.25f, 0.75f, 0.25f, 0.75f, 0.25f, 0.75f, 0.25f, 0.75f,
+  const float16 near_x = (float16)(0.25f, 0.75f, 0.25f, 0.75f, 0.25f, 0.75f, 0.25f, 0.75f, 0.25f, 0.75f, 0.25f, 0.75f,
+                                   0.25f, 0.75f,
                                    0.25f, 0.75f);
   const float16 near_y = (float16)((float4)0.25f, (float4)0.75f, (float4)0.25f, (float4)0.75f);
   const float16 x = x0 + near_x * (x1 - x0);
@@ -45,7 +47,8 @@ INLINE floatN synthesised_pixels(SHARED const float *up, int side, int column, i
 {
   const float16 c = load_patch(up + (row >> 1) * side + (column >> 1), side);
   const float16 x0 = c.s01124556899acdde, x1 = c.s122356679aabdeef;
-  const float16 near_x = (float16)(0.75f, 0.25f, 0.75f, 0.25f, 0.75f, 0.25f, 0.75f, 0.25f, 0.75f, 0.25f, 0.75f, 0.25f, 0.75f, 0.25f,
+  const float16 near_x = (float16)(0.75f, 0.25f, 0.75f, 0.25f, 0.75f, 0.25f, 0.75f, 0.25f, 0.75f, 0.25f, 0.75f, 0.25f,
+                                   0.75f, 0.25f,
                                    0.75f, 0.25f);
   const float16 near_y = (float16)((float4)0.75f, (float4)0.25f, (float4)0.75f, (float4)0.25f);
   const float16 x = x0 + near_x * (x1 - x0);
@@ -66,7 +69,8 @@ INLINE floatN synthesised_pixels(SHARED const float *up, int side, int column, i
 }
 #endif
 
-/* Rays of all pixels of levels 1 to `levels`, of the tile whose first pixel is (left, top); none of them has a distance yet. */
+/* Rays of all pixels of levels 1 to `levels`, of the tile whose first pixel is (left, top); none of them has a
+ * distance yet. */
 INLINE void prepare_levels(__constant const View *view, SHARED Levels *m, int levels, int left, int top)
 {
   for (int level = 1, at = 0; level <= levels; at += side_of(level) * side_of(level), ++level) {
@@ -103,15 +107,18 @@ INLINE intN near_volume(const Source *in, floatN x, floatN y, floatN z, float sp
 {
   const float4 upper = in->view->upper, edges = in->pyramid->edges;
   const floatN zero = 0.0f;
-  const floatN ex = (x - lane_clamp(x, zero, (floatN)upper.x)) * edges.x, ey = (y - lane_clamp(y, zero, (floatN)upper.y)) * edges.y;
+  const floatN ex = (x - lane_clamp(x, zero, (floatN)upper.x)) * edges.x;
+  const floatN ey = (y - lane_clamp(y, zero, (floatN)upper.y)) * edges.y;
   const floatN ez = (z - lane_clamp(z, zero, (floatN)upper.z)) * edges.z;
-  /* Pixels made from this one are up to twice its spacing away along both axes; and they take part a period before and behind. */
+  /* Pixels made from this one are up to twice its spacing away along both axes; and they take part a period before and
+   * behind. */
   const float reach = 2.9f * spacing + (float)max(CHUNK, 1 << in->pyramid->levels) * in->view->step;
   return MASK(ex * ex + ey * ey + ez * ez <= reach * reach);
 }
 
 /* Where in its level's arrays a patch begins. */
-INLINE int patch_at(int patch, int patches, int side) { return patch / patches * PACKET_H * side + patch % patches * PACKET_W; }
+INLINE int patch_at(int patch, int patches,
+                    int side) { return patch / patches * PACKET_H * side + patch % patches * PACKET_W; }
 
 /* Places on slice `t` of a patch of a level. */
 INLINE void patch_places(SHARED const Levels *m, int level, int patch, float t, floatN *x, floatN *y, floatN *z)
@@ -127,7 +134,8 @@ INLINE void patch_places(SHARED const Levels *m, int level, int patch, float t, 
 INLINE float4 largest_in_row(SHARED const float *a, int column, int side)
 {
   const float4 here = vload4(0, a);
-  const float4 before = column > 0 ? vload4(0, a - 1) : here.s0012, behind = column + 4 < side ? vload4(0, a + 1) : here.s1233;
+  const float4 before = column > 0 ? vload4(0, a - 1) : here.s0012;
+  const float4 behind = column + 4 < side ? vload4(0, a + 1) : here.s1233;
   return fmax(fmax(before, behind), here);
 }
 INLINE floatN largest_around(SHARED const float *distances, int column, int row, int side)
@@ -145,14 +153,15 @@ INLINE floatN largest_around(SHARED const float *distances, int column, int row,
 {
   float largest = 0.0f;
   for (int y = max(row - 1, 0); y <= min(row + 1, side - 1); ++y)
-    for (int x = max(column - 1, 0); x <= min(column + 1, side - 1); ++x) largest = fmax(largest, distances[y * side + x]);
+    for (int x = max(column - 1, 0); x <= min(column + 1, side - 1); ++x) largest = fmax(largest,
+        distances[y * side + x]);
   return largest;
 }
 #endif
 
-/* The pixels of a level, out of those to be sampled, whose value is needed, once the oracle has been asked: all but those from which
- * nothing is synthesised now, since all pixels that would be are sampled, nor before they are sampled again: they are, whenever
- * their level takes part. */
+/* The pixels of a level, out of those to be sampled, whose value is needed, once the oracle has been asked: all but
+ * those from which nothing is synthesised now, since all pixels that would be are sampled, nor before they are sampled
+ * again: they are, whenever their level takes part. */
 INLINE intN needs_value(const Source *in, SHARED const float *distances, int level, int column, int row, int k)
 {
   const int side = side_of(level), most = in->pyramid->levels, more = in->pyramid->oversampling;
@@ -170,12 +179,14 @@ INLINE int next_patch(SHARED const Levels *m, int p, int all)
   return p;
 }
 
-/* One level on slice k; `up`: the next level, NULL for the highest that takes part. What does not take part goes over from `old` to
- * `now`. `changes`: whether any pixel may. `well_inside`: all rays of the tile that meet the volume are inside. First it is found
- * which pixels are to be sampled; then the oracle is asked; then, for those whose value is needed, the volume is, each patch fetched
- * while the one before is looked at. An oracle that needs to know the value is asked last. */
+/* One level on slice k; `up`: the next level, NULL for the highest that takes part. What does not take part goes over
+ * from `old` to `now`. `changes`: whether any pixel may. `well_inside`: all rays of the tile that meet the volume are
+ * inside. First it is found which pixels are to be sampled; then the oracle is asked; then, for those whose value is
+ * needed, the volume is, each patch fetched while the one before is looked at. An oracle that needs to know the value
+ * is asked last. */
 void update_level(const Source *in, SHARED Levels *m, int changes, int level, int k, int along, int well_inside,
-                  SHARED const float *old_distance, SHARED const float *old_value, SHARED float *distances, SHARED float *values,
+                  SHARED const float *old_distance, SHARED const float *old_value, SHARED float *distances,
+                      SHARED float *values,
                   SHARED const float *up_distance, SHARED const float *up_value, Tally *samples, Tally *counted)
 {
   const int side = side_of(level), side_up = side_of(level + 1), width = WIDTH(level), patches = side / PACKET_W;
@@ -188,7 +199,8 @@ void update_level(const Source *in, SHARED Levels *m, int changes, int level, in
   for (int p = WORKER; p < all; p += WORKERS) {
     const int row = p / patches * PACKET_H, column = p % patches * PACKET_W, at = row * side + column;
     floatN distance = load_patch(old_distance + at, side);
-    const intN inside = MASK(column + (LANE_INDEX & (PACKET_W - 1)) < width) & MASK(row + LANE_INDEX / PACKET_W < width);
+    const intN inside = MASK(column + (LANE_INDEX & (PACKET_W - 1)) < width) &
+        MASK(row + LANE_INDEX / PACKET_W < width);
     const intN takes_part = inside & MASK(distance < reach);
     intN sampled = takes_part;
     if (any_lane(takes_part)) {
@@ -262,7 +274,8 @@ void update_level(const Source *in, SHARED Levels *m, int changes, int level, in
       store_patch(value, values + at, side);
       count_lanes(samples, sampled);
 #if ORACLE_NEEDS_VALUE
-      const floatN distance = select(load_patch(distances + at, side), place_distance(in, &fetched, x, y, z, value, (floatN)1.0f), sampled);
+      const floatN distance = select(load_patch(distances + at, side),
+                                     place_distance(in, &fetched, x, y, z, value, (floatN)1.0f), sampled);
       store_patch(distance, distances + at, side);
       nearest = lane_min(nearest, select(never, distance, sampled));
       count_lanes(&counted[COUNT_ORACLE_SAMPLES], sampled);
@@ -277,9 +290,10 @@ void update_level(const Source *in, SHARED Levels *m, int changes, int level, in
   SYNCHRONISE();
 }
 
-/* All levels above 0 on slice k, the i-th of its chunk. Work-items that share a tile all come to the same barriers, whatever there is
- * to do: not all compilers get barriers under conditions right. */
-INLINE void update_levels(const Source *in, SHARED Levels *m, int k, int i, int is_awake, int well_inside, Tally *samples, Tally *counted)
+/* All levels above 0 on slice k, the i-th of its chunk. Work-items that share a tile all come to the same barriers,
+ * whatever there is to do: not all compilers get barriers under conditions right. */
+INLINE void update_levels(const Source *in, SHARED Levels *m, int k, int i, int is_awake, int well_inside,
+                          Tally *samples, Tally *counted)
 {
   const int along = slice_level(in, k), top = along + in->pyramid->oversampling, copy = m->last_copy;
   int changes = 0;
@@ -289,7 +303,8 @@ INLINE void update_levels(const Source *in, SHARED Levels *m, int k, int i, int 
     const int at = offset_of(level), up = offset_of(level + 1), synthesises = level < top, is_first = level == 1;
     update_level(in, m, changes_here, level, k, along, well_inside, is_first ? m->distance1[copy] : m->distance + at,
                  is_first ? m->value1[copy] : m->value + at, is_first ? m->distance1[i] : m->distance + at,
-                 is_first ? m->value1[i] : m->value + at, synthesises ? m->distance + up : 0, synthesises ? m->value + up : 0, samples, counted);
+                 is_first ? m->value1[i] : m->value + at, synthesises ? m->distance + up : 0,
+                     synthesises ? m->value + up : 0, samples, counted);
     if (is_first) changes = changes_here;
   }
   if (WORKER == 0) {

@@ -1,5 +1,5 @@
-/* Level 0 of a tile, the picture's pixels: a packet of them through the slices of a chunk at once, its state in registers
- * (cl/pyramid.h). */
+/* Level 0 of a tile, the picture's pixels: a packet of them through the slices of a chunk at once, its state in
+ * registers (cl/pyramid.h). */
 #ifndef PYRAMID_PIXELS_H
 #define PYRAMID_PIXELS_H
 
@@ -17,7 +17,8 @@ typedef struct {
   float x0[LANES], y0[LANES], z0[LANES], dx[LANES], dy[LANES], dz[LANES]; /* rays by slices */
   float enter[LANES], leave[LANES];
   float distance[LANES];                                                  /* wanted when it was last looked */
-  float value1[LANES], value2[LANES], t1[LANES], t2[LANES];               /* the last sample and the one before, and their slices */
+  /* the last sample and the one before, and their slices */
+  float value1[LANES], value2[LANES], t1[LANES], t2[LANES];
   int first[LANES], second[LANES];                                        /* no sample yet, or only one */
   int alive[LANES];
   float rgba[4 * LANES], opacity[LANES];
@@ -61,9 +62,10 @@ INLINE int restart_packet(PixelPacket *p, int k)
   return any_lane(alive);
 }
 
-/* Slices `base` to `base` + `slices` - 1 of the packet at (column, row) of the tile. Returns whether any ray goes on. `inside`: all of its
- * rays are inside the volume on all of these slices. */
-INLINE int march_slices(const Source *in, SHARED const Levels *m, PixelPacket *p, int column, int row, int base, int slices, int inside,
+/* Slices `base` to `base` + `slices` - 1 of the packet at (column, row) of the tile. Returns whether any ray goes on.
+ * `inside`: all of its rays are inside the volume on all of these slices. */
+INLINE int march_slices(const Source *in, SHARED const Levels *m, PixelPacket *p, int column, int row, int base,
+                        int slices, int inside,
                         __global const float *table, Tally *samples, Tally *counted)
 {
   __constant const View *view = in->view;
@@ -79,8 +81,8 @@ INLINE int march_slices(const Source *in, SHARED const Levels *m, PixelPacket *p
   const float h = view->step;
   Gathered acc;
   int shows = 0; /* whether `acc` is needed */
-  /* A packet that was sampled on the last slice mostly is on the next ones: all of them are fetched at once, since a fetch from beyond the
-   * first caches takes longer than all else about a sample. */
+  /* A packet that was sampled on the last slice mostly is on the next ones: all of them are fetched at once, since a
+   * fetch from beyond the first caches takes longer than all else about a sample. */
   FetchedPlace ahead[CHUNK];
   const int dense_lanes = popcount(lane_bits(alive & MASK(distance < 2.0f * h)));
   const int is_dense = FETCHES_EARLY && inside && slices == CHUNK && 2 * dense_lanes >= (int)popcount(lane_bits(alive));
@@ -129,9 +131,11 @@ INLINE int march_slices(const Source *in, SHARED const Levels *m, PixelPacket *p
     if (!inside) closes &= MASK(length > 0.0f);
     const intN curved = closes & ~second;
     count_lanes(&counted[COUNT_ACCUMULATIONS], closes);
-    /* The segment's ends stay between the samples that it depends on: where all of these show nothing, no more is to be done. */
+    /* The segment's ends stay between the samples that it depends on: where all of these show nothing, no more is to
+     * be done. */
     floatN low = lane_min(value1, value), high = lane_max(value1, value);
-    low = select(low, lane_min(value2, low), curved), high = select(high, lane_max(value2, high), curved); /* not those of a hole */
+    /* not those of a hole */
+    low = select(low, lane_min(value2, low), curved), high = select(high, lane_max(value2, high), curved);
     if (any_lane(closes & MASK(high > in->pyramid->gate_low) & MASK(low < in->pyramid->gate_high))) {
       const floatN long_ = select(one, length, closes);
       floatN front = value1, back = value;
@@ -172,7 +176,8 @@ int march_packet(const Source *in, SHARED const Levels *m, PixelPacket *p, int c
   const intN alive = LOAD_LANES(p->alive);
   if (!any_lane(alive)) return 0;
   /* On the last slice nothing may end: that is what the other way is for. */
-  const intN cut = alive & (MASK(LOAD_LANES(p->enter) > (float)base) | MASK(LOAD_LANES(p->leave) <= (float)(base + CHUNK)));
+  const intN cut = alive & (MASK(LOAD_LANES(p->enter) > (float)base) |
+                            MASK(LOAD_LANES(p->leave) <= (float)(base + CHUNK)));
   if (!any_lane(cut)) return march_inside(in, m, p, column, row, base, slices, table, samples, counted);
   return march_slices(in, m, p, column, row, base, slices, 0, table, samples, counted);
 }

@@ -27,7 +27,8 @@ INLINE floatN place_value(const Source *in, const FetchedPlace *f)
 
 #else
 
-/* A place is fetched, its value and what the oracle's map says, and then looked at: there may be other work to do while memory answers. */
+/* A place is fetched, its value and what the oracle's map says, and then looked at: there may be other work to do
+ * while memory answers. */
 typedef struct {
   FetchedSample sample;
   intN byte;
@@ -56,7 +57,8 @@ INLINE floatN asked_distance(const Source *in, floatN x, floatN y, floatN z, flo
   const floatN mapped = ORACLE_HAS_MAP ? byte_distance(byte) : (floatN)0.0f;
   return lane_min(oracle_distance(in, x, y, z, value, mapped, left), (floatN)LONGEST);
 }
-INLINE floatN place_distance(const Source *in, const FetchedPlace *f, floatN x, floatN y, floatN z, floatN value, floatN left)
+INLINE floatN place_distance(const Source *in, const FetchedPlace *f, floatN x, floatN y, floatN z, floatN value,
+                             floatN left)
 {
   return asked_distance(in, x, y, z, value, f->byte, left);
 }

@@ -1,5 +1,6 @@
-/* Rays by slices: a place is origin + k * way, k the slice. Slice k is k steps behind the shell around the eye that touches the view's
- * reference plane (view.h), or behind that plane itself; so an eye that is far away costs float32 no digits, near the view's axis.
+/* Rays by slices: a place is origin + k * way, k the slice. Slice k is k steps behind the shell around the eye that
+ * touches the view's reference plane (view.h), or behind that plane itself; so an eye that is far away costs float32
+ * no digits, near the view's axis.
  */
 #ifndef PYRAMID_RAYS_H
 #define PYRAMID_RAYS_H
@@ -11,12 +12,13 @@
 
 typedef struct {
   floatN x0, y0, z0;   /* lattice place at slice 0 */
-  floatN dx, dy, dz;   /* way a slice */
+  floatN dx, dy, dz;   /* way per slice */
   floatN enter, leave; /* slices at which the ray meets the volume's hull */
   intN hits;
 } SliceRays;
 
-/* Through the picture at (column, row), in pixels, which need not be whole or inside. `clipped`: with enter, leave and hits. */
+/* Through the picture at (column, row), in pixels, which need not be whole or inside. `clipped`: with enter, leave and
+ * hits. */
 INLINE SliceRays slice_rays(__constant const View *view, floatN column, floatN row, int clipped)
 {
   SliceRays r;
@@ -40,12 +42,13 @@ INLINE SliceRays slice_rays(__constant const View *view, floatN column, floatN r
     clip_to_slab(py, dy, view->upper.y, &enter, &leave);
     clip_to_slab(pz, dz, view->upper.z, &enter, &leave);
     r.hits = MASK(leave > enter);
-    r.enter = select((floatN)0.0f, (enter - back) / h, r.hits), r.leave = select((floatN)0.0f, (leave - back) / h, r.hits);
+    r.enter = select((floatN)0.0f, (enter - back) / h, r.hits),
+        r.leave = select((floatN)0.0f, (leave - back) / h, r.hits);
   }
   return r;
 }
 
-/* Cuts rays by what clips keep: halves of space, so that one stretch is left at most. */
+/* Cuts rays by what clips keep: half-spaces, so that one stretch is left at most. */
 INLINE void clip_to_halves(SliceRays *r, __constant const Pyramid *pyramid)
 {
   for (int j = 0; j < pyramid->half_count; ++j) {

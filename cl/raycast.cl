@@ -1,12 +1,13 @@
-/* The ray caster: a ray for every pixel. A work-item renders one tile of pixels, a packet of rays at a time (render_packet.h).
+/* The ray caster: a ray for every pixel. A work-item renders one tile of pixels, a packet of rays at a time
+ * (render_packet.h).
  *
- * Switches (-D): LANES, VOXEL_BITS, VOXEL_SIGNED, VOXEL_SCALED, VOXEL_PAIRS, VOXEL_HOLES, FILTER, CLASSIFICATION, QUADRATURE,
- * TRANSFER_PIECES, SKIP_EMPTY, WITH_DEPTH.
+ * Switches (-D): LANES, VOXEL_BITS, VOXEL_SIGNED, VOXEL_SCALED, VOXEL_PAIRS, VOXEL_HOLES, FILTER, CLASSIFICATION,
+ * QUADRATURE, TRANSFER_PIECES, SKIP_EMPTY, WITH_DEPTH.
  */
 #include "render_packet.h"
 
-/* TILES_CHOSEN: this launch renders only the tiles that are marked in `chosen`, uchar [tiles]; another launch renders the others,
- * without some effect. */
+/* TILES_CHOSEN: this launch renders only the tiles that are marked in `chosen`, uchar [tiles]; another launch renders
+ * the others, without some effect. */
 #if TILES_CHOSEN
 #define CHOSEN_PARAMETER , __global const uchar *restrict chosen
 #define RETURN_UNLESS_CHOSEN(tile) \
@@ -21,7 +22,8 @@
 
 /* The scene's arguments are described in scene.h.
  * image      float4 [height, width], premultiplied, linear
- * depths     float [height, width], world distance along the ray from the eye to where opacity reaches one half, else infinity
+ * depths     float [height, width], world distance along the ray from the eye to where opacity reaches one half, else
+ *            infinity
  * samples    uint [tiles], reconstructions of the volume
  */
 __kernel WIDE_VECTORS void raycast(SCENE_PARAMETERS, __global float4 *restrict image, __global float *restrict depths,
@@ -62,9 +64,10 @@ __kernel WIDE_VECTORS void raycast(SCENE_PARAMETERS, __global float4 *restrict i
 }
 
 #if EFFECTS
-REPORT_FIELDS(VIEW_FIELDS, EFFECTS_FIELDS)
+#define REPORTED_FIELDS VIEW_FIELDS, EFFECTS_FIELDS
 #elif BLOCKS
-REPORT_FIELDS(VIEW_FIELDS, BLOCKS_FIELDS)
+#define REPORTED_FIELDS VIEW_FIELDS, BLOCKS_FIELDS
 #else
-REPORT_FIELDS(VIEW_FIELDS)
+#define REPORTED_FIELDS VIEW_FIELDS
 #endif
+REPORT_FIELDS

@@ -10,7 +10,7 @@
 
 typedef struct {
   floatN x0, y0, z0;   /* lattice point of entry */
-  floatN dx, dy, dz;   /* lattice units a step */
+  floatN dx, dy, dz;   /* lattice units per step */
   floatN rx, ry, rz;   /* their inverses, finite */
   floatN px, py, pz;   /* infinite along an axis that the ray does not move on, else 0: no face is met there */
   floatN length;       /* from entry to exit, in steps; below 0: the ray misses */

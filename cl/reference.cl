@@ -1,6 +1,6 @@
 /* The exact integral that judges every other method: no step size.
  *
- * One work-item a ray, in double precision. The ray is walked from cell to cell; inside a cell the
+ * One work-item per ray, in double precision. The ray is walked from cell to cell; inside a cell the
  * trilinear field along it is a cubic (reference_field.h), which is split where it crosses control
  * points of the transfer function and integrated to a tolerance (reference_integrate.h). Under the
  * nearest filter the cells are the voxels' own and the field is constant in each; under the cubic

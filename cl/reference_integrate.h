@@ -19,6 +19,10 @@
 #ifndef REFERENCE_INTEGRATE_H
 #define REFERENCE_INTEGRATE_H
 
+#include "reference_field.h"
+#include "reference_rules.h"
+#include "reference_transfer.h"
+
 #define REFERENCE_MAX_DEPTH 64
 #define REFERENCE_MAX_SPLITS 200000u /* bisections a ray: the bound on its work */
 #define REFERENCE_LN2 0.693147180559945309

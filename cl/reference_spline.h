@@ -5,13 +5,15 @@
  * nearest voxel counts. In a cell 4^3 coefficients are used. The polar form (blossom) of the spline
  * at the ends of a segment gives the Bernstein coefficients P_ijk of its box, and the segment is
  * that box's diagonal: coefficient m of the field along it is the mean of the P_ijk with i + j + k = m,
- * weighted by binomials (3 i)(3 j)(3 k) / (9 m). (Ramshaw 1989, "Blossoms are polar forms".) Only
+ * weighted by binomials (3 i)(3 j)(3 k) / (9 m). (Ramshaw 1989.) Only
  * interpolations between neighbours occur, so a constant field stays exactly constant.
  *
  * Everything else is done on Bernstein coefficients too: at degree 9 powers would cost digits.
  */
 #ifndef REFERENCE_SPLINE_H
 #define REFERENCE_SPLINE_H
+
+#include "reference_volume.h"
 
 #define REFERENCE_TAPS 64  /* voxels that a cell uses */
 #define REFERENCE_DEGREE 9 /* of the field along a ray in a cell */

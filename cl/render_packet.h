@@ -4,8 +4,8 @@
  *
  * for the rays through the pixels (px, py), a packet of LANES; a lane outside the picture has no ray.
  * rgba     float [LANES, 4]: premultiplied, linear
- * depth    float [LANES]: world distance along the ray from the eye to where opacity reaches one half, else infinity; written only
- *          where WITH_DEPTH is set
+ * depth    float [LANES]: world distance along the ray from the eye to where opacity reaches one half, else infinity;
+ *          written only where WITH_DEPTH is set
  * samples  uint [LANES]: reconstructions of the volume
  * counted  SCENE_COUNTERS tallies (scene.h)
  *

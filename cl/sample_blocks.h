@@ -1,5 +1,5 @@
-/* Samples of a volume of blocks one packet at a time, for marches that do not take them in runs (the method "pyramid"; runs:
- * march_blocks.h). */
+/* Samples of a volume of blocks one packet at a time, for marches that do not take them in runs (the method "pyramid";
+ * runs: march_blocks.h). */
 #ifndef SAMPLE_BLOCKS_H
 #define SAMPLE_BLOCKS_H
 
@@ -9,7 +9,8 @@
 
 #if INTERBLOCK && LANES > 1
 /* As blend_blocks() for one lane: the lanes `between` blocks, whose own block `r` gives `value`. */
-INLINE floatN blend_lanes(const BlockVolume *v, const Record *r, floatN px, floatN py, floatN pz, floatN value, intN between, Tally *tally)
+INLINE floatN blend_lanes(const BlockVolume *v, const Record *r, floatN px, floatN py, floatN pz, floatN value,
+                          intN between, Tally *tally)
 {
   const Around a = blocks_around(v, r->x, r->y, r->z, px, py, pz, between);
   const int4 count = v->blocks->count;
@@ -38,7 +39,8 @@ INLINE floatN blocks_value(const BlockVolume *v, floatN x, floatN y, floatN z, i
 {
   const float4 upper = v->view->upper;
   const floatN half_ = 0.5f;
-  const floatN px = half_ + lane_clamp(x, (floatN)0.0f, (floatN)upper.x), py = half_ + lane_clamp(y, (floatN)0.0f, (floatN)upper.y);
+  const floatN px = half_ + lane_clamp(x, (floatN)0.0f, (floatN)upper.x);
+  const floatN py = half_ + lane_clamp(y, (floatN)0.0f, (floatN)upper.y);
   const floatN pz = half_ + lane_clamp(z, (floatN)0.0f, (floatN)upper.z);
   const Record r = record_at(v, px, py, pz);
   const BlockPlace p = place_in_block(v, &r, px, py, pz);

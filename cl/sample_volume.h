@@ -1,7 +1,7 @@
 /* The reconstruction filters: fetch_sample() for lattice points (clamped to the domain), then its value.
  *
- * To add a filter: its two functions, a value of FILTER in features.h, and a few lines in the selector below: FETCH_AHEAD where
- * what is fetched is small enough to be held for two steps.
+ * To add a filter: its two functions, a value of FILTER in features.h, and a few lines in the selector below:
+ * FETCH_AHEAD where what is fetched is small enough to be held for two steps.
  */
 #ifndef SAMPLE_VOLUME_H
 #define SAMPLE_VOLUME_H
@@ -16,8 +16,8 @@
 /* The lower corner of the lattice cell that holds a coordinate: 0 .. size - 2, also at the upper face. */
 INLINE intN cell_index(floatN x, int size) { return min(TO_INT(x), (intN)(size - 2)); }
 
-/* a + f (b - a), so that a constant cell gives exactly its constant. VOXEL_HOLES: some voxel is not finite, and what has
- * weight 0 must not count, since 0 times it is not 0. */
+/* a + f (b - a), so that a constant cell gives exactly its constant. VOXEL_HOLES: some voxel is not finite, and what
+ * has weight 0 must not count, since 0 times it is not 0. */
 INLINE floatN mix_corners(floatN a, floatN b, floatN f)
 {
   const floatN mixed = a + f * (b - a);
@@ -28,9 +28,9 @@ INLINE floatN mix_corners(floatN a, floatN b, floatN f)
 #endif
 }
 
-/* Four voxels in a row, index - 1 ... index + 2, with weights w0 ... w3, in the two blocks of two that fetch_voxel.h fetches.
- * Beyond the volume its outermost voxels count: there (`first`, `last`) a block moves inwards and its two weights fall on
- * the one voxel. */
+/* Four voxels in a row, index - 1 ... index + 2, with weights w0 ... w3, in the two blocks of two that fetch_voxel.h
+ * fetches. Beyond the volume its outermost voxels count: there (`first`, `last`) a block moves inwards and its two
+ * weights fall on the one voxel. */
 typedef struct {
   intN low, high;        /* where the two blocks begin */
   floatN w0, w1, w2, w3; /* of their voxels */
@@ -46,8 +46,8 @@ INLINE SplineAxis axis_in_blocks(intN index, intN first, intN last, floatN w0, f
   return a;
 }
 
-/* A weighted mean counted from the first voxel that has weight: equal values give exactly that value, and what has weight 0 does
- * not count even if it is not finite. Where weights add up to 0, `sum` alone is what they give. */
+/* A weighted mean counted from the first voxel that has weight: equal values give exactly that value, and what has
+ * weight 0 does not count even if it is not finite. Where weights add up to 0, `sum` alone is what they give. */
 typedef struct {
   floatN base, sum;
   intN begun;
@@ -75,7 +75,8 @@ typedef struct {
   floatN fx, fy, fz; /* place inside the lattice cell, 0 .. 1 */
 } FetchedSample;
 
-INLINE FetchedSample fetch_linear(__global const uchar *volume, __constant const View *view, floatN x, floatN y, floatN z)
+INLINE FetchedSample fetch_linear(__global const uchar *volume, __constant const View *view, floatN x, floatN y,
+                                  floatN z)
 {
   FetchedSample s;
   x = lane_clamp(x, (floatN)0.0f, (floatN)view->upper.x);
@@ -96,7 +97,8 @@ INLINE floatN linear_value(FetchedSample s, __constant const View *view)
 }
 
 /* Nearest voxel centre; halves round up. The fetched cell is the one that has it as a corner. */
-INLINE FetchedSample fetch_nearest(__global const uchar *volume, __constant const View *view, floatN x, floatN y, floatN z)
+INLINE FetchedSample fetch_nearest(__global const uchar *volume, __constant const View *view, floatN x, floatN y,
+                                   floatN z)
 {
   FetchedSample s;
   const intN nx = TO_INT(lane_clamp(x + 0.5f, (floatN)0.0f, (floatN)view->upper.x));
@@ -120,13 +122,15 @@ INLINE floatN nearest_value(FetchedSample s, __constant const View *view)
 
 #else
 
-/* Filters of 64 voxels a sample, in the eight blocks of 2^3 that fetch_voxel.h fetches. (Sigg and Hadwiger, GPU Gems 2 ch. 20,
- * read the same blocks of the B-spline by a sampler's trilinear look-ups, whose places take six divisions. Without a sampler
- * the plain weights do.)
+/* Filters of 64 voxels per sample, in the eight blocks of 2^3 that fetch_voxel.h fetches. (Sigg and Hadwiger, GPU Gems
+ * 2 ch. 20, read the same blocks of the B-spline by a sampler's trilinear look-ups, whose places take six divisions.
+ * Without a sampler the plain weights do.)
  *
- * cubic        the voxels are the coefficients of a uniform cubic B-spline (no prefilter here: clvol/device/prefilter.py)
- * catmull-rom  Catmull and Rom 1974: the piecewise cubic through the voxels with central differences as its slopes there;
- *              overshoots, since its outer weights are negative: clvol/features.py has by how much
+ * cubic        the voxels are the coefficients of a uniform cubic B-spline (no prefilter here:
+ *              clvol/device/prefilter.py)
+ * catmull-rom  Catmull and Rom 1974: the piecewise cubic through the voxels with central differences as its slopes
+ *              there; overshoots, since its outer weights are negative: overshoot() of clvol/features/vocabulary.py
+ *              has by how much
  */
 typedef struct {
   __global const uchar *volume;
@@ -134,14 +138,16 @@ typedef struct {
 } FetchedSample;
 
 #if FILTER == FILTER_CUBIC
-/* A block also moves where its outer voxel has no weight (u = 0 or 1), so that what it holds (NaN, say) does not matter. */
+/* A block also moves where its outer voxel has no weight (u = 0 or 1), so that what it holds (NaN, say) does not
+ * matter. */
 INLINE SplineAxis spline_axis(floatN x, int size)
 {
   const intN index = cell_index(x, size);
   const floatN u = x - TO_FLOAT(index), v = 1.0f - u;
   const floatN w0 = v * v * v * (1.0f / 6.0f), w3 = u * u * u * (1.0f / 6.0f);
   const floatN w1 = 2.0f / 3.0f - u * u * (1.0f - 0.5f * u), w2 = 2.0f / 3.0f - v * v * (1.0f - 0.5f * v);
-  return axis_in_blocks(index, MASK(index == 0) | MASK(w0 == 0.0f), MASK(index == size - 2) | MASK(w3 == 0.0f), w0, w1, w2, w3);
+  return axis_in_blocks(index, MASK(index == 0) | MASK(w0 == 0.0f), MASK(index == size - 2) | MASK(w3 == 0.0f), w0,
+                        w1, w2, w3);
 }
 #define LOOSE_WEIGHTS 0 /* the second voxel of a row always has weight */
 #else
@@ -156,7 +162,8 @@ INLINE SplineAxis spline_axis(floatN x, int size)
 #define LOOSE_WEIGHTS VOXEL_HOLES
 #endif
 
-INLINE FetchedSample fetch_cubic(__global const uchar *volume, __constant const View *view, floatN x, floatN y, floatN z)
+INLINE FetchedSample fetch_cubic(__global const uchar *volume, __constant const View *view, floatN x, floatN y,
+                                 floatN z)
 {
   FetchedSample s;
   s.volume = volume;
@@ -166,9 +173,9 @@ INLINE FetchedSample fetch_cubic(__global const uchar *volume, __constant const 
   return s;
 }
 
-/* The weighted mean of four, counted from the second: equal values give exactly that value, and since of the B-spline the others
- * never have more than 5/6 of the weight, rounding never takes its mean beyond the largest or the smallest value. Leaping relies
- * on that. */
+/* The weighted mean of four, counted from the second: equal values give exactly that value, and since of the B-spline
+ * the others never have more than 5/6 of the weight, rounding never takes its mean beyond the largest or the smallest
+ * value. Leaping relies on that. */
 INLINE floatN spline_mean(floatN p0, floatN p1, floatN p2, floatN p3, SplineAxis a)
 {
 #if LOOSE_WEIGHTS
@@ -190,14 +197,17 @@ INLINE floatN cubic_value(FetchedSample s, __constant const View *view)
     const floatN wz0 = behind ? s.z.w2 : s.z.w0, wz1 = behind ? s.z.w3 : s.z.w1;
     const Corners a = decode_corners(fetch_corners(s.volume, view, s.x.low, y, z), view);
     const Corners b = decode_corners(fetch_corners(s.volume, view, s.x.high, y, z), view);
-    const floatN v00 = spline_mean(a.v000, a.v100, b.v000, b.v100, s.x), v10 = spline_mean(a.v010, a.v110, b.v010, b.v110, s.x);
-    const floatN v01 = spline_mean(a.v001, a.v101, b.v001, b.v101, s.x), v11 = spline_mean(a.v011, a.v111, b.v011, b.v111, s.x);
+    const floatN v00 = spline_mean(a.v000, a.v100, b.v000, b.v100, s.x);
+    const floatN v10 = spline_mean(a.v010, a.v110, b.v010, b.v110, s.x);
+    const floatN v01 = spline_mean(a.v001, a.v101, b.v001, b.v101, s.x);
+    const floatN v11 = spline_mean(a.v011, a.v111, b.v011, b.v111, s.x);
 #if LOOSE_WEIGHTS
     add_weighted(&all, wz0 * wy0, v00), add_weighted(&all, wz0 * wy1, v10);
     add_weighted(&all, wz1 * wy0, v01), add_weighted(&all, wz1 * wy1, v11);
 #else
     if (block == 0) all.base = v11;
-    all.sum += wz0 * (wy0 * (v00 - all.base) + wy1 * (v10 - all.base)) + wz1 * (wy0 * (v01 - all.base) + wy1 * (v11 - all.base));
+    all.sum += wz0 * (wy0 * (v00 - all.base) + wy1 * (v10 - all.base)) + wz1 *
+        (wy0 * (v01 - all.base) + wy1 * (v11 - all.base));
 #endif
   }
   return all.base + all.sum;
@@ -222,12 +232,14 @@ INLINE floatN cubic_value(FetchedSample s, __constant const View *view)
 #endif
 
 #if SAMPLE_REPEATS
-/* For benches alone: a sample as dear as one from a compact representation, whose every look-up waits for the one before. Values stay
- * the same (view->zero is 0). */
-INLINE FetchedSample fetch_repeated(__global const uchar *volume, __constant const View *view, floatN x, floatN y, floatN z)
+/* For measurements alone: a sample as expensive as one from a compressed representation, where each look-up waits for
+ * the one before. Values stay the same (view->zero is 0). */
+INLINE FetchedSample fetch_repeated(__global const uchar *volume, __constant const View *view, floatN x, floatN y,
+                                    floatN z)
 {
   FetchedSample s = fetch_sample(volume, view, x, y, z);
-  _Pragma("unroll 1") for (int k = 0; k < SAMPLE_REPEATS; ++k) s = fetch_sample(volume, view, x + view->zero * sample_value(s, view), y, z);
+  _Pragma("unroll 1") for (int k = 0; k < SAMPLE_REPEATS; ++k)
+    s = fetch_sample(volume, view, x + view->zero * sample_value(s, view), y, z);
   return s;
 }
 #undef fetch_sample

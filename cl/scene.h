@@ -1,11 +1,13 @@
 /* All that a kernel may read of its scene, as one struct: the volume, its transfer function and what the variant adds,
  * EFFECTS (effects.h) or BLOCKS (block_parameters.h). Functions about the scene take `const Scene *`.
  *
- *   SCENE_PARAMETERS   the parameters of a kernel that the struct is made of; clvol/device/arguments.py declares the same
+ *   SCENE_PARAMETERS   the parameters of a kernel that the struct is made of; clvol/device/arguments.py declares the
+ *                      same
  *   SCENE              their names as an initialiser: const Scene scene = SCENE;
  *   COUNTS_PARAMETER   the last parameter of a kernel that counts what the variant does, or nothing
  *
- * volume     voxels in their own type, laid out as fetch_voxel.h says; of a volume of blocks, the first buffer of samples
+ * volume     voxels in their own type, laid out as fetch_voxel.h says; of a volume of blocks, the first buffer of
+ *            samples
  * table      pieces of the transfer function (transfer_pieces.h)
  * distances  uchar per cell of empty space (skip_empty.h); read only where SKIP_EMPTY is set
  * counts     uint [tiles, SCENE_COUNTERS]

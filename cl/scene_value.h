@@ -8,8 +8,8 @@
 #include "sample_volume.h"
 #include "scene.h"
 
-/* The value at a lattice point. Both kinds of noise are taken there; a place that is moved out of the domain is taken back to its
- * face. */
+/* The value at a lattice point. Both kinds of noise are taken there; a place that is moved out of the domain is taken
+ * back to its face. */
 INLINE floatN scene_value(const Scene *scene, floatN x, floatN y, floatN z)
 {
 #if NOISE
@@ -32,8 +32,8 @@ INLINE floatN scene_value(const Scene *scene, floatN x, floatN y, floatN z)
 #if GRADIENT
 #include "gradient.h"
 
-/* Its gradient, per edge along the local axes. With noise: differences of values over a smallest edge along the lattice axes,
- * one-sided at the volume's faces. */
+/* Its gradient, per edge along the local axes. With noise: differences of values over a smallest edge along the
+ * lattice axes, one-sided at the volume's faces. */
 INLINE Vectors scene_gradient(const Scene *scene, floatN x, floatN y, floatN z)
 {
 #if NOISE
@@ -42,7 +42,8 @@ INLINE Vectors scene_gradient(const Scene *scene, floatN x, floatN y, floatN z)
   floatN slope[3] = {0.0f, 0.0f, 0.0f}, before = 0.0f;
   _Pragma("unroll 1") for (int k = 0; k < 6; ++k) {
     const float side = k & 1 ? 1.0f : -1.0f;
-    const float sx = k < 2 ? side * reach.x : 0.0f, sy = k >> 1 == 1 ? side * reach.y : 0.0f, sz = k > 3 ? side * reach.z : 0.0f;
+    const float sx = k < 2 ? side * reach.x : 0.0f, sy = k >> 1 == 1 ? side * reach.y : 0.0f;
+    const float sz = k > 3 ? side * reach.z : 0.0f;
     const floatN ax = lane_clamp(x + sx, zero, (floatN)scene->view->upper.x);
     const floatN ay = lane_clamp(y + sy, zero, (floatN)scene->view->upper.y);
     const floatN az = lane_clamp(z + sz, zero, (floatN)scene->view->upper.z);

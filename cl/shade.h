@@ -1,10 +1,11 @@
-/* Light on samples and surfaces: Blinn's variant of Phong's model (Blinn 1977; P4 sec. 9), any number of lights.
+/* Light on samples and surfaces: Blinn's variant of Phong's model (Blinn 1977; Engel and Ertl 2002, section 9), any
+ * number of lights.
  *
  *   lit = c (ambient + diffuse sum I max(N.L, 0)) + specular sum I max(N.H, 0)^shininess,   N = -gradient / |gradient|
  *
- * Lights are two items each: direction to the light (directional) or place (point), and in w its kind; colour times intensity,
- * and in w its number in the light volume, or -1. A headlight shines from the eye, so that L is V for every ray.
- * Where the gradient has no direction nothing is shaded: c stays as it is.
+ * Lights are two items each: direction to the light (directional) or place (point), and in w its kind; colour times
+ * intensity, and in w its number in the light volume, or -1. A headlight shines from the eye, so that L is V for every
+ * ray. Where the gradient has no direction nothing is shaded: c stays as it is.
  */
 #ifndef SHADE_H
 #define SHADE_H
@@ -35,7 +36,8 @@ typedef struct {
 
 /* place: lattice; normal, view (to the eye): local, of unit length; weight: what the sample counts for at most, and
  * whether it is on a surface: for shadows. */
-INLINE Illumination illuminate(const Scene *scene, Vectors place, Vectors normal, Vectors view, floatN weight, int on_surface,
+INLINE Illumination illuminate(const Scene *scene, Vectors place, Vectors normal, Vectors view, floatN weight,
+                               int on_surface,
                                intN active, Tally *counted)
 {
   __constant const Effects *e = scene->effects;
@@ -84,12 +86,14 @@ INLINE Illumination illuminate(const Scene *scene, Vectors place, Vectors normal
 #endif
 #if ENVIRONMENT
   Vectors from_all;
-  environment_look_up(scene->environment + e->diffuse_map, e->diffuse_map_size, normal.x, normal.y, normal.z, &from_all.x, &from_all.y,
+  environment_look_up(scene->environment + e->diffuse_map, e->diffuse_map_size, normal.x, normal.y, normal.z,
+                      &from_all.x, &from_all.y,
                       &from_all.z);
   lit.diffuse = sum3(lit.diffuse, scaled3(from_all, e->diffuse));
 #if SPECULAR
   const floatN twice = 2.0f * facing;
-  environment_look_up(scene->environment + e->specular_map, e->specular_map_size, twice * normal.x - view.x, twice * normal.y - view.y,
+  environment_look_up(scene->environment + e->specular_map, e->specular_map_size, twice * normal.x - view.x,
+                      twice * normal.y - view.y,
                       twice * normal.z - view.z, &from_all.x, &from_all.y, &from_all.z);
   lit.specular = sum3(lit.specular, scaled3(from_all, e->specular));
 #endif
@@ -98,7 +102,8 @@ INLINE Illumination illuminate(const Scene *scene, Vectors place, Vectors normal
 }
 
 /* c (times `depth`) lit, where there is a normal; fading to the unlit colour where the gradient is short. */
-INLINE Vectors shaded_color(const Scene *scene, Vectors color, floatN depth, Vectors place, Vectors normal, Vectors gradient,
+INLINE Vectors shaded_color(const Scene *scene, Vectors color, floatN depth, Vectors place, Vectors normal,
+                            Vectors gradient,
                             Vectors view, floatN weight, int on_surface, intN active, Tally *counted)
 {
   if (!any_lane(active)) return color;

@@ -1,26 +1,27 @@
 /* Shadows: the share of a light that arrives at a place, through the translucent volume and the iso-surfaces before it.
  *
- * T = exp(-D), D the optical depth along the straight line to the light: as far as the volume's domain or, if it is nearer, a point
- * light. D is integrated as by the eye's rays: over steps of shadow.step edges from the place on, the last one shorter, under
- * the scene's classification and filter, chords shifted by the curvature and so on. A surface adds -log(1 - opacity) where the
- * ray meets it, as the eye's rays do; none is shaded, so that there is no recursion. What is clipped away casts no shadow. The
- * march ends where D is beyond shadow.w: T is below 1e-3 there.
+ * T = exp(-D), D the optical depth along the straight line to the light: as far as the volume's domain or, if it is
+ * nearer, a point light. D is integrated as by the eye's rays: over steps of shadow_step edges from the place on, the
+ * last one shorter, under the scene's classification and filter, chords shifted by the curvature and so on. A surface
+ * adds -log(1 - opacity) where the ray meets it, as the eye's rays do; none is shaded, so that there is no recursion.
+ * What is clipped away casts no shadow. The march ends where D is beyond shadow_depth: T is below 1e-3 there.
  *
- * A shadow ray starts in the very surface that it lights: on which side of it the ray runs is told by the value SURFACE_OFFSET
- * edges along it, not by that at its start, which is the iso-value but for rounding. 0.1 edges stay below all that the voxels
- * resolve, and are 1e-4 edges above the surface where the light grazes it at N.L = 1e-3: farther than the surface itself may be
- * off. A surface lit at a lower angle shows nothing of that light.
+ * A shadow ray starts in the very surface that it lights: on which side of it the ray runs is told by the value
+ * SURFACE_OFFSET edges along it, not by that at its start, which is the iso-value but for rounding. 0.1 edges stay
+ * below all that the voxels resolve, and are 1e-4 edges above the surface where the light grazes it at N.L = 1e-3:
+ * farther than the surface itself may be off. A surface lit at a lower angle shows nothing of that light.
  *
- * SHADOWS_RAYS: a march from each sample. Samples whose weight (opacity times what is left of the eye's ray) is not above
- * shadow.bound cast none, and get the light without a shadow: such a sample changes the picture by less than the bound, n of
- * them on a ray by less than n times as much. They do so in very thin fog; a bound of 0 casts for all.
+ * SHADOWS_RAYS: a march from each sample. Samples whose weight (opacity times what is left of the eye's ray) is not
+ * above shadow_bound cast none, and get the light without a shadow: such a sample changes the picture by less than the
+ * bound, n of them on a ray by less than n times as much. They do so in very thin fog; a bound of 0 casts for all.
  *
- * SHADOWS_VOLUME: the same march from each point of a grid (light_volume.cl), trilinear between them. Each point has a ray of
- * its own, so that nothing diffuses from slice to slice as in volumes of shadows that are swept slice by slice (Behrens and
- * Ratering 1998; P4 sec. 5.4 names what that costs: blurred shadows, dark surfaces). What an opaque voxel hides is dark in those
- * light cells alone that touch its shadow. A light cell that a surface passes through has dark corners behind it, by which the
- * surface would darken itself: surfaces look up their light a light cell farther out (beyond_surface). The translucent volume does
- * not: where it turns opaque within less than a light cell, its boundary shows the light cells, and rays are the better method.
+ * SHADOWS_VOLUME: the same march from each point of a grid (light_volume.cl), trilinear between them. Each point has a
+ * ray of its own, so that nothing diffuses from slice to slice as in volumes of shadows that are swept slice by slice
+ * (Behrens and Ratering 1998; Engel and Ertl 2002, section 5.4, name what that costs: blurred shadows, dark surfaces).
+ * What an opaque voxel hides is dark in those light cells alone that touch its shadow. A light cell that a surface
+ * passes through has dark corners behind it, by which the surface would darken itself: surfaces look up their light a
+ * light cell farther out (beyond_surface). The translucent volume does not: where it turns opaque within less than a
+ * light cell, its boundary shows the light cells, and rays are the better method.
  */
 #ifndef SHADOW_H
 #define SHADOW_H
@@ -49,8 +50,8 @@
 #define SHADOW_STEPS 8 /* between looks at the distance map */
 #define LIGHT_CHANNELS (SCATTERING ? 4 : 1)
 
-/* A local direction of unit length in lattice units an edge. What is parallel to an axis' faces but for rounding is made so: a ray
- * along a face would leave through it. */
+/* A local direction of unit length in lattice units per edge. What is parallel to an axis' faces but for rounding is
+ * made so: a ray along a face would leave through it. */
 INLINE Vectors direction_to_lattice(__constant const Effects *e, Vectors d)
 {
   Vectors r = {e->gradient_x.x * d.x + e->gradient_y.x * d.y + e->gradient_z.x * d.z,
@@ -63,8 +64,8 @@ INLINE Vectors direction_to_lattice(__constant const Effects *e, Vectors d)
   return r;
 }
 
-/* From `place` (lattice) along `direction` (local) to where it leaves the volume, `reach` edges at most; lanes not in `rays` go
- * nowhere. */
+/* From `place` (lattice) along `direction` (local) to where it leaves the volume, `reach` edges at most; lanes not in
+ * `rays` go nowhere. */
 INLINE Rays rays_towards(const Scene *scene, Vectors place, Vectors direction, floatN reach, intN rays)
 {
   const float4 upper = scene->view->upper;
@@ -99,8 +100,10 @@ typedef struct {
   floatN front, back; /* at its ends, shifted by the curvature; or both the one in the middle */
 } SegmentValues;
 
-/* Optical depth of a step of the eye's of each of these segments, by the functions that begin `first` floats on. (x, y, z): its middle. */
-INLINE floatN depth_of_values(const Scene *scene, SegmentValues v, floatN x, floatN y, floatN z, intN active, intN first)
+/* Optical depth of a step of the eye's of each of these segments, by the functions that begin `first` floats on. (x,
+ * y, z): its middle. */
+INLINE floatN depth_of_values(const Scene *scene, SegmentValues v, floatN x, floatN y, floatN z, intN active,
+                              intN first)
 {
 #if CLASSIFICATION == CLASSIFICATION_PRE
   const FetchedSample sample = fetch_sample(scene->volume, scene->view, x, y, z);
@@ -110,8 +113,9 @@ INLINE floatN depth_of_values(const Scene *scene, SegmentValues v, floatN x, flo
 #endif
 }
 
-/* Mean optical depth an edge from t0 to t1 of the ray. */
-INLINE floatN extinction_along(const Scene *scene, const Rays *ray, floatN t0, floatN t1, SegmentValues v, Vectors direction,
+/* Mean optical depth per edge from t0 to t1 of the ray. */
+INLINE floatN extinction_along(const Scene *scene, const Rays *ray, floatN t0, floatN t1, SegmentValues v,
+                               Vectors direction,
                                intN active, Tally *counted)
 {
   __constant const View *view = scene->view;
@@ -151,8 +155,10 @@ INLINE floatN extinction_along(const Scene *scene, const Rays *ray, floatN t0, f
 }
 
 #if ISOSURFACES
-/* `depth` and that of the surfaces that the rays meet from `apart` edges on: where the eye's rays would (surface_walk.h). */
-INLINE floatN depth_of_surfaces(const Scene *scene, const Rays *ray, floatN depth, float apart, intN rays, Tally *counted)
+/* `depth` and that of the surfaces that the rays meet from `apart` edges on: where the eye's rays would
+ * (surface_walk.h). */
+INLINE floatN depth_of_surfaces(const Scene *scene, const Rays *ray, floatN depth, float apart, intN rays,
+                                Tally *counted)
 {
   const Rays in_edges = rays_in_steps(*ray, 1.0f / scene->effects->shadow_step);
   SurfaceWalk walk = walk_along(in_edges, lane_min((floatN)apart, 0.5f * in_edges.length));
@@ -235,7 +241,8 @@ INLINE floatN depth_along(const Scene *scene, const Rays *ray, Vectors direction
 }
 
 /* Optical depth from `place` (lattice) along `direction` (local, of unit length), `reach` edges at most. */
-INLINE floatN depth_towards(const Scene *scene, Vectors place, Vectors direction, floatN reach, intN rays, Tally *counted)
+INLINE floatN depth_towards(const Scene *scene, Vectors place, Vectors direction, floatN reach, intN rays,
+                            Tally *counted)
 {
   const Rays whole = rays_towards(scene, place, direction, reach, rays);
   const float apart = SURFACE_OFFSET;
@@ -302,9 +309,11 @@ INLINE Vectors beyond_surface(const Scene *scene, Vectors place, Vectors normal)
 }
 #endif
 
-/* The share of a light, colour by colour, that arrives at `place` (lattice). towards: unit vector to the light (local). light: its
- * first item. index: its number in the light volume. weight: what the sample counts for in the picture. */
-INLINE Vectors light_that_arrives(const Scene *scene, Vectors place, Vectors towards, float4 light, int index, floatN weight,
+/* The share of a light, colour by colour, that arrives at `place` (lattice). towards: unit vector to the light
+ * (local). light: its first item. index: its number in the light volume. weight: what the sample counts for in the
+ * picture. */
+INLINE Vectors light_that_arrives(const Scene *scene, Vectors place, Vectors towards, float4 light, int index,
+                                  floatN weight,
                                   intN faces, Tally *counted)
 {
   __constant const Effects *e = scene->effects;

@@ -5,9 +5,9 @@
 #include "lanes.h"
 #include "view.h"
 
-/* The position of a value among the nodes that tell values apart, 0 .. nodes - 1: linear where nodes are evenly spaced, else piecewise linear
- * (WARPED_CLASSES: a table of equal bins), so that nodes crowd where the transfer function varies.
- * Bins of the warp: warp[b] is the class coordinate of the lower edge of bin b. */
+/* The position of a value among the nodes that tell values apart, 0 .. nodes - 1: linear where nodes are evenly
+ * spaced, else piecewise linear (WARPED_CLASSES: a table of equal bins), so that nodes crowd where the transfer
+ * function varies. Bins of the warp: warp[b] is the class coordinate of the lower edge of bin b. */
 INLINE floatN class_position(floatN value, __global const float *warp, __constant const View *view)
 {
   floatN p = (value - view->first_value) * view->nodes_per_value;
@@ -23,7 +23,8 @@ INLINE floatN class_position(floatN value, __global const float *warp, __constan
 /* Of what is interpolated between `low` and `high` (none where low > high).
  * before  int [nodes]: of the intervals between nodes, how many before this one can show anything
  * at      uchar [nodes]: whether the node itself does */
-inline int shows_between(float low, float high, __global const float *warp, __global const int *before, __global const uchar *at,
+inline int shows_between(float low, float high, __global const float *warp, __global const int *before,
+                         __global const uchar *at,
                          __constant const View *view)
 {
   if (!(low <= high)) return 0;

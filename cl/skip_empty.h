@@ -1,23 +1,24 @@
-/* Empty space: a map of the distance (in cells, maximum norm) from each cell to the nearest cell in which anything can be
- * visible. 0: visible here. D > 0: everything within D - 1 cells around is transparent, and a ray may leap
- * out of that cube at once. (Distance maps: Zuiderveld et al. 1992; Deakin and Knackstedt 2019 for the Chebyshev form.)
+/* Empty space: a map of the distance (in cells, maximum norm) from each cell to the nearest cell in which anything can
+ * be visible. 0: visible here. D > 0: everything within D - 1 cells around is transparent, and a ray may leap out of
+ * that cube at once. (Distance maps: Zuiderveld et al. 1992; Deakin and Knackstedt 2019 for the Chebyshev form.)
  *
  * What is leapt over contributes exactly nothing, so the image does not change by a bit.
  */
-#ifndef SKIP_EMPTY_H_INCLUDED
-#define SKIP_EMPTY_H_INCLUDED
+#ifndef SKIP_EMPTY_H
+#define SKIP_EMPTY_H
 
 #include "lanes.h"
 #include "rays.h"
 #include "view.h"
 
-/* Leaps stop a little short of a face, and look beyond it from a little behind it: lattice units, far more than rounding, far less than
- * shows. The share of t keeps t + margin above t where a ray has so many steps that rounding would swallow it. */
+/* Leaps stop a little short of a face, and look beyond it from a little behind it: lattice units, far more than
+ * rounding, far less than shows. The share of t keeps t + margin above t where a ray has so many steps that rounding
+ * would swallow it. */
 #define FACE_MARGIN(view) (1e-3f + 2e-7f * max(max(view->upper.x, view->upper.y), view->upper.z))
 #define SHARE_OF_T 5e-7f
 
-/* For each ray at parameter t (in steps): t itself where its cell is visible, else where it first enters a visible cell (a little
- * before), or a number beyond `length` if it never does. All rays of the packet leap together. */
+/* For each ray at parameter t (in steps): t itself where its cell is visible, else where it first enters a visible
+ * cell (a little before), or a number beyond `length` if it never does. All rays of the packet leap together. */
 INLINE floatN next_visible(__global const uchar *distances, __constant const View *view, floatN t, intN active,
                            const Rays *ray)
 {
@@ -28,16 +29,20 @@ INLINE floatN next_visible(__global const uchar *distances, __constant const Vie
   const floatN least_margin = FACE_MARGIN(view) / lane_max(fastest, (floatN)1e-12f);
   floatN entered = t;
   for (;;) {
-    const intN cx = min(TO_INT(lane_clamp(ray->x0 + t * ray->dx, (floatN)0.0f, (floatN)view->upper.x)) >> shift, last_x);
-    const intN cy = min(TO_INT(lane_clamp(ray->y0 + t * ray->dy, (floatN)0.0f, (floatN)view->upper.y)) >> shift, last_y);
-    const intN cz = min(TO_INT(lane_clamp(ray->z0 + t * ray->dz, (floatN)0.0f, (floatN)view->upper.z)) >> shift, last_z);
+    const intN cx = min(TO_INT(lane_clamp(ray->x0 + t * ray->dx, (floatN)0.0f, (floatN)view->upper.x)) >> shift,
+                        last_x);
+    const intN cy = min(TO_INT(lane_clamp(ray->y0 + t * ray->dy, (floatN)0.0f, (floatN)view->upper.y)) >> shift,
+                        last_y);
+    const intN cz = min(TO_INT(lane_clamp(ray->z0 + t * ray->dz, (floatN)0.0f, (floatN)view->upper.z)) >> shift,
+                        last_z);
     const intN D = AS_INT(gather1(distances, (cz * view->cells.y + cy) * view->cells.x + cx) & 255u);
     active &= MASK(D > zero);
     if (!any_lane(active)) return entered;
     const intN fx = select(cx - D + 1, cx + D, right) << shift;
     const intN fy = select(cy - D + 1, cy + D, down) << shift;
     const intN fz = select(cz - D + 1, cz + D, away) << shift;
-    const floatN leave = lane_min(lane_min((TO_FLOAT(fx) - ray->x0) * ray->rx + ray->px, (TO_FLOAT(fy) - ray->y0) * ray->ry + ray->py),
+    const floatN leave = lane_min(lane_min((TO_FLOAT(fx) - ray->x0) * ray->rx + ray->px,
+                                           (TO_FLOAT(fy) - ray->y0) * ray->ry + ray->py),
                                   (TO_FLOAT(fz) - ray->z0) * ray->rz + ray->pz);
     const floatN face = lane_max(leave, t), margin = least_margin + SHARE_OF_T * face;
     entered = select(entered, face - margin, active);

@@ -1,14 +1,16 @@
-/* How far a ray goes from one sample to the next in a volume of blocks (P2 sec. 3.3), in whole steps.
+/* How far a ray goes from one sample to the next in a volume of blocks (Ljung 2006, section 3.3), in whole steps.
  *
  * full     1
- * naive    1 / kappa, kappa = samples of the block an axis / its edge in voxels: one step a sample, wherever that leads
- * limited  min(1 + floor(l), 1 / kappa), l the steps that are left in the block: no farther than the first step in the next one
- * bounded  min(max(floor(l), 1), n): only single steps cross a face; n the most steps whose error stays within a bound in that
- *          block (`steps`, filled by clvol/integrators/multiresolution/bounds.py)
+ * naive    1 / kappa, kappa = samples of the block per axis / its edge in voxels: one step per sample, wherever that
+ *          leads
+ * limited  min(1 + floor(l), 1 / kappa), l the steps that are left in the block: no farther than the first step in the
+ *          next one
+ * bounded  min(max(floor(l), 1), n): only single steps cross a face; n the most steps whose error stays within a bound
+ *          in that block (`steps`, filled by clvol/integrators/multiresolution/bounds.py)
  *
- * P2's limit is for samples that stand for their segments. A pre-integrated segment takes the value to run evenly from one end to the
- * other, so a long one across a face would show all that lies between the values of two blocks, over most of the first: there
- * "limited" crosses faces in single steps, too: min(max(floor(l), 1), 1 / kappa).
+ * Ljung's limit is for samples that stand for their segments. A pre-integrated segment takes the value to run evenly
+ * from one end to the other, so a long one across a face would show all that lies between the values of two blocks,
+ * over most of the first: there "limited" crosses faces in single steps, too: min(max(floor(l), 1), 1 / kappa).
  */
 #ifndef STEP_BLOCKS_H
 #define STEP_BLOCKS_H

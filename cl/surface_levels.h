@@ -1,4 +1,5 @@
-/* Iso-values: which of them a value passes, and in which order. The items of the surfaces are described in surfaces.h. */
+/* Iso-values: which of them a value passes, and in which order. The items of the surfaces are described in
+ * surfaces.h. */
 #ifndef SURFACE_LEVELS_H
 #define SURFACE_LEVELS_H
 
@@ -6,8 +7,9 @@
 #include "lanes.h"
 #include "scene.h"
 
-/* What was found in a cell: lanes, the surface's number, whether the value rises through it, where (a share of the ray's stretch
- * through the cell), and the piece of the stretch and the place among the surfaces that a later search goes on at. */
+/* What was found in a cell: lanes, the surface's number, whether the value rises through it, where (a share of the
+ * ray's stretch through the cell), and the piece of the stretch and the place among the surfaces that a later search
+ * goes on at. */
 typedef struct {
   intN found, surface, rising, piece, rank;
   floatN share;
@@ -39,10 +41,11 @@ INLINE intN meets_a_surface(const Scene *scene, floatN low, floatN high)
   return meets;
 }
 
-/* Adds to `hit` and `bracket` the first surface that the values from va to vb, on piece number `piece`, change sides of: a place is
- * above a surface where its value is at least the iso-value. In the order along the ray, ascending where values rise, beginning at
- * the `rank`-th of that order. */
-INLINE void find_between(const Scene *scene, intN piece, floatN a, floatN b, floatN va, floatN vb, intN rank, intN open, CellHit *hit,
+/* Adds to `hit` and `bracket` the first surface that the values from va to vb, on piece number `piece`, change sides
+ * of: a place is above a surface where its value is at least the iso-value. In the order along the ray, ascending
+ * where values rise, beginning at the `rank`-th of that order. */
+INLINE void find_between(const Scene *scene, intN piece, floatN a, floatN b, floatN va, floatN vb, intN rank,
+                         intN open, CellHit *hit,
                          Bracket *bracket)
 {
   const int surfaces = scene->effects->surface_count;

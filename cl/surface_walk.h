@@ -1,14 +1,15 @@
-/* Where rays meet iso-surfaces: cell by cell of the lattice, in order, whatever the step that the volume is integrated by.
+/* Where rays meet iso-surfaces: cell by cell of the lattice, in order, whatever the step that the volume is integrated
+ * by.
  *
- * A walk is a ray in edges with the cell that it is in. It leaps to the next cells of 8^3 voxels in which an iso-value can be
- * (`surface_distances`, a map as in skip_empty.h), and crosses them from face to face. In each cell the field along the ray is a
- * function that says itself where it takes a value:
+ * A walk is a ray in edges with the cell that it is in. It leaps to the next cells of 8^3 voxels in which an iso-value
+ * can be (`surface_distances`, a map as in skip_empty.h), and crosses them from face to face. In each cell the field
+ * along the ray is a function that says itself where it takes a value:
  *   cell_cubic.h    linear filter: a cubic
  *   cell_spline.h   filters of 64 voxels: a polynomial of degree 9
  *   cell_step.h     nearest filter: a jump where the ray enters
  *   cell_sampled.h  noise: samples
- * A place is above a surface where its value is at least the iso-value; a ray meets the surface where it changes sides. The value on a
- * face is the same for both cells, so that a surface in a face is met once.
+ * A place is above a surface where its value is at least the iso-value; a ray meets the surface where it changes
+ * sides. The value on a face is the same for both cells, so that a surface in a face is met once.
  */
 #ifndef SURFACE_WALK_H
 #define SURFACE_WALK_H
@@ -38,7 +39,8 @@
 
 typedef struct {
   Rays ray;           /* in edges */
-  floatN from;        /* so far surfaces are known: where the ray enters its cell; infinite where there is nothing more */
+  /* so far surfaces are known: where the ray enters its cell; infinite where there is nothing more */
+  floatN from;
   Vectors low;        /* that place in the cell, 0 .. 1 */
   intN ix, iy, iz;    /* the cell */
   intN placed, going; /* whether the cell is known; whether it is to be looked at, or leapt over first */
@@ -124,7 +126,8 @@ INLINE void leap_to_surfaces(const Scene *scene, SurfaceWalk *w, intN looks)
   const intN begins = looks & ~w->placed & ~ends;
   if (!any_lane(begins)) return;
   const floatN t = select((floatN)0.0f, w->from, begins), zero = 0.0f, one = 1.0f;
-  const floatN x = ray->x0 - CELL_LOWER + t * ray->dx, y = ray->y0 - CELL_LOWER + t * ray->dy, z = ray->z0 - CELL_LOWER + t * ray->dz;
+  const floatN x = ray->x0 - CELL_LOWER + t * ray->dx, y = ray->y0 - CELL_LOWER + t * ray->dy;
+  const floatN z = ray->z0 - CELL_LOWER + t * ray->dz;
   const int last = CENTRED_CELLS ? 1 : 2;
   w->ix = select(w->ix, min(TO_INT(lane_max(x, zero)), (intN)(view->size.x - last)), begins);
   w->iy = select(w->iy, min(TO_INT(lane_max(y, zero)), (intN)(view->size.y - last)), begins);
@@ -139,14 +142,15 @@ INLINE void leap_to_surfaces(const Scene *scene, SurfaceWalk *w, intN looks)
 #endif
 }
 
-/* Finds the next surface of the walks in `wanted` that have none and did not come as far as `until` (edges). `taken` counts cells, and
- * samples of noise. */
+/* Finds the next surface of the walks in `wanted` that have none and did not come as far as `until` (edges). `taken`
+ * counts cells, and samples of noise. */
 INLINE void find_surfaces(const Scene *scene, SurfaceWalk *w, intN wanted, floatN until, uintN *taken, Tally *tests)
 {
   __constant const View *view = scene->view;
   const Rays *ray = &w->ray;
   const intN zero = 0, right = MASK(ray->rx > 0.0f), down = MASK(ray->ry > 0.0f), away = MASK(ray->rz > 0.0f);
-  const intN step_x = select((intN)-1, (intN)1, right), step_y = select((intN)-1, (intN)1, down), step_z = select((intN)-1, (intN)1, away);
+  const intN step_x = select((intN)-1, (intN)1, right), step_y = select((intN)-1, (intN)1, down);
+  const intN step_z = select((intN)-1, (intN)1, away);
   const floatN entry_x = select((floatN)1.0f, (floatN)0.0f, right), entry_y = select((floatN)1.0f, (floatN)0.0f, down);
   const floatN entry_z = select((floatN)1.0f, (floatN)0.0f, away), none = 0.0f, whole = 1.0f;
   const int last = CENTRED_CELLS ? 1 : 2;
@@ -163,24 +167,31 @@ INLINE void find_surfaces(const Scene *scene, SurfaceWalk *w, intN wanted, float
     CellVoxels ahead = fetch_cell(scene->volume, view, w->ix, w->iy, w->iz);
 #endif
     while (any_lane(open)) {
-      const floatN tx = LEAVES_AT(ray->x0, w->ix, right, ray->rx, ray->px), ty = LEAVES_AT(ray->y0, w->iy, down, ray->ry, ray->py);
+      const floatN tx = LEAVES_AT(ray->x0, w->ix, right, ray->rx, ray->px);
+      const floatN ty = LEAVES_AT(ray->y0, w->iy, down, ray->ry, ray->py);
       const floatN tz = LEAVES_AT(ray->z0, w->iz, away, ray->rz, ray->pz), leave = lane_min(lane_min(tx, ty), tz);
       const floatN from = select(none, w->from, open), t1 = lane_max(lane_min(leave, ray->length), from);
       const intN through = MASK(leave <= ray->length);
-      const intN over_x = through & MASK(tx <= leave), over_y = through & MASK(ty <= leave), over_z = through & MASK(tz <= leave);
+      const intN over_x = through & MASK(tx <= leave), over_y = through & MASK(ty <= leave);
+      const intN over_z = through & MASK(tz <= leave);
       /* At least one index moves on, or the ray ends: the walk is finite. */
       const intN nx = w->ix + (step_x & over_x), ny = w->iy + (step_y & over_y), nz = w->iz + (step_z & over_z);
-      const intN inside = MASK(nx >= zero) & MASK(nx <= last_x) & MASK(ny >= zero) & MASK(ny <= last_y) & MASK(nz >= zero) & MASK(nz <= last_z);
+      const intN inside = MASK(nx >= zero) & MASK(nx <= last_x) & MASK(ny >= zero) & MASK(ny <= last_y) &
+          MASK(nz >= zero) & MASK(nz <= last_z);
       const intN goes_on = open & inside & through;
       Vectors high;
-      high.x = select(lane_clamp(ray->x0 - CELL_LOWER - TO_FLOAT(w->ix) + t1 * ray->dx, none, whole), whole - entry_x, over_x);
-      high.y = select(lane_clamp(ray->y0 - CELL_LOWER - TO_FLOAT(w->iy) + t1 * ray->dy, none, whole), whole - entry_y, over_y);
-      high.z = select(lane_clamp(ray->z0 - CELL_LOWER - TO_FLOAT(w->iz) + t1 * ray->dz, none, whole), whole - entry_z, over_z);
+      high.x = select(lane_clamp(ray->x0 - CELL_LOWER - TO_FLOAT(w->ix) + t1 * ray->dx, none, whole), whole - entry_x,
+                      over_x);
+      high.y = select(lane_clamp(ray->y0 - CELL_LOWER - TO_FLOAT(w->iy) + t1 * ray->dy, none, whole), whole - entry_y,
+                      over_y);
+      high.z = select(lane_clamp(ray->z0 - CELL_LOWER - TO_FLOAT(w->iz) + t1 * ray->dz, none, whole), whole - entry_z,
+                      over_z);
       *taken -= AS_UINT(open);
       count_lanes(tests, open);
 #if CELLS_AHEAD
       const CellVoxels voxels = ahead;
-      ahead = fetch_cell(scene->volume, view, select(w->ix, nx, goes_on), select(w->iy, ny, goes_on), select(w->iz, nz, goes_on));
+      ahead = fetch_cell(scene->volume, view, select(w->ix, nx, goes_on), select(w->iy, ny, goes_on),
+                         select(w->iz, nz, goes_on));
 #endif
 #if NOISE
       if (any_lane(open & ~w->known)) w->before = select(w->before, value_on_ray(scene, ray, from), open & ~w->known);

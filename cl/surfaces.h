@@ -1,10 +1,10 @@
-/* Iso-surfaces without polygons (P4 sec. 10, P3): where the reconstructed value along a ray takes an iso-value (surface_walk.h), and
- * what is seen there.
+/* Iso-surfaces without polygons (Engel and Ertl 2002, section 10; Klein et al. 2005): where the reconstructed value
+ * along a ray takes an iso-value (surface_walk.h), and what is seen there.
  *
  * The volume before, between and behind surfaces is composited in order: the segment is cut there.
  *
- * Three items a surface, iso-values ascending: (value, opacity, index of refraction, optical depth of that opacity), front colour, back
- * colour. Front is seen by a ray along which the value rises.
+ * Three items per surface, iso-values ascending: (value, opacity, index of refraction, optical depth of that opacity),
+ * front colour, back colour. Front is seen by a ray along which the value rises.
  */
 #ifndef SURFACES_H
 #define SURFACES_H
@@ -30,8 +30,8 @@
 #define MOST_BENDS 8
 
 #if REFRACTION
-/* The rays of `ray` (edges) from `at` on in another direction (local, unit length), to where they leave the volume. A little way
- * from the surface, so that they do not meet it again at once. */
+/* The rays of `ray` (edges) from `at` on in another direction (local, unit length), to where they leave the volume. A
+ * little way from the surface, so that they do not meet it again at once. */
 #define BEYOND_SURFACE 2e-3f
 INLINE Rays bent_rays(const Scene *scene, const Rays *ray, floatN at, Vectors direction)
 {
@@ -76,7 +76,8 @@ INLINE Vectors refracted(Vectors direction, Vectors normal, floatN ratio)
 #endif
 
 /* The volume from `from` to `to` (edges), `length` steps, of which a step emits and absorbs `e`. */
-INLINE void composite_stretch(Gathered *acc, Emission e, floatN length, floatN from, floatN to, intN active, HalfBetween *half_)
+INLINE void composite_stretch(Gathered *acc, Emission e, floatN length, floatN from, floatN to, intN active,
+                              HalfBetween *half_)
 {
 #if WITH_DEPTH
   const floatN before = acc->a;
@@ -87,9 +88,11 @@ INLINE void composite_stretch(Gathered *acc, Emission e, floatN length, floatN f
 #endif
 }
 
-/* The surfaces of a walk in one segment, from t0 to t1 in edges, `length` steps long, with the volume before, between and behind them:
- * `e` of a whole step, nothing unless `visible`. Lanes in `last`: nothing of the walk is left for another segment. */
-INLINE SurfacePassage pass_surfaces(const Scene *scene, SurfaceWalk *walk, Vectors view, floatN t0, floatN t1, floatN length,
+/* The surfaces of a walk in one segment, from t0 to t1 in edges, `length` steps long, with the volume before, between
+ * and behind them: `e` of a whole step, nothing unless `visible`. Lanes in `last`: nothing of the walk is left for
+ * another segment. */
+INLINE SurfacePassage pass_surfaces(const Scene *scene, SurfaceWalk *walk, Vectors view, floatN t0, floatN t1,
+                                    floatN length,
                                     Emission e, int visible, intN active, intN last, intN may_bend, Gathered *acc,
                                     HalfBetween *half_, uintN *taken, Tally *counted)
 {
@@ -127,7 +130,8 @@ INLINE SurfacePassage pass_surfaces(const Scene *scene, SurfaceWalk *walk, Vecto
     const intN has_normal = crosses & MASK(dot3(normal, normal) > 0.5f);
     count_lanes(&counted[COUNT_GRADIENTS], crosses);
 #if LIGHTING
-    color = shaded_color(scene, color, (floatN)1.0f, at, normal, gradient, view, opacity * left, 1, has_normal, counted);
+    color = shaded_color(scene, color, (floatN)1.0f, at, normal, gradient, view, opacity * left, 1, has_normal,
+                         counted);
 #endif
 #endif
 #if DEPTH_CUE
@@ -157,7 +161,8 @@ INLINE SurfacePassage pass_surfaces(const Scene *scene, SurfaceWalk *walk, Vecto
   }
   const intN rest = active & ~passage.bends;
   /* A segment without a surface is what it is without surfaces, bit for bit. */
-  if (visible) composite_stretch(acc, e, select(steps * (t1 - front), length, MASK(front == t0)), front, t1, rest, half_);
+  if (visible) composite_stretch(acc, e, select(steps * (t1 - front), length, MASK(front == t0)), front, t1, rest,
+                                 half_);
   return passage;
 }
 

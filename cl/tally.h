@@ -1,4 +1,4 @@
-/* Counting lanes: one number each, summed when a kernel ends. A sum over lanes at every count would cost. */
+/* Counting lanes: one number per lane, summed when a kernel ends. A sum over lanes at every count would cost. */
 #ifndef TALLY_H
 #define TALLY_H
 

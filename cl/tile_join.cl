@@ -1,26 +1,29 @@
-/* The picture between the rays of its tiles, in place: P2 (Ljung 2006), section 4.2, intertile interpolation.
+/* The picture between the rays of its tiles, in place: intertile interpolation (Ljung 2006, section 4.2).
  *
- * A tile's rays stand on the crossings of its lines (clvol/integrators/tiles/geometry.py). Within a tile the picture is piecewise
- * linear along either axis, and beyond the outermost lines it stays as it is there. Tiles are blended from the outermost ray
- * of one to that of the next: delta_i is the distance of tile i's outermost line from the border between them, and
+ * A tile's rays stand on the crossings of its lines (clvol/integrators/tiles/geometry.py). Within a tile the picture
+ * is piecewise linear along either axis, and beyond the outermost lines it stays as it is there. Tiles are blended
+ * from the outermost ray of one to that of the next: delta_i is the distance of tile i's outermost line from the
+ * border between them, and
  *
- *   e_ij = clamp((rho + delta_i) / (delta_i + delta_j), 0, 1)                                     (P2, eq. 5)
+ *   e_ij = clamp((rho + delta_i) / (delta_i + delta_j), 0, 1)                                     (Ljung 2006, eq. 5)
  *
- * how much tile j counts against i at distance rho beyond the border. Here a tile's two sides have each their own delta.
+ * how much tile j counts against i at distance rho beyond the border. Here a tile's two sides have each their own
+ * delta.
  *
- * Of the four tiles around a corner let A be the pixel's own, B beside it, C above or below, and D across. P2 (eq. 6) weighs
- * them by
+ * Of the four tiles around a corner let A be the pixel's own, B beside it, C above or below, and D across. Ljung (eq.
+ * 6) weighs them by
  *
  *   w_A = (1 - e_AB) (1 - e_AC)    w_B = e_AB (1 - e_BD)    w_C = (1 - e_CD) e_AC    w_D = e_CD e_BD
  *
- * and D, if it is coarse, then counts inside A's outermost rays, where e_AB = e_AC = 0: A's own rays are not shown as they are.
- * Here a tile is also reached only over one of the tiles beside it, from the tile across from it:
+ * and D, if it is coarse, then counts inside A's outermost rays, where e_AB = e_AC = 0: A's own rays are not shown as
+ * they are. Here a tile is also reached only over one of the tiles beside it, from the tile across from it:
  *
  *   w_D = min(e_CD e_BD, max(e_AB e_BD, e_AC e_CD))
  *
- * and alike for the others, with 1 - e where an edge is crossed the other way. With deltas that agree on either side of each
- * border all three products are the same and so is the blend (bilinear); else it stays continuous, but every ray is shown as it
- * was cast. The weights are divided by their sum, which is never 0: w_A > 0, as all e < 1 on A's side of the borders.
+ * and alike for the others, with 1 - e where an edge is crossed the other way. With deltas that agree on either side
+ * of each border all three products are the same and so is the blend (bilinear); else it stays continuous, but every
+ * ray is shown as it was cast. The weights are divided by their sum, which is never 0: w_A > 0, as all e < 1 on A's
+ * side of the borders.
  *
  * Depth is that of the nearest ray of the tiles that count: between something and nothing there is no mean.
  *
@@ -39,7 +42,8 @@ typedef struct {
   __global const uchar2 *lines;    /* an entry for each of them */
 } Span;
 
-/* The lines around a pixel, and how far it is from the first to the second; a pixel beside the tile is taken as its outermost. */
+/* The lines around a pixel, and how far it is from the first to the second; a pixel beside the tile is taken as its
+ * outermost. */
 typedef struct {
   int low, high; /* pixels of the picture */
   float share;
@@ -85,7 +89,8 @@ static void nearest_ray(Between x, Between y, int px, int py, int *distance, int
 }
 
 __kernel void tile_join(__global const uchar2 *restrict lines, __global const int2 *restrict tile_lines,
-                        __global const int *restrict chosen, const int4 shape, __global float4 *image, __global float *depths)
+                        __global const int *restrict chosen, const int4 shape, __global float4 *image,
+                            __global float *depths)
 {
   const int width = shape.x, height = shape.y, size = shape.z, rows_an_item = shape.w;
   const int items = (size + rows_an_item - 1) / rows_an_item;
@@ -113,14 +118,16 @@ __kernel void tile_join(__global const uchar2 *restrict lines, __global const in
       const int side_length = min(side_left + size, width) - side_left;
       const int across_length = min(across_top + size, height) - across_top;
       const Span bx = {side_left, side_length, lines + tile_lines[b].x}, by = {top, ay.length, lines + tile_lines[b].y};
-      const Span cx = {left, ax.length, lines + tile_lines[c].x}, cy = {across_top, across_length, lines + tile_lines[c].y};
+      const Span cx = {left, ax.length, lines + tile_lines[c].x};
+      const Span cy = {across_top, across_length, lines + tile_lines[c].y};
       const Span dx = {side_left, side_length, lines + tile_lines[d].x};
       const Span dy = {across_top, across_length, lines + tile_lines[d].y};
       const float ab = has_side ? edge_weight(ax, bx, after_x, inside_x) : 0.0f;
       const float cd = has_side ? edge_weight(cx, dx, after_x, inside_x) : 0.0f;
       const float ac = has_across ? edge_weight(ay, cy, after_y, inside_y) : 0.0f;
       const float bd = has_across ? edge_weight(by, dy, after_y, inside_y) : 0.0f;
-      const float4 weight = (float4)(fmin((1.0f - ab) * (1.0f - ac), fmax((1.0f - bd) * (1.0f - ab), (1.0f - cd) * (1.0f - ac))),
+      const float4 weight = (float4)(fmin((1.0f - ab) * (1.0f - ac),
+                                          fmax((1.0f - bd) * (1.0f - ab), (1.0f - cd) * (1.0f - ac))),
                                      fmin(ab * (1.0f - bd), fmax((1.0f - ac) * ab, cd * (1.0f - bd))),
                                      fmin((1.0f - cd) * ac, fmax((1.0f - ab) * ac, bd * (1.0f - cd))),
                                      fmin(cd * bd, fmax(ab * bd, ac * cd)));

@@ -1,19 +1,22 @@
-/* Rays of a list of pixels, for pictures that are not cast whole (clvol/render/tiles). Switches and scene are
+/* Rays of a list of pixels, for pictures that are not cast whole (clvol/integrators/tiles). Switches and scene are
  * those of raycast.cl, the view that of the whole picture.
  *
- * What a lane computes does not depend on its neighbours, so a pixel is the same, bit for bit, as in a picture cast whole.
+ * What a lane computes does not depend on its neighbours, so a pixel is the same, bit for bit, as in a picture cast
+ * whole.
  *
  * rays         int [count]: row * width + column, those of a tile after one another
  * count        how many there are
  * rays_an_item a multiple of LANES: rays that a work-item casts; view->first_tile is the first work-item of this launch
- * image        float4 [height, width], depths float [height, width] (only written if WITH_DEPTH): written where a ray is
+ * image        float4 [height, width], depths float [height, width] (only written if WITH_DEPTH): written where a ray
+ *              is
  * changes      float [count]: mean square, over the channels, of the change that the ray made to what stood in `image`
  * samples      uint [work-items]
  */
 #include "render_packet.h"
 
 __kernel WIDE_VECTORS void tile_rays(SCENE_PARAMETERS, __global const int *restrict rays, const int count,
-                                     const int rays_an_item, __global float4 *restrict image, __global float *restrict depths,
+                                     const int rays_an_item, __global float4 *restrict image,
+                                         __global float *restrict depths,
                                      __global float *restrict changes, __global uint *restrict samples COUNTS_PARAMETER)
 {
   const Scene scene = SCENE;

@@ -1,13 +1,13 @@
-/* What the rays through the corners of a picture's tiles meet: P2 (Ljung 2006), section 4.1.
+/* What the rays through the corners of a picture's tiles meet (Ljung 2006, section 4.1).
  *
- * P2 advances a ray by floor(l) + 1 samples, l to the exit of its block. Here it goes from block to block by their faces
- * (Amanatides and Woo 1987): every block that the ray passes through counts once, none twice.
+ * Ljung advances a ray by floor(l) + 1 samples, l to the exit of its block. Here it goes from block to block by their
+ * faces (Amanatides and Woo 1987): every block that the ray passes through counts once, none twice.
  *
- * index       int2 [blocks], bits 0 .. 3 of a block's second word: 1 + log2 of its samples an axis, or 15 where it is dropped
- * grid        blocks x, y, z; voxels an edge of one
+ * index       int2 [blocks], bits 0 .. 3 of a block's second word: 1 + log2 of its samples per axis, or CODE_DROPPED
+ * grid        blocks x, y, z; voxels per edge of a block
  * tiles       columns, rows of tiles; edge of a tile in pixels; -
- * statistics  float4 [rows + 1, columns + 1]: greatest, mean and root mean square of the blocks' samples an axis over an edge,
- *             and how many blocks there were; zeros for a ray that misses
+ * statistics  float4 [rows + 1, columns + 1]: greatest, mean and root mean square of the blocks' samples per axis over
+ *             an edge, and how many blocks there were; zeros for a ray that misses
  *
  * Compiled with LANES 1.
  */
@@ -47,12 +47,14 @@ static Walk start_walk(float origin, float direction, int blocks)
 
 static void next_block(Walk *w) { w->at += w->towards, find_exit(w); }
 
-__kernel void tile_statistics(__global const int2 *restrict index, __constant const View *restrict view, const int4 grid,
+__kernel void tile_statistics(__global const int2 *restrict index, __constant const View *restrict view,
+                              const int4 grid,
                               const int4 tiles, __global float4 *restrict statistics)
 {
   const int corner = (int)get_global_id(0), columns = tiles.x + 1;
   const int column = corner % columns, row = corner / columns;
-  const float px = (float)min(column * tiles.z, view->image.x) - 0.5f, py = (float)min(row * tiles.z, view->image.y) - 0.5f;
+  const float px = (float)min(column * tiles.z, view->image.x) - 0.5f;
+  const float py = (float)min(row * tiles.z, view->image.y) - 0.5f;
   const Rays ray = make_rays(view, px, py);
   const float edge = (float)grid.w;
   float greatest = 0.0f, sum = 0.0f, squares = 0.0f, count = 0.0f;

@@ -1,22 +1,28 @@
 /* The transfer function as linear pieces, and what a chord through them emits and absorbs, in closed form.
  *
- * Opacity and colour are linear between control points. Along a segment the value runs linearly from `front` to `back`, so the
- * segment is a few stretches, one per piece that it crosses: the rest of the piece that it begins in, whole pieces, and the beginning
- * of the piece that it ends in. On each, 1 - alpha runs linearly from q0 to q1; with m their mean and r = (q1 - q0) / (q1 + q0):
- *   mean of -log(1 - alpha)      -log m + S(r),   S = r^2 / 6 + r^4 / 20 + ... = 1 - ((1 + r) log(1 + r) - (1 - r) log(1 - r)) / (2 r)
- *   its first moment             -M(r),           M = r / 6 + r^3 / 30 + ...   = (r - (1 - r^2) / 2 (log(1 + r) - log(1 - r))) / (4 r^2)
- * (the moment about the middle, over lengths of the stretch). Both stay finite where alpha reaches 1 at one end, which is why an
- * opacity of 1 at one control point is no wall. The light that leaves a stretch comes, on average, from the position
+ * Opacity and colour are linear between control points. Along a segment the value runs linearly from `front` to
+ * `back`, so the segment is a few stretches, one per piece that it crosses: the rest of the piece that it begins in,
+ * whole pieces, and the beginning of the piece that it ends in. On each, 1 - alpha runs linearly from q0 to q1; with m
+ * their mean and r = (q1 - q0) / (q1 + q0):
+ *   mean of -log(1 - alpha)      -log m + S(r),   S = r^2 / 6 + r^4 / 20 + ... = 1 - ((1 + r) log(1 + r) - (1 - r)
+ *                                log(1 - r)) / (2 r)
+ *   its first moment             -M(r),           M = r / 6 + r^3 / 30 + ...   = (r - (1 - r^2) / 2 (log(1 + r) -
+ *                                log(1 - r))) / (4 r^2)
+ * (the moment about the middle, over lengths of the stretch). Both stay finite where alpha reaches 1 at one end, which
+ * is why an opacity of 1 at one control point is no wall. The light that leaves a stretch comes, on average, from the
+ * position
  *   1/2 - m - D / 12 + 3/5 m^2 D + m D^2 / 60 + D^3 / 720,   m = M / (mean),  D its optical depth:
- * a series in how thick the stretch is and how far its extinction is from constant; colour is linear, so that is where it is taken. Where
- * the series is not enough the position is integrated instead.
+ * a series in how thick the stretch is and how far its extinction is from constant; colour is linear, so that is where
+ * it is taken. Where the series is not enough the position is integrated instead.
  *
- * This is pre-integration (Engel, Kraus and Ertl 2001) without a table: nothing is sampled, so there are no nodes that narrow
- * pieces fall between, and any length of segment costs the same. Its attenuation within the segment is not neglected.
+ * This is pre-integration (Engel, Kraus and Ertl 2001) without a table: nothing is sampled, so there are no nodes that
+ * narrow pieces fall between, and any length of segment costs the same. Its attenuation within the segment is not
+ * neglected.
  *
- * The function is a matrix of floats in `table`, a row per property (ROW_...) and a column per piece; clvol/transfer/pieces.py has
- * the same rows. Piece 0 lies below all control points and the last one above them. Packets of 16 hold rows of up to 16 pieces in
- * registers (TRANSFER_PIECES 16); else they are gathered from memory (TRANSFER_PIECES 0).
+ * The function is a matrix of floats in `table`, a row per property (ROW_...) and a column per piece;
+ * clvol/transfer/pieces.py has the same rows. Piece 0 lies below all control points and the last one above them.
+ * Packets of 16 hold rows of up to 16 pieces in registers (TRANSFER_PIECES 16); else they are gathered from memory
+ * (TRANSFER_PIECES 0).
  */
 #ifndef TRANSFER_PIECES_H
 #define TRANSFER_PIECES_H
@@ -37,7 +43,8 @@
 #define ROW_MOMENT 13        /* M(r) / DEPTH, upwards */
 #define ROW_DEPTHS 14        /* sum of LENGTH DEPTH of all pieces before that are not opaque */
 #define ROW_COLORS 15        /* and of LENGTH times the mean of the colour times -log(1 - alpha): red, green, blue */
-#define ROW_NEXT_OPAQUE 18   /* the first piece from this one on that is opaque all along; the number of columns where there is none */
+/* the first piece from this one on that is opaque all along; the number of columns where there is none */
+#define ROW_NEXT_OPAQUE 18
 #define ROW_LAST_OPAQUE 19   /* the last such piece up to this one; -1 where there is none */
 #define ROW_UNITS 20         /* length of a step in opacity units, in all columns */
 #define ROW_FROM 21          /* BEGIN; without end for piece 0, */
@@ -54,7 +61,8 @@ typedef struct {
   floatN depth;      /* -log(1 - a), which `a` forgets where it rounds to 1 */
 } SegmentColor;
 
-/* Without the hardware's gathers and permutations a look-up is so many instructions that compilers want it in one place. */
+/* Without the hardware's gathers and permutations a look-up is so many instructions that compilers want it in one
+ * place. */
 #if LANES == 16 && !defined(HARDWARE_GATHER)
 #define LOOKED_UP RARE
 #else
@@ -74,7 +82,8 @@ typedef struct {
 /* The scene's function, or where there are layers the one that begins `first` floats into `table`. */
 INLINE Pieces scene_pieces(__global const float *table, intN first, __constant const View *view)
 {
-  const Pieces f = {table, first, view->piece_columns, view->piece_count, TRANSFER_PIECES == 16, table[ROW_ORIGIN * view->piece_columns]};
+  const Pieces f = {table, first, view->piece_columns, view->piece_count, TRANSFER_PIECES == 16,
+                    table[ROW_ORIGIN * view->piece_columns]};
   return f;
 }
 
@@ -88,7 +97,8 @@ INLINE floatN piece_row(Pieces f, int row, intN piece)
 #endif
 }
 
-/* The last piece that begins at or below `value`, which is counted from the function's origin, as all values below are. */
+/* The last piece that begins at or below `value`, which is counted from the function's origin, as all values below
+ * are. */
 INLINE intN piece_of(floatN value, Pieces f)
 {
   intN piece = 0;
@@ -134,7 +144,8 @@ INLINE void spread_and_moment(floatN r, floatN *spread, floatN *moment)
   if (any_lane(wide)) {
     const floatN size = select((floatN)1.0f, fabs(r), wide), clear = lane_max(1.0f - size, (floatN)0.0f);
     const floatN up = -depth_of_clear((1.0f + size) * 0.5f, 0.5f - 0.5f * size) + 0.693147181f; /* log(1 + r) */
-    const floatN down = select(-depth_of_clear(clear, size), (floatN)0.0f, MASK(clear <= 0.0f)); /* log(1 - r), whose factors vanish at 1 */
+    /* log(1 - r), whose factors vanish at 1 */
+    const floatN down = select(-depth_of_clear(clear, size), (floatN)0.0f, MASK(clear <= 0.0f));
     const floatN rest = 0.5f * clear * (1.0f + size) * (up - down);
     const floatN inverse = lane_reciprocal(size);
     const floatN all = (size - rest) * inverse * inverse * 0.25f;
@@ -164,19 +175,21 @@ INLINE floatN depth_of_thin(floatN a)
   return p * a;
 }
 
-/* Where along a stretch of optical depth D (at most 1; beyond it counts as 1) the light comes from, 0 .. 1; `moment`: M / (mean of
- * -log(1 - alpha)). */
+/* Where along a stretch of optical depth D (at most 1; beyond it counts as 1) the light comes from, 0 .. 1; `moment`:
+ * M / (mean of -log(1 - alpha)). */
 INLINE floatN emission_position(floatN depth, floatN moment)
 {
   depth = lane_min(depth, (floatN)1.0f);
-  return 0.5f - moment - depth * (1.0f / 12.0f - 0.6f * moment * moment - depth * (moment * (1.0f / 60.0f) + depth * (1.0f / 720.0f)));
+  return 0.5f - moment - depth *
+      (1.0f / 12.0f - 0.6f * moment * moment - depth * (moment * (1.0f / 60.0f) + depth * (1.0f / 720.0f)));
 }
 
 /* 1 - exp(-D), by a polynomial up to D = 1. */
 INLINE floatN opacity_of_stretch(floatN depth)
 {
   floatN p = -0.000913546712f;
-  p = p * depth + 0.00783987436f, p = p * depth - 0.0414209664f, p = p * depth + 0.166610464f, p = p * depth - 0.499995261f;
+  p = p * depth + 0.00783987436f, p = p * depth - 0.0414209664f, p = p * depth + 0.166610464f,
+      p = p * depth - 0.499995261f;
   p = depth * (p * depth + 0.99999994f);
   const intN thick = MASK(depth > 1.0f);
   if (any_lane(thick)) p = select(p, opacity_of_depth(depth), thick);
@@ -192,11 +205,14 @@ INLINE void append_stretch(SegmentColor *s, floatN r, floatN g, floatN b, floatN
 }
 
 /* Gauss's six points and weights in the square root of the position: dense at the front, where the light comes from. */
-__constant float thick_position[6] = {0.00114009163f, 0.02869477f, 0.144925186f, 0.383544372f, 0.689904156f, 0.933609606f};
-__constant float thick_weight[6] = {0.0057848131f, 0.0611113173f, 0.178130346f, 0.289783588f, 0.299650256f, 0.165539679f};
+__constant float thick_position[6] = {0.00114009163f, 0.02869477f, 0.144925186f, 0.383544372f, 0.689904156f,
+                                      0.933609606f};
+__constant float thick_weight[6] = {0.0057848131f, 0.0611113173f, 0.178130346f, 0.289783588f, 0.299650256f,
+                                    0.165539679f};
 
-/* As emission_position() where its series is not enough, for `units` opacity units along which 1 - alpha runs from q0 to q1, and alpha from a0
- * to a1: int (exp(-D(x)) - exp(-D)) dx / (1 - exp(-D)), to 1e-4 up to D = 8 and 3e-3 beyond. */
+/* As emission_position() where its series is not enough, for `units` opacity units along which 1 - alpha runs from q0
+ * to q1, and alpha from a0 to a1: int (exp(-D(x)) - exp(-D)) dx / (1 - exp(-D)), to 1e-4 up to D = 8 and 3e-3
+ * beyond. */
 RARE floatN emission_position_of_thick(floatN q0, floatN q1, floatN a0, floatN a1, floatN units)
 {
   const floatN one = 1.0f, least = 1e-30f;
@@ -206,7 +222,8 @@ RARE floatN emission_position_of_thick(floatN q0, floatN q1, floatN a0, floatN a
     const floatN change = 0.5f * x * (q1 - q0), clear = q0 + change;
     floatN spread, moment;
     spread_and_moment(lane_clamp(change * lane_reciprocal(lane_max(clear, least)), -one, one), &spread, &moment);
-    const floatN rate = depth_of_clear(clear, a0 + 0.5f * x * (a1 - a0)) + spread, opacity = opacity_of_depth(rate * units * x);
+    const floatN rate = depth_of_clear(clear, a0 + 0.5f * x * (a1 - a0)) + spread;
+    const floatN opacity = opacity_of_depth(rate * units * x);
     if (k == 0)
       whole = opacity;
     else
@@ -239,7 +256,8 @@ LOOKED_UP PiecePart part_of_piece(intN piece, floatN w0, floatN w1, floatN units
   if (any_lane(dense)) {
     floatN wide_spread, wide_moment;
     spread_and_moment(r, &wide_spread, &wide_moment);
-    rate = select(rate, depth_of_clear(clear, opacity) + wide_spread, dense), moment = select(moment, wide_moment, dense);
+    rate = select(rate, depth_of_clear(clear, opacity) + wide_spread, dense),
+        moment = select(moment, wide_moment, dense);
   }
   const floatN depth = rate * units;
   moment *= rough_reciprocal(lane_max(rate, (floatN)1e-30f));
@@ -257,8 +275,9 @@ LOOKED_UP PiecePart part_of_piece(intN piece, floatN w0, floatN w1, floatN units
   return part;
 }
 
-/* Appends all pieces between `low` and `high` (neither of them) for the lanes in `rises`, and in the reverse order for others: pieces go by
- * upwards, and a lane whose value falls has each before, not behind, what it has. `per`: opacity units per value. */
+/* Appends all pieces between `low` and `high` (neither of them) for the lanes in `rises`, and in the reverse order for
+ * others: pieces go by upwards, and a lane whose value falls has each before, not behind, what it has. `per`: opacity
+ * units per value. */
 INLINE void append_one_by_one(SegmentColor *s, intN low, intN high, intN rises, floatN per, intN active, Pieces f)
 {
   const floatN zero = 0.0f;
@@ -277,13 +296,15 @@ INLINE void append_one_by_one(SegmentColor *s, intN low, intN high, intN rises, 
     if (any_lane(thick)) {
       const floatN q0 = UNIFORM_ROW(ROW_CLEAR), q1 = lane_max(q0 + UNIFORM_ROW(ROW_CLEAR_CHANGE), zero);
       const floatN a0 = UNIFORM_ROW(ROW_OPACITY), a1 = a0 + UNIFORM_ROW(ROW_OPACITY_CHANGE);
-      at = select(at, emission_position_of_thick(select(q1, q0, rises), select(q0, q1, rises), select(a1, a0, rises), select(a0, a1, rises),
+      at = select(at, emission_position_of_thick(select(q1, q0, rises), select(q0, q1, rises), select(a1, a0, rises),
+                                                 select(a0, a1, rises),
                                                  UNIFORM_ROW(ROW_LENGTH) * per), thick);
     }
     const floatN w = select(1.0f - at, at, rises);
     const floatN opacity = opacity_of_stretch(depth);
     /* What is in front of what: m before the piece, or the piece before m. */
-    const floatN share = select(opacity, opacity - m.a * opacity, rises), left = select(1.0f - opacity, (floatN)1.0f, rises);
+    const floatN share = select(opacity, opacity - m.a * opacity, rises);
+    const floatN left = select(1.0f - opacity, (floatN)1.0f, rises);
     m.r = left * m.r + share * (UNIFORM_ROW(ROW_COLOR) + w * UNIFORM_ROW(ROW_COLOR_CHANGE));
     m.g = left * m.g + share * (UNIFORM_ROW(ROW_COLOR + 1) + w * UNIFORM_ROW(ROW_COLOR_CHANGE + 1));
     m.b = left * m.b + share * (UNIFORM_ROW(ROW_COLOR + 2) + w * UNIFORM_ROW(ROW_COLOR_CHANGE + 2));
@@ -295,8 +316,9 @@ INLINE void append_one_by_one(SegmentColor *s, intN low, intN high, intN rises, 
   s->depth += m.depth;
 }
 
-/* Appends all pieces between `low` and `high` (neither of them) at once, in their mean colour, from sums over all pieces before each: where
- * there are many, each is thin. What is opaque all along ends the light, and is seen in the colour of the end that it is entered by. */
+/* Appends all pieces between `low` and `high` (neither of them) at once, in their mean colour, from sums over all
+ * pieces before each: where there are many, each is thin. What is opaque all along ends the light, and is seen in the
+ * colour of the end that it is entered by. */
 INLINE void append_at_once(SegmentColor *s, intN low, intN high, intN rises, floatN per, intN active, Pieces f)
 {
   const floatN zero = 0.0f, one = 1.0f;
@@ -319,8 +341,8 @@ INLINE void append_at_once(SegmentColor *s, intN low, intN high, intN rises, flo
   }
 }
 
-/* A segment along which the value runs from `front` to `back`, `units` opacity units long, of the lanes in `active`; others' are undefined.
- * One with an end that is not finite is transparent. */
+/* A segment along which the value runs from `front` to `back`, `units` opacity units long, of the lanes in `active`;
+ * others' are undefined. One with an end that is not finite is transparent. */
 LOOKED_UP SegmentColor color_of_segment(floatN front, floatN back, floatN units, intN active, Pieces f)
 {
   const floatN zero = 0.0f, one = 1.0f;
@@ -344,8 +366,8 @@ LOOKED_UP SegmentColor color_of_segment(floatN front, floatN back, floatN units,
     append_stretch(&s, part.r, part.g, part.b, part.depth);
     return s;
   }
-  /* Pieces in which nothing shows need not be looked at: most often one end of the segment is in such a piece, and then the part at the other
-   * end is found in the same pass as those of rays that stay in one piece. */
+  /* Pieces in which nothing shows need not be looked at: most often one end of the segment is in such a piece, and
+   * then the part at the other end is found in the same pass as those of rays that stay in one piece. */
   const intN behind = piece_of(back, f), rises = MASK(back > front);
   const intN back_shows = crosses & MASK(piece_row(f, ROW_DEPTH, behind) > 0.0f);
   const intN swaps = back_shows & ~front_shows, both = back_shows & front_shows;
@@ -353,7 +375,8 @@ LOOKED_UP SegmentColor color_of_segment(floatN front, floatN back, floatN units,
   const floatN leaves_at = select(begin, piece_row(f, ROW_END, in_front), rises);
   const floatN behind_begin = piece_row(f, ROW_BEGIN, behind);
   const floatN enters_at = select(piece_row(f, ROW_END, behind), behind_begin, rises);
-  const floatN front_units = select(units, fabs(leaves_at - front) * per, crosses), back_units = fabs(back - enters_at) * per;
+  const floatN front_units = select(units, fabs(leaves_at - front) * per, crosses);
+  const floatN back_units = fabs(back - enters_at) * per;
   w1 = select(w1, select(zero, one, rises), crosses);
   const floatN last0 = select(one, zero, rises);
   const floatN last1 = lane_clamp((back - behind_begin) * piece_row(f, ROW_INVERSE, behind), zero, one);
@@ -374,7 +397,8 @@ LOOKED_UP SegmentColor color_of_segment(floatN front, floatN back, floatN units,
   if (any_lane(back_shows)) {
     if (any_lane(both)) {
       const PiecePart more = part_of_piece(behind, last0, last1, back_units, f);
-      last.r = select(last.r, more.r, both), last.g = select(last.g, more.g, both), last.b = select(last.b, more.b, both);
+      last.r = select(last.r, more.r, both), last.g = select(last.g, more.g, both),
+          last.b = select(last.b, more.b, both);
       last.depth = select(last.depth, more.depth, both);
     }
     append_stretch(&s, last.r, last.g, last.b, select(zero, last.depth, back_shows));
@@ -393,7 +417,8 @@ INLINE void classify_value(floatN value, Pieces f, floatN *r, floatN *g, floatN 
   const intN piece = piece_of(value, f);
 #define PIECE_ROW(row) piece_row(f, row, piece)
   const floatN w = lane_clamp((value - PIECE_ROW(ROW_BEGIN)) * PIECE_ROW(ROW_INVERSE), (floatN)0.0f, (floatN)1.0f);
-  *r = PIECE_ROW(ROW_COLOR) + w * PIECE_ROW(ROW_COLOR_CHANGE), *g = PIECE_ROW(ROW_COLOR + 1) + w * PIECE_ROW(ROW_COLOR_CHANGE + 1);
+  *r = PIECE_ROW(ROW_COLOR) + w * PIECE_ROW(ROW_COLOR_CHANGE), *g = PIECE_ROW(ROW_COLOR + 1) + w *
+      PIECE_ROW(ROW_COLOR_CHANGE + 1);
   *b = PIECE_ROW(ROW_COLOR + 2) + w * PIECE_ROW(ROW_COLOR_CHANGE + 2);
   const floatN clear = lane_max(PIECE_ROW(ROW_CLEAR) + w * PIECE_ROW(ROW_CLEAR_CHANGE), (floatN)0.0f);
   *extinction = depth_of_clear(clear, PIECE_ROW(ROW_OPACITY) + w * PIECE_ROW(ROW_OPACITY_CHANGE));

@@ -1,10 +1,11 @@
-/* The numbers of one frame: its rays, its picture and the volume. The host fills it (clvol/opencl/structs.py declares the same
- * fields, and a kernel reports these so that the host compares them). What changes from frame to frame is here, not in a switch:
- * moving the camera compiles nothing.
+/* The numbers of one frame: its rays, its picture and the volume. The host fills it (clvol/opencl/structs.py declares
+ * the same fields, and a kernel reports these so that the host compares them). What changes from frame to frame is
+ * here, not in a switch: moving the camera compiles nothing.
  *
- * Positions are in lattice coordinates: voxel centres at 0 .. size - 1 along x, y, z. (An axis of one voxel is stored twice and
- * runs from 0 to 1.) Lengths t along a ray are in smallest voxel edges, measured from the reference plane: perpendicular to
- * the view, it touches the volume from the front, or contains the eye. So neither a distant eye nor a wide view costs precision.
+ * Positions are in lattice coordinates: voxel centres at 0 .. size - 1 along x, y, z. (An axis of one voxel is stored
+ * twice and runs from 0 to 1.) Lengths t along a ray are in smallest voxel edges, measured from the reference plane:
+ * perpendicular to the view, it touches the volume from the front, or contains the eye. So neither a distant eye nor a
+ * wide view costs precision.
  */
 #ifndef VIEW_H
 #define VIEW_H

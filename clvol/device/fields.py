@@ -100,7 +100,8 @@ class _Part:
         self.matrix, self.shift = between_lattices(volume.grid, field.volume.grid)
 
     def fill(self, row: np.void, place: Callable[[np.ndarray], int], edge: float) -> None:
-        """Fills what of the struct ``Field`` depends on the role. ``edge``: world length of the volume's smallest edge."""
+        """Fills the fields of the struct ``Field`` that depend on the role. ``edge``: world length of the volume's
+        smallest edge."""
         field = self.field
         if field.role == "label":
             table = np.column_stack([field.colors, field.factors])

@@ -182,8 +182,7 @@ def device_noise(
             term["value_amplitude"] = noise.amplitude * value_gain
         else:
             term["amplitude"][:3] = noise.amplitude / np.asarray(grid.spacing)
-        term["octaves"], term["target"] = noise.octaves, TARGETS[noise.target]
-        term["first_texel"] = seeds.index(noise.seed) * TILE**3
+        term["octaves"], term["first_texel"] = noise.octaves, seeds.index(noise.seed) * TILE**3
     values = sum(noise.target == "value" for noise in noises)
     return terms, values, len(ordered) - values
 

@@ -34,8 +34,9 @@ class Argument:
 
     intent: "in", a buffer that is read; "out", a buffer that is written; "value", a scalar or a vector.
     dtype: of a buffer's elements, or of the value. ``RAW`` stands for any, and then ``shape`` counts bytes.
-    shape: of a buffer, at least: numbers, or names of integers that are known when the kernel is called (its own integer
-        values, of a vector "name.x" to "name.w", and the ``sizes`` of the call). The buffer must hold their product. Empty: one element.
+    shape: of a buffer, at least: numbers, or names of integers that are known when the kernel is called: its own
+        integer values (of a vector "name.x" to "name.w") and the ``sizes`` of the call. The buffer must hold their
+        product. Empty: one element.
     """
 
     name: str

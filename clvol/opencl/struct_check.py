@@ -13,7 +13,7 @@ from clvol.opencl.context import DeviceContext, Kernel
 _CAPACITY = 256
 _RECORD = np.dtype([("name", "S56"), ("offset", "u4"), ("bytes", "u4")])  # StructField
 REPORT_ARGUMENTS = (writes("fields", _RECORD, "capacity"), value("capacity", np.int32))
-"""Of the kernel ``struct_fields`` that REPORT_FIELDS makes."""
+"""Of the kernel ``struct_fields`` that REPORT_FIELDS defines."""
 
 Layout = dict[str, tuple[int, int]]  # of a struct, and of its fields by name: offset and size in bytes
 _WHOLE = ""  # the name of the struct itself

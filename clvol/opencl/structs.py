@@ -1,4 +1,6 @@
-"""Structs shared with the kernels, each declared once here; clvol/opencl/struct_check.py compares them with the device's.
+"""Structs shared with the kernels, each declared once here.
+
+clvol/opencl/struct_check.py compares them with the device's.
 
 ``struct`` lays fields out as OpenCL C does. What a field means stands beside it in the header that is named.
 """
@@ -25,8 +27,8 @@ FieldType = str | np.dtype
 def struct(*groups: tuple[FieldType, str] | tuple[FieldType, str, int]) -> np.dtype:
     """A struct of OpenCL C as a numpy dtype: (type, "names of fields") or (type, name, length of the array).
 
-    Each field is at the next multiple of its alignment, vectors aligned to their size and structs to their widest field;
-    the size is a multiple of the widest alignment. ValueError for a type that is not known.
+    Each field is at the next multiple of its alignment: vectors are aligned to their size, structs to their widest
+    field. The size is a multiple of the widest alignment. ValueError for a type that is not known.
     """
     names, formats, offsets = [], [], []
     end, widest = 0, 1
@@ -97,7 +99,7 @@ PYRAMID = struct(
 NOISE_TERM = struct(
     ("float4", "scale offset amplitude"),
     ("float", "value_amplitude gain"),
-    ("int", "octaves target first_texel"),
+    ("int", "octaves first_texel"),
 )
 """``NoiseTerm`` of cl/noise.h."""
 

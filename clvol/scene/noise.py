@@ -8,7 +8,7 @@ from pydantic import Field
 
 from clvol.scene.table import AsTuple, Number, Table, Whole
 
-LARGEST_COUNT = 4  # terms: NOISE_TERMS of cl/noise.h
+LARGEST_COUNT = 4  # terms: MOST_NOISE_TERMS of cl/features.h
 _Speed = Annotated[Number, Field(ge=-1e6, le=1e6)]
 
 

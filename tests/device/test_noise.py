@@ -308,6 +308,6 @@ def test_terms_of_a_seed_share_a_tile():
     noises = [Term(seed=4), Term(), Term("coordinate", seed=4)]
     made, values, coordinates = device_noise(noises, GRID)
     assert (values, coordinates) == (2, 1)
-    assert made["shape"][:3, 2].tolist() == [0, TILE**3, 0]
+    assert made["first_texel"][:3].tolist() == [0, TILE**3, 0]
     doubled, *_ = device_noise([Term()], GRID, value_gain=0.25)
     assert doubled["amplitude"][0].tolist() == [0.0, 0.0, 0.0, 0.25]

@@ -21,8 +21,8 @@ ROOT = Path(__file__).resolve().parents[2]
 
 # From the bottom up: a module imports its own room and rooms that are listed before it.
 ORDER = (
-    ("errors", "text", "interrupts", "limits", "json_values", "quietly", "inputs"),
-    ("volume",), ("transfer",), ("store",), ("readers",), ("image",), ("scene",), ("features",), ("schedule",),
+    ("errors", "text", "interrupts", "limits", "json_values", "quietly"),
+    ("volume",), ("inputs",), ("transfer",), ("store",), ("readers",), ("image",), ("scene",), ("features",), ("schedule",),
     ("opencl",), ("device",), ("integrators",), ("render", "explanation"), ("accuracy",), ("cli",),
 )  # fmt: skip
 LEVEL = {room: level for level, rooms in enumerate(ORDER) for room in rooms}
@@ -166,7 +166,7 @@ def upward_imports() -> dict[str, int]:
         if not room(one.source):
             return False
         if not room(one.target):
-            return room(one.source) != "cli" and one.name != "__version__"
+            return room(one.source) != "cli" and one.name not in ("", "__version__")
         return LEVEL[room(one.target)] > LEVEL[room(one.source)]
 
     return _counted(str(one) for one in imports() if is_upward(one))

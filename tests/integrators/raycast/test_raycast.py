@@ -311,9 +311,19 @@ def test_samples_are_proportional_to_the_length_of_the_rays(context):
 @pytest.mark.parametrize("bits", [8, 16, 32, 64])
 def test_the_view_struct_is_the_same_on_both_sides(context, bits):
     dtype = {8: np.uint8, 16: np.uint16, 32: np.float32, 64: np.float64}[bits]
-    caster = Raycaster(context, make_scene(waves((8, 8, 8), dtype)))  # compares the sizes
-    assert all(dtype.fields[name][1] % 16 == 0 for dtype in [view_dtype(bits)] for name in dtype.names)
+    caster = Raycaster(context, make_scene(waves((8, 8, 8), dtype)))  # compares them field by field
     assert caster.switches["VOXEL_BITS"] == bits
+
+
+def test_a_caster_refuses_a_struct_that_is_not_the_devices(context, monkeypatch):
+    ours = view_dtype(8)
+    fields = {name: list(field[:2]) for name, field in ours.fields.items()}
+    fields["step"][1], fields["stop_opacity"][1] = fields["stop_opacity"][1], fields["step"][1]
+    formats, offsets = zip(*fields.values())
+    swapped = np.dtype({"names": list(fields), "formats": formats, "offsets": offsets, "itemsize": ours.itemsize})
+    monkeypatch.setattr(Raycaster, "_structs", {"View": swapped})
+    with pytest.raises(RenderError, match="struct View, field (step|stop_opacity)"):
+        Raycaster(context, make_scene(waves((8, 8, 8), np.uint8)))
 
 
 # --- the renderer ----------------------------------------------------------------------------------
