@@ -18,7 +18,7 @@ from contextlib import contextmanager
 
 from clvol.interrupts import check_stopped, stoppable
 
-COMMANDS = ("render", "explain", "info", "store", "doctor", "compare", "tradeoff")
+COMMANDS = ("render", "explain", "info", "scene", "store", "doctor", "compare", "tradeoff")
 INTERRUPTED = 130
 
 

@@ -81,41 +81,79 @@ class Multiresolution(Table):
         BeforeValidator(_as_text),
         AfterValidator(_is_size),
         Knob("memory", "", _budgets, saves_memory=True, methods=_OURS, order=parse_size),
-    ] = Field("96 MiB", description="a size such as \"96 MiB\"")
+    ] = Field(
+        "96 MiB",
+        title="Device memory for samples, their index, staging and the map of empty space.",
+        description="a size such as \"96 MiB\"",
+    )
     stepping: Annotated[
         Literal["full", "limited", "naive", "bounded", "pyramid"],
         Knob(
             "stepping", "", ("naive", "limited", "bounded", "full"),
             is_ladder=False, alone=True, methods=_OURS,
         ),
-    ] = Field("limited", description="'full', 'limited', 'naive', 'bounded' or 'pyramid'")  # fmt: skip
+    ] = Field(
+        "limited",
+        title="How step lengths follow the resolution of blocks; see data/examples/README.md.",
+        description="'full', 'limited', 'naive', 'bounded' or 'pyramid'",
+    )  # fmt: skip
     step_error: Annotated[
         Number,
         Knob(
             "step error", "linear light", (0.3, 0.1, 0.03, 0.01, 0.003, 0.001),
             methods=_OURS, applies=lambda scene: scene.multiresolution.stepping == "bounded",
         ),
-    ] = Field(0.03, gt=0, le=1, description="a number greater than 0, at most 1")  # fmt: skip
+    ] = Field(
+        0.03, gt=0, le=1,
+        title="Error of a colour that one step of 'bounded' stepping may add (linear, premultiplied).",
+        description="a number greater than 0, at most 1",
+    )  # fmt: skip
     interblock: Annotated[
         bool,
         Knob("interblock", "", (False, True), is_ladder=False, alone=True, methods=_OURS),
-    ] = Field(True, description="true or false")
-    view_weighting: bool = Field(True, description="true or false")
-    occlusion: bool = Field(True, description="true or false")
+    ] = Field(
+        True,
+        title="Whether values are interpolated between blocks (no seams); false is faster and shows seams.",
+        description="true or false",
+    )
+    view_weighting: bool = Field(
+        True,
+        title="Whether the error of a block is weighted by what the view shows of it.",
+        description="true or false",
+    )
+    occlusion: bool = Field(
+        True,
+        title="Whether the error of a block is weighted by how much of its light reaches the eye.",
+        description="true or false",
+    )
     tiles: Annotated[
         Whole, Knob("tiles", "pixels", (32, 16, 8, 0), of_picture=True, methods=_OURS)
-    ] = Field(0, ge=0, le=256, description=_TILES)
-    tile_priority: Literal["max", "average", "rms"] = Field(
-        "max", description="'max', 'average' or 'rms'"
+    ] = Field(
+        0, ge=0, le=256,
+        title="Edge of image tiles with adaptive ray density, in pixels; 0 sends a ray through every pixel.",
+        description=_TILES,
     )
-    tile_low: Number = Field(0.1, gt=0, le=1, description=_SHARE)
+    tile_priority: Literal["max", "average", "rms"] = Field(
+        "max",
+        title="How the resolutions of the blocks behind its corners give a tile its ray density.",
+        description="'max', 'average' or 'rms'",
+    )
+    tile_low: Number = Field(
+        0.1, gt=0, le=1,
+        title="Rays per axis of the tiles of lowest priority, divided by tiles.",
+        description=_SHARE,
+    )
     tile_high: Annotated[
         Number,
         Knob(
             "highest share of rays", "of a tile's edge", _tile_shares, of_picture=True,
             methods=_OURS, applies=_in_tiles,
         ),
-    ] = Field(0.9, gt=0, le=1, description=_SHARE)  # fmt: skip
+    ] = Field(
+        0.9, gt=0, le=1,
+        title="Rays per axis of the tiles of highest priority, divided by tiles.",
+        description=_SHARE,
+    )  # fmt: skip
 
     @classmethod
     def table_name(cls) -> str:

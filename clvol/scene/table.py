@@ -1,7 +1,8 @@
 """The base of every table: immutable, strict about types, and clear about what is wrong.
 
-A field's description says what is expected of it. It is both the documentation of the key and the
-last part of the error message.
+A field's ``title`` is one line on what the key means. Its ``description`` says which values are expected: it is
+also the last part of error messages. ``examples`` holds a value where there is no default. The scene reference and the
+JSON schema (``clvol/scene/reference.py``) are made from these.
 """
 
 from __future__ import annotations
@@ -125,18 +126,18 @@ def _model_at(model: type[BaseModel], path: list[str]) -> type[BaseModel] | None
         if part.isdecimal():
             continue
         field = model.model_fields.get(part)
-        inner = None if field is None else _model_in(field.annotation)
+        inner = None if field is None else model_in(field.annotation)
         if inner is None:
             return None
         model = inner
     return model
 
 
-def _model_in(annotation: Any) -> type[BaseModel] | None:
+def model_in(annotation: Any) -> type[BaseModel] | None:
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return annotation
     for inner in get_args(annotation):
-        if found := _model_in(inner):
+        if found := model_in(inner):
             return found
     return None
 
