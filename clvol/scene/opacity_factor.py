@@ -38,6 +38,8 @@ class OpacityFactor:
 
 
 class GradientOpacityPoint(Table):
+    """A factor on the extinction at one gradient magnitude."""
+
     magnitude: Number = Field(
         ge=0,
         title="Gradient magnitude, in value per world length.",
@@ -56,6 +58,8 @@ class GradientOpacityPoint(Table):
 
 
 class DirectionalOpacityPoint(Table):
+    """A factor on the extinction at one size of the derivative along the ray."""
+
     derivative: Number = Field(
         ge=0,
         title="Size of the derivative along the ray, in value per world length.",

@@ -52,7 +52,7 @@ def scene_schema() -> dict[str, Any]:
     schema = _cleaned(Scene.model_json_schema())
     for model in (Scene, *_models()):
         part = schema if model is Scene else schema["$defs"][model.__name__]
-        part["description"] = (model.__doc__ or "").strip().split("\n\n")[0].replace("\n    ", " ")
+        part["description"] = " ".join((model.__doc__ or "").split("\n\n")[0].replace("``", "").split())
         for key, field in model.model_fields.items():
             known = part["properties"][key]
             known.pop("title", None)

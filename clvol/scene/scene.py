@@ -70,13 +70,76 @@ def _transfer_function(value: Any, check: Callable[[Any], Any]) -> Any:
 
 
 class Scene(Table):
-    """What to render. Keys are those of a scene file.
+    """What to render: a volume, and how to look at it.
 
-    From Python, ``volume`` may also be a ``clvol.Volume`` or a path, and ``transfer_function`` a
-    ``clvol.TransferFunction``; beside one, all colours are linear light. The ``file`` of a field
-    may be a ``clvol.Volume``. What is left out has defaults that show the whole volume. Scenes are
-    immutable: ``scene.model_copy(update={"camera": other})`` makes another, checked, that shares
-    the volume. Raises SceneError.
+    The arguments are the tables of a scene file, by keyword; ``clvol scene --keys`` lists the keys of each. A table is
+    an object (``clvol.Camera(...)``) or a dict of its keys; what is left out shows the whole volume. Scenes are
+    immutable: ``scene.model_copy(update={"camera": other})`` makes another, checked, that shares the volume.
+
+    Parameters
+    ----------
+    version : int
+        Version of the scene format: 1.
+    volume : Volume, str, path or VolumeSettings
+        The voxels: an array on a grid, a file, or a computed field. Required.
+    camera : Camera, optional
+        The view. Default: perspective, 30 degrees, the whole volume in view.
+    image : ImageSettings
+        Width and height in pixels, and the background.
+    transfer_function : TransferFunction or TransferFunctionSettings, optional
+        Colour and opacity by value. Default: a grey ramp over the value range. Beside a ``TransferFunction``, all
+        colours of the scene are linear light.
+    integration : Integration
+        Rendering method, step, classification and filter.
+    material : Material
+        Reflection of lit samples and surfaces (Blinn-Phong).
+    light : sequence of Light
+        Lights. Without any, nothing is shaded.
+    isosurface : sequence of Isosurface
+        Surfaces where the volume has a value.
+    clip : sequence of Clip
+        Planes, boxes and spheres that cut the volume.
+    multiresolution : Multiresolution
+        Settings of the method "multiresolution".
+    pyramid : Pyramid
+        Settings of the method "pyramid".
+    gradient : GradientSettings
+        How gradients are computed.
+    environment : Environment, optional
+        Light from all around, from a picture of it.
+    shadow : Shadow, optional
+        Shadows and forward scattering.
+    gradient_opacity : GradientOpacity, optional
+        Factor on the extinction by gradient magnitude.
+    directional_opacity : DirectionalOpacity, optional
+        Factor on the extinction by the derivative along the ray.
+    transfer_layer : sequence of TransferLayerSettings
+        Further layers of a two-dimensional transfer function.
+    field : sequence of FieldSettings
+        Up to three further volumes: labels, a second medium, a mask. ``file`` may be a ``Volume``.
+    noise : sequence of Noise
+        Up to four noises that perturb values or positions.
+    depth_cue : DepthCue, optional
+        Fading with distance from the eye.
+    animation : Animation
+        What changes from one frame to the next.
+
+    Raises
+    ------
+    SceneError
+        For an unknown key, a wrong type or an impossible value: the file, the key, the value and what was expected.
+
+    Examples
+    --------
+    >>> volume = clvol.Volume(array, spacing=(1, 1, 2))  # array [z, y, x]
+    >>> scene = clvol.Scene(
+    ...     volume=volume,
+    ...     image={"width": 800, "height": 600},
+    ...     light=[clvol.Light(type="headlight")],
+    ...     integration=clvol.Integration(step=0.5),
+    ... )
+    >>> with clvol.Renderer(scene) as renderer:
+    ...     renderer.render().save("picture.png")
     """
 
     version: Annotated[int, BeforeValidator(_version)] = Field(1, title="Version of the scene format.", description="1")

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from difflib import get_close_matches
+from inspect import Parameter, Signature
 from typing import Annotated, Any, get_args
 
 import numpy as np
@@ -46,6 +47,11 @@ class Table(BaseModel, metaclass=_TableType):
     )
 
     @classmethod
+    def __pydantic_init_subclass__(cls, **options: Any) -> None:
+        super().__pydantic_init_subclass__(**options)
+        cls.__signature__ = _readable_signature(cls)
+
+    @classmethod
     def table_name(cls) -> str:
         """The name of the table in a scene file; empty for the scene itself."""
         return ""
@@ -56,6 +62,26 @@ class Table(BaseModel, metaclass=_TableType):
             return super().model_copy(deep=deep)
         asked = {name: getattr(self, name) for name in self.model_fields_set}
         return type(self)(**{**asked, **update})
+
+
+class _AllDefaults:
+    """What ``help`` shows as the default of a key that is a table of its own."""
+
+    def __init__(self, value: BaseModel) -> None:
+        self._name = type(value).__name__
+
+    def __repr__(self) -> str:
+        return f"{self._name}()"
+
+
+def _readable_signature(model: type[BaseModel]) -> Signature:
+    """Names and defaults, as ``help`` shows them: annotations with validators in them fill a page."""
+    parameters = []
+    for name, field in model.model_fields.items():
+        default = Parameter.empty if field.is_required() else field.default
+        shown_default = _AllDefaults(default) if isinstance(default, BaseModel) else default
+        parameters.append(Parameter(name, Parameter.KEYWORD_ONLY, default=shown_default))
+    return Signature(parameters)
 
 
 def wrong(key: str, got: Any, expected: str) -> PydanticCustomError:
@@ -134,6 +160,7 @@ def _model_at(model: type[BaseModel], path: list[str]) -> type[BaseModel] | None
 
 
 def model_in(annotation: Any) -> type[BaseModel] | None:
+    """The model that a field's annotation names, alone or in a list or union; None if it names none."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return annotation
     for inner in get_args(annotation):

@@ -14,6 +14,8 @@ LARGEST_POINTS = 65536
 
 
 class ControlPoint(Table):
+    """Opacity and colour at one value; both are linear between points."""
+
     value: Number = Field(title="Value of the volume.", description="a finite number", examples=[0.0])
     opacity: Fraction = Field(
         title="Opacity over one opacity_unit of length.",
