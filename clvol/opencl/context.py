@@ -6,6 +6,7 @@ a wrong array is a Python error and not a wrong picture.
 
 from __future__ import annotations
 
+import logging
 import signal
 import sys
 import threading
@@ -60,6 +61,7 @@ class Argument:
         return tuple(arguments)
 
 
+_log = logging.getLogger(__name__)
 _INT4 = np.dtype(("i4", 4))
 _FLOAT4 = np.dtype(("f4", 4))
 _ANY = np.dtype("V1")  # a struct or raw voxels: the kernel's own switches say what it holds
@@ -149,6 +151,7 @@ class DeviceContext:
             self.queue = cl.CommandQueue(self.context)
         except cl.Error as error:
             raise DeviceError(self.name, f"cannot be used ({error})", "a working device") from None
+        _log.info("rendering on %s: %s (%s)", self.name, device.name.strip(), device.platform.name.strip())
         self._outputs: list[tuple[DeviceArray, int]] = []
         self._lent: set[int] = set()  # of the outputs above: not yet taken
         self._programs: dict[tuple, Any] = {}

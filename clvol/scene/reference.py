@@ -47,6 +47,15 @@ def reference_keys() -> list[tuple[str, str]]:
     return [(name, key) for name in table_names() for key, _ in _keys(_model_of(name))]
 
 
+def override_keys() -> list[str]:
+    """TABLE.KEY of every key, as ``--set`` takes them; of a list of tables, those of the first one."""
+    keys = []
+    for name in table_names():
+        table = f"{name}.0" if _is_list(Scene.model_fields[name]) else name
+        keys += [f"{table}.{key}" for key in _model_of(name).model_fields]
+    return keys
+
+
 def scene_schema() -> dict[str, Any]:
     """The JSON schema of a scene file (draft 2020-12), for editors that complete and check TOML."""
     schema = _cleaned(Scene.model_json_schema())
