@@ -21,7 +21,8 @@ from bench.multiresolution_scenes import BlockScene
 from bench.report import say
 from clvol.accuracy.metrics import delta_e, ssim
 from clvol.accuracy.timing import summary, take_turns
-from clvol.store.source import DROPPED, BlockStatistics, VolumeBlocks
+from clvol.store.source import DROPPED, BlockStatistics
+from clvol.store.volume_blocks import VolumeBlocks
 
 STEPPINGS = ("full", "limited", "naive", "bounded")
 PRIORITIES, TILE_SIZES = ("max", "average", "rms"), (8, 12, 16, 24)
@@ -391,7 +392,7 @@ def changed_function(bench: Bench, scene: BlockScene, other: BlockScene, memory:
     scene_asked = scene.asked(volume, size, memory)
     function = other.asked(volume, size, memory).resolve().transfer_function
     with Renderer(scene_asked, [bench.device]) as renderer:
-        residency = renderer._raycaster.residency
+        residency = renderer._prepared.residency
         idle = [_seconds(renderer) for _ in range(bench.rounds + 1)][1:]
         before = residency.blocks.levels
         start = perf_counter()

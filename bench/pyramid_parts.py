@@ -81,7 +81,7 @@ def fine_picture(bench: Bench, scene: BlockScene, rays: Any) -> Any:
         scene, bench.volume(scene), bench.size, filter=rays.resolved.integration.filter,
         step=FINE_STEP, early_termination=0.0,
     )  # fmt: skip
-    return picture(rays.like(asked)).rgba
+    return picture(rays.for_scene(asked)).rgba
 
 
 # As in the paper
@@ -169,7 +169,7 @@ def way_row(
 
 def dearer(made: Any, repeats: int) -> Any:
     """The same with so many look-ups more for every sample; the picture stays what it is."""
-    other = made.like(made.resolved)
+    other = made.for_scene(made.resolved)
     if repeats:
         other.switches = other.switches | {"SAMPLE_REPEATS": repeats}
         warm(other)

@@ -41,8 +41,8 @@ def run(options: Options) -> dict[str, Any] | None:
 
 def _scene(scene: BenchScene, volume, device: Any, options: Options) -> list[dict[str, Any]]:
     from bench.reference_cache import exact_picture
-    from clvol.accuracy.settings import scene_knobs, scene_settings
-    from clvol.accuracy.target import render_to_error
+    from clvol.accuracy.error_target import render_to_error
+    from clvol.accuracy.settings import scene_settings, scene_tunables
     from clvol.accuracy.trials import Trials
     from clvol.opencl.context import DeviceContext
 
@@ -52,7 +52,7 @@ def _scene(scene: BenchScene, volume, device: Any, options: Options) -> list[dic
     exact = exact_picture(resolved, device, options.references, size * size)
     context = DeviceContext(device)
     trials = Trials(resolved, context, frames=1, exact=exact.rgba.reshape(size, size, 4))
-    own = scene_settings(resolved, scene_knobs(resolved))
+    own = scene_settings(resolved, scene_tunables(resolved))
     rows, runs = [], {}
     for error in ERRORS[:1] if options.quick else ERRORS:
         begun = time.perf_counter()

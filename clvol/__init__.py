@@ -22,15 +22,15 @@ __version__ = "0.1.0"
 
 _LAZY = {
     "Volume": "clvol.volume",
-    "load_volume": "clvol.volume",
+    "load_volume": "clvol.readers",
     "Scene": "clvol.scene",
     "load_scene": "clvol.scene",
     "Camera": "clvol.scene",
     "TransferFunction": "clvol.transfer",
     "Renderer": "clvol.render",
     "Frame": "clvol.render",
-    "render_to_error": "clvol.accuracy.target",
-    "render_in_time": "clvol.accuracy.target",
+    "render_to_error": "clvol.accuracy.error_target",
+    "render_in_time": "clvol.accuracy.time_target",
     "errors": "clvol.errors",
 }
 # The tables of a scene, and what they are made of.

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Mapping
 from typing import Any
 
-from clvol.features.analysis import effects, reduced, reduced_for_frames
-from clvol.features.refuse import refuse_unknown
+from clvol.device.environment_file import load_radiance
+from clvol.features.analysis import effects, reduced
 from clvol.features.scene_warnings import camera_warning, scene_warnings
-from clvol.features.vocabulary import GRADIENTS
+from clvol.integrators.registry import check_scene, integrator_of
+from clvol.opencl.context import compile_options
+from clvol.opencl.kernels_path import kernel_folder
 from clvol.scene.environment import Environment
 from clvol.scene.resolve import ResolvedScene
 
@@ -17,7 +20,7 @@ def explain(resolved: ResolvedScene) -> dict[str, Any]:
     """As ``clvol explain --json``: effects with reasons, what identifies the compiled kernel, and "warnings",
     of what can hardly be meant. SceneError for what a Renderer would refuse, such as environments that cannot be read.
     """
-    refuse_unknown(resolved)
+    check_scene(resolved)
     _read_environment(reduced(resolved).environment)
     listed = [
         {"name": e.name, "called_for": e.called_for, "reason": e.reason} for e in effects(resolved)
@@ -34,8 +37,6 @@ def explain(resolved: ResolvedScene) -> dict[str, Any]:
 
 def _read_environment(environment: Environment | None) -> None:
     """SceneError if it cannot be rendered."""
-    from clvol.device.environment_file import load_radiance
-
     if environment is not None:
         load_radiance(
             environment.path, environment.layout, environment.intensity,
@@ -44,83 +45,24 @@ def _read_environment(environment: Environment | None) -> None:
 
 
 def kernel_hash(resolved: ResolvedScene, lanes: int = 16) -> str:
-    """Identifies exactly what gets compiled for this scene: sources and switches.
+    """Identifies exactly what is compiled for this scene: sources and switches.
 
-    On a device with room for what is precomputed. The voxels count as they are rendered:
-    coefficients of a prefilter are found for it.
+    On a device with room for what is precomputed. The voxels count as they are rendered: coefficients of a prefilter
+    are found for it. ``lanes``: rays that a work-item marches together, 16 on CPUs.
     """
-    from clvol.opencl.context import compile_options
-    from clvol.opencl.kernels_path import kernel_folder
-
     digest = hashlib.sha256()
-    if resolved.integration.method == "reference":
-        resolved = reduced(resolved)
-        digest.update(f"{resolved.volume.dtype.name} {resolved.integration.filter}".encode())
-        files = ["reference*"]
-    else:
-        programs = scene_programs(resolved, lanes)
-        for file, switches in programs.items():
-            digest.update(" ".join((file, *compile_options(switches))).encode())
-        digest.update(_custom_source(resolved))
-        files = [*programs, *_MAKING_MAPS.get(resolved.integration.method, ()), "*.h"]
-    for pattern in files:
+    programs = scene_programs(resolved, lanes)
+    for file, switches in programs.items():
+        digest.update(" ".join((file, *compile_options(switches))).encode())
+    files, more = integrator_of(resolved).sources(resolved)
+    digest.update(more)
+    for pattern in (*programs, *files):
         for path in sorted(kernel_folder().glob(pattern)):
             digest.update(path.read_bytes())
     return digest.hexdigest()[:16]
 
 
-# What finds maps that a picture depends on, beside the programs that render it.
-_MAKING_MAPS = {"pyramid": ("oracle_cells.cl", "oracle_visible.cl"), "multiresolution": ("block_cells.cl",)}
-
-
-def _custom_source(resolved: ResolvedScene) -> bytes:
-    """What an oracle of the caller's own adds."""
-    if resolved.integration.method != "pyramid":
-        return b""
-    from clvol.integrators.pyramid.oracles import oracle_named
-
-    folder = oracle_named(resolved.pyramid.oracle).folder
-    return b"" if folder is None else (folder / "oracle_custom.h").read_bytes()
-
-
-def scene_programs(resolved: ResolvedScene, lanes: int = 16) -> dict[str, dict[str, int]]:
-    """The files of cl/ that the ray caster compiles for this scene (beside those that all scenes
-    share, for tables and empty space), each with its switches."""
-    from clvol.device.gradients import storing_switches
-    from clvol.device.light_volume import METHODS
-    from clvol.device.prefilter import prefiltered
-    from clvol.device.quantise import quantised
-    from clvol.integrators.raycast.caster import raycast_switches
-
-    if resolved.integration.method == "multiresolution":
-        return _block_programs(reduced_for_frames(resolved), lanes)
-    resolved = reduced_for_frames(prefiltered(quantised(reduced_for_frames(resolved))))
-    if resolved.integration.method == "pyramid":
-        from clvol.integrators.pyramid.caster import pyramid_switches
-
-        return {"pyramid.cl": pyramid_switches(resolved, lanes)}
-    switches = raycast_switches(resolved, lanes=lanes)
-    programs = {"raycast.cl": switches}
-    if resolved.image.ray_spacing > 1:
-        programs["fill_between_rays.cl"] = switches
-    if switches.get("SHADOWS") == METHODS["volume"]:
-        programs["light_volume.cl"] = switches
-    if switches.get("GRADIENT") == GRADIENTS["precomputed"]:
-        programs["gradients.cl"] = storing_switches(switches, resolved.gradient.operator)
-    return programs
-
-
-def _block_programs(resolved: ResolvedScene, lanes: int) -> dict[str, dict[str, int]]:
-    """Of the method "multiresolution", where one buffer holds all samples."""
-    from clvol.integrators.multiresolution.caster import block_switches
-
-    of_samples = {"VOXEL_PAIRS": 0, "SAMPLE_BUFFERS": 1}
-    if resolved.multiresolution.stepping == "pyramid":
-        from clvol.integrators.pyramid.blocks import block_pyramid_switches
-
-        return {"pyramid.cl": block_pyramid_switches(resolved, lanes) | of_samples}
-    switches = block_switches(resolved, lanes, True) | of_samples
-    programs = {"raycast.cl": switches}
-    if resolved.multiresolution.tiles:
-        programs["tile_rays.cl"] = switches
-    return programs
+def scene_programs(resolved: ResolvedScene, lanes: int = 16) -> Mapping[str, Mapping[str, int]]:
+    """The files of cl/ that are compiled for this scene, beside those that all scenes share for empty space, each
+    with its switches."""
+    return integrator_of(resolved).programs(resolved, lanes)

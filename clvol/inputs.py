@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from clvol.errors import UsageError
+from clvol.volume.parts import parts_of
 
 _ZARR = ("zarr.json", ".zgroup", ".zarray", ".zattrs")
 # How what we write begins: such a file in a folder of slices is none of the slices.
@@ -70,8 +71,6 @@ class Inputs:
         if self._is_known:
             return
         self._is_known = True
-        from clvol.volume.parts import parts_of
-
         for path in self._paths:
             if "\0" in path:
                 continue

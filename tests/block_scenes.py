@@ -16,7 +16,8 @@ from clvol.opencl.structs import BLOCKS, view_dtype
 from clvol.scene import ImageSettings, Integration
 from clvol.scene.multiresolution import Multiresolution
 from clvol.store.geometry import BlockGrid
-from clvol.store.source import DROPPED, VolumeBlocks
+from clvol.store.source import DROPPED
+from clvol.store.volume_blocks import VolumeBlocks
 
 _SOURCE = Path(__file__).parent / "render" / "multiresolution" / "block_values.cl"
 _ROOM = 2**20  # bytes for what is not samples, beside the overhead: spare bytes of buffers

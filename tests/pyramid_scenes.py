@@ -9,9 +9,9 @@ from reference.pyramid import PyramidPicture, mapped_oracle, render_pyramid_twin
 from small_scenes import SMOOTH, make_scene, waves
 
 from clvol import TransferFunction
+from clvol.integrators.base import FrameData
 from clvol.integrators.pyramid.caster import PyramidCaster
 from clvol.integrators.pyramid.cells import read_distances
-from clvol.integrators.raycast.caster import FrameData
 
 CAMERA = {"position": (-55.0, -38.0, -61.0), "target": (22.0, 18.0, 20.0), "fov_degrees": 36.0}
 # A thin shell: most of the volume shows nothing.
@@ -49,10 +49,10 @@ def twin_picture(caster: PyramidCaster, clips=()) -> PyramidPicture:
 
 
 def twin_oracle(caster: PyramidCaster):
-    if caster.oracle.kernel == "minimum":
+    if caster.march.oracle.kernel == "minimum":
         return lambda places, left: np.zeros(len(places))
-    mapped = mapped_oracle(caster.resolved, map_distances(caster), caster.asked.shift)
-    if caster.oracle.kernel == "map":
+    mapped = mapped_oracle(caster.resolved, map_distances(caster), caster.march.asked.shift)
+    if caster.march.oracle.kernel == "map":
         return mapped
     least = caster.pyramid.epsilon
     return lambda places, left: mapped(places, left) / np.sqrt(np.maximum(left, least))
@@ -60,4 +60,4 @@ def twin_oracle(caster: PyramidCaster):
 
 def map_distances(caster: PyramidCaster) -> np.ndarray:
     """Distances [z, y, x] of the map that ``caster`` has."""
-    return read_distances(caster.context, caster.map, caster.asked.shape)
+    return read_distances(caster.context, caster.march.map, caster.march.asked.shape)

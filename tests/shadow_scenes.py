@@ -36,12 +36,11 @@ def arriving(caster: Raycaster, places, weight=1.0, light=0):
     given[:3, : len(places)] = places.T
     given[3, : len(places)] = weight
     shares, counts = context.empty(np.float32, (3, n)), context.empty(np.uint32, (n // lanes, 8))
-    view = np.zeros(1, caster._view_dtype)
-    caster._describe_volume(view[0])
+    view = caster.volume_view()
     kernel = context.kernel(
         _SOURCE, "light_at",
         "in volume V1, in table float32, in warp float32, in distances uint8, in view V1"
-        + ARGUMENTS + ", in places float32, value n int32, value light int32, out shares float32",
+        + ARGUMENTS + ", out counts uint32, in places float32, value n int32, value light int32, out shares float32",
         {**caster.switches, "WITH_DEPTH": 0},
     )  # fmt: skip
     kernel(

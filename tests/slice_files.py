@@ -17,8 +17,9 @@ from pydicom.uid import (
 )
 
 from clvol.errors import ClvolWarning, VolumeError
+from clvol.readers import load_volume
 from clvol.text import one_line
-from clvol.volume import Volume, load_volume
+from clvol.volume import Volume
 
 SHAPE = (6, 7, 8)
 

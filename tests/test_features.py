@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import re
+import subprocess
+import sys
 from dataclasses import fields, replace
 from pathlib import Path
 
@@ -30,8 +32,8 @@ from clvol.features import (
     emits,
     is_lit,
     reduced,
-    refuse_unknown,
 )
+from clvol.integrators.registry import check_scene
 from clvol.opencl.kernels_path import kernel_folder
 from clvol.scene import ImageSettings, Scene
 
@@ -385,7 +387,7 @@ def test_samples_with_opacity_and_gradient_are_never_called_absent(data):
 
 
 def switches(resolved) -> dict:
-    from clvol.integrators.raycast.caster import raycast_switches
+    from clvol.integrators.raycast.switches import raycast_switches
 
     return raycast_switches(reduced(resolved), lanes=16)
 
@@ -594,9 +596,9 @@ def test_what_integrates_emission_and_absorption_alone_refuses_the_rest(tables, 
     resolved = scene_with(**tables, integration={key: got})
     message = f"integration.{key}: got '{got}' in a scene that calls for {effect}, expected .*alone"
     with pytest.raises(SceneError, match=message):
-        refuse_unknown(resolved)
-    refuse_unknown(scene_with(**tables))
-    refuse_unknown(scene_with(integration={key: got}, light=[DARK]))
+        check_scene(resolved)
+    check_scene(scene_with(**tables))
+    check_scene(scene_with(integration={key: got}, light=[DARK]))
 
 
 @pytest.mark.parametrize(
@@ -605,25 +607,25 @@ def test_what_integrates_emission_and_absorption_alone_refuses_the_rest(tables, 
      ("classification", "post"), ("compositing", "maximum")],
 )  # fmt: skip
 def test_the_pyramid_refuses_what_it_is_not_rendered_by(key, got):
-    refuse_unknown(scene_with(integration={"method": "pyramid"}))
+    check_scene(scene_with(integration={"method": "pyramid"}))
     with pytest.raises(SceneError, match="got .*pyramid"):
-        refuse_unknown(scene_with(integration={"method": "pyramid", key: got}))
+        check_scene(scene_with(integration={"method": "pyramid", key: got}))
 
 
 def test_the_pyramid_refuses_oracles_that_nobody_has_and_sparse_rays():
     asked = {"integration": {"method": "pyramid"}}
     with pytest.raises(SceneError, match="pyramid.oracle: got 'delphi', expected 'minimum' or"):
-        refuse_unknown(scene_with(**asked, pyramid={"oracle": "delphi"}))
+        check_scene(scene_with(**asked, pyramid={"oracle": "delphi"}))
     with pytest.raises(SceneError, match="image.ray_spacing: got 2 with the method 'pyramid'"):
-        refuse_unknown(scene_with(**asked, image={"ray_spacing": 2}))
-    refuse_unknown(scene_with(pyramid={"oracle": "delphi"}))  # by no method that asks it
+        check_scene(scene_with(**asked, image={"ray_spacing": 2}))
+    check_scene(scene_with(pyramid={"oracle": "delphi"}))  # by no method that asks it
 
 
 def test_the_reference_refuses_what_it_does_not_reconstruct():
     for asked in ({"filter": "catmull-rom"}, {"filter": "cubic", "prefilter": True},
                   {"compositing": "maximum"}):  # fmt: skip
         with pytest.raises(SceneError, match="method: got 'reference' in a scene that calls for"):
-            refuse_unknown(scene_with(integration={"method": "reference"} | asked))
+            check_scene(scene_with(integration={"method": "reference"} | asked))
 
 
 @pytest.mark.parametrize(
@@ -632,15 +634,13 @@ def test_the_reference_refuses_what_it_does_not_reconstruct():
      ("classification", "pre"), ("compositing", "maximum")],
 )  # fmt: skip
 def test_blocks_refuse_what_they_are_not_rendered_by(key, got):
-    refuse_unknown(scene_with(integration={"method": "multiresolution"}))
+    check_scene(scene_with(integration={"method": "multiresolution"}))
     with pytest.raises(SceneError, match="got .*multiresolution|got .*cells"):
-        refuse_unknown(scene_with(integration={"method": "multiresolution", key: got}))
+        check_scene(scene_with(integration={"method": "multiresolution", key: got}))
 
 
 def test_nothing_here_needs_a_device():
     """Effects and reduced scenes come without pyopencl being imported."""
-    import subprocess
-    import sys
 
     code = (
         "import sys, numpy, clvol; from clvol.features import effects, reduced;"

@@ -1,7 +1,7 @@
 """Looking for settings: the cheapest that hold an error.
 
 Nothing here renders: ``measure(settings)`` does, and gives something with ``rmse``, ``seconds`` of
-a picture and its ``cost`` (preparation counted in). What is known of the knobs is that a notch finer
+a picture and its ``cost`` (preparation counted in). What is known of the tunables is that a notch finer
 of the main ladder (the step) lessens the error, about twofold; that alternatives (classification,
 filter) may each be better or worse by far; and that the other ladders buy little with little, and
 limit what the main one can reach.
@@ -14,7 +14,7 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
-from clvol.accuracy.settings import SceneKnob, Settings, key_of
+from clvol.accuracy.settings import SceneTunable, Settings, key_of
 
 _FLOOR = 0.85  # two notches finer and still this share of the error: finer helps no more
 _HOPELESS = 3.0  # times the best cost: what one look promises may be wrong by so much
@@ -37,19 +37,19 @@ class Search:
     def __init__(
         self,
         measure: Callable[[dict[str, Any]], Measured],
-        knobs: Mapping[str, SceneKnob],
+        tunables: Mapping[str, SceneTunable],
         possible: Callable[[Settings], bool] = lambda settings: True,
         canonical: Callable[[Settings], dict[str, Any]] = dict,
     ) -> None:
         self._measure, self._possible, self._canonical = measure, possible, canonical
         self._known: dict[tuple, Measured] = {}
         # Single pixels do not show what depends on their neighbours.
-        self._knobs = {k: knob for k, knob in knobs.items() if not knob.knob.of_picture}
-        alternatives = [k for k in self._knobs.values() if not k.knob.is_ladder]
-        self._alternatives = [k for k in alternatives if not k.knob.alone]
-        self._alone = [k for k in alternatives if k.knob.alone]
-        self._ladders = [k for k in self._knobs.values() if k.knob.is_ladder and not k.knob.is_main]
-        self._main = [k for k in self._knobs.values() if k.knob.is_main]
+        self._tunables = {k: tunable for k, tunable in tunables.items() if not tunable.tunable.of_picture}
+        alternatives = [k for k in self._tunables.values() if not k.tunable.is_ladder]
+        self._alternatives = [k for k in alternatives if not k.tunable.alone]
+        self._alone = [k for k in alternatives if k.tunable.alone]
+        self._ladders = [k for k in self._tunables.values() if k.tunable.is_ladder and not k.tunable.is_main]
+        self._main = [k for k in self._tunables.values() if k.tunable.is_main]
 
     @property
     def measured(self) -> list[Measured]:
@@ -87,19 +87,19 @@ class Search:
         return None if held is None else self.refined(held, limit)
 
     def refined(self, best: Measured, limit: float) -> Measured:
-        """``best`` with cheaper alternatives of knobs tried alone, and with cheaper ladders, as far
+        """``best`` with cheaper alternatives of tunables tried alone, and with cheaper ladders, as far
         as ``limit`` still holds."""
-        for knob in self._alone:
-            for value in knob.values:
-                settings = {**best.settings, knob.key: value}
+        for tunable in self._alone:
+            for value in tunable.values:
+                settings = {**best.settings, tunable.key: value}
                 if not self._possible(settings):
                     continue
                 tried = self.measure(settings)
                 if tried.rmse <= limit and tried.cost <= _WORTH * best.cost:
                     best = tried
-        for knob in self._ladders:
-            while (value := knob.next_to(best.settings[knob.key], -1)) is not None:
-                tried = self.measure({**best.settings, knob.key: value})
+        for tunable in self._ladders:
+            while (value := tunable.next_to(best.settings[tunable.key], -1)) is not None:
+                tried = self.measure({**best.settings, tunable.key: value})
                 if tried is best or tried.rmse > limit or tried.cost > _WORTH * best.cost:
                     break
                 best = tried
@@ -108,7 +108,7 @@ class Search:
     def _alternatives_by_promise(self, start: Settings, limit: float) -> list[Measured]:
         """One look at each combination of alternatives, those first that promise to be cheapest."""
         looks = {}
-        for values in itertools.product(*(knob.values for knob in self._alternatives)):
+        for values in itertools.product(*(tunable.values for tunable in self._alternatives)):
             settings = {**start, **{k.key: v for k, v in zip(self._alternatives, values)}}
             if self._possible(settings):
                 looks[key_of(self._canonical(settings))] = self.measure(settings)
@@ -118,7 +118,7 @@ class Search:
         """Between the main ladder's last value that holds and the first that does not."""
         for main in self._main[:1]:
             fine, coarse = best.settings[main.key], main.next_to(best.settings[main.key], -1)
-            if not main.knob.is_continuous or coarse is None:
+            if not main.tunable.is_continuous or coarse is None:
                 continue
             for _ in range(_STRETCHES):
                 middle = float(f"{math.sqrt(fine * coarse):.3g}")

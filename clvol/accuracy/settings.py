@@ -1,4 +1,4 @@
-"""Settings: values for the knobs that a scene's tables declare (clvol/scene/knob.py).
+"""Settings: values for a scene's tunables (clvol/accuracy/tunables.py).
 
 Settings are mappings from key ("integration.step") to value; all functions leave theirs as it is.
 """
@@ -9,42 +9,35 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
+from clvol.accuracy.tunables import TABLES, TUNABLES, Tunable
 from clvol.errors import ClvolError
-from clvol.features import refuse_unknown
+from clvol.integrators.registry import check_scene
 from clvol.render.renderer import check_memory
-from clvol.scene.image import ImageSettings
-from clvol.scene.integration import Integration
-from clvol.scene.knob import Knob
-from clvol.scene.multiresolution import Multiresolution
-from clvol.scene.pyramid import Pyramid
 from clvol.scene.resolve import ResolvedScene
 from clvol.scene.table import Table
 
 Settings = Mapping[str, Any]
-_TABLES = {
-    table.table_name(): table for table in (Integration, ImageSettings, Multiresolution, Pyramid)
-}
 
 
 @dataclass(frozen=True, eq=False)
-class SceneKnob:
-    """A knob as one scene has it. ``key``: "TABLE.KEY"; ``values``: in the knob's order, the scene's
+class SceneTunable:
+    """A tunable as one scene has it. ``key``: "TABLE.KEY"; ``values``: in the tunable's order, the scene's
     own value among them; ``scene_value``: what the scene says."""
 
     key: str
-    knob: Knob
+    tunable: Tunable
     values: tuple
     scene_value: Any
     about: str
 
     def next_to(self, value: Any, notches: int) -> Any | None:
-        """The value so many notches more accurate (or cheaper, below 0), None past the ends."""
+        """The value ``notches`` steps more accurate (or cheaper, below 0); None past the ends."""
         at, between = self._place(value)
         at += notches + (between and notches < 0)
         return self.values[at] if 0 <= at < len(self.values) else None
 
     def more(self, value: Any, notches: int) -> Any:
-        """The value so many notches more accurate, at most the last one."""
+        """The value ``notches`` steps more accurate, at most the last one."""
         return self.values[min(self._place(value)[0] + notches, len(self.values) - 1)]
 
     def near(self, value: Any) -> int:
@@ -55,30 +48,28 @@ class SceneKnob:
         """The index of ``value``, or that of the next cheaper one and True."""
         if value in self.values:
             return self.values.index(value), False
-        order = self.knob.order
+        order = self.tunable.order
         rising = order(self.values[0]) < order(self.values[-1])
         cheaper = sum((order(other) < order(value)) == rising for other in self.values)
         return cheaper - 1, True
 
 
-def scene_knobs(resolved: ResolvedScene) -> dict[str, SceneKnob]:
-    """All knobs that the scene's tables declare and that leave a choice, by key."""
+def scene_tunables(resolved: ResolvedScene) -> dict[str, SceneTunable]:
+    """The tunables that leave a choice for this scene, by key."""
     found = {}
-    for table, model in _TABLES.items():
-        for name, field in model.model_fields.items():
-            for knob in field.metadata:
-                if isinstance(knob, Knob):
-                    key = f"{table}.{name}"
-                    own = value_of(resolved, key)
-                    values = _with(own, knob.values_for(resolved), knob)
-                    if len(values) > 1:
-                        found[key] = SceneKnob(key, knob, values, own, field.description or "")
+    for key, tunable in TUNABLES.items():
+        table, name = key.split(".")
+        own = value_of(resolved, key)
+        values = _with(own, tunable.values_for(resolved), tunable)
+        if len(values) > 1:
+            about = TABLES[table].model_fields[name].description or ""
+            found[key] = SceneTunable(key, tunable, values, own, about)
     return found
 
 
-def scene_settings(resolved: ResolvedScene, knobs: Mapping[str, SceneKnob]) -> dict[str, Any]:
-    """What ``resolved`` itself says, for all of ``knobs``."""
-    return {key: value_of(resolved, key) for key in knobs}
+def scene_settings(resolved: ResolvedScene, tunables: Mapping[str, SceneTunable]) -> dict[str, Any]:
+    """What ``resolved`` itself says, for all of ``tunables``."""
+    return {key: value_of(resolved, key) for key in tunables}
 
 
 def apply(resolved: ResolvedScene, settings: Settings) -> ResolvedScene:
@@ -88,7 +79,7 @@ def apply(resolved: ResolvedScene, settings: Settings) -> ResolvedScene:
 
 
 def tables_with(scene: Any, settings: Settings) -> dict[str, Table]:
-    """The tables of ``scene`` (resolved or not) that ``settings`` are of, with what they say."""
+    """The tables of ``scene`` (resolved or not) that ``settings`` belong to, with their values replaced."""
     updates: dict[str, dict[str, Any]] = {}
     for key, value in settings.items():
         table, name = key.split(".")
@@ -107,11 +98,11 @@ def value_of(scene: Any, key: str) -> Any:
 def is_possible(
     resolved: ResolvedScene, settings: Settings, memory_cap: int | None = None
 ) -> bool:
-    """Whether something renders the scene with these settings, in ``memory_cap`` bytes of the
+    """Whether the scene can be rendered with these settings, in ``memory_cap`` bytes of the
     device if that is given."""
     try:
         asked = apply(resolved, settings)
-        refuse_unknown(asked)
+        check_scene(asked)
         check_memory(asked, memory_cap)
     except ClvolError:
         return False
@@ -119,19 +110,21 @@ def is_possible(
 
 
 def canonical(
-    resolved: ResolvedScene, knobs: Mapping[str, SceneKnob], settings: Settings
+    resolved: ResolvedScene, tunables: Mapping[str, SceneTunable], settings: Settings
 ) -> dict[str, Any]:
-    """``settings`` with the scene's own value wherever a knob has no effect beside the others: what
-    makes the same picture in the same way is the same settings."""
+    """``settings`` with the scene's own value wherever a tunable has no effect beside the others.
+
+    Settings that make the same picture in the same way are therefore equal.
+    """
     scene = apply(resolved, settings)
     return {
-        key: value if knobs[key].knob.counts(scene) else knobs[key].scene_value
+        key: value if tunables[key].tunable.counts(scene) else tunables[key].scene_value
         for key, value in settings.items()
     }
 
 
 def key_of(settings: Settings) -> tuple:
-    """For dictionaries of settings."""
+    """A hashable key that is equal for equal settings."""
     return tuple(sorted(settings.items(), key=lambda item: item[0]))
 
 
@@ -140,45 +133,46 @@ def changed(settings: Settings, base: Settings) -> list[str]:
     return [key for key in settings if settings[key] != base[key]]
 
 
-def neighbours(knobs: Mapping[str, SceneKnob], settings: Settings) -> Iterator[dict[str, Any]]:
-    """Settings that differ by one notch of a ladder, or by another alternative, in one knob."""
-    for key, knob in knobs.items():
+def neighbours(tunables: Mapping[str, SceneTunable], settings: Settings) -> Iterator[dict[str, Any]]:
+    """Settings that differ by one notch of a ladder, or by another alternative, in one tunable."""
+    for key, tunable in tunables.items():
         own = settings[key]
-        if knob.knob.is_ladder:
-            others = [knob.next_to(own, -1), knob.next_to(own, 1)]
+        if tunable.tunable.is_ladder:
+            others = [tunable.next_to(own, -1), tunable.next_to(own, 1)]
         else:
-            others = [value for value in knob.values if value != own]
+            others = [value for value in tunable.values if value != own]
         for value in others:
             if value is not None:
                 yield {**settings, key: value}
 
 
-def label(knobs: Mapping[str, SceneKnob], settings: Settings, resolved: ResolvedScene) -> str:
+def label(tunables: Mapping[str, SceneTunable], settings: Settings, resolved: ResolvedScene) -> str:
     """A short name in words: the alternatives, the main ladders, and what differs from the scene."""
     parts, scene = [], apply(resolved, settings)
-    for key, knob in knobs.items():
+    for key, tunable in tunables.items():
         value = settings[key]
-        if not knob.knob.counts(scene):
+        if not tunable.tunable.counts(scene):
             continue
-        if knob.knob.is_main or value != knob.scene_value or key.endswith(".classification"):
-            parts.append((knob.knob.is_ladder, said(knob.knob.title, value, knob.knob.is_ladder)))
+        if tunable.tunable.is_main or value != tunable.scene_value or key.endswith(".classification"):
+            about = tunable.tunable
+            parts.append((about.is_ladder, format_setting(about.title, value, about.is_ladder)))
     parts.sort(key=lambda part: part[0])  # alternatives first
     return ", ".join(text for _, text in parts)
 
 
-def said(title: str, value: Any, is_ladder: bool = True) -> str:
-    """A knob's value in words: "post", "step 0.5", "no interblock"."""
+def format_setting(title: str, value: Any, is_ladder: bool = True) -> str:
+    """A tunable's value in words: "post", "step 0.5", "no interblock"."""
     if isinstance(value, bool):
         return title if value else f"no {title}"
     text = value if isinstance(value, str) else f"{value:.4g}"
     return f"{title} {text}" if is_ladder else text
 
 
-def _with(own: Any, values: tuple, knob: Knob) -> tuple:
+def _with(own: Any, values: tuple, tunable: Tunable) -> tuple:
     """``values`` with the scene's own one in its place."""
     if own in values:
         return values
-    if not knob.is_ladder:
+    if not tunable.is_ladder:
         return (*values, own)
-    rising = len(values) < 2 or knob.order(values[0]) < knob.order(values[-1])
-    return tuple(sorted((*values, own), key=knob.order, reverse=not rising))
+    rising = len(values) < 2 or tunable.order(values[0]) < tunable.order(values[-1])
+    return tuple(sorted((*values, own), key=tunable.order, reverse=not rising))

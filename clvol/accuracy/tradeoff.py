@@ -1,10 +1,10 @@
 """Error against time: one scene under many settings, and which of them are worth using.
 
-Settings are those of the knobs that the scene's tables declare. Tried are: each knob alone, from
+Settings are values of the tunables (clvol/accuracy/tunables.py). Tried are: each tunable alone, from
 the scene's own settings; the main ladders (the step) under every combination of alternatives
-(classification, quadrature, filter ...); by each other method the knobs of that method; and then, again and again, the neighbours of whatever lies
-on the Pareto front so far. Errors are those of all pixels against the exact integral; times are
-medians of frames for which all candidates take turns.
+(classification, quadrature, filter ...); by each other method the tunables of that method; and then,
+again and again, the neighbours of whatever lies on the Pareto front so far. Errors are those of all
+pixels against the exact integral; times are medians of frames for which all candidates take turns.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 import clvol
-from clvol.accuracy.judge import check_judged
+from clvol.accuracy.ground_truth import check_has_truth
 from clvol.accuracy.metrics import compare, max_abs
 from clvol.accuracy.search import pareto_front
 from clvol.accuracy.settings import (
@@ -29,17 +29,16 @@ from clvol.accuracy.settings import (
     key_of,
     label,
     neighbours,
-    scene_knobs,
     scene_settings,
+    scene_tunables,
 )
 from clvol.accuracy.timing import take_turns
 from clvol.accuracy.trials import Trial, Trials
-from clvol.device.memory import method_bytes
+from clvol.accuracy.tunables import Tunable
 from clvol.errors import UsageError
-from clvol.features import refuse_unknown
+from clvol.integrators.registry import check_scene, integrator_of
 from clvol.render.notices import Notices
 from clvol.render.renderer import check_memory, open_context
-from clvol.scene.knob import Knob
 from clvol.scene.scene import Scene
 
 SETTINGS = 160  # tried at most
@@ -89,20 +88,19 @@ def measure_tradeoff(
 class _Sweep:
     def __init__(self, scene: Scene, devices, memory_cap, progress: Progress | None) -> None:
         resolved = scene.resolve()
-        if resolved.integration.method == "reference":
-            resolved = apply(resolved, {"integration.method": "raycast"})
-        refuse_unknown(resolved)
+        resolved = apply(resolved, {_METHOD: integrator_of(resolved).tuned_as})
+        check_scene(resolved)
         check_memory(resolved, memory_cap)
-        check_judged(resolved)
+        check_has_truth(resolved)
         self.resolved, self.progress, self.memory_cap = resolved, progress, memory_cap
         self.context = open_context(devices)
-        self.knobs = scene_knobs(resolved)
-        self.base = canonical(resolved, self.knobs, scene_settings(resolved, self.knobs))
+        self.tunables = scene_tunables(resolved)
+        self.base = canonical(resolved, self.tunables, scene_settings(resolved, self.tunables))
         self.trials = Trials(
             resolved, self.context, tolerance=resolved.integration.tolerance, frames=2
         )
         self.found: dict[tuple, Trial] = {}
-        self.sweeps: dict[tuple, list[str]] = {}  # which one-knob curves a setting lies on
+        self.sweeps: dict[tuple, list[str]] = {}  # which one-tunable curves a setting lies on
 
     # Exploring
 
@@ -111,19 +109,19 @@ class _Sweep:
         self.trials.exact(self.report_as("integrating exactly"))
         baseline = self.try_out(self.base)
         self.limit = max(_SLOWEST * baseline.seconds, _PATIENCE)
-        for key, knob in self.knobs.items():
+        for key, tunable in self.tunables.items():
             for settings in self.ladder(self.base, key, 1):
                 self.sweeps.setdefault(key_of(settings), []).append(key)
         for settings in self.by_other_methods():
             scene = apply(self.resolved, settings)
-            for key, knob in self.knobs.items():
-                if knob.knob.counts(scene) and not knob.knob.counts(self.resolved):
+            for key, tunable in self.tunables.items():
+                if tunable.tunable.counts(scene) and not tunable.tunable.counts(self.resolved):
                     self.ladder(settings, key, 1)
-        knobs = self.knobs.values()
-        alternatives = [k for k in knobs if not k.knob.is_ladder and not k.knob.alone]
+        tunables = self.tunables.values()
+        alternatives = [k for k in tunables if not k.tunable.is_ladder and not k.tunable.alone]
         for values in itertools.product(*(k.values for k in alternatives)):
             settings = {**self.base, **{k.key: v for k, v in zip(alternatives, values)}}
-            for main in (k for k in self.knobs.values() if k.knob.is_main):
+            for main in (k for k in self.tunables.values() if k.tunable.is_main):
                 self.ladder(settings, main.key, _STRIDE)
         expanded: set[tuple] = set()
         while len(self.found) < self.most:
@@ -132,47 +130,47 @@ class _Sweep:
                 break
             for trial in waiting:
                 expanded.add(key_of(trial.settings))
-                for settings in neighbours(self.knobs, trial.settings):
+                for settings in neighbours(self.tunables, trial.settings):
                     self.try_out(settings)
 
     def by_other_methods(self) -> Iterator[dict[str, Any]]:
-        """The scene's own settings with each other method: some knobs are of that alone."""
-        knob = self.knobs.get(_METHOD)
-        for value in knob.values if knob else ():
+        """The scene's own settings with each other method: some tunables are of that alone."""
+        tunable = self.tunables.get(_METHOD)
+        for value in tunable.values if tunable else ():
             settings = {**self.base, _METHOD: value}
-            if value != knob.scene_value and self.is_possible(settings):
+            if value != tunable.scene_value and self.is_possible(settings):
                 yield settings
 
     def is_possible(self, settings: dict[str, Any]) -> bool:
         return is_possible(self.resolved, settings, self.memory_cap)
 
     def ladder(self, settings: dict[str, Any], key: str, stride: int) -> list[dict[str, Any]]:
-        """Tries one knob's values from the scene's own outwards, as far as makes sense."""
-        knob = self.knobs[key]
+        """Tries one tunable's values from the scene's own outwards, as far as makes sense."""
+        tunable = self.tunables[key]
         tried = []
-        own = knob.values.index(knob.scene_value)
-        outwards = [range(own, len(knob.values), stride), range(own - stride, -1, -stride)]
+        own = tunable.values.index(tunable.scene_value)
+        outwards = [range(own, len(tunable.values), stride), range(own - stride, -1, -stride)]
         for places in outwards:
             errors: list[float] = []
             for place in places:
-                trial = self.try_out({**settings, key: knob.values[place]})
+                trial = self.try_out({**settings, key: tunable.values[place]})
                 if trial is not None:
                     tried.append(trial.settings)
                     errors.append(trial.rmse)
-                if trial is None and knob.knob.is_ladder:
+                if trial is None and tunable.tunable.is_ladder:
                     break
-                if self.leads_nowhere(trial, errors, knob.knob):
+                if self.leads_nowhere(trial, errors, tunable.tunable):
                     break
         return tried
 
-    def leads_nowhere(self, trial: Trial | None, errors: list[float], knob: Knob) -> bool:
+    def leads_nowhere(self, trial: Trial | None, errors: list[float], tunable: Tunable) -> bool:
         """Whether a ladder's next values can be left out: it takes too long, or is no longer of any use:
         beaten by far, and nothing has changed."""
-        if trial is None or not knob.is_ladder:
+        if trial is None or not tunable.is_ladder:
             return False
         if trial.seconds > self.limit:
             return True
-        if knob.saves_memory:
+        if tunable.saves_memory:
             return False
         beaten = any(
             t.seconds < _BEATEN * trial.seconds and t.rmse < _BEATEN * trial.rmse
@@ -184,7 +182,7 @@ class _Sweep:
         """The trial of ``settings``; None if nothing renders them or enough have been tried."""
         if not self.is_possible(settings):
             return None
-        settings = canonical(self.resolved, self.knobs, settings)
+        settings = canonical(self.resolved, self.tunables, settings)
         key = key_of(settings)
         if key not in self.found:
             if len(self.found) >= self.most:
@@ -233,7 +231,7 @@ class _Sweep:
         scene = apply(self.resolved, trial.settings)
         return {
             "id": name,
-            "label": label(self.knobs, trial.settings, self.resolved),
+            "label": label(self.tunables, trial.settings, self.resolved),
             "settings": trial.settings,
             "changed": changed(trial.settings, self.base),
             "rmse": trial.rmse,
@@ -243,7 +241,7 @@ class _Sweep:
             "samples": trial.samples,
             "rays": trial.rays,
             "prepare_seconds": trial.prepare_seconds,
-            "device_bytes": method_bytes(scene.volume, scene),
+            "device_bytes": integrator_of(scene).device_bytes(scene.volume, scene),
             "on_front": False,
             "sweep": sweeps[0] if len(sweeps) == 1 else None,
         }  # fmt: skip
@@ -266,7 +264,7 @@ class _Sweep:
                 "system": platform.system(), "clvol": clvol.__version__,
             },
             "reference": {
-                "how": self.trials.judge.how,
+                "how": self.trials.truth.how,
                 "step": counters.get("step"),
                 "tolerance": self.trials.tolerance,
                 "seconds": counters.get("seconds"),
@@ -280,11 +278,11 @@ class _Sweep:
             },
             "knobs": [
                 {
-                    "name": knob.key, "title": knob.knob.title, "unit": knob.knob.unit,
-                    "values": list(knob.values), "scene_value": knob.scene_value,
-                    "about": knob.about,
+                    "name": tunable.key, "title": tunable.tunable.title, "unit": tunable.tunable.unit,
+                    "values": list(tunable.values), "scene_value": tunable.scene_value,
+                    "about": tunable.about,
                 }
-                for knob in self.knobs.values()
+                for tunable in self.tunables.values()
             ],
             "baseline": baseline,
             "points": list(by_id.values()),

@@ -10,14 +10,14 @@ from typing import Any
 
 import numpy as np
 
-from clvol.accuracy.judge import Judge
+from clvol.accuracy.ground_truth import GroundTruth
 from clvol.accuracy.settings import Settings, apply
 from clvol.device.view import EVERY_PIXEL, PixelLattice
 from clvol.opencl.context import DeviceContext
-from clvol.render.engines import Engines
+from clvol.render.prepared_cache import PreparedCache
 from clvol.scene.resolve import ResolvedScene
 
-# Tables are built once for all views of a scene; a single view should still not wait for ever.
+# Tables are built once for all views of a scene; a single view should still finish quickly.
 PREPARATION = 0.02
 
 _log = logging.getLogger(__name__)
@@ -51,33 +51,33 @@ class Trials:
 
     The exact integral there is taken to ``tolerance`` when it is first needed; it is that of the scene's own
     filter and of its own classification (pre-classified, or one of the two that classify
-    interpolated values): a setting that changes these is judged as the approximation that it is.
-    (Scenes with effects: the limit of small steps, see Judge.) ``exact`` float64 [h, w, 4]: that integral,
-    where it is there already. With ``judge`` False errors are not asked for, and told as inf.
+    interpolated values): a setting that changes these is measured as the approximation that it is.
+    (For scenes with effects it is the limit of small steps, see GroundTruth.) ``exact`` float64 [h, w, 4]: that
+    integral, where it is known already. With ``truth`` False errors are not measured, and reported as inf.
     """
 
     def __init__(
         self,
         resolved: ResolvedScene,
         context: DeviceContext,
-        engines: Engines | None = None,
+        engines: PreparedCache | None = None,
         *,
         lattice: PixelLattice = EVERY_PIXEL,
         tolerance: float = 1e-9,
         frames: int = 3,
         depth: bool = False,
         exact: np.ndarray | None = None,
-        judge: Judge | bool = True,
+        truth: GroundTruth | bool = True,
     ) -> None:
         self.resolved, self.context = resolved, context
-        self.engines = engines or Engines(context)
+        self.engines = engines or PreparedCache(context)
         self.lattice, self.frames, self.depth = lattice, frames, depth
         self.size = resolved.image.width, resolved.image.height
         self.tolerance = tolerance
         self.reference_counters: dict[str, Any] = {}
-        if judge is True:
-            judge = Judge(resolved, context, self.engines)
-        self._exact, self.judge = exact, judge or None
+        if truth is True:
+            truth = GroundTruth(resolved, context, self.engines)
+        self._exact, self.truth = exact, truth or None
         width, height = lattice.size(*self.size)
         self._scale = self.size[0] * self.size[1] / (width * height)
         self._overhead: float | None = None
@@ -86,7 +86,7 @@ class Trials:
         """float64 [h, w, 4] at the lattice's pixels."""
         if self._exact is None:
             pixels = self.lattice.pixels(*self.size)
-            rgba, self.reference_counters = self.judge.pixels(pixels, self.tolerance, progress)
+            rgba, self.reference_counters = self.truth.pixels(pixels, self.tolerance, progress)
             width, height = self.lattice.size(*self.size)
             self._exact = rgba.reshape(height, width, 4)
         return self._exact
@@ -95,7 +95,7 @@ class Trials:
         """Renders with ``settings``, a few times; with ``keep`` the trial holds the picture."""
         resolved = apply(self.resolved, settings)
         start, compiled = time.perf_counter(), self.context.compile_seconds
-        engine = self.engines.make(resolved)
+        engine = self.engines.prepare(resolved)
         compile_seconds = self.context.compile_seconds - compiled
         prepare_seconds = time.perf_counter() - start - compile_seconds
         start = time.perf_counter()
@@ -113,7 +113,7 @@ class Trials:
             seconds, scale = self._of_picture(engine, seconds), self._scale
         trial = Trial(
             settings=dict(settings),
-            rmse=root_mean_square(data.rgba - self.exact()) if self.judge else np.inf,
+            rmse=root_mean_square(data.rgba - self.exact()) if self.truth else np.inf,
             seconds=seconds,
             cost=seconds + PREPARATION * prepare_seconds,
             times=times,
@@ -124,13 +124,13 @@ class Trials:
             rgba=data.rgba if keep else None,
             depth=data.depth if keep else None,
         )
-        error = f"RMSE {trial.rmse:.3g}, " if self.judge else ""
+        error = f"RMSE {trial.rmse:.3g}, " if self.truth else ""
         _log.info("tried %s: %s%.3g s per frame", _changes(self.resolved, settings), error, trial.seconds)
         return trial
 
     def frames_of(self, settings: Settings) -> Callable[[], tuple[float, np.ndarray]]:
         """A function that renders one more frame: (seconds, picture). All is prepared and stays so."""
-        engine = self.engines.make(apply(self.resolved, settings))
+        engine = self.engines.prepare(apply(self.resolved, settings))
         engine.warm_up(*self.size, self.depth)
 
         def frame() -> tuple[float, np.ndarray]:

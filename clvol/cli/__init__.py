@@ -18,7 +18,6 @@ from contextlib import contextmanager
 
 from clvol.interrupts import check_stopped, stoppable
 
-COMMANDS = ("render", "explain", "info", "scene", "store", "doctor", "compare", "tradeoff", "completion")
 INTERRUPTED = 130
 
 

@@ -61,6 +61,7 @@ def render_animation(
     load_seconds = time.perf_counter() - start
     log_scene(asked, memory_cap)
 
+    from clvol.integrators.registry import integrator_of
     from clvol.render import Renderer
     from clvol.schedule.animation import frames
 
@@ -84,7 +85,7 @@ def render_animation(
         parts = temporaries[: len(videos)]
         writers = [stack.enter_context(open_video(path, fps, of_all)) for path in parts]
         if todo:
-            by_blocks = resolved.integration.method == "multiresolution"
+            by_blocks = integrator_of(resolved).reads_blocks
             how = {"devices": devices, "memory_cap": memory_cap}
             renderer = Renderer(asked, **how, **reading_blocks(by_blocks and progress))
             if by_blocks and progress is not None:

@@ -9,10 +9,11 @@ from importlib import import_module
 import click
 
 from clvol import __version__
-from clvol.cli import COMMANDS
 from clvol.cli.verbose import verbose_option
 from clvol.errors import ClvolError, RenderError, UsageError
 
+# Each a module of this package.
+COMMANDS = ("render", "explain", "info", "scene", "store", "doctor", "compare", "tradeoff", "completion")
 COMPLETE = "_CLVOL_COMPLETE"  # the environment variable by which a shell's completion script asks
 
 

@@ -25,15 +25,15 @@ def command(
     A .raw file needs --set volume.dims=[nx,ny,nz] --set 'volume.dtype="uint8"'.
     """
     from clvol.cli.console import say_json, say_table
-    from clvol.device.memory import method_bytes
+    from clvol.integrators.registry import integrator_of
     from clvol.scene import load_scene
     from clvol.scene.sizes import format_size
     from clvol.volume import describe
 
     scene = load_scene(volume, overrides)
-    loaded = scene.load_volume(memory_cap)
+    integrator, loaded = integrator_of(scene), scene.load_volume(memory_cap)
     facts = describe(loaded)
-    facts["memory_needed"] = method_bytes(loaded, scene)
+    facts["memory_needed"] = integrator.device_bytes(loaded, scene)
     store = _store_facts(loaded)
     if store:
         facts["store"] = store
@@ -42,9 +42,7 @@ def command(
         return
     grid = loaded.grid
     low, high = loaded.value_range
-    needed, by = format_size(facts["memory_needed"]), ""
-    if scene.integration.method == "multiresolution":
-        by = f"at most {scene.multiresolution.memory} of blocks, "
+    needed, by = format_size(facts["memory_needed"]), integrator.memory_advice(scene)[0]
     rows = [
         ("file", str(facts.get("path") or volume)),
         ("format", str(facts.get("format") or "")),

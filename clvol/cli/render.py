@@ -128,11 +128,12 @@ def _render_still(
     from clvol.cli.console import note, reading_blocks, say_path, to_json, working
     from clvol.cli.outputs import check_outputs, save_picture
     from clvol.image import atomic_paths
+    from clvol.integrators.registry import integrator_of
 
     others = [] if stats is None else [stats]
     check_outputs(outputs, others)
-    by_blocks = asked.integration.method == "multiresolution"
-    refines = by_blocks and asked.multiresolution.stepping != "pyramid" and time_budget is not None
+    integrator = integrator_of(asked)
+    by_blocks, refines = integrator.reads_blocks, integrator.refines_in_time(asked) and time_budget is not None
     with working(f"loading {asked.origin}", quiet):
         asked.load(memory_cap)
     load_seconds = time.perf_counter() - start
@@ -145,7 +146,8 @@ def _render_still(
     with working(f"rendering {size}", quiet) as progress:
         how = {"devices": devices, "memory_cap": memory_cap}
         if max_error is not None or (time_budget is not None and not refines):
-            from clvol.accuracy.target import render_in_time, render_to_error
+            from clvol.accuracy.error_target import render_to_error
+            from clvol.accuracy.time_target import render_in_time
 
             aim = max_error if max_error is not None else time_budget
             render = render_in_time if max_error is None else render_to_error
@@ -195,7 +197,8 @@ def check_targets(max_error: float | None, time_budget: float | None) -> None:
     """Raises UsageError before anything is loaded if the target is impossible."""
     if max_error is None and time_budget is None:
         return
-    from clvol.accuracy.target import check_max_error, check_time_budget
+    from clvol.accuracy.error_target import check_max_error
+    from clvol.accuracy.time_target import check_time_budget
 
     if max_error is not None and time_budget is not None:
         raise UsageError("--time-budget", "given together with --max-error", "one of the two")
@@ -229,7 +232,7 @@ def refinement_in_words(stats: dict) -> str:
 
 def accuracy_in_words(stats: dict) -> str:
     """One line: the error as measured, and with which settings."""
-    from clvol.accuracy.settings import said
+    from clvol.accuracy.settings import format_setting
 
     measured = stats["accuracy"]
     if stats["method"] == "reference":
@@ -239,7 +242,7 @@ def accuracy_in_words(stats: dict) -> str:
     else:
         sure = "all pixels measured"
     chosen = ", ".join(
-        said(key.split(".")[1].replace("_", " "), value)
+        format_setting(key.split(".")[1].replace("_", " "), value)
         for key, value in measured["settings"].items()
     )
     return (

@@ -65,7 +65,8 @@ def command(
     from clvol.cli.console import say_path, working
     from clvol.cli.outputs import scene_inputs
     from clvol.scene import load_scene
-    from clvol.store.build import build_store, check_place, places_of
+    from clvol.store.build import build_store
+    from clvol.store.build_folder import check_place, places_of
 
     check_place(Path(output), overwrite)
     scene = load_scene(volume, overrides)

@@ -58,8 +58,8 @@ def log_scene(scene: Scene, memory_cap: int | None) -> None:
     """Logs how ``scene`` is rendered and why, where somebody listens."""
     if not _log.isEnabledFor(logging.INFO):
         return
-    from clvol.device.memory import method_bytes
     from clvol.features.analysis import effects
+    from clvol.integrators.registry import integrator_of
     from clvol.scene.sizes import format_size
 
     resolved = scene.resolve(memory_cap)
@@ -69,7 +69,7 @@ def log_scene(scene: Scene, memory_cap: int | None) -> None:
     _log.info(
         "method %s, classification %s, filter %s, step %g (%s); about %s on the device",
         how.method, how.classification, how.filter, how.step, how.quadrature,
-        format_size(method_bytes(volume, resolved)),
+        format_size(integrator_of(resolved).device_bytes(volume, resolved)),
     )  # fmt: skip
     for effect in effects(resolved):
         if effect.called_for:

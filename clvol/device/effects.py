@@ -14,7 +14,7 @@ import numpy as np
 from clvol.device.environment import environment_maps
 from clvol.device.environment_file import load_radiance
 from clvol.device.fields import SceneFields, field_switches
-from clvol.device.gradients import DeviceLimits, gradient_switch
+from clvol.device.gradients import gradient_switch
 from clvol.device.light_volume import (
     METHODS,
     casting_lights,
@@ -23,7 +23,7 @@ from clvol.device.light_volume import (
     shadow_step,
     shadow_switches,
 )
-from clvol.device.memory import ValueMap, padded_size
+from clvol.device.memory import ValueMap
 from clvol.device.noise import TARGETS, device_noise, device_tiles, perturbation
 from clvol.device.opacity_factors import factor_rows, factor_switches, layer_places
 from clvol.device.projection import (
@@ -35,10 +35,12 @@ from clvol.device.projection import (
 )
 from clvol.device.volume import DeviceVolume
 from clvol.features import COMPOSITINGS, GRADIENTS, emits, is_lit
+from clvol.features.gradient_storage import UNLIMITED, DeviceLimits
 from clvol.opencl.context import DeviceArray, DeviceContext
 from clvol.opencl.structs import effects_dtype
 from clvol.scene.resolve import ResolvedScene
 from clvol.volume import Grid
+from clvol.volume.voxel_layout import padded_size
 
 # As numbered in cl/effects.h, each with the switch that it takes to be counted at all.
 _BY_RAYS = ("shadow_rays", "shadow_samples")  # nor is it counted where shadows are by volume
@@ -59,7 +61,7 @@ _FAR = 1e12  # smallest edges: from there light comes from one direction, to flo
 ARGUMENTS = (
     ", in effects V1, in items float32, in gradients uint32, in surface_distances uint8, "
     "in environment float32, in light_volume float32, in noise uint32, in factors float32, "
-    "in fields float32, out counts uint32"
+    "in fields float32"
 )
 
 
@@ -127,7 +129,7 @@ def _gradient(resolved: ResolvedScene, limits: DeviceLimits | None) -> int:
     asked = resolved.gradient
     if resolved.noise:  # differences of noisy values, whatever the operator is
         return GRADIENTS["central"]
-    limits = limits or DeviceLimits(memory=2**63, buffer=2**63)
+    limits = limits or UNLIMITED
     return gradient_switch(
         resolved.volume, resolved.integration.filter, asked.operator, asked.storage, limits
     )
@@ -283,7 +285,7 @@ class EffectState:
         self.numbers[0]["projection"][3] = score
         self.arrays["effects"] = self.context.upload(self.numbers)
 
-    def like(self, resolved: ResolvedScene) -> EffectState:
+    def for_scene(self, resolved: ResolvedScene) -> EffectState:
         """The same for ``resolved``, which may differ in ``animation.time`` and in the step alone."""
         other = self.copy()
         changes = resolved.noise or self.switches.get("SHADOWS") or "COMPOSITING" in self.switches
@@ -351,14 +353,13 @@ class EffectState:
         """``distances``: as of ``distance_map``, to the cells in which a surface can be."""
         self.arrays["surface_distances"] = distances
 
-    def counted(self, counts: np.ndarray) -> dict[str, int]:
-        """Sums over tiles of what was counted: ``counts`` uint32 [tiles, len(COUNTERS)]."""
-        sums = counts.sum(axis=0, dtype=np.uint64)
+    def counted(self, sums: dict[str, int]) -> dict[str, int]:
+        """Of sums by the names of COUNTERS those that the scene's effects count."""
         by_volume = self.switches.get("SHADOWS") == METHODS["volume"]
         return {
-            name: int(total)
-            for (name, switch), total in zip(COUNTERS.items(), sums)
-            if self.switches.get(switch) and not (by_volume and name in _BY_RAYS)
+            name: total
+            for name, total in sums.items()
+            if self.switches.get(COUNTERS[name]) and not (by_volume and name in _BY_RAYS)
         }
 
 

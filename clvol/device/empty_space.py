@@ -8,7 +8,7 @@ from clvol.device.memory import UNPERTURBED, Perturbation
 from clvol.device.volume import DeviceVolume
 from clvol.features import FILTER_REACH, overshoot
 from clvol.opencl.context import DeviceArray, DeviceContext
-from clvol.transfer.lookup_nodes import ClassNodes
+from clvol.transfer.lookup_nodes import LookupNodes
 
 _ROUNDING = 2e-6  # of a filter's sums, as a share of the largest value: a few times float32's
 
@@ -16,7 +16,7 @@ _ROUNDING = 2e-6  # of a filter's sums, as a share of the largest value: a few t
 def visible_mask(
     volume: DeviceVolume,
     filter: str,
-    nodes: ClassNodes,
+    nodes: LookupNodes,
     between: np.ndarray,
     at: np.ndarray,
     perturbation: Perturbation = UNPERTURBED,
@@ -33,7 +33,7 @@ def visible_mask(
 
 
 def shows_between(
-    nodes: ClassNodes,
+    nodes: LookupNodes,
     between: np.ndarray,
     at: np.ndarray,
     lowest: np.ndarray,

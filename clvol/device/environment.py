@@ -1,5 +1,5 @@
 """Environment maps: light from all directions, averaged over lobes once so that a sample's share of
-it is one look-up (P4's diffuse and specular environment maps; Ramamoorthi and Hanrahan 2001;
+it is one look-up (diffuse and specular environment maps, Engel and Ertl 2002; Ramamoorthi and Hanrahan 2001;
 Heidrich and Seidel 1999).
 
 A radiance map covers all directions by latitude and longitude: the unit direction (x, y, z), y up,

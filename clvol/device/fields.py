@@ -10,11 +10,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clvol.device.empty_space import visible_mask
-from clvol.device.memory import CELL_SHIFT, LARGEST_OFFSET, ValueMap, padded_size, value_map
+from clvol.device.memory import ValueMap, value_map
+from clvol.device.transfer_lookup import device_function
 from clvol.errors import VolumeError
 from clvol.transfer import TransferFunction
-from clvol.transfer.lookup_nodes import ClassNodes, class_nodes, visible_cells
+from clvol.transfer.lookup_nodes import LookupNodes, lookup_nodes, visible_cells
 from clvol.transfer.pieces import has_opaque_point, piece_count, piece_table
+from clvol.volume.voxel_layout import CELL_SHIFT, LARGEST_OFFSET, padded_size
 
 if TYPE_CHECKING:
     from clvol.opencl.context import DeviceContext
@@ -115,14 +117,12 @@ class _Part:
             numbers["field_map"][k] = (table.shape[1], piece_count(function), pole, units)
 
     @property
-    def _density(self) -> tuple[TransferFunction, ClassNodes]:
-        from clvol.integrators.raycast.caster import device_function
-
+    def _density(self) -> tuple[TransferFunction, LookupNodes]:
         volume = self.field.volume
         function = device_function(self.field.function, self.values)
         span = tuple(float(v) for v in self.values(volume.value_range))
         integer = volume.dtype.kind in "iu"
-        return function, class_nodes(function, span, _DENSITY_NODES, integer=integer)
+        return function, lookup_nodes(function, span, _DENSITY_NODES, integer=integer)
 
     def density_cells(self, cells: tuple[int, int, int]) -> np.ndarray:
         function, nodes = self._density

@@ -1,57 +1,23 @@
-"""Gradients at the voxels, found once and held in four bytes each (cl/gradients.cl); and when."""
+"""Gradients at the voxels, found once and held in four bytes each (cl/gradients.cl)."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clvol.device.memory import LARGEST_OFFSET, device_bytes, holds_pairs, padded_size
-from clvol.device.volume import DeviceVolume
-from clvol.features import GRADIENTS
+from clvol.features.gradient_storage import DeviceLimits, chosen_storage
+from clvol.features.vocabulary import GRADIENTS
 from clvol.opencl.context import DeviceArray, DeviceContext
 from clvol.volume import Volume
+
+if TYPE_CHECKING:
+    from clvol.device.volume import DeviceVolume
 
 OPERATORS = ("central", "sobel")
 _ANALYTIC = ("cubic", "catmull-rom")  # filters that have a derivative of their own
 _ROOTS, _DIRECTIONS = 255, 127  # largest numbers of a code's root of length, and of its direction
-_SHARE = 0.5  # of a device's memory that volume and gradients together may take
-
-
-@dataclass(frozen=True)
-class DeviceLimits:
-    """Bytes that a device has, and that one of its buffers may take."""
-
-    memory: int
-    buffer: int
-
-    @classmethod
-    def of(cls, context: DeviceContext) -> DeviceLimits:
-        device = context.device
-        return cls(int(device.global_mem_size), int(device.max_mem_alloc_size))
-
-
-def gradient_bytes(volume: Volume) -> int:
-    """Bytes of precomputed gradients on the device."""
-    return 4 * int(np.prod(padded_size(volume), dtype=np.int64))
-
-
-def chosen_storage(volume: Volume, operator: str, storage: str, limits: DeviceLimits) -> str:
-    """ "precomputed" or "on-the-fly": ``storage`` itself, or where it is "auto" the rule:
-
-    Gradients are precomputed where they fit (in one buffer, and with the volume in half the
-    device's memory), since eight words then replace the voxels around each sample; except central
-    differences of 8-bit volumes held as pairs: ten words on the fly, of half as much memory.
-    """
-    if storage != "auto":
-        return storage
-    if operator == "central" and holds_pairs(volume):
-        return "on-the-fly"
-    needed = gradient_bytes(volume)
-    fits = needed <= limits.buffer and needed // 4 <= LARGEST_OFFSET
-    fits = fits and device_bytes(volume) + needed <= _SHARE * limits.memory
-    return "precomputed" if fits else "on-the-fly"
 
 
 def gradient_switch(

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from clvol.device.gradients import DeviceLimits
 from clvol.errors import SceneError
+from clvol.features.gradient_storage import DeviceLimits
 from clvol.opencl.context import DeviceArray, DeviceContext
 from clvol.scene.resolve import ResolvedScene
 from clvol.scene.shadow import Shadow
@@ -63,7 +63,7 @@ def light_size(grid: Grid, resolution: int) -> tuple[int, int, int]:
 def light_volume_bytes(resolved: ResolvedScene) -> int:
     """Bytes that the light volumes of all lights take on the device; 0 where there are none."""
     lights = casting_lights(resolved)
-    if not lights or resolved.shadow.method != "volume":
+    if not lights or not resolved.shadow.is_volume:
         return 0
     return 4 * len(lights) * _floats(resolved)
 
@@ -90,7 +90,7 @@ def shadow_numbers(resolved: ResolvedScene, padded: tuple[int, int, int]) -> dic
             shadow.bound, shadow_step(resolved), shadow.scattering, -np.log(TRANSPARENT) / slowest
         )
     }  # fmt: skip
-    if shadow.method == "volume":
+    if shadow.is_volume:
         size = light_size(resolved.volume.grid, shadow.resolution)
         scale = (np.asarray(size) - 1.0) / (np.asarray(padded) - 1.0)
         numbers["light_grid"] = (*scale, 0.0)
@@ -156,7 +156,7 @@ def fill_light_volume(
 
 
 def _scatters(shadow: Shadow) -> bool:
-    return shadow.method == "volume" and shadow.scattering > 0
+    return shadow.is_volume and shadow.scattering > 0
 
 
 def _floats(resolved: ResolvedScene) -> int:

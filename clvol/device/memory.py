@@ -3,20 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from clvol.volume import Volume
+from clvol.volume.voxel_layout import device_bytes, holds_pairs
 
-if TYPE_CHECKING:
-    from clvol.scene import Scene
-    from clvol.scene.resolve import ResolvedScene
-
-CELL_SHIFT = 3  # cells of 8^3 for empty space
-# 8-bit volumes are held as pairs (twice the memory) up to this many bytes of pairs.
-_LARGEST_PAIRS = 512 * 2**20
-LARGEST_OFFSET = 2**31 - 1  # offsets are signed 32 bit: what the hardware's gather takes
 # Magnitudes that float32 arithmetic takes as they are, squares of their gradients too.
 _PLAIN_RANGE = (1e-12, 1e18)
 
@@ -60,11 +52,6 @@ def value_map(volume: Volume) -> ValueMap:
     return ValueMap()
 
 
-def padded_size(volume: Volume) -> tuple[int, int, int]:
-    """Lattice points (x, y, z) on the device: an axis of one voxel is held twice."""
-    return tuple(max(n, 2) for n in volume.grid.size)
-
-
 def voxel_switches(volume: Volume, values: ValueMap) -> dict[str, int]:
     dtype = volume.dtype
     return {
@@ -76,48 +63,6 @@ def voxel_switches(volume: Volume, values: ValueMap) -> dict[str, int]:
     }
 
 
-def holds_pairs(volume: Volume) -> bool:
-    nx, ny, nz = padded_size(volume)
-    return volume.dtype.itemsize == 1 and 2 * nx * (ny - 1) * nz <= _LARGEST_PAIRS
-
-
-def device_bytes(volume: Volume) -> int:
-    """Bytes that ``DeviceVolume`` takes on the device for voxels and min-max grid."""
-    size = nx, ny, nz = padded_size(volume)
-    voxels = nx * ny * nz * volume.dtype.itemsize
-    if holds_pairs(volume):
-        voxels = 2 * nx * (ny - 1) * nz
-    cells = np.prod([cell_count(n) for n in size], dtype=np.int64)
-    return int(voxels + cells * (2 * volume.dtype.itemsize + 2))
-
-
-def cell_count(size: int, shift: int = CELL_SHIFT) -> int:
-    return max(1, -(-(size - 1) // (1 << shift)))
-
-
 def scene_bytes(volume: Volume, width: int, height: int) -> int:
     """Bytes on the device for everything that a picture needs: volume, picture and depth."""
     return device_bytes(volume) + width * height * 20
-
-
-def method_bytes(volume: Volume, scene: Scene | ResolvedScene) -> int:
-    """As ``scene_bytes``, by the method that ``scene`` asks for."""
-    from clvol.integrators.multiresolution.sample_allocator import map_shift, most_bytes
-    from clvol.store.geometry import BlockGrid
-
-    size = scene.image.width, scene.image.height
-    if scene.integration.method == "pyramid":
-        from clvol.integrators.pyramid.layout import pyramid_bytes
-
-        return scene_bytes(volume, *size) + pyramid_bytes(volume, scene)
-    if scene.integration.method != "multiresolution":
-        return scene_bytes(volume, *size)
-    source = getattr(volume, "blocks_source", None)
-    blocks = BlockGrid(volume.shape) if source is None else source.blocks
-    needed = most_bytes(blocks, volume.dtype, scene.multiresolution.memory_bytes)
-    if scene.multiresolution.stepping == "pyramid":
-        from clvol.integrators.pyramid.layout import block_pyramid_bytes
-
-        edge = blocks.edge >> map_shift(blocks, scene.multiresolution.memory_bytes)
-        needed += block_pyramid_bytes(tuple(n * edge for n in blocks.counts), scene)
-    return needed + size[0] * size[1] * 20

@@ -30,11 +30,12 @@ from typing import Protocol
 
 import numpy as np
 
-from clvol.device.memory import CELL_SHIFT, Perturbation
+from clvol.device.memory import Perturbation
 from clvol.errors import SceneError
 from clvol.opencl.structs import MOST_NOISE_TERMS as MOST_TERMS
 from clvol.opencl.structs import NOISE_TERM as TERM_DTYPE
 from clvol.volume.grid import Grid
+from clvol.volume.voxel_layout import CELL_SHIFT
 
 TILE = 32  # texels an edge
 CHANNELS = 4  # x, y, z of a displacement; the value

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from clvol.device.memory import CELL_SHIFT
 from clvol.device.view import RayFrame
+from clvol.volume.voxel_layout import CELL_SHIFT
 
 
 def tiles_that_see(

@@ -55,6 +55,11 @@ class PixelLattice:
             max(0, -(-(height - self.row) // self.spacing)),
         )
 
+    @property
+    def slices(self) -> tuple[slice, slice]:
+        """Rows and columns of the full picture that are on the lattice."""
+        return np.s_[self.row :: self.spacing, self.column :: self.spacing]
+
     def pixels(self, width: int, height: int) -> np.ndarray:
         """int64 [n, 2]: (row, column) in the full picture, row by row of the sparse one."""
         rows, columns = np.meshgrid(

@@ -4,19 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from clvol.device.memory import (
-    CELL_SHIFT,
-    LARGEST_OFFSET,
-    cell_count,
-    device_bytes,
-    holds_pairs,
-    padded_size,
-    value_map,
-    voxel_switches,
-)
+from clvol.device.gradients import precompute
+from clvol.device.memory import value_map, voxel_switches
 from clvol.errors import VolumeError
 from clvol.opencl.context import DeviceArray, DeviceContext
 from clvol.volume import Volume
+from clvol.volume.voxel_layout import CELL_SHIFT, LARGEST_OFFSET, cell_count, device_bytes, holds_pairs, padded_size
 
 
 class DeviceVolume:
@@ -71,8 +64,6 @@ class DeviceVolume:
 
     def gradients(self, operator: str) -> tuple[DeviceArray, np.ndarray]:
         """Precomputed gradients and their scale (clvol/device/gradients.py). Found once."""
-        from clvol.device.gradients import precompute
-
         if operator not in self._gradients:
             self._gradients[operator] = precompute(self._context, self, operator)
         return self._gradients[operator]

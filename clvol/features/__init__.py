@@ -3,7 +3,7 @@
 One vocabulary in Python and in cl/features.h (a test compares them). What has no effect on the
 image is not called for: it is neither compiled nor paid for. Nothing here needs a device.
 
-Each effect, or a few that belong together, is a module with a function ``judge``, a pass over the
+Each effect, or a few that belong together, is a module with a function ``analyse``, a pass over the
 scene: it notes its effects with reasons and takes out of the scene what has no consequence.
 """
 
@@ -13,14 +13,12 @@ from clvol.features.analysis import NAMES, called_for, effects, reduced, reduced
 from clvol.features.effect import Effect
 from clvol.features.findings import emits
 from clvol.features.lighting import NEUTRAL, is_lit
-from clvol.features.refuse import has_exact_integral, refuse_unknown
 from clvol.features.vocabulary import (
     CLASSIFICATIONS,
     COMPOSITINGS,
     FILTER_REACH,
     FILTERS,
     GRADIENTS,
-    METHODS,
     ORACLES,
     QUADRATURES,
     STEPPINGS,
@@ -33,7 +31,6 @@ __all__ = [
     "FILTERS",
     "FILTER_REACH",
     "GRADIENTS",
-    "METHODS",
     "NAMES",
     "NEUTRAL",
     "ORACLES",
@@ -43,10 +40,8 @@ __all__ = [
     "called_for",
     "effects",
     "emits",
-    "has_exact_integral",
     "is_lit",
     "overshoot",
     "reduced",
     "reduced_for_frames",
-    "refuse_unknown",
 ]

@@ -76,7 +76,7 @@ def analysis_of(scene: ResolvedScene) -> Analysis:
     if scene not in _known:
         found = Findings(scene)
         for part in _PASSES:
-            part.judge(found)
+            part.analyse(found)
         effects = tuple(found.effects[name] for name in NAMES)
         changed = _differs(found.scene, scene)
         small = found.scene if changed else None

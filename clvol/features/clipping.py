@@ -10,7 +10,7 @@ from clvol.scene.clip import Clip
 _NOUNS = {"plane": "clip plane", "box": "clip box", "sphere": "clip sphere"}
 
 
-def judge(found: Findings) -> None:
+def analyse(found: Findings) -> None:
     asked, name = found.scene.clips, "clipping"
     if not asked:
         found.note(no(name, "the scene has no clip"))

@@ -12,7 +12,7 @@ from clvol.scene.depth_cue import DepthCue, corner_distances
 from clvol.scene.resolve import ResolvedScene
 
 
-def judge(found: Findings) -> None:
+def analyse(found: Findings) -> None:
     cue, name = found.scene.depth_cue, "depth cueing"
     if cue is None:
         found.note(no(name, "the scene has no depth cue"))

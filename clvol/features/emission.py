@@ -10,7 +10,7 @@ _TRANSPARENT = "the transfer function is transparent over the data's range {}"
 _OPAQUE = "the transfer function has opacity within the data's range {}"
 
 
-def judge(found: Findings) -> None:
+def analyse(found: Findings) -> None:
     scene = found.scene
     integration = scene.integration
     transparent = _TRANSPARENT.format(range_text(scene)) if found.has_values else NO_VALUES

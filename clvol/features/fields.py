@@ -23,7 +23,7 @@ _DOES = {
 _found: WeakKeyDictionary = WeakKeyDictionary()  # volume: {labels: whether any occurs}
 
 
-def judge(found: Findings) -> None:
+def analyse(found: Findings) -> None:
     kept, reasons = [], {"label": [], "density": [], "mask": []}
     for field in found.scene.fields:
         idle = _idle(field, found)

@@ -7,7 +7,7 @@ from clvol.features.findings import Findings
 from clvol.features.vocabulary import FILTERS
 
 
-def judge(found: Findings) -> None:
+def analyse(found: Findings) -> None:
     integration = found.scene.integration
     filter = integration.filter
     for name in FILTERS:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from clvol.features.effect import joined, no, yes
 from clvol.features.findings import Findings
+from clvol.features.gradient_storage import UNLIMITED, chosen_storage
 from clvol.features.vocabulary import ANALYTIC
 from clvol.scene.gradient import GradientSettings
 from clvol.scene.resolve import ResolvedScene
@@ -21,7 +22,7 @@ def uses_of_gradients(scene: ResolvedScene, lit: bool) -> list[str]:
     return [use for use, is_there in uses.items() if is_there]
 
 
-def judge(found: Findings) -> None:
+def analyse(found: Findings) -> None:
     scene = found.scene
     settings, filter = scene.gradient, scene.integration.filter
     uses = uses_of_gradients(scene, found.lit)
@@ -52,11 +53,8 @@ def _note_operator(found: Findings, settings: GradientSettings) -> None:
 
 
 def _note_storage(found: Findings, settings: GradientSettings) -> None:
-    from clvol.device.gradients import DeviceLimits, chosen_storage
-
-    endless = DeviceLimits(memory=2**63, buffer=2**63)
     volume = found.scene.volume
-    chosen = chosen_storage(volume, settings.operator, settings.storage, endless)
+    chosen = chosen_storage(volume, settings.operator, settings.storage, UNLIMITED)
     is_stored = chosen == "precomputed"
     reason = f"the storage is {settings.storage!r}"
     if settings.storage == "auto":

@@ -19,7 +19,7 @@ def is_lit(scene: ResolvedScene) -> bool:
     return bool(scene.lights or scene.environment) and scene.material != NEUTRAL
 
 
-def judge(found: Findings) -> None:
+def analyse(found: Findings) -> None:
     scene = found.scene
     material, environment = scene.material, scene.environment
     lights = tuple(light for light in scene.lights if _shines(light))

@@ -8,7 +8,7 @@ from clvol.features.values import reachable
 from clvol.scene.noise import Noise
 
 
-def judge(found: Findings) -> None:
+def analyse(found: Findings) -> None:
     _noise(found)
     _cycle(found)
 

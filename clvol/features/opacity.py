@@ -10,7 +10,7 @@ from clvol.features.values import steepest
 from clvol.scene.opacity_factor import OpacityFactor
 
 
-def judge(found: Findings) -> None:
+def analyse(found: Findings) -> None:
     for name, key in (
         ("gradient opacity", "gradient_opacity"),
         ("directional opacity", "directional_opacity"),

@@ -7,7 +7,7 @@ from clvol.features.findings import Findings
 from clvol.scene.resolve import ResolvedScene
 
 
-def judge(found: Findings) -> None:
+def analyse(found: Findings) -> None:
     scene = found.scene
     shadow = scene.shadow
     idle = _why_none(found)
@@ -40,6 +40,6 @@ def _why_none(found: Findings) -> str | None:
         return "the shadowing light reaches nothing lit"
     if not any(casts(light) for light in scene.lights):
         return "no light that shines casts a shadow"
-    if scene.shadow.method == "rays" and scene.shadow.bound >= 1:
+    if not scene.shadow.is_volume and scene.shadow.bound >= 1:
         return "no sample's opacity is above the bound 1"
     return None

@@ -8,7 +8,7 @@ from clvol.features.values import range_text, reachable
 from clvol.scene.isosurface import Isosurface
 
 
-def judge(found: Findings) -> None:
+def analyse(found: Findings) -> None:
     asked, name, bending = found.scene.isosurfaces, "isosurfaces", "refraction"
     if not asked:
         found.note(no(name, "the scene has no isosurface"))

@@ -12,7 +12,6 @@ GRADIENTS = {"central": 1, "sobel": 2, "precomputed": 3, "analytic": 4}
 CLASSIFICATIONS = {"pre": 0, "post": 1, "preintegrated": 2}
 COMPOSITINGS = {"over": 0, "maximum": 1, "minimum": 2, "average": 3, "attenuated-maximum": 4}
 QUADRATURES = {"steps": 0, "cells": 1}
-METHODS = ("raycast", "multiresolution", "pyramid", "reference")
 # How far rays go at once in a volume of blocks.
 STEPPINGS = {"full": 0, "limited": 1, "naive": 2, "bounded": 3}
 # How the method "pyramid" asks an oracle.

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+import clvol
 from clvol.text import without_surrogates
 
 MADE_FROM = "made_from"
@@ -31,8 +32,6 @@ def facts(frame: Any, held: Iterable[np.ndarray] = ()) -> dict[str, str]:
     """Texts for a header: software, versions, device, statistics, background, and, where they are
     known, the scene and what the picture was made from (``clvol.render.made_from``), with a digest
     of the pixels that the file is to hold, ``held``."""
-    import clvol
-
     stats = getattr(frame, "stats", None) or {}
     texts = {
         "software": f"clvol {clvol.__version__}",

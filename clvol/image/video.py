@@ -70,8 +70,8 @@ def open_video(
 ) -> Iterator[VideoWriter]:
     """Yields a writer for the video file ``path``, which is complete after the block, or after the
     writer's ``finish``. What ``made_from`` gives when the first frame comes goes into the file, as
-    JSON: a GIF's and an MP4's comment, WebP's XMP, the text "made_from" of an APNG. A block that ends early leaves a file that is no video: write to a temporary
-    one (``clvol.image.atomic_path``). RenderError for no frame at all or frames of several sizes.
+    JSON: a GIF's and an MP4's comment, WebP's XMP, the text "made_from" of an APNG. A block that ends
+    early leaves a file that is no video: write to a temporary one (``clvol.image.atomic_path``). RenderError for no frame at all or frames of several sizes.
     """
     kind = _Mp4 if _ending(path) == ".mp4" else _Pillow
     writer = kind(path, fps, made_from)

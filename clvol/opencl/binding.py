@@ -1,6 +1,9 @@
-"""pyopencl, without the caches of its own.
+"""pyopencl, imported when it is first used, and without the caches of its own.
 
-They lie in the user's cache folder, and pyopencl fails where that cannot be written, is full, damaged
+Importing clvol makes no OpenCL call and loads no OpenCL library: ``cl`` stands for the module pyopencl,
+which is imported when an attribute of it is first asked for.
+
+pyopencl's caches lie in the user's cache folder, and pyopencl fails where that cannot be written, is full, damaged
 or locked by another process. Programs are kept by :mod:`clvol.opencl.program_store` instead; what is
 lost is a file of generated Python functions, which are made faster than they are read.
 """
@@ -8,23 +11,45 @@ lost is a file of generated Python functions, which are made faster than they ar
 from __future__ import annotations
 
 import os
+from functools import lru_cache
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
 
 from clvol.errors import DeviceError
 
 _VARIABLE = "PYOPENCL_NO_CACHE"
-_said = os.environ.get(_VARIABLE)
-os.environ[_VARIABLE] = "1"
-try:
-    import pyopencl as cl
-except ImportError as error:
-    raise DeviceError(
-        "pyopencl", f"cannot be loaded ({error})", "a working installation of it"
-    ) from None
-finally:
-    if _said is None:
-        del os.environ[_VARIABLE]
-    else:
-        os.environ[_VARIABLE] = _said
-cl._PYOPENCL_NO_CACHE = True  # where somebody imported it before us
 
-__all__ = ["cl"]
+
+@lru_cache(maxsize=None)
+def load_pyopencl() -> ModuleType:
+    """The module pyopencl; DeviceError where it cannot be loaded."""
+    before = os.environ.get(_VARIABLE)
+    os.environ[_VARIABLE] = "1"
+    try:
+        import pyopencl
+    except ImportError as error:
+        raise DeviceError(
+            "pyopencl", f"cannot be loaded ({error})", "a working installation of it"
+        ) from None
+    finally:
+        if before is None:
+            del os.environ[_VARIABLE]
+        else:
+            os.environ[_VARIABLE] = before
+    pyopencl._PYOPENCL_NO_CACHE = True  # where somebody imported it before us
+    return pyopencl
+
+
+class _WhenUsed:
+    """A module that is imported when an attribute of it is first asked for."""
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(load_pyopencl(), name)
+
+
+if TYPE_CHECKING:
+    import pyopencl as cl
+else:
+    cl = _WhenUsed()
+
+__all__ = ["cl", "load_pyopencl"]

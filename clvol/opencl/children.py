@@ -14,8 +14,8 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
+from clvol.opencl import probe
 from clvol.opencl.folders import scratch_folder
 from clvol.opencl.reports import Icd
 
@@ -44,8 +44,6 @@ def write_selection(icds: list[Icd], folder: Path) -> None:
 
 def run_child(request: dict, selection: list[Icd] | None, time_limit: float) -> Child:
     """Run one probe child to its end or to its time limit."""
-    from clvol.opencl import probe
-
     environment = child_environment()
     environment["PYOPENCL_NO_CACHE"] = "1"
     environment["OPENBLAS_NUM_THREADS"] = "1"  # numpy gives up where it may not start all it wants
@@ -92,13 +90,13 @@ def run_child(request: dict, selection: list[Icd] | None, time_limit: float) -> 
             if status is None:
                 child.end = "does not stop"
             elif status != 0:
-                child.end = _death(status, "", probe)
+                child.end = _death(status, "")
         elif status is None:
             child.death = f"no answer within {time_limit:g} s"
         else:
             stderr.seek(0)
             text = stderr.read()[-20000:].decode("utf-8", errors="replace")
-            child.death = _death(status, text, probe)
+            child.death = _death(status, text)
     return child
 
 
@@ -156,7 +154,7 @@ def end_child(process: subprocess.Popen) -> None:
         process.wait()
 
 
-def _death(status: int, stderr: str, probe: Any) -> str:
+def _death(status: int, stderr: str) -> str:
     """One line on how a child ended that should have finished."""
     if status < 0:
         try:

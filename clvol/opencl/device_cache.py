@@ -63,7 +63,8 @@ def cache_key(wanted: list[Icd], vendors: str | None) -> str:
     sources = [*sorted(Path(__file__).parent.glob("*.py")), *sorted(kernel_folder().iterdir())]
     facts = [
         _FORMAT, version, sys.executable, host.node(), host.machine(), host.release(), processors,
-        libraries, _stat("/etc/ld.so.cache"), _stat("/usr/bin/ld"), [_stat(source) for source in sources], _limits(), vendors,
+        libraries, _stat("/etc/ld.so.cache"), _stat("/usr/bin/ld"), [_stat(source) for source in sources],
+        _limits(), vendors,
         sorted((k, v) for k, v in os.environ.items() if k.startswith(_RELEVANT) and k != _VENDORS),
     ]
     return hashlib.sha256(json.dumps(facts).encode()).hexdigest()
@@ -121,7 +122,7 @@ _FIELD_TYPES = {
 
 
 def write_cache(key: str, findings: Findings) -> None:
-    """Keep the findings for later processes; a folder that cannot be written to is told, once."""
+    """Keeps the findings for later processes; a folder that cannot be written to is reported, once."""
     global _came_from_cache
     _came_from_cache = False
     path = _cache_file(key)

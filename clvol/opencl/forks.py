@@ -1,6 +1,6 @@
-"""OpenCL does not outlive fork(): its threads and locks stay behind, and the child would wait for ever.
+"""OpenCL does not outlive fork(): its threads and locks stay behind, and the child would wait forever.
 
-So a child that was forked after OpenCL was used is told at once, wherever it would use it.
+So a child that was forked after OpenCL was used gets an error at once, wherever it would use it.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 An OpenCL implementation crashes on a damaged program (PoCL aborts the process), so nothing is handed to
 one that is not, byte for byte, what was written. Whatever is wrong with the folder costs time, never a
-picture: it is told once, and the program is compiled anew.
+picture: it is reported once, and the program is compiled anew.
 """
 
 from __future__ import annotations

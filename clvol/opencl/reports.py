@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 
 @dataclass(frozen=True)
@@ -49,3 +49,38 @@ class Findings:
 
     reports: list[DeviceReport]
     selection: list[Icd] | None = None
+
+
+def rank(report: DeviceReport) -> tuple[int, str, int]:
+    """A key that sorts devices, best first: PoCL's CPU, other CPUs, GPUs, others, platforms without a device.
+
+    The order in which the loader lists platforms has no part in it.
+    """
+    order = {"CPU": 1, "GPU": 2, "": 4}.get(report.type, 3)
+    if report.type == "CPU" and short_name(report) == "pocl":
+        order = 0
+    return order, report.platform, report.device_index
+
+
+def short_name(report: DeviceReport) -> str:
+    """The platform's name in one word, such as "pocl", "intel" or "intel-gpu"."""
+    platform = report.platform.lower()
+    if "portable computing language" in platform or "pocl" in platform:
+        return "pocl"
+    for vendor in ("nvidia", "amd", "intel"):
+        if vendor in platform:
+            return f"{vendor}-gpu" if vendor == "intel" and report.type == "GPU" else vendor
+    words = "".join(c if c.isalnum() else " " for c in platform).split()
+    return words[0] if words else "unnamed"
+
+
+def named(reports: list[DeviceReport]) -> list[DeviceReport]:
+    """The reports with their names: the platform's short one, numbered from the second on."""
+    seen: dict[str, int] = {}
+    named = []
+    for report in sorted(reports, key=rank):
+        base = report.name or short_name(report)
+        number = seen.get(base, 0)
+        seen[base] = number + 1
+        named.append(replace(report, name=f"{base}:{number}" if number else base))
+    return named

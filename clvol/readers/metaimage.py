@@ -21,9 +21,9 @@ from clvol.readers.beside import (
 from clvol.readers.metaimage_header import LIST_LIMIT, MetaHeader, read_header
 from clvol.readers.options import ReadOptions
 from clvol.readers.samples import Part, names_beside, read_chosen
-from clvol.readers.units import find_unit
 from clvol.volume.axis import ValueAxis
 from clvol.volume.grid import Grid
+from clvol.volume.units import find_unit
 from clvol.volume.volume import ACCEPTED, Volume
 
 _TYPES = {

@@ -10,8 +10,8 @@ import numpy as np
 from clvol.errors import VolumeError
 from clvol.readers.nrrd_header import NrrdHeader
 from clvol.readers.options import ReadOptions
-from clvol.readers.units import one_unit
 from clvol.volume.grid import Grid
+from clvol.volume.units import one_unit
 
 # Kinds of an axis along which samples are spread in space.
 _IN_SPACE = ("domain", "space")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections import Counter
 from collections.abc import Hashable, Iterator
 from contextlib import contextmanager
@@ -15,7 +14,8 @@ import numpy as np
 from clvol.errors import VolumeError
 from clvol.readers.options import ReadOptions
 from clvol.readers.quiet import errors_logged
-from clvol.readers.slice_names import natural, one_stack, warn_of_gaps
+from clvol.readers.recognise import slice_files
+from clvol.readers.slice_names import one_stack, warn_of_gaps
 from clvol.readers.tiff import read as read_file
 from clvol.readers.tiff import read_page, single_page
 from clvol.readers.tiff_chain import check_chain
@@ -23,16 +23,7 @@ from clvol.readers.tiff_spacing import Spacing, spacing_of
 from clvol.volume.memory import check_memory
 from clvol.volume.volume import Volume, check_type
 
-_ENDINGS = (".tif", ".tiff")
 _NAMED = 3  # files that a message names
-
-
-def slice_files(path: Path) -> list[Path]:
-    """The TIFF files of a folder, sl_2 before sl_10; hidden ones are no slices."""
-    with os.scandir(path) as entries:
-        names = [entry.name for entry in entries if entry.is_file()]
-    found = [n for n in names if n.lower().endswith(_ENDINGS) and not n.startswith(".")]
-    return [path / name for name in sorted(found, key=natural)]
 
 
 def read(path: Path, options: ReadOptions) -> Volume:

@@ -8,7 +8,7 @@ from typing import Any
 from xml.etree import ElementTree
 
 from clvol.readers.options import ReadOptions
-from clvol.readers.units import one_unit
+from clvol.volume.units import one_unit
 
 _TAG_UNITS = {2: "inch", 3: "cm"}
 _NOT_MEASURED = 1.0 / 72  # inches: what programs write that know nothing better

@@ -4,28 +4,19 @@ asked for."""
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from clvol.errors import VolumeError
 from clvol.readers.options import ReadOptions
 from clvol.readers.zarr_image import find_image
+from clvol.store.arrays import what_failed
+from clvol.store.turned import TurnedBlocks
+from clvol.store.zarr_store import StoredBlocks, is_store, open_store
 from clvol.volume.grid import Grid
 from clvol.volume.lazy import LazyVolume
 from clvol.volume.volume import Volume, check_type
-
-if TYPE_CHECKING:
-    from clvol.store.zarr_store import StoredBlocks
-
-_MARKS = ("zarr.json", ".zgroup", ".zarray")
-
-
-def is_zarr(path: Path) -> bool:
-    """Whether the folder is a Zarr array or group, or a store whose making was interrupted."""
-    from clvol.store.zarr_store import is_unfinished
-
-    return any((path / name).exists() for name in _MARKS) or is_unfinished(path)
 
 
 def read(path: Path, options: ReadOptions) -> Volume:
@@ -35,8 +26,6 @@ def read(path: Path, options: ReadOptions) -> Volume:
     some; channel and time are chosen by ``options``; an image without z is one slice. Scale and
     translation of OME-Zarr become spacing and origin, in the unit of x.
     """
-    from clvol.store.zarr_store import is_store, open_store
-
     if is_store(path):
         return StoredVolume(open_store(path), options.memory_cap)
     image = find_image(path, options)
@@ -80,8 +69,6 @@ class StoredVolume(LazyVolume):
         return self.blocks_source.inf_count
 
     def _turned(self) -> Volume:
-        from clvol.store.turned import TurnedBlocks
-
         other = StoredVolume(TurnedBlocks(self.blocks_source), self._memory_cap)
         other.path, other.format = self.path, self.format
         return other
@@ -115,8 +102,6 @@ class ZarrVolume(LazyVolume):
         return self.box(0, nz, 0, ny, 0, nx)
 
     def box(self, z0: int, z1: int, y0: int, y1: int, x0: int, x1: int) -> np.ndarray:
-        from clvol.store.arrays import what_failed
-
         try:
             voxels = self._array[z0:z1, y0:y1, x0:x1].read().result()
         except ValueError as error:

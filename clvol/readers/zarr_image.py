@@ -16,11 +16,12 @@ import numpy as np
 
 from clvol.errors import VolumeError
 from clvol.readers.options import ReadOptions
-from clvol.readers.units import one_unit
 from clvol.readers.zarr_axes import AXES, Axis, Placed, place_axes
 from clvol.readers.zarr_blosc import check_blosc
+from clvol.store.arrays import open_array, system_words
 from clvol.volume.grid import Grid
 from clvol.volume.memory import check_memory
+from clvol.volume.units import one_unit
 
 _LARGEST_METADATA = 64 << 20
 _EVEN = 1e-3  # of a step, by which coordinates may be off
@@ -140,8 +141,6 @@ def _image_name(node: Node) -> str:
 
 
 def _array(path: Path, where: str) -> Any:
-    from clvol.store.arrays import open_array, system_words
-
     driver = "zarr3" if (path / "zarr.json").exists() else "zarr"
     try:
         return open_array(path, driver=driver, whole=False)

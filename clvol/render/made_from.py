@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import clvol
 from clvol.errors import ClvolError
+from clvol.integrators.registry import integrator_of
 from clvol.json_values import plain
 
 if TYPE_CHECKING:
@@ -57,7 +58,7 @@ def _sources(resolved: ResolvedScene) -> dict[str, Any]:
     what is gone meanwhile, or does not fit into memory."""
     from clvol.volume.digest import file_digest, volume_digest
 
-    by_blocks = resolved.integration.method == "multiresolution"
+    by_blocks = integrator_of(resolved).reads_blocks
     found: dict[str, Any] = {"voxels": None, "fields": None, "environment": None}
     try:
         found["voxels"] = volume_digest(resolved.volume, by_blocks)

@@ -11,17 +11,21 @@ from time import perf_counter
 from typing import TYPE_CHECKING, Any
 from weakref import WeakSet
 
+from clvol.device.fields import field_bytes
+from clvol.device.light_volume import light_volume_bytes
 from clvol.errors import RenderError, UsageError, VolumeError
-from clvol.features import refuse_unknown
+from clvol.integrators.base import FrameData, Prepared
+from clvol.integrators.registry import check_scene, integrator_of
+from clvol.opencl.context import DeviceContext
+from clvol.opencl.devices import open_device
 from clvol.opencl.forks import check_fork, is_forked
 from clvol.render.frame import Frame, make_frame
 from clvol.render.made_from import MadeFrom
 from clvol.render.notices import Notices
+from clvol.render.prepared_cache import PreparedCache
 from clvol.scene.camera import Camera
 
 if TYPE_CHECKING:
-    from clvol.integrators.raycast.caster import FrameData
-    from clvol.opencl.context import DeviceContext
     from clvol.scene import Scene
     from clvol.scene.resolve import ResolvedScene
     from clvol.transfer import TransferFunction
@@ -55,22 +59,19 @@ class Renderer:
         start = perf_counter()
         self._lock, self._is_busy = threading.RLock(), False
         self.resolved = scene.resolve() if hasattr(scene, "resolve") else scene
-        refuse_unknown(self.resolved)
+        check_scene(self.resolved)
         check_memory(self.resolved, memory_cap)
         self._first_time = self.resolved.animation.time
         loaded = perf_counter()
         self._context = open_context(devices)
-        self._raycaster = self._engines = None
         self._told: WeakSet[MadeFrom] = WeakSet()
-        if self.resolved.integration.method != "reference":
-            from clvol.render.engines import Engines
-
-            self._engines = Engines(self._context)
-            try:
-                self._raycaster = self._engines.make(self.resolved, progress)
-            except BaseException:
-                self.close()
-                raise
+        self._prepared: Prepared | None = None
+        self._cache: PreparedCache | None = PreparedCache(self._context)
+        try:
+            self._prepared = self._cache.prepare(self.resolved, progress)
+        except BaseException:
+            self.close()
+            raise
         self._notices = Notices(self.resolved)
         self._load_seconds = loaded - start
         self._prepare_seconds = perf_counter() - loaded - self._context.compile_seconds
@@ -89,15 +90,15 @@ class Renderer:
         with self._turn(may_be_closed=True):
             for told in list(self._told):  # of frames that are kept: they need not keep the volume
                 told()
-            if self._engines is not None:
-                self._engines.close()
+            if self._cache is not None:
+                self._cache.close()
             if self._context is not None:
                 self._context.release()
-            self._context = self._raycaster = self._engines = None
+            self._context = self._prepared = self._cache = None
 
     @contextmanager
     def _turn(self, may_be_closed: bool = False) -> Iterator[None]:
-        """One thread at a time: engines, kernels and buffers are for one frame at a time."""
+        """One thread at a time: kernels and buffers are for one frame at a time."""
         check_fork()
         with self._lock:
             if self._is_busy:  # the lock lets a thread in that holds it
@@ -145,15 +146,13 @@ class Renderer:
         else:
             camera = camera.complete(resolved.volume.grid, resolved.image)
         self._move_to(self._first_time if time is None else float(time), camera)
-        if self._raycaster is None:
-            return self._reference(camera, progress)
         compile_start = perf_counter()
         before = self._context.compile_seconds
-        self._raycaster.warm_up(width, height, depth, **{name: True for name in by_time})
+        self._prepared.warm_up(width, height, depth, **{name: True for name in by_time})
         compile_seconds = before + perf_counter() - compile_start
         self._context.compile_seconds = 0.0
         start = perf_counter()
-        data = self._raycaster.render(camera, width, height, progress, depth, **by_time)
+        data = self._prepared.render(camera, width, height, progress, depth, **by_time)
         times = {"compile": compile_seconds, "render": perf_counter() - start}
         return self._frame(camera, data.rgba, data.depth, times, _counted(data))
 
@@ -167,9 +166,8 @@ class Renderer:
         with self._turn():
             function = self.resolved.in_stored_values(function)
             resolved = replace(self.resolved, transfer_function=function)
-            refuse_unknown(resolved)  # what a blank scene asks for has no consequence
-            if self._engines is not None:
-                self._raycaster = self._engines.make(resolved, wait=wait)
+            check_scene(resolved)  # what a blank scene asks for has no consequence
+            self._prepared = self._cache.prepare(resolved, wait=wait)
             self.resolved = resolved
             self._notices.of_scene(resolved)
 
@@ -180,23 +178,9 @@ class Renderer:
         if is_new_time:
             animation = resolved.animation.model_copy(update={"time": time})
             resolved = replace(resolved, animation=animation)
-        if self._engines is not None and (is_new_time or resolved.depth_cue):
-            self._raycaster = self._engines.make(replace(resolved, camera=camera))
-        self.resolved = resolved  # once there is an engine for it
-
-    def _reference(self, camera: Camera, progress) -> Frame:
-        from clvol.integrators.reference.picture import render_reference
-
-        resolved = replace(self.resolved, camera=camera)
-        start = perf_counter()
-        rgba, depth, counters = render_reference(
-            resolved,
-            self._context.device,
-            tolerance=resolved.integration.tolerance,
-            progress=progress,
-        )
-        seconds = {"compile": 0.0, "render": perf_counter() - start}
-        return self._frame(camera, rgba, depth, seconds, counters)
+        if is_new_time or resolved.depth_cue:
+            self._prepared = self._cache.prepare(replace(resolved, camera=camera))
+        self.resolved = resolved  # once it is prepared
 
     def _frame(self, camera: Camera, rgba, depth, seconds: dict, counted: dict) -> Frame:
         first = {"load": self._load_seconds, "prepare": self._prepare_seconds}
@@ -209,11 +193,12 @@ class Renderer:
 
 
 def _checked_seconds(resolved: ResolvedScene, seconds: float) -> float:
-    method = resolved.integration.method
-    if method != "multiresolution":
-        raise UsageError("seconds", f"given with the method {method!r}", "'multiresolution'")
-    if resolved.multiresolution.stepping == "pyramid":
-        raise UsageError("seconds", "given with the stepping 'pyramid'", "another stepping")
+    integrator = integrator_of(resolved)
+    if not integrator.refines_in_time(resolved):
+        if integrator.reads_blocks:
+            stepping = resolved.multiresolution.stepping
+            raise UsageError("seconds", f"given with the stepping {stepping!r}", "another stepping")
+        raise UsageError("seconds", f"given with the method {integrator.name!r}", "'multiresolution'")
     if not 0.0 < seconds < inf:
         raise UsageError("seconds", f"got {seconds!r}", "seconds, more than 0")
     return float(seconds)
@@ -221,27 +206,18 @@ def _checked_seconds(resolved: ResolvedScene, seconds: float) -> float:
 
 def check_memory(resolved: ResolvedScene, cap: int | None) -> None:
     """VolumeError if rendering takes more than ``cap`` bytes on the device."""
-    from clvol.device.fields import field_bytes
-    from clvol.device.light_volume import light_volume_bytes
-    from clvol.device.memory import method_bytes
-
     if cap is None:
         return
-    volume = resolved.volume
-    needed = method_bytes(volume, resolved) + light_volume_bytes(resolved) + field_bytes(resolved)
+    integrator, volume = integrator_of(resolved), resolved.volume
+    needed = integrator.device_bytes(volume, resolved) + light_volume_bytes(resolved) + field_bytes(resolved)
     if needed > cap:
         what = f"needs {needed} bytes on the device, pictures and tables included"
-        expected = f"at most the memory cap of {cap} bytes"
-        if resolved.integration.method == "multiresolution":
-            expected += ", or less multiresolution.memory"
+        expected = f"at most the memory cap of {cap} bytes" + integrator.memory_advice(resolved)[1]
         raise VolumeError(volume.name or "volume", what, expected)
 
 
 def open_context(devices: Sequence[Any] | None) -> DeviceContext:
     """The one device that is asked for, opened. UsageError for several, DeviceError for none."""
-    from clvol.opencl.context import DeviceContext
-    from clvol.opencl.devices import open_device
-
     if isinstance(devices, str) or (devices is not None and not isinstance(devices, Sequence)):
         devices = [devices]
     if devices is not None and len(devices) > 1:

@@ -1,4 +1,4 @@
-"""What an engine was made for, as a key: equal for scenes that it renders alike.
+"""What a prepared scene was made for, as a key: equal for scenes that it renders alike.
 
 A key is made of values alone: numbers with their types, arrays with their bytes. Objects that have no value of their
 own (a volume, an oracle) are in it themselves: they count as what they are, and live as long as the key.
@@ -12,31 +12,23 @@ from typing import Any
 
 import numpy as np
 
+from clvol.integrators.base import Integrator
 from clvol.scene.resolve import ResolvedScene
 from clvol.scene.table import Table
 from clvol.transfer import TransferFunction
 
-# What ``Raycaster.like`` takes over from another scene, and what no picture depends on.
-_FROM_LIKE = ("camera", "image", "animation", "integration", "multiresolution", "pyramid")
+# What ``Prepared.for_scene`` takes over from another scene, and what no picture depends on.
+_TAKEN_OVER = ("camera", "image", "animation", "integration", "multiresolution", "pyramid")
 _NOT_RENDERED = ("source", "origin")
 _FREE_SETTINGS = {"step": 1.0, "early_termination": 0.0}  # of [integration]
 
 
-def engine_key(resolved: ResolvedScene) -> tuple[Hashable, ...]:
-    """Equal for scenes that an engine may be shared for (``Raycaster.like``). A table that a scene gets in the
+def scene_key(resolved: ResolvedScene, integrator: Integrator) -> tuple[Hashable, ...]:
+    """Equal for scenes that one prepared scene may serve (``Prepared.for_scene``). A table that scenes get in the
     future counts: only those named here do not."""
-    left_out = (*_FROM_LIKE, *_NOT_RENDERED)
+    left_out = (*_TAKEN_OVER, *_NOT_RENDERED)
     parts: list[Any] = [getattr(resolved, f.name) for f in fields(resolved) if f.name not in left_out]
-    integration = resolved.integration.model_copy(update=_FREE_SETTINGS)
-    parts.append(integration)
-    if integration.method == "multiresolution":
-        parts.append(resolved.multiresolution)
-        if resolved.multiresolution.stepping == "pyramid":
-            parts.append(resolved.pyramid.levels)
-    if integration.method == "pyramid":
-        from clvol.integrators.pyramid.oracles import oracle_named
-
-        parts += resolved.pyramid, oracle_named(resolved.pyramid.oracle)
+    parts += resolved.integration.model_copy(update=_FREE_SETTINGS), *integrator.key(resolved)
     return tuple(map(value_key, parts))
 
 

@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, BeforeValidator, Field
 
 from clvol.errors import SceneError, UsageError
+from clvol.image.exr import check_size
 from clvol.scene.table import Number, Table
 from clvol.scene.volume import is_path, path_text
 
@@ -73,8 +74,6 @@ class Environment(Table):
 
 def _check_size(path: str, memory_cap: int | None) -> None:
     """A file that is no EXR is told of when it is read."""
-    from clvol.image.exr import check_size
-
     try:
         check_size(path, memory_cap)
     except UsageError as error:

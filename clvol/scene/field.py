@@ -7,21 +7,20 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field, WrapValidator, model_validator
 
 from clvol.errors import SceneError, VolumeError
+from clvol.readers import load_volume
 from clvol.scene.table import AsTuple, Color, Fraction, Number, Table, Whole, wrong
 from clvol.scene.transfer_function import ControlPoint, check_points
 from clvol.scene.transfer_layer import function_of
 from clvol.scene.volume import Choice, is_path, path_text
+from clvol.transfer import TransferFunction
 from clvol.volume.axis import ValueAxis
-
-if TYPE_CHECKING:
-    from clvol.transfer import TransferFunction
-    from clvol.volume import Volume
+from clvol.volume.volume import Volume
 
 LARGEST_COUNT = 3
 LARGEST_LABELS = 65536
@@ -80,8 +79,6 @@ class FieldLabel(Table):
 
 
 def _file(value: Any, check: Callable[[Any], Any]) -> Any:
-    from clvol.volume import Volume
-
     return value if isinstance(value, Volume) else check(value)
 
 
@@ -193,8 +190,6 @@ class FieldSettings(Table):
         """The field's volume; ``folder`` is what its file is relative to, ``where`` the place of
         this table for error messages, ``labels`` whether nothing but labels are read from the file.
         Raises SceneError if it is not there, VolumeError."""
-        from clvol.volume import Volume, load_volume
-
         if isinstance(self.file, Volume):
             return self.file
         path = folder / self.file

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Annotated
-
 from pydantic import Field, model_validator
 
-from clvol.scene.knob import Knob
 from clvol.scene.table import Color, Number, Table, Whole, wrong
 
 LARGEST_AXIS = 65536
@@ -29,27 +26,16 @@ class ImageSettings(Table):
         title="Colour behind the volume in PNG files and videos, in the colour space of the transfer function.",
         description="three numbers [r, g, b] from 0 to 1",
     )
-    ray_spacing: Annotated[
-        Whole,
-        Knob(
-            "ray spacing", "pixels", (8, 4, 2, 1), of_picture=True, methods=("raycast",),
-        ),
-    ] = Field(
+    ray_spacing: Whole = Field(
         1, ge=1, le=16,
         title="Distance between rays in pixels; pixels between similar rays are interpolated, others get their own.",
         description="a whole number of pixels from 1 to 16",
-    )  # fmt: skip
-    ray_tolerance: Annotated[
-        Number,
-        Knob(
-            "ray tolerance", "linear light", (0.3, 0.1, 0.03, 0.01, 0.003), of_picture=True,
-            methods=("raycast",), applies=lambda scene: scene.image.ray_spacing > 1,
-        ),
-    ] = Field(
+    )
+    ray_tolerance: Number = Field(
         0.01, ge=0, le=1,
         title="Largest difference of neighbouring rays across which pixels are interpolated (linear, premultiplied).",
         description="a number from 0 to 1",
-    )  # fmt: skip
+    )
 
     @classmethod
     def table_name(cls) -> str:

@@ -10,8 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from clvol.errors import SceneError
+from clvol.readers import ENDINGS, is_volume_path
 from clvol.scene.scene import Scene
 from clvol.scene.table import shown
+from clvol.store.zarr_store import is_store
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -34,8 +36,6 @@ def load_scene(path: str | Path, overrides: Iterable[str] = ()) -> Scene:
     syntax, applied in their order. An index one past the end of a list appends to it.
     Raises SceneError whose place is "FILE: KEY". The volume itself is read by ``Scene.resolve``.
     """
-    from clvol.store.zarr_store import is_store
-
     path = Path(path)
     if path.suffix.lower() == ".toml":
         data, folder = _read(path), path.parent
@@ -51,8 +51,6 @@ def load_scene(path: str | Path, overrides: Iterable[str] = ()) -> Scene:
 
 def _check_ending(path: Path) -> None:
     """SceneError for a file that is plainly neither a scene nor a volume."""
-    from clvol.volume import ENDINGS, is_volume_path
-
     if path.suffix.lower() in _DICOM_FILES or is_volume_path(path):
         return
     what = f"unknown ending {path.suffix!r}" if path.suffix else "no ending"

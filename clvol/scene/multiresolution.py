@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import math
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
-from clvol.scene.knob import Knob
 from clvol.scene.sizes import parse_size
 from clvol.scene.table import Number, Table, Whole, wrong
 
@@ -23,41 +21,6 @@ def _is_size(text: str) -> str:
     return text
 
 
-def _budgets(resolved: Any) -> tuple[str, ...]:
-    """Sizes with room for shares of the volume, up to all of it, beside what else is needed."""
-    from clvol.integrators.multiresolution.residency import block_source
-    from clvol.integrators.multiresolution.sample_allocator import overhead_bytes, sample_dtype
-
-    blocks = block_source(resolved.volume).blocks
-    whole = blocks.count * blocks.edge**3 * sample_dtype(resolved.volume.dtype).itemsize
-    sizes = []
-    for halvings in range(_SHARES, -1, -1):
-        share = size = whole >> halvings
-        for _ in range(2):  # the map of empty space is finer where the size allows
-            size = share + overhead_bytes(blocks, size)
-        sizes.append(_readable(size))
-    return tuple(dict.fromkeys(sizes))
-
-
-def _readable(size: float) -> str:
-    """``size`` bytes rounded up to two digits, with a unit."""
-    unit = min(max(int(math.log(size, 1024)), 0), len(_UNITS) - 1)
-    value = size / 1024**unit
-    digit = 10 ** max(math.floor(math.log10(value)) - 1, -1)
-    return f"{math.ceil(value / digit) * digit:.4g} {_UNITS[unit]}"
-
-
-def _in_tiles(scene: Any) -> bool:
-    return scene.multiresolution.tiles > 0
-
-
-def _tile_shares(resolved: Any) -> tuple[float, ...]:
-    return tuple(s for s in (0.3, 0.5, 0.7, 0.9, 1.0) if s >= resolved.multiresolution.tile_low)
-
-
-_SHARES = 5  # halvings of the volume that budgets are tried for
-_UNITS = ("B", "KiB", "MiB", "GiB", "TiB")
-_OURS = ("multiresolution",)
 _TILES = "0 (every pixel has a ray), or a whole number of pixels from 2 to 256"
 _SHARE = "a share of a tile's edge, greater than 0 and at most 1"
 
@@ -65,8 +28,8 @@ _SHARE = "a share of a tile's edge, greater than 0 and at most 1"
 class Multiresolution(Table):
     """``memory``: what the bricks may take on the device; ``memory_bytes`` is it in bytes.
 
-    ``view_weighting``: a block's error counts by what the view sees of it: whether it is in the picture, how many pixels it
-    covers and how many of them a voxel. ``occlusion``: and by how much light reaches the eye from it.
+    ``view_weighting``: the error of a block is weighted by what the view shows of it: whether it is in the picture, how
+    many pixels it covers and how many of them per voxel. ``occlusion``: and by how much light reaches the eye from it.
 
     ``step_error``: of "bounded" stepping, what one segment may add to the error of a colour (linear,
     premultiplied).
@@ -76,42 +39,22 @@ class Multiresolution(Table):
     ``tile_high``: rays an axis of the tiles of least and of most priority, over ``tiles``.
     """
 
-    memory: Annotated[
-        str,
-        BeforeValidator(_as_text),
-        AfterValidator(_is_size),
-        Knob("memory", "", _budgets, saves_memory=True, methods=_OURS, order=parse_size),
-    ] = Field(
+    memory: Annotated[str, BeforeValidator(_as_text), AfterValidator(_is_size)] = Field(
         "96 MiB",
         title="Device memory for samples, their index, staging and the map of empty space.",
         description="a size such as \"96 MiB\"",
     )
-    stepping: Annotated[
-        Literal["full", "limited", "naive", "bounded", "pyramid"],
-        Knob(
-            "stepping", "", ("naive", "limited", "bounded", "full"),
-            is_ladder=False, alone=True, methods=_OURS,
-        ),
-    ] = Field(
+    stepping: Literal["full", "limited", "naive", "bounded", "pyramid"] = Field(
         "limited",
         title="How step lengths follow the resolution of blocks; see data/examples/README.md.",
         description="'full', 'limited', 'naive', 'bounded' or 'pyramid'",
-    )  # fmt: skip
-    step_error: Annotated[
-        Number,
-        Knob(
-            "step error", "linear light", (0.3, 0.1, 0.03, 0.01, 0.003, 0.001),
-            methods=_OURS, applies=lambda scene: scene.multiresolution.stepping == "bounded",
-        ),
-    ] = Field(
+    )
+    step_error: Number = Field(
         0.03, gt=0, le=1,
         title="Error of a colour that one step of 'bounded' stepping may add (linear, premultiplied).",
         description="a number greater than 0, at most 1",
-    )  # fmt: skip
-    interblock: Annotated[
-        bool,
-        Knob("interblock", "", (False, True), is_ladder=False, alone=True, methods=_OURS),
-    ] = Field(
+    )
+    interblock: bool = Field(
         True,
         title="Whether values are interpolated between blocks (no seams); false is faster and shows seams.",
         description="true or false",
@@ -126,9 +69,7 @@ class Multiresolution(Table):
         title="Whether the error of a block is weighted by how much of its light reaches the eye.",
         description="true or false",
     )
-    tiles: Annotated[
-        Whole, Knob("tiles", "pixels", (32, 16, 8, 0), of_picture=True, methods=_OURS)
-    ] = Field(
+    tiles: Whole = Field(
         0, ge=0, le=256,
         title="Edge of image tiles with adaptive ray density, in pixels; 0 sends a ray through every pixel.",
         description=_TILES,
@@ -143,17 +84,11 @@ class Multiresolution(Table):
         title="Rays per axis of the tiles of lowest priority, divided by tiles.",
         description=_SHARE,
     )
-    tile_high: Annotated[
-        Number,
-        Knob(
-            "highest share of rays", "of a tile's edge", _tile_shares, of_picture=True,
-            methods=_OURS, applies=_in_tiles,
-        ),
-    ] = Field(
+    tile_high: Number = Field(
         0.9, gt=0, le=1,
         title="Rays per axis of the tiles of highest priority, divided by tiles.",
         description=_SHARE,
-    )  # fmt: skip
+    )
 
     @classmethod
     def table_name(cls) -> str:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clvol.errors import SceneError
+from clvol.readers import load_volume
 from clvol.scene.animation import Animation
 from clvol.scene.camera import Camera
 from clvol.scene.clip import Clip
@@ -33,12 +34,17 @@ from clvol.scene.shadow import Shadow
 from clvol.scene.transfer_function import TransferFunctionSettings
 from clvol.scene.transfer_layer import TransferLayer
 from clvol.scene.volume import VolumeSettings
+from clvol.store.zarr_store import check_finished
 from clvol.transfer import TransferFunction, srgb_to_linear
 from clvol.volume.axis import ValueAxis
+from clvol.volume.grid import Grid
+from clvol.volume.lazy import FilledVolume, LazyVolume
+from clvol.volume.memory import check_memory
+from clvol.volume.procedural import scene_field
+from clvol.volume.volume import Volume
 
 if TYPE_CHECKING:
     from clvol.scene.scene import Scene
-    from clvol.volume import Grid, Volume
 
 LARGEST_STEP_COUNT = 2**24  # a float32 counts no further
 _SHORTEST_EDGE_PER_UNIT = 32.0
@@ -169,9 +175,6 @@ def load_scene_volume(
     asked: VolumeSettings | Volume, folder: Path, origin: str, memory_cap: int | None
 ) -> Volume:
     """The volume of a scene; ``folder`` is what a file name is relative to."""
-    from clvol.store.zarr_store import check_finished
-    from clvol.volume import Volume, load_volume
-
     if isinstance(asked, Volume):
         return asked
     if asked.field is not None:
@@ -202,9 +205,6 @@ def load_scene_volume(
 
 
 def _computed(asked: VolumeSettings, origin: str, memory_cap: int | None) -> Volume:
-    from clvol.volume.memory import check_memory
-    from clvol.volume.procedural import scene_field
-
     check_memory(f"{origin}: volume.size", math.prod(asked.size), memory_cap)
     volume = scene_field(asked.field, asked.size, asked.spacing or (1.0, 1.0, 1.0))
     volume.axis = ValueAxis(asked.slope, asked.offset)
@@ -212,9 +212,6 @@ def _computed(asked: VolumeSettings, origin: str, memory_cap: int | None) -> Vol
 
 
 def _with_nan_as(volume: Volume, value: float) -> Volume:
-    from clvol.volume import Volume
-    from clvol.volume.lazy import FilledVolume, LazyVolume
-
     value = float(volume.axis.stored(value))
     if isinstance(volume, LazyVolume) and "data" not in vars(volume):
         return FilledVolume(volume, value)
@@ -240,7 +237,7 @@ def _with_nan_as(volume: Volume, value: float) -> Volume:
 
 
 def _check_step_count(scene: Scene, grid: Grid) -> None:
-    if scene.integration.method == "reference":
+    if not scene.integration.takes_steps:
         return
     lower, upper = grid.index_bounds()
     edges = (np.asarray(upper) - np.asarray(lower)) * np.asarray(grid.spacing) / grid.smallest_edge

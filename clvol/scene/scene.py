@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 from pydantic import (
     BeforeValidator,
@@ -34,16 +34,15 @@ from clvol.scene.noise import LARGEST_COUNT as LARGEST_NOISES
 from clvol.scene.noise import Noise
 from clvol.scene.opacity_factor import DirectionalOpacity, GradientOpacity
 from clvol.scene.pyramid import Pyramid
+from clvol.scene.resolve import ResolvedScene, load_scene_volume, resolve
 from clvol.scene.shadow import Shadow
 from clvol.scene.table import AsTuple, Table, scene_error, wrong
 from clvol.scene.transfer_function import TransferFunctionSettings
 from clvol.scene.transfer_layer import LARGEST_LAYERS, TransferLayerSettings
 from clvol.scene.volume import VolumeSettings
+from clvol.scene.write import to_toml
 from clvol.transfer import TransferFunction
-
-if TYPE_CHECKING:
-    from clvol.scene.resolve import ResolvedScene
-    from clvol.volume import Volume
+from clvol.volume.volume import Volume
 
 _TABLE = "a table"
 _TABLES = "a list of tables"
@@ -57,8 +56,6 @@ def _version(value: Any) -> int:
 
 
 def _volume(value: Any, check: Callable[[Any], Any], info: ValidationInfo) -> Any:
-    from clvol.volume import Volume
-
     if isinstance(value, Volume):
         return value
     is_path = isinstance(value, (str, os.PathLike)) and info.context is not _FROM_FILE
@@ -288,8 +285,6 @@ class Scene(Table):
 
         ``memory_cap``: bytes that it may take in memory. Raises SceneError, VolumeError.
         """
-        from clvol.scene.resolve import load_scene_volume
-
         if self._loaded is None:
             self._loaded = load_scene_volume(self.volume, self._folder, self._origin, memory_cap)
         return self._loaded
@@ -328,14 +323,10 @@ class Scene(Table):
         ``memory_cap``: bytes that each file may take in memory; None: as for ``load``. Raises
         SceneError, VolumeError.
         """
-        from clvol.scene.resolve import resolve
-
         return resolve(self, self._memory_cap if memory_cap is None else memory_cap)
 
     def to_toml(self) -> str:
         """The scene as asked for, as the text of a scene file, without any voxels."""
-        from clvol.scene.write import to_toml
-
         return to_toml(self)
 
     @property

@@ -58,12 +58,17 @@ class Shadow(Table):
         description="an angle from 0 to 80 degrees",
     )
 
+    @property
+    def is_volume(self) -> bool:
+        """Whether light is gathered in a volume, not along rays."""
+        return self.method != "rays"
+
     @classmethod
     def table_name(cls) -> str:
         return "shadow"
 
     @model_validator(mode="after")
     def _rays_do_not_scatter(self) -> Shadow:
-        if self.method == "rays" and self.scattering > 0:
+        if not self.is_volume and self.scattering > 0:
             raise wrong("scattering", self.scattering, "0, or the method 'volume'")
         return self

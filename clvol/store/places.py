@@ -22,7 +22,7 @@ import numpy as np
 
 from clvol.errors import VolumeError
 from clvol.store.arrays import what_failed
-from clvol.store.layout import StoreLayout
+from clvol.store.format import StoreLayout
 
 TABLE = "checksums"  # in STORE/blocks
 _ABSENT = np.uint64(0xFFFFFFFFFFFFFFFF)  # of a shard's index

@@ -8,8 +8,8 @@ from typing import Protocol
 
 import numpy as np
 
-from clvol.store.geometry import EDGE, BlockGrid
-from clvol.volume import Grid, Volume
+from clvol.store.geometry import BlockGrid
+from clvol.volume.grid import Grid
 
 QUANTILES = 8
 DROPPED = 255  # in place of a level: a block that shows nothing, and takes no memory
@@ -20,8 +20,8 @@ class BlockStatistics:
     """Of the blocks ``first`` ... ``first + n - 1``; arrays [levels, n] are of each level's samples.
 
     minimum, maximum, mean   [levels, n] float64: of the finite samples; NaN where none is
-    quantiles                [levels, n, QUANTILES] float32 (float64 for float64 voxels): the simplified histogram: finite samples in order,
-                             in as many groups of equal size, each group's mean
+    quantiles                [levels, n, QUANTILES] float32 (float64 for float64 voxels): the simplified histogram:
+                             finite samples in order, in as many groups of equal size, each group's mean
     deviation                [levels, n] float64: root mean square, over the block's voxels, of the level's
                              piecewise constant field minus the voxels; 0 at level 0
     reach_low, reach_high    [n] float64: smallest and largest finite voxel of the block and of one voxel around
@@ -60,25 +60,3 @@ class BlockSource(Protocol):
     def statistics(self) -> Iterator[BlockStatistics]:
         """All blocks' statistics, in order, in parts of bounded size."""
         ...
-
-
-class VolumeBlocks:
-    """A volume in memory as blocks; nothing is stored but its statistics."""
-
-    def __init__(self, volume: Volume, edge: int = EDGE) -> None:
-        self.volume = volume
-        self.name = volume.name or "volume"
-        self.grid, self.dtype = volume.grid, volume.dtype
-        self.blocks = BlockGrid(volume.shape, edge)
-        self.value_range = volume.value_range
-        self.nan_count, self.inf_count = volume.nan_count, volume.inf_count
-
-    def read(self, level: int, blocks: np.ndarray) -> np.ndarray:
-        from clvol.store.resolutions import block_samples
-
-        return block_samples(self.volume.data, self.blocks, level, blocks)
-
-    def statistics(self) -> Iterator[BlockStatistics]:
-        from clvol.store.resolutions import array_statistics
-
-        yield from array_statistics(self.volume.data, self.blocks)

@@ -15,7 +15,7 @@ import numpy as np
 
 from clvol.errors import VolumeError
 from clvol.store.arrays import open_array, read_json, what_failed
-from clvol.store.layout import JOURNAL, PARTIAL, ROOT, StoreFacts, parse_root, partial_path
+from clvol.store.format import JOURNAL, PARTIAL, ROOT, StoreFacts, parse_root, partial_path
 from clvol.store.places import TABLE, Places, per_axis
 from clvol.store.resolutions import whole_blocks
 from clvol.store.source import BlockStatistics

@@ -98,20 +98,6 @@ class TransferFunction:
             tau = -np.log1p(-self.opacity(s)) / self.opacity_unit
         return tau + 0.0  # -log1p(-0) is -0
 
-    @classmethod
-    def default(
-        cls, value_range: tuple[float, float], opacity_unit: float = 1.0
-    ) -> TransferFunction:
-        """What a volume handed over without a transfer function gets.
-
-        A grey ramp over ``value_range`` (lowest and highest value, finite, in the volume's units)
-        from transparent to half opaque per ``opacity_unit``. A volume of one single value shows
-        as a half opaque body.
-        """
-        from clvol.transfer.presets import preset
-
-        return preset("grayscale", value_range, opacity_unit)
-
 
 def _frozen(name: str, given: ArrayLike) -> np.ndarray:
     """A read-only float64 copy of ``given``; SceneError unless it holds finite numbers."""

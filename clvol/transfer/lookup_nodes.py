@@ -1,6 +1,6 @@
-"""Class nodes: at which values the classification tables have their entries.
+"""Lookup nodes: the values at which the tables of a transfer function have their entries.
 
-Tables are looked up by a class coordinate, the position among the nodes. For integer voxels whose
+Tables are looked up by a table coordinate, the position of a value among the nodes. For integer voxels whose
 control points are integers the nodes are evenly spaced and fall on all of them. In general they
 cannot: then the map from value to coordinate is piecewise linear over equal bins (a "warp"), which
 puts most nodes where the transfer function varies, and one exactly on every control point: voxels of
@@ -29,7 +29,7 @@ _EVEN, _VISIBLE, _AROUND = 0.25, 0.40, 0.35
 
 
 @dataclass(frozen=True, eq=False)
-class ClassNodes:
+class LookupNodes:
     """``values`` [n >= 2] float64, ascending: the nodes.
 
     The coordinate of value s is (s - ``first``) * ``per_value``, clamped to 0 .. n - 1, or, if ``warp``
@@ -63,21 +63,21 @@ class ClassNodes:
         return whole & all(v == np.floor(v) and abs(v) < 2**24 for v in steps)
 
     def position(self, values: np.ndarray) -> np.ndarray:
-        """Class coordinates (float64) of ``values``, as the kernels compute them."""
+        """Table coordinates (float64) of ``values``, as the kernels compute them."""
         p = (np.asarray(values, np.float64) - self.first) * self.per_value
         if self.warp is not None:
             p = np.interp(p, np.arange(self.warp.size), self.warp.astype(np.float64))
         return np.clip(p, 0.0, self.last_coordinate)
 
 
-def class_nodes(
+def lookup_nodes(
     function: TransferFunction,
     value_range: tuple[float, float],
     count: int,
     *,
     integer: bool,
     may_warp: bool = True,
-) -> ClassNodes:
+) -> LookupNodes:
     """About ``count`` nodes (never more) over ``value_range`` for ``function``.
 
     ``integer``: voxels are integers. ``may_warp`` False: evenly spaced where that resolves the
@@ -92,13 +92,13 @@ def class_nodes(
         per_value = int((count - 1) // (high - low))
         if not may_warp or np.all(inside * per_value == np.round(inside * per_value)):
             n = per_value * int(high - low) + 1
-            return ClassNodes(low + np.arange(n) / per_value, low, float(per_value))
+            return LookupNodes(low + np.arange(n) / per_value, low, float(per_value))
     if not may_warp:
         if integer and high - low < MOST_BINS and _is_narrow(function, low, high, count):
-            return ClassNodes(np.arange(low, high + 1), low, 1.0)
+            return LookupNodes(np.arange(low, high + 1), low, 1.0)
         may_warp = not integer and _is_narrow(function, low, high, count)
     if not may_warp or inside.size > count // 2:
-        return ClassNodes(np.linspace(low, high, count), low, (count - 1) / (high - low))
+        return LookupNodes(np.linspace(low, high, count), low, (count - 1) / (high - low))
     return _warped(function, low, high, count, integer)
 
 
@@ -110,7 +110,7 @@ def _is_narrow(function: TransferFunction, low: float, high: float, count: int) 
 
 def _warped(
     function: TransferFunction, low: float, high: float, count: int, integer: bool
-) -> ClassNodes:
+) -> LookupNodes:
     knots, opacities = _knots(function, low, high)
     lengths = np.diff(knots)
     if integer:  # bin edges on integers, so that steps of integer data stay sharp
@@ -148,7 +148,7 @@ def _warped(
     # A node's value is the one that the warp maps to it.
     values = np.interp(np.arange(n), warp.astype(np.float64), edges)
     values[at_knots[met].astype(np.int64)] = knots[met]
-    return ClassNodes(values, low, float(per_value), warp)
+    return LookupNodes(values, low, float(per_value), warp)
 
 
 def _meet_knots(

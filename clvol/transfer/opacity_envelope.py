@@ -1,4 +1,4 @@
-"""Where any of several transfer functions has opacity, as one function."""
+"""The opacity envelope of several transfer functions: where any of them has opacity, as one function."""
 
 from __future__ import annotations
 
@@ -10,10 +10,12 @@ from clvol.transfer.cycle import joined, limits
 from clvol.transfer.function import TransferFunction
 
 
-def union(functions: Sequence[TransferFunction]) -> TransferFunction:
-    """A function with the control points of all ``functions``, that has opacity exactly where one
-    of them has: at every point, and between them, it is the largest of their opacities (linear in
-    between). Its colours are the first one's."""
+def opacity_envelope(functions: Sequence[TransferFunction]) -> TransferFunction:
+    """A function that has opacity exactly where one of ``functions`` has.
+
+    Its control points are those of all of them, and its opacity there is the largest of theirs, linear in
+    between. Its colours are those of the first one.
+    """
     if len(functions) == 1:
         return functions[0]
     knots = np.unique(np.concatenate([function.values for function in functions]))

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from clvol.accuracy.metrics import compare
-from clvol.accuracy.report import layout, wording, write_report
+from clvol.accuracy.report import label_layout, wording, write_report
 from clvol.accuracy.report.svg import text_width
 from clvol.accuracy.report.sweep import Sweep
 from clvol.errors import RenderError, UsageError
@@ -475,8 +475,8 @@ def test_numbers_are_short(value, text):
 @pytest.mark.parametrize("low", [1e-12, 3e-5, 0.02, 0.9, 70.0])
 @pytest.mark.parametrize("ratio", [1.2, 3.0, 30.0, 1e3, 1e9])
 def test_an_axis_has_a_few_numbers_within_it(low, ratio):
-    ends = layout.limits([low, low * ratio])
-    axis = layout.LogAxis(*ends, 0.0, 100.0)
+    ends = label_layout.limits([low, low * ratio])
+    axis = label_layout.LogAxis(*ends, 0.0, 100.0)
     ticks = axis.ticks(9)
     assert 2 <= len(ticks) <= 9 and all(0 <= axis.place(t) <= 100 for t in ticks)
     assert ticks == sorted(ticks)
@@ -485,9 +485,9 @@ def test_an_axis_has_a_few_numbers_within_it(low, ratio):
 def test_labels_keep_clear_of_each_other_and_of_the_points():
     rng = np.random.default_rng(5)
     places = [(float(x), float(y)) for x, y in rng.uniform(60, 540, (25, 2))]
-    labels = [layout.Label(str(i), "", x, y, 70, 14) for i, (x, y) in enumerate(places)]
+    labels = [label_layout.Label(str(i), "", x, y, 70, 14) for i, (x, y) in enumerate(places)]
     frame = (0.0, 0.0, 600.0, 600.0)
-    placed = layout.place_labels(labels, frame, [(x, y, 5) for x, y in places])
+    placed = label_layout.place_labels(labels, frame, [(x, y, 5) for x, y in places])
     assert len(placed) > 20
     boxes = []
     for p in placed:

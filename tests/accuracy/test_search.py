@@ -9,8 +9,8 @@ from itertools import product
 import pytest
 
 from clvol.accuracy.search import Search, pareto_front
-from clvol.accuracy.settings import SceneKnob
-from clvol.scene.knob import Knob
+from clvol.accuracy.settings import SceneTunable
+from clvol.accuracy.tunables import Tunable
 from clvol.scene.sizes import parse_size
 
 STEPS = tuple(2.0 ** (k / 2) for k in range(6, -11, -1))
@@ -27,17 +27,17 @@ class Point:
         return self.seconds
 
 
-def knob(key, values, **how) -> SceneKnob:
-    return SceneKnob(key, Knob(key, "", values, **how), values, values[0], "")
+def tunable(key, values, **how) -> SceneTunable:
+    return SceneTunable(key, Tunable(key, "", values, **how), values, values[0], "")
 
 
 KNOBS = {
     k.key: k
     for k in (
-        knob("step", STEPS, is_main=True),
-        knob("kind", ("a", "b", "c"), is_ladder=False),
-        knob("table", (32, 64, 128, 256)),
-        knob("spacing", (4, 2, 1), of_picture=True),
+        tunable("step", STEPS, is_main=True),
+        tunable("kind", ("a", "b", "c"), is_ladder=False),
+        tunable("table", (32, 64, 128, 256)),
+        tunable("spacing", (4, 2, 1), of_picture=True),
     )
 }
 START = {"step": 1.0, "kind": "a", "table": 64, "spacing": 1}
@@ -91,7 +91,7 @@ def test_tables_that_limit_are_refined_and_those_that_do_not_are_not():
     assert searched(1e-1)[0].settings["table"] == 32
 
 
-def test_knobs_of_pictures_are_left_alone():
+def test_tunables_of_pictures_are_left_alone():
     assert {call["spacing"] for call in searched(1e-3)[1]} == {1}
 
 
@@ -119,9 +119,9 @@ def test_the_front_has_what_nothing_beats():
 
 
 def test_alternatives_that_are_tried_alone_are_not_combined_but_taken_where_they_are_cheaper():
-    """Two more knobs of four values: 16 times as many combinations, and only few more looks."""
+    """Two more tunables of four values: 16 times as many combinations, and only few more looks."""
     more = {
-        key: knob(key, ("w", "x", "y", "z"), is_ladder=False, alone=True) for key in ("one", "two")
+        key: tunable(key, ("w", "x", "y", "z"), is_ladder=False, alone=True) for key in ("one", "two")
     }
     factors = {"w": 1.0, "x": 0.5, "y": 2.0, "z": 0.4}
 
@@ -148,7 +148,7 @@ def test_alternatives_that_are_tried_alone_are_not_combined_but_taken_where_they
 
 def test_values_that_are_no_numbers_have_an_order_of_their_own():
     sizes = ("900 KiB", "2 MiB", "16 MiB", "1 GiB")
-    memory = knob("memory", sizes, order=parse_size)
+    memory = tunable("memory", sizes, order=parse_size)
     assert memory.next_to("2 MiB", 1) == "16 MiB" and memory.next_to("2 MiB", -1) == "900 KiB"
     assert memory.next_to("3 MiB", 1) == "16 MiB" and memory.next_to("3 MiB", -1) == "2 MiB"
     assert memory.next_to("1 KiB", 1) == "900 KiB" and memory.next_to("2 GiB", 1) is None

@@ -9,8 +9,11 @@ import pytest
 from small_scenes import SMOOTH, rms, waves
 
 from clvol import Camera, Scene, TransferFunction, Volume
-from clvol.accuracy import target
-from clvol.accuracy.target import render_in_time, render_to_error
+from clvol.accuracy import error_target, measurement, picture_search
+from clvol.accuracy.error_target import render_to_error
+from clvol.accuracy.measurement import Measurement
+from clvol.accuracy.time_target import render_in_time
+from clvol.accuracy.trials import Trials
 from clvol.errors import RenderError, SceneError, UsageError
 from clvol.integrators.reference.picture import render_reference
 from clvol.scene import ImageSettings, Integration
@@ -58,8 +61,8 @@ def test_the_error_holds_and_the_claim_holds(first_device, function, limit):
 
 def test_the_words_name_the_pixels_that_an_error_rests_on(first_device, monkeypatch):
     """Those that settings were chosen by count as well, once each: nothing says that they do not."""
-    monkeypatch.setattr(target, "_PILOT_PIXELS", 400)
-    monkeypatch.setattr(target, "_DRAWN_PIXELS", 64)
+    monkeypatch.setattr(picture_search, "_PILOT_PIXELS", 400)
+    monkeypatch.setattr(measurement, "_DRAWN_PIXELS", 64)
     found = render_to_error(scene_of(size=60), 1e-2, devices=[first_device]).stats["accuracy"]
     assert found["pixels"] < found["of_pixels"]
     chosen_by = "the pixels that settings were chosen by"
@@ -109,14 +112,14 @@ def test_a_scene_that_asks_for_the_exact_integral_is_rendered_quickly_to_an_erro
 
 def test_a_bound_that_fails_is_never_claimed(first_device, monkeypatch):
     """A pilot that is far too hopeful: its errors are told ten times too small."""
-    real = target.Trials.run
+    real = Trials.run
 
     def hopeful(self, settings, keep=False):
         trial = real(self, settings, keep)
         trial.rmse /= 10
         return trial
 
-    monkeypatch.setattr(target.Trials, "run", hopeful)
+    monkeypatch.setattr(Trials, "run", hopeful)
     scene = scene_of()
     frame = render_to_error(scene, 1e-3, devices=[first_device])
     assert frame.stats["accuracy"]["attempts"] > 1
@@ -124,40 +127,40 @@ def test_a_bound_that_fails_is_never_claimed(first_device, monkeypatch):
 
 
 def test_giving_up_is_said_and_not_passed_over(first_device, monkeypatch):
-    monkeypatch.setattr(target, "_ATTEMPTS", 1)
-    real = target.Trials.run
+    monkeypatch.setattr(error_target, "_ATTEMPTS", 1)
+    real = Trials.run
 
     def blind(self, settings, keep=False):
         trial = real(self, settings, keep)
         trial.rmse = 0.0
         return trial
 
-    monkeypatch.setattr(target.Trials, "run", blind)
+    monkeypatch.setattr(Trials, "run", blind)
     with pytest.raises(RenderError, match="max_error: the error could not be brought below 0.0001"):
         render_to_error(scene_of(), 1e-4, devices=[first_device])
 
 
 def test_pixels_of_the_pilot_are_not_drawn_again(first_device, monkeypatch):
     drawn = []
-    real = target._Workshop._errors
+    real = Measurement._errors
 
     def watched(self, rgba, at):
-        drawn.append(np.stack(np.divmod(at, self.size[0]), axis=1))
+        drawn.append(np.stack(np.divmod(at, self._size[0]), axis=1))
         return real(self, rgba, at)
 
-    monkeypatch.setattr(target._Workshop, "_errors", watched)
-    monkeypatch.setattr(target, "_PILOT_PIXELS", 1000)
+    monkeypatch.setattr(Measurement, "_errors", watched)
+    monkeypatch.setattr(picture_search, "_PILOT_PIXELS", 1000)
     scene = scene_of()
-    workshop_pilot = []
-    make = target._pilot_lattice
+    lattices = []
+    make = picture_search._pilot_lattice
 
     def lattice(*arguments):
-        workshop_pilot.append(make(*arguments))
-        return workshop_pilot[0]
+        lattices.append(make(*arguments))
+        return lattices[0]
 
-    monkeypatch.setattr(target, "_pilot_lattice", lattice)
+    monkeypatch.setattr(picture_search, "_pilot_lattice", lattice)
     render_to_error(scene, 1e-2, devices=[first_device])
-    pilot = {tuple(p) for p in workshop_pilot[0].pixels(160, 160)}
+    pilot = {tuple(p) for p in lattices[0].pixels(160, 160)}
     measured = {tuple(p) for pixels in drawn for p in pixels}
     assert len(measured) > 500 and not pilot & measured
 

@@ -10,7 +10,7 @@ from small_scenes import SMOOTH, rms, waves
 
 from clvol import Camera, Scene, Volume
 from clvol.accuracy.report import write_report
-from clvol.accuracy.settings import scene_knobs
+from clvol.accuracy.settings import scene_tunables
 from clvol.accuracy.tradeoff import measure_tradeoff, sentences
 from clvol.errors import SceneError, UsageError
 from clvol.integrators.reference.picture import render_reference
@@ -29,20 +29,20 @@ def scene_of(array=None, **integration) -> Scene:
 
 @pytest.fixture(scope="module")
 def swept(first_device):
-    # As many settings as show the knobs of pictures too; on tables that are quickly made.
+    # As many settings as show the tunables of pictures too; on tables that are quickly made.
     return measure_tradeoff(
         scene_of(table_size=64), devices=[first_device], frames=3, settings=70
     )
 
 
-def test_every_knob_of_the_scene_is_tried_and_none_is_listed_in_the_sweep(swept):
+def test_every_tunable_of_the_scene_is_tried_and_none_is_listed_in_the_sweep(swept):
     result, _ = swept
     varied = {key for point in result["points"] for key in point["changed"]}
-    knobs = {knob["name"] for knob in result["knobs"]}
-    assert "integration.step" in varied and varied <= knobs
+    tunables = {tunable["name"] for tunable in result["knobs"]}
+    assert "integration.step" in varied and varied <= tunables
     # What has an effect only beside others may not have come to its turn.
     beside = {"tile_high", "step_error"}
-    assert knobs - varied <= {"image.ray_tolerance", *(f"multiresolution.{key}" for key in beside)}
+    assert tunables - varied <= {"image.ray_tolerance", *(f"multiresolution.{key}" for key in beside)}
 
 
 def test_errors_are_those_of_the_pictures(swept, first_device):
@@ -147,17 +147,17 @@ def test_one_setting_is_enough_and_a_blank_scene_no_trouble(first_device, tmp_pa
 
 
 @pytest.fixture
-def few_knobs(monkeypatch):
-    """``few_knobs(*keys)``: the sweep has these alone."""
+def few_tunables(monkeypatch):
+    """``few_tunables(*keys)``: the sweep has these alone."""
     from clvol.accuracy import tradeoff
 
     def keep(*keys):
-        real = scene_knobs
+        real = scene_tunables
 
         def found(resolved):
-            return {key: knob for key, knob in real(resolved).items() if key in keys}
+            return {key: tunable for key, tunable in real(resolved).items() if key in keys}
 
-        monkeypatch.setattr(tradeoff, "scene_knobs", found)
+        monkeypatch.setattr(tradeoff, "scene_tunables", found)
 
     return keep
 
@@ -166,9 +166,9 @@ _MEMORY = "multiresolution.memory"
 
 
 @pytest.mark.parametrize("method", ["raycast", "multiresolution"])
-def test_budgets_are_tried_whichever_method_the_scene_has(first_device, few_knobs, method):
+def test_budgets_are_tried_whichever_method_the_scene_has(first_device, few_tunables, method):
     """A larger budget is not further from the exact integral of the whole volume, but for noise."""
-    few_knobs("integration.method", _MEMORY)
+    few_tunables("integration.method", _MEMORY)
     scene = scene_of(waves((40, 40, 40), np.uint8), table_size=64, method=method)
     whole = Multiresolution(occlusion=False)  # what is hidden is there as well
     scene = scene.model_copy(update={"multiresolution": whole})
@@ -188,15 +188,15 @@ def test_budgets_are_tried_whichever_method_the_scene_has(first_device, few_knob
     assert errors[-1] == pytest.approx(own["rmse"], rel=0.1)
 
 
-def test_the_knobs_of_a_method_are_not_combined_with_all_others(
-    first_device, few_knobs, monkeypatch
+def test_the_tunables_of_a_method_are_not_combined_with_all_others(
+    first_device, few_tunables, monkeypatch
 ):
     """But for what the front suggests, which is left out here."""
     from clvol.accuracy.tradeoff import _Sweep
 
     monkeypatch.setattr(_Sweep, "front", lambda self: [])
     keys = "classification", "method"
-    few_knobs(*(f"integration.{key}" for key in (*keys, "step")), "multiresolution.stepping")
+    few_tunables(*(f"integration.{key}" for key in (*keys, "step")), "multiresolution.stepping")
     sweep = _Sweep(scene_of(table_size=64), [first_device], None, None)
     try:
         sweep.explore(100)

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import clvol
-from clvol.cli import COMMANDS
+from clvol.cli.group import COMMANDS
 
 
 def test_help_names_every_command(run):
@@ -107,7 +107,7 @@ def reports(monkeypatch):
 
 
 def test_doctor_tells_of_working_and_broken_devices(run, reports):
-    from clvol.opencl.devices import DeviceReport
+    from clvol.opencl.reports import DeviceReport
 
     reports(
         DeviceReport("pocl", "Portable Computing Language", "cpu", working=True, type="CPU",
@@ -123,7 +123,7 @@ def test_doctor_tells_of_working_and_broken_devices(run, reports):
 
 
 def test_doctor_without_a_working_device_has_status_3(run, reports):
-    from clvol.opencl.devices import DeviceReport
+    from clvol.opencl.reports import DeviceReport
 
     for found in ([], [DeviceReport("broken", "Broken", reason="its platform crashed")]):
         reports(*found)

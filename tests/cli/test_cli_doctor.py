@@ -12,7 +12,8 @@ import pytest
 
 from clvol.cli import trial
 from clvol.cli.trial import Trial, try_render
-from clvol.opencl.devices import DeviceReport, report_of
+from clvol.opencl.devices import report_of
+from clvol.opencl.reports import DeviceReport
 
 ROOT = Path(__file__).resolve().parents[2]
 TWO = [DeviceReport("pocl", "Portable Computing Language", "cpu", working=True, type="CPU"),

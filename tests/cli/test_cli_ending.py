@@ -70,7 +70,7 @@ def test_a_library_in_the_process_does_not_change_how_it_ends(tmp_path, library,
 @pytest.mark.parametrize("what", ["crashes", "hangs"])
 def test_a_platform_without_devices_that_spoils_the_end_is_left_out(tmp_path, library, what):
     """Of a program of the user's own, which ends as any Python program does."""
-    from clvol.opencl.devices import registered_icds
+    from clvol.opencl.icd import registered_icds
     from clvol.opencl.runtime import loader_folder
 
     vendors = tmp_path / "vendors"

@@ -87,7 +87,7 @@ def test_aims_that_cannot_be(refused, nothing_left, option, value):
 def test_the_search_for_a_time_takes_any_number(first_device):
     """What overflowed: the ratio of a time to the budget, squared."""
     import clvol
-    from clvol.accuracy.target import render_in_time
+    from clvol.accuracy.time_target import render_in_time
     from clvol.errors import UsageError
 
     volume = clvol.Volume(np.arange(64, dtype=np.uint8).reshape(4, 4, 4))

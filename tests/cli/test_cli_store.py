@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from clvol.store import build
+from clvol.store.journal import Journal
 from clvol.store.zarr_store import open_store
 from clvol.volume.procedural import scene_field
 
@@ -71,14 +71,14 @@ def test_info_tells_what_a_store_is(run, folder, volume):
 
 def interrupted(monkeypatch, error: BaseException) -> None:
     """The next store fails at its sixth region."""
-    real = build._Build._note
+    real = Journal.note
 
     def note(self, index, *rest):
         if index == 5:
             raise error
         real(self, index, *rest)
 
-    monkeypatch.setattr(build._Build, "_note", note)
+    monkeypatch.setattr(Journal, "note", note)
 
 
 def test_what_is_interrupted_is_gone_on_with_and_says_so(run, refused, folder, volume, monkeypatch):

@@ -90,7 +90,7 @@ def test_names_of_files_that_were_written(run, folder, renderer):
 def test_what_drivers_say(run, monkeypatch, as_json):
     from clvol.cli import trial
     from clvol.opencl import devices
-    from clvol.opencl.devices import DeviceReport
+    from clvol.opencl.reports import DeviceReport
 
     found = [
         DeviceReport(EVIL, EVIL, EVIL, driver=EVIL, version=EVIL + "\n", reason=EVIL + "\nmore"),

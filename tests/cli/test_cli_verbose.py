@@ -9,7 +9,7 @@ import sys
 
 import pytest
 
-from clvol.cli import COMMANDS
+from clvol.cli.group import COMMANDS
 
 SMALL = ("render", "scene.toml", "-o", "a.png")
 

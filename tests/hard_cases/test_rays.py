@@ -8,8 +8,9 @@ from small_scenes import axis_camera, exact, make_scene, picture, waves
 
 from clvol import Camera, Scene, TransferFunction, Volume
 from clvol.errors import SceneError
-from clvol.features import called_for, refuse_unknown
+from clvol.features import called_for
 from clvol.integrators.reference.picture import integrate_world_rays
+from clvol.integrators.registry import check_scene
 
 CLASSIFICATIONS = ("pre", "post", "preintegrated")
 GREY = [[0.3, 0.5, 0.7]]
@@ -226,7 +227,7 @@ def test_a_clip_plane_in_a_face_that_keeps_the_volume_is_not_called_for(grid, ax
     point = (volume.grid.index_to_world() @ index)[:3]
     inwards = np.linalg.inv(volume.grid.direction)[axis] * (-length if upper else length)
     scene = clipped(({"point": point.tolist(), "normal": inwards.tolist()},), grid).resolve()
-    refuse_unknown(scene)
+    check_scene(scene)
     assert called_for(scene) == ["emission-absorption"]
     outwards = scene.clips[0].model_copy(update={"normal": tuple(-inwards)})
     assert "clipping" in called_for(clipped((outwards,), grid).resolve())
@@ -242,7 +243,7 @@ def test_a_clip_plane_in_a_face_that_keeps_the_volume_changes_no_bit(context):
 @pytest.mark.parametrize("sign", [1, -1])
 def test_a_clip_plane_that_cuts_is_called_for(x, sign):
     scene = clipped(({"point": [x, 0, 0], "normal": [sign, 0, 0]},)).resolve()
-    refuse_unknown(scene)
+    check_scene(scene)
     assert called_for(scene) == ["emission-absorption", "clipping"]
 
 

@@ -9,11 +9,11 @@ import pytest
 from small_scenes import axis_camera, exact, make_scene, picture, waves
 
 from clvol import TransferFunction, Volume
-from clvol.device.memory import LARGEST_OFFSET
 from clvol.device.volume import DeviceVolume
 from clvol.errors import DeviceError, VolumeError
 from clvol.integrators.reference.picture import render_reference
 from clvol.opencl.structs import view_dtype
+from clvol.volume.voxel_layout import LARGEST_OFFSET
 
 CLASSIFICATIONS = ("pre", "post", "preintegrated")
 GREY = [[0.3, 0.5, 0.7]]

@@ -13,9 +13,12 @@ from pathlib import Path
 import pytest
 
 from clvol.errors import DeviceError
-from clvol.opencl import devices
-from clvol.opencl.devices import DeviceReport, registered_icds, select
+from clvol.opencl import devices, probing
+from clvol.opencl.children import Child
+from clvol.opencl.devices import select
+from clvol.opencl.icd import registered_icds
 from clvol.opencl.probe import first_meaningful_line
+from clvol.opencl.reports import DeviceReport, Icd
 from clvol.opencl.runtime import loader_folder
 
 _BROKEN = {
@@ -33,13 +36,13 @@ _BROKEN = {
 _LIST_AND_OPEN = """
 import json, os, sys
 from clvol.errors import DeviceError
-from clvol.opencl import devices
+from clvol.opencl import devices, probing
 ran = []
-run_child = devices._run_child
+run_child = probing.run_child
 def counted(*arguments):
     ran.append(1)
     return run_child(*arguments)
-devices._run_child = counted
+probing.run_child = counted
 result = {"reports": [r.__dict__ for r in devices.list_devices(time_limit=float(sys.argv[1]))]}
 try:
     result["opened"] = devices.open_device().platform.name
@@ -191,7 +194,7 @@ def children(*scripts: list[dict] | tuple[list[dict], str]):
     def play(request, selection, time_limit):
         script = remaining.pop(0)
         events, death = script if isinstance(script, tuple) else (script, "")
-        return devices._Child(events, death)
+        return Child(events, death)
 
     return play
 
@@ -207,25 +210,25 @@ END = [{"event": "listed"}, {"event": "done"}]
 
 
 def test_a_device_that_kills_its_probe_does_not_hide_the_next(monkeypatch):
-    monkeypatch.setattr(devices, "_run_child", children(
+    monkeypatch.setattr(probing, "run_child", children(
         (START + [listed(0, 0), WORKS, listed(0, 1)], "crashed (SIGSEGV)"),
         START + [listed(0, 2), WORKS] + END,
     ))
-    found = devices._probe([devices.Icd("a.icd", "liba.so")], True, 1.0)
+    found = probing.probe([Icd("a.icd", "liba.so")], True, 1.0)
     assert [(r.name, r.working, r.reason) for r in found.reports] == [
         ("intel", True, ""), ("intel:1", False, "crashed (SIGSEGV)"), ("intel:2", True, "")]
     assert found.selection is None
 
 
 def test_platforms_that_only_crash_together_are_separated(monkeypatch):
-    monkeypatch.setattr(devices, "_run_child", children(
+    monkeypatch.setattr(probing, "run_child", children(
         (START[:1], "crashed (SIGABRT)"),  # both
         START + END,  # the first alone
         (START[:1], "crashed (SIGABRT)"),  # the second beside it
         START + [listed(0, 0), WORKS] + END,  # what is left
     ))
-    icds = [devices.Icd("one.icd", "libone.so"), devices.Icd("two.icd", "libtwo.so")]
-    found = devices._probe(icds, True, 1.0)
+    icds = [Icd("one.icd", "libone.so"), Icd("two.icd", "libtwo.so")]
+    found = probing.probe(icds, True, 1.0)
     assert found.selection == icds[:1]
     assert [(r.name, r.working) for r in found.reports] == [("intel", True), ("two", False)]
 

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from clvol.opencl import devices, runtime
+from clvol.opencl import icd, runtime
 
 
 @pytest.fixture
@@ -51,28 +51,28 @@ def test_nothing_to_register_writes_nothing(environment):
 
 def test_a_loader_without_a_folder_is_pointed_at_the_library(environment, tmp_path, monkeypatch):
     library, _ = environment
-    for module in (runtime, devices):
+    for module in (runtime, icd):
         monkeypatch.setattr(module, "loader_folder", lambda: None)
-    monkeypatch.setattr(devices, "_original_vendors", None)
+    monkeypatch.setattr(icd, "_original_vendors", None)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.setenv("OPENCL_VENDOR_PATH", str(tmp_path / "empty"))
     for name in ("OCL_ICD_VENDORS", "PYOPENCL_HOME"):
         monkeypatch.setenv(name, "x")  # so that monkeypatch puts both back afterwards
     assert runtime.register_runtimes() == []
-    wanted, native = devices._platforms_wanted()
-    assert not native and [icd.library for icd in wanted] == [str(library)]
-    devices._point_loader_at(wanted)
-    icds = devices.registered_icds(os.environ["OCL_ICD_VENDORS"])
-    assert [icd.library for icd in icds] == [str(library)]
-    devices._point_loader_at(None)
+    wanted, native = icd.platforms_wanted()
+    assert not native and [found.library for found in wanted] == [str(library)]
+    icd.point_loader_at(wanted)
+    icds = icd.registered_icds(os.environ["OCL_ICD_VENDORS"])
+    assert [found.library for found in icds] == [str(library)]
+    icd.point_loader_at(None)
     assert "OCL_ICD_VENDORS" not in os.environ
 
 
 def test_an_environment_that_cannot_be_written_is_used_all_the_same(environment, tmp_path, monkeypatch):
     """As root installs it for everybody, or in a container."""
     library, loader = environment
-    monkeypatch.setattr(devices, "loader_folder", lambda: loader)
-    monkeypatch.setattr(devices, "_original_vendors", None)
+    monkeypatch.setattr(icd, "loader_folder", lambda: loader)
+    monkeypatch.setattr(icd, "_original_vendors", None)
     monkeypatch.setenv("OPENCL_VENDOR_PATH", str(tmp_path / "empty"))
 
     def refuse(*_, **__):
@@ -80,8 +80,8 @@ def test_an_environment_that_cannot_be_written_is_used_all_the_same(environment,
 
     monkeypatch.setattr(runtime.Path, "write_bytes", refuse)
     assert runtime.register_runtimes() == []
-    wanted, native = devices._platforms_wanted()
-    assert not native and [icd.library for icd in wanted] == [str(library)]
+    wanted, native = icd.platforms_wanted()
+    assert not native and [found.library for found in wanted] == [str(library)]
     assert list(loader.iterdir()) == []
 
 
@@ -93,4 +93,4 @@ def test_a_path_that_is_not_utf_8_is_registered(environment, tmp_path, monkeypat
     runtime.sys.prefix = runtime.sys.exec_prefix = odd
     assert runtime.register_runtimes() == [loader / "intel.icd"]
     assert (loader / "intel.icd").read_bytes() == os.fsencode(odd) + b"/lib/libintelocl.so\n"
-    assert devices._icd(loader / "intel.icd")[0].library == os.path.join(odd, "lib", library.name)
+    assert icd._icd(loader / "intel.icd")[0].library == os.path.join(odd, "lib", library.name)

@@ -26,7 +26,7 @@ class TileRaycaster(Raycaster):
             {**self.switches, "WITH_DEPTH": int(depth)},
             _SCENE_ARGUMENTS,
             self._scene_arrays(),
-            EFFECT_ARGUMENTS if has_effects else "",
+            EFFECT_ARGUMENTS + ", out counts uint32" if has_effects else "",
             self.effects.arrays if has_effects else {},
             self.lanes,
             self._most_samples() * _SECONDS_A_SAMPLE,
@@ -39,14 +39,14 @@ class TileRaycaster(Raycaster):
 
     def blank_view(self) -> np.ndarray:
         """``View`` [1] of a picture of no pixels."""
-        return np.zeros(1, self._view_dtype)
+        return np.zeros(1, self.view_dtype)
 
     def corner_statistics(self, view: np.ndarray, grid: TileGrid) -> None:
         return None
 
     def counted(self, counts: np.ndarray) -> dict[str, int]:
         """What effects counted, by name."""
-        return self.effects.counted(counts)
+        return self._counters(counts)
 
     @property
     def shows_nothing(self) -> bool:

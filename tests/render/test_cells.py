@@ -9,9 +9,9 @@ from small_scenes import SMOOTH, make_scene, rms, waves
 from clvol import TransferFunction
 from clvol.errors import SceneError
 from clvol.explanation import kernel_hash
-from clvol.features import refuse_unknown
 from clvol.integrators.raycast.caster import Raycaster, parts_of_cell
 from clvol.integrators.reference.picture import render_reference
+from clvol.integrators.registry import check_scene
 
 KINDS = ("post", "preintegrated")
 PEAKS = TransferFunction(
@@ -162,7 +162,7 @@ def test_the_step_says_the_parts():
 def test_what_it_cannot_do_is_refused_in_one_line():
     for wrong in ({"kind": "pre"}, {"filter": "nearest"}, {"filter": "cubic"}):
         with pytest.raises(SceneError, match="integration.quadrature.*cells"):
-            refuse_unknown(scene_of(**wrong))
+            check_scene(scene_of(**wrong))
 
 
 def test_it_is_another_kernel():

@@ -11,7 +11,7 @@ from small_scenes import axis_camera, exact, make_scene, picture
 
 from clvol import TransferFunction
 from clvol.device.prefilter import coefficients
-from clvol.store.source import VolumeBlocks
+from clvol.store.volume_blocks import VolumeBlocks
 from clvol.volume import Volume
 
 FILTERS = ("nearest", "linear", "cubic", "catmull-rom")

@@ -7,9 +7,9 @@ import pytest
 from effect_scenes import NOTHING, ball
 
 from clvol import Scene, TransferFunction, Volume
-from clvol.device.memory import CELL_SHIFT
 from clvol.integrators.raycast.caster import Raycaster
-from clvol.render.engines import Engines
+from clvol.render.prepared_cache import PreparedCache
+from clvol.volume.voxel_layout import CELL_SHIFT
 
 GREY = [0.5, 0.5, 0.5]
 SIDE, PIXELS = 33, (12, 10)
@@ -41,7 +41,7 @@ def scene_of(array=RAMP, function=HALF, size=PIXELS, camera=CAMERA, **tables):
 def counted(context, resolved):
     """FrameData of a picture."""
     image = resolved.image
-    return Engines(context).make(resolved).render(resolved.camera, image.width, image.height)
+    return PreparedCache(context).prepare(resolved).render(resolved.camera, image.width, image.height)
 
 
 def rays_at(resolved) -> np.ndarray:

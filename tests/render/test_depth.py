@@ -10,7 +10,7 @@ from small_scenes import axis_camera, make_scene
 
 from clvol import Camera, Scene, TransferFunction, Volume
 from clvol.integrators.reference.picture import render_reference
-from clvol.render.engines import Engines
+from clvol.render.prepared_cache import PreparedCache
 
 SHAPE = (64, 8, 8)
 MIDDLE = (3.5, 3.5, 31.5)
@@ -68,9 +68,9 @@ def seen(context, array, function, *, camera=None, size=(6, 5), **tables) -> np.
         volume=volume, transfer_function=function, camera=Camera(**camera),
         image={"width": size[0], "height": size[1]}, **tables,
     ).resolve()  # fmt: skip
-    engines = Engines(context)
+    engines = PreparedCache(context)
     try:
-        return engines.make(resolved).render(resolved.camera, *size).depth
+        return engines.prepare(resolved).render(resolved.camera, *size).depth
     finally:
         engines.close()
 

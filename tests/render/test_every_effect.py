@@ -27,10 +27,11 @@ from clvol import Scene, Volume, load_scene
 from clvol.device.prefilter import prefiltered
 from clvol.errors import SceneError
 from clvol.explanation import kernel_hash, scene_programs
-from clvol.features import called_for, refuse_unknown
+from clvol.features import called_for
 from clvol.integrators.raycast.caster import Raycaster
+from clvol.integrators.registry import check_scene
 from clvol.opencl.context import compile_options
-from clvol.render.engines import Engines
+from clvol.render.prepared_cache import PreparedCache
 
 ROOT = Path(__file__).resolve().parents[2]
 SIZE = (16, 12)
@@ -75,8 +76,8 @@ def rendered(context, place, effect: EffectScene | None) -> Rendered:
     key = context.name, effect and effect.name
     if key not in _rendered:
         resolved = scene_of(effect and effect.tables(place))
-        refuse_unknown(resolved)
-        caster = Engines(context).make(resolved)
+        check_scene(resolved)
+        caster = PreparedCache(context).prepare(resolved)
         data = caster.render(resolved.camera, *SIZE)
         said = {(file, compile_options(s)) for file, s in scene_programs(resolved).items()}
         _rendered[key] = Rendered(
@@ -190,7 +191,7 @@ def test_nor_does_it_beside_what_has(context, place, name):
     if name == "directional light":  # which would cast that dead light's shadow
         idle.pop("shadow")
     resolved = scene_of(with_tables(idle, asked))
-    data = Engines(context).make(resolved).render(resolved.camera, *SIZE)
+    data = PreparedCache(context).prepare(resolved).render(resolved.camera, *SIZE)
     found = rendered(context, place, by_name(name))
     assert kernel_hash(resolved) == found.hash
     assert data.samples == found.samples and data.counters == found.counters
@@ -227,7 +228,7 @@ def test_explain_knows_what_converts_voxels_and_what_comes_round(first_device):
     ]  # fmt: skip
     for resolved in scenes:
         context = DeviceContext(first_device)
-        Engines(context).make(resolved).render(resolved.camera, *SIZE)
+        PreparedCache(context).prepare(resolved).render(resolved.camera, *SIZE)
         said = {(file, compile_options(s)) for file, s in scene_programs(resolved).items()}
         assert {key[:2] for key in context._programs if key[0] not in SHARED} == said
         context.release()
@@ -260,7 +261,7 @@ REFUSED = (
 
 def _refusal(tables, **integration) -> str | None:
     try:
-        refuse_unknown(scene_of(tables, **integration))
+        check_scene(scene_of(tables, **integration))
     except SceneError as error:
         return str(error)
     return None
@@ -338,8 +339,8 @@ def test_every_scene_of_the_repository_renders(context, path, shared_volume):
         for name in re.findall(r'/shared/volumes/([^"/]+)"', path.read_text(encoding="utf-8")):
             shared_volume(name)
     resolved = _shipped(path)
-    refuse_unknown(resolved)
-    data = Engines(context).make(resolved).render(resolved.camera, *SIZE)
+    check_scene(resolved)
+    data = PreparedCache(context).prepare(resolved).render(resolved.camera, *SIZE)
     check(data.rgba)
     assert data.rgba[..., 3].mean() > 0.05
     names = called_for(resolved)

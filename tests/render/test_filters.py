@@ -13,11 +13,11 @@ from clvol import TransferFunction, Volume
 from clvol.device import prefilter
 from clvol.device.empty_space import visible_mask
 from clvol.device.prefilter import coefficients, prefiltered
+from clvol.device.transfer_lookup import scene_nodes
 from clvol.device.volume import DeviceVolume
 from clvol.errors import SceneError
 from clvol.explanation import kernel_hash
 from clvol.features import FILTERS, overshoot
-from clvol.integrators.raycast.caster import scene_nodes
 from clvol.transfer.lookup_nodes import visible_cells
 
 CLASSIFICATIONS = ("pre", "post", "preintegrated")

@@ -17,15 +17,10 @@ from small_scenes import waves
 
 from clvol import Volume
 from clvol.device import memory as layout
-from clvol.device.gradients import (
-    DeviceLimits,
-    chosen_storage,
-    gradient_bytes,
-    gradient_switch,
-    precompute,
-)
+from clvol.device.gradients import gradient_switch, precompute
 from clvol.device.volume import DeviceVolume
 from clvol.features import GRADIENTS
+from clvol.features.gradient_storage import DeviceLimits, chosen_storage, gradient_bytes
 
 OPERATORS = ("central", "sobel")
 THIN = [(1, 5, 6), (5, 1, 6), (5, 6, 1), (1, 1, 4), (1, 1, 1), (2, 2, 2), (3, 2, 5)]

@@ -11,7 +11,7 @@ from small_scenes import SMOOTH, make_scene, rms, waves
 from clvol import Renderer, TransferFunction
 from clvol.device.view import PixelLattice
 from clvol.integrators.raycast.caster import Raycaster
-from clvol.render.engines import Engines
+from clvol.render.prepared_cache import PreparedCache
 
 SIZE = (53, 47)
 
@@ -119,13 +119,13 @@ def test_the_scene_key_reaches_the_renderer_and_its_stats(device):
 
 
 def test_engines_of_one_scene_share_tables_and_volume(context):
-    engines = Engines(context)
-    first, second = engines.make(scene_of()), engines.make(scene_of())
-    third = engines.make(scene_of(2))
+    engines = PreparedCache(context)
+    first, second = engines.prepare(scene_of()), engines.prepare(scene_of())
+    third = engines.prepare(scene_of(2))
     assert first.volume is not second.volume  # two volumes, however alike
     resolved = scene_of()
     image = resolved.image.model_copy(update={"ray_spacing": 2})
-    one, other = engines.make(resolved), engines.make(replace(resolved, image=image))
+    one, other = engines.prepare(resolved), engines.prepare(replace(resolved, image=image))
     assert one.table is other.table and one.resolved.image.ray_spacing == 1
     assert other.resolved.image.ray_spacing == 2 and third.resolved.image.ray_spacing == 2
     assert SMOOTH is resolved.transfer_function

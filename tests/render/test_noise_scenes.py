@@ -197,7 +197,7 @@ def test_another_time_compiles_and_uploads_nothing(context):
     scene = noisy([MOVING], animation={"cycle": 0.3, "time": 0.2})
     caster = Raycaster(context, scene)
     animation = scene.animation.model_copy(update={"time": 5.0})
-    other = caster.like(replace(scene, animation=animation))
+    other = caster.for_scene(replace(scene, animation=animation))
     assert other.switches == caster.switches and other.volume is caster.volume
     assert other.effects.arrays["noise"] is caster.effects.arrays["noise"]
     assert other.distances is caster.distances

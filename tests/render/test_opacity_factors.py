@@ -9,7 +9,7 @@ from small_scenes import axis_camera, picture, waves
 from twin_scenes import RAMP_SIZE, constant_function, ramp, scene
 
 from clvol import TransferFunction, Volume
-from clvol.transfer.opacity_envelope import union
+from clvol.transfer.opacity_envelope import opacity_envelope
 
 KINDS = ("post", "preintegrated", "pre")
 SIZE = 17
@@ -185,9 +185,9 @@ def test_a_factor_of_nothing_hides_all(context):
 def test_a_union_shows_exactly_where_one_of_its_functions_does():
     one = TransferFunction([0.0, 10.0, 10.0, 20.0], [0.0, 0.0, 0.5, 0.0], np.zeros((4, 3)))
     other = TransferFunction([40.0, 50.0, 60.0], [0.0, 0.2, 0.0], np.ones((3, 3)))
-    both = union([one, other])
+    both = opacity_envelope([one, other])
     values = np.linspace(-5.0, 65.0, 1401)
     shows = (one.opacity(values) > 0) | (other.opacity(values) > 0)
     assert np.array_equal(both.opacity(values) > 0, shows)
     assert set(one.values) | set(other.values) == set(both.values)
-    assert union([one]) is one
+    assert opacity_envelope([one]) is one

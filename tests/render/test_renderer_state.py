@@ -13,8 +13,9 @@ from small_scenes import make_scene, waves
 
 from clvol import Camera, Renderer, Scene, TransferFunction, Volume
 from clvol.errors import RenderError, VolumeError
-from clvol.render.scene_key import engine_key, value_key
-from clvol.store.source import VolumeBlocks
+from clvol.integrators.registry import integrator_of
+from clvol.render.scene_key import scene_key, value_key
+from clvol.store.volume_blocks import VolumeBlocks
 
 FUNCTIONS = [
     TransferFunction([0, 100, 255], [0, first, last], [color] * 3, opacity_unit=10.0)
@@ -42,6 +43,10 @@ KINDS = {
     "reference": {"integration": {"method": "reference"}},
 }  # fmt: skip
 VOLUME = Volume(waves((21, 34, 27), np.uint16, high=255.0))
+
+
+def key_of(scene):
+    return scene_key(scene, integrator_of(scene))
 
 
 def scene_of(kind: str, function=FUNCTIONS[0], volume=VOLUME) -> Scene:
@@ -97,9 +102,9 @@ def test_a_function_that_comes_back_after_another_time_is_shown(first_device):
 @pytest.mark.parametrize("kind", ("fewer bits", "prefiltered"))
 def test_another_function_leaves_converted_voxels_where_they_are(kind, first_device):
     with Renderer(scene_of(kind), [first_device]) as renderer:
-        before = renderer._raycaster.volume
+        before = renderer._prepared.volume
         renderer.set_transfer_function(FUNCTIONS[1])
-        assert renderer._raycaster.volume is before
+        assert renderer._prepared.volume is before
 
 
 def test_blocks_that_could_not_be_read_are_read_again(first_device, monkeypatch):
@@ -140,12 +145,12 @@ def test_voxels_changed_between_frames_are_no_picture_of_both(dtype, first_devic
 def test_every_part_of_a_scene_is_in_the_key_of_its_engine():
     """Whatever is added to a scene counts, unless an engine takes it over frame by frame."""
     scene = scene_of("lit").resolve()
-    key = engine_key(scene)
-    assert key == engine_key(scene_of("lit").resolve())
+    key = key_of(scene)
+    assert key == key_of(scene_of("lit").resolve())
     for kind in set(KINDS) - {"lit"}:
-        assert engine_key(scene_of(kind).resolve()) != key
-    assert engine_key(scene_of("lit", FUNCTIONS[1]).resolve()) != key
-    assert engine_key(scene_of("lit", volume=Volume(VOLUME.data)).resolve()) != key
+        assert key_of(scene_of(kind).resolve()) != key
+    assert key_of(scene_of("lit", FUNCTIONS[1]).resolve()) != key
+    assert key_of(scene_of("lit", volume=Volume(VOLUME.data)).resolve()) != key
 
 
 def test_values_are_told_apart_to_the_last_bit():
@@ -158,7 +163,7 @@ def test_a_key_keeps_what_it_names_alive():
     """No other volume can take the place of one that is gone."""
     volume = Volume(waves((3, 4, 5)))
     gone = weakref.ref(volume)
-    key = engine_key(make_scene(volume))
+    key = key_of(make_scene(volume))
     del volume
     assert gone() is not None
     del key

@@ -89,7 +89,7 @@ def test_the_step_is_the_scenes_unless_stated(context, shadow):
     # Nor does an engine go on with the step of the scene that it was made from.
     engine = Raycaster(context, coarse)
     integration = coarse.integration.model_copy(update={"step": 0.25})
-    other = engine.like(replace(coarse, integration=integration))
+    other = engine.for_scene(replace(coarse, integration=integration))
     image = coarse.image
     again, anew = (
         caster.render(coarse.camera, image.width, image.height).rgba

@@ -28,7 +28,6 @@ from twin_scenes import constant_function, ramp
 from clvol import Renderer, TransferFunction
 from clvol.device import light_volume
 from clvol.device.effects import effect_switches
-from clvol.device.gradients import DeviceLimits
 from clvol.device.light_volume import (
     CONE_DIRECTIONS,
     check_fits,
@@ -37,6 +36,7 @@ from clvol.device.light_volume import (
     light_volume_bytes,
 )
 from clvol.errors import SceneError, VolumeError
+from clvol.features.gradient_storage import DeviceLimits
 from clvol.integrators.raycast.caster import Raycaster
 from clvol.volume import Grid
 
@@ -279,7 +279,7 @@ def test_shadows_move_with_the_noise_that_casts_them(context, shadow):
                   image={"width": 8, "height": 8})  # fmt: skip
     later = _at(of, 0.6)
     first = Raycaster(context, of)
-    moved, anew = first.like(later), Raycaster(context, later)
+    moved, anew = first.for_scene(later), Raycaster(context, later)
     places = inside(64, 0.0, 23.0)
     before, found, expected = (arriving(c, places)[0] for c in (first, moved, anew))
     assert np.array_equal(found, expected) and np.abs(found - before).max() > 0.1
@@ -289,7 +289,7 @@ def test_shadows_move_with_the_noise_that_casts_them(context, shadow):
 def test_cycling_colours_leave_the_light_volume_as_it_is(context):
     of = shadowed(ball(), BALL, shadow=SHADOWS["volume"], animation={"cycle": 0.25})
     first, later = Raycaster(context, of), _at(of, 0.6)
-    moved, anew = first.like(later), Raycaster(context, later)
+    moved, anew = first.for_scene(later), Raycaster(context, later)
     volumes = [c.effects.arrays["light_volume"] for c in (first, moved, anew)]
     assert volumes[1] is volumes[0]
     assert np.allclose(context.read(volumes[2]), context.read(volumes[0]), atol=1e-6)

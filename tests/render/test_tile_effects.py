@@ -9,12 +9,12 @@ import pytest
 from small_scenes import make_scene, waves
 
 from clvol.device.effects import LocalSpace
-from clvol.device.memory import CELL_SHIFT, padded_size
 from clvol.device.tile_effects import tiles_that_see
 from clvol.device.view import ray_frame
 from clvol.integrators.raycast.caster import Raycaster
 from clvol.scene import Camera, ImageSettings, Isosurface
 from clvol.volume import Volume
+from clvol.volume.voxel_layout import CELL_SHIFT, padded_size
 
 EDGE = 1 << CELL_SHIFT
 

@@ -159,7 +159,7 @@ def test_a_volume_alone_gets_a_view_and_a_look(tmp_path):
         resolved = scene.resolve()
         assert resolved.volume.shape == (3, 3, 3)
         assert resolved.camera == Camera.default(resolved.volume.grid, resolved.image)
-        assert resolved.transfer_function == clvol.TransferFunction.default((0, 26), 2 / 32)
+        assert resolved.transfer_function == preset("grayscale", (0, 26), 2 / 32)
         assert (resolved.image.width, resolved.image.height) == (512, 512)
         assert (resolved.background == 0).all()
         assert resolved.lights == resolved.isosurfaces == resolved.clips == ()

@@ -15,10 +15,11 @@ from clvol.integrators.multiresolution import visible_error
 from clvol.integrators.multiresolution.luv import delta_e_luv, linear_to_luv
 from clvol.integrators.multiresolution.selection import exact_levels, level_costs, select_levels
 from clvol.integrators.multiresolution.visible_error import ShownColors, block_errors, block_transmittances, transparent
+from clvol.readers import load_volume
 from clvol.store.resolutions import reduced
-from clvol.store.source import BlockStatistics, VolumeBlocks
+from clvol.store.source import BlockStatistics
+from clvol.store.volume_blocks import VolumeBlocks
 from clvol.transfer import preset
-from clvol.volume import load_volume
 
 BRAIN = Path(__file__).parents[2] / "data" / "brainsmall.nrrd"
 BLACK = np.zeros(3)

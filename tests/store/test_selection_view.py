@@ -19,7 +19,8 @@ from clvol.integrators.multiresolution.selection import select_blocks, source_er
 from clvol.integrators.multiresolution.view_weight import VISIBILITY_FLOOR, ViewWeights, view_weights, visibility
 from clvol.scene import ImageSettings
 from clvol.store.geometry import BlockGrid
-from clvol.store.source import DROPPED, VolumeBlocks
+from clvol.store.source import DROPPED
+from clvol.store.volume_blocks import VolumeBlocks
 from clvol.volume import Grid
 
 IMAGE = ImageSettings(width=60, height=40)

@@ -16,13 +16,15 @@ import pytest
 import slow_blocks
 
 from clvol.errors import ClvolError, RenderError, UsageError, VolumeError
+from clvol.readers import load_volume
 from clvol.store import build
-from clvol.store.build import build_store, unfinished
+from clvol.store.build import build_store
 from clvol.store.codecs import CODECS
-from clvol.store.source import VolumeBlocks
+from clvol.store.journal import Journal, unfinished
+from clvol.store.volume_blocks import VolumeBlocks
 from clvol.store.voxel_source import FieldSource, VolumeSource
 from clvol.store.zarr_store import open_store
-from clvol.volume import Grid, Volume, load_volume
+from clvol.volume import Grid, Volume
 from clvol.volume.procedural import scene_field
 
 TYPES = ("uint8", "int8", "uint16", "int16", "float32", "float64")
@@ -353,19 +355,19 @@ def test_a_folder_that_cannot_be_written_to_is_refused(tmp_path):
 def test_a_full_disk_is_one_line_and_what_is_done_is_kept(tmp_path, monkeypatch, where):
     volume = Volume(voxels((40, 50, 60)))
     if where == "journal":
-        real = build._Build._note
+        real = Journal.note
 
         def failing(self, index, *rest):
             if index == 5:
                 raise OSError(28, "No space left on device")
             real(self, index, *rest)
 
-        monkeypatch.setattr(build._Build, "_note", failing)
+        monkeypatch.setattr(Journal, "note", failing)
     else:
         real = build._Build._stored
 
         def failing(self, level, samples):
-            if any((self.journal / f"{n}.npz").exists() for n in range(8)):
+            if any((self.journal.path / f"{n}.npz").exists() for n in range(8)):
                 text = "RESOURCE_EXHAUSTED: Error writing local file: No space [os_error_code='28']"
                 raise ValueError(text)
             return real(self, level, samples)

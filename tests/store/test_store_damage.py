@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 
 from clvol.errors import VolumeError
+from clvol.readers import load_volume
 from clvol.store.build import build_store
 from clvol.store.codecs import CODECS, Codec
 from clvol.store.zarr_store import is_store, open_store
-from clvol.volume import Volume, load_volume
+from clvol.volume import Volume
 
 DATA = np.random.default_rng(2).integers(0, 60000, (40, 50, 60)).astype(np.uint16)
 

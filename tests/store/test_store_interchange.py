@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 from clvol.errors import VolumeError
+from clvol.readers import load_volume
 from clvol.store.build import build_store
 from clvol.store.codecs import CODECS
-from clvol.volume import Grid, Volume, load_volume
+from clvol.volume import Grid, Volume
 
 zarr = pytest.importorskip("zarr")
 

@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 
 from clvol.errors import VolumeError
+from clvol.readers import load_volume
 from clvol.store import build
 from clvol.store.build import build_store
 from clvol.store.codecs import CODECS
 from clvol.store.places import ShardFile
 from clvol.store.zarr_store import open_store
-from clvol.volume import Volume, load_volume
+from clvol.volume import Volume
 
 SHAPE = (40, 70, 60)  # two or three shards an axis
 

@@ -7,7 +7,6 @@ import sys
 import numpy as np
 import pytest
 
-from clvol import TransferFunction
 from clvol.errors import SceneError
 from clvol.transfer import PRESETS, preset
 
@@ -36,7 +35,7 @@ def test_relative_presets_show_the_highest_value_of_any_range(name, value_range)
 
 @pytest.mark.parametrize("value_range", RANGES)
 def test_the_default_is_not_blank(value_range):
-    function = TransferFunction.default(value_range)
+    function = preset("grayscale", value_range)
     assert function.opacity(value_range[1]) == 0.5
     assert function.color(value_range[1]).min() > 0.5
 

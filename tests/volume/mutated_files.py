@@ -48,7 +48,7 @@ def change(raw: bytes, dice: random.Random) -> bytes:
 def attempt(path: Path) -> str | None:
     """None if read, "" if refused in one line, else what went wrong."""
     from clvol.errors import VolumeError
-    from clvol.volume import load_volume
+    from clvol.readers import load_volume
 
     start = time.monotonic()
     try:

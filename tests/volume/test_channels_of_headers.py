@@ -10,7 +10,7 @@ import pytest
 import SimpleITK
 
 from clvol.errors import VolumeError
-from clvol.volume import load_volume
+from clvol.readers import load_volume
 
 # [t, z, y, x, c]
 VOXELS = np.arange(3 * 2 * 4 * 5 * 2, dtype=np.int16).reshape(3, 2, 4, 5, 2)

@@ -14,7 +14,8 @@ import tifffile
 
 import clvol
 from clvol.errors import VolumeError
-from clvol.volume import Volume, load_volume
+from clvol.readers import load_volume
+from clvol.volume import Volume
 
 WIDE = ["int32", "uint32", "int64", "uint64"]
 # Values, and the smallest type that holds them all exactly.

@@ -12,7 +12,7 @@ import pytest
 import SimpleITK
 
 from clvol.errors import VolumeError
-from clvol.volume import load_volume
+from clvol.readers import load_volume
 
 VOXELS = np.arange(2 * 3 * 4, dtype="<i2").reshape(2, 3, 4)
 FIELDS = {

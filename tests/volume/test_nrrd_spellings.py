@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from clvol.errors import VolumeError
+from clvol.readers import load_volume
 from clvol.store.voxel_source import VolumeSource
-from clvol.volume import load_volume
 
 VOXELS = np.arange(2 * 3 * 4, dtype="<i2").reshape(2, 3, 4)
 FIELDS = {

@@ -10,7 +10,7 @@ import pytest
 
 from clvol.cli import main
 from clvol.errors import VolumeError
-from clvol.volume import load_volume
+from clvol.readers import load_volume
 
 TYPES = ["uint8", "int8", "uint16", "int16", "int32", "uint32", "int64", "float32", "float64"]
 DIMS = (4, 3, 2)

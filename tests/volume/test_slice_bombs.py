@@ -122,7 +122,7 @@ READ = """
 import json, resource, sys, warnings
 import imagecodecs, nibabel, numpy, pydicom, tensorstore, tifffile
 from clvol.errors import VolumeError
-from clvol.volume import load_volume
+from clvol.readers import load_volume
 warnings.simplefilter("ignore")
 imagecodecs.zlib_decode(imagecodecs.zlib_encode(b"x"))
 told = {}

@@ -16,7 +16,7 @@ import SimpleITK
 import tifffile
 
 from clvol.errors import VolumeError
-from clvol.volume import ENDINGS, load_volume
+from clvol.readers import ENDINGS, load_volume
 from clvol.volume.memory import available_memory, show_bytes
 
 VOXELS = np.arange(24, dtype="<i2").reshape(2, 3, 4)

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from clvol.errors import VolumeError
-from clvol.volume import load_volume
+from clvol.readers import load_volume
 
 VOXELS = np.arange(24, dtype="<i2").reshape(2, 3, 4)
 MIB = 1 << 20

@@ -12,7 +12,7 @@ from pydicom.dataset import Dataset, FileMetaDataset
 from pydicom.uid import CTImageStorage, ExplicitVRLittleEndian, generate_uid
 
 from clvol.errors import VolumeError
-from clvol.volume import load_volume
+from clvol.readers import load_volume
 
 SHAPE = (4, 3, 5)
 MARK = (2, 1, 3)

@@ -21,7 +21,7 @@ from slice_files import (
     voxels,
 )
 
-from clvol.volume import load_volume
+from clvol.readers import load_volume
 
 
 def report(path: Path, kind: str = BasicTextSRStorage) -> None:

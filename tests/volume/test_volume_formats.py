@@ -13,7 +13,8 @@ import pytest
 import SimpleITK
 import tifffile
 
-from clvol.volume import ACCEPTED_TYPES, load_volume
+from clvol.readers import load_volume
+from clvol.volume import ACCEPTED_TYPES
 
 SHAPE = (3, 4, 5)
 MARK = (2, 1, 3)  # z, y, x

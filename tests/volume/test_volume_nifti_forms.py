@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from slice_files import loaded, refusal, voxels
 
-from clvol.volume import load_volume
+from clvol.readers import load_volume
 
 QFORM = np.array([[0, -2.0, 0, 5], [0.5, 0, 0, 6], [0, 0, 3.0, 7], [0, 0, 0, 1]])
 SFORM = np.diag([4.0, 5.0, 6.0, 1.0])

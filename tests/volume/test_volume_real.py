@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from clvol.volume import load_volume
+from clvol.readers import load_volume
 
 FOLDER = Path(__file__).resolve().parents[3] / "shared" / "volumes"
 # File: size x, y, z; type; spacing.
@@ -56,7 +56,7 @@ def test_ras_affine_with_a_negative_origin() -> None:
 
 PEAK = """
 import resource, sys
-from clvol.volume import load_volume
+from clvol.readers import load_volume
 import nrrd
 before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 volume = load_volume(sys.argv[1])

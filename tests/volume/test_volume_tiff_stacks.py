@@ -9,7 +9,7 @@ import pytest
 import tifffile
 from slice_files import SHAPE, loaded, refusal, voxels
 
-from clvol.volume import load_volume
+from clvol.readers import load_volume
 
 COMPRESSIONS = [None, "zlib", "lzw", "packbits", "zstd", "jpeg2000"]
 

@@ -13,9 +13,10 @@ from click.testing import CliRunner
 from slice_files import loaded, voxels
 
 from clvol.cli.info import command as info
-from clvol.readers.units import find_unit, one_unit
+from clvol.readers import load_volume
 from clvol.store.build import build_store
-from clvol.volume import Volume, load_volume
+from clvol.volume import Volume
+from clvol.volume.units import find_unit, one_unit
 
 METRES = {
     1e-10: ("Å", "Angstrom", "angstrom", "\u212b", "ångström"),

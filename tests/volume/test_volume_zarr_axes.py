@@ -11,7 +11,7 @@ import pytest
 import zarr
 from slice_files import SHAPE, loaded, refusal, voxels
 
-from clvol.volume import load_volume
+from clvol.readers import load_volume
 
 LETTERS = "tczyx"
 STEPS = {"t": 7.0, "c": 1.0, "z": 3.0, "y": 2.0, "x": 0.5}

@@ -10,7 +10,13 @@ from typing import Any
 
 import numpy as np
 
+from clvol.accuracy.difference import difference_picture
+from clvol.accuracy.report.chart import tradeoff_chart
+from clvol.accuracy.report.images import page_images, picture_file, shown_file
+from clvol.accuracy.report.page import page
+from clvol.accuracy.report.sweep import Sweep
 from clvol.errors import UsageError
+from clvol.image import atomic_paths
 from clvol.json_values import plain
 
 BLACK = (0.0, 0.0, 0.0)
@@ -27,8 +33,6 @@ def write_report(
     ``index.html`` holds all that it shows. All files appear, each whole, or none does. Raises
     UsageError where the folder cannot be one, RenderError when writing fails.
     """
-    from clvol.image import atomic_paths
-
     result = plain(result)
     contents = _contents(result, pictures)
     folder = Path(folder)
@@ -50,12 +54,6 @@ def write_report(
 
 def _contents(result: dict[str, Any], pictures: Mapping[str, np.ndarray]) -> dict[str, bytes]:
     """The files' names, relative to the folder, and their bytes."""
-    from clvol.accuracy.difference import difference_picture
-    from clvol.accuracy.report.chart import tradeoff_chart
-    from clvol.accuracy.report.images import page_images, picture_file, shown_file
-    from clvol.accuracy.report.page import page
-    from clvol.accuracy.report.sweep import Sweep
-
     sweep = Sweep(result)
     background = result["scene"].get("background") or BLACK
     shown = [point["id"] for point in sweep.shown()]

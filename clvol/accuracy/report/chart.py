@@ -6,7 +6,7 @@ import io
 import warnings
 
 from clvol.accuracy.report import wording
-from clvol.accuracy.report.layout import Label, place_labels
+from clvol.accuracy.report.label_layout import Label, LogAxis, place_labels
 from clvol.accuracy.report.svg import error_ticks, name_order, point_name, ranges
 from clvol.accuracy.report.sweep import Point, Sweep, median, plottable
 
@@ -71,8 +71,6 @@ def tradeoff_chart(sweep: Sweep) -> bytes:
 
 def _axes(axes, times, errors, floor, zero, only_zero) -> None:
     from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter, NullLocator
-
-    from clvol.accuracy.report.layout import LogAxis
 
     axes.set_xscale("log")
     axes.set_yscale("log")

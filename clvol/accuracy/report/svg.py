@@ -8,7 +8,7 @@ from html import escape
 from typing import Any
 
 from clvol.accuracy.report import wording
-from clvol.accuracy.report.layout import (
+from clvol.accuracy.report.label_layout import (
     Box,
     Label,
     LogAxis,

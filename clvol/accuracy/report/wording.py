@@ -88,3 +88,18 @@ def shorten(text: str, length: int) -> str:
 def judged_by(result: dict[str, Any]) -> str:
     """What the errors of a sweep are measured against."""
     return result["reference"].get("how") or "exact integral"
+
+
+def exponent_of(value: float) -> int:
+    """The decimal exponent of ``value``."""
+    return int(f"{value:e}".split("e")[1])
+
+
+def several(n: int, noun: str) -> str:
+    """ "1 frame", "3 frames"."""
+    return f"{n} {noun}" if n == 1 else f"{n} {noun}s"
+
+
+def upper(text: str) -> str:
+    """``text`` with its first letter a capital."""
+    return text[:1].upper() + text[1:]

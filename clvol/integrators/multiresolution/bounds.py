@@ -1,7 +1,7 @@
 """How many steps a ray may take at once in each block, for a bound on the error of one such segment.
 
 "bounded" stepping (``cl/step_blocks.h``): step control by the local error, as in solvers of differential equations, in place
-of P2's rule of one step a sample. A segment of length l in a block whose field has slope at most G and curvature at most S
+of the rule of one step per sample (Ljung 2006). A segment of length l in a block whose field has slope at most G and curvature at most S
 (``cl/block_bounds.cl``) adds to premultiplied colour or opacity an error of at most
 
   pre-integrated   l A min(S l^2 / 8, R)                        the field against its chord

@@ -4,19 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
+from clvol.device.transfer_lookup import device_function, scene_nodes, segment_classification
 from clvol.device.view import ray_frame
 from clvol.features import STEPPINGS
 from clvol.integrators.multiresolution.bounds import most_steps
 from clvol.integrators.multiresolution.device_blocks import DeviceBlocks
 from clvol.integrators.multiresolution.sample_allocator import map_shift
-from clvol.integrators.raycast.caster import (
-    _SCENE_ARGUMENTS,
-    _SECONDS_A_SAMPLE,
-    Raycaster,
-    device_function,
-    scene_nodes,
-    segment_classification,
-)
+from clvol.integrators.raycast.caster import _SCENE_ARGUMENTS, _SECONDS_A_SAMPLE, Raycaster
+from clvol.integrators.raycast.march import March
+from clvol.integrators.raycast.switches import raycast_switches
 from clvol.integrators.tiles.geometry import TileGrid
 from clvol.integrators.tiles.launch import PacketRenderer
 from clvol.integrators.tiles.statistics import corner_statistics
@@ -74,6 +70,7 @@ class BlockCaster(Raycaster):
         lanes: int | None = None,
         skip: bool = True,
         tile: tuple[int, int] = (TILE, TILE),
+        march: March | None = None,
     ) -> None:
         self.blocks = blocks
         grid = blocks.blocks
@@ -81,9 +78,8 @@ class BlockCaster(Raycaster):
         row["count"] = (*reversed(grid.counts), grid.levels - 1)
         row["edge"][0, :2] = (grid.edge, 1.0 / grid.edge)
         self._blocks = context.upload(row)
-        super().__init__(
-            context, resolved, lanes=lanes, skip=skip, tile=tile, volume=BlockedVolume(blocks)
-        )
+        volume = BlockedVolume(blocks)
+        super().__init__(context, resolved, lanes=lanes, skip=skip, tile=tile, volume=volume, march=march)
 
     @property
     def settings(self):
@@ -91,7 +87,7 @@ class BlockCaster(Raycaster):
 
     @property
     def _is_midpoint(self) -> bool:
-        functions = [self._asked_function]
+        functions = [self.function]
         return segment_classification(self.resolved.integration, functions) != "preintegrated"
 
     def set_transfer_function(self, function: TransferFunction) -> None:
@@ -99,7 +95,7 @@ class BlockCaster(Raycaster):
         resolved = self.resolved
         self.nodes = scene_nodes(resolved, function)
         mapped = device_function(function, self.volume.values)
-        self._asked_function = function
+        self.function = function
         self.stepping = self._fitting_stepping()
         self._set_colors()
         visible = visible_cells(mapped, self.nodes.values)
@@ -114,14 +110,16 @@ class BlockCaster(Raycaster):
 
     def _set_switches(self) -> None:
         self.switches = block_switches(
-            self.resolved, self.lanes, self.skip, self.stepping, self._asked_function
+            self.resolved, self.lanes, self.skip, self.stepping, self.function
         )
-        self.switches |= self.blocks.switches
+        self.switches |= self.blocks.switches | self.march.switches()
 
     def _fitting_stepping(self) -> str:
         """The scene's, but where all blocks that show anything shall be at full resolution a step a
         sample is an even step, for which there is a faster kernel."""
         asked, goal = self.settings.stepping, self.blocks.goal
+        if asked == "pyramid":  # its march takes steps of its own
+            return "full"
         is_even = not ((goal > 0) & (goal != DROPPED)).any()
         return "full" if is_even and asked in ("limited", "naive") else asked
 
@@ -133,8 +131,7 @@ class BlockCaster(Raycaster):
             self.stepping = stepping
             self._set_switches()
         between, at = self._visible
-        view = np.zeros(1, self._view_dtype)
-        self._describe_volume(view[0])
+        view = self.volume_view()
         kernel = context.kernel(
             "block_cells.cl",
             "visible_block_cells",
@@ -159,7 +156,8 @@ class BlockCaster(Raycaster):
         found = context.read(cells)
         self.shown_cells, self.hole_cells = found != _EMPTY, found == _BESIDE_HOLES
         self.visible_share = float(self.shown_cells.mean())
-        self._find_distances(self.shown_cells)
+        self.march.find_empty_space(self, self.shown_cells)
+        self.march.scene_changed(self)
 
     @property
     def _switches_of_blocks(self) -> dict[str, int]:
@@ -171,8 +169,7 @@ class BlockCaster(Raycaster):
         if self.stepping != "bounded":
             return
         context, blocks = self.context, self.blocks.blocks
-        view = np.zeros(1, self._view_dtype)
-        self._describe_volume(view[0])
+        view = self.volume_view()
         kernel = context.kernel(
             "block_bounds.cl",
             "block_bounds",
@@ -185,7 +182,7 @@ class BlockCaster(Raycaster):
         kernel(context.queue, blocks.counts[::-1], None, **arrays, **self._resident_arrays())
         self.steps = most_steps(
             context.read(bounds),
-            device_function(self._asked_function, self.volume.values),
+            device_function(self.function, self.volume.values),
             self.nodes.values,
             self.length,
             self.resolved.integration.step,
@@ -195,8 +192,8 @@ class BlockCaster(Raycaster):
         )
         self._steps = context.upload(np.append(self.steps, np.zeros(4, np.uint8)))
 
-    def like(self, resolved: ResolvedScene) -> BlockCaster:
-        other = super().like(resolved)
+    def for_scene(self, resolved: ResolvedScene) -> BlockCaster:
+        other = super().for_scene(resolved)
         if other.length != self.length:
             other._set_steps()
         return other
@@ -220,9 +217,13 @@ class BlockCaster(Raycaster):
         bounded = ", in steps uint8" if self.stepping == "bounded" else ""
         return ", in index int32, in corners uint32, in blocks V1" + self._more_samples[0] + bounded
 
-    def _more_arguments(self, tiles: int) -> tuple[str, dict[str, DeviceArray]]:
-        self._tally = self.context.output(np.uint32, (tiles, len(BLOCK_COUNTERS)))
-        return self._declared + ", out counts uint32", {**self._block_arrays(), "counts": self._tally}
+    @property
+    def _sample_arguments(self) -> tuple[str, dict[str, DeviceArray]]:
+        return self._declared, self._block_arrays()
+
+    @property
+    def _counter_names(self) -> tuple[str, ...]:
+        return (*self.march.counters, *BLOCK_COUNTERS)
 
     # What ``TiledRenderer`` asks for
 
@@ -246,7 +247,7 @@ class BlockCaster(Raycaster):
 
     def blank_view(self) -> np.ndarray:
         """``View`` [1] of a picture of no pixels."""
-        return np.zeros(1, self._view_dtype)
+        return np.zeros(1, self.view_dtype)
 
     def corner_statistics(self, view: np.ndarray, grid: TileGrid) -> tuple[np.ndarray, int]:
         blocks, bits = self.blocks.blocks, self.volume.switches["VOXEL_BITS"]
@@ -260,10 +261,6 @@ class BlockCaster(Raycaster):
     def shows_nothing(self) -> bool:
         return self._shows_nothing
 
-    def _counters(self, counts: np.ndarray) -> dict[str, int]:
-        sums = counts.sum(axis=0, dtype=np.uint64)
-        return {name: int(total) for name, total in zip(BLOCK_COUNTERS, sums)}
-
 
 def block_switches(
     resolved: ResolvedScene,
@@ -274,8 +271,6 @@ def block_switches(
 ) -> dict[str, int]:
     """What gets compiled for a scene of blocks, but for what the samples' type and buffers add.
     ``stepping`` and ``function`` instead of the scene's."""
-    from clvol.integrators.raycast.caster import raycast_switches
-
     asked = resolved.multiresolution
     return {
         **raycast_switches(

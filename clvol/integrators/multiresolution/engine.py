@@ -8,9 +8,9 @@ from dataclasses import replace
 from time import perf_counter
 
 from clvol.device.view import EVERY_PIXEL, PixelLattice
+from clvol.integrators.base import FrameData
 from clvol.integrators.multiresolution.caster import BlockCaster
 from clvol.integrators.multiresolution.residency import Residency
-from clvol.integrators.raycast.caster import FrameData
 from clvol.integrators.tiles.tiled import TiledRenderer
 from clvol.opencl.context import DeviceContext
 from clvol.scene.camera import Camera
@@ -56,14 +56,18 @@ class MultiresolutionEngine:
 
     @property
     def renders_all_pixels(self) -> bool:
-        """Whether it does whatever the lattice."""
-        return getattr(self.caster, "renders_all_pixels", False)
+        """Whether it renders every pixel regardless of the lattice."""
+        return self.caster.renders_all_pixels
 
-    def like(self, resolved: ResolvedScene) -> MultiresolutionEngine:
-        """The same for ``resolved``, which may differ as for ``Raycaster.like``."""
+    @property
+    def held(self) -> tuple[Residency]:
+        return (self.residency,)
+
+    def for_scene(self, resolved: ResolvedScene) -> MultiresolutionEngine:
+        """As ``Prepared.for_scene``."""
         other = copy.copy(self)
         other.resolved = resolved
-        other.caster = self.caster.like(resolved)
+        other.caster = self.caster.for_scene(resolved)
         return other
 
     def ask(
@@ -76,7 +80,7 @@ class MultiresolutionEngine:
         """Another transfer function: new tables, and the blocks that it wants. With ``wait`` False a
         thread reads these while frames are rendered from what is there.
 
-        For an engine that nobody shares: ``Engines`` keep theirs by their function, and make another one."""
+        For an engine that nobody shares: ``PreparedCache`` keep theirs by their function, and make another one."""
         self.resolved = replace(self.resolved, transfer_function=function)
         self.ask(wait)
         self.caster.set_transfer_function(function)

@@ -12,7 +12,8 @@ from clvol.integrators.multiresolution.device_blocks import DeviceBlocks
 from clvol.integrators.multiresolution.selection import Selection, SourceErrors, select_blocks, source_errors
 from clvol.opencl.context import DeviceContext
 from clvol.scene.resolve import ResolvedScene
-from clvol.store.source import DROPPED, BlockSource, VolumeBlocks
+from clvol.store.source import DROPPED, BlockSource
+from clvol.store.volume_blocks import VolumeBlocks
 from clvol.transfer import TransferFunction
 from clvol.volume import Volume
 
@@ -99,6 +100,10 @@ class Residency:
         errors = source_errors(self.source, function, background)
         self._errors = function, np.array(background), errors
         return errors
+
+    def close(self) -> None:
+        """Ends the thread that reads blocks."""
+        self.blocks.close()
 
     def describe(self) -> dict[str, Any]:
         """For stats: blocks by level (full resolution first), dropped, still to come; bytes; and the selection's

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from clvol.device.memory import LARGEST_OFFSET
 from clvol.errors import DeviceError, SceneError, VolumeError
 from clvol.opencl.structs import BLOCK_PAYLOAD
 from clvol.store.geometry import BlockGrid
+from clvol.volume.voxel_layout import LARGEST_OFFSET
 
 MOST_BLOCKS = 1024  # along an axis: kernels pack three numbers in 32 bits (cl/blend_blocks.h)
 MOST_BUFFERS = 4  # the index has two bits for a buffer's number

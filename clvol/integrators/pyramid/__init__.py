@@ -1,1 +1,1 @@
-"""The method "pyramid": adaptive sampling along rays and across them (P1, Kraus et al. 2007)."""
+"""The method "pyramid": adaptive sampling along rays and across them (Kraus et al. 2007)."""

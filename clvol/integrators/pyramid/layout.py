@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clvol.device.memory import cell_count, padded_size
+from clvol.volume.voxel_layout import cell_count, padded_size
 
 if TYPE_CHECKING:
     from clvol.scene import Scene

@@ -12,7 +12,7 @@ import numpy as np
 
 from clvol.errors import RenderError
 from clvol.transfer import TransferFunction
-from clvol.transfer.lookup_nodes import ClassNodes
+from clvol.transfer.lookup_nodes import LookupNodes
 
 if TYPE_CHECKING:
     from clvol.device.volume import DeviceVolume
@@ -47,7 +47,7 @@ class Asked:
     context: DeviceContext
     volume: DeviceVolume
     function: TransferFunction
-    nodes: ClassNodes
+    nodes: LookupNodes
     warp: DeviceArray
     view: np.ndarray
     switches: Mapping[str, int]

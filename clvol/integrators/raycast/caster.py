@@ -4,45 +4,47 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import replace
 
 import numpy as np
 
 from clvol.device.effects import ARGUMENTS as _EFFECT_ARGUMENTS
-from clvol.device.effects import COUNTERS, EffectState, effect_switches
+from clvol.device.effects import COUNTERS, EffectState
 from clvol.device.empty_space import dilated, distance_map, surface_mask, visible_mask
 from clvol.device.light_volume import METHODS, fill_light_volume, shadow_step
-from clvol.device.memory import Perturbation, value_map, voxel_switches
+from clvol.device.memory import Perturbation
 from clvol.device.noise import perturbation
 from clvol.device.opacity_factors import layer_functions
 from clvol.device.projection import hidden_score
 from clvol.device.tile_effects import tiles_that_see
+from clvol.device.transfer_lookup import (
+    color_shift,
+    cycled_function,
+    device_function,
+    scene_nodes,
+)
 from clvol.device.view import EVERY_PIXEL, PixelLattice, RayFrame, ray_frame
 from clvol.device.volume import DeviceVolume
 from clvol.errors import RenderError
-from clvol.features import CLASSIFICATIONS, FILTERS, QUADRATURES, overshoot, reduced_for_frames
-from clvol.features.values import reachable
-from clvol.opencl.context import DeviceArray, DeviceContext, Kernel, restore_interrupts
-from clvol.opencl.structs import effects_dtype, view_dtype
+from clvol.features import reduced_for_frames
+from clvol.integrators.base import FrameData, Shared
+from clvol.integrators.raycast.march import March, RayMarch
+from clvol.integrators.raycast.switches import raycast_switches
+from clvol.opencl.context import DeviceArray, DeviceContext, restore_interrupts
+from clvol.opencl.structs import view_dtype
 from clvol.scene.camera import Camera
-from clvol.scene.integration import Integration
 from clvol.scene.resolve import ResolvedScene
 from clvol.schedule.tiles import TILE, bands, tiling
 from clvol.transfer import TransferFunction
-from clvol.transfer.cycle import cycled
-from clvol.transfer.lookup_nodes import ClassNodes, class_nodes, visible_cells
-from clvol.transfer.opacity_envelope import union
+from clvol.transfer.lookup_nodes import visible_cells
+from clvol.transfer.opacity_envelope import opacity_envelope
 from clvol.transfer.pieces import (
-    IN_REGISTERS,
     columns,
-    has_opaque_point,
     piece_count,
     piece_table,
     value_gate,
 )
 
-_NODES, CONSTANT_NODES = 256, 4096  # of the values that maps of empty space tell apart
-_WIDEST = 8.0  # ranges that noise may widen the nodes by, on either side
 _SECONDS_A_SAMPLE = 1e-8  # a first guess, for how to cut a frame into launches
 _BAND_SECONDS = 0.5
 _SCENE_ARGUMENTS = "in volume V1, in table float32, in warp float32, in distances uint8, in view V1, "
@@ -53,130 +55,15 @@ _FILL_ARGUMENTS = (
 )
 
 
-def segment_classification(
-    integration: Integration, functions: Sequence[TransferFunction] = ()
-) -> str:
-    """How segments are classified by ``functions``. Projections classify values, not segments.
-
-    Under the nearest filter values do not run from one sample to the next, they jump: a pre-integrated
-    segment of constant value is a post-classified one. Under the others, where the opacity reaches 1 in a
-    slope the extinction has a pole: a sample in the middle of a segment may meet it, whose integral is finite.
-    So such functions are integrated along segments, however they were to be sampled.
-    """
-    if integration.compositing != "over":
-        return "post"
-    if integration.filter == "nearest":
-        return "post" if integration.classification == "preintegrated" else integration.classification
-    if integration.classification == "post" and any(map(has_opaque_point, functions)):
-        return "preintegrated"
-    return integration.classification
-
-
-def transfer_pieces(resolved: ResolvedScene, functions: Sequence[TransferFunction]) -> int:
-    """TRANSFER_PIECES: 16 where registers hold all pieces, else 0. Layers differ from lane to lane; and
-    where colours cycle the number of pieces changes, which must compile nothing."""
-    in_memory = len(functions) > 1 or resolved.animation.cycle
-    if in_memory or max(map(piece_count, functions)) > IN_REGISTERS:
-        return 0
-    return IN_REGISTERS
-
-
-def raycast_switches(
-    resolved: ResolvedScene,
-    *,
-    lanes: int,
-    skip: bool = True,
-    depth: bool = True,
-    function: TransferFunction | None = None,
-) -> dict[str, int]:
-    """What gets compiled for this scene, or with ``function`` instead of its own; nothing that changes
-    from frame to frame."""
-    integration = resolved.integration
-    functions = layer_functions(resolved, function)
-    return {
-        **voxel_switches(resolved.volume, value_map(resolved.volume)),
-        "LANES": lanes,
-        "FILTER": FILTERS[integration.filter],
-        "CLASSIFICATION": CLASSIFICATIONS[segment_classification(integration, functions)],
-        "TRANSFER_PIECES": transfer_pieces(resolved, functions),
-        "QUADRATURE": QUADRATURES[integration.quadrature],
-        "SKIP_EMPTY": int(skip),
-        "WITH_DEPTH": int(depth),
-        **effect_switches(resolved),
-    }
-
-
-def scene_nodes(resolved: ResolvedScene, function: TransferFunction | None = None) -> ClassNodes:
-    """The class nodes for a scene's volume and classification; all layers' tables share them."""
-    volume, integration = resolved.volume, resolved.integration
-    values = value_map(volume)
-    preintegrated = segment_classification(integration) == "preintegrated"
-    integer = volume.dtype.kind in "iu"
-    low, high = (float(v) for v in values(volume.value_range))
-    if integration.classification != "pre":  # what is classified may overshoot the voxels
-        more = overshoot(integration.filter) * (high - low)
-        more = float(np.ceil(more)) if integer else more
-        if resolved.noise:
-            more, integer = more + _noise_range(resolved, high - low), False
-        low, high = low - more, high + more
-    return class_nodes(
-        device_function(union(layer_functions(resolved, function)), values),
-        (low, high),
-        _NODES if preintegrated else CONSTANT_NODES,
-        integer=integer,
-        # Colours that cycle fall on no nodes, and tables of even ones are made ten times as fast.
-        may_warp=preintegrated and not resolved.animation.cycle,
-    )
-
-
-def _noise_range(resolved: ResolvedScene, span: float) -> float:
-    """By how much noise widens the range of values, at most _WIDEST times that of the volume and of
-    the transfer function: nodes must not be lost on what is beyond."""
-    gain = value_map(resolved.volume).gain
-    added = perturbation(resolved.noise, resolved.volume.grid, gain).added
-    return min(added, _WIDEST * max(span, np.ptp(resolved.transfer_function.values) * gain))
-
-
-def cycled_function(resolved: ResolvedScene, function: TransferFunction) -> TransferFunction:
-    """``function`` with its colours moved as far as they have come at ``animation.time``."""
-    shift, value_range, reach = _shift(resolved), resolved.data_range, reachable(resolved)
-    if shift is None:
-        return function
-    beyond = None if reach == value_range else reach
-    return cycled(function, shift, value_range, beyond, opacity=False)
-
-
-def _shift(resolved: ResolvedScene) -> float | None:
-    """How far colours have moved, in ranges of the volume; None where they do not."""
-    animation = resolved.animation
-    return animation.cycle * animation.time if animation.cycle else None
-
-
-def device_function(function: TransferFunction, values) -> TransferFunction:
-    """The transfer function over the values that kernels compute with."""
-    if values.bias == 0.0 and values.gain == 1.0:
-        return function
-    finite = np.clip(values(function.values), -1e300, 1e300)
-    return TransferFunction(finite, function.opacities, function.colors, function.opacity_unit)
-
-
 def parts_of_cell(step: float) -> int:
     """Parts that quadrature by cells cuts each cell's piece in: as many as ``step`` goes into 1, one or
     an even number (Gauss's points come in pairs)."""
     return 1 if step > 0.75 else 2 * max(1, round(0.5 / step))
 
 
-@dataclass
-class FrameData:
-    """A picture as in ``Frame``, how many samples and rays it took, what its effects counted, and what else is
-    to be told of it (``notes``, plain JSON types)."""
-
-    rgba: np.ndarray
-    depth: np.ndarray | None
-    samples: int
-    rays: int
-    counters: dict[str, int] = field(default_factory=dict)
-    notes: dict[str, object] = field(default_factory=dict, kw_only=True)
+def device_volume(shared: Shared, resolved: ResolvedScene) -> DeviceVolume:
+    """The scene's volume on the device, the same for all scenes that have it."""
+    return shared.keep("volume", resolved.volume, lambda: DeviceVolume(shared.context, resolved.volume))
 
 
 class Raycaster:
@@ -187,7 +74,7 @@ class Raycaster:
     changes the picture.
     """
 
-    workers = 1  # work-items of a tile
+    held: Sequence[object] = ()
 
     def __init__(
         self,
@@ -198,29 +85,35 @@ class Raycaster:
         skip: bool = True,
         tile: tuple[int, int] = (TILE, TILE),
         volume: DeviceVolume | None = None,
+        march: March | None = None,
     ) -> None:
         self.context = context
-        self.resolved = resolved = reduced_for_frames(resolved)
-        self.lanes = lanes or (16 if context.is_cpu else 1)
+        self.march: March = march or RayMarch()
+        self.resolved = resolved = self.march.adopt(reduced_for_frames(resolved))
+        self.lanes = lanes_of(context, lanes)
         self.skip = skip
         self.tile = tile if self.lanes > 1 else (1, 1)
         self.volume = volume or DeviceVolume(context, resolved.volume)
         self.effects = EffectState(context, resolved, self.volume)
-        self._view_dtype = view_dtype(self.volume.switches["VOXEL_BITS"])
+        self.view_dtype = view_dtype(self.volume.switches["VOXEL_BITS"])
         self._warm: set[tuple] = set()
         self._tally = None
         self._none = context.empty(np.float32, (4,))
-        self._view = context.empty(self._view_dtype, (1,))
+        self._view = context.empty(self.view_dtype, (1,))
         self.set_transfer_function(resolved.transfer_function)
-        self._check_struct()
+        self.march.check_structs(self)
+
+    @property
+    def renders_all_pixels(self) -> bool:
+        return self.march.renders_all_pixels
 
     def set_transfer_function(self, function: TransferFunction) -> None:
         """Another transfer function: rebuilds the table and the visible cells, nothing else."""
         resolved, context = self.resolved, self.context
         # Where the nodes are depends on no cycling: it compiles nothing.
         self.nodes = scene_nodes(resolved, function)
-        mapped = device_function(union(layer_functions(resolved, function)), self.volume.values)
-        self._asked_function = function
+        mapped = device_function(opacity_envelope(layer_functions(resolved, function)), self.volume.values)
+        self.function = function
         self._set_colors()
         visible = visible_cells(mapped, self.nodes.values)
         self.gate = value_gate(mapped)
@@ -238,25 +131,23 @@ class Raycaster:
         if fields:
             mask = (mask | fields.shown) & fields.kept
         self.visible_share = float(mask.mean())
-        self._find_distances(mask)
+        self.march.find_empty_space(self, mask)
         warp = self.nodes.warp
         self.warp = context.upload(np.zeros(2, np.float32) if warp is None else warp)
         self.switches = raycast_switches(
             resolved, lanes=self.lanes, skip=self.skip, function=function
         )
         self.switches |= self.effects.switches  # the device may be too small for some
+        self.switches |= self.march.switches()
         self.light_volume_samples = 0
         if self._casts_shadows:
             self._build_shadows()
         self._without_surfaces = self._beside_surfaces()
-
-    def _find_distances(self, mask: np.ndarray) -> None:
-        """What rays leap by, from the cells in which anything can be seen."""
-        self.distances = distance_map(self.context, mask)
+        self.march.scene_changed(self)
 
     def _set_colors(self) -> None:
         """The tables, with colours as they are at the scene's time."""
-        functions = layer_functions(self.resolved, self._asked_function)
+        functions = layer_functions(self.resolved, self.function)
         moved = [cycled_function(self.resolved, function) for function in functions]
         self._functions = [device_function(function, self.volume.values) for function in moved]
         self._build_table()
@@ -274,8 +165,7 @@ class Raycaster:
         """What shadows need, which no camera changes."""
         arrays = self.effects.arrays
         if self.switches["SHADOWS"] == METHODS["volume"] and self.visible_share:
-            view = np.zeros(1, self._view_dtype)
-            self._describe_volume(view[0])
+            view = self.volume_view()
             arrays["light_volume"], self.light_volume_samples = fill_light_volume(
                 self.context, self.resolved, self.switches, view, {**self._scene_arrays(), **arrays}
             )
@@ -326,14 +216,12 @@ class Raycaster:
         """World length of a step."""
         return self.resolved.integration.step * self.resolved.volume.grid.smallest_edge
 
-    def like(self, resolved: ResolvedScene) -> Raycaster:
-        """The same for ``resolved``, which may differ in camera, image, animation, step and early
-        termination alone. Shares what these leave as it is: the volume, empty space, and often the
-        tables. Compiles nothing."""
+    def for_scene(self, resolved: ResolvedScene) -> Raycaster:
+        """As ``Prepared.for_scene``: shares the volume, empty space, and often the tables."""
         other = copy.copy(self)
-        other.resolved = resolved = reduced_for_frames(resolved)
-        other.effects = self.effects.like(resolved)
-        if _shift(resolved) != _shift(self.resolved):
+        other.resolved = resolved = self.march.adopt(reduced_for_frames(resolved))
+        other.effects = self.effects.for_scene(resolved)
+        if color_shift(resolved) != color_shift(self.resolved):
             other._set_colors()
         if other.length != self.length:
             other._build_table()
@@ -342,6 +230,7 @@ class Raycaster:
         if other._casts_shadows and (moved or shadow_step(resolved) != shadow_step(self.resolved)):
             other._build_shadows()
         other._without_surfaces = other._beside_surfaces()
+        other.march = self.march.for_scene(other, self)
         return other
 
     def render(
@@ -354,6 +243,24 @@ class Raycaster:
         lattice: PixelLattice = EVERY_PIXEL,
     ) -> FrameData:
         """One picture of ``width`` by ``height``, or of its pixels on ``lattice`` alone.
+        ``progress(tiles done, all)`` is called after each launch."""
+        self.march.begin(self, camera, width, height)
+        if not self.march.renders_all_pixels:
+            return self._picture(camera, width, height, progress, depth, lattice)
+        data = self._picture(camera, width, height, progress, depth, EVERY_PIXEL)
+        shown = None if data.depth is None else data.depth[lattice.slices]
+        return replace(data, rgba=data.rgba[lattice.slices], depth=shown)
+
+    def _picture(
+        self,
+        camera: Camera,
+        width: int,
+        height: int,
+        progress: Callable[[int, int], None] | None,
+        depth: bool,
+        lattice: PixelLattice,
+    ) -> FrameData:
+        """One picture of ``width`` by ``height``, or of its pixels on ``lattice`` alone.
         ``progress(tiles done, all)`` is called after each launch.
 
         With the scene's ``image.ray_spacing`` the rays of its lattice are cast first, and then those
@@ -364,7 +271,8 @@ class Raycaster:
         if self._shows_nothing:  # nothing can be seen: no ray needs to be cast
             shape = (lattice_height, lattice_width)
             nowhere = np.full(shape, np.inf, np.float32) if depth else None
-            return FrameData(np.zeros((*shape, 4), np.float32), nowhere, 0, 0)
+            nothing = dict.fromkeys(self.march.counters and self._counter_names, 0)
+            return FrameData(np.zeros((*shape, 4), np.float32), nowhere, 0, 0, nothing)
         spacing = self.resolved.image.ray_spacing
         fills = spacing > 1 and lattice == EVERY_PIXEL
         if fills:
@@ -446,7 +354,8 @@ class Raycaster:
         key = (tiles, depth, fills, tuple(self.switches.items()))
         if key in self._warm or self._shows_nothing:
             return
-        view = np.zeros(1, self._view_dtype)  # an image without pixels: every work-item returns
+        self.march.begin(self, None, width, height)
+        view = np.zeros(1, self.view_dtype)  # an image without pixels: every work-item returns
         view["image"][0] = (0, 0, *self.tile)
         counts = [self.context.empty(np.uint32, (tiles,)) for _ in range(2)]
         none = {"image": self._none, "depths": self._none, "samples": counts[0]}
@@ -476,7 +385,7 @@ class Raycaster:
             switches["TILES_CHOSEN"] = 1
             declared += ", in chosen uint8"
             arrays["chosen"] = context.upload(chosen.astype(np.uint8))
-        kernel = self._kernel_of(name, declared, switches)
+        kernel = self.march.kernel(context, name, declared, switches)
         pixels = tiles * self.tile[0] * self.tile[1] if view["image"][0, 0] else 0
         expected = pixels * self._most_samples() * _SECONDS_A_SAMPLE
         done = 0
@@ -485,8 +394,8 @@ class Raycaster:
             context.write(self._view, view)
             kernel(
                 context.queue,
-                (count * self.workers,),
-                self._local_size,
+                (count * self.march.workers,),
+                self.march.local_size(self.lanes),
                 view=self._view,
                 **self._scene_arrays(),
                 **arrays,
@@ -497,23 +406,34 @@ class Raycaster:
             if progress is not None:
                 progress(done)
 
-    @property
-    def _local_size(self) -> tuple[int] | None:
-        return (1,) if self.lanes > 1 else None
-
-    def _kernel_of(self, name: str, declared: str, switches: dict[str, int]) -> Kernel:
-        return self.context.kernel(f"{name}.cl", name, declared, switches)
-
     def _more_arguments(self, tiles: int) -> tuple[str, dict[str, DeviceArray]]:
-        """What the kernels take beside a plain scene's arguments, for a launch over ``tiles``."""
+        """What the kernels take beside the arguments of a scene of emission and absorption, for a launch over
+        ``tiles``."""
+        names = self._counter_names
+        if not names:
+            return "", {}
+        self._tally = self.context.output(np.uint32, (tiles, len(names)))
+        declared, arrays = self.march.arguments(self)
+        more, added = self._sample_arguments
+        return f"{declared}{more}, out counts uint32", {**arrays, **added, "counts": self._tally}
+
+    @property
+    def _sample_arguments(self) -> tuple[str, dict[str, DeviceArray]]:
+        """Declared arguments of what changes or replaces samples of the volume, and what they are."""
         if not self.effects.switches:
             return "", {}
-        self._tally = self.context.output(np.uint32, (tiles, len(COUNTERS)))
-        return _EFFECT_ARGUMENTS, {**self.effects.arrays, "counts": self._tally}
+        return _EFFECT_ARGUMENTS, self.effects.arrays
+
+    @property
+    def _counter_names(self) -> tuple[str, ...]:
+        """What the kernels count: of the march, then of the samples."""
+        return (*self.march.counters, *(COUNTERS if self.effects.switches else ()))
 
     def _counters(self, counts: np.ndarray) -> dict[str, int]:
-        """Names and sums of what tiles counted."""
-        return self.effects.counted(counts)
+        """Names and sums of what tiles counted: ``counts`` uint32 [tiles, names]."""
+        sums = counts.sum(axis=0, dtype=np.uint64)
+        named = {name: int(total) for name, total in zip(self._counter_names, sums)}
+        return self.effects.counted(named) if self.effects.switches else named
 
     def _most_samples(self) -> float:
         grid = self.resolved.volume.grid
@@ -522,7 +442,7 @@ class Raycaster:
         return float(diagonal / self.length)
 
     def _frame_view(self, frame: RayFrame, width: int, height: int) -> np.ndarray:
-        view = np.zeros(1, self._view_dtype)
+        view = np.zeros(1, self.view_dtype)
         row = view[0]
         names = ("plane_origin", "plane_du", "plane_dv", "ray_forward", "ray_du", "ray_dv")
         sources = (frame.origin, frame.du, frame.dv, frame.forward, frame.ray_du, frame.ray_dv)
@@ -538,6 +458,12 @@ class Raycaster:
             where = f"{self.resolved.origin}: camera"
             raise RenderError(where, "numbers beyond float32", "a camera and units nearer to 1")
         row["image"] = (width, height, *self.tile)
+        return view
+
+    def volume_view(self) -> np.ndarray:
+        """``View`` [1] with the fields that no camera changes."""
+        view = np.zeros(1, self.view_dtype)
+        self._describe_volume(view[0])
         return view
 
     def _describe_volume(self, row: np.void) -> None:
@@ -560,16 +486,10 @@ class Raycaster:
         row["table"][:2] = (nodes.values.size, nodes.values.size + 2)
         row["pieces"] = self._pieces
 
-    def _check_struct(self) -> None:
-        """The compiler's View must be ours, field for field: all fields are 16 bytes wide."""
-        kernel = self.context.kernel("raycast.cl", "view_size", "out size uint32", self.switches)
-        size = self.context.empty(np.uint32, (2,))
-        kernel(self.context.queue, (1,), (1,), size=size)
-        ours = {"View": self._view_dtype, "Effects": effects_dtype()}
-        for on_device, (name, dtype) in zip(self.context.read(size), ours.items()):
-            if on_device != dtype.itemsize:
-                what = f"{on_device} bytes on the device"
-                raise RenderError(f"struct {name}", what, f"{dtype.itemsize}")
+
+def lanes_of(context: DeviceContext, lanes: int | None = None) -> int:
+    """Rays that a work-item marches together: ``lanes``, or what suits the device."""
+    return lanes or (16 if context.is_cpu else 1)
 
 
 def _stages(progress: Callable[[int, int], None] | None, tiles: list[int]):

@@ -1,4 +1,4 @@
-"""Image-space adaptivity: pictures cut into tiles with different numbers of rays (P2, section 4).
+"""Image-space adaptivity: pictures cut into tiles with different numbers of rays (Ljung 2006, section 4).
 
 geometry.py  where a tile's rays are          work.py    which rays are to be cast
 plan.py      how many rays each tile gets      refine.py  which tiles get more

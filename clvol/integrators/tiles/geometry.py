@@ -2,7 +2,7 @@
 
 The picture is cut into tiles of ``size`` by ``size`` pixels, cut short at the right and lower edge.
 The rays of a tile stand on the crossings of some of its columns of pixels and some of its rows: its
-lines. P2 (Ljung 2006, section 4) renders a tile as a small picture of tau by tau pixels of its own,
+lines. Ljung (2006, section 4) renders a tile as a small picture of tau by tau pixels of its own,
 at any tau. Here every ray goes through the centre of a pixel of the final picture, so that the
 picture at full resolution is the plain one and a ray once cast stays: with tau lines on an axis of
 n pixels, line i is pixel floor((i + 1/2) n / tau). A tile cut short has as many lines as its length

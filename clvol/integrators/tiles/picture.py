@@ -10,7 +10,7 @@ from typing import Protocol
 
 import numpy as np
 
-from clvol.integrators.raycast.caster import FrameData
+from clvol.integrators.base import FrameData
 from clvol.integrators.tiles.geometry import Resolution, TileGrid, ray_counts
 from clvol.integrators.tiles.join import Joiner, around
 from clvol.integrators.tiles.launch import PacketRenderer, cast_rays

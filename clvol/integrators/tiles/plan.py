@@ -1,5 +1,5 @@
-"""From what rays through the tiles' corners meet to the resolution of each tile (P2, section
-4.1)."""
+"""From what rays through the tiles' corners meet to the resolution of each tile (Ljung 2006,
+section 4.1)."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ def priorities(corners: np.ndarray, priority: Priority) -> np.ndarray:
 
     "max": the greatest of its corners' maxima; "average": the mean of their means; "rms": the root
     mean square of theirs. Of a tile that lies partly beside the volume only the corners count that
-    meet it: a ray that meets no block has no mean of them. 0 where no corner does. (P2 drops such
-    tiles. But a corner of the volume can poke into a tile between its corners: here they get the
+    meet it: a ray that meets no block has no mean of them. 0 where no corner does. (Ljung drops
+    such tiles. But a corner of the volume can poke into a tile between its corners: here they get the
     lowest quality, and rays that miss cost next to nothing.)
     """
     corners = np.asarray(corners, np.float64)
@@ -54,7 +54,7 @@ def histogram(priority: np.ndarray, slots: int) -> tuple[np.ndarray, np.ndarray]
 
 def qualities(priority: np.ndarray, low: float, high: float, slots: int) -> np.ndarray:
     """Shares of a tile's edge in (0, 1]: ``high`` in the highest slot that any tile is in, from
-    there linear in the number of the slot down to ``low`` for those of priority 0. ``slots``: P2
+    there linear in the number of the slot down to ``low`` for those of priority 0. ``slots``: Ljung
     takes as many as a block's edge has samples."""
     counts, slot = histogram(priority, slots)
     top = int(np.flatnonzero(counts)[-1])

@@ -1,4 +1,4 @@
-"""Pictures made of tiles, each with as many rays as it deserves (P2, section 4)."""
+"""Pictures made of tiles, with ray density chosen per tile (Ljung 2006, section 4)."""
 
 from __future__ import annotations
 

@@ -12,15 +12,13 @@ from pathlib import Path
 import numpy as np
 
 from clvol.readers.dicom.choice import chosen_frames
-from clvol.readers.dicom.files import find_images, has_dicom, is_dicom
+from clvol.readers.dicom.files import find_images
 from clvol.readers.dicom.order import in_order
 from clvol.readers.dicom.pixels import read_frames
 from clvol.readers.options import ReadOptions
 from clvol.volume.grid import Grid
 from clvol.volume.memory import check_memory
 from clvol.volume.volume import Volume
-
-__all__ = ["has_dicom", "is_dicom", "read"]
 
 
 def read(path: Path, options: ReadOptions) -> Volume:

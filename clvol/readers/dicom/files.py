@@ -2,24 +2,20 @@
 
 from __future__ import annotations
 
-import os
 import zlib
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from clvol.errors import VolumeError
 from clvol.readers.options import ReadOptions
+from clvol.readers.recognise import MAGIC, MAGIC_AT, begins, files_below
 from clvol.volume.memory import check_memory
 
-_MAGIC_AT, _MAGIC = 128, b"DICM"
 # The first element of a file without preamble: group 2 or 8, little-endian.
 _BARE = (b"\x02\x00\x00\x00", b"\x02\x00\x02\x00", b"\x08\x00")
-_DICOM_ENDINGS = (".dcm", ".ima", ".dicom")
 DEFLATED = "1.2.840.10008.1.2.1.99"
 _DEFLATE_RATIO = 1032  # zlib's technical notes
-_DEEPEST = 6  # folders below the one that was named
 _NAMED = 3
 # Classes of objects that hold pixels though their names do not say image.
 _IMAGES = ("Image Storage", "RT Dose Storage", "Segmentation Storage", "Parametric Map Storage")
@@ -48,18 +44,6 @@ class Image:
     header: Any
 
 
-def is_dicom(path: Path) -> bool:
-    """Whether a file says that it is DICOM: by its preamble, or by its ending."""
-    if path.name.lower().endswith(_DICOM_ENDINGS):
-        return True
-    return _begins(path)[_MAGIC_AT:] == _MAGIC
-
-
-def has_dicom(path: Path) -> bool:
-    """Whether a file in the folder, or below if there is none in it, begins as DICOM does."""
-    return any(_begins(file)[_MAGIC_AT:] == _MAGIC for file in _files(path))
-
-
 def find_images(path: Path, options: ReadOptions) -> list[Image]:
     """The images in a folder and, if there is none in it, in those below; or the one of a file.
 
@@ -77,7 +61,7 @@ def find_images(path: Path, options: ReadOptions) -> list[Image]:
     images: list[Image] = []
     left_out: list[str] = []
     above = None
-    for file in _files(path):
+    for file in files_below(path):
         if images and file.parent != above and above == path:
             break
         above = file.parent
@@ -98,33 +82,14 @@ def find_images(path: Path, options: ReadOptions) -> list[Image]:
     return _without_copies(images, options)
 
 
-def _files(path: Path) -> Iterator[Path]:
-    """Regular files of the folder, sorted by name; after them those of the folders below."""
-    for folder, folders, names in os.walk(path):
-        folders.sort()
-        if len(Path(folder).relative_to(path).parts) >= _DEEPEST:
-            folders.clear()
-        for name in sorted(names):
-            if os.path.isfile(os.path.join(folder, name)):
-                yield Path(folder, name)
-
-
-def _begins(path: Path) -> bytes:
-    try:
-        with path.open("rb") as file:
-            return file.read(_MAGIC_AT + len(_MAGIC))
-    except OSError:
-        return b""
-
-
 def _name(folder: Path, file: Path) -> str:
     return file.name if folder == file else str(file.relative_to(folder))
 
 
 def _read(folder: Path, path: Path, options: ReadOptions) -> Image | str | None:
     """The image; of another DICOM object what it is; None for a file that is no DICOM."""
-    start = _begins(path)
-    marked = start[_MAGIC_AT:] == _MAGIC
+    start = begins(path)
+    marked = start[MAGIC_AT:] == MAGIC
     if not marked and not start.startswith(_BARE):
         return None
     name = _name(folder, path)

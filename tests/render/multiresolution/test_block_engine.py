@@ -13,7 +13,8 @@ from reference.multiresolution import BlockField, render_blocks_twin
 from clvol import Camera, TransferFunction, Volume
 from clvol.integrators.multiresolution import residency
 from clvol.integrators.multiresolution.engine import MultiresolutionEngine
-from clvol.store.source import DROPPED, VolumeBlocks
+from clvol.store.source import DROPPED
+from clvol.store.volume_blocks import VolumeBlocks
 
 SHAPE = (48, 40, 64)
 CAMERA = Camera(position=(-55.0, -38.0, -61.0), target=(32.0, 20.0, 24.0), fov_degrees=32.0)

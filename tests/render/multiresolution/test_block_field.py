@@ -12,7 +12,8 @@ from scipy.ndimage import map_coordinates
 from clvol import Volume
 from clvol.store.geometry import BlockGrid
 from clvol.store.resolutions import region_level
-from clvol.store.source import DROPPED, VolumeBlocks
+from clvol.store.source import DROPPED
+from clvol.store.volume_blocks import VolumeBlocks
 
 SHAPES = [(40, 33, 50), (1, 35, 20), (17, 1, 33), (16, 32, 48)]
 RANGE = 255.0

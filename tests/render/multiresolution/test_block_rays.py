@@ -26,7 +26,8 @@ from clvol.integrators.multiresolution.caster import BlockCaster
 from clvol.integrators.multiresolution.visible_error import transparent
 from clvol.integrators.raycast.caster import Raycaster
 from clvol.store.geometry import BlockGrid
-from clvol.store.source import DROPPED, VolumeBlocks
+from clvol.store.source import DROPPED
+from clvol.store.volume_blocks import VolumeBlocks
 
 SHAPE = (40, 33, 50)
 CAMERA = Camera(position=(-55.0, -38.0, -61.0), target=(25.0, 16.0, 20.0), fov_degrees=28.0)

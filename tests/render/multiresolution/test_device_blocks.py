@@ -19,7 +19,8 @@ from clvol.integrators.multiresolution.device_blocks import (
     corners_of,
 )
 from clvol.integrators.multiresolution.sample_allocator import SPARE_BYTES, overhead_bytes
-from clvol.store.source import DROPPED, VolumeBlocks
+from clvol.store.source import DROPPED
+from clvol.store.volume_blocks import VolumeBlocks
 from clvol.volume import Volume
 
 _TYPES = ("uint8", "int8", "uint16", "int16", "float32", "float64")

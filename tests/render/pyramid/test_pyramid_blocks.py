@@ -34,7 +34,7 @@ def twin_of_caster(caster, field):
         index = world @ to_index[:3, :3].T + to_index[:3, 3]
         return field(np.clip(index, 0.0, upper) + 0.5)
 
-    oracle = mapped_oracle(caster.resolved, map_distances(caster), caster.asked.shift, 0.5)
+    oracle = mapped_oracle(caster.resolved, map_distances(caster), caster.march.asked.shift, 0.5)
     return render_pyramid_twin(caster.resolved, oracle, values)
 
 
@@ -115,10 +115,10 @@ def test_no_step_leads_over_a_hole(context):
 def test_trials_know_that_all_pixels_are_rendered(first_device):
     scene = scene_of(Volume(waves(SHAPE)))
     with Renderer(scene, [first_device]) as renderer:
-        assert renderer._raycaster.renders_all_pixels
+        assert renderer._prepared.renders_all_pixels
     asked = scene.multiresolution.model_copy(update={"stepping": "limited"})
     with Renderer(replace(scene, multiresolution=asked), [first_device]) as renderer:
-        assert not renderer._raycaster.renders_all_pixels
+        assert not renderer._prepared.renders_all_pixels
 
 
 def test_nothing_resident_shows_nothing(context):

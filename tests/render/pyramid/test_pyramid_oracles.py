@@ -36,7 +36,7 @@ GRID = {"spacing": EDGES}
 def asked(context):
     """Of a grid that is no cube, maps as fine as voxels."""
     array = waves(SHAPE)
-    return PyramidCaster(context, pyramid_scene(array, SHELL, grid=GRID, camera=None)).asked
+    return PyramidCaster(context, pyramid_scene(array, SHELL, grid=GRID, camera=None)).march.asked
 
 
 def ways(bad, edges=EDGES, cell=1) -> np.ndarray:
@@ -147,7 +147,7 @@ def corner_extremes(array, which):
 def test_steep_voxels_are_those_whose_opacity_changes_by_more_than_epsilon(context):
     array = waves((30, 28, 33))
     caster = PyramidCaster(context, pyramid_scene(array, SHELL, oracle="opacity-gradient", epsilon=0.05))
-    steep = context.read(voxels_of_steep_opacity(caster.asked)).astype(bool)
+    steep = context.read(voxels_of_steep_opacity(caster.march.asked)).astype(bool)
     opacity = SHELL.opacity(array)
     padded = np.pad(opacity, 1, mode="edge")
     middle = [slice(1, -1)] * 3
@@ -167,9 +167,9 @@ def test_voxels_are_bad_where_interpolation_would_show(context):
     array = waves((30, 28, 33)) + np.random.default_rng(4).normal(0, 6, (30, 28, 33)).astype(np.float32)
     epsilon = 0.03
     caster = PyramidCaster(context, pyramid_scene(array, SHELL, oracle="error", epsilon=epsilon))
-    bits = context.read(voxels_bad_for_error(caster.asked))
+    bits = context.read(voxels_bad_for_error(caster.march.asked))
     shares = []
-    for bit, scale in enumerate(caster.asked.scales[:4]):
+    for bit, scale in enumerate(caster.march.asked.scales[:4]):
         half = max(int(scale / 2), 1)
         share = min(scale / 2 / half, 1.0)
         interpolated = array.astype(np.float64)
@@ -253,9 +253,9 @@ def test_an_oracle_from_python(context, registered):
 
 
 def refused(resolved):
-    from clvol.features.refuse import refuse_unknown
+    from clvol.integrators.registry import check_scene
 
-    refuse_unknown(resolved)
+    check_scene(resolved)
 
 
 _BY_VALUE = """
@@ -294,15 +294,15 @@ def test_maps_that_do_not_fit_are_refused(context, registered):
 
 
 def test_a_renderer_has_the_oracle_that_a_name_means_now(context, registered):
-    from clvol.render.engines import Engines
+    from clvol.render.prepared_cache import PreparedCache
 
-    engines = Engines(context)
+    engines = PreparedCache(context)
     registered(_Everywhere())
     scene = pyramid_scene(oracle="everywhere")
-    first = engines.make(scene)
-    assert engines.make(scene).oracle is first.oracle
+    first = engines.prepare(scene)
+    assert engines.prepare(scene).march.oracle is first.march.oracle
     registered(_Everywhere())
-    assert engines.make(scene).oracle is not first.oracle
+    assert engines.prepare(scene).march.oracle is not first.march.oracle
 
 
 def test_an_oracle_in_opencl_c(context, registered, tmp_path):

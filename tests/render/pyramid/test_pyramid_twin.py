@@ -176,7 +176,7 @@ def test_clips_on_grids_that_are_turned_and_thin(context):
 def test_a_moved_camera_is_clipped_as_well(context):
     scene = pyramid_scene(clips=(_PLANE,))
     caster = PyramidCaster(context, scene)
-    other = caster.like(replace(scene, camera=scene.camera.model_copy(update={"fov_degrees": 25.0})))
+    other = caster.for_scene(replace(scene, camera=scene.camera.model_copy(update={"fov_degrees": 25.0})))
     check(other, clips=(_PLANE,))
 
 
@@ -260,7 +260,7 @@ def test_another_step_asks_the_oracle_anew(context):
     scene = pyramid_scene()
     for step in (4.0, 0.5):
         other = pyramid_scene(step=step)
-        found = PyramidCaster(context, scene).like(other)
+        found = PyramidCaster(context, scene).for_scene(other)
         fresh = pyramid_picture(context, other)
         np.testing.assert_array_equal(rendered(found).rgba, fresh.rgba)
 
@@ -270,7 +270,7 @@ def test_colours_that_cycle_are_asked_about_as_they_are(context):
     animation = scene.animation.model_copy(update={"cycle": 0.5, "time": 0.0})
     scene = replace(scene, animation=animation)
     later = replace(scene, animation=animation.model_copy(update={"time": 0.7}))
-    found = rendered(PyramidCaster(context, scene).like(later))
+    found = rendered(PyramidCaster(context, scene).for_scene(later))
     np.testing.assert_array_equal(found.rgba, pyramid_picture(context, later).rgba)
     plain = replace(later, integration=later.integration.model_copy(update={"method": "raycast"}))
     assert rms(found.rgba, picture(context, plain).rgba) < 0.01

@@ -7,7 +7,7 @@ from clvol.integrators.pyramid.oracle import KERNEL_MINIMUM, Oracle
 
 class Minimum(Oracle):
     """Distance 0: every pixel on every slice is sampled, empty or not. What the method costs where it saves
-    nothing (P1 tables 2 and 3, "min.")."""
+    nothing (Kraus et al. 2007, tables 2 and 3, "min.")."""
 
     name = "minimum"
     kernel = KERNEL_MINIMUM

@@ -1,4 +1,4 @@
-"""P1's oracle: the distance to where opacity changes."""
+"""The oracle of Kraus et al. (2007): the distance to where opacity changes."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from clvol.opencl.context import DeviceArray
 
 
 class OpacityGradient(Oracle):
-    """Distance to the nearest voxel whose opacity gradient exceeds epsilon (P1 sec. 4): the opacity of a
+    """Distance to the nearest voxel whose opacity gradient exceeds epsilon (Kraus et al. 2007, section 4): the opacity of a
     path one smallest voxel edge long, its change over such an edge by central differences."""
 
     name = "opacity-gradient"

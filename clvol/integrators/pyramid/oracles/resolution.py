@@ -10,7 +10,7 @@ from clvol.opencl.context import DeviceArray
 
 
 class Resolution(Oracle):
-    """The spacing of the samples of the block there (P2's kappa, here across rays as well as along them), of blocks that show
+    """The spacing of the samples of the block there (kappa of Ljung 2006, here across rays as well as along them), of blocks that show
     anything, and how far it is to them. Asked by the stepping "pyramid" of the method "multiresolution": no scene can
     name it."""
 

@@ -1,8 +1,8 @@
-"""What the pictures of a scene are judged by.
+"""The ground truth that the pictures of a scene are compared with.
 
 Emission and absorption have an exact integral (clvol.integrators.reference.picture). Effects have none that
-shares no code with the ray caster; scenes with effects are judged by the limit that the ray caster
-itself tends to as its steps become small, and that limit says how well it is known.
+shares no code with the ray caster; the truth of scenes with effects is the limit that the ray caster
+itself tends to as its steps become small, and how well that limit is known is reported with it.
 """
 
 from __future__ import annotations
@@ -15,23 +15,23 @@ import numpy as np
 
 from clvol.device.view import EVERY_PIXEL
 from clvol.errors import VolumeError
-from clvol.features import has_exact_integral
+from clvol.integrators.reference.integrator import has_exact_integral
 from clvol.integrators.reference.picture import render_reference
 from clvol.scene.resolve import LARGEST_STEP_COUNT, ResolvedScene
 
 if TYPE_CHECKING:
     from clvol.opencl.context import DeviceContext
-    from clvol.render.engines import Engines
+    from clvol.render.prepared_cache import PreparedCache
 
 FIRST_STEP, LEAST_STEP = 1 / 8, 1 / 128  # smallest voxel edges
 KNOWN = 2e-5  # RMSE: the limit is then known as well as single precision and tables allow
 
 
-def check_judged(resolved: ResolvedScene) -> None:
+def check_has_truth(resolved: ResolvedScene) -> None:
     """VolumeError for a store that does not fit into memory.
 
-    Errors are those against all voxels at full resolution. The finest picture that a budget allows
-    could be judged by instead, but is itself wrong by what nobody knows: no error could be claimed.
+    Errors are measured against all voxels at full resolution. The finest picture that a budget allows
+    could stand for the truth, but its own error is unknown: no error could be claimed.
     """
     try:
         resolved.volume.data
@@ -40,15 +40,15 @@ def check_judged(resolved: ResolvedScene) -> None:
         raise VolumeError(error.where, what, error.expected) from None
 
 
-class Judge:
+class GroundTruth:
     """Exact pixels of ``resolved``, whatever its settings of accuracy are.
 
-    ``is_exact``: by the exact integral; else by the limit of small steps. ``error``: how far that limit
-    may be from what it stands for, an RMSE of linear premultiplied RGBA: what the last halving of
-    the step changed. Known once pixels were asked for, 0 for the exact integral.
+    ``is_exact``: they come from the exact integral; else they are the limit of small steps. ``error``: how far that
+    limit may be from the truth, an RMSE of linear premultiplied RGBA: the change that the last halving of
+    the step made. It is known once pixels were requested, and 0 for the exact integral.
     """
 
-    def __init__(self, resolved: ResolvedScene, context: DeviceContext, engines: Engines) -> None:
+    def __init__(self, resolved: ResolvedScene, context: DeviceContext, engines: PreparedCache) -> None:
         self.resolved, self._context, self._engines = resolved, context, engines
         self.is_exact = has_exact_integral(resolved)
         self.error = 0.0
@@ -57,7 +57,7 @@ class Judge:
 
     @property
     def how(self) -> str:
-        """In words, for what claims an error."""
+        """Its name, for reports that claim an error."""
         return "exact integral" if self.is_exact else "limit of small steps"
 
     def pixels(
@@ -113,6 +113,6 @@ class Judge:
             gradient=asked.gradient.model_copy(update={"storage": "on-the-fly"}),
         )
         size = asked.image.width, asked.image.height
-        engine = self._engines.make(fine)
+        engine = self._engines.prepare(fine)
         engine.warm_up(*size, False)
         return engine.render(asked.camera, *size, progress, depth=False, lattice=EVERY_PIXEL)

@@ -1,4 +1,4 @@
-"""Class nodes: values that maps of empty space tell apart."""
+"""Lookup nodes: values that maps of empty space tell apart."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from clvol.transfer import TransferFunction
-from clvol.transfer.lookup_nodes import class_nodes, visible_cells
+from clvol.transfer.lookup_nodes import lookup_nodes, visible_cells
 
 COLORS = [[0.9, 0.1, 0.0], [0.0, 0.8, 0.1], [0.1, 0.2, 1.0], [0.7, 0.7, 0.2], [1.0, 0.0, 1.0], [0, 1, 1]]
 FUNCTIONS = {
@@ -29,7 +29,7 @@ def function_of(name: str, unit: float = 1.0) -> TransferFunction:
 
 
 def test_integer_values_with_integer_points_have_them_all_as_nodes():
-    nodes = class_nodes(function_of("ramps"), (0.0, 63.0), 256, integer=True)
+    nodes = lookup_nodes(function_of("ramps"), (0.0, 63.0), 256, integer=True)
     assert nodes.warp is None
     assert set(FUNCTIONS["ramps"][0]) <= set(nodes.values)
     assert nodes.values.size == 253 and nodes.position(10.5) == 42.0
@@ -39,7 +39,7 @@ def test_integer_values_with_integer_points_have_them_all_as_nodes():
 @pytest.mark.parametrize("integer", [True, False])
 @pytest.mark.parametrize("range_", [(0.0, 63.0), (0.0, 65535.0), (-32768.0, 32767.0)])
 def test_nodes_ascend_fill_the_range_and_lie_where_the_warp_says(name, integer, range_):
-    nodes = class_nodes(function_of(name), range_, 256, integer=integer)
+    nodes = lookup_nodes(function_of(name), range_, 256, integer=integer)
     assert np.all(np.diff(nodes.values) > 0)
     assert nodes.values[0] == range_[0] and nodes.values[-1] >= range_[1]
     assert nodes.values.size <= 256
@@ -50,7 +50,7 @@ def test_nodes_ascend_fill_the_range_and_lie_where_the_warp_says(name, integer, 
 
 
 def kernel_position(nodes, value) -> np.float32:
-    """The class coordinate as the kernels compute it, in float32."""
+    """The table coordinate as the kernels compute it, in float32."""
     p = (np.float32(value) - np.float32(nodes.first)) * np.float32(nodes.per_value)
     if nodes.warp is None:
         return p
@@ -63,7 +63,7 @@ def kernel_position(nodes, value) -> np.float32:
 @pytest.mark.parametrize("low, high", [(0.0, 63.0), (-3.3, 3070.9), (-517.0, 64.0)])
 def test_a_control_points_coordinate_is_its_node(name, may_warp, count, low, high):
     function = function_of(name)
-    nodes = class_nodes(function, (low, high), count, integer=False, may_warp=may_warp)
+    nodes = lookup_nodes(function, (low, high), count, integer=False, may_warp=may_warp)
     steps = {v for v, w in zip(function.values, function.values[1:]) if v == w}
     for value in set(function.values) if nodes.warp is not None else ():
         if not low < value < high:
@@ -80,13 +80,13 @@ def test_a_control_points_coordinate_is_its_node(name, may_warp, count, low, hig
 
 def test_integer_voxels_have_a_node_each_where_steps_are_between_them():
     step = TransferFunction([-500, 100, 100, 3000], [0, 0, 0.9, 0.9], COLORS[:4])
-    nodes = class_nodes(step, (-32768.0, 32767.0), 4096, integer=True, may_warp=False)
+    nodes = lookup_nodes(step, (-32768.0, 32767.0), 4096, integer=True, may_warp=False)
     assert nodes.warp is None and np.array_equal(nodes.values, np.arange(-32768.0, 32768.0))
 
 
 def test_a_narrow_peak_gets_its_share_of_the_nodes():
     function = TransferFunction([0, 3000, 3010, 3020, 65535], [0, 0, 0.9, 0, 0], [[1, 1, 1]] * 5)
-    nodes = class_nodes(function, (0.0, 65535.0), 256, integer=True)
+    nodes = lookup_nodes(function, (0.0, 65535.0), 256, integer=True)
     assert ((nodes.values >= 3000) & (nodes.values <= 3020)).sum() > 40
 
 

@@ -22,12 +22,12 @@ from typing import Any
 import numpy as np
 
 from clvol.errors import UsageError, VolumeError
-from clvol.readers.units import ome_name
 from clvol.store.codecs import Codec, find_codec, statistics_chain
 from clvol.store.geometry import EDGES, BlockGrid
 from clvol.store.source import QUANTILES
 from clvol.volume.axis import ValueAxis
 from clvol.volume.grid import Grid
+from clvol.volume.units import ome_name
 from clvol.volume.volume import ACCEPTED_TYPES
 
 VERSION = 1
@@ -143,7 +143,6 @@ class StoreLayout:
         if len(shape) > 3:
             names = ["level", *names, *(["quantile"] if name == "quantiles" else [])]
         return _array(shape, chunk, dtype, statistics_chain(dtype), names)
-
 
     # ---- checksums by place ----
 

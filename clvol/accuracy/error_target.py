@@ -1,0 +1,109 @@
+"""Rendering to an error: the cheapest settings whose measured error is at most the requested one.
+
+If the measured bound of a picture fails, the aim of the search is lowered and all is done again.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from clvol.accuracy.picture_search import AIM, FLOAT32_ERROR, PictureSearch, Progress
+from clvol.accuracy.trials import root_mean_square
+from clvol.errors import RenderError, UsageError
+from clvol.integrators.reference.picture import render_reference
+from clvol.render.frame import Frame, make_frame
+from clvol.scene.scene import Scene
+
+LEAST_ERROR = 1e-10  # the least that the exact integral in double precision can reach
+_ATTEMPTS = 6
+
+
+def render_to_error(
+    scene: Scene,
+    max_error: float,
+    *,
+    devices: Sequence[Any] | None = None,
+    memory_cap: int | None = None,
+    depth: bool = True,
+    progress: Progress | None = None,
+    seed: int = 0,
+) -> Frame:
+    """The picture with the cheapest settings that hold an error.
+
+    ``max_error``: RMSE of linear premultiplied RGBA against the exact integral, 1e-10 to 1. Of the scene's
+    tunables (step, classification, ...) all are free. ``frame.stats["accuracy"]`` has "rmse", "bound" and
+    "confidence" as measured, the chosen "settings", and the "seconds" of each stage. Other arguments as for
+    ``clvol.Renderer``; ``seed``: of the drawn pixels.
+
+    Raises UsageError for an impossible ``max_error`` and RenderError if it could not be shown to hold;
+    otherwise as ``clvol.Renderer``.
+    """
+    check_max_error(max_error)
+    with PictureSearch(scene, devices, memory_cap, max_error, depth, progress, seed) as search:
+        return _to_error(search, max_error)
+
+
+def check_max_error(value: float) -> None:
+    """UsageError for an error outside of 1e-10 to 1."""
+    if not LEAST_ERROR <= value <= 1.0:
+        raise UsageError("max_error", f"got {value!r}", f"a number from {LEAST_ERROR:g} to 1")
+
+
+def _to_error(search: PictureSearch, max_error: float) -> Frame:
+    if max_error < FLOAT32_ERROR:
+        return _exact(search, max_error, 0)
+    aim = max_error * AIM
+    for attempt in range(1, _ATTEMPTS + 1):
+        picture = search.cheapest_picture(aim)
+        if picture is None:
+            return _exact(search, max_error, attempt)
+        found = search.measured(picture, attempt, max_error)
+        if found.bound <= max_error:
+            asked = {"max_error": max_error}
+            return search.frame(picture, found, asked, attempt)
+        aim *= min(AIM, 0.98 * max_error / found.bound)
+    what = f"the error could not be brought below {max_error:g} in {_ATTEMPTS} attempts"
+    raise RenderError("max_error", what, f"at least {found.bound:.3g}")
+
+
+def _exact(search: PictureSearch, max_error: float, attempt: int) -> Frame:
+    """The picture by the exact integral itself, for an error that no settings reach."""
+    if not search.truth.is_exact:
+        known = max(search.truth.error, FLOAT32_ERROR)
+        what = f"settings that hold {max_error:g} were not found, and effects have no exact integral"
+        raise RenderError("max_error", what, f"a number well above {known:.2g}")
+    search.report("integrating exactly")
+    tolerance = max_error / 10.0
+    start = time.perf_counter()
+    rgba, depth, counters = render_reference(
+        search.resolved, search.context.device, tolerance,
+        progress=None if search.progress is None else lambda d, t: search.progress(d, t, "exactly"),
+    )  # fmt: skip
+    taken = time.perf_counter() - start
+    worst = float(counters["error_estimate"])
+    bound = max(worst, _float32_error(rgba))
+    if bound > max_error:
+        what = f"the exact integral missed its tolerance ({worst:.3g} in the worst ray)"
+        raise RenderError("max_error", what, f"at least {bound:.3g}")
+    settings = {"integration.method": "reference", "integration.tolerance": tolerance}
+    resolved = search.resolved_as(settings)
+    accuracy = {
+        "max_error": max_error, "rmse": bound, "bound": bound, "confidence": 1.0,
+        "pixels": rgba.shape[0] * rgba.shape[1], "of_pixels": rgba.shape[0] * rgba.shape[1],
+        "how": "error estimates of the exact integral", "settings": settings,
+        "attempts": attempt, "tried": len(search.search.measured),
+        "seconds": dict(search.seconds),
+    }  # fmt: skip
+    seconds = {"load": search.load_seconds, "render": taken}
+    depth = depth if search.depth else None
+    counted = {**counters, "accuracy": accuracy, **search.warnings(rgba, depth)}
+    return make_frame(resolved, rgba, depth, seconds, counted, search.context.name)
+
+
+def _float32_error(rgba: np.ndarray) -> float:
+    """The RMSE of rounding the picture to 32 bits."""
+    return root_mean_square(rgba.astype(np.float32) - rgba)

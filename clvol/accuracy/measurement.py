@@ -1,0 +1,94 @@
+"""Measuring the error of a whole picture: at the pilot's pixels, and at others that settings were not chosen by."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from clvol.accuracy.estimate import ErrorEstimate, draw, estimate
+from clvol.accuracy.ground_truth import GroundTruth
+from clvol.accuracy.trials import Trial, Trials
+
+CONFIDENCE = 0.95
+_DRAWN_PIXELS = 2_048  # at first; then twice as many until the bound says yes or no
+
+
+class Measurement:
+    """Errors of pictures of one scene.
+
+    ``pilot``: the trials that settings are chosen by; its pixels count with their known errors. ``tolerance``: of the
+    exact integral. ``timed(work)`` calls ``work`` and returns its result.
+    """
+
+    def __init__(
+        self,
+        pilot: Trials,
+        truth: GroundTruth,
+        rng: np.random.Generator,
+        tolerance: float,
+        timed: Callable[[Callable[[], Any]], Any],
+    ) -> None:
+        self._pilot, self._truth, self._rng, self._tolerance = pilot, truth, rng, tolerance
+        self._size, self._timed = pilot.size, timed
+
+    def of(
+        self, picture: Trial, finer: Callable[[], np.ndarray], attempt: int, limit: float | None
+    ) -> ErrorEstimate:
+        """The error of ``picture``, whose ``rgba`` is there.
+
+        ``finer()``: a picture [height, width, 4] that shows roughly where it is wrong. ``attempt``: 1 for the first
+        picture of a search, and one more for each further one. ``limit``: an error that it has to hold; pixels are
+        drawn until the bound says whether it does. Each look may err with half the chance of the one
+        before, so that all together have at least the confidence CONFIDENCE.
+        """
+        width, height = self._size
+        count_all = width * height
+        rgba = picture.rgba.reshape(count_all, 4)
+        pilot = self._pilot.lattice.pixels(width, height) @ (width, 1)
+        known = _squared(rgba[pilot], self._pilot.exact().reshape(-1, 4))
+        left_out = np.zeros(count_all, bool)
+        left_out[pilot] = True
+        others = count_all - len(pilot)
+        rough = np.zeros(count_all)
+        if others > _DRAWN_PIXELS:
+            rough = _squared(rgba, finer().reshape(count_all, 4))
+        squared = probability = np.zeros(0)
+        look, count = 0, _DRAWN_PIXELS
+        while True:
+            look += 1
+            if squared.size + count >= others:  # as well all of them
+                rest = self._errors(rgba, np.flatnonzero(~left_out)) if others else []
+                found = estimate([], [], count_all, 1.0, [*known, *rest])
+                return replace(found, bound=found.bound + self._truth.error)
+            at, p = draw(rough, count, self._rng, left_out)
+            squared = np.append(squared, self._errors(rgba, at))
+            probability = np.append(probability, p)
+            chance = (1.0 - CONFIDENCE) / 2.0 ** (attempt + look)
+            found = estimate(squared, probability, count_all, 1.0 - chance, known)
+            found = replace(found, bound=found.bound + self._truth.error)
+            if limit is None or found.bound <= limit or found.rmse > limit:
+                return replace(found, confidence=CONFIDENCE)
+            count = squared.size
+
+    def _errors(self, rgba: np.ndarray, at: np.ndarray) -> np.ndarray:
+        """Squared errors of the pixels ``at`` [n] of ``rgba`` [height * width, 4]."""
+        pixels = np.stack(np.divmod(at, self._size[0]), axis=1)
+        exact, _ = self._timed(lambda: self._truth.pixels(pixels, self._tolerance))
+        return _squared(rgba[at], exact)
+
+
+def where_measured(found: ErrorEstimate) -> str:
+    """The pixels that ``found`` is derived from, in words."""
+    if found.pixels >= found.of_pixels:
+        return "all pixels"
+    return "the pixels that settings were chosen by, and at others, drawn where errors are expected"
+
+
+def _squared(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Mean over the channels of the squared difference, [...]; inf where one is not finite."""
+    with np.errstate(invalid="ignore"):
+        squared = np.square(np.asarray(a, np.float64) - b).mean(axis=-1)
+    return np.where(np.isfinite(squared), squared, np.inf)

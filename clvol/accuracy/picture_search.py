@@ -1,0 +1,252 @@
+"""The search for the cheapest picture that holds an error: settings by a pilot, then whole pictures.
+
+The settings are chosen on the pilot: a sparse lattice of the picture's pixels, rendered under one setting after
+the other beside the exact integral there. Then whole pictures are rendered; and their error is measured on
+pixels that the choice did not see (clvol/accuracy/measurement.py). What is claimed is that measurement,
+not the estimate from the pilot.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, replace
+from typing import Any
+
+import numpy as np
+
+from clvol.accuracy.combinations import Combinations
+from clvol.accuracy.estimate import ErrorEstimate
+from clvol.accuracy.ground_truth import GroundTruth, check_has_truth
+from clvol.accuracy.measurement import Measurement, where_measured
+from clvol.accuracy.search import Search
+from clvol.accuracy.settings import (
+    apply,
+    canonical,
+    is_possible,
+    key_of,
+    scene_settings,
+    scene_tunables,
+    tables_with,
+)
+from clvol.accuracy.trials import Trial, Trials, root_mean_square
+from clvol.device.view import PixelLattice
+from clvol.integrators.registry import check_scene, integrator_of
+from clvol.opencl.context import DeviceContext
+from clvol.render.frame import Frame, make_frame
+from clvol.render.notices import Notices
+from clvol.render.prepared_cache import PreparedCache
+from clvol.render.renderer import check_memory, open_context
+from clvol.scene.resolve import ResolvedScene
+from clvol.scene.scene import Scene
+
+AIM = 0.95  # share of an error, or of a time, that is aimed at: the bound lies a little above the error
+FLOAT32_ERROR = 1e-6  # sums of float32 are not to be trusted further
+_PILOT_PIXELS = 10_000
+_PICTURES_KEPT, _BYTES_KEPT = (3, 24), 2**29  # at least and most; in between, as memory allows
+_SHARES = (1.0, 0.7, 0.4)  # of the error, left to what shows on single pixels
+_SHARE_OF_ERROR = 1e-3  # the exact integral's own tolerance, as a share of the error that is searched for
+
+Progress = Callable[..., None]  # (done, total, what)
+
+
+class PictureSearch:
+    """Device, pilot and tunables of one call. Use it as a context manager.
+
+    ``error``: RMSE that settings are first searched for. ``seconds``: what the stages have taken so far.
+    Other arguments as for ``clvol.accuracy.error_target.render_to_error``, and it raises the same.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        devices: Sequence[Any] | None,
+        memory_cap: int | None,
+        error: float,
+        depth: bool,
+        progress: Progress | None,
+        seed: int,
+    ) -> None:
+        start = time.perf_counter()
+        self.scene = scene
+        asked = scene.resolve()
+        self.asked = asked
+        self.resolved = apply(asked, {"integration.method": integrator_of(asked).tuned_as})
+        check_scene(self.resolved)
+        check_memory(self.resolved, memory_cap)
+        check_has_truth(self.resolved)
+        self.context: DeviceContext = open_context(devices)
+        self.engines = PreparedCache(self.context)
+        self.depth, self.progress = depth, progress
+        rng = np.random.default_rng(seed)
+        self._tolerance = min(max(error * _SHARE_OF_ERROR, 1e-12), 1e-5)
+        self.size = asked.image.width, asked.image.height
+        self.tunables = scene_tunables(self.resolved)
+        self.start = scene_settings(self.resolved, self.tunables)
+        self.of_picture = {k: v for k, v in self.tunables.items() if v.tunable.of_picture}
+        self.pictures: dict[tuple, Trial] = {}
+        self.seconds = {"pilot": 0.0, "pictures": 0.0, "measure": 0.0}
+        self.load_seconds = time.perf_counter() - start
+        lattice = _pilot_lattice(*self.size, rng)
+        self.truth = GroundTruth(self.resolved, self.context, self.engines)
+        self.pilot = Trials(
+            self.resolved, self.context, self.engines, lattice=lattice, tolerance=self._tolerance,
+            frames=2, truth=self.truth,
+        )  # fmt: skip
+        self._whole = Trials(
+            self.resolved, self.context, self.engines, frames=2, depth=depth, truth=False
+        )
+        self._measurement = Measurement(
+            self.pilot, self.truth, rng, self._tolerance, self._measuring
+        )
+        self.search = Search(
+            self._measure_pilot,
+            self.tunables,
+            lambda settings: is_possible(self.resolved, settings, memory_cap),
+            self._canonical,
+        )
+
+    def __enter__(self) -> PictureSearch:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.engines.close()
+        self.context.release()
+
+    # Choosing settings
+
+    def _plain(self) -> dict[str, Any]:
+        """The scene's settings with every pixel's own ray."""
+        return self._canonical({**self.start, **self._without_picture_tunables()})
+
+    def _without_picture_tunables(self) -> dict[str, Any]:
+        return {key: tunable.values[-1] for key, tunable in self.of_picture.items()}
+
+    def _measure_pilot(self, settings: dict[str, Any]) -> Trial:
+        self.report("choosing settings")
+        return self.pilot.run(settings)
+
+    def cheapest_picture(self, aim: float) -> Trial | None:
+        """The cheapest whole picture found whose error is at most ``aim``; None if there is none.
+
+        The tunables of pictures need some of the error for themselves, so the pilot is also searched for a
+        part of it. What they add is measured against the picture without them.
+        """
+        best: Trial | None = None
+        candidates = self.timed("pilot", lambda: self.search.candidates(self._plain(), aim))
+        if not candidates:
+            return None
+        # Rays far apart share no memory, which costs one way of rendering more than another.
+        first = min(candidates, key=lambda trial: self.picture(trial.settings).cost)
+        for share in _SHARES:
+            chosen = self.timed("pilot", lambda: self.search.hold(first.settings, share * aim))
+            if chosen is None:
+                break
+            plain = self.picture(chosen.settings)
+            if best is None or plain.cost < best.cost:
+                best = plain
+            room = math.sqrt(max(aim**2 - chosen.rmse**2, 0.0))
+            method = chosen.settings.get("integration.method", self.resolved.integration.method)
+            combinations = Combinations(
+                {key: tunable for key, tunable in self.of_picture.items() if tunable.tunable.is_of(method)}
+            )
+            while (values := combinations.next()) is not None:
+                tried = self.picture(self._canonical({**chosen.settings, **values}))
+                holds = root_mean_square(tried.rgba - plain.rgba) <= room
+                combinations.drop(values, cheaper=not holds)
+                if holds and tried.cost < best.cost:
+                    best = tried
+        return best
+
+    def _canonical(self, settings: dict[str, Any]) -> dict[str, Any]:
+        return canonical(self.resolved, self.tunables, settings)
+
+    def picture(self, settings: dict[str, Any]) -> Trial:
+        """The whole picture with ``settings``, rendered unless it is kept from before."""
+        key = key_of(settings)
+        if key not in self.pictures:
+            self.report("rendering")
+            kept = _BYTES_KEPT // (self.size[0] * self.size[1] * 16)
+            while len(self.pictures) >= min(max(kept, _PICTURES_KEPT[0]), _PICTURES_KEPT[1]):
+                del self.pictures[next(iter(self.pictures))]
+            self.pictures[key] = self.timed(
+                "pictures", lambda: self._whole.run(settings, keep=True)
+            )
+        return self.pictures[key]
+
+    # Measuring
+
+    def measured(self, picture: Trial, attempt: int, limit: float | None) -> ErrorEstimate:
+        """The error of a whole picture; arguments as for ``Measurement.of``."""
+        return self._measurement.of(picture, lambda: self._finer(picture), attempt, limit)
+
+    def _measuring(self, work: Callable[[], Any]) -> Any:
+        self.report("measuring the error")
+        return self.timed("measure", work)
+
+    def _finer(self, picture: Trial) -> np.ndarray:
+        """A rendering that shows roughly where the picture is wrong."""
+        settings = dict(picture.settings)
+        for key, tunable in self.tunables.items():
+            if tunable.tunable.of_picture:
+                settings[key] = tunable.values[-1]
+            elif tunable.tunable.is_main:
+                settings[key] = tunable.next_to(settings[key], 2) or tunable.values[-1]
+        settings = self._canonical(settings)
+        if settings == picture.settings:
+            settings = min(self.search.measured, key=lambda trial: trial.rmse).settings
+        return self.picture(settings).rgba
+
+    # Results
+
+    def frame(
+        self, trial: Trial, found: ErrorEstimate, asked: dict[str, float], attempt: int
+    ) -> Frame:
+        """The picture of ``trial`` with what was asked for and found in ``stats["accuracy"]``."""
+        accuracy = {
+            **asked, **asdict(found), "how": f"{self.truth.how} at {where_measured(found)}",
+            "settings": self._counting(trial.settings), "attempts": attempt,
+            "tried": len(self.search.measured), "seconds": dict(self.seconds),
+        }  # fmt: skip
+        pilot = self.search.measure({**trial.settings, **self._without_picture_tunables()})
+        seconds = {
+            "load": self.load_seconds, "prepare": pilot.prepare_seconds,
+            "compile": pilot.compile_seconds + trial.compile_seconds, "render": trial.seconds,
+        }  # fmt: skip
+        counted = {"samples": trial.samples, "rays": trial.rays, "accuracy": accuracy}
+        counted |= self.warnings(trial.rgba, trial.depth)
+        resolved = self.resolved_as(trial.settings)
+        return make_frame(resolved, trial.rgba, trial.depth, seconds, counted, self.context.name)
+
+    def warnings(self, rgba: np.ndarray, depth: np.ndarray | None) -> dict[str, Any]:
+        """What a picture's warnings add to its stats."""
+        return Notices(self.asked).of_picture(self.asked, self.asked.camera, rgba, depth)
+
+    def _counting(self, settings: dict[str, Any]) -> dict[str, Any]:
+        """``settings`` without those that have no effect beside the others."""
+        scene = apply(self.resolved, settings)
+        return {k: value for k, value in settings.items() if self.tunables[k].tunable.counts(scene)}
+
+    def resolved_as(self, settings: dict[str, Any]) -> ResolvedScene:
+        """The scene with ``settings``, and with them in its source."""
+        source = self.scene.model_copy(update=tables_with(self.scene, settings)).to_toml()
+        return replace(apply(self.asked, settings), source=source)
+
+    def timed(self, stage: str, work: Callable[[], Any]) -> Any:
+        """The result of ``work``, whose seconds count for ``stage``."""
+        start = time.perf_counter()
+        result = work()
+        self.seconds[stage] += time.perf_counter() - start
+        return result
+
+    def report(self, what: str) -> None:
+        """Calls ``progress`` with what is done now."""
+        if self.progress is not None:
+            self.progress(None, None, what)
+
+
+def _pilot_lattice(width: int, height: int, rng: np.random.Generator) -> PixelLattice:
+    spacing = max(1, round(math.sqrt(width * height / _PILOT_PIXELS)))
+    spacing = max(1, min(spacing, width, height))
+    return PixelLattice(spacing, int(rng.integers(spacing)), int(rng.integers(spacing)))

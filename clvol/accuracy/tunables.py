@@ -1,0 +1,180 @@
+"""Tunables: the keys of a scene that trade accuracy for time, and which values of each are tried.
+
+What sweeps settings (error against time, the cheapest settings for an error) finds them in ``TUNABLES``.
+To add one, add a line there; a key of these tables that is no tunable is in ``NOT_TUNABLE`` with the reason.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from clvol.integrators.multiresolution.residency import block_source
+from clvol.integrators.multiresolution.sample_allocator import overhead_bytes, sample_dtype
+from clvol.integrators.pyramid.oracles import names, oracle_named
+from clvol.scene.image import ImageSettings
+from clvol.scene.integration import Integration
+from clvol.scene.multiresolution import Multiresolution
+from clvol.scene.pyramid import Pyramid
+from clvol.scene.resolve import ResolvedScene
+from clvol.scene.sizes import parse_size
+from clvol.scene.table import Table
+
+TABLES: dict[str, type[Table]] = {
+    table.table_name(): table for table in (Integration, ImageSettings, Multiresolution, Pyramid)
+}
+_STEPS = tuple(2.0 ** (k / 2) for k in range(6, -11, -1))  # 8 ... 1/32
+_SHARES = 5  # halvings of the volume that budgets are tried for
+_UNITS = ("B", "KiB", "MiB", "GiB", "TiB")
+
+
+def _always(*_: Any) -> bool:
+    return True
+
+
+def _itself(value: Any) -> Any:
+    return value
+
+
+@dataclass(frozen=True, eq=False)
+class Tunable:
+    """``values``: what to try, from cheap to accurate where ``is_ladder``, else alternatives in any
+    order; or a function of a resolved scene that gives them.
+
+    ``methods``: the values of integration.method that it belongs to; if empty, all.
+    ``applies(scene)``: whether it has any effect beside the scene's other keys. ``is_main``: the
+    one that accuracy is bought with first; a notch more of it is worth about as much everywhere.
+    ``is_continuous``: any value between two of the ladder's may be taken as well.
+    ``of_picture``: a pixel depends on its neighbours, so single pixels do not show the effect.
+    ``alone``: its alternatives are tried by themselves, not in all combinations with others'.
+    ``saves_memory``: cheap values are worth something even where they save no time.
+    ``order``: for a ladder whose values are not numbers, the number by which they ascend or descend.
+    """
+
+    title: str
+    unit: str
+    values: tuple | Callable[[Any], tuple]
+    is_ladder: bool = True
+    is_main: bool = False
+    is_continuous: bool = False
+    of_picture: bool = False
+    alone: bool = False
+    saves_memory: bool = False
+    methods: tuple[str, ...] = ()
+    applies: Callable[[Any], bool] = _always
+    order: Callable[[Any], Any] = _itself
+
+    def is_of(self, method: str) -> bool:
+        """Whether it belongs to that integration.method."""
+        return not self.methods or method in self.methods
+
+    def counts(self, scene: Any) -> bool:
+        """Whether it has any effect beside the scene's method and other keys."""
+        return self.is_of(scene.integration.method) and self.applies(scene)
+
+    def values_for(self, resolved: ResolvedScene) -> tuple:
+        return self.values(resolved) if callable(self.values) else self.values
+
+
+def _precisions(resolved: ResolvedScene) -> tuple[str, ...]:
+    """Types that take less memory than the volume's own, and the volume as it is."""
+    volume = resolved.volume
+    smaller = [k for k, size in (("uint8", 1), ("uint16", 2)) if size < volume.dtype.itemsize]
+    if volume.nan_count or volume.inf_count:  # integers hold neither
+        smaller = []
+    return (*smaller, "stored")
+
+
+def _budgets(resolved: ResolvedScene) -> tuple[str, ...]:
+    """Sizes with room for shares of the volume, up to all of it, beside what else is needed."""
+    blocks = block_source(resolved.volume).blocks
+    whole = blocks.count * blocks.edge**3 * sample_dtype(resolved.volume.dtype).itemsize
+    sizes = []
+    for halvings in range(_SHARES, -1, -1):
+        share = size = whole >> halvings
+        for _ in range(2):  # the map of empty space is finer where the size allows
+            size = share + overhead_bytes(blocks, size)
+        sizes.append(_readable(size))
+    return tuple(dict.fromkeys(sizes))
+
+
+def _readable(size: float) -> str:
+    """``size`` bytes rounded up to two digits, with a unit."""
+    unit = min(max(int(math.log(size, 1024)), 0), len(_UNITS) - 1)
+    value = size / 1024**unit
+    digit = 10 ** max(math.floor(math.log10(value)) - 1, -1)
+    return f"{math.ceil(value / digit) * digit:.4g} {_UNITS[unit]}"
+
+
+def _tile_shares(resolved: ResolvedScene) -> tuple[float, ...]:
+    return tuple(s for s in (0.3, 0.5, 0.7, 0.9, 1.0) if s >= resolved.multiresolution.tile_low)
+
+
+def _oracles(resolved: ResolvedScene) -> tuple[str, ...]:
+    return names()  # when asked: a caller may have registered one
+
+
+_RAYCAST, _BLOCKS, _PYRAMID = ("raycast",), ("multiresolution",), ("pyramid",)
+
+TUNABLES: dict[str, Tunable] = {
+    "integration.method": Tunable("method", "", ("raycast", "multiresolution", "pyramid"), is_ladder=False),
+    "integration.step": Tunable(
+        "step", "voxel edges", _STEPS, is_main=True, is_continuous=True,
+        methods=("raycast", "multiresolution", "pyramid"),
+    ),
+    "integration.classification": Tunable(
+        "classification", "", ("pre", "post", "preintegrated"), is_ladder=False,
+    ),
+    "integration.quadrature": Tunable("quadrature", "", ("steps", "cells"), is_ladder=False),
+    "integration.filter": Tunable("filter", "", ("nearest", "linear", "cubic"), is_ladder=False),
+    "integration.early_termination": Tunable(
+        "early termination", "transmittance", (0.1, 0.03, 0.01, 1e-3, 1e-4, 0.0),
+    ),
+    "integration.voxel_precision": Tunable("voxel precision", "", _precisions, methods=_RAYCAST),
+    "image.ray_spacing": Tunable("ray spacing", "pixels", (8, 4, 2, 1), of_picture=True, methods=_RAYCAST),
+    "image.ray_tolerance": Tunable(
+        "ray tolerance", "linear light", (0.3, 0.1, 0.03, 0.01, 0.003), of_picture=True,
+        methods=_RAYCAST, applies=lambda scene: scene.image.ray_spacing > 1,
+    ),
+    "multiresolution.memory": Tunable(
+        "memory", "", _budgets, saves_memory=True, methods=_BLOCKS, order=parse_size,
+    ),
+    "multiresolution.stepping": Tunable(
+        "stepping", "", ("naive", "limited", "bounded", "full"), is_ladder=False, alone=True, methods=_BLOCKS,
+    ),
+    "multiresolution.step_error": Tunable(
+        "step error", "linear light", (0.3, 0.1, 0.03, 0.01, 0.003, 0.001), methods=_BLOCKS,
+        applies=lambda scene: scene.multiresolution.stepping == "bounded",
+    ),
+    "multiresolution.interblock": Tunable(
+        "interblock", "", (False, True), is_ladder=False, alone=True, methods=_BLOCKS,
+    ),
+    "multiresolution.tiles": Tunable("tiles", "pixels", (32, 16, 8, 0), of_picture=True, methods=_BLOCKS),
+    "multiresolution.tile_high": Tunable(
+        "highest share of rays", "of a tile's edge", _tile_shares, of_picture=True, methods=_BLOCKS,
+        applies=lambda scene: scene.multiresolution.tiles > 0,
+    ),
+    "pyramid.levels": Tunable("levels", "", (5, 4, 3, 2, 1, 0), methods=_PYRAMID),
+    "pyramid.oracle": Tunable("oracle", "", _oracles, is_ladder=False, alone=True, methods=_PYRAMID),
+    "pyramid.epsilon": Tunable(
+        "epsilon", "", (0.3, 0.1, 0.03, 0.01, 3e-3, 1e-3, 3e-4, 1e-4), methods=_PYRAMID,
+        applies=lambda scene: oracle_named(scene.pyramid.oracle).takes_epsilon,
+    ),
+}  # fmt: skip
+
+NOT_TUNABLE: dict[str, str] = {
+    "integration.prefilter": "another picture: the field then passes through the voxels",
+    "integration.compositing": "another picture: what is shown of the values on a ray",
+    "integration.attenuation": "another picture: how much what lies behind counts",
+    "integration.table_size": "changes nothing any more",
+    "integration.tolerance": "of the method 'reference' alone, which errors are measured against",
+    "image.background": "another picture: what is behind the volume",
+    "image.width": "another picture",
+    "image.height": "another picture",
+    "multiresolution.view_weighting": "which errors count for the view, at no cost",
+    "multiresolution.occlusion": "which errors count for the view, at no cost",
+    "multiresolution.tile_priority": "where rays go, not how many",
+    "multiresolution.tile_low": "the lower end of the range whose upper end, tile_high, is tried",
+}

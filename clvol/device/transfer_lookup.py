@@ -1,0 +1,105 @@
+"""A scene's transfer functions over the values that kernels compute with."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from clvol.device.memory import ValueMap, value_map
+from clvol.device.noise import perturbation
+from clvol.device.opacity_factors import layer_functions
+from clvol.features import overshoot
+from clvol.features.values import reachable
+from clvol.scene.integration import Integration
+from clvol.scene.resolve import ResolvedScene
+from clvol.transfer import TransferFunction
+from clvol.transfer.cycle import cycled
+from clvol.transfer.lookup_nodes import LookupNodes, lookup_nodes
+from clvol.transfer.opacity_envelope import opacity_envelope
+from clvol.transfer.pieces import IN_REGISTERS, has_opaque_point, piece_count
+
+_NODES, CONSTANT_NODES = 256, 4096  # of the values that maps of empty space tell apart
+_WIDEST = 8.0  # ranges that noise may widen the nodes by, on either side
+
+
+def segment_classification(
+    integration: Integration, functions: Sequence[TransferFunction] = ()
+) -> str:
+    """How segments are classified by ``functions``. Projections classify values, not segments.
+
+    Under the nearest filter values do not run from one sample to the next, they jump: a pre-integrated
+    segment of constant value is a post-classified one. Under the others, where the opacity reaches 1 in a
+    slope the extinction has a pole: a sample in the middle of a segment may meet it, whose integral is finite.
+    So such functions are integrated along segments, however they were to be sampled.
+    """
+    if integration.compositing != "over":
+        return "post"
+    if integration.filter == "nearest":
+        return "post" if integration.classification == "preintegrated" else integration.classification
+    if integration.classification == "post" and any(map(has_opaque_point, functions)):
+        return "preintegrated"
+    return integration.classification
+
+
+def transfer_pieces(resolved: ResolvedScene, functions: Sequence[TransferFunction]) -> int:
+    """TRANSFER_PIECES: 16 where registers hold all pieces, else 0. Layers differ from lane to lane; and
+    where colours cycle the number of pieces changes, which must compile nothing."""
+    in_memory = len(functions) > 1 or resolved.animation.cycle
+    if in_memory or max(map(piece_count, functions)) > IN_REGISTERS:
+        return 0
+    return IN_REGISTERS
+
+
+def scene_nodes(resolved: ResolvedScene, function: TransferFunction | None = None) -> LookupNodes:
+    """The lookup nodes for a scene's volume and classification; all layers' tables share them."""
+    volume, integration = resolved.volume, resolved.integration
+    values = value_map(volume)
+    preintegrated = segment_classification(integration) == "preintegrated"
+    integer = volume.dtype.kind in "iu"
+    low, high = (float(v) for v in values(volume.value_range))
+    if integration.classification != "pre":  # what is classified may overshoot the voxels
+        more = overshoot(integration.filter) * (high - low)
+        more = float(np.ceil(more)) if integer else more
+        if resolved.noise:
+            more, integer = more + _noise_range(resolved, high - low), False
+        low, high = low - more, high + more
+    return lookup_nodes(
+        device_function(opacity_envelope(layer_functions(resolved, function)), values),
+        (low, high),
+        _NODES if preintegrated else CONSTANT_NODES,
+        integer=integer,
+        # Colours that cycle fall on no nodes, and tables of even ones are made ten times as fast.
+        may_warp=preintegrated and not resolved.animation.cycle,
+    )
+
+
+def _noise_range(resolved: ResolvedScene, span: float) -> float:
+    """By how much noise widens the range of values: at most _WIDEST times the range of the volume and of the transfer
+    function, so that nodes are not wasted outside it."""
+    gain = value_map(resolved.volume).gain
+    added = perturbation(resolved.noise, resolved.volume.grid, gain).added
+    return min(added, _WIDEST * max(span, np.ptp(resolved.transfer_function.values) * gain))
+
+
+def cycled_function(resolved: ResolvedScene, function: TransferFunction) -> TransferFunction:
+    """``function`` with its colours moved as far as they have come at ``animation.time``."""
+    shift, value_range, reach = color_shift(resolved), resolved.data_range, reachable(resolved)
+    if shift is None:
+        return function
+    beyond = None if reach == value_range else reach
+    return cycled(function, shift, value_range, beyond, opacity=False)
+
+
+def color_shift(resolved: ResolvedScene) -> float | None:
+    """How far cycling colours have moved, in ranges of the volume; None where they do not cycle."""
+    animation = resolved.animation
+    return animation.cycle * animation.time if animation.cycle else None
+
+
+def device_function(function: TransferFunction, values: ValueMap) -> TransferFunction:
+    """The transfer function over the values that kernels compute with."""
+    if values.bias == 0.0 and values.gain == 1.0:
+        return function
+    finite = np.clip(values(function.values), -1e300, 1e300)
+    return TransferFunction(finite, function.opacities, function.colors, function.opacity_unit)

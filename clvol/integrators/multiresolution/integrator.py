@@ -1,0 +1,117 @@
+"""Blocks of a volume, each as fine as the picture needs it within a budget of memory, as an integrator."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from clvol.device.voxels import as_rendered
+from clvol.errors import SceneError
+from clvol.features import reduced_for_frames
+from clvol.features.refuse import PLAIN, refuse_effects, refuse_keys, refuse_quadrature, refuse_sparse_rays
+from clvol.integrators.base import Prepared, Progress, Shared
+from clvol.integrators.multiresolution.caster import block_switches
+from clvol.integrators.multiresolution.engine import MultiresolutionEngine
+from clvol.integrators.multiresolution.residency import Residency
+from clvol.integrators.multiresolution.sample_allocator import map_shift, most_bytes
+from clvol.integrators.pyramid.blocks import block_pyramid_switches
+from clvol.integrators.pyramid.layout import block_pyramid_bytes
+from clvol.scene.resolve import ResolvedScene
+from clvol.store.geometry import BlockGrid
+from clvol.volume import Volume
+from clvol.volume.lazy import FilledVolume
+
+if TYPE_CHECKING:
+    from clvol.scene import Scene
+
+_KEYS = {
+    "filter": ("linear",),
+    "quadrature": ("steps",),
+    "classification": ("post", "preintegrated"),
+    "voxel_precision": ("stored",),
+}
+_BUDGETS = 2  # volumes and budgets whose blocks stay resident: they hold all the memory
+
+
+class Multiresolution:
+    """Levels of detail per block, chosen by what the picture loses, within ``multiresolution.memory``."""
+
+    name = "multiresolution"
+    reads_blocks = True
+    tuned_as = "multiresolution"
+
+    def check(self, resolved: ResolvedScene) -> None:
+        refuse_keys(resolved, _KEYS)  # first: some of them are effects too
+        origin = resolved.origin
+        if isinstance(resolved.volume, FilledVolume):
+            where = f"{origin}: volume.nan"
+            what = "got a number for a store with NaN voxels, with the method 'multiresolution'"
+            expected = "'transparent', or a store made with that number, or the method 'raycast'"
+            raise SceneError(where, what, expected)
+        if _slices(resolved):
+            self._check_slices(resolved)
+        refuse_effects(resolved, "integration.method", self.name, "raycast", PLAIN)
+        refuse_quadrature(resolved)
+
+    def _check_slices(self, resolved: ResolvedScene) -> None:
+        refuse_sparse_rays(resolved, "stepping")
+        kind, tiles = resolved.integration.classification, resolved.multiresolution.tiles
+        if kind != "preintegrated":
+            where = f"{resolved.origin}: multiresolution.stepping"
+            expected = "the classification 'preintegrated', or another stepping"
+            raise SceneError(where, f"got 'pyramid' with the classification {kind!r}", expected)
+        if tiles:
+            where = f"{resolved.origin}: multiresolution.tiles"
+            raise SceneError(where, f"got {tiles} with the stepping 'pyramid'", "0, or another stepping")
+
+    def refines_in_time(self, scene: Scene | ResolvedScene) -> bool:
+        return not _slices(scene)
+
+    def device_bytes(self, volume: Volume, scene: Scene | ResolvedScene) -> int:
+        budget = scene.multiresolution.memory_bytes
+        source = getattr(volume, "blocks_source", None)
+        blocks = BlockGrid(volume.shape) if source is None else source.blocks
+        needed = most_bytes(blocks, volume.dtype, budget)
+        if _slices(scene):
+            edge = blocks.edge >> map_shift(blocks, budget)
+            needed += block_pyramid_bytes(tuple(n * edge for n in blocks.counts), scene)
+        return needed + scene.image.width * scene.image.height * 20
+
+    def memory_advice(self, scene: Scene | ResolvedScene) -> tuple[str, str]:
+        return f"at most {scene.multiresolution.memory} of blocks, ", ", or less multiresolution.memory"
+
+    def programs(self, resolved: ResolvedScene, lanes: int) -> Mapping[str, Mapping[str, int]]:
+        resolved = reduced_for_frames(resolved)
+        of_samples = {"VOXEL_PAIRS": 0, "SAMPLE_BUFFERS": 1}  # one buffer holds all samples
+        if _slices(resolved):
+            return {"pyramid.cl": block_pyramid_switches(resolved, lanes) | of_samples}
+        switches = block_switches(resolved, lanes, True) | of_samples
+        programs = {"raycast.cl": switches}
+        if resolved.multiresolution.tiles:
+            programs["tile_rays.cl"] = switches
+        return programs
+
+    def sources(self, resolved: ResolvedScene) -> tuple[Sequence[str], bytes]:
+        return ("block_cells.cl", "*.h"), b""
+
+    def key(self, resolved: ResolvedScene) -> tuple[Any, ...]:
+        settings = resolved.multiresolution
+        return (settings, resolved.pyramid.levels) if _slices(resolved) else (settings,)
+
+    def simplified(self, resolved: ResolvedScene, shared: Shared) -> ResolvedScene:
+        return as_rendered(resolved, shared.keep)
+
+    def prepare(
+        self, shared: Shared, resolved: ResolvedScene, progress: Progress | None = None, wait: bool | None = None
+    ) -> Prepared:
+        key = resolved.volume, resolved.multiresolution.memory_bytes
+        residency = shared.keep("resident blocks", key, lambda: Residency(shared.context, resolved), _BUDGETS)
+        return MultiresolutionEngine(shared.context, resolved, residency, progress, wait)
+
+    def ask_again(self, prepared: Any, progress: Progress | None, wait: bool | None) -> None:
+        if wait is not None:
+            prepared.ask(wait, progress)
+
+
+def _slices(scene: Scene | ResolvedScene) -> bool:
+    return scene.multiresolution.stepping == "pyramid"

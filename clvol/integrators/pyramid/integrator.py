@@ -1,0 +1,85 @@
+"""Adaptive sampling along rays and across them, as an integrator."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from clvol.device.memory import scene_bytes
+from clvol.device.voxels import as_rendered
+from clvol.errors import SceneError
+from clvol.features import reduced_for_frames
+from clvol.features.refuse import PLAIN, refuse_effects, refuse_keys, refuse_quadrature, refuse_sparse_rays
+from clvol.integrators.base import Prepared, Progress, Shared
+from clvol.integrators.pyramid.caster import PyramidCaster, pyramid_switches
+from clvol.integrators.pyramid.clips import halves_of
+from clvol.integrators.pyramid.layout import pyramid_bytes
+from clvol.integrators.pyramid.oracles import names, oracle_named
+from clvol.integrators.raycast.caster import device_volume
+from clvol.scene.resolve import ResolvedScene
+from clvol.volume import Volume
+
+if TYPE_CHECKING:
+    from clvol.scene import Scene
+
+# Segments are of many lengths, and pixels are made from their neighbours.
+_KEYS = {
+    "filter": ("linear", "cubic", "catmull-rom"),
+    "quadrature": ("steps",),
+    "classification": ("preintegrated",),
+    "compositing": ("over",),
+}
+_EFFECTS = PLAIN | {"cubic filter", "catmull-rom filter", "prefilter", "clipping", "colour cycling"}
+
+
+class Pyramid:
+    """Slices of pixels at many levels of detail, sampled only where an oracle asks for it."""
+
+    name = "pyramid"
+    reads_blocks = False
+    tuned_as = "pyramid"
+
+    def check(self, resolved: ResolvedScene) -> None:
+        origin, oracle = resolved.origin, resolved.pyramid.oracle
+        if oracle not in names():
+            expected = " or ".join(map(repr, names()))
+            raise SceneError(f"{origin}: pyramid.oracle", f"got {oracle!r}", expected)
+        refuse_keys(resolved, _KEYS)
+        refuse_sparse_rays(resolved, "method")
+        if halves_of(reduced_for_frames(resolved).clips) is None:
+            what = "got clips that leave more than one stretch of a ray, or are of many planes, with the method 'pyramid'"
+            expected = "planes and boxes that keep what is inside, 16 planes in all, or the method 'raycast'"
+            raise SceneError(f"{origin}: clip", what, expected)
+        refuse_effects(resolved, "integration.method", self.name, "raycast", _EFFECTS)
+        refuse_quadrature(resolved)
+
+    def refines_in_time(self, scene: Scene | ResolvedScene) -> bool:
+        return False
+
+    def device_bytes(self, volume: Volume, scene: Scene | ResolvedScene) -> int:
+        return scene_bytes(volume, scene.image.width, scene.image.height) + pyramid_bytes(volume, scene)
+
+    def memory_advice(self, scene: Scene | ResolvedScene) -> tuple[str, str]:
+        return "", ""
+
+    def programs(self, resolved: ResolvedScene, lanes: int) -> Mapping[str, Mapping[str, int]]:
+        return {"pyramid.cl": pyramid_switches(as_rendered(resolved), lanes)}
+
+    def sources(self, resolved: ResolvedScene) -> tuple[Sequence[str], bytes]:
+        folder = oracle_named(resolved.pyramid.oracle).folder
+        custom = b"" if folder is None else (folder / "oracle_custom.h").read_bytes()
+        return ("oracle_cells.cl", "oracle_visible.cl", "*.h"), custom
+
+    def key(self, resolved: ResolvedScene) -> tuple[Any, ...]:
+        return resolved.pyramid, oracle_named(resolved.pyramid.oracle)
+
+    def simplified(self, resolved: ResolvedScene, shared: Shared) -> ResolvedScene:
+        return as_rendered(resolved, shared.keep)
+
+    def prepare(
+        self, shared: Shared, resolved: ResolvedScene, progress: Progress | None = None, wait: bool | None = None
+    ) -> Prepared:
+        return PyramidCaster(shared.context, resolved, volume=device_volume(shared, resolved))
+
+    def ask_again(self, prepared: Any, progress: Progress | None, wait: bool | None) -> None:
+        pass

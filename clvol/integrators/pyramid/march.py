@@ -1,0 +1,211 @@
+"""Slices of pixels at many levels of detail through the samples of a scene: the host side of cl/pyramid.cl."""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from clvol.device.transfer_lookup import cycled_function, device_function
+from clvol.errors import RenderError
+from clvol.features import ORACLES
+from clvol.integrators.pyramid.cells import padded_cells, way_map
+from clvol.integrators.pyramid.clips import halves_rows
+from clvol.integrators.pyramid.layout import FREE_REACH, FREE_SHIFT, map_bytes, map_shape, map_shift
+from clvol.integrators.pyramid.oracle import KERNEL_ERROR, KERNEL_MAP, Asked, BlockCells, Oracle
+from clvol.integrators.pyramid.oracles.visible import visible_in_cells
+from clvol.integrators.pyramid.slices import SlicePlan, slice_plan
+from clvol.integrators.raycast.march import check_sizes
+from clvol.opencl.context import DeviceArray, DeviceContext, Kernel
+from clvol.opencl.structs import PYRAMID
+from clvol.scene.camera import Camera
+from clvol.scene.resolve import ResolvedScene
+
+if TYPE_CHECKING:
+    from clvol.integrators.raycast.caster import Raycaster
+
+COUNTERS = ("oracle_samples", "syntheses", "accumulations")  # COUNT_... of cl/pyramid.h
+TILE = 32  # pixels an edge of a tile; a multiple of 2^MOST_LEVELS
+WORKERS = 64  # work-items of a group where they are not one
+_MOST_SLICES = 2**23
+# Switches of kernels that look at voxels and the transfer function alone.
+_OF_VOXELS = (
+    "VOXEL_BITS", "VOXEL_SIGNED", "VOXEL_SCALED", "VOXEL_HOLES", "VOXEL_PAIRS", "FILTER", "CLASSIFICATION",
+    "TRANSFER_PIECES",
+)  # fmt: skip
+
+
+class SliceMarch:
+    """A ``March`` of all pixels of a tile at once. ``tile``: its edge in pixels, a power of two from 2^5 on; ``leap``:
+    whether tiles may leap over empty space. Neither changes the picture.
+
+    ``map`` is the oracle's answer to the question ``asked``; ``free`` maps the distance to anything visible: columns
+    sleep by it.
+    """
+
+    renders_all_pixels = True
+    counters = COUNTERS
+
+    def __init__(
+        self, oracle: Oracle, lanes: int, workers: int | None = None, tile: int = TILE, leap: bool = True
+    ) -> None:
+        self.oracle, self.tile, self.leap = oracle, tile, leap
+        self.workers = workers or workers_for(lanes)
+        self.asked: Asked
+        self.map: DeviceArray
+        self.free: DeviceArray
+        self.free_shape: tuple[int, int, int]
+        self.free_shift: int
+        self._halves = np.zeros((0, 4))  # half-spaces that clips keep
+        self._plan: SlicePlan
+
+    def adopt(self, resolved: ResolvedScene) -> ResolvedScene:
+        if resolved.clips:
+            self._halves = halves_rows(resolved.clips, resolved.volume.grid)
+        return without_clips(resolved)
+
+    def switches(self) -> dict[str, int]:
+        return march_switches(self.oracle, self.workers, self.tile, self.leap)
+
+    def local_size(self, lanes: int) -> tuple[int]:
+        return (self.workers,)
+
+    def kernel(self, context: DeviceContext, name: str, declared: str, switches: dict[str, int]) -> Kernel:
+        name = "pyramid" if name == "raycast" else name
+        return context.kernel("pyramid.cl", name, declared, switches, self.oracle.folder)
+
+    def find_empty_space(self, caster: Raycaster, mask: np.ndarray) -> None:
+        pass  # by ``free``, once the oracle may be asked
+
+    def scene_changed(self, caster: Raycaster) -> None:
+        self._ask(caster)
+        caster.distances = self.free
+
+    def for_scene(self, caster: Raycaster, before: Raycaster) -> SliceMarch:
+        scene, old = caster.resolved, before.resolved
+        other = copy.copy(self)
+        moved = scene.animation.time != old.animation.time and scene.animation.cycle
+        if _reach(scene) != _reach(old) or moved:
+            other.scene_changed(caster)
+        return other
+
+    def begin(self, caster: Raycaster, camera: Camera | None, width: int, height: int) -> None:
+        scene = caster.resolved
+        if camera is None:
+            self._plan = SlicePlan.nowhere(scene.pyramid.levels)
+            return
+        self._plan = slice_plan(scene, camera, width, height)
+        _check_slices(scene, camera, caster.length)
+
+    def arguments(self, caster: Raycaster) -> tuple[str, dict[str, DeviceArray]]:
+        row = np.zeros(1, PYRAMID)
+        plan = self._plan
+        row["levels"][0, :2] = (plan.levels, plan.oversampling)
+        row["cells"][0] = (*reversed(self.asked.shape), self.asked.shift)
+        row["free_cells"][0] = (*reversed(self.free_shape), self.free_shift)
+        row["spacing"][0, :2] = (plan.spacing, plan.growth)
+        row["edges"][0, :3] = self.asked.edges
+        row["oracle"][0] = self.oracle.numbers(self.asked)
+        row["gate"][0, :2] = caster.gate
+        row["levels"][0, 2] = len(self._halves)
+        row["halves"][0, : len(self._halves)] = self._halves
+        arrays = {"pyramid": caster.context.upload(row), "map": self.map}
+        return ", in pyramid V1, in map uint8", arrays
+
+    def check_structs(self, caster: Raycaster) -> None:
+        """By pyramid.cl: nothing of raycast.cl is compiled."""
+        kernel = self.kernel(caster.context, "struct_sizes", "out sizes uint32", caster.switches)
+        sizes = caster.context.empty(np.uint32, (2,))
+        kernel(caster.context.queue, (1,), (1,), sizes=sizes)
+        check_sizes(caster.context.read(sizes), {"Pyramid": PYRAMID, "View": caster.view_dtype})
+
+    def _ask(self, caster: Raycaster) -> None:
+        """Finds ``map`` and ``free`` for the caster's scene."""
+        size = caster.volume.size
+        shift = map_shift(size)
+        self.asked = self._question(caster, shift, map_shape(size, shift))
+        self.map = self._oracle_map(caster.context)
+        self.free_shift, self.free_shape = FREE_SHIFT, map_shape(size, FREE_SHIFT)
+        coarse = replace(self.asked, shift=FREE_SHIFT, shape=self.free_shape)
+        shown = padded_cells(coarse)
+        visible_in_cells(coarse, shown)
+        self.free = way_map(coarse, shown, FREE_REACH, unit=1.0)
+
+    def _question(
+        self, caster: Raycaster, shift: int, shape: tuple[int, int, int], blocks: BlockCells | None = None
+    ) -> Asked:
+        """For a map of so many cells of 2^``shift`` lattice cells."""
+        scene, volume, function = caster.resolved, caster.volume, caster.function
+        grid = scene.volume.grid
+        spacing = np.asarray(grid.spacing) / grid.smallest_edge
+        return Asked(
+            context=caster.context,
+            volume=volume,
+            function=device_function(cycled_function(scene, function), volume.values),
+            nodes=caster.nodes,
+            warp=caster.warp,
+            view=caster.volume_view(),
+            switches={name: caster.switches[name] for name in _OF_VOXELS}
+            | {"WARPED_CLASSES": int(caster.nodes.warp is not None)},
+            epsilon=scene.pyramid.epsilon,
+            opacity_edges=grid.smallest_edge / function.opacity_unit,
+            shift=shift,
+            edges=tuple(float(s) for s in spacing),
+            reach=_reach(scene),
+            shape=shape,
+            filter=scene.integration.filter,
+            blocks=blocks,
+        )
+
+    def _oracle_map(self, context: DeviceContext) -> DeviceArray:
+        """What the oracle found, or what stands for none. RenderError where the kernel would look beyond it."""
+        found = self.oracle.map(self.asked)
+        needed = map_bytes(self.asked.shape) if self.oracle.kernel in (KERNEL_MAP, KERNEL_ERROR) else 0
+        held = 0 if found is None else found.nbytes
+        if held < needed:
+            where = f"oracle {self.oracle.name!r}"
+            raise RenderError(where, f"gave a map of {held} bytes", f"{needed} (clvol.integrators.pyramid.cells)")
+        return found if found is not None else context.upload(np.zeros(4, np.uint8))
+
+
+def _reach(scene: ResolvedScene) -> float:
+    """Distances beyond this are of no use: twice that of the coarsest samples along a ray."""
+    step = max(1.0, scene.integration.step)
+    return float(np.clip(2.0 ** (scene.pyramid.levels + 1) * step, 1.0, 64.0))
+
+
+def _check_slices(scene: ResolvedScene, camera: Camera, length: float) -> None:
+    """RenderError where slices, ``length`` apart in the world, are too many to be told apart in float32."""
+    away = scene.volume.grid.world_corners() - np.asarray(camera.position, np.float64)
+    forward = away @ camera.basis()[0]
+    if camera.projection == "orthographic":
+        ways, first = forward, forward.min()
+    else:
+        ways, first = np.linalg.norm(away, axis=1), max(forward.min(), 0.0)
+    slices = (ways.max() - first) / length
+    if not slices < _MOST_SLICES:
+        what = f"{slices:.3g} slices by the method 'pyramid'"
+        expected = f"at most {_MOST_SLICES}: longer steps, a nearer eye, or the method 'raycast'"
+        raise RenderError(f"{scene.origin}: integration.step", what, expected)
+
+
+def without_clips(resolved: ResolvedScene) -> ResolvedScene:
+    """What the caster has of the scene: clips are the march's own."""
+    return replace(resolved, clips=()) if resolved.clips else resolved
+
+
+def workers_for(lanes: int) -> int:
+    """Work-items of a tile where a work-item takes so many pixels at a time."""
+    return 1 if lanes > 1 else WORKERS
+
+
+def march_switches(oracle: Oracle, workers: int, tile: int = TILE, leap: bool = True) -> dict[str, int]:
+    """What cl/pyramid.cl has beside the switches of what it samples."""
+    return {
+        "WORKERS": workers,
+        "TILE": tile,
+        "ORACLE": ORACLES[oracle.kernel],
+        "LEAPS": int(leap and oracle.leaps),
+    }

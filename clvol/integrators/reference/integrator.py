@@ -1,0 +1,103 @@
+"""The exact integral, as an integrator."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+from clvol.device.memory import scene_bytes
+from clvol.device.view import EVERY_PIXEL, PixelLattice
+from clvol.features import effects, reduced
+from clvol.features.refuse import PLAIN, refuse_effects
+from clvol.integrators.base import FrameData, Prepared, Progress, Shared
+from clvol.integrators.reference.picture import render_reference
+from clvol.opencl.context import DeviceContext
+from clvol.scene.camera import Camera
+from clvol.scene.resolve import ResolvedScene
+from clvol.volume import Volume
+
+if TYPE_CHECKING:
+    from clvol.scene import Scene
+
+_EFFECTS = PLAIN | {"nearest filter", "cubic filter"}  # that are integrated exactly
+
+
+def has_exact_integral(resolved: ResolvedScene) -> bool:
+    """Whether the reference integrates the scene: emission and absorption, and its filter."""
+    return all(effect.name in _EFFECTS for effect in effects(resolved) if effect.called_for)
+
+
+class Reference:
+    """The ground truth of emission and absorption: no steps, a tolerance."""
+
+    name = "reference"
+    reads_blocks = False
+    tuned_as = "raycast"
+
+    def check(self, resolved: ResolvedScene) -> None:
+        refuse_effects(resolved, "integration.method", self.name, "raycast", _EFFECTS)
+
+    def refines_in_time(self, scene: Scene | ResolvedScene) -> bool:
+        return False
+
+    def device_bytes(self, volume: Volume, scene: Scene | ResolvedScene) -> int:
+        return scene_bytes(volume, scene.image.width, scene.image.height)
+
+    def memory_advice(self, scene: Scene | ResolvedScene) -> tuple[str, str]:
+        return "", ""
+
+    def programs(self, resolved: ResolvedScene, lanes: int) -> Mapping[str, Mapping[str, int]]:
+        return {}  # one source, with switches for the type of the voxels and the filter
+
+    def sources(self, resolved: ResolvedScene) -> tuple[Sequence[str], bytes]:
+        resolved = reduced(resolved)
+        return ("reference*",), f"{resolved.volume.dtype.name} {resolved.integration.filter}".encode()
+
+    def key(self, resolved: ResolvedScene) -> tuple[Any, ...]:
+        return ()
+
+    def simplified(self, resolved: ResolvedScene, shared: Shared) -> ResolvedScene:
+        return resolved
+
+    def prepare(
+        self, shared: Shared, resolved: ResolvedScene, progress: Progress | None = None, wait: bool | None = None
+    ) -> Prepared:
+        return PreparedReference(shared.context, resolved)
+
+    def ask_again(self, prepared: Any, progress: Progress | None, wait: bool | None) -> None:
+        pass
+
+
+class PreparedReference:
+    """Nothing is resident: the volume is sent with each picture."""
+
+    renders_all_pixels = True
+    visible_share = 1.0
+    held: Sequence[object] = ()
+
+    def __init__(self, context: DeviceContext, resolved: ResolvedScene) -> None:
+        self.context, self.resolved = context, resolved
+
+    def for_scene(self, resolved: ResolvedScene) -> PreparedReference:
+        return PreparedReference(self.context, resolved)
+
+    def warm_up(self, width: int, height: int, depth: bool = True) -> None:
+        pass
+
+    def render(
+        self,
+        camera: Camera,
+        width: int,
+        height: int,
+        progress: Progress | None = None,
+        depth: bool = True,
+        lattice: PixelLattice = EVERY_PIXEL,
+    ) -> FrameData:
+        image = self.resolved.image.model_copy(update={"width": width, "height": height})
+        resolved = replace(self.resolved, camera=camera, image=image)
+        tolerance = resolved.integration.tolerance
+        rgba, distances, counted = render_reference(resolved, self.context.device, tolerance, progress=progress)
+        rgba, distances = rgba[lattice.slices], distances[lattice.slices]
+        notes = {name: value for name, value in counted.items() if name not in ("samples", "rays", "seconds")}
+        return FrameData(rgba, distances, counted["samples"], counted["rays"], notes=notes)

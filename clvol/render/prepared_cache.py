@@ -1,0 +1,58 @@
+"""Prepared scenes on one device, kept by value: what was prepared once is there when it is wanted again."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from clvol.integrators.base import Prepared, Shared
+from clvol.integrators.registry import integrator_of
+from clvol.opencl.context import DeviceContext
+from clvol.render.scene_key import scene_key
+from clvol.scene.resolve import ResolvedScene
+
+_KEPT = 6  # prepared scenes
+
+
+class PreparedCache:
+    """Prepares scenes on one device; those of the same volume share it there.
+
+    What is kept is kept by value: a prepared scene by all that it was made for (``scene_key``), a volume by the
+    volume itself, which does not change. Nothing that is kept changes behind its key: another transfer function
+    makes another prepared scene. Not for two threads at once.
+    """
+
+    def __init__(self, context: DeviceContext) -> None:
+        self.context = context
+        self._shared = Shared(context, self._forget)
+        self._kept: dict[tuple, Prepared] = {}
+
+    def prepare(
+        self,
+        resolved: ResolvedScene,
+        progress: Callable[[int, int], None] | None = None,
+        wait: bool | None = None,
+    ) -> Prepared:
+        """``resolved``, ready to be rendered by the integrator that it names. ``progress(done, total)``: of the blocks
+        that are read for it. ``wait`` False: a thread reads them, and frames show what is there until all has come;
+        None: as was said last."""
+        integrator = integrator_of(resolved)
+        resolved = integrator.simplified(resolved, self._shared)
+        key = scene_key(resolved, integrator)
+        if key in self._kept:
+            prepared = self._kept[key] = self._kept.pop(key).for_scene(resolved)
+            integrator.ask_again(prepared, progress, wait)
+            return prepared
+        prepared = integrator.prepare(self._shared, resolved, progress, wait)
+        while len(self._kept) >= _KEPT:
+            del self._kept[next(iter(self._kept))]
+        self._kept[key] = prepared
+        return prepared
+
+    def _forget(self, dropped: object) -> None:
+        """Scenes that cannot do without what was dropped."""
+        self._kept = {key: made for key, made in self._kept.items() if all(part is not dropped for part in made.held)}
+
+    def close(self) -> None:
+        """Ends the threads that read blocks."""
+        self._kept.clear()
+        self._shared.close()

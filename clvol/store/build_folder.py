@@ -1,0 +1,109 @@
+"""The folder in which a store is built: whether it may be there, and that one process alone builds in it."""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import os
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from clvol.errors import UsageError
+from clvol.interrupts import held
+from clvol.store.arrays import NOT_UTF8, is_utf8
+from clvol.store.format import JOURNAL, PARTIAL, ROOT, partial_path
+from clvol.store.journal import LOCK
+from clvol.store.zarr_store import is_store
+
+_REPLACED = ".replaced"
+
+
+def places_of(path: Path) -> tuple[Path, Path, Path]:
+    """The folders that writing the store ``path`` makes or removes: the store, the one in which it is
+    built, and the one to which a store that it replaces is moved."""
+    return path, partial_path(path), replaced_path(path)
+
+
+def replaced_path(path: Path) -> Path:
+    """Where a store ``path`` is moved while a new one takes its place."""
+    return path.with_name(path.name + _REPLACED)
+
+
+def check_place(path: Path, overwrite: bool) -> None:
+    """UsageError now, before the work, if the store could not be written to ``path``."""
+    try:
+        _check_place(path, overwrite)
+    except (OSError, ValueError) as error:
+        why = getattr(error, "strerror", None) or str(error)
+        what = f"no folder can have this name: {why}"
+        raise UsageError(str(path), what, "the name of a new folder") from None
+
+
+def _check_place(path: Path, overwrite: bool) -> None:
+    if not is_utf8(str(path.absolute())):
+        raise UsageError(str(path), NOT_UTF8, "a name in UTF-8")
+    if not path.name or path.name.endswith((PARTIAL, _REPLACED)):
+        raise UsageError(str(path), "no name for a store", f"a name that does not end in {PARTIAL}")
+    parent = path.parent
+    if not parent.is_dir():
+        what = "not a folder" if parent.exists() else "no such folder"
+        raise UsageError(str(path), f"{parent}: {what}", "a place in a folder that exists")
+    if not os.access(parent, os.W_OK | os.X_OK):
+        raise UsageError(str(path), f"{parent} cannot be written to", "a folder that can")
+    for place in places_of(path):
+        try:
+            os.lstat(place)  # a name that is too long is known now
+        except FileNotFoundError:
+            pass
+    partial, replaced = partial_path(path), replaced_path(path)
+    if os.path.lexists(replaced) and (replaced.is_symlink() or not is_store(replaced)):
+        what = f"{replaced.name}, where a store that is replaced goes, is something else"
+        raise UsageError(str(path), what, "another name")
+    if os.path.lexists(partial) and not _is_ours(partial):
+        what = f"{partial.name}, where it is built, is something else"
+        raise UsageError(str(path), what, "another name")
+    if not os.path.lexists(path):
+        return
+    if path.is_symlink() or not path.is_dir():
+        raise UsageError(str(path), "got a file", "a name for a new folder")
+    if not overwrite:
+        raise UsageError(str(path), "exists already", "a new name, or --overwrite")
+    if not is_store(path):
+        raise UsageError(
+            str(path), "a folder that is no store", "a store to overwrite, or a new name"
+        )
+
+
+def _is_ours(partial: Path) -> bool:
+    """Whether a store is built in the folder ``partial``, or was: one that is killed as it begins or as it
+    clears away leaves no more than empty folders and descriptions of levels."""
+    if partial.is_symlink() or not partial.is_dir():
+        return False
+    if (partial / JOURNAL).is_dir():
+        return True
+    for entry in partial.rglob("*"):
+        level, *inner = entry.relative_to(partial).parts
+        if entry.is_symlink() or not re.fullmatch("[0-9]+|blocks", level):
+            return False
+        if not entry.is_dir() and not (len(inner) == 1 and re.match(rf"{ROOT}(\.__lock)?$", inner[0])):
+            return False
+    return True
+
+
+@contextmanager
+def locked(partial: Path) -> Iterator[Path]:
+    """Yields the folder ``partial``, made if it is not there; no other process builds in it meanwhile."""
+    with held():
+        (partial / JOURNAL).mkdir(parents=True, exist_ok=True)
+    with (partial / JOURNAL / LOCK).open("a") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            if error.errno not in (errno.EWOULDBLOCK, errno.EACCES):
+                raise
+            raise UsageError(
+                str(partial), "another process is building it", "one at a time"
+            ) from None
+        yield partial

@@ -1,0 +1,124 @@
+"""The journal of a store that is being built: which regions are done, and what is known of them.
+
+It is a folder within the one in which the store is built. A file per region holds its statistics, and the sizes and
+checksums of its files; "build.json" says what is built. What is noted need not be made again after an interruption.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from clvol.store.format import JOURNAL, StoreLayout, partial_path
+from clvol.store.places import region_checksums
+from clvol.store.source import BlockStatistics
+
+LOCK = "lock"
+_BUILD = "build.json"
+
+
+@dataclass(frozen=True)
+class Unfinished:
+    """A store that is not whole: ``done`` of its ``total`` regions are on the disk."""
+
+    done: int
+    total: int
+
+
+def unfinished(path: str | os.PathLike) -> Unfinished | None:
+    """How far the building of the store ``path`` has come; None if it was not begun, or is finished."""
+    journal = partial_path(Path(path)) / JOURNAL
+    try:
+        total = int(json.loads((journal / _BUILD).read_text(encoding="utf-8"))["regions"])
+        done = sum(name.endswith(".npz") for name in os.listdir(journal))
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+    return Unfinished(min(done, total), total)
+
+
+class Journal:
+    """The journal of a store of ``layout`` that is built in the folder ``partial``."""
+
+    def __init__(self, partial: Path, layout: StoreLayout) -> None:
+        self.path, self._partial, self._layout = partial / JOURNAL, partial, layout
+
+    def plan(self) -> dict | None:
+        """The plan of an earlier call, if there is one that can be read."""
+        try:
+            before = json.loads((self.path / _BUILD).read_text(encoding="utf-8"))
+        except (FileNotFoundError, ValueError):
+            return None
+        return before if isinstance(before, dict) else None
+
+    def begin(self, plan: dict) -> None:
+        """Removes all that was noted, and notes the plan."""
+        for entry in self.path.iterdir():
+            if entry.name != LOCK:
+                entry.unlink()
+        write_whole(self.path / _BUILD, json.dumps(plan, indent=2))
+
+    def anything_done(self) -> bool:
+        return any(self.path.glob("*.npz"))
+
+    def note(self, index: int, statistics: BlockStatistics, census: np.ndarray) -> None:
+        """Notes in one step that the region is on the disk, with the sizes and checksums of its files.
+
+        ``census`` float64 [4]: smallest and largest finite voxel, and how many are NaN, and infinite.
+        """
+        region = [-(-(s.stop - s.start) // self._layout.edge) for s in self._layout.region(index)]
+        members = {
+            name: getattr(statistics, name)
+            .astype(dtype)
+            .reshape(self._layout.statistics_shape(name, tuple(region)))
+            for name, dtype in self._layout.statistics_types.items()
+        }
+        file = self.path / f"{index}.npz"
+        temporary = file.with_suffix(".writing")
+        with temporary.open("wb") as stream:
+            known = {"place": index, "sizes": self._sizes(index), "checksums": self._checksums(index)}
+            np.savez(stream, census=census, **known, **members)
+        os.replace(temporary, file)
+
+    def census(self, index: int, read: bool = False) -> np.ndarray | None:
+        """The census of a region, if it is done and its files are as they were then; else None.
+
+        ``read``: their content is compared, not their sizes alone.
+        """
+        try:
+            with np.load(self.path / f"{index}.npz") as noted:
+                same = noted["place"] == index and np.array_equal(noted["sizes"], self._sizes(index))
+                if same and read:
+                    same = np.array_equal(noted["checksums"], self._checksums(index))
+                return noted["census"] if same else None
+        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+            return None
+
+    def read(self, index: int, name: str) -> np.ndarray:
+        """What is noted of the region under ``name``: a statistic, or "checksums"."""
+        with np.load(self.path / f"{index}.npz") as noted:
+            return noted[name]
+
+    def _sizes(self, index: int) -> np.ndarray:
+        files = [
+            self._partial / self._layout.shard_file(index, n)
+            for n in range(self._layout.blocks.levels)
+        ]
+        return np.array([file.stat().st_size if file.exists() else -1 for file in files], np.int64)
+
+    def _checksums(self, index: int) -> np.ndarray:
+        return region_checksums(self._partial, self._layout, index)
+
+
+def write_whole(path: Path, text: str) -> None:
+    """Writes the file in one step: it has its old content or the new one, never a part."""
+    temporary = path.with_name(path.name + ".writing")
+    with temporary.open("w", encoding="utf-8") as file:
+        file.write(text)
+        file.flush()
+        os.fsync(file.fileno())
+    os.replace(temporary, path)
