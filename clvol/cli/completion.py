@@ -17,11 +17,12 @@ def command(shell: str) -> None:
     zsh    eval "$(clvol completion zsh)"           in ~/.zshrc
     fish   clvol completion fish | source           in ~/.config/fish/config.fish
     """
-    from click.shell_completion import get_completion_class
+    from click.shell_completion import BashComplete, FishComplete, ZshComplete
 
     from clvol.cli.console import say
     from clvol.cli.group import COMPLETE, cli
 
-    script = get_completion_class(shell)(cli, {}, "clvol", COMPLETE)
+    known = {"bash": BashComplete, "zsh": ZshComplete, "fish": FishComplete}
+    script = known[shell](cli, {}, "clvol", COMPLETE)
     # Not source(): for bash it starts a shell first, to ask for its version.
     say(script.source_template % script.source_vars())

@@ -59,7 +59,7 @@ _OPTIONS = {"max_error": "--max-error", "time_budget": "--time-budget"}
     help="Keep the numbered pictures of an animation that exist, are whole and were made from the same scene, "
     "voxels and version; render the others.",
 )
-@click.option("--stats", metavar="FILE", shell_complete=complete_file, help="Write times and counts as JSON to this file.")
+@click.option("--stats", metavar="FILE", shell_complete=complete_file, help="Write times and counts as JSON to FILE.")
 @memory_cap_option("Most memory that the volume may take, on the host and on the device.")
 @click.option("--quiet", is_flag=True, help="Show no progress on the terminal.")
 def command(

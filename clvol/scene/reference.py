@@ -59,7 +59,8 @@ def override_keys() -> list[str]:
 def scene_schema() -> dict[str, Any]:
     """The JSON schema of a scene file (draft 2020-12), for editors that complete and check TOML."""
     schema = _cleaned(Scene.model_json_schema())
-    for model in (Scene, *_models()):
+    models: list[type[BaseModel]] = [Scene, *_models()]
+    for model in models:
         part = schema if model is Scene else schema["$defs"][model.__name__]
         part["description"] = " ".join((model.__doc__ or "").split("\n\n")[0].replace("``", "").split())
         for key, field in model.model_fields.items():
@@ -150,7 +151,9 @@ def _models() -> list[type[BaseModel]]:
 
 
 def _model_of(name: str) -> type[Table]:
-    return model_in(Scene.model_fields[name].annotation)
+    model = model_in(Scene.model_fields[name].annotation)
+    assert model is not None and issubclass(model, Table), name
+    return model
 
 
 def _is_list(field: FieldInfo) -> bool:
