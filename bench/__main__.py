@@ -15,20 +15,28 @@ NAMES = (
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Runs what is asked for; the exit status is 1 where something of it could not be measured."""
-    parser = argparse.ArgumentParser(prog="bench", description="Measures clvol.")
+    """Runs the suites that are named; the exit status is 1 if one of them could not be measured."""
+    words = sys.argv[1:] if arguments is None else arguments
+    if words[:1] == ["compare"]:
+        from bench.compare import main as compare
+
+        return compare(words[1:])
+    parser = argparse.ArgumentParser(
+        prog="bench", description="Measures clvol.",
+        epilog="bench compare OLD.json NEW.json: what became slower or less exact beyond the spread.",
+    )  # fmt: skip
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"{', '.join(NAMES)}; or all")
-    parser.add_argument("--list", action="store_true", help="say what there is; measure nothing")
-    parser.add_argument("--quick", action="store_true", help="small, to see that it works")
-    parser.add_argument("--device", metavar="NAME", help="as in `clvol doctor`")
-    parser.add_argument("--sizes", metavar="N,N", default="512,1024", help="edges, for peers and shaded")
-    parser.add_argument("--scenes", metavar="A,B", default="", help="some of the scenes only")
-    parser.add_argument("--frames", type=int, default=9, help="frames a median is taken of, >= 7")
+    parser.add_argument("--list", action="store_true", help="list the suites and scenes; measure nothing")
+    parser.add_argument("--quick", action="store_true", help="small and short, to see that everything works")
+    parser.add_argument("--device", metavar="NAME", help="device, by its name in `clvol doctor`")
+    parser.add_argument("--sizes", metavar="N,N", default="512,1024", help="edges of pictures in pixels, for peers and shaded")
+    parser.add_argument("--scenes", metavar="A,B", default="", help="only these scenes")
+    parser.add_argument("--frames", type=int, default=9, help="frames per median, at least 7")
     parser.add_argument("--classification", choices=("preintegrated", "post"),
-                        help="of clvol, for peers and shaded; by default what suits each scene")
+                        help="classification of clvol, for peers and shaded; by default what suits each scene")
     parser.add_argument("--large", action="store_true",
-                        help="multiresolution: also a volume of 8 GiB, which takes minutes and as much disk")
-    asked = parser.parse_args(arguments)
+                        help="multiresolution: also a volume of 8 GiB, which takes minutes and 8 GiB of disk")
+    asked = parser.parse_args(words)
 
     modules = {name: importlib.import_module(f"bench.{name}") for name in NAMES}
     from bench.gallery import TILES

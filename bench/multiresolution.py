@@ -1,4 +1,4 @@
-"""Volumes as blocks of different resolution within a memory budget (P2; scenes and goals in
+"""Volumes as blocks of different resolution within a memory budget (Ljung 2006; scenes and goals in
 multiresolution_scenes.py and multiresolution_tables.py).
 
 Parts: steps along the ray as the paper's table has them (full, limited, naive, bounded), once as in the paper

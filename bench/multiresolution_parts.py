@@ -31,7 +31,7 @@ _SLOW = 0.6  # seconds of a frame from which three frames must do
 MiB = 2**20
 # As in the paper: levels chosen by the transfer function alone.
 AS_IN_PAPER = {"view_weighting": False, "occlusion": False}
-PAPER_STEP = 0.5  # voxel edges; P2 does not say. Long steps are multiples of it
+PAPER_STEP = 0.5  # voxel edges; the paper does not say. Long steps are multiples of it
 
 
 @dataclass

@@ -1,5 +1,5 @@
 """What the method "multiresolution" is measured on, after Ljung's pictures ("Adaptive sampling in single
-pass, GPU-based raycasting of multiresolution volumes", Volume Graphics 2006; P2): a CT angiography in place
+pass, GPU-based raycasting of multiresolution volumes", Volume Graphics 2006): a CT angiography in place
 of his "female", a CT scan in shells in place of his "crab"; and the bench's own scene of the chest.
 
 The first two are pre-integrated, as scenes are by default and as long steps need it; the third is not.

@@ -1,4 +1,4 @@
-"""Adaptive sampling along rays and across them (P1; scenes in pyramid_scenes.py, goals in
+"""Adaptive sampling along rays and across them (Kraus et al. 2007; scenes in pyramid_scenes.py, goals in
 pyramid_tables.py).
 
 Parts: the paper's tables of samples and seconds; from which cost of a sample on the pyramid is
@@ -26,7 +26,7 @@ __all__ = ["SUMMARY", "draw", "run", "show"]
 SUMMARY = "adaptive sampling in three dimensions: samples, error, what a sample has to cost"
 SIZE, QUICK_SIZE, QUICK_ROUNDS = 512, 96, 3
 EDGE, QUICK_EDGE = 512, 320  # voxels that the aneurism is resampled to
-# What P1 gains over its "min".
+# What Kraus et al. (2007) gain over their "min".
 ANEURISM_GOALS, CHEST_GOALS = {"fewer": 56.0, "faster": 3.4}, {"fewer": 4.7, "faster": 1.8}
 HALF = 0.5  # the distance of rays between slices: what the paper's leaves wrong is then small
 RATIO, QUICK_RATIO = 11.0, 4.0  # of voxels' bytes to those of blocks

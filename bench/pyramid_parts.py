@@ -95,7 +95,7 @@ def paper(
     bench: Bench, scene: BlockScene, edge: int | None = None,
     goals: dict[str, float] | None = None, share: float = 1.0,
 ) -> dict[str, Any]:
-    """P1's tables 2 and 3: slices as far apart as rays, or that ``share`` of it. ``edge``: voxels to
+    """Tables 2 and 3 of Kraus et al. (2007): slices as far apart as rays, or that ``share`` of it. ``edge``: voxels to
     resample each axis to. ``goals``: how many times fewer samples ("fewer") and as fast ("faster") as
     with "minimum"."""
     volume = bench.volume(scene) if edge is None else resampled(bench.volume(scene), edge)
@@ -151,7 +151,7 @@ def way_row(
     way: str, frames: Mapping[str, Any], times: Mapping[str, dict[str, Any]]
 ) -> dict[str, Any]:
     """Of ``way`` beside "minimum". ``faster``, ``fewer``: seconds and samples of "minimum" over the
-    way's own. ``fewer_than_p1``: the same with what P1's algorithm samples with that oracle, which takes the
+    way's own. ``fewer_than_p1``: the same with what the paper's algorithm samples with that oracle, which takes the
     data wherever it asks the oracle."""
     frame = frames[way]
     both = frames["minimum"].counters["oracle_samples"]

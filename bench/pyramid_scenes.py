@@ -1,5 +1,5 @@
 """What the method "pyramid" is measured on, after Kraus, Strengert, Klein and Ertl ("Adaptive
-sampling in three dimensions for volume rendering on GPUs", APVIS 2007; P1): the aneurism as it is
+sampling in three dimensions for volume rendering on GPUs", APVIS 2007): the aneurism as it is
 and at 512^3 as theirs, a CT angiography in place of their abdomen; and scenes of the rest of the
 bench.
 
@@ -43,7 +43,7 @@ def by_pyramid(
 
 def ray_spacing(resolved: ResolvedScene) -> float:
     """How far neighbouring rays of a perspective view are apart in the middle of the volume, in
-    smallest voxel edges: the step with which slices lie as far apart, as P1 has it."""
+    smallest voxel edges: the step with which slices lie as far apart, as in the paper."""
     from clvol.device.view import ray_frame
 
     camera, grid, image = resolved.camera, resolved.volume.grid, resolved.image

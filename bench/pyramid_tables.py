@@ -11,7 +11,7 @@ from bench.pyramid_scenes import LEVELS
 from bench.report import closing, table
 
 OVERHEAD_GOAL = 1.3
-# P1, tables 2 and 3: data, way, M fragments, M samples, seconds.
+# Kraus et al. 2007, tables 2 and 3: data, way, M fragments, M samples, seconds.
 PAPER = (
     ("aneurysm 512^3", "texture", 49, 99, 0.87),
     ("aneurysm 512^3", "min", 162, 56, 0.79),
@@ -82,16 +82,16 @@ def _paper(rows: list[dict[str, Any]]) -> list[str]:
     if not cells:
         return []
     head = ["scene", "step", "method or oracle", "s", "spread", "x plain", "faster", "M samples",
-            "fewer", "than P1's", "M of the oracle", "M syntheses", "M accumulations", "RMSE", "SSIM",
+            "fewer", "than the paper's", "M of the oracle", "M syntheses", "M accumulations", "RMSE", "SSIM",
             "CIEDE2000"]  # fmt: skip
     theirs = [[data, way, fragments, samples, f"{seconds:.2f}"]
               for data, way, fragments, samples, seconds in PAPER]  # fmt: skip
     return [
         "As in the paper: slices as far apart as rays in the middle of the volume (step, in"
         " smallest voxel edges), or half as far.",
-        "faster, fewer: seconds and samples of \"minimum\" over the row's; than P1's: that oracle's"
-        " over the row's, as P1 takes a sample wherever it asks. Errors: against the exact integral.",
-        table(head, cells, left=3), "", "P1, tables 2 and 3 (512 x 512 pixels):",
+        "faster, fewer: seconds and samples of \"minimum\" over the row's; than the paper's: that oracle's"
+        " over the row's, as the paper takes a sample wherever it asks. Errors: against the exact integral.",
+        table(head, cells, left=3), "", "Kraus et al. 2007, tables 2 and 3 (512 x 512 pixels):",
         table(["data", "", "M fragments", "M samples", "s"], theirs, left=2), "",
     ]  # fmt: skip
 

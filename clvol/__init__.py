@@ -1,5 +1,16 @@
 """clvol: a volume renderer that says how wrong its pictures are.
 
+==================================  ==========================================================
+``Volume``, ``load_volume``         voxels on a grid: from an array, or from a file
+``Scene``, ``load_scene``           what to render: from tables, or from a scene file
+``Renderer``, ``Frame``             renders a scene as often as wanted; a picture with its stats
+``render_to_error``                 the cheapest settings that hold an error
+``render_in_time``                  the most accurate settings that hold a time
+``TransferFunction``                colour and opacity by value
+``Camera``, ``Light``, ...          the tables of a scene; ``clvol scene --keys`` lists their keys
+``errors``                          the exceptions, all ``errors.ClvolError``
+==================================  ==========================================================
+
 Nothing heavy is imported until it is used: no OpenCL call happens at import.
 """
 
@@ -22,6 +33,14 @@ _LAZY = {
     "render_in_time": "clvol.accuracy.time_target",
     "errors": "clvol.errors",
 }
+# The tables of a scene, and what they are made of.
+_TABLES = (
+    "Animation", "Clip", "ControlPoint", "DepthCue", "DirectionalOpacity", "DirectionalOpacityPoint", "Environment",
+    "FieldLabel", "FieldSettings", "GradientOpacity", "GradientOpacityPoint", "GradientSettings", "ImageSettings",
+    "Integration", "Isosurface", "Light", "Material", "Multiresolution", "Noise", "Pyramid", "Shadow",
+    "TransferFunctionSettings", "TransferLayerSettings", "VolumeSettings",
+)  # fmt: skip
+_LAZY |= dict.fromkeys(_TABLES, "clvol.scene")
 __all__ = sorted(_LAZY)
 
 

@@ -41,12 +41,12 @@ class Inputs:
         real = os.path.realpath(path)
         here = _identity(real)
         if real in self._roots or here in self._files:
-            raise UsageError(str(path), "got a file that is read", "a file of its own")
+            raise UsageError(str(path), "is also an input", "a different output file")
         for folder in Path(real).parents:
             identity = _identity(folder)
             if identity in self._closed:
-                what = f"a place in {self._folders[identity]}, which is read"
-                raise UsageError(str(path), what, "a place outside of it")
+                what = f"lies in the input {self._folders[identity]}"
+                raise UsageError(str(path), what, "a place outside it")
 
     def check_folder(self, path: str | os.PathLike) -> None:
         """UsageError if making the folder ``path`` anew, or removing it, would change what is read."""
@@ -54,17 +54,17 @@ class Inputs:
         real = os.path.realpath(path)
         here = _identity(real)
         if real in self._roots or here in self._files or here in self._folders:
-            raise UsageError(str(path), "got what is read", "a folder of its own")
+            raise UsageError(str(path), "is also an input", "a different folder")
         for root in self._roots:
             above = Path(root).parents
             if any(str(up) == real or (here and _identity(up) == here) for up in above):
-                raise UsageError(str(path), f"holds {root}, which is read", "a folder of its own")
+                raise UsageError(str(path), f"contains the input {root}", "a different folder")
         for up in Path(real).parents:
             if _identity(up) in self._folders:
-                what = f"a place in {self._folders[_identity(up)]}, which is read"
-                raise UsageError(str(path), what, "a place outside of it")
+                what = f"lies in the input {self._folders[_identity(up)]}"
+                raise UsageError(str(path), what, "a place outside it")
         if here is not None and not self._files.keys().isdisjoint(_files_in(real)):
-            raise UsageError(str(path), "holds a link to what is read", "a folder of its own")
+            raise UsageError(str(path), "contains a link to an input", "a different folder")
 
     def _look(self) -> None:
         """Once: what the paths stand for."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -18,6 +19,8 @@ from clvol.scene.resolve import ResolvedScene
 
 # Tables are built once for all views of a scene; a single view should still finish quickly.
 PREPARATION = 0.02
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(eq=False)
@@ -108,7 +111,7 @@ class Trials:
         seconds, scale = min(times), 1.0
         if not getattr(engine, "renders_all_pixels", False):
             seconds, scale = self._of_picture(engine, seconds), self._scale
-        return Trial(
+        trial = Trial(
             settings=dict(settings),
             rmse=root_mean_square(data.rgba - self.exact()) if self.truth else np.inf,
             seconds=seconds,
@@ -121,6 +124,9 @@ class Trials:
             rgba=data.rgba if keep else None,
             depth=data.depth if keep else None,
         )
+        error = f"RMSE {trial.rmse:.3g}, " if self.truth else ""
+        _log.info("tried %s: %s%.3g s per frame", _changes(self.resolved, settings), error, trial.seconds)
+        return trial
 
     def frames_of(self, settings: Settings) -> Callable[[], tuple[float, np.ndarray]]:
         """A function that renders one more frame: (seconds, picture). All is prepared and stays so."""
@@ -147,6 +153,13 @@ class Trials:
                 taken.append(time.perf_counter() - start)
             self._overhead = min(taken)
         return self._overhead + self._scale * max(seconds - self._overhead, 0.1 * seconds)
+
+
+def _changes(resolved: ResolvedScene, settings: Settings) -> str:
+    """The settings that differ from those of the scene."""
+    own = {key: getattr(getattr(resolved, key.split(".")[0]), key.split(".")[1]) for key in settings}
+    changed = [f"{key}={value}" for key, value in settings.items() if value != own[key]]
+    return ", ".join(changed) or "the settings of the scene"
 
 
 def root_mean_square(difference: np.ndarray) -> float:

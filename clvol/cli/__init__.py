@@ -1,4 +1,4 @@
-"""The command ``clvol``: one module a command, imported when that command is called.
+"""The command ``clvol``: one module per command, imported when that command is called.
 
 Exit status: 0 done; 2 the input is wrong; 3 no device works; 4 the render failed; 130 interrupted;
 143 ended by SIGTERM, 129 by SIGHUP (128 plus the signal's number for others that ask for an end).
@@ -42,8 +42,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _open_standard() -> None:
-    """Where standard input, output or error is closed, nothing else that is opened may get its
-    number: what libraries print would go into a picture."""
+    """Opens the null device wherever standard input, output or error is closed: otherwise the next file that is
+    opened would get its number, and what libraries print would end up in a picture."""
     for descriptor in range(3):
         try:
             os.fstat(descriptor)
@@ -68,8 +68,8 @@ def _run(given: Sequence[str], debug: bool) -> int:
 
 @contextmanager
 def _warnings_kept(debug: bool) -> Iterator[dict[str, None]]:
-    """Yields the lines of clvol's own warnings, to be told at the end: a bar may be drawn meanwhile, and an error
-    is one line alone. Of others none is shown."""
+    """Yields the lines of clvol's own warnings. They are printed at the end, because a progress bar may be on the
+    screen until then, and because an error is one line alone. Warnings of other packages are not shown."""
     import warnings
 
     from clvol.errors import ClvolWarning

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from clvol.cli.console import note, reading_blocks, say_path, to_json, working
 from clvol.cli.outputs import check_frames, numbered, save_picture
+from clvol.cli.verbose import log_scene
 from clvol.errors import ClvolError, UsageError
 
 if TYPE_CHECKING:
@@ -19,8 +20,8 @@ if TYPE_CHECKING:
     from clvol.scene.camera import Camera
     from clvol.scene.resolve import ResolvedScene
 
-_SHARES = 1000  # parts of a frame that progress counts
-# What reading one of our pictures takes; others need not be read.
+_SHARES = 1000  # parts per frame that progress counts
+# Memory that reading one of our pictures takes; others need not be read.
 _BYTES_PER_PIXEL = 48
 _HEADER_BYTES = 1 << 20
 
@@ -37,9 +38,9 @@ def render_animation(
 ) -> None:
     """Renders all frames of ``asked`` and prints the files written.
 
-    A frame's pictures appear together when it is done and stay whatever follows; videos and stats
-    appear at the end or not at all. ``resume``: frames whose pictures are all there, whole and made
-    from the very same (``clvol.render.made_from``) are not rendered again.
+    The pictures of a frame appear together when it is done, and stay whatever follows; videos and stats
+    appear at the end or not at all. ``resume``: frames are not rendered again if all their pictures exist, are
+    whole, and were made from the same scene, voxels and version (``clvol.render.made_from``).
     """
     from clvol.image import atomic_paths, check_video, is_video, open_video
 
@@ -58,6 +59,7 @@ def render_animation(
         asked.load(memory_cap)
         resolved = asked.resolve(memory_cap)
     load_seconds = time.perf_counter() - start
+    log_scene(asked, memory_cap)
 
     from clvol.integrators.registry import integrator_of
     from clvol.render import Renderer
@@ -65,7 +67,7 @@ def render_animation(
 
     kept = set()
     if resume:
-        with working("looking at what is there", quiet):
+        with working("checking which frames exist", quiet):
             size = resolved.image.width, resolved.image.height
             for index, seconds, camera in frames(resolved):
                 expected = {"size": size, "made_from": _told(resolved, index, seconds, camera)()}
@@ -115,7 +117,7 @@ def render_animation(
     for path in [*written, *videos, *others]:
         say_path(path)
     if kept and not quiet:
-        note(f"{len(kept)} of {count} frames were there already")
+        note(f"{len(kept)} of {count} frames existed already and were kept")
 
 
 def _told(resolved: ResolvedScene, index: int, seconds: float, camera: Camera) -> MadeFrom:
@@ -166,12 +168,13 @@ def _part(
 
 
 def _is_there(stills: Sequence[str], index: int, expected: dict[str, Any], scene: str) -> bool:
-    """Whether all pictures of a frame are whole, and made from what is ``expected``."""
+    """Whether all pictures of a frame are whole and were made from what is ``expected``."""
     return all(_is_made_from(numbered(path, index), expected, scene) for path in stills)
 
 
 def _is_made_from(path: str, expected: dict[str, Any], scene: str) -> bool:
-    """What does not say what it was made from counts as made from something else."""
+    """Whether a picture was made from what is ``expected``; one that does not say is taken as made from
+    something else."""
     import clvol
     from clvol.image import is_intact, load_image
     from clvol.text import without_surrogates

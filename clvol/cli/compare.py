@@ -1,4 +1,4 @@
-"""clvol compare: how far two pictures are apart."""
+"""clvol compare: how far apart two pictures are."""
 
 from __future__ import annotations
 
@@ -6,32 +6,33 @@ from typing import Any
 
 import click
 
-from clvol.cli.options import json_option, memory_cap_option
+from clvol.cli.options import complete_file, json_option, memory_cap_option
 
 
-@click.command("compare", short_help="How far two pictures are apart.")
-@click.argument("a", metavar="A")
-@click.argument("b", metavar="B")
+@click.command("compare", short_help="Measure how far apart two pictures are.")
+@click.argument("a", metavar="A", shell_complete=complete_file)
+@click.argument("b", metavar="B", shell_complete=complete_file)
 @click.option(
     "-o",
     "--output",
     "outputs",
     multiple=True,
     metavar="FILE",
-    help="Difference picture: .png shows |A - B| with its scale, .exr and .npy hold A - B (signed, "
-    "linear). Repeatable.",
+    shell_complete=complete_file,
+    help="Write the difference: .png shows |A - B| with a scale, .exr and .npy hold A - B (signed, linear). "
+    "Repeatable.",
 )
 @json_option
-@memory_cap_option("The most memory that each picture may take while it is read: 1 GiB if not given.")
+@memory_cap_option("Most memory that each picture may take while it is read; default 1 GiB.")
 def command(
     a: str, b: str, outputs: tuple[str, ...], as_json: bool, memory_cap: int | None
 ) -> None:
     """Compare the pictures A and B (.exr, .png, .npy): RMSE, largest difference, PSNR, SSIM, and
     the CIEDE2000 colour difference as displayed.
 
-    A PNG has no opacity and shows its background: beside an .exr or .npy, that is put over the
-    background which the pictures tell, and the colours are compared. What is left out is told, and
-    what rounding to 8 bits alone would make.
+    A PNG has no opacity and includes the background. Compared with an .exr or .npy, the latter is composited over
+    the background that the files state, and colours are compared. The output states what was left out of the
+    comparison, and the difference that rounding to 8 bits alone would cause.
     """
     from clvol.inputs import Inputs, protected
 
@@ -76,7 +77,7 @@ def _rows(measured: dict[str, Any]) -> list[tuple[str, str]]:
         said = f"one of the two is rounded to {rounding['bits']} bits of sRGB"
         if "rmse" in rounding:
             alone = f"rmse {rounding['rmse']:.3g}, max_abs {rounding['max_abs']:.3g}"
-            said += f", which alone makes {alone}"
+            said += f", which alone causes {alone}"
         rows.append(("rounding", said))
     return rows
 

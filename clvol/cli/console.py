@@ -1,4 +1,4 @@
-"""What commands say: results on stdout, progress on stderr."""
+"""What commands print: results on stdout, progress on stderr."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from clvol.text import json_escaped, printable, printable_lines
 
 
 def say(text: str) -> None:
-    """One text on stdout, control characters as escapes but for line ends. A reader that has gone
-    away is no error; a full disk is one."""
+    """Prints a text on stdout, with control characters except line ends as escapes. A reader that has gone
+    away is not an error; a full disk is one."""
     try:
         click.echo(_encodable(printable_lines(text), sys.stdout))
         if sys.stdout is not None:
@@ -35,12 +35,12 @@ def say_json(value: Any) -> None:
 
 
 def say_path(path: str | os.PathLike) -> None:
-    """The name of a file that was written, on a line of its own."""
+    """Prints the name of a file that was written, on a line of its own."""
     say(printable(os.fspath(path)))
 
 
 def note(text: str) -> None:
-    """One line on stderr, beside the result. Nobody needs to listen."""
+    """Prints one line on stderr, beside the result; a closed stderr is not an error."""
     try:
         click.echo(_encodable(printable(text), sys.stderr), err=True)
     except OSError:
@@ -62,10 +62,10 @@ def say_table(rows: Iterable[tuple[str, str]]) -> None:
 
 @contextmanager
 def working(message: str, quiet: bool) -> Iterator[Callable[[int, int], None] | None]:
-    """``message`` and a clock on stderr while the block runs, if stderr is a terminal.
+    """Shows ``message`` and a clock on stderr while the block runs, if stderr is a terminal.
 
-    Yields None where nothing is shown, else a function of (done, total) that turns the display into
-    a bar with the time that is left, and of a third argument that says what is being done.
+    Yields None where nothing is shown; otherwise a function of (done, total) that turns the display into a bar with
+    the remaining time, with an optional third argument that says what is being done.
     """
     if quiet or sys.stderr is None or not sys.stderr.isatty():
         yield None
@@ -101,20 +101,20 @@ def working(message: str, quiet: bool) -> Iterator[Callable[[int, int], None] | 
 
 
 def reading_blocks(progress: Callable[..., None] | None) -> dict[str, Callable[[int, int], None]]:
-    """The argument of ``Renderer`` that tells of blocks being read, where anybody looks."""
+    """The argument of ``Renderer`` that reports blocks being read, where progress is shown."""
     if not progress:
         return {}
     return {"progress": lambda done, total: progress(done, total, "reading blocks")}
 
 
 def _encodable(text: str, stream: Any) -> str:
-    """``text`` with escapes for what the stream's encoding has no characters for."""
+    """``text`` with escapes for characters that the stream's encoding lacks."""
     encoding = getattr(stream, "encoding", None) or "utf-8"
     return text.encode(encoding, "backslashreplace").decode(encoding)
 
 
 def _silence() -> None:
-    """Send what is still to come on stdout nowhere, the flush at exit included."""
+    """Discards everything that is still to come on stdout, the flush at exit included."""
     try:
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, sys.stdout.fileno())

@@ -1,4 +1,4 @@
-"""clvol doctor: which devices there are, and why others are left out."""
+"""clvol doctor: which devices work, and why others do not."""
 
 from __future__ import annotations
 
@@ -14,11 +14,13 @@ if TYPE_CHECKING:
     from clvol.opencl.reports import DeviceReport
 
 
-@click.command("doctor", short_help="The OpenCL devices: working, or why not.")
+@click.command("doctor", short_help="List the OpenCL devices: working, or why not.")
 @json_option
 def command(as_json: bool) -> None:
-    """List the OpenCL devices, with a small picture rendered on each, and what is kept on disk and
-    where. Status 3 if no device works."""
+    """List the OpenCL devices, and the caches on disk.
+
+    A small picture is rendered on each device and checked. The exit status is 3 if no device works.
+    """
     from clvol.cli.console import say, say_json, working
     from clvol.cli.trial import try_render
     from clvol.opencl.cache_report import report_caches
@@ -34,7 +36,7 @@ def command(as_json: bool) -> None:
                 trial = try_render(report.name)
             report = replace(report, working=not trial.reason, reason=trial.reason)
             told = (f"{where}: {what}" for where, what in trial.notices.items())
-            # The caches were looked at already.
+            # The caches were examined already.
             problems += [t for t in told if t not in problems and not (caches.problems and t.startswith("cache"))]
         reports.append(report)
     caches = replace(caches, problems=problems)

@@ -1,4 +1,4 @@
-"""clvol explain: which effects a scene calls for."""
+"""clvol explain: which effects a scene uses, and why."""
 
 from __future__ import annotations
 
@@ -7,15 +7,18 @@ import click
 from clvol.cli.options import json_option, memory_cap_option, overrides_option, scene_argument
 
 
-@click.command("explain", short_help="Which effects a scene calls for, which not, and why.")
+@click.command("explain", short_help="Explain which effects a scene uses, which not, and why.")
 @scene_argument
 @json_option
 @overrides_option
-@memory_cap_option("The most memory that the volume may take.")
+@memory_cap_option("Most memory that the volume may take.")
 def command(
     scene: str, as_json: bool, overrides: tuple[str, ...], memory_cap: int | None
 ) -> None:
-    """Tell which effects SCENE calls for, which not, why, and what therefore gets compiled."""
+    """Explain which effects SCENE uses, which it does not, and why.
+
+    Only the effects that are used are compiled; scenes with the same kernel hash share one kernel.
+    """
     from clvol.cli.console import say, say_json, say_table
     from clvol.scene import load_scene
 

@@ -1,4 +1,4 @@
-"""The command group: one module a command, imported when that command is called."""
+"""The command group: one module per command, imported when that command is called."""
 
 from __future__ import annotations
 
@@ -9,19 +9,27 @@ from importlib import import_module
 import click
 
 from clvol import __version__
+from clvol.cli.verbose import verbose_option
 from clvol.errors import ClvolError, RenderError, UsageError
 
-COMMANDS = ("render", "explain", "info", "store", "doctor", "compare", "tradeoff")  # each a module of this package
+# Each a module of this package.
+COMMANDS = ("render", "explain", "info", "scene", "store", "doctor", "compare", "tradeoff", "completion")
+COMPLETE = "_CLVOL_COMPLETE"  # the environment variable by which a shell's completion script asks
 
 
 class _Commands(click.Group):
-    """Commands that are imported by name; each module calls its own ``command``."""
+    """Commands that are imported by name; each module calls its own ``command``. All have -v."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(COMMANDS)
 
     def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
-        return import_module(f"clvol.cli.{name}").command if name in COMMANDS else None
+        if name not in COMMANDS:
+            return None
+        command = import_module(f"clvol.cli.{name}").command
+        if not any(parameter.name == "verbose" for parameter in command.params):
+            command.params.append(verbose_option())
+        return command
 
     def resolve_command(self, ctx: click.Context, args: list[str]):
         if args[0] not in COMMANDS:
@@ -33,17 +41,27 @@ class _Commands(click.Group):
     cls=_Commands,
     invoke_without_command=True,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+    params=[verbose_option()],
+    epilog="The environment variable CLVOL_DEBUG=1 adds the Python traceback to errors. Exit status: 0 done, "
+    "2 wrong input, 3 no working device, 4 rendering failed, 130 interrupted. 'clvol completion --help' explains "
+    "completion in shells.",
 )
 @click.version_option(__version__, prog_name="clvol", message="%(prog)s %(version)s")
 @click.pass_context
 def cli(context: click.Context) -> None:
     """Volume rendering that says how wrong its pictures are."""
     if context.invoked_subcommand is None:
-        raise UsageError("clvol", "no command", _one_command())
+        from clvol.cli.console import say
+
+        say(context.get_help())
 
 
 def run(given: Sequence[str]) -> int:
     """Runs the command line ``given`` and returns the exit status; raises what goes wrong."""
+    if instruction := os.environ.get(COMPLETE):
+        from click.shell_completion import shell_complete
+
+        return shell_complete(cli, {}, "clvol", COMPLETE, instruction)
     try:
         with cli.make_context("clvol", list(given)) as context:
             cli.invoke(context)
@@ -67,7 +85,8 @@ def told(error: Exception) -> tuple[int, str]:
         named = isinstance(error.filename, (str, bytes, os.PathLike))
         where = os.fsdecode(error.filename) if named else "system"
         return 4, str(ClvolError(where, error.strerror, "a file that can be read and written"))
-    return 4, f"internal: {type(error).__name__}: {error}"
+    hint = "" if os.environ.get("CLVOL_DEBUG") == "1" else " (set CLVOL_DEBUG=1 for the traceback)"
+    return 4, f"internal: {type(error).__name__}: {error}{hint}"
 
 
 def _one_command() -> str:

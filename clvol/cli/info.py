@@ -1,4 +1,4 @@
-"""clvol info: what a volume file holds, and what it takes to render it."""
+"""clvol info: what a volume file contains, and how much memory rendering takes."""
 
 from __future__ import annotations
 
@@ -6,21 +6,21 @@ from typing import TYPE_CHECKING
 
 import click
 
-from clvol.cli.options import json_option, memory_cap_option, overrides_option
+from clvol.cli.options import json_option, memory_cap_option, overrides_option, volume_argument
 
 if TYPE_CHECKING:
     from clvol.volume import Volume
 
 
-@click.command("info", short_help="Shape, type, spacing, range and memory of a volume.")
-@click.argument("volume", metavar="VOLUME")
+@click.command("info", short_help="Print shape, type, spacing, range and memory of a volume.")
+@volume_argument
 @json_option
 @overrides_option
-@memory_cap_option("The most memory that the volume may take.")
+@memory_cap_option("Most memory that the volume may take.")
 def command(
     volume: str, as_json: bool, overrides: tuple[str, ...], memory_cap: int | None
 ) -> None:
-    """Tell what VOLUME holds: a volume file, a DICOM folder, a Zarr store or a scene.
+    """Print what VOLUME contains: a volume file, a DICOM folder, a Zarr store or a scene.
 
     A .raw file needs --set volume.dims=[nx,ny,nz] --set 'volume.dtype="uint8"'.
     """
@@ -66,7 +66,7 @@ def command(
 
 
 def _store_facts(volume: Volume) -> dict:
-    """What ``clvol store`` has made of it; nothing for other volumes."""
+    """Facts about a store made by ``clvol store``; nothing for other volumes."""
     source = getattr(volume, "blocks_source", None)
     if source is None:
         return {}

@@ -5,16 +5,32 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import click
+from click.shell_completion import CompletionItem
 
-scene_argument = click.argument("scene", metavar="SCENE")
+
+def complete_file(context: click.Context, parameter: click.Parameter, incomplete: str) -> list[CompletionItem]:
+    """Names of files, which the shell itself completes."""
+    return [CompletionItem(incomplete, type="file")]
+
+
+def _complete_key(context: click.Context, parameter: click.Parameter, incomplete: str) -> list[str]:
+    """TABLE.KEY= of every key of a scene; of lists of tables, those of the first one."""
+    from clvol.scene.reference import override_keys
+
+    return [f"{key}=" for key in override_keys() if key.startswith(incomplete)]
+
+
+scene_argument = click.argument("scene", metavar="SCENE", shell_complete=complete_file)
+volume_argument = click.argument("volume", metavar="VOLUME", shell_complete=complete_file)
 overrides_option = click.option(
     "--set",
     "overrides",
     multiple=True,
     metavar="TABLE.KEY=VALUE",
-    help="Override a value of the scene, in TOML syntax. Repeatable.",
+    shell_complete=_complete_key,
+    help="Override a value of the scene, in TOML syntax ('clvol scene --keys' lists the keys). Repeatable.",
 )
-json_option = click.option("--json", "as_json", is_flag=True, help="JSON instead of text.")
+json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON instead of text.")
 
 
 def _size(context: click.Context, parameter: click.Parameter, value: str | None) -> int | None:

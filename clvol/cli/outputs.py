@@ -16,15 +16,15 @@ if TYPE_CHECKING:
 
 
 def scene_inputs(scene: str, asked: Scene) -> Inputs:
-    """All that rendering the scene file or volume ``scene`` reads."""
+    """All files that rendering the scene file or volume ``scene`` reads."""
     return Inputs([scene, *asked.input_paths])
 
 
 def check_outputs(pictures: Sequence[str], others: Sequence[str]) -> None:
-    """UsageError now, before the work, if one of the files could not be written later.
+    """Raises UsageError, before the work, if one of the files could not be written later.
 
-    ``pictures`` must end as a picture does, ``others`` as they like; none may be the same file as
-    another, nor, inside of ``clvol.inputs.protected``, one that is read.
+    ``pictures`` need the ending of a picture, ``others`` may have any. No two may be the same file, nor, inside
+    ``clvol.inputs.protected``, a file that is read.
     """
     from clvol.image import check_output, check_output_folder
 
@@ -41,13 +41,12 @@ def _check_apart(paths: Iterable[str]) -> None:
         check_not_read(path)
         marks = _marks(path)
         if not taken.isdisjoint(marks):
-            raise UsageError(path, "got a file that is written already", "a file of its own")
+            raise UsageError(path, "is given twice as an output", "a different file for each output")
         taken |= marks
 
 
 def _marks(path: str) -> set[object]:
-    """What two names of one file have in common: the real path, or, of a file that is there, which
-    it is."""
+    """What two names of one file have in common: the real path or, if the file exists, its identity."""
     if "\0" in path:
         return {path}
     return {os.path.realpath(path), _identity(path)} - {None}
@@ -57,8 +56,8 @@ _NUMBER = re.compile(r"%(?:0([1-9]))?d")
 
 
 def numbered(path: str, index: int) -> str:
-    """``path`` with frame ``index`` in the place of its name's %d, or of its %04d as four digits or
-    more; a name with no such place, or with several, stays as it is."""
+    """``path`` with the number of a frame in place of the %d in its name, or of its %04d with at least four
+    digits; a name with no such place, or with several, stays as it is."""
     folder, name = os.path.split(path)
     found = _NUMBER.findall(name)
     if len(found) != 1:
@@ -76,7 +75,7 @@ def check_frames(
 
     for path in stills:
         if Path(path).suffix.lower() not in ENDINGS:
-            what = f'neither pictures nor videos have the ending "{Path(path).suffix}"'
+            what = f'unknown ending "{Path(path).suffix}"'
             raise UsageError(path, what, " or ".join([*ENDINGS, *VIDEO_ENDINGS]))
         if numbered(path, 0) == path:
             stem, ending = os.path.splitext(path)
@@ -94,7 +93,7 @@ def check_frames(
             is_there = os.path.lexists(place)
             marks = _marks(place) if is_there else {place}
             if not taken.isdisjoint(marks):
-                raise UsageError(path, f"frame {index} is a file that is used already", "its own")
+                raise UsageError(path, f"frame {index} is a file that is used already", "a file of its own")
             if is_there:
                 check_not_read(place)
             taken |= marks
@@ -104,7 +103,7 @@ REPORT = ("index.html", "tradeoff.json", "tradeoff.png")
 
 
 def check_folder(folder: str) -> None:
-    """UsageError now, before the work, if a report could not be written to ``folder`` later."""
+    """Raises UsageError, before the work, if a report could not be written to ``folder`` later."""
     from clvol.image import check_output_folder
 
     if os.path.lexists(folder) and not os.path.isdir(folder):

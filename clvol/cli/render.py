@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from clvol.cli.options import memory_cap_option, overrides_option, scene_argument
+from clvol.cli.options import complete_file, memory_cap_option, overrides_option, scene_argument
+from clvol.cli.verbose import log_scene
 from clvol.errors import UsageError
 
 if TYPE_CHECKING:
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
 _OPTIONS = {"max_error": "--max-error", "time_budget": "--time-budget"}
 
 
-@click.command("render", short_help="Render a scene, or a volume file with all defaults.")
+@click.command("render", short_help="Render a scene, or a volume file with default settings.")
 @scene_argument
 @click.option(
     "-o",
@@ -27,8 +28,9 @@ _OPTIONS = {"max_error": "--max-error", "time_budget": "--time-budget"}
     multiple=True,
     required=True,
     metavar="FILE",
-    help="Picture to write: .exr, .png or .npy. Of an animation: a video (.gif, .webp, .apng, "
-    ".mp4), or pictures with a number in their name, as in out_%04d.png. Repeatable.",
+    shell_complete=complete_file,
+    help="Picture to write: .exr, .png or .npy. For an animation: a video (.gif, .webp, .apng, .mp4), or "
+    "pictures with a number in their name, as in out_%04d.png. Repeatable.",
 )
 @overrides_option
 @click.option(
@@ -36,30 +38,30 @@ _OPTIONS = {"max_error": "--max-error", "time_budget": "--time-budget"}
     "devices",
     multiple=True,
     metavar="NAME",
-    help="A name of 'clvol doctor'. Repeatable.",
+    help="Device to render on, by its name in 'clvol doctor'.",
 )
 @click.option(
     "--max-error",
     type=float,
     metavar="E",
-    help="Choose the cheapest settings whose RMSE against the exact integral is at most E, and measure it.",
+    help="Choose the cheapest settings whose RMSE against the exact integral is at most E, and measure the error.",
 )
 @click.option(
     "--time-budget",
     type=float,
     metavar="SECONDS",
-    help="Choose the most accurate settings whose frame takes at most so long, and measure the error. "
-    "By the method multiresolution: refine the picture for so long, and estimate the error.",
+    help="Choose the most accurate settings whose frame takes at most this long, and measure the error. "
+    "With the method 'multiresolution': refine the picture for this long, and estimate the error.",
 )
 @click.option(
     "--resume",
     is_flag=True,
-    help="Of an animation's numbered pictures, keep what is there, whole and made from the very same: "
-    "scene, voxels, version.",
+    help="Keep the numbered pictures of an animation that exist, are whole and were made from the same scene, "
+    "voxels and version; render the others.",
 )
-@click.option("--stats", metavar="FILE", help="Where to write times and counts as JSON.")
-@memory_cap_option("The most memory that the volume may take, here and on the device.")
-@click.option("--quiet", is_flag=True, help="No progress on the terminal.")
+@click.option("--stats", metavar="FILE", shell_complete=complete_file, help="Write times and counts as JSON to FILE.")
+@memory_cap_option("Most memory that the volume may take, on the host and on the device.")
+@click.option("--quiet", is_flag=True, help="Show no progress on the terminal.")
 def command(
     scene: str,
     outputs: tuple[str, ...],
@@ -72,22 +74,20 @@ def command(
     memory_cap: int | None,
     quiet: bool,
 ) -> None:
-    """Render SCENE (.toml), or a volume file with all defaults, and print the files written.
+    """Render SCENE (.toml), or a volume file with default settings, and print the files written.
 
-    All files appear whole, or none does. With --max-error or --time-budget the settings of [integration]
-    and of the rays of [image] are chosen anew; what was chosen and measured is told on stderr, in
-    --stats and in the header of .exr.
+    Output files appear whole or not at all. With --max-error or --time-budget, clvol chooses the settings of
+    [integration] and the ray spacing of [image]; the chosen settings and the measured error are printed to
+    standard error, and are in --stats and in the header of .exr files.
 
-    A store (clvol store) is rendered by the method multiresolution, from so much of it as
-    multiresolution.memory allows. Then --time-budget keeps all settings and refines the picture, worst
-    tiles first, until the time is up; the share of pixels with rays of their own and the estimated
-    distance from the picture with all rays are told. --stats has, beside times and counts: "blocks",
-    how many are at which level (full resolution first) or dropped since they show nothing, their bytes,
-    and the selection's estimated error beside the least possible one; and "tiles", the share of pixels
-    and the estimated RMSE.
+    A store (made by 'clvol store') is rendered by the method 'multiresolution', within multiresolution.memory. With
+    that method, --time-budget keeps all settings and refines the picture, worst tiles first, until the time is up; it
+    prints the share of pixels that have a ray, and an estimate of the difference to the picture with all rays. --stats
+    then also holds "blocks": the number of blocks at each level (full resolution first) and of those that are
+    dropped because nothing of them is visible, their bytes, and the estimated error beside the least possible one;
+    and "tiles": the share of pixels that have a ray, and the estimated RMSE.
 
-    A scene with animation.frames above 1 gives a video or numbered pictures, which appear one by
-    one.
+    A scene with animation.frames above 1 gives a video, or numbered pictures that appear one by one.
     """
     check_targets(max_error, time_budget)
     from clvol.cli.outputs import scene_inputs
@@ -137,6 +137,7 @@ def _render_still(
     with working(f"loading {asked.origin}", quiet):
         asked.load(memory_cap)
     load_seconds = time.perf_counter() - start
+    log_scene(asked, memory_cap)
 
     from clvol.render import Renderer
 
@@ -193,14 +194,14 @@ def check_still(outputs: tuple[str, ...], resume: bool) -> tuple[str, ...]:
 
 
 def check_targets(max_error: float | None, time_budget: float | None) -> None:
-    """UsageError now, before anything is loaded, for what could not be aimed at."""
+    """Raises UsageError before anything is loaded if the target is impossible."""
     if max_error is None and time_budget is None:
         return
     from clvol.accuracy.error_target import check_max_error
     from clvol.accuracy.time_target import check_time_budget
 
     if max_error is not None and time_budget is not None:
-        raise UsageError("--time-budget", "given beside --max-error", "one of the two")
+        raise UsageError("--time-budget", "given together with --max-error", "one of the two")
     with named_as_options():
         if max_error is not None:
             check_max_error(max_error)
@@ -221,12 +222,12 @@ def named_as_options() -> Iterator[None]:
 
 
 def refinement_in_words(stats: dict) -> str:
-    """One line: how far a picture for a given time has come."""
+    """One line: how far a picture has been refined within its time."""
     tiles, taken = stats.get("tiles"), f"{stats['seconds']['render']:.3g} s"
     if tiles is None or tiles.get("estimated_rmse") is None:
-        return f"nothing is to be seen; {taken} a frame"
+        return f"nothing is visible; {taken} per frame"
     share, rmse = tiles["share_of_pixels"], tiles["estimated_rmse"]
-    return f"{share:.0%} of pixels have rays of their own, estimated RMSE {rmse:.3g}; {taken} a frame"
+    return f"{share:.0%} of pixels have rays of their own, estimated RMSE {rmse:.3g}; {taken} per frame"
 
 
 def accuracy_in_words(stats: dict) -> str:
@@ -246,5 +247,5 @@ def accuracy_in_words(stats: dict) -> str:
     )
     return (
         f"RMSE {measured['rmse']:.3g}, at most {measured['bound']:.3g} ({sure}); "
-        f"{stats['seconds']['render']:.3g} s a frame with {chosen}"
+        f"{stats['seconds']['render']:.3g} s per frame with {chosen}"
     )

@@ -1,4 +1,4 @@
-"""clvol store: a volume as blocks at several resolutions, on disk."""
+"""clvol store: writes a volume to disk as blocks at several resolutions."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from clvol.cli.options import memory_cap_option, overrides_option
+from clvol.cli.options import memory_cap_option, overrides_option, volume_argument
 
 if TYPE_CHECKING:
     from clvol.scene import Scene
@@ -16,31 +16,31 @@ if TYPE_CHECKING:
 
 
 @click.command("store", short_help="Build the multiresolution store of a volume.")
-@click.argument("volume", metavar="VOLUME")
+@volume_argument
 @click.option(
-    "-o", "--output", required=True, metavar="STORE", help="The folder to write, an OME-Zarr image."
+    "-o", "--output", required=True, metavar="STORE", help="Folder to write, an OME-Zarr image."
 )
 @click.option(
-    "--codec", metavar="NAME", help="How samples are compressed: blosc-lz4 (default), zstd or none."
+    "--codec", metavar="NAME", help="Compression of samples: blosc-lz4 (default), zstd or none."
 )
 @click.option(
-    "--edge", type=int, metavar="N", help="Voxels an axis of a block: 4, 8, 16 (default) or 32."
+    "--edge", type=int, metavar="N", help="Voxels per axis of a block: 4, 8, 16 (default) or 32."
 )
 @click.option(
     "--shard",
     type=int,
     metavar="N",
-    help="Voxels an axis of a file, a multiple of the edge; 128, or 256 for long volumes.",
+    help="Voxels per axis of a file, a multiple of the edge; default 128, or 256 for volumes longer than 1024.",
 )
 @click.option(
-    "--overwrite", is_flag=True, help="Replace a store that is there, once the new one is whole."
+    "--overwrite", is_flag=True, help="Replace an existing store, once the new one is complete."
 )
 @click.option(
-    "--restart", is_flag=True, help="Begin anew what an interrupted call has left unfinished."
+    "--restart", is_flag=True, help="Discard what an interrupted run has left, and start again."
 )
 @overrides_option
-@memory_cap_option("The most memory that the volume may take.")
-@click.option("--quiet", is_flag=True, help="No progress on the terminal.")
+@memory_cap_option("Most memory that the volume may take.")
+@click.option("--quiet", is_flag=True, help="Show no progress on the terminal.")
 def command(
     volume: str,
     output: str,
@@ -58,8 +58,7 @@ def command(
     VOLUME is a volume file, a DICOM folder, a Zarr folder or a scene. A .raw file needs
     --set volume.dims=[nx,ny,nz] --set 'volume.dtype="uint8"'.
 
-    The store appears whole or not at all. What an interrupted call leaves in STORE.partial, the
-    same call goes on with.
+    The store appears whole or not at all. An interrupted run leaves STORE.partial; the same command resumes it.
     """
     from pathlib import Path
 
@@ -88,7 +87,7 @@ def command(
 
 
 def _source(scene: Scene, volume: str, memory_cap: int | None, quiet: bool) -> VoxelSource:
-    """A computed field as it is, without its voxels; anything else as the scene loads it."""
+    """Voxels of a computed field as they are needed; anything else as the scene loads it."""
     from clvol.cli.console import working
     from clvol.store.voxel_source import FieldSource, VolumeSource
     from clvol.volume.axis import ValueAxis
@@ -102,7 +101,7 @@ def _source(scene: Scene, volume: str, memory_cap: int | None, quiet: bool) -> V
 
 
 def _telling(output: str, bar: Callable | None) -> Callable[[int, int], None]:
-    """Moves the bar, if there is one; tells once where an interrupted store is gone on with."""
+    """Moves the bar, if there is one; says once that an interrupted store is resumed."""
     from clvol.cli.console import note
 
     begun = False
@@ -110,7 +109,7 @@ def _telling(output: str, bar: Callable | None) -> Callable[[int, int], None]:
     def progress(done: int, total: int) -> None:
         nonlocal begun
         if done and not begun:
-            said = f"going on with {output}.partial: {done} of {total} regions are done"
+            said = f"resuming {output}.partial: {done} of {total} regions are done"
             bar(done, total, said) if bar is not None else note(said)
         elif bar is not None:
             bar(done, total)

@@ -1,4 +1,4 @@
-"""clvol tradeoff: what accuracy costs in time, for one scene."""
+"""clvol tradeoff: measures what accuracy costs in time, for one scene."""
 
 from __future__ import annotations
 
@@ -8,30 +8,31 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from clvol.cli.options import memory_cap_option, overrides_option, scene_argument
+from clvol.cli.verbose import log_scene
 
 if TYPE_CHECKING:
     from clvol.scene import Scene
 
 
-@click.command("tradeoff", short_help="Error against time, over everything that trades one for the other.")
+@click.command("tradeoff", short_help="Measure error against time, over all settings that trade one for the other.")
 @scene_argument
 @click.option(
-    "-o", "--output", "folder", required=True, metavar="DIR", help="Folder to write, made if need be."
+    "-o", "--output", "folder", required=True, metavar="DIR", help="Folder to write; created if it does not exist."
 )
 @overrides_option
 @click.option(
-    "--device", "devices", multiple=True, metavar="NAME", help="A name of 'clvol doctor'."
+    "--device", "devices", multiple=True, metavar="NAME", help="Device to render on, by its name in 'clvol doctor'."
 )
 @click.option(
     "--frames", type=click.IntRange(1, 1000), default=7, show_default=True,
-    help="Frames that each time is the median of.",
+    help="Number of frames; times are medians over them.",
 )  # fmt: skip
 @click.option(
     "--settings", type=click.IntRange(1, 100_000), default=160, show_default=True,
-    help="Settings to try at most.",
+    help="Largest number of settings to try.",
 )  # fmt: skip
-@memory_cap_option("The most memory that the volume may take, here and on the device.")
-@click.option("--quiet", is_flag=True, help="No progress on the terminal.")
+@memory_cap_option("Most memory that the volume may take, on the host and on the device.")
+@click.option("--quiet", is_flag=True, help="Show no progress on the terminal.")
 def command(
     scene: str,
     folder: str,
@@ -42,10 +43,10 @@ def command(
     memory_cap: int | None,
     quiet: bool,
 ) -> None:
-    """Render SCENE under many settings and measure each one's error, against the exact integral, and time.
+    """Render SCENE with many settings; measure the time of each, and its error against the exact integral.
 
-    Writes index.html (to look at), tradeoff.json, tradeoff.png and images to DIR, and says which
-    settings to use for which error. Takes minutes; nothing else should run meanwhile.
+    Writes index.html (a report), tradeoff.json, tradeoff.png and images to DIR, and prints which settings to use for
+    which error. This takes minutes; nothing else should run at the same time.
     """
     from clvol.cli.console import say, say_path
     from clvol.cli.outputs import scene_inputs
@@ -72,6 +73,7 @@ def _report(
     check_folder(folder)
     with working(f"loading {asked.origin}", quiet):
         asked.load(memory_cap)
+    log_scene(asked, memory_cap)
 
     from clvol.accuracy.report import write_report
     from clvol.accuracy.tradeoff import measure_tradeoff

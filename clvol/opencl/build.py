@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import atexit
 import hashlib
+import logging
 import os
 import threading
+import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import lru_cache
@@ -19,6 +21,7 @@ from clvol.opencl.kernels_path import kernel_folder
 from clvol.opencl.source import whole_source
 from clvol.quietly import without_warnings
 
+_log = logging.getLogger(__name__)
 _POCL = "Portable Computing Language"
 _lock = threading.Lock()  # PoCL compiles one program at a time anyway
 
@@ -33,7 +36,10 @@ def build_file(
     """
     kernels = kernel_folder()
     folders = (kernels,) if folder is None else (Path(folder), kernels)
-    return build_program(context, whole_source(kernels / file, folders), options)
+    start = time.perf_counter()
+    program, where = _build(context, whole_source(kernels / file, folders), options)
+    _log.info("%s: %s, %.2f s; %s", Path(file).name, where, time.perf_counter() - start, " ".join(options))
+    return program
 
 
 def build_program(context: cl.Context, source: str, options: Sequence[str]) -> Any:
@@ -41,31 +47,39 @@ def build_program(context: cl.Context, source: str, options: Sequence[str]) -> A
 
     ``options`` are words without blanks or quotes: implementations differ in how they take those.
     """
+    return _build(context, source, options)[0]
+
+
+_COMPILED, _FROM_CACHE = "compiled", "found in the cache"
+
+
+def _build(context: cl.Context, source: str, options: Sequence[str]) -> tuple[Any, str]:
+    """The program, and in words where it comes from."""
     device = context.devices[0]
     words = " ".join(options).encode()
     key = program_key(device, source, options)
     with _lock, without_warnings(cl.CompilerWarning):  # a driver's "compilation done" is no news
         if device.platform.name == _POCL:
-            pocl_programs.restore(key)
+            where = _FROM_CACHE if pocl_programs.restore(key) else _COMPILED
             program = _built(cl._cl._Program(context, source), words)
             pocl_programs.built(key)
-            return program
+            return program, where
         if _has_cache(device):
-            return _built(cl._cl._Program(context, source), words)
+            return _built(cl._cl._Program(context, source), words), "built by a driver with a cache of its own"
         store = program_store.program_folder()
         kept = program_store.read_program(store, key)
         if kept is not None:
             try:
-                return _built(cl._cl._Program(context, [device], [kept[""]]), words)
+                return _built(cl._cl._Program(context, [device], [kept[""]]), words), _FROM_CACHE
             except (cl.Error, KeyError):  # not this driver's after all
                 pass
         program = _built(cl._cl._Program(context, source), words)
         try:
             (binary,) = program.get_info(cl.program_info.BINARIES)
         except (cl.Error, ValueError):  # it gives none
-            return program
+            return program, _COMPILED
         program_store.write_program(store, key, {"": bytes(binary)})
-        return program
+        return program, _COMPILED
 
 
 def _built(program: Any, options: bytes) -> Any:

@@ -6,6 +6,7 @@ a wrong array is a Python error and not a wrong picture.
 
 from __future__ import annotations
 
+import logging
 import signal
 import sys
 import threading
@@ -38,6 +39,9 @@ class DeviceArray:
     @property
     def nbytes(self) -> int:
         return int(np.prod(self.shape, dtype=np.int64)) * self.dtype.itemsize
+
+
+_log = logging.getLogger(__name__)
 
 
 class Kernel:
@@ -119,6 +123,7 @@ class DeviceContext:
             self.queue = cl.CommandQueue(self.context)
         except cl.Error as error:
             raise DeviceError(self.name, f"cannot be used ({error})", "a working device") from None
+        _log.info("rendering on %s: %s (%s)", self.name, device.name.strip(), device.platform.name.strip())
         self._outputs: list[tuple[DeviceArray, int]] = []
         self._lent: set[int] = set()  # of the outputs above: not yet taken
         self._programs: dict[tuple, Any] = {}

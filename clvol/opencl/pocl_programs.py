@@ -50,34 +50,35 @@ def own_pocl_folder() -> Iterator[None]:
                 os.environ[_VARIABLE] = before
 
 
-def restore(key: str) -> None:
-    """Gives PoCL the program of this key, if the store has it whole."""
+def restore(key: str) -> bool:
+    """Gives PoCL the program of this key, if the store has it whole; whether PoCL has it now."""
     if _folder is None:
-        return
+        return False
     _asked.add(key)
     if key in _places:
-        return
+        return True
     try:
         _folder.mkdir(parents=True, exist_ok=True)  # somebody may have tidied up
     except OSError:
-        return
+        return False
     files = read_program(_store, key)
     if not files:
-        return
+        return False
     place = "/".join(next(iter(files)).split("/")[:2])
     if (_folder / place).exists():  # compiled, under another key, from the same text
         _places[key] = place
-        return
+        return True
     try:
         for name, content in files.items():
             path = _folder / name
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(content)
     except OSError:  # no room: PoCL may find some that it can do with
-        return
+        return False
     _places[key] = place
     _seen.add(place)
     _kept[key] = {name: len(content) for name, content in files.items()}
+    return True
 
 
 def built(key: str) -> None:

@@ -12,12 +12,30 @@ class Animation(Table):
     over the values, in ranges of the volume a second, wrapping; its opacity stays.
     ``orbit_degrees``: the camera's turn about its target over all frames."""
 
-    time: Number = Field(0.0, ge=-1e6, le=1e6, description="seconds from -1e6 to 1e6")
-    frames: Whole = Field(1, ge=1, le=100000, description="a whole number from 1 to 100000")
-    fps: Number = Field(25.0, gt=0, le=1000, description="a number greater than 0, at most 1000")
-    cycle: Number = Field(0.0, ge=-1e6, le=1e6, description="a number from -1e6 to 1e6")
+    time: Number = Field(
+        0.0, ge=-1e6, le=1e6,
+        title="Time of the first frame, in seconds.",
+        description="seconds from -1e6 to 1e6",
+    )
+    frames: Whole = Field(
+        1, ge=1, le=100000,
+        title="Number of frames; above 1 the output is a video or a numbered series of pictures.",
+        description="a whole number from 1 to 100000",
+    )
+    fps: Number = Field(
+        25.0, gt=0, le=1000,
+        title="Frames per second.",
+        description="a number greater than 0, at most 1000",
+    )
+    cycle: Number = Field(
+        0.0, ge=-1e6, le=1e6,
+        title="Speed at which colours move through the values, in value ranges per second; opacities stay.",
+        description="a number from -1e6 to 1e6",
+    )
     orbit_degrees: Number = Field(
-        0.0, ge=-36000, le=36000, description="an angle from -36000 to 36000 degrees"
+        0.0, ge=-36000, le=36000,
+        title="Turn of the camera about its target over all frames, in degrees.",
+        description="an angle from -36000 to 36000 degrees",
     )
 
     @classmethod

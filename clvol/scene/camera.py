@@ -31,18 +31,39 @@ class Camera(Table):
     """
 
     projection: Literal["perspective", "orthographic"] = Field(
-        "perspective", description="'perspective' or 'orthographic'"
+        "perspective",
+        title="Kind of projection.",
+        description="'perspective' or 'orthographic'",
     )
-    position: Vector | None = Field(None, description="three finite numbers [x, y, z]")
-    target: Vector | None = Field(None, description="three finite numbers [x, y, z]")
-    up: Vector | None = Field(None, description="three finite numbers [x, y, z], not all 0")
+    position: Vector | None = Field(
+        None,
+        title="Position of the eye in world units; by default the whole volume is in view.",
+        description="three finite numbers [x, y, z]",
+        examples=[[600.0, 300.0, 500.0]],
+    )
+    target: Vector | None = Field(
+        None,
+        title="World point that the camera looks at; by default the centre of the volume.",
+        description="three finite numbers [x, y, z]",
+        examples=[[127.5, 127.5, 63.5]],
+    )
+    up: Vector | None = Field(
+        None,
+        title="World direction that points up in the picture; by default y, or z where the view is along y.",
+        description="three finite numbers [x, y, z], not all 0",
+        examples=[[0.0, 1.0, 0.0]],
+    )
     fov_degrees: Number = Field(
-        DEFAULT_FOV_DEGREES,
-        gt=0,
-        lt=180,
+        DEFAULT_FOV_DEGREES, gt=0, lt=180,
+        title="Vertical field of view of a perspective camera, in degrees; ignored by an orthographic one.",
         description="a vertical angle greater than 0 and less than 180",
     )
-    height: Length | None = Field(None, description="a finite world length greater than 0")
+    height: Length | None = Field(
+        None,
+        title="Height of an orthographic view in world units; by default the whole volume is in view.",
+        description="a finite world length greater than 0",
+        examples=[250.0],
+    )
 
     @classmethod
     def table_name(cls) -> str:

@@ -19,15 +19,51 @@ class Clip(Table):
     outside."""
 
     type: Literal["plane", "box", "sphere"] = Field(
-        "plane", description="'plane', 'box' or 'sphere'"
+        "plane",
+        title="Shape of the clip.",
+        description="'plane', 'box' or 'sphere'",
     )
-    point: Vector | None = Field(None, description=_POINT)
-    normal: Vector | None = Field(None, description="three finite numbers [x, y, z], not all 0")
-    lower: Vector | None = Field(None, description=_POINT)
-    upper: Vector | None = Field(None, description=_POINT)
-    center: Vector | None = Field(None, description=_POINT)
-    radius: Length | None = Field(None, description="a finite world length greater than 0")
-    keep: Literal["inside", "outside"] = Field("inside", description="'inside' or 'outside'")
+    point: Vector | None = Field(
+        None,
+        title="World point on the plane.",
+        description=_POINT,
+        examples=[[63.5, 0.0, 0.0]],
+    )
+    normal: Vector | None = Field(
+        None,
+        title="World direction that points to the side of the plane that is kept; its length does not matter.",
+        description="three finite numbers [x, y, z], not all 0",
+        examples=[[1.0, 0.0, 0.0]],
+    )
+    lower: Vector | None = Field(
+        None,
+        title="Lower world corner of the box.",
+        description=_POINT,
+        examples=[[0.0, 0.0, 0.0]],
+    )
+    upper: Vector | None = Field(
+        None,
+        title="Upper world corner of the box.",
+        description=_POINT,
+        examples=[[64.0, 64.0, 64.0]],
+    )
+    center: Vector | None = Field(
+        None,
+        title="World centre of the sphere.",
+        description=_POINT,
+        examples=[[63.5, 63.5, 63.5]],
+    )
+    radius: Length | None = Field(
+        None,
+        title="Radius of the sphere in world units.",
+        description="a finite world length greater than 0",
+        examples=[40.0],
+    )
+    keep: Literal["inside", "outside"] = Field(
+        "inside",
+        title="Which side of a box or sphere is kept.",
+        description="'inside' or 'outside'",
+    )
 
     @classmethod
     def table_name(cls) -> str:

@@ -23,10 +23,28 @@ class DepthCue(Table):
     way to ``color``, which is in the colour space of the transfer function. Left out, they are the
     distances of the volume's nearest and farthest corner."""
 
-    start: _Distance | None = Field(None, description=_DISTANCE)
-    end: _Distance | None = Field(None, description=_DISTANCE)
-    strength: Fraction = Field(1.0, description="a number from 0 to 1")
-    color: Color = Field((0.0, 0.0, 0.0), description="three numbers [r, g, b] from 0 to 1")
+    start: _Distance | None = Field(
+        None,
+        title="World distance at which fading starts; by default the nearest corner of the volume.",
+        description=_DISTANCE,
+        examples=[200.0],
+    )
+    end: _Distance | None = Field(
+        None,
+        title="World distance at which fading is complete; by default the farthest corner of the volume.",
+        description=_DISTANCE,
+        examples=[400.0],
+    )
+    strength: Fraction = Field(
+        1.0,
+        title="How far colours have faded at the end; 1 is all the way.",
+        description="a number from 0 to 1",
+    )
+    color: Color = Field(
+        (0.0, 0.0, 0.0),
+        title="Colour that distant parts fade to, in the colour space of the transfer function.",
+        description="three numbers [r, g, b] from 0 to 1",
+    )
 
     @classmethod
     def table_name(cls) -> str:

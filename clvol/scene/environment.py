@@ -25,14 +25,31 @@ class Environment(Table):
     """
 
     file: Annotated[str, BeforeValidator(path_text), AfterValidator(is_path)] = Field(
-        min_length=1, description=_FILE
+        min_length=1,
+        title="EXR picture of the surroundings, in linear light; relative to the scene file.",
+        description=_FILE,
+        examples=["studio.exr"],
     )
-    layout: Literal["latlong", "cube"] = Field("latlong", description="'latlong' or 'cube'")
-    intensity: Number = Field(1.0, ge=0, le=1e6, description="a number from 0 to 1e6")
+    layout: Literal["latlong", "cube"] = Field(
+        "latlong",
+        title="Latitude-longitude map, or a vertical strip of cube faces +x, -x, +y, -y, +z, -z.",
+        description="'latlong' or 'cube'",
+    )
+    intensity: Number = Field(
+        1.0, ge=0, le=1e6,
+        title="Factor on the radiance of the map.",
+        description="a number from 0 to 1e6",
+    )
     rotation_degrees: Number = Field(
-        0.0, ge=-36000, le=36000, description="an angle from -36000 to 36000 degrees"
+        0.0, ge=-36000, le=36000,
+        title="Rotation of the map about the world's y axis, in degrees.",
+        description="an angle from -36000 to 36000 degrees",
     )
-    visible: bool = Field(False, description="true or false")
+    visible: bool = Field(
+        False,
+        title="Whether the map is shown behind the volume instead of the background.",
+        description="true or false",
+    )
 
     @classmethod
     def table_name(cls) -> str:

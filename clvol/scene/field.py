@@ -57,10 +57,21 @@ class FieldLabel(Table):
     """``opacity`` is a factor on the volume's own extinction."""
 
     label: Whole = Field(
-        ge=-_LARGEST_LABEL, le=_LARGEST_LABEL, description="a whole number of at most 53 bits"
+        ge=-_LARGEST_LABEL, le=_LARGEST_LABEL,
+        title="Value of the voxels with this label.",
+        description="a whole number of at most 53 bits",
+        examples=[3],
     )
-    color: Color = Field(description="three numbers [r, g, b] from 0 to 1")
-    opacity: Fraction = Field(1.0, description="a number from 0 to 1")
+    color: Color = Field(
+        title="Colour of the label, in the colour space of the transfer function.",
+        description="three numbers [r, g, b] from 0 to 1",
+        examples=[[0.9, 0.3, 0.2]],
+    )
+    opacity: Fraction = Field(
+        1.0,
+        title="Factor on the extinction of the volume where the label is.",
+        description="a number from 0 to 1",
+    )
 
     @classmethod
     def table_name(cls) -> str:
@@ -87,21 +98,59 @@ class FieldSettings(Table):
             str, BeforeValidator(path_text), AfterValidator(is_path), Field(min_length=1)
         ],
         WrapValidator(_file),
-    ] = Field(description="the name of a volume file, in quotes")
-    channel: Choice = Field(None, description="the index (from 0) or the name of a channel")
-    time: Choice = Field(None, description="the index (from 0) of a time")
-    series: Choice = Field(None, description="the index (from 0) or the name of a series")
+    ] = Field(
+        title="Volume file, relative to the scene file; from Python also a clvol.Volume.",
+        description="the name of a volume file, in quotes",
+        examples=["labels.nrrd"],
+    )
+    channel: Choice = Field(
+        None,
+        title="Which channel to read where the file has several.",
+        description="the index (from 0) or the name of a channel",
+        examples=[0],
+    )
+    time: Choice = Field(
+        None,
+        title="Which time step to read where the file has several.",
+        description="the index (from 0) of a time",
+        examples=[0],
+    )
+    series: Choice = Field(
+        None,
+        title="Which series to read where the file or folder has several.",
+        description="the index (from 0) or the name of a series",
+        examples=[0],
+    )
     role: Literal["label", "density", "mask"] = Field(
-        description="'label', 'density' or 'mask'"
+        title="What the field does: colour by label, add a second medium, or mask the volume.",
+        description="'label', 'density' or 'mask'",
+        examples=["label"],
     )
     labels: Annotated[tuple[FieldLabel, ...], AsTuple] | None = Field(
-        None, description="a list of labels { label = …, color = [r, g, b] }"
+        None,
+        title="Colours and opacities by label, for the role 'label'; other labels keep the look of the volume.",
+        description="a list of labels { label = …, color = [r, g, b] }",
+        examples=[[{"label": 3, "color": [0.9, 0.3, 0.2], "opacity": 1.0}]],
     )
     points: Annotated[tuple[ControlPoint, ...], AsTuple] | None = Field(
-        None, description="a list of points { value = …, opacity = …, color = [r, g, b] }"
+        None,
+        title="Transfer function of the added medium, for the role 'density'.",
+        description="a list of points { value = …, opacity = …, color = [r, g, b] }",
+        examples=[[
+            {"value": 0, "opacity": 0, "color": [0, 0, 0]},
+            {"value": 1.0, "opacity": 0.2, "color": [0.3, 0.5, 1.0]},
+        ]],
     )
-    threshold: Number = Field(0.5, description="a finite number")
-    keep: Literal["above", "below"] = Field("above", description="'above' or 'below'")
+    threshold: Number = Field(
+        0.5,
+        title="Value at which a mask changes, for the role 'mask'.",
+        description="a finite number",
+    )
+    keep: Literal["above", "below"] = Field(
+        "above",
+        title="Side of the threshold on which the volume is kept, for the role 'mask'.",
+        description="'above' or 'below'",
+    )
 
     @classmethod
     def table_name(cls) -> str:

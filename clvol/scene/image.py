@@ -19,13 +19,23 @@ class ImageSettings(Table):
     premultiplied); other pixels get rays of their own.
     """
 
-    width: Whole = Field(512, ge=1, le=LARGEST_AXIS, description=_SIDE)
-    height: Whole = Field(512, ge=1, le=LARGEST_AXIS, description=_SIDE)
-    background: Color = Field((0.0, 0.0, 0.0), description="three numbers [r, g, b] from 0 to 1")
-    ray_spacing: Whole = Field(
-        1, ge=1, le=16, description="a whole number of pixels from 1 to 16"
+    width: Whole = Field(512, ge=1, le=LARGEST_AXIS, title="Width of the picture in pixels.", description=_SIDE)
+    height: Whole = Field(512, ge=1, le=LARGEST_AXIS, title="Height of the picture in pixels.", description=_SIDE)
+    background: Color = Field(
+        (0.0, 0.0, 0.0),
+        title="Colour behind the volume in PNG files and videos, in the colour space of the transfer function.",
+        description="three numbers [r, g, b] from 0 to 1",
     )
-    ray_tolerance: Number = Field(0.01, ge=0, le=1, description="a number from 0 to 1")
+    ray_spacing: Whole = Field(
+        1, ge=1, le=16,
+        title="Distance between rays in pixels; pixels between similar rays are interpolated, others get their own.",
+        description="a whole number of pixels from 1 to 16",
+    )
+    ray_tolerance: Number = Field(
+        0.01, ge=0, le=1,
+        title="Largest difference of neighbouring rays across which pixels are interpolated (linear, premultiplied).",
+        description="a number from 0 to 1",
+    )
 
     @classmethod
     def table_name(cls) -> str:

@@ -21,35 +21,72 @@ class Integration(Table):
     ``quadrature``: even "steps" along a ray, or "cells": pieces from one cell of the linear filter to the
     next, each cut into as many parts as ``step`` goes into 1: one, or an even number.
     ``early_termination``: a ray may stop at this transmittance; 0 means never. ``table_size``
-    changes nothing any more: segments were once looked up in a table of so many entries an axis, and are
-    integrated in closed form now. ``tolerance``: the error that the reference method aims at, in linear premultiplied colour. ``voxel_precision``: what voxels are held as
-    while rendering, "stored" as they are, or quantised evenly over the volume's range.
+    changes nothing any more: segments were once looked up in a table of so many entries per axis, and are integrated in
+    closed form now. ``tolerance``: the error that the reference method aims at, in linear premultiplied colour.
+    ``voxel_precision``: what voxels are held as while rendering, "stored" as they are, or quantised evenly over the
+    volume's range.
     """
 
     method: Literal["raycast", "multiresolution", "pyramid", "reference"] = Field(
-        "raycast", description="'raycast', 'multiresolution', 'pyramid' or 'reference'"
+        "raycast",
+        title="Rendering method: ray casting, blocks within a memory budget, adaptive sampling, or the exact integral.",
+        description="'raycast', 'multiresolution', 'pyramid' or 'reference'",
     )
-    step: Number = Field(1.0, gt=0, le=1e6, description="a number greater than 0, at most 1e6")
+    step: Number = Field(
+        1.0, gt=0, le=1e6,
+        title="Distance between samples along a ray, in edges of the smallest voxel.",
+        description="a number greater than 0, at most 1e6",
+    )
     classification: Literal["pre", "post", "preintegrated"] = Field(
-        "preintegrated", description="'pre', 'post' or 'preintegrated'"
+        "preintegrated",
+        title="Classify voxels, midpoints of segments, or whole segments (pre-integration).",
+        description="'pre', 'post' or 'preintegrated'",
     )
-    quadrature: Literal["steps", "cells"] = Field("steps", description="'steps' or 'cells'")
+    quadrature: Literal["steps", "cells"] = Field(
+        "steps",
+        title="Even steps along a ray, or one rule per voxel cell that the ray crosses.",
+        description="'steps' or 'cells'",
+    )
     filter: Literal["nearest", "linear", "cubic", "catmull-rom"] = Field(
-        "linear", description="'nearest', 'linear', 'cubic' or 'catmull-rom'"
+        "linear",
+        title="Interpolation between voxels; 'cubic' is a B-spline, which smooths.",
+        description="'nearest', 'linear', 'cubic' or 'catmull-rom'",
     )
-    prefilter: bool = Field(False, description="true or false")
+    prefilter: bool = Field(
+        False,
+        title="Makes the cubic B-spline interpolate the voxels instead of smoothing them.",
+        description="true or false",
+    )
     compositing: Literal["over", "maximum", "minimum", "average", "attenuated-maximum"] = Field(
-        "over", description="'over', 'maximum', 'minimum', 'average' or 'attenuated-maximum'"
+        "over",
+        title="Emission and absorption ('over'), or a projection of the values along each ray.",
+        description="'over', 'maximum', 'minimum', 'average' or 'attenuated-maximum'",
     )
-    attenuation: Number = Field(1.0, ge=0, le=1e6, description="a number from 0 to 1e6")
+    attenuation: Number = Field(
+        1.0, ge=0, le=1e6,
+        title="How strongly 'attenuated-maximum' weakens what lies behind.",
+        description="a number from 0 to 1e6",
+    )
     early_termination: Number = Field(
-        1e-3, ge=0, lt=1, description="a transmittance from 0 to less than 1"
+        1e-3, ge=0, lt=1,
+        title="Transmittance at which a ray may stop; 0 means never.",
+        description="a transmittance from 0 to less than 1",
     )
-    table_size: Whole = Field(256, ge=16, le=1024, description="a whole number from 16 to 1024")
+    table_size: Whole = Field(
+        256, ge=16, le=1024,
+        title="Has no effect; accepted because earlier versions used lookup tables of this size.",
+        description="a whole number from 16 to 1024",
+    )
     voxel_precision: Literal["stored", "uint16", "uint8"] = Field(
-        "stored", description="'stored', 'uint16' or 'uint8'"
+        "stored",
+        title="Type of the voxels while rendering: as stored, or quantised evenly over the value range.",
+        description="'stored', 'uint16' or 'uint8'",
     )
-    tolerance: Number = Field(1e-9, gt=0, lt=1, description="a number between 0 and 1")
+    tolerance: Number = Field(
+        1e-9, gt=0, lt=1,
+        title="Error that the reference method aims at (linear, premultiplied).",
+        description="a number between 0 and 1",
+    )
 
     @property
     def takes_steps(self) -> bool:

@@ -15,11 +15,24 @@ class Isosurface(Table):
     the same. ``refraction``: the index of what lies above the value, relative to what lies below
     it."""
 
-    value: Number = Field(description="a finite number")
-    opacity: Fraction = Field(1.0, description="a number from 0 to 1")
-    color: Color = Field((0.8, 0.8, 0.75), description=_COLOR)
-    back_color: Color | None = Field(None, description=_COLOR)
-    refraction: Number = Field(1.0, ge=0.1, le=10, description="an index from 0.1 to 10")
+    value: Number = Field(title="Value of the volume on the surface.", description="a finite number", examples=[120.0])
+    opacity: Fraction = Field(1.0, title="Opacity of the surface.", description="a number from 0 to 1")
+    color: Color = Field(
+        (0.8, 0.8, 0.75),
+        title="Colour seen from the side of lower values, in the colour space of the transfer function.",
+        description=_COLOR,
+    )
+    back_color: Color | None = Field(
+        None,
+        title="Colour seen from the side of higher values; by default the same as color.",
+        description=_COLOR,
+        examples=[[0.8, 0.3, 0.2]],
+    )
+    refraction: Number = Field(
+        1.0, ge=0.1, le=10,
+        title="Index of refraction above the value relative to below it; 1 means rays go straight on.",
+        description="an index from 0.1 to 10",
+    )
 
     @classmethod
     def table_name(cls) -> str:

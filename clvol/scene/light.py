@@ -17,15 +17,33 @@ class Light(Table):
     scene has a [shadow]."""
 
     type: Literal["directional", "point", "headlight"] = Field(
-        description="'directional', 'point' or 'headlight'"
+        title="Kind of light.",
+        description="'directional', 'point' or 'headlight'",
+        examples=["headlight"],
     )
     direction: Vector | None = Field(
-        None, description="three finite numbers [x, y, z], the way the light travels"
+        None,
+        title="World direction in which a directional light travels.",
+        description="three finite numbers [x, y, z], the way the light travels",
+        examples=[[-1.0, -1.0, -1.0]],
     )
-    position: Vector | None = Field(None, description="three finite numbers [x, y, z]")
-    color: Color = Field((1.0, 1.0, 1.0), description="three numbers [r, g, b] from 0 to 1")
-    intensity: Number = Field(1.0, ge=0, le=1e6, description="a number from 0 to 1e6")
-    casts_shadow: bool = Field(True, description="true or false")
+    position: Vector | None = Field(
+        None,
+        title="World position of a point light.",
+        description="three finite numbers [x, y, z]",
+        examples=[[0.0, 200.0, 300.0]],
+    )
+    color: Color = Field(
+        (1.0, 1.0, 1.0),
+        title="Colour of the light, in linear light.",
+        description="three numbers [r, g, b] from 0 to 1",
+    )
+    intensity: Number = Field(1.0, ge=0, le=1e6, title="Factor on the colour.", description="a number from 0 to 1e6")
+    casts_shadow: bool = Field(
+        True,
+        title="Whether the light casts shadows where the scene has a [shadow] table; headlights cast none.",
+        description="true or false",
+    )
 
     @classmethod
     def table_name(cls) -> str:

@@ -17,12 +17,24 @@ class Material(Table):
     fades to the unshaded colour.
     """
 
-    ambient: Fraction = Field(0.1, description=_SHARE)
-    diffuse: Fraction = Field(0.7, description=_SHARE)
-    specular: Fraction = Field(0.2, description=_SHARE)
-    shininess: Number = Field(20.0, ge=1, le=1e4, description="a number from 1 to 10000")
-    two_sided: bool = Field(True, description="true or false")
-    fade: Number = Field(0.0, ge=0, le=1e300, description="a finite number, 0 or greater")
+    ambient: Fraction = Field(0.1, title="Share of the colour that is visible without light.", description=_SHARE)
+    diffuse: Fraction = Field(0.7, title="Coefficient of diffuse reflection.", description=_SHARE)
+    specular: Fraction = Field(0.2, title="Coefficient of highlights.", description=_SHARE)
+    shininess: Number = Field(
+        20.0, ge=1, le=1e4,
+        title="Exponent of highlights (Blinn-Phong).",
+        description="a number from 1 to 10000",
+    )
+    two_sided: bool = Field(
+        True,
+        title="Whether normals are turned towards the eye; otherwise back faces receive ambient light alone.",
+        description="true or false",
+    )
+    fade: Number = Field(
+        0.0, ge=0, le=1e300,
+        title="Gradient magnitude below which shading fades out, in value per world length.",
+        description="a finite number, 0 or greater",
+    )
 
     @classmethod
     def table_name(cls) -> str:

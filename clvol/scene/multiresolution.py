@@ -28,8 +28,8 @@ _SHARE = "a share of a tile's edge, greater than 0 and at most 1"
 class Multiresolution(Table):
     """``memory``: what the bricks may take on the device; ``memory_bytes`` is it in bytes.
 
-    ``view_weighting``: a block's error counts by what the view sees of it: whether it is in the picture, how many pixels it
-    covers and how many of them a voxel. ``occlusion``: and by how much light reaches the eye from it.
+    ``view_weighting``: the error of a block is weighted by what the view shows of it: whether it is in the picture, how
+    many pixels it covers and how many of them per voxel. ``occlusion``: and by how much light reaches the eye from it.
 
     ``step_error``: of "bounded" stepping, what one segment may add to the error of a colour (linear,
     premultiplied).
@@ -40,23 +40,55 @@ class Multiresolution(Table):
     """
 
     memory: Annotated[str, BeforeValidator(_as_text), AfterValidator(_is_size)] = Field(
-        "96 MiB", description="a size such as \"96 MiB\""
+        "96 MiB",
+        title="Device memory for samples, their index, staging and the map of empty space.",
+        description="a size such as \"96 MiB\"",
     )
     stepping: Literal["full", "limited", "naive", "bounded", "pyramid"] = Field(
-        "limited", description="'full', 'limited', 'naive', 'bounded' or 'pyramid'"
+        "limited",
+        title="How step lengths follow the resolution of blocks; see data/examples/README.md.",
+        description="'full', 'limited', 'naive', 'bounded' or 'pyramid'",
     )
     step_error: Number = Field(
-        0.03, gt=0, le=1, description="a number greater than 0, at most 1"
+        0.03, gt=0, le=1,
+        title="Error of a colour that one step of 'bounded' stepping may add (linear, premultiplied).",
+        description="a number greater than 0, at most 1",
     )
-    interblock: bool = Field(True, description="true or false")
-    view_weighting: bool = Field(True, description="true or false")
-    occlusion: bool = Field(True, description="true or false")
-    tiles: Whole = Field(0, ge=0, le=256, description=_TILES)
+    interblock: bool = Field(
+        True,
+        title="Whether values are interpolated between blocks (no seams); false is faster and shows seams.",
+        description="true or false",
+    )
+    view_weighting: bool = Field(
+        True,
+        title="Whether the error of a block is weighted by what the view shows of it.",
+        description="true or false",
+    )
+    occlusion: bool = Field(
+        True,
+        title="Whether the error of a block is weighted by how much of its light reaches the eye.",
+        description="true or false",
+    )
+    tiles: Whole = Field(
+        0, ge=0, le=256,
+        title="Edge of image tiles with adaptive ray density, in pixels; 0 sends a ray through every pixel.",
+        description=_TILES,
+    )
     tile_priority: Literal["max", "average", "rms"] = Field(
-        "max", description="'max', 'average' or 'rms'"
+        "max",
+        title="How the resolutions of the blocks behind its corners give a tile its ray density.",
+        description="'max', 'average' or 'rms'",
     )
-    tile_low: Number = Field(0.1, gt=0, le=1, description=_SHARE)
-    tile_high: Number = Field(0.9, gt=0, le=1, description=_SHARE)
+    tile_low: Number = Field(
+        0.1, gt=0, le=1,
+        title="Rays per axis of the tiles of lowest priority, divided by tiles.",
+        description=_SHARE,
+    )
+    tile_high: Number = Field(
+        0.9, gt=0, le=1,
+        title="Rays per axis of the tiles of highest priority, divided by tiles.",
+        description=_SHARE,
+    )
 
     @classmethod
     def table_name(cls) -> str:

@@ -19,16 +19,41 @@ class Noise(Table):
     x, y, z. Several terms add up, all taken at the place that has not been moved; what is moved
     beyond the volume shows the volume's face."""
 
-    target: Literal["value", "coordinate"] = Field(description="'value' or 'coordinate'")
-    amplitude: Number = Field(ge=-1e30, le=1e30, description="a number from -1e30 to 1e30")
-    frequency: Number = Field(
-        4.0, gt=0, le=1e4, description="a number greater than 0, at most 10000"
+    target: Literal["value", "coordinate"] = Field(
+        title="What the noise perturbs: values, or the positions at which they are taken.",
+        description="'value' or 'coordinate'",
+        examples=["value"],
     )
-    octaves: Whole = Field(1, ge=1, le=8, description="a whole number from 1 to 8")
-    gain: Number = Field(0.5, ge=0, le=1, description="a number from 0 to 1")
-    seed: Whole = Field(0, ge=0, le=2**31 - 1, description="a whole number from 0 to 2147483647")
+    amplitude: Number = Field(
+        ge=-1e30, le=1e30,
+        title="Strength, in units of the value or, for 'coordinate', of world length.",
+        description="a number from -1e30 to 1e30",
+        examples=[30.0],
+    )
+    frequency: Number = Field(
+        4.0, gt=0, le=1e4,
+        title="Number of noise tiles along the longest edge of the volume.",
+        description="a number greater than 0, at most 10000",
+    )
+    octaves: Whole = Field(
+        1, ge=1, le=8,
+        title="Number of octaves, each of twice the frequency of the one before.",
+        description="a whole number from 1 to 8",
+    )
+    gain: Number = Field(
+        0.5, ge=0, le=1,
+        title="Amplitude of an octave relative to the one before.",
+        description="a number from 0 to 1",
+    )
+    seed: Whole = Field(
+        0, ge=0, le=2**31 - 1,
+        title="Seed of the noise.",
+        description="a whole number from 0 to 2147483647",
+    )
     velocity: Annotated[tuple[_Speed, _Speed, _Speed], AsTuple] = Field(
-        (0.0, 0.0, 0.0), description="three numbers [x, y, z] from -1e6 to 1e6"
+        (0.0, 0.0, 0.0),
+        title="Motion of the noise along x, y and z, in tiles per second.",
+        description="three numbers [x, y, z] from -1e6 to 1e6",
     )
 
     @classmethod

@@ -38,8 +38,19 @@ class OpacityFactor:
 
 
 class GradientOpacityPoint(Table):
-    magnitude: Number = Field(ge=0, description="a finite number, 0 or greater")
-    opacity: Fraction = Field(description="a number from 0 to 1")
+    """A factor on the extinction at one gradient magnitude."""
+
+    magnitude: Number = Field(
+        ge=0,
+        title="Gradient magnitude, in value per world length.",
+        description="a finite number, 0 or greater",
+        examples=[0.0],
+    )
+    opacity: Fraction = Field(
+        title="Factor on the extinction there.",
+        description="a number from 0 to 1",
+        examples=[0.0],
+    )
 
     @classmethod
     def table_name(cls) -> str:
@@ -47,8 +58,19 @@ class GradientOpacityPoint(Table):
 
 
 class DirectionalOpacityPoint(Table):
-    derivative: Number = Field(ge=0, description="a finite number, 0 or greater")
-    opacity: Fraction = Field(description="a number from 0 to 1")
+    """A factor on the extinction at one size of the derivative along the ray."""
+
+    derivative: Number = Field(
+        ge=0,
+        title="Size of the derivative along the ray, in value per world length.",
+        description="a finite number, 0 or greater",
+        examples=[0.0],
+    )
+    opacity: Fraction = Field(
+        title="Factor on the extinction there.",
+        description="a number from 0 to 1",
+        examples=[0.0],
+    )
 
     @classmethod
     def table_name(cls) -> str:
@@ -59,7 +81,9 @@ class GradientOpacity(Table):
     """A factor by the gradient's magnitude, in value per world length."""
 
     points: Annotated[tuple[GradientOpacityPoint, ...], AsTuple] = Field(
-        description=_POINTS.format("magnitude")
+        title="Factor on the extinction by gradient magnitude, linear between points.",
+        description=_POINTS.format("magnitude"),
+        examples=[[{"magnitude": 0.0, "opacity": 0.0}, {"magnitude": 40.0, "opacity": 1.0}]],
     )
 
     @classmethod
@@ -79,7 +103,9 @@ class DirectionalOpacity(Table):
     """A factor by the size of the value's derivative along the ray, in value per world length."""
 
     points: Annotated[tuple[DirectionalOpacityPoint, ...], AsTuple] = Field(
-        description=_POINTS.format("derivative")
+        title="Factor on the extinction by the derivative along the ray, linear between points.",
+        description=_POINTS.format("derivative"),
+        examples=[[{"derivative": 0.0, "opacity": 0.0}, {"derivative": 40.0, "opacity": 1.0}]],
     )
 
     @classmethod

@@ -67,43 +67,173 @@ def _transfer_function(value: Any, check: Callable[[Any], Any]) -> Any:
 
 
 class Scene(Table):
-    """What to render. Keys are those of a scene file.
+    """What to render: a volume, and how to look at it.
 
-    From Python, ``volume`` may also be a ``clvol.Volume`` or a path, and ``transfer_function`` a
-    ``clvol.TransferFunction``; beside one, all colours are linear light. The ``file`` of a field
-    may be a ``clvol.Volume``. What is left out has defaults that show the whole volume. Scenes are
-    immutable: ``scene.model_copy(update={"camera": other})`` makes another, checked, that shares
-    the volume. Raises SceneError.
+    The arguments are the tables of a scene file, by keyword; ``clvol scene --keys`` lists the keys of each. A table is
+    an object (``clvol.Camera(...)``) or a dict of its keys; what is left out shows the whole volume. Scenes are
+    immutable: ``scene.model_copy(update={"camera": other})`` makes another, checked, that shares the volume.
+
+    Parameters
+    ----------
+    version : int
+        Version of the scene format: 1.
+    volume : Volume, str, path or VolumeSettings
+        The voxels: an array on a grid, a file, or a computed field. Required.
+    camera : Camera, optional
+        The view. Default: perspective, 30 degrees, the whole volume in view.
+    image : ImageSettings
+        Width and height in pixels, and the background.
+    transfer_function : TransferFunction or TransferFunctionSettings, optional
+        Colour and opacity by value. Default: a grey ramp over the value range. Beside a ``TransferFunction``, all
+        colours of the scene are linear light.
+    integration : Integration
+        Rendering method, step, classification and filter.
+    material : Material
+        Reflection of lit samples and surfaces (Blinn-Phong).
+    light : sequence of Light
+        Lights. Without any, nothing is shaded.
+    isosurface : sequence of Isosurface
+        Surfaces where the volume has a value.
+    clip : sequence of Clip
+        Planes, boxes and spheres that cut the volume.
+    multiresolution : Multiresolution
+        Settings of the method "multiresolution".
+    pyramid : Pyramid
+        Settings of the method "pyramid".
+    gradient : GradientSettings
+        How gradients are computed.
+    environment : Environment, optional
+        Light from all around, from a picture of it.
+    shadow : Shadow, optional
+        Shadows and forward scattering.
+    gradient_opacity : GradientOpacity, optional
+        Factor on the extinction by gradient magnitude.
+    directional_opacity : DirectionalOpacity, optional
+        Factor on the extinction by the derivative along the ray.
+    transfer_layer : sequence of TransferLayerSettings
+        Further layers of a two-dimensional transfer function.
+    field : sequence of FieldSettings
+        Up to three further volumes: labels, a second medium, a mask. ``file`` may be a ``Volume``.
+    noise : sequence of Noise
+        Up to four noises that perturb values or positions.
+    depth_cue : DepthCue, optional
+        Fading with distance from the eye.
+    animation : Animation
+        What changes from one frame to the next.
+
+    Raises
+    ------
+    SceneError
+        For an unknown key, a wrong type or an impossible value: the file, the key, the value and what was expected.
+
+    Examples
+    --------
+    >>> volume = clvol.Volume(array, spacing=(1, 1, 2))  # array [z, y, x]
+    >>> scene = clvol.Scene(
+    ...     volume=volume,
+    ...     image={"width": 800, "height": 600},
+    ...     light=[clvol.Light(type="headlight")],
+    ...     integration=clvol.Integration(step=0.5),
+    ... )
+    >>> with clvol.Renderer(scene) as renderer:
+    ...     renderer.render().save("picture.png")
     """
 
-    version: Annotated[int, BeforeValidator(_version)] = Field(1, description="1")
+    version: Annotated[int, BeforeValidator(_version)] = Field(1, title="Version of the scene format.", description="1")
     volume: Annotated[VolumeSettings, WrapValidator(_volume)] = Field(
-        description="a table with the key file, or field and size"
+        title="The voxels to render: a file, or a computed field.",
+        description="a table with the key file, or field and size",
     )
-    camera: Camera | None = Field(None, description=_TABLE)
-    image: ImageSettings = Field(ImageSettings(), description=_TABLE)
+    camera: Camera | None = Field(
+        None,
+        title="The view; without this table, the whole volume in perspective.",
+        description=_TABLE,
+    )
+    image: ImageSettings = Field(
+        ImageSettings(),
+        title="Size of the picture, and what is behind the volume.",
+        description=_TABLE,
+    )
     transfer_function: Annotated[
         TransferFunctionSettings | None, WrapValidator(_transfer_function)
-    ] = Field(None, description=_TABLE)
-    integration: Integration = Field(Integration(), description=_TABLE)
-    material: Material = Field(Material(), description=_TABLE)
-    light: Annotated[tuple[Light, ...], AsTuple] = Field((), description=_TABLES)
-    isosurface: Annotated[tuple[Isosurface, ...], AsTuple] = Field((), description=_TABLES)
-    clip: Annotated[tuple[Clip, ...], AsTuple] = Field((), description=_TABLES)
-    multiresolution: Multiresolution = Field(Multiresolution(), description=_TABLE)
-    pyramid: Pyramid = Field(Pyramid(), description=_TABLE)
-    gradient: GradientSettings = Field(GradientSettings(), description=_TABLE)
-    environment: Environment | None = Field(None, description=_TABLE)
-    shadow: Shadow | None = Field(None, description=_TABLE)
-    gradient_opacity: GradientOpacity | None = Field(None, description=_TABLE)
-    directional_opacity: DirectionalOpacity | None = Field(None, description=_TABLE)
-    transfer_layer: Annotated[tuple[TransferLayerSettings, ...], AsTuple] = Field(
-        (), description=_TABLES
+    ] = Field(
+        None,
+        title="Colour and opacity by value; without this table, a grey ramp over the value range.",
+        description=_TABLE,
     )
-    field: Annotated[tuple[FieldSettings, ...], AsTuple] = Field((), description=_TABLES)
-    noise: Annotated[tuple[Noise, ...], AsTuple] = Field((), description=_TABLES)
-    depth_cue: DepthCue | None = Field(None, description=_TABLE)
-    animation: Animation = Field(Animation(), description=_TABLE)
+    integration: Integration = Field(
+        Integration(),
+        title="How the light along a ray is summed, and how exactly.",
+        description=_TABLE,
+    )
+    material: Material = Field(
+        Material(),
+        title="How lit samples and surfaces reflect (Blinn-Phong); read only where something is lit.",
+        description=_TABLE,
+    )
+    light: Annotated[tuple[Light, ...], AsTuple] = Field(
+        (),
+        title="Lights; without any, nothing is shaded and no gradients are computed.",
+        description=_TABLES,
+    )
+    isosurface: Annotated[tuple[Isosurface, ...], AsTuple] = Field(
+        (),
+        title="Surfaces where the volume has a value.",
+        description=_TABLES,
+    )
+    clip: Annotated[tuple[Clip, ...], AsTuple] = Field(
+        (),
+        title="Planes, boxes and spheres that cut the volume; what all of them keep is shown.",
+        description=_TABLES,
+    )
+    multiresolution: Multiresolution = Field(
+        Multiresolution(),
+        title="Settings of the method 'multiresolution': blocks within a memory budget.",
+        description=_TABLE,
+    )
+    pyramid: Pyramid = Field(
+        Pyramid(),
+        title="Settings of the method 'pyramid': adaptive sampling.",
+        description=_TABLE,
+    )
+    gradient: GradientSettings = Field(
+        GradientSettings(),
+        title="How gradients are computed where something needs them.",
+        description=_TABLE,
+    )
+    environment: Environment | None = Field(
+        None,
+        title="Light from all around, from a picture of it.",
+        description=_TABLE,
+    )
+    shadow: Shadow | None = Field(None, title="Shadows, and forward scattering.", description=_TABLE)
+    gradient_opacity: GradientOpacity | None = Field(
+        None,
+        title="Factor on the extinction by gradient magnitude.",
+        description=_TABLE,
+    )
+    directional_opacity: DirectionalOpacity | None = Field(
+        None,
+        title="Factor on the extinction by the derivative along the ray.",
+        description=_TABLE,
+    )
+    transfer_layer: Annotated[tuple[TransferLayerSettings, ...], AsTuple] = Field(
+        (),
+        title="Further layers of a two-dimensional transfer function, by gradient magnitude.",
+        description=_TABLES,
+    )
+    field: Annotated[tuple[FieldSettings, ...], AsTuple] = Field(
+        (),
+        title="Further volumes, each on its own grid: labels, a second medium, or a mask. At most three.",
+        description=_TABLES,
+    )
+    noise: Annotated[tuple[Noise, ...], AsTuple] = Field(
+        (),
+        title="Tiling noise that perturbs values or positions. At most four.",
+        description=_TABLES,
+    )
+    depth_cue: DepthCue | None = Field(None, title="Fading with distance from the eye.", description=_TABLE)
+    animation: Animation = Field(Animation(), title="What changes from one frame to the next.", description=_TABLE)
 
     _origin: str = PrivateAttr("scene")  # what error messages call the place the scene came from
     _folder: Path = PrivateAttr(Path())  # what volume.file is relative to

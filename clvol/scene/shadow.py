@@ -21,17 +21,42 @@ class Shadow(Table):
     1 - ``scatter_color`` (linear light) of the extinction.
     """
 
-    method: Literal["volume", "rays"] = Field("volume", description="'volume' or 'rays'")
-    resolution: Whole = Field(64, ge=4, le=512, description="a whole number from 4 to 512")
+    method: Literal["volume", "rays"] = Field(
+        "volume",
+        title="Shadows from a light volume, or from a shadow ray per lit sample.",
+        description="'volume' or 'rays'",
+    )
+    resolution: Whole = Field(
+        64, ge=4, le=512,
+        title="Points of the light volume along the longest axis of the volume.",
+        description="a whole number from 4 to 512",
+    )
     step: Number | None = Field(
-        None, gt=0, le=1e6, description="a number greater than 0, at most 1e6"
+        None, gt=0, le=1e6,
+        title="Step of the march towards the light, in edges of the smallest voxel; by default that of [integration].",
+        description="a number greater than 0, at most 1e6",
+        examples=[1.0],
     )
-    bound: Fraction = Field(1e-3, description="a number from 0 to 1")
-    scattering: Fraction = Field(0.0, description="a number from 0 to 1")
+    bound: Fraction = Field(
+        1e-3,
+        title="Opacity times remaining transmittance below which a sample casts no shadow ray.",
+        description="a number from 0 to 1",
+    )
+    scattering: Fraction = Field(
+        0.0,
+        title="Share of the light that arrives scattered forward, for the method 'volume'.",
+        description="a number from 0 to 1",
+    )
     scatter_color: Color = Field(
-        (1.0, 1.0, 1.0), description="three numbers [r, g, b] from 0 to 1"
+        (1.0, 1.0, 1.0),
+        title="Colour that scattered light keeps, in linear light.",
+        description="three numbers [r, g, b] from 0 to 1",
     )
-    cone_degrees: Number = Field(30.0, ge=0, le=80, description="an angle from 0 to 80 degrees")
+    cone_degrees: Number = Field(
+        30.0, ge=0, le=80,
+        title="Half angle of the cone of scattered light, in degrees.",
+        description="an angle from 0 to 80 degrees",
+    )
 
     @property
     def is_volume(self) -> bool:

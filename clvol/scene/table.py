@@ -1,7 +1,8 @@
 """The base of every table: immutable, strict about types, and clear about what is wrong.
 
-A field's description says what is expected of it. It is both the documentation of the key and the
-last part of the error message.
+A field's ``title`` is one line on what the key means. Its ``description`` says which values are expected: it is
+also the last part of error messages. ``examples`` holds a value where there is no default. The scene reference and the
+JSON schema (``clvol/scene/reference.py``) are made from these.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from difflib import get_close_matches
+from inspect import Parameter, Signature
 from typing import Annotated, Any, get_args
 
 import numpy as np
@@ -45,6 +47,11 @@ class Table(BaseModel, metaclass=_TableType):
     )
 
     @classmethod
+    def __pydantic_init_subclass__(cls, **options: Any) -> None:
+        super().__pydantic_init_subclass__(**options)
+        cls.__signature__ = _readable_signature(cls)
+
+    @classmethod
     def table_name(cls) -> str:
         """The name of the table in a scene file; empty for the scene itself."""
         return ""
@@ -55,6 +62,26 @@ class Table(BaseModel, metaclass=_TableType):
             return super().model_copy(deep=deep)
         asked = {name: getattr(self, name) for name in self.model_fields_set}
         return type(self)(**{**asked, **update})
+
+
+class _AllDefaults:
+    """What ``help`` shows as the default of a key that is a table of its own."""
+
+    def __init__(self, value: BaseModel) -> None:
+        self._name = type(value).__name__
+
+    def __repr__(self) -> str:
+        return f"{self._name}()"
+
+
+def _readable_signature(model: type[BaseModel]) -> Signature:
+    """Names and defaults, as ``help`` shows them: annotations with validators in them fill a page."""
+    parameters = []
+    for name, field in model.model_fields.items():
+        default = Parameter.empty if field.is_required() else field.default
+        shown_default = _AllDefaults(default) if isinstance(default, BaseModel) else default
+        parameters.append(Parameter(name, Parameter.KEYWORD_ONLY, default=shown_default))
+    return Signature(parameters)
 
 
 def wrong(key: str, got: Any, expected: str) -> PydanticCustomError:
@@ -125,18 +152,19 @@ def _model_at(model: type[BaseModel], path: list[str]) -> type[BaseModel] | None
         if part.isdecimal():
             continue
         field = model.model_fields.get(part)
-        inner = None if field is None else _model_in(field.annotation)
+        inner = None if field is None else model_in(field.annotation)
         if inner is None:
             return None
         model = inner
     return model
 
 
-def _model_in(annotation: Any) -> type[BaseModel] | None:
+def model_in(annotation: Any) -> type[BaseModel] | None:
+    """The model that a field's annotation names, alone or in a list or union; None if it names none."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return annotation
     for inner in get_args(annotation):
-        if found := _model_in(inner):
+        if found := model_in(inner):
             return found
     return None
 

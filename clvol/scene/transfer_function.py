@@ -14,9 +14,19 @@ LARGEST_POINTS = 65536
 
 
 class ControlPoint(Table):
-    value: Number = Field(description="a finite number")
-    opacity: Fraction = Field(description="a number from 0 to 1")
-    color: Color = Field(description="three numbers [r, g, b] from 0 to 1")
+    """Opacity and colour at one value; both are linear between points."""
+
+    value: Number = Field(title="Value of the volume.", description="a finite number", examples=[0.0])
+    opacity: Fraction = Field(
+        title="Opacity over one opacity_unit of length.",
+        description="a number from 0 to 1",
+        examples=[0.0],
+    )
+    color: Color = Field(
+        title="Colour, not multiplied by the opacity, in color_space.",
+        description="three numbers [r, g, b] from 0 to 1",
+        examples=[[0.0, 0.0, 0.0]],
+    )
 
     @classmethod
     def table_name(cls) -> str:
@@ -45,13 +55,31 @@ class TransferFunctionSettings(Table):
     """
 
     opacity_unit: Length | None = Field(
-        None, description="a finite world length greater than 0"
+        None,
+        title="World length that opacities refer to; by default 1, for presets 1/32 of the shortest volume edge.",
+        description="a finite world length greater than 0",
+        examples=[1.0],
     )
-    color_space: Literal["srgb", "linear"] = Field("srgb", description="'srgb' or 'linear'")
+    color_space: Literal["srgb", "linear"] = Field(
+        "srgb",
+        title="Colour space of the colours of points and of the background.",
+        description="'srgb' or 'linear'",
+    )
     points: Annotated[tuple[ControlPoint, ...], AsTuple] | None = Field(
-        None, description="a list of points { value = …, opacity = …, color = [r, g, b] }"
+        None,
+        title="Control points, values ascending; two points at one value make a step.",
+        description="a list of points { value = …, opacity = …, color = [r, g, b] }",
+        examples=[[
+            {"value": 0, "opacity": 0, "color": [0, 0, 0]},
+            {"value": 80.0, "opacity": 0.2, "color": [0.9, 0.6, 0.3]},
+        ]],
     )
-    preset: str | None = Field(None, description="the name of a preset, in quotes")
+    preset: str | None = Field(
+        None,
+        title="Preset instead of points: 'grayscale', 'translucent', 'surface', 'hot', 'ct-bone' or 'ct-tissue'.",
+        description="the name of a preset, in quotes",
+        examples=["ct-bone"],
+    )
 
     @classmethod
     def table_name(cls) -> str:

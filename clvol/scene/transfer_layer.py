@@ -32,9 +32,19 @@ class TransferLayerSettings(Table):
     color_space.
     """
 
-    magnitude: Number = Field(gt=0, description="a finite number greater than 0")
+    magnitude: Number = Field(
+        gt=0,
+        title="Gradient magnitude at which this function holds, in value per world length; linear between layers.",
+        description="a finite number greater than 0",
+        examples=[50.0],
+    )
     points: Annotated[tuple[ControlPoint, ...], AsTuple] = Field(
-        description="a list of points { value = …, opacity = …, color = [r, g, b] }"
+        title="Control points as in [transfer_function].",
+        description="a list of points { value = …, opacity = …, color = [r, g, b] }",
+        examples=[[
+            {"value": 0, "opacity": 0, "color": [0, 0, 0]},
+            {"value": 200.0, "opacity": 0.5, "color": [1.0, 0.8, 0.6]},
+        ]],
     )
 
     @classmethod

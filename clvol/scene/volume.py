@@ -57,38 +57,85 @@ class VolumeSettings(Table):
     ``spacing`` says (``clvol.volume.procedural.scene_field``)."""
 
     file: Annotated[str, BeforeValidator(path_text), AfterValidator(is_path)] | None = Field(
-        None, min_length=1, description="the name of a volume file, in quotes"
+        None, min_length=1,
+        title="Volume file, folder of slices or Zarr store, relative to the scene file.",
+        description="the name of a volume file, in quotes",
+        examples=["brainsmall.nrrd"],
     )
     field: Literal["radial", "ellipsoid", "constant"] | None = Field(
-        None, description="'radial', 'ellipsoid' or 'constant'"
+        None,
+        title="Computed volume instead of a file, of 8-bit voxels; needs size.",
+        description="'radial', 'ellipsoid' or 'constant'",
+        examples=["ellipsoid"],
     )
     size: Annotated[tuple[_Side, _Side, _Side], AsTuple] | None = Field(
-        None, description="three whole numbers [nx, ny, nz] greater than 0"
+        None,
+        title="Number of voxels along x, y and z of a computed volume.",
+        description="three whole numbers [nx, ny, nz] greater than 0",
+        examples=[[128, 128, 128]],
     )
     spacing: Annotated[tuple[Length, Length, Length], AsTuple] | None = Field(
-        None, description="three world lengths [x, y, z] greater than 0"
+        None,
+        title="Voxel spacing in world units, instead of that of the file.",
+        description="three world lengths [x, y, z] greater than 0",
+        examples=[[1.0, 1.0, 1.0]],
     )
     dims: Annotated[tuple[_Side, _Side, _Side], AsTuple] | None = Field(
-        None, description="three whole numbers [nx, ny, nz] greater than 0"
+        None,
+        title="Number of voxels along x, y and z of a .raw file.",
+        description="three whole numbers [nx, ny, nz] greater than 0",
+        examples=[[128, 128, 84]],
     )
-    dtype: str | None = Field(None, min_length=1, description="a voxel type such as 'uint16'")
-    channel: Choice = Field(None, description="the index (from 0) or the name of a channel")
-    time: Choice = Field(None, description="the index (from 0) of a time")
+    dtype: str | None = Field(
+        None, min_length=1,
+        title="Voxel type of a .raw file.",
+        description="a voxel type such as 'uint16'",
+        examples=["uint8"],
+    )
+    channel: Choice = Field(
+        None,
+        title="Which channel to read where the file has several.",
+        description="the index (from 0) or the name of a channel",
+        examples=[0],
+    )
+    time: Choice = Field(
+        None,
+        title="Which time step to read where the file has several.",
+        description="the index (from 0) of a time",
+        examples=[0],
+    )
     series: Choice = Field(
-        None, description="the index (from 0) or the name of a series, or a SeriesInstanceUID"
+        None,
+        title="Which series or image to read where the file or folder has several.",
+        description="the index (from 0) or the name of a series, or a SeriesInstanceUID",
+        examples=[0],
     )
     header_bytes: Annotated[Whole, Field(ge=-1, le=2**62)] | None = Field(
-        None, description="a whole number of bytes, or -1"
+        None,
+        title="Bytes before the voxels of a .raw file; -1 if the voxels are at its end.",
+        description="a whole number of bytes, or -1",
+        examples=[0],
     )
-    byte_order: Literal["little", "big"] | None = Field(None, description="'little' or 'big'")
+    byte_order: Literal["little", "big"] | None = Field(
+        None,
+        title="Byte order of a .raw file.",
+        description="'little' or 'big'",
+        examples=["little"],
+    )
     slope: Annotated[Number, Field(ge=-1e30, le=1e30)] = Field(
-        1.0, description="a finite number that is not 0"
+        1.0,
+        title="Factor from stored numbers to values, after the file's own; the rest of the scene is in values.",
+        description="a finite number that is not 0",
     )
     offset: Annotated[Number, Field(ge=-1e30, le=1e30)] = Field(
-        0.0, description="a finite number"
+        0.0,
+        title="Offset from stored numbers to values, after the file's own, such as -1000 for CT kept as HU + 1000.",
+        description="a finite number",
     )
     nan: Annotated[Any, BeforeValidator(_nan_policy)] = Field(
-        "transparent", description="'transparent' or a finite number"
+        "transparent",
+        title="Value that replaces NaN voxels, or 'transparent'.",
+        description="'transparent' or a finite number",
     )
 
     @model_validator(mode="after")

@@ -44,7 +44,7 @@ def _keys(table: BaseModel) -> list[str]:
 def _key(key: str, value: Any) -> str:
     if hasattr(value, "grid"):  # a field's volume
         return f"# {key}: {_voxels(value)}"
-    return f"{key} = {_value(value)}"
+    return f"{key} = {format_value(value)}"
 
 
 def _voxels(volume: Any) -> str:
@@ -57,20 +57,20 @@ def _function_keys(function: TransferFunction) -> list[str]:
         {"value": float(value), "opacity": float(opacity), "color": color.tolist()}
         for value, opacity, color in zip(function.values, function.opacities, function.colors)
     ]
-    unit = f"opacity_unit = {_value(function.opacity_unit)}"
-    return [unit, 'color_space = "linear"', f"points = {_value(points)}"]
+    unit = f"opacity_unit = {format_value(function.opacity_unit)}"
+    return [unit, 'color_space = "linear"', f"points = {format_value(points)}"]
 
 
-def _value(value: Any) -> str:
+def format_value(value: Any) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
         # A JSON string is a TOML basic string, but for DEL.
         return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
     if isinstance(value, Mapping):
-        return "{ " + ", ".join(f"{key} = {_value(item)}" for key, item in value.items()) + " }"
+        return "{ " + ", ".join(f"{key} = {format_value(item)}" for key, item in value.items()) + " }"
     if isinstance(value, (list, tuple)):
         if value and isinstance(value[0], Mapping):
-            return "[\n" + "".join(f"  {_value(item)},\n" for item in value) + "]"
-        return "[" + ", ".join(_value(item) for item in value) + "]"
+            return "[\n" + "".join(f"  {format_value(item)},\n" for item in value) + "]"
+        return "[" + ", ".join(format_value(item) for item in value) + "]"
     return repr(value)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass
 
+_log = logging.getLogger(__name__)
 TILE = 16  # pixels an edge
 
 
@@ -31,5 +33,6 @@ def bands(tiles: int, expected_seconds: float, band_seconds: float) -> list[tupl
     Short enough for a progress report and for Ctrl-C; one launch where all is quick.
     """
     count = max(1, min(tiles, round(expected_seconds / band_seconds)))
+    _log.info("tiles: %d, kernel launches: %d", tiles, count)
     edges = [tiles * k // count for k in range(count + 1)]
     return [(a, b - a) for a, b in zip(edges, edges[1:])]

@@ -11,10 +11,13 @@ Both are finite where one end has opacity 1.
 
 from __future__ import annotations
 
+import logging
+
 import numpy as np
 
 from clvol.transfer.function import TransferFunction
 
+_log = logging.getLogger(__name__)
 IN_REGISTERS = 16  # pieces that a packet holds in registers: TRANSFER_PIECES
 ROWS = 26
 OPAQUE_DEPTH = 1e15  # of cl/transfer_pieces.h
@@ -46,6 +49,7 @@ def piece_table(
     """
     count = piece_count(function)
     width = width or columns(count)
+    _log.info("transfer function of %d pieces, table of %d bytes", count, 4 * ROWS * width)
     table = np.zeros((ROWS, width))
     table[BEGIN] = np.inf
     values, opacities, colors = function.values - origin, function.opacities, function.colors

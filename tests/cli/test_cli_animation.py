@@ -69,7 +69,7 @@ MISTAKES = [
     (["-o", "a.png", *FRAMES], "a.png: one name for 3 frames, expected a name with a number such "
      "as a_%04d.png, or one of .gif, .webp, .apng, .mp4"),
     (["-o", "a%d%d.png", *FRAMES], "a%d%d.png: one name for 3 frames"),
-    (["-o", "a.mov", *FRAMES], 'a.mov: neither pictures nor videos have the ending ".mov"'),
+    (["-o", "a.mov", *FRAMES], 'a.mov: unknown ending ".mov"'),
     (["-o", "a.gif"], "a.gif: a video of a single picture, expected .exr or .png or .npy, or"),
     (["-o", "none/a.gif", *FRAMES], 'none/a.gif: the folder '),
     (["-o", "none/a%d.png", *FRAMES], 'none/a0.png: the folder '),
@@ -83,7 +83,7 @@ MISTAKES = [
     (["-o", "a%d.png", "-o", "a%02d.png", "--set", "animation.frames=11"],
      "a%02d.png: frame 10 is a file that is used already"),
     (["-o", "a%d.npy", "--stats", "a2.npy", *FRAMES], "a%d.npy: frame 2 is a file that is used"),
-    (["-o", "a%d.png", "-o", "./a%d.png", *FRAMES], "./a0.png: got a file that is written already"),
+    (["-o", "a%d.png", "-o", "./a%d.png", *FRAMES], "./a0.png: is given twice as an output"),
     (["-o", "a%d.png", "--set", "animation.frames=0"], "scene.toml: animation.frames: got 0"),
 ]  # fmt: skip
 
@@ -140,7 +140,7 @@ def test_resuming_renders_only_what_is_missing(run, folder, renderer):
     (folder / "a_2.png").unlink()
     renderer.rendered.clear()
     outcome = run(*arguments, "--resume", "--stats", "s.json")
-    assert outcome.status == 0 and outcome.err == "1 of 3 frames were there already\n"
+    assert outcome.status == 0 and outcome.err == "1 of 3 frames existed already and were kept\n"
     assert outcome.out.split() == ["a_1.png", "b_1.exr", "a_2.png", "b_2.exr", "s.json"]
     assert [time for time, _ in renderer.rendered] == [0.5, 1.0]
     assert os.stat("a_0.png").st_mtime_ns == untouched.st_mtime_ns

@@ -47,7 +47,6 @@ def test_help_imports_nothing_heavy():
 @pytest.mark.parametrize(
     ("words", "line"),
     [
-        ([], "clvol: no command, expected one of render"),
         (["rendr"], "clvol: unknown command 'rendr', expected one of render"),
         (["--bogus"], "clvol: unknown option --bogus, expected"),
         (["info"], "clvol info: no VOLUME, expected VOLUME"),
@@ -137,7 +136,7 @@ def test_doctor_without_a_working_device_has_status_3(run, reports):
 def test_explain_tells_what_the_scene_calls_for(run, folder, monkeypatch):
     told = {"effects": [{"name": "skip", "called_for": True, "reason": "empty space"},
                         {"name": "shade", "called_for": False, "reason": "no light"}],
-            "kernel_hash": "abc"}
+            "kernel_hash": "abc", "warnings": []}
     module = ModuleType("clvol.explanation")
     module.explain = lambda resolved: told if resolved.image.width == 8 else None
     monkeypatch.setitem(sys.modules, "clvol.explanation", module)
@@ -203,9 +202,9 @@ def test_a_difference_picture_leaves_json_alone(run, two_pictures):
 def test_a_difference_picture_is_never_one_of_the_two(refused, two_pictures, nothing_left):
     for name in ("a.npy", "./b.npy"):
         line = refused(2, "compare", "a.npy", "b.npy", "-o", "d.png", "-o", name)
-        assert line.startswith(f"{name}: got a file that is read, expected a file of its own")
+        assert line.startswith(f"{name}: is also an input, expected a different output file")
     line = refused(2, "compare", "a.npy", "b.npy", "-o", "d.png", "-o", "d.png")
-    assert "written already" in line
+    assert "given twice" in line
 
 
 @pytest.mark.parametrize("name", ["d.jpg", "d", "none/d.png"])

@@ -131,7 +131,7 @@ def test_impossible_outputs_are_refused_before_the_work(
         (RenderError("kernel", "it failed", "better"), 4, "kernel: it failed, expected better"),
         (DeviceError("OpenCL", "none works", "one"), 3, "OpenCL: none works, expected one"),
         (MemoryError(), 4, "memory: "),
-        (ZeroDivisionError("two\nlines"), 4, "internal: ZeroDivisionError: two lines"),
+        (ZeroDivisionError("two\nlines"), 4, "internal: ZeroDivisionError: two lines (set CLVOL_DEBUG=1 for the traceback)"),
         (KeyboardInterrupt(), 130, "interrupted"),
     ],
     ids=lambda value: type(value).__name__ if isinstance(value, BaseException) else None,

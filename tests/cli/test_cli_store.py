@@ -128,7 +128,7 @@ def test_impossible_wishes_are_one_line_and_leave_nothing(
 def test_a_store_is_not_read_and_overwritten_at_once(run, refused, folder, volume):
     run("store", "v.npy", "-o", "v.zarr")
     assert "exists already" in refused(2, "store", "v.npy", "-o", "v.zarr")
-    assert "got what is read" in refused(2, "store", "v.zarr", "-o", "v.zarr", "--overwrite")
+    assert "is also an input" in refused(2, "store", "v.zarr", "-o", "v.zarr", "--overwrite")
     assert run("store", "v.npy", "-o", "v.zarr", "--overwrite", "--codec", "none").status == 0
     assert open_store(folder / "v.zarr").layout.codecs[0].name == "none"
 

@@ -1,0 +1,97 @@
+"""Every example of data/examples does what it says, at a small size."""
+
+from __future__ import annotations
+
+import runpy
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from clvol.cli import main
+from clvol.image import load_image
+from clvol.scene import load_scene
+
+EXAMPLES = Path(__file__).resolve().parents[1] / "data" / "examples"
+SCENES = sorted(path.stem for path in EXAMPLES.glob("*.toml"))
+SMALL = ["--set", "image.width=40", "--set", "image.height=32", "--quiet"]
+# What each scene shows: (table, what it holds).
+SHOWS = {
+    "transfer_function": lambda scene: len(scene.transfer_function.points) > 4,
+    "lights": lambda scene: len(scene.light) > 1,
+    "isosurface": lambda scene: len(scene.isosurface) > 1,
+    "clip": lambda scene: len(scene.clip) > 1,
+    "shadows": lambda scene: scene.shadow.scattering > 0,
+    "blocks": lambda scene: scene.integration.method == "multiresolution",
+    "pyramid": lambda scene: scene.integration.method == "pyramid",
+    "projection": lambda scene: scene.integration.compositing != "over",
+    "labels": lambda scene: scene.field[0].role == "label",
+    "animation": lambda scene: scene.animation.frames > 1,
+}
+
+
+def test_there_are_ten_scenes_and_three_scripts():
+    assert set(SCENES) == set(SHOWS)
+    assert {path.stem for path in EXAMPLES.glob("*.py")} == {
+        "render_array", "render_to_error", "compare_steps", "labels"
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_a_scene_shows_its_effect_and_names_the_schema(name):
+    path = EXAMPLES / f"{name}.toml"
+    assert path.read_text(encoding="utf-8").startswith("#:schema ../scene.schema.json\n# ")
+    assert SHOWS[name](load_scene(path))
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_a_scene_is_rendered_without_warnings(name, tmp_path, capfd):
+    file = "a_%d.npy" if name == "animation" else "a.npy"
+    few = ["--set", "animation.frames=2"] if name == "animation" else []
+    assert main(["render", str(EXAMPLES / f"{name}.toml"), "-o", str(tmp_path / file), *SMALL, *few]) == 0
+    assert capfd.readouterr().err == ""
+    pictures = [load_image(path)["rgba"] for path in sorted(tmp_path.glob("*.npy"))]
+    assert len(pictures) == 1 + (name == "animation")
+    for rgba in pictures:
+        assert rgba.shape == (32, 40, 4) and np.isfinite(rgba).all()
+        assert 0.05 < (rgba[..., 3] > 0.1).mean() <= 1.0
+        assert np.ptp(rgba[..., :3]) > 0.1
+    if len(pictures) > 1:
+        assert not np.array_equal(*pictures)
+
+
+def script(name: str) -> dict:
+    return runpy.run_path(str(EXAMPLES / f"{name}.py"))
+
+
+def test_the_script_that_renders_an_array(tmp_path):
+    frame = script("render_array")["main"](str(tmp_path / "a.png"), 32)
+    assert frame.rgba.shape == (32, 32, 4) and frame.rgba[..., 3].max() > 0.5
+    assert (tmp_path / "a.png").is_file()
+
+
+def test_the_script_that_renders_to_an_error(tmp_path):
+    frame = script("render_to_error")["main"](str(tmp_path / "a.png"), 32, 1e-2)
+    assert frame.stats["accuracy"]["bound"] <= 1e-2 and (tmp_path / "a.png").is_file()
+
+
+def test_the_script_that_compares_steps():
+    rows = script("compare_steps")["main"](24)
+    errors = [error for _, error, _ in rows]
+    assert errors == sorted(errors, reverse=True) and errors[-1] < 0.01
+
+
+def test_the_labels_are_what_their_script_writes():
+    import clvol
+
+    written = clvol.load_volume(EXAMPLES / "labels.nrrd")
+    assert np.array_equal(written.data, script("labels")["labels"]())
+
+
+def test_a_script_runs_by_itself(tmp_path):
+    words = [sys.executable, str(EXAMPLES / "render_array.py"), str(tmp_path / "a.png"), "24"]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    assert "million samples" in done.stdout
