@@ -29,7 +29,8 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--list", action="store_true", help="list the suites and scenes; measure nothing")
     parser.add_argument("--quick", action="store_true", help="small and short, to see that everything works")
     parser.add_argument("--device", metavar="NAME", help="device, by its name in `clvol doctor`")
-    parser.add_argument("--sizes", metavar="N,N", default="512,1024", help="edges of pictures in pixels, for peers and shaded")
+    parser.add_argument("--sizes", metavar="N,N", default="512,1024",
+                        help="edges of pictures in pixels, for peers and shaded")  # fmt: skip
     parser.add_argument("--scenes", metavar="A,B", default="", help="only these scenes")
     parser.add_argument("--frames", type=int, default=9, help="frames per median, at least 7")
     parser.add_argument("--classification", choices=("preintegrated", "post"),

@@ -34,7 +34,7 @@ def check_has_truth(resolved: ResolvedScene) -> None:
     could stand for the truth, but its own error is unknown: no error could be claimed.
     """
     try:
-        resolved.volume.data
+        _ = resolved.volume.data
     except VolumeError as error:
         what = f"{error.what} in memory: errors are measured against all its voxels"
         raise VolumeError(error.where, what, error.expected) from None

@@ -140,7 +140,7 @@ class PictureSearch:
         # Rays far apart share no memory, which costs one way of rendering more than another.
         first = min(candidates, key=lambda trial: self.picture(trial.settings).cost)
         for share in _SHARES:
-            chosen = self.timed("pilot", lambda: self.search.hold(first.settings, share * aim))
+            chosen = self.timed("pilot", lambda share=share: self.search.hold(first.settings, share * aim))
             if chosen is None:
                 break
             plain = self.picture(chosen.settings)

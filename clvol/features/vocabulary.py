@@ -37,7 +37,8 @@ CELLS = {"visible": 0, "beside-holes": 1, "empty": 255}
 
 # What is counted beside samples, in the order of COUNT_... of the header that is named.
 EFFECT_COUNTERS = (  # cl/effects.h
-    "gradients", "lit_samples", "surface_tests", "surface_hits", "shadow_rays", "shadow_samples", "field_samples", "bends",
+    "gradients", "lit_samples", "surface_tests", "surface_hits", "shadow_rays", "shadow_samples", "field_samples",
+    "bends",
 )  # fmt: skip
 BLOCK_COUNTERS = ("block_reads", "blended_samples")  # cl/block_parameters.h
 PYRAMID_COUNTERS = ("oracle_samples", "syntheses", "accumulations")  # cl/pyramid.h

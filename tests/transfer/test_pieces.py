@@ -69,7 +69,8 @@ def segments_of(context, function, front, back, units, *, lanes=None, in_memory=
     kernel = context.kernel(
         SOURCE, "segment_colors",
         (
-            reads("table", np.float32), view_argument(8), *(reads(a, np.float32, "n") for a in ("front", "back", "units")),
+            reads("table", np.float32), view_argument(8),
+            *(reads(a, np.float32, "n") for a in ("front", "back", "units")),
             value("of_one", np.int32), value("n", np.int32), writes("colors", np.float32, 5, "n"),
         ),
         {"LANES": lanes, "VOXEL_BITS": 8, "VOXEL_HOLES": 1, "TRANSFER_PIECES": pieces,
