@@ -3,8 +3,8 @@
 An :class:`Integrator` knows, without a device, which scenes it renders, what it compiles for them and how much
 memory they take. It makes a :class:`Prepared` scene, which is resident on one device and renders frames.
 
-To add an integrator: a folder beside this file with an ``integrator.py``, one line in ``registry.py``, and its name
-in ``integration.method`` of the scene (clvol/scene/integration.py).
+To add an integrator: a folder beside this file with an ``integrator.py`` that ends in an object ``INTEGRATOR``, its
+name in ``registry.py``, and the same name in ``integration.method`` of the scene (clvol/scene/integration.py).
 """
 
 from __future__ import annotations

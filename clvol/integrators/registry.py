@@ -1,33 +1,43 @@
-"""All integrators. To add one, see clvol/integrators/base.py; it is one line here."""
+"""All integrators by name. To add one, see clvol/integrators/base.py; its name is one line here."""
 
 from __future__ import annotations
 
+from functools import cache
+from importlib import import_module
 from typing import TYPE_CHECKING
 
 from clvol.errors import SceneError
 from clvol.features.refuse import check_effects
 from clvol.integrators.base import Integrator
-from clvol.integrators.multiresolution.integrator import Multiresolution
-from clvol.integrators.pyramid.integrator import Pyramid
-from clvol.integrators.raycast.integrator import Raycast
-from clvol.integrators.reference.integrator import Reference
 from clvol.scene.resolve import ResolvedScene
 
 if TYPE_CHECKING:
     from clvol.scene import Scene
 
-INTEGRATORS: dict[str, Integrator] = {
-    each.name: each for each in (Raycast(), Multiresolution(), Pyramid(), Reference())
-}
+# Each names a folder beside this file, with an object INTEGRATOR in its integrator.py. They are imported once a scene
+# names them, as commands are in clvol/cli: a plain picture needs no other integrator.
+NAMES = (
+    "raycast",
+    "multiresolution",
+    "pyramid",
+    "reference",
+)
+
+
+@cache
+def integrator_named(name: str) -> Integrator:
+    """The integrator of that name, one of NAMES."""
+    integrator: Integrator = import_module(f"clvol.integrators.{name}.integrator").INTEGRATOR
+    return integrator
 
 
 def integrator_of(scene: Scene | ResolvedScene) -> Integrator:
     """The integrator that the scene names. SceneError for an unknown name."""
     name = scene.integration.method
-    if name not in INTEGRATORS:
-        expected = " or ".join(map(repr, INTEGRATORS))
+    if name not in NAMES:
+        expected = " or ".join(map(repr, NAMES))
         raise SceneError(f"{scene.origin}: integration.method", f"got {name!r}", expected)
-    return INTEGRATORS[name]
+    return integrator_named(name)
 
 
 def check_scene(resolved: ResolvedScene) -> None:

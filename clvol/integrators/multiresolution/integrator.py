@@ -115,3 +115,6 @@ class Multiresolution:
 
 def _slices(scene: Scene | ResolvedScene) -> bool:
     return scene.multiresolution.stepping == "pyramid"
+
+
+INTEGRATOR = Multiresolution()

@@ -86,3 +86,6 @@ class Pyramid:
 
     def ask_again(self, prepared: Any, progress: Progress | None, wait: bool | None) -> None:
         pass
+
+
+INTEGRATOR = Pyramid()

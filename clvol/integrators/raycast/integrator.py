@@ -69,3 +69,6 @@ class Raycast:
 
     def ask_again(self, prepared: Any, progress: Progress | None, wait: bool | None) -> None:
         pass
+
+
+INTEGRATOR = Raycast()

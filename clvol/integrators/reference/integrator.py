@@ -101,3 +101,6 @@ class PreparedReference:
         rgba, distances = rgba[lattice.slices], distances[lattice.slices]
         notes = {name: value for name, value in counted.items() if name not in ("samples", "rays", "seconds")}
         return FrameData(rgba, distances, counted["samples"], counted["rays"], notes=notes)
+
+
+INTEGRATOR = Reference()
