@@ -28,7 +28,7 @@ inline float sample_of(const BlockVolume *v, const Record *r, int at)
 #endif
 }
 
-/* Sample (i, j, k) along x, y, z of a block of s^3; one of one sample has it in the index. */
+/* Sample (i, j, k) along x, y, z of a block of s^3; a block of one sample has it in the index. */
 inline float own_sample(const BlockVolume *v, const Record *r, int s, int i, int j, int k)
 {
   return s == 1 ? as_float(r->word0) : sample_of(v, r, (k * s + j) * s + i);

@@ -1,7 +1,7 @@
 /* Surfaces in a cell of the linear filter. Along a ray the field is a cubic there; its Bernstein coefficients are
  * means of the field's values at the eight corners of the box that the stretch through the cell is the diagonal of
- * (the blossom of the trilinear form). A cell whose voxels are all on one side of every iso-value is told by them
- * alone; else the cubic is cut where it turns (Marmitt et al. 2004), and what changes side on a piece has exactly one
+ * (the blossom of the trilinear form). A cell whose voxels are all on one side of every iso-value has no surface; in
+ * the others the cubic is cut where it turns (Marmitt et al. 2004), and what changes side on a piece has exactly one
  * root there.
  */
 #ifndef CELL_CUBIC_H

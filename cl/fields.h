@@ -1,10 +1,10 @@
 /* Further volumes on their own grids, looked up by place: labels replace colours and weight the extinction, densities
  * add a medium of their own, masks cut.
  *
- * All voxels are floats in `fields`: of labels not their numbers, but their place among those that have a colour, from
- * 1 on, and 0 for all others; what is not finite is NaN. An axis of one voxel is held twice. Tables lie in `factors`:
- * of labels (colour, factor) by their place; of densities the pieces of their function (transfer_pieces.h). Outside
- * its grid a field is nothing: no label, no density, and what is masked is removed.
+ * All voxels are floats in `fields`. The voxels of labels hold the label's place among those that have a colour, from 1
+ * on, and 0 for all others; what is not finite is NaN. An axis of one voxel is stored twice. Tables are in `factors`:
+ * for labels (colour, factor) by their place, for densities the pieces of their function (transfer_pieces.h). Outside
+ * its grid a field has no label and no density, and a mask removes everything.
  */
 #ifndef FIELDS_H
 #define FIELDS_H

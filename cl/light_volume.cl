@@ -5,9 +5,8 @@
  * exp(-(1 - colour) D). It stands for light that is scattered forward on its way: what a cone of light brings, of
  * which a share `colour` of all that is taken out of each ray scatters on within the cone. Kniss et al. (2003) sweep
  * such a cone through the volume slice by slice (half-angle slicing), light that left one ray going on along others;
- * here each ray goes straight to the light. So this lacks light that turns by more than the cone's angle, multiple
- * scattering round an opaque obstacle wider than the cone, and any light spent twice is not made up for: energy is not
- * conserved, only never more than the light's own.
+ * here each ray goes straight to the light. So this lacks light that turns by more than the cone's angle, and multiple
+ * scattering round an opaque obstacle wider than the cone. Energy is not conserved, but never exceeds the light's own.
  *
  * Switches (-D): those of the picture.
  */

@@ -30,7 +30,7 @@ INLINE void place_on_ray(const Rays *ray, const BlockVolume *v, floatN t, floatN
 
 /* Several steps of a packet: where samples are taken does not depend on what they are. So places come first, then all
  * values, in as few passes as they fill, then classification in order. A ray that turns out to be opaque on the way
- * has taken a few samples for nothing. */
+ * has taken a few samples in vain. */
 
 typedef struct {
   float t[QUEUED_STEPS][LANES];    /* of the sample (preintegrated), or of the end of its segment (post) */

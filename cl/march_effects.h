@@ -48,7 +48,7 @@
 #include "background.h"
 #endif
 
-/* Values at which places of a segment its look needs. */
+/* Where along a segment values are needed. */
 #define NEEDS_ENDS ((CLASSIFICATION == CLASSIFICATION_PREINTEGRATED) & (TRANSLUCENT != 0))
 #define NEEDS_MIDDLE ((CLASSIFICATION != CLASSIFICATION_PREINTEGRATED) & (TRANSLUCENT != 0))
 
@@ -56,10 +56,10 @@
 #define SAMPLES_AHEAD (FETCH_AHEAD && CLASSIFICATION != CLASSIFICATION_PRE && TRANSLUCENT && !NOISE)
 #define AHEAD (CLASSIFICATION == CLASSIFICATION_POST ? 0.5f : 1.0f)
 
-/* Where nothing but surfaces shows a kept stretch is one segment. */
+/* Where only surfaces show, a kept stretch is one segment. */
 #define ONE_SEGMENT (ISOSURFACES && !TRANSLUCENT)
 
-/* For the place where opacity reaches one half: a segment's values, and what else is noted of it, `part` steps long. */
+/* What is noted of a segment, `part` steps long, for the place where opacity reaches one half: its values, and more. */
 #if CLASSIFICATION == CLASSIFICATION_PREINTEGRATED && TRANSLUCENT
 #define SEGMENT_VALUES(first, second) const floatN first = a, second = b;
 #else

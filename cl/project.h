@@ -6,16 +6,16 @@
  *   ATTENUATED_MAXIMUM  the largest of (value normalised to the volume's range, at least 0) times exp(-attenuation
  *                       times the integral of that before it); its opacity is attenuated as much
  *
- * A ray's kept stretches (clip.h) are cut into segments one step long, the last one shorter, and the value at each
- * one's middle counts. Values that are not finite do not, nor what masks remove (fields.h); a ray without any shows
- * nothing. Of equal ones the first counts. Values are clamped to the bounds that hold for all samples (value_bounds),
- * which rounding alone could leave.
+ * A ray's kept stretches (clip.h) are cut into segments one step long, the last one shorter, and the value in the
+ * middle of each counts. Values that are not finite do not count, nor does what masks remove (fields.h); a ray without
+ * a value shows nothing. The first one of equal values counts. Values are clamped to the bounds of all samples
+ * (lowest_sample, highest_sample): rounding alone could take them beyond.
  *
  * Leaping (SKIP_EMPTY). `factors` holds, for each cell of empty space, a bound of the score of every sample in it, and
  * then the same for cells 4 and 16 times as long: a ray leaps out of the largest cell of these that cannot change its
- * result, and ends where none ahead can. Nor do scores count that are transparent with all below them (projection.w).
- * Attenuated, what is leapt over would be missing from the integral: only cells where all of it is 0 are leapt over,
- * and rays end early. Averages need every sample. The picture is the same to the bit.
+ * result, and ends where no cell ahead can. Scores do not count either that are transparent with all below them
+ * (hidden_score). Under attenuation, what is leapt over would be missing from the integral: only cells where all of it
+ * is 0 are leapt over, and rays end early. Averages need every sample. The picture is the same, bit for bit.
  */
 #ifndef PROJECT_H
 #define PROJECT_H
@@ -44,7 +44,7 @@
 #if SCORE_LEAPS
 
 /* For each ray at parameter t (in steps): t itself where a sample in its cell can score more than `needed`, else where
- * it first enters a cell of which that holds (a little before), or infinity if it never does. Compare next_visible()
+ * it first enters a cell where one can (a little before), or infinity if it never does. Compare next_visible()
  * in skip_empty.h. */
 INLINE floatN next_above(const Scene *scene, const Rays *ray, floatN t, floatN needed, intN active)
 {

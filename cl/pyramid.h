@@ -17,7 +17,7 @@
  *                neighbouring rays across it. The paper has both equal, and samples where the distance is less than
  *                two pixels. Where rays lie nearer than steps, by 2^oversampling or so, the pyramid has as many levels
  *                more, and slices in between that the paper would skip are not there at all.
- *   freshness    what is synthesised on a slice shall come from samples of that slice, so coarse pixels take part a
+ *   freshness    what is synthesised on a slice must come from samples of that slice, so coarse pixels take part a
  *                little longer: up to the distance plus SLACK of their own spacing, as far as other pixels may be that
  *                are synthesised from them (distances of maps grow by no more than the way, see
  *                clvol/integrators/pyramid/cells.py).

@@ -6,7 +6,7 @@
  * adds -log(1 - opacity) where the ray meets it, as the eye's rays do; none is shaded, so that there is no recursion.
  * What is clipped away casts no shadow. The march ends where D is beyond shadow_depth: T is below 1e-3 there.
  *
- * A shadow ray starts in the very surface that it lights: on which side of it the ray runs is told by the value
+ * A shadow ray starts in the very surface that it lights: on which side of it the ray runs is decided by the value
  * SURFACE_OFFSET edges along it, not by that at its start, which is the iso-value but for rounding. 0.1 edges stay
  * below all that the voxels resolve, and are 1e-4 edges above the surface where the light grazes it at N.L = 1e-3:
  * farther than the surface itself may be off. A surface lit at a lower angle shows nothing of that light.

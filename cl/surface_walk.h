@@ -3,7 +3,7 @@
  *
  * A walk is a ray in edges with the cell that it is in. It leaps to the next cells of 8^3 voxels in which an iso-value
  * can be (`surface_distances`, a map as in skip_empty.h), and crosses them from face to face. In each cell the field
- * along the ray is a function that says itself where it takes a value:
+ * along the ray is a function that finds where it takes a value:
  *   cell_cubic.h    linear filter: a cubic
  *   cell_spline.h   filters of 64 voxels: a polynomial of degree 9
  *   cell_step.h     nearest filter: a jump where the ray enters
