@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from clvol.errors import VolumeError
+from clvol.errors import ClvolError, VolumeError
 
 LIMIT = 1 << 20  # bytes of a header
 LIST_LIMIT = 1 << 26  # and of the names of data files after it
@@ -127,7 +127,7 @@ def _parsed(path: Path, texts: dict[str, str]) -> dict[str, Any]:
             raise VolumeError(str(path), f"sizes {text[:60]}", "whole numbers of at least 1")
         try:
             fields[name] = nrrd.read_header(["NRRD0005", f"{name}: {text}"])[name]
-        except (MemoryError, ImportError):
+        except (ClvolError, MemoryError, ImportError):
             raise
         except Exception as error:  # of values that are none it raises whatever comes
             what = f"field {name!r} is {text[:60]!r} ({error})"
