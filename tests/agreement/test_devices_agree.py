@@ -62,8 +62,9 @@ SCENES = {
     "precomputed gradients of float32": (
         volume_of(np.float32), effects("gradients precomputed", "two-value function"), {}),
     "prefiltered cubic, lit": (BYTES, effects("cubic, lit"), {"prefilter": True}),
-    "Catmull-Rom, refraction": (BYTES, effects("refraction"), {"filter": "catmull-rom"}),
-    "shadow rays": (BYTES, effects("shadow rays", "three surfaces"), {}),
+    "Catmull-Rom": (BYTES, nothing, {"filter": "catmull-rom"}),
+    "refraction": (BYTES, effects("refraction"), {}),
+    "shadow rays": (BYTES, effects("shadow rays"), {}),
     "scattering": (BYTES, effects("scattering"), {}),
     "environment of a cube": (BYTES, effects("environment, cube"), {}),
     "all effects but shadows": (BYTES, all_but_shadows, {}),

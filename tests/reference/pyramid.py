@@ -194,7 +194,7 @@ class _March:
         return math.inf if along == self.plan.levels else (2 << along) * self.step + SLACK * spacing
 
     def _synthesised(self, level: int, around: int) -> tuple[np.ndarray, np.ndarray]:
-        """Distance and value of all pixels of a level (and ``around`` more) from the next one (Kraus et al. 2007, fig. 7)."""
+        """Distance and value of all pixels of a level (and ``around`` more) from the next (Kraus 2007, fig. 7)."""
         n = self.side[level]
         x = np.arange(n + 2 * around) - around
         low = np.floor((x - 1) / 2).astype(int) + 1  # that one counts from the pixel around
