@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from helpers.effect_scenes import HAZE, blobs, scaled
-from helpers.effect_tables import Place, by_name, together, with_tables
+from helpers.effect_tables import Place, by_name, with_tables
 
 from clvol import Renderer, Scene, Volume
 
@@ -44,10 +44,6 @@ def effects(*names):
     return tables
 
 
-def all_but_shadows(place: Place):
-    return {key: table for key, table in together(place).items() if key != "shadow"}
-
-
 def nothing(place: Place):
     return {}
 
@@ -67,10 +63,9 @@ SCENES = {
     "shadow rays": (BYTES, effects("shadow rays"), {}),
     "scattering": (BYTES, effects("scattering"), {}),
     "environment of a cube": (BYTES, effects("environment, cube"), {}),
-    "all effects but shadows": (BYTES, all_but_shadows, {}),
-    "noise on place": (BYTES, effects("noise on place"), {}),
+    "fields and clips": (BYTES, effects("label field", "density field", "mask field", "clip box", "clip sphere"), {}),
+    "noise, cycling colours, depth cue": (BYTES, effects("noise, 4 octaves", "colour cycle", "depth cue"), {}),
     "maximum": (BYTES, effects("maximum"), {}),
-    "minimum": (BYTES, effects("minimum"), {}),
     "average": (BYTES, effects("average"), {}),
     "attenuated maximum": (BYTES, effects("attenuated maximum"), {}),
     "cells": (BYTES, nothing, {"quadrature": "cells", "classification": "preintegrated"}),
