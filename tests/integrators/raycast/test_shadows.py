@@ -308,6 +308,7 @@ def _at(resolved, time):
 CLEAR = constant_function(0.0)
 
 
+@pytest.mark.slow
 def test_surfaces_attenuate_by_their_opacities(context):
     surfaces = [{"value": 6.3, "opacity": 0.25}, {"value": 9.1, "opacity": 0.5}]
     array = ramp(axis=1).astype(np.float32)
@@ -328,6 +329,7 @@ def sphere(light, shadow, opacity=1.0):
                     isosurface=[{"value": 8.0, "opacity": opacity, "color": [1, 1, 1]}])  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shadow", [RAYS, {"resolution": 24}, {"resolution": 64}],
                          ids=["rays", "24", "64"])  # fmt: skip
 def test_a_surface_does_not_shadow_itself(context, shadow):
