@@ -14,7 +14,7 @@ from helpers.effect_tables import Place, by_name, with_tables
 
 from clvol import Renderer, Scene, Volume
 
-pytestmark = pytest.mark.slow  # compilers that optimise take up to 20 seconds for each of these
+pytestmark = pytest.mark.slow  # compilers that optimise take seconds to a minute for each of these
 
 SHAPE = (15, 17, 19)
 SIZE = {"width": 16, "height": 12}
@@ -94,7 +94,9 @@ def test_devices_agree(device, other_device, name, tmp_path):
     ours, theirs = (frame_on(one, name, place) for one in (device, other_device))
     assert 0.01 < ours.rgba[..., 3].max() <= 1
     np.testing.assert_allclose(theirs.rgba, ours.rgba, rtol=0, atol=LIMIT)
-    hit = np.isfinite(ours.depth)
-    np.testing.assert_array_equal(np.isfinite(theirs.depth), hit)
-    np.testing.assert_allclose(theirs.depth[hit], ours.depth[hit], rtol=0, atol=0.05)
+    # Where opacity reaches one half: a ray that ends close to that has a depth, or not, by rounding.
+    hit = np.isfinite(ours.depth), np.isfinite(theirs.depth)
+    assert np.mean(hit[0] != hit[1]) < 0.01
+    both = hit[0] & hit[1]
+    np.testing.assert_allclose(theirs.depth[both], ours.depth[both], rtol=0, atol=0.05)
     assert theirs.stats["samples"] == pytest.approx(ours.stats["samples"], rel=0.01)
