@@ -6,6 +6,7 @@ import contextlib
 import ctypes
 import functools
 import gc
+import mmap
 import sys
 from pathlib import Path
 
@@ -131,15 +132,31 @@ def context(device, contexts):
     return contexts(device)
 
 
-@pytest.fixture(scope="module", autouse=True)
-def _memory_given_back():
-    """Returns to the system, after each file, what compilers and released programs leave to the allocator:
-    it amounts to gigabytes in a long run."""
-    yield
+def _give_memory_back() -> None:
+    """Returns to the system what compilers and released programs leave to the allocator: gigabytes in a long run."""
     gc.collect()
     if sys.platform == "linux":
         with contextlib.suppress(OSError, AttributeError):  # another C library than glibc
             ctypes.CDLL("libc.so.6").malloc_trim(0)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _memory_given_back():
+    """After each file, once its contexts are released."""
+    yield
+    _give_memory_back()
+
+
+_MOST_RESIDENT = 1200 * 2**20  # bytes, after which a test gives memory back by itself
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_runtest_teardown() -> None:
+    """In files that compile hundreds of programs, also after a test."""
+    with contextlib.suppress(OSError):  # a system without /proc
+        pages = int(Path("/proc/self/statm").read_text().split()[1])
+        if pages * mmap.PAGESIZE > _MOST_RESIDENT:
+            _give_memory_back()
 
 
 @pytest.fixture(scope="session")

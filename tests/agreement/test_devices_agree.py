@@ -10,11 +10,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from helpers.effect_scenes import HAZE, blobs, scaled
-from helpers.effect_tables import Place, by_name, together, with_tables
+from helpers.effect_tables import Place, by_name, with_tables
 
 from clvol import Renderer, Scene, Volume
 
-pytestmark = pytest.mark.slow  # compilers that optimise take up to 20 seconds for each of these
+pytestmark = pytest.mark.slow  # compilers that optimise take seconds to a minute for each of these
 
 SHAPE = (15, 17, 19)
 SIZE = {"width": 16, "height": 12}
@@ -44,10 +44,6 @@ def effects(*names):
     return tables
 
 
-def all_but_shadows(place: Place):
-    return {key: table for key, table in together(place).items() if key != "shadow"}
-
-
 def nothing(place: Place):
     return {}
 
@@ -62,14 +58,14 @@ SCENES = {
     "precomputed gradients of float32": (
         volume_of(np.float32), effects("gradients precomputed", "two-value function"), {}),
     "prefiltered cubic, lit": (BYTES, effects("cubic, lit"), {"prefilter": True}),
-    "Catmull-Rom, refraction": (BYTES, effects("refraction"), {"filter": "catmull-rom"}),
-    "shadow rays": (BYTES, effects("shadow rays", "three surfaces"), {}),
+    "Catmull-Rom": (BYTES, nothing, {"filter": "catmull-rom"}),
+    "refraction": (BYTES, effects("refraction"), {}),
+    "shadow rays": (BYTES, effects("shadow rays"), {}),
     "scattering": (BYTES, effects("scattering"), {}),
     "environment of a cube": (BYTES, effects("environment, cube"), {}),
-    "all effects but shadows": (BYTES, all_but_shadows, {}),
-    "noise on place": (BYTES, effects("noise on place"), {}),
+    "fields and clips": (BYTES, effects("label field", "density field", "mask field", "clip box", "clip sphere"), {}),
+    "noise, cycling colours, depth cue": (BYTES, effects("noise, 4 octaves", "colour cycle", "depth cue"), {}),
     "maximum": (BYTES, effects("maximum"), {}),
-    "minimum": (BYTES, effects("minimum"), {}),
     "average": (BYTES, effects("average"), {}),
     "attenuated maximum": (BYTES, effects("attenuated maximum"), {}),
     "cells": (BYTES, nothing, {"quadrature": "cells", "classification": "preintegrated"}),
@@ -98,7 +94,9 @@ def test_devices_agree(device, other_device, name, tmp_path):
     ours, theirs = (frame_on(one, name, place) for one in (device, other_device))
     assert 0.01 < ours.rgba[..., 3].max() <= 1
     np.testing.assert_allclose(theirs.rgba, ours.rgba, rtol=0, atol=LIMIT)
-    hit = np.isfinite(ours.depth)
-    np.testing.assert_array_equal(np.isfinite(theirs.depth), hit)
-    np.testing.assert_allclose(theirs.depth[hit], ours.depth[hit], rtol=0, atol=0.05)
+    # Where opacity reaches one half: a ray that ends close to that has a depth, or not, by rounding.
+    hit = np.isfinite(ours.depth), np.isfinite(theirs.depth)
+    assert np.mean(hit[0] != hit[1]) < 0.01
+    both = hit[0] & hit[1]
+    np.testing.assert_allclose(theirs.depth[both], ours.depth[both], rtol=0, atol=0.05)
     assert theirs.stats["samples"] == pytest.approx(ours.stats["samples"], rel=0.01)

@@ -348,6 +348,7 @@ def _result(**parts):
     }  # fmt: skip
 
 
+@pytest.mark.slow
 def test_effects_are_measured_shown_and_drawn(ball, quick, device, monkeypatch):
     pytest.importorskip("matplotlib", reason="matplotlib draws the chart")
     from bench import effects

@@ -221,6 +221,7 @@ def test_the_scene_of_the_large_volume_resolves(tmp_path):
 # Memory
 
 
+@pytest.mark.slow
 def test_what_is_said_to_be_on_the_device_is_among_its_buffers(volume, device, tmp_path):
     shared = Bench(device, 24, 1, tmp_path)
     post = dataclasses.replace(FEMALE.scene, classification="post")  # its tables are small

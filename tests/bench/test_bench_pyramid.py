@@ -264,6 +264,7 @@ def test_goals_of_errors_and_of_the_overhead_may_be_missed():
 # All of it
 
 
+@pytest.mark.slow
 def test_a_quick_run_measures_shows_and_draws(device, shared_volume, monkeypatch, tmp_path):
     for name in ("aneurism.nrrd", "heptane.nrrd"):
         shared_volume(name)

@@ -26,6 +26,7 @@ from clvol.transfer.preintegration import preintegrate
 from clvol.volume.procedural import Constant
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("row", ROWS, ids=lambda row: row.name)
 def test_the_observed_order_is_that_of_theory(context, row):
     measured = row.measure(context)

@@ -12,6 +12,8 @@ import numpy as np
 import pytest
 from helpers.paths import ROOT
 
+pytestmark = pytest.mark.slow  # each test starts several processes
+
 UNSET = ("OCL_", "POCL_", "PYOPENCL", "XDG_", "TMP", "TEMP")
 
 

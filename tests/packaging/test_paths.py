@@ -35,6 +35,7 @@ def environment(tmp_path: Path, **more: str) -> dict[str, str]:
     return {**kept, "XDG_CACHE_HOME": str(tmp_path / "cache"), **more}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", NAMES)
 def test_make_sets_up_and_renders_in_a_folder_of_any_name(tmp_path, kind, device):
     if shutil.which("make") is None:

@@ -357,6 +357,7 @@ def test_the_reference_method_is_a_renderer_too(device):
     np.testing.assert_allclose(fast.rgba, reference.rgba, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_a_volume_alone_is_not_blank_whatever_its_range(device):
     from clvol import Scene
     from clvol.scene import ImageSettings

@@ -161,6 +161,7 @@ def test_a_light_volume_leaks_no_farther_than_a_light_cell(context, resolution):
         assert found[touches].min() < 0.5
 
 
+@pytest.mark.slow
 def test_what_is_clipped_away_casts_no_shadow(context):
     below_nine = [{"point": [0, 9, 0], "normal": [0, -1, 0]}]
     of = shadowed(ramp(axis=1).astype(np.float32), OPAQUE_ABOVE_TEN, DOWN, clip=below_nine)
@@ -223,6 +224,7 @@ def test_pictures_are_the_twins(context, shadow, tables):
     assert np.abs(picture(context, unshadowed).rgba - expected).max() > 0.03
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tables", SCENES)
 @pytest.mark.parametrize("shadow", SHADOWS)
 def test_packets_of_rays_and_single_rays_agree(context, shadow, tables):
@@ -272,6 +274,7 @@ def test_a_light_volume_outlives_the_camera_but_not_the_transfer_function(contex
     assert not np.array_equal(context.read(before), context.read(after))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shadow", ["rays", "volume"])
 def test_shadows_move_with_the_noise_that_casts_them(context, shadow):
     noise = {"target": "coordinate", "amplitude": 4.0, "velocity": [0.5, 0.0, 0.0]}
@@ -305,6 +308,7 @@ def _at(resolved, time):
 CLEAR = constant_function(0.0)
 
 
+@pytest.mark.slow
 def test_surfaces_attenuate_by_their_opacities(context):
     surfaces = [{"value": 6.3, "opacity": 0.25}, {"value": 9.1, "opacity": 0.5}]
     array = ramp(axis=1).astype(np.float32)
@@ -325,6 +329,7 @@ def sphere(light, shadow, opacity=1.0):
                     isosurface=[{"value": 8.0, "opacity": opacity, "color": [1, 1, 1]}])  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shadow", [RAYS, {"resolution": 24}, {"resolution": 64}],
                          ids=["rays", "24", "64"])  # fmt: skip
 def test_a_surface_does_not_shadow_itself(context, shadow):

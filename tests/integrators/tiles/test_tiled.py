@@ -235,6 +235,7 @@ def test_without_depth_there_is_none_and_colours_are_the_same(context, engines):
     np.testing.assert_array_equal(without.rgba, renderer.render(camera, 40, 30).rgba)
 
 
+@pytest.mark.slow
 def test_a_ray_a_work_item_gives_the_same_picture(context):
     """As on GPUs: there all lanes are one."""
     scene = make_scene(waves((20, 19, 21)), EDGES, classification="post")
