@@ -60,8 +60,9 @@ class Inputs:
             if any(str(up) == real or (here and _identity(up) == here) for up in above):
                 raise UsageError(str(path), f"contains the input {root}", "a different folder")
         for up in Path(real).parents:
-            if _identity(up) in self._folders:
-                what = f"lies in the input {self._folders[_identity(up)]}"
+            identity = _identity(up)
+            if identity is not None and identity in self._folders:
+                what = f"lies in the input {self._folders[identity]}"
                 raise UsageError(str(path), what, "a place outside it")
         if here is not None and not self._files.keys().isdisjoint(_files_in(real)):
             raise UsageError(str(path), "contains a link to an input", "a different folder")

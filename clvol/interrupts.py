@@ -99,7 +99,7 @@ def stoppable(for_good: bool = False) -> Iterator[None]:
 def check_stopped() -> None:
     """Raises Stopped again, if it was raised and something has made another exception of it: the
     import of a library written in C, for one."""
-    if _state.raised and not _state.finished:
+    if _state.raised and not _state.finished and _state.first is not None:
         raise Stopped(_state.first)
 
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -165,7 +166,7 @@ def _footer(width: int, scale: Scale, colors: np.ndarray, texts: tuple[str, str]
     grey = f"#{_MARGIN:02x}{_MARGIN:02x}{_MARGIN:02x}"
     figure = Figure(figsize=(width / dots, _FOOTER / dots), dpi=dots, facecolor=grey)
     canvas = FigureCanvasAgg(figure)
-    style = {"color": "#e8e8e8", "fontsize": 7.5, "parse_math": False}
+    style: dict[str, Any] = {"color": "#e8e8e8", "fontsize": 7.5, "parse_math": False}
     edge = 14 / width
     figure.text(edge, 1 - 10 / _FOOTER, texts[0], va="top", **style)
     figure.text(edge, 1 - 27 / _FOOTER, texts[1], va="top", **style)

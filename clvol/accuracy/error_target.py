@@ -78,10 +78,10 @@ def _exact(search: PictureSearch, max_error: float, attempt: int) -> Frame:
         raise RenderError("max_error", what, f"a number well above {known:.2g}")
     search.report("integrating exactly")
     tolerance = max_error / 10.0
-    start = time.perf_counter()
+    start, progress = time.perf_counter(), search.progress
     rgba, depth, counters = render_reference(
         search.resolved, search.context.device, tolerance,
-        progress=None if search.progress is None else lambda d, t: search.progress(d, t, "exactly"),
+        progress=None if progress is None else lambda done, total: progress(done, total, "exactly"),
     )  # fmt: skip
     taken = time.perf_counter() - start
     worst = float(counters["error_estimate"])
@@ -99,9 +99,9 @@ def _exact(search: PictureSearch, max_error: float, attempt: int) -> Frame:
         "seconds": dict(search.seconds),
     }  # fmt: skip
     seconds = {"load": search.load_seconds, "render": taken}
-    depth = depth if search.depth else None
-    counted = {**counters, "accuracy": accuracy, **search.warnings(rgba, depth)}
-    return make_frame(resolved, rgba, depth, seconds, counted, search.context.name)
+    shown_depth = depth if search.depth else None
+    counted = {**counters, "accuracy": accuracy, **search.warnings(rgba, shown_depth)}
+    return make_frame(resolved, rgba, shown_depth, seconds, counted, search.context.name)
 
 
 def _float32_error(rgba: np.ndarray) -> float:

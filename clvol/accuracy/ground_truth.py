@@ -15,6 +15,7 @@ import numpy as np
 
 from clvol.device.view import EVERY_PIXEL
 from clvol.errors import VolumeError
+from clvol.integrators.base import FrameData
 from clvol.integrators.reference.integrator import has_exact_integral
 from clvol.integrators.reference.picture import render_reference
 from clvol.scene.resolve import LARGEST_STEP_COUNT, ResolvedScene
@@ -74,12 +75,14 @@ class GroundTruth:
             )
             return rgba, counters
         if self._limit is None:
-            self._find_limit(progress)
+            self._limit = self._find_limit(progress)
         rows, columns = np.asarray(pixels).T
         return self._limit[rows, columns].astype(np.float64), self._counters
 
-    def _find_limit(self, progress: Callable[[int, int], None] | None) -> None:
-        step, pictures, samples = FIRST_STEP, [], 0
+    def _find_limit(self, progress: Callable[[int, int], None] | None) -> np.ndarray:
+        """The picture at the smallest step that is needed; sets ``error`` and the counters."""
+        step, samples = FIRST_STEP, 0
+        pictures: list[np.ndarray] = []
         while True:
             data = self._picture(step, progress)
             samples += data.samples
@@ -90,29 +93,29 @@ class GroundTruth:
                 if self.error <= KNOWN or step / 2 < LEAST_STEP or not self._may_take(step / 2):
                     break
             step /= 2
-        self._limit = pictures[-1]
         self._counters = {"samples": samples, "error_estimate": self.error, "step": step}
+        return pictures[-1]
 
     def _may_take(self, step: float) -> bool:
         corners = self.resolved.volume.grid.world_corners()
         diagonal = np.linalg.norm(np.ptp(corners, axis=0)) / self.resolved.volume.grid.smallest_edge
         return bool(diagonal / step < LARGEST_STEP_COUNT)
 
-    def _picture(self, step: float, progress):
-        asked = self.resolved
-        pre = asked.integration.classification == "pre"
+    def _picture(self, step: float, progress: Callable[[int, int], None] | None) -> FrameData:
+        scene = self.resolved
+        pre = scene.integration.classification == "pre"
         settings = {
             "step": step, "early_termination": 0.0, "quadrature": "steps",
             "classification": "pre" if pre else "post", "voxel_precision": "stored",
             "method": "raycast",
         }  # fmt: skip
         fine = replace(
-            asked,
-            integration=asked.integration.model_copy(update=settings),
-            image=asked.image.model_copy(update={"ray_spacing": 1}),
-            gradient=asked.gradient.model_copy(update={"storage": "on-the-fly"}),
+            scene,
+            integration=scene.integration.model_copy(update=settings),
+            image=scene.image.model_copy(update={"ray_spacing": 1}),
+            gradient=scene.gradient.model_copy(update={"storage": "on-the-fly"}),
         )
-        size = asked.image.width, asked.image.height
+        size = scene.image.width, scene.image.height
         engine = self._engines.prepare(fine)
         engine.warm_up(*size, False)
-        return engine.render(asked.camera, *size, progress, depth=False, lattice=EVERY_PIXEL)
+        return engine.render(scene.camera, *size, progress, depth=False, lattice=EVERY_PIXEL)

@@ -46,7 +46,7 @@ class Measurement:
         """
         width, height = self._size
         count_all = width * height
-        rgba = picture.rgba.reshape(count_all, 4)
+        rgba = picture.picture.reshape(count_all, 4)
         pilot = self._pilot.lattice.pixels(width, height) @ (width, 1)
         known = _squared(rgba[pilot], self._pilot.exact().reshape(-1, 4))
         left_out = np.zeros(count_all, bool)
@@ -60,7 +60,7 @@ class Measurement:
         while True:
             look += 1
             if squared.size + count >= others:  # as well all of them
-                rest = self._errors(rgba, np.flatnonzero(~left_out)) if others else []
+                rest = self._errors(rgba, np.flatnonzero(~left_out)) if others else np.zeros(0)
                 found = estimate([], [], count_all, 1.0, [*known, *rest])
                 return replace(found, bound=found.bound + self._truth.error)
             at, p = draw(rough, count, self._rng, left_out)

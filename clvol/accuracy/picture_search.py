@@ -12,7 +12,8 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
-from typing import Any
+from functools import partial
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -22,6 +23,7 @@ from clvol.accuracy.ground_truth import GroundTruth, check_has_truth
 from clvol.accuracy.measurement import Measurement, where_measured
 from clvol.accuracy.search import Search
 from clvol.accuracy.settings import (
+    Settings,
     apply,
     canonical,
     is_possible,
@@ -49,6 +51,7 @@ _SHARES = (1.0, 0.7, 0.4)  # of the error, left to what shows on single pixels
 _SHARE_OF_ERROR = 1e-3  # the exact integral's own tolerance, as a share of the error that is searched for
 
 Progress = Callable[..., None]  # (done, total, what)
+T = TypeVar("T")
 
 
 class PictureSearch:
@@ -140,7 +143,7 @@ class PictureSearch:
         # Rays far apart share no memory, which costs one way of rendering more than another.
         first = min(candidates, key=lambda trial: self.picture(trial.settings).cost)
         for share in _SHARES:
-            chosen = self.timed("pilot", lambda share=share: self.search.hold(first.settings, share * aim))
+            chosen = self.timed("pilot", partial(self.search.hold, first.settings, share * aim))
             if chosen is None:
                 break
             plain = self.picture(chosen.settings)
@@ -153,13 +156,13 @@ class PictureSearch:
             )
             while (values := combinations.next()) is not None:
                 tried = self.picture(self._canonical({**chosen.settings, **values}))
-                holds = root_mean_square(tried.rgba - plain.rgba) <= room
+                holds = root_mean_square(tried.picture - plain.picture) <= room
                 combinations.drop(values, cheaper=not holds)
                 if holds and tried.cost < best.cost:
                     best = tried
         return best
 
-    def _canonical(self, settings: dict[str, Any]) -> dict[str, Any]:
+    def _canonical(self, settings: Settings) -> dict[str, Any]:
         return canonical(self.resolved, self.tunables, settings)
 
     def picture(self, settings: dict[str, Any]) -> Trial:
@@ -181,7 +184,7 @@ class PictureSearch:
         """The error of a whole picture; arguments as for ``Measurement.of``."""
         return self._measurement.of(picture, lambda: self._finer(picture), attempt, limit)
 
-    def _measuring(self, work: Callable[[], Any]) -> Any:
+    def _measuring(self, work: Callable[[], T]) -> T:
         self.report("measuring the error")
         return self.timed("measure", work)
 
@@ -196,7 +199,7 @@ class PictureSearch:
         settings = self._canonical(settings)
         if settings == picture.settings:
             settings = min(self.search.measured, key=lambda trial: trial.rmse).settings
-        return self.picture(settings).rgba
+        return self.picture(settings).picture
 
     # Results
 
@@ -215,9 +218,9 @@ class PictureSearch:
             "compile": pilot.compile_seconds + trial.compile_seconds, "render": trial.seconds,
         }  # fmt: skip
         counted = {"samples": trial.samples, "rays": trial.rays, "accuracy": accuracy}
-        counted |= self.warnings(trial.rgba, trial.depth)
+        counted |= self.warnings(trial.picture, trial.depth)
         resolved = self.resolved_as(trial.settings)
-        return make_frame(resolved, trial.rgba, trial.depth, seconds, counted, self.context.name)
+        return make_frame(resolved, trial.picture, trial.depth, seconds, counted, self.context.name)
 
     def warnings(self, rgba: np.ndarray, depth: np.ndarray | None) -> dict[str, Any]:
         """What a picture's warnings add to its stats."""
@@ -233,7 +236,7 @@ class PictureSearch:
         source = self.scene.model_copy(update=tables_with(self.scene, settings)).to_toml()
         return replace(apply(self.asked, settings), source=source)
 
-    def timed(self, stage: str, work: Callable[[], Any]) -> Any:
+    def timed(self, stage: str, work: Callable[[], T]) -> T:
         """The result of ``work``, whose seconds count for ``stage``."""
         start = time.perf_counter()
         result = work()

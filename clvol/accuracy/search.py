@@ -12,7 +12,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Mapping
-from typing import Any, Protocol
+from typing import Any, Generic, Protocol, TypeVar
 
 from clvol.accuracy.settings import SceneTunable, Settings, key_of
 
@@ -30,19 +30,22 @@ class Measured(Protocol):
     settings: dict[str, Any]
 
 
-class Search:
-    """One search: remembers what was measured. ``possible(settings)`` says what can be rendered and
-    ``canonical(settings)`` which settings are the same."""
+M = TypeVar("M", bound=Measured)
+
+
+class Search(Generic[M]):
+    """One search, which remembers what was measured. ``possible(settings)`` is whether they can be rendered;
+    ``canonical(settings)`` is equal for settings that make the same picture."""
 
     def __init__(
         self,
-        measure: Callable[[dict[str, Any]], Measured],
+        measure: Callable[[dict[str, Any]], M],
         tunables: Mapping[str, SceneTunable],
         possible: Callable[[Settings], bool] = lambda settings: True,
         canonical: Callable[[Settings], dict[str, Any]] = dict,
     ) -> None:
         self._measure, self._possible, self._canonical = measure, possible, canonical
-        self._known: dict[tuple, Measured] = {}
+        self._known: dict[tuple, M] = {}
         # Single pixels do not show what depends on their neighbours.
         self._tunables = {k: tunable for k, tunable in tunables.items() if not tunable.tunable.of_picture}
         alternatives = [k for k in self._tunables.values() if not k.tunable.is_ladder]
@@ -52,26 +55,26 @@ class Search:
         self._main = [k for k in self._tunables.values() if k.tunable.is_main]
 
     @property
-    def measured(self) -> list[Measured]:
+    def measured(self) -> list[M]:
         return list(self._known.values())
 
-    def measure(self, settings: Settings) -> Measured:
+    def measure(self, settings: Settings) -> M:
         settings = self._canonical(settings)
         key = key_of(settings)
         if key not in self._known:
             self._known[key] = self._measure(settings)
         return self._known[key]
 
-    def cheapest(self, start: Settings, limit: float) -> Measured | None:
+    def cheapest(self, start: Settings, limit: float) -> M | None:
         """The cheapest settings found with rmse <= ``limit``; None if none reach it."""
         held = self.candidates(start, limit)
         return self.refined(held[0], limit) if held else None
 
-    def candidates(self, start: Settings, limit: float) -> list[Measured]:
+    def candidates(self, start: Settings, limit: float) -> list[M]:
         """For each combination of alternatives that is not hopeless, settings that hold ``limit``, the
         cheapest first: costs that are known roughly may be compared again more exactly."""
-        found: list[Measured] = []
-        best: Measured | None = None
+        found: list[M] = []
+        best: M | None = None
         for look in self._alternatives_by_promise(start, limit):
             if best is None or _promise(look, limit) < _HOPELESS * best.cost:
                 held = self._hold_error(look.settings, limit, best)
@@ -79,14 +82,14 @@ class Search:
                     found.append(held)
                     best = min(found, key=lambda trial: trial.cost)
         found.sort(key=lambda trial: trial.cost)
-        return [trial for trial in found if trial.cost <= _DEARER * best.cost]
+        return [trial for trial in found if trial.cost <= _DEARER * found[0].cost]
 
-    def hold(self, settings: Settings, limit: float) -> Measured | None:
+    def hold(self, settings: Settings, limit: float) -> M | None:
         """With the alternatives as they are in ``settings``: the cheapest that hold ``limit``."""
         held = self._hold_error(settings, limit)
         return None if held is None else self.refined(held, limit)
 
-    def refined(self, best: Measured, limit: float) -> Measured:
+    def refined(self, best: M, limit: float) -> M:
         """``best`` with cheaper alternatives of tunables tried alone, and with cheaper ladders, as far
         as ``limit`` still holds."""
         for tunable in self._alone:
@@ -105,7 +108,7 @@ class Search:
                 best = tried
         return self._stretched(best, limit)
 
-    def _alternatives_by_promise(self, start: Settings, limit: float) -> list[Measured]:
+    def _alternatives_by_promise(self, start: Settings, limit: float) -> list[M]:
         """One look at each combination of alternatives, those first that promise to be cheapest."""
         looks = {}
         for values in itertools.product(*(tunable.values for tunable in self._alternatives)):
@@ -114,7 +117,7 @@ class Search:
                 looks[key_of(self._canonical(settings))] = self.measure(settings)
         return sorted(looks.values(), key=lambda look: _promise(look, limit))
 
-    def _stretched(self, best: Measured, limit: float) -> Measured:
+    def _stretched(self, best: M, limit: float) -> M:
         """Between the main ladder's last value that holds and the first that does not."""
         for main in self._main[:1]:
             fine, coarse = best.settings[main.key], main.next_to(best.settings[main.key], -1)
@@ -131,8 +134,8 @@ class Search:
         return best
 
     def _hold_error(
-        self, settings: Settings, limit: float, best: Measured | None = None
-    ) -> Measured | None:
+        self, settings: Settings, limit: float, best: M | None = None
+    ) -> M | None:
         """Of the main ladder's values the coarsest that holds ``limit``, the other ladders as they
         are or, if that is not enough, more accurate by one notch, then by more."""
         held, too_dear = self._bracket(settings, limit, best)
@@ -147,8 +150,8 @@ class Search:
         return held
 
     def _bracket(
-        self, settings: Settings, limit: float, best: Measured | None
-    ) -> tuple[Measured | None, bool]:
+        self, settings: Settings, limit: float, best: M | None
+    ) -> tuple[M | None, bool]:
         """What holds ``limit`` with the main ladder alone, if anything does; and whether that is given up
         because it costs more than ``best``."""
         if not self._main:
@@ -158,7 +161,7 @@ class Search:
         values = main.values
         at = main.near(settings[main.key])
         low, high = -1, len(values)  # indices known to be too coarse; fine enough
-        held: Measured | None = None
+        held: M | None = None
         history: list[tuple[int, float]] = []
         while high - low > 1:
             tried = self.measure({**settings, main.key: values[at]})
@@ -183,9 +186,9 @@ def _promise(look: Measured, limit: float) -> float:
     return look.cost * math.sqrt(max(look.rmse / limit, 1e-3)) if look.rmse < math.inf else math.inf
 
 
-def pareto_front(points: list[Measured]) -> list[Measured]:
+def pareto_front(points: list[M]) -> list[M]:
     """Those that no other beats in both error and time: by falling error, rising time."""
-    front: list[Measured] = []
+    front: list[M] = []
     for point in sorted(points, key=lambda p: (p.seconds, p.rmse)):
         if not front or point.rmse < front[-1].rmse:
             front.append(point)

@@ -75,7 +75,8 @@ def scene_settings(resolved: ResolvedScene, tunables: Mapping[str, SceneTunable]
 def apply(resolved: ResolvedScene, settings: Settings) -> ResolvedScene:
     """``resolved`` with other ``settings``. SceneError where a value is impossible."""
     differing = {key: value for key, value in settings.items() if value_of(resolved, key) != value}
-    return replace(resolved, **tables_with(resolved, differing))
+    tables: dict[str, Any] = tables_with(resolved, differing)  # each name has a table of its own type
+    return replace(resolved, **tables)
 
 
 def tables_with(scene: Any, settings: Settings) -> dict[str, Table]:

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 import clvol
-from clvol.accuracy.ground_truth import check_has_truth
+from clvol.accuracy.ground_truth import GroundTruth, check_has_truth
 from clvol.accuracy.metrics import compare, max_abs
 from clvol.accuracy.search import pareto_front
 from clvol.accuracy.settings import (
@@ -38,6 +38,7 @@ from clvol.accuracy.tunables import Tunable
 from clvol.errors import UsageError
 from clvol.integrators.registry import check_scene, integrator_of
 from clvol.render.notices import Notices
+from clvol.render.prepared_cache import PreparedCache
 from clvol.render.renderer import check_memory, open_context
 from clvol.scene.scene import Scene
 
@@ -86,7 +87,9 @@ def measure_tradeoff(
 
 
 class _Sweep:
-    def __init__(self, scene: Scene, devices, memory_cap, progress: Progress | None) -> None:
+    def __init__(
+        self, scene: Scene, devices: Sequence[Any] | None, memory_cap: int | None, progress: Progress | None
+    ) -> None:
         resolved = scene.resolve()
         resolved = apply(resolved, {_METHOD: integrator_of(resolved).tuned_as})
         check_scene(resolved)
@@ -96,9 +99,10 @@ class _Sweep:
         self.context = open_context(devices)
         self.tunables = scene_tunables(resolved)
         self.base = canonical(resolved, self.tunables, scene_settings(resolved, self.tunables))
-        self.trials = Trials(
-            resolved, self.context, tolerance=resolved.integration.tolerance, frames=2
-        )
+        engines = PreparedCache(self.context)
+        self.truth = GroundTruth(resolved, self.context, engines)
+        tolerance = resolved.integration.tolerance
+        self.trials = Trials(resolved, self.context, engines, tolerance=tolerance, frames=2, truth=self.truth)
         self.found: dict[tuple, Trial] = {}
         self.sweeps: dict[tuple, list[str]] = {}  # which one-tunable curves a setting lies on
 
@@ -107,7 +111,7 @@ class _Sweep:
     def explore(self, most: int) -> None:
         self.most = most
         self.trials.exact(self.report_as("integrating exactly"))
-        baseline = self.try_out(self.base)
+        baseline = self.run(self.base)
         self.limit = max(_SLOWEST * baseline.seconds, _PATIENCE)
         for key, tunable in self.tunables.items():
             for settings in self.ladder(self.base, key, 1):
@@ -136,7 +140,9 @@ class _Sweep:
     def by_other_methods(self) -> Iterator[dict[str, Any]]:
         """The scene's own settings with each other method: some tunables are of that alone."""
         tunable = self.tunables.get(_METHOD)
-        for value in tunable.values if tunable else ():
+        if tunable is None:
+            return
+        for value in tunable.values:
             settings = {**self.base, _METHOD: value}
             if value != tunable.scene_value and self.is_possible(settings):
                 yield settings
@@ -183,10 +189,14 @@ class _Sweep:
         if not self.is_possible(settings):
             return None
         settings = canonical(self.resolved, self.tunables, settings)
+        if key_of(settings) not in self.found and len(self.found) >= self.most:
+            return None
+        return self.run(settings)
+
+    def run(self, settings: dict[str, Any]) -> Trial:
+        """The trial of ``settings`` (canonical, possible), rendered unless it is known."""
         key = key_of(settings)
         if key not in self.found:
-            if len(self.found) >= self.most:
-                return None
             self.report(len(self.found), self.most, "trying settings")
             self.found[key] = self.trials.run(settings)
         return self.found[key]
@@ -204,7 +214,7 @@ class _Sweep:
         runs = {key: self.trials.frames_of(trial.settings) for key, trial in timed.items()}
         rounds = _Rounds(self.report_as("timing"), frames * len(runs))
         times = take_turns(
-            {key: rounds.counted(lambda run=run: run()[0]) for key, run in runs.items()}, frames
+            {key: rounds.counted(run) for key, run in runs.items()}, frames
         )
         ids = {key: f"p{n}" for n, key in enumerate(timed)}
         points, pictures = {}, {"reference": self.trials.exact().astype(np.float32)}
@@ -264,7 +274,7 @@ class _Sweep:
                 "system": platform.system(), "clvol": clvol.__version__,
             },
             "reference": {
-                "how": self.trials.truth.how,
+                "how": self.truth.how,
                 "step": counters.get("step"),
                 "tolerance": self.trials.tolerance,
                 "seconds": counters.get("seconds"),
@@ -304,11 +314,13 @@ class _Rounds:
     def __init__(self, report: Callable[[int, int], None], total: int) -> None:
         self.report, self.total, self.done = report, total, 0
 
-    def counted(self, run: Callable[[], float]) -> Callable[[], float]:
+    def counted(self, run: Callable[[], tuple[float, np.ndarray]]) -> Callable[[], float]:
+        """A function that renders a frame by ``run`` and returns its seconds."""
+
         def counting() -> float:
             self.done += 1
             self.report(min(self.done, self.total), self.total)
-            return run()
+            return run()[0]
 
         return counting
 

@@ -13,6 +13,7 @@ import numpy as np
 from clvol.accuracy.ground_truth import GroundTruth
 from clvol.accuracy.settings import Settings, apply
 from clvol.device.view import EVERY_PIXEL, PixelLattice
+from clvol.integrators.base import Prepared
 from clvol.opencl.context import DeviceContext
 from clvol.render.prepared_cache import PreparedCache
 from clvol.scene.resolve import ResolvedScene
@@ -44,6 +45,13 @@ class Trial:
     cost: float
     rgba: np.ndarray | None = field(default=None, repr=False)
     depth: np.ndarray | None = field(default=None, repr=False)
+
+    @property
+    def picture(self) -> np.ndarray:
+        """``rgba`` of a trial that was run with ``keep``; ValueError for any other."""
+        if self.rgba is None:
+            raise ValueError("the picture of this trial was not kept")
+        return self.rgba
 
 
 class Trials:
@@ -85,6 +93,8 @@ class Trials:
     def exact(self, progress: Callable[[int, int], None] | None = None) -> np.ndarray:
         """float64 [h, w, 4] at the lattice's pixels."""
         if self._exact is None:
+            if self.truth is None:
+                raise ValueError("trials without ground truth have no exact pixels")
             pixels = self.lattice.pixels(*self.size)
             rgba, self.reference_counters = self.truth.pixels(pixels, self.tolerance, progress)
             width, height = self.lattice.size(*self.size)
@@ -140,7 +150,7 @@ class Trials:
 
         return frame
 
-    def _of_picture(self, engine, seconds: float) -> float:
+    def _of_picture(self, engine: Prepared, seconds: float) -> float:
         """What the whole picture takes, from what the lattice took."""
         if self._scale == 1.0:
             return seconds

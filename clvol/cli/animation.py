@@ -15,6 +15,7 @@ from clvol.cli.verbose import log_scene
 from clvol.errors import ClvolError, UsageError
 
 if TYPE_CHECKING:
+    from clvol.cli.console import ShowProgress
     from clvol.render.made_from import MadeFrom
     from clvol.scene import Scene
     from clvol.scene.camera import Camera
@@ -27,7 +28,7 @@ _HEADER_BYTES = 1 << 20
 
 
 def render_animation(
-    asked: Scene,
+    scene: Scene,
     outputs: Sequence[str],
     stats: str | None,
     *,
@@ -36,7 +37,7 @@ def render_animation(
     devices: list[str] | None,
     memory_cap: int | None,
 ) -> None:
-    """Renders all frames of ``asked`` and prints the files written.
+    """Renders all frames of ``scene`` and prints the files written.
 
     The pictures of a frame appear together when it is done, and stay whatever follows; videos and stats
     appear at the end or not at all. ``resume``: frames are not rendered again if all their pictures exist, are
@@ -48,18 +49,18 @@ def render_animation(
     videos = [path for path in outputs if is_video(path)]
     stills = [path for path in outputs if not is_video(path)]
     others = [] if stats is None else [stats]
-    count, fps = asked.animation.frames, asked.animation.fps
+    count, fps = scene.animation.frames, scene.animation.fps
     for path in videos:
-        check_video(path, fps, asked.image.width, asked.image.height)
+        check_video(path, fps, scene.image.width, scene.image.height)
     if resume and videos:
         raise UsageError("--resume", f"given with {videos[0]}", "numbered pictures alone")
     check_frames(stills, videos, others, count)
 
     with working("loading", quiet):
-        asked.load(memory_cap)
-        resolved = asked.resolve(memory_cap)
+        scene.load(memory_cap)
+        resolved = scene.resolve(memory_cap)
     load_seconds = time.perf_counter() - start
-    log_scene(asked, memory_cap)
+    log_scene(scene, memory_cap)
 
     from clvol.integrators.registry import integrator_of
     from clvol.render import Renderer
@@ -68,10 +69,10 @@ def render_animation(
     kept = set()
     if resume:
         with working("checking which frames exist", quiet):
-            size = resolved.image.width, resolved.image.height
+            width, height = resolved.image.width, resolved.image.height
             for index, seconds, camera in frames(resolved):
-                expected = {"size": size, "made_from": _told(resolved, index, seconds, camera)()}
-                if _is_there(stills, index, expected, resolved.source):
+                expected = {"size": (width, height), "made_from": _told(resolved, index, seconds, camera)()}
+                if _is_there(stills, index, expected, resolved.source or ""):
                     kept.add(index)
     written: list[str] = []
     totals = _Totals()
@@ -86,8 +87,8 @@ def render_animation(
         writers = [stack.enter_context(open_video(path, fps, of_all)) for path in parts]
         if todo:
             by_blocks = integrator_of(resolved).reads_blocks
-            how = {"devices": devices, "memory_cap": memory_cap}
-            renderer = Renderer(asked, **how, **reading_blocks(by_blocks and progress))
+            reading = reading_blocks(progress) if by_blocks else None
+            renderer = Renderer(scene, devices=devices, memory_cap=memory_cap, progress=reading)
             if by_blocks and progress is not None:
                 progress(None, None, f"rendering {len(todo)} frames of {size}")
             stack.enter_context(renderer)
@@ -156,10 +157,8 @@ class _Totals:
         return {**self._known, "seconds": self.seconds}
 
 
-def _part(
-    progress: Callable[[int, int], None] | None, done: int, count: int
-) -> Callable[[int, int], None] | None:
-    """``progress`` of one frame as a share of all."""
+def _part(progress: ShowProgress | None, done: int, count: int) -> Callable[[int, int], None] | None:
+    """The progress of one frame, reported as a share of all ``count`` frames."""
     if progress is None:
         return None
     return lambda part, whole: progress(

@@ -7,13 +7,19 @@ import os
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, Protocol
 
 import click
 
 from clvol.errors import RenderError
 from clvol.json_values import plain
 from clvol.text import json_escaped, printable, printable_lines
+
+
+class ShowProgress(Protocol):
+    """Moves a progress display: ``done`` of ``total`` (None: unknown), and ``what`` is being done, if that changes."""
+
+    def __call__(self, done: int | None, total: int | None, what: str | None = None) -> None: ...
 
 
 def say(text: str) -> None:
@@ -61,7 +67,7 @@ def say_table(rows: Iterable[tuple[str, str]]) -> None:
 
 
 @contextmanager
-def working(message: str, quiet: bool) -> Iterator[Callable[[int, int], None] | None]:
+def working(message: str, quiet: bool) -> Iterator[ShowProgress | None]:
     """Shows ``message`` and a clock on stderr while the block runs, if stderr is a terminal.
 
     Yields None where nothing is shown; otherwise a function of (done, total) that turns the display into a bar with
@@ -93,18 +99,17 @@ def working(message: str, quiet: bool) -> Iterator[Callable[[int, int], None] | 
         task = progress.add_task(escape(printable(message)), total=None)
 
         def update(done: int | None, total: int | None, what: str | None = None) -> None:
-            said = {} if what is None else {"description": escape(printable(what))}
-            counted = {} if done is None else {"completed": done}
-            progress.update(task, total=total, **counted, **said)
+            description = None if what is None else escape(printable(what))
+            progress.update(task, total=total, completed=done, description=description)
 
         yield update
 
 
-def reading_blocks(progress: Callable[..., None] | None) -> dict[str, Callable[[int, int], None]]:
-    """The argument of ``Renderer`` that reports blocks being read, where progress is shown."""
-    if not progress:
-        return {}
-    return {"progress": lambda done, total: progress(done, total, "reading blocks")}
+def reading_blocks(progress: ShowProgress | None) -> Callable[[int, int], None] | None:
+    """The ``progress`` of ``Renderer``, which reports blocks being read; None where no progress is shown."""
+    if progress is None:
+        return None
+    return lambda done, total: progress(done, total, "reading blocks")
 
 
 def _encodable(text: str, stream: Any) -> str:

@@ -49,7 +49,8 @@ def _marks(path: str) -> set[object]:
     """What two names of one file have in common: the real path or, if the file exists, its identity."""
     if "\0" in path:
         return {path}
-    return {os.path.realpath(path), _identity(path)} - {None}
+    identity = _identity(path)
+    return {os.path.realpath(path)} if identity is None else {os.path.realpath(path), identity}
 
 
 _NUMBER = re.compile(r"%(?:0([1-9]))?d")

@@ -95,25 +95,28 @@ def command(
     from clvol.scene import load_scene
 
     start = time.perf_counter()
-    asked = load_scene(scene, overrides)
-    with protected(scene_inputs(scene, asked)):
-        if asked.animation.frames == 1:
+    loaded = load_scene(scene, overrides)
+    with protected(scene_inputs(scene, loaded)):
+        if loaded.animation.frames == 1:
             outputs = check_still(outputs, resume)
-            aims = {"max_error": max_error, "time_budget": time_budget}
-            _render_still(asked, outputs, stats, list(devices) or None, memory_cap, quiet, start, **aims)
+            _render_still(
+                loaded, outputs, stats, list(devices) or None, memory_cap, quiet, start,
+                max_error=max_error, time_budget=time_budget,
+            )  # fmt: skip
             return
         from clvol.cli.animation import render_animation
 
         if max_error is not None or time_budget is not None:
             option = _OPTIONS["time_budget" if max_error is None else "max_error"]
-            what = f"given for an animation of {asked.animation.frames} frames"
+            what = f"given for an animation of {loaded.animation.frames} frames"
             raise UsageError(option, what, "one frame: --set animation.frames=1")
-        how = {"devices": list(devices) or None, "memory_cap": memory_cap}
-        render_animation(asked, outputs, stats, resume=resume, quiet=quiet, **how)
+        render_animation(
+            loaded, outputs, stats, resume=resume, quiet=quiet, devices=list(devices) or None, memory_cap=memory_cap
+        )
 
 
 def _render_still(
-    asked: Scene,
+    scene: Scene,
     outputs: tuple[str, ...],
     stats: str | None,
     devices: list[str] | None,
@@ -132,33 +135,38 @@ def _render_still(
 
     others = [] if stats is None else [stats]
     check_outputs(outputs, others)
-    integrator = integrator_of(asked)
-    by_blocks, refines = integrator.reads_blocks, integrator.refines_in_time(asked) and time_budget is not None
-    with working(f"loading {asked.origin}", quiet):
-        asked.load(memory_cap)
+    integrator = integrator_of(scene)
+    by_blocks, refines = integrator.reads_blocks, integrator.refines_in_time(scene) and time_budget is not None
+    with working(f"loading {scene.origin}", quiet):
+        scene.load(memory_cap)
     load_seconds = time.perf_counter() - start
-    log_scene(asked, memory_cap)
+    log_scene(scene, memory_cap)
 
     from clvol.render import Renderer
 
     depth = any(path.lower().endswith(".exr") for path in outputs)
-    size = f"{asked.image.width} x {asked.image.height} pixels"
+    size = f"{scene.image.width} x {scene.image.height} pixels"
     with working(f"rendering {size}", quiet) as progress:
-        how = {"devices": devices, "memory_cap": memory_cap}
-        if max_error is not None or (time_budget is not None and not refines):
+        if max_error is not None:
             from clvol.accuracy.error_target import render_to_error
+
+            with named_as_options():
+                frame = render_to_error(
+                    scene, max_error, devices=devices, memory_cap=memory_cap, depth=depth, progress=progress
+                )
+        elif time_budget is not None and not refines:
             from clvol.accuracy.time_target import render_in_time
 
-            aim = max_error if max_error is not None else time_budget
-            render = render_in_time if max_error is None else render_to_error
             with named_as_options():
-                frame = render(asked, aim, depth=depth, progress=progress, **how)
+                frame = render_in_time(
+                    scene, time_budget, devices=devices, memory_cap=memory_cap, depth=depth, progress=progress
+                )
         else:
-            by_time = {"seconds": time_budget} if refines else {}
-            with Renderer(asked, **how, **reading_blocks(by_blocks and progress)) as renderer:
+            reading = reading_blocks(progress) if by_blocks else None
+            with Renderer(scene, devices=devices, memory_cap=memory_cap, progress=reading) as renderer:
                 if by_blocks and progress is not None:
                     progress(None, None, f"rendering {size}")
-                frame = renderer.render(progress=progress, depth=depth, **by_time)
+                frame = renderer.render(progress=progress, depth=depth, seconds=time_budget)
 
     with working("writing", quiet), atomic_paths([*outputs, *others]) as temporaries:
         write_start = time.perf_counter()
@@ -205,7 +213,7 @@ def check_targets(max_error: float | None, time_budget: float | None) -> None:
     with named_as_options():
         if max_error is not None:
             check_max_error(max_error)
-        else:
+        elif time_budget is not None:
             check_time_budget(time_budget)
 
 

@@ -42,7 +42,7 @@ def read(path: str, memory_cap: int | None = None) -> tuple[np.ndarray, None, di
     """``rgba`` as in the file, no depth, and what the file says about itself, with ``has_alpha``.
     Three channels mean opaque."""
     array = np.load(path, mmap_mode="r", allow_pickle=False)
-    if (not isinstance(array, np.ndarray) or array.ndim != 3 or array.shape[2] not in (3, 4)
+    if (not isinstance(array, np.memmap) or array.ndim != 3 or array.shape[2] not in (3, 4)
             or 0 in array.shape or array.dtype.kind != "f"):
         kind = f"{array.dtype} {array.shape}" if isinstance(array, np.ndarray) else "an archive"
         raise UsageError(path, f"the array is {kind}", "floats [height, width, 4]")

@@ -103,6 +103,14 @@ class _Frames:
         self._take(shown)
         self.count += 1
 
+    def _take(self, shown: np.ndarray) -> None:
+        """Keeps or encodes one frame, uint8 [height, width, 3]."""
+        raise NotImplementedError
+
+    def _write(self) -> None:
+        """Completes the file; called once."""
+        raise NotImplementedError
+
     def about(self) -> str | None:
         """What the video says about itself."""
         return None if self._made_from is None else json.dumps(self._made_from())

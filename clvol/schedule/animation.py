@@ -7,6 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from clvol.errors import UsageError
 from clvol.scene.camera import Camera
 from clvol.scene.resolve import ResolvedScene
 
@@ -29,6 +30,8 @@ def orbited(camera: Camera, degrees: float) -> Camera:
     that what it looks at turns to the left."""
     if degrees == 0:
         return camera
+    if camera.position is None or camera.target is None or camera.up is None:
+        raise UsageError("camera", "lacks a position, a target or an up", "a complete camera")
     up = np.asarray(camera.up) / np.linalg.norm(camera.up)
     away = np.subtract(camera.position, camera.target)
     angle = math.radians(math.fmod(degrees, 360.0))

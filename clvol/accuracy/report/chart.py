@@ -4,11 +4,18 @@ from __future__ import annotations
 
 import io
 import warnings
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
 
 from clvol.accuracy.report import wording
 from clvol.accuracy.report.label_layout import Label, LogAxis, place_labels
 from clvol.accuracy.report.svg import error_ticks, name_order, point_name, ranges
-from clvol.accuracy.report.sweep import Point, Sweep, median, plottable
+from clvol.accuracy.report.sweep import Point, Sweep, plottable, time_of
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
 
 COLORS = ("#2f6db3", "#c8641b", "#2f8f6b", "#8a55b5", "#b5475c", "#8a7a1f", "#3d8fa8", "#6b6f76")
 _INK, _MUTED, _GRID = "#1d1d1f", "#6b6b70", "#e7e6e2"
@@ -35,7 +42,7 @@ def tradeoff_chart(sweep: Sweep) -> bytes:
     _axes(axes, times, errors, floor, zero if exact else None, all(p["rmse"] == 0 for p in shown))
 
     def at(point: Point) -> tuple[float, float]:
-        return median(point), point["rmse"] or zero
+        return time_of(point), point["rmse"] or zero
 
     knob = sweep.color_knob()
     front = [p for p in sweep.front if plottable(p)]
@@ -69,7 +76,14 @@ def tradeoff_chart(sweep: Sweep) -> bytes:
     return stream.getvalue()
 
 
-def _axes(axes, times, errors, floor, zero, only_zero) -> None:
+def _axes(
+    axes: Axes,
+    times: tuple[float, float],
+    errors: tuple[float, float],
+    floor: float,
+    zero: float | None,
+    only_zero: bool,
+) -> None:
     from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter, NullLocator
 
     axes.set_xscale("log")
@@ -99,11 +113,20 @@ def _axes(axes, times, errors, floor, zero, only_zero) -> None:
                   textcoords="offset pixels", fontsize=9.5, color=_INK)
 
 
-def _name_points(axes, canvas, sweep, named, front, baseline, shown, at) -> None:
+def _name_points(
+    axes: Axes,
+    canvas: FigureCanvasAgg,
+    sweep: Sweep,
+    named: list[Point],
+    front: list[Point],
+    baseline: Point | None,
+    shown: list[Point],
+    at: Callable[[Point], tuple[float, float]],
+) -> None:
     """Names beside the points, where there is room."""
     renderer = canvas.get_renderer()
     height = canvas.get_width_height()[1]
-    style = {"fontsize": 8.5, "parse_math": False, "color": _INK}
+    style: dict[str, Any] = {"fontsize": 8.5, "parse_math": False, "color": _INK}
 
     def pixels(point: Point) -> tuple[float, float]:
         x, y = axes.transData.transform(at(point))
@@ -111,7 +134,7 @@ def _name_points(axes, canvas, sweep, named, front, baseline, shown, at) -> None
 
     def bar(point: Point) -> tuple[float, float, float, float]:
         x, y = pixels(point)
-        ends = [point["seconds"].get(key) or median(point) for key in ("min", "max")]
+        ends = [point["seconds"].get(key) or time_of(point) for key in ("min", "max")]
         left, right = (axes.transData.transform((v, at(point)[1]))[0] for v in ends)
         return left, y, right, y
 
@@ -143,7 +166,9 @@ def _name_points(axes, canvas, sweep, named, front, baseline, shown, at) -> None
                   path_effects=[withStroke(linewidth=2.5, foreground="white", alpha=0.85)], **style)
 
 
-def _words(figure, axes, sweep: Sweep, knob, color) -> None:
+def _words(
+    figure: Figure, axes: Axes, sweep: Sweep, knob: dict[str, Any] | None, color: Callable[[Point], str]
+) -> None:
     """Title, what was measured, and what the colours mean."""
     from matplotlib.lines import Line2D
 
@@ -159,7 +184,7 @@ def _words(figure, axes, sweep: Sweep, knob, color) -> None:
     ]
     figure.text(left, 0.908, wording.shorten(", ".join(parts), 170), fontsize=8.5, color=_MUTED,
                 parse_math=False)
-    dot = {"linestyle": "", "marker": "o", "markersize": 6, "markeredgecolor": "none"}
+    dot: dict[str, Any] = {"linestyle": "", "marker": "o", "markersize": 6, "markeredgecolor": "none"}
     handles = []
     if knob is not None:
         for i, value in enumerate(sweep.values(knob["name"])):
@@ -174,9 +199,9 @@ def _words(figure, axes, sweep: Sweep, knob, color) -> None:
         handles=handles, loc="upper right", bbox_to_anchor=(1.0, 1.085), ncols=len(handles),
         frameon=False, fontsize=8.5, handletextpad=0.5, columnspacing=1.6, borderpad=0.2,
     )
-    for text in legend.get_texts():
-        text.set_color(_INK)
-        text.set_parse_math(False)
+    for entry in legend.get_texts():
+        entry.set_color(_INK)
+        entry.set_parse_math(False)
 
 
 def _plain(text: str) -> str:

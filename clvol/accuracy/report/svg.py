@@ -16,7 +16,7 @@ from clvol.accuracy.report.label_layout import (
     limits,
     place_labels,
 )
-from clvol.accuracy.report.sweep import Point, Sweep, median, plottable
+from clvol.accuracy.report.sweep import Point, Sweep, median, plottable, time_of
 
 _TEXT = 12.0  # pixels
 _LANE = 38.0  # below the plot, for what has no error at all
@@ -33,7 +33,7 @@ def text_width(text: str, size: float = _TEXT) -> float:
 def ranges(sweep: Sweep, before: float = 0.05) -> tuple[tuple[float, float], tuple[float, float]]:
     """(seconds), (RMSE): what the plots show; some range where there is nothing to be seen."""
     points = [p for p in sweep.points if plottable(p)]
-    times = limits([median(p) for p in points], before=before, after=0.06)
+    times = limits([time_of(p) for p in points], before=before, after=0.06)
     errors = limits([p["rmse"] for p in points], before=0.07, after=0.07)
     return times or (1e-3, 1.0), errors or (1e-6, 1.0)
 
@@ -60,7 +60,7 @@ class Plot:
         """Where a plottable point lies; without error: in the lane below the axis."""
         error = point["rmse"]
         y = self.frame[3] - _LANE / 2 if error == 0 else self.y.place(error)
-        return self.x.place(median(point)), y
+        return self.x.place(time_of(point)), y
 
     def axes(self, x_title: str, y_title: str, most: tuple[int, int] = (9, 8)) -> list[str]:
         left, top, right, bottom = self.frame
@@ -93,7 +93,7 @@ class Plot:
 
     def bar(self, point: Point) -> tuple[float, float, float, float]:
         """From the fastest to the slowest frame: x0, y0, x1, y1."""
-        fastest, slowest = (point["seconds"].get(k) or median(point) for k in ("min", "max"))
+        fastest, slowest = (point["seconds"].get(k) or time_of(point) for k in ("min", "max"))
         y = self.at(point)[1]
         return self.x.place(fastest), y, self.x.place(slowest), y
 

@@ -136,6 +136,11 @@ def median(point: Point) -> float | None:
     return value if value is not None and value > 0 else None
 
 
+def time_of(point: Point) -> float:
+    """Seconds per frame of a point that is :func:`plottable`."""
+    return point["seconds"]["median"]
+
+
 def plottable(point: Point) -> bool:
     return point["rmse"] is not None and median(point) is not None
 

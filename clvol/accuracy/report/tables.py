@@ -94,9 +94,10 @@ def _quality(point: Point, path: str, value: float | None, front: set[str]) -> s
 
 
 def _look_up(point: Point, path: str) -> Any:
+    value: Any = point
     for key in path.split("."):
-        point = point.get(key) if isinstance(point, dict) else None
-    return point
+        value = value.get(key) if isinstance(value, dict) else None
+    return value
 
 
 def _own_class(point: Point, sweep: Sweep) -> str:
