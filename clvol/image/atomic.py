@@ -1,4 +1,4 @@
-"""Files that appear whole or not at all."""
+"""Writes files that appear whole or not at all."""
 
 from __future__ import annotations
 
@@ -20,11 +20,10 @@ _NO_FILE = ((stat.S_ISDIR, "this is a folder"), (stat.S_ISCHR, "this is a device
 
 
 def check_output_folder(path: str | os.PathLike[str]) -> Path:
-    """``path`` resolved, if a file can be created there; an existing file is left untouched.
+    """Checks that a file can be created at ``path``, and returns the resolved path. An existing file is left untouched.
 
-    Worth calling before hours of work. Raises :class:`clvol.errors.UsageError` when the folder does
-    not exist or cannot be written to, when ``path`` is a folder, a device, a pipe or a socket, or a
-    file that is read (``clvol.inputs.protected``).
+    Call it before long work. Raises :class:`clvol.errors.UsageError` when the folder does not exist or cannot be
+    written to, and when ``path`` is a folder, a device, a pipe, a socket, or an input (``clvol.inputs.protected``).
     """
     target, temporary = _begin(path)
     _remove(temporary)
@@ -33,12 +32,11 @@ def check_output_folder(path: str | os.PathLike[str]) -> Path:
 
 @contextmanager
 def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """Yields a temporary path beside ``path`` (same folder, same ending) to write to.
+    """Yields a temporary path in the folder of ``path``, with the same ending, to write to.
 
-    After the block its content is flushed to the disk and put in the place of ``path`` in one step.
-    Whatever ends the block early (an error, a full disk, an interrupt) leaves the folder as it was.
-    Raises :class:`clvol.errors.UsageError` for an impossible place and
-    :class:`clvol.errors.RenderError`, which names ``path``, when writing fails.
+    After the block the file is flushed to disk and renamed to ``path`` in one step. If the block ends early (by an
+    error, a full disk, an interrupt), the folder stays as it was. Raises :class:`clvol.errors.UsageError` if no file
+    can be created there, and :class:`clvol.errors.RenderError`, which names ``path``, when writing fails.
     """
     with atomic_paths([path]) as temporaries:
         yield temporaries[0]
@@ -46,10 +44,9 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 @contextmanager
 def atomic_paths(paths: Sequence[str | os.PathLike[str]]) -> Iterator[list[Path]]:
-    """As ``atomic_path`` for several files: after the block all take their places, or none does.
+    """Like ``atomic_path`` for several files: after the block either all of them appear, or none does.
 
-    If a move fails, those that were made before it are taken back: of these, files that were there
-    before are lost.
+    If renaming one of them fails, those that were renamed before are removed; files that they had replaced are lost.
     """
     drafts: list[tuple[str, Path, Path]] = []
     try:
@@ -75,7 +72,7 @@ def _move(drafts: list[tuple[str, Path, Path]]) -> None:
     moved: list[Path] = []
     try:
         for said, target, temporary in drafts:
-            _check_target(said, target)  # again: it may have come meanwhile
+            _check_target(said, target)  # again: the target may have been created meanwhile
         for said, target, temporary in drafts:
             with _writing(said):
                 os.replace(temporary, target)
@@ -100,7 +97,7 @@ def _not_written(said: str, error: OSError) -> ClvolError:
 
 
 def _begin(path: str | os.PathLike[str]) -> tuple[Path, Path]:
-    """The real target (links followed) and a new empty file beside it."""
+    """The target, with links resolved, and a new empty file in the same folder."""
     try:
         target = Path(os.path.realpath(path))
         folder = target.parent
@@ -128,15 +125,15 @@ def _begin(path: str | os.PathLike[str]) -> tuple[Path, Path]:
 
 
 def _check_target(said: str, target: Path) -> None:
-    """UsageError for what must not be replaced; OSError for a name that is too long, which is known
-    now and not after the work."""
+    """Raises UsageError for a target that must not be replaced, and OSError for a name that is too long, before the
+    work and not after it."""
     try:
         mode = os.lstat(target).st_mode
     except (FileNotFoundError, NotADirectoryError):
         mode = 0
     except OSError as error:
         if error.errno == errno.ENAMETOOLONG and not os.path.isdir(target.parent):
-            mode = 0  # it is the folder that is not there
+            mode = 0  # the folder does not exist, which is reported later
         else:
             raise
     for is_kind, what in _NO_FILE:
@@ -148,7 +145,7 @@ def _check_target(said: str, target: Path) -> None:
 
 
 def _check_not_standard(said: str, target: Path) -> None:
-    """What standard output or error go to is being written."""
+    """Raises UsageError if standard output or standard error is redirected to ``target``."""
     for descriptor, name in ((1, "standard output"), (2, "standard error")):
         try:
             same = os.path.samestat(os.fstat(descriptor), os.stat(target))
@@ -176,7 +173,7 @@ def _remove(temporary: Path) -> None:
 
 
 def _sync_folder(folder: Path) -> None:
-    """Make the new name survive a power cut; not every file system can."""
+    """Makes the new name survive a power failure, on file systems that support it."""
     try:
         descriptor = os.open(folder, os.O_RDONLY)
     except OSError:
