@@ -1,4 +1,4 @@
-"""tradeoff.png: error against time, to be read alone."""
+"""tradeoff.png: a self-contained chart of error against time."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ _SIDES = {"start": "left", "middle": "center", "end": "right"}
 
 
 def tradeoff_chart(sweep: Sweep) -> bytes:
-    """A PNG of 1680 x 1050 pixels: all points, the front connected and named, the scene's own
-    settings ringed, bars from the fastest to the slowest frame."""
+    """A PNG of 1680 x 1050 pixels that shows all points. The front is connected and labelled, the scene's own settings
+    are ringed, and bars reach from the fastest to the slowest frame."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -36,7 +36,7 @@ def tradeoff_chart(sweep: Sweep) -> bytes:
     exact = any(p["rmse"] == 0 for p in shown)
     times, errors = ranges(sweep, before=0.2)
     floor = errors[0]
-    if exact:  # a lane below for what has no error, which no logarithm shows
+    if exact:  # a lane below the axis for points without error, which a logarithmic axis cannot show
         errors = (errors[0] * (errors[0] / errors[1]) ** 0.1, errors[1])
     zero = (errors[0] * floor) ** 0.5
     _axes(axes, times, errors, floor, zero if exact else None, all(p["rmse"] == 0 for p in shown))
@@ -44,13 +44,13 @@ def tradeoff_chart(sweep: Sweep) -> bytes:
     def at(point: Point) -> tuple[float, float]:
         return time_of(point), point["rmse"] or zero
 
-    knob = sweep.color_knob()
+    tunable = sweep.color_tunable()
     front = [p for p in sweep.front if plottable(p)]
     baseline = sweep.baseline if plottable(sweep.baseline) else None
     named = [*front, *([baseline] if baseline and baseline not in front else [])]
 
     def color(point: Point) -> str:
-        return COLORS[sweep.color_class(point, knob) % len(COLORS)]
+        return COLORS[sweep.color_class(point, tunable) % len(COLORS)]
 
     for point in shown:
         important = point in named
@@ -68,10 +68,10 @@ def tradeoff_chart(sweep: Sweep) -> bytes:
         axes.plot(*[[v] for v in at(baseline)], "o", markersize=12, markerfacecolor="none",
                   markeredgecolor=_INK, markeredgewidth=1.2, zorder=6)
     stream = io.BytesIO()
-    with warnings.catch_warnings():  # a name in letters that the font lacks is no one's concern
+    with warnings.catch_warnings():  # a name may contain letters that the font lacks
         warnings.filterwarnings("ignore", message="Glyph .* missing from font")
         _name_points(axes, canvas, sweep, named, front, baseline, shown, at)
-        _words(figure, axes, sweep, knob, color)
+        _words(figure, axes, sweep, tunable, color)
         canvas.print_png(stream)
     return stream.getvalue()
 
@@ -108,7 +108,7 @@ def _axes(
     for side in ("left", "bottom"):
         axes.spines[side].set_color(_MUTED)
     axes.tick_params(which="both", color=_MUTED, labelcolor=_INK, labelsize=9)
-    axes.set_xlabel("time a frame, median", loc="right", fontsize=9.5, color=_INK)
+    axes.set_xlabel("time per frame, median", loc="right", fontsize=9.5, color=_INK)
     axes.annotate("error (RMSE of linear RGBA)", (0, 1), (-70, 8), xycoords="axes fraction",
                   textcoords="offset pixels", fontsize=9.5, color=_INK)
 
@@ -123,7 +123,7 @@ def _name_points(
     shown: list[Point],
     at: Callable[[Point], tuple[float, float]],
 ) -> None:
-    """Names beside the points, where there is room."""
+    """Labels the points where there is room."""
     renderer = canvas.get_renderer()
     height = canvas.get_width_height()[1]
     style: dict[str, Any] = {"fontsize": 8.5, "parse_math": False, "color": _INK}
@@ -167,9 +167,9 @@ def _name_points(
 
 
 def _words(
-    figure: Figure, axes: Axes, sweep: Sweep, knob: dict[str, Any] | None, color: Callable[[Point], str]
+    figure: Figure, axes: Axes, sweep: Sweep, tunable: dict[str, Any] | None, color: Callable[[Point], str]
 ) -> None:
-    """Title, what was measured, and what the colours mean."""
+    """Adds the title, a line on what was measured, and the legend."""
     from matplotlib.lines import Line2D
 
     scene, machine = sweep.result["scene"], sweep.result["machine"]
@@ -186,10 +186,10 @@ def _words(
                 parse_math=False)
     dot: dict[str, Any] = {"linestyle": "", "marker": "o", "markersize": 6, "markeredgecolor": "none"}
     handles = []
-    if knob is not None:
-        for i, value in enumerate(sweep.values(knob["name"])):
+    if tunable is not None:
+        for i, value in enumerate(sweep.values(tunable["name"])):
             text = wording.setting(value)
-            text = f"{knob['title']}: {text}" if i == 0 else text
+            text = f"{tunable['title']}: {text}" if i == 0 else text
             handles.append(Line2D([], [], color=COLORS[i % len(COLORS)], label=_plain(text), **dot))
     handles.append(Line2D([], [], color=_INK, linewidth=1.3,
                           label="nothing is faster and as exact"))
@@ -205,5 +205,5 @@ def _words(
 
 
 def _plain(text: str) -> str:
-    """A legend leaves out what begins with an underscore."""
+    """``text`` shortened, without leading underscores, which would hide it from the legend."""
     return wording.shorten(text, 28).lstrip("_") or " "
