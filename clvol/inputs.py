@@ -86,19 +86,19 @@ class Inputs:
                 elif (identity := _identity(real)) is not None:
                     self._files[identity] = path
 
-    def _add_folder(self, top: str, said: str) -> None:
+    def _add_folder(self, top: str, source: str) -> None:
         is_zarr = _is_zarr(top)
         self._roots.append(top)
         for folder, entries in _walk(top) if is_zarr else _level(top):
             identity = _identity(folder)
             if identity is not None:
-                self._folders[identity] = said
+                self._folders[identity] = source
                 if is_zarr:
                     self._closed.add(identity)
             for entry in entries:
                 if is_zarr or not _is_picture(entry.path):
                     if (found := _identity(entry.path)) is not None:
-                        self._files.setdefault(found, said)
+                        self._files.setdefault(found, source)
 
 
 _protected: list[Inputs] = []

@@ -73,9 +73,9 @@ class PictureSearch:
     ) -> None:
         start = time.perf_counter()
         self.scene = scene
-        asked = scene.resolve()
-        self.asked = asked
-        self.resolved = apply(asked, {"integration.method": integrator_of(asked).tuned_as})
+        requested = scene.resolve()
+        self.requested = requested
+        self.resolved = apply(requested, {"integration.method": integrator_of(requested).tuned_as})
         check_scene(self.resolved)
         check_memory(self.resolved, memory_cap)
         check_has_truth(self.resolved)
@@ -84,7 +84,7 @@ class PictureSearch:
         self.depth, self.progress = depth, progress
         rng = np.random.default_rng(seed)
         self._tolerance = min(max(error * _SHARE_OF_ERROR, 1e-12), 1e-5)
-        self.size = asked.image.width, asked.image.height
+        self.size = requested.image.width, requested.image.height
         self.tunables = scene_tunables(self.resolved)
         self.start = scene_settings(self.resolved, self.tunables)
         self.of_picture = {k: v for k, v in self.tunables.items() if v.tunable.of_picture}
@@ -224,7 +224,7 @@ class PictureSearch:
 
     def warnings(self, rgba: np.ndarray, depth: np.ndarray | None) -> dict[str, Any]:
         """The entries that a picture's warnings add to its stats."""
-        return Notices(self.asked).of_picture(self.asked, self.asked.camera, rgba, depth)
+        return Notices(self.requested).of_picture(self.requested, self.requested.camera, rgba, depth)
 
     def _counting(self, settings: dict[str, Any]) -> dict[str, Any]:
         """``settings`` without those that have no effect in combination with the others."""
@@ -234,7 +234,7 @@ class PictureSearch:
     def resolved_as(self, settings: dict[str, Any]) -> ResolvedScene:
         """The scene with ``settings``, which its source text then contains, too."""
         source = self.scene.model_copy(update=tables_with(self.scene, settings)).to_toml()
-        return replace(apply(self.asked, settings), source=source)
+        return replace(apply(self.requested, settings), source=source)
 
     def timed(self, stage: str, work: Callable[[], T]) -> T:
         """Calls ``work``, adds its time to ``stage`` and returns its result."""

@@ -1,4 +1,4 @@
-"""clvol explain: which effects a scene uses, and why."""
+"""clvol explain: lists the effects that a scene uses, and says why."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ def command(
     resolved = load_scene(scene, overrides).resolve(memory_cap)
     from clvol.explanation import explain
 
-    told = explain(resolved)
+    explanation = explain(resolved)
     if as_json:
-        say_json(told)
+        say_json(explanation)
         return
     say_table(
         (f"{'yes' if effect['called_for'] else 'no':<3}  {effect['name']}", effect["reason"])
-        for effect in told["effects"]
+        for effect in explanation["effects"]
     )
-    say(f"kernel {told['kernel_hash']}")
-    for warning in told["warnings"]:
+    say(f"kernel {explanation['kernel_hash']}")
+    for warning in explanation["warnings"]:
         say(f"warning: {warning}")

@@ -1,4 +1,4 @@
-"""clvol info: what a volume file contains, and how much memory rendering takes."""
+"""clvol info: prints what a volume contains, and how much memory rendering it takes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""clvol render: a picture of a scene or of a volume file."""
+"""clvol render: renders a scene or a volume file."""
 
 from __future__ import annotations
 
@@ -127,7 +127,7 @@ def _render_still(
     max_error: float | None,
     time_budget: float | None,
 ) -> None:
-    """One picture as all of ``outputs``; ``start`` is when the command began (``perf_counter``)."""
+    """Renders one picture and writes it to all ``outputs``. ``start``: when the command began (``perf_counter``)."""
     from clvol.cli.console import note, reading_blocks, say_path, to_json, working
     from clvol.cli.outputs import check_outputs, save_picture
     from clvol.image import atomic_paths
@@ -187,7 +187,7 @@ def _render_still(
 
 
 def check_still(outputs: tuple[str, ...], resume: bool) -> tuple[str, ...]:
-    """The names of a single picture's files; UsageError for what only an animation has."""
+    """The file names of a single picture. Raises UsageError for options and files that only animations have."""
     from clvol.cli.outputs import numbered
     from clvol.image import ENDINGS, is_video
 
@@ -202,7 +202,7 @@ def check_still(outputs: tuple[str, ...], resume: bool) -> tuple[str, ...]:
 
 
 def check_targets(max_error: float | None, time_budget: float | None) -> None:
-    """Raises UsageError before anything is loaded if the target is impossible."""
+    """Raises UsageError for an impossible target, before anything is loaded."""
     if max_error is None and time_budget is None:
         return
     from clvol.accuracy.error_target import check_max_error
@@ -219,7 +219,7 @@ def check_targets(max_error: float | None, time_budget: float | None) -> None:
 
 @contextmanager
 def named_as_options() -> Iterator[None]:
-    """Errors inside name the options of the command, not the arguments of the function."""
+    """Makes errors raised in the block name the command's options instead of the function's arguments."""
     from clvol.errors import ClvolError
 
     try:
@@ -230,7 +230,7 @@ def named_as_options() -> Iterator[None]:
 
 
 def refinement_in_words(stats: dict) -> str:
-    """One line: how far a picture has been refined within its time."""
+    """Describes in one line how far a picture was refined within its time."""
     tiles, taken = stats.get("tiles"), f"{stats['seconds']['render']:.3g} s"
     if tiles is None or tiles.get("estimated_rmse") is None:
         return f"nothing is visible; {taken} per frame"
@@ -239,7 +239,7 @@ def refinement_in_words(stats: dict) -> str:
 
 
 def accuracy_in_words(stats: dict) -> str:
-    """One line: the error as measured, and with which settings."""
+    """Describes in one line the measured error and the chosen settings."""
     from clvol.accuracy.settings import format_setting
 
     measured = stats["accuracy"]

@@ -1,4 +1,4 @@
-"""clvol store: writes a volume to disk as blocks at several resolutions."""
+"""clvol store: writes a volume to disk as blocks at several levels of detail."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def command(
         build_store(
             source, output, edge=EDGE if edge is None else edge, shard=shard,
             codec=DEFAULT if codec is None else codec, overwrite=overwrite, restart=restart,
-            progress=None if quiet else _telling(output, bar),
+            progress=None if quiet else _reporting(output, bar),
         )  # fmt: skip
     say_path(output)
 
@@ -100,8 +100,8 @@ def _source(scene: Scene, volume: str, memory_cap: int | None, quiet: bool) -> F
         return VolumeSource(scene.load_volume(memory_cap), settings.model_dump(mode="json"))
 
 
-def _telling(output: str, bar: ShowProgress | None) -> Callable[[int, int], None]:
-    """Moves the bar, if there is one; says once that an interrupted store is resumed."""
+def _reporting(output: str, bar: ShowProgress | None) -> Callable[[int, int], None]:
+    """A progress function that moves the bar, if there is one, and reports once that a store is resumed."""
     from clvol.cli.console import note
 
     begun = False
@@ -109,8 +109,8 @@ def _telling(output: str, bar: ShowProgress | None) -> Callable[[int, int], None
     def progress(done: int, total: int) -> None:
         nonlocal begun
         if done and not begun:
-            said = f"resuming {output}.partial: {done} of {total} regions are done"
-            bar(done, total, said) if bar is not None else note(said)
+            text = f"resuming {output}.partial: {done} of {total} regions are done"
+            bar(done, total, text) if bar is not None else note(text)
         elif bar is not None:
             bar(done, total)
         begun = True
@@ -120,7 +120,7 @@ def _telling(output: str, bar: ShowProgress | None) -> Callable[[int, int], None
 
 @contextmanager
 def _named_as_options() -> Iterator[None]:
-    """Errors inside name the options of the command, not the arguments of the function."""
+    """Makes errors raised in the block name the command's options instead of the function's arguments."""
     from clvol.errors import UsageError
 
     try:

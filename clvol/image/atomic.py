@@ -53,14 +53,14 @@ def atomic_paths(paths: Sequence[str | os.PathLike[str]]) -> Iterator[list[Path]
         for path in paths:
             drafts.append((str(path), *_begin(path)))
         yield [temporary for _, _, temporary in drafts]
-        for said, _, temporary in drafts:
-            with _writing(said):
+        for given, _, temporary in drafts:
+            with _writing(given):
                 _flush(temporary)
         with held():
             _move(drafts)
     except OSError as error:
-        known = [said for said, _, temporary in drafts if str(error.filename) == str(temporary)]
-        raise _not_written(", ".join(known or [said for said, _, _ in drafts]), error) from error
+        known = [given for given, _, temporary in drafts if str(error.filename) == str(temporary)]
+        raise _not_written(", ".join(known or [given for given, _, _ in drafts]), error) from error
     finally:
         for _, _, temporary in drafts:
             _remove(temporary)
@@ -71,10 +71,10 @@ def atomic_paths(paths: Sequence[str | os.PathLike[str]]) -> Iterator[list[Path]
 def _move(drafts: list[tuple[str, Path, Path]]) -> None:
     moved: list[Path] = []
     try:
-        for said, target, temporary in drafts:
-            _check_target(said, target)  # again: the target may have been created meanwhile
-        for said, target, temporary in drafts:
-            with _writing(said):
+        for given, target, temporary in drafts:
+            _check_target(given, target)  # again: the target may have been created meanwhile
+        for given, target, temporary in drafts:
+            with _writing(given):
                 os.replace(temporary, target)
             forget_temporary(temporary)
             moved.append(target)
@@ -85,15 +85,15 @@ def _move(drafts: list[tuple[str, Path, Path]]) -> None:
 
 
 @contextmanager
-def _writing(said: str) -> Iterator[None]:
+def _writing(given: str) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise _not_written(said, error) from error
+        raise _not_written(given, error) from error
 
 
-def _not_written(said: str, error: OSError) -> ClvolError:
-    return RenderError(said, f"the file cannot be written: {_why(error)}")
+def _not_written(given: str, error: OSError) -> ClvolError:
+    return RenderError(given, f"the file cannot be written: {_why(error)}")
 
 
 def _begin(path: str | os.PathLike[str]) -> tuple[Path, Path]:
@@ -124,7 +124,7 @@ def _begin(path: str | os.PathLike[str]) -> tuple[Path, Path]:
     return target, temporary
 
 
-def _check_target(said: str, target: Path) -> None:
+def _check_target(given: str, target: Path) -> None:
     """Raises UsageError for a target that must not be replaced, and OSError for a name that is too long, before the
     work and not after it."""
     try:
@@ -138,13 +138,13 @@ def _check_target(said: str, target: Path) -> None:
             raise
     for is_kind, what in _NO_FILE:
         if is_kind(mode):
-            raise UsageError(said, what, "the name of a file")
+            raise UsageError(given, what, "the name of a file")
     if mode:
-        _check_not_standard(said, target)
-    check_not_read(said)
+        _check_not_standard(given, target)
+    check_not_read(given)
 
 
-def _check_not_standard(said: str, target: Path) -> None:
+def _check_not_standard(given: str, target: Path) -> None:
     """Raises UsageError if standard output or standard error is redirected to ``target``."""
     for descriptor, name in ((1, "standard output"), (2, "standard error")):
         try:
@@ -152,7 +152,7 @@ def _check_not_standard(said: str, target: Path) -> None:
         except OSError:
             continue
         if same:
-            raise UsageError(said, f"{name} goes there", "a file of its own")
+            raise UsageError(given, f"{name} goes there", "a file of its own")
 
 
 def _flush(temporary: Path) -> None:

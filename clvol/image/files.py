@@ -91,9 +91,9 @@ def is_intact(path: str | os.PathLike[str], picture: dict[str, Any]) -> bool:
 
 
 def _background(header: dict[str, Any]) -> np.ndarray | None:
-    told = _parsed(header, "background", list)
+    values = _parsed(header, "background", list)
     try:
-        color = np.array(told, dtype=np.float64)
+        color = np.array(values, dtype=np.float64)
     except (TypeError, ValueError):
         return None
     return color if color.shape == (3,) and np.isfinite(color).all() else None

@@ -118,7 +118,7 @@
     });
   });
 
-  // Colours by another knob.
+  // Colours by another tunable.
   var select = document.getElementById("color");
   function className(knob, i) {
     if (!knob.ordered) return "c" + i % 8;
