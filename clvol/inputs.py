@@ -49,7 +49,7 @@ class Inputs:
             identity = _identity(folder)
             if identity in self._closed:
                 what = f"lies in the input {self._folders[identity]}"
-                raise UsageError(str(path), what, "a place outside it")
+                raise UsageError(str(path), what, "a path outside it")
 
     def check_folder(self, path: str | os.PathLike) -> None:
         """Raises UsageError if creating or removing the folder ``path`` would change an input."""
@@ -66,7 +66,7 @@ class Inputs:
             identity = _identity(up)
             if identity is not None and identity in self._folders:
                 what = f"lies in the input {self._folders[identity]}"
-                raise UsageError(str(path), what, "a place outside it")
+                raise UsageError(str(path), what, "a path outside it")
         if here is not None and not self._files.keys().isdisjoint(_files_in(real)):
             raise UsageError(str(path), "contains a link to an input", "a different folder")
 

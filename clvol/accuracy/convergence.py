@@ -42,7 +42,7 @@ class Convergence:
                 raise UsageError(name, f"got {values}", "finite numbers greater than 0")
         if len(self.h) != len(self.errors) or len(self.h) < FEWEST_LEVELS:
             got = f"got {len(self.h)} and {len(self.errors)}"
-            raise UsageError("h, errors", got, f"as many of both, at least {FEWEST_LEVELS}")
+            raise UsageError("h, errors", got, f"equally many of both, at least {FEWEST_LEVELS}")
         if any(fine >= coarse for coarse, fine in zip(self.h, self.h[1:])):
             raise UsageError("h", f"got {self.h}", "falling numbers")
         if not (np.isfinite(self.floor) and self.floor >= 0):

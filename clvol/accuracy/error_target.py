@@ -73,7 +73,7 @@ def _exact(search: PictureSearch, max_error: float, attempt: int) -> Frame:
     """Renders by the exact integral itself, for an error that no settings reach."""
     if not search.truth.is_exact:
         known = max(search.truth.error, FLOAT32_ERROR)
-        what = f"settings that hold {max_error:g} were not found, and effects have no exact integral"
+        what = f"no settings with an error of at most {max_error:g} were found, and effects have no exact integral"
         raise RenderError("max_error", what, f"a number well above {known:.2g}")
     search.report("integrating exactly")
     tolerance = max_error / 10.0

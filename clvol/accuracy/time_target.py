@@ -72,6 +72,6 @@ def _in_time(search: PictureSearch, budget: float) -> Frame:
             break
     if best is None:
         least = min(trial.seconds for trial in search.pictures.values())
-        raise UsageError("time_budget", f"got {budget:g} s", f"at least {least:.3g} s here")
+        raise UsageError("time_budget", f"got {budget:g} s", f"at least {least:.3g} s on this device")
     found = search.measured(best, 1, None)
     return search.frame(best, found, {"time_budget": budget}, 1)

@@ -53,7 +53,7 @@ def render_animation(
     for path in videos:
         check_video(path, fps, scene.image.width, scene.image.height)
     if resume and videos:
-        raise UsageError("--resume", f"given with {videos[0]}", "numbered pictures alone")
+        raise UsageError("--resume", f"given with {videos[0]}", "numbered pictures only")
     check_frames(stills, videos, others, count)
 
     with working("loading", quiet):

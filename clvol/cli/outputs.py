@@ -108,7 +108,7 @@ def check_folder(folder: str) -> None:
     from clvol.image import check_output_folder
 
     if os.path.lexists(folder) and not os.path.isdir(folder):
-        raise UsageError(folder, "got a file", "a folder, or a name for a new one")
+        raise UsageError(folder, "is a file", "a folder, or the name of a new one")
     if not os.path.isdir(folder):
         check_output_folder(folder)
         return

@@ -106,7 +106,7 @@ def _begin(path: str | os.PathLike[str]) -> tuple[Path, Path]:
         raise UsageError(str(path), f"no file can have this name: {_why(error)}",
                          "the name of a file") from error
     if not os.path.isdir(folder):
-        what = "is no folder" if os.path.exists(folder) else "does not exist"
+        what = "is not a folder" if os.path.exists(folder) else "does not exist"
         raise UsageError(str(path), f'the folder "{folder}" {what}', "an existing folder")
     temporary = folder / f".{secrets.token_hex(6)}.part{target.suffix}"
     expect_temporary(temporary)
@@ -152,7 +152,7 @@ def _check_not_standard(given: str, target: Path) -> None:
         except OSError:
             continue
         if same:
-            raise UsageError(given, f"{name} goes there", "a file of its own")
+            raise UsageError(given, f"{name} is redirected to it", "a different output file")
 
 
 def _flush(temporary: Path) -> None:

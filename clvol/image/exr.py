@@ -63,7 +63,7 @@ def check_size(path: str, memory_cap: int | None) -> None:
         for index in range(len(file.parts)):
             header = file.header(index)
             if "deep" in str(header.get("type", "")):
-                raise UsageError(path, "deep pixels, with many samples each", "flat ones")
+                raise UsageError(path, "has deep pixels, with several samples each", "one sample per pixel")
             low, high = (np.asarray(corner, dtype=np.int64) for corner in header["dataWindow"])
             width, height = (int(n) for n in high - low + 1)
             samples = sum(1 / (c.xSampling * c.ySampling) for c in header["channels"])

@@ -21,7 +21,7 @@ def _format(path: str | os.PathLike[str]) -> Any:
     try:
         name = ENDINGS[Path(path).suffix.lower()]
     except KeyError:
-        raise UsageError(str(path), f'pictures have no ending "{Path(path).suffix}"',
+        raise UsageError(str(path), f'unknown ending "{Path(path).suffix}" of a picture',
                          " or ".join(ENDINGS)) from None
     return import_module(f"clvol.image.{name}")
 

@@ -52,13 +52,13 @@ def check_video(path: str | os.PathLike[str], fps: float, width: int, height: in
     ending = _ending(path)
     if ending not in _LIMITS:
         known = " or ".join(VIDEO_ENDINGS)
-        raise UsageError(str(path), f'videos have no ending "{Path(path).suffix}"', known)
+        raise UsageError(str(path), f'unknown ending "{Path(path).suffix}" of a video', known)
     fastest, largest = _LIMITS[ending]
     if not _SLOWEST <= fps <= fastest:
         expected = f"{_SLOWEST:g} to {fastest:g} in a video that ends in {ending}"
         raise UsageError(str(path), f"{fps:g} frames per second", expected)
     if max(width, height) > largest:
-        expected = f"at most {largest} pixels an edge in a video that ends in {ending}"
+        expected = f"at most {largest} pixels per edge in a video that ends in {ending}"
         raise UsageError(str(path), f"{width} x {height} pixels", expected)
     if ending == ".mp4" and importlib.util.find_spec("imageio_ffmpeg") is None:
         others = ", ".join(VIDEO_ENDINGS[:-1])

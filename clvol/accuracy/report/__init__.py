@@ -95,11 +95,11 @@ def _create_folders(folders: list[Path]) -> list[Path]:
                 new.mkdir()
                 created.append(new)
             if not folder.is_dir():
-                raise UsageError(str(folder), "this is a file", "a folder, or a name for a new one")
+                raise UsageError(str(folder), "is a file", "a folder, or the name of a new one")
         except (OSError, ValueError) as error:
             for new in reversed(created):
                 new.rmdir()
             why = getattr(error, "strerror", None) or str(error)
-            raise UsageError(str(folder), f"the folder cannot be made: {why}",
+            raise UsageError(str(folder), f"the folder cannot be created: {why}",
                              "a folder that can be written to") from error
     return created
