@@ -26,16 +26,16 @@ if TYPE_CHECKING:
     "Repeatable.",
 )
 @json_option
-@memory_cap_option("Most memory that each picture may take while it is read; default 1 GiB.")
+@memory_cap_option("Largest amount of memory that each picture may take while it is read; default 1 GiB.")
 def command(
     a: str, b: str, outputs: tuple[str, ...], as_json: bool, memory_cap: int | None
 ) -> None:
     """Compare the pictures A and B (.exr, .png, .npy): RMSE, largest difference, PSNR, SSIM, and
     the CIEDE2000 colour difference as displayed.
 
-    A PNG has no opacity and includes the background. Compared with an .exr or .npy, the latter is composited over
-    the background that the files state, and colours are compared. The output states what was left out of the
-    comparison, and the difference that rounding to 8 bits alone would cause.
+    A PNG has no opacity and includes the background. When it is compared with an .exr or .npy, the latter is
+    composited over the background that the files state, and only colours are compared. The output states what was
+    left out of the comparison, and the difference that rounding to 8 bits alone would cause.
     """
     from clvol.inputs import Inputs, protected
 

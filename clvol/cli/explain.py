@@ -11,7 +11,7 @@ from clvol.cli.options import json_option, memory_cap_option, overrides_option, 
 @scene_argument
 @json_option
 @overrides_option
-@memory_cap_option("Most memory that the volume may take.")
+@memory_cap_option("Largest amount of memory that the volume may take.")
 def command(
     scene: str, as_json: bool, overrides: tuple[str, ...], memory_cap: int | None
 ) -> None:

@@ -60,7 +60,7 @@ _OPTIONS = {"max_error": "--max-error", "time_budget": "--time-budget"}
     "voxels and version; render the others.",
 )
 @click.option("--stats", metavar="FILE", shell_complete=complete_file, help="Write times and counts as JSON to FILE.")
-@memory_cap_option("Most memory that the volume may take, on the host and on the device.")
+@memory_cap_option("Largest amount of memory that the volume may take, on the host and on the device.")
 @click.option("--quiet", is_flag=True, help="Show no progress on the terminal.")
 def command(
     scene: str,
@@ -82,12 +82,12 @@ def command(
 
     A store (made by 'clvol store') is rendered by the method 'multiresolution', within multiresolution.memory. With
     that method, --time-budget keeps all settings and refines the picture, worst tiles first, until the time is up; it
-    prints the share of pixels that have a ray, and an estimate of the difference to the picture with all rays. --stats
-    then also holds "blocks": the number of blocks at each level (full resolution first) and of those that are
-    dropped because nothing of them is visible, their bytes, and the estimated error beside the least possible one;
-    and "tiles": the share of pixels that have a ray, and the estimated RMSE.
+    prints the share of pixels that have a ray, and an estimate of the difference from the picture with all rays. The
+    file of --stats then also contains "blocks": the number of blocks at each level of detail (full resolution first)
+    and of those that are left out because they are invisible, their bytes, the estimated error and the smallest
+    possible one; and "tiles": the share of pixels that have a ray, and the estimated RMSE.
 
-    A scene with animation.frames above 1 gives a video, or numbered pictures that appear one by one.
+    A scene with animation.frames above 1 is rendered as a video, or as numbered pictures that appear one by one.
     """
     check_targets(max_error, time_budget)
     from clvol.cli.outputs import scene_inputs

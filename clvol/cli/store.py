@@ -37,10 +37,10 @@ if TYPE_CHECKING:
     "--overwrite", is_flag=True, help="Replace an existing store, once the new one is complete."
 )
 @click.option(
-    "--restart", is_flag=True, help="Discard what an interrupted run has left, and start again."
+    "--restart", is_flag=True, help="Discard the work of an interrupted run, and start again."
 )
 @overrides_option
-@memory_cap_option("Most memory that the volume may take.")
+@memory_cap_option("Largest amount of memory that the volume may take.")
 @click.option("--quiet", is_flag=True, help="Show no progress on the terminal.")
 def command(
     volume: str,

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     "--settings", type=click.IntRange(1, 100_000), default=160, show_default=True,
     help="Largest number of settings to try.",
 )  # fmt: skip
-@memory_cap_option("Most memory that the volume may take, on the host and on the device.")
+@memory_cap_option("Largest amount of memory that the volume may take, on the host and on the device.")
 @click.option("--quiet", is_flag=True, help="Show no progress on the terminal.")
 def command(
     scene: str,

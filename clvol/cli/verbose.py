@@ -50,7 +50,7 @@ def verbose_option() -> click.Option:
     """A new option -v, which is not passed to the command as an argument."""
     return click.Option(
         ["-v", "--verbose"], is_flag=True, is_eager=True, expose_value=False, callback=_start,
-        help="Log what is decided to standard error: device, method, effects, programs, settings tried.",
+        help="Log decisions to standard error: device, method, effects, programs, settings that are tried.",
     )  # fmt: skip
 
 
