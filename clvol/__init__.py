@@ -3,9 +3,9 @@
 ==================================  ==========================================================
 ``Volume``, ``load_volume``         voxels on a grid: from an array, or from a file
 ``Scene``, ``load_scene``           what to render: from tables, or from a scene file
-``Renderer``, ``Frame``             renders a scene as often as wanted; a picture with its stats
-``render_to_error``                 the cheapest settings that hold an error
-``render_in_time``                  the most accurate settings that hold a time
+``Renderer``, ``Frame``             renders a scene any number of times; a picture with its stats
+``render_to_error``                 renders with the cheapest settings that stay below an error
+``render_in_time``                  renders as accurately as a time per frame allows
 ``TransferFunction``                colour and opacity by value
 ``Camera``, ``Light``, ...          the tables of a scene; ``clvol scene --keys`` lists their keys
 ``errors``                          the exceptions, all ``errors.ClvolError``
@@ -33,7 +33,7 @@ _LAZY = {
     "render_in_time": "clvol.accuracy.time_target",
     "errors": "clvol.errors",
 }
-# The tables of a scene, and what they are made of.
+# The models of a scene's tables, and of the entries of their lists.
 _TABLES = (
     "Animation", "Clip", "ControlPoint", "DepthCue", "DirectionalOpacity", "DirectionalOpacityPoint", "Environment",
     "FieldLabel", "FieldSettings", "GradientOpacity", "GradientOpacityPoint", "GradientSettings", "ImageSettings",

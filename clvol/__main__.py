@@ -1,4 +1,4 @@
-"""``python -m clvol``: the same as the command ``clvol``."""
+"""``python -m clvol`` runs the command ``clvol``."""
 
 from __future__ import annotations
 

@@ -6,11 +6,11 @@ from clvol.text import one_line
 
 
 class ClvolError(Exception):
-    """Base of every error that clvol raises on purpose.
+    """The base class of every error that clvol raises on purpose.
 
-    ``where`` names the place (a file, a scene key, an argument), ``what`` what was found there,
+    ``where`` names the place (a file, a scene key, an argument), ``what`` says what was found there, and
     ``expected`` what would have been right. ``str()`` is the one line that the command prints:
-    ``WHERE: WHAT, expected EXPECTED``, with escapes in the place of control characters.
+    ``WHERE: WHAT, expected EXPECTED``, in which control characters are escaped.
     ``exit_status`` is the command's exit status.
     """
 
@@ -28,10 +28,10 @@ class ClvolError(Exception):
 
 
 class ClvolWarning(UserWarning):
-    """What can hardly be meant, though it is no error: the picture is what was asked for.
+    """A warning about something that is valid but hardly intended; the picture is rendered as requested.
 
-    ``where`` names the place (a scene key), ``what`` is found there and what follows from it, ``advice`` what to set. ``str()`` is
-    the line that the command prints: ``WHERE: WHAT; ADVICE``.
+    ``where`` names the place (a scene key), ``what`` says what was found there and what follows from it, and
+    ``advice`` what to set instead. ``str()`` is the line that the command prints: ``WHERE: WHAT; ADVICE``.
     """
 
     def __init__(self, where: str, what: str, advice: str | None = None) -> None:
@@ -51,7 +51,7 @@ class SceneError(ClvolError):
 
 
 class VolumeError(ClvolError):
-    """The volume cannot be read, or is not what its header says, or does not fit."""
+    """The volume cannot be read, contradicts its header, or does not fit into memory."""
 
     exit_status = 2
 
@@ -63,7 +63,7 @@ class UsageError(ClvolError):
 
 
 class DeviceError(ClvolError):
-    """No OpenCL device works, or the one asked for does not."""
+    """No OpenCL device works, or the requested one does not."""
 
     exit_status = 3
 

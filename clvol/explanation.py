@@ -1,4 +1,4 @@
-"""What a scene calls for, in words, and what therefore gets compiled."""
+"""Explains which effects a scene uses and why, and which programs are compiled for it."""
 
 from __future__ import annotations
 
@@ -17,26 +17,29 @@ from clvol.scene.resolve import ResolvedScene
 
 
 def explain(resolved: ResolvedScene) -> dict[str, Any]:
-    """As ``clvol explain --json``: effects with reasons, what identifies the compiled kernel, and "warnings",
-    of what can hardly be meant. SceneError for what a Renderer would refuse, such as environments that cannot be read.
+    """The output of ``clvol explain --json``.
+
+    "effects" lists every effect with the reason why it is used or not, "kernel_hash" identifies the compiled kernel,
+    and "warnings" lists settings that are valid but hardly intended. Raises SceneError for a scene that a Renderer
+    would refuse, for example because its environment cannot be read.
     """
     check_scene(resolved)
     _read_environment(reduced(resolved).environment)
     listed = [
         {"name": e.name, "called_for": e.called_for, "reason": e.reason} for e in effects(resolved)
     ]
-    image, told = resolved.image, scene_warnings(resolved)
-    away = camera_warning(resolved.camera, resolved.volume.grid, image.width, image.height)
-    told += [] if away is None else [away]
+    image, warnings = resolved.image, scene_warnings(resolved)
+    about_camera = camera_warning(resolved.camera, resolved.volume.grid, image.width, image.height)
+    warnings += [] if about_camera is None else [about_camera]
     return {
         "effects": listed,
         "kernel_hash": kernel_hash(resolved),
-        "warnings": [str(warning) for warning in told],
+        "warnings": [str(warning) for warning in warnings],
     }
 
 
 def _read_environment(environment: Environment | None) -> None:
-    """SceneError if it cannot be rendered."""
+    """Raises SceneError if the environment cannot be rendered."""
     if environment is not None:
         load_radiance(
             environment.path, environment.layout, environment.intensity,
@@ -45,10 +48,10 @@ def _read_environment(environment: Environment | None) -> None:
 
 
 def kernel_hash(resolved: ResolvedScene, lanes: int = 16) -> str:
-    """Identifies exactly what is compiled for this scene: sources and switches.
+    """A hash of everything that is compiled for this scene: sources and switches.
 
-    On a device with room for what is precomputed. The voxels count as they are rendered: coefficients of a prefilter
-    are found for it. ``lanes``: rays that a work-item marches together, 16 on CPUs.
+    The device is assumed to have room for all precomputed data, and the voxels to be those that are rendered, after
+    any prefilter. ``lanes``: rays per work-item, 16 on CPUs.
     """
     digest = hashlib.sha256()
     programs = scene_programs(resolved, lanes)
@@ -63,6 +66,6 @@ def kernel_hash(resolved: ResolvedScene, lanes: int = 16) -> str:
 
 
 def scene_programs(resolved: ResolvedScene, lanes: int = 16) -> Mapping[str, Mapping[str, int]]:
-    """The files of cl/ that are compiled for this scene, beside those that all scenes share for empty space, each
-    with its switches."""
+    """The files of cl/ that are compiled for this scene, each with its switches. Programs that all scenes share (the
+    map of empty space) are not listed."""
     return integrator_of(resolved).programs(resolved, lanes)

@@ -1,7 +1,7 @@
-"""What a command reads, and that nothing which it writes takes its place.
+"""The files and folders that a command reads, which nothing that it writes may replace.
 
-Files are told apart by device and number (links, other spellings and mounts of one file are that
-file), folders by what is in them.
+A file is identified by its device and inode number, so links, other spellings and other mounts of a file are
+recognised as that file. A folder counts as an input if it contains one.
 """
 
 from __future__ import annotations
@@ -15,27 +15,30 @@ from clvol.errors import UsageError
 from clvol.volume.parts import parts_of
 
 _ZARR = ("zarr.json", ".zgroup", ".zarray", ".zattrs")
-# How what we write begins: such a file in a folder of slices is none of the slices.
+# The first bytes of files that clvol writes. A file in a folder of slices that begins like this is not a slice.
 _PICTURES = (b"\x89PNG", b"\x76\x2f\x31\x01", b"\x93NUMPY", b"GIF8", b"RIFF", b"{")
 
 Identity = tuple[int, int]
 
 
 class Inputs:
-    """Files and folders that are read. Of a Zarr store everything counts, and new files in it too;
-    of another folder every file that is there, but pictures as clvol writes them."""
+    """Files and folders that are read.
+
+    In a Zarr store every file is protected, and no file may be added. In any other folder every existing file is
+    protected except pictures of the kinds that clvol writes.
+    """
 
     def __init__(self, paths: Iterable[str | os.PathLike] = ()) -> None:
         self._paths = [os.fspath(path) for path in paths]
         self._files: dict[Identity, str] = {}
-        self._folders: dict[Identity, str] = {}  # all within folders that are read
-        self._closed: set[Identity] = set()  # of those, in which nothing new may appear
+        self._folders: dict[Identity, str] = {}  # every folder inside an input folder
+        self._closed: set[Identity] = set()  # those of them to which no file may be added
         self._roots: list[str] = []  # real paths
         self._is_known = False
 
     def check_file(self, path: str | os.PathLike) -> None:
-        """UsageError if writing the file ``path`` would change what is read."""
-        if "\0" in os.fspath(path):  # no file can have this name, as others tell
+        """Raises UsageError if writing the file ``path`` would change an input."""
+        if "\0" in os.fspath(path):  # no file can have this name, which is reported elsewhere
             return
         self._look()
         real = os.path.realpath(path)
@@ -46,10 +49,10 @@ class Inputs:
             identity = _identity(folder)
             if identity in self._closed:
                 what = f"lies in the input {self._folders[identity]}"
-                raise UsageError(str(path), what, "a place outside it")
+                raise UsageError(str(path), what, "a path outside it")
 
     def check_folder(self, path: str | os.PathLike) -> None:
-        """UsageError if making the folder ``path`` anew, or removing it, would change what is read."""
+        """Raises UsageError if creating or removing the folder ``path`` would change an input."""
         self._look()
         real = os.path.realpath(path)
         here = _identity(real)
@@ -60,14 +63,15 @@ class Inputs:
             if any(str(up) == real or (here and _identity(up) == here) for up in above):
                 raise UsageError(str(path), f"contains the input {root}", "a different folder")
         for up in Path(real).parents:
-            if _identity(up) in self._folders:
-                what = f"lies in the input {self._folders[_identity(up)]}"
-                raise UsageError(str(path), what, "a place outside it")
+            identity = _identity(up)
+            if identity is not None and identity in self._folders:
+                what = f"lies in the input {self._folders[identity]}"
+                raise UsageError(str(path), what, "a path outside it")
         if here is not None and not self._files.keys().isdisjoint(_files_in(real)):
             raise UsageError(str(path), "contains a link to an input", "a different folder")
 
     def _look(self) -> None:
-        """Once: what the paths stand for."""
+        """Finds the files and folders that the paths stand for, on the first call."""
         if self._is_known:
             return
         self._is_known = True
@@ -82,19 +86,19 @@ class Inputs:
                 elif (identity := _identity(real)) is not None:
                     self._files[identity] = path
 
-    def _add_folder(self, top: str, said: str) -> None:
+    def _add_folder(self, top: str, source: str) -> None:
         is_zarr = _is_zarr(top)
         self._roots.append(top)
         for folder, entries in _walk(top) if is_zarr else _level(top):
             identity = _identity(folder)
             if identity is not None:
-                self._folders[identity] = said
+                self._folders[identity] = source
                 if is_zarr:
                     self._closed.add(identity)
             for entry in entries:
                 if is_zarr or not _is_picture(entry.path):
                     if (found := _identity(entry.path)) is not None:
-                        self._files.setdefault(found, said)
+                        self._files.setdefault(found, source)
 
 
 _protected: list[Inputs] = []
@@ -102,7 +106,7 @@ _protected: list[Inputs] = []
 
 @contextmanager
 def protected(inputs: Inputs) -> Iterator[Inputs]:
-    """Whatever is written by ``clvol.image`` in the block is checked against ``inputs``."""
+    """Inside the block, ``clvol.image`` refuses to write to any of ``inputs``."""
     _protected.append(inputs)
     try:
         yield inputs
@@ -111,7 +115,7 @@ def protected(inputs: Inputs) -> Iterator[Inputs]:
 
 
 def check_not_read(path: str | os.PathLike) -> None:
-    """UsageError if ``path`` is protected."""
+    """Raises UsageError if ``path`` is protected."""
     for inputs in _protected:
         inputs.check_file(path)
 
@@ -125,7 +129,7 @@ def _identity(path: str | os.PathLike) -> Identity | None:
 
 
 def _walk(top: str) -> Iterator[tuple[str, list[os.DirEntry]]]:
-    """Folders and their other entries, through links, each folder once."""
+    """Yields each folder below ``top`` once, following links, with its entries that are not folders."""
     seen: set[Identity | None] = set()
     waiting = [top]
     while waiting:
@@ -140,7 +144,7 @@ def _walk(top: str) -> Iterator[tuple[str, list[os.DirEntry]]]:
 
 
 def _level(folder: str) -> Iterator[tuple[str, list[os.DirEntry]]]:
-    """The folder alone."""
+    """Yields the folder alone with all its entries; nothing if it cannot be read."""
     try:
         with os.scandir(folder) as found:
             entries = list(found)
@@ -175,7 +179,7 @@ def _outermost_store(folder: str) -> str:
 
 
 def _is_picture(path: str) -> bool:
-    """Whether a file in a folder of slices is one of our pictures or JSON, and no slice."""
+    """Whether a file in a folder of slices is not a slice but a picture or JSON of the kinds that clvol writes."""
     try:
         if not os.path.isfile(path):
             return True

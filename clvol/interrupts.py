@@ -1,10 +1,10 @@
-"""An orderly end when the process is told to stop, and no temporary file left whatever ends it.
+"""Ends the process in an orderly way when a signal arrives, and removes its temporary files however it ends.
 
-The command (``clvol.cli``) turns the signals that ask a process to stop into an exception of the
-main thread (``stoppable``), so that every ``finally`` runs. Python's callers keep the handlers that
-they have. Temporary files are known here from before they exist (``expect_temporary``).
+The command (``clvol.cli``) turns the signals that request a process to stop into an exception of the main thread
+(``stoppable``), so that every ``finally`` runs. When clvol is used as a library, the caller's signal handlers stay.
+Temporary files are registered before they are created (``expect_temporary``).
 
-Imports little: a signal that comes before ``stoppable`` is Python's own affair.
+This module imports little, because Python's own handlers apply until ``stoppable`` is entered.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ if TYPE_CHECKING:
 _NAMES = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGXCPU", "SIGUSR1", "SIGUSR2")
 SIGNALS = tuple(getattr(signal, name) for name in _NAMES if hasattr(signal, name))
 _GRACE = 20.0  # seconds for an orderly end; then the process ends at once
-_AGAIN = 0.05  # seconds until a signal that got lost comes again
-_SAME = 1.0  # seconds within which a second signal is the first one once more, sent twice
+_AGAIN = 0.05  # seconds until a lost signal is sent again
+_SAME = 1.0  # seconds within which a second signal counts as a duplicate of the first
 
-_temporaries: dict[str, int] = {}  # path to the process that made it
+_temporaries: dict[str, int] = {}  # path -> id of the process that created it
 
 
 class Stopped(KeyboardInterrupt):
-    """A signal asked the process to stop. ``status`` is 128 plus its number, as shells have it:
+    """A signal requested that the process stop. ``status`` is 128 plus the signal's number, as in shells:
     130 for an interrupt, 143 for SIGTERM, 129 for SIGHUP."""
 
     def __init__(self, number: int) -> None:
@@ -46,12 +46,12 @@ class Stopped(KeyboardInterrupt):
 
 
 class _State:
-    """What has been asked of this process, while ``stoppable`` is at work."""
+    """The signals that this process has received inside ``stoppable``."""
 
     def __init__(self, finished: bool) -> None:
-        self.held = 0  # blocks of ``held`` that the main thread is in
-        self.first: int | None = None  # the signal that came first
-        self.since = 0.0  # and when
+        self.held = 0  # number of ``held`` blocks that the main thread is in
+        self.first: int | None = None  # the first signal
+        self.since = 0.0  # when it arrived (time.monotonic)
         self.raised = False
         self.finished = finished
 
@@ -61,13 +61,14 @@ _state = _State(finished=True)
 
 @contextmanager
 def stoppable(for_good: bool = False) -> Iterator[None]:
-    """Raises Stopped in the block, once, when the process is told to stop. A second signal, a second
-    or more after the first, ends the process at once, and so does a block that has not come to its
-    end 20 s after the first; temporary files are removed even then. Signals that are ignored
-    (nohup) stay so.
+    """Raises Stopped in the block, once, when a signal requests that the process stop.
 
-    ``for_good``: the process ends after the block, and signals come too late from then on. Outside
-    the main thread, where no signal arrives, nothing is done.
+    A second signal that arrives at least a second after the first ends the process at once, and so does a block that
+    is still running 20 s after the first signal; temporary files are removed even then. Signals that are ignored
+    (nohup) stay ignored.
+
+    ``for_good``: the process ends after the block, so the handlers are not restored. Outside the main thread, which
+    receives all signals, this does nothing.
     """
     global _state
     if not _is_main():
@@ -89,7 +90,7 @@ def stoppable(for_good: bool = False) -> Iterator[None]:
         state.finished = True
         discard_temporaries()
         signal.set_wakeup_fd(wakeup)
-        os.close(watch)  # which ends the thread
+        os.close(watch)  # ends the thread
         if not for_good:
             sys.unraisablehook = hook
         for number, handler in () if for_good else before.items():
@@ -97,16 +98,14 @@ def stoppable(for_good: bool = False) -> Iterator[None]:
 
 
 def check_stopped() -> None:
-    """Raises Stopped again, if it was raised and something has made another exception of it: the
-    import of a library written in C, for one."""
-    if _state.raised and not _state.finished:
+    """Raises Stopped again if it was raised but replaced by another exception, as importing a C extension may do."""
+    if _state.raised and not _state.finished and _state.first is not None:
         raise Stopped(_state.first)
 
 
 @contextmanager
 def held() -> Iterator[None]:
-    """A signal that arrives in the block takes effect at its end: for what must not be done by
-    halves, and is quick."""
+    """Delays signals that arrive in the block until its end. Use it for short work that must not be interrupted."""
     if not _is_main():
         yield
         return
@@ -119,17 +118,17 @@ def held() -> Iterator[None]:
 
 
 def expect_temporary(path: str | os.PathLike) -> None:
-    """``path`` is about to be made, and must not outlive this process."""
+    """Registers ``path``, which is about to be created and must not outlive this process."""
     _temporaries[os.fspath(path)] = os.getpid()
 
 
 def forget_temporary(path: str | os.PathLike) -> None:
-    """``path`` is gone, or has its own name."""
+    """Unregisters ``path``, which was removed or renamed to its final name."""
     _temporaries.pop(os.fspath(path), None)
 
 
 def discard_temporaries() -> None:
-    """Removes those that this process (not its parent) has made and are still there."""
+    """Removes the registered files that this process (not its parent) created and that still exist."""
     for path, process in list(_temporaries.items()):
         if process == os.getpid():
             try:
@@ -154,15 +153,15 @@ def _stop(number: int, _frame: object) -> None:
     _raise()
 
 
-def _unraisable(told: Any) -> None:
-    """Where Python cannot raise (in a destructor, say) it would print Stopped and forget it: instead
-    it is raised again a moment later."""
-    if not isinstance(told.exc_value, Stopped):
-        sys.__unraisablehook__(told)
+def _unraisable(report: Any) -> None:
+    """Sends the signal again a moment later if Stopped occurred where Python cannot raise (in a destructor, say),
+    where it would only be printed."""
+    if not isinstance(report.exc_value, Stopped):
+        sys.__unraisablehook__(report)
     elif not _state.finished:
         _state.raised = False
         main = threading.main_thread().ident
-        threading.Timer(_AGAIN, signal.pthread_kill, (main, told.exc_value.number)).start()
+        threading.Timer(_AGAIN, signal.pthread_kill, (main, report.exc_value.number)).start()
 
 
 def _raise() -> None:
@@ -172,14 +171,14 @@ def _raise() -> None:
 
 
 def _watch(descriptor: int, state: _State) -> None:
-    """Ends the process where the main thread does not: in a library that does not return."""
+    """Ends the process if the main thread cannot, because it is in a library that does not return."""
     try:
-        while told := os.read(descriptor, 1):
+        while received := os.read(descriptor, 1):
             deadline = time.monotonic() + _GRACE
-            while told[0] in SIGNALS and not state.finished:
+            while received[0] in SIGNALS and not state.finished:
                 time.sleep(0.1)
                 if time.monotonic() > deadline:
-                    _end_at_once(told[0])
+                    _end_at_once(received[0])
     finally:
         os.close(descriptor)
 

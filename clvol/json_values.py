@@ -1,4 +1,4 @@
-"""Values as JSON knows them."""
+"""Converts values to types that JSON has."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from typing import Any
 
 
 def plain(value: Any) -> Any:
-    """``value`` of dicts, lists, texts and numbers: numpy's arrays and numbers as lists and numbers,
-    infinite ones and NaN as None, anything else by its text."""
+    """``value`` as dicts, lists, strings, numbers and None. Numpy arrays and scalars become lists and numbers,
+    infinities and NaN become None, and objects of any other type become their ``str()``."""
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, (list, tuple, set, frozenset)):

@@ -1,8 +1,9 @@
-"""A limit on the memory of the process (``ulimit -v``, some batch systems) that libraries bear badly.
+"""Checks against a limit on the memory of the process (``ulimit -v``, some batch systems).
 
-OpenBLAS, which numpy and scipy each bring along, reserves 32 MiB when it is loaded: where the limit has no room for
-them it ends the process, or asks again for ever. Compilers of OpenCL crash or wait for ever. So where there is a
-limit, room is looked for first. Without one nothing is done.
+Libraries handle such a limit badly. OpenBLAS, of which numpy and scipy each ship a copy, reserves 32 MiB when it is
+loaded; if the limit does not allow that, it ends the process or retries forever. OpenCL compilers crash or hang. So
+if there is a limit, the memory that a library needs is reserved and released before the library is loaded. Without a
+limit nothing is checked.
 """
 
 from __future__ import annotations
@@ -13,15 +14,14 @@ from importlib.abc import MetaPathFinder
 
 from clvol.errors import RenderError
 
-_ROOM_TO_IMPORT = 96 << 20  # OpenBLAS's pages, and what importing takes beside them
-_ROOM_FOR_OPENCL = 800 << 20  # measured, for libraries and compilers: PoCL 3.1 760 MiB, Intel's 920
-_ROOM_TO_COMPILE = 512 << 20  # once the libraries are there
+_ROOM_TO_IMPORT = 96 << 20  # the pages of OpenBLAS, and what else an import needs
+_ROOM_FOR_OPENCL = 800 << 20  # measured with libraries and compilers: 760 MiB with PoCL 3.1, 920 MiB with Intel's
+_ROOM_TO_COMPILE = 512 << 20  # once the libraries are loaded
 _LIBRARIES = ("numpy", "scipy", "skimage", "matplotlib")
 
 
 def keep_room_to_import() -> None:
-    """From now on, importing a library for which there is no room raises
-    :class:`clvol.errors.RenderError`."""
+    """Makes the import of a library raise :class:`clvol.errors.RenderError` if the limit leaves no room for it."""
     if _limit() is not None:
         sys.meta_path.insert(0, _Guard())
 
@@ -29,13 +29,13 @@ def keep_room_to_import() -> None:
 def check_room_for_opencl(loaded: bool) -> None:
     """Raises :class:`clvol.errors.RenderError` if OpenCL programs cannot be compiled within the limit.
 
-    ``loaded``: OpenCL libraries are there already.
+    ``loaded``: whether the OpenCL libraries are loaded already.
     """
     _check(_ROOM_TO_COMPILE if loaded else _ROOM_FOR_OPENCL)
 
 
 class _Guard(MetaPathFinder):
-    """Finds no module; refuses the libraries for which there is no room."""
+    """An import hook that finds no module, but refuses libraries for which there is no room."""
 
     def find_spec(self, name: str, path=None, target=None) -> None:
         if name.partition(".")[0] in _LIBRARIES:
@@ -47,7 +47,7 @@ def _check(room: int) -> None:
     if limit is None:
         return
     try:
-        mmap.mmap(-1, room).close()  # reserved and given back: no page of it is touched
+        mmap.mmap(-1, room).close()  # reserved and released; no page of it is touched
     except (OSError, ValueError, OverflowError):
         what = f"not enough: the process may use {limit / 1e6:.0f} MB in all (ulimit -v)"
         raise RenderError("memory", what, "a limit of at least 2 GB, or none") from None
@@ -58,6 +58,6 @@ def _limit() -> int | None:
         import resource
 
         limit, _ = resource.getrlimit(resource.RLIMIT_AS)
-    except (ImportError, OSError, ValueError):  # systems that have no such limit
+    except (ImportError, OSError, ValueError):  # the system has no such limit
         return None
     return None if limit == resource.RLIM_INFINITY else limit

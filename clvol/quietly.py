@@ -1,7 +1,7 @@
-"""Python's warnings switched off for a while.
+"""Switches Python's warnings off temporarily.
 
-The filters of the module ``warnings`` are one list for all threads, and putting an older one back loses what others
-changed in between: so those of clvol take turns.
+All threads share the list of filters of the module ``warnings``, and restoring an older list discards what other
+threads changed in between. Code in clvol that changes the filters therefore holds one lock.
 """
 
 from __future__ import annotations
@@ -11,12 +11,12 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-FILTERS = threading.RLock()  # whoever changes the filters, or counts on them, holds it
+FILTERS = threading.RLock()  # held by all code that changes the filters or relies on them
 
 
 @contextmanager
 def without_warnings(category: type[Warning] = Warning) -> Iterator[None]:
-    """No warnings of ``category`` inside the block."""
+    """Suppresses warnings of ``category`` inside the block."""
     with FILTERS, warnings.catch_warnings():
         warnings.simplefilter("ignore", category)
         yield

@@ -1,27 +1,27 @@
-"""Text that came from elsewhere (files, names, keys, drivers), made fit for a terminal."""
+"""Makes text from outside (files, names, keys, drivers) safe to print on a terminal."""
 
 from __future__ import annotations
 
 import re
 
-_LONGEST = 1500  # characters that one part of a message may have
+_LONGEST = 1500  # characters in one part of a message
 
 
 def printable(text: object) -> str:
-    """``text`` on one line, with whatever could steer a terminal or turn the reading direction
-    round as an escape (``\\x1b``, ``\\u202e``); bytes that are no UTF-8 as ``\\xff``."""
+    """``text`` on one line. Characters that could control a terminal or reverse the reading direction become
+    escapes (``\\x1b``, ``\\u202e``), and so do bytes that are not UTF-8 (``\\xff``)."""
     text = str(text)
     return text if text.isprintable() else "".join(map(_shown, text))
 
 
 def printable_lines(text: str) -> str:
-    """As ``printable``, but lines stay lines."""
+    """Like ``printable``, but keeps line breaks."""
     return "\n".join(printable(line) for line in text.split("\n"))
 
 
 def one_line(text: object) -> str:
-    """``text`` as a part of an error's only line: printable, white space as one blank each, and
-    not endless."""
+    """``text`` as a part of a one-line message: printable, with each run of white space replaced by one blank, and
+    shortened in the middle if it is very long."""
     text = str(text)
     if len(text) > _LONGEST:
         half = _LONGEST // 2
@@ -30,17 +30,18 @@ def one_line(text: object) -> str:
 
 
 def json_escaped(text: str) -> str:
-    """JSON ``text`` with every character that is not printable as JSON's own escape; it stands for
-    the same value as before. Line ends between values stay."""
+    """JSON ``text`` in which every character that is not printable is a JSON escape. It represents the same value,
+    and line breaks between values stay."""
     return text if text.isprintable() else _UNSEEN.sub(_json_escape, text)
 
 
 def without_surrogates(text: str) -> str:
-    """``text`` as UTF-8 can hold it: what is none (of a name that is not UTF-8) as U+FFFD."""
+    """``text`` with every lone surrogate (from a name that is not UTF-8) replaced by U+FFFD, so that UTF-8 can
+    encode it."""
     return re.sub("[\ud800-\udfff]", "\ufffd", text)
 
 
-_UNSEEN = re.compile(r"[^ -~\n]")  # and of those the ones that are not printable
+_UNSEEN = re.compile(r"[^ -~\n]")  # candidates: those that are not printable become escapes
 
 
 def _shown(character: str) -> str:

@@ -1,1 +1,1 @@
-"""Accuracy: how far one picture is from another, and from the exact integral."""
+"""Accuracy: errors of pictures, the ground truth, and the search for settings by error or time."""

@@ -1,10 +1,10 @@
-"""Observed order of accuracy: how fast an error falls under refinement, held against theory.
+"""Observed order of accuracy: how fast an error falls under refinement, compared with theory.
 
 Verification by convergence (Etiene, Jönsson, Ropinski, Scheidegger, Comba, Nonato, Kirby, Ynnerman,
 Silva: "Verifying volume rendering using discretization error analysis", IEEE TVCG 20(1), 2014): a
-method whose error is C h^p + O(h^(p+1)) has to show p when h is refined. A wrong weight, a sample
-half a step off or a forgotten term lowers p long before a picture looks wrong; an order above
-theory says that the comparison, or the theory, is not about what was run.
+method whose error is C h^p + O(h^(p+1)) must show order p when h is refined. A wrong weight, a sample
+that is half a step off or a missing term lowers p long before a picture looks wrong. An order above
+theory means that the comparison or the theory does not apply to the method that was run.
 """
 
 from __future__ import annotations
@@ -16,18 +16,18 @@ import numpy as np
 from clvol.errors import UsageError
 
 FEWEST_LEVELS = 4
-FLOOR_MARGIN = 4.0  # errors less than this many floors say more about the floor than the order
-LOCAL_BANDS = 3.0  # one refinement alone may depart this many times as far as the fit
+FLOOR_MARGIN = 4.0  # errors below this many times the floor do not show the order
+LOCAL_BANDS = 3.0  # a single refinement may deviate this many times as far as the fit
 
 
 @dataclass(frozen=True)
 class Convergence:
     """Errors under refinement.
 
-    ``h`` (> 0, falling: step, voxel edge, pixel edge ...) and ``errors`` (> 0), one a level, at
-    least FEWEST_LEVELS. ``floor``: the error that would be left at h = 0 (rounding, tables ...).
+    ``h`` (> 0, falling: step, voxel edge, pixel edge, ...) and ``errors`` (> 0) have one value per level, for at
+    least FEWEST_LEVELS levels. ``floor``: the error that would remain at h = 0 (rounding, tables, ...).
 
-    Raises UsageError if the numbers cannot be that.
+    Raises UsageError for any other numbers.
     """
 
     h: tuple[float, ...]
@@ -42,7 +42,7 @@ class Convergence:
                 raise UsageError(name, f"got {values}", "finite numbers greater than 0")
         if len(self.h) != len(self.errors) or len(self.h) < FEWEST_LEVELS:
             got = f"got {len(self.h)} and {len(self.errors)}"
-            raise UsageError("h, errors", got, f"as many of both, at least {FEWEST_LEVELS}")
+            raise UsageError("h, errors", got, f"equally many of both, at least {FEWEST_LEVELS}")
         if any(fine >= coarse for coarse, fine in zip(self.h, self.h[1:])):
             raise UsageError("h", f"got {self.h}", "falling numbers")
         if not (np.isfinite(self.floor) and self.floor >= 0):
@@ -50,20 +50,20 @@ class Convergence:
 
     @property
     def order(self) -> float:
-        """The slope of log error over log h by least squares."""
+        """The slope of log(error) over log(h), fitted by least squares."""
         slope, _ = np.polyfit(np.log(self.h), np.log(self.errors), 1)
         return float(slope)
 
     @property
     def local_orders(self) -> tuple[float, ...]:
-        """The order that each refinement shows alone."""
+        """The order between each two successive levels."""
         return tuple((np.diff(np.log(self.errors)) / np.diff(np.log(self.h))).tolist())
 
     def departure(self, expected: float, band: float) -> str | None:
-        """What contradicts order ``expected`` within ``band``; None if nothing does.
+        """Says what contradicts order ``expected`` within ``band``; None if nothing does.
 
-        The errors must stand clear of the floor, the fit must lie in the band, and no single
-        refinement may leave LOCAL_BANDS bands: a fit to levels that bend up and down is no proof.
+        The errors must be well above the floor, the fit must lie in the band, and no single refinement may deviate by
+        more than LOCAL_BANDS bands, because a fit to orders that vary between levels proves nothing.
         """
         finest = min(self.errors)
         if finest < FLOOR_MARGIN * self.floor:

@@ -1,9 +1,9 @@
-"""The difference of two pictures: as numbers, and as a picture with its scale.
+"""The difference of two pictures, as numbers and as a picture with its scale.
 
-A pixel's difference is the largest of its four channels' absolute differences, linear light,
-premultiplied: the picture's brightest pixel is :func:`clvol.accuracy.metrics.max_abs`. Colours are
-matplotlib's "magma", whose lightness rises evenly (van der Walt and Smith, 2015), from black (no
-difference); what is not finite is shown in cyan, which "magma" does not hold.
+The difference of a pixel is the largest absolute difference of its four channels in linear, premultiplied light, so
+the brightest pixel shows :func:`clvol.accuracy.metrics.max_abs`. Colours are matplotlib's "magma", whose lightness
+rises evenly (van der Walt and Smith 2015), from black (no difference). Pixels that are not finite are shown in cyan,
+which "magma" does not contain.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,9 +20,9 @@ from clvol.accuracy.metrics import as_pair
 
 COLOR_MAP = "magma"
 NOT_FINITE = (0, 255, 255)
-_LEVELS = 255  # of the palette's 256 entries; the last one is NOT_FINITE
-_QUANTILE = 0.999  # of the pixels lie within a linear scale: a few outliers do not darken the rest
-_MOST_DECADES = 8  # of a logarithmic scale: about what float32 resolves
+_LEVELS = 255  # entries of the palette for differences; the 256th is NOT_FINITE
+_QUANTILE = 0.999  # share of pixels within a linear scale, so that a few outliers do not darken the rest
+_MOST_DECADES = 8  # in a logarithmic scale, about as many as float32 resolves
 _LEAST_WIDTH = 480  # pixels, for the scale's text
 _FOOTER = 84  # pixels
 
@@ -37,15 +38,15 @@ def signed_difference(a: ArrayLike, b: ArrayLike) -> np.ndarray:
 
 
 def magnitude(difference: np.ndarray) -> np.ndarray:
-    """The largest absolute difference of each pixel's channels, [height, width]; NaN spreads."""
+    """The largest absolute difference of each pixel's channels, [height, width]; NaN if any is NaN."""
     return np.abs(difference).max(axis=-1)
 
 
 @dataclass(frozen=True)
 class Scale:
-    """Which difference gets which colour: ``full`` and above the last one.
+    """Maps differences to colours; ``full`` and above have the last colour.
 
-    Linear from 0 where ``low`` is None, else logarithmic from ``low``, below which all is black.
+    The scale is linear from 0 if ``low`` is None, and otherwise logarithmic from ``low``, below which all is black.
     """
 
     full: float
@@ -53,11 +54,11 @@ class Scale:
 
     @property
     def gain(self) -> float:
-        """What a difference is multiplied with to fill 0...1."""
+        """The factor that maps differences to 0...1."""
         return 1.0 / self.full
 
     def share(self, values: ArrayLike) -> np.ndarray:
-        """Where ``values`` lie on the scale, float64 in 0...1; NaN and infinity give NaN."""
+        """The positions of ``values`` on the scale, float64 in 0...1; NaN for NaN and infinity."""
         values = np.asarray(values, dtype=np.float64)
         values = np.where(np.isfinite(values), values, np.nan)
         if self.low is None:
@@ -66,14 +67,14 @@ class Scale:
         return np.clip(np.log10(np.maximum(values, self.low) / self.low) / decades, 0.0, 1.0)
 
     def indices(self, values: ArrayLike) -> np.ndarray:
-        """``values`` (any shape, not negative) as entries of :func:`palette`, uint8."""
+        """The entry of :func:`palette` for each of ``values`` (any shape, not negative), uint8."""
         share = self.share(values)
         finite = np.isfinite(share)
         levels = np.round(np.where(finite, share, 0.0) * (_LEVELS - 1)).astype(np.uint8)
         return np.where(finite, levels, np.uint8(_LEVELS))
 
     def ticks(self) -> list[float]:
-        """Differences worth a number beside the scale, ascending."""
+        """The differences that are labelled beside the scale, ascending."""
         if self.low is None:
             return [0.0, self.full / 2, self.full]
         first, last = round(math.log10(self.low)), round(math.log10(self.full))
@@ -89,8 +90,8 @@ def palette() -> np.ndarray:
 
 
 def linear_scale(values: np.ndarray) -> Scale:
-    """From 0 to a round number (1, 2, 3 or 5 times a power of ten) that 99.9 % of ``values`` do not
-    exceed; to 1 where nothing differs."""
+    """A scale from 0 to a round number (1, 2, 3 or 5 times a power of ten) that 99.9 % of ``values`` do not exceed;
+    to 1 if there is no difference."""
     finite = values[np.isfinite(values)]
     if finite.size == 0 or not finite.max() > 0.0:
         return Scale(1.0)
@@ -99,8 +100,8 @@ def linear_scale(values: np.ndarray) -> Scale:
 
 
 def logarithmic_scale(pictures: Iterable[np.ndarray]) -> Scale:
-    """Whole decades that all of ``pictures`` ([height, width] each) share: up to the largest value,
-    down to a tenth of the least picture's root mean square, 2 to 8 decades in all."""
+    """A scale of whole decades for all of ``pictures`` ([height, width] each): up to the largest value, and down to a
+    tenth of the smallest root mean square of a picture; 2 to 8 decades."""
     largest, least = 0.0, math.inf
     for values in pictures:
         finite = values[np.isfinite(values)].astype(np.float64)
@@ -116,10 +117,10 @@ def logarithmic_scale(pictures: Iterable[np.ndarray]) -> Scale:
 
 
 def difference_picture(a: ArrayLike, b: ArrayLike, names: Sequence[str] = ("A", "B")) -> np.ndarray:
-    """|a - b| in colours above a bar that tells their scale, uint8 [height, width, 3].
+    """|a - b| in colours, above a bar that shows their scale, uint8 [height, width, 3].
 
-    The scale is :func:`linear_scale`'s. Pictures too small to see are enlarged by a whole factor.
-    ``names`` are what the caption calls the two. Raises UsageError as :func:`signed_difference`.
+    The scale is that of :func:`linear_scale`. Small pictures are enlarged by a whole factor. ``names``: the names of
+    the two in the caption. Raises UsageError as :func:`signed_difference` does.
     """
     difference = signed_difference(a, b)
     values = magnitude(difference)
@@ -136,7 +137,7 @@ def difference_picture(a: ArrayLike, b: ArrayLike, names: Sequence[str] = ("A", 
     return np.vstack([picture, footer])
 
 
-_MARGIN = 28  # grey level beside and below the picture
+_MARGIN = 28  # the grey level beside and below the picture
 
 
 def _caption(
@@ -165,7 +166,7 @@ def _footer(width: int, scale: Scale, colors: np.ndarray, texts: tuple[str, str]
     grey = f"#{_MARGIN:02x}{_MARGIN:02x}{_MARGIN:02x}"
     figure = Figure(figsize=(width / dots, _FOOTER / dots), dpi=dots, facecolor=grey)
     canvas = FigureCanvasAgg(figure)
-    style = {"color": "#e8e8e8", "fontsize": 7.5, "parse_math": False}
+    style: dict[str, Any] = {"color": "#e8e8e8", "fontsize": 7.5, "parse_math": False}
     edge = 14 / width
     figure.text(edge, 1 - 10 / _FOOTER, texts[0], va="top", **style)
     figure.text(edge, 1 - 27 / _FOOTER, texts[1], va="top", **style)
@@ -188,7 +189,7 @@ def _round_up(value: float) -> float:
     power = math.floor(math.log10(value))
     for n in (power, power + 1):
         for digit in (1, 2, 3, 5):
-            # Through text: 10.0**-5 * 2 is not the float nearest to 2e-5.
+            # Parsed from text, because 10.0**-5 * 2 is not the float nearest to 2e-5.
             rounded = float(f"{digit}e{n}")
             if rounded >= value * (1 - 1e-12):
                 return rounded

@@ -1,6 +1,6 @@
-"""Rendering to an error: the cheapest settings whose measured error is at most the requested one.
+"""Renders to an error: with the cheapest settings whose measured error is at most the requested one.
 
-If the measured bound of a picture fails, the aim of the search is lowered and all is done again.
+If the measured bound of a picture is too large, the search is repeated with a lower target.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from clvol.integrators.reference.picture import render_reference
 from clvol.render.frame import Frame, make_frame
 from clvol.scene.scene import Scene
 
-LEAST_ERROR = 1e-10  # the least that the exact integral in double precision can reach
+LEAST_ERROR = 1e-10  # the smallest error that the exact integral in double precision reaches
 _ATTEMPTS = 6
 
 
@@ -32,15 +32,15 @@ def render_to_error(
     progress: Progress | None = None,
     seed: int = 0,
 ) -> Frame:
-    """The picture with the cheapest settings that hold an error.
+    """Renders ``scene`` with the cheapest settings whose error is at most ``max_error``.
 
-    ``max_error``: RMSE of linear premultiplied RGBA against the exact integral, 1e-10 to 1. Of the scene's
-    tunables (step, classification, ...) all are free. ``frame.stats["accuracy"]`` has "rmse", "bound" and
-    "confidence" as measured, the chosen "settings", and the "seconds" of each stage. Other arguments as for
-    ``clvol.Renderer``; ``seed``: of the drawn pixels.
+    ``max_error``: RMSE of linear premultiplied RGBA against the exact integral, 1e-10 to 1. All tunables of the scene
+    (step, classification, ...) may change. ``frame.stats["accuracy"]`` contains "rmse", "bound" and "confidence" as
+    measured, the chosen "settings", and the "seconds" of each stage. ``seed``: seeds the random choice of the pixels
+    that are measured. Other arguments are those of ``clvol.Renderer``.
 
-    Raises UsageError for an impossible ``max_error`` and RenderError if it could not be shown to hold;
-    otherwise as ``clvol.Renderer``.
+    Raises UsageError for an impossible ``max_error``, RenderError if no picture was shown to stay below it, and
+    otherwise what ``clvol.Renderer`` raises.
     """
     check_max_error(max_error)
     with PictureSearch(scene, devices, memory_cap, max_error, depth, progress, seed) as search:
@@ -48,7 +48,7 @@ def render_to_error(
 
 
 def check_max_error(value: float) -> None:
-    """UsageError for an error outside of 1e-10 to 1."""
+    """Raises UsageError for an error outside of 1e-10 to 1."""
     if not LEAST_ERROR <= value <= 1.0:
         raise UsageError("max_error", f"got {value!r}", f"a number from {LEAST_ERROR:g} to 1")
 
@@ -63,27 +63,26 @@ def _to_error(search: PictureSearch, max_error: float) -> Frame:
             return _exact(search, max_error, attempt)
         found = search.measured(picture, attempt, max_error)
         if found.bound <= max_error:
-            asked = {"max_error": max_error}
-            return search.frame(picture, found, asked, attempt)
+            return search.frame(picture, found, {"max_error": max_error}, attempt)
         aim *= min(AIM, 0.98 * max_error / found.bound)
     what = f"the error could not be brought below {max_error:g} in {_ATTEMPTS} attempts"
     raise RenderError("max_error", what, f"at least {found.bound:.3g}")
 
 
 def _exact(search: PictureSearch, max_error: float, attempt: int) -> Frame:
-    """The picture by the exact integral itself, for an error that no settings reach."""
+    """Renders by the exact integral itself, for an error that no settings reach."""
     if not search.truth.is_exact:
         known = max(search.truth.error, FLOAT32_ERROR)
-        what = f"settings that hold {max_error:g} were not found, and effects have no exact integral"
+        what = f"no settings with an error of at most {max_error:g} were found, and effects have no exact integral"
         raise RenderError("max_error", what, f"a number well above {known:.2g}")
     search.report("integrating exactly")
     tolerance = max_error / 10.0
-    start = time.perf_counter()
+    start, progress = time.perf_counter(), search.progress
     rgba, depth, counters = render_reference(
         search.resolved, search.context.device, tolerance,
-        progress=None if search.progress is None else lambda d, t: search.progress(d, t, "exactly"),
+        progress=None if progress is None else lambda done, total: progress(done, total, "exactly"),
     )  # fmt: skip
-    taken = time.perf_counter() - start
+    render_seconds = time.perf_counter() - start
     worst = float(counters["error_estimate"])
     bound = max(worst, _float32_error(rgba))
     if bound > max_error:
@@ -98,12 +97,12 @@ def _exact(search: PictureSearch, max_error: float, attempt: int) -> Frame:
         "attempts": attempt, "tried": len(search.search.measured),
         "seconds": dict(search.seconds),
     }  # fmt: skip
-    seconds = {"load": search.load_seconds, "render": taken}
-    depth = depth if search.depth else None
-    counted = {**counters, "accuracy": accuracy, **search.warnings(rgba, depth)}
-    return make_frame(resolved, rgba, depth, seconds, counted, search.context.name)
+    seconds = {"load": search.load_seconds, "render": render_seconds}
+    shown_depth = depth if search.depth else None
+    counted = {**counters, "accuracy": accuracy, **search.warnings(rgba, shown_depth)}
+    return make_frame(resolved, rgba, shown_depth, seconds, counted, search.context.name)
 
 
 def _float32_error(rgba: np.ndarray) -> float:
-    """The RMSE of rounding the picture to 32 bits."""
+    """The RMSE that rounding the picture to float32 causes."""
     return root_mean_square(rgba.astype(np.float32) - rgba)

@@ -1,10 +1,9 @@
-"""The error of a whole picture from its exact values at some pixels, with a bound.
+"""Estimates the error of a whole picture, with a bound, from its exact values at some pixels.
 
-Pixels are drawn where a rough idea of the error (the difference to another rendering) says that it
-is, and weighted back: the estimate has no bias however wrong the idea is, and little spread if it is
-right (sampling proportional to size; Hansen and Hurwitz 1943). Squared errors are skewed, for which
-Student's t gives bounds too low: the bound is Hall's (1992), which transforms the statistic so that
-its skewness goes.
+Pixels are drawn with probabilities that follow a rough map of the error (the difference to another rendering), and
+weighted by their inverse. The estimate is unbiased however wrong the map is, and has little variance if the map is
+right (sampling proportional to size; Hansen and Hurwitz 1943). Squared errors are skewed, so bounds from Student's t
+would be too low. The bound is that of Hall (1992), who transforms the statistic to remove its skewness.
 """
 
 from __future__ import annotations
@@ -16,14 +15,14 @@ from statistics import NormalDist
 import numpy as np
 from numpy.typing import ArrayLike
 
-_EVERYWHERE = 0.3  # of the pixels are drawn whatever the rough idea of the error is
+_EVERYWHERE = 0.3  # share of the draws that ignore the rough map of the error
 
 
 @dataclass(frozen=True)
 class ErrorEstimate:
-    """``rmse``, and the ``bound`` that it does not exceed with ``confidence`` (both of linear
-    premultiplied RGBA over the whole picture), from the exact values at ``pixels`` of its ``of_pixels``.
-    All pixels: then ``bound`` is ``rmse`` itself, and ``confidence`` 1."""
+    """``rmse`` of linear premultiplied RGBA over the whole picture, and the ``bound`` that it does not exceed with
+    probability ``confidence``, from the exact values at ``pixels`` of its ``of_pixels`` pixels. If those are all
+    pixels, ``bound`` is ``rmse`` and ``confidence`` is 1."""
 
     rmse: float
     bound: float
@@ -38,8 +37,11 @@ def draw(
     rng: np.random.Generator,
     left_out: ArrayLike | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """``count`` indices (some twice) of the values ``rough`` [n] >= 0, ideas of squared errors, and the
-    probability of each of them in one draw; never one of those ``left_out`` (bool [n], not all)."""
+    """Draws ``count`` pixels, some possibly twice: their indices, and the probability of each in a single draw.
+
+    ``rough`` [n] >= 0: rough squared errors of all pixels. ``left_out`` (bool [n], not all True): pixels that are
+    never drawn.
+    """
     rough = np.asarray(rough, np.float64)
     drawable = np.ones(rough.size) if left_out is None else 1.0 - np.asarray(left_out, np.float64)
     weight = rough * drawable
@@ -47,8 +49,8 @@ def draw(
     if 0.0 < total < np.inf:
         probability = _EVERYWHERE * probability + (1.0 - _EVERYWHERE) / total * weight
     ends = np.cumsum(probability)
-    # One draw in each of `count` equal shares: spread over the picture, and never worse than
-    # independent draws, for which the bound is stated.
+    # One draw in each of `count` equal shares (stratified sampling) spreads over the picture, and is never worse than
+    # the independent draws that the bound assumes.
     at = (np.arange(count) + rng.random(count)) / count * ends[-1]
     last = int(np.flatnonzero(probability)[-1])
     drawn = np.minimum(np.searchsorted(ends, at, side="right"), last)
@@ -64,16 +66,16 @@ def estimate(
 ) -> ErrorEstimate:
     """The error of a picture of ``of_pixels`` pixels.
 
-    ``known`` [k]: squared errors (means over the channels) of some pixels that count once each.
-    ``squared`` [m]: those of pixels drawn, with ``probability`` [m] each, out of all others; where none are left
-    to be drawn, none. ``confidence``: 0.5 to less than 1.
+    ``known`` [k]: squared errors (means over the channels) of pixels that count once each. ``squared`` [m]: those of
+    pixels that were drawn from all others, with probability ``probability`` [m] each; empty if ``known`` has all
+    pixels. ``confidence``: at least 0.5 and less than 1.
     """
     squared, known = np.asarray(squared, np.float64), np.asarray(known, np.float64)
     sum_known = float(known.sum())
     if known.size >= of_pixels:
         rmse = math.sqrt(sum_known / of_pixels)
         return ErrorEstimate(rmse, rmse, 1.0, of_pixels, of_pixels)
-    totals = squared / np.asarray(probability, np.float64)  # each estimates the sum over the rest
+    totals = squared / np.asarray(probability, np.float64)  # each value estimates the sum over the other pixels
     mean = float(totals.mean())
     upper = mean
     if totals.size < 2 or not np.isfinite(totals).all():
@@ -90,7 +92,7 @@ def estimate(
 
 
 def _lower_quantile(values: np.ndarray, confidence: float) -> float:
-    """Of (mean - expectation) / standard error, by Hall's transformation: below 0."""
+    """The lower quantile (below 0) of (mean - expectation) / standard error, by Hall's transformation."""
     z = NormalDist().inv_cdf(1.0 - confidence)
     n = values.size
     centred = values - values.mean()

@@ -1,8 +1,8 @@
 """The ground truth that the pictures of a scene are compared with.
 
-Emission and absorption have an exact integral (clvol.integrators.reference.picture). Effects have none that
-shares no code with the ray caster; the truth of scenes with effects is the limit that the ray caster
-itself tends to as its steps become small, and how well that limit is known is reported with it.
+Emission and absorption have an exact integral (clvol.integrators.reference.picture), which shares no code with the
+ray caster. Effects have no such integral. The ground truth of a scene with effects is therefore the limit to which
+the ray caster itself converges at small steps, and the uncertainty of that limit is reported with it.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import numpy as np
 
 from clvol.device.view import EVERY_PIXEL
 from clvol.errors import VolumeError
+from clvol.integrators.base import FrameData
 from clvol.integrators.reference.integrator import has_exact_integral
 from clvol.integrators.reference.picture import render_reference
 from clvol.scene.resolve import LARGEST_STEP_COUNT, ResolvedScene
@@ -23,15 +24,15 @@ if TYPE_CHECKING:
     from clvol.opencl.context import DeviceContext
     from clvol.render.prepared_cache import PreparedCache
 
-FIRST_STEP, LEAST_STEP = 1 / 8, 1 / 128  # smallest voxel edges
-KNOWN = 2e-5  # RMSE: the limit is then known as well as single precision and tables allow
+FIRST_STEP, LEAST_STEP = 1 / 8, 1 / 128  # in units of the smallest voxel edge
+KNOWN = 2e-5  # RMSE, at which the limit is known as well as single precision and tables allow
 
 
 def check_has_truth(resolved: ResolvedScene) -> None:
-    """VolumeError for a store that does not fit into memory.
+    """Raises VolumeError for a store that does not fit into memory.
 
-    Errors are measured against all voxels at full resolution. The finest picture that a budget allows
-    could stand for the truth, but its own error is unknown: no error could be claimed.
+    Errors are measured against all voxels at full resolution. The finest picture within a memory budget has an
+    unknown error, so no error could be stated against it.
     """
     try:
         _ = resolved.volume.data
@@ -41,11 +42,11 @@ def check_has_truth(resolved: ResolvedScene) -> None:
 
 
 class GroundTruth:
-    """Exact pixels of ``resolved``, whatever its settings of accuracy are.
+    """Exact pixels of ``resolved``, regardless of its accuracy settings.
 
-    ``is_exact``: they come from the exact integral; else they are the limit of small steps. ``error``: how far that
-    limit may be from the truth, an RMSE of linear premultiplied RGBA: the change that the last halving of
-    the step made. It is known once pixels were requested, and 0 for the exact integral.
+    ``is_exact``: whether they come from the exact integral; otherwise they are the limit of small steps. ``error``:
+    the uncertainty of that limit, an RMSE of linear premultiplied RGBA, taken as the change by the last halving of
+    the step. It is known after the first call of ``pixels``, and 0 for the exact integral.
     """
 
     def __init__(self, resolved: ResolvedScene, context: DeviceContext, engines: PreparedCache) -> None:
@@ -57,7 +58,7 @@ class GroundTruth:
 
     @property
     def how(self) -> str:
-        """Its name, for reports that claim an error."""
+        """The name of this ground truth in reports."""
         return "exact integral" if self.is_exact else "limit of small steps"
 
     def pixels(
@@ -66,20 +67,22 @@ class GroundTruth:
         tolerance: float,
         progress: Callable[[int, int], None] | None = None,
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """float64 [n, 4] at ``pixels`` int [n, 2] (row, column), and counters as the reference has.
-        ``tolerance`` is the exact integral's."""
+        """RGBA at ``pixels`` (int [n, 2]: row, column), float64 [n, 4], and counters like those of the reference.
+        ``tolerance``: that of the exact integral."""
         if self.is_exact:
             rgba, _, counters = render_reference(
                 self.resolved, self._context.device, tolerance, pixels, progress
             )
             return rgba, counters
         if self._limit is None:
-            self._find_limit(progress)
+            self._limit = self._find_limit(progress)
         rows, columns = np.asarray(pixels).T
         return self._limit[rows, columns].astype(np.float64), self._counters
 
-    def _find_limit(self, progress: Callable[[int, int], None] | None) -> None:
-        step, pictures, samples = FIRST_STEP, [], 0
+    def _find_limit(self, progress: Callable[[int, int], None] | None) -> np.ndarray:
+        """The picture at the smallest step that is needed; sets ``error`` and the counters."""
+        step, samples = FIRST_STEP, 0
+        pictures: list[np.ndarray] = []
         while True:
             data = self._picture(step, progress)
             samples += data.samples
@@ -90,29 +93,29 @@ class GroundTruth:
                 if self.error <= KNOWN or step / 2 < LEAST_STEP or not self._may_take(step / 2):
                     break
             step /= 2
-        self._limit = pictures[-1]
         self._counters = {"samples": samples, "error_estimate": self.error, "step": step}
+        return pictures[-1]
 
     def _may_take(self, step: float) -> bool:
         corners = self.resolved.volume.grid.world_corners()
         diagonal = np.linalg.norm(np.ptp(corners, axis=0)) / self.resolved.volume.grid.smallest_edge
         return bool(diagonal / step < LARGEST_STEP_COUNT)
 
-    def _picture(self, step: float, progress):
-        asked = self.resolved
-        pre = asked.integration.classification == "pre"
+    def _picture(self, step: float, progress: Callable[[int, int], None] | None) -> FrameData:
+        scene = self.resolved
+        pre = scene.integration.classification == "pre"
         settings = {
             "step": step, "early_termination": 0.0, "quadrature": "steps",
             "classification": "pre" if pre else "post", "voxel_precision": "stored",
             "method": "raycast",
         }  # fmt: skip
         fine = replace(
-            asked,
-            integration=asked.integration.model_copy(update=settings),
-            image=asked.image.model_copy(update={"ray_spacing": 1}),
-            gradient=asked.gradient.model_copy(update={"storage": "on-the-fly"}),
+            scene,
+            integration=scene.integration.model_copy(update=settings),
+            image=scene.image.model_copy(update={"ray_spacing": 1}),
+            gradient=scene.gradient.model_copy(update={"storage": "on-the-fly"}),
         )
-        size = asked.image.width, asked.image.height
+        size = scene.image.width, scene.image.height
         engine = self._engines.prepare(fine)
         engine.warm_up(*size, False)
-        return engine.render(asked.camera, *size, progress, depth=False, lattice=EVERY_PIXEL)
+        return engine.render(scene.camera, *size, progress, depth=False, lattice=EVERY_PIXEL)

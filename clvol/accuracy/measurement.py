@@ -1,4 +1,4 @@
-"""Measuring the error of a whole picture: at the pilot's pixels, and at others that settings were not chosen by."""
+"""Measures the error of a whole picture at the pilot's pixels, and at others that did not influence the settings."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from clvol.accuracy.ground_truth import GroundTruth
 from clvol.accuracy.trials import Trial, Trials
 
 CONFIDENCE = 0.95
-_DRAWN_PIXELS = 2_048  # at first; then twice as many until the bound says yes or no
+_DRAWN_PIXELS = 2_048  # at first; the number doubles until the bound gives an answer
 
 
 class Measurement:
-    """Errors of pictures of one scene.
+    """Measures errors of pictures of one scene.
 
-    ``pilot``: the trials that settings are chosen by; its pixels count with their known errors. ``tolerance``: of the
-    exact integral. ``timed(work)`` calls ``work`` and returns its result.
+    ``pilot``: the trials by which settings are chosen; its pixels count with their known errors. ``tolerance``: that
+    of the exact integral. ``timed(work)`` calls ``work``, records its time and returns its result.
     """
 
     def __init__(
@@ -37,16 +37,16 @@ class Measurement:
     def of(
         self, picture: Trial, finer: Callable[[], np.ndarray], attempt: int, limit: float | None
     ) -> ErrorEstimate:
-        """The error of ``picture``, whose ``rgba`` is there.
+        """The error of ``picture``, which must have its ``rgba``.
 
-        ``finer()``: a picture [height, width, 4] that shows roughly where it is wrong. ``attempt``: 1 for the first
-        picture of a search, and one more for each further one. ``limit``: an error that it has to hold; pixels are
-        drawn until the bound says whether it does. Each look may err with half the chance of the one
-        before, so that all together have at least the confidence CONFIDENCE.
+        ``finer()`` returns a picture [height, width, 4] that shows roughly where ``picture`` is wrong. ``attempt``: 1
+        for the first picture of a search, and one more for each further one. ``limit``: the largest permitted error;
+        pixels are drawn until the bound shows whether the picture is below it. Each check has half the probability of
+        a wrong result that the one before has, so that all together have at least the confidence CONFIDENCE.
         """
         width, height = self._size
         count_all = width * height
-        rgba = picture.rgba.reshape(count_all, 4)
+        rgba = picture.picture.reshape(count_all, 4)
         pilot = self._pilot.lattice.pixels(width, height) @ (width, 1)
         known = _squared(rgba[pilot], self._pilot.exact().reshape(-1, 4))
         left_out = np.zeros(count_all, bool)
@@ -59,8 +59,8 @@ class Measurement:
         look, count = 0, _DRAWN_PIXELS
         while True:
             look += 1
-            if squared.size + count >= others:  # as well all of them
-                rest = self._errors(rgba, np.flatnonzero(~left_out)) if others else []
+            if squared.size + count >= others:  # measuring all pixels costs no more
+                rest = self._errors(rgba, np.flatnonzero(~left_out)) if others else np.zeros(0)
                 found = estimate([], [], count_all, 1.0, [*known, *rest])
                 return replace(found, bound=found.bound + self._truth.error)
             at, p = draw(rough, count, self._rng, left_out)
@@ -81,14 +81,14 @@ class Measurement:
 
 
 def where_measured(found: ErrorEstimate) -> str:
-    """The pixels that ``found`` is derived from, in words."""
+    """Describes the pixels from which ``found`` was derived."""
     if found.pixels >= found.of_pixels:
         return "all pixels"
     return "the pixels that settings were chosen by, and at others, drawn where errors are expected"
 
 
 def _squared(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Mean over the channels of the squared difference, [...]; inf where one is not finite."""
+    """The squared difference, averaged over the channels, [...]; inf where a channel is not finite."""
     with np.errstate(invalid="ignore"):
         squared = np.square(np.asarray(a, np.float64) - b).mean(axis=-1)
     return np.where(np.isfinite(squared), squared, np.inf)

@@ -1,8 +1,7 @@
-"""How far two pictures are apart: in linear light, and as displayed.
+"""Measures the difference between two pictures, in linear light and as displayed.
 
-Pictures are float arrays [height, width, 4], linear light, premultiplied. "As displayed" means over
-a background, clipped to 0...1 and sRGB-encoded, but not rounded to 8 bits: a difference too small
-for a screen still counts.
+Pictures are float arrays [height, width, 4], linear light, premultiplied. "As displayed" means over a background,
+clipped to 0...1 and sRGB-encoded, but not rounded to 8 bits, so that differences too small for a screen still count.
 """
 
 from __future__ import annotations
@@ -17,25 +16,25 @@ from clvol.errors import UsageError
 from clvol.transfer.color import linear_to_srgb
 
 BLACK = (0.0, 0.0, 0.0)
-_WINDOW = 11  # pixels: SSIM's Gaussian of sigma 1.5 (Wang et al. 2004)
-_ROWS = 128  # rows looked at at a time
+_WINDOW = 11  # pixels, the width of SSIM's Gaussian window of sigma 1.5 (Wang et al. 2004)
+_ROWS = 128  # rows that are processed together
 
 
 def rmse(a: ArrayLike, b: ArrayLike) -> float:
-    """Root of the mean squared difference over all pixels and channels, linear light."""
+    """Root mean square of the difference over all pixels and channels, in linear light."""
     a, b = _pair(a, b)
     total = sum(float(np.sum(np.square(x - y))) for x, y in _parts(a, b))
     return math.sqrt(total / a.size)
 
 
 def max_abs(a: ArrayLike, b: ArrayLike) -> float:
-    """Largest absolute difference in any pixel and channel, linear light."""
+    """Largest absolute difference over all pixels and channels, in linear light; NaN if any is NaN."""
     a, b = _pair(a, b)
-    return float(np.max([np.abs(x - y).max() for x, y in _parts(a, b)]))  # NaN spreads
+    return float(np.max([np.abs(x - y).max() for x, y in _parts(a, b)]))
 
 
 def psnr(a: ArrayLike, b: ArrayLike, background: ArrayLike = BLACK) -> float:
-    """Peak signal-to-noise ratio of the displayed pictures, dB (white = 1); inf where equal."""
+    """Peak signal-to-noise ratio of the displayed pictures in dB (white = 1); inf if they are equal."""
     a, b = _pair(a, b)
     shown = (_displayed(x, y, background) for x, y in _parts(a, b))
     total = sum(float(np.sum(np.square(x - y))) for x, y in shown)
@@ -45,7 +44,7 @@ def psnr(a: ArrayLike, b: ArrayLike, background: ArrayLike = BLACK) -> float:
 def ssim(a: ArrayLike, b: ArrayLike, background: ArrayLike = BLACK) -> float:
     """Mean structural similarity of the displayed pictures, at most 1 (Wang et al. 2004).
 
-    A Gaussian window of 11 x 11 pixels; smaller pictures are continued at their edges.
+    The window is a Gaussian of 11 x 11 pixels. Smaller pictures are extended by repeating their edges.
     """
     from skimage.metrics import structural_similarity
 
@@ -55,7 +54,7 @@ def ssim(a: ArrayLike, b: ArrayLike, background: ArrayLike = BLACK) -> float:
         a, b = np.pad(a, wider, mode="edge"), np.pad(b, wider, mode="edge")
     height, width, margin = *a.shape[:2], _WINDOW // 2
     total = 0.0
-    for row in range(margin, height - margin, _ROWS):  # pixels whose window lies in the picture
+    for row in range(margin, height - margin, _ROWS):  # only pixels whose window lies inside the picture
         part = slice(row - margin, min(row + _ROWS, height - margin) + margin)
         _, similar = structural_similarity(
             *_displayed(a[part].astype(float), b[part].astype(float), background),
@@ -67,7 +66,7 @@ def ssim(a: ArrayLike, b: ArrayLike, background: ArrayLike = BLACK) -> float:
 
 
 def delta_e(a: ArrayLike, b: ArrayLike, background: ArrayLike = BLACK) -> np.ndarray:
-    """CIEDE2000 colour difference of the displayed pictures, float64 [height, width] (D65)."""
+    """CIEDE2000 colour difference of the displayed pictures (D65 white point), float64 [height, width]."""
     from skimage.color import deltaE_ciede2000, rgb2lab
 
     a, b = _pair(a, b)
@@ -98,13 +97,13 @@ def compare(a: ArrayLike, b: ArrayLike, background: ArrayLike = BLACK) -> dict[s
 
 
 def as_pair(a: ArrayLike, b: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
-    """Both as float64; UsageError unless they are [height, width, 4] and of the same size."""
+    """Both pictures as float64. Raises UsageError unless they are [height, width, 4] and of the same size."""
     a, b = _pair(a, b)
     return a.astype(np.float64, copy=False), b.astype(np.float64, copy=False)
 
 
 def _parts(a: np.ndarray, b: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Some rows of both at a time, as float64: large pictures are never there in full precision."""
+    """Yields some rows of both at a time as float64, so that large pictures are never converted as a whole."""
     for row in range(0, a.shape[0], _ROWS):
         part = slice(row, row + _ROWS)
         yield a[part].astype(np.float64), b[part].astype(np.float64)
@@ -128,7 +127,7 @@ def _pair(a: ArrayLike, b: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
 def _displayed(
     a: np.ndarray, b: np.ndarray, background: ArrayLike
 ) -> tuple[np.ndarray, np.ndarray]:
-    """sRGB-encoded float64 [height, width, 3] in 0...1; what is not finite shows the background."""
+    """Both as sRGB-encoded float64 [height, width, 3] in 0...1. Pixels that are not finite show the background."""
     behind = np.asarray(background, dtype=np.float64).reshape(3)
 
     def show(rgba: np.ndarray) -> np.ndarray:

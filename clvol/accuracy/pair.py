@@ -1,8 +1,7 @@
-"""Two pictures of different kinds made comparable: what one of them does not hold is left out of
-both, and said.
+"""Makes two pictures of different formats comparable: what one of them lacks is left out of both, and reported.
 
-EXR and NPY hold light without the background, and opacity; PNG holds the picture over its background
-and no opacity, clipped to 0...1 and rounded to 8 bits of sRGB.
+EXR and NPY store light without the background, and opacity. PNG stores the picture over its background without
+opacity, clipped to 0...1 and rounded to 8 bits of sRGB.
 """
 
 from __future__ import annotations
@@ -17,17 +16,17 @@ import numpy as np
 from clvol.accuracy.metrics import BLACK, compare
 from clvol.transfer.color import linear_to_srgb, srgb_to_linear
 
-_ROWS = 256  # rows worked with at a time
+_ROWS = 256  # rows that are processed together
 
 
 @dataclass
 class Pair:
     """``first`` and ``second``: float32 [height, width, 4], linear, premultiplied, to be compared.
 
-    ``colors_only``: both are opaque, and what counts are R, G, B over ``background`` ([3], linear).
-    ``left_out``: what of the pictures is not compared and why, a sentence each. ``rounding``: where
-    only one is rounded to ``bits``, and what rounding alone would make of the other: "rmse" and
-    "max_abs", linear light.
+    ``colors_only``: both are opaque, and only R, G, B over ``background`` ([3], linear) are compared. ``left_out``:
+    one sentence for each part of the pictures that is not compared, with the reason. ``rounding``: if only one of
+    the pictures is rounded, its "bits" per channel, and the "rmse" and "max_abs" in linear light that this rounding
+    alone would cause in the other.
     """
 
     first: np.ndarray
@@ -38,11 +37,11 @@ class Pair:
     rounding: dict[str, Any] | None = None
 
     def measures(self) -> dict[str, Any]:
-        """``clvol.accuracy.metrics.compare``'s, and under "compared", "background", "left_out" and
-        "rounding" of what."""
+        """The measures of ``clvol.accuracy.metrics.compare``, and what they refer to under "compared", "background",
+        "left_out" and "rounding"."""
         measured: dict[str, Any] = compare(self.first, self.second)
         if self.colors_only:
-            measured["rmse"] *= math.sqrt(4 / 3)  # over three channels: the fourth does not differ
+            measured["rmse"] *= math.sqrt(4 / 3)  # the mean is over three channels, because the fourth is equal
         return measured | {
             "compared": "R, G, B over the background" if self.colors_only else "R, G, B, A",
             "background": None if self.background is None else self.background.tolist(),
@@ -54,11 +53,11 @@ class Pair:
 def comparable(
     a: Mapping[str, Any], b: Mapping[str, Any], names: tuple[str, str] = ("A", "B")
 ) -> Pair:
-    """``a`` and ``b`` as ``clvol.image.load_image`` gives them, of one size."""
+    """The pair of ``a`` and ``b``, two results of ``clvol.image.load_image`` with pictures of the same size."""
     pictures = [a, b]
     pair = Pair(a["rgba"], b["rgba"])
     for picture, name in zip(pictures, names):
-        _say_what_is_unread(pair, picture, name)
+        _report_unread(pair, picture, name)
     rounded = [picture["header"].get("bits") for picture in pictures]
     if a["has_alpha"] != b["has_alpha"]:
         layered = 0 if a["has_alpha"] else 1
@@ -67,11 +66,11 @@ def comparable(
         if rounded[1 - layered]:
             _show(pair, layered, names)
     if (rounded[0] is None) != (rounded[1] is None):
-        _tell_rounding(pair, 0 if rounded[0] is None else 1, max(filter(None, rounded)))
+        _report_rounding(pair, 0 if rounded[0] is None else 1, max(filter(None, rounded)))
     return pair
 
 
-def _say_what_is_unread(pair: Pair, picture: Mapping[str, Any], name: str) -> None:
+def _report_unread(pair: Pair, picture: Mapping[str, Any], name: str) -> None:
     if picture["depth"] is not None:
         pair.left_out.append(f"the depth of {name}: colours and opacity are compared")
     header = picture["header"]
@@ -83,10 +82,10 @@ def _say_what_is_unread(pair: Pair, picture: Mapping[str, Any], name: str) -> No
 
 
 def _background(flat: Mapping, layered: Mapping) -> tuple[np.ndarray, str]:
-    """What the flat picture is over, and who says so."""
-    told, other = flat["background"], layered["background"]
-    if told is not None:
-        return told, "flat" if other is None or np.allclose(told, other, atol=1e-6) else "both"
+    """The background of the flat picture, and which of the two files states it."""
+    own, other = flat["background"], layered["background"]
+    if own is not None:
+        return own, "flat" if other is None or np.allclose(own, other, atol=1e-6) else "both"
     if other is not None:
         return other, "layered"
     return np.array(BLACK), "nobody"
@@ -96,14 +95,14 @@ def _leave_alpha_out(
     pair: Pair, layered: int, background: np.ndarray, whose: str, names: tuple[str, str]
 ) -> None:
     with_alpha, flat = names[layered], names[1 - layered]
-    said = {
-        "flat": f"the one that {flat} tells",
-        "layered": f"the one that {with_alpha} tells",
-        "both": f"the one that {flat} tells, {with_alpha} tells another",
-        "nobody": "black, since neither tells one",
+    source = {
+        "flat": f"as {flat} states it",
+        "layered": f"as {with_alpha} states it",
+        "both": f"as {flat} states it; {with_alpha} states another",
+        "nobody": "taken as black, since neither file states it",
     }[whose]
     pair.left_out.append(
-        f"the opacity: {flat} has none; {with_alpha} is compared over the background, {said}"
+        f"the opacity: {flat} has none; {with_alpha} is compared over the background, {source}"
     )
     pair.colors_only, pair.background = True, background
     over = np.array(pair.first if layered == 0 else pair.second)
@@ -118,7 +117,7 @@ def _leave_alpha_out(
 
 
 def _show(pair: Pair, which: int, names: tuple[str, str]) -> None:
-    """As a picture for screens shows it: not a number as the background, and nothing beyond white."""
+    """Changes a picture to what a file for displays can hold: the background for NaN, and light clipped to 0...1."""
     rgba = pair.first if which == 0 else pair.second
     unknown = np.isnan(rgba).any(axis=-1)
     if unknown.any():
@@ -136,7 +135,7 @@ def _show(pair: Pair, which: int, names: tuple[str, str]) -> None:
         )
 
 
-def _tell_rounding(pair: Pair, exact: int, bits: int) -> None:
+def _report_rounding(pair: Pair, exact: int, bits: int) -> None:
     pair.rounding = {"bits": bits}
     if not pair.colors_only:
         return

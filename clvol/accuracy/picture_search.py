@@ -1,9 +1,9 @@
-"""The search for the cheapest picture that holds an error: settings by a pilot, then whole pictures.
+"""Searches for the cheapest picture whose error is at most a given one: first with a pilot, then with whole pictures.
 
-The settings are chosen on the pilot: a sparse lattice of the picture's pixels, rendered under one setting after
-the other beside the exact integral there. Then whole pictures are rendered; and their error is measured on
-pixels that the choice did not see (clvol/accuracy/measurement.py). What is claimed is that measurement,
-not the estimate from the pilot.
+Settings are chosen on the pilot, a sparse lattice of the picture's pixels that is rendered with many settings and
+compared with the exact integral. Then whole pictures are rendered, and their error is measured at pixels that did not
+influence the choice (clvol/accuracy/measurement.py). The reported error is that measurement, not the estimate from
+the pilot.
 """
 
 from __future__ import annotations
@@ -12,7 +12,8 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
-from typing import Any
+from functools import partial
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -22,6 +23,7 @@ from clvol.accuracy.ground_truth import GroundTruth, check_has_truth
 from clvol.accuracy.measurement import Measurement, where_measured
 from clvol.accuracy.search import Search
 from clvol.accuracy.settings import (
+    Settings,
     apply,
     canonical,
     is_possible,
@@ -41,21 +43,22 @@ from clvol.render.renderer import check_memory, open_context
 from clvol.scene.resolve import ResolvedScene
 from clvol.scene.scene import Scene
 
-AIM = 0.95  # share of an error, or of a time, that is aimed at: the bound lies a little above the error
-FLOAT32_ERROR = 1e-6  # sums of float32 are not to be trusted further
+AIM = 0.95  # target as a share of the requested error or time, since the bound lies a little above the error
+FLOAT32_ERROR = 1e-6  # sums in float32 are not more exact than this
 _PILOT_PIXELS = 10_000
-_PICTURES_KEPT, _BYTES_KEPT = (3, 24), 2**29  # at least and most; in between, as memory allows
-_SHARES = (1.0, 0.7, 0.4)  # of the error, left to what shows on single pixels
-_SHARE_OF_ERROR = 1e-3  # the exact integral's own tolerance, as a share of the error that is searched for
+_PICTURES_KEPT, _BYTES_KEPT = (3, 24), 2**29  # least and most pictures; in between, as many as these bytes allow
+_SHARES = (1.0, 0.7, 0.4)  # shares of the error for the tunables whose effect single pixels show
+_SHARE_OF_ERROR = 1e-3  # tolerance of the exact integral, as a share of the requested error
 
 Progress = Callable[..., None]  # (done, total, what)
+T = TypeVar("T")
 
 
 class PictureSearch:
-    """Device, pilot and tunables of one call. Use it as a context manager.
+    """The state of one search: device, pilot and tunables. Use it as a context manager.
 
-    ``error``: RMSE that settings are first searched for. ``seconds``: what the stages have taken so far.
-    Other arguments as for ``clvol.accuracy.error_target.render_to_error``, and it raises the same.
+    ``error``: the RMSE for which settings are searched first. ``seconds``: the time of each stage so far. Other
+    arguments and exceptions are those of ``clvol.accuracy.error_target.render_to_error``.
     """
 
     def __init__(
@@ -70,9 +73,9 @@ class PictureSearch:
     ) -> None:
         start = time.perf_counter()
         self.scene = scene
-        asked = scene.resolve()
-        self.asked = asked
-        self.resolved = apply(asked, {"integration.method": integrator_of(asked).tuned_as})
+        requested = scene.resolve()
+        self.requested = requested
+        self.resolved = apply(requested, {"integration.method": integrator_of(requested).tuned_as})
         check_scene(self.resolved)
         check_memory(self.resolved, memory_cap)
         check_has_truth(self.resolved)
@@ -81,7 +84,7 @@ class PictureSearch:
         self.depth, self.progress = depth, progress
         rng = np.random.default_rng(seed)
         self._tolerance = min(max(error * _SHARE_OF_ERROR, 1e-12), 1e-5)
-        self.size = asked.image.width, asked.image.height
+        self.size = requested.image.width, requested.image.height
         self.tunables = scene_tunables(self.resolved)
         self.start = scene_settings(self.resolved, self.tunables)
         self.of_picture = {k: v for k, v in self.tunables.items() if v.tunable.of_picture}
@@ -117,7 +120,7 @@ class PictureSearch:
     # Choosing settings
 
     def _plain(self) -> dict[str, Any]:
-        """The scene's settings with every pixel's own ray."""
+        """The scene's settings with one ray per pixel."""
         return self._canonical({**self.start, **self._without_picture_tunables()})
 
     def _without_picture_tunables(self) -> dict[str, Any]:
@@ -130,17 +133,17 @@ class PictureSearch:
     def cheapest_picture(self, aim: float) -> Trial | None:
         """The cheapest whole picture found whose error is at most ``aim``; None if there is none.
 
-        The tunables of pictures need some of the error for themselves, so the pilot is also searched for a
-        part of it. What they add is measured against the picture without them.
+        The tunables that only whole pictures show need a part of the error, so the pilot is also searched for smaller
+        errors. The error that these tunables add is measured against the picture without them.
         """
         best: Trial | None = None
         candidates = self.timed("pilot", lambda: self.search.candidates(self._plain(), aim))
         if not candidates:
             return None
-        # Rays far apart share no memory, which costs one way of rendering more than another.
+        # The pilot's rays are far apart and share no memory accesses, which slows some methods more than others.
         first = min(candidates, key=lambda trial: self.picture(trial.settings).cost)
         for share in _SHARES:
-            chosen = self.timed("pilot", lambda share=share: self.search.hold(first.settings, share * aim))
+            chosen = self.timed("pilot", partial(self.search.hold, first.settings, share * aim))
             if chosen is None:
                 break
             plain = self.picture(chosen.settings)
@@ -153,17 +156,17 @@ class PictureSearch:
             )
             while (values := combinations.next()) is not None:
                 tried = self.picture(self._canonical({**chosen.settings, **values}))
-                holds = root_mean_square(tried.rgba - plain.rgba) <= room
+                holds = root_mean_square(tried.picture - plain.picture) <= room
                 combinations.drop(values, cheaper=not holds)
                 if holds and tried.cost < best.cost:
                     best = tried
         return best
 
-    def _canonical(self, settings: dict[str, Any]) -> dict[str, Any]:
+    def _canonical(self, settings: Settings) -> dict[str, Any]:
         return canonical(self.resolved, self.tunables, settings)
 
     def picture(self, settings: dict[str, Any]) -> Trial:
-        """The whole picture with ``settings``, rendered unless it is kept from before."""
+        """The whole picture with ``settings``, rendered unless it is still kept."""
         key = key_of(settings)
         if key not in self.pictures:
             self.report("rendering")
@@ -178,10 +181,10 @@ class PictureSearch:
     # Measuring
 
     def measured(self, picture: Trial, attempt: int, limit: float | None) -> ErrorEstimate:
-        """The error of a whole picture; arguments as for ``Measurement.of``."""
+        """The error of a whole picture. The arguments are those of ``Measurement.of``."""
         return self._measurement.of(picture, lambda: self._finer(picture), attempt, limit)
 
-    def _measuring(self, work: Callable[[], Any]) -> Any:
+    def _measuring(self, work: Callable[[], T]) -> T:
         self.report("measuring the error")
         return self.timed("measure", work)
 
@@ -196,16 +199,16 @@ class PictureSearch:
         settings = self._canonical(settings)
         if settings == picture.settings:
             settings = min(self.search.measured, key=lambda trial: trial.rmse).settings
-        return self.picture(settings).rgba
+        return self.picture(settings).picture
 
     # Results
 
     def frame(
-        self, trial: Trial, found: ErrorEstimate, asked: dict[str, float], attempt: int
+        self, trial: Trial, found: ErrorEstimate, target: dict[str, float], attempt: int
     ) -> Frame:
-        """The picture of ``trial`` with what was asked for and found in ``stats["accuracy"]``."""
+        """The picture of ``trial`` as a frame, with the ``target`` and the measured error in ``stats["accuracy"]``."""
         accuracy = {
-            **asked, **asdict(found), "how": f"{self.truth.how} at {where_measured(found)}",
+            **target, **asdict(found), "how": f"{self.truth.how} at {where_measured(found)}",
             "settings": self._counting(trial.settings), "attempts": attempt,
             "tried": len(self.search.measured), "seconds": dict(self.seconds),
         }  # fmt: skip
@@ -215,33 +218,33 @@ class PictureSearch:
             "compile": pilot.compile_seconds + trial.compile_seconds, "render": trial.seconds,
         }  # fmt: skip
         counted = {"samples": trial.samples, "rays": trial.rays, "accuracy": accuracy}
-        counted |= self.warnings(trial.rgba, trial.depth)
+        counted |= self.warnings(trial.picture, trial.depth)
         resolved = self.resolved_as(trial.settings)
-        return make_frame(resolved, trial.rgba, trial.depth, seconds, counted, self.context.name)
+        return make_frame(resolved, trial.picture, trial.depth, seconds, counted, self.context.name)
 
     def warnings(self, rgba: np.ndarray, depth: np.ndarray | None) -> dict[str, Any]:
-        """What a picture's warnings add to its stats."""
-        return Notices(self.asked).of_picture(self.asked, self.asked.camera, rgba, depth)
+        """The entries that a picture's warnings add to its stats."""
+        return Notices(self.requested).of_picture(self.requested, self.requested.camera, rgba, depth)
 
     def _counting(self, settings: dict[str, Any]) -> dict[str, Any]:
-        """``settings`` without those that have no effect beside the others."""
+        """``settings`` without those that have no effect in combination with the others."""
         scene = apply(self.resolved, settings)
         return {k: value for k, value in settings.items() if self.tunables[k].tunable.counts(scene)}
 
     def resolved_as(self, settings: dict[str, Any]) -> ResolvedScene:
-        """The scene with ``settings``, and with them in its source."""
+        """The scene with ``settings``, which its source text then contains, too."""
         source = self.scene.model_copy(update=tables_with(self.scene, settings)).to_toml()
-        return replace(apply(self.asked, settings), source=source)
+        return replace(apply(self.requested, settings), source=source)
 
-    def timed(self, stage: str, work: Callable[[], Any]) -> Any:
-        """The result of ``work``, whose seconds count for ``stage``."""
+    def timed(self, stage: str, work: Callable[[], T]) -> T:
+        """Calls ``work``, adds its time to ``stage`` and returns its result."""
         start = time.perf_counter()
         result = work()
         self.seconds[stage] += time.perf_counter() - start
         return result
 
     def report(self, what: str) -> None:
-        """Calls ``progress`` with what is done now."""
+        """Reports to ``progress`` what is being done now."""
         if self.progress is not None:
             self.progress(None, None, what)
 

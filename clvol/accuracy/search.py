@@ -1,10 +1,9 @@
-"""Looking for settings: the cheapest that hold an error.
+"""Searches for the cheapest settings whose error is at most a given one.
 
-Nothing here renders: ``measure(settings)`` does, and gives something with ``rmse``, ``seconds`` of
-a picture and its ``cost`` (preparation counted in). What is known of the tunables is that a notch finer
-of the main ladder (the step) lessens the error, about twofold; that alternatives (classification,
-filter) may each be better or worse by far; and that the other ladders buy little with little, and
-limit what the main one can reach.
+This module does not render. ``measure(settings)`` does, and returns an object with the ``rmse`` and the ``seconds`` of
+a picture and its ``cost``, which includes a share of the preparation. The search assumes that one notch finer on the
+main ladder (the step) about halves the error; that alternatives (classification, filter) may differ widely in error
+and cost; and that the other ladders change both only a little, but limit the error that the main one can reach.
 """
 
 from __future__ import annotations
@@ -12,38 +11,43 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Mapping
-from typing import Any, Protocol
+from typing import Any, Generic, Protocol, TypeVar
 
 from clvol.accuracy.settings import SceneTunable, Settings, key_of
 
-_FLOOR = 0.85  # two notches finer and still this share of the error: finer helps no more
-_HOPELESS = 3.0  # times the best cost: what one look promises may be wrong by so much
-_DEARER = 2.0  # times: what costs so much more on the pilot does so on the picture
-_STRETCHES = 2  # halvings of a notch of the main ladder
-_WORTH = 0.98  # what a change must bring the time down to, to be more than noise
+_FLOOR = 0.85  # if two notches leave more than this share of the error, a finer step no longer helps
+_HOPELESS = 3.0  # times the best cost: a single measurement predicts costs only within this factor
+_MORE_EXPENSIVE = 2.0  # a cost ratio on the pilot that is large enough to hold for the whole picture
+_STRETCHES = 2  # bisections within one notch of the main ladder
+_WORTH = 0.98  # share of the cost that a change must at most leave, to be more than noise
 
 
 class Measured(Protocol):
+    """What the search knows of the picture with ``settings``: its error, and seconds and cost of rendering it."""
+
     rmse: float
     seconds: float
     cost: float
     settings: dict[str, Any]
 
 
-class Search:
-    """One search: remembers what was measured. ``possible(settings)`` says what can be rendered and
-    ``canonical(settings)`` which settings are the same."""
+M = TypeVar("M", bound=Measured)
+
+
+class Search(Generic[M]):
+    """One search, which remembers what was measured. ``possible(settings)`` is whether they can be rendered;
+    ``canonical(settings)`` is equal for settings that make the same picture."""
 
     def __init__(
         self,
-        measure: Callable[[dict[str, Any]], Measured],
+        measure: Callable[[dict[str, Any]], M],
         tunables: Mapping[str, SceneTunable],
         possible: Callable[[Settings], bool] = lambda settings: True,
         canonical: Callable[[Settings], dict[str, Any]] = dict,
     ) -> None:
         self._measure, self._possible, self._canonical = measure, possible, canonical
-        self._known: dict[tuple, Measured] = {}
-        # Single pixels do not show what depends on their neighbours.
+        self._known: dict[tuple, M] = {}
+        # Single pixels do not show effects that depend on their neighbours.
         self._tunables = {k: tunable for k, tunable in tunables.items() if not tunable.tunable.of_picture}
         alternatives = [k for k in self._tunables.values() if not k.tunable.is_ladder]
         self._alternatives = [k for k in alternatives if not k.tunable.alone]
@@ -52,26 +56,26 @@ class Search:
         self._main = [k for k in self._tunables.values() if k.tunable.is_main]
 
     @property
-    def measured(self) -> list[Measured]:
+    def measured(self) -> list[M]:
         return list(self._known.values())
 
-    def measure(self, settings: Settings) -> Measured:
+    def measure(self, settings: Settings) -> M:
         settings = self._canonical(settings)
         key = key_of(settings)
         if key not in self._known:
             self._known[key] = self._measure(settings)
         return self._known[key]
 
-    def cheapest(self, start: Settings, limit: float) -> Measured | None:
-        """The cheapest settings found with rmse <= ``limit``; None if none reach it."""
+    def cheapest(self, start: Settings, limit: float) -> M | None:
+        """The cheapest settings that were found with rmse <= ``limit``; None if there are none."""
         held = self.candidates(start, limit)
         return self.refined(held[0], limit) if held else None
 
-    def candidates(self, start: Settings, limit: float) -> list[Measured]:
-        """For each combination of alternatives that is not hopeless, settings that hold ``limit``, the
-        cheapest first: costs that are known roughly may be compared again more exactly."""
-        found: list[Measured] = []
-        best: Measured | None = None
+    def candidates(self, start: Settings, limit: float) -> list[M]:
+        """For each promising combination of alternatives, settings with rmse <= ``limit``, the cheapest first. Costs
+        are known roughly, so the caller may compare them again more exactly."""
+        found: list[M] = []
+        best: M | None = None
         for look in self._alternatives_by_promise(start, limit):
             if best is None or _promise(look, limit) < _HOPELESS * best.cost:
                 held = self._hold_error(look.settings, limit, best)
@@ -79,16 +83,15 @@ class Search:
                     found.append(held)
                     best = min(found, key=lambda trial: trial.cost)
         found.sort(key=lambda trial: trial.cost)
-        return [trial for trial in found if trial.cost <= _DEARER * best.cost]
+        return [trial for trial in found if trial.cost <= _MORE_EXPENSIVE * found[0].cost]
 
-    def hold(self, settings: Settings, limit: float) -> Measured | None:
-        """With the alternatives as they are in ``settings``: the cheapest that hold ``limit``."""
+    def hold(self, settings: Settings, limit: float) -> M | None:
+        """The cheapest settings with rmse <= ``limit`` that have the same alternatives as ``settings``."""
         held = self._hold_error(settings, limit)
         return None if held is None else self.refined(held, limit)
 
-    def refined(self, best: Measured, limit: float) -> Measured:
-        """``best`` with cheaper alternatives of tunables tried alone, and with cheaper ladders, as far
-        as ``limit`` still holds."""
+    def refined(self, best: M, limit: float) -> M:
+        """``best`` made cheaper while rmse <= ``limit``, by alternatives that are tried alone and by the ladders."""
         for tunable in self._alone:
             for value in tunable.values:
                 settings = {**best.settings, tunable.key: value}
@@ -105,8 +108,8 @@ class Search:
                 best = tried
         return self._stretched(best, limit)
 
-    def _alternatives_by_promise(self, start: Settings, limit: float) -> list[Measured]:
-        """One look at each combination of alternatives, those first that promise to be cheapest."""
+    def _alternatives_by_promise(self, start: Settings, limit: float) -> list[M]:
+        """One measurement for each combination of alternatives, ordered by the cost that it predicts."""
         looks = {}
         for values in itertools.product(*(tunable.values for tunable in self._alternatives)):
             settings = {**start, **{k.key: v for k, v in zip(self._alternatives, values)}}
@@ -114,8 +117,8 @@ class Search:
                 looks[key_of(self._canonical(settings))] = self.measure(settings)
         return sorted(looks.values(), key=lambda look: _promise(look, limit))
 
-    def _stretched(self, best: Measured, limit: float) -> Measured:
-        """Between the main ladder's last value that holds and the first that does not."""
+    def _stretched(self, best: M, limit: float) -> M:
+        """``best`` made cheaper by bisection between its value of the main ladder and the next coarser one."""
         for main in self._main[:1]:
             fine, coarse = best.settings[main.key], main.next_to(best.settings[main.key], -1)
             if not main.tunable.is_continuous or coarse is None:
@@ -131,34 +134,34 @@ class Search:
         return best
 
     def _hold_error(
-        self, settings: Settings, limit: float, best: Measured | None = None
-    ) -> Measured | None:
-        """Of the main ladder's values the coarsest that holds ``limit``, the other ladders as they
-        are or, if that is not enough, more accurate by one notch, then by more."""
-        held, too_dear = self._bracket(settings, limit, best)
+        self, settings: Settings, limit: float, best: M | None = None
+    ) -> M | None:
+        """The coarsest value of the main ladder with rmse <= ``limit``. If there is none, the other ladders are made
+        more accurate, first by one notch and then by more."""
+        held, too_expensive = self._bracket(settings, limit, best)
         notches = 1
-        while held is None and not too_dear:
+        while held is None and not too_expensive:
             raised = {k.key: k.more(settings[k.key], notches) for k in self._ladders}
             finer = {**settings, **raised}
-            held, too_dear = self._bracket(finer, limit, best)
+            held, too_expensive = self._bracket(finer, limit, best)
             if all(finer[k.key] == k.values[-1] for k in self._ladders):
                 break
             notches *= 2
         return held
 
     def _bracket(
-        self, settings: Settings, limit: float, best: Measured | None
-    ) -> tuple[Measured | None, bool]:
-        """What holds ``limit`` with the main ladder alone, if anything does; and whether that is given up
-        because it costs more than ``best``."""
+        self, settings: Settings, limit: float, best: M | None
+    ) -> tuple[M | None, bool]:
+        """The coarsest value of the main ladder with rmse <= ``limit``, if there is one, and whether the search was
+        stopped because it costs more than ``best``."""
         if not self._main:
             tried = self.measure(settings)
             return (tried if tried.rmse <= limit else None), False
         main = self._main[0]
         values = main.values
         at = main.near(settings[main.key])
-        low, high = -1, len(values)  # indices known to be too coarse; fine enough
-        held: Measured | None = None
+        low, high = -1, len(values)  # indices: the finest known to be too coarse, the coarsest known to suffice
+        held: M | None = None
         history: list[tuple[int, float]] = []
         while high - low > 1:
             tried = self.measure({**settings, main.key: values[at]})
@@ -167,8 +170,8 @@ class Search:
             else:
                 low = at
                 history.append((at, tried.rmse))
-                # Dearer than the best by far and not yet good enough: finer can only be dearer.
-                if best is not None and tried.cost > _DEARER * best.cost:
+                # It is much more expensive than the best and not exact enough; a finer one only costs more.
+                if best is not None and tried.cost > _MORE_EXPENSIVE * best.cost:
                     return held, True
                 if _is_at_floor(history):
                     break
@@ -179,13 +182,13 @@ class Search:
 
 
 def _promise(look: Measured, limit: float) -> float:
-    """What an error of ``limit`` may cost, if the error falls with the square of the cost."""
+    """The predicted cost of an error of ``limit``, assuming that the error falls with the square of the cost."""
     return look.cost * math.sqrt(max(look.rmse / limit, 1e-3)) if look.rmse < math.inf else math.inf
 
 
-def pareto_front(points: list[Measured]) -> list[Measured]:
-    """Those that no other beats in both error and time: by falling error, rising time."""
-    front: list[Measured] = []
+def pareto_front(points: list[M]) -> list[M]:
+    """The points that no other beats in both error and time, ordered by rising time and falling error."""
+    front: list[M] = []
     for point in sorted(points, key=lambda p: (p.seconds, p.rmse)):
         if not front or point.rmse < front[-1].rmse:
             front.append(point)

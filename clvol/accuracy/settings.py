@@ -1,6 +1,6 @@
 """Settings: values for a scene's tunables (clvol/accuracy/tunables.py).
 
-Settings are mappings from key ("integration.step") to value; all functions leave theirs as it is.
+Settings are mappings from key ("integration.step") to value. No function changes the settings that it is given.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ Settings = Mapping[str, Any]
 
 @dataclass(frozen=True, eq=False)
 class SceneTunable:
-    """A tunable as one scene has it. ``key``: "TABLE.KEY"; ``values``: in the tunable's order, the scene's
-    own value among them; ``scene_value``: what the scene says."""
+    """A tunable of one scene. ``key``: "TABLE.KEY"; ``values``: in the tunable's order, including the scene's own
+    value, ``scene_value``; ``about``: the description of the key."""
 
     key: str
     tunable: Tunable
@@ -31,21 +31,21 @@ class SceneTunable:
     about: str
 
     def next_to(self, value: Any, notches: int) -> Any | None:
-        """The value ``notches`` steps more accurate (or cheaper, below 0); None past the ends."""
-        at, between = self._place(value)
+        """The value ``notches`` steps more accurate (cheaper if negative); None beyond the ends."""
+        at, between = self._position(value)
         at += notches + (between and notches < 0)
         return self.values[at] if 0 <= at < len(self.values) else None
 
     def more(self, value: Any, notches: int) -> Any:
         """The value ``notches`` steps more accurate, at most the last one."""
-        return self.values[min(self._place(value)[0] + notches, len(self.values) - 1)]
+        return self.values[min(self._position(value)[0] + notches, len(self.values) - 1)]
 
     def near(self, value: Any) -> int:
-        """The index of ``value``, or of the next cheaper one of the ladder."""
-        return max(self._place(value)[0], 0)
+        """The index of ``value``, or of the next cheaper value of the ladder."""
+        return max(self._position(value)[0], 0)
 
-    def _place(self, value: Any) -> tuple[int, bool]:
-        """The index of ``value``, or that of the next cheaper one and True."""
+    def _position(self, value: Any) -> tuple[int, bool]:
+        """The index of ``value`` and False, or that of the next cheaper value and True."""
         if value in self.values:
             return self.values.index(value), False
         order = self.tunable.order
@@ -68,14 +68,15 @@ def scene_tunables(resolved: ResolvedScene) -> dict[str, SceneTunable]:
 
 
 def scene_settings(resolved: ResolvedScene, tunables: Mapping[str, SceneTunable]) -> dict[str, Any]:
-    """What ``resolved`` itself says, for all of ``tunables``."""
+    """The values of all ``tunables`` in ``resolved``."""
     return {key: value_of(resolved, key) for key in tunables}
 
 
 def apply(resolved: ResolvedScene, settings: Settings) -> ResolvedScene:
-    """``resolved`` with other ``settings``. SceneError where a value is impossible."""
+    """``resolved`` with ``settings``. Raises SceneError for an impossible value."""
     differing = {key: value for key, value in settings.items() if value_of(resolved, key) != value}
-    return replace(resolved, **tables_with(resolved, differing))
+    tables: dict[str, Any] = tables_with(resolved, differing)  # each name has a table of its own type
+    return replace(resolved, **tables)
 
 
 def tables_with(scene: Any, settings: Settings) -> dict[str, Table]:
@@ -90,7 +91,7 @@ def tables_with(scene: Any, settings: Settings) -> dict[str, Table]:
 
 
 def value_of(scene: Any, key: str) -> Any:
-    """What a scene (resolved or not) says for "TABLE.KEY"."""
+    """The value of "TABLE.KEY" in a scene (resolved or not)."""
     table, name = key.split(".")
     return getattr(getattr(scene, table), name)
 
@@ -98,12 +99,11 @@ def value_of(scene: Any, key: str) -> Any:
 def is_possible(
     resolved: ResolvedScene, settings: Settings, memory_cap: int | None = None
 ) -> bool:
-    """Whether the scene can be rendered with these settings, in ``memory_cap`` bytes of the
-    device if that is given."""
+    """Whether the scene can be rendered with these settings, within ``memory_cap`` bytes on the device if given."""
     try:
-        asked = apply(resolved, settings)
-        check_scene(asked)
-        check_memory(asked, memory_cap)
+        scene = apply(resolved, settings)
+        check_scene(scene)
+        check_memory(scene, memory_cap)
     except ClvolError:
         return False
     return True
@@ -112,9 +112,9 @@ def is_possible(
 def canonical(
     resolved: ResolvedScene, tunables: Mapping[str, SceneTunable], settings: Settings
 ) -> dict[str, Any]:
-    """``settings`` with the scene's own value wherever a tunable has no effect beside the others.
+    """``settings`` with the scene's own value for every tunable that has no effect in combination with the others.
 
-    Settings that make the same picture in the same way are therefore equal.
+    Settings that produce the same picture in the same way are therefore equal.
     """
     scene = apply(resolved, settings)
     return {
@@ -147,7 +147,7 @@ def neighbours(tunables: Mapping[str, SceneTunable], settings: Settings) -> Iter
 
 
 def label(tunables: Mapping[str, SceneTunable], settings: Settings, resolved: ResolvedScene) -> str:
-    """A short name in words: the alternatives, the main ladders, and what differs from the scene."""
+    """A short description: the alternatives, the main ladders, and every other value that differs from the scene."""
     parts, scene = [], apply(resolved, settings)
     for key, tunable in tunables.items():
         value = settings[key]
@@ -169,7 +169,7 @@ def format_setting(title: str, value: Any, is_ladder: bool = True) -> str:
 
 
 def _with(own: Any, values: tuple, tunable: Tunable) -> tuple:
-    """``values`` with the scene's own one in its place."""
+    """``values`` with the scene's own value inserted in order."""
     if own in values:
         return values
     if not tunable.is_ladder:

@@ -1,4 +1,4 @@
-"""Rendering to a time: the most accurate picture whose frame takes at most the given seconds."""
+"""Renders to a time: the most accurate picture whose frame takes at most the given seconds."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from clvol.errors import UsageError
 from clvol.render.frame import Frame
 from clvol.scene.scene import Scene
 
-_SHORTEST = 1e-9  # seconds: no picture takes less, whatever the device
-_FIRST_ERROR, _LARGEST_ERROR = 1e-2, 0.5  # where the search begins, and gives up
+_SHORTEST = 1e-9  # seconds; no device renders a picture in less
+_FIRST_ERROR, _LARGEST_ERROR = 1e-2, 0.5  # where the search begins, and where it gives up
 _LOOKS_AT_TIME = 10
-_USED = 0.7  # share of the time that is enough of it
+_USED = 0.7  # share of the time that counts as used
 
 
 def render_in_time(
@@ -28,11 +28,11 @@ def render_in_time(
     progress: Progress | None = None,
     seed: int = 0,
 ) -> Frame:
-    """The most accurate picture whose frame takes at most ``seconds`` (``stats["seconds"]["render"]``:
-    compiled and resident; the choice and the measurement come on top).
+    """Renders ``scene`` with the most accurate settings whose frame takes at most ``seconds``.
 
-    Its error is measured and reported as by ``render_to_error``, and other arguments are the same. Raises
-    UsageError if even the quickest settings take longer.
+    The time is ``stats["seconds"]["render"]``, that of a compiled and resident scene; the search for settings and the
+    measurement of the error are not included. The error is measured and reported as by ``render_to_error``, which has
+    the same other arguments. Raises UsageError if even the fastest settings take longer.
     """
     check_time_budget(seconds)
     with PictureSearch(scene, devices, memory_cap, _FIRST_ERROR, depth, progress, seed) as search:
@@ -40,7 +40,7 @@ def render_in_time(
 
 
 def check_time_budget(value: float) -> None:
-    """UsageError for a time that is not finite, or less than 1e-9 seconds."""
+    """Raises UsageError for a time that is not finite, or less than 1e-9 seconds."""
     if not 0.0 < value < math.inf:
         raise UsageError("time_budget", f"got {value!r}", "seconds, more than 0")
     if value < _SHORTEST:
@@ -48,9 +48,9 @@ def check_time_budget(value: float) -> None:
 
 
 def _in_time(search: PictureSearch, budget: float) -> Frame:
-    """Searches for the cheapest picture for one error after the other, until the time is used."""
+    """Searches for the cheapest picture for a sequence of errors, until the time is used."""
     best: Trial | None = None
-    low, high = 0.0, _LARGEST_ERROR  # errors that take too long; that there is time for
+    low, high = 0.0, _LARGEST_ERROR  # an error that takes too long to reach, and one for which there is time
     error = _FIRST_ERROR
     for _ in range(_LOOKS_AT_TIME):
         picture = search.cheapest_picture(error)
@@ -61,8 +61,8 @@ def _in_time(search: PictureSearch, budget: float) -> Frame:
                 break
         else:
             low = error
-        # The error falls with about the square of the time.
-        over = min(seconds / (AIM * budget), 1e3)  # whose square no budget makes overflow
+        # The error falls roughly with the square of the time.
+        over = min(seconds / (AIM * budget), 1e3)  # limited so that its square does not overflow
         guess = error * min(max(over**2, 0.03), 30.0)
         if low > 0:
             guess = max(guess, low * (high / low) ** 0.25)
@@ -72,6 +72,6 @@ def _in_time(search: PictureSearch, budget: float) -> Frame:
             break
     if best is None:
         least = min(trial.seconds for trial in search.pictures.values())
-        raise UsageError("time_budget", f"got {budget:g} s", f"at least {least:.3g} s here")
+        raise UsageError("time_budget", f"got {budget:g} s", f"at least {least:.3g} s on this device")
     found = search.measured(best, 1, None)
     return search.frame(best, found, {"time_budget": budget}, 1)

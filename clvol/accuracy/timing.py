@@ -1,5 +1,5 @@
-"""Taking times: medians over rounds in which all candidates take turns, so that a machine that is
-busy for a while does not favour one of them."""
+"""Measures times as medians over rounds in which all candidates take turns, so that a temporary load on the machine
+affects all of them alike."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ FEWEST_FRAMES = 3
 
 
 def summary(seconds: list[float]) -> dict[str, Any]:
-    """Median and spread of some times."""
+    """Statistics of ``seconds``; "spread" is the interquartile range divided by the median."""
     quartiles = statistics.quantiles(seconds, n=4) if len(seconds) > 1 else [seconds[0]] * 3
     return {
         "median": statistics.median(seconds),
@@ -29,12 +29,12 @@ def take_turns(
     never_slow: tuple[Any, ...] = (),
     steady_seconds: float = 0.5,
 ) -> dict[Any, dict[str, Any]]:
-    """Calls each candidate once a round; it returns its own seconds. The caller has warmed up.
+    """Calls each candidate once per round, and returns the ``summary`` of the seconds that each returns.
 
-    A candidate slower than ``slow_seconds`` is called in the first FEWEST_FRAMES rounds only,
-    unless it is in ``never_slow``. One quicker than ``steady_seconds`` first makes a frame that does not
-    count, and so do all others in their turn: what is measured is a frame that follows a frame, not
-    one that finds the caches full of another candidate's data. Returns ``summary`` of each.
+    The caller has warmed up all candidates. A candidate slower than ``slow_seconds`` is called in the first
+    FEWEST_FRAMES rounds only, unless it is in ``never_slow``. A candidate faster than ``steady_seconds`` renders an
+    extra frame first, which is not counted, so that the measured frame does not start with caches that hold another
+    candidate's data.
     """
     seconds: dict[Any, list[float]] = {key: [] for key in candidates}
     for _ in range(rounds):

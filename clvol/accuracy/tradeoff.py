@@ -1,10 +1,10 @@
-"""Error against time: one scene under many settings, and which of them are worth using.
+"""Measures error against time: renders one scene with many settings, and finds those that are worth using.
 
-Settings are values of the tunables (clvol/accuracy/tunables.py). Tried are: each tunable alone, from
-the scene's own settings; the main ladders (the step) under every combination of alternatives
-(classification, quadrature, filter ...); by each other method the tunables of that method; and then,
-again and again, the neighbours of whatever lies on the Pareto front so far. Errors are those of all
-pixels against the exact integral; times are medians of frames for which all candidates take turns.
+Settings are values of the tunables (clvol/accuracy/tunables.py). First each tunable is varied alone, from the scene's
+own settings. Then the tunables of every other method are varied, and the main ladders (the step) with every
+combination of alternatives (classification, quadrature, filter, ...). Finally the neighbours of the points on the
+Pareto front are tried until it no longer changes. Errors are measured over all pixels against the exact integral.
+Times are medians over frames, for which all candidates take turns.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 import clvol
-from clvol.accuracy.ground_truth import check_has_truth
+from clvol.accuracy.ground_truth import GroundTruth, check_has_truth
 from clvol.accuracy.metrics import compare, max_abs
 from clvol.accuracy.search import pareto_front
 from clvol.accuracy.settings import (
@@ -38,17 +38,18 @@ from clvol.accuracy.tunables import Tunable
 from clvol.errors import UsageError
 from clvol.integrators.registry import check_scene, integrator_of
 from clvol.render.notices import Notices
+from clvol.render.prepared_cache import PreparedCache
 from clvol.render.renderer import check_memory, open_context
 from clvol.scene.scene import Scene
 
-SETTINGS = 160  # tried at most
+SETTINGS = 160  # largest number of settings to try
 FRAMES = 7
-_SLOWEST = 40.0  # times the scene's own frame: what takes longer is not refined further
-_PATIENCE = 2.0  # seconds that a frame may always take
-_STRIDE = 4  # notches of the main ladder between the settings of combinations
-_BEATEN = 0.7  # of both error and time: so much less is not for noise
-_FLOOR = 0.9  # of the error two notches before
-_SAME_ERROR, _SAME_TIME = 0.97, 0.03  # shares that are not worth two names
+_SLOWEST = 40.0  # times the scene's own frame; settings that take longer are not refined further
+_PATIENCE = 2.0  # seconds per frame that are always acceptable
+_STRIDE = 4  # notches of the main ladder between two settings of a combination
+_BEATEN = 0.7  # ratio of both error and time below which the difference is not noise
+_FLOOR = 0.9  # share of the error two notches before, above which a ladder no longer helps
+_SAME_ERROR, _SAME_TIME = 0.97, 0.03  # ratio of errors and difference of times that count as equal
 _METHOD = "integration.method"
 _DECADES = (1e-1, 3e-2, 1e-2, 3e-3, 1e-3, 3e-4, 1e-4, 3e-5, 1e-5, 1e-6)
 
@@ -64,11 +65,11 @@ def measure_tradeoff(
     settings: int = SETTINGS,
     progress: Progress | None = None,
 ) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """Renders ``scene`` under at most ``settings`` settings, and times what is worth it ``frames`` times.
+    """Renders ``scene`` with at most ``settings`` settings, and times the relevant ones over ``frames`` frames.
 
-    Returns the result as tradeoff.json holds it, and float32 [h, w, 4] pictures: "reference", and by
-    their points' ids those of the scene's own settings and of the front.
-    Raises what ``clvol.Renderer`` raises, and UsageError for a wrong number.
+    Returns the content of tradeoff.json, and pictures, float32 [h, w, 4], by name: "reference", and the ids of the
+    points of the front and of the scene's own settings. Raises what ``clvol.Renderer`` raises, and UsageError for
+    numbers below 1.
     """
     for name, value, least in (("frames", frames, 1), ("settings", settings, 1)):
         if value < least:
@@ -77,8 +78,8 @@ def measure_tradeoff(
     try:
         sweep.explore(settings)
         result, pictures = sweep.result(frames)
-        asked = sweep.resolved
-        Notices(asked).of_picture(asked, asked.camera, pictures["reference"], None)
+        resolved = sweep.resolved
+        Notices(resolved).of_picture(resolved, resolved.camera, pictures["reference"], None)
         return result, pictures
     finally:
         sweep.trials.engines.close()
@@ -86,7 +87,11 @@ def measure_tradeoff(
 
 
 class _Sweep:
-    def __init__(self, scene: Scene, devices, memory_cap, progress: Progress | None) -> None:
+    """The state of one sweep: device, tunables and all trials so far."""
+
+    def __init__(
+        self, scene: Scene, devices: Sequence[Any] | None, memory_cap: int | None, progress: Progress | None
+    ) -> None:
         resolved = scene.resolve()
         resolved = apply(resolved, {_METHOD: integrator_of(resolved).tuned_as})
         check_scene(resolved)
@@ -96,18 +101,20 @@ class _Sweep:
         self.context = open_context(devices)
         self.tunables = scene_tunables(resolved)
         self.base = canonical(resolved, self.tunables, scene_settings(resolved, self.tunables))
-        self.trials = Trials(
-            resolved, self.context, tolerance=resolved.integration.tolerance, frames=2
-        )
+        engines = PreparedCache(self.context)
+        self.truth = GroundTruth(resolved, self.context, engines)
+        tolerance = resolved.integration.tolerance
+        self.trials = Trials(resolved, self.context, engines, tolerance=tolerance, frames=2, truth=self.truth)
         self.found: dict[tuple, Trial] = {}
-        self.sweeps: dict[tuple, list[str]] = {}  # which one-tunable curves a setting lies on
+        self.sweeps: dict[tuple, list[str]] = {}  # the tunables on whose own curves each setting lies
 
     # Exploring
 
     def explore(self, most: int) -> None:
+        """Tries at most ``most`` settings."""
         self.most = most
         self.trials.exact(self.report_as("integrating exactly"))
-        baseline = self.try_out(self.base)
+        baseline = self.run(self.base)
         self.limit = max(_SLOWEST * baseline.seconds, _PATIENCE)
         for key, tunable in self.tunables.items():
             for settings in self.ladder(self.base, key, 1):
@@ -134,9 +141,11 @@ class _Sweep:
                     self.try_out(settings)
 
     def by_other_methods(self) -> Iterator[dict[str, Any]]:
-        """The scene's own settings with each other method: some tunables are of that alone."""
+        """The scene's own settings with each other method, because some tunables belong to one method only."""
         tunable = self.tunables.get(_METHOD)
-        for value in tunable.values if tunable else ():
+        if tunable is None:
+            return
+        for value in tunable.values:
             settings = {**self.base, _METHOD: value}
             if value != tunable.scene_value and self.is_possible(settings):
                 yield settings
@@ -145,15 +154,15 @@ class _Sweep:
         return is_possible(self.resolved, settings, self.memory_cap)
 
     def ladder(self, settings: dict[str, Any], key: str, stride: int) -> list[dict[str, Any]]:
-        """Tries one tunable's values from the scene's own outwards, as far as makes sense."""
+        """Tries the values of one tunable from the scene's own outwards, while that is useful; returns the settings."""
         tunable = self.tunables[key]
         tried = []
         own = tunable.values.index(tunable.scene_value)
         outwards = [range(own, len(tunable.values), stride), range(own - stride, -1, -stride)]
-        for places in outwards:
+        for indices in outwards:
             errors: list[float] = []
-            for place in places:
-                trial = self.try_out({**settings, key: tunable.values[place]})
+            for index in indices:
+                trial = self.try_out({**settings, key: tunable.values[index]})
                 if trial is not None:
                     tried.append(trial.settings)
                     errors.append(trial.rmse)
@@ -164,8 +173,8 @@ class _Sweep:
         return tried
 
     def leads_nowhere(self, trial: Trial | None, errors: list[float], tunable: Tunable) -> bool:
-        """Whether a ladder's next values can be left out: it takes too long, or is no longer of any use:
-        beaten by far, and nothing has changed."""
+        """Whether the next values of a ladder can be skipped, because they take too long, or because another trial is
+        far better and the last notches hardly changed the error."""
         if trial is None or not tunable.is_ladder:
             return False
         if trial.seconds > self.limit:
@@ -179,14 +188,18 @@ class _Sweep:
         return beaten and len(errors) > 2 and errors[-1] > _FLOOR * errors[-3]
 
     def try_out(self, settings: dict[str, Any]) -> Trial | None:
-        """The trial of ``settings``; None if nothing renders them or enough have been tried."""
+        """The trial of ``settings``; None if they cannot be rendered or enough settings have been tried."""
         if not self.is_possible(settings):
             return None
         settings = canonical(self.resolved, self.tunables, settings)
+        if key_of(settings) not in self.found and len(self.found) >= self.most:
+            return None
+        return self.run(settings)
+
+    def run(self, settings: dict[str, Any]) -> Trial:
+        """The trial of ``settings`` (canonical, possible), rendered unless it is known."""
         key = key_of(settings)
         if key not in self.found:
-            if len(self.found) >= self.most:
-                return None
             self.report(len(self.found), self.most, "trying settings")
             self.found[key] = self.trials.run(settings)
         return self.found[key]
@@ -194,7 +207,7 @@ class _Sweep:
     def front(self) -> list[Trial]:
         return pareto_front(list(self.found.values()))
 
-    # Timing and telling
+    # Timing and reporting
 
     def result(self, frames: int) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
         timed = {key_of(t.settings): t for t in self.front()}
@@ -204,7 +217,7 @@ class _Sweep:
         runs = {key: self.trials.frames_of(trial.settings) for key, trial in timed.items()}
         rounds = _Rounds(self.report_as("timing"), frames * len(runs))
         times = take_turns(
-            {key: rounds.counted(lambda run=run: run()[0]) for key, run in runs.items()}, frames
+            {key: rounds.counted(run) for key, run in runs.items()}, frames
         )
         ids = {key: f"p{n}" for n, key in enumerate(timed)}
         points, pictures = {}, {"reference": self.trials.exact().astype(np.float32)}
@@ -217,14 +230,14 @@ class _Sweep:
             pictures[ids[key]] = rgba
             measured = compare(rgba, self.trials.exact(), self.resolved.background)
             points[key] |= {"max_abs": max_abs(rgba, self.trials.exact()), **measured}
-        for key, trial in self.found.items():  # looked at, but not timed as carefully
+        for key, trial in self.found.items():  # rendered, but not timed as carefully
             if key not in points:
                 seconds = {"median": trial.seconds, "min": trial.seconds, "max": max(trial.times),
                            "spread": None, "frames": len(trial.times)}  # fmt: skip
                 points[key] = self.point(f"p{len(points)}", trial, seconds)
         for key in front:
             points[key]["on_front"] = True
-        return self.told(points, [ids[key] for key in front], ids[base], frames), pictures
+        return self.content(points, [ids[key] for key in front], ids[base], frames), pictures
 
     def point(self, name: str, trial: Trial, seconds: dict[str, Any]) -> dict[str, Any]:
         sweeps = self.sweeps.get(key_of(trial.settings), [])
@@ -246,7 +259,8 @@ class _Sweep:
             "sweep": sweeps[0] if len(sweeps) == 1 else None,
         }  # fmt: skip
 
-    def told(self, points: dict, front: list[str], baseline: str, frames: int) -> dict[str, Any]:
+    def content(self, points: dict, front: list[str], baseline: str, frames: int) -> dict[str, Any]:
+        """The content of tradeoff.json."""
         resolved, counters = self.resolved, self.trials.reference_counters
         report = self.context.device
         by_id = {point["id"]: point for point in points.values()}
@@ -264,7 +278,7 @@ class _Sweep:
                 "system": platform.system(), "clvol": clvol.__version__,
             },
             "reference": {
-                "how": self.trials.truth.how,
+                "how": self.truth.how,
                 "step": counters.get("step"),
                 "tolerance": self.trials.tolerance,
                 "seconds": counters.get("seconds"),
@@ -304,33 +318,35 @@ class _Rounds:
     def __init__(self, report: Callable[[int, int], None], total: int) -> None:
         self.report, self.total, self.done = report, total, 0
 
-    def counted(self, run: Callable[[], float]) -> Callable[[], float]:
+    def counted(self, run: Callable[[], tuple[float, np.ndarray]]) -> Callable[[], float]:
+        """A function that renders a frame by ``run`` and returns its seconds."""
+
         def counting() -> float:
             self.done += 1
             self.report(min(self.done, self.total), self.total)
-            return run()
+            return run()[0]
 
         return counting
 
 
 def sentences(front: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """"For error below X, use Y: Z seconds", for a row of X that the ``front`` (by falling error)
-    reaches; where two X would name the same settings, only the smaller."""
-    told: dict[str, dict[str, Any]] = {}
+    """Sentences such as "for error below X, use Y: Z s", for each X of a list that the ``front`` (by falling error)
+    reaches. If the same settings serve several X, only the smallest X is listed."""
+    found: dict[str, dict[str, Any]] = {}
     for error in _DECADES:
         held = [point for point in front if point["rmse"] <= error]
         if held:
             point, seconds = held[0], held[0]["seconds"]["median"]
             text = f"for error below {error:g}, use {point['label']}: {seconds:.3g} s"
-            told[point["id"]] = {
+            found[point["id"]] = {
                 "error": error, "point": point["id"], "seconds": seconds, "text": text
             }  # fmt: skip
-    return list(told.values())
+    return list(found.values())
 
 
 def _front_of(points: dict[tuple, dict[str, Any]]) -> list[tuple]:
-    """Keys of the points that no other beats in error and time, by falling error; of those whose times
-    cannot be told apart, the more exact one, or else the one nearest to the scene."""
+    """The keys of the points that no other beats in error and time, by rising time and falling error. Of points whose
+    times cannot be distinguished, the more exact one is kept, or with equal errors the one closest to the scene."""
     front: list[tuple] = []
     for key, point in sorted(
         points.items(), key=lambda item: (item[1]["seconds"]["median"], item[1]["rmse"])
@@ -350,6 +366,6 @@ def _front_of(points: dict[tuple, dict[str, Any]]) -> list[tuple]:
 
 
 def _same_time(a: dict[str, Any], b: dict[str, Any]) -> bool:
-    """Whether two medians are nearer than their quartiles are apart."""
+    """Whether two medians differ by less than the spread of the times."""
     noise = max(_SAME_TIME, 0.5 * max(a["spread"] or 0.0, b["spread"] or 0.0))
     return b["median"] - a["median"] <= noise * b["median"]

@@ -1,4 +1,4 @@
-"""Trials: one scene under many settings, each picture beside the exact integral and the clock."""
+"""Trials: renders one scene with many settings, and measures the error and the time of each picture."""
 
 from __future__ import annotations
 
@@ -13,11 +13,13 @@ import numpy as np
 from clvol.accuracy.ground_truth import GroundTruth
 from clvol.accuracy.settings import Settings, apply
 from clvol.device.view import EVERY_PIXEL, PixelLattice
+from clvol.integrators.base import Prepared
 from clvol.opencl.context import DeviceContext
 from clvol.render.prepared_cache import PreparedCache
 from clvol.scene.resolve import ResolvedScene
 
-# Tables are built once for all views of a scene; a single view should still finish quickly.
+# Share of the preparation that counts as cost: it is done once for all views of a scene, but a single view should
+# still finish quickly.
 PREPARATION = 0.02
 
 _log = logging.getLogger(__name__)
@@ -25,12 +27,13 @@ _log = logging.getLogger(__name__)
 
 @dataclass(eq=False)
 class Trial:
-    """What one rendering with ``settings`` gave.
+    """The result of rendering with ``settings``.
 
-    ``seconds``: the least of its ``times`` (of the whole picture: predicted, where a lattice of pixels was
-    rendered). ``rgba`` float32 [h, w, 4], ``depth`` [h, w] or None: of the lattice's pixels. ``rmse``
-    against the exact integral at them, inf where something is not finite. ``times`` are of that picture alone.
-    ``cost``: what "cheap" means, seconds of the picture and a share of those that prepare it.
+    ``seconds``: of the whole picture, the smallest of ``times``, or predicted from it if only a lattice of pixels was
+    rendered. ``times``: of each frame as rendered. ``samples`` and ``rays``: of the whole picture, predicted likewise.
+    ``rmse``: against the exact integral at the rendered pixels; inf if a value is not finite. ``cost``: the seconds of
+    the picture and a share of those that prepare it, by which settings are compared. ``rgba`` (float32 [h, w, 4]) and
+    ``depth`` ([h, w] or None): of the rendered pixels.
     """
 
     settings: dict[str, Any]
@@ -45,15 +48,22 @@ class Trial:
     rgba: np.ndarray | None = field(default=None, repr=False)
     depth: np.ndarray | None = field(default=None, repr=False)
 
+    @property
+    def picture(self) -> np.ndarray:
+        """``rgba`` of a trial that was run with ``keep``; ValueError for any other."""
+        if self.rgba is None:
+            raise ValueError("the picture of this trial was not kept")
+        return self.rgba
+
 
 class Trials:
-    """Renders ``resolved`` under any settings on the pixels of ``lattice``.
+    """Renders ``resolved`` with any settings on the pixels of ``lattice``.
 
-    The exact integral there is taken to ``tolerance`` when it is first needed; it is that of the scene's own
-    filter and of its own classification (pre-classified, or one of the two that classify
-    interpolated values): a setting that changes these is measured as the approximation that it is.
-    (For scenes with effects it is the limit of small steps, see GroundTruth.) ``exact`` float64 [h, w, 4]: that
-    integral, where it is known already. With ``truth`` False errors are not measured, and reported as inf.
+    The exact integral at these pixels is computed to ``tolerance`` when it is first needed. It has the scene's own
+    filter and classification (of voxels, or of interpolated values), so settings that change these are measured as
+    approximations of the scene. For scenes with effects it is the limit of small steps (see GroundTruth).
+    ``exact`` (float64 [h, w, 4]): that integral, if it is known already. ``truth``: the ground truth, or True to create
+    it. If ``truth`` is False, errors are not measured and are reported as inf.
     """
 
     def __init__(
@@ -83,8 +93,10 @@ class Trials:
         self._overhead: float | None = None
 
     def exact(self, progress: Callable[[int, int], None] | None = None) -> np.ndarray:
-        """float64 [h, w, 4] at the lattice's pixels."""
+        """The ground truth at the lattice's pixels, float64 [h, w, 4]."""
         if self._exact is None:
+            if self.truth is None:
+                raise ValueError("trials without ground truth have no exact pixels")
             pixels = self.lattice.pixels(*self.size)
             rgba, self.reference_counters = self.truth.pixels(pixels, self.tolerance, progress)
             width, height = self.lattice.size(*self.size)
@@ -92,7 +104,7 @@ class Trials:
         return self._exact
 
     def run(self, settings: Settings, keep: bool = False) -> Trial:
-        """Renders with ``settings``, a few times; with ``keep`` the trial holds the picture."""
+        """Renders with ``settings`` several times. With ``keep`` the trial holds the picture."""
         resolved = apply(self.resolved, settings)
         start, compiled = time.perf_counter(), self.context.compile_seconds
         engine = self.engines.prepare(resolved)
@@ -129,7 +141,7 @@ class Trials:
         return trial
 
     def frames_of(self, settings: Settings) -> Callable[[], tuple[float, np.ndarray]]:
-        """A function that renders one more frame: (seconds, picture). All is prepared and stays so."""
+        """A function that renders one more frame and returns (seconds, picture). Everything is prepared in advance."""
         engine = self.engines.prepare(apply(self.resolved, settings))
         engine.warm_up(*self.size, self.depth)
 
@@ -140,29 +152,29 @@ class Trials:
 
         return frame
 
-    def _of_picture(self, engine, seconds: float) -> float:
-        """What the whole picture takes, from what the lattice took."""
+    def _of_picture(self, engine: Prepared, seconds: float) -> float:
+        """The predicted seconds of the whole picture, from those of the lattice."""
         if self._scale == 1.0:
             return seconds
-        if self._overhead is None:  # a launch costs as much for few pixels as for all
+        if self._overhead is None:  # the fixed cost of a launch, measured with very few pixels
             far = PixelLattice(self.lattice.spacing, self.size[0] - 1, self.size[1] - 1)
-            taken = []
+            times = []
             for _ in range(5):
                 start = time.perf_counter()
                 engine.render(self.resolved.camera, *self.size, depth=self.depth, lattice=far)
-                taken.append(time.perf_counter() - start)
-            self._overhead = min(taken)
+                times.append(time.perf_counter() - start)
+            self._overhead = min(times)
         return self._overhead + self._scale * max(seconds - self._overhead, 0.1 * seconds)
 
 
 def _changes(resolved: ResolvedScene, settings: Settings) -> str:
-    """The settings that differ from those of the scene."""
+    """Describes the settings that differ from those of the scene."""
     own = {key: getattr(getattr(resolved, key.split(".")[0]), key.split(".")[1]) for key in settings}
     changed = [f"{key}={value}" for key, value in settings.items() if value != own[key]]
     return ", ".join(changed) or "the settings of the scene"
 
 
 def root_mean_square(difference: np.ndarray) -> float:
-    """Over all pixels and channels; inf where something is not finite."""
+    """The root mean square over all pixels and channels; inf if a value is not finite."""
     value = float(np.sqrt(np.mean(np.square(np.asarray(difference, np.float64)))))
     return value if np.isfinite(value) else np.inf

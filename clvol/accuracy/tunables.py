@@ -1,7 +1,7 @@
 """Tunables: the keys of a scene that trade accuracy for time, and which values of each are tried.
 
-What sweeps settings (error against time, the cheapest settings for an error) finds them in ``TUNABLES``.
-To add one, add a line there; a key of these tables that is no tunable is in ``NOT_TUNABLE`` with the reason.
+``clvol tradeoff`` and the searches for an error or a time use the keys in ``TUNABLES``. To add a tunable, add a line
+there. Every other key of these tables must be in ``NOT_TUNABLE``, with the reason.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ TABLES: dict[str, type[Table]] = {
     table.table_name(): table for table in (Integration, ImageSettings, Multiresolution, Pyramid)
 }
 _STEPS = tuple(2.0 ** (k / 2) for k in range(6, -11, -1))  # 8 ... 1/32
-_SHARES = 5  # halvings of the volume that budgets are tried for
+_SHARES = 5  # number of halvings of the volume's size that are tried as budgets
 _UNITS = ("B", "KiB", "MiB", "GiB", "TiB")
 
 
@@ -40,17 +40,19 @@ def _itself(value: Any) -> Any:
 
 @dataclass(frozen=True, eq=False)
 class Tunable:
-    """``values``: what to try, from cheap to accurate where ``is_ladder``, else alternatives in any
-    order; or a function of a resolved scene that gives them.
+    """A key of a scene that trades accuracy for time. ``title`` and ``unit`` name it in reports.
 
-    ``methods``: the values of integration.method that it belongs to; if empty, all.
-    ``applies(scene)``: whether it has any effect beside the scene's other keys. ``is_main``: the
-    one that accuracy is bought with first; a notch more of it is worth about as much everywhere.
-    ``is_continuous``: any value between two of the ladder's may be taken as well.
-    ``of_picture``: a pixel depends on its neighbours, so single pixels do not show the effect.
-    ``alone``: its alternatives are tried by themselves, not in all combinations with others'.
-    ``saves_memory``: cheap values are worth something even where they save no time.
-    ``order``: for a ladder whose values are not numbers, the number by which they ascend or descend.
+    ``values``: the values to try, or a function of a resolved scene that returns them. If ``is_ladder``, they are
+    ordered from cheap to accurate; otherwise they are alternatives in any order.
+
+    ``methods``: the values of integration.method to which it belongs; if empty, all.
+    ``applies(scene)``: whether it has an effect in combination with the scene's other keys.
+    ``is_main``: accuracy is first gained with this ladder, on which each notch has about the same effect.
+    ``is_continuous``: values between those of the ladder are valid, too.
+    ``of_picture``: pixels depend on their neighbours, so single pixels do not show the effect.
+    ``alone``: its alternatives are tried by themselves, not in all combinations with those of other tunables.
+    ``saves_memory``: cheap values are useful even if they save no time.
+    ``order``: maps the values of a ladder to numbers that ascend or descend along it.
     """
 
     title: str
@@ -67,11 +69,11 @@ class Tunable:
     order: Callable[[Any], Any] = _itself
 
     def is_of(self, method: str) -> bool:
-        """Whether it belongs to that integration.method."""
+        """Whether it belongs to ``method``, a value of integration.method."""
         return not self.methods or method in self.methods
 
     def counts(self, scene: Any) -> bool:
-        """Whether it has any effect beside the scene's method and other keys."""
+        """Whether it has an effect in combination with the scene's method and other keys."""
         return self.is_of(scene.integration.method) and self.applies(scene)
 
     def values_for(self, resolved: ResolvedScene) -> tuple:
@@ -79,22 +81,22 @@ class Tunable:
 
 
 def _precisions(resolved: ResolvedScene) -> tuple[str, ...]:
-    """Types that take less memory than the volume's own, and the volume as it is."""
+    """Voxel types smaller than that of the volume, and the volume as stored."""
     volume = resolved.volume
     smaller = [k for k, size in (("uint8", 1), ("uint16", 2)) if size < volume.dtype.itemsize]
-    if volume.nan_count or volume.inf_count:  # integers hold neither
+    if volume.nan_count or volume.inf_count:  # integers cannot represent them
         smaller = []
     return (*smaller, "stored")
 
 
 def _budgets(resolved: ResolvedScene) -> tuple[str, ...]:
-    """Sizes with room for shares of the volume, up to all of it, beside what else is needed."""
+    """Memory sizes with room for shares of the volume, up to all of it, and for everything else that is needed."""
     blocks = block_source(resolved.volume).blocks
     whole = blocks.count * blocks.edge**3 * sample_dtype(resolved.volume.dtype).itemsize
     sizes = []
     for halvings in range(_SHARES, -1, -1):
         share = size = whole >> halvings
-        for _ in range(2):  # the map of empty space is finer where the size allows
+        for _ in range(2):  # the map of empty space is finer if the size allows, so its own size depends on the result
             size = share + overhead_bytes(blocks, size)
         sizes.append(_readable(size))
     return tuple(dict.fromkeys(sizes))
@@ -113,7 +115,7 @@ def _tile_shares(resolved: ResolvedScene) -> tuple[float, ...]:
 
 
 def _oracles(resolved: ResolvedScene) -> tuple[str, ...]:
-    return names()  # when asked: a caller may have registered one
+    return names()  # read at each call, because a caller may have registered an oracle
 
 
 _RAYCAST, _BLOCKS, _PYRAMID = ("raycast",), ("multiresolution",), ("pyramid",)
@@ -166,15 +168,15 @@ TUNABLES: dict[str, Tunable] = {
 
 NOT_TUNABLE: dict[str, str] = {
     "integration.prefilter": "another picture: the field then passes through the voxels",
-    "integration.compositing": "another picture: what is shown of the values on a ray",
-    "integration.attenuation": "another picture: how much what lies behind counts",
-    "integration.table_size": "changes nothing any more",
-    "integration.tolerance": "of the method 'reference' alone, which errors are measured against",
+    "integration.compositing": "another picture: how the values along a ray become a pixel",
+    "integration.attenuation": "another picture: how much samples behind others contribute",
+    "integration.table_size": "has no effect any more",
+    "integration.tolerance": "belongs to the method 'reference', against which errors are measured",
     "image.background": "another picture: what is behind the volume",
     "image.width": "another picture",
     "image.height": "another picture",
-    "multiresolution.view_weighting": "which errors count for the view, at no cost",
-    "multiresolution.occlusion": "which errors count for the view, at no cost",
+    "multiresolution.view_weighting": "which errors matter for the view; it costs nothing",
+    "multiresolution.occlusion": "which errors matter for the view; it costs nothing",
     "multiresolution.tile_priority": "where rays go, not how many",
     "multiresolution.tile_low": "the lower end of the range whose upper end, tile_high, is tried",
 }

@@ -1,12 +1,11 @@
 """The command ``clvol``: one module per command, imported when that command is called.
 
-Exit status: 0 done; 2 the input is wrong; 3 no device works; 4 the render failed; 130 interrupted;
-143 ended by SIGTERM, 129 by SIGHUP (128 plus the signal's number for others that ask for an end).
-Every error is one line on stderr, ``clvol: error: WHERE: WHAT, expected WHAT``, and every warning one that begins
-``clvol: warning: ``; warnings change neither the status nor what is written. The environment variable CLVOL_DEBUG=1
-adds the traceback.
+Exit status: 0 done; 2 wrong input; 3 no working device; 4 rendering failed; 130 interrupted; 143 ended by SIGTERM,
+129 by SIGHUP (128 plus the signal's number for other signals that request an end). Every error is one line on stderr,
+``clvol: error: WHERE: WHAT, expected WHAT``. Every warning is a line that begins with ``clvol: warning: ``; warnings
+change neither the exit status nor the output. The environment variable CLVOL_DEBUG=1 adds the traceback.
 
-Nothing but this is imported before signals are looked after.
+Only this module is imported before the signal handlers are installed.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ INTERRUPTED = 130
 
 
 def __getattr__(name: str):
-    if name == "cli":  # the group of commands, once somebody asks
+    if name == "cli":  # the group of commands, imported on first use
         from clvol.cli.group import cli
 
         return cli
@@ -30,7 +29,7 @@ def __getattr__(name: str):
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line (``sys.argv`` by default) and return the exit status."""
+    """Runs the command line (``sys.argv`` by default) and returns the exit status."""
     debug = os.environ.get("CLVOL_DEBUG") == "1"
     _open_standard()
     try:
@@ -42,34 +41,34 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _open_standard() -> None:
-    """Opens the null device wherever standard input, output or error is closed: otherwise the next file that is
-    opened would get its number, and what libraries print would end up in a picture."""
+    """Opens the null device in place of standard input, output or error if they are closed. Otherwise the next file
+    that is opened would get that descriptor, and the output of libraries would end up in a picture."""
     for descriptor in range(3):
         try:
             os.fstat(descriptor)
         except OSError:
-            os.open(os.devnull, os.O_RDWR)  # takes the lowest number that is free
+            os.open(os.devnull, os.O_RDWR)  # gets the lowest free descriptor
 
 
-def _run(given: Sequence[str], debug: bool) -> int:
+def _run(arguments: Sequence[str], debug: bool) -> int:
     with _warnings_kept(debug) as warned:
         try:
-            from clvol.cli.group import run, told
+            from clvol.cli.group import describe_error, run
 
-            status = run(given)
+            status = run(arguments)
             for line in warned:
                 _say_on_stderr("clvol: warning: ", line)
             return status
         except Exception as error:
             check_stopped()
-            status, line = told(error)
+            status, line = describe_error(error)
             return _failed(line, status, debug)
 
 
 @contextmanager
 def _warnings_kept(debug: bool) -> Iterator[dict[str, None]]:
-    """Yields the lines of clvol's own warnings. They are printed at the end, because a progress bar may be on the
-    screen until then, and because an error is one line alone. Warnings of other packages are not shown."""
+    """Collects clvol's own warnings, and yields their lines. They are printed at the end, because a progress bar may be
+    shown until then, and because an error must be a single line. Warnings of other packages are not shown."""
     import warnings
 
     from clvol.errors import ClvolWarning
@@ -103,7 +102,7 @@ def _failed(line: str, status: int, debug: bool) -> int:
 
 
 def _say_on_stderr(head: str, line: str) -> None:
-    """One line, in which nothing can move a terminal's cursor."""
+    """Prints one line on stderr, with control characters as escapes."""
     from clvol.text import one_line
 
     _write_on_stderr(f"{head}{one_line(line)}\n")
@@ -114,7 +113,7 @@ def _write_on_stderr(text: str) -> None:
         if sys.stderr is not None:
             sys.stderr.write(text.encode(_encoding(), "backslashreplace").decode(_encoding()))
             sys.stderr.flush()
-    except (OSError, ValueError):  # nobody listens on stderr, or it is closed
+    except (OSError, ValueError):  # stderr is closed, or its reader has gone away
         pass
 
 

@@ -1,4 +1,4 @@
-"""clvol render for scenes of several frames: numbered pictures one by one, and whole videos."""
+"""clvol render for animations: numbered pictures that appear one by one, and videos."""
 
 from __future__ import annotations
 
@@ -15,19 +15,20 @@ from clvol.cli.verbose import log_scene
 from clvol.errors import ClvolError, UsageError
 
 if TYPE_CHECKING:
+    from clvol.cli.console import ShowProgress
     from clvol.render.made_from import MadeFrom
     from clvol.scene import Scene
     from clvol.scene.camera import Camera
     from clvol.scene.resolve import ResolvedScene
 
-_SHARES = 1000  # parts per frame that progress counts
-# Memory that reading one of our pictures takes; others need not be read.
+_SHARES = 1000  # units of progress per frame
+# The memory that reading a picture of clvol takes; pictures that need more are from elsewhere.
 _BYTES_PER_PIXEL = 48
 _HEADER_BYTES = 1 << 20
 
 
 def render_animation(
-    asked: Scene,
+    scene: Scene,
     outputs: Sequence[str],
     stats: str | None,
     *,
@@ -36,11 +37,11 @@ def render_animation(
     devices: list[str] | None,
     memory_cap: int | None,
 ) -> None:
-    """Renders all frames of ``asked`` and prints the files written.
+    """Renders all frames of ``scene``, and prints the names of the files written.
 
-    The pictures of a frame appear together when it is done, and stay whatever follows; videos and stats
-    appear at the end or not at all. ``resume``: frames are not rendered again if all their pictures exist, are
-    whole, and were made from the same scene, voxels and version (``clvol.render.made_from``).
+    The pictures of a frame appear together when it is done, and stay even if a later frame fails. Videos and stats
+    appear at the end or not at all. ``resume``: a frame is not rendered again if all its pictures exist, are whole,
+    and were made from the same scene, voxels and version (``clvol.render.made_from``).
     """
     from clvol.image import atomic_paths, check_video, is_video, open_video
 
@@ -48,18 +49,18 @@ def render_animation(
     videos = [path for path in outputs if is_video(path)]
     stills = [path for path in outputs if not is_video(path)]
     others = [] if stats is None else [stats]
-    count, fps = asked.animation.frames, asked.animation.fps
+    count, fps = scene.animation.frames, scene.animation.fps
     for path in videos:
-        check_video(path, fps, asked.image.width, asked.image.height)
+        check_video(path, fps, scene.image.width, scene.image.height)
     if resume and videos:
-        raise UsageError("--resume", f"given with {videos[0]}", "numbered pictures alone")
+        raise UsageError("--resume", f"given with {videos[0]}", "numbered pictures only")
     check_frames(stills, videos, others, count)
 
     with working("loading", quiet):
-        asked.load(memory_cap)
-        resolved = asked.resolve(memory_cap)
+        scene.load(memory_cap)
+        resolved = scene.resolve(memory_cap)
     load_seconds = time.perf_counter() - start
-    log_scene(asked, memory_cap)
+    log_scene(scene, memory_cap)
 
     from clvol.integrators.registry import integrator_of
     from clvol.render import Renderer
@@ -68,15 +69,15 @@ def render_animation(
     kept = set()
     if resume:
         with working("checking which frames exist", quiet):
-            size = resolved.image.width, resolved.image.height
+            width, height = resolved.image.width, resolved.image.height
             for index, seconds, camera in frames(resolved):
-                expected = {"size": size, "made_from": _told(resolved, index, seconds, camera)()}
-                if _is_there(stills, index, expected, resolved.source):
+                expected = {"size": (width, height), "made_from": _made_from(resolved, index, seconds, camera)()}
+                if _is_there(stills, index, expected, resolved.source or ""):
                     kept.add(index)
     written: list[str] = []
     totals = _Totals()
     depth = any(path.lower().endswith(".exr") for path in stills)
-    of_all = partial(_told_of_all, resolved, count)
+    of_all = partial(_made_from_all, resolved, count)
     todo = [frame for frame in frames(resolved) if frame[0] not in kept]
     size = f"{resolved.image.width} x {resolved.image.height} pixels"
     with ExitStack() as stack:
@@ -86,15 +87,15 @@ def render_animation(
         writers = [stack.enter_context(open_video(path, fps, of_all)) for path in parts]
         if todo:
             by_blocks = integrator_of(resolved).reads_blocks
-            how = {"devices": devices, "memory_cap": memory_cap}
-            renderer = Renderer(asked, **how, **reading_blocks(by_blocks and progress))
+            reading = reading_blocks(progress) if by_blocks else None
+            renderer = Renderer(scene, devices=devices, memory_cap=memory_cap, progress=reading)
             if by_blocks and progress is not None:
                 progress(None, None, f"rendering {len(todo)} frames of {size}")
             stack.enter_context(renderer)
         for done, (index, seconds, camera) in enumerate(todo):
             report = _part(progress, done, len(todo))
             frame = renderer.render(camera=camera, time=seconds, progress=report, depth=depth)
-            frame.made_from = _told(resolved, index, seconds, camera)
+            frame.made_from = _made_from(resolved, index, seconds, camera)
             write_start = time.perf_counter()
             names = [numbered(path, index) for path in stills]
             with atomic_paths(names) as places:
@@ -120,21 +121,21 @@ def render_animation(
         note(f"{len(kept)} of {count} frames existed already and were kept")
 
 
-def _told(resolved: ResolvedScene, index: int, seconds: float, camera: Camera) -> MadeFrom:
+def _made_from(resolved: ResolvedScene, index: int, seconds: float, camera: Camera) -> MadeFrom:
     from clvol.render.made_from import MadeFrom
 
     animation = resolved.animation.model_copy(update={"time": seconds})
     return MadeFrom(replace(resolved, animation=animation), camera, index)
 
 
-def _told_of_all(resolved: ResolvedScene, count: int) -> dict[str, Any]:
+def _made_from_all(resolved: ResolvedScene, count: int) -> dict[str, Any]:
     from clvol.render.made_from import MadeFrom
 
     return {**MadeFrom(resolved)(), "frames": count}
 
 
 class _Totals:
-    """Stats of all frames: times and counts summed, the rest as in the last one."""
+    """Stats of all frames: the sums of times and counts, and the other entries of the last frame."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}
@@ -156,10 +157,8 @@ class _Totals:
         return {**self._known, "seconds": self.seconds}
 
 
-def _part(
-    progress: Callable[[int, int], None] | None, done: int, count: int
-) -> Callable[[int, int], None] | None:
-    """``progress`` of one frame as a share of all."""
+def _part(progress: ShowProgress | None, done: int, count: int) -> Callable[[int, int], None] | None:
+    """The progress of one frame, reported as a share of all ``count`` frames."""
     if progress is None:
         return None
     return lambda part, whole: progress(
@@ -168,13 +167,12 @@ def _part(
 
 
 def _is_there(stills: Sequence[str], index: int, expected: dict[str, Any], scene: str) -> bool:
-    """Whether all pictures of a frame are whole and were made from what is ``expected``."""
+    """Whether all pictures of a frame exist, are whole, and were made as ``expected``."""
     return all(_is_made_from(numbered(path, index), expected, scene) for path in stills)
 
 
 def _is_made_from(path: str, expected: dict[str, Any], scene: str) -> bool:
-    """Whether a picture was made from what is ``expected``; one that does not say is taken as made from
-    something else."""
+    """Whether a picture is whole and was made as ``expected``; False if it does not say how it was made."""
     import clvol
     from clvol.image import is_intact, load_image
     from clvol.text import without_surrogates
@@ -182,12 +180,12 @@ def _is_made_from(path: str, expected: dict[str, Any], scene: str) -> bool:
     width, height = expected["size"]
     try:
         picture = load_image(path, _BYTES_PER_PIXEL * width * height + _HEADER_BYTES)
-        told = dict(picture["made_from"] or {})
+        made_from = dict(picture["made_from"] or {})
     except ClvolError:
         return False
     if not is_intact(path, picture) or picture["rgba"].shape[:2] != (height, width):
         return False
-    del told["pixels"]
+    del made_from["pixels"]
     header = {name.lower(): value for name, value in picture["header"].items()}
     same = {
         "software": f"clvol {clvol.__version__}",
@@ -196,4 +194,4 @@ def _is_made_from(path: str, expected: dict[str, Any], scene: str) -> bool:
     }
     if any(header.get(name, value) != value for name, value in same.items()):
         return False
-    return told == expected["made_from"] and told["voxels"] is not None  # None: nobody knows
+    return made_from == expected["made_from"] and made_from["voxels"] is not None  # None: unknown, so possibly others

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from clvol.cli.options import complete_file, json_option, memory_cap_option
+
+if TYPE_CHECKING:
+    import numpy as np
 
 
 @click.command("compare", short_help="Measure how far apart two pictures are.")
@@ -23,16 +26,16 @@ from clvol.cli.options import complete_file, json_option, memory_cap_option
     "Repeatable.",
 )
 @json_option
-@memory_cap_option("Most memory that each picture may take while it is read; default 1 GiB.")
+@memory_cap_option("Largest amount of memory that each picture may take while it is read; default 1 GiB.")
 def command(
     a: str, b: str, outputs: tuple[str, ...], as_json: bool, memory_cap: int | None
 ) -> None:
     """Compare the pictures A and B (.exr, .png, .npy): RMSE, largest difference, PSNR, SSIM, and
     the CIEDE2000 colour difference as displayed.
 
-    A PNG has no opacity and includes the background. Compared with an .exr or .npy, the latter is composited over
-    the background that the files state, and colours are compared. The output states what was left out of the
-    comparison, and the difference that rounding to 8 bits alone would cause.
+    A PNG has no opacity and includes the background. When it is compared with an .exr or .npy, the latter is
+    composited over the background that the files state, and only colours are compared. The output states what was
+    left out of the comparison, and the difference that rounding to 8 bits alone would cause.
     """
     from clvol.inputs import Inputs, protected
 
@@ -74,16 +77,16 @@ def _rows(measured: dict[str, Any]) -> list[tuple[str, str]]:
     rows += [("left out", sentence) for sentence in measured["left_out"]]
     rounding = measured["rounding"]
     if rounding is not None:
-        said = f"one of the two is rounded to {rounding['bits']} bits of sRGB"
+        text = f"one of the two is rounded to {rounding['bits']} bits of sRGB"
         if "rmse" in rounding:
             alone = f"rmse {rounding['rmse']:.3g}, max_abs {rounding['max_abs']:.3g}"
-            said += f", which alone causes {alone}"
-        rows.append(("rounding", said))
+            text += f", which alone causes {alone}"
+        rows.append(("rounding", text))
     return rows
 
 
-def _write(first, second, outputs: tuple[str, ...]) -> None:
-    """The difference of two float32 [height, width, 4] as each of the files, all or none."""
+def _write(first: np.ndarray, second: np.ndarray, outputs: tuple[str, ...]) -> None:
+    """Writes the difference of two pictures (float32 [height, width, 4]) to each of the files, to all or none."""
     from clvol.accuracy.difference import difference_picture, signed_difference
     from clvol.cli.outputs import save_picture
     from clvol.image import atomic_paths

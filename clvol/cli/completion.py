@@ -1,4 +1,4 @@
-"""clvol completion: the script that completes clvol's commands, options and scene keys in a shell."""
+"""clvol completion: prints the script by which a shell completes commands, options and scene keys."""
 
 from __future__ import annotations
 
@@ -24,5 +24,5 @@ def command(shell: str) -> None:
 
     known = {"bash": BashComplete, "zsh": ZshComplete, "fish": FishComplete}
     script = known[shell](cli, {}, "clvol", COMPLETE)
-    # Not source(): for bash it starts a shell first, to ask for its version.
+    # source() would start bash to query its version.
     say(script.source_template % script.source_vars())

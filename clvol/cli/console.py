@@ -1,4 +1,4 @@
-"""What commands print: results on stdout, progress on stderr."""
+"""Prints the output of commands: results on stdout, progress on stderr."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import os
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, Protocol
 
 import click
 
@@ -16,9 +16,15 @@ from clvol.json_values import plain
 from clvol.text import json_escaped, printable, printable_lines
 
 
+class ShowProgress(Protocol):
+    """Moves a progress display: ``done`` of ``total`` (None: unknown), and ``what`` is being done, if that changes."""
+
+    def __call__(self, done: int | None, total: int | None, what: str | None = None) -> None: ...
+
+
 def say(text: str) -> None:
-    """Prints a text on stdout, with control characters except line ends as escapes. A reader that has gone
-    away is not an error; a full disk is one."""
+    """Prints ``text`` on stdout, with control characters except line breaks as escapes. A reader that has gone away is
+    not an error, but a full disk is one."""
     try:
         click.echo(_encodable(printable_lines(text), sys.stdout))
         if sys.stdout is not None:
@@ -40,7 +46,7 @@ def say_path(path: str | os.PathLike) -> None:
 
 
 def note(text: str) -> None:
-    """Prints one line on stderr, beside the result; a closed stderr is not an error."""
+    """Prints one line on stderr, in addition to the result. A closed stderr is not an error."""
     try:
         click.echo(_encodable(printable(text), sys.stderr), err=True)
     except OSError:
@@ -48,24 +54,24 @@ def note(text: str) -> None:
 
 
 def to_json(value: Any) -> str:
-    """``value`` as JSON: numpy numbers as numbers, infinite ones and NaN as null; characters that
-    are not printable as escapes."""
+    """``value`` as JSON. Numpy numbers become numbers, infinities and NaN become null, and characters that are not
+    printable become escapes."""
     return json_escaped(json.dumps(plain(value), indent=2, ensure_ascii=False, allow_nan=False))
 
 
 def say_table(rows: Iterable[tuple[str, str]]) -> None:
-    """Names and values in two columns, each on one line."""
+    """Prints names and values in two columns, one pair per line."""
     rows = [(printable(name), printable(value)) for name, value in rows]
     width = max((len(name) for name, _ in rows), default=0)
     say("\n".join(f"{name:<{width}}  {value}".rstrip() for name, value in rows))
 
 
 @contextmanager
-def working(message: str, quiet: bool) -> Iterator[Callable[[int, int], None] | None]:
+def working(message: str, quiet: bool) -> Iterator[ShowProgress | None]:
     """Shows ``message`` and a clock on stderr while the block runs, if stderr is a terminal.
 
-    Yields None where nothing is shown; otherwise a function of (done, total) that turns the display into a bar with
-    the remaining time, with an optional third argument that says what is being done.
+    Yields None if nothing is shown. Otherwise it yields a function of (done, total), which turns the display into a
+    bar with the remaining time; its optional third argument says what is being done.
     """
     if quiet or sys.stderr is None or not sys.stderr.isatty():
         yield None
@@ -93,18 +99,17 @@ def working(message: str, quiet: bool) -> Iterator[Callable[[int, int], None] | 
         task = progress.add_task(escape(printable(message)), total=None)
 
         def update(done: int | None, total: int | None, what: str | None = None) -> None:
-            said = {} if what is None else {"description": escape(printable(what))}
-            counted = {} if done is None else {"completed": done}
-            progress.update(task, total=total, **counted, **said)
+            description = None if what is None else escape(printable(what))
+            progress.update(task, total=total, completed=done, description=description)
 
         yield update
 
 
-def reading_blocks(progress: Callable[..., None] | None) -> dict[str, Callable[[int, int], None]]:
-    """The argument of ``Renderer`` that reports blocks being read, where progress is shown."""
-    if not progress:
-        return {}
-    return {"progress": lambda done, total: progress(done, total, "reading blocks")}
+def reading_blocks(progress: ShowProgress | None) -> Callable[[int, int], None] | None:
+    """The ``progress`` of ``Renderer``, which reports blocks being read; None where no progress is shown."""
+    if progress is None:
+        return None
+    return lambda done, total: progress(done, total, "reading blocks")
 
 
 def _encodable(text: str, stream: Any) -> str:
@@ -114,7 +119,7 @@ def _encodable(text: str, stream: Any) -> str:
 
 
 def _silence() -> None:
-    """Discards everything that is still to come on stdout, the flush at exit included."""
+    """Discards all further output on stdout, including the flush at exit."""
     try:
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, sys.stdout.fileno())

@@ -1,4 +1,4 @@
-"""clvol doctor: which devices work, and why others do not."""
+"""clvol doctor: lists the devices that work, and says why others do not."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ def command(as_json: bool) -> None:
             with working(f"rendering on {report.name}", as_json):
                 trial = try_render(report.name)
             report = replace(report, working=not trial.reason, reason=trial.reason)
-            told = (f"{where}: {what}" for where, what in trial.notices.items())
-            # The caches were examined already.
-            problems += [t for t in told if t not in problems and not (caches.problems and t.startswith("cache"))]
+            notices = (f"{where}: {what}" for where, what in trial.notices.items())
+            # Problems of the caches are listed already.
+            problems += [n for n in notices if n not in problems and not (caches.problems and n.startswith("cache"))]
         reports.append(report)
     caches = replace(caches, problems=problems)
     if as_json:
@@ -45,12 +45,12 @@ def command(as_json: bool) -> None:
     else:
         for report in reports:
             say(printable(f"{report.name}: {'works' if report.working else 'does not work'}"))
-            _tell_device(report)
-        _tell_caches(caches)
+            _show_device(report)
+        _show_caches(caches)
     select(reports)  # raises the DeviceError, which says how to get a device
 
 
-def _tell_device(report: DeviceReport) -> None:
+def _show_device(report: DeviceReport) -> None:
     from clvol.cli.console import say_table
     from clvol.scene.sizes import format_size
 
@@ -70,7 +70,7 @@ def _tell_device(report: DeviceReport) -> None:
     say_table(rows)
 
 
-def _tell_caches(caches: CacheReport) -> None:
+def _show_caches(caches: CacheReport) -> None:
     from clvol.cli.console import say, say_table
     from clvol.scene.sizes import format_size
     from clvol.text import printable

@@ -1,8 +1,8 @@
-"""How the process of the command ends: with its own exit status, whatever OpenCL libraries do then.
+"""Ends the process of the command with its own exit status, whatever OpenCL libraries do at exit.
 
-When a process ends, the libraries in it are unloaded, and some crash, hang or print while they are: a
-picture that is written, and whole, would count as a failure. So once all is done that Python does at
-the end, the process leaves without them.
+When a process exits, its libraries are unloaded, and some OpenCL libraries crash, hang or print messages then, so
+that a picture that was written correctly would count as a failure. The process therefore exits without unloading
+them, once Python has done everything that it does at exit.
 """
 
 from __future__ import annotations
@@ -18,29 +18,29 @@ from clvol.limits import keep_room_to_import
 
 
 def command_line() -> NoReturn:
-    """The command ``clvol``, to the end of the process."""
-    # numpy's library starts a thread a core when it is loaded, and ends the process where that many are not
-    # allowed (ulimit -u). Nothing here multiplies matrices large enough for a second one.
+    """Runs the command ``clvol``, and ends the process."""
+    # OpenBLAS, which numpy uses, starts one thread per core when it is loaded, and ends the process if that many are
+    # not allowed (ulimit -u). No matrix here is large enough to need a second thread.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     keep_room_to_import()
     leave(main())
 
 
 def leave(status: int) -> NoReturn:
-    """Ends the process with ``status``; for good if OpenCL libraries are loaded."""
+    """Ends the process with ``status``; without unloading libraries if OpenCL ones are loaded."""
     if "pyopencl" not in sys.modules:
         sys.exit(status)
     try:
-        for thread in threading.enumerate():  # as Python waits for them
+        for thread in threading.enumerate():  # as Python itself would wait for them
             if thread is not threading.current_thread() and not thread.daemon:
                 thread.join()
         atexit._run_exitfuncs()
-    except BaseException:  # told on stderr; the work is done
+    except BaseException:  # it is reported on stderr, and the work is done
         pass
     for stream in (sys.stdout, sys.stderr):
         try:
             if stream is not None:
                 stream.flush()
-        except (OSError, ValueError):  # nobody listens any more
+        except (OSError, ValueError):  # its reader has gone away
             pass
     os._exit(status)

@@ -1,4 +1,4 @@
-"""clvol explain: which effects a scene uses, and why."""
+"""clvol explain: lists the effects that a scene uses, and says why."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from clvol.cli.options import json_option, memory_cap_option, overrides_option, 
 @scene_argument
 @json_option
 @overrides_option
-@memory_cap_option("Most memory that the volume may take.")
+@memory_cap_option("Largest amount of memory that the volume may take.")
 def command(
     scene: str, as_json: bool, overrides: tuple[str, ...], memory_cap: int | None
 ) -> None:
@@ -25,14 +25,14 @@ def command(
     resolved = load_scene(scene, overrides).resolve(memory_cap)
     from clvol.explanation import explain
 
-    told = explain(resolved)
+    explanation = explain(resolved)
     if as_json:
-        say_json(told)
+        say_json(explanation)
         return
     say_table(
         (f"{'yes' if effect['called_for'] else 'no':<3}  {effect['name']}", effect["reason"])
-        for effect in told["effects"]
+        for effect in explanation["effects"]
     )
-    say(f"kernel {told['kernel_hash']}")
-    for warning in told["warnings"]:
+    say(f"kernel {explanation['kernel_hash']}")
+    for warning in explanation["warnings"]:
         say(f"warning: {warning}")

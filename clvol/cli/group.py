@@ -12,13 +12,13 @@ from clvol import __version__
 from clvol.cli.verbose import verbose_option
 from clvol.errors import ClvolError, RenderError, UsageError
 
-# Each a module of this package.
+# Each command is a module of this package.
 COMMANDS = ("render", "explain", "info", "scene", "store", "doctor", "compare", "tradeoff", "completion")
-COMPLETE = "_CLVOL_COMPLETE"  # the environment variable by which a shell's completion script asks
+COMPLETE = "_CLVOL_COMPLETE"  # the environment variable that a shell's completion script sets
 
 
 class _Commands(click.Group):
-    """Commands that are imported by name; each module calls its own ``command``. All have -v."""
+    """Imports commands by name. Each module defines its command as ``command``, and every command has -v."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(COMMANDS)
@@ -56,14 +56,14 @@ def cli(context: click.Context) -> None:
         say(context.get_help())
 
 
-def run(given: Sequence[str]) -> int:
-    """Runs the command line ``given`` and returns the exit status; raises what goes wrong."""
+def run(arguments: Sequence[str]) -> int:
+    """Runs the command line and returns the exit status. Errors are raised as exceptions."""
     if instruction := os.environ.get(COMPLETE):
         from click.shell_completion import shell_complete
 
         return shell_complete(cli, {}, "clvol", COMPLETE, instruction)
     try:
-        with cli.make_context("clvol", list(given)) as context:
+        with cli.make_context("clvol", list(arguments)) as context:
             cli.invoke(context)
         return 0
     except click.exceptions.Exit as stop:
@@ -72,8 +72,8 @@ def run(given: Sequence[str]) -> int:
         raise KeyboardInterrupt from None
 
 
-def told(error: Exception) -> tuple[int, str]:
-    """Exit status and line of what ``run`` has raised."""
+def describe_error(error: Exception) -> tuple[int, str]:
+    """The exit status and the message for an exception that ``run`` has raised."""
     if isinstance(error, click.ClickException):
         error = _usage_error(error)
     if isinstance(error, ClvolError):
@@ -94,7 +94,7 @@ def _one_command() -> str:
 
 
 def _usage_error(error: click.ClickException) -> ClvolError:
-    """click's words in the form of all other errors."""
+    """An error of click in the form of all other errors."""
     context = getattr(error, "ctx", None)
     command = context.command_path if context else "clvol"
     see = f"what '{command} --help' says"

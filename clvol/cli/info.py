@@ -1,4 +1,4 @@
-"""clvol info: what a volume file contains, and how much memory rendering takes."""
+"""clvol info: prints what a volume contains, and how much memory rendering it takes."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 @volume_argument
 @json_option
 @overrides_option
-@memory_cap_option("Most memory that the volume may take.")
+@memory_cap_option("Largest amount of memory that the volume may take.")
 def command(
     volume: str, as_json: bool, overrides: tuple[str, ...], memory_cap: int | None
 ) -> None:

@@ -9,12 +9,12 @@ from click.shell_completion import CompletionItem
 
 
 def complete_file(context: click.Context, parameter: click.Parameter, incomplete: str) -> list[CompletionItem]:
-    """Names of files, which the shell itself completes."""
+    """Lets the shell itself complete the name of a file."""
     return [CompletionItem(incomplete, type="file")]
 
 
 def _complete_key(context: click.Context, parameter: click.Parameter, incomplete: str) -> list[str]:
-    """TABLE.KEY= of every key of a scene; of lists of tables, those of the first one."""
+    """TABLE.KEY= for every key of a scene; for lists of tables, the keys of the first table."""
     from clvol.scene.reference import override_keys
 
     return [f"{key}=" for key in override_keys() if key.startswith(incomplete)]

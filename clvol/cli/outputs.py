@@ -1,4 +1,4 @@
-"""Several output files that appear together or not at all."""
+"""Checks and writes output files, which appear together or not at all."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ if TYPE_CHECKING:
     from clvol.scene import Scene
 
 
-def scene_inputs(scene: str, asked: Scene) -> Inputs:
-    """All files that rendering the scene file or volume ``scene`` reads."""
-    return Inputs([scene, *asked.input_paths])
+def scene_inputs(path: str, scene: Scene) -> Inputs:
+    """All files that rendering ``scene``, loaded from the scene file or volume ``path``, reads."""
+    return Inputs([path, *scene.input_paths])
 
 
 def check_outputs(pictures: Sequence[str], others: Sequence[str]) -> None:
     """Raises UsageError, before the work, if one of the files could not be written later.
 
-    ``pictures`` need the ending of a picture, ``others`` may have any. No two may be the same file, nor, inside
-    ``clvol.inputs.protected``, a file that is read.
+    ``pictures`` must have the ending of a picture, ``others`` may have any. No two may be the same file. Inside
+    ``clvol.inputs.protected`` none may be an input.
     """
     from clvol.image import check_output, check_output_folder
 
@@ -46,18 +46,19 @@ def _check_apart(paths: Iterable[str]) -> None:
 
 
 def _marks(path: str) -> set[object]:
-    """What two names of one file have in common: the real path or, if the file exists, its identity."""
+    """The real path of a file and, if it exists, its identity. Two names of one file share at least one of them."""
     if "\0" in path:
         return {path}
-    return {os.path.realpath(path), _identity(path)} - {None}
+    identity = _identity(path)
+    return {os.path.realpath(path)} if identity is None else {os.path.realpath(path), identity}
 
 
 _NUMBER = re.compile(r"%(?:0([1-9]))?d")
 
 
 def numbered(path: str, index: int) -> str:
-    """``path`` with the number of a frame in place of the %d in its name, or of its %04d with at least four
-    digits; a name with no such place, or with several, stays as it is."""
+    """``path`` with the number of a frame in place of the %d in its name, or with at least four digits in place of
+    %04d. A name without such a place, or with several, stays unchanged."""
     folder, name = os.path.split(path)
     found = _NUMBER.findall(name)
     if len(found) != 1:
@@ -69,8 +70,8 @@ def numbered(path: str, index: int) -> str:
 def check_frames(
     stills: Sequence[str], videos: Sequence[str], others: Sequence[str], count: int
 ) -> None:
-    """``check_outputs`` for an animation of ``count`` frames: every still has a number in its
-    name, and no two of all files are the same."""
+    """Like ``check_outputs``, for an animation of ``count`` frames: every still must have the place of a number in its
+    name, and no two of all files may be the same."""
     from clvol.image import ENDINGS, VIDEO_ENDINGS, check_output_folder
 
     for path in stills:
@@ -93,7 +94,7 @@ def check_frames(
             is_there = os.path.lexists(place)
             marks = _marks(place) if is_there else {place}
             if not taken.isdisjoint(marks):
-                raise UsageError(path, f"frame {index} is a file that is used already", "a file of its own")
+                raise UsageError(path, f"frame {index} is a file that is used already", "a different output file")
             if is_there:
                 check_not_read(place)
             taken |= marks
@@ -107,7 +108,7 @@ def check_folder(folder: str) -> None:
     from clvol.image import check_output_folder
 
     if os.path.lexists(folder) and not os.path.isdir(folder):
-        raise UsageError(folder, "got a file", "a folder, or a name for a new one")
+        raise UsageError(folder, "is a file", "a folder, or the name of a new one")
     if not os.path.isdir(folder):
         check_output_folder(folder)
         return
@@ -118,7 +119,7 @@ def check_folder(folder: str) -> None:
 
 
 def save_picture(frame: Any, temporary: Path, path: str) -> None:
-    """Write ``frame`` to ``temporary``; errors name ``path``, which it stands for."""
+    """Writes ``frame`` to ``temporary``. Errors name ``path``, the final name of the file."""
     from clvol.image import save_frame
 
     try:

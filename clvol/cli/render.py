@@ -1,4 +1,4 @@
-"""clvol render: a picture of a scene or of a volume file."""
+"""clvol render: renders a scene or a volume file."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ _OPTIONS = {"max_error": "--max-error", "time_budget": "--time-budget"}
     "voxels and version; render the others.",
 )
 @click.option("--stats", metavar="FILE", shell_complete=complete_file, help="Write times and counts as JSON to FILE.")
-@memory_cap_option("Most memory that the volume may take, on the host and on the device.")
+@memory_cap_option("Largest amount of memory that the volume may take, on the host and on the device.")
 @click.option("--quiet", is_flag=True, help="Show no progress on the terminal.")
 def command(
     scene: str,
@@ -82,12 +82,12 @@ def command(
 
     A store (made by 'clvol store') is rendered by the method 'multiresolution', within multiresolution.memory. With
     that method, --time-budget keeps all settings and refines the picture, worst tiles first, until the time is up; it
-    prints the share of pixels that have a ray, and an estimate of the difference to the picture with all rays. --stats
-    then also holds "blocks": the number of blocks at each level (full resolution first) and of those that are
-    dropped because nothing of them is visible, their bytes, and the estimated error beside the least possible one;
-    and "tiles": the share of pixels that have a ray, and the estimated RMSE.
+    prints the share of pixels that have a ray, and an estimate of the difference from the picture with all rays. The
+    file of --stats then also contains "blocks": the number of blocks at each level of detail (full resolution first)
+    and of those that are left out because they are invisible, their bytes, the estimated error and the smallest
+    possible one; and "tiles": the share of pixels that have a ray, and the estimated RMSE.
 
-    A scene with animation.frames above 1 gives a video, or numbered pictures that appear one by one.
+    A scene with animation.frames above 1 is rendered as a video, or as numbered pictures that appear one by one.
     """
     check_targets(max_error, time_budget)
     from clvol.cli.outputs import scene_inputs
@@ -95,25 +95,28 @@ def command(
     from clvol.scene import load_scene
 
     start = time.perf_counter()
-    asked = load_scene(scene, overrides)
-    with protected(scene_inputs(scene, asked)):
-        if asked.animation.frames == 1:
+    loaded = load_scene(scene, overrides)
+    with protected(scene_inputs(scene, loaded)):
+        if loaded.animation.frames == 1:
             outputs = check_still(outputs, resume)
-            aims = {"max_error": max_error, "time_budget": time_budget}
-            _render_still(asked, outputs, stats, list(devices) or None, memory_cap, quiet, start, **aims)
+            _render_still(
+                loaded, outputs, stats, list(devices) or None, memory_cap, quiet, start,
+                max_error=max_error, time_budget=time_budget,
+            )  # fmt: skip
             return
         from clvol.cli.animation import render_animation
 
         if max_error is not None or time_budget is not None:
             option = _OPTIONS["time_budget" if max_error is None else "max_error"]
-            what = f"given for an animation of {asked.animation.frames} frames"
+            what = f"given for an animation of {loaded.animation.frames} frames"
             raise UsageError(option, what, "one frame: --set animation.frames=1")
-        how = {"devices": list(devices) or None, "memory_cap": memory_cap}
-        render_animation(asked, outputs, stats, resume=resume, quiet=quiet, **how)
+        render_animation(
+            loaded, outputs, stats, resume=resume, quiet=quiet, devices=list(devices) or None, memory_cap=memory_cap
+        )
 
 
 def _render_still(
-    asked: Scene,
+    scene: Scene,
     outputs: tuple[str, ...],
     stats: str | None,
     devices: list[str] | None,
@@ -124,7 +127,7 @@ def _render_still(
     max_error: float | None,
     time_budget: float | None,
 ) -> None:
-    """One picture as all of ``outputs``; ``start`` is when the command began (``perf_counter``)."""
+    """Renders one picture and writes it to all ``outputs``. ``start``: when the command began (``perf_counter``)."""
     from clvol.cli.console import note, reading_blocks, say_path, to_json, working
     from clvol.cli.outputs import check_outputs, save_picture
     from clvol.image import atomic_paths
@@ -132,33 +135,38 @@ def _render_still(
 
     others = [] if stats is None else [stats]
     check_outputs(outputs, others)
-    integrator = integrator_of(asked)
-    by_blocks, refines = integrator.reads_blocks, integrator.refines_in_time(asked) and time_budget is not None
-    with working(f"loading {asked.origin}", quiet):
-        asked.load(memory_cap)
+    integrator = integrator_of(scene)
+    by_blocks, refines = integrator.reads_blocks, integrator.refines_in_time(scene) and time_budget is not None
+    with working(f"loading {scene.origin}", quiet):
+        scene.load(memory_cap)
     load_seconds = time.perf_counter() - start
-    log_scene(asked, memory_cap)
+    log_scene(scene, memory_cap)
 
     from clvol.render import Renderer
 
     depth = any(path.lower().endswith(".exr") for path in outputs)
-    size = f"{asked.image.width} x {asked.image.height} pixels"
+    size = f"{scene.image.width} x {scene.image.height} pixels"
     with working(f"rendering {size}", quiet) as progress:
-        how = {"devices": devices, "memory_cap": memory_cap}
-        if max_error is not None or (time_budget is not None and not refines):
+        if max_error is not None:
             from clvol.accuracy.error_target import render_to_error
+
+            with named_as_options():
+                frame = render_to_error(
+                    scene, max_error, devices=devices, memory_cap=memory_cap, depth=depth, progress=progress
+                )
+        elif time_budget is not None and not refines:
             from clvol.accuracy.time_target import render_in_time
 
-            aim = max_error if max_error is not None else time_budget
-            render = render_in_time if max_error is None else render_to_error
             with named_as_options():
-                frame = render(asked, aim, depth=depth, progress=progress, **how)
+                frame = render_in_time(
+                    scene, time_budget, devices=devices, memory_cap=memory_cap, depth=depth, progress=progress
+                )
         else:
-            by_time = {"seconds": time_budget} if refines else {}
-            with Renderer(asked, **how, **reading_blocks(by_blocks and progress)) as renderer:
+            reading = reading_blocks(progress) if by_blocks else None
+            with Renderer(scene, devices=devices, memory_cap=memory_cap, progress=reading) as renderer:
                 if by_blocks and progress is not None:
                     progress(None, None, f"rendering {size}")
-                frame = renderer.render(progress=progress, depth=depth, **by_time)
+                frame = renderer.render(progress=progress, depth=depth, seconds=time_budget)
 
     with working("writing", quiet), atomic_paths([*outputs, *others]) as temporaries:
         write_start = time.perf_counter()
@@ -179,7 +187,7 @@ def _render_still(
 
 
 def check_still(outputs: tuple[str, ...], resume: bool) -> tuple[str, ...]:
-    """The names of a single picture's files; UsageError for what only an animation has."""
+    """The file names of a single picture. Raises UsageError for options and files that only animations have."""
     from clvol.cli.outputs import numbered
     from clvol.image import ENDINGS, is_video
 
@@ -194,7 +202,7 @@ def check_still(outputs: tuple[str, ...], resume: bool) -> tuple[str, ...]:
 
 
 def check_targets(max_error: float | None, time_budget: float | None) -> None:
-    """Raises UsageError before anything is loaded if the target is impossible."""
+    """Raises UsageError for an impossible target, before anything is loaded."""
     if max_error is None and time_budget is None:
         return
     from clvol.accuracy.error_target import check_max_error
@@ -205,13 +213,13 @@ def check_targets(max_error: float | None, time_budget: float | None) -> None:
     with named_as_options():
         if max_error is not None:
             check_max_error(max_error)
-        else:
+        elif time_budget is not None:
             check_time_budget(time_budget)
 
 
 @contextmanager
 def named_as_options() -> Iterator[None]:
-    """Errors inside name the options of the command, not the arguments of the function."""
+    """Makes errors raised in the block name the command's options instead of the function's arguments."""
     from clvol.errors import ClvolError
 
     try:
@@ -222,7 +230,7 @@ def named_as_options() -> Iterator[None]:
 
 
 def refinement_in_words(stats: dict) -> str:
-    """One line: how far a picture has been refined within its time."""
+    """Describes in one line how far a picture was refined within its time."""
     tiles, taken = stats.get("tiles"), f"{stats['seconds']['render']:.3g} s"
     if tiles is None or tiles.get("estimated_rmse") is None:
         return f"nothing is visible; {taken} per frame"
@@ -231,7 +239,7 @@ def refinement_in_words(stats: dict) -> str:
 
 
 def accuracy_in_words(stats: dict) -> str:
-    """One line: the error as measured, and with which settings."""
+    """Describes in one line the measured error and the chosen settings."""
     from clvol.accuracy.settings import format_setting
 
     measured = stats["accuracy"]

@@ -1,4 +1,4 @@
-"""clvol scene: the keys that a scene file may hold."""
+"""clvol scene: prints the keys that a scene file may contain."""
 
 from __future__ import annotations
 

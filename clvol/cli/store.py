@@ -1,4 +1,4 @@
-"""clvol store: writes a volume to disk as blocks at several resolutions."""
+"""clvol store: writes a volume to disk as blocks at several levels of detail."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ import click
 from clvol.cli.options import memory_cap_option, overrides_option, volume_argument
 
 if TYPE_CHECKING:
+    from clvol.cli.console import ShowProgress
     from clvol.scene import Scene
-    from clvol.store.voxel_source import VoxelSource
+    from clvol.store.voxel_source import FieldSource, VolumeSource
 
 
 @click.command("store", short_help="Build the multiresolution store of a volume.")
@@ -36,10 +37,10 @@ if TYPE_CHECKING:
     "--overwrite", is_flag=True, help="Replace an existing store, once the new one is complete."
 )
 @click.option(
-    "--restart", is_flag=True, help="Discard what an interrupted run has left, and start again."
+    "--restart", is_flag=True, help="Discard the work of an interrupted run, and start again."
 )
 @overrides_option
-@memory_cap_option("Most memory that the volume may take.")
+@memory_cap_option("Largest amount of memory that the volume may take.")
 @click.option("--quiet", is_flag=True, help="Show no progress on the terminal.")
 def command(
     volume: str,
@@ -67,41 +68,40 @@ def command(
     from clvol.scene import load_scene
     from clvol.store.build import build_store
     from clvol.store.build_folder import check_place, places_of
+    from clvol.store.codecs import DEFAULT
+    from clvol.store.geometry import EDGE
 
     check_place(Path(output), overwrite)
     scene = load_scene(volume, overrides)
     inputs = scene_inputs(volume, scene)
     for place in places_of(Path(output)):
         inputs.check_folder(place)
-    chosen = {"codec": codec, "edge": edge, "shard": shard}
-    chosen = {name: value for name, value in chosen.items() if value is not None}
     source = _source(scene, volume, memory_cap, quiet)
     with _named_as_options(), working(f"storing {volume}", quiet) as bar:
-        how = {
-            "overwrite": overwrite,
-            "restart": restart,
-            "progress": None if quiet else _telling(output, bar),
-        }
-        build_store(source, output, **chosen, **how)
+        build_store(
+            source, output, edge=EDGE if edge is None else edge, shard=shard,
+            codec=DEFAULT if codec is None else codec, overwrite=overwrite, restart=restart,
+            progress=None if quiet else _reporting(output, bar),
+        )  # fmt: skip
     say_path(output)
 
 
-def _source(scene: Scene, volume: str, memory_cap: int | None, quiet: bool) -> VoxelSource:
-    """Voxels of a computed field as they are needed; anything else as the scene loads it."""
+def _source(scene: Scene, volume: str, memory_cap: int | None, quiet: bool) -> FieldSource | VolumeSource:
+    """The voxels to store: those of a computed field are computed when they are needed, others are loaded."""
     from clvol.cli.console import working
     from clvol.store.voxel_source import FieldSource, VolumeSource
     from clvol.volume.axis import ValueAxis
 
-    asked = scene.volume
-    if asked.field is not None:
-        axis = ValueAxis(asked.slope, asked.offset)
-        return FieldSource(asked.field, asked.size, asked.spacing or (1.0, 1.0, 1.0), axis)
+    settings = scene.volume
+    if settings.field is not None and settings.size is not None:
+        axis = ValueAxis(settings.slope, settings.offset)
+        return FieldSource(settings.field, settings.size, settings.spacing or (1.0, 1.0, 1.0), axis)
     with working(f"loading {volume}", quiet):
-        return VolumeSource(scene.load_volume(memory_cap), asked.model_dump(mode="json"))
+        return VolumeSource(scene.load_volume(memory_cap), settings.model_dump(mode="json"))
 
 
-def _telling(output: str, bar: Callable | None) -> Callable[[int, int], None]:
-    """Moves the bar, if there is one; says once that an interrupted store is resumed."""
+def _reporting(output: str, bar: ShowProgress | None) -> Callable[[int, int], None]:
+    """A progress function that moves the bar, if there is one, and reports once that a store is resumed."""
     from clvol.cli.console import note
 
     begun = False
@@ -109,8 +109,8 @@ def _telling(output: str, bar: Callable | None) -> Callable[[int, int], None]:
     def progress(done: int, total: int) -> None:
         nonlocal begun
         if done and not begun:
-            said = f"resuming {output}.partial: {done} of {total} regions are done"
-            bar(done, total, said) if bar is not None else note(said)
+            text = f"resuming {output}.partial: {done} of {total} regions are done"
+            bar(done, total, text) if bar is not None else note(text)
         elif bar is not None:
             bar(done, total)
         begun = True
@@ -120,7 +120,7 @@ def _telling(output: str, bar: Callable | None) -> Callable[[int, int], None]:
 
 @contextmanager
 def _named_as_options() -> Iterator[None]:
-    """Errors inside name the options of the command, not the arguments of the function."""
+    """Makes errors raised in the block name the command's options instead of the function's arguments."""
     from clvol.errors import UsageError
 
     try:

@@ -1,4 +1,4 @@
-"""clvol tradeoff: measures what accuracy costs in time, for one scene."""
+"""clvol tradeoff: measures what accuracy costs in time for one scene."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     "--settings", type=click.IntRange(1, 100_000), default=160, show_default=True,
     help="Largest number of settings to try.",
 )  # fmt: skip
-@memory_cap_option("Most memory that the volume may take, on the host and on the device.")
+@memory_cap_option("Largest amount of memory that the volume may take, on the host and on the device.")
 @click.option("--quiet", is_flag=True, help="Show no progress on the terminal.")
 def command(
     scene: str,
@@ -54,31 +54,31 @@ def command(
     from clvol.scene import load_scene
     from clvol.text import printable
 
-    asked = load_scene(scene, overrides)
-    how = {"devices": list(devices) or None, "frames": frames, "settings": settings}
-    with protected(scene_inputs(scene, asked)):
-        result, paths = _report(asked, folder, memory_cap, quiet, **how)
+    loaded = load_scene(scene, overrides)
+    options = {"devices": list(devices) or None, "frames": frames, "settings": settings}
+    with protected(scene_inputs(scene, loaded)):
+        result, paths = _report(loaded, folder, memory_cap, quiet, **options)
     for sentence in result["sentences"]:
         say(printable(sentence["text"]))
     say_path(next(path for path in paths if path.name == "index.html"))
 
 
 def _report(
-    asked: Scene, folder: str, memory_cap: int | None, quiet: bool, **how: Any
+    scene: Scene, folder: str, memory_cap: int | None, quiet: bool, **options: Any
 ) -> tuple[dict[str, Any], list[Path]]:
-    """Measures and writes; what was measured, and the files."""
+    """Measures and writes the report; returns the result and the files."""
     from clvol.cli.console import working
     from clvol.cli.outputs import check_folder
 
     check_folder(folder)
-    with working(f"loading {asked.origin}", quiet):
-        asked.load(memory_cap)
-    log_scene(asked, memory_cap)
+    with working(f"loading {scene.origin}", quiet):
+        scene.load(memory_cap)
+    log_scene(scene, memory_cap)
 
     from clvol.accuracy.report import write_report
     from clvol.accuracy.tradeoff import measure_tradeoff
 
     with working("measuring", quiet) as progress:
-        result, pictures = measure_tradeoff(asked, memory_cap=memory_cap, progress=progress, **how)
+        result, pictures = measure_tradeoff(scene, memory_cap=memory_cap, progress=progress, **options)
     with working("writing", quiet):
         return result, write_report(result, pictures, Path(folder))

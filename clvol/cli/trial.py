@@ -1,8 +1,8 @@
-"""A small picture rendered on one device, in a process of its own, as ``clvol render`` would.
+"""Renders a small picture on one device in a child process, in the same way as ``clvol render``.
 
-The probe of the devices asks the least of them. A render needs more: all kernels, the compiler's work on
-them, folders for programs and for temporary files. ``clvol doctor`` says that a device works when a
-picture came out of it, and the picture was right.
+The probe of the devices tests only the minimum. Rendering also needs all kernels, a compiler that can build them, and
+folders for programs and temporary files. ``clvol doctor`` reports a device as working only if it rendered a picture
+and the picture was correct.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     import numpy as np
 
-TIME_LIMIT = 600.0  # seconds; on a busy machine compilers take minutes where nothing is cached
+TIME_LIMIT = 600.0  # seconds; on a busy machine compilers take minutes if nothing is cached
 _MARK = "clvol-trial: "
 _EDGE, _OPACITY, _VALUE = 8, 0.1, 100
 
 
 @dataclass(frozen=True)
 class Trial:
-    """``reason``: one line on what went wrong, "" if the picture was right; ``notices``: what is wrong
-    with the machine otherwise, by where."""
+    """The result of a trial. ``reason``: one line on what went wrong, "" if the picture was correct. ``notices``: other
+    problems of the machine, by the place where they occur."""
 
     reason: str = ""
     notices: dict[str, str] = field(default_factory=dict)
@@ -59,17 +59,17 @@ def try_render(name: str, time_limit: float = TIME_LIMIT) -> Trial:
                 answer = json.loads(line.removeprefix(_MARK))
                 return Trial(answer["reason"], answer["notices"])
         stderr.seek(0)
-        said = first_meaningful_line(stderr.read()[-20000:].decode("utf-8", errors="replace"))
+        message = first_meaningful_line(stderr.read()[-20000:].decode("utf-8", errors="replace"))
     status = process.returncode
     try:
         how = f"crashed ({signal.Signals(-status).name})" if status < 0 else f"ended with status {status}"
     except ValueError:
         how = f"crashed (signal {-status})"
-    return Trial(f"rendering {how}: {said}" if said else f"rendering {how}")
+    return Trial(f"rendering {how}: {message}" if message else f"rendering {how}")
 
 
 def _render(name: str) -> str:
-    """What is wrong with the picture of a box of one value, or ""."""
+    """Renders a box of constant value, and says what is wrong with the picture; "" if it is correct."""
     import numpy as np
 
     from clvol import Renderer, Scene, Volume
@@ -91,7 +91,7 @@ def _render(name: str) -> str:
 
 
 def _expected() -> np.ndarray:
-    """Every pixel: the box is as deep as its voxels' centres are apart."""
+    """The RGBA of every pixel; the depth of the box is the distance of its outermost voxel centres."""
     import numpy as np
 
     alpha = 1.0 - (1.0 - _OPACITY) ** (_EDGE - 1)
@@ -102,9 +102,9 @@ def main(name: str) -> None:
     import warnings
 
     from clvol.errors import ClvolError
-    from clvol.opencl.notices import told
+    from clvol.opencl import notices
 
-    # Drivers print: keep the answer apart from whatever they write to standard output.
+    # Drivers print to standard output, so the answer is written to a descriptor of its own.
     answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)
     warnings.simplefilter("ignore")
@@ -114,7 +114,7 @@ def main(name: str) -> None:
         reason = f"rendering: {error}"
     except Exception as error:
         reason = f"rendering: {type(error).__name__}: {error}"
-    answers.write(_MARK + json.dumps({"reason": " ".join(reason.split()), "notices": told()}) + "\n")
+    answers.write(_MARK + json.dumps({"reason": " ".join(reason.split()), "notices": notices.told()}) + "\n")
     answers.flush()
 
 

@@ -1,4 +1,4 @@
-"""-v: what clvol decides, on stderr. Modules log to Python's logger "clvol"; nothing listens unless asked."""
+"""-v: logs decisions to stderr. Modules log to Python's logger "clvol", which has no handler without -v."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _log = logging.getLogger("clvol.scene")
 
 
 class _Lines(logging.Handler):
-    """One line per record on the stderr of the moment, with control characters as escapes."""
+    """Prints one line per record on the current stderr, with control characters as escapes."""
 
     def emit(self, record: logging.LogRecord) -> None:
         try:
@@ -26,12 +26,12 @@ class _Lines(logging.Handler):
             encoding = getattr(sys.stderr, "encoding", None) or "utf-8"
             sys.stderr.write(text.encode(encoding, "backslashreplace").decode(encoding))
             sys.stderr.flush()
-        except (OSError, ValueError, AttributeError):  # nobody listens on stderr, or it is closed
+        except (OSError, ValueError, AttributeError):  # stderr is closed, or its reader has gone away
             pass
 
 
 def _start(context: click.Context, parameter: click.Parameter, verbose: bool) -> None:
-    """Sends the log to stderr until ``context`` ends; once, however many of the options are given."""
+    """Sends the log to stderr until ``context`` ends; only once, even if -v is given several times."""
     logger = logging.getLogger("clvol")
     if not verbose or any(isinstance(handler, _Lines) for handler in logger.handlers):
         return
@@ -47,15 +47,15 @@ def _start(context: click.Context, parameter: click.Parameter, verbose: bool) ->
 
 
 def verbose_option() -> click.Option:
-    """A new option -v, whose value no command needs to take."""
+    """A new option -v, which is not passed to the command as an argument."""
     return click.Option(
         ["-v", "--verbose"], is_flag=True, is_eager=True, expose_value=False, callback=_start,
-        help="Log what is decided to standard error: device, method, effects, programs, settings tried.",
+        help="Log decisions to standard error: device, method, effects, programs, settings that are tried.",
     )  # fmt: skip
 
 
 def log_scene(scene: Scene, memory_cap: int | None) -> None:
-    """Logs how ``scene`` is rendered and why, where somebody listens."""
+    """Logs how ``scene`` is rendered and why, if logging is enabled."""
     if not _log.isEnabledFor(logging.INFO):
         return
     from clvol.features.analysis import effects

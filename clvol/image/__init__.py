@@ -1,4 +1,4 @@
-"""Pictures: written whole or not at all as EXR, PNG or NPY, and read again."""
+"""Writes pictures as EXR, PNG or NPY, whole or not at all, and reads them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a picture says about how it was made."""
+"""The metadata of a picture: how it was made."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ def _version(package: str) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """numpy's scalars and arrays as JSON knows them; anything else by its text."""
+    """Numpy scalars and arrays as numbers and lists; anything else as its ``str()``."""
     return value.tolist() if hasattr(value, "tolist") else str(value)
 
 
 def facts(frame: Any, held: Iterable[np.ndarray] = ()) -> dict[str, str]:
-    """Texts for a header: software, versions, device, statistics, background, and, where they are
-    known, the scene and what the picture was made from (``clvol.render.made_from``), with a digest
-    of the pixels that the file is to hold, ``held``."""
+    """Texts for a header: software, versions, device, statistics and background; also, if they are known, the scene
+    and what the picture was made from (``clvol.render.made_from``), with a digest of ``held``, the arrays that the
+    file stores."""
     stats = getattr(frame, "stats", None) or {}
     texts = {
         "software": f"clvol {clvol.__version__}",
@@ -41,7 +41,7 @@ def facts(frame: Any, held: Iterable[np.ndarray] = ()) -> dict[str, str]:
         "device": ", ".join(str(d) for d in stats.get("devices", ())) or "unknown",
         "stats": json.dumps(stats, default=_plain),
     }
-    if "accuracy" in stats:  # the picture's own claim, as numbers that any reader of headers finds
+    if "accuracy" in stats:  # as separate entries, which any tool that reads headers shows
         for name in ("rmse", "bound", "confidence"):
             texts[f"error_{name}"] = repr(float(stats["accuracy"][name]))
     background = getattr(frame, "background", None)
@@ -57,7 +57,7 @@ def facts(frame: Any, held: Iterable[np.ndarray] = ()) -> dict[str, str]:
 
 
 def digest(arrays: Iterable[np.ndarray]) -> str:
-    """Of shapes, types and contents, 32 hexadecimal digits."""
+    """A digest of the shapes, types and contents of ``arrays``, 32 hexadecimal digits."""
     known = hashlib.blake2b(digest_size=16)
     for array in arrays:
         array = np.ascontiguousarray(array)

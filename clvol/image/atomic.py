@@ -1,4 +1,4 @@
-"""Files that appear whole or not at all."""
+"""Writes files that appear whole or not at all."""
 
 from __future__ import annotations
 
@@ -20,11 +20,10 @@ _NO_FILE = ((stat.S_ISDIR, "this is a folder"), (stat.S_ISCHR, "this is a device
 
 
 def check_output_folder(path: str | os.PathLike[str]) -> Path:
-    """``path`` resolved, if a file can be created there; an existing file is left untouched.
+    """Checks that a file can be created at ``path``, and returns the resolved path. An existing file is left untouched.
 
-    Worth calling before hours of work. Raises :class:`clvol.errors.UsageError` when the folder does
-    not exist or cannot be written to, when ``path`` is a folder, a device, a pipe or a socket, or a
-    file that is read (``clvol.inputs.protected``).
+    Call it before long work. Raises :class:`clvol.errors.UsageError` when the folder does not exist or cannot be
+    written to, and when ``path`` is a folder, a device, a pipe, a socket, or an input (``clvol.inputs.protected``).
     """
     target, temporary = _begin(path)
     _remove(temporary)
@@ -33,12 +32,11 @@ def check_output_folder(path: str | os.PathLike[str]) -> Path:
 
 @contextmanager
 def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """Yields a temporary path beside ``path`` (same folder, same ending) to write to.
+    """Yields a temporary path in the folder of ``path``, with the same ending, to write to.
 
-    After the block its content is flushed to the disk and put in the place of ``path`` in one step.
-    Whatever ends the block early (an error, a full disk, an interrupt) leaves the folder as it was.
-    Raises :class:`clvol.errors.UsageError` for an impossible place and
-    :class:`clvol.errors.RenderError`, which names ``path``, when writing fails.
+    After the block the file is flushed to disk and renamed to ``path`` in one step. If the block ends early (by an
+    error, a full disk, an interrupt), the folder stays as it was. Raises :class:`clvol.errors.UsageError` if no file
+    can be created there, and :class:`clvol.errors.RenderError`, which names ``path``, when writing fails.
     """
     with atomic_paths([path]) as temporaries:
         yield temporaries[0]
@@ -46,24 +44,23 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 @contextmanager
 def atomic_paths(paths: Sequence[str | os.PathLike[str]]) -> Iterator[list[Path]]:
-    """As ``atomic_path`` for several files: after the block all take their places, or none does.
+    """Like ``atomic_path`` for several files: after the block either all of them appear, or none does.
 
-    If a move fails, those that were made before it are taken back: of these, files that were there
-    before are lost.
+    If renaming one of them fails, those that were renamed before are removed; files that they had replaced are lost.
     """
     drafts: list[tuple[str, Path, Path]] = []
     try:
         for path in paths:
             drafts.append((str(path), *_begin(path)))
         yield [temporary for _, _, temporary in drafts]
-        for said, _, temporary in drafts:
-            with _writing(said):
+        for given, _, temporary in drafts:
+            with _writing(given):
                 _flush(temporary)
         with held():
             _move(drafts)
     except OSError as error:
-        known = [said for said, _, temporary in drafts if str(error.filename) == str(temporary)]
-        raise _not_written(", ".join(known or [said for said, _, _ in drafts]), error) from error
+        known = [given for given, _, temporary in drafts if str(error.filename) == str(temporary)]
+        raise _not_written(", ".join(known or [given for given, _, _ in drafts]), error) from error
     finally:
         for _, _, temporary in drafts:
             _remove(temporary)
@@ -74,10 +71,10 @@ def atomic_paths(paths: Sequence[str | os.PathLike[str]]) -> Iterator[list[Path]
 def _move(drafts: list[tuple[str, Path, Path]]) -> None:
     moved: list[Path] = []
     try:
-        for said, target, temporary in drafts:
-            _check_target(said, target)  # again: it may have come meanwhile
-        for said, target, temporary in drafts:
-            with _writing(said):
+        for given, target, temporary in drafts:
+            _check_target(given, target)  # again: the target may have been created meanwhile
+        for given, target, temporary in drafts:
+            with _writing(given):
                 os.replace(temporary, target)
             forget_temporary(temporary)
             moved.append(target)
@@ -88,19 +85,19 @@ def _move(drafts: list[tuple[str, Path, Path]]) -> None:
 
 
 @contextmanager
-def _writing(said: str) -> Iterator[None]:
+def _writing(given: str) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise _not_written(said, error) from error
+        raise _not_written(given, error) from error
 
 
-def _not_written(said: str, error: OSError) -> ClvolError:
-    return RenderError(said, f"the file cannot be written: {_why(error)}")
+def _not_written(given: str, error: OSError) -> ClvolError:
+    return RenderError(given, f"the file cannot be written: {_why(error)}")
 
 
 def _begin(path: str | os.PathLike[str]) -> tuple[Path, Path]:
-    """The real target (links followed) and a new empty file beside it."""
+    """The target, with links resolved, and a new empty file in the same folder."""
     try:
         target = Path(os.path.realpath(path))
         folder = target.parent
@@ -109,7 +106,7 @@ def _begin(path: str | os.PathLike[str]) -> tuple[Path, Path]:
         raise UsageError(str(path), f"no file can have this name: {_why(error)}",
                          "the name of a file") from error
     if not os.path.isdir(folder):
-        what = "is no folder" if os.path.exists(folder) else "does not exist"
+        what = "is not a folder" if os.path.exists(folder) else "does not exist"
         raise UsageError(str(path), f'the folder "{folder}" {what}', "an existing folder")
     temporary = folder / f".{secrets.token_hex(6)}.part{target.suffix}"
     expect_temporary(temporary)
@@ -127,35 +124,35 @@ def _begin(path: str | os.PathLike[str]) -> tuple[Path, Path]:
     return target, temporary
 
 
-def _check_target(said: str, target: Path) -> None:
-    """UsageError for what must not be replaced; OSError for a name that is too long, which is known
-    now and not after the work."""
+def _check_target(given: str, target: Path) -> None:
+    """Raises UsageError for a target that must not be replaced, and OSError for a name that is too long, before the
+    work and not after it."""
     try:
         mode = os.lstat(target).st_mode
     except (FileNotFoundError, NotADirectoryError):
         mode = 0
     except OSError as error:
         if error.errno == errno.ENAMETOOLONG and not os.path.isdir(target.parent):
-            mode = 0  # it is the folder that is not there
+            mode = 0  # the folder does not exist, which is reported later
         else:
             raise
     for is_kind, what in _NO_FILE:
         if is_kind(mode):
-            raise UsageError(said, what, "the name of a file")
+            raise UsageError(given, what, "the name of a file")
     if mode:
-        _check_not_standard(said, target)
-    check_not_read(said)
+        _check_not_standard(given, target)
+    check_not_read(given)
 
 
-def _check_not_standard(said: str, target: Path) -> None:
-    """What standard output or error go to is being written."""
+def _check_not_standard(given: str, target: Path) -> None:
+    """Raises UsageError if standard output or standard error is redirected to ``target``."""
     for descriptor, name in ((1, "standard output"), (2, "standard error")):
         try:
             same = os.path.samestat(os.fstat(descriptor), os.stat(target))
         except OSError:
             continue
         if same:
-            raise UsageError(said, f"{name} goes there", "a file of its own")
+            raise UsageError(given, f"{name} is redirected to it", "a different output file")
 
 
 def _flush(temporary: Path) -> None:
@@ -176,7 +173,7 @@ def _remove(temporary: Path) -> None:
 
 
 def _sync_folder(folder: Path) -> None:
-    """Make the new name survive a power cut; not every file system can."""
+    """Makes the new name survive a power failure, on file systems that support it."""
     try:
         descriptor = os.open(folder, os.O_RDONLY)
     except OSError:

@@ -1,7 +1,7 @@
 """OpenEXR: R, G, B, A (premultiplied, linear) and Z (depth), 32-bit float, ZIP-compressed.
 
-Z is the distance along the pixel's ray, in world units, at which the accumulated opacity reaches
-one half, and +inf where it never does. The header carries ``scene`` (the scene's text), ``made_from``
+Z is the distance along the pixel's ray, in world units, at which the accumulated opacity reaches one half, and +inf
+where it never does. The header contains ``scene`` (the scene's text), ``made_from``
 and ``stats`` (JSON), ``background`` (JSON, linear), ``device``, ``software`` and the versions of
 clvol, pyopencl and numpy.
 """
@@ -24,7 +24,7 @@ from clvol.image.limits import RGBA_BYTES, check_picture
 
 
 def write(frame: Any, rgba: np.ndarray, path: Path) -> None:
-    """Write the frame to ``path``; OSError when that fails."""
+    """Writes the frame to ``path``. Raises OSError when that fails."""
     import OpenEXR
 
     channels = {"RGBA": np.ascontiguousarray(rgba, dtype=np.float32)}
@@ -37,33 +37,33 @@ def write(frame: Any, rgba: np.ndarray, path: Path) -> None:
     texts = facts(frame, held(rgba, depth))
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, **texts}
     try:
-        # As bytes: a name need not be UTF-8.
+        # The path is passed as bytes, because a name need not be UTF-8.
         OpenEXR.File(header, channels).write(os.fsencode(path))
     except (RuntimeError, ValueError) as error:
-        # The library names the temporary file, which is nothing to the user.
+        # The library's message names the temporary file, of which the user does not know.
         why = str(error).replace(f' to image file "{path}"', "").strip().rstrip(".")
         raise OSError(why) from error
 
 
 def held(rgba: np.ndarray, depth: np.ndarray | None) -> list[np.ndarray]:
-    """What the file holds of a picture."""
+    """The arrays of a picture that the file stores."""
     return [rgba] if depth is None else [rgba, depth]
 
 
 def channels(path: str, memory_cap: int | None = None) -> dict[str, np.ndarray]:
-    """The channels of the file's first part by name, as they are stored. UsageError where they take
-    more than ``memory_cap`` bytes (``clvol.image.limits``)."""
+    """The channels of the file's first part by name, as they are stored. Raises UsageError if they take more than
+    ``memory_cap`` bytes (``clvol.image.limits``)."""
     return _read(path, memory_cap)[0]
 
 
 def check_size(path: str, memory_cap: int | None) -> None:
-    """UsageError if reading the file takes more bytes than the cap; only its header is read."""
+    """Raises UsageError if reading the file takes more bytes than the cap. Only the header is read."""
     with _opened(path, header_only=True) as file:
         nbytes, width, height = 0, 0, 0
         for index in range(len(file.parts)):
             header = file.header(index)
             if "deep" in str(header.get("type", "")):
-                raise UsageError(path, "deep pixels, with many samples each", "flat ones")
+                raise UsageError(path, "has deep pixels, with several samples each", "one sample per pixel")
             low, high = (np.asarray(corner, dtype=np.int64) for corner in header["dataWindow"])
             width, height = (int(n) for n in high - low + 1)
             samples = sum(1 / (c.xSampling * c.ySampling) for c in header["channels"])
@@ -75,7 +75,7 @@ def check_size(path: str, memory_cap: int | None) -> None:
 
 
 def _read(path: str, memory_cap: int | None) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """The channels, and the header's texts and numbers."""
+    """The channels, and the strings and numbers of the header."""
     check_size(path, memory_cap)
     with _opened(path, separate_channels=True) as file:
         pixels = {name: np.asarray(channel.pixels) for name, channel in file.channels().items()}
@@ -84,18 +84,18 @@ def _read(path: str, memory_cap: int | None) -> tuple[dict[str, np.ndarray], dic
 
 
 @contextmanager
-def _opened(path: str, **how: bool) -> Iterator[Any]:
+def _opened(path: str, **options: bool) -> Iterator[Any]:
     import OpenEXR
 
-    with OpenEXR.File(os.fsencode(path), **how) as file:
+    with OpenEXR.File(os.fsencode(path), **options) as file:
         yield file
 
 
 def read(
     path: str, memory_cap: int | None = None
 ) -> tuple[np.ndarray, np.ndarray | None, dict[str, Any]]:
-    """``rgba`` (a missing A means opaque), Z or None, and the header's texts and numbers, with
-    ``has_alpha``."""
+    """``rgba`` (opaque if the file has no A), Z or None, and the strings and numbers of the header, to which
+    ``has_alpha`` is added."""
     pixels, header = _read(path, memory_cap)
     missing = [name for name in "RGB" if name not in pixels]
     if missing:

@@ -1,4 +1,4 @@
-"""One call to write a frame and one to read a picture, by the file name's ending."""
+"""Writes frames and reads pictures in the format that the file name's ending says."""
 
 from __future__ import annotations
 
@@ -21,26 +21,26 @@ def _format(path: str | os.PathLike[str]) -> Any:
     try:
         name = ENDINGS[Path(path).suffix.lower()]
     except KeyError:
-        raise UsageError(str(path), f'pictures have no ending "{Path(path).suffix}"',
+        raise UsageError(str(path), f'unknown ending "{Path(path).suffix}" of a picture',
                          " or ".join(ENDINGS)) from None
     return import_module(f"clvol.image.{name}")
 
 
 def check_output(path: str | os.PathLike[str]) -> None:
-    """Raise :class:`clvol.errors.UsageError` now if :func:`save_frame` could not write there."""
+    """Raises :class:`clvol.errors.UsageError` now if :func:`save_frame` could not write to ``path`` later."""
     _format(path)
     check_output_folder(path)
 
 
 def save_frame(frame: Any, path: str | os.PathLike[str]) -> None:
-    """Write ``frame`` as ``.exr``, ``.png`` or ``.npy``: the whole file or none.
+    """Writes ``frame`` as ``.exr``, ``.png`` or ``.npy``. The file appears whole or not at all.
 
     ``frame.rgba`` is float32 [height, width, 4], linear, premultiplied, row 0 on top;
     ``frame.depth`` float32 [height, width] in world units or None; ``frame.background`` [3] linear;
     ``frame.stats`` a dict; ``frame.scene_source`` a str or None; ``frame.made_from`` a function that
-    gives a dict, or None. EXR holds rgba and depth as they are, NPY rgba, PNG the image over the
-    background. Raises :class:`clvol.errors.UsageError` for an unknown ending or an impossible place,
-    :class:`clvol.errors.RenderError` when writing fails.
+    returns a dict, or None. EXR stores rgba and depth unchanged, NPY rgba, and PNG the image over the
+    background. Raises :class:`clvol.errors.UsageError` for an unknown ending or a path that cannot be written to,
+    and :class:`clvol.errors.RenderError` when writing fails.
     """
     module = _format(path)
     rgba = np.asarray(frame.rgba, dtype=np.float32)
@@ -51,16 +51,16 @@ def save_frame(frame: Any, path: str | os.PathLike[str]) -> None:
 
 
 def load_image(path: str | os.PathLike[str], memory_cap: int | None = None) -> dict[str, Any]:
-    """Read a picture: ``{"rgba", "depth", "header", "has_alpha", "background", "made_from"}``.
+    """Reads a picture: ``{"rgba", "depth", "header", "has_alpha", "background", "made_from"}``.
 
-    ``rgba`` is float32 [height, width, 4], linear, premultiplied (a PNG is decoded from sRGB),
-    ``depth`` float32 [height, width] or None, ``header`` a dict of what the file says about itself:
-    from it, whether the file has an alpha, the ``background`` ([3], linear) that the picture is over
-    or goes over, and what it was made from (a dict); None where the file does not say so.
+    ``rgba`` is float32 [height, width, 4], linear, premultiplied (a PNG is decoded from sRGB), ``depth`` float32
+    [height, width] or None, and ``header`` a dict of the file's metadata. ``has_alpha`` is whether the file has an
+    alpha channel. ``background`` ([3], linear) is the colour that the picture is, or is meant to be, composited
+    over, and ``made_from`` a dict of what it was rendered from; both are None if the file does not state them.
 
-    ``memory_cap``: bytes that reading it may take; 1 GiB, or 75 % of the available memory where that
-    is less. Nothing is allocated beyond it. Raises :class:`clvol.errors.UsageError` when the file is
-    missing, is no such picture, or takes more.
+    ``memory_cap``: the largest number of bytes that reading may take; None means 1 GiB, or 75 % of the available
+    memory if that is less. Raises :class:`clvol.errors.UsageError` when the file is missing, is not a picture of its
+    format, or needs more memory; in the last case nothing has been allocated.
     """
     module = _format(path)
     if not os.path.isfile(path):
@@ -69,7 +69,7 @@ def load_image(path: str | os.PathLike[str], memory_cap: int | None = None) -> d
         rgba, depth, header = module.read(os.fspath(path), memory_cap)
     except (UsageError, MemoryError):
         raise
-    # The libraries raise whatever they like on damaged files.
+    # The libraries raise exceptions of any type for damaged files.
     except Exception as error:
         why = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise UsageError(str(path), f"the picture cannot be read: {why}",
@@ -85,16 +85,15 @@ def load_image(path: str | os.PathLike[str], memory_cap: int | None = None) -> d
 
 
 def is_intact(path: str | os.PathLike[str], picture: dict[str, Any]) -> bool:
-    """Whether the pixels of ``picture``, as ``load_image`` has read it from ``path``, are those that
-    were written."""
+    """Whether ``picture``, which ``load_image`` has read from ``path``, has the pixels that were written."""
     held = _format(path).held(picture["rgba"], picture["depth"])
     return (picture[MADE_FROM] or {}).get("pixels") == digest(held)
 
 
 def _background(header: dict[str, Any]) -> np.ndarray | None:
-    told = _parsed(header, "background", list)
+    values = _parsed(header, "background", list)
     try:
-        color = np.array(told, dtype=np.float64)
+        color = np.array(values, dtype=np.float64)
     except (TypeError, ValueError):
         return None
     return color if color.shape == (3,) and np.isfinite(color).all() else None

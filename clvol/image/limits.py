@@ -1,4 +1,4 @@
-"""How much memory a picture that is read may take, known from its header before any is allocated."""
+"""The limit on the memory that reading a picture takes, checked from its header before anything is allocated."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ from clvol.errors import UsageError
 from clvol.volume.memory import DEFAULT_SHARE, available_memory, show_bytes
 
 DEFAULT_CAP = 1 << 30
-"""Bytes that a picture may take while it is read, unless the caller says: 8192 x 5461 pixels of a PNG."""
+"""The default limit in bytes for reading one picture, enough for a PNG of 8192 x 5461 pixels."""
 
-RGBA_BYTES = 16  # a pixel as it is worked with
+RGBA_BYTES = 16  # per pixel of float32 RGBA
 
 
 def check_picture(where: str, width: int, height: int, nbytes: int, cap: int | None) -> None:
-    """UsageError if reading a picture of that size takes more bytes than the cap. ``nbytes``: what
-    the pixels take as the file holds them and as they are worked with."""
+    """Raises UsageError if reading a picture of this size takes more bytes than ``cap`` (None: the default limit).
+    ``nbytes``: the size of the pixels as the file stores them, and of the float32 RGBA that they become."""
     limit, source = cap, "the memory cap"
     if limit is None:
         limit, source = DEFAULT_CAP, "without --memory-cap"

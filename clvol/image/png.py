@@ -1,4 +1,4 @@
-"""PNG: the image over its background, as displayed: 8 bits, sRGB-encoded, no alpha, no dithering.
+"""PNG files hold the image as displayed, over its background: 8 bits, sRGB-encoded, without alpha or dithering.
 
 The pixels are encoded by the exact piecewise curve of IEC 61966-2-1 and rounded to nearest.
 """
@@ -16,17 +16,17 @@ from clvol.image.about import MADE_FROM, facts
 from clvol.image.limits import RGBA_BYTES, check_picture
 from clvol.transfer.color import linear_to_srgb, srgb_to_linear
 
-_ROWS = 256  # rows encoded at a time, so that double precision needs little memory
+_ROWS = 256  # rows that are encoded together, so that double precision takes little memory
 _LARGEST_TEXT = 1 << 20
-_DEPTH_AT = 24  # byte of the file: bits a channel
-_KEYWORDS = {"scene": "Scene"}  # of the texts that have another name in a PNG
+_DEPTH_AT = 24  # offset of the byte that holds the number of bits per channel
+_KEYWORDS = {"scene": "Scene"}  # texts that have another name in a PNG
 
 
 def display(rgba: np.ndarray, background: Any) -> np.ndarray:
-    """What a viewer shows: uint8 [height, width, 3], the image over ``background`` [3] (linear).
+    """The image over ``background`` [3] (linear) as a viewer shows it, uint8 [height, width, 3].
 
-    ``rgba`` is [height, width, 4], linear, premultiplied. Light brighter than white is clipped. A
-    pixel with a NaN in any channel shows the background, an infinite channel its end (0 or 255).
+    ``rgba`` is [height, width, 4], linear, premultiplied. Light brighter than white is clipped. A pixel with NaN in
+    any channel shows the background, and an infinite channel becomes 0 or 255.
     """
     behind = np.nan_to_num(np.asarray(background, dtype=np.float64).reshape(3), posinf=1.0)
     shown = np.empty((*rgba.shape[:2], 3), dtype=np.uint8)
@@ -40,7 +40,7 @@ def display(rgba: np.ndarray, background: Any) -> np.ndarray:
 
 
 def write(frame: Any, rgba: np.ndarray, path: Path) -> None:
-    """Write the frame to ``path``; OSError when that fails."""
+    """Writes the frame to ``path``. Raises OSError when that fails."""
     from PIL import Image
 
     background = getattr(frame, "background", None)
@@ -50,7 +50,7 @@ def write(frame: Any, rgba: np.ndarray, path: Path) -> None:
 
 
 def text_chunks(frame: Any, shown: Iterable[np.ndarray]) -> Any:
-    """What a PNG says about itself, for Pillow; ``shown`` are the pixels that it holds."""
+    """The metadata of a PNG, for Pillow. ``shown`` are the pixels that the file holds."""
     from PIL import PngImagePlugin
 
     chunks = PngImagePlugin.PngInfo()
@@ -58,33 +58,33 @@ def text_chunks(frame: Any, shown: Iterable[np.ndarray]) -> Any:
     texts = facts(frame, shown)
     chunks.add_text("Software", texts["software"])
     for name in ("background", MADE_FROM, "scene"):
-        # Readers refuse larger ones, Pillow the whole picture with them.
+        # Readers ignore larger texts, and Pillow then refuses the whole picture.
         if name in texts and len(texts[name].encode()) < _LARGEST_TEXT:
             chunks.add_itxt(_KEYWORDS.get(name, name), texts[name], zip=True)
     return chunks
 
 
 def held(rgba: np.ndarray, depth: np.ndarray | None) -> list[np.ndarray]:
-    """What the file holds of a picture that was read from it."""
+    """The arrays that the file stores of a picture that was read from it."""
     return [display(rgba, (0.0, 0.0, 0.0))]
 
 
 def read(path: str, memory_cap: int | None = None) -> tuple[np.ndarray, None, dict[str, Any]]:
-    """Decoded from sRGB to linear light and premultiplied (an alpha in a PNG is not associated);
-    no depth; the texts of the file, ``has_alpha``, and of how many ``bits`` a channel is."""
+    """The picture decoded from sRGB to linear light and premultiplied (PNG stores straight alpha), no depth, and the
+    texts of the file, to which ``has_alpha`` and ``bits`` (per channel) are added."""
     from PIL import PngImagePlugin
 
-    # Not Image.open: its own limit is a number of pixels, whatever they take.
+    # Image.open would apply a limit on the number of pixels, regardless of their size.
     with open(path, "rb") as file, PngImagePlugin.PngImageFile(file) as image:
         width, height = image.size
-        # As Pillow holds them (twice, where they are converted), and as they are worked with.
+        # Pillow's pixels (twice, if they are converted), and the float32 RGBA made of them.
         check_picture(path, width, height, width * height * (8 + RGBA_BYTES), memory_cap)
         image.load()
         header = {k: v for k, v in image.info.items() if isinstance(v, (str, int, float))}
         is_grey16 = image.mode.startswith("I")
         header["bits"] = 16 if is_grey16 else 8
         file.seek(_DEPTH_AT)
-        if file.read(1) == b"\x10" and not is_grey16:  # Pillow takes such colour as 8 bits
+        if file.read(1) == b"\x10" and not is_grey16:  # Pillow reads 16-bit colour as 8 bits
             header["unread_bits"] = 8
         if "icc_profile" in image.info or {"gamma", "srgb"} & set(image.info) == {"gamma"}:
             header["unread_profile"] = True
@@ -101,7 +101,7 @@ def read(path: str, memory_cap: int | None = None) -> tuple[np.ndarray, None, di
 
 
 def _linear(pixels: np.ndarray) -> np.ndarray:
-    """uint8 [..., 4], sRGB-encoded, as linear and premultiplied."""
+    """``pixels`` (uint8 [..., 4], sRGB-encoded, straight alpha) as linear, premultiplied light."""
     levels = srgb_to_linear(np.arange(256) / 255.0)
     alpha = pixels[..., 3:] / 255.0
     return np.concatenate([levels[pixels[..., :3]] * alpha, alpha], axis=-1)

@@ -1,8 +1,8 @@
-"""Videos of an animation: .gif, .webp and .apng by Pillow, .mp4 where imageio-ffmpeg is installed.
+"""Writes videos of animations: .gif, .webp and .apng with Pillow, and .mp4 if imageio-ffmpeg is installed.
 
-Frames are shown as PNG shows them (``clvol.image.png.display``): over their background, sRGB.
-Pillow takes them all at once, so a video needs 4 bytes of memory a pixel and frame until it is
-written; an .mp4 is written frame by frame.
+Frames are shown as in a PNG (``clvol.image.png.display``), over their background and sRGB-encoded. Pillow takes all
+frames at once, so a video needs 4 bytes of memory per pixel and frame until it is written. An .mp4 is written frame
+by frame.
 """
 
 from __future__ import annotations
@@ -21,24 +21,26 @@ from clvol.errors import RenderError, UsageError
 from clvol.image.about import MADE_FROM
 from clvol.image.png import display
 
-# ending -> most frames a second, largest width and height
+# ending -> largest frame rate (per second), largest width or height (pixels)
 _LIMITS = {
-    ".gif": (50.0, 65535),  # delays are hundredths of a second, and viewers slow down those of one
+    ".gif": (50.0, 65535),  # delays are in 1/100 s, and viewers slow down delays of 1/100 s
     ".webp": (1000.0, 16383),
     ".apng": (1000.0, 65535),
     ".mp4": (1000.0, 16384),
 }
 VIDEO_ENDINGS = tuple(_LIMITS)
-_SLOWEST = 0.1  # frames a second: what every format can say
-_QUALITY = 90  # of .webp, of 100
+_SLOWEST = 0.1  # frames per second, which every format can express
+_QUALITY = 90  # of .webp, 0 to 100
 
 
 class VideoWriter(Protocol):
+    """Takes the frames of a video one by one."""
+
     def add(self, frame: Any) -> None:
-        """The next frame; all are of one size."""
+        """Adds the next frame. All frames have the same size."""
 
     def finish(self) -> None:
-        """Writes what is still to be written; no frame can follow."""
+        """Writes the rest of the file, after which no frame can be added."""
 
 
 def is_video(path: str | os.PathLike[str]) -> bool:
@@ -46,17 +48,17 @@ def is_video(path: str | os.PathLike[str]) -> bool:
 
 
 def check_video(path: str | os.PathLike[str], fps: float, width: int, height: int) -> None:
-    """UsageError now if ``open_video`` could not write such frames; the folder is not looked at."""
+    """Raises UsageError now if ``open_video`` could not write such frames later. The folder is not checked."""
     ending = _ending(path)
     if ending not in _LIMITS:
         known = " or ".join(VIDEO_ENDINGS)
-        raise UsageError(str(path), f'videos have no ending "{Path(path).suffix}"', known)
+        raise UsageError(str(path), f'unknown ending "{Path(path).suffix}" of a video', known)
     fastest, largest = _LIMITS[ending]
     if not _SLOWEST <= fps <= fastest:
         expected = f"{_SLOWEST:g} to {fastest:g} in a video that ends in {ending}"
-        raise UsageError(str(path), f"{fps:g} frames a second", expected)
+        raise UsageError(str(path), f"{fps:g} frames per second", expected)
     if max(width, height) > largest:
-        expected = f"at most {largest} pixels an edge in a video that ends in {ending}"
+        expected = f"at most {largest} pixels per edge in a video that ends in {ending}"
         raise UsageError(str(path), f"{width} x {height} pixels", expected)
     if ending == ".mp4" and importlib.util.find_spec("imageio_ffmpeg") is None:
         others = ", ".join(VIDEO_ENDINGS[:-1])
@@ -68,10 +70,13 @@ def check_video(path: str | os.PathLike[str], fps: float, width: int, height: in
 def open_video(
     path: Path, fps: float, made_from: Callable[[], dict[str, Any]] | None = None
 ) -> Iterator[VideoWriter]:
-    """Yields a writer for the video file ``path``, which is complete after the block, or after the
-    writer's ``finish``. What ``made_from`` gives when the first frame comes goes into the file, as
-    JSON: a GIF's and an MP4's comment, WebP's XMP, the text "made_from" of an APNG. A block that ends
-    early leaves a file that is no video: write to a temporary one (``clvol.image.atomic_path``). RenderError for no frame at all or frames of several sizes.
+    """Yields a writer for the video file ``path``, which is complete after the block, or after the writer's
+    ``finish``.
+
+    ``made_from`` is called when the file's metadata are written, and its result is stored as JSON: in the comment of
+    a GIF or an MP4, the XMP of a WebP, the text "made_from" of an APNG. If the block ends early, the file is
+    incomplete, so write to a temporary one (``clvol.image.atomic_path``). Raises RenderError if there is no frame, or
+    if the frames differ in size.
     """
     kind = _Mp4 if _ending(path) == ".mp4" else _Pillow
     writer = kind(path, fps, made_from)
@@ -83,7 +88,7 @@ def open_video(
 
 
 class _Frames:
-    """Frames as displayed, all of the first one's size."""
+    """The common part of the writers: takes frames as displayed, all of the first one's size."""
 
     def __init__(
         self, path: Path, fps: float, made_from: Callable[[], dict[str, Any]] | None
@@ -103,8 +108,16 @@ class _Frames:
         self._take(shown)
         self.count += 1
 
+    def _take(self, shown: np.ndarray) -> None:
+        """Keeps or encodes one frame, uint8 [height, width, 3]."""
+        raise NotImplementedError
+
+    def _write(self) -> None:
+        """Completes the file; called once."""
+        raise NotImplementedError
+
     def about(self) -> str | None:
-        """What the video says about itself."""
+        """The metadata of the video as JSON, if there are any."""
         return None if self._made_from is None else json.dumps(self._made_from())
 
     def finish(self) -> None:
@@ -116,10 +129,12 @@ class _Frames:
         self.finished = True
 
     def close(self) -> None:
-        """Called at the end, also of a video that is not finished."""
+        """Releases resources; called at the end, also if the video is not finished."""
 
 
 class _Pillow(_Frames):
+    """Collects all frames, and writes them with Pillow."""
+
     def __init__(
         self, path: Path, fps: float, made_from: Callable[[], dict[str, Any]] | None
     ) -> None:
@@ -140,28 +155,28 @@ class _Pillow(_Frames):
         from PIL import PngImagePlugin
 
         unit = 10 if self.ending == ".gif" else 1
-        how: dict[str, Any] = {"duration": frame_times(self.count, self.fps, unit), "loop": 0}
+        options: dict[str, Any] = {"duration": frame_times(self.count, self.fps, unit), "loop": 0}
         if self.ending == ".webp":
-            how |= {"quality": _QUALITY, "method": 4}
+            options |= {"quality": _QUALITY, "method": 4}
         elif self.ending == ".gif":
-            how |= {"optimize": False}
+            options |= {"optimize": False}
         about = self.about()
         if about is not None and self.ending == ".apng":
-            how["pnginfo"] = PngImagePlugin.PngInfo()
-            how["pnginfo"].add_itxt(MADE_FROM, about, zip=True)
+            options["pnginfo"] = PngImagePlugin.PngInfo()
+            options["pnginfo"].add_itxt(MADE_FROM, about, zip=True)
         elif about is not None:
-            how["xmp" if self.ending == ".webp" else "comment"] = about.encode()
+            options["xmp" if self.ending == ".webp" else "comment"] = about.encode()
         first, *others = self._images
         form = {".gif": "GIF", ".webp": "WEBP", ".apng": "PNG"}[self.ending]
         with open(self.path, "wb") as file:
-            first.save(file, format=form, save_all=True, append_images=others, **how)
+            first.save(file, format=form, save_all=True, append_images=others, **options)
 
     def close(self) -> None:
         self._images.clear()
 
 
 class _Mp4(_Frames):
-    """H.264 with half the colour resolution, which is what players can show; its sizes are even."""
+    """H.264 with chroma subsampling, which players support. Width and height are padded to even numbers."""
 
     _process: Any = None
 
@@ -172,10 +187,10 @@ class _Mp4(_Frames):
             import imageio_ffmpeg
 
             about = self.about()
-            told = [] if about is None else ["-metadata", f"comment={about}"]
+            metadata = [] if about is None else ["-metadata", f"comment={about}"]
             self._process = imageio_ffmpeg.write_frames(
                 str(self.path), shown.shape[1::-1], fps=self.fps, codec="libx264", quality=8,
-                macro_block_size=2, ffmpeg_log_level="error", output_params=told,
+                macro_block_size=2, ffmpeg_log_level="error", output_params=metadata,
             )  # fmt: skip
             self._process.send(None)
         self._process.send(np.ascontiguousarray(shown))
@@ -192,8 +207,8 @@ class _Mp4(_Frames):
 
 
 def frame_times(count: int, fps: float, unit: int = 1) -> list[int]:
-    """How long each frame is shown, in milliseconds, multiples of ``unit``. Rounding does not add
-    up: the first n frames together take n / fps to within half a unit."""
+    """The duration of each frame in milliseconds, a multiple of ``unit``. Rounding errors do not accumulate: the
+    first n frames together take n / fps to within half a unit."""
     ends = np.rint(np.arange(count + 1) * (1000.0 / unit) / fps).astype(int) * unit
     return np.diff(ends).tolist()
 

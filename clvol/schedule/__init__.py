@@ -1,1 +1,1 @@
-"""How work is cut up: pure arithmetic, testable without a device."""
+"""How work is divided into frames, tiles and launches: arithmetic that needs no device."""

@@ -1,4 +1,4 @@
-"""What changes from frame to frame of an animation: the time, and the camera in orbit."""
+"""Time and camera of each frame of an animation."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from clvol.errors import UsageError
 from clvol.scene.camera import Camera
 from clvol.scene.resolve import ResolvedScene
 
@@ -14,9 +15,8 @@ from clvol.scene.resolve import ResolvedScene
 def frames(resolved: ResolvedScene) -> Iterator[tuple[int, float, Camera]]:
     """(index from 0, time in seconds, camera) of each frame.
 
-    Frames are 1 / ``animation.fps`` apart. The turn of ``animation.orbit_degrees`` is shared out
-    over all of them such that the frame after the last one would end it: a turn of 360 runs in a
-    loop without a stop.
+    Frames are 1 / ``animation.fps`` apart. The rotation of ``animation.orbit_degrees`` is divided evenly, so that
+    it would be complete one frame after the last: a rotation of 360 degrees loops seamlessly.
     """
     animation = resolved.animation
     for index in range(animation.frames):
@@ -25,10 +25,12 @@ def frames(resolved: ResolvedScene) -> Iterator[tuple[int, float, Camera]]:
 
 
 def orbited(camera: Camera, degrees: float) -> Camera:
-    """``camera`` (complete) turned about its target and its ``up``: to the right where positive, so
-    that what it looks at turns to the left."""
+    """``camera`` rotated about its target, around ``up``. With positive ``degrees`` the camera moves to the right, so
+    the object appears to turn to the left. UsageError for a camera that is not complete."""
     if degrees == 0:
         return camera
+    if camera.position is None or camera.target is None or camera.up is None:
+        raise UsageError("camera", "lacks a position, a target or an up", "a complete camera")
     up = np.asarray(camera.up) / np.linalg.norm(camera.up)
     away = np.subtract(camera.position, camera.target)
     angle = math.radians(math.fmod(degrees, 360.0))

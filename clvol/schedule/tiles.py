@@ -1,4 +1,4 @@
-"""A picture cut into tiles, and tiles into launches that follow one another."""
+"""Divides a picture into tiles, and the tiles into successive kernel launches."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import logging
 from dataclasses import dataclass
 
 _log = logging.getLogger(__name__)
-TILE = 16  # pixels an edge
+TILE = 16  # pixels per edge
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,8 @@ def tiling(image_width: int, image_height: int, width: int = TILE, height: int =
 def bands(tiles: int, expected_seconds: float, band_seconds: float) -> list[tuple[int, int]]:
     """(first tile, number of tiles) of launches that take about ``band_seconds`` each.
 
-    Short enough for a progress report and for Ctrl-C; one launch where all is quick.
+    Launches are short so that progress can be reported and Ctrl-C takes effect between them. A picture that is
+    rendered within ``band_seconds`` takes one launch.
     """
     count = max(1, min(tiles, round(expected_seconds / band_seconds)))
     _log.info("tiles: %d, kernel launches: %d", tiles, count)

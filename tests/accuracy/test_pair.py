@@ -92,7 +92,7 @@ def test_a_png_of_another_tool_is_over_what_the_other_picture_tells(pictures):
 def test_another_background_is_told(pictures):
     save_frame(frame(background=np.array([1.0, 0.0, 0.0])), "c.exr")
     told = pair_of("c.exr", "a.png").measures()
-    assert told["rmse"] < 0.003 and any("tells another" in s for s in told["left_out"])
+    assert told["rmse"] < 0.003 and any("states another" in s for s in told["left_out"])
 
 
 def test_light_that_a_screen_cannot_show_is_left_out(pictures):

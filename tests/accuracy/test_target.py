@@ -183,7 +183,7 @@ def test_a_time_is_held_and_more_of_it_buys_less_error(device):
 
 
 def test_a_time_that_nothing_holds_is_refused_with_what_would(device):
-    with pytest.raises(UsageError, match="time_budget: got 1e-07 s, expected at least .* s here"):
+    with pytest.raises(UsageError, match="time_budget: got 1e-07 s, expected at least .* s on this device"):
         render_in_time(scene_of(), 1e-7, devices=[device])
 
 

@@ -86,7 +86,7 @@ class StubRenderer:
     calls: list[tuple] = []
     rendered: list[tuple] = []
 
-    def __init__(self, scene, devices=None, memory_cap=None):
+    def __init__(self, scene, devices=None, memory_cap=None, progress=None):
         self.resolved = scene.resolve()
         self.devices = devices
         type(self).calls.append((self.resolved, devices))
@@ -97,15 +97,15 @@ class StubRenderer:
     def __exit__(self, *stop):
         return None
 
-    def render(self, camera=None, progress=None, depth=True, time=None):
+    def render(self, camera=None, progress=None, depth=True, time=None, seconds=None):
         if self.failure is not None and self.fails_at in (None, time):
             raise self.failure
         type(self).rendered.append((time, camera))
         size = self.resolved.image.height, self.resolved.image.width
         rgba = np.full((*size, 4), 0.25 + (time or 0.0) / 4, dtype=np.float32)
         depth = np.full(size, 2.0, dtype=np.float32)
-        seconds = {"prepare": 0.1, "compile": 0.0, "render": np.float32(0.5)}
-        stats = {"seconds": seconds, "samples": np.int64(7), "rays": 48, "devices": ["stub"],
+        times = {"prepare": 0.1, "compile": 0.0, "render": np.float32(0.5)}
+        stats = {"seconds": times, "samples": np.int64(7), "rays": 48, "devices": ["stub"],
                  "effects": [], "method": "raycast", "worst": float("inf")}
         return StubFrame(rgba, depth, self.resolved.background, self.resolved.source, stats)
 

@@ -83,7 +83,7 @@ def test_tradeoff_writes_a_page_and_says_what_to_use(run, folder, device):
     ("arguments", "said"),
     [
         (["scene.toml"], "clvol tradeoff: no -o DIR, expected -o DIR"),
-        (["scene.toml", "-o", "cube.npy"], "cube.npy: got a file, expected a folder"),
+        (["scene.toml", "-o", "cube.npy"], "cube.npy: is a file, expected a folder"),
         (["scene.toml", "-o", "no/where"], 'no/where: the folder "'),
         (["scene.toml", "-o", "out", "--frames", "0"], "clvol tradeoff: --frames: Invalid value"),
         (["scene.toml", "-o", "out", "--settings", "0"], "clvol tradeoff: --settings: Invalid value"),

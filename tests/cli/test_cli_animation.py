@@ -74,7 +74,7 @@ MISTAKES = [
     (["-o", "none/a.gif", *FRAMES], 'none/a.gif: the folder '),
     (["-o", "none/a%d.png", *FRAMES], 'none/a0.png: the folder '),
     (["-o", "a.gif", *FRAMES, "--set", "animation.fps=60"],
-     "a.gif: 60 frames a second, expected 0.1 to 50"),
+     "a.gif: 60 frames per second, expected 0.1 to 50"),
     (["-o", "a.png", "--resume"], "--resume: given for a single picture, expected animation"),
     (["-o", "a.gif", "--resume", *FRAMES], "--resume: given with a.gif, expected numbered"),
     (["-o", "a%d.png", "--max-error", "1e-2", *FRAMES],

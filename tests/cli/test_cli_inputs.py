@@ -352,7 +352,7 @@ def test_where_standard_output_goes_is_no_output(folder):
         done = subprocess.run(
             [sys.executable, "-m", "clvol", *words], stdout=log, stderr=subprocess.PIPE, text=True
         )
-    assert done.returncode == 2 and "standard output goes there" in done.stderr
+    assert done.returncode == 2 and "standard output is redirected to it" in done.stderr
 
 
 # --- parts

@@ -90,9 +90,9 @@ def test_frames_of_another_size_and_no_frames_are_refused(tmp_path, ending):
 @pytest.mark.parametrize(
     ("name", "fps", "size", "line"),
     [
-        ("a.avi", 25.0, (8, 8), 'a.avi: videos have no ending ".avi", expected .gif or .webp'),
-        ("a.gif", 51.0, (8, 8), "a.gif: 51 frames a second, expected 0.1 to 50"),
-        ("a.webp", 0.05, (8, 8), "a.webp: 0.05 frames a second, expected 0.1 to 1000"),
+        ("a.avi", 25.0, (8, 8), 'a.avi: unknown ending ".avi" of a video, expected .gif or .webp'),
+        ("a.gif", 51.0, (8, 8), "a.gif: 51 frames per second, expected 0.1 to 50"),
+        ("a.webp", 0.05, (8, 8), "a.webp: 0.05 frames per second, expected 0.1 to 1000"),
         ("a.webp", 25.0, (20000, 8), "a.webp: 20000 x 8 pixels, expected at most 16383 pixels"),
     ],
 )

@@ -25,27 +25,27 @@ BLACK = (0.0, 0.0, 0.0)
 def write_report(
     result: dict[str, Any], pictures: Mapping[str, np.ndarray], folder: Path
 ) -> list[Path]:
-    """Write the report of a sweep into ``folder``, made if it is missing; returns the files.
+    """Writes the report of a sweep into ``folder``, which is created if necessary, and returns the files.
 
-    ``result`` becomes ``tradeoff.json`` (numbers that are not finite become null); the points'
-    pictures and "reference" in ``pictures`` are float32 [height, width, 4], linear, premultiplied,
-    and are shown over ``result["scene"]["background"]`` ([3], linear; black where there is none).
-    ``index.html`` holds all that it shows. All files appear, each whole, or none does. Raises
-    UsageError where the folder cannot be one, RenderError when writing fails.
+    ``result`` becomes ``tradeoff.json`` (numbers that are not finite become null). ``pictures`` maps "reference" and
+    the ids of points to float32 [height, width, 4], linear, premultiplied, which are shown over
+    ``result["scene"]["background"]`` ([3], linear; black if there is none). ``index.html`` needs no other file. All
+    files appear, each of them whole, or none does. Raises UsageError if the folder cannot be created or written to,
+    and RenderError when writing fails.
     """
     result = plain(result)
     contents = _contents(result, pictures)
     folder = Path(folder)
-    made = _make_folders([folder, folder / "images"])
+    created = _create_folders([folder, folder / "images"])
     paths = [folder / name for name in contents]
     try:
         with atomic_paths(paths) as temporaries:
             for temporary, data in zip(temporaries, contents.values()):
                 temporary.write_bytes(data)
     except BaseException:
-        for new in reversed(made):
+        for new in reversed(created):
             try:
-                new.rmdir()  # only where it is empty
+                new.rmdir()  # fails unless the folder is empty
             except OSError:
                 pass
         raise
@@ -53,7 +53,7 @@ def write_report(
 
 
 def _contents(result: dict[str, Any], pictures: Mapping[str, np.ndarray]) -> dict[str, bytes]:
-    """The files' names, relative to the folder, and their bytes."""
+    """The names of the files, relative to the folder, and their bytes."""
     sweep = Sweep(result)
     background = result["scene"].get("background") or BLACK
     shown = [point["id"] for point in sweep.shown()]
@@ -76,7 +76,7 @@ def _contents(result: dict[str, Any], pictures: Mapping[str, np.ndarray]) -> dic
 
 
 def _file_name(key: str, taken: Mapping[str, Any]) -> str:
-    """``key`` without what file names cannot hold, and unlike the ones before."""
+    """``key`` without characters that file names cannot contain, and different from all names in ``taken``."""
     stem = re.sub(r"[^A-Za-z0-9_-]+", "-", key).strip("-")[:80] or "point"
     name, n = stem, 1
     while f"images/{name}.png" in taken or f"images/{name}-difference.png" in taken:
@@ -85,21 +85,21 @@ def _file_name(key: str, taken: Mapping[str, Any]) -> str:
     return name
 
 
-def _make_folders(folders: list[Path]) -> list[Path]:
-    """Those that were not there before, parents first."""
-    made = []
+def _create_folders(folders: list[Path]) -> list[Path]:
+    """Creates the folders, and returns those that did not exist before, parents first."""
+    created = []
     for folder in folders:
         try:
             missing = [f for f in [folder, *folder.parents] if not f.exists()]
             for new in reversed(missing):
                 new.mkdir()
-                made.append(new)
+                created.append(new)
             if not folder.is_dir():
-                raise UsageError(str(folder), "this is a file", "a folder, or a name for a new one")
+                raise UsageError(str(folder), "is a file", "a folder, or the name of a new one")
         except (OSError, ValueError) as error:
-            for new in reversed(made):
+            for new in reversed(created):
                 new.rmdir()
             why = getattr(error, "strerror", None) or str(error)
-            raise UsageError(str(folder), f"the folder cannot be made: {why}",
+            raise UsageError(str(folder), f"the folder cannot be created: {why}",
                              "a folder that can be written to") from error
-    return made
+    return created

@@ -1,14 +1,21 @@
-"""tradeoff.png: error against time, to be read alone."""
+"""tradeoff.png: a self-contained chart of error against time."""
 
 from __future__ import annotations
 
 import io
 import warnings
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
 
 from clvol.accuracy.report import wording
 from clvol.accuracy.report.label_layout import Label, LogAxis, place_labels
 from clvol.accuracy.report.svg import error_ticks, name_order, point_name, ranges
-from clvol.accuracy.report.sweep import Point, Sweep, median, plottable
+from clvol.accuracy.report.sweep import Point, Sweep, plottable, time_of
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
 
 COLORS = ("#2f6db3", "#c8641b", "#2f8f6b", "#8a55b5", "#b5475c", "#8a7a1f", "#3d8fa8", "#6b6f76")
 _INK, _MUTED, _GRID = "#1d1d1f", "#6b6b70", "#e7e6e2"
@@ -17,8 +24,8 @@ _SIDES = {"start": "left", "middle": "center", "end": "right"}
 
 
 def tradeoff_chart(sweep: Sweep) -> bytes:
-    """A PNG of 1680 x 1050 pixels: all points, the front connected and named, the scene's own
-    settings ringed, bars from the fastest to the slowest frame."""
+    """A PNG of 1680 x 1050 pixels that shows all points. The front is connected and labelled, the scene's own settings
+    are ringed, and bars reach from the fastest to the slowest frame."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -29,21 +36,21 @@ def tradeoff_chart(sweep: Sweep) -> bytes:
     exact = any(p["rmse"] == 0 for p in shown)
     times, errors = ranges(sweep, before=0.2)
     floor = errors[0]
-    if exact:  # a lane below for what has no error, which no logarithm shows
+    if exact:  # a lane below the axis for points without error, which a logarithmic axis cannot show
         errors = (errors[0] * (errors[0] / errors[1]) ** 0.1, errors[1])
     zero = (errors[0] * floor) ** 0.5
     _axes(axes, times, errors, floor, zero if exact else None, all(p["rmse"] == 0 for p in shown))
 
     def at(point: Point) -> tuple[float, float]:
-        return median(point), point["rmse"] or zero
+        return time_of(point), point["rmse"] or zero
 
-    knob = sweep.color_knob()
+    tunable = sweep.color_tunable()
     front = [p for p in sweep.front if plottable(p)]
     baseline = sweep.baseline if plottable(sweep.baseline) else None
     named = [*front, *([baseline] if baseline and baseline not in front else [])]
 
     def color(point: Point) -> str:
-        return COLORS[sweep.color_class(point, knob) % len(COLORS)]
+        return COLORS[sweep.color_class(point, tunable) % len(COLORS)]
 
     for point in shown:
         important = point in named
@@ -61,15 +68,22 @@ def tradeoff_chart(sweep: Sweep) -> bytes:
         axes.plot(*[[v] for v in at(baseline)], "o", markersize=12, markerfacecolor="none",
                   markeredgecolor=_INK, markeredgewidth=1.2, zorder=6)
     stream = io.BytesIO()
-    with warnings.catch_warnings():  # a name in letters that the font lacks is no one's concern
+    with warnings.catch_warnings():  # a name may contain letters that the font lacks
         warnings.filterwarnings("ignore", message="Glyph .* missing from font")
         _name_points(axes, canvas, sweep, named, front, baseline, shown, at)
-        _words(figure, axes, sweep, knob, color)
+        _words(figure, axes, sweep, tunable, color)
         canvas.print_png(stream)
     return stream.getvalue()
 
 
-def _axes(axes, times, errors, floor, zero, only_zero) -> None:
+def _axes(
+    axes: Axes,
+    times: tuple[float, float],
+    errors: tuple[float, float],
+    floor: float,
+    zero: float | None,
+    only_zero: bool,
+) -> None:
     from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter, NullLocator
 
     axes.set_xscale("log")
@@ -94,16 +108,25 @@ def _axes(axes, times, errors, floor, zero, only_zero) -> None:
     for side in ("left", "bottom"):
         axes.spines[side].set_color(_MUTED)
     axes.tick_params(which="both", color=_MUTED, labelcolor=_INK, labelsize=9)
-    axes.set_xlabel("time a frame, median", loc="right", fontsize=9.5, color=_INK)
+    axes.set_xlabel("time per frame, median", loc="right", fontsize=9.5, color=_INK)
     axes.annotate("error (RMSE of linear RGBA)", (0, 1), (-70, 8), xycoords="axes fraction",
                   textcoords="offset pixels", fontsize=9.5, color=_INK)
 
 
-def _name_points(axes, canvas, sweep, named, front, baseline, shown, at) -> None:
-    """Names beside the points, where there is room."""
+def _name_points(
+    axes: Axes,
+    canvas: FigureCanvasAgg,
+    sweep: Sweep,
+    named: list[Point],
+    front: list[Point],
+    baseline: Point | None,
+    shown: list[Point],
+    at: Callable[[Point], tuple[float, float]],
+) -> None:
+    """Labels the points where there is room."""
     renderer = canvas.get_renderer()
     height = canvas.get_width_height()[1]
-    style = {"fontsize": 8.5, "parse_math": False, "color": _INK}
+    style: dict[str, Any] = {"fontsize": 8.5, "parse_math": False, "color": _INK}
 
     def pixels(point: Point) -> tuple[float, float]:
         x, y = axes.transData.transform(at(point))
@@ -111,7 +134,7 @@ def _name_points(axes, canvas, sweep, named, front, baseline, shown, at) -> None
 
     def bar(point: Point) -> tuple[float, float, float, float]:
         x, y = pixels(point)
-        ends = [point["seconds"].get(key) or median(point) for key in ("min", "max")]
+        ends = [point["seconds"].get(key) or time_of(point) for key in ("min", "max")]
         left, right = (axes.transData.transform((v, at(point)[1]))[0] for v in ends)
         return left, y, right, y
 
@@ -143,8 +166,10 @@ def _name_points(axes, canvas, sweep, named, front, baseline, shown, at) -> None
                   path_effects=[withStroke(linewidth=2.5, foreground="white", alpha=0.85)], **style)
 
 
-def _words(figure, axes, sweep: Sweep, knob, color) -> None:
-    """Title, what was measured, and what the colours mean."""
+def _words(
+    figure: Figure, axes: Axes, sweep: Sweep, tunable: dict[str, Any] | None, color: Callable[[Point], str]
+) -> None:
+    """Adds the title, a line on what was measured, and the legend."""
     from matplotlib.lines import Line2D
 
     scene, machine = sweep.result["scene"], sweep.result["machine"]
@@ -159,12 +184,12 @@ def _words(figure, axes, sweep: Sweep, knob, color) -> None:
     ]
     figure.text(left, 0.908, wording.shorten(", ".join(parts), 170), fontsize=8.5, color=_MUTED,
                 parse_math=False)
-    dot = {"linestyle": "", "marker": "o", "markersize": 6, "markeredgecolor": "none"}
+    dot: dict[str, Any] = {"linestyle": "", "marker": "o", "markersize": 6, "markeredgecolor": "none"}
     handles = []
-    if knob is not None:
-        for i, value in enumerate(sweep.values(knob["name"])):
+    if tunable is not None:
+        for i, value in enumerate(sweep.values(tunable["name"])):
             text = wording.setting(value)
-            text = f"{knob['title']}: {text}" if i == 0 else text
+            text = f"{tunable['title']}: {text}" if i == 0 else text
             handles.append(Line2D([], [], color=COLORS[i % len(COLORS)], label=_plain(text), **dot))
     handles.append(Line2D([], [], color=_INK, linewidth=1.3,
                           label="nothing is faster and as exact"))
@@ -174,11 +199,11 @@ def _words(figure, axes, sweep: Sweep, knob, color) -> None:
         handles=handles, loc="upper right", bbox_to_anchor=(1.0, 1.085), ncols=len(handles),
         frameon=False, fontsize=8.5, handletextpad=0.5, columnspacing=1.6, borderpad=0.2,
     )
-    for text in legend.get_texts():
-        text.set_color(_INK)
-        text.set_parse_math(False)
+    for entry in legend.get_texts():
+        entry.set_color(_INK)
+        entry.set_parse_math(False)
 
 
 def _plain(text: str) -> str:
-    """A legend leaves out what begins with an underscore."""
+    """``text`` shortened, without leading underscores, which would hide it from the legend."""
     return wording.shorten(text, 28).lstrip("_") or " "

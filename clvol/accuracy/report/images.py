@@ -1,4 +1,4 @@
-"""The pictures of a report: as files of their own, and small enough for the page."""
+"""The pictures of a report, as separate files and in a size that fits the page."""
 
 from __future__ import annotations
 
@@ -19,15 +19,18 @@ from clvol.accuracy.difference import (
 )
 from clvol.image.png import display
 
-_WIDTHS = (640, 512, 400, 320, 256, 192, 128, 96)  # pixels, of a picture on the page
-_BUDGET = 4_000_000  # bytes of all pictures on the page before base64, which adds a third
+_WIDTHS = (640, 512, 400, 320, 256, 192, 128, 96)  # widths in pixels of a picture on the page
+_BUDGET = 4_000_000  # bytes for all pictures on the page, before base64 adds a third
 
 
 @dataclass
 class PageImages:
-    """``width``: of each picture on the page. ``pictures``, ``shared`` and ``own`` (by point): data
-    URIs of the pictures and of the differences on the two kinds of scale; ``scales``: the own one
-    of each. ``shared_scale`` is None where there is nothing to compare."""
+    """The pictures of the page, ``width`` by ``height`` pixels each, and ``full_width`` pixels wide originally.
+
+    ``pictures``, ``shared`` and ``own`` map points to data URIs: of the picture, of its difference on the scale that
+    all share, and of its difference on a scale of its own (``scales``). ``shared_scale`` is None if there is nothing
+    to compare.
+    """
 
     width: int = 0
     height: int = 0
@@ -42,11 +45,11 @@ class PageImages:
 def page_images(
     pictures: Mapping[str, np.ndarray], background: Sequence[float], keys: Sequence[str]
 ) -> PageImages:
-    """What the page shows of "reference" and ``keys``, as large as its size allows.
+    """The pictures of "reference" and ``keys`` for the page, as large as the size limit of the page allows.
 
-    ``pictures`` are [height, width, 4], linear, premultiplied; ``background`` [3] is linear. A
-    smaller picture's pixel is the mean of linear light, a difference's the root of the mean square
-    of the pixels that it stands for.
+    ``pictures`` are [height, width, 4], linear, premultiplied; ``background`` [3] is linear. When pictures are made
+    smaller, each pixel is the mean of the linear light of the pixels that it replaces, and in difference pictures the
+    root of their mean square.
     """
     keys = [key for key in keys if key in pictures]
     if "reference" not in pictures:
@@ -77,7 +80,7 @@ def page_images(
 
 
 def picture_file(rgba: np.ndarray, background: Sequence[float]) -> bytes:
-    """A PNG of the picture over ``background`` [3] (linear), in full size."""
+    """A PNG of the picture over ``background`` ([3], linear) in full size."""
     return _png(display(rgba, background))
 
 
@@ -87,14 +90,14 @@ def shown_file(pixels: np.ndarray) -> bytes:
 
 
 def color_stops(count: int = 12) -> list[str]:
-    """The colours of a difference from none to the scale's end, as CSS writes them."""
+    """The colours of differences from zero to the end of the scale, in CSS notation."""
     colors = palette()[:-1]
     rows = np.linspace(0, len(colors) - 1, count).round().astype(int)
     return ["#%02x%02x%02x" % tuple(colors[row]) for row in rows]
 
 
 def _resize(rgba: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """The mean over the area of each new pixel."""
+    """``rgba`` in another size; each new pixel is the mean over its area."""
     if rgba.shape[:2] == size:
         return rgba
     return np.stack([_box(rgba[..., c], size) for c in range(rgba.shape[2])], axis=-1)

@@ -1,4 +1,4 @@
-"""Where things go in a log-log plot: axes, and labels that do not cover anything."""
+"""The layout of a log-log plot: axes, and labels that do not cover anything."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class LogAxis:
-    """Values ``low`` ... ``high`` at ``start`` ... ``end`` (pixels, in either direction)."""
+    """Maps the values ``low`` ... ``high`` to the pixels ``start`` ... ``end`` (in either direction)."""
 
     low: float
     high: float
@@ -17,7 +17,7 @@ class LogAxis:
     end: float
 
     def place(self, value: float) -> float:
-        """Where ``value`` lies; beyond the ends, at them."""
+        """The position of ``value``; values beyond the ends are placed at the ends."""
         share = math.log(max(value, 1e-300) / self.low) / math.log(self.high / self.low)
         return self.start + min(1.0, max(0.0, share)) * (self.end - self.start)
 
@@ -25,8 +25,8 @@ class LogAxis:
         return self._within((1,))
 
     def ticks(self, most: int = 9) -> list[float]:
-        """Values for numbers: decades where there are three of them or more, else as many of 1, 2,
-        5 of each as there is room for."""
+        """The values to label: decades if there are at least three, otherwise the multiples by 1, 2 and 5 (or 1 and 3)
+        for which there is room."""
         decades = self.decades()
         if len(decades) >= 3:
             every = math.ceil(len(decades) / most)
@@ -38,7 +38,7 @@ class LogAxis:
         return decades if len(decades) == 2 else self._within((1, 2, 3, 5, 7))
 
     def minor(self) -> list[float]:
-        """Values for fine lines."""
+        """The values of fine grid lines."""
         return self._within(range(2, 10)) if math.log10(self.high / self.low) < 5 else []
 
     def _within(self, digits: Iterable[int]) -> list[float]:
@@ -50,8 +50,8 @@ class LogAxis:
 def limits(
     values: Iterable[float], before: float = 0.05, after: float = 0.05, least: float = 0.8
 ) -> tuple[float, float] | None:
-    """The range of the positive ``values``, wider by these shares of its logarithm, and at least
-    ``least`` decades; None where there are none."""
+    """The range of the positive ``values``, extended by the shares ``before`` and ``after`` of its logarithm, and at
+    least ``least`` decades wide; None if there are no positive values."""
     logs = [math.log10(v) for v in values if v > 0 and math.isfinite(v)]
     if not logs:
         return None
@@ -80,9 +80,9 @@ class Label:
 
 @dataclass(frozen=True)
 class Placed:
-    """``x``, ``y``: where the text's ``anchor`` ("start", "middle" or "end": the one next to the
-    point) and its vertical middle lie. ``leader``: whether it is far enough from its point to need
-    a line to ``(end_x, end_y)``, the box's nearest place."""
+    """A label that has a position. ``x`` is that of the text's ``anchor`` ("start", "middle" or "end", whichever is
+    next to the point), ``y`` that of its vertical middle. ``leader``: whether it is so far from its point that it
+    needs a line to ``(end_x, end_y)``, the nearest position on its box."""
 
     label: Label
     x: float
@@ -93,7 +93,7 @@ class Placed:
     leader: bool
 
 
-_SIDES = (  # directions from the point to the label, the preferred ones first
+_SIDES = (  # directions from the point to the label, in order of preference
     (-1, 0.75), (-1, 0), (1, -0.75), (1, 0), (-1, -0.75), (1, 0.75), (0, 1), (0, -1),
     (-1, 2), (1, -2), (-1, -2), (1, 2),
 )
@@ -110,13 +110,12 @@ def place_labels(
     bars: Sequence[tuple[float, float, float, float]] = (),
     unit: float = 1.0,
 ) -> list[Placed]:
-    """The labels, most important first, each at its cheapest free place; without those that have
-    none.
+    """Places the labels, most important first, each at the free position of lowest cost; labels for which there is no
+    room are left out.
 
-    No label leaves ``frame``, covers another or an obstacle (x, y, radius), and no leader crosses a
-    label. Crossing ``lines`` and, less so, ``bars`` (x0, y0, x1, y1) and ``faint`` points (x, y)
-    costs, but is allowed.
-    ``unit``: what distances are multiplied with, where pixels are small.
+    No label leaves ``frame`` or covers another label or an obstacle (x, y, radius), and no leader crosses a label.
+    Crossing ``lines`` and, at lower cost, ``bars`` (x0, y0, x1, y1) and ``faint`` points (x, y) is allowed. ``unit``:
+    a factor for distances where pixels are small.
     """
     placed: list[Placed] = []
     boxes: list[Box] = []
@@ -194,7 +193,7 @@ def _covers(box: Box, x: float, y: float, radius: float) -> bool:
 
 
 def _crosses(box: Box, x0: float, y0: float, x1: float, y1: float) -> bool:
-    """Whether the line meets the box (Liang and Barsky 1984)."""
+    """Whether the line crosses the box (Liang and Barsky 1984)."""
     enter, leave = 0.0, 1.0
     for start, step, low, high in ((x0, x1 - x0, box[0], box[2]), (y0, y1 - y0, box[1], box[3])):
         if step == 0:
@@ -207,7 +206,7 @@ def _crosses(box: Box, x0: float, y0: float, x1: float, y1: float) -> bool:
 
 
 def _distance(x: float, y: float, x0: float, y0: float, x1: float, y1: float) -> float:
-    """From the point to the line."""
+    """The distance of the point (x, y) from the line segment."""
     dx, dy = x1 - x0, y1 - y0
     length = dx * dx + dy * dy
     t = 0.0 if length == 0 else min(1.0, max(0.0, ((x - x0) * dx + (y - y0) * dy) / length))

@@ -1,4 +1,4 @@
-"""How the report's errors and times were measured, as HTML."""
+"""The section of the report on how errors and times were measured, as HTML."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def method(sweep: Sweep) -> str:
     judged_by = wording.judged_by(sweep.result)
     failed = reference.get("failed_rays") or 0
     rounds = clock.get("rounds")
-    frames = wording.several(clock["frames"], "frame") + " a setting"
+    frames = wording.several(clock["frames"], "frame") + " per setting"
     if isinstance(rounds, int):
         frames += f", in {wording.several(rounds, 'round')}"
     rows = [
@@ -31,14 +31,14 @@ def method(sweep: Sweep) -> str:
     if spreads:
         rows.append(("Spread of times", f"interquartile range over median: "
                      f"{wording.percent(statistics.median(spreads))} at a typical setting, "
-                     f"{wording.percent(max(spreads))} at the worst. Times closer than that are "
-                     "not told apart."))
+                     f"{wording.percent(max(spreads))} at the worst. Times that differ by less "
+                     "are not distinguished."))
     rows += [
         ("Device", f"{machine['device_name']} ({', '.join(map(str, machine['devices']))}), "
                    f"{machine['cores']} cores, clvol {machine['clvol']}"),
         ("Picture", f"{scene['width']} × {scene['height']} pixels"),
-        ("Not on the front", "the settings for which some other one is at least as fast and at "
-                             "least as exact"),
+        ("Not on the front", "settings for which another one is at least as fast and at least as "
+                             "exact"),
     ]
     items = "".join(f"<dt>{escape(name)}</dt><dd>{escape(text)}</dd>" for name, text in rows)
     warning = _warning(sweep, failed)
@@ -50,10 +50,10 @@ def method(sweep: Sweep) -> str:
 
 
 def _how_found(reference: dict, failed: int) -> str:
-    """How the reference was found."""
+    """Describes how the reference was computed."""
     estimate = wording.number(reference.get("error_estimate"), 2)
     if reference.get("step"):
-        return (f"effects have no exact integral: the ray caster's own picture at a step of "
+        return (f"effects have no exact integral; the reference is the ray caster's own picture at a step of "
                 f"{wording.number(reference['step'])} voxel edges, which differs from that at twice the "
                 f"step by {estimate}")
     return (f"adaptive quadrature in double precision, tolerance "
@@ -62,13 +62,13 @@ def _how_found(reference: dict, failed: int) -> str:
 
 
 def _warning(sweep: Sweep, failed: int) -> str:
-    """A warning where the reference is not known well enough for the smallest errors."""
+    """A warning if the reference is not known well enough for the smallest errors; "" otherwise."""
     estimate = sweep.result["reference"].get("error_estimate")
     errors = [p["rmse"] for p in sweep.front if p["rmse"]]
-    told = []
+    sentences = []
     if failed:
-        told.append(f"{wording.several(failed, 'ray')} of the exact integral missed the tolerance.")
+        sentences.append(f"{wording.several(failed, 'ray')} of the exact integral missed the tolerance.")
     if estimate and errors and min(errors) < 10 * estimate:
-        told.append(f"The smallest errors are near the {wording.judged_by(sweep.result)}'s own error: take them as "
-                    "upper bounds.")
-    return f'<p class="warning">{escape(" ".join(told))}</p>\n' if told else ""
+        sentences.append(f"The smallest errors are close to the {wording.judged_by(sweep.result)}'s own error: take "
+                         "them as upper bounds.")
+    return f'<p class="warning">{escape(" ".join(sentences))}</p>\n' if sentences else ""

@@ -17,7 +17,7 @@
     return all(".card").filter(function (c) { return c.dataset.id === id; })[0];
   }
 
-  // What a point is: beside the pointer. Titles would show a second time.
+  // A tooltip describes the point at the pointer. SVG titles would show the same text again.
   var tip = document.getElementById("tip"), current = null;
   all("svg title").forEach(function (t) {
     t.parentNode.setAttribute("aria-label", t.textContent);
@@ -64,7 +64,7 @@
     tip.style.left = Math.max(6, Math.min(left, innerWidth - w - 6)) + "px";
     tip.style.top = Math.max(6, Math.min(top, innerHeight - h - 6)) + "px";
   }
-  // The nearest point counts, however small it is drawn.
+  // The nearest point is selected, however small its circle is.
   function nearest(svg, x, y) {
     var best = null, least = 22 * 22;
     all(".pt:not(.ghost)", svg).forEach(function (c) {
@@ -118,7 +118,7 @@
     });
   });
 
-  // Colours by another knob.
+  // Colours by another tunable.
   var select = document.getElementById("color");
   function className(knob, i) {
     if (!knob.ordered) return "c" + i % 8;
@@ -149,7 +149,7 @@
     select.addEventListener("change", function () { paint(data.knobs[select.value]); });
   }
 
-  // The table by any column; what has no value goes last.
+  // Sorts the table by any column; rows without a value come last.
   var body = document.querySelector("#all tbody");
   all("#all thead th").forEach(function (head, column) {
     head.setAttribute("tabindex", "0");
@@ -177,7 +177,7 @@
     });
   });
 
-  // Pictures in turn at the same place: the eye sees what changes.
+  // The viewer shows pictures alternately in the same position, so that changes are visible.
   var viewer = document.getElementById("viewer");
   var shown = { id: null, what: "picture" };
   var ids = all(".card").map(function (c) { return c.dataset.id; });

@@ -1,7 +1,7 @@
-"""index.html: the report as one page that needs nothing else.
+"""index.html: the report as one self-contained page.
 
-Everything is there without scripts: plots, pictures, table. The script adds what a pointer at rest
-shows, colours by other knobs, sorting, and pictures in turn at the same place.
+Plots, pictures and tables do not need scripts. The script adds tooltips, colours by other tunables, sorting, and
+a viewer that switches between pictures in place.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from clvol.accuracy.report.sweep import Point, Sweep, median
 from clvol.accuracy.report.tables import all_settings, tunables_alone
 
 _HERE = Path(__file__).resolve().parent
-# The browser itself refuses whatever would come from elsewhere.
+# The browser refuses to load anything from outside the page.
 _POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
 
 
@@ -79,7 +79,7 @@ def _headlines(sweep: Sweep) -> str:
     for sentence in sweep.result["sentences"]:
         point = sweep.point(sentence["point"])
         notes = []
-        if "scene" not in str(sentence["text"]):  # it may say this itself
+        if "scene" not in str(sentence["text"]):  # the sentence may mention the scene already
             notes.append(f"<span>{escape(wording.upper(sweep.against_baseline(point)))}</span>")
         options = _options(sweep, point)
         if options:
@@ -92,14 +92,14 @@ def _headlines(sweep: Sweep) -> str:
             f'<p class="cost">{escape(wording.seconds(sentence["seconds"], 2))}</p></li>'
         )
     inside = f'<ol class="headlines">{"".join(rows)}</ol>' if rows else (
-        "<p>None of the settings reaches an error that could be stated.</p>"
+        "<p>No setting reaches any of the listed errors.</p>"
     )
     return (f'<section aria-label="In short">\n{inside}\n<p class="own-scene">{_own(sweep)}</p>\n'
             "</section>")
 
 
 def _own(sweep: Sweep) -> str:
-    """What to think of the scene's own settings, HTML."""
+    """An assessment of the scene's own settings, as HTML."""
     own = sweep.baseline
     parts = [
         f"Your scene as it is (<b>{escape(str(own['label']))}</b>) has an error of "
@@ -114,17 +114,17 @@ def _own(sweep: Sweep) -> str:
             f"{escape(wording.seconds(median(better), 2))}."
         )
     elif len(sweep.points) > 1:
-        parts.append("Nothing measured is as exact and faster beyond the spread of the times.")
+        parts.append("No measured setting is as exact and faster by more than the spread of the times.")
     return " ".join(parts)
 
 
 def _plot(sweep: Sweep) -> str:
-    knob = sweep.color_knob()
+    tunable = sweep.color_tunable()
     keys = []
-    if knob is not None:
-        for i, value in enumerate(sweep.values(knob["name"])):
+    if tunable is not None:
+        for i, value in enumerate(sweep.values(tunable["name"])):
             keys.append(f'<li><i class="key c{i}"></i>{escape(wording.setting(value))}</li>')
-    name = escape(str(knob["title"])) if knob else ""
+    name = escape(str(tunable["title"])) if tunable else ""
     choice = (
         f'<span id="color-name">{name}</span><select id="color" aria-label="colour by" hidden>'
         "</select>"
@@ -135,12 +135,12 @@ def _plot(sweep: Sweep) -> str:
         '<ul><li><i class="key line"></i>nothing measured is faster and as exact</li>'
         '<li><i class="key own"></i>your scene</li>'
         '<li><i class="key bar"></i>fastest to slowest frame</li></ul></div>'
-        if knob else ""
+        if tunable else ""
     )
     lost = sum(p["rmse"] is None or median(p) is None for p in sweep.points)
     note = (
-        f'<p class="small-print">{wording.several(lost, "setting")} with no finite error or no time: only '
-        "in the table.</p>" if lost else ""
+        f'<p class="small-print">{wording.several(lost, "setting")} without a finite error or time: '
+        "in the table only.</p>" if lost else ""
     )
     return (
         '<section class="plot-section">\n<h2>Error against time</h2>\n'
@@ -156,13 +156,13 @@ def _viewer() -> str:
         '<dialog id="viewer"><div class="viewer-bar"><p id="viewer-name"></p>'
         '<div id="viewer-what"></div><button type="button" id="viewer-close" '
         'aria-label="close">×</button></div><img id="viewer-image" alt="">'
-        '<p id="viewer-help">Space: in turn with the exact one. \N{LEFTWARDS ARROW} '
-        "\N{RIGHTWARDS ARROW}: the other settings.</p></dialog>"
+        '<p id="viewer-help">Space: switch to the exact picture and back. \N{LEFTWARDS ARROW} '
+        "\N{RIGHTWARDS ARROW}: other settings.</p></dialog>"
     )
 
 
 def _data(sweep: Sweep) -> str:
-    """What the script needs, as JSON that cannot end the element it stands in."""
+    """The data of the script, as JSON that cannot close the HTML element that contains it."""
     baseline = sweep.baseline["settings"]
     points = {
         str(p["id"]): {
@@ -174,24 +174,24 @@ def _data(sweep: Sweep) -> str:
             "settings": [
                 [k["title"], wording.setting(p["settings"].get(k["name"])),
                  p["settings"].get(k["name"]) != baseline.get(k["name"])]
-                for k in sweep.knobs
+                for k in sweep.tunables
             ],
             "against": sweep.against_baseline(p),
         }
         for p in sweep.points
     }
-    knobs = []
-    for knob in sweep.varied():
-        values = sweep.values(knob["name"])
+    tunables = []
+    for tunable in sweep.varied():
+        values = sweep.values(tunable["name"])
         ordered = all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in values)
-        knobs.append({
-            "title": knob["title"], "ordered": ordered and len(values) > 2,
+        tunables.append({
+            "title": tunable["title"], "ordered": ordered and len(values) > 2,
             "values": [wording.setting(v) for v in values],
-            "of": {str(p["id"]): sweep.color_class(p, knob) for p in sweep.points},
+            "of": {str(p["id"]): sweep.color_class(p, tunable) for p in sweep.points},
         })
-    chosen = sweep.color_knob()
+    chosen = sweep.color_tunable()
     first = next((i for i, k in enumerate(sweep.varied()) if k is chosen), 0)
-    text = json.dumps({"points": points, "knobs": knobs, "color": first}, ensure_ascii=False)
+    text = json.dumps({"points": points, "knobs": tunables, "color": first}, ensure_ascii=False)
     return text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")
 
 

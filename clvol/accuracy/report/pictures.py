@@ -19,7 +19,7 @@ def pictures(sweep: Sweep, images: PageImages) -> str:
         '<figure class="card" data-id="reference">'
         f'{_image(images, "reference", f"The {judged_by}")}'
         f"{scales(images)}<figcaption><b>The {judged_by}</b>"
-        "<span>what the others are measured against</span></figcaption></figure>"
+        "<span>the reference for all other pictures</span></figcaption></figure>"
     ]
     for point in sweep.shown():
         key, label = point["id"], str(point["label"])
@@ -41,22 +41,22 @@ def pictures(sweep: Sweep, images: PageImages) -> str:
             f'<img class="each" src="{images.own[key]}" width="{images.width}" '
             f'height="{images.height}" '
             f'alt="difference of {escape(label)} from the {judged_by}, scale of its own">'
-            f'<span class="gain each">gain {escape(wording.number(scale.gain))}, last colour from '
+            f'<span class="gain each">gain {escape(wording.number(scale.gain))}, last colour at '
             f"{escape(wording.number(scale.full))}</span></div>"
             f"<figcaption><b>{escape(label)}</b>{note}"
             f"<span>error {escape(wording.number(point['rmse']))}, largest "
             f"{escape(wording.number(point.get('max_abs'), 2))}</span>"
-            f"<span>{escape(wording.seconds(median(point)))} a frame</span></figcaption></figure>"
+            f"<span>{escape(wording.seconds(median(point)))} per frame</span></figcaption></figure>"
         )
     return (
         "<section>\n<h2>What it looks like</h2>\n"
-        '<p class="lead">The settings of the front, cheapest first; below each its difference from '
-        f"the {judged_by}.</p>\n"
+        '<p class="lead">The settings of the front, cheapest first, each with its difference from '
+        f"the {judged_by} below.</p>\n"
         '<input type="radio" name="scale" id="scale-shared" checked>'
         '<input type="radio" name="scale" id="scale-each">\n'
         '<p class="choice"><label for="scale-shared">One scale for all</label>'
         '<label for="scale-each">A scale for each</label>'
-        '<span class="with-script" hidden>Click a picture to see it large, in turn with the exact '
+        '<span class="with-script" hidden>Click a picture to enlarge it and to switch to the exact '
         "one.</span></p>\n"
         f'<div class="cards">\n{"".join(cards)}\n</div>\n{_sizes(images)}</section>'
     )
@@ -73,7 +73,7 @@ def _sizes(images: PageImages) -> str:
     if images.width == images.full_width:
         return ""
     return (
-        f'<p class="small-print">Shown at {images.width} pixels\' width, averaged down from '
-        f"{images.full_width}; the folder <code>images</code> beside this page has them in full. "
+        f'<p class="small-print">Shown {images.width} pixels wide, averaged down from '
+        f"{images.full_width}; the folder <code>images</code> beside this page has them in full size. "
         "Errors are of the full size.</p>\n"
     )

@@ -1,4 +1,4 @@
-"""What the colours of difference pictures mean: colour bars with their ticks, as HTML."""
+"""The colour bars of difference pictures with their ticks, as HTML."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from clvol.accuracy.report.images import PageImages, color_stops
 
 
 def scales(images: PageImages) -> str:
-    """What the colours of the differences mean, in the place of the reference's own difference."""
+    """The colour bars, which take the place of a difference picture of the reference itself."""
     if images.shared_scale is None:
         return ""
     ratio = f"aspect-ratio:{images.width}/{images.height}"
@@ -18,8 +18,8 @@ def scales(images: PageImages) -> str:
         f'<div class="scales" style="{ratio}"><div class="shared">{_bar(images.shared_scale)}'
         "<p>Logarithmic; the same colour is the same error in every picture.</p></div>"
         f'<div class="each">{_bar(None)}'
-        "<p>Linear; the gain stands in each picture. At most one pixel in a thousand exceeds it."
-        "</p></div><p>A pixel shows the largest of its differences in R, G, B, A, linear light.</p>"
+        "<p>Linear; each picture states its gain. At most one pixel in a thousand exceeds the scale."
+        "</p></div><p>A pixel shows the largest of its differences in R, G, B and A, in linear light.</p>"
         "</div>"
     )
 

@@ -1,4 +1,4 @@
-"""The plots of the page, as inline SVG that its style sheet colours."""
+"""The plots of the page, as inline SVG that is coloured by the page's style sheet."""
 
 from __future__ import annotations
 
@@ -16,24 +16,24 @@ from clvol.accuracy.report.label_layout import (
     limits,
     place_labels,
 )
-from clvol.accuracy.report.sweep import Point, Sweep, median, plottable
+from clvol.accuracy.report.sweep import Point, Sweep, median, plottable, time_of
 
 _TEXT = 12.0  # pixels
-_LANE = 38.0  # below the plot, for what has no error at all
-_LONG = 40  # characters of a label, at most
-_FEW = 8  # labels of a narrow plot
+_LANE = 38.0  # pixels below the plot for points without error
+_LONG = 40  # largest number of characters of a label
+_FEW = 8  # largest number of labels of a narrow plot
 
 
 def text_width(text: str, size: float = _TEXT) -> float:
-    """About what ``text`` takes in the fonts of the common systems, rather too much, pixels."""
+    """The approximate width of ``text`` in pixels with common system fonts, rather too large."""
     widths = {**dict.fromkeys("ijl.,:;'|!()[] -/", 0.36), **dict.fromkeys("mwMW@%…—×", 0.92)}
     return size * sum(widths.get(c, 0.72 if c.isupper() else 0.58) for c in text)
 
 
 def ranges(sweep: Sweep, before: float = 0.05) -> tuple[tuple[float, float], tuple[float, float]]:
-    """(seconds), (RMSE): what the plots show; some range where there is nothing to be seen."""
+    """The ranges of seconds and of RMSE that the plots show; a default range if there are no points."""
     points = [p for p in sweep.points if plottable(p)]
-    times = limits([median(p) for p in points], before=before, after=0.06)
+    times = limits([time_of(p) for p in points], before=before, after=0.06)
     errors = limits([p["rmse"] for p in points], before=0.07, after=0.07)
     return times or (1e-3, 1.0), errors or (1e-6, 1.0)
 
@@ -44,7 +44,7 @@ class Plot:
     def __init__(
         self, sweep: Sweep, width: float, height: float, margins: Box, before: float = 0.05
     ) -> None:
-        """``margins``: left, top, right, bottom. ``before``: room beside the shortest time."""
+        """``margins``: left, top, right, bottom. ``before``: room on the side of the shortest time."""
         self.sweep, self.width, self.height = sweep, width, height
         left, top, right, bottom = margins
         self.frame = (left, top, width - right, height - bottom)
@@ -57,10 +57,10 @@ class Plot:
         self.y = LogAxis(*errors, self.floor, self.frame[1])
 
     def at(self, point: Point) -> tuple[float, float]:
-        """Where a plottable point lies; without error: in the lane below the axis."""
+        """The position of a plottable point; points without error lie in the lane below the axis."""
         error = point["rmse"]
         y = self.frame[3] - _LANE / 2 if error == 0 else self.y.place(error)
-        return self.x.place(median(point)), y
+        return self.x.place(time_of(point)), y
 
     def axes(self, x_title: str, y_title: str, most: tuple[int, int] = (9, 8)) -> list[str]:
         left, top, right, bottom = self.frame
@@ -92,17 +92,17 @@ class Plot:
         return parts
 
     def bar(self, point: Point) -> tuple[float, float, float, float]:
-        """From the fastest to the slowest frame: x0, y0, x1, y1."""
-        fastest, slowest = (point["seconds"].get(k) or median(point) for k in ("min", "max"))
+        """The line from the fastest to the slowest frame: x0, y0, x1, y1."""
+        fastest, slowest = (point["seconds"].get(k) or time_of(point) for k in ("min", "max"))
         y = self.at(point)[1]
         return self.x.place(fastest), y, self.x.place(slowest), y
 
     def spread(self, point: Point, mark: str) -> str:
         return _line(*self.bar(point), mark)
 
-    def dot(self, point: Point, mark: str, radius: float, told: str = "") -> str:
+    def dot(self, point: Point, mark: str, radius: float) -> str:
         x, y = self.at(point)
-        text = told or describe(point)
+        text = describe(point)
         return (
             f'<circle class="{mark}" data-id="{escape(str(point["id"]))}" cx="{x:.1f}" cy="{y:.1f}"'
             f' r="{radius:g}"><title>{escape(text)}</title></circle>'
@@ -121,22 +121,22 @@ class Plot:
 
 
 def front_plot(sweep: Sweep, width: float, height: float, mark: str) -> str:
-    """All points, the front connected and named, the scene's own settings ringed."""
+    """A plot of all points, with the front connected and labelled and the scene's own settings ringed."""
     narrow = width < 600
     plot = Plot(
         sweep, width, height, (54, 34, 12, 46),
-        before=0.08 if narrow else 0.24,  # the names stand on the side where no point can be
+        before=0.08 if narrow else 0.24,  # the labels stand on the side where there are no points
     )
-    knob = sweep.color_knob()
+    tunable = sweep.color_tunable()
     front = [p for p in sweep.front if plottable(p)]
     baseline = sweep.baseline if plottable(sweep.baseline) else None
     keys = {p["id"] for p in front} | ({baseline["id"]} if baseline else set())
     others = [p for p in sweep.points if plottable(p) and p["id"] not in keys]
 
-    parts = plot.axes("time a frame, median \N{RIGHTWARDS ARROW}", "\N{UPWARDS ARROW} error (RMSE)",
+    parts = plot.axes("time per frame, median \N{RIGHTWARDS ARROW}", "\N{UPWARDS ARROW} error (RMSE)",
                       (5, 8) if narrow else (9, 8))
     parts += [plot.spread(p, "spread faint") for p in others]
-    parts += [plot.dot(p, f"pt c{sweep.color_class(p, knob)}", 3.6) for p in others]
+    parts += [plot.dot(p, f"pt c{sweep.color_class(p, tunable)}", 3.6) for p in others]
     places = [plot.at(p) for p in front]
     if len(front) > 1:
         path = " ".join(f"{x:.1f},{y:.1f}" for x, y in places)
@@ -155,7 +155,7 @@ def front_plot(sweep: Sweep, width: float, height: float, mark: str) -> str:
     parts += [_leader(p) for p in placed if p.leader]
     for point in named:
         kind = "pt on-front" if point in front else "pt"
-        parts.append(plot.dot(point, f"{kind} c{sweep.color_class(point, knob)}", 5.5))
+        parts.append(plot.dot(point, f"{kind} c{sweep.color_class(point, tunable)}", 5.5))
     if baseline:
         parts.append(plot.ring(baseline, 9.5))
     for p in placed:
@@ -167,10 +167,10 @@ def front_plot(sweep: Sweep, width: float, height: float, mark: str) -> str:
     return plot.svg(parts, mark, f"Error against time of {len(sweep.points)} settings")
 
 
-def knob_plot(sweep: Sweep, knob: dict[str, Any]) -> str:
-    """Error against time as this knob alone varies, on the axes of all of them."""
+def tunable_plot(sweep: Sweep, tunable: dict[str, Any]) -> str:
+    """A plot of error against time as this tunable alone varies, on the axes that all plots share."""
     plot = Plot(sweep, 340, 250, (50, 14, 10, 28))
-    points = [p for p in sweep.alone(knob["name"]) if plottable(p)]
+    points = [p for p in sweep.alone(tunable["name"]) if plottable(p)]
     alone = {p["id"] for p in points}
     parts = plot.axes("", "", (5, 6))
     parts += [plot.dot(p, "pt ghost", 2) for p in sweep.points
@@ -182,7 +182,7 @@ def knob_plot(sweep: Sweep, knob: dict[str, Any]) -> str:
     parts += [plot.spread(p, "spread") for p in points]
     labels = []
     for point, (x, y) in zip(points, places):
-        text = wording.shorten(wording.setting(point["settings"].get(knob["name"])), 20)
+        text = wording.shorten(wording.setting(point["settings"].get(tunable["name"])), 20)
         labels.append(Label(point["id"], text, x, y, text_width(text, 11), 13))
     own = sweep.baseline["id"]
     labels.sort(key=lambda label: label.key != own)
@@ -198,14 +198,14 @@ def knob_plot(sweep: Sweep, knob: dict[str, Any]) -> str:
         f"{escape(p.label.text)}</text>"
         for p in placed
     ]
-    return plot.svg(parts, "small", f"Error against time as {knob['title']} varies")
+    return plot.svg(parts, "small", f"Error against time as {tunable['title']} varies")
 
 
 def name_order(
     sweep: Sweep, named: Sequence[Point], baseline: Point | None
 ) -> list[Point]:
-    """``named``, what must have its name first: the scene's own settings, those that the sentences
-    speak of, the ends of the front, then every second one of the rest, and so on."""
+    """``named``, the most important to label first: the scene's own settings, those that the sentences mention, the
+    ends of the front, then every second one of the rest, and so on."""
     order = [p for p in named if p is baseline]
     spoken = {s["point"] for s in sweep.result["sentences"]}
     order += [p for p in named if p["id"] in spoken and p not in order]
@@ -220,19 +220,19 @@ def name_order(
 
 
 def point_name(point: Point, baseline: Point | None, length: int) -> str:
-    """The label, with a note where it is the scene's own."""
+    """The label, with a note if the point has the scene's own settings."""
     own = baseline is not None and point["id"] == baseline["id"]
     return wording.shorten(str(point["label"]), length) + (" (your scene)" if own else "")
 
 
 def describe(point: Point) -> str:
-    """One line for a pointer at rest."""
+    """The tooltip of a point, one line."""
     return (f"{point['label']}: error {wording.number(point['rmse'])}, "
             f"{wording.seconds(median(point))}")
 
 
 def error_ticks(values: Sequence[float]) -> list[str]:
-    """Numbers beside an axis: plain digits where they are short, else all as powers of ten."""
+    """The labels of an axis: plain digits if they are short, otherwise powers of ten for all."""
     if all(1e-4 <= value < 1e4 for value in values):
         return [f"{value:g}" for value in values]
     exponents = [math.log10(value) for value in values]

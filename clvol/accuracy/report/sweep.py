@@ -1,4 +1,4 @@
-"""What a sweep found, looked up the ways that its report needs it."""
+"""The result of a sweep, with the look-ups that its report needs."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 from clvol.accuracy.report import wording
 
-_MOST_CLASSES = 8  # colours that can be told apart
+_MOST_CLASSES = 8  # number of distinguishable colours
 _PREFERRED = "integration.classification"
 
 Point = dict[str, Any]
@@ -17,7 +17,7 @@ Point = dict[str, Any]
 
 @dataclass(frozen=True)
 class Sweep:
-    """``result`` as in tradeoff.json: plain values, null where a number is not finite."""
+    """Wraps ``result`` as in tradeoff.json: JSON values, with None for numbers that are not finite."""
 
     result: dict[str, Any]
 
@@ -26,7 +26,7 @@ class Sweep:
         return self.result["points"]
 
     @property
-    def knobs(self) -> list[dict[str, Any]]:
+    def tunables(self) -> list[dict[str, Any]]:
         return self.result["knobs"]
 
     @property
@@ -47,61 +47,61 @@ class Sweep:
 
     @property
     def front(self) -> list[Point]:
-        """Error falling, time rising."""
+        """The points of the front, by falling error and rising time."""
         return [self.point(key) for key in self.result["front"]]
 
     def shown(self) -> list[Point]:
-        """The points with pictures: the front's, and the scene's own where it is not among them."""
+        """The points with pictures: those of the front, and the scene's own settings if they are not among them."""
         front, baseline = self.front, self.baseline
         return front if baseline["id"] in self.result["front"] else [baseline, *front]
 
     @cached_property
     def _ranks(self) -> dict[str, dict[tuple, int]]:
-        """For each knob its values among the points: in its own order, others after that."""
+        """The rank of each value of each tunable: values in the tunable's order first, then others."""
         ranks = {}
-        for knob in self.knobs:
-            name = knob["name"]
+        for tunable in self.tunables:
+            name = tunable["name"]
             found = dict.fromkeys(
                 _key(p["settings"][name]) for p in self.points
                 if p["settings"].get(name) is not None
             )
-            order = [key for key in map(_key, knob["values"]) if key in found]
+            order = [key for key in map(_key, tunable["values"]) if key in found]
             ranks[name] = {key: i for i, key in enumerate(dict.fromkeys([*order, *found]))}
         return ranks
 
-    def values(self, knob: str) -> list[Any]:
-        """What the knob is set to among the points, in its own order."""
-        return [value for _, value in self._ranks[knob]]
+    def values(self, tunable: str) -> list[Any]:
+        """The values of the tunable among the points, in the tunable's order."""
+        return [value for _, value in self._ranks[tunable]]
 
-    def rank(self, point: Point, knob: str) -> int:
-        """The place of the point's value among :meth:`values`; after all where it has none."""
-        ranks = self._ranks[knob]
-        return ranks.get(_key(point["settings"].get(knob)), len(ranks))
+    def rank(self, point: Point, tunable: str) -> int:
+        """The index of the point's value among :meth:`values`; their number if it has none."""
+        ranks = self._ranks[tunable]
+        return ranks.get(_key(point["settings"].get(tunable)), len(ranks))
 
     def varied(self) -> list[dict[str, Any]]:
-        """The knobs that take more than one value."""
-        return [k for k in self.knobs if len(self.values(k["name"])) > 1]
+        """The tunables that take more than one value."""
+        return [k for k in self.tunables if len(self.values(k["name"])) > 1]
 
-    def color_knob(self) -> dict[str, Any] | None:
-        """The knob whose values colour the points; None where no knob has a few of them."""
+    def color_tunable(self) -> dict[str, Any] | None:
+        """The tunable whose values colour the points; None if none varies over few enough values."""
         few = [k for k in self.varied() if len(self.values(k["name"])) <= _MOST_CLASSES]
         words = [k for k in few if isinstance(self.values(k["name"])[0], str)]
         named = [k for k in few if k["name"] == _PREFERRED]
         return next(iter([*named, *words, *few]), None)
 
-    def color_class(self, point: Point, knob: dict[str, Any] | None) -> int:
+    def color_class(self, point: Point, tunable: dict[str, Any] | None) -> int:
         """The number of the point's colour."""
-        return 0 if knob is None else self.rank(point, knob["name"])
+        return 0 if tunable is None else self.rank(point, tunable["name"])
 
-    def alone(self, knob: str) -> list[Point]:
-        """The points where this knob alone varies, in the order of its values."""
-        found = [p for p in self.points if p.get("sweep") == knob]
+    def alone(self, tunable: str) -> list[Point]:
+        """The points at which this tunable alone varies, in the order of its values."""
+        found = [p for p in self.points if p.get("sweep") == tunable]
         if found and self.baseline not in found:
             found.append(self.baseline)
-        return sorted(found, key=lambda p: (self.rank(p, knob), median(p) or 0.0))
+        return sorted(found, key=lambda p: (self.rank(p, tunable), median(p) or 0.0))
 
     def against_baseline(self, point: Point) -> str:
-        """"2.4 times as fast as your scene's settings", or why that cannot be said."""
+        """A phrase such as "2.4 times as fast as your scene's settings"; "" if a time is missing."""
         if point["id"] == self.baseline["id"]:
             return "your scene's settings"
         ours, theirs = median(point), median(self.baseline)
@@ -114,7 +114,7 @@ class Sweep:
         return f"takes {_ratio(ours / theirs)} times as long as your scene's settings"
 
     def better(self) -> Point | None:
-        """The most exact point that is as exact as the baseline or more so, and really faster."""
+        """The most exact point that is at least as exact as the baseline and faster by more than the spread."""
         least = self.baseline["rmse"]
         found = [
             p for p in self.points
@@ -131,9 +131,14 @@ class Sweep:
 
 
 def median(point: Point) -> float | None:
-    """Seconds a frame, if they are a time at all."""
+    """Seconds per frame; None if they were not measured."""
     value = point["seconds"]["median"]
     return value if value is not None and value > 0 else None
+
+
+def time_of(point: Point) -> float:
+    """Seconds per frame of a point that is :func:`plottable`."""
+    return point["seconds"]["median"]
 
 
 def plottable(point: Point) -> bool:
@@ -141,7 +146,7 @@ def plottable(point: Point) -> bool:
 
 
 def told_apart(a: Point, b: Point) -> bool:
-    """Whether the times differ by more than their interquartile ranges explain."""
+    """Whether the times differ by more than their interquartile ranges can explain."""
     ours, theirs = median(a), median(b)
     if ours is None or theirs is None:
         return False

@@ -6,10 +6,10 @@ from html import escape
 from typing import Any
 
 from clvol.accuracy.report import wording
-from clvol.accuracy.report.svg import knob_plot
+from clvol.accuracy.report.svg import tunable_plot
 from clvol.accuracy.report.sweep import Point, Sweep, median
 
-_COLUMNS = (  # title, explanation, where it is, how it is written
+_COLUMNS = (  # title, explanation, path in a point, format
     ("RMSE", "root mean square of the difference, linear RGBA", "rmse", wording.number),
     ("max", "largest difference of a channel, linear RGBA", "max_abs", wording.number),
     ("PSNR, dB", "peak signal-to-noise ratio, as displayed", "psnr", None),
@@ -26,32 +26,32 @@ _COLUMNS = (  # title, explanation, where it is, how it is written
 
 def tunables_alone(sweep: Sweep) -> str:
     parts = []
-    for knob in sweep.knobs:
-        points = sweep.alone(knob["name"])
+    for tunable in sweep.tunables:
+        points = sweep.alone(tunable["name"])
         if len(points) < 2:
             continue
         rows = "".join(
             f'<tr data-id="{escape(str(p["id"]))}"'
             f'{_own_class(p, sweep)}><th scope="row">'
-            f"{escape(wording.setting(p['settings'].get(knob['name'])))}</th>"
+            f"{escape(wording.setting(p['settings'].get(tunable['name'])))}</th>"
             f"<td>{escape(wording.number(p['rmse'], 2))}</td>"
             f"<td>{escape(wording.seconds(median(p), 2))}</td></tr>"
             for p in points
         )
-        unit = f" ({escape(str(knob['unit']))})" if knob.get("unit") else ""
-        about = f"<p>{escape(wording.upper(str(knob.get('about') or '')))}</p>"
+        unit = f" ({escape(str(tunable['unit']))})" if tunable.get("unit") else ""
+        about = f"<p>{escape(wording.upper(str(tunable.get('about') or '')))}</p>"
         parts.append(
-            f'<article><h3>{escape(wording.upper(str(knob["title"])))}<small>{unit}</small></h3>{about}'
-            f'{knob_plot(sweep, knob)}<table class="values"><thead><tr><th scope="col">'
-            f'{escape(str(knob["title"]))}</th><th scope="col">error</th><th scope="col">time</th>'
+            f'<article><h3>{escape(wording.upper(str(tunable["title"])))}<small>{unit}</small></h3>{about}'
+            f'{tunable_plot(sweep, tunable)}<table class="values"><thead><tr><th scope="col">'
+            f'{escape(str(tunable["title"]))}</th><th scope="col">error</th><th scope="col">time</th>'
             f"</tr></thead><tbody>{rows}</tbody></table></article>"
         )
     if not parts:
         return ""
     return (
-        "<section>\n<h2>One knob at a time</h2>\n"
-        '<p class="lead">All else as in your scene, which is ringed. The axes are those of the '
-        "plot above, so a knob that moves nothing here changes nothing.</p>\n"
+        "<section>\n<h2>One setting at a time</h2>\n"
+        '<p class="lead">All other settings are those of your scene, which is ringed. The axes are '
+        "those of the plot above, so a setting that moves nothing here changes nothing.</p>\n"
         f'<div class="knobs">\n{"".join(parts)}\n</div>\n</section>'
     )
 
@@ -80,7 +80,7 @@ def all_settings(sweep: Sweep) -> str:
     return (
         f"<section>\n<h2>{title}</h2>\n"
         '<p class="lead">Fastest first. <span class="with-script" hidden>Click a heading to sort. '
-        '</span>Those of the front are bold.</p>\n'
+        '</span>Settings on the front are bold.</p>\n'
         '<div class="scroll"><table id="all" class="values"><thead><tr>'
         f'{head}</tr></thead><tbody>\n{chr(10).join(rows)}\n</tbody></table></div>\n</section>'
     )
@@ -94,9 +94,10 @@ def _quality(point: Point, path: str, value: float | None, front: set[str]) -> s
 
 
 def _look_up(point: Point, path: str) -> Any:
+    value: Any = point
     for key in path.split("."):
-        point = point.get(key) if isinstance(point, dict) else None
-    return point
+        value = value.get(key) if isinstance(value, dict) else None
+    return value
 
 
 def _own_class(point: Point, sweep: Sweep) -> str:

@@ -1,4 +1,4 @@
-"""Numbers as people read them."""
+"""Formats numbers and settings for readers."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ _TIMES = "\N{MULTIPLICATION SIGN}"
 
 
 def power_of_ten(exponent: int) -> str:
-    """"10⁻³"; 1 and 10 as they are."""
+    """A power of ten such as "10⁻³"; "1" and "10" for the exponents 0 and 1."""
     return {0: "1", 1: "10"}.get(exponent) or "10" + str(exponent).translate(_SUPERSCRIPT)
 
 
 def number(value: float | None, digits: int = 3) -> str:
-    """``digits`` significant digits; a power of ten where plain digits would be long."""
+    """``value`` with ``digits`` significant digits, and with a power of ten if plain digits would be long."""
     if value is None:
         return NOTHING
     if value == 0 or 1e-4 <= abs(value) < 1e6:
@@ -30,7 +30,7 @@ def number(value: float | None, digits: int = 3) -> str:
 
 
 def seconds(value: float | None, digits: int = 3) -> str:
-    """A time in the unit that suits it: "4.1 ms", "2.3 s", "12 min"."""
+    """A time in a suitable unit: "4.1 ms", "2.3 s", "12 min"."""
     if value is None:
         return NOTHING
     if value == 0:
@@ -44,7 +44,7 @@ def seconds(value: float | None, digits: int = 3) -> str:
 
 
 def count(value: int | None) -> str:
-    """With thin spaces between the thousands."""
+    """A count with thin spaces between groups of three digits."""
     return NOTHING if value is None else f"{value:,}".replace(",", "\N{NARROW NO-BREAK SPACE}")
 
 
@@ -62,7 +62,7 @@ def percent(share: float | None) -> str:
 
 
 def setting(value: Any) -> str:
-    """A knob's value: 0.5, "post", yes, no."""
+    """The value of a tunable in words: 0.5, "post", yes, no."""
     if value is None:
         return NOTHING
     if isinstance(value, bool):
@@ -71,7 +71,7 @@ def setting(value: Any) -> str:
 
 
 def toml(value: Any) -> str:
-    """A knob's value as ``--set`` takes it."""
+    """The value of a tunable in TOML, as ``--set`` expects it."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, (int, float)):
@@ -81,12 +81,12 @@ def toml(value: Any) -> str:
 
 
 def shorten(text: str, length: int) -> str:
-    """At most ``length`` characters, the last one an ellipsis where something is left out."""
+    """``text`` cut to at most ``length`` characters, of which the last is an ellipsis if it was cut."""
     return text if len(text) <= length else text[: length - 1].rstrip(" ,") + "…"
 
 
 def judged_by(result: dict[str, Any]) -> str:
-    """What the errors of a sweep are measured against."""
+    """The name of the reference against which the errors of a sweep are measured."""
     return result["reference"].get("how") or "exact integral"
 
 
@@ -96,10 +96,10 @@ def exponent_of(value: float) -> int:
 
 
 def several(n: int, noun: str) -> str:
-    """ "1 frame", "3 frames"."""
+    """``n`` with the noun in the singular or plural: "1 frame", "3 frames"."""
     return f"{n} {noun}" if n == 1 else f"{n} {noun}s"
 
 
 def upper(text: str) -> str:
-    """``text`` with its first letter a capital."""
+    """``text`` with its first letter capitalised."""
     return text[:1].upper() + text[1:]
