@@ -102,7 +102,8 @@ class Raycaster:
         self.resolved = resolved = self.march.adopt(reduced_for_frames(resolved))
         self.lanes = lanes_of(context, lanes)
         self.skip = skip
-        self.tile = tile if self.lanes > 1 else (1, 1)
+        shares_tiles = self.lanes > 1 or self.march.renders_all_pixels
+        self.tile = tile if shares_tiles else (1, 1)
         self.volume = volume or DeviceVolume(context, resolved.volume)
         self.effects = EffectState(context, resolved, self.volume)
         self.view_dtype = view_dtype(self.volume.switches["VOXEL_BITS"])
