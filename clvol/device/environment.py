@@ -274,8 +274,7 @@ def interpolated(texels: np.ndarray, directions: np.ndarray, rotation: float) ->
 
     border = 16  # the spline's memory fades by 0.27 a texel
     padded = _padded(texels, border)
-    at = _texel_coordinates(texels.shape, directions, rotation)
-    at = [coordinate + border for coordinate in at]
+    at = [coordinate + border for coordinate in _texel_coordinates(texels.shape, directions, rotation)]
     return np.stack([map_coordinates(padded[..., k], at, np.float64) for k in range(3)], axis=-1)
 
 

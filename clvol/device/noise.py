@@ -49,13 +49,30 @@ _PLACE_ROUNDING = 0.01  # lattice units: far more than rounding of a place
 class Noise(Protocol):
     """One term, as a scene states it: a [noise] table has these attributes."""
 
-    target: str  # "value" or "coordinate"
-    amplitude: float  # units of the value, or world length
-    frequency: float  # tiles along the domain's longest edge
-    octaves: int
-    gain: float
-    seed: int
-    velocity: Sequence[float]  # [3], tiles a second
+    @property
+    def target(self) -> str:
+        """"value" or "coordinate"."""
+
+    @property
+    def amplitude(self) -> float:
+        """In units of the value, or a world length."""
+
+    @property
+    def frequency(self) -> float:
+        """Tiles along the domain's longest edge."""
+
+    @property
+    def octaves(self) -> int: ...
+
+    @property
+    def gain(self) -> float: ...
+
+    @property
+    def seed(self) -> int: ...
+
+    @property
+    def velocity(self) -> Sequence[float]:
+        """[3], tiles per second."""
 
 
 @lru_cache(maxsize=8)
@@ -147,10 +164,8 @@ def perturbation(noises: Iterable[Noise], grid: Grid, value_gain: float = 1.0) -
     moved = sum(displacement_bound(noise) for noise in noises) / np.asarray(grid.spacing)
     # Lattice units; farther than any volume's size there is nothing else to reach.
     cells = np.ceil(np.minimum(moved + _PLACE_ROUNDING, 2.0**31) / (1 << CELL_SHIFT))
-    cells = np.where(moved > 0, cells, 0).astype(np.int64)
-    return Perturbation(
-        sum(value_bound(noise) for noise in noises) * value_gain, tuple(int(n) for n in cells)
-    )
+    x, y, z = (int(n) for n in np.where(moved > 0, cells, 0).astype(np.int64))
+    return Perturbation(sum(value_bound(noise) for noise in noises) * value_gain, (x, y, z))
 
 
 def _bound(noise: Noise, channels: slice) -> float:

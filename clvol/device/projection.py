@@ -6,7 +6,7 @@ import numpy as np
 
 from clvol.device.empty_space import cell_bounds
 from clvol.device.memory import UNPERTURBED, Perturbation
-from clvol.device.volume import DeviceVolume
+from clvol.device.volume import ResidentVolume
 from clvol.scene.resolve import ResolvedScene
 
 LEVELS, LEVEL_SHIFT = 3, 2  # BOUND_... of cl/project.h
@@ -16,7 +16,7 @@ _ROUNDING, _SCORE_ROUNDING = 4e-6, 1e-5
 
 
 def sample_bounds(
-    volume: DeviceVolume,
+    volume: ResidentVolume,
     resolved: ResolvedScene,
     perturbation: Perturbation = UNPERTURBED,
 ) -> tuple[np.float32, np.float32]:
@@ -30,7 +30,7 @@ def sample_bounds(
 
 
 def score_bounds(
-    volume: DeviceVolume,
+    volume: ResidentVolume,
     resolved: ResolvedScene,
     perturbation: Perturbation = UNPERTURBED,
 ) -> np.ndarray:
@@ -68,7 +68,7 @@ def hidden_score(mode: str, gate: tuple[float, float]) -> float:
     return float(NO_SCORE)
 
 
-def normalisation(volume: DeviceVolume, resolved: ResolvedScene) -> tuple[np.float32, np.float32]:
+def normalisation(volume: ResidentVolume, resolved: ResolvedScene) -> tuple[np.float32, np.float32]:
     """(lowest value, 1 / range) of the volume, in the values that kernels compute with."""
     low, high = (float(v) for v in volume.values(resolved.data_range))
     return np.float32(low), np.float32(1.0 / (high - low) if high > low else 0.0)

@@ -73,6 +73,13 @@ class PixelLattice:
 EVERY_PIXEL = PixelLattice()
 
 
+def picture_height(camera: Camera) -> float:
+    """World height of the picture of an orthographic ``camera`` (complete)."""
+    if camera.height is None:
+        raise ValueError("an orthographic camera without a height")
+    return camera.height
+
+
 def ray_frame(
     camera: Camera, grid: Grid, width: int, height: int, lattice: PixelLattice = EVERY_PIXEL
 ) -> RayFrame:
@@ -96,7 +103,7 @@ def ray_frame(
     origin = linear @ offset + 0.5 * (lower + upper) + shift
 
     if camera.projection == "orthographic":
-        pixel = camera.height / height
+        pixel = picture_height(camera) / height
         zero = np.zeros(3)
         du, dv = pixel * right, -pixel * up
         ray_du, ray_dv, lens = zero, zero, (0.0, 0.0)

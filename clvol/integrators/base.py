@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
@@ -44,9 +44,17 @@ class FrameData:
 class Prepared(Protocol):
     """A scene that is resident on a device. It does not change: another scene has another one (``for_scene``)."""
 
-    resolved: ResolvedScene
-    renders_all_pixels: bool  # a lattice of pixels costs as much as the whole picture
-    held: Sequence[object]  # what it shares with others and cannot do without (``Shared.keep``)
+    @property
+    def resolved(self) -> ResolvedScene:
+        """The scene, simplified."""
+
+    @property
+    def renders_all_pixels(self) -> bool:
+        """Whether a lattice of pixels costs as much as the whole picture."""
+
+    @property
+    def held(self) -> Sequence[object]:
+        """What it shares with others and cannot do without (``Shared.keep``)."""
 
     @property
     def visible_share(self) -> float:
@@ -60,7 +68,6 @@ class Prepared(Protocol):
 
     def warm_up(self, width: int, height: int, depth: bool = True) -> None:
         """Compiles everything that a frame of this size needs."""
-        ...
 
     def render(
         self,
@@ -73,6 +80,27 @@ class Prepared(Protocol):
     ) -> FrameData:
         """One picture of ``width`` by ``height`` pixels, or of its pixels on ``lattice`` alone. RenderError where
         the device fails."""
+        ...
+
+
+@runtime_checkable
+class RefinesInTime(Protocol):
+    """A ``Prepared`` that can also refine a picture for a given time (``Integrator.refines_in_time``)."""
+
+    def warm_up_for_time(self, depth: bool = True) -> None:
+        """Compiles everything that such a picture needs."""
+
+    def render_for_time(
+        self,
+        camera: Camera,
+        width: int,
+        height: int,
+        progress: Progress | None = None,
+        depth: bool = True,
+        *,
+        seconds: float,
+    ) -> FrameData:
+        """One picture, refined until ``seconds`` have passed since the call. RenderError where the device fails."""
         ...
 
 

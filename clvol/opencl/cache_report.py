@@ -51,7 +51,7 @@ def report_caches() -> CacheReport:
     except DeviceError as error:
         problems.append(str(error))
     shown = None if pocl == programs or pocl is None else str(pocl)
-    return CacheReport(folder and str(folder), shown, temporary, count, size, problems)
+    return CacheReport(None if folder is None else str(folder), shown, temporary, count, size, problems)
 
 
 def _why_not_writable(folder: Path) -> str:

@@ -68,10 +68,12 @@ def run_child(request: dict, selection: list[Icd] | None, time_limit: float) -> 
         except OSError as error:
             child.death = f"{command[0]} cannot be started: {error.strerror}"
             return child
-        status = None  # it hung
+        status = None  # stays None if the process hangs
+        answers = process.stdout
+        assert answers is not None  # a pipe, as requested above
         try:
             limit = time_limit
-            for line in _lines_in_time(process.stdout.fileno(), lambda: limit):
+            for line in _lines_in_time(answers.fileno(), lambda: limit):
                 child.events.append(json.loads(line))
                 if child.has("done"):
                     limit = min(time_limit, _END_LIMIT)
@@ -85,7 +87,7 @@ def run_child(request: dict, selection: list[Icd] | None, time_limit: float) -> 
                 pass
         finally:
             end_child(process)
-            process.stdout.close()
+            answers.close()
         if child.has("done"):
             if status is None:
                 child.end = "does not stop"

@@ -17,7 +17,7 @@ from clvol.errors import DeviceError
 try:
     import fcntl
 except ImportError:  # not on Windows
-    fcntl = None
+    fcntl = None  # type: ignore[assignment]  # a module that is missing has no type
 
 _ROOM = 64 * 2**20  # bytes that compilers may need for what they write
 _PREFIX = "clvol-scratch-"

@@ -99,7 +99,7 @@ def keep(everything: bool = False) -> None:
     keys = list(_places) if everything else [key for key in _asked if key in _places]
     _asked.clear()
     for key in keys:
-        sizes = _sizes(_folder / _places[key])
+        sizes = _sizes(_folder, _folder / _places[key])
         if sizes and sizes != _kept.get(key):
             files: Files = {}
             try:
@@ -111,7 +111,7 @@ def keep(everything: bool = False) -> None:
             write_program(_store, key, files)
 
 
-def _folders_in(folder: Path) -> list[os.DirEntry]:
+def _folders_in(folder: str | os.PathLike[str]) -> list[os.DirEntry[str]]:
     try:
         with os.scandir(folder) as entries:
             return [entry for entry in entries if entry.is_dir(follow_symlinks=False)]
@@ -119,15 +119,15 @@ def _folders_in(folder: Path) -> list[os.DirEntry]:
         return []
 
 
-def _sizes(folder: Path) -> dict[str, int]:
-    """Of all files of a program but its time stamp, by their paths within our folder."""
+def _sizes(cache: Path, folder: Path) -> dict[str, int]:
+    """The sizes of all files of a program in ``folder``, except its time stamp, by their paths within ``cache``."""
     sizes = {}
     for parent, _, names in os.walk(folder):
         for name in names:
             path = Path(parent, name)
             if name != "last_accessed" and not name.startswith("tempfile"):
                 try:
-                    sizes[path.relative_to(_folder).as_posix()] = path.stat().st_size
+                    sizes[path.relative_to(cache).as_posix()] = path.stat().st_size
                 except OSError:
                     pass
     return sizes

@@ -52,17 +52,17 @@ def read_program(folder: Path | None, key: str) -> Files | None:
             if hasattr(os, "geteuid") and (
                 status.st_uid not in (os.geteuid(), 0) or status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
             ):
-                notice(_where(folder), "files that others may write are not used; programs are compiled anew")
+                notice(_where(path), "files that others may write are not used; programs are compiled anew")
                 return None
             content = file.read()
     except FileNotFoundError:
         return None
     except OSError as error:
-        notice(_where(folder), f"cannot be read ({error.strerror}); programs are compiled anew")
+        notice(_where(path), f"cannot be read ({error.strerror}); programs are compiled anew")
         return None
     files = _unpacked(content)
     if files is None:
-        notice(_where(folder), "damaged; what is damaged is compiled anew")
+        notice(_where(path), "damaged; what is damaged is compiled anew")
     elif time.time() - status.st_mtime > _TOUCHED:
         try:
             os.utime(path)
@@ -88,7 +88,7 @@ def write_program(folder: Path | None, key: str, files: Files) -> None:
         os.replace(temporary, path)
         temporary = None
     except OSError as error:
-        notice(_where(folder), f"cannot be written ({error.strerror}); {EACH_TIME}")
+        notice(_where(path), f"cannot be written ({error.strerror}); {EACH_TIME}")
     finally:
         if temporary is not None:
             try:
@@ -116,9 +116,9 @@ def _open(path: str | os.PathLike) -> IO[bytes]:
     return os.fdopen(number, "rb")
 
 
-def _where(folder: Path) -> str:
-    """The cache in messages: a folder of ours by the folder that it lies in."""
-    return f"cache {folder.parent}"
+def _where(path: Path) -> str:
+    """The cache of a program's ``path`` in messages: it is named by the folder above clvol's own."""
+    return f"cache {path.parent.parent}"
 
 
 def _path(folder: Path | None, key: str) -> Path | None:

@@ -75,11 +75,11 @@ def _expand(
         if directive != "include" and not is_once:
             continue
         quoted = _QUOTED.match(rest)
-        if not (quoted or is_once):  # <...>, or a macro: the compiler's own
+        if not (quoted or is_once):  # <...>, or a macro: left to the compiler
             continue
         out += file.lines[done:number]
         done = number + 1
-        if is_once:
+        if quoted is None or is_once:
             out.append("")
             continue
         found = _find(quoted[1], path, folders)

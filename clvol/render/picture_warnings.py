@@ -80,9 +80,10 @@ def _box(
     plain = not (resolved.isosurfaces or resolved.clips or resolved.fields)
     if low == high or not plain or min(grid.shape) < _SMALLEST or resolved.integration.compositing != "over":
         return None
-    for count in (_FEW, _RAYS):  # of most opaque bodies a few show that there is something around them
-        rows, columns = _lattice(alpha.shape, count)
-        near, far = _through(grid, *camera.world_rays_at(*alpha.shape[::-1], rows, columns))
+    height, width = alpha.shape
+    for count in (_FEW, _RAYS):  # around most opaque bodies a few rays already find empty space
+        rows, columns = _lattice((height, width), count)
+        near, far = _through(grid, *camera.world_rays_at(width, height, rows, columns))
         covered = far - near > _THIN * grid.smallest_edge
         if (alpha[np.ix_(rows, columns)][covered] < _OPAQUE).any():
             return None
@@ -123,9 +124,9 @@ def _opaque_share_of_faces(resolved: ResolvedScene) -> float:
     faces = []
     for axis in range(3):
         for end in (0, -1):
-            place = list(steps)
-            place[axis] = end
-            faces.append(data[tuple(place)].ravel())
+            position: list[slice | int] = list(steps)
+            position[axis] = end
+            faces.append(data[tuple(position)].ravel())
     voxels = np.concatenate(faces).astype(np.float64)
     depth = _ENTRY * _depth_of_voxel(resolved, resolved.transfer_function.opacity(voxels))
     return float((depth >= np.log(2.0)).mean())
@@ -133,7 +134,8 @@ def _opaque_share_of_faces(resolved: ResolvedScene) -> float:
 
 def _lattice(shape: tuple[int, int], count: int) -> tuple[np.ndarray, np.ndarray]:
     """Rows and columns, up to ``count`` of each, spread over a picture."""
-    return tuple(np.unique(np.linspace(0, n - 1, min(n, count)).round().astype(int)) for n in shape)
+    rows, columns = (np.unique(np.linspace(0, n - 1, min(n, count)).round().astype(int)) for n in shape)
+    return rows, columns
 
 
 def _through(grid: Grid, origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

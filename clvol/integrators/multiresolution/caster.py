@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any, TypeVar
+
 import numpy as np
 
 from clvol.device.arguments import (
@@ -12,12 +14,13 @@ from clvol.device.arguments import (
 )
 from clvol.device.transfer_lookup import device_function, scene_nodes, segment_classification
 from clvol.device.view import ray_frame
+from clvol.device.volume import ResidentVolume
 from clvol.features import STEPPINGS
 from clvol.features.vocabulary import BLOCK_COUNTERS, CELLS
 from clvol.integrators.multiresolution.bounds import most_steps
 from clvol.integrators.multiresolution.device_blocks import DeviceBlocks
 from clvol.integrators.multiresolution.sample_allocator import map_shift
-from clvol.integrators.raycast.caster import _SECONDS_A_SAMPLE, Raycaster
+from clvol.integrators.raycast.caster import SECONDS_A_SAMPLE, Raycaster
 from clvol.integrators.raycast.march import March
 from clvol.integrators.raycast.switches import raycast_switches
 from clvol.integrators.tiles.geometry import TileGrid
@@ -43,22 +46,26 @@ _OF_BLOCKS = (
 _MORE = ["samples1", "samples2", "samples3"]
 
 
-class BlockedVolume:
-    """A volume on the device as ``DeviceVolume`` is, but as blocks. Lattice coordinates are the same."""
+class BlockedVolume(ResidentVolume):
+    """A volume on the device as blocks; lattice coordinates are those of ``DeviceVolume``. It has no array of all
+    voxels."""
 
     def __init__(self, blocks: DeviceBlocks) -> None:
         self.blocks = blocks
+        self.voxels = blocks.samples[0]
         self.values = blocks.value_map
         self.switches = blocks.switches
         grid = blocks.blocks
-        self.size = tuple(max(n, 2) for n in reversed(grid.shape))
+        nz, ny, nx = grid.shape
+        self.size = max(nx, 2), max(ny, 2), max(nz, 2)
         self.stride = (0, 0)
         self.cell_shift = map_shift(grid, blocks.memory_bytes)
-        self.cells = tuple(n * (grid.edge >> self.cell_shift) for n in reversed(grid.counts))
+        bz, by, bx = grid.counts
+        edge = grid.edge >> self.cell_shift
+        self.cells = bx * edge, by * edge, bz * edge
 
-    @property
-    def voxels(self) -> DeviceArray:
-        return self.blocks.samples[0]
+
+Caster = TypeVar("Caster", bound="BlockCaster")
 
 
 def blocks_struct(grid: BlockGrid) -> np.ndarray:
@@ -158,18 +165,16 @@ class BlockCaster(Raycaster):
             self._switches_of_blocks,
         )
         cells = context.empty(np.uint8, volume.cells[::-1])
-        kernel(
-            context.queue,
-            volume.cells,
-            None,
-            volume=volume.voxels,
-            warp=self.warp,
-            before=context.upload(np.concatenate([[0], np.cumsum(between)]).astype(np.int32)),
-            at=context.upload(at.astype(np.uint8)),
-            view=context.upload(view),
-            cells=cells,
+        given: dict[str, Any] = {
+            "volume": volume.voxels,
+            "warp": self.warp,
+            "before": context.upload(np.concatenate([[0], np.cumsum(between)]).astype(np.int32)),
+            "at": context.upload(at.astype(np.uint8)),
+            "view": context.upload(view),
+            "cells": cells,
             **self._resident_arrays(),
-        )
+        }
+        kernel(context.queue, volume.cells, None, **given)
         self._set_steps()
         found = context.read(cells)
         self.shown_cells, self.hole_cells = found != CELLS["empty"], found == CELLS["beside-holes"]
@@ -198,8 +203,13 @@ class BlockCaster(Raycaster):
             self._switches_of_blocks,
         )
         bounds = context.empty(np.float32, (blocks.count, 4))
-        arrays = {"volume": self.volume.voxels, "view": context.upload(view), "bounds": bounds}
-        kernel(context.queue, blocks.counts[::-1], None, **arrays, **self._resident_arrays())
+        given: dict[str, Any] = {
+            "volume": self.volume.voxels,
+            "view": context.upload(view),
+            "bounds": bounds,
+            **self._resident_arrays(),
+        }
+        kernel(context.queue, blocks.counts[::-1], None, **given)
         self.steps = most_steps(
             context.read(bounds),
             device_function(self.function, self.volume.values),
@@ -212,7 +222,7 @@ class BlockCaster(Raycaster):
         )
         self._steps = context.upload(np.append(self.steps, np.zeros(4, np.uint8)))
 
-    def for_scene(self, resolved: ResolvedScene) -> BlockCaster:
+    def for_scene(self: Caster, resolved: ResolvedScene) -> Caster:
         other = super().for_scene(resolved)
         if other.length != self.length:
             other._set_steps()
@@ -256,7 +266,7 @@ class BlockCaster(Raycaster):
             scene_arguments(self.volume.switches["VOXEL_BITS"]) + self._declared,
             {**self._scene_arrays(), **self._block_arrays()},
             self.lanes,
-            self._most_samples() * _SECONDS_A_SAMPLE,
+            self._most_samples() * SECONDS_A_SAMPLE,
             len(BLOCK_COUNTERS),
         )
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import weakref
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
@@ -105,10 +106,10 @@ class DeviceBlocks:
     @property
     def switches(self) -> dict[str, int]:
         """Of kernels that read ``samples``."""
-        switches = voxel_switches(self._source, self.value_map)
+        switches = voxel_switches(self._source, self.value_map, pairs=False)
         if switches["VOXEL_BITS"] == 64:
             switches |= {"VOXEL_BITS": 32, "VOXEL_SCALED": 0}
-        return switches | {"VOXEL_PAIRS": 0, "SAMPLE_BUFFERS": len(self.samples)}
+        return switches | {"SAMPLE_BUFFERS": len(self.samples)}
 
     @property
     def device_bytes(self) -> int:
@@ -276,8 +277,7 @@ class DeviceBlocks:
         moves = self._packing.place(piece.blocks, np.full(len(piece.blocks), side**3))
         for move in moves:
             (source, old), (target, new) = (divmod(at, self._each) for at in (move.old, move.new))
-            source, target = self.samples[source], self.samples[target]
-            self._context.copy(source, old, target, new, move.size)
+            self._context.copy(self.samples[source], old, self.samples[target], new, move.size)
         self._levels[piece.blocks] = piece.level
         moved = np.unique(np.array([move.block for move in moves], np.int64))
         for blocks in (piece.blocks, moved):
@@ -296,7 +296,8 @@ class DeviceBlocks:
         self._staging = context.empty(dtype, (staged // dtype.itemsize,))
         self._payloads = context.empty(np.uint8, (payloads,))
         values = (value("bias", np.float64), value("gain", np.float64)) if double else ()
-        self._values = {"bias": self.value_map.bias, "gain": self.value_map.gain} if double else {}
+        scale = {"bias": self.value_map.bias, "gain": self.value_map.gain}
+        self._values: dict[str, Any] = scale if double else {}
         switches = {"VOXEL_BITS": held.itemsize * 8, "VOXEL_SIGNED": int(held.kind == "i")}
         switches["STAGED_DOUBLE"] = int(double)
         self._decoder = context.kernel(

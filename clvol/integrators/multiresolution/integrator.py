@@ -74,7 +74,8 @@ class Multiresolution:
         needed = most_bytes(blocks, volume.dtype, budget)
         if _slices(scene):
             edge = blocks.edge >> map_shift(blocks, budget)
-            needed += block_pyramid_bytes(tuple(n * edge for n in blocks.counts), scene)
+            z, y, x = blocks.counts
+            needed += block_pyramid_bytes((z * edge, y * edge, x * edge), scene)
         return needed + scene.image.width * scene.image.height * 20
 
     def memory_advice(self, scene: Scene | ResolvedScene) -> tuple[str, str]:

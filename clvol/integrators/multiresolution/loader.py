@@ -144,7 +144,8 @@ class Loader:
     def _run(self) -> None:
         while (work := self._next()) is not None:
             generation, request = work
-            piece, error = None, None
+            piece: Piece | None = None
+            error: Exception | None = None
             try:
                 piece = self._read(request)
             except Exception as caught:
@@ -156,11 +157,11 @@ class Loader:
                     )
                 if generation != self._generation:
                     continue
-                if error is not None:
+                if piece is not None:
+                    self._ready.append(piece)
+                else:
                     self._error = error
                     self._requests.clear()
-                else:
-                    self._ready.append(piece)
                 self._condition.notify_all()
 
     def _next(self) -> tuple[int, Request] | None:

@@ -83,16 +83,20 @@ class Residency:
         )  # fmt: skip
         self._asked = asked
         if wait:
-            self.blocks.load(self.selection.levels, self._means, progress)
+            self.blocks.load(self.selection.levels, self._block_means(), progress)
             self.blocks.commit()
             return True
         priority = known.errors[-1]
-        self.blocks.start(self.selection.levels, self._means, priority)
+        self.blocks.start(self.selection.levels, self._block_means(), priority)
         return self.blocks.commit()
 
-    def _source_errors(self, function: TransferFunction, background: np.ndarray) -> SourceErrors:
+    def _block_means(self) -> np.ndarray:
+        """The mean of each block; read once."""
         if self._means is None:
             self._means = np.concatenate([part.mean[-1] for part in self.source.statistics()])
+        return self._means
+
+    def _source_errors(self, function: TransferFunction, background: np.ndarray) -> SourceErrors:
         if self._errors is not None:
             old_function, old_background, errors = self._errors
             if old_function == function and np.array_equal(old_background, background):
@@ -108,6 +112,8 @@ class Residency:
     def describe(self) -> dict[str, Any]:
         """For stats: blocks by level (full resolution first), dropped, still to come; bytes; and the selection's
         error (Delta-E times pixels where views weigh, else Delta-E, summed over blocks) with its lower bound."""
+        if self.selection is None:
+            raise ValueError("no blocks have been requested")
         levels = self.blocks.levels
         counts = np.bincount(levels, minlength=DROPPED + 1)
         return {

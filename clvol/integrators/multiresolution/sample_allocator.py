@@ -104,8 +104,8 @@ class Packing:
         ``size`` or more, this one with them, never take more than floor(capacity / size) slots of
         it."""
         whole = self.capacity // size * size
-        smaller = (self.size > 0) & (self.size < size) & (self.start >= 0) & (self.start < whole)
-        smaller = np.flatnonzero(smaller)
+        is_smaller = (self.size > 0) & (self.size < size) & (self.start >= 0) & (self.start < whole)
+        smaller = np.flatnonzero(is_smaller)
         slots = self.start[smaller] // size
         taken = np.bincount(slots, weights=self.size[smaller])
         slot = int(np.where(taken > 0, taken, np.inf).argmin())
@@ -122,7 +122,10 @@ class Packing:
             those = sizes == part
             moves += self._put(evicted[those], part)
             to = self.start[evicted[those]]
-            moves += [Move(*map(int, m), part) for m in zip(evicted[those], old[those], to)]
+            moves += [
+                Move(int(other), int(before), int(after), part)
+                for other, before, after in zip(evicted[those], old[those], to)
+            ]
         return moves
 
     def _take(self, size: int, count: int) -> np.ndarray:

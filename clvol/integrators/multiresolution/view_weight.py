@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from clvol.device.view import picture_height
 from clvol.scene.camera import Camera
 from clvol.store.geometry import BlockGrid
 from clvol.volume import Grid
@@ -111,7 +112,7 @@ def _inside(camera: Camera, grid: Grid, axes: _Axes, z: slice, aspect: float) ->
     """bool [bz, by, bx]: not wholly beyond one of the view's planes."""
     forward, right, up = camera.basis()
     if camera.projection == "orthographic":
-        half, slope = 0.5 * camera.height / grid.smallest_edge, 0.0
+        half, slope = 0.5 * picture_height(camera) / grid.smallest_edge, 0.0
     else:
         half, slope = 0.0, np.tan(np.radians(camera.fov_degrees) / 2.0)
     planes = [(forward, 0.0)]
@@ -139,7 +140,7 @@ def _areas(
     faces = [(np.cross(y, z_), 4 * hz * hy[:, None]), (np.cross(x, z_), 4 * hz * hx),
              (np.cross(x, y), 4 * hy[:, None] * hx)]  # fmt: skip
     if camera.projection == "orthographic":
-        pixel = camera.height / grid.smallest_edge / height
+        pixel = picture_height(camera) / grid.smallest_edge / height
         area = sum(abs(float(normal @ forward)) * count for normal, count in faces) / pixel**2
         area = np.broadcast_to(area, axes.along(forward, z).shape)
         return area, np.full(area.shape, longest / pixel)

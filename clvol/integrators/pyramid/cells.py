@@ -7,7 +7,7 @@ the way from one place to another, which the march relies on (cl/pyramid.h, fres
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -123,7 +123,7 @@ def upload_cells(asked: Asked, bad: np.ndarray) -> DeviceArray:
     return asked.context.upload(np.pad(bad, ((0, 0), (0, 0), (0, padded_row(nx) - nx))))
 
 
-def distance_map(asked: Asked, bad: DeviceArray, scales: Sequence[float]) -> DeviceArray:
+def distance_map(asked: Asked, bad: DeviceArray, scales: Iterable[float]) -> DeviceArray:
     """uint8 as kernels read it (cl/oracle_layout.h): at each cell the least of scale / 2 + way to
     the cells whose bit of ``bad`` says that they are bad for it, at most ``asked.reach``."""
     found = _map_of(asked, asked.reach)

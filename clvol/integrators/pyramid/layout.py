@@ -26,7 +26,8 @@ def map_shift(size: tuple[int, int, int]) -> int:
 
 def map_shape(size: tuple[int, int, int], shift: int) -> tuple[int, int, int]:
     """Cells (z, y, x) of 2^shift lattice cells an axis, for lattice points ``size`` (x, y, z)."""
-    return tuple(cell_count(n, shift) for n in reversed(size))
+    x, y, z = size
+    return cell_count(z, shift), cell_count(y, shift), cell_count(x, shift)
 
 
 def padded_row(cells: int) -> int:

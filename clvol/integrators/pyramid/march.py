@@ -48,7 +48,7 @@ class SliceMarch:
     """
 
     renders_all_pixels = True
-    counters = PYRAMID_COUNTERS
+    counters: tuple[str, ...] = PYRAMID_COUNTERS
 
     def __init__(
         self, oracle: Oracle, lanes: int, workers: int | None = None, tile: int = TILE, leap: bool = True
@@ -152,7 +152,7 @@ class SliceMarch:
             epsilon=scene.pyramid.epsilon,
             opacity_edges=grid.smallest_edge / function.opacity_unit,
             shift=shift,
-            edges=tuple(float(s) for s in spacing),
+            edges=(float(spacing[0]), float(spacing[1]), float(spacing[2])),
             reach=_reach(scene),
             shape=shape,
             filter=scene.integration.filter,

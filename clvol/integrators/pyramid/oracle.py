@@ -16,7 +16,7 @@ from clvol.transfer import TransferFunction
 from clvol.transfer.lookup_nodes import LookupNodes
 
 if TYPE_CHECKING:
-    from clvol.device.volume import DeviceVolume
+    from clvol.device.volume import ResidentVolume
     from clvol.opencl.context import DeviceArray, DeviceContext
 
 # Headers of cl/oracle.h. The last is a file of the caller's own; no scene can bring one.
@@ -47,7 +47,7 @@ class Asked:
     """
 
     context: DeviceContext
-    volume: DeviceVolume
+    volume: ResidentVolume
     function: TransferFunction
     nodes: LookupNodes
     warp: DeviceArray

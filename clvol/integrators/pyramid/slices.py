@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from clvol.device.view import ray_frame
+from clvol.device.view import picture_height, ray_frame
 from clvol.scene.camera import Camera
 from clvol.scene.pyramid import MOST_LEVELS
 from clvol.scene.resolve import ResolvedScene
@@ -34,7 +34,7 @@ def slice_plan(resolved: ResolvedScene, camera: Camera, width: int, height: int)
     grid, step = resolved.volume.grid, resolved.integration.step
     frame = ray_frame(camera, grid, width, height)
     if camera.projection == "orthographic":
-        spacing, growth = camera.height / height / grid.smallest_edge, 0.0
+        spacing, growth = picture_height(camera) / height / grid.smallest_edge, 0.0
         there = spacing
     else:
         growth = frame.lens[0] * step

@@ -148,8 +148,9 @@ class LineTable:
     def entries(self) -> int:
         return self._entries
 
-    def offset(self, *key: int) -> int:
-        """Where the entries of ``lines(*key)`` begin, which are added if they are new."""
+    def offset(self, length: int, size: int, tau: int, halvings: int) -> int:
+        """Where the entries of ``lines`` with these arguments begin, which are added if they are new."""
+        key = length, size, tau, halvings
         if key not in self._offsets:
             positions = np.array(lines(*key))
             at = np.arange(key[0])

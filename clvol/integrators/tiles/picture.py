@@ -134,11 +134,12 @@ class TiledPicture:
         limit = pixels if rays is None else min(rays, pixels)
         while self.rays < limit:
             most, now = limit - self.rays, self.clock()
+            affordable: float = most
             if seconds is not None:
                 left = seconds - (now - start) - _READS * self._reading
-                most = min(most, _SAFETY * self._rays_a_second * left)
+                affordable = min(most, _SAFETY * self._rays_a_second * left)
             round_rays = max(_ROUND * (pixels - self.rays), _LEAST_ROUND * pixels)
-            chosen = errors.choose(self.unknown, self.costs, round_rays, most)
+            chosen = errors.choose(self.unknown, self.costs, round_rays, affordable)
             if not len(chosen):
                 return
             work, measured = self.refine(chosen, progress)
@@ -156,6 +157,8 @@ class TiledPicture:
     def _known_errors(self) -> TileErrors:
         """Estimated from the planned rays, the first time."""
         if self._errors is None:
+            if self._planned is None:
+                raise ValueError("errors are known only once the planned rays are cast")
             start = self.clock()
             image = self.read()
             self._reading = self.clock() - start

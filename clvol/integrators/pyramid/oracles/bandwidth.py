@@ -25,8 +25,8 @@ class Bandwidth(Oracle):
         allowed = asked.epsilon * np.ptp(asked.volume.value_range)
         bad = np.zeros(low.shape, np.uint8)
         for bit, scale in enumerate(asked.scales):
-            around = tuple(int(scale / 2 / (edge * (1 << shift))) for edge in asked.edges)
-            span = spread(high, around, np.maximum) - spread(low, around, np.minimum)
+            x, y, z = (int(scale / 2 / (edge * (1 << shift))) for edge in asked.edges)
+            span = spread(high, (x, y, z), np.maximum) - spread(low, (x, y, z), np.minimum)
             bad |= (span > allowed).astype(np.uint8) << bit
         for axis in range(3):
             bad = np.repeat(bad, 1 << _COARSER, axis=axis)

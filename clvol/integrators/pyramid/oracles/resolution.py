@@ -18,6 +18,8 @@ class Resolution(Oracle):
     takes_epsilon = False
 
     def map(self, asked: Asked) -> DeviceArray:
+        if asked.blocks is None:
+            raise ValueError("the oracle 'resolution' needs a volume of blocks")
         shown, spacing = asked.blocks.shown, asked.blocks.spacing
         bad = np.zeros(asked.shape, np.uint8)
         for bit, scale in enumerate(asked.scales):
