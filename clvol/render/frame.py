@@ -1,4 +1,4 @@
-"""A rendered picture with all that is known about it."""
+"""A rendered picture, with its statistics and its provenance."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ class Frame:
 
     ``depth`` float32 [height, width]: world distance along the ray from the eye (orthographic: from the
     camera plane) to where opacity reaches one half; infinite where it never does.
-    ``background`` [3], linear. ``stats`` as ``--stats`` writes them. ``scene_source``: the scene as a
-    scene file's text. ``made_from``: a function that tells what the picture was made from
+    ``background`` [3], linear. ``stats``: as ``--stats`` writes them. ``scene_source``: the scene as the
+    text of a scene file. ``made_from``: a function that returns what the picture was made from
     (``clvol.render.made_from``).
     """
 
@@ -38,7 +38,7 @@ class Frame:
     made_from: Callable[[], dict[str, Any]] | None = None
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Writes .exr, .png or .npy, by ending; the file appears whole or not at all."""
+        """Writes .exr, .png or .npy, according to the ending; the file appears whole or not at all."""
         save_frame(self, path)
 
 
@@ -51,8 +51,8 @@ def make_frame(
     device: str,
     told: Callable[[], dict[str, Any]] | None = None,
 ) -> Frame:
-    """A frame of ``resolved`` with stats: ``seconds`` by stage (those that are missing took none) and
-    what else was ``counted``. ``told``: its ``made_from``; looked for now where it is None."""
+    """A frame of ``resolved`` with stats: ``seconds`` by stage (a missing stage took no time) and
+    everything else that was ``counted``. ``told``: its ``made_from``; determined now where it is None."""
     if told is None:
         told = MadeFrom(resolved)
         told()

@@ -1,6 +1,6 @@
-"""What a picture shows that can hardly be meant: next to nothing, or a box. Why, and what to set.
+"""Warnings about pictures that can hardly be intended: almost blank ones, and boxes. They say why, and what to set.
 
-Looks at a few thousand pixels of most pictures, and at all of those in which these show nothing.
+Of most pictures a few thousand pixels are checked, and all pixels where those show nothing.
 """
 
 from __future__ import annotations
@@ -15,19 +15,19 @@ from clvol.scene.clip import Clip
 from clvol.scene.resolve import ResolvedScene, default_opacity_unit
 from clvol.volume import Grid
 
-_PIXELS = 64  # an axis, of those that are looked at first
-_RAYS, _FEW = 24, 7  # an axis, of those that are followed
-_POINTS = 24  # an axis, of the volume's where clips are looked at
+_PIXELS = 64  # per axis, checked first
+_RAYS, _FEW = 24, 7  # rays per axis that are followed
+_POINTS = 24  # per axis of the volume, for which clips are checked
 _OPAQUE = 0.99
-_ENTRY = 0.6  # steps, or smallest voxel edges where steps are shorter: opaque before that is opaque at the face
-_THIN = 4.0  # smallest voxel edges: shorter ways through the volume count as its rim
-_SMALLEST = 24  # voxels an axis: smaller volumes may well be bodies
+_ENTRY = 0.6  # steps, or smallest voxel edges where steps are shorter: a ray that is opaque by then is opaque at the face
+_THIN = 4.0  # smallest voxel edges: shorter paths through the volume count as its rim
+_SMALLEST = 24  # voxels per axis: smaller volumes may well be solid bodies
 
 
 def picture_warning(
     resolved: ResolvedScene, camera: Camera, rgba: np.ndarray, depth: np.ndarray | None
 ) -> ClvolWarning | None:
-    """Of a picture [height, width] of ``resolved`` from ``camera``, in which nothing else was found to warn of."""
+    """The warning about a picture [height, width] of ``resolved`` from ``camera`` that has no other warning."""
     alpha = rgba[..., 3]
     spacing = [max(1, n // _PIXELS) for n in alpha.shape]
     some = alpha[:: spacing[0], :: spacing[1]]
@@ -75,7 +75,7 @@ def _blank(
 def _box(
     resolved: ResolvedScene, camera: Camera, alpha: np.ndarray, depth: np.ndarray | None
 ) -> ClvolWarning | None:
-    """If all that the volume covers is opaque where rays enter it: its faces are all there is to see."""
+    """The warning about a volume that is opaque wherever rays enter it, so that only its faces are visible."""
     grid, (low, high) = resolved.volume.grid, resolved.data_range
     plain = not (resolved.isosurfaces or resolved.clips or resolved.fields)
     if low == high or not plain or min(grid.shape) < _SMALLEST or resolved.integration.compositing != "over":
@@ -115,7 +115,7 @@ def _depth_of_voxel(resolved: ResolvedScene, opacity: np.ndarray | float) -> np.
 
 
 def _opaque_share_of_faces(resolved: ResolvedScene) -> float:
-    """Of some voxels in the volume's faces; 0 where voxels are not in memory."""
+    """The share of opaque voxels among some in the volume's faces; 0 where voxels are not in memory."""
     volume = resolved.volume
     if "data" not in vars(volume):
         return 0.0
@@ -139,7 +139,7 @@ def _lattice(shape: tuple[int, int], count: int) -> tuple[np.ndarray, np.ndarray
 
 
 def _through(grid: Grid, origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """World distances [k, l] at which rays enter the volume and leave it; entered after left by those that miss."""
+    """World distances [k, l] at which rays enter the volume and leave it; entry > exit for rays that miss it."""
     to_index = grid.world_to_index()
     at = origins @ to_index[:3, :3].T + to_index[:3, 3]
     along = directions @ to_index[:3, :3].T
@@ -154,7 +154,7 @@ def _through(grid: Grid, origins: np.ndarray, directions: np.ndarray) -> tuple[n
 
 
 def _anything_kept(grid: Grid, clips: tuple[Clip, ...]) -> bool:
-    """Whether any of some points of the volume is kept by all clips."""
+    """Whether all clips keep at least one point of a coarse lattice in the volume."""
     lower, upper = grid.index_bounds()
     axes = [np.linspace(a, b, _POINTS) for a, b in zip(lower, upper)]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
