@@ -119,8 +119,8 @@ class Shared:
         self._kept: dict[str, dict[Hashable, Any]] = {}
 
     def keep(self, kind: str, key: Hashable, make: Callable[[], T], most: int | None = None) -> T:
-        """The object of ``kind`` kept under ``key``; made now if there is none. The latest ``most`` objects of a kind are
-        kept; None: all. Objects that are dropped are closed, if they have a ``close``."""
+        """The object of ``kind`` kept under ``key``; made now if there is none. The latest ``most`` objects of a kind
+        are kept; None: all. Objects that are dropped are closed, if they have a ``close``."""
         kept = self._kept.setdefault(kind, {})
         if key not in kept:
             while most is not None and len(kept) >= most:
@@ -185,8 +185,8 @@ class Integrator(Protocol):
     def prepare(
         self, shared: Shared, resolved: ResolvedScene, progress: Progress | None = None, wait: bool | None = None
     ) -> Prepared:
-        """Makes ``resolved``, which is simplified, resident. ``progress`` reports blocks that are read. ``wait`` False: a
-        thread reads them, and frames show those that are there until all have arrived; None: as in the last request."""
+        """Makes ``resolved``, which is simplified, resident. ``progress`` reports blocks that are read. ``wait`` False:
+        a thread reads them, and frames show those that are there until all have arrived; None: as in the last request."""
         ...
 
     def ask_again(self, prepared: Any, progress: Progress | None, wait: bool | None) -> None:

@@ -38,7 +38,7 @@ from clvol.transfer import TransferFunction
 from clvol.transfer.lookup_nodes import visible_cells
 from clvol.transfer.pieces import value_gate
 
-# Switches of kernels that look at blocks and cast no rays.
+# Switches of kernels that work on blocks and cast no rays.
 _OF_BLOCKS = (
     "VOXEL_BITS", "VOXEL_SIGNED", "VOXEL_SCALED", "VOXEL_HOLES", "VOXEL_PAIRS", "SAMPLE_BUFFERS",
     "INTERBLOCK", "FILTER", "CLASSIFICATION", "TRANSFER_PIECES",
@@ -79,8 +79,8 @@ def blocks_struct(grid: BlockGrid) -> np.ndarray:
 class BlockCaster(Raycaster):
     """As ``Raycaster``, for scenes of emission and absorption and the method "multiresolution".
 
-    ``blocks``: what is resident. ``render`` shows what is resident at that moment; ``set_resident`` must be
-    called when that has changed.
+    ``blocks``: the resident blocks. ``render`` shows the blocks that are resident at that moment; ``set_resident`` must
+    be called after they have changed.
     """
 
     def __init__(
@@ -114,7 +114,7 @@ class BlockCaster(Raycaster):
         return segment_classification(self.resolved.integration, functions) != "preintegrated"
 
     def set_transfer_function(self, function: TransferFunction) -> None:
-        """Another transfer function for the blocks that are resident: tables and empty space."""
+        """Another transfer function for the resident blocks: rebuilds tables and empty space."""
         resolved = self.resolved
         self.nodes = scene_nodes(resolved, function)
         mapped = device_function(function, self.volume.values)
@@ -138,16 +138,16 @@ class BlockCaster(Raycaster):
         self.switches |= self.blocks.switches | self.march.switches()
 
     def _fitting_stepping(self) -> str:
-        """The scene's, but where all blocks that show anything shall be at full resolution a step a
-        sample is an even step, for which there is a faster kernel."""
-        asked, goal = self.settings.stepping, self.blocks.goal
-        if asked == "pyramid":  # its march takes steps of its own
+        """The scene's stepping, or "full" where it gives the same steps: if all visible blocks are to be at full
+        resolution, one step per sample is an even step, for which there is a faster kernel."""
+        stepping, goal = self.settings.stepping, self.blocks.goal
+        if stepping == "pyramid":  # its march takes steps of its own
             return "full"
         is_even = not ((goal > 0) & (goal != DROPPED)).any()
-        return "full" if is_even and asked in ("limited", "naive") else asked
+        return "full" if is_even and stepping in ("limited", "naive") else stepping
 
     def set_resident(self) -> None:
-        """Finds empty space anew in the blocks that are resident."""
+        """Finds empty space anew in the resident blocks."""
         context, volume = self.context, self.volume
         stepping = self._fitting_stepping()
         if stepping != self.stepping:
@@ -188,7 +188,7 @@ class BlockCaster(Raycaster):
         return of_blocks | {"LANES": 1, "WARPED_CLASSES": int(self.nodes.warp is not None)}
 
     def _set_steps(self) -> None:
-        """For bounded stepping: how many steps may be taken at once in each block that is resident."""
+        """For bounded stepping: finds how many steps may be taken at once in each resident block."""
         if self.stepping != "bounded":
             return
         context, blocks = self.context, self.blocks.blocks
@@ -257,7 +257,7 @@ class BlockCaster(Raycaster):
     def _counter_names(self) -> tuple[str, ...]:
         return (*self.march.counters, *BLOCK_COUNTERS)
 
-    # What ``TiledRenderer`` asks for
+    # As ``RayEngine``, for ``TiledRenderer``
 
     def packets(self, depth: bool) -> PacketRenderer:
         return PacketRenderer(
@@ -276,7 +276,7 @@ class BlockCaster(Raycaster):
         return self._frame_view(frame, width, height)
 
     def blank_view(self) -> np.ndarray:
-        """``View`` [1] of a picture of no pixels."""
+        """``View`` [1] of a picture without pixels."""
         return np.zeros(1, self.view_dtype)
 
     def corner_statistics(self, view: np.ndarray, grid: TileGrid) -> tuple[np.ndarray, int]:
@@ -299,14 +299,14 @@ def block_switches(
     stepping: str | None = None,
     function: TransferFunction | None = None,
 ) -> dict[str, int]:
-    """What gets compiled for a scene of blocks, but for what the samples' type and buffers add.
-    ``stepping`` and ``function`` instead of the scene's."""
-    asked = resolved.multiresolution
+    """The switches (-D) for a scene of blocks, without those of the samples' type and buffers.
+    ``stepping`` and ``function``: used in place of the scene's."""
+    settings = resolved.multiresolution
     return {
         **raycast_switches(
             resolved, lanes=lanes, skip=skip, function=function
         ),
         "BLOCKS": 1,
-        "STEPPING": STEPPINGS[stepping or asked.stepping],
-        "INTERBLOCK": int(asked.interblock),
+        "STEPPING": STEPPINGS[stepping or settings.stepping],
+        "INTERBLOCK": int(settings.interblock),
     }

@@ -1,4 +1,4 @@
-"""Which blocks of a volume are on the device, at which level, for a scene and a view."""
+"""Residency: which blocks of a volume are on the device, at which level, for a scene and a view."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from clvol.volume import Volume
 
 
 def block_source(volume: Volume) -> BlockSource:
-    """The store that ``volume`` lies in, else its voxels in memory."""
+    """The store that holds ``volume``, or else its voxels in memory."""
     found = getattr(volume, "blocks_source", None)
     return VolumeBlocks(volume) if found is None else found
 
@@ -27,8 +27,8 @@ def block_source(volume: Volume) -> BlockSource:
 class Residency:
     """The blocks of one volume within one budget.
 
-    ``ask`` selects levels for a scene; what differs from what is there is read, at once or by a thread while
-    frames go on with what there is (``DeviceBlocks``).
+    ``ask`` selects levels for a scene. Blocks whose levels differ from those on the device are read, either at once or
+    by a thread while frames show the blocks that are there (``DeviceBlocks``).
     """
 
     def __init__(self, context: DeviceContext, resolved: ResolvedScene) -> None:
@@ -44,7 +44,7 @@ class Residency:
         self._means: np.ndarray | None = None
         self._asked: tuple = ()
         self._waits = True
-        self.generation = 0  # one more whenever something on the device has changed
+        self.generation = 0  # increases whenever something on the device has changed
 
     def ask(
         self,
@@ -53,17 +53,17 @@ class Residency:
         wait: bool | None = None,
         progress: Callable[[int, int], None] | None = None,
     ) -> bool:
-        """Levels for ``resolved``; says whether anything on the device changed.
+        """Requests levels for ``resolved``; returns whether anything on the device changed.
 
-        ``wait``: until all is there; else a thread reads, and ``DeviceBlocks.commit`` puts in place what has come.
-        None: as was said last, but once all has come what is asked for next is waited for.
+        ``wait``: wait until all blocks have arrived; else a thread reads, and ``DeviceBlocks.commit`` puts blocks in
+        place. None: as in the last request, but once all blocks have arrived the next request is waited for.
         """
         if wait is not None:
             self._waits = wait
         try:
             changed = self._ask(resolved, self._waits, progress)
         except BaseException:
-            self._asked = ()  # what has not come is asked for again
+            self._asked = ()  # blocks that have not arrived are requested again
             raise
         self._waits |= not self.blocks.pending
         self.generation += changed
@@ -110,8 +110,8 @@ class Residency:
         self.blocks.close()
 
     def describe(self) -> dict[str, Any]:
-        """For stats: blocks by level (full resolution first), dropped, still to come; bytes; and the selection's
-        error (Delta-E times pixels where views weigh, else Delta-E, summed over blocks) with its lower bound."""
+        """For stats: the number of blocks by level (full resolution first), dropped, and pending; bytes; and the selection's
+        error (Delta-E times pixels with view weighting, else Delta-E, summed over blocks) with its lower bound."""
         if self.selection is None:
             raise ValueError("no blocks have been requested")
         levels = self.blocks.levels

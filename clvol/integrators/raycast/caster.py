@@ -390,14 +390,14 @@ class Raycaster:
         view["tile"] = self.tile
         counts = [self.context.empty(np.uint32, (tiles,)) for _ in range(2)]
         none = {"image": self._none, "depths": self._none, "samples": counts[0]}
-        self._launches("raycast", view, tiles, depth, None, none)
+        tallies = [self._launches("raycast", view, tiles, depth, None, none)]  # kept until they are written
         if self._without_surfaces is not None:
             nowhere = np.zeros(tiles, bool)
             for engine in (self, self._without_surfaces):
-                engine._launches("raycast", view, tiles, depth, None, none, nowhere)
+                tallies.append(engine._launches("raycast", view, tiles, depth, None, none, nowhere))
         if fills:
             none |= {"coarse": self._none, "coarse_depths": self._none, "rays": counts[1]}
-            self._launches("fill_between_rays", view, tiles, depth, None, none)
+            tallies.append(self._launches("fill_between_rays", view, tiles, depth, None, none))
         self.context.finish()
         restore_interrupts()
         self._warm.add(key)

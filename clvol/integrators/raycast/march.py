@@ -57,7 +57,7 @@ class March(Protocol):
         ...
 
     def arguments(self, caster: Raycaster) -> tuple[Arguments, dict[str, DeviceArray]]:
-        """The declared arguments of its kernel, in addition to those of the samples, and their arrays for the next launch."""
+        """Declared arguments of its kernel, beyond those of the samples, and their arrays for the next launch."""
         ...
 
     def check_structs(self, caster: Raycaster) -> None:
