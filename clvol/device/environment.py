@@ -30,8 +30,8 @@ from dataclasses import dataclass
 import numpy as np
 
 LARGEST_ROWS = 1024  # of a radiance map that is worked with; more are averaged first
-_SMALLEST_NODES, _LARGEST_NODES = 97, 769  # an edge, maps of means
-_LARGEST_SHARP = 2049  # nodes an edge, the radiance itself
+_SMALLEST_NODES, _LARGEST_NODES = 97, 769  # per edge of maps of means
+_LARGEST_SHARP = 2049  # nodes per edge of a map of the radiance itself
 _SMALLEST_ROWS, _MOST_ROWS = 96, 768  # of latitude, on which means are computed
 _NEGLIGIBLE = 1e-7  # of a lobe's peak
 _BLOCK = 16  # rows of means computed at once: bounds memory
@@ -49,7 +49,7 @@ class RadianceMap:
 
 @dataclass(frozen=True)
 class MapPlace:
-    """Where an octahedral map lies: ``size`` nodes an edge, from node ``offset`` on, row by row."""
+    """The position of an octahedral map: ``size`` nodes per edge, from node ``offset`` on, row by row."""
 
     size: int
     offset: int
@@ -57,7 +57,7 @@ class MapPlace:
 
 @dataclass(frozen=True, eq=False)
 class EnvironmentMaps:
-    """What the kernel looks up, in one buffer: ``nodes`` float32 [n, 4] (r, g, b, 0).
+    """The maps that the kernel reads, in one buffer: ``nodes`` float32 [n, 4] (r, g, b, 0).
 
     ``diffuse``: mean radiance under the cosine lobe about a normal (irradiance / pi). ``specular``:
     mean radiance in the lobe (R.w)^(shininess / 4). ``sky``: the radiance itself, or None if not
@@ -163,7 +163,7 @@ def octahedral_directions(size: int, rows: slice = slice(None)) -> np.ndarray:
 
 
 def _nodes_for(spacing: float) -> int:
-    """Nodes an edge, odd, so that neighbours are at most ``spacing`` radians apart: the octahedron
+    """Nodes per edge, odd, so that neighbours are at most ``spacing`` radians apart: the octahedron
     stretches lengths by at most 3, in the middle of its faces, and a cell is 2 / (n - 1) wide."""
     return 2 * int(np.ceil(3.0 / spacing)) + 1
 

@@ -38,12 +38,12 @@ from clvol.opencl.structs import NOISE_TERM as TERM_DTYPE
 from clvol.volume.grid import Grid
 from clvol.volume.voxel_layout import CELL_SHIFT
 
-TILE = 32  # texels an edge
+TILE = 32  # texels per edge
 CHANNELS = 4  # x, y, z of a displacement; the value
 CENTRE = 4.0  # cycles a tile in the middle of the band
-# What float32 may add to a bound that is exact in real numbers: a few roundings an octave.
+# The error of a bound in float32: a few roundings per octave.
 _ROUNDING = 1.0 + 1e-5
-_PLACE_ROUNDING = 0.01  # lattice units: far more than rounding of a place
+_PLACE_ROUNDING = 0.01  # lattice units: far more than the rounding of a position
 
 
 class Noise(Protocol):
@@ -148,18 +148,18 @@ def perturbed(
 
 
 def value_bound(noise: Noise) -> float:
-    """The most that ``noise`` adds to, or takes from, a value: 0 for one that moves places."""
+    """The most that ``noise`` adds to, or subtracts from, a value: 0 for noise that moves positions."""
     return _bound(noise, slice(3, 4)) if noise.target == "value" else 0.0
 
 
 def displacement_bound(noise: Noise) -> float:
-    """The farthest that ``noise`` moves a place along any index axis, world length: 0 for one that
+    """The farthest that ``noise`` moves a position along any index axis, world length: 0 for noise that
     changes values."""
     return _bound(noise, slice(0, 3)) if noise.target == "coordinate" else 0.0
 
 
 def perturbation(noises: Iterable[Noise], grid: Grid, value_gain: float = 1.0) -> Perturbation:
-    """What all of ``noises`` together do at most, for leaping over cells."""
+    """Bounds of the effect of all ``noises`` together, for leaping over cells."""
     noises = list(noises)
     moved = sum(displacement_bound(noise) for noise in noises) / np.asarray(grid.spacing)
     # Lattice units; farther than any volume's size there is nothing else to reach.
@@ -169,7 +169,7 @@ def perturbation(noises: Iterable[Noise], grid: Grid, value_gain: float = 1.0) -
 
 
 def _bound(noise: Noise, channels: slice) -> float:
-    """Interpolation stays within the texels; octaves at their worst all peak in one place."""
+    """Interpolation stays within the texels; in the worst case all octaves peak at one position."""
     peak = np.abs(noise_tile(noise.seed)[..., channels] / 127.5 - 1.0).max()
     octaves = sum(abs(noise.gain) ** k for k in range(noise.octaves))
     return abs(noise.amplitude) * float(peak) * octaves * _ROUNDING
@@ -219,7 +219,7 @@ def _tiles_an_index(noise: Noise, grid: Grid) -> np.ndarray:
 
 
 def _offset(noise: Noise, time: float) -> np.ndarray:
-    """float64 [3], 0 .. 1: how far noise has moved after ``time``, but for whole tiles."""
+    """float64 [3], 0 .. 1: how far noise has moved after ``time``, modulo whole tiles."""
     moved = np.array([math.fmod(float(speed) * time, 1.0) for speed in noise.velocity])
     return moved - np.floor(moved)
 

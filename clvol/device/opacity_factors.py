@@ -1,4 +1,4 @@
-"""What cl/opacity_factors.h reads: factors on the extinction, and the layers of a function of value
+"""The tables that cl/opacity_factors.h reads: factors on the extinction, and the layers of a function of value
 and gradient magnitude."""
 
 from __future__ import annotations

@@ -16,14 +16,14 @@ _FLOAT32 = (1e-30, 1e37)
 
 def prefiltered(resolved: ResolvedScene, filtered: Volume | None = None) -> ResolvedScene:
     """``resolved`` with the coefficients of the cubic B-spline through its voxels in place of them,
-    if ``integration.prefilter`` and the cubic filter are asked for.
+    if ``integration.prefilter`` and the cubic filter are requested.
 
     Coefficients are float32 (float64 for float64 voxels, and where float32 has no room for them) and
     take no more memory than that: the filter runs axis by axis in place, chunk by chunk (about
     100 MB). Beyond the volume they go on as they do in the kernels, the outermost one held.
 
     Voxels that are not finite stay what they are; for the filter they are filled with the nearest
-    finite ones, which takes a copy of the volume and 14 bytes a voxel more for the time being.
+    finite ones, which takes a copy of the volume and 14 more bytes per voxel meanwhile.
     ``filtered``: the volume that this made of ``resolved.volume`` before.
     """
     integration, volume = resolved.integration, resolved.volume

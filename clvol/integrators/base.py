@@ -186,7 +186,8 @@ class Integrator(Protocol):
         self, shared: Shared, resolved: ResolvedScene, progress: Progress | None = None, wait: bool | None = None
     ) -> Prepared:
         """Makes ``resolved``, which is simplified, resident. ``progress`` reports blocks that are read. ``wait`` False:
-        a thread reads them, and frames show those that are there until all have arrived; None: as in the last request."""
+        a thread reads them, and frames show those that are there until all have arrived; None: as in the last
+        request."""
         ...
 
     def ask_again(self, prepared: Any, progress: Progress | None, wait: bool | None) -> None:

@@ -110,8 +110,9 @@ class Residency:
         self.blocks.close()
 
     def describe(self) -> dict[str, Any]:
-        """For stats: the number of blocks by level (full resolution first), dropped, and pending; bytes; and the selection's
-        error (Delta-E times pixels with view weighting, else Delta-E, summed over blocks) with its lower bound."""
+        """For stats: the numbers of blocks by level (full resolution first), dropped, and pending; bytes; and the
+        selection's error (Delta-E times pixels with view weighting, else Delta-E, summed over blocks) with its lower
+        bound."""
         if self.selection is None:
             raise ValueError("no blocks have been requested")
         levels = self.blocks.levels

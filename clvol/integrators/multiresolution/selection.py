@@ -226,7 +226,7 @@ def hull_slopes(
 def _hull_piece(
     errors: np.ndarray, cost: np.ndarray, dropped: np.ndarray, out: np.ndarray
 ) -> None:
-    """Fills ``out`` [levels - 1, k], which is zero, from float64 ``errors`` [levels, k]: starting at the coarsest level,
+    """Fills ``out`` [levels - 1, k], which is zero, from float64 ``errors`` [levels, k]: starting at the coarsest level
     the next corner of the hull is the level of the steepest slope, the finest of equal ones."""
     last = len(cost) - 1
     blocks = np.flatnonzero(~dropped & (errors[last] > 0))
@@ -334,8 +334,8 @@ def _take_equal(
 def _fill(
     errors: np.ndarray, cost: np.ndarray, levels: np.ndarray, spare: int, negligible: float
 ) -> int:
-    """Makes upgrades that fit into ``spare`` bytes, those with the most error per byte first, in ``levels``; returns the
-    bytes left.
+    """Makes upgrades that fit into ``spare`` bytes, those with the most error per byte first, in ``levels``; returns
+    the bytes left.
 
     ``spare`` is less than the bytes of one upgrade, so few blocks can be upgraded from a level, each at least to the
     next finer one: the heap starts with that many of the best for each pair of levels.

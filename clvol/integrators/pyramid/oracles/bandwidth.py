@@ -1,4 +1,4 @@
-"""The oracle of the data alone, from a min-max grid."""
+"""The oracle that depends only on the data, from a min-max grid."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ _COARSER = 1  # the grid's cells are twice as long as the map's
 
 
 class Bandwidth(Oracle):
-    """How far values can be interpolated within epsilon, a share of the volume's range, whatever the transfer function
-    makes of them: an interpolated value lies between its samples, so where lowest and highest value
-    nearer than half a distance differ by no more than epsilon, samples may be that distance apart."""
+    """The distance over which values can be interpolated within epsilon, a share of the volume's range, regardless of
+    the transfer function. An interpolated value lies between its samples: where the lowest and the highest value
+    within half a distance differ by at most epsilon, samples may be that distance apart."""
 
     name = "bandwidth"
 
