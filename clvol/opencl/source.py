@@ -1,7 +1,7 @@
-"""Kernel sources made whole: every ``#include`` of a file replaced by the file.
+"""Kernel sources with every ``#include`` replaced by the included file.
 
-Compilers get one text and no ``-I``: how an option with a blank, a quote or another sign in it is taken
-apart differs from one OpenCL implementation to the next, and an installation may lie in any folder.
+Compilers get one text and no ``-I``: OpenCL implementations differ in how they parse an option with a blank, a quote
+or another special character in it, and an installation may lie in any folder.
 ``#line`` keeps the files and the line numbers of a compiler's messages.
 """
 
@@ -105,7 +105,7 @@ def _find(name: str, includer: Path, folders: Sequence[Path]) -> Path | None:
 
 
 def _shown(path: Path) -> str:
-    """A file's name as it may stand in ``#line``."""
+    """A file's name in a form that ``#line`` accepts."""
     return re.sub(r"[^\w.+-]", "_", path.name, flags=re.ASCII)
 
 
