@@ -1,4 +1,4 @@
-"""The arguments of kernels that look at a whole scene: ``SCENE_PARAMETERS`` of cl/scene.h, in its three variants.
+"""The arguments of kernels that read a whole scene: ``SCENE_PARAMETERS`` of cl/scene.h, in its three variants.
 
 A kernel's list is composed: ``scene_arguments(bits) + EFFECT_ARGUMENTS + its own + counts_argument(n)``.
 """

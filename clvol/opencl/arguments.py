@@ -34,8 +34,8 @@ class Argument:
 
     intent: "in", a buffer that is read; "out", a buffer that is written; "value", a scalar or a vector.
     dtype: of a buffer's elements, or of the value. ``RAW`` stands for any, and then ``shape`` counts bytes.
-    shape: the least shape of a buffer: numbers, or names of integers that are known when the kernel is called, namely its
-        own integer values (for a vector "name.x" to "name.w") and the ``sizes`` of the call. The buffer must hold
+    shape: the least shape of a buffer: numbers, or names of integers that are known when the kernel is called, namely
+        its own integer values (for a vector "name.x" to "name.w") and the ``sizes`` of the call. The buffer must hold
         their product. Empty: one element.
     """
 

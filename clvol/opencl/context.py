@@ -67,8 +67,8 @@ class Kernel:
         sizes: Mapping[str, int] | None = None,
         **given: Any,
     ) -> cl.Event:
-        """Enqueues the kernel with its arguments by name. ``sizes``: values of names in their shapes, beyond the kernel's
-        own integer arguments."""
+        """Enqueues the kernel with its arguments by name. ``sizes``: values of names in their shapes, in addition to
+        the kernel's own integer arguments."""
         check_fork()
         if given.keys() != {argument.name for argument in self.arguments}:
             expected = ", ".join(argument.name for argument in self.arguments)

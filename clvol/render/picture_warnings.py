@@ -51,21 +51,21 @@ def _blank(
     near, far = _through(grid, *rays)
     if not (far > near).any():
         what += ", since no ray (or hardly any) meets the volume"
-        return ClvolWarning("camera", f"the picture {what}", "set camera.target to a place in the volume, or come nearer")
+        return ClvolWarning("camera", f"the picture {what}", "set camera.target to a point in the volume, or move nearer")
     if resolved.clips and not _anything_kept(grid, resolved.clips):
         return ClvolWarning("clip", f"the picture {what}, since the clips together leave nothing", "leave one of them out")
     function, unit = resolved.transfer_function, resolved.transfer_function.opacity_unit
     if emits(resolved) and resolved.integration.compositing == "over" and largest_depth(resolved) < 0.1:
-        what += f", since opacities are for a length of {unit:g}, and the volume is small beside that"
+        what += f", since opacities are for a length of {unit:g}, and the volume is small compared to that"
         advice = f"set transfer_function.opacity_unit to about {default_opacity_unit(grid):.3g}"
         return ClvolWarning("transfer_function.opacity_unit", f"the picture {what}", advice)
     if any(field.role == "mask" for field in resolved.fields):
-        advice = "look at field.threshold and field.keep, and at transfer_function.points"
-        return ClvolWarning("field", f"the picture {what}: masks leave nothing that shows", advice)
+        advice = "check field.threshold, field.keep and transfer_function.points"
+        return ClvolWarning("field", f"the picture {what}: the masks leave nothing visible", advice)
     low, high = resolved.data_range
     visible = function.values[function.opacities > 0]
     if visible.size:
-        what += f", since hardly a voxel in view has one of the values that show (about {visible[0]:g} to {visible[-1]:g})"
+        what += f", since hardly any voxel in view has a visible value (about {visible[0]:g} to {visible[-1]:g})"
     what += f"; voxels lie between {low:g} and {high:g}"
     return ClvolWarning(
         "transfer_function", f"the picture {what}", "set other values or larger opacities in transfer_function.points"
@@ -99,7 +99,7 @@ def _box(
         return None
     what = "every ray is opaque where it enters the volume: nothing but the faces of a box is visible"
     function = resolved.transfer_function
-    outside = f"values that shall not show (of {low:g} to {high:g})"
+    outside = f"values that are to be invisible (of {low:g} to {high:g})"
     if function.opacities.max() < 1 and _depth_of_voxel(resolved, float(function.opacities.max())) > 20:
         unit = default_opacity_unit(grid)
         advice = f"set transfer_function.opacity_unit to about {unit:.3g}, or opacity 0 at {outside}"

@@ -11,7 +11,7 @@ from clvol.transfer import TransferFunction
 
 _ENTRIES = 1 << 15
 _PIECE = 1 << 11  # blocks processed together: few enough for the caches
-# Of the path, that the mixture of a block's values is looked at behind: a voxel of a block of 16^3.
+# The share of the path over which the mixture of a block's values is compared: one voxel of a block of 16^3.
 _MEDIUM_PATH = 0.0625
 _OPAQUE = 50.0  # optical depth, at most
 # The weight of a voxel's own error relative to that of the mixture: along a ray and over neighbouring ones
@@ -24,7 +24,7 @@ _SHARES = np.diff(_TAIL)
 _WEIGHTS = np.concatenate([_SHARES[::-1], np.ones(QUANTILES - 2), _SHARES]) / QUANTILES
 _WEIGHTS = _WEIGHTS.astype(np.float32)
 # Orders that pair each node with low and high ones of the level alike: bits of the number reversed,
-# and the mirror image. Tails are left out of the level's nodes but for their greatest part.
+# and the mirror image. Of the tails, the level's nodes contain only the greatest part.
 _REVERSED = np.array([int(f"{k:03b}"[::-1], 2) for k in range(QUANTILES)])
 _HEAVY = len(_SHARES) - 1 + _REVERSED[np.arange(len(_WEIGHTS)) % QUANTILES]
 _ORDERS = (_HEAVY, len(_WEIGHTS) - 1 - _HEAVY)
