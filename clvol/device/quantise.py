@@ -22,15 +22,15 @@ def quantised(resolved: ResolvedScene, codes: Volume | None = None) -> ResolvedS
 
     SceneError if a voxel is not finite, which integers cannot express.
     """
-    asked, volume = resolved.integration.voxel_precision, resolved.volume
-    if asked == "stored" or np.dtype(asked).itemsize >= volume.dtype.itemsize:
+    precision, volume = resolved.integration.voxel_precision, resolved.volume
+    if precision == "stored" or np.dtype(precision).itemsize >= volume.dtype.itemsize:
         return resolved
     if volume.nan_count or volume.inf_count:
         bad = volume.nan_count + volume.inf_count
         where = f"{resolved.origin}: integration.voxel_precision"
-        raise SceneError(where, f"got {asked!r} for {bad} voxels that are not finite", "'stored'")
+        raise SceneError(where, f"got {precision!r} for {bad} voxels that are not finite", "'stored'")
     low, high = volume.value_range
-    most = np.iinfo(asked).max
+    most = np.iinfo(precision).max
     # Values are halved first: high - low may overflow.
     span = (high / 2 - low / 2) * 2
     if not 0 < span < np.inf:
@@ -40,7 +40,7 @@ def quantised(resolved: ResolvedScene, codes: Volume | None = None) -> ResolvedS
         return (np.asarray(values, np.float64) - low) / span * most
 
     if codes is None:
-        codes = _volume_of_codes(volume, code, asked)
+        codes = _volume_of_codes(volume, code, precision)
     return replace(resolved, volume=codes, **in_codes(resolved, code, most / span))
 
 

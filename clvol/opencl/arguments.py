@@ -68,12 +68,12 @@ class Argument:
         """``given`` converted to the declared type; RenderError where its shape differs, or an integer does not fit."""
         where = f"kernel {kernel}, argument {self.name}"
         try:
-            made = np.asarray(given, dtype=self.dtype.base)
+            converted = np.asarray(given, dtype=self.dtype.base)
         except (TypeError, ValueError, OverflowError):
             raise RenderError(where, f"got {given!r}", str(self.dtype)) from None
-        if made.shape != self.dtype.shape:
-            raise RenderError(where, f"got shape {made.shape}", f"shape {self.dtype.shape}")
-        return made if made.shape else self.dtype.type(made)
+        if converted.shape != self.dtype.shape:
+            raise RenderError(where, f"got shape {converted.shape}", f"shape {self.dtype.shape}")
+        return converted if converted.shape else self.dtype.type(converted)
 
 
 def known_sizes(values: Mapping[str, Any]) -> dict[str, int]:

@@ -49,13 +49,13 @@ def make_frame(
     seconds: dict[str, float],
     counted: dict[str, Any],
     device: str,
-    told: Callable[[], dict[str, Any]] | None = None,
+    made_from: Callable[[], dict[str, Any]] | None = None,
 ) -> Frame:
     """A frame of ``resolved`` with stats: ``seconds`` by stage (a missing stage took no time) and
-    everything else that was ``counted``. ``told``: its ``made_from``; determined now where it is None."""
-    if told is None:
-        told = MadeFrom(resolved)
-        told()
+    everything else that was ``counted``. ``made_from``: its ``made_from``; determined now where it is None."""
+    if made_from is None:
+        made_from = MadeFrom(resolved)
+        made_from()
     stages = {stage: seconds.get(stage, 0.0) for stage in STAGES}
     stats = {
         "seconds": {**stages, "total": sum(stages.values())},
@@ -70,5 +70,5 @@ def make_frame(
         resolved.background,
         stats,
         resolved.source,
-        told,
+        made_from,
     )

@@ -50,7 +50,9 @@ class PreparedCache:
 
     def _forget(self, dropped: object) -> None:
         """Forgets the scenes that need ``dropped``."""
-        self._kept = {key: made for key, made in self._kept.items() if all(part is not dropped for part in made.held)}
+        self._kept = {
+            key: prepared for key, prepared in self._kept.items() if all(part is not dropped for part in prepared.held)
+        }
 
     def close(self) -> None:
         """Ends the threads that read blocks."""

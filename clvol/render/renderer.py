@@ -77,7 +77,7 @@ class Renderer:
         self._first_time = self.resolved.animation.time
         loaded = perf_counter()
         context = open_context(devices)
-        self._told: WeakSet[MadeFrom] = WeakSet()
+        self._provenances: WeakSet[MadeFrom] = WeakSet()
         cache = PreparedCache(context)
         try:
             prepared = cache.prepare(self.resolved, progress)
@@ -102,7 +102,7 @@ class Renderer:
         if is_forked():  # the device belongs to the parent, whose threads may have held the lock
             return
         with self._alone():
-            for provenance in list(self._told):  # frames that are still in use need not hold the volume
+            for provenance in list(self._provenances):  # frames that are still in use need not hold the volume
                 provenance()
             if self._on_device is not None:
                 self._on_device.cache.close()
@@ -229,9 +229,9 @@ class Renderer:
         self._load_seconds = self._prepare_seconds = 0.0
         seconds = {**first, **seconds}
         counted |= self._notices.of_picture(self.resolved, camera, rgba, depth)
-        told = MadeFrom(self.resolved, camera)
-        self._told.add(told)
-        return make_frame(self.resolved, rgba, depth, seconds, counted, device, told)
+        made_from = MadeFrom(self.resolved, camera)
+        self._provenances.add(made_from)
+        return make_frame(self.resolved, rgba, depth, seconds, counted, device, made_from)
 
 
 def _refining(prepared: Prepared) -> RefinesInTime:

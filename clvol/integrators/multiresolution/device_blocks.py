@@ -219,10 +219,10 @@ class DeviceBlocks:
             grow = grow[np.argsort(-np.asarray(priority)[grow], kind="stable")]
         self._missing = len(shrink) + len(grow)
         most = self._staging.shape[0], self._payloads.shape[0] // BLOCK_PAYLOAD.itemsize
-        asked = []
+        pieces = []
         for blocks in (shrink, grow):
-            asked += requests(blocks, goal[blocks], self.blocks.edge, *most, window)
-        self._loader.ask(asked)
+            pieces += requests(blocks, goal[blocks], self.blocks.edge, *most, window)
+        self._loader.ask(pieces)
 
     def _checked(self, levels: np.ndarray) -> np.ndarray:
         where, count, least = "levels of blocks", self.blocks.count, self.blocks.levels - 1

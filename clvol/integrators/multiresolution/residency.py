@@ -42,7 +42,7 @@ class Residency:
         self.selection: Selection | None = None
         self._errors: tuple[TransferFunction, np.ndarray, SourceErrors] | None = None
         self._means: np.ndarray | None = None
-        self._asked: tuple = ()
+        self._request: tuple = ()
         self._waits = True
         self.generation = 0  # increases whenever something on the device has changed
 
@@ -63,7 +63,7 @@ class Residency:
         try:
             changed = self._ask(resolved, self._waits, progress)
         except BaseException:
-            self._asked = ()  # blocks that have not arrived are requested again
+            self._request = ()  # blocks that have not arrived are requested again
             raise
         self._waits |= not self.blocks.pending
         self.generation += changed
@@ -73,15 +73,15 @@ class Residency:
         settings, function = resolved.multiresolution, resolved.transfer_function
         camera = resolved.camera if settings.view_weighting else None
         view = (camera, resolved.image.width, resolved.image.height) if camera else None
-        asked = (function, view, settings.occlusion, resolved.background.tobytes())
-        if asked == self._asked:
+        request = (function, view, settings.occlusion, resolved.background.tobytes())
+        if request == self._request:
             return self.blocks.wait(progress) if wait else self.blocks.commit()
         known = self._source_errors(function, resolved.background)
         self.selection = select_blocks(
             self.source, function, resolved.background, camera, resolved.image,
             self.blocks.sample_bytes, occlusion=settings.occlusion, known=known,
         )  # fmt: skip
-        self._asked = asked
+        self._request = request
         if wait:
             self.blocks.load(self.selection.levels, self._block_means(), progress)
             self.blocks.commit()

@@ -166,15 +166,15 @@ def _control_points(
 
 
 def _check_supported(resolved: ResolvedScene) -> None:
-    for key, asked in (
+    for key, entries in (
         ("isosurface", resolved.isosurfaces),
         ("clip", resolved.clips),
         ("light", resolved.lights),
     ):
-        if asked:
+        if entries:
             raise SceneError(
                 f"{resolved.origin}: {key}",
-                f"got {len(asked)} with method 'reference'",
+                f"got {len(entries)} with method 'reference'",
                 "none: the reference integrates emission and absorption alone",
             )
 
