@@ -392,7 +392,7 @@ def changed_function(bench: Bench, scene: BlockScene, other: BlockScene, memory:
     scene_asked = scene.asked(volume, size, memory)
     function = other.asked(volume, size, memory).resolve().transfer_function
     with Renderer(scene_asked, [bench.device]) as renderer:
-        residency = renderer._prepared.residency
+        residency = renderer._on_device.prepared.residency
         idle = [_seconds(renderer) for _ in range(bench.rounds + 1)][1:]
         before = residency.blocks.levels
         start = perf_counter()

@@ -72,7 +72,7 @@ def _row(scene: BlockScene, ratio: float, options: Options, size: int) -> dict[s
     memory = int(volume.nbytes / ratio)
     with Renderer(scene.asked(volume, size, memory), devices) as renderer:
         frame = renderer.render(depth=False)
-        residency = renderer._prepared.residency
+        residency = renderer._on_device.prepared.residency
         levels, grid = residency.blocks.levels, residency.source.blocks
     labelled = scene.plain(volume, size, level_tables(levels, grid, volume))
     with Renderer(scene.plain(volume, size), devices) as renderer:

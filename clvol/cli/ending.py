@@ -27,7 +27,9 @@ def command_line() -> NoReturn:
 
 
 def leave(status: int) -> NoReturn:
-    """Ends the process with ``status``, without unloading libraries: an OpenCL one may have been loaded by anybody."""
+    """Ends the process with ``status``; without unloading libraries if OpenCL ones are loaded."""
+    if "pyopencl" not in sys.modules:
+        sys.exit(status)
     try:
         for thread in threading.enumerate():  # as Python itself would wait for them
             if thread is not threading.current_thread() and not thread.daemon:

@@ -1,1 +1,1 @@
-"""What a scene is on a device, for every integrator: voxels, tables, empty space, gradients, lights, effects."""
+"""Scenes on a device, for every integrator: voxels, tables, empty space, gradients, lights, effects."""

@@ -1,4 +1,4 @@
-"""The arguments of kernels that look at a whole scene: ``SCENE_PARAMETERS`` of cl/scene.h, in its three variants.
+"""The arguments of kernels that read a whole scene: ``SCENE_PARAMETERS`` of cl/scene.h, in its three variants.
 
 A kernel's list is composed: ``scene_arguments(bits) + EFFECT_ARGUMENTS + its own + counts_argument(n)``.
 """
@@ -23,7 +23,7 @@ EFFECT_ARGUMENTS: Arguments = (
     reads("factors", np.float32),
     reads("fields", np.float32),
 )
-"""What a scene with EFFECTS adds; where it has nothing of one kind, a few bytes stand in."""
+"""The arguments that EFFECTS adds; a few bytes stand in for arrays that a scene does not need."""
 
 
 def view_argument(voxel_bits: int) -> Argument:
@@ -32,7 +32,7 @@ def view_argument(voxel_bits: int) -> Argument:
 
 
 def scene_arguments(voxel_bits: int) -> Arguments:
-    """What every variant begins with."""
+    """The arguments with which every variant begins."""
     return (
         reads("volume", RAW),
         reads("table", np.float32),
@@ -42,7 +42,7 @@ def scene_arguments(voxel_bits: int) -> Arguments:
 
 
 def block_arguments(buffers: int, *, bounded: bool = False) -> Arguments:
-    """What BLOCKS adds (cl/block_parameters.h), for samples in ``buffers`` buffers. ``bounded``: under the
+    """The arguments that BLOCKS adds (cl/block_parameters.h), for samples in ``buffers`` buffers. ``bounded``: for the
     stepping "bounded"."""
     more = tuple(reads(f"samples{k}", RAW) for k in range(1, buffers))
     steps = (reads("steps", np.uint8),) if bounded else ()
@@ -50,7 +50,7 @@ def block_arguments(buffers: int, *, bounded: bool = False) -> Arguments:
 
 
 def picture_arguments(*, depth: bool) -> Arguments:
-    """What a picture is written to: pixels, and a number of samples per tile."""
+    """The arrays that a picture is written to: pixels, and a number of samples per tile."""
     return (
         writes("image", np.float32, "width", "height", 4),
         writes("depths", np.float32, *(("width", "height") if depth else ())),
@@ -59,5 +59,5 @@ def picture_arguments(*, depth: bool) -> Arguments:
 
 
 def counts_argument(counters: int) -> Arguments:
-    """``COUNTS_PARAMETER`` of cl/scene.h: what ``counters`` counters count per tile."""
+    """``COUNTS_PARAMETER`` of cl/scene.h: the counts of ``counters`` counters per tile."""
     return (writes("counts", np.uint32, "tiles", counters),)

@@ -1,15 +1,15 @@
 """What the effects of a scene need on the device: switches, numbers, arrays (cl/effects.h).
 
-Everything here looks at the *reduced* scene (clvol.features.reduced): what has no consequence is not
-in it any more, so it is neither compiled nor uploaded.
+Everything here works on the *reduced* scene (clvol.features.reduced). Effects without a consequence have been removed
+from it, so they are neither compiled nor uploaded.
 """
 
 from __future__ import annotations
 
 import copy
-from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from clvol.device.environment import environment_maps
 from clvol.device.environment_file import load_radiance
@@ -33,30 +33,34 @@ from clvol.device.projection import (
     sample_bounds,
     score_bounds,
 )
-from clvol.device.volume import DeviceVolume
+from clvol.device.volume import ResidentVolume
 from clvol.features import COMPOSITINGS, GRADIENTS, emits, is_lit
 from clvol.features.gradient_storage import UNLIMITED, DeviceLimits
 from clvol.features.vocabulary import CLIPS, EFFECT_COUNTERS, LIGHTS
 from clvol.opencl.context import DeviceArray, DeviceContext
 from clvol.opencl.structs import EFFECTS
+from clvol.scene.clip import Clip
+from clvol.scene.depth_cue import DepthCue
+from clvol.scene.environment import Environment
 from clvol.scene.resolve import ResolvedScene
 from clvol.volume import Grid
 from clvol.volume.voxel_layout import padded_size
 
-# Each with the switch that it takes to be counted at all, in the order of EFFECT_COUNTERS.
-_BY_RAYS = ("shadow_rays", "shadow_samples")  # nor is it counted where shadows are by volume
+# The switch under which each counter counts anything, in the order of EFFECT_COUNTERS.
+_BY_RAYS = ("shadow_rays", "shadow_samples")  # counted only where the method of shadows is "rays"
 _COUNTED_BY = ("GRADIENT", "LIGHTING", "ISOSURFACES", "ISOSURFACES", "SHADOWS", "SHADOWS", "FIELDS", "REFRACTION")
 COUNTERS = dict(zip(EFFECT_COUNTERS, _COUNTED_BY, strict=True))
-OPAQUE_DEPTH = 1e15  # of a surface; finite, so that any share of it counts
-_FAR = 1e12  # smallest edges: from there light comes from one direction, to float32
+OPAQUE_DEPTH = 1e15  # optical depth of an opaque surface; finite, so that any share of it is opaque, too
+_FAR = 1e12  # smallest edges: light from farther away has one direction in float32
+Row = tuple[float, ...]  # a float4 of the buffer `items`
 
 
 def effect_switches(
     resolved: ResolvedScene, limits: DeviceLimits | None = None
 ) -> dict[str, int]:
-    """The switches (-D) of a reduced scene's effects; none at all for a scene without any.
+    """The switches (-D) of a reduced scene's effects; empty for a scene without effects.
 
-    ``limits``: of the device, which may be too small for precomputed gradients; None: it is not.
+    ``limits``: those of the device, which may be too small for precomputed gradients; None: no limits.
     """
     seen = resolved.environment is not None and resolved.environment.visible
     if resolved.integration.compositing != "over":
@@ -84,7 +88,7 @@ def effect_switches(
     }
     if not any(switches.values()):
         return {}
-    # Whole segments' opacities serve where no effect cuts segments or changes what they absorb.
+    # Opacities of whole segments are enough where no effect cuts segments or changes their extinction.
     changed = decides or surfaces or resolved.fields or resolved.integration.classification == "pre"
     return {
         "EFFECTS": 1,
@@ -95,7 +99,7 @@ def effect_switches(
 
 
 def _projection_switches(resolved: ResolvedScene, seen: bool) -> dict[str, int]:
-    """What counts where one value of each ray is shown."""
+    """The switches of a projection, which shows one value of each ray."""
     return {
         "EFFECTS": 1,
         "COMPOSITING": COMPOSITINGS[resolved.integration.compositing],
@@ -112,25 +116,25 @@ def _noise(resolved: ResolvedScene) -> int:
 
 
 def _gradient(resolved: ResolvedScene, limits: DeviceLimits | None) -> int:
-    asked = resolved.gradient
+    settings = resolved.gradient
     if resolved.noise:  # differences of noisy values, whatever the operator is
         return GRADIENTS["central"]
     limits = limits or UNLIMITED
     return gradient_switch(
-        resolved.volume, resolved.integration.filter, asked.operator, asked.storage, limits
+        resolved.volume, resolved.integration.filter, settings.operator, settings.storage, limits
     )
 
 
 def is_translucent(resolved: ResolvedScene) -> bool:
-    """Whether anything but surfaces shows: the volume under its transfer function, or a field."""
+    """Whether anything other than surfaces is visible: the volume under its transfer function, or a field."""
     return emits(resolved) or any(field.role == "density" for field in resolved.fields)
 
 
 class LocalSpace:
-    """World axes, origin in the middle of the volume, smallest voxel edges as the unit.
+    """A space with the axes of the world, its origin in the middle of the volume, and the smallest voxel edge as unit.
 
-    ``matrix`` float64 [3, 3] and ``shift`` [3]: from lattice points to local ones. ``inverse_transpose``
-    takes derivatives per lattice unit to derivatives per edge.
+    ``matrix`` float64 [3, 3] and ``shift`` [3] map lattice points to local ones. ``inverse_transpose``
+    maps derivatives per lattice unit to derivatives per edge.
     """
 
     def __init__(self, grid: Grid, size: tuple[int, int, int]) -> None:
@@ -142,16 +146,16 @@ class LocalSpace:
         self._to_world = grid.index_to_world()
         self.centre = (self._to_world @ np.append(0.5 * (lower + upper), 1.0))[:3]
 
-    def point(self, world: Any) -> np.ndarray:
+    def point(self, world: ArrayLike) -> np.ndarray:
         """A world point in local coordinates."""
         return (np.asarray(world, np.float64) - self.centre) / self.unit
 
 
 class EffectState:
-    """Device state of a scene's effects; ``switches`` is empty where it has none."""
+    """Device state of a scene's effects; ``switches`` is empty for a scene without effects."""
 
     def __init__(
-        self, context: DeviceContext, resolved: ResolvedScene, volume: DeviceVolume
+        self, context: DeviceContext, resolved: ResolvedScene, volume: ResidentVolume
     ) -> None:
         self.switches = effect_switches(resolved, DeviceLimits.of(context))
         if not self.switches:
@@ -176,7 +180,7 @@ class EffectState:
             gradients, scale = volume.gradients(resolved.gradient.operator)
             self.arrays["gradients"], self.numbers["gradient_scale"] = gradients, scale
         if resolved.environment is not None:
-            self._add_environment(resolved)
+            self._add_environment(resolved.environment, resolved.material.shininess)
         if resolved.noise:
             self.arrays["noise"] = context.upload(device_tiles(resolved.noise))
             self._fill_noise(resolved)
@@ -188,7 +192,7 @@ class EffectState:
                 self.numbers[0][name] = value
         self.arrays["effects"] = context.upload(self.numbers)
 
-    def _fill(self, resolved: ResolvedScene, volume: DeviceVolume) -> None:
+    def _fill(self, resolved: ResolvedScene, volume: ResidentVolume) -> None:
         numbers, space, values = self.numbers[0], self.space, volume.values
         for axis, name in enumerate("xyz"):
             numbers[f"local_{name}"] = (*space.matrix[axis], space.shift[axis])
@@ -200,7 +204,7 @@ class EffectState:
             numbers[name] = getattr(material, name)
         per_edge = values.gain * space.unit  # from value per world length
         fade = material.fade * per_edge
-        # Within float32, so that what fades most is not taken for what does not fade.
+        # The fade stays within float32, so that the strongest one is not taken for none (0).
         numbers["fade"] = float(np.clip(1.0 / fade, 1e-30, 1e30)) if fade > 0 else 0.0
         if resolved.depth_cue is not None:
             self._fill_depth_cue(resolved.depth_cue)
@@ -213,9 +217,10 @@ class EffectState:
         numbers["kept_clips"], numbers["removed_clips"] = keeps, len(resolved.clips) - keeps
         numbers["first_surface"], numbers["first_clip"] = len(lights), len(lights) + len(surfaces)
 
-    def _add_factors(self, resolved: ResolvedScene, volume: DeviceVolume) -> None:
+    def _add_factors(self, resolved: ResolvedScene, volume: ResidentVolume) -> None:
         """Opacity factors, transfer layers and fields: their tables share a buffer."""
-        numbers, tables = self.numbers[0], []
+        numbers = self.numbers[0]
+        tables: list[np.ndarray] = []
         per_edge = volume.values.gain * self.space.unit
 
         def place(array: np.ndarray) -> int:
@@ -233,12 +238,9 @@ class EffectState:
         if any(table.size for table in tables):
             self.arrays["factors"] = self.context.upload(np.concatenate(tables))
 
-    def _add_environment(self, resolved: ResolvedScene) -> None:
-        asked = resolved.environment
-        radiance = load_radiance(
-            asked.path, asked.layout, asked.intensity, asked.rotation_degrees
-        )  # fmt: skip
-        maps = environment_maps(radiance, resolved.material.shininess, sky=asked.visible)
+    def _add_environment(self, table: Environment, shininess: float) -> None:
+        radiance = load_radiance(table.path, table.layout, table.intensity, table.rotation_degrees)
+        maps = environment_maps(radiance, shininess, sky=table.visible)
         self.arrays["environment"] = self.context.upload(maps.nodes)
         places = {"diffuse": maps.diffuse, "specular": maps.specular, "sky": maps.sky or maps.diffuse}
         for name, place in places.items():
@@ -252,7 +254,7 @@ class EffectState:
         )
         numbers["noise_reach"][:3] = 0.5 * grid.smallest_edge / np.asarray(grid.spacing)
 
-    def _add_projection(self, resolved: ResolvedScene, volume: DeviceVolume) -> None:
+    def _add_projection(self, resolved: ResolvedScene, volume: ResidentVolume) -> None:
         moved = perturbation(resolved.noise, resolved.volume.grid, self._value_gain)
         numbers = self.numbers[0]
         numbers["lowest_sample"], numbers["highest_sample"] = sample_bounds(volume, resolved, moved)
@@ -263,12 +265,12 @@ class EffectState:
             self.arrays["factors"] = self.context.upload(score_bounds(volume, resolved, moved))
 
     def set_hidden(self, score: float) -> None:
-        """``score``: samples that score no more than that show nothing."""
+        """Samples of at most this score show nothing."""
         self.numbers["hidden_score"] = score
         self.arrays["effects"] = self.context.upload(self.numbers)
 
     def for_scene(self, resolved: ResolvedScene) -> EffectState:
-        """The same for ``resolved``, which may differ in ``animation.time`` and in the step alone."""
+        """The same for ``resolved``, which may differ only in ``animation.time`` and in the step."""
         other = self.copy()
         changes = resolved.noise or self.switches.get("SHADOWS") or "COMPOSITING" in self.switches
         if self.switches and changes:
@@ -281,24 +283,31 @@ class EffectState:
             other.arrays["effects"] = self.context.upload(other.numbers)
         return other
 
-    def _fill_depth_cue(self, cue: Any) -> None:
+    def _fill_depth_cue(self, cue: DepthCue) -> None:
+        if cue.start is None or cue.end is None:
+            raise ValueError("a [depth_cue] table that is not complete")
         unit = self.space.unit
         length = max((cue.end - cue.start) / unit, 1e-30)
         numbers = self.numbers[0]
         numbers["cue_start"], numbers["cue_per_edge"] = cue.start / unit, 1.0 / length
         numbers["cue_strength"], numbers["cue_color"][:3] = cue.strength, cue.color
 
-    def _items(self, resolved: ResolvedScene, values: ValueMap) -> tuple[list, list, list]:
+    def _items(
+        self, resolved: ResolvedScene, values: ValueMap
+    ) -> tuple[list[Row], list[Row], list[Row]]:
+        """Lights, iso-surfaces and clips, in two and three rows each."""
         space = self.space
-        lights, surfaces, clips = [], [], []
+        lights: list[Row] = []
+        surfaces: list[Row] = []
+        clips: list[Row] = []
         casting = casting_lights(resolved)
         for number, light in enumerate(resolved.lights):
             at = np.zeros(3)
             if light.type == "directional":
-                at = -_unit(light.direction)
+                at = -_unit(np.asarray(light.direction, np.float64))
             kind = LIGHTS[light.type]
             if light.type == "point":
-                at = space.point(light.position)
+                at = space.point(np.asarray(light.position, np.float64))
                 if np.abs(at).max() > _FAR:
                     at, kind = _unit(at), LIGHTS["directional"]
             lights.append((*at, kind))
@@ -309,20 +318,10 @@ class EffectState:
             depth = -np.log1p(-surface.opacity) if surface.opacity < 1 else OPAQUE_DEPTH
             surfaces.append((level, surface.opacity, surface.refraction, depth))
             surfaces.append((*surface.color, 0.0))
-            surfaces.append((*surface.back_color, 0.0))
+            back = surface.color if surface.back_color is None else surface.back_color
+            surfaces.append((*back, 0.0))
         for clip in sorted(resolved.clips, key=lambda c: c.keep != "inside"):
-            radius = 0.0 if clip.radius is None else clip.radius / space.unit
-            first = {"plane": clip.point, "box": clip.lower, "sphere": clip.center}[clip.type]
-            second = np.zeros(3)
-            first = space.point(first)
-            if clip.type == "plane":
-                second = _unit(clip.normal)
-                first = (first @ second) * second  # the plane's nearest point has the most digits
-            elif clip.type == "box":
-                second = space.point(clip.upper)
-            clips.append((CLIPS[clip.type], 0.0, 0.0, min(radius, _FAR)))
-            clips.append((*np.clip(first, -_FAR, _FAR), 0.0))
-            clips.append((*np.clip(second, -_FAR, _FAR), 0.0))
+            clips += _clip_rows(clip, space)
         return lights, surfaces, clips
 
     def copy(self) -> EffectState:
@@ -333,11 +332,11 @@ class EffectState:
         return other
 
     def set_surfaces(self, distances: DeviceArray) -> None:
-        """``distances``: as of ``distance_map``, to the cells in which a surface can be."""
+        """``distances``: a ``distance_map`` of the cells in which a surface can be."""
         self.arrays["surface_distances"] = distances
 
     def counted(self, sums: dict[str, int]) -> dict[str, int]:
-        """Of sums by the names of COUNTERS those that the scene's effects count."""
+        """Those of ``sums`` (by the names of COUNTERS) that the scene's effects count."""
         by_volume = self.switches.get("SHADOWS") == METHODS["volume"]
         return {
             name: total
@@ -346,8 +345,25 @@ class EffectState:
         }
 
 
-def _unit(vector: Any) -> np.ndarray:
+def _clip_rows(clip: Clip, space: LocalSpace) -> list[Row]:
+    """The three rows of a clip: type and radius, then two points or a point and a normal."""
+    radius = 0.0 if clip.radius is None else clip.radius / space.unit
+    corner = {"plane": clip.point, "box": clip.lower, "sphere": clip.center}[clip.type]
+    first, second = space.point(np.asarray(corner, np.float64)), np.zeros(3)
+    if clip.type == "plane":
+        second = _unit(np.asarray(clip.normal, np.float64))
+        first = (first @ second) * second  # the point of the plane nearest to the origin has the most digits
+    elif clip.type == "box":
+        second = space.point(np.asarray(clip.upper, np.float64))
+    return [
+        (CLIPS[clip.type], 0.0, 0.0, min(radius, _FAR)),
+        (*np.clip(first, -_FAR, _FAR), 0.0),
+        (*np.clip(second, -_FAR, _FAR), 0.0),
+    ]
+
+
+def _unit(vector: ArrayLike) -> np.ndarray:
     """``vector`` at length 1; scaled first, so that no square over- or underflows."""
-    vector = np.asarray(vector, np.float64)
-    vector = vector / np.abs(vector).max()
-    return vector / np.linalg.norm(vector)
+    scaled = np.asarray(vector, np.float64)
+    scaled = scaled / np.abs(scaled).max()
+    return scaled / np.linalg.norm(scaled)

@@ -1,21 +1,28 @@
-"""Which cells of a volume can be visible, and how far every cell is from the nearest of them."""
+"""Empty space: which cells of a volume can be visible, and how far every cell is from the nearest of them."""
 
 from __future__ import annotations
+
+from typing import Protocol
 
 import numpy as np
 
 from clvol.device.memory import UNPERTURBED, Perturbation
-from clvol.device.volume import DeviceVolume
 from clvol.features import FILTER_REACH, overshoot
 from clvol.opencl.arguments import INT4, reads, value, writes
 from clvol.opencl.context import DeviceArray, DeviceContext
 from clvol.transfer.lookup_nodes import LookupNodes
 
-_ROUNDING = 2e-6  # of a filter's sums, as a share of the largest value: a few times float32's
+_ROUNDING = 2e-6  # relative error of a filter's sums in float32, with a margin
+
+
+class CellBounds(Protocol):
+    """Anything that knows the bounds of the values in each cell, as ``ResidentVolume.bounds``."""
+
+    def bounds(self, apron: int) -> tuple[np.ndarray, np.ndarray]: ...
 
 
 def visible_mask(
-    volume: DeviceVolume,
+    volume: CellBounds,
     filter: str,
     nodes: LookupNodes,
     between: np.ndarray,
@@ -24,9 +31,9 @@ def visible_mask(
 ) -> np.ndarray:
     """bool [z, y, x]: whether anything that ``filter`` interpolates in a cell can have opacity.
 
-    ``between`` bool [n - 1]: whether look-ups between node k and k + 1 can give any. ``at`` bool [n]:
-    whether node k itself has any, which is all that a cell of one value, a node, asks for: most
-    often the background.
+    ``between`` bool [n - 1]: whether look-ups between nodes k and k + 1 can give any opacity. ``at`` bool [n]:
+    whether node k itself has any. That is all that matters for a cell whose only value is a node, which most
+    background cells are.
     """
     lowest, highest = volume.bounds(FILTER_REACH[filter])
     mask = shows_between(nodes, between, at, lowest, highest, overshoot(filter), perturbation.added)
@@ -42,13 +49,13 @@ def shows_between(
     share: float = 0.0,
     added: float = 0.0,
 ) -> np.ndarray:
-    """bool, of the shape of ``lowest``: whether anything from ``lowest`` to ``highest`` can have opacity; nothing does
-    where lowest > highest. ``between`` and ``at`` as above. ``share`` of the span may come on top on both sides,
-    and ``added`` may be added to or taken from values."""
+    """bool, in the shape of ``lowest``: whether anything from ``lowest`` to ``highest`` can have opacity; nothing can
+    where lowest > highest. ``between`` and ``at`` are as in ``visible_mask``. The interval is widened on both sides
+    by ``share`` of its span and by ``added``."""
     any_value = lowest <= highest
     low = np.where(any_value, lowest, nodes.first)
     high = np.where(any_value, highest, nodes.first)
-    # The lowest value of all is node 0, also in float32, and so may whole numbers be on a node.
+    # The lowest value is node 0, also in float32, and whole numbers may lie on a node, too.
     exact = (low == nodes.first) | ((low == high) & nodes.is_exact(low))
     exact &= added == 0.0
     low_margin = np.where(exact, 0.0, nodes.rounding)
@@ -64,7 +71,7 @@ def shows_between(
 
 
 def surface_mask(
-    volume: DeviceVolume,
+    volume: CellBounds,
     filter: str,
     levels: list[float],
     perturbation: Perturbation = UNPERTURBED,
@@ -78,9 +85,9 @@ def surface_mask(
 
 
 def cell_bounds(
-    volume: DeviceVolume, filter: str, perturbation: Perturbation = UNPERTURBED
+    volume: CellBounds, filter: str, perturbation: Perturbation = UNPERTURBED
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The lowest and the highest value, [z, y, x], that a sample in each cell can have, but for rounding;
+    """The lowest and the highest value, [z, y, x], that a sample in each cell can have, up to rounding;
     infinite, with low > high, where there is none."""
     lowest, highest = volume.bounds(FILTER_REACH[filter])
     any_value = lowest <= highest
@@ -92,15 +99,15 @@ def cell_bounds(
 
 
 def spread(array: np.ndarray, cells: tuple[int, int, int], over: np.ufunc) -> np.ndarray:
-    """``over`` (np.maximum, say) all of ``array`` [z, y, x] that is up to ``cells`` (x, y, z) away."""
+    """``over`` (np.maximum, for example) applied to all entries of ``array`` [z, y, x] within ``cells`` (x, y, z) of
+    each entry."""
     for axis, count in zip((2, 1, 0), cells):
         reach, most = 0, min(count, array.shape[axis] - 1)
         while reach < most:  # windows add up
             step = min(most - reach, 2 * reach + 1)
             grown = array.copy()
-            ahead, behind = ([slice(None)] * 3 for _ in range(2))
-            ahead[axis], behind[axis] = slice(step, None), slice(None, -step)
-            ahead, behind = tuple(ahead), tuple(behind)
+            others = (slice(None),) * axis
+            ahead, behind = (*others, slice(step, None)), (*others, slice(None, -step))
             over(grown[ahead], array[behind], out=grown[ahead])
             over(grown[behind], array[ahead], out=grown[behind])
             array, reach = grown, reach + step
@@ -119,8 +126,8 @@ def dilated(mask: np.ndarray) -> np.ndarray:
         mask = grown
     return mask
 def _overshot(low: np.ndarray, high: np.ndarray, share: float) -> tuple[np.ndarray, np.ndarray]:
-    """The values that a filter can give of voxels from ``low`` to ``high``: ``share`` of their span
-    more on both sides, and rounding. Of equal voxels it gives exactly that value."""
+    """The range of values that a filter can make of voxels from ``low`` to ``high``: wider by ``share`` of their span
+    on both sides, and by rounding. From equal voxels it makes exactly their value."""
     if not share:
         return low, high
     more = share * (high - low) + _ROUNDING * np.maximum(np.abs(low), np.abs(high))
@@ -130,7 +137,7 @@ def _overshot(low: np.ndarray, high: np.ndarray, share: float) -> tuple[np.ndarr
 
 def distance_map(context: DeviceContext, mask: np.ndarray) -> DeviceArray:
     """uint8 [z, y, x] on the device: distance in cells (maximum norm, at most 255) to the nearest
-    cell of ``mask``; 0 in it."""
+    cell of ``mask``; 0 inside the mask."""
     start = np.where(mask, 0, 255).astype(np.uint8)
     # A 32-bit gather of the last byte must stay inside the buffer.
     padded = np.concatenate([start.ravel(), np.full(4, 255, np.uint8)])

@@ -1,5 +1,5 @@
-"""Environment maps: light from all directions, averaged over lobes once so that a sample's share of
-it is one look-up (diffuse and specular environment maps: Engel and Ertl 2002; Ramamoorthi and Hanrahan 2001;
+"""Environment maps: light from all directions, averaged over lobes beforehand, so that each sample needs
+one look-up (diffuse and specular environment maps: Engel and Ertl 2002; Ramamoorthi and Hanrahan 2001;
 Heidrich and Seidel 1999).
 
 A radiance map covers all directions by latitude and longitude: the unit direction (x, y, z), y up,
@@ -8,7 +8,7 @@ middle column looks along -z, +x is to the right of it.
 
 Means over lobes (R.w)^e are sums over all texels with their solid angles and the lobe normalised by
 the same sums. Rows of latitude make the sum over longitude a circular convolution, done by FFT: no
-texel is merged with another first, so even a sun of one texel stays where it is. The irradiance
+texels are merged first, so even a sun of one texel keeps its position. The irradiance
 over pi is the same mean with e = 1. Order-2 spherical harmonics would be smaller than its map, but
 they miss the irradiance of a sun of one texel by up to 9 % of its peak (rms 3.6 %) and go below
 zero behind it; the map misses it by up to 1.2 % at the terminator and 0.2 % elsewhere (rms 0.07 %).
@@ -16,10 +16,10 @@ Other lobes with e >= 1 are met to 1 % of a sun's peak; those of e < 1 end at th
 corner (a step, e = 0) that the map rounds off over a cell.
 
 Maps are stored by octahedron (Engelhardt and Dachsbacher 2008): no trigonometry in the kernel.
-Other than there, values are at nodes, on the square's edges and corners as well: nodes of an edge
-that are the same direction hold the same value, so that no border is needed and there is no seam.
+Unlike there, values are at nodes, including the square's edges and corners: nodes on an edge
+with the same direction hold the same value, so that no border is needed and there is no seam.
 Values are linear over triangles, each cell being cut in two parallel to the equator's line in its
-quadrant: cells interpolated bilinearly would cross that crease, and be wrong there by the first
+quadrant: cells interpolated bilinearly would cross that crease, with an error of the first
 order of their size.
 """
 
@@ -29,9 +29,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-LARGEST_ROWS = 1024  # of a radiance map that is worked with; more are averaged first
-_SMALLEST_NODES, _LARGEST_NODES = 97, 769  # an edge, maps of means
-_LARGEST_SHARP = 2049  # nodes an edge, the radiance itself
+LARGEST_ROWS = 1024  # of a radiance map; larger ones are averaged first
+_SMALLEST_NODES, _LARGEST_NODES = 97, 769  # per edge of maps of means
+_LARGEST_SHARP = 2049  # nodes per edge of a map of the radiance itself
 _SMALLEST_ROWS, _MOST_ROWS = 96, 768  # of latitude, on which means are computed
 _NEGLIGIBLE = 1e-7  # of a lobe's peak
 _BLOCK = 16  # rows of means computed at once: bounds memory
@@ -49,7 +49,7 @@ class RadianceMap:
 
 @dataclass(frozen=True)
 class MapPlace:
-    """Where an octahedral map lies: ``size`` nodes an edge, from node ``offset`` on, row by row."""
+    """The position of an octahedral map: ``size`` nodes per edge, from node ``offset`` on, row by row."""
 
     size: int
     offset: int
@@ -57,11 +57,11 @@ class MapPlace:
 
 @dataclass(frozen=True, eq=False)
 class EnvironmentMaps:
-    """What the kernel looks up, in one buffer: ``nodes`` float32 [n, 4] (r, g, b, 0).
+    """The maps that the kernel reads, in one buffer: ``nodes`` float32 [n, 4] (r, g, b, 0).
 
     ``diffuse``: mean radiance under the cosine lobe about a normal (irradiance / pi). ``specular``:
     mean radiance in the lobe (R.w)^(shininess / 4). ``sky``: the radiance itself, or None if not
-    asked for.
+    requested.
     """
 
     nodes: np.ndarray
@@ -76,7 +76,7 @@ def environment_maps(radiance: RadianceMap, shininess: float, sky: bool = False)
     A lobe whose width (1 / sqrt(e)) is below a texel shows the radiance itself. Of 1024 x 2048
     texels they take about 0.7 s of one core (2 s beyond a shininess of 5000, 0.4 s more with the
     sky) and at most 64 MB. Beyond a shininess of 7000, maps of more than 256 rows have coarser
-    nodes than the lobe asks for: at 40000 a sun of one texel is met to 5 % of its peak.
+    nodes than the lobe requires: at 40000 a sun of one texel is met to 5 % of its peak.
     """
     texels = _at_most(radiance.texels, LARGEST_ROWS)
     exponent = shininess / 4.0
@@ -96,7 +96,7 @@ def environment_maps(radiance: RadianceMap, shininess: float, sky: bool = False)
     return EnvironmentMaps(nodes, places[0], places[1], places[-1] if sky else None)
 
 
-# --- what is looked up: twins of cl/environment.h, and the sums themselves
+# --- look-ups: numpy references of cl/environment.h, and the sums themselves
 
 
 def look_up(nodes: np.ndarray, place: MapPlace, directions: np.ndarray) -> np.ndarray:
@@ -163,7 +163,7 @@ def octahedral_directions(size: int, rows: slice = slice(None)) -> np.ndarray:
 
 
 def _nodes_for(spacing: float) -> int:
-    """Nodes an edge, odd, so that neighbours are at most ``spacing`` radians apart: the octahedron
+    """Nodes per edge, odd, so that neighbours are at most ``spacing`` radians apart: the octahedron
     stretches lengths by at most 3, in the middle of its faces, and a cell is 2 / (n - 1) wide."""
     return 2 * int(np.ceil(3.0 / spacing)) + 1
 
@@ -173,7 +173,7 @@ def _mean_map(texels: np.ndarray, exponent: float, rotation: float) -> np.ndarra
     wanted = _nodes_for(0.25 / np.sqrt(exponent)) if exponent > 0.0 else 0
     size = min(max(wanted, _SMALLEST_NODES), _LARGEST_NODES)
     means = interpolated(lobe_means(texels, exponent), octahedral_directions(size), rotation)
-    # The spline may leave the range of the means beside a sun.
+    # Near a sun the spline may leave the range of the means.
     return np.clip(means, 0.0, _largest(texels)).astype(np.float32)
 
 
@@ -207,7 +207,7 @@ def lobe_means(texels: np.ndarray, exponent: float) -> np.ndarray:
     from scipy.fft import dct, next_fast_len
 
     height = texels.shape[0]
-    # Spacing of a quarter of the lobe's width 1 / sqrt(e), or what a clamped cosine needs.
+    # The spacing is a quarter of the lobe's width 1 / sqrt(e), or that of a clamped cosine.
     wanted = np.clip(np.ceil(4.0 * np.pi * np.sqrt(exponent)), _SMALLEST_ROWS, _MOST_ROWS)
     rows = next_fast_len(int(wanted), real=True)
     spectrum = _spectrum(texels, rows) * _row_weights(height)[:, None, None]
@@ -272,16 +272,15 @@ def interpolated(texels: np.ndarray, directions: np.ndarray, rotation: float) ->
     in which the map is turned by ``rotation``, by the cubic spline through the texels' centres."""
     from scipy.ndimage import map_coordinates
 
-    border = 16  # the spline's memory fades by 0.27 a texel
+    border = 16  # the spline's memory fades by a factor of 0.27 per texel
     padded = _padded(texels, border)
-    at = _texel_coordinates(texels.shape, directions, rotation)
-    at = [coordinate + border for coordinate in at]
+    at = [coordinate + border for coordinate in _texel_coordinates(texels.shape, directions, rotation)]
     return np.stack([map_coordinates(padded[..., k], at, np.float64) for k in range(3)], axis=-1)
 
 
 def _bilinear(padded: np.ndarray, row: np.ndarray, column: np.ndarray) -> np.ndarray:
     """float32 [..., 3], linear between texels' centres; ``padded``: float32 [h + 2, w + 2, 4]."""
-    texels = padded.view(np.complex128).ravel()  # a texel an item: gathered several times as fast
+    texels = padded.view(np.complex128).ravel()  # one item per texel, which is gathered several times as fast
     i, j = np.floor(column).astype(np.int32), np.floor(row).astype(np.int32)
     s, t = ((f - k)[..., None].astype(np.float32) for f, k in ((column, i), (row, j)))
     at = (j + 1) * np.int32(padded.shape[1]) + (i + 1)
@@ -295,7 +294,7 @@ def _bilinear(padded: np.ndarray, row: np.ndarray, column: np.ndarray) -> np.nda
 
 
 def _padded(texels: np.ndarray, border: int) -> np.ndarray:
-    """``texels`` with ``border`` more on each side: columns wrap, rows go on beyond the pole."""
+    """``texels`` with ``border`` more on each side: columns wrap, rows continue beyond the pole."""
     height, width = texels.shape[:2]
     rows, columns = np.arange(-border, height + border), np.arange(-border, width + border)
     over = (rows < 0) | (rows >= height)
@@ -340,8 +339,8 @@ def _at_most(texels: np.ndarray, rows: int) -> np.ndarray:
 
 
 def _averaged(texels: np.ndarray, edges: np.ndarray, new: np.ndarray) -> np.ndarray:
-    """Means over the intervals between ``new`` edges of what is constant between ``edges``, along
-    axis 0, float64: each new interval is wider than any old one."""
+    """Means over the intervals between ``new`` edges of values that are constant between ``edges``, along
+    axis 0, float64; each new interval is wider than any old one."""
     before = np.zeros((len(edges), *texels.shape[1:]))
     np.cumsum(texels * np.diff(edges)[:, None, None], axis=0, out=before[1:])
     at = np.interp(new, edges, np.arange(len(edges)))

@@ -39,7 +39,7 @@ def load_radiance(
 ) -> RadianceMap:
     """The file's radiance times ``intensity``, turned about +y (``RadianceMap``); a cube of n x n
     faces becomes 2 n rows of latitude. ``memory_cap``: bytes that reading may
-    take; 75 % of the available memory where it is None. SceneError names the file and what is wrong with it."""
+    take; 75 % of the available memory where it is None. SceneError names the file and the problem."""
     where = str(path)
     if memory_cap is None:
         memory_cap = int(DEFAULT_SHARE * available_memory())
@@ -78,7 +78,7 @@ def _read(where: str, memory_cap: int) -> np.ndarray:
         raise SceneError(error.where, error.what, error.expected) from None
     except MemoryError:
         raise
-    except Exception as error:  # the library raises whatever it likes on damaged files
+    except Exception as error:  # the library raises exceptions of many kinds on damaged files
         raise SceneError(where, f"cannot be read ({error})", _FILES) from None
     there = ", ".join(sorted(channels)) or "none"
     if any(name not in channels for name in "RGB"):

@@ -1,11 +1,11 @@
-"""What cl/fields.h reads: voxels of further volumes, where they are, and what their values mean."""
+"""The fields of a scene as cl/fields.h reads them: their voxels, their position, and what their values mean."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
@@ -28,7 +28,8 @@ if TYPE_CHECKING:
 _DENSITY_NODES = 4096
 _ROUNDING = 4e-6  # of a linear interpolation in float32, as a share of the largest value
 _MARGIN = 0.02  # voxels of the volume that a sample may be off its cell, generously
-_FINEST_SHIFT = 1e-9  # voxels: below that it is rounding of the affines
+_FINEST_SHIFT = 1e-9  # voxels: anything below that is rounding of the affine maps
+T = TypeVar("T")
 
 
 def field_switches(resolved: ResolvedScene) -> dict[str, int]:
@@ -39,11 +40,11 @@ def field_switches(resolved: ResolvedScene) -> dict[str, int]:
 
 
 class SceneFields:
-    """The fields of a scene: ``voxels``, the buffer `fields`; ``numbers`` of struct Effects.
+    """The fields of a scene: ``voxels`` is the buffer `fields`, and ``numbers`` of struct Effects are filled in.
 
-    ``shown`` bool [z, y, x]: in which ``cells`` of the volume a density can have opacity;
-    ``kept``: in which all masks may keep something. ``place(array)`` puts numbers into the buffer
-    `factors` and returns where they begin.
+    ``shown`` bool [z, y, x]: the ``cells`` of the volume in which a density can have opacity;
+    ``kept``: those in which all masks may keep something. ``place(array)`` puts numbers into the buffer
+    `factors` and returns their offset.
     """
 
     def __init__(
@@ -100,14 +101,14 @@ class _Part:
         self.matrix, self.shift = between_lattices(volume.grid, field.volume.grid)
 
     def fill(self, row: np.void, place: Callable[[np.ndarray], int], edge: float) -> None:
-        """Fills the fields of the struct ``Field`` that depend on the role. ``edge``: world length of the volume's
+        """Fills in the members of the struct ``Field`` that depend on the role. ``edge``: world length of the volume's
         smallest edge."""
         field = self.field
         if field.role == "label":
-            table = np.column_stack([field.colors, field.factors])
+            table = np.column_stack([_present(field.colors), _present(field.factors)])
             row["table"] = place(np.vstack([[0.0, 0.0, 0.0, 1.0], table]))
         elif field.role == "mask":
-            row["threshold"] = float(self.values(field.threshold))
+            row["threshold"] = float(self.values(_present(field.threshold)))
             row["side"] = 1.0 if field.keep == "above" else -1.0
         else:
             function, nodes = self._density
@@ -119,10 +120,10 @@ class _Part:
     @property
     def _density(self) -> tuple[TransferFunction, LookupNodes]:
         volume = self.field.volume
-        function = device_function(self.field.function, self.values)
-        span = tuple(float(v) for v in self.values(volume.value_range))
+        function = device_function(_present(self.field.function), self.values)
+        low, high = (float(v) for v in self.values(volume.value_range))
         integer = volume.dtype.kind in "iu"
-        return function, lookup_nodes(function, span, _DENSITY_NODES, integer=integer)
+        return function, lookup_nodes(function, (low, high), _DENSITY_NODES, integer=integer)
 
     def density_cells(self, cells: tuple[int, int, int]) -> np.ndarray:
         function, nodes = self._density
@@ -133,13 +134,13 @@ class _Part:
 
     def mask_cells(self, cells: tuple[int, int, int]) -> np.ndarray:
         low, high = self._bounds(cells)
-        level = np.float32(self.values(self.field.threshold))  # as the kernel compares
+        level = np.float32(self.values(_present(self.field.threshold)))  # as the kernel compares
         inside = low <= high
         return inside & (high >= level if self.field.keep == "above" else low <= level)
 
     def _bounds(self, cells: tuple[int, int, int]) -> tuple[np.ndarray, np.ndarray]:
-        """Float64 [z, y, x]: between which values everything lies that is interpolated in each cell
-        of the volume; low > high where nothing is."""
+        """float64 [z, y, x]: bounds of everything that is interpolated in each cell of the volume; low > high where
+        nothing is interpolated."""
         middle, reach = cell_boxes(cells, self.matrix, self.shift)
         low, high = bounds_around(self.voxels, middle, reach)
         rounding = np.where(low < high, _ROUNDING * np.maximum(np.abs(low), np.abs(high)), 0.0)
@@ -148,7 +149,7 @@ class _Part:
 
 @dataclass(frozen=True)
 class _Bounds:
-    """As ``DeviceVolume``, to ``visible_mask``."""
+    """Bounds that are known, as ``CellBounds``."""
 
     low: np.ndarray
     high: np.ndarray
@@ -158,10 +159,10 @@ class _Bounds:
 
 
 def _voxels(field: ResolvedField, values: ValueMap) -> np.ndarray:
-    """float32 [z, y, x] as cl/fields.h wants them; axes of one voxel twice."""
+    """float32 [z, y, x] as cl/fields.h expects them; axes of one voxel are doubled."""
     data = field.volume.data
     if field.role == "label":
-        voxels = _label_codes(data, field.labels)
+        voxels = _label_codes(data, _present(field.labels))
     else:
         voxels = (data if values == ValueMap() else values(data)).astype(np.float32)
         if data.dtype.kind == "f":
@@ -171,11 +172,18 @@ def _voxels(field: ResolvedField, values: ValueMap) -> np.ndarray:
     return np.ascontiguousarray(voxels)
 
 
+def _present(value: T | None) -> T:
+    """``value``, which a ``ResolvedField`` of the role at hand has."""
+    if value is None:
+        raise ValueError("a field lacks a value that its role reads")
+    return value
+
+
 def _label_codes(data: np.ndarray, labels: np.ndarray) -> np.ndarray:
-    """float32 as ``data``: the place of each voxel's label among ``labels`` (ascending), from 1
-    on, or 0."""
+    """float32, in the shape of ``data``: the position of each voxel's label among ``labels`` (ascending), counted
+    from 1, or 0 for other labels."""
     codes = np.empty(data.shape, np.float32)
-    for z, voxels in enumerate(data):  # slice by slice: int64 takes eight bytes a voxel
+    for z, voxels in enumerate(data):  # slice by slice: int64 takes eight bytes per voxel
         wanted = voxels.astype(np.float64)
         at = np.searchsorted(labels, wanted).clip(None, labels.size - 1)
         codes[z] = np.where(labels[at] == wanted, at + 1, 0)
@@ -184,10 +192,10 @@ def _label_codes(data: np.ndarray, labels: np.ndarray) -> np.ndarray:
 
 def between_lattices(volume: Grid, field: Grid) -> tuple[np.ndarray, np.ndarray]:
     """float64 matrix [3, 3] and shift [3]: from lattice points of ``volume`` to those of ``field``,
-    by way of the world. An axis of one voxel runs from 0 to 1 in a lattice, from -1/2 to 1/2 in
+    through world space. An axis of one voxel runs from 0 to 1 in a lattice, from -1/2 to 1/2 in
     indices.
 
-    Formed relative to the volume's first voxel: a far origin of both grids cancels first.
+    The map is formed relative to the volume's first voxel, so that a far origin of both grids cancels first.
     """
     to_index = field.world_to_index()[:3, :3]
     matrix = to_index @ volume.index_to_world()[:3, :3]
@@ -201,8 +209,8 @@ def between_lattices(volume: Grid, field: Grid) -> tuple[np.ndarray, np.ndarray]
 def cell_boxes(
     cells: tuple[int, int, int], matrix: np.ndarray, shift: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Boxes in a field's lattice around the volume's cells: middles float64 [z, y, x, 3], and how
-    far all of them reach from there [3]."""
+    """Boxes in a field's lattice around the volume's cells: centres float64 [z, y, x, 3], and the half extents [3]
+    that all of them share."""
     edge = 1 << CELL_SHIFT
     axes = [edge * (np.arange(n) + 0.5) for n in cells]
     z, y, x = np.meshgrid(axes[2], axes[1], axes[0], indexing="ij")
@@ -213,15 +221,14 @@ def cell_boxes(
 def bounds_around(
     voxels: np.ndarray, middle: np.ndarray, reach: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Float64 [...]: smallest and largest finite voxel of ``voxels`` [z, y, x] that is used by what
-    is interpolated within ``reach`` [3] of each of ``middle`` [..., 3] (x, y, z), or a few more;
-    low > high where there is none."""
-    from scipy import ndimage  # takes a tenth of a second, not to be waited for without fields
+    """float64 [...]: smallest and largest finite voxel of ``voxels`` [z, y, x] that interpolation within ``reach`` [3]
+    of each of ``middle`` [..., 3] (x, y, z) uses, perhaps with a few more voxels; low > high where there is none."""
+    from scipy import ndimage  # importing it takes a tenth of a second, which scenes without fields save
 
     upper = np.array(voxels.shape[::-1]) - 1
     meets = np.all((middle + reach >= 0) & (middle - reach <= upper), axis=-1)
     first = np.clip(np.floor(middle - reach), 0, upper).astype(np.int64)
-    # From the voxel before the lowest place to the one beyond the highest.
+    # From the voxel before the lowest position to the one beyond the highest.
     count = np.minimum(np.ceil(2.0 * np.minimum(reach, 1e9)) + 2, upper + 1).astype(np.int64)
     size = tuple(int(n) for n in count[::-1])
     ahead = tuple(-(n // 2) for n in size)

@@ -1,12 +1,13 @@
-"""Gradients at the voxels, found once and held in four bytes each (cl/gradients.cl)."""
+"""Gradients at the voxels, computed once and held in four bytes each (cl/gradients.cl)."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clvol.device.arguments import Arguments
 from clvol.features.gradient_storage import DeviceLimits, chosen_storage
 from clvol.features.vocabulary import GRADIENTS
 from clvol.opencl.arguments import INT4, RAW, reads, value, writes
@@ -47,20 +48,20 @@ def precompute(
 ) -> tuple[DeviceArray, np.ndarray]:
     """uint32 [nz, ny, nx] on the device, and float32 [4]: the ``gradient_scale`` of cl/gradient.h.
 
-    ``operator``: "central" or "sobel". The scale's x, y, z take stored numbers to the change of the
-    kernels' value a lattice unit; its last entry is the largest component of a gradient at a voxel,
-    in that value a smallest voxel edge. Takes ``gradient_bytes`` on the device; two passes.
+    ``operator``: "central" or "sobel". The scale's x, y, z turn stored numbers into the change of the
+    kernels' value per lattice unit; its last entry is the largest component of a gradient at a voxel,
+    in that value per smallest voxel edge. Takes ``gradient_bytes`` on the device, and two passes.
     """
     edges = np.asarray(volume.grid.spacing) / volume.grid.smallest_edge
-    # Halves first: float64 voxels may be so far apart that their difference overflows.
+    # Values are halved first: float64 voxels may be so far apart that their difference overflows.
     before = 0.5 if volume.switches["VOXEL_BITS"] == 64 else volume.values.gain
     after = volume.values.gain / before
     real = np.float64 if volume.switches["VOXEL_BITS"] == 64 else np.float32
     metric = context.upload(np.array([*(after / edges), before], real))
     switches = storing_switches(volume.switches, operator)
     nx, ny, nz = volume.size
-    given = {"volume": volume.plain(), "size": (nx, ny, nz, 0), "metric": metric}
-    declared = (reads("volume", RAW, *_SIZE), value("size", INT4), reads("metric", real, 4))
+    given: dict[str, Any] = {"volume": volume.plain(), "size": (nx, ny, nz, 0), "metric": metric}
+    declared: Arguments = (reads("volume", RAW, *_SIZE), value("size", INT4), reads("metric", real, 4))
 
     rows = context.empty(np.float32, (nz, ny))
     kernel = context.kernel(

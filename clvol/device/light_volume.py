@@ -1,4 +1,4 @@
-"""Shadows' host side: what of a light arrives at the points of a light volume (cl/shadow.h)."""
+"""The host side of shadows: how much of each light arrives at the points of a light volume (cl/shadow.h)."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from clvol.schedule.tiles import bands
 from clvol.volume import Grid
 
 CONE_DIRECTIONS = 13
-TRANSPARENT = 1e-3  # a march stops where less than that arrives
+TRANSPARENT = 1e-3  # a march stops where a smaller share of the light is left
 _SECONDS_A_SAMPLE, _BAND_SECONDS = 1e-8, 0.5
 _WORK_GROUP = 64
 _ARGUMENTS = (
@@ -33,8 +33,8 @@ _ARGUMENTS = (
 
 
 def casting_lights(resolved: ResolvedScene) -> list[int]:
-    """Numbers of the lights that cast shadows, in the order of their light volumes. Headlights
-    shine from the eye and cast none that it could see."""
+    """Indices of the lights that cast shadows, in the order of their light volumes. Headlights
+    shine from the eye, which sees none of their shadows."""
     if resolved.shadow is None:
         return []
     lights = enumerate(resolved.lights)
@@ -42,6 +42,7 @@ def casting_lights(resolved: ResolvedScene) -> list[int]:
 
 
 def shadow_switches(resolved: ResolvedScene) -> dict[str, int]:
+    """The switches (-D) of shadows."""
     shadow = resolved.shadow if casting_lights(resolved) else None
     return {
         "SHADOWS": 0 if shadow is None else METHODS[shadow.method],
@@ -50,24 +51,25 @@ def shadow_switches(resolved: ResolvedScene) -> dict[str, int]:
 
 
 def shadow_step(resolved: ResolvedScene) -> float:
-    """Steps of the march to the lights, in smallest voxel edges."""
-    step = resolved.shadow.step
+    """Step of the march towards the lights, in smallest voxel edges."""
+    step = _shadow_of(resolved).step
     return resolved.integration.step if step is None else step
 
 
 def light_size(grid: Grid, resolution: int) -> tuple[int, int, int]:
-    """Points (x, y, z) of a light volume: ``resolution`` along the domain's longest axis, at its
-    ends too, and as dense, at least 2, along the others."""
+    """Points (x, y, z) of a light volume: ``resolution`` along the domain's longest axis, its ends included, and
+    equally dense, but at least 2, along the others."""
     lower, upper = grid.index_bounds()
     edges = (upper - lower) * grid.spacing
     counts = np.maximum(np.round(edges / edges.max() * (resolution - 1)).astype(int) + 1, 2)
-    return tuple(int(n) for n in counts)
+    x, y, z = (int(n) for n in counts)
+    return x, y, z
 
 
 def light_volume_bytes(resolved: ResolvedScene) -> int:
     """Bytes that the light volumes of all lights take on the device; 0 where there are none."""
     lights = casting_lights(resolved)
-    if not lights or not resolved.shadow.is_volume:
+    if not lights or not _shadow_of(resolved).is_volume:
         return 0
     return 4 * len(lights) * _floats(resolved)
 
@@ -77,15 +79,15 @@ def check_fits(resolved: ResolvedScene, limits: DeviceLimits) -> None:
     needed, room = light_volume_bytes(resolved), min(limits.buffer, limits.memory)
     if needed > room:
         lights = len(casting_lights(resolved))
-        resolution = resolved.shadow.resolution
+        resolution = _shadow_of(resolved).resolution
         what = f"got {resolution}: light volumes of {lights} lights take {needed} bytes"
         where = f"{resolved.origin}: shadow.resolution"
-        raise SceneError(where, what, f"at most {room} bytes, all that the device gives")
+        raise SceneError(where, what, f"at most {room} bytes, the limit of the device")
 
 
 def shadow_numbers(resolved: ResolvedScene, padded: tuple[int, int, int]) -> dict[str, Any]:
-    """The fields of ``Effects`` that shadows need. ``padded``: lattice points of the volume."""
-    shadow = resolved.shadow
+    """The members of ``Effects`` that shadows need. ``padded``: lattice points of the volume."""
+    shadow = _shadow_of(resolved)
     less = 1.0 - np.asarray(shadow.scatter_color, float)
     attenuated = less[less > 0] if _scatters(shadow) else np.ones(1)
     slowest = attenuated.min() if attenuated.size else 1.0
@@ -104,7 +106,7 @@ def shadow_numbers(resolved: ResolvedScene, padded: tuple[int, int, int]) -> dic
 
 
 def cone_directions(degrees: float, count: int = CONE_DIRECTIONS) -> np.ndarray:
-    """Unit vectors [count, 3] about +z, evenly over the solid angle of a cone of this half angle: a
+    """Unit vectors [count, 3] about +z, spread evenly over the solid angle of a cone of this half angle, on a
     spiral of equal areas."""
     k = np.arange(count)
     cosine = 1.0 - (k + 0.5) / count * (1.0 - np.cos(np.radians(degrees)))
@@ -120,12 +122,12 @@ def fill_light_volume(
     arrays: Mapping[str, DeviceArray],
 ) -> tuple[DeviceArray, int]:
     """The light volumes of all lights that cast shadows, float32 [lights, z, y, x, channels], and
-    how many reconstructions of the volume that took.
+    how many samples of the volume that took.
 
     ``switches``: the picture's. ``arrays``: those of the scene and its effects, by name.
     """
-    lights = casting_lights(resolved)
-    size = light_size(resolved.volume.grid, resolved.shadow.resolution)
+    lights, shadow = casting_lights(resolved), _shadow_of(resolved)
+    size = light_size(resolved.volume.grid, shadow.resolution)
     points, lanes = int(np.prod(size)), switches["LANES"]
     items = -(-points // lanes)
     group = 1 if lanes > 1 else _WORK_GROUP
@@ -133,8 +135,8 @@ def fill_light_volume(
     arrives = context.empty(np.float32, (len(lights), *size[::-1], channels))
     counts = context.upload(np.zeros(items, np.uint32), writable=True)
     cone = np.zeros((1 + CONE_DIRECTIONS, 4), np.float32)
-    cone[0] = (*(1.0 - np.asarray(resolved.shadow.scatter_color)), CONE_DIRECTIONS)
-    cone[1:, :3] = cone_directions(resolved.shadow.cone_degrees)
+    cone[0] = (*(1.0 - np.asarray(shadow.scatter_color)), CONE_DIRECTIONS)
+    cone[1:, :3] = cone_directions(shadow.cone_degrees)
     declared = scene_arguments(switches["VOXEL_BITS"]) + EFFECT_ARGUMENTS + _ARGUMENTS
     kernel = context.kernel("light_volume.cl", "light_volume", declared, switches)
     given = {**arrays, "view": context.upload(view), "cone": context.upload(cone)}
@@ -161,11 +163,19 @@ def fill_light_volume(
     return arrives, taken
 
 
+def _shadow_of(resolved: ResolvedScene) -> Shadow:
+    """The [shadow] table of a scene with shadows."""
+    if resolved.shadow is None:
+        raise ValueError("the scene has no [shadow] table")
+    return resolved.shadow
+
+
 def _scatters(shadow: Shadow) -> bool:
     return shadow.is_volume and shadow.scattering > 0
 
 
 def _floats(resolved: ResolvedScene) -> int:
-    """Of one light volume."""
-    size = light_size(resolved.volume.grid, resolved.shadow.resolution)
-    return int(np.prod(size, dtype=np.int64)) * (4 if _scatters(resolved.shadow) else 1)
+    """Number of floats in one light volume."""
+    shadow = _shadow_of(resolved)
+    size = light_size(resolved.volume.grid, shadow.resolution)
+    return int(np.prod(size, dtype=np.int64)) * (4 if _scatters(shadow) else 1)

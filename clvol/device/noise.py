@@ -2,20 +2,20 @@
 
 After Engel and Ertl, "Interactive high-quality volume rendering with flexible consumer graphics
 hardware" (Eurographics 2002, state of the art reports), section on volumetric effects: a noise
-volume of 32^3 texels with four channels perturbs the value that is looked up, or the place where
+volume of 32^3 texels with four channels perturbs the value that is looked up, or the position at which
 the volume is sampled.
 
-The tile. Each channel is Gaussian noise of a band of one octave to either side of CENTRE cycles a
+The tile. Each channel is Gaussian noise of a band of one octave to either side of CENTRE cycles per
 tile: a wave of k cycles has the amplitude cos(pi/2 log2(k/CENTRE)) / k between CENTRE/2 and
 2 CENTRE and none outside, so octaves overlap such that their powers add up smoothly. Then texels
 are ranked: each of the 256 bytes occurs 128 times in a channel. Values so spread evenly over -1 ..
 1, their mean is exactly 0, their standard deviation 0.58, and 98 % of the power stays in the band:
 a texel differs from its neighbour by 0.23 on average, where it would by 0.67 in white noise.
 
-The sum: fBm(q) = sum over k < octaves of gain^k tile(2^k q + offset), q in tiles, trilinear between
+The sum is fBm(q) = sum over k < octaves of gain^k tile(2^k q + offset), q in tiles, trilinear between
 texels, periodic. A term is used in two ways: "value" adds amplitude * fBm to the value by the
-fourth channel, "coordinate" moves the place by amplitude * fBm of the first three. Several terms
-add up, and all are taken at the place that has not been moved.
+fourth channel, "coordinate" moves the position by amplitude * fBm of the first three. Several terms
+add up, and all are evaluated at the position before any displacement.
 
 Noise is fixed to the volume: its axes are the volume's index axes, q = frequency * (distance from
 the lower corner of the domain) / (the domain's longest edge), and it moves along them.
@@ -38,31 +38,48 @@ from clvol.opencl.structs import NOISE_TERM as TERM_DTYPE
 from clvol.volume.grid import Grid
 from clvol.volume.voxel_layout import CELL_SHIFT
 
-TILE = 32  # texels an edge
+TILE = 32  # texels per edge
 CHANNELS = 4  # x, y, z of a displacement; the value
-CENTRE = 4.0  # cycles a tile in the middle of the band
-# What float32 may add to a bound that is exact in real numbers: a few roundings an octave.
+CENTRE = 4.0  # cycles per tile in the middle of the band
+# The error of a bound in float32: a few roundings per octave.
 _ROUNDING = 1.0 + 1e-5
-_PLACE_ROUNDING = 0.01  # lattice units: far more than rounding of a place
+_PLACE_ROUNDING = 0.01  # lattice units: far more than the rounding of a position
 
 
 class Noise(Protocol):
     """One term, as a scene states it: a [noise] table has these attributes."""
 
-    target: str  # "value" or "coordinate"
-    amplitude: float  # units of the value, or world length
-    frequency: float  # tiles along the domain's longest edge
-    octaves: int
-    gain: float
-    seed: int
-    velocity: Sequence[float]  # [3], tiles a second
+    @property
+    def target(self) -> str:
+        """"value" or "coordinate"."""
+
+    @property
+    def amplitude(self) -> float:
+        """In units of the value, or a world length."""
+
+    @property
+    def frequency(self) -> float:
+        """Tiles along the domain's longest edge."""
+
+    @property
+    def octaves(self) -> int: ...
+
+    @property
+    def gain(self) -> float: ...
+
+    @property
+    def seed(self) -> int: ...
+
+    @property
+    def velocity(self) -> Sequence[float]:
+        """[3], tiles per second."""
 
 
 @lru_cache(maxsize=8)
 def noise_tile(seed: int) -> np.ndarray:
     """uint8 [32, 32, 32, 4] (z, y, x, channel), read-only; byte b stands for b / 127.5 - 1.
 
-    ``seed``: any integer; it alone decides.
+    ``seed``: any integer. The tile depends on nothing else.
     """
     cycles = np.fft.fftfreq(TILE, 1.0 / TILE)
     k = np.sqrt(sum(axis**2 for axis in np.meshgrid(cycles, cycles, cycles, indexing="ij")))
@@ -81,9 +98,9 @@ def noise_tile(seed: int) -> np.ndarray:
 
 def _white(seed: int) -> np.ndarray:
     """float64 [channel, z, y, x], uniform in [0, 1): splitmix64 (Steele et al. 2014), whose numbers
-    no version of a library changes."""
+    do not depend on the version of a library."""
     state = np.arange(CHANNELS * TILE**3, dtype=np.uint64)
-    state += np.uint64(seed % 2**44 << 20)  # a stretch of 2^20 numbers for each seed
+    state += np.uint64(seed % 2**44 << 20)  # 2^20 numbers for each seed
     golden = np.uint64(0x9E3779B97F4A7C15)
     mixed = (state + np.uint64(1)) * golden
     for shift, factor in ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB)):
@@ -99,7 +116,7 @@ def tile_words(tile: np.ndarray) -> np.ndarray:
 
 
 def fractal_noise(tile: np.ndarray, noise: Noise, position: np.ndarray, time: float = 0.0):
-    """The twin of cl/noise.h in double precision: float64 [..., 4], the fBm of every channel.
+    """The numpy reference of cl/noise.h, in double precision: float64 [..., 4], the fBm of every channel.
 
     ``position`` [..., 3]: (x, y, z) in tiles (frequency included, velocity not). ``time``: seconds.
     """
@@ -114,8 +131,8 @@ def fractal_noise(tile: np.ndarray, noise: Noise, position: np.ndarray, time: fl
 def perturbed(
     noises: Iterable[Noise], grid: Grid, place: np.ndarray, time: float = 0.0
 ) -> tuple[np.ndarray, np.ndarray]:
-    """What all of ``noises`` do at ``place`` [..., 3]: the place to sample instead (float64 [..., 3])
-    and what to add to the value there (float64 [...]). Places are index coordinates (x, y, z) of
+    """The effect of all ``noises`` at ``place`` [..., 3]: the position to sample instead (float64 [..., 3])
+    and the number to add to the value there (float64 [...]). Positions are index coordinates (x, y, z) of
     ``grid``.
     """
     place = np.asarray(place, np.float64)
@@ -131,30 +148,28 @@ def perturbed(
 
 
 def value_bound(noise: Noise) -> float:
-    """The most that ``noise`` adds to, or takes from, a value: 0 for one that moves places."""
+    """The most that ``noise`` adds to, or subtracts from, a value: 0 for noise that moves positions."""
     return _bound(noise, slice(3, 4)) if noise.target == "value" else 0.0
 
 
 def displacement_bound(noise: Noise) -> float:
-    """The farthest that ``noise`` moves a place along any index axis, world length: 0 for one that
+    """The farthest that ``noise`` moves a position along any index axis, world length: 0 for noise that
     changes values."""
     return _bound(noise, slice(0, 3)) if noise.target == "coordinate" else 0.0
 
 
 def perturbation(noises: Iterable[Noise], grid: Grid, value_gain: float = 1.0) -> Perturbation:
-    """What all of ``noises`` together do at most, for leaping over cells."""
+    """Bounds of the effect of all ``noises`` together, for leaping over cells."""
     noises = list(noises)
     moved = sum(displacement_bound(noise) for noise in noises) / np.asarray(grid.spacing)
-    # Lattice units; farther than any volume's size there is nothing else to reach.
+    # Lattice units, limited to the size of the largest volumes.
     cells = np.ceil(np.minimum(moved + _PLACE_ROUNDING, 2.0**31) / (1 << CELL_SHIFT))
-    cells = np.where(moved > 0, cells, 0).astype(np.int64)
-    return Perturbation(
-        sum(value_bound(noise) for noise in noises) * value_gain, tuple(int(n) for n in cells)
-    )
+    x, y, z = (int(n) for n in np.where(moved > 0, cells, 0).astype(np.int64))
+    return Perturbation(sum(value_bound(noise) for noise in noises) * value_gain, (x, y, z))
 
 
 def _bound(noise: Noise, channels: slice) -> float:
-    """Interpolation stays within the texels; octaves at their worst all peak in one place."""
+    """Interpolation stays within the texels; in the worst case all octaves peak at one position."""
     peak = np.abs(noise_tile(noise.seed)[..., channels] / 127.5 - 1.0).max()
     octaves = sum(abs(noise.gain) ** k for k in range(noise.octaves))
     return abs(noise.amplitude) * float(peak) * octaves * _ROUNDING
@@ -164,9 +179,9 @@ def device_noise(
     noises: Sequence[Noise], grid: Grid, time: float = 0.0, value_gain: float = 1.0
 ) -> tuple[np.ndarray, int, int]:
     """(terms, values, coordinates) for cl/noise.h: TERM_DTYPE [MOST_TERMS], those that change
-    values first, and how many there are of each kind. Changes from frame to frame with ``time`` alone.
+    values first, and the number of terms of each kind. Only ``time`` changes them from frame to frame.
 
-    ``value_gain``: what the device multiplies differences of values by (``ValueMap.gain``). Terms
+    ``value_gain``: the device's factor on differences of values (``ValueMap.gain``). Terms
     refer to the tiles of ``device_tiles`` for the same noises. SceneError for more than MOST_TERMS.
     """
     if len(noises) > MOST_TERMS:
@@ -204,7 +219,7 @@ def _tiles_an_index(noise: Noise, grid: Grid) -> np.ndarray:
 
 
 def _offset(noise: Noise, time: float) -> np.ndarray:
-    """float64 [3], 0 .. 1: how far noise has moved after ``time``, but for whole tiles."""
+    """float64 [3], 0 .. 1: how far noise has moved after ``time``, modulo whole tiles."""
     moved = np.array([math.fmod(float(speed) * time, 1.0) for speed in noise.velocity])
     return moved - np.floor(moved)
 

@@ -1,4 +1,4 @@
-"""What cl/opacity_factors.h reads: factors on the extinction, and the layers of a function of value
+"""The tables that cl/opacity_factors.h reads: factors on the extinction, and the layers of a function of value
 and gradient magnitude."""
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ def factor_switches(resolved: ResolvedScene) -> dict[str, int]:
 def layer_functions(
     resolved: ResolvedScene, function: TransferFunction | None = None
 ) -> list[TransferFunction]:
-    """The transfer functions by gradient magnitude, from 0 on; ``function`` instead of the scene's
+    """The transfer functions by gradient magnitude, from 0 on; ``function`` replaces the scene's
     first one."""
     first = function or resolved.transfer_function
     return [first, *(layer.function for layer in resolved.transfer_layers)]
 
 
 def factor_rows(factor: OpacityFactor | None, per_edge: float) -> np.ndarray:
-    """float32 [2, n]: places in kernel value per edge (``per_edge`` times those in value per world
+    """float32 [2, n]: positions in kernel value per edge (``per_edge`` times those in value per world
     length), and factors."""
     if factor is None:
         return np.zeros((2, 0), np.float32)

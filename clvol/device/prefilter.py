@@ -1,4 +1,4 @@
-"""B-spline coefficients of a volume, so that the cubic filter meets its voxels."""
+"""B-spline coefficients of a volume, with which the cubic filter interpolates its voxels."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ _FLOAT32 = (1e-30, 1e37)
 
 def prefiltered(resolved: ResolvedScene, filtered: Volume | None = None) -> ResolvedScene:
     """``resolved`` with the coefficients of the cubic B-spline through its voxels in place of them,
-    if ``integration.prefilter`` and the cubic filter are asked for.
+    if ``integration.prefilter`` and the cubic filter are requested.
 
-    Coefficients are float32 (float64 for float64 voxels, and where float32 has no room for them) and
+    Coefficients are float32 (float64 for float64 voxels, and where they exceed the range of float32) and
     take no more memory than that: the filter runs axis by axis in place, chunk by chunk (about
-    100 MB). Beyond the volume they go on as they do in the kernels, the outermost one held.
+    100 MB). Beyond the volume the outermost coefficient is repeated, as in the kernels.
 
-    Voxels that are not finite stay what they are; for the filter they are filled with the nearest
-    finite ones, which takes a copy of the volume and 14 bytes a voxel more for the time being.
-    ``filtered``: the volume that this made of ``resolved.volume`` before.
+    Voxels that are not finite stay unchanged; for the filter they are filled with the nearest
+    finite ones, which takes a copy of the volume and 14 more bytes per voxel meanwhile.
+    ``filtered``: the volume that an earlier call made of ``resolved.volume``.
     """
     integration, volume = resolved.integration, resolved.volume
     if not (integration.prefilter and integration.filter == "cubic"):
@@ -66,7 +66,7 @@ def _filter_axis(source: np.ndarray, out: np.ndarray, axis: int) -> None:
     if n == 1:
         out[...] = source
         return
-    from scipy import linalg  # takes a quarter of a second, not to be waited for by other scenes
+    from scipy import linalg  # importing it takes a quarter of a second, which other scenes save
 
     bands = np.full((2, n), 4.0)
     bands[0], bands[1, 0], bands[1, -1] = 1.0, 5.0, 5.0
@@ -76,7 +76,7 @@ def _filter_axis(source: np.ndarray, out: np.ndarray, axis: int) -> None:
         chunk = (slice(None),) * across + (slice(start, start + thick),)
         lines = np.moveaxis(source[chunk], axis, 0)
         right = lines.reshape(n, -1).astype(np.float64)
-        first = right[0].copy()  # coefficients of the changes from there: a constant line stays what it is
+        first = right[0].copy()  # coefficients of the differences from there, so that a constant line stays unchanged
         right -= first
         right *= 6.0
         solved = linalg.solveh_banded(bands, right, overwrite_b=True, check_finite=False)
@@ -85,7 +85,7 @@ def _filter_axis(source: np.ndarray, out: np.ndarray, axis: int) -> None:
 
 
 def _filled(data: np.ndarray, bad: np.ndarray, spacing: tuple[float, float, float]) -> np.ndarray:
-    """``data`` [z, y, x] with the nearest finite voxel, in the world, at each ``bad`` one."""
+    """``data`` [z, y, x] with each ``bad`` voxel replaced by the nearest finite one in world space."""
     if bad.all():
         return np.zeros_like(data)
     from scipy import ndimage

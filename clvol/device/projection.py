@@ -1,4 +1,4 @@
-"""What projections (cl/project.h) need beside the ray caster's own: bounds of what cells can score."""
+"""Projections (cl/project.h): bounds of the scores that cells can have, and other numbers that they need."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 
 from clvol.device.empty_space import cell_bounds
 from clvol.device.memory import UNPERTURBED, Perturbation
-from clvol.device.volume import DeviceVolume
+from clvol.device.volume import ResidentVolume
 from clvol.scene.resolve import ResolvedScene
 
 LEVELS, LEVEL_SHIFT = 3, 2  # BOUND_... of cl/project.h
@@ -16,7 +16,7 @@ _ROUNDING, _SCORE_ROUNDING = 4e-6, 1e-5
 
 
 def sample_bounds(
-    volume: DeviceVolume,
+    volume: ResidentVolume,
     resolved: ResolvedScene,
     perturbation: Perturbation = UNPERTURBED,
 ) -> tuple[np.float32, np.float32]:
@@ -30,12 +30,12 @@ def sample_bounds(
 
 
 def score_bounds(
-    volume: DeviceVolume,
+    volume: ResidentVolume,
     resolved: ResolvedScene,
     perturbation: Perturbation = UNPERTURBED,
 ) -> np.ndarray:
-    """float32 [n]: for each cell, then for cells 4 and 16 times as long, a bound of what any sample in
-    it scores; ``NO_SCORE`` where no voxel is finite."""
+    """float32 [n]: for each cell, then for cells 4 and 16 times as long, a bound of the score of any sample in
+    it; ``NO_SCORE`` where no voxel is finite."""
     mode = resolved.integration.compositing
     lowest, highest = cell_bounds(volume, resolved.integration.filter, perturbation)
     first, last = sample_bounds(volume, resolved, perturbation)
@@ -59,7 +59,7 @@ def score_bounds(
 
 
 def hidden_score(mode: str, gate: tuple[float, float]) -> float:
-    """The score up to which nothing shows; ``gate``: values between which something does."""
+    """The score up to which nothing is visible; ``gate``: values between which something is."""
     low, high = gate
     if mode == "maximum" and np.isfinite(low):
         return float(low)
@@ -68,14 +68,14 @@ def hidden_score(mode: str, gate: tuple[float, float]) -> float:
     return float(NO_SCORE)
 
 
-def normalisation(volume: DeviceVolume, resolved: ResolvedScene) -> tuple[np.float32, np.float32]:
+def normalisation(volume: ResidentVolume, resolved: ResolvedScene) -> tuple[np.float32, np.float32]:
     """(lowest value, 1 / range) of the volume, in the values that kernels compute with."""
     low, high = (float(v) for v in volume.values(resolved.data_range))
     return np.float32(low), np.float32(1.0 / (high - low) if high > low else 0.0)
 
 
 def attenuation_a_step(resolved: ResolvedScene) -> float:
-    """What a step of the highest value adds to the exponent."""
+    """The exponent's increase by one step at the highest value."""
     grid = resolved.volume.grid
     lower, upper = grid.index_bounds()
     longest = ((np.asarray(upper) - lower) * np.asarray(grid.spacing)).max()
@@ -91,7 +91,7 @@ def _rounded(values: np.ndarray, direction: int) -> np.ndarray:
 
 
 def _coarser(level: np.ndarray) -> np.ndarray:
-    """The largest of 4^3 cells each."""
+    """The maxima of groups of 4^3 cells."""
     for axis in range(3):
         starts = np.arange(0, level.shape[axis], 1 << LEVEL_SHIFT)
         level = np.maximum.reduceat(level, starts, axis=axis)

@@ -1,4 +1,4 @@
-"""Voxels held in fewer bits than they are stored in: less memory to read, and an error."""
+"""Voxels held in fewer bits than in their file: less memory to read, at the cost of an error."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ _SLICES = 2**22  # voxels quantised at a time, in double precision
 
 def quantised(resolved: ResolvedScene, codes: Volume | None = None) -> ResolvedScene:
     """``resolved`` with its voxels as ``integration.voxel_precision`` says: evenly spaced over the
-    volume's range, rounded to nearest, and all that is stated in values (the transfer function, iso-values, ...) in the
-    same numbers. ``codes``: the volume that this made of ``resolved.volume`` before.
+    volume's range and rounded to nearest, with everything stated in values (the transfer function, iso-values, ...)
+    converted to the same numbers. ``codes``: the volume that an earlier call made of ``resolved.volume``.
 
-    SceneError if a voxel is not finite, which no integer says.
+    SceneError if a voxel is not finite, which integers cannot express.
     """
-    asked, volume = resolved.integration.voxel_precision, resolved.volume
-    if asked == "stored" or np.dtype(asked).itemsize >= volume.dtype.itemsize:
+    precision, volume = resolved.integration.voxel_precision, resolved.volume
+    if precision == "stored" or np.dtype(precision).itemsize >= volume.dtype.itemsize:
         return resolved
     if volume.nan_count or volume.inf_count:
         bad = volume.nan_count + volume.inf_count
         where = f"{resolved.origin}: integration.voxel_precision"
-        raise SceneError(where, f"got {asked!r} for {bad} voxels that are not finite", "'stored'")
+        raise SceneError(where, f"got {precision!r} for {bad} voxels that are not finite", "'stored'")
     low, high = volume.value_range
-    most = np.iinfo(asked).max
-    # Halves first: high - low may overflow.
+    most = np.iinfo(precision).max
+    # Values are halved first: high - low may overflow.
     span = (high / 2 - low / 2) * 2
     if not 0 < span < np.inf:
         return resolved
@@ -40,7 +40,7 @@ def quantised(resolved: ResolvedScene, codes: Volume | None = None) -> ResolvedS
         return (np.asarray(values, np.float64) - low) / span * most
 
     if codes is None:
-        codes = _volume_of_codes(volume, code, asked)
+        codes = _volume_of_codes(volume, code, precision)
     return replace(resolved, volume=codes, **in_codes(resolved, code, most / span))
 
 

@@ -40,7 +40,7 @@ def tiles_that_see(
     if is_perspective:
         right, down = to_edges @ frame.ray_du, to_edges @ frame.ray_dv
     forward = forward / np.linalg.norm(forward)
-    pixel = np.linalg.norm(right)  # edges a pixel, at distance 1 in perspective
+    pixel = np.linalg.norm(right)  # edges per pixel, at distance 1 in perspective
     right, down = right / pixel, down / pixel
     from_plane = (0.5 * (low + high) - frame.origin) @ to_edges.T
     depth = from_plane @ forward + frame.distance

@@ -19,8 +19,8 @@ from clvol.transfer.lookup_nodes import LookupNodes, lookup_nodes
 from clvol.transfer.opacity_envelope import opacity_envelope
 from clvol.transfer.pieces import IN_REGISTERS, has_opaque_point, piece_count
 
-_NODES, CONSTANT_NODES = 256, 4096  # of the values that maps of empty space tell apart
-_WIDEST = 8.0  # ranges that noise may widen the nodes by, on either side
+_NODES, CONSTANT_NODES = 256, 4096  # numbers of values that maps of empty space distinguish
+_WIDEST = 8.0  # number of value ranges by which noise may widen the nodes, on either side
 
 
 def segment_classification(
@@ -28,10 +28,10 @@ def segment_classification(
 ) -> str:
     """How segments are classified by ``functions``. Projections classify values, not segments.
 
-    Under the nearest filter values do not run from one sample to the next, they jump: a pre-integrated
-    segment of constant value is a post-classified one. Under the others, where the opacity reaches 1 in a
-    slope the extinction has a pole: a sample in the middle of a segment may meet it, whose integral is finite.
-    So such functions are integrated along segments, however they were to be sampled.
+    Under the nearest filter values jump from one sample to the next, and a pre-integrated
+    segment of constant value equals a post-classified one. Under the other filters, where the opacity reaches 1 in a
+    slope, the extinction has a pole: a sample in the middle of a segment may meet it, although its integral is finite.
+    So such functions are integrated along segments, whatever the scene's classification.
     """
     if integration.compositing != "over":
         return "post"
@@ -58,7 +58,7 @@ def scene_nodes(resolved: ResolvedScene, function: TransferFunction | None = Non
     preintegrated = segment_classification(integration) == "preintegrated"
     integer = volume.dtype.kind in "iu"
     low, high = (float(v) for v in values(volume.value_range))
-    if integration.classification != "pre":  # what is classified may overshoot the voxels
+    if integration.classification != "pre":  # values that are classified may overshoot the voxels
         more = overshoot(integration.filter) * (high - low)
         more = float(np.ceil(more)) if integer else more
         if resolved.noise:
@@ -69,7 +69,7 @@ def scene_nodes(resolved: ResolvedScene, function: TransferFunction | None = Non
         (low, high),
         _NODES if preintegrated else CONSTANT_NODES,
         integer=integer,
-        # Colours that cycle fall on no nodes, and tables of even ones are made ten times as fast.
+        # Cycling colours do not stay on nodes, and tables of even nodes are made ten times as fast.
         may_warp=preintegrated and not resolved.animation.cycle,
     )
 
@@ -83,7 +83,7 @@ def _noise_range(resolved: ResolvedScene, span: float) -> float:
 
 
 def cycled_function(resolved: ResolvedScene, function: TransferFunction) -> TransferFunction:
-    """``function`` with its colours moved as far as they have come at ``animation.time``."""
+    """``function`` with its colours shifted to their state at ``animation.time``."""
     shift, value_range, reach = color_shift(resolved), resolved.data_range, reachable(resolved)
     if shift is None:
         return function
@@ -92,7 +92,7 @@ def cycled_function(resolved: ResolvedScene, function: TransferFunction) -> Tran
 
 
 def color_shift(resolved: ResolvedScene) -> float | None:
-    """How far cycling colours have moved, in ranges of the volume; None where they do not cycle."""
+    """The shift of cycling colours, in value ranges of the volume; None where colours do not cycle."""
     animation = resolved.animation
     return animation.cycle * animation.time if animation.cycle else None
 

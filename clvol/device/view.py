@@ -41,7 +41,7 @@ class RayFrame:
 class PixelLattice:
     """Every ``spacing``-th pixel of a picture's rows and columns, from (``column``, ``row``) on.
 
-    The sparse picture that a lattice gives has exactly the rays of those pixels.
+    The sparse picture of a lattice has exactly the rays of those pixels.
     """
 
     spacing: int = 1
@@ -73,6 +73,13 @@ class PixelLattice:
 EVERY_PIXEL = PixelLattice()
 
 
+def picture_height(camera: Camera) -> float:
+    """World height of the picture of an orthographic ``camera`` (complete)."""
+    if camera.height is None:
+        raise ValueError("an orthographic camera without a height")
+    return camera.height
+
+
 def ray_frame(
     camera: Camera, grid: Grid, width: int, height: int, lattice: PixelLattice = EVERY_PIXEL
 ) -> RayFrame:
@@ -92,11 +99,11 @@ def ray_frame(
     # eye + distance * forward - centre is formed so that a far eye cancels before it is rounded.
     offset = eye - centre_world
     offset = offset + distance * forward
-    shift = np.where(np.asarray(grid.size) == 1, 0.5, 0.0)  # such an axis is held twice
+    shift = np.where(np.asarray(grid.size) == 1, 0.5, 0.0)  # an axis of one voxel is held twice
     origin = linear @ offset + 0.5 * (lower + upper) + shift
 
     if camera.projection == "orthographic":
-        pixel = camera.height / height
+        pixel = picture_height(camera) / height
         zero = np.zeros(3)
         du, dv = pixel * right, -pixel * up
         ray_du, ray_dv, lens = zero, zero, (0.0, 0.0)

@@ -1,11 +1,11 @@
-"""A volume on a device: its voxels in their own type, and the min-max grid over them."""
+"""Volumes on a device: voxels in their own type, and the min-max grid over them."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from clvol.device.gradients import precompute
-from clvol.device.memory import value_map, voxel_switches
+from clvol.device.memory import ValueMap, value_map, voxel_switches
 from clvol.errors import VolumeError
 from clvol.opencl.arguments import INT4, RAW, reads, value, writes
 from clvol.opencl.context import DeviceArray, DeviceContext
@@ -13,15 +13,59 @@ from clvol.volume import Volume
 from clvol.volume.voxel_layout import CELL_SHIFT, LARGEST_OFFSET, cell_count, device_bytes, holds_pairs, padded_size
 
 
-class DeviceVolume:
-    """``voxels`` as cl/fetch_voxel.h lays them out, and what lies in each cell of empty space."""
+class ResidentVolume:
+    """A volume on a device, whether its voxels lie in one array or in blocks.
+
+    ``voxels``: the (first) buffer of voxels or samples. ``values``: the map from voxels to the values that kernels
+    compute with. ``switches``: how voxels are stored. ``size``: lattice points (x, y, z). ``stride``: elements from
+    one row to the next, and from one slice to the next. ``cells`` (x, y, z): cells of empty space, each of
+    2^``cell_shift`` lattice units.
+
+    ``bounds``, ``min_max``, ``gradients`` and ``plain`` need all voxels in one array.
+    """
+
+    voxels: DeviceArray
+    values: ValueMap
+    switches: dict[str, int]
+    size: tuple[int, int, int]
+    stride: tuple[int, int]
+    cells: tuple[int, int, int]
+    cell_shift: int
+
+    @property
+    def value_range(self) -> tuple[float, float]:
+        """Smallest and largest value that kernels compute with."""
+        raise NotImplementedError
+
+    def bounds(self, apron: int) -> tuple[np.ndarray, np.ndarray]:
+        """Smallest and largest finite voxel, [z, y, x], of each cell and ``apron`` voxels around it (a
+        filter's reach), in the values that kernels compute with; low > high where no voxel is finite."""
+        raise NotImplementedError
+
+    def min_max(self, shift: int) -> tuple[np.ndarray, np.ndarray]:
+        """As ``bounds(0)``, for cells of 2^``shift`` lattice cells."""
+        raise NotImplementedError
+
+    def gradients(self, operator: str) -> tuple[DeviceArray, np.ndarray]:
+        """Precomputed gradients and their scale (clvol/device/gradients.py)."""
+        raise NotImplementedError
+
+    def plain(self) -> DeviceArray:
+        """The voxels [nz, ny, nx] as they are, whatever the layout of ``voxels``."""
+        raise NotImplementedError
+
+
+class DeviceVolume(ResidentVolume):
+    """A volume in one array: ``voxels`` as cl/fetch_voxel.h lays them out, and the bounds of each cell of empty
+    space. VolumeError where it does not fit on the device."""
 
     def __init__(self, context: DeviceContext, volume: Volume) -> None:
         _check_fits(context, volume)
         self.grid = volume.grid
         self.values = value_map(volume)
-        self.value_range = tuple(float(v) for v in self.values(volume.value_range))
-        self.switches = voxel_switches(volume, self.values)
+        low, high = self.values(volume.value_range)
+        self._value_range = float(low), float(high)
+        self.switches = voxel_switches(volume, self.values, pairs=holds_pairs(volume))
         self.size = padded_size(volume)
         nx, ny, nz = self.size
         data = volume.data
@@ -32,7 +76,7 @@ class DeviceVolume:
         plain = context.share(data)
         if holds_pairs(volume):
             self.stride = (nx, nx * (ny - 1))
-            # Gradients read four voxels from any but the first one on: two more than a row has.
+            # Gradients read four voxels, starting at any but the first one: two more than a row has.
             self.voxels = context.empty(np.uint8, (nz * (ny - 1) * nx + 4, 2))
             pair_rows = context.kernel(
                 "empty_space.cl",
@@ -51,9 +95,9 @@ class DeviceVolume:
         else:
             self.stride = (nx, nx * ny)
             self.voxels = plain
-            if volume.dtype.itemsize == 1:  # 32-bit loads of the last bytes must stay inside
+            if volume.dtype.itemsize == 1:  # 32-bit loads of the last bytes must stay inside the buffer
                 self.voxels = context.upload(np.append(data.ravel(), np.zeros(4, data.dtype)))
-        self.cells = tuple(cell_count(n) for n in self.size)
+        self.cells = cell_count(nx), cell_count(ny), cell_count(nz)
         self.cell_shift = CELL_SHIFT
         self._context, self._data = context, data
         self._gradients: dict[str, tuple[DeviceArray, np.ndarray]] = {}
@@ -63,33 +107,35 @@ class DeviceVolume:
     def _grid_switches(self) -> dict[str, int]:
         return {k: self.switches[k] for k in ("VOXEL_BITS", "VOXEL_SIGNED")}
 
+    @property
+    def value_range(self) -> tuple[float, float]:
+        return self._value_range
+
     def plain(self) -> DeviceArray:
-        """The voxels [nz, ny, nx] as they are, whatever the layout of ``voxels``."""
         return self._context.share(self._data)
 
     def gradients(self, operator: str) -> tuple[DeviceArray, np.ndarray]:
-        """Precomputed gradients and their scale (clvol/device/gradients.py). Found once."""
+        """As in ``ResidentVolume``; computed once per operator."""
         if operator not in self._gradients:
             self._gradients[operator] = precompute(self._context, self, operator)
         return self._gradients[operator]
 
     def bounds(self, apron: int) -> tuple[np.ndarray, np.ndarray]:
-        """Smallest and largest finite voxel, [z, y, x], of each cell and ``apron`` voxels around it (a
-        filter's reach), in the values that kernels compute with; low > high where there is none.
-        Found once."""
+        """As in ``ResidentVolume``; computed once per apron."""
         if apron not in self._bounds:
             self._bounds[apron] = self._min_max(self.plain(), apron)
         return self._bounds[apron]
 
     def min_max(self, shift: int) -> tuple[np.ndarray, np.ndarray]:
-        """As ``bounds(0)``, of cells of 2^``shift`` lattice cells; not kept."""
+        """As in ``ResidentVolume``; computed anew by each call."""
         return self._min_max(self.plain(), 0, shift)
 
     def _min_max(
         self, plain: DeviceArray, apron: int, shift: int = CELL_SHIFT
     ) -> tuple[np.ndarray, np.ndarray]:
         context = self._context
-        cells = tuple(cell_count(n, shift) for n in self.size)
+        nx, ny, nz = self.size
+        cells = cell_count(nx, shift), cell_count(ny, shift), cell_count(nz, shift)
         out = context.empty(self._data.dtype, (*cells[::-1], 2))
         kernel = context.kernel(
             "empty_space.cl",
@@ -131,9 +177,9 @@ def _check_fits(context: DeviceContext, volume: Volume) -> None:
     where = volume.name or "volume"
     what = f"{volume.grid.size} voxels of {volume.dtype} need {needed} bytes on {context.name}"
     if needed > largest:
-        expected = f"at most {largest} bytes in one buffer, all that the device gives"
+        expected = f"at most {largest} bytes in one buffer, the limit of the device"
         raise VolumeError(where, what, expected)
     if needed > memory:
-        raise VolumeError(where, what, f"at most {memory} bytes, all that the device has")
+        raise VolumeError(where, what, f"at most {memory} bytes, the memory of the device")
     if elements > LARGEST_OFFSET:
         raise VolumeError(where, f"{elements} voxels", f"at most {LARGEST_OFFSET} for one buffer")

@@ -10,13 +10,13 @@ from clvol.device.quantise import quantised
 from clvol.features import reduced_for_frames
 from clvol.scene.resolve import ResolvedScene
 
-_KEPT = 6  # volumes that were converted
+_KEPT = 6  # converted volumes
 Keep = Callable[[str, Hashable, Callable[[], Any], int], Any]  # as ``integrators.base.Shared.keep``
 
 
 def as_rendered(resolved: ResolvedScene, keep: Keep | None = None) -> ResolvedScene:
-    """``resolved`` without what has no consequence, with its voxels as they are rendered. ``keep``: where converted
-    volumes are kept, to be made once."""
+    """``resolved`` without effects that have no consequence, and with the voxels that are rendered. ``keep`` keeps
+    converted volumes, so that each is made once."""
     resolved = reduced_for_frames(resolved)
     integration = resolved.integration
     if integration.voxel_precision == "stored" and not integration.prefilter:

@@ -1,1 +1,1 @@
-"""The ways of rendering a scene, one folder each."""
+"""Integrators: the ways of rendering a scene, one folder each."""

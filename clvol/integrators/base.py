@@ -1,17 +1,18 @@
-"""What an integrator is: a way of rendering scenes, behind two declared protocols.
+"""Integrators, the ways of rendering scenes, behind two protocols.
 
 An :class:`Integrator` knows, without a device, which scenes it renders, what it compiles for them and how much
 memory they take. It makes a :class:`Prepared` scene, which is resident on one device and renders frames.
 
-To add an integrator: a folder beside this file with an ``integrator.py`` that ends in an object ``INTEGRATOR``, its
-name in ``registry.py``, and the same name in ``integration.method`` of the scene (clvol/scene/integration.py).
+To add an integrator, make a folder beside this file with an ``integrator.py`` that ends in an object ``INTEGRATOR``,
+add its name to ``registry.py``, and add the same name to ``integration.method`` of the scene
+(clvol/scene/integration.py).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
@@ -30,8 +31,8 @@ Progress = Callable[[int, int], None]  # (done, total)
 @dataclass
 class FrameData:
     """A rendered picture. ``rgba`` float32 [height, width, 4] and ``depth`` float32 [height, width] as in
-    ``clvol.Frame``; ``samples`` of the volume and ``rays`` that it took; ``counters`` of its effects; ``notes``:
-    whatever else belongs into its stats, as plain JSON types."""
+    ``clvol.Frame``; ``samples``: samples of the volume; ``rays``: rays that were cast; ``counters``: those of its
+    effects; ``notes``: anything else that belongs in its stats, as plain JSON types."""
 
     rgba: np.ndarray
     depth: np.ndarray | None
@@ -44,9 +45,17 @@ class FrameData:
 class Prepared(Protocol):
     """A scene that is resident on a device. It does not change: another scene has another one (``for_scene``)."""
 
-    resolved: ResolvedScene
-    renders_all_pixels: bool  # a lattice of pixels costs as much as the whole picture
-    held: Sequence[object]  # what it shares with others and cannot do without (``Shared.keep``)
+    @property
+    def resolved(self) -> ResolvedScene:
+        """The scene, simplified."""
+
+    @property
+    def renders_all_pixels(self) -> bool:
+        """Whether a lattice of pixels costs as much as the whole picture."""
+
+    @property
+    def held(self) -> Sequence[object]:
+        """What it shares with others and cannot do without (``Shared.keep``)."""
 
     @property
     def visible_share(self) -> float:
@@ -54,13 +63,12 @@ class Prepared(Protocol):
         ...
 
     def for_scene(self, resolved: ResolvedScene) -> Prepared:
-        """The same for ``resolved``, which may differ in camera, image, animation, step and early termination
-        alone. Shares what these leave as it is; compiles nothing."""
+        """The same for ``resolved``, which may differ only in camera, image, animation, step and early termination.
+        Shares everything that does not depend on these; compiles nothing."""
         ...
 
     def warm_up(self, width: int, height: int, depth: bool = True) -> None:
         """Compiles everything that a frame of this size needs."""
-        ...
 
     def render(
         self,
@@ -71,8 +79,29 @@ class Prepared(Protocol):
         depth: bool = True,
         lattice: PixelLattice = EVERY_PIXEL,
     ) -> FrameData:
-        """One picture of ``width`` by ``height`` pixels, or of its pixels on ``lattice`` alone. RenderError where
-        the device fails."""
+        """One picture of ``width`` by ``height`` pixels, or only its pixels on ``lattice``. RenderError if the device
+        fails."""
+        ...
+
+
+@runtime_checkable
+class RefinesInTime(Protocol):
+    """A ``Prepared`` that can also refine a picture for a given time (``Integrator.refines_in_time``)."""
+
+    def warm_up_for_time(self, depth: bool = True) -> None:
+        """Compiles everything that such a picture needs."""
+
+    def render_for_time(
+        self,
+        camera: Camera,
+        width: int,
+        height: int,
+        progress: Progress | None = None,
+        depth: bool = True,
+        *,
+        seconds: float,
+    ) -> FrameData:
+        """One picture, refined until ``seconds`` have passed since the call. RenderError if the device fails."""
         ...
 
 
@@ -80,9 +109,9 @@ T = TypeVar("T")
 
 
 class Shared:
-    """What prepared scenes of one device share: volumes, blocks that are resident, kept by value.
+    """Data that prepared scenes of one device share, such as volumes and resident blocks, kept by value.
 
-    ``dropped`` is called with whatever is no longer kept.
+    ``dropped`` is called with each object that is no longer kept.
     """
 
     def __init__(self, context: DeviceContext, dropped: Callable[[object], None] | None = None) -> None:
@@ -91,8 +120,8 @@ class Shared:
         self._kept: dict[str, dict[Hashable, Any]] = {}
 
     def keep(self, kind: str, key: Hashable, make: Callable[[], T], most: int | None = None) -> T:
-        """What was kept as ``kind`` under ``key``, or else made now. The ``most`` last made of a kind are kept;
-        None: all. What goes is closed, if it has a ``close``."""
+        """The object of ``kind`` kept under ``key``; made now if there is none. The latest ``most`` objects of a kind
+        are kept; None: all. Objects that are dropped are closed, if they have a ``close``."""
         kept = self._kept.setdefault(kind, {})
         if key not in kept:
             while most is not None and len(kept) >= most:
@@ -115,14 +144,14 @@ class Shared:
 
 
 class Integrator(Protocol):
-    """A way of rendering scenes. Objects of this kind have no state."""
+    """A way of rendering scenes. Integrators have no state."""
 
     name: str  # ``integration.method`` of a scene
     reads_blocks: bool  # volumes may be larger than memory: they are read block by block
     tuned_as: str  # the integrator whose settings are searched for a scene that names this one
 
     def check(self, resolved: ResolvedScene) -> None:
-        """SceneError for what the scene calls for and this integrator does not render."""
+        """SceneError if the scene needs something that this integrator does not render."""
         ...
 
     def refines_in_time(self, scene: Scene | ResolvedScene) -> bool:
@@ -130,12 +159,12 @@ class Integrator(Protocol):
         ...
 
     def device_bytes(self, volume: Volume, scene: Scene | ResolvedScene) -> int:
-        """Bytes on the device for the volume, with the picture and what rendering it takes."""
+        """Bytes on the device for the volume, the picture, and everything else that rendering needs."""
         ...
 
     def memory_advice(self, scene: Scene | ResolvedScene) -> tuple[str, str]:
-        """Words for how much of that is whose choice: what ``clvol info`` says before the sum, and what an error says
-        where it is too much; "" for nothing."""
+        """Two phrases about the settings that decide how much memory is used: one that ``clvol info`` prints before the
+        sum, and one that is appended to the error if the sum is too large; "" for none."""
         ...
 
     def programs(self, resolved: ResolvedScene, lanes: int) -> Mapping[str, Mapping[str, int]]:
@@ -147,20 +176,21 @@ class Integrator(Protocol):
         ...
 
     def key(self, resolved: ResolvedScene) -> tuple[Any, ...]:
-        """Settings that another prepared scene is needed for, beside what counts for all integrators."""
+        """Settings whose change requires another prepared scene, in addition to those common to all integrators."""
         ...
 
     def simplified(self, resolved: ResolvedScene, shared: Shared) -> ResolvedScene:
-        """The scene without what has no consequence, its voxels as they are rendered."""
+        """The scene without effects that have no consequence, and with the voxels that are rendered."""
         ...
 
     def prepare(
         self, shared: Shared, resolved: ResolvedScene, progress: Progress | None = None, wait: bool | None = None
     ) -> Prepared:
-        """``resolved``, simplified, made resident. ``progress``: of blocks that are read. ``wait`` False: a thread
-        reads them, and frames show what is there until all has come; None: as was said last."""
+        """Makes ``resolved``, which is simplified, resident. ``progress`` reports blocks that are read. ``wait`` False:
+        a thread reads them, and frames show those that are there until all have arrived; None: as in the last
+        request."""
         ...
 
     def ask_again(self, prepared: Any, progress: Progress | None, wait: bool | None) -> None:
-        """``prepared`` is wanted once more: as for ``prepare``, for one that was kept."""
+        """Called when ``prepared``, which was kept, is used once more; arguments as for ``prepare``."""
         ...

@@ -1,4 +1,4 @@
-"""What a kernel takes, declared as objects and checked at each call.
+"""The arguments of kernels, declared as objects and checked at each call.
 
     ARGUMENTS = (
         reads("rays", np.int32, "count"),
@@ -34,9 +34,9 @@ class Argument:
 
     intent: "in", a buffer that is read; "out", a buffer that is written; "value", a scalar or a vector.
     dtype: of a buffer's elements, or of the value. ``RAW`` stands for any, and then ``shape`` counts bytes.
-    shape: of a buffer, at least: numbers, or names of integers that are known when the kernel is called: its own
-        integer values (of a vector "name.x" to "name.w") and the ``sizes`` of the call. The buffer must hold their
-        product. Empty: one element.
+    shape: the least shape of a buffer: numbers, or names of integers that are known when the kernel is called, namely
+        its own integer values (for a vector "name.x" to "name.w") and the ``sizes`` of the call. The buffer must hold
+        their product. Empty: one element.
     """
 
     name: str
@@ -49,7 +49,7 @@ class Argument:
             raise ValueError(f"intent {self.intent!r} of {self.name!r}")
 
     def check_buffer(self, kernel: str, array: Any, sizes: Mapping[str, int]) -> None:
-        """RenderError unless ``array`` (with ``dtype`` and ``shape``) is what the kernel takes."""
+        """RenderError unless ``array`` (with ``dtype`` and ``shape``) fits the declaration."""
         where = f"kernel {kernel}, argument {self.name}"
         if self.dtype != RAW and array.dtype != self.dtype:
             raise RenderError(where, f"got {array.dtype}", str(self.dtype))
@@ -65,19 +65,20 @@ class Argument:
             raise RenderError(where, f"got {held} {unit}", f"at least {least} ({shape})")
 
     def checked_value(self, kernel: str, given: Any) -> Any:
-        """``given`` as the kernel takes it; RenderError where the shape is another, or an integer does not fit."""
+        """``given`` converted to the declared type; RenderError where its shape differs, or an integer does not fit."""
         where = f"kernel {kernel}, argument {self.name}"
         try:
-            made = np.asarray(given, dtype=self.dtype.base)
+            converted = np.asarray(given, dtype=self.dtype.base)
         except (TypeError, ValueError, OverflowError):
             raise RenderError(where, f"got {given!r}", str(self.dtype)) from None
-        if made.shape != self.dtype.shape:
-            raise RenderError(where, f"got shape {made.shape}", f"shape {self.dtype.shape}")
-        return made if made.shape else self.dtype.type(made)
+        if converted.shape != self.dtype.shape:
+            raise RenderError(where, f"got shape {converted.shape}", f"shape {self.dtype.shape}")
+        return converted if converted.shape else self.dtype.type(converted)
 
 
 def known_sizes(values: Mapping[str, Any]) -> dict[str, int]:
-    """What shapes may name of a call's checked ``values``: integers, and those in vectors as "name.x"."""
+    """The sizes by name that shapes may refer to, from a call's checked ``values``: integers, and those in vectors as
+    "name.x"."""
     known = {}
     for name, given in values.items():
         if isinstance(given, np.integer):
@@ -93,7 +94,7 @@ def reads(name: str, dtype: Any, *shape: Size) -> Argument:
 
 
 def writes(name: str, dtype: Any, *shape: Size) -> Argument:
-    """A buffer that the kernel writes, and may read."""
+    """A buffer that the kernel writes and may read."""
     return Argument(name, np.dtype(dtype), "out", shape)
 
 

@@ -1,11 +1,11 @@
-"""pyopencl, imported when it is first used, and without the caches of its own.
+"""pyopencl, imported when it is first used, and without its own caches.
 
 Importing clvol makes no OpenCL call and loads no OpenCL library: ``cl`` stands for the module pyopencl,
-which is imported when an attribute of it is first asked for.
+which is imported when one of its attributes is first accessed.
 
 pyopencl's caches lie in the user's cache folder, and pyopencl fails where that cannot be written, is full, damaged
-or locked by another process. Programs are kept by :mod:`clvol.opencl.program_store` instead; what is
-lost is a file of generated Python functions, which are made faster than they are read.
+or locked by another process. Programs are kept by :mod:`clvol.opencl.program_store` instead. The only
+loss is a file of generated Python functions, which are generated faster than they are read.
 """
 
 from __future__ import annotations
@@ -36,12 +36,12 @@ def load_pyopencl() -> ModuleType:
             del os.environ[_VARIABLE]
         else:
             os.environ[_VARIABLE] = before
-    pyopencl._PYOPENCL_NO_CACHE = True  # where somebody imported it before us
+    pyopencl._PYOPENCL_NO_CACHE = True  # in case it was imported before clvol
     return pyopencl
 
 
 class _WhenUsed:
-    """A module that is imported when an attribute of it is first asked for."""
+    """A module that is imported when one of its attributes is first accessed."""
 
     def __getattr__(self, name: str) -> Any:
         return getattr(load_pyopencl(), name)

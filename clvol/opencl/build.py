@@ -1,4 +1,4 @@
-"""Programs built from source, or from what an earlier process compiled of the same source."""
+"""Programs built from source, or loaded as an earlier process compiled them from the same source."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ _lock = threading.Lock()  # PoCL compiles one program at a time anyway
 def build_file(
     context: cl.Context, file: str | Path, options: Sequence[str], folder: Path | None = None
 ) -> Any:
-    """The program of ``file`` (of cl/, or an absolute path), built; ``folder``: one more to include from.
+    """The built program of ``file`` (in cl/, or an absolute path); ``folder``: one more to include files from.
 
-    Raises RenderError for a source that is not there, and pyopencl's RuntimeError with the compiler's
-    words where it does not build.
+    Raises RenderError for a missing source, and pyopencl's RuntimeError with the compiler's
+    messages where it does not build.
     """
     kernels = kernel_folder()
     folders = (kernels,) if folder is None else (Path(folder), kernels)
@@ -43,9 +43,9 @@ def build_file(
 
 
 def build_program(context: cl.Context, source: str, options: Sequence[str]) -> Any:
-    """``source`` (without any #include) built for the context's one device.
+    """The program of ``source`` (without any #include), built for the context's only device.
 
-    ``options`` are words without blanks or quotes: implementations differ in how they take those.
+    ``options`` are words without blanks or quotes: implementations parse those differently.
     """
     return _build(context, source, options)[0]
 
@@ -54,11 +54,11 @@ _COMPILED, _FROM_CACHE = "compiled", "found in the cache"
 
 
 def _build(context: cl.Context, source: str, options: Sequence[str]) -> tuple[Any, str]:
-    """The program, and in words where it comes from."""
+    """The program, and a phrase about its origin."""
     device = context.devices[0]
     words = " ".join(options).encode()
     key = program_key(device, source, options)
-    with _lock, without_warnings(cl.CompilerWarning):  # a driver's "compilation done" is no news
+    with _lock, without_warnings(cl.CompilerWarning):  # drivers warn that compilation is done
         if device.platform.name == _POCL:
             where = _FROM_CACHE if pocl_programs.restore(key) else _COMPILED
             program = _built(cl._cl._Program(context, source), words)
@@ -71,7 +71,7 @@ def _build(context: cl.Context, source: str, options: Sequence[str]) -> tuple[An
         if kept is not None:
             try:
                 return _built(cl._cl._Program(context, [device], [kept[""]]), words), _FROM_CACHE
-            except (cl.Error, KeyError):  # not this driver's after all
+            except (cl.Error, KeyError):  # this driver rejects it after all
                 pass
         program = _built(cl._cl._Program(context, source), words)
         try:
@@ -83,7 +83,7 @@ def _build(context: cl.Context, source: str, options: Sequence[str]) -> tuple[An
 
 
 def _built(program: Any, options: bytes) -> Any:
-    # Not pyopencl.Program.build: that adds a -I of its own, and its cache.
+    # pyopencl.Program.build is avoided: it adds its own -I and its own cache.
     with _in_plain_folder():
         program.build(options, None)
     return program
@@ -91,8 +91,8 @@ def _built(program: Any, options: bytes) -> Any:
 
 @contextmanager
 def _in_plain_folder() -> Iterator[None]:
-    """Elsewhere while the working folder's name has a quote in it: Intel's compiler is told to look there
-    for files, in quotes, and would take the rest of the name for options."""
+    """Changes the working folder while its name has a quote in it: Intel's compiler gets the name in quotes as a
+    folder of files, and would take the rest of it for options."""
     try:
         folder = os.getcwd()
     except OSError:
@@ -110,9 +110,9 @@ def _in_plain_folder() -> Iterator[None]:
 
 
 def keep_programs(everything: bool = False) -> None:
-    """Keeps for later processes what was compiled of the programs built since the last call, or of all;
-    also done at the end of the process."""
-    if is_forked():  # the parent's to keep, and its lock may never be given back
+    """Stores for later processes the compiled code of the programs built since the last call, or of all programs.
+    This is also done at the end of the process."""
+    if is_forked():  # the parent stores them, and its lock may never be released here
         return
     with _lock:
         pocl_programs.keep(everything)
@@ -122,7 +122,7 @@ atexit.register(keep_programs, everything=True)
 
 
 def program_key(device: cl.Device, source: str, options: Sequence[str]) -> str:
-    """A digest of all that the compiled program depends on."""
+    """A digest of everything that the compiled program depends on."""
     digest = hashlib.blake2b(digest_size=20)
     for text in (*_identity(device), *options, source):
         digest.update(text.encode("utf-8", errors="surrogateescape") + b"\0")
@@ -130,7 +130,7 @@ def program_key(device: cl.Device, source: str, options: Sequence[str]) -> str:
 
 
 def _has_cache(device: cl.Device) -> bool:
-    """Whether the driver keeps programs itself, soundly."""
+    """Whether the driver has a reliable cache of its own."""
     return "NVIDIA" in device.platform.name.upper()
 
 
@@ -145,7 +145,7 @@ def _identity(device: cl.Device) -> tuple[str, ...]:
 
 
 def _processor() -> str:
-    """What this machine's processor can do: a home folder may be shared with another one that cannot."""
+    """The features of this machine's processor: machines with other processors may share the home folder."""
     try:
         with open("/proc/cpuinfo", "rb") as file:
             lines = file.read(8192).decode("ascii", errors="replace").split("\n")

@@ -1,4 +1,4 @@
-"""What is kept on the user's machine, where, and what is wrong with it: for ``clvol doctor``."""
+"""A report on the caches on the user's machine and their problems, for ``clvol doctor``."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from clvol.opencl.program_store import ENDING, is_whole, program_folder
 
 @dataclass(frozen=True)
 class CacheReport:
-    """``folder``: of what is kept, None where there is none; ``pocl_folder``: of PoCL's programs, where
-    that is another one; ``temporary``: of temporary files; ``programs``: how many are kept, in
+    """``folder``: the cache folder, None where there is none; ``pocl_folder``: that of PoCL's programs, if it
+    differs; ``temporary``: that of temporary files; ``programs``: the number of cached programs, which take
     ``size`` bytes; ``problems``: one line each."""
 
     folder: str | None
@@ -27,7 +27,7 @@ class CacheReport:
 
 
 def report_caches() -> CacheReport:
-    """Looks at every program that is kept, and removes those that are damaged. Raises nothing."""
+    """Checks every cached program, and removes damaged ones. Raises nothing."""
     problems: list[str] = []
     folder = cache_folder()
     programs, pocl = program_folder(), program_folder(pocl=True)
@@ -51,7 +51,7 @@ def report_caches() -> CacheReport:
     except DeviceError as error:
         problems.append(str(error))
     shown = None if pocl == programs or pocl is None else str(pocl)
-    return CacheReport(folder and str(folder), shown, temporary, count, size, problems)
+    return CacheReport(None if folder is None else str(folder), shown, temporary, count, size, problems)
 
 
 def _why_not_writable(folder: Path) -> str:
@@ -66,7 +66,7 @@ def _why_not_writable(folder: Path) -> str:
 
 
 def _look_at(folder: Path) -> tuple[int, int, int]:
-    """How many programs are whole, their bytes, and how many are damaged."""
+    """The number of intact programs, their bytes, and the number of damaged ones."""
     whole = size = damaged = 0
     try:
         paths = [entry.path for entry in os.scandir(folder) if entry.name.endswith(ENDING)]

@@ -26,11 +26,11 @@ _END_LIMIT = 5.0  # seconds that libraries may take to be unloaded
 
 @dataclass
 class Child:
-    """What one probe child said before it finished or died."""
+    """The answers of one probe child before it finished or died."""
 
     events: list[dict] = field(default_factory=list)
     death: str = ""  # one line, "" when it finished
-    end: str = ""  # one line, where it finished but then did not end as a process should
+    end: str = ""  # one line, if it finished but then did not exit properly
 
     def has(self, event: str) -> bool:
         return any(e["event"] == event for e in self.events)
@@ -46,14 +46,14 @@ def run_child(request: dict, selection: list[Icd] | None, time_limit: float) -> 
     """Run one probe child to its end or to its time limit."""
     environment = child_environment()
     environment["PYOPENCL_NO_CACHE"] = "1"
-    environment["OPENBLAS_NUM_THREADS"] = "1"  # numpy gives up where it may not start all it wants
+    environment["OPENBLAS_NUM_THREADS"] = "1"  # numpy fails where it may not start all its threads
     environment["PYTHONWARNINGS"] = "ignore"
     environment.pop("PYTHONFAULTHANDLER", None)
     child = Child()
     with tempfile.TemporaryDirectory(prefix="probe-", dir=scratch_folder()) as folder, \
             open(os.path.join(folder, "stderr"), "w+b") as stderr:
         request = {**request, "only_vendors_folder": selection is not None}
-        environment["POCL_CACHE_DIR"] = os.path.join(folder, "pocl")  # no cache that is damaged or full
+        environment["POCL_CACHE_DIR"] = os.path.join(folder, "pocl")  # so that no damaged or full cache is used
         os.mkdir(environment["POCL_CACHE_DIR"])
         if selection is not None:
             icds = Path(folder) / "icd"
@@ -68,10 +68,12 @@ def run_child(request: dict, selection: list[Icd] | None, time_limit: float) -> 
         except OSError as error:
             child.death = f"{command[0]} cannot be started: {error.strerror}"
             return child
-        status = None  # it hung
+        status = None  # stays None if the process hangs
+        answers = process.stdout
+        assert answers is not None  # a pipe, as requested above
         try:
             limit = time_limit
-            for line in _lines_in_time(process.stdout.fileno(), lambda: limit):
+            for line in _lines_in_time(answers.fileno(), lambda: limit):
                 child.events.append(json.loads(line))
                 if child.has("done"):
                     limit = min(time_limit, _END_LIMIT)
@@ -85,7 +87,7 @@ def run_child(request: dict, selection: list[Icd] | None, time_limit: float) -> 
                 pass
         finally:
             end_child(process)
-            process.stdout.close()
+            answers.close()
         if child.has("done"):
             if status is None:
                 child.end = "does not stop"
@@ -101,8 +103,8 @@ def run_child(request: dict, selection: list[Icd] | None, time_limit: float) -> 
 
 
 def _lines_in_time(source: int, limit: Callable[[], float]) -> Iterator[bytes]:
-    """Lines as they arrive; TimeoutError where the next one takes longer than ``limit()`` seconds. By no
-    thread: a machine may allow few."""
+    """Lines as they arrive; TimeoutError where the next one takes longer than ``limit()`` seconds. No thread is
+    used, since a machine may allow few of them."""
     rest = b""
     poll = select.poll()
     poll.register(source, select.POLLIN)
@@ -121,15 +123,15 @@ def _lines_in_time(source: int, limit: Callable[[], float]) -> Iterator[bytes]:
         yield line
 
 
-# Not by PYTHONPATH, in which a folder's name cannot hold a colon; and not from the working folder, whatever
-# modules lie there.
+# PYTHONPATH is not used, since a folder's name in it cannot hold a colon. The working folder is removed from the path,
+# so that modules in it are not imported.
 _START = "import sys; del sys.path[0]; import json, runpy; "
 _START += "sys.path[:] = json.loads(sys.argv.pop(1)); del sys.argv[0]; "
 _START += "runpy.run_path(sys.argv[0], run_name='__main__')"
 
 
 def child_command(file: str, *arguments: str) -> list[str]:
-    """The command that runs a Python file with just the modules that this process finds."""
+    """The command that runs a Python file with exactly the modules that this process finds."""
     python = sys.executable or shutil.which("python3") or "python3"
     path = json.dumps([os.path.abspath(p) for p in sys.path])
     return [python, "-c", _START, path, file, *arguments]
@@ -145,7 +147,7 @@ def child_environment() -> dict[str, str]:
 
 
 def end_child(process: subprocess.Popen) -> None:
-    """End the child, if it has not ended, and whatever its drivers have started."""
+    """Ends the child, if it is still running, and all processes that its drivers have started."""
     if process.poll() is None:
         try:
             os.killpg(process.pid, signal.SIGKILL)
@@ -155,7 +157,7 @@ def end_child(process: subprocess.Popen) -> None:
 
 
 def _death(status: int, stderr: str) -> str:
-    """One line on how a child ended that should have finished."""
+    """One line that says how a child ended before it had finished."""
     if status < 0:
         try:
             how = f"crashed ({signal.Signals(-status).name})"

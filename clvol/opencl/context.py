@@ -1,7 +1,7 @@
-"""One device opened for work: its context and queue, buffers, programs and kernels.
+"""An opened device: its context and queue, buffers, programs and kernels.
 
-Kernels are called by name with arguments that were declared beforehand (clvol/opencl/arguments.py), so that
-a wrong array is a Python error and not a wrong picture.
+Kernels are called with arguments by name, which are declared beforehand (clvol/opencl/arguments.py), so that
+a wrong array raises a Python error instead of giving a wrong picture.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from clvol.opencl.forks import check_fork, is_forked, opencl_used
 
 @dataclass(frozen=True, eq=False)
 class DeviceArray:
-    """A buffer with the dtype and shape of what it holds; ``host`` keeps memory alive that it uses."""
+    """A buffer with the dtype and shape of its contents; ``host`` keeps memory alive that it uses."""
 
     buffer: cl.Buffer
     dtype: np.dtype
@@ -67,8 +67,8 @@ class Kernel:
         sizes: Mapping[str, int] | None = None,
         **given: Any,
     ) -> cl.Event:
-        """Enqueues the kernel with its arguments by name. ``sizes``: what names in their shapes stand for, beside the
-        kernel's own integer values."""
+        """Enqueues the kernel with its arguments by name. ``sizes``: values of names in their shapes, in addition to
+        the kernel's own integer arguments."""
         check_fork()
         if given.keys() != {argument.name for argument in self.arguments}:
             expected = ", ".join(argument.name for argument in self.arguments)
@@ -94,14 +94,14 @@ class Kernel:
 
 
 def restore_interrupts() -> None:
-    """Puts Python's Ctrl-C handler back: compilers inside drivers (LLVM) install their own."""
+    """Restores Python's Ctrl-C handler, since compilers inside drivers (LLVM) install their own."""
     if threading.current_thread() is threading.main_thread():
         handler = signal.getsignal(signal.SIGINT)
         if handler is not None:
             signal.signal(signal.SIGINT, handler)
 
 
-_KEPT, _LARGEST_KEPT = 6, 64 * 2**20  # outputs kept to be written again, bytes of one
+_KEPT, _LARGEST_KEPT = 6, 64 * 2**20  # number of outputs kept for reuse, and bytes of the largest
 
 
 class DeviceContext:
@@ -125,13 +125,13 @@ class DeviceContext:
             raise DeviceError(self.name, f"cannot be used ({error})", "a working device") from None
         _log.info("rendering on %s: %s (%s)", self.name, device.name.strip(), device.platform.name.strip())
         self._outputs: list[tuple[DeviceArray, int]] = []
-        self._lent: set[int] = set()  # of the outputs above: not yet taken
+        self._lent: set[int] = set()  # ids of outputs that have not been taken yet
         self._programs: dict[tuple, Any] = {}
         self._kernels: dict[tuple, Kernel] = {}
 
     def release(self) -> None:
-        """Waits for the queue, forgets kernels and programs, and keeps these for later processes."""
-        if is_forked():  # the parent's: it would wait for ever
+        """Waits for the queue, forgets kernels and programs, and stores the programs for later processes."""
+        if is_forked():  # the queue belongs to the parent: waiting for it would not end
             return
         self.queue.finish()
         keep_programs()
@@ -149,8 +149,8 @@ class DeviceContext:
         switches: Mapping[str, int] | None = None,
         folder: Path | None = None,
     ) -> Kernel:
-        """Kernel ``name`` of cl/``file`` built with ``switches`` (-D), built at most once. ``folder``: one more to
-        include files from."""
+        """Kernel ``name`` of cl/``file`` with ``switches`` (-D), built at most once. ``folder``: one more to include
+        files from."""
         options = compile_options(switches or {})
         arguments = tuple(arguments)
         key = (file, name, options, folder, arguments)
@@ -178,7 +178,7 @@ class DeviceContext:
     # Buffers
 
     def upload(self, array: np.ndarray, *, writable: bool = False) -> DeviceArray:
-        """A copy of ``array`` on the device, that kernels may only read unless it is ``writable``."""
+        """A copy of ``array`` on the device, which kernels may only read unless it is ``writable``."""
         array = np.ascontiguousarray(array)
         kind = cl.mem_flags.READ_WRITE if writable else cl.mem_flags.READ_ONLY
         flags = kind | cl.mem_flags.COPY_HOST_PTR
@@ -197,15 +197,15 @@ class DeviceContext:
         return self._buffer(cl.mem_flags.READ_WRITE, np.dtype(dtype), tuple(shape), None)
 
     def output(self, dtype: Any, shape: Sequence[int]) -> DeviceArray:
-        """An array for ``take`` to hand out after a kernel has written it: on a CPU device the kernel
-        writes straight into host memory."""
+        """An array that a kernel writes and ``take`` then returns: on a CPU device the kernel
+        writes directly into host memory."""
         check_fork()
         if not self.is_cpu:
             return self.empty(dtype, shape)
         key = (np.dtype(dtype), tuple(shape))
         for output, references in self._outputs:
-            # Only we hold it: its last picture was dropped. Fresh memory would cost a page fault
-            # for every 4 KiB of each frame.
+            # The output is free if nothing else refers to it, since its last picture was dropped. Fresh memory would
+            # cost a page fault for every 4 KiB of each frame.
             free = id(output) not in self._lent and sys.getrefcount(output.host) == references
             if free and (output.dtype, output.shape) == key:
                 self._lent.add(id(output))
@@ -218,13 +218,13 @@ class DeviceContext:
             self._outputs.append((output, sys.getrefcount(output.host)))
             self._lent.add(id(output))
             for dropped, _ in self._outputs[:-_KEPT]:
-                self._lent.discard(id(dropped))  # another object may get its number
+                self._lent.discard(id(dropped))  # another object may get the same id
             del self._outputs[:-_KEPT]
         return output
 
     def take(self, output: DeviceArray) -> np.ndarray:
-        """The contents of an ``output`` once all that was enqueued is done; the output is used up until
-        nobody holds what this returns, or a view of it."""
+        """The contents of an ``output`` once everything enqueued is done. The output is not reused while the returned
+        array, or a view of it, exists."""
         check_fork()
         if output.host is None:
             return self.read(output)
@@ -248,8 +248,8 @@ class DeviceContext:
     def copy(
         self, source: DeviceArray, first: int, target: DeviceArray, to: int, count: int
     ) -> None:
-        """Enqueues a copy of ``count`` elements from ``first`` of ``source`` on to ``to`` of ``target``,
-        of the same dtype; in one array they must not overlap."""
+        """Enqueues a copy of ``count`` elements, starting at ``first`` in ``source``, to position ``to`` in ``target``,
+        which has the same dtype. Within one array they must not overlap."""
         check_fork()
         size = source.dtype.itemsize
         cl.enqueue_copy(
@@ -262,7 +262,7 @@ class DeviceContext:
         )
 
     def read(self, array: DeviceArray, out: np.ndarray | None = None) -> np.ndarray:
-        """The contents of ``array``; waits for what writes it."""
+        """The contents of ``array``; waits for everything enqueued before."""
         check_fork()
         if out is None:
             out = np.empty(array.shape, array.dtype)
@@ -270,7 +270,7 @@ class DeviceContext:
         return out
 
     def finish(self) -> None:
-        """Waits for all that was enqueued; RenderError if any of it failed."""
+        """Waits for everything enqueued; RenderError if any of it failed."""
         check_fork()
         try:
             self.queue.finish()

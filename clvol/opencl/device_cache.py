@@ -17,7 +17,7 @@ from clvol.opencl.notices import notice
 from clvol.opencl.program_store import EACH_TIME
 from clvol.opencl.reports import DeviceReport, Findings, Icd
 
-_FORMAT = 2  # of the cache file
+_FORMAT = 2  # version of the cache file's format
 _KEPT = 16  # cache files kept in the folder
 _VENDORS = "OCL_ICD_VENDORS"
 # Environment variables that change what a platform lists or how it behaves start like this.
@@ -40,7 +40,7 @@ def _stat(path: str | Path) -> list:
 
 
 def cache_key(wanted: list[Icd], vendors: str | None) -> str:
-    """A digest of all that can change a probe's outcome and can be looked at cheaply. ``vendors``: the
+    """A digest of everything that can change a probe's outcome and is cheap to read. ``vendors``: the
     OCL_ICD_VENDORS that this process was started with."""
     from importlib import metadata
 
@@ -71,7 +71,7 @@ def cache_key(wanted: list[Icd], vendors: str | None) -> str:
 
 
 def _limits() -> list:
-    """What this process may use: a device that works in plenty may not in little."""
+    """The limits of this process: a device that works may fail under tighter limits."""
     try:
         import resource
     except ImportError:
@@ -87,7 +87,7 @@ def _cache_file(key: str) -> Path | None:
 
 
 def read_cache(key: str) -> Findings | None:
-    """What an earlier process found, or None: not there, unreadable, damaged, or of another key."""
+    """The findings of an earlier process, or None if they are missing, unreadable, damaged, or have another key."""
     global _came_from_cache
     path = _cache_file(key)
     _came_from_cache = False
@@ -148,12 +148,12 @@ def write_cache(key: str, findings: Findings) -> None:
         files = sorted(path.parent.glob("devices-*.json"), key=lambda p: p.stat().st_mtime)
         for old in files[:-_KEPT]:
             old.unlink()
-    except OSError:  # another process was at it, too
+    except OSError:  # another process did the same
         pass
 
 
 def forget(key: str) -> None:
-    """Drops what is kept under ``key``."""
+    """Drops the findings kept under ``key``."""
     path = _cache_file(key)
     try:
         if path is not None:

@@ -1,7 +1,7 @@
-"""Which OpenCL devices there are, which of them work, and one of them opened.
+"""Lists OpenCL devices and whether they work, and opens one.
 
 A device counts as working when a child process (:mod:`clvol.opencl.probe`) has compiled and run a
-small kernel on it and the numbers were right. A platform that crashes or hangs takes only the
+small kernel on it with correct results. A platform that crashes or hangs takes only the
 child down; it is then kept out of this process by pointing the loader (``OCL_ICD_VENDORS``) at a
 folder that registers only the others. The outcome is kept in the user's cache folder, so that
 only the first run after a change pays for it.
@@ -91,11 +91,11 @@ def open_device(name: str | None = None) -> pyopencl.Device:
 
 
 def pin_threads() -> None:
-    """Has PoCL keep each of its threads on one core, if nobody has said otherwise.
+    """Makes PoCL keep each of its threads on one core, unless the environment says otherwise.
 
-    Left alone, the system now and then wakes two of them on one core, after other work has run, and
-    such a frame takes half as long again. Pinning is absolute, so it is not for a process that
-    was given some cores or threads only: then nothing is set.
+    Without this the system occasionally wakes two of them on one core, after other work has run, and
+    such a frame takes half as long again. Pinning uses absolute core numbers, so nothing is set in a process that
+    is restricted to some cores or threads.
     """
     if "POCL_AFFINITY" in os.environ or "POCL_MAX_PTHREAD_COUNT" in os.environ:
         return
@@ -141,7 +141,7 @@ def report_of(device: pyopencl.Device) -> DeviceReport | None:
 
 
 def forget_devices() -> None:
-    """Drop what is known, here and in the cache: call it when a device that worked fails."""
+    """Drops all findings, here and in the cache; to be called when a device that worked fails."""
     global _found
     _found = None
     device_cache.forget(device_cache.cache_key(platforms_wanted()[0], ORIGINAL_VENDORS))
@@ -157,11 +157,11 @@ def _nothing_works(reports: list[DeviceReport]) -> str:
 
 
 def _open(report: DeviceReport) -> pyopencl.Device | None:
-    """The device itself, or None when it is no longer what the report says."""
+    """The device itself, or None if it no longer matches the report."""
     opencl_used()
     try:
         with own_pocl_folder():
-            # Not by the platform's index: the loader reads a folder in whatever order it comes.
+            # The platform's index cannot be used: the loader reads a folder in any order.
             for platform in cl.get_platforms():
                 if (platform.name, platform.version) == (report.platform, report.platform_version):
                     devices = platform.get_devices()

@@ -17,7 +17,7 @@ from clvol.errors import DeviceError
 try:
     import fcntl
 except ImportError:  # not on Windows
-    fcntl = None
+    fcntl = None  # type: ignore[assignment]  # a module that is missing has no type
 
 _ROOM = 64 * 2**20  # bytes that compilers may need for what they write
 _PREFIX = "clvol-scratch-"
@@ -30,7 +30,7 @@ def cache_folder() -> Path | None:
 
     try:
         folder = platformdirs.user_cache_path("clvol")
-        if not folder.is_absolute():  # such a path is to be ignored, says the XDG specification
+        if not folder.is_absolute():  # the XDG specification says to ignore such a path
             folder = Path("~/.cache/clvol").expanduser()
     except (OSError, RuntimeError, KeyError, ValueError):
         return None
@@ -49,9 +49,9 @@ _scratch_lock = -1
 
 
 def scratch_folder() -> Path:
-    """A folder of this process alone, for what compilers write and load; it goes when the process ends.
+    """A folder of this process alone, for files that compilers write and load; it is removed when the process ends.
 
-    In the first folder for temporary files that has room and lets code be run from it. DeviceError
+    It lies in the first folder for temporary files that has room and allows code to be run from it. DeviceError
     where nothing can be written at all.
     """
     global _scratch, _scratch_owner, _scratch_lock
@@ -78,7 +78,7 @@ def scratch_folder() -> Path:
 
 
 def _bases() -> list[str]:
-    """Folders for temporary files, as tempfile takes them, and then some."""
+    """Folders for temporary files: those of tempfile, and some others."""
     named = [os.environ.get(name) for name in ("TMPDIR", "TEMP", "TMP")]
     usual = ["/tmp", "/var/tmp", "/usr/tmp"] if os.name == "posix" else [tempfile.gettempdir()]
     bases = [*named, *usual, "/dev/shm", os.environ.get("XDG_RUNTIME_DIR")]
@@ -115,7 +115,7 @@ def _is_roomy(base: str) -> bool:
     except OSError:
         return False
     no_code = bool(status.f_flag & getattr(os, "ST_NOEXEC", 8))
-    files = status.f_files == 0 or status.f_favail > 1000  # some count none
+    files = status.f_files == 0 or status.f_favail > 1000  # some file systems count no files
     return not no_code and files and status.f_bavail * status.f_frsize >= _ROOM
 
 
@@ -134,7 +134,7 @@ def _hold(folder: Path) -> int:
 
 
 def _sweep(base: str) -> None:
-    """Removes what processes left that were killed: nobody holds its lock."""
+    """Removes the folders of processes that were killed, whose locks are free."""
     if fcntl is None:
         return
     try:
@@ -153,11 +153,11 @@ def _sweep(base: str) -> None:
                 shutil.rmtree(folder, ignore_errors=True)
             finally:
                 os.close(number)
-        except OSError:  # held, or gone
+        except OSError:  # locked, or removed meanwhile
             continue
 
 
 @atexit.register
 def _remove_scratch() -> None:
-    if _scratch is not None and _scratch_owner == os.getpid():  # not a forked child's to remove
+    if _scratch is not None and _scratch_owner == os.getpid():  # a forked child must not remove it
         shutil.rmtree(_scratch, ignore_errors=True)

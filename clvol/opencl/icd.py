@@ -24,7 +24,7 @@ _original_home: str | None = None
 
 
 def registered_icds(vendors: str | None = None) -> list[Icd]:
-    """What the loader reads: ``vendors`` (``OCL_ICD_VENDORS``: an .icd file, a library, a folder)
+    """The entries that the loader reads: ``vendors`` (``OCL_ICD_VENDORS``: an .icd file, a library, a folder)
     or else the system's folder; with either folder also the one inside pyopencl's wheel."""
     folder = Path(vendors or os.environ.get("OPENCL_VENDOR_PATH") or "/etc/OpenCL/vendors")
     if vendors and not folder.is_dir():
@@ -94,7 +94,7 @@ def point_loader_at(selection: list[Icd] | None) -> None:
                 try:
                     os.rename(fresh, target)
                 except OSError:
-                    if not target.is_dir():  # not merely another process being quicker
+                    if not target.is_dir():  # rather than another process having made it first
                         raise
                 else:
                     os.mkdir(fresh)  # what the with statement expects to remove

@@ -1,4 +1,4 @@
-"""Where the OpenCL C sources are: the same call in a wheel, an editable install and a checkout."""
+"""The folder of the OpenCL C sources, in a wheel, an editable install or a checkout."""
 
 from __future__ import annotations
 

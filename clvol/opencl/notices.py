@@ -1,4 +1,4 @@
-"""What is wrong with the machine but does not stop a picture: told once a process."""
+"""Problems of the machine that do not prevent a picture, reported once per process."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ _told: dict[str, str] = {}
 
 
 def notice(where: str, what: str) -> None:
-    """Warns (:class:`clvol.errors.ClvolWarning`) of what is wrong with ``where``, unless that was told."""
+    """Warns (:class:`clvol.errors.ClvolWarning`) about a problem with ``where``, unless it has been reported."""
     if where not in _told:
         _told[where] = what
         warnings.warn(ClvolWarning(where, what), stacklevel=3)
 
 
 def told() -> dict[str, str]:
-    """All that was told so far: what, by where."""
+    """All problems reported so far, by ``where``."""
     return dict(_told)

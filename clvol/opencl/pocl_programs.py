@@ -2,7 +2,7 @@
 
 PoCL keeps what it compiles in a folder that all processes of a user share. It aborts the process where
 that folder cannot be written, is full, lies where no code may be loaded from, or holds a damaged file.
-So it gets a fresh folder each time, to which only what the store has checked is copied.
+So it gets a fresh folder each time, into which only files that the store has checked are copied.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _owner = 0
 _store: Path | None = None
 _places: dict[str, str] = {}  # of programs, by key: PoCL's folder, relative to ours
 _kept: dict[str, dict[str, int]] = {}  # by key: sizes of the files that the store has
-_asked: set[str] = set()  # keys of what was built since `keep` was last called
+_asked: set[str] = set()  # keys of programs built since `keep` was last called
 _seen: set[str] = set()  # PoCL's folders of programs so far
 
 
@@ -32,7 +32,7 @@ _seen: set[str] = set()  # PoCL's folders of programs so far
 def own_pocl_folder() -> Iterator[None]:
     """The first OpenCL call of a process belongs in here: PoCL reads its environment just once."""
     global _folder, _owner, _store
-    with _opening:  # the environment is everybody's
+    with _opening:  # the environment is shared by all threads
         before = os.environ.get(_VARIABLE)
         if _folder is None or _owner != os.getpid():
             _store = program_folder(pocl=True)
@@ -51,14 +51,14 @@ def own_pocl_folder() -> Iterator[None]:
 
 
 def restore(key: str) -> bool:
-    """Gives PoCL the program of this key, if the store has it whole; whether PoCL has it now."""
+    """Gives PoCL the program of this key, if the store has it intact; returns whether PoCL has it now."""
     if _folder is None:
         return False
     _asked.add(key)
     if key in _places:
         return True
     try:
-        _folder.mkdir(parents=True, exist_ok=True)  # somebody may have tidied up
+        _folder.mkdir(parents=True, exist_ok=True)  # it may have been cleaned up meanwhile
     except OSError:
         return False
     files = read_program(_store, key)
@@ -73,7 +73,7 @@ def restore(key: str) -> bool:
             path = _folder / name
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(content)
-    except OSError:  # no room: PoCL may find some that it can do with
+    except OSError:  # there is no room here; PoCL may need less
         return False
     _places[key] = place
     _seen.add(place)
@@ -82,7 +82,7 @@ def restore(key: str) -> bool:
 
 
 def built(key: str) -> None:
-    """Says that the program of this key has just been built."""
+    """Records that the program of this key has just been built."""
     if _folder is None:
         return
     new = {f"{a.name}/{b.name}" for a in _folders_in(_folder) for b in _folders_in(a)} - _seen
@@ -93,13 +93,13 @@ def built(key: str) -> None:
 
 
 def keep(everything: bool = False) -> None:
-    """Writes to the store what was compiled of the programs built since the last call, or of all."""
+    """Writes the compiled code of the programs built since the last call, or of all programs, to the store."""
     if _folder is None or _owner != os.getpid() or os.environ.get("POCL_KERNEL_CACHE") == "0":
         return
     keys = list(_places) if everything else [key for key in _asked if key in _places]
     _asked.clear()
     for key in keys:
-        sizes = _sizes(_folder / _places[key])
+        sizes = _sizes(_folder, _folder / _places[key])
         if sizes and sizes != _kept.get(key):
             files: Files = {}
             try:
@@ -111,7 +111,7 @@ def keep(everything: bool = False) -> None:
             write_program(_store, key, files)
 
 
-def _folders_in(folder: Path) -> list[os.DirEntry]:
+def _folders_in(folder: str | os.PathLike[str]) -> list[os.DirEntry[str]]:
     try:
         with os.scandir(folder) as entries:
             return [entry for entry in entries if entry.is_dir(follow_symlinks=False)]
@@ -119,15 +119,15 @@ def _folders_in(folder: Path) -> list[os.DirEntry]:
         return []
 
 
-def _sizes(folder: Path) -> dict[str, int]:
-    """Of all files of a program but its time stamp, by their paths within our folder."""
+def _sizes(cache: Path, folder: Path) -> dict[str, int]:
+    """The sizes of all files of a program in ``folder``, except its time stamp, by their paths within ``cache``."""
     sizes = {}
     for parent, _, names in os.walk(folder):
         for name in names:
             path = Path(parent, name)
             if name != "last_accessed" and not name.startswith("tempfile"):
                 try:
-                    sizes[path.relative_to(_folder).as_posix()] = path.stat().st_size
+                    sizes[path.relative_to(cache).as_posix()] = path.stat().st_size
                 except OSError:
                     pass
     return sizes

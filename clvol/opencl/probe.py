@@ -103,8 +103,9 @@ def try_device(device, source: str, salt: str) -> None:
     voxels_buffer = cl.Buffer(context, flags.READ_ONLY | flags.COPY_HOST_PTR, hostbuf=voxels)
     outputs = [np.empty(count, t) for t in (np.float32, np.int32, real)]
     buffers = [cl.Buffer(context, flags.WRITE_ONLY, o.nbytes) for o in outputs]
+    # pyopencl accepts LocalMemory as an argument, but its types do not say so.
     kernel(queue, (count,), (size,), voxels_buffer, np.int32(_VOXELS), np.float32(_SCALE),
-           *buffers, cl.LocalMemory(4 * size))
+           *buffers, cl.LocalMemory(4 * size))  # type: ignore[arg-type]
     for output, buffer in zip(outputs, buffers):
         cl.enqueue_copy(queue, output, buffer)
     queue.finish()

@@ -49,7 +49,7 @@ def probe(wanted: list[Icd], native: bool, time_limit: float) -> Findings:
 def _without_bad_ends(
     icds: list[Icd], time_limit: float
 ) -> tuple[list[Icd], list[DeviceReport]]:
-    """Those that have a device or let a process end well; and reports of the others, which would only
+    """The platforms that have a device or let a process end well, and reports of the others, which would only
     spoil its exit status."""
     kept, useless = [], []
     for icd in icds:

@@ -1,7 +1,7 @@
-"""Compiled programs kept for later processes, each file with a digest of all that it holds.
+"""Compiled programs kept for later processes, each file with a digest of its contents.
 
-An OpenCL implementation crashes on a damaged program (PoCL aborts the process), so nothing is handed to
-one that is not, byte for byte, what was written. Whatever is wrong with the folder costs time, never a
+An OpenCL implementation crashes on a damaged program (PoCL aborts the process), so it is only given programs that are,
+byte for byte, as they were written. A problem with the folder costs time, never a
 picture: it is reported once, and the program is compiled anew.
 """
 
@@ -23,7 +23,7 @@ from clvol.opencl.notices import notice
 
 _MAGIC = b"clvolprogram1\n"
 _DIGEST = 32
-_MOST = 512 * 2**20  # bytes of one folder; the oldest go first
+_MOST = 512 * 2**20  # bytes of one folder; the oldest programs are removed first
 _TOUCHED = 24 * 3600.0  # seconds after which a file that is read counts as new again
 ENDING = ".program"
 EACH_TIME = "devices are probed and programs compiled each time"
@@ -41,7 +41,7 @@ def program_folder(pocl: bool = False) -> Path | None:
 
 
 def read_program(folder: Path | None, key: str) -> Files | None:
-    """What :func:`write_program` kept under ``key``, or None: not there, or damaged."""
+    """The files that :func:`write_program` stored under ``key``, or None if they are missing or damaged."""
     path = _path(folder, key)
     if path is None:
         return None
@@ -52,17 +52,17 @@ def read_program(folder: Path | None, key: str) -> Files | None:
             if hasattr(os, "geteuid") and (
                 status.st_uid not in (os.geteuid(), 0) or status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
             ):
-                notice(_where(folder), "files that others may write are not used; programs are compiled anew")
+                notice(_where(path), "files that others may write are not used; programs are compiled anew")
                 return None
             content = file.read()
     except FileNotFoundError:
         return None
     except OSError as error:
-        notice(_where(folder), f"cannot be read ({error.strerror}); programs are compiled anew")
+        notice(_where(path), f"cannot be read ({error.strerror}); programs are compiled anew")
         return None
     files = _unpacked(content)
     if files is None:
-        notice(_where(folder), "damaged; what is damaged is compiled anew")
+        notice(_where(path), "damaged; what is damaged is compiled anew")
     elif time.time() - status.st_mtime > _TOUCHED:
         try:
             os.utime(path)
@@ -72,7 +72,7 @@ def read_program(folder: Path | None, key: str) -> Files | None:
 
 
 def write_program(folder: Path | None, key: str, files: Files) -> None:
-    """Keeps ``files`` under ``key``. Nothing is raised where that cannot be done."""
+    """Stores ``files`` under ``key``. Failure raises nothing."""
     path = _path(folder, key)
     if path is None:
         notice("cache", f"there is none ({why_no_cache()}); {EACH_TIME}")
@@ -88,7 +88,7 @@ def write_program(folder: Path | None, key: str, files: Files) -> None:
         os.replace(temporary, path)
         temporary = None
     except OSError as error:
-        notice(_where(folder), f"cannot be written ({error.strerror}); {EACH_TIME}")
+        notice(_where(path), f"cannot be written ({error.strerror}); {EACH_TIME}")
     finally:
         if temporary is not None:
             try:
@@ -97,18 +97,18 @@ def write_program(folder: Path | None, key: str, files: Files) -> None:
                 pass
     try:
         _prune(path.parent)
-    except OSError:  # another process was at it, too
+    except OSError:  # another process did the same
         pass
 
 
 def is_whole(path: str | os.PathLike) -> bool:
-    """Whether a file of the store is what was written. Raises OSError."""
+    """Whether a file of the store is intact. Raises OSError."""
     with _open(path) as file:
         return _unpacked(file.read()) is not None
 
 
 def _open(path: str | os.PathLike) -> IO[bytes]:
-    """OSError for what is no file: a pipe, say, would keep us waiting."""
+    """Opens a file to read; OSError for anything else, since a pipe, for example, would block."""
     number = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))
     if not stat.S_ISREG(os.fstat(number).st_mode):
         os.close(number)
@@ -116,9 +116,9 @@ def _open(path: str | os.PathLike) -> IO[bytes]:
     return os.fdopen(number, "rb")
 
 
-def _where(folder: Path) -> str:
-    """The cache in messages: a folder of ours by the folder that it lies in."""
-    return f"cache {folder.parent}"
+def _where(path: Path) -> str:
+    """The cache of a program's ``path`` in messages: it is named by the folder above clvol's own."""
+    return f"cache {path.parent.parent}"
 
 
 def _path(folder: Path | None, key: str) -> Path | None:
@@ -132,7 +132,7 @@ def _packed(files: Files) -> bytes:
 
 
 def _unpacked(content: bytes) -> Files | None:
-    """None for what is not, to the last byte, what :func:`_packed` gave."""
+    """The files, or None if the bytes are not exactly as :func:`_packed` made them."""
     start = len(_MAGIC) + _DIGEST
     body = memoryview(content)[start:]
     if not content.startswith(_MAGIC) or len(body) < 8:
@@ -152,7 +152,7 @@ _pruned: set[Path] = set()
 
 
 def _prune(folder: Path) -> None:
-    """Once a process and folder: the oldest programs go where all take too much."""
+    """Removes the oldest programs where all together take too much; once per process and folder."""
     if folder in _pruned:
         return
     _pruned.add(folder)
@@ -163,7 +163,7 @@ def _prune(folder: Path) -> None:
             if entry.name.endswith((ENDING, ".part")):
                 status = entry.stat(follow_symlinks=False)
                 if entry.name.endswith(".part") and now - status.st_mtime > _TOUCHED:
-                    os.unlink(entry.path)  # of a process that was killed
+                    os.unlink(entry.path)  # left by a process that was killed
                 else:
                     found.append((status.st_mtime, status.st_size, entry.path))
     total = sum(size for _, size, _ in found)

@@ -1,4 +1,4 @@
-"""What a probe of the OpenCL devices found."""
+"""The findings of a probe of the OpenCL devices."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 @dataclass(frozen=True)
 class DeviceReport:
-    """What ``clvol doctor`` tells of one device, or of a platform that yields none.
+    """The report of ``clvol doctor`` on one device, or on a platform without devices.
 
     ``name`` is short, unique and stable ("pocl", "intel", "nvidia", "pocl:1"); ``reason`` is one
     line, "" for a working device. Memory figures are bytes; zero or "" where nothing is known

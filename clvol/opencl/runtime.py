@@ -20,16 +20,17 @@ _ICD = "intel.icd"
 
 def environment_libraries() -> list[Path]:
     """The OpenCL CPU libraries found in this Python's prefix and in the user's site, best first."""
-    prefixes = [sys.prefix, sys.exec_prefix, site.getuserbase() if site.ENABLE_USER_SITE else None]
-    # An environment that sees another one's packages (a path file, --system-site-packages).
+    prefixes = [Path(sys.prefix), Path(sys.exec_prefix)]
+    if site.ENABLE_USER_SITE:
+        prefixes.append(Path(site.getuserbase()))
+    # An environment may see the packages of another one (a path file, --system-site-packages).
     prefixes += [Path(p).parents[2] for p in sys.path
                  if Path(p).name == "site-packages" and len(Path(p).parents) > 2]
     found: list[Path] = []
     for prefix in prefixes:
-        if prefix is not None:
-            library = Path(prefix) / "lib" / _LIBRARY
-            if library.is_file() and library.resolve() not in [f.resolve() for f in found]:
-                found.append(library)
+        library = prefix / "lib" / _LIBRARY
+        if library.is_file() and library.resolve() not in [f.resolve() for f in found]:
+            found.append(library)
     return found
 
 

@@ -1,7 +1,7 @@
-"""Kernel sources made whole: every ``#include`` of a file replaced by the file.
+"""Kernel sources with every ``#include`` replaced by the included file.
 
-Compilers get one text and no ``-I``: how an option with a blank, a quote or another sign in it is taken
-apart differs from one OpenCL implementation to the next, and an installation may lie in any folder.
+Compilers get one text and no ``-I``: OpenCL implementations differ in how they parse an option with a blank, a quote
+or another special character in it, and an installation may lie in any folder.
 ``#line`` keeps the files and the line numbers of a compiler's messages.
 """
 
@@ -75,11 +75,11 @@ def _expand(
         if directive != "include" and not is_once:
             continue
         quoted = _QUOTED.match(rest)
-        if not (quoted or is_once):  # <...>, or a macro: the compiler's own
+        if not (quoted or is_once):  # <...>, or a macro: left to the compiler
             continue
         out += file.lines[done:number]
         done = number + 1
-        if is_once:
+        if quoted is None or is_once:
             out.append("")
             continue
         found = _find(quoted[1], path, folders)
@@ -105,7 +105,7 @@ def _find(name: str, includer: Path, folders: Sequence[Path]) -> Path | None:
 
 
 def _shown(path: Path) -> str:
-    """A file's name as it may stand in ``#line``."""
+    """A file's name in a form that ``#line`` accepts."""
     return re.sub(r"[^\w.+-]", "_", path.name, flags=re.ASCII)
 
 

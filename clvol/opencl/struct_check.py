@@ -1,4 +1,4 @@
-"""Compares structs as numpy has them with what the device's compiler makes of them (cl/struct_fields.h)."""
+"""Compares the layouts of structs in numpy with those of the device's compiler (cl/struct_fields.h)."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from clvol.opencl.context import DeviceContext, Kernel
 _CAPACITY = 256
 _RECORD = np.dtype([("name", "S56"), ("offset", "u4"), ("bytes", "u4")])  # StructField
 REPORT_ARGUMENTS = (writes("fields", _RECORD, "capacity"), value("capacity", np.int32))
-"""Of the kernel ``struct_fields`` that REPORT_FIELDS defines."""
+"""The arguments of the kernel ``struct_fields`` that REPORT_FIELDS defines."""
 
-Layout = dict[str, tuple[int, int]]  # of a struct, and of its fields by name: offset and size in bytes
+Layout = dict[str, tuple[int, int]]  # offset and size in bytes of a struct and of its fields, by name
 _WHOLE = ""  # the name of the struct itself
 
 
@@ -32,7 +32,7 @@ def check_structs(context: DeviceContext, kernel: Kernel, expected: Mapping[str,
 
 
 def reported_structs(context: DeviceContext, kernel: Kernel) -> dict[str, Layout]:
-    """What the device reports, by the struct's name."""
+    """The layouts that the device reports, by the name of the struct."""
     records = context.upload(np.zeros(_CAPACITY, _RECORD), writable=True)
     kernel(context.queue, (1,), (1,), fields=records, capacity=_CAPACITY)
     found: dict[str, Layout] = {}
@@ -45,17 +45,17 @@ def reported_structs(context: DeviceContext, kernel: Kernel) -> dict[str, Layout
 
 def layout_of(dtype: np.dtype) -> Layout:
     """Offsets and sizes in bytes of a dtype and its fields."""
-    fields = {name: (field[1], field[0].itemsize) for name, field in dtype.fields.items()}
+    fields = {name: (field[1], field[0].itemsize) for name, field in (dtype.fields or {}).items()}
     return {_WHOLE: (0, dtype.itemsize), **fields}
 
 
 def compare(name: str, device: Layout, ours: Layout) -> None:
-    """RenderError for the first field that is not the same."""
+    """RenderError for the first field that differs."""
     for field in {**ours, **device}:
         if device.get(field) != ours.get(field):
             where = f"struct {name}" + (f", field {field}" if field else "")
             raise RenderError(where, f"{_said(device.get(field))} on the device", _said(ours.get(field)))
 
 
-def _said(place: tuple[int, int] | None) -> str:
-    return "no such field" if place is None else f"{place[1]} bytes at {place[0]}"
+def _said(position: tuple[int, int] | None) -> str:
+    return "no such field" if position is None else f"{position[1]} bytes at {position[0]}"

@@ -2,7 +2,7 @@
 
 clvol/opencl/struct_check.py compares them with the device's.
 
-``struct`` lays fields out as OpenCL C does. What a field means stands beside it in the header that is named.
+``struct`` lays fields out as OpenCL C does. The header named beside each struct explains its fields.
 """
 
 from __future__ import annotations
@@ -25,10 +25,11 @@ FieldType = str | np.dtype
 
 
 def struct(*groups: tuple[FieldType, str] | tuple[FieldType, str, int]) -> np.dtype:
-    """A struct of OpenCL C as a numpy dtype: (type, "names of fields") or (type, name, length of the array).
+    """A struct of OpenCL C as a numpy dtype.
 
+    ``groups``: fields as (type, "names of fields") or (type, name, length of the array).
     Each field is at the next multiple of its alignment: vectors are aligned to their size, structs to their widest
-    field. The size is a multiple of the widest alignment. ValueError for a type that is not known.
+    field. The size is a multiple of the widest alignment. ValueError for an unknown type.
     """
     names, formats, offsets = [], [], []
     end, widest = 0, 1
@@ -38,24 +39,26 @@ def struct(*groups: tuple[FieldType, str] | tuple[FieldType, str, int]) -> np.dt
         dtype = _TYPES[kind] if isinstance(kind, str) else kind
         alignment = _alignment(dtype)
         widest = max(widest, alignment)
-        made = np.dtype((dtype, (length[0],))) if length else dtype
+        field = np.dtype((dtype, (length[0],))) if length else dtype
         for name in called.split():
             start = -(-end // alignment) * alignment
-            names.append(name), formats.append(made), offsets.append(start)
-            end = start + made.itemsize
+            names.append(name)
+            formats.append(field)
+            offsets.append(start)
+            end = start + field.itemsize
     size = -(-end // widest) * widest
     return np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": size})
 
 
 def _alignment(dtype: np.dtype) -> int:
-    """Bytes: of a scalar, a vector of two or four, or a struct."""
+    """Alignment in bytes of a scalar, a vector of two or four, or a struct."""
     if dtype.fields is None:
         return dtype.itemsize
     return max(_element_alignment(field[0]) for field in dtype.fields.values())
 
 
 def _element_alignment(dtype: np.dtype) -> int:
-    """Of a field of a struct, which may be an array of vectors or of structs: no array of scalars."""
+    """Alignment of a struct's field, which may be an array of vectors or of structs, but not of scalars."""
     if dtype.base.fields is not None:
         return _alignment(dtype.base)
     return dtype.base.itemsize * (dtype.shape[-1] if dtype.shape else 1)

@@ -1,4 +1,4 @@
-"""Rendering: one module a method, each beside its reference."""
+"""Rendering scenes to pictures: ``Renderer`` and ``Frame``."""
 
 from clvol.render.frame import Frame
 from clvol.render.renderer import Renderer

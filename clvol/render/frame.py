@@ -1,4 +1,4 @@
-"""A rendered picture with all that is known about it."""
+"""A rendered picture, with its statistics and its provenance."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ class Frame:
 
     ``depth`` float32 [height, width]: world distance along the ray from the eye (orthographic: from the
     camera plane) to where opacity reaches one half; infinite where it never does.
-    ``background`` [3], linear. ``stats`` as ``--stats`` writes them. ``scene_source``: the scene as a
-    scene file's text. ``made_from``: a function that tells what the picture was made from
+    ``background`` [3], linear. ``stats``: as ``--stats`` writes them. ``scene_source``: the scene as the
+    text of a scene file. ``made_from``: a function that returns what the picture was made from
     (``clvol.render.made_from``).
     """
 
@@ -38,7 +38,7 @@ class Frame:
     made_from: Callable[[], dict[str, Any]] | None = None
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Writes .exr, .png or .npy, by ending; the file appears whole or not at all."""
+        """Writes .exr, .png or .npy, according to the ending; the file appears whole or not at all."""
         save_frame(self, path)
 
 
@@ -49,13 +49,13 @@ def make_frame(
     seconds: dict[str, float],
     counted: dict[str, Any],
     device: str,
-    told: Callable[[], dict[str, Any]] | None = None,
+    made_from: Callable[[], dict[str, Any]] | None = None,
 ) -> Frame:
-    """A frame of ``resolved`` with stats: ``seconds`` by stage (those that are missing took none) and
-    what else was ``counted``. ``told``: its ``made_from``; looked for now where it is None."""
-    if told is None:
-        told = MadeFrom(resolved)
-        told()
+    """A frame of ``resolved`` with stats: ``seconds`` by stage (a missing stage took no time) and
+    everything else that was ``counted``. ``made_from``: its ``made_from``; determined now where it is None."""
+    if made_from is None:
+        made_from = MadeFrom(resolved)
+        made_from()
     stages = {stage: seconds.get(stage, 0.0) for stage in STAGES}
     stats = {
         "seconds": {**stages, "total": sum(stages.values())},
@@ -70,5 +70,5 @@ def make_frame(
         resolved.background,
         stats,
         resolved.source,
-        told,
+        made_from,
     )

@@ -1,5 +1,5 @@
-"""What a picture was made from, so that another time it is known whether it would come out the
-same: version, scene, voxels, camera, and which frame it is."""
+"""What a picture was made from: version, scene, voxels, camera, and frame number. With it a later run can tell
+whether it would produce the same picture."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ if TYPE_CHECKING:
     from clvol.scene.camera import Camera
     from clvol.scene.resolve import ResolvedScene
 
-_LOOK = ("integration", "image", "multiresolution", "pyramid")  # what measuring errors may change
+_LOOK = ("integration", "image", "multiresolution", "pyramid")  # tables that measuring errors may change
 
 
 class MadeFrom:
-    """Called, tells what the picture of ``resolved`` from ``camera`` at its ``animation.time`` is
+    """A callable that returns what the picture of ``resolved`` from ``camera`` at its ``animation.time`` is
     made from: a dict of JSON values, the same for the same picture. ``frame`` is its number in an
     animation, or None.
 
-    Nothing is looked for before the first call; until then the scene, with its volume, is held.
+    Nothing is computed before the first call; until then the scene and its volume stay in memory.
     """
 
     def __init__(
@@ -55,8 +55,8 @@ def _told(resolved: ResolvedScene, camera: Camera, frame: int | None) -> dict[st
 
 
 def _sources(resolved: ResolvedScene) -> dict[str, Any]:
-    """Digests of "voxels", and, where the scene has such, "fields" and "environment"; None for
-    what is gone meanwhile, or does not fit into memory."""
+    """Digests of "voxels", and, where the scene has them, "fields" and "environment"; None for
+    data that has disappeared meanwhile, or does not fit into memory."""
     by_blocks = integrator_of(resolved).reads_blocks
     found: dict[str, Any] = {"voxels": None, "fields": None, "environment": None}
     try:

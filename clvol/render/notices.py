@@ -1,4 +1,4 @@
-"""Warnings of a scene and its pictures, each told once."""
+"""Warnings about a scene and its pictures, each given once."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from clvol.scene.resolve import ResolvedScene
 
 
 class Notices:
-    """What there is to warn of in the frames of one scene, whose transfer function and camera may change."""
+    """Warnings about the frames of one scene, whose transfer function and camera may change."""
 
     def __init__(self, resolved: ResolvedScene) -> None:
         self._told: set[tuple[str, str]] = set()
@@ -29,7 +29,7 @@ class Notices:
     def of_picture(
         self, resolved: ResolvedScene, camera: Camera, rgba: np.ndarray, depth: np.ndarray | None
     ) -> dict[str, Any]:
-        """Tells what has not been told, and gives "warnings" for a frame's stats, or nothing."""
+        """Gives the warnings that have not been given yet, and returns "warnings" for a frame's stats, or nothing."""
         height, width = rgba.shape[:2]
         found = list(self._of_scene)
         away = camera_warning(camera, resolved.volume.grid, width, height)
@@ -42,7 +42,7 @@ class Notices:
         return {"warnings": [str(warning) for warning in found]} if found else {}
 
     def _tell(self, warning: ClvolWarning) -> None:
-        # One cause is told once, though its numbers may differ from frame to frame.
+        # One cause is reported once, although its numbers may differ from frame to frame.
         cause = warning.where, warning.what.partition(":")[0]
         if cause not in self._told:
             self._told.add(cause)
@@ -51,7 +51,7 @@ class Notices:
 
 
 def _callers_level() -> int:
-    """For ``warnings.warn``: the first frame outside this package, from who calls this function on."""
+    """The stack level for ``warnings.warn``: the first frame outside this package, counted from the caller."""
     level, frame = 1, sys._getframe(1)
     package = __name__.partition(".")[0]
     while frame.f_back is not None:

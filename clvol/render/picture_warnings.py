@@ -1,6 +1,6 @@
-"""What a picture shows that can hardly be meant: next to nothing, or a box. Why, and what to set.
+"""Warnings about pictures that can hardly be intended: almost blank ones, and boxes. They say why, and what to set.
 
-Looks at a few thousand pixels of most pictures, and at all of those in which these show nothing.
+Of most pictures a few thousand pixels are checked, and all pixels where those show nothing.
 """
 
 from __future__ import annotations
@@ -15,19 +15,19 @@ from clvol.scene.clip import Clip
 from clvol.scene.resolve import ResolvedScene, default_opacity_unit
 from clvol.volume import Grid
 
-_PIXELS = 64  # an axis, of those that are looked at first
-_RAYS, _FEW = 24, 7  # an axis, of those that are followed
-_POINTS = 24  # an axis, of the volume's where clips are looked at
+_PIXELS = 64  # per axis, checked first
+_RAYS, _FEW = 24, 7  # rays per axis that are followed
+_POINTS = 24  # per axis of the volume, for which clips are checked
 _OPAQUE = 0.99
-_ENTRY = 0.6  # steps, or smallest voxel edges where steps are shorter: opaque before that is opaque at the face
-_THIN = 4.0  # smallest voxel edges: shorter ways through the volume count as its rim
-_SMALLEST = 24  # voxels an axis: smaller volumes may well be bodies
+_ENTRY = 0.6  # steps, or smallest voxel edges where steps are shorter: a ray that is opaque by then is opaque at the face
+_THIN = 4.0  # smallest voxel edges: shorter paths through the volume count as its rim
+_SMALLEST = 24  # voxels per axis: smaller volumes may well be solid bodies
 
 
 def picture_warning(
     resolved: ResolvedScene, camera: Camera, rgba: np.ndarray, depth: np.ndarray | None
 ) -> ClvolWarning | None:
-    """Of a picture [height, width] of ``resolved`` from ``camera``, in which nothing else was found to warn of."""
+    """The warning about a picture [height, width] of ``resolved`` from ``camera`` that has no other warning."""
     alpha = rgba[..., 3]
     spacing = [max(1, n // _PIXELS) for n in alpha.shape]
     some = alpha[:: spacing[0], :: spacing[1]]
@@ -51,21 +51,21 @@ def _blank(
     near, far = _through(grid, *rays)
     if not (far > near).any():
         what += ", since no ray (or hardly any) meets the volume"
-        return ClvolWarning("camera", f"the picture {what}", "set camera.target to a place in the volume, or come nearer")
+        return ClvolWarning("camera", f"the picture {what}", "set camera.target to a point in the volume, or move nearer")
     if resolved.clips and not _anything_kept(grid, resolved.clips):
         return ClvolWarning("clip", f"the picture {what}, since the clips together leave nothing", "leave one of them out")
     function, unit = resolved.transfer_function, resolved.transfer_function.opacity_unit
     if emits(resolved) and resolved.integration.compositing == "over" and largest_depth(resolved) < 0.1:
-        what += f", since opacities are for a length of {unit:g}, and the volume is small beside that"
+        what += f", since opacities are for a length of {unit:g}, and the volume is small compared to that"
         advice = f"set transfer_function.opacity_unit to about {default_opacity_unit(grid):.3g}"
         return ClvolWarning("transfer_function.opacity_unit", f"the picture {what}", advice)
     if any(field.role == "mask" for field in resolved.fields):
-        advice = "look at field.threshold and field.keep, and at transfer_function.points"
-        return ClvolWarning("field", f"the picture {what}: masks leave nothing that shows", advice)
+        advice = "check field.threshold, field.keep and transfer_function.points"
+        return ClvolWarning("field", f"the picture {what}: the masks leave nothing visible", advice)
     low, high = resolved.data_range
     visible = function.values[function.opacities > 0]
     if visible.size:
-        what += f", since hardly a voxel in view has one of the values that show (about {visible[0]:g} to {visible[-1]:g})"
+        what += f", since hardly any voxel in view has a visible value (about {visible[0]:g} to {visible[-1]:g})"
     what += f"; voxels lie between {low:g} and {high:g}"
     return ClvolWarning(
         "transfer_function", f"the picture {what}", "set other values or larger opacities in transfer_function.points"
@@ -75,14 +75,15 @@ def _blank(
 def _box(
     resolved: ResolvedScene, camera: Camera, alpha: np.ndarray, depth: np.ndarray | None
 ) -> ClvolWarning | None:
-    """If all that the volume covers is opaque where rays enter it: its faces are all there is to see."""
+    """The warning about a volume that is opaque wherever rays enter it, so that only its faces are visible."""
     grid, (low, high) = resolved.volume.grid, resolved.data_range
     plain = not (resolved.isosurfaces or resolved.clips or resolved.fields)
     if low == high or not plain or min(grid.shape) < _SMALLEST or resolved.integration.compositing != "over":
         return None
-    for count in (_FEW, _RAYS):  # of most opaque bodies a few show that there is something around them
-        rows, columns = _lattice(alpha.shape, count)
-        near, far = _through(grid, *camera.world_rays_at(*alpha.shape[::-1], rows, columns))
+    height, width = alpha.shape
+    for count in (_FEW, _RAYS):  # around most opaque bodies a few rays already find empty space
+        rows, columns = _lattice((height, width), count)
+        near, far = _through(grid, *camera.world_rays_at(width, height, rows, columns))
         covered = far - near > _THIN * grid.smallest_edge
         if (alpha[np.ix_(rows, columns)][covered] < _OPAQUE).any():
             return None
@@ -98,7 +99,7 @@ def _box(
         return None
     what = "every ray is opaque where it enters the volume: nothing but the faces of a box is visible"
     function = resolved.transfer_function
-    outside = f"values that shall not show (of {low:g} to {high:g})"
+    outside = f"values that are to be invisible (of {low:g} to {high:g})"
     if function.opacities.max() < 1 and _depth_of_voxel(resolved, float(function.opacities.max())) > 20:
         unit = default_opacity_unit(grid)
         advice = f"set transfer_function.opacity_unit to about {unit:.3g}, or opacity 0 at {outside}"
@@ -114,7 +115,7 @@ def _depth_of_voxel(resolved: ResolvedScene, opacity: np.ndarray | float) -> np.
 
 
 def _opaque_share_of_faces(resolved: ResolvedScene) -> float:
-    """Of some voxels in the volume's faces; 0 where voxels are not in memory."""
+    """The share of opaque voxels among some in the volume's faces; 0 where voxels are not in memory."""
     volume = resolved.volume
     if "data" not in vars(volume):
         return 0.0
@@ -123,9 +124,9 @@ def _opaque_share_of_faces(resolved: ResolvedScene) -> float:
     faces = []
     for axis in range(3):
         for end in (0, -1):
-            place = list(steps)
-            place[axis] = end
-            faces.append(data[tuple(place)].ravel())
+            position: list[slice | int] = list(steps)
+            position[axis] = end
+            faces.append(data[tuple(position)].ravel())
     voxels = np.concatenate(faces).astype(np.float64)
     depth = _ENTRY * _depth_of_voxel(resolved, resolved.transfer_function.opacity(voxels))
     return float((depth >= np.log(2.0)).mean())
@@ -133,11 +134,12 @@ def _opaque_share_of_faces(resolved: ResolvedScene) -> float:
 
 def _lattice(shape: tuple[int, int], count: int) -> tuple[np.ndarray, np.ndarray]:
     """Rows and columns, up to ``count`` of each, spread over a picture."""
-    return tuple(np.unique(np.linspace(0, n - 1, min(n, count)).round().astype(int)) for n in shape)
+    rows, columns = (np.unique(np.linspace(0, n - 1, min(n, count)).round().astype(int)) for n in shape)
+    return rows, columns
 
 
 def _through(grid: Grid, origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """World distances [k, l] at which rays enter the volume and leave it; entered after left by those that miss."""
+    """World distances [k, l] at which rays enter the volume and leave it; entry > exit for rays that miss it."""
     to_index = grid.world_to_index()
     at = origins @ to_index[:3, :3].T + to_index[:3, 3]
     along = directions @ to_index[:3, :3].T
@@ -152,7 +154,7 @@ def _through(grid: Grid, origins: np.ndarray, directions: np.ndarray) -> tuple[n
 
 
 def _anything_kept(grid: Grid, clips: tuple[Clip, ...]) -> bool:
-    """Whether any of some points of the volume is kept by all clips."""
+    """Whether all clips keep at least one point of a coarse lattice in the volume."""
     lower, upper = grid.index_bounds()
     axes = [np.linspace(a, b, _POINTS) for a, b in zip(lower, upper)]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)

@@ -1,4 +1,4 @@
-"""Prepared scenes on one device, kept by value: what was prepared once is there when it is wanted again."""
+"""Prepared scenes on one device, kept by value, so that no scene is prepared twice."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ _KEPT = 6  # prepared scenes
 
 
 class PreparedCache:
-    """Prepares scenes on one device; those of the same volume share it there.
+    """Prepares scenes on one device; scenes of the same volume share it there.
 
-    What is kept is kept by value: a prepared scene by all that it was made for (``scene_key``), a volume by the
-    volume itself, which does not change. Nothing that is kept changes behind its key: another transfer function
+    Keys are values: a prepared scene has a key of everything that it was made for (``scene_key``), a volume has
+    itself, since it does not change. Nothing changes behind its key: another transfer function
     makes another prepared scene. Not for two threads at once.
     """
 
@@ -32,9 +32,9 @@ class PreparedCache:
         progress: Callable[[int, int], None] | None = None,
         wait: bool | None = None,
     ) -> Prepared:
-        """``resolved``, ready to be rendered by the integrator that it names. ``progress(done, total)``: of the blocks
-        that are read for it. ``wait`` False: a thread reads them, and frames show what is there until all has come;
-        None: as was said last."""
+        """``resolved``, ready to be rendered by the integrator that it names. ``progress(done, total)`` reports
+        the blocks that are read for it. ``wait`` False: a thread reads them, and frames show those that are there until
+        all have arrived; None: as in the last request."""
         integrator = integrator_of(resolved)
         resolved = integrator.simplified(resolved, self._shared)
         key = scene_key(resolved, integrator)
@@ -49,8 +49,10 @@ class PreparedCache:
         return prepared
 
     def _forget(self, dropped: object) -> None:
-        """Scenes that cannot do without what was dropped."""
-        self._kept = {key: made for key, made in self._kept.items() if all(part is not dropped for part in made.held)}
+        """Forgets the scenes that need ``dropped``."""
+        self._kept = {
+            key: prepared for key, prepared in self._kept.items() if all(part is not dropped for part in prepared.held)
+        }
 
     def close(self) -> None:
         """Ends the threads that read blocks."""

@@ -1,11 +1,11 @@
-"""Renderer: a scene made resident on a device, rendered as often as wanted."""
+"""Renderer: a scene made resident on a device, which is rendered any number of times."""
 
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from math import inf
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
@@ -14,7 +14,7 @@ from weakref import WeakSet
 from clvol.device.fields import field_bytes
 from clvol.device.light_volume import light_volume_bytes
 from clvol.errors import RenderError, UsageError, VolumeError
-from clvol.integrators.base import FrameData, Prepared
+from clvol.integrators.base import FrameData, Prepared, Progress, RefinesInTime
 from clvol.integrators.registry import check_scene, integrator_of
 from clvol.opencl.context import DeviceContext
 from clvol.opencl.devices import open_device
@@ -24,11 +24,22 @@ from clvol.render.made_from import MadeFrom
 from clvol.render.notices import Notices
 from clvol.render.prepared_cache import PreparedCache
 from clvol.scene.camera import Camera
+from clvol.scene.resolve import ResolvedScene
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from clvol.scene import Scene
-    from clvol.scene.resolve import ResolvedScene
     from clvol.transfer import TransferFunction
+
+
+@dataclass
+class _OnDevice:
+    """What an open Renderer has on its device; ``prepared`` is the scene that is rendered now."""
+
+    context: DeviceContext
+    cache: PreparedCache
+    prepared: Prepared
 
 
 class Renderer:
@@ -36,16 +47,18 @@ class Renderer:
 
     ``scene``: a ``clvol.Scene`` (or one already resolved). ``devices``: names as in ``clvol doctor``, or
     pyopencl devices; None takes the default one. ``memory_cap``: bytes that the scene may take on the
-    device; what needs more is refused before anything is uploaded. ``progress(done, total)`` is called
-    while the blocks of the method "multiresolution" are read. Use it as a context manager, or call ``close``.
+    device; a scene that needs more is refused before anything is uploaded. ``progress(done, total)`` is called
+    while the blocks of the method "multiresolution" are read. Use the Renderer as a context manager, or call
+    ``close``.
 
-    Several threads may call a Renderer: they take turns, and each gets the picture that it asked for. A transfer
-    function that one of them sets holds for all. RenderError for a call from inside a ``progress`` of its own.
+    Several threads may call a Renderer: they take turns, and each gets the picture that it requested. A transfer
+    function that one of them sets holds for all. A call from inside the Renderer's own ``progress`` raises
+    RenderError.
 
-    What can hardly be meant (a blank picture, say) is told with the module ``warnings``, as a ``ClvolWarning``, once
-    for each cause; ``Frame.stats["warnings"]`` lists those of a frame, if there are any.
+    Pictures that can hardly be intended (a blank one, for example) are reported by the module ``warnings``, as a
+    ``ClvolWarning``, once per cause; ``Frame.stats["warnings"]`` lists those of a frame, if there are any.
 
-    Raises SceneError and VolumeError (scene or volume wrong, or asking for what is not there),
+    Raises SceneError and VolumeError (the scene or the volume is wrong, or refers to something that does not exist),
     DeviceError (no device works), RenderError (a program does not build or fails).
     """
 
@@ -54,27 +67,28 @@ class Renderer:
         scene: Scene | ResolvedScene,
         devices: Sequence[Any] | None = None,
         memory_cap: int | None = None,
-        progress: Callable[[int, int], None] | None = None,
+        progress: Progress | None = None,
     ) -> None:
         start = perf_counter()
         self._lock, self._is_busy = threading.RLock(), False
-        self.resolved = scene.resolve() if hasattr(scene, "resolve") else scene
+        self.resolved = scene if isinstance(scene, ResolvedScene) else scene.resolve()
         check_scene(self.resolved)
         check_memory(self.resolved, memory_cap)
         self._first_time = self.resolved.animation.time
         loaded = perf_counter()
-        self._context = open_context(devices)
-        self._told: WeakSet[MadeFrom] = WeakSet()
-        self._prepared: Prepared | None = None
-        self._cache: PreparedCache | None = PreparedCache(self._context)
+        context = open_context(devices)
+        self._provenances: WeakSet[MadeFrom] = WeakSet()
+        cache = PreparedCache(context)
         try:
-            self._prepared = self._cache.prepare(self.resolved, progress)
+            prepared = cache.prepare(self.resolved, progress)
         except BaseException:
-            self.close()
+            cache.close()
+            context.release()
             raise
+        self._on_device: _OnDevice | None = _OnDevice(context, cache, prepared)
         self._notices = Notices(self.resolved)
         self._load_seconds = loaded - start
-        self._prepare_seconds = perf_counter() - loaded - self._context.compile_seconds
+        self._prepare_seconds = perf_counter() - loaded - context.compile_seconds
 
     def __enter__(self) -> Renderer:
         return self
@@ -83,113 +97,148 @@ class Renderer:
         self.close()
 
     def close(self) -> None:
-        """Gives the device's memory back, when frames that other threads are rendering are done. Nothing can be
+        """Frees the device's memory, once the frames that other threads are rendering are done. Nothing can be
         rendered afterwards."""
-        if is_forked():  # the parent's, whose threads may have held the lock
+        if is_forked():  # the device belongs to the parent, whose threads may have held the lock
             return
-        with self._turn(may_be_closed=True):
-            for told in list(self._told):  # of frames that are kept: they need not keep the volume
-                told()
-            if self._cache is not None:
-                self._cache.close()
-            if self._context is not None:
-                self._context.release()
-            self._context = self._prepared = self._cache = None
+        with self._alone():
+            for provenance in list(self._provenances):  # frames that are still in use need not hold the volume
+                provenance()
+            if self._on_device is not None:
+                self._on_device.cache.close()
+                self._on_device.context.release()
+            self._on_device = None
 
     @contextmanager
-    def _turn(self, may_be_closed: bool = False) -> Iterator[None]:
-        """One thread at a time: kernels and buffers are for one frame at a time."""
+    def _alone(self) -> Iterator[None]:
+        """Lets in one thread at a time: kernels and buffers are for one frame at a time."""
         check_fork()
         with self._lock:
-            if self._is_busy:  # the lock lets a thread in that holds it
+            if self._is_busy:  # the lock admits the thread that holds it already
                 raise RenderError("Renderer", "is called by its own progress", "a call after the frame")
-            if self._context is None and not may_be_closed:
-                raise RenderError("Renderer", "is closed", "a Renderer that is open")
             self._is_busy = True
             try:
                 yield
             finally:
                 self._is_busy = False
 
+    @contextmanager
+    def _turn(self) -> Iterator[_OnDevice]:
+        """As ``_alone``, for a Renderer that is open."""
+        with self._alone():
+            if self._on_device is None:
+                raise RenderError("Renderer", "is closed", "a Renderer that is open")
+            yield self._on_device
+
     def render(
         self,
         camera: Camera | None = None,
-        progress: Callable[[int, int], None] | None = None,
+        progress: Progress | None = None,
         depth: bool = True,
         time: float | None = None,
         seconds: float | None = None,
     ) -> Frame:
         """The picture from the scene's camera, or from ``camera``, at ``animation.time``, or at
-        ``time`` (seconds). Neither compiles anything or uploads the volume anew.
+        ``time`` (seconds). A new camera or time compiles nothing and uploads no volume.
 
         ``progress(done, total)`` is called now and then with shares of the work. Without ``depth``
-        none is computed and ``Frame.depth`` is None.
+        no depth is computed and ``Frame.depth`` is None.
 
-        ``seconds``: of the method "multiresolution" alone, a picture in tiles that is refined for so
-        long, where rays are needed most (in tiles of 16 pixels where the scene has none).
-        ``stats["tiles"]`` then has ``share_of_pixels`` with rays of their own, and
-        ``estimated_rmse``: how far, as the rays tell, it is from the picture with all rays.
-        UsageError for another method. At least one ray a tile is cast, and what blocks the view
-        lacks are read, however long that takes.
+        ``seconds``: with the method "multiresolution", the picture is refined for this time, in tiles (of 16 pixels
+        where the scene sets none), where rays are needed most. ``stats["tiles"]`` then has ``share_of_pixels``, the
+        share that have rays of their own, and ``estimated_rmse``, the distance from the picture with all rays as
+        estimated from the rays. At least one ray per tile is cast, and blocks that the view lacks are read,
+        however long that takes. UsageError for another method.
         """
-        with self._turn():
-            return self._render(camera, progress, depth, time, seconds)
+        with self._turn() as on_device:
+            return self._render(on_device, camera, progress, depth, time, seconds)
 
-    def _render(self, camera, progress, depth, time, seconds) -> Frame:
+    def _render(
+        self,
+        on_device: _OnDevice,
+        camera: Camera | None,
+        progress: Progress | None,
+        depth: bool,
+        time: float | None,
+        seconds: float | None,
+    ) -> Frame:
         resolved = self.resolved
         for volume in (resolved.volume, *(field.volume for field in resolved.fields)):
             volume.check_unchanged()
-        by_time = {} if seconds is None else {"seconds": _checked_seconds(resolved, seconds)}
+        if seconds is not None:
+            seconds = _checked_seconds(resolved, seconds)
         width, height = resolved.image.width, resolved.image.height
         if camera is None:
             camera = resolved.camera
         else:
             camera = camera.complete(resolved.volume.grid, resolved.image)
-        self._move_to(self._first_time if time is None else float(time), camera)
+        self._move_to(on_device, self._first_time if time is None else float(time), camera)
+        prepared, context = on_device.prepared, on_device.context
         compile_start = perf_counter()
-        before = self._context.compile_seconds
-        self._prepared.warm_up(width, height, depth, **{name: True for name in by_time})
+        before = context.compile_seconds
+        if seconds is None:
+            prepared.warm_up(width, height, depth)
+        else:
+            _refining(prepared).warm_up_for_time(depth)
         compile_seconds = before + perf_counter() - compile_start
-        self._context.compile_seconds = 0.0
+        context.compile_seconds = 0.0
         start = perf_counter()
-        data = self._prepared.render(camera, width, height, progress, depth, **by_time)
+        if seconds is None:
+            data = prepared.render(camera, width, height, progress, depth)
+        else:
+            data = _refining(prepared).render_for_time(camera, width, height, progress, depth, seconds=seconds)
         times = {"compile": compile_seconds, "render": perf_counter() - start}
-        return self._frame(camera, data.rgba, data.depth, times, _counted(data))
+        return self._frame(context.name, camera, data.rgba, data.depth, times, _counted(data))
 
     def set_transfer_function(self, function: TransferFunction, wait: bool = True) -> None:
-        """Another transfer function for the frames to come; compiles nothing, and keeps the volume.
+        """Sets another transfer function for the frames to come; compiles nothing, and keeps the volume.
 
-        By the method "multiresolution" blocks are selected anew, and those that change are read. With
-        ``wait`` False a thread reads them, and frames show what is there: their
-        ``stats["blocks"]["pending"]`` tells how many blocks are still to come.
+        The method "multiresolution" selects blocks anew and reads those that change. With
+        ``wait`` False a thread reads them, and frames show those that are there: their
+        ``stats["blocks"]["pending"]`` is the number of blocks still to come.
         """
-        with self._turn():
+        with self._turn() as on_device:
             function = self.resolved.in_stored_values(function)
             resolved = replace(self.resolved, transfer_function=function)
-            check_scene(resolved)  # what a blank scene asks for has no consequence
-            self._prepared = self._cache.prepare(resolved, wait=wait)
+            check_scene(resolved)  # a blank scene may hide effects that this one has
+            on_device.prepared = on_device.cache.prepare(resolved, wait=wait)
             self.resolved = resolved
             self._notices.of_scene(resolved)
 
-    def _move_to(self, time: float, camera: Camera) -> None:
-        """What is rendered at ``time`` from ``camera``: what has a consequence may depend on both."""
+    def _move_to(self, on_device: _OnDevice, time: float, camera: Camera) -> None:
+        """Prepares the scene for ``time`` and ``camera``: which effects have a consequence may depend on both."""
         resolved = self.resolved
         is_new_time = time != resolved.animation.time
         if is_new_time:
             animation = resolved.animation.model_copy(update={"time": time})
             resolved = replace(resolved, animation=animation)
         if is_new_time or resolved.depth_cue:
-            self._prepared = self._cache.prepare(replace(resolved, camera=camera))
-        self.resolved = resolved  # once it is prepared
+            on_device.prepared = on_device.cache.prepare(replace(resolved, camera=camera))
+        self.resolved = resolved  # only once it is prepared
 
-    def _frame(self, camera: Camera, rgba, depth, seconds: dict, counted: dict) -> Frame:
+    def _frame(
+        self,
+        device: str,
+        camera: Camera,
+        rgba: np.ndarray,
+        depth: np.ndarray | None,
+        seconds: dict[str, float],
+        counted: dict[str, Any],
+    ) -> Frame:
         first = {"load": self._load_seconds, "prepare": self._prepare_seconds}
         self._load_seconds = self._prepare_seconds = 0.0
         seconds = {**first, **seconds}
         counted |= self._notices.of_picture(self.resolved, camera, rgba, depth)
-        told = MadeFrom(self.resolved, camera)
-        self._told.add(told)
-        return make_frame(self.resolved, rgba, depth, seconds, counted, self._context.name, told)
+        made_from = MadeFrom(self.resolved, camera)
+        self._provenances.add(made_from)
+        return make_frame(self.resolved, rgba, depth, seconds, counted, device, made_from)
+
+
+def _refining(prepared: Prepared) -> RefinesInTime:
+    """``prepared``, of an integrator that ``refines_in_time``."""
+    if not isinstance(prepared, RefinesInTime):
+        raise TypeError(f"{type(prepared).__name__} does not refine pictures in time")
+    return prepared
 
 
 def _checked_seconds(resolved: ResolvedScene, seconds: float) -> float:
@@ -217,7 +266,7 @@ def check_memory(resolved: ResolvedScene, cap: int | None) -> None:
 
 
 def open_context(devices: Sequence[Any] | None) -> DeviceContext:
-    """The one device that is asked for, opened. UsageError for several, DeviceError for none."""
+    """The one device that is requested, opened. UsageError for several, DeviceError for none."""
     if isinstance(devices, str) or (devices is not None and not isinstance(devices, Sequence)):
         devices = [devices]
     if devices is not None and len(devices) > 1:
@@ -228,6 +277,6 @@ def open_context(devices: Sequence[Any] | None) -> DeviceContext:
 
 
 def _counted(data: FrameData) -> dict[str, Any]:
-    """What a frame took, for its stats; ``counters`` only where effects counted something."""
+    """The numbers of a frame for its stats; ``counters`` only where effects counted something."""
     counted = {"samples": data.samples, "rays": data.rays, **data.notes}
     return {**counted, "counters": data.counters} if data.counters else counted

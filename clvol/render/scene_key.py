@@ -1,7 +1,7 @@
-"""What a prepared scene was made for, as a key: equal for scenes that it renders alike.
+"""The key of a prepared scene: equal for all scenes that it can render.
 
-A key is made of values alone: numbers with their types, arrays with their bytes. Objects that have no value of their
-own (a volume, an oracle) are in it themselves: they count as what they are, and live as long as the key.
+A key consists of values: numbers with their types, arrays with their bytes. Objects that have no value of their
+own (a volume, an oracle) are part of it themselves: they are compared by identity, and live as long as the key.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ from clvol.scene.resolve import ResolvedScene
 from clvol.scene.table import Table
 from clvol.transfer import TransferFunction
 
-# What ``Prepared.for_scene`` takes over from another scene, and what no picture depends on.
+# Tables that ``Prepared.for_scene`` takes over from another scene, or that no picture depends on.
 _TAKEN_OVER = ("camera", "image", "animation", "integration", "multiresolution", "pyramid")
 _NOT_RENDERED = ("source", "origin")
 _FREE_SETTINGS = {"step": 1.0, "early_termination": 0.0}  # of [integration]
 
 
 def scene_key(resolved: ResolvedScene, integrator: Integrator) -> tuple[Hashable, ...]:
-    """Equal for scenes that one prepared scene may serve (``Prepared.for_scene``). A table that scenes get in the
-    future counts: only those named here do not."""
+    """A key that is equal for scenes that one prepared scene may serve (``Prepared.for_scene``). New tables of
+    scenes are part of it by default: only those named here are left out."""
     left_out = (*_TAKEN_OVER, *_NOT_RENDERED)
     parts: list[Any] = [getattr(resolved, f.name) for f in fields(resolved) if f.name not in left_out]
     parts += resolved.integration.model_copy(update=_FREE_SETTINGS), *integrator.key(resolved)
@@ -33,7 +33,8 @@ def scene_key(resolved: ResolvedScene, integrator: Integrator) -> tuple[Hashable
 
 
 def value_key(value: Any) -> Hashable:
-    """Equal for equal values of the same type; for a volume, or whatever else has no value, for the same object."""
+    """A key that is equal for equal values of the same type; for a volume, or another object without a value, only for
+    the same object."""
     if value is None or isinstance(value, TransferFunction):
         return value
     if isinstance(value, np.ndarray):

@@ -104,9 +104,9 @@ def test_a_function_that_comes_back_after_another_time_is_shown(device):
 @pytest.mark.parametrize("kind", ("fewer bits", "prefiltered"))
 def test_another_function_leaves_converted_voxels_where_they_are(kind, device):
     with Renderer(scene_of(kind), [device]) as renderer:
-        before = renderer._prepared.volume
+        before = renderer._on_device.prepared.volume
         renderer.set_transfer_function(FUNCTIONS[1])
-        assert renderer._prepared.volume is before
+        assert renderer._on_device.prepared.volume is before
 
 
 def test_blocks_that_could_not_be_read_are_read_again(device, monkeypatch):

@@ -80,7 +80,7 @@ CASES = {
     "holes alone": (scene_of(np.full((9, 9, 9), np.nan)), "volume: none of its voxels is a finite number"),
     "out of view": (scene_of(np.pad(np.full((1, 1, 1), 255.0), (0, 33)), function([200, 255], [0, 0.5]),
                              clip=[{"point": [18.0, 17.0, 18.0], "normal": [1.0, 1.0, 1.0]}]),
-                    "the picture is blank", "hardly a voxel in view"),
+                    "the picture is blank", "hardly any voxel in view"),
 }  # fmt: skip
 GOOD = {
     "smooth": scene_of(waves((34, 35, 36)), SMOOTH),

@@ -1,1 +1,1 @@
-"""Rendering from blocks at several resolutions: what of a volume is on a device, at which level."""
+"""The method "multiresolution": the blocks of a volume on a device, each at its own level of detail."""

@@ -1,4 +1,4 @@
-"""How many steps a ray may take at once in each block, for a bound on the error of one such segment.
+"""The number of steps that a ray may take at once in each block, for a bound on the error of one such segment.
 
 "bounded" stepping (``cl/step_blocks.h``): step control by the local error, as in solvers of differential equations, in place
 of the rule of one step per sample (Ljung 2006). A segment of length l in a block whose field has slope at most G and curvature at most S
@@ -8,8 +8,9 @@ of the rule of one step per sample (Ljung 2006). A segment of length l in a bloc
   post             l (A S l^2 / 24 + K G l / 8), at most l B    the midpoint rule, A the slope of what the value emits and
                                                                 absorbs, K how much that slope changes
 
-over the values that the block has: A, K and B (how much emission or extinction itself differs) are taken from the transfer
-function between its lowest and highest value, R is their difference. Attenuation in front only lowers it.
+over the values in the block: A, K and B (the variation of emission or extinction themselves) are taken from the transfer
+function between the block's lowest and highest value, and R is its variation there. Attenuation in front only lowers
+the error.
 """
 
 from __future__ import annotations
@@ -18,11 +19,11 @@ import numpy as np
 
 from clvol.transfer import TransferFunction
 
-_OPAQUE = 1.0 - 1e-4  # opacities beyond count as this: optical depths stay finite
+_OPAQUE = 1.0 - 1e-4  # larger opacities are lowered to this, so that optical depths stay finite
 
 
 class RangeExtremes:
-    """Largest of ``values`` [n] in any span of them: a table of spans of powers of two."""
+    """The maximum of ``values`` [n] over any span, from a table of spans of powers of two."""
 
     def __init__(self, values: np.ndarray) -> None:
         self._table = [np.asarray(values, np.float64)]
@@ -31,7 +32,7 @@ class RangeExtremes:
             self._table.append(np.maximum(last[:-half], last[half:]))
 
     def largest(self, first: np.ndarray, last: np.ndarray) -> np.ndarray:
-        """Of values first ... last, both included; ``first`` <= ``last``."""
+        """The maximum of the values from ``first`` to ``last``, both included; ``first`` <= ``last``."""
         power = np.frexp(last - first + 1)[1] - 1
         out = np.empty(first.shape)
         for k, row in enumerate(self._table):
@@ -50,10 +51,10 @@ def most_steps(
     edge: int,
     midpoints: bool,
 ) -> np.ndarray:
-    """uint8 [n], 1 ... ``edge``: steps at once whose error is at most ``error``.
+    """uint8 [n], 1 ... ``edge``: the number of steps at once whose error is at most ``error``.
 
-    ``bounds`` float [n, 4]: of ``block_bounds``. ``function`` over the values that kernels compute with, and its class ``nodes``.
-    ``step_length``: of a step, world; ``step_voxels``: at most so many voxels along any axis.
+    ``bounds`` float [n, 4]: from the kernel ``block_bounds``. ``function`` over the values that kernels compute with, and
+    its ``nodes``. ``step_length``: world length of a step; ``step_voxels``: its greatest length in voxels along any axis.
     """
     curvature, slope, low, high = np.asarray(bounds, np.float64).T
     nodes = _with_knots(nodes, function.values)
@@ -83,7 +84,7 @@ def most_steps(
 
 
 def _with_knots(nodes: np.ndarray, knots: np.ndarray) -> np.ndarray:
-    """``nodes`` and, between them, all ``knots`` with what lies just below them: no piece, and no step, is missed."""
+    """``nodes`` and, between them, all ``knots`` and the values just below them, so that no piece and no jump is missed."""
     inside = knots[(knots > nodes[0]) & (knots < nodes[-1])]
     return np.unique(np.concatenate([nodes, inside, np.nextafter(inside, -np.inf)]))
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any, TypeVar
+
 import numpy as np
 
 from clvol.device.arguments import (
@@ -12,12 +14,13 @@ from clvol.device.arguments import (
 )
 from clvol.device.transfer_lookup import device_function, scene_nodes, segment_classification
 from clvol.device.view import ray_frame
+from clvol.device.volume import ResidentVolume
 from clvol.features import STEPPINGS
 from clvol.features.vocabulary import BLOCK_COUNTERS, CELLS
 from clvol.integrators.multiresolution.bounds import most_steps
 from clvol.integrators.multiresolution.device_blocks import DeviceBlocks
 from clvol.integrators.multiresolution.sample_allocator import map_shift
-from clvol.integrators.raycast.caster import _SECONDS_A_SAMPLE, Raycaster
+from clvol.integrators.raycast.caster import SECONDS_A_SAMPLE, Raycaster
 from clvol.integrators.raycast.march import March
 from clvol.integrators.raycast.switches import raycast_switches
 from clvol.integrators.tiles.geometry import TileGrid
@@ -35,7 +38,7 @@ from clvol.transfer import TransferFunction
 from clvol.transfer.lookup_nodes import visible_cells
 from clvol.transfer.pieces import value_gate
 
-# Switches of kernels that look at blocks and cast no rays.
+# Switches of kernels that work on blocks and cast no rays.
 _OF_BLOCKS = (
     "VOXEL_BITS", "VOXEL_SIGNED", "VOXEL_SCALED", "VOXEL_HOLES", "VOXEL_PAIRS", "SAMPLE_BUFFERS",
     "INTERBLOCK", "FILTER", "CLASSIFICATION", "TRANSFER_PIECES",
@@ -43,22 +46,26 @@ _OF_BLOCKS = (
 _MORE = ["samples1", "samples2", "samples3"]
 
 
-class BlockedVolume:
-    """A volume on the device as ``DeviceVolume`` is, but as blocks. Lattice coordinates are the same."""
+class BlockedVolume(ResidentVolume):
+    """A volume on the device as blocks; lattice coordinates are those of ``DeviceVolume``. It has no array of all
+    voxels."""
 
     def __init__(self, blocks: DeviceBlocks) -> None:
         self.blocks = blocks
+        self.voxels = blocks.samples[0]
         self.values = blocks.value_map
         self.switches = blocks.switches
         grid = blocks.blocks
-        self.size = tuple(max(n, 2) for n in reversed(grid.shape))
+        nz, ny, nx = grid.shape
+        self.size = max(nx, 2), max(ny, 2), max(nz, 2)
         self.stride = (0, 0)
         self.cell_shift = map_shift(grid, blocks.memory_bytes)
-        self.cells = tuple(n * (grid.edge >> self.cell_shift) for n in reversed(grid.counts))
+        bz, by, bx = grid.counts
+        edge = grid.edge >> self.cell_shift
+        self.cells = bx * edge, by * edge, bz * edge
 
-    @property
-    def voxels(self) -> DeviceArray:
-        return self.blocks.samples[0]
+
+Caster = TypeVar("Caster", bound="BlockCaster")
 
 
 def blocks_struct(grid: BlockGrid) -> np.ndarray:
@@ -72,8 +79,8 @@ def blocks_struct(grid: BlockGrid) -> np.ndarray:
 class BlockCaster(Raycaster):
     """As ``Raycaster``, for scenes of emission and absorption and the method "multiresolution".
 
-    ``blocks``: what is resident. ``render`` shows what is resident at that moment; ``set_resident`` must be
-    called when that has changed.
+    ``blocks``: the resident blocks. ``render`` shows the blocks that are resident at that moment; ``set_resident`` must
+    be called after they have changed.
     """
 
     def __init__(
@@ -107,7 +114,7 @@ class BlockCaster(Raycaster):
         return segment_classification(self.resolved.integration, functions) != "preintegrated"
 
     def set_transfer_function(self, function: TransferFunction) -> None:
-        """Another transfer function for the blocks that are resident: tables and empty space."""
+        """Another transfer function for the resident blocks: rebuilds tables and empty space."""
         resolved = self.resolved
         self.nodes = scene_nodes(resolved, function)
         mapped = device_function(function, self.volume.values)
@@ -131,16 +138,16 @@ class BlockCaster(Raycaster):
         self.switches |= self.blocks.switches | self.march.switches()
 
     def _fitting_stepping(self) -> str:
-        """The scene's, but where all blocks that show anything shall be at full resolution a step a
-        sample is an even step, for which there is a faster kernel."""
-        asked, goal = self.settings.stepping, self.blocks.goal
-        if asked == "pyramid":  # its march takes steps of its own
+        """The scene's stepping, or "full" where it gives the same steps: if all visible blocks are to be at full
+        resolution, one step per sample is an even step, for which there is a faster kernel."""
+        stepping, goal = self.settings.stepping, self.blocks.goal
+        if stepping == "pyramid":  # its march takes steps of its own
             return "full"
         is_even = not ((goal > 0) & (goal != DROPPED)).any()
-        return "full" if is_even and asked in ("limited", "naive") else asked
+        return "full" if is_even and stepping in ("limited", "naive") else stepping
 
     def set_resident(self) -> None:
-        """Finds empty space anew in the blocks that are resident."""
+        """Finds empty space anew in the resident blocks."""
         context, volume = self.context, self.volume
         stepping = self._fitting_stepping()
         if stepping != self.stepping:
@@ -158,18 +165,16 @@ class BlockCaster(Raycaster):
             self._switches_of_blocks,
         )
         cells = context.empty(np.uint8, volume.cells[::-1])
-        kernel(
-            context.queue,
-            volume.cells,
-            None,
-            volume=volume.voxels,
-            warp=self.warp,
-            before=context.upload(np.concatenate([[0], np.cumsum(between)]).astype(np.int32)),
-            at=context.upload(at.astype(np.uint8)),
-            view=context.upload(view),
-            cells=cells,
+        given: dict[str, Any] = {
+            "volume": volume.voxels,
+            "warp": self.warp,
+            "before": context.upload(np.concatenate([[0], np.cumsum(between)]).astype(np.int32)),
+            "at": context.upload(at.astype(np.uint8)),
+            "view": context.upload(view),
+            "cells": cells,
             **self._resident_arrays(),
-        )
+        }
+        kernel(context.queue, volume.cells, None, **given)
         self._set_steps()
         found = context.read(cells)
         self.shown_cells, self.hole_cells = found != CELLS["empty"], found == CELLS["beside-holes"]
@@ -183,7 +188,7 @@ class BlockCaster(Raycaster):
         return of_blocks | {"LANES": 1, "WARPED_CLASSES": int(self.nodes.warp is not None)}
 
     def _set_steps(self) -> None:
-        """For bounded stepping: how many steps may be taken at once in each block that is resident."""
+        """For bounded stepping: finds how many steps may be taken at once in each resident block."""
         if self.stepping != "bounded":
             return
         context, blocks = self.context, self.blocks.blocks
@@ -198,8 +203,13 @@ class BlockCaster(Raycaster):
             self._switches_of_blocks,
         )
         bounds = context.empty(np.float32, (blocks.count, 4))
-        arrays = {"volume": self.volume.voxels, "view": context.upload(view), "bounds": bounds}
-        kernel(context.queue, blocks.counts[::-1], None, **arrays, **self._resident_arrays())
+        given: dict[str, Any] = {
+            "volume": self.volume.voxels,
+            "view": context.upload(view),
+            "bounds": bounds,
+            **self._resident_arrays(),
+        }
+        kernel(context.queue, blocks.counts[::-1], None, **given)
         self.steps = most_steps(
             context.read(bounds),
             device_function(self.function, self.volume.values),
@@ -212,7 +222,7 @@ class BlockCaster(Raycaster):
         )
         self._steps = context.upload(np.append(self.steps, np.zeros(4, np.uint8)))
 
-    def for_scene(self, resolved: ResolvedScene) -> BlockCaster:
+    def for_scene(self: Caster, resolved: ResolvedScene) -> Caster:
         other = super().for_scene(resolved)
         if other.length != self.length:
             other._set_steps()
@@ -247,7 +257,7 @@ class BlockCaster(Raycaster):
     def _counter_names(self) -> tuple[str, ...]:
         return (*self.march.counters, *BLOCK_COUNTERS)
 
-    # What ``TiledRenderer`` asks for
+    # As ``RayEngine``, for ``TiledRenderer``
 
     def packets(self, depth: bool) -> PacketRenderer:
         return PacketRenderer(
@@ -256,7 +266,7 @@ class BlockCaster(Raycaster):
             scene_arguments(self.volume.switches["VOXEL_BITS"]) + self._declared,
             {**self._scene_arrays(), **self._block_arrays()},
             self.lanes,
-            self._most_samples() * _SECONDS_A_SAMPLE,
+            self._most_samples() * SECONDS_A_SAMPLE,
             len(BLOCK_COUNTERS),
         )
 
@@ -266,7 +276,7 @@ class BlockCaster(Raycaster):
         return self._frame_view(frame, width, height)
 
     def blank_view(self) -> np.ndarray:
-        """``View`` [1] of a picture of no pixels."""
+        """``View`` [1] of a picture without pixels."""
         return np.zeros(1, self.view_dtype)
 
     def corner_statistics(self, view: np.ndarray, grid: TileGrid) -> tuple[np.ndarray, int]:
@@ -289,14 +299,14 @@ def block_switches(
     stepping: str | None = None,
     function: TransferFunction | None = None,
 ) -> dict[str, int]:
-    """What gets compiled for a scene of blocks, but for what the samples' type and buffers add.
-    ``stepping`` and ``function`` instead of the scene's."""
-    asked = resolved.multiresolution
+    """The switches (-D) for a scene of blocks, without those of the samples' type and buffers.
+    ``stepping`` and ``function``: used in place of the scene's."""
+    settings = resolved.multiresolution
     return {
         **raycast_switches(
             resolved, lanes=lanes, skip=skip, function=function
         ),
         "BLOCKS": 1,
-        "STEPPING": STEPPINGS[stepping or asked.stepping],
-        "INTERBLOCK": int(asked.interblock),
+        "STEPPING": STEPPINGS[stepping or settings.stepping],
+        "INTERBLOCK": int(settings.interblock),
     }

@@ -1,9 +1,10 @@
-"""Blocks of a volume on a device, each at its own level, and the index that rays find them by."""
+"""Blocks of a volume on a device, each at its own level, and the index by which rays find them."""
 
 from __future__ import annotations
 
 import weakref
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
@@ -24,11 +25,11 @@ from clvol.opencl.context import DeviceArray, DeviceContext
 from clvol.opencl.structs import BLOCK_PAYLOAD
 from clvol.store.source import DROPPED, BlockSource
 
-CODE_ONE = 1  # one sample, which is in the index
+CODE_ONE = 1  # a block of one sample, which is stored in the index
 
-_GROUP = 64  # work-items: always as many, since PoCL compiles anew for each other number
-_FEW = 64  # one block in so many, at most: then only its own words of the index are written
-_WINDOW_BYTES = 16 * 2**20  # blocks in the order of their errors are read by level inside this much
+_GROUP = 64  # work-items per group: always the same number, since PoCL compiles anew for each other one
+_FEW = 64  # if at most one block in 64 changes, only the words of those blocks are written to the index
+_WINDOW_BYTES = 16 * 2**20  # blocks are read in the order of their errors, but by level within windows of this size
 
 
 class DeviceBlocks:
@@ -38,19 +39,19 @@ class DeviceBlocks:
               ``value_map`` applied); those of a block are contiguous [s, s, s] (z, y, x), at a
               multiple of s^3
     index     int32 [blocks, 2]. Word 1: bits 0 to 3 a code c, bits 4 and 5 the number of the
-              sample buffer, others 0. c = 1 + log2(samples an axis), or 15 for a dropped block.
-              Word 0: for c >= 2 the place of the first sample in its buffer, else the bits of a
+              sample buffer, others 0. c = 1 + log2(samples per axis), or 15 for a dropped block.
+              Word 0: for c >= 2 the offset of the first sample in its buffer, else the bits of a
               float32: the block's one value, ``value_map`` applied
     corners   uint32 [bz + 1, by + 1, bx + 1]: the codes of the eight blocks around each corner, 4
               bits each; nibble dx + 2 dy + 4 dz is block (z - 1 + dz, y - 1 + dy, x - 1 + dx), or
-              the nearest there is
+              the nearest one that exists
 
     Blocks that change are read by a thread (``start``) and put in place by ``commit``. Both are
     called by the thread that renders, between frames: after them samples, index and corners agree.
-    Blocks that get smaller come first, so that there is always room for the next one.
+    Blocks that shrink come first, so that there is always room for the next one.
 
-    ``memory_bytes``: for all of it and the map of empty space; SceneError where it is less than
-    everything but samples takes. ``largest_buffer``: bytes, where less than the device allows.
+    ``memory_bytes``: budget for all of it and the map of empty space; SceneError where it does not even suffice for
+    everything except samples. ``largest_buffer``: bytes, if less than the device allows.
     """
 
     def __init__(
@@ -90,35 +91,35 @@ class DeviceBlocks:
         self._loader = Loader(source, self._to_float if converts else None)
         self._close = weakref.finalize(self, self._loader.close)
 
-    # What there is
+    # Current state
 
     @property
     def levels(self) -> np.ndarray:
-        """uint8 [blocks]: what is on the device now; DROPPED for blocks that are not."""
+        """uint8 [blocks]: levels on the device now; DROPPED for blocks that are not on it."""
         return self._levels.copy()
 
     @property
     def goal(self) -> np.ndarray:
-        """uint8 [blocks]: what was asked for last."""
+        """uint8 [blocks]: the levels that were requested last."""
         return self._goal.copy()
 
     @property
     def switches(self) -> dict[str, int]:
-        """Of kernels that read ``samples``."""
-        switches = voxel_switches(self._source, self.value_map)
+        """The switches (-D) of kernels that read ``samples``."""
+        switches = voxel_switches(self._source, self.value_map, pairs=False)
         if switches["VOXEL_BITS"] == 64:
             switches |= {"VOXEL_BITS": 32, "VOXEL_SCALED": 0}
-        return switches | {"VOXEL_PAIRS": 0, "SAMPLE_BUFFERS": len(self.samples)}
+        return switches | {"SAMPLE_BUFFERS": len(self.samples)}
 
     @property
     def device_bytes(self) -> int:
-        """Bytes of all that is allocated."""
+        """Bytes of all allocations."""
         arrays = [*self.samples, self.index, self.corners, self._staging, self._payloads]
         return sum(array.nbytes for array in arrays)
 
     @property
     def sample_bytes(self) -> int:
-        """Bytes that blocks of two and more samples an axis can take together."""
+        """Bytes that blocks of two and more samples per axis can take together."""
         return self._packing.capacity * self.samples[0].dtype.itemsize
 
     @property
@@ -130,10 +131,10 @@ class DeviceBlocks:
 
     @property
     def pending(self) -> int:
-        """Blocks that are not yet at the level that was asked for."""
+        """Number of blocks that are not yet at the requested level."""
         return self._missing + len(self._instant)
 
-    # What is asked for
+    # Requests
 
     def load(
         self,
@@ -141,7 +142,7 @@ class DeviceBlocks:
         means: np.ndarray,
         progress: Callable[[int, int], None] | None = None,
     ) -> None:
-        """``start`` and ``wait``, reading level by level."""
+        """``start`` and ``wait`` in one, reading level by level."""
         self._ask(levels, means, None, len(self._levels) * self.blocks.edge**3)
         try:
             self.wait(progress)
@@ -152,21 +153,21 @@ class DeviceBlocks:
     def start(
         self, levels: np.ndarray, means: np.ndarray, priority: np.ndarray | None = None
     ) -> None:
-        """Asks for ``levels`` (uint8 [blocks], or DROPPED) instead of anything asked for before.
+        """Requests ``levels`` (uint8 [blocks], or DROPPED), which replaces all earlier requests.
 
-        ``means`` float [blocks]: the one value of a block, NaN where it has none; blocks of one
-        sample have it, and dropped ones that come back until they are read. ``priority`` float
-        [blocks] (their errors, say): of those that grow the largest come first, else they come in
-        order. RenderError if the samples take more than ``sample_bytes``.
+        ``means`` float [blocks]: one value per block, NaN where it has none; it represents blocks of one
+        sample, and blocks that are no longer dropped until they are read. ``priority`` float
+        [blocks] (their errors, for example): of the blocks that grow, those of highest priority come first; without it
+        they come in order. RenderError if the samples take more than ``sample_bytes``.
         """
         window = _WINDOW_BYTES // self._source.dtype.itemsize
         self._ask(levels, means, priority, window)
 
     def commit(self) -> bool:
-        """Puts in place what has come, and says whether anything changed since the last call.
+        """Puts the blocks in place that have arrived, and returns whether anything changed since the last call.
 
-        Raises what went wrong in reading (VolumeError names the block): then nothing more is to
-        come until the next ``start``, and what is on the device can be used as it is.
+        Raises the error of reading, if there was one (VolumeError names the block): then no more blocks arrive
+        until the next ``start``, and those on the device remain usable.
         """
         error = self._advance()
         if error is not None:
@@ -176,7 +177,7 @@ class DeviceBlocks:
         return changed
 
     def wait(self, progress: Callable[[int, int], None] | None = None) -> bool:
-        """Commits until all is there; returns as ``commit``. ``progress(done, total)``: blocks."""
+        """Commits until all blocks have arrived; returns as ``commit``. ``progress(done, total)`` counts blocks."""
         total, changed = self.pending, False
         while self.pending:
             changed |= self.commit()
@@ -187,7 +188,7 @@ class DeviceBlocks:
         return self.commit() or changed
 
     def close(self) -> None:
-        """Ends the thread; what is on the device stays."""
+        """Ends the thread; the blocks on the device stay."""
         self._abandon()
         self._close()
 
@@ -199,7 +200,7 @@ class DeviceBlocks:
         self, levels: np.ndarray, means: np.ndarray, priority: np.ndarray | None, window: int
     ) -> None:
         goal = self._checked(levels)
-        self._advance()  # what has come is kept; an error belongs to what is no longer asked for
+        self._advance()  # blocks that have arrived are kept; an error belongs to a request that is replaced
         self._loader.ask(())
         means = np.asarray(means, np.float64)
         with np.errstate(over="ignore"):
@@ -218,10 +219,10 @@ class DeviceBlocks:
             grow = grow[np.argsort(-np.asarray(priority)[grow], kind="stable")]
         self._missing = len(shrink) + len(grow)
         most = self._staging.shape[0], self._payloads.shape[0] // BLOCK_PAYLOAD.itemsize
-        asked = []
+        pieces = []
         for blocks in (shrink, grow):
-            asked += requests(blocks, goal[blocks], self.blocks.edge, *most, window)
-        self._loader.ask(asked)
+            pieces += requests(blocks, goal[blocks], self.blocks.edge, *most, window)
+        self._loader.ask(pieces)
 
     def _checked(self, levels: np.ndarray) -> np.ndarray:
         where, count, least = "levels of blocks", self.blocks.count, self.blocks.levels - 1
@@ -239,15 +240,15 @@ class DeviceBlocks:
         return levels
 
     def _sample_counts(self, levels: np.ndarray) -> np.ndarray:
-        """int64: samples that blocks at ``levels`` have in the buffers."""
+        """int64: number of samples in the buffers of blocks at ``levels``."""
         edge = self.blocks.edge
         axis = np.where(levels == DROPPED, 0, edge >> np.minimum(levels, 31).astype(np.int64))
         return np.where(axis > 1, axis**3, 0)
 
-    # What has come
+    # Arrivals
 
     def _advance(self) -> Exception | None:
-        """Puts in place what has come; returns what went wrong."""
+        """Puts the blocks in place that have arrived; returns the error of reading, if there was one."""
         pieces, error = self._loader.take()
         changed = [self._set_means(self._instant)]
         self._instant = self._instant[:0]
@@ -262,7 +263,7 @@ class DeviceBlocks:
         return error
 
     def _set_means(self, blocks: np.ndarray) -> np.ndarray:
-        """One value for each of ``blocks``."""
+        """Represents each of ``blocks`` by one value."""
         self._packing.place(blocks, np.zeros(len(blocks), np.int64))
         dropped = self._goal[blocks] == DROPPED
         self._levels[blocks] = np.where(dropped, DROPPED, self.blocks.levels - 1)
@@ -271,13 +272,12 @@ class DeviceBlocks:
         return blocks
 
     def _place(self, piece: Piece) -> list[np.ndarray]:
-        """Slots for the piece's blocks; returns all blocks whose samples lie elsewhere now."""
+        """Allocates slots for the piece's blocks; returns all blocks whose samples have moved."""
         side = self.blocks.samples(piece.level)
         moves = self._packing.place(piece.blocks, np.full(len(piece.blocks), side**3))
         for move in moves:
             (source, old), (target, new) = (divmod(at, self._each) for at in (move.old, move.new))
-            source, target = self.samples[source], self.samples[target]
-            self._context.copy(source, old, target, new, move.size)
+            self._context.copy(self.samples[source], old, self.samples[target], new, move.size)
         self._levels[piece.blocks] = piece.level
         moved = np.unique(np.array([move.block for move in moves], np.int64))
         for blocks in (piece.blocks, moved):
@@ -296,7 +296,8 @@ class DeviceBlocks:
         self._staging = context.empty(dtype, (staged // dtype.itemsize,))
         self._payloads = context.empty(np.uint8, (payloads,))
         values = (value("bias", np.float64), value("gain", np.float64)) if double else ()
-        self._values = {"bias": self.value_map.bias, "gain": self.value_map.gain} if double else {}
+        scale = {"bias": self.value_map.bias, "gain": self.value_map.gain}
+        self._values: dict[str, Any] = scale if double else {}
         switches = {"VOXEL_BITS": held.itemsize * 8, "VOXEL_SIGNED": int(held.kind == "i")}
         switches["STAGED_DOUBLE"] = int(double)
         self._decoder = context.kernel(
@@ -340,12 +341,12 @@ class DeviceBlocks:
             )
 
     def _to_float(self, samples: np.ndarray) -> np.ndarray:
-        """float64 where the device has none."""
+        """Converts float64 samples for a device without that type."""
         with np.errstate(over="ignore", invalid="ignore"):
             return self.value_map(samples).astype(np.float32)
 
     def _update_index(self, blocks: np.ndarray) -> None:
-        """Index and corners of ``blocks``, which ascend."""
+        """Writes index and corners of ``blocks``, which ascend."""
         if len(blocks) * _FEW > self.blocks.count:
             slab = self.blocks.counts[1] * self.blocks.counts[2]
             self._write_index(int(blocks[0]) // slab, int(blocks[-1]) // slab + 1)
@@ -372,12 +373,12 @@ class DeviceBlocks:
             )
 
     def _codes(self) -> np.ndarray:
-        """uint8 [bz, by, bx]."""
+        """The codes of all blocks, uint8 [bz, by, bx]."""
         codes = np.where(self._levels == DROPPED, CODE_DROPPED, self.blocks.levels - self._levels)
         return codes.reshape(self.blocks.counts)
 
     def _write_index(self, first: int, last: int) -> None:
-        """Index and corners of the slabs ``first`` <= bz < ``last``."""
+        """Writes index and corners of the slabs ``first`` <= bz < ``last``."""
         slab = self.blocks.counts[1] * self.blocks.counts[2]
         self._context.write(self.index, self._words[first * slab : last * slab], 2 * first * slab)
         corners = corner_codes(self._codes(), first, last)
@@ -403,7 +404,7 @@ def corner_codes(codes: np.ndarray, first: int, last: int) -> np.ndarray:
 
 
 def corners_of(places: np.ndarray, counts: tuple[int, int, int]) -> np.ndarray:
-    """int64 [k, 3]: the corners (z, y, x) that have one of the blocks ``places`` int64 [n, 3]."""
+    """int64 [k, 3]: the corners (z, y, x) of the blocks ``places`` int64 [n, 3]."""
     near = places[:, None] + np.stack(np.unravel_index(np.arange(8), (2, 2, 2)), axis=-1)
     shape = tuple(n + 1 for n in counts)
     at = np.sort(np.ravel_multi_index(near.reshape(-1, 3).T, shape))
@@ -412,7 +413,7 @@ def corners_of(places: np.ndarray, counts: tuple[int, int, int]) -> np.ndarray:
 
 
 def corner_codes_at(codes: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """uint32 [k]: codes around some corners int64 [k, 3], as ``corner_codes`` has them."""
+    """uint32 [k]: the codes around ``corners`` int64 [k, 3], as in ``corner_codes``."""
     found = np.zeros(len(corners), np.uint32)
     for j in range(8):
         around = corners - 1 + np.array([j >> 2, j >> 1 & 1, j & 1])

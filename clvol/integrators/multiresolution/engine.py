@@ -1,38 +1,39 @@
-"""The method "multiresolution": selects and loads blocks, casts rays through them, tile by tile where asked."""
+"""The method "multiresolution": selects and loads blocks, and casts rays through them, tile by tile if requested."""
 
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable
 from dataclasses import replace
 from time import perf_counter
 
 from clvol.device.view import EVERY_PIXEL, PixelLattice
-from clvol.integrators.base import FrameData
+from clvol.integrators.base import FrameData, Progress
 from clvol.integrators.multiresolution.caster import BlockCaster
 from clvol.integrators.multiresolution.residency import Residency
 from clvol.integrators.pyramid.blocks import BlockPyramidCaster
+from clvol.integrators.tiles.picture import TiledFrameData
 from clvol.integrators.tiles.tiled import TiledRenderer
 from clvol.opencl.context import DeviceContext
 from clvol.scene.camera import Camera
 from clvol.scene.resolve import ResolvedScene
 from clvol.transfer import TransferFunction
 
-TILES = 16  # pixels an edge of the tiles of a picture for a given time, where the scene has none
+TILES = 16  # pixels per edge of the tiles of a picture for a given time, where the scene sets none
 
 
 def caster_of(resolved: ResolvedScene) -> type[BlockCaster]:
-    """What renders the scene's stepping."""
+    """The class that renders the scene's stepping."""
     if resolved.multiresolution.stepping == "pyramid":
         return BlockPyramidCaster
     return BlockCaster
 
 
 class MultiresolutionEngine:
-    """An engine as ``Raycaster`` is one. ``residency`` may be shared: each frame asks for its own blocks.
+    """A ``Prepared`` scene of blocks, which also ``RefinesInTime``. ``residency`` may be shared: each frame requests
+    its own blocks.
 
-    A frame waits for its blocks, so a picture is the same however long reading takes; but where ``wait`` is
-    False frames show what is there until all has come, a thread reading the rest.
+    A frame waits for its blocks, so a picture is the same however long reading takes. Where ``wait`` is
+    False, a thread reads the blocks, and frames show those that are there until all have arrived.
     """
 
     def __init__(
@@ -40,7 +41,7 @@ class MultiresolutionEngine:
         context: DeviceContext,
         resolved: ResolvedScene,
         residency: Residency | None = None,
-        progress: Callable[[int, int], None] | None = None,
+        progress: Progress | None = None,
         wait: bool | None = None,
     ) -> None:
         self.context, self.resolved = context, resolved
@@ -69,52 +70,70 @@ class MultiresolutionEngine:
         other.caster = self.caster.for_scene(resolved)
         return other
 
-    def ask(
-        self, wait: bool | None = None, progress: Callable[[int, int], None] | None = None
-    ) -> None:
-        """Asks for the blocks of the scene's own view. ``wait`` None: as was said last."""
+    def ask(self, wait: bool | None = None, progress: Progress | None = None) -> None:
+        """Requests the blocks of the scene's own view. ``wait`` None: as in the last request."""
         self.residency.ask(self.resolved, wait=wait, progress=progress)
 
     def set_transfer_function(self, function: TransferFunction, wait: bool = True) -> None:
-        """Another transfer function: new tables, and the blocks that it wants. With ``wait`` False a
-        thread reads these while frames are rendered from what is there.
+        """Another transfer function: new tables, and the blocks that it needs. With ``wait`` False a
+        thread reads these while frames are rendered from the blocks that are there.
 
-        For an engine that nobody shares: ``PreparedCache`` keep theirs by their function, and make another one."""
+        Only for an engine that is not shared: a ``PreparedCache`` finds engines by their transfer function, so it makes
+        another one instead."""
         self.resolved = replace(self.resolved, transfer_function=function)
         self.ask(wait)
         self.caster.set_transfer_function(function)
         self._shown = self.residency.generation
 
-    def warm_up(
-        self, width: int, height: int, depth: bool = True, seconds: bool = False
-    ) -> None:
-        """As ``Raycaster.warm_up``. ``seconds``: pictures for a given time are to come."""
-        if not seconds:
-            self.caster.warm_up(width, height, depth)
-        if self._tile_size or seconds:
+    def warm_up(self, width: int, height: int, depth: bool = True) -> None:
+        """As ``Prepared.warm_up``."""
+        self.caster.warm_up(width, height, depth)
+        if self._tile_size:
             self._tiled().warm_up(depth)
+
+    def warm_up_for_time(self, depth: bool = True) -> None:
+        """As ``RefinesInTime.warm_up_for_time``."""
+        self._tiled().warm_up(depth)
 
     def render(
         self,
         camera: Camera,
         width: int,
         height: int,
-        progress: Callable[[int, int], None] | None = None,
+        progress: Progress | None = None,
         depth: bool = True,
         lattice: PixelLattice = EVERY_PIXEL,
-        seconds: float | None = None,
     ) -> FrameData:
-        """As ``Raycaster.render``. ``seconds``: of a picture in tiles, which is refined so long."""
+        """As ``Prepared.render``."""
+        self._make_resident(camera, width, height)
+        if self._tile_size and lattice == EVERY_PIXEL:
+            return self._described(self._tiled().render(camera, width, height, progress, depth))
+        data = self.caster.render(camera, width, height, progress, depth, lattice)
+        data.notes["blocks"] = self.residency.describe()
+        return data
+
+    def render_for_time(
+        self,
+        camera: Camera,
+        width: int,
+        height: int,
+        progress: Progress | None = None,
+        depth: bool = True,
+        *,
+        seconds: float,
+    ) -> FrameData:
+        """As ``RefinesInTime.render_for_time``: a picture in tiles."""
         start = perf_counter()
         self._make_resident(camera, width, height)
-        if (self._tile_size or seconds is not None) and lattice == EVERY_PIXEL:
-            left = None if seconds is None else max(seconds - (perf_counter() - start), 0.0)
-            data = self._tiled().render(camera, width, height, progress, depth, seconds=left)
-            data.notes["tiles"] = {"share_of_pixels": data.share}
-            if data.estimated_rmse is not None:
-                data.notes["tiles"]["estimated_rmse"] = data.estimated_rmse
-        else:
-            data = self.caster.render(camera, width, height, progress, depth, lattice)
+        left = max(seconds - (perf_counter() - start), 0.0)
+        return self._described(self._tiled().render(camera, width, height, progress, depth, seconds=left))
+
+    def _described(self, data: TiledFrameData) -> TiledFrameData:
+        """``data`` with notes about its tiles and blocks."""
+        tiles = {"share_of_pixels": data.share}
+        if data.estimated_rmse is not None:
+            tiles["estimated_rmse"] = data.estimated_rmse
+        data.notes["tiles"] = tiles
         data.notes["blocks"] = self.residency.describe()
         return data
 

@@ -1,4 +1,4 @@
-"""Blocks of a volume, each as fine as the picture needs it within a budget of memory, as an integrator."""
+"""The method "multiresolution" as an integrator: blocks at the levels that pictures need, within a budget of memory."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ _BUDGETS = 2  # volumes and budgets whose blocks stay resident: they hold all th
 
 
 class Multiresolution:
-    """Levels of detail per block, chosen by what the picture loses, within ``multiresolution.memory``."""
+    """Levels of detail per block, chosen by the picture's error, within ``multiresolution.memory``."""
 
     name = "multiresolution"
     reads_blocks = True
     tuned_as = "multiresolution"
 
     def check(self, resolved: ResolvedScene) -> None:
-        refuse_keys(resolved, _KEYS)  # first: some of them are effects too
+        refuse_keys(resolved, _KEYS)  # first, since some of these keys are effects, too
         origin = resolved.origin
         if isinstance(resolved.volume, FilledVolume):
             where = f"{origin}: volume.nan"
@@ -74,7 +74,8 @@ class Multiresolution:
         needed = most_bytes(blocks, volume.dtype, budget)
         if _slices(scene):
             edge = blocks.edge >> map_shift(blocks, budget)
-            needed += block_pyramid_bytes(tuple(n * edge for n in blocks.counts), scene)
+            z, y, x = blocks.counts
+            needed += block_pyramid_bytes((z * edge, y * edge, x * edge), scene)
         return needed + scene.image.width * scene.image.height * 20
 
     def memory_advice(self, scene: Scene | ResolvedScene) -> tuple[str, str]:

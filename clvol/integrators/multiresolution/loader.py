@@ -1,6 +1,6 @@
-"""Blocks read and unpacked in a thread of their own, in pieces small enough to be staged at once.
+"""Reads and unpacks blocks in a thread of their own, in pieces small enough to be staged at once.
 
-The thread knows a source of blocks and nothing of OpenCL.
+The thread uses a source of blocks and no OpenCL.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from clvol.store.source import BlockSource
 
 RAW, CONSTANT = BLOCK_CODECS["raw"], BLOCK_CODECS["constant"]
 
-_MOST_READY = 8  # pieces that wait to be taken
+_MOST_READY = 8  # pieces waiting to be taken
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,8 +30,8 @@ class Request:
 
 @dataclass(frozen=True, eq=False)
 class Piece:
-    """What a ``Request`` brought, as it is staged: block k begins at element ``first[k]`` of
-    ``staged``, in ``codec[k]``."""
+    """The blocks of a ``Request``, ready to be staged: block k begins at element ``first[k]`` of
+    ``staged``, encoded by ``codec[k]``."""
 
     level: int
     blocks: np.ndarray
@@ -48,8 +48,8 @@ def requests(
     most_blocks: int,
     window: int,
 ) -> list[Request]:
-    """``blocks`` at ``levels``, in that order but for windows of about ``window`` samples: inside
-    one they are by level and then by number, since neighbours at one level are read together.
+    """Requests for ``blocks`` at ``levels``, in that order, except that within windows of about ``window`` samples
+    they are sorted by level and then by number, since neighbours at one level are read together.
 
     No request has more than ``most_samples`` samples or ``most_blocks`` blocks.
     """
@@ -71,7 +71,7 @@ def requests(
 
 
 def staged_piece(request: Request, samples: np.ndarray) -> Piece:
-    """``samples`` [k, s, s, s] as they are staged; of blocks that have a single value one sample
+    """``samples`` [k, s, s, s] as a piece; blocks of a single value have one sample
     each, after all others."""
     flat = np.ascontiguousarray(samples).reshape(len(samples), -1)
     constant = flat[:, 0] == flat[:, -1]
@@ -89,10 +89,10 @@ def staged_piece(request: Request, samples: np.ndarray) -> Piece:
 
 
 class Loader:
-    """Reads what was last asked for, in order, in one thread that ends when there is no more.
+    """Reads the latest requests, in order, in one thread that ends when there are no more.
 
-    ``convert``: what becomes of samples before they are staged. No more than a few pieces wait to
-    be taken: until then the thread waits too. An error ends what was asked for and is handed out
+    ``convert`` is applied to samples before they are staged. Only a few pieces wait to
+    be taken at a time; then the thread waits, too. An error cancels all requests and is returned
     by ``take``.
     """
 
@@ -104,11 +104,11 @@ class Loader:
         self._requests: deque[Request] = deque()
         self._ready: deque[Piece] = deque()
         self._error: Exception | None = None
-        self._generation = 0  # of what is asked for: a piece of an older one is dropped
+        self._generation = 0  # of the requests: pieces of older ones are dropped
         self._thread: threading.Thread | None = None
 
     def ask(self, wanted: Iterable[Request]) -> None:
-        """Instead of all that was asked for and is not yet taken."""
+        """Replaces all requests, and discards pieces that have not been taken."""
         with self._condition:
             self._generation += 1
             self._requests = deque(wanted)
@@ -120,7 +120,7 @@ class Loader:
                 self._thread.start()
 
     def take(self) -> tuple[list[Piece], Exception | None]:
-        """What has come since the last call, and what went wrong after that."""
+        """The pieces that have arrived since the last call, and the error that followed them, if there was one."""
         with self._condition:
             pieces, error = list(self._ready), self._error
             self._ready.clear()
@@ -129,12 +129,12 @@ class Loader:
             return pieces, error
 
     def wait(self) -> None:
-        """Until there is something to take, or nothing to come."""
+        """Waits until there is something to take, or nothing more will arrive."""
         with self._condition:
             self._condition.wait_for(lambda: self._ready or self._error or self._thread is None)
 
     def close(self) -> None:
-        """Ends the thread; returns when it has ended."""
+        """Ends the thread, and returns once it has ended."""
         self.ask(())
         with self._condition:
             thread = self._thread
@@ -144,7 +144,8 @@ class Loader:
     def _run(self) -> None:
         while (work := self._next()) is not None:
             generation, request = work
-            piece, error = None, None
+            piece: Piece | None = None
+            error: Exception | None = None
             try:
                 piece = self._read(request)
             except Exception as caught:
@@ -156,15 +157,15 @@ class Loader:
                     )
                 if generation != self._generation:
                     continue
-                if error is not None:
+                if piece is not None:
+                    self._ready.append(piece)
+                else:
                     self._error = error
                     self._requests.clear()
-                else:
-                    self._ready.append(piece)
                 self._condition.notify_all()
 
     def _next(self) -> tuple[int, Request] | None:
-        """What to read, or None: then the thread has ended, and the next ``ask`` starts another."""
+        """The next request, or None: then the thread has ended, and the next ``ask`` starts another one."""
         with self._condition:
             if self._requests:
                 return self._generation, self._requests.popleft()

@@ -1,4 +1,4 @@
-"""CIELUV of linear sRGB colours, and differences in it.
+"""CIELUV coordinates of linear sRGB colours.
 
 CIE 15:2018 sec. 8.2.2; the linear part of L* is written with the exact fractions (CIE 15 rounds
 them, which leaves a gap where the parts meet). The matrix is IEC 61966-2-1's to seven digits; the
@@ -32,8 +32,8 @@ def linear_to_luv(linear: ArrayLike) -> np.ndarray:
     """L*, u*, v* [..., 3] float64 of linear sRGB [..., 3]; white (1, 1, 1) has L* = 100.
 
     Negative components count as 0. Towards black L* falls to 0 linearly with the luminance while
-    the chromaticity stays bounded, so u* and v* go to 0 with it; black's own chromaticity is taken
-    to be the white's.
+    the chromaticity stays bounded, so u* and v* fall to 0 with it; black has the chromaticity
+    of white.
     """
     xyz = np.maximum(np.asarray(linear, np.float64), 0.0) @ _XYZ.T
     y = xyz[..., 1] / _WHITE[1]

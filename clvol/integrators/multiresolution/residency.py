@@ -1,4 +1,4 @@
-"""Which blocks of a volume are on the device, at which level, for a scene and a view."""
+"""Residency: which blocks of a volume are on the device, at which level, for a scene and a view."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from clvol.volume import Volume
 
 
 def block_source(volume: Volume) -> BlockSource:
-    """The store that ``volume`` lies in, else its voxels in memory."""
+    """The store that holds ``volume``, or else its voxels in memory."""
     found = getattr(volume, "blocks_source", None)
     return VolumeBlocks(volume) if found is None else found
 
@@ -27,8 +27,8 @@ def block_source(volume: Volume) -> BlockSource:
 class Residency:
     """The blocks of one volume within one budget.
 
-    ``ask`` selects levels for a scene; what differs from what is there is read, at once or by a thread while
-    frames go on with what there is (``DeviceBlocks``).
+    ``ask`` selects levels for a scene. Blocks whose levels differ from those on the device are read, either at once or
+    by a thread while frames show the blocks that are there (``DeviceBlocks``).
     """
 
     def __init__(self, context: DeviceContext, resolved: ResolvedScene) -> None:
@@ -42,9 +42,9 @@ class Residency:
         self.selection: Selection | None = None
         self._errors: tuple[TransferFunction, np.ndarray, SourceErrors] | None = None
         self._means: np.ndarray | None = None
-        self._asked: tuple = ()
+        self._request: tuple = ()
         self._waits = True
-        self.generation = 0  # one more whenever something on the device has changed
+        self.generation = 0  # increases whenever something on the device has changed
 
     def ask(
         self,
@@ -53,17 +53,17 @@ class Residency:
         wait: bool | None = None,
         progress: Callable[[int, int], None] | None = None,
     ) -> bool:
-        """Levels for ``resolved``; says whether anything on the device changed.
+        """Requests levels for ``resolved``; returns whether anything on the device changed.
 
-        ``wait``: until all is there; else a thread reads, and ``DeviceBlocks.commit`` puts in place what has come.
-        None: as was said last, but once all has come what is asked for next is waited for.
+        ``wait``: wait until all blocks have arrived; else a thread reads, and ``DeviceBlocks.commit`` puts blocks in
+        place. None: as in the last request, but once all blocks have arrived the next request is waited for.
         """
         if wait is not None:
             self._waits = wait
         try:
             changed = self._ask(resolved, self._waits, progress)
         except BaseException:
-            self._asked = ()  # what has not come is asked for again
+            self._request = ()  # blocks that have not arrived are requested again
             raise
         self._waits |= not self.blocks.pending
         self.generation += changed
@@ -73,26 +73,30 @@ class Residency:
         settings, function = resolved.multiresolution, resolved.transfer_function
         camera = resolved.camera if settings.view_weighting else None
         view = (camera, resolved.image.width, resolved.image.height) if camera else None
-        asked = (function, view, settings.occlusion, resolved.background.tobytes())
-        if asked == self._asked:
+        request = (function, view, settings.occlusion, resolved.background.tobytes())
+        if request == self._request:
             return self.blocks.wait(progress) if wait else self.blocks.commit()
         known = self._source_errors(function, resolved.background)
         self.selection = select_blocks(
             self.source, function, resolved.background, camera, resolved.image,
             self.blocks.sample_bytes, occlusion=settings.occlusion, known=known,
         )  # fmt: skip
-        self._asked = asked
+        self._request = request
         if wait:
-            self.blocks.load(self.selection.levels, self._means, progress)
+            self.blocks.load(self.selection.levels, self._block_means(), progress)
             self.blocks.commit()
             return True
         priority = known.errors[-1]
-        self.blocks.start(self.selection.levels, self._means, priority)
+        self.blocks.start(self.selection.levels, self._block_means(), priority)
         return self.blocks.commit()
 
-    def _source_errors(self, function: TransferFunction, background: np.ndarray) -> SourceErrors:
+    def _block_means(self) -> np.ndarray:
+        """The mean of each block; read once."""
         if self._means is None:
             self._means = np.concatenate([part.mean[-1] for part in self.source.statistics()])
+        return self._means
+
+    def _source_errors(self, function: TransferFunction, background: np.ndarray) -> SourceErrors:
         if self._errors is not None:
             old_function, old_background, errors = self._errors
             if old_function == function and np.array_equal(old_background, background):
@@ -106,8 +110,11 @@ class Residency:
         self.blocks.close()
 
     def describe(self) -> dict[str, Any]:
-        """For stats: blocks by level (full resolution first), dropped, still to come; bytes; and the selection's
-        error (Delta-E times pixels where views weigh, else Delta-E, summed over blocks) with its lower bound."""
+        """For stats: the numbers of blocks by level (full resolution first), dropped, and pending; bytes; and the
+        selection's error (Delta-E times pixels with view weighting, else Delta-E, summed over blocks) with its lower
+        bound."""
+        if self.selection is None:
+            raise ValueError("no blocks have been requested")
         levels = self.blocks.levels
         counts = np.bincount(levels, minlength=DROPPED + 1)
         return {

@@ -1,8 +1,8 @@
-"""Where blocks' samples lie on a device, and what all takes there: arithmetic, without a device.
+"""Allocation of blocks' samples on a device, and the memory that they take: arithmetic, without a device.
 
-All sample buffers together are one line of places, one after another. Every one but the last holds
-a whole number of blocks at full resolution, and a block of s^3 samples lies at a multiple of s^3:
-so no block straddles two buffers, and the line can be divided as if there were one.
+All sample buffers together form one line of positions. Every buffer but the last holds
+a whole number of blocks at full resolution, and a block of s^3 samples lies at a multiple of s^3,
+so no block straddles two buffers, and the line can be divided as if there were one buffer.
 """
 
 from __future__ import annotations
@@ -18,18 +18,18 @@ from clvol.volume.voxel_layout import LARGEST_OFFSET
 
 MOST_BLOCKS = 1024  # along an axis: kernels pack three numbers in 32 bits (cl/blend_blocks.h)
 MOST_BUFFERS = 4  # the index has two bits for a buffer's number
-SPARE_BYTES = 64  # after the last sample of a buffer: wide loads of it must stay inside
-SMALLEST = 8  # samples of the smallest slot, 2^3: single samples are in the index itself
+SPARE_BYTES = 64  # after the last sample of a buffer, so that wide loads of it stay inside
+SMALLEST = 8  # samples of the smallest slot, 2^3; single samples are stored in the index itself
 
 _LARGEST_STAGING = 2**20
-# The map of empty space may take one byte in so many of what is left for samples, thrice: two more
-# are needed to find it.
+# The map of empty space takes at most 1/48 of the bytes that are left for samples: it is held once, and computing it
+# needs two temporary copies.
 _MAP_SHARE = 48
 
 
 @dataclass(frozen=True)
 class Move:
-    """``size`` samples of ``block`` go from place ``old`` to place ``new``."""
+    """``size`` samples of ``block`` move from position ``old`` to position ``new``."""
 
     block: int
     old: int
@@ -38,14 +38,14 @@ class Move:
 
 
 class Packing:
-    """The places of ``count`` blocks' samples in a line of ``capacity`` samples.
+    """The positions of the samples of ``count`` blocks in a line of ``capacity`` samples.
 
-    start   int64 [count]: place of a block's first sample, a multiple of its size; -1 for none
+    start   int64 [count]: position of a block's first sample, a multiple of its size; -1 for none
     size    int32 [count]: samples of each block: edge^3, (edge / 2)^3, ..., 2^3, or 0
 
-    An octal buddy allocator: free slots of edge^3 are split into eight, and eight free ones merge.
-    What ``place`` puts into an empty line lies there largest first, without a gap; but small
-    blocks first fill what ``capacity`` has beyond whole multiples of edge^3.
+    This is an octal buddy allocator: free slots of edge^3 are split into eight, and eight free ones merge.
+    In an empty line ``place`` puts the largest blocks first, without gaps, except that small
+    blocks first fill the rest of ``capacity`` beyond whole multiples of edge^3.
     """
 
     def __init__(self, count: int, edge: int, capacity: int) -> None:
@@ -63,15 +63,15 @@ class Packing:
 
     @property
     def used(self) -> int:
-        """Samples of all blocks."""
+        """Number of samples of all blocks."""
         return self._used
 
     def place(self, blocks: np.ndarray, sizes: np.ndarray) -> list[Move]:
-        """Gives each of ``blocks`` (no two alike) a slot of its size, or none, for its old one.
+        """Gives each of ``blocks`` (distinct) a slot of its size, or none, in place of its old one.
 
-        Always possible where sizes add up to at most ``capacity``; ValueError where they do not,
-        and then nothing has changed. Where free samples are too scattered, blocks of smaller size
-        make room. Returns where they go, to be copied in this order, before anything is written to
+        This is always possible if the sizes add up to at most ``capacity``; otherwise ValueError is raised,
+        and nothing has changed. Where free samples are too scattered, smaller blocks
+        are moved out of the way. Returns these moves, to be copied in this order, before anything is written to
         new slots.
         """
         blocks, sizes = np.asarray(blocks, np.int64), np.asarray(sizes, np.int64)
@@ -100,12 +100,12 @@ class Packing:
         return moves
 
     def _put_by_force(self, block: int, size: int) -> list[Move]:
-        """Into the slot that has the fewest samples of smaller blocks. There is one: blocks of
-        ``size`` or more, this one with them, never take more than floor(capacity / size) slots of
+        """Puts ``block`` into the slot that has the fewest samples of smaller blocks. Such a slot exists: blocks of
+        ``size`` or more, including this one, never take more than floor(capacity / size) slots of
         it."""
         whole = self.capacity // size * size
-        smaller = (self.size > 0) & (self.size < size) & (self.start >= 0) & (self.start < whole)
-        smaller = np.flatnonzero(smaller)
+        is_smaller = (self.size > 0) & (self.size < size) & (self.start >= 0) & (self.start < whole)
+        smaller = np.flatnonzero(is_smaller)
         slots = self.start[smaller] // size
         taken = np.bincount(slots, weights=self.size[smaller])
         slot = int(np.where(taken > 0, taken, np.inf).argmin())
@@ -122,11 +122,14 @@ class Packing:
             those = sizes == part
             moves += self._put(evicted[those], part)
             to = self.start[evicted[those]]
-            moves += [Move(*map(int, m), part) for m in zip(evicted[those], old[those], to)]
+            moves += [
+                Move(int(other), int(before), int(after), part)
+                for other, before, after in zip(evicted[those], old[those], to)
+            ]
         return moves
 
     def _take(self, size: int, count: int) -> np.ndarray:
-        """At most ``count`` free slots, larger ones split as needed."""
+        """Takes at most ``count`` free slots, and splits larger ones as needed."""
         found = self._free[size]
         if len(found) < count and size < self._sizes[0]:
             larger = self._take(8 * size, -(-(count - len(found)) // 8))
@@ -151,25 +154,25 @@ class Packing:
 
 def staging_bytes(blocks: BlockGrid) -> tuple[int, int]:
     """Bytes for samples on their way to the device, at least one block of the widest type, and for
-    what says where they go."""
+    the records of where they go."""
     samples = np.clip(blocks.count * blocks.edge**3 // 16, 8 * blocks.edge**3, _LARGEST_STAGING)
     return int(samples), BLOCK_PAYLOAD.itemsize * max(int(samples) // 64, 16)
 
 
 def overhead_bytes(blocks: BlockGrid, memory_bytes: int) -> int:
-    """Bytes on the device for all but samples: index, corners, staging, map of empty space."""
+    """Bytes on the device for everything except samples: index, corners, staging, map of empty space."""
     return _fixed_bytes(blocks) + 3 * map_cells(blocks, map_shift(blocks, memory_bytes))
 
 
 def _fixed_bytes(blocks: BlockGrid) -> int:
-    """Of that, all but the map."""
+    """The same without the map of empty space."""
     corners = np.prod([n + 1 for n in blocks.counts], dtype=np.int64)
     return int(8 * blocks.count + 4 * corners) + sum(staging_bytes(blocks))
 
 
 def most_bytes(blocks: BlockGrid, dtype: np.dtype, memory_bytes: int) -> int:
-    """Bytes on the device within a budget of ``memory_bytes``: it, or what all blocks take at full
-    resolution."""
+    """Bytes used on the device within a budget of ``memory_bytes``: all of it, or the bytes of all blocks at full
+    resolution if these are fewer."""
     samples = blocks.count * blocks.edge**3 * sample_dtype(dtype).itemsize
     needed = overhead_bytes(blocks, memory_bytes) + samples + MOST_BUFFERS * SPARE_BYTES
     return min(memory_bytes, needed)
@@ -177,8 +180,8 @@ def most_bytes(blocks: BlockGrid, dtype: np.dtype, memory_bytes: int) -> int:
 
 def map_shift(blocks: BlockGrid, memory_bytes: int) -> int:
     """log2 of the edge, in voxels, of the cells in which empty space is known: 4 where the budget allows, up to
-    a block's edge. A finer map always fits beside the rest, so what holds in a budget does in all
-    larger ones."""
+    a block's edge. A finer map always leaves room for the rest, so whatever fits into one budget
+    fits into every larger one."""
     log_edge = blocks.levels - 1
     left = memory_bytes - _fixed_bytes(blocks) - SPARE_BYTES
     for shift in range(min(2, log_edge), log_edge):
@@ -192,18 +195,18 @@ def map_cells(blocks: BlockGrid, shift: int) -> int:
 
 
 def sample_dtype(dtype: np.dtype) -> np.dtype:
-    """In which samples of a volume of ``dtype`` are held: its own, but float32 for float64."""
+    """The type in which samples of a volume of ``dtype`` are held: its own, except float32 for float64."""
     return np.dtype(np.float32) if dtype == np.float64 else np.dtype(dtype)
 
 
 def buffer_samples(
     blocks: BlockGrid, dtype: np.dtype, memory_bytes: int, largest_buffer: int
 ) -> list[int]:
-    """How many samples each buffer holds, one to four of them, within ``memory_bytes``: all that
-    is left beside ``overhead_bytes``, or what the whole volume needs at full resolution.
+    """The number of samples in each of one to four buffers, within ``memory_bytes``: all memory that
+    ``overhead_bytes`` leaves, or as much as the whole volume needs at full resolution.
 
-    ``largest_buffer``: bytes. SceneError where memory does not even hold the rest, DeviceError
-    where a buffer holds no block, VolumeError for more than MOST_BLOCKS along an axis.
+    ``largest_buffer``: bytes. SceneError where the memory does not even suffice for the overhead, DeviceError
+    where a buffer cannot hold one block, VolumeError for more than MOST_BLOCKS along an axis.
     """
     if max(blocks.counts) > MOST_BLOCKS:
         raise VolumeError(
@@ -227,7 +230,7 @@ def buffer_samples(
             f"at least {needed} bytes: index and staging alone take that",
         )
     total = min(left // itemsize, whole * blocks.count)
-    # Each buffer more has its own spare bytes.
+    # Each further buffer has its own spare bytes.
     count = int(np.clip(-(-total // each), 1, MOST_BUFFERS))
     total = min(total, (left - SPARE_BYTES * (count - 1)) // itemsize, count * each)
     total = max(total, 0) // SMALLEST * SMALLEST

@@ -1,14 +1,14 @@
-"""Which resolution of each block is held: the least error for a number of bytes.
+"""Selection of the level of each block: the least error within a number of bytes.
 
-A multiple-choice knapsack (Sinha and Zoltners, Operations Research 27, 1979): of each block one
-level is taken. Upgrades along a block's lower convex hull of (bytes, error) buy less and less error
-a byte, so taking all blocks' upgrades in order of error a byte is the greedy with a heap, and where
-it stops is the optimum of the relaxed problem, in which blocks may be held in part: no selection
-has less error than ``Selection.bound``. The order need not be sorted: only the slope at which the
-bytes run out is looked for, by two histograms of the slopes' bits (a radix selection), so eight
-million blocks take seconds. What is then left, less than one block's bytes, is filled through a
-heap with the upgrades that still fit. Where the bound is not close yet, which takes few blocks,
-pairs of them are exchanged, one made finer and one coarser, while that helps.
+This is a multiple-choice knapsack (Sinha and Zoltners, Operations Research 27, 1979): one level is chosen
+per block. Upgrades along a block's lower convex hull of (bytes, error) save less and less error
+per byte, so taking the upgrades of all blocks in order of error per byte equals the greedy algorithm with a heap. It
+stops at the optimum of the relaxed problem, in which blocks may be held in part, so no selection
+has less error than ``Selection.bound``. Nothing is sorted: only the slope at which the
+bytes run out is found, by two histograms of the slopes' bits (a radix selection), so eight
+million blocks take seconds. The bytes that are left, less than one block takes, are then filled through a
+heap with the upgrades that still fit. If the error is not close to the bound yet, which happens with few blocks,
+pairs of blocks are exchanged, one made finer and one coarser, while that helps.
 
 Error of the result / least possible error: 216 blocks of engine, tooth and vismale, three transfer
 functions, 1 % to 50 % of the bytes: mean 1.001, worst 1.007; up to 60 random blocks: mean 1.02,
@@ -41,8 +41,8 @@ from clvol.transfer import TransferFunction
 # Delta-E times pixels below which nobody sees an error: less than a tenth of a step of 8 bits in
 # one pixel.
 NEGLIGIBLE = 1e-2
-_PIECE = 1 << 18  # blocks looked at together
-# Blocks are exchanged until the error is so near to the bound, and this many times at most.
+_PIECE = 1 << 18  # blocks processed together
+# Blocks are exchanged until the error is this close to the bound, and at most this many times.
 _CLOSE = 1e-3
 _ROUNDS = 64
 
@@ -50,9 +50,9 @@ _ROUNDS = 64
 @dataclass(frozen=True, eq=False)
 class Selection:
     """``levels`` [n] uint8: DROPPED for blocks that take no memory; 0 is full resolution.
-    ``bytes``: what their samples take. ``error``: the sum of the blocks' errors. ``bound``: no
-    levels within the bytes have less error than this, so ``error - bound`` is how far from the best
-    they may be."""
+    ``bytes``: bytes of their samples. ``error``: the sum of the blocks' errors. ``bound``: no
+    levels within the bytes have less error than this, so ``error - bound`` is at most their distance from
+    the optimum."""
 
     levels: np.ndarray
     bytes: int
@@ -62,9 +62,9 @@ class Selection:
 
 @dataclass(frozen=True, eq=False)
 class SourceErrors:
-    """Of all blocks, whatever the view: ``errors`` float32 [levels, n] (``block_errors``, 0 where
-    dropped), ``dropped`` bool [n], ``transmittances`` float32 [n] of a block's edge of path, which
-    is what ``visibility`` takes."""
+    """Errors of all blocks, independent of the view: ``errors`` float32 [levels, n] (``block_errors``, 0 where
+    dropped), ``dropped`` bool [n], ``transmittances`` float32 [n] along a path of a block's edge, as
+    ``visibility`` needs them."""
 
     errors: np.ndarray
     dropped: np.ndarray
@@ -74,7 +74,7 @@ class SourceErrors:
 def source_errors(
     source: BlockSource, function: TransferFunction, background: np.ndarray
 ) -> SourceErrors:
-    """From ``source``'s statistics, one part after the other; ``background`` linear [3]. The path
+    """The errors from ``source``'s statistics, one part after the other; ``background`` linear [3]. The path
     is a block's edge times the smallest voxel edge."""
     blocks = source.blocks
     path = blocks.edge * source.grid.smallest_edge
@@ -102,15 +102,15 @@ def select_blocks(
     occlusion: bool = False,
     known: SourceErrors | None = None,
 ) -> Selection:
-    """The levels of ``source``'s blocks that look least wrong within ``memory_bytes``, of which
+    """The levels of ``source``'s blocks with the least visible error within ``memory_bytes``, of which
     ``overhead_bytes`` are taken.
 
-    ``camera`` (complete): errors count by what its picture of the size of ``image`` sees of a
-    block, with ``occlusion`` by the light that gets through to the eye, too; None: all blocks count
-    alike. ``known``: ``source_errors`` of the same source, function and background, which a new
-    view need not find again.
+    ``camera`` (complete): errors are weighted by the pixels that a block covers in its picture of the size of
+    ``image``, and with ``occlusion`` by the light that reaches the eye, too; None: all blocks count
+    alike. ``known``: ``source_errors`` of the same source, function and background, which need not be
+    computed again for a new view.
 
-    SceneError if not even one sample a block fits.
+    SceneError if not even one sample per block fits.
     """
     cost = level_costs(source.blocks, source.dtype)
     found = source_errors(source, function, background) if known is None else known
@@ -133,8 +133,8 @@ def select_blocks(
 
 
 def all_resolutions(found: SourceErrors, cost: np.ndarray) -> Iterator[Selection]:
-    """Full resolution of all blocks that show anything: then rays see voxels, and nothing else. And, where that is too
-    much, of all but those whose one sample is estimated to be as good."""
+    """Full resolution for all blocks that show anything, so that rays see only voxels. Where that is too
+    much, for all except those whose single sample is estimated to be as good."""
     for least in (-1.0, 0.0):
         levels = np.where(found.errors[-1] > least, 0, len(cost) - 1).astype(np.uint8)
         levels[found.dropped] = DROPPED
@@ -142,7 +142,7 @@ def all_resolutions(found: SourceErrors, cost: np.ndarray) -> Iterator[Selection
 
 
 def level_costs(blocks: BlockGrid, dtype: np.dtype) -> np.ndarray:
-    """int64 [levels]: bytes of a block's samples on the device. One sample is kept in the index, so
+    """int64 [levels]: bytes of a block's samples on the device. A single sample is kept in the index, so
     it costs nothing; float64 volumes are held as float32."""
     size = min(np.dtype(dtype).itemsize, 4)
     samples = np.array([blocks.samples(level) for level in range(blocks.levels)], np.int64)
@@ -150,7 +150,7 @@ def level_costs(blocks: BlockGrid, dtype: np.dtype) -> np.ndarray:
 
 
 def minimum_bytes(cost: np.ndarray, dropped: np.ndarray) -> int:
-    """What the coarsest level everywhere takes: no budget may be less."""
+    """Bytes of the coarsest level everywhere, the least possible budget."""
     return int(cost[-1]) * int(np.count_nonzero(~np.asarray(dropped, bool)))
 
 
@@ -161,12 +161,12 @@ def select_levels(
     budget: int,
     negligible: float = NEGLIGIBLE,
 ) -> Selection:
-    """The levels of n blocks that ``budget`` bytes are best spent on.
+    """The levels of n blocks that make the best use of ``budget`` bytes.
 
     ``errors`` [levels, n] float32, finite, >= 0, weighted; ``cost`` [levels] bytes of a block,
     falling with the level; ``dropped`` [n] bool. Errors up to ``negligible`` count as 0; once all
     are 0 no more bytes are spent. Among equal upgrades the lower numbered block goes first. Takes
-    about four bytes a block and level besides ``errors``.
+    about four bytes per block and level in addition to ``errors``.
 
     ValueError if ``budget`` is less than ``minimum_bytes(cost, dropped)``, or the costs do not
     fall.
@@ -200,7 +200,7 @@ def select_levels(
 
 
 def total_error(errors: np.ndarray, levels: np.ndarray, negligible: float = NEGLIGIBLE) -> float:
-    """Sum of the errors of the blocks' ``levels``, of none for DROPPED."""
+    """Sum of the errors of the blocks at ``levels``; DROPPED blocks have none."""
     total = 0.0
     for piece in _pieces(len(levels)):
         part, chosen = errors[:, piece], levels[piece].astype(np.intp)
@@ -213,8 +213,8 @@ def total_error(errors: np.ndarray, levels: np.ndarray, negligible: float = NEGL
 def hull_slopes(
     errors: np.ndarray, cost: np.ndarray, dropped: np.ndarray, negligible: float = NEGLIGIBLE
 ) -> np.ndarray:
-    """float32 [levels - 1, n]: error saved by each byte of the upgrade that ends at a level; 0
-    where no upgrade of the lower convex hull ends. Along a block the slopes fall from the coarsest
+    """float32 [levels - 1, n]: error saved per byte by the upgrade that ends at a level; 0
+    where no upgrade of the lower convex hull ends. In each block the slopes fall from the coarsest
     level to the finest."""
     count = errors.shape[1]
     out = np.zeros((len(cost) - 1, count), np.float32)
@@ -226,13 +226,13 @@ def hull_slopes(
 def _hull_piece(
     errors: np.ndarray, cost: np.ndarray, dropped: np.ndarray, out: np.ndarray
 ) -> None:
-    """``out`` [levels - 1, k] of zeros, from float64 ``errors`` [levels, k]: from the coarsest on,
-    the next corner of the hull is the level of the steepest slope, of equal ones the finest."""
+    """Fills ``out`` [levels - 1, k], which is zero, from float64 ``errors`` [levels, k]: starting at the coarsest level
+    the next corner of the hull is the level of the steepest slope, the finest of equal ones."""
     last = len(cost) - 1
     blocks = np.flatnonzero(~dropped & (errors[last] > 0))
     here = np.full(len(blocks), last)
     for _ in range(last):
-        # Levels from here on have cost differences <= 0 and are no upgrade.
+        # The following levels have cost differences <= 0 and are no upgrades.
         bytes_more = cost[:-1, None] - cost[here][None, :]
         saved = errors[here, blocks][None, :] - errors[:-1, blocks]
         slopes = np.where(bytes_more > 0, saved / np.maximum(bytes_more, 1), 0.0)
@@ -256,10 +256,10 @@ def _pieces(count: int):
 
 def _threshold(slopes: np.ndarray, cost: np.ndarray, spare: int) -> np.float32:
     """The slope of the first upgrades, in order of slope, that do not all fit into ``spare`` bytes;
-    0 where all fit.
+    0 if all fit.
 
-    Floats >= 0 are in the order of their bits: first the upper half of them is found, then the
-    lower.
+    Floats >= 0 are ordered like their bits: the upper half of the bits is found first, then the
+    lower one.
     """
     upper = np.zeros(1 << 16)
     for bits, spent in _steps(slopes, cost):
@@ -276,8 +276,8 @@ def _threshold(slopes: np.ndarray, cost: np.ndarray, spare: int) -> np.float32:
 
 
 def _overflow(spent: np.ndarray, spare: float) -> tuple[int, float]:
-    """The last bin, from the end, up to which ``spent`` sums to more than ``spare``, and the sum
-    before it; -1 if none."""
+    """The first bin, counted from the end, at which the sum of ``spent`` exceeds ``spare``, and the sum
+    before it; -1 if there is none."""
     sums = np.cumsum(spent[::-1])
     at = int(np.searchsorted(sums, spare, side="right"))
     if at == len(sums):
@@ -315,12 +315,12 @@ def _bytes(levels: np.ndarray, cost: np.ndarray) -> int:
 def _take_equal(
     slopes: np.ndarray, cost: np.ndarray, levels: np.ndarray, threshold: np.float32, spare: int
 ) -> int:
-    """Upgrades of exactly ``threshold``, block by block, until one does not fit; the bytes left.
+    """Makes upgrades of exactly ``threshold``, block by block, until one does not fit; returns the bytes left.
     Changes ``levels``."""
     equal = np.flatnonzero((slopes == threshold).any(axis=0))
     for start in range(0, len(equal), _PIECE):
         blocks = equal[start : start + _PIECE]
-        # A block's upgrades of one slope follow each other: they are taken together.
+        # A block's upgrades of one slope are consecutive, and are made together.
         target = (slopes[:, blocks] == threshold).argmax(axis=0)
         spent = np.cumsum(cost[target] - cost[levels[blocks]])
         fits = int(np.searchsorted(spent, spare, side="right"))
@@ -334,16 +334,16 @@ def _take_equal(
 def _fill(
     errors: np.ndarray, cost: np.ndarray, levels: np.ndarray, spare: int, negligible: float
 ) -> int:
-    """Upgrades that fit into ``spare`` bytes, the most error a byte first, changing ``levels``; the
-    bytes left.
+    """Makes upgrades that fit into ``spare`` bytes, those with the most error per byte first, in ``levels``; returns
+    the bytes left.
 
-    ``spare`` is less than one upgrade's bytes, so few blocks can be upgraded from a level, each to
-    the next finer one at least: the heap starts with that many of the best for each pair of levels.
+    ``spare`` is less than the bytes of one upgrade, so few blocks can be upgraded from a level, each at least to the
+    next finer one: the heap starts with that many of the best for each pair of levels.
     """
     heap: list[tuple[float, int, int, int]] = []
 
     def push(block: int, here: int, to: int) -> None:
-        """Where the block's level is no longer ``here`` by the time, the entry is stale."""
+        """Adds an upgrade; it is stale if the block's level is no longer ``here`` when it is taken from the heap."""
         before, after = _counted(errors[[here, to], block], negligible)
         if before > after:
             heapq.heappush(heap, ((after - before) / float(cost[to] - cost[here]), block, to, here))
@@ -368,11 +368,11 @@ def _fill(
 def _exchange(
     errors: np.ndarray, cost: np.ndarray, levels: np.ndarray, spare: int, negligible: float
 ) -> int | None:
-    """One block made finer for another made coarser, where that saves the most error, changing
-    ``levels``; the bytes left then, None if no such pair saves any.
+    """Makes one block finer and another coarser in ``levels``, where that saves the most error; returns the bytes left,
+    or None if no such pair saves any error.
 
     For each pair of levels only the two blocks matter that gain most, or lose least: two, since
-    both may be one block.
+    the best of both may be the same block.
     """
     finer: list[tuple[float, int, int, int]] = []  # error saved, block, level, bytes
     coarser: list[tuple[float, int, int, int]] = []  # error added, block, level, bytes

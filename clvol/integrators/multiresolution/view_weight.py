@@ -1,8 +1,8 @@
-"""What of a block's error the view can see: pixels that the block covers, pixels a voxel, and light
-that gets through.
+"""Weights of blocks' errors in a view: the pixels that a block covers, the pixels per voxel, and the light
+that reaches the eye.
 
-Blocks are parallelepipeds in world space. Everything about one is a sum over the three axes of what
-its place along each gives, so a picture's planes are tested against millions of blocks by adding
+Blocks are parallelepipeds in world space. Each of their measures is a sum of one term per axis,
+so a picture's planes are tested against millions of blocks by adding
 three short arrays. Lengths are in units of the smallest voxel edge, from the eye.
 """
 
@@ -12,34 +12,35 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from clvol.device.view import picture_height
 from clvol.scene.camera import Camera
 from clvol.store.geometry import BlockGrid
 from clvol.volume import Grid
 
 VISIBILITY_FLOOR = 1e-3
 _MARGIN = 1.0  # voxels that interpolation reaches beyond a block
-_LARGEST_SPACING = 1e6  # pixels, of voxels at the eye
-_TRACED = 1 << 17  # blocks that visibility is looked for at most; beyond, they are taken together
+_LARGEST_SPACING = 1e6  # pixels per voxel, for voxels at the eye
+_TRACED = 1 << 17  # at most this many blocks are traced; where there are more, several are traced as one
 _OPAQUE = 50.0  # optical depth that lets nothing through
-# Rays go to four corners of a cube a little smaller than the block: past an occluder's edge one of
-# them sees it.
+# Rays go to four corners of a cube a little smaller than the block, so that one of them passes the edge of an
+# occluder.
 _AIMS = 0.4 * np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])
 
 
 @dataclass(frozen=True, eq=False)
 class ViewWeights:
     """``pixels`` [n] float32: area that a block covers in the picture, at most the picture's own; 0
-    outside the view. ``spacing`` [n] float32: pixels that the longest voxel edge takes at the
-    block's nearest place, at most."""
+    outside the view. ``spacing`` [n] float32: upper bound of the pixels per longest voxel edge, at the nearest point
+    of the block."""
 
     pixels: np.ndarray
     spacing: np.ndarray
 
     def apply(self, errors: np.ndarray, first: int = 0) -> np.ndarray:
-        """``errors`` [levels, k] of the blocks from ``first`` on, weighted in place; returned.
+        """Weights ``errors`` [levels, k] of the blocks from ``first`` on, in place; returns them.
 
-        Samples of a level closer than a pixel are averaged by it, and so are their errors: they
-        count by min(1, pixels between samples)^2.
+        A pixel averages samples that are closer than a pixel, and so their errors, too: they
+        are weighted by min(1, pixels between samples)^2.
         """
         part = slice(first, first + errors.shape[1])
         for level in range(len(errors)):
@@ -50,9 +51,9 @@ class ViewWeights:
 
 @dataclass(frozen=True, eq=False)
 class _Axes:
-    """``start`` [3]: of index (-0.5, -0.5, -0.5), from the eye. ``steps`` [3, 3]: row k is the
-    world vector of a voxel along x, y or z. ``centres``, ``halves``: of the blocks along x, y and
-    z, in voxels from ``start``."""
+    """``start`` [3]: position of index (-0.5, -0.5, -0.5) relative to the eye. ``steps`` [3, 3]: row k is the
+    world vector of a voxel along x, y or z. ``centres``, ``halves``: centres of the blocks along x, y and
+    z, in voxels from ``start``, and half their lengths."""
 
     start: np.ndarray
     steps: np.ndarray
@@ -65,7 +66,7 @@ class _Axes:
         return float(self.start @ vector) + (z_[z, None, None] + y[:, None] + x)
 
     def reach(self, vector: np.ndarray, z: slice, margin: float = 0.0) -> np.ndarray:
-        """[bz, by, bx]: how far a block extends along ``vector`` from its centre, times
+        """[bz, by, bx]: the extent of a block along ``vector`` from its centre, times
         |vector|."""
         x, y, z_ = ((h + margin) * abs(float(s @ vector)) for h, s in zip(self.halves, self.steps))
         return z_[z, None, None] + y[:, None] + x
@@ -87,11 +88,11 @@ def _axes(camera: Camera, grid: Grid, blocks: BlockGrid) -> _Axes:
 def view_weights(
     camera: Camera, grid: Grid, blocks: BlockGrid, width: int, height: int
 ) -> ViewWeights:
-    """Of ``camera`` (complete) for a picture of ``width`` by ``height`` pixels; ``blocks`` over
+    """The weights for ``camera`` (complete) and a picture of ``width`` by ``height`` pixels, of ``blocks`` over
     ``grid``.
 
-    A block counts as outside the view if it lies beyond one of the view's planes (the eye's one
-    too), a voxel's reach included. One that may hold the eye covers the whole picture.
+    A block counts as outside the view if it lies beyond one of the view's planes (including that of the eye), by
+    more than the reach of a voxel. A block that may hold the eye covers the whole picture.
     """
     axes = _axes(camera, grid, blocks)
     nz, ny, nx = blocks.counts
@@ -108,10 +109,10 @@ def view_weights(
 
 
 def _inside(camera: Camera, grid: Grid, axes: _Axes, z: slice, aspect: float) -> np.ndarray:
-    """bool [bz, by, bx]: not wholly beyond one of the view's planes."""
+    """bool [bz, by, bx]: whether a block is not entirely beyond one of the view's planes."""
     forward, right, up = camera.basis()
     if camera.projection == "orthographic":
-        half, slope = 0.5 * camera.height / grid.smallest_edge, 0.0
+        half, slope = 0.5 * picture_height(camera) / grid.smallest_edge, 0.0
     else:
         half, slope = 0.0, np.tan(np.radians(camera.fov_degrees) / 2.0)
     planes = [(forward, 0.0)]
@@ -128,18 +129,18 @@ def _inside(camera: Camera, grid: Grid, axes: _Axes, z: slice, aspect: float) ->
 def _areas(
     camera: Camera, grid: Grid, axes: _Axes, z: slice, width: int, height: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Pixels covered [bz, by, bx], and pixels a longest voxel edge."""
+    """Pixels covered [bz, by, bx], and pixels per longest voxel edge."""
     forward, right, up = camera.basis()
     longest = max(grid.spacing) / grid.smallest_edge
     hx, hy, hz = axes.halves
     hz = hz[z, None, None]
     x, y, z_ = axes.steps
-    # Of the three pairs of faces: the normal of one voxel's face, and how many voxels make the
+    # For each of the three pairs of faces: the normal of one voxel's face, and the number of voxels in the
     # face.
     faces = [(np.cross(y, z_), 4 * hz * hy[:, None]), (np.cross(x, z_), 4 * hz * hx),
              (np.cross(x, y), 4 * hy[:, None] * hx)]  # fmt: skip
     if camera.projection == "orthographic":
-        pixel = camera.height / grid.smallest_edge / height
+        pixel = picture_height(camera) / grid.smallest_edge / height
         area = sum(abs(float(normal @ forward)) * count for normal, count in faces) / pixel**2
         area = np.broadcast_to(area, axes.along(forward, z).shape)
         return area, np.full(area.shape, longest / pixel)
@@ -162,11 +163,11 @@ def visibility(
 ) -> np.ndarray:
     """float32 [n]: light that reaches the eye from each block, at least ``VISIBILITY_FLOOR``.
 
-    ``transmittances`` [n]: of a path as long as a block's edge times the smallest voxel edge,
+    ``transmittances`` [n]: along a path of a block's edge times the smallest voxel edge,
     through each block. The rays from the eye to four places in the block go through the lattice in
-    steps of a block, reading the nearest one; the clearest counts, and the block itself does not.
-    Many blocks are taken together, by the mean of their transmittances, which is not less than what
-    their mean optical depths let through.
+    steps of one block, reading the nearest block; the clearest ray counts, and the block itself does not.
+    Where there are many blocks, several are traced as one, by the mean of their transmittances, which is not less than
+    the transmittance of their mean optical depth.
     """
     factor = 1
     while np.prod([-(-n // factor) for n in blocks.counts]) > _TRACED:
@@ -187,7 +188,7 @@ def visibility(
 
 
 def _means(values: np.ndarray, factor: int) -> np.ndarray:
-    """Over cubes of ``factor``, fewer at the upper faces."""
+    """Means over cubes of ``factor`` blocks per edge, with fewer blocks at the upper faces."""
     out, counts = values.astype(np.float64), np.ones(values.shape)
     for axis in range(3):
         starts = np.arange(0, values.shape[axis], factor)
@@ -200,8 +201,8 @@ def _depth_before(
     camera: Camera, grid: Grid, depths: np.ndarray, ends: np.ndarray, side: int
 ) -> np.ndarray:
     """[n]: sum of ``depths`` [z, y, x] from the eye to ``ends`` [n, 3] (x, y, z), all in units of
-    ``side`` voxels; each counts by the part of ``side`` smallest voxel edges that the ray spends in
-    it."""
+    ``side`` voxels; each is weighted by the length of the ray in it, relative to ``side`` smallest voxel
+    edges."""
     counts = np.array(depths.shape[::-1], np.float64)
     to_index = grid.world_to_index()
     eye = (to_index[:3] @ np.append(np.asarray(camera.position, np.float64), 1.0) + 0.5) / side
@@ -215,7 +216,7 @@ def _depth_before(
     delta = ends - starts
     lengths = np.linalg.norm(delta @ steps_world, axis=1)
     steps = np.maximum(np.ceil(np.abs(delta).max(axis=1)).astype(np.int64), 1)
-    order = np.argsort(-steps, kind="stable")  # so that the rays still on their way are the first
+    order = np.argsort(-steps, kind="stable")  # so that rays that are not finished come first
     starts, delta, lengths, steps = starts[order], delta[order], lengths[order], steps[order]
     strides = np.array([1, depths.shape[2], depths.shape[1] * depths.shape[2]])
     flat, sums = depths.ravel(), np.zeros(len(ends))

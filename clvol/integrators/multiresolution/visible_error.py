@@ -1,5 +1,5 @@
-"""What a transfer function makes of a block's statistics: whether it shows at all, and how wrong a
-level looks."""
+"""The appearance of blocks under a transfer function, from their statistics: whether a block is visible, and the
+visible error of each level."""
 
 from __future__ import annotations
 
@@ -10,28 +10,28 @@ from clvol.store.source import QUANTILES, BlockStatistics
 from clvol.transfer import TransferFunction
 
 _ENTRIES = 1 << 15
-_PIECE = 1 << 11  # blocks looked at together: small enough for the caches
-# Of the path, that the mixture of a block's values is looked at behind: a voxel of a block of 16^3.
+_PIECE = 1 << 11  # blocks processed together: few enough for the caches
+# The share of the path over which the mixture of a block's values is compared: one voxel of a block of 16^3.
 _MEDIUM_PATH = 0.0625
 _OPAQUE = 50.0  # optical depth, at most
-# What a voxel's own error counts beside that of the mixture: along a ray and over neighbouring ones
+# The weight of a voxel's own error relative to that of the mixture: along a ray and over neighbouring ones
 # most of it cancels.
 _OF_VOXELS = 0.1
-# The lowest and the highest quantile's group are looked at in parts, finer towards the extreme, so
-# that few voxels that show are not lost in the group's mean. With them a histogram has 16 nodes.
+# The groups of the lowest and the highest quantile are divided into parts, finer towards the extreme, so
+# that a few visible voxels are not lost in the group's mean. With them a histogram has 16 nodes.
 _TAIL = np.array([0.0, 0.5, 0.75, 0.9, 0.97, 1.0])
 _SHARES = np.diff(_TAIL)
 _WEIGHTS = np.concatenate([_SHARES[::-1], np.ones(QUANTILES - 2), _SHARES]) / QUANTILES
 _WEIGHTS = _WEIGHTS.astype(np.float32)
 # Orders that pair each node with low and high ones of the level alike: bits of the number reversed,
-# and the mirror image. Tails are left out of the level's nodes but for their greatest part.
+# and the mirror image. Of the tails, the level's nodes contain only the greatest part.
 _REVERSED = np.array([int(f"{k:03b}"[::-1], 2) for k in range(QUANTILES)])
 _HEAVY = len(_SHARES) - 1 + _REVERSED[np.arange(len(_WEIGHTS)) % QUANTILES]
 _ORDERS = (_HEAVY, len(_WEIGHTS) - 1 - _HEAVY)
 
 
 def transparent(statistics: BlockStatistics, function: TransferFunction) -> np.ndarray:
-    """bool [n]: ``function`` shows nothing over reach_low ... reach_high, or no voxel of those is
+    """bool [n]: whether ``function`` shows nothing over reach_low ... reach_high, or no voxel there is
     finite.
 
     Exact for the piecewise linear opacity, steps (two points of one value) included: the points at
@@ -54,11 +54,11 @@ def transparent(statistics: BlockStatistics, function: TransferFunction) -> np.n
 
 
 class ShownColors:
-    """L*, u*, v* of what a ray shows behind ``path_length`` (world) of one value, over
+    """L*, u*, v* of a ray's colour after ``path_length`` (world) of one value, over
     ``background`` (linear [3]).
 
-    A table: equally many entries for each piece of ``function`` between two points, the nearest one
-    taken, so that pieces are resolved alike however narrow, and steps are steps. NaN shows the
+    This is a table with equally many entries for each piece of ``function`` between two points, from which the nearest
+    one is taken: even narrow pieces are resolved, and jumps are kept. NaN shows the
     background.
     """
 
@@ -110,8 +110,8 @@ class ShownColors:
         return [component.take(places) for component in self._luv]
 
     def mixture(self, places: np.ndarray) -> list[np.ndarray]:
-        """L*, u* and v* [k] of what a ray shows behind a sixteenth of the path in a mixture of the values
-        ``places`` [k, nodes], as much of each as ``_WEIGHTS`` says."""
+        """L*, u* and v* [k] of a ray's colour after a sixteenth of the path in a mixture of the values
+        ``places`` [k, nodes], weighted by ``_WEIGHTS``."""
         depth, *emission = (component.take(places) @ _WEIGHTS for component in self._medium)
         alpha = -np.expm1(-depth)
         share = np.where(depth > 0, alpha / np.where(depth > 0, depth, 1.0), 0.0)
@@ -129,17 +129,17 @@ def block_errors(
     path_length: float,
     background: np.ndarray,
 ) -> np.ndarray:
-    """float32 [levels, n]: estimated Delta-E (CIELUV) between what a block shows at full resolution
+    """float32 [levels, n]: estimated Delta-E (CIELUV) between a block's appearance at full resolution
     and at a level, over ``background`` (linear [3]); 0 at level 0, not falling with the level,
     finite. ``path_length`` (world): a block's edge.
 
-    Values that are not finite are left out; a level without any other shows the background.
+    Values that are not finite are ignored; a level without finite values shows the background.
 
-    The sum of two parts. First, the mixture: Delta-E between what a ray shows behind a sixteenth
-    of the path in the mean medium of either histogram (means of extinction and emission over it).
-    Second, a tenth of the mean Delta-E over the voxels between what the voxel and the level's sample
-    there show along the whole path. A picture adds up many voxels a pixel, so differences that
-    cancel (noise) do not show, and what thin things lose against their surroundings does. Whole
+    It is the sum of two parts. First, the mixture: Delta-E between a ray's colours after a sixteenth
+    of the path in the mean media of both histograms (means of extinction and emission).
+    Second, a tenth of the mean Delta-E over the voxels between the colours of the voxel and of the level's sample
+    there along the whole path. A pixel adds up many voxels, so differences that
+    cancel (noise) are not visible, and the loss of thin structures is. Whole
     pictures against full resolution, mean CIEDE2000, voxels alone -> mixture behind a quarter of the
     path and a tenth of voxels -> behind a sixteenth: chest at 16 MiB 1.02 -> 0.80 -> 0.65; vismale at
     2 MiB 0.13 -> 0.13; aneurism at 1.8 MB 0.63 -> 0.58; engine with narrow peaks at 2 MiB 1.61 -> 1.58.
@@ -179,7 +179,7 @@ def block_errors(
 def estimated_errors(
     statistics: BlockStatistics, shown: ShownColors, wanted: np.ndarray | None = None
 ) -> np.ndarray:
-    """``block_errors`` with the table at hand; 0 for blocks that are not ``wanted`` (bool [n])."""
+    """``block_errors`` with an existing table; 0 for blocks that are not ``wanted`` (bool [n])."""
     out = np.zeros(statistics.mean.shape, np.float32)
     # A constant block is the same at all levels.
     varied = (statistics.minimum[0] < statistics.maximum[0]) | statistics.holes
@@ -223,7 +223,7 @@ def _estimate(
     deviation: np.ndarray,
     shown: ShownColors,
 ) -> np.ndarray:
-    """float32 [levels, k] of k blocks, level by level."""
+    """float32 [levels, k] for k blocks, level by level."""
     out = np.zeros(deviation.shape, np.float32)
     full = _nodes(quantiles[0], minimum[0], maximum[0])
     full_luv = shown.luv(shown.places(full))
@@ -286,10 +286,10 @@ def _mean_delta_e(a: list[np.ndarray], b: list[np.ndarray]) -> np.ndarray:
 
 
 def block_transmittances(statistics: BlockStatistics, shown: ShownColors) -> np.ndarray:
-    """float32 [n]: mean over a block's voxels of what ``path_length`` of each lets through.
+    """float32 [n]: mean over a block's voxels of the transmittance of ``path_length`` of each.
 
-    As if rays met one value each, side by side: more than any other order of the same values lets
-    through. Blocks with holes count as clear.
+    This is the transmittance if each ray met only one value, an upper bound for all arrangements of the same
+    values. Blocks with holes count as clear.
     """
     found = shown.transmittance(shown.places(statistics.quantiles[0])).mean(axis=-1)
     return np.where(statistics.holes, np.float32(1.0), found)

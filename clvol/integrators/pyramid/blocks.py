@@ -18,13 +18,13 @@ from clvol.store.source import DROPPED
 
 
 class BlockSliceMarch(SliceMarch):
-    """Samples as far apart as the blocks' own, along rays and across them."""
+    """A march whose samples are as far apart as those of the blocks, along rays and across them."""
 
     def _ask(self, caster: Raycaster) -> None:
         assert isinstance(caster, BlockCaster)
         blocks, levels = caster.blocks.blocks, caster.blocks.levels
         spacing = np.where(levels == DROPPED, np.inf, 2.0 ** np.minimum(levels, blocks.levels))
-        cells = blocks.edge >> caster.volume.cell_shift  # of a block, an axis
+        cells = blocks.edge >> caster.volume.cell_shift  # per axis of a block
         spacing = spacing.reshape(blocks.counts)
         for axis in range(3):
             spacing = np.repeat(spacing, cells, axis=axis)
@@ -58,6 +58,6 @@ class BlockPyramidCaster(BlockCaster):
 
 
 def block_pyramid_switches(resolved: ResolvedScene, lanes: int) -> dict[str, int]:
-    """What is compiled, but for what the samples' type and buffers add."""
+    """The switches (-D), without those of the samples' type and buffers."""
     switches = block_switches(resolved, lanes, False, "full")
     return {**switches, **march_switches(Resolution(), workers_for(lanes))}

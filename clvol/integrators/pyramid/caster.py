@@ -34,7 +34,7 @@ class PyramidCaster(Raycaster):
 
 
 def pyramid_switches(resolved: ResolvedScene, lanes: int) -> dict[str, int]:
-    """What is compiled for a scene of the integrator "pyramid"."""
+    """The switches (-D) for a scene of the integrator "pyramid"."""
     resolved = without_clips(reduced_for_frames(resolved))
     march = march_switches(oracle_named(resolved.pyramid.oracle), workers_for(lanes))
     return {**raycast_switches(resolved, lanes=lanes), **march}

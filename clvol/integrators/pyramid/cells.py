@@ -1,13 +1,14 @@
 """Maps of distances for oracles, found on the device (cl/oracle_cells.cl).
 
-With the set of cells that are bad for samples h apart, for each h of a row of scales (1, 2, 4 ... edges), the distance at a place is
-the least of h / 2 + way to that set: where h is bad, half of it, which is not, and more farther from there. So it grows by no more than
-the way from one place to another, which the march relies on (cl/pyramid.h, freshness).
+For each h of a series of scales (1, 2, 4 ... edges) there is a set of cells that are bad for samples h apart. The distance
+at a position is the minimum over h of h / 2 + the way to that set: h / 2 inside the set, which is fine enough, and more
+farther away. So from one position to another it grows by at most the way between them, which the march relies on
+(cl/pyramid.h, freshness).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,15 +20,15 @@ from clvol.opencl.context import DeviceArray, DeviceContext
 if TYPE_CHECKING:
     from clvol.integrators.pyramid.oracle import Asked
 
-BINS = 2048  # of values, for what an error of a value shows
-_WIDEST = 0.05  # of the value range: bins go on beyond it by so much, for interpolated values
+BINS = 2048  # bins of values in the tables of colours
+_WIDEST = 0.05  # share of the value range by which bins extend beyond it, for interpolated values
 _FAR = 65535
 _VOXELS = ("size.z", "size.y", "size.x")  # shapes of arrays, by arguments of the kernels
 _CELLS = ("cells.z", "cells.y", "stride")
 
 
 def voxels_bad_for_error(asked: Asked) -> DeviceArray:
-    """uint8 [z, y, x] of voxels: bit s is set where samples ``asked.scales[s]`` apart may show more than epsilon that is wrong."""
+    """uint8 [z, y, x] per voxel: bit s is set where samples ``asked.scales[s]`` apart may cause an error above epsilon."""
     context, volume, scales = asked.context, asked.volume, asked.scales
     # Along an axis with longer edges half a scale may be less than a lattice unit.
     halves = scales[:, None] / 2.0 / np.asarray(asked.edges)
@@ -63,7 +64,7 @@ def voxels_bad_for_error(asked: Asked) -> DeviceArray:
 
 
 def segment_colors(asked: Asked, first: float, last: float, edges: float) -> np.ndarray:
-    """float32 [BINS + 1, 4]: premultiplied colour and opacity of a segment of one value, ``edges`` long, at the ends of
+    """float32 [BINS + 1, 4]: premultiplied colour and opacity of segments of one value, ``edges`` long, for the ends of
     even bins from ``first`` to ``last``."""
     values = np.linspace(first, last, BINS + 1)
     function = asked.function
@@ -74,7 +75,8 @@ def segment_colors(asked: Asked, first: float, last: float, edges: float) -> np.
 
 
 def voxels_of_steep_opacity(asked: Asked) -> DeviceArray:
-    """uint8 [z, y, x] of voxels: 1 where the opacity (of a smallest edge) changes by more than epsilon over a smallest edge."""
+    """uint8 [z, y, x] per voxel: 1 where the opacity of a path one smallest edge long changes by more than epsilon per
+    smallest edge."""
     context, volume = asked.context, asked.volume
     low, high = volume.value_range
     last = high if high > low else low + 1.0
@@ -96,7 +98,8 @@ def voxels_of_steep_opacity(asked: Asked) -> DeviceArray:
 
 
 def cells_of_voxels(asked: Asked, voxels: DeviceArray) -> DeviceArray:
-    """The bits of the cells [z, y, x] of ``asked``'s map, whose rows are padded: those of any voxel at their corners or in them."""
+    """The bits of the cells [z, y, x] of ``asked``'s map, whose rows are padded: a cell has the bits of all voxels at its
+    corners or inside."""
     context, (nz, ny, nx) = asked.context, asked.shape
     out = padded_cells(asked)
     kernel = _kernel(
@@ -112,20 +115,20 @@ def cells_of_voxels(asked: Asked, voxels: DeviceArray) -> DeviceArray:
 
 
 def padded_cells(asked: Asked) -> DeviceArray:
-    """uint8 [z, y, x] for the cells of ``asked``'s map, rows padded; uninitialised."""
+    """uint8 [z, y, x] for the cells of ``asked``'s map, with padded rows; uninitialised."""
     nz, ny, nx = asked.shape
     return asked.context.empty(np.uint8, (nz, ny, padded_row(nx)))
 
 
 def upload_cells(asked: Asked, bad: np.ndarray) -> DeviceArray:
-    """The same of bits [z, y, x] that are known on the host."""
+    """As ``padded_cells``, filled with bits [z, y, x] from the host."""
     nx = bad.shape[2]
     return asked.context.upload(np.pad(bad, ((0, 0), (0, 0), (0, padded_row(nx) - nx))))
 
 
-def distance_map(asked: Asked, bad: DeviceArray, scales: Sequence[float]) -> DeviceArray:
-    """uint8 as kernels read it (cl/oracle_layout.h): at each cell the least of scale / 2 + way to
-    the cells whose bit of ``bad`` says that they are bad for it, at most ``asked.reach``."""
+def distance_map(asked: Asked, bad: DeviceArray, scales: Iterable[float]) -> DeviceArray:
+    """uint8 in the layout of cl/oracle_layout.h: at each cell the minimum over ``scales`` of scale / 2 + the way to
+    the cells that have the scale's bit in ``bad``, at most ``asked.reach``."""
     found = _map_of(asked, asked.reach)
     for bit, scale in enumerate(scales):
         _move_distances(asked, bad, bit, found, scale / 2.0, asked.reach, raises=False)
@@ -133,12 +136,12 @@ def distance_map(asked: Asked, bad: DeviceArray, scales: Sequence[float]) -> Dev
 
 
 def raise_to_ways(asked: Asked, bad: DeviceArray, bit: int, found: DeviceArray) -> None:
-    """Makes distances of the map ``found`` at least 1 / 2 + the way to the cells that have the bit."""
+    """Raises distances of the map ``found`` to at least 1 / 2 + the way to the cells that have the bit."""
     _move_distances(asked, bad, bit, found, 0.5, asked.reach, raises=True)
 
 
 def way_map(asked: Asked, bad: DeviceArray, reach: float, unit: float) -> DeviceArray:
-    """As ``distance_map``, of ways alone, to cells whose bit 0 is set."""
+    """As ``distance_map``, but only the ways to the cells whose bit 0 is set."""
     found = _map_of(asked, 0.0)
     _move_distances(asked, bad, 0, found, 0.0, reach, raises=True, unit=unit)
     return found
@@ -161,8 +164,8 @@ def _move_distances(
     raises: bool,
     unit: float = 0.25,
 ) -> None:
-    """Raises or lowers the map ``found`` to ``base`` + way to the cells with the bit, at most ``most``, which are less than
-    256 units: squares of ways are counted in those of ``unit``, up to 2^16."""
+    """Raises or lowers the map ``found`` to ``base`` + the way to the cells with the bit, at most ``most``, which is less than
+    256 units: squares of ways are counted in squares of ``unit``, up to 2^16."""
     context, (nz, ny, nx) = asked.context, asked.shape
     cells, stride = (nx, ny, nz, 0), bad.shape[2]
     near, spare = (context.empty(np.uint16, bad.shape) for _ in range(2))
@@ -194,8 +197,8 @@ def _move_distances(
 
 
 def squared_gaps(cell: float, most: float, unit: float) -> np.ndarray:
-    """uint16: squares of what lies between two cells 0, 1, 2 ... apart, ``cell`` edges each, in those of ``unit``, rounded down; as
-    far as it is less than ``most``."""
+    """uint16: squares of the gaps between cells that are 0, 1, 2 ... apart, each ``cell`` edges long, in squares of ``unit``,
+    rounded down, for gaps below ``most``."""
     count = int(np.ceil(most / cell)) + 2
     gaps = np.maximum(np.arange(count) - 1, 0) * cell
     return np.minimum(np.floor((gaps / unit) ** 2), _FAR).astype(np.uint16)
@@ -210,7 +213,7 @@ def upload_distances(context: DeviceContext, distances: np.ndarray) -> DeviceArr
 
 
 def read_distances(context: DeviceContext, found: DeviceArray, shape: tuple[int, int, int]) -> np.ndarray:
-    """float64 [z, y, x]: distances in smallest edges that a map of so many cells has."""
+    """float64 [z, y, x]: the distances, in smallest edges, of a map of ``shape`` cells."""
     nz, ny, nx = shape
     bricks = context.read(found)[:-MAP_SPARE].reshape(np.take(_in_bricks(shape), (0, 2, 4, 1, 3, 5)))
     codes = bricks.transpose(0, 3, 1, 4, 2, 5).reshape([n + -n % BRICK for n in shape])
@@ -228,7 +231,7 @@ def distance_codes(distances: np.ndarray) -> np.ndarray:
 
 
 def decoded_distances(codes: np.ndarray) -> np.ndarray:
-    """float64: what bytes stand for (cl/oracle.h)."""
+    """float64: the distances that bytes stand for (cl/oracle.h)."""
     words = (np.asarray(codes, np.int32) + ((127 - 4) << 4)) << 19
     return np.where(codes == 0, 0.0, words.view(np.float32).astype(np.float64))
 
@@ -261,7 +264,8 @@ def _fours(rows: np.ndarray) -> np.ndarray:
 
 
 def _sparse(table: np.ndarray) -> np.ndarray:
-    """[..., rows, n, 4] of ``table`` [s, n, 4]: in row k the largest of 2^k entries from each on, which must all be there."""
+    """[..., rows, n, 4] from ``table`` [s, n, 4]: entry i of row k is the maximum of the 2^k entries from i on, which must
+    all exist."""
     rows = [table]
     while 2 ** len(rows) <= table.shape[1]:
         half = 2 ** (len(rows) - 1)

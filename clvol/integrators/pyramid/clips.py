@@ -1,4 +1,4 @@
-"""Clips of the method "pyramid": halves of space that cut each ray to one stretch."""
+"""Clips of the method "pyramid": half-spaces, which leave one interval of each ray."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from clvol.volume import Grid
 
 
 def halves_of(clips: Sequence[Clip]) -> list[tuple[np.ndarray, np.ndarray]] | None:
-    """(point, unit normal) in the world for each half of space that ``clips`` keep together; None where that is no such thing,
-    or more than there is room for."""
+    """(point, unit normal) in the world for each of the half-spaces whose intersection ``clips`` keep; None where they keep
+    something else, or there are too many half-spaces."""
     halves = []
     for clip in clips:
         if clip.type == "plane":
             normal = np.asarray(clip.normal, np.float64)
-            normal = normal / np.abs(normal).max()  # first, since squares may be beyond all numbers
+            normal = normal / np.abs(normal).max()  # first, since squares may overflow
             halves.append((np.asarray(clip.point, np.float64), normal / np.linalg.norm(normal)))
         elif clip.type == "box" and clip.keep == "inside":
             for axis in np.eye(3):
@@ -29,14 +29,14 @@ def halves_of(clips: Sequence[Clip]) -> list[tuple[np.ndarray, np.ndarray]] | No
 
 
 def halves_rows(clips: Sequence[Clip], grid: Grid) -> np.ndarray:
-    """float64 [n, 4]: ``halves`` of cl/pyramid.h, their normals of length 1 in lattice units. ValueError where ``halves_of`` gives
-    None."""
+    """float64 [n, 4]: ``halves`` of cl/pyramid.h, with normals of length 1 in lattice units. ValueError where ``halves_of``
+    gives None."""
     matrix = grid.index_to_world()
-    thin = np.where(np.asarray(grid.size) == 1, 0.5, 0.0)  # such an axis is held twice
+    thin = np.where(np.asarray(grid.size) == 1, 0.5, 0.0)  # an axis of one voxel is held twice
     rows = []
     halves = halves_of(clips)
     if halves is None:
-        raise ValueError("clips that are no halves of space")  # refused before
+        raise ValueError("clips that are no half-spaces")  # ``Pyramid.check`` refuses them
     for point, normal in halves:
         along = normal @ matrix[:3, :3]
         with np.errstate(over="ignore"):

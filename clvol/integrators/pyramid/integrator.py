@@ -1,4 +1,4 @@
-"""Adaptive sampling along rays and across them, as an integrator."""
+"""The method "pyramid" as an integrator: adaptive sampling along rays and across them."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from clvol.volume import Volume
 if TYPE_CHECKING:
     from clvol.scene import Scene
 
-# Segments are of many lengths, and pixels are made from their neighbours.
+# Segments have many lengths, and pixels are interpolated from their neighbours.
 _KEYS = {
     "filter": ("linear", "cubic", "catmull-rom"),
     "quadrature": ("steps",),
@@ -33,7 +33,7 @@ _EFFECTS = PLAIN | {"cubic filter", "catmull-rom filter", "prefilter", "clipping
 
 
 class Pyramid:
-    """Slices of pixels at many levels of detail, sampled only where an oracle asks for it."""
+    """Slices of pixels at many levels of detail, sampled only where an oracle requires it."""
 
     name = "pyramid"
     reads_blocks = False

@@ -1,4 +1,4 @@
-"""What maps of the method "pyramid" are like, and what it takes on a device: arithmetic, without a device."""
+"""The layout of the maps of the method "pyramid", and the memory that it needs: arithmetic, without a device."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ if TYPE_CHECKING:
     from clvol.scene.resolve import ResolvedScene
     from clvol.volume import Volume
 
-FREE_SHIFT, FREE_REACH = 2, 250.0  # of the map of empty space: cells of 4^3; smallest edges
-_MOST_CELLS = 2**28  # of a map, which then is as fine as the voxels; else cells of 2^3
-BRICK = 4  # cells an axis that are a cache line of a map (cl/oracle_layout.h)
-MAP_SPARE = 4  # bytes: a 32-bit gather of the last byte must stay inside
+FREE_SHIFT, FREE_REACH = 2, 250.0  # of the map of empty space: cells of 4^3, and a reach in smallest edges
+_MOST_CELLS = 2**28  # up to this number a map is as fine as the voxels; beyond it has cells of 2^3
+BRICK = 4  # cells per axis in a cache line of a map (cl/oracle_layout.h)
+MAP_SPARE = 4  # bytes, so that a 32-bit gather of the last byte stays inside
 
 
 def map_shift(size: tuple[int, int, int]) -> int:
@@ -25,24 +25,25 @@ def map_shift(size: tuple[int, int, int]) -> int:
 
 
 def map_shape(size: tuple[int, int, int], shift: int) -> tuple[int, int, int]:
-    """Cells (z, y, x) of 2^shift lattice cells an axis, for lattice points ``size`` (x, y, z)."""
-    return tuple(cell_count(n, shift) for n in reversed(size))
+    """Cells (z, y, x) of 2^shift lattice cells per axis, for lattice points ``size`` (x, y, z)."""
+    x, y, z = size
+    return cell_count(z, shift), cell_count(y, shift), cell_count(x, shift)
 
 
 def padded_row(cells: int) -> int:
-    """Of an array of cells that a map is made from: whole vectors."""
+    """Length of a row in an array of cells that a map is made from: whole vectors."""
     return -(-cells // 16) * 16
 
 
 def map_bytes(shape: tuple[int, int, int]) -> int:
-    """Of a map with so many cells."""
+    """Bytes of a map of ``shape`` cells."""
     bricks = np.prod([-(-n // BRICK) for n in shape], dtype=np.int64)
     return int(bricks) * BRICK**3 + MAP_SPARE
 
 
 def pyramid_bytes(volume: Volume, scene: Scene | ResolvedScene) -> int:
-    """Bytes on the device beside those of the plain ray caster: maps, what they are made with, and tables of all
-    lengths."""
+    """Bytes on the device in addition to those of the plain ray caster: maps, the arrays that they are made with, and
+    tables."""
     size = padded_size(volume)
     shapes = map_shape(size, map_shift(size)), map_shape(size, FREE_SHIFT)
     voxels = int(np.prod(size, dtype=np.int64))  # a byte of bits for each
@@ -51,14 +52,14 @@ def pyramid_bytes(volume: Volume, scene: Scene | ResolvedScene) -> int:
 
 
 def block_pyramid_bytes(cells: tuple[int, int, int], scene: Scene | ResolvedScene) -> int:
-    """Beside those of the other steppings through blocks, with a map of empty space of so many cells."""
+    """Bytes in addition to those of the other steppings through blocks, with a map of empty space of ``cells``."""
     return 2 * _bytes_to_make(cells)
 
 
 def _bytes_to_make(shape: tuple[int, int, int]) -> int:
-    """A map, and beside it bits and twice a squared distance of two bytes, in rows of whole vectors."""
+    """Bytes of a map, of its bits, and of two squared distances of two bytes per cell, in rows of whole vectors."""
     nz, ny, nx = shape
     return map_bytes(shape) + nz * ny * padded_row(nx) * (1 + 2 * 2)
 
 
-_RANGES = 9 * 2**20  # what values near one show, of the oracle "error"
+_RANGES = 9 * 2**20  # tables of the oracle "error"

@@ -29,10 +29,10 @@ from clvol.scene.resolve import ResolvedScene
 if TYPE_CHECKING:
     from clvol.integrators.raycast.caster import Raycaster
 
-TILE = 32  # pixels an edge of a tile; a multiple of 2^MOST_LEVELS
-WORKERS = 64  # work-items of a group where they are not one
+TILE = 32  # pixels per edge of a tile; a multiple of 2^MOST_LEVELS
+WORKERS = 64  # work-items of a group that has more than one
 _MOST_SLICES = 2**23
-# Switches of kernels that look at voxels and the transfer function alone.
+# Switches of kernels that work only on voxels and the transfer function.
 _OF_VOXELS = (
     "VOXEL_BITS", "VOXEL_SIGNED", "VOXEL_SCALED", "VOXEL_HOLES", "VOXEL_PAIRS", "FILTER", "CLASSIFICATION",
     "TRANSFER_PIECES",
@@ -40,15 +40,15 @@ _OF_VOXELS = (
 
 
 class SliceMarch:
-    """A ``March`` of all pixels of a tile at once. ``tile``: its edge in pixels, a power of two from 2^5 on; ``leap``:
-    whether tiles may leap over empty space. Neither changes the picture.
+    """A ``March`` of all pixels of a tile at once. ``tile``: its edge in pixels, a power of two of at least 2^5;
+    ``leap``: whether tiles may leap over empty space. Neither changes the picture.
 
     ``map`` is the oracle's answer to the question ``asked``; ``free`` maps the distance to anything visible: columns
     sleep by it.
     """
 
     renders_all_pixels = True
-    counters = PYRAMID_COUNTERS
+    counters: tuple[str, ...] = PYRAMID_COUNTERS
 
     def __init__(
         self, oracle: Oracle, lanes: int, workers: int | None = None, tile: int = TILE, leap: bool = True
@@ -79,7 +79,7 @@ class SliceMarch:
         return context.kernel("pyramid.cl", name, declared, switches, self.oracle.folder)
 
     def find_empty_space(self, caster: Raycaster, mask: np.ndarray) -> None:
-        pass  # by ``free``, once the oracle may be asked
+        pass  # ``scene_changed`` finds it, with the oracle's map
 
     def scene_changed(self, caster: Raycaster) -> None:
         self._ask(caster)
@@ -117,7 +117,7 @@ class SliceMarch:
         return (reads("pyramid", PYRAMID), reads("map", np.uint8)), arrays
 
     def check_structs(self, caster: Raycaster) -> None:
-        """By pyramid.cl: nothing of raycast.cl is compiled."""
+        """As in ``March``, with pyramid.cl: raycast.cl is not compiled."""
         kernel = self.kernel(caster.context, "struct_fields", REPORT_ARGUMENTS, caster.switches)
         check_structs(caster.context, kernel, {**caster.structs, "Pyramid": PYRAMID})
 
@@ -136,7 +136,7 @@ class SliceMarch:
     def _question(
         self, caster: Raycaster, shift: int, shape: tuple[int, int, int], blocks: BlockCells | None = None
     ) -> Asked:
-        """For a map of so many cells of 2^``shift`` lattice cells."""
+        """The oracle's input for a map of ``shape`` cells of 2^``shift`` lattice cells."""
         scene, volume, function = caster.resolved, caster.volume, caster.function
         grid = scene.volume.grid
         spacing = np.asarray(grid.spacing) / grid.smallest_edge
@@ -152,7 +152,7 @@ class SliceMarch:
             epsilon=scene.pyramid.epsilon,
             opacity_edges=grid.smallest_edge / function.opacity_unit,
             shift=shift,
-            edges=tuple(float(s) for s in spacing),
+            edges=(float(spacing[0]), float(spacing[1]), float(spacing[2])),
             reach=_reach(scene),
             shape=shape,
             filter=scene.integration.filter,
@@ -160,7 +160,7 @@ class SliceMarch:
         )
 
     def _oracle_map(self, context: DeviceContext) -> DeviceArray:
-        """What the oracle found, or what stands for none. RenderError where the kernel would look beyond it."""
+        """The oracle's map, or a placeholder for none. RenderError where the kernel would read beyond its end."""
         found = self.oracle.map(self.asked)
         needed = map_bytes(self.asked.shape) if self.oracle.kernel in (KERNEL_MAP, KERNEL_ERROR) else 0
         held = 0 if found is None else found.nbytes
@@ -171,7 +171,7 @@ class SliceMarch:
 
 
 def _reach(scene: ResolvedScene) -> float:
-    """Distances beyond this are of no use: twice that of the coarsest samples along a ray."""
+    """The largest useful distance: twice that of the coarsest samples along a ray."""
     step = max(1.0, scene.integration.step)
     return float(np.clip(2.0 ** (scene.pyramid.levels + 1) * step, 1.0, 64.0))
 
@@ -192,17 +192,17 @@ def _check_slices(scene: ResolvedScene, camera: Camera, length: float) -> None:
 
 
 def without_clips(resolved: ResolvedScene) -> ResolvedScene:
-    """What the caster has of the scene: clips are the march's own."""
+    """The scene for the caster: the march handles clips itself."""
     return replace(resolved, clips=()) if resolved.clips else resolved
 
 
 def workers_for(lanes: int) -> int:
-    """Work-items of a tile where a work-item takes so many pixels at a time."""
+    """Work-items per tile where a work-item processes ``lanes`` pixels at a time."""
     return 1 if lanes > 1 else WORKERS
 
 
 def march_switches(oracle: Oracle, workers: int, tile: int = TILE, leap: bool = True) -> dict[str, int]:
-    """What cl/pyramid.cl has beside the switches of what it samples."""
+    """The switches (-D) of cl/pyramid.cl, without those of the samples."""
     return {
         "WORKERS": workers,
         "TILE": tile,

@@ -1,4 +1,4 @@
-"""What an oracle is, and what it is asked with."""
+"""Oracles of the method "pyramid", and their input."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from clvol.transfer import TransferFunction
 from clvol.transfer.lookup_nodes import LookupNodes
 
 if TYPE_CHECKING:
-    from clvol.device.volume import DeviceVolume
+    from clvol.device.volume import ResidentVolume
     from clvol.opencl.context import DeviceArray, DeviceContext
 
-# Headers of cl/oracle.h. The last is a file of the caller's own; no scene can bring one.
+# Headers of cl/oracle.h. The last is a file that the caller supplies; no scene can supply one.
 KERNEL_MINIMUM, KERNEL_MAP, KERNEL_ERROR, KERNEL_CUSTOM = "minimum", "map", "error", "custom"
 
 
 @dataclass(frozen=True, eq=False)
 class BlockCells:
-    """What cells [z, y, x] of a volume of blocks hold: whether anything is ``shown`` (bool), the ``spacing`` of
-    their block's samples in voxels, and whether some of them are ``holes`` (bool): not finite, beside others."""
+    """The contents of the cells [z, y, x] of a volume of blocks: whether anything is ``shown`` (bool), the ``spacing``
+    of the block's samples in voxels, and whether there are ``holes`` (bool): non-finite samples beside finite ones."""
 
     shown: np.ndarray
     spacing: np.ndarray
@@ -35,19 +35,19 @@ class BlockCells:
 
 @dataclass(frozen=True, eq=False)
 class Asked:
-    """A volume and a transfer function that an oracle is asked about, and the map that it may fill.
+    """The input of an oracle: a volume, a transfer function, and the map that it may fill in.
 
     ``volume``: on the device, with ``values`` that kernels compute with. ``function``: the transfer
     function over these, looked up between ``nodes`` (on the device: ``warp``). ``view``: numbers of the volume for
-    kernels that look at it, and ``switches`` of these. ``shape``: cells of the map (z, y, x).
+    kernels that read it, and the ``switches`` of these kernels. ``shape``: cells of the map (z, y, x).
     ``epsilon``: [pyramid] epsilon. ``opacity_edges``: opacity units in a smallest voxel edge. ``shift``: log2 of a map
     cell's edge in lattice units. ``edges`` (x, y, z): smallest voxel edges in a lattice unit, at least 1. ``reach``:
-    larger distances, in smallest edges, are as good as this one. ``filter``: [integration] filter. ``blocks``: of a
-    volume of blocks, which is not there as voxels.
+    larger distances, in smallest edges, are as good as this one. ``filter``: [integration] filter. ``blocks``: the cells of a
+    volume of blocks, which has no array of voxels.
     """
 
     context: DeviceContext
-    volume: DeviceVolume
+    volume: ResidentVolume
     function: TransferFunction
     nodes: LookupNodes
     warp: DeviceArray
@@ -64,14 +64,14 @@ class Asked:
 
     @property
     def scales(self) -> np.ndarray:
-        """Distances between samples that are looked at, 1, 2, 4 ... edges, up to ``reach``."""
+        """Distances between samples that are considered: 1, 2, 4 ... edges, up to ``reach``."""
         return 2.0 ** np.arange(np.ceil(np.log2(max(self.reach, 1.0))) + 1)
 
 
 class Oracle(ABC):
-    """``name``: as in [pyramid] oracle. ``kernel``: which header it is asked by. ``folder``: of KERNEL_CUSTOM,
-    where "oracle_custom.h" is. ``takes_epsilon``: whether epsilon changes anything. ``leaps``: whether
-    tiles may leap over space that is empty beyond doubt, without asking."""
+    """An estimate of how far apart samples may be. ``name``: as in [pyramid] oracle. ``kernel``: the header that
+    evaluates it. ``folder``: for KERNEL_CUSTOM, the folder of "oracle_custom.h". ``takes_epsilon``: whether epsilon
+    changes anything. ``leaps``: whether tiles may leap over space that is certainly empty, without the oracle."""
 
     name: str
     kernel: str = KERNEL_MAP
@@ -90,12 +90,12 @@ class Oracle(ABC):
 
 
 class MapOracle(Oracle):
-    """An oracle that knows all distances beforehand."""
+    """An oracle that computes all distances beforehand."""
 
     @abstractmethod
     def distances(self, asked: Asked) -> np.ndarray:
         """float [z, y, x], ``asked.shape``: how far apart samples may be, in smallest voxel edges, anywhere in
-        each cell. From a cell to another it should grow by no more than the way (pyramid.h, freshness)."""
+        each cell. From one cell to another they should grow by at most the way between them (pyramid.h, freshness)."""
 
     def map(self, asked: Asked) -> DeviceArray:
         distances = np.asarray(self.distances(asked), np.float64)

@@ -1,4 +1,4 @@
-"""How a view's slices and rays lie to each other: arithmetic, without a device."""
+"""The spacing of a view's slices and rays: arithmetic, without a device."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from clvol.device.view import ray_frame
+from clvol.device.view import picture_height, ray_frame
 from clvol.scene.camera import Camera
 from clvol.scene.pyramid import MOST_LEVELS
 from clvol.scene.resolve import ResolvedScene
@@ -14,9 +14,9 @@ from clvol.scene.resolve import ResolvedScene
 
 @dataclass(frozen=True)
 class SlicePlan:
-    """``levels`` of coarsening along rays, and ``oversampling`` more across them, where rays lie
-    2^oversampling times nearer than slices. ``spacing``: distance of neighbouring rays at slice 0, in
-    smallest edges, and its ``growth`` from a slice to the next."""
+    """``levels`` of coarsening along rays, and ``oversampling`` additional levels across them, where rays are
+    2^oversampling times closer together than slices. ``spacing``: distance of neighbouring rays at slice 0, in
+    smallest edges, and its ``growth`` from one slice to the next."""
 
     levels: int
     oversampling: int
@@ -25,16 +25,16 @@ class SlicePlan:
 
     @classmethod
     def nowhere(cls, levels: int) -> SlicePlan:
-        """For a picture without pixels."""
+        """The plan of a picture without pixels."""
         return cls(levels, 0, 1.0, 0.0)
 
 
 def slice_plan(resolved: ResolvedScene, camera: Camera, width: int, height: int) -> SlicePlan:
-    """For the picture of ``camera`` (complete): rays compared with slices in the middle of the volume."""
+    """The plan for the picture of ``camera`` (complete), from rays and slices in the middle of the volume."""
     grid, step = resolved.volume.grid, resolved.integration.step
     frame = ray_frame(camera, grid, width, height)
     if camera.projection == "orthographic":
-        spacing, growth = camera.height / height / grid.smallest_edge, 0.0
+        spacing, growth = picture_height(camera) / height / grid.smallest_edge, 0.0
         there = spacing
     else:
         growth = frame.lens[0] * step

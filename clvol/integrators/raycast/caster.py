@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -30,10 +31,10 @@ from clvol.device.transfer_lookup import (
     scene_nodes,
 )
 from clvol.device.view import EVERY_PIXEL, PixelLattice, RayFrame, ray_frame
-from clvol.device.volume import DeviceVolume
+from clvol.device.volume import DeviceVolume, ResidentVolume
 from clvol.errors import RenderError
 from clvol.features import reduced_for_frames
-from clvol.integrators.base import FrameData, Shared
+from clvol.integrators.base import FrameData, Progress, Shared
 from clvol.integrators.raycast.march import March, RayMarch
 from clvol.integrators.raycast.switches import raycast_switches
 from clvol.opencl.arguments import reads, writes
@@ -43,7 +44,7 @@ from clvol.scene.camera import Camera
 from clvol.scene.resolve import ResolvedScene
 from clvol.schedule.tiles import TILE, bands, tiling
 from clvol.transfer import TransferFunction
-from clvol.transfer.lookup_nodes import visible_cells
+from clvol.transfer.lookup_nodes import LookupNodes, visible_cells
 from clvol.transfer.opacity_envelope import opacity_envelope
 from clvol.transfer.pieces import (
     columns,
@@ -52,12 +53,12 @@ from clvol.transfer.pieces import (
     value_gate,
 )
 
-# Fields of a ``View`` that a camera or a unit of length may take beyond float32, beside its vectors.
+# Members of a ``View``, beside its vectors, that a camera or a unit of length may push beyond float32.
 _FINITE = (
     "tangent", "centre", "step", "plane_distance", "stop_opacity", "edge_length",
     "first_value", "nodes_per_value", "last_node", "warp_bins",
 )  # fmt: skip
-_SECONDS_A_SAMPLE = 1e-8  # a first guess, for how to cut a frame into launches
+SECONDS_A_SAMPLE = 1e-8  # a first guess, used to divide a frame into launches
 _BAND_SECONDS = 0.5
 _COARSE_ARGUMENTS = (
     reads("coarse", np.float32, "columns", "rows", 4),
@@ -65,26 +66,40 @@ _COARSE_ARGUMENTS = (
 )
 
 
+TilesDone = Callable[[int], None]
+Caster = TypeVar("Caster", bound="Raycaster")
+
+
 def parts_of_cell(step: float) -> int:
-    """Parts that quadrature by cells cuts each cell's piece in: as many as ``step`` goes into 1, one or
-    an even number (Gauss's points come in pairs)."""
+    """The number of parts into which quadrature by cells divides the piece of a ray in each cell: about 1 / ``step``,
+    one or an even number (Gauss's points come in pairs)."""
     return 1 if step > 0.75 else 2 * max(1, round(0.5 / step))
 
 
 def device_volume(shared: Shared, resolved: ResolvedScene) -> DeviceVolume:
-    """The scene's volume on the device, the same for all scenes that have it."""
+    """The scene's volume on the device, shared by all scenes of that volume."""
     return shared.keep("volume", resolved.volume, lambda: DeviceVolume(shared.context, resolved.volume))
 
 
 class Raycaster:
     """Device state for a scene: volume, tables, distance map, program; ``render`` makes a frame.
 
-    ``lanes``: rays a work-item marches together (16 on CPU devices, 1 elsewhere). ``skip``: leap over
-    empty space. ``tile``: pixels (width, height) of a work-item's tile. None of the three
+    ``lanes``: rays that a work-item marches together (16 on CPU devices, 1 elsewhere). ``skip``: whether rays leap
+    over empty space. ``tile``: pixels (width, height) of a work-item's tile. None of the three
     changes the picture.
     """
 
     held: Sequence[object] = ()
+    march: March
+    function: TransferFunction
+    nodes: LookupNodes
+    gate: tuple[float, float]
+    visible_share: float
+    switches: dict[str, int]
+    table: DeviceArray
+    distances: DeviceArray
+    warp: DeviceArray
+    surface_cells: np.ndarray
 
     def __init__(
         self,
@@ -94,21 +109,21 @@ class Raycaster:
         lanes: int | None = None,
         skip: bool = True,
         tile: tuple[int, int] = (TILE, TILE),
-        volume: DeviceVolume | None = None,
+        volume: ResidentVolume | None = None,
         march: March | None = None,
     ) -> None:
         self.context = context
-        self.march: March = march or RayMarch()
+        self.march = march or RayMarch()
         self.resolved = resolved = self.march.adopt(reduced_for_frames(resolved))
         self.lanes = lanes_of(context, lanes)
         self.skip = skip
         shares_tiles = self.lanes > 1 or self.march.renders_all_pixels
         self.tile = tile if shares_tiles else (1, 1)
-        self.volume = volume or DeviceVolume(context, resolved.volume)
+        self.volume: ResidentVolume = volume or DeviceVolume(context, resolved.volume)
         self.effects = EffectState(context, resolved, self.volume)
         self.view_dtype = view_dtype(self.volume.switches["VOXEL_BITS"])
         self._warm: set[tuple] = set()
-        self._tally = None
+        self._without_surfaces: Raycaster | None = None
         self._none = context.empty(np.float32, (4,))
         self._view = context.empty(self.view_dtype, (1,))
         self.set_transfer_function(resolved.transfer_function)
@@ -119,9 +134,9 @@ class Raycaster:
         return self.march.renders_all_pixels
 
     def set_transfer_function(self, function: TransferFunction) -> None:
-        """Another transfer function: rebuilds the table and the visible cells, nothing else."""
+        """Another transfer function: rebuilds the table and the visible cells, and compiles nothing."""
         resolved, context = self.resolved, self.context
-        # Where the nodes are depends on no cycling: it compiles nothing.
+        # The nodes do not depend on the cycle of colours, so it compiles nothing.
         self.nodes = scene_nodes(resolved, function)
         mapped = device_function(opacity_envelope(layer_functions(resolved, function)), self.volume.values)
         self.function = function
@@ -134,7 +149,7 @@ class Raycaster:
         )
         if resolved.isosurfaces:
             mask |= self._surface_cells()
-        if resolved.integration.compositing != "over":  # a mean may be a value of no cell
+        if resolved.integration.compositing != "over":  # a mean may be a value that occurs in no cell
             mask = np.full_like(mask, visible.any() or at_nodes.any())
             mode = resolved.integration.compositing
             self.effects.set_hidden(hidden_score(mode, self.gate))
@@ -148,7 +163,7 @@ class Raycaster:
         self.switches = raycast_switches(
             resolved, lanes=self.lanes, skip=self.skip, function=function
         )
-        self.switches |= self.effects.switches  # the device may be too small for some
+        self.switches |= self.effects.switches  # those that respect the limits of the device
         self.switches |= self.march.switches()
         self.light_volume_samples = 0
         if self._casts_shadows:
@@ -157,7 +172,7 @@ class Raycaster:
         self.march.scene_changed(self)
 
     def _set_colors(self) -> None:
-        """The tables, with colours as they are at the scene's time."""
+        """Builds the tables with the colours at the scene's time."""
         functions = layer_functions(self.resolved, self.function)
         moved = [cycled_function(self.resolved, function) for function in functions]
         self._functions = [device_function(function, self.volume.values) for function in moved]
@@ -173,7 +188,7 @@ class Raycaster:
         return bool(self.effects.switches.get("SHADOWS"))
 
     def _build_shadows(self) -> None:
-        """What shadows need, which no camera changes."""
+        """Fills the light volume, where there is one. No camera changes it."""
         arrays = self.effects.arrays
         if self.switches["SHADOWS"] == METHODS["volume"] and self.visible_share:
             view = self.volume_view()
@@ -189,19 +204,19 @@ class Raycaster:
         }
 
     def _surface_cells(self) -> np.ndarray:
-        """bool [z, y, x]: cells in which an iso-surface can be. Tells the effects."""
+        """bool [z, y, x]: cells in which an iso-surface can be. The effects get the distances to them."""
         levels = [float(self.volume.values(s.value)) for s in self.resolved.isosurfaces]
         filter = self.resolved.integration.filter
         mask = surface_mask(self.volume, filter, levels, self._moved)
-        if filter == "nearest":  # what is nearest to one voxel lies in two cells
+        if filter == "nearest":  # the region nearest to one voxel lies in two cells
             mask = dilated(mask)
         self.effects.set_surfaces(distance_map(self.context, mask))
         self.surface_cells = mask
         return mask
 
     def _beside_surfaces(self) -> Raycaster | None:
-        """For tiles that see no surface, but may see something else: all else is the same, and so is
-        what it computes. None where no tile is without."""
+        """A caster for tiles that see no surface, but may see something else. It computes the same without testing for
+        surfaces. None where every tile needs that test."""
         switches = self.effects.switches
         if not switches.get("ISOSURFACES") or switches["REFRACTION"]:
             return None  # bent rays go anywhere
@@ -226,7 +241,7 @@ class Raycaster:
         """World length of a step."""
         return self.resolved.integration.step * self.resolved.volume.grid.smallest_edge
 
-    def for_scene(self, resolved: ResolvedScene) -> Raycaster:
+    def for_scene(self: Caster, resolved: ResolvedScene) -> Caster:
         """As ``Prepared.for_scene``: shares the volume, empty space, and often the tables."""
         other = copy.copy(self)
         other.resolved = resolved = self.march.adopt(reduced_for_frames(resolved))
@@ -248,11 +263,11 @@ class Raycaster:
         camera: Camera,
         width: int,
         height: int,
-        progress: Callable[[int, int], None] | None = None,
+        progress: Progress | None = None,
         depth: bool = True,
         lattice: PixelLattice = EVERY_PIXEL,
     ) -> FrameData:
-        """One picture of ``width`` by ``height``, or of its pixels on ``lattice`` alone.
+        """One picture of ``width`` by ``height``, or only its pixels on ``lattice``.
         ``progress(tiles done, all)`` is called after each launch."""
         self.march.begin(self, camera, width, height)
         if not self.march.renders_all_pixels:
@@ -266,15 +281,15 @@ class Raycaster:
         camera: Camera,
         width: int,
         height: int,
-        progress: Callable[[int, int], None] | None,
+        progress: Progress | None,
         depth: bool,
         lattice: PixelLattice,
     ) -> FrameData:
-        """One picture of ``width`` by ``height``, or of its pixels on ``lattice`` alone.
+        """One picture of ``width`` by ``height``, or only its pixels on ``lattice``.
         ``progress(tiles done, all)`` is called after each launch.
 
         With the scene's ``image.ray_spacing`` the rays of its lattice are cast first, and then those
-        of all pixels that cannot be interpolated between them (a ``lattice`` has all its rays).
+        of all pixels that cannot be interpolated between them (for a ``lattice`` all rays are cast).
         """
         grid, context = self.resolved.volume.grid, self.context
         lattice_width, lattice_height = lattice.size(width, height)
@@ -313,42 +328,49 @@ class Raycaster:
             depths = context.output(np.float32, (height, width)) if depth else self._none
             counted.append(context.output(np.uint32, (tiles[1],)))
             added = context.output(np.uint32, (tiles[1],))
-            self._launches("fill_between_rays", view, tiles[1], depth, report(1),
-                           coarse=coarse, coarse_depths=coarse_depths, image=image,
-                           depths=depths, samples=counted[1], rays=added)  # fmt: skip
-            tallies.append(self._tally)
+            outputs = {"image": image, "depths": depths, "samples": counted[1], "rays": added}
+            outputs |= {"coarse": coarse, "coarse_depths": coarse_depths}
+            tally = self._launches("fill_between_rays", view, tiles[1], depth, report(1), outputs)
+            tallies += [] if tally is None else [tally]
             rays += int(context.take(added).sum(dtype=np.uint64))
             context.take(coarse)
             if depth:
                 context.take(coarse_depths)
         taken = sum(int(context.take(count).sum(dtype=np.uint64)) for count in counted)
         rgba = context.take(image)
-        depths = context.take(depths) if depth else None
-        counters = {}
-        if self._tally is not None:
+        distances = context.take(depths) if depth else None
+        counters: dict[str, int] = {}
+        if tallies:
             counts = np.concatenate([context.take(tally) for tally in tallies])
             counters = {**self._counters(counts), **tile_counts}
-        return FrameData(rgba, depths, taken, rays, counters)
+        return FrameData(rgba, distances, taken, rays, counters)
 
     def _trace(
-        self, frame: RayFrame, size: tuple[int, int], view, tiles: int, depth: bool, progress, outputs
+        self,
+        frame: RayFrame,
+        size: tuple[int, int],
+        view: np.ndarray,
+        tiles: int,
+        depth: bool,
+        progress: TilesDone | None,
+        outputs: dict[str, DeviceArray],
     ) -> tuple[list[DeviceArray], dict[str, int]]:
-        """The rays of all pixels, into ``outputs``. Tiles that can see no surface are rendered by
-        kernels that know of none. Gives what was counted, and how many tiles were of either kind."""
+        """Casts the rays of all pixels into ``outputs``. Tiles that can see no surface are rendered by
+        kernels without surfaces. Returns the arrays of counts, and how many tiles were of either kind."""
         if self._without_surfaces is None:
-            self._launches("raycast", view, tiles, depth, progress, **outputs)
-            return [self._tally], {}
+            tally = self._launches("raycast", view, tiles, depth, progress, outputs)
+            return [] if tally is None else [tally], {}
         seen = tiles_that_see(
             self.surface_cells, self.volume.size, frame, self.effects.space.matrix, size, self.tile
         )
-        done = 0
-        tallies = []
+        done = share = 0.0
+        tallies: list[DeviceArray] = []
         report = None if progress is None else lambda more: progress(int(done + more * share))
         for engine, chosen in ((self, seen), (self._without_surfaces, ~seen)):
             share = chosen.mean()
             if share:
-                engine._launches("raycast", view, tiles, depth, report, chosen=chosen, **outputs)
-                tallies.append(engine._tally)
+                tally = engine._launches("raycast", view, tiles, depth, report, outputs, chosen)
+                tallies += [] if tally is None else [tally]
             done += share * tiles
         counted = {"tiles_with_surfaces": seen.sum(), "tiles_without_surfaces": (~seen).sum()}
         return tallies, {name: int(count) for name, count in counted.items()}
@@ -358,7 +380,7 @@ class Raycaster:
         return not self.visible_share and not self.switches.get("ENVIRONMENT_VISIBLE")
 
     def warm_up(self, width: int, height: int, depth: bool = True) -> None:
-        """Compiles everything a frame of this size needs: final code is made at the first launch."""
+        """Compiles everything that a frame of this size needs, by launching it: drivers finish compiling then."""
         tiles = tiling(width, height, *self.tile).count
         fills = self.resolved.image.ray_spacing > 1
         key = (tiles, depth, fills, tuple(self.switches.items()))
@@ -369,23 +391,30 @@ class Raycaster:
         view["tile"] = self.tile
         counts = [self.context.empty(np.uint32, (tiles,)) for _ in range(2)]
         none = {"image": self._none, "depths": self._none, "samples": counts[0]}
-        self._launches("raycast", view, tiles, depth, None, **none)
+        tallies = [self._launches("raycast", view, tiles, depth, None, none)]  # kept until they are written
         if self._without_surfaces is not None:
             nowhere = np.zeros(tiles, bool)
             for engine in (self, self._without_surfaces):
-                engine._launches("raycast", view, tiles, depth, None, chosen=nowhere, **none)
+                tallies.append(engine._launches("raycast", view, tiles, depth, None, none, nowhere))
         if fills:
             none |= {"coarse": self._none, "coarse_depths": self._none, "rays": counts[1]}
-            self._launches("fill_between_rays", view, tiles, depth, None, **none)
+            tallies.append(self._launches("fill_between_rays", view, tiles, depth, None, none))
         self.context.finish()
         restore_interrupts()
         self._warm.add(key)
 
     def _launches(
-        self, name: str, view, tiles: int, depth: bool, progress, chosen=None, **arrays
-    ) -> None:
-        """Kernel ``name`` over all tiles, or those of ``chosen`` (bool [tiles]), in as many launches as
-        keep each one short."""
+        self,
+        name: str,
+        view: np.ndarray,
+        tiles: int,
+        depth: bool,
+        progress: TilesDone | None,
+        outputs: dict[str, DeviceArray],
+        chosen: np.ndarray | None = None,
+    ) -> DeviceArray | None:
+        """Runs kernel ``name`` over all tiles, or those of ``chosen`` (bool [tiles]), in launches that are each kept
+        short. Returns uint32 [tiles, names], what was counted, if anything is."""
         context = self.context
         switches = {**self.switches, "WITH_DEPTH": int(depth)}
         variant, more, added = self._more_arguments(tiles)
@@ -393,7 +422,7 @@ class Raycaster:
         fills = name == "fill_between_rays"
         declared += (_COARSE_ARGUMENTS if fills else ()) + picture_arguments(depth=depth)
         declared += ((writes("rays", np.uint32, "tiles"),) if fills else ()) + more
-        arrays = {**arrays, **added}
+        arrays = {**outputs, **added}
         sizes = dict(zip(("width", "height"), view["image"][0].tolist())) | {"tiles": tiles}
         sizes |= dict(zip(("columns", "rows"), view["lattice"][0].tolist()))
         if chosen is not None:
@@ -402,7 +431,7 @@ class Raycaster:
             arrays["chosen"] = context.upload(chosen.astype(np.uint8))
         kernel = self.march.kernel(context, name, declared, switches)
         pixels = tiles * self.tile[0] * self.tile[1] if view["image"][0, 0] else 0
-        expected = pixels * self._most_samples() * _SECONDS_A_SAMPLE
+        expected = pixels * self._most_samples() * SECONDS_A_SAMPLE
         done = 0
         for first, count in bands(tiles, expected, _BAND_SECONDS):
             view["first_tile"] = first
@@ -421,32 +450,33 @@ class Raycaster:
                 context.finish()
             if progress is not None:
                 progress(done)
+        return added.get("counts")
 
     def _more_arguments(self, tiles: int) -> tuple[Arguments, Arguments, dict[str, DeviceArray]]:
-        """What the kernels take beside the arguments of a scene of emission and absorption, for a launch over
-        ``tiles``: after those of the scene, at the end, and the arrays of both."""
+        """The arguments that kernels take in addition to those of a scene of emission and absorption, for a launch over
+        ``tiles``: those that follow the scene's, those at the end, and the arrays of both."""
         names = self._counter_names
         if not names:
             return (), (), {}
-        self._tally = self.context.output(np.uint32, (tiles, len(names)))
+        counts = self.context.output(np.uint32, (tiles, len(names)))
         own, arrays = self.march.arguments(self)
         variant, added = self._sample_arguments
-        return variant, own + counts_argument(len(names)), {**arrays, **added, "counts": self._tally}
+        return variant, own + counts_argument(len(names)), {**arrays, **added, "counts": counts}
 
     @property
     def _sample_arguments(self) -> tuple[Arguments, dict[str, DeviceArray]]:
-        """Declared arguments of what changes or replaces samples of the volume, and what they are."""
+        """The declared arguments, and the arrays, of whatever changes or replaces samples of the volume."""
         if not self.effects.switches:
             return (), {}
         return EFFECT_ARGUMENTS, self.effects.arrays
 
     @property
     def _counter_names(self) -> tuple[str, ...]:
-        """What the kernels count: of the march, then of the samples."""
+        """Names of what the kernels count: first the march's, then the samples'."""
         return (*self.march.counters, *(COUNTERS if self.effects.switches else ()))
 
     def _counters(self, counts: np.ndarray) -> dict[str, int]:
-        """Names and sums of what tiles counted: ``counts`` uint32 [tiles, names]."""
+        """Sums by name of what tiles counted: ``counts`` uint32 [tiles, names]."""
         sums = counts.sum(axis=0, dtype=np.uint64)
         named = {name: int(total) for name, total in zip(self._counter_names, sums)}
         return self.effects.counted(named) if self.effects.switches else named
@@ -477,13 +507,13 @@ class Raycaster:
         return view
 
     def volume_view(self) -> np.ndarray:
-        """``View`` [1] with the fields that no camera changes."""
+        """``View`` [1] with the members that do not depend on the camera."""
         view = np.zeros(1, self.view_dtype)
         self._describe_volume(view[0])
         return view
 
     def _describe_volume(self, row: np.void) -> None:
-        """The fields of a ``View`` that no camera changes."""
+        """Fills in the members of a ``View`` that do not depend on the camera."""
         volume, nodes, step = self.volume, self.nodes, self.resolved.integration.step
         bins = 0.0 if nodes.warp is None else nodes.warp.size - 1.0
         row["step"] = step
@@ -503,21 +533,20 @@ class Raycaster:
         row["cells"][:3], row["cell_shift"] = volume.cells, volume.cell_shift
         row["piece_columns"], row["function_floats"], row["piece_count"] = self._pieces
 
-
     @property
     def structs(self) -> dict[str, np.dtype]:
-        """What the program shares with the host, by name."""
+        """The structs that the program shares with the host, by name."""
         effects = {"Field": FIELD, "NoiseTerm": NOISE_TERM, "Effects": EFFECTS} if self.effects.switches else {}
         return {"View": self.view_dtype, **effects}
 
 
 def lanes_of(context: DeviceContext, lanes: int | None = None) -> int:
-    """Rays that a work-item marches together: ``lanes``, or what suits the device."""
+    """Rays that a work-item marches together: ``lanes``, or the number that suits the device."""
     return lanes or (16 if context.is_cpu else 1)
 
 
-def _stages(progress: Callable[[int, int], None] | None, tiles: list[int]):
-    """For each stage of a frame a function of the tiles that it has done, or None."""
+def _stages(progress: Progress | None, tiles: list[int]) -> Callable[[int], TilesDone | None]:
+    """For each stage of a frame a function that reports the tiles that are done in it, or None."""
     if progress is None:
         return lambda stage: None
     return lambda stage: lambda done: progress(sum(tiles[:stage]) + done, sum(tiles))

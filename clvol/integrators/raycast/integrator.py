@@ -1,4 +1,4 @@
-"""Rays through a volume that is on the device as a whole."""
+"""The ray caster as an integrator: rays through a volume that is on the device as a whole."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 class Raycast:
-    """Samples, one step or cell after another, along a ray for each pixel: all effects, all filters."""
+    """Samples along one ray per pixel, step by step or cell by cell, with all effects and all filters."""
 
     name = "raycast"
     reads_blocks = False

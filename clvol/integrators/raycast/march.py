@@ -1,4 +1,5 @@
-"""How rays go through the samples of a scene: a part of a caster, beside where its samples are."""
+"""The march of rays through the samples of a scene: the part of a caster that does not depend on how its samples are
+stored."""
 
 from __future__ import annotations
 
@@ -18,21 +19,21 @@ if TYPE_CHECKING:
 
 
 class March(Protocol):
-    """What differs between kernels that render a picture from the same samples.
+    """The differences between kernels that render a picture from the same samples.
 
-    A march belongs to one caster, which hands itself over.
+    A march belongs to one caster, which passes itself to each method.
     """
 
     workers: int  # work-items of a tile
-    renders_all_pixels: bool  # pixels depend on their neighbours: there are no sparse pictures
-    counters: tuple[str, ...]  # names of what its kernel counts, before what samples count
+    renders_all_pixels: bool  # pixels depend on their neighbours, so there are no sparse pictures
+    counters: tuple[str, ...]  # names of its kernel's counters, which precede those of the samples
 
     def adopt(self, resolved: ResolvedScene) -> ResolvedScene:
-        """What is left of the scene for the caster, without what the march sees to by itself."""
+        """The scene for the caster, without the parts that the march handles itself."""
         ...
 
     def switches(self) -> dict[str, int]:
-        """What is compiled for it, beside the switches of the samples."""
+        """The switches (-D) of the march, in addition to those of the samples."""
         ...
 
     def local_size(self, lanes: int) -> tuple[int] | None: ...
@@ -40,32 +41,32 @@ class March(Protocol):
     def kernel(self, context: DeviceContext, name: str, declared: Arguments, switches: dict[str, int]) -> Kernel: ...
 
     def find_empty_space(self, caster: Raycaster, mask: np.ndarray) -> None:
-        """``mask`` bool [z, y, x]: the cells in which anything can be seen. Sets ``caster.distances``."""
+        """Sets ``caster.distances``. ``mask`` bool [z, y, x]: the cells in which anything can be visible."""
         ...
 
     def scene_changed(self, caster: Raycaster) -> None:
-        """Called when transfer function, blocks, switches and empty space of the caster are as they will be."""
+        """Called once the transfer function, blocks, switches and empty space of the caster are final."""
         ...
 
     def for_scene(self, caster: Raycaster, before: Raycaster) -> March:
-        """For ``caster``, which was ``before`` and got another scene (``Prepared.for_scene``)."""
+        """The march for ``caster``, made from ``before`` for another scene (``Prepared.for_scene``)."""
         ...
 
     def begin(self, caster: Raycaster, camera: Camera | None, width: int, height: int) -> None:
-        """A frame from ``camera`` follows; None: one without pixels."""
+        """Announces a frame from ``camera``; None: a frame without pixels."""
         ...
 
     def arguments(self, caster: Raycaster) -> tuple[Arguments, dict[str, DeviceArray]]:
-        """Declared arguments of its kernel, beside those of the samples, and what they are for the next launch."""
+        """Declared arguments of its kernel, beyond those of the samples, and their arrays for the next launch."""
         ...
 
     def check_structs(self, caster: Raycaster) -> None:
-        """RenderError where the compiler lays out structs in another way than the host."""
+        """RenderError where the device's compiler lays out structs differently from the host."""
         ...
 
 
 class RayMarch:
-    """A ray per pixel, by itself (cl/raycast.cl)."""
+    """One independent ray per pixel (cl/raycast.cl)."""
 
     workers = 1
     renders_all_pixels = False

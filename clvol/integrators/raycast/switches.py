@@ -1,4 +1,4 @@
-"""What is compiled for rays through a volume."""
+"""The switches (-D) of the ray caster's kernels."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from clvol.device.transfer_lookup import segment_classification, transfer_pieces
 from clvol.features import CLASSIFICATIONS, FILTERS, QUADRATURES
 from clvol.scene.resolve import ResolvedScene
 from clvol.transfer import TransferFunction
+from clvol.volume.voxel_layout import holds_pairs
 
 
 def raycast_switches(
@@ -19,12 +20,12 @@ def raycast_switches(
     depth: bool = True,
     function: TransferFunction | None = None,
 ) -> dict[str, int]:
-    """What gets compiled for this scene, or with ``function`` instead of its own; nothing that changes
-    from frame to frame."""
-    integration = resolved.integration
+    """The switches for this scene, or for ``function`` in place of its transfer function. They depend on nothing
+    that changes from frame to frame."""
+    integration, volume = resolved.integration, resolved.volume
     functions = layer_functions(resolved, function)
     return {
-        **voxel_switches(resolved.volume, value_map(resolved.volume)),
+        **voxel_switches(volume, value_map(volume), pairs=holds_pairs(volume)),
         "LANES": lanes,
         "FILTER": FILTERS[integration.filter],
         "CLASSIFICATION": CLASSIFICATIONS[segment_classification(integration, functions)],

@@ -1,1 +1,1 @@
-"""The exact integral along each ray: slow, and the ground truth of all other integrators."""
+"""The method "reference": the exact integral along each ray; slow, and the ground truth of all other integrators."""

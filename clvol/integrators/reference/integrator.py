@@ -1,4 +1,4 @@
-"""The exact integral, as an integrator."""
+"""The method "reference" as an integrator: the exact integral."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from clvol.volume import Volume
 if TYPE_CHECKING:
     from clvol.scene import Scene
 
-_EFFECTS = PLAIN | {"nearest filter", "cubic filter"}  # that are integrated exactly
+_EFFECTS = PLAIN | {"nearest filter", "cubic filter"}  # those that are integrated exactly
 
 
 def has_exact_integral(resolved: ResolvedScene) -> bool:

@@ -1,4 +1,4 @@
-"""The reference: the exact emission-absorption integral, which judges every other method.
+"""The reference: the exact emission-absorption integral, the ground truth of every other method.
 
 There is no step size: the field along a ray is a polynomial in each cell, the transfer function is
 linear between control points, and every smooth piece is integrated to a tolerance
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from clvol.volume import Grid, Volume
 
 FILTERS = ("linear", "nearest", "cubic")
-_LARGEST_EXPONENT = 500  # of values: beyond it products of differences overflow, or shares vanish
+_LARGEST_EXPONENT = 500  # of values; beyond it products of differences overflow, or shares underflow
 
 
 def render_reference(
@@ -133,7 +133,7 @@ def to_index(
 ) -> tuple[np.ndarray, np.ndarray]:
     """World rays [n, 3] in index space (x, y, z); the parameter stays the world distance."""
     matrix = grid.world_to_index()[:3, :3]
-    # The grid's origin goes first, where the difference may be exact.
+    # The grid's origin is subtracted first, since that difference may be exact.
     origins = (np.asarray(origins, np.float64) - np.asarray(grid.origin)) @ matrix.T
     return origins, np.asarray(directions, np.float64) @ matrix.T
 
@@ -141,7 +141,7 @@ def to_index(
 def _control_points(
     volume: Volume, transfer_function: TransferFunction
 ) -> tuple[float, dict[str, np.ndarray]]:
-    """The factor to take all values by, and the control points on that scale."""
+    """The factor that scales all values, and the control points on that scale."""
     values, opacities = transfer_function.values, transfer_function.opacities
     lower, upper = volume.value_range
     largest = max(abs(lower), abs(upper), float(np.abs(values).max()))
@@ -166,15 +166,15 @@ def _control_points(
 
 
 def _check_supported(resolved: ResolvedScene) -> None:
-    for key, asked in (
+    for key, entries in (
         ("isosurface", resolved.isosurfaces),
         ("clip", resolved.clips),
         ("light", resolved.lights),
     ):
-        if asked:
+        if entries:
             raise SceneError(
                 f"{resolved.origin}: {key}",
-                f"got {len(asked)} with method 'reference'",
+                f"got {len(entries)} with method 'reference'",
                 "none: the reference integrates emission and absorption alone",
             )
 

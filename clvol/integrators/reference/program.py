@@ -32,7 +32,7 @@ _LAUNCH_SECONDS = 0.3  # short enough for a progress report and for Ctrl-C
 
 @dataclass(frozen=True)
 class RayIntegrals:
-    """What the kernel gives for n rays.
+    """The kernel's results for n rays.
 
     ``rgba`` [n, 4] premultiplied; ``depth`` [n] world distance, inf where the opacity never reaches
     one half; ``error`` [n] sum of the error estimates of all pieces; ``counters`` [n, 4] uint32:
@@ -150,7 +150,7 @@ def _check(device: pyopencl.Device, voxels: np.ndarray) -> None:
 
 @lru_cache(maxsize=32)
 def _program(device: pyopencl.Device, voxel: str, filter: str, preclassified: bool):
-    """The context and the built program of one variant; one build a process."""
+    """The context and the built program of one variant; built once per process."""
     options = ["-cl-std=CL1.2", f"-DREFERENCE_VOXEL={_VOXEL_NAMES[voxel]}"]
     if voxel.startswith("float"):
         options.append("-DREFERENCE_FLOATING")

@@ -1,17 +1,17 @@
-"""Where a tile's rays are: arithmetic alone.
+"""The positions of a tile's rays: arithmetic, without a device.
 
-The picture is cut into tiles of ``size`` by ``size`` pixels, cut short at the right and lower edge.
-The rays of a tile stand on the crossings of some of its columns of pixels and some of its rows: its
+The picture is cut into tiles of ``size`` by ``size`` pixels, which are shorter at the right and lower edge.
+The rays of a tile lie at the crossings of some of its columns and some of its rows of pixels: its
 lines. Ljung (2006, section 4) renders a tile as a small picture of tau by tau pixels of its own,
 at any tau. Here every ray goes through the centre of a pixel of the final picture, so that the
-picture at full resolution is the plain one and a ray once cast stays: with tau lines on an axis of
-n pixels, line i is pixel floor((i + 1/2) n / tau). A tile cut short has as many lines as its length
-has share of a whole one's, rounded up.
+picture at full resolution equals the one without tiles, and rays are never cast again: with tau lines on an axis of
+n pixels, line i is pixel floor((i + 1/2) n / tau). A shorter tile has a number of lines in proportion to its
+length, rounded up.
 
-Refining a tile halves the gaps between its lines and adds lines to those it has: one in the middle
+Refining a tile halves the gaps between its lines by adding lines: one in the middle
 of each gap, and one half-way from the outermost lines to the borders. (Positions of 2 tau lines by
-the formula above would hold none of the old ones, and a quarter of the rays would be lost for the
-interpolation.)
+the formula above would include none of the old ones, and the interpolation would lose a quarter of the
+rays.)
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-SMALLEST, LARGEST = 2, 256  # pixels an edge of a tile
+SMALLEST, LARGEST = 2, 256  # pixels per edge of a tile
 
 
 @dataclass(frozen=True)
 class TileGrid:
-    """Tiles of ``size`` pixels an edge over a picture of ``width`` by ``height``, numbered row by
+    """Tiles of ``size`` pixels per edge that cover a picture of ``width`` by ``height``, numbered row by
     row."""
 
     width: int
@@ -67,8 +67,8 @@ class TileGrid:
 
 @dataclass(eq=False)
 class Resolution:
-    """What resolution each tile has: ``tau`` (1 ... size) planned, and how often its gaps were
-    halved since; both int64 [tiles]. ``halvings`` -1: no ray at all."""
+    """The resolution of each tile: ``tau`` (1 ... size), the planned number of lines, and ``halvings``, how often its
+    gaps have been halved since; both int64 [tiles]. ``halvings`` -1: no rays yet."""
 
     tau: np.ndarray
     halvings: np.ndarray
@@ -83,7 +83,7 @@ class Resolution:
 
 @lru_cache(maxsize=8192)
 def lines(length: int, size: int, tau: int, halvings: int) -> tuple[int, ...]:
-    """The pixels, ascending, in which an axis of ``length`` pixels has its lines; none at -1
+    """The pixels, ascending, at which an axis of ``length`` pixels has its lines; none for -1
     halvings."""
     if halvings < 0:
         return ()
@@ -94,7 +94,7 @@ def lines(length: int, size: int, tau: int, halvings: int) -> tuple[int, ...]:
 
 
 def halved(positions: tuple[int, ...], length: int) -> tuple[int, ...]:
-    """``positions`` and those that halve what lies between them and beside them."""
+    """``positions``, and those that halve the gaps between them and at both ends."""
     first, last = positions[0], length - 1 - positions[-1]  # pixels outside, on either side
     between = [(a + b) // 2 for a, b in zip(positions, positions[1:])]
     outside = [(2 * first + 1) // 4, length - 1 - (2 * last + 1) // 4]
@@ -102,16 +102,16 @@ def halved(positions: tuple[int, ...], length: int) -> tuple[int, ...]:
 
 
 def each_axis(function: Callable[..., object], keys: np.ndarray) -> np.ndarray:
-    """``function(length, size, tau, halvings)`` for each row of ``keys`` [k, 4], called once for
-    each different one; int64 [k]."""
+    """``function(length, size, tau, halvings)`` for each row of ``keys`` [k, 4], called once per
+    distinct row; int64 [k]."""
     different, inverse = unique_rows(keys)
     values = np.array([function(*map(int, key)) for key in different], np.int64)
     return values[inverse]
 
 
 def unique_rows(keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The different rows of ``keys`` int64 [k, m <= 5] (numbers from -1 to 4094) and which of them
-    each row is [k]. As one number a row: ``np.unique`` over an axis takes ten times as long."""
+    """The distinct rows of ``keys`` int64 [k, m <= 5] (numbers from -1 to 4094), and the index of each row among
+    them [k]. Rows are packed into one number each, since ``np.unique`` over an axis takes ten times as long."""
     packed = (keys + 1) @ (1 << 12 * np.arange(keys.shape[1], dtype=np.int64))
     _, first, inverse = np.unique(packed, return_index=True, return_inverse=True)
     return keys[first], inverse.ravel()
@@ -127,12 +127,12 @@ def ray_counts(grid: TileGrid, resolution: Resolution, tiles: np.ndarray) -> np.
 
 
 class LineTable:
-    """For each pixel of an axis the lines that it lies between, for all sets of lines asked for so
+    """For each pixel of an axis the lines between which it lies, for all sets of lines requested so
     far.
 
     ``array`` uint8 [entries, 2]: (low, high), the pixels of the nearest lines at or before and at
-    or after this one; beyond the outermost line both are that line. A set's entries follow one
-    another, a pixel each.
+    or after this one; beyond the outermost line both are that line. The entries of a set are
+    consecutive, one per pixel.
     """
 
     def __init__(self) -> None:
@@ -148,8 +148,9 @@ class LineTable:
     def entries(self) -> int:
         return self._entries
 
-    def offset(self, *key: int) -> int:
-        """Where the entries of ``lines(*key)`` begin, which are added if they are new."""
+    def offset(self, length: int, size: int, tau: int, halvings: int) -> int:
+        """The offset of the entries of ``lines`` with these arguments, which are added if they are new."""
+        key = length, size, tau, halvings
         if key not in self._offsets:
             positions = np.array(lines(*key))
             at = np.arange(key[0])
@@ -161,7 +162,7 @@ class LineTable:
         return self._offsets[key]
 
     def offsets(self, grid: TileGrid, resolution: Resolution) -> np.ndarray:
-        """int32 [tiles, 2]: where the entries of each tile's columns and rows begin."""
+        """int32 [tiles, 2]: the offsets of the entries of each tile's columns and rows."""
         tiles = np.arange(grid.count)
         keys = (resolution.on_axis(grid, axis, tiles) for axis in (0, 1))
         return np.stack([each_axis(self.offset, key) for key in keys], axis=1).astype(np.int32)

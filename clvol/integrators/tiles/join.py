@@ -1,4 +1,4 @@
-"""The picture between the rays of its tiles, on the device (cl/tile_join.cl)."""
+"""Interpolation between the rays of a picture's tiles, on the device (cl/tile_join.cl)."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ _ARGUMENTS = (
 
 
 class Joiner:
-    """Fills the pixels without a ray of one picture's tiles. ``rows_an_item``: rows of a tile that
-    a work-item fills; by default a whole tile's where a work-item is slow to start, else one: tiles
-    may be few."""
+    """Fills in the pixels without a ray in the tiles of one picture. ``rows_an_item``: rows of a tile that
+    a work-item fills; by default a whole tile where work-items are slow to start, else one, since there may be few
+    tiles."""
 
     def __init__(
         self,
@@ -41,7 +41,7 @@ class Joiner:
     def join(
         self, resolution: Resolution, chosen: np.ndarray, image: DeviceArray, depths: DeviceArray
     ) -> None:
-        """Every tile has rays. ``chosen``: the tiles (numbers) to fill."""
+        """Fills the tiles ``chosen`` (numbers). Every tile must have rays."""
         if not len(chosen):
             return
         context, grid = self.context, self.grid
@@ -63,7 +63,7 @@ class Joiner:
 
 
 def around(grid: TileGrid, tiles: np.ndarray) -> np.ndarray:
-    """int64: ``tiles`` (numbers) and all that touch them, which show something of them."""
+    """int64: ``tiles`` (numbers) and all tiles that touch them, whose pixels depend on them."""
     touched = np.zeros((grid.rows + 2, grid.columns + 2), bool)
     row, column = np.divmod(np.asarray(tiles, np.int64), grid.columns)
     for dy in range(3):

@@ -14,7 +14,7 @@ from clvol.opencl.context import DeviceArray, DeviceContext
 from clvol.schedule.tiles import bands
 
 _BAND_SECONDS = 0.5
-_PACKETS_AN_ITEM = 4  # of 16 lanes: starting work-items costs nothing, all cores have some
+_PACKETS_AN_ITEM = 4  # packets of 16 rays: few enough to occupy all cores, since starting work-items costs nothing
 _LIST_ARGUMENTS = (
     reads("rays", np.int32, "count"),
     value("count", np.int32),
@@ -30,9 +30,9 @@ _LIST_ARGUMENTS = (
 class PacketRenderer:
     """The kernel ``tile_rays`` of ``file``.
 
-    ``arguments``: those of the scene (SCENE_PARAMETERS of cl/scene.h); ``arrays`` holds them all but the view.
-    ``seconds_a_ray``: a guess, for how to cut the work into launches. ``counters``: numbers that each work-item
-    counts; 0: it counts nothing.
+    ``arguments``: those of the scene (SCENE_PARAMETERS of cl/scene.h); ``arrays`` holds all of them except the view.
+    ``seconds_a_ray``: a guess, used to divide the work into launches. ``counters``: how many numbers each work-item
+    counts; 0: none.
     """
 
     file: str
@@ -47,8 +47,8 @@ class PacketRenderer:
 @dataclass(frozen=True, eq=False)
 class CastRays:
     """``changes`` float32 [rays]: mean square over the channels of what each ray changed in the
-    picture. ``samples``: reconstructions of the volume. ``counts`` uint32 [work-items, COUNTERS]:
-    what effects counted, None where there are none."""
+    picture. ``samples``: samples of the volume. ``counts`` uint32 [work-items, COUNTERS]:
+    the counts of effects, None without counters."""
 
     changes: np.ndarray
     samples: int

@@ -1,5 +1,4 @@
-"""One picture made of tiles, on the device: cast as planned, then improved for as long as there is
-time."""
+"""One picture made of tiles, on the device: its planned rays are cast, then it is refined while there is time."""
 
 from __future__ import annotations
 
@@ -19,20 +18,20 @@ from clvol.integrators.tiles.work import RayWork, ray_work
 from clvol.opencl.context import DeviceContext
 from clvol.scene.camera import Camera
 
-_ROUND = 0.1  # rays of a round of refinement, of those that are left ...
-_LEAST_ROUND = 0.02  # ... but at least so many, of all pixels
-_READS = 1.5  # times as long as reading the image takes, in the end, what is done besides
-_SAFETY = 0.9  # of the time that is left, a round is made for
+_ROUND = 0.1  # rays per round of refinement, as a share of those that are left ...
+_LEAST_ROUND = 0.02  # ... but at least this share of all pixels
+_READS = 1.5  # time reserved for the end of a picture, in units of the time that reading the image takes
+_SAFETY = 0.9  # share of the remaining time that a round is planned to use
 
 
 class RayEngine(Protocol):
-    """What casts the rays of tiles: a scene resident on a device."""
+    """A scene resident on a device that casts the rays of tiles."""
 
     context: DeviceContext
 
     @property
     def shows_nothing(self) -> bool:
-        """Nothing can be seen: no ray needs to be cast."""
+        """Whether nothing is visible, so that no ray needs to be cast."""
 
     def packets(self, depth: bool) -> PacketRenderer:
         """The kernel that casts rays, with depths or without."""
@@ -46,27 +45,27 @@ class RayEngine(Protocol):
     def corner_statistics(
         self, view: np.ndarray, grid: TileGrid
     ) -> tuple[np.ndarray, int] | None:
-        """What rays through the tiles' corners meet [rows + 1, columns + 1, 4]
-        (clvol/integrators/tiles/plan.py), and samples an axis of a block at full resolution; None where
-        there are no blocks."""
+        """Statistics of the blocks that rays through the tiles' corners meet [rows + 1, columns + 1, 4]
+        (clvol/integrators/tiles/plan.py), and the samples per axis of a block at full resolution; None without
+        blocks."""
 
     def counted(self, counts: np.ndarray) -> dict[str, int]:
-        """What effects counted [work-items, COUNTERS], by name."""
+        """The counts of effects [work-items, COUNTERS], summed by name."""
 
 
 @dataclass
 class TiledFrameData(FrameData):
-    """``share``: pixels with a ray of their own, of all. ``estimated_rmse``: root mean square
-    difference from the picture with all rays, as far as the rays tell, over its pixels and
-    channels; None where it was not asked for."""
+    """``share``: the share of pixels that have a ray of their own. ``estimated_rmse``: root mean square
+    difference from the picture with all rays, over its pixels and channels, as estimated from the rays;
+    None where it was not requested."""
 
     share: float = 1.0
     estimated_rmse: float | None = None
 
 
 class TiledPicture:
-    """``tau`` [tiles]: lines an axis of each tile, planned. No ray is cast yet: ``cast`` comes
-    first. ``clock``: seconds, for tests."""
+    """``tau`` [tiles]: planned lines per axis of each tile. A new picture has no rays: call ``cast`` first.
+    ``clock`` returns seconds; tests replace it."""
 
     def __init__(
         self,
@@ -100,7 +99,7 @@ class TiledPicture:
 
     @property
     def costs(self) -> np.ndarray:
-        """int64 [tiles]: rays that refining each tile once more takes; 0 where it has them all."""
+        """int64 [tiles]: rays that refining each tile once more costs; 0 for a complete tile."""
         halvings = self.resolution.halvings
         return self._rays_at(halvings + 1) - self._rays_at(halvings)
 
@@ -108,13 +107,13 @@ class TiledPicture:
         return ray_counts(self.grid, Resolution(self.resolution.tau, halvings), self._tiles)
 
     def coarsen(self, by: int) -> bool:
-        """Plans a ``by``-th of the lines, rounded up, before any ray is cast; whether that is
-        less."""
+        """Plans a ``by``-th of the lines, rounded up, before any ray is cast. Returns whether that lowers any tile's
+        number of lines."""
         tau, self.resolution.tau = self.resolution.tau, -(-self.resolution.tau // by)
         return bool((self.resolution.tau < tau).any())
 
     def cast(self, progress: Callable[[int], None] | None = None) -> None:
-        """The planned rays of all tiles. ``progress(rays so far)`` is called after each launch."""
+        """Casts the planned rays of all tiles. ``progress(rays so far)`` is called after each launch."""
         start = self.clock()
         self._planned, _ = self.refine(self._tiles, progress)
         self._set_speed(self.rays, self.clock() - start)
@@ -126,7 +125,7 @@ class TiledPicture:
         progress: Callable[[int], None] | None = None,
     ) -> None:
         """Refines, worst tiles first, until ``rays`` were cast for this picture in all, ``seconds``
-        have passed, or every pixel has a ray. Goes on where it stopped if it is called again; all
+        have passed, or every pixel has a ray. Another call continues where this one stopped; all
         rays are kept."""
         start = self.clock()
         errors = self._known_errors()
@@ -134,11 +133,12 @@ class TiledPicture:
         limit = pixels if rays is None else min(rays, pixels)
         while self.rays < limit:
             most, now = limit - self.rays, self.clock()
+            affordable: float = most
             if seconds is not None:
                 left = seconds - (now - start) - _READS * self._reading
-                most = min(most, _SAFETY * self._rays_a_second * left)
+                affordable = min(most, _SAFETY * self._rays_a_second * left)
             round_rays = max(_ROUND * (pixels - self.rays), _LEAST_ROUND * pixels)
-            chosen = errors.choose(self.unknown, self.costs, round_rays, most)
+            chosen = errors.choose(self.unknown, self.costs, round_rays, affordable)
             if not len(chosen):
                 return
             work, measured = self.refine(chosen, progress)
@@ -146,7 +146,7 @@ class TiledPicture:
             self._set_speed(work.count, self.clock() - now)
 
     def estimated_rmse(self) -> float:
-        """How far the picture is from the one with all rays, as far as the rays tell."""
+        """Root mean square difference from the picture with all rays, as estimated from the rays."""
         pixels = self.grid.width * self.grid.height
         return self._known_errors().rmse(self.unknown, pixels)
 
@@ -154,8 +154,10 @@ class TiledPicture:
         self._rays_a_second = rays / max(seconds, 1e-9)
 
     def _known_errors(self) -> TileErrors:
-        """Estimated from the planned rays, the first time."""
+        """The errors of the tiles; the first call estimates them from the planned rays."""
         if self._errors is None:
+            if self._planned is None:
+                raise ValueError("errors are known only once the planned rays are cast")
             start = self.clock()
             image = self.read()
             self._reading = self.clock() - start
@@ -168,9 +170,9 @@ class TiledPicture:
         self, tiles: np.ndarray, progress: Callable[[int], None] | None = None
     ) -> tuple[RayWork, np.ndarray]:
         """Halves the gaps of ``tiles`` (numbers) once more, or casts the planned rays of those that
-        have none; then fills what shows something of them. Gives the rays, and the mean square
-        change that those of each tile made to the picture [tiles given]; it has no meaning for
-        first rays. ``progress(rays so far)``."""
+        have none; then fills all pixels that depend on them. Returns the rays, and the mean square
+        change of the picture that those of each tile made [tiles given], which has no meaning for
+        first rays. ``progress(rays so far)`` is called after each launch."""
         before = self.rays
         work = ray_work(self.grid, self.resolution, tiles)
         cast = cast_rays(
@@ -187,7 +189,7 @@ class TiledPicture:
         return work, mean_of_tiles(cast.changes, work, self.grid.count)[tiles]
 
     def read(self) -> np.ndarray:
-        """float32 [height, width, 4]: the picture as it is."""
+        """float32 [height, width, 4]: the current picture."""
         return self.engine.context.read(self._image)
 
     def frame(self) -> TiledFrameData:

@@ -1,21 +1,21 @@
-"""How wrong each tile is thought to be, and which to refine next: arithmetic alone.
+"""Estimated errors of the tiles, and which tiles to refine next: arithmetic, without a device.
 
 Errors are mean squares over a tile's pixels without a ray, and over the four channels (linear,
-premultiplied). They are known in two ways:
+premultiplied). They are estimated in two ways:
 
 - Before a tile is refined, from the second differences D of the picture across its rays (one line
   to either side, so over the borders too). Along an axis linear interpolation between samples h
   apart of a smooth function f is off by (h^2 - 4 u^2) f'' / 8 at distance u from the middle: a mean
   square of D^2 / 120, D = h^2 f''. Where f jumps by J between two samples it is J^2 / 6 between
   these two, next to both of which D = J: D^2 / 12. The estimate takes the geometric mean of the
-  two. What was not refined yet is then multiplied by what the refined tiles showed: measured over
-  estimated.
+  two. Estimates of tiles that have not been refined are then multiplied by the ratio of measured to
+  estimated errors in the refined tiles.
 - When a tile is refined, its new rays show how wrong the picture was before: they stand in the
-  middle of the gaps, where interpolation is worst. By how much halving the gaps has lowered it is
-  taken from the tiles that were refined twice; until there are some, by a factor of 4 (of the mean
+  middle of the gaps, where interpolation is worst. The factor by which halving the gaps lowers the error
+  is taken from the tiles that were refined twice; until there are some, it is 4 (for the mean
   square: between 16, where the picture is smooth, and 2, where it jumps).
 
-What lies between rays that all show the same is not known: a small thing there counts as no error.
+Details between rays of equal colour stay unknown, so a small object there counts as no error.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ from clvol.integrators.tiles.geometry import Resolution, TileGrid, each_axis, li
 from clvol.integrators.tiles.work import RayWork
 
 _OF_SECOND_DIFFERENCES = (120.0 * 12.0) ** -0.5
-_FALL = 0.25  # of a mean square by halving the gaps, until it was measured ...
-_LEAST_FALL, _MOST_FALL = 1.0 / 16.0, 1.0  # ... and what it is held between
+_FALL = 0.25  # factor on a mean square error when gaps are halved, until it has been measured ...
+_LEAST_FALL, _MOST_FALL = 1.0 / 16.0, 1.0  # ... and its limits
 
 
 def estimated_errors(
@@ -50,7 +50,7 @@ def estimated_errors(
 
 
 def mean_of_tiles(values: np.ndarray, work: RayWork, count: int) -> np.ndarray:
-    """float64 [count]: means of ``values`` [rays] over each tile's rays; 0 for a tile without."""
+    """float64 [count]: means of ``values`` [rays] over each tile's rays; 0 for a tile without rays."""
     rays = np.bincount(work.tiles, minlength=count)
     return np.bincount(work.tiles, values, minlength=count) / np.maximum(rays, 1)
 
@@ -69,26 +69,26 @@ class TileErrors:
 
     @property
     def correction(self) -> float:
-        """What the estimates are multiplied by."""
+        """The factor on the estimates."""
         measured, estimated = self._first
         return measured / estimated if measured > 0 and estimated > 0 else 1.0
 
     @property
     def fall(self) -> float:
-        """What is left of a tile's mean square error when its gaps are halved."""
+        """The factor on a tile's mean square error when its gaps are halved."""
         now, before = self._again
         return float(np.clip(now / before, _LEAST_FALL, _MOST_FALL)) if before > 0 else _FALL
 
     @property
     def mean_squares(self) -> np.ndarray:
-        """float64 [tiles]: as they are thought to be now."""
+        """float64 [tiles]: the current estimates."""
         refined = ~np.isnan(self._measured)
         after = np.where(refined, self._measured, 0.0) * self.fall
         return np.where(refined, after, self._estimates * self.correction)
 
     def refined(self, tiles: np.ndarray, measured: np.ndarray) -> None:
-        """``tiles`` (numbers) were refined; their new rays were off by ``measured`` [k] from the
-        picture."""
+        """Records that ``tiles`` (numbers) were refined; ``measured`` [k] is the mean square difference of their new
+        rays from the picture before."""
         before = self._measured[tiles]
         again = ~np.isnan(before)
         self._again += measured[again].sum(), before[again].sum()
@@ -96,7 +96,7 @@ class TileErrors:
         self._measured[tiles] = measured
 
     def rmse(self, unknown: np.ndarray, pixels: int) -> float:
-        """Of the whole picture, of ``pixels`` with ``unknown`` [tiles] of them without a ray."""
+        """The error of a whole picture of ``pixels``, of which ``unknown`` [tiles] have no ray."""
         return float(np.sqrt((self.mean_squares * unknown).sum() / pixels))
 
     def choose(

@@ -1,4 +1,4 @@
-"""What the rays through the corners of tiles meet, from the index of blocks on the device."""
+"""Statistics of the blocks that rays through the corners of tiles meet, from the index of blocks on the device."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def corner_statistics(
     voxel_bits: int,
     tiles: TileGrid,
 ) -> np.ndarray:
-    """float32 [rows + 1, columns + 1, 4], as clvol/integrators/tiles/plan.py takes them. ``index`` int32
+    """float32 [rows + 1, columns + 1, 4], as described in clvol/integrators/tiles/plan.py. ``index`` int32
     [blocks, 2] (bits 0 ... 3 of a block's second word say how many samples it has); ``view``:
     ``View`` [1] of the whole picture, for voxels of ``voxel_bits``."""
     shape = (tiles.rows + 1, tiles.columns + 1)

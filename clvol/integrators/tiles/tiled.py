@@ -17,13 +17,13 @@ from clvol.opencl.context import restore_interrupts
 from clvol.scene.camera import Camera
 from clvol.scene.multiresolution import Multiresolution
 
-_COARSER = 4  # lines planned, to those that a picture for a given time begins with
+_COARSER = 4  # factor by which the plan of a picture for a given time is coarsened at first
 
 
 class TiledRenderer:
     """Renders an engine's scene tile by tile, as ``settings`` say (``tiles`` at least 2).
 
-    ``clock``: seconds, for tests.
+    ``clock`` returns seconds; tests replace it.
     """
 
     def __init__(
@@ -37,13 +37,13 @@ class TiledRenderer:
         self.engine, self.settings, self.clock = engine, settings, clock
 
     def warm_up(self, depth: bool = True) -> None:
-        """Compiles what a picture of any size needs: final code is made at the first launch."""
+        """Compiles what pictures of any size need, by launching it: drivers finish compiling then."""
         engine = self.engine
         if engine.shows_nothing:
             return
         context = engine.context
         none = context.empty(np.float32, (4,))
-        # A ray that misses: it is outside a picture of no pixels.
+        # A ray that misses, since it lies outside a picture without pixels.
         view = engine.blank_view()
         work = RayWork(np.zeros(1, np.int32), np.zeros(1, np.int32))
         cast_rays(context, engine.packets(depth), view, work, none, none)
@@ -55,7 +55,7 @@ class TiledRenderer:
         restore_interrupts()
 
     def start(self, camera: Camera, width: int, height: int, depth: bool = True) -> TiledPicture:
-        """A picture with its plan and without any ray."""
+        """A picture with its plan, without any rays yet."""
         settings, view = self.settings, self.engine.picture_view(camera, width, height)
         grid = TileGrid(width, height, settings.tiles)
         statistics = self.engine.corner_statistics(view, grid)
@@ -78,17 +78,16 @@ class TiledRenderer:
         seconds: float | None = None,
         rays: int | None = None,
     ) -> TiledFrameData:
-        """One picture of ``width`` by ``height``: the planned rays, and then more where they are
+        """One picture of ``width`` by ``height``: the planned rays are cast, and then more where they are
         needed most, until ``seconds`` have passed since the call, or ``rays`` were cast in all, or
-        every pixel has one. (Neither given: no more.) All rays are kept, so a picture with one for
-        each pixel is the plain one, bit for bit.
+        every pixel has one. (With neither given, only the planned rays are cast.) All rays are kept, so a picture
+        with one ray per pixel equals the one without tiles, bit for bit.
 
-        A plan of more than ``rays`` is made coarser until it fits, and how fast rays are is known
-        after the first ones: with ``seconds`` given, a sixteenth of the planned ones. At least a
-        ray a tile is cast in any case.
+        A plan of more than ``rays`` is made coarser until it fits. The first rays show how fast rays are: with
+        ``seconds`` given, they are a sixteenth of the planned ones. At least one ray per tile is cast in any case.
 
-        ``progress(rays done, all)`` is called after each launch; what ends with the time never
-        comes to all.
+        ``progress(rays done, all)`` is called after each launch; a picture that ends with its time does not reach
+        all.
         """
         start = self.clock()
         if self.engine.shows_nothing:

@@ -1,4 +1,4 @@
-"""Which rays are to be cast: pixels in the order that a kernel takes them."""
+"""Lists of rays to cast: pixels in the order in which a kernel takes them."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from clvol.integrators.tiles.geometry import Resolution, TileGrid, lines, unique
 
 @dataclass(frozen=True, eq=False)
 class RayWork:
-    """``pixels`` int32 [rays]: row * width + column of each ray; ``tiles`` int32 [rays]: whose it
-    is. A tile's rays follow one another, neighbours near to each other: packets stay narrow, and
+    """``pixels`` int32 [rays]: row * width + column of each ray; ``tiles`` int32 [rays]: its tile.
+    A tile's rays are consecutive, with neighbours close together: packets stay narrow, and
     hold rays of several tiles where one has too few."""
 
     pixels: np.ndarray
@@ -25,8 +25,7 @@ class RayWork:
 
 
 def ray_work(grid: TileGrid, resolution: Resolution, tiles: np.ndarray) -> RayWork:
-    """The rays that ``tiles`` (numbers) need to have their gaps halved once more; those that have
-    none yet, to be as planned."""
+    """The rays that halve the gaps of ``tiles`` (numbers) once more; for tiles without rays, the planned ones."""
     halvings = resolution.halvings[tiles]
     keys = np.column_stack([grid.lengths[tiles], resolution.tau[tiles], halvings])
     different, inverse = unique_rows(keys)
@@ -55,7 +54,7 @@ def _pattern(
     order = np.argsort(_spread(column) | _spread(row) << 1, kind="stable")
     found = row[order], column[order]
     for axis in found:
-        axis.flags.writeable = False  # kept for all that ask
+        axis.flags.writeable = False  # shared by all callers
     return found
 
 

@@ -114,10 +114,10 @@ def test_no_step_leads_over_a_hole(context):
 def test_trials_know_that_all_pixels_are_rendered(device):
     scene = scene_of(Volume(waves(SHAPE)))
     with Renderer(scene, [device]) as renderer:
-        assert renderer._prepared.renders_all_pixels
+        assert renderer._on_device.prepared.renders_all_pixels
     asked = scene.multiresolution.model_copy(update={"stepping": "limited"})
     with Renderer(replace(scene, multiresolution=asked), [device]) as renderer:
-        assert not renderer._prepared.renders_all_pixels
+        assert not renderer._on_device.prepared.renders_all_pixels
 
 
 def test_nothing_resident_shows_nothing(context):

@@ -1,8 +1,8 @@
 """Oracles: how far apart samples may be, anywhere in a scene's volume. One file each.
 
-An oracle is asked on the device, with every sample, by the function ``oracle_distance`` of its kernel header (cl/oracle.h
-has its signature). Most know the answer beforehand: they make a map of distances on the host or the device, once for a
-volume and a transfer function, and share the header that looks it up (``KERNEL_MAP``).
+The device evaluates an oracle at every sample, by the function ``oracle_distance`` of its kernel header (cl/oracle.h
+has its signature). Most oracles compute a map of distances beforehand, on the host or the device, once per
+volume and transfer function, and share the header that looks it up (``KERNEL_MAP``).
 
 To add one:
 
@@ -15,9 +15,9 @@ To add one:
 
     register(Everywhere())                               # then [pyramid] oracle = "everywhere-alike"
 
-or, with a function of its own in OpenCL C, ``Oracle`` with ``kernel = KERNEL_CUSTOM`` and ``folder`` that of a file
-"oracle_custom.h"; one that does not look at the sample's value says ``#define ORACLE_NEEDS_VALUE 0``. Such code is the
-caller's own: no scene or data file can bring any.
+or, with a function in OpenCL C, an ``Oracle`` with ``kernel = KERNEL_CUSTOM`` and the ``folder`` of a file
+"oracle_custom.h", which defines ``ORACLE_NEEDS_VALUE`` as 0 if it does not use the sample's value. Such code comes from
+the caller: no scene or data file can supply any.
 """
 
 from __future__ import annotations
@@ -54,17 +54,17 @@ __all__ = [
 
 
 def register(oracle: Oracle) -> None:
-    """Makes ``oracle`` known by its name, instead of one of the same name."""
+    """Registers ``oracle`` under its name, replacing one of the same name."""
     _known[oracle.name] = oracle
 
 
 def names() -> tuple[str, ...]:
-    """The names that [pyramid] oracle may have: from the one that samples most."""
+    """The names that [pyramid] oracle may have, starting with the one that samples most."""
     return tuple(_known)
 
 
 def oracle_named(name: str) -> Oracle:
-    """KeyError for an unknown one."""
+    """The oracle of this name; KeyError for an unknown one."""
     return _known[name]
 
 

@@ -1,4 +1,4 @@
-"""The oracle of the data alone, from a min-max grid."""
+"""The oracle that depends only on the data, from a min-max grid."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ _COARSER = 1  # the grid's cells are twice as long as the map's
 
 
 class Bandwidth(Oracle):
-    """How far values can be interpolated within epsilon, a share of the volume's range, whatever the transfer function
-    makes of them: an interpolated value lies between its samples, so where lowest and highest value
-    nearer than half a distance differ by no more than epsilon, samples may be that distance apart."""
+    """The distance over which values can be interpolated within epsilon, a share of the volume's range, regardless of
+    the transfer function. An interpolated value lies between its samples: where the lowest and the highest value
+    within half a distance differ by at most epsilon, samples may be that distance apart."""
 
     name = "bandwidth"
 
@@ -25,8 +25,8 @@ class Bandwidth(Oracle):
         allowed = asked.epsilon * np.ptp(asked.volume.value_range)
         bad = np.zeros(low.shape, np.uint8)
         for bit, scale in enumerate(asked.scales):
-            around = tuple(int(scale / 2 / (edge * (1 << shift))) for edge in asked.edges)
-            span = spread(high, around, np.maximum) - spread(low, around, np.minimum)
+            x, y, z = (int(scale / 2 / (edge * (1 << shift))) for edge in asked.edges)
+            span = spread(high, (x, y, z), np.maximum) - spread(low, (x, y, z), np.minimum)
             bad |= (span > allowed).astype(np.uint8) << bit
         for axis in range(3):
             bad = np.repeat(bad, 1 << _COARSER, axis=axis)

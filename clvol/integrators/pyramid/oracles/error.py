@@ -14,11 +14,12 @@ from clvol.opencl.context import DeviceArray
 
 
 class Error(Oracle):
-    """How far apart samples may be so that a segment of that length between them, values interpolated linearly along it and
-    across, is wrong by at most epsilon in each channel of its premultiplied linear colour: from how far values are off the chord
-    between samples that far apart, and how fast the transfer function turns that into colour. And as far, at least, as nothing
-    is visible. Where little light arrives from more error is allowed: distances grow with the inverse square root of the
-    transmittance, since errors grow with the square of the distance; at most epsilon^(-1/2) times."""
+    """The distance between samples at which a segment of that length, with values interpolated linearly along and across
+    it, has an error of at most epsilon in each channel of its premultiplied linear colour. It follows from how far values
+    deviate from the chord between such samples, and from how fast the transfer function turns that into colour. In empty
+    space it reaches at least to the nearest visible cell. Where little light arrives from, a larger error is allowed:
+    distances grow with the inverse square root of the transmittance, since errors grow with the square of the distance,
+    by at most a factor of epsilon^(-1/2)."""
 
     name = "error"
     kernel = KERNEL_ERROR

@@ -1,4 +1,4 @@
-"""Oracle of volumes of blocks: nothing lies between a block's samples that is not in them."""
+"""The oracle of volumes of blocks: the spacing of each block's samples."""
 
 from __future__ import annotations
 
@@ -10,14 +10,16 @@ from clvol.opencl.context import DeviceArray
 
 
 class Resolution(Oracle):
-    """The spacing of the samples of the block there (kappa of Ljung 2006, here across rays as well as along them), of blocks that show
-    anything, and how far it is to them. Asked by the stepping "pyramid" of the method "multiresolution": no scene can
+    """The spacing of the samples in visible blocks (kappa of Ljung 2006, here across rays as well as along them), and
+    elsewhere the distance to visible blocks. The stepping "pyramid" of the method "multiresolution" uses it; no scene can
     name it."""
 
     name = "resolution"
     takes_epsilon = False
 
     def map(self, asked: Asked) -> DeviceArray:
+        if asked.blocks is None:
+            raise ValueError("the oracle 'resolution' needs a volume of blocks")
         shown, spacing = asked.blocks.shown, asked.blocks.spacing
         bad = np.zeros(asked.shape, np.uint8)
         for bit, scale in enumerate(asked.scales):

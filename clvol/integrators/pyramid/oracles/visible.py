@@ -14,8 +14,8 @@ from clvol.transfer.lookup_nodes import visible_cells
 
 
 class Visible(Oracle):
-    """Distance to the nearest cell in which anything can be visible: what is empty is not sampled densely, and
-    all else is, so that pictures are those of the minimum distance but for what lies next to visible space."""
+    """Distance to the nearest cell in which anything can be visible. Only empty space is not sampled densely, so pictures
+    equal those of the oracle "minimum", except close to visible space."""
 
     name = "visible"
     takes_epsilon = False
@@ -27,8 +27,8 @@ class Visible(Oracle):
 
 
 def visible_in_cells(asked: Asked, cells: DeviceArray, bit: int = 0) -> None:
-    """Sets ``bit`` of the cells (as ``padded_cells``) in which anything can be visible. Bit 0 is the first to be set: it clears
-    all others."""
+    """Sets ``bit`` of the cells (as ``padded_cells``) in which anything can be visible. Bit 0 must be set first: it
+    clears all others."""
     context, function, nodes = asked.context, asked.function, asked.nodes.values
     nz, ny, nx = asked.shape
     kernel = context.kernel(
