@@ -32,7 +32,7 @@ def _idle(found: Findings, cue: DepthCue) -> str | None:
         return f"{found.projection} is not depth-cued"
     if found.blank:
         return NOTHING_VISIBLE
-    if cue.start >= _farthest(found.scene):
+    if cue.start is not None and cue.start >= _farthest(found.scene):
         return f"the depth cue starts at {cue.start:g}, beyond the volume's farthest corner"
     return None
 

@@ -24,16 +24,17 @@ _found: WeakKeyDictionary = WeakKeyDictionary()  # volume: {labels: whether any 
 
 
 def analyse(found: Findings) -> None:
-    kept, reasons = [], {"label": [], "density": [], "mask": []}
+    kept: list[ResolvedField] = []
+    reasons: dict[str, list[str]] = {"label": [], "density": [], "mask": []}
     for field in found.scene.fields:
         idle = _idle(field, found)
         if idle is None:
             kept.append(field)
         else:
             reasons[field.role].append(idle)
-    for role, idle in reasons.items():
+    for role, why in reasons.items():
         used = sum(field.role == role for field in kept)
-        found.note(_effect(role, used, idle))
+        found.note(_effect(role, used, why))
     found.change(fields=tuple(kept))
 
 

@@ -27,11 +27,12 @@ def cuts(clip: Clip, grid: Grid) -> bool:
         below = lower - _ROUNDING * np.maximum(reach, np.abs(lower))
         above = upper + _ROUNDING * np.maximum(reach, np.abs(upper))
         return bool(np.any(corners < below) or np.any(corners > above))
-    offsets = corners - np.asarray(clip.center)
+    center = np.asarray(clip.center)
+    offsets = corners - center
     largest = max(np.abs(offsets).max(), clip.radius)  # so that no square may overflow
-    rounding = _ROUNDING * max(np.abs(corners).max(), np.abs(clip.center).max()) / largest
+    rounding = _ROUNDING * max(np.abs(corners).max(), np.abs(center).max()) / largest
     if clip.keep == "outside":
-        nearest = nearest_distance(np.asarray(clip.center), grid, largest)
+        nearest = nearest_distance(center, grid, largest)
         return nearest < clip.radius / largest - rounding
     distances = np.linalg.norm(offsets / largest, axis=1)
     return bool(distances.max() > clip.radius / largest + rounding)

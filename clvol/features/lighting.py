@@ -29,7 +29,7 @@ def analyse(found: Findings) -> None:
     found.by_lights = found.lit and bool(lights) and _reflects(material)
     reflects_environment = found.lit and shines and _reflects(material)
 
-    if found.lit:
+    if idle is None:
         sources = [counted(len(lights), "light")] if lights else []
         sources += ["an environment"] if shines else []
         found.note(yes("lighting", " and ".join(sources)))

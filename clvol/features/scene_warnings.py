@@ -60,7 +60,7 @@ def camera_warning(camera: Camera, grid: Grid, width: int, height: int) -> Clvol
         what = "looks away from the volume, all of which lies behind it: nothing is visible"
         return ClvolWarning("camera", what, advice)
     if camera.projection == "orthographic":
-        half = np.full(len(ahead), 0.5 * camera.height)
+        half = np.full(len(ahead), 0.5 * camera.height_of_view())
     else:
         half = ahead * math.tan(math.radians(camera.fov_degrees) / 2)
     aspect = width / height
@@ -251,7 +251,8 @@ def _clip(clip: Clip, number: int, grid: Grid) -> ClvolWarning | None:
     """A clip that leaves nothing by itself."""
     corners = np.asarray(grid.world_corners(), np.float64)
     if clip.type == "plane":
-        normal = np.asarray(clip.normal) / np.abs(clip.normal).max()
+        normal = np.asarray(clip.normal)
+        normal = normal / np.abs(normal).max()
         removes = ((corners - np.asarray(clip.point)) @ normal < 0).all()
         advice = "turn its normal to the side to keep, or move its point"
     elif clip.type == "box":

@@ -55,7 +55,8 @@ def read(path: Path, options: ReadOptions) -> Volume:
     sizes, channels = _sizes(header)
     dtype = _dtype(header)
     grid = _grid(header, sizes)
-    shape, which = sizes[::-1], (slice(None),) * 3
+    shape = sizes[::-1]
+    which: tuple[int | slice, ...] = (slice(None),) * 3
     if len(sizes) == 4:
         which = (options.choose("time", str(path), [None] * sizes[3]), *which)
     if channels > 1:

@@ -43,21 +43,20 @@ def read(path: Path, options: ReadOptions) -> Volume:
     header, single = read_header(header_file)
     shape, times, channels = sizes_of(path, header)
     stored = header.get_data_dtype()
-    slope, inter = _scaling(header, options)
-    scaled = slope is not None and (slope, inter) != (1.0, 0.0)
-    if not (scaled and stored.kind in "iu" and stored.itemsize == 4):
+    scaling = _scaling(header, options)
+    if scaling is None or not (stored.kind in "iu" and stored.itemsize == 4):
         check_type(stored, str(path))
     grid, frame = grid_of(path, header, shape, options)
-    result = _scaled_type(stored) if scaled else None
-    voxel = stored.itemsize + (result.itemsize if scaled else 0)
+    result = _scaled_type(stored)
+    voxel = stored.itemsize + (0 if scaling is None else result.itemsize)
     check_memory(str(path), voxel * math.prod(shape), options.memory_cap)
     start = _data_offset(path, header, single)
     which = options.choose("time", str(path), [None] * times) if times > 1 else 0
     if channels > 1:
         which += times * options.choose("channel", str(path), [None] * channels)
     data = _voxels(data_file, start, shape, stored, which, times * channels, options)
-    if result is not None:
-        data = _scale(data, slope, inter, result)
+    if scaling is not None:
+        data = _scale(data, *scaling, result)
     volume = Volume(
         data, grid.spacing, grid.origin, grid.direction, frame=frame, unit=unit_of(header)
     )
@@ -65,14 +64,15 @@ def read(path: Path, options: ReadOptions) -> Volume:
     return volume
 
 
-def _scaling(header: Any, options: ReadOptions) -> tuple[float | None, float | None]:
-    """Slope and offset; None where there is no scaling."""
+def _scaling(header: Any, options: ReadOptions) -> tuple[float, float] | None:
+    """Slope and offset; None where they change nothing, or the header has none."""
     if np.isnan(float(header["scl_inter"])) and np.isfinite(float(header["scl_slope"])):
         header = header.copy()
         header["scl_inter"] = 0.0
         if float(header["scl_slope"]) != 0.0:
             options.warn("scl_inter is not a number, and counts as 0")
-    return header.get_slope_inter()
+    slope, inter = header.get_slope_inter()
+    return None if slope is None or (slope, inter) == (1.0, 0.0) else (slope, inter)
 
 
 def _data_offset(path: Path, header: Any, single: bool) -> int:
@@ -132,7 +132,7 @@ def _from_stream(
         raise VolumeError(str(path), what, f"{nbytes * count} bytes as the header promises")
     check_memory(str(path), nbytes, options.memory_cap)
     data = np.empty(shape, dtype)
-    view = memoryview(data.reshape(-1).view(np.uint8))
+    view = data.reshape(-1).view(np.uint8).data
     got = 0
     try:
         with gzip.open(path) as file:

@@ -51,7 +51,7 @@ def is_packed(path: Path) -> bool:
     return path.name.lower().endswith(".gz")
 
 
-def _block(path: Path, file: BinaryIO) -> tuple[bytes, bool]:
+def _block(path: Path, file: BinaryIO | gzip.GzipFile) -> tuple[bytes, bool]:
     """The 348 bytes of a NIfTI-1 header or the 540 of a NIfTI-2 header, in either byte order."""
     block = file.read(540)
     pair = any(path.name.lower().removesuffix(".gz").endswith(ending) for ending in _PAIR)
@@ -82,7 +82,8 @@ def sizes_of(path: Path, header: Any) -> tuple[tuple[int, int, int], int, int]:
             "three axes in space, time and channel",
         )
     sizes += [1] * (5 - len(sizes))
-    return tuple(sizes[2::-1]), sizes[3], sizes[4]
+    nx, ny, nz, times, channels = sizes[:5]
+    return (nz, ny, nx), times, channels
 
 
 def grid_of(

@@ -7,6 +7,7 @@ pynrrd would hold three copies of a compressed volume while reading, so the voxe
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 
@@ -95,7 +96,7 @@ def _dtype(path: Path, header: NrrdHeader, encoding: str) -> np.dtype:
     dtype = np.dtype(name)
     if dtype.itemsize == 1 or encoding == "text":
         return dtype
-    orders = {"little": "<", "big": ">"}
+    orders: dict[Any, Literal["<", ">"]] = {"little": "<", "big": ">"}
     endian = header.get("endian")
     if endian not in orders:
         raise VolumeError(str(path), f"endian {endian!r}", "endian: little or endian: big")
@@ -116,7 +117,7 @@ def _parts(
         )
     files, start = [path], attached
     if header.data_file is not None:
-        files, start = _files(path, header, sizes), 0
+        files, start = _files(path, header, header.data_file, sizes), 0
     starts = dict.fromkeys(files, start)
     if skip_lines:
         starts = {file: _after_lines(file, start, skip_lines) for file in starts}
@@ -124,12 +125,12 @@ def _parts(
     return [Part(file, starts[file], max(skip_bytes, 0), None, behind) for file in files]
 
 
-def _files(path: Path, header: NrrdHeader, sizes: tuple[int, ...]) -> list[Path]:
-    words = header.data_file.split()
+def _files(path: Path, header: NrrdHeader, named: bytes, sizes: tuple[int, ...]) -> list[Path]:
+    words = named.split()
     if words[:1] == [b"LIST"] and (header.listed or len(words) <= 2):
         axes = int(words[1]) if len(words) == 2 and words[1].isdigit() else None
         return listed_files(path, header.listed, axes, sizes)
-    return data_files(path, header.data_file, sizes)
+    return data_files(path, named, sizes)
 
 
 def _after_lines(path: Path, start: int, count: int) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,7 +10,7 @@ import numpy as np
 
 from clvol.errors import VolumeError
 from clvol.readers.nrrd_header import NrrdHeader
-from clvol.readers.options import ReadOptions
+from clvol.readers.options import Key, ReadOptions
 from clvol.volume.grid import Grid
 from clvol.volume.units import one_unit
 
@@ -31,18 +32,19 @@ class Axes:
 
     sizes: tuple[int, ...]
     spatial: tuple[int, int, int]
-    others: tuple[tuple[int, str, str], ...]
+    others: tuple[tuple[int, Key, str], ...]
 
     @property
     def shape(self) -> tuple[int, int, int]:
         """(nz, ny, nx)."""
-        return tuple(self.sizes[k] for k in self.spatial[::-1])
+        x, y, z = self.spatial
+        return self.sizes[z], self.sizes[y], self.sizes[x]
 
     def choose(self, path: Path, options: ReadOptions) -> tuple[int | slice, ...]:
         """What to take of the array, axes slowest first."""
         which: list[int | slice] = [slice(None)] * len(self.sizes)
         for axis, key, kind in self.others:
-            names = _COMPONENTS.get(kind, ())
+            names: Sequence[str | None] = _COMPONENTS.get(kind, ())
             if len(names) != self.sizes[axis]:
                 names = [None] * self.sizes[axis]
             which[len(self.sizes) - 1 - axis] = options.choose(key, str(path), names)
@@ -63,7 +65,7 @@ def axes_of(path: Path, header: NrrdHeader) -> Axes:
     shown = header.get("kinds", ())
     kinds = [kind.lower() for kind in shown] if len(shown) == len(sizes) else ["???"] * len(sizes)
     others = _others(header, kinds, sizes)
-    spatial = tuple(k for k in range(len(sizes)) if k not in others)
+    spatial = [k for k in range(len(sizes)) if k not in others]
     times = [k for k in others if kinds[k] == "time"]
     if len(spatial) != 3 or len(times) > 1 or len(others) - len(times) > 1:
         strange = [kind for kind in shown if kind.lower() not in (*_IN_SPACE, *_UNKNOWN)]
@@ -73,8 +75,8 @@ def axes_of(path: Path, header: NrrdHeader) -> Axes:
             f"{len(sizes)}-D data{note}, sizes {said}",
             "three axes in space, and by their kinds one of channels or times at most",
         )
-    found = ((k, "time" if k in times else "channel", kinds[k]) for k in others)
-    return Axes(sizes, spatial, tuple(found))
+    x, y, z = spatial
+    return Axes(sizes, (x, y, z), tuple((k, "time" if k in times else "channel", kinds[k]) for k in others))
 
 
 def _others(header: NrrdHeader, kinds: list[str], sizes: tuple[int, ...]) -> list[int]:
@@ -140,7 +142,7 @@ def _numbers(path: Path, header: NrrdHeader, name: str, count: int) -> np.ndarra
 
 
 def _unit(
-    names: list[str], sizes: tuple[int, int, int], options: ReadOptions
+    names: Sequence[str], sizes: tuple[int, int, int], options: ReadOptions
 ) -> tuple[np.ndarray, str | None]:
     """What lengths along the three axes are to be multiplied by, and the unit that they are then
     in."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from clvol.volume.memory import check_memory
 from clvol.volume.narrow import WIDE_TYPES
 from clvol.volume.volume import ACCEPTED, Volume, check_type
 
-_ORDERS = {"little": "<", "big": ">"}
+_ORDERS: dict[str, Literal["<", ">"]] = {"little": "<", "big": ">"}
 
 
 def read(path: Path, options: ReadOptions) -> Volume:
@@ -84,10 +84,10 @@ def _header_bytes(path: Path, asked: Any, before: int) -> int:
 
 def _shape(path: Path, dims: Sequence[int]) -> tuple[int, int, int]:
     try:
-        sizes = tuple(int(n) for n in dims)
-        whole = len(sizes) == 3 and all(n == m and n >= 1 for n, m in zip(sizes, dims))
+        nx, ny, nz = sizes = tuple(int(n) for n in dims)
+        whole = all(n == m and n >= 1 for n, m in zip(sizes, dims))
     except (TypeError, ValueError, OverflowError):
         whole = False
     if not whole:
         raise VolumeError(str(path), f"dims {dims}", "three sizes (nx, ny, nz) of at least 1")
-    return sizes[::-1]
+    return nz, ny, nx

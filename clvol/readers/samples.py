@@ -12,6 +12,7 @@ import os
 import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from io import BufferedReader
 from pathlib import Path
 from typing import BinaryIO
 
@@ -154,7 +155,7 @@ def _fill(part: Part, target: np.ndarray, encoding: str) -> None:
             file.seek(part.offset + part.skip)
             read_numbers(file, target, os.fspath(part.path))
             return
-        view = memoryview(target.view(np.uint8))
+        view = target.view(np.uint8).data
         if encoding == "raw":
             file.seek(part.start(len(view)))
             got = _fill_raw(file, view)
@@ -185,7 +186,7 @@ class _Limited:
         return block
 
 
-def _fill_raw(file: BinaryIO, view: memoryview) -> int:
+def _fill_raw(file: BufferedReader, view: memoryview) -> int:
     got = 0
     while got < len(view):
         step = file.readinto(view[got : got + (1 << 26)])

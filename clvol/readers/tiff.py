@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from clvol.errors import VolumeError
-from clvol.readers.options import ReadOptions
+from clvol.readers.options import Key, ReadOptions
 from clvol.readers.quiet import errors_logged
 from clvol.readers.stream_size import LOOKED_AT, j2k_size, jpeg_size
 from clvol.readers.tiff_chain import check_chain
@@ -21,6 +21,7 @@ from clvol.volume.volume import Volume, check_type
 
 # tifffile's letters for axes: samples (colours) and wavelengths are channels, too.
 _CHANNELS, _TIMES = "CSE", "T"
+_CHOSEN: tuple[tuple[Key, str], ...] = (("channel", _CHANNELS), ("time", _TIMES))
 _PLAIN_SLICES = "IQ"  # a sequence of pages, and an axis that nobody has named
 _COLOURS = ("red", "green", "blue", "alpha")
 _RGB, _PALETTE, _YCBCR = 2, 3, 6
@@ -118,7 +119,7 @@ def _chosen(path: Path, file: Any, series: Any, options: ReadOptions) -> np.ndar
             "a stack ZYX, and channels C, S or times T to choose from",
         )
     pick: list[Any] = [slice(None) if k in kept else 0 for k in range(len(axes))]
-    for key, letters in (("channel", _CHANNELS), ("time", _TIMES)):
+    for key, letters in _CHOSEN:
         mine = [k for k in others if axes[k] in letters]
         sizes = [shape[k] for k in mine]
         names = _names(file, series, [axes[k] for k in mine], sizes)

@@ -20,8 +20,10 @@ def check_chain(path: Path, where: str) -> None:
     with path.open("rb") as file:
         header = file.read(16)
         order = {b"II": "<", b"MM": ">"}.get(header[:2])
-        kind = None if order is None else _KINDS.get(struct.unpack(order + "H", header[2:4])[0])
-        if kind is None or len(header) < 16:
+        if order is None or len(header) < 16:
+            return
+        kind = _KINDS.get(struct.unpack(order + "H", header[2:4])[0])
+        if kind is None:
             return
         pointer, count, tag = order + kind[0], order + kind[1], kind[2]
         at = 4 if kind[0] == "I" else 8

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Hashable, Iterator
+from collections.abc import Hashable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -102,7 +102,7 @@ def _spacing(path: Path, file: Path, options: ReadOptions) -> Spacing:
         return spacing_of(tiff, tiff.series[0] if tiff.series else None, 2, options)
 
 
-def _check_alike(path: Path, files: list[Path], values: list[Hashable], what: str) -> None:
+def _check_alike(path: Path, files: list[Path], values: Sequence[Hashable], what: str) -> None:
     """VolumeError that names the files that differ from most of the others."""
     counts = Counter(values)
     usual, number = counts.most_common(1)[0]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 from xml.etree import ElementTree
@@ -70,23 +71,22 @@ def _ome(image: Any | None, slices: int, options: ReadOptions) -> Spacing | None
 
 
 def _together(
-    sizes: list[float | None],
-    units: list[str | None],
+    sizes: Sequence[float | None],
+    units: Sequence[str | None],
     slices: int,
     options: ReadOptions,
     name: str,
 ) -> Spacing:
     """Missing lengths are those of the other axes, with a word about it."""
-    known = next(k for k in range(3) if sizes[k] is not None)
+    known, length = next((k, size) for k, size in enumerate(sizes) if size is not None)
     for k, axis in enumerate("XYZ"):
-        if sizes[k] is None:
-            if k < 2 or slices > 1:
-                options.warn(f"no {name}{axis}, so it is taken to be that along {'XYZ'[known]}")
-            sizes[k], units[k] = sizes[known], units[known]
+        if sizes[k] is None and (k < 2 or slices > 1):
+            options.warn(f"no {name}{axis}, so it is taken to be that along {'XYZ'[known]}")
+    units = [units[known] if size is None else unit for size, unit in zip(sizes, units)]
     factors, unit, wrong = one_unit(units, [True, True, slices > 1])
     if wrong:
         options.warn(wrong)
-    x, y, z = (size * factor for size, factor in zip(sizes, factors))
+    x, y, z = ((length if size is None else size) * factor for size, factor in zip(sizes, factors))
     return Spacing((x, y, z), unit)
 
 

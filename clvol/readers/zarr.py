@@ -40,7 +40,7 @@ class StoredVolume(LazyVolume):
     """A store of clvol's: range and counts are known without reading voxels. ``blocks_source``: its
     blocks."""
 
-    def __init__(self, source: StoredBlocks, memory_cap: int | None = None) -> None:
+    def __init__(self, source: StoredBlocks | TurnedBlocks, memory_cap: int | None = None) -> None:
         self.blocks_source = source
         super().__init__(
             source.dtype, source.grid, source.name, source.facts.frame, str(source.path), memory_cap

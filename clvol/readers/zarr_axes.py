@@ -60,7 +60,7 @@ def place_axes(axes: Sequence[Axis], shape: Sequence[int], where: str) -> Placed
             z = long.pop()
         if long:
             raise _unclear(axes, shape, where)
-        space = (z, by_kind["y"], by_kind["x"])
+        y, x = by_kind["y"], by_kind["x"]
     else:
         if {"x", "y", "z"} & set(by_kind):
             raise _unclear(axes, shape, where)
@@ -68,8 +68,8 @@ def place_axes(axes: Sequence[Axis], shape: Sequence[int], where: str) -> Placed
             unknown.remove(next(k for k in unknown if shape[k] == 1))
         if len(unknown) != 3:
             raise _unclear(axes, shape, where)
-        space = tuple(unknown)
-    return Placed(space, by_kind.get("c"), by_kind.get("t"))
+        z, y, x = unknown
+    return Placed((z, y, x), by_kind.get("c"), by_kind.get("t"))
 
 
 def _may_be_z(axis: Axis) -> bool:

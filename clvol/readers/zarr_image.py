@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from clvol.errors import VolumeError
-from clvol.readers.options import ReadOptions
+from clvol.readers.options import Key, ReadOptions
 from clvol.readers.zarr_axes import AXES, Axis, Placed, place_axes
 from clvol.readers.zarr_blosc import check_blosc
 from clvol.store.arrays import open_array, system_words
@@ -176,12 +176,14 @@ def _plain(group: Path, path: Path, node: Node, options: ReadOptions) -> Image:
         )
     placed = place_axes([Axis(name) for name in names], array.shape, where)
     array = _picked(array, placed, [], where, options)
-    scale, shift, units = [1.0] * 3, [0.0] * 3, [None] * 3
+    scale, shift = [1.0] * 3, [0.0] * 3
+    units: list[str | None] = [None] * 3
     if group != path:
         for i, k in enumerate(placed.space):
-            if k is not None and names[k] and _is_node(group / names[k]):
+            name = None if k is None else names[k]
+            if name and _is_node(group / name):
                 scale[i], shift[i], units[i] = _coordinates(
-                    group / names[k], names[k], array.shape[i], where, options
+                    group / name, name, array.shape[i], where, options
                 )
     grid, unit = _grid(array.shape, scale, shift, units, options)
     known = any(units) or scale != [1.0] * 3
@@ -212,7 +214,8 @@ def _picked(
 ) -> Any:
     """``array`` as [z, y, x] of the channel and the time that the caller wants."""
     pick: list[Any] = [slice(None) if k in placed.space else 0 for k in range(array.rank)]
-    for key, axis in (("channel", placed.channel), ("time", placed.time)):
+    chosen: tuple[tuple[Key, int | None], ...] = (("channel", placed.channel), ("time", placed.time))
+    for key, axis in chosen:
         if axis is None:
             continue
         count = array.shape[axis]

@@ -1,4 +1,4 @@
-"""[[noise]]: tiling noises that perturb the value or the place of every sample."""
+"""[[noise]]: tiling noise that perturbs the value or the position of every sample."""
 
 from __future__ import annotations
 

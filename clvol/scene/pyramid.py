@@ -11,8 +11,11 @@ DEFAULT_ORACLE = "error"
 
 
 class Pyramid(Table):
-    """``levels``: samples may be up to 2^levels steps apart, along rays and across them. ``oracle``: what says how
-    far apart they may be (clvol/integrators/pyramid/oracles). ``epsilon``: what the oracle allows."""
+    """Adaptive sampling on a pyramid of grids.
+
+    Samples may be up to 2^``levels`` steps apart, along rays and across them. ``oracle`` names the rule that decides
+    how far apart they may be (clvol/integrators/pyramid/oracles), and ``epsilon`` is the error or change it allows.
+    """
 
     levels: Whole = Field(
         3, ge=0, le=MOST_LEVELS,

@@ -1,4 +1,4 @@
-"""A scene as the text of a scene file: what goes into the header of a picture."""
+"""A scene as the text of a scene file, as it is stored in the header of a picture."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 def to_toml(scene: Scene) -> str:
     """TOML that reads back as ``scene``: the keys that were set, in the order of the models.
 
-    A volume or a field that was handed over as an array is described in a comment.
+    A volume or a field that was passed as an array is described in a comment.
     """
     lines = ["version = 1"]
     for name in type(scene).model_fields:
@@ -37,8 +37,8 @@ def to_toml(scene: Scene) -> str:
 
 
 def _keys(table: BaseModel) -> list[str]:
-    asked = table.model_dump(mode="python", exclude_unset=True, warnings=False)
-    return [_key(key, value) for key, value in asked.items() if value is not None]
+    settings = table.model_dump(mode="python", exclude_unset=True, warnings=False)
+    return [_key(key, value) for key, value in settings.items() if value is not None]
 
 
 def _key(key: str, value: Any) -> str:

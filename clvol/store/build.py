@@ -65,15 +65,14 @@ def build_store(
     read, and RenderError where writing fails (a full disk): PATH.partial is then kept, and the same
     call resumes.
     """
-    if isinstance(source, Volume):
-        source = VolumeSource(source)
+    voxels = VolumeSource(source) if isinstance(source, Volume) else source
     if codec not in CODECS:
         raise UsageError("codec", f"got {codec!r}", one_of_codecs())
-    layout = check_layout(source.shape, source.dtype, edge, shard, CODECS[codec])
+    layout = check_layout(voxels.shape, voxels.dtype, edge, shard, CODECS[codec])
     path = Path(path)
     check_place(path, overwrite)
     with _writing(path), locked(partial_path(path)) as partial:
-        build = _Build(source, layout, partial, codec)
+        build = _Build(voxels, layout, partial, codec)
         try:
             build.begin(path, restart)
             build.make_regions(progress, workers)
@@ -99,8 +98,8 @@ def _writing(path: Path) -> Iterator[None]:
 
 
 def _not_written(path: Path, reason: str) -> RenderError:
-    kept = partial_path(path)
-    kept = f"; {kept.name} keeps what is done" if kept.exists() else ""
+    partial = partial_path(path)
+    kept = f"; {partial.name} keeps what is done" if partial.exists() else ""
     expected = f"a disk that takes it{kept}"
     return RenderError(str(path), f"the store cannot be written: {reason}", expected)
 
@@ -303,8 +302,8 @@ class _Build:
 
     def _facts(self) -> dict:
         """Range and counts of all voxels."""
-        noted = [self.journal.census(index) for index in range(self.count)]
-        if any(census is None for census in noted):
+        noted = [census for index in range(self.count) if (census := self.journal.census(index)) is not None]
+        if len(noted) < self.count:
             raise RenderError(
                 str(self.partial), "changed by another while it was built", "left alone"
             )

@@ -69,7 +69,8 @@ class StoreLayout:
     @property
     def regions(self) -> tuple[int, int, int]:
         """Shards (z, y, x) of each level."""
-        return tuple(-(-n // self.shard) for n in self.shape)
+        nz, ny, nx = (-(-n // self.shard) for n in self.shape)
+        return nz, ny, nx
 
     def chunk(self, level: int) -> int:
         """Samples an axis of a chunk."""
@@ -80,7 +81,8 @@ class StoreLayout:
         place = np.unravel_index(index, self.regions)
         side = self.shard >> level
         ends = self.blocks.level_shape(level)
-        return tuple(slice(int(p) * side, min((int(p) + 1) * side, n)) for p, n in zip(place, ends))
+        z, y, x = (slice(int(p) * side, min((int(p) + 1) * side, n)) for p, n in zip(place, ends))
+        return z, y, x
 
     def shard_file(self, index: int, level: int) -> str:
         """Relative to the store."""

@@ -27,7 +27,8 @@ class BlockGrid:
     @cached_property
     def counts(self) -> tuple[int, int, int]:
         """Blocks (z, y, x)."""
-        return tuple(-(-n // self.edge) for n in self.shape)
+        nz, ny, nx = (-(-n // self.edge) for n in self.shape)
+        return nz, ny, nx
 
     @property
     def count(self) -> int:
@@ -46,7 +47,8 @@ class BlockGrid:
 
     def level_shape(self, level: int) -> tuple[int, int, int]:
         """Samples (z, y, x) of the whole volume at ``level``; blocks at the upper faces may be cut short."""
-        return tuple(-(-n // (1 << level)) for n in self.shape)
+        nz, ny, nx = (-(-n // (1 << level)) for n in self.shape)
+        return nz, ny, nx
 
     def places(self, blocks: np.ndarray) -> np.ndarray:
         """int64 [k, 3]: (bz, by, bx) of blocks by number."""

@@ -11,6 +11,7 @@ import os
 import zipfile
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -71,7 +72,7 @@ class Journal:
         ``census`` float64 [4]: smallest and largest finite voxel, and how many are NaN, and infinite.
         """
         region = [-(-(s.stop - s.start) // self._layout.edge) for s in self._layout.region(index)]
-        members = {
+        members: dict[str, Any] = {
             name: getattr(statistics, name)
             .astype(dtype)
             .reshape(self._layout.statistics_shape(name, tuple(region)))
@@ -80,8 +81,8 @@ class Journal:
         file = self.path / f"{index}.npz"
         temporary = file.with_suffix(".writing")
         with temporary.open("wb") as stream:
-            known = {"place": index, "sizes": self._sizes(index), "checksums": self._checksums(index)}
-            np.savez(stream, census=census, **known, **members)
+            members["sizes"], members["checksums"] = self._sizes(index), self._checksums(index)
+            np.savez(stream, place=index, census=census, **members)
         os.replace(temporary, file)
 
     def census(self, index: int, read: bool = False) -> np.ndarray | None:

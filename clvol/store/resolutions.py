@@ -234,7 +234,8 @@ def split(box: np.ndarray, s: int) -> np.ndarray:
 
 
 def _box(shape: tuple, edge: int, first: tuple, last: tuple) -> tuple[slice, slice, slice]:
-    return tuple(slice(int(a) * edge, min(int(b) * edge, n)) for a, b, n in zip(first, last, shape))
+    z, y, x = (slice(int(a) * edge, min(int(b) * edge, n)) for a, b, n in zip(first, last, shape))
+    return z, y, x
 
 
 def _summary(samples: np.ndarray) -> dict[str, np.ndarray]:
@@ -331,7 +332,7 @@ def _deviations_of_floats(full: np.ndarray, by_block: list[np.ndarray]) -> np.nd
     another."""
     count, edge = len(by_block[0]), by_block[0].shape[1]
     out = np.empty((len(by_block) - 1, count))
-    means, within = full, 0.0
+    means, within = full, np.zeros(())
     for level in range(1, len(by_block)):
         parts = [
             means[z::2, y::2, x::2].astype(np.float64)

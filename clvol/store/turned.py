@@ -7,14 +7,21 @@ from typing import Any
 
 import numpy as np
 
-from clvol.store.source import BlockSource, BlockStatistics
+from clvol.store.source import BlockStatistics
+from clvol.store.zarr_store import StoredBlocks
 from clvol.volume.axis import turned
+from clvol.volume.grid import Grid
 
 
 class TurnedBlocks:
-    """``source`` with ``clvol.volume.axis.turned`` of all its samples; all else is its own."""
+    """A ``BlockSource`` with the samples of ``source`` mirrored by ``clvol.volume.axis.turned``.
 
-    def __init__(self, source: BlockSource) -> None:
+    All other attributes are those of ``source``.
+    """
+
+    grid: Grid
+
+    def __init__(self, source: StoredBlocks | TurnedBlocks) -> None:
         self._source = source
 
     def __getattr__(self, name: str) -> Any:

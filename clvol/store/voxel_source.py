@@ -29,7 +29,11 @@ class VoxelSource(Protocol):
     grid: Grid
     name: str | None
     frame: str
-    identity: dict
+
+    @property
+    def identity(self) -> dict:
+        """What tells these voxels from others, as JSON types."""
+        ...
 
     def box(self, z0: int, z1: int, y0: int, y1: int, x0: int, x1: int) -> np.ndarray:
         """Voxels [z0:z1, y0:y1, x0:x1] of ``dtype``. Called by several threads."""

@@ -78,7 +78,7 @@ class StoredBlocks:
         self._levels = [self._array(str(level), level) for level in range(self.blocks.levels)]
         self.checks_places = facts.checksums is not None
         self._places: Places | None = None
-        if self.checks_places:
+        if facts.checksums is not None:
             table = self._array(f"blocks/{TABLE}")
             self._places = Places(
                 self.path, self.layout, facts.checksums, lambda: table, self._where, _WANTED

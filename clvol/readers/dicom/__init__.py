@@ -42,6 +42,6 @@ def read(path: Path, options: ReadOptions) -> Volume:
     shape = (len(frames), first.rows, first.columns)
     check_memory(str(path), math.prod(shape) * first.bits_allocated // 8, options.memory_cap)
     steps = np.stack([first.axes[0] * first.spacing[1], first.axes[1] * first.spacing[0], step], 1)
-    grid = Grid.from_steps(shape, steps, first.position)
+    grid = Grid.from_steps(shape, steps, np.asarray(first.position))
     data = read_frames(path, frames, options)
     return Volume(data, grid.spacing, grid.origin, grid.direction, frame="LPS", unit="mm")

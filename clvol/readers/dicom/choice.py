@@ -9,7 +9,7 @@ import numpy as np
 from clvol.errors import VolumeError
 from clvol.readers.dicom.files import Image
 from clvol.readers.dicom.frames import CHANNELS, TIMES, Frame, frames_of
-from clvol.readers.options import ReadOptions
+from clvol.readers.options import Key, ReadOptions
 
 _NAMED = 3
 _SAME_PLACE = 1e-4  # mm
@@ -122,9 +122,9 @@ def _alike(path: Path, frames: list[Frame]) -> list[Frame]:
     odd = [frame for kind in kinds[1:] for frame in kind]
     names = ", ".join(frame.name for frame in odd[:_NAMED])
     more = f" and {len(odd) - _NAMED} more" if len(odd) > _NAMED else ""
-    how = _difference(odd[0], kinds[0][0])
-    verb = how if len(odd) == 1 else how.replace("has ", "have ").replace("lies ", "lie ")
-    verb = verb.replace("is ", "are ") if len(odd) > 1 else verb
+    verb = _difference(odd[0], kinds[0][0]) or "is different"
+    if len(odd) > 1:
+        verb = verb.replace("has ", "have ").replace("lies ", "lie ").replace("is ", "are ")
     raise VolumeError(
         str(path),
         f"{names}{more} {verb}, unlike the other {len(kinds[0])} slices",
@@ -161,7 +161,7 @@ def levels_of(frames: list[Frame]) -> np.ndarray:
 
 
 def _split(
-    path: Path, frames: list[Frame], key: str, names: tuple[str, ...], options: ReadOptions
+    path: Path, frames: list[Frame], key: Key, names: tuple[str, ...], options: ReadOptions
 ) -> list[Frame]:
     """Where several slices lie at each place, those that the caller wants."""
     levels = levels_of(frames)
@@ -210,7 +210,7 @@ def _in_turn(frames: list[Frame], levels: np.ndarray) -> dict:
 
 
 def _one_group(
-    path: Path, frames: list[Frame], key: str, groups: dict, label: str, options: ReadOptions
+    path: Path, frames: list[Frame], key: Key, groups: dict, label: str, options: ReadOptions
 ) -> list[Frame]:
     values = [f"{value:g}" if isinstance(value, float) else str(value) for value in groups]
     shown = [f"({label}{value})" for value in values]

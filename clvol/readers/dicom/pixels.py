@@ -23,11 +23,12 @@ def read_frames(path: Path, frames: list[Frame], options: ReadOptions) -> np.nda
     """Values [z, y, x] in the smallest accepted type that holds each exactly."""
     if any(frame.image.header.get("ModalityLUTSequence") for frame in frames):
         options.warn("a table for the values (Modality LUT) is not applied; they are as stored")
-    stored: np.ndarray | None = None
-    for k, pixels in enumerate(_stored(path, frames)):
-        if stored is None:
-            stored = np.empty((len(frames), *pixels.shape), pixels.dtype)
-        elif pixels.dtype != stored.dtype:
+    planes = _stored(path, frames)
+    first = next(planes)
+    stored = np.empty((len(frames), *first.shape), first.dtype)
+    stored[0] = first
+    for k, pixels in enumerate(planes, 1):
+        if pixels.dtype != stored.dtype:
             stored = _widened(path, stored, pixels.dtype, options)
         stored[k] = pixels
     slopes = np.array([frame.slope for frame in frames])
@@ -119,9 +120,8 @@ def _rescaled(
     options: ReadOptions,
 ) -> np.ndarray:
     """slope * stored + intercept, slice by slice, in float64 before the type is known."""
-    whole = limits is not None and (slopes % 1 == 0).all() and (intercepts % 1 == 0).all()
     dtype = None
-    if whole:
+    if limits is not None and (slopes % 1 == 0).all() and (intercepts % 1 == 0).all():
         ends = np.outer(limits, slopes) + intercepts
         dtype = _holding(float(ends.min()), float(ends.max()))
         if dtype is None:
