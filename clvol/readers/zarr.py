@@ -49,7 +49,7 @@ class StoredVolume(LazyVolume):
 
     @property
     def grid(self) -> Grid:
-        """Also that of ``blocks_source``."""
+        """The grid, which is also that of ``blocks_source``."""
         return self.blocks_source.grid
 
     @grid.setter
