@@ -38,9 +38,9 @@ def _idle(found: Findings, cue: DepthCue) -> str | None:
 
 
 def _farthest(scene: ResolvedScene) -> float:
-    """The longest way along a ray to any place of the volume, from any camera of an orbit."""
+    """The longest distance along a ray to any point of the volume, from any camera of an orbit."""
     if any(surface.refraction != 1 for surface in scene.isosurfaces):
-        return math.inf  # a bent way may be of any length
+        return math.inf  # refracted rays may have any length
     if scene.animation.orbit_degrees == 0:
         return float(corner_distances(scene.camera, scene.volume.grid).max())
     camera, corners = scene.camera, scene.volume.grid.world_corners()

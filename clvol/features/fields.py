@@ -14,13 +14,13 @@ from clvol.scene.field import ResolvedField
 from clvol.scene.resolve import ResolvedScene
 from clvol.volume import Volume
 
-_SLAB = 2**22  # voxels looked at together
+_SLAB = 2**22  # voxels that are examined together
 _DOES = {
     "label": "with labels inside the volume",
     "density": "with opacity of its own",
     "mask": "that may cut the volume",
 }
-_found: WeakKeyDictionary = WeakKeyDictionary()  # volume: {labels: whether any occurs}
+_found: WeakKeyDictionary = WeakKeyDictionary()  # volume: {labels: whether any of them occurs}
 
 
 def analyse(found: Findings) -> None:

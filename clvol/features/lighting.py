@@ -57,7 +57,7 @@ def _reflects(material: Material) -> bool:
 
 
 def _material(material: Material) -> Material:
-    """With the default where a key is not read."""
+    """``material`` with defaults for keys that are not read."""
     if material.specular == 0 and material.shininess != Material().shininess:
         return material.model_copy(update={"shininess": Material().shininess})
     return material

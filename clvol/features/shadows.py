@@ -1,4 +1,4 @@
-"""Shadows, and light that scatters forward on its way."""
+"""Shadows, and forward scattering."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""NRRD: .nrrd with its data attached, .nhdr (or .nrrd) with its data in files beside it.
+"""NRRD: .nrrd with attached data, .nhdr (or .nrrd) with data in separate files.
 
-pynrrd would hold three copies of a compressed volume while reading, so the voxels are read by
-``read_parts``. Format: teem.sourceforge.net/nrrd/format.html.
+pynrrd would hold three copies of a compressed volume while reading, so the voxels are read by ``read_parts``. Format:
+teem.sourceforge.net/nrrd/format.html.
 """
 
 from __future__ import annotations
@@ -57,12 +57,11 @@ _BLOCK = 1 << 17
 def read(path: Path, options: ReadOptions) -> Volume:
     """The volume in a NRRD file; the world frame is the header's ``space``.
 
-    Accepts the encodings raw, gzip, bzip2, text and hex, and voxels over several files (a list or a
-    numbered pattern). Geometry comes from ``space directions`` and ``space origin`` (the centre of
-    the first voxel) or, without them, from ``spacings`` and ``axis mins`` (with cell centering, the
-    default, the outer face of the first voxel). Where units of length differ from axis to axis, all
-    are brought to the first one's. Of axes of channels and times, before, between or after those in
-    space, ``options`` choose one.
+    Accepts the encodings raw, gzip, bzip2, text and hex, and voxels spread over several files (a list or a numbered
+    pattern). Geometry comes from ``space directions`` and ``space origin`` (the centre of the first voxel) or,
+    without them, from ``spacings`` and ``axis mins`` (with cell centering, the default, the outer face of the first
+    voxel). If units of length differ between axes, all are converted to the first one. ``options`` select one element
+    of axes of channels and times, which may come before, between or after the axes in space.
     """
     with path.open("rb") as file:
         header = read_header(path, file)
@@ -106,10 +105,9 @@ def _dtype(path: Path, header: NrrdHeader, encoding: str) -> np.dtype:
 def _parts(
     path: Path, header: NrrdHeader, attached: int, sizes: tuple[int, ...], encoding: str
 ) -> list[Part]:
-    """Where the voxels are. Lines are skipped in a file as stored, bytes in the data as decoded, in
-    each file anew."""
+    """The position of the voxels. Lines are skipped in the stored file, bytes in the decoded data, per file."""
     skip_lines, skip_bytes = header.get("line skip", 0), header.get("byte skip", 0)
-    # Below 0 it counts from the end: -1 for data that end there, -2 for a byte behind them.
+    # A negative byte skip counts from the end: -1 for data that end there, -2 for one byte after them.
     least = {"raw": -(2**40), "deflate": -1, "bzip2": -1}.get(encoding, 0)
     if skip_lines < 0 or skip_bytes < least:
         raise VolumeError(
@@ -134,7 +132,7 @@ def _files(path: Path, header: NrrdHeader, named: bytes, sizes: tuple[int, ...])
 
 
 def _after_lines(path: Path, start: int, count: int) -> int:
-    """Where the data begin after so many lines; the end of the file if there are fewer."""
+    """The offset after ``count`` lines; the end of the file if there are fewer."""
     with path.open("rb") as file:
         file.seek(start)
         while block := file.read(_BLOCK):

@@ -1,4 +1,4 @@
-"""Which axes of an array are z, y, x, channel and time, by their names."""
+"""Recognising the axes z, y, x, channel and time of an array by their names."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _TYPES = {"channel": "c", "time": "t"}
 
 @dataclass(frozen=True)
 class Axis:
-    """What a file says of an axis: ``type`` is OME's ("space", "time", "channel")."""
+    """The metadata of an axis. ``type`` is OME's ("space", "time", "channel")."""
 
     name: str | None
     type: str | None = None
@@ -36,8 +36,7 @@ class Axis:
 
 @dataclass(frozen=True)
 class Placed:
-    """Which axes of the array are z (None: there is none), y and x, channel and time. All others
-    have length 1."""
+    """The indices of the axes z (None: there is none), y and x, channel and time. All other axes have length 1."""
 
     space: tuple[int | None, int, int]
     channel: int | None
@@ -45,7 +44,7 @@ class Placed:
 
 
 def place_axes(axes: Sequence[Axis], shape: Sequence[int], where: str) -> Placed:
-    """VolumeError for axes that cannot be told apart."""
+    """The axes of an array by their names and lengths; VolumeError if they are ambiguous."""
     if any(n < 1 for n in shape):
         raise VolumeError(where, f"empty array of shape {list(shape)}", "at least one voxel")
     kinds = [axis.kind for axis in axes]
