@@ -30,8 +30,8 @@ class Multiresolution(Table):
 
     ``memory`` is the device memory that blocks may take; ``memory_bytes`` is the same in bytes.
 
-    ``view_weighting``: the error of a block is weighted by what the view shows of it: whether it is in the picture, how
-    many pixels it covers, and how many pixels per voxel. ``occlusion``: it is also weighted by how much of its light
+    ``view_weighting``: the error of a block is weighted by its visibility: whether it is in the picture, how many pixels
+    it covers, and how many pixels per voxel. ``occlusion``: it is also weighted by how much of its light
     reaches the eye.
 
     ``step_error`` applies to "bounded" stepping: the error of a colour that one segment may add (linear,

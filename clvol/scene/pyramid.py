@@ -6,7 +6,7 @@ from pydantic import Field
 
 from clvol.scene.table import Number, Table, Whole
 
-MOST_LEVELS = 5  # MOST_LEVELS of cl/pyramid.h, which has arrays for so many
+MOST_LEVELS = 5  # MOST_LEVELS of cl/pyramid.h, the size of its arrays
 DEFAULT_ORACLE = "error"
 
 

@@ -188,7 +188,7 @@ class _Build:
         return len(ready)
 
     def _workers(self) -> int:
-        """As many threads as keep the memory of all regions in work bounded."""
+        """The largest number of threads that keeps the memory of all regions being made bounded."""
         region = (self.layout.shard + 2) ** 3 * self.layout.dtype.itemsize
         return int(np.clip(_IN_HAND // (3 * region), 1, min(cores(), _WORKERS)))
 

@@ -1,7 +1,7 @@
-"""A transfer function that moves over the values and wraps: colour cycling.
+"""Colour cycling: a transfer function that moves through the values and wraps around.
 
-It is the function that moves, not the values that are looked up: between two samples on either side
-of the wrap a value must not run through all the others, as it would in a pre-integrated segment.
+The function moves, not the values that are looked up: between two samples on either side of the wrap, a value must
+not run through all the others, as it would in a pre-integrated segment.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ def cycled(
 ) -> TransferFunction:
     """The function g with g(v) = ``function``(low + mod(v - low + shift (high - low), high - low)).
 
-    ``shift``: in units of the range (low, high) = ``value_range``; a whole number changes nothing on the range.
-    ``reach``: the values for which the function is needed, where noise leads beyond the range; 64
-    ranges at most, beyond which the ends hold. Without ``opacity`` only colours move.
+    ``shift`` is in units of the range (low, high) = ``value_range``; a whole number changes nothing on the range.
+    ``reach``: the values for which the function is needed, where noise leads beyond the range; at most 64 ranges,
+    beyond which the ends hold. Without ``opacity`` only colours move.
     """
     low, high = value_range
     period = high - low

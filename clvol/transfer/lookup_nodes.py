@@ -17,11 +17,11 @@ import numpy as np
 
 from clvol.transfer.function import TransferFunction
 
-# Bins of the warp: the fewest that keep control points apart, and that a step may well be blurred by.
+# Bins of the warp: by default, if some control points have to share bins, and at most.
 BINS, STEP_BINS, MOST_BINS = 4096, 16384, 65536
 _BINS_APART = 4  # so that each control point has its own bin, and the jump of a step the bin before
 _NARROW = 8  # in nodes: evenly spaced nodes misplace what lies between closer control points
-_STEP_MARGIN = 0.02  # of a bin: more than rounding of a value's place among all bins
+_STEP_MARGIN = 0.02  # share of a bin; exceeds the rounding of a value's position among all bins
 # Shares of the nodes: evenly over the range, over what is visible, and around it, where a segment that
 # reaches into it changes with 1 / its span.
 _EVEN, _VISIBLE, _AROUND = 0.25, 0.40, 0.35
@@ -29,11 +29,11 @@ _EVEN, _VISIBLE, _AROUND = 0.25, 0.40, 0.35
 
 @dataclass(frozen=True, eq=False)
 class LookupNodes:
-    """``values`` [n >= 2] float64, ascending: the nodes.
+    """The nodes: ``values`` [n >= 2] float64, ascending.
 
-    The coordinate of value s is (s - ``first``) * ``per_value``, clamped to 0 .. n - 1, or, if ``warp``
-    is there (float32 [bins + 1], ascending from 0 to n - 1), that number as a position among bins,
-    looked up in ``warp`` linearly.
+    The coordinate of value s is (s - ``first``) * ``per_value``, clamped to 0 .. n - 1. If ``warp`` exists (float32
+    [bins + 1], ascending from 0 to n - 1), that number is a position among bins, at which ``warp`` is interpolated
+    linearly.
     """
 
     values: np.ndarray
@@ -77,9 +77,8 @@ def lookup_nodes(
 ) -> LookupNodes:
     """About ``count`` nodes (never more) over ``value_range`` for ``function``.
 
-    ``integer``: voxels are integers. ``may_warp`` False: evenly spaced where that resolves the
-    function, which is what a long one-dimensional table wants; for integer voxels there may then be
-    as many nodes as values.
+    ``integer``: voxels are integers. ``may_warp`` False: nodes are evenly spaced if that resolves the function, as a
+    long one-dimensional table requires; for integer voxels there may then be as many nodes as values.
     """
     low, high = (float(v) for v in value_range)
     if not high > low:
@@ -100,7 +99,7 @@ def lookup_nodes(
 
 
 def _is_narrow(function: TransferFunction, low: float, high: float, count: int) -> bool:
-    """Whether ``count`` even nodes would misplace a step, or a stretch between control points."""
+    """Whether ``count`` evenly spaced nodes would misplace a step, or an interval between control points."""
     gaps = np.diff(_knots(function, low, high)[0])
     return bool(gaps.min() * (count - 1) < _NARROW * (high - low))
 
@@ -151,11 +150,11 @@ def _warped(
 def _meet_knots(
     warp: np.ndarray, places: np.ndarray, at_knots: np.ndarray, exact: bool
 ) -> np.ndarray:
-    """Shifts the edges of the bins that hold knots, at ``places`` (in bins), so that the coordinate
-    of a knot is its node. Where that is met: int [m], indices of knots.
+    """Shifts the edges of the bins that hold knots, at ``places`` (in bins), so that the coordinate of a knot is its
+    node. Returns the indices of the knots for which that succeeds, int [m].
 
-    Of a step the later node; what leads up to it lies in the bin before. There, unless float32 computes
-    places exactly, the coordinate is a trifle beyond the node, where nothing of the jump is left.
+    At a step the coordinate is that of the later node; what leads up to it lies in the bin before. Unless float32
+    computes positions exactly, the coordinate there is slightly beyond the node, where nothing of the jump is left.
     """
     met = []
     for i in range(1, places.size - 1):
@@ -214,7 +213,7 @@ def _knots(
 
 
 def visible_cells(function: TransferFunction, nodes: np.ndarray) -> np.ndarray:
-    """Whether anything between node k and k + 1 (both included) has opacity: bool [n - 1]."""
+    """Whether any value between nodes k and k + 1, inclusive, has opacity: bool [n - 1]."""
     at = function.opacity(nodes) > 0
     visible = at[:-1] | at[1:]
     shown = function.values[function.opacities > 0]

@@ -39,22 +39,22 @@ class Narrowing:
     labels: bool = False
 
 
-_asked: ContextVar[Narrowing] = ContextVar("narrowing", default=Narrowing())
+_current: ContextVar[Narrowing] = ContextVar("narrowing", default=Narrowing())
 
 
-def asked_narrowing() -> Narrowing:
+def current_narrowing() -> Narrowing:
     """The settings of the innermost ``narrowing`` context."""
-    return _asked.get()
+    return _current.get()
 
 
 @contextmanager
 def narrowing(how: Narrowing) -> Iterator[None]:
     """A context in which voxels are narrowed according to ``how``."""
-    token = _asked.set(how)
+    token = _current.set(how)
     try:
         yield
     finally:
-        _asked.reset(token)
+        _current.reset(token)
 
 
 def narrowed(array: np.ndarray, where: str, how: Narrowing | None = None) -> np.ndarray:
@@ -65,7 +65,7 @@ def narrowed(array: np.ndarray, where: str, how: Narrowing | None = None) -> np.
     """
     if array.dtype.name not in WIDE_TYPES:
         return array
-    how = how or asked_narrowing()
+    how = how or current_narrowing()
     flat = array.reshape(-1)  # readers' arrays are contiguous; others are copied here
     blocks = (flat[start : start + _BLOCK] for start in range(0, flat.size, _BLOCK))
     dtype = exact_type(array.dtype, blocks, where, how)

@@ -92,18 +92,18 @@ def one_unit(
         used = [True] * len(texts)
     found = [find_unit(text) for text in texts]
     unknown = sorted({n for n, f in zip(texts, found) if f is None and n})
-    told = [f for f, u in zip(found, used) if u]
-    if all(f is None for f in told):
+    counted = [f for f, u in zip(found, used) if u]
+    if all(f is None for f in counted):
         wrong = f"unknown unit of length {', '.join(map(repr, unknown))}" if unknown else None
         same = {n for n, u in zip(texts, used) if u}
         if len(same) > 1:
-            wrong = f"units that cannot be brought to one ({_said(texts)}); the numbers are kept"
+            wrong = f"units that cannot be brought to one ({_listed(texts)}); the numbers are kept"
         return [1.0] * len(texts), texts[0] or None, wrong
-    symbol, metres = next(f for f in told if f is not None)
-    if all(f is not None and f[0] == symbol for f in told):
+    symbol, metres = next(f for f in counted if f is not None)
+    if all(f is not None and f[0] == symbol for f in counted):
         return [1.0] * len(texts), symbol, None
-    if metres is None or any(f is None or f[1] is None for f in told):
-        wrong = f"units that cannot be brought to one ({_said(texts)}); the numbers are kept"
+    if metres is None or any(f is None or f[1] is None for f in counted):
+        wrong = f"units that cannot be brought to one ({_listed(texts)}); the numbers are kept"
         return [1.0] * len(texts), None, wrong
     factors = [1.0 if f is None or f[1] is None else _ratio(f[1], metres) for f in found]
     return factors, symbol, None
@@ -117,5 +117,5 @@ def _ratio(metres: float, of: float) -> float:
     return decimal if math.isclose(ratio, decimal, rel_tol=1e-12) else ratio
 
 
-def _said(names: Sequence[str]) -> str:
+def _listed(names: Sequence[str]) -> str:
     return ", ".join(f"{axis} {name or 'none'}" for axis, name in zip("xyz", names))

@@ -13,7 +13,7 @@ import numpy as np
 from clvol.errors import VolumeError
 from clvol.volume.axis import ValueAxis, turned
 from clvol.volume.grid import Grid
-from clvol.volume.narrow import WIDE_TYPES, Narrowing, asked_narrowing, narrowed
+from clvol.volume.narrow import WIDE_TYPES, Narrowing, current_narrowing, narrowed
 
 ACCEPTED_TYPES = ("uint8", "int8", "uint16", "int16", "float32", "float64")
 ACCEPTED = (
@@ -67,7 +67,7 @@ class Volume:
         labels: bool = False,
     ) -> None:
         self.axis = ValueAxis(slope, offset)
-        self.data = _as_voxels(array, Narrowing(labels=True) if labels else asked_narrowing())
+        self.data = _as_voxels(array, Narrowing(labels=True) if labels else current_narrowing())
         self.grid = Grid(self.data.shape, spacing, origin, direction)
         self.name = name
         self.frame = frame
