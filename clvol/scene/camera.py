@@ -138,7 +138,7 @@ class Camera(Table):
     def basis(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(forward, right, up): three orthonormal float64 vectors [3] in world axes.
 
-        Raises SceneError if position, target or up are still to be filled in.
+        Raises SceneError if position, target or up have not been filled in.
         """
         for name in ("position", "target", "up"):
             if getattr(self, name) is None:
@@ -148,7 +148,7 @@ class Camera(Table):
         return _frame(forward, _unit(np.asarray(self.up)))
 
     def height_of_view(self) -> float:
-        """Height of an orthographic view in world units; SceneError if it is still to be filled in."""
+        """The height of an orthographic view in world units; SceneError if it has not been filled in."""
         if self.height is None:
             expected = "a value; Camera.complete(grid, image) fills it in"
             raise SceneError("scene: camera.height", "missing", expected)

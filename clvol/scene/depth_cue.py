@@ -59,7 +59,9 @@ class DepthCue(Table):
         return self
 
     def complete(self, camera: Camera, grid: Grid) -> DepthCue:
-        """A copy with start and end filled in. They are at least about one voxel edge apart."""
+        """A copy with start and end filled in; if that would leave no length between them, they are about one voxel
+        edge apart.
+        """
         distances = np.clip(corner_distances(camera, grid), -0.5 * _FARTHEST, 0.5 * _FARTHEST)
         start, end = self.start, self.end
         given = [abs(x) for x in (start, end) if x is not None]

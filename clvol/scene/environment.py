@@ -1,4 +1,4 @@
-"""[environment]: light from all around, from a picture of it."""
+"""[environment]: light from all around, given by a picture."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""[integration]: how the light along a ray is summed, and how exactly."""
+"""[integration]: how light along a ray is integrated, and how exactly."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ class Integration(Table):
 
     @property
     def takes_steps(self) -> bool:
-        """Whether ``step`` counts: not for the exact integral."""
+        """Whether ``step`` has an effect; it has none on the exact integral."""
         return self.method in _BY_STEPS
 
     @classmethod

@@ -1,4 +1,4 @@
-"""[[isosurface]]: the surface where the volume takes one value."""
+"""[[isosurface]]: a surface where the volume has one value."""
 
 from __future__ import annotations
 

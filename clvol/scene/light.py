@@ -1,4 +1,4 @@
-"""[[light]]: one light; a scene without any is not shaded."""
+"""[[light]]: one light. A scene without any light is not shaded."""
 
 from __future__ import annotations
 

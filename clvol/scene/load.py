@@ -1,4 +1,4 @@
-"""Reading scene files, and overriding single values of them."""
+"""Reading scene files, and overriding single values in them."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ else:
 
 LARGEST_FILE = 64 * 2**20
 _POSITION = re.compile(r"^(?P<what>.*?)\s*\(at (?P<place>[^()]*)\)$", re.DOTALL)
-_DICOM_FILES = (".dcm", ".ima")  # the volume's reader says what to do with a single one
+_DICOM_FILES = (".dcm", ".ima")  # the reader says what to do with a single file
 _KEY = re.compile(r"[A-Za-z0-9_-]+")
 
 
@@ -99,7 +99,7 @@ def _parted(message: str) -> tuple[str, str]:
 
 
 def _override(data: dict[str, Any], text: str, origin: str) -> None:
-    """Set one value of the parsed scene ``data``; ``text`` is TABLE.KEY=VALUE."""
+    """Sets one value of the parsed scene ``data``; ``text`` is TABLE.KEY=VALUE."""
     key, equals, value_text = text.partition("=")
     keys = [part.strip() for part in key.split(".")]
     if not equals or not all(_KEY.fullmatch(part) for part in keys):

@@ -290,7 +290,7 @@ class Scene(Table):
         return self._loaded
 
     def load(self, memory_cap: int | None = None) -> None:
-        """Reads the volume and the fields, which are kept, and looks at the environment's size.
+        """Reads the volume and the fields, which are kept, and checks the environment's size.
 
         ``memory_cap``: bytes that each of them may take in memory. Raises SceneError, VolumeError.
         """

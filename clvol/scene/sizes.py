@@ -11,7 +11,7 @@ _SIZE = re.compile(r"\s*(\d{1,18}(?:\.\d{1,9})?)\s*([A-Za-z]*)\s*", re.ASCII)
 
 
 def parse_size(text: str) -> int:
-    """Bytes > 0 in ``text``; ValueError if it is not a number with a unit from B to TiB."""
+    """The number of bytes (> 0) in ``text``; ValueError if it is not a number with a unit from B to TiB."""
     match = _SIZE.fullmatch(text)
     size = 0 if match is None else int(float(match[1]) * _UNITS.get(match[2].lower(), 0))
     if size < 1:
@@ -20,7 +20,7 @@ def parse_size(text: str) -> int:
 
 
 def format_size(size: int) -> str:
-    """``size`` bytes as people read it, such as "96.0 MiB"."""
+    """``size`` bytes in readable form, such as "96.0 MiB"."""
     number: float = size
     for unit in ("B", "KiB", "MiB", "GiB"):
         if number < 1024 or unit == "GiB":

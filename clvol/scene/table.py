@@ -109,7 +109,7 @@ def shown(value: Any, limit: int = 60) -> str:
         return f"an array of shape {value.shape}"
     try:
         text = " ".join(repr(value).split())
-    except ValueError:  # an integer of more digits than Python prints
+    except ValueError:  # an integer with more digits than Python prints
         text = "an integer of thousands of digits"
     except RecursionError:
         text = f"a {_KINDS.get(type(value), 'value')} nested hundreds deep"

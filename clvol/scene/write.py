@@ -49,7 +49,7 @@ def _key(key: str, value: Any) -> str:
 
 def _voxels(volume: Any) -> str:
     shape = " x ".join(str(n) for n in volume.grid.size)
-    return f"{shape} voxels of {volume.dtype}, handed over as an array"
+    return f"{shape} voxels of {volume.dtype}, passed as an array"
 
 
 def _function_keys(function: TransferFunction) -> list[str]:
@@ -65,7 +65,7 @@ def format_value(value: Any) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
-        # A JSON string is a TOML basic string, but for DEL.
+        # A JSON string is a TOML basic string, except for DEL.
         return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
     if isinstance(value, Mapping):
         return "{ " + ", ".join(f"{key} = {format_value(item)}" for key, item in value.items()) + " }"
