@@ -1,10 +1,10 @@
-"""Which effects a scene calls for, and why; and what will therefore be compiled.
+"""The effects that a scene needs, with reasons, and therefore what is compiled.
 
-One vocabulary in Python and in cl/features.h (a test compares them). What has no effect on the
-image is not called for: it is neither compiled nor paid for. Nothing here needs a device.
+Python and cl/features.h share one vocabulary (a test compares them). Settings without a consequence for the image are
+neither compiled nor paid for. No device is needed.
 
-Each effect, or a few that belong together, is a module with a function ``analyse``, a pass over the
-scene: it notes its effects with reasons and takes out of the scene what has no consequence.
+Each effect, or a group of related ones, is a module with a function ``analyse``: a pass over the scene that notes its
+effects with reasons, and removes everything without a consequence from the scene.
 """
 
 from __future__ import annotations

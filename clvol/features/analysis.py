@@ -1,6 +1,6 @@
-"""One analysis of a scene: which effects it calls for, and the scene without all others.
+"""One analysis of a scene: the effects that it needs, and the scene without all others.
 
-Both come from the same passes, so they agree. An analysis is kept as long as its scene.
+Both come from the same passes, so they agree. An analysis is cached for the lifetime of its scene.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ NAMES = (
     "clipping",
     "depth cueing",
 )
-# Each looks at the scene that the ones before it left.
+# Each pass analyses the scene as reduced by the passes before it.
 _PASSES = (
     filters, emission, fields, noise, clipping, surfaces, opacity, lighting, shadows, depth_cue,
     gradients,
@@ -64,9 +64,9 @@ _PASSES = (
 @dataclass(frozen=True, eq=False)
 class Analysis:
     effects: tuple[Effect, ...]
-    # None: the scene itself, which has nothing without consequence
+    # None: the scene itself, in which everything has a consequence
     reduced: ResolvedScene | None
-    for_frames: ResolvedScene | None  # the same at any time of its animation
+    for_frames: ResolvedScene | None  # the same for any time of its animation
 
 
 _known: WeakKeyDictionary = WeakKeyDictionary()  # ResolvedScene: Analysis
@@ -89,29 +89,30 @@ def analysis_of(scene: ResolvedScene) -> Analysis:
 
 
 def effects(resolved: ResolvedScene) -> list[Effect]:
-    """Every effect that clvol knows of, with the reason why this scene needs it or not."""
+    """Every effect that clvol knows, with the reason why this scene needs it or does not."""
     return list(analysis_of(resolved).effects)
 
 
 def called_for(resolved: ResolvedScene) -> list[str]:
-    """Names of the effects that are called for."""
+    """The names of the effects that the scene needs."""
     return [effect.name for effect in effects(resolved) if effect.called_for]
 
 
 def reduced(resolved: ResolvedScene) -> ResolvedScene:
-    """``resolved`` without all that has no consequence: the same picture, exactly.
+    """``resolved`` without everything that has no consequence: it gives exactly the same picture.
 
-    Kernels are chosen, and samples taken, for the reduced scene alone. Where nothing is lit it has
-    the material ``NEUTRAL``. It is ``resolved`` itself where there is nothing to leave out. What it
-    says about a depth cue holds for its camera (and animation) alone.
+    Kernels are chosen and samples taken for the reduced scene. A scene in which nothing is lit has the material
+    ``NEUTRAL``. The result is ``resolved`` itself if there is nothing to leave out. It holds for the scene's camera
+    and animation only, since a depth cue may depend on them.
     """
     analysis = analysis_of(resolved)
     return resolved if analysis.reduced is None else analysis.reduced
 
 
 def reduced_for_frames(resolved: ResolvedScene) -> ResolvedScene:
-    """As ``reduced``, but with colours that cycle and have come round: they have a consequence in
-    the next frame, which shall be rendered by the same kernels."""
+    """As ``reduced``, but colour cycling stays even if the colours are back where they began: it has a consequence in
+    the next frame, which must be rendered by the same kernels.
+    """
     analysis = analysis_of(resolved)
     return resolved if analysis.for_frames is None else analysis.for_frames
 

@@ -11,12 +11,12 @@ _NOUNS = {"plane": "clip plane", "box": "clip box", "sphere": "clip sphere"}
 
 
 def analyse(found: Findings) -> None:
-    asked, name = found.scene.clips, "clipping"
-    if not asked:
+    clips, name = found.scene.clips, "clipping"
+    if not clips:
         found.note(no(name, "the scene has no clip"))
         return
     grid = found.scene.volume.grid
-    kept = () if found.blank else tuple(dict.fromkeys(c for c in asked if cuts(c, grid)))
+    kept = () if found.blank else tuple(dict.fromkeys(c for c in clips if cuts(c, grid)))
     if len(kept) == 1:
         found.note(yes(name, f"the {_NOUNS[kept[0].type]} cuts into the volume"))
     elif kept:
@@ -24,7 +24,7 @@ def analyse(found: Findings) -> None:
     elif found.blank:
         found.note(no(name, NOTHING_VISIBLE))
     else:
-        found.note(no(name, joined(_reason(clip) for clip in asked)))
+        found.note(no(name, joined(_reason(clip) for clip in clips)))
     found.change(clips=kept)
 
 

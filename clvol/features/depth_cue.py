@@ -32,15 +32,15 @@ def _idle(found: Findings, cue: DepthCue) -> str | None:
         return f"{found.projection} is not depth-cued"
     if found.blank:
         return NOTHING_VISIBLE
-    if cue.start >= _farthest(found.scene):
+    if cue.start is not None and cue.start >= _farthest(found.scene):
         return f"the depth cue starts at {cue.start:g}, beyond the volume's farthest corner"
     return None
 
 
 def _farthest(scene: ResolvedScene) -> float:
-    """The longest way along a ray to any place of the volume, from any camera of an orbit."""
+    """The longest distance along a ray to any point of the volume, from any camera of an orbit."""
     if any(surface.refraction != 1 for surface in scene.isosurfaces):
-        return math.inf  # a bent way may be of any length
+        return math.inf  # refracted rays may have any length
     if scene.animation.orbit_degrees == 0:
         return float(corner_distances(scene.camera, scene.volume.grid).max())
     camera, corners = scene.camera, scene.volume.grid.world_corners()

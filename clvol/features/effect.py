@@ -1,4 +1,4 @@
-"""One effect of the vocabulary, and how a pass of the analysis notes it."""
+"""One effect of the vocabulary, as a pass of the analysis notes it."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Effect:
-    """One effect of the vocabulary: called for or not, and the reason in words."""
+    """One effect of the vocabulary: whether the scene needs it, and the reason in words."""
 
     name: str
     called_for: bool
@@ -24,12 +24,12 @@ def no(name: str, reason: str) -> Effect:
 
 
 def joined(reasons: Iterable[str]) -> str:
-    """Each reason once, at most three of them."""
+    """The distinct reasons, at most three of them."""
     distinct = list(dict.fromkeys(reasons))
     more = [f"and {len(distinct) - 3} more"] if len(distinct) > 3 else []
     return "; ".join(distinct[:3] + more)
 
 
 def counted(count: int, noun: str) -> str:
-    """Such as "1 light" or "3 lights"."""
+    """A count with its noun, such as "1 light" or "3 lights"."""
     return f"{count} {noun}" if count == 1 else f"{count} {noun}s"

@@ -1,6 +1,8 @@
-"""Emission and absorption, or a projection in its place."""
+"""Emission and absorption, or a projection instead."""
 
 from __future__ import annotations
+
+from typing import Any
 
 from clvol.features.effect import no, yes
 from clvol.features.findings import NO_VALUES, PROJECTIONS, Findings
@@ -30,13 +32,13 @@ def analyse(found: Findings) -> None:
     low, high = scene.volume.value_range
     compositing = integration.compositing
     if compositing == "attenuated-maximum" and integration.attenuation == 0 and low < high:
-        compositing = "maximum"  # in which nothing is attenuated
+        compositing = "maximum"  # without attenuation they are the same
     attenuation = integration.attenuation if compositing == "attenuated-maximum" else 1.0
-    # Whatever the classification is, one value of each ray is classified.
+    # One value per ray is classified, so the classification has no consequence.
     _change(found, compositing=compositing, attenuation=attenuation, classification="post")
     found.note(yes("projection", PROJECTIONS[compositing]))
 
 
-def _change(found: Findings, **asked) -> None:
+def _change(found: Findings, **settings: Any) -> None:
     integration = found.scene.integration
-    found.change(integration=integration.model_copy(update=asked))
+    found.change(integration=integration.model_copy(update=settings))

@@ -14,26 +14,27 @@ from clvol.scene.field import ResolvedField
 from clvol.scene.resolve import ResolvedScene
 from clvol.volume import Volume
 
-_SLAB = 2**22  # voxels looked at together
+_SLAB = 2**22  # voxels that are examined together
 _DOES = {
     "label": "with labels inside the volume",
     "density": "with opacity of its own",
     "mask": "that may cut the volume",
 }
-_found: WeakKeyDictionary = WeakKeyDictionary()  # volume: {labels: whether any occurs}
+_found: WeakKeyDictionary = WeakKeyDictionary()  # volume: {labels: whether any of them occurs}
 
 
 def analyse(found: Findings) -> None:
-    kept, reasons = [], {"label": [], "density": [], "mask": []}
+    kept: list[ResolvedField] = []
+    reasons: dict[str, list[str]] = {"label": [], "density": [], "mask": []}
     for field in found.scene.fields:
         idle = _idle(field, found)
         if idle is None:
             kept.append(field)
         else:
             reasons[field.role].append(idle)
-    for role, idle in reasons.items():
+    for role, why in reasons.items():
         used = sum(field.role == role for field in kept)
-        found.note(_effect(role, used, idle))
+        found.note(_effect(role, used, why))
     found.change(fields=tuple(kept))
 
 

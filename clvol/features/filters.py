@@ -1,4 +1,4 @@
-"""Filters other than the linear one, and the B-spline's prefilter."""
+"""Filters other than the linear one, and the prefilter of the B-spline."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def analyse(found: Findings) -> None:
     if not integration.prefilter:
         found.note(no("prefilter", "prefilter is false"))
     elif filter == "cubic":
-        found.note(yes("prefilter", "the cubic filter meets the voxels"))
+        found.note(yes("prefilter", "the cubic filter interpolates the voxels"))
     else:
         found.note(no("prefilter", f"the filter is {filter!r}"))
         found.change(integration=integration.model_copy(update={"prefilter": False}))

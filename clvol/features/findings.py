@@ -1,5 +1,4 @@
-"""What the passes of the analysis share: the scene as reduced so far, and what shows in it at
-all."""
+"""The state shared by the passes of the analysis: the scene as reduced so far, and what is visible in it."""
 
 from __future__ import annotations
 
@@ -25,14 +24,14 @@ NOTHING_VISIBLE = "nothing of the volume is visible"
 
 
 class Findings:
-    """``scene``: without what was found to have no consequence. ``effects``: by name.
+    """The scene as reduced so far, with what the passes have found.
 
-    ``projection``: the compositing other than "over" in words, or None. ``has_values``: whether any
-    voxel is finite. ``emits``: whether the transfer function shows any of the volume. ``adds``:
-    whether a density field shows anything. ``surfaces``: the iso-surfaces that do anything.
-    ``blank``: none of these three. ``lit``, ``by_lights``: whether anything is lit, and whether by
-    lights; known once the pass over lighting is done. ``cycles_later``: whether colours that cycle
-    are where they began just now.
+    ``scene``: without everything found to have no consequence. ``effects``: by name. ``projection``: a compositing
+    other than "over" in words, or None. ``has_values``: whether any voxel is finite. ``emits``: whether the transfer
+    function shows any of the volume. ``adds``: whether a density field shows anything. ``surfaces``: the iso-surfaces
+    with a consequence. ``blank``: none of these three is visible. ``lit``, ``by_lights``: whether anything is lit,
+    and whether by lights; known after the pass over lighting. ``cycles_later``: whether cycling colours are back
+    where they began.
     """
 
     def __init__(self, scene: ResolvedScene) -> None:
@@ -67,7 +66,7 @@ class Findings:
 
 
 def has_no_gradient(scene: ResolvedScene) -> bool:
-    """Whether the volume, as far as it is finite, has one single value, and no noise."""
+    """Whether the finite part of the volume has a single value, and there is no noise."""
     low, high = scene.volume.value_range
     return low == high and not scene.noise
 
@@ -79,7 +78,7 @@ def has_values(scene: ResolvedScene) -> bool:
 
 
 def emits(scene: ResolvedScene) -> bool:
-    """Whether the transfer function, with all its layers, can show anything of the volume."""
+    """Whether the transfer function, including its layers, can show any of the volume."""
     functions = [scene.transfer_function]
     if scene.integration.compositing == "over" and not has_no_gradient(scene):
         functions += [layer.function for layer in scene.transfer_layers]
@@ -94,6 +93,6 @@ def density_shows(field: ResolvedField, scene: ResolvedScene) -> bool:
 
 
 def has_background(scene: ResolvedScene) -> bool:
-    """Whether what a ray leaves transparent shows the environment."""
+    """Whether the environment is visible where a ray stays transparent."""
     environment = scene.environment
     return environment is not None and environment.visible and environment.intensity > 0

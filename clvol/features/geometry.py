@@ -1,4 +1,4 @@
-"""Which boxes, spheres, planes and grids meet the domain of a volume. All shapes are convex."""
+"""Intersections of boxes, spheres, planes and grids with the domain of a volume. All shapes are convex."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from clvol.scene.clip import Clip
 from clvol.volume import Grid
 
 _ROUNDING = 1e-14  # of coordinates
-_INSIDE = 1e-9  # of an index, by which a corner may lie outside a grid that holds it
+_INSIDE = 1e-9  # tolerance of an index for a corner on the boundary of a grid
 
 
 def cuts(clip: Clip, grid: Grid) -> bool:
-    """Whether ``clip`` removes more of the domain than rounding."""
+    """Whether ``clip`` removes more of the domain than rounding errors."""
     corners = grid.world_corners()
     if clip.type == "plane":
         return _plane_cuts(clip, corners)
@@ -22,29 +22,29 @@ def cuts(clip: Clip, grid: Grid) -> bool:
         lower, upper = np.asarray(clip.lower), np.asarray(clip.upper)
         if clip.keep == "outside":
             return not box_apart(grid, lower, upper)
-        # Each face has its own: another one may lie as good as nowhere.
+        # Each face has its own tolerance, since another face may be extremely far away.
         reach = np.abs(corners).max()
         below = lower - _ROUNDING * np.maximum(reach, np.abs(lower))
         above = upper + _ROUNDING * np.maximum(reach, np.abs(upper))
         return bool(np.any(corners < below) or np.any(corners > above))
-    offsets = corners - np.asarray(clip.center)
+    center = np.asarray(clip.center)
+    offsets = corners - center
     largest = max(np.abs(offsets).max(), clip.radius)  # so that no square may overflow
-    rounding = _ROUNDING * max(np.abs(corners).max(), np.abs(clip.center).max()) / largest
+    rounding = _ROUNDING * max(np.abs(corners).max(), np.abs(center).max()) / largest
     if clip.keep == "outside":
-        nearest = nearest_distance(np.asarray(clip.center), grid, largest)
+        nearest = nearest_distance(center, grid, largest)
         return nearest < clip.radius / largest - rounding
     distances = np.linalg.norm(offsets / largest, axis=1)
     return bool(distances.max() > clip.radius / largest + rounding)
 
 
 def box_apart(grid: Grid, lower: np.ndarray, upper: np.ndarray) -> bool:
-    """Whether the box from ``lower`` to ``upper`` [3] and the domain of ``grid`` touch at most."""
+    """Whether the box from ``lower`` to ``upper`` [3] and the domain of ``grid`` at most touch."""
     return _apart(grid.world_corners(), _box_corners(lower, upper), grid.direction, np.eye(3))
 
 
 def holds(grid: Grid, corners: np.ndarray) -> bool:
-    """Whether the world points ``corners`` [n, 3], and so their hull, lie in the domain of
-    ``grid``."""
+    """Whether the world points ``corners`` [n, 3], and therefore their hull, lie in the domain of ``grid``."""
     lower, upper = grid.index_bounds()
     to_index = grid.world_to_index()
     index = corners @ to_index[:3, :3].T + to_index[:3, 3]
@@ -52,7 +52,7 @@ def holds(grid: Grid, corners: np.ndarray) -> bool:
 
 
 def grids_apart(one: Grid, other: Grid) -> bool:
-    """Whether two grids have no place in common, half a voxel around the second included."""
+    """Whether two grids do not overlap, including half a voxel around the second one."""
     lower, upper = other.index_bounds()
     corners = _box_corners(lower - 0.5, upper + 0.5)
     to_world = other.index_to_world()
@@ -75,9 +75,9 @@ def _box_corners(lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
 def _apart(
     one: np.ndarray, other: np.ndarray, edges_one: np.ndarray, edges_other: np.ndarray
 ) -> bool:
-    """Whether two parallelepipeds of these corners [8, 3], with edges along the columns of
-    ``edges_one`` and ``edges_other``, touch at most: some normal of a face, or to an edge of each,
-    separates them."""
+    """Whether two parallelepipeds of these corners [8, 3], with edges along the columns of ``edges_one`` and
+    ``edges_other``, at most touch: a normal of a face, or a vector perpendicular to an edge of each, separates them.
+    """
     scale = max(np.abs(one).max(), np.abs(other).max())
     one, other = one / scale, other / scale
     axes = [normal for edges in (edges_one, edges_other) for normal in np.linalg.inv(edges)]
@@ -93,7 +93,7 @@ def _apart(
 
 
 def nearest_distance(point: np.ndarray, grid: Grid, scale: float) -> float:
-    """Distance from ``point`` to the domain over ``scale``, or less if the grid is oblique."""
+    """The distance from ``point`` to the domain, divided by ``scale``; a lower bound if the grid is oblique."""
     direction, spacing = grid.direction, np.asarray(grid.spacing)
     lower, upper = grid.index_bounds()
     along = np.linalg.inv(direction) @ ((point - np.asarray(grid.origin)) / scale)

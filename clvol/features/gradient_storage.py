@@ -1,4 +1,4 @@
-"""Where gradients are had from: found on the fly, or precomputed where they fit. Arithmetic, without a device."""
+"""The choice between gradients computed on the fly and precomputed ones: arithmetic, without a device."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ import numpy as np
 from clvol.volume.volume import Volume
 from clvol.volume.voxel_layout import LARGEST_OFFSET, device_bytes, holds_pairs, padded_size
 
-_SHARE = 0.5  # of a device's memory that volume and gradients together may take
+_SHARE = 0.5  # of a device's memory, for volume and gradients together
 
 
 @dataclass(frozen=True)
 class DeviceLimits:
-    """Bytes that a device has, and that one of its buffers may take."""
+    """The memory of a device and its largest buffer, in bytes."""
 
     memory: int
     buffer: int
 
     @classmethod
     def of(cls, context: Any) -> DeviceLimits:
-        """Those of ``context.device``, a pyopencl device."""
+        """The limits of ``context.device``, a pyopencl device."""
         device = context.device
         return cls(int(device.global_mem_size), int(device.max_mem_alloc_size))
 
@@ -36,11 +36,11 @@ def gradient_bytes(volume: Volume) -> int:
 
 
 def chosen_storage(volume: Volume, operator: str, storage: str, limits: DeviceLimits) -> str:
-    """ "precomputed" or "on-the-fly": ``storage`` itself, or where it is "auto" the rule:
+    """The storage, "precomputed" or "on-the-fly", for a ``storage`` that may be "auto".
 
-    Gradients are precomputed where they fit (in one buffer, and with the volume in half the
-    device's memory), since eight words then replace the voxels around each sample; except central
-    differences of 8-bit volumes held as pairs: ten words on the fly, of half as much memory.
+    Gradients are then precomputed if they fit in one buffer, and with the volume in half of the device's memory,
+    since eight words replace the voxels around each sample. The exception is central differences of 8-bit volumes
+    stored as pairs, which read ten words on the fly from half as much memory.
     """
     if storage != "auto":
         return storage

@@ -1,4 +1,4 @@
-"""How gradients are found, where anything asks for them."""
+"""Gradients, and how they are computed where something needs them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from clvol.scene.resolve import ResolvedScene
 
 
 def uses_of_gradients(scene: ResolvedScene, lit: bool) -> list[str]:
-    """What asks for gradients in a reduced scene."""
+    """What needs gradients in a reduced scene."""
     uses = {
         "lighting": lit,
         "refraction": any(surface.refraction != 1 for surface in scene.isosurfaces),
@@ -29,15 +29,15 @@ def analyse(found: Findings) -> None:
     sobel, precomputed = "sobel gradients", "precomputed gradients"
     kept = settings
     if not uses:
-        reason = "nothing asks for gradients"
+        reason = "nothing needs gradients"
         found.note(no("gradients", reason), no(sobel, reason), no(precomputed, reason))
         kept = GradientSettings()
     else:
-        found.note(yes("gradients", joined(f"{use} asks for them" for use in uses)))
+        found.note(yes("gradients", joined(f"{use} needs them" for use in uses)))
         if filter in ANALYTIC or scene.noise:
             reason = f"the filter {filter!r} has a derivative of its own"
             if scene.noise:
-                reason = "with noise, gradients are differences of the values that it leads to"
+                reason = "with noise, gradients are differences of the perturbed values"
             found.note(no(sobel, reason), no(precomputed, reason))
             kept = GradientSettings()
         else:

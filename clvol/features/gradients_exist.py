@@ -1,8 +1,8 @@
-"""Whether any sample of a volume has both opacity and a gradient: proved absent, or taken as there.
+"""Whether any sample of a volume can have both opacity and a gradient: it is either disproved or assumed.
 
-Cells of the lattice are looked at in bars from the middle of the volume outwards, where most
-volumes show one in the first. A bar is read cell by cell only if its range of values shows at
-all, and not more than so many bars are: after them a sample is taken as there.
+Cells of the lattice are examined in bars from the middle of the volume outwards, since in most volumes the first bar
+answers the question. A bar is examined cell by cell only if its range of values is visible at all, for a limited
+number of bars; after that, such a sample is assumed to exist.
 """
 
 from __future__ import annotations
@@ -20,25 +20,25 @@ from clvol.scene.resolve import ResolvedScene
 from clvol.store.source import BlockSource
 from clvol.transfer import TransferFunction
 
-_BAR = (4, 32)  # cells along z and y of what is looked at together; all along x
-_MOST_BARS = 32  # that are read cell by cell
-_CHUNK = 2**14  # and of those in which the value varies
-_LARGEST_REACH = 8  # cells about one: with more, nothing is proved
-_found: WeakKeyDictionary = WeakKeyDictionary()  # volume: {what was asked: answer}
+_BAR = (4, 32)  # cells along z and y of a bar, which extends along all of x
+_MOST_BARS = 32  # bars that are examined cell by cell
+_CHUNK = 2**14  # varying cells that are examined together
+_LARGEST_REACH = 8  # cells around a cell: with more, nothing is disproved
+_found: WeakKeyDictionary = WeakKeyDictionary()  # volume: {question: answer}
 
 
 def opacity_meets_gradient(scene: ResolvedScene, anywhere: bool) -> bool:
-    """False only where no sample can have both.
+    """False only if no sample can have both opacity and a gradient.
 
-    ``anywhere``: opacity does not depend on the volume's value alone, so it may be anywhere.
+    ``anywhere``: opacity does not depend on the volume's value alone, so any sample may have it.
     """
-    if has_no_gradient(scene):  # voxels that are not finite make one that is none
+    if has_no_gradient(scene):  # non-finite voxels do not count
         return False
     integration = scene.integration
     moved = bool(scene.noise) or (integration.filter == "cubic" and integration.prefilter)
     reach = FILTER_REACH[integration.filter]
     if integration.classification == "preintegrated":
-        # A segment has the values of its ends, its gradient is that of its middle.
+        # A segment has the values of its ends, but the gradient at its middle.
         reach += int(np.ceil(0.5 * integration.step)) if integration.step < 100 else 100
     if moved or reach > _LARGEST_REACH:
         return True
@@ -47,31 +47,31 @@ def opacity_meets_gradient(scene: ResolvedScene, anywhere: bool) -> bool:
     widen = field_overshoot(scene)
     if integration.classification == "preintegrated":
         widen += 1.0  # chords are shifted by their curvature
-    asked = (functions, reach, widen)
+    question = (functions, reach, widen)
     answers = _found.setdefault(scene.volume, {})
-    if asked not in answers:
+    if question not in answers:
         source = getattr(scene.volume, "blocks_source", None)
         if source is not None:
-            answers[asked] = _any_block(source, functions, reach, widen)
+            answers[question] = _any_block(source, functions, reach, widen)
         else:
-            answers[asked] = _any_bar(scene.volume.data, functions, reach, widen)
-    return answers[asked]
+            answers[question] = _any_bar(scene.volume.data, functions, reach, widen)
+    return answers[question]
 
 
 def _any_block(
     source: BlockSource, functions: tuple[TransferFunction, ...] | None, reach: int, widen: float
 ) -> bool:
-    """As ``_any_bar`` for a store, from what its blocks hold: no voxel is read."""
+    """As ``_any_bar`` for a store, from the statistics of its blocks; no voxel is read."""
     from scipy.ndimage import maximum_filter, minimum_filter  # takes a tenth of a second
 
     if reach >= source.blocks.edge:
         return True
     ranges = [(part.reach_low, part.reach_high) for part in source.statistics()]
     low, high = (np.concatenate(part) for part in zip(*ranges))
-    # A cell and what it reaches lie within a block and its neighbours.
+    # A cell and its reach lie within a block and its neighbours.
     low = minimum_filter(low.reshape(source.blocks.counts), 3, mode="nearest")
     high = maximum_filter(high.reshape(source.blocks.counts), 3, mode="nearest")
-    varied = low < high  # of blocks without any value, low is above high
+    varied = low < high  # in blocks without values, low is above high
     if functions is None or not varied.any():
         return bool(varied.any())
     return _any_shows(functions, low[varied], high[varied], widen)
@@ -80,9 +80,9 @@ def _any_block(
 def _any_bar(
     data: np.ndarray, functions: tuple[TransferFunction, ...] | None, reach: int, widen: float
 ) -> bool:
-    """Whether any cell can show a value while its gradient is not 0. A value comes from the corners
-    of a cell and ``reach`` voxels around them, and lies within ``widen`` of their range about
-    it."""
+    """Whether any cell can have a visible value while its gradient is not 0. A value comes from the corners of a cell
+    and ``reach`` voxels around them, and exceeds their range by at most ``widen`` times its length.
+    """
     read = 0
     for start in _from_the_middle(data.shape):
         if not _bar_can_show(data, start, functions, max(reach, 1), widen):
@@ -100,7 +100,7 @@ def _bar_can_show(
     pad: int,
     widen: float,
 ) -> bool:
-    """Whether the values of a bar and ``pad`` voxels around it vary, and any between them shows."""
+    """Whether the values of a bar and ``pad`` voxels around it vary, and any value between them is visible."""
     z, y = (slice(max(f - pad, 0), f + n + 1 + pad) for f, n in zip(start, _BAR))
     bar = data[z, y]
     low, high = bar.min(), bar.max()
@@ -128,10 +128,9 @@ def _in_bar(
     reach: int,
     widen: float,
 ) -> bool:
-    """Whether a cell of the bar from ``start`` on can show a value while its gradient is not 0.
+    """Whether a cell of the bar at ``start`` can have a visible value while its gradient is not 0.
 
-    A gradient in a cell uses the voxels around it, a value those ``reach`` farther than its
-    corners.
+    The gradient in a cell uses the voxels around it, a value those within ``reach`` of its corners.
     """
     pad = max(reach, 1)
     first = (*start, 0)
@@ -143,7 +142,7 @@ def _in_bar(
     ]
     bar = data[np.ix_(*around)]
     if bar.dtype.kind == "f":
-        bar = np.where(np.isfinite(bar), bar, np.nan)  # which fmin and fmax pass over
+        bar = np.where(np.isfinite(bar), bar, np.nan)  # fmin and fmax ignore NaN
     low, high = _extremes(bar, cells, pad, 1)
     varied = low < high
     if functions is None or not varied.any():
@@ -169,8 +168,7 @@ def _any_shows(
 def _extremes(
     bar: np.ndarray, cells: tuple[int, ...], pad: int, reach: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Lowest and highest voxel of each cell's corners and ``reach`` around them. NaN does not
-    count."""
+    """Lowest and highest voxel among each cell's corners and ``reach`` voxels around them, ignoring NaN."""
     found = []
     for extreme in (np.fmin, np.fmax):
         part = bar
@@ -193,7 +191,7 @@ def _extremes(
 
 
 def _shows_between(function: TransferFunction, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """bool: whether any value from ``low`` to ``high`` [n] has opacity; False for NaN."""
+    """Whether any value from ``low`` to ``high`` [n] has opacity, bool [n]; False for NaN."""
     ends = (function.opacity(low) > 0) | (function.opacity(high) > 0)
     # Piece k lies below point k and above point k - 1.
     below = np.concatenate([function.opacities[:1], function.opacities])

@@ -9,13 +9,14 @@ from clvol.scene.light import Light
 from clvol.scene.material import Material
 from clvol.scene.resolve import ResolvedScene
 
-NEUTRAL = Material(ambient=1.0, diffuse=0.0, specular=0.0)  # what it lights keeps its colour
+NEUTRAL = Material(ambient=1.0, diffuse=0.0, specular=0.0)  # lit samples keep their colour
 _BLACK = "every light is black or of intensity 0"
 
 
 def is_lit(scene: ResolvedScene) -> bool:
-    """Whether anything is lit in a *reduced* scene: where nothing is, the material is NEUTRAL,
-    though an environment may still be there as background."""
+    """Whether anything is lit in a *reduced* scene. If not, the material is NEUTRAL, although an environment may
+    remain as background.
+    """
     return bool(scene.lights or scene.environment) and scene.material != NEUTRAL
 
 
@@ -29,7 +30,7 @@ def analyse(found: Findings) -> None:
     found.by_lights = found.lit and bool(lights) and _reflects(material)
     reflects_environment = found.lit and shines and _reflects(material)
 
-    if found.lit:
+    if idle is None:
         sources = [counted(len(lights), "light")] if lights else []
         sources += ["an environment"] if shines else []
         found.note(yes("lighting", " and ".join(sources)))
@@ -57,7 +58,7 @@ def _reflects(material: Material) -> bool:
 
 
 def _material(material: Material) -> Material:
-    """With the default where a key is not read."""
+    """``material`` with defaults for keys that are not read."""
     if material.specular == 0 and material.shininess != Material().shininess:
         return material.model_copy(update={"shininess": Material().shininess})
     return material
@@ -79,7 +80,7 @@ def _why_unlit(found: Findings, lights: tuple[Light, ...], shines: bool) -> str 
         return "ambient is 1, diffuse and specular are 0"
     if any(surface.opacity > 0 for surface in found.surfaces):
         return None
-    if scene.clips and (found.emits or found.adds):  # whose faces have normals of their own
+    if scene.clips and (found.emits or found.adds):  # faces of clips have their own normals
         return None
     if (found.emits or found.adds) and opacity_meets_gradient(scene, anywhere=found.adds):
         return None

@@ -1,4 +1,4 @@
-"""Noise, and colours that cycle."""
+"""Noise and colour cycling."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def _noise(found: Findings) -> None:
 
 
 def _amplitude(noise: Noise, found: Findings) -> float:
-    """As it was asked for."""
+    """The amplitude as the scene states it, in values."""
     return noise.amplitude * (found.scene.axis.slope if noise.target == "value" else 1.0)
 
 
@@ -55,7 +55,7 @@ def _cycle(found: Findings) -> None:
     elif not found.emits:
         reason = "the transfer function shows nothing of the volume"
     elif shift % 1.0 == 0 and reachable(scene) == (low, high):
-        reason = f"the colours have come round {abs(shift):g} times"
+        reason = f"the colour cycle has completed {abs(shift):g} periods"
         found.cycles_later = True
     if reason is None:
         found.note(yes(name, f"the colours are moved by {shift % 1.0:g} of the range"))

@@ -1,4 +1,4 @@
-"""What weights opacities by the gradient: factors, and transfer functions of two values."""
+"""Factors on opacity by the gradient, and two-dimensional transfer functions."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def _factor(found: Findings, name: str, factor: OpacityFactor | None) -> Effect:
 
 
 def _is_one_up_to(factor: OpacityFactor, largest: float) -> bool:
-    """Whether it is 1 from 0 to ``largest``; of two points at one place the earlier one as well."""
+    """Whether the factor is 1 from 0 to ``largest``, on both sides of a step."""
     within = factor.factors[factor.at <= largest]
     ends = [factor(0.0), factor(largest)]
     return bool(np.all(within == 1) and np.all(np.asarray(ends) == 1))

@@ -1,6 +1,6 @@
-"""Combinations of settings and effects that no kernel supports, whatever the integrator.
+"""Combinations of settings and effects that no kernel supports, for any integrator.
 
-What one integrator does not render stands with it, in its ``check``.
+The limits of a single integrator are in its ``check``.
 """
 
 from __future__ import annotations
@@ -26,7 +26,8 @@ def check_effects(resolved: ResolvedScene) -> None:
 
 
 def refuse_keys(resolved: ResolvedScene, known: dict[str, tuple[str, ...]]) -> None:
-    """SceneError for keys of [integration] whose values are not among the ``known`` ones of the integrator."""
+    """SceneError for keys of [integration] whose values the integrator does not support. ``known`` are those it does.
+    """
     integration = resolved.integration
     for key, wanted in known.items():
         got = getattr(integration, key)
@@ -39,8 +40,9 @@ def refuse_keys(resolved: ResolvedScene, known: dict[str, tuple[str, ...]]) -> N
 def refuse_effects(
     resolved: ResolvedScene, key: str, got: str, instead: str, known: set[str] | frozenset[str]
 ) -> None:
-    """SceneError for effects that the scene calls for and that are not ``known`` to what is ``got`` for ``key``;
-    ``instead`` knows them."""
+    """SceneError for effects that the scene needs and that are not ``known`` where ``key`` is ``got``; ``instead``
+    supports them.
+    """
     for effect in effects(resolved):
         if effect.called_for and effect.name not in known:
             what = f"got {got!r} in a scene that calls for {effect.name}"
@@ -49,7 +51,7 @@ def refuse_effects(
 
 
 def refuse_quadrature(resolved: ResolvedScene) -> None:
-    """SceneError for quadrature by cells where cells are not known to be simple."""
+    """SceneError for quadrature by cells in scenes where the integrand of a cell may not be simple."""
     integration = resolved.integration
     if integration.quadrature != "cells":
         return
@@ -64,7 +66,7 @@ def refuse_quadrature(resolved: ResolvedScene) -> None:
 
 
 def refuse_sparse_rays(resolved: ResolvedScene, how: str) -> None:
-    """SceneError for rays that are to be cast for some pixels only. ``how``: the key that says "pyramid"."""
+    """SceneError for rays through some pixels only. ``how``: the key whose value is "pyramid"."""
     if resolved.image.ray_spacing > 1:
-        what = f"got {resolved.image.ray_spacing} with the {how} 'pyramid', which finds by itself what to sample"
+        what = f"got {resolved.image.ray_spacing} with the {how} 'pyramid', which decides itself what to sample"
         raise SceneError(f"{resolved.origin}: image.ray_spacing", what, f"1, or another {how}")

@@ -1,7 +1,7 @@
-"""What a scene states that can hardly be meant, with the reason and what to set. No picture depends on it.
+"""Warnings of settings that are probably mistakes, with the reason and what to set. No picture depends on them.
 
-Each check is a proof: it speaks where the numbers of the scene leave no doubt, and else is silent. What only the
-picture shows is in clvol/render/picture_warnings.py.
+Each check is a proof: it warns only if the numbers of the scene leave no doubt. Warnings that need the picture are in
+clvol/render/picture_warnings.py.
 """
 
 from __future__ import annotations
@@ -20,17 +20,17 @@ from clvol.scene.resolve import ResolvedScene, default_opacity_unit
 from clvol.transfer import PRESETS, TransferFunction
 from clvol.volume import Grid
 
-BLANK = 1e-3  # opacity below which nobody sees anything
-_FAINT = 0.02  # largest opacity of any ray below which the unit can hardly be meant
-_NARROW = 0.01  # of a range: less is a tiny part of it
+BLANK = 1e-3  # opacity below which nothing is visible
+_FAINT = 0.02  # largest opacity of any ray below which the unit is probably a mistake
+_NARROW = 0.01  # share of a range that counts as a tiny part of it
 _LEAST_HOUNSFIELD_SPAN = 100.0
-_SOLID = -math.log(1e-3)  # optical depth: nothing comes through
-_TRANSLUCENT = 0.9  # opacities above may well be meant as opaque
+_SOLID = -math.log(1e-3)  # optical depth that lets nothing through
+_TRANSLUCENT = 0.9  # higher opacities may be meant to be opaque
 
 
 def scene_warnings(resolved: ResolvedScene) -> list[ClvolWarning]:
-    """Of all but the camera."""
-    with np.errstate(all="ignore"):  # numbers near the end of double precision prove nothing
+    """All warnings of a scene except those of the camera."""
+    with np.errstate(all="ignore"):  # numbers near the limits of double precision prove nothing
         return _scene_warnings(resolved)
 
 
@@ -39,19 +39,19 @@ def _scene_warnings(resolved: ResolvedScene) -> list[ClvolWarning]:
     if not found.has_values:
         what = "none of its voxels is a finite number: nothing is visible"
         return [ClvolWarning("volume", what, "set volume.nan to a number, or use another volume")]
-    told = [_preset(resolved)]
+    warnings = [_preset(resolved)]
     if found.blank:
-        told.append(_blank(resolved) if told == [None] else None)
-    elif told == [None] and found.emits and not resolved.transfer_layers:
-        told.append(_narrow_data(resolved) or _narrow_function(resolved))
+        warnings.append(_blank(resolved) if warnings == [None] else None)
+    elif warnings == [None] and found.emits and not resolved.transfer_layers:
+        warnings.append(_narrow_data(resolved) or _narrow_function(resolved))
         if found.projection is None:
-            told += [_unit_too_large(resolved, found), _unit_too_small(resolved)]
-    told += [_clip(clip, number, resolved.volume.grid) for number, clip in enumerate(resolved.clips)]
-    return [warning for warning in told if warning is not None]
+            warnings += [_unit_too_large(resolved, found), _unit_too_small(resolved)]
+    warnings += [_clip(clip, number, resolved.volume.grid) for number, clip in enumerate(resolved.clips)]
+    return [warning for warning in warnings if warning is not None]
 
 
 def camera_warning(camera: Camera, grid: Grid, width: int, height: int) -> ClvolWarning | None:
-    """If no ray of ``camera`` (complete) can meet the volume on ``grid``."""
+    """A warning if no ray of ``camera`` (complete) can hit the volume on ``grid``."""
     corners = np.asarray(grid.world_corners(), np.float64) - np.asarray(camera.position)
     forward, right, up = camera.basis()
     advice = "set camera.target to a place in the volume, or leave [camera] out to see all of it"
@@ -60,7 +60,7 @@ def camera_warning(camera: Camera, grid: Grid, width: int, height: int) -> Clvol
         what = "looks away from the volume, all of which lies behind it: nothing is visible"
         return ClvolWarning("camera", what, advice)
     if camera.projection == "orthographic":
-        half = np.full(len(ahead), 0.5 * camera.height)
+        half = np.full(len(ahead), 0.5 * camera.height_of_view())
     else:
         half = ahead * math.tan(math.radians(camera.fov_degrees) / 2)
     aspect = width / height
@@ -76,7 +76,7 @@ def camera_warning(camera: Camera, grid: Grid, width: int, height: int) -> Clvol
 
 
 def largest_depth(resolved: ResolvedScene) -> float:
-    """A bound of the optical depth that the transfer function gives any ray (inf where it is opaque)."""
+    """An upper bound of the optical depth along any ray due to the transfer function; inf where it is opaque."""
     with np.errstate(all="ignore"):
         return float(_extinctions(resolved).max() * diagonal(resolved.volume.grid))
 
@@ -89,7 +89,7 @@ def diagonal(grid: Grid) -> float:
 
 
 def _preset(resolved: ResolvedScene) -> ClvolWarning | None:
-    """A preset in Hounsfield units over values that are none."""
+    """A warning of a preset for Hounsfield units if the values are not Hounsfield units."""
     name = _hounsfield_preset(resolved.transfer_function)
     if name is None:
         return None
@@ -120,7 +120,7 @@ def _hounsfield_preset(function: TransferFunction) -> str | None:
 
 
 def _blank(resolved: ResolvedScene) -> ClvolWarning:
-    """Nothing of the volume, no field and no iso-surface shows."""
+    """A warning if nothing of the volume, of fields or of iso-surfaces is visible."""
     function, (low, high) = resolved.transfer_function, resolved.data_range
     voxels = f"the voxels lie between {low:g} and {high:g}"
     if low == high:
@@ -145,7 +145,7 @@ def _blank(resolved: ResolvedScene) -> ClvolWarning:
 
 
 def _shown(function: TransferFunction) -> str:
-    """In words, the values that have opacity."""
+    """The values that have opacity, in words."""
     visible = np.flatnonzero(function.opacities > 0)
     first, last = visible[0], visible[-1]
     low = None if first == 0 else function.values[first - 1]
@@ -158,7 +158,7 @@ def _shown(function: TransferFunction) -> str:
 
 
 def _narrow_data(resolved: ResolvedScene) -> ClvolWarning | None:
-    """All voxels in a tiny part of the function, where it hardly changes."""
+    """A warning if all voxels lie in a tiny part of the function, where it hardly changes."""
     function, (low, high) = resolved.transfer_function, resolved.data_range
     first, last = function.values[[0, -1]]
     span = last - first
@@ -181,10 +181,10 @@ def _narrow_data(resolved: ResolvedScene) -> ClvolWarning | None:
 
 
 def _narrow_function(resolved: ResolvedScene) -> ClvolWarning | None:
-    """A function that ends where the data have hardly begun, opaque from there on."""
+    """A warning if the function ends near the beginning of the data, and is opaque beyond."""
     function, (low, high) = resolved.transfer_function, resolved.data_range
     if len(function.values) < 2 or function.values[0] == function.values[-1]:
-        return None  # a constant, or a step: meant for all values
+        return None  # a constant or a step, which applies to all values
     first, last = function.values[[0, -1]]
     covered = max(min(last, high) - max(first, low), 0.0)
     beyond = max(high - last, 0.0) if function.opacities[-1] > 0 else 0.0
@@ -204,7 +204,9 @@ def _narrow_function(resolved: ResolvedScene) -> ClvolWarning | None:
 
 
 def _extinctions(resolved: ResolvedScene) -> np.ndarray:
-    """Per world length, at the points of the function that occur, and at the ends of what occurs."""
+    """Extinctions per world length at the points of the function within the range of the data, and at the ends of the
+    range.
+    """
     function, (low, high) = resolved.transfer_function, reachable(resolved)
     inside = (function.values >= low) & (function.values <= high)
     opacities = np.concatenate([function.opacities[inside], function.opacity(np.array([low, high]))])
@@ -223,7 +225,7 @@ def _unit_too_large(resolved: ResolvedScene, found: Findings) -> ClvolWarning | 
 
 
 def _unit_too_small(resolved: ResolvedScene) -> ClvolWarning | None:
-    """What is meant to be translucent is opaque within a voxel, even a tenth of it."""
+    """A warning if opacities that are probably meant to be translucent are opaque within a tenth of a voxel."""
     function, edge = resolved.transfer_function, resolved.volume.grid.smallest_edge
     low, high = resolved.data_range
     inside = (function.values >= low) & (function.values <= high)
@@ -248,10 +250,11 @@ def _set_unit(resolved: ResolvedScene) -> str:
 
 
 def _clip(clip: Clip, number: int, grid: Grid) -> ClvolWarning | None:
-    """A clip that leaves nothing by itself."""
+    """A warning of a clip that removes the whole volume."""
     corners = np.asarray(grid.world_corners(), np.float64)
     if clip.type == "plane":
-        normal = np.asarray(clip.normal) / np.abs(clip.normal).max()
+        normal = np.asarray(clip.normal)
+        normal = normal / np.abs(normal).max()
         removes = ((corners - np.asarray(clip.point)) @ normal < 0).all()
         advice = "turn its normal to the side to keep, or move its point"
     elif clip.type == "box":

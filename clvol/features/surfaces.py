@@ -1,4 +1,4 @@
-"""Iso-surfaces, and rays that bend at them."""
+"""Iso-surfaces, and the refraction of rays at them."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from clvol.scene.isosurface import Isosurface
 
 
 def analyse(found: Findings) -> None:
-    asked, name, bending = found.scene.isosurfaces, "isosurfaces", "refraction"
-    if not asked:
+    surfaces, name, bending = found.scene.isosurfaces, "isosurfaces", "refraction"
+    if not surfaces:
         found.note(no(name, "the scene has no isosurface"))
         found.note(no(bending, "the scene has no isosurface"))
         return
-    # Nothing is seen behind an opaque surface, from whatever direction.
+    # Nothing behind an opaque surface is visible, so refraction has no consequence.
     kept = tuple(_unbent(s) if s.opacity == 1 else s for s in found.surfaces)
     found.surfaces = kept
     if found.projection:
@@ -22,19 +22,19 @@ def analyse(found: Findings) -> None:
         found.note(no(name, reason), no(bending, reason))
     elif kept:
         found.note(yes(name, f"{counted(len(kept), 'iso-value')} inside the data's range"))
-        _note_refraction(found, asked)
+        _note_refraction(found, surfaces)
     else:
-        reason = joined(_reason(surface, found) for surface in asked)
+        reason = joined(_reason(surface, found) for surface in surfaces)
         found.note(no(name, reason), no(bending, reason))
     found.change(isosurfaces=kept)
 
 
-def _note_refraction(found: Findings, asked: tuple[Isosurface, ...]) -> None:
+def _note_refraction(found: Findings, surfaces: tuple[Isosurface, ...]) -> None:
     bending = [s for s in found.surfaces if s.refraction != 1]
     if bending:
-        reason = f"{counted(len(bending), 'surface')} of another refraction than 1"
+        reason = f"{counted(len(bending), 'surface')} with a refraction other than 1"
         found.note(yes("refraction", reason))
-    elif all(s.refraction == 1 for s in asked):
+    elif all(s.refraction == 1 for s in surfaces):
         found.note(no("refraction", "every isosurface's refraction is 1"))
     else:
         found.note(no("refraction", "every surface that would refract is opaque or not there"))

@@ -1,4 +1,4 @@
-"""What values and gradients the reconstruction of a volume can take: bounds that always hold."""
+"""Bounds that always hold for the values and gradients that the reconstruction of a volume can take."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ _COEFFICIENTS = 3.0**3
 # The largest derivative, in ranges of the values an index: absolute derivatives of the weights sum
 # to at most 3 for Catmull-Rom and 2 for the B-spline; half of that is what a range can give.
 _STEEPEST = {"nearest": 1.0, "linear": 1.0, "cubic": 1.0, "catmull-rom": 1.5 * 1.25**2}
-_ROUNDING = 1.05  # of quantised gradients
+_ROUNDING = 1.05  # for quantised gradients
 
 
 def field_overshoot(scene: ResolvedScene) -> float:
-    """By how much of its range the field may leave it on either side."""
+    """The share of its range by which the field may exceed it on either side."""
     integration = scene.integration
     if integration.filter == "cubic" and integration.prefilter:
         return 0.5 * (_COEFFICIENTS - 1.0)
@@ -27,7 +27,7 @@ def field_overshoot(scene: ResolvedScene) -> float:
 
 
 def reachable(scene: ResolvedScene) -> tuple[float, float]:
-    """The values between which every sample of the volume lies, noise included."""
+    """The range of values of all samples of the volume, including noise."""
     low, high = scene.volume.value_range
     largest = np.finfo(np.float64).max
     with np.errstate(over="ignore"):
@@ -36,7 +36,7 @@ def reachable(scene: ResolvedScene) -> tuple[float, float]:
 
 
 def noise_reach(scene: ResolvedScene) -> float:
-    """By how much noise changes a value at most; its tiles are within -1 and 1."""
+    """The largest change of a value by noise, whose tiles are within -1 and 1."""
     return sum(
         abs(noise.amplitude) * sum(noise.gain**k for k in range(noise.octaves))
         for noise in scene.noise
@@ -52,7 +52,7 @@ def shows(function: TransferFunction, low: float, high: float) -> bool:
 
 
 def steepest(scene: ResolvedScene) -> float:
-    """A bound of the gradient's magnitude, value per world length; infinite with noise."""
+    """An upper bound of the gradient magnitude, in value per world length; infinite with noise."""
     if scene.noise:
         return np.inf
     low, high = scene.volume.value_range

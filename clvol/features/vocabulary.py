@@ -8,18 +8,18 @@ from __future__ import annotations
 FILTERS = {"nearest": 0, "linear": 1, "cubic": 2, "catmull-rom": 3}
 # Voxels that a filter uses beyond the corners of a lattice cell.
 FILTER_REACH = {"nearest": 0, "linear": 0, "cubic": 1, "catmull-rom": 1}
-# Filters whose reconstruction has a derivative of its own: no operator on voxels is used.
+# Filters whose reconstruction is differentiated analytically, without an operator on voxels.
 ANALYTIC = ("cubic", "catmull-rom")
-# How gradients are had; "central" and "sobel" are found on the fly.
+# Kinds of gradients; "central" and "sobel" are computed on the fly.
 GRADIENTS = {"central": 1, "sobel": 2, "precomputed": 3, "analytic": 4}
 CLASSIFICATIONS = {"pre": 0, "post": 1, "preintegrated": 2}
 COMPOSITINGS = {"over": 0, "maximum": 1, "minimum": 2, "average": 3, "attenuated-maximum": 4}
 QUADRATURES = {"steps": 0, "cells": 1}
-# How far rays go at once in a volume of blocks.
+# Step lengths of rays in a volume of blocks.
 STEPPINGS = {"full": 0, "limited": 1, "naive": 2, "bounded": 3}
-# How the method "pyramid" asks an oracle.
+# How the method "pyramid" queries an oracle.
 ORACLES = {"minimum": 0, "map": 1, "error": 2, "custom": 3}
-# How shadows are found: SHADOWS.
+# Methods of shadows: SHADOWS.
 SHADOW_METHODS = {"rays": 1, "volume": 2}
 # Bits of OPACITY_FACTORS.
 OPACITY_FACTORS = {"gradient": 1, "directional": 2}
@@ -31,8 +31,8 @@ LIGHTS = {"directional": 0, "point": 1, "headlight": 2}
 CLIPS = {"plane": 0, "box": 1, "sphere": 2}
 # How a block's samples reach the device.
 BLOCK_CODECS = {"raw": 0, "constant": 1, "vector-quantised": 2}
-CODE_DROPPED = 15  # of a block without samples
-# What is in a cell of a volume of blocks.
+CODE_DROPPED = 15  # the code of a block without samples
+# Contents of a cell of a volume of blocks.
 CELLS = {"visible": 0, "beside-holes": 1, "empty": 255}
 
 # What is counted beside samples, in the order of COUNT_... of the header that is named.
@@ -43,11 +43,12 @@ EFFECT_COUNTERS = (  # cl/effects.h
 BLOCK_COUNTERS = ("block_reads", "blended_samples")  # cl/block_parameters.h
 PYRAMID_COUNTERS = ("oracle_samples", "syntheses", "accumulations")  # cl/pyramid.h
 
-# The sum of the weights' magnitudes along an axis, at most: 1 where no weight is negative.
+# The largest sum of the weights' magnitudes along an axis: 1 if no weight is negative.
 _WEIGHT = {"catmull-rom": 1.25}
 
 
 def overshoot(filter: str) -> float:
-    """How far ``filter`` takes a sample below the lowest or above the highest of its voxels, at
-    most: a share of their span. It is what negative weights can add up to."""
+    """How far ``filter`` can take a sample beyond the range of its voxels on either side, as a share of the range.
+    The cause is negative weights.
+    """
     return (_WEIGHT.get(filter, 1.0) ** 3 - 1.0) / 2.0

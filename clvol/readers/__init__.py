@@ -1,10 +1,9 @@
-"""Readers: one module a format, chosen by the path's ending; for a folder, by what is in it.
+"""Readers: one module per format, selected by the path's ending; for a folder, by its contents.
 
-A new format is a module with ``read(path, options) -> Volume`` and a line in ``recognise.ENDINGS``. Readers
-may let their library's exceptions pass: ``load_volume`` turns every one into a VolumeError that
-names the file. Where there are several channels, times or series they ask ``options.choose``, and
-``options.warn`` takes what the user should know though it stops nothing. Libraries are imported
-where they are used, so that nothing is slow that is not needed.
+A new format is a module with ``read(path, options) -> Volume`` and a line in ``recognise.ENDINGS``. Readers may let
+exceptions of their library pass: ``load_volume`` turns each into a VolumeError that names the file. Where there are
+several channels, times or series they call ``options.choose``; ``options.warn`` reports what the user should know
+although the volume can be read. Libraries are imported where they are used, so that unneeded ones cost no time.
 """
 
 from __future__ import annotations
@@ -46,31 +45,27 @@ def load_volume(
     time: int | str | None = None,
     series: int | str | None = None,
 ) -> Volume:
-    """Reads a volume file, or a folder: DICOM or TIFF slices, or in Zarr form.
+    """Reads a volume from a file, or from a folder of DICOM or TIFF slices or in Zarr form.
 
-    What is in Zarr form, clvol's own stores too, is a volume whose voxels are read when ``data`` is
-    first asked for.
+    A volume in Zarr form, including a clvol store, is lazy: its voxels are read when ``data`` is first used.
 
-    ``dims`` (nx, ny, nz) and ``dtype`` describe a .raw file, ``header_bytes`` what comes before its
-    voxels (-1: whatever it is, the voxels end the file) and ``byte_order`` ("little", "big") them;
-    all four are refused for other formats.
-    ``spacing`` (sx, sy, sz) in world units overrides the file's; origin and direction stay.
-    ``slope`` and ``offset``, as for ``Volume``, are of the values that the file states: where a file
-    has a slope and an offset of its own, those are applied first. ``labels`` as for ``Volume``.
-    ``memory_cap`` is the most bytes that the voxels may take, checked against the header before
-    anything is read; without it, 75 % of the available memory, and .npy and .raw files, which are
-    mapped and take no memory of their own, may have any size.
+    ``dims`` (nx, ny, nz) and ``dtype`` describe a .raw file, ``header_bytes`` counts the bytes before its voxels (-1:
+    the voxels are at the end of the file), and ``byte_order`` is "little" or "big"; all four are refused for other
+    formats. ``spacing`` (sx, sy, sz) in world units overrides that of the file; origin and direction stay. ``slope``
+    and ``offset``, as for ``Volume``, apply to the values that the file states, after a slope and an offset of its
+    own. ``labels`` is as for ``Volume``. ``memory_cap`` is the number of bytes that the voxels may take, checked
+    against the header before any voxel is read. The default is 75 % of the available memory; .npy and .raw files,
+    which are mapped and take no memory of their own, may then have any size.
 
-    ``channel``, ``time`` and ``series`` choose where a file has several: an index from 0 or a name;
-    for DICOM series also the SeriesInstanceUID. Without them a file with several is refused, and
-    the error lists what there is.
+    ``channel``, ``time`` and ``series`` select one of several by index from 0 or by name; a DICOM series also by its
+    SeriesInstanceUID. Without them a file with several is refused, with an error that lists them.
 
-    Voxels keep the file's type; big-endian data become native, and integers of 32 and 64 bits are
-    narrowed without loss (``Volume``). Nothing else is converted, nothing is cropped or
-    downsampled. World coordinates are in the file's own frame, named by ``Volume.frame``.
+    Voxels keep the file's type; big-endian data become native, and integers of 32 and 64 bits are narrowed without
+    loss (``Volume``). Nothing else is converted, cropped or downsampled. World coordinates are in the file's own
+    frame, named by ``Volume.frame``.
 
-    Raises VolumeError, naming the path, for whatever cannot be read exactly; warns
-    (ClvolWarning) of what it had to leave out or to assume.
+    Raises VolumeError, naming the path, for everything that cannot be read exactly. Warns (ClvolWarning) of
+    everything that is left out or assumed.
     """
     try:
         where = os.fspath(path)

@@ -1,4 +1,4 @@
-"""The data files that a header names: one, a list, or a numbered pattern."""
+"""The data files that a header names: one file, a list, or a numbered pattern."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ from pathlib import Path
 
 from clvol.errors import VolumeError
 
-# One conversion of an integer, as C's printf has it; %% stands for a percent sign.
+# One integer conversion of C's printf; %% is a percent sign.
 _CONVERSION = re.compile(rb"%[-+0]*\d{0,3}(?:\.\d{1,3})?[diu]")
 _MOST_FILES = 10**6
 
 
 def find_beside(header: Path, name: bytes) -> Path:
-    """The file that ``name``, as its bytes stand in ``header``, means: relative to the header.
+    """The file called ``name`` (bytes as in ``header``), relative to the header.
 
-    Names are tried byte by byte, then as UTF-8 and Latin-1 text in the other encoding and in the
-    other way to compose letters, and with slashes for backslashes. VolumeError if none is there.
+    Names are tried byte by byte, then as UTF-8 and Latin-1 text in the other encoding and in the other Unicode normal
+    form, and with slashes in place of backslashes. VolumeError if no such file exists.
     """
     for spelled in _spellings(name):
         try:
             found = header.parent / os.fsdecode(spelled)
             if found.is_file():
                 return found
-        except (ValueError, OSError):  # a null character, or too long a name
+        except (ValueError, OSError):  # a null character, or a name that is too long
             continue
     shown = _text(name)
     raise VolumeError(str(header), f"data file {shown!r} is missing", "the file beside the header")
@@ -70,8 +70,9 @@ def exists_beside(header: Path, name: bytes) -> bool:
 def numbered_names(
     header: Path, pattern: bytes, first: int, last: int, step: int
 ) -> list[bytes] | None:
-    """The names of a ``pattern`` such as ``slice_%03d.raw`` for first, first + step, ..., last; None
-    if it is none. VolumeError if the numbers do not lead from the first to the last."""
+    """The names of a ``pattern`` such as ``slice_%03d.raw`` for first, first + step, ..., last; None if it is not a
+    pattern. VolumeError if the numbers do not lead from the first to the last.
+    """
     spans = [match.span() for match in _CONVERSION.finditer(pattern.replace(b"%%", b"\0\0"))]
     if len(spans) != 1 or b"\0" in pattern:
         return None
@@ -86,9 +87,12 @@ def numbered_names(
 
 
 def count_of_files(sizes: Sequence[int], per_file: int | None) -> tuple[int, bool]:
-    """How many files hold a volume of ``sizes`` (x, y, z) whose files have ``per_file`` axes each
-    (None: one less than all); and whether any divisor of the last size would do as well, which is
-    so for files of as many axes as the volume."""
+    """The number of files of a volume of ``sizes`` (x, y, z), and whether any divisor of the last size would do as
+    well.
+
+    Each file has ``per_file`` axes (None: one less than the volume). Files with as many axes as the volume may divide
+    the last axis in any way.
+    """
     axes = len(sizes) - 1 if per_file is None else per_file
     if axes == len(sizes):
         return sizes[-1], True
@@ -116,10 +120,10 @@ _NUMBERED = re.compile(rb"(?P<pattern>.+?)(?P<numbers>(\s+[-+]?\d{1,9}){3,4})$",
 
 
 def data_files(header: Path, named: bytes, sizes: Sequence[int]) -> list[Path]:
-    """What ``named``, the value of a header's field for the data file, means: one file, or those of a
-    pattern with first, last and step (and how many axes each has), enough for ``sizes`` (x, y, z).
+    """The files that ``named``, the data file field of a header, refers to.
 
-    A file of exactly that name is meant before any pattern. VolumeError names what is missing.
+    It is one file, or a pattern with first, last and step (and the number of axes of each file), sufficient for
+    ``sizes`` (x, y, z). A file of exactly that name takes precedence over a pattern. VolumeError names missing files.
     """
     numbered = _NUMBERED.match(named)
     if numbered is None or b"%" not in named or exists_beside(header, named):
@@ -135,6 +139,8 @@ def data_files(header: Path, named: bytes, sizes: Sequence[int]) -> list[Path]:
 def listed_files(
     header: Path, names: Sequence[bytes], axes: int | None, sizes: Sequence[int]
 ) -> list[Path]:
-    """The files of a list in the header; ``axes``: how many each has, None for one less than all."""
+    """The files of a list in the header. ``axes``: the number of axes of each file, None for one less than the
+    volume.
+    """
     check_count(header, len(names), sizes, axes)
     return [find_beside(header, name) for name in names]

@@ -1,7 +1,7 @@
-"""MetaImage: .mha with its data inside, .mhd with its data in files beside it.
+"""MetaImage: .mha with attached data, .mhd with data in separate files.
 
-SimpleITK's way to it (MetaIO) takes a compressed stream that is too short without a word, and some
-headers end the process; so header and voxels are read here.
+Header and voxels are read here, since MetaIO, which SimpleITK uses, accepts truncated compressed streams silently,
+and some headers crash the process.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _TYPES = {
     "MET_USHORT": "uint16",
     "MET_INT": "int32",
     "MET_UINT": "uint32",
-    "MET_LONG": "int32",  # whatever the machine, as MetaIO has it
+    "MET_LONG": "int32",  # on every machine, as in MetaIO
     "MET_ULONG": "uint32",
     "MET_LONG_LONG": "int64",
     "MET_ULONG_LONG": "uint64",
@@ -55,7 +55,8 @@ def read(path: Path, options: ReadOptions) -> Volume:
     sizes, channels = _sizes(header)
     dtype = _dtype(header)
     grid = _grid(header, sizes)
-    shape, which = sizes[::-1], (slice(None),) * 3
+    shape = sizes[::-1]
+    which: tuple[int | slice, ...] = (slice(None),) * 3
     if len(sizes) == 4:
         which = (options.choose("time", str(path), [None] * sizes[3]), *which)
     if channels > 1:
@@ -115,14 +116,14 @@ def _dtype(header: MetaHeader) -> np.dtype:
 
 
 def _grid(header: MetaHeader, sizes: tuple[int, ...]) -> Grid:
-    """A negative spacing becomes a flip of the direction. What is said of times is left out."""
+    """The grid. A negative spacing becomes a flip of the direction. The time axis is ignored."""
     count = len(sizes)
     spacing, origin = header.numbers("ElementSpacing", count), header.numbers("Offset", count)
     matrix = header.numbers("TransformMatrix", count * count)
     spacing = np.ones(3) if spacing is None else spacing[:3]
     if not np.isfinite(spacing).all():
         raise header.wrong("ElementSpacing", "a spacing of finite numbers")
-    # A row of numbers for each axis of the image: its direction in the world.
+    # Each row is the world direction of one axis of the image.
     direction = np.eye(3) if matrix is None else matrix.reshape(count, count)[:3, :3].T
     origin = np.zeros(3) if origin is None else origin[:3]
     return Grid.from_steps(sizes[2::-1], direction * spacing, origin)
@@ -139,7 +140,7 @@ def _axis(header: MetaHeader) -> ValueAxis:
 
 
 def _parts(header: MetaHeader, sizes: tuple[int, ...], encoding: str) -> list[Part]:
-    """Where the voxels are; HeaderSize bytes of each file come before them, or whatever is there."""
+    """The position of the voxels. HeaderSize bytes precede them in each file; with -1 they are at its end."""
     skipped = header.whole("HeaderSize", 0)
     if skipped < -1:
         raise header.wrong("HeaderSize", "-1, or bytes before the data")
@@ -167,7 +168,7 @@ def _files(header: MetaHeader, sizes: tuple[int, ...]) -> list[Path]:
 
 
 def _list(header: MetaHeader) -> list[bytes]:
-    """The names after ElementDataFile = LIST, one a line."""
+    """The names after ElementDataFile = LIST, one per line."""
     with header.path.open("rb") as file:
         file.seek(header.rest)
         text = file.read(LIST_LIMIT + 1)
@@ -177,7 +178,7 @@ def _list(header: MetaHeader) -> list[bytes]:
 
 
 def _numbered(header: MetaHeader, sizes: tuple[int, ...]) -> list[Path]:
-    """A pattern with first and last number, or the first, or none: from 1 on, by 1."""
+    """The names of a pattern with first number, last number and step; the defaults are 1, the number needed, and 1."""
     words = header.data_file.split()
     try:
         numbers = [int(word) for word in words[1:]]

@@ -1,6 +1,6 @@
-"""What a MetaImage header says, without the native reader (MetaIO), which headers can crash.
+"""Parsing MetaImage headers, without MetaIO, which some headers crash.
 
-Lines ``Name = Value``, in any order, up to ElementDataFile. Fields that nothing is made of may have
+A header consists of lines ``Name = Value``, in any order, up to ElementDataFile. Fields that are not used may have
 any name (SimpleITK writes an image's metadata there) and any text as their value.
 """
 
@@ -16,7 +16,7 @@ from clvol.errors import VolumeError
 LIMIT = 1 << 20  # bytes of a header
 LIST_LIMIT = 1 << 26  # and of the names of data files after it
 _DATA_FILE = "ElementDataFile"
-# Further names of a field, as MetaIO reads them; the first that is there holds.
+# Alternative names of a field, as in MetaIO; the first that exists is used.
 _ALIASES = {
     "Offset": ("Offset", "Position", "Origin"),
     "TransformMatrix": ("TransformMatrix", "Rotation", "Orientation"),
@@ -50,7 +50,7 @@ class MetaHeader:
         return word[:1].lower() in ("t", "1", "y") if word else default
 
     def whole(self, name: str, default: int) -> int:
-        """A whole number."""
+        """The field as a whole number."""
         word = self.text(name, str(default))
         try:
             return int(word) if len(word) < 20 else int("")
@@ -58,7 +58,7 @@ class MetaHeader:
             raise self.wrong(name, "a whole number") from None
 
     def numbers(self, name: str, count: int) -> np.ndarray | None:
-        """``count`` numbers, float64; None if the field is not there."""
+        """The field as ``count`` numbers, float64; None if it does not exist."""
         text = self.text(name)
         if not text:
             return None
@@ -77,7 +77,7 @@ class MetaHeader:
 
 
 def read_header(path: Path) -> MetaHeader:
-    """The header up to and with ElementDataFile."""
+    """The header up to and including ElementDataFile."""
     fields: dict[str, str] = {}
     room = LIMIT
     with path.open("rb") as file:
@@ -88,7 +88,7 @@ def read_header(path: Path) -> MetaHeader:
                 fields[key] = value.decode("utf-8", "replace")
             if key == _DATA_FILE:
                 return MetaHeader(path, fields, value, file.tell())
-            if not fields and room < LIMIT - 4096:  # what begins with none of them is something else
+            if not fields and room < LIMIT - 4096:  # a file that begins without fields is not a MetaImage
                 break
     raise VolumeError(
         str(path), "no MetaImage header", "lines NAME = VALUE that end with ElementDataFile"
@@ -96,8 +96,7 @@ def read_header(path: Path) -> MetaHeader:
 
 
 def _parted(line: bytes) -> tuple[str, bytes]:
-    """Name and value of a field. A line of another form is none: text of metadata may run over
-    several."""
+    """Name and value of a field. Lines of another form are not fields: the text of metadata may span several lines."""
     name, equals, value = line.partition(b"=")
     if not equals:
         name, equals, value = line.partition(b":")

@@ -31,33 +31,32 @@ _DEFLATE_RATIO = 1032  # zlib's technical notes
 
 
 def read(path: Path, options: ReadOptions) -> Volume:
-    """The volume in a NIfTI file or pair; world coordinates are NIfTI's (RAS), by sform, else
-    qform; without either, voxel sizes count and the frame is that of the indices.
+    """The volume in a NIfTI file or pair, in NIfTI's world coordinates (RAS), by sform, else by qform.
 
-    Where ``scl_slope`` and ``scl_inter`` are a real scaling (not slope 0, nor slope 1 with inter 0)
-    the values are slope * stored + inter: computed in float64 and kept as float32 for stored 8- and
-    16-bit integers and float32, as float64 for wider types. Without a scaling the stored type is
-    kept. Of several times (the fourth axis) and channels (the fifth) ``options`` choose.
+    Without either, only voxel sizes are known, and the frame is that of the indices. Where ``scl_slope`` and
+    ``scl_inter`` are a real scaling (not slope 0, nor slope 1 with inter 0) the values are slope * stored + inter,
+    computed in float64 and kept as float32 for stored 8- and 16-bit integers and float32, as float64 for wider types.
+    Without a scaling the stored type is kept. ``options`` select one of several times (the fourth axis) and channels
+    (the fifth).
     """
     header_file, data_file = files_of(path)
     header, single = read_header(header_file)
     shape, times, channels = sizes_of(path, header)
     stored = header.get_data_dtype()
-    slope, inter = _scaling(header, options)
-    scaled = slope is not None and (slope, inter) != (1.0, 0.0)
-    if not (scaled and stored.kind in "iu" and stored.itemsize == 4):
+    scaling = _scaling(header, options)
+    if scaling is None or not (stored.kind in "iu" and stored.itemsize == 4):
         check_type(stored, str(path))
     grid, frame = grid_of(path, header, shape, options)
-    result = _scaled_type(stored) if scaled else None
-    voxel = stored.itemsize + (result.itemsize if scaled else 0)
+    result = _scaled_type(stored)
+    voxel = stored.itemsize + (0 if scaling is None else result.itemsize)
     check_memory(str(path), voxel * math.prod(shape), options.memory_cap)
     start = _data_offset(path, header, single)
     which = options.choose("time", str(path), [None] * times) if times > 1 else 0
     if channels > 1:
         which += times * options.choose("channel", str(path), [None] * channels)
     data = _voxels(data_file, start, shape, stored, which, times * channels, options)
-    if result is not None:
-        data = _scale(data, slope, inter, result)
+    if scaling is not None:
+        data = _scale(data, *scaling, result)
     volume = Volume(
         data, grid.spacing, grid.origin, grid.direction, frame=frame, unit=unit_of(header)
     )
@@ -65,18 +64,19 @@ def read(path: Path, options: ReadOptions) -> Volume:
     return volume
 
 
-def _scaling(header: Any, options: ReadOptions) -> tuple[float | None, float | None]:
-    """Slope and offset; None where there is no scaling."""
+def _scaling(header: Any, options: ReadOptions) -> tuple[float, float] | None:
+    """Slope and offset; None if the header has none, or if they change nothing."""
     if np.isnan(float(header["scl_inter"])) and np.isfinite(float(header["scl_slope"])):
         header = header.copy()
         header["scl_inter"] = 0.0
         if float(header["scl_slope"]) != 0.0:
             options.warn("scl_inter is not a number, and counts as 0")
-    return header.get_slope_inter()
+    slope, inter = header.get_slope_inter()
+    return None if slope is None or (slope, inter) == (1.0, 0.0) else (slope, inter)
 
 
 def _data_offset(path: Path, header: Any, single: bool) -> int:
-    """Where voxels begin in their file."""
+    """The offset of the voxels in their file."""
     start = header.get_data_offset()
     if not single:
         least = 0
@@ -97,7 +97,7 @@ def _voxels(
     count: int,
     options: ReadOptions,
 ) -> np.ndarray:
-    """Volume ``which`` of ``count`` that lie one after the other."""
+    """Volume ``which`` of ``count`` consecutive ones."""
     nbytes = math.prod(shape) * dtype.itemsize
     if is_packed(path):
         if count > 1:
@@ -124,7 +124,7 @@ def _from_stream(
     count: int,
     options: ReadOptions,
 ) -> np.ndarray:
-    """What comes before it in the gzip stream is decoded and let go."""
+    """Volume ``which`` of a gzip stream. The data before it are decoded and discarded."""
     nbytes = math.prod(shape) * dtype.itemsize
     stored = path.stat().st_size
     if start + nbytes * count > _DEFLATE_RATIO * stored:
@@ -132,7 +132,7 @@ def _from_stream(
         raise VolumeError(str(path), what, f"{nbytes * count} bytes as the header promises")
     check_memory(str(path), nbytes, options.memory_cap)
     data = np.empty(shape, dtype)
-    view = memoryview(data.reshape(-1).view(np.uint8))
+    view = data.reshape(-1).view(np.uint8).data
     got = 0
     try:
         with gzip.open(path) as file:
@@ -156,7 +156,7 @@ def _scaled_type(stored: np.dtype) -> np.dtype:
 
 
 def _scale(stored: np.ndarray, slope: float, inter: float, result: np.dtype) -> np.ndarray:
-    """slope * stored + inter slice by slice, so that the float64 in between stay small."""
+    """slope * stored + inter, slice by slice, so that float64 temporaries stay small."""
     scaled = np.empty(stored.shape, dtype=result)
     with np.errstate(all="ignore"):
         for k, plane in enumerate(stored):

@@ -1,4 +1,4 @@
-"""Headers of NIfTI files: where they are, how large the data, and where in the world they lie."""
+"""Headers of NIfTI files: their position, the size of the data, and the grid in world space."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _PAIR = (".hdr", ".img")
 
 
 def files_of(path: Path) -> tuple[Path, Path]:
-    """The files of header and voxels: one and the same, or a pair .hdr and .img."""
+    """The files of header and voxels: the same file, or a pair .hdr and .img."""
     name = path.name
     packed = name[-3:] if name.lower().endswith(".gz") else ""
     stem, ending = name[: len(name) - len(packed)][:-4], name[: len(name) - len(packed)][-4:]
@@ -37,7 +37,7 @@ def files_of(path: Path) -> tuple[Path, Path]:
 
 
 def read_header(path: Path) -> tuple[Any, bool]:
-    """nibabel's header, unchecked, and whether voxels follow it in the same file."""
+    """nibabel's header, unchecked, and whether the voxels follow it in the same file."""
     from nibabel.nifti1 import Nifti1Header
     from nibabel.nifti2 import Nifti2Header
 
@@ -51,7 +51,7 @@ def is_packed(path: Path) -> bool:
     return path.name.lower().endswith(".gz")
 
 
-def _block(path: Path, file: BinaryIO) -> tuple[bytes, bool]:
+def _block(path: Path, file: BinaryIO | gzip.GzipFile) -> tuple[bytes, bool]:
     """The 348 bytes of a NIfTI-1 header or the 540 of a NIfTI-2 header, in either byte order."""
     block = file.read(540)
     pair = any(path.name.lower().removesuffix(".gz").endswith(ending) for ending in _PAIR)
@@ -82,15 +82,16 @@ def sizes_of(path: Path, header: Any) -> tuple[tuple[int, int, int], int, int]:
             "three axes in space, time and channel",
         )
     sizes += [1] * (5 - len(sizes))
-    return tuple(sizes[2::-1]), sizes[3], sizes[4]
+    nx, ny, nz, times, channels = sizes[:5]
+    return (nz, ny, nx), times, channels
 
 
 def grid_of(
     path: Path, header: Any, shape: tuple[int, int, int], options: ReadOptions
 ) -> tuple[Grid, str]:
-    """The grid, and the name of its frame: by sform, else qform, else voxel sizes alone.
+    """The grid, and the name of its frame: by sform, else by qform, else by voxel sizes alone.
 
-    A form that cannot hold is passed over, with a warning, if there is something better.
+    An invalid form is skipped with a warning if there is another one.
     """
     sform, qform = int(header["sform_code"]), int(header["qform_code"])
     ways = []
@@ -104,10 +105,10 @@ def grid_of(
             matrix = np.asarray(affine(), np.float64)
             grid = Grid.from_steps(shape, matrix[:3, :3], matrix[:3, 3])
         except VolumeError as error:
-            # All zero is a form that was never filled in.
+            # A form of zeros was never filled in.
             blank = name == "sform" and not header.get_sform()[:3, :3].any()
             failed = failed or (None if blank else error)
-            options.warn(f"the {name} is of no use ({error.where}: {error.what}), and not used")
+            options.warn(f"the {name} is invalid ({error.where}: {error.what}) and is not used")
             continue
         label = _XFORM_NAMES.get(code)
         return grid, f"RAS ({label})" if label else "RAS"
@@ -120,7 +121,7 @@ def grid_of(
 
 
 def _qform(path: Path, header: Any) -> np.ndarray:
-    """nibabel's, but a qfac of 0 counts as 1, as the standard has it."""
+    """nibabel's qform, except that a qfac of 0 counts as 1, as in the standard."""
     from nibabel.spatialimages import HeaderDataError
 
     if float(header["pixdim"][0]) not in (-1.0, 1.0):

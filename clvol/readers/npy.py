@@ -14,15 +14,15 @@ from clvol.volume.volume import Volume, check_type
 
 
 def read(path: Path, options: ReadOptions) -> Volume:
-    """The volume in a .npy file, voxels 1 apart, the first at the origin.
+    """The volume in a .npy file, with a spacing of 1 and its first voxel at the origin.
 
-    A C-ordered native array is mapped; any other is copied into that form.
+    A C-ordered native array is mapped; any other is copied.
     """
     array = np.load(path, mmap_mode="r", allow_pickle=False)
     if not isinstance(array, np.memmap):
         if hasattr(array, "close"):
             array.close()
-        raise VolumeError(str(path), "no .npy array (an .npz archive?)", "one array")
+        raise VolumeError(str(path), "not a .npy array (an .npz archive?)", "one array")
     native = check_type(array.dtype, str(path))
     stored = path.stat().st_size
     if array.size and array.offset + array.nbytes != stored:

@@ -1,12 +1,13 @@
-"""NRRD: .nrrd with its data attached, .nhdr (or .nrrd) with its data in files beside it.
+"""NRRD: .nrrd with attached data, .nhdr (or .nrrd) with data in separate files.
 
-pynrrd would hold three copies of a compressed volume while reading, so the voxels are read by
-``read_parts``. Format: teem.sourceforge.net/nrrd/format.html.
+pynrrd would hold three copies of a compressed volume while reading, so the voxels are read by ``read_parts``. Format:
+teem.sourceforge.net/nrrd/format.html.
 """
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 
@@ -56,12 +57,11 @@ _BLOCK = 1 << 17
 def read(path: Path, options: ReadOptions) -> Volume:
     """The volume in a NRRD file; the world frame is the header's ``space``.
 
-    Accepts the encodings raw, gzip, bzip2, text and hex, and voxels over several files (a list or a
-    numbered pattern). Geometry comes from ``space directions`` and ``space origin`` (the centre of
-    the first voxel) or, without them, from ``spacings`` and ``axis mins`` (with cell centering, the
-    default, the outer face of the first voxel). Where units of length differ from axis to axis, all
-    are brought to the first one's. Of axes of channels and times, before, between or after those in
-    space, ``options`` choose one.
+    Accepts the encodings raw, gzip, bzip2, text and hex, and voxels spread over several files (a list or a numbered
+    pattern). Geometry comes from ``space directions`` and ``space origin`` (the centre of the first voxel) or,
+    without them, from ``spacings`` and ``axis mins`` (with cell centering, the default, the outer face of the first
+    voxel). If units of length differ between axes, all are converted to the first one. ``options`` select one element
+    of axes of channels and times, which may come before, between or after the axes in space.
     """
     with path.open("rb") as file:
         header = read_header(path, file)
@@ -95,7 +95,7 @@ def _dtype(path: Path, header: NrrdHeader, encoding: str) -> np.dtype:
     dtype = np.dtype(name)
     if dtype.itemsize == 1 or encoding == "text":
         return dtype
-    orders = {"little": "<", "big": ">"}
+    orders: dict[Any, Literal["<", ">"]] = {"little": "<", "big": ">"}
     endian = header.get("endian")
     if endian not in orders:
         raise VolumeError(str(path), f"endian {endian!r}", "endian: little or endian: big")
@@ -105,10 +105,9 @@ def _dtype(path: Path, header: NrrdHeader, encoding: str) -> np.dtype:
 def _parts(
     path: Path, header: NrrdHeader, attached: int, sizes: tuple[int, ...], encoding: str
 ) -> list[Part]:
-    """Where the voxels are. Lines are skipped in a file as stored, bytes in the data as decoded, in
-    each file anew."""
+    """The position of the voxels. Lines are skipped in the stored file, bytes in the decoded data, per file."""
     skip_lines, skip_bytes = header.get("line skip", 0), header.get("byte skip", 0)
-    # Below 0 it counts from the end: -1 for data that end there, -2 for a byte behind them.
+    # A negative byte skip counts from the end: -1 for data that end there, -2 for one byte after them.
     least = {"raw": -(2**40), "deflate": -1, "bzip2": -1}.get(encoding, 0)
     if skip_lines < 0 or skip_bytes < least:
         raise VolumeError(
@@ -116,7 +115,7 @@ def _parts(
         )
     files, start = [path], attached
     if header.data_file is not None:
-        files, start = _files(path, header, sizes), 0
+        files, start = _files(path, header, header.data_file, sizes), 0
     starts = dict.fromkeys(files, start)
     if skip_lines:
         starts = {file: _after_lines(file, start, skip_lines) for file in starts}
@@ -124,16 +123,16 @@ def _parts(
     return [Part(file, starts[file], max(skip_bytes, 0), None, behind) for file in files]
 
 
-def _files(path: Path, header: NrrdHeader, sizes: tuple[int, ...]) -> list[Path]:
-    words = header.data_file.split()
+def _files(path: Path, header: NrrdHeader, named: bytes, sizes: tuple[int, ...]) -> list[Path]:
+    words = named.split()
     if words[:1] == [b"LIST"] and (header.listed or len(words) <= 2):
         axes = int(words[1]) if len(words) == 2 and words[1].isdigit() else None
         return listed_files(path, header.listed, axes, sizes)
-    return data_files(path, header.data_file, sizes)
+    return data_files(path, named, sizes)
 
 
 def _after_lines(path: Path, start: int, count: int) -> int:
-    """Where the data begin after so many lines; the end of the file if there are fewer."""
+    """The offset after ``count`` lines; the end of the file if there are fewer."""
     with path.open("rb") as file:
         file.seek(start)
         while block := file.read(_BLOCK):

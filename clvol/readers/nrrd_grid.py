@@ -1,7 +1,8 @@
-"""Which axes of a NRRD file are in space, what the others are, and where the voxels are."""
+"""The axes of a NRRD file (in space, of channels, of times), and the grid."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,11 +10,11 @@ import numpy as np
 
 from clvol.errors import VolumeError
 from clvol.readers.nrrd_header import NrrdHeader
-from clvol.readers.options import ReadOptions
+from clvol.readers.options import Key, ReadOptions
 from clvol.volume.grid import Grid
 from clvol.volume.units import one_unit
 
-# Kinds of an axis along which samples are spread in space.
+# Kinds of axes in space.
 _IN_SPACE = ("domain", "space")
 _UNKNOWN = ("none", "???")
 _COMPONENTS = {
@@ -26,23 +27,25 @@ _COMPONENTS = {
 
 @dataclass(frozen=True)
 class Axes:
-    """``sizes`` of all axes, fastest first; ``spatial``: which three are x, y and z; ``others``: of
-    each other axis its number, whether it is of channels or times, and its kind."""
+    """``sizes`` of all axes, fastest first. ``spatial``: the indices of the axes x, y and z. ``others``: for each
+    other axis its index, whether it holds channels or times, and its kind.
+    """
 
     sizes: tuple[int, ...]
     spatial: tuple[int, int, int]
-    others: tuple[tuple[int, str, str], ...]
+    others: tuple[tuple[int, Key, str], ...]
 
     @property
     def shape(self) -> tuple[int, int, int]:
         """(nz, ny, nx)."""
-        return tuple(self.sizes[k] for k in self.spatial[::-1])
+        x, y, z = self.spatial
+        return self.sizes[z], self.sizes[y], self.sizes[x]
 
     def choose(self, path: Path, options: ReadOptions) -> tuple[int | slice, ...]:
-        """What to take of the array, axes slowest first."""
+        """The index of the chosen volume in the array, slowest axis first."""
         which: list[int | slice] = [slice(None)] * len(self.sizes)
         for axis, key, kind in self.others:
-            names = _COMPONENTS.get(kind, ())
+            names: Sequence[str | None] = _COMPONENTS.get(kind, ())
             if len(names) != self.sizes[axis]:
                 names = [None] * self.sizes[axis]
             which[len(self.sizes) - 1 - axis] = options.choose(key, str(path), names)
@@ -50,7 +53,7 @@ class Axes:
 
 
 def axes_of(path: Path, header: NrrdHeader) -> Axes:
-    """Of those with a direction in space, or of a kind in space; VolumeError unless three are."""
+    """The axes: those with a direction or a kind in space are spatial. VolumeError unless there are three of them."""
     sizes = tuple(int(n) for n in header.get("sizes"))
     dimension = header.get("dimension")
     if dimension != len(sizes):
@@ -63,7 +66,7 @@ def axes_of(path: Path, header: NrrdHeader) -> Axes:
     shown = header.get("kinds", ())
     kinds = [kind.lower() for kind in shown] if len(shown) == len(sizes) else ["???"] * len(sizes)
     others = _others(header, kinds, sizes)
-    spatial = tuple(k for k in range(len(sizes)) if k not in others)
+    spatial = [k for k in range(len(sizes)) if k not in others]
     times = [k for k in others if kinds[k] == "time"]
     if len(spatial) != 3 or len(times) > 1 or len(others) - len(times) > 1:
         strange = [kind for kind in shown if kind.lower() not in (*_IN_SPACE, *_UNKNOWN)]
@@ -73,12 +76,12 @@ def axes_of(path: Path, header: NrrdHeader) -> Axes:
             f"{len(sizes)}-D data{note}, sizes {said}",
             "three axes in space, and by their kinds one of channels or times at most",
         )
-    found = ((k, "time" if k in times else "channel", kinds[k]) for k in others)
-    return Axes(sizes, spatial, tuple(found))
+    x, y, z = spatial
+    return Axes(sizes, (x, y, z), tuple((k, "time" if k in times else "channel", kinds[k]) for k in others))
 
 
 def _others(header: NrrdHeader, kinds: list[str], sizes: tuple[int, ...]) -> list[int]:
-    """The axes that are not in space, as far as the header says so."""
+    """The axes that are not in space, as far as the header says."""
     others = [k for k, kind in enumerate(kinds) if kind not in (*_IN_SPACE, *_UNKNOWN)]
     directions = header.get("space directions")
     if directions is not None and not others and len(sizes) > 3:
@@ -93,7 +96,7 @@ def _others(header: NrrdHeader, kinds: list[str], sizes: tuple[int, ...]) -> lis
 def grid_of(
     path: Path, axes: Axes, header: NrrdHeader, options: ReadOptions
 ) -> tuple[Grid, str | None]:
-    """The grid, and the unit of its lengths where the header knows one."""
+    """The grid, and the unit of its lengths; None if the header does not state it."""
     shape, spatial = axes.shape, list(axes.spatial)
     origin = _numbers(path, header, "space origin", 3)
     directions = header.get("space directions")
@@ -101,7 +104,7 @@ def grid_of(
         rows = np.asarray(directions, dtype=np.float64)
         if rows.shape != (len(axes.sizes), 3) or np.isnan(rows[spatial]).any(axis=1).any():
             raise VolumeError(str(path), "an axis without a space direction", "three directions")
-        factors, unit = _unit(header.get("space units", ()), (2, 2, 2), options)  # of the world
+        factors, unit = _unit(header.get("space units", ()), (2, 2, 2), options)  # world axes are always used
         origin = np.zeros(3) if origin is None else origin
         return Grid.from_steps(shape, (rows[spatial] * factors).T, origin * factors), unit
 
@@ -116,7 +119,7 @@ def grid_of(
     lower, upper, steps = of_axes("axis mins"), of_axes("axis maxs"), of_axes("spacings")
     if steps is None and lower is not None and upper is not None:
         steps = (upper - lower) / np.maximum(np.where(cell, sizes, sizes - 1.0), 1.0)
-    # NaN is the format's way to say that a spacing is not known.
+    # In this format NaN means that a spacing is unknown.
     steps = np.ones(3) if steps is None else np.where(np.isnan(steps), 1.0, steps)
     if origin is None and lower is not None:
         known = np.where(np.isnan(lower), 0.0, lower)
@@ -129,7 +132,7 @@ def grid_of(
 
 
 def _numbers(path: Path, header: NrrdHeader, name: str, count: int) -> np.ndarray | None:
-    """A field's numbers, float64; None where it is not there."""
+    """The numbers of a field, float64; None if it does not exist."""
     value = header.get(name)
     if value is None:
         return None
@@ -140,10 +143,9 @@ def _numbers(path: Path, header: NrrdHeader, name: str, count: int) -> np.ndarra
 
 
 def _unit(
-    names: list[str], sizes: tuple[int, int, int], options: ReadOptions
+    names: Sequence[str], sizes: tuple[int, int, int], options: ReadOptions
 ) -> tuple[np.ndarray, str | None]:
-    """What lengths along the three axes are to be multiplied by, and the unit that they are then
-    in."""
+    """Factors that convert lengths along the three axes to one unit, and that unit."""
     if len(names) != 3:
         return np.ones(3), None
     factors, unit, wrong = one_unit(names, [n > 1 for n in sizes])

@@ -1,9 +1,8 @@
-"""What a NRRD header says, whatever way it is spelled.
+"""Parsing NRRD headers in all their spellings.
 
-pynrrd parses the values. Before that the lines are brought to the one spelling that it knows: field
-names in any capitals and with or without blanks, ``key:=value`` pairs left out even if they are named
-like a field, blanks inside vectors, line ends of other systems.
-Format: teem.sourceforge.net/nrrd/format.html.
+pynrrd parses the values. Before that, lines are normalised to the spelling that it accepts: field names in any case
+and with or without blanks, blanks inside vectors, and line ends of other systems; ``key:=value`` pairs are left out
+even if they are named like a field. Format: teem.sourceforge.net/nrrd/format.html.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ _READ = (
     "space directions", "space origin", "space units", "spacings", "axis mins", "axis maxs",
     "centerings", "kinds", "units", "line skip", "byte skip", "data file",
 )  # fmt: skip
-# Fields that nothing is made of: known, so that they are not taken for anything else.
+# Fields that are recognised and ignored.
 _IGNORED = (
     "content", "number", "block size", "min", "max", "old min", "old max", "sample units",
     "thicknesses", "labels", "measurement frame",
@@ -91,20 +90,20 @@ def _is_list(data_file: bytes) -> bool:
 
 
 def _parted(path: Path, line: bytes) -> tuple[str | None, bytes]:
-    """Name (None: no field that the format knows) and value of a line of the header."""
+    """Name (None: a field that the format does not know) and value of a line of the header."""
     name, colon, value = line.partition(b":")
     known = _BY_LETTERS.get(re.sub(r"[\s_]+", "", name.decode("latin-1")).lower())
     if not colon:
         shown = line[:60].decode("ascii", "replace")
         raise VolumeError(str(path), f"NRRD header line {shown!r}", "FIELD: VALUE")
-    # A pair key:=value, or somebody's own field; a field's colon has a blank after it.
+    # A pair key:=value, or an unknown field; a blank follows the colon of a field.
     if known is None or value.startswith(b"=") or (value[:1] > b" " and b":=" in value):
         return None, value
     return known, value.strip()
 
 
 def _plain(name: str, value: bytes) -> str:
-    """A value as pynrrd wants it."""
+    """A value in the form that pynrrd accepts."""
     text = value.decode("latin-1")
     if name in _LOWERED:
         text = text.lower()
@@ -129,7 +128,7 @@ def _parsed(path: Path, texts: dict[str, str]) -> dict[str, Any]:
             fields[name] = nrrd.read_header(["NRRD0005", f"{name}: {text}"])[name]
         except (ClvolError, MemoryError, ImportError):
             raise
-        except Exception as error:  # of values that are none it raises whatever comes
+        except Exception as error:  # it raises exceptions of many types for malformed values
             what = f"field {name!r} is {text[:60]!r} ({error})"
             raise VolumeError(str(path), what, "a value as the NRRD format has it") from None
     return fields

@@ -1,4 +1,4 @@
-"""Voxels written as text: decimal numbers, or the digits of their bytes."""
+"""Voxels written as text: decimal numbers, or hexadecimal bytes."""
 
 from __future__ import annotations
 
@@ -15,8 +15,10 @@ _BLANKS = b" \t\r\n\v\f"
 
 
 def read_numbers(file: Any, target: np.ndarray, where: str) -> None:
-    """Fills ``target`` (1-D, native) with the numbers of ``file`` from where it is; blanks or commas
-    stand between them. VolumeError unless there are as many, and the type holds them."""
+    """Fills ``target`` (1-D, native) with the numbers of ``file`` from its current position.
+
+    Numbers are separated by blanks or commas. VolumeError unless there are exactly enough and the type holds them.
+    """
     at = 0
     for words in _words(file, where):
         if at + len(words) > target.size:
@@ -60,7 +62,7 @@ def _parsed(words: list[bytes], dtype: np.dtype, where: str) -> np.ndarray:
 
 
 def hex_bytes(file: Any, where: str) -> Iterator[bytes]:
-    """The bytes whose two hexadecimal digits each are in ``file``, blanks between any two digits."""
+    """The bytes that ``file`` holds as two hexadecimal digits each; blanks may separate any two digits."""
     rest = b""
     while block := file.read(_BLOCK):
         digits = rest + block.translate(None, _BLANKS)

@@ -1,4 +1,4 @@
-"""What the caller says about a file beside its path, and what a reader has to say beside the voxels."""
+"""The settings that a caller passes for a file, and the warnings that a reader returns with the voxels."""
 
 from __future__ import annotations
 
@@ -18,11 +18,13 @@ _SEVERAL = {"channel": "channels", "time": "times", "series": "series"}
 
 @dataclass(frozen=True)
 class ReadOptions:
-    """``dims`` (nx, ny, nz), ``dtype``, ``header_bytes`` (-1: the voxels end the file) and
-    ``byte_order`` ("little", "big") for .raw; ``spacing`` or None; cap in bytes or None.
+    """Settings of one ``load_volume`` call.
 
-    ``channel``, ``time`` and ``series`` (an index from 0, a name, or None) choose among several;
-    readers ask ``choose`` for them. ``notes`` collects what readers ``warn`` of.
+    ``dims`` (nx, ny, nz), ``dtype``, ``header_bytes`` (-1: the voxels are at the end of the file) and ``byte_order``
+    ("little", "big") are for .raw files. ``spacing`` or None; ``memory_cap`` in bytes or None.
+
+    ``channel``, ``time`` and ``series`` (an index from 0, a name, or None) select one of several; readers call
+    ``choose`` for them. ``notes`` collects the texts of ``warn``.
     """
 
     dims: Sequence[int] | None = None
@@ -38,7 +40,7 @@ class ReadOptions:
     consulted: set[str] = field(default_factory=set)
 
     def warn(self, text: str) -> None:
-        """A whole sentence's worth of what the user should know; it does not stop the reading."""
+        """Records something that the user should know, in one sentence. Reading continues."""
         if text not in self.notes:
             self.notes.append(text)
 
@@ -51,12 +53,12 @@ class ReadOptions:
         numbers: Sequence[int] | None = None,
         shown: Sequence[str] | None = None,
     ) -> int:
-        """The index of what the caller wants among several channels, times or series.
+        """The index of the channel, time or series that the caller selects.
 
-        ``names`` holds their names, None where one has none, and is as long as there are choices.
-        ``numbers`` are what whole numbers mean, if not 0, 1, 2...; ``shown`` is what the list in an
-        error message says of each, if not its name. VolumeError, which lists them, unless exactly
-        one is meant; nothing needs to be said where there is one alone.
+        ``names`` has one entry per choice, None for a choice without a name. ``numbers`` are the numbers by which
+        choices can be selected, by default 0, 1, 2...; ``shown`` describes each choice in error messages, by default
+        its name. VolumeError, which lists the choices, unless exactly one is selected; a single choice need not be
+        selected.
         """
         self.consulted.add(key)
         wanted = getattr(self, key)
@@ -78,7 +80,7 @@ class ReadOptions:
         raise VolumeError(where, what, f"volume.{key} = one of them")
 
     def check_consulted(self, where: str) -> None:
-        """VolumeError if a key was given that the file has no choice for; 0 is always there."""
+        """VolumeError if a key was given for which the file offers no choice; 0 is always accepted."""
         for key in ("channel", "time", "series"):
             wanted = getattr(self, key)
             if wanted is not None and wanted != 0 and key not in self.consulted:
@@ -87,7 +89,7 @@ class ReadOptions:
 
 
 def _found(wanted: int | str, names: Sequence[str | None], numbers: Sequence[int]) -> list[int]:
-    """By name, in other capitals where that is unique, or by number."""
+    """Matches by name, by name in another case if that is unique, or by number."""
     if not isinstance(wanted, str):
         return [k for k, number in enumerate(numbers) if number == wanted]
     same = [k for k, name in enumerate(names) if name == wanted]

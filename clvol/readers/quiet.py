@@ -1,4 +1,4 @@
-"""Keeps libraries quiet on stderr: what is wrong with a file goes into one VolumeError."""
+"""Keeps format libraries from writing to stderr: mistakes in files are reported by one VolumeError."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _LOGGERS = ("nibabel", "nibabel.global", "tifffile", "nrrd", "pydicom")
 
 @contextmanager
 def quiet() -> Iterator[None]:
-    """No Python warnings and no log lines from the format libraries inside the block."""
+    """A context without Python warnings and log lines of the format libraries."""
     loggers = [logging.getLogger(name) for name in _LOGGERS]
     with _lock:
         before = [logger.disabled for logger in loggers]
@@ -30,8 +30,9 @@ def quiet() -> Iterator[None]:
 
 @contextmanager
 def errors_logged(name: str) -> Iterator[list[str]]:
-    """Raises what a library only logs at level ERROR, and prints nothing. What the library itself
-    catches of that is in the list."""
+    """A context that raises what a library only logs at level ERROR, and prints nothing. Messages whose exceptions
+    the library catches itself are in the list.
+    """
     logger = logging.getLogger(name)
     messages: list[str] = []
     handler = _Collector(messages)
@@ -46,7 +47,7 @@ def errors_logged(name: str) -> Iterator[list[str]]:
 
 
 class LoggedError(Exception):
-    """What a library has logged: going on can take forever, since every page of a file may err."""
+    """A message that a library has logged. Continuing could take forever, since every page of a file may fail."""
 
 
 class _Collector(logging.Handler):

@@ -1,6 +1,6 @@
-"""Which format a path is of, by its name, its first bytes or what is in the folder. Nothing else is read.
+"""Recognising the format of a path by its name, its first bytes or the contents of a folder, without reading more.
 
-A new format of files is a module of this package with ``read(path, options) -> Volume`` and a line in ``ENDINGS``.
+A new file format is a module of this package with ``read(path, options) -> Volume`` and a line in ``ENDINGS``.
 """
 
 from __future__ import annotations
@@ -33,19 +33,20 @@ ENDINGS: dict[str, tuple[str, str]] = {
 }
 FOLDER = ("DICOM", "dicom")
 SLICES = ("TIFF slices", "tiff_slices")
-# Folders may be Zarr whatever their names; this one says so.
+# Folders of any name may be Zarr; this ending is explicit.
 ZARR_ENDING = ".zarr"
 ZARR = ("OME-Zarr", "zarr")
 _ZARR_MARKS = ("zarr.json", ".zgroup", ".zarray")
 _TIFF_ENDINGS = (".tif", ".tiff")
 _DICOM_ENDINGS = (".dcm", ".ima", ".dicom")
 MAGIC_AT, MAGIC = 128, b"DICM"  # DICOM's mark, after a preamble
-_DEEPEST = 6  # folders below the one that was named
+_DEEPEST = 6  # levels of folders below the given one
 
 
 def is_volume_path(path: str | os.PathLike) -> bool:
-    """Whether the path ends like a volume file, or is a folder or a DICOM file of whatever name. The
-    file need not exist."""
+    """Whether the path has the ending of a volume file, or is a folder or a DICOM file of any name. The file need not
+    exist.
+    """
     path = Path(path)
     name = path.name.lower()
     if ending_of(path) is not None or name.endswith(ZARR_ENDING) or os.path.isdir(path):
@@ -54,7 +55,8 @@ def is_volume_path(path: str | os.PathLike) -> bool:
 
 
 def format_of(path: Path) -> tuple[str, str]:
-    """Name and module of the format of a path; VolumeError unless it is a plain file or a folder of a known one."""
+    """Name and module of the format of a path; VolumeError unless it is a regular file or a folder of a known format.
+    """
     known = ", ".join([*ENDINGS, ZARR_ENDING])
     try:
         mode = path.stat().st_mode
@@ -97,7 +99,7 @@ def _folder(path: Path) -> tuple[str, str]:
 
 
 def _check_entries(folder: Path) -> None:
-    """VolumeError for a pipe, a socket or a device in the folder: whoever opens one may wait."""
+    """VolumeError if the folder holds a pipe, a socket or a device: opening one may block."""
     with os.scandir(folder) as entries:
         for entry in entries:
             if not (entry.is_dir() or entry.is_file()) and os.path.exists(entry.path):
@@ -106,19 +108,19 @@ def _check_entries(folder: Path) -> None:
 
 
 def ending_of(path: Path) -> str | None:
-    """The longest of ENDINGS that the name has, or None."""
+    """The longest ending in ENDINGS that the name has, or None."""
     name = path.name.lower()
     found = [ending for ending in ENDINGS if name.endswith(ending)]
     return max(found, key=len, default=None)
 
 
 def is_zarr(path: Path) -> bool:
-    """Whether the folder is a Zarr array or group, or a store whose making was interrupted."""
+    """Whether the folder is a Zarr array or group, or a store whose building was interrupted."""
     return any((path / name).exists() for name in _ZARR_MARKS) or is_unfinished(path)
 
 
 def slice_files(path: Path) -> list[Path]:
-    """The TIFF files of a folder, sl_2 before sl_10; hidden ones are no slices."""
+    """The TIFF files of a folder in natural order (sl_2 before sl_10), without hidden files."""
     with os.scandir(path) as entries:
         names = [entry.name for entry in entries if entry.is_file()]
     found = [n for n in names if n.lower().endswith(_TIFF_ENDINGS) and not n.startswith(".")]
@@ -126,19 +128,19 @@ def slice_files(path: Path) -> list[Path]:
 
 
 def is_dicom(path: Path) -> bool:
-    """Whether a file says that it is DICOM: by its preamble, or by its ending."""
+    """Whether a file is DICOM, by its preamble or by its ending."""
     if path.name.lower().endswith(_DICOM_ENDINGS):
         return True
     return begins(path)[MAGIC_AT:] == MAGIC
 
 
 def has_dicom(path: Path) -> bool:
-    """Whether a file in the folder, or below if there is none in it, begins as DICOM does."""
+    """Whether a file in the folder begins as DICOM files do; if it holds none, folders below are searched."""
     return any(begins(file)[MAGIC_AT:] == MAGIC for file in files_below(path))
 
 
 def files_below(path: Path) -> Iterator[Path]:
-    """Regular files of the folder, sorted by name; after them those of the folders below."""
+    """Regular files of the folder, sorted by name, followed by those of the folders below."""
     for folder, folders, names in os.walk(path):
         folders.sort()
         if len(Path(folder).relative_to(path).parts) >= _DEEPEST:
@@ -149,7 +151,7 @@ def files_below(path: Path) -> Iterator[Path]:
 
 
 def begins(path: Path) -> bytes:
-    """What DICOM's preamble and mark are looked for in; nothing where the file cannot be read."""
+    """The bytes that hold DICOM's preamble and mark; empty if the file cannot be read."""
     try:
         with path.open("rb") as file:
             return file.read(MAGIC_AT + len(MAGIC))
@@ -158,7 +160,7 @@ def begins(path: Path) -> bytes:
 
 
 def first_line(error: BaseException) -> str:
-    """The line of a library's message that says what is wrong, at most 200 characters."""
+    """The line of a library's message that states the error, at most 200 characters."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
     # ITK puts the throwing function and source line first, and the reason last.
     text = lines[-1] if lines and lines[0].startswith("Exception thrown") else "".join(lines[:1])

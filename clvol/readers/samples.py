@@ -1,8 +1,7 @@
-"""Voxels out of files: plain or encoded, straight into their array, every byte accounted for.
+"""Reading voxels from plain or encoded files directly into their array, with every byte accounted for.
 
-The format libraries read headers; their own ways to the voxels hold two or three copies of a
-compressed volume, or do not notice that a stream is too short. Here the peak is the volume and one
-block.
+The format libraries read headers only: their own functions for voxels hold two or three copies of a compressed
+volume, or do not notice truncated streams. The peak memory here is the volume and one block.
 """
 
 from __future__ import annotations
@@ -12,6 +11,7 @@ import os
 import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from io import BufferedReader
 from pathlib import Path
 from typing import BinaryIO
 
@@ -22,21 +22,21 @@ from clvol.readers.numbers import hex_bytes, read_numbers
 from clvol.volume.memory import check_memory, show_bytes
 
 _BLOCK = 1 << 20
-_ENCODED_BLOCK = 1 << 16  # what a decoder leaves of it is copied with every block that it makes
-# Deflate cannot do better than 1032:1 (zlib's technical notes), so less input is a lying header.
+_ENCODED_BLOCK = 1 << 16  # decoders copy the rest of it with every block that they return
+# Deflate cannot do better than 1032:1 (zlib's technical notes), so with less input the header is wrong.
 _DEFLATE_RATIO = 1032
-# What may be decoded only to be skipped: a few kilobytes of bzip2 hold gigabytes.
+# Limits on data decoded only to be skipped: a few kilobytes of bzip2 can hold gigabytes.
 _SKIP_RATIO, _SKIP_LEAST = 8, 64 << 20
 
 
 @dataclass(frozen=True)
 class Part:
-    """Where in a file a part of the voxels is.
+    """The position of a part of the voxels in a file.
 
-    ``offset``: first byte of the data. ``skip``: bytes left out at the start of the decoded data, or
-    of the text. ``size``: bytes of the encoded data; None: all up to the end of the file. ``behind``:
-    not None where the data lie at the end, that many bytes before it: of the file, or of the decoded
-    data if they are compressed; ``offset`` is then where they begin at the earliest.
+    ``offset``: first byte of the data. ``skip``: bytes to skip at the start of the decoded data, or of the text.
+    ``size``: bytes of the encoded data; None: up to the end of the file. ``behind``: not None if the data are at the
+    end, followed by that many bytes of the file, or of the decoded data if they are compressed; ``offset`` is then
+    the earliest possible start.
     """
 
     path: Path
@@ -46,7 +46,7 @@ class Part:
     behind: int | None = None
 
     def start(self, nbytes: int) -> int:
-        """The first byte of ``nbytes`` plain ones."""
+        """The first of ``nbytes`` plain bytes."""
         if self.behind is None:
             return self.offset + self.skip
         return self.path.stat().st_size - self.behind - nbytes
@@ -65,12 +65,11 @@ def read_parts(
     encoding: str = "raw",
     memory_cap: int | None = None,
 ) -> np.ndarray:
-    """The voxels [..., z, y, x] that a header promises, native-endian; ``parts`` hold equally many, one
-    after the other.
+    """The voxels [..., z, y, x] that a header describes, native-endian. ``parts`` hold equally many, one after the
+    other.
 
-    ``encoding`` is "raw", "deflate" (zlib or gzip stream), "bzip2", "text" (numbers with blanks
-    between) or "hex". VolumeError, naming the part's file, unless the decoded data have exactly the
-    size that shape and type ask for.
+    ``encoding`` is "raw", "deflate" (zlib or gzip stream), "bzip2", "text" (numbers separated by blanks) or "hex".
+    VolumeError, naming the part's file, unless the decoded data have exactly the size of shape and type.
     """
     count = math.prod(shape) // len(parts)
     for part in parts:
@@ -96,8 +95,10 @@ def read_chosen(
     encoding: str = "raw",
     memory_cap: int | None = None,
 ) -> np.ndarray:
-    """``array[which]``, three axes of ``array``, the one of ``read_parts`` of any ``shape``. Of plain
-    data in one file no more than that comes into memory, of others all of it."""
+    """``array[which]``, three axes of the array that ``read_parts`` would return for any ``shape``.
+
+    Of plain data in one file only these voxels are read into memory; of other data all voxels are.
+    """
     if not any(isinstance(index, int) for index in which):
         return read_parts(parts, shape, dtype, encoding=encoding, memory_cap=memory_cap)
     if encoding != "raw" or len(parts) > 1:
@@ -113,7 +114,7 @@ def read_chosen(
 
 
 def _check_promise(part: Part, count: int, dtype: np.dtype, encoding: str) -> None:
-    """VolumeError where the file is plainly too small, or asks for much work to no end."""
+    """VolumeError if the file is clearly too small, or would take long to decode in vain."""
     nbytes = count * dtype.itemsize
     stored = part.path.stat().st_size
     there = stored - part.offset
@@ -131,7 +132,7 @@ def _check_promise(part: Part, count: int, dtype: np.dtype, encoding: str) -> No
         if nbytes + part.skip > _DEFLATE_RATIO * there:
             _wrong_size(part.path, f"{max(there, 0)} bytes of compressed data", nbytes)
     elif encoding == "text":
-        if 2 * count - 1 > there:  # a digit and a blank a voxel
+        if 2 * count - 1 > there:  # a digit and a blank per voxel
             raise VolumeError(os.fspath(part.path), "too few numbers", f"{count} numbers")
     elif encoding == "hex" and 2 * nbytes > there:
         what = f"encoding hex with {max(there, 0)} digits"
@@ -139,7 +140,7 @@ def _check_promise(part: Part, count: int, dtype: np.dtype, encoding: str) -> No
 
 
 def _check_skips(parts: Sequence[Part], nbytes: int) -> None:
-    """VolumeError where far more than ``nbytes`` would be decoded to be skipped."""
+    """VolumeError if far more than ``nbytes`` would be decoded only to be skipped."""
     skipped, most = sum(part.skip for part in parts), _SKIP_RATIO * nbytes + _SKIP_LEAST
     if skipped > most:
         files = f" of {len(parts)} files" if len(parts) > 1 else ""
@@ -148,13 +149,13 @@ def _check_skips(parts: Sequence[Part], nbytes: int) -> None:
 
 
 def _fill(part: Part, target: np.ndarray, encoding: str) -> None:
-    """All of ``target`` out of one part."""
+    """Fills ``target`` from one part."""
     with part.path.open("rb") as file:
         if encoding == "text":
             file.seek(part.offset + part.skip)
             read_numbers(file, target, os.fspath(part.path))
             return
-        view = memoryview(target.view(np.uint8))
+        view = target.view(np.uint8).data
         if encoding == "raw":
             file.seek(part.start(len(view)))
             got = _fill_raw(file, view)
@@ -185,7 +186,7 @@ class _Limited:
         return block
 
 
-def _fill_raw(file: BinaryIO, view: memoryview) -> int:
+def _fill_raw(file: BufferedReader, view: memoryview) -> int:
     got = 0
     while got < len(view):
         step = file.readinto(view[got : got + (1 << 26)])
@@ -230,7 +231,7 @@ def _last(path: Path, blocks: Iterator[bytes], nbytes: int) -> bytes:
 
 
 def _decoded(file: _Limited, encoding: str) -> Iterator[bytes]:
-    """The decoded data block by block; zlib.error, EOFError or OSError where they are damaged."""
+    """The decoded data block by block. Raises zlib.error, EOFError or OSError if they are damaged."""
     yield from _inflated(file) if encoding == "deflate" else _unpacked(file)
 
 

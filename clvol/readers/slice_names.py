@@ -1,4 +1,4 @@
-"""Which of a folder's files are the slices of one stack, and their order, by their names."""
+"""Finding the slices of one stack in a folder, and their order, by file names."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from clvol.errors import VolumeError
 from clvol.readers.options import Key, ReadOptions
 
 _NUMBER = re.compile(r"(\d+)")
-# What stands before a number that counts something other than slices: img_t001_c2_z07.
+# The letters before a number that does not count slices: img_t001_c2_z07.
 _LABELS: dict[str, Key] = {
     "c": "channel", "ch": "channel", "channel": "channel", "w": "channel",
     "t": "time", "time": "time", "tp": "time", "frame": "time",
@@ -21,16 +21,16 @@ _SLICE_LABELS = ("z", "s", "sl", "slice", "plane")
 
 
 def natural(name: str) -> list[Any]:
-    """A key for sorting by which numbers in a name count as numbers: sl_2 before sl_10."""
+    """A sort key that compares numbers in names by value: sl_2 before sl_10."""
     parts = _NUMBER.split(name.casefold())
     return [(1, int(part), "") if part.isdecimal() else (0, 0, part) for part in parts] + [name]
 
 
 def one_stack(path: Path, files: list[Path], options: ReadOptions) -> list[Path]:
-    """The files of the stack that the caller wants, in order.
+    """The files of the selected stack, in order.
 
-    Names that differ in more than numbers are of several stacks; so are names with several numbers
-    of which every combination is there.
+    Names that differ in more than numbers belong to several stacks, and so do names with several numbers of which
+    every combination exists.
     """
     patterns: dict[str, list[Path]] = {}
     for file in files:
@@ -43,7 +43,7 @@ def one_stack(path: Path, files: list[Path], options: ReadOptions) -> list[Path]
 
 
 def _one_of_each(path: Path, files: list[Path], options: ReadOptions) -> list[Path]:
-    """Where names count slices and something else, the files of one value of all else."""
+    """If names count slices and something else, the files with one value of everything else."""
     numbers = _numbers(files)
     varying = _varying(numbers)
     counts = [len({one[k] for one in numbers}) for k in varying]
@@ -66,7 +66,7 @@ def _one_of_each(path: Path, files: list[Path], options: ReadOptions) -> list[Pa
 
 
 def warn_of_gaps(files: list[Path], options: ReadOptions) -> None:
-    """Of numbers that are left out between the first and the last, if it is one that counts."""
+    """Warns of numbers missing between the first and the last file, if a single number varies."""
     numbers = _numbers(files)
     varying = _varying(numbers)
     if len(varying) != 1:
@@ -88,14 +88,14 @@ def _numbers(files: list[Path]) -> list[list[int]]:
 
 
 def _varying(numbers: list[list[int]]) -> list[int]:
-    """Which of the numbers in the names are not the same everywhere; none if names are unlike."""
+    """The positions of the numbers that vary between names; none if names differ otherwise."""
     if len({len(one) for one in numbers}) != 1:
         return []
     return [k for k in range(len(numbers[0])) if len({one[k] for one in numbers}) > 1]
 
 
 def _label(name: str, number: int) -> str:
-    """The letters right before a number of the name."""
+    """The letters directly before a number of the name."""
     before = _NUMBER.split(name.casefold())[2 * number]
     found = re.search(r"([a-z]+)[ _=-]*$", before)
     return found[1] if found else ""

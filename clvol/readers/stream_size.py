@@ -1,9 +1,9 @@
-"""How many pixels a JPEG or JPEG 2000 stream says that it holds, before a decoder makes room."""
+"""The number of pixels that a JPEG or JPEG 2000 stream claims, read before a decoder allocates memory."""
 
 from __future__ import annotations
 
 _SIZ = b"\xff\x4f\xff\x51"  # the beginning of a JPEG 2000 codestream
-LOOKED_AT = 1 << 18  # bytes of a stream in which its size must be
+LOOKED_AT = 1 << 18  # bytes of a stream within which its size must be
 
 
 def jpeg_size(source: bytes) -> tuple[int, int] | None:
@@ -21,7 +21,7 @@ def jpeg_size(source: bytes) -> tuple[int, int] | None:
 
 
 def j2k_size(source: bytes) -> tuple[int, int] | None:
-    """(rows, columns) of a JPEG 2000 codestream, around which boxes of a file may lie."""
+    """(rows, columns) of a JPEG 2000 codestream, which may be inside the boxes of a file."""
     at = source.find(_SIZ, 0, LOOKED_AT)
     if at < 0 or len(source) < at + 24:
         return None

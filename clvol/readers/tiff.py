@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from clvol.errors import VolumeError
-from clvol.readers.options import ReadOptions
+from clvol.readers.options import Key, ReadOptions
 from clvol.readers.quiet import errors_logged
 from clvol.readers.stream_size import LOOKED_AT, j2k_size, jpeg_size
 from clvol.readers.tiff_chain import check_chain
@@ -21,27 +21,28 @@ from clvol.volume.volume import Volume, check_type
 
 # tifffile's letters for axes: samples (colours) and wavelengths are channels, too.
 _CHANNELS, _TIMES = "CSE", "T"
-_PLAIN_SLICES = "IQ"  # a sequence of pages, and an axis that nobody has named
+_CHOSEN: tuple[tuple[Key, str], ...] = (("channel", _CHANNELS), ("time", _TIMES))
+_PLAIN_SLICES = "IQ"  # a sequence of pages, and an unnamed axis
 _COLOURS = ("red", "green", "blue", "alpha")
 _RGB, _PALETTE, _YCBCR = 2, 3, 6
-# Compressions that are decoded into room of the size that the page's directory says.
+# Compressions that are decoded into a buffer of the size in the page directory.
 _BOUNDED = (1, 5, 8, 32773, 32946, 34925, 34926, 50000)
 _JPEGS, _J2KS = (6, 7, 33007), (33003, 33004, 33005, 34712)
 _REDUCED = 1  # NewSubfileType: a thumbnail or another resolution
 
 
 def read(path: Path, options: ReadOptions) -> Volume:
-    """The volume in a TIFF file, page k at z index k, a single page as one slice.
+    """The volume in a TIFF file, page k at z index k; a single page is one slice.
 
-    Channels, times and images of their own are chosen by ``options``; images that are single pages
-    of one size are the slices of one stack. Spacing: OME's PhysicalSize and ImageJ's resolution and
-    ``spacing``, in the unit of x. Else the resolution tags (in mm where they have a unit), with
-    pages as far apart as columns, since plain TIFF cannot say; else 1.
+    ``options`` select channels, times and separate images; images that are single pages of one size are the slices of
+    one stack. Spacing comes from OME's PhysicalSize or from ImageJ's resolution and ``spacing``, in the unit of x.
+    Otherwise it comes from the resolution tags (in mm where they have a unit), with pages as far apart as columns,
+    since plain TIFF cannot say more; without them it is 1.
     """
     import tifffile
 
     check_chain(path, str(path))
-    # A chain of pages that breaks off is only logged; the pages after it would be cropped.
+    # tifffile only logs a broken chain of pages; the pages after the break would be missing.
     with errors_logged("tifffile") as errors, tifffile.TiffFile(path) as file:
         stack = _single_pages(file, options)
         if stack is None:
@@ -62,7 +63,7 @@ def read(path: Path, options: ReadOptions) -> Volume:
 
 
 def _other_files(file: Any, series: Any) -> tuple[str, ...]:
-    """Files that pages of an OME-TIFF lie in, beside the one that was named."""
+    """The other files that hold pages of an OME-TIFF."""
     if not series.is_multifile:
         return ()
     own = file.filehandle.path
@@ -71,14 +72,14 @@ def _other_files(file: Any, series: Any) -> tuple[str, ...]:
 
 
 def _full_size(file: Any) -> list[Any]:
-    """The file's series without thumbnails, unless there is nothing else."""
+    """The file's series without thumbnails, unless there are only thumbnails."""
     reduced = [bool(int(series.keyframe.subfiletype) & _REDUCED) for series in file.series]
     full = [series for series, small in zip(file.series, reduced) if not small]
     return full or list(file.series)
 
 
 def _single_pages(file: Any, options: ReadOptions) -> list[Any] | None:
-    """The series if each is one page of scalars, all alike: a stack written page by page."""
+    """The series, if each is one page of scalars of the same size and type: a stack written page by page."""
     all_series = _full_size(file)
     first = all_series[0]
     if len(all_series) == 1 or options.series is not None:
@@ -87,7 +88,7 @@ def _single_pages(file: Any, options: ReadOptions) -> list[Any] | None:
         alike = series.shape == first.shape and series.dtype == first.dtype
         if not alike or series.axes != "YX" or len(series.pages) != 1:
             return None
-    # Images that OME gives names of their own are no slices of one.
+    # Images that OME names separately are not slices of one stack.
     names = {re.sub(r"\d+", "#", series.name or "") for series in all_series}
     return all_series if len(names) == 1 or not file.is_ome else None
 
@@ -105,7 +106,7 @@ def _series_shown(series: Any) -> str:
 
 
 def _chosen(path: Path, file: Any, series: Any, options: ReadOptions) -> np.ndarray:
-    """The stack [z, y, x] of the channel and the time that the caller wants."""
+    """The stack [z, y, x] of the selected channel and time."""
     axes, shape = series.axes, series.shape
     depth = _depth_axis(axes, shape)
     kept = [k for k in (depth, axes.find("Y"), axes.find("X")) if k is not None]
@@ -118,7 +119,7 @@ def _chosen(path: Path, file: Any, series: Any, options: ReadOptions) -> np.ndar
             "a stack ZYX, and channels C, S or times T to choose from",
         )
     pick: list[Any] = [slice(None) if k in kept else 0 for k in range(len(axes))]
-    for key, letters in (("channel", _CHANNELS), ("time", _TIMES)):
+    for key, letters in _CHOSEN:
         mine = [k for k in others if axes[k] in letters]
         sizes = [shape[k] for k in mine]
         names = _names(file, series, [axes[k] for k in mine], sizes)
@@ -133,7 +134,7 @@ def _chosen(path: Path, file: Any, series: Any, options: ReadOptions) -> np.ndar
 
 
 def _depth_axis(axes: str, shape: tuple[int, ...]) -> int | None:
-    """Z; else the one axis of pages that says nothing of itself. None: a single slice."""
+    """The axis z, else the one unnamed axis of pages; None: a single slice."""
     if "Z" in axes:
         return axes.index("Z")
     plain = [k for k, letter in enumerate(axes) if letter in _PLAIN_SLICES and shape[k] != 1]
@@ -141,7 +142,7 @@ def _depth_axis(axes: str, shape: tuple[int, ...]) -> int | None:
 
 
 def _names(file: Any, series: Any, letters: list[str], sizes: list[int]) -> list[str | None]:
-    """Names of the choices along axes of one kind, the last axis running fastest."""
+    """Names of the choices along axes of one kind, the last axis fastest."""
     count = math.prod(sizes)
     if letters == ["S"] and series.keyframe.photometric in (_RGB, _YCBCR):
         return list(_COLOURS[:count]) + [None] * (count - len(_COLOURS))
@@ -153,7 +154,7 @@ def _names(file: Any, series: Any, letters: list[str], sizes: list[int]) -> list
 
 
 def single_page(file: Any) -> Any | None:
-    """The page of a file that is one image of scalars; None for any other."""
+    """The only page of a file, if it is an image of scalars; else None."""
     pages = [page for page in file.pages if not int(page.subfiletype) & _REDUCED]
     if len(pages) != 1 or len(pages[0].shape) != 2 or pages[0].photometric == _PALETTE:
         return None
@@ -161,7 +162,7 @@ def single_page(file: Any) -> Any | None:
 
 
 def read_page(path: Path, page: Any) -> np.ndarray:
-    """Its pixels [y, x]; VolumeError where the file holds fewer."""
+    """The pixels [y, x] of a page; VolumeError if the file holds fewer."""
     _check_pages(path, [page], np.dtype(page.dtype).itemsize)
     return page.asarray(maxworkers=1)
 
@@ -170,7 +171,7 @@ def read_page(path: Path, page: Any) -> np.ndarray:
 
 
 def _stacked(path: Path, stack: list[Any], options: ReadOptions) -> np.ndarray:
-    """The single pages of several series, one after the other."""
+    """The single pages of several series, in order."""
     first = stack[0]
     data = _allocated(path, first, (len(stack), *first.shape), options)
     for k, series in enumerate(stack):
@@ -180,7 +181,7 @@ def _stacked(path: Path, stack: list[Any], options: ReadOptions) -> np.ndarray:
 
 
 def _picked(path: Path, series: Any, pick: list[Any], options: ReadOptions) -> np.ndarray:
-    """``series[pick]``, reading no more pages than that takes."""
+    """``series[pick]``, reading only the pages that it needs."""
     shape = series.shape
     size = tuple(n for n, p in zip(shape, pick) if isinstance(p, slice))
     offset = series.dataoffset
@@ -213,7 +214,7 @@ def _picked(path: Path, series: Any, pick: list[Any], options: ReadOptions) -> n
 def _allocated(
     path: Path, series: Any, shape: tuple[int, ...], options: ReadOptions
 ) -> np.ndarray:
-    """An array for the voxels, once it is known that they, a page and a tile each fit."""
+    """An array for the voxels, after checking that they, a page and a tile fit into memory."""
     if series.dtype is None:
         raise VolumeError(str(path), "voxels of an unknown type", "whole or real numbers")
     if series.keyframe.photometric == _PALETTE:
@@ -231,7 +232,7 @@ def _allocated(
 
 
 def _check_pages(path: Path, pages: list[Any], itemsize: int) -> None:
-    """Every byte that the page directories promise must be in the file, and no more in a stream."""
+    """VolumeError unless the file holds every byte that the page directories promise, and streams hold no more."""
     for page in pages:
         if page is None:
             raise VolumeError(str(path), "a page is missing", "a whole stack")
@@ -241,7 +242,7 @@ def _check_pages(path: Path, pages: list[Any], itemsize: int) -> None:
         end = max((offset + count for offset, count in segments), default=0)
         promised = sum(count for _, count in segments)
         needed = _stored_bytes(page, itemsize)
-        # Several segments may be of equal bytes; a sparse one counts as zeros.
+        # Segments may share bytes; a sparse one stands for zeros.
         if end > stored or page.keyframe.compression == 1 and promised < needed:
             raise VolumeError(
                 str(path),
@@ -251,7 +252,7 @@ def _check_pages(path: Path, pages: list[Any], itemsize: int) -> None:
 
 
 def _stored_bytes(page: Any, itemsize: int) -> int:
-    """What an uncompressed page takes in the file: its rows begin at whole bytes."""
+    """The bytes of an uncompressed page in the file. Rows begin at whole bytes."""
     keyframe = page.keyframe
     bits = keyframe.bitspersample
     if isinstance(bits, int) and bits % 8:
@@ -261,7 +262,7 @@ def _stored_bytes(page: Any, itemsize: int) -> int:
 
 
 def _check_compression(path: Path, page: Any) -> None:
-    """Streams that state their own size would be decoded whole, and cut to the page's."""
+    """VolumeError for streams that state a size larger than the page: they would be decoded whole, then cropped."""
     compression = int(page.keyframe.compression)
     if compression in _BOUNDED:
         return

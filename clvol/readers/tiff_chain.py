@@ -1,4 +1,4 @@
-"""The chain of a TIFF file's page directories: it must not lead back to where it has been."""
+"""Checks that the chain of page directories in a TIFF file has no loop."""
 
 from __future__ import annotations
 
@@ -13,15 +13,17 @@ _KINDS = {42: ("I", "H", 12), 43: ("Q", "Q", 20)}
 
 
 def check_chain(path: Path, where: str) -> None:
-    """VolumeError for a chain of pages that has no end, which tifffile would follow for good.
+    """VolumeError if the chain of pages has a loop, which tifffile would follow forever.
 
-    Whatever else is wrong with the file is left to tifffile.
+    Other mistakes in the file are left to tifffile.
     """
     with path.open("rb") as file:
         header = file.read(16)
         order = {b"II": "<", b"MM": ">"}.get(header[:2])
-        kind = None if order is None else _KINDS.get(struct.unpack(order + "H", header[2:4])[0])
-        if kind is None or len(header) < 16:
+        if order is None or len(header) < 16:
+            return
+        kind = _KINDS.get(struct.unpack(order + "H", header[2:4])[0])
+        if kind is None:
             return
         pointer, count, tag = order + kind[0], order + kind[1], kind[2]
         at = 4 if kind[0] == "I" else 8
@@ -32,7 +34,7 @@ def check_chain(path: Path, where: str) -> None:
                 what = f"a chain of pages that leads back after {len(seen)} of them"
                 raise VolumeError(where, what, "an undamaged TIFF file")
             seen.add(offset)
-            if offset >= 2**62:  # no file is so long
+            if offset >= 2**62:  # beyond the end of any file
                 return
             file.seek(offset)
             tags = _number(file, count)

@@ -1,9 +1,9 @@
-"""A folder of TIFF slices, one image a file, in the natural order of the files' names."""
+"""A folder of TIFF slices, one image per file, in the natural order of file names."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Hashable, Iterator
+from collections.abc import Hashable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,10 +29,9 @@ _NAMED = 3  # files that a message names
 def read(path: Path, options: ReadOptions) -> Volume:
     """The volume whose slices are the folder's TIFF files, the first one at z index 0.
 
-    Files whose names differ in more than numbers are stacks of their own, chosen by
-    ``options.series``; names that count channels or times, too, by those. Spacing as in one TIFF
-    file. VolumeError for slices of several sizes or types; a number that is missing between others
-    is warned of.
+    Files whose names differ in more than numbers belong to separate stacks, selected by ``options.series``; names may
+    also count channels or times. The spacing is found as for a single TIFF file. VolumeError for slices of several
+    sizes or types; missing numbers cause a warning.
     """
     files = one_stack(path, slice_files(path), options)
     if len(files) == 1:
@@ -81,7 +80,7 @@ def _pixels(path: Path, file: Path) -> np.ndarray:
 
 @contextmanager
 def _opened(path: Path, file: Path) -> Iterator[Any]:
-    """The file as tifffile has it; whatever goes wrong with it names it."""
+    """The file opened by tifffile. Errors name the file."""
     import tifffile
 
     try:
@@ -102,8 +101,8 @@ def _spacing(path: Path, file: Path, options: ReadOptions) -> Spacing:
         return spacing_of(tiff, tiff.series[0] if tiff.series else None, 2, options)
 
 
-def _check_alike(path: Path, files: list[Path], values: list[Hashable], what: str) -> None:
-    """VolumeError that names the files that differ from most of the others."""
+def _check_alike(path: Path, files: list[Path], values: Sequence[Hashable], what: str) -> None:
+    """VolumeError that names the files that differ from the majority."""
     counts = Counter(values)
     usual, number = counts.most_common(1)[0]
     if number == len(files):

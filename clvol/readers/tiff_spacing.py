@@ -1,8 +1,9 @@
-"""How far apart the voxels of a TIFF file are, and in what unit: OME's, ImageJ's or plain tags."""
+"""The spacing of the voxels of a TIFF file and its unit: OME metadata, ImageJ metadata or plain tags."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 from xml.etree import ElementTree
@@ -11,19 +12,19 @@ from clvol.readers.options import ReadOptions
 from clvol.volume.units import one_unit
 
 _TAG_UNITS = {2: "inch", 3: "cm"}
-_NOT_MEASURED = 1.0 / 72  # inches: what programs write that know nothing better
+_NOT_MEASURED = 1.0 / 72  # inches: the default that programs write without a known resolution
 
 
 @dataclass(frozen=True)
 class Spacing:
-    """``lengths`` along x, y, z in ``unit``, None where it is not known."""
+    """``lengths`` along x, y, z in ``unit``, which is None if it is unknown."""
 
     lengths: tuple[float, float, float]
     unit: str | None
 
 
 def spacing_of(file: Any, series: Any, slices: int, options: ReadOptions) -> Spacing:
-    """Of a tifffile series of ``slices`` slices. Axes that differ in unit come in that of x."""
+    """The spacing of a tifffile series of ``slices`` slices. All axes are in the unit of x."""
     if file.is_ome:
         found = _ome(ome_image(file, series), slices, options)
         if found is not None:
@@ -34,7 +35,7 @@ def spacing_of(file: Any, series: Any, slices: int, options: ReadOptions) -> Spa
 
 
 def ome_image(file: Any, series: Any) -> Any | None:
-    """The OME element Image that belongs to the series; None where there is none."""
+    """The OME element Image that belongs to the series; None if there is none."""
     images = [node for node in _xml(file.ome_metadata).iter() if _named(node, "Image")]
     index = next((k for k, other in enumerate(file.series) if other is series), 0)
     return images[index] if index < len(images) else None
@@ -58,7 +59,7 @@ def _named(node: Any, name: str) -> bool:
 
 
 def _ome(image: Any | None, slices: int, options: ReadOptions) -> Spacing | None:
-    """PhysicalSizeX, Y, Z, each with its unit, which is micrometres where it is left out."""
+    """PhysicalSizeX, Y and Z, each with its unit, by default micrometres."""
     pixels = None if image is None else next((n for n in image.iter() if _named(n, "Pixels")), None)
     if pixels is None:
         return None
@@ -70,29 +71,29 @@ def _ome(image: Any | None, slices: int, options: ReadOptions) -> Spacing | None
 
 
 def _together(
-    sizes: list[float | None],
-    units: list[str | None],
+    sizes: Sequence[float | None],
+    units: Sequence[str | None],
     slices: int,
     options: ReadOptions,
     name: str,
 ) -> Spacing:
-    """Missing lengths are those of the other axes, with a word about it."""
-    known = next(k for k in range(3) if sizes[k] is not None)
+    """The spacing in one unit. Missing lengths are taken from another axis, with a warning."""
+    known, length = next((k, size) for k, size in enumerate(sizes) if size is not None)
     for k, axis in enumerate("XYZ"):
-        if sizes[k] is None:
-            if k < 2 or slices > 1:
-                options.warn(f"no {name}{axis}, so it is taken to be that along {'XYZ'[known]}")
-            sizes[k], units[k] = sizes[known], units[known]
+        if sizes[k] is None and (k < 2 or slices > 1):
+            options.warn(f"no {name}{axis}, so it is taken to be that along {'XYZ'[known]}")
+    units = [units[known] if size is None else unit for size, unit in zip(sizes, units)]
     factors, unit, wrong = one_unit(units, [True, True, slices > 1])
     if wrong:
         options.warn(wrong)
-    x, y, z = (size * factor for size, factor in zip(sizes, factors))
+    x, y, z = ((length if size is None else size) * factor for size, factor in zip(sizes, factors))
     return Spacing((x, y, z), unit)
 
 
 def _imagej(file: Any, slices: int, options: ReadOptions) -> Spacing:
-    """ImageJ's ``unit``, for y and z also ``yunit`` and ``zunit``, hold for resolution and
-    ``spacing``; without one, the unit of the resolution tags does."""
+    """The spacing of ImageJ: ``unit`` (for y and z also ``yunit`` and ``zunit``) applies to the resolution and to
+    ``spacing``; without it, the unit of the resolution tags does.
+    """
     facts = file.imagej_metadata or {}
     tags = file.pages[0].tags
     sizes = [pixel_size(tags, name) for name in ("XResolution", "YResolution")]
@@ -108,8 +109,9 @@ def _imagej(file: Any, slices: int, options: ReadOptions) -> Spacing:
 
 
 def _plain(file: Any, series: Any) -> Spacing:
-    """Resolution tags, in mm where they have a unit; slices as far apart as columns, since plain
-    TIFF cannot say."""
+    """The resolution tags, in mm where they have a unit. Slices are as far apart as columns, since plain TIFF cannot
+    say more.
+    """
     tags = series.keyframe.tags if series is not None else file.pages[0].tags
     x, y = (pixel_size(tags, name) for name in ("XResolution", "YResolution"))
     if x is None or y is None:
@@ -124,7 +126,7 @@ def _tag_unit(tags: Any, default: int) -> int:
 
 
 def pixel_size(tags: Any, name: str) -> float | None:
-    """Resolution units per pixel, or None where the tag is missing or says nothing."""
+    """Resolution units per pixel; None if the tag is missing or empty."""
     if name not in tags:
         return None
     pixels, units = tags[name].value

@@ -1,5 +1,4 @@
-"""Zarr folders: stores of clvol's, any OME-Zarr image, or a plain array; read by tensorstore when
-asked for."""
+"""Zarr folders: clvol stores, OME-Zarr images, and plain arrays, read lazily by tensorstore."""
 
 from __future__ import annotations
 
@@ -20,11 +19,11 @@ from clvol.volume.volume import Volume, check_type
 
 
 def read(path: Path, options: ReadOptions) -> Volume:
-    """The volume in a Zarr folder; nothing but metadata is read before somebody asks for voxels.
+    """The volume in a Zarr folder. Only metadata are read until voxels are used.
 
-    Of a multiscale image the finest level. Axes are told apart by their names, wherever there are
-    some; channel and time are chosen by ``options``; an image without z is one slice. Scale and
-    translation of OME-Zarr become spacing and origin, in the unit of x.
+    Of a multiscale image the finest level is read. Axes are recognised by their names where they have names;
+    ``options`` select channel and time; an image without z is one slice. Scale and translation of OME-Zarr become
+    spacing and origin, in the unit of x.
     """
     if is_store(path):
         return StoredVolume(open_store(path), options.memory_cap)
@@ -37,10 +36,9 @@ def read(path: Path, options: ReadOptions) -> Volume:
 
 
 class StoredVolume(LazyVolume):
-    """A store of clvol's: range and counts are known without reading voxels. ``blocks_source``: its
-    blocks."""
+    """A clvol store, whose range and counts are known without reading voxels. ``blocks_source`` holds its blocks."""
 
-    def __init__(self, source: StoredBlocks, memory_cap: int | None = None) -> None:
+    def __init__(self, source: StoredBlocks | TurnedBlocks, memory_cap: int | None = None) -> None:
         self.blocks_source = source
         super().__init__(
             source.dtype, source.grid, source.name, source.facts.frame, str(source.path), memory_cap
@@ -49,7 +47,7 @@ class StoredVolume(LazyVolume):
 
     @property
     def grid(self) -> Grid:
-        """Also that of ``blocks_source``."""
+        """The grid, which is also that of ``blocks_source``."""
         return self.blocks_source.grid
 
     @grid.setter
@@ -81,8 +79,7 @@ class StoredVolume(LazyVolume):
 
 
 class ZarrVolume(LazyVolume):
-    """Somebody else's Zarr array [z, y, x]. Chunks that are not there count as the fill value, as
-    Zarr has it."""
+    """A Zarr array [z, y, x] that is not a clvol store. Missing chunks count as the fill value, as in Zarr."""
 
     def __init__(
         self,

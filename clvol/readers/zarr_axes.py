@@ -1,4 +1,4 @@
-"""Which axes of an array are z, y, x, channel and time, by their names."""
+"""Recognising the axes z, y, x, channel and time of an array by their names."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _TYPES = {"channel": "c", "time": "t"}
 
 @dataclass(frozen=True)
 class Axis:
-    """What a file says of an axis: ``type`` is OME's ("space", "time", "channel")."""
+    """The metadata of an axis. ``type`` is OME's ("space", "time", "channel")."""
 
     name: str | None
     type: str | None = None
@@ -36,8 +36,7 @@ class Axis:
 
 @dataclass(frozen=True)
 class Placed:
-    """Which axes of the array are z (None: there is none), y and x, channel and time. All others
-    have length 1."""
+    """The indices of the axes z (None: there is none), y and x, channel and time. All other axes have length 1."""
 
     space: tuple[int | None, int, int]
     channel: int | None
@@ -45,7 +44,7 @@ class Placed:
 
 
 def place_axes(axes: Sequence[Axis], shape: Sequence[int], where: str) -> Placed:
-    """VolumeError for axes that cannot be told apart."""
+    """The axes of an array by their names and lengths; VolumeError if they are ambiguous."""
     if any(n < 1 for n in shape):
         raise VolumeError(where, f"empty array of shape {list(shape)}", "at least one voxel")
     kinds = [axis.kind for axis in axes]
@@ -60,7 +59,7 @@ def place_axes(axes: Sequence[Axis], shape: Sequence[int], where: str) -> Placed
             z = long.pop()
         if long:
             raise _unclear(axes, shape, where)
-        space = (z, by_kind["y"], by_kind["x"])
+        y, x = by_kind["y"], by_kind["x"]
     else:
         if {"x", "y", "z"} & set(by_kind):
             raise _unclear(axes, shape, where)
@@ -68,8 +67,8 @@ def place_axes(axes: Sequence[Axis], shape: Sequence[int], where: str) -> Placed
             unknown.remove(next(k for k in unknown if shape[k] == 1))
         if len(unknown) != 3:
             raise _unclear(axes, shape, where)
-        space = tuple(unknown)
-    return Placed(space, by_kind.get("c"), by_kind.get("t"))
+        z, y, x = unknown
+    return Placed((z, y, x), by_kind.get("c"), by_kind.get("t"))
 
 
 def _may_be_z(axis: Axis) -> bool:

@@ -1,5 +1,6 @@
-"""How large chunks compressed by Blosc say that they are: its decoder makes room for that much, up
-to 2 GiB a chunk, before anybody compares it with the chunk's shape."""
+"""Checks of the sizes that chunks compressed by Blosc claim: the decoder allocates that much, up to 2 GiB per chunk,
+before it is compared with the chunk's shape.
+"""
 
 from __future__ import annotations
 
@@ -16,14 +17,13 @@ from clvol.volume.memory import check_memory
 
 _LARGEST = 2**31
 _HEADER = 16
-_NOTHING = 2**64 - 1  # the place of a chunk that is not in its shard
+_NOTHING = 2**64 - 1  # the offset of a chunk that is missing from its shard
 
 
 def check_blosc(path: Path, where: str, chunk_bytes: int, memory_cap: int | None) -> None:
-    """VolumeError for an array with a chunk that claims to be larger than its shape.
+    """VolumeError if a chunk of the array claims to be larger than its shape.
 
-    ``path`` is the array's folder. Where the worst that chunks can claim fits anyway, nothing is
-    read.
+    ``path`` is the array's folder. Nothing is read if the largest possible claims fit into memory anyway.
     """
     try:
         check_memory(where, cores() * _LARGEST, memory_cap)
@@ -48,8 +48,9 @@ def check_blosc(path: Path, where: str, chunk_bytes: int, memory_cap: int | None
 
 
 def _layout(path: Path) -> tuple[int, int, bool] | None:
-    """(chunks in a file, bytes of the index behind them, whether it comes first instead); None for
-    an array without Blosc."""
+    """(chunks per file, bytes of the index after them, whether the index comes first instead); None for an array
+    without Blosc.
+    """
     if (path / ".zarray").exists():
         array = json.loads((path / ".zarray").read_text(encoding="utf-8"))
         compressor = array.get("compressor") or {}
@@ -78,7 +79,7 @@ def _chunk_files(path: Path) -> Iterator[Path]:
 
 
 def _starts(stream: BinaryIO, file: Path, shard: tuple[int, int, bool]) -> Iterator[int]:
-    """Where the file's chunks begin."""
+    """The offsets of the chunks in the file."""
     count, size, first = shard
     if not size:
         yield 0

@@ -1,7 +1,7 @@
-"""Other people's Zarr: which array of a folder is the image, and what its axes are.
+"""Zarr folders that are not clvol stores: finding the array that is the image, and its axes.
 
-OME-Zarr images (0.1 to 0.5), arrays whose dimensions have names (``dimension_names`` of Zarr v3,
-``_ARRAY_DIMENSIONS`` as xarray writes it), and arrays that say nothing, which are [z, y, x].
+These are OME-Zarr images (0.1 to 0.5), arrays whose dimensions have names (``dimension_names`` in Zarr v3,
+``_ARRAY_DIMENSIONS`` as written by xarray), and arrays without either, which are [z, y, x].
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from clvol.errors import VolumeError
-from clvol.readers.options import ReadOptions
+from clvol.readers.options import Key, ReadOptions
 from clvol.readers.zarr_axes import AXES, Axis, Placed, place_axes
 from clvol.readers.zarr_blosc import check_blosc
 from clvol.store.arrays import open_array, system_words
@@ -24,7 +24,7 @@ from clvol.volume.memory import check_memory
 from clvol.volume.units import one_unit
 
 _LARGEST_METADATA = 64 << 20
-_EVEN = 1e-3  # of a step, by which coordinates may be off
+_EVEN = 1e-3  # tolerance of coordinates, as a share of a step
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +39,7 @@ class Image:
 
 
 def find_image(path: Path, options: ReadOptions) -> Image:
-    """The image in a Zarr folder, of a multiscale image the finest level."""
+    """The image in a Zarr folder; of a multiscale image, the finest level."""
     where = str(path)
     node = read_node(path, where)
     if node.is_array:
@@ -60,7 +60,7 @@ def find_image(path: Path, options: ReadOptions) -> Image:
 
 @dataclass(frozen=True, eq=False)
 class Node:
-    """``dimensions`` are the names of an array's axes, None where there are none."""
+    """``dimensions`` are the names of an array's axes, or None."""
 
     is_array: bool
     attributes: dict
@@ -68,7 +68,7 @@ class Node:
 
 
 def read_node(path: Path, where: str) -> Node:
-    """Metadata of a group or an array, of Zarr v3 or v2."""
+    """The metadata of a group or an array, of Zarr v3 or v2."""
     try:
         if (path / "zarr.json").exists():
             root = _json(path / "zarr.json")
@@ -103,8 +103,9 @@ def _is_node(path: Path) -> bool:
 
 
 def _member(path: Path, options: ReadOptions) -> Image:
-    """The image or array in a group that is no image itself: those of bioformats2raw are numbered,
-    xarray's are arrays beside their coordinates."""
+    """The image or array in a group that is not an image itself: bioformats2raw numbers its images, xarray stores
+    coordinates beside the array.
+    """
     where = str(path)
     found: dict[str, Node] = {}
     children = sorted(child for child in path.iterdir() if child.is_dir() and _is_node(child))
@@ -151,7 +152,7 @@ def _array(path: Path, where: str) -> Any:
 
 
 def _checked(path: Path, where: str, options: ReadOptions) -> Any:
-    """The array in a folder, if its chunks fit as they are decoded: they may be larger than it."""
+    """The array in a folder, after checking that its decoded chunks, which may be larger than it, fit into memory."""
     array = _array(path, where)
     chunk = array.chunk_layout.read_chunk.shape or array.shape
     nbytes = math.prod(int(n) for n in chunk) * array.dtype.numpy_dtype.itemsize
@@ -166,7 +167,7 @@ def _checked(path: Path, where: str, options: ReadOptions) -> Any:
 
 
 def _plain(group: Path, path: Path, node: Node, options: ReadOptions) -> Image:
-    """An array without OME's metadata. Coordinates beside it, as xarray writes them, are heeded."""
+    """An array without OME metadata. Coordinates stored beside it, as xarray writes them, give its grid."""
     where = str(group)
     array = _checked(path, where, options)
     names = node.dimensions or [None] * array.rank
@@ -176,12 +177,14 @@ def _plain(group: Path, path: Path, node: Node, options: ReadOptions) -> Image:
         )
     placed = place_axes([Axis(name) for name in names], array.shape, where)
     array = _picked(array, placed, [], where, options)
-    scale, shift, units = [1.0] * 3, [0.0] * 3, [None] * 3
+    scale, shift = [1.0] * 3, [0.0] * 3
+    units: list[str | None] = [None] * 3
     if group != path:
         for i, k in enumerate(placed.space):
-            if k is not None and names[k] and _is_node(group / names[k]):
+            name = None if k is None else names[k]
+            if name and _is_node(group / name):
                 scale[i], shift[i], units[i] = _coordinates(
-                    group / names[k], names[k], array.shape[i], where, options
+                    group / name, name, array.shape[i], where, options
                 )
     grid, unit = _grid(array.shape, scale, shift, units, options)
     known = any(units) or scale != [1.0] * 3
@@ -191,7 +194,7 @@ def _plain(group: Path, path: Path, node: Node, options: ReadOptions) -> Image:
 def _coordinates(
     path: Path, name: str, count: int, where: str, options: ReadOptions
 ) -> tuple[float, float, str | None]:
-    """Step, first place and unit of an axis's coordinates, if they are even."""
+    """Step, first position and unit of an axis's coordinates, if they are evenly spaced."""
     node = read_node(path, where)
     array = _checked(path, where, options)
     if not node.is_array or tuple(array.shape) != (count,) or count < 2:
@@ -202,7 +205,7 @@ def _coordinates(
     step = float(values[-1] - values[0]) / (count - 1)
     off = np.abs(values - (values[0] + step * np.arange(count))).max()
     if not np.isfinite(off) or step == 0.0 or off > _EVEN * abs(step):
-        options.warn(f"coordinates along {name} are not evenly spaced, and not used")
+        options.warn(f"coordinates along {name} are not evenly spaced and are not used")
         return 1.0, 0.0, None
     return step, float(values[0]), _text(node.attributes, "units")
 
@@ -210,9 +213,10 @@ def _coordinates(
 def _picked(
     array: Any, placed: Placed, channels: list[str | None], where: str, options: ReadOptions
 ) -> Any:
-    """``array`` as [z, y, x] of the channel and the time that the caller wants."""
+    """``array`` as [z, y, x] of the selected channel and time."""
     pick: list[Any] = [slice(None) if k in placed.space else 0 for k in range(array.rank)]
-    for key, axis in (("channel", placed.channel), ("time", placed.time)):
+    chosen: tuple[tuple[Key, int | None], ...] = (("channel", placed.channel), ("time", placed.time))
+    for key, axis in chosen:
         if axis is None:
             continue
         count = array.shape[axis]
@@ -231,7 +235,7 @@ def _grid(
     units: list[str | None],
     options: ReadOptions,
 ) -> tuple[Grid, str | None]:
-    """``scale``, ``shift`` and ``units`` are along z, y, x."""
+    """The grid and its unit; ``scale``, ``shift`` and ``units`` are along z, y, x."""
     factors, unit, wrong = one_unit(units[::-1], [n > 1 for n in shape[::-1]])
     if wrong:
         options.warn(wrong)
@@ -256,7 +260,7 @@ def _multiscale(path: Path, attributes: dict, multiscale: dict, options: ReadOpt
     folder = path.joinpath(*(part for part in place.split("/") if part not in ("", ".", "..")))
     array = _checked(folder, where, options)
     rank = array.rank
-    if not axes:  # before version 0.3 all had five
+    if not axes:  # before version 0.3 all images had five axes
         axes = [Axis(name) for name in (AXES if rank == len(AXES) else [None] * rank)]
     if len(axes) != rank:
         raise VolumeError(where, f"{len(axes)} axes for an array of {rank}", "OME-Zarr metadata")
@@ -291,7 +295,7 @@ def _channel_names(attributes: dict) -> list[str | None]:
 
 
 def _transformation(parts: list[dict]) -> tuple[np.ndarray | None, np.ndarray | None]:
-    """Scale and translation of all, the first applied first."""
+    """Scale and translation of all transformations, applied in order."""
     scale = shift = None
     for part in parts:
         for step in part.get("coordinateTransformations") or ():

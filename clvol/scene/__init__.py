@@ -1,4 +1,4 @@
-"""What is asked for: the scene as typed models, one file a table of the scene file."""
+"""The scene as typed models: one module per table of the scene file, and what loads, resolves and writes scenes."""
 
 from __future__ import annotations
 

@@ -8,9 +8,12 @@ from clvol.scene.table import Number, Table, Whole
 
 
 class Animation(Table):
-    """``time``: seconds, of the first frame. ``cycle``: how fast the transfer function's colours move
-    over the values, in ranges of the volume a second, wrapping; its opacity stays.
-    ``orbit_degrees``: the camera's turn about its target over all frames."""
+    """Time, number of frames, and what moves.
+
+    ``time`` is the time of the first frame in seconds. ``cycle`` is the speed at which the transfer function's colours
+    move through the values, in value ranges per second; they wrap around, and opacities stay. ``orbit_degrees`` is the
+    angle by which the camera turns about its target over all frames.
+    """
 
     time: Number = Field(
         0.0, ge=-1e6, le=1e6,

@@ -6,6 +6,7 @@ import math
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 from pydantic import Field, model_validator
 
 from clvol.errors import SceneError
@@ -24,9 +25,9 @@ _PARALLEL = 1e-6  # sine of the angle below which two directions count as parall
 class Camera(Table):
     """A perspective or orthographic view; lengths in world units.
 
-    What is left out is filled in by ``complete``: the target is the volume's centre, the position
-    sees the whole volume, ``up`` is y (z where the view is along y), and the ``height`` of an
-    orthographic view shows the whole volume. A perspective view ignores ``height``, an
+    ``complete`` fills in what is left out: the target is the volume's centre, the whole volume is visible from the
+    position, ``up`` is y (z where the view is along y), and the ``height`` of an orthographic view shows the whole
+    volume. A perspective view ignores ``height``, an
     orthographic one ``fov_degrees``, so that switching the projection takes one key.
     """
 
@@ -71,12 +72,12 @@ class Camera(Table):
 
     @model_validator(mode="after")
     def _not_degenerate(self) -> Camera:
-        if self.up is not None and _unit(self.up) is None:
+        if self.up is not None and not any(self.up):
             raise wrong("up", list(self.up), "a vector that is not 0")
         if self.position is None or self.target is None:
             return self
         forward = _unit(np.subtract(self.target, self.position))
-        if forward is None:
+        if not forward.any():
             raise wrong("position", list(self.position), "a position apart from the target")
         if self.up is not None and _parallel(forward, _unit(self.up)):
             raise wrong("up", list(self.up), "a vector that is not parallel to the view")
@@ -88,10 +89,9 @@ class Camera(Table):
         return cls().complete(grid, image)
 
     def complete(self, grid: Grid, image: ImageSettings, where: str = "scene") -> Camera:
-        """This camera with all that was left out filled in to show the whole of ``grid``.
+        """A copy with everything that was left out filled in so that the whole of ``grid`` is shown.
 
-        Raises SceneError, its place beginning with ``where``, if what was given is degenerate
-        together with what was filled in.
+        Raises SceneError, whose ``where`` begins with ``where``, if the result would be degenerate.
         """
         corners = np.asarray(grid.world_corners(), dtype=np.float64)
         centre = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
@@ -100,7 +100,7 @@ class Camera(Table):
             forward = -_unit(_DEFAULT_TOWARDS_EYE)
         else:
             forward = _unit(target - self.position)
-            if forward is None:
+            if not forward.any():
                 expected = "a position apart from the target, by default the volume's centre"
                 got = f"got {list(self.position)}"
                 raise SceneError(f"{where}: camera.position", got, expected)
@@ -128,9 +128,9 @@ class Camera(Table):
             height = 2 * _MARGIN * float(np.maximum(np.abs(above), np.abs(right) / aspect).max())
         return Camera(
             projection=self.projection,
-            position=tuple(float(x) for x in position),
-            target=tuple(float(x) for x in target),
-            up=tuple(float(x) for x in up),
+            position=tuple(position.tolist()),
+            target=tuple(target.tolist()),
+            up=up,
             fov_degrees=self.fov_degrees,
             height=height,
         )
@@ -138,13 +138,21 @@ class Camera(Table):
     def basis(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(forward, right, up): three orthonormal float64 vectors [3] in world axes.
 
-        Raises SceneError if position, target or up are still to be filled in.
+        Raises SceneError if position, target or up have not been filled in.
         """
         for name in ("position", "target", "up"):
             if getattr(self, name) is None:
                 expected = "a value; Camera.complete(grid, image) fills it in"
                 raise SceneError(f"scene: camera.{name}", "missing", expected)
-        return _frame(_unit(np.subtract(self.target, self.position)), _unit(self.up))
+        forward = _unit(np.subtract(np.asarray(self.target), np.asarray(self.position)))
+        return _frame(forward, _unit(np.asarray(self.up)))
+
+    def height_of_view(self) -> float:
+        """The height of an orthographic view in world units; SceneError if it has not been filled in."""
+        if self.height is None:
+            expected = "a value; Camera.complete(grid, image) fills it in"
+            raise SceneError("scene: camera.height", "missing", expected)
+        return self.height
 
     def world_rays(self, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
         """Origins and unit directions, both float64 [height, width, 3], through pixel centres.
@@ -157,30 +165,27 @@ class Camera(Table):
     def world_rays_at(
         self, width: int, height: int, rows: np.ndarray, columns: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """As ``world_rays``, of the pixels where ``rows`` [k] and ``columns`` [l] cross: [k, l, 3]."""
+        """As ``world_rays``, for the pixels at the crossings of ``rows`` [k] and ``columns`` [l]: [k, l, 3]."""
         forward, right, up = self.basis()
         x = ((np.asarray(columns) + 0.5) / width * 2 - 1) * (width / height)
         y = 1 - (np.asarray(rows) + 0.5) / height * 2
         across = x[None, :, None] * right + y[:, None, None] * up
         if self.projection == "orthographic":
-            if self.height is None:
-                expected = "a value; Camera.complete(grid, image) fills it in"
-                raise SceneError("scene: camera.height", "missing", expected)
-            origins = np.asarray(self.position) + 0.5 * self.height * across
+            origins = np.asarray(self.position) + 0.5 * self.height_of_view() * across
             return origins, np.broadcast_to(forward, origins.shape).copy()
         directions = forward + math.tan(math.radians(self.fov_degrees) / 2) * across
         directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
         return np.broadcast_to(np.array(self.position), directions.shape).copy(), directions
 
 
-def _unit(vector) -> np.ndarray | None:
-    """``vector`` at length 1, None if it is 0; scaled first: no square may over- or underflow."""
-    vector = np.asarray(vector, dtype=np.float64)
-    largest = np.abs(vector).max()
+def _unit(vector: ArrayLike) -> np.ndarray:
+    """``vector`` [3] at length 1, or 0 if it is 0; it is scaled first, so that no square over- or underflows."""
+    given = np.asarray(vector, dtype=np.float64)
+    largest = np.abs(given).max()
     if largest == 0:
-        return None
-    vector = vector / largest
-    return vector / np.linalg.norm(vector)
+        return given
+    scaled = given / largest
+    return scaled / np.linalg.norm(scaled)
 
 
 def _parallel(a: np.ndarray, b: np.ndarray) -> bool:

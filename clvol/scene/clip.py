@@ -14,9 +14,11 @@ _POINT = "three finite numbers [x, y, z]"
 
 
 class Clip(Table):
-    """World coordinates. A plane through ``point`` keeps the side that its ``normal``, of any
-    length but 0, points to; a box along the world's axes and a sphere keep what is inside or
-    outside."""
+    """A plane, a box or a sphere in world coordinates.
+
+    A plane through ``point`` keeps the side that its ``normal`` (of any length but 0) points to. A box, which is
+    aligned with the world axes, and a sphere keep their inside or their outside.
+    """
 
     type: Literal["plane", "box", "sphere"] = Field(
         "plane",
@@ -82,9 +84,9 @@ class Clip(Table):
                 raise wrong(key, got, f"no {key} for a clip of type {self.type!r}")
         if self.type == "plane" and "keep" in self.model_fields_set:
             raise wrong("keep", self.keep, "no keep for a plane: it keeps its normal's side")
-        if self.type == "plane" and not any(self.normal):
+        if self.type == "plane" and self.normal is not None and not any(self.normal):
             raise wrong("normal", list(self.normal), "a vector that is not 0")
-        if self.type == "box":
+        if self.type == "box" and self.lower is not None and self.upper is not None:
             for axis, (low, high) in enumerate(zip(self.lower, self.upper)):
                 if not low < high:
                     raise wrong(f"upper.{axis}", high, f"greater than lower's {low}")

@@ -1,7 +1,7 @@
-"""Scenes said in other numbers: all that is stated in values, along an axis of its own.
+"""Converting what a scene states in values to the numbers that voxels are stored as.
 
-Voxels may be held as numbers that mean values (``ValueAxis``), or be quantised; what a scene says
-in values then has to be said in those numbers. Both go through ``in_codes``.
+Stored numbers may represent values along an axis (``ValueAxis``), or voxels may be quantised. Everything that the
+scene states in values is then converted to these numbers, in both cases by ``in_codes``.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from clvol.scene.isosurface import Isosurface
 from clvol.transfer import TransferFunction
@@ -21,14 +22,16 @@ if TYPE_CHECKING:
     from clvol.scene.opacity_factor import OpacityFactor
     from clvol.scene.resolve import ResolvedScene
 
-Code = Callable[[np.ndarray], np.ndarray]
-_FINITE = (-1e30, 1e30)  # what a scene's numbers may be
+Code = Callable[[ArrayLike], np.ndarray]
+_FINITE = (-1e30, 1e30)  # the range of numbers in a scene
 _LARGEST = 1e300
 
 
 def in_stored_values(resolved: ResolvedScene) -> ResolvedScene:
-    """``resolved``, whose volume and fields may have slopes and offsets, in stored numbers: their
-    voxels are then their values. ``axis`` leads back, for messages."""
+    """``resolved`` with everything stated in stored numbers, so that slopes and offsets are 1 and 0.
+
+    ``axis`` of the result maps stored numbers back to values, for messages.
+    """
     fields = tuple(_field_in_stored(field) for field in resolved.fields)
     if any(a is not b for a, b in zip(fields, resolved.fields)):
         resolved = replace(resolved, fields=fields)
@@ -41,17 +44,19 @@ def in_stored_values(resolved: ResolvedScene) -> ResolvedScene:
 
 
 def code_of(axis: ValueAxis, dtype: np.dtype) -> Code:
-    """From values to the stored numbers of voxels of ``dtype``."""
+    """The function from values to the stored numbers of voxels of ``dtype``."""
     whole = dtype.kind in "iu"
     return lambda values: axis.stored(values, whole=whole)
 
 
 def in_codes(resolved: ResolvedScene, code: Code, per_value: float) -> dict[str, Any]:
-    """All of a scene that is stated in values of the volume, in codes, which rise with them;
-    ``per_value``: codes a unit of the value."""
+    """The parts of a scene that are stated in values of the volume, converted to codes.
 
-    def factor(asked: OpacityFactor | None) -> OpacityFactor | None:
-        return asked and replace(asked, at=asked.at * per_value)
+    Codes rise with values; ``per_value`` is the number of codes per unit of the value.
+    """
+
+    def factor(by_value: OpacityFactor | None) -> OpacityFactor | None:
+        return by_value and replace(by_value, at=by_value.at * per_value)
 
     def scaled(table: Any, key: str) -> Any:
         number = float(np.clip(getattr(table, key) * per_value, *_FINITE))
@@ -83,10 +88,10 @@ def in_codes(resolved: ResolvedScene, code: Code, per_value: float) -> dict[str,
     }
 
 
-def function_in_codes(asked: TransferFunction, code: Code) -> TransferFunction:
-    """The same function of codes."""
-    values = np.clip(code(asked.values), -_LARGEST, _LARGEST)
-    return TransferFunction(values, asked.opacities, asked.colors, asked.opacity_unit)
+def function_in_codes(function: TransferFunction, code: Code) -> TransferFunction:
+    """``function``, stated in values, as a function of codes."""
+    values = np.clip(code(function.values), -_LARGEST, _LARGEST)
+    return TransferFunction(values, function.opacities, function.colors, function.opacity_unit)
 
 
 def _field_in_stored(field: ResolvedField) -> ResolvedField:
@@ -105,7 +110,7 @@ def _field_in_stored(field: ResolvedField) -> ResolvedField:
 
 
 def _labels_in_stored(field: ResolvedField, code: Code) -> dict[str, np.ndarray]:
-    """Labels that no voxel can have are left out."""
+    """The labels in stored numbers, without those that no voxel can have."""
     stored = code(field.labels)
     kept = (stored == np.rint(stored)) & (np.abs(stored) < 2.0**53)
     if not kept.any():

@@ -19,9 +19,11 @@ _Distance = Annotated[Number, Field(ge=-_FARTHEST, le=_FARTHEST)]
 
 
 class DepthCue(Table):
-    """From the world distance ``start`` on colours fade, at ``end`` they are ``strength`` of the
-    way to ``color``, which is in the colour space of the transfer function. Left out, they are the
-    distances of the volume's nearest and farthest corner."""
+    """Colours fade between the world distances ``start`` and ``end`` from the eye.
+
+    At ``end`` they have covered the share ``strength`` of the way to ``color``, which is in the colour space of the
+    transfer function. ``start`` and ``end`` default to the distances of the volume's nearest and farthest corner.
+    """
 
     start: _Distance | None = Field(
         None,
@@ -57,8 +59,9 @@ class DepthCue(Table):
         return self
 
     def complete(self, camera: Camera, grid: Grid) -> DepthCue:
-        """This with start and end filled in; where that would leave no length between them, they
-        are about a voxel edge apart."""
+        """A copy with start and end filled in; if that would leave no length between them, they are about one voxel
+        edge apart.
+        """
         distances = np.clip(corner_distances(camera, grid), -0.5 * _FARTHEST, 0.5 * _FARTHEST)
         start, end = self.start, self.end
         given = [abs(x) for x in (start, end) if x is not None]
@@ -73,8 +76,11 @@ class DepthCue(Table):
 
 
 def corner_distances(camera: Camera, grid: Grid) -> np.ndarray:
-    """World distances float64 [8] of the domain's corners along rays: from the eye, or from the
-    plane through the camera's position of an orthographic view (negative behind it)."""
+    """World distances, float64 [8], of the domain's corners along rays.
+
+    They are measured from the eye of a perspective camera, or from the plane through the position of an orthographic
+    one (negative behind it).
+    """
     offsets = grid.world_corners() - np.asarray(camera.position, np.float64)
     if camera.projection == "orthographic":
         return offsets @ camera.basis()[0]

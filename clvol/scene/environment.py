@@ -1,4 +1,4 @@
-"""[environment]: light from all around, from a picture of it."""
+"""[environment]: light from all around, given by a picture."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ _FILE = "the name of an EXR file, in quotes"
 
 
 class Environment(Table):
-    """``file`` (.exr, linear light) is relative to the scene file.
+    """A picture of the surroundings that lights the volume: ``file`` (.exr, linear light), relative to the scene file.
 
     ``layout``: "latlong" has up (+y) in the first row and -z in the middle; "cube" is a vertical
-    strip of the square faces +x, -x, +y, -y, +z, -z. ``rotation_degrees`` is about the world's y.
-    ``visible``: rays that leave the volume show it, instead of the background.
+    strip of the square faces +x, -x, +y, -y, +z, -z. ``rotation_degrees`` rotates the map about the world's y axis.
+    ``visible``: rays that leave the volume show the map instead of the background.
     """
 
     file: Annotated[str, BeforeValidator(path_text), AfterValidator(is_path)] = Field(
@@ -57,12 +57,15 @@ class Environment(Table):
 
     @property
     def path(self) -> Path:
-        """The file; of a resolved scene's environment, with the scene's folder before it."""
+        """The path of the file. In a resolved scene it includes the scene's folder."""
         return Path(self.file)
 
     def found_in(self, folder: Path, origin: str, memory_cap: int | None = None) -> Environment:
-        """This with its file looked up in ``folder``; SceneError if it is not there, is no EXR, or
-        takes more than ``memory_cap`` bytes (1 GiB where it is None)."""
+        """A copy whose file is a path that includes ``folder``.
+
+        Raises SceneError if the file does not exist, is not an EXR file, or takes more than ``memory_cap`` bytes
+        (default: 1 GiB).
+        """
         path, where = folder / self.file, f"{origin}: environment.file"
         if path.suffix.lower() != ".exr":
             raise SceneError(where, f"got {self.file!r}", "a picture in EXR (.exr)")
@@ -73,7 +76,7 @@ class Environment(Table):
 
 
 def _check_size(path: str, memory_cap: int | None) -> None:
-    """A file that is no EXR is told of when it is read."""
+    """SceneError if the picture is too large. A damaged file is reported when it is read."""
     try:
         check_size(path, memory_cap)
     except UsageError as error:

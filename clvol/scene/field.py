@@ -1,15 +1,16 @@
-"""[[field]]: a second volume that labels, adds to, or cuts the first."""
+"""[[field]]: a second volume that colours, adds to, or masks the first."""
 
 from __future__ import annotations
 
 import os
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypedDict
 
 import numpy as np
+from numpy.typing import ArrayLike
 from pydantic import AfterValidator, BeforeValidator, Field, WrapValidator, model_validator
 
 from clvol.errors import SceneError, VolumeError
@@ -24,7 +25,7 @@ from clvol.volume.volume import Volume
 
 LARGEST_COUNT = 3
 LARGEST_LABELS = 65536
-_LARGEST_LABEL = 2**53 - 1  # of 64-bit labels, beyond it none is kept apart
+_LARGEST_LABEL = 2**53 - 1  # float64 does not distinguish larger labels
 _READ_BY = {"label": "labels", "density": "points", "mask": None}
 _NEEDED = {
     "labels": "a list of labels { label = …, color = [r, g, b] } for a field of role 'label'",
@@ -32,29 +33,40 @@ _NEEDED = {
 }
 
 
+_INVISIBLE = TransferFunction([0.0], [0.0], [[0.0, 0.0, 0.0]])
+
+
+class Choices(TypedDict):
+    """The channel, time and series to read from a file that has several; None where nothing is chosen."""
+
+    channel: int | str | None
+    time: int | str | None
+    series: int | str | None
+
+
 @dataclass(frozen=True, eq=False)
 class ResolvedField:
-    """A field with its volume; what its role does not read is None.
+    """A field with its volume. Attributes that its role does not read keep their defaults.
 
-    "label": ``labels`` int64 [n], ascending, none twice, ``colors`` float64 [n, 3] in linear light,
-    ``factors`` float64 [n] in [0, 1] on the extinction. "density": ``function``. "mask":
-    ``threshold``, and ``keep``, "above" or "below" it. All in what ``volume`` holds; ``axis`` leads
-    from there to the values of the volume asked for.
+    The role "label" reads ``labels`` (int64 [n], ascending, distinct), ``colors`` (float64 [n, 3], linear light) and
+    ``factors`` (float64 [n] in [0, 1], on the extinction). "density" reads ``function``. "mask" reads ``threshold``
+    and ``keep``. All numbers are in the stored numbers of ``volume``; ``axis`` maps them to the values of the requested
+    volume.
     """
 
     volume: Volume
     role: Literal["label", "density", "mask"]
-    labels: np.ndarray | None = None
-    colors: np.ndarray | None = None
-    factors: np.ndarray | None = None
-    function: TransferFunction | None = None
-    threshold: float | None = None
-    keep: Literal["above", "below"] | None = None
+    labels: np.ndarray = field(default_factory=lambda: np.empty(0, np.int64))
+    colors: np.ndarray = field(default_factory=lambda: np.empty((0, 3)))
+    factors: np.ndarray = field(default_factory=lambda: np.empty(0))
+    function: TransferFunction = _INVISIBLE
+    threshold: float = 0.5
+    keep: Literal["above", "below"] = "above"
     axis: ValueAxis = ValueAxis()
 
 
 class FieldLabel(Table):
-    """``opacity`` is a factor on the volume's own extinction."""
+    """The look of one label. ``opacity`` is a factor on the extinction of the volume."""
 
     label: Whole = Field(
         ge=-_LARGEST_LABEL, le=_LARGEST_LABEL,
@@ -83,14 +95,16 @@ def _file(value: Any, check: Callable[[Any], Any]) -> Any:
 
 
 class FieldSettings(Table):
-    """``file`` is relative to the scene file; from Python it may be a ``clvol.Volume``. ``channel``,
-    ``time`` and ``series`` choose where it has several, as in [volume].
+    """A further volume, in the role "label", "density" or "mask".
 
-    A field has its own grid and is looked up by world position: a label from the nearest voxel,
-    density and mask linearly between voxels. Outside the grid is no label and no density, and
-    nothing of a masked volume. "label": each of ``labels`` has its own colour; others keep the
-    volume's. "density": ``points``, per the transfer function's opacity_unit, add to the volume's
-    extinction and emission. "mask": only what is ``keep`` the ``threshold`` is there.
+    ``file`` is relative to the scene file; from Python it may be a ``clvol.Volume``. ``channel``, ``time`` and
+    ``series`` select one of several in the file, as in [volume].
+
+    A field has its own grid and is sampled by world position: labels from the nearest voxel, densities and masks
+    linearly between voxels. Outside the grid there is no label and no density, and a masked volume is empty. "label":
+    each of ``labels`` has its own colour; other labels keep the look of the volume. "density": ``points``, whose
+    opacities refer to the opacity_unit of [transfer_function], add to the volume's extinction and emission. "mask": the
+    volume is kept where the field is ``keep`` ("above" or "below") the ``threshold``.
     """
 
     file: Annotated[
@@ -172,24 +186,17 @@ class FieldSettings(Table):
         if self.points is not None:
             check_points(self.points)
         if self.labels is not None:
-            self._check_labels()
+            _check_labels(self.labels)
         return self
-
-    def _check_labels(self) -> None:
-        if not 1 <= len(self.labels) <= LARGEST_LABELS:
-            raise wrong("labels", len(self.labels) or [], f"from 1 to {LARGEST_LABELS} labels")
-        seen = set()
-        for i, label in enumerate(self.labels):
-            if label.label in seen:
-                raise wrong(f"labels.{i}.label", label.label, "each label once")
-            seen.add(label.label)
 
     def load(
         self, folder: Path, where: str, memory_cap: int | None, labels: bool = False
     ) -> Volume:
-        """The field's volume; ``folder`` is what its file is relative to, ``where`` the place of
-        this table for error messages, ``labels`` whether nothing but labels are read from the file.
-        Raises SceneError if it is not there, VolumeError."""
+        """Loads the field's volume.
+
+        Its file is relative to ``folder``; ``where`` names this table in error messages; ``labels``: the file is read
+        for labels only. Raises SceneError if the file does not exist, and VolumeError.
+        """
         if isinstance(self.file, Volume):
             return self.file
         path = folder / self.file
@@ -198,32 +205,43 @@ class FieldSettings(Table):
             raise SceneError(f"{where}.file", got, "a volume file or a DICOM folder")
         try:
             return load_volume(path, labels=labels, memory_cap=memory_cap, **self.choices)
-        except VolumeError as error:  # readers know of no other table
+        except VolumeError as error:  # readers name the keys of [volume]
             table = where.rpartition(": ")[2]
-            what, expected = (
-                text and re.sub(r"\bvolume\.(channel|time|series)\b", rf"{table}.\1", text)
-                for text in (error.what, error.expected)
-            )
-            raise VolumeError(error.where, what, expected) from error.__cause__
+            what, expected = _with_table(error.what, table), _with_table(error.expected or "", table)
+            raise VolumeError(error.where, what, expected or None) from error.__cause__
 
     @property
-    def choices(self) -> dict[str, int | str | None]:
-        """Which of several channels, times or series; None where nothing is said."""
+    def choices(self) -> Choices:
         return {"channel": self.channel, "time": self.time, "series": self.series}
 
     def resolved(
-        self, volume: Volume, opacity_unit: float, decoded: Callable[[object], np.ndarray]
+        self, volume: Volume, opacity_unit: float, decoded: Callable[[ArrayLike], np.ndarray]
     ) -> ResolvedField:
-        """``decoded`` takes colours to linear light."""
+        """The field with its ``volume``. ``decoded`` converts colours to linear light."""
         if self.role == "mask":
             return ResolvedField(volume, "mask", threshold=self.threshold, keep=self.keep)
         if self.role == "density":
-            function = function_of(self.points, opacity_unit, decoded)
+            function = function_of(self.points or (), opacity_unit, decoded)
             return ResolvedField(volume, "density", function=function)
-        ordered = sorted(self.labels, key=lambda label: label.label)
+        ordered = sorted(self.labels or (), key=lambda label: label.label)
         labels = np.array([label.label for label in ordered], np.int64)
         colors = decoded([label.color for label in ordered])
         factors = np.array([label.opacity for label in ordered], np.float64)
         for array in (labels, colors, factors):
             array.setflags(write=False)
         return ResolvedField(volume, "label", labels=labels, colors=colors, factors=factors)
+
+
+def _check_labels(labels: tuple[FieldLabel, ...]) -> None:
+    if not 1 <= len(labels) <= LARGEST_LABELS:
+        raise wrong("labels", len(labels) or [], f"from 1 to {LARGEST_LABELS} labels")
+    seen = set()
+    for i, label in enumerate(labels):
+        if label.label in seen:
+            raise wrong(f"labels.{i}.label", label.label, "each label once")
+        seen.add(label.label)
+
+
+def _with_table(text: str, table: str) -> str:
+    """``text`` of a reader's message with the keys of ``table`` in place of those of [volume]."""
+    return re.sub(r"\bvolume\.(channel|time|series)\b", rf"{table}.\1", text)

@@ -1,4 +1,4 @@
-"""[gradient]: how the field's derivative is found where something needs it."""
+"""[gradient]: how the field's derivative is computed where something needs it."""
 
 from __future__ import annotations
 
@@ -10,8 +10,12 @@ from clvol.scene.table import Table
 
 
 class GradientSettings(Table):
-    """``operator``: on voxels; the filters "cubic" and "catmull-rom" have an analytic derivative
-    and use none. ``storage``: found once for all voxels, at each sample, or as is quicker."""
+    """How gradients are computed, and where.
+
+    ``operator`` is the finite difference of voxels for the filters "nearest" and "linear"; "cubic" and "catmull-rom"
+    are differentiated analytically. ``storage``: gradients are computed once per voxel ("precomputed"), at each sample
+    ("on-the-fly"), or whichever is faster ("auto").
+    """
 
     operator: Literal["central", "sobel"] = Field(
         "central",

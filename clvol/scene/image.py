@@ -12,11 +12,11 @@ _SIDE = f"a whole number of pixels from 1 to {LARGEST_AXIS}"
 
 
 class ImageSettings(Table):
-    """``background`` is in the colour space of the transfer function.
+    """Size of the picture, its background, and the density of rays.
 
-    ``ray_spacing``: rays go through every so many-th pixel of a row and of a column. Between four of them
-    pixels are interpolated where they agree to within ``ray_tolerance`` in every channel (linear,
-    premultiplied); other pixels get rays of their own.
+    ``background`` is in the colour space of the transfer function. ``ray_spacing`` is the distance between rays in
+    pixels, along rows and columns. Pixels between four rays are interpolated where the rays agree to within
+    ``ray_tolerance`` in every channel (linear, premultiplied); all other pixels get rays of their own.
     """
 
     width: Whole = Field(512, ge=1, le=LARGEST_AXIS, title="Width of the picture in pixels.", description=_SIDE)

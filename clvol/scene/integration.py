@@ -1,4 +1,4 @@
-"""[integration]: how the light along a ray is summed, and how exactly."""
+"""[integration]: how light along a ray is integrated, and how exactly."""
 
 from __future__ import annotations
 
@@ -12,19 +12,18 @@ _BY_STEPS = ("raycast", "multiresolution", "pyramid")
 
 
 class Integration(Table):
-    """``step`` is in units of the smallest voxel edge.
+    """How values along a ray are sampled, classified and composited.
 
-    ``compositing``: "over" is emission and absorption along the ray; the others show the "maximum", the
-    "minimum" or the "average" of the values on it, or the maximum where ``attenuation`` makes what
-    lies behind count less. ``prefilter``: of the filter "cubic" alone, which then meets the voxels.
+    ``step`` is in units of the smallest voxel edge. ``compositing``: "over" integrates emission and absorption along
+    the ray; the others show the "maximum", the "minimum" or the "average" of the values on it, or a maximum in which
+    ``attenuation`` weakens what lies behind. ``prefilter`` makes the filter "cubic" interpolate the voxels.
 
-    ``quadrature``: even "steps" along a ray, or "cells": pieces from one cell of the linear filter to the
-    next, each cut into as many parts as ``step`` goes into 1: one, or an even number.
-    ``early_termination``: a ray may stop at this transmittance; 0 means never. ``table_size``
-    changes nothing any more: segments were once looked up in a table of so many entries per axis, and are integrated in
-    closed form now. ``tolerance``: the error that the reference method aims at, in linear premultiplied colour.
-    ``voxel_precision``: what voxels are held as while rendering, "stored" as they are, or quantised evenly over the
-    volume's range.
+    ``quadrature``: even "steps" along a ray, or "cells": one piece per cell of the linear filter that the ray crosses,
+    cut into 1 / ``step`` parts (one, or an even number). ``early_termination`` is the transmittance at which a ray may
+    stop; 0 means never. ``table_size`` has no effect: earlier versions looked segments up in a table of that many
+    entries per axis; they are now integrated in closed form. ``tolerance`` is the error that the reference method aims
+    at, in linear premultiplied colour. ``voxel_precision``: voxels are held as "stored" while rendering, or quantised
+    evenly over the volume's range.
     """
 
     method: Literal["raycast", "multiresolution", "pyramid", "reference"] = Field(
@@ -90,7 +89,7 @@ class Integration(Table):
 
     @property
     def takes_steps(self) -> bool:
-        """Whether ``step`` counts: not for the exact integral."""
+        """Whether ``step`` has an effect; it has none on the exact integral."""
         return self.method in _BY_STEPS
 
     @classmethod

@@ -1,4 +1,4 @@
-"""[[isosurface]]: the surface where the volume takes one value."""
+"""[[isosurface]]: a surface where the volume has one value."""
 
 from __future__ import annotations
 
@@ -10,10 +10,12 @@ _COLOR = "three numbers [r, g, b] from 0 to 1"
 
 
 class Isosurface(Table):
-    """``color`` and ``back_color`` are in the colour space of the transfer function. A ray that
-    meets the surface where the value rises sees ``color``, else ``back_color``; left out, that is
-    the same. ``refraction``: the index of what lies above the value, relative to what lies below
-    it."""
+    """A surface at ``value``, with a colour for each side and an index of refraction.
+
+    ``color`` and ``back_color`` are in the colour space of the transfer function. A ray that meets the surface where
+    the value rises sees ``color``, any other ray ``back_color``, which defaults to ``color``. ``refraction`` is the
+    index of refraction above the value relative to that below it.
+    """
 
     value: Number = Field(title="Value of the volume on the surface.", description="a finite number", examples=[120.0])
     opacity: Fraction = Field(1.0, title="Opacity of the surface.", description="a number from 0 to 1")

@@ -1,4 +1,4 @@
-"""[[light]]: one light; a scene without any is not shaded."""
+"""[[light]]: one light. A scene without any light is not shaded."""
 
 from __future__ import annotations
 
@@ -12,9 +12,11 @@ _NEEDS = {"directional": "direction", "point": "position", "headlight": None}
 
 
 class Light(Table):
-    """A directional light travels along ``direction``, a point light shines from ``position``
-    (world), a headlight from the eye. ``color`` is linear light. ``casts_shadow`` is read where the
-    scene has a [shadow]."""
+    """A directional light, a point light or a headlight.
+
+    A directional light travels along ``direction``, a point light shines from the world position ``position``, a
+    headlight from the eye. ``color`` is linear light. ``casts_shadow`` matters only where the scene has a [shadow].
+    """
 
     type: Literal["directional", "point", "headlight"] = Field(
         title="Kind of light.",

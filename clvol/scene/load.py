@@ -1,4 +1,4 @@
-"""Reading scene files, and overriding single values of them."""
+"""Reading scene files, and overriding single values in them."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ else:
 
 LARGEST_FILE = 64 * 2**20
 _POSITION = re.compile(r"^(?P<what>.*?)\s*\(at (?P<place>[^()]*)\)$", re.DOTALL)
-_DICOM_FILES = (".dcm", ".ima")  # the volume's reader says what to do with a single one
+_DICOM_FILES = (".dcm", ".ima")  # the reader says what to do with a single file
 _KEY = re.compile(r"[A-Za-z0-9_-]+")
 
 
 def load_scene(path: str | Path, overrides: Iterable[str] = ()) -> Scene:
-    """The scene in the file ``path`` (.toml), or of the volume file ``path`` with all defaults.
+    """Loads the scene file ``path`` (.toml), or makes a scene with all defaults of the volume file ``path``.
 
-    A store of clvol's is rendered by the method "multiresolution" unless ``overrides`` say otherwise:
-    it may be larger than memory.
+    A clvol store is rendered by the method "multiresolution", since it may be larger than memory, unless
+    ``overrides`` choose another one.
 
-    ``overrides``: texts such as ``image.width=1024`` or ``light.0.intensity=2``, values in TOML
-    syntax, applied in their order. An index one past the end of a list appends to it.
-    Raises SceneError whose place is "FILE: KEY". The volume itself is read by ``Scene.resolve``.
+    ``overrides`` are texts such as ``image.width=1024`` or ``light.0.intensity=2``, with values in TOML syntax. They
+    are applied in order. An index one past the end of a list appends to it. Raises SceneError whose ``where`` is
+    "FILE: KEY". The volume itself is read by ``Scene.resolve``.
     """
     path = Path(path)
     if path.suffix.lower() == ".toml":
@@ -50,30 +50,30 @@ def load_scene(path: str | Path, overrides: Iterable[str] = ()) -> Scene:
 
 
 def _check_ending(path: Path) -> None:
-    """SceneError for a file that is plainly neither a scene nor a volume."""
+    """Raises SceneError for a file whose name is neither that of a scene nor that of a volume."""
     if path.suffix.lower() in _DICOM_FILES or is_volume_path(path):
         return
     what = f"unknown ending {path.suffix!r}" if path.suffix else "no ending"
     if not os.path.exists(path):
         what = "no such file"
     known = ", ".join(ENDINGS)
-    raise SceneError(path, what, f"a scene (.toml), or a volume: {known} or a DICOM folder")
+    raise SceneError(str(path), what, f"a scene (.toml), or a volume: {known} or a DICOM folder")
 
 
 def _read(path: Path) -> dict[str, Any]:
     try:
-        if os.path.exists(path) and not os.path.isfile(path):  # a pipe would be waited for
+        if os.path.exists(path) and not os.path.isfile(path):  # reading a pipe would block
             what = "a folder" if os.path.isdir(path) else "not a regular file"
-            raise SceneError(path, what, "a scene file (.toml)")
+            raise SceneError(str(path), what, "a scene file (.toml)")
         with path.open("rb") as file:
             raw = file.read(LARGEST_FILE + 1)
     except FileNotFoundError:
-        raise SceneError(path, "no such file", "a scene (.toml) or a volume file") from None
+        raise SceneError(str(path), "no such file", "a scene (.toml) or a volume file") from None
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
-        raise SceneError(path, f"cannot be read ({reason})", "a readable scene file") from None
+        raise SceneError(str(path), f"cannot be read ({reason})", "a readable scene file") from None
     if len(raw) > LARGEST_FILE:
-        raise SceneError(path, f"more than {LARGEST_FILE} bytes", "a scene file") from None
+        raise SceneError(str(path), f"more than {LARGEST_FILE} bytes", "a scene file") from None
     try:
         text = raw.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -83,7 +83,7 @@ def _read(path: Path) -> dict[str, Any]:
     try:
         return tomllib.loads(text)
     except RecursionError:
-        raise SceneError(path, "nested too deeply", "a scene in TOML") from None
+        raise SceneError(str(path), "nested too deeply", "a scene in TOML") from None
     except ValueError as error:  # TOMLDecodeError is one
         what, place = _parted(str(error))
         if place.startswith("end"):
@@ -99,7 +99,7 @@ def _parted(message: str) -> tuple[str, str]:
 
 
 def _override(data: dict[str, Any], text: str, origin: str) -> None:
-    """Set one value of the parsed scene ``data``; ``text`` is TABLE.KEY=VALUE."""
+    """Sets one value of the parsed scene ``data``; ``text`` is TABLE.KEY=VALUE."""
     key, equals, value_text = text.partition("=")
     keys = [part.strip() for part in key.split(".")]
     if not equals or not all(_KEY.fullmatch(part) for part in keys):
@@ -110,7 +110,7 @@ def _override(data: dict[str, Any], text: str, origin: str) -> None:
     for i, part in enumerate(keys):
         where = f"{origin}: {'.'.join(keys[:i])}"
         is_last = i == len(keys) - 1
-        empty = [] if not is_last and keys[i + 1].isdecimal() else {}
+        empty: list[Any] | dict[str, Any] = [] if not is_last and keys[i + 1].isdecimal() else {}
         if isinstance(place, list):
             if not part.isdecimal() or len(part) > 9 or int(part) > len(place):
                 wanted = f"an index from 0 to {len(place)}"

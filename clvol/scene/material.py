@@ -12,8 +12,8 @@ _SHARE = "a number from 0 to 1"
 class Material(Table):
     """Coefficients of the Blinn-Phong model.
 
-    ``two_sided``: the normal is turned to the viewer; otherwise a back face gets no light but the
-    ambient one. ``fade``: the gradient's magnitude, in value per world length, below which shading
+    ``two_sided``: the normal is turned towards the viewer; otherwise back faces receive ambient light
+    alone. ``fade`` is the gradient magnitude, in value per world length, below which shading
     fades to the unshaded colour.
     """
 

@@ -11,7 +11,7 @@ from clvol.scene.table import Number, Table, Whole, wrong
 
 
 def _as_text(value: object) -> object:
-    """Bytes may be given as a plain number."""
+    """Accepts a plain number of bytes, too."""
     plain = isinstance(value, int) and not isinstance(value, bool)
     return f"{value} B" if plain else value
 
@@ -26,17 +26,21 @@ _SHARE = "a share of a tile's edge, greater than 0 and at most 1"
 
 
 class Multiresolution(Table):
-    """``memory``: what the bricks may take on the device; ``memory_bytes`` is it in bytes.
+    """Blocks within a memory budget, each at a resolution that suits the picture.
 
-    ``view_weighting``: the error of a block is weighted by what the view shows of it: whether it is in the picture, how
-    many pixels it covers and how many of them per voxel. ``occlusion``: and by how much light reaches the eye from it.
+    ``memory`` is the device memory that blocks may take; ``memory_bytes`` is the same in bytes.
 
-    ``step_error``: of "bounded" stepping, what one segment may add to the error of a colour (linear,
+    ``view_weighting``: the error of a block is weighted by its visibility: whether it is in the picture, how many pixels
+    it covers, and how many pixels per voxel. ``occlusion``: it is also weighted by how much of its light
+    reaches the eye.
+
+    ``step_error`` applies to "bounded" stepping: the error of a colour that one segment may add (linear,
     premultiplied).
 
-    ``tiles``: edge of the tiles that the picture is cut into, in pixels; 0: none, every pixel has a ray.
-    ``tile_priority``: by what of the blocks behind its corners a tile gets its rays. ``tile_low``,
-    ``tile_high``: rays an axis of the tiles of least and of most priority, over ``tiles``.
+    ``tiles`` is the edge in pixels of the tiles that the picture is cut into; with 0 every pixel has its own ray.
+    ``tile_priority`` derives the priority of a tile, and so its number of rays, from the resolutions of the blocks
+    behind its corners. ``tile_low`` and ``tile_high`` are the rays per axis of the tiles of lowest and highest
+    priority, divided by ``tiles``.
     """
 
     memory: Annotated[str, BeforeValidator(_as_text), AfterValidator(_is_size)] = Field(

@@ -1,4 +1,4 @@
-"""[[noise]]: tiling noises that perturb the value or the place of every sample."""
+"""[[noise]]: tiling noise that perturbs the value or the position of every sample."""
 
 from __future__ import annotations
 
@@ -13,11 +13,14 @@ _Speed = Annotated[Number, Field(ge=-1e6, le=1e6)]
 
 
 class Noise(Table):
-    """``amplitude``: in units of the value, or a world length for the target "coordinate".
-    ``frequency``: tiles of noise along the volume's longest edge. Each of ``octaves`` has twice the
-    frequency and ``gain`` times the amplitude of the one before. ``velocity``: tiles a second along
-    x, y, z. Several terms add up, all taken at the place that has not been moved; what is moved
-    beyond the volume shows the volume's face."""
+    """A noise that tiles, and perturbs values or positions.
+
+    ``amplitude`` is in units of the value, or a world length for the target "coordinate". ``frequency`` is the number
+    of tiles along the volume's longest edge. Each of ``octaves`` has twice the frequency and ``gain`` times the
+    amplitude of the one before. ``velocity`` is the motion of the noise along x, y and z in tiles per second. Several
+    noises add up, and all are evaluated at the unperturbed position. A position that is moved beyond the volume shows
+    the volume's face.
+    """
 
     target: Literal["value", "coordinate"] = Field(
         title="What the noise perturbs: values, or the positions at which they are taken.",

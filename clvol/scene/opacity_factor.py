@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
+from numpy.typing import ArrayLike
 from pydantic import Field, model_validator
 
 from clvol.scene.table import AsTuple, Fraction, Number, Table, wrong
@@ -16,14 +17,15 @@ _POINTS = "a list of points {{ {} = …, opacity = … }}"
 
 @dataclass(frozen=True, eq=False)
 class OpacityFactor:
-    """A factor in [0, 1], linear between points ``at`` (float64 [n], ascending, >= 0; of two points
-    at one place the later one holds there) with ``factors`` (float64 [n]); beyond the ends it is
-    the ends'."""
+    """A factor in [0, 1] that is linear between points, and constant beyond the first and the last.
+
+    ``at``: float64 [n], ascending, >= 0; where two points coincide, the later one holds. ``factors``: float64 [n].
+    """
 
     at: np.ndarray
     factors: np.ndarray
 
-    def __call__(self, x: np.ndarray) -> np.ndarray:
+    def __call__(self, x: ArrayLike) -> np.ndarray:
         """The factor for each of ``x`` (any shape); 1 for NaN."""
         x = np.asarray(x, np.float64)
         last = self.at.size - 1

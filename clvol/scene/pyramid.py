@@ -6,13 +6,16 @@ from pydantic import Field
 
 from clvol.scene.table import Number, Table, Whole
 
-MOST_LEVELS = 5  # MOST_LEVELS of cl/pyramid.h, which has arrays for so many
+MOST_LEVELS = 5  # MOST_LEVELS of cl/pyramid.h, the size of its arrays
 DEFAULT_ORACLE = "error"
 
 
 class Pyramid(Table):
-    """``levels``: samples may be up to 2^levels steps apart, along rays and across them. ``oracle``: what says how
-    far apart they may be (clvol/integrators/pyramid/oracles). ``epsilon``: what the oracle allows."""
+    """Adaptive sampling on a pyramid of grids.
+
+    Samples may be up to 2^``levels`` steps apart, along rays and across them. ``oracle`` names the rule that decides
+    how far apart they may be (clvol/integrators/pyramid/oracles), and ``epsilon`` is the error or change it allows.
+    """
 
     levels: Whole = Field(
         3, ge=0, le=MOST_LEVELS,

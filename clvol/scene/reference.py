@@ -1,6 +1,6 @@
 """The reference of scene keys and the JSON schema for editors, made from the models' own descriptions.
 
-``data/scene-reference.toml`` and ``data/scene.schema.json`` are what these functions return; a test holds them to it.
+``data/scene-reference.toml`` and ``data/scene.schema.json`` hold what these functions return; a test compares them.
 """
 
 from __future__ import annotations
@@ -43,12 +43,12 @@ def scene_reference(table: str | None = None) -> str:
 
 
 def reference_keys() -> list[tuple[str, str]]:
-    """(table, key) of every key, those of points and labels included."""
+    """(table, key) of every key, including the keys of points and labels."""
     return [(name, key) for name in table_names() for key, _ in _keys(_model_of(name))]
 
 
 def override_keys() -> list[str]:
-    """TABLE.KEY of every key, as ``--set`` takes them; of a list of tables, those of the first one."""
+    """TABLE.KEY of every key, in the form of ``--set``; a list of tables is represented by its first table."""
     keys = []
     for name in table_names():
         table = f"{name}.0" if _is_list(Scene.model_fields[name]) else name
@@ -98,7 +98,7 @@ def _expectation(field: FieldInfo) -> str:
 
 
 def _shown(model: type[Table]) -> set[str]:
-    """The keys that stand uncommented: those with defaults, and as few others as make the table valid."""
+    """The keys that are not commented out: those with defaults, and the fewest others that make the table valid."""
     fields = model.model_fields
     without = [key for key, field in fields.items() if not field.is_required() and _default(field) is None]
     always = [key for key in fields if key not in without]
@@ -126,7 +126,7 @@ def _example(field: FieldInfo) -> Any:
 
 
 def _default(field: FieldInfo) -> Any:
-    """The default as a scene file would state it; None if there is none, or it is a whole table."""
+    """The default as a scene file would state it; None if there is none or if it is a whole table."""
     value = None if field.default is PydanticUndefined else field.default
     if isinstance(value, BaseModel) or value == ():
         return None

@@ -1,4 +1,4 @@
-"""From what was asked for to what is rendered: volume, defaults, colours in linear light."""
+"""Resolving a scene: the volume is loaded, defaults are filled in, colours are converted to linear light."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from clvol.errors import SceneError
 from clvol.readers import load_volume
@@ -52,14 +53,14 @@ _SHORTEST_EDGE_PER_UNIT = 32.0
 
 @dataclass(frozen=True, eq=False)
 class ResolvedScene:
-    """All that rendering needs; all colours in linear light, all files looked up.
+    """Everything that rendering needs: all colours are linear light, and all files have been found.
 
-    ``source`` is the scene as asked for, the text of a scene file. ``origin`` names the scene file
-    (or "scene") for error messages of the form "ORIGIN: TABLE.KEY".
+    ``source`` is the requested scene as the text of a scene file. ``origin`` names the scene file (or "scene") in
+    error messages of the form "ORIGIN: TABLE.KEY".
 
-    Where the volume asked for has a slope and an offset, ``volume`` has neither, and all that is
-    stated in values is in stored numbers here; ``axis`` leads from them to the values, for messages,
-    and ``in_stored_values`` takes what is set later.
+    If the requested volume has a slope and an offset, ``volume`` has neither, and everything that the scene states in
+    values is converted to stored numbers. ``axis`` maps stored numbers to values, for messages;
+    ``in_stored_values`` converts what is set later.
     """
 
     volume: Volume
@@ -86,16 +87,16 @@ class ResolvedScene:
     noise: tuple[Noise, ...] = ()
     depth_cue: DepthCue | None = None
     animation: Animation = Animation()
-    voxel_range: tuple[float, float] | None = None  # where ``volume`` holds other than voxels
+    voxel_range: tuple[float, float] | None = None  # where ``volume`` holds codes instead of voxels
     axis: ValueAxis = ValueAxis()
 
     @property
     def data_range(self) -> tuple[float, float]:
-        """Lowest and highest finite voxel, which is what shares of the range mean."""
+        """The lowest and highest finite voxel: the range that relative settings refer to."""
         return self.voxel_range or self.volume.value_range
 
     def in_stored_values(self, function: TransferFunction) -> TransferFunction:
-        """``function`` of values as one of what ``volume`` holds."""
+        """``function``, stated in values, as a function of what ``volume`` holds."""
         if self.axis.is_plain:
             return function
         return function_in_codes(function, code_of(self.axis, self.volume.dtype))
@@ -107,15 +108,15 @@ def resolve(scene: Scene, memory_cap: int | None = None) -> ResolvedScene:
     camera = (scene.camera or Camera()).complete(volume.grid, scene.image, scene.origin)
     _check_step_count(scene, volume.grid)
 
-    asked = scene.transfer_function
-    if isinstance(asked, TransferFunction):
-        function, is_linear = asked, True
+    given = scene.transfer_function
+    if isinstance(given, TransferFunction):
+        function, is_linear = given, True
     else:
-        settings = asked or TransferFunctionSettings()
+        settings = given or TransferFunctionSettings()
         function = settings.function(volume.value_range, default_opacity_unit(volume.grid))
         is_linear = settings.color_space == "linear"
 
-    def decoded(color: object) -> np.ndarray:
+    def decoded(color: ArrayLike) -> np.ndarray:
         return np.array(color, dtype=np.float64) if is_linear else srgb_to_linear(color)
 
     background = decoded(scene.image.background)
@@ -130,7 +131,7 @@ def resolve(scene: Scene, memory_cap: int | None = None) -> ResolvedScene:
         environment = environment.found_in(scene.folder, scene.origin, memory_cap)
     if cue is not None:
         cue = cue.complete(camera, volume.grid).model_copy(update={"color": decoded(cue.color)})
-    asked_for = ResolvedScene(
+    resolved = ResolvedScene(
         volume=volume,
         camera=camera,
         image=scene.image,
@@ -148,20 +149,20 @@ def resolve(scene: Scene, memory_cap: int | None = None) -> ResolvedScene:
         gradient=scene.gradient,
         environment=environment,
         shadow=scene.shadow,
-        gradient_opacity=scene.gradient_opacity and scene.gradient_opacity.factor(),
-        directional_opacity=scene.directional_opacity and scene.directional_opacity.factor(),
+        gradient_opacity=None if scene.gradient_opacity is None else scene.gradient_opacity.factor(),
+        directional_opacity=None if scene.directional_opacity is None else scene.directional_opacity.factor(),
         transfer_layers=tuple(layer.layer(unit, decoded) for layer in scene.transfer_layer),
         fields=tuple(fields),
         noise=scene.noise,
         depth_cue=cue,
         animation=scene.animation,
     )
-    return in_stored_values(asked_for)
+    return in_stored_values(resolved)
 
 
-def _surface(asked: Isosurface, decoded: Callable[[object], np.ndarray]) -> Isosurface:
-    back = asked.color if asked.back_color is None else asked.back_color
-    return asked.model_copy(update={"color": decoded(asked.color), "back_color": decoded(back)})
+def _surface(surface: Isosurface, decoded: Callable[[ArrayLike], np.ndarray]) -> Isosurface:
+    back = surface.color if surface.back_color is None else surface.back_color
+    return surface.model_copy(update={"color": decoded(surface.color), "back_color": decoded(back)})
 
 
 def default_opacity_unit(grid: Grid) -> float:
@@ -172,42 +173,40 @@ def default_opacity_unit(grid: Grid) -> float:
 
 
 def load_scene_volume(
-    asked: VolumeSettings | Volume, folder: Path, origin: str, memory_cap: int | None
+    settings: VolumeSettings | Volume, folder: Path, origin: str, memory_cap: int | None
 ) -> Volume:
-    """The volume of a scene; ``folder`` is what a file name is relative to."""
-    if isinstance(asked, Volume):
-        return asked
-    if asked.field is not None:
-        return _computed(asked, origin, memory_cap)
-    path = folder / asked.file
+    """The volume of a scene. A file name is relative to ``folder``."""
+    if isinstance(settings, Volume):
+        return settings
+    if settings.field is not None and settings.size is not None:
+        check_memory(f"{origin}: volume.size", math.prod(settings.size), memory_cap)
+        volume = scene_field(settings.field, settings.size, settings.spacing or (1.0, 1.0, 1.0))
+        volume.axis = ValueAxis(settings.slope, settings.offset)
+        return volume
+    if settings.file is None:
+        raise SceneError(f"{origin}: volume.file", "missing", "a volume file or a DICOM folder")
+    path = folder / settings.file
     is_scene_file = str(path) != origin
     if is_scene_file and not os.path.exists(path):
         check_finished(path)
-        got = f"got {asked.file!r}, no such file"
+        got = f"got {settings.file!r}, no such file"
         raise SceneError(f"{origin}: volume.file", got, "a volume file or a DICOM folder")
     volume = load_volume(
         path,
-        dims=asked.dims,
-        dtype=asked.dtype,
-        spacing=asked.spacing,
-        channel=asked.channel,
-        time=asked.time,
-        series=asked.series,
-        header_bytes=asked.header_bytes,
-        byte_order=asked.byte_order,
-        slope=asked.slope,
-        offset=asked.offset,
+        dims=settings.dims,
+        dtype=settings.dtype,
+        spacing=settings.spacing,
+        channel=settings.channel,
+        time=settings.time,
+        series=settings.series,
+        header_bytes=settings.header_bytes,
+        byte_order=settings.byte_order,
+        slope=settings.slope,
+        offset=settings.offset,
         memory_cap=memory_cap,
     )
-    if asked.nan != "transparent" and volume.nan_count:
-        volume = _with_nan_as(volume, asked.nan)
-    return volume
-
-
-def _computed(asked: VolumeSettings, origin: str, memory_cap: int | None) -> Volume:
-    check_memory(f"{origin}: volume.size", math.prod(asked.size), memory_cap)
-    volume = scene_field(asked.field, asked.size, asked.spacing or (1.0, 1.0, 1.0))
-    volume.axis = ValueAxis(asked.slope, asked.offset)
+    if settings.nan != "transparent" and volume.nan_count:
+        volume = _with_nan_as(volume, settings.nan)
     return volume
 
 

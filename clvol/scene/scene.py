@@ -235,11 +235,11 @@ class Scene(Table):
     depth_cue: DepthCue | None = Field(None, title="Fading with distance from the eye.", description=_TABLE)
     animation: Animation = Field(Animation(), title="What changes from one frame to the next.", description=_TABLE)
 
-    _origin: str = PrivateAttr("scene")  # what error messages call the place the scene came from
-    _folder: Path = PrivateAttr(Path())  # what volume.file is relative to
+    _origin: str = PrivateAttr("scene")  # where the scene came from, in error messages
+    _folder: Path = PrivateAttr(Path())  # the folder that volume.file is relative to
     _loaded: Any = PrivateAttr(None)  # the volume, once loaded from its file
-    _memory_cap: int | None = PrivateAttr(None)  # what the files may take, once they are loaded
-    _fields: dict[tuple, Any] = PrivateAttr(default_factory=dict)  # and the fields', by what is asked
+    _memory_cap: int | None = PrivateAttr(None)  # bytes that each file may take, once loaded
+    _fields: dict[tuple, Any] = PrivateAttr(default_factory=dict)  # the volumes of fields, by file and choices
 
     @model_validator(mode="after")
     def _not_contradictory(self) -> Scene:
@@ -290,7 +290,7 @@ class Scene(Table):
         return self._loaded
 
     def load(self, memory_cap: int | None = None) -> None:
-        """Reads the volume and the fields, which are kept, and looks at the environment's size.
+        """Reads the volume and the fields, which are kept, and checks the environment's size.
 
         ``memory_cap``: bytes that each of them may take in memory. Raises SceneError, VolumeError.
         """
@@ -301,19 +301,21 @@ class Scene(Table):
             self.environment.found_in(self._folder, self._origin, memory_cap)
 
     def load_fields(self, memory_cap: int | None = None) -> tuple[Volume, ...]:
-        """The volumes of the fields, each read once and kept. ``memory_cap``: bytes that each may
-        take in memory. Raises SceneError, VolumeError."""
+        """The volumes of the fields, each read once and kept.
+
+        ``memory_cap``: bytes that each may take in memory. Raises SceneError, VolumeError.
+        """
         volumes = []
         with_values = {settings.file for settings in self.field if settings.role != "label"}
         for i, settings in enumerate(self.field):
             volume, where = settings.file, f"{self._origin}: field.{i}"
             if isinstance(volume, str):
-                asked = volume, *settings.choices.values()
-                if asked not in self._fields:
-                    self._fields[asked] = settings.load(
+                key = volume, settings.channel, settings.time, settings.series
+                if key not in self._fields:
+                    self._fields[key] = settings.load(
                         self._folder, where, memory_cap, labels=volume not in with_values
                     )
-                volume = self._fields[asked]
+                volume = self._fields[key]
             volumes.append(volume)
         return tuple(volumes)
 
@@ -326,12 +328,12 @@ class Scene(Table):
         return resolve(self, self._memory_cap if memory_cap is None else memory_cap)
 
     def to_toml(self) -> str:
-        """The scene as asked for, as the text of a scene file, without any voxels."""
+        """The scene as it was requested, as the text of a scene file, without any voxels."""
         return to_toml(self)
 
     @property
     def volume_path(self) -> Path | None:
-        """The volume's file or folder; None for one handed over as an array or computed."""
+        """The volume's file or folder; None for a volume that was passed as an array or is computed."""
         file = getattr(self.volume, "file", None)
         return None if file is None else self._folder / file
 
@@ -344,10 +346,10 @@ class Scene(Table):
 
     @property
     def folder(self) -> Path:
-        """What the names of files are relative to."""
+        """The folder that file names are relative to."""
         return self._folder
 
     @property
     def origin(self) -> str:
-        """The scene file, or "scene" for one built in Python: where error messages point to."""
+        """The scene file, or "scene" if it was built in Python; error messages begin with it."""
         return self._origin

@@ -1,4 +1,4 @@
-"""[shadow]: light is attenuated on its way to what it lights."""
+"""[shadow]: the volume attenuates light on its way to the samples that it lights."""
 
 from __future__ import annotations
 
@@ -10,15 +10,14 @@ from clvol.scene.table import Color, Fraction, Number, Table, Whole, wrong
 
 
 class Shadow(Table):
-    """Shadows of all lights with ``casts_shadow`` but headlights, which cast none.
+    """Shadows of all lights with ``casts_shadow``, except headlights, which cast none.
 
-    ``method``: "volume" marches towards each light from the points of a light volume,
-    ``resolution`` of them along the volume's longest axis; "rays" from each sample. Either march
-    classifies as the scene's rays are; ``step`` is its step, in smallest voxel edges, the scene's if
-    left out. ``bound``: a ray is cast only where opacity times
-    remaining transmittance of the sample is above it. ``scattering``: the share of light that
-    arrives scattered forward, within ``cone_degrees`` about the light's direction and attenuated by
-    1 - ``scatter_color`` (linear light) of the extinction.
+    ``method``: "volume" marches towards each light from the points of a light volume, with ``resolution`` points along
+    the volume's longest axis; "rays" marches from each sample. Shadow rays use the scene's classification; ``step`` is
+    their step in smallest voxel edges, by default that of the scene. With "rays", one is cast only where the opacity of
+    the sample times the remaining transmittance exceeds ``bound``. ``scattering`` is the share of light that arrives
+    scattered forward, within ``cone_degrees`` about the light's direction; the share 1 - ``scatter_color`` (linear
+    light) of the extinction attenuates it.
     """
 
     method: Literal["volume", "rays"] = Field(
@@ -60,7 +59,7 @@ class Shadow(Table):
 
     @property
     def is_volume(self) -> bool:
-        """Whether light is gathered in a volume, not along rays."""
+        """Whether light is stored in a light volume instead of gathered along shadow rays."""
         return self.method != "rays"
 
     @classmethod

@@ -11,19 +11,19 @@ _SIZE = re.compile(r"\s*(\d{1,18}(?:\.\d{1,9})?)\s*([A-Za-z]*)\s*", re.ASCII)
 
 
 def parse_size(text: str) -> int:
-    """Bytes > 0 in ``text``; ValueError if it is not a number with a unit from B to TiB."""
+    """The number of bytes (> 0) in ``text``; ValueError if it is not a number with a unit from B to TiB."""
     match = _SIZE.fullmatch(text)
-    unit = None if match is None else _UNITS.get(match[2].lower())
-    size = 0 if unit is None else int(float(match[1]) * unit)
+    size = 0 if match is None else int(float(match[1]) * _UNITS.get(match[2].lower(), 0))
     if size < 1:
         raise ValueError("not a size")
     return size
 
 
 def format_size(size: int) -> str:
-    """``size`` bytes as people read it, such as "96.0 MiB"."""
+    """``size`` bytes in readable form, such as "96.0 MiB"."""
+    number: float = size
     for unit in ("B", "KiB", "MiB", "GiB"):
-        if size < 1024 or unit == "GiB":
+        if number < 1024 or unit == "GiB":
             break
-        size /= 1024
-    return f"{size} B" if unit == "B" else f"{size:.1f} {unit}"
+        number /= 1024
+    return f"{size} B" if unit == "B" else f"{number:.1f} {unit}"

@@ -1,6 +1,6 @@
-"""The base of every table: immutable, strict about types, and clear about what is wrong.
+"""The base of every table of a scene: immutable, strict about types, with error messages that name the mistake.
 
-A field's ``title`` is one line on what the key means. Its ``description`` says which values are expected: it is
+A field's ``title`` says in one line what the key means. Its ``description`` says which values are expected, and is
 also the last part of error messages. ``examples`` holds a value where there is no default. The scene reference and the
 JSON schema (``clvol/scene/reference.py``) are made from these.
 """
@@ -11,7 +11,7 @@ import math
 from collections.abc import Mapping
 from difflib import get_close_matches
 from inspect import Parameter, Signature
-from typing import Annotated, Any, get_args
+from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
@@ -19,18 +19,26 @@ from pydantic_core import PydanticCustomError
 
 from clvol.errors import SceneError
 
-_KINDS = {dict: "table", list: "list"}
-_LONGEST_KEY = 100  # for which one that is meant is looked for
+_KINDS: dict[type, str] = {dict: "table", list: "list"}
+_LONGEST_KEY = 100  # longer keys get no "did you mean"
 LARGEST_LENGTH = 1e30  # keeps the square of a coordinate's ratio to a voxel within a double
 
 
-class _TableType(type(BaseModel)):
+if TYPE_CHECKING:
+    from pydantic._internal._model_construction import ModelMetaclass
+else:
+    ModelMetaclass = type(BaseModel)  # the type checker needs its name, which pydantic does not export
+
+
+class _TableType(ModelMetaclass):
     """Turns the ValidationError of a direct call, such as Camera(...), into a SceneError."""
 
     def __call__(cls, *args: Any, **keys: Any) -> Any:
         try:
             return super().__call__(*args, **keys)
         except ValidationError as error:
+            if not issubclass(cls, Table):
+                raise
             raise scene_error(error, cls, "scene", cls.table_name()) from None
 
 
@@ -60,8 +68,8 @@ class Table(BaseModel, metaclass=_TableType):
         """A copy with the keys of ``update`` replaced and checked, as if built anew."""
         if not update:
             return super().model_copy(deep=deep)
-        asked = {name: getattr(self, name) for name in self.model_fields_set}
-        return type(self)(**{**asked, **update})
+        settings = {name: getattr(self, name) for name in self.model_fields_set}
+        return type(self)(**{**settings, **update})
 
 
 class _AllDefaults:
@@ -85,7 +93,7 @@ def _readable_signature(model: type[BaseModel]) -> Signature:
 
 
 def wrong(key: str, got: Any, expected: str) -> PydanticCustomError:
-    """What a model's validator raises: ``key`` is relative to the model, dots between its parts."""
+    """The error that a model's validator raises. ``key`` is relative to the model, with dots between its parts."""
     return PydanticCustomError("scene", "{got}", {"key": key, "got": got, "expected": expected})
 
 
@@ -101,7 +109,7 @@ def shown(value: Any, limit: int = 60) -> str:
         return f"an array of shape {value.shape}"
     try:
         text = " ".join(repr(value).split())
-    except ValueError:  # an integer of more digits than Python prints
+    except ValueError:  # an integer with more digits than Python prints
         text = "an integer of thousands of digits"
     except RecursionError:
         text = f"a {_KINDS.get(type(value), 'value')} nested hundreds deep"
@@ -111,7 +119,7 @@ def shown(value: Any, limit: int = 60) -> str:
 def scene_error(
     error: ValidationError, model: type[BaseModel], file: str, table: str = ""
 ) -> SceneError:
-    """The first mistake in ``error`` as a SceneError, unknown keys first: they explain the rest."""
+    """The first mistake in ``error`` as a SceneError. Unknown keys come first, since they often cause the others."""
     mistakes = error.errors(include_url=False)
     mistake = next((m for m in mistakes if m["type"] == "extra_forbidden"), mistakes[0])
     path = [str(part) for part in mistake["loc"]]
@@ -136,7 +144,7 @@ def scene_error(
 
 
 def expected_key(key: str, keys: list[str]) -> str:
-    """What to say was expected in place of the unknown ``key``: all of ``keys``, nearest named."""
+    """The ``expected`` part of the error for an unknown ``key``: all ``keys``, and the most similar one."""
     near = get_close_matches(key, keys, n=1) if len(key) <= _LONGEST_KEY else ()
     hint = f" (did you mean {near[0]!r}?)" if near else ""
     return "one of " + ", ".join(keys) + hint
@@ -170,7 +178,7 @@ def model_in(annotation: Any) -> type[BaseModel] | None:
 
 
 def _described(model: type[BaseModel], path: list[str]) -> str | None:
-    """The description of the field that ``path`` leads to; of a list's item, that of the list."""
+    """The description of the field that ``path`` leads to. For an item of a list it is that of the list."""
     names = [part for part in path if not part.isdecimal()]
     for end in range(len(names), 0, -1):
         owner = _model_at(model, names[: end - 1])
@@ -181,7 +189,7 @@ def _described(model: type[BaseModel], path: list[str]) -> str | None:
 
 
 def plain(value: Any) -> Any:
-    """numpy scalars as Python numbers, an integer that no float holds as infinity."""
+    """Converts numpy scalars to Python numbers, and integers beyond the range of float to infinity."""
     if isinstance(value, np.generic):
         return value.item()
     if isinstance(value, int) and not isinstance(value, bool):
@@ -193,7 +201,7 @@ def plain(value: Any) -> Any:
 
 
 def _plain_list(value: Any) -> Any:
-    """Lists and arrays as tuples, which is what a strict tuple field takes."""
+    """Converts lists and arrays to tuples, the only type that a strict tuple field accepts."""
     if isinstance(value, np.ndarray):
         value = value.tolist()
     return tuple(value) if isinstance(value, list) else value

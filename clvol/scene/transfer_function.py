@@ -34,7 +34,7 @@ class ControlPoint(Table):
 
 
 def check_points(points: tuple[ControlPoint, ...]) -> None:
-    """What a model's validator raises for its ``points``: none, too many, or out of order."""
+    """Raises the error of a model's validator if ``points`` are none, too many, or not in order."""
     if not 1 <= len(points) <= LARGEST_POINTS:
         raise wrong("points", len(points) or [], f"from 1 to {LARGEST_POINTS} points")
     values = [point.value for point in points]
@@ -47,11 +47,11 @@ def check_points(points: tuple[ControlPoint, ...]) -> None:
 
 
 class TransferFunctionSettings(Table):
-    """Either ``points`` or a ``preset``; with neither, the default one of the volume's range.
+    """Either ``points`` or a ``preset``; with neither, a grey ramp over the volume's range.
 
-    ``opacity_unit``: the world length that opacities are stated for; 1 for points, and for
-    presets and the default one a 32nd of the volume's shortest edge unless stated.
-    ``color_space`` is that of the points' colours and of the image's background.
+    ``opacity_unit`` is the world length that opacities refer to. It defaults to 1 for points, and to a 32nd of the
+    volume's shortest edge for presets and for the grey ramp. ``color_space`` is the colour space of the points'
+    colours and of the image's background.
     """
 
     opacity_unit: Length | None = Field(
@@ -101,7 +101,7 @@ class TransferFunctionSettings(Table):
     ) -> TransferFunction:
         """The function in linear light, for a volume whose finite values span ``value_range``.
 
-        ``default_unit``: the opacity unit of a preset or the default, where none is stated.
+        ``default_unit`` is the opacity unit of presets and of the grey ramp where the scene states none.
         """
         if self.points is None:
             unit = default_unit if self.opacity_unit is None else self.opacity_unit

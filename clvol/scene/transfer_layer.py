@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
+from numpy.typing import ArrayLike
 from pydantic import Field, model_validator
 
 from clvol.scene.table import AsTuple, Number, Table
@@ -18,18 +19,20 @@ LARGEST_LAYERS = 64
 
 @dataclass(frozen=True)
 class TransferLayer:
-    """``function``, with the transfer function's opacity unit, holds at gradients of ``magnitude``
-    (value per world length)."""
+    """The transfer function at the gradient magnitude ``magnitude`` (value per world length).
+
+    ``function`` has the opacity unit of the scene's transfer function.
+    """
 
     magnitude: float
     function: TransferFunction
 
 
 class TransferLayerSettings(Table):
-    """Together with [transfer_function], which is that at magnitude 0, these make a function of
-    value and gradient magnitude: extinction and emission are linear between layers; the last one
-    holds above it. Opacities are per the transfer function's opacity_unit, colours in its
-    color_space.
+    """One layer of a transfer function of value and gradient magnitude.
+
+    [transfer_function] is the layer at magnitude 0. Extinction and emission are linear between layers; the last layer
+    holds above its magnitude. Opacities refer to the opacity_unit of [transfer_function], colours to its color_space.
     """
 
     magnitude: Number = Field(
@@ -57,18 +60,18 @@ class TransferLayerSettings(Table):
         return self
 
     def layer(
-        self, opacity_unit: float, decoded: Callable[[object], np.ndarray]
+        self, opacity_unit: float, decoded: Callable[[ArrayLike], np.ndarray]
     ) -> TransferLayer:
-        """``decoded`` takes colours to linear light."""
+        """``decoded`` converts colours to linear light."""
         return TransferLayer(self.magnitude, function_of(self.points, opacity_unit, decoded))
 
 
 def function_of(
     points: tuple[ControlPoint, ...],
     opacity_unit: float,
-    decoded: Callable[[object], np.ndarray],
+    decoded: Callable[[ArrayLike], np.ndarray],
 ) -> TransferFunction:
-    """The function of control points; ``decoded`` takes their colours to linear light."""
+    """The function through control points. ``decoded`` converts their colours to linear light."""
     return TransferFunction(
         [point.value for point in points],
         [point.opacity for point in points],

@@ -1,4 +1,4 @@
-"""[volume]: which file, and what to make of it; or a field that needs none."""
+"""[volume]: a file and how to interpret it, or a computed field."""
 
 from __future__ import annotations
 
@@ -45,16 +45,18 @@ _Side = Annotated[Whole, Field(ge=1, le=2**31 - 1)]
 
 
 class VolumeSettings(Table):
-    """``file`` is relative to the scene file. ``spacing`` overrides the file's. ``dims`` (nx, ny,
-    nz) and ``dtype`` say what a .raw file holds, ``header_bytes`` what comes before its voxels (-1:
-    whatever it is, they end the file), ``byte_order`` how numbers of several bytes are stored.
-    ``nan`` is what a NaN voxel counts as. Values are ``slope`` * stored + ``offset``, on top of the
-    file's own slope and offset where it has them; all else of the scene speaks of these values.
-    ``channel``, ``time`` and ``series`` choose, by index from 0 or by name, where a file has
-    several; a DICOM series also by its SeriesInstanceUID.
+    """A volume file, or a computed field.
 
-    In place of a file: ``field``, computed on ``size`` (nx, ny, nz) voxels of 8 bits, 1 apart or as
-    ``spacing`` says (``clvol.volume.procedural.scene_field``)."""
+    ``file`` is relative to the scene file. ``spacing`` overrides that of the file. For a .raw file, ``dims`` (nx, ny,
+    nz) and ``dtype`` describe the voxels, ``header_bytes`` counts the bytes before them (-1: the voxels are at the end
+    of the file), and ``byte_order`` is the order of their bytes. ``nan`` replaces NaN voxels. Values are ``slope`` *
+    stored + ``offset``, applied after the file's own slope and offset; the rest of the scene is stated in these values.
+    ``channel``, ``time`` and ``series`` select one of several in a file, by index from 0 or by name; a DICOM series
+    also by its SeriesInstanceUID.
+
+    ``field`` takes the place of a file: it is computed on ``size`` (nx, ny, nz) voxels of 8 bits, with a spacing of 1
+    or ``spacing`` (``clvol.volume.procedural.scene_field``).
+    """
 
     file: Annotated[str, BeforeValidator(path_text), AfterValidator(is_path)] | None = Field(
         None, min_length=1,

@@ -1,4 +1,4 @@
-"""A scene as the text of a scene file: what goes into the header of a picture."""
+"""A scene as the text of a scene file, as it is stored in the header of a picture."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 def to_toml(scene: Scene) -> str:
     """TOML that reads back as ``scene``: the keys that were set, in the order of the models.
 
-    A volume or a field that was handed over as an array is described in a comment.
+    A volume or a field that was passed as an array is described in a comment.
     """
     lines = ["version = 1"]
     for name in type(scene).model_fields:
@@ -37,8 +37,8 @@ def to_toml(scene: Scene) -> str:
 
 
 def _keys(table: BaseModel) -> list[str]:
-    asked = table.model_dump(mode="python", exclude_unset=True, warnings=False)
-    return [_key(key, value) for key, value in asked.items() if value is not None]
+    settings = table.model_dump(mode="python", exclude_unset=True, warnings=False)
+    return [_key(key, value) for key, value in settings.items() if value is not None]
 
 
 def _key(key: str, value: Any) -> str:
@@ -49,7 +49,7 @@ def _key(key: str, value: Any) -> str:
 
 def _voxels(volume: Any) -> str:
     shape = " x ".join(str(n) for n in volume.grid.size)
-    return f"{shape} voxels of {volume.dtype}, handed over as an array"
+    return f"{shape} voxels of {volume.dtype}, passed as an array"
 
 
 def _function_keys(function: TransferFunction) -> list[str]:
@@ -65,7 +65,7 @@ def format_value(value: Any) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
-        # A JSON string is a TOML basic string, but for DEL.
+        # A JSON string is a TOML basic string, except for DEL.
         return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
     if isinstance(value, Mapping):
         return "{ " + ", ".join(f"{key} = {format_value(item)}" for key, item in value.items()) + " }"

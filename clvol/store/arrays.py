@@ -1,4 +1,4 @@
-"""Zarr arrays by tensorstore: opened with little memory, their errors in words."""
+"""Zarr arrays by tensorstore: opened with little memory, with readable errors."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ _OPEN_FILES = 8
 def open_array(
     path: Path, metadata: dict | None = None, *, driver: str = "zarr3", whole: bool = True
 ) -> Any:
-    """The tensorstore array in the folder ``path``; with ``metadata`` made if it is not there.
+    """The tensorstore array in the folder ``path``; with ``metadata`` it is created if it does not exist.
 
-    ``whole``: every chunk must be there, none stands for the fill value. tensorstore's ValueError
-    passes.
+    ``whole``: every chunk must exist; a missing one does not stand for the fill value. ValueErrors of tensorstore
+    pass.
     """
     import tensorstore
 
@@ -42,12 +42,12 @@ NOT_UTF8 = "a name that is not UTF-8, which tensorstore cannot open"
 
 
 def is_utf8(path: str) -> bool:
-    """Whether the name is text. Python marks bytes that are none as surrogates."""
+    """Whether the name is valid text. Python represents undecodable bytes as surrogates."""
     return not re.search("[\ud800-\udfff]", path)
 
 
 def cores() -> int:
-    """Processor cores that this process may use."""
+    """The number of processor cores that this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
@@ -57,7 +57,7 @@ _made: list = []
 
 
 def _context() -> Any:
-    """One for all arrays: nothing is cached, so that what is read is all that takes memory."""
+    """The context of all arrays. Nothing is cached, so only the data that are read take memory."""
     if not _made:
         import tensorstore
 
@@ -74,7 +74,7 @@ def _context() -> Any:
 
 
 def what_failed(error: BaseException) -> str:
-    """A read that failed, in a few words."""
+    """A short description of a failed read."""
     text = str(error)
     if text.startswith("NOT_FOUND"):
         return "is missing"
@@ -86,8 +86,7 @@ def what_failed(error: BaseException) -> str:
 
 
 def system_words(text: str) -> str:
-    """What the system says, out of a message of tensorstore's, such as 'No space left on
-    device'."""
+    """The system's own message within one of tensorstore, such as 'No space left on device'."""
     code = re.search(r"os_error_code='(\d+)'", text)
     if code is not None:
         return os.strerror(int(code[1]))
@@ -96,9 +95,9 @@ def system_words(text: str) -> str:
 
 
 def read_json(path: Path, where: str) -> Any:
-    """VolumeError if the file is no JSON; OSError passes."""
-    if os.path.exists(path) and not os.path.isfile(path):  # a pipe would be waited for
-        raise VolumeError(where, f"{path.name} is no regular file", "JSON")
+    """The contents of a JSON file; VolumeError if it is not JSON. OSError passes."""
+    if os.path.exists(path) and not os.path.isfile(path):  # reading a pipe would block
+        raise VolumeError(where, f"{path.name} is not a regular file", "JSON")
     try:
         return json.loads(path.read_text(encoding="utf-8"))
     except (ValueError, RecursionError):

@@ -1,8 +1,9 @@
-"""Building a store region by region, in memory that does not grow with the volume; it is whole or not there at all.
+"""Building a store region by region, in memory that does not grow with the volume. A store appears complete or not at
+all.
 
-A region is one shard of level 0. All its levels and statistics are made at once, written to
-STORE.partial, and then noted in the journal there. What is noted need not be made again after an interruption.
-At the end the statistics become arrays, the group's metadata are written, and the folder gets its name.
+A region is one shard of level 0. All its levels and statistics are made at once, written to STORE.partial, and then
+recorded in the journal there, so that an interrupted build does not repeat them. At the end the statistics become
+arrays, the group's metadata are written, and the folder is renamed.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ from clvol.store.zarr_store import StoredBlocks
 from clvol.volume.axis import ValueAxis
 from clvol.volume.volume import Volume
 
-_IN_HAND = 1 << 30  # bytes that all regions in work may take
+_IN_HAND = 1 << 30  # bytes that all regions being made may take
 _WORKERS = 4
 
 Progress = Callable[[int, int], None]
@@ -53,27 +54,25 @@ def build_store(
     progress: Progress | None = None,
     workers: int | None = None,
 ) -> StoredBlocks:
-    """Writes the store ``path`` and opens it.
+    """Builds the store ``path`` and opens it.
 
-    ``edge``: voxels per axis of a block; ``shard``: voxels per axis of a file, a multiple of it (None: 128, or 256
-    for long volumes); ``codec``: a name in ``codecs.CODECS``. ``overwrite`` replaces an existing store,
-    once the new one is whole. The work that an interrupted call with the same source and settings
-    has left in PATH.partial is resumed; ``restart`` discards it. ``progress(done, total)``
-    counts regions; an exception that it raises interrupts. ``workers``: threads.
+    ``edge``: voxels per axis of a block; ``shard``: voxels per axis of a file, a multiple of ``edge`` (None: 128, or
+    256 for long volumes); ``codec``: a name in ``codecs.CODECS``. ``overwrite`` replaces an existing store once the
+    new one is complete. Work that an interrupted call with the same source and settings has left in PATH.partial is
+    resumed; ``restart`` discards it. ``progress(done, total)`` counts regions; an exception that it raises interrupts
+    the build. ``workers``: number of threads.
 
-    Raises UsageError where such a store cannot be written, VolumeError where the source cannot be
-    read, and RenderError where writing fails (a full disk): PATH.partial is then kept, and the same
-    call resumes.
+    Raises UsageError if such a store cannot be written, VolumeError if the source cannot be read, and RenderError if
+    writing fails (a full disk). In that case PATH.partial is kept, and the same call resumes.
     """
-    if isinstance(source, Volume):
-        source = VolumeSource(source)
+    voxels = VolumeSource(source) if isinstance(source, Volume) else source
     if codec not in CODECS:
         raise UsageError("codec", f"got {codec!r}", one_of_codecs())
-    layout = check_layout(source.shape, source.dtype, edge, shard, CODECS[codec])
+    layout = check_layout(voxels.shape, voxels.dtype, edge, shard, CODECS[codec])
     path = Path(path)
     check_place(path, overwrite)
     with _writing(path), locked(partial_path(path)) as partial:
-        build = _Build(source, layout, partial, codec)
+        build = _Build(voxels, layout, partial, codec)
         try:
             build.begin(path, restart)
             build.make_regions(progress, workers)
@@ -87,7 +86,7 @@ def build_store(
 
 @contextmanager
 def _writing(path: Path) -> Iterator[None]:
-    """An error of the system while writing becomes one RenderError."""
+    """A context that turns errors of the system while writing into one RenderError."""
     try:
         yield
     except ClvolError:
@@ -99,14 +98,14 @@ def _writing(path: Path) -> Iterator[None]:
 
 
 def _not_written(path: Path, reason: str) -> RenderError:
-    kept = partial_path(path)
-    kept = f"; {kept.name} keeps what is done" if kept.exists() else ""
+    partial = partial_path(path)
+    kept = f"; {partial.name} keeps what is done" if partial.exists() else ""
     expected = f"a disk that takes it{kept}"
     return RenderError(str(path), f"the store cannot be written: {reason}", expected)
 
 
 class _Build:
-    """One building of a store, in the folder ``partial``."""
+    """The state of building a store in the folder ``partial``."""
 
     def __init__(self, source: VoxelSource, layout: StoreLayout, partial: Path, codec: str) -> None:
         self.source, self.layout, self.partial = source, layout, partial
@@ -119,7 +118,7 @@ class _Build:
     # ---- beginning ----
 
     def begin(self, path: Path, restart: bool) -> None:
-        """Resumes what ``partial`` holds, or begins; UsageError if it is of another source or other settings."""
+        """Resumes the work in ``partial``, or begins; UsageError if it is of another source or has other settings."""
         plan = self._plan()
         before = None if restart else self.journal.plan()
         if before is not None and before != plan:
@@ -130,12 +129,12 @@ class _Build:
         if before is None:
             self._clear()
             self.journal.begin(plan)
-        for left in self.partial.rglob("*.__lock"):  # tensorstore's, of writes that were killed
+        for left in self.partial.rglob("*.__lock"):  # left by tensorstore after killed writes
             left.unlink()
         layout = self.layout
         for level in range(layout.blocks.levels):
             metadata = layout.level_metadata(level)
-            with held():  # else tensorstore goes on making the folder that is removed
+            with held():  # otherwise tensorstore may create the folder again after its removal
                 self.levels.append(open_array(self.partial / str(level), metadata))
 
     def _plan(self) -> dict:
@@ -156,7 +155,7 @@ class _Build:
     # ---- regions ----
 
     def make_regions(self, progress: Progress | None, workers: int | None) -> None:
-        """Makes all regions that the journal does not have, by several threads."""
+        """Makes all regions that are not in the journal, on several threads."""
         left = [index for index in range(self.count) if self.journal.census(index, read=True) is None]
         done = self.count - len(left)
         if progress is not None:
@@ -189,7 +188,7 @@ class _Build:
         return len(ready)
 
     def _workers(self) -> int:
-        """As many threads as keep the memory of all regions in work bounded."""
+        """The largest number of threads that keeps the memory of all regions being made bounded."""
         region = (self.layout.shard + 2) ** 3 * self.layout.dtype.itemsize
         return int(np.clip(_IN_HAND // (3 * region), 1, min(cores(), _WORKERS)))
 
@@ -201,7 +200,7 @@ class _Build:
         around, inner = with_neighbours(layout.shape, box)
         voxels = self._voxels(around)
         levels, statistics = describe_region(voxels, inner, layout.edge)
-        for level in range(len(levels)):  # left by an interrupted call, and perhaps not whole
+        for level in range(len(levels)):  # left by an interrupted call, possibly incomplete
             (self.partial / layout.shard_file(index, level)).unlink(missing_ok=True)
         futures = [
             array[layout.region(index, level)].write(self._stored(level, samples))
@@ -230,7 +229,7 @@ class _Build:
     # ---- the end ----
 
     def discard(self) -> None:
-        """Removes the folder, its journal last: one that is killed here is still recognised as a building."""
+        """Removes the folder. The journal goes last, so that after a crash the folder is still recognised."""
         for entry in self.partial.iterdir():
             if entry.name != JOURNAL:
                 _remove(entry) if entry.is_dir() else entry.unlink(missing_ok=True)
@@ -239,7 +238,7 @@ class _Build:
     # ---- the end ----
 
     def finish(self, path: Path, overwrite: bool) -> None:
-        """Writes statistics and metadata, and gives the store its name."""
+        """Writes statistics and metadata, and renames the store to its final name."""
         for name in self.layout.statistics_types:
             self._write_statistics(name)
         group = {"zarr_format": 3, "node_type": "group", "attributes": {}}
@@ -258,7 +257,7 @@ class _Build:
         )
         write_whole(self.partial / ROOT, json.dumps(root, indent=2))
         replaced = replaced_path(path)
-        check_place(path, overwrite)  # again: it may have appeared meanwhile
+        check_place(path, overwrite)  # once more, since it may have appeared meanwhile
         _remove(replaced)
         if path.exists():
             os.rename(path, replaced)
@@ -303,10 +302,10 @@ class _Build:
 
     def _facts(self) -> dict:
         """Range and counts of all voxels."""
-        noted = [self.journal.census(index) for index in range(self.count)]
-        if any(census is None for census in noted):
+        noted = [census for index in range(self.count) if (census := self.journal.census(index)) is not None]
+        if len(noted) < self.count:
             raise RenderError(
-                str(self.partial), "changed by another while it was built", "left alone"
+                str(self.partial), "changed by another process during the build", "no other changes to it"
             )
         census = np.stack(noted)
         low, high = float(census[:, 0].min()), float(census[:, 1].max())
@@ -320,8 +319,9 @@ class _Build:
 
 
 def _census(voxels: np.ndarray, statistics: BlockStatistics) -> np.ndarray:
-    """float64 [4]: smallest and largest finite voxel (inf, -inf if there is none), how many are
-    NaN, and infinite."""
+    """float64 [4]: smallest and largest finite voxel (inf, -inf if there is none), numbers of NaN and infinite
+    voxels.
+    """
     low, high = statistics.minimum[0], statistics.maximum[0]
     known = ~np.isnan(low)
     range_ = (low[known].min(), high[known].max()) if known.any() else (np.inf, -np.inf)

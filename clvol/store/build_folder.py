@@ -1,4 +1,4 @@
-"""The folder in which a store is built: whether it may be there, and that one process alone builds in it."""
+"""The folder in which a store is built: checks of its path, and a lock so that only one process builds in it."""
 
 from __future__ import annotations
 
@@ -21,18 +21,19 @@ _REPLACED = ".replaced"
 
 
 def places_of(path: Path) -> tuple[Path, Path, Path]:
-    """The folders that writing the store ``path`` makes or removes: the store, the one in which it is
-    built, and the one to which a store that it replaces is moved."""
+    """The folders that building the store ``path`` creates or removes: the store, the folder in which it is built,
+    and the one to which a replaced store is moved.
+    """
     return path, partial_path(path), replaced_path(path)
 
 
 def replaced_path(path: Path) -> Path:
-    """Where a store ``path`` is moved while a new one takes its place."""
+    """The path to which a store ``path`` is moved while a new one takes its place."""
     return path.with_name(path.name + _REPLACED)
 
 
 def check_place(path: Path, overwrite: bool) -> None:
-    """UsageError now, before the work, if the store could not be written to ``path``."""
+    """UsageError, before any work, if the store could not be written to ``path``."""
     try:
         _check_place(path, overwrite)
     except (OSError, ValueError) as error:
@@ -45,16 +46,16 @@ def _check_place(path: Path, overwrite: bool) -> None:
     if not is_utf8(str(path.absolute())):
         raise UsageError(str(path), NOT_UTF8, "a name in UTF-8")
     if not path.name or path.name.endswith((PARTIAL, _REPLACED)):
-        raise UsageError(str(path), "no name for a store", f"a name that does not end in {PARTIAL}")
+        raise UsageError(str(path), "not a valid name for a store", f"a name that does not end in {PARTIAL}")
     parent = path.parent
     if not parent.is_dir():
         what = "not a folder" if parent.exists() else "no such folder"
-        raise UsageError(str(path), f"{parent}: {what}", "a place in a folder that exists")
+        raise UsageError(str(path), f"{parent}: {what}", "a path in an existing folder")
     if not os.access(parent, os.W_OK | os.X_OK):
-        raise UsageError(str(path), f"{parent} cannot be written to", "a folder that can")
+        raise UsageError(str(path), f"{parent} cannot be written to", "a writable folder")
     for place in places_of(path):
         try:
-            os.lstat(place)  # a name that is too long is known now
+            os.lstat(place)  # reports a name that is too long
         except FileNotFoundError:
             pass
     partial, replaced = partial_path(path), replaced_path(path)
@@ -72,13 +73,14 @@ def _check_place(path: Path, overwrite: bool) -> None:
         raise UsageError(str(path), "exists already", "a new name, or --overwrite")
     if not is_store(path):
         raise UsageError(
-            str(path), "a folder that is no store", "a store to overwrite, or a new name"
+            str(path), "a folder that is not a store", "a store to overwrite, or a new name"
         )
 
 
 def _is_ours(partial: Path) -> bool:
-    """Whether a store is built in the folder ``partial``, or was: one that is killed as it begins or as it
-    clears away leaves no more than empty folders and descriptions of levels."""
+    """Whether ``partial`` is a folder in which a store is or was built. A build that was killed while it began or
+    cleaned up leaves only empty folders and the metadata of levels.
+    """
     if partial.is_symlink() or not partial.is_dir():
         return False
     if (partial / JOURNAL).is_dir():
@@ -94,7 +96,7 @@ def _is_ours(partial: Path) -> bool:
 
 @contextmanager
 def locked(partial: Path) -> Iterator[Path]:
-    """Yields the folder ``partial``, made if it is not there; no other process builds in it meanwhile."""
+    """A context that holds the lock on the folder ``partial``, which is created if needed, and yields it."""
     with held():
         (partial / JOURNAL).mkdir(parents=True, exist_ok=True)
     with (partial / JOURNAL / LOCK).open("a") as lock:
@@ -104,6 +106,6 @@ def locked(partial: Path) -> Iterator[Path]:
             if error.errno not in (errno.EWOULDBLOCK, errno.EACCES):
                 raise
             raise UsageError(
-                str(partial), "another process is building it", "one at a time"
+                str(partial), "another process is building it", "one process at a time"
             ) from None
         yield partial

@@ -1,9 +1,8 @@
-"""Codecs by name: how a level's samples become bytes.
+"""Codecs by name: how the samples of a level become bytes.
 
-A codec compresses the bytes of samples, and then any Zarr reader opens the level; or it has a
-``payload``: what the level's array holds is not samples but codes, one block's in one chunk, which
-clvol itself decodes. A new codec is an entry in ``CODECS``. Its name and parameters stand in the
-store, a level at a time.
+A codec either compresses the bytes of samples, so that any Zarr reader can open the level, or has a ``payload``: the
+level's array then holds codes instead of samples, one block per chunk, which clvol decodes. A new codec is an entry
+in ``CODECS``. Its name and parameters are stored per level.
 """
 
 from __future__ import annotations
@@ -19,25 +18,24 @@ DEFAULT = "blosc-lz4"
 
 
 class Payload(Protocol):
-    """Codes in place of samples, for codecs that the device decodes."""
+    """Codes instead of samples, for codecs that are decoded on the device."""
 
     def dtype(self, samples: np.dtype) -> np.dtype:
-        """The type of codes for samples of that type."""
+        """The type of codes for samples of type ``samples``."""
         ...
 
     def encode(self, samples: np.ndarray, parameters: dict) -> np.ndarray:
-        """Codes [z, y, x] for samples [z, y, x], as many as there are samples."""
+        """The codes [z, y, x] of samples [z, y, x], one per sample."""
         ...
 
     def decode(self, codes: np.ndarray, samples: np.dtype, parameters: dict) -> np.ndarray:
-        """The samples, of that type, that ``codes`` stand for: the twin of the device's kernel."""
+        """The samples, of type ``samples``, of ``codes``: the reference for the device's kernel."""
         ...
 
 
 @dataclass(frozen=True)
 class Codec:
-    """``compressor``: the Zarr codec (name, configuration) that follows the one that makes bytes;
-    None for none."""
+    """A codec. ``compressor`` is the Zarr codec (name, configuration) applied to the bytes of samples, or None."""
 
     name: str
     lossless: bool
@@ -45,12 +43,11 @@ class Codec:
     payload: Payload | None = None
 
     def stored_type(self, samples: np.dtype) -> np.dtype:
-        """What the level's array holds."""
+        """The type of the level's array."""
         return samples if self.payload is None else self.payload.dtype(samples)
 
     def chain(self, dtype: np.dtype) -> list[dict]:
-        """The Zarr codecs of a chunk of ``dtype``; the last adds a checksum that covers what is on
-        disk."""
+        """The Zarr codecs of a chunk of ``dtype``; the last one adds a checksum of the bytes on disk."""
         return [as_bytes(dtype), *compressing(self.compressor, dtype), CHECKSUM]
 
 
@@ -72,7 +69,7 @@ CODECS: dict[str, Codec] = {
 
 
 def find_codec(name: str, where: str) -> Codec:
-    """The codec ``name`` that the store ``where`` says it is stored with."""
+    """The codec ``name`` of the store ``where``; VolumeError if this version does not know it."""
     if name not in CODECS:
         raise VolumeError(where, f"stored by a newer clvol (codec {name!r})", one_of_codecs())
     return CODECS[name]

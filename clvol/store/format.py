@@ -1,14 +1,14 @@
-"""How a store is laid out on disk: names, shapes and metadata. Nothing is read or written here.
+"""The layout of a store on disk: names, shapes and metadata. Nothing is read or written here.
 
-STORE/zarr.json      group: OME-Zarr 0.5 ``multiscales``, and what that cannot say under ``clvol``;
+STORE/zarr.json      group: OME-Zarr 0.5 ``multiscales``, and what it cannot express under ``clvol``;
                      written last
-STORE/0 ... STORE/4  arrays [z, y, x], level 0 full; a shard is a file, at each level of the same
-                     part of the volume
+STORE/0 ... STORE/4  arrays [z, y, x], level 0 at full resolution; a shard is a file, and covers
+                     the same part of the volume at each level
 STORE/blocks/NAME    arrays [level, bz, by, bx] of statistics, as in BlockStatistics
-STORE/blocks/checksums  array [region, chunk]: which chunk belongs where (places.py); older stores have none
-STORE.partial        a store that is not whole yet: the same, with clvol-journal/
+STORE/blocks/checksums  array [region, chunk]: binds chunks to positions (places.py); older stores have none
+STORE.partial        an incomplete store: the same, with clvol-journal/
 
-Level 0 has one block in a chunk; coarser levels have the blocks of (chunk / samples)^3 in one.
+At level 0 a chunk holds one block; at coarser levels it holds (chunk / samples)^3 blocks.
 """
 
 from __future__ import annotations
@@ -34,26 +34,29 @@ VERSION = 1
 ROOT = "zarr.json"
 JOURNAL = "clvol-journal"
 PARTIAL = ".partial"
-_LONG = 1024  # voxels of the longest axis above which shards are larger, so that files stay few
+_LONG = 1024  # voxels of the longest axis above which shards are larger, to limit the number of files
 _LARGEST_SHARD = 1024
 _STATISTICS_PIECE = 1 << 18  # levels times blocks in a chunk of statistics
 _TABLE_PIECE = 1 << 16  # checksums in a chunk of their table
 
 
 def partial_path(path: Path) -> Path:
-    """Where the store ``path`` is built."""
+    """The folder in which the store ``path`` is built."""
     return path.with_name(path.name + PARTIAL)
 
 
 def default_shard(shape: tuple[int, int, int]) -> int:
-    """Voxels an axis of a shard."""
+    """Voxels per axis of a shard."""
     return 256 if max(shape) > _LONG else 128
 
 
 @dataclass(frozen=True)
 class StoreLayout:
-    """``shard`` is in voxels an axis of level 0, a multiple of ``edge``; ``codecs`` one a level,
-    and ``parameters`` what a codec with a payload needs beside the codes (JSON)."""
+    """The layout of a store.
+
+    ``shard`` is in voxels per axis of level 0, a multiple of ``edge``. ``codecs`` has one codec per level, and
+    ``parameters`` holds what a codec with a payload needs besides its codes (JSON).
+    """
 
     shape: tuple[int, int, int]
     dtype: np.dtype
@@ -69,27 +72,29 @@ class StoreLayout:
     @property
     def regions(self) -> tuple[int, int, int]:
         """Shards (z, y, x) of each level."""
-        return tuple(-(-n // self.shard) for n in self.shape)
+        nz, ny, nx = (-(-n // self.shard) for n in self.shape)
+        return nz, ny, nx
 
     def chunk(self, level: int) -> int:
-        """Samples an axis of a chunk."""
+        """Samples per axis of a chunk."""
         return math.gcd(self.edge, self.shard >> level)
 
     def region(self, index: int, level: int = 0) -> tuple[slice, slice, slice]:
-        """Samples [z, y, x] of shard ``index`` (C order) at ``level``."""
+        """The samples [z, y, x] of shard ``index`` (C order) at ``level``."""
         place = np.unravel_index(index, self.regions)
         side = self.shard >> level
         ends = self.blocks.level_shape(level)
-        return tuple(slice(int(p) * side, min((int(p) + 1) * side, n)) for p, n in zip(place, ends))
+        z, y, x = (slice(int(p) * side, min((int(p) + 1) * side, n)) for p, n in zip(place, ends))
+        return z, y, x
 
     def shard_file(self, index: int, level: int) -> str:
-        """Relative to the store."""
+        """The path of a shard, relative to the store."""
         return "/".join(
             [str(level), "c", *(str(int(p)) for p in np.unravel_index(index, self.regions))]
         )
 
     def level_metadata(self, level: int) -> dict:
-        """zarr.json of a level."""
+        """The zarr.json of a level."""
         codec = self.codecs[level]
         dtype = codec.stored_type(self.dtype)
         sharding = {
@@ -109,7 +114,7 @@ class StoreLayout:
 
     @property
     def statistics_rows(self) -> int:
-        """Rows of blocks along z in a chunk of statistics; a region's are a multiple of it."""
+        """Rows of blocks along z in a chunk of statistics; each region has a multiple of it."""
         rows = self.shard // self.edge
         _, y, x = self.blocks.counts
         while rows % 2 == 0 and rows * y * x * self.blocks.levels > _STATISTICS_PIECE:
@@ -118,8 +123,9 @@ class StoreLayout:
 
     @cached_property
     def statistics_types(self) -> dict[str, np.dtype]:
-        """Names of the arrays of statistics and their types: those in which nothing is lost but
-        digits of means of integers beyond float32's."""
+        """Names and types of the arrays of statistics. Nothing is lost except digits of means of integers beyond
+        float32.
+        """
         real = np.dtype(np.float64 if self.dtype == np.float64 else np.float32)
         return {
             "minimum": self.dtype, "maximum": self.dtype, "mean": real,
@@ -128,13 +134,13 @@ class StoreLayout:
         }  # fmt: skip
 
     def statistics_shape(self, name: str, counts: tuple[int, int, int]) -> tuple[int, ...]:
-        """Of the array ``name`` over ``counts`` blocks."""
+        """The shape of the array ``name`` over ``counts`` blocks."""
         if name in ("reach_low", "reach_high", "holes"):
             return counts
         return (self.blocks.levels, *counts, *((QUANTILES,) if name == "quantiles" else ()))
 
     def statistics_metadata(self, name: str) -> dict:
-        """zarr.json of an array of statistics."""
+        """The zarr.json of an array of statistics."""
         dtype = self.statistics_types[name]
         z, y, x = self.blocks.counts
         shape = self.statistics_shape(name, (z, y, x))
@@ -148,23 +154,23 @@ class StoreLayout:
 
     @cached_property
     def table_chunks(self) -> int:
-        """Chunks of all levels of a region."""
+        """Number of chunks of all levels of a region."""
         return sum(((self.shard >> k) // self.chunk(k)) ** 3 for k in range(self.blocks.levels))
 
     @property
     def table_rows(self) -> int:
-        """Regions in a chunk of the table of checksums."""
+        """Number of regions in a chunk of the table of checksums."""
         return min(max(_TABLE_PIECE // self.table_chunks, 1), math.prod(self.regions))
 
     def table_metadata(self) -> dict:
-        """zarr.json of the table of checksums."""
+        """The zarr.json of the table of checksums."""
         dtype, shape = np.dtype(np.uint32), (math.prod(self.regions), self.table_chunks)
         chunk = (self.table_rows, self.table_chunks)
         return _array(shape, chunk, dtype, statistics_chain(dtype), ["region", "chunk"])
 
 
 def _array(shape: tuple, chunk: Any, dtype: np.dtype, codecs: list, names: list[str]) -> dict:
-    # Every chunk is there, so the fill value is never read; NaN makes that plain where it can.
+    # Every chunk exists, so the fill value is never read; NaN would make a missing one visible.
     fill: Any = {"f": "NaN", "b": False}.get(dtype.kind, 0)
     return {
         "zarr_format": 3,
@@ -182,7 +188,7 @@ def _array(shape: tuple, chunk: Any, dtype: np.dtype, codecs: list, names: list[
 def check_layout(
     shape: tuple, dtype: np.dtype, edge: int, shard: int | None, codec: Codec
 ) -> StoreLayout:
-    """The layout of a new store; UsageError for what there cannot be."""
+    """The layout of a new store; UsageError for an impossible one."""
     if edge not in EDGES:
         raise UsageError("edge", f"got {edge!r}", "one of " + ", ".join(map(str, EDGES)))
     shard = max(default_shard(shape), edge) if shard is None else shard
@@ -201,7 +207,7 @@ def check_layout(
 def root_metadata(
     layout: StoreLayout, grid: Grid, name: str | None, frame: str, facts: dict, writer: str
 ) -> dict:
-    """zarr.json of the group. ``facts``: value_range, nan_count, inf_count, slope, offset, unit, checksums."""
+    """The zarr.json of the group. ``facts``: value_range, nan_count, inf_count, slope, offset, unit, checksums."""
     own = {
         "version": VERSION,
         "writer": writer,
@@ -227,8 +233,9 @@ def root_metadata(
 
 
 def _multiscale(layout: StoreLayout, grid: Grid, name: str | None, unit: str | None) -> dict:
-    """OME-Zarr knows no rotations: where the grid has one, positions are along its own axes, from
-    its first voxel."""
+    """OME-Zarr metadata. OME-Zarr has no rotations: on a rotated grid, positions are along the grid's own axes,
+    relative to its first voxel.
+    """
     spacing = np.asarray(grid.spacing[::-1])
     plain = np.array_equal(grid.direction, np.eye(3))
     origin = np.asarray(grid.origin[::-1]) if plain else np.zeros(3)
@@ -255,7 +262,7 @@ def _multiscale(layout: StoreLayout, grid: Grid, name: str | None, unit: str | N
 
 @dataclass(frozen=True, eq=False)
 class StoreFacts:
-    """What the root group of a store says."""
+    """The contents of a store's root metadata."""
 
     layout: StoreLayout
     grid: Grid
@@ -270,12 +277,11 @@ class StoreFacts:
 
 
 def parse_root(root: Any, where: str) -> StoreFacts:
-    """``root`` is the zarr.json of a group. VolumeError unless it is a store that this clvol
-    reads."""
+    """The contents of ``root``, the zarr.json of a group; VolumeError unless it is a store that this version reads."""
     attributes = root.get("attributes") if isinstance(root, dict) else None
     own = attributes.get("clvol") if isinstance(attributes, dict) else None
     if not isinstance(own, dict):
-        raise VolumeError(where, "no store of clvol", "a folder that clvol store has written")
+        raise VolumeError(where, "not a clvol store", "a folder that clvol store has written")
     version = own.get("version")
     if version != VERSION:
         newer = isinstance(version, int) and version > VERSION
@@ -287,7 +293,7 @@ def parse_root(root: Any, where: str) -> StoreFacts:
         raise VolumeError(where, what, f"version {VERSION}")
     try:
         return _facts(own, where)
-    except VolumeError as error:  # of a grid that there cannot be, or of a codec that is not known
+    except VolumeError as error:  # an impossible grid, or an unknown codec
         what = (
             error.what
             if error.where == where
@@ -297,7 +303,7 @@ def parse_root(root: Any, where: str) -> StoreFacts:
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         detail = f"no {error.args[0]}" if isinstance(error, KeyError) else str(error)[:100]
         raise VolumeError(
-            where, f"damaged zarr.json ({detail})", "what clvol store has written"
+            where, f"damaged zarr.json ({detail})", "metadata that clvol store has written"
         ) from None
 
 

@@ -1,4 +1,4 @@
-"""Where blocks are: arithmetic alone."""
+"""The arithmetic of blocks: their numbers, positions and resolutions."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ EDGES = (4, 8, 16, 32)
 class BlockGrid:
     """Blocks of ``edge``^3 voxels over an array of ``shape`` (nz, ny, nx).
 
-    Block (bz, by, bx) holds the voxels edge * b ... edge * b + edge - 1 along each axis; the last ones
-    may reach beyond the array. Blocks are numbered in C order of (bz, by, bx). Level 0 is full
-    resolution, level l has ``samples(l)`` = edge / 2^l samples an axis, and the last level one. The sample i
-    of a block's axis at level l is the mean of the voxels 2^l i ... 2^l (i + 1) - 1 that are in the array.
+    Block (bz, by, bx) holds the voxels edge * b ... edge * b + edge - 1 along each axis; the last blocks may reach
+    beyond the array. Blocks are numbered in C order of (bz, by, bx). Level 0 is full resolution; level l has
+    ``samples(l)`` = edge / 2^l samples per axis, and the last level has one. Sample i along an axis of a block at
+    level l is the mean of the voxels 2^l i ... 2^l (i + 1) - 1 that are inside the array.
     """
 
     shape: tuple[int, int, int]
@@ -26,28 +26,30 @@ class BlockGrid:
 
     @cached_property
     def counts(self) -> tuple[int, int, int]:
-        """Blocks (z, y, x)."""
-        return tuple(-(-n // self.edge) for n in self.shape)
+        """Number of blocks along (z, y, x)."""
+        nz, ny, nx = (-(-n // self.edge) for n in self.shape)
+        return nz, ny, nx
 
     @property
     def count(self) -> int:
-        """Blocks in all."""
+        """Total number of blocks."""
         z, y, x = self.counts
         return z * y * x
 
     @property
     def levels(self) -> int:
-        """How many resolutions there are: log2(edge) + 1."""
+        """Number of resolutions: log2(edge) + 1."""
         return self.edge.bit_length()
 
     def samples(self, level: int) -> int:
-        """Samples an axis of a block."""
+        """Samples per axis of a block."""
         return self.edge >> level
 
     def level_shape(self, level: int) -> tuple[int, int, int]:
         """Samples (z, y, x) of the whole volume at ``level``; blocks at the upper faces may be cut short."""
-        return tuple(-(-n // (1 << level)) for n in self.shape)
+        nz, ny, nx = (-(-n // (1 << level)) for n in self.shape)
+        return nz, ny, nx
 
     def places(self, blocks: np.ndarray) -> np.ndarray:
-        """int64 [k, 3]: (bz, by, bx) of blocks by number."""
+        """(bz, by, bx) of blocks by number, int64 [k, 3]."""
         return np.stack(np.unravel_index(np.asarray(blocks, np.int64), self.counts), axis=-1)

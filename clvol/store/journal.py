@@ -1,7 +1,7 @@
-"""The journal of a store that is being built: which regions are done, and what is known of them.
+"""The journal of a store that is being built: which regions are complete, with their statistics.
 
-It is a folder within the one in which the store is built. A file per region holds its statistics, and the sizes and
-checksums of its files; "build.json" says what is built. What is noted need not be made again after an interruption.
+It is a folder inside the one in which the store is built. One file per region holds its statistics, and the sizes and
+checksums of its files; "build.json" holds the plan. Recorded regions need not be made again after an interruption.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import os
 import zipfile
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -24,14 +25,14 @@ _BUILD = "build.json"
 
 @dataclass(frozen=True)
 class Unfinished:
-    """A store that is not whole: ``done`` of its ``total`` regions are on the disk."""
+    """An incomplete store: ``done`` of its ``total`` regions are on disk."""
 
     done: int
     total: int
 
 
 def unfinished(path: str | os.PathLike) -> Unfinished | None:
-    """How far the building of the store ``path`` has come; None if it was not begun, or is finished."""
+    """The progress of building the store ``path``; None if it has not begun, or is complete."""
     journal = partial_path(Path(path)) / JOURNAL
     try:
         total = int(json.loads((journal / _BUILD).read_text(encoding="utf-8"))["regions"])
@@ -48,7 +49,7 @@ class Journal:
         self.path, self._partial, self._layout = partial / JOURNAL, partial, layout
 
     def plan(self) -> dict | None:
-        """The plan of an earlier call, if there is one that can be read."""
+        """The plan of an earlier call, if it exists and can be read."""
         try:
             before = json.loads((self.path / _BUILD).read_text(encoding="utf-8"))
         except (FileNotFoundError, ValueError):
@@ -56,7 +57,7 @@ class Journal:
         return before if isinstance(before, dict) else None
 
     def begin(self, plan: dict) -> None:
-        """Removes all that was noted, and notes the plan."""
+        """Removes all records, and records the plan."""
         for entry in self.path.iterdir():
             if entry.name != LOCK:
                 entry.unlink()
@@ -66,12 +67,12 @@ class Journal:
         return any(self.path.glob("*.npz"))
 
     def note(self, index: int, statistics: BlockStatistics, census: np.ndarray) -> None:
-        """Notes in one step that the region is on the disk, with the sizes and checksums of its files.
+        """Records in one step that the region is on disk, with the sizes and checksums of its files.
 
-        ``census`` float64 [4]: smallest and largest finite voxel, and how many are NaN, and infinite.
+        ``census`` float64 [4]: smallest and largest finite voxel, numbers of NaN and infinite voxels.
         """
         region = [-(-(s.stop - s.start) // self._layout.edge) for s in self._layout.region(index)]
-        members = {
+        members: dict[str, Any] = {
             name: getattr(statistics, name)
             .astype(dtype)
             .reshape(self._layout.statistics_shape(name, tuple(region)))
@@ -80,14 +81,14 @@ class Journal:
         file = self.path / f"{index}.npz"
         temporary = file.with_suffix(".writing")
         with temporary.open("wb") as stream:
-            known = {"place": index, "sizes": self._sizes(index), "checksums": self._checksums(index)}
-            np.savez(stream, census=census, **known, **members)
+            members["sizes"], members["checksums"] = self._sizes(index), self._checksums(index)
+            np.savez(stream, place=index, census=census, **members)
         os.replace(temporary, file)
 
     def census(self, index: int, read: bool = False) -> np.ndarray | None:
-        """The census of a region, if it is done and its files are as they were then; else None.
+        """The census of a region if it is recorded and its files are unchanged; else None.
 
-        ``read``: their content is compared, not their sizes alone.
+        ``read``: contents are compared, not only sizes.
         """
         try:
             with np.load(self.path / f"{index}.npz") as noted:
@@ -99,7 +100,7 @@ class Journal:
             return None
 
     def read(self, index: int, name: str) -> np.ndarray:
-        """What is noted of the region under ``name``: a statistic, or "checksums"."""
+        """The record ``name`` of a region: a statistic, or "checksums"."""
         with np.load(self.path / f"{index}.npz") as noted:
             return noted[name]
 
@@ -115,7 +116,7 @@ class Journal:
 
 
 def write_whole(path: Path, text: str) -> None:
-    """Writes the file in one step: it has its old content or the new one, never a part."""
+    """Writes the file in one step: it has its old or its new content, never a part."""
     temporary = path.with_name(path.name + ".writing")
     with temporary.open("w", encoding="utf-8") as file:
         file.write(text)

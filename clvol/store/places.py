@@ -1,10 +1,10 @@
-"""Checksums bound to places: what is read belongs where it was read.
+"""Checksums bound to positions, which prove that data were read from where they were written.
 
-Every chunk ends with a checksum of its bytes, which finds damage, but not a sound chunk of another place: a shard or a
-file of statistics that was copied, moved or swapped. So a store has a table of the checksums that its chunks end with,
-STORE/blocks/checksums [region, chunk] (uint32; chunks as ``chunk_offset`` orders them, 0 for those that there are not),
-and the root's metadata have a checksum of each part of that table, and those of the files of statistics. Nothing but a
-few bytes is read for it.
+Every chunk ends with a checksum of its bytes. It detects damage, but not an intact chunk in another position: a shard
+or a file of statistics that was copied, moved or swapped. A store therefore has a table of the checksums at the ends
+of its chunks, STORE/blocks/checksums [region, chunk] (uint32; chunks in the order of ``chunk_offset``, 0 for missing
+ones). The root's metadata hold a checksum of each part of that table and those of the files of statistics. Only a few
+bytes are read for this.
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ from clvol.store.arrays import what_failed
 from clvol.store.format import StoreLayout
 
 TABLE = "checksums"  # in STORE/blocks
-_ABSENT = np.uint64(0xFFFFFFFFFFFFFFFF)  # of a shard's index
-_PARTS_KEPT = 64  # parts of the table; of 256 KB or one region
-_READ_WHOLE = 1 / 4  # of a shard's chunks: from there on one read is quicker than one for each
-_LARGEST_WHOLE = 16 << 20  # bytes of a shard that may be read for that
+_ABSENT = np.uint64(0xFFFFFFFFFFFFFFFF)  # the offset of a missing chunk in a shard's index
+_PARTS_KEPT = 64  # parts of the table, each of 256 KB or one region
+_READ_WHOLE = 1 / 4  # share of a shard's chunks above which one read is faster than one per chunk
+_LARGEST_WHOLE = 16 << 20  # largest shard in bytes that is read whole
 
 
 class ShardFile:
-    """A shard of ``count`` chunks on the disk: what their checksums are. OSError where it cannot be read.
+    """A shard of ``count`` chunks on disk, and the checksums of its chunks. OSError if it cannot be read.
 
-    ``buffer`` is for reads of whole files, and shared by one thread's.
+    ``buffer`` is used for reads of whole files, and is shared by the reads of one thread.
     """
 
     def __init__(self, path: Path, count: int, buffer: bytearray) -> None:
@@ -54,7 +54,7 @@ class ShardFile:
         os.close(self._file)
 
     def checksums(self, chunks: np.ndarray) -> np.ndarray:
-        """uint32 [k] of ``chunks`` (numbers in C order, int64 [k]); 0 where there is none."""
+        """The checksums, uint32 [k], of ``chunks`` (numbers in C order, int64 [k]); 0 for missing ones."""
         first, size = self._index[chunks].T
         there = (first != _ABSENT) & (size >= 4) & (first < self._size) & (size <= self._size)
         ends = np.where(there, first + size, 4).astype(np.int64)
@@ -79,17 +79,17 @@ class ShardFile:
 
 
 def per_axis(layout: StoreLayout, level: int) -> int:
-    """Chunks an axis of a shard."""
+    """Chunks per axis of a shard."""
     return (layout.shard >> level) // layout.chunk(level)
 
 
 def chunk_offset(layout: StoreLayout, level: int) -> int:
-    """Where a level's chunks, in C order, begin in a row of the table."""
+    """The index in a row of the table at which the chunks of a level begin, in C order."""
     return sum(per_axis(layout, k) ** 3 for k in range(level))
 
 
 def region_checksums(folder: Path, layout: StoreLayout, index: int) -> np.ndarray:
-    """uint32 [chunks of all levels]: a row of the table, as region ``index`` is on the disk."""
+    """The row of the table, uint32 [chunks of all levels], for region ``index`` as it is on disk."""
     found = []
     for level in range(layout.blocks.levels):
         side = per_axis(layout, level)
@@ -106,7 +106,7 @@ def region_checksums(folder: Path, layout: StoreLayout, index: int) -> np.ndarra
 
 
 def file_checksum(path: Path) -> int:
-    """What the file of one chunk ends with; -1 where there is none."""
+    """The checksum at the end of a file with one chunk; -1 if there is no such file."""
     try:
         with path.open("rb") as file:
             file.seek(-4, os.SEEK_END)
@@ -116,7 +116,7 @@ def file_checksum(path: Path) -> int:
 
 
 def statistics_file(layout: StoreLayout, name: str, z: int) -> str:
-    """Relative to the store: where the row ``z`` of chunks of the statistics ``name`` is."""
+    """The path, relative to the store, of row ``z`` of chunks of the statistics ``name``."""
     rank = len(layout.statistics_shape(name, layout.blocks.counts))
     place = ["0"] * rank
     place[0 if rank == 3 else 1] = str(z)
@@ -124,7 +124,7 @@ def statistics_file(layout: StoreLayout, name: str, z: int) -> str:
 
 
 def statistics_checksums(folder: Path, layout: StoreLayout) -> dict[str, list[int]]:
-    """For each array of statistics the checksums of its files."""
+    """The checksums of the files of each array of statistics."""
     rows = -(-layout.blocks.counts[0] // layout.statistics_rows)
     return {
         name: [file_checksum(folder / statistics_file(layout, name, z)) for z in range(rows)]
@@ -133,15 +133,15 @@ def statistics_checksums(folder: Path, layout: StoreLayout) -> dict[str, list[in
 
 
 def part_checksum(rows: np.ndarray) -> int:
-    """Of a part of the table, for the root's metadata."""
+    """The checksum of a part of the table, for the root's metadata."""
     return zlib.crc32(np.ascontiguousarray(rows, "<u4").tobytes())
 
 
 class Places:
-    """Whether what a store's files hold is of their place. ``expected``: what the root's metadata say.
+    """Checks that the files of a store are in their positions. ``expected``: the checksums in the root's metadata.
 
-    ``open_table`` opens the table's array. VolumeError, with ``where`` and ``wanted``, for what is of another place.
-    May be used by several threads.
+    ``open_table`` opens the table's array. VolumeError, with ``where`` and ``wanted``, for data that belong
+    elsewhere. May be used by several threads.
     """
 
     def __init__(
@@ -159,8 +159,9 @@ class Places:
             raise VolumeError(where, "damaged zarr.json (checksums)", wanted)
 
     def wrong(self, level: int, shard: np.ndarray, chunks: np.ndarray, buffer: bytearray) -> np.ndarray:
-        """bool [k]: which of ``chunks`` int64 [k, 3], all of them in ``shard`` [3] of ``level``, hold what does not
-        belong there. ``buffer``: memory that the caller's next call may use again."""
+        """Which of ``chunks`` (int64 [k, 3], all in ``shard`` [3] of ``level``) hold data that belong elsewhere: bool
+        [k]. ``buffer``: memory that the caller's next call may reuse.
+        """
         layout = self._layout
         side = per_axis(layout, level)
         index = int(np.ravel_multi_index(tuple(shard.tolist()), layout.regions))
@@ -169,7 +170,7 @@ class Places:
         expected = self.region(index)[chunk_offset(layout, level) + numbers]
         try:
             file = ShardFile(self._folder / layout.shard_file(index, level), side**3, buffer)
-        except OSError:  # reading it tells why
+        except OSError:  # reading the chunks reports the reason
             return np.ones(len(chunks), bool)
         try:
             return file.checksums(numbers) != expected
@@ -177,7 +178,7 @@ class Places:
             file.close()
 
     def region(self, index: int) -> np.ndarray:
-        """The table's row of region ``index``."""
+        """The row of the table for region ``index``."""
         rows = self._layout.table_rows
         part = index // rows
         with self._lock:
@@ -200,7 +201,7 @@ class Places:
         return found
 
     def check_statistics(self, name: str, z: int) -> None:
-        """Of the row ``z`` of chunks."""
+        """VolumeError if row ``z`` of chunks of the statistics ``name`` belongs elsewhere."""
         path = self._folder / statistics_file(self._layout, name, z)
         if file_checksum(path) != self._expected["statistics"][name][z]:
             raise VolumeError(self._where, f"{name} of the blocks belong to another place", self._wanted)

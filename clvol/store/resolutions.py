@@ -1,8 +1,8 @@
 """Coarser resolutions of an array, and statistics of its blocks, piece by piece.
 
-Coarser samples are means of the voxels themselves (not of already rounded means), rounded to the
-voxels' type, halves to even. Where fewer than half of a sample's voxels are finite the sample is
-NaN. Sums of integers are exact; a level's sums are made of those of the level before.
+Coarser samples are means of the voxels themselves (not of rounded means), rounded to the voxels' type, halves to
+even. A sample is NaN if fewer than half of its voxels are finite. Sums of integers are exact; the sums of a level are
+computed from those of the level before.
 """
 
 from __future__ import annotations
@@ -15,14 +15,15 @@ import numpy as np
 from clvol.store.geometry import BlockGrid
 from clvol.store.source import QUANTILES, BlockStatistics
 
-_PIECE = 1 << 22  # voxels that array_statistics looks at together
-_CACHED = 1 << 20  # voxels that describe_region looks at together: what follows stays in the cache
+_PIECE = 1 << 22  # voxels that array_statistics examines together
+_CACHED = 1 << 20  # voxels that describe_region examines together, so that temporaries stay in the cache
 _LARGE = 1e150  # squares of larger values overflow
 
 
 def block_samples(data: np.ndarray, grid: BlockGrid, level: int, blocks: np.ndarray) -> np.ndarray:
-    """[k, s, s, s] of ``data``'s dtype: samples of ``blocks`` at ``level``, the last ones repeated
-    beyond the array."""
+    """The samples of ``blocks`` at ``level``, [k, s, s, s] of ``data``'s dtype; the last ones repeat beyond the
+    array.
+    """
     s = grid.samples(level)
     out = np.empty((len(blocks), s, s, s), data.dtype)
     for k, place in enumerate(grid.places(blocks)):
@@ -33,8 +34,9 @@ def block_samples(data: np.ndarray, grid: BlockGrid, level: int, blocks: np.ndar
 def region_level(
     data: np.ndarray, grid: BlockGrid, level: int, first: tuple, last: tuple
 ) -> np.ndarray:
-    """[z, y, x] of the blocks ``first`` <= (bz, by, bx) < ``last`` at ``level``, the last samples
-    repeated beyond the array."""
+    """The samples [z, y, x] of the blocks ``first`` <= (bz, by, bx) < ``last`` at ``level``; the last ones repeat
+    beyond the array.
+    """
     box = _box(data.shape, grid.edge, first, last)
     return whole_blocks(reduced(data[box], level), grid.samples(level))
 
@@ -54,8 +56,9 @@ def whole_blocks(samples: np.ndarray, s: int) -> np.ndarray:
 
 
 def resolutions(box: np.ndarray, levels: int) -> list[np.ndarray]:
-    """``box`` [z, y, x] at levels 0 ... ``levels`` - 1; level 0 is ``box`` itself. Sample i along
-    an axis is of the voxels 2^l i ... 2^l (i + 1) - 1 that the box has."""
+    """``box`` [z, y, x] at levels 0 ... ``levels`` - 1; level 0 is ``box`` itself. Sample i along an axis is the mean
+    of the voxels 2^l i ... 2^l (i + 1) - 1 inside the box.
+    """
     found = [box]
     if levels == 1:
         return found
@@ -99,14 +102,15 @@ def _means_of_floats(box: np.ndarray, levels: int, cut_short: bool) -> list[np.n
 
 
 def _filled_up(box: np.ndarray, levels: int, value: float) -> np.ndarray:
-    """``box`` with ``value`` beyond it, until the coarsest level's samples are whole."""
+    """``box`` padded with ``value`` until the coarsest level has whole samples."""
     missing = [(0, -n % (1 << levels - 1)) for n in box.shape]
     return np.pad(box, missing, constant_values=value) if any(m for _, m in missing) else box
 
 
 def _sums(box: np.ndarray, levels: int) -> Iterator[np.ndarray]:
-    """Sums over 2^l voxels an axis at levels 1 ... ``levels`` - 1; exact where the box holds
-    integers of at most 16 bits and the coarsest level has at most 32 voxels an axis."""
+    """Sums over 2^l voxels per axis at levels 1 ... ``levels`` - 1. They are exact if the box holds integers of at
+    most 16 bits and a sample of the coarsest level has at most 32 voxels per axis.
+    """
     eight_bits = box.dtype.itemsize == 1
     for level in range(1, levels):
         kind = (
@@ -123,7 +127,7 @@ def _sums(box: np.ndarray, levels: int) -> Iterator[np.ndarray]:
 
 
 def _counts(shape: tuple, level: int) -> tuple[tuple, np.ndarray]:
-    """Samples (z, y, x) of an array of ``shape`` at ``level``, and each one's voxels [z, y, x]."""
+    """The number of samples (z, y, x) of an array of ``shape`` at ``level``, and the number of voxels in each."""
     edge = 1 << level
     along = [np.minimum(n - np.arange(0, n, edge), edge).astype(np.float64) for n in shape]
     z, y, x = along
@@ -134,7 +138,7 @@ def _counts(shape: tuple, level: int) -> tuple[tuple, np.ndarray]:
 
 
 def array_statistics(data: np.ndarray, grid: BlockGrid) -> Iterator[BlockStatistics]:
-    """All blocks of ``data`` in order, as many rows of blocks at a time as make a piece."""
+    """The statistics of all blocks of ``data`` in order, with as many rows of blocks at a time as fit a piece."""
     nz, ny, nx = grid.counts
     rows = int(np.clip(_PIECE // (grid.edge**3 * nx), 1, ny))
     for z in range(nz):
@@ -146,8 +150,9 @@ def array_statistics(data: np.ndarray, grid: BlockGrid) -> Iterator[BlockStatist
 def region_statistics(
     data: np.ndarray, grid: BlockGrid, first: tuple, last: tuple
 ) -> BlockStatistics:
-    """Of the blocks ``first`` <= (bz, by, bx) < ``last``, in C order. ``first`` of the result is
-    the number of the first; the blocks are consecutive where the caller makes them so."""
+    """The statistics of the blocks ``first`` <= (bz, by, bx) < ``last``, in C order. ``first`` of the result is the
+    number of the first block; the caller chooses blocks with consecutive numbers.
+    """
     box = _box(data.shape, grid.edge, first, last)
     around, inner = with_neighbours(data.shape, box)
     found = describe_region(data[around], inner, grid.edge)[1]
@@ -155,8 +160,9 @@ def region_statistics(
 
 
 def with_neighbours(shape: tuple, box: tuple) -> tuple[tuple, tuple]:
-    """The slices ``box`` of an array of ``shape`` and one voxel around, where there is one; and
-    ``box`` inside that."""
+    """The slices ``box`` of an array of ``shape`` extended by one voxel where there is one, and the position of
+    ``box`` inside them.
+    """
     around = tuple(slice(max(s.start - 1, 0), min(s.stop + 1, n)) for s, n in zip(box, shape))
     inner = tuple(slice(s.start - a.start, s.stop - a.start) for s, a in zip(box, around))
     return around, inner
@@ -190,7 +196,7 @@ def describe_region(
 
 
 def join_statistics(parts: list[BlockStatistics]) -> BlockStatistics:
-    """``parts`` one after the other, as of consecutive blocks."""
+    """The statistics ``parts`` of consecutive blocks, joined."""
     names = [field.name for field in fields(BlockStatistics)][1:]
     axis = {"reach_low": 0, "reach_high": 0, "holes": 0}
     joined = (
@@ -227,14 +233,14 @@ def _describe(
 
 
 def split(box: np.ndarray, s: int) -> np.ndarray:
-    """[blocks, s, s, s], C order of blocks, of ``box`` [z, y, x], whose axes are multiples of
-    ``s``."""
+    """The blocks [blocks, s, s, s], in C order, of ``box`` [z, y, x], whose axes are multiples of ``s``."""
     z, y, x = (n // s for n in box.shape)
     return box.reshape(z, s, y, s, x, s).transpose(0, 2, 4, 1, 3, 5).reshape(-1, s, s, s)
 
 
 def _box(shape: tuple, edge: int, first: tuple, last: tuple) -> tuple[slice, slice, slice]:
-    return tuple(slice(int(a) * edge, min(int(b) * edge, n)) for a, b, n in zip(first, last, shape))
+    z, y, x = (slice(int(a) * edge, min(int(b) * edge, n)) for a, b, n in zip(first, last, shape))
+    return z, y, x
 
 
 def _summary(samples: np.ndarray) -> dict[str, np.ndarray]:
@@ -255,8 +261,8 @@ def _summary(samples: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def _summary_with_holes(flat: np.ndarray) -> dict[str, np.ndarray]:
-    """Blocks without holes together, the others one by one. ``flat`` [blocks, n] is in order, NaN
-    last."""
+    """The summary, blocks without holes together and the others one by one. ``flat`` [blocks, n] is sorted, NaN last.
+    """
     whole = np.isfinite(flat[:, 0]) & np.isfinite(flat[:, -1])
     count = len(flat)
     out = {name: np.full(count, np.nan) for name in ("minimum", "maximum", "mean")}
@@ -280,13 +286,14 @@ def _summary_with_holes(flat: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def _mean(values: np.ndarray) -> np.ndarray:
-    """Over the last axis, of values whose sum may overflow."""
+    """The mean over the last axis of values whose sum may overflow."""
     return (values / values.shape[-1]).sum(axis=-1)
 
 
 def _deviations(full: np.ndarray, by_block: list[np.ndarray]) -> np.ndarray:
-    """[levels, blocks]: root mean square of each level's samples, held constant, minus the voxels
-    ``full`` [z, y, x]."""
+    """The root mean square, [levels, blocks], of each level's piecewise constant field minus the voxels ``full`` [z,
+    y, x].
+    """
     count, edge = len(by_block[0]), by_block[0].shape[1]
     out = np.zeros((len(by_block), count))
     if full.dtype.kind != "f":
@@ -316,7 +323,7 @@ def _deviations(full: np.ndarray, by_block: list[np.ndarray]) -> np.ndarray:
 
 
 def _sums_of_squares(blocks: np.ndarray) -> np.ndarray:
-    """int64 [blocks] of integers [blocks, n]."""
+    """Sums of squares, int64 [blocks], of integers [blocks, n]."""
     if blocks.dtype.itemsize == 1:
         wide = blocks.astype(np.int16).view(np.uint16)
         wide *= wide  # modulo 2^16, in which all squares of 8 bits are exact
@@ -326,12 +333,14 @@ def _sums_of_squares(blocks: np.ndarray) -> np.ndarray:
 
 
 def _deviations_of_floats(full: np.ndarray, by_block: list[np.ndarray]) -> np.ndarray:
-    """[levels - 1, blocks]: without cancellation: the squares within a sample's voxels are those
-    within its eight parts and those of the parts' means. ``full`` [z, y, x] may be blocks one upon
-    another."""
+    """Deviations [levels - 1, blocks] without cancellation.
+
+    The squares within a sample are those within its eight parts plus those of the means of the parts. ``full`` [z, y,
+    x] may be blocks stacked along z.
+    """
     count, edge = len(by_block[0]), by_block[0].shape[1]
     out = np.empty((len(by_block) - 1, count))
-    means, within = full, 0.0
+    means, within = full, np.zeros(())
     for level in range(1, len(by_block)):
         parts = [
             means[z::2, y::2, x::2].astype(np.float64)
@@ -388,7 +397,7 @@ def _reach(
 
 
 def _over(values: np.ndarray, axis: int, inner: slice, edge: int, over: np.ufunc) -> np.ndarray:
-    """Along ``axis``: over each block of the part ``inner``, and one value before and after it."""
+    """The extreme along ``axis`` over each block of ``inner`` and one value before and after it."""
     values = np.moveaxis(values, axis, 0)
     starts = np.arange(inner.start, inner.stop, edge)
     whole = (inner.stop - inner.start) // edge

@@ -1,4 +1,4 @@
-"""What blocks are read from: a store on disk, or a volume in memory, behind one interface."""
+"""The interface from which blocks are read: of a store on disk, or of a volume in memory."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ from clvol.store.geometry import BlockGrid
 from clvol.volume.grid import Grid
 
 QUANTILES = 8
-DROPPED = 255  # in place of a level: a block that shows nothing, and takes no memory
+DROPPED = 255  # takes the place of a level for a block that is invisible and takes no memory
 
 
 @dataclass(frozen=True, eq=False)
 class BlockStatistics:
-    """Of the blocks ``first`` ... ``first + n - 1``; arrays [levels, n] are of each level's samples.
+    """Statistics of the blocks ``first`` ... ``first + n - 1``; arrays [levels, n] describe the samples of each level.
 
-    minimum, maximum, mean   [levels, n] float64: of the finite samples; NaN where none is
+    minimum, maximum, mean   [levels, n] float64: of the finite samples; NaN if there is none
     quantiles                [levels, n, QUANTILES] float32 (float64 for float64 voxels): the simplified histogram:
-                             finite samples in order, in as many groups of equal size, each group's mean
+                             means of QUANTILES groups of equal size of the sorted finite samples
     deviation                [levels, n] float64: root mean square, over the block's voxels, of the level's
                              piecewise constant field minus the voxels; 0 at level 0
     reach_low, reach_high    [n] float64: smallest and largest finite voxel of the block and of one voxel around
-                             it (what interpolation inside the block's space can use); low > high where none is
-    holes                    [n] bool: whether a voxel of those is not finite
+                             it (the range of interpolation inside the block's space); low > high if there is none
+    holes                    [n] bool: whether any of these voxels is not finite
     """
 
     first: int
@@ -41,8 +41,11 @@ class BlockStatistics:
 
 
 class BlockSource(Protocol):
-    """``grid``: the volume's. ``dtype``: of voxels and of samples at all levels. ``value_range``, ``nan_count``,
-    ``inf_count``: of the volume's voxels. ``name``: for messages."""
+    """A source of blocks.
+
+    ``grid`` is that of the volume, ``dtype`` the type of voxels and of samples at all levels. ``value_range``,
+    ``nan_count`` and ``inf_count`` are those of the volume's voxels. ``name`` is used in messages.
+    """
 
     name: str
     grid: Grid
@@ -54,9 +57,10 @@ class BlockSource(Protocol):
 
     def read(self, level: int, blocks: np.ndarray) -> np.ndarray:
         """Samples [k, s, s, s] (z, y, x) of ``blocks`` (numbers, int64 [k]) at ``level``; beyond the volume its last
-        samples repeat. May be called by several threads. VolumeError names the block that cannot be read."""
+        samples repeat. May be called by several threads. VolumeError names the block that cannot be read.
+        """
         ...
 
     def statistics(self) -> Iterator[BlockStatistics]:
-        """All blocks' statistics, in order, in parts of bounded size."""
+        """The statistics of all blocks, in order, in parts of bounded size."""
         ...

@@ -1,4 +1,4 @@
-"""A store whose voxels are read in the reverse order, for values that fall where they rise."""
+"""A store whose voxels are read in reverse order of values, for axes with a negative slope."""
 
 from __future__ import annotations
 
@@ -7,18 +7,25 @@ from typing import Any
 
 import numpy as np
 
-from clvol.store.source import BlockSource, BlockStatistics
+from clvol.store.source import BlockStatistics
+from clvol.store.zarr_store import StoredBlocks
 from clvol.volume.axis import turned
+from clvol.volume.grid import Grid
 
 
 class TurnedBlocks:
-    """``source`` with ``clvol.volume.axis.turned`` of all its samples; all else is its own."""
+    """A ``BlockSource`` with the samples of ``source`` mirrored by ``clvol.volume.axis.turned``.
 
-    def __init__(self, source: BlockSource) -> None:
+    All other attributes are those of ``source``.
+    """
+
+    grid: Grid
+
+    def __init__(self, source: StoredBlocks | TurnedBlocks) -> None:
         self._source = source
 
     def __getattr__(self, name: str) -> Any:
-        if name == "_source":  # of a copy that is being made
+        if name == "_source":  # during copying
             raise AttributeError(name)
         return getattr(self._source, name)
 
@@ -26,7 +33,7 @@ class TurnedBlocks:
     def value_range(self) -> tuple[float, float]:
         source = self._source
         if source.nan_count + source.inf_count == np.prod(source.blocks.shape, dtype=np.int64):
-            return source.value_range  # no value at all
+            return source.value_range  # there is no finite voxel
         low, high = self._of(np.array(source.value_range))
         return float(high), float(low)
 

@@ -13,7 +13,7 @@ from clvol.volume.volume import Volume
 
 
 class VolumeBlocks:
-    """A ``clvol.store.source.BlockSource`` of a volume in memory; nothing is stored but its statistics."""
+    """A ``clvol.store.source.BlockSource`` of a volume in memory. Only its statistics are stored."""
 
     def __init__(self, volume: Volume, edge: int = EDGE) -> None:
         self.volume = volume

@@ -1,4 +1,4 @@
-"""What a store is built of: anything that can give a box of voxels."""
+"""Sources of voxels for building a store."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from clvol.volume.volume import Volume
 
 
 class VoxelSource(Protocol):
-    """What a store is built of: anything that can give a box of voxels.
+    """The source of a store's voxels: anything that can return a box of voxels.
 
-    A source may have an ``axis`` (``ValueAxis``): what its numbers mean, which the store then says.
-    ``identity`` (JSON) changes when the voxels do: an interrupted store goes on only with the same.
+    A source may have an ``axis`` (``ValueAxis``), which the store records. ``identity`` (JSON) changes when the
+    voxels do: an interrupted build is resumed only with the same identity.
     """
 
     shape: tuple[int, int, int]
@@ -29,7 +29,11 @@ class VoxelSource(Protocol):
     grid: Grid
     name: str | None
     frame: str
-    identity: dict
+
+    @property
+    def identity(self) -> dict:
+        """What distinguishes these voxels from others, as JSON types."""
+        ...
 
     def box(self, z0: int, z1: int, y0: int, y1: int, x0: int, x1: int) -> np.ndarray:
         """Voxels [z0:z1, y0:y1, x0:x1] of ``dtype``. Called by several threads."""
@@ -37,9 +41,9 @@ class VoxelSource(Protocol):
 
 
 class VolumeSource:
-    """A volume: in memory, mapped from a file, or one that reads boxes itself (``Volume.box``).
+    """A volume in memory, mapped from a file, or one that reads boxes itself (``Volume.box``).
 
-    ``settings`` (JSON): what else decides how the file's bytes become voxels.
+    ``settings`` (JSON): everything else that decides how the file's bytes become voxels.
     """
 
     def __init__(self, volume: Volume, settings: dict | None = None) -> None:
@@ -50,7 +54,7 @@ class VolumeSource:
 
     @property
     def identity(self) -> dict:
-        """Of a file its place, size and time; of an array without one a digest of its bytes."""
+        """The path, size and time of a file; for an array without a file, a digest of its bytes."""
         volume = self.volume
         if volume.path is not None:
             place = os.path.realpath(volume.path)
@@ -67,7 +71,7 @@ class VolumeSource:
         return np.array(self.volume.data[z0:z1, y0:y1, x0:x1])
 
     def forget(self) -> None:
-        """Pages of a mapped file that have been read need not stay in this process's memory."""
+        """Releases the pages of a mapped file that have been read from this process's memory."""
         if hasattr(self.volume, "box"):
             return
         array: Any = self.volume.data
@@ -78,7 +82,7 @@ class VolumeSource:
 
 
 def _files_digest(path: Path) -> str:
-    """Changes with the names, sizes or times of the file, or of the folder's files."""
+    """A digest of the names, sizes and times of the file, or of the folder's files."""
     digest = hashlib.blake2b(digest_size=16)
     files = sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
     for file in files:
@@ -88,8 +92,9 @@ def _files_digest(path: Path) -> str:
 
 
 class FieldSource:
-    """A computed field (``clvol.volume.procedural.scene_field``) of any size: no more of it than a
-    box is ever in memory. ``size`` (nx, ny, nz); voxels of 8 bits."""
+    """A computed field (``clvol.volume.procedural.scene_field``) of any size: only one box at a time is in memory.
+    ``size`` (nx, ny, nz); voxels of 8 bits.
+    """
 
     dtype = np.dtype(np.uint8)
     frame = "world"

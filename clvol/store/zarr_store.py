@@ -1,5 +1,4 @@
-"""A store on disk as a source of blocks: checked when it is opened, and again with every chunk that
-is read."""
+"""A store on disk as a source of blocks. It is checked when it is opened, and again with every chunk that is read."""
 
 from __future__ import annotations
 
@@ -20,20 +19,21 @@ from clvol.store.places import TABLE, Places, per_axis
 from clvol.store.resolutions import whole_blocks
 from clvol.store.source import BlockStatistics
 
-_FLYING = 64 << 20  # bytes of samples that are being read at a time
+_FLYING = 64 << 20  # bytes of samples in concurrent reads
 _FLYING_READS = 256
-_SHARD_SHARE = 0.25  # of the chunks in a box; where so many are wanted, reading it whole is quicker
-_WANTED = "an undamaged store (clvol store --overwrite makes it anew)"
+_SHARD_SHARE = 0.25  # share of the chunks in a box above which reading the whole box is faster
+_WANTED = "an undamaged store (clvol store --overwrite rebuilds it)"
 
 
 def open_store(path: str | os.PathLike) -> StoredBlocks:
-    """The store in the folder ``path``; VolumeError if it is none, or is not whole, or is of
-    another version."""
+    """Opens the store in the folder ``path``; VolumeError if it is not a store, is incomplete, or has another
+    version.
+    """
     return StoredBlocks(path)
 
 
 def is_store(path: str | os.PathLike) -> bool:
-    """Whether the folder is a store of clvol's, whole or not, of whatever version."""
+    """Whether the folder is a clvol store, complete or not, of any version."""
     path = Path(path)
     try:
         root = read_json(path / ROOT, str(path))
@@ -44,14 +44,14 @@ def is_store(path: str | os.PathLike) -> bool:
 
 
 def is_unfinished(path: Path) -> bool:
-    """Whether the folder is a store whose making has not come to its end."""
+    """Whether the folder is an incomplete store."""
     return os.path.isdir(path / JOURNAL) and (
         path.name.endswith(PARTIAL) or not os.path.exists(path / ROOT)
     )
 
 
 def check_finished(path: Path) -> None:
-    """VolumeError if a store is not whole, or is not there but its beginning is."""
+    """VolumeError if a store is incomplete, or if only its partial folder exists."""
     expected = "a whole store; the same 'clvol store' command again finishes it"
     if os.path.isdir(path):
         if is_unfinished(path):
@@ -61,9 +61,11 @@ def check_finished(path: Path) -> None:
 
 
 class StoredBlocks:
-    """A store as a ``BlockSource``. Nothing of it is kept in memory but some checksums. ``facts`` is what its
-    metadata say. ``checks_places``: whether what is read is known to belong where it was read (not of older
-    stores)."""
+    """A store as a ``BlockSource``. Only some checksums are kept in memory.
+
+    ``facts`` holds its metadata. ``checks_places``: whether data are proved to be in their positions (older stores
+    cannot do so).
+    """
 
     def __init__(self, path: str | os.PathLike) -> None:
         self.path = Path(path)
@@ -78,7 +80,7 @@ class StoredBlocks:
         self._levels = [self._array(str(level), level) for level in range(self.blocks.levels)]
         self.checks_places = facts.checksums is not None
         self._places: Places | None = None
-        if self.checks_places:
+        if facts.checksums is not None:
             table = self._array(f"blocks/{TABLE}")
             self._places = Places(
                 self.path, self.layout, facts.checksums, lambda: table, self._where, _WANTED
@@ -96,7 +98,7 @@ class StoredBlocks:
         return parse_root(root, self._where)
 
     def _array(self, name: str, level: int | None = None) -> Any:
-        """Level ``level``, or the array of statistics or checksums ``name``."""
+        """The array of level ``level``, or the array ``name`` of statistics or checksums."""
         if name == f"blocks/{TABLE}":
             wanted = self.layout.table_metadata()
         elif level is None:
@@ -174,9 +176,9 @@ class StoredBlocks:
     def _boxes(
         self, level: int, places: np.ndarray
     ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-        """Boxes of samples that hold all blocks at ``places`` [k, 3]: each box's first block, its
-        samples (none beyond the array), and which of ``places`` are inside. So many are read at a
-        time as fit into _FLYING."""
+        """Boxes of samples that hold all blocks at ``places`` [k, 3]: the first block of each box, its samples (none
+        beyond the array), and which of ``places`` are inside. As many are read at a time as fit into _FLYING.
+        """
         flying: deque = deque()
         size = 0
         for low, high, members, misplaced in self._plan(level, places):
@@ -192,8 +194,9 @@ class StoredBlocks:
     def _plan(
         self, level: int, places: np.ndarray
     ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
-        """Boxes of chunks to read: their first and last + 1 chunk, members as in ``_boxes``, and the
-        chunks [n, 3] of these members' that are of another place. Boxes stay in a shard."""
+        """Boxes of chunks to read: their first and last + 1 chunk, members as in ``_boxes``, and the chunks [n, 3] of
+        these members that belong elsewhere. A box stays within a shard.
+        """
         if not len(places):
             return
         per_chunk = self.layout.chunk(level) // self.blocks.samples(level)
@@ -201,7 +204,7 @@ class StoredBlocks:
         chunks = places // per_chunk
         counts = chunks.max(axis=0) + 1
         shards = chunks // per_shard
-        # In order of shards, and of chunks inside a shard.
+        # In the order of shards, then of chunks inside a shard.
         key = np.ravel_multi_index(tuple(shards.T), tuple(shards.max(axis=0) + 1)) * int(
             np.prod(counts)
         )
@@ -252,7 +255,7 @@ class StoredBlocks:
             block = tuple(int(n) for n in places[members[0]])
             what = f"block {block} at level {level}: {what_failed(failure)}"
             raise VolumeError(self._where, what, _WANTED) from None
-        # A chunk of the box cannot be read: which, and whether it is wanted, they say one by one.
+        # A chunk of the box cannot be read. Reading chunks one by one shows which, and whether it is needed.
         chunks = places[members] // per_chunk
         for chunk in np.unique(chunks, axis=0):
             inside = members[(chunks == chunk).all(axis=1)]
@@ -283,7 +286,7 @@ class StoredBlocks:
         return {name: self._array(f"blocks/{name}") for name in self.layout.statistics_types}
 
     def statistics(self) -> Iterator[BlockStatistics]:
-        """As ``BlockSource.statistics``: some planes of blocks at a time."""
+        """As ``BlockSource.statistics``, with some planes of blocks at a time."""
         nz, ny, nx = self.blocks.counts
         rows = self.layout.statistics_rows
         for z in range(0, nz, rows):
@@ -307,11 +310,11 @@ class StoredBlocks:
         values = values.reshape(values.shape[0], -1) if by_level else values.reshape(-1)
         return values if name == "holes" else values.astype(np.float64)
 
-    # ---- for people ----
+    # ---- information for users ----
 
     @cached_property
     def bytes_on_disk(self) -> int:
-        """Of all files of the store."""
+        """The size of all files of the store in bytes."""
         folders = (Path(folder, name) for folder, _, names in os.walk(self.path) for name in names)
         return sum(file.stat().st_size for file in folders)
 

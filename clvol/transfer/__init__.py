@@ -1,4 +1,4 @@
-"""Transfer functions: what a value of the volume looks like."""
+"""Transfer functions: colour and opacity by the value of the volume."""
 
 from __future__ import annotations
 

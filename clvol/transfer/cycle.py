@@ -1,7 +1,7 @@
-"""A transfer function that moves over the values and wraps: colour cycling.
+"""Colour cycling: a transfer function that moves through the values and wraps around.
 
-It is the function that moves, not the values that are looked up: between two samples on either side
-of the wrap a value must not run through all the others, as it would in a pre-integrated segment.
+The function moves, not the values that are looked up: between two samples on either side of the wrap, a value must
+not run through all the others, as it would in a pre-integrated segment.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ def cycled(
 ) -> TransferFunction:
     """The function g with g(v) = ``function``(low + mod(v - low + shift (high - low), high - low)).
 
-    ``shift``: in ranges (low, high) = ``value_range``; a whole number leaves everything as it is,
-    on the range. ``reach``: the values that are asked for, where noise leads beyond the range; 64
-    ranges at most, beyond which the ends hold. Without ``opacity`` colours alone move.
+    ``shift`` is in units of the range (low, high) = ``value_range``; a whole number changes nothing on the range.
+    ``reach``: the values for which the function is needed, where noise leads beyond the range; at most 64 ranges,
+    beyond which the ends hold. Without ``opacity`` only colours move.
     """
     low, high = value_range
     period = high - low
@@ -40,7 +40,8 @@ def cycled(
     offset = -(shift % 1.0) * period
     from_period = math.floor(max((first - low - offset) / period, -_MOST_PERIODS / 2))
     to_period = math.ceil(min((last - low - offset) / period, _MOST_PERIODS / 2))
-    values, points = [], []
+    values: list[float] = []
+    points: list[np.ndarray] = []
     for n in range(from_period, to_period + 1):
         placed = knots + (offset + n * period)
         for k in range(knots.size - 1):
@@ -54,7 +55,7 @@ def cycled(
 
 
 def limits(function: TransferFunction, at: np.ndarray, side: str) -> np.ndarray:
-    """float64 [n, 4], opacity and colour just left or right of the values ``at``."""
+    """Opacity and colour, float64 [n, 4], just left or right of the values ``at``."""
     found = np.column_stack([function.opacity(at), function.color(at)])
     if side == "left":
         point = np.searchsorted(function.values, at, side="left").clip(0, function.values.size - 1)
@@ -65,7 +66,7 @@ def limits(function: TransferFunction, at: np.ndarray, side: str) -> np.ndarray:
 
 
 def joined(values: np.ndarray, points: np.ndarray, unit: float) -> TransferFunction:
-    """From the ends of consecutive pieces; ends that meet in value and point become one."""
+    """The function through the ends of consecutive pieces; coinciding ends are merged."""
     same = (values[1:] == values[:-1]) & (points[1:] == points[:-1]).all(axis=1)
     keep = np.concatenate([[True], ~same])
     values, points = values[keep], points[keep]
@@ -73,7 +74,7 @@ def joined(values: np.ndarray, points: np.ndarray, unit: float) -> TransferFunct
 
 
 def _mixed(opacities: TransferFunction, colors: TransferFunction) -> TransferFunction:
-    """Opacity of one function with the colour of another."""
+    """The opacity of one function with the colour of another."""
     knots = np.unique(np.concatenate([opacities.values, colors.values]))
     points = np.empty((knots.size, 2, 4))
     for k, side in enumerate(("left", "right")):

@@ -17,7 +17,7 @@ from clvol.errors import SceneError
 _WHERE = "transfer_function"
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, init=False)
 class TransferFunction:
     """Control points of opacity and colour over the volume's values.
 
@@ -35,9 +35,11 @@ class TransferFunction:
     colors: np.ndarray
     opacity_unit: float = 1.0
 
-    def __post_init__(self) -> None:
-        for name in ("values", "opacities", "colors"):
-            object.__setattr__(self, name, _frozen(name, getattr(self, name)))
+    def __init__(
+        self, values: ArrayLike, opacities: ArrayLike, colors: ArrayLike, opacity_unit: float = 1.0
+    ) -> None:
+        for name, given in (("values", values), ("opacities", opacities), ("colors", colors)):
+            object.__setattr__(self, name, _frozen(name, given))
         n = self.values.size
         if self.values.ndim != 1 or n < 1:
             raise _wrong("values", f"shape {self.values.shape}", "at least one control point")
@@ -62,11 +64,11 @@ class TransferFunction:
                 where = ".".join([name, *map(str, at)])
                 raise _wrong(where, f"{array[at]!s}", "a number from 0 to 1")
         try:
-            unit = float(self.opacity_unit)
+            unit = float(opacity_unit)
         except (TypeError, ValueError):
             unit = float("nan")
         if not 0.0 < unit < float("inf"):
-            raise _wrong("opacity_unit", f"{self.opacity_unit!r}", "a finite length > 0")
+            raise _wrong("opacity_unit", f"{opacity_unit!r}", "a finite length > 0")
         object.__setattr__(self, "opacity_unit", unit)
 
     def __eq__(self, other: object) -> bool:

@@ -1,13 +1,12 @@
-"""Lookup nodes: the values at which the tables of a transfer function have their entries.
+"""Lookup nodes: the values at which the lookup tables of a transfer function have their entries.
 
-Tables are looked up by a table coordinate, the position of a value among the nodes. For integer voxels whose
-control points are integers the nodes are evenly spaced and fall on all of them. In general they
-cannot: then the map from value to coordinate is piecewise linear over equal bins (a "warp"), which
-puts most nodes where the transfer function varies, and one exactly on every control point: voxels of
-just that value must not show a mixture with what lies next to it. So a peak that is a thousandth of
-the range wide is resolved by as many entries as one that fills it. Control points closer
-than 1 / 16384 of the range share bins: a ray that crosses them still gathers what lies between
-(pre-integrated), but voxels of one value in there show a mean.
+Tables are addressed by a table coordinate, the position of a value among the nodes. For integer voxels whose control
+points are integers, evenly spaced nodes fall on all control points. In general this is impossible; the map from value
+to coordinate is then piecewise linear over equal bins (a "warp"). It puts most nodes where the transfer function
+varies, and one exactly on every control point, so that voxels of that value do not show a mixture with neighbouring
+values. A peak that is a thousandth of the range wide is resolved by as many entries as one that fills the range.
+Control points closer than 1 / 16384 of the range share bins: a pre-integrated ray that crosses them still gathers
+what lies between, but voxels of a single value in there show a mean.
 """
 
 from __future__ import annotations
@@ -18,11 +17,11 @@ import numpy as np
 
 from clvol.transfer.function import TransferFunction
 
-# Bins of the warp: the fewest that keep control points apart, and that a step may well be blurred by.
+# Bins of the warp: by default, if some control points have to share bins, and at most.
 BINS, STEP_BINS, MOST_BINS = 4096, 16384, 65536
-_BINS_APART = 4  # so that each has a bin of its own, and the jump of a step one before that
-_NARROW = 8  # even nodes closer than that to one another misplace what is between them
-_STEP_MARGIN = 0.02  # of a bin: more than rounding of a value's place among all bins
+_BINS_APART = 4  # so that each control point has its own bin, and the jump of a step the bin before
+_NARROW = 8  # in nodes: evenly spaced nodes misplace what lies between closer control points
+_STEP_MARGIN = 0.02  # share of a bin; exceeds the rounding of a value's position among all bins
 # Shares of the nodes: evenly over the range, over what is visible, and around it, where a segment that
 # reaches into it changes with 1 / its span.
 _EVEN, _VISIBLE, _AROUND = 0.25, 0.40, 0.35
@@ -30,11 +29,11 @@ _EVEN, _VISIBLE, _AROUND = 0.25, 0.40, 0.35
 
 @dataclass(frozen=True, eq=False)
 class LookupNodes:
-    """``values`` [n >= 2] float64, ascending: the nodes.
+    """The nodes: ``values`` [n >= 2] float64, ascending.
 
-    The coordinate of value s is (s - ``first``) * ``per_value``, clamped to 0 .. n - 1, or, if ``warp``
-    is there (float32 [bins + 1], ascending from 0 to n - 1), that number as a position among bins,
-    looked up in ``warp`` linearly.
+    The coordinate of value s is (s - ``first``) * ``per_value``, clamped to 0 .. n - 1. If ``warp`` exists (float32
+    [bins + 1], ascending from 0 to n - 1), that number is a position among bins, at which ``warp`` is interpolated
+    linearly.
     """
 
     values: np.ndarray
@@ -44,8 +43,7 @@ class LookupNodes:
 
     @property
     def rounding(self) -> float:
-        """How far float32 arithmetic may be from ``position``: nothing where nodes are even, since
-        then what matters are their own values."""
+        """Largest difference of float32 arithmetic from ``position``; 0 if nodes are evenly spaced."""
         if self.warp is None:
             return 0.0
         return float(np.diff(self.warp).max()) * self.warp.size * 2.0**-22 + 2e-5
@@ -55,15 +53,14 @@ class LookupNodes:
         return float(self.values.size - 1)
 
     def is_exact(self, values: np.ndarray) -> np.ndarray:
-        """Whether float32 arithmetic gives exactly ``position`` of ``values``: whole numbers, each at
-        the edge of a bin."""
+        """Whether float32 arithmetic gives exactly ``position`` of ``values``, whole numbers at the edges of bins."""
         values = np.asarray(values, np.float64)
         whole = (values == np.floor(values)) & (np.abs(values) < 2**24)
         steps = (self.first, self.per_value)
         return whole & all(v == np.floor(v) and abs(v) < 2**24 for v in steps)
 
     def position(self, values: np.ndarray) -> np.ndarray:
-        """Table coordinates (float64) of ``values``, as the kernels compute them."""
+        """Table coordinates (float64) of ``values``, computed as in the kernels."""
         p = (np.asarray(values, np.float64) - self.first) * self.per_value
         if self.warp is not None:
             p = np.interp(p, np.arange(self.warp.size), self.warp.astype(np.float64))
@@ -80,9 +77,8 @@ def lookup_nodes(
 ) -> LookupNodes:
     """About ``count`` nodes (never more) over ``value_range`` for ``function``.
 
-    ``integer``: voxels are integers. ``may_warp`` False: evenly spaced where that resolves the
-    function, which is what a long one-dimensional table wants; for integer voxels there may then be
-    as many nodes as values.
+    ``integer``: voxels are integers. ``may_warp`` False: nodes are evenly spaced if that resolves the function, as a
+    long one-dimensional table requires; for integer voxels there may then be as many nodes as values.
     """
     low, high = (float(v) for v in value_range)
     if not high > low:
@@ -103,7 +99,7 @@ def lookup_nodes(
 
 
 def _is_narrow(function: TransferFunction, low: float, high: float, count: int) -> bool:
-    """Whether ``count`` even nodes would misplace a step, or a stretch between control points."""
+    """Whether ``count`` evenly spaced nodes would misplace a step, or an interval between control points."""
     gaps = np.diff(_knots(function, low, high)[0])
     return bool(gaps.min() * (count - 1) < _NARROW * (high - low))
 
@@ -154,18 +150,18 @@ def _warped(
 def _meet_knots(
     warp: np.ndarray, places: np.ndarray, at_knots: np.ndarray, exact: bool
 ) -> np.ndarray:
-    """Shifts the edges of the bins that hold knots, at ``places`` (in bins), so that the coordinate
-    of a knot is its node. Where that is met: int [m], indices of knots.
+    """Shifts the edges of the bins that hold knots, at ``places`` (in bins), so that the coordinate of a knot is its
+    node. Returns the indices of the knots for which that succeeds, int [m].
 
-    Of a step the later node; what leads up to it lies in the bin before. There, unless float32 computes
-    places exactly, the coordinate is a trifle beyond the node, where nothing of the jump is left.
+    At a step the coordinate is that of the later node; what leads up to it lies in the bin before. Unless float32
+    computes positions exactly, the coordinate there is slightly beyond the node, where nothing of the jump is left.
     """
     met = []
     for i in range(1, places.size - 1):
         is_step = places[i] == places[i - 1]
         nearest = min(places[i] - places[i - 1 - is_step], places[i + 1] - places[i])
         if nearest < _BINS_APART or (exact and places[i] == int(places[i])):
-            continue  # nothing to be done, or nothing to do
+            continue  # there is no node to meet, or it is met already
         margin = _STEP_MARGIN if is_step and not exact else 0.0
         b = int(np.floor(places[i] - margin))
         if b < 1 or b + 2 >= warp.size:
@@ -175,14 +171,14 @@ def _meet_knots(
         if is_step:
             slope = min(slope, _STEP_MARGIN)
         warp[b], warp[b + 1] = node - share * slope, node + (1.0 - share) * slope
-        if is_step:  # the knot may be just beyond
+        if is_step:  # the knot may lie just beyond
             warp[b + 2] = min(warp[b + 2], warp[b + 1] + slope)
         met.append(i)
     return np.array(met, np.int64)
 
 
 def _density(knots: np.ndarray, opacities: np.ndarray, edges: np.ndarray) -> np.ndarray:
-    """How many nodes each bin between ``edges`` shall have, up to a factor."""
+    """The relative number of nodes for each bin between ``edges``."""
     middle, bin_width = 0.5 * (edges[1:] + edges[:-1]), edges[1] - edges[0]
     visible = np.maximum(opacities[:-1], opacities[1:]) > 0
     even = np.full(middle.size, 1.0 / middle.size)
@@ -195,7 +191,7 @@ def _density(knots: np.ndarray, opacities: np.ndarray, edges: np.ndarray) -> np.
         width = max(b - a, bin_width)
         overlap = np.clip(np.minimum(edges[1:], b) - np.maximum(edges[:-1], a), 0, None)
         if b > a:
-            # As many for a narrow interval as for a wide one, and as many for each length.
+            # Half of the nodes are shared equally by intervals, half by their lengths.
             inside += overlap / (b - a) * 0.5 / visible.sum()
             inside += overlap / np.sum(to - from_) * 0.5
         distance = np.maximum(np.maximum(a - middle, middle - b), 0.0)
@@ -207,7 +203,7 @@ def _density(knots: np.ndarray, opacities: np.ndarray, edges: np.ndarray) -> np.
 def _knots(
     function: TransferFunction, low: float, high: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Control points inside the range, and its ends; a step at the upper end is there twice."""
+    """Control points inside the range, and its ends. A step at the upper end appears twice."""
     inside = (function.values > low) & (function.values < high)
     at_high = np.flatnonzero(function.values == high)
     inside[at_high[:-1]] = True
@@ -217,7 +213,7 @@ def _knots(
 
 
 def visible_cells(function: TransferFunction, nodes: np.ndarray) -> np.ndarray:
-    """Whether anything between node k and k + 1 (both included) has opacity: bool [n - 1]."""
+    """Whether any value between nodes k and k + 1, inclusive, has opacity: bool [n - 1]."""
     at = function.opacity(nodes) > 0
     visible = at[:-1] | at[1:]
     shown = function.values[function.opacities > 0]

@@ -1,4 +1,4 @@
-"""The opacity envelope of several transfer functions: where any of them has opacity, as one function."""
+"""The opacity envelope of several transfer functions: one function that has opacity where any of them has."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ import numpy as np
 from clvol.transfer.function import TransferFunction
 
 _log = logging.getLogger(__name__)
-IN_REGISTERS = 16  # pieces that a packet holds in registers: TRANSFER_PIECES
+IN_REGISTERS = 16  # pieces that a ray packet holds in registers: TRANSFER_PIECES
 ROWS = 26
 OPAQUE_DEPTH = 1e15  # of cl/transfer_pieces.h
 (BEGIN, END, INVERSE, OPACITY, OPACITY_CHANGE, COLOR, COLOR_CHANGE, LENGTH, DEPTH, MOMENT, DEPTHS, COLORS,
@@ -28,24 +28,24 @@ OPAQUE_DEPTH = 1e15  # of cl/transfer_pieces.h
 
 
 def piece_count(function: TransferFunction) -> int:
-    """Pieces of ``function``: between its control points, and one beyond either end."""
+    """The number of pieces of ``function``: between its control points, and one beyond either end."""
     values = function.values
     return int(np.count_nonzero(values[1:] > values[:-1])) + 2
 
 
 def columns(count: int) -> int:
-    """Columns that a table of ``count`` pieces has: a power of two, since pieces are found by bisection."""
+    """The number of columns of a table of ``count`` pieces: a power of two, since pieces are found by bisection."""
     return max(IN_REGISTERS, 1 << (count - 1).bit_length())
 
 
 def piece_table(
     function: TransferFunction, step: float, width: int | None = None, origin: float = 0.0
 ) -> np.ndarray:
-    """float32 [ROWS, columns]: the pieces of ``function``, ascending by value; ``step``: world length of a step.
+    """The pieces of ``function``, ascending by value: float32 [ROWS, columns].
 
-    ``origin``: what kernels count values from, a float32. ``width``: columns, at least
-    ``columns(piece_count(function))``; those behind the last piece begin at infinity and so are never
-    looked up.
+    ``step`` is the world length of a step, ``origin`` the float32 from which kernels count values, and ``width`` the
+    number of columns, at least ``columns(piece_count(function))``. Columns after the last piece begin at infinity,
+    and are therefore never looked up.
     """
     count = piece_count(function)
     width = width or columns(count)
@@ -54,7 +54,7 @@ def piece_table(
     table[BEGIN] = np.inf
     values, opacities, colors = function.values - origin, function.opacities, function.colors
     has_length = np.flatnonzero(function.values[1:] > function.values[:-1])
-    # What lies below the first control point and above the last one is constant.
+    # The function is constant below the first control point and above the last one.
     low = np.concatenate([[0], has_length, [values.size - 1]])
     high = np.concatenate([[0], has_length + 1, [values.size - 1]])
     piece = slice(0, count)
@@ -62,8 +62,8 @@ def piece_table(
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
         length = values[high] - values[low]
         begin, end = (table[row, piece].astype(np.float32) for row in (BEGIN, END))
-        told_apart = (end - begin).astype(np.float64)
-        inverse = np.where(told_apart > 0, 1.0 / np.where(told_apart > 0, told_apart, 1.0), 0.0)
+        float_length = (end - begin).astype(np.float64)
+        inverse = np.where(float_length > 0, 1.0 / np.where(float_length > 0, float_length, 1.0), 0.0)
     table[LENGTH, piece] = length
     table[INVERSE, piece] = np.minimum(inverse, 3e38)
     table[OPACITY, piece] = opacities[low]
@@ -98,8 +98,9 @@ def piece_table(
 
 
 def depth_and_moment(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Mean of -log(1 - opacity) while the opacity runs linearly from ``first`` to ``second``, at most
-    OPAQUE_DEPTH, and M(r) of this module's head: float64 arrays of their shape."""
+    """The mean of -log(1 - opacity) while the opacity runs linearly from ``first`` to ``second``, at most
+    OPAQUE_DEPTH, and M(r) as defined above: float64 arrays of their shape.
+    """
     first, second = np.asarray(first, np.float64), np.asarray(second, np.float64)
     mean = 0.5 * (first + second)
     clear = 0.5 * ((1.0 - first) + (1.0 - second))
@@ -123,15 +124,16 @@ def depth_and_moment(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray,
 
 
 def has_opaque_point(function: TransferFunction) -> bool:
-    """Whether the extinction is unbounded somewhere beside where it is infinite: the opacity reaches 1 in a
-    slope. What is classified by single samples must not sample that."""
+    """Whether the extinction is unbounded next to where it is infinite, because the opacity reaches 1 in a slope.
+    Classification by single samples must not sample such a function.
+    """
     values, opacities = function.values, function.opacities
     slopes = (values[1:] > values[:-1]) & (opacities[1:] != opacities[:-1])
     return bool(np.any(slopes & (np.maximum(opacities[1:], opacities[:-1]) >= 1.0)))
 
 
 def value_gate(function: TransferFunction) -> tuple[float, float]:
-    """(low, high): where all values are <= low, or all are >= high, nothing has opacity, in float32."""
+    """(low, high) in float32: nothing has opacity if all values are <= low, or all are >= high."""
     shown = np.flatnonzero(function.opacities > 0)
     if not shown.size:
         return np.inf, -np.inf
@@ -140,7 +142,7 @@ def value_gate(function: TransferFunction) -> tuple[float, float]:
     if first > 0:
         value = function.values[first - 1]
         low = np.float32(value)
-        # Of a step the later point holds at its value; and a knot that float32 does not hold is none.
+        # At a step the later point holds; a knot that float32 cannot represent is ignored.
         if low > value or value == function.values[first]:
             low = np.nextafter(low, np.float32(-np.inf))
     if last + 1 < function.values.size:

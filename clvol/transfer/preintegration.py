@@ -26,7 +26,7 @@ from clvol.transfer.function import TransferFunction
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
 _NODES, _WEIGHTS = 0.5 * (_NODES + 1.0), 0.5 * _WEIGHTS
 _TOLERANCE = 1e-14
-_OPAQUE_DEPTH = 40.0  # exp(-40) = 4e-18: what lies behind is not seen
+_OPAQUE_DEPTH = 40.0  # exp(-40) = 4e-18: nothing behind is visible
 _DEEPEST_SPLIT = 60
 
 
@@ -36,12 +36,12 @@ def preintegrate(
     s_back: ArrayLike,
     length: ArrayLike,
 ) -> np.ndarray:
-    """Premultiplied linear RGBA, float64 [..., 4], of segments; absolute error about 1e-13.
+    """Premultiplied linear RGBA, float64 [..., 4], of segments, with an absolute error of about 1e-13.
 
-    ``s_front``, ``s_back`` and ``length`` (world units, >= 0) broadcast against one another to
-    [...]. Opacity 1 is opaque at once: a segment with a stretch of it ends there in that stretch's
-    front colour. A step of the transfer function counts as such; a segment of one value takes the
-    later of two points with that value. Segments with a NaN or infinite value are transparent.
+    ``s_front``, ``s_back`` and ``length`` (world units, >= 0) are broadcast to [...]. A stretch of opacity 1 is fully
+    opaque: a segment ends there, in the front colour of that stretch. Steps of the transfer function are integrated
+    as steps; a segment of a single value takes the later of two points with that value. Segments with a NaN or
+    infinite value are transparent.
     """
     s_front, s_back, length = np.broadcast_arrays(
         *(np.asarray(given, dtype=np.float64) for given in (s_front, s_back, length))
@@ -64,7 +64,7 @@ def preintegrate(
 
 @dataclass
 class _Light:
-    """Colour gathered and optical depth passed so far, front to back, one row a segment."""
+    """The colour gathered and the optical depth passed so far, front to back, one row per segment."""
 
     color: np.ndarray
     depth: np.ndarray
@@ -87,7 +87,7 @@ def _falling_path(tf, s_front, s_back, length, rows, light) -> None:
 
 
 def _add_region(tf, region, s_front, s_back, length, rows, light) -> None:
-    """The part of each path between control points region - 1 and region."""
+    """Adds the part of each path between control points region - 1 and region."""
     values, last = tf.values, tf.values.size - 1
     lower = values[region - 1] if region > 0 else -np.inf
     upper = values[region] if region <= last else np.inf
@@ -205,7 +205,7 @@ def _panel(a, b, total, piece, row):
 
 
 def _visible_share(total, *piece):
-    """The share of each piece behind which nothing is seen any more; 1 where all of it is."""
+    """The share of each piece that is visible: nothing behind it contributes. It is 1 if the whole piece does."""
     low, high = np.zeros(total.size), np.ones(total.size)
     deep = np.flatnonzero(total > _OPAQUE_DEPTH)
     some = tuple(array[deep] for array in piece)

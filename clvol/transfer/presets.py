@@ -2,9 +2,9 @@
 
 "relative" presets place their points as fractions of the volume's value range: 0 is its lowest
 finite value, 1 its highest. "hounsfield" presets place them in Hounsfield units (air -1000, water
-0) and suit CT volumes whose values are Hounsfield units. Colours are written sRGB-encoded. The
-opacities are per ``opacity_unit``; a scene that does not state one gets a 32nd of the volume's
-shortest edge, so that a preset looks the same whatever the unit of length is.
+0) and suit CT volumes whose values are Hounsfield units. Colours are sRGB-encoded. The
+opacities refer to ``opacity_unit``; a scene that does not state one gets a 32nd of the volume's
+shortest edge, so that a preset looks the same for any unit of length.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Volumes: arrays with a grid in the world, and analytic fields."""
+"""Volumes: arrays on a grid in world space, and analytic fields."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What stored numbers mean: the line from a voxel's number to its value."""
+"""The linear map from the stored number of a voxel to its value."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from clvol.errors import VolumeError
 
 _LARGEST = 1e30
-_ROUNDING = 1e-12  # of a division, as a share of the numbers in it
+_ROUNDING = 1e-12  # relative error of a division
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class ValueAxis:
 
     @property
     def is_plain(self) -> bool:
-        """Whether values are what is stored."""
+        """Whether values equal stored numbers."""
         return self.slope == 1.0 and self.offset == 0.0
 
     def values(self, stored: Any) -> Any:
@@ -46,8 +46,11 @@ class ValueAxis:
         return self.slope * stored + self.offset
 
     def stored(self, values: Any, whole: bool = False) -> np.ndarray:
-        """The stored numbers, float64, whose values these are. ``whole``: of integer voxels, so that
-        what is a whole number but for rounding is one (steps of a function meet voxels exactly)."""
+        """The stored numbers, float64, of ``values``.
+
+        ``whole``: voxels are integers, so results that are within rounding of a whole number become that number, and
+        the steps of a function meet voxels exactly.
+        """
         values = np.asarray(values, np.float64)
         if self.is_plain:
             return values
@@ -59,30 +62,29 @@ class ValueAxis:
         return found
 
     def span(self, stored: tuple[float, float]) -> tuple[float, float]:
-        """(lowest, highest) value of what is stored from the one number to the other."""
+        """(lowest, highest) value of the range of ``stored`` numbers (lowest, highest)."""
         if self.is_plain:
             return stored
         first, last = (self.values(number) for number in stored)
         return (first, last) if first <= last else (last, first)
 
     def after(self, inner: ValueAxis) -> ValueAxis:
-        """This axis for the values that ``inner`` gives."""
+        """The axis that applies ``inner`` and then this one."""
         if self.is_plain:
             return inner
         return ValueAxis(self.slope * inner.slope, self.slope * inner.offset + self.offset)
 
     def turned(self, dtype: np.dtype) -> ValueAxis:
-        """The same values of voxels that ``turned`` has mirrored."""
+        """The axis that gives voxels mirrored by ``turned`` the same values."""
         if dtype.kind == "f":
             return ValueAxis(-self.slope, self.offset)
         return ValueAxis(-self.slope, self.offset + self.slope * _mirror(dtype))
 
 
 def turned(stored: np.ndarray, dtype: np.dtype) -> np.ndarray:
-    """``stored`` numbers of voxels of ``dtype`` with their order reversed, in their own type: -x of
-    floating-point voxels, 255 - x of uint8, -1 - x of int8 and so on. Its own inverse.
+    """``stored`` numbers of voxels of ``dtype`` in reverse order: -x for floats, 255 - x for uint8, -1 - x for int8.
 
-    ``stored`` may be of another type than the voxels (statistics).
+    The function is its own inverse. ``stored`` may have another type than the voxels (statistics).
     """
     if dtype.kind == "f":
         return -stored

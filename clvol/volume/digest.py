@@ -1,4 +1,4 @@
-"""Digests of what pictures are made from: of contents, not of names or times."""
+"""Digests of the inputs of a picture: of their contents, not of names or times."""
 
 from __future__ import annotations
 
@@ -18,28 +18,30 @@ from clvol.volume.volume import Volume
 _PIECE = 32 << 20  # bytes hashed by one thread at a time
 _READ = 1 << 20
 LARGEST_WHOLE = 1 << 30
-"""Bytes of a store above which its samples count by their files' sizes and times, and only
-metadata and statistics by their content: to read it all would take longer than the picture."""
+"""Size in bytes above which the digest of a store uses the sizes and times of files with samples, and the contents of
+metadata and statistics only, since reading everything would take longer than rendering."""
 
 _known: WeakKeyDictionary[Volume, dict[bool, str]] = WeakKeyDictionary()
 
 
 def volume_digest(volume: Volume, by_blocks: bool = False) -> str:
-    """Of the voxels, their type, and the grid; ``by_blocks``: of a store, without its voxels in
-    memory. 32 hexadecimal digits; kept as long as the volume is, whose voxels do not change."""
+    """A digest (32 hexadecimal digits) of the voxels, their type and the grid.
+
+    ``by_blocks``: a store is read file by file, without its voxels in memory. The digest is cached for the lifetime of
+    the volume, whose voxels do not change.
+    """
     known = _known.setdefault(volume, {})
     if by_blocks not in known:
         store = getattr(volume, "blocks_source", None) if by_blocks else None
         grid = volume.grid
-        said = [str(volume.dtype), volume.shape, grid.spacing, grid.origin, grid.direction.tolist()]
+        facts = [str(volume.dtype), volume.shape, grid.spacing, grid.origin, grid.direction.tolist()]
         contents = folder_digest(store.path) if store is not None else _array_digest(volume.data)
-        known[by_blocks] = _joined([repr(said), contents])
+        known[by_blocks] = _joined([repr(facts), contents])
     return known[by_blocks]
 
 
 def file_digest(path: str | os.PathLike) -> str:
-    """Of the content of one file, kept as long as the file is the same by its number, size and
-    times."""
+    """A digest of the content of one file, cached while its inode, size and times stay the same."""
     fact = os.stat(path)
     identity = fact.st_dev, fact.st_ino, fact.st_size, fact.st_mtime_ns, fact.st_ctime_ns
     return _content_digest(os.fspath(path), identity)
@@ -55,7 +57,7 @@ def _content_digest(path: str, identity: tuple) -> str:
 
 
 def folder_digest(path: str | os.PathLike) -> str:
-    """Of a store: names and contents of all its files, or see LARGEST_WHOLE."""
+    """A digest of a store: of the names and contents of all its files. See LARGEST_WHOLE for large ones."""
     top = Path(path)
     files = sorted(
         (os.path.relpath(os.path.join(folder, name), top), os.path.join(folder, name))
@@ -65,7 +67,7 @@ def folder_digest(path: str | os.PathLike) -> str:
     facts = [os.stat(place) for _, place in files]
     is_whole = sum(fact.st_size for fact in facts) <= LARGEST_WHOLE
 
-    def told(name: str, place: str, fact: os.stat_result) -> str:
+    def line(name: str, place: str, fact: os.stat_result) -> str:
         if not stat.S_ISREG(fact.st_mode):
             return f"{name} is no file"
         if is_whole or name.endswith("zarr.json") or name.startswith("blocks"):
@@ -74,7 +76,7 @@ def folder_digest(path: str | os.PathLike) -> str:
 
     with ThreadPoolExecutor() as pool:
         names, places = zip(*files) if files else ((), ())
-        return _joined(pool.map(told, names, places, facts))
+        return _joined(pool.map(line, names, places, facts))
 
 
 def _array_digest(array: np.ndarray) -> str:

@@ -1,4 +1,4 @@
-"""Where the voxels are: shape, spacing, origin and direction of a regular grid.
+"""Regular grids: shape, spacing, origin and direction.
 
 Indices are continuous, in voxels, ordered (x, y, z); arrays are ordered [z, y, x]. A sample sits at
 its voxel's centre, so ``world = origin + direction @ (spacing * index)`` and index (0, 0, 0) is the
@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -18,18 +18,18 @@ from clvol.errors import VolumeError
 
 # Headers write directions with about six digits; a unit vector may be off by that much.
 _UNIT_TOLERANCE = 1e-3
-# Determinant of the unit axes below which they count as lying in one plane.
+# Unit axes with a smaller determinant count as lying in one plane.
 _SINGULAR = 1e-6
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, init=False)
 class Grid:
     """A regular grid of nx * ny * nz samples in the world.
 
     ``shape`` is (nz, ny, nx), each at least 1. ``spacing`` is (sx, sy, sz) > 0 in world units.
     ``origin`` is the world position (x, y, z) of voxel [0, 0, 0]. ``direction`` is 3x3 float64;
-    column k is the unit world direction of index axis k (x, y, z). It may hold flips and oblique
-    axes, and the axes need not be orthogonal (a tilted CT gantry), but they must span space.
+    column k is the unit world direction of index axis k (x, y, z); None means the identity. Axes may be
+    flipped or oblique and need not be orthogonal (a tilted CT gantry), but must span space.
 
     Raises VolumeError for anything else: a zero, negative or non-finite spacing, a singular or
     non-finite direction, a column that is not a unit vector to three digits.
@@ -38,36 +38,28 @@ class Grid:
     shape: tuple[int, int, int]
     spacing: tuple[float, float, float] = (1.0, 1.0, 1.0)
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    direction: np.ndarray | None = None
+    direction: np.ndarray = field(default_factory=lambda: np.eye(3))
 
-    def __post_init__(self) -> None:
-        shape = _shape(self.shape)
-        spacing = _triple(self.spacing, "spacing")
-        if min(spacing) <= 0.0:
-            raise VolumeError("spacing", _show(spacing), "three lengths above zero")
-        origin = _triple(self.origin, "origin")
-        direction = np.eye(3) if self.direction is None else _matrix(self.direction, "direction")
-        lengths = np.linalg.norm(direction, axis=0)
-        if np.abs(lengths - 1.0).max() > _UNIT_TOLERANCE:
-            raise VolumeError(
-                "direction", f"columns of length {_show(lengths)}", "columns of length 1"
-            )
-        direction = direction / lengths
-        _check_span(direction)
-        direction.flags.writeable = False
-        for name, value in (
-            ("shape", shape),
-            ("spacing", spacing),
-            ("origin", origin),
-            ("direction", direction),
-        ):
-            object.__setattr__(self, name, value)
+    def __init__(
+        self,
+        shape: Sequence[int],
+        spacing: Sequence[float] | np.ndarray = (1.0, 1.0, 1.0),
+        origin: Sequence[float] | np.ndarray = (0.0, 0.0, 0.0),
+        direction: np.ndarray | None = None,
+    ) -> None:
+        object.__setattr__(self, "shape", _shape(shape))
+        object.__setattr__(self, "spacing", _triple(spacing, "spacing"))
+        if min(self.spacing) <= 0.0:
+            raise VolumeError("spacing", _show(self.spacing), "three lengths above zero")
+        object.__setattr__(self, "origin", _triple(origin, "origin"))
+        matrix = np.eye(3) if direction is None else _matrix(direction, "direction")
+        object.__setattr__(self, "direction", _unit_axes(matrix))
         if not np.isfinite(self.world_corners()).all():
             raise VolumeError("spacing and origin", "the grid reaches infinity", "finite corners")
 
     @classmethod
     def from_steps(
-        cls, shape: Sequence[int], steps: np.ndarray, origin: Sequence[float] = (0.0, 0.0, 0.0)
+        cls, shape: Sequence[int], steps: np.ndarray, origin: Sequence[float] | np.ndarray = (0.0, 0.0, 0.0)
     ) -> Grid:
         """The grid whose index axis k steps by the world vector ``steps[:, k]`` (3x3, world units).
 
@@ -77,7 +69,7 @@ class Grid:
         lengths = np.linalg.norm(steps, axis=0)
         if not np.isfinite(lengths).all() or lengths.min() <= 0.0:
             raise VolumeError("spacing", _show(lengths), "three lengths above zero")
-        return cls(tuple(shape), tuple(lengths), tuple(origin), steps / lengths)
+        return cls(shape, lengths, origin, steps / lengths)
 
     @property
     def size(self) -> tuple[int, int, int]:
@@ -140,29 +132,29 @@ class Grid:
         return hash((self.shape, self.spacing, self.origin, tuple(self.direction.ravel())))
 
 
-def _show(values: Sequence[float]) -> str:
+def _show(values: Sequence[float] | np.ndarray) -> str:
     return "(" + ", ".join(f"{float(value):g}" for value in values) + ")"
 
 
 def _shape(shape: Sequence[int]) -> tuple[int, int, int]:
     try:
-        numbers = tuple(int(n) for n in shape)
+        nz, ny, nx = numbers = tuple(int(n) for n in shape)
         whole = all(n == m and n >= 1 for n, m in zip(numbers, shape))
     except (TypeError, ValueError, OverflowError):
-        numbers, whole = (), False
-    if len(numbers) != 3 or not whole:
+        whole = False
+    if not whole:
         raise VolumeError("shape", str(shape), "three sizes (nz, ny, nx) of at least 1")
-    return numbers
+    return nz, ny, nx
 
 
-def _triple(values: Sequence[float], name: str) -> tuple[float, float, float]:
+def _triple(values: Sequence[float] | np.ndarray, name: str) -> tuple[float, float, float]:
     try:
-        numbers = tuple(float(value) for value in values)
+        x, y, z = (float(value) for value in values)
     except (TypeError, ValueError):
-        numbers = ()
-    if len(numbers) != 3 or not all(math.isfinite(number) for number in numbers):
+        x = y = z = math.nan
+    if not all(math.isfinite(number) for number in (x, y, z)):
         raise VolumeError(name, str(values), "three finite numbers (x, y, z)")
-    return numbers
+    return x, y, z
 
 
 def _matrix(values: object, name: str) -> np.ndarray:
@@ -175,7 +167,17 @@ def _matrix(values: object, name: str) -> np.ndarray:
     return matrix
 
 
-def _check_span(direction: np.ndarray) -> None:
+def _unit_axes(direction: np.ndarray) -> np.ndarray:
+    """``direction`` with columns of exactly unit length, read-only.
+
+    Raises VolumeError if a column is not a unit vector to three digits, or if the columns do not span space.
+    """
+    lengths = np.linalg.norm(direction, axis=0)
+    if np.abs(lengths - 1.0).max() > _UNIT_TOLERANCE:
+        raise VolumeError("direction", f"columns of length {_show(lengths)}", "columns of length 1")
+    direction = direction / lengths
     if abs(np.linalg.det(direction)) < _SINGULAR:
         rows = "; ".join(_show(row) for row in direction)
         raise VolumeError("direction", f"singular matrix [{rows}]", "three axes that span space")
+    direction.flags.writeable = False
+    return direction

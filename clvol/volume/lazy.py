@@ -1,4 +1,4 @@
-"""Volumes whose voxels are read when somebody asks for them."""
+"""Volumes whose voxels are read when they are first used."""
 
 from __future__ import annotations
 
@@ -17,10 +17,9 @@ _SLAB = 1 << 26  # bytes read together to find a type
 
 
 class LazyVolume(Volume):
-    """A volume whose voxels are read when ``data`` is first asked for; ``box`` reads some without
-    that.
+    """A volume whose voxels are read when ``data`` is first used; ``box`` reads a part of them.
 
-    Shape, type and grid are known before. ``memory_cap`` as for ``load_volume``, checked when
+    Shape, type and grid are known from the beginning. ``memory_cap`` is that of ``load_volume``, and is checked when
     voxels are read.
     """
 
@@ -52,8 +51,8 @@ class LazyVolume(Volume):
         return math.prod(self.shape) * self._dtype.itemsize
 
     @cached_property
-    def data(self) -> np.ndarray:
-        """The voxels, all of them; VolumeError if they do not fit or cannot be read."""
+    def data(self) -> np.ndarray:  # type: ignore[override]  # mypy takes it to be read-only
+        """All voxels. VolumeError if they do not fit into memory or cannot be read."""
         check_memory(self._where, self.nbytes, self._memory_cap)
         voxels = self._load()
         voxels.flags.writeable = False
@@ -63,7 +62,7 @@ class LazyVolume(Volume):
         raise NotImplementedError
 
     def box(self, z0: int, z1: int, y0: int, y1: int, x0: int, x1: int) -> np.ndarray:
-        """Voxels [z0:z1, y0:y1, x0:x1], read from the disk."""
+        """The voxels [z0:z1, y0:y1, x0:x1], read from disk."""
         raise NotImplementedError
 
     def _turned(self) -> Volume:
@@ -71,7 +70,7 @@ class LazyVolume(Volume):
 
 
 class _Converted(LazyVolume):
-    """``volume`` with other voxels; all else is the same."""
+    """``volume`` with converted voxels; everything else is unchanged."""
 
     def __init__(self, volume: LazyVolume) -> None:
         self._volume = volume
@@ -99,15 +98,17 @@ class TurnedVolume(_Converted):
 
 
 def narrowed_volume(volume: Volume, how: Narrowing) -> Volume:
-    """``volume``, of a wide type if it is read when asked for, in a type that volumes may have."""
+    """``volume`` in a type that volumes may have; only lazy volumes can have a wide type."""
     if isinstance(volume, LazyVolume) and volume.dtype.name in WIDE_TYPES:
         return NarrowedVolume(volume, how)
     return volume
 
 
 class NarrowedVolume(_Converted):
-    """``volume`` in the smallest type that holds every value exactly, found when it is first asked
-    for: all voxels are read once for that, part by part."""
+    """``volume`` in the smallest type that holds every value exactly.
+
+    The type is determined when it is first used; all voxels are read once for that, slab by slab.
+    """
 
     def __init__(self, volume: LazyVolume, how: Narrowing) -> None:
         super().__init__(volume)
@@ -137,7 +138,7 @@ class NarrowedVolume(_Converted):
 
 
 class FilledVolume(_Converted):
-    """``volume`` with ``value``, as stored, in the place of NaN, once its voxels are asked for."""
+    """``volume`` with ``value``, a stored number, in place of NaN voxels when they are read."""
 
     def __init__(self, volume: LazyVolume, value: float) -> None:
         super().__init__(volume)
@@ -148,7 +149,7 @@ class FilledVolume(_Converted):
         inner = self._volume
         value = float(self.dtype.type(self._value))
         low, high = inner.stored_range
-        if inner.nan_count + inner.inf_count == math.prod(self.shape):  # none of them is finite
+        if inner.nan_count + inner.inf_count == math.prod(self.shape):  # no voxel is finite
             return value, value
         return min(low, value), max(high, value)
 

@@ -1,4 +1,4 @@
-"""How much memory a volume may take, known before any of it is allocated."""
+"""Checks of how much memory a volume needs, before any of it is allocated."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from pathlib import Path
 from clvol.errors import VolumeError
 
 DEFAULT_SHARE = 0.75
-"""Share of the machine's available memory that one volume may take unless the caller says."""
+"""Default share of the machine's available memory that one volume may take."""
 
 
 def available_memory() -> int:
-    """Bytes to be had without swapping: the machine's, or the control group's if less."""
+    """Bytes that are available without swapping, in the machine or in the control group, whichever is less."""
     figures = [_machine_memory()]
     for limit, used in (
         ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory.current"),
@@ -39,10 +39,10 @@ def _machine_memory() -> int:
 
 
 def check_memory(where: str, nbytes: int, cap: int | None, mapped: bool = False) -> None:
-    """VolumeError if a volume of ``nbytes`` bytes is over the cap.
+    """VolumeError if a volume of ``nbytes`` bytes exceeds the cap.
 
-    ``cap`` None means DEFAULT_SHARE of the available memory; that default does not hold for files
-    that are ``mapped``, which take no memory of their own. A cap that is given holds for all.
+    ``cap`` None means DEFAULT_SHARE of the available memory, except for ``mapped`` files, which take no memory of
+    their own and may then have any size.
     """
     if cap is None:
         if mapped:
@@ -60,7 +60,7 @@ def check_memory(where: str, nbytes: int, cap: int | None, mapped: bool = False)
 
 
 def show_bytes(nbytes: int) -> str:
-    """A byte count for people: exact below 10 KiB, three digits and a binary unit above."""
+    """A readable byte count: exact below 10 KiB, three digits and a binary unit above."""
     if nbytes < 10 * 1024:
         return f"{nbytes} bytes"
     value, units = float(nbytes), ["KiB", "MiB", "GiB", "TiB", "PiB", "EiB"]

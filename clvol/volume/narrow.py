@@ -1,8 +1,8 @@
-"""Integers of 32 and 64 bits, and float16, in the types that volumes have: where no value changes.
+"""Lossless conversion of integers of 32 and 64 bits, and of float16, to the types that volumes can have.
 
-One place for all readers and for arrays handed over: ``check_type`` lets these types pass, and the
-constructor of ``Volume`` narrows them. While a file is read, ``narrowing`` says what the caller of
-``load_volume`` has asked for, so that readers need not hand it on.
+It is the same for all readers and for arrays: ``check_type`` accepts these types, and the constructor of ``Volume``
+narrows them. While a file is read, the context ``narrowing`` holds the settings of the ``load_volume`` call, so that
+readers need not pass them on.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from clvol.volume.memory import check_memory
 WIDE_TYPES = ("int32", "uint32", "int64", "uint64", "float16")
 LARGEST_LABEL = 2**53  # beyond it float64 does not hold every whole number
 _NARROW = ("uint8", "int8", "uint16", "int16")
-_BLOCK = 1 << 20  # voxels looked at together
+_BLOCK = 1 << 20  # voxels that are examined together
 _EXACT = (
     "numbers that float64 holds exactly; array.astype('float64') rounds them, and label maps are "
     "numbered anew by numpy.unique(array, return_inverse=True)"
@@ -29,40 +29,43 @@ _EXACT = (
 
 @dataclass(frozen=True)
 class Narrowing:
-    """``memory_cap``: bytes that wide and narrowed voxels may take together, None as for
-    ``check_memory``. ``labels``: numbers beyond +-2^53 may become +-2^53, since they name nothing."""
+    """How wide voxels are narrowed.
+
+    ``memory_cap``: bytes that wide and narrowed voxels may take together, None as for ``check_memory``. ``labels``:
+    numbers beyond +-2^53 may become +-2^53, since no scene can name them.
+    """
 
     memory_cap: int | None = None
     labels: bool = False
 
 
-_asked: ContextVar[Narrowing] = ContextVar("narrowing", default=Narrowing())
+_current: ContextVar[Narrowing] = ContextVar("narrowing", default=Narrowing())
 
 
-def asked_narrowing() -> Narrowing:
-    """What the innermost ``narrowing`` says."""
-    return _asked.get()
+def current_narrowing() -> Narrowing:
+    """The settings of the innermost ``narrowing`` context."""
+    return _current.get()
 
 
 @contextmanager
 def narrowing(how: Narrowing) -> Iterator[None]:
-    """Inside the block voxels are narrowed as ``how`` says."""
-    token = _asked.set(how)
+    """A context in which voxels are narrowed according to ``how``."""
+    token = _current.set(how)
     try:
         yield
     finally:
-        _asked.reset(token)
+        _current.reset(token)
 
 
 def narrowed(array: np.ndarray, where: str, how: Narrowing | None = None) -> np.ndarray:
-    """``array`` (native type) as it is, or of a wide type in the smallest type that volumes may have
-    and that holds every value exactly: uint8, int8, uint16, int16, float32, float64.
+    """``array`` (native type); a wide type is converted to the smallest type that holds every value exactly.
 
-    VolumeError where there is none, or where both together are over the memory cap.
+    The types are uint8, int8, uint16, int16, float32 and float64. Raises VolumeError if none of them does, or if wide
+    and narrowed voxels together exceed the memory cap.
     """
     if array.dtype.name not in WIDE_TYPES:
         return array
-    how = how or asked_narrowing()
+    how = how or current_narrowing()
     flat = array.reshape(-1)  # readers' arrays are contiguous; others are copied here
     blocks = (flat[start : start + _BLOCK] for start in range(0, flat.size, _BLOCK))
     dtype = exact_type(array.dtype, blocks, where, how)
@@ -79,7 +82,7 @@ def narrowed(array: np.ndarray, where: str, how: Narrowing | None = None) -> np.
 def exact_type(
     wide: np.dtype, blocks: Iterable[np.ndarray], where: str, how: Narrowing
 ) -> np.dtype:
-    """The type for voxels of type ``wide``, which ``blocks`` yields all of."""
+    """The type for voxels of type ``wide``. ``blocks`` yields all of them."""
     if wide.kind == "f":
         return np.dtype(np.float32)
     low, high, in_float32, in_float64 = 0, 0, True, True
@@ -106,7 +109,7 @@ def exact_type(
 
 
 def cast(block: np.ndarray, dtype: np.dtype, how: Narrowing) -> np.ndarray:
-    """``block`` in the type that ``exact_type`` has found."""
+    """``block`` in the type that ``exact_type`` returned."""
     if how.labels and dtype == np.float64 and block.dtype.kind in "iu":
         low = -LARGEST_LABEL if block.dtype.kind == "i" else 0
         most = np.iinfo(block.dtype).max
@@ -116,7 +119,7 @@ def cast(block: np.ndarray, dtype: np.dtype, how: Narrowing) -> np.ndarray:
 
 
 def _holds(block: np.ndarray, kind: type) -> bool:
-    """Whether every integer of ``block`` comes back from the floating-point type ``kind``."""
+    """Whether every integer of ``block`` survives a round trip through the floating-point type ``kind``."""
     as_float = block.astype(kind).astype(np.float64)
     limits = np.iinfo(block.dtype)
     inside = (as_float >= float(limits.min)) & (as_float < float(limits.max + 1))

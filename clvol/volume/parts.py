@@ -1,6 +1,6 @@
-"""Which files a volume consists of, without reading it: what must not be overwritten.
+"""The files that a volume consists of, which must not be overwritten, found without reading the volume.
 
-Generous on purpose, and apart from the readers: whatever a header may mean counts, if it is there.
+This is separate from the readers and deliberately generous: every existing file that a header may refer to counts.
 """
 
 from __future__ import annotations
@@ -19,9 +19,11 @@ _OME_FILE = re.compile(rb'FileName="([^"]{1,1000})"')
 
 
 def parts_of(path: str | os.PathLike) -> list[Path]:
-    """Files beside ``path`` that the volume in it may be spread over: what a NRRD or MetaImage
-    header names, the other half of a pair, the other files of an OME-TIFF, the DICOM files in the
-    folder of one. They exist."""
+    """Existing files beside ``path`` that the volume in it may be spread over.
+
+    These are the files that a NRRD or MetaImage header names, the other half of a pair, the other files of an
+    OME-TIFF, and the DICOM files in the folder of one.
+    """
     path = Path(path)
     name = path.name.lower()
     try:
@@ -45,7 +47,7 @@ def parts_of(path: str | os.PathLike) -> list[Path]:
 
 
 def is_dicom(path: Path) -> bool:
-    """Whether this is a DICOM file: then others in its folder may be slices of the same volume."""
+    """Whether this is a DICOM file; others in its folder may then be slices of the same volume."""
     if not os.path.isfile(path):
         return False
     with path.open("rb") as file:
@@ -53,7 +55,7 @@ def is_dicom(path: Path) -> bool:
 
 
 def _named(path: Path, key: str, sign: str) -> Iterator[Path]:
-    """What the value of ``key``, and the lines after it, may name."""
+    """The files that the value of ``key`` and the lines after it may name."""
     with path.open("rb") as file:
         head = file.read(_HEADER)
     heading = re.compile(rf"\s*{key}\s*{sign}+=?(.*)", re.IGNORECASE)
@@ -71,8 +73,10 @@ def _named(path: Path, key: str, sign: str) -> Iterator[Path]:
 
 
 def _files(folder: Path, text: str) -> Iterator[Path]:
-    """The files that ``text`` or a beginning of it, up to a blank, names: a pattern of numbers stands
-    for every file that fits."""
+    """The files named by ``text``, or by a part of it that ends at a blank.
+
+    A pattern of numbers stands for every file that matches it.
+    """
     words = text.strip().split(" ")
     for count in range(len(words), 0, -1):
         name = " ".join(words[:count]).strip().strip('"')
@@ -104,7 +108,7 @@ def _pair(path: Path) -> Iterator[Path]:
 
 
 def _ome(path: Path) -> Iterator[Path]:
-    """The files that the OME-XML names: it is one of the first page's texts, at either end."""
+    """The files that the OME-XML names. It is a text of the first page, near the beginning or the end of the file."""
     with path.open("rb") as file:
         known = file.read(_HEADER)
         file.seek(max(0, os.fstat(file.fileno()).st_size - _HEADER))

@@ -16,16 +16,18 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import DTypeLike
 
 from clvol.errors import VolumeError
 from clvol.volume.grid import Grid
 from clvol.volume.volume import Volume, check_type
 
 Triple = tuple[float, float, float]
+_ZERO = np.zeros(())  # the start of sums of arrays
 
 
 class Field(Protocol):
-    """What ``sample`` needs, and the integral that tests compare with."""
+    """A field that ``sample`` can put on a grid, with the integrals that tests compare with."""
 
     def __call__(self, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
         """Values at world positions."""
@@ -175,9 +177,8 @@ class RadialFall:
         return t - 0.5 * (t * np.sqrt(near + t * t) + turned)
 
     def _squared(self, point: tuple, axes: Sequence[int]) -> np.ndarray:
-        return sum(
-            ((np.asarray(point[k], float) - self.center[k]) / self.radii[k]) ** 2 for k in axes
-        )
+        squares = (((np.asarray(point[k], float) - self.center[k]) / self.radii[k]) ** 2 for k in axes)
+        return sum(squares, start=_ZERO)
 
 
 @dataclass(frozen=True)
@@ -308,23 +309,24 @@ def sample(
     spacing: Sequence[float] = (1.0, 1.0, 1.0),
     origin: Sequence[float] = (0.0, 0.0, 0.0),
     direction: np.ndarray | None = None,
-    dtype: str | np.dtype = np.float32,
+    dtype: DTypeLike = np.float32,
     name: str | None = None,
 ) -> Volume:
     """A volume with the field's values at the voxel centres; ``shape`` is (nz, ny, nx).
 
     For an integer ``dtype`` values are rounded to the nearest; VolumeError where they do not fit.
     """
-    dtype = check_type(np.dtype(dtype), "dtype")
-    grid = Grid(tuple(shape), tuple(spacing), tuple(origin), direction)
-    data = sample_box(field, grid, dtype, tuple(slice(0, n) for n in grid.shape))
+    native = check_type(np.dtype(dtype), "dtype")
+    grid = Grid(shape, spacing, origin, direction)
+    nz, ny, nx = grid.shape
+    data = sample_box(field, grid, native, (slice(0, nz), slice(0, ny), slice(0, nx)))
     return Volume(data, grid.spacing, grid.origin, grid.direction, name, frame="world")
 
 
 def sample_box(
     field: Field, grid: Grid, dtype: np.dtype, box: tuple[slice, slice, slice]
 ) -> np.ndarray:
-    """The part ``box`` [z, y, x] of what ``sample`` makes, and of no other voxels."""
+    """The voxels in ``box`` [z, y, x] of the volume that ``sample`` would make, without any others."""
     along_z, along_y, along_x = (np.arange(s.start, s.stop, dtype=np.float64) for s in box)
     matrix = grid.index_to_world()[:3]
     i, j = along_x, along_y[:, None]
@@ -341,13 +343,13 @@ def sample_box(
     return data
 
 
-MIDDLE = 128.0  # of the bytes: what noise of either sign can be added to
+MIDDLE = 128.0  # of the range of a byte, so that noise of either sign can be added
 
 
 def scene_field(
     kind: str, size: Sequence[int], spacing: Sequence[float] = (1.0, 1.0, 1.0)
 ) -> Volume:
-    """What [volume] field = ``kind`` is: uint8 voxels, ``size`` (nx, ny, nz) of them, origin at 0.
+    """The volume that [volume] field = ``kind`` stands for: ``size`` (nx, ny, nz) uint8 voxels, origin at 0.
 
     "radial": 255 in the middle, falling linearly to 0 at the distance of the nearest face.
     "ellipsoid": likewise, to 0 at the ellipsoid that touches all faces. "constant": MIDDLE.
@@ -381,8 +383,8 @@ def _zeros(x, y, z) -> np.ndarray:
 
 
 def _dot(wave: Triple, point: Sequence) -> np.ndarray:
-    return sum(k * np.asarray(c, float) for k, c in zip(wave, point))
+    return sum((k * np.asarray(c, float) for k, c in zip(wave, point)), start=_ZERO)
 
 
 def _distance_squared(point: Sequence, center: Triple, axes: Sequence[int]) -> np.ndarray:
-    return sum((np.asarray(point[k], float) - center[k]) ** 2 for k in axes)
+    return sum(((np.asarray(point[k], float) - center[k]) ** 2 for k in axes), start=_ZERO)

@@ -1,4 +1,4 @@
-"""Units of length: the many names that files give them, and one unit for all axes of a volume."""
+"""Units of length: the names that files use for them, and a common unit for all axes of a volume."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ _OTHERS = (
     ("ly", 9460730472580800.0, "lightyear lightyears"),
     ("pc", 3.0856775814913673e16, "parsec parsecs"),
 )
-# No lengths: they say that nobody has measured.
+# These are not lengths: the distances were not measured.
 _UNMEASURED = {
     "pixel", "pixels", "px", "pix", "voxel", "voxels", "referenceframe", "reference frame",
 }  # fmt: skip
 
 
 def _table() -> tuple[dict[str, tuple[str, float]], dict[str, tuple[str, float]]]:
-    """Symbols, whose capitals count (Mm, mm), and names in small letters."""
+    """Symbols, which are case-sensitive (Mm, mm), and names in lower case."""
     symbols, names = {}, {}
     for prefix, (letter, power) in _PREFIXES.items():
         unit = f"{letter}m", 10.0**power
@@ -47,7 +47,7 @@ def _table() -> tuple[dict[str, tuple[str, float]], dict[str, tuple[str, float]]
         unit = symbol, metres
         symbols[symbol] = unit
         names |= dict.fromkeys(words.split(), unit)
-    for symbol in ("mm", "cm", "nm", "um", "µm", "μm"):  # in capitals they can only be meant so
+    for symbol in ("mm", "cm", "nm", "um", "µm", "μm"):  # their upper-case forms are unambiguous
         names[symbol.lower()] = symbols[symbol]
     return symbols, names
 
@@ -56,8 +56,10 @@ _SYMBOLS, _NAMES = _table()
 
 
 def find_unit(name: str | None) -> tuple[str, float | None] | None:
-    """(its usual symbol, metres) of a unit's name however it is spelt; metres are None for pixels
-    and the like. None for a name that says nothing or is not known."""
+    """(usual symbol, metres) of the unit called ``name`` in any spelling; None if the name is empty or unknown.
+
+    ``metres`` is None for pixels and similar units.
+    """
     text = (name or "").strip().replace("\\u00B5", "µ").replace("\\u00b5", "µ")
     text = text.replace("Â", "").replace("\u212b", "Å")  # mis-decoded µ and Å; the angstrom sign
     if text in _SYMBOLS:
@@ -69,7 +71,7 @@ def find_unit(name: str | None) -> tuple[str, float | None] | None:
 
 
 def ome_name(symbol: str | None) -> str | None:
-    """The name by which OME-Zarr calls a unit; None for what it has no name for."""
+    """The name of a unit in OME-Zarr; None if it has none."""
     others = {"Å": "angstrom", "in": "inch", "ft": "foot", "yd": "yard", "mi": "mile", "pc": "parsec"}
     for prefix, (letter, _) in _PREFIXES.items():
         others[f"{letter}m"] = f"{prefix}meter"
@@ -79,41 +81,41 @@ def ome_name(symbol: str | None) -> str | None:
 def one_unit(
     names: Sequence[str | None], used: Sequence[bool] | None = None
 ) -> tuple[list[float], str | None, str | None]:
-    """What lengths along x, y and z are to be multiplied by to be in one unit; its name, that of
-    the first axis, or None where none is known; and what is wrong with the names, or None.
+    """Factors that convert lengths along x, y and z to one unit, the name of that unit, and a warning.
 
-    Axes that are not ``used`` (of one voxel) have no say.
+    The unit is that of the first axis, or None if none is known; the warning says what is wrong with the names, or is
+    None. Axes that are not ``used`` (those of one voxel) are ignored.
     """
-    names = [(name or "").strip() for name in names]
-    used = [True] * len(names) if used is None else list(used)
+    texts = [(name or "").strip() for name in names]
+    used = [True] * len(texts) if used is None else list(used)
     if not any(used):
-        used = [True] * len(names)
-    found = [find_unit(name) for name in names]
-    unknown = sorted({n for n, f in zip(names, found) if f is None and n})
-    told = [f for f, u in zip(found, used) if u]
-    if all(f is None for f in told):
+        used = [True] * len(texts)
+    found = [find_unit(text) for text in texts]
+    unknown = sorted({n for n, f in zip(texts, found) if f is None and n})
+    counted = [f for f, u in zip(found, used) if u]
+    if all(f is None for f in counted):
         wrong = f"unknown unit of length {', '.join(map(repr, unknown))}" if unknown else None
-        same = {n for n, u in zip(names, used) if u}
+        same = {n for n, u in zip(texts, used) if u}
         if len(same) > 1:
-            wrong = f"units that cannot be brought to one ({_said(names)}); the numbers are kept"
-        return [1.0] * len(names), names[0] or None, wrong
-    first = next(f for f in told if f is not None)
-    if all(f is not None and f[0] == first[0] for f in told):
-        return [1.0] * len(names), first[0], None
-    if any(f is None or f[1] is None for f in told):
-        wrong = f"units that cannot be brought to one ({_said(names)}); the numbers are kept"
-        return [1.0] * len(names), None, wrong
-    factors = [1.0 if f is None or f[1] is None else _ratio(f[1], first[1]) for f in found]
-    return factors, first[0], None
+            wrong = f"units that cannot be brought to one ({_listed(texts)}); the numbers are kept"
+        return [1.0] * len(texts), texts[0] or None, wrong
+    symbol, metres = next(f for f in counted if f is not None)
+    if all(f is not None and f[0] == symbol for f in counted):
+        return [1.0] * len(texts), symbol, None
+    if metres is None or any(f is None or f[1] is None for f in counted):
+        wrong = f"units that cannot be brought to one ({_listed(texts)}); the numbers are kept"
+        return [1.0] * len(texts), None, wrong
+    factors = [1.0 if f is None or f[1] is None else _ratio(f[1], metres) for f in found]
+    return factors, symbol, None
 
 
 def _ratio(metres: float, of: float) -> float:
-    """Decimal ratios come out as the nearest double: 1e-9 / 1e-6 is not 1e-3 to the last bit."""
+    """``metres`` / ``of``. Powers of ten are exact: in floating point 1e-9 / 1e-6 is not 1e-3 to the last bit."""
     ratio = metres / of
     power = round(math.log10(ratio))
     decimal = float(f"1e{power}")
     return decimal if math.isclose(ratio, decimal, rel_tol=1e-12) else ratio
 
 
-def _said(names: Sequence[str]) -> str:
+def _listed(names: Sequence[str]) -> str:
     return ", ".join(f"{axis} {name or 'none'}" for axis, name in zip("xyz", names))

@@ -1,4 +1,4 @@
-"""A scalar volume: an array [z, y, x] on a grid, and what is known about its values."""
+"""A scalar volume: an array [z, y, x] on a grid, with the meaning and the statistics of its values."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy as np
 from clvol.errors import VolumeError
 from clvol.volume.axis import ValueAxis, turned
 from clvol.volume.grid import Grid
-from clvol.volume.narrow import WIDE_TYPES, Narrowing, asked_narrowing, narrowed
+from clvol.volume.narrow import WIDE_TYPES, Narrowing, current_narrowing, narrowed
 
 ACCEPTED_TYPES = ("uint8", "int8", "uint16", "int16", "float32", "float64")
 ACCEPTED = (
@@ -21,7 +21,7 @@ ACCEPTED = (
     "and float16 become one of these)"
 )
 
-# Voxels looked at together: small enough for the cache, large enough to hide Python.
+# Voxels that are examined together: few enough for the cache, enough to hide the overhead of Python.
 _BLOCK = 1 << 20
 _LOOKED_AT = 257  # voxels that are compared to find a change
 
@@ -29,29 +29,26 @@ _LOOKED_AT = 257  # voxels that are compared to find a change
 class Volume:
     """An array [z, y, x] of scalars on a regular grid.
 
-    ``array`` is 3-D, of uint8, int8, uint16, int16, float32 or float64; bool is viewed as uint8
-    (0 and 1). Integers of 32 and 64 bits, and float16, are copied into the smallest of these types
-    that holds every value exactly; where none does it is a VolumeError, and so is anything else:
-    no value is changed. Other byte orders and memory layouts are copied into native C order, values
-    and type unchanged; otherwise the array is shared, not copied, and must not be changed once the
-    volume was used: for changed voxels make another Volume (which costs nothing) and another Renderer.
-    ``check_unchanged``, which a Renderer calls for each frame, finds most changes. ``spacing``,
+    ``array`` is 3-D, of uint8, int8, uint16, int16, float32 or float64; bool is viewed as uint8 (0 and 1). Integers
+    of 32 and 64 bits, and float16, are copied into the smallest of these types that holds every value exactly. No
+    value is ever changed: VolumeError is raised if no type holds them all, and for any other type. Arrays of another
+    byte order or memory layout are copied into native C order. All others are shared, not copied, and must not be
+    modified once the volume has been used: for modified voxels create another Volume (which costs nothing) and another
+    Renderer. ``check_unchanged``, which a Renderer calls per frame, detects most modifications. ``spacing``,
     ``origin`` and ``direction`` are as in Grid.
 
-    ``slope`` (not 0) and ``offset``: what the stored numbers mean. Values are slope * stored +
-    offset, and all that speaks of values (``value_range``, transfer functions, iso-values, labels)
-    means these; ``data`` stays what is stored. ``labels``: the voxels are labels, so integers beyond
-    +-2^53, which no scene names, may become +-2^53.
+    ``slope`` (not 0) and ``offset`` map stored numbers to values: value = slope * stored + offset. ``value_range``,
+    transfer functions, iso-values and labels are in values; ``data`` holds the stored numbers. ``labels``: the voxels
+    are labels, so integers beyond +-2^53, which no scene can name, may become +-2^53.
 
-    ``data`` is the C-contiguous, native-endian, read-only array. ``frame`` names the world's
-    frame ("LPS", "RAS", ... ; "index" where nothing is known), ``unit`` its unit of length ("mm",
-    "µm", ... ; None where it is not known), ``path`` and ``format`` say where the volume came from,
-    or are None.
+    ``data`` is the C-contiguous, native-endian, read-only array. ``frame`` names the world's frame ("LPS", "RAS", ...;
+    "index" if it is unknown), ``unit`` its unit of length ("mm", "µm", ...; None if it is unknown). ``path`` and
+    ``format`` say where the volume came from, or are None.
     """
 
     axis = ValueAxis()
     files: tuple[str, ...] = ()  # data files beside ``path`` that the voxels come from
-    _seen: bytes | None = None  # of voxels that somebody else may write to: some, as they were
+    _seen: bytes | None = None  # a sample of voxels that others can write to, as they were
 
     def __init__(
         self,
@@ -70,8 +67,8 @@ class Volume:
         labels: bool = False,
     ) -> None:
         self.axis = ValueAxis(slope, offset)
-        self.data = _as_voxels(array, Narrowing(labels=True) if labels else asked_narrowing())
-        self.grid = Grid(self.data.shape, tuple(spacing), tuple(origin), direction)
+        self.data = _as_voxels(array, Narrowing(labels=True) if labels else current_narrowing())
+        self.grid = Grid(self.data.shape, spacing, origin, direction)
         self.name = name
         self.frame = frame
         self.path = path
@@ -99,8 +96,11 @@ class Volume:
         return _take_census(self.data)
 
     def check_unchanged(self) -> None:
-        """VolumeError if voxels were changed since the range was found, which empty space and tables rest on.
-        Looks at some of them, evenly spread: whoever computes in place is found, one voxel may not be."""
+        """VolumeError if voxels have changed since the value range, on which other data depend, was determined.
+
+        Only some voxels, evenly spread, are compared: computations in place are detected, a change of one voxel may
+        not be.
+        """
         if self._seen is not None and _some_bytes(self.data) != self._seen:
             what = "its array was changed while the volume is in use"
             raise VolumeError(self.name or "volume", what, "another Volume and Renderer for changed voxels")
@@ -126,15 +126,17 @@ class Volume:
 
     @property
     def stored_range(self) -> tuple[float, float]:
-        """As ``value_range``, of what ``data`` holds."""
+        """As ``value_range``, in the stored numbers of ``data``."""
         return self._census.lower, self._census.upper
 
     @property
     def plain(self) -> tuple[Volume, ValueAxis]:
-        """A volume whose values are its voxels, and the axis, of slope above 0, that leads from them
-        to this volume's values. Where the slope here is below 0 its voxels are mirrored in their
-        type, so that what is higher there is higher here; else they are the same."""
-        # Not cached where it is this volume: one that names itself outlives its last user.
+        """A volume whose stored numbers are its values, and the axis from them to the values of this volume.
+
+        The axis has a positive slope: if that of this volume is negative, the voxels are mirrored in their type, so
+        that the order of values is kept; otherwise they are shared.
+        """
+        # Not cached if it is this volume itself: a reference cycle would keep it alive.
         return (self, self.axis) if self.axis.is_plain else self._plain
 
     @cached_property
@@ -147,7 +149,7 @@ class Volume:
         return plain, axis
 
     def _turned(self) -> Volume:
-        """As this, with the order of its voxels reversed."""
+        """A copy whose voxels have the reverse order of values."""
         data = turned(self.data, self.dtype)
         data.flags.writeable = False
         other = copy.copy(self)
@@ -180,8 +182,10 @@ class _Census:
 
 
 def check_type(dtype: np.dtype, where: str) -> np.dtype:
-    """The native type in which voxels of ``dtype`` are read; VolumeError if there is none. One of
-    ``WIDE_TYPES`` is narrowed once its values are known."""
+    """The native type in which voxels of ``dtype`` are read; VolumeError if there is none.
+
+    Types in ``WIDE_TYPES`` are narrowed once their values are known.
+    """
     if dtype.fields is not None or dtype.kind == "c" or dtype.subdtype is not None:
         kind = "complex" if dtype.kind == "c" else "RGB or vector"
         raise VolumeError(where, f"{kind} voxels ({dtype})", f"one scalar per voxel: {ACCEPTED}")
@@ -214,18 +218,18 @@ def _as_voxels(array: np.ndarray, how: Narrowing) -> np.ndarray:
 
 
 def _some_bytes(data: np.ndarray) -> bytes | None:
-    """Some voxels of an array that somebody can write to; None for any other."""
-    owner = data
+    """A sample of the voxels of an array that can be written to; None for a read-only one."""
+    owner: np.ndarray | None = data
     while isinstance(owner, np.ndarray) and not owner.flags.writeable:
         owner = owner.base
-    if not isinstance(owner, np.ndarray):  # a file that is mapped, or bytes
+    if not isinstance(owner, np.ndarray):  # a mapped file, or bytes
         return None
     flat = data.reshape(-1)
     return flat[:: max(1, flat.size // _LOOKED_AT)].tobytes()
 
 
 def _take_census(data: np.ndarray) -> _Census:
-    """One pass over the voxels in blocks, so that no temporary is as large as the volume."""
+    """Range and counts in one pass over the voxels, block by block, so that temporaries stay small."""
     flat = data.reshape(-1)
     lower, upper, nans, infs = np.inf, -np.inf, 0, 0
     with np.errstate(all="ignore"):
@@ -248,12 +252,12 @@ def _take_census(data: np.ndarray) -> _Census:
 
 
 def describe(volume: Volume) -> dict:
-    """What ``clvol info`` shows, as plain JSON types.
+    """What ``clvol info`` prints, as JSON types.
 
     ``direction`` is row by row (column k is index axis k), ``bounds_world`` the lower and the upper
     corner of the axis-parallel box around the domain, ``unit`` the name of the world's unit of
-    length or None. ``value_range`` is of values, which are slope * stored + offset; ``dtype`` is of
-    what is stored.
+    length or None. ``value_range`` is in values, which are slope * stored + offset; ``dtype`` is the type
+    of the stored numbers.
     """
     corners = volume.grid.world_corners()
     return {

@@ -1,4 +1,4 @@
-"""How voxels are laid out on a device, and how many bytes they take there: arithmetic on a volume, without a device."""
+"""The layout of voxels on a device and the bytes that they take: arithmetic on a volume, without a device."""
 
 from __future__ import annotations
 
@@ -7,18 +7,19 @@ import numpy as np
 from clvol.volume.volume import Volume
 
 CELL_SHIFT = 3  # cells of 8^3 for empty space
-# 8-bit volumes are held as pairs (twice the memory) up to this many bytes of pairs.
+# 8-bit volumes are stored as pairs, with twice the memory, up to this many bytes of pairs.
 _LARGEST_PAIRS = 512 * 2**20
-LARGEST_OFFSET = 2**31 - 1  # offsets are signed 32 bit: what the hardware's gather takes
+LARGEST_OFFSET = 2**31 - 1  # offsets are signed 32-bit integers, as hardware gather instructions need them
 
 
 def padded_size(volume: Volume) -> tuple[int, int, int]:
-    """Lattice points (x, y, z) on the device: an axis of one voxel is held twice."""
-    return tuple(max(n, 2) for n in volume.grid.size)
+    """Lattice points (x, y, z) on the device: along an axis with one voxel, the voxel is stored twice."""
+    nx, ny, nz = volume.grid.size
+    return max(nx, 2), max(ny, 2), max(nz, 2)
 
 
 def holds_pairs(volume: Volume) -> bool:
-    """Whether each voxel of 8 bits is held together with the one above it in y."""
+    """Whether each 8-bit voxel is stored together with its neighbour in +y."""
     nx, ny, nz = padded_size(volume)
     return volume.dtype.itemsize == 1 and 2 * nx * (ny - 1) * nz <= _LARGEST_PAIRS
 

@@ -122,11 +122,11 @@ IDLE = [
      "mask field", "the mask is below 2 all over the volume"),
     ({"noise": [{"target": "value", "amplitude": 0.0}]}, "noise", "the noise's amplitude is 0"),
     ({"animation": {"time": 4.0, "cycle": 0.0}}, "colour cycling", "the cycle is 0"),
-    ({"animation": {"time": 4.0, "cycle": 0.5}}, "colour cycling", "have come round 2 times"),
+    ({"animation": {"time": 4.0, "cycle": 0.5}}, "colour cycling", "has completed 2 periods"),
     ({"depth_cue": {"strength": 0.0}}, "depth cueing", "the depth cue's strength is 0"),
     ({"depth_cue": {"start": 500.0, "end": 501.0}},
      "depth cueing", "the depth cue starts at 500, beyond the volume's farthest corner"),
-    ({"gradient": {"operator": "sobel"}}, "sobel gradients", "nothing asks for gradients"),
+    ({"gradient": {"operator": "sobel"}}, "sobel gradients", "nothing needs gradients"),
     ({"light": [SUN], "gradient": {"operator": "sobel"}, "integration": {"filter": "cubic"}},
      "sobel gradients", "the filter 'cubic' has a derivative of its own"),
 ]  # fmt: skip

@@ -170,7 +170,7 @@ def test_unknown_endings_are_refused_naming_the_known_ones(tmp_path: Path) -> No
         (tmp_path / name).write_bytes(b"data")
         assert ".nrrd" in refused(tmp_path / name)
     (tmp_path / "slice.dcm").write_bytes(b"data")
-    assert "no DICOM file" in refused(tmp_path / "slice.dcm")
+    assert "not a DICOM file" in refused(tmp_path / "slice.dcm")
 
 
 def test_what_is_no_path_is_refused() -> None:

@@ -99,5 +99,5 @@ def test_slices_without_positions_go_by_location_or_number(tmp_path) -> None:
 
     dicom_series(tmp_path / "by_number", edit=numbered)
     volume, warned = loaded(tmp_path / "by_number")
-    assert np.array_equal(volume.data, voxels()) and "numbered" in warned
+    assert np.array_equal(volume.data, voxels()) and "ordered by number" in warned
     assert volume.grid.spacing[2] == 1.5

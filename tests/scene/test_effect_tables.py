@@ -212,7 +212,7 @@ def test_a_field_may_be_a_volume_in_memory(folder):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         text = scene.to_toml()
-    assert "# file: 4 x 4 x 4 voxels of uint8, handed over as an array" in text
+    assert "# file: 4 x 4 x 4 voxels of uint8, passed as an array" in text
 
 
 def test_colors_are_linear_beside_a_linear_transfer_function(scene_file):

@@ -1,7 +1,7 @@
-"""DICOM: the slices of one series in a folder, or one multi-frame file; read by pydicom.
+"""DICOM: the slices of one series in a folder, or one multi-frame file, read by pydicom.
 
-``files`` finds the images of a folder, ``frames`` what is known of each slice, ``choice`` which
-slices are wanted, ``order`` where they lie, ``pixels`` their values.
+``files`` finds the images of a folder, ``frames`` collects the properties of each slice, ``choice`` selects slices,
+``order`` determines their positions, ``pixels`` reads their values.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ from clvol.volume.volume import Volume
 def read(path: Path, options: ReadOptions) -> Volume:
     """The volume in a folder, or in one file; world coordinates are DICOM's (LPS, mm).
 
-    Slices are ordered by position along their normal; the z axis runs from the first slice's
-    position to the last one's, so a tilted gantry gives a sheared grid. Values are the stored ones,
-    times each slice's rescale slope plus its intercept, whatever they are to be displayed as; the
-    type is then the smallest of the accepted ones that holds all values exactly.
+    Slices are ordered by position along their normal. The z axis runs from the first slice's position to the last
+    one's, so a tilted gantry gives a sheared grid. Values are the stored numbers times each slice's rescale slope
+    plus its intercept, regardless of display settings; their type is the smallest accepted one that holds all values
+    exactly.
 
-    Of several series, times or channels (echoes, b-values, kinds of image, segments) one is chosen
-    by ``options``. Reports, other objects that are no images, and localizers beside the slices are
-    left out with a warning; so are positions taken for evenly spaced ones that have been rounded.
-    VolumeError for colour, missing or doubled slices, and slices that differ in size or orientation.
+    ``options`` select one of several series, times or channels (echoes, b-values, kinds of image, segments). Reports,
+    other objects that are not images, and localizers beside the slices are left out with a warning; rounded positions
+    that are taken to be evenly spaced also cause one. VolumeError for colour, missing or doubled slices, and slices
+    that differ in size or orientation.
     """
     frames = chosen_frames(path, find_images(path, options), options)
     frames, step = in_order(path, frames, options)
@@ -42,6 +42,6 @@ def read(path: Path, options: ReadOptions) -> Volume:
     shape = (len(frames), first.rows, first.columns)
     check_memory(str(path), math.prod(shape) * first.bits_allocated // 8, options.memory_cap)
     steps = np.stack([first.axes[0] * first.spacing[1], first.axes[1] * first.spacing[0], step], 1)
-    grid = Grid.from_steps(shape, steps, first.position)
+    grid = Grid.from_steps(shape, steps, np.asarray(first.position))
     data = read_frames(path, frames, options)
     return Volume(data, grid.spacing, grid.origin, grid.direction, frame="LPS", unit="mm")

@@ -1,4 +1,4 @@
-"""Which of a folder's slices make up the volume: series, channel and time, without localizers."""
+"""Selecting the slices of the volume: one series, channel and time, without localizers."""
 
 from __future__ import annotations
 
@@ -9,15 +9,14 @@ import numpy as np
 from clvol.errors import VolumeError
 from clvol.readers.dicom.files import Image
 from clvol.readers.dicom.frames import CHANNELS, TIMES, Frame, frames_of
-from clvol.readers.options import ReadOptions
+from clvol.readers.options import Key, ReadOptions
 
 _NAMED = 3
 _SAME_PLACE = 1e-4  # mm
 
 
 def chosen_frames(path: Path, images: list[Image], options: ReadOptions) -> list[Frame]:
-    """The slices of the series, channel and time that the caller wants, alike in size, spacing and
-    orientation."""
+    """The slices of the selected series, channel and time, which agree in size, spacing and orientation."""
     frames = _one_series(path, images, options)
     frames = _alike(path, _without_localizers(frames, options))
     frames = _split(path, frames, "channel", CHANNELS, options)
@@ -34,7 +33,7 @@ def _one_series(path: Path, images: list[Image], options: ReadOptions) -> list[F
     uids = list(series)
     firsts = [series[uid][0].header for uid in uids]
     numbers = [header.get("SeriesNumber") for header in firsts]
-    # A series' own number is what people know it by, if each has one.
+    # Users know a series by its number, if each series has one.
     distinct = None not in numbers and len(set(numbers)) == len(numbers)
     shown = [_shown(uid, series[uid]) for uid in uids]
     chosen = options.choose(
@@ -57,7 +56,7 @@ def _shown(uid: str, images: list[Image]) -> str:
 def _without_others(
     path: Path, series: dict[str, list[Image]], options: ReadOptions
 ) -> dict[str, list[Image]]:
-    """Without series of localizers and of pictures of a screen, if others are left."""
+    """The series without localizers and screenshots, if any are left."""
     kept = {}
     left_out = []
     placed = {uid: any(_has_place(image) for image in images) for uid, images in series.items()}
@@ -67,7 +66,7 @@ def _without_others(
             localizer = all(
                 frame.is_localizer for image in images for frame in frames_of(image, str(path))
             )
-        except VolumeError:  # in colour, say; an error if it is this one that is wanted
+        except VolumeError:  # for example colour; it is an error if this series is selected
             localizer = False
         if localizer or any(placed.values()) and not placed[uid]:
             kind = "a localizer" if localizer else "no place in space"
@@ -96,7 +95,7 @@ def _has_place(image: Image) -> bool:
 
 
 def _without_localizers(frames: list[Frame], options: ReadOptions) -> list[Frame]:
-    """A scan to plan the others by is often of their series; it lies otherwise."""
+    """The slices without localizers, which are often part of the series but have another orientation."""
     others = [frame for frame in frames if not frame.is_localizer]
     if not others or len(others) == len(frames):
         return frames
@@ -107,7 +106,7 @@ def _without_localizers(frames: list[Frame], options: ReadOptions) -> list[Frame
 
 
 def _alike(path: Path, frames: list[Frame]) -> list[Frame]:
-    """All frames, if they are parallel and of one size; else VolumeError that names the odd ones."""
+    """All frames, if they are parallel and of one size; else VolumeError that names those that differ."""
     kinds: list[list[Frame]] = []
     for frame in frames:
         for kind in kinds:
@@ -122,9 +121,9 @@ def _alike(path: Path, frames: list[Frame]) -> list[Frame]:
     odd = [frame for kind in kinds[1:] for frame in kind]
     names = ", ".join(frame.name for frame in odd[:_NAMED])
     more = f" and {len(odd) - _NAMED} more" if len(odd) > _NAMED else ""
-    how = _difference(odd[0], kinds[0][0])
-    verb = how if len(odd) == 1 else how.replace("has ", "have ").replace("lies ", "lie ")
-    verb = verb.replace("is ", "are ") if len(odd) > 1 else verb
+    verb = _difference(odd[0], kinds[0][0]) or "is different"
+    if len(odd) > 1:
+        verb = verb.replace("has ", "have ").replace("lies ", "lie ").replace("is ", "are ")
     raise VolumeError(
         str(path),
         f"{names}{more} {verb}, unlike the other {len(kinds[0])} slices",
@@ -144,11 +143,11 @@ def _difference(one: Frame, other: Frame) -> str | None:
     return None
 
 
-# ---- several slices at one place -----------------------------------------------------------------
+# ---- several slices at one position -----------------------------------------------------------------
 
 
 def levels_of(frames: list[Frame]) -> np.ndarray:
-    """For each frame the number of its place along the normal, counted from 0; -1 without one."""
+    """The index of each frame's position along the normal, from 0; -1 without a position."""
     if any(frame.position is None for frame in frames):
         return np.full(len(frames), -1)
     normal = frames[0].normal
@@ -161,11 +160,11 @@ def levels_of(frames: list[Frame]) -> np.ndarray:
 
 
 def _split(
-    path: Path, frames: list[Frame], key: str, names: tuple[str, ...], options: ReadOptions
+    path: Path, frames: list[Frame], key: Key, names: tuple[str, ...], options: ReadOptions
 ) -> list[Frame]:
-    """Where several slices lie at each place, those that the caller wants."""
+    """The selected slices where several share each position."""
     levels = levels_of(frames)
-    if levels[0] < 0:  # of slices without a place, only a film says what it is
+    if levels[0] < 0:  # slices without positions can be split only if they form a film
         levels, names = np.zeros(len(frames), int), tuple({"FrameInTime"} & {*names})
     count = int(levels.max()) + 1
     if count == len(frames):
@@ -183,8 +182,7 @@ def _split(
 
 
 def _groups(frames: list[Frame], name: str) -> dict:
-    """Indices of frames by their value of ``name``, in the values' order; empty unless all have
-    one."""
+    """Indices of frames by their value of ``name``, in the order of values; empty unless all frames have one."""
     values = [frame.facts.get(name) for frame in frames]
     if any(value is None for value in values):
         return {}
@@ -196,7 +194,7 @@ def _groups(frames: list[Frame], name: str) -> dict:
 
 
 def _in_turn(frames: list[Frame], levels: np.ndarray) -> dict:
-    """The first slice of each place, the second of each place, and so on, by their numbers."""
+    """The first slice at each position, the second at each position, and so on, in the order of their numbers."""
     order = sorted(
         range(len(frames)),
         key=lambda k: (int(frames[k].image.header.get("InstanceNumber") or 0), frames[k].index, k),
@@ -210,7 +208,7 @@ def _in_turn(frames: list[Frame], levels: np.ndarray) -> dict:
 
 
 def _one_group(
-    path: Path, frames: list[Frame], key: str, groups: dict, label: str, options: ReadOptions
+    path: Path, frames: list[Frame], key: Key, groups: dict, label: str, options: ReadOptions
 ) -> list[Frame]:
     values = [f"{value:g}" if isinstance(value, float) else str(value) for value in groups]
     shown = [f"({label}{value})" for value in values]

@@ -1,7 +1,7 @@
-"""Compressed pixels, frame by frame, by imagecodecs.
+"""Decoding compressed pixels frame by frame with imagecodecs.
 
-pydicom finds the frames; its own way to decode them can be sent into an endless loop by a damaged
-JPEG 2000 stream, and needs further packages.
+pydicom finds the frames. Its own decoders can enter an endless loop on damaged JPEG 2000 streams, and need further
+packages.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _TAGS = ["PixelData", "ExtendedOffsetTable", "ExtendedOffsetTableLengths"]
 
 
 def decoded_frames(path: Any, header: Any, indices: Sequence[int]) -> Iterator[np.ndarray]:
-    """Stored pixels [y, x] of some frames of a file whose transfer syntax is one of SYNTAXES."""
+    """Stored pixels [y, x] of the given frames of a file whose transfer syntax is in SYNTAXES."""
     from pydicom import dcmread
     from pydicom.encaps import get_frame
 
@@ -45,11 +45,11 @@ def decoded_frames(path: Any, header: Any, indices: Sequence[int]) -> Iterator[n
 
 
 def _decoded(source: bytes, uid: str, wanted: tuple[int, int]) -> np.ndarray:
-    """One frame's pixels, of the size that the file's header says, or ValueError."""
+    """The pixels of one frame; ValueError unless they have the size in the file's header."""
     import imagecodecs
 
     size = j2k_size(source) if uid in (*_J2K, *_HTJ2K) else jpeg_size(source)
-    if size != wanted:  # before a decoder makes room for whatever a stream says
+    if size != wanted:  # before a decoder allocates what the stream claims
         raise ValueError(f"a stream of {size} pixels for {wanted}")
     if uid in _JPEG:
         pixels = imagecodecs.jpeg_decode(source)

@@ -1,4 +1,4 @@
-"""Which files of a folder are DICOM images, and what their headers say."""
+"""Finding the DICOM images of a folder, and reading their headers."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from clvol.readers.options import ReadOptions
 from clvol.readers.recognise import MAGIC, MAGIC_AT, begins, files_below
 from clvol.volume.memory import check_memory
 
-# The first element of a file without preamble: group 2 or 8, little-endian.
+# The first element of a file without a preamble: group 2 or 8, little-endian.
 _BARE = (b"\x02\x00\x00\x00", b"\x02\x00\x02\x00", b"\x08\x00")
 DEFLATED = "1.2.840.10008.1.2.1.99"
 _DEFLATE_RATIO = 1032  # zlib's technical notes
 _NAMED = 3
-# Classes of objects that hold pixels though their names do not say image.
+# Classes of objects that hold pixels although their names do not contain "image".
 _IMAGES = ("Image Storage", "RT Dose Storage", "Segmentation Storage", "Parametric Map Storage")
 
 _HEADER = """
@@ -37,7 +37,7 @@ _HEADER = """
 
 @dataclass(frozen=True, eq=False)
 class Image:
-    """A file with pixels; ``name`` is its path below the folder, ``header`` a pydicom Dataset."""
+    """A file with pixels. ``name`` is its path below the folder, ``header`` a pydicom Dataset."""
 
     path: Path
     name: str
@@ -45,18 +45,18 @@ class Image:
 
 
 def find_images(path: Path, options: ReadOptions) -> list[Image]:
-    """The images in a folder and, if there is none in it, in those below; or the one of a file.
+    """The images in a folder or, if there are none, in the folders below; for a file, the image in it.
 
-    What is no image is left out with a warning; VolumeError for a damaged file.
+    Files that are not images are left out with a warning; VolumeError for a damaged file.
     """
     if path.is_file():
         image = _read(path, path, options)
         if image is None:
-            raise VolumeError(str(path), "no DICOM file", "a DICOM image or a folder of them")
+            raise VolumeError(str(path), "not a DICOM file", "a DICOM image or a folder of them")
         if not isinstance(image, Image):
-            raise VolumeError(str(path), f"no image ({image})", "a DICOM image")
+            raise VolumeError(str(path), f"not an image ({image})", "a DICOM image")
         if int(image.header.get("NumberOfFrames") or 1) == 1:
-            options.warn("one slice alone; the folder that it lies in is the whole series")
+            options.warn("only one slice was read; open its folder to read the whole series")
         return [image]
     images: list[Image] = []
     left_out: list[str] = []
@@ -78,7 +78,7 @@ def find_images(path: Path, options: ReadOptions) -> list[Image]:
         )
     if left_out:
         more = f" and {len(left_out) - _NAMED} more files" if len(left_out) > _NAMED else ""
-        options.warn(f"no images, left out: {', '.join(left_out[:_NAMED])}{more}")
+        options.warn(f"not images, left out: {', '.join(left_out[:_NAMED])}{more}")
     return _without_copies(images, options)
 
 
@@ -87,7 +87,7 @@ def _name(folder: Path, file: Path) -> str:
 
 
 def _read(folder: Path, path: Path, options: ReadOptions) -> Image | str | None:
-    """The image; of another DICOM object what it is; None for a file that is no DICOM."""
+    """The image; for another DICOM object, its kind; None for a file that is not DICOM."""
     start = begins(path)
     marked = start[MAGIC_AT:] == MAGIC
     if not marked and not start.startswith(_BARE):
@@ -97,7 +97,7 @@ def _read(folder: Path, path: Path, options: ReadOptions) -> Image | str | None:
         header = _header(path, marked, options)
     except (VolumeError, MemoryError):
         raise
-    except Exception as error:  # whatever pydicom makes of damaged bytes
+    except Exception as error:  # pydicom raises many types for damaged bytes
         if not marked:
             return None
         raise VolumeError(
@@ -124,7 +124,7 @@ def _header(path: Path, marked: bool, options: ReadOptions) -> Any:
 
 
 def _check_deflated(path: Path, options: ReadOptions) -> None:
-    """pydicom inflates the whole file at once: it must fit."""
+    """VolumeError if the file does not fit into memory: pydicom inflates it whole."""
     least = path.stat().st_size * _DEFLATE_RATIO
     try:
         check_memory(str(path), least, options.memory_cap)
@@ -143,21 +143,21 @@ def _check_deflated(path: Path, options: ReadOptions) -> None:
 
 
 def _deflated_start(path: Path) -> int:
-    """Behind preamble, mark and the group of file meta information, whose length comes first."""
+    """The offset after preamble, mark and file meta information, whose length comes first."""
     with path.open("rb") as file:
         start = file.read(144)
     return 144 + int.from_bytes(start[140:144], "little")
 
 
 def _without_copies(images: list[Image], options: ReadOptions) -> list[Image]:
-    """Each object once, though it lies in the folder under several names."""
+    """The images without duplicates, which the folder may hold under several names."""
     seen: dict[Any, Image] = {}
     kept = []
     for image in images:
         uid = image.header.get("SOPInstanceUID")
         other = seen.setdefault(uid, image) if uid else image
         if other is not image and _same_bytes(other.path, image.path):
-            options.warn(f"{image.name} is a copy of {other.name}, and left out")
+            options.warn(f"{image.name} is a copy of {other.name} and is left out")
             continue
         kept.append(image)
     return kept

@@ -1,4 +1,4 @@
-"""What is known of each slice: of one that is a file, or of one frame of a multi-frame file."""
+"""The properties of each slice: of a file, or of one frame of a multi-frame file."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from clvol.errors import VolumeError
 from clvol.readers.dicom.files import Image
 
-# Where the functional groups of an enhanced file keep what others have at the top.
+# The functional groups of an enhanced file that hold what other files have at the top level.
 _GROUPS = {
     "ImagePositionPatient": "PlanePositionSequence",
     "ImageOrientationPatient": "PlaneOrientationSequence",
@@ -34,7 +34,7 @@ _GROUPS = {
     "InStackPositionNumber": "FrameContentSequence",
 }
 _FRAME_TYPES = ("MRImageFrameTypeSequence", "CTImageFrameTypeSequence", "PETFrameTypeSequence")
-# What slices at one place may differ in; the first that tells them apart counts.
+# Properties in which slices at one position may differ; the first one that distinguishes them is used.
 CHANNELS = (
     "EchoNumbers", "EchoTime", "EffectiveEchoTime", "ReferencedSegmentNumber", "DiffusionBValue",
     "ComplexImageComponent", "ImageType", "InversionTime", "InversionTimes", "StackID",
@@ -49,10 +49,13 @@ TIMES = (
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """``axes`` are the unit directions (LPS) in which columns and rows count up, ``spacing`` is
-    between (rows, columns), mm. ``position`` is the first pixel's centre, None where the file does
-    not say; ``rounding`` what its digits can leave out along x, y, z. ``facts`` hold what slices at
-    one place may differ in, ``lacks`` says what the file leaves out, and what is taken instead."""
+    """The properties of one slice.
+
+    ``axes`` are the unit directions (LPS) in which columns and rows count up; ``spacing`` is the distance between
+    (rows, columns) in mm. ``position`` is the centre of the first pixel, None if the file does not state it;
+    ``rounding`` is the largest error of its digits along x, y, z. ``facts`` hold properties in which slices at one
+    position may differ; ``lacks`` says what is missing from the file, and what is used instead.
+    """
 
     image: Image
     index: int
@@ -96,7 +99,7 @@ class Frame:
 
 
 def frames_of(image: Image, where: str) -> list[Frame]:
-    """All frames of a file; VolumeError, naming it, for colour and for numbers that are none."""
+    """All frames of a file; VolumeError, naming it, for colour and for malformed numbers."""
     header = image.header
     colours = str(header.get("PhotometricInterpretation") or "MONOCHROME2")
     if int(header.get("SamplesPerPixel") or 1) != 1 or not colours.startswith("MONOCHROME"):
@@ -134,7 +137,7 @@ def _frame(image: Image, index: int, count: int) -> Frame:
             facts["FrameInTime"] = index
         elif point is None:
             pass
-        elif offsets:  # relative to the first frame, or places on the patient's axis
+        elif offsets:  # relative to the first frame, or positions along the patient's axis
             point = point + normal * (float(offsets[index]) - float(offsets[0]))
         elif look("SpacingBetweenSlices"):
             point = point + normal * float(look("SpacingBetweenSlices")) * index
@@ -175,7 +178,7 @@ def _frame(image: Image, index: int, count: int) -> Frame:
 
 
 class _Lookup:
-    """An attribute of a frame: its own, what all frames share, or what stands at the top."""
+    """Looks an attribute up in the frame, then in the shared groups, then at the top level."""
 
     def __init__(self, header: Any, index: int) -> None:
         own = header.get("PerFrameFunctionalGroupsSequence")
@@ -223,12 +226,12 @@ def _unit_axes(values: Any) -> np.ndarray:
 
 def _rounding(values: Any) -> np.ndarray:
     """One unit in the last digit of each number."""
-    texts = [f"{float(value):.10g}" for value in values]  # a float32's noise is no digit
+    texts = [f"{float(value):.10g}" for value in values]  # without the rounding noise of float32
     return np.array([10.0 ** min(0, int(Decimal(text).as_tuple().exponent)) for text in texts])
 
 
 def _plain(value: Any) -> Any:
-    """A number, or text, of whatever pydicom has made of it."""
+    """A number or text from the value types of pydicom."""
     if isinstance(value, (str, bytes)):
         return str(value)
     try:

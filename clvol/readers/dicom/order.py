@@ -1,4 +1,4 @@
-"""Where slices lie: their order, and the step from each to the next."""
+"""The positions of slices: their order, and the step from each to the next."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from clvol.readers.dicom.choice import levels_of
 from clvol.readers.dicom.frames import Frame
 from clvol.readers.options import ReadOptions
 
-# Positions are written with few digits; they may be off by this share of a gap without a word.
+# Positions are written with few digits; errors up to this share of a gap cause no warning.
 _GAP_TOLERANCE = 0.01
-# How unlike gaps may be where positions are rounded; where a slice is missing it is about 2.
+# Largest ratio of gaps between rounded positions; a missing slice makes it about 2.
 _ROUNDED_RATIO = 1.5
 
 
 def in_order(
     path: Path, frames: list[Frame], options: ReadOptions
 ) -> tuple[list[Frame], np.ndarray]:
-    """The slices along their normal, and the world vector from one to the next (mm)."""
+    """The slices in order along their normal, and the world vector from one to the next (mm)."""
     if any(frame.position is None for frame in frames):
         frames = _placed(path, frames, options)
     normal = frames[0].normal
@@ -36,7 +36,7 @@ def in_order(
     worst = float(np.linalg.norm(off, axis=1).max())
     if worst <= _GAP_TOLERANCE * gap:
         return frames, step
-    rounding = np.min([frame.rounding for frame in frames], axis=0)  # zeros at the end are dropped
+    rounding = np.min([frame.rounding for frame in frames], axis=0)  # trailing zeros are dropped
     gaps = np.diff(positions @ normal)
     alike = gaps.max() <= _ROUNDED_RATIO * gaps.min() * (1 + 1e-9)
     if alike and (off <= rounding * 1.0001 + 1e-9).all():
@@ -65,10 +65,10 @@ def _check_doubled(path: Path, frames: list[Frame]) -> None:
 
 
 def _uneven(path: Path, frames: list[Frame], along: np.ndarray) -> VolumeError:
-    """Names the two slices whose distance is most unlike the usual one."""
+    """The error that names the two slices whose distance differs most from the usual one."""
     gaps = np.diff(along)
     usual = float(np.median(gaps))
-    if len(gaps) == 2:  # two gaps have no usual one; a missing slice makes one longer
+    if len(gaps) == 2:  # of two gaps neither is usual; a missing slice makes one longer
         usual = float(gaps.min())
     k = int(np.argmax(np.abs(gaps - usual)))
     pair = f"{frames[k].name} and {frames[k + 1].name} are {gaps[k]:.6g} mm apart"
@@ -84,14 +84,13 @@ def _uneven(path: Path, frames: list[Frame], along: np.ndarray) -> VolumeError:
 
 
 def _placed(path: Path, frames: list[Frame], options: ReadOptions) -> list[Frame]:
-    """Positions for slices that have none: by SliceLocation, else one after the other as they are
-    numbered, with a word about it."""
+    """Positions for slices that have none: by SliceLocation, else in the order of their numbers, with a warning."""
     if len(frames) == 1:
         return [replace(frames[0], position=np.zeros(3))]
     normal = frames[0].normal
     places = [frame.image.header.get("SliceLocation") for frame in frames]
     if None not in places and len(set(map(float, places))) == len(frames):
-        options.warn("no slice has a position in space; SliceLocation is taken for it")
+        options.warn("no slice has a position in space; SliceLocation is used instead")
         return [
             replace(frame, position=normal * float(place)) for frame, place in zip(frames, places)
         ]
@@ -106,7 +105,7 @@ def _placed(path: Path, frames: list[Frame], options: ReadOptions) -> list[Frame
         )
     apart = frames[0].thickness or frames[0].spacing[0]
     options.warn(
-        f"slices have no position in space; they are taken as numbered, {apart:.6g} mm apart"
+        f"slices have no position in space; they are ordered by number, {apart:.6g} mm apart"
     )
     ordered = [frame for _, frame in sorted(zip(numbers, frames), key=lambda pair: pair[0])]
     return [replace(frame, position=normal * (apart * k)) for k, frame in enumerate(ordered)]

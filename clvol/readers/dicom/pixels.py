@@ -1,4 +1,4 @@
-"""The values of slices: stored pixels by pydicom, times the rescale slope plus the intercept."""
+"""The values of slices: stored pixels, read by pydicom, times the rescale slope plus the intercept."""
 
 from __future__ import annotations
 
@@ -22,12 +22,13 @@ _SMALL = ("uint8", "int8", "uint16", "int16")
 def read_frames(path: Path, frames: list[Frame], options: ReadOptions) -> np.ndarray:
     """Values [z, y, x] in the smallest accepted type that holds each exactly."""
     if any(frame.image.header.get("ModalityLUTSequence") for frame in frames):
-        options.warn("a table for the values (Modality LUT) is not applied; they are as stored")
-    stored: np.ndarray | None = None
-    for k, pixels in enumerate(_stored(path, frames)):
-        if stored is None:
-            stored = np.empty((len(frames), *pixels.shape), pixels.dtype)
-        elif pixels.dtype != stored.dtype:
+        options.warn("a table for the values (Modality LUT) is not applied; values are as stored")
+    planes = _stored(path, frames)
+    first = next(planes)
+    stored = np.empty((len(frames), *first.shape), first.dtype)
+    stored[0] = first
+    for k, pixels in enumerate(planes, 1):
+        if pixels.dtype != stored.dtype:
             stored = _widened(path, stored, pixels.dtype, options)
         stored[k] = pixels
     slopes = np.array([frame.slope for frame in frames])
@@ -46,7 +47,7 @@ def _widened(
 
 
 def _stored(path: Path, frames: list[Frame]) -> Iterator[np.ndarray]:
-    """Stored pixels [y, x] of each frame; frames of one file are read together."""
+    """Stored pixels [y, x] of each frame. Frames of one file are read together."""
     for _, group in groupby(frames, key=lambda frame: frame.image.path):
         members = list(group)
         image = members[0].image
@@ -58,7 +59,7 @@ def _stored(path: Path, frames: list[Frame]) -> Iterator[np.ndarray]:
                 yield _used_bits(pixels, image.header)
         except MemoryError:
             raise
-        except Exception as error:  # of pydicom, or of a decoder
+        except Exception as error:  # raised by pydicom or by a decoder
             reason = " ".join(str(error).split())[:200] or type(error).__name__
             raise VolumeError(
                 str(path), f"the pixels of {image.name} cannot be read ({reason})", "whole slices"
@@ -75,7 +76,7 @@ def _decoded(frames: list[Frame]) -> Iterator[np.ndarray]:
     if syntax in SYNTAXES:
         yield from decoded_frames(image.path, image.header, indices)
         return
-    # pydicom reads pixels alone, where it can; a deflated file it has to inflate whole
+    # pydicom reads only the pixels where it can; it has to inflate a deflated file as a whole
     source = dcmread(image.path) if syntax == DEFLATED else image.path
     if int(image.header.get("NumberOfFrames") or 1) == 1:
         yield pixel_array(source, raw=True).reshape(frames[0].rows, frames[0].columns)
@@ -84,7 +85,7 @@ def _decoded(frames: list[Frame]) -> Iterator[np.ndarray]:
 
 
 def _used_bits(pixels: np.ndarray, header: Any) -> np.ndarray:
-    """Without the bits beside those that are stored (overlays, say), the sign filled up."""
+    """Pixels with only the stored bits (without overlays, for example), sign-extended."""
     if pixels.dtype.kind not in "iu":
         return pixels
     allocated = pixels.dtype.itemsize * 8
@@ -100,7 +101,7 @@ def _used_bits(pixels: np.ndarray, header: Any) -> np.ndarray:
 
 
 def _limits(frames: list[Frame], dtype: np.dtype) -> tuple[float, float] | None:
-    """The range of the numbers that the frames can store."""
+    """The range of numbers that the frames can store."""
     if dtype.kind == "f":
         return None
     bits = max(
@@ -119,9 +120,8 @@ def _rescaled(
     options: ReadOptions,
 ) -> np.ndarray:
     """slope * stored + intercept, slice by slice, in float64 before the type is known."""
-    whole = limits is not None and (slopes % 1 == 0).all() and (intercepts % 1 == 0).all()
     dtype = None
-    if whole:
+    if limits is not None and (slopes % 1 == 0).all() and (intercepts % 1 == 0).all():
         ends = np.outer(limits, slopes) + intercepts
         dtype = _holding(float(ends.min()), float(ends.max()))
         if dtype is None:
@@ -159,7 +159,7 @@ def _holding(low: float, high: float) -> np.dtype | None:
 
 
 def _smallest(stored: np.ndarray) -> np.ndarray:
-    """Wide integers without loss: in 16 bits or fewer, else in floating point."""
+    """Wide integers in 16 bits or fewer without loss, else in floating point."""
     if stored.dtype.kind == "f":
         exact = all(np.array_equal(p.astype(np.float32), p, equal_nan=True) for p in stored)
         return stored.astype(np.float32) if exact else stored.astype(np.float64, copy=False)
