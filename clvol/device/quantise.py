@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from clvol.errors import SceneError
 from clvol.scene.codes import in_codes
@@ -36,7 +37,7 @@ def quantised(resolved: ResolvedScene, codes: Volume | None = None) -> ResolvedS
     if not 0 < span < np.inf:
         return resolved
 
-    def code(values: np.ndarray) -> np.ndarray:
+    def code(values: ArrayLike) -> np.ndarray:
         return (np.asarray(values, np.float64) - low) / span * most
 
     if codes is None:

@@ -10,7 +10,7 @@ import threading
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from functools import lru_cache
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -134,7 +134,7 @@ def _has_cache(device: cl.Device) -> bool:
     return "NVIDIA" in device.platform.name.upper()
 
 
-@lru_cache(maxsize=None)
+@cache
 def _identity(device: cl.Device) -> tuple[str, ...]:
     platform = device.platform
     return (

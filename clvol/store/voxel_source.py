@@ -106,7 +106,8 @@ class FieldSource:
         spacing: Sequence[float] = (1.0, 1.0, 1.0),
         axis: ValueAxis = ValueAxis(),
     ) -> None:
-        self.name, self.axis = kind, axis
+        self.name: str | None = kind
+        self.axis = axis
         self._field, self.grid = placed_field(kind, size, spacing)
         self.shape = self.grid.shape
 
