@@ -16,11 +16,11 @@ from helpers.field_points import (
 from helpers.small_scenes import waves
 
 from clvol import Volume
-from clvol.device import memory as layout
 from clvol.device.gradients import gradient_switch, precompute
 from clvol.device.volume import DeviceVolume
 from clvol.features import GRADIENTS
 from clvol.features.gradient_storage import DeviceLimits, chosen_storage, gradient_bytes
+from clvol.volume import voxel_layout as layout
 
 OPERATORS = ("central", "sobel")
 THIN = [(1, 5, 6), (5, 1, 6), (5, 6, 1), (1, 1, 4), (1, 1, 1), (2, 2, 2), (3, 2, 5)]

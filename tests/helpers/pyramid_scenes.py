@@ -54,7 +54,7 @@ def twin_oracle(caster: PyramidCaster):
     mapped = mapped_oracle(caster.resolved, map_distances(caster), caster.march.asked.shift)
     if caster.march.oracle.kernel == "map":
         return mapped
-    least = caster.pyramid.epsilon
+    least = caster.resolved.pyramid.epsilon
     return lambda places, left: mapped(places, left) / np.sqrt(np.maximum(left, least))
 
 

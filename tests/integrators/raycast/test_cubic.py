@@ -7,11 +7,11 @@ import pytest
 from helpers.small_scenes import SMOOTH, make_scene, rms, waves
 
 from clvol import TransferFunction
-from clvol.device import memory as layout
 from clvol.device.volume import DeviceVolume
 from clvol.explanation import explain
 from clvol.integrators.raycast.caster import Raycaster
 from clvol.integrators.reference.picture import render_reference
+from clvol.volume import voxel_layout as layout
 
 CLASSIFICATIONS = ("pre", "post", "preintegrated")
 TYPES = (np.uint8, np.int8, np.uint16, np.int16, np.float32, np.float64)

@@ -321,7 +321,7 @@ def test_a_caster_refuses_a_struct_that_is_not_the_devices(context, monkeypatch)
     fields["step"][1], fields["stop_opacity"][1] = fields["stop_opacity"][1], fields["step"][1]
     formats, offsets = zip(*fields.values())
     swapped = np.dtype({"names": list(fields), "formats": formats, "offsets": offsets, "itemsize": ours.itemsize})
-    monkeypatch.setattr(Raycaster, "_structs", {"View": swapped})
+    monkeypatch.setattr(Raycaster, "structs", {"View": swapped})
     with pytest.raises(RenderError, match="struct View, field (step|stop_opacity)"):
         Raycaster(context, make_scene(waves((8, 8, 8), np.uint8)))
 
