@@ -70,6 +70,7 @@ def test_the_words_name_the_pixels_that_an_error_rests_on(device, monkeypatch):
     assert found["how"] == f"exact integral at {chosen_by}, and at others, drawn where errors are expected"
 
 
+@pytest.mark.slow
 def test_less_error_costs_more(device):
     scene = scene_of()
     samples = [
@@ -78,6 +79,7 @@ def test_less_error_costs_more(device):
     assert samples[1] > 3 * samples[0]
 
 
+@pytest.mark.slow
 def test_the_frame_says_how_to_make_it_again(device):
     from clvol import Renderer
 
@@ -143,6 +145,7 @@ def test_giving_up_is_said_and_not_passed_over(device, monkeypatch):
         render_to_error(scene_of(), 1e-4, devices=[device])
 
 
+@pytest.mark.slow
 def test_pixels_of_the_pilot_are_not_drawn_again(device, monkeypatch):
     drawn = []
     real = Measurement._errors
@@ -182,6 +185,7 @@ def test_a_time_is_held_and_more_of_it_buys_less_error(device):
         assert true_error(frame, scene, device) <= bound
 
 
+@pytest.mark.slow
 def test_a_time_that_nothing_holds_is_refused_with_what_would(device):
     with pytest.raises(UsageError, match="time_budget: got 1e-07 s, expected at least .* s on this device"):
         render_in_time(scene_of(), 1e-7, devices=[device])
@@ -206,6 +210,7 @@ def test_what_cannot_be_rendered_is_refused_as_ever():
         render_to_error(scene_of(method="pyramid", filter="nearest"), 1e-2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [1, 2, 5])
 def test_tiny_pictures_are_measured_whole(device, size):
     scene = scene_of(size=size)

@@ -68,6 +68,7 @@ def test_a_library_in_the_process_does_not_change_how_it_ends(tmp_path, library,
     assert done.returncode == 2 and "multiresolution.memory" in done.stderr and done.stderr.count("\n") == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("what", ["crashes", "hangs"])
 def test_a_platform_without_devices_that_spoils_the_end_is_left_out(tmp_path, library, what):
     """Of a program of the user's own, which ends as any Python program does."""

@@ -84,6 +84,7 @@ def test_aims_that_cannot_be(refused, nothing_left, option, value):
     assert option in refused(2, "render", "scene.toml", "-o", "b.png", f"{option}={value}")
 
 
+@pytest.mark.slow
 def test_the_search_for_a_time_takes_any_number(device):
     """What overflowed: the ratio of a time to the budget, squared."""
     import clvol

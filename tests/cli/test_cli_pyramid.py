@@ -92,6 +92,7 @@ def test_explain_tells_of_both(run, volume, folder, device):
     assert len({outcome.out for outcome in (plain, adaptive, blocks)}) == 3
 
 
+@pytest.mark.slow
 def test_an_error_is_met(run, volume, folder, device):
     more = ("--max-error", "3e-3", "--stats", "s.json")
     outcome = run("render", volume, "-o", "a.npy", *SMALL, *PYRAMID, *more)

@@ -35,6 +35,7 @@ def cameras(random, grid, image):
         ).complete(grid, image)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 def test_every_tile_with_a_ray_through_a_marked_cell_is_found(seed):
     random = np.random.default_rng(seed)

@@ -147,6 +147,7 @@ def test_two_devices_of_one_platform_are_numbered(tmp_path, vendors):
 # --- broken platforms
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind, limit, reason", [
     ("aborts", 30.0, "SIGABRT"), ("hangs", 5.0, "no answer within 5 s")])
 def test_a_platform_that_breaks_is_left_out_and_named(tmp_path, vendors, kind, limit, reason):
@@ -172,6 +173,7 @@ def test_only_a_broken_platform_is_a_device_error(tmp_path):
     assert "pocl-opencl-icd" in result["error"] and 'pip install "clvol[cpu]"' in result["error"]
 
 
+@pytest.mark.slow
 def test_a_registered_library_that_is_missing_is_named(tmp_path, vendors):
     good = working(run(tmp_path / "good", vendors))
     (vendors / "gone.icd").write_text(f"{tmp_path}/libgone.so\n")

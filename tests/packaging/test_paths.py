@@ -62,6 +62,7 @@ def test_make_sets_up_and_renders_in_a_folder_of_any_name(tmp_path, kind, device
     assert done.returncode == 0 and done.stdout.startswith("clvol "), done.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [NAMES["blank"], "C: $x\" -DX=1 '\nwith a second line"])
 def test_every_device_renders_from_sources_in_and_a_working_folder_of_any_name(tmp_path, name, device):
     from clvol.opencl.devices import report_of

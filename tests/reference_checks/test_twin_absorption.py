@@ -16,6 +16,7 @@ COLOR = np.array([0.8, 0.5, 0.2])
 STEPS = (0.3, 1.0, 7.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "filter, classification",
     [("linear", "pre"), ("linear", "post"), ("linear", "preintegrated"), ("cubic", "post")],

@@ -83,6 +83,7 @@ def test_a_surface_does_not_shadow_itself(slope, arrives):
     assert along_z(s)[:3] == pytest.approx(np.full(3, arrives))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shadow, tolerance", [
     ({**RAYS, "step": 0.25}, 1e-4), ({"method": "volume", "resolution": 64}, 1e-4),
 ])  # fmt: skip

@@ -288,6 +288,7 @@ def test_less_memory_than_the_least_is_one_line(source):
     assert "\n" not in text and "multiresolution.memory" in text and "at least" in text
 
 
+@pytest.mark.slow
 def test_statistics_are_not_kept(source):
     """Per block and level four bytes stay, whatever the statistics hold."""
 

@@ -290,6 +290,7 @@ def test_projections_take_scenes_with_effects_that_they_do_not_show(place):
 # --- scenes of the repository --------------------------------------------------------------------
 
 _SHIPPED = sorted([*(ROOT / "data").glob("*.toml"), *(ROOT / "bench" / "gallery").glob("*.toml")])
+_SHIPPED.remove(ROOT / "data" / "scene-reference.toml")  # has every key, to be read and not to be rendered
 _LONGEST = 40  # voxels along an edge
 
 

@@ -42,6 +42,7 @@ def rms(difference) -> float:
     return float(np.sqrt(np.mean(np.square(difference))))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("classification", ["preintegrated", "post", "pre"])
 def test_their_error_falls_with_the_square_of_the_step(context, classification):
     for function, first in ((BALL, 1e-3), (NARROW, 0.1)):
@@ -71,6 +72,7 @@ def test_a_narrow_peak_is_not_missed(context):
     assert rms(midpoints - exact) > 10 * rms(found - exact)
 
 
+@pytest.mark.slow
 def test_light_volumes_have_the_same_rays(context):
     points = np.stack(np.meshgrid(*[np.linspace(0, 23, 6)] * 3), axis=-1).reshape(-1, 3)
     of = lit(NARROW, "preintegrated", 1.0, shadow={"resolution": 6})

@@ -38,6 +38,7 @@ def test_no_error_is_expected_of_constant_and_linear_pictures_inside():
     assert inside.max() < 1e-10 < estimated.max()  # at the picture's edge it is not linear
 
 
+@pytest.mark.slow
 def test_estimates_are_within_a_factor_of_four_for_waves_and_edges():
     """Root mean squares: between what is right where a picture is smooth and where it jumps."""
     y, x = np.mgrid[:96, :96]
