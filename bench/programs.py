@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from clvol.opencl.arguments import Argument
     from clvol.opencl.context import DeviceContext, Kernel
 
 _FOLDER = Path(__file__).resolve().parent / "kernels"
 
 
 def bench_kernels(
-    context: DeviceContext, file: str, declarations: Mapping[str, str], switches: Mapping[str, int]
+    context: DeviceContext, file: str, declarations: Mapping[str, Sequence[Argument]], switches: Mapping[str, int]
 ) -> list[Kernel]:
     """The kernels named in ``declarations`` (name -> arguments) of bench/kernels/``file``."""
     from clvol.opencl.build import build_file

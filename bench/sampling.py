@@ -25,7 +25,15 @@ from clvol.accuracy.timing import take_turns
 SUMMARY = "the trilinear sampling alone, beside the whole loop and the machine's gathers"
 SCENE_NAMES = ("engine-smooth", "heptane")
 RUNGS = ("gathers alone", "sampling in L1", "sampling", "ray caster")
-_ARGUMENTS = "in volume V1, in view V1, out sums float32, out samples uint32"
+
+
+def _arguments(voxel_bits: int) -> tuple:
+    """Of both kernels, which add up over tiles."""
+    from clvol.device.arguments import view_argument
+    from clvol.opencl.arguments import RAW, reads, writes
+
+    sums = (writes("sums", np.float32, "tiles"), writes("samples", np.uint32, "tiles"))
+    return (reads("volume", RAW), view_argument(voxel_bits), *sums)
 
 
 def run(options: Options) -> dict[str, Any] | None:
@@ -65,7 +73,7 @@ def _take_apart(scene, size: int, context, rounds: int) -> dict[str, Any]:
     sum_samples, sum_gathers = bench_kernels(
         context,
         "sampling.cl",
-        {"sum_samples": _ARGUMENTS, "sum_gathers": _ARGUMENTS},
+        dict.fromkeys(("sum_samples", "sum_gathers"), _arguments(plain.switches["VOXEL_BITS"])),
         plain.switches,
     )
     # The view struct that the ray caster itself would use; in L1, all strides are one voxel.
@@ -73,7 +81,7 @@ def _take_apart(scene, size: int, context, rounds: int) -> dict[str, Any]:
     frame = ray_frame(resolved.camera, resolved.volume.grid, size, size)
     view = plain._frame_view(frame, size, size)
     near = view.copy()
-    near["stride"][0, :2] = 1
+    near["row_stride"] = near["slice_stride"] = 1
     views = {"whole": context.upload(view), "near": context.upload(near)}
     sums = context.empty(np.float32, (cut.rows, cut.columns))
     counts = context.empty(np.uint32, (cut.rows, cut.columns))
@@ -86,6 +94,7 @@ def _take_apart(scene, size: int, context, rounds: int) -> dict[str, Any]:
                 context.queue,
                 (cut.columns, cut.rows),
                 (1, 1) if plain.lanes > 1 else None,
+                sizes={"tiles": cut.count},
                 volume=plain.volume.voxels,
                 view=views[which],
                 sums=sums,

@@ -30,9 +30,9 @@
 #define RAYS_OF_TILE(BEGIN, BODY, END)                                                                              \
   const int tile_x = (int)get_global_id(0), tile_y = (int)get_global_id(1);                               \
   const int width = view->image.x, height = view->image.y;                                                \
-  const int left = tile_x * view->image.z, top = tile_y * view->image.w;                                  \
-  for (int row = top; row < min(top + view->image.w, height); row += PACKET_H)                            \
-    for (int column = left; column < min(left + view->image.z, width); column += PACKET_W) {              \
+  const int left = tile_x * view->tile.x, top = tile_y * view->tile.y;                                  \
+  for (int row = top; row < min(top + view->tile.y, height); row += PACKET_H)                            \
+    for (int column = left; column < min(left + view->tile.x, width); column += PACKET_W) {              \
       const intN lane = LANE_INDEX;                                                                       \
       const intN px = column + (lane & (PACKET_W - 1)), py = row + lane / PACKET_W;                       \
       const Rays ray = make_rays(view, TO_FLOAT(px), TO_FLOAT(py));                                       \
