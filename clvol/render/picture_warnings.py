@@ -61,7 +61,7 @@ def _blank(
         return ClvolWarning("transfer_function.opacity_unit", f"the picture {what}", advice)
     if any(field.role == "mask" for field in resolved.fields):
         advice = "check field.threshold, field.keep and transfer_function.points"
-        return ClvolWarning("field", f"the picture {what}: the masks leave nothing visible", advice)
+        return ClvolWarning("field", f"the picture {what}, since the masks leave nothing of the volume", advice)
     low, high = resolved.data_range
     visible = function.values[function.opacities > 0]
     if visible.size:
