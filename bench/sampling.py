@@ -79,7 +79,7 @@ def _take_apart(scene, size: int, context, rounds: int) -> dict[str, Any]:
     # The view struct that the ray caster itself would use; in L1, all strides are one voxel.
     cut = tiling(size, size, *plain.tile)
     frame = ray_frame(resolved.camera, resolved.volume.grid, size, size)
-    view = plain._frame_view(frame, size, size)
+    view = plain.frame_view(frame, size, size)
     near = view.copy()
     near["row_stride"] = near["slice_stride"] = 1
     views = {"whole": context.upload(view), "near": context.upload(near)}

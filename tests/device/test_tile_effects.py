@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from helpers.small_scenes import make_scene, waves
 
-from clvol.device.effects import LocalSpace
+from clvol.device.local_space import LocalSpace
 from clvol.device.tile_effects import tiles_that_see
 from clvol.device.view import ray_frame
 from clvol.integrators.raycast.caster import Raycaster

@@ -32,7 +32,7 @@ from hypothesis import strategies as st
 
 from clvol import Camera, TransferFunction, Volume
 from clvol.device import noise, projection
-from clvol.device.effects import COUNTERS, OPAQUE_DEPTH
+from clvol.device.effect_state import COUNTERS, OPAQUE_DEPTH
 from clvol.errors import SceneError
 from clvol.explanation import explain, kernel_hash
 from clvol.features import (

@@ -8,7 +8,7 @@ import numpy as np
 
 from clvol import TransferFunction
 from clvol.device.arguments import EFFECT_ARGUMENTS, counts_argument, scene_arguments
-from clvol.device.effects import COUNTERS
+from clvol.device.effect_state import COUNTERS
 from clvol.integrators.raycast.caster import Raycaster
 from clvol.opencl.arguments import reads, value, writes
 from helpers.twin_scenes import ramp, scene

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from clvol.device.arguments import EFFECT_ARGUMENTS, scene_arguments
-from clvol.device.effects import COUNTERS
+from clvol.device.effect_state import COUNTERS
 from clvol.device.view import ray_frame
 from clvol.integrators.raycast.caster import Raycaster
 from clvol.integrators.tiles.geometry import TileGrid
@@ -34,7 +34,7 @@ class TileRaycaster(Raycaster):
     def picture_view(self, camera: Camera, width: int, height: int) -> np.ndarray:
         """``View`` [1] of a whole picture."""
         frame = ray_frame(camera, self.resolved.volume.grid, width, height)
-        return self._frame_view(frame, width, height)
+        return self.frame_view(frame, width, height)
 
     def blank_view(self) -> np.ndarray:
         """``View`` [1] of a picture of no pixels."""

@@ -273,7 +273,7 @@ class BlockCaster(Raycaster):
     def picture_view(self, camera: Camera, width: int, height: int) -> np.ndarray:
         """``View`` [1] of a whole picture."""
         frame = ray_frame(camera, self.resolved.volume.grid, width, height)
-        return self._frame_view(frame, width, height)
+        return self.frame_view(frame, width, height)
 
     def blank_view(self) -> np.ndarray:
         """``View`` [1] of a picture without pixels."""

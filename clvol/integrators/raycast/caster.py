@@ -16,7 +16,7 @@ from clvol.device.arguments import (
     picture_arguments,
     scene_arguments,
 )
-from clvol.device.effects import COUNTERS, EffectState
+from clvol.device.effect_state import COUNTERS, EffectState
 from clvol.device.empty_space import dilated, distance_map, surface_mask, visible_mask
 from clvol.device.light_volume import METHODS, fill_light_volume, shadow_step
 from clvol.device.memory import Perturbation
@@ -32,9 +32,9 @@ from clvol.device.transfer_lookup import (
 )
 from clvol.device.view import EVERY_PIXEL, PixelLattice, RayFrame, ray_frame
 from clvol.device.volume import DeviceVolume, ResidentVolume
-from clvol.errors import RenderError
 from clvol.features import reduced_for_frames
 from clvol.integrators.base import FrameData, Progress, Shared
+from clvol.integrators.raycast.frame_view import frame_view, volume_view
 from clvol.integrators.raycast.march import March, RayMarch
 from clvol.integrators.raycast.switches import raycast_switches
 from clvol.opencl.arguments import reads, writes
@@ -53,11 +53,6 @@ from clvol.transfer.pieces import (
     value_gate,
 )
 
-# Members of a ``View``, beside its vectors, that a camera or a unit of length may push beyond float32.
-_FINITE = (
-    "tangent", "centre", "step", "plane_distance", "stop_opacity", "edge_length",
-    "first_value", "nodes_per_value", "last_node", "warp_bins",
-)  # fmt: skip
 SECONDS_A_SAMPLE = 1e-8  # a first guess, used to divide a frame into launches
 _BAND_SECONDS = 0.5
 _COARSE_ARGUMENTS = (
@@ -68,12 +63,6 @@ _COARSE_ARGUMENTS = (
 
 TilesDone = Callable[[int], None]
 Caster = TypeVar("Caster", bound="Raycaster")
-
-
-def parts_of_cell(step: float) -> int:
-    """The number of parts into which quadrature by cells divides the piece of a ray in each cell: about 1 / ``step``,
-    one or an even number (Gauss's points come in pairs)."""
-    return 1 if step > 0.75 else 2 * max(1, round(0.5 / step))
 
 
 def device_volume(shared: Shared, resolved: ResolvedScene) -> DeviceVolume:
@@ -232,8 +221,8 @@ class Raycaster:
         width = max(columns(piece_count(function)) for function in self._functions)
         origin = float(np.float32(self.nodes.first))
         tables = [piece_table(each, self.length, width, origin) for each in self._functions]
-        self._pieces = (width, tables[0].size, max(map(piece_count, self._functions)))
-        self._units = self.length / self._functions[0].opacity_unit
+        self.pieces = (width, tables[0].size, max(map(piece_count, self._functions)))
+        self.step_units = self.length / self._functions[0].opacity_unit
         self.table = self.context.upload(np.concatenate(tables, axis=None))
 
     @property
@@ -304,7 +293,7 @@ class Raycaster:
             lattice = PixelLattice(spacing)
             lattice_width, lattice_height = lattice.size(width, height)
         frame = ray_frame(camera, grid, width, height, lattice)
-        view = self._frame_view(frame, lattice_width, lattice_height)
+        view = self.frame_view(frame, lattice_width, lattice_height)
         tiles = [tiling(lattice_width, lattice_height, *self.tile).count]
         tiles += [tiling(width, height, *self.tile).count] if fills else []
         report = _stages(progress, tiles)
@@ -321,7 +310,7 @@ class Raycaster:
         )
         counted = [samples]
         if fills:
-            view = self._frame_view(ray_frame(camera, grid, width, height), width, height)
+            view = self.frame_view(ray_frame(camera, grid, width, height), width, height)
             view["ray_spacing"], view["lattice"] = spacing, (lattice_width, lattice_height)
             coarse, coarse_depths = image, depths
             image = context.output(np.float32, (height, width, 4))
@@ -487,51 +476,13 @@ class Raycaster:
         diagonal = np.linalg.norm(corners.max(axis=0) - corners.min(axis=0))
         return float(diagonal / self.length)
 
-    def _frame_view(self, frame: RayFrame, width: int, height: int) -> np.ndarray:
-        view = np.zeros(1, self.view_dtype)
-        row = view[0]
-        names = ("plane_origin", "plane_du", "plane_dv", "ray_forward", "ray_du", "ray_dv")
-        sources = (frame.origin, frame.du, frame.dv, frame.forward, frame.ray_du, frame.ray_dv)
-        with np.errstate(over="ignore", under="ignore"):
-            for name, source in zip(names, sources):
-                row[name][:3] = source
-            row["tangent"], row["centre"] = frame.lens, frame.centre
-            self._describe_volume(row)
-            row["plane_distance"], row["edge_length"] = frame.distance, frame.unit
-            row["stop_opacity"] = 1.0 - self.resolved.integration.early_termination
-        finite = [np.isfinite(row[name]).all() for name in (*names, *_FINITE)]
-        if not all(finite) or not min(row["step"], row["edge_length"]) > 0:
-            where = f"{self.resolved.origin}: camera"
-            raise RenderError(where, "numbers beyond float32", "a camera and units nearer to 1")
-        row["image"], row["tile"] = (width, height), self.tile
-        return view
+    def frame_view(self, frame: RayFrame, width: int, height: int) -> np.ndarray:
+        """``View`` [1] of a picture of ``width`` by ``height`` pixels with the rays of ``frame``."""
+        return frame_view(self, frame, width, height)
 
     def volume_view(self) -> np.ndarray:
         """``View`` [1] with the members that do not depend on the camera."""
-        view = np.zeros(1, self.view_dtype)
-        self._describe_volume(view[0])
-        return view
-
-    def _describe_volume(self, row: np.void) -> None:
-        """Fills in the members of a ``View`` that do not depend on the camera."""
-        volume, nodes, step = self.volume, self.nodes, self.resolved.integration.step
-        bins = 0.0 if nodes.warp is None else nodes.warp.size - 1.0
-        row["step"] = step
-        row["first_value"], row["nodes_per_value"] = nodes.first, nodes.per_value
-        row["last_node"], row["warp_bins"] = nodes.last_coordinate, bins
-        row["upper"][:3] = np.asarray(volume.size) - 1
-        row["gate_low"], row["gate_high"] = self.gate
-        row["step_units"] = self._units
-        row["cell_parts"] = parts_of_cell(step)
-        row["ray_tolerance"] = self.resolved.image.ray_tolerance
-        if volume.switches["VOXEL_BITS"] == 64:
-            row["voxel_bias_double"], row["voxel_gain_double"] = volume.values.bias, volume.values.gain
-        else:
-            row["voxel_gain"] = volume.values.gain
-        row["size"][:3] = volume.size
-        row["row_stride"], row["slice_stride"] = volume.stride
-        row["cells"][:3], row["cell_shift"] = volume.cells, volume.cell_shift
-        row["piece_columns"], row["function_floats"], row["piece_count"] = self._pieces
+        return volume_view(self)
 
     @property
     def structs(self) -> dict[str, np.dtype]:

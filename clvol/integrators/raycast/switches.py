@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from clvol.device.effects import effect_switches
+from clvol.device.effect_switches import effect_switches
 from clvol.device.memory import value_map, voxel_switches
 from clvol.device.opacity_factors import layer_functions
 from clvol.device.transfer_lookup import segment_classification, transfer_pieces

@@ -9,7 +9,8 @@ from helpers.small_scenes import SMOOTH, make_scene, rms, waves
 from clvol import TransferFunction
 from clvol.errors import SceneError
 from clvol.explanation import kernel_hash
-from clvol.integrators.raycast.caster import Raycaster, parts_of_cell
+from clvol.integrators.raycast.caster import Raycaster
+from clvol.integrators.raycast.frame_view import parts_of_cell
 from clvol.integrators.reference.picture import render_reference
 from clvol.integrators.registry import check_scene
 

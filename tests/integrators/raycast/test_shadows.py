@@ -27,7 +27,7 @@ from reference.shadow import turned
 
 from clvol import Renderer, TransferFunction
 from clvol.device import light_volume
-from clvol.device.effects import effect_switches
+from clvol.device.effect_switches import effect_switches
 from clvol.device.light_volume import (
     CONE_DIRECTIONS,
     check_fits,

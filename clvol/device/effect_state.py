@@ -1,4 +1,4 @@
-"""What the effects of a scene need on the device: switches, numbers, arrays (cl/effects.h).
+"""What the effects of a scene need on the device: numbers and arrays (cl/effects.h).
 
 Everything here works on the *reduced* scene (clvol.features.reduced). Effects without a consequence have been removed
 from it, so they are neither compiled nor uploaded.
@@ -9,23 +9,22 @@ from __future__ import annotations
 import copy
 
 import numpy as np
-from numpy.typing import ArrayLike
 
+from clvol.device.effect_switches import effect_switches
 from clvol.device.environment import environment_maps
 from clvol.device.environment_file import load_radiance
-from clvol.device.fields import SceneFields, field_switches
-from clvol.device.gradients import gradient_switch
+from clvol.device.fields import SceneFields
 from clvol.device.light_volume import (
     METHODS,
     casting_lights,
     check_fits,
     shadow_numbers,
     shadow_step,
-    shadow_switches,
 )
+from clvol.device.local_space import LocalSpace, unit_vector
 from clvol.device.memory import ValueMap
-from clvol.device.noise import TARGETS, device_noise, device_tiles, perturbation
-from clvol.device.opacity_factors import factor_rows, factor_switches, layer_places
+from clvol.device.noise import device_noise, device_tiles, perturbation
+from clvol.device.opacity_factors import factor_rows, layer_places
 from clvol.device.projection import (
     NO_SCORE,
     attenuation_a_step,
@@ -34,8 +33,8 @@ from clvol.device.projection import (
     score_bounds,
 )
 from clvol.device.volume import ResidentVolume
-from clvol.features import COMPOSITINGS, GRADIENTS, emits, is_lit
-from clvol.features.gradient_storage import UNLIMITED, DeviceLimits
+from clvol.features import GRADIENTS
+from clvol.features.gradient_storage import DeviceLimits
 from clvol.features.vocabulary import CLIPS, EFFECT_COUNTERS, LIGHTS
 from clvol.opencl.context import DeviceArray, DeviceContext
 from clvol.opencl.structs import EFFECTS
@@ -43,7 +42,6 @@ from clvol.scene.clip import Clip
 from clvol.scene.depth_cue import DepthCue
 from clvol.scene.environment import Environment
 from clvol.scene.resolve import ResolvedScene
-from clvol.volume import Grid
 from clvol.volume.voxel_layout import padded_size
 
 # The switch under which each counter counts anything, in the order of EFFECT_COUNTERS.
@@ -53,102 +51,6 @@ COUNTERS = dict(zip(EFFECT_COUNTERS, _COUNTED_BY, strict=True))
 OPAQUE_DEPTH = 1e15  # optical depth of an opaque surface; finite, so that any share of it is opaque, too
 _FAR = 1e12  # smallest edges: light from farther away has one direction in float32
 Row = tuple[float, ...]  # a float4 of the buffer `items`
-
-
-def effect_switches(
-    resolved: ResolvedScene, limits: DeviceLimits | None = None
-) -> dict[str, int]:
-    """The switches (-D) of a reduced scene's effects; empty for a scene without effects.
-
-    ``limits``: those of the device, which may be too small for precomputed gradients; None: no limits.
-    """
-    seen = resolved.environment is not None and resolved.environment.visible
-    if resolved.integration.compositing != "over":
-        return _projection_switches(resolved, seen)
-    lit = is_lit(resolved)
-    surfaces = resolved.isosurfaces
-    refracts = any(surface.refraction != 1.0 for surface in surfaces)
-    factors = resolved.gradient_opacity is not None or resolved.directional_opacity is not None
-    decides = factors or bool(resolved.transfer_layers)
-    switches = {
-        "LIGHTING": int(lit),
-        "LIGHTS": int(bool(resolved.lights)),
-        "SPECULAR": int(lit and resolved.material.specular > 0),
-        "ISOSURFACES": int(bool(surfaces)),
-        "REFRACTION": int(refracts),
-        "CLIP": int(bool(resolved.clips)),
-        "DEPTH_CUE": int(resolved.depth_cue is not None),
-        "ENVIRONMENT": int(lit and resolved.environment is not None),
-        "ENVIRONMENT_VISIBLE": int(seen),
-        **factor_switches(resolved),
-        **field_switches(resolved),
-        "NOISE": _noise(resolved),
-        **shadow_switches(resolved),
-        "GRADIENT": _gradient(resolved, limits) if lit or refracts or decides else 0,
-    }
-    if not any(switches.values()):
-        return {}
-    # Opacities of whole segments are enough where no effect cuts segments or changes their extinction.
-    changed = decides or surfaces or resolved.fields or resolved.integration.classification == "pre"
-    return {
-        "EFFECTS": 1,
-        "TRANSLUCENT": int(is_translucent(resolved)),
-        "SEGMENT_OPACITIES": int(not changed),
-        **switches,
-    }
-
-
-def _projection_switches(resolved: ResolvedScene, seen: bool) -> dict[str, int]:
-    """The switches of a projection, which shows one value of each ray."""
-    return {
-        "EFFECTS": 1,
-        "COMPOSITING": COMPOSITINGS[resolved.integration.compositing],
-        "CLIP": int(bool(resolved.clips)),
-        "ENVIRONMENT_VISIBLE": int(seen),
-        "NOISE": _noise(resolved),
-        **field_switches(resolved),
-    }
-
-
-def _noise(resolved: ResolvedScene) -> int:
-    """NOISE_ADDS and NOISE_MOVES of cl/scene_value.h."""
-    return sum(1 << TARGETS[target] for target in {term.target for term in resolved.noise})
-
-
-def _gradient(resolved: ResolvedScene, limits: DeviceLimits | None) -> int:
-    settings = resolved.gradient
-    if resolved.noise:  # differences of noisy values, whatever the operator is
-        return GRADIENTS["central"]
-    limits = limits or UNLIMITED
-    return gradient_switch(
-        resolved.volume, resolved.integration.filter, settings.operator, settings.storage, limits
-    )
-
-
-def is_translucent(resolved: ResolvedScene) -> bool:
-    """Whether anything other than surfaces is visible: the volume under its transfer function, or a field."""
-    return emits(resolved) or any(field.role == "density" for field in resolved.fields)
-
-
-class LocalSpace:
-    """A space with the axes of the world, its origin in the middle of the volume, and the smallest voxel edge as unit.
-
-    ``matrix`` float64 [3, 3] and ``shift`` [3] map lattice points to local ones. ``inverse_transpose``
-    maps derivatives per lattice unit to derivatives per edge.
-    """
-
-    def __init__(self, grid: Grid, size: tuple[int, int, int]) -> None:
-        self.unit = grid.smallest_edge
-        self.matrix = np.asarray(grid.direction) * (np.asarray(grid.spacing) / self.unit)
-        self.shift = -self.matrix @ (0.5 * (np.asarray(size, np.float64) - 1.0))
-        self.inverse_transpose = np.linalg.inv(self.matrix).T
-        lower, upper = grid.index_bounds()
-        self._to_world = grid.index_to_world()
-        self.centre = (self._to_world @ np.append(0.5 * (lower + upper), 1.0))[:3]
-
-    def point(self, world: ArrayLike) -> np.ndarray:
-        """A world point in local coordinates."""
-        return (np.asarray(world, np.float64) - self.centre) / self.unit
 
 
 class EffectState:
@@ -304,12 +206,12 @@ class EffectState:
         for number, light in enumerate(resolved.lights):
             at = np.zeros(3)
             if light.type == "directional":
-                at = -_unit(np.asarray(light.direction, np.float64))
+                at = -unit_vector(np.asarray(light.direction, np.float64))
             kind = LIGHTS[light.type]
             if light.type == "point":
                 at = space.point(np.asarray(light.position, np.float64))
                 if np.abs(at).max() > _FAR:
-                    at, kind = _unit(at), LIGHTS["directional"]
+                    at, kind = unit_vector(at), LIGHTS["directional"]
             lights.append((*at, kind))
             volume = casting.index(number) if number in casting else -1.0
             lights.append((*(np.asarray(light.color) * light.intensity), volume))
@@ -351,7 +253,7 @@ def _clip_rows(clip: Clip, space: LocalSpace) -> list[Row]:
     corner = {"plane": clip.point, "box": clip.lower, "sphere": clip.center}[clip.type]
     first, second = space.point(np.asarray(corner, np.float64)), np.zeros(3)
     if clip.type == "plane":
-        second = _unit(np.asarray(clip.normal, np.float64))
+        second = unit_vector(np.asarray(clip.normal, np.float64))
         first = (first @ second) * second  # the point of the plane nearest to the origin has the most digits
     elif clip.type == "box":
         second = space.point(np.asarray(clip.upper, np.float64))
@@ -360,10 +262,3 @@ def _clip_rows(clip: Clip, space: LocalSpace) -> list[Row]:
         (*np.clip(first, -_FAR, _FAR), 0.0),
         (*np.clip(second, -_FAR, _FAR), 0.0),
     ]
-
-
-def _unit(vector: ArrayLike) -> np.ndarray:
-    """``vector`` at length 1; scaled first, so that no square over- or underflows."""
-    scaled = np.asarray(vector, np.float64)
-    scaled = scaled / np.abs(scaled).max()
-    return scaled / np.linalg.norm(scaled)
