@@ -51,7 +51,14 @@ def test_the_error_holds_and_the_claim_holds(device, function, limit):
     true = true_error(frame, scene, device)
     assert true <= limit
     assert found["rmse"] <= found["bound"] <= limit and found["max_error"] == limit
-    assert true <= found["bound"] and true == pytest.approx(found["rmse"], rel=0.1)
+    assert true == pytest.approx(found["rmse"], rel=0.1)
+    if true > found["bound"]:  # as one draw of pixels in twenty may: others must not
+        assert found["confidence"] == 0.95
+        held = []
+        for seed in range(1, 5):
+            other = render_to_error(scene, limit, devices=[device], seed=seed)
+            held.append(true_error(other, scene, device) <= other.stats["accuracy"]["bound"])
+        assert sum(held) >= 3
     assert 0 < found["pixels"] <= found["of_pixels"] == 160 * 160
     assert found["confidence"] in (0.95, 1.0)
     assert (found["how"] == "exact integral at all pixels") == (found["pixels"] == found["of_pixels"])
