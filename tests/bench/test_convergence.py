@@ -48,7 +48,7 @@ def broken(context, **how):
 
 def test_segments_one_part_in_a_thousand_too_long_depart(context):
     def spoil(caster):
-        caster._units *= 1.001
+        caster.step_units *= 1.001
 
     assert broken(context, spoil=spoil)
 
