@@ -8,9 +8,7 @@ from __future__ import annotations
 
 from clvol.device.fields import field_switches
 from clvol.device.gradients import gradient_switch
-from clvol.device.light_volume import (
-    shadow_switches,
-)
+from clvol.device.light_volume import shadow_switches
 from clvol.device.noise import TARGETS
 from clvol.device.opacity_factors import factor_switches
 from clvol.features import COMPOSITINGS, GRADIENTS, emits, is_lit

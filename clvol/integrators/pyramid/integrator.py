@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from clvol.device.memory import scene_bytes
 from clvol.device.voxels import as_rendered
 from clvol.errors import SceneError
 from clvol.features import reduced_for_frames
@@ -16,6 +15,7 @@ from clvol.integrators.pyramid.clips import halves_of
 from clvol.integrators.pyramid.layout import pyramid_bytes
 from clvol.integrators.pyramid.oracles import names, oracle_named
 from clvol.integrators.raycast.caster import device_volume
+from clvol.integrators.whole_volume import WholeVolume
 from clvol.scene.resolve import ResolvedScene
 from clvol.volume import Volume
 
@@ -32,11 +32,10 @@ _KEYS = {
 _EFFECTS = PLAIN | {"cubic filter", "catmull-rom filter", "prefilter", "clipping", "colour cycling"}
 
 
-class Pyramid:
+class Pyramid(WholeVolume):
     """Slices of pixels at many levels of detail, sampled only where an oracle requires it."""
 
     name = "pyramid"
-    reads_blocks = False
     tuned_as = "pyramid"
 
     def check(self, resolved: ResolvedScene) -> None:
@@ -56,14 +55,8 @@ class Pyramid:
         refuse_effects(resolved, "integration.method", self.name, "raycast", _EFFECTS)
         refuse_quadrature(resolved)
 
-    def refines_in_time(self, scene: Scene | ResolvedScene) -> bool:
-        return False
-
     def device_bytes(self, volume: Volume, scene: Scene | ResolvedScene) -> int:
-        return scene_bytes(volume, scene.image.width, scene.image.height) + pyramid_bytes(volume, scene)
-
-    def memory_advice(self, scene: Scene | ResolvedScene) -> tuple[str, str]:
-        return "", ""
+        return super().device_bytes(volume, scene) + pyramid_bytes(volume, scene)
 
     def programs(self, resolved: ResolvedScene, lanes: int) -> Mapping[str, Mapping[str, int]]:
         return {"pyramid.cl": pyramid_switches(as_rendered(resolved), lanes)}
@@ -76,16 +69,10 @@ class Pyramid:
     def key(self, resolved: ResolvedScene) -> tuple[Any, ...]:
         return resolved.pyramid, oracle_named(resolved.pyramid.oracle)
 
-    def simplified(self, resolved: ResolvedScene, shared: Shared) -> ResolvedScene:
-        return as_rendered(resolved, shared.keep)
-
     def prepare(
         self, shared: Shared, resolved: ResolvedScene, progress: Progress | None = None, wait: bool | None = None
     ) -> Prepared:
         return PyramidCaster(shared.context, resolved, volume=device_volume(shared, resolved))
-
-    def ask_again(self, prepared: Any, progress: Progress | None, wait: bool | None) -> None:
-        pass
 
 
 INTEGRATOR = Pyramid()

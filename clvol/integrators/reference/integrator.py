@@ -4,21 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
 
-from clvol.device.memory import scene_bytes
 from clvol.device.view import EVERY_PIXEL, PixelLattice
 from clvol.features import effects, reduced
 from clvol.features.refuse import PLAIN, refuse_effects
 from clvol.integrators.base import FrameData, Prepared, Progress, Shared
 from clvol.integrators.reference.picture import render_reference
+from clvol.integrators.whole_volume import WholeVolume
 from clvol.opencl.context import DeviceContext
 from clvol.scene.camera import Camera
 from clvol.scene.resolve import ResolvedScene
-from clvol.volume import Volume
-
-if TYPE_CHECKING:
-    from clvol.scene import Scene
 
 _EFFECTS = PLAIN | {"nearest filter", "cubic filter"}  # those that are integrated exactly
 
@@ -28,24 +23,14 @@ def has_exact_integral(resolved: ResolvedScene) -> bool:
     return all(effect.name in _EFFECTS for effect in effects(resolved) if effect.called_for)
 
 
-class Reference:
+class Reference(WholeVolume):
     """The ground truth of emission and absorption: no steps, a tolerance."""
 
     name = "reference"
-    reads_blocks = False
     tuned_as = "raycast"
 
     def check(self, resolved: ResolvedScene) -> None:
         refuse_effects(resolved, "integration.method", self.name, "raycast", _EFFECTS)
-
-    def refines_in_time(self, scene: Scene | ResolvedScene) -> bool:
-        return False
-
-    def device_bytes(self, volume: Volume, scene: Scene | ResolvedScene) -> int:
-        return scene_bytes(volume, scene.image.width, scene.image.height)
-
-    def memory_advice(self, scene: Scene | ResolvedScene) -> tuple[str, str]:
-        return "", ""
 
     def programs(self, resolved: ResolvedScene, lanes: int) -> Mapping[str, Mapping[str, int]]:
         return {}  # one source, with switches for the type of the voxels and the filter
@@ -54,9 +39,6 @@ class Reference:
         resolved = reduced(resolved)
         return ("reference*",), f"{resolved.volume.dtype.name} {resolved.integration.filter}".encode()
 
-    def key(self, resolved: ResolvedScene) -> tuple[Any, ...]:
-        return ()
-
     def simplified(self, resolved: ResolvedScene, shared: Shared) -> ResolvedScene:
         return resolved
 
@@ -64,9 +46,6 @@ class Reference:
         self, shared: Shared, resolved: ResolvedScene, progress: Progress | None = None, wait: bool | None = None
     ) -> Prepared:
         return PreparedReference(shared.context, resolved)
-
-    def ask_again(self, prepared: Any, progress: Progress | None, wait: bool | None) -> None:
-        pass
 
 
 class PreparedReference:
