@@ -26,6 +26,8 @@ SIGNALS = tuple(getattr(signal, name) for name in _NAMES if hasattr(signal, name
 _GRACE = 20.0  # seconds for an orderly end; then the process ends at once
 _AGAIN = 0.05  # seconds until a lost signal is sent again
 _SAME = 1.0  # seconds within which a second signal counts as a duplicate of the first
+_CAN_WAIT = hasattr(signal, "sigtimedwait") and hasattr(signal, "SIGURG")
+_WAKE = signal.SIGURG if _CAN_WAIT else None  # tells a thread of this process to look; ignored by default
 
 _temporaries: dict[str, int] = {}  # path -> id of the process that created it
 
@@ -54,6 +56,7 @@ class _State:
         self.since = 0.0  # when it arrived (time.monotonic)
         self.raised = False
         self.finished = finished
+        self.watcher: int | None = None  # the thread that waits for signals
 
 
 _state = _State(finished=True)
@@ -67,34 +70,47 @@ def stoppable(for_good: bool = False) -> Iterator[None]:
     is still running 20 s after the first signal; temporary files are removed even then. Signals that are ignored
     (nohup) stay ignored.
 
-    ``for_good``: the process ends after the block, so the handlers are not restored. Outside the main thread, which
-    receives all signals, this does nothing.
+    The signals are blocked, and a thread waits for them: compilers inside drivers (LLVM) install handlers of their
+    own while they run, which reset themselves to the default action when called, so that a second signal could end
+    the process on the spot. Threads that were started before do not block the signals; for them there are handlers.
+
+    ``for_good``: the process ends after the block, so handlers and mask are not restored. Outside the main thread,
+    which receives all signals, this does nothing.
     """
     global _state
     if not _is_main():
         yield
         return
     _state = state = _State(finished=False)
-    before = {}
-    watched, watch = os.pipe()
-    os.set_blocking(watch, False)
-    wakeup = signal.set_wakeup_fd(watch, warn_on_full_buffer=False)
+    before: dict[int, Any] = {}
     hook, sys.unraisablehook = sys.unraisablehook, _unraisable
+    watcher = None
     try:
-        for number in SIGNALS:
-            if signal.getsignal(number) not in (signal.SIG_IGN, None):
-                before[number] = signal.signal(number, _stop)
-        threading.Thread(target=_watch, args=(watched, state), daemon=True).start()
+        numbers = [number for number in SIGNALS if signal.getsignal(number) not in (signal.SIG_IGN, None)]
+        if _WAKE is not None:
+            before[_WAKE] = signal.signal(_WAKE, _woken)
+            mask = signal.pthread_sigmask(signal.SIG_BLOCK, [*numbers, _WAKE])
+        for number in numbers:
+            before[number] = signal.signal(number, _stop)
+        if _WAKE is not None:
+            watcher = threading.Thread(target=_watch, args=(numbers, state), daemon=True)
+            watcher.start()  # with _WAKE blocked
+            state.watcher = watcher.ident
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, [_WAKE])
         yield
     finally:
         state.finished = True
         discard_temporaries()
-        signal.set_wakeup_fd(wakeup)
-        os.close(watch)  # ends the thread
+        if watcher is not None and state.watcher is not None:
+            signal.pthread_kill(state.watcher, signal.SIGURG)
+            watcher.join()
         if not for_good:
             sys.unraisablehook = hook
-        for number, handler in () if for_good else before.items():
-            signal.signal(number, handler)
+            if _WAKE is not None:
+                _discard_pending(numbers)
+                signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+            for number, handler in before.items():
+                signal.signal(number, handler)
 
 
 def check_stopped() -> None:
@@ -143,14 +159,25 @@ def _is_main() -> bool:
 
 
 def _stop(number: int, _frame: object) -> None:
-    now = time.monotonic()
-    if _state.finished:
-        return
-    if _state.first is None:
-        _state.first, _state.since = number, now
-    elif _state.raised and now - _state.since > _SAME:
-        _end_at_once(_state.first)
+    """Handles a signal that reached a thread that does not block it."""
+    _arrived(_state, number)
+    if _state.watcher is not None and not _state.finished:
+        signal.pthread_kill(_state.watcher, signal.SIGURG)  # so that it begins to count
     _raise()
+
+
+def _woken(_number: int, _frame: object) -> None:
+    _raise()
+
+
+def _arrived(state: _State, number: int) -> None:
+    now = time.monotonic()
+    if state.finished:
+        return
+    if state.first is None:
+        state.first, state.since = number, now
+    elif state.raised and now - state.since > _SAME:
+        _end_at_once(state.first)
 
 
 def _unraisable(report: Any) -> None:
@@ -160,8 +187,7 @@ def _unraisable(report: Any) -> None:
         sys.__unraisablehook__(report)
     elif not _state.finished:
         _state.raised = False
-        main = threading.main_thread().ident
-        threading.Timer(_AGAIN, signal.pthread_kill, (main, report.exc_value.number)).start()
+        threading.Timer(_AGAIN, os.kill, (os.getpid(), report.exc_value.number)).start()
 
 
 def _raise() -> None:
@@ -170,17 +196,27 @@ def _raise() -> None:
         raise Stopped(_state.first)
 
 
-def _watch(descriptor: int, state: _State) -> None:
-    """Ends the process if the main thread cannot, because it is in a library that does not return."""
-    try:
-        while received := os.read(descriptor, 1):
-            deadline = time.monotonic() + _GRACE
-            while received[0] in SIGNALS and not state.finished:
-                time.sleep(0.1)
-                if time.monotonic() > deadline:
-                    _end_at_once(received[0])
-    finally:
-        os.close(descriptor)
+def _watch(numbers: list[int], state: _State) -> None:
+    """Waits for signals and tells the main thread; ends the process if the main thread cannot, because it is in a
+    library that does not return."""
+    main = threading.main_thread().ident
+    assert main is not None
+    while not state.finished:
+        left = 3600.0 if state.first is None else state.since + _GRACE - time.monotonic()
+        if left <= 0:
+            _end_at_once(state.first or signal.SIGTERM)
+        report = signal.sigtimedwait([*numbers, signal.SIGURG], left)
+        if report is None or report.si_signo == signal.SIGURG:
+            continue
+        _arrived(state, report.si_signo)
+        if not state.finished:
+            signal.pthread_kill(main, signal.SIGURG)
+
+
+def _discard_pending(numbers: list[int]) -> None:
+    """Signals that arrived too late to stop anything must not reach the caller's handlers as new ones."""
+    while signal.sigtimedwait(numbers, 0) is not None:
+        pass
 
 
 def _end_at_once(number: int) -> None:

@@ -8,6 +8,7 @@ import random
 import signal
 import subprocess
 import sys
+import threading
 import time
 
 import numpy as np
@@ -164,7 +165,7 @@ def test_an_end_that_does_not_come_is_made(tmp_path):
         f"interrupts._GRACE = 0.5\nexpect_temporary({str(file)!r}); open({str(file)!r}, 'w')\n"
         "with stoppable():\n"
         "    while True:\n"
-        "        try: signal.raise_signal(signal.SIGTERM); time.sleep(1)\n"
+        "        try: os.kill(os.getpid(), signal.SIGTERM); time.sleep(1)\n"
         "        except BaseException: pass\n"
     )
     assert (done.returncode, done.stderr) == (143, "clvol: error: interrupted by SIGTERM\n")
@@ -174,7 +175,7 @@ def test_an_end_that_does_not_come_is_made(tmp_path):
 def test_a_signal_in_a_destructor_is_not_lost():
     done = in_process(
         "class Thing:\n"
-        "    def __del__(self): signal.raise_signal(signal.SIGTERM); time.sleep(0)\n"
+        "    def __del__(self): os.kill(os.getpid(), signal.SIGTERM); time.sleep(0.05)\n"
         "try:\n"
         "    with stoppable():\n"
         "        thing = Thing(); del thing\n"
@@ -190,7 +191,8 @@ def test_a_signal_that_became_another_error_is_told_as_one(run, folder, monkeypa
 
     def broken(*_, **__):
         try:
-            signal.raise_signal(signal.SIGTERM)
+            os.kill(os.getpid(), signal.SIGTERM)
+            time.sleep(5)
         except Stopped:
             raise ImportError("initialization failed") from None
 
@@ -216,15 +218,44 @@ def test_a_second_signal_ends_at_once(tmp_path):
 def test_handlers_are_what_they_were_before():
     from clvol.cli import main
 
-    before = [signal.getsignal(number) for number in ASKING]
+    def state() -> tuple:
+        handlers = [signal.getsignal(number) for number in [*ASKING, signal.SIGURG]]
+        return handlers, signal.pthread_sigmask(signal.SIG_BLOCK, []), threading.active_count()
+
+    before = state()
     main(["--version"])
-    assert [signal.getsignal(number) for number in ASKING] == before
-    assert signal.set_wakeup_fd(-1) == -1
+    assert state() == before
+
+
+def test_handlers_that_a_compiler_installs_do_not_matter():
+    """LLVM's reset themselves to the default action when they are called, which ends the process at the next
+    signal."""
+    done = in_process(
+        "with stoppable():\n"
+        "    for number in interrupts.SIGNALS: signal.signal(number, signal.SIG_DFL)\n"
+        "    try:\n"
+        "        for _ in range(3): os.kill(os.getpid(), signal.SIGTERM)\n"
+        "        time.sleep(10); print('not here')\n"
+        "    except Stopped as stop: time.sleep(0.2); print(stop.status)\n"
+    )
+    assert (done.stdout, done.stderr) == ("143\n", "")
+
+
+def test_a_thread_that_was_there_before_may_get_the_signal():
+    """It does not block signals, as threads of numpy do that a program started before it called clvol."""
+    done = in_process(
+        "import threading\n"
+        "threading.Thread(target=time.sleep, args=(5,), daemon=True).start()\n"
+        "interrupts._GRACE = 0.5\n"
+        "with stoppable():\n"
+        "    while True:\n"
+        "        try: os.kill(os.getpid(), signal.SIGTERM); time.sleep(1)\n"
+        "        except BaseException: pass\n"
+    )
+    assert (done.returncode, done.stderr) == (143, "clvol: error: interrupted by SIGTERM\n")
 
 
 def test_another_thread_needs_no_signals(capfd):
-    import threading
-
     from clvol.cli import main
 
     told = []
@@ -238,7 +269,7 @@ def test_another_thread_needs_no_signals(capfd):
 def test_an_interrupt_at_every_moment_of_writing_leaves_nothing(tmp_path, number):
     """A signal before every line that runs while a file is written."""
     from clvol.image import atomic_paths
-    from clvol.interrupts import Stopped, stoppable
+    from clvol.interrupts import Stopped, _stop, stoppable
 
     targets = [tmp_path / "a", tmp_path / "b"]
     lines = 0
@@ -255,7 +286,7 @@ def test_an_interrupt_at_every_moment_of_writing_leaves_nothing(tmp_path, number
             if event == "line":
                 lines += 1
                 if lines == stop_at:
-                    signal.raise_signal(number)
+                    _stop(number, None)  # as Python calls it
             return trace
 
         def work() -> None:
