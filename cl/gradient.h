@@ -120,7 +120,8 @@ INLINE Gradient central_gradient(__global const uchar *volume, __constant const 
   return g;
 }
 
-#if VOXEL_BITS == 8 && VOXEL_PAIRS
+/* (A brick does not hold what its outer cells need.) */
+#if VOXEL_BITS == 8 && VOXEL_PAIRS && !BRICKS
 
 /* What one slice has for the differences along x and y, and its means at y and y + 1. */
 typedef struct {
@@ -148,7 +149,7 @@ INLINE SliceDifferences slice_differences(__global const uchar *slice, intN at, 
 /* Away from the volume's faces: six gathers. */
 INLINE Gradient inner_gradient(__global const uchar *volume, __constant const View *view, Place x, Place y, Place z)
 {
-  const intN corner = corner_offset(view, x.index, y.index, z.index);
+  const intN corner = corner_offset(volume, view, x.index, y.index, z.index);
   const intN at = corner - (intN)(view->row_stride + 1), below = at + (intN)(2 * view->row_stride);
   const size_t slice = slice_bytes(view);
   const SliceDifferences s0 = slice_differences(volume, at, below, x.f, y.f);
@@ -171,7 +172,7 @@ INLINE Gradient gradient_at(__global const uchar *volume, __global const uint *g
 {
   const Place x = place_in_cell(px, view->upper.x, view->size.x), y = place_in_cell(py, view->upper.y, view->size.y);
   const Place z = place_in_cell(pz, view->upper.z, view->size.z);
-#if VOXEL_BITS == 8 && VOXEL_PAIRS
+#if VOXEL_BITS == 8 && VOXEL_PAIRS && !BRICKS
   const intN beside = beside_faces(x, view->size.x) | beside_faces(y, view->size.y) | beside_faces(z, view->size.z);
   if (!any_lane(beside)) return finite_gradient(inner_gradient(volume, view, x, y, z));
 #endif

@@ -1,0 +1,200 @@
+"""A pool of bricks on a device: those parts of a volume that rays sample now, decoded, behind a table that finds them.
+
+Rays read bricks as they read a volume in one array (cl/fetch_voxel.h, BRICKS), with one more look-up per sample, so
+that every march and every effect that reads voxels through cl/fetch_voxel.h works on them, and gives the same bits.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+import numpy as np
+
+from clvol.device.memory import VoxelFacts, value_map, voxel_switches
+from clvol.errors import SceneError
+from clvol.opencl.arguments import RAW, reads, value, writes
+from clvol.opencl.context import DeviceArray, DeviceContext
+from clvol.scene.sizes import format_size
+from clvol.store.geometry import BlockGrid
+from clvol.volume.voxel_layout import CELL_SHIFT, LARGEST_OFFSET
+
+_SPARE_BYTES = 64  # after the last brick, so that wide loads of it stay inside
+_SCRATCH_BYTES = 8 * 2**20  # blocks on their way into bricks
+_AROUND = np.stack(np.unravel_index(np.arange(8), (2, 2, 2)), axis=-1)  # [dz][dy][dx]
+
+
+class BrickSource(VoxelFacts, Protocol):
+    """What fills a pool."""
+
+    name: str
+    blocks: BlockGrid
+
+    def put(self, blocks: np.ndarray, target: DeviceArray) -> None:
+        """Enqueues the voxels [k, edge, edge, edge] of ``blocks`` (numbers, int64 [k]) at full resolution into
+        ``target``, of the volume's type; beyond the volume its last voxels repeat. VolumeError where a block is
+        damaged."""
+        ...
+
+
+class BrickPool:
+    """At most ``capacity`` bricks of ``source``, which is as many as fit into ``memory_bytes`` with the table and what
+    filling them needs, or all there are.
+
+    ``hold`` makes bricks resident; those that were not used for the longest time go first. ``filled_voxels`` counts
+    what was decoded since the pool was made. SceneError where not even one brick fits.
+    """
+
+    def __init__(
+        self, context: DeviceContext, source: BrickSource, memory_bytes: int, *, pairs: bool | None = None
+    ) -> None:
+        self._context, self._source = context, source
+        self.blocks = blocks = source.blocks
+        self.values = value_map(source)
+        dtype = np.dtype(source.dtype)
+        pairs = dtype.itemsize == 1 if pairs is None else pairs
+        edge, self._log_edge = blocks.edge, blocks.levels - 1
+        self._unit = dtype.itemsize * (1 + pairs)  # bytes of an element
+        self.stride = edge + 1, (edge + 1) * (edge + 1 - pairs)
+        self._brick = self.stride[1] * (edge + 1)  # elements
+        self.switches = {**voxel_switches(source, self.values, pairs=pairs), "BRICKS": self._log_edge}
+        table = -(-4 * blocks.count // 64) * 64
+        self._first = table // self._unit
+        around = min(blocks.count, 27)  # the most blocks that a brick, or two beside each other, need
+        block_bytes = edge**3 * dtype.itemsize
+        scratch = int(min(max(_SCRATCH_BYTES // block_bytes, around), blocks.count))
+        least = table + _SPARE_BYTES + block_bytes * around + self._unit * self._brick
+        if memory_bytes < least:
+            got = f"got {format_size(memory_bytes)}"
+            raise SceneError("compression.memory", got, f"at least {format_size(least)} for the bricks of {source.name}")
+        left = memory_bytes - table - _SPARE_BYTES
+        scratch = max(min(scratch, left // 4 // block_bytes), around)
+        most = (min(int(context.device.max_mem_alloc_size), self._unit * LARGEST_OFFSET) - table) - _SPARE_BYTES
+        self.capacity = int(min((left - scratch * block_bytes), most) // (self._unit * self._brick))
+        self.capacity = min(self.capacity, blocks.count)
+        self.voxels = context.empty(np.uint8, (table + self.capacity * self._brick * self._unit + _SPARE_BYTES,))
+        self._scratch = context.empty(dtype, (scratch, edge, edge, edge))
+        self._slot = np.full(blocks.count, -1, np.int64)  # of each block
+        self._block = np.full(self.capacity, -1, np.int64)  # in each slot
+        self._used = np.zeros(self.capacity, np.int64)  # when it was held last
+        self._clock = 0
+        self.filled_voxels = 0
+        self._prepare()
+        self._write_table(np.arange(blocks.count))
+
+    @property
+    def device_bytes(self) -> int:
+        return self.voxels.nbytes + self._scratch.nbytes
+
+    @property
+    def brick_bytes(self) -> int:
+        return self._brick * self._unit
+
+    def resident(self, blocks: np.ndarray) -> np.ndarray:
+        """bool [k]: which of ``blocks`` are in the pool."""
+        return self._slot[blocks] >= 0
+
+    def hold(self, blocks: np.ndarray) -> int:
+        """Makes ``blocks`` (distinct numbers, at most ``capacity``) resident; returns how many were not."""
+        self._clock += 1
+        slots = self._slot[blocks]
+        self._used[slots[slots >= 0]] = self._clock
+        new = np.sort(blocks[slots < 0])
+        if len(new):
+            if len(blocks) > self.capacity:
+                raise ValueError(f"{len(blocks)} bricks where there is room for {self.capacity}")
+            oldest = np.argsort(self._used, kind="stable")[: len(new)]
+            gone = self._block[oldest]
+            gone = gone[gone >= 0]
+            self._slot[gone] = -1
+            self._slot[new], self._block[oldest] = oldest, new
+            self._used[oldest] = self._clock
+            try:
+                self._fill(new)
+            except BaseException:
+                self._slot[new] = -1
+                self._block[oldest], self._used[oldest] = -1, 0
+                raise
+            finally:
+                self._write_table(np.concatenate([gone, new]))
+        return len(new)
+
+    def bounds(self, shift: int = CELL_SHIFT) -> np.ndarray:
+        """[z, y, x, 2], of the volume's type: smallest and largest finite voxel of each cell of 2^``shift`` lattice
+        cells; low > high where there is none. ``2^shift`` is at most a block's edge. Fills the pool with every brick
+        in turn."""
+        edge, counts = self.blocks.edge, self.blocks.counts
+        n = edge >> shift
+        found = np.empty((*counts, n, n, n, 2), self._source.dtype)
+        flat = found.reshape(self.blocks.count, -1)
+        for first in range(0, self.blocks.count, self.capacity):
+            blocks = np.arange(first, min(first + self.capacity, self.blocks.count))
+            self.hold(blocks)
+            out = self._context.empty(found.dtype, (len(blocks), n, n, n, 2))
+            wanted = np.zeros((len(blocks), 9), np.int32)
+            wanted[:, 0] = self._start(self._slot[blocks])
+            self._bounds(
+                self._context.queue, (len(blocks),), None, wanted=self._context.upload(wanted), bricks=len(blocks),
+                shift=shift, volume=self.voxels, bounds=out,
+            )  # fmt: skip
+            flat[blocks] = self._context.read(out).reshape(len(blocks), -1)
+        z, y, x = (count * n for count in counts)
+        return found.transpose(0, 3, 1, 4, 2, 5, 6).reshape(z, y, x, 2)
+
+    # Filling
+
+    def _prepare(self) -> None:
+        names = ("VOXEL_BITS", "VOXEL_SIGNED", "VOXEL_PAIRS", "BRICKS")
+        switches = {name: self.switches[name] for name in names}
+        dtype = self._scratch.dtype
+        wanted = reads("wanted", np.int32, "bricks", 9), value("bricks", np.int32)
+        self._filler = self._context.kernel(
+            "fill_bricks.cl", "fill_bricks", (*wanted, reads("blocks", dtype), writes("volume", RAW)), switches
+        )
+        cells = value("shift", np.int32), reads("volume", RAW), writes("bounds", dtype)
+        self._bounds = self._context.kernel("fill_bricks.cl", "brick_bounds", (*wanted, *cells), switches)
+
+    def _start(self, slots: np.ndarray) -> np.ndarray:
+        """Element of ``voxels`` where the brick in each of ``slots`` begins."""
+        return self._first + slots * self._brick
+
+    def _write_table(self, blocks: np.ndarray) -> None:
+        """Writes the table's entries from the first to the last of ``blocks``. Those that are not resident are where
+        the first slot is: what rays that are done fetch there is not used."""
+        first, last = int(blocks.min()), int(blocks.max()) + 1
+        z, y, x = (axis * self.blocks.edge for axis in self.blocks.places(np.arange(first, last)).T)
+        row, slice_ = self.stride
+        at = self._start(np.maximum(self._slot[first:last], 0)) - (z * slice_ + y * row + x)
+        self._context.write(self.voxels, (at & 0xFFFFFFFF).astype(np.uint32).view(np.uint8), 4 * first)
+
+    def _fill(self, blocks: np.ndarray) -> None:
+        """Fills the slots of ``blocks``, which ascend."""
+        near = self.blocks.places(blocks)[:, None] + _AROUND
+        inside = (near < self.blocks.counts).all(axis=-1)
+        numbers = np.ravel_multi_index(np.minimum(near, np.array(self.blocks.counts) - 1).transpose(2, 0, 1),
+                                       self.blocks.counts)  # fmt: skip
+        first, room = 0, self._scratch.shape[0]
+        while first < len(blocks):
+            last = _most_within(numbers[first:], room) + first
+            needed, places = np.unique(numbers[first:last], return_inverse=True)
+            wanted = np.empty((last - first, 9), np.int32)
+            wanted[:, 0] = self._start(self._slot[blocks[first:last]])
+            wanted[:, 1:] = np.where(inside[first:last], places.reshape(last - first, 8), -1)
+            self._source.put(needed, self._scratch)
+            self.filled_voxels += len(needed) * self.blocks.edge**3
+            self._filler(
+                self._context.queue, (self.blocks.edge + 1, last - first), None,
+                wanted=self._context.upload(wanted), bricks=last - first, blocks=self._scratch, volume=self.voxels,
+            )  # fmt: skip
+            first = last
+
+
+def _most_within(numbers: np.ndarray, room: int) -> int:
+    """How many of the first rows of ``numbers`` [n, 8] have at most ``room`` distinct ones together; at least one."""
+    low, high = 1, min(len(numbers), room)
+    while low < high:
+        middle = (low + high + 1) // 2
+        if len(np.unique(numbers[:middle])) <= room:
+            low = middle
+        else:
+            high = middle - 1
+    return low
