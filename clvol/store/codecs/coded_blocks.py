@@ -1,8 +1,8 @@
 """Blocks as codes of a vector-quantising codec: what they consist of, and the layout of their bytes.
 
-The samples [s, s, s] of a block (any level; s = 4, 8, 16, 32) are cut into sub-blocks of ``side``^3 samples. Sub-blocks are
-numbered in z-order within octants of 8^3 samples and octants in C order (z, y, x) of the block, samples of a sub-block
-in C order. Blocks of fewer than four samples per axis are always stored raw.
+The samples [s, s, s] of a block (any level; s = 4, 8, 16, 32) are cut into sub-blocks of ``side``^3 samples.
+Sub-blocks are numbered in z-order within octants of 8^3 samples and octants in C order (z, y, x) of the block, samples
+of a sub-block in C order. Blocks of fewer than four samples per axis are always stored raw.
 
 A block's bytes:
 
@@ -26,10 +26,10 @@ A block's bytes:
              means, then all codes of stage 1 (shape of the means of 2^3 samples), then of stage 2 (side 4).
              Sub-blocks in C order of the block.
 
-The working value of a sample: (mean << 8) + 128 + the sum over stages of (codebook[stage, code, sample] << shift[stage]),
-clipped to 0 ... 65535; "vq" has no means: 32768 takes their place. It becomes a voxel as ``WorkingValues`` says, and then
-``residual * residual_step`` is added (integer types: to the voxel, clipped to the range low ... low + span;
-floating-point types: to the working value, clipped again).
+The working value of a sample: (mean << 8) + 128 + the sum over stages of
+(codebook[stage, code, sample] << shift[stage]), clipped to 0 ... 65535; "vq" has no means: 32768 takes the place of
+(mean << 8) + 128. It becomes a voxel as ``WorkingValues`` says; ``residual * residual_step`` is added to it (integer
+types: to the voxel, clipped to low ... low + span; floating-point types: to the working value, clipped again).
 """
 
 from __future__ import annotations
