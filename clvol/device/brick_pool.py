@@ -16,6 +16,7 @@ from clvol.opencl.arguments import RAW, reads, value, writes
 from clvol.opencl.context import DeviceArray, DeviceContext
 from clvol.scene.sizes import format_size
 from clvol.store.geometry import BlockGrid
+from clvol.store.source import BlockSource
 from clvol.volume.voxel_layout import CELL_SHIFT, LARGEST_OFFSET
 
 _SPARE_BYTES = 64  # after the last brick, so that wide loads of it stay inside
@@ -198,3 +199,15 @@ def _most_within(numbers: np.ndarray, room: int) -> int:
         else:
             high = middle - 1
     return low
+
+
+class ReadBricks:
+    """A ``BrickSource`` of blocks that are read at every need, uncompressed."""
+
+    def __init__(self, context: DeviceContext, source: BlockSource) -> None:
+        self._context, self._source = context, source
+        self.name, self.blocks, self.dtype = source.name, source.blocks, np.dtype(source.dtype)
+        self.value_range, self.nan_count, self.inf_count = source.value_range, source.nan_count, source.inf_count
+
+    def put(self, blocks: np.ndarray, target: DeviceArray) -> None:
+        self._context.write(target, self._source.read(0, blocks))

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator
 
 import numpy as np
 
 from clvol.device.brick_pool import BrickPool, BrickSource
-from clvol.device.memory import Perturbation
+from clvol.device.empty_space import spread
+from clvol.device.light_volume import METHODS
 from clvol.device.tile_effects import tile_ranges
 from clvol.device.view import RayFrame
 from clvol.device.volume import ResidentVolume
@@ -18,6 +19,8 @@ from clvol.opencl.context import DeviceArray, DeviceContext
 from clvol.scene.resolve import ResolvedScene
 from clvol.scene.sizes import format_size
 from clvol.schedule.tiles import TILE, tiling
+from clvol.store.geometry import BlockGrid
+from clvol.transfer import TransferFunction
 from clvol.volume.voxel_layout import CELL_SHIFT, cell_count
 
 # Voxels beyond a visible cell that rays and gradients use: a ray takes up to 8 samples before it looks for empty space
@@ -38,7 +41,8 @@ class BrickVolume(ResidentVolume):
         self.size = max(nx, 2), max(ny, 2), max(nz, 2)
         self.cells = cell_count(self.size[0]), cell_count(self.size[1]), cell_count(self.size[2])
         self.cell_shift = CELL_SHIFT
-        self._name = source.name
+        self.memory_bytes = memory_bytes
+        self.layout = {"BRICKS": self.switches["BRICKS"], "VOXEL_PAIRS": self.switches["VOXEL_PAIRS"]}
         self._bounds = {CELL_SHIFT: self._mapped(CELL_SHIFT)}
 
     @property
@@ -57,9 +61,25 @@ class BrickVolume(ResidentVolume):
 
     def _mapped(self, shift: int) -> tuple[np.ndarray, np.ndarray]:
         x, y, z = (cell_count(n, shift) for n in self.size)
-        found = self.pool.bounds(shift)[:z, :y, :x].astype(np.float64)
+        finest = min(shift, self.switches["BRICKS"])
+        found = self.pool.bounds(finest).astype(np.float64)
+        low, high = found[..., 0], found[..., 1]
+        if finest < shift:
+            low, high = _joined(low, high, 1 << (shift - finest))
+        low, high = low[:z, :y, :x], high[:z, :y, :x]
         with np.errstate(over="ignore"):
-            return self.values(found[..., 0]), self.values(found[..., 1])
+            return self.values(low), self.values(high)
+
+
+def _joined(low: np.ndarray, high: np.ndarray, parts: int) -> tuple[np.ndarray, np.ndarray]:
+    """The bounds of cells of ``parts``^3 smaller ones."""
+    empty = low > high
+    low, high = np.where(empty, np.inf, low), np.where(empty, -np.inf, high)
+    for axis in range(3):
+        at = np.arange(0, low.shape[axis], parts)
+        low, high = np.minimum.reduceat(low, at, axis=axis), np.maximum.reduceat(high, at, axis=axis)
+    empty = low > high
+    return np.where(empty, 1.0, low), np.where(empty, 0.0, high)
 
 
 def _around(low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -98,19 +118,146 @@ class BrickCaster(Raycaster):
     ) -> None:
         super().__init__(context, resolved, lanes=lanes, skip=skip, tile=tile, volume=volume)
 
-    def _empty_space_found(self, mask: np.ndarray) -> None:
-        """``needed``: the numbers of the blocks in which rays, and what they look at beside them, may need voxels."""
-        blocks = self.volume.pool.blocks
-        self.needed = np.arange(blocks.count)
-        if self.skip:
-            self.needed = np.flatnonzero(blocks_near(mask, self._reach, blocks.counts, blocks.edge))
+    def set_transfer_function(self, function: TransferFunction) -> None:
+        self._needed: np.ndarray | None = None
+        super().set_transfer_function(function)
+
+    def for_scene(self, resolved: ResolvedScene) -> BrickCaster:
+        other = super().for_scene(resolved)
+        other._needed = None
+        return other
+
+    @property
+    def needed(self) -> np.ndarray:
+        """int64: the numbers of the blocks in which rays, and what they look at beside them, may need voxels."""
+        if self._needed is None:
+            blocks = self.volume.pool.blocks
+            if self.skip:
+                self._needed = blocks_near(self.shown_cells, self._reach, blocks)
+            else:
+                self._needed = np.arange(blocks.count)
+        return self._needed
+
+    def _build_shadows(self) -> None:
+        self._hold(self.needed, "the light volume")
+        super()._build_shadows()
 
     @property
     def _reach(self) -> np.ndarray:
         """Voxels (z, y, x) from a visible cell to what a ray may sample because of it."""
-        grid = self.resolved.volume.grid
-        moved: Perturbation = self._moved
-        steps = _SAMPLES_BEYOND * self.resolved.integration.step * grid.smallest_edge
-        samples = steps / np.asarray(grid.spacing)[::-1]
-        beside = FILTER_REACH[self.resolved.integration.filter] + _GRADIENT_REACH
-        return samples + beside + (np.asarray(moved.cells)[::-1] << CELL_SHIFT)
+        spacing = np.asarray(self.resolved.volume.grid.spacing)[::-1]
+        steps = _SAMPLES_BEYOND * self.resolved.integration.step * spacing.min()
+        moved = np.asarray(self._moved.cells)[::-1] << CELL_SHIFT
+        return steps / spacing + self._beside + moved
+
+    @property
+    def _beside(self) -> int:
+        """Voxels around a sample that its value and gradient depend on."""
+        return FILTER_REACH[self.resolved.integration.filter] + _GRADIENT_REACH
+
+    def _trace(
+        self,
+        frame: RayFrame,
+        size: tuple[int, int],
+        view: np.ndarray,
+        tiles: int,
+        depth: bool,
+        progress: TilesDone | None,
+        outputs: dict[str, DeviceArray],
+        wanted: np.ndarray | None = None,
+    ) -> tuple[list[DeviceArray], dict[str, int]]:
+        tallies: list[DeviceArray] = []
+        counts: dict[str, int] = {}
+        done = 0
+        for group, blocks in self._groups(frame, size, tiles):
+            self._hold(blocks, "a tile")
+            report = None if progress is None else lambda more, before=done: progress(min(before + more, tiles))
+            found, named = super()._trace(frame, size, view, tiles, depth, report, outputs, group)
+            tallies += found
+            counts = {name: counts.get(name, 0) + count for name, count in named.items()}
+            done += tiles if group is None else int(group.sum())
+            self.context.finish() if group is not None else None
+        return tallies, counts
+
+    def _hold(self, blocks: np.ndarray, what: str) -> None:
+        pool = self.volume.pool
+        if len(blocks) > pool.capacity:
+            more = (len(blocks) - pool.capacity) * pool.brick_bytes
+            where = f"{self.resolved.origin}: compression.memory"
+            raise SceneError(
+                where,
+                f"{pool.capacity} decoded blocks are held where the rays of {what} need {len(blocks)}",
+                f"at least {format_size(self.volume.memory_bytes + more)}",
+            )
+        pool.hold(blocks)
+
+    def _groups(
+        self, frame: RayFrame, size: tuple[int, int], tiles: int
+    ) -> Iterator[tuple[np.ndarray | None, np.ndarray]]:
+        """(tiles, blocks): bool [tiles], or None for all, that are rendered together, and the numbers of the blocks that
+        these need."""
+        pool, needed = self.volume.pool, self.needed
+        if self._rays_turn:
+            yield None, needed
+            return
+        (x0, x1), (y0, y1) = self._tile_ranges(frame, size)
+        seen = (x0 < x1) & (y0 < y1)
+        if seen.sum() <= pool.capacity:
+            yield None, needed[seen]
+            return
+        columns, rows = (-(-n // m) for n, m in zip(size, self.tile))
+        chosen, held = np.zeros(tiles, bool), np.zeros(len(needed), bool)
+        for row, column in _along_curve(columns, rows):
+            more = (x0 <= column) & (column < x1) & (y0 <= row) & (row < y1)
+            if (held | more).sum() > pool.capacity and chosen.any():
+                yield chosen, needed[held]
+                chosen, held = np.zeros(tiles, bool), np.zeros(len(needed), bool)
+            chosen[row * columns + column] = True
+            held |= more
+        yield chosen, needed[held]
+
+    @property
+    def _rays_turn(self) -> bool:
+        """Whether rays leave their tiles, or tiles are rendered more than once."""
+        switches = self.effects.switches
+        turns = switches.get("REFRACTION") or switches.get("SHADOWS") == METHODS["rays"]
+        return bool(turns) or self.resolved.image.ray_spacing > 1
+
+    def _tile_ranges(self, frame: RayFrame, size: tuple[int, int]) -> list[tuple[np.ndarray, np.ndarray]]:
+        """As ``tile_ranges``, of the blocks that are needed."""
+        blocks, spacing = self.volume.pool.blocks, np.asarray(self.resolved.volume.grid.spacing)
+        beside = self._beside + (np.asarray(self._moved.cells) << CELL_SHIFT)
+        low = blocks.places(self.needed)[:, ::-1] * blocks.edge
+        high = np.minimum(low + blocks.edge, np.asarray(self.volume.size) - 1)
+        to_edges = np.diag(spacing / spacing.min())
+        return tile_ranges(low - beside, high + beside, frame, to_edges, size, self.tile)
+
+
+def blocks_near(mask: np.ndarray, reach: np.ndarray, blocks: BlockGrid) -> np.ndarray:
+    """int64: the numbers of the blocks that have anything within ``reach`` voxels (z, y, x), rounded up to cells, of a
+    cell of ``mask`` bool [z, y, x]."""
+    per_block = max(blocks.edge >> CELL_SHIFT, 1)
+    near = spread(mask, tuple(int(n) for n in np.ceil(reach / (1 << CELL_SHIFT)).astype(int)[::-1]), np.logical_or)
+    if blocks.edge < 1 << CELL_SHIFT:
+        near = near.repeat(parts := (1 << CELL_SHIFT) // blocks.edge, 0).repeat(parts, 1).repeat(parts, 2)
+    room = np.zeros([n * per_block for n in blocks.counts], bool)
+    z, y, x = (min(a, b) for a, b in zip(near.shape, room.shape))
+    room[:z, :y, :x] = near[:z, :y, :x]
+    # Cells end one voxel before the volume does: a last block of a single plane has none of its own.
+    for axis, (n, given) in enumerate(zip(room.shape, near.shape)):
+        if given < n:
+            last = np.take(room, [given - 1], axis=axis)
+            index = [slice(None)] * 3
+            index[axis] = slice(given, n)
+            room[tuple(index)] |= last
+    bz, by, bx = blocks.counts
+    split = room.reshape(bz, per_block, by, per_block, bx, per_block)
+    return np.flatnonzero(split.any(axis=(1, 3, 5)))
+
+
+def _along_curve(columns: int, rows: int) -> list[tuple[int, int]]:
+    """(row, column) of all tiles in Morton's order, in which tiles that follow each other are close together."""
+    row, column = (axis.ravel() for axis in np.mgrid[:rows, :columns])
+    code = sum(((column >> k & 1) << 2 * k) | ((row >> k & 1) << 2 * k + 1) for k in range(16))
+    order = np.argsort(code)
+    return list(zip(row[order].tolist(), column[order].tolist()))

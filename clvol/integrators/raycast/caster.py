@@ -89,6 +89,7 @@ class Raycaster:
     distances: DeviceArray
     warp: DeviceArray
     surface_cells: np.ndarray
+    shown_cells: np.ndarray  # bool [z, y, x]: cells in which anything can be visible
 
     def __init__(
         self,
@@ -146,12 +147,14 @@ class Raycaster:
         if fields:
             mask = (mask | fields.shown) & fields.kept
         self.visible_share = float(mask.mean())
+        self.shown_cells = mask
         self.march.find_empty_space(self, mask)
         warp = self.nodes.warp
         self.warp = context.upload(np.zeros(2, np.float32) if warp is None else warp)
         self.switches = raycast_switches(
             resolved, lanes=self.lanes, skip=self.skip, function=function
         )
+        self.switches |= self.volume.layout
         self.switches |= self.effects.switches  # those that respect the limits of the device
         self.switches |= self.march.switches()
         self.light_volume_samples = 0
@@ -343,11 +346,13 @@ class Raycaster:
         depth: bool,
         progress: TilesDone | None,
         outputs: dict[str, DeviceArray],
+        wanted: np.ndarray | None = None,
     ) -> tuple[list[DeviceArray], dict[str, int]]:
-        """Casts the rays of all pixels into ``outputs``. Tiles that can see no surface are rendered by
-        kernels without surfaces. Returns the arrays of counts, and how many tiles were of either kind."""
+        """Casts the rays of all pixels, or of those in the tiles ``wanted`` (bool [tiles]), into ``outputs``. Tiles that
+        can see no surface are rendered by kernels without surfaces. Returns the arrays of counts, and how many tiles
+        were of either kind."""
         if self._without_surfaces is None:
-            tally = self._launches("raycast", view, tiles, depth, progress, outputs)
+            tally = self._launches("raycast", view, tiles, depth, progress, outputs, wanted)
             return [] if tally is None else [tally], {}
         seen = tiles_that_see(
             self.surface_cells, self.volume.size, frame, self.effects.space.matrix, size, self.tile
@@ -355,13 +360,14 @@ class Raycaster:
         done = share = 0.0
         tallies: list[DeviceArray] = []
         report = None if progress is None else lambda more: progress(int(done + more * share))
-        for engine, chosen in ((self, seen), (self._without_surfaces, ~seen)):
+        every = np.ones(tiles, bool) if wanted is None else wanted
+        for engine, chosen in ((self, every & seen), (self._without_surfaces, every & ~seen)):
             share = chosen.mean()
             if share:
                 tally = engine._launches("raycast", view, tiles, depth, report, outputs, chosen)
                 tallies += [] if tally is None else [tally]
             done += share * tiles
-        counted = {"tiles_with_surfaces": seen.sum(), "tiles_without_surfaces": (~seen).sum()}
+        counted = {"tiles_with_surfaces": (every & seen).sum(), "tiles_without_surfaces": (every & ~seen).sum()}
         return tallies, {name: int(count) for name, count in counted.items()}
 
     @property
