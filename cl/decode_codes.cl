@@ -55,7 +55,7 @@ RARE __global const uchar *put_escape(__global const uchar *p, __global const ch
 #if CODED_SIDE == 4
 /* A block of residual codes: p is after its kind. */
 INLINE void put_coded(__global const uchar *p, __global const char *entries, __constant const CodeMap *map,
-                      const Target *target)
+                      const Target *target, int limit)
 {
   const int s = target->extent.w, per_axis = max(s / 8, 1), octants = per_axis * per_axis * per_axis;
   const int each = s == 4 ? 1 : 8;
@@ -84,7 +84,7 @@ INLINE void put_coded(__global const uchar *p, __global const char *entries, __c
     next[j + 1] = next[j] + left;
   }
   __global const uchar *escapes = next[MOST_STAGES];
-  const int limit = map->limit, whole = limit >= map->stages;
+  const int whole = limit >= map->stages;
 
   for (int k = 0, sub = 0; k < octants; ++k) {
     const int ox = k % per_axis * 8, oy = k / per_axis % per_axis * 8, oz = k / (per_axis * per_axis) * 8;
@@ -113,10 +113,10 @@ INLINE void put_coded(__global const uchar *p, __global const char *entries, __c
 
 /* A block whose sub-blocks all have the same stages: p is after its kind. */
 INLINE void put_fixed(__global const uchar *p, __global const char *entries, __constant const CodeMap *map,
-                      const Target *target)
+                      const Target *target, int limit)
 {
   const int s = target->extent.w, per_axis = s / CODED_SIDE, subs = per_axis * per_axis * per_axis;
-  const int limit = min(map->limit, map->stages);
+  limit = min(limit, map->stages);
 #if CODED_SIDE == 4
   for (int k = 0; k < subs; ++k) {
     const int x = k % per_axis * 4, y = k / per_axis % per_axis * 4, z = k / (per_axis * per_axis) * 4;
@@ -190,10 +190,10 @@ __kernel WIDE_VECTORS __attribute__((reqd_work_group_size(1, 1, 1))) void decode
     put_raw(p, &target, s);
 #if CODED_SIDE == 4
   else if (kind == BLOCK_CODED)
-    put_coded(p, entries, map, &target);
+    put_coded(p, entries, map, &target, block.limit);
 #endif
   else if (kind == BLOCK_FIXED)
-    put_fixed(p, entries, map, &target);
+    put_fixed(p, entries, map, &target, block.limit);
   else {
     fill(voxels_of((int16)0, map).s0, &target, 0, 0, 0, s);
     *fault = k;

@@ -50,28 +50,29 @@ typedef float16 Voxel16;
 #endif
 
 /* Where a block's bytes begin in `codes`, and its first voxel in `voxels`. extent: samples that are wanted along x, y
- * and z, and in w the samples per axis of the block. */
+ * and z, and in w the samples per axis of the block. limit: no more stages of it are decoded. */
 typedef struct {
   int4 extent;
   long from, to;
+  int limit;
 } CodedBlock;
 
 /* Reported to the host (struct_fields.h). */
 #define CODED_BLOCK_FIELDS \
-  STRUCT(CodedBlock), FIELD(CodedBlock, extent), FIELD(CodedBlock, from), FIELD(CodedBlock, to)
+  STRUCT(CodedBlock), FIELD(CodedBlock, extent), FIELD(CodedBlock, from), FIELD(CodedBlock, to), \
+      FIELD(CodedBlock, limit)
 
-/* What all blocks of a volume share. entries [stages, 256, CODED_SIDE^3]; limit: no more stages are decoded; low, span,
- * first, scale: as in working_values.py. */
+/* What all blocks of a volume share; low, span, first and scale are as in working_values.py. */
 typedef struct {
   int4 shifts[MOST_STAGES / 4]; /* SHIFT(map, j) is that of stage j */
-  int stages, limit, residual_step, low, span, first;
+  int stages, residual_step, low, span, first;
   float scale;
 } CodeMap;
 
 #define SHIFT(map, j) (((__constant const int *)(map)->shifts)[j])
 
 #define CODE_MAP_FIELDS                                                                                            \
-  STRUCT(CodeMap), FIELD(CodeMap, shifts), FIELD(CodeMap, stages), FIELD(CodeMap, limit),                          \
+  STRUCT(CodeMap), FIELD(CodeMap, shifts), FIELD(CodeMap, stages),                                                 \
       FIELD(CodeMap, residual_step), FIELD(CodeMap, low), FIELD(CodeMap, span), FIELD(CodeMap, first),             \
       FIELD(CodeMap, scale)
 
