@@ -10,11 +10,13 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from clvol.device.code_decoder import CodeDecoder
 from clvol.device.memory import VoxelFacts, value_map, voxel_switches
 from clvol.errors import SceneError
 from clvol.opencl.arguments import RAW, reads, value, writes
 from clvol.opencl.context import DeviceArray, DeviceContext
 from clvol.scene.sizes import format_size
+from clvol.store.codecs.coded_blocks import Codebooks, CodedBlocks
 from clvol.store.geometry import BlockGrid
 from clvol.store.source import BlockSource
 from clvol.volume.voxel_layout import CELL_SHIFT, LARGEST_OFFSET
@@ -211,3 +213,31 @@ class ReadBricks:
 
     def put(self, blocks: np.ndarray, target: DeviceArray) -> None:
         self._context.write(target, self._source.read(0, blocks))
+
+
+class CodedBricks:
+    """A ``BrickSource`` whose blocks are codes that stay on the device. ``volume``: the decoded voxels' facts and name;
+    ``coded``: all blocks of ``blocks``, in order, at full resolution."""
+
+    def __init__(
+        self,
+        context: DeviceContext,
+        volume: VoxelFacts,
+        blocks: BlockGrid,
+        codebooks: Codebooks,
+        coded: CodedBlocks,
+        name: str = "volume",
+    ) -> None:
+        self.name, self.blocks, self.dtype = name, blocks, codebooks.values.dtype
+        self.value_range, self.nan_count, self.inf_count = volume.value_range, volume.nan_count, volume.inf_count
+        self._decoder = CodeDecoder(context, codebooks, name)
+        self._held = self._decoder.hold(coded, blocks.edge)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of codes and codebooks on the device."""
+        return self._held.nbytes + self._decoder.nbytes
+
+    def put(self, blocks: np.ndarray, target: DeviceArray) -> None:
+        places = np.arange(len(blocks)) * self.blocks.edge**3
+        self._decoder.into_blocks(self._held, blocks, target, places)
