@@ -19,6 +19,7 @@ from clvol.opencl.context import DeviceArray, DeviceContext
 from clvol.opencl.structs import CODE_MAP, CODED_BLOCK
 from clvol.store.codecs.coded_blocks import MOST_STAGES, Codebooks, CodedBlocks
 from clvol.store.codecs.layout import check_codes
+from clvol.store.codecs.working_values import LARGEST
 
 SPARE_BYTES = 64  # after the codes of a buffer: kernels read vectors that may end beyond the last block
 STAGING_BYTES = 16 * 2**20
@@ -214,6 +215,7 @@ def switches(codebooks: Codebooks) -> dict[str, int]:
     return {
         "LANES": 1, "VOXEL_BITS": dtype.itemsize * 8, "VOXEL_SIGNED": int(dtype.kind == "i"),
         "CODED_SIDE": codebooks.side, "CODED_MEANS": int(codebooks.codec != "vq"),
+        "CODED_WHOLE": int(codebooks.values.span == LARGEST),
     }  # fmt: skip
 
 
