@@ -1,4 +1,4 @@
-"""Blocks of samples as bytes, by what a training says. The same bytes on every device, and however blocks are grouped."""
+"""Blocks of samples as bytes, by what a training says: the same on every device, and however blocks are grouped."""
 
 from __future__ import annotations
 
@@ -128,7 +128,8 @@ class CodeEncoder:
         odd = np.zeros((cut.octants, cut.subs), np.uint8)
         if samples.odd is not None:
             n = edge // 4
-            odd = in_octants(samples.odd.reshape(k, n, 4, n, 4, n, 4).any(axis=(2, 4, 6)), cut.subs).astype(np.uint8)
+            cells = samples.odd.astype(np.uint8).reshape(k, n, 4, n, 4, n, 4).max(axis=(2, 4, 6))
+            odd = np.ascontiguousarray(in_octants(cells, cut.subs))
         packed = self.policy.packed
         chosen = self.kernels.choose(
             cut, odd, self.tables, self.codebooks.stages, np.repeat(lambdas, per_block), np.repeat(bounds, per_block),
@@ -155,7 +156,7 @@ class CodeEncoder:
         self, samples: Samples, cut: CutBlocks, chosen: ChosenCodes, escaped: np.ndarray
     ) -> np.ndarray:
         """int32 [n, 64]: what is left of escaped sub-blocks after their stages, in residual steps."""
-        books, values = self.codebooks, self.codebooks.values
+        books = self.codebooks
         octant, sub = np.divmod(escaped, cut.subs)
         escapes = chosen.escapes.reshape(-1)[escaped]
         stages = np.where(escapes == RAW_SAMPLES, 0, escapes & 15)

@@ -1,9 +1,9 @@
 """Training of one codebook: principal-axis splits, then Lloyd's iterations, in exact integers.
 
 Splits as in Wu, "Color quantization by dynamic programming and principal analysis" (1992): the cell with the largest
-error is cut across its principal axis at the mean. Iterations as in Linde, Buzo and Gray (1980), with codewords rounded to
-what is stored. All sums are integers below 2^53, also where a matrix product in double precision computes them, so the
-result does not depend on the machine.
+error is cut across its principal axis at the mean. Iterations as in Linde, Buzo and Gray (1980), with codewords rounded
+to what is stored. All sums are integers below 2^53, also where a matrix product in double precision computes them, so
+the result does not depend on the machine.
 """
 
 from __future__ import annotations
@@ -91,7 +91,8 @@ def farthest(rows: np.ndarray, entries: np.ndarray, codes: np.ndarray, shift: in
     first = np.full(ENTRIES, -1)
     cells, places = np.unique(codes[by_distance], return_index=True)
     first[cells] = by_distance[places]
-    worst = [int(first[cell]) for cell in np.argsort(-errors, kind="stable")[:count] if errors[cell] and first[cell] >= 0]
+    cells = np.argsort(-errors, kind="stable")[:count]
+    worst = [int(first[cell]) for cell in cells if errors[cell]]
     more = by_distance[: count - len(worst)]
     chosen = np.concatenate([np.array(worst, np.int64), more])
     return rows[np.resize(chosen, count)].astype(np.int64)

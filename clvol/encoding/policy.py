@@ -69,7 +69,7 @@ class Policy:
 
 
 def bound_of(share: float, values: WorkingValues, value_range: tuple[float, float]) -> int:
-    """The largest error, in the unit of ``Policy.bound``, at which no voxel is further off than ``share`` of the range."""
+    """The largest ``Policy.bound`` with which no voxel is further off than ``share`` of the range."""
     span = value_range[1] - value_range[0]
     if not values.is_float:
         return math.floor(share * span * (1 + 1e-12))

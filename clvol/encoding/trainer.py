@@ -68,7 +68,8 @@ class CodeTrainer:
                 residual = context.read(left)
             if progress is not None:
                 progress(stage + 1, stages + 1)
-        policy, stages = self._policy(source, value_range, Codebooks(codec, side, entries, shifts, values), target, seed)
+        books = Codebooks(codec, side, entries, shifts, values)
+        policy, stages = self._policy(source, value_range, books, target, seed)
         books = Codebooks(codec, side, entries[:stages], shifts[:stages], values, policy.residual_step)
         if progress is not None:
             progress(len(shifts) + 1, len(shifts) + 1)
@@ -102,7 +103,7 @@ class CodeTrainer:
         sample = sample.astype(books.values.dtype)
         k = len(sample)
         sample = sample.reshape(k, 2, 16, 2, 16, 2, 16).transpose(0, 1, 3, 5, 2, 4, 6).reshape(-1, 16, 16, 16)
-        peak = books.values.span if not books.values.is_float else (value_range[1] - value_range[0]) / books.values.scale
+        peak = (value_range[1] - value_range[0]) / books.values.scale  # of integers, the scale is 1
         total = float(np.prod(source.shape, dtype=np.float64))
         low, high = 0, 40
         best = 1
