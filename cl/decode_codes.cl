@@ -212,7 +212,7 @@ INLINE void put_fixed(__global const uchar *p, __global const char *entries, __c
  * fault    int: the number of a block of unknown kind, if there is one; else it is left alone. Such a block is filled
  *          with `low`.
  */
-__kernel WIDE_VECTORS __attribute__((reqd_work_group_size(1, 1, 1))) void decode_codes(
+__kernel WIDE_VECTORS __attribute__((reqd_work_group_size(CODED_GROUP, 1, 1))) void decode_codes(
   __global const CodedBlock *restrict blocks, int count, __global const uchar *restrict codes,
   __global const char *restrict entries, __constant const CodeMap *restrict map, __global Voxel *restrict voxels,
   long first_code, long first_voxel, long row, long slice, __global int *restrict fault)

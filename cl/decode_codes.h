@@ -6,7 +6,8 @@
  * A sub-block of 4^3 samples is four vectors of 16 working values, one for each of its slices.
  *
  * Switches (-D): VOXEL_BITS, VOXEL_SIGNED (voxel_type.h); CODED_SIDE, samples per axis of a sub-block (2 or 4);
- * CODED_MEANS, whether FIXED blocks have means; CODED_WHOLE, whether integer voxels have all 65536 values.
+ * CODED_MEANS, whether FIXED blocks have means; CODED_WHOLE, whether integer voxels have all 65536 values;
+ * CODED_GROUP: work-items of a group.
  */
 #ifndef DECODE_CODES_H
 #define DECODE_CODES_H
@@ -51,6 +52,7 @@ typedef float16 Voxel16;
 typedef float4 Row4 __attribute__((aligned(1)));
 typedef float8 Row8 __attribute__((aligned(1)));
 #endif
+typedef Voxel16 Row16 __attribute__((aligned(1)));
 
 /* Where a block's bytes begin in `codes`, and its first voxel in `voxels`. extent: samples that are wanted along x, y
  * and z, and in w the samples per axis of the block. limit: no more stages of it are decoded. */
@@ -220,7 +222,7 @@ INLINE void fill(Voxel v, const Target *target, int x, int y, int z, int edge)
   const int columns = min(target->extent.x - x, edge), rows = min(target->extent.y - y, edge);
   const int slices = min(target->extent.z - z, edge);
   __global Voxel *at = target->at + z * target->slice + y * target->row + x;
-  const Voxel16 all = v;
+  const Row16 all = (Voxel16)v;
   for (int c = 0; c < slices; ++c) {
     if (columns == 8 && rows == 8) {
       put_rows8(all, all, at + c * target->slice, target->row, 2 * target->row);
@@ -230,7 +232,7 @@ INLINE void fill(Voxel v, const Target *target, int x, int y, int z, int edge)
     for (int b = 0; b < rows; ++b) {
       __global Voxel *out = at + c * target->slice + b * target->row;
       int a = 0;
-      for (; a + 16 <= columns; a += 16) vstore16(all, 0, out + a);
+      for (; a + 16 <= columns; a += 16) *(__global Row16 *)(out + a) = all;
       for (; a < columns; ++a) out[a] = v;
     }
   }
@@ -244,7 +246,7 @@ INLINE void put_raw(__global const uchar *bytes, const Target *target, int edge)
       __global Voxel *out = target->at + z * target->slice + y * target->row;
       __global const uchar *in = bytes + (z * edge + y) * edge * (int)sizeof(Voxel);
       int x = 0;
-      for (; x + 16 <= target->extent.x; x += 16) vstore16(samples_at(in, x >> 4), 0, out + x);
+      for (; x + 16 <= target->extent.x; x += 16) *(__global Row16 *)(out + x) = samples_at(in, x >> 4);
       for (; x < target->extent.x; ++x) out[x] = sample_at(in, x);
     }
 }
