@@ -18,6 +18,7 @@ from clvol.scene.animation import Animation
 from clvol.scene.camera import Camera
 from clvol.scene.clip import Clip
 from clvol.scene.codes import code_of, function_in_codes, in_stored_values
+from clvol.scene.compression import Compression
 from clvol.scene.depth_cue import DepthCue
 from clvol.scene.environment import Environment
 from clvol.scene.field import ResolvedField
@@ -89,6 +90,7 @@ class ResolvedScene:
     animation: Animation = Animation()
     voxel_range: tuple[float, float] | None = None  # where ``volume`` holds codes instead of voxels
     axis: ValueAxis = ValueAxis()
+    compression: Compression = Compression()
 
     @property
     def data_range(self) -> tuple[float, float]:
@@ -156,6 +158,7 @@ def resolve(scene: Scene, memory_cap: int | None = None) -> ResolvedScene:
         noise=scene.noise,
         depth_cue=cue,
         animation=scene.animation,
+        compression=scene.compression,
     )
     return in_stored_values(resolved)
 
