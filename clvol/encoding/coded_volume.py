@@ -11,7 +11,7 @@ import numpy as np
 
 from clvol.errors import VolumeError
 from clvol.scene.compression import Compression
-from clvol.store.codecs.coded_blocks import CodedBlocks, Codebooks, MeasuredError
+from clvol.store.codecs.coded_blocks import Codebooks, CodedBlocks, MeasuredError
 from clvol.store.codecs.encoding import BlockEncoder, Progress, Trainer
 from clvol.store.geometry import BlockGrid
 from clvol.store.resolutions import split, whole_blocks
@@ -117,8 +117,9 @@ def encoded_volume(
     training = trainer.train(source, value_range, compression.codec, compression.target, compression.seed, progress)
     blocks = BlockGrid(volume.shape, EDGE)
     coded = _joined(_encoded_layers(source, blocks, trainer.encoder(training), progress))
-    about = {"name": volume.name, "frame": volume.frame, "unit": volume.unit}
-    return CodedVolume(volume.grid, blocks, training.codebooks, coded, **about)
+    return CodedVolume(
+        volume.grid, blocks, training.codebooks, coded, name=volume.name, frame=volume.frame, unit=volume.unit
+    )
 
 
 def _encoded_layers(

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Hashable
 from dataclasses import replace
 from typing import Any
 
-from clvol.encoding.coded_volume import CodedVolume, DecodedVolume, encoded_volume, measured_error
+from clvol.encoding.coded_volume import CodedVolume, Decode, DecodedVolume, encoded_volume, measured_error, stats_of
 from clvol.errors import SceneError
-from clvol.features.compression import coded_source, is_compressed
+from clvol.features.compression import is_compressed
 from clvol.integrators.base import Integrator, Progress, Shared
 from clvol.scene.compression import NOT_COMPRESSED
 from clvol.scene.resolve import ResolvedScene
+from clvol.store.codecs.decode import decode_blocks
+from clvol.store.codecs.encoding import Trainer
 from clvol.volume.voxel_layout import device_bytes
 
 _KEPT_CODES, _KEPT_VOXELS = 12, 3  # volumes
@@ -63,3 +66,28 @@ def with_rendered_voxels(
     decode = decoder(shared)
     volume: DecodedVolume = shared.keep("decoded voxels", codes, lambda: codes.decoded(decode), _KEPT_VOXELS)
     return replace(resolved, volume=volume, compression=NOT_COMPRESSED)
+
+
+def compression_stats(resolved: ResolvedScene, shared: Shared) -> dict[str, Any] | None:
+    """The entry "compression" of a frame's stats; None for a scene without compression."""
+    codes = codes_of(resolved, shared)
+    if codes is None:
+        return None
+    volume = shared.keep("decoded voxels", codes, lambda: codes.decoded(decoder(shared)), _KEPT_VOXELS)
+    return stats_of(codes, device_bytes(volume), math.prod(volume.shape))
+
+
+def _made(resolved: ResolvedScene, shared: Shared, progress: Progress | None) -> CodedVolume:
+    volume, decode = resolved.volume, decoder(shared)
+    codes = encoded_volume(volume, resolved.compression, trainer(shared), progress)
+    error = measured_error(volume, codes.layers(decode), codes.bits_per_voxel)
+    return replace(codes, measured=error)
+
+
+def trainer(shared: Shared) -> Trainer:
+    raise NotImplementedError
+
+
+def decoder(shared: Shared) -> Decode:
+    """Decodes blocks on the device of ``shared``."""
+    return decode_blocks

@@ -11,6 +11,7 @@ import clvol
 from clvol.errors import ClvolError
 from clvol.integrators.registry import integrator_of
 from clvol.json_values import plain
+from clvol.scene.compression import NOT_COMPRESSED
 from clvol.volume.digest import file_digest, volume_digest
 
 if TYPE_CHECKING:
@@ -73,6 +74,8 @@ def _look(resolved: ResolvedScene) -> str:
     function = resolved.transfer_function
     numbers = [function.values, function.opacities, function.colors, function.opacity_unit]
     tables = {name: getattr(resolved, name).model_dump(mode="json") for name in _LOOK}
+    if resolved.compression != NOT_COMPRESSED:  # pictures without compression keep the digest of earlier versions
+        tables["compression"] = resolved.compression.model_dump(mode="json")
     return json.dumps(plain([numbers, resolved.background, tables]), sort_keys=True)
 
 

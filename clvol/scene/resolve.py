@@ -106,6 +106,7 @@ class ResolvedScene:
 
 def resolve(scene: Scene, memory_cap: int | None = None) -> ResolvedScene:
     """See ``Scene.resolve``."""
+    _check_no_labels(scene)
     volume = scene.load_volume(memory_cap)
     camera = (scene.camera or Camera()).complete(volume.grid, scene.image, scene.origin)
     _check_step_count(scene, volume.grid)
@@ -236,6 +237,22 @@ def _with_nan_as(volume: Volume, value: float) -> Volume:
     )
     filled.files = volume.files
     return filled
+
+
+def _check_no_labels(scene: Scene) -> None:
+    """SceneError for a lossy codec of voxels that a field of the scene takes for labels."""
+    codec, volume = scene.compression.codec, scene.volume
+    if codec == "none":
+        return
+    for number, field in enumerate(scene.field):
+        same = field.file is volume
+        if isinstance(volume, VolumeSettings) and isinstance(field.file, str):
+            own = {"channel": volume.channel, "time": volume.time, "series": volume.series}
+            same = field.file == volume.file and field.choices == own
+        if same and field.role == "label":
+            where = f"{scene.origin}: compression.codec"
+            what = f"got {codec!r} for voxels that field.{number} takes for labels, which have to be exact"
+            raise SceneError(where, what, "'none'")
 
 
 def _check_step_count(scene: Scene, grid: Grid) -> None:
