@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from clvol.encoding.coded_volume import CodedVolume
 from clvol.integrators.base import Prepared, Shared
-from clvol.integrators.decoding import compression_stats, with_rendered_voxels
+from clvol.integrators.decoding import codes_of, compression_stats, with_rendered_voxels
 from clvol.integrators.registry import integrator_of
 from clvol.opencl.context import DeviceContext
 from clvol.render.scene_key import scene_key
@@ -50,6 +51,10 @@ class PreparedCache:
             del self._kept[next(iter(self._kept))]
         self._kept[key] = prepared
         return prepared
+
+    def codes(self, resolved: ResolvedScene) -> CodedVolume | None:
+        """The volume of ``resolved`` as codes, which are kept; None for a scene without codes."""
+        return codes_of(resolved, self._shared)
 
     def compression(self, resolved: ResolvedScene) -> dict[str, Any]:
         """"compression" for the stats of a frame of ``resolved``; nothing for a scene without codes."""
