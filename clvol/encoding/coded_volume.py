@@ -16,6 +16,7 @@ from clvol.store.codecs.encoding import BlockEncoder, Progress, Trainer
 from clvol.store.geometry import BlockGrid
 from clvol.store.resolutions import split, whole_blocks
 from clvol.store.voxel_source import VolumeSource
+from clvol.store.zarr_store import StoredBlocks
 from clvol.volume.grid import Grid
 from clvol.volume.volume import Volume
 
@@ -120,6 +121,15 @@ def encoded_volume(
     return CodedVolume(
         volume.grid, blocks, training.codebooks, coded, name=volume.name, frame=volume.frame, unit=volume.unit
     )
+
+
+def stored_codes(volume: Volume) -> CodedVolume:
+    """The codes of the store that ``volume`` is, and the error that the store states."""
+    source = getattr(volume, "blocks_source", None)
+    assert isinstance(source, StoredBlocks) and source.codebooks is not None and source.codes is not None
+    coded = source.read_codes(0, np.arange(source.blocks.count))
+    about = source.codes.measured, volume.name, volume.frame, volume.unit
+    return CodedVolume(volume.grid, source.blocks, source.codebooks, coded, *about)
 
 
 def _encoded_layers(

@@ -24,10 +24,13 @@ def is_compressed(resolved: ResolvedScene) -> bool:
 
 
 def check_compression(resolved: ResolvedScene) -> None:
-    """SceneError for a codec of voxels that are codes already."""
-    codec = resolved.compression.codec
-    if codec != "none" and coded_source(resolved.volume) is not None:
-        where = f"{resolved.origin}: compression.codec"
+    """SceneError for a lossy codec of voxels that are known to be labels, or codes already."""
+    codec, where = resolved.compression.codec, f"{resolved.origin}: compression.codec"
+    if codec == "none":
+        return
+    if resolved.volume.labels:
+        raise SceneError(where, f"got {codec!r} for a volume of labels, which have to be exact", "'none'")
+    if coded_source(resolved.volume) is not None:
         raise SceneError(where, f"got {codec!r} for a store of codes", "'none', since its own codes are decoded")
 
 

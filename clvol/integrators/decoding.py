@@ -1,4 +1,4 @@
-"""Compressed volumes on their way to an integrator: encoded once per scene's settings, decoded as the scene says."""
+"""Compressed volumes on their way to an integrator: encoded once for a scene's settings, and decoded as it says."""
 
 from __future__ import annotations
 
@@ -7,10 +7,22 @@ from collections.abc import Hashable
 from dataclasses import replace
 from typing import Any
 
-from clvol.encoding.coded_volume import CodedVolume, Decode, DecodedVolume, encoded_volume, measured_error, stats_of
+import numpy as np
+
+from clvol.device.code_decoder import CodeDecoder
+from clvol.encoding.coded_volume import (
+    CodedVolume,
+    DecodedVolume,
+    encoded_volume,
+    measured_error,
+    stats_of,
+    stored_codes,
+)
+from clvol.encoding.trainer import CodeTrainer
 from clvol.errors import SceneError
-from clvol.features.compression import is_compressed
+from clvol.features.compression import coded_source, is_compressed
 from clvol.integrators.base import Integrator, Progress, Shared
+from clvol.opencl.context import DeviceContext
 from clvol.scene.compression import NOT_COMPRESSED
 from clvol.scene.resolve import ResolvedScene
 from clvol.store.codecs.decode import decode_blocks
@@ -32,62 +44,76 @@ def check_decoding(resolved: ResolvedScene, integrator: Integrator) -> None:
         raise SceneError(where, f"got 'resident' with the method {integrator.name!r}", "'upload' or 'auto'")
 
 
-def way_of_decoding(resolved: ResolvedScene, shared: Shared, integrator: Integrator) -> str:
-    """"upload" or "resident", which is taken where the scene leaves it open and the decoded voxels do not fit."""
-    way = resolved.compression.decode
-    if way != "auto" or not holds_codes(integrator):
-        return "upload" if way == "auto" else way
-    device, needed = shared.context.device, device_bytes(resolved.volume)
-    fits = needed <= min(int(device.max_mem_alloc_size), int(device.global_mem_size))
-    if integrator.reads_blocks:
-        fits &= needed <= resolved.multiresolution.memory_bytes
-    return "upload" if fits else "resident"
-
-
 def codes_of(resolved: ResolvedScene, shared: Shared, progress: Progress | None = None) -> CodedVolume | None:
-    """The scene's volume as codes, made once; None for a scene without compression."""
+    """The scene's volume as codes, made (or read, from a store of codes) once; None for a scene without compression.
+
+    Codes are kept by what they depend on: the volume, the codec, its target and the seed.
+    """
     if not is_compressed(resolved):
         return None
     compression, volume = resolved.compression, resolved.volume
-    key: Hashable = volume
-    if compression.codec != "none":
-        key = volume, compression.codec, compression.target, compression.seed
-    return shared.keep("codes", key, lambda: _made(resolved, shared, progress), _KEPT_CODES)
+    key: Hashable = volume, compression.codec, compression.target, compression.seed
+    if coded_source(volume) is not None:
+        return shared.keep("codes", volume, lambda: stored_codes(volume), _KEPT_CODES)
+    return shared.keep("codes", key, lambda: _encoded(resolved, shared, progress), _KEPT_CODES)
+
+
+def decoded_voxels(codes: CodedVolume, shared: Shared) -> DecodedVolume:
+    """All voxels of ``codes``, decoded once on the device of ``shared``."""
+    return shared.keep("decoded voxels", codes, lambda: _decoded(codes, shared.context), _KEPT_VOXELS)
 
 
 def with_rendered_voxels(
     resolved: ResolvedScene, shared: Shared, integrator: Integrator, progress: Progress | None = None
 ) -> ResolvedScene:
-    """``resolved`` with decoded voxels, or with codes that the integrator decodes, in place of its volume."""
-    codes = codes_of(resolved, shared, progress)
-    if codes is None:
+    """``resolved`` with decoded voxels in place of a compressed volume: from here on they are the volume, so that empty
+    space, statistics, gradients and surfaces are theirs. A store of codes is left to an integrator that reads blocks.
+
+    ``resolved`` itself where there is nothing to decode.
+    """
+    if not is_compressed(resolved) or (integrator.reads_blocks and coded_source(resolved.volume) is not None):
         is_default = resolved.compression == NOT_COMPRESSED
         return resolved if is_default else replace(resolved, compression=NOT_COMPRESSED)
-    decode = decoder(shared)
-    volume: DecodedVolume = shared.keep("decoded voxels", codes, lambda: codes.decoded(decode), _KEPT_VOXELS)
-    return replace(resolved, volume=volume, compression=NOT_COMPRESSED)
+    codes = codes_of(resolved, shared, progress)
+    assert codes is not None
+    return replace(resolved, volume=decoded_voxels(codes, shared), compression=NOT_COMPRESSED)
 
 
-def compression_stats(resolved: ResolvedScene, shared: Shared) -> dict[str, Any] | None:
+def compression_stats(resolved: ResolvedScene, shared: Shared, integrator: Integrator) -> dict[str, Any] | None:
     """The entry "compression" of a frame's stats; None for a scene without compression."""
-    codes = codes_of(resolved, shared)
-    if codes is None:
+    source = coded_source(resolved.volume)
+    if source is not None and integrator.reads_blocks:
         return None
-    volume = shared.keep("decoded voxels", codes, lambda: codes.decoded(decoder(shared)), _KEPT_VOXELS)
-    return stats_of(codes, device_bytes(volume), math.prod(volume.shape))
+    codes = codes_of(resolved, shared)
+    return None if codes is None else stats_of(codes, device_bytes(codes), _count(codes))
 
 
-def _made(resolved: ResolvedScene, shared: Shared, progress: Progress | None) -> CodedVolume:
-    volume, decode = resolved.volume, decoder(shared)
-    codes = encoded_volume(volume, resolved.compression, trainer(shared), progress)
-    error = measured_error(volume, codes.layers(decode), codes.bits_per_voxel)
-    return replace(codes, measured=error)
+def _count(codes: CodedVolume) -> int:
+    return math.prod(codes.grid.shape)
 
 
-def trainer(shared: Shared) -> Trainer:
-    raise NotImplementedError
+def _encoded(resolved: ResolvedScene, shared: Shared, progress: Progress | None) -> CodedVolume:
+    """The scene's volume as codes, with their error over all voxels, which are then decoded already."""
+    volume = resolved.volume
+    codes = encoded_volume(volume, resolved.compression, trainer(shared.context), progress)
+    decoded = _decoded(codes, shared.context)
+    codes = replace(codes, measured=measured_error(volume, decoded.layers(), codes.bits_per_voxel))
+    decoded.codes = codes
+    shared.keep("decoded voxels", codes, lambda: decoded, _KEPT_VOXELS)
+    return codes
 
 
-def decoder(shared: Shared) -> Decode:
-    """Decodes blocks on the device of ``shared``."""
-    return decode_blocks
+def trainer(context: DeviceContext) -> Trainer:
+    """Makes encoders whose search runs on the device."""
+    return CodeTrainer(context)
+
+
+def _decoded(codes: CodedVolume, context: DeviceContext) -> DecodedVolume:
+    """The voxels, decoded by the device, or by the host where they exceed what one buffer of the device may hold."""
+    if _count(codes) * codes.dtype.itemsize > int(context.device.max_mem_alloc_size):
+        return codes.decoded(decode_blocks)
+    voxels = context.output(codes.dtype, codes.grid.shape)
+    corners = codes.blocks.places(np.arange(codes.blocks.count)) * codes.blocks.edge
+    decoder = CodeDecoder(context, codes.codebooks, codes.name or "codes")
+    decoder.decode_volume(codes.coded, codes.blocks.edge, voxels, corners)
+    return DecodedVolume(context.take(voxels), codes)

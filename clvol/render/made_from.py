@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import clvol
 from clvol.errors import ClvolError
+from clvol.features.compression import coded_source
 from clvol.integrators.registry import integrator_of
 from clvol.json_values import plain
 from clvol.scene.compression import NOT_COMPRESSED
@@ -58,7 +59,7 @@ def _told(resolved: ResolvedScene, camera: Camera, frame: int | None) -> dict[st
 def _sources(resolved: ResolvedScene) -> dict[str, Any]:
     """Digests of "voxels", and, where the scene has them, "fields" and "environment"; None for
     data that has disappeared meanwhile, or does not fit into memory."""
-    by_blocks = integrator_of(resolved).reads_blocks
+    by_blocks = integrator_of(resolved).reads_blocks or coded_source(resolved.volume) is not None
     found: dict[str, Any] = {"voxels": None, "fields": None, "environment": None}
     try:
         found["voxels"] = volume_digest(resolved.volume, by_blocks)

@@ -58,7 +58,7 @@ class PreparedCache:
 
     def compression(self, resolved: ResolvedScene) -> dict[str, Any]:
         """"compression" for the stats of a frame of ``resolved``; nothing for a scene without codes."""
-        stats = compression_stats(resolved, self._shared)
+        stats = compression_stats(resolved, self._shared, integrator_of(resolved))
         return {} if stats is None else {"compression": stats}
 
     def _forget(self, dropped: object) -> None:

@@ -49,7 +49,7 @@ METHODS = {
 def trained(monkeypatch) -> list[tuple]:
     """What is trained from now on, by an encoder that makes large errors."""
     trainer = CoarseTrainer()
-    monkeypatch.setattr(decoding, "trainer", lambda shared: trainer)
+    monkeypatch.setattr(decoding, "trainer", lambda context: trainer)
     return trainer.trained
 
 
