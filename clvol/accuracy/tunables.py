@@ -205,6 +205,7 @@ NOT_TUNABLE: dict[str, str] = {
     "image.width": "another picture",
     "image.height": "another picture",
     "compression.decode": "the same picture",
+    "compression.memory": "the same picture",
     "compression.seed": "another picture, not a better one",
     "multiresolution.view_weighting": "which errors matter for the view; it costs nothing",
     "multiresolution.occlusion": "which errors matter for the view; it costs nothing",

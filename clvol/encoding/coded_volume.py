@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,12 +12,14 @@ import numpy as np
 from clvol.errors import VolumeError
 from clvol.scene.compression import Compression
 from clvol.store.codecs.coded_blocks import Codebooks, CodedBlocks, MeasuredError
+from clvol.store.codecs.decode import decode_blocks
 from clvol.store.codecs.encoding import BlockEncoder, Progress, Trainer
 from clvol.store.geometry import BlockGrid
 from clvol.store.resolutions import split, whole_blocks
 from clvol.store.voxel_source import VolumeSource
 from clvol.store.zarr_store import StoredBlocks
 from clvol.volume.grid import Grid
+from clvol.volume.lazy import LazyVolume
 from clvol.volume.volume import Volume
 
 EDGE = 16  # voxels per axis of a block
@@ -25,16 +27,24 @@ _INDEX_BYTES = 8  # of each block: where its bytes are
 _PIECE = 1 << 22  # voxels that are compared together
 _LARGEST = float(np.finfo(np.float32).max)
 
-Decode = Callable[[CodedBlocks, int, Codebooks], np.ndarray]
-"""The voxels [k, s, s, s] of coded blocks of s samples per axis."""
+Decode = Callable[[CodedBlocks, BlockGrid, Codebooks], np.ndarray]
+"""The voxels [nz, ny, nx] of all blocks of a grid, in order."""
+
+
+def decode_on_host(coded: CodedBlocks, blocks: BlockGrid, codebooks: Codebooks) -> np.ndarray:
+    """A ``Decode`` by numpy."""
+    edge, (layers, rows, columns) = blocks.edge, blocks.counts
+    samples = decode_blocks(coded, edge, codebooks).reshape(layers, rows, columns, edge, edge, edge)
+    whole = samples.transpose(0, 3, 1, 4, 2, 5).reshape(layers * edge, rows * edge, columns * edge)
+    return np.ascontiguousarray(whole[tuple(slice(n) for n in blocks.shape)])
 
 
 @dataclass(frozen=True, eq=False)
 class CodedVolume:
     """The blocks of level 0 of a volume as codes, in the order of ``blocks``.
 
-    ``measured``: the error of the decoded voxels, None where it is not known. ``name``, ``frame``, ``unit``: of the
-    volume.
+    ``measured``: the error of the decoded voxels, and ``value_range`` that of the finite ones, once they are known
+    (``measured_codes``). ``nan_count`` and ``inf_count``: such voxels, which are those of the original volume.
     """
 
     grid: Grid
@@ -42,9 +52,12 @@ class CodedVolume:
     codebooks: Codebooks
     coded: CodedBlocks
     measured: MeasuredError | None = None
-    name: str | None = None
+    name: str = "volume"
     frame: str = "index"
     unit: str | None = None
+    value_range: tuple[float, float] = (0.0, 0.0)
+    nan_count: int = 0
+    inf_count: int = 0
 
     @property
     def dtype(self) -> np.dtype:
@@ -61,28 +74,22 @@ class CodedVolume:
         """``nbytes`` in bits, divided by the number of voxels."""
         return 8.0 * self.nbytes / math.prod(self.grid.shape)
 
+    def read_codes(self, level: int, blocks: np.ndarray) -> CodedBlocks:
+        """The bytes of ``blocks`` (numbers, int64 [k]) at level 0, the only one there is."""
+        if level:
+            raise ValueError(f"no codes of level {level}")
+        return CodedBlocks(self.coded.data, self.coded.start[blocks], self.coded.size[blocks])
+
     def layers(self, decode: Decode) -> Iterator[tuple[int, np.ndarray]]:
         """The decoded voxels [:, ny, nx] of a few layers of blocks after another, each with its first z."""
-        edge, (nz, ny, nx) = self.blocks.edge, self.grid.shape
-        layers, rows, columns = self.blocks.counts
-        each = rows * columns
+        edge, counts = self.blocks.edge, self.blocks.counts
+        each = counts[1] * counts[2]
         at_once = max(1, _PIECE // (each * edge**3))
-        for first in range(0, layers, at_once):
-            count, z = min(at_once, layers - first), first * edge
-            samples = decode(self.part(first * each, (first + count) * each), edge, self.codebooks)
-            by_place = samples.reshape(count, rows, columns, edge, edge, edge).transpose(0, 3, 1, 4, 2, 5)
-            yield z, by_place.reshape(count * edge, rows * edge, columns * edge)[: nz - z, :ny, :nx]
-
-    def decoded(self, decode: Decode) -> DecodedVolume:
-        """The volume of the decoded voxels."""
-        voxels = np.empty(self.grid.shape, self.dtype)
-        for z, layer in self.layers(decode):
-            voxels[z : z + len(layer)] = layer
-        return DecodedVolume(voxels, self)
-
-    def part(self, first: int, last: int) -> CodedBlocks:
-        """The blocks ``first`` to ``last`` - 1."""
-        return CodedBlocks(self.coded.data, self.coded.start[first:last], self.coded.size[first:last])
+        for first in range(0, counts[0], at_once):
+            count = min(at_once, counts[0] - first)
+            shape = min(count * edge, self.grid.shape[0] - first * edge), *self.grid.shape[1:]
+            part = self.read_codes(0, np.arange(first * each, (first + count) * each))
+            yield first * edge, decode(part, BlockGrid(shape, edge), self.codebooks)
 
 
 class DecodedVolume(Volume):
@@ -96,10 +103,34 @@ class DecodedVolume(Volume):
         self.codes = codes
 
     def layers(self) -> Iterator[tuple[int, np.ndarray]]:
-        """The voxels as ``CodedVolume.layers`` gives them."""
+        """The voxels, as ``CodedVolume.layers`` gives them."""
         thick = max(1, _PIECE // math.prod(self.shape[1:]))
         for z in range(0, self.shape[0], thick):
             yield z, self.data[z : z + thick]
+
+
+class UndecodedVolume(LazyVolume):
+    """A volume that only its ``codes`` hold, for integrators that decode blocks themselves (``holds_codes``). Its
+    ``data`` are decoded by the host if anything asks for them."""
+
+    def __init__(self, codes: CodedVolume) -> None:
+        super().__init__(codes.dtype, codes.grid, codes.name, codes.frame, codes.name, None, codes.unit)
+        self.codes = codes
+
+    @property
+    def stored_range(self) -> tuple[float, float]:
+        return self.codes.value_range
+
+    @property
+    def nan_count(self) -> int:
+        return self.codes.nan_count
+
+    @property
+    def inf_count(self) -> int:
+        return self.codes.inf_count
+
+    def _load(self) -> np.ndarray:
+        return decode_on_host(self.codes.coded, self.codes.blocks, self.codes.codebooks)
 
 
 def encoded_volume(
@@ -118,9 +149,7 @@ def encoded_volume(
     training = trainer.train(source, value_range, compression.codec, compression.target, compression.seed, progress)
     blocks = BlockGrid(volume.shape, EDGE)
     coded = _joined(_encoded_layers(source, blocks, trainer.encoder(training), progress))
-    return CodedVolume(
-        volume.grid, blocks, training.codebooks, coded, name=volume.name, frame=volume.frame, unit=volume.unit
-    )
+    return CodedVolume(volume.grid, blocks, training.codebooks, coded, **_about(volume))
 
 
 def stored_codes(volume: Volume) -> CodedVolume:
@@ -128,8 +157,14 @@ def stored_codes(volume: Volume) -> CodedVolume:
     source = getattr(volume, "blocks_source", None)
     assert isinstance(source, StoredBlocks) and source.codebooks is not None and source.codes is not None
     coded = source.read_codes(0, np.arange(source.blocks.count))
-    about = source.codes.measured, volume.name, volume.frame, volume.unit
-    return CodedVolume(volume.grid, source.blocks, source.codebooks, coded, *about)
+    codes = CodedVolume(volume.grid, source.blocks, source.codebooks, coded, **_about(volume))
+    return replace(codes, measured=source.codes.measured, value_range=source.value_range)
+
+
+def _about(volume: Volume) -> dict[str, Any]:
+    """What decoded voxels have in common with those of ``volume``."""
+    names = {"name": volume.name or "volume", "frame": volume.frame, "unit": volume.unit}
+    return {**names, "nan_count": volume.nan_count, "inf_count": volume.inf_count}
 
 
 def _encoded_layers(
@@ -161,23 +196,32 @@ def _joined(parts: Iterator[CodedBlocks]) -> CodedBlocks:
     return CodedBlocks(np.concatenate(data), np.concatenate(start), np.concatenate(size))
 
 
-def measured_error(original: Volume, layers: Iterable[tuple[int, np.ndarray]], bits_per_voxel: float) -> MeasuredError:
-    """The error of decoded ``layers`` of a volume, over all finite voxels of the ``original``."""
+def measured_codes(codes: CodedVolume, original: Volume, layers: Iterable[tuple[int, np.ndarray]]) -> CodedVolume:
+    """``codes`` with the range of their decoded ``layers``, and with the error of these, over all finite voxels of the
+    ``original``."""
     low, high = original.stored_range
     span = high / 2 - low / 2  # differences are halved, too, since they may overflow
     source, (_, ny, nx) = VolumeSource(original), original.shape
     largest, total, count = 0.0, 0.0, 0
+    least, most = math.inf, -math.inf
     for z, layer in layers:
-        voxels = source.box(z, z + len(layer), 0, ny, 0, nx).astype(np.float64)
-        is_finite = np.isfinite(voxels)
-        difference = np.abs(voxels[is_finite] / 2 - layer[is_finite].astype(np.float64) / 2)
+        voxels = source.box(z, z + len(layer), 0, ny, 0, nx)
+        if voxels.dtype.kind == "f":
+            is_finite = np.isfinite(voxels)
+            voxels, layer = voxels[is_finite].astype(np.float64), layer[is_finite].astype(np.float64)
+            difference = voxels / 2 - layer / 2
+        else:
+            difference = (voxels.astype(np.int32) - layer).astype(np.float64).ravel() / 2
         if difference.size:
-            largest = max(largest, float(difference.max()))
-            total += float(np.square(difference / (span or 1.0)).sum())
+            least, most = min(least, float(layer.min())), max(most, float(layer.max()))
+            largest = max(largest, float(difference.max()), -float(difference.min()))
+            difference /= span or 1.0
+            total += float(np.dot(difference, difference))
             count += difference.size
     psnr = -10 * math.log10(total / count) if total else math.inf
     share = largest / span if span else math.inf if largest else 0.0
-    return MeasuredError(psnr, share, bits_per_voxel)
+    value_range = (least, most) if count else (0.0, 0.0)
+    return replace(codes, measured=MeasuredError(psnr, share, codes.bits_per_voxel), value_range=value_range)
 
 
 def stats_of(codes: CodedVolume, device_bytes: int, decoded_voxels: int) -> dict[str, Any]:

@@ -6,7 +6,8 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
-from clvol.scene.table import Number, Table, Whole, wrong
+from clvol.scene.sizes import parse_size
+from clvol.scene.table import Number, Size, Table, Whole, wrong
 from clvol.store.codecs.coded_blocks import RateTarget
 
 TARGETS = ("max_voxel_error", "psnr", "bits_per_voxel")
@@ -22,8 +23,8 @@ class Compression(Table):
     over that range, at least) and ``bits_per_voxel`` (at most, codebooks included); none: the codec's own default.
 
     ``decode``: "upload" decodes all voxels when they come to the device; "resident" keeps the codes there, and decodes
-    the blocks that a frame needs; "auto" takes "upload" where the decoded voxels fit into the device's memory. It also
-    applies to a volume that is a store of codes, without any ``codec``.
+    the blocks that a frame needs; "auto" takes "upload" where the decoded voxels fit into ``memory`` (if left out: into
+    the device's memory). Both also apply to a volume that is a store of codes, without any ``codec``.
 
     ``seed``: of the random choice of the voxels that codebooks are made from.
     """
@@ -56,6 +57,12 @@ class Compression(Table):
         title="Whether all voxels are decoded on their way to the device, or the blocks that a frame needs.",
         description="'auto', 'upload' or 'resident'",
     )
+    memory: Size | None = Field(
+        None,
+        title="Device memory for decoded voxels; without it, what the device has.",
+        description="a size such as \"96 MiB\"",
+        examples=["96 MiB"],
+    )
     seed: Whole = Field(
         0, ge=0, lt=2**31,
         title="Seed of the random choice of the voxels that codebooks are made from.",
@@ -84,6 +91,11 @@ class Compression(Table):
     def is_lossy(self) -> bool:
         """Whether voxels are encoded here."""
         return self.codec != "none"
+
+    @property
+    def memory_bytes(self) -> int | None:
+        """``memory`` in bytes; None if it is left out."""
+        return None if self.memory is None else parse_size(self.memory)
 
     @property
     def target(self) -> RateTarget:
