@@ -20,10 +20,13 @@
 #define IS_VALUE(v) 1
 #endif
 
+#define WANTED 12
+
 /* A work-item takes one slice of one brick.
  *
- * wanted  int [bricks, 9]: element of `volume` where the brick begins, then which of `blocks` are its own block and those
- *         behind its upper faces, [dz][dy][dx]; -1 beyond the volume, whose last voxels then repeat
+ * wanted  int [bricks, WANTED]: element of `volume` where the brick begins; which of `blocks` are its own block and those
+ *         behind its upper faces, [dz][dy][dx], -1 beyond the volume; and how many of the brick's voxels along x, y and z
+ *         are in the volume, whose last ones repeat beyond it, whatever the block holds there
  * blocks  Voxel [., EDGE, EDGE, EDGE]
  * volume  what rays sample: the table, then bricks
  */
@@ -32,25 +35,28 @@ __kernel void fill_bricks(__global const int *restrict wanted, int bricks, __glo
 {
   const int slice = get_global_id(0), brick = get_global_id(1);
   if (brick >= bricks || slice > EDGE) return;
-  __global const int *from = wanted + 9 * brick + 1;
-  __global Voxel *out = (__global Voxel *)volume + STEP * ((size_t)wanted[9 * brick] + slice * (ROWS * PITCH));
-  const int over_z = slice == EDGE && from[4] >= 0, z = over_z ? 0 : min(slice, EDGE - 1);
+  __global const int *from = wanted + WANTED * brick + 1;
+  const int nx = min(from[8], EDGE), ny = from[9], nz = from[10];
+  __global Voxel *out = (__global Voxel *)volume + STEP * ((size_t)from[-1] + slice * (ROWS * PITCH));
+  const int over_z = slice == EDGE && from[4] >= 0, z = over_z ? 0 : min(slice, min(nz, EDGE) - 1);
   for (int y = 0; y <= EDGE; ++y) {
-    const int over_y = y == EDGE && from[2] >= 0, row = over_y ? 0 : min(y, EDGE - 1);
+    const int over_y = y == EDGE && from[2] >= 0, row = over_y ? 0 : min(y, min(ny, EDGE) - 1);
     const int here = 4 * over_z + 2 * over_y, place = (z * EDGE + row) * EDGE;
     __global const Voxel *in = blocks + (size_t)from[here] * (EDGE * EDGE * EDGE) + place;
     const int far = from[here + 1];
-    const Voxel end = far < 0 ? in[EDGE - 1] : blocks[(size_t)far * (EDGE * EDGE * EDGE) + place];
+    const Voxel last = in[nx - 1], end = far < 0 ? last : blocks[(size_t)far * (EDGE * EDGE * EDGE) + place];
 #if VOXEL_PAIRS
     /* As the first voxels of this row's pairs, and as the second ones of those of the row before. */
     for (int second = y == EDGE; second <= (y > 0); ++second) {
       __global Voxel *to = out + 2 * (y - second) * PITCH + second;
-      for (int x = 0; x < EDGE; ++x) to[2 * x] = in[x];
+      for (int x = 0; x < nx; ++x) to[2 * x] = in[x];
+      for (int x = nx; x < EDGE; ++x) to[2 * x] = last;
       to[2 * EDGE] = end;
     }
 #else
     __global Voxel *to = out + y * PITCH;
-    for (int x = 0; x < EDGE; ++x) to[x] = in[x];
+    for (int x = 0; x < nx; ++x) to[x] = in[x];
+    for (int x = nx; x < EDGE; ++x) to[x] = last;
     to[EDGE] = end;
 #endif
   }
@@ -67,7 +73,7 @@ __kernel void brick_bounds(__global const int *restrict wanted, int bricks, int 
   const int brick = get_global_id(0);
   if (brick >= bricks) return;
   const int n = EDGE >> shift, edge = 1 << shift;
-  __global const Voxel *in = (__global const Voxel *)volume + STEP * (size_t)wanted[9 * brick];
+  __global const Voxel *in = (__global const Voxel *)volume + STEP * (size_t)wanted[WANTED * brick];
   for (int cell = 0; cell < n * n * n; ++cell) {
     const int x0 = cell % n << shift, y0 = cell / n % n << shift, z0 = cell / (n * n) << shift;
     Voxel low = 1, high = 0;

@@ -15,14 +15,15 @@ from clvol.device.memory import VoxelFacts, value_map, voxel_switches
 from clvol.errors import SceneError
 from clvol.opencl.arguments import RAW, reads, value, writes
 from clvol.opencl.context import DeviceArray, DeviceContext
-from clvol.scene.sizes import format_size
 from clvol.store.codecs.coded_blocks import Codebooks, CodedBlocks
 from clvol.store.geometry import BlockGrid
 from clvol.store.source import BlockSource
 from clvol.volume.voxel_layout import CELL_SHIFT, LARGEST_OFFSET
 
 _SPARE_BYTES = 64  # after the last brick, so that wide loads of it stay inside
-_SCRATCH_BYTES = 8 * 2**20  # blocks on their way into bricks
+_SCRATCH_BYTES = 8 * 2**20  # blocks on their way into bricks, and the share of the memory that they may take
+_SCRATCH_SHARE = 16
+_WANTED = 12  # numbers of a brick that is to be filled (cl/fill_bricks.cl)
 _AROUND = np.stack(np.unravel_index(np.arange(8), (2, 2, 2)), axis=-1)  # [dz][dy][dx]
 
 
@@ -34,21 +35,27 @@ class BrickSource(VoxelFacts, Protocol):
 
     def put(self, blocks: np.ndarray, target: DeviceArray) -> None:
         """Enqueues the voxels [k, edge, edge, edge] of ``blocks`` (numbers, int64 [k]) at full resolution into
-        ``target``, of the volume's type; beyond the volume its last voxels repeat. VolumeError where a block is
-        damaged."""
+        ``target``, of the volume's type. What they hold beyond the volume does not matter. VolumeError where a block
+        is damaged."""
         ...
 
 
 class BrickPool:
-    """At most ``capacity`` bricks of ``source``, which is as many as fit into ``memory_bytes`` with the table and what
-    filling them needs, or all there are.
+    """At most as many bricks of ``source`` as fit into ``memory_bytes`` together with the table and what filling them
+    needs (None: into what the device has).
 
-    ``hold`` makes bricks resident; those that were not used for the longest time go first. ``filled_voxels`` counts
-    what was decoded since the pool was made. SceneError where not even one brick fits.
+    ``hold`` makes bricks resident; those that were not used for the longest time go first. Memory is taken as it is
+    needed: ``capacity`` is what there is room for now, ``most`` what it may become. ``filled_voxels`` counts what was
+    decoded since the pool was made. SceneError where not even one brick fits.
     """
 
     def __init__(
-        self, context: DeviceContext, source: BrickSource, memory_bytes: int, *, pairs: bool | None = None
+        self,
+        context: DeviceContext,
+        source: BrickSource,
+        memory_bytes: int | None = None,
+        *,
+        pairs: bool | None = None,
     ) -> None:
         self._context, self._source = context, source
         self.blocks = blocks = source.blocks
@@ -60,29 +67,44 @@ class BrickPool:
         self.stride = edge + 1, (edge + 1) * (edge + 1 - pairs)
         self._brick = self.stride[1] * (edge + 1)  # elements
         self.switches = {**voxel_switches(source, self.values, pairs=pairs), "BRICKS": self._log_edge}
-        table = -(-4 * blocks.count // 64) * 64
-        self._first = table // self._unit
-        around = min(blocks.count, 27)  # the most blocks that a brick, or two beside each other, need
-        block_bytes = edge**3 * dtype.itemsize
-        scratch = int(min(max(_SCRATCH_BYTES // block_bytes, around), blocks.count))
-        least = table + _SPARE_BYTES + block_bytes * around + self._unit * self._brick
-        if memory_bytes < least:
-            got = f"got {format_size(memory_bytes)}"
-            raise SceneError("compression.memory", got, f"at least {format_size(least)} for the bricks of {source.name}")
-        left = memory_bytes - table - _SPARE_BYTES
-        scratch = max(min(scratch, left // 4 // block_bytes), around)
-        most = (min(int(context.device.max_mem_alloc_size), self._unit * LARGEST_OFFSET) - table) - _SPARE_BYTES
-        self.capacity = int(min((left - scratch * block_bytes), most) // (self._unit * self._brick))
-        self.capacity = min(self.capacity, blocks.count)
-        self.voxels = context.empty(np.uint8, (table + self.capacity * self._brick * self._unit + _SPARE_BYTES,))
+        self._table = -(-4 * blocks.count // 64) * 64
+        self._block_bytes = edge**3 * dtype.itemsize
+        self._around = min(blocks.count, 27)  # the most blocks that a brick, or some beside each other, need
+        largest = min(int(context.device.max_mem_alloc_size), self._unit * LARGEST_OFFSET)
+        if memory_bytes is None:
+            memory_bytes = min(self.memory_for(blocks.count), int(context.device.global_mem_size) // 2)
+        if memory_bytes < (least := self.memory_for(1)):
+            expected = f"at least {least} bytes for the bricks of {source.name}"
+            raise SceneError("compression.memory", f"got {memory_bytes} bytes", expected)
+        left = memory_bytes - self._table - _SPARE_BYTES
+        scratch = min(max(left // _SCRATCH_SHARE // self._block_bytes, self._around), blocks.count)
+        scratch = min(scratch, max(_SCRATCH_BYTES // self._block_bytes, self._around))
+        room = min(left - scratch * self._block_bytes, largest - self._table - _SPARE_BYTES)
+        self.most = min(int(room // self.brick_bytes), blocks.count)
         self._scratch = context.empty(dtype, (scratch, edge, edge, edge))
         self._slot = np.full(blocks.count, -1, np.int64)  # of each block
-        self._block = np.full(self.capacity, -1, np.int64)  # in each slot
-        self._used = np.zeros(self.capacity, np.int64)  # when it was held last
+        self.voxels: Any = None
         self._clock = 0
         self.filled_voxels = 0
         self._prepare()
-        self._write_table(np.arange(blocks.count))
+        self._make_room(min(self.most, max(blocks.count // 8, scratch)))
+
+    def _make_room(self, capacity: int) -> None:
+        """An empty pool of ``capacity`` bricks."""
+        self.capacity = capacity
+        size = self._table + capacity * self.brick_bytes + _SPARE_BYTES
+        self.voxels = None  # the old one goes first
+        self.voxels = self._context.empty(np.uint8, (size,))
+        self._slot[:] = -1
+        self._block = np.full(capacity, -1, np.int64)  # in each slot
+        self._used = np.zeros(capacity, np.int64)  # when it was held last
+        self._write_table(np.arange(self.blocks.count))
+
+    def memory_for(self, bricks: int) -> int:
+        """Bytes within which ``bricks`` can be held at a time."""
+        own = bricks * self.brick_bytes
+        room = max(own + self._around * self._block_bytes, -(-own * _SCRATCH_SHARE // (_SCRATCH_SHARE - 1)))
+        return self._table + _SPARE_BYTES + room
 
     @property
     def device_bytes(self) -> int:
@@ -97,14 +119,17 @@ class BrickPool:
         return self._slot[blocks] >= 0
 
     def hold(self, blocks: np.ndarray) -> int:
-        """Makes ``blocks`` (distinct numbers, at most ``capacity``) resident; returns how many were not."""
+        """Makes ``blocks`` (distinct numbers, at most ``most``) resident; returns how many were not."""
         self._clock += 1
         slots = self._slot[blocks]
         self._used[slots[slots >= 0]] = self._clock
         new = np.sort(blocks[slots < 0])
         if len(new):
+            if len(blocks) > self.most:
+                raise ValueError(f"{len(blocks)} bricks where there is room for {self.most}")
             if len(blocks) > self.capacity:
-                raise ValueError(f"{len(blocks)} bricks where there is room for {self.capacity}")
+                self._make_room(min(len(blocks) + len(blocks) // 8, self.most))
+                self._clock, new = 1, np.sort(blocks)
             oldest = np.argsort(self._used, kind="stable")[: len(new)]
             gone = self._block[oldest]
             gone = gone[gone >= 0]
@@ -133,7 +158,7 @@ class BrickPool:
             blocks = np.arange(first, min(first + self.capacity, self.blocks.count))
             self.hold(blocks)
             out = self._context.empty(found.dtype, (len(blocks), n, n, n, 2))
-            wanted = np.zeros((len(blocks), 9), np.int32)
+            wanted = np.zeros((len(blocks), _WANTED), np.int32)
             wanted[:, 0] = self._start(self._slot[blocks])
             self._bounds(
                 self._context.queue, (len(blocks),), None, wanted=self._context.upload(wanted), bricks=len(blocks),
@@ -149,7 +174,7 @@ class BrickPool:
         names = ("VOXEL_BITS", "VOXEL_SIGNED", "VOXEL_PAIRS", "BRICKS")
         switches = {name: self.switches[name] for name in names}
         dtype = self._scratch.dtype
-        wanted = reads("wanted", np.int32, "bricks", 9), value("bricks", np.int32)
+        wanted = reads("wanted", np.int32, "bricks", _WANTED), value("bricks", np.int32)
         self._filler = self._context.kernel(
             "fill_bricks.cl", "fill_bricks", (*wanted, reads("blocks", dtype), writes("volume", RAW)), switches
         )
@@ -158,7 +183,7 @@ class BrickPool:
 
     def _start(self, slots: np.ndarray) -> np.ndarray:
         """Element of ``voxels`` where the brick in each of ``slots`` begins."""
-        return self._first + slots * self._brick
+        return self._table // self._unit + slots * self._brick
 
     def _write_table(self, blocks: np.ndarray) -> None:
         """Writes the table's entries from the first to the last of ``blocks``. Those that are not resident are where
@@ -179,9 +204,10 @@ class BrickPool:
         while first < len(blocks):
             last = _most_within(numbers[first:], room) + first
             needed, places = np.unique(numbers[first:last], return_inverse=True)
-            wanted = np.empty((last - first, 9), np.int32)
+            wanted = np.empty((last - first, _WANTED), np.int32)
             wanted[:, 0] = self._start(self._slot[blocks[first:last]])
-            wanted[:, 1:] = np.where(inside[first:last], places.reshape(last - first, 8), -1)
+            wanted[:, 9:] = (np.array(self.blocks.shape) - near[first:last, 0] * self.blocks.edge)[:, ::-1]
+            wanted[:, 1:9] = np.where(inside[first:last], places.reshape(last - first, 8), -1)
             self._source.put(needed, self._scratch)
             self.filled_voxels += len(needed) * self.blocks.edge**3
             self._filler(

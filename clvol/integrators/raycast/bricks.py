@@ -17,7 +17,6 @@ from clvol.features import FILTER_REACH
 from clvol.integrators.raycast.caster import Raycaster, TilesDone
 from clvol.opencl.context import DeviceArray, DeviceContext
 from clvol.scene.resolve import ResolvedScene
-from clvol.scene.sizes import format_size
 from clvol.schedule.tiles import TILE, tiling
 from clvol.store.geometry import BlockGrid
 from clvol.transfer import TransferFunction
@@ -31,19 +30,22 @@ _SAMPLES_BEYOND, _GRADIENT_REACH = 10, 2
 class BrickVolume(ResidentVolume):
     """A volume as a ``BrickPool``. It has no array of all voxels, and therefore no stored gradients."""
 
-    def __init__(self, context: DeviceContext, source: BrickSource, memory_bytes: int, **layout: bool) -> None:
+    def __init__(self, context: DeviceContext, source: BrickSource, memory_bytes: int | None = None, **layout: bool) -> None:
         self.pool = BrickPool(context, source, memory_bytes, **layout)
         self.values = self.pool.values
         low, high = self.values(source.value_range)
         self._value_range = float(low), float(high)
-        self.voxels, self.switches, self.stride = self.pool.voxels, self.pool.switches, self.pool.stride
+        self.switches, self.stride = self.pool.switches, self.pool.stride
         nz, ny, nx = source.blocks.shape
         self.size = max(nx, 2), max(ny, 2), max(nz, 2)
         self.cells = cell_count(self.size[0]), cell_count(self.size[1]), cell_count(self.size[2])
         self.cell_shift = CELL_SHIFT
-        self.memory_bytes = memory_bytes
         self.layout = {"BRICKS": self.switches["BRICKS"], "VOXEL_PAIRS": self.switches["VOXEL_PAIRS"]}
         self._bounds = {CELL_SHIFT: self._mapped(CELL_SHIFT)}
+
+    @property
+    def voxels(self) -> DeviceArray:  # type: ignore[override]  # the pool may grow
+        return self.pool.voxels
 
     @property
     def value_range(self) -> tuple[float, float]:
@@ -170,7 +172,7 @@ class BrickCaster(Raycaster):
         counts: dict[str, int] = {}
         done = 0
         for group, blocks in self._groups(frame, size, tiles):
-            self._hold(blocks, "a tile")
+            self._hold(blocks, "a frame" if group is None else "a tile")
             report = None if progress is None else lambda more, before=done: progress(min(before + more, tiles))
             found, named = super()._trace(frame, size, view, tiles, depth, report, outputs, group)
             tallies += found
@@ -181,14 +183,10 @@ class BrickCaster(Raycaster):
 
     def _hold(self, blocks: np.ndarray, what: str) -> None:
         pool = self.volume.pool
-        if len(blocks) > pool.capacity:
-            more = (len(blocks) - pool.capacity) * pool.brick_bytes
+        if len(blocks) > pool.most:
             where = f"{self.resolved.origin}: compression.memory"
-            raise SceneError(
-                where,
-                f"{pool.capacity} decoded blocks are held where the rays of {what} need {len(blocks)}",
-                f"at least {format_size(self.volume.memory_bytes + more)}",
-            )
+            got = f"{pool.most} decoded blocks can be held where the rays of {what} need {len(blocks)}"
+            raise SceneError(where, got, f"at least {pool.memory_for(len(blocks))} bytes")
         pool.hold(blocks)
 
     def _groups(
@@ -202,14 +200,14 @@ class BrickCaster(Raycaster):
             return
         (x0, x1), (y0, y1) = self._tile_ranges(frame, size)
         seen = (x0 < x1) & (y0 < y1)
-        if seen.sum() <= pool.capacity:
+        if seen.sum() <= pool.most:
             yield None, needed[seen]
             return
         columns, rows = (-(-n // m) for n, m in zip(size, self.tile))
         chosen, held = np.zeros(tiles, bool), np.zeros(len(needed), bool)
         for row, column in _along_curve(columns, rows):
             more = (x0 <= column) & (column < x1) & (y0 <= row) & (row < y1)
-            if (held | more).sum() > pool.capacity and chosen.any():
+            if (held | more).sum() > pool.most and chosen.any():
                 yield chosen, needed[held]
                 chosen, held = np.zeros(tiles, bool), np.zeros(len(needed), bool)
             chosen[row * columns + column] = True

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -40,14 +41,6 @@ def assert_same(plain, bricks):
     np.testing.assert_array_equal(bricks.rgba, plain.rgba)
     np.testing.assert_array_equal(bricks.depth, plain.depth)
     assert np.ptp(plain.rgba[..., 3]) > 0.01
-
-
-def memory_of(caster, bricks: int) -> int:
-    """A budget with room for ``bricks`` of the caster's bricks, and what filling them needs."""
-    pool = caster.volume.pool
-    room = 4 * 27 * pool.blocks.edge**3 * pool._scratch.dtype.itemsize  # noqa: SLF001
-    table = -(-4 * pool.blocks.count // 64) * 64 + 64
-    return table + room // 4 + max(bricks * pool.brick_bytes, 3 * room // 4)
 
 
 @pytest.mark.parametrize("dtype", ["uint8", "int8", "uint16", "int16", "float32"])
@@ -89,13 +82,13 @@ EFFECTS = {
     "nearest": {"integration": {"filter": "nearest"}},
     "catmull-rom": {"integration": {"filter": "catmull-rom"}},
     "cells": {"integration": {"quadrature": "cells", "classification": "preintegrated"}},
-    "shaded": {"shading": {"model": "blinn-phong"}, "light": [{"type": "headlight"}], "gradient": {"mode": "central"}},
-    "sobel": {"shading": {"model": "blinn-phong"}, "light": [{"type": "headlight"}],
-              "gradient": {"mode": "central", "operator": "sobel"}},
+    "shaded": {"light": [{"type": "headlight"}], "gradient": {"storage": "on-the-fly"}},
+    "sobel": {"light": [{"type": "headlight"}],
+              "gradient": {"storage": "on-the-fly", "operator": "sobel"}},
     "surfaces": {"isosurface": [{"value": 120.0, "opacity": 0.5, "color": [1, 0.5, 0.2]}]},
     "clipped": {"clip": [{"type": "sphere", "center": [9, 9, 9], "radius": 9.0}]},
     "maximum": {"integration": {"compositing": "maximum"}},
-    "sparse": {"image": {"width": 45, "height": 39, "ray_spacing": 2}},
+    "sparse": {"spacing": 2},
 }  # fmt: skip
 
 
@@ -103,22 +96,26 @@ EFFECTS = {
 @pytest.mark.parametrize("dtype", ["uint8", "uint16"])
 def test_effects_are_those_of_the_plain_picture(contexts, device, name, dtype):
     array = blobs((26, 30, 37), top=255, dtype=dtype)
-    resolved = effect_scene(array, scaled(HAZE, 255.0), **EFFECTS[name])
+    tables = dict(EFFECTS[name])
+    spacing = tables.pop("spacing", 1)
+    resolved = effect_scene(array, scaled(HAZE, 255.0), **tables)
+    image = resolved.image.model_copy(update={"ray_spacing": spacing})
+    resolved = replace(resolved, image=image)
     assert_same(*both(contexts(device), resolved)[:2])
 
 
 def test_a_pool_that_is_too_small_for_the_frame_renders_groups_of_tiles(contexts, each_device):
     context = contexts(each_device)
     array = np.random.default_rng(2).integers(0, 256, (60, 70, 80)).astype(np.uint8)
-    resolved = make_scene(array, width=90, height=70, camera={**SIDE, "position": [190.0, 145.0, -160.0]})
+    resolved = make_scene(array, width=180, height=140, camera={**SIDE, "position": [190.0, 145.0, -160.0]})
     plain, bricks, ample = both(context, resolved)
     assert_same(plain, bricks)
     assert len(ample.needed) == ample.volume.pool.blocks.count == 8 * 9 * 10
-    for share in (0.75, 0.5):
-        _, bricks, small = both(context, resolved, memory_of(ample, int(share * len(ample.needed))))
+    for share in (0.8, 0.5):
+        _, bricks, small = both(context, resolved, ample.volume.pool.memory_for(int(share * len(ample.needed))))
         pool = small.volume.pool
-        assert pool.capacity <= share * len(ample.needed) + 1
-        assert pool.device_bytes <= memory_of(ample, int(share * len(ample.needed)))
+        assert pool.most == int(share * len(ample.needed))
+        assert pool.device_bytes <= ample.volume.pool.memory_for(int(share * len(ample.needed)))
         assert_same(plain, bricks)
 
 
@@ -127,15 +124,21 @@ def test_a_pool_that_does_not_hold_one_tile_says_the_least_memory(contexts, devi
     array = np.random.default_rng(2).integers(0, 256, (60, 70, 80)).astype(np.uint8)
     resolved = make_scene(array, width=16, height=16)  # one tile
     ample = both(context, resolved)[2]
-    memory = memory_of(ample, 400)
+    memory = ample.volume.pool.memory_for(400)
     source = ReadBricks(context, VolumeBlocks(resolved.volume, 8))
     small = BrickCaster(context, resolved, BrickVolume(context, source, memory))
-    with pytest.raises(SceneError, match="decoded blocks are held where the rays of a tile need 720") as raised:
+    with pytest.raises(SceneError, match="400 decoded blocks can be held where the rays of a tile need 720") as raised:
         small.render(resolved.camera, 16, 16)
     least = re.search(r"at least (\d+) bytes", str(raised.value))
     assert least is not None
-    again = BrickCaster(context, resolved, BrickVolume(context, source, int(least[1])))
-    again.render(resolved.camera, 16, 16)
+    plain = Raycaster(context, resolved).render(resolved.camera, 16, 16)
+    for memory in (int(least[1]) - ample.volume.pool.brick_bytes, int(least[1])):
+        caster = BrickCaster(context, resolved, BrickVolume(context, source, memory))
+        if memory == int(least[1]):
+            assert_same(plain, caster.render(resolved.camera, 16, 16))
+        else:
+            with pytest.raises(SceneError):
+                caster.render(resolved.camera, 16, 16)
 
 
 def test_only_what_a_view_needs_is_filled_and_nothing_twice(contexts, device):
@@ -154,10 +157,15 @@ def test_only_what_a_view_needs_is_filled_and_nothing_twice(contexts, device):
     assert pool.filled_voxels == before  # nothing of the volume is in front of the eye
 
 
-@pytest.mark.parametrize("codec", ["vq", "vq-mean", "hvq", "rvq"])
-@pytest.mark.parametrize("dtype", ["uint8", "int16", "float32"])
-def test_codes_give_the_picture_of_the_decoded_voxels(contexts, device, codec, dtype):
-    context, grid = contexts(device), BlockGrid((30, 18, 41), 16)
+@pytest.mark.parametrize(
+    ("codec", "dtype", "shape"),
+    [
+        ("vq", "uint8", (30, 18, 41)), ("vq-mean", "int16", (30, 18, 41)), ("hvq", "float32", (30, 18, 41)),
+        ("rvq", "uint8", (30, 1, 41)), ("rvq", "int16", (1, 18, 33)), ("rvq", "float32", (30, 17, 1)),
+    ],
+)  # fmt: skip
+def test_codes_give_the_picture_of_the_decoded_voxels(contexts, device, codec, dtype, shape):
+    context, grid = contexts(device), BlockGrid(shape, 16)
     blocks, codebooks = random_codes(7, codec, 16, dtype, grid.count)
     coded = packed(blocks)
     decoded = decode_blocks(coded, 16, codebooks)
@@ -167,7 +175,7 @@ def test_codes_give_the_picture_of_the_decoded_voxels(contexts, device, codec, d
     low, high = np.quantile(finite, [0.1, 0.9])
     function = TransferFunction([low, high], [0.0, 0.3], [[0.9, 0.5, 0.2], [0.2, 0.5, 0.9]])
     # What blocks hold beyond the volume is of no consequence.
-    volume = Volume(np.ascontiguousarray(array[:30, :18, :41]))
+    volume = Volume(np.ascontiguousarray(array[: shape[0], : shape[1], : shape[2]]))
     resolved = make_scene(volume, function, camera=SIDE, width=45, height=39)
     source = CodedBricks(context, volume, grid, codebooks, coded)
     plain, bricks, caster = both(context, resolved, source=source)
@@ -189,7 +197,7 @@ def test_a_block_that_cannot_be_read_leaves_the_pool_usable(contexts, device):
 
     source = SimpleNamespace(**{**vars(inner), "put": put})
     plain, _, ample = both(context, resolved, source=source)
-    caster = BrickCaster(context, resolved, BrickVolume(context, source, memory_of(ample, 60)))
+    caster = BrickCaster(context, resolved, BrickVolume(context, source, ample.volume.pool.memory_for(110)))
     broken.on = True
     with pytest.raises(OSError):
         caster.render(resolved.camera, 45, 39)
