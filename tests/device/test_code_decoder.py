@@ -14,7 +14,6 @@ from clvol.store.codecs.coded_blocks import MOST_STAGES
 from clvol.store.codecs.decode import decode_blocks
 from clvol.store.codecs.layout import prefix_sizes
 
-pytestmark = pytest.mark.every_case
 COUNTS = {1: 8, 2: 8, 4: 150, 8: 60, 16: 12, 32: 4}
 
 

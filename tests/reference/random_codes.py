@@ -10,7 +10,7 @@ from clvol.store.codecs.working_values import WorkingValues
 from reference.plain_codes import Coded, Constant, Fixed, Labelled, Raw, Regions, Runs, SubBlock, write
 
 DTYPES = ("uint8", "int8", "uint16", "int16", "float32")
-LOSSY = ("vq", "vq-mean", "hvq", "rvq")
+LOSSY = ("rvq", "hvq", "vq-mean", "vq")
 CODECS = (*LOSSY, "labels")
 
 
