@@ -33,6 +33,11 @@ class BrickSource(VoxelFacts, Protocol):
     name: str
     blocks: BlockGrid
 
+    @property
+    def nbytes(self) -> int:
+        """Bytes that it takes on the device itself."""
+        ...
+
     def put(self, blocks: np.ndarray, target: DeviceArray) -> None:
         """Enqueues the voxels [k, edge, edge, edge] of ``blocks`` (numbers, int64 [k]) at full resolution into
         ``target``, of the volume's type. What they hold beyond the volume does not matter. VolumeError where a block
@@ -45,8 +50,8 @@ class BrickPool:
     needs (None: into what the device has).
 
     ``hold`` makes bricks resident; those that were not used for the longest time go first. Memory is taken as it is
-    needed: ``capacity`` is what there is room for now, ``most`` what it may become. ``filled_voxels`` counts what was
-    decoded since the pool was made. SceneError where not even one brick fits.
+    needed: ``capacity`` is what there is room for now, ``most`` what it may become. ``filled_voxels`` counts what
+    ``hold`` has had decoded. SceneError where not even one brick fits.
     """
 
     def __init__(
@@ -85,7 +90,7 @@ class BrickPool:
         self._slot = np.full(blocks.count, -1, np.int64)  # of each block
         self.voxels: Any = None
         self._clock = 0
-        self.filled_voxels = 0
+        self.filled_voxels = self._reported = 0
         self._prepare()
         self._make_room(min(self.most, max(blocks.count // 8, scratch)))
 
@@ -108,11 +113,17 @@ class BrickPool:
 
     @property
     def device_bytes(self) -> int:
-        return self.voxels.nbytes + self._scratch.nbytes
+        """Bytes of bricks, table and what filling them needs, and of the source."""
+        return self.voxels.nbytes + self._scratch.nbytes + self._source.nbytes
 
     @property
     def brick_bytes(self) -> int:
         return self._brick * self._unit
+
+    def take_filled(self) -> int:
+        """``filled_voxels`` since the last call."""
+        before, self._reported = self._reported, self.filled_voxels
+        return self.filled_voxels - before
 
     def resident(self, blocks: np.ndarray) -> np.ndarray:
         """bool [k]: which of ``blocks`` are in the pool."""
@@ -153,7 +164,7 @@ class BrickPool:
         edge, counts = self.blocks.edge, self.blocks.counts
         n = edge >> shift
         found = np.empty((*counts, n, n, n, 2), self._source.dtype)
-        flat = found.reshape(self.blocks.count, -1)
+        flat, filled = found.reshape(self.blocks.count, -1), self.filled_voxels
         for first in range(0, self.blocks.count, self.capacity):
             blocks = np.arange(first, min(first + self.capacity, self.blocks.count))
             self.hold(blocks)
@@ -165,6 +176,7 @@ class BrickPool:
                 shift=shift, volume=self.voxels, bounds=out,
             )  # fmt: skip
             flat[blocks] = self._context.read(out).reshape(len(blocks), -1)
+        self.filled_voxels = filled
         z, y, x = (count * n for count in counts)
         return found.transpose(0, 3, 1, 4, 2, 5, 6).reshape(z, y, x, 2)
 
@@ -197,7 +209,7 @@ class BrickPool:
     def _fill(self, blocks: np.ndarray) -> None:
         """Fills the slots of ``blocks``, which ascend."""
         near = self.blocks.places(blocks)[:, None] + _AROUND
-        inside = (near < self.blocks.counts).all(axis=-1)
+        inside = np.all(near < self.blocks.counts, axis=-1).reshape(-1, 8)
         numbers = np.ravel_multi_index(np.minimum(near, np.array(self.blocks.counts) - 1).transpose(2, 0, 1),
                                        self.blocks.counts)  # fmt: skip
         first, room = 0, self._scratch.shape[0]
@@ -231,6 +243,8 @@ def _most_within(numbers: np.ndarray, room: int) -> int:
 
 class ReadBricks:
     """A ``BrickSource`` of blocks that are read at every need, uncompressed."""
+
+    nbytes = 0
 
     def __init__(self, context: DeviceContext, source: BlockSource) -> None:
         self._context, self._source = context, source

@@ -49,8 +49,8 @@ def tile_ranges(
     picture: tuple[int, int],
     tile: tuple[int, int],
 ) -> list[tuple[np.ndarray, np.ndarray]]:
-    """The tiles whose pixels may have a ray through each of n boxes from ``low`` to ``high`` [n, 3] (x, y, z, lattice
-    coordinates): the first column and the one after the last, int [n] each, and likewise of rows. All tiles where the eye
+    """The tiles whose pixels may have a ray through each of n boxes from ``low`` to ``high`` [n, 3] (x, y, z, in
+    lattice coordinates): the first column and the one after the last, int [n] each, and likewise of rows. All tiles where the eye
     may be in the box, none where all of it is behind the eye. Other arguments as for ``tiles_that_see``."""
     columns, rows = (-(-n // m) for n, m in zip(picture, tile))
     half = 0.5 * (high - low) @ np.abs(to_edges).T

@@ -48,8 +48,9 @@ class Choices:
         return out
 
 
-def choices_of(context: DeviceContext, source: CodedSource) -> Choices:
-    """The choices of all blocks of ``source``. Decodes level 0 once for each stage."""
+def choices_of(context: DeviceContext, source: CodedSource, batch_bytes: int = _BATCH_BYTES) -> Choices:
+    """The choices of all blocks of ``source``. Decodes level 0 once for each stage, at most about ``batch_bytes`` of
+    samples at a time."""
     blocks, books = source.blocks, source.codebooks
     depths = list(range(books.stages)) if books.codec == "rvq" else []
     level = [0] * (len(depths) + 1) + list(range(1, blocks.levels))
@@ -57,7 +58,7 @@ def choices_of(context: DeviceContext, source: CodedSource) -> Choices:
     size = np.zeros((len(level), blocks.count), np.int64)
     deviation = np.zeros((len(level), blocks.count), np.float32)
     decoder = CodeDecoder(context, books, source.name)
-    batch = max(_BATCH_BYTES // (blocks.edge**3 * books.values.dtype.itemsize), 1)
+    batch = max(min(batch_bytes, _BATCH_BYTES) // (2 * blocks.edge**3 * books.values.dtype.itemsize), 1)
     for first in range(0, blocks.count, batch):
         part = np.arange(first, min(first + batch, blocks.count))
         coded = codes_at(source, 0, part)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import weakref
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -133,6 +133,12 @@ class DeviceBlocks:
     def pending(self) -> int:
         """Number of blocks that are not yet at the requested level."""
         return self._missing + len(self._instant)
+
+    def boxes(self) -> Iterator[tuple[tuple[int, int, int], tuple[int, int, int]]]:
+        """(first, count) in blocks (x, y, z): parts of the volume that are resident while each is looked at, together
+        with the blocks beside it. Here: all at once."""
+        bz, by, bx = self.blocks.counts
+        yield (0, 0, 0), (bx, by, bz)
 
     # Requests
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 
@@ -10,14 +11,17 @@ from clvol.device.brick_pool import BrickPool, BrickSource
 from clvol.device.empty_space import spread
 from clvol.device.light_volume import METHODS
 from clvol.device.tile_effects import tile_ranges
-from clvol.device.view import RayFrame
+from clvol.device.view import EVERY_PIXEL, PixelLattice, RayFrame
 from clvol.device.volume import ResidentVolume
 from clvol.errors import SceneError
 from clvol.features import FILTER_REACH
+from clvol.integrators.base import FrameData, Progress
 from clvol.integrators.raycast.caster import Raycaster, TilesDone
+from clvol.integrators.raycast.tile_groups import Ranges, tile_groups
 from clvol.opencl.context import DeviceArray, DeviceContext
+from clvol.scene.camera import Camera
 from clvol.scene.resolve import ResolvedScene
-from clvol.schedule.tiles import TILE, tiling
+from clvol.schedule.tiles import TILE
 from clvol.store.geometry import BlockGrid
 from clvol.transfer import TransferFunction
 from clvol.volume.voxel_layout import CELL_SHIFT, cell_count
@@ -30,7 +34,9 @@ _SAMPLES_BEYOND, _GRADIENT_REACH = 10, 2
 class BrickVolume(ResidentVolume):
     """A volume as a ``BrickPool``. It has no array of all voxels, and therefore no stored gradients."""
 
-    def __init__(self, context: DeviceContext, source: BrickSource, memory_bytes: int | None = None, **layout: bool) -> None:
+    def __init__(
+        self, context: DeviceContext, source: BrickSource, memory_bytes: int | None = None, **layout: Any
+    ) -> None:
         self.pool = BrickPool(context, source, memory_bytes, **layout)
         self.values = self.pool.values
         low, high = self.values(source.value_range)
@@ -102,8 +108,9 @@ class BrickCaster(Raycaster):
     """As ``Raycaster``, with a ``BrickVolume``: before tiles are rendered, the bricks that their rays may need are made
     resident. Where the pool does not hold those of a whole frame, tiles are rendered in groups, one after the other.
 
-    The picture is that of ``Raycaster`` bit for bit. SceneError where the pool does not hold the bricks of one tile, or,
-    for rays that leave their tile (refraction, shadow rays), all that show anything; it says how much memory would do.
+    The picture is that of ``Raycaster`` bit for bit. SceneError where the pool does not hold the bricks of one tile,
+    or, for rays that leave their tile (refraction, shadow rays), all that show anything; it says how much memory would
+    do.
     """
 
     volume: BrickVolume
@@ -140,6 +147,21 @@ class BrickCaster(Raycaster):
                 self._needed = np.arange(blocks.count)
         return self._needed
 
+    def render(
+        self,
+        camera: Camera,
+        width: int,
+        height: int,
+        progress: Progress | None = None,
+        depth: bool = True,
+        lattice: PixelLattice = EVERY_PIXEL,
+    ) -> FrameData:
+        """As ``Raycaster.render``; the notes say what was decoded for the frame, and what is on the device."""
+        data = super().render(camera, width, height, progress, depth, lattice)
+        pool = self.volume.pool
+        data.notes["compression"] = {"device_bytes": pool.device_bytes, "decoded_voxels": pool.take_filled()}
+        return data
+
     def _build_shadows(self) -> None:
         self._hold(self.needed, "the light volume")
         super()._build_shadows()
@@ -171,7 +193,9 @@ class BrickCaster(Raycaster):
         tallies: list[DeviceArray] = []
         counts: dict[str, int] = {}
         done = 0
-        for group, blocks in self._groups(frame, size, tiles):
+        for group, blocks in self._groups(frame, size):
+            if not len(blocks):  # rays of these tiles leap over all there is
+                blocks = self.needed[:1]
             self._hold(blocks, "a frame" if group is None else "a tile")
             report = None if progress is None else lambda more, before=done: progress(min(before + more, tiles))
             found, named = super()._trace(frame, size, view, tiles, depth, report, outputs, group)
@@ -190,29 +214,19 @@ class BrickCaster(Raycaster):
         pool.hold(blocks)
 
     def _groups(
-        self, frame: RayFrame, size: tuple[int, int], tiles: int
+        self, frame: RayFrame, size: tuple[int, int]
     ) -> Iterator[tuple[np.ndarray | None, np.ndarray]]:
-        """(tiles, blocks): bool [tiles], or None for all, that are rendered together, and the numbers of the blocks that
-        these need."""
-        pool, needed = self.volume.pool, self.needed
+        """(tiles, blocks): bool [tiles], or None for all, that are rendered together, and the numbers of the blocks
+        that these need."""
+        needed = self.needed
         if self._rays_turn:
             yield None, needed
             return
-        (x0, x1), (y0, y1) = self._tile_ranges(frame, size)
-        seen = (x0 < x1) & (y0 < y1)
-        if seen.sum() <= pool.most:
-            yield None, needed[seen]
-            return
         columns, rows = (-(-n // m) for n, m in zip(size, self.tile))
-        chosen, held = np.zeros(tiles, bool), np.zeros(len(needed), bool)
-        for row, column in _along_curve(columns, rows):
-            more = (x0 <= column) & (column < x1) & (y0 <= row) & (row < y1)
-            if (held | more).sum() > pool.most and chosen.any():
-                yield chosen, needed[held]
-                chosen, held = np.zeros(tiles, bool), np.zeros(len(needed), bool)
-            chosen[row * columns + column] = True
-            held |= more
-        yield chosen, needed[held]
+        one = np.ones(len(needed), np.int64)
+        groups = tile_groups(self._tile_ranges(frame, size), one, self.volume.pool.most, columns, rows)
+        for tiles, seen in groups:
+            yield tiles, needed[seen]
 
     @property
     def _rays_turn(self) -> bool:
@@ -221,7 +235,7 @@ class BrickCaster(Raycaster):
         turns = switches.get("REFRACTION") or switches.get("SHADOWS") == METHODS["rays"]
         return bool(turns) or self.resolved.image.ray_spacing > 1
 
-    def _tile_ranges(self, frame: RayFrame, size: tuple[int, int]) -> list[tuple[np.ndarray, np.ndarray]]:
+    def _tile_ranges(self, frame: RayFrame, size: tuple[int, int]) -> Ranges:
         """As ``tile_ranges``, of the blocks that are needed."""
         blocks, spacing = self.volume.pool.blocks, np.asarray(self.resolved.volume.grid.spacing)
         beside = self._beside + (np.asarray(self._moved.cells) << CELL_SHIFT)
@@ -235,7 +249,8 @@ def blocks_near(mask: np.ndarray, reach: np.ndarray, blocks: BlockGrid) -> np.nd
     """int64: the numbers of the blocks that have anything within ``reach`` voxels (z, y, x), rounded up to cells, of a
     cell of ``mask`` bool [z, y, x]."""
     per_block = max(blocks.edge >> CELL_SHIFT, 1)
-    near = spread(mask, tuple(int(n) for n in np.ceil(reach / (1 << CELL_SHIFT)).astype(int)[::-1]), np.logical_or)
+    dz, dy, dx = np.ceil(reach / (1 << CELL_SHIFT)).astype(int).tolist()
+    near = spread(mask, (dx, dy, dz), np.logical_or)
     if blocks.edge < 1 << CELL_SHIFT:
         near = near.repeat(parts := (1 << CELL_SHIFT) // blocks.edge, 0).repeat(parts, 1).repeat(parts, 2)
     room = np.zeros([n * per_block for n in blocks.counts], bool)
@@ -251,11 +266,3 @@ def blocks_near(mask: np.ndarray, reach: np.ndarray, blocks: BlockGrid) -> np.nd
     bz, by, bx = blocks.counts
     split = room.reshape(bz, per_block, by, per_block, bx, per_block)
     return np.flatnonzero(split.any(axis=(1, 3, 5)))
-
-
-def _along_curve(columns: int, rows: int) -> list[tuple[int, int]]:
-    """(row, column) of all tiles in Morton's order, in which tiles that follow each other are close together."""
-    row, column = (axis.ravel() for axis in np.mgrid[:rows, :columns])
-    code = sum(((column >> k & 1) << 2 * k) | ((row >> k & 1) << 2 * k + 1) for k in range(16))
-    order = np.argsort(code)
-    return list(zip(row[order].tolist(), column[order].tolist()))

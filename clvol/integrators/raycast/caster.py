@@ -349,9 +349,9 @@ class Raycaster:
         outputs: dict[str, DeviceArray],
         wanted: np.ndarray | None = None,
     ) -> tuple[list[DeviceArray], dict[str, int]]:
-        """Casts the rays of all pixels, or of those in the tiles ``wanted`` (bool [tiles]), into ``outputs``. Tiles that
-        can see no surface are rendered by kernels without surfaces. Returns the arrays of counts, and how many tiles
-        were of either kind."""
+        """Casts the rays of all pixels, or of those in the tiles ``wanted`` (bool [tiles]), into ``outputs``. Tiles
+        that can see no surface are rendered by kernels without surfaces. Returns the arrays of counts, and how many
+        tiles were of either kind."""
         if self._without_surfaces is None:
             tally = self._launches("raycast", view, tiles, depth, progress, outputs, wanted)
             return [] if tally is None else [tally], {}

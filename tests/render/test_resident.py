@@ -1,0 +1,106 @@
+"""Codes that stay on the device: the picture of decoded voxels, bit for bit, in less memory."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from helpers.coarse_codes import CoarseTrainer
+from helpers.small_scenes import SMOOTH, waves
+
+from clvol import Renderer, Scene, TransferFunction, Volume
+from clvol.errors import SceneError
+from clvol.integrators import decoding
+
+VOLUME = Volume(waves((40, 34, 51), np.uint8))
+HEADLIGHT = [{"type": "headlight"}]
+SCENES = {
+    "plain": {},
+    "nearest, pre": {"integration": {"filter": "nearest", "classification": "pre"}},
+    "cells": {"integration": {"quadrature": "cells"}},
+    "b-spline": {"integration": {"filter": "cubic", "prefilter": False}},
+    "lit": {"light": HEADLIGHT, "isosurface": [{"value": 100.0, "opacity": 0.5}]},
+    "shadow rays": {"light": [{"type": "directional", "direction": [-1.0, -1.0, -1.0]}], "shadow": {"method": "rays"}},
+    "light volume": {
+        "light": [{"type": "directional", "direction": [-1.0, -1.0, -1.0]}],
+        "shadow": {"method": "volume", "resolution": 8},
+        "gradient_opacity": {"points": [{"magnitude": 0.0, "opacity": 0.2}, {"magnitude": 60.0, "opacity": 1.0}]},
+    },
+    "noise": {"noise": [{"target": "coordinate", "amplitude": 3.0}]},
+    "maximum": {"integration": {"compositing": "maximum"}},
+    "sparse": {"image": {"width": 30, "height": 26, "ray_spacing": 4}},
+    "clipped": {"clip": [{"type": "sphere", "center": [20, 17, 20], "radius": 14.0}]},
+}  # fmt: skip
+
+
+@pytest.fixture(autouse=True)
+def trained(monkeypatch):
+    trainer = CoarseTrainer()
+    monkeypatch.setattr(decoding, "trainer", lambda context: trainer)
+
+
+def scene_of(volume=VOLUME, decode="resident", memory=None, **tables) -> Scene:
+    compression = {"codec": "rvq", "decode": decode} | ({} if memory is None else {"memory": memory})
+    tables = {"image": {"width": 30, "height": 26}, "transfer_function": SMOOTH, **tables}
+    return Scene(volume=volume, compression=compression, **tables)
+
+
+def frame_of(device, **how):
+    with Renderer(scene_of(**how), [device]) as renderer:
+        return renderer.render()
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_the_picture_is_that_of_decoded_voxels(device, name):
+    frame, other = (frame_of(device, decode=decode, **SCENES[name]) for decode in ("resident", "upload"))
+    np.testing.assert_array_equal(frame.rgba, other.rgba)
+    np.testing.assert_array_equal(frame.depth, other.depth)
+    assert np.ptp(frame.rgba[..., 3]) > 0.01
+    assert frame.stats["compression"]["decoded_voxels"] > 0
+
+
+@pytest.mark.parametrize("dtype", [np.int16, np.float32])
+def test_other_types_on_every_device(each_device, dtype):
+    volume = Volume(waves((40, 34, 51), dtype))
+    frame, other = (frame_of(each_device, volume=volume, decode=decode) for decode in ("resident", "upload"))
+    np.testing.assert_array_equal(frame.rgba, other.rgba)
+
+
+def test_less_is_held_and_only_what_is_needed_is_decoded(device):
+    array = np.random.default_rng(4).integers(0, 100, (128, 128, 128)).astype(np.uint8)
+    array[8:20, 8:20, 8:20] = 250
+    shell = TransferFunction([0.0, 200.0, 210.0], [0.0, 0.0, 0.5], [[1.0, 0.5, 0.2]] * 3)
+    tables = {"transfer_function": shell, "image": {"width": 64, "height": 64}}
+    with Renderer(scene_of(Volume(array), **tables), [device]) as renderer:
+        first, second = renderer.render(), renderer.render()
+    upload = frame_of(device, volume=Volume(array), decode="upload", **tables)
+    np.testing.assert_array_equal(first.rgba, upload.rgba)
+    held, whole = first.stats["compression"], upload.stats["compression"]
+    assert 0 < held["decoded_voxels"] <= 64 * 16**3 < whole["decoded_voxels"] == 128**3
+    assert second.stats["compression"]["decoded_voxels"] == 0
+    assert held["device_bytes"] < 0.5 * whole["device_bytes"]
+
+
+def test_a_small_pool_gives_the_same_picture_or_says_what_it_needs(device):
+    array = np.random.default_rng(4).integers(0, 256, (60, 70, 80)).astype(np.uint8)
+    tables = {"image": {"width": 200, "height": 160}}
+    upload = frame_of(device, volume=Volume(array), decode="upload", **tables)
+    small = frame_of(device, volume=Volume(array), memory="1200 KiB", **tables)
+    np.testing.assert_array_equal(small.rgba, upload.rgba)
+    assert small.stats["compression"]["decoded_voxels"] > array.size  # some of it twice
+    with pytest.raises(SceneError, match=r"compression.memory: .* decoded blocks can be held .* at least \d+ bytes"):
+        frame_of(device, volume=Volume(array), memory="300 KiB", **tables)
+    with pytest.raises(SceneError, match=r"compression.memory: got 1024 bytes, expected at least \d+ bytes"):
+        frame_of(device, volume=Volume(array), memory=1024, **tables)
+
+
+@pytest.mark.parametrize(
+    ("tables", "what"),
+    [
+        ({"integration": {"filter": "cubic", "prefilter": True}}, "prefilter"),
+        ({"light": HEADLIGHT, "gradient": {"storage": "precomputed"}}, "precomputed gradients"),
+        ({"integration": {"voxel_precision": "uint8"}}, "quantised voxels"),
+    ],
+)
+def test_what_needs_all_voxels_is_refused(device, tables, what):
+    with pytest.raises(SceneError, match=f"compression.decode: got 'resident' in a scene that calls for {what}"):
+        frame_of(device, **tables)
