@@ -170,12 +170,23 @@ def test_what_does_not_fit_is_refused(device, contexts):
     decoder.into_blocks(held, np.zeros(0, np.int64), volume, np.zeros(0, np.int64))
 
 
+def test_groups_of_work_items_decode_the_same(device, contexts, monkeypatch):
+    context = contexts(device)
+    blocks, codebooks = random_codes(8, "rvq", 8, "uint16", 45)
+    expected = decode_blocks(packed(blocks), 8, codebooks)
+    monkeypatch.setattr(context, "is_cpu", False)
+    decoder = CodeDecoder(context, codebooks)
+    voxels, _ = untouched(context, "uint16", (45 * 512,))
+    decoder.into_blocks(decoder.hold(packed(blocks), 8), np.arange(45), voxels, np.arange(45) * 512)
+    assert context.read(voxels).tobytes() == expected.tobytes()
+
+
 def test_every_field_is_where_the_compiler_has_it(each_device, contexts):
     context = contexts(each_device)
     expected = {"CodedBlock": CODED_BLOCK, "CodeMap": CODE_MAP}
     for dtype in DTYPES:
         _, codebooks = random_codes(1, "rvq", 8, dtype, 1)
-        kernel = context.kernel("decode_codes.cl", "struct_fields", REPORT_ARGUMENTS, switches(codebooks))
+        kernel = context.kernel("decode_codes.cl", "struct_fields", REPORT_ARGUMENTS, switches(codebooks, 1))
         check_structs(context, kernel, expected)
         assert reported_structs(context, kernel) == {name: layout_of(own) for name, own in expected.items()}
 
