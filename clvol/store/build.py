@@ -306,6 +306,7 @@ class _Build:
             f"clvol {__version__}",
         )
         write_whole(self.partial / ROOT, json.dumps(root, indent=2))
+        steps.finish()
         replaced = replaced_path(path)
         check_place(path, overwrite)  # once more, since it may have appeared meanwhile
         _remove(replaced)

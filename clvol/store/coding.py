@@ -33,6 +33,7 @@ from clvol.store.voxel_source import VoxelSource
 REACH = {"reach_low": np.minimum, "reach_high": np.maximum, "holes": np.logical_or}
 _RANGE, _TRAINING = "range", "training"  # records of the journal
 _POSSIBLE = {"max_voxel_error": (0.0, 1.0), "psnr": (0.0, 200.0), "bits_per_voxel": (0.0, 64.0)}
+_CACHED = 1 << 18  # voxels that are compared together
 _LARGEST_FLOAT = float(np.finfo(np.float32).max)
 
 
@@ -122,7 +123,7 @@ class Coding:
             target = self._target_of_encoder()
             self.training = self._trainer.train(self._voxels, self.range, self.codec, target, self.seed, progress)
             books = self.training.codebooks
-            said = {**codebooks_json(books), "policy": self.training.policy}
+            said = {"codebooks": codebooks_json(books), "policy": self.training.policy}
             journal.keep(_TRAINING, entries=books.entries, json=np.array(json.dumps(said)))
             # As a resumed build has it.
             self.training = _training_of(journal.kept(_TRAINING)) or self.training
@@ -188,14 +189,16 @@ class Coding:
 
     def _error(self, original: np.ndarray, decoded: np.ndarray, level: int, where: tuple) -> np.ndarray:
         """float64 [3]: sum of squared differences, the largest one, and the number of finite samples. RenderError if
-        the bound does not hold, or what must be the same is not."""
-        finite = np.isfinite(original)
+        the bound does not hold, or if other samples are finite than before."""
+        depth = max(_CACHED // max(original[0].size, 1), 1)
+        parts = [
+            _difference(original[z : z + depth], decoded[z : z + depth]) for z in range(0, len(original), depth)
+        ]
+        squares = math.fsum(part[0] for part in parts)
+        largest, count = max(part[1] for part in parts), sum(part[2] for part in parts)
         place = f"level {level}, the samples from {tuple(n >> level for n in where)}"
-        same = np.array_equal(decoded[~finite], original[~finite].astype(decoded.dtype), equal_nan=True)
-        if not same or not np.isfinite(decoded[finite]).all():
+        if math.isnan(largest):
             raise RenderError(place, "the encoder changed which voxels are finite", "the same ones")
-        off = np.subtract(decoded, original, dtype=np.float64, where=finite, out=np.zeros(original.shape))
-        largest = float(np.abs(off).max(initial=0.0))
         extent = self.range[1] - self.range[0]
         lossless = self.codec == "labels" or extent == 0
         bound = 0.0 if lossless else self.target.max_voxel_error
@@ -203,7 +206,7 @@ class Coding:
             share = largest / extent if extent else math.inf
             what = f"the encoder left an error of {largest:.6g}, {share:.6g} of the range"
             raise RenderError(place, what, f"at most {bound:g}")
-        return np.array([np.vdot(off, off), largest, np.count_nonzero(finite)])
+        return np.array([squares, largest, count])
 
     # ---- the end ----
 
@@ -213,7 +216,9 @@ class Coding:
         levels = []
         for own in errors.transpose(1, 0, 2):
             squares, count = math.fsum(own[:, 0]), own[:, 2].sum()
-            psnr = 20 * math.log10(extent) - 10 * math.log10(squares / count) if squares > 0 else math.inf
+            psnr = math.inf
+            if squares > 0:  # digits beyond these depend on the order of additions
+                psnr = round(20 * math.log10(extent) - 10 * math.log10(squares / count), 6)
             largest = float(own[:, 1].max())
             levels.append((psnr, largest / extent if extent else 0.0))
         total = sum(sizes.values())
@@ -225,6 +230,26 @@ class Coding:
             ],
         }
         return MeasuredError(*levels[0], 8 * (sizes["codes"] + sizes["codebooks"]) / voxels, facts)
+
+
+def _difference(original: np.ndarray, decoded: np.ndarray) -> tuple[float, float, int]:
+    """Sum of squared differences, the largest one (NaN if a sample that is not finite is not as it was, or another one
+    is not finite), and the number of finite samples."""
+    if original.dtype.kind != "f":
+        off = np.subtract(decoded, original, dtype=np.int32)
+        largest = float(max(int(off.max()), -int(off.min())))
+        flat = off.astype(np.float64).ravel()  # sums are below 2^53, and exact
+        return float(flat @ flat), largest, off.size
+    finite = np.isfinite(original)
+    if finite.all():
+        flat = np.subtract(decoded, original, dtype=np.float64).ravel()
+    else:
+        others = ~finite
+        if not np.array_equal(decoded[others], original[others].astype(decoded.dtype), equal_nan=True):
+            return math.nan, math.nan, 0
+        flat = np.subtract(decoded[finite], original[finite], dtype=np.float64)
+    largest = float(np.abs(flat).max(initial=0.0))
+    return float((flat * flat).sum()), largest if math.isfinite(largest) else math.nan, flat.size
 
 
 def merged_reach(
@@ -255,7 +280,7 @@ def _training_of(kept: dict[str, np.ndarray] | None) -> Training | None:
         return None
     try:
         said = json.loads(str(kept["json"]))
-        return Training(codebooks_of(said, kept["entries"]), said["policy"])
+        return Training(codebooks_of(said["codebooks"], kept["entries"]), said["policy"])
     except (KeyError, TypeError, ValueError):
         return None
 

@@ -7,8 +7,10 @@ there is none), seed, target, policy, original (dtype and value_range of the vox
 
 from __future__ import annotations
 
+import json
 import math
 import os
+import zlib
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -118,16 +120,23 @@ def parse_codes(own: Any, layout: StoreLayout, where: str) -> CodesFacts:
 
 
 def codebooks_json(books: Codebooks) -> dict[str, Any]:
-    """What ``books`` hold besides their entries."""
-    return {
+    """What ``books`` hold besides their entries, with a checksum."""
+    own = {
         "codec": books.codec, "side": books.side, "shifts": books.shifts.tolist(),
         "residual_step": int(books.residual_step), "values": books.values.to_json(),
     }  # fmt: skip
+    return own | {"crc32": _checksum(own)}
+
+
+def _checksum(own: dict) -> int:
+    return zlib.crc32(json.dumps({**own, "crc32": None}, sort_keys=True).encode())
 
 
 def codebooks_of(own: dict, entries: np.ndarray | None) -> Codebooks:
     """The codebooks of ``codebooks_json`` and their ``entries`` (None if there is no stage). KeyError, TypeError or
     ValueError if they are impossible."""
+    if own["crc32"] != _checksum(own):
+        raise ValueError("their parameters are damaged")
     side, shifts = int(own["side"]), np.array(own["shifts"], np.int32).reshape(-1)
     if entries is None:
         entries = np.zeros((0, ENTRIES, side**3), np.int8)
@@ -155,7 +164,7 @@ def read_codebooks(folder: Path, facts: CodesFacts, dtype: np.dtype, where: str,
         return None
     try:
         entries = None
-        if own["shifts"]:
+        if len(own["shifts"]):
             array = open_array(folder / CODEBOOKS)
             shape = [len(own["shifts"]), ENTRIES, int(own["side"]) ** 3]
             if list(array.shape) != shape or array.dtype.name != "int8":
@@ -165,6 +174,8 @@ def read_codebooks(folder: Path, facts: CodesFacts, dtype: np.dtype, where: str,
                 raise VolumeError(where, "the codebooks belong to another store", wanted)
     except ValueError as error:
         raise VolumeError(where, f"the codebooks: {what_failed(error)}", wanted) from None
+    except (KeyError, TypeError, OverflowError):
+        raise VolumeError(where, "damaged zarr.json (codebooks)", wanted) from None
     try:
         books = codebooks_of(own, entries)
         if books.codec != facts.codec or books.values.dtype != dtype:

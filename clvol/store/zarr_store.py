@@ -225,7 +225,7 @@ class StoredBlocks:
             own = places[members]
             pack = np.ravel_multi_index(tuple((own // side - low).T), tuple(high - low))
             slot = np.ravel_multi_index(tuple((own % side).T), (side,) * 3)
-            coded = unpacked(packs.reshape(-1, packs.shape[-1]), pack, slot, side)
+            coded = unpacked(packs.reshape(-1, self.layout.capacity(level)), pack, slot, side)
             impossible = self._decoder.impossible(coded, s)
             if len(impossible):
                 block = tuple(own[impossible[0]].tolist())
@@ -303,8 +303,9 @@ class StoredBlocks:
                 yield chunks[part[0]], chunks[part[0]] + 1, part, misplaced
 
     def _start(self, level: int, low: np.ndarray, high: np.ndarray) -> tuple[Any, int]:
+        box: tuple[slice, ...]
         if self.layout.codecs[level].coded:
-            box = tuple(slice(a, b) for a, b in zip(low.tolist(), high.tolist()))
+            box = self.layout.packs_region(level, low, high)
             return self._levels[level][box].read(), self.layout.capacity(level) * int(np.prod(high - low))
         side = self.layout.chunk(level)
         ends = self.blocks.level_shape(level)

@@ -93,7 +93,7 @@ def compressing(compressor: dict | None, dtype: np.dtype) -> list[dict]:
 
 _SMALL = {
     "name": "blosc",
-    "configuration": {"cname": "zstd", "clevel": 9, "shuffle": "bitshuffle", "blocksize": 0},
+    "configuration": {"cname": "zstd", "clevel": 9, "shuffle": "shuffle", "blocksize": 0},
 }
 
 
