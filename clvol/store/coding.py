@@ -1,9 +1,10 @@
 """Making the codes of a store that is being built: the range of the voxels, training, and region by region the bytes of
 blocks, their statistics and their errors.
 
-Levels are means of the original voxels. Everything that is said of samples (statistics, range, counts) is of decoded
-ones. What neighbouring regions add to the reach of blocks is not known while a region is made: a region records what
-it adds to its neighbours' blocks (``extended_reach``), and ``merged_reach`` joins that at the end.
+Levels are means of the original voxels, or the most frequent labels. Everything that is said of samples (statistics,
+range, counts) is of decoded ones. What neighbouring regions add to the reach of blocks is not known while a region is
+made: a region records what it adds to its neighbours' blocks (``extended_reach``), and ``merged_reach`` joins that at
+the end.
 """
 
 from __future__ import annotations
@@ -22,10 +23,11 @@ from clvol.errors import ClvolWarning, RenderError, UsageError, VolumeError
 from clvol.store.codecs import CODES, Codec
 from clvol.store.codecs.coded_blocks import RAW, CodedBlocks, MeasuredError, RateTarget
 from clvol.store.codecs.encoding import BlockEncoder, Trainer, Training
+from clvol.store.codecs.labels import encode_labels, label_codebooks
 from clvol.store.format import StoreLayout
 from clvol.store.journal import Journal
 from clvol.store.packs import packed
-from clvol.store.resolutions import describe_region, extended_reach, resolutions, split, whole_blocks
+from clvol.store.resolutions import describe_region, extended_reach, majorities, resolutions, split, whole_blocks
 from clvol.store.source import BlockStatistics
 from clvol.store.stored_codes import BlockCodes, codebooks_json, codebooks_of
 from clvol.store.voxel_source import VoxelSource
@@ -72,9 +74,11 @@ class Coding:
         self.codec = layout.codecs[0].name
         if not layout.codecs[0].lossless:
             self._check_lossy(source, trainer)
+        elif layout.dtype.itemsize > 4:
+            raise UsageError("codec", f"got {self.codec!r} for {layout.dtype}", "another lossless codec")
         self.original_dtype = source.dtype
         self._voxels = source if source.dtype == layout.dtype else AsFloat32(source)
-        self._trainer = trainer
+        self._trainer = None if layout.codecs[0].lossless else trainer
         self.range = (0.0, 0.0)
         self.training: Training | None = None
         self._encoder: BlockEncoder | None = None
@@ -116,7 +120,9 @@ class Coding:
 
     def train(self, journal: Journal, progress: Callable[[int, int], None] | None) -> None:
         """Takes the training from the journal, or trains and records it."""
-        if self._trainer is None or self.codec == "labels":
+        if self._trainer is None:
+            self.training = Training(label_codebooks(self.layout.dtype))
+            self._encoder = _LabelEncoder(self.training)
             return
         self.training = _training_of(journal.kept(_TRAINING))
         if self.training is None:
@@ -142,15 +148,16 @@ class Coding:
 
     @property
     def decoder(self) -> BlockCodes:
-        books = None if self.training is None else self.training.codebooks
-        return BlockCodes(self.codec, self.layout.dtype, books)
+        assert self.training is not None
+        return BlockCodes(self.training.codebooks)
 
     # ---- regions ----
 
     def make(self, box: np.ndarray, where: tuple[int, int, int]) -> CodedRegion:
         """The codes of the region ``box`` [z, y, x] of original voxels, which begins at voxel ``where``."""
         layout = self.layout
-        made = resolutions(box.astype(layout.dtype, copy=False), layout.blocks.levels)
+        reduce = majorities if self._trainer is None else resolutions
+        made = reduce(box.astype(layout.dtype, copy=False), layout.blocks.levels)
         stored, decoded, errors = [], [], []
         for level, samples in enumerate(made):
             if not layout.codecs[level].coded:
@@ -172,8 +179,7 @@ class Coding:
 
     def _coded(self, samples: np.ndarray) -> CodedBlocks:
         """The bytes of blocks [k, s, s, s]; raw ones where codes would take more."""
-        if self._encoder is None:
-            raise NotImplementedError
+        assert self._encoder is not None
         with self._encoding:
             coded = self._encoder.encode(samples)
         raw = samples[0].nbytes + 1
@@ -200,7 +206,7 @@ class Coding:
         if math.isnan(largest):
             raise RenderError(place, "the encoder changed which voxels are finite", "the same ones")
         extent = self.range[1] - self.range[0]
-        lossless = self.codec == "labels" or extent == 0
+        lossless = self._trainer is None or extent == 0
         bound = 0.0 if lossless else self.target.max_voxel_error
         if bound is not None and largest > bound * extent:
             share = largest / extent if extent else math.inf
@@ -273,6 +279,16 @@ def merged_reach(
             here = tuple(map(slice, low - [first, 0, 0], high - [first, 0, 0]))
             over(found[here], added[tuple(map(slice, low - corner, high - corner))], out=found[here])
     return found.astype(dtype)
+
+
+class _LabelEncoder:
+    """A ``BlockEncoder`` of the codec "labels", which learns nothing."""
+
+    def __init__(self, training: Training) -> None:
+        self.training = training
+
+    def encode(self, samples: np.ndarray) -> CodedBlocks:
+        return encode_labels(samples)
 
 
 def _training_of(kept: dict[str, np.ndarray] | None) -> Training | None:

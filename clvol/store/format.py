@@ -28,7 +28,7 @@ import numpy as np
 
 from clvol.errors import UsageError, VolumeError
 from clvol.store import packs
-from clvol.store.codecs import COARSE, FEWEST_CODED, Codec, find_codec, statistics_chain
+from clvol.store.codecs import COARSE, FEWEST_CODED, LABELS, Codec, find_codec, statistics_chain
 from clvol.store.geometry import EDGES, BlockGrid
 from clvol.store.source import QUANTILES
 from clvol.volume.axis import ValueAxis
@@ -313,10 +313,12 @@ def _multiscale(layout: StoreLayout, grid: Grid, name: str | None, unit: str | N
     axes = [{"name": axis, "type": "space"} for axis in "zyx"]
     if (said := ome_name(unit)) is not None:
         axes = [{**axis, "unit": said} for axis in axes]
-    method = {"description": "means of the voxels of level 0", "method": "clvol.store.resolutions"}
+    labels = layout.codecs[0].name == LABELS
+    what = "most frequent labels" if labels else "means"
+    method = {"description": f"{what} of the voxels of level 0", "method": "clvol.store.resolutions"}
     return {
         "name": name or "volume",
-        "type": "mean",
+        "type": "mode" if labels else "mean",
         "metadata": method,
         "axes": axes,
         "datasets": datasets,

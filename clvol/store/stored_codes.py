@@ -1,8 +1,8 @@
 """What a store says of its codes: codebooks as an array with a checksum, parameters and measured errors as JSON.
 
-"codes" in the root's metadata has: version, codec, side, shifts, residual_step and values (what ``Codebooks`` holds
-besides entries; null without codebooks), checksum (of the file of codebooks, which binds it to this store; null if
-there is none), seed, target, policy, original (dtype and value_range of the voxels that were coded) and measured.
+"codes" in the root's metadata has: version, codec, codebooks (what ``Codebooks`` holds besides entries, with a
+checksum), checksum (of the file of entries, which binds it to this store; null if there are none), seed, target,
+policy, original (dtype and value_range of the voxels that were coded) and measured.
 """
 
 from __future__ import annotations
@@ -33,23 +33,17 @@ CODEBOOKS = "codebooks"
 
 @dataclass(frozen=True, eq=False)
 class BlockCodes:
-    """How the blocks of one store are decoded. ``codebooks`` is None for codecs without."""
+    """How the blocks of one store are decoded."""
 
-    codec: str
-    dtype: np.dtype
-    codebooks: Codebooks | None
+    codebooks: Codebooks
 
     def decode(self, coded: CodedBlocks, s: int) -> np.ndarray:
         """Samples [k, s, s, s] of blocks that are possible."""
-        return decode_blocks(coded, s, self._books())
+        return decode_blocks(coded, s, self.codebooks)
 
     def impossible(self, coded: CodedBlocks, s: int) -> np.ndarray:
         """Numbers of the blocks whose bytes are impossible, int64, ascending."""
-        return check_codes(coded, s, self._books())
-
-    def _books(self) -> Codebooks:
-        assert self.codebooks is not None
-        return self.codebooks
+        return check_codes(coded, s, self.codebooks)
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +51,7 @@ class CodesFacts:
     """"codes" of a store's root metadata. ``codebooks`` (JSON): what they hold besides entries."""
 
     codec: str
-    codebooks: dict | None
+    codebooks: dict
     checksum: int | None
     seed: int
     target: RateTarget
@@ -106,9 +100,7 @@ def parse_codes(own: Any, layout: StoreLayout, where: str) -> CodesFacts:
     )  # fmt: skip
     float(measured["bits_per_voxel_all"])
     checksum = None if own["checksum"] is None else int(own["checksum"])
-    books = None if own["codebooks"] is None else dict(own["codebooks"])
-    if (books is None) != (codec.name == "labels"):
-        raise ValueError("codebooks")
+    books = dict(own["codebooks"])
     target = RateTarget(**{key: float(value) for key, value in own["target"].items()})
     return CodesFacts(
         codec.name, books, checksum, int(own["seed"]), target, dict(own["policy"]),
@@ -156,12 +148,10 @@ def write_codebooks(folder: Path, books: Codebooks) -> int | None:
     return file_checksum(_file(folder))
 
 
-def read_codebooks(folder: Path, facts: CodesFacts, dtype: np.dtype, where: str, wanted: str) -> Codebooks | None:
-    """The codebooks of the store ``folder``, whose samples are of ``dtype``; None for codecs without. VolumeError, with
-    ``where`` and ``wanted``, if they are damaged or belong to another store."""
+def read_codebooks(folder: Path, facts: CodesFacts, dtype: np.dtype, where: str, wanted: str) -> Codebooks:
+    """The codebooks of the store ``folder``, whose samples are of ``dtype``. VolumeError, with ``where`` and
+    ``wanted``, if they are damaged or belong to another store."""
     own = facts.codebooks
-    if own is None:
-        return None
     try:
         entries = None
         if len(own["shifts"]):

@@ -68,7 +68,7 @@ class StoredBlocks:
 
     ``facts`` holds its metadata. ``checks_places``: whether data are proved to be in their positions (older stores
     cannot do so). ``codes`` is what the metadata say of codes, and ``codebooks`` are what decoding them needs (None for
-    stores and codecs without); ``value_range``, counts and statistics are those of decoded samples.
+    stores of samples); ``value_range``, counts and statistics are those of decoded samples.
     """
 
     def __init__(self, path: str | os.PathLike) -> None:
@@ -94,7 +94,7 @@ class StoredBlocks:
         if self.layout.coded:
             self.codes = self._checked_codes(facts.codes)
             self.codebooks = read_codebooks(self.path, self.codes, self.dtype, self._where, _WANTED)
-            self._decoder = BlockCodes(self.codes.codec, self.dtype, self.codebooks)
+            self._decoder = BlockCodes(self.codebooks)
 
     def _checked_facts(self) -> StoreFacts:
         check_finished(self.path)

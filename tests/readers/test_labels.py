@@ -38,7 +38,7 @@ def test_nifti_intents(tmp_path, intent, labels):
 
 @pytest.mark.parametrize(
     ("pair", "labels"),
-    [("Segment0_ID:=Segment_1", True), ("Segment0_Name:=liver", True), ("a:=Segment0_ID", False), ("# Segment0_", False)],
+    [("Segment0_ID:=Segment_1", True), ("Segment0_Name:=a", True), ("a:=Segment0_ID", False), ("# Segment0", False)],
 )
 def test_segmentations_of_3d_slicer(tmp_path, pair, labels):
     header = f"NRRD0004\ntype: uint8\ndimension: 3\nsizes: 4 3 2\nencoding: raw\n{pair}\n\n"
