@@ -74,8 +74,6 @@ class Coding:
         self.codec = layout.codecs[0].name
         if not layout.codecs[0].lossless:
             self._check_lossy(source, trainer)
-        elif layout.dtype.itemsize > 4:
-            raise UsageError("codec", f"got {self.codec!r} for {layout.dtype}", "another lossless codec")
         self.original_dtype = source.dtype
         self._voxels = source if source.dtype == layout.dtype else AsFloat32(source)
         self._trainer = None if layout.codecs[0].lossless else trainer

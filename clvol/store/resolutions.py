@@ -79,12 +79,13 @@ def resolutions(box: np.ndarray, levels: int) -> list[np.ndarray]:
 
 
 def majorities(box: np.ndarray, levels: int) -> list[np.ndarray]:
-    """As ``resolutions`` for labels, of at most four bytes: a sample is the label that most of its voxels have, the
-    one with the smallest bits of several.
+    """As ``resolutions`` for labels: a sample is the label that most of its voxels have, the one with the smallest bits
+    of several.
     """
     bits = box.view(f"u{box.dtype.itemsize}")
-    outside = np.int64(1) << 8 * box.dtype.itemsize  # beyond the array
-    padded = _filled_up(bits.astype(np.int32 if box.dtype.itemsize < 4 else np.int64), levels, outside)
+    distinct, numbers = np.unique(bits, return_inverse=True) if bits.dtype.itemsize > 2 else (None, bits)
+    outside = 1 << 16 if distinct is None else len(distinct)  # beyond the array
+    padded = _filled_up(numbers.reshape(box.shape).astype(np.int32), levels, outside)
     found = [box]
     for level in range(1, levels):
         edge = 1 << level
@@ -95,7 +96,8 @@ def majorities(box: np.ndarray, levels: int) -> list[np.ndarray]:
         mixed = np.flatnonzero((cells != cells[:, :1]).any(axis=1))
         for rows in np.array_split(mixed, max(len(mixed) * edge**3 // _CACHED, 1)):
             common[rows] = _most_frequent(cells[rows], outside)
-        found.append(common.astype(bits.dtype).view(box.dtype).reshape(shape))
+        labels = common.astype(bits.dtype) if distinct is None else distinct[common]
+        found.append(labels.view(box.dtype).reshape(shape))
     return found
 
 

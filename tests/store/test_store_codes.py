@@ -350,7 +350,7 @@ def most_frequent(data: np.ndarray, level: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("shape", ((1, 17, 33), (20, 35, 40)))
-@pytest.mark.parametrize("dtype", ("uint8", "uint16", "float32"))
+@pytest.mark.parametrize("dtype", ("uint8", "uint16", "float32", "float64"))
 def test_labels_are_exact_at_every_level_and_levels_invent_none(tmp_path, dtype, shape):
     data = segments(shape, dtype)
     store = coded(Volume(data, labels=True), tmp_path / "s", "labels")
@@ -380,8 +380,3 @@ def test_labels_take_less_than_their_voxels_compressed(tmp_path):
     level = sum(p.stat().st_size for p in (tmp_path / "plain/0").rglob("*") if p.is_file())
     assert codes.codes.measured.bits_per_voxel * data.size / 8 < level
     np.testing.assert_array_equal(plain.volume_level(0), data)
-
-
-def test_labels_of_eight_bytes_are_refused(tmp_path):
-    with pytest.raises(UsageError, match="codec: got 'labels' for float64"):
-        coded(Volume(np.zeros((4, 4, 4)), labels=True), tmp_path / "s", "labels")
