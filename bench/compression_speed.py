@@ -36,13 +36,13 @@ def speed(subject: Subject, rounds: int, quick: bool) -> dict[str, Any]:
         if not ask.is_peer:
             coded = coder.encode(ask.codec, ask.target)
             encoding[ask.curve] = lambda ask=ask: coder.encode(ask.codec, ask.target).seconds
-            decoding[f"{ask.curve}: numpy"] = timed(lambda: coder.decode(coded))
+            decoding[f"{ask.curve}: numpy"] = timed(lambda coded=coded: coder.decode(coded))
             for device in coder.decoders(coded, DEVICES):
                 decoding[f"{ask.curve}: {device.name}"] = device.seconds
         elif peers is not None and ask.codec in peers.codecs:
-            kind, value = subject.peer_ask(ask)
-            encoded = peers.encode(ask.codec, kind, value)
-            encoding[ask.curve] = lambda ask=ask, kind=kind, value=value: peers.encode(ask.codec, kind, value).seconds
+            asked = ask.codec, *subject.peer_ask(ask)
+            encoded = peers.encode(*asked)
+            encoding[ask.curve] = lambda asked=asked: peers.encode(*asked).seconds
             decoding[ask.curve] = lambda encoded=encoded: peers.decode_seconds(encoded)
     if not encoding:
         return {"volume": subject.scene.name, "voxels": subject.volume.data.size, "encoding": {}, "decoding": {}}

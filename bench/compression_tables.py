@@ -59,7 +59,7 @@ def _speed_verdicts(row: dict[str, Any]) -> list[Verdict]:
     found, name = [], row["volume"]
     zfp = [rate(row, "decoding", way) for way in row["decoding"] if way.startswith("zfp")]
     for way in row["decoding"]:
-        if way.startswith("rvq") and way.endswith("pocl"):
+        if way.startswith("rvq") and way.endswith("pocl, codes resident"):
             decoded = rate(row, "decoding", way)
             found.append(Verdict(f"{name}, {way}: million voxels decoded per second", decoded, DECODE_GOAL))
             if zfp:
