@@ -14,9 +14,11 @@ from bench.compression_scenes import Target
 
 @dataclass(frozen=True, eq=False)
 class Coded:
-    """``codes``: a ``CodedVolume``. ``seconds``: of training and encoding."""
+    """``codes``: a ``CodedVolume``. ``seconds`` of encoding, without those of training."""
 
     codes: Any
+    training: Any
+    training_seconds: float
     seconds: float
 
     @property
@@ -40,6 +42,23 @@ class Decoder:
         return perf_counter() - start
 
 
+class TimedTrainer:
+    """A ``Trainer`` that keeps its last ``training`` and the ``seconds`` that this took; one that is given is used."""
+
+    def __init__(self, trainer: Any, training: Any = None) -> None:
+        self.trainer, self.training, self.seconds = trainer, training, 0.0
+
+    def train(self, *about: Any) -> Any:
+        if self.training is None:
+            start = perf_counter()
+            self.training = self.trainer.train(*about)
+            self.seconds = perf_counter() - start
+        return self.training
+
+    def encoder(self, training: Any) -> Any:
+        return self.trainer.encoder(training)
+
+
 class Coder:
     """The codecs on one volume. ``trainer``: by default that of ``device``."""
 
@@ -50,20 +69,22 @@ class Coder:
     @property
     def trainer(self) -> Any:
         if self._trainer is None:
-            from clvol.encoding.trainer import VectorTrainer
+            from clvol.encoding.trainer import CodeTrainer
             from clvol.opencl.context import DeviceContext
 
-            self._trainer = VectorTrainer(DeviceContext(self.device))
+            self._trainer = CodeTrainer(DeviceContext(self.device))
         return self._trainer
 
-    def encode(self, codec: str, target: Target) -> Coded:
+    def encode(self, codec: str, target: Target, trained: Coded | None = None) -> Coded:
+        """``trained``: whose training is used once more, where the same is asked for."""
         from clvol.encoding.coded_volume import encoded_volume
         from clvol.scene.compression import Compression
 
-        trainer, settings = self.trainer, Compression(codec=codec, **target)
+        settings = Compression(codec=codec, **target)
+        trainer = TimedTrainer(self.trainer, None if trained is None else trained.training)
         start = perf_counter()
         codes = encoded_volume(self.volume, settings, trainer)
-        return Coded(codes, perf_counter() - start)
+        return Coded(codes, trainer.training, trainer.seconds, perf_counter() - start - trainer.seconds)
 
     def decode(self, coded: Coded) -> np.ndarray:
         """In numpy: the voxels that every device gives."""

@@ -28,6 +28,7 @@ class Tried:
     encode_seconds: float
     decode_seconds: float
     voxels: np.ndarray
+    training_seconds: float = 0.0
 
 
 class Subject:
@@ -63,7 +64,7 @@ class Subject:
             coded = self.coder.encode(ask.codec, ask.target)
             start = perf_counter()
             voxels = self.coder.decode(coded)
-            return Tried(ask, coded.nbytes, coded.seconds, perf_counter() - start, voxels)
+            return Tried(ask, coded.nbytes, coded.seconds, perf_counter() - start, voxels, coded.training_seconds)
         assert self.peers is not None
         encoded = self.peers.encode(ask.codec, *self.peer_ask(ask))
         voxels, seconds = self.peers.decode(encoded)
@@ -124,7 +125,7 @@ def rate_row(subject: Subject, tried: Tried, pictures: Path) -> dict[str, Any]:
         "bytes": tried.bytes, "bits": bits_per_voxel(tried.bytes, volume.data.size),
         "psnr": error.psnr, "largest": error.largest, "delta_e": float(apart.mean()),
         "delta_e_largest": float(apart.max()), "encode_seconds": tried.encode_seconds,
-        "decode_seconds": tried.decode_seconds, "picture": name,
+        "decode_seconds": tried.decode_seconds, "training_seconds": tried.training_seconds, "picture": name,
     }  # fmt: skip
 
 

@@ -29,13 +29,15 @@ _SLOW = 2.0  # seconds from which three turns must do
 
 def speed(subject: Subject, rounds: int, quick: bool) -> dict[str, Any]:
     """Seconds of encoding and of decoding, by codec and by what decodes."""
+    training: dict[str, float] = {}
     encoding: dict[str, Any] = {}
     decoding: dict[str, Any] = {}
     peers, coder = subject.peers, subject.coder
     for ask in ASKED[subject.scene.name]:
         if not ask.is_peer:
             coded = coder.encode(ask.codec, ask.target)
-            encoding[ask.curve] = lambda ask=ask: coder.encode(ask.codec, ask.target).seconds
+            training[ask.curve] = coded.training_seconds
+            encoding[ask.curve] = lambda ask=ask, coded=coded: coder.encode(ask.codec, ask.target, coded).seconds
             decoding[f"{ask.curve}: numpy"] = timed(lambda coded=coded: coder.decode(coded))
             for device in coder.decoders(coded, DEVICES):
                 decoding[f"{ask.curve}: {device.name}"] = device.seconds
@@ -44,10 +46,8 @@ def speed(subject: Subject, rounds: int, quick: bool) -> dict[str, Any]:
             encoded = peers.encode(*asked)
             encoding[ask.curve] = lambda asked=asked: peers.encode(*asked).seconds
             decoding[ask.curve] = lambda encoded=encoded: peers.decode_seconds(encoded)
-    if not encoding:
-        return {"volume": subject.scene.name, "voxels": subject.volume.data.size, "encoding": {}, "decoding": {}}
     row = {
-        "volume": subject.scene.name, "voxels": subject.volume.data.size,
+        "volume": subject.scene.name, "voxels": subject.volume.data.size, "training": training,
         "asked": {ask.curve: ask.value for ask in ASKED[subject.scene.name]},
         "encoding": take_turns(encoding, rounds, slow_seconds=_SLOW),
         "decoding": take_turns(decoding, rounds, slow_seconds=_SLOW),

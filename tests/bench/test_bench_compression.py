@@ -228,7 +228,7 @@ def _row(volume: str, codec: str, kind: str, asked: float | None, bits: float, p
     ask = Ask(codec, kind, asked)
     return {"volume": volume, "codec": codec, "kind": kind, "curve": ask.curve, "asked": asked, "bytes": 100,
             "bits": bits, "psnr": psnr, "largest": largest, "delta_e": 0.1, "delta_e_largest": 2.0,
-            "encode_seconds": 1.0, "decode_seconds": 0.5,
+            "encode_seconds": 1.0, "decode_seconds": 0.5, "training_seconds": 9.0,
             "picture": picture_name(volume, ask.curve, asked)}  # fmt: skip
 
 
@@ -259,7 +259,7 @@ def _result() -> dict:
             _row("engine", "sz3", "bound", 0.04, 0.2, 40.0, 0.04),
             _row("engine", "sz3", "bound", 0.01, 0.8, 50.0, 0.01),
         ],
-        "speed": [{"volume": "engine", "voxels": 10**7, "asked": {},
+        "speed": [{"volume": "engine", "voxels": 10**7, "asked": {}, "training": {"rvq, rate": 20.0},
                    "encoding": {"rvq, rate": _time(0.5), "zfp, rate": _time(0.1)},
                    "decoding": {way: _time(seconds) for way, seconds in decoding.items()}}],
         "frames": [{"scene": "engine-smooth", "bits": 0.45, "same": True,
