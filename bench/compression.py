@@ -20,7 +20,7 @@ from bench.compression_speed import speed
 from bench.compression_tables import markdown, show
 from bench.multiresolution import attempt
 from bench.options import Options
-from bench.report import load_average, machine, say
+from bench.report import load_average, opening, say
 
 __all__ = ["SUMMARY", "draw", "run", "show"]
 
@@ -35,11 +35,7 @@ def run(options: Options) -> dict[str, Any] | None:
 
     device = open_device(options.device)
     begin = perf_counter()
-    result: dict[str, Any] = {
-        "machine": machine(device), "quick": options.quick, "load_before": load_average(),
-        "size": QUICK_SIZE if options.quick else SIZE, "missing": [], "failed": [],
-        **{part: [] for part in PARTS},
-    }  # fmt: skip
+    result = opening(device, options.quick, QUICK_SIZE if options.quick else SIZE) | {part: [] for part in PARTS}
     with peers(say) as found:
         result["peers"] = {} if found is None else found.versions
         for scene in coded_scenes(options, result["missing"]):
