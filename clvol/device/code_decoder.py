@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 
@@ -18,9 +19,13 @@ from clvol.opencl.context import DeviceArray, DeviceContext
 from clvol.opencl.structs import CODE_MAP, CODED_BLOCK
 from clvol.store.codecs.coded_blocks import MOST_STAGES, Codebooks, CodedBlocks
 from clvol.store.codecs.layout import check_codes
+from clvol.store.codecs.working_values import LARGEST
 
 SPARE_BYTES = 64  # after the codes of a buffer: kernels read vectors that may end beyond the last block
 STAGING_BYTES = 16 * 2**20
+
+Stages: TypeAlias = "int | np.ndarray"
+"""A limit of stages: of all blocks, or int [n], of each."""
 
 _ARGUMENTS = (
     reads("blocks", np.uint8, "count", CODED_BLOCK.itemsize), value("count", np.int32), reads("codes", np.uint8),
@@ -52,19 +57,22 @@ class CodeDecoder:
             raise VolumeError(where, f"impossible codebooks ({fault})", "those of one of clvol's codecs")
         self._context, self.codebooks, self.where = context, codebooks, where
         self.dtype = codebooks.values.dtype
+        # A group of one keeps compilers for CPUs from spreading vectors of 16 over work-items.
+        self._group = 1 if context.is_cpu else 32
         self._entries = context.upload(codebooks.entries.ravel() if codebooks.stages else np.zeros(64, np.int8))
-        self._maps: dict[int, DeviceArray] = {}
+        self._map = context.upload(code_map(codebooks).view(np.uint8))
         self._fault = context.upload(np.full(1, -1, np.int32), writable=True)
-        self._kernel = context.kernel("decode_codes.cl", "decode_codes", _ARGUMENTS, switches(codebooks))
+        self._kernel = context.kernel("decode_codes.cl", "decode_codes", _ARGUMENTS, switches(codebooks, self._group))
 
     @property
     def nbytes(self) -> int:
         """Bytes on the device, without codes and voxels."""
-        return self._entries.nbytes + CODE_MAP.itemsize * len(self._maps) + self._fault.nbytes
+        return self._entries.nbytes + self._map.nbytes + self._fault.nbytes
 
-    def hold(self, coded: CodedBlocks, s: int) -> HeldCodes:
-        """``coded`` on the device. VolumeError names the first block whose bytes are impossible."""
-        self._check(coded, s, np.arange(len(coded)), MOST_STAGES)
+    def hold(self, coded: CodedBlocks, s: int, stages: Stages = MOST_STAGES) -> HeldCodes:
+        """``coded`` on the device, of which no more bytes need to be there than a limit of ``stages`` takes: then they
+        may only be decoded to it. VolumeError names the first block whose bytes are impossible."""
+        self._check(coded, s, np.arange(len(coded)), stages)
         data, start = gathered(coded, np.arange(len(coded)))
         return HeldCodes(self._context.upload(np.append(data, np.zeros(SPARE_BYTES, np.uint8))), start, s)
 
@@ -74,7 +82,7 @@ class CodeDecoder:
         blocks: np.ndarray,
         voxels: DeviceArray,
         places: np.ndarray,
-        stages: int = MOST_STAGES,
+        stages: Stages = MOST_STAGES,
     ) -> None:
         """Enqueues the decoding of ``blocks`` (numbers in ``held``) to samples [s, s, s] that begin at the elements
         ``places`` of ``voxels``, to a limit of ``stages``."""
@@ -88,7 +96,7 @@ class CodeDecoder:
         blocks: np.ndarray,
         voxels: DeviceArray,
         corners: np.ndarray,
-        stages: int = MOST_STAGES,
+        stages: Stages = MOST_STAGES,
         first_slice: int = 0,
     ) -> None:
         """Enqueues the decoding of ``blocks`` (numbers in ``held``) to the corners int [n, 3] (z, y, x) of ``voxels``
@@ -101,7 +109,7 @@ class CodeDecoder:
         s: int,
         voxels: DeviceArray,
         corners: np.ndarray,
-        stages: int = MOST_STAGES,
+        stages: Stages = MOST_STAGES,
         *,
         staging_bytes: int = STAGING_BYTES,
         progress: Callable[[int, int], None] | None = None,
@@ -113,10 +121,11 @@ class CodeDecoder:
         room = max(min(staging_bytes, int(coded.size.sum())), int(coded.size.max(initial=0)))
         staging = self._context.empty(np.uint8, (room + SPARE_BYTES,))
         for blocks in parts_of(coded.size, room):
-            self._check(coded, s, blocks, stages)
+            own = stages[blocks] if isinstance(stages, np.ndarray) else stages
+            self._check(coded, s, blocks, own)
             data, start = gathered(coded, blocks)
             self._context.write(staging, data)
-            self._rows(staging, start, s, voxels, corners[blocks], stages, 0)
+            self._rows(staging, start, s, voxels, corners[blocks], own, 0)
             if progress is not None:
                 progress(int(blocks[-1]) + 1, len(coded))
         self.check_fault()
@@ -128,13 +137,16 @@ class CodeDecoder:
             self._context.write(self._fault, np.full(1, -1, np.int32))
             raise RenderError(self.where, f"block {fault} of a launch is of an unknown kind", "codes that were checked")
 
-    def _check(self, coded: CodedBlocks, s: int, blocks: np.ndarray, stages: int) -> None:
-        part = CodedBlocks(coded.data, coded.start[blocks], coded.size[blocks])
-        damaged = check_codes(part, s, self.codebooks, stages)
-        if len(damaged):
-            what = f"impossible bytes of block {blocks[damaged[0]]}"
+    def _check(self, coded: CodedBlocks, s: int, blocks: np.ndarray, stages: Stages) -> None:
+        limits = np.broadcast_to(stages, blocks.shape)
+        damaged = []
+        for limit in np.unique(limits):
+            own = blocks[limits == limit]
+            part = CodedBlocks(coded.data, coded.start[own], coded.size[own])
+            damaged += own[check_codes(part, s, self.codebooks, int(limit))].tolist()
+        if damaged:
             more = f" and {len(damaged) - 1} others" if len(damaged) > 1 else ""
-            raise VolumeError(self.where, what + more, "undamaged codes")
+            raise VolumeError(self.where, f"impossible bytes of block {min(damaged)}{more}", "undamaged codes")
 
     def _check_room(self, voxels: DeviceArray, needed: int) -> None:
         if voxels.dtype != self.dtype:
@@ -150,7 +162,7 @@ class CodeDecoder:
         s: int,
         voxels: DeviceArray,
         corners: np.ndarray,
-        stages: int,
+        stages: Stages,
         first_slice: int,
     ) -> None:
         corners = np.asarray(corners, np.int64).reshape(-1, 3) - (first_slice, 0, 0)
@@ -171,7 +183,7 @@ class CodeDecoder:
         places: np.ndarray,
         extent: np.ndarray,
         voxels: DeviceArray,
-        stages: int,
+        stages: Stages,
         row: int = 0,
         area: int = 0,
         first_code: int = 0,
@@ -180,16 +192,16 @@ class CodeDecoder:
         if not len(start):
             return
         blocks = np.empty(len(start), CODED_BLOCK)
-        blocks["from"], blocks["to"], blocks["extent"] = start, places, extent
+        blocks["from"], blocks["to"], blocks["extent"], blocks["limit"] = start, places, extent, stages
         self._kernel(
             self._context.queue,
-            (len(blocks),),
-            (1,),
+            (-(-len(blocks) // self._group) * self._group,),
+            (self._group,),
             blocks=self._context.upload(blocks.view(np.uint8)),
             count=len(blocks),
             codes=codes,
             entries=self._entries,
-            map=self._map(stages),
+            map=self._map,
             voxels=voxels,
             first_code=first_code,
             first_voxel=first_voxel,
@@ -198,29 +210,24 @@ class CodeDecoder:
             fault=self._fault,
         )
 
-    def _map(self, stages: int) -> DeviceArray:
-        stages = max(0, min(stages, self.codebooks.stages))
-        if stages not in self._maps:
-            self._maps[stages] = self._context.upload(code_map(self.codebooks, stages).view(np.uint8))
-        return self._maps[stages]
 
-
-def switches(codebooks: Codebooks) -> dict[str, int]:
+def switches(codebooks: Codebooks, group: int) -> dict[str, int]:
     """The switches (-D) of cl/decode_codes.cl."""
     dtype = codebooks.values.dtype
     return {
         "LANES": 1, "VOXEL_BITS": dtype.itemsize * 8, "VOXEL_SIGNED": int(dtype.kind == "i"),
         "CODED_SIDE": codebooks.side, "CODED_MEANS": int(codebooks.codec != "vq"),
+        "CODED_WHOLE": int(codebooks.values.span == LARGEST), "CODED_GROUP": group,
     }  # fmt: skip
 
 
-def code_map(codebooks: Codebooks, limit: int) -> np.ndarray:
+def code_map(codebooks: Codebooks) -> np.ndarray:
     """``CodeMap`` of cl/decode_codes.h [1]."""
     own, values = np.zeros(1, CODE_MAP), codebooks.values
     shifts = own["shifts"].reshape(1, -1)
     shifts[0, : codebooks.stages] = codebooks.shifts
     own["shifts"] = shifts.reshape(own["shifts"].shape)
-    own["stages"], own["limit"], own["residual_step"] = codebooks.stages, limit, codebooks.residual_step
+    own["stages"], own["residual_step"] = codebooks.stages, codebooks.residual_step
     own["low"], own["span"], own["first"], own["scale"] = values.low, values.span, values.first, values.scale
     return own
 

@@ -92,11 +92,11 @@ BLOCKS = struct(("int4", "count"), ("float", "edge inverse_edge"), ("int", "log_
 BLOCK_PAYLOAD = struct(("int", "from to size codec"))
 """``BlockPayload`` of cl/decode_blocks.cl."""
 
-CODED_BLOCK = struct(("int4", "extent"), ("long", "from to"))
+CODED_BLOCK = struct(("int4", "extent"), ("long", "from to"), ("int", "limit"))
 """``CodedBlock`` of cl/decode_codes.h."""
 
 CODE_MAP = struct(
-    ("int4", "shifts", MOST_STAGES // 4), ("int", "stages limit residual_step low span first"), ("float", "scale")
+    ("int4", "shifts", MOST_STAGES // 4), ("int", "stages residual_step low span first"), ("float", "scale")
 )
 """``CodeMap`` of cl/decode_codes.h."""
 

@@ -12,6 +12,7 @@ from clvol.opencl.struct_check import REPORT_ARGUMENTS, check_structs, layout_of
 from clvol.opencl.structs import CODE_MAP, CODED_BLOCK
 from clvol.store.codecs.coded_blocks import MOST_STAGES
 from clvol.store.codecs.decode import decode_blocks
+from clvol.store.codecs.layout import prefix_sizes
 
 pytestmark = pytest.mark.every_case
 COUNTS = {1: 8, 2: 8, 4: 150, 8: 60, 16: 12, 32: 4}
@@ -45,6 +46,29 @@ def test_blocks_are_those_of_numpy(each_device, contexts, codec, dtype):
             for block, place in zip(some, places):
                 expected[place : place + s**3] = decoded[block].ravel()
             assert context.read(voxels).tobytes() == expected.tobytes(), (s, stages)
+
+
+@pytest.mark.parametrize("codec", LOSSY)
+def test_each_block_may_have_a_limit_of_its_own(device, contexts, codec):
+    context = contexts(device)
+    blocks, codebooks = random_codes(3, codec, 8, "int8", 60)
+    decoder = CodeDecoder(context, codebooks)
+    limits = np.random.default_rng(0).integers(0, codebooks.stages + 1, len(blocks))
+    sizes = prefix_sizes(packed(blocks), 8, codebooks)
+    cut = packed([block[: sizes[k, limits[k]]] for k, block in enumerate(blocks)])
+    expected = np.stack([decode_blocks(packed([block]), 8, codebooks, int(limits[k]))[0]
+                         for k, block in enumerate(blocks)])  # fmt: skip
+    for coded in (cut, packed(blocks)):
+        voxels, _ = untouched(context, "int8", (len(blocks) * 512,))
+        held = decoder.hold(coded, 8, limits)
+        decoder.into_blocks(held, np.arange(len(blocks)), voxels, np.arange(len(blocks)) * 512, limits)
+        assert context.read(voxels).tobytes() == expected.tobytes()
+        volume, _ = untouched(context, "int8", (8, 8, len(blocks) * 8))
+        corners = np.arange(len(blocks))[:, None] * (0, 0, 8)
+        decoder.decode_volume(coded, 8, volume, corners, limits, staging_bytes=2000)
+        assert (context.read(volume).reshape(8, 8, -1, 8).transpose(2, 0, 1, 3) == expected).all()
+    with pytest.raises(VolumeError, match="impossible bytes of block"):
+        decoder.hold(cut, 8)
 
 
 @pytest.mark.parametrize("dtype", ("uint8", "int16", "float32"))
@@ -146,12 +170,23 @@ def test_what_does_not_fit_is_refused(device, contexts):
     decoder.into_blocks(held, np.zeros(0, np.int64), volume, np.zeros(0, np.int64))
 
 
+def test_groups_of_work_items_decode_the_same(device, contexts, monkeypatch):
+    context = contexts(device)
+    blocks, codebooks = random_codes(8, "rvq", 8, "uint16", 45)
+    expected = decode_blocks(packed(blocks), 8, codebooks)
+    monkeypatch.setattr(context, "is_cpu", False)
+    decoder = CodeDecoder(context, codebooks)
+    voxels, _ = untouched(context, "uint16", (45 * 512,))
+    decoder.into_blocks(decoder.hold(packed(blocks), 8), np.arange(45), voxels, np.arange(45) * 512)
+    assert context.read(voxels).tobytes() == expected.tobytes()
+
+
 def test_every_field_is_where_the_compiler_has_it(each_device, contexts):
     context = contexts(each_device)
     expected = {"CodedBlock": CODED_BLOCK, "CodeMap": CODE_MAP}
     for dtype in DTYPES:
         _, codebooks = random_codes(1, "rvq", 8, dtype, 1)
-        kernel = context.kernel("decode_codes.cl", "struct_fields", REPORT_ARGUMENTS, switches(codebooks))
+        kernel = context.kernel("decode_codes.cl", "struct_fields", REPORT_ARGUMENTS, switches(codebooks, 1))
         check_structs(context, kernel, expected)
         assert reported_structs(context, kernel) == {name: layout_of(own) for name, own in expected.items()}
 
