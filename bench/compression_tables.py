@@ -45,10 +45,13 @@ def verdicts(result: dict[str, Any]) -> list[Verdict]:
     for row in result["speed"]:
         found += _speed_verdicts(row)
     for row in result["frames"]:
-        what = f"{row['scene']}, resident: times the time of voxels"
-        found.append(Verdict(what, row["ways"]["resident"]["ratio"], RESIDENT_GOAL, True))
+        if "resident" in row["ways"]:
+            what = f"{row['scene']}, resident: times the time of voxels"
+            found.append(Verdict(what, row["ways"]["resident"]["ratio"], RESIDENT_GOAL, True))
     for row in result["budget"]:
-        way = row["ways"]["rvq"]
+        way = row["ways"].get("rvq")
+        if way is None:
+            continue
         what = f"{row['scene']} {row['ratio']:g} : 1 as codes"
         found.append(Verdict(f"{what}: mean CIEDE2000", way["delta_e"], BUDGET_BEFORE[row["scene"]] / 2, True))
         found.append(Verdict(f"{what}: largest CIEDE2000", way["delta_e_largest"], BUDGET_LARGEST, True))
