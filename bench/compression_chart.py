@@ -64,7 +64,7 @@ def rate_chart(result: dict[str, Any], path: Path) -> Path:
     ]  # fmt: skip
     if any(scene.goal and scene.name in names for scene in CODED_SCENES):
         handles.append(Line2D([], [], color=_GOAL, marker="+", markersize=11, linestyle="none", label="goal"))
-    figure.legend(handles=handles, loc="outside upper left", ncols=3, fontsize=9)
+    figure.legend(handles=handles, loc="outside upper left", ncols=max(1, len(names) - 1), fontsize=9)
     return _save(plt, figure, path, _notes(result))
 
 

@@ -137,7 +137,8 @@ def budget(bench: Frames, scene: BlockScene, ratio: float) -> dict[str, Any]:
         "ways": {way: {"time": times[way], **_apart(found[way], whole)} for way in found},
     }  # fmt: skip
     for way, told in row["ways"].items():
-        say(f"{scene.name} {ratio:g} : 1, {way}: CIEDE2000 {told['delta_e']:.2f}, largest {told['delta_e_largest']:.1f}")
+        apart = f"CIEDE2000 {told['delta_e']:.2f}, largest {told['delta_e_largest']:.1f}"
+        say(f"{scene.name} {ratio:g} : 1, {way}: {apart}")
     return row
 
 

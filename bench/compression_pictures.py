@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from bench.compression_scenes import CODED_SCENES
 from bench.gallery import save_small
 from bench.multiresolution_pictures import sheet_of
 from bench.pyramid_pictures import TIMES, difference
@@ -19,14 +20,14 @@ _SHOWN = (0.27, 0.73)  # of the picture's edges: a tile of as many pixels, where
 
 
 def codec_strip(name: str, rows: Sequence[dict[str, Any]], folder: Path, path: Path) -> Path:
-    """``rows``: of one volume. Codecs with a free rate are shown at about that of the middle one of "rvq"."""
+    """``rows``: of one volume. Codecs with a free rate are shown at about that of the goal."""
     from clvol.image.png import display
 
     original = np.load(folder / f"{name}.npy", allow_pickle=False)
     black = (0.0, 0.0, 0.0)
     above = [(_cut(display(original, black)), f"{name}")]
     below = [(np.full_like(above[0][0], 255), f"differences times {TIMES}")]
-    for row in chosen(rows):
+    for row in chosen(rows, shown_rate(name)):
         picture = np.load(folder / row["picture"], allow_pickle=False)
         told = f"{_NAMES.get(row['curve'], row['curve'])}: {row['bits']:.2f} bits, {row['psnr']:.1f} dB"
         above.append((_cut(display(picture, black)), told))
@@ -37,15 +38,19 @@ def codec_strip(name: str, rows: Sequence[dict[str, Any]], folder: Path, path: P
     return path
 
 
-def chosen(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """A row of each curve there is: "rvq" at its middle rate, the others at the rate that comes nearest."""
-    own = sorted((row for row in rows if row["curve"] == "rvq, rate"), key=lambda row: row["bits"])
-    wanted = own[len(own) // 2]["bits"] if own else 0.5
+def shown_rate(name: str) -> float:
+    """Bits per voxel of the volume's goal, or else the lowest of "rvq"."""
+    scene = next(scene for scene in CODED_SCENES if scene.name == name)
+    return scene.rates[0] if scene.goal is None else scene.goal[0]
+
+
+def chosen(rows: Sequence[dict[str, Any]], bits: float) -> list[dict[str, Any]]:
+    """Of each curve there is, the row that comes nearest to so many bits per voxel."""
     found = []
     for curve in CURVES:
         there = [row for row in rows if row["curve"] == curve]
         if there:
-            found.append(min(there, key=lambda row: abs(np.log(row["bits"] / wanted))))
+            found.append(min(there, key=lambda row: abs(np.log(row["bits"] / bits))))
     return found
 
 

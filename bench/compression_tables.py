@@ -112,7 +112,7 @@ def _rate_cells(rows: Rows) -> tuple[list[str], list[list[str]]]:
 def _asked(row: dict[str, Any]) -> str:
     if row["asked"] is None:
         return ""
-    return {"rate": "{:g} bits", "psnr": "{:g} dB"}.get(row["kind"], "{:.3%}").format(row["asked"])
+    return {"rate": "{:g} bits", "psnr": "{:g} dB"}.get(row["kind"], "{:.3g}").format(row["asked"])
 
 
 def _equal_cells(rows: Rows) -> tuple[list[str], list[list[str]]]:

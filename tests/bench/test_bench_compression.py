@@ -16,7 +16,7 @@ from bench import compression_peers
 from bench.compression_chart import CURVES, curve_points, rate_chart
 from bench.compression_child import as_voxels
 from bench.compression_errors import bits_at_error, bits_at_psnr, bits_per_voxel, voxel_error
-from bench.compression_pictures import chosen, codec_strip
+from bench.compression_pictures import chosen, codec_strip, shown_rate
 from bench.compression_rates import middle, picture_name
 from bench.compression_scenes import BOUNDS, CODED_SCENES, ENGINE, Ask, asks
 from bench.compression_speed import ASKED, rate
@@ -320,10 +320,11 @@ def test_pictures_are_of_about_the_same_rate():
     rows = [_row("engine", "rvq", "rate", bits, bits, 40.0, 0.1) for bits in (0.2, 0.5, 1.0)]
     rows += [_row("engine", "sz3", "bound", 1 / bits, bits, 40.0, 0.1) for bits in (0.1, 0.6, 0.2)]
     rows.append(_row("engine", "vq", "own rate", None, 1.0, 35.0, 0.5))
-    assert [(row["curve"], row["bits"]) for row in chosen(rows)] == [
+    assert [(row["curve"], row["bits"]) for row in chosen(rows, 0.4)] == [
         ("vq", 1.0), ("rvq, rate", 0.5), ("sz3, bound", 0.6)
     ]  # fmt: skip
-    assert [row["curve"] for row in chosen(rows[3:])] == ["vq", "sz3, bound"]
+    assert [row["curve"] for row in chosen(rows[3:], 0.4)] == ["vq", "sz3, bound"]
+    assert [shown_rate(scene.name) for scene in CODED_SCENES] == [0.45, 0.18, 1.0, 0.06]
 
 
 def test_a_strip_and_a_chart_are_drawn_of_what_was_measured(tmp_path):
