@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import Any
 
@@ -72,8 +71,8 @@ def curve_points(
     rows: list[dict[str, Any]], curve: str, key: str, factor: float, logarithmic: bool
 ) -> list[tuple[float, float]]:
     """(bits per voxel, value) of what an axis can show, by rising rate."""
-    found = sorted((row["bits"], factor * row[key]) for row in rows if row["curve"] == curve)
-    return [(bits, value) for bits, value in found if math.isfinite(value) and (value > 0 or not logarithmic)]
+    found = sorted((row["bits"], factor * row[key]) for row in rows if row["curve"] == curve and row[key] is not None)
+    return [(bits, value) for bits, value in found if value > 0 or not logarithmic]
 
 
 def _goal(axis: Any, name: str) -> None:

@@ -69,10 +69,10 @@ class Coder:
     @property
     def trainer(self) -> Any:
         if self._trainer is None:
-            from clvol.encoding.trainer import CodeTrainer
+            from clvol.integrators.decoding import trainer
             from clvol.opencl.context import DeviceContext
 
-            self._trainer = CodeTrainer(DeviceContext(self.device))
+            self._trainer = trainer(DeviceContext(self.device))
         return self._trainer
 
     def encode(self, codec: str, target: Target, trained: Coded | None = None) -> Coded:
@@ -88,9 +88,9 @@ class Coder:
 
     def decode(self, coded: Coded) -> np.ndarray:
         """In numpy: the voxels that every device gives."""
-        from clvol.store.codecs.decode import decode_blocks
+        from clvol.encoding.coded_volume import decode_on_host
 
-        return coded.codes.decoded(decode_blocks).data
+        return np.concatenate([layer for _, layer in coded.codes.layers(decode_on_host)])
 
     def decoders(self, coded: Coded, names: Sequence[str]) -> Iterator[Decoder]:
         """Decoding on the devices of these names, as far as they are there."""

@@ -7,6 +7,7 @@ import contextlib
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from bench.compression_rates import QUICK_EDGE, middle
 from bench.effects import ratio_of
 from bench.multiresolution_scenes import CHEST_BLOCKS, CRAB, FEMALE, BlockScene, placed_as_in_bench
 from bench.options import Options
@@ -30,7 +31,7 @@ def cases(
     from bench.multiresolution import there
 
     scenes = {scene.name for scene in there((ENGINE, HEPTANE, FEMALE, CRAB, CHEST_BLOCKS), options, missing)}
-    bench = Frames(device, size, rounds)
+    bench = Frames(device, size, rounds, QUICK_EDGE if options.quick else None)
     return {
         "frames": [lambda s=scene: frames(bench, s) for scene in FRAMES if scene.name in scenes],
         "crossover": [lambda s=scene: crossover(bench, s) for scene in CROSSOVER if scene.name in scenes],
@@ -39,16 +40,17 @@ def cases(
 
 
 class Frames:
-    """What all parts share."""
+    """What all parts share. ``edge``: voxels per axis that are taken of a volume, None for all."""
 
-    def __init__(self, device: Any, size: int, rounds: int) -> None:
-        self.device, self.size, self.rounds = device, size, rounds
+    def __init__(self, device: Any, size: int, rounds: int, edge: int | None = None) -> None:
+        self.device, self.size, self.rounds, self.edge = device, size, rounds, edge
         self._volumes: dict[str, Any] = {}
 
     def volume(self, scene: BlockScene) -> Any:
         file = scene.scene.file
         if file not in self._volumes:
-            self._volumes = {file: scene.scene.load()}  # one at a time: they are large
+            found = scene.scene.load()
+            self._volumes = {file: middle(found, self.edge) if self.edge else found}  # one at a time: they are large
         return self._volumes[file]
 
     def compare(self, asked: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:

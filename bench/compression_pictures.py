@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from bench.compression_rates import psnr_text
 from bench.compression_scenes import CODED_SCENES
 from bench.gallery import save_small
 from bench.multiresolution_pictures import sheet_of
@@ -29,7 +30,7 @@ def codec_strip(name: str, rows: Sequence[dict[str, Any]], folder: Path, path: P
     below = [(np.full_like(above[0][0], 255), f"differences times {TIMES}")]
     for row in chosen(rows, shown_rate(name)):
         picture = np.load(folder / row["picture"], allow_pickle=False)
-        told = f"{_NAMES.get(row['curve'], row['curve'])}: {row['bits']:.2f} bits, {row['psnr']:.1f} dB"
+        told = f"{_NAMES.get(row['curve'], row['curve'])}: {row['bits']:.2f} bits, {psnr_text(row)}"
         above.append((_cut(display(picture, black)), told))
         below.append((_cut(difference(original, picture)), f"CIEDE2000 {row['delta_e']:.2f}"))
     sheet, *_ = sheet_of([above, below], tile=_TILE)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
@@ -106,12 +107,17 @@ def rates(subject: Subject, quick: bool, failed: list[str], pictures: Path) -> l
         row = rate_row(subject, tried, pictures)
         rows.append(row)
         say(f"{subject.scene.name}, {ask.curve}{'' if ask.value is None else f' {ask.value:.4g}'}:"
-            f" {row['bits']:.3f} bits per voxel, {row['psnr']:.1f} dB, largest error {row['largest']:.1%},"
+            f" {row['bits']:.3f} bits per voxel, {psnr_text(row)}, largest error {row['largest']:.1%},"
             f" CIEDE2000 {row['delta_e']:.2f}   ({perf_counter() - start:.1f} s)")  # fmt: skip
     return rows
 
 
+def psnr_text(row: dict[str, Any]) -> str:
+    return "exact" if row["psnr"] is None else f"{row['psnr']:.1f} dB"
+
+
 def rate_row(subject: Subject, tried: Tried, pictures: Path) -> dict[str, Any]:
+    """"psnr" is None where all voxels are exact."""
     from clvol.accuracy.metrics import delta_e
 
     ask, volume = tried.ask, subject.volume
@@ -123,7 +129,8 @@ def rate_row(subject: Subject, tried: Tried, pictures: Path) -> dict[str, Any]:
     return {
         "volume": subject.scene.name, "codec": ask.codec, "kind": ask.kind, "curve": ask.curve, "asked": ask.value,
         "bytes": tried.bytes, "bits": bits_per_voxel(tried.bytes, volume.data.size),
-        "psnr": error.psnr, "largest": error.largest, "delta_e": float(apart.mean()),
+        "psnr": error.psnr if math.isfinite(error.psnr) else None, "largest": error.largest,
+        "delta_e": float(apart.mean()),
         "delta_e_largest": float(apart.max()), "encode_seconds": tried.encode_seconds,
         "decode_seconds": tried.decode_seconds, "training_seconds": tried.training_seconds, "picture": name,
     }  # fmt: skip

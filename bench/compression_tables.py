@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 from bench.compression_errors import bits_at_error, bits_at_psnr
+from bench.compression_rates import psnr_text
 from bench.compression_scenes import CODED_SCENES
 from bench.compression_speed import rate
 from bench.curves import Reach
@@ -34,10 +35,10 @@ def verdicts(result: dict[str, Any]) -> list[Verdict]:
         asked = [row for row in own if row["kind"] == "rate" and row["asked"] == bits]
         for row in asked:
             what = f"{scene.name}, asked for {bits:g} bits per voxel"
-            found += [Verdict(f"{what}: PSNR", row["psnr"], psnr), Verdict(f"{what}: bits", row["bits"], bits, True)]
+            found += [Verdict(f"{what}: PSNR", _decibels(row), psnr), Verdict(f"{what}: bits", row["bits"], bits, True)]
         for row in own:
             if row["kind"] == "psnr":
-                found.append(Verdict(f"{scene.name}, asked for {psnr:g} dB: PSNR", row["psnr"], psnr))
+                found.append(Verdict(f"{scene.name}, asked for {psnr:g} dB: PSNR", _decibels(row), psnr))
     for row in rvq:
         if row["kind"] == "bound":
             what = f"{row['volume']}, largest error asked for {row['asked']:.1%}"
@@ -56,6 +57,10 @@ def verdicts(result: dict[str, Any]) -> list[Verdict]:
         found.append(Verdict(f"{what}: mean CIEDE2000", way["delta_e"], BUDGET_BEFORE[row["scene"]] / 2, True))
         found.append(Verdict(f"{what}: largest CIEDE2000", way["delta_e_largest"], BUDGET_LARGEST, True))
     return found
+
+
+def _decibels(row: dict[str, Any]) -> float:
+    return math.inf if row["psnr"] is None else row["psnr"]
 
 
 def _speed_verdicts(row: dict[str, Any]) -> list[Verdict]:
@@ -79,12 +84,12 @@ def equal_rows(rows: Rows) -> list[dict[str, Any]]:
     """Per volume: the bits per voxel that rivals take for the same error as "rvq" has at each of its targets."""
     found = []
     for row in rows:
-        if row["codec"] != "rvq" or row["kind"] == "psnr":
+        if row["codec"] != "rvq" or row["kind"] == "psnr" or row["psnr"] is None:
             continue
         by_error = row["kind"] == "bound"
         entry = {"volume": row["volume"], "row": row, "by": "largest error" if by_error else "PSNR", "rivals": {}}
         for curve in _RIVALS:
-            own = [r for r in rows if r["volume"] == row["volume"] and r["curve"] == curve and math.isfinite(r["psnr"])]
+            own = [r for r in rows if r["volume"] == row["volume"] and r["curve"] == curve and r["psnr"] is not None]
             if own and by_error:
                 entry["rivals"][curve] = vars(bits_at_error([(r["bits"], r["largest"]) for r in own], row["largest"]))
             elif own:
@@ -102,9 +107,9 @@ def reach_text(found: dict[str, Any]) -> str:
 
 
 def _rate_cells(rows: Rows) -> tuple[list[str], list[list[str]]]:
-    head = ["volume", "codec", "asked", "bits per voxel", "PSNR, dB", "largest error", "CIEDE2000, mean", "largest"]
+    head = ["volume", "codec", "asked", "bits per voxel", "PSNR", "largest error", "CIEDE2000, mean", "largest"]
     return head, [[
-        row["volume"], row["curve"], _asked(row), f"{row['bits']:.3f}", f"{row['psnr']:.1f}", f"{row['largest']:.2%}",
+        row["volume"], row["curve"], _asked(row), f"{row['bits']:.3f}", psnr_text(row), f"{row['largest']:.2%}",
         f"{row['delta_e']:.3f}", f"{row['delta_e_largest']:.1f}",
     ] for row in rows]  # fmt: skip
 

@@ -258,6 +258,8 @@ def _result() -> dict:
             _row("engine", "vq", "own rate", None, 1.0, 35.0, 0.5),
             _row("engine", "sz3", "bound", 0.04, 0.2, 40.0, 0.04),
             _row("engine", "sz3", "bound", 0.01, 0.8, 50.0, 0.01),
+            _row("engine", "sz3", "bound", 0.001, 2.0, None, 0.0),
+            _row("engine", "rvq", "rate", 8.0, 8.1, None, 0.0),
         ],
         "speed": [{"volume": "engine", "voxels": 10**7, "asked": {}, "training": {"rvq, rate": 20.0},
                    "encoding": {"rvq, rate": _time(0.5), "zfp, rate": _time(0.1)},
@@ -308,7 +310,7 @@ def test_everything_measured_is_shown():
 
 def test_curves_leave_out_what_an_axis_cannot_show():
     rows = [_row("engine", "sz3", "bound", bound, bits, psnr, largest) for bound, bits, psnr, largest in (
-        (0.01, 2.0, 60.0, 0.01), (0.001, 3.0, math.inf, 0.0), (0.04, 1.0, 40.0, 0.04))]  # fmt: skip
+        (0.01, 2.0, 60.0, 0.01), (0.001, 3.0, None, 0.0), (0.04, 1.0, 40.0, 0.04))]  # fmt: skip
     assert curve_points(rows, "sz3, bound", "psnr", 1.0, False) == [(1.0, 40.0), (2.0, 60.0)]
     assert curve_points(rows, "sz3, bound", "largest", 100.0, True) == [(1.0, 4.0), (2.0, 1.0)]
 
