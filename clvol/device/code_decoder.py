@@ -218,6 +218,7 @@ def switches(codebooks: Codebooks, group: int) -> dict[str, int]:
         "LANES": 1, "VOXEL_BITS": dtype.itemsize * 8, "VOXEL_SIGNED": int(dtype.kind == "i"),
         "CODED_SIDE": codebooks.side, "CODED_MEANS": int(codebooks.codec != "vq"),
         "CODED_WHOLE": int(codebooks.values.span == LARGEST), "CODED_GROUP": group,
+        "CODED_LABELS": int(codebooks.codec == "labels"),
     }  # fmt: skip
 
 
