@@ -315,6 +315,38 @@ def test_curves_leave_out_what_an_axis_cannot_show():
     assert curve_points(rows, "sz3, bound", "largest", 100.0, True) == [(1.0, 4.0), (2.0, 1.0)]
 
 
+# All of it
+
+
+@pytest.mark.slow
+def test_a_quick_run_measures_shows_and_draws_without_peers(device, shared_volume, monkeypatch, tmp_path):
+    for name in ("engine.nrrd", "chest.nrrd"):
+        shared_volume(name)
+    monkeypatch.setattr("bench.options.RESULTS", tmp_path)
+    monkeypatch.setattr("bench.compression_rates.QUICK_EDGE", 32)
+    monkeypatch.setattr(compression_peers, "environment", lambda say: None)
+    options = Options(quick=True, scenes=("engine-smooth", "chest"))
+    result = bench.run(options)
+    json.dumps(result, allow_nan=False)
+    assert not result["failed"] and not result["missing"]
+    own = {ask.curve for ask in asks(ENGINE) if not ask.is_peer}
+    for name in ("engine", "chest"):
+        assert {row["curve"] for row in result["rates"] if row["volume"] == name} == own
+    for row in result["rates"]:
+        assert row["kind"] != "bound" or row["largest"] <= row["asked"]
+    for row in result["speed"]:
+        assert "rvq, rate" in row["encoding"] and "rvq, rate: numpy" in row["decoding"]
+        assert any("codes resident" in way for way in row["decoding"])
+    for row in result["frames"]:
+        assert row["ways"]["upload"]["compression"]["codec"] == "rvq" and row["same"]
+    assert "zfp and SZ3 are left out" in show(result)
+    drawn = bench.draw(result, options)
+    assert [path.name for path in drawn] == [
+        "compression.md", "compression.png", "compression-engine.png", "compression-chest.png"
+    ]  # fmt: skip
+    assert all(path.parent == options.folder and path.exists() for path in drawn)
+
+
 # Pictures
 
 
