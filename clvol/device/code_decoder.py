@@ -55,6 +55,8 @@ class CodeDecoder:
         fault = codebooks.fault()
         if fault is not None:
             raise VolumeError(where, f"impossible codebooks ({fault})", "those of one of clvol's codecs")
+        if codebooks.values.dtype.itemsize > 4:
+            raise RenderError(where, f"labels of {codebooks.values.dtype}", "a type of at most four bytes on a device")
         self._context, self.codebooks, self.where = context, codebooks, where
         self.dtype = codebooks.values.dtype
         # A group of one keeps compilers for CPUs from spreading vectors of 16 over work-items.

@@ -12,6 +12,7 @@ from clvol.opencl.struct_check import REPORT_ARGUMENTS, check_structs, layout_of
 from clvol.opencl.structs import CODE_MAP, CODED_BLOCK
 from clvol.store.codecs.coded_blocks import MOST_STAGES
 from clvol.store.codecs.decode import decode_blocks
+from clvol.store.codecs.labels import label_codebooks
 from clvol.store.codecs.layout import prefix_sizes
 
 COUNTS = {1: 8, 2: 8, 4: 150, 8: 60, 16: 12, 32: 4}
@@ -148,6 +149,8 @@ def test_impossible_codes_never_reach_a_device(device, contexts):
     with pytest.raises(VolumeError, match="a.store: impossible bytes of block 4"):
         decoder.decode_volume(coded, 8, voxels, corners, staging_bytes=1)
     assert (context.read(voxels)[:, :, 32:] == before[:, :, 32:]).all()
+    with pytest.raises(RenderError, match="labels of float64"):
+        CodeDecoder(context, label_codebooks(np.dtype(np.float64)))
     codebooks.shifts[0] = 10
     with pytest.raises(VolumeError, match="impossible codebooks"):
         CodeDecoder(context, codebooks)

@@ -31,7 +31,7 @@ def split_octants(byte: ByteAt, at: np.ndarray, s: int) -> tuple[np.ndarray, np.
     octants = (s // 8) ** 3
     count = (octants + 7) // 8
     flags = np.unpackbits(byte(at[:, None] + np.arange(count)), axis=1, bitorder="little")
-    return flags[:, :octants].astype(bool), at + count, ~flags[:, octants:].any(axis=1)
+    return flags[:, :octants].astype(bool), at + count, np.asarray(~flags[:, octants:].any(axis=1))
 
 
 def kinds_of(coded: CodedBlocks) -> np.ndarray:
