@@ -42,11 +42,11 @@ __kernel void visible_block_cells(__global const uchar *restrict volume, __globa
   /* Places in the block; faces of the block that the cell comes nearer than half a sample. */
   const int x = (cx << shift) - bx * edge, y = (cy << shift) - by * edge, z = (cz << shift) - bz * edge;
   const int sample = edge >> (code_of(&own) - 1), far = 2 * (edge - cell);
-  const int4 before = INTERBLOCK ? -(int4)(2 * x < sample, 2 * y < sample, 2 * z < sample, 0) : 0;
-  const int4 behind = INTERBLOCK ? (int4)(2 * x > far - sample, 2 * y > far - sample, 2 * z > far - sample, 0) : 0;
-  for (int dz = before.z; dz <= behind.z; ++dz)
-    for (int dy = before.y; dy <= behind.y; ++dy)
-      for (int dx = before.x; dx <= behind.x; ++dx) {
+  const int4 nearest = INTERBLOCK ? -(int4)(2 * x < sample, 2 * y < sample, 2 * z < sample, 0) : 0;
+  const int4 farthest = INTERBLOCK ? (int4)(2 * x > far - sample, 2 * y > far - sample, 2 * z > far - sample, 0) : 0;
+  for (int dz = nearest.z; dz <= farthest.z; ++dz)
+    for (int dy = nearest.y; dy <= farthest.y; ++dy)
+      for (int dx = nearest.x; dx <= farthest.x; ++dx) {
         const int nx = bx + dx, ny = by + dy, nz = bz + dz;
         if (nx < 0 || ny < 0 || nz < 0) continue;
         if (nx >= blocks->count.x || ny >= blocks->count.y || nz >= blocks->count.z) continue;

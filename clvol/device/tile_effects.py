@@ -32,27 +32,6 @@ def tiles_that_see(
     if not low.size:
         return np.zeros(columns * rows, bool)
     high = np.minimum(low + edge, np.asarray(size) - 1)
-    (x0, x1), (y0, y1) = tile_ranges(low, high, frame, to_edges, picture, tile)
-    counts = np.zeros((rows + 1, columns + 1), np.int64)
-    np.add.at(counts, (y0, x0), 1)
-    np.add.at(counts, (y0, x1), -1)
-    np.add.at(counts, (y1, x0), -1)
-    np.add.at(counts, (y1, x1), 1)
-    return (counts.cumsum(axis=0).cumsum(axis=1)[:rows, :columns] > 0).ravel()
-
-
-def tile_ranges(
-    low: np.ndarray,
-    high: np.ndarray,
-    frame: RayFrame,
-    to_edges: np.ndarray,
-    picture: tuple[int, int],
-    tile: tuple[int, int],
-) -> list[tuple[np.ndarray, np.ndarray]]:
-    """The tiles whose pixels may have a ray through each of n boxes from ``low`` to ``high`` [n, 3] (x, y, z, in
-    lattice coordinates): the first column and the one after the last, int [n] each, and likewise of rows. All tiles where the eye
-    may be in the box, none where all of it is behind the eye. Other arguments as for ``tiles_that_see``."""
-    columns, rows = (-(-n // m) for n, m in zip(picture, tile))
     half = 0.5 * (high - low) @ np.abs(to_edges).T
     radius = np.linalg.norm(half, axis=1) + 1e-3
     # An orthonormal frame of the view, in edges, from the eye (or its plane).
@@ -65,9 +44,8 @@ def tile_ranges(
     right, down = right / pixel, down / pixel
     from_plane = (0.5 * (low + high) - frame.origin) @ to_edges.T
     depth = from_plane @ forward + frame.distance
-    near, behind = np.abs(depth) <= 1.01 * radius, depth < -1.01 * radius
-    if is_perspective:
-        depth = np.where(near | behind, 2.0 * radius, depth)  # of these the numbers below are not used
+    if is_perspective and np.any(depth <= 1.01 * radius):
+        return np.ones(columns * rows, bool)  # the eye is among them
     scale = (1.0 / depth if is_perspective else np.ones_like(depth)) / pixel
     centres = np.stack([from_plane @ right, from_plane @ down]) * scale
     reach = np.broadcast_to(radius / pixel, centres.shape)
@@ -75,12 +53,16 @@ def tile_ranges(
         # |x' / z' - x / z| <= r sqrt(1 + (x / z)^2) / (z - r) for every point of the sphere.
         slopes = np.sqrt(1.0 + (centres * pixel) ** 2)
         reach = radius * slopes / ((depth - radius) * pixel)
+    counts = np.zeros((rows + 1, columns + 1), np.int64)
     limits = []
     for axis, (n, m, count) in enumerate(zip(picture, tile, (columns, rows))):
         at = centres[axis] + frame.centre[axis]
         first = np.floor((at - reach[axis] - 1) / m)
         last = np.floor((at + reach[axis] + 1) / m) + 1
-        if is_perspective:  # the eye may be in the box, or in front of all of it
-            first, last = np.where(near, 0, first), np.where(near, count, np.where(behind, first, last))
         limits.append((np.clip(first, 0, count).astype(int), np.clip(last, 0, count).astype(int)))
-    return limits
+    (x0, x1), (y0, y1) = limits
+    np.add.at(counts, (y0, x0), 1)
+    np.add.at(counts, (y0, x1), -1)
+    np.add.at(counts, (y1, x0), -1)
+    np.add.at(counts, (y1, x1), 1)
+    return (counts.cumsum(axis=0).cumsum(axis=1)[:rows, :columns] > 0).ravel()

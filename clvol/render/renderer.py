@@ -190,7 +190,7 @@ class Renderer:
         times = {"compile": compile_seconds, "render": perf_counter() - start}
         counted = on_device.cache.compression(self.resolved)
         for name, value in _counted(data).items():
-            counted[name] = counted["compression"] | value if name == "compression" else value
+            counted[name] = counted.get(name, {}) | value if name == "compression" else value
         return self._frame(context.name, camera, data.rgba, data.depth, times, counted)
 
     def set_transfer_function(self, function: TransferFunction, wait: bool = True) -> None:

@@ -31,7 +31,7 @@ class CodedBlockCaster(BlockCaster):
     ) -> tuple[list[DeviceArray], dict[str, int]]:
         blocks = self.blocks
         assert isinstance(blocks, ResidentCodes)
-        ranges = seen_by_tiles(frame, self.resolved.volume.grid, blocks.blocks, size, self.tile)
+        ranges = seen_by_tiles(frame, self.resolved.volume.grid, blocks.blocks, blocks.levels, size, self.tile)
         columns, rows = (-(-n // m) for n, m in zip(size, self.tile))
         tallies: list[DeviceArray] = []
         done = 0

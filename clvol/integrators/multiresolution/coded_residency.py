@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from clvol.device.tile_effects import tile_ranges
+from clvol.device.tile_ranges import Ranges, tile_ranges
 from clvol.device.view import RayFrame, ray_frame
 from clvol.errors import SceneError
 from clvol.integrators.multiresolution.choice_selection import Chosen, select_choices
@@ -17,10 +17,11 @@ from clvol.integrators.multiresolution.resident_codes import ResidentCodes, Want
 from clvol.integrators.multiresolution.selection import SourceErrors, source_errors
 from clvol.integrators.multiresolution.view_weight import view_weights, visibility
 from clvol.integrators.multiresolution.visible_error import ShownColors
-from clvol.integrators.raycast.tile_groups import Ranges, room_of_tiles
+from clvol.integrators.raycast.tile_groups import room_of_tiles
 from clvol.opencl.context import DeviceContext
 from clvol.scene.resolve import ResolvedScene
 from clvol.schedule.tiles import TILE
+from clvol.store.codecs.coded_blocks import MeasuredError
 from clvol.store.geometry import BlockGrid
 from clvol.store.source import DROPPED
 from clvol.transfer import TransferFunction
@@ -111,7 +112,6 @@ class CodedResidency:
         blocks, image = self.blocks, resolved.image
         total = self.memory_bytes - blocks.overhead_bytes
         frame = ray_frame(resolved.camera, self.source.grid, image.width, image.height)
-        ranges = seen_by_tiles(frame, self.source.grid, self.source.blocks, (image.width, image.height), (TILE, TILE))
         least, pool = int(sizes.min(axis=0).sum()), 0
         for _ in range(_TRIES):
             if total - pool < least:
@@ -119,6 +119,8 @@ class CodedResidency:
             chosen = select_choices(errors, sizes, total - pool)
             wanted = self._wanted(chosen, sizes, dropped)
             decoded = blocks.sample_bytes(wanted.level)
+            grids = self.source.grid, self.source.blocks
+            ranges = seen_by_tiles(frame, *grids, wanted.level, (image.width, image.height), (TILE, TILE))
             columns, rows = -(-image.width // TILE), -(-image.height // TILE)
             of_tiles = int(room_of_tiles(ranges, decoded, columns, rows).max(initial=0))
             needed = min(max(of_tiles, least_pool(decoded, self.source.blocks)), int(decoded.sum()))
@@ -143,12 +145,11 @@ class CodedResidency:
     def compression(self) -> dict[str, Any]:
         """The entry "compression" of a frame's stats."""
         source, voxels = self.source, float(np.prod(self.source.blocks.shape, dtype=np.float64))
-        measured = getattr(getattr(source, "codes", None), "measured", None)
-        exact = measured is None or np.isinf(measured.psnr)
+        measured: MeasuredError | None = getattr(getattr(source, "codes", None), "measured", None)
         return {
             "codec": source.codebooks.codec,
             "bits_per_voxel": 8.0 * self.blocks.code_bytes / voxels,
-            "psnr": None if exact else measured.psnr,
+            "psnr": None if measured is None or np.isinf(measured.psnr) else measured.psnr,
             "max_voxel_error": None if measured is None else measured.max_voxel_error,
             "device_bytes": self.blocks.device_bytes,
             "decoded_voxels": self.blocks.take_decoded(),
@@ -184,13 +185,14 @@ def least_pool(decoded: np.ndarray, blocks: BlockGrid) -> int:
 
 
 def seen_by_tiles(
-    frame: RayFrame, grid: Grid, blocks: BlockGrid, picture: tuple[int, int], tile: tuple[int, int]
+    frame: RayFrame, grid: Grid, blocks: BlockGrid, levels: np.ndarray, picture: tuple[int, int], tile: tuple[int, int]
 ) -> Ranges:
-    """The tiles of a picture whose rays may need samples of each block: those that see it, or what is within half the
-    distance of two samples around it, of the coarsest level that has any."""
+    """The tiles of a picture whose rays may need samples of each block at ``levels``: those that see it, or what is
+    within half the distance of its samples around it, where it has a share in blended values."""
     spacing = np.asarray(grid.spacing)
     low = blocks.places(np.arange(blocks.count))[:, ::-1] * blocks.edge - 0.5
     high = low + blocks.edge
-    beside = blocks.edge / 4 + 1.0  # two samples per axis, and rounding
+    coarse = np.minimum(levels, blocks.levels - 1).astype(np.int64)
+    beside = 0.5 * (1 << coarse)[:, None] + 0.1  # and rounding
     to_edges = np.diag(spacing / spacing.min())
     return tile_ranges(low - beside, high + beside, frame, to_edges, picture, tile)

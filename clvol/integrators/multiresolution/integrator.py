@@ -81,7 +81,7 @@ class Multiresolution:
             raise SceneError(where, f"got {tiles} with the stepping 'pyramid'", "0, or another stepping")
 
     def refines_in_time(self, scene: Scene | ResolvedScene) -> bool:
-        return not _slices(scene)
+        return not _slices(scene) and scene.compression.decode != "resident"
 
     def device_bytes(self, volume: Volume, scene: Scene | ResolvedScene) -> int:
         budget = scene.multiresolution.memory_bytes

@@ -10,14 +10,14 @@ import numpy as np
 from clvol.device.brick_pool import BrickPool, BrickSource
 from clvol.device.empty_space import spread
 from clvol.device.light_volume import METHODS
-from clvol.device.tile_effects import tile_ranges
+from clvol.device.tile_ranges import Ranges, tile_ranges
 from clvol.device.view import EVERY_PIXEL, PixelLattice, RayFrame
 from clvol.device.volume import ResidentVolume
 from clvol.errors import SceneError
 from clvol.features import FILTER_REACH
 from clvol.integrators.base import FrameData, Progress
 from clvol.integrators.raycast.caster import Raycaster, TilesDone
-from clvol.integrators.raycast.tile_groups import Ranges, tile_groups
+from clvol.integrators.raycast.tile_groups import tile_groups
 from clvol.opencl.context import DeviceArray, DeviceContext
 from clvol.scene.camera import Camera
 from clvol.scene.resolve import ResolvedScene

@@ -6,10 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-Ranges = list[tuple[np.ndarray, np.ndarray]]
-"""Of n boxes the first column of tiles that see it and the one after the last, int [n] each; likewise of rows
-(``device.tile_effects.tile_ranges``)."""
-
+from clvol.device.tile_ranges import Ranges
 
 def room_of_tiles(ranges: Ranges, room: np.ndarray, columns: int, rows: int) -> np.ndarray:
     """int64 [rows, columns]: the sum of ``room`` int [n] over the boxes that each tile sees."""
