@@ -28,7 +28,7 @@ from clvol.transfer import TransferFunction
 from clvol.volume.grid import Grid
 
 _POOL_SHARE = 8  # of the memory an eighth is for decoded blocks, where a view's tiles do not need more
-_TRIES = 8
+_TRIES = 12  # budgets that are tried
 _BATCH_SHARE = 8
 
 
@@ -107,31 +107,54 @@ class CodedResidency:
     def _fitting(
         self, errors: np.ndarray, sizes: np.ndarray, dropped: np.ndarray, resolved: ResolvedScene
     ) -> tuple[Wanted, int]:
-        """What to hold, and the bytes of the pool: at first an eighth of the memory, then as much as tiles need of what
-        was chosen beside that."""
-        blocks, image = self.blocks, resolved.image
-        total = self.memory_bytes - blocks.overhead_bytes
-        frame = ray_frame(resolved.camera, self.source.grid, image.width, image.height)
-        least, pool = int(sizes.min(axis=0).sum()), 0
+        """What to hold, and the bytes of the pool. The more bytes are for codes, the finer blocks are, and the more of
+        the pool a tile needs: as many as leave enough for that are found by bisection."""
+        total = self.memory_bytes - self.blocks.overhead_bytes
+        least, most = int(sizes.min(axis=0).sum()), total
+        found = None
+        budget = most
         for _ in range(_TRIES):
-            if total - pool < least:
+            if budget < least:
                 break
-            chosen = select_choices(errors, sizes, total - pool)
+            chosen = select_choices(errors, sizes, budget)
             wanted = self._wanted(chosen, sizes, dropped)
-            decoded = blocks.sample_bytes(wanted.level)
-            grids = self.source.grid, self.source.blocks
-            ranges = seen_by_tiles(frame, *grids, wanted.level, (image.width, image.height), (TILE, TILE))
-            columns, rows = -(-image.width // TILE), -(-image.height // TILE)
-            of_tiles = int(room_of_tiles(ranges, decoded, columns, rows).max(initial=0))
-            needed = min(max(of_tiles, least_pool(decoded, self.source.blocks)), int(decoded.sum()))
-            if needed <= pool or (not pool and needed <= total - chosen.bytes):
-                self.chosen = chosen
-                return wanted, min(total - chosen.bytes, int(decoded.sum()))
-            pool = max(needed, total // _POOL_SHARE if not pool else 0)
-        needed_bytes = self.memory_bytes - total + least + pool
+            needed, whole = self._pool_needed(wanted, total, resolved)
+            if chosen.bytes + needed <= total:
+                found = chosen, wanted, min(total - chosen.bytes, whole)
+                if budget == total or chosen.bytes < budget - budget // 64:  # no more is of any use
+                    break
+                least = max(least, budget)
+            else:
+                most = budget
+            budget = (least + most) // 2
+        if found is None:
+            self._refuse(errors, sizes, dropped, resolved)
+        assert found is not None
+        self.chosen, wanted, pool = found
+        return wanted, pool
+
+    def _pool_needed(self, wanted: Wanted, total: int, resolved: ResolvedScene) -> tuple[int, int]:
+        """Bytes of decoded blocks that the picture needs at a time, and of all of them. An eighth of the ``total`` is
+        for them where tiles do not need more."""
+        image, tile = resolved.image, (TILE, TILE)
+        decoded = self.blocks.sample_bytes(wanted.level)
+        whole = int(decoded.sum())
+        frame = ray_frame(resolved.camera, self.source.grid, image.width, image.height)
+        grids = self.source.grid, self.source.blocks
+        ranges = seen_by_tiles(frame, *grids, wanted.level, (image.width, image.height), tile)
+        of_tiles = room_of_tiles(ranges, decoded, -(-image.width // TILE), -(-image.height // TILE))
+        least = max(int(of_tiles.max(initial=0)), least_pool(decoded, self.source.blocks), total // _POOL_SHARE)
+        return min(least, whole), whole
+
+    def _refuse(
+        self, errors: np.ndarray, sizes: np.ndarray, dropped: np.ndarray, resolved: ResolvedScene
+    ) -> None:
+        coarsest = select_choices(errors, sizes, int(sizes.min(axis=0).sum()))
+        needed, _ = self._pool_needed(self._wanted(coarsest, sizes, dropped), 0, resolved)
+        least = self.blocks.overhead_bytes + coarsest.bytes + needed
         raise SceneError(
             f"{self._origin}: multiresolution.memory", f"got {self.memory_bytes} bytes for codes and decoded blocks",
-            f"at least {needed_bytes} bytes for this picture",
+            f"at least {max(least, self.memory_bytes + 1)} bytes",
         )  # fmt: skip
 
     def _wanted(self, chosen: Chosen, sizes: np.ndarray, dropped: np.ndarray) -> Wanted:

@@ -27,8 +27,8 @@ def codes_at(source: CodedSource, level: int, blocks: np.ndarray) -> CodedBlocks
     """The bytes of ``blocks`` at ``level``. Blocks of fewer samples per axis than codes have are as they are (RAW)."""
     if source.blocks.samples(level) >= FEWEST:
         return source.read_codes(level, blocks)
-    samples = np.ascontiguousarray(source.read(level, blocks)).reshape(len(blocks), -1)
-    each = samples.view(np.uint8).reshape(len(blocks), -1)
+    bytes_each = source.blocks.samples(level) ** 3 * source.dtype.itemsize
+    each = np.ascontiguousarray(source.read(level, blocks)).reshape(-1).view(np.uint8).reshape(len(blocks), bytes_each)
     data = np.concatenate([np.full((len(blocks), 1), RAW, np.uint8), each], axis=1)
     size = np.full(len(blocks), data.shape[1], np.int64)
     return CodedBlocks(data.ravel(), np.cumsum(size) - size, size)
