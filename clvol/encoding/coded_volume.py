@@ -224,16 +224,14 @@ def measured_codes(codes: CodedVolume, original: Volume, layers: Iterable[tuple[
     return replace(codes, measured=MeasuredError(psnr, share, codes.bits_per_voxel), value_range=value_range)
 
 
-def stats_of(codes: CodedVolume, device_bytes: int, decoded_voxels: int) -> dict[str, Any]:
-    """The entry "compression" of a frame's stats. ``psnr`` is None where the codes are exact, and so are both errors
-    where they are not known."""
-    known = codes.measured
-    psnr = None if known is None or math.isinf(known.psnr) else known.psnr
+def stats_of(codec: str, measured: MeasuredError | None, device_bytes: int, decoded_voxels: int) -> dict[str, Any]:
+    """The entry "compression" of a frame's stats. ``psnr`` is None where the codes are exact."""
+    assert measured is not None
     return {
-        "codec": codes.codebooks.codec,
-        "bits_per_voxel": codes.bits_per_voxel,
-        "psnr": psnr,
-        "max_voxel_error": None if known is None else known.max_voxel_error,
+        "codec": codec,
+        "bits_per_voxel": measured.bits_per_voxel,
+        "psnr": None if math.isinf(measured.psnr) else measured.psnr,
+        "max_voxel_error": measured.max_voxel_error,
         "device_bytes": device_bytes,
         "decoded_voxels": decoded_voxels,
     }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Hashable
+from collections.abc import Hashable, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -98,18 +98,25 @@ def with_rendered_voxels(
     return replace(resolved, volume=decoded_voxels(codes, shared), compression=NOT_COMPRESSED)
 
 
-def compression_stats(resolved: ResolvedScene, shared: Shared, integrator: Integrator) -> dict[str, Any] | None:
-    """The entry "compression" of a frame's stats; None for a scene without compression. An integrator that decodes
-    blocks itself says in its own notes how many voxels it decoded, and the bytes of these."""
+def compression_stats(
+    resolved: ResolvedScene, shared: Shared, integrator: Integrator, blocks: Mapping[str, Any] | None = None
+) -> dict[str, Any] | None:
+    """The entry "compression" of a frame's stats; None for a scene without compression.
+
+    ``blocks``: the entry of that name. An integrator that decodes blocks itself says in its own notes how many voxels
+    it decoded for the frame, and the bytes of these.
+    """
     source = coded_source(resolved.volume)
     if source is not None and integrator.reads_blocks:
-        return None
+        blocks = blocks or {"bytes_on_device": 0, "bytes_of_samples": 0}
+        decoded = blocks["bytes_of_samples"] // source.dtype.itemsize
+        return stats_of(source.codebooks.codec, source.codes.measured, blocks["bytes_on_device"], decoded)
     codes = codes_of(resolved, shared)
     if codes is None:
         return None
     if way_of_decoding(resolved, shared.context, integrator) == "resident":
-        return stats_of(codes, codes.nbytes, 0)
-    return stats_of(codes, device_bytes(codes), math.prod(codes.grid.shape))
+        return stats_of(codes.codebooks.codec, codes.measured, codes.nbytes, 0)
+    return stats_of(codes.codebooks.codec, codes.measured, device_bytes(codes), math.prod(codes.grid.shape))
 
 
 def _encoded(resolved: ResolvedScene, shared: Shared, progress: Progress | None, decode: bool) -> CodedVolume:
