@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Hashable, Mapping
 from dataclasses import replace
@@ -34,6 +35,8 @@ from clvol.store.geometry import BlockGrid
 from clvol.volume.voxel_layout import device_bytes
 
 _KEPT_CODES, _KEPT_VOXELS = 12, 3  # volumes
+
+_log = logging.getLogger(__name__)
 
 
 def check_decoding(resolved: ResolvedScene, integrator: Integrator) -> None:
@@ -124,10 +127,21 @@ def _encoded(resolved: ResolvedScene, shared: Shared, progress: Progress | None,
     volume, context = resolved.volume, shared.context
     codes = encoded_volume(volume, resolved.compression, trainer(context), progress)
     if not decode:
-        return measured_codes(codes, volume, codes.layers(decode_on(context)))
+        return _logged(measured_codes(codes, volume, codes.layers(decode_on(context))))
     decoded = _decoded(codes, context)
-    decoded.codes = codes = measured_codes(codes, volume, decoded.layers())
+    decoded.codes = codes = _logged(measured_codes(codes, volume, decoded.layers()))
     return shared.keep("decoded voxels", codes, lambda: decoded, _KEPT_VOXELS).codes
+
+
+def _logged(codes: CodedVolume) -> CodedVolume:
+    measured = codes.measured
+    assert measured is not None
+    _log.info(
+        "encoded %d voxels: codec %s, %.3g bits per voxel, %.4g dB, largest error %.3g of the range",
+        math.prod(codes.grid.shape), codes.codebooks.codec, measured.bits_per_voxel, measured.psnr,
+        measured.max_voxel_error,
+    )  # fmt: skip
+    return codes
 
 
 def trainer(context: DeviceContext) -> Trainer:
