@@ -2,6 +2,7 @@
  * are rows of a volume.
  */
 #include "decode_codes.h"
+#include "decode_labels.h"
 #include "struct_fields.h"
 
 #define REPORTED_FIELDS CODED_BLOCK_FIELDS, CODE_MAP_FIELDS
@@ -228,12 +229,19 @@ __kernel WIDE_VECTORS __attribute__((reqd_work_group_size(CODED_GROUP, 1, 1))) v
     fill(sample_at(p, 0), &target, 0, 0, 0, s);
   else if (kind == BLOCK_RAW)
     put_raw(p, &target, s);
+#if CODED_LABELS
+  else if (kind == BLOCK_REGIONS)
+    put_regions(p, &target);
+  else if (kind == BLOCK_RUNS)
+    put_runs(p, &target);
+#else
 #if CODED_SIDE == 4
   else if (kind == BLOCK_CODED)
     put_coded(p, entries, map, &target, block.limit);
 #endif
   else if (kind == BLOCK_FIXED)
     put_fixed(p, entries, map, &target, block.limit);
+#endif
   else {
     fill(voxels_of((int16)0, map).s0, &target, 0, 0, 0, s);
     *fault = k;

@@ -7,7 +7,7 @@
  *
  * Switches (-D): VOXEL_BITS, VOXEL_SIGNED (voxel_type.h); CODED_SIDE, samples per axis of a sub-block (2 or 4);
  * CODED_MEANS, whether FIXED blocks have means; CODED_WHOLE, whether integer voxels have all 65536 values;
- * CODED_GROUP: work-items of a group.
+ * CODED_GROUP: work-items of a group; CODED_LABELS: the codec is "labels" (decode_labels.h).
  */
 #ifndef DECODE_CODES_H
 #define DECODE_CODES_H
@@ -21,6 +21,8 @@
 #define BLOCK_RAW 1
 #define BLOCK_CODED 2
 #define BLOCK_FIXED 3
+#define BLOCK_REGIONS 4
+#define BLOCK_RUNS 5
 #define MOST_STAGES 12
 #define ESCAPED 15
 #define RAW_SAMPLES 255

@@ -22,6 +22,7 @@ from clvol.errors import ClvolWarning, RenderError, UsageError, VolumeError
 from clvol.store.codecs import CODES, Codec
 from clvol.store.codecs.coded_blocks import RAW, CodedBlocks, MeasuredError, RateTarget
 from clvol.store.codecs.encoding import BlockEncoder, Trainer, Training
+from clvol.store.codecs.labels import encode_labels
 from clvol.store.format import StoreLayout
 from clvol.store.journal import Journal
 from clvol.store.packs import packed
@@ -172,7 +173,7 @@ class Coding:
     def _coded(self, samples: np.ndarray) -> CodedBlocks:
         """The bytes of blocks [k, s, s, s]; raw ones where codes would take more."""
         if self._encoder is None:
-            raise NotImplementedError
+            return encode_labels(samples)
         with self._encoding:
             coded = self._encoder.encode(samples)
         raw = samples[0].nbytes + 1

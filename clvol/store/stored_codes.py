@@ -20,6 +20,7 @@ from clvol.store.arrays import open_array, what_failed
 from clvol.store.codecs import find_codec
 from clvol.store.codecs.coded_blocks import ENTRIES, Codebooks, CodedBlocks, MeasuredError, RateTarget
 from clvol.store.codecs.decode import decode_blocks
+from clvol.store.codecs.labels import label_codebooks
 from clvol.store.codecs.layout import check_codes
 from clvol.store.codecs.working_values import WorkingValues
 from clvol.store.format import JOURNAL, StoreLayout, codebooks_metadata
@@ -46,8 +47,7 @@ class BlockCodes:
         return check_codes(coded, s, self._books())
 
     def _books(self) -> Codebooks:
-        assert self.codebooks is not None
-        return self.codebooks
+        return label_codebooks(self.dtype) if self.codebooks is None else self.codebooks
 
 
 @dataclass(frozen=True, eq=False)
