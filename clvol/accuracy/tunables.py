@@ -117,9 +117,9 @@ def _tile_shares(resolved: ResolvedScene) -> tuple[float, ...]:
 
 
 def _codecs(resolved: ResolvedScene) -> tuple[str, ...]:
-    """Voxels as they are, too, where the scene has them encoded. A scene without compression stays without."""
+    """Voxels as they are, too, where the scene has them encoded with an error."""
     codec = resolved.compression.codec
-    return (codec,) if codec == "none" else (codec, "none")
+    return (codec, "none") if _is_compressed(resolved) else (codec,)
 
 
 def _targets(key: str, values: tuple[float, ...]) -> Callable[[Any], tuple]:
@@ -132,7 +132,7 @@ def _targets(key: str, values: tuple[float, ...]) -> Callable[[Any], tuple]:
 
 
 def _is_compressed(scene: Any) -> bool:
-    return scene.compression.codec != "none"
+    return scene.compression.is_lossy
 
 
 def _oracles(resolved: ResolvedScene) -> tuple[str, ...]:

@@ -15,6 +15,7 @@ from clvol.encoding.coded_volume import (
     CodedVolume,
     Decode,
     DecodedVolume,
+    LabelTrainer,
     UndecodedVolume,
     decode_on_host,
     encoded_volume,
@@ -24,7 +25,7 @@ from clvol.encoding.coded_volume import (
 )
 from clvol.encoding.trainer import CodeTrainer
 from clvol.errors import SceneError
-from clvol.features.compression import coded_source, is_compressed
+from clvol.features.compression import coded_source, facts_of, is_compressed
 from clvol.integrators.base import Integrator, Progress, Shared
 from clvol.opencl.context import DeviceContext
 from clvol.scene.compression import NOT_COMPRESSED, Compression
@@ -113,7 +114,8 @@ def compression_stats(
     if source is not None and integrator.reads_blocks:
         blocks = blocks or {"bytes_on_device": 0, "bytes_of_samples": 0}
         decoded = blocks["bytes_of_samples"] // source.dtype.itemsize
-        return stats_of(source.codebooks.codec, source.codes.measured, blocks["bytes_on_device"], decoded)
+        facts = facts_of(source)
+        return stats_of(facts.codec, facts.measured, blocks["bytes_on_device"], decoded)
     codes = codes_of(resolved, shared)
     if codes is None:
         return None
@@ -125,7 +127,8 @@ def compression_stats(
 def _encoded(resolved: ResolvedScene, shared: Shared, progress: Progress | None, decode: bool) -> CodedVolume:
     """The scene's volume as codes, with their error over all voxels. ``decode``: all are decoded at once, and kept."""
     volume, context = resolved.volume, shared.context
-    codes = encoded_volume(volume, resolved.compression, trainer(context), progress)
+    is_exact = resolved.compression.codec == "labels"
+    codes = encoded_volume(volume, resolved.compression, LabelTrainer() if is_exact else trainer(context), progress)
     if not decode:
         return _logged(measured_codes(codes, volume, codes.layers(decode_on(context))))
     decoded = _decoded(codes, context)

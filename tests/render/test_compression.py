@@ -195,6 +195,38 @@ def test_a_store_of_codes(method, device, context, tmp_path):
         check_scene(Scene(volume=load_volume(tmp_path / "a.zarr"), compression={"codec": "vq"}, **tables).resolve())
 
 
+@pytest.mark.every_case
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("name", HARD)
+def test_labels_are_exact(name, device):
+    array = HARD[name]
+    tables = {"integration": {"filter": "nearest"}}
+    if array.dtype == np.float64:
+        with pytest.raises(SceneError, match="got 'labels' for float64 voxels"):
+            check_scene(scene_of(array, {"codec": "labels"}).resolve())
+        return
+    with Renderer(scene_of(Volume(array, labels=True), {"codec": "labels"}, **tables), [device]) as renderer:
+        frame, voxels = renderer.render(), decoded_by_numpy(renderer)
+    with Renderer(scene_of(array, {}, **tables), [device]) as renderer:
+        other = renderer.render()
+    assert voxels.tobytes() == array.tobytes()
+    np.testing.assert_array_equal(frame.rgba, other.rgba)
+    stats = frame.stats["compression"]
+    assert stats["codec"] == "labels" and stats["psnr"] is None and stats["max_voxel_error"] == 0
+
+
+def test_a_store_of_labels(device, tmp_path):
+    array = (VOLUME // 64).astype(np.uint8)
+    build_store(Volume(array, labels=True), tmp_path / "a.zarr", codec="labels")
+    tables = {"image": {"width": 30, "height": 26}, "transfer_function": SMOOTH, "integration": {"filter": "nearest"}}
+    frames = []
+    for volume in (load_volume(tmp_path / "a.zarr"), Volume(array)):
+        with Renderer(Scene(volume=volume, **tables), [device]) as renderer:
+            frames.append(renderer.render())
+    np.testing.assert_array_equal(frames[0].rgba, frames[1].rgba)
+    assert frames[0].stats["compression"]["codec"] == "labels"
+
+
 def test_labels_are_refused(tmp_path):
     """Those that the volume says it holds, and those that a field of the scene takes for labels."""
     labels = Volume(VOLUME, labels=True)

@@ -20,7 +20,7 @@ size = [8, 8, 8]
 @pytest.mark.parametrize(
     ("table", "error"),
     [
-        ('codec = "zfp"', "compression.codec: got 'zfp', expected 'none', 'vq', 'vq-mean', 'hvq' or 'rvq'"),
+        ('codec = "zfp"', "compression.codec: got 'zfp', expected 'none', 'vq', 'vq-mean', 'hvq', 'rvq' or 'lab"),
         ('codec = "rvq"\npsnr = 40.0\nmax_voxel_error = 0.1', "compression.psnr: got 40.0, expected either max_voxel_"),
         ('codec = "rvq"\nbits_per_voxel = 1\npsnr = 40', "compression.bits_per_voxel: got 1.0, expected either psnr or"),
         ("psnr = 40.0", "compression.codec: missing, expected a codec beside psnr, such as 'rvq'"),
@@ -29,6 +29,7 @@ size = [8, 8, 8]
         ('codec = "rvq"\nmax_voxel_error = 1.5', "compression.max_voxel_error: got 1.5, expected a number greater"),
         ('codec = "rvq"\npsnr = "high"', "compression.psnr: got 'high', expected a number"),
         ('codec = "rvq"\nbits_per_voxel = nan', "compression.bits_per_voxel: got nan"),
+        ('codec = "labels"\npsnr = 40', "compression.psnr: got 40.0, expected no target beside the codec 'labels'"),
         ('codec = "rvq"\ndecode = "late"', "compression.decode: got 'late', expected 'auto', 'upload' or 'resident'"),
         ('codec = "rvq"\nmemory = "much"', 'compression.memory: got \'much\', expected a size such as "96 MiB"'),
         ('codec = "rvq"\nseed = -1', "compression.seed: got -1, expected a whole number from 0"),
