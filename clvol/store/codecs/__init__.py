@@ -48,6 +48,7 @@ CODECS: dict[str, Codec] = {
     )
 }
 
+LABELS = "labels"
 CODES: dict[str, Codec] = {
     codec.name: codec
     for codec in (
@@ -55,7 +56,7 @@ CODES: dict[str, Codec] = {
         Codec("hvq", False, _ZSTD, coded=True, targets=True),
         Codec("vq-mean", False, _ZSTD, coded=True, targets=True),
         Codec("vq", False, _ZSTD, coded=True, targets=True),
-        Codec("labels", True, _ZSTD, coded=True),
+        Codec(LABELS, True, _ZSTD, coded=True),
     )
 }
 COARSE = CODECS["zstd"]
@@ -93,7 +94,7 @@ def compressing(compressor: dict | None, dtype: np.dtype) -> list[dict]:
 
 _SMALL = {
     "name": "blosc",
-    "configuration": {"cname": "zstd", "clevel": 9, "shuffle": "bitshuffle", "blocksize": 0},
+    "configuration": {"cname": "zstd", "clevel": 9, "shuffle": "shuffle", "blocksize": 0},
 }
 
 
