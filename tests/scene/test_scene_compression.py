@@ -22,7 +22,7 @@ size = [8, 8, 8]
     [
         ('codec = "zfp"', "compression.codec: got 'zfp', expected 'none', 'vq', 'vq-mean', 'hvq', 'rvq' or 'lab"),
         ('codec = "rvq"\npsnr = 40.0\nmax_voxel_error = 0.1', "compression.psnr: got 40.0, expected either max_voxel_"),
-        ('codec = "rvq"\nbits_per_voxel = 1\npsnr = 40', "compression.bits_per_voxel: got 1.0, expected either psnr or"),
+        ('codec = "rvq"\nbits_per_voxel = 1\npsnr = 40', "compression.bits_per_voxel: got 1.0, expected either psnr"),
         ("psnr = 40.0", "compression.codec: missing, expected a codec beside psnr, such as 'rvq'"),
         ("max_voxel_error = 0.1", "compression.codec: missing, expected a codec beside max_voxel_error"),
         ('codec = "rvq"\nmax_voxel_error = 0', "compression.max_voxel_error: got 0, expected a number greater than 0"),
