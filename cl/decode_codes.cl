@@ -2,19 +2,27 @@
  * are rows of a volume.
  */
 #include "decode_codes.h"
+#include "decode_labels.h"
 #include "struct_fields.h"
 
 #define REPORTED_FIELDS CODED_BLOCK_FIELDS, CODE_MAP_FIELDS
 REPORT_FIELDS
 
-/* Adds a stage's code to the working values of a sub-block of 4^3 samples. */
-#define ADD_ENTRY(entry, shift)                                \
-  {                                                            \
-    __global const char *e = (entry);                          \
-    w0 += convert_int16(vload16(0, e)) << (int16)(shift);      \
-    w1 += convert_int16(vload16(1, e)) << (int16)(shift);      \
-    w2 += convert_int16(vload16(2, e)) << (int16)(shift);      \
-    w3 += convert_int16(vload16(3, e)) << (int16)(shift);      \
+/* Working values of a sub-block of 4^3 samples, a vector per slice. */
+typedef struct {
+  int16 w0, w1, w2, w3;
+} Working;
+
+#define START(w, mean) w.w0 = w.w1 = w.w2 = w.w3 = (int16)(((mean) << 8) + 128);
+
+/* Adds a stage's code. */
+#define ADD_ENTRY(w, entry, shift)                               \
+  {                                                              \
+    __global const char *e = (entry);                            \
+    w.w0 += convert_int16(vload16(0, e)) << (int16)(shift);      \
+    w.w1 += convert_int16(vload16(1, e)) << (int16)(shift);      \
+    w.w2 += convert_int16(vload16(2, e)) << (int16)(shift);      \
+    w.w3 += convert_int16(vload16(3, e)) << (int16)(shift);      \
   }
 
 /* Eight residuals of `bits` bits each, from as many bytes. */
@@ -36,8 +44,9 @@ RARE __global const uchar *put_escape(__global const uchar *p, __global const ch
     return p + 64 * sizeof(Voxel);
   }
   const int stages = head & 15, bits = head >> 4;
-  int16 w0 = (mean << 8) + 128, w1 = w0, w2 = w0, w3 = w0;
-  for (int j = 0; j < stages; ++j) ADD_ENTRY(entries + (j * 256 + *p++) * 64, SHIFT(map, j));
+  Working w;
+  START(w, mean)
+  for (int j = 0; j < stages; ++j) ADD_ENTRY(w, entries + (j * 256 + *p++) * 64, SHIFT(map, j))
   int16 r0 = 0, r1 = 0, r2 = 0, r3 = 0;
   if (bits) {
     r0 = (int16)(eight_residuals(p, bits), eight_residuals(p + bits, bits));
@@ -45,10 +54,10 @@ RARE __global const uchar *put_escape(__global const uchar *p, __global const ch
     r2 = (int16)(eight_residuals(p + 4 * bits, bits), eight_residuals(p + 5 * bits, bits));
     r3 = (int16)(eight_residuals(p + 6 * bits, bits), eight_residuals(p + 7 * bits, bits));
   }
-  put_slice(corrected(w0, r0, map), target, x, y, z);
-  put_slice(corrected(w1, r1, map), target, x, y, z + 1);
-  put_slice(corrected(w2, r2, map), target, x, y, z + 2);
-  put_slice(corrected(w3, r3, map), target, x, y, z + 3);
+  put_slice(corrected(w.w0, r0, map), target, x, y, z);
+  put_slice(corrected(w.w1, r1, map), target, x, y, z + 1);
+  put_slice(corrected(w.w2, r2, map), target, x, y, z + 2);
+  put_slice(corrected(w.w3, r3, map), target, x, y, z + 3);
   return p + 8 * bits;
 }
 
@@ -85,29 +94,74 @@ INLINE void put_coded(__global const uchar *p, __global const char *entries, __c
   }
   __global const uchar *escapes = next[MOST_STAGES];
   const int whole = limit >= map->stages;
+  const int whole_block = all(target->extent.xyz >= s);
 
-  for (int k = 0, sub = 0; k < octants; ++k) {
+  for (int k = 0; k < octants; ++k) {
     const int ox = k % per_axis * 8, oy = k / per_axis % per_axis * 8, oz = k / (per_axis * per_axis) * 8;
     if (s > 4 && !(flags[k >> 3] >> (k & 7) & 1)) {
       fill(voxels_of((int16)((*means++ << 8) + 128), map).s0, target, ox, oy, oz, 8);
       continue;
     }
-    for (int n = 0; n < each; ++n, ++sub) {
+    if (s > 4 && whole_block) {
+      for (int n = 0; n < 8; n += 2) {
+        const int x = ox, y = oy + 4 * (n >> 1 & 1), z = oz + 4 * (n >> 2);
+        const int both = *depths++, depth_a = both & 15, depth_b = both >> 4;
+        const int mean_a = *means++, mean_b = *means++;
+        Working a, b;
+        START(a, mean_a)
+        START(b, mean_b)
+        const int count_a = depth_a == ESCAPED ? 0 : min(depth_a, limit);
+        const int count_b = depth_b == ESCAPED ? 0 : min(depth_b, limit);
+        for (int j = 0; j < count_a; ++j) ADD_ENTRY(a, entries + (j * 256 + *next[j]++) * 64, SHIFT(map, j))
+        for (int j = 0; j < count_b; ++j) ADD_ENTRY(b, entries + (j * 256 + *next[j]++) * 64, SHIFT(map, j))
+        put_slices(voxels_of(a.w0, map), voxels_of(b.w0, map), target, x, y, z);
+        put_slices(voxels_of(a.w1, map), voxels_of(b.w1, map), target, x, y, z + 1);
+        put_slices(voxels_of(a.w2, map), voxels_of(b.w2, map), target, x, y, z + 2);
+        put_slices(voxels_of(a.w3, map), voxels_of(b.w3, map), target, x, y, z + 3);
+        if (depth_a == ESCAPED && whole)
+          escapes = put_escape(escapes, entries, map, mean_a, target, x, y, z);
+        if (depth_b == ESCAPED && whole)
+          escapes = put_escape(escapes, entries, map, mean_b, target, x + 4, y, z);
+      }
+      continue;
+    }
+    for (int n = 0; n < each; ++n) {
       const int x = ox + 4 * (n & 1), y = oy + 4 * (n >> 1 & 1), z = oz + 4 * (n >> 2);
-      const int mean = *means++, depth = s == 4 ? depths[0] : depths[sub >> 1] >> 4 * (sub & 1) & 15;
+      const int mean = *means++, depth = *depths >> 4 * (n & 1) & 15;
+      if (n & 1) ++depths;
       if (depth == ESCAPED && whole) {
         escapes = put_escape(escapes, entries, map, mean, target, x, y, z);
         continue;
       }
-      int16 w0 = (mean << 8) + 128, w1 = w0, w2 = w0, w3 = w0;
+      Working w;
+      START(w, mean)
       const int count = depth == ESCAPED ? 0 : min(depth, limit);
-      for (int j = 0; j < count; ++j) ADD_ENTRY(entries + (j * 256 + *next[j]++) * 64, SHIFT(map, j));
-      put_slice(voxels_of(w0, map), target, x, y, z);
-      put_slice(voxels_of(w1, map), target, x, y, z + 1);
-      put_slice(voxels_of(w2, map), target, x, y, z + 2);
-      put_slice(voxels_of(w3, map), target, x, y, z + 3);
+      for (int j = 0; j < count; ++j) ADD_ENTRY(w, entries + (j * 256 + *next[j]++) * 64, SHIFT(map, j))
+      put_slice(voxels_of(w.w0, map), target, x, y, z);
+      put_slice(voxels_of(w.w1, map), target, x, y, z + 1);
+      put_slice(voxels_of(w.w2, map), target, x, y, z + 2);
+      put_slice(voxels_of(w.w3, map), target, x, y, z + 3);
     }
   }
+}
+#endif
+
+#if CODED_SIDE == 2
+/* Two sub-blocks of 2^3 that are neighbours along x, as four rows of four voxels (z, y). */
+INLINE Voxel16 two_subblocks(__global const uchar *means, __global const uchar *codes, __global const char *entries,
+                             __constant const CodeMap *map, int limit)
+{
+#if CODED_MEANS
+  int16 w = (int16)((int8)((means[0] << 8) + 128), (int8)((means[1] << 8) + 128));
+#else
+  int16 w = 32768;
+#endif
+  if (limit > 0) {
+    const char8 a = vload8(codes[0], entries), b = vload8(codes[1], entries);
+    w += convert_int16((char16)(a, b)) << (int16)SHIFT(map, 0);
+  }
+  const Voxel16 v = voxels_of(w, map);
+  return (Voxel16)(v.s0189, v.s23ab, v.s45cd, v.s67ef);
 }
 #endif
 
@@ -120,43 +174,30 @@ INLINE void put_fixed(__global const uchar *p, __global const char *entries, __c
 #if CODED_SIDE == 4
   for (int k = 0; k < subs; ++k) {
     const int x = k % per_axis * 4, y = k / per_axis % per_axis * 4, z = k / (per_axis * per_axis) * 4;
-    int16 w0 = (p[k] << 8) + 128, w1 = w0, w2 = w0, w3 = w0;
-    for (int j = 0; j < limit; ++j)
-      ADD_ENTRY(entries + (j * 256 + p[(1 + j) * subs + k]) * 64, SHIFT(map, j));
-    put_slice(voxels_of(w0, map), target, x, y, z);
-    put_slice(voxels_of(w1, map), target, x, y, z + 1);
-    put_slice(voxels_of(w2, map), target, x, y, z + 2);
-    put_slice(voxels_of(w3, map), target, x, y, z + 3);
+    Working w;
+    START(w, p[k])
+    for (int j = 0; j < limit; ++j) ADD_ENTRY(w, entries + (j * 256 + p[(1 + j) * subs + k]) * 64, SHIFT(map, j))
+    put_slice(voxels_of(w.w0, map), target, x, y, z);
+    put_slice(voxels_of(w.w1, map), target, x, y, z + 1);
+    put_slice(voxels_of(w.w2, map), target, x, y, z + 2);
+    put_slice(voxels_of(w.w3, map), target, x, y, z + 3);
   }
 #else
-  /* Two sub-blocks that are neighbours along x: a row of four voxels from each of their rows of two. */
   __global const uchar *codes = p + CODED_MEANS * subs;
+  const int whole = all(target->extent.xyz >= s);
   for (int k = 0; k < subs; k += 2) {
     const int x = k % per_axis * 2, y = k / per_axis % per_axis * 2, z = k / (per_axis * per_axis) * 2;
-#if CODED_MEANS
-    int16 w = (int16)((int8)((p[k] << 8) + 128), (int8)((p[k + 1] << 8) + 128));
-#else
-    int16 w = 32768;
-#endif
-    if (limit > 0) {
-      const char8 a = vload8(codes[k], entries), b = vload8(codes[k + 1], entries);
-      w += convert_int16((char16)(a, b)) << (int16)SHIFT(map, 0);
-    }
-    const Voxel16 v = voxels_of(w, map);
     __global Voxel *at = target->at + z * target->slice + y * target->row + x;
-    const Voxel4 r0 = (Voxel4)(v.s0, v.s1, v.s8, v.s9), r1 = (Voxel4)(v.s2, v.s3, v.sa, v.sb);
-    const Voxel4 r2 = (Voxel4)(v.s4, v.s5, v.sc, v.sd), r3 = (Voxel4)(v.s6, v.s7, v.se, v.sf);
-    if (all((int4)(x + 3, y + 1, z + 1, 0) < (int4)(target->extent.xyz, 1))) {
-      vstore4(r0, 0, at);
-      vstore4(r1, 0, at + target->row);
-      vstore4(r2, 0, at + target->slice);
-      vstore4(r3, 0, at + target->slice + target->row);
+    const Voxel16 v = two_subblocks(p + k, codes + k, entries, map, limit);
+    if (whole && s > 4) {
+      k += 2;
+      put_rows8(v, two_subblocks(p + k, codes + k, entries, map, limit), at, target->row, target->slice);
+    } else if (whole) {
+      put_rows4(v, at, target->row, target->slice);
     } else {
-      const int columns = min(target->extent.x - x, 4), rows = min(target->extent.y - y, 2);
-      const Voxel16 both = (Voxel16)(r0, r1, r2, r3);
-      if (z < target->extent.z) put_some(both, at, target->row, columns, rows);
-      if (z + 1 < target->extent.z)
-        put_some((Voxel16)(both.hi, both.hi), at + target->slice, target->row, columns, rows);
+      const int columns = min(target->extent.x - x, 4), count = min(target->extent.y - y, 2);
+      if (z < target->extent.z) put_some(v, at, target->row, columns, count);
+      if (z + 1 < target->extent.z) put_some((Voxel16)(v.hi, v.hi), at + target->slice, target->row, columns, count);
     }
   }
 #endif
@@ -172,7 +213,7 @@ INLINE void put_fixed(__global const uchar *p, __global const char *entries, __c
  * fault    int: the number of a block of unknown kind, if there is one; else it is left alone. Such a block is filled
  *          with `low`.
  */
-__kernel WIDE_VECTORS __attribute__((reqd_work_group_size(1, 1, 1))) void decode_codes(
+__kernel WIDE_VECTORS __attribute__((reqd_work_group_size(CODED_GROUP, 1, 1))) void decode_codes(
   __global const CodedBlock *restrict blocks, int count, __global const uchar *restrict codes,
   __global const char *restrict entries, __constant const CodeMap *restrict map, __global Voxel *restrict voxels,
   long first_code, long first_voxel, long row, long slice, __global int *restrict fault)
@@ -188,12 +229,19 @@ __kernel WIDE_VECTORS __attribute__((reqd_work_group_size(1, 1, 1))) void decode
     fill(sample_at(p, 0), &target, 0, 0, 0, s);
   else if (kind == BLOCK_RAW)
     put_raw(p, &target, s);
+#if CODED_LABELS
+  else if (kind == BLOCK_REGIONS)
+    put_regions(p, &target);
+  else if (kind == BLOCK_RUNS)
+    put_runs(p, &target);
+#else
 #if CODED_SIDE == 4
   else if (kind == BLOCK_CODED)
     put_coded(p, entries, map, &target, block.limit);
 #endif
   else if (kind == BLOCK_FIXED)
     put_fixed(p, entries, map, &target, block.limit);
+#endif
   else {
     fill(voxels_of((int16)0, map).s0, &target, 0, 0, 0, s);
     *fault = k;

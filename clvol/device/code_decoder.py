@@ -19,6 +19,7 @@ from clvol.opencl.context import DeviceArray, DeviceContext
 from clvol.opencl.structs import CODE_MAP, CODED_BLOCK
 from clvol.store.codecs.coded_blocks import MOST_STAGES, Codebooks, CodedBlocks
 from clvol.store.codecs.layout import check_codes
+from clvol.store.codecs.working_values import LARGEST
 
 SPARE_BYTES = 64  # after the codes of a buffer: kernels read vectors that may end beyond the last block
 STAGING_BYTES = 16 * 2**20
@@ -54,12 +55,16 @@ class CodeDecoder:
         fault = codebooks.fault()
         if fault is not None:
             raise VolumeError(where, f"impossible codebooks ({fault})", "those of one of clvol's codecs")
+        if codebooks.values.dtype.itemsize > 4:
+            raise RenderError(where, f"labels of {codebooks.values.dtype}", "a type of at most four bytes on a device")
         self._context, self.codebooks, self.where = context, codebooks, where
         self.dtype = codebooks.values.dtype
+        # A group of one keeps compilers for CPUs from spreading vectors of 16 over work-items.
+        self._group = 1 if context.is_cpu else 32
         self._entries = context.upload(codebooks.entries.ravel() if codebooks.stages else np.zeros(64, np.int8))
         self._map = context.upload(code_map(codebooks).view(np.uint8))
         self._fault = context.upload(np.full(1, -1, np.int32), writable=True)
-        self._kernel = context.kernel("decode_codes.cl", "decode_codes", _ARGUMENTS, switches(codebooks))
+        self._kernel = context.kernel("decode_codes.cl", "decode_codes", _ARGUMENTS, switches(codebooks, self._group))
 
     @property
     def nbytes(self) -> int:
@@ -192,8 +197,8 @@ class CodeDecoder:
         blocks["from"], blocks["to"], blocks["extent"], blocks["limit"] = start, places, extent, stages
         self._kernel(
             self._context.queue,
-            (len(blocks),),
-            (1,),
+            (-(-len(blocks) // self._group) * self._group,),
+            (self._group,),
             blocks=self._context.upload(blocks.view(np.uint8)),
             count=len(blocks),
             codes=codes,
@@ -208,12 +213,14 @@ class CodeDecoder:
         )
 
 
-def switches(codebooks: Codebooks) -> dict[str, int]:
+def switches(codebooks: Codebooks, group: int) -> dict[str, int]:
     """The switches (-D) of cl/decode_codes.cl."""
     dtype = codebooks.values.dtype
     return {
         "LANES": 1, "VOXEL_BITS": dtype.itemsize * 8, "VOXEL_SIGNED": int(dtype.kind == "i"),
         "CODED_SIDE": codebooks.side, "CODED_MEANS": int(codebooks.codec != "vq"),
+        "CODED_WHOLE": int(codebooks.values.span == LARGEST), "CODED_GROUP": group,
+        "CODED_LABELS": int(codebooks.codec == "labels"),
     }  # fmt: skip
 
 

@@ -148,6 +148,7 @@ class Integrator(Protocol):
 
     name: str  # ``integration.method`` of a scene
     reads_blocks: bool  # volumes may be larger than memory: they are read block by block
+    holds_codes: bool  # ``compression.decode`` "resident": gets an ``UndecodedVolume`` and decodes blocks of it itself
     tuned_as: str  # the integrator whose settings are searched for a scene that names this one
 
     def check(self, resolved: ResolvedScene) -> None:

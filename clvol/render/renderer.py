@@ -188,7 +188,10 @@ class Renderer:
         else:
             data = _refining(prepared).render_for_time(camera, width, height, progress, depth, seconds=seconds)
         times = {"compile": compile_seconds, "render": perf_counter() - start}
-        return self._frame(context.name, camera, data.rgba, data.depth, times, _counted(data))
+        counted = on_device.cache.compression(self.resolved)
+        for name, value in _counted(data).items():
+            counted[name] = counted["compression"] | value if name == "compression" else value
+        return self._frame(context.name, camera, data.rgba, data.depth, times, counted)
 
     def set_transfer_function(self, function: TransferFunction, wait: bool = True) -> None:
         """Sets another transfer function for the frames to come; compiles nothing, and keeps the volume.
@@ -228,7 +231,7 @@ class Renderer:
         first = {"load": self._load_seconds, "prepare": self._prepare_seconds}
         self._load_seconds = self._prepare_seconds = 0.0
         seconds = {**first, **seconds}
-        counted |= self._notices.of_picture(self.resolved, camera, rgba, depth)
+        counted |= self._notices.of_picture(self.resolved, camera, rgba, depth, counted.get("compression"))
         made_from = MadeFrom(self.resolved, camera)
         self._provenances.add(made_from)
         return make_frame(self.resolved, rgba, depth, seconds, counted, device, made_from)

@@ -55,6 +55,7 @@ from clvol.transfer.pieces import (
 
 SECONDS_A_SAMPLE = 1e-8  # a first guess, used to divide a frame into launches
 _BAND_SECONDS = 0.5
+_KEPT = 6  # volumes; a search for settings may render many variants of one
 _COARSE_ARGUMENTS = (
     reads("coarse", np.float32, "columns", "rows", 4),
     reads("coarse_depths", np.float32),
@@ -67,7 +68,7 @@ Caster = TypeVar("Caster", bound="Raycaster")
 
 def device_volume(shared: Shared, resolved: ResolvedScene) -> DeviceVolume:
     """The scene's volume on the device, shared by all scenes of that volume."""
-    return shared.keep("volume", resolved.volume, lambda: DeviceVolume(shared.context, resolved.volume))
+    return shared.keep("volume", resolved.volume, lambda: DeviceVolume(shared.context, resolved.volume), _KEPT)
 
 
 class Raycaster:

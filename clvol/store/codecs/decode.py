@@ -7,8 +7,20 @@ from typing import TypeAlias
 import numpy as np
 
 from clvol.errors import VolumeError
-from clvol.store.codecs.coded_blocks import CODED, CONSTANT, FIXED, MOST_STAGES, RAW, Codebooks, CodedBlocks
-from clvol.store.codecs.layout import CodedParts, Escapes, check_codes, kinds_of, parse_coded, parts
+from clvol.store.codecs.block_bytes import in_block_order, kinds_of, parts, samples_at
+from clvol.store.codecs.coded_blocks import (
+    CODED,
+    CONSTANT,
+    FIXED,
+    MOST_STAGES,
+    RAW,
+    REGIONS,
+    RUNS,
+    Codebooks,
+    CodedBlocks,
+)
+from clvol.store.codecs.label_layout import regions_of, runs_of
+from clvol.store.codecs.layout import CodedParts, Escapes, check_codes, parse_coded
 from clvol.store.codecs.working_values import LARGEST
 
 Array: TypeAlias = np.ndarray
@@ -31,25 +43,19 @@ def decode_blocks(coded: CodedBlocks, s: int, codebooks: Codebooks, stages: int 
         raise VolumeError("codes", f"impossible bytes of {len(damaged)} blocks (block {first})", "undamaged codes")
     kinds = kinds_of(coded)
     voxels = np.empty((len(coded), s, s, s), codebooks.values.dtype)
-    for kind, decode in ((CONSTANT, _constant), (RAW, _raw), (CODED, _coded), (FIXED, _fixed)):
+    for kind, decode in _DECODERS.items():
         for blocks in parts(np.flatnonzero(kinds == kind), s):
             voxels[blocks] = decode(coded, blocks, s, codebooks, stages)
     return voxels
 
 
-def _samples(data: Array, at: Array, count: int, dtype: np.dtype) -> Array:
-    """``count`` samples from each place ``at``: [len(at), count]."""
-    found = data[at[:, None] + np.arange(count * dtype.itemsize)]
-    return found.view(dtype.newbyteorder("<")).astype(dtype, copy=False)
-
-
 def _constant(coded: CodedBlocks, blocks: Array, s: int, codebooks: Codebooks, limit: int) -> Array:
-    found = _samples(coded.data, coded.start[blocks] + 1, 1, codebooks.values.dtype)
+    found = samples_at(coded.data, coded.start[blocks] + 1, 1, codebooks.values.dtype)
     return np.broadcast_to(found[:, :, None, None], (len(blocks), s, s, s))
 
 
 def _raw(coded: CodedBlocks, blocks: Array, s: int, codebooks: Codebooks, limit: int) -> Array:
-    found = _samples(coded.data, coded.start[blocks] + 1, s**3, codebooks.values.dtype)
+    found = samples_at(coded.data, coded.start[blocks] + 1, s**3, codebooks.values.dtype)
     return found.reshape(-1, s, s, s)
 
 
@@ -78,10 +84,7 @@ def _coded(coded: CodedBlocks, blocks: Array, s: int, codebooks: Codebooks, limi
         voxels = codebooks.values.decoded(working)
     else:
         voxels = _with_escapes(working, coded.data, found.escapes, codebooks)
-    octants = s // 8 or 1
-    half = 2 if s > 4 else 1
-    voxels = voxels.reshape(-1, octants, octants, octants, half, half, half, 4, 4, 4)
-    return voxels.transpose(0, 1, 4, 7, 2, 5, 8, 3, 6, 9).reshape(-1, s, s, s)
+    return in_block_order(voxels, s)
 
 
 def _add_stage(working: Array, data: Array, found: CodedParts, j: int, codebooks: Codebooks) -> None:
@@ -107,7 +110,7 @@ def _with_escapes(working: Array, data: Array, escapes: Escapes, codebooks: Code
         sums = voxels[places].astype(np.int32) + residuals
         voxels[places] = np.clip(sums, values.low, values.low + values.span).astype(values.dtype)
     own = np.flatnonzero(escapes.raw)
-    voxels[escapes.block[own], escapes.sub[own]] = _samples(data, escapes.at[own], 64, values.dtype)
+    voxels[escapes.block[own], escapes.sub[own]] = samples_at(data, escapes.at[own], 64, values.dtype)
     return voxels
 
 
@@ -127,3 +130,14 @@ def _residuals(data: Array, escapes: Escapes) -> Array:
 def _shifted(codebooks: Codebooks, j: int) -> Array:
     """int32 [ENTRIES, side^3]: what stage j adds to working values."""
     return codebooks.entries[j].astype(np.int32) << int(codebooks.shifts[j])
+
+
+def _regions(coded: CodedBlocks, blocks: Array, s: int, codebooks: Codebooks, limit: int) -> Array:
+    return regions_of(coded.data, coded.start[blocks], coded.size[blocks], s, codebooks.values.dtype)
+
+
+def _runs(coded: CodedBlocks, blocks: Array, s: int, codebooks: Codebooks, limit: int) -> Array:
+    return runs_of(coded.data, coded.start[blocks], coded.size[blocks], s, codebooks.values.dtype)
+
+
+_DECODERS = {CONSTANT: _constant, RAW: _raw, CODED: _coded, FIXED: _fixed, REGIONS: _regions, RUNS: _runs}

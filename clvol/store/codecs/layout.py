@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from clvol.store.codecs.block_bytes import bytes_before, kinds_of, parts, split_octants
 from clvol.store.codecs.coded_blocks import (
     CODED,
     CONSTANT,
@@ -20,9 +21,9 @@ from clvol.store.codecs.coded_blocks import (
     Codebooks,
     CodedBlocks,
 )
+from clvol.store.codecs.label_layout import good_labels
 
 CODES_PER_SUBBLOCK = {"vq": 1, "vq-mean": 2, "hvq": 3}  # bytes of FIXED blocks, means included
-_PART = 1 << 22  # samples that are looked at together
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,22 +61,11 @@ def parse_coded(
     data: np.ndarray, start: np.ndarray, size: np.ndarray, s: int, codebooks: Codebooks, limit: int = MOST_STAGES
 ) -> CodedParts:
     """The parts of the CODED blocks at ``start`` of ``size`` bytes (int64 [k], within ``data``), s >= 4."""
-    octants, per_octant = (s // 8) ** 3 or 1, 8 if s > 4 else 1
-    end, at = start + size, start + 1
-
-    def byte(place: np.ndarray) -> np.ndarray:
-        last = (end - 1).reshape(-1, *(1,) * (place.ndim - 1))
-        return data[np.minimum(place, last)]
-
-    good = np.ones(len(start), bool)
-    if s == 4:
-        split = np.ones((len(start), 1), bool)
-    else:
-        flag_bytes = (octants + 7) // 8
-        flags = np.unpackbits(byte(at[:, None] + np.arange(flag_bytes)), axis=1, bitorder="little")
-        good &= ~flags[:, octants:].any(axis=1)
-        split = flags[:, :octants].astype(bool)
-        at = at + flag_bytes
+    per_octant = 8 if s > 4 else 1
+    end = start + size
+    byte = bytes_before(data, end)
+    split, at, good = split_octants(byte, start + 1, s)
+    octants = split.shape[1]
     wide = split.sum(axis=1)
     each = np.where(split, per_octant, 1)
     before = np.cumsum(each, axis=1) - each
@@ -131,14 +121,6 @@ def _parse_escapes(
     return Escapes(block, sub, places, np.where(raw, 0, heads & 15), np.where(raw, 0, heads >> 4), raw), at
 
 
-def kinds_of(coded: CodedBlocks) -> np.ndarray:
-    """uint8 [k]: the first byte of each block, or 255 where a block is not within the data."""
-    inside = (coded.start >= 0) & (coded.size > 0) & (coded.size <= len(coded.data) - coded.start)
-    kinds = np.full(len(coded), 255, np.uint8)
-    kinds[inside] = coded.data[coded.start[inside]]
-    return kinds
-
-
 def fixed_size(s: int, codebooks: Codebooks, limit: int = MOST_STAGES) -> int:
     """Bytes of a FIXED block, or of its prefix that decoding to ``limit`` stages needs."""
     left_out = max(codebooks.stages - limit, 0)
@@ -159,6 +141,8 @@ def check_codes(coded: CodedBlocks, s: int, codebooks: Codebooks, stages: int = 
     if s >= 4 and codebooks.codec in CODES_PER_SUBBLOCK:
         least, whole = fixed_size(s, codebooks, stages), fixed_size(s, codebooks)
         good |= (kinds == FIXED) & (coded.size >= least) & (coded.size <= whole)
+    if s >= 4 and codebooks.codec == "labels":
+        good |= good_labels(coded, kinds, s, codebooks.values.dtype)
     if s >= 4 and codebooks.codec == "rvq":
         for blocks in parts(np.flatnonzero(kinds == CODED), s):
             good[blocks] = parse_coded(coded.data, coded.start[blocks], coded.size[blocks], s, codebooks, stages).good
@@ -177,9 +161,3 @@ def prefix_sizes(coded: CodedBlocks, s: int, codebooks: Codebooks) -> np.ndarray
         found = parse_coded(coded.data, coded.start[blocks], coded.size[blocks], s, codebooks, 0)
         sizes[blocks, :-1] = (found.stages - coded.start[blocks, None])[:, :-1]
     return sizes
-
-
-def parts(blocks: np.ndarray, s: int) -> list[np.ndarray]:
-    """``blocks`` in parts of bounded memory."""
-    each = max(_PART // s**3, 1)
-    return [blocks[first : first + each] for first in range(0, len(blocks), each)]
