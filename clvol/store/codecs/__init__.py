@@ -15,10 +15,11 @@ from clvol.errors import VolumeError
 from clvol.store.codecs import hvq, labels, rvq, vq, vq_mean
 from clvol.store.codecs.codec import BLOSC, ZSTD, Codec, statistics_chain
 
-__all__ = ["CODECS", "CODES", "COARSE", "DEFAULT", "FEWEST_CODED", "Codec", "find_codec", "one_of_codecs",
+__all__ = ["CODECS", "CODES", "COARSE", "DEFAULT", "FEWEST_CODED", "LABELS", "Codec", "find_codec", "one_of_codecs",
            "statistics_chain"]  # fmt: skip
 
 DEFAULT = "blosc-lz4"
+LABELS = labels.CODEC.name
 
 CODECS: dict[str, Codec] = {
     codec.name: codec for codec in (Codec(DEFAULT, True, BLOSC), Codec("zstd", True, ZSTD), Codec("none", True))
