@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from reference.random_codes import packed, random_block, random_codebooks
 from reference.plain_codes import write
+from reference.random_codes import packed, random_block, random_codebooks
 
 from clvol import Volume
 from clvol.store.codecs.coded_blocks import MOST_STAGES, Codebooks, CodedBlocks

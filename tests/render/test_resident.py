@@ -7,9 +7,10 @@ import pytest
 from helpers.coarse_codes import CoarseTrainer
 from helpers.small_scenes import SMOOTH, waves
 
-from clvol import Renderer, Scene, TransferFunction, Volume
+from clvol import Renderer, Scene, TransferFunction, Volume, load_volume
 from clvol.errors import SceneError
 from clvol.integrators import decoding
+from clvol.store.build import build_store
 
 VOLUME = Volume(waves((40, 34, 51), np.uint8))
 HEADLIGHT = [{"type": "headlight"}]
@@ -104,3 +105,59 @@ def test_a_small_pool_gives_the_same_picture_or_says_what_it_needs(device):
 def test_what_needs_all_voxels_is_refused(device, tables, what):
     with pytest.raises(SceneError, match=f"compression.decode: got 'resident' in a scene that calls for {what}"):
         frame_of(device, **tables)
+
+
+# The method "multiresolution"
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory):
+    """A store of codes: mostly empty, so that few blocks show anything."""
+    array = np.zeros((70, 64, 61), np.uint8)
+    array[4:62, 8:44, 10:50] = waves((58, 36, 40), np.uint8)
+    path = tmp_path_factory.mktemp("stores") / "codes.zarr"
+    build_store(Volume(array), path, codec="rvq", trainer=CoarseTrainer())
+    return path
+
+
+def blocks_of(device, store, **compression):
+    multiresolution = compression.pop("multiresolution", {"memory": "4 MiB"})
+    scene = Scene(
+        volume=load_volume(store), compression=compression, transfer_function=SMOOTH, multiresolution=multiresolution,
+        image={"width": 60, "height": 52}, integration={"method": "multiresolution"},
+    )  # fmt: skip
+    with Renderer(scene, [device]) as renderer:
+        return renderer.render()
+
+
+def test_blocks_of_a_store_are_the_same_from_codes(each_device, store):
+    samples, codes = blocks_of(each_device, store), blocks_of(each_device, store, decode="resident")
+    np.testing.assert_array_equal(codes.rgba, samples.rgba)
+    np.testing.assert_array_equal(codes.depth, samples.depth)
+    assert np.ptp(codes.rgba[..., 3]) > 0.01
+    held, stats = codes.stats["blocks"], codes.stats["compression"]
+    assert held["levels"] == samples.stats["blocks"]["levels"]
+    assert stats["codec"] == "rvq" and stats["device_bytes"] == held["bytes_on_device"]
+    assert stats["decoded_voxels"] >= 16**3 * held["levels"][0]
+
+
+def test_less_memory_shows_more_as_codes(device, store):
+    whole = blocks_of(device, store)
+    tight = {"memory": "220 KiB"}
+    samples = blocks_of(device, store, multiresolution=tight)
+    codes = blocks_of(device, store, multiresolution=tight, decode="resident")
+    wrong = [np.abs(frame.rgba - whole.rgba).mean() for frame in (samples, codes)]
+    assert wrong[1] < 0.5 * wrong[0]
+    assert codes.stats["compression"]["device_bytes"] <= 220 * 1024
+
+
+@pytest.mark.parametrize("settings", [{"tiles": 8}, {"stepping": "pyramid"}])
+def test_blocks_of_codes_refuse_what_needs_all_of_them(device, store, settings):
+    settings = {"memory": "4 MiB", **settings}
+    with pytest.raises(SceneError, match="compression.decode: got 'resident' with the method 'multiresolution' and"):
+        blocks_of(device, store, multiresolution=settings, decode="resident")
+
+
+def test_multiresolution_needs_a_store_of_codes(device):
+    with pytest.raises(SceneError, match="compression.decode: got 'resident' with the method 'multiresolution'"):
+        frame_of(device, integration={"method": "multiresolution"})

@@ -11,9 +11,9 @@ from clvol.features import reduced_for_frames
 from clvol.features.refuse import PLAIN, refuse_effects, refuse_keys, refuse_quadrature, refuse_sparse_rays
 from clvol.integrators.base import Prepared, Progress, Shared
 from clvol.integrators.multiresolution.caster import block_switches
-from clvol.integrators.multiresolution.engine import MultiresolutionEngine
 from clvol.integrators.multiresolution.coded_residency import CodedResidency
 from clvol.integrators.multiresolution.coded_source import CodedSource, is_coded
+from clvol.integrators.multiresolution.engine import MultiresolutionEngine
 from clvol.integrators.multiresolution.residency import Residency, block_source
 from clvol.integrators.multiresolution.sample_allocator import map_shift, most_bytes
 from clvol.integrators.pyramid.blocks import block_pyramid_switches

@@ -7,14 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from clvol.device.code_decoder import CodeDecoder, HeldCodes
+from clvol.device.code_decoder import HeldCodes
 from clvol.device.memory import ValueMap, value_map, voxel_switches
 from clvol.errors import SceneError
 from clvol.features.vocabulary import CODE_DROPPED
+from clvol.integrators.multiresolution.block_decoder import BlockDecoder
 from clvol.integrators.multiresolution.coded_source import CodedSource, codes_at
 from clvol.integrators.multiresolution.device_blocks import CODE_ONE, corner_codes
 from clvol.integrators.multiresolution.sample_allocator import SPARE_BYTES, Packing, map_cells, map_shift
-from clvol.opencl.arguments import reads, value, writes
 from clvol.opencl.context import DeviceArray, DeviceContext
 from clvol.opencl.structs import CODED_BLOCK
 from clvol.store.codecs.coded_blocks import CodedBlocks
@@ -48,7 +48,7 @@ class ResidentCodes:
         self.blocks = source.blocks
         self.memory_bytes = memory_bytes
         self.value_map: ValueMap = value_map(source)
-        self._decoder = CodeDecoder(context, source.codebooks, source.name)
+        self._decoder = BlockDecoder(context, source)
         self.dtype = self._decoder.dtype
         count, counts = self.blocks.count, self.blocks.counts
         self.index: DeviceArray = context.empty(np.int32, (count, 2))
@@ -61,11 +61,6 @@ class ResidentCodes:
         self._used = np.zeros(count, np.int64)  # when it was used last
         self._clock = 0
         self.decoded_samples = self._reported = 0
-        self._repeat = context.kernel(
-            "repeat_last.cl", "repeat_last",
-            (reads("ends", np.int32, 4), value("size", np.int32), writes("samples", self.dtype)),
-            {"VOXEL_BITS": self.dtype.itemsize * 8, "VOXEL_SIGNED": int(self.dtype.kind == "i")},
-        )  # fmt: skip
         self._make_pool(0)
 
     # What kernels and casters ask for
@@ -147,7 +142,7 @@ class ResidentCodes:
             coded = codes_at(self._source, level, blocks)
             cut = CodedBlocks(coded.data, coded.start, np.minimum(coded.size, wanted.size[blocks]))
             self._place[blocks] = np.arange(len(blocks))
-            self._held[level] = self._decoder.hold(cut, self.blocks.samples(level), self._depths[blocks])
+            self._held[level] = self._decoder.hold(cut, level, self._depths[blocks])
         self._context.write(self.index, self._words)
         grid = codes.reshape(self.blocks.counts)
         self._context.write(self.corners, corner_codes(grid, 0, self.blocks.counts[0]))
@@ -212,16 +207,8 @@ class ResidentCodes:
             if not len(own):
                 continue
             start = self._packing.start[own]
-            self._decoder.into_blocks(held, self._place[own], self.samples[0], start, self._depths[own])
+            self._decoder.decode(held, self._place[own], own, level, self.samples[0], start, self._depths[own])
             self.decoded_samples += len(own) * held.s**3
-            inside = np.array(self.blocks.level_shape(level)) - self.blocks.places(own) * held.s
-            short = np.any(inside < held.s, axis=1)
-            if short.any():
-                ends = np.concatenate([start[short, None], inside[short, ::-1]], axis=1).astype(np.int32)
-                self._repeat(
-                    self._context.queue, (len(ends),), None,
-                    ends=self._context.upload(ends), size=held.s, samples=self.samples[0],
-                )  # fmt: skip
 
     def boxes(self) -> Iterator[tuple[tuple[int, int, int], tuple[int, int, int]]]:
         """As ``DeviceBlocks.boxes``: all at once if the pool holds all of them, else boxes of a few blocks."""

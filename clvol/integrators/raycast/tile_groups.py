@@ -8,6 +8,7 @@ import numpy as np
 
 from clvol.device.tile_ranges import Ranges
 
+
 def room_of_tiles(ranges: Ranges, room: np.ndarray, columns: int, rows: int) -> np.ndarray:
     """int64 [rows, columns]: the sum of ``room`` int [n] over the boxes that each tile sees."""
     (x0, x1), (y0, y1) = ranges

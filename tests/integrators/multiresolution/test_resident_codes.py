@@ -12,7 +12,8 @@ from helpers.coded_sources import RandomCodes
 from helpers.small_scenes import make_scene
 
 from clvol import TransferFunction
-from clvol.errors import SceneError
+from clvol.errors import RenderError, SceneError
+from clvol.integrators.multiresolution import loader
 from clvol.integrators.multiresolution.caster import BlockCaster
 from clvol.integrators.multiresolution.code_choices import choices_of, cut_sizes
 from clvol.integrators.multiresolution.coded_caster import CodedBlockCaster
@@ -59,10 +60,18 @@ def random_wanted(source, seed=3, full=0.5) -> Wanted:
     return Wanted(level, depth, size)
 
 
+class WithoutCodes:
+    """A source that gives samples alone."""
+
+    def __init__(self, source) -> None:
+        for name in ("name", "grid", "blocks", "dtype", "value_range", "nan_count", "inf_count", "read", "statistics"):
+            setattr(self, name, getattr(source, name))
+
+
 def picture_of_samples(context, source, wanted, resolved):
     """By blocks of samples, which are cut as wanted."""
     source.depths = wanted.depth
-    blocks = DeviceBlocks(context, source, AMPLE)
+    blocks = DeviceBlocks(context, WithoutCodes(source), AMPLE)
     blocks.load(wanted.level, means_of(source))
     blocks.commit()
     source.depths = None
@@ -126,6 +135,45 @@ def test_a_pool_too_small_for_a_tile_is_an_error(contexts, device):
     wanted, resolved = random_wanted(source, full=1.0), scene_of(source, size=(16, 16))
     with pytest.raises(SceneError, match="multiresolution.memory: .* bytes of decoded blocks, where a tile needs"):
         picture_of_codes(context, source, wanted, resolved, 27 * 512 + 100)
+
+
+@pytest.mark.parametrize("dtype", ["uint8", "int16", "float32"])
+def test_blocks_of_samples_are_staged_as_codes(contexts, each_device, dtype):
+    """What crosses the bus are codes; what is held are the samples that they stand for."""
+    context, source = contexts(each_device), RandomCodes((45, 38, 51), dtype)
+    resolved, levels = scene_of(source), random_wanted(source).level
+    size = resolved.image.width, resolved.image.height
+    frames = []
+    for each in (source, WithoutCodes(source)):
+        blocks = DeviceBlocks(context, each, AMPLE)
+        blocks.load(levels, means_of(source))
+        blocks.commit()
+        frames.append(BlockCaster(context, resolved, blocks).render(resolved.camera, *size))
+        blocks.close()
+    assert_same(*frames)
+
+
+def test_samples_of_levels_with_codes_are_not_read(contexts, device):
+    source = RandomCodes((45, 38, 51), "uint8")
+    blocks = DeviceBlocks(contexts(device), source, AMPLE)
+    read, source.read = [], lambda level, numbers: pytest.fail("samples were read")
+    source.read_codes = lambda level, numbers, own=source.read_codes: read.append(level) or own(level, numbers)
+    levels = np.arange(source.blocks.count) % 3
+    blocks.load(levels, means_of(WithoutCodes(source)))
+    blocks.close()
+    assert set(read) == {0, 1, 2}
+
+
+def test_an_unknown_codec_is_an_error_and_writes_the_block(contexts, device, monkeypatch):
+    context, source = contexts(device), WithoutCodes(RandomCodes((16, 16, 16), "uint8", seed=2))
+    monkeypatch.setattr(loader, "RAW", 7)
+    monkeypatch.setattr(loader, "CONSTANT", 7)
+    blocks = DeviceBlocks(context, source, AMPLE)
+    context.write(blocks.samples[0], np.full(blocks.samples[0].shape, 99, np.uint8))
+    with pytest.raises(RenderError, match="blocks of codec 7"):
+        blocks.load(np.zeros(1, np.uint8), np.zeros(1))
+    assert (context.read(blocks.samples[0])[: 16**3] == 0).all()
+    blocks.close()
 
 
 # Choices
