@@ -164,31 +164,37 @@ def _prefixes(coded: CodedBlocks, s: int, codebooks: Codebooks) -> np.ndarray:
 
 def _decode(coded: CodedBlocks, s: int, codebooks: Codebooks, limit: int) -> np.ndarray:
     found = _parsed(coded, s, codebooks, limit)
-    working = np.repeat((found.means.astype(np.int32) << 8)[:, :, None] + 128, 64, axis=2)
+    # Deepest first, so that the sub-blocks of each stage are the first ones.
+    depths = found.depths.ravel()
+    order = np.argsort(MOST_STAGES - depths, kind="stable")
+    sums = np.repeat((found.means.astype(np.int32).ravel()[order] << 8)[:, None] + 128, 64, axis=1)
     for j in range(min(limit, codebooks.stages)):
-        _add_stage(working, coded.data, found, j, codebooks)
+        deep = found.depths > j
+        place = found.stages[:, j, None] + np.cumsum(deep, axis=1) - 1
+        own = order[: np.count_nonzero(deep)]
+        sums[: len(own)] += codebooks.shifted(j)[coded.data[place.ravel()[own]]]
     if found.escapes is None:
-        voxels = codebooks.values.decoded(working)
+        sorted_voxels = codebooks.values.decoded(sums)
     else:
-        voxels = _with_escapes(working, coded.data, found.escapes, codebooks)
+        rank = np.empty_like(order)
+        rank[order] = np.arange(len(order))
+        places = rank[found.escapes.block * found.depths.shape[1] + found.escapes.sub]
+        sorted_voxels = _with_escapes(sums, places, coded.data, found.escapes, codebooks)
+    voxels = np.empty_like(sorted_voxels)
+    voxels[order] = sorted_voxels
     return in_block_order(voxels, s)
 
 
-def _add_stage(working: np.ndarray, data: np.ndarray, found: CodedParts, j: int, codebooks: Codebooks) -> None:
-    deep = found.depths > j
-    block, sub = np.nonzero(deep)
-    order = (np.cumsum(deep, axis=1) - 1)[block, sub]
-    working[block, sub] += codebooks.shifted(j)[data[found.stages[block, j] + order]]
-
-
-def _with_escapes(working: np.ndarray, data: np.ndarray, escapes: Escapes, codebooks: Codebooks) -> np.ndarray:
-    """The voxels, with codes and residuals of escaped sub-blocks; changes ``working``."""
+def _with_escapes(
+    working: np.ndarray, places: np.ndarray, data: np.ndarray, escapes: Escapes, codebooks: Codebooks
+) -> np.ndarray:
+    """The voxels of ``working`` [n, 64], with codes and residuals of the escaped sub-blocks ``places``; changes
+    ``working``."""
     values = codebooks.values
     for j in range(codebooks.stages):
         own = np.flatnonzero(escapes.stages > j)
-        working[escapes.block[own], escapes.sub[own]] += codebooks.shifted(j)[data[escapes.at[own] + j]]
+        working[places[own]] += codebooks.shifted(j)[data[escapes.at[own] + j]]
     residuals = _residuals(data, escapes) * codebooks.residual_step
-    places = escapes.block, escapes.sub
     if values.is_float:
         working[places] = np.clip(np.clip(working[places], 0, LARGEST) + residuals, 0, LARGEST)
         voxels = values.decoded(working)
@@ -197,7 +203,7 @@ def _with_escapes(working: np.ndarray, data: np.ndarray, escapes: Escapes, codeb
         sums = voxels[places].astype(np.int32) + residuals
         voxels[places] = np.clip(sums, values.low, values.low + values.span).astype(values.dtype)
     own = np.flatnonzero(escapes.raw)
-    voxels[escapes.block[own], escapes.sub[own]] = samples_at(data, escapes.at[own], 64, values.dtype)
+    voxels[places[own]] = samples_at(data, escapes.at[own], 64, values.dtype)
     return voxels
 
 
