@@ -65,7 +65,7 @@ def stages_worth(stages: Stages, found: Survey, goal: Goal, raw_bits: int, share
             if not choice.any():
                 break
         errors, rates, multipliers = (np.array(column) for column in zip(*points))
-        at = _meeting(errors, rates, goal, found.voxels)
+        at = _meeting(errors, rates, goal, found)
         if at is None:
             continue
         cost = rates[at] if goal.squares is not None else errors[at]
@@ -76,13 +76,13 @@ def stages_worth(stages: Stages, found: Survey, goal: Goal, raw_bits: int, share
     return Chosen(best[1], best[2])
 
 
-def _meeting(errors: np.ndarray, rates: np.ndarray, goal: Goal, voxels: int) -> int | None:
+def _meeting(errors: np.ndarray, rates: np.ndarray, goal: Goal, found: Survey) -> int | None:
     """The last point with a small enough error, or the first with few enough bits; None if there is none."""
     if goal.squares is not None:
-        good = np.flatnonzero(errors <= goal.squares * voxels)
+        good = np.flatnonzero(errors <= goal.squares * found.samples)
         return int(good[-1]) if len(good) else None
     assert goal.bits is not None
-    good = np.flatnonzero(rates <= goal.bits * voxels)
+    good = np.flatnonzero(rates <= goal.bits * found.voxels)
     return int(good[0]) if len(good) else None
 
 

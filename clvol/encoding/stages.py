@@ -30,10 +30,12 @@ _BITS_PER_STAGE = 8.0
 @dataclass(frozen=True, eq=False)
 class Survey:
     """Errors of the drawn volume where sub-blocks are their means: of sub-blocks uint64 [octants, 8, 2] (squares,
-    largest), of octants uint64 [octants, 2], of blocks float64 [blocks]. ``voxels``: how many they are."""
+    largest), of octants uint64 [octants, 2]. ``samples``: how many they are, ``voxels``: how many of them are the
+    volume's own."""
 
     apart: np.ndarray
     flat: np.ndarray
+    samples: int
     voxels: int
 
     def lagrangian(self, goal: Goal) -> int:
@@ -47,7 +49,7 @@ class Survey:
             theta = lagrangian * _BITS_PER_STAGE / (256 * _GAIN)
             left = np.minimum(squares, theta)
             if goal.squares is not None:
-                if left.sum() > goal.squares * self.voxels:
+                if left.sum() > goal.squares * self.samples:
                     break
             else:
                 deep = np.log(np.maximum(squares / theta, 1)) / -math.log(1 - _GAIN) * _BITS_PER_STAGE
@@ -59,13 +61,14 @@ class Survey:
 
 
 def survey(kernels: EncoderKernels, blocks: Iterable[DrawnBlocks], to_working: ToWorking, levels: int) -> Survey:
-    apart, flat, voxels = [], [], 0
+    apart, flat, samples, voxels = [], [], 0, 0
     for part in blocks:
         cut = kernels.cut(to_working(part.voxels).work, levels)
         apart.append(cut.apart.copy())
         flat.append(cut.flat.copy())
-        voxels += part.voxels.size
-    return Survey(np.concatenate(apart), np.concatenate(flat), voxels)
+        samples += part.voxels.size
+        voxels += int(part.inside.prod(axis=1).sum())
+    return Survey(np.concatenate(apart), np.concatenate(flat), samples, voxels)
 
 
 @dataclass(frozen=True, eq=False)

@@ -116,7 +116,7 @@ class _Run:
             self.kernels, pool, len(need) / max(1, len(places)), self.levels, self.goal, guess, self.seed,
             len(places) == len(need), lambda stage: self.step(1 + stage),
         )  # fmt: skip
-        share = found.voxels / max(found.voxels, self.total)
+        share = found.voxels / self.total
         chosen = stages_worth(stages, found, self.goal, 8 * self.dtype.itemsize, share)
         n = chosen.stages
         books = replace(self.books(n), entries=stages.entries[:n], shifts=stages.shifts[:n])
