@@ -22,13 +22,28 @@ _MOST = _STEPS * 40
 Decode = Callable[[CodedBlocks, int, Codebooks], np.ndarray]
 
 
+def _powers() -> list[int]:
+    """2^(k / 32) for k = 0 ... 31, in units of 2^-60, by integers alone."""
+    root = 2 << 60
+    for _ in range(5):
+        root = math.isqrt(root << 60)
+    powers = [1 << 60]
+    while len(powers) < _STEPS:
+        powers.append(powers[-1] * root >> 60)
+    return powers
+
+
+_POWERS = _powers()
+
+
 def multiplier(step: int) -> int:
-    """The Lagrangian multiplier 2^(step / 32)."""
-    return min(LARGEST_LAMBDA, max(1, round(2 ** (step / _STEPS))))
+    """The Lagrangian multiplier 2^(step / 32), rounded down."""
+    return min(LARGEST_LAMBDA, _POWERS[step % _STEPS] << step // _STEPS >> 60)
 
 
 def step_of(lagrangian: int) -> int:
-    return round(_STEPS * math.log2(max(1, lagrangian)))
+    """The first step whose multiplier is at least ``lagrangian``."""
+    return next((step for step in range(_MOST) if multiplier(step) >= lagrangian), _MOST)
 
 
 @dataclass(frozen=True)
@@ -91,10 +106,10 @@ def _bits_within(stages: Stages, bound: int, count: int, raw_bits: int) -> float
     largest = stages.largest[:, : count + 1]
     depth = np.arange(count + 1)
     steps = (largest + max(bound, 0)) // (2 * max(bound, 0) + 1)
-    width = np.where(steps > 0, np.ceil(np.log2(steps + 1)) + 1, 0)
+    width = np.where(steps > 0, np.frexp(steps)[1] + 1, 0)
     bits = np.where(width <= 8, 8 + 8 * depth + 64 * width, 8 + 64 * raw_bits)
     bits = np.where(largest <= bound, 8 * depth, bits)
-    return float(np.minimum(bits.min(axis=1), 8 + 64 * raw_bits).sum())
+    return float(int(np.minimum(bits.min(axis=1), 8 + 64 * raw_bits).sum()))
 
 
 @dataclass(frozen=True)
@@ -124,43 +139,55 @@ def measure(encoder: CodeEncoder, blocks: Iterable[DrawnBlocks], decode: Decode)
     return Measured(squares / voxels, bits / voxels, voxels)
 
 
-def squared_steps(encoder: CodeEncoder, voxels: np.ndarray, decoded: np.ndarray, own: np.ndarray) -> float:
+def squared_steps(encoder: CodeEncoder, voxels: np.ndarray, decoded: np.ndarray, own: np.ndarray) -> int:
     """The sum of squared differences in the encoder's unit, of finite voxels that are ``own``."""
     counted = own & np.isfinite(voxels)
-    off = (decoded[counted].astype(np.float64) - voxels[counted]) / encoder.codebooks.values.scale
-    return float((off * off).sum())
+    one, other = decoded[counted], voxels[counted]
+    values = encoder.codebooks.values
+    if values.is_float:
+        one, other = values.encoded(one), values.encoded(other)
+    off = one.astype(np.int64) - other.astype(np.int64)
+    return int((off * off).sum())
 
 
-def meets(found: Measured, goal: Goal, books: Codebooks, total: int) -> bool:
-    """Whether blocks like those measured, in a volume of ``total`` voxels, meet ``goal``."""
+def excess(found: Measured, goal: Goal, books: Codebooks, total: int) -> float:
+    """How far blocks like those measured, in a volume of ``total`` voxels, are from ``goal``: the ratio of errors or
+    bits, 1 and less if they meet it."""
     if goal.squares is not None:
-        return found.squares <= goal.squares
+        return found.squares / goal.squares if goal.squares else (math.inf if found.squares else 0.0)
     assert goal.bits is not None
-    return found.bits + 8 * books.nbytes / total <= goal.bits
+    left = goal.bits - 8 * books.nbytes / total
+    return found.bits / left if left > 0 else math.inf
 
 
-def found_step(at: Callable[[int], bool], start: int, falls: bool, width: int = 32) -> int:
-    """The last step (``falls``: the first one) for which ``at(step)`` is true, where it is true up to some step (from
-    some step on). Searched from ``start``, first ``width`` steps wide; the end of the range if it is true nowhere."""
+def found_step(ratio: Callable[[int], float], start: int, falls: bool, near: float) -> int:
+    """A step for which ``ratio(step)`` is at most 1, and at least ``near`` where steps are that fine. The ratio rises
+    with the step, or ``falls``. The end of the range where nothing is left but that.
+
+    The secant's next step where it lies between the steps known to be good and bad, else the middle.
+    """
     sign = -1 if falls else 1
-    good, bad = None, None
+    good, bad = (-1, _MOST + 1) if sign > 0 else (_MOST + 1, -1)
     step = min(max(start, 0), _MOST)
-    while good is None or bad is None:
-        if at(step):
+    slope = sign * 0.6 / _STEPS  # of the ratio's logarithm to base 2
+    while True:
+        found = ratio(step)
+        if found <= 1:
             good = step
-            if step in (0, _MOST) and step == (_MOST if sign > 0 else 0):
+            if found >= near:
                 return step
-            step = min(max(step + sign * width, 0), _MOST)
         else:
             bad = step
-            if step == (0 if sign > 0 else _MOST):
-                return step
-            step = min(max(step - sign * width, 0), _MOST)
-        width *= 2
-    while abs(good - bad) > 1:
-        middle = (good + bad) // 2
-        if at(middle):
-            good = middle
+        low, high = min(good, bad) + 1, max(good, bad) - 1
+        if low > high:
+            return min(max(good, 0), _MOST)
+        if 0 < found < math.inf:
+            # A little to the good side, so that the next step meets the target.
+            aim = math.log2(found) - math.log2((1 + near) / 2)
+            step = round(step - aim / slope)
         else:
-            bad = middle
-    return good
+            step = (low + high) // 2
+        if not low <= step <= high:
+            step = low if step < low else high
+            if high - low > 4 and bad not in (-1, _MOST + 1) and good not in (-1, _MOST + 1):
+                step = (low + high) // 2
