@@ -18,6 +18,7 @@ INDEX_BITS = 32  # of each block, where its bytes are
 CODEBOOK_BITS = 8 * (ENTRIES * 64 + 4)  # of a stage of 4^3 samples
 _STEPS = 32  # of the multiplier, per factor of two
 _MOST = _STEPS * 40
+_ROWS = 1 << 15  # sub-blocks on which numbers of stages are compared
 
 Decode = Callable[[CodedBlocks, int, Codebooks], np.ndarray]
 
@@ -57,59 +58,73 @@ class Chosen:
 def stages_worth(stages: Stages, found: Survey, goal: Goal, raw_bits: int, share: float) -> Chosen:
     """The number of stages with the fewest bits, codebooks counted, at ``goal`` (or the least error, where the bits are
     given). ``raw_bits``: per voxel; ``share``: of the volume's voxels that were drawn."""
-    number = stages.squares.shape[1]
+    thin = max(1, len(stages.squares) // _ROWS)
+    tables = _Tables(stages.squares[::thin], stages.largest[::thin], stages.stands_for * thin, found)
+    counts = range(stages.squares.shape[1])
     book = CODEBOOK_BITS * share
     if goal.bound is not None:
-        costs = [
-            _bits_within(stages, goal.bound, count, raw_bits) * stages.stands_for + count * book
-            for count in range(number)
-        ]
+        costs = [_bits_within(tables, goal.bound, count, raw_bits) + count * book for count in counts]
         return Chosen(int(np.argmin(costs)), 1)
-    pool = stages.squares.shape[0] * stages.stands_for
-    rest = max(0.0, float(found.apart[:, :, 0].sum()) - float(stages.squares[:, 0].sum()) * stages.stands_for)
-    best = (math.inf, 0, 1)
-    for count in range(number):
-        points = []
-        for step in range(0, _MOST, 8):
-            lagrangian = multiplier(step)
-            depth = np.arange(count + 1)
-            choice = (256 * stages.squares[:, : count + 1] + lagrangian * 8 * depth).argmin(axis=1)
-            error = stages.squares[np.arange(len(choice)), choice].sum() * stages.stands_for + rest
-            bits = 8 * choice.sum() * stages.stands_for + 12 * pool + count * book
-            points.append((float(error), float(bits), lagrangian))
-            if not choice.any():
-                break
-        errors, rates, multipliers = (np.array(column) for column in zip(*points))
-        at = _meeting(errors, rates, goal, found)
-        if at is None:
-            continue
-        cost = rates[at] if goal.squares is not None else errors[at]
+    best = (math.inf, 0, _MOST)
+    for count in counts:
+        cost, step = tables.at_goal(goal, count, count * book)
         if cost < best[0]:
-            best = (float(cost), count, int(multipliers[at]))
-    if math.isinf(best[0]):  # out of reach: all there is, or nothing
-        return Chosen(number - 1, 1) if goal.squares is not None else Chosen(0, multiplier(_MOST // 2))
-    return Chosen(best[1], best[2])
+            best = (cost, count, step)
+    if math.isinf(best[0]) and goal.squares is not None:  # out of reach: all there is
+        return Chosen(counts[-1], 1)
+    return Chosen(best[1], multiplier(best[2]))
 
 
-def _meeting(errors: np.ndarray, rates: np.ndarray, goal: Goal, found: Survey) -> int | None:
-    """The last point with a small enough error, or the first with few enough bits; None if there is none."""
-    if goal.squares is not None:
-        good = np.flatnonzero(errors <= goal.squares * found.samples)
-        return int(good[-1]) if len(good) else None
-    assert goal.bits is not None
-    good = np.flatnonzero(rates <= goal.bits * found.voxels)
-    return int(good[0]) if len(good) else None
+@dataclass(frozen=True, eq=False)
+class _Tables:
+    """Errors by depth of some sub-blocks, each of which stands for ``stands_for``: squared and largest, int64
+    [n, stages + 1]."""
+
+    squares: np.ndarray
+    largest: np.ndarray
+    stands_for: float
+    found: Survey
+
+    def at_goal(self, goal: Goal, count: int, books: float) -> tuple[float, int]:
+        """Bits (or the squared error, where the bits are given) at ``goal`` with ``count`` stages, whose codebooks have
+        ``books`` bits; and a step of the multiplier near it. Infinite bits or error if the goal is out of reach."""
+        rest = max(0.0, float(self.found.apart[:, :, 0].sum()) - int(self.squares[:, 0].sum()) * self.stands_for)
+        rows, depth = np.arange(len(self.squares)), np.arange(count + 1)
+
+        def point(step: int) -> tuple[float, float]:
+            choice = (256 * self.squares[:, : count + 1] + multiplier(step) * 8 * depth).argmin(axis=1)
+            error = int(self.squares[rows, choice].sum()) * self.stands_for + rest
+            bits = (8 * int(choice.sum()) + 12 * len(rows)) * self.stands_for + books
+            return error, bits
+
+        # The error rises with the step, bits fall: one of them has a limit.
+        limited, limit = (0, goal.squares * self.found.samples) if goal.squares is not None else (
+            1, (goal.bits or 0.0) * self.found.voxels)  # fmt: skip
+        good, bad = (0, _MOST) if limited == 0 else (_MOST, 0)
+        if point(good)[limited] > limit:
+            return math.inf, good
+        if point(bad)[limited] <= limit:
+            return point(bad)[1 - limited], bad
+        while abs(good - bad) > 4:
+            middle = (good + bad) // 2
+            if point(middle)[limited] <= limit:
+                good = middle
+            else:
+                bad = middle
+        one, other = point(good), point(bad)
+        reached = (limit - one[limited]) / max(other[limited] - one[limited], 1e-300)
+        return one[1 - limited] + reached * (other[1 - limited] - one[1 - limited]), good
 
 
-def _bits_within(stages: Stages, bound: int, count: int, raw_bits: int) -> float:
-    """Bits of the pool's sub-blocks within ``bound`` by up to ``count`` stages, or packed residuals, or raw."""
-    largest = stages.largest[:, : count + 1]
+def _bits_within(tables: _Tables, bound: int, count: int, raw_bits: int) -> float:
+    """Bits of sub-blocks within ``bound`` by up to ``count`` stages, or packed residuals, or raw."""
+    largest = tables.largest[:, : count + 1]
     depth = np.arange(count + 1)
     steps = (largest + max(bound, 0)) // (2 * max(bound, 0) + 1)
     width = np.where(steps > 0, np.frexp(steps)[1] + 1, 0)
     bits = np.where(width <= 8, 8 + 8 * depth + 64 * width, 8 + 64 * raw_bits)
     bits = np.where(largest <= bound, 8 * depth, bits)
-    return float(int(np.minimum(bits.min(axis=1), 8 + 64 * raw_bits).sum()))
+    return int(np.minimum(bits.min(axis=1), 8 + 64 * raw_bits).sum()) * tables.stands_for
 
 
 @dataclass(frozen=True)
