@@ -306,6 +306,7 @@ class _Build:
             f"clvol {__version__}",
         )
         write_whole(self.partial / ROOT, json.dumps(root, indent=2))
+        steps.finish()
         replaced = replaced_path(path)
         check_place(path, overwrite)  # once more, since it may have appeared meanwhile
         _remove(replaced)
@@ -357,14 +358,14 @@ class _Build:
     def _facts_of_codes(self, coding: Coding) -> dict:
         """Writes the codebooks; returns what the root says of codes."""
         training = coding.training
+        assert training is not None
         errors = np.stack([self.journal.read(index, "errors") for index in range(self.count)])
-        checksum = None if training is None else write_codebooks(self.partial, training.codebooks)
+        checksum = write_codebooks(self.partial, training.codebooks)
         measured = coding.measured(errors, sizes_on_disk(self.partial))
         return codes_json(
             CodesFacts(
-                coding.codec, None if training is None else codebooks_json(training.codebooks), checksum,
-                coding.seed, coding.target, {} if training is None else training.policy,
-                coding.original_dtype, coding.range, measured,
+                coding.codec, codebooks_json(training.codebooks), checksum, coding.seed, coding.target,
+                training.policy, coding.original_dtype, coding.range, measured,
             )
         )  # fmt: skip
 

@@ -324,3 +324,59 @@ def test_memory_and_sources_of_boxes(tmp_path):
     source = Boxes(Volume(voxels((70, 70, 70))))
     store = build_store(source, tmp_path / "s", codec="rvq", target=BOUND, trainer=StubTrainer(), shard=32)
     assert source.largest <= 34**3 and store.grid == Grid((70, 70, 70))
+
+
+# ---- the codec of labels -------------------------------------------------------------------------
+
+
+def segments(shape, dtype, seed: int = 0) -> np.ndarray:
+    """Cells of some points, each of a label of its own, and specks."""
+    rng = np.random.default_rng(seed)
+    points = rng.random((40, 3)) * shape
+    places = np.stack(np.indices(shape), -1).reshape(-1, 3)
+    nearest = ((places[:, None] - points) ** 2).sum(axis=2).argmin(axis=1).reshape(shape)
+    nearest[rng.random(shape) < 0.01] = 99
+    return nearest.astype(dtype) * np.array(3, dtype)
+
+
+def most_frequent(data: np.ndarray, level: int) -> np.ndarray:
+    edge = 1 << level
+    out = np.empty([-(-n // edge) for n in data.shape], data.dtype)
+    for place in np.ndindex(out.shape):
+        own = data[tuple(slice(p * edge, (p + 1) * edge) for p in place)]
+        labels, counts = np.unique(own, return_counts=True)
+        out[place] = labels[counts.argmax()]
+    return out
+
+
+@pytest.mark.parametrize("shape", ((1, 17, 33), (20, 35, 40)))
+@pytest.mark.parametrize("dtype", ("uint8", "uint16", "float32", "float64"))
+def test_labels_are_exact_at_every_level_and_levels_invent_none(tmp_path, dtype, shape):
+    data = segments(shape, dtype)
+    store = coded(Volume(data, labels=True), tmp_path / "s", "labels")
+    for level in range(store.blocks.levels):
+        np.testing.assert_array_equal(store.volume_level(level), most_frequent(data, level))
+    assert_measured(store, data)
+    assert store.value_range == (data.min(), data.max())
+    assert all(codec.lossless for codec in store.layout.codecs) and store.codes.measured.psnr == math.inf
+    assert load_volume(tmp_path / "s").labels
+    assert store.codebooks.codec == "labels" and not (tmp_path / "s/codebooks").exists()
+
+
+def test_negative_labels_and_the_metadata(tmp_path):
+    data = segments((20, 20, 20), "int16") - np.int16(50)
+    store = coded(Volume(data, labels=True), tmp_path / "s", "labels")
+    np.testing.assert_array_equal(store.volume_level(0), data)
+    assert np.isin(store.volume_level(2), data).all()
+    root = json.loads((tmp_path / "s/zarr.json").read_text())
+    (multiscale,) = root["attributes"]["ome"]["multiscales"]
+    assert (multiscale["type"], len(multiscale["datasets"])) == ("mode", 2)
+
+
+def test_labels_take_less_than_their_voxels_compressed(tmp_path):
+    data = segments((64, 64, 64), "uint16")
+    codes = coded(Volume(data, labels=True), tmp_path / "s", "labels", shard=64)
+    plain = build_store(Volume(data, labels=True), tmp_path / "plain", shard=64)
+    level = sum(p.stat().st_size for p in (tmp_path / "plain/0").rglob("*") if p.is_file())
+    assert codes.codes.measured.bits_per_voxel * data.size / 8 < level
+    np.testing.assert_array_equal(plain.volume_level(0), data)
