@@ -62,6 +62,17 @@ class CodesFacts:
     sizes: dict[str, int] = field(default_factory=dict)
 
     @property
+    def missed_target(self) -> tuple[str, str] | None:
+        """How a target was missed that is estimated from a part of the volume, and what helps; None if none was."""
+        target, measured = self.target, self.measured
+        if target.psnr is not None and measured.psnr < target.psnr:
+            return f"PSNR {measured.psnr:.2f} dB, less than {target.psnr:g}", "a higher one reaches it"
+        if target.bits_per_voxel is not None and measured.bits_per_voxel > target.bits_per_voxel:
+            what = f"{measured.bits_per_voxel:.3g} bits per voxel, more than {target.bits_per_voxel:g}"
+            return what, "a lower number reaches it, if codebooks alone do not take more"
+        return None
+
+    @property
     def bits_per_voxel_all(self) -> float:
         """Of all files but the root's metadata."""
         return self.measured.facts["bits_per_voxel_all"]
