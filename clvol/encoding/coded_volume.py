@@ -11,12 +11,13 @@ import numpy as np
 
 from clvol.errors import VolumeError
 from clvol.scene.compression import Compression
-from clvol.store.codecs.coded_blocks import Codebooks, CodedBlocks, MeasuredError
+from clvol.store.codecs.coded_blocks import Codebooks, CodedBlocks, MeasuredError, RateTarget
 from clvol.store.codecs.decode import decode_blocks
-from clvol.store.codecs.encoding import BlockEncoder, Progress, Trainer
+from clvol.store.codecs.encoding import BlockEncoder, Progress, Trainer, Training
+from clvol.store.codecs.labels import encode_labels, label_codebooks
 from clvol.store.geometry import BlockGrid
 from clvol.store.resolutions import split, whole_blocks
-from clvol.store.voxel_source import VolumeSource
+from clvol.store.voxel_source import VolumeSource, VoxelSource
 from clvol.store.zarr_store import StoredBlocks
 from clvol.volume.grid import Grid
 from clvol.volume.lazy import LazyVolume
@@ -155,9 +156,10 @@ def encoded_volume(
 def stored_codes(volume: Volume) -> CodedVolume:
     """The codes of the store that ``volume`` is, and the error that the store states."""
     source = getattr(volume, "blocks_source", None)
-    assert isinstance(source, StoredBlocks) and source.codebooks is not None and source.codes is not None
+    assert isinstance(source, StoredBlocks) and source.codes is not None
     coded = source.read_codes(0, np.arange(source.blocks.count))
-    codes = CodedVolume(volume.grid, source.blocks, source.codebooks, coded, **_about(volume))
+    codebooks = source.codebooks or label_codebooks(source.dtype)
+    codes = CodedVolume(volume.grid, source.blocks, codebooks, coded, **_about(volume))
     return replace(codes, measured=source.codes.measured, value_range=source.value_range)
 
 
@@ -165,6 +167,28 @@ def _about(volume: Volume) -> dict[str, Any]:
     """What decoded voxels have in common with those of ``volume``."""
     names = {"name": volume.name or "volume", "frame": volume.frame, "unit": volume.unit}
     return {**names, "nan_count": volume.nan_count, "inf_count": volume.inf_count}
+
+
+class LabelTrainer:
+    """A ``Trainer`` and ``BlockEncoder`` of the codec "labels", which has nothing to learn."""
+
+    def train(
+        self,
+        source: VoxelSource,
+        value_range: tuple[float, float],
+        codec: str,
+        target: RateTarget,
+        seed: int = 0,
+        progress: Progress | None = None,
+    ) -> Training:
+        return Training(label_codebooks(source.dtype))
+
+    def encoder(self, training: Training) -> LabelTrainer:
+        self.training = training
+        return self
+
+    def encode(self, samples: np.ndarray) -> CodedBlocks:
+        return encode_labels(samples)
 
 
 def _encoded_layers(
@@ -224,16 +248,14 @@ def measured_codes(codes: CodedVolume, original: Volume, layers: Iterable[tuple[
     return replace(codes, measured=MeasuredError(psnr, share, codes.bits_per_voxel), value_range=value_range)
 
 
-def stats_of(codes: CodedVolume, device_bytes: int, decoded_voxels: int) -> dict[str, Any]:
-    """The entry "compression" of a frame's stats. ``psnr`` is None where the codes are exact, and so are both errors
-    where they are not known."""
-    known = codes.measured
-    psnr = None if known is None or math.isinf(known.psnr) else known.psnr
+def stats_of(codec: str, measured: MeasuredError | None, device_bytes: int, decoded_voxels: int) -> dict[str, Any]:
+    """The entry "compression" of a frame's stats. ``psnr`` is None where the codes are exact."""
+    assert measured is not None
     return {
-        "codec": codes.codebooks.codec,
-        "bits_per_voxel": codes.bits_per_voxel,
-        "psnr": psnr,
-        "max_voxel_error": None if known is None else known.max_voxel_error,
+        "codec": codec,
+        "bits_per_voxel": measured.bits_per_voxel,
+        "psnr": None if math.isinf(measured.psnr) else measured.psnr,
+        "max_voxel_error": measured.max_voxel_error,
         "device_bytes": device_bytes,
         "decoded_voxels": decoded_voxels,
     }

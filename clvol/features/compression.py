@@ -5,17 +5,27 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+
 from clvol.errors import ClvolWarning, SceneError
 from clvol.scene.resolve import ResolvedScene
+from clvol.store.stored_codes import CodesFacts
+from clvol.store.zarr_store import StoredBlocks
 from clvol.volume.volume import Volume
 
 _LARGE = 0.1  # of the range: a voxel that is wrong by so much may well be seen as something else
 
 
-def coded_source(volume: Volume) -> Any | None:
+def coded_source(volume: Volume) -> StoredBlocks | None:
     """The store of codes that ``volume`` is; None for any other volume."""
     source = getattr(volume, "blocks_source", None)
-    return source if getattr(source, "codebooks", None) is not None else None
+    return source if isinstance(source, StoredBlocks) and source.codes is not None else None
+
+
+def facts_of(source: StoredBlocks) -> CodesFacts:
+    """What a store of codes says of them."""
+    assert source.codes is not None
+    return source.codes
 
 
 def is_compressed(resolved: ResolvedScene) -> bool:
@@ -28,8 +38,10 @@ def check_compression(resolved: ResolvedScene) -> None:
     codec, where = resolved.compression.codec, f"{resolved.origin}: compression.codec"
     if codec == "none":
         return
-    if resolved.volume.labels:
-        raise SceneError(where, f"got {codec!r} for a volume of labels, which have to be exact", "'none'")
+    if resolved.volume.labels and resolved.compression.is_lossy:
+        raise SceneError(where, f"got {codec!r} for a volume of labels, which have to be exact", "'none' or 'labels'")
+    if codec == "labels" and resolved.volume.dtype == np.float64:
+        raise SceneError(where, "got 'labels' for float64 voxels", "voxels of one, two or four bytes, or 'none'")
     if coded_source(resolved.volume) is not None:
         raise SceneError(where, f"got {codec!r} for a store of codes", "'none', since its own codes are decoded")
 
@@ -54,10 +66,11 @@ def explained(resolved: ResolvedScene) -> dict[str, Any] | None:
     decode = "upload" if settings.decode == "auto" else settings.decode
     target = settings.target.to_json()
     if source is not None:
-        codec, what = source.codebooks.codec, "the store holds codes, which are read instead of voxels"
+        codec, what = facts_of(source).codec, "the store holds codes, which are read instead of voxels"
         cost = "no voxel is encoded"
     else:
-        codec, what = settings.codec, f"voxels are replaced by those that codes stand for, {_kept_to(target)}"
+        codec = settings.codec
+        what = f"voxels are replaced by those that codes stand for, {_kept_to(codec, target)}"
         cost = "encoding takes time once for a volume and these settings, however many pictures follow"
     if decode == "upload":
         what += "; all are decoded when they come to the device"
@@ -68,7 +81,9 @@ def explained(resolved: ResolvedScene) -> dict[str, Any] | None:
     return {"codec": codec, "target": target, "decode": decode, "does": what, "costs": cost}
 
 
-def _kept_to(target: Mapping[str, float]) -> str:
+def _kept_to(codec: str, target: Mapping[str, float]) -> str:
+    if codec == "labels":
+        return "which are the same"
     words = {
         "max_voxel_error": "each within {:g} of the range of values",
         "psnr": "with a signal-to-noise ratio of at least {:g} dB",

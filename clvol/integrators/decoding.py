@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import logging
 import math
-from collections.abc import Hashable
+from collections.abc import Hashable, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -14,6 +15,7 @@ from clvol.encoding.coded_volume import (
     CodedVolume,
     Decode,
     DecodedVolume,
+    LabelTrainer,
     UndecodedVolume,
     decode_on_host,
     encoded_volume,
@@ -23,7 +25,7 @@ from clvol.encoding.coded_volume import (
 )
 from clvol.encoding.trainer import CodeTrainer
 from clvol.errors import SceneError
-from clvol.features.compression import coded_source, is_compressed
+from clvol.features.compression import coded_source, facts_of, is_compressed
 from clvol.integrators.base import Integrator, Progress, Shared
 from clvol.opencl.context import DeviceContext
 from clvol.scene.compression import NOT_COMPRESSED, Compression
@@ -34,6 +36,8 @@ from clvol.store.geometry import BlockGrid
 from clvol.volume.voxel_layout import device_bytes
 
 _KEPT_CODES, _KEPT_VOXELS = 12, 3  # volumes
+
+_log = logging.getLogger(__name__)
 
 
 def check_decoding(resolved: ResolvedScene, integrator: Integrator) -> None:
@@ -98,29 +102,49 @@ def with_rendered_voxels(
     return replace(resolved, volume=decoded_voxels(codes, shared), compression=NOT_COMPRESSED)
 
 
-def compression_stats(resolved: ResolvedScene, shared: Shared, integrator: Integrator) -> dict[str, Any] | None:
-    """The entry "compression" of a frame's stats; None for a scene without compression. An integrator that decodes
-    blocks itself says in its own notes how many voxels it decoded, and the bytes of these."""
+def compression_stats(
+    resolved: ResolvedScene, shared: Shared, integrator: Integrator, blocks: Mapping[str, Any] | None = None
+) -> dict[str, Any] | None:
+    """The entry "compression" of a frame's stats; None for a scene without compression.
+
+    ``blocks``: the entry of that name. An integrator that decodes blocks itself says in its own notes how many voxels
+    it decoded for the frame, and the bytes of these.
+    """
     source = coded_source(resolved.volume)
     if source is not None and integrator.reads_blocks:
-        return None
+        blocks = blocks or {"bytes_on_device": 0, "bytes_of_samples": 0}
+        decoded = blocks["bytes_of_samples"] // source.dtype.itemsize
+        facts = facts_of(source)
+        return stats_of(facts.codec, facts.measured, blocks["bytes_on_device"], decoded)
     codes = codes_of(resolved, shared)
     if codes is None:
         return None
     if way_of_decoding(resolved, shared.context, integrator) == "resident":
-        return stats_of(codes, codes.nbytes, 0)
-    return stats_of(codes, device_bytes(codes), math.prod(codes.grid.shape))
+        return stats_of(codes.codebooks.codec, codes.measured, codes.nbytes, 0)
+    return stats_of(codes.codebooks.codec, codes.measured, device_bytes(codes), math.prod(codes.grid.shape))
 
 
 def _encoded(resolved: ResolvedScene, shared: Shared, progress: Progress | None, decode: bool) -> CodedVolume:
     """The scene's volume as codes, with their error over all voxels. ``decode``: all are decoded at once, and kept."""
     volume, context = resolved.volume, shared.context
-    codes = encoded_volume(volume, resolved.compression, trainer(context), progress)
+    is_exact = resolved.compression.codec == "labels"
+    codes = encoded_volume(volume, resolved.compression, LabelTrainer() if is_exact else trainer(context), progress)
     if not decode:
-        return measured_codes(codes, volume, codes.layers(decode_on(context)))
+        return _logged(measured_codes(codes, volume, codes.layers(decode_on(context))))
     decoded = _decoded(codes, context)
-    decoded.codes = codes = measured_codes(codes, volume, decoded.layers())
+    decoded.codes = codes = _logged(measured_codes(codes, volume, decoded.layers()))
     return shared.keep("decoded voxels", codes, lambda: decoded, _KEPT_VOXELS).codes
+
+
+def _logged(codes: CodedVolume) -> CodedVolume:
+    measured = codes.measured
+    assert measured is not None
+    _log.info(
+        "encoded %d voxels: codec %s, %.3g bits per voxel, %.4g dB, largest error %.3g of the range",
+        math.prod(codes.grid.shape), codes.codebooks.codec, measured.bits_per_voxel, measured.psnr,
+        measured.max_voxel_error,
+    )  # fmt: skip
+    return codes
 
 
 def trainer(context: DeviceContext) -> Trainer:

@@ -188,7 +188,7 @@ class Renderer:
         else:
             data = _refining(prepared).render_for_time(camera, width, height, progress, depth, seconds=seconds)
         times = {"compile": compile_seconds, "render": perf_counter() - start}
-        counted = on_device.cache.compression(self.resolved)
+        counted = on_device.cache.compression(self.resolved, data.notes.get("blocks"))
         for name, value in _counted(data).items():
             counted[name] = counted["compression"] | value if name == "compression" else value
         return self._frame(context.name, camera, data.rgba, data.depth, times, counted)

@@ -17,7 +17,8 @@ class Compression(Table):
     """The volume as codes, from which its voxels are decoded before anything else is done with them.
 
     ``codec``: "rvq" (residual quantisation of 4^3 voxels, to a bound of the error), or one of fixed rate: "vq" (8 : 1
-    for bytes), "vq-mean", "hvq". "none" leaves the voxels as they are, whatever else is stated here.
+    for bytes), "vq-mean", "hvq"; "labels" is exact, and is for segmentations. "none" leaves the voxels as they are,
+    whatever else is stated here.
 
     At most one of ``max_voxel_error`` (the largest error of any voxel, as a share of the range of values), ``psnr`` (dB
     over that range, at least) and ``bits_per_voxel`` (at most, codebooks included); none: the codec's own default.
@@ -29,10 +30,10 @@ class Compression(Table):
     ``seed``: of the random choice of the voxels that codebooks are made from.
     """
 
-    codec: Literal["none", "vq", "vq-mean", "hvq", "rvq"] = Field(
+    codec: Literal["none", "vq", "vq-mean", "hvq", "rvq", "labels"] = Field(
         "none",
-        title="Codec of the voxels: none, or vector quantisation, of which 'rvq' is the one to use.",
-        description="'none', 'vq', 'vq-mean', 'hvq' or 'rvq'",
+        title="Codec of the voxels: vector quantisation, best by 'rvq', or 'labels', which is exact.",
+        description="'none', 'vq', 'vq-mean', 'hvq', 'rvq' or 'labels'",
     )
     max_voxel_error: Number | None = Field(
         None, gt=0, le=1,
@@ -80,6 +81,8 @@ class Compression(Table):
             raise wrong(stated[1], getattr(self, stated[1]), f"either {' or '.join(stated)}, not both")
         if stated and "codec" not in self.model_fields_set:
             raise wrong("codec", None, f"a codec beside {stated[0]}, such as 'rvq'")
+        if stated and self.codec == "labels":
+            raise wrong(stated[0], getattr(self, stated[0]), "no target beside the codec 'labels', which is exact")
         return self
 
     @property
@@ -89,8 +92,8 @@ class Compression(Table):
 
     @property
     def is_lossy(self) -> bool:
-        """Whether voxels are encoded here."""
-        return self.codec != "none"
+        """Whether decoded voxels may differ from the original ones."""
+        return self.codec not in ("none", "labels")
 
     @property
     def memory_bytes(self) -> int | None:

@@ -109,6 +109,10 @@ class Codebooks:
             return "shifts"
         return None if 1 <= self.residual_step <= LARGEST else f"residual step {self.residual_step}"
 
+    def shifted(self, stage: int) -> np.ndarray:
+        """int32 [ENTRIES, side^3]: what the codes of a stage, the first is 0, add to working values."""
+        return self.entries[stage].astype(np.int32) << int(self.shifts[stage])
+
     @property
     def nbytes(self) -> int:
         """Bytes of the codebooks on a device."""

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from clvol.store.codecs.block_bytes import bytes_before, in_block_order, parts, samples_at, split_octants
-from clvol.store.codecs.coded_blocks import REGIONS, RUNS, CodedBlocks
+from clvol.store.codecs.block_bytes import bytes_before, in_block_order, samples_at, split_octants
+from clvol.store.codecs.coded_blocks import Codebooks, CodedBlocks
 
 MOST_LABELS = 256  # of a block that is not raw
 INDICES_OF_TYPE = np.array([1, 2, 4, 0])
@@ -126,11 +126,17 @@ def _palette(data: np.ndarray, at: np.ndarray, labels: np.ndarray, dtype: np.dty
     return samples_at(data, (at[:, None] + picks * dtype.itemsize).ravel(), 1, dtype).reshape(picks.shape)
 
 
-def regions_of(data: np.ndarray, start: np.ndarray, size: np.ndarray, s: int, dtype: np.dtype) -> np.ndarray:
-    """Voxels [k, s, s, s] of REGIONS blocks that are possible."""
-    found = parse_regions(data, start, size, s, dtype.itemsize)
-    palette = _palette(data, found.at, found.labels, dtype)
-    voxels = palette[np.arange(len(start))[:, None, None], found.numbers]
+def good_regions(coded: CodedBlocks, s: int, codebooks: Codebooks, limit: int) -> np.ndarray:
+    """As ``Kind.good``, of REGIONS blocks."""
+    return parse_regions(coded.data, coded.start, coded.size, s, codebooks.values.dtype.itemsize).good
+
+
+def regions_of(coded: CodedBlocks, s: int, codebooks: Codebooks, limit: int) -> np.ndarray:
+    """As ``Kind.decode``, of REGIONS blocks."""
+    dtype = codebooks.values.dtype
+    found = parse_regions(coded.data, coded.start, coded.size, s, dtype.itemsize)
+    palette = _palette(coded.data, found.at, found.labels, dtype)
+    voxels = palette[np.arange(len(coded))[:, None, None], found.numbers]
     return in_block_order(voxels, s)
 
 
@@ -158,19 +164,14 @@ def parse_runs(
     return good, block[kept], length[kept], index[kept]
 
 
-def runs_of(data: np.ndarray, start: np.ndarray, size: np.ndarray, s: int, dtype: np.dtype) -> np.ndarray:
-    """Voxels [k, s, s, s] of RUNS blocks that are possible."""
-    _, block, length, index = parse_runs(data, start, size, s, dtype.itemsize)
-    label = samples_at(data, start[block] + 2 + index * dtype.itemsize, 1, dtype)[:, 0]
+def good_runs(coded: CodedBlocks, s: int, codebooks: Codebooks, limit: int) -> np.ndarray:
+    """As ``Kind.good``, of RUNS blocks."""
+    return parse_runs(coded.data, coded.start, coded.size, s, codebooks.values.dtype.itemsize)[0]
+
+
+def runs_of(coded: CodedBlocks, s: int, codebooks: Codebooks, limit: int) -> np.ndarray:
+    """As ``Kind.decode``, of RUNS blocks."""
+    dtype = codebooks.values.dtype
+    _, block, length, index = parse_runs(coded.data, coded.start, coded.size, s, dtype.itemsize)
+    label = samples_at(coded.data, coded.start[block] + 2 + index * dtype.itemsize, 1, dtype)[:, 0]
     return np.repeat(label, length).reshape(-1, s, s, s)
-
-
-def good_labels(coded: CodedBlocks, kinds: np.ndarray, s: int, dtype: np.dtype) -> np.ndarray:
-    """bool [k]: blocks of the kinds REGIONS and RUNS whose bytes are possible."""
-    good = np.zeros(len(coded), bool)
-    for blocks in parts(np.flatnonzero(kinds == REGIONS), s):
-        found = parse_regions(coded.data, coded.start[blocks], coded.size[blocks], s, dtype.itemsize)
-        good[blocks] = found.good
-    for blocks in parts(np.flatnonzero(kinds == RUNS), s):
-        good[blocks] = parse_runs(coded.data, coded.start[blocks], coded.size[blocks], s, dtype.itemsize)[0]
-    return good

@@ -14,8 +14,20 @@ from __future__ import annotations
 import numpy as np
 
 from clvol.store.codecs.block_bytes import in_octants, parts
+from clvol.store.codecs.codec import ZSTD, Codec, Kind
 from clvol.store.codecs.coded_blocks import CONSTANT, ENTRIES, RAW, REGIONS, RUNS, Codebooks, CodedBlocks
-from clvol.store.codecs.label_layout import INDICES_OF_TYPE, MANY, MOST_LABELS, in_cells, index_bits, planes_of_type
+from clvol.store.codecs.label_layout import (
+    INDICES_OF_TYPE,
+    MANY,
+    MOST_LABELS,
+    good_regions,
+    good_runs,
+    in_cells,
+    index_bits,
+    planes_of_type,
+    regions_of,
+    runs_of,
+)
 from clvol.store.codecs.working_values import WorkingValues
 
 _HEAD = 2  # bytes of a kind and a number of labels
@@ -240,3 +252,6 @@ def _runs(heads: _Heads, own: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     out[at[block] + 2 * order], out[at[block] + 2 * order + 1] = length & 255, length >> 8
     out[at[block] + 2 * count[block] + order] = flat[block, place]
     return size, out
+
+
+CODEC = Codec("labels", True, ZSTD, {REGIONS: Kind(good_regions, regions_of), RUNS: Kind(good_runs, runs_of)})
