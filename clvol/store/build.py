@@ -204,6 +204,15 @@ class _Build:
         left = [index for index in range(self.count) if self.journal.census(index, read=True) is None]
         steps.add(self.count - len(left))
         self._each(left, self._make_region, steps, workers)
+        if self.coding is not None and self.coding.gives_up(self._size_of_codes(self.coding), self.journal):
+            self.make_regions(steps, workers)
+
+    def _size_of_codes(self, coding: Coding) -> int:
+        """Bytes of codes of level 0 and of codebooks."""
+        assert coding.training is not None
+        write_codebooks(self.partial, coding.training.codebooks)
+        sizes = sizes_on_disk(self.partial)
+        return sizes["codes"] + sizes["codebooks"]
 
     def _each(
         self, indices: Sequence[int], make: Callable[[int], None], steps: Steps, workers: int | None

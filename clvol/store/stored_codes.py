@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import shutil
 import zlib
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -151,7 +152,10 @@ def codebooks_of(own: dict, entries: np.ndarray | None) -> Codebooks:
 
 
 def write_codebooks(folder: Path, books: Codebooks) -> int | None:
-    """Writes the array of ``books``; returns the checksum of its file, None if they have no stages."""
+    """Writes the array of ``books`` in the place of any other; returns the checksum of its file, None if they have no
+    stages."""
+    if (folder / CODEBOOKS).exists():
+        shutil.rmtree(folder / CODEBOOKS)
     if not books.stages:
         return None
     array = open_array(folder / CODEBOOKS, codebooks_metadata(books.entries.shape))

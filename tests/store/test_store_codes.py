@@ -244,6 +244,28 @@ def test_noise_takes_hardly_more_than_raw(tmp_path, dtype):
     assert store.codes.measured.bits_per_voxel <= 1.01 * 8 * data.itemsize
 
 
+def test_where_codebooks_cost_more_than_they_save_there_are_none(tmp_path):
+    """All is then stored as it is, and decoded as it was."""
+    data = np.random.default_rng(1).integers(0, 256, (16, 16, 16), np.uint8)
+    for codec in LOSSY:
+        store = coded(data, tmp_path / codec, codec, RateTarget(max_voxel_error=1e-6), shard=16)
+        np.testing.assert_array_equal(store.volume_level(0), data)
+        assert store.codes.policy["raw"] and not store.codebooks.entries.any()
+        codes = next((tmp_path / codec / "0/c").rglob("0")).parent
+        assert sum(p.stat().st_size for p in codes.rglob("*") if p.is_file()) <= 1.02 * data.nbytes + 40
+        assert_measured(store, data)
+    assert not (tmp_path / "rvq/codebooks").exists()
+
+
+def test_impossible_codes_of_an_encoder_are_an_error(tmp_path, monkeypatch):
+    def nonsense(self, samples):
+        return CodedBlocks(np.full(9, 88, np.uint8), np.zeros(len(samples), np.int64), np.full(len(samples), 9))
+
+    monkeypatch.setattr(StubEncoder, "encode", nonsense)
+    with pytest.raises(RenderError, match="level 0, the samples from .*: the encoder made impossible codes"):
+        coded(voxels(), tmp_path / "s")
+
+
 # ---- labels --------------------------------------------------------------------------------------
 
 
