@@ -25,7 +25,8 @@ from clvol.volume.volume import Volume
 
 EDGE = 16  # voxels per axis of a block
 _INDEX_BYTES = 8  # of each block: where its bytes are
-_PIECE = 1 << 22  # voxels that are compared together
+_PIECE = 1 << 22  # voxels that are encoded or decoded together
+_CACHED = 1 << 16  # voxels that are compared together, so that temporaries stay in the cache
 _LARGEST = float(np.finfo(np.float32).max)
 
 Decode = Callable[[CodedBlocks, BlockGrid, Codebooks], np.ndarray]
@@ -249,15 +250,18 @@ def measured_codes(codes: CodedVolume, original: Volume, layers: Iterable[tuple[
     largest, total, count = 0.0, 0.0, 0
     least, most = math.inf, -math.inf
     for z, layer in layers:
-        voxels = source.box(z, z + len(layer), 0, ny, 0, nx)
-        if voxels.dtype.kind == "f":
-            is_finite = np.isfinite(voxels)
-            voxels, layer = voxels[is_finite].astype(np.float64), layer[is_finite].astype(np.float64)
-            difference = voxels / 2 - layer / 2
-        else:
-            difference = (voxels.astype(np.int32) - layer).astype(np.float64).ravel() / 2
-        if difference.size:
-            least, most = min(least, float(layer.min())), max(most, float(layer.max()))
+        whole, decoded = source.box(z, z + len(layer), 0, ny, 0, nx).reshape(-1), layer.reshape(-1)
+        for first in range(0, whole.size, _CACHED):
+            voxels, others = whole[first : first + _CACHED], decoded[first : first + _CACHED]
+            if voxels.dtype.kind == "f":
+                is_finite = np.isfinite(voxels)
+                voxels, others = voxels[is_finite].astype(np.float64), others[is_finite].astype(np.float64)
+                if not voxels.size:
+                    continue
+                difference = voxels / 2 - others / 2
+            else:
+                difference = np.subtract(voxels, others, dtype=np.int32) * 0.5
+            least, most = min(least, float(others.min())), max(most, float(others.max()))
             largest = max(largest, float(difference.max()), -float(difference.min()))
             difference /= span or 1.0
             total += float(np.dot(difference, difference))
@@ -279,3 +283,14 @@ def stats_of(codec: str, measured: MeasuredError | None, device_bytes: int, deco
         "device_bytes": device_bytes,
         "decoded_voxels": decoded_voxels,
     }
+
+
+def in_words(codes: CodedVolume) -> str:
+    """What became of the volume, for logs."""
+    measured = codes.measured
+    assert measured is not None
+    return (
+        f"encoded {math.prod(codes.grid.shape)} voxels: codec {codes.codebooks.codec}, "
+        f"{measured.bits_per_voxel:.3g} bits per voxel, {measured.psnr:.4g} dB, "
+        f"largest error {measured.max_voxel_error:.3g} of the range"
+    )
