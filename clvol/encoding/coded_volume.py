@@ -245,7 +245,9 @@ def measured_codes(codes: CodedVolume, original: Volume, layers: Iterable[tuple[
     """``codes`` with the range of their decoded ``layers``, and with the error of these, over all finite voxels of the
     ``original``."""
     low, high = original.stored_range
-    span = high / 2 - low / 2  # differences are halved, too, since they may overflow
+    # Differences of floating-point voxels are halved and divided before they are squared, since they may overflow.
+    is_float = original.dtype.kind == "f"
+    span = high / 2 - low / 2 if is_float else high - low
     source, (_, ny, nx) = VolumeSource(original), original.shape
     largest, total, count = 0.0, 0.0, 0
     least, most = math.inf, -math.inf
@@ -253,19 +255,20 @@ def measured_codes(codes: CodedVolume, original: Volume, layers: Iterable[tuple[
         whole, decoded = source.box(z, z + len(layer), 0, ny, 0, nx).reshape(-1), layer.reshape(-1)
         for first in range(0, whole.size, _CACHED):
             voxels, others = whole[first : first + _CACHED], decoded[first : first + _CACHED]
-            if voxels.dtype.kind == "f":
+            if is_float:
                 is_finite = np.isfinite(voxels)
                 voxels, others = voxels[is_finite].astype(np.float64), others[is_finite].astype(np.float64)
                 if not voxels.size:
                     continue
                 difference = voxels / 2 - others / 2
-            else:
-                difference = np.subtract(voxels, others, dtype=np.int32) * 0.5
+            else:  # exact in single precision
+                difference = np.subtract(voxels, others, dtype=np.float32)
             least, most = min(least, float(others.min())), max(most, float(others.max()))
             largest = max(largest, float(difference.max()), -float(difference.min()))
-            difference /= span or 1.0
-            total += float(np.dot(difference, difference))
+            squared = difference / (span or 1.0) if is_float else difference.astype(np.float64)
+            total += float(np.dot(squared, squared))
             count += difference.size
+    total /= 1.0 if is_float else (span or 1.0) ** 2
     psnr = -10 * math.log10(total / count) if total else math.inf
     share = largest / span if span else math.inf if largest else 0.0
     value_range = (least, most) if count else (0.0, 0.0)

@@ -146,7 +146,6 @@ def test_hard_volumes(name, device, trained):
     np.testing.assert_array_equal(voxels[broken], array[broken])
 
 
-@pytest.mark.every_case
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("codec", ["rvq", "hvq", "vq-mean", "vq"])
 def test_every_codec(codec, each_device):
@@ -211,7 +210,6 @@ def test_a_store_of_codes(method, device, context, tmp_path):
         check_scene(Scene(volume=load_volume(tmp_path / "a.zarr"), compression={"codec": "vq"}, **tables).resolve())
 
 
-@pytest.mark.every_case
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("name", HARD)
 def test_labels_are_exact(name, device):
