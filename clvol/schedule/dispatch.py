@@ -27,26 +27,20 @@ _LEAST_UNCERTAINTY = 0.03
 _CAUTION = 1.6  # the share handed out is 1 / (1 + _CAUTION * uncertainty)
 _STALLED = 5.0  # times the expected time after which a package is issued again,
 _PATIENCE = 1.0  # plus this many seconds
-_MISFIT = 0.1  # share of the wanted cost by which a package may miss it before others are looked for,
-_FINE = 64  # among packages of fewer tiles than this
+_CHEAP = 0.25  # share of a picture's cost kept for the end, in its cheapest tiles, which fill packages up
 _REACH = 256.0  # tiles over which a measured cost says something about others
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Package:
-    """Tiles ``first`` ... ``last - 1``, handed to ``device`` at time ``since``; ``cost`` as expected then. ``number``
+    """``tiles`` (numbers, ascending), handed to ``device`` at time ``since``; ``cost`` as expected then. ``number``
     counts packages."""
 
     number: int
     device: int
-    first: int
-    last: int
+    tiles: np.ndarray
     since: float
     cost: float
-
-    @property
-    def tiles(self) -> int:
-        return self.last - self.first
 
 
 @dataclass
@@ -84,12 +78,11 @@ class Dispatcher:
         self.count = len(costs)
         self._prior = np.maximum(np.asarray(costs, np.float64), 1e-12)
         self._costs = self._prior.copy()
-        self._sums = _sums(self._costs)
         self._doubt = uncertainty if uncertainty is not None else _LEAST_UNCERTAINTY if measured else _UNKNOWN
         self._learns = not measured
         self._seen: list[tuple[float, float, float]] = []  # middle tile, log of measured over expected cost, weight
         self.shares = [Share(float(speed), float(launch)) for speed, launch in zip(speeds, launches)]
-        self._queue: list[tuple[int, int]] = [(0, self.count)]
+        self._waiting = _order(self._prior)
         self._done = np.zeros(self.count, bool)
         self._least_tiles = least_tiles
         self._number = 0
@@ -103,8 +96,8 @@ class Dispatcher:
 
     @property
     def waiting_tiles(self) -> int:
-        """Tiles that no device has."""
-        return sum(last - first for first, last in self._queue)
+        """Number of tiles that no device has."""
+        return len(self._waiting)
 
     def alive(self, device: int) -> bool:
         return self.shares[device].lost is None
@@ -125,37 +118,49 @@ class Dispatcher:
         share = self.shares[device]
         if share.lost is not None:
             return None
-        if not self._queue:
+        if not len(self._waiting):
             return self._again(device, now)
-        rest = self._rest()
+        rest = float(self._costs[self._waiting].sum())
         ideal = share.speed * (self._common_end(now, rest) - self._free_at(device, now) - share.launch)
         part = ideal / (1 + _CAUTION * self._doubt)
         least = share.speed * share.launch * _LEAST_LAUNCHES
         wanted = ideal if ideal - part < least else max(part, least)
-        return self._handed(device, *self._taken(wanted, least), now)
+        tiles = self._fitting(wanted, least)
+        if self._others_are_better(device, now, float(self._costs[tiles].sum()), rest):
+            return None
+        self._waiting = self._waiting[~np.isin(self._waiting, tiles)]
+        return self._handed(device, np.sort(tiles), now)
 
-    def _taken(self, wanted: float, least: float) -> tuple[int, int]:
-        """Tiles that cost about ``wanted``, out of the queue: its next ones if they fit, or else those that fit
-        best, because a single expensive tile may be too much for a slow device."""
-        first, last = self._queue[0]
-        end = self._cut(first, last, wanted, least)
-        place = 0
-        if abs(self._cost(first, end) - wanted) > _MISFIT * wanted and end - first < _FINE:
-            for k, (low, high) in enumerate(self._queue):
-                starts = np.arange(low, high)
-                ends = np.minimum(np.searchsorted(self._sums, self._sums[starts] + wanted, side="right") - 1, high)
-                ends = np.maximum(ends, np.minimum(starts + self._least_tiles, high))
-                misfit = np.abs(self._sums[ends] - self._sums[starts] - wanted)
-                best = int(misfit.argmin())
-                if misfit[best] < abs(self._cost(first, end) - wanted):
-                    first, end, place = int(starts[best]), int(ends[best]), k
-        low, high = self._queue[place]
-        self._queue[place : place + 1] = [part for part in ((low, first), (end, high)) if part[0] < part[1]]
-        return first, end
+    def _fitting(self, wanted: float, least: float) -> np.ndarray:
+        """Waiting tiles that cost about ``wanted``: the next ones, filled up by cheap ones from the end, so that a
+        single expensive tile does not make a package too large."""
+        costs = self._costs[self._waiting]
+        sums = np.cumsum(costs)
+        if sums[-1] <= wanted:
+            return self._waiting
+        head = int(np.searchsorted(sums, wanted, side="right"))
+        left = wanted - (sums[head - 1] if head else 0.0)
+        tail = int(np.searchsorted(np.cumsum(costs[head:][::-1]), left, side="right"))
+        short = self._least_tiles - head - tail
+        tail += max(min(short, len(costs) - head - tail), 0)
+        return np.concatenate([self._waiting[:head], self._waiting[len(costs) - tail :]])
 
-    def _handed(self, device: int, first: int, last: int, now: float) -> Package:
+    def _others_are_better(self, device: int, now: float, cost: float, rest: float) -> bool:
+        """Whether tiles of ``cost`` would be done sooner by another device that is still busy. That is only so at the
+        end, on devices that are much slower than others."""
+        share = self.shares[device]
+        end = self._free_at(device, now) + share.launch + cost / share.speed
+        if end <= self._common_end(now, rest) + share.launch:
+            return False
+        return any(
+            self._free_at(other, now) + their.launch + cost / their.speed < end
+            for other, their in enumerate(self.shares)
+            if other != device and their.lost is None and their.running
+        )
+
+    def _handed(self, device: int, tiles: np.ndarray, now: float) -> Package:
         self._number += 1
-        package = Package(self._number, device, first, last, now, self._cost(first, last))
+        package = Package(self._number, device, tiles, now, float(self._costs[tiles].sum()))
         self.shares[device].running.append(package)
         return package
 
@@ -166,14 +171,14 @@ class Dispatcher:
                 continue
             for package in share.running:
                 late = now - package.since - _PATIENCE > _STALLED * self.expected_seconds(package)
-                undone = not self._done[package.first : package.last].all()
-                if late and undone and not self._is_copied(package):
-                    return self._handed(device, package.first, package.last, now)
+                if late and not self._done[package.tiles].all() and not self._is_copied(package):
+                    return self._handed(device, package.tiles, now)
         return None
 
     def _is_copied(self, package: Package) -> bool:
-        same = (p for share in self.shares for p in share.running)
-        return any(p.number > package.number and p.first == package.first for p in same)
+        return any(
+            p.number > package.number and p.tiles is package.tiles for share in self.shares for p in share.running
+        )
 
     def finished(self, package: Package, now: float, cost: float | None = None) -> bool:
         """Takes the end of ``package``; returns whether its result counts, which it does not if another device was
@@ -182,13 +187,13 @@ class Dispatcher:
         began = max((p.since for p in share.running if p.number < package.number), default=package.since)
         began = max(began, max((end for p, end, _ in self.history if p.device == package.device), default=began))
         share.running = [p for p in share.running if p.number != package.number]
-        counts = not self._done[package.first : package.last].any()
+        counts = not self._done[package.tiles].any()
         self.history.append((package, now, counts))
         share.busy += now - began
         if not counts:
             return False
-        self._done[package.first : package.last] = True
-        share.tiles += package.tiles
+        self._done[package.tiles] = True
+        share.tiles += len(package.tiles)
         share.packages += 1
         found = cost if cost is not None else max(now - began - share.launch, 0.0) * share.speed
         share.cost += found
@@ -199,22 +204,17 @@ class Dispatcher:
         """``device`` renders no more: its packages return to the queue. Returns the number of tiles that did."""
         share = self.shares[device]
         share.lost = share.lost or reason
-        returned = [p for p in share.running if not self._done[p.first : p.last].any() and not self._held_elsewhere(p)]
-        share.running = []
-        for package in returned:
-            self._queue.insert(0, (package.first, package.last))
-        return sum(p.tiles for p in returned)
+        return sum(self.returned(package) for package in list(share.running))
 
-    def returned(self, package: Package) -> None:
-        """``package`` failed, but its device goes on with others."""
+    def returned(self, package: Package) -> int:
+        """``package`` failed, but its device may go on with others. Returns how many tiles are waiting again."""
         share = self.shares[package.device]
         share.running = [p for p in share.running if p.number != package.number]
-        if not self._done[package.first : package.last].any() and not self._held_elsewhere(package):
-            self._queue.insert(0, (package.first, package.last))
-
-    def _held_elsewhere(self, package: Package) -> bool:
-        others = (p for k, share in enumerate(self.shares) if k != package.device for p in share.running)
-        return any(p.first == package.first and p.last == package.last for p in others)
+        elsewhere = (p.tiles for each in self.shares for p in each.running)
+        if self._done[package.tiles].all() or any(tiles is package.tiles for tiles in elsewhere):
+            return 0
+        self._waiting = np.concatenate([package.tiles, self._waiting])
+        return len(package.tiles)
 
     def next_stall(self, now: float) -> float:
         """Seconds until some package counts as stalled; inf if none runs."""
@@ -224,19 +224,13 @@ class Dispatcher:
 
     # ---- arithmetic
 
-    def _rest(self) -> float:
-        return sum(self._cost(first, last) for first, last in self._queue)
-
-    def _cost(self, first: int, last: int) -> float:
-        return float(self._sums[last] - self._sums[first])
-
     def _free_at(self, device: int, now: float) -> float:
         """When ``device`` will have ended its packages, as expected."""
         share = self.shares[device]
         if not share.running:
             return now
         seconds = share.running[0].since + sum(
-            share.launch + self._cost(p.first, p.last) / share.speed for p in share.running
+            share.launch + float(self._costs[p.tiles].sum()) / share.speed for p in share.running
         )
         return max(seconds, now)
 
@@ -258,33 +252,25 @@ class Dispatcher:
             end = (rest + moment) / speed
         return end
 
-    def _cut(self, first: int, last: int, wanted: float, least: float) -> int:
-        """The end of a package from ``first`` that costs about ``wanted``."""
-        end = int(np.searchsorted(self._sums, self._sums[first] + wanted))
-        if end > first and self._sums[min(end, last)] - self._sums[first] - wanted > 0:
-            over = self._sums[min(end, last)] - self._sums[first] - wanted
-            under = wanted - (self._sums[end - 1] - self._sums[first])
-            end -= over > under and end - 1 > first
-        end = min(max(end, first + self._least_tiles), last)
-        left = self._cost(end, last)
-        return last if left < least / 2 and len(self._queue) == 1 else end
-
     def _learn(self, package: Package, found: float) -> None:
         """Corrects the costs of tiles near those of ``package``."""
         if not self._learns or found <= 0:
             return
-        expected = float(self._prior[package.first : package.last].sum())
-        now = self._cost(package.first, package.last)
-        miss = abs(math.log(max(found, 1e-12) / now))
+        tiles = package.tiles
+        miss = abs(math.log(found / float(self._costs[tiles].sum())))
         self._doubt = max(0.6 * self._doubt + 0.4 * min(miss, 1.0), _LEAST_UNCERTAINTY)
-        ratio = math.log(max(found, 1e-12) / expected)
-        self._seen.append(((package.first + package.last) / 2, ratio, math.sqrt(package.tiles)))
+        ratio = math.log(found / float(self._prior[tiles].sum()))
+        self._seen.append((float(np.median(tiles)), ratio, math.sqrt(len(tiles))))
         middles, ratios, weights = np.array(self._seen).T
-        tiles = np.arange(self.count)
-        near = weights[:, None] / (1 + np.abs(tiles[None, :] - middles[:, None]) / _REACH) ** 4
+        far = np.abs(np.arange(self.count)[None, :] - middles[:, None]) / _REACH
+        near = weights[:, None] / (1 + far) ** 4
         self._costs = self._prior * np.exp((near * ratios[:, None]).sum(axis=0) / near.sum(axis=0))
-        self._sums = _sums(self._costs)
 
 
-def _sums(costs: np.ndarray) -> np.ndarray:
-    return np.concatenate([[0.0], np.cumsum(costs)])
+def _order(costs: np.ndarray) -> np.ndarray:
+    """Tiles in the order in which they are handed out: the expensive ones by place, then the cheap ones, which are
+    _CHEAP of all costs, the cheapest last."""
+    falling = np.argsort(-costs, kind="stable")
+    sums = np.cumsum(costs[falling])
+    expensive = int(np.searchsorted(sums, (1 - _CHEAP) * sums[-1]))
+    return np.concatenate([np.sort(falling[:expensive]), falling[expensive:]])

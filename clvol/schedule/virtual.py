@@ -38,7 +38,6 @@ def simulate(
 ) -> Simulated:
     """Runs ``dispatcher`` against devices whose tiles really cost ``true_costs``. ``fault(package)``: a reason if the
     device fails with it, a factor by which it takes longer, or None."""
-    sums = np.concatenate([[0.0], np.cumsum(true_costs)])
     events: list[tuple[float, int, Package, str | None]] = []
     free = [0.0] * len(speeds)
     spans = []
@@ -50,7 +49,7 @@ def simulate(
             if package is None:
                 return
             trouble = fault(package) if fault is not None else None
-            cost = float(sums[package.last] - sums[package.first])
+            cost = float(true_costs[package.tiles].sum())
             seconds = launches[device] + cost / speeds[device]
             if isinstance(trouble, float):
                 seconds *= trouble
@@ -77,7 +76,7 @@ def simulate(
             feed_all()
             continue
         if dispatcher.alive(package.device):
-            dispatcher.finished(package, now, float(sums[package.last] - sums[package.first]))
+            dispatcher.finished(package, now, float(true_costs[package.tiles].sum()))
             feed(package.device)
-    ideal = float(sums[-1]) / math.fsum(speeds)
+    ideal = float(true_costs.sum()) / math.fsum(speeds)
     return Simulated(now, ideal, spans, dispatcher.complete)
