@@ -1,35 +1,43 @@
 """Blocks as codes of a vector-quantising codec: what they consist of, and the layout of their bytes.
 
-The samples [s, s, s] of a block (any level; s = 4, 8, 16, 32) are cut into sub-blocks of ``side``^3 samples.
-Sub-blocks are numbered in z-order within octants of 8^3 samples and octants in C order (z, y, x) of the block, samples
-of a sub-block in C order. Blocks of fewer than four samples per axis are always stored raw.
+The samples [s, s, s] of a block (any level; s = 4, 8, 16, 32) are cut into sub-blocks of ``side``^3 samples, whose own
+samples are in C order (z, y, x). Blocks of fewer than four samples per axis are CONSTANT or RAW. Samples are of the
+type ``values.dtype`` (the volume's; float32 for float64), little-endian, and not aligned.
 
-A block's bytes:
+A block's bytes are its kind (1 byte), and then
 
-  kind (1 byte), then
-  CONSTANT   one sample, of the volume's type
-  RAW        all samples [s, s, s], of the volume's type
-  CODED      codec "rvq", in this order:
-             flags     one bit per octant, the lowest first: whether it is split into sub-blocks; the octants of a
-                       block of s samples are (s / 8)^3, in whole bytes. No flags if s = 4: a single sub-block.
-             means     one byte per octant that is not split, eight per octant that is, one if s = 4
-             depths    four bits per sub-block of split octants (the lower half first): the number of stages, 0 to
-                       MOST_STAGES, or ESCAPED; one byte if s = 4
-             stage 1, stage 2, ...: one code (a byte) for each sub-block with at least that many stages. The first n
-                       stages are therefore a prefix of the bytes, and decoding can end after any stage (escaped
-                       sub-blocks then consist of their means).
-             escapes   for each escaped sub-block in order: a byte with the number of stages n in its lower and the
-                       number of bits b (0 to 8) in its upper half, n codes, and 64 residuals of b bits (sample k in
-                       bits k b ... k b + b - 1, the lowest bit of the lowest byte first; signed, two's complement);
-                       or the byte RAW_SAMPLES and 64 samples of the volume's type
-  FIXED      codec "vq": one code per sub-block (side 2); "vq-mean": all means, then all codes (side 2); "hvq": all
-             means, then all codes of stage 1 (shape of the means of 2^3 samples), then of stage 2 (side 4).
-             Sub-blocks in C order of the block.
+  CONSTANT   one sample
+  RAW        all samples [s, s, s] in C order
+  CODED      codec "rvq" only (side 4). Octants of 8^3 samples are in C order of the block, the eight sub-blocks of an
+             octant in C order of the octant: sub-block k has the corner (4 (k >> 2), 4 (k >> 1 & 1), 4 (k & 1)), z
+             first. A block of s = 4 is a single sub-block, as if of one octant that is split.
+             flags     one bit per octant, in bytes, the lowest bit first: whether it is split into sub-blocks. Bits
+                       beyond the last octant (s = 8) are 0. No flags if s = 4.
+             means     for octant after octant: one byte if it is not split, one per sub-block if it is
+             depths    for each sub-block of split octants four bits, the lower half of a byte first: its number of
+                       stages, 0 to ``stages`` of the codebooks, or ESCAPED. One byte if s = 4.
+             stage 1, stage 2, ...: one code (a byte) for each sub-block of at least that many stages, in order; none
+                       for escaped ones
+             escapes   for each escaped sub-block in order: a byte with its number of stages n in the lower half and
+                       the number of bits b (0 to 8) in the upper half, n codes, and 8 b bytes: 64 residuals of b bits
+                       (that of sample k in bits k b ... k b + b - 1, counted from the lowest bit of the first byte;
+                       two's complement); or the byte RAW_SAMPLES and 64 samples
+  FIXED      the other codecs; sub-blocks in C order of the block.
+             "vq"      (side 2) one code per sub-block
+             "vq-mean" (side 2) a mean per sub-block, then a code per sub-block
+             "hvq"     (side 4) a mean per sub-block, then a code of stage 1 (shape of the means of 2^3 samples) per
+                       sub-block, then one of stage 2
 
-The working value of a sample: (mean << 8) + 128 + the sum over stages of
-(codebook[stage, code, sample] << shift[stage]), clipped to 0 ... 65535; "vq" has no means: 32768 takes the place of
-(mean << 8) + 128. It becomes a voxel as ``WorkingValues`` says; ``residual * residual_step`` is added to it (integer
-types: to the voxel, clipped to low ... low + span; floating-point types: to the working value, clipped again).
+A block ends with what is listed. Every byte is a possible code: entries that are not used decode to 0.
+
+A working value is (mean << 8) + 128 + the sum over stages of (codebook[stage, code, sample] << shift[stage]), clipped
+to 0 ... 65535; "vq" has no means, and 32768 takes the place of (mean << 8) + 128. It becomes a voxel as
+``WorkingValues`` says, and then ``residual * residual_step`` is added (integer types: to the voxel, clipped to
+low ... low + span; floating-point types: to the clipped working value, which is clipped again).
+
+Decoding to a limit of n stages, fewer than the codebooks have, takes the first n stages of each sub-block and no
+escapes: escaped sub-blocks then consist of their means. It needs a prefix of the block's bytes alone
+(``layout.prefix_sizes``). With a limit of at least ``stages`` nothing is left out.
 """
 
 from __future__ import annotations
@@ -39,13 +47,16 @@ from typing import Any
 
 import numpy as np
 
-from clvol.store.codecs.working_values import WorkingValues
+from clvol.store.codecs.working_values import LARGEST, WorkingValues
 
 CONSTANT, RAW, CODED, FIXED = range(4)  # kinds of blocks
 MOST_STAGES = 12
 ESCAPED = 15
 RAW_SAMPLES = 0xFF
-ENTRIES = 256  # of a codebook, at most
+ENTRIES = 256  # of a codebook; those that are not used are 0
+LARGEST_SHIFT = 9
+SHAPES = {"vq": (2, 1, 1), "vq-mean": (2, 1, 1), "hvq": (4, 2, 2), "rvq": (4, 0, MOST_STAGES)}
+"""By codec: samples per axis of a sub-block, and the least and largest number of stages."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +65,8 @@ class Codebooks:
 
     ``codec``: "vq", "vq-mean", "hvq" or "rvq". ``side``: samples per axis of a sub-block. ``entries`` int8
     [stages, ENTRIES, side^3]: unused entries are 0; the first stage of "hvq" repeats each mean of 2^3 samples eight
-    times. ``shifts`` int32 [stages], 0 to 9. ``residual_step`` >= 1.
+    times. ``shifts`` int32 [stages], 0 to 9. ``residual_step`` 1 to 65535. Stages: 1 of "vq" and "vq-mean", 2 of "hvq",
+    0 to MOST_STAGES of "rvq".
     """
 
     codec: str
@@ -67,6 +79,19 @@ class Codebooks:
     @property
     def stages(self) -> int:
         return len(self.shifts)
+
+    def fault(self) -> str | None:
+        """What is impossible about them, such as of a damaged store; None if nothing is."""
+        if self.codec not in SHAPES:
+            return f"codec {self.codec!r}"
+        side, fewest, most = SHAPES[self.codec]
+        if self.side != side or not fewest <= self.stages <= most:
+            return f"{self.stages} stages of side {self.side}"
+        if self.entries.dtype != np.int8 or self.entries.shape != (self.stages, ENTRIES, side**3):
+            return f"entries of shape {self.entries.shape}, type {self.entries.dtype}"
+        if self.shifts.ndim != 1 or ((self.shifts < 0) | (self.shifts > LARGEST_SHIFT)).any():
+            return "shifts"
+        return None if 1 <= self.residual_step <= LARGEST else f"residual step {self.residual_step}"
 
     @property
     def nbytes(self) -> int:

@@ -1,0 +1,238 @@
+"""Blocks of codes written and read byte by byte, as the text of clvol/store/codecs/coded_blocks.py says.
+
+A block is described as the layout has it: ``Constant(sample)``, ``Raw(samples)``, ``Fixed(means, codes)`` or
+``Coded(octants)``, where an octant is a mean or a list of eight ``SubBlock``.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass, field
+
+import numpy as np
+
+FORMATS = {"uint8": "<B", "int8": "<b", "uint16": "<H", "int16": "<h", "float32": "<f"}
+
+
+@dataclass
+class Constant:
+    sample: float
+
+
+@dataclass
+class Raw:
+    samples: list
+
+
+@dataclass
+class Fixed:
+    """``means``: a byte per sub-block, none for "vq". ``codes``: a list per stage."""
+
+    means: list
+    codes: list
+
+
+@dataclass
+class SubBlock:
+    """``codes``: one per stage. Escaped if it has ``raw`` (64 samples) or ``residuals`` (64 integers of ``bits``)."""
+
+    mean: int
+    codes: list = field(default_factory=list)
+    bits: int = 0
+    residuals: list | None = None
+    raw: list | None = None
+
+    @property
+    def escaped(self) -> bool:
+        return self.raw is not None or self.residuals is not None
+
+
+@dataclass
+class Coded:
+    octants: list
+
+
+def sample_bytes(sample, dtype) -> bytes:
+    return struct.pack(FORMATS[np.dtype(dtype).name], sample)
+
+
+def write(block, s, codebooks) -> bytes:
+    """The bytes of a block of s samples per axis."""
+    dtype = codebooks.values.dtype
+    if isinstance(block, Constant):
+        return bytes([0]) + sample_bytes(block.sample, dtype)
+    if isinstance(block, Raw):
+        return bytes([1]) + b"".join(sample_bytes(v, dtype) for v in block.samples)
+    if isinstance(block, Fixed):
+        return bytes([3, *block.means]) + b"".join(bytes(codes) for codes in block.codes)
+    return bytes([2]) + _write_coded(block, s, dtype)
+
+
+def _write_coded(block, s, dtype) -> bytes:
+    out = bytearray()
+    if s > 4:
+        flags = 0
+        for k, octant in enumerate(block.octants):
+            if isinstance(octant, list):
+                flags |= 1 << k
+        out += flags.to_bytes(-(-len(block.octants) // 8), "little")
+    subs = []
+    for octant in block.octants:
+        if isinstance(octant, list):
+            subs += octant
+            out += bytes(sub.mean for sub in octant)
+        else:
+            out.append(octant)
+    depths = [15 if sub.escaped else len(sub.codes) for sub in subs]
+    if s == 4:
+        out.append(depths[0])
+    else:
+        for low, high in zip(depths[::2], depths[1::2]):
+            out.append(low | high << 4)
+    for j in range(12):
+        for sub in subs:
+            if not sub.escaped and len(sub.codes) > j:
+                out.append(sub.codes[j])
+    for sub in subs:
+        if sub.raw is not None:
+            out.append(255)
+            out += b"".join(sample_bytes(v, dtype) for v in sub.raw)
+        elif sub.residuals is not None:
+            out.append(len(sub.codes) | sub.bits << 4)
+            out += bytes(sub.codes)
+            packed = 0
+            for k, residual in enumerate(sub.residuals):
+                packed |= (residual & (1 << sub.bits) - 1) << k * sub.bits
+            out += packed.to_bytes(8 * sub.bits, "little")
+    return bytes(out)
+
+
+class _Bytes:
+    def __init__(self, data: bytes) -> None:
+        self.data, self.at = data, 0
+
+    def byte(self) -> int:
+        self.at += 1
+        return self.data[self.at - 1]
+
+    def bytes(self, count: int) -> bytes:
+        self.at += count
+        assert self.at <= len(self.data)
+        return self.data[self.at - count : self.at]
+
+    def sample(self, dtype):
+        form = FORMATS[dtype.name]
+        return struct.unpack(form, self.bytes(struct.calcsize(form)))[0]
+
+
+def read(data: bytes, s, codebooks, limit: int = 12) -> np.ndarray:
+    """The voxels [s, s, s] of a block's bytes."""
+    dtype = codebooks.values.dtype
+    source = _Bytes(data)
+    voxels = np.empty((s, s, s), dtype)
+    kind = source.byte()
+    if kind == 0:
+        voxels[:] = source.sample(dtype)
+    elif kind == 1:
+        for place in np.ndindex(s, s, s):
+            voxels[place] = source.sample(dtype)
+    elif kind == 3:
+        _read_fixed(source, voxels, s, codebooks, limit)
+    else:
+        assert kind == 2
+        _read_coded(source, voxels, s, codebooks, limit)
+    if limit >= codebooks.stages:
+        assert source.at == len(data)
+    return voxels
+
+
+def _voxels_of(working: list, residuals: list, codebooks) -> np.ndarray:
+    """Voxels in C order of working values that are not yet clipped."""
+    values, out = codebooks.values, []
+    for w, residual in zip(working, residuals):
+        w = min(max(w, 0), 65535)
+        if values.is_float:
+            w = min(max(w + residual * codebooks.residual_step, 0), 65535)
+            out.append(np.float32(w + values.first) * np.float32(values.scale))
+        else:
+            voxel = values.low + (w * (values.span + 1) >> 16) + residual * codebooks.residual_step
+            out.append(min(max(voxel, values.low), values.low + values.span))
+    side = codebooks.side
+    return np.array(out, values.dtype).reshape(side, side, side)
+
+
+def _working(start: int, codes: list, codebooks) -> list:
+    working = [start] * codebooks.side**3
+    for j, code in enumerate(codes):
+        for k in range(len(working)):
+            working[k] += int(codebooks.entries[j, code, k]) << int(codebooks.shifts[j])
+    return working
+
+
+def _read_fixed(source, voxels, s, codebooks, limit) -> None:
+    side = codebooks.side
+    corners = list(np.ndindex(*(s // side,) * 3))
+    means = [source.byte() for _ in corners] if codebooks.codec != "vq" else None
+    codes = [[source.byte() for _ in corners] for _ in range(min(codebooks.stages, limit))]
+    for k, (z, y, x) in enumerate(corners):
+        start = 32768 if means is None else means[k] * 256 + 128
+        working = _working(start, [stage[k] for stage in codes], codebooks)
+        own = voxels[z * side :, y * side :, x * side :][:side, :side, :side]
+        own[:] = _voxels_of(working, [0] * side**3, codebooks)
+
+
+def _read_coded(source, voxels, s, codebooks, limit) -> None:
+    dtype = codebooks.values.dtype
+    octants = list(np.ndindex(*(s // 8,) * 3)) if s > 4 else [(0, 0, 0)]
+    split = [True]
+    if s > 4:
+        flags = int.from_bytes(source.bytes(-(-len(octants) // 8)), "little")
+        split = [bool(flags >> k & 1) for k in range(len(octants))]
+    subs = []  # corner and mean of each sub-block of split octants
+    for (z, y, x), is_split in zip(octants, split):
+        if not is_split:
+            mean = source.byte()
+            for part in np.ndindex(2, 2, 2):
+                corner = tuple(8 * a + 4 * b for a, b in zip((z, y, x), part))
+                _put(voxels, corner, _voxels_of([mean * 256 + 128] * 64, [0] * 64, codebooks))
+        elif s == 4:
+            subs.append(((0, 0, 0), source.byte()))
+        else:
+            for k in range(8):
+                corner = 8 * z + 4 * (k >> 2), 8 * y + 4 * (k >> 1 & 1), 8 * x + 4 * (k & 1)
+                subs.append((corner, source.byte()))
+    if s == 4:
+        depths = [source.byte()]
+    else:
+        depths = []
+        for _ in range(len(subs) // 2):
+            both = source.byte()
+            depths += [both & 15, both >> 4]
+    codes: list = [[] for _ in subs]
+    for j in range(min(codebooks.stages, limit)):
+        for k, depth in enumerate(depths):
+            if depth != 15 and depth > j:
+                codes[k].append(source.byte())
+    for k, (corner, mean) in enumerate(subs):
+        residuals, raw = [0] * 64, None
+        if depths[k] == 15 and limit >= codebooks.stages:
+            head = source.byte()
+            if head == 255:
+                raw = [source.sample(dtype) for _ in range(64)]
+            else:
+                codes[k] = [source.byte() for _ in range(head & 15)]
+                bits = head >> 4
+                packed = int.from_bytes(source.bytes(8 * bits), "little")
+                for n in range(64):
+                    own = packed >> n * bits & (1 << bits) - 1
+                    residuals[n] = own - (1 << bits) if bits and own >> bits - 1 else own
+        if raw is None:
+            own = _voxels_of(_working(mean * 256 + 128, codes[k], codebooks), residuals, codebooks)
+        else:
+            own = np.array(raw, dtype).reshape(4, 4, 4)
+        _put(voxels, corner, own)
+
+
+def _put(voxels, corner, own) -> None:
+    z, y, x = corner
+    voxels[z : z + 4, y : y + 4, x : x + 4] = own
