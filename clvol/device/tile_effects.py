@@ -19,18 +19,31 @@ def tiles_that_see(
     picture: tuple[int, int],
     tile: tuple[int, int],
 ) -> np.ndarray:
-    """bool [tiles], row by row: whether a pixel of the tile may have a ray through a marked cell.
+    """bool [tiles], row by row: whether a pixel of the tile may have a ray through a marked cell. Arguments as for
+    ``cells_over_tiles``."""
+    return cells_over_tiles(cells, size, frame, to_edges, picture, tile) > 0
+
+
+def cells_over_tiles(
+    cells: np.ndarray,
+    size: tuple[int, int, int],
+    frame: RayFrame,
+    to_edges: np.ndarray,
+    picture: tuple[int, int],
+    tile: tuple[int, int],
+) -> np.ndarray:
+    """int64 [tiles], row by row: the number of marked cells that the rays of the tile's pixels may pass.
 
     ``cells`` bool [z, y, x]: cells of 2^CELL_SHIFT lattice units. ``size``: lattice points (x, y, z).
     ``frame``: the picture's rays. ``to_edges`` [3, 3]: lattice directions to lengths in smallest
-    edges. ``picture``, ``tile``: pixels (width, height). Takes the sphere around each cell: tiles
-    too many, never too few.
+    edges. ``picture``, ``tile``: pixels (width, height). Takes the sphere around each cell:
+    too many, never too few. Where the eye is among the cells, 1 for each tile.
     """
     columns, rows = (-(-n // m) for n, m in zip(picture, tile))
     edge = 1 << CELL_SHIFT
     low = np.argwhere(cells)[:, ::-1] * edge
     if not low.size:
-        return np.zeros(columns * rows, bool)
+        return np.zeros(columns * rows, np.int64)
     high = np.minimum(low + edge, np.asarray(size) - 1)
     half = 0.5 * (high - low) @ np.abs(to_edges).T
     radius = np.linalg.norm(half, axis=1) + 1e-3
@@ -45,7 +58,7 @@ def tiles_that_see(
     from_plane = (0.5 * (low + high) - frame.origin) @ to_edges.T
     depth = from_plane @ forward + frame.distance
     if is_perspective and np.any(depth <= 1.01 * radius):
-        return np.ones(columns * rows, bool)  # the eye is among them
+        return np.ones(columns * rows, np.int64)  # the eye is among them
     scale = (1.0 / depth if is_perspective else np.ones_like(depth)) / pixel
     centres = np.stack([from_plane @ right, from_plane @ down]) * scale
     reach = np.broadcast_to(radius / pixel, centres.shape)
@@ -65,4 +78,4 @@ def tiles_that_see(
     np.add.at(counts, (y0, x1), -1)
     np.add.at(counts, (y1, x0), -1)
     np.add.at(counts, (y1, x1), 1)
-    return (counts.cumsum(axis=0).cumsum(axis=1)[:rows, :columns] > 0).ravel()
+    return counts.cumsum(axis=0).cumsum(axis=1)[:rows, :columns].ravel()

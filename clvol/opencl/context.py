@@ -101,6 +101,7 @@ def restore_interrupts() -> None:
             signal.signal(signal.SIGINT, handler)
 
 
+_PAGE = 4096
 _KEPT, _LARGEST_KEPT = 6, 64 * 2**20  # number of outputs kept for reuse, and bytes of the largest
 
 
@@ -196,12 +197,15 @@ class DeviceContext:
         """An uninitialised array on the device."""
         return self._buffer(cl.mem_flags.READ_WRITE, np.dtype(dtype), tuple(shape), None)
 
-    def output(self, dtype: Any, shape: Sequence[int]) -> DeviceArray:
+    def output(self, dtype: Any, shape: Sequence[int], host: np.ndarray | None = None) -> DeviceArray:
         """An array that a kernel writes and ``take`` then returns: on a CPU device the kernel
-        writes directly into host memory."""
+        writes directly into host memory; into ``host``, if given (``shared_array``)."""
         check_fork()
         if not self.is_cpu:
             return self.empty(dtype, shape)
+        if host is not None:
+            flags = cl.mem_flags.READ_WRITE | cl.mem_flags.USE_HOST_PTR
+            return self._buffer(flags, host.dtype, host.shape, host)
         key = (np.dtype(dtype), tuple(shape))
         for output, references in self._outputs:
             # The output is free if nothing else refers to it, since its last picture was dropped. Fresh memory would
@@ -297,6 +301,15 @@ class DeviceContext:
             raise DeviceError(self.name, what, "a smaller volume or image") from None
         keeps = host if flags & cl.mem_flags.USE_HOST_PTR else None
         return DeviceArray(buffer, dtype, shape, keeps)
+
+
+def shared_array(shape: Sequence[int], dtype: Any) -> np.ndarray:
+    """An array into which several CPU devices can write without copies, since it begins at a page."""
+    dtype = np.dtype(dtype)
+    nbytes = int(np.prod(shape, dtype=np.int64)) * dtype.itemsize
+    raw = np.empty(nbytes + _PAGE, np.uint8)
+    first = -raw.ctypes.data % _PAGE
+    return raw[first : first + nbytes].view(dtype).reshape(shape)
 
 
 def compile_options(switches: Mapping[str, int]) -> tuple[str, ...]:

@@ -1,11 +1,12 @@
 """Divides the tiles of one picture among devices while they render, so that all of them end at the same time.
 
-A device that is free requests a package, a run of consecutive tiles. Its size follows from the moment at which all
-devices would end if the rest were divided ideally (``_common_end``): a device receives what it would do until then,
-or only a part of that while the costs of tiles are uncertain, so that later packages can make up for errors. With known
-costs there are two or three packages per device, with unknown ones about five. This is guided self-scheduling (Polychronopoulos and
-Kuck, IEEE Transactions on Computers C-36, 1987) for devices of different speeds that are not free at the same time, with
-the uncertainty measured in place of a fixed factor.
+A device that is free requests a package. Its size follows from the moment at which all devices would end if the rest
+were divided ideally (``_common_end``): a device receives what it would do until then, or only a part of that while the
+costs of tiles are uncertain, so that later packages can make up for errors. With known costs there are two or three
+packages per device, with unknown ones about five. This is guided self-scheduling (Polychronopoulos and Kuck, IEEE
+Transactions on Computers C-36, 1987) for devices of different speeds that are not free at the same time, with the
+uncertainty measured in place of a fixed factor. Expensive tiles come first, in the order of the picture; cheap ones
+fill packages up to the size that is wanted.
 
 Packages of devices that fail return to the queue. Packages that take much longer than expected are issued again to
 devices that have nothing else to do; the first of two results counts.

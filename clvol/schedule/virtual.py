@@ -56,7 +56,8 @@ def simulate(
             begin = max(now, free[device])
             free[device] = begin + seconds
             spans.append((package, begin, free[device]))
-            heapq.heappush(events, (free[device], package.number, package, trouble if isinstance(trouble, str) else None))
+            failure = trouble if isinstance(trouble, str) else None
+            heapq.heappush(events, (free[device], package.number, package, failure))
 
     def feed_all() -> None:
         for device in range(len(speeds)):
@@ -70,9 +71,9 @@ def simulate(
             now = stall + 1e-9
             feed_all()
             continue
-        now, _, package, failure = heapq.heappop(events)
-        if failure is not None:
-            dispatcher.lost(package.device, failure)
+        now, _, package, failed = heapq.heappop(events)
+        if failed is not None:
+            dispatcher.lost(package.device, failed)
             feed_all()
             continue
         if dispatcher.alive(package.device):
