@@ -12,13 +12,15 @@ from typing import Any
 
 import numpy as np
 
+from clvol.store.codecs.coded_blocks import MOST_STAGES
+
 # Lengths of arrays in structs, as in cl/features.h: how many of each a scene may have.
 MOST_FIELDS, MOST_NOISE_TERMS, MOST_HALVES = 3, 4, 16
 
 _TYPES = {
     "float": np.dtype("f4"), "float2": np.dtype(("f4", 2)), "float4": np.dtype(("f4", 4)),
     "int": np.dtype("i4"), "int2": np.dtype(("i4", 2)), "int4": np.dtype(("i4", 4)),
-    "double": np.dtype("f8"),
+    "double": np.dtype("f8"), "long": np.dtype("i8"),
 }  # fmt: skip
 
 FieldType = str | np.dtype
@@ -89,6 +91,14 @@ BLOCKS = struct(("int4", "count"), ("float", "edge inverse_edge"), ("int", "log_
 
 BLOCK_PAYLOAD = struct(("int", "from to size codec"))
 """``BlockPayload`` of cl/decode_blocks.cl."""
+
+CODED_BLOCK = struct(("int4", "extent"), ("long", "from to"), ("int", "limit"))
+"""``CodedBlock`` of cl/decode_codes.h."""
+
+CODE_MAP = struct(
+    ("int4", "shifts", MOST_STAGES // 4), ("int", "stages residual_step low span first"), ("float", "scale")
+)
+"""``CodeMap`` of cl/decode_codes.h."""
 
 PYRAMID = struct(
     ("float4", "halves", MOST_HALVES),

@@ -108,6 +108,7 @@ def load_volume(
             where, f"unreadable: {first_line(error)}", f"an undamaged {format_name} file"
         ) from error
     volume.axis = axis.after(volume.axis)
+    volume.labels = volume.labels or labels
     volume.path = where
     volume.format = format_name
     if volume.name is None:

@@ -29,6 +29,7 @@ from clvol.volume.volume import Volume, check_type
 
 _DEFLATE_RATIO = 1032  # zlib's technical notes
 
+_LABELS = 1002  # NIFTI_INTENT_LABEL
 
 def read(path: Path, options: ReadOptions) -> Volume:
     """The volume in a NIfTI file or pair, in NIfTI's world coordinates (RAS), by sform, else by qform.
@@ -61,6 +62,7 @@ def read(path: Path, options: ReadOptions) -> Volume:
         data, grid.spacing, grid.origin, grid.direction, frame=frame, unit=unit_of(header)
     )
     volume.files = tuple(str(file) for file in (header_file, data_file) if file != path)
+    volume.labels = int(header["intent_code"]) == _LABELS
     return volume
 
 

@@ -85,6 +85,7 @@ def read(path: Path, options: ReadOptions) -> Volume:
     frame = _FRAMES.get(space.lower().replace(" ", "-"), space) or "index"
     volume = Volume(data, grid.spacing, grid.origin, grid.direction, frame=frame, unit=unit)
     volume.files = names_beside(path, parts)
+    volume.labels = header.segments
     return volume
 
 

@@ -35,11 +35,13 @@ _MAGIC = re.compile(rb"NRRD00(0[1-6]|\.01)$")
 @dataclass
 class NrrdHeader:
     """``fields`` by the names of the format's document, as pynrrd gives them; ``data_file``: the
-    bytes after "data file:", or None; ``listed``: the lines after "data file: LIST"."""
+    bytes after "data file:", or None; ``listed``: the lines after "data file: LIST"; ``segments``: there are pairs that
+    name segments, as in the files *.seg.nrrd of 3D Slicer."""
 
     fields: dict[str, Any] = field(default_factory=dict)
     data_file: bytes | None = None
     listed: list[bytes] = field(default_factory=list)
+    segments: bool = False
 
     def get(self, name: str, default: Any = None) -> Any:
         return self.fields.get(name, default)
@@ -50,6 +52,7 @@ def read_header(path: Path, file: BinaryIO) -> NrrdHeader:
     header = NrrdHeader()
     texts: dict[str, str] = {}
     for line in _lines(path, file, header):
+        header.segments |= line.startswith(b"Segment0_") and b":=" in line
         name, value = _parted(path, line)
         if name == "data file":
             texts[name], header.data_file = "-", value

@@ -32,6 +32,7 @@ def read(path: Path, options: ReadOptions) -> Volume:
         image.array, image.grid, image.name, image.frame, str(path), options.memory_cap
     )
     volume.unit = image.unit
+    volume.labels = image.labels or np.dtype(image.array.dtype.numpy_dtype).kind == "b"
     return volume
 
 
@@ -44,6 +45,7 @@ class StoredVolume(LazyVolume):
             source.dtype, source.grid, source.name, source.facts.frame, str(source.path), memory_cap
         )
         self.axis, self.unit = source.facts.axis, source.facts.unit
+        self.labels = source.codes is not None and source.codes.codec == "labels"
 
     @property
     def grid(self) -> Grid:

@@ -19,6 +19,7 @@ from clvol.readers.options import Key, ReadOptions
 from clvol.readers.zarr_axes import AXES, Axis, Placed, place_axes
 from clvol.readers.zarr_blosc import check_blosc
 from clvol.store.arrays import open_array, system_words
+from clvol.store.format import CODES_OF
 from clvol.volume.grid import Grid
 from clvol.volume.memory import check_memory
 from clvol.volume.units import one_unit
@@ -29,19 +30,23 @@ _EVEN = 1e-3  # tolerance of coordinates, as a share of a step
 
 @dataclass(frozen=True, eq=False)
 class Image:
-    """``array`` is a tensorstore array [z, y, x]."""
+    """``array`` is a tensorstore array [z, y, x]; ``labels``: OME-Zarr's metadata say that it holds labels."""
 
     array: Any
     grid: Grid
     name: str | None
     frame: str
     unit: str | None
+    labels: bool = False
 
 
 def find_image(path: Path, options: ReadOptions) -> Image:
     """The image in a Zarr folder; of a multiscale image, the finest level."""
     where = str(path)
     node = read_node(path, where)
+    if CODES_OF in node.attributes:
+        what = "a level of a clvol store, which holds codes of blocks and no samples"
+        raise VolumeError(where, what, "the folder of the store")
     if node.is_array:
         return _plain(path, path, node, options)
     attributes = node.attributes.get("ome", node.attributes)
@@ -279,7 +284,8 @@ def _multiscale(path: Path, attributes: dict, multiscale: dict, options: ReadOpt
         [None if k is None else axes[k].unit for k in placed.space],
         options,
     )
-    return Image(array, grid, _text(multiscale, "name") or _stem(path), "image", unit)
+    labels = "image-label" in attributes
+    return Image(array, grid, _text(multiscale, "name") or _stem(path), "image", unit, labels)
 
 
 def _axis(said: Any) -> Axis:

@@ -12,10 +12,11 @@ import json
 import os
 import shutil
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -24,13 +25,18 @@ from clvol.errors import ClvolError, RenderError, UsageError, VolumeError
 from clvol.interrupts import held
 from clvol.store.arrays import cores, open_array, system_words
 from clvol.store.build_folder import check_place, locked, replaced_path
-from clvol.store.codecs import CODECS, DEFAULT, one_of_codecs
+from clvol.store.codecs import CODECS, CODES, DEFAULT, one_of_codecs
+from clvol.store.codecs.coded_blocks import RateTarget
+from clvol.store.codecs.encoding import Trainer
+from clvol.store.coding import REACH, Coding, check_target, merged_reach
 from clvol.store.format import JOURNAL, ROOT, StoreLayout, check_layout, partial_path, root_metadata
 from clvol.store.geometry import EDGE
 from clvol.store.journal import Journal, write_whole
 from clvol.store.places import TABLE, part_checksum, statistics_checksums
-from clvol.store.resolutions import describe_region, with_neighbours
+from clvol.store.resolutions import describe_region, finite_range, with_neighbours
 from clvol.store.source import BlockStatistics
+from clvol.store.steps import Progress, Steps
+from clvol.store.stored_codes import CodesFacts, codebooks_json, codes_json, sizes_on_disk, write_codebooks
 from clvol.store.voxel_source import VolumeSource, VoxelSource
 from clvol.store.zarr_store import StoredBlocks
 from clvol.volume.axis import ValueAxis
@@ -38,8 +44,6 @@ from clvol.volume.volume import Volume
 
 _IN_HAND = 1 << 30  # bytes that all regions being made may take
 _WORKERS = 4
-
-Progress = Callable[[int, int], None]
 
 
 def build_store(
@@ -49,34 +53,48 @@ def build_store(
     edge: int = EDGE,
     shard: int | None = None,
     codec: str = DEFAULT,
+    target: RateTarget | None = None,
+    trainer: Trainer | None = None,
+    seed: int = 0,
     overwrite: bool = False,
     restart: bool = False,
     progress: Progress | None = None,
+    on_phase: Callable[[str], None] | None = None,
     workers: int | None = None,
 ) -> StoredBlocks:
     """Builds the store ``path`` and opens it.
 
     ``edge``: voxels per axis of a block; ``shard``: voxels per axis of a file, a multiple of ``edge`` (None: 128, or
-    256 for long volumes); ``codec``: a name in ``codecs.CODECS``. ``overwrite`` replaces an existing store once the
-    new one is complete. Work that an interrupted call with the same source and settings has left in PATH.partial is
-    resumed; ``restart`` discards it. ``progress(done, total)`` counts regions; an exception that it raises interrupts
-    the build. ``workers``: number of threads.
+    256 for long volumes); ``codec``: a name in ``codecs.CODECS`` or ``codecs.CODES``. Of the latter, those that know
+    a ``target`` need a ``trainer`` and take ``seed``; they hold float64 as float32 (a ClvolWarning), and refuse labels.
+    ``overwrite`` replaces an existing store once the new one is complete. Work that an interrupted call with the same
+    source and settings has left in PATH.partial is resumed; ``restart`` discards it. ``progress(done, total)`` counts
+    regions, or with codes steps of all phases; an exception that it raises interrupts the build. ``on_phase`` is called
+    with the name of each phase of making codes, when it begins: "measuring", "training", "encoding", "describing".
+    ``workers``: number of threads.
 
     Raises UsageError if such a store cannot be written, VolumeError if the source cannot be read, and RenderError if
-    writing fails (a full disk). In that case PATH.partial is kept, and the same call resumes.
+    writing fails (a full disk), or if decoded voxels break the bound of ``target``. In the former case PATH.partial is
+    kept, and the same call resumes.
     """
     voxels = VolumeSource(source) if isinstance(source, Volume) else source
-    if codec not in CODECS:
+    chosen = CODECS.get(codec) or CODES.get(codec)
+    if chosen is None:
         raise UsageError("codec", f"got {codec!r}", one_of_codecs())
-    layout = check_layout(voxels.shape, voxels.dtype, edge, shard, CODECS[codec])
+    target = check_target(chosen, target)
+    layout = check_layout(voxels.shape, voxels.dtype, edge, shard, chosen)
+    coding = Coding(voxels, layout, target, trainer, seed) if chosen.coded else None
     path = Path(path)
     check_place(path, overwrite)
     with _writing(path), locked(partial_path(path)) as partial:
-        build = _Build(voxels, layout, partial, codec)
+        build = _Build(voxels, layout, partial, codec, coding)
+        steps = Steps(build.count, coding is not None, progress, on_phase)
         try:
             build.begin(path, restart)
-            build.make_regions(progress, workers)
-            build.finish(path, overwrite)
+            if coding is not None:
+                build.prepare_codes(steps, workers)
+            build.make_regions(steps, workers)
+            build.finish(path, overwrite, steps)
         except BaseException:
             if not build.journal.anything_done():
                 build.discard()
@@ -107,8 +125,10 @@ def _not_written(path: Path, reason: str) -> RenderError:
 class _Build:
     """The state of building a store in the folder ``partial``."""
 
-    def __init__(self, source: VoxelSource, layout: StoreLayout, partial: Path, codec: str) -> None:
-        self.source, self.layout, self.partial = source, layout, partial
+    def __init__(
+        self, source: VoxelSource, layout: StoreLayout, partial: Path, codec: str, coding: Coding | None
+    ) -> None:
+        self.source, self.layout, self.partial, self.coding = source, layout, partial, coding
         self.journal = Journal(partial, layout)
         self.codec = codec
         self.count = int(np.prod(layout.regions))
@@ -145,6 +165,8 @@ class _Build:
             "spacing": grid.spacing, "origin": grid.origin, "direction": grid.direction.tolist(),
             "edge": layout.edge, "shard": layout.shard, "codec": self.codec, "regions": self.count,
         }  # fmt: skip
+        if self.coding is not None:
+            plan |= self.coding.plan()
         return json.loads(json.dumps(plan))
 
     def _clear(self) -> None:
@@ -154,77 +176,102 @@ class _Build:
 
     # ---- regions ----
 
-    def make_regions(self, progress: Progress | None, workers: int | None) -> None:
-        """Makes all regions that are not in the journal, on several threads."""
+    def prepare_codes(self, steps: Steps, workers: int | None) -> None:
+        """Finds the range of the voxels, and trains, unless the journal has both."""
+        coding = self.coding
+        assert coding is not None
+        steps.begin("measuring")
+        if not coding.known_range(self.journal):
+            lows, highs = [np.inf], [-np.inf]
+
+            def measure(index: int) -> None:
+                low, high = finite_range(self._voxels(self.layout.region(index)))
+                lows.append(low)
+                highs.append(high)
+
+            self._each(range(self.count), measure, steps, workers)
+            coding.note_range(self.journal, min(lows), max(highs))
+        steps.begin("training")
+        coding.train(self.journal, steps.part)
+
+    def make_regions(self, steps: Steps, workers: int | None) -> None:
+        """Makes all regions that are not in the journal."""
+        steps.begin("encoding")
         left = [index for index in range(self.count) if self.journal.census(index, read=True) is None]
-        done = self.count - len(left)
-        if progress is not None:
-            progress(done, self.count)
+        steps.add(self.count - len(left))
+        self._each(left, self._make_region, steps, workers)
+
+    def _each(
+        self, indices: Sequence[int], make: Callable[[int], None], steps: Steps, workers: int | None
+    ) -> None:
+        """Calls ``make`` with ``indices`` on several threads."""
         workers = self._workers() if workers is None else workers
         executor = ThreadPoolExecutor(workers, "store")
         pending: set[Future] = set()
-        queue = iter(left)
+
+        def unless_stopped(index: int) -> None:
+            if not self._stop.is_set():
+                make(index)
+
         try:
-            for index in queue:
-                pending.add(executor.submit(self._make_region, index))
+            for index in indices:
+                pending.add(executor.submit(unless_stopped, index))
                 if len(pending) > workers:
-                    done += self._finished(pending, progress, done)
+                    self._finished(pending, steps)
             while pending:
-                done += self._finished(pending, progress, done)
-        finally:
+                self._finished(pending, steps)
+        except BaseException:
             self._stop.set()
+            raise
+        finally:
             executor.shutdown(wait=True, cancel_futures=True)
 
-    def _finished(self, pending: set[Future], progress: Progress | None, done: int) -> int:
-        """Waits until some of ``pending`` are done; returns how many."""
+    def _finished(self, pending: set[Future], steps: Steps) -> None:
+        """Waits until some of ``pending`` are done."""
         ready, _ = wait(pending, return_when=FIRST_COMPLETED)
         pending -= ready
-        for k, future in enumerate(ready, 1):
+        for future in ready:
             future.result()
-            if progress is not None:
-                progress(done + k, self.count)
+            steps.add(1)
         if hasattr(self.source, "forget"):
             self.source.forget()
-        return len(ready)
 
     def _workers(self) -> int:
         """The largest number of threads that keeps the memory of all regions being made bounded."""
         region = (self.layout.shard + 2) ** 3 * self.layout.dtype.itemsize
-        return int(np.clip(_IN_HAND // (3 * region), 1, min(cores(), _WORKERS)))
+        copies = 3 if self.coding is None else 8
+        return int(np.clip(_IN_HAND // (copies * region), 1, min(cores(), _WORKERS)))
 
     def _make_region(self, index: int) -> None:
-        if self._stop.is_set():
-            return
         layout = self.layout
         box = layout.region(index)
-        around, inner = with_neighbours(layout.shape, box)
-        voxels = self._voxels(around)
-        levels, statistics = describe_region(voxels, inner, layout.edge)
+        more = None
+        if self.coding is None:
+            around, inner = with_neighbours(layout.shape, box)
+            levels, statistics = describe_region(self._voxels(around), inner, layout.edge)
+            voxels = levels[0]
+        else:
+            made = self.coding.make(self._voxels(box), tuple(s.start for s in box))
+            levels, statistics, voxels, more = made.stored, made.statistics, made.decoded, made.more
         for level in range(len(levels)):  # left by an interrupted call, possibly incomplete
             (self.partial / layout.shard_file(index, level)).unlink(missing_ok=True)
-        futures = [
-            array[layout.region(index, level)].write(self._stored(level, samples))
-            for level, (array, samples) in enumerate(zip(self.levels, levels))
-        ]
-        census = _census(levels[0], statistics)
+        futures = [self._write(index, level, samples) for level, samples in enumerate(levels)]
+        census = _census(voxels, statistics)
         for future in futures:
             future.result()
-        self.journal.note(index, statistics, census)
+        self.journal.note(index, statistics, census, more)
+
+    def _write(self, index: int, level: int, stored: np.ndarray) -> Any:
+        return self.levels[level][self.layout.stored_region(index, level)].write(stored)
 
     def _voxels(self, around: tuple[slice, slice, slice]) -> np.ndarray:
         bounds = [n for s in around for n in (s.start, s.stop)]
         voxels = self.source.box(*bounds)
         wanted = tuple(s.stop - s.start for s in around)
-        if voxels.shape != wanted or voxels.dtype != self.layout.dtype:
+        if voxels.shape != wanted or voxels.dtype != self.source.dtype:
             what = f"a box of {voxels.shape} {voxels.dtype}"
-            raise VolumeError(self.source.name or "source", what, f"{wanted} {self.layout.dtype}")
+            raise VolumeError(self.source.name or "source", what, f"{wanted} {self.source.dtype}")
         return voxels
-
-    def _stored(self, level: int, samples: np.ndarray) -> np.ndarray:
-        payload = self.layout.codecs[level].payload
-        if payload is None:
-            return samples
-        return payload.encode(samples, self.layout.parameters[level])
 
     # ---- the end ----
 
@@ -237,8 +284,9 @@ class _Build:
 
     # ---- the end ----
 
-    def finish(self, path: Path, overwrite: bool) -> None:
+    def finish(self, path: Path, overwrite: bool, steps: Steps) -> None:
         """Writes statistics and metadata, and renames the store to its final name."""
+        steps.begin("describing")
         for name in self.layout.statistics_types:
             self._write_statistics(name)
         group = {"zarr_format": 3, "node_type": "group", "attributes": {}}
@@ -247,6 +295,8 @@ class _Build:
         facts = {**self._facts(), "slope": axis.slope, "offset": axis.offset}
         facts["unit"] = getattr(self.source, "unit", None)
         facts["checksums"] = self._write_table()
+        if self.coding is not None:
+            facts["codes"] = self._facts_of_codes(self.coding)
         root = root_metadata(
             self.layout,
             self.source.grid,
@@ -283,6 +333,10 @@ class _Build:
             plane = np.empty(
                 layout.statistics_shape(name, (depth, by, bx)), layout.statistics_types[name]
             )
+            if self.coding is not None and name in REACH:
+                plane[...] = merged_reach(layout, self.journal.read, name, z)
+                array[z * rows : z * rows + depth].write(plane).result()
+                continue
             for index in range(z * ny * nx, (z + 1) * ny * nx):
                 _, y, x = (slice(s.start // edge, -(-s.stop // edge)) for s in layout.region(index))
                 plane[(slice(None),) * (2 if by_level else 1) + (y, x)] = self.journal.read(index, name)
@@ -299,6 +353,20 @@ class _Build:
             array[first:last].write(np.stack(rows)).result()
             parts.append(part_checksum(np.stack(rows)))
         return {"table": parts, "statistics": statistics_checksums(self.partial, layout)}
+
+    def _facts_of_codes(self, coding: Coding) -> dict:
+        """Writes the codebooks; returns what the root says of codes."""
+        training = coding.training
+        errors = np.stack([self.journal.read(index, "errors") for index in range(self.count)])
+        checksum = None if training is None else write_codebooks(self.partial, training.codebooks)
+        measured = coding.measured(errors, sizes_on_disk(self.partial))
+        return codes_json(
+            CodesFacts(
+                coding.codec, None if training is None else codebooks_json(training.codebooks), checksum,
+                coding.seed, coding.target, {} if training is None else training.policy,
+                coding.original_dtype, coding.range, measured,
+            )
+        )  # fmt: skip
 
     def _facts(self) -> dict:
         """Range and counts of all voxels."""

@@ -9,6 +9,10 @@ STORE/blocks/checksums  array [region, chunk]: binds chunks to positions (places
 STORE.partial        an incomplete store: the same, with clvol-journal/
 
 At level 0 a chunk holds one block; at coarser levels it holds (chunk / samples)^3 blocks.
+
+A level that holds codes is an array [z, y, x, byte] of uint8: a chunk is a pack of blocks (packs.py). Such levels are
+not among OME-Zarr's ``multiscales``, since other readers cannot decode them; the coarsest levels always hold samples.
+STORE/codebooks      int8 [stage, code, sample], of codecs that have codebooks (stored_codebooks.py)
 """
 
 from __future__ import annotations
@@ -22,7 +26,8 @@ from typing import Any
 import numpy as np
 
 from clvol.errors import UsageError, VolumeError
-from clvol.store.codecs import Codec, find_codec, statistics_chain
+from clvol.store import packs
+from clvol.store.codecs import COARSE, FEWEST_CODED, Codec, find_codec, statistics_chain
 from clvol.store.geometry import EDGES, BlockGrid
 from clvol.store.source import QUANTILES
 from clvol.volume.axis import ValueAxis
@@ -34,6 +39,7 @@ VERSION = 1
 ROOT = "zarr.json"
 JOURNAL = "clvol-journal"
 PARTIAL = ".partial"
+CODES_OF = "clvol-codes"  # attribute of the arrays of levels that hold codes: the codec
 _LONG = 1024  # voxels of the longest axis above which shards are larger, to limit the number of files
 _LARGEST_SHARD = 1024
 _STATISTICS_PIECE = 1 << 18  # levels times blocks in a chunk of statistics
@@ -55,7 +61,7 @@ class StoreLayout:
     """The layout of a store.
 
     ``shard`` is in voxels per axis of level 0, a multiple of ``edge``. ``codecs`` has one codec per level, and
-    ``parameters`` holds what a codec with a payload needs besides its codes (JSON).
+    ``parameters`` their parameters (JSON).
     """
 
     shape: tuple[int, int, int]
@@ -75,9 +81,33 @@ class StoreLayout:
         nz, ny, nx = (-(-n // self.shard) for n in self.shape)
         return nz, ny, nx
 
+    @property
+    def coded(self) -> bool:
+        """Whether some levels hold codes."""
+        return any(codec.coded for codec in self.codecs)
+
     def chunk(self, level: int) -> int:
         """Samples per axis of a chunk."""
+        if self.codecs[level].coded:
+            return self.pack * self.blocks.samples(level)
         return math.gcd(self.edge, self.shard >> level)
+
+    def chunk_blocks(self, level: int) -> int:
+        """Blocks per axis of a chunk."""
+        return self.chunk(level) // self.blocks.samples(level)
+
+    def chunks(self, level: int) -> int:
+        """Chunks per axis of a shard."""
+        return self.shard // self.edge // self.chunk_blocks(level)
+
+    @property
+    def pack(self) -> int:
+        """Blocks per axis of a pack of codes."""
+        return packs.side(self.shard // self.edge)
+
+    def capacity(self, level: int) -> int:
+        """Bytes of a pack at a level that holds codes."""
+        return packs.capacity(self.pack**3, self.blocks.samples(level) ** 3 * self.dtype.itemsize)
 
     def region(self, index: int, level: int = 0) -> tuple[slice, slice, slice]:
         """The samples [z, y, x] of shard ``index`` (C order) at ``level``."""
@@ -87,18 +117,26 @@ class StoreLayout:
         z, y, x = (slice(int(p) * side, min((int(p) + 1) * side, n)) for p, n in zip(place, ends))
         return z, y, x
 
+    def stored_region(self, index: int, level: int) -> tuple[slice, ...]:
+        """Where shard ``index`` is in the array of ``level``."""
+        if not self.codecs[level].coded:
+            return self.region(index, level)
+        n = self.chunks(level)
+        ends = [-(-count // self.pack) for count in self.blocks.counts]
+        place = np.unravel_index(index, self.regions)
+        return tuple(slice(int(p) * n, min((int(p) + 1) * n, end)) for p, end in zip(place, ends))
+
     def shard_file(self, index: int, level: int) -> str:
         """The path of a shard, relative to the store."""
-        return "/".join(
-            [str(level), "c", *(str(int(p)) for p in np.unravel_index(index, self.regions))]
-        )
+        place = [str(int(p)) for p in np.unravel_index(index, self.regions)]
+        return "/".join([str(level), "c", *place, *(["0"] if self.codecs[level].coded else [])])
 
     def level_metadata(self, level: int) -> dict:
         """The zarr.json of a level."""
         codec = self.codecs[level]
-        dtype = codec.stored_type(self.dtype)
+        dtype, last = (np.dtype(np.uint8), [self.capacity(level)]) if codec.coded else (self.dtype, [])
         sharding = {
-            "chunk_shape": [self.chunk(level)] * 3,
+            "chunk_shape": [1, 1, 1, *last] if codec.coded else [self.chunk(level)] * 3,
             "codecs": codec.chain(dtype),
             "index_codecs": [
                 {"name": "bytes", "configuration": {"endian": "little"}},
@@ -107,8 +145,13 @@ class StoreLayout:
             "index_location": "end",
         }
         codecs = [{"name": "sharding_indexed", "configuration": sharding}]
-        shape = self.blocks.level_shape(level)
-        return _array(shape, [self.shard >> level] * 3, dtype, codecs, ["z", "y", "x"])
+        if not codec.coded:
+            shape = self.blocks.level_shape(level)
+            return _array(shape, [self.shard >> level] * 3, dtype, codecs, ["z", "y", "x"])
+        along = [-(-n // self.pack) for n in self.blocks.counts]
+        shard = [self.chunks(level)] * 3
+        metadata = _array((*along, *last), (*shard, *last), dtype, codecs, ["z", "y", "x", "byte"])
+        return metadata | {"attributes": {CODES_OF: codec.name}}
 
     # ---- statistics ----
 
@@ -148,14 +191,14 @@ class StoreLayout:
         names = ["z", "y", "x"]
         if len(shape) > 3:
             names = ["level", *names, *(["quantile"] if name == "quantiles" else [])]
-        return _array(shape, chunk, dtype, statistics_chain(dtype), names)
+        return _array(shape, chunk, dtype, statistics_chain(dtype, self.coded), names)
 
     # ---- checksums by place ----
 
     @cached_property
     def table_chunks(self) -> int:
         """Number of chunks of all levels of a region."""
-        return sum(((self.shard >> k) // self.chunk(k)) ** 3 for k in range(self.blocks.levels))
+        return sum(self.chunks(k) ** 3 for k in range(self.blocks.levels))
 
     @property
     def table_rows(self) -> int:
@@ -166,7 +209,7 @@ class StoreLayout:
         """The zarr.json of the table of checksums."""
         dtype, shape = np.dtype(np.uint32), (math.prod(self.regions), self.table_chunks)
         chunk = (self.table_rows, self.table_chunks)
-        return _array(shape, chunk, dtype, statistics_chain(dtype), ["region", "chunk"])
+        return _array(shape, chunk, dtype, statistics_chain(dtype, self.coded), ["region", "chunk"])
 
 
 def _array(shape: tuple, chunk: Any, dtype: np.dtype, codecs: list, names: list[str]) -> dict:
@@ -185,6 +228,12 @@ def _array(shape: tuple, chunk: Any, dtype: np.dtype, codecs: list, names: list[
     }
 
 
+def codebooks_metadata(shape: tuple[int, ...]) -> dict:
+    """The zarr.json of codebooks, int8 [stage, code, sample]."""
+    dtype = np.dtype(np.int8)
+    return _array(shape, shape, dtype, COARSE.chain(dtype), ["stage", "code", "sample"])
+
+
 def check_layout(
     shape: tuple, dtype: np.dtype, edge: int, shard: int | None, codec: Codec
 ) -> StoreLayout:
@@ -195,10 +244,14 @@ def check_layout(
     if not (edge <= shard <= _LARGEST_SHARD and shard % edge == 0):
         expected = f"a multiple of the edge {edge}, at most {_LARGEST_SHARD}"
         raise UsageError("shard", f"got {shard!r}", expected)
-    levels = edge.bit_length()
-    return StoreLayout(
-        tuple(shape), np.dtype(dtype), edge, shard, (codec,) * levels, ({},) * levels
+    codecs = tuple(
+        codec if not codec.coded or edge >> level >= FEWEST_CODED else COARSE
+        for level in range(edge.bit_length())
     )
+    dtype = np.dtype(dtype)
+    if codec.coded and not codec.lossless and dtype == np.float64:
+        dtype = np.dtype(np.float32)
+    return StoreLayout(tuple(shape), dtype, edge, shard, codecs, ({},) * len(codecs))
 
 
 # ---- the root group ------------------------------------------------------------------------------
@@ -207,7 +260,9 @@ def check_layout(
 def root_metadata(
     layout: StoreLayout, grid: Grid, name: str | None, frame: str, facts: dict, writer: str
 ) -> dict:
-    """The zarr.json of the group. ``facts``: value_range, nan_count, inf_count, slope, offset, unit, checksums."""
+    """The zarr.json of the group. ``facts``: value_range, nan_count, inf_count, slope, offset, unit, checksums and, of
+    a store that holds codes, codes.
+    """
     own = {
         "version": VERSION,
         "writer": writer,
@@ -241,6 +296,8 @@ def _multiscale(layout: StoreLayout, grid: Grid, name: str | None, unit: str | N
     origin = np.asarray(grid.origin[::-1]) if plain else np.zeros(3)
     datasets = []
     for level in range(layout.blocks.levels):
+        if layout.codecs[level].coded:
+            continue
         first = origin + (2**level - 1) / 2 * spacing  # centre of the first sample
         transformations = [
             {"type": "scale", "scale": (2**level * spacing).tolist()},
@@ -274,6 +331,7 @@ class StoreFacts:
     axis: ValueAxis = ValueAxis()
     unit: str | None = None
     checksums: dict | None = None  # "table": of its parts, "statistics": of files, by array; None in older stores
+    codes: Any = None  # JSON, as stored_codes.py says; None without codes
 
 
 def parse_root(root: Any, where: str) -> StoreFacts:
@@ -321,6 +379,8 @@ def _facts(own: dict, where: str) -> StoreFacts:
         raise ValueError(f"dtype {own['dtype']}")
     grid = Grid(tuple(own["shape"]), own["spacing"], own["origin"], np.asarray(own["direction"]))
     codecs = tuple(find_codec(str(entry["name"]), where) for entry in own["codecs"])
+    if any(codec.coded and edge >> level < FEWEST_CODED for level, codec in enumerate(codecs)):
+        raise ValueError("codes of blocks below 4^3")
     parameters = tuple(dict(entry.get("parameters", {})) for entry in own["codecs"])
     low, high = (float(value) for value in own["value_range"])
     if not (math.isfinite(low) and math.isfinite(high) and low <= high):
@@ -331,8 +391,10 @@ def _facts(own: dict, where: str) -> StoreFacts:
     axis = ValueAxis(own.get("slope", 1.0), own.get("offset", 0.0))
     unit = None if own.get("unit") is None else str(own["unit"])
     checksums = _checksums(own["checksums"], layout) if "checksums" in own else None
+    if layout.coded != ("codes" in own):
+        raise ValueError("codes")
     return StoreFacts(
-        layout, grid, name, str(own["frame"]), (low, high), *counts, axis, unit, checksums
+        layout, grid, name, str(own["frame"]), (low, high), *counts, axis, unit, checksums, own.get("codes")
     )
 
 

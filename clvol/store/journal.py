@@ -36,7 +36,7 @@ def unfinished(path: str | os.PathLike) -> Unfinished | None:
     journal = partial_path(Path(path)) / JOURNAL
     try:
         total = int(json.loads((journal / _BUILD).read_text(encoding="utf-8"))["regions"])
-        done = sum(name.endswith(".npz") for name in os.listdir(journal))
+        done = sum(name.endswith(".npz") and name[:-4].isdigit() for name in os.listdir(journal))
     except (OSError, ValueError, KeyError, TypeError):
         return None
     return Unfinished(min(done, total), total)
@@ -66,10 +66,13 @@ class Journal:
     def anything_done(self) -> bool:
         return any(self.path.glob("*.npz"))
 
-    def note(self, index: int, statistics: BlockStatistics, census: np.ndarray) -> None:
+    def note(
+        self, index: int, statistics: BlockStatistics, census: np.ndarray, more: dict[str, Any] | None = None
+    ) -> None:
         """Records in one step that the region is on disk, with the sizes and checksums of its files.
 
-        ``census`` float64 [4]: smallest and largest finite voxel, numbers of NaN and infinite voxels.
+        ``census`` float64 [4]: smallest and largest finite voxel, numbers of NaN and infinite voxels. ``more``: further
+        records, by name.
         """
         region = [-(-(s.stop - s.start) // self._layout.edge) for s in self._layout.region(index)]
         members: dict[str, Any] = {
@@ -82,8 +85,23 @@ class Journal:
         temporary = file.with_suffix(".writing")
         with temporary.open("wb") as stream:
             members["sizes"], members["checksums"] = self._sizes(index), self._checksums(index)
-            np.savez(stream, place=index, census=census, **members)
+            np.savez(stream, place=index, census=census, **members, **(more or {}))
         os.replace(temporary, file)
+
+    def keep(self, name: str, **arrays: Any) -> None:
+        """Records in one step what is known of the whole volume."""
+        file = self.path / f"{name}.npz"
+        with (temporary := file.with_suffix(".writing")).open("wb") as stream:
+            np.savez(stream, **arrays)
+        os.replace(temporary, file)
+
+    def kept(self, name: str) -> dict[str, np.ndarray] | None:
+        """What ``keep`` has recorded, if it can be read."""
+        try:
+            with np.load(self.path / f"{name}.npz") as found:
+                return {key: found[key] for key in found.files}
+        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+            return None
 
     def census(self, index: int, read: bool = False) -> np.ndarray | None:
         """The census of a region if it is recorded and its files are unchanged; else None.

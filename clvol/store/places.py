@@ -78,21 +78,16 @@ class ShardFile:
         return np.frombuffer(view, np.uint8)
 
 
-def per_axis(layout: StoreLayout, level: int) -> int:
-    """Chunks per axis of a shard."""
-    return (layout.shard >> level) // layout.chunk(level)
-
-
 def chunk_offset(layout: StoreLayout, level: int) -> int:
     """The index in a row of the table at which the chunks of a level begin, in C order."""
-    return sum(per_axis(layout, k) ** 3 for k in range(level))
+    return sum(layout.chunks(k) ** 3 for k in range(level))
 
 
 def region_checksums(folder: Path, layout: StoreLayout, index: int) -> np.ndarray:
     """The row of the table, uint32 [chunks of all levels], for region ``index`` as it is on disk."""
     found = []
     for level in range(layout.blocks.levels):
-        side = per_axis(layout, level)
+        side = layout.chunks(level)
         try:
             shard = ShardFile(folder / layout.shard_file(index, level), side**3, bytearray())
         except OSError:
@@ -163,7 +158,7 @@ class Places:
         [k]. ``buffer``: memory that the caller's next call may reuse.
         """
         layout = self._layout
-        side = per_axis(layout, level)
+        side = layout.chunks(level)
         index = int(np.ravel_multi_index(tuple(shard.tolist()), layout.regions))
         z, y, x = (chunks - shard * side).T
         numbers = (z * side + y) * side + x

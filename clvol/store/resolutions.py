@@ -7,6 +7,7 @@ computed from those of the level before.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import fields, replace
 
@@ -169,13 +170,17 @@ def with_neighbours(shape: tuple, box: tuple) -> tuple[tuple, tuple]:
 
 
 def describe_region(
-    around: np.ndarray, inner: tuple[slice, slice, slice], edge: int
+    around: np.ndarray,
+    inner: tuple[slice, slice, slice],
+    edge: int,
+    given: list[np.ndarray] | None = None,
 ) -> tuple[list[np.ndarray], BlockStatistics]:
     """The region ``around[inner]`` at all levels, and the statistics of its blocks in C order
     (their ``first`` is 0).
 
     The region starts where a block does, and ends where one does or the array ends. ``around``
-    holds one voxel more on each side, where the array has one.
+    holds one voxel more on each side, where the array has one. ``given``: the region at all levels, if they are not
+    means of these voxels.
     """
     start, stop = inner[0].start, inner[0].stop
     plane = max((inner[1].stop - inner[1].start) * (inner[2].stop - inner[2].start), 1)
@@ -186,7 +191,10 @@ def describe_region(
         low, high = max(z - 1, 0), min(end + 1, len(around))
         piece = around[low:high]
         within = (slice(z - low, end - low), *inner[1:])
-        made, found = _describe(piece, within, edge)
+        own = None if given is None else [
+            samples[z - start >> k : -(-(end - start) // (1 << k))] for k, samples in enumerate(given)
+        ]
+        made, found = _describe(piece, within, edge, own)
         levels.append(made)
         statistics.append(found)
     if len(levels) == 1:
@@ -205,10 +213,40 @@ def join_statistics(parts: list[BlockStatistics]) -> BlockStatistics:
     return BlockStatistics(parts[0].first, *joined)
 
 
+def finite_range(voxels: np.ndarray) -> tuple[float, float]:
+    """The smallest and largest finite voxel; inf, -inf if there is none."""
+    with np.errstate(invalid="ignore"):
+        low, high = float(voxels.min()), float(voxels.max())
+    if math.isfinite(low) and math.isfinite(high):
+        return low, high
+    finite = voxels[np.isfinite(voxels)]
+    return float(finite.min(initial=np.inf)), float(finite.max(initial=-np.inf))
+
+
+def extended_reach(region: np.ndarray, edge: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What a region adds to the reach of its blocks and of those around it: smallest and largest finite voxel of the
+    region (inf, -inf if there is none) and whether there are other voxels, within one voxel of each block. Arrays
+    [z, y, x] of the region's blocks and one more on each side.
+    """
+    low = high = region
+    holes = np.zeros(region.shape, bool) if region.dtype.kind != "f" else ~np.isfinite(region)
+    if holes.any():
+        low, high = np.where(holes, np.inf, region), np.where(holes, -np.inf, region)
+
+    def extended(values: np.ndarray, over: np.ufunc) -> np.ndarray:
+        for axis in range(3):
+            found = _over(values, axis, slice(0, values.shape[axis]), edge, over)
+            ends = (values.take([k], axis) for k in (0, -1))
+            values = np.concatenate([next(ends), found, next(ends)], axis)
+        return values
+
+    return extended(low, np.minimum), extended(high, np.maximum), extended(holes, np.logical_or)
+
+
 def _describe(
-    around: np.ndarray, inner: tuple, edge: int
+    around: np.ndarray, inner: tuple, edge: int, given: list[np.ndarray] | None
 ) -> tuple[list[np.ndarray], BlockStatistics]:
-    levels = resolutions(around[inner], edge.bit_length())
+    levels = resolutions(around[inner], edge.bit_length()) if given is None else given
     full = whole_blocks(levels[0], edge)
     by_block = [split(full, edge)]
     by_block += [

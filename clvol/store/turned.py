@@ -16,10 +16,12 @@ from clvol.volume.grid import Grid
 class TurnedBlocks:
     """A ``BlockSource`` with the samples of ``source`` mirrored by ``clvol.volume.axis.turned``.
 
-    All other attributes are those of ``source``.
+    All other attributes are those of ``source``, except that there are no codes to be decoded elsewhere, since they are
+    of voxels in their own order: ``codebooks`` is None.
     """
 
     grid: Grid
+    codebooks = None
 
     def __init__(self, source: StoredBlocks | TurnedBlocks) -> None:
         self._source = source

@@ -20,8 +20,9 @@ from clvol.volume.volume import Volume
 class VoxelSource(Protocol):
     """The source of a store's voxels: anything that can return a box of voxels.
 
-    A source may have an ``axis`` (``ValueAxis``), which the store records. ``identity`` (JSON) changes when the
-    voxels do: an interrupted build is resumed only with the same identity.
+    A source may have an ``axis`` (``ValueAxis``), which the store records, and ``labels``: whether its voxels are
+    labels, which no lossy codec takes. ``identity`` (JSON) changes when the voxels do: an interrupted build is resumed
+    only with the same identity.
     """
 
     shape: tuple[int, int, int]
@@ -50,7 +51,7 @@ class VolumeSource:
         self.volume, self.settings = volume, settings or {}
         self.shape, self.dtype, self.grid = volume.shape, volume.dtype, volume.grid
         self.name, self.frame, self.axis = volume.name, volume.frame, volume.axis
-        self.unit = volume.unit
+        self.unit, self.labels = volume.unit, volume.labels
 
     @property
     def identity(self) -> dict:

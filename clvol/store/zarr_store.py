@@ -14,10 +14,13 @@ import numpy as np
 
 from clvol.errors import VolumeError
 from clvol.store.arrays import open_array, read_json, what_failed
+from clvol.store.codecs.coded_blocks import Codebooks, CodedBlocks
 from clvol.store.format import JOURNAL, PARTIAL, ROOT, StoreFacts, parse_root, partial_path
-from clvol.store.places import TABLE, Places, per_axis
+from clvol.store.packs import unpacked
+from clvol.store.places import TABLE, Places
 from clvol.store.resolutions import whole_blocks
 from clvol.store.source import BlockStatistics
+from clvol.store.stored_codes import BlockCodes, CodesFacts, parse_codes, read_codebooks
 
 _FLYING = 64 << 20  # bytes of samples in concurrent reads
 _FLYING_READS = 256
@@ -64,7 +67,8 @@ class StoredBlocks:
     """A store as a ``BlockSource``. Only some checksums are kept in memory.
 
     ``facts`` holds its metadata. ``checks_places``: whether data are proved to be in their positions (older stores
-    cannot do so).
+    cannot do so). ``codes`` is what the metadata say of codes, and ``codebooks`` are what decoding them needs (None for
+    stores and codecs without); ``value_range``, counts and statistics are those of decoded samples.
     """
 
     def __init__(self, path: str | os.PathLike) -> None:
@@ -85,6 +89,12 @@ class StoredBlocks:
             self._places = Places(
                 self.path, self.layout, facts.checksums, lambda: table, self._where, _WANTED
             )
+        self.codes: CodesFacts | None = None
+        self.codebooks: Codebooks | None = None
+        if self.layout.coded:
+            self.codes = self._checked_codes(facts.codes)
+            self.codebooks = read_codebooks(self.path, self.codes, self.dtype, self._where, _WANTED)
+            self._decoder = BlockCodes(self.codes.codec, self.dtype, self.codebooks)
 
     def _checked_facts(self) -> StoreFacts:
         check_finished(self.path)
@@ -96,6 +106,13 @@ class StoredBlocks:
         except OSError as error:
             raise VolumeError(self._where, error.strerror or str(error), "a store") from None
         return parse_root(root, self._where)
+
+    def _checked_codes(self, own: Any) -> CodesFacts:
+        try:
+            return parse_codes(own, self.layout, self._where)
+        except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
+            detail = f"no {error.args[0]}" if isinstance(error, KeyError) else str(error)[:100]
+            raise VolumeError(self._where, f"damaged zarr.json (codes: {detail})", _WANTED) from None
 
     def _array(self, name: str, level: int | None = None) -> Any:
         """The array of level ``level``, or the array ``name`` of statistics or checksums."""
@@ -132,6 +149,11 @@ class StoredBlocks:
         s = self.blocks.samples(level)
         places = self.blocks.places(np.atleast_1d(np.asarray(blocks, np.int64)))
         out = np.empty((len(places), s, s, s), self.dtype)
+        if self.layout.codecs[level].coded:
+            for members, coded in self._coded(level, places):
+                out[members] = self._decoder.decode(coded, s)
+                self._repeat_last(level, places, members, out)
+            return out
         for first, samples, members in self._boxes(level, places):
             if samples.shape == (s, s, s):
                 out[members] = samples
@@ -143,41 +165,97 @@ class StoredBlocks:
             out[members] = by_block[within[:, 0], within[:, 1], within[:, 2]]
         return out
 
+    def read_codes(self, level: int, blocks: np.ndarray) -> CodedBlocks:
+        """The bytes of ``blocks`` (numbers, int64 [k]) at ``level``, one after the other in that order. They are
+        possible codes. May be called by several threads. VolumeError names the block that cannot be read.
+
+        Samples beyond the volume are what their codes say there, while ``read`` repeats the volume's last ones. Levels
+        that hold samples (``layout.codecs[level].coded`` is false) have no codes: ValueError.
+        """
+        if not self.layout.codecs[level].coded:
+            raise ValueError(f"level {level} holds samples")
+        places = self.blocks.places(np.atleast_1d(np.asarray(blocks, np.int64)))
+        parts: list = [None] * len(places)
+        size = np.zeros(len(places), np.int64)
+        for members, coded in self._coded(level, places):
+            size[members] = coded.size
+            for k, first, length in zip(members.tolist(), coded.start.tolist(), coded.size.tolist()):
+                parts[k] = coded.data[first : first + length]
+        data = np.concatenate(parts) if parts else np.empty(0, np.uint8)
+        return CodedBlocks(data, np.cumsum(size) - size, size)
+
     def volume_level(self, level: int = 0) -> np.ndarray:
         """All samples [z, y, x] of a level: level 0 is the volume."""
-        shape = self.blocks.level_shape(level)
-        out = np.empty(shape, self.dtype)
-        s = self.blocks.samples(level)
-        for first, samples, _ in self._boxes(
-            level, self.blocks.places(np.arange(self.blocks.count))
-        ):
-            out[tuple(slice(f * s, f * s + n) for f, n in zip(first, samples.shape))] = samples
-        return out
+        bounds = [n for end in self.blocks.level_shape(level) for n in (0, end)]
+        return self._samples(level, *bounds)
 
     def box(self, z0: int, z1: int, y0: int, y1: int, x0: int, x1: int) -> np.ndarray:
         """Voxels [z0:z1, y0:y1, x0:x1]."""
-        edge = self.blocks.edge
-        low = np.array([z0, y0, x0])
-        first, last = low // edge, -(-np.array([z1, y1, x1]) // edge)
+        return self._samples(0, z0, z1, y0, y1, x0, x1)
+
+    def _samples(self, level: int, z0: int, z1: int, y0: int, y1: int, x0: int, x1: int) -> np.ndarray:
+        s = self.blocks.samples(level)
+        low, high = np.array([z0, y0, x0]), np.array([z1, y1, x1])
+        first, last = low // s, -(-high // s)
         within = np.stack(np.meshgrid(*map(np.arange, first, last), indexing="ij"), -1).reshape(
             -1, 3
         )
-        out = np.empty((z1 - z0, y1 - y0, x1 - x0), self.dtype)
-        for place, samples, _ in self._boxes(0, within):
-            start = place * edge
+        out = np.empty(tuple(high - low), self.dtype)
+        pieces: Iterator = (
+            (place, samples)
+            for members, coded in self._coded(level, within)
+            for place, samples in zip(within[members], self._decoder.decode(coded, s))
+        )
+        if not self.layout.codecs[level].coded:
+            pieces = ((place, samples) for place, samples, _ in self._boxes(level, within))
+        for place, samples in pieces:
+            start = place * s
             a = np.maximum(start, low)
-            b = np.minimum(start + samples.shape, [z1, y1, x1])
+            b = np.minimum(start + samples.shape, high)
             if (a < b).all():
                 out[tuple(map(slice, a - low, b - low))] = samples[
                     tuple(map(slice, a - start, b - start))
                 ]
         return out
 
+    def _coded(self, level: int, places: np.ndarray) -> Iterator[tuple[np.ndarray, CodedBlocks]]:
+        """The possible codes of blocks at ``places`` [k, 3], and which of these they are."""
+        side, s = self.layout.pack, self.blocks.samples(level)
+        for low, high, packs, members in self._chunks(level, places):
+            own = places[members]
+            pack = np.ravel_multi_index(tuple((own // side - low).T), tuple(high - low))
+            slot = np.ravel_multi_index(tuple((own % side).T), (side,) * 3)
+            coded = unpacked(packs.reshape(-1, packs.shape[-1]), pack, slot, side)
+            impossible = self._decoder.impossible(coded, s)
+            if len(impossible):
+                block = tuple(own[impossible[0]].tolist())
+                raise VolumeError(self._where, f"block {block} at level {level}: impossible codes", _WANTED)
+            yield members, coded
+
+    def _repeat_last(self, level: int, places: np.ndarray, members: np.ndarray, out: np.ndarray) -> None:
+        """Repeats the volume's last samples beyond it in the blocks ``out[members]``."""
+        s = self.blocks.samples(level)
+        for axis, end in enumerate(self.blocks.level_shape(level)):
+            if end % s:
+                last = members[places[members, axis] == end // s]
+                samples = np.moveaxis(out, axis + 1, 1)
+                samples[last, end % s :] = samples[last, end % s - 1][:, None]
+
     def _boxes(
         self, level: int, places: np.ndarray
     ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
         """Boxes of samples that hold all blocks at ``places`` [k, 3]: the first block of each box, its samples (none
-        beyond the array), and which of ``places`` are inside. As many are read at a time as fit into _FLYING.
+        beyond the array), and which of ``places`` are inside.
+        """
+        side = self.layout.chunk_blocks(level)
+        for low, _, samples, members in self._chunks(level, places):
+            yield low * side, samples, members
+
+    def _chunks(
+        self, level: int, places: np.ndarray
+    ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
+        """Boxes of chunks that hold all blocks at ``places`` [k, 3]: the first and last + 1 chunk of each box, what the
+        level's array holds there, and which of ``places`` are inside. As many are read at a time as fit into _FLYING.
         """
         flying: deque = deque()
         size = 0
@@ -199,8 +277,7 @@ class StoredBlocks:
         """
         if not len(places):
             return
-        per_chunk = self.layout.chunk(level) // self.blocks.samples(level)
-        per_shard = per_axis(self.layout, level)
+        per_chunk, per_shard = self.layout.chunk_blocks(level), self.layout.chunks(level)
         chunks = places // per_chunk
         counts = chunks.max(axis=0) + 1
         shards = chunks // per_shard
@@ -226,6 +303,9 @@ class StoredBlocks:
                 yield chunks[part[0]], chunks[part[0]] + 1, part, misplaced
 
     def _start(self, level: int, low: np.ndarray, high: np.ndarray) -> tuple[Any, int]:
+        if self.layout.codecs[level].coded:
+            box = tuple(slice(a, b) for a, b in zip(low.tolist(), high.tolist()))
+            return self._levels[level][box].read(), self.layout.capacity(level) * int(np.prod(high - low))
         side = self.layout.chunk(level)
         ends = self.blocks.level_shape(level)
         bounds = zip(low.tolist(), high.tolist(), ends)
@@ -242,12 +322,12 @@ class StoredBlocks:
         members: np.ndarray,
         misplaced: np.ndarray,
         future: Any,
-    ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-        per_chunk = self.layout.chunk(level) // self.blocks.samples(level)
+    ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
+        per_chunk = self.layout.chunk_blocks(level)
         try:
             stored = future.result()
             self._check_places(level, low, high, misplaced)
-            yield low * per_chunk, self._decoded(level, stored), members
+            yield low, high, stored, members
             return
         except ValueError as error:
             failure = error
@@ -268,16 +348,10 @@ class StoredBlocks:
         """VolumeError if any of the chunks ``misplaced`` [n, 3] lies between ``low`` and ``high`` [3]."""
         within = ((misplaced >= low) & (misplaced < high)).all(axis=1)
         if within.any():
-            side = self.layout.chunk(level) // self.blocks.samples(level)
+            side = self.layout.chunk_blocks(level)
             block = tuple(int(n) for n in misplaced[within][0] * side)
             what = f"block {block} at level {level}: its data belong to another place"
             raise VolumeError(self._where, what, _WANTED)
-
-    def _decoded(self, level: int, stored: np.ndarray) -> np.ndarray:
-        payload = self.layout.codecs[level].payload
-        if payload is None:
-            return stored
-        return payload.decode(stored, self.dtype, self.layout.parameters[level])
 
     # ---- statistics ----
 

@@ -79,6 +79,7 @@ class _Converted(LazyVolume):
             volume.dtype, volume.grid, volume.name, volume.frame, where, cap, volume.unit
         )
         self.path, self.format, self.axis = volume.path, volume.format, volume.axis
+        self.labels = volume.labels
 
     def _load(self) -> np.ndarray:
         return self._of(self._volume._load())

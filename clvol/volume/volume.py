@@ -39,7 +39,8 @@ class Volume:
 
     ``slope`` (not 0) and ``offset`` map stored numbers to values: value = slope * stored + offset. ``value_range``,
     transfer functions, iso-values and labels are in values; ``data`` holds the stored numbers. ``labels``: the voxels
-    are labels, so integers beyond +-2^53, which no scene can name, may become +-2^53.
+    are labels, so integers beyond +-2^53, which no scene can name, may become +-2^53. The attribute ``labels`` says
+    whether they are labels as far as is known: by this argument, by the file, or since they are bool.
 
     ``data`` is the C-contiguous, native-endian, read-only array. ``frame`` names the world's frame ("LPS", "RAS", ...;
     "index" if it is unknown), ``unit`` its unit of length ("mm", "µm", ...; None if it is unknown). ``path`` and
@@ -47,6 +48,7 @@ class Volume:
     """
 
     axis = ValueAxis()
+    labels = False
     files: tuple[str, ...] = ()  # data files beside ``path`` that the voxels come from
     _seen: bytes | None = None  # a sample of voxels that others can write to, as they were
 
@@ -68,6 +70,7 @@ class Volume:
     ) -> None:
         self.axis = ValueAxis(slope, offset)
         self.data = _as_voxels(array, Narrowing(labels=True) if labels else current_narrowing())
+        self.labels = labels or getattr(array, "dtype", None) == np.bool_
         self.grid = Grid(self.data.shape, spacing, origin, direction)
         self.name = name
         self.frame = frame

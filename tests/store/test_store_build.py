@@ -365,15 +365,15 @@ def test_a_full_disk_is_one_line_and_what_is_done_is_kept(tmp_path, monkeypatch,
 
         monkeypatch.setattr(Journal, "note", failing)
     else:
-        real = build._Build._stored
+        real = build._Build._write
 
-        def failing(self, level, samples):
+        def failing(self, index, level, samples):
             if any((self.journal.path / f"{n}.npz").exists() for n in range(8)):
                 text = "RESOURCE_EXHAUSTED: Error writing local file: No space [os_error_code='28']"
                 raise ValueError(text)
-            return real(self, level, samples)
+            return real(self, index, level, samples)
 
-        monkeypatch.setattr(build._Build, "_stored", failing)
+        monkeypatch.setattr(build._Build, "_write", failing)
     with pytest.raises(RenderError, match="No space left on device") as error:
         build_store(volume, tmp_path / "s", shard=32, workers=1)
     assert "s.partial" in str(error.value) and "\n" not in str(error.value)

@@ -13,7 +13,6 @@ import pytest
 from clvol.errors import VolumeError
 from clvol.readers import load_volume
 from clvol.store.build import build_store
-from clvol.store.codecs import CODECS, Codec
 from clvol.store.zarr_store import is_store, open_store
 from clvol.volume import Volume
 
@@ -163,25 +162,3 @@ def test_no_folder_and_no_store(tmp_path):
     assert "no zarr.json" in refused(lambda: open_store(tmp_path)).what
     (tmp_path / "s.zarr").mkdir()
     refused(lambda: load_volume(tmp_path / "s.zarr"))
-
-
-def test_a_codec_whose_payload_is_decoded_by_clvol(tmp_path, monkeypatch):
-    """The slot for lossy codecs: codes on disk of another type, samples as decoded; unknown
-    elsewhere."""
-
-    class Halved:
-        def dtype(self, samples):
-            return np.dtype(np.uint8)
-
-        def encode(self, samples, parameters):
-            return (samples >> 8).astype(np.uint8)
-
-        def decode(self, codes, samples, parameters):
-            return codes.astype(samples) << 8
-
-    monkeypatch.setitem(CODECS, "halved", Codec("halved", False, payload=Halved()))
-    store = build_store(Volume(DATA), tmp_path / "s", shard=32, codec="halved")
-    np.testing.assert_array_equal(store.volume_level(0), DATA >> 8 << 8)
-    assert not open_store(tmp_path / "s").layout.codecs[0].lossless
-    monkeypatch.delitem(CODECS, "halved")
-    assert "newer clvol" in refused(lambda: open_store(tmp_path / "s")).what

@@ -1,14 +1,13 @@
 """Codecs by name: how the samples of a level become bytes.
 
-A codec either compresses the bytes of samples, so that any Zarr reader can open the level, or has a ``payload``: the
-level's array then holds codes instead of samples, one block per chunk, which clvol decodes. A new codec is an entry
-in ``CODECS``. Its name and parameters are stored per level.
+A codec either compresses the bytes of samples, so that any Zarr reader can open the level (``CODECS``), or makes codes
+of blocks, which clvol decodes (``CODES``; their layout is described in ``coded_blocks.py``). Levels of at least
+``FEWEST_CODED`` samples per axis of a block hold codes; coarser ones hold samples, compressed by ``COARSE``.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
@@ -17,34 +16,16 @@ from clvol.errors import VolumeError
 DEFAULT = "blosc-lz4"
 
 
-class Payload(Protocol):
-    """Codes instead of samples, for codecs that are decoded on the device."""
-
-    def dtype(self, samples: np.dtype) -> np.dtype:
-        """The type of codes for samples of type ``samples``."""
-        ...
-
-    def encode(self, samples: np.ndarray, parameters: dict) -> np.ndarray:
-        """The codes [z, y, x] of samples [z, y, x], one per sample."""
-        ...
-
-    def decode(self, codes: np.ndarray, samples: np.dtype, parameters: dict) -> np.ndarray:
-        """The samples, of type ``samples``, of ``codes``: the reference for the device's kernel."""
-        ...
-
-
 @dataclass(frozen=True)
 class Codec:
-    """A codec. ``compressor`` is the Zarr codec (name, configuration) applied to the bytes of samples, or None."""
+    """A codec. ``compressor`` is the Zarr codec (name, configuration) applied to the bytes of samples or of packs of
+    codes, or None. ``coded``: levels hold codes of blocks. ``targets``: it can keep to a ``RateTarget``."""
 
     name: str
     lossless: bool
     compressor: dict | None = None
-    payload: Payload | None = None
-
-    def stored_type(self, samples: np.dtype) -> np.dtype:
-        """The type of the level's array."""
-        return samples if self.payload is None else self.payload.dtype(samples)
+    coded: bool = False
+    targets: bool = False
 
     def chain(self, dtype: np.dtype) -> list[dict]:
         """The Zarr codecs of a chunk of ``dtype``; the last one adds a checksum of the bytes on disk."""
@@ -67,16 +48,30 @@ CODECS: dict[str, Codec] = {
     )
 }
 
+CODES: dict[str, Codec] = {
+    codec.name: codec
+    for codec in (
+        Codec("rvq", False, _ZSTD, coded=True, targets=True),
+        Codec("hvq", False, _ZSTD, coded=True, targets=True),
+        Codec("vq-mean", False, _ZSTD, coded=True, targets=True),
+        Codec("vq", False, _ZSTD, coded=True, targets=True),
+        Codec("labels", True, _ZSTD, coded=True),
+    )
+}
+COARSE = CODECS["zstd"]
+FEWEST_CODED = 4
+
 
 def find_codec(name: str, where: str) -> Codec:
     """The codec ``name`` of the store ``where``; VolumeError if this version does not know it."""
-    if name not in CODECS:
+    codec = CODECS.get(name) or CODES.get(name)
+    if codec is None:
         raise VolumeError(where, f"stored by a newer clvol (codec {name!r})", one_of_codecs())
-    return CODECS[name]
+    return codec
 
 
 def one_of_codecs() -> str:
-    return "one of " + ", ".join(CODECS)
+    return "one of " + ", ".join([*CODECS, *CODES])
 
 
 def as_bytes(dtype: np.dtype) -> dict:
@@ -96,6 +91,12 @@ def compressing(compressor: dict | None, dtype: np.dtype) -> list[dict]:
     return [compressor]
 
 
-def statistics_chain(dtype: np.dtype) -> list[dict]:
-    """The Zarr codecs of statistics."""
-    return [as_bytes(dtype), *compressing(_BLOSC, dtype), CHECKSUM]
+_SMALL = {
+    "name": "blosc",
+    "configuration": {"cname": "zstd", "clevel": 9, "shuffle": "bitshuffle", "blocksize": 0},
+}
+
+
+def statistics_chain(dtype: np.dtype, small: bool = False) -> list[dict]:
+    """The Zarr codecs of statistics; ``small``: beside codes, where their bytes count."""
+    return [as_bytes(dtype), *compressing(_SMALL if small else _BLOSC, dtype), CHECKSUM]

@@ -45,7 +45,9 @@ class WorkingValues:
             finite = np.where(np.isfinite(voxels), voxels, 0.0).astype(np.float64)
             return np.clip(np.rint(finite / self.scale) - self.first, 0, LARGEST).astype(np.int32)
         offset = np.clip(voxels.astype(np.int64) - self.low, 0, self.span)
-        return ((2 * offset + 1 << WORKING_BITS) // (2 * (self.span + 1))).astype(np.int32)
+        middle = (2 * offset + 1 << WORKING_BITS) // (2 * (self.span + 1))
+        first = -(-(offset << WORKING_BITS) // (self.span + 1))  # of those that decode to the voxel; maybe the only one
+        return np.maximum(middle, first).astype(np.int32)
 
     def decoded(self, working: np.ndarray) -> np.ndarray:
         """Voxels of ``dtype``; working values beyond 0 ... 65535 are clipped."""

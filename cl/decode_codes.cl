@@ -1,0 +1,241 @@
+/* Decodes blocks of codes into voxels (decode_codes.h): a work-item takes a block. The voxels of a block lie together, or
+ * are rows of a volume.
+ */
+#include "decode_codes.h"
+#include "struct_fields.h"
+
+#define REPORTED_FIELDS CODED_BLOCK_FIELDS, CODE_MAP_FIELDS
+REPORT_FIELDS
+
+/* Working values of a sub-block of 4^3 samples, a vector per slice. */
+typedef struct {
+  int16 w0, w1, w2, w3;
+} Working;
+
+#define START(w, mean) w.w0 = w.w1 = w.w2 = w.w3 = (int16)(((mean) << 8) + 128);
+
+/* Adds a stage's code. */
+#define ADD_ENTRY(w, entry, shift)                               \
+  {                                                              \
+    __global const char *e = (entry);                            \
+    w.w0 += convert_int16(vload16(0, e)) << (int16)(shift);      \
+    w.w1 += convert_int16(vload16(1, e)) << (int16)(shift);      \
+    w.w2 += convert_int16(vload16(2, e)) << (int16)(shift);      \
+    w.w3 += convert_int16(vload16(3, e)) << (int16)(shift);      \
+  }
+
+/* Eight residuals of `bits` bits each, from as many bytes. */
+INLINE int8 eight_residuals(__global const uchar *packed, int bits)
+{
+  const long8 order = (long8)(0, 1, 2, 3, 4, 5, 6, 7);
+  const ulong word = as_ulong(vload8(0, packed));
+  return convert_int8(as_long8((ulong8)word << as_ulong8(64 - bits - order * bits)) >> (long8)(64 - bits));
+}
+
+/* The escape at p becomes the sub-block at (x, y, z); returns where the next one begins. */
+RARE __global const uchar *put_escape(__global const uchar *p, __global const char *entries,
+                                      __constant const CodeMap *map, int mean, const Target *target, int x, int y,
+                                      int z)
+{
+  const int head = *p++;
+  if (head == RAW_SAMPLES) {
+    for (int k = 0; k < 4; ++k) put_slice(samples_at(p, k), target, x, y, z + k);
+    return p + 64 * sizeof(Voxel);
+  }
+  const int stages = head & 15, bits = head >> 4;
+  Working w;
+  START(w, mean)
+  for (int j = 0; j < stages; ++j) ADD_ENTRY(w, entries + (j * 256 + *p++) * 64, SHIFT(map, j))
+  int16 r0 = 0, r1 = 0, r2 = 0, r3 = 0;
+  if (bits) {
+    r0 = (int16)(eight_residuals(p, bits), eight_residuals(p + bits, bits));
+    r1 = (int16)(eight_residuals(p + 2 * bits, bits), eight_residuals(p + 3 * bits, bits));
+    r2 = (int16)(eight_residuals(p + 4 * bits, bits), eight_residuals(p + 5 * bits, bits));
+    r3 = (int16)(eight_residuals(p + 6 * bits, bits), eight_residuals(p + 7 * bits, bits));
+  }
+  put_slice(corrected(w.w0, r0, map), target, x, y, z);
+  put_slice(corrected(w.w1, r1, map), target, x, y, z + 1);
+  put_slice(corrected(w.w2, r2, map), target, x, y, z + 2);
+  put_slice(corrected(w.w3, r3, map), target, x, y, z + 3);
+  return p + 8 * bits;
+}
+
+#if CODED_SIDE == 4
+/* A block of residual codes: p is after its kind. */
+INLINE void put_coded(__global const uchar *p, __global const char *entries, __constant const CodeMap *map,
+                      const Target *target, int limit)
+{
+  const int s = target->extent.w, per_axis = max(s / 8, 1), octants = per_axis * per_axis * per_axis;
+  const int each = s == 4 ? 1 : 8;
+  __global const uchar *flags = p;
+  int split = 1;
+  if (s > 4) {
+    const int bytes = (octants + 7) / 8;
+    split = 0;
+    for (int k = 0; k < bytes; ++k) split += popcount((uint)p[k]);
+    p += bytes;
+  }
+  __global const uchar *means = p, *depths = p + octants + split * (each - 1);
+  const int subs = split * each;
+  /* Where the next code of each stage is. */
+  int with_depth[16];
+  for (int k = 0; k < 16; ++k) with_depth[k] = 0;
+  for (int k = 0; k < subs / 2; ++k) {
+    ++with_depth[depths[k] & 15];
+    ++with_depth[depths[k] >> 4];
+  }
+  if (s == 4) ++with_depth[depths[0]];
+  __global const uchar *next[MOST_STAGES + 1];
+  next[0] = depths + (subs + 1) / 2;
+  for (int j = 0, left = subs - with_depth[ESCAPED]; j < MOST_STAGES; ++j) {
+    left -= with_depth[j];
+    next[j + 1] = next[j] + left;
+  }
+  __global const uchar *escapes = next[MOST_STAGES];
+  const int whole = limit >= map->stages;
+  const int whole_block = all(target->extent.xyz >= s);
+
+  for (int k = 0; k < octants; ++k) {
+    const int ox = k % per_axis * 8, oy = k / per_axis % per_axis * 8, oz = k / (per_axis * per_axis) * 8;
+    if (s > 4 && !(flags[k >> 3] >> (k & 7) & 1)) {
+      fill(voxels_of((int16)((*means++ << 8) + 128), map).s0, target, ox, oy, oz, 8);
+      continue;
+    }
+    if (s > 4 && whole_block) {
+      for (int n = 0; n < 8; n += 2) {
+        const int x = ox, y = oy + 4 * (n >> 1 & 1), z = oz + 4 * (n >> 2);
+        const int both = *depths++, depth_a = both & 15, depth_b = both >> 4;
+        const int mean_a = *means++, mean_b = *means++;
+        Working a, b;
+        START(a, mean_a)
+        START(b, mean_b)
+        const int count_a = depth_a == ESCAPED ? 0 : min(depth_a, limit);
+        const int count_b = depth_b == ESCAPED ? 0 : min(depth_b, limit);
+        for (int j = 0; j < count_a; ++j) ADD_ENTRY(a, entries + (j * 256 + *next[j]++) * 64, SHIFT(map, j))
+        for (int j = 0; j < count_b; ++j) ADD_ENTRY(b, entries + (j * 256 + *next[j]++) * 64, SHIFT(map, j))
+        put_slices(voxels_of(a.w0, map), voxels_of(b.w0, map), target, x, y, z);
+        put_slices(voxels_of(a.w1, map), voxels_of(b.w1, map), target, x, y, z + 1);
+        put_slices(voxels_of(a.w2, map), voxels_of(b.w2, map), target, x, y, z + 2);
+        put_slices(voxels_of(a.w3, map), voxels_of(b.w3, map), target, x, y, z + 3);
+        if (depth_a == ESCAPED && whole)
+          escapes = put_escape(escapes, entries, map, mean_a, target, x, y, z);
+        if (depth_b == ESCAPED && whole)
+          escapes = put_escape(escapes, entries, map, mean_b, target, x + 4, y, z);
+      }
+      continue;
+    }
+    for (int n = 0; n < each; ++n) {
+      const int x = ox + 4 * (n & 1), y = oy + 4 * (n >> 1 & 1), z = oz + 4 * (n >> 2);
+      const int mean = *means++, depth = *depths >> 4 * (n & 1) & 15;
+      if (n & 1) ++depths;
+      if (depth == ESCAPED && whole) {
+        escapes = put_escape(escapes, entries, map, mean, target, x, y, z);
+        continue;
+      }
+      Working w;
+      START(w, mean)
+      const int count = depth == ESCAPED ? 0 : min(depth, limit);
+      for (int j = 0; j < count; ++j) ADD_ENTRY(w, entries + (j * 256 + *next[j]++) * 64, SHIFT(map, j))
+      put_slice(voxels_of(w.w0, map), target, x, y, z);
+      put_slice(voxels_of(w.w1, map), target, x, y, z + 1);
+      put_slice(voxels_of(w.w2, map), target, x, y, z + 2);
+      put_slice(voxels_of(w.w3, map), target, x, y, z + 3);
+    }
+  }
+}
+#endif
+
+#if CODED_SIDE == 2
+/* Two sub-blocks of 2^3 that are neighbours along x, as four rows of four voxels (z, y). */
+INLINE Voxel16 two_subblocks(__global const uchar *means, __global const uchar *codes, __global const char *entries,
+                             __constant const CodeMap *map, int limit)
+{
+#if CODED_MEANS
+  int16 w = (int16)((int8)((means[0] << 8) + 128), (int8)((means[1] << 8) + 128));
+#else
+  int16 w = 32768;
+#endif
+  if (limit > 0) {
+    const char8 a = vload8(codes[0], entries), b = vload8(codes[1], entries);
+    w += convert_int16((char16)(a, b)) << (int16)SHIFT(map, 0);
+  }
+  const Voxel16 v = voxels_of(w, map);
+  return (Voxel16)(v.s0189, v.s23ab, v.s45cd, v.s67ef);
+}
+#endif
+
+/* A block whose sub-blocks all have the same stages: p is after its kind. */
+INLINE void put_fixed(__global const uchar *p, __global const char *entries, __constant const CodeMap *map,
+                      const Target *target, int limit)
+{
+  const int s = target->extent.w, per_axis = s / CODED_SIDE, subs = per_axis * per_axis * per_axis;
+  limit = min(limit, map->stages);
+#if CODED_SIDE == 4
+  for (int k = 0; k < subs; ++k) {
+    const int x = k % per_axis * 4, y = k / per_axis % per_axis * 4, z = k / (per_axis * per_axis) * 4;
+    Working w;
+    START(w, p[k])
+    for (int j = 0; j < limit; ++j) ADD_ENTRY(w, entries + (j * 256 + p[(1 + j) * subs + k]) * 64, SHIFT(map, j))
+    put_slice(voxels_of(w.w0, map), target, x, y, z);
+    put_slice(voxels_of(w.w1, map), target, x, y, z + 1);
+    put_slice(voxels_of(w.w2, map), target, x, y, z + 2);
+    put_slice(voxels_of(w.w3, map), target, x, y, z + 3);
+  }
+#else
+  __global const uchar *codes = p + CODED_MEANS * subs;
+  const int whole = all(target->extent.xyz >= s);
+  for (int k = 0; k < subs; k += 2) {
+    const int x = k % per_axis * 2, y = k / per_axis % per_axis * 2, z = k / (per_axis * per_axis) * 2;
+    __global Voxel *at = target->at + z * target->slice + y * target->row + x;
+    const Voxel16 v = two_subblocks(p + k, codes + k, entries, map, limit);
+    if (whole && s > 4) {
+      k += 2;
+      put_rows8(v, two_subblocks(p + k, codes + k, entries, map, limit), at, target->row, target->slice);
+    } else if (whole) {
+      put_rows4(v, at, target->row, target->slice);
+    } else {
+      const int columns = min(target->extent.x - x, 4), count = min(target->extent.y - y, 2);
+      if (z < target->extent.z) put_some(v, at, target->row, columns, count);
+      if (z + 1 < target->extent.z) put_some((Voxel16)(v.hi, v.hi), at + target->slice, target->row, columns, count);
+    }
+  }
+#endif
+}
+
+/* blocks   CodedBlock [count]
+ * codes    bytes that they refer to, and at least 64 after them
+ * entries  signed char [stages, 256, CODED_SIDE^3]
+ * map      CodeMap
+ * voxels   Voxel; row and slice: elements to the next row and slice, or 0 and 0 where the s^3 voxels of a block lie
+ *          together
+ * first_code, first_voxel: of the numbers in `blocks`, those with which codes and voxels begin
+ * fault    int: the number of a block of unknown kind, if there is one; else it is left alone. Such a block is filled
+ *          with `low`.
+ */
+__kernel WIDE_VECTORS __attribute__((reqd_work_group_size(CODED_GROUP, 1, 1))) void decode_codes(
+  __global const CodedBlock *restrict blocks, int count, __global const uchar *restrict codes,
+  __global const char *restrict entries, __constant const CodeMap *restrict map, __global Voxel *restrict voxels,
+  long first_code, long first_voxel, long row, long slice, __global int *restrict fault)
+{
+  const int k = get_global_id(0);
+  if (k >= count) return;
+  const CodedBlock block = blocks[k];
+  const int s = block.extent.w;
+  const Target target = {voxels + (block.to - first_voxel), row ? row : s, row ? slice : s * s, block.extent};
+  __global const uchar *p = codes + (block.from - first_code);
+  const int kind = *p++;
+  if (kind == BLOCK_CONSTANT)
+    fill(sample_at(p, 0), &target, 0, 0, 0, s);
+  else if (kind == BLOCK_RAW)
+    put_raw(p, &target, s);
+#if CODED_SIDE == 4
+  else if (kind == BLOCK_CODED)
+    put_coded(p, entries, map, &target, block.limit);
+#endif
+  else if (kind == BLOCK_FIXED)
+    put_fixed(p, entries, map, &target, block.limit);
+  else {
+    fill(voxels_of((int16)0, map).s0, &target, 0, 0, 0, s);
+    *fault = k;
+  }
+}

@@ -1,0 +1,111 @@
+/* Nearest codewords, four vectors at a time, exactly.
+ *
+ * A residual r of a stage with the given shift is compared with the codewords as r' = r in quarters of 1 << shift,
+ * clipped to 10 bits (-511 ... 511); codewords e have int8 samples. The nearest one has the largest r' e - 2 e e. Sums of
+ * SIZE <= 64 such products, in any order and with or without fused multiply-adds, stay below 2^23, and are therefore
+ * exact in float: the code does not depend on the device. Of equally near codewords the lowest code is taken.
+ *
+ * The loop is that of a matrix product: four vectors times 32 codewords are accumulated in eight registers of 16 floats.
+ *
+ * Switches (-D): SIZE, samples of a sub-block: 8 or 64.
+ */
+#ifndef NEAREST_CODE_H
+#define NEAREST_CODE_H
+
+#define ENTRIES 256
+
+/* A residual in quarters of the stage's step. One is subtracted where bits are dropped: the lowest code then wins for
+ * voxels of 8 bits in the middle between two codewords, and decoding rounds down. */
+inline int in_quarters(int r, int shift)
+{
+  const int q = shift > 2 ? (r - 1) >> (shift - 2) : r << (2 - shift);
+  return clamp(q, -511, 511);
+}
+
+#define TAKE_LARGEST(key, sums, first) \
+  key = max(key, (convert_int16(sums) << 8) | (255 - (lane + (first))))
+
+inline int largest_of(int16 v)
+{
+  const int8 a = max(v.lo, v.hi);
+  const int4 b = max(a.lo, a.hi);
+  const int2 c = max(b.lo, b.hi);
+  return max(c.lo, c.hi);
+}
+
+/* The codes of four vectors. rows: float4 [SIZE], component v of row k is sample k of vector v, in quarters; codebook
+ * float [SIZE][ENTRIES]; norms float [ENTRIES], twice the square of each codeword's length, 2^23 of unused ones. */
+inline int4 nearest_codes(const float4 *rows, __global const float *restrict codebook,
+                          __global const float *restrict norms)
+{
+  const int16 lane = (int16)(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15);
+  int16 key0 = (int16)(INT_MIN), key1 = key0, key2 = key0, key3 = key0;
+  for (int first = 0; first < ENTRIES; first += 32) {
+    const float16 n0 = -vload16(0, norms + first), n1 = -vload16(1, norms + first);
+    float16 a0 = n0, a1 = n0, a2 = n0, a3 = n0, b0 = n1, b1 = n1, b2 = n1, b3 = n1;
+    __global const float *entry = codebook + first;
+    for (int k = 0; k < SIZE; k++, entry += ENTRIES) {
+      const float16 e0 = vload16(0, entry), e1 = vload16(1, entry);
+      const float4 r = rows[k];
+      a0 = mad(e0, (float16)(r.x), a0);
+      a1 = mad(e0, (float16)(r.y), a1);
+      a2 = mad(e0, (float16)(r.z), a2);
+      a3 = mad(e0, (float16)(r.w), a3);
+      b0 = mad(e1, (float16)(r.x), b0);
+      b1 = mad(e1, (float16)(r.y), b1);
+      b2 = mad(e1, (float16)(r.z), b2);
+      b3 = mad(e1, (float16)(r.w), b3);
+    }
+    TAKE_LARGEST(key0, a0, first);
+    TAKE_LARGEST(key1, a1, first);
+    TAKE_LARGEST(key2, a2, first);
+    TAKE_LARGEST(key3, a3, first);
+    TAKE_LARGEST(key0, b0, first + 16);
+    TAKE_LARGEST(key1, b1, first + 16);
+    TAKE_LARGEST(key2, b2, first + 16);
+    TAKE_LARGEST(key3, b3, first + 16);
+  }
+  const int4 keys = (int4)(largest_of(key0), largest_of(key1), largest_of(key2), largest_of(key3));
+  return 255 - (keys & 255);
+}
+
+/* How far the decoded voxels of a sub-block are off: the sum of squares, and the extremes of (original - decoded). In
+ * steps of integer types, in working values of floating-point types. */
+typedef struct {
+  ulong squares;
+  int lowest, highest;
+} Miss;
+
+/* work: SIZE working values; residual: work minus what is decoded; levels: integers of the volume's range, 65536 for
+ * floating-point types. Squares of differences have 32 bits: their halves are summed apart. */
+inline Miss measure(__global const ushort *restrict work, __global const int *restrict residual, uint levels)
+{
+  uint8 low = (uint8)(0), high = (uint8)(0);
+  int8 lowest = (int8)(INT_MAX), highest = (int8)(INT_MIN);
+  for (int k = 0; k < SIZE / 8; k++) {
+    const int8 w = convert_int8(vload8(k, work));
+    const uint8 decoded = convert_uint8(clamp(w - vload8(k, residual), 0, 65535));
+    const int8 d = convert_int8((convert_uint8(w) * levels) >> 16) - convert_int8((decoded * levels) >> 16);
+    const uint8 square = convert_uint8(d * d);
+    low += square & 0xffff;
+    high += square >> 16;
+    lowest = min(lowest, d);
+    highest = max(highest, d);
+  }
+  const uint4 low4 = low.lo + low.hi, high4 = high.lo + high.hi;
+  const int4 lowest4 = min(lowest.lo, lowest.hi), highest4 = max(highest.lo, highest.hi);
+  const uint2 low2 = low4.lo + low4.hi, high2 = high4.lo + high4.hi;
+  const int2 lowest2 = min(lowest4.lo, lowest4.hi), highest2 = max(highest4.lo, highest4.hi);
+  const Miss miss = {((ulong)(high2.x + high2.y) << 16) + (low2.x + low2.y), min(lowest2.x, lowest2.y),
+                     max(highest2.x, highest2.y)};
+  return miss;
+}
+
+/* Subtracts a codeword (char [SIZE]) of a stage from a residual. */
+inline void subtract(__global int *restrict residual, __global const char *restrict entry, int shift)
+{
+  for (int k = 0; k < SIZE / 8; k++)
+    vstore8(vload8(k, residual) - (convert_int8(vload8(k, entry)) << shift), k, residual);
+}
+
+#endif

@@ -1,0 +1,197 @@
+"""Blocks of codes decoded by kernels: the voxels of the numpy decoder, bit for bit, in blocks and in volumes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from reference.random_codes import DTYPES, LOSSY, packed, random_codes
+
+from clvol.device.code_decoder import CodeDecoder, HeldCodes, parts_of, switches
+from clvol.errors import RenderError, VolumeError
+from clvol.opencl.struct_check import REPORT_ARGUMENTS, check_structs, layout_of, reported_structs
+from clvol.opencl.structs import CODE_MAP, CODED_BLOCK
+from clvol.store.codecs.coded_blocks import MOST_STAGES
+from clvol.store.codecs.decode import decode_blocks
+from clvol.store.codecs.layout import prefix_sizes
+
+pytestmark = pytest.mark.every_case
+COUNTS = {1: 8, 2: 8, 4: 150, 8: 60, 16: 12, 32: 4}
+
+
+def untouched(context, dtype, shape):
+    """An array of a pattern that no decoder writes by chance, to see what was written."""
+    count = int(np.prod(shape)) * np.dtype(dtype).itemsize
+    pattern = (np.arange(count) * 37 % 251).astype(np.uint8).view(dtype).reshape(shape)
+    return context.upload(pattern, writable=True), pattern.copy()
+
+
+@pytest.mark.parametrize("dtype", DTYPES)
+@pytest.mark.parametrize("codec", LOSSY)
+def test_blocks_are_those_of_numpy(each_device, contexts, codec, dtype):
+    context = contexts(each_device)
+    for s, count in COUNTS.items():
+        blocks, codebooks = random_codes(s + 100, codec, s, dtype, count)
+        decoder = CodeDecoder(context, codebooks)
+        coded = packed(blocks)
+        held = decoder.hold(coded, s)
+        rng = np.random.default_rng(s)
+        some = rng.permutation(count)[: count - 1]
+        places = (rng.permutation(count + 3)[: len(some)] * s**3 + 5).astype(np.int64)  # of no alignment
+        for stages in (MOST_STAGES, 0, 1):
+            voxels, before = untouched(context, dtype, ((count + 3) * s**3 + 10,))
+            decoder.into_blocks(held, some, voxels, places, stages)
+            decoder.check_fault()
+            expected = before
+            decoded = decode_blocks(coded, s, codebooks, stages)
+            for block, place in zip(some, places):
+                expected[place : place + s**3] = decoded[block].ravel()
+            assert context.read(voxels).tobytes() == expected.tobytes(), (s, stages)
+
+
+@pytest.mark.parametrize("codec", LOSSY)
+def test_each_block_may_have_a_limit_of_its_own(device, contexts, codec):
+    context = contexts(device)
+    blocks, codebooks = random_codes(3, codec, 8, "int8", 60)
+    decoder = CodeDecoder(context, codebooks)
+    limits = np.random.default_rng(0).integers(0, codebooks.stages + 1, len(blocks))
+    sizes = prefix_sizes(packed(blocks), 8, codebooks)
+    cut = packed([block[: sizes[k, limits[k]]] for k, block in enumerate(blocks)])
+    expected = np.stack([decode_blocks(packed([block]), 8, codebooks, int(limits[k]))[0]
+                         for k, block in enumerate(blocks)])  # fmt: skip
+    for coded in (cut, packed(blocks)):
+        voxels, _ = untouched(context, "int8", (len(blocks) * 512,))
+        held = decoder.hold(coded, 8, limits)
+        decoder.into_blocks(held, np.arange(len(blocks)), voxels, np.arange(len(blocks)) * 512, limits)
+        assert context.read(voxels).tobytes() == expected.tobytes()
+        volume, _ = untouched(context, "int8", (8, 8, len(blocks) * 8))
+        corners = np.arange(len(blocks))[:, None] * (0, 0, 8)
+        decoder.decode_volume(coded, 8, volume, corners, limits, staging_bytes=2000)
+        assert (context.read(volume).reshape(8, 8, -1, 8).transpose(2, 0, 1, 3) == expected).all()
+    with pytest.raises(VolumeError, match="impossible bytes of block"):
+        decoder.hold(cut, 8)
+
+
+@pytest.mark.parametrize("dtype", ("uint8", "int16", "float32"))
+@pytest.mark.parametrize("codec", LOSSY)
+@pytest.mark.parametrize("s", (4, 8, 16))
+def test_volumes_are_those_of_numpy_and_what_is_beyond_them_is_cut(device, contexts, codec, dtype, s):
+    context = contexts(device)
+    shape = (2 * s - 1, s + 3, 3 * s - s // 2 - 1)
+    counts = [-(-n // s) for n in shape]
+    count = int(np.prod(counts))
+    blocks, codebooks = random_codes(s, codec, s, dtype, count)
+    coded = packed(blocks)
+    corners = np.stack(np.unravel_index(np.arange(count), counts), axis=-1) * s
+    whole = decode_blocks(coded, s, codebooks).reshape(*counts, s, s, s).transpose(0, 3, 1, 4, 2, 5)
+    expected = whole.reshape([n * s for n in counts])[tuple(slice(n) for n in shape)]
+    decoder = CodeDecoder(context, codebooks)
+    for staging in (1, int(coded.size.max()) * 2, 2**20):
+        voxels, _ = untouched(context, dtype, shape)
+        seen: list = []
+        decoder.decode_volume(coded, s, voxels, corners, staging_bytes=staging,
+                              progress=lambda done, total: seen.append((done, total)))  # fmt: skip
+        assert context.read(voxels).tobytes() == np.ascontiguousarray(expected).tobytes()
+        parts = len(list(parts_of(coded.size, max(staging, int(coded.size.max())))))
+        assert len(seen) == parts and seen[-1] == (count, count) and (parts > 1 or staging > 1)
+    held = decoder.hold(coded, s)
+    slab, _ = untouched(context, dtype, (s - 1, *shape[1:]))  # the last slices alone
+    own = np.flatnonzero(corners[:, 0] >= s)
+    decoder.into_volume(held, own, slab, corners[own], first_slice=s)
+    assert context.read(slab).tobytes() == np.ascontiguousarray(expected[s:]).tobytes()
+
+
+@pytest.mark.parametrize("codec", LOSSY)
+def test_offsets_of_codes_and_voxels_may_exceed_what_32_bits_hold(device, contexts, codec):
+    context = contexts(device)
+    blocks, codebooks = random_codes(1, codec, 8, "uint16", 20)
+    decoder = CodeDecoder(context, codebooks)
+    coded = packed(blocks)
+    held = decoder.hold(coded, 8)
+    voxels, _ = untouched(context, "uint16", (20 * 512,))
+    far_codes, far_voxels = 2**31 + 7, 5 * 2**32 + 11
+    places = np.arange(20) * 512 + far_voxels
+    extent = np.full((20, 4), 8, np.int32)
+    decoder._decode(held.codes, held.start + far_codes, places, extent, voxels, MOST_STAGES,
+                    first_code=far_codes, first_voxel=far_voxels)  # fmt: skip
+    assert context.read(voxels).tobytes() == decode_blocks(coded, 8, codebooks).tobytes()
+
+
+def test_a_block_of_unknown_kind_is_filled_and_reported(each_device, contexts):
+    context = contexts(each_device)
+    for codec in LOSSY:
+        blocks, codebooks = random_codes(1, codec, 8, "uint8", 5)
+        decoder = CodeDecoder(context, codebooks, "a.store")
+        held = decoder.hold(packed(blocks), 8)
+        codes = context.read(held.codes)
+        codes[held.start[3]] = 77
+        voxels, before = untouched(context, "uint8", (5 * 512,))
+        damaged = HeldCodes(context.upload(codes), held.start, 8)
+        decoder.into_blocks(damaged, np.arange(5), voxels, np.arange(5) * 512)
+        with pytest.raises(RenderError, match="a.store: block 3 of a launch is of an unknown kind"):
+            decoder.check_fault()
+        found = context.read(voxels)[3 * 512 : 4 * 512]
+        assert (found == codebooks.values.low).all()
+        decoder.into_blocks(held, np.arange(5), voxels, np.arange(5) * 512)
+        decoder.check_fault()
+        assert context.read(voxels).tobytes() == decode_blocks(packed(blocks), 8, codebooks).tobytes()
+
+
+def test_impossible_codes_never_reach_a_device(device, contexts):
+    context = contexts(device)
+    blocks, codebooks = random_codes(1, "rvq", 8, "uint8", 6)
+    blocks[4] = b"\x4d" + blocks[4][1:]
+    coded = packed(blocks)
+    decoder = CodeDecoder(context, codebooks, "a.store")
+    with pytest.raises(VolumeError, match="a.store: impossible bytes of block 4"):
+        decoder.hold(coded, 8)
+    voxels, before = untouched(context, "uint8", (8, 8, 48))
+    corners = np.arange(6)[:, None] * (0, 0, 8)
+    with pytest.raises(VolumeError, match="a.store: impossible bytes of block 4"):
+        decoder.decode_volume(coded, 8, voxels, corners, staging_bytes=1)
+    assert (context.read(voxels)[:, :, 32:] == before[:, :, 32:]).all()
+    codebooks.shifts[0] = 10
+    with pytest.raises(VolumeError, match="impossible codebooks"):
+        CodeDecoder(context, codebooks)
+
+
+def test_what_does_not_fit_is_refused(device, contexts):
+    context = contexts(device)
+    blocks, codebooks = random_codes(1, "rvq", 8, "uint8", 2)
+    decoder = CodeDecoder(context, codebooks)
+    held = decoder.hold(packed(blocks), 8)
+    with pytest.raises(RenderError, match="1023 voxels, expected at least 1024"):
+        decoder.into_blocks(held, np.arange(2), context.empty(np.uint8, (1023,)), np.array([0, 512]))
+    with pytest.raises(RenderError, match="decoded into uint16, expected uint8"):
+        decoder.into_blocks(held, np.arange(2), context.empty(np.uint16, (1024,)), np.array([0, 512]))
+    volume = context.empty(np.uint8, (8, 8, 8))
+    for corner in ((0, 0, 8), (-1, 0, 0)):
+        with pytest.raises(RenderError, match="outside the volume"):
+            decoder.into_volume(held, np.array([0]), volume, np.array([corner]))
+    decoder.into_blocks(held, np.zeros(0, np.int64), volume, np.zeros(0, np.int64))
+
+
+def test_groups_of_work_items_decode_the_same(device, contexts, monkeypatch):
+    context = contexts(device)
+    blocks, codebooks = random_codes(8, "rvq", 8, "uint16", 45)
+    expected = decode_blocks(packed(blocks), 8, codebooks)
+    monkeypatch.setattr(context, "is_cpu", False)
+    decoder = CodeDecoder(context, codebooks)
+    voxels, _ = untouched(context, "uint16", (45 * 512,))
+    decoder.into_blocks(decoder.hold(packed(blocks), 8), np.arange(45), voxels, np.arange(45) * 512)
+    assert context.read(voxels).tobytes() == expected.tobytes()
+
+
+def test_every_field_is_where_the_compiler_has_it(each_device, contexts):
+    context = contexts(each_device)
+    expected = {"CodedBlock": CODED_BLOCK, "CodeMap": CODE_MAP}
+    for dtype in DTYPES:
+        _, codebooks = random_codes(1, "rvq", 8, dtype, 1)
+        kernel = context.kernel("decode_codes.cl", "struct_fields", REPORT_ARGUMENTS, switches(codebooks, 1))
+        check_structs(context, kernel, expected)
+        assert reported_structs(context, kernel) == {name: layout_of(own) for name, own in expected.items()}
+
+
+def test_parts_hold_what_fits_and_one_block_at_least():
+    sizes = np.array([3, 4, 9, 1, 1, 1, 8])
+    assert [list(part) for part in parts_of(sizes, 8)] == [[0, 1], [2], [3, 4, 5], [6]]
+    assert list(parts_of(sizes[:0], 8)) == []

@@ -1,0 +1,147 @@
+"""Encoders: what they promise of every voxel, whatever the volume (clvol/encoding)."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from clvol.encoding.trainer import CodeTrainer
+from clvol.store.codecs.coded_blocks import CONSTANT, RAW, RateTarget
+from clvol.store.codecs.decode import decode_blocks
+from clvol.store.codecs.working_values import working_values
+from clvol.store.voxel_source import VolumeSource
+from clvol.volume.volume import Volume
+
+CODECS = ("vq", "vq-mean", "hvq", "rvq")
+TYPES = (np.uint8, np.int8, np.uint16, np.int16, np.float32)
+
+
+def smooth(shape=(40, 36, 33), seed=0) -> np.ndarray:
+    """A smooth field 0 ... 1 with an edge and a little noise."""
+    rng = np.random.default_rng(seed)
+    z, y, x = np.meshgrid(*(np.linspace(0, 1, n) for n in shape), indexing="ij")
+    field = 0.5 + 0.3 * np.sin(7 * z + 3 * x) * np.cos(5 * y) + 0.2 * (x + y > 1.1)
+    return np.clip(field + rng.normal(0, 0.004, shape), 0, 1)
+
+
+def as_type(field: np.ndarray, dtype) -> np.ndarray:
+    if np.dtype(dtype).kind == "f":
+        return (field * 3e3 - 700).astype(dtype)
+    info = np.iinfo(dtype)
+    return np.rint(info.min + field * (int(info.max) - info.min)).astype(dtype)
+
+
+def range_of(voxels: np.ndarray) -> tuple[float, float]:
+    finite = voxels[np.isfinite(voxels)]
+    return (float(finite.min()), float(finite.max())) if finite.size else (0.0, 0.0)
+
+
+def blocks_of(voxels: np.ndarray, edge: int) -> np.ndarray:
+    padded = np.pad(voxels, [(0, -n % edge) for n in voxels.shape], mode="edge")
+    z, y, x = (n // edge for n in padded.shape)
+    return padded.reshape(z, edge, y, edge, x, edge).transpose(0, 2, 4, 1, 3, 5).reshape(-1, edge, edge, edge)
+
+
+def trained(context, voxels: np.ndarray, codec: str, **target: float):
+    trainer = CodeTrainer(context)
+    training = trainer.train(VolumeSource(Volume(voxels)), range_of(voxels), codec, RateTarget(**target), seed=3)
+    return training, trainer.encoder(training)
+
+
+def round_trip(context, voxels: np.ndarray, codec: str, edge: int = 16, **target: float):
+    """Blocks, decoded blocks, the codes and the training."""
+    training, encoder = trained(context, voxels, codec, **target)
+    blocks = blocks_of(voxels, edge)
+    coded = encoder.encode(blocks)
+    assert training.codebooks.fault() is None
+    return blocks, decode_blocks(coded, edge, training.codebooks), coded, training
+
+
+def largest_error(blocks: np.ndarray, decoded: np.ndarray) -> float:
+    finite = np.isfinite(blocks)
+    return float(np.abs(decoded[finite].astype(np.float64) - blocks[finite]).max())
+
+
+@pytest.mark.parametrize("codec", CODECS)
+@pytest.mark.parametrize("dtype", TYPES)
+@pytest.mark.parametrize("share", (0.0, 0.004, 0.03))
+def test_no_voxel_is_further_off_than_the_bound(context, codec, dtype, share):
+    voxels = as_type(smooth(), dtype)
+    blocks, decoded, _, _ = round_trip(context, voxels, codec, max_voxel_error=share)
+    low, high = range_of(voxels)
+    assert decoded.dtype == dtype
+    assert largest_error(blocks, decoded) <= share * (high - low)
+
+
+@pytest.mark.parametrize("codec", CODECS)
+def test_a_psnr_is_reached(context, codec):
+    voxels = as_type(smooth(), np.uint8)
+    blocks, decoded, _, _ = round_trip(context, voxels, codec, psnr=45.0)
+    error = np.mean((decoded.astype(float) - blocks) ** 2)
+    assert 10 * math.log10(255**2 / error) >= 45.0
+
+
+@pytest.mark.parametrize("edge", (1, 2, 4, 8, 16, 32))
+@pytest.mark.parametrize("codec", CODECS)
+def test_blocks_of_every_size(context, codec, edge):
+    voxels = as_type(smooth(), np.int16)
+    blocks, decoded, _, _ = round_trip(context, voxels, codec, edge, max_voxel_error=0.02)
+    assert largest_error(blocks, decoded) <= 0.02 * 65535
+
+
+@pytest.mark.parametrize("codec", CODECS)
+def test_what_is_not_finite_stays_what_it_was(context, codec):
+    voxels = as_type(smooth(), np.float32)
+    voxels[3:5, 6:20, 7] = np.nan
+    voxels[20, 20, 20] = np.inf
+    voxels[:16, :16, 16:32] = np.nan
+    blocks, decoded, coded, _ = round_trip(context, voxels, codec, max_voxel_error=0.02)
+    odd = ~np.isfinite(blocks)
+    assert np.array_equal(decoded[odd].view(np.uint32), blocks[odd].view(np.uint32))
+    assert largest_error(blocks, decoded) <= 0.02 * np.subtract(*range_of(voxels)[::-1])
+    assert coded.data[coded.start[1]] == CONSTANT
+
+
+@pytest.mark.parametrize("codec", CODECS)
+@pytest.mark.parametrize("dtype", (np.uint8, np.uint16))
+def test_noise_is_never_much_larger_than_raw(context, codec, dtype):
+    voxels = np.random.default_rng(1).integers(0, np.iinfo(dtype).max + 1, (48, 48, 48)).astype(dtype)
+    blocks, decoded, coded, _ = round_trip(context, voxels, codec, max_voxel_error=0.0)
+    assert np.array_equal(blocks, decoded)
+    assert len(coded.data) <= 1.01 * blocks.nbytes
+    if dtype == np.uint16 or codec != "rvq":  # of 8 bits, few sub-blocks repeat themselves in the codebooks
+        assert (coded.data[coded.start] == RAW).all()
+
+
+@pytest.mark.parametrize("codec", CODECS)
+@pytest.mark.parametrize("voxels", (
+    np.full((9, 17, 4), 7, np.uint8),
+    np.full((5, 5, 5), -1e30, np.float32),
+    np.full((3, 1, 6), np.nan, np.float32),
+    np.array([[[0.0, 1e30]]], np.float32),
+    np.arange(7, dtype=np.int16).reshape(1, 7, 1),
+), ids=lambda v: f"{v.dtype}-{v.shape}")  # fmt: skip
+def test_small_and_constant_volumes(context, codec, voxels):
+    blocks, decoded, _, _ = round_trip(context, voxels, codec, max_voxel_error=0.0)
+    assert np.array_equal(blocks, decoded, equal_nan=True)
+
+
+@pytest.mark.parametrize("codec", CODECS)
+def test_the_grouping_of_blocks_does_not_matter(context, codec):
+    voxels = as_type(smooth(), np.uint16)
+    training, encoder = trained(context, voxels, codec, psnr=50.0)
+    blocks = blocks_of(voxels, 16)
+    whole = encoder.encode(blocks)
+    for first, last in ((0, 5), (5, 6), (6, len(blocks))):
+        part = encoder.encode(blocks[first:last])
+        begin, end = whole.start[first], whole.start[last - 1] + whole.size[last - 1]
+        assert np.array_equal(part.data, whole.data[begin:end])
+
+
+@pytest.mark.parametrize("span", (0, 1, 99, 254, 255, 4095, 32768, 53217, 65534, 65535))
+def test_integers_survive_as_working_values(span):
+    values = working_values(np.dtype(np.uint16), (65535.0 - span, 65535.0))
+    voxels = np.arange(65535 - span, 65536).astype(np.uint16)
+    assert np.array_equal(values.decoded(values.encoded(voxels)), voxels)
