@@ -220,7 +220,7 @@ class PictureSearch:
         counted = {"samples": trial.samples, "rays": trial.rays, "accuracy": accuracy}
         counted |= self.warnings(trial.picture, trial.depth)
         resolved = self.resolved_as(trial.settings)
-        return make_frame(resolved, trial.picture, trial.depth, seconds, counted, self.context.name)
+        return make_frame(resolved, trial.picture, trial.depth, seconds, counted, [self.context.name])
 
     def warnings(self, rgba: np.ndarray, depth: np.ndarray | None) -> dict[str, Any]:
         """The entries that a picture's warnings add to its stats."""

@@ -158,6 +158,9 @@ class TiledPictureParts(Protocol):
 class RendersParts(Protocol):
     """A ``Prepared`` whose pictures can be shared by devices."""
 
+    def warm_up_parts(self, width: int, height: int, depth: bool = True) -> None:
+        """Compiles everything that parts of a picture of this size need."""
+
     def parts(self, camera: Camera, width: int, height: int, depth: bool = True) -> TiledPictureParts | None:
         """A picture to be rendered in parts; None if there is nothing to divide."""
         ...

@@ -23,7 +23,7 @@ from clvol.limits import check_room_for_opencl
 from clvol.opencl.arguments import Argument, known_sizes
 from clvol.opencl.binding import cl
 from clvol.opencl.build import build_file, keep_programs
-from clvol.opencl.devices import report_of
+from clvol.opencl.devices import device_name
 from clvol.opencl.forks import check_fork, is_forked, opencl_used
 
 
@@ -114,8 +114,7 @@ class DeviceContext:
         check_room_for_opencl(loaded=True)
         opencl_used()
         self.device = device
-        report = report_of(device)
-        self.name = report.name if report is not None else device.name.strip()
+        self.name = device_name(device)
         self.is_cpu = bool(device.type & cl.device_type.CPU)
         self.has_double = "cl_khr_fp64" in device.extensions.split()
         self.compile_seconds = 0.0

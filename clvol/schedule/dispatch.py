@@ -29,6 +29,7 @@ _CAUTION = 1.6  # the share handed out is 1 / (1 + _CAUTION * uncertainty)
 _STALLED = 5.0  # times the expected time after which a package is issued again,
 _PATIENCE = 1.0  # plus this many seconds
 _CHEAP = 0.25  # share of a picture's cost kept for the end, in its cheapest tiles, which fill packages up
+_REMEMBERED = 15  # packages whose costs correct those of others
 _REACH = 256.0  # tiles over which a measured cost says something about others
 
 
@@ -80,13 +81,13 @@ class Dispatcher:
         self._prior = np.maximum(np.asarray(costs, np.float64), 1e-12)
         self._costs = self._prior.copy()
         self._doubt = uncertainty if uncertainty is not None else _LEAST_UNCERTAINTY if measured else _UNKNOWN
-        self._learns = not measured
         self._seen: list[tuple[float, float, float]] = []  # middle tile, log of measured over expected cost, weight
         self.shares = [Share(float(speed), float(launch)) for speed, launch in zip(speeds, launches)]
         self._waiting = _order(self._prior)
         self._done = np.zeros(self.count, bool)
         self._least_tiles = least_tiles
         self._number = 0
+        self._unit_is_known = measured
         self.history: list[tuple[Package, float, bool]] = []  # package, when it ended, whether its result counts
 
     # ---- state
@@ -198,8 +199,24 @@ class Dispatcher:
         share.packages += 1
         found = cost if cost is not None else max(now - began - share.launch, 0.0) * share.speed
         share.cost += found
+        self._calibrate(package.device, found, now - began)
         self._learn(package, found)
         return True
+
+    def _calibrate(self, device: int, cost: float, seconds: float) -> None:
+        """Corrects the speed of ``device`` by what it took for a package, and at first that of all others in
+        proportion: at first it is unknown how fast devices are with this scene."""
+        share = self.shares[device]
+        if seconds <= 2 * share.launch or cost <= 0:
+            return
+        found = cost / (seconds - share.launch)
+        if self._unit_is_known:
+            share.speed = found if share.packages == 1 else 0.5 * (share.speed + found)
+            return
+        self._unit_is_known = True
+        ratio = found / share.speed
+        for other in self.shares:
+            other.speed *= ratio
 
     def lost(self, device: int, reason: str) -> int:
         """``device`` renders no more: its packages return to the queue. Returns the number of tiles that did."""
@@ -216,6 +233,12 @@ class Dispatcher:
             return 0
         self._waiting = np.concatenate([package.tiles, self._waiting])
         return len(package.tiles)
+
+    def undone(self, tiles: np.ndarray) -> int:
+        """``tiles``, which were done, are waiting again. Returns their number."""
+        self._done[tiles] = False
+        self._waiting = np.concatenate([tiles, self._waiting])
+        return len(tiles)
 
     def next_stall(self, now: float) -> float:
         """Seconds until some package counts as stalled; inf if none runs."""
@@ -255,13 +278,15 @@ class Dispatcher:
 
     def _learn(self, package: Package, found: float) -> None:
         """Corrects the costs of tiles near those of ``package``."""
-        if not self._learns or found <= 0:
+        if found <= 0:
             return
         tiles = package.tiles
         miss = abs(math.log(found / float(self._costs[tiles].sum())))
         self._doubt = max(0.6 * self._doubt + 0.4 * min(miss, 1.0), _LEAST_UNCERTAINTY)
         ratio = math.log(found / float(self._prior[tiles].sum()))
-        self._seen.append((float(np.median(tiles)), ratio, math.sqrt(len(tiles))))
+        self._seen = [*self._seen[-_REMEMBERED:], (float(np.median(tiles)), ratio, math.sqrt(len(tiles)))]
+        if not len(self._waiting):
+            return
         middles, ratios, weights = np.array(self._seen).T
         far = np.abs(np.arange(self.count)[None, :] - middles[:, None]) / _REACH
         near = weights[:, None] / (1 + far) ** 4

@@ -296,9 +296,17 @@ class Raycaster:
 
     def warm_up(self, width: int, height: int, depth: bool = True) -> None:
         """Compiles everything that a frame of this size needs, by launching it: drivers finish compiling then."""
+        self._warm_up(width, height, depth, None)
+
+    def warm_up_parts(self, width: int, height: int, depth: bool = True) -> None:
+        """As ``RendersParts.warm_up_parts``."""
+        self._warm_up(width, height, depth, None if self.march.renders_all_pixels else np.zeros(1, np.int64))
+
+    def _warm_up(self, width: int, height: int, depth: bool, chosen: np.ndarray | None) -> None:
+        """``chosen``: the tiles of a picture without pixels that are launched; None: all."""
         tiles = tiling(width, height, *self.tile).count
         fills = self.resolved.image.ray_spacing > 1
-        key = (tiles, depth, fills, tuple(self.switches.items()))
+        key = (tiles, depth, fills, chosen is None, tuple(self.switches.items()))
         if key in self._warm or self._shows_nothing:
             return
         self.march.begin(self, None, width, height)
@@ -306,14 +314,15 @@ class Raycaster:
         view["tile"] = self.tile
         counts = [self.context.empty(np.uint32, (tiles,)) for _ in range(2)]
         none = {"image": self.no_array, "depths": self.no_array, "samples": counts[0]}
-        tallies = [self.launches("raycast", view, tiles, depth, None, none)]  # kept until they are written
-        if self.without_surfaces is not None:
-            nowhere = np.zeros(1, np.int64)
+        tallies = []  # kept until they are written
+        if self.without_surfaces is None:
+            tallies.append(self.launches("raycast", view, tiles, depth, None, none, chosen))
+        else:
             for engine in (self, self.without_surfaces):
-                tallies.append(engine.launches("raycast", view, tiles, depth, None, none, nowhere))
+                tallies.append(engine.launches("raycast", view, tiles, depth, None, none, np.zeros(1, np.int64)))
         if fills:
             none |= {"coarse": self.no_array, "coarse_depths": self.no_array, "rays": counts[1]}
-            tallies.append(self.launches("fill_between_rays", view, tiles, depth, None, none))
+            tallies.append(self.launches("fill_between_rays", view, tiles, depth, None, none, chosen))
         self.context.finish()
         restore_interrupts()
         self._warm.add(key)

@@ -155,7 +155,8 @@ class PictureParts(_Picture):
     def expected_costs(self, stage: int) -> np.ndarray:
         """As in the protocol: the visible cells that lie before the tiles."""
         this, caster = self._stages[stage], self._caster
-        to_edges = caster.effects.space.matrix
+        grid = caster.resolved.volume.grid
+        to_edges = np.diag(np.asarray(grid.spacing) / grid.smallest_edge)
         seen = cells_over_tiles(caster.shown, caster.volume.size, this.frame, to_edges, this.size, caster.tile)
         return seen + max(_OVERHEAD * float(seen.mean()), 1e-3)
 
