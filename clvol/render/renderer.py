@@ -216,7 +216,7 @@ class Renderer:
         else:
             data = group.render(camera, width, height, progress, depth)
         times = {"compile": compile_seconds, "render": perf_counter() - start}
-        names = [member.context.name for member in group.alive]
+        names = [member.context.name for member in on_devices.members if member.lost is None]
         self._notices.of_devices({m.context.name: m.lost for m in on_devices.members if m.lost is not None}, names)
         return self._frame(names, camera, data.rgba, data.depth, times, _counted(data))
 

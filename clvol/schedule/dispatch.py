@@ -28,6 +28,7 @@ _LEAST_UNCERTAINTY = 0.03
 _CAUTION = 1.6  # the share handed out is 1 / (1 + _CAUTION * uncertainty)
 _STALLED = 5.0  # times the expected time after which a package is issued again,
 _PATIENCE = 1.0  # plus this many seconds
+_ALIKE = 1.5  # ratio of costs within which tiles count as equally expensive
 _CHEAP = 0.25  # share of a picture's cost kept for the end, in its cheapest tiles, which fill packages up
 _REMEMBERED = 15  # packages whose costs correct those of others
 _REACH = 256.0  # tiles over which a measured cost says something about others
@@ -122,6 +123,8 @@ class Dispatcher:
             return None
         if not len(self._waiting):
             return self._again(device, now)
+        if sum(each.lost is None for each in self.shares) == 1:
+            return self._handed(device, np.sort(self._take(self._waiting)), now)
         rest = float(self._costs[self._waiting].sum())
         ideal = share.speed * (self._common_end(now, rest) - self._free_at(device, now) - share.launch)
         part = ideal / (1 + _CAUTION * self._doubt)
@@ -130,8 +133,11 @@ class Dispatcher:
         tiles = self._fitting(wanted, least)
         if self._others_are_better(device, now, float(self._costs[tiles].sum()), rest):
             return None
+        return self._handed(device, np.sort(self._take(tiles)), now)
+
+    def _take(self, tiles: np.ndarray) -> np.ndarray:
         self._waiting = self._waiting[~np.isin(self._waiting, tiles)]
-        return self._handed(device, np.sort(tiles), now)
+        return tiles
 
     def _fitting(self, wanted: float, least: float) -> np.ndarray:
         """Waiting tiles that cost about ``wanted``: the next ones, filled up by cheap ones from the end, so that a
@@ -295,8 +301,9 @@ class Dispatcher:
 
 def _order(costs: np.ndarray) -> np.ndarray:
     """Tiles in the order in which they are handed out: the expensive ones by place, then the cheap ones, which are
-    _CHEAP of all costs, the cheapest last."""
-    falling = np.argsort(-costs, kind="stable")
+    _CHEAP of all costs, the cheapest last. Costs are compared roughly: the last ones would otherwise be those whose
+    costs were underestimated most."""
+    falling = np.argsort(-np.floor(np.log(costs) / math.log(_ALIKE)), kind="stable")
     sums = np.cumsum(costs[falling])
     expensive = int(np.searchsorted(sums, (1 - _CHEAP) * sums[-1]))
     return np.concatenate([np.sort(falling[:expensive]), falling[expensive:]])
