@@ -4,24 +4,31 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
+
+import numpy as np
 
 from clvol.device.environment_file import load_radiance
 from clvol.features.analysis import effects, reduced
+from clvol.features.compression import explained
 from clvol.features.scene_warnings import camera_warning, scene_warnings
 from clvol.integrators.registry import check_scene, integrator_of
 from clvol.opencl.context import compile_options
 from clvol.opencl.kernels_path import kernel_folder
+from clvol.scene.compression import NOT_COMPRESSED
 from clvol.scene.environment import Environment
 from clvol.scene.resolve import ResolvedScene
+from clvol.volume.volume import Volume
 
 
 def explain(resolved: ResolvedScene) -> dict[str, Any]:
     """The output of ``clvol explain --json``.
 
-    "effects" lists every effect with the reason why it is used or not, "kernel_hash" identifies the compiled kernel,
-    and "warnings" lists settings that are valid but hardly intended. Raises SceneError for a scene that a Renderer
-    would refuse, for example because its environment cannot be read.
+    "effects" lists every effect with the reason why it is used or not, "compression" says what becomes of the voxels
+    (None: nothing), "kernel_hash" identifies the compiled kernel, and "warnings" lists settings that are valid but
+    hardly intended. Raises SceneError for a scene that a Renderer would refuse, for example because its environment
+    cannot be read.
     """
     check_scene(resolved)
     _read_environment(reduced(resolved).environment)
@@ -33,6 +40,7 @@ def explain(resolved: ResolvedScene) -> dict[str, Any]:
     warnings += [] if about_camera is None else [about_camera]
     return {
         "effects": listed,
+        "compression": explained(resolved),
         "kernel_hash": kernel_hash(resolved),
         "warnings": [str(warning) for warning in warnings],
     }
@@ -51,8 +59,9 @@ def kernel_hash(resolved: ResolvedScene, lanes: int = 16) -> str:
     """A hash of everything that is compiled for this scene: sources and switches.
 
     The device is assumed to have room for all precomputed data, and the voxels to be those that are rendered, after
-    any prefilter. ``lanes``: rays per work-item, 16 on CPUs.
+    any prefilter; decoded ones to have the range of the original ones. ``lanes``: rays per work-item, 16 on CPUs.
     """
+    resolved = _as_decoded(resolved)
     digest = hashlib.sha256()
     programs = scene_programs(resolved, lanes)
     for file, switches in programs.items():
@@ -63,6 +72,14 @@ def kernel_hash(resolved: ResolvedScene, lanes: int = 16) -> str:
         for path in sorted(kernel_folder().glob(pattern)):
             digest.update(path.read_bytes())
     return digest.hexdigest()[:16]
+
+
+def _as_decoded(resolved: ResolvedScene) -> ResolvedScene:
+    """``resolved`` with voxels of the type that decoded ones have."""
+    volume, is_compressed = resolved.volume, resolved.compression.codec != "none"
+    if is_compressed and volume.dtype == np.float64:
+        volume = Volume(volume.data.astype(np.float32), volume.grid.spacing, volume.grid.origin, volume.grid.direction)
+    return replace(resolved, volume=volume, compression=NOT_COMPRESSED) if is_compressed else resolved
 
 
 def scene_programs(resolved: ResolvedScene, lanes: int = 16) -> Mapping[str, Mapping[str, int]]:

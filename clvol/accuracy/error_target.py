@@ -89,6 +89,8 @@ def _exact(search: PictureSearch, max_error: float, attempt: int) -> Frame:
         what = f"the exact integral missed its tolerance ({worst:.3g} in the worst ray)"
         raise RenderError("max_error", what, f"at least {bound:.3g}")
     settings = {"integration.method": "reference", "integration.tolerance": tolerance}
+    if search.resolved.compression.codec != "none":  # the original voxels were integrated
+        settings["compression.codec"] = "none"
     resolved = search.resolved_as(settings)
     accuracy = {
         "max_error": max_error, "rmse": bound, "bound": bound, "confidence": 1.0,

@@ -18,6 +18,7 @@ from clvol.errors import VolumeError
 from clvol.integrators.base import FrameData
 from clvol.integrators.reference.integrator import has_exact_integral
 from clvol.integrators.reference.picture import render_reference
+from clvol.scene.compression import NOT_COMPRESSED
 from clvol.scene.resolve import LARGEST_STEP_COUNT, ResolvedScene
 
 if TYPE_CHECKING:
@@ -112,6 +113,7 @@ class GroundTruth:
         fine = replace(
             scene,
             integration=scene.integration.model_copy(update=settings),
+            compression=NOT_COMPRESSED,
             image=scene.image.model_copy(update={"ray_spacing": 1}),
             gradient=scene.gradient.model_copy(update={"storage": "on-the-fly"}),
         )

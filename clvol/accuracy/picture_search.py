@@ -218,13 +218,16 @@ class PictureSearch:
             "compile": pilot.compile_seconds + trial.compile_seconds, "render": trial.seconds,
         }  # fmt: skip
         counted = {"samples": trial.samples, "rays": trial.rays, "accuracy": accuracy}
-        counted |= self.warnings(trial.picture, trial.depth)
         resolved = self.resolved_as(trial.settings)
+        compression = self.engines.compression(resolved)
+        counted |= compression | self.warnings(trial.picture, trial.depth, compression.get("compression"))
         return make_frame(resolved, trial.picture, trial.depth, seconds, counted, [self.context.name])
 
-    def warnings(self, rgba: np.ndarray, depth: np.ndarray | None) -> dict[str, Any]:
-        """The entries that a picture's warnings add to its stats."""
-        return Notices(self.requested).of_picture(self.requested, self.requested.camera, rgba, depth)
+    def warnings(
+        self, rgba: np.ndarray, depth: np.ndarray | None, compression: dict[str, Any] | None = None
+    ) -> dict[str, Any]:
+        """The entries that a picture's warnings add to its stats, of which ``compression`` is one."""
+        return Notices(self.requested).of_picture(self.requested, self.requested.camera, rgba, depth, compression)
 
     def _counting(self, settings: dict[str, Any]) -> dict[str, Any]:
         """``settings`` without those that have no effect in combination with the others."""

@@ -14,6 +14,7 @@ from typing import Any
 from clvol.integrators.multiresolution.residency import block_source
 from clvol.integrators.multiresolution.sample_allocator import overhead_bytes, sample_dtype
 from clvol.integrators.pyramid.oracles import names, oracle_named
+from clvol.scene.compression import Compression
 from clvol.scene.image import ImageSettings
 from clvol.scene.integration import Integration
 from clvol.scene.multiresolution import Multiresolution
@@ -23,7 +24,7 @@ from clvol.scene.sizes import parse_size
 from clvol.scene.table import Table
 
 TABLES: dict[str, type[Table]] = {
-    table.table_name(): table for table in (Integration, ImageSettings, Multiresolution, Pyramid)
+    table.table_name(): table for table in (Integration, ImageSettings, Compression, Multiresolution, Pyramid)
 }
 _STEPS = tuple(2.0 ** (k / 2) for k in range(6, -11, -1))  # 8 ... 1/32
 _SHARES = 5  # number of halvings of the volume's size that are tried as budgets
@@ -114,6 +115,21 @@ def _tile_shares(resolved: ResolvedScene) -> tuple[float, ...]:
     return tuple(s for s in (0.3, 0.5, 0.7, 0.9, 1.0) if s >= resolved.multiresolution.tile_low)
 
 
+def _codecs(resolved: ResolvedScene) -> tuple[str, ...]:
+    """Voxels as they are, too, where the scene has them encoded. A scene without compression stays without."""
+    codec = resolved.compression.codec
+    return (codec,) if codec == "none" else (codec, "none")
+
+
+def _targets(key: str, values: tuple[float, ...]) -> Callable[[Any], tuple]:
+    """The values of a target, where it is the one that the scene states; otherwise nothing to choose from."""
+    return lambda resolved: values if key in resolved.compression.stated else (None,)
+
+
+def _is_compressed(scene: Any) -> bool:
+    return scene.compression.codec != "none"
+
+
 def _oracles(resolved: ResolvedScene) -> tuple[str, ...]:
     return names()  # read at each call, because a caller may have registered an oracle
 
@@ -139,6 +155,19 @@ TUNABLES: dict[str, Tunable] = {
     "image.ray_tolerance": Tunable(
         "ray tolerance", "linear light", (0.3, 0.1, 0.03, 0.01, 0.003), of_picture=True,
         methods=_RAYCAST, applies=lambda scene: scene.image.ray_spacing > 1,
+    ),
+    "compression.codec": Tunable("codec", "", _codecs, is_ladder=False),
+    "compression.max_voxel_error": Tunable(
+        "largest voxel error", "of the range", _targets("max_voxel_error", (0.08, 0.04, 0.02, 0.01, 0.005, 0.0025)),
+        saves_memory=True, applies=_is_compressed,
+    ),
+    "compression.psnr": Tunable(
+        "PSNR of voxels", "dB", _targets("psnr", (34.0, 38.0, 42.0, 46.0, 50.0, 54.0)), saves_memory=True,
+        applies=_is_compressed,
+    ),
+    "compression.bits_per_voxel": Tunable(
+        "bits per voxel", "", _targets("bits_per_voxel", (0.25, 0.5, 1.0, 2.0, 4.0)), saves_memory=True,
+        applies=_is_compressed,
     ),
     "multiresolution.memory": Tunable(
         "memory", "", _budgets, saves_memory=True, methods=_BLOCKS, order=parse_size,
@@ -175,6 +204,9 @@ NOT_TUNABLE: dict[str, str] = {
     "image.background": "another picture: what is behind the volume",
     "image.width": "another picture",
     "image.height": "another picture",
+    "compression.decode": "the same picture",
+    "compression.memory": "the same picture",
+    "compression.seed": "another picture, not a better one",
     "multiresolution.view_weighting": "which errors matter for the view; it costs nothing",
     "multiresolution.occlusion": "which errors matter for the view; it costs nothing",
     "multiresolution.tile_priority": "where rays go, not how many",

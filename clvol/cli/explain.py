@@ -33,6 +33,9 @@ def command(
         (f"{'yes' if effect['called_for'] else 'no':<3}  {effect['name']}", effect["reason"])
         for effect in explanation["effects"]
     )
+    compression = explanation["compression"]
+    if compression is not None:
+        say(f"compression {compression['codec']}: {compression['does']}. {compression['costs'].capitalize()}.")
     say(f"kernel {explanation['kernel_hash']}")
     for warning in explanation["warnings"]:
         say(f"warning: {warning}")

@@ -37,6 +37,9 @@ def command(
     store = _store_facts(loaded)
     if store:
         facts["store"] = store
+    asked = scene.compression
+    if asked.codec != "none":
+        facts["compression"] = {"codec": asked.codec, **asked.target.to_json(), "decode": asked.decode}
     if as_json:
         say_json(facts)
         return
@@ -59,10 +62,19 @@ def command(
         ("infinite voxels", str(loaded.inf_count)),
         ("blocks", _blocks(store) if store else ""),
         ("codec", ", ".join(dict.fromkeys(store["codecs"])) if store else ""),
+        ("compression", _asked(facts.get("compression"))),
         ("on disk", format_size(store["bytes_on_disk"]) if store else ""),
         ("memory", f"{needed} on the device, {by}picture and tables included"),
     ]
     say_table(row for row in rows if row[1])
+
+
+def _asked(compression: dict | None) -> str:
+    """What a scene requests of a codec, in words."""
+    if compression is None:
+        return ""
+    stated = [f"{key} {value:g}" for key, value in compression.items() if key not in ("codec", "decode")]
+    return ", ".join([compression["codec"], *stated, f"decode {compression['decode']}"])
 
 
 def _store_facts(volume: Volume) -> dict:

@@ -127,7 +127,9 @@ class PartOfPicture:
 
 class TiledPictureParts(Protocol):
     """A picture on one of the devices that share it. Its tiles can be rendered in any order, stage after stage: a
-    stage begins once the one before is complete on all devices."""
+    stage begins once the one before is complete on all devices. ``notes``: as in ``FrameData``."""
+
+    notes: dict[str, Any]
 
     @property
     def sizes(self) -> list[tuple[int, int]]:
@@ -209,6 +211,7 @@ class Integrator(Protocol):
 
     name: str  # ``integration.method`` of a scene
     reads_blocks: bool  # volumes may be larger than memory: they are read block by block
+    holds_codes: bool  # ``compression.decode`` "resident": gets an ``UndecodedVolume`` and decodes blocks of it itself
     tuned_as: str  # the integrator whose settings are searched for a scene that names this one
 
     def check(self, resolved: ResolvedScene) -> None:

@@ -7,8 +7,10 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 from clvol.errors import SceneError
+from clvol.features.compression import check_compression
 from clvol.features.refuse import check_effects
 from clvol.integrators.base import Integrator
+from clvol.integrators.decoding import check_decoding
 from clvol.scene.resolve import ResolvedScene
 
 if TYPE_CHECKING:
@@ -44,4 +46,6 @@ def check_scene(resolved: ResolvedScene) -> None:
     """SceneError for what the scene calls for and no kernel renders: better no picture than a wrong one."""
     integrator = integrator_of(resolved)
     check_effects(resolved)
+    check_compression(resolved)
+    check_decoding(resolved, integrator)
     integrator.check(resolved)

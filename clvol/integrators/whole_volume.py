@@ -19,6 +19,7 @@ class WholeVolume:
     them, and state what differs."""
 
     reads_blocks = False
+    holds_codes = False
 
     def refines_in_time(self, scene: Scene | ResolvedScene) -> bool:
         return False

@@ -184,7 +184,8 @@ class DeviceGroup:
                 before = sum(counts[:stage])
                 report = lambda done, before=before: progress(before + done, sum(counts))  # noqa: E731
             _Stage(self, parts, stage, tiles, arrays, schedule, start, total).run(report)
-        return FrameData(arrays[-1].rgba, arrays[-1].depth, total.samples, total.rays, total.counters)
+        notes = dict(next(iter(parts.values())).notes)
+        return FrameData(arrays[-1].rgba, arrays[-1].depth, total.samples, total.rays, total.counters, notes=notes)
 
     def costs(self, stage: int, part: TiledPictureParts) -> tuple[np.ndarray, bool]:
         """The expected costs of a stage's tiles, and whether they were measured."""

@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import clvol
 from clvol.errors import ClvolError
+from clvol.features.compression import coded_source
 from clvol.integrators.registry import integrator_of
 from clvol.json_values import plain
+from clvol.scene.compression import NOT_COMPRESSED
 from clvol.volume.digest import file_digest, volume_digest
 
 if TYPE_CHECKING:
@@ -57,7 +59,7 @@ def _told(resolved: ResolvedScene, camera: Camera, frame: int | None) -> dict[st
 def _sources(resolved: ResolvedScene) -> dict[str, Any]:
     """Digests of "voxels", and, where the scene has them, "fields" and "environment"; None for
     data that has disappeared meanwhile, or does not fit into memory."""
-    by_blocks = integrator_of(resolved).reads_blocks
+    by_blocks = integrator_of(resolved).reads_blocks or coded_source(resolved.volume) is not None
     found: dict[str, Any] = {"voxels": None, "fields": None, "environment": None}
     try:
         found["voxels"] = volume_digest(resolved.volume, by_blocks)
@@ -73,6 +75,8 @@ def _look(resolved: ResolvedScene) -> str:
     function = resolved.transfer_function
     numbers = [function.values, function.opacities, function.colors, function.opacity_unit]
     tables = {name: getattr(resolved, name).model_dump(mode="json") for name in _LOOK}
+    if resolved.compression != NOT_COMPRESSED:  # pictures without compression keep the digest of earlier versions
+        tables["compression"] = resolved.compression.model_dump(mode="json")
     return json.dumps(plain([numbers, resolved.background, tables]), sort_keys=True)
 
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from clvol.errors import ClvolWarning
+from clvol.features.compression import compression_warning
 from clvol.features.scene_warnings import camera_warning, scene_warnings
 from clvol.quietly import FILTERS
 from clvol.render.picture_warnings import picture_warning
@@ -27,9 +28,15 @@ class Notices:
         self._of_scene = scene_warnings(resolved)
 
     def of_picture(
-        self, resolved: ResolvedScene, camera: Camera, rgba: np.ndarray, depth: np.ndarray | None
+        self,
+        resolved: ResolvedScene,
+        camera: Camera,
+        rgba: np.ndarray,
+        depth: np.ndarray | None,
+        compression: dict[str, Any] | None = None,
     ) -> dict[str, Any]:
-        """Gives the warnings that have not been given yet, and returns "warnings" for a frame's stats, or nothing."""
+        """Gives the warnings that have not been given yet, and returns "warnings" for a frame's stats, or nothing.
+        ``compression``: the entry of that name in these stats."""
         height, width = rgba.shape[:2]
         found = list(self._of_scene)
         away = camera_warning(camera, resolved.volume.grid, width, height)
@@ -37,6 +44,8 @@ class Notices:
             found.append(away)
         elif not found and (of_picture := picture_warning(resolved, camera, rgba, depth)) is not None:
             found.append(of_picture)
+        if compression is not None and (of_voxels := compression_warning(compression)) is not None:
+            found.append(of_voxels)
         for warning in found:
             self._tell(warning)
         return {"warnings": [str(warning) for warning in found]} if found else {}

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
+from clvol.encoding.coded_volume import CodedVolume
 from clvol.integrators.base import Prepared, Shared
+from clvol.integrators.decoding import codes_of, compression_stats, with_rendered_voxels
 from clvol.integrators.registry import integrator_of
 from clvol.opencl.context import DeviceContext
 from clvol.render.scene_key import scene_key
@@ -36,6 +39,7 @@ class PreparedCache:
         the blocks that are read for it. ``wait`` False: a thread reads them, and frames show those that are there until
         all have arrived; None: as in the last request."""
         integrator = integrator_of(resolved)
+        resolved = with_rendered_voxels(resolved, self._shared, integrator, progress)
         resolved = integrator.simplified(resolved, self._shared)
         key = scene_key(resolved, integrator)
         if key in self._kept:
@@ -47,6 +51,15 @@ class PreparedCache:
             del self._kept[next(iter(self._kept))]
         self._kept[key] = prepared
         return prepared
+
+    def codes(self, resolved: ResolvedScene) -> CodedVolume | None:
+        """The volume of ``resolved`` as codes, which are kept; None for a scene without codes."""
+        return codes_of(resolved, self._shared)
+
+    def compression(self, resolved: ResolvedScene) -> dict[str, Any]:
+        """"compression" for the stats of a frame of ``resolved``; nothing for a scene without codes."""
+        stats = compression_stats(resolved, self._shared, integrator_of(resolved))
+        return {} if stats is None else {"compression": stats}
 
     def _forget(self, dropped: object) -> None:
         """Forgets the scenes that need ``dropped``."""

@@ -218,7 +218,10 @@ class Renderer:
         times = {"compile": compile_seconds, "render": perf_counter() - start}
         names = [member.context.name for member in on_devices.members if member.lost is None]
         self._notices.of_devices({m.context.name: m.lost for m in on_devices.members if m.lost is not None}, names)
-        return self._frame(names, camera, data.rgba, data.depth, times, _counted(data))
+        counted = group.alive[0].cache.compression(self.resolved)
+        for name, value in _counted(data).items():
+            counted[name] = counted["compression"] | value if name == "compression" else value
+        return self._frame(names, camera, data.rgba, data.depth, times, counted)
 
     def set_transfer_function(self, function: TransferFunction, wait: bool = True) -> None:
         """Sets another transfer function for the frames to come; compiles nothing, and keeps the volume.
@@ -258,7 +261,7 @@ class Renderer:
         first = {"load": self._load_seconds, "prepare": self._prepare_seconds}
         self._load_seconds = self._prepare_seconds = 0.0
         seconds = {**first, **seconds}
-        counted |= self._notices.of_picture(self.resolved, camera, rgba, depth)
+        counted |= self._notices.of_picture(self.resolved, camera, rgba, depth, counted.get("compression"))
         made_from = MadeFrom(self.resolved, camera)
         self._provenances.add(made_from)
         return make_frame(self.resolved, rgba, depth, seconds, counted, devices, made_from)

@@ -2,24 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Literal
 
-from pydantic import AfterValidator, BeforeValidator, Field, model_validator
+from pydantic import Field, model_validator
 
 from clvol.scene.sizes import parse_size
-from clvol.scene.table import Number, Table, Whole, wrong
-
-
-def _as_text(value: object) -> object:
-    """Accepts a plain number of bytes, too."""
-    plain = isinstance(value, int) and not isinstance(value, bool)
-    return f"{value} B" if plain else value
-
-
-def _is_size(text: str) -> str:
-    parse_size(text)
-    return text
-
+from clvol.scene.table import Number, Size, Table, Whole, wrong
 
 _TILES = "0 (every pixel has a ray), or a whole number of pixels from 2 to 256"
 _SHARE = "a share of a tile's edge, greater than 0 and at most 1"
@@ -43,7 +31,7 @@ class Multiresolution(Table):
     priority, divided by ``tiles``.
     """
 
-    memory: Annotated[str, BeforeValidator(_as_text), AfterValidator(_is_size)] = Field(
+    memory: Size = Field(
         "96 MiB",
         title="Device memory for samples, their index, staging and the map of empty space.",
         description="a size such as \"96 MiB\"",

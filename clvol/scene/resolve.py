@@ -18,6 +18,7 @@ from clvol.scene.animation import Animation
 from clvol.scene.camera import Camera
 from clvol.scene.clip import Clip
 from clvol.scene.codes import code_of, function_in_codes, in_stored_values
+from clvol.scene.compression import Compression
 from clvol.scene.depth_cue import DepthCue
 from clvol.scene.environment import Environment
 from clvol.scene.field import ResolvedField
@@ -89,6 +90,7 @@ class ResolvedScene:
     animation: Animation = Animation()
     voxel_range: tuple[float, float] | None = None  # where ``volume`` holds codes instead of voxels
     axis: ValueAxis = ValueAxis()
+    compression: Compression = Compression()
 
     @property
     def data_range(self) -> tuple[float, float]:
@@ -104,6 +106,7 @@ class ResolvedScene:
 
 def resolve(scene: Scene, memory_cap: int | None = None) -> ResolvedScene:
     """See ``Scene.resolve``."""
+    _check_no_labels(scene)
     volume = scene.load_volume(memory_cap)
     camera = (scene.camera or Camera()).complete(volume.grid, scene.image, scene.origin)
     _check_step_count(scene, volume.grid)
@@ -156,6 +159,7 @@ def resolve(scene: Scene, memory_cap: int | None = None) -> ResolvedScene:
         noise=scene.noise,
         depth_cue=cue,
         animation=scene.animation,
+        compression=scene.compression,
     )
     return in_stored_values(resolved)
 
@@ -233,6 +237,22 @@ def _with_nan_as(volume: Volume, value: float) -> Volume:
     )
     filled.files = volume.files
     return filled
+
+
+def _check_no_labels(scene: Scene) -> None:
+    """SceneError for a lossy codec of voxels that a field of the scene takes for labels."""
+    codec, volume = scene.compression.codec, scene.volume
+    if codec == "none":
+        return
+    for number, field in enumerate(scene.field):
+        same = field.file is volume
+        if isinstance(volume, VolumeSettings) and isinstance(field.file, str):
+            own = {"channel": volume.channel, "time": volume.time, "series": volume.series}
+            same = field.file == volume.file and field.choices == own
+        if same and field.role == "label":
+            where = f"{scene.origin}: compression.codec"
+            what = f"got {codec!r} for voxels that field.{number} takes for labels, which have to be exact"
+            raise SceneError(where, what, "'none'")
 
 
 def _check_step_count(scene: Scene, grid: Grid) -> None:

@@ -20,6 +20,7 @@ from pydantic import (
 from clvol.scene.animation import Animation
 from clvol.scene.camera import Camera
 from clvol.scene.clip import Clip
+from clvol.scene.compression import Compression
 from clvol.scene.depth_cue import DepthCue
 from clvol.scene.environment import Environment
 from clvol.scene.field import LARGEST_COUNT, FieldSettings
@@ -96,6 +97,8 @@ class Scene(Table):
         Surfaces where the volume has a value.
     clip : sequence of Clip
         Planes, boxes and spheres that cut the volume.
+    compression : Compression
+        The voxels as codes, which take less memory and are not exact.
     multiresolution : Multiresolution
         Settings of the method "multiresolution".
     pyramid : Pyramid
@@ -185,6 +188,11 @@ class Scene(Table):
         (),
         title="Planes, boxes and spheres that cut the volume; what all of them keep is shown.",
         description=_TABLES,
+    )
+    compression: Compression = Field(
+        Compression(),
+        title="The voxels as codes of a vector-quantising codec; by default they stay as they are.",
+        description=_TABLE,
     )
     multiresolution: Multiresolution = Field(
         Multiresolution(),

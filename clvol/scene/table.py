@@ -14,10 +14,11 @@ from inspect import Parameter, Signature
 from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 import numpy as np
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 from pydantic_core import PydanticCustomError
 
 from clvol.errors import SceneError
+from clvol.scene.sizes import parse_size
 
 _KINDS: dict[type, str] = {dict: "table", list: "list"}
 _LONGEST_KEY = 100  # longer keys get no "did you mean"
@@ -216,3 +217,17 @@ Length = Annotated[Number, Field(gt=0, le=LARGEST_LENGTH)]
 Vector = Annotated[tuple[Coordinate, Coordinate, Coordinate], BeforeValidator(_plain_list)]
 Color = Annotated[tuple[Fraction, Fraction, Fraction], BeforeValidator(_plain_list)]
 AsTuple = BeforeValidator(_plain_list)
+
+
+def _as_size(value: object) -> object:
+    """Accepts a plain number of bytes, too."""
+    plain = isinstance(value, int) and not isinstance(value, bool)
+    return f"{value} B" if plain else value
+
+
+def _is_size(text: str) -> str:
+    parse_size(text)
+    return text
+
+
+Size = Annotated[str, BeforeValidator(_as_size), AfterValidator(_is_size)]

@@ -38,6 +38,7 @@ class Multiresolution:
 
     name = "multiresolution"
     reads_blocks = True
+    holds_codes = False
     tuned_as = "multiresolution"
 
     def check(self, resolved: ResolvedScene) -> None:

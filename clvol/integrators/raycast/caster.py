@@ -55,6 +55,7 @@ from clvol.transfer.pieces import (
 
 SECONDS_A_SAMPLE = 1e-8  # a first guess, used to divide a frame into launches
 _BAND_SECONDS = 0.5
+_KEPT = 6  # volumes; a search for settings may render many variants of one
 _COARSE_ARGUMENTS = (
     reads("coarse", np.float32, "columns", "rows", 4),
     reads("coarse_depths", np.float32),
@@ -65,7 +66,7 @@ Caster = TypeVar("Caster", bound="Raycaster")
 
 def device_volume(shared: Shared, resolved: ResolvedScene) -> DeviceVolume:
     """The scene's volume on the device, shared by all scenes of that volume."""
-    return shared.keep("volume", resolved.volume, lambda: DeviceVolume(shared.context, resolved.volume))
+    return shared.keep("volume", resolved.volume, lambda: DeviceVolume(shared.context, resolved.volume), _KEPT)
 
 
 class Raycaster:
@@ -284,8 +285,8 @@ class Raycaster:
         return WholePicture(self, camera, width, height, depth, lattice).render(progress)
 
     def parts(self, camera: Camera, width: int, height: int, depth: bool = True) -> PictureParts | None:
-        """As ``RendersParts.parts``; None for a march whose pixels depend on each other."""
-        if self._shows_nothing or self.march.renders_all_pixels:
+        """As ``RendersParts.parts``; None where nothing can be seen."""
+        if self._shows_nothing:
             return None
         self.march.begin(self, camera, width, height)
         return PictureParts(self, camera, width, height, depth, EVERY_PIXEL)
@@ -300,7 +301,7 @@ class Raycaster:
 
     def warm_up_parts(self, width: int, height: int, depth: bool = True) -> None:
         """As ``RendersParts.warm_up_parts``."""
-        self._warm_up(width, height, depth, None if self.march.renders_all_pixels else np.zeros(1, np.int64))
+        self._warm_up(width, height, depth, np.zeros(1, np.int64))
 
     def _warm_up(self, width: int, height: int, depth: bool, chosen: np.ndarray | None) -> None:
         """``chosen``: the tiles of a picture without pixels that are launched; None: all."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -46,6 +46,7 @@ class _Picture:
         self, caster: Raycaster, camera: Camera, width: int, height: int, depth: bool, lattice: PixelLattice
     ) -> None:
         self._caster, self._context, self._depth = caster, caster.context, depth
+        self.notes: dict[str, Any] = {}
         spacing = caster.resolved.image.ray_spacing
         picture = (width, height)
         if spacing == 1 or lattice != EVERY_PIXEL:

@@ -1,0 +1,77 @@
+"""Compression of a scene's volume: what it applies to, and what it does, in words."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from clvol.errors import ClvolWarning, SceneError
+from clvol.scene.resolve import ResolvedScene
+from clvol.volume.volume import Volume
+
+_LARGE = 0.1  # of the range: a voxel that is wrong by so much may well be seen as something else
+
+
+def coded_source(volume: Volume) -> Any | None:
+    """The store of codes that ``volume`` is; None for any other volume."""
+    source = getattr(volume, "blocks_source", None)
+    return source if getattr(source, "codebooks", None) is not None else None
+
+
+def is_compressed(resolved: ResolvedScene) -> bool:
+    """Whether the voxels come from codes: those of a store, or those that the scene has made."""
+    return resolved.compression.codec != "none" or coded_source(resolved.volume) is not None
+
+
+def check_compression(resolved: ResolvedScene) -> None:
+    """SceneError for a lossy codec of voxels that are known to be labels, or codes already."""
+    codec, where = resolved.compression.codec, f"{resolved.origin}: compression.codec"
+    if codec == "none":
+        return
+    if resolved.volume.labels:
+        raise SceneError(where, f"got {codec!r} for a volume of labels, which have to be exact", "'none'")
+    if coded_source(resolved.volume) is not None:
+        raise SceneError(where, f"got {codec!r} for a store of codes", "'none', since its own codes are decoded")
+
+
+def compression_warning(stats: Mapping[str, Any]) -> ClvolWarning | None:
+    """The warning about decoded voxels with a large error. ``stats``: the entry "compression" of a frame's stats."""
+    error, codec = stats["max_voxel_error"], stats["codec"]
+    if error is None or error < _LARGE:
+        return None
+    what = f"shows voxels that differ from the original ones by up to {100 * error:.2g} % of the range (codec {codec!r}"
+    psnr = "" if stats["psnr"] is None else f", {stats['psnr']:.1f} dB"
+    advice = "set compression.max_voxel_error, with the codec 'rvq', or compression.codec = 'none'"
+    return ClvolWarning("compression", f"the picture {what}{psnr})", advice)
+
+
+def explained(resolved: ResolvedScene) -> dict[str, Any] | None:
+    """What compression does to the scene, and what it costs: "codec", "target", "decode", "does" and "costs", the last
+    two in words. None for a scene without compression."""
+    if not is_compressed(resolved):
+        return None
+    settings, source = resolved.compression, coded_source(resolved.volume)
+    decode = "upload" if settings.decode == "auto" else settings.decode
+    target = settings.target.to_json()
+    if source is not None:
+        codec, what = source.codebooks.codec, "the store holds codes, which are read instead of voxels"
+        cost = "no voxel is encoded"
+    else:
+        codec, what = settings.codec, f"voxels are replaced by those that codes stand for, {_kept_to(target)}"
+        cost = "encoding takes time once for a volume and these settings, however many pictures follow"
+    if decode == "upload":
+        what += "; all are decoded when they come to the device"
+        cost += "; a frame takes the time and the device's memory of decoded voxels"
+    else:
+        what += "; codes stay on the device, and the blocks that a frame needs are decoded for it"
+        cost += "; the device holds codes and a pool of decoded blocks"
+    return {"codec": codec, "target": target, "decode": decode, "does": what, "costs": cost}
+
+
+def _kept_to(target: Mapping[str, float]) -> str:
+    words = {
+        "max_voxel_error": "each within {:g} of the range of values",
+        "psnr": "with a signal-to-noise ratio of at least {:g} dB",
+        "bits_per_voxel": "in at most {:g} bits per voxel",
+    }
+    return next((words[key].format(value) for key, value in target.items()), "as exact as the codec is by itself")

@@ -1,0 +1,147 @@
+"""Compressed volumes on their way to an integrator: encoded once for a scene's settings, and decoded as it says."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Hashable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from clvol.device.code_decoder import CodeDecoder
+from clvol.encoding.coded_volume import (
+    CodedVolume,
+    Decode,
+    DecodedVolume,
+    UndecodedVolume,
+    decode_on_host,
+    encoded_volume,
+    measured_codes,
+    stats_of,
+    stored_codes,
+)
+from clvol.encoding.trainer import CodeTrainer
+from clvol.errors import SceneError
+from clvol.features.compression import coded_source, is_compressed
+from clvol.integrators.base import Integrator, Progress, Shared
+from clvol.opencl.context import DeviceContext
+from clvol.scene.compression import NOT_COMPRESSED, Compression
+from clvol.scene.resolve import ResolvedScene
+from clvol.store.codecs.coded_blocks import Codebooks, CodedBlocks
+from clvol.store.codecs.encoding import Trainer
+from clvol.store.geometry import BlockGrid
+from clvol.volume.voxel_layout import device_bytes
+
+_KEPT_CODES, _KEPT_VOXELS = 12, 3  # volumes
+
+
+def check_decoding(resolved: ResolvedScene, integrator: Integrator) -> None:
+    """SceneError for codes that are to stay on the device, with an integrator that needs all voxels."""
+    if is_compressed(resolved) and resolved.compression.decode == "resident" and not integrator.holds_codes:
+        where = f"{resolved.origin}: compression.decode"
+        raise SceneError(where, f"got 'resident' with the method {integrator.name!r}", "'upload' or 'auto'")
+
+
+def codes_of(
+    resolved: ResolvedScene, shared: Shared, progress: Progress | None = None, *, decode: bool = True
+) -> CodedVolume | None:
+    """The scene's volume as codes, made (or read, from a store of codes) once; None for a scene without compression.
+
+    Codes are kept by what they depend on: the volume, the codec, its target and the seed. ``decode``: whether the
+    decoded voxels, which are needed once to measure their error, are kept, too.
+    """
+    if not is_compressed(resolved):
+        return None
+    compression, volume = resolved.compression, resolved.volume
+    key: Hashable = volume, compression.codec, compression.target, compression.seed
+    if coded_source(volume) is not None:
+        return shared.keep("codes", volume, lambda: stored_codes(volume), _KEPT_CODES)
+    return shared.keep("codes", key, lambda: _encoded(resolved, shared, progress, decode), _KEPT_CODES)
+
+
+def decoded_voxels(codes: CodedVolume, shared: Shared) -> DecodedVolume:
+    """All voxels of ``codes``, decoded once on the device of ``shared``."""
+    return shared.keep("decoded voxels", codes, lambda: _decoded(codes, shared.context), _KEPT_VOXELS)
+
+
+def way_of_decoding(resolved: ResolvedScene, context: DeviceContext, integrator: Integrator) -> str:
+    """"upload" or "resident": what the scene says, or, where it leaves that open, "resident" if the integrator holds
+    codes and the decoded voxels fit neither into ``compression.memory`` nor, if that is left out, on the device."""
+    way, allowed = resolved.compression.decode, resolved.compression.memory_bytes
+    if way != "auto":
+        return way
+    if allowed is None:
+        allowed = min(int(context.device.max_mem_alloc_size), int(context.device.global_mem_size))
+    return "resident" if integrator.holds_codes and device_bytes(resolved.volume) > allowed else "upload"
+
+
+def with_rendered_voxels(
+    resolved: ResolvedScene, shared: Shared, integrator: Integrator, progress: Progress | None = None
+) -> ResolvedScene:
+    """``resolved`` with decoded voxels in place of a compressed volume: from here on they are the volume, so that empty
+    space, statistics, gradients and surfaces are theirs. An integrator that decodes blocks itself gets an
+    ``UndecodedVolume``; one that reads blocks reads those of a store of codes.
+
+    ``resolved`` itself where there is nothing to decode.
+    """
+    if not is_compressed(resolved) or (integrator.reads_blocks and coded_source(resolved.volume) is not None):
+        is_default = resolved.compression == NOT_COMPRESSED
+        return resolved if is_default else replace(resolved, compression=NOT_COMPRESSED)
+    is_resident = way_of_decoding(resolved, shared.context, integrator) == "resident"
+    codes = codes_of(resolved, shared, progress, decode=not is_resident)
+    assert codes is not None
+    if is_resident:
+        volume = shared.keep("undecoded voxels", codes, lambda: UndecodedVolume(codes), _KEPT_CODES)
+        memory = Compression(decode="resident", memory=resolved.compression.memory)
+        return replace(resolved, volume=volume, compression=memory)
+    return replace(resolved, volume=decoded_voxels(codes, shared), compression=NOT_COMPRESSED)
+
+
+def compression_stats(resolved: ResolvedScene, shared: Shared, integrator: Integrator) -> dict[str, Any] | None:
+    """The entry "compression" of a frame's stats; None for a scene without compression. An integrator that decodes
+    blocks itself says in its own notes how many voxels it decoded, and the bytes of these."""
+    source = coded_source(resolved.volume)
+    if source is not None and integrator.reads_blocks:
+        return None
+    codes = codes_of(resolved, shared)
+    if codes is None:
+        return None
+    if way_of_decoding(resolved, shared.context, integrator) == "resident":
+        return stats_of(codes, codes.nbytes, 0)
+    return stats_of(codes, device_bytes(codes), math.prod(codes.grid.shape))
+
+
+def _encoded(resolved: ResolvedScene, shared: Shared, progress: Progress | None, decode: bool) -> CodedVolume:
+    """The scene's volume as codes, with their error over all voxels. ``decode``: all are decoded at once, and kept."""
+    volume, context = resolved.volume, shared.context
+    codes = encoded_volume(volume, resolved.compression, trainer(context), progress)
+    if not decode:
+        return measured_codes(codes, volume, codes.layers(decode_on(context)))
+    decoded = _decoded(codes, context)
+    decoded.codes = codes = measured_codes(codes, volume, decoded.layers())
+    return shared.keep("decoded voxels", codes, lambda: decoded, _KEPT_VOXELS).codes
+
+
+def trainer(context: DeviceContext) -> Trainer:
+    """Makes encoders whose search runs on the device."""
+    return CodeTrainer(context)
+
+
+def _decoded(codes: CodedVolume, context: DeviceContext) -> DecodedVolume:
+    return DecodedVolume(decode_on(context)(codes.coded, codes.blocks, codes.codebooks), codes)
+
+
+def decode_on(context: DeviceContext) -> Decode:
+    """Decodes blocks on the device, or on the host where they exceed what one buffer of the device may hold."""
+
+    def decode(coded: CodedBlocks, blocks: BlockGrid, codebooks: Codebooks) -> np.ndarray:
+        dtype = codebooks.values.dtype
+        if math.prod(blocks.shape) * dtype.itemsize > int(context.device.max_mem_alloc_size):
+            return decode_on_host(coded, blocks, codebooks)
+        voxels = context.output(dtype, blocks.shape)
+        corners = blocks.places(np.arange(blocks.count)) * blocks.edge
+        CodeDecoder(context, codebooks).decode_volume(coded, blocks.edge, voxels, corners)
+        return context.take(voxels)
+
+    return decode

@@ -1,0 +1,215 @@
+"""Scenes with [compression]: pictures of codes are those of the decoded voxels as an ordinary volume, bit for bit."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pytest
+from helpers.coarse_codes import CoarseTrainer
+from helpers.small_scenes import SMOOTH, waves
+
+from clvol import Compression, Renderer, Scene, TransferFunction, Volume
+from clvol.errors import SceneError, VolumeError
+from clvol.explanation import explain, kernel_hash
+from clvol.integrators import decoding
+from clvol.integrators.registry import check_scene
+from clvol.store.codecs.decode import decode_blocks
+
+VOLUME = waves((21, 34, 27), np.uint8)
+LIT = {"light": [{"type": "headlight"}], "isosurface": [{"value": 100.0, "opacity": 0.5}]}
+SHADOWED = {
+    "light": [{"type": "directional", "direction": [-1.0, -1.0, -1.0]}],
+    "shadow": {"method": "volume", "resolution": 8},
+    "gradient_opacity": {"points": [{"magnitude": 0.0, "opacity": 0.2}, {"magnitude": 60.0, "opacity": 1.0}]},
+    "noise": [{"target": "value", "amplitude": 9.0}],
+}
+METHODS = {
+    "raycast": {},
+    "raycast, lit": LIT,
+    "raycast, shadowed": SHADOWED,
+    "raycast, cubic": {"integration": {"filter": "cubic", "prefilter": True}},
+    "raycast, nearest": {"integration": {"filter": "nearest", "classification": "pre"}},
+    "raycast, cells": {"integration": {"quadrature": "cells"}},
+    "raycast, fewer bits": {"integration": {"voxel_precision": "uint8"}},
+    "raycast, maximum": {"integration": {"compositing": "maximum"}},
+    "raycast, sparse": {"image": {"width": 30, "height": 26, "ray_spacing": 4}},
+    "multiresolution": {"integration": {"method": "multiresolution"}, "multiresolution": {"memory": "70 KiB"}},
+    "tiles": {"integration": {"method": "multiresolution"}, "multiresolution": {"memory": "70 KiB", "tiles": 8}},
+    "slices of blocks": {
+        "integration": {"method": "multiresolution"}, "multiresolution": {"memory": "90 KiB", "stepping": "pyramid"}
+    },
+    "pyramid": {"integration": {"method": "pyramid"}},
+    "reference": {"integration": {"method": "reference"}},
+}  # fmt: skip
+
+
+@pytest.fixture
+def trained(monkeypatch) -> list[tuple]:
+    """What is trained from now on, by an encoder that makes large errors."""
+    trainer = CoarseTrainer()
+    monkeypatch.setattr(decoding, "trainer", lambda context: trainer)
+    return trainer.trained
+
+
+def scene_of(volume, compression: dict, **tables) -> Scene:
+    volume = volume if isinstance(volume, Volume) else Volume(volume)
+    tables = {"image": {"width": 30, "height": 26}, "transfer_function": SMOOTH, **tables}
+    return Scene(volume=volume, compression=compression, **tables)
+
+
+def decoded_by_numpy(renderer: Renderer) -> np.ndarray:
+    """The voxels of the codes that ``renderer`` has made, block by block."""
+    codes = renderer._on_device.cache.codes(renderer.resolved)
+    edge, voxels = codes.blocks.edge, np.empty(codes.grid.shape, codes.dtype)
+    samples = decode_blocks(codes.coded, edge, codes.codebooks)
+    for block, place in zip(samples, codes.blocks.places(np.arange(codes.blocks.count))):
+        part = voxels[tuple(slice(edge * p, edge * (p + 1)) for p in place)]
+        part[...] = block[tuple(slice(n) for n in part.shape)]
+    return voxels
+
+
+def check_is_picture_of_decoded(scene: Scene, device) -> np.ndarray:
+    """Renders ``scene`` and its decoded voxels, and returns these."""
+    with Renderer(scene, [device]) as renderer:
+        frame, voxels = renderer.render(), decoded_by_numpy(renderer)
+    plain = scene.model_copy(update={"volume": Volume(voxels), "compression": Compression()})
+    with Renderer(plain, [device]) as renderer:
+        other = renderer.render()
+    np.testing.assert_array_equal(frame.rgba, other.rgba)
+    np.testing.assert_array_equal(frame.depth, other.depth)
+    for name in ("samples", "rays", "counters", "blocks", "tiles", "effects"):
+        assert frame.stats.get(name) == other.stats.get(name), name
+    assert "compression" not in other.stats
+    stats = frame.stats["compression"]
+    assert stats["decoded_voxels"] == voxels.size
+    assert stats["codec"] == "rvq" and stats["device_bytes"] >= voxels.nbytes
+    return voxels
+
+
+@pytest.mark.every_case
+@pytest.mark.filterwarnings("ignore:compression")
+@pytest.mark.parametrize("method", METHODS)
+def test_every_integrator_shows_the_decoded_volume(method, device, trained):
+    volume = waves((21, 34, 27), np.uint16) if "bits" in method else VOLUME
+    voxels = check_is_picture_of_decoded(scene_of(volume, {"codec": "rvq"}, **METHODS[method]), device)
+    assert (voxels != volume).mean() > 0.2 and len(trained) == 1
+
+
+@pytest.mark.filterwarnings("ignore:compression")
+def test_every_device_shows_the_decoded_volume(each_device, trained):
+    check_is_picture_of_decoded(scene_of(VOLUME, {"codec": "rvq"}), each_device)
+
+
+def _with_holes(array: np.ndarray) -> np.ndarray:
+    array = array.copy()
+    array[3:5, 7, 9], array[-1, -1, -1] = np.nan, np.inf
+    return array
+
+
+RANDOM = np.random.default_rng(5)
+HARD = {
+    "one voxel": np.full((1, 1, 1), 7, np.uint8),
+    "a slab": waves((1, 20, 17), np.uint8),
+    "a line": waves((1, 1, 40), np.int16),
+    "odd sizes": waves((33, 17, 31), np.uint16, high=60000.0),
+    "constant": np.full((18, 9, 20), 100.0, np.float32),
+    "no number": np.full((18, 9, 20), np.nan, np.float32),
+    "holes": _with_holes(waves((20, 21, 22))),
+    "signed bytes": waves((17, 18, 19), np.int8, -100, 100),
+    "signed": waves((17, 18, 19), np.int16, -30000, 30000),
+    "double": waves((17, 18, 19), np.float64),
+    "huge": waves((17, 18, 19), np.float32, -1e30, 1e30),
+    "noise": RANDOM.integers(0, 256, (20, 19, 18)).astype(np.uint8),
+}
+
+
+@pytest.mark.every_case
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("name", HARD)
+def test_hard_volumes(name, device, trained):
+    array = HARD[name]
+    finite = array[np.isfinite(array)].astype(np.float64)
+    low, high = (finite.min(), finite.max()) if finite.size else (0.0, 1.0)
+    function = TransferFunction([low, high if high > low else low + 1], [0.1, 0.6], [[0.2, 0.3, 0.9], [1, 1, 0.2]], 5.0)
+    scene = scene_of(array, {"codec": "rvq"}, transfer_function=function)
+    voxels = check_is_picture_of_decoded(scene, device)
+    assert voxels.dtype == (np.float32 if array.dtype == np.float64 else array.dtype)
+    broken = ~np.isfinite(array)
+    np.testing.assert_array_equal(voxels[broken], array[broken])
+
+
+def test_the_error_is_measured_over_all_voxels(device, trained):
+    with pytest.warns(Warning, match="differ from the original ones by up to 1[0-9] % of the range"):
+        with Renderer(scene_of(VOLUME, {"codec": "rvq"}), [device]) as renderer:
+            stats, voxels = renderer.render().stats, decoded_by_numpy(renderer)
+    difference = (voxels.astype(float) - VOLUME) / np.ptp(VOLUME)
+    compression = stats["compression"]
+    assert compression["max_voxel_error"] == pytest.approx(np.abs(difference).max())
+    assert compression["psnr"] == pytest.approx(-10 * math.log10(np.mean(difference**2)))
+    assert compression["bits_per_voxel"] > 0
+    assert json.loads(json.dumps(stats["compression"])) == compression
+
+
+def test_exact_codes_have_no_psnr_and_no_warning(device, trained, recwarn):
+    with Renderer(scene_of(np.full((18, 9, 20), 100, np.uint8), {"codec": "rvq"}), [device]) as renderer:
+        stats = renderer.render().stats
+    assert stats["compression"]["psnr"] is None and stats["compression"]["max_voxel_error"] == 0
+    assert not [w for w in recwarn if "compression" in str(w.message)]
+
+
+@pytest.mark.filterwarnings("ignore:compression")
+def test_a_volume_is_encoded_once(device, trained):
+    """Other transfer functions, methods and views share the codes; another target or seed has its own."""
+    scene = scene_of(VOLUME, {"codec": "rvq", "max_voxel_error": 0.02})
+    with Renderer(scene, [device]) as renderer:
+        renderer.render()
+        renderer.set_transfer_function(TransferFunction([0, 255], [0, 0.4], [[1, 0, 0]] * 2, 2.0))
+        renderer.render(time=1.0)
+        cache = renderer._on_device.cache
+        assert len(trained) == 1
+        for key, value in (("method", "pyramid"), ("method", "multiresolution"), ("step", 0.5)):
+            cache.prepare(scene.model_copy(update={"integration": {key: value}}).resolve())
+        assert len(trained) == 1
+        for table in ({"codec": "rvq", "psnr": 40.0}, {"codec": "rvq", "max_voxel_error": 0.02, "seed": 1}):
+            cache.prepare(scene.model_copy(update={"compression": table}).resolve())
+        assert [str(seed) for _, _, seed in trained] == ["0", "0", "1"]
+
+
+def test_a_scene_without_compression_is_as_before(device):
+    """Neither another kernel nor a stage more."""
+    tables = {"image": {"width": 30, "height": 26}, "transfer_function": SMOOTH}
+    plain = Scene(volume=Volume(VOLUME), **tables).resolve()
+    off = scene_of(VOLUME, {"codec": "none", "max_voxel_error": 0.1}).resolve()
+    assert kernel_hash(off) == kernel_hash(plain) and explain(off)["compression"] is None
+    with Renderer(plain, [device]) as one, Renderer(off, [device]) as other:
+        assert one._on_device.prepared.resolved.volume is plain.volume
+        assert other._on_device.prepared.resolved.volume is off.volume
+        frames = one.render(), other.render()
+    np.testing.assert_array_equal(frames[0].rgba, frames[1].rgba)
+    assert "compression" not in frames[1].stats
+
+
+def test_the_kernel_is_that_of_the_decoded_volume():
+    for array in (VOLUME, waves((17, 18, 19), np.float64)):
+        coded = scene_of(array, {"codec": "rvq"}).resolve()
+        array = array.astype(np.float32) if array.dtype == np.float64 else array
+        assert kernel_hash(coded) == kernel_hash(scene_of(array, {}).resolve())
+
+
+def test_explain_says_what_compression_does():
+    said = explain(scene_of(VOLUME, {"codec": "rvq", "max_voxel_error": 0.02}).resolve())["compression"]
+    assert said["codec"] == "rvq" and said["decode"] == "upload" and said["target"] == {"max_voxel_error": 0.02}
+    assert "within 0.02 of the range" in said["does"] and "encoding takes time once" in said["costs"]
+
+
+def test_what_codes_cannot_hold_is_refused(device, trained):
+    with pytest.raises(VolumeError, match="float32.*compression.codec = 'none'"):
+        Renderer(scene_of(waves((9, 9, 9), np.float64, 0, 1e200), {"codec": "rvq"}), [device])
+
+
+def test_codes_do_not_stay_where_an_integrator_needs_all_voxels():
+    scene = scene_of(VOLUME, {"codec": "rvq", "decode": "resident"}, integration={"method": "reference"})
+    with pytest.raises(SceneError, match="compression.decode: got 'resident' with the method 'reference'"):
+        check_scene(scene.resolve())
