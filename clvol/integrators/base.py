@@ -132,6 +132,10 @@ class TiledPictureParts(Protocol):
     notes: dict[str, Any]
 
     @property
+    def tile(self) -> tuple[int, int]:
+        """Width and height in pixels of a tile."""
+
+    @property
     def sizes(self) -> list[tuple[int, int]]:
         """Width and height in pixels of the stages' pictures; that of the last is the picture's."""
 

@@ -66,9 +66,10 @@ class Span:
 
 @dataclass
 class Schedule:
-    """Who rendered what of a frame, over time. ``seconds``: of the whole frame."""
+    """Who rendered what of a frame, over time. ``seconds``: of the whole frame. ``tile``: pixels (width, height)."""
 
     names: list[str]
+    tile: tuple[int, int] = (1, 1)
     seconds: float = 0.0
     spans: list[Span] = field(default_factory=list)
     costs: list[float] = field(default_factory=list)  # by device
@@ -171,6 +172,7 @@ class DeviceGroup:
             return None
         schedule.states = ["working" if m.lost is None else "lost" for m in self.members]
         schedule.costs = [0.0] * len(self.members)
+        schedule.tile = next(iter(parts.values())).tile
         sizes = next(iter(parts.values())).sizes
         arrays = [
             PictureArrays(shared_array((h, w, 4), np.float32), shared_array((h, w), np.float32) if depth else None)
@@ -217,6 +219,7 @@ class DeviceGroup:
             except RenderError as error:
                 self.lose(member, error)
                 continue
+            schedule.tile = width, height
             schedule.states = ["not needed: the picture is made by one device"] * len(self.members)
             schedule.states[number] = "working"
             schedule.costs = [float(k == number) for k in range(len(self.members))]

@@ -19,7 +19,7 @@ from clvol.integrators.registry import check_scene, integrator_of
 from clvol.opencl.context import DeviceContext
 from clvol.opencl.devices import device_name, open_devices
 from clvol.opencl.forks import check_fork, is_forked
-from clvol.render.device_group import DeviceGroup, Member
+from clvol.render.device_group import DeviceGroup, Member, Schedule
 from clvol.render.frame import Frame, make_frame
 from clvol.render.made_from import MadeFrom
 from clvol.render.notices import Notices
@@ -222,6 +222,11 @@ class Renderer:
         for name, value in _counted(data).items():
             counted[name] = counted["compression"] | value if name == "compression" else value
         return self._frame(names, camera, data.rgba, data.depth, times, counted)
+
+    @property
+    def schedule(self) -> Schedule | None:
+        """Who rendered what of the last frame; None before the first, and for a Renderer with one device."""
+        return None if self._on_devices is None else self._on_devices.group.schedule
 
     def set_transfer_function(self, function: TransferFunction, wait: bool = True) -> None:
         """Sets another transfer function for the frames to come; compiles nothing, and keeps the volume.

@@ -146,6 +146,10 @@ class PictureParts(_Picture):
     """A picture that several devices share (``integrators.base.TiledPictureParts``)."""
 
     @property
+    def tile(self) -> tuple[int, int]:
+        return self._caster.tile
+
+    @property
     def sizes(self) -> list[tuple[int, int]]:
         return [stage.size for stage in self._stages]
 
