@@ -48,6 +48,11 @@ class _OnDevices:
         assert prepared is not None
         return prepared
 
+    @property
+    def cache(self) -> PreparedCache:
+        """That of the fastest device."""
+        return self.group.alive[0].cache
+
     def prepare(self, resolved: ResolvedScene, progress: Progress | None = None, wait: bool | None = None) -> None:
         """Makes ``resolved`` the scene that is rendered, on all devices. Devices that fail are left out; the error of
         the last one is raised."""
@@ -109,7 +114,7 @@ class Renderer:
         except BaseException:
             on_devices.close()
             raise
-        self._on_devices: _OnDevices | None = on_devices
+        self._on_device: _OnDevices | None = on_devices
         self._notices = Notices(self.resolved)
         self._load_seconds = loaded - start
         self._prepare_seconds = perf_counter() - loaded - sum(m.context.compile_seconds for m in members)
@@ -128,9 +133,9 @@ class Renderer:
         with self._alone():
             for provenance in list(self._provenances):  # frames that are still in use need not hold the volume
                 provenance()
-            if self._on_devices is not None:
-                self._on_devices.close()
-            self._on_devices = None
+            if self._on_device is not None:
+                self._on_device.close()
+            self._on_device = None
 
     @contextmanager
     def _alone(self) -> Iterator[None]:
@@ -149,9 +154,9 @@ class Renderer:
     def _turn(self) -> Iterator[_OnDevices]:
         """As ``_alone``, for a Renderer that is open."""
         with self._alone():
-            if self._on_devices is None:
+            if self._on_device is None:
                 raise RenderError("Renderer", "is closed", "a Renderer that is open")
-            yield self._on_devices
+            yield self._on_device
 
     def render(
         self,
@@ -218,7 +223,7 @@ class Renderer:
         times = {"compile": compile_seconds, "render": perf_counter() - start}
         names = [member.context.name for member in on_devices.members if member.lost is None]
         self._notices.of_devices({m.context.name: m.lost for m in on_devices.members if m.lost is not None}, names)
-        counted = group.alive[0].cache.compression(self.resolved)
+        counted = on_devices.cache.compression(self.resolved)
         for name, value in _counted(data).items():
             counted[name] = counted["compression"] | value if name == "compression" else value
         return self._frame(names, camera, data.rgba, data.depth, times, counted)
@@ -226,7 +231,7 @@ class Renderer:
     @property
     def schedule(self) -> Schedule | None:
         """Who rendered what of the last frame; None before the first, and for a Renderer with one device."""
-        return None if self._on_devices is None else self._on_devices.group.schedule
+        return None if self._on_device is None else self._on_device.group.schedule
 
     def set_transfer_function(self, function: TransferFunction, wait: bool = True) -> None:
         """Sets another transfer function for the frames to come; compiles nothing, and keeps the volume.
