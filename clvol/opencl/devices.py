@@ -10,6 +10,8 @@ only the first run after a change pays for it.
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from clvol.errors import DeviceError
@@ -94,7 +96,8 @@ def open_devices(name: str | None = None) -> list[pyopencl.Device]:
     """The devices that ``name`` means: as for ``open_device``, or "all", or "NAME:k/n", the k-th (from 1) of n parts of
     a device with as many compute units each.
 
-    "all" takes one device per processor, since the runtimes of one processor share its cores. Raises
+    "all" takes one device per processor, the fastest as far as speeds are known (``keep_speeds``), since the runtimes
+    of one processor share its cores. Raises
     :class:`clvol.errors.DeviceError`.
     """
     if name is None:
@@ -108,13 +111,32 @@ def open_devices(name: str | None = None) -> list[pyopencl.Device]:
 
 
 def one_per_processor(reports: list[DeviceReport]) -> list[DeviceReport]:
-    """Of the working devices that are the same processor, the first: CPUs are one, other devices are told apart by
-    their names and numbers."""
-    found: dict[tuple, DeviceReport] = {}
+    """Of the working devices that are the same processor, the fastest; the first where a speed is not known. CPUs are
+    one processor; other devices are told apart by their names and numbers."""
+    return [_fastest(same) for same in by_processor(reports)]
+
+
+def by_processor(reports: list[DeviceReport]) -> list[list[DeviceReport]]:
+    """The working devices, those of one processor together, best first."""
+    found: dict[tuple, list[DeviceReport]] = {}
     for report in sorted((r for r in reports if r.working), key=rank):
         is_cpu = report.type.upper() == "CPU"
-        found.setdefault(("CPU",) if is_cpu else (report.device, report.device_index), report)
+        found.setdefault(("CPU",) if is_cpu else (report.device, report.device_index), []).append(report)
     return list(found.values())
+
+
+def _fastest(reports: list[DeviceReport]) -> DeviceReport:
+    return max(reports, key=lambda report: report.speed) if all(r.speed for r in reports) else reports[0]
+
+
+def keep_speeds(speeds: Mapping[str, float]) -> None:
+    """Keeps the measured speeds of devices (by name, in samples per second) with what the probe found."""
+    global _found
+    if _found is None or not any(speeds.values()):
+        return
+    reports = [replace(report, speed=speeds.get(report.name) or report.speed) for report in _found.reports]
+    _found = replace(_found, reports=reports)
+    device_cache.write_cache(device_cache.cache_key(platforms_wanted()[0], ORIGINAL_VENDORS), _found)
 
 
 _parts: dict[tuple[int, str], tuple[list[pyopencl.Device], str]] = {}  # they must not be made twice
