@@ -22,14 +22,17 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-_LEAST_LAUNCHES = 5.0  # a package takes at least this many times a launch's cost, unless nothing more is left
+_LEAST_LAUNCHES = 2.5  # a package takes at least this many times a launch's cost, unless nothing more is left
 _UNKNOWN = 0.6  # relative uncertainty of costs that nobody has measured
 _LEAST_UNCERTAINTY = 0.03
-_CAUTION = 1.6  # the share handed out is 1 / (1 + _CAUTION * uncertainty)
+_CAUTION = 2.0  # the share handed out is 1 / (1 + caution * uncertainty), where caution is this
+_CAUTION_FOR_MANY = 1.2  # plus this times the binary logarithm of the number of devices
 _STALLED = 5.0  # times the expected time after which a package is issued again,
 _PATIENCE = 1.0  # plus this many seconds
 _ALIKE = 1.5  # ratio of costs within which tiles count as equally expensive
 _CHEAP = 0.25  # share of a picture's cost kept for the end, in its cheapest tiles, which fill packages up
+_RUN = 4  # tiles that stay together where packages are scattered
+_GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
 _REMEMBERED = 15  # packages whose costs correct those of others
 _REACH = 256.0  # tiles over which a measured cost says something about others
 
@@ -84,10 +87,11 @@ class Dispatcher:
         self._doubt = uncertainty if uncertainty is not None else _LEAST_UNCERTAINTY if measured else _UNKNOWN
         self._seen: list[tuple[float, float, float]] = []  # middle tile, log of measured over expected cost, weight
         self.shares = [Share(float(speed), float(launch)) for speed, launch in zip(speeds, launches)]
-        self._waiting = _order(self._prior)
+        self._waiting = _order(self._prior, scattered=not measured)
         self._done = np.zeros(self.count, bool)
         self._least_tiles = least_tiles
         self._number = 0
+        self._caution = _CAUTION + _CAUTION_FOR_MANY * math.log2(len(self.shares))
         self._unit_is_known = measured
         self.history: list[tuple[Package, float, bool]] = []  # package, when it ended, whether its result counts
 
@@ -127,7 +131,7 @@ class Dispatcher:
             return self._handed(device, np.sort(self._take(self._waiting)), now)
         rest = float(self._costs[self._waiting].sum())
         ideal = share.speed * (self._common_end(now, rest) - self._free_at(device, now) - share.launch)
-        part = ideal / (1 + _CAUTION * self._doubt)
+        part = ideal / (1 + self._caution * self._doubt)
         least = share.speed * share.launch * _LEAST_LAUNCHES
         wanted = ideal if ideal - part < least else max(part, least)
         tiles = self._fitting(wanted, least)
@@ -299,11 +303,16 @@ class Dispatcher:
         self._costs = self._prior * np.exp((near * ratios[:, None]).sum(axis=0) / near.sum(axis=0))
 
 
-def _order(costs: np.ndarray) -> np.ndarray:
+def _order(costs: np.ndarray, scattered: bool) -> np.ndarray:
     """Tiles in the order in which they are handed out: the expensive ones by place, then the cheap ones, which are
     _CHEAP of all costs, the cheapest last. Costs are compared roughly: the last ones would otherwise be those whose
-    costs were underestimated most."""
+    costs were underestimated most. ``scattered``: not by place but in short runs from all over the picture, so that
+    errors of expectations, which neighbours share, cancel within packages."""
     falling = np.argsort(-np.floor(np.log(costs) / math.log(_ALIKE)), kind="stable")
     sums = np.cumsum(costs[falling])
     expensive = int(np.searchsorted(sums, (1 - _CHEAP) * sums[-1]))
-    return np.concatenate([np.sort(falling[:expensive]), falling[expensive:]])
+    first = np.sort(falling[:expensive])
+    if scattered:
+        runs = np.arange(len(first)) // _RUN
+        first = first[np.lexsort((np.arange(len(first)), runs * _GOLDEN % 1.0))]
+    return np.concatenate([first, falling[expensive:]])

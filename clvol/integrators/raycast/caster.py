@@ -55,6 +55,8 @@ from clvol.transfer.pieces import (
 
 SECONDS_A_SAMPLE = 1e-8  # a first guess, used to divide a frame into launches
 _BAND_SECONDS = 0.5
+_DEPTH_NODES = 1024  # of the integral of the extinction, by which the depths of cells are estimated
+_OPAQUE = 20.0  # optical depth above which more makes no difference
 _KEPT = 6  # volumes; a search for settings may render many variants of one
 _COARSE_ARGUMENTS = (
     reads("coarse", np.float32, "columns", "rows", 4),
@@ -283,6 +285,25 @@ class Raycaster:
             nothing = dict.fromkeys(self.march.counters and self._counter_names, 0)
             return FrameData(np.zeros((*size, 4), np.float32), nowhere, 0, 0, nothing)
         return WholePicture(self, camera, width, height, depth, lattice).render(progress)
+
+    def cell_depths(self) -> np.ndarray | None:
+        """float64 [z, y, x]: about the mean optical depth of each cell of empty space along its edge, of all values
+        between its bounds alike; None where bounds are not at hand."""
+        try:
+            low, high = self.volume.bounds(0)
+        except NotImplementedError:
+            return None
+        function = self._functions[0]
+        nodes = np.linspace(*self.volume.value_range, _DEPTH_NODES + 1)
+        edge = self.resolved.volume.grid.smallest_edge * (1 << self.volume.cell_shift)
+        at_nodes = np.minimum(function.extinction(nodes) * edge, _OPAQUE)
+        sums = np.concatenate([[0.0], np.cumsum(0.5 * (at_nodes[1:] + at_nodes[:-1]))])
+        unit = max(nodes[1] - nodes[0], 1e-300)
+        first, last = (np.clip((bound - nodes[0]) / unit, 0, _DEPTH_NODES) for bound in (low, np.maximum(low, high)))
+        width = last - first
+        at = np.arange(_DEPTH_NODES + 1)
+        inside = (np.interp(last, at, sums) - np.interp(first, at, sums)) / np.maximum(width, 1e-9)
+        return np.where(width > 1e-6, inside, np.interp(first, at, at_nodes))
 
     def parts(self, camera: Camera, width: int, height: int, depth: bool = True) -> PictureParts | None:
         """As ``RendersParts.parts``; None where nothing can be seen."""

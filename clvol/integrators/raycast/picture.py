@@ -12,18 +12,19 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clvol.device.tile_effects import cells_over_tiles, tiles_that_see
+from clvol.device.tile_effects import cells_over_tiles, expected_costs, tiles_that_see
 from clvol.device.view import EVERY_PIXEL, PixelLattice, RayFrame, ray_frame
 from clvol.integrators.base import FrameData, PartOfPicture, PictureArrays, Progress
 from clvol.opencl.context import DeviceArray
 from clvol.schedule.tiles import tiling
+from clvol.volume.voxel_layout import CELL_SHIFT
 
 if TYPE_CHECKING:
     from clvol.integrators.raycast.caster import Raycaster
     from clvol.scene.camera import Camera
 
 TilesDone = Callable[[int], None]
-_OVERHEAD = 0.05  # cost of a tile that sees nothing, as a share of an average one
+_OVERLAP = 3.0  # tiles that a cell counts for, over those that it covers
 _A_TILE = 100.0  # samples that cost as much as beginning a tile
 
 
@@ -158,12 +159,15 @@ class PictureParts(_Picture):
         return [stage.tiles for stage in self._stages]
 
     def expected_costs(self, stage: int) -> np.ndarray:
-        """As in the protocol: the visible cells that lie before the tiles."""
+        """As in the protocol: from the visible cells in front of each tile."""
         this, caster = self._stages[stage], self._caster
         grid = caster.resolved.volume.grid
         to_edges = np.diag(np.asarray(grid.spacing) / grid.smallest_edge)
-        seen = cells_over_tiles(caster.shown, caster.volume.size, this.frame, to_edges, this.size, caster.tile)
-        return seen + max(_OVERHEAD * float(seen.mean()), 1e-3)
+        where = caster.shown, caster.volume.size, this.frame, to_edges, this.size, caster.tile
+        depths = caster.cell_depths()
+        cells = cells_over_tiles(*where) / _OVERLAP if depths is None else expected_costs(depths, *where)
+        pixels = self._caster.tile[0] * self._caster.tile[1]
+        return cells * pixels * (1 << CELL_SHIFT) / caster.resolved.integration.step + _A_TILE
 
     def begin(self, stage: int, arrays: list[PictureArrays]) -> None:
         self._allocate(self._stages[stage], arrays[stage])
