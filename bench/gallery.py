@@ -203,8 +203,8 @@ def compose(pictures: list[tuple[Tile, str]], path: Path) -> None:
     save_small(sheet, path)
 
 
-def save_small(sheet: Any, path: Path) -> None:
-    """As PNG with as many bits a channel, from 8 down to 4, as take no more than _BYTES."""
+def save_small(sheet: Any, path: Path, most_bytes: int = _BYTES) -> None:
+    """As PNG with as many bits per channel, from 8 down to 4, as take no more than ``most_bytes``."""
     import io
 
     for bits in (8, 7, 6, 5, 4):
@@ -212,6 +212,6 @@ def save_small(sheet: Any, path: Path) -> None:
         levels = [round(round(value / step) * step) for value in range(256)]
         data = io.BytesIO()
         sheet.point(levels * 3).save(data, "PNG", optimize=True)
-        if data.tell() <= _BYTES:
+        if data.tell() <= most_bytes:
             break
     path.write_bytes(data.getvalue())

@@ -24,7 +24,7 @@ from bench.multiresolution_large import large, measured_child
 from bench.multiresolution_scenes import BLOCK_SCENES, BlockScene, placed_as_in_bench
 from bench.multiresolution_tables import show
 from bench.options import Options
-from bench.report import load_average, machine, say
+from bench.report import load_average, opening, say
 
 __all__ = ["SUMMARY", "draw", "run", "show"]
 
@@ -42,10 +42,7 @@ def run(options: Options) -> dict[str, Any] | None:
 
     device = open_device(options.device)
     begin = perf_counter()
-    result: dict[str, Any] = {
-        "machine": machine(device), "quick": options.quick, "load_before": load_average(),
-        "size": QUICK_SIZE if options.quick else SIZE, "missing": [], "failed": [],
-    }  # fmt: skip
+    result = opening(device, options.quick, QUICK_SIZE if options.quick else SIZE)
     scenes = {scene.name: scene for scene in there(BLOCK_SCENES, options, result["missing"])}
     others = there(map(placed_as_in_bench, RESIDENT[:2]), options, result["missing"])
     with tempfile.TemporaryDirectory(prefix="clvol-bench-") as folder:

@@ -42,24 +42,24 @@ def level_sheet(
 
 
 def sheet_of(
-    rows: Sequence[Sequence[tuple[np.ndarray, str]]], lines: int = 0
+    rows: Sequence[Sequence[tuple[np.ndarray, str]]], lines: int = 0, tile: int = _TILE
 ) -> tuple[Any, Any, Any, list[int]]:
-    """Rows of pictures over their captions, with room for ``lines`` more below each row. Gives the
+    """Rows of pictures of ``tile`` pixels over their captions, with room for ``lines`` more below each row. Gives the
     sheet, its pen, its font, and where the first of these lines goes, row by row."""
     from PIL import Image, ImageDraw, ImageFont
 
     text = ImageFont.load_default(_TEXT)
-    height, columns = _TILE + (2 + lines) * _LINE, max(map(len, rows))
-    size = (2 * _MARGIN + columns * (_TILE + _GAP) - _GAP, 2 * _MARGIN + len(rows) * height)
+    height, columns = tile + (2 + lines) * _LINE, max(map(len, rows))
+    size = (2 * _MARGIN + columns * (tile + _GAP) - _GAP, 2 * _MARGIN + len(rows) * height)
     sheet = Image.new("RGB", size, _PAGE)
     pen = ImageDraw.Draw(sheet)
     tops = [_MARGIN + i * height for i in range(len(rows))]
     for row, y in zip(rows, tops):
         for k, (picture, caption) in enumerate(row):
-            x = _MARGIN + k * (_TILE + _GAP)
-            sheet.paste(Image.fromarray(picture).resize((_TILE, _TILE), Image.Resampling.BOX), (x, y))
-            pen.text((x, y + _TILE + 4), caption, _INK, text)
-    return sheet, pen, text, [y + _TILE + 4 + _LINE for y in tops]
+            x = _MARGIN + k * (tile + _GAP)
+            sheet.paste(Image.fromarray(picture).resize((tile, tile), Image.Resampling.BOX), (x, y))
+            pen.text((x, y + tile + 4), caption, _INK, text)
+    return sheet, pen, text, [y + tile + 4 + _LINE for y in tops]
 
 
 def _row(scene: BlockScene, ratio: float, options: Options, size: int) -> dict[str, Any]:

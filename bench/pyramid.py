@@ -19,7 +19,7 @@ from bench.multiresolution_scenes import BlockScene
 from bench.options import Options
 from bench.pyramid_scenes import ANEURISM, CHEST_BLOCKS, ENGINE, FEMALE, HEPTANE, PYRAMID_SCENES
 from bench.pyramid_tables import show
-from bench.report import load_average, machine
+from bench.report import load_average, opening
 
 __all__ = ["SUMMARY", "draw", "run", "show"]
 
@@ -42,10 +42,7 @@ def run(options: Options) -> dict[str, Any] | None:
 
     device = open_device(options.device)
     begin = perf_counter()
-    result: dict[str, Any] = {
-        "machine": machine(device), "quick": options.quick, "load_before": load_average(),
-        "size": QUICK_SIZE if options.quick else SIZE, "missing": [], "failed": [],
-    }  # fmt: skip
+    result = opening(device, options.quick, QUICK_SIZE if options.quick else SIZE)
     scenes = there(PYRAMID_SCENES, options, result["missing"])
     rounds = QUICK_ROUNDS if options.quick else options.frames
     bench = parts.Bench(device, result["size"], rounds, options.references)

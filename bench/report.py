@@ -28,6 +28,14 @@ def table(head: Sequence[str], rows: Sequence[Sequence[Any]], left: int = 1) -> 
     return "\n".join(line.rstrip() for line in (lines[0], "-" * len(lines[0]), *lines[1:]))
 
 
+def opening(device: Any, quick: bool, size: int) -> dict[str, Any]:
+    """What the result of a run of several parts has before the first of them. ``size``: of pictures."""
+    return {
+        "machine": machine(device), "quick": quick, "load_before": load_average(), "size": size,
+        "missing": [], "failed": [],
+    }  # fmt: skip
+
+
 def closing(result: dict[str, Any]) -> list[str]:
     """The last lines of what a run of several parts tells: how long it took, and what is not in it."""
     lines = [

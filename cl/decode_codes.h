@@ -7,7 +7,7 @@
  *
  * Switches (-D): VOXEL_BITS, VOXEL_SIGNED (voxel_type.h); CODED_SIDE, samples per axis of a sub-block (2 or 4);
  * CODED_MEANS, whether FIXED blocks have means; CODED_WHOLE, whether integer voxels have all 65536 values;
- * CODED_GROUP: work-items of a group.
+ * CODED_GROUP: work-items of a group; CODED_LABELS: the codec is "labels" (decode_labels.h).
  */
 #ifndef DECODE_CODES_H
 #define DECODE_CODES_H
@@ -21,6 +21,8 @@
 #define BLOCK_RAW 1
 #define BLOCK_CODED 2
 #define BLOCK_FIXED 3
+#define BLOCK_REGIONS 4
+#define BLOCK_RUNS 5
 #define MOST_STAGES 12
 #define ESCAPED 15
 #define RAW_SAMPLES 255
@@ -53,6 +55,8 @@ typedef float4 Row4 __attribute__((aligned(1)));
 typedef float8 Row8 __attribute__((aligned(1)));
 #endif
 typedef Voxel16 Row16 __attribute__((aligned(1)));
+
+typedef ulong Bytes8 __attribute__((aligned(1))); /* bytes, loaded from any place at once: PoCL cuts vload8 in four */
 
 /* Where a block's bytes begin in `codes`, and its first voxel in `voxels`. extent: samples that are wanted along x, y
  * and z, and in w the samples per axis of the block. limit: no more stages of it are decoded. */
@@ -121,6 +125,13 @@ INLINE Voxel16 corrected(int16 working, int16 residuals, __constant const CodeMa
   const int16 above = clamp(convert_int16(above_low(working, map)) + more, 0, map->span);
   return TO_VOXEL16(convert_ushort16(above) + (ushort16)(ushort)map->low);
 #endif
+}
+
+/* Where the k-th part of a block of per_axis^3 parts is; per_axis is a power of two. */
+INLINE int3 place_of(int k, int per_axis)
+{
+  const int bits = 31 - clz(per_axis), mask = per_axis - 1;
+  return (int3)(k & mask, k >> bits & mask, k >> 2 * bits);
 }
 
 /* A sample from bytes that are not aligned. */

@@ -1,9 +1,9 @@
 /* Residual vector quantisation with a depth per sub-block ("rvq"): cuts blocks into sub-blocks, and chooses stages.
  *
- * Of each sub-block the kernel looks for the depth of the least cost D + lambda R: D the squared error of decoded voxels
- * (in 1/256), R bits. The search goes from stage to stage, nearest codeword by nearest codeword, and ends where even an
- * exact sub-block would cost more than the best so far. Where voxels may be off by `bound` at most, depths that break it
- * do not count, and a sub-block may be escaped: its voxels are then stored, or differences in steps that keep the bound.
+ * Of each sub-block the kernel looks for the depth of the least cost D + lambda R: D the squared error of decoded
+ * voxels (in 1/256), R bits. The search goes from stage to stage, nearest codeword by nearest codeword, and ends where
+ * even an exact sub-block would cost more than the best so far. Where voxels may be off by `bound` at most, depths that
+ * break it do not count. A sub-block may be escaped: its voxels are then stored, or differences that keep the bound.
  *
  * Switches (-D): SIZE 64; SUBS, sub-blocks per octant: 8, or 1 for blocks of 4 samples per axis.
  */
@@ -21,11 +21,13 @@
  * work     ushort [octants][SUBS][64], the same by sub-block
  * means    uchar [octants][SUBS + 1]: of each sub-block, and of the octant
  * flat     ulong [octants][2]: sum of squared differences and largest difference of an octant of its mean alone
+ * apart    ulong [octants][SUBS][2]: the same of sub-blocks of their means
  * sums     ulong [octants][4]: sum, sum of squares, least and largest of the voxels' steps above the range's lowest
  */
 __kernel void cut_blocks(__global const ushort *restrict samples, int edge, int octants, uint levels,
                          __global ushort *restrict work, __global uchar *restrict means,
-                         __global ulong *restrict flat, __global ulong *restrict sums)
+                         __global ulong *restrict flat, __global ulong *restrict apart,
+                         __global ulong *restrict sums)
 {
   const int octant = get_global_id(0);
   if (octant >= octants) return;
@@ -50,6 +52,20 @@ __kernel void cut_blocks(__global const ushort *restrict samples, int edge, int 
     whole += total >> 4; /* 512 values of 16 bits less 4 bits fit */
   }
   mean[SUBS] = (uchar)(whole / SUBS >> 10);
+  for (int sub = 0; sub < SUBS; sub++) {
+    const int8 level = (int8)(((uint)(mean[sub] << 8) + 128) * levels >> 16);
+    ulong8 off = (ulong8)(0);
+    uint8 most = (uint8)(0);
+    for (int k = 0; k < 8; k++) {
+      const int8 d = convert_int8(convert_uint8(vload8(sub * 8 + k, out)) * levels >> 16) - level;
+      off += convert_ulong8(convert_uint8(d * d));
+      most = max(most, abs(d));
+    }
+    const ulong4 off4 = off.lo + off.hi;
+    const uint4 most4 = max(most.lo, most.hi);
+    apart[2 * (octant * SUBS + sub)] = off4.x + off4.y + off4.z + off4.w;
+    apart[2 * (octant * SUBS + sub) + 1] = max(max(most4.x, most4.y), max(most4.z, most4.w));
+  }
   const int level = (int)(((uint)(mean[SUBS] << 8) + 128) * levels >> 16);
   ulong total = 0, squares = 0, off = 0;
   int lowest = INT_MAX, highest = INT_MIN;
@@ -172,10 +188,10 @@ __kernel void choose_codes(__global const ushort *restrict work, __global const 
       int four[4];
       for (int v = 0; v < 4; v++) four[v] = active[min(i + v, count - 1)];
       for (int k = 0; k < 64; k++)
-        rows[k] = (float4)(in_quarters(residual[(size_t)four[0] * 64 + k], shift),
-                           in_quarters(residual[(size_t)four[1] * 64 + k], shift),
-                           in_quarters(residual[(size_t)four[2] * 64 + k], shift),
-                           in_quarters(residual[(size_t)four[3] * 64 + k], shift));
+        rows[k] = (float4)(as_compared(residual[(size_t)four[0] * 64 + k], shift),
+                           as_compared(residual[(size_t)four[1] * 64 + k], shift),
+                           as_compared(residual[(size_t)four[2] * 64 + k], shift),
+                           as_compared(residual[(size_t)four[3] * 64 + k], shift));
       const int4 codes4 = nearest_codes(rows, codebook + stage * (64 * ENTRIES), norms + stage * ENTRIES);
       const int code[4] = {codes4.x, codes4.y, codes4.z, codes4.w};
       for (int v = 0; v < number; v++) {

@@ -25,6 +25,7 @@ SHOWS = {
     "clip": lambda scene: len(scene.clip) > 1,
     "shadows": lambda scene: scene.shadow.scattering > 0,
     "blocks": lambda scene: scene.integration.method == "multiresolution",
+    "compression": lambda scene: scene.compression.is_lossy and scene.compression.stated,
     "pyramid": lambda scene: scene.integration.method == "pyramid",
     "projection": lambda scene: scene.integration.compositing != "over",
     "labels": lambda scene: scene.field[0].role == "label",
@@ -32,7 +33,7 @@ SHOWS = {
 }
 
 
-def test_there_are_ten_scenes_and_three_scripts():
+def test_there_are_eleven_scenes_and_three_scripts():
     assert set(SCENES) == set(SHOWS)
     assert {path.stem for path in EXAMPLES.glob("*.py")} == {
         "render_array", "render_to_error", "compare_steps", "labels"

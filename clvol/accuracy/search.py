@@ -51,7 +51,8 @@ class Search(Generic[M]):
         self._tunables = {k: tunable for k, tunable in tunables.items() if not tunable.tunable.of_picture}
         alternatives = [k for k in self._tunables.values() if not k.tunable.is_ladder]
         self._alternatives = [k for k in alternatives if not k.tunable.alone]
-        self._alone = [k for k in alternatives if k.tunable.alone]
+        self._alone = [k for k in alternatives if k.tunable.alone and not k.tunable.saves_memory]
+        self._last = [k for k in alternatives if k.tunable.saves_memory]
         self._ladders = [k for k in self._tunables.values() if k.tunable.is_ladder and not k.tunable.is_main]
         self._main = [k for k in self._tunables.values() if k.tunable.is_main]
 
@@ -73,7 +74,15 @@ class Search(Generic[M]):
 
     def candidates(self, start: Settings, limit: float) -> list[M]:
         """For each promising combination of alternatives, settings with rmse <= ``limit``, the cheapest first. Costs
-        are known roughly, so the caller may compare them again more exactly."""
+        are known roughly, so the caller may compare them again more exactly. Where there are none, alternatives that
+        take more memory are tried."""
+        found = self._candidates(start, limit)
+        others = ({**start, k.key: value} for k in self._last for value in k.values if value != start[k.key])
+        while not found and (other := next(others, None)) is not None:
+            found = self._candidates(other, limit)
+        return found
+
+    def _candidates(self, start: Settings, limit: float) -> list[M]:
         found: list[M] = []
         best: M | None = None
         for look in self._alternatives_by_promise(start, limit):

@@ -52,7 +52,8 @@ class Tunable:
     ``is_continuous``: values between those of the ladder are valid, too.
     ``of_picture``: pixels depend on their neighbours, so single pixels do not show the effect.
     ``alone``: its alternatives are tried by themselves, not in all combinations with those of other tunables.
-    ``saves_memory``: cheap values are useful even if they save no time.
+    ``saves_memory``: cheap values are useful even if they save no time. Where its values are alternatives, the scene's
+    own is kept as long as it reaches the requested error.
     ``order``: maps the values of a ladder to numbers that ascend or descend along it.
     """
 
@@ -116,18 +117,22 @@ def _tile_shares(resolved: ResolvedScene) -> tuple[float, ...]:
 
 
 def _codecs(resolved: ResolvedScene) -> tuple[str, ...]:
-    """Voxels as they are, too, where the scene has them encoded. A scene without compression stays without."""
+    """Voxels as they are, too, where the scene has them encoded with an error."""
     codec = resolved.compression.codec
-    return (codec,) if codec == "none" else (codec, "none")
+    return (codec, "none") if _is_compressed(resolved) else (codec,)
 
 
 def _targets(key: str, values: tuple[float, ...]) -> Callable[[Any], tuple]:
     """The values of a target, where it is the one that the scene states; otherwise nothing to choose from."""
-    return lambda resolved: values if key in resolved.compression.stated else (None,)
+
+    def values_for(resolved: ResolvedScene) -> tuple:
+        return values if _is_compressed(resolved) and key in resolved.compression.stated else ()
+
+    return values_for
 
 
 def _is_compressed(scene: Any) -> bool:
-    return scene.compression.codec != "none"
+    return scene.compression.is_lossy
 
 
 def _oracles(resolved: ResolvedScene) -> tuple[str, ...]:
@@ -156,7 +161,7 @@ TUNABLES: dict[str, Tunable] = {
         "ray tolerance", "linear light", (0.3, 0.1, 0.03, 0.01, 0.003), of_picture=True,
         methods=_RAYCAST, applies=lambda scene: scene.image.ray_spacing > 1,
     ),
-    "compression.codec": Tunable("codec", "", _codecs, is_ladder=False),
+    "compression.codec": Tunable("codec", "", _codecs, is_ladder=False, alone=True, saves_memory=True),
     "compression.max_voxel_error": Tunable(
         "largest voxel error", "of the range", _targets("max_voxel_error", (0.08, 0.04, 0.02, 0.01, 0.005, 0.0025)),
         saves_memory=True, applies=_is_compressed,
@@ -204,6 +209,7 @@ NOT_TUNABLE: dict[str, str] = {
     "image.background": "another picture: what is behind the volume",
     "image.width": "another picture",
     "image.height": "another picture",
+    "compression.weighting": "which errors matter for the transfer function; it costs nothing",
     "compression.decode": "the same picture",
     "compression.memory": "the same picture",
     "compression.seed": "another picture, not a better one",

@@ -9,7 +9,7 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from clvol.cli.console import note, reading_blocks, say_path, to_json, working
+from clvol.cli.console import note, preparing, say_path, to_json, working
 from clvol.cli.outputs import check_frames, numbered, save_picture
 from clvol.cli.verbose import log_scene
 from clvol.errors import ClvolError, UsageError
@@ -87,9 +87,9 @@ def render_animation(
         writers = [stack.enter_context(open_video(path, fps, of_all)) for path in parts]
         if todo:
             by_blocks = integrator_of(resolved).reads_blocks
-            reading = reading_blocks(progress) if by_blocks else None
+            reading = preparing(progress, encodes=resolved.compression.codec != "none", by_blocks=by_blocks)
             renderer = Renderer(scene, devices=devices, memory_cap=memory_cap, progress=reading)
-            if by_blocks and progress is not None:
+            if reading is not None and progress is not None:
                 progress(None, None, f"rendering {len(todo)} frames of {size}")
             stack.enter_context(renderer)
         for done, (index, seconds, camera) in enumerate(todo):

@@ -105,11 +105,15 @@ def working(message: str, quiet: bool) -> Iterator[ShowProgress | None]:
         yield update
 
 
-def reading_blocks(progress: ShowProgress | None) -> Callable[[int, int], None] | None:
-    """The ``progress`` of ``Renderer``, which reports blocks being read; None where no progress is shown."""
-    if progress is None:
+def preparing(
+    progress: ShowProgress | None, *, encodes: bool, by_blocks: bool
+) -> Callable[[int, int], None] | None:
+    """The ``progress`` of ``Renderer``, which reports voxels being encoded, or blocks being read; None where no
+    progress is shown, or where the scene does neither."""
+    if progress is None or not (encodes or by_blocks):
         return None
-    return lambda done, total: progress(done, total, "reading blocks")
+    what = "encoding voxels" if encodes else "reading blocks"
+    return lambda done, total: progress(done, total, what)
 
 
 def _encodable(text: str, stream: Any) -> str:

@@ -33,7 +33,7 @@ def command(
         (f"{'yes' if effect['called_for'] else 'no':<3}  {effect['name']}", effect["reason"])
         for effect in explanation["effects"]
     )
-    compression = explanation["compression"]
+    compression = explanation.get("compression")
     if compression is not None:
         say(f"compression {compression['codec']}: {compression['does']}. {compression['costs'].capitalize()}.")
     say(f"kernel {explanation['kernel_hash']}")

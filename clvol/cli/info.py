@@ -9,6 +9,7 @@ import click
 from clvol.cli.options import json_option, memory_cap_option, overrides_option, volume_argument
 
 if TYPE_CHECKING:
+    from clvol.store.stored_codes import CodesFacts
     from clvol.volume import Volume
 
 
@@ -62,6 +63,7 @@ def command(
         ("infinite voxels", str(loaded.inf_count)),
         ("blocks", _blocks(store) if store else ""),
         ("codec", ", ".join(dict.fromkeys(store["codecs"])) if store else ""),
+        *_codes_rows(store.get("codes")),
         ("compression", _asked(facts.get("compression"))),
         ("on disk", format_size(store["bytes_on_disk"]) if store else ""),
         ("memory", f"{needed} on the device, {by}picture and tables included"),
@@ -83,7 +85,7 @@ def _store_facts(volume: Volume) -> dict:
     if source is None:
         return {}
     layout = source.layout
-    return {
+    facts = {
         "edge": layout.edge,
         "levels": layout.blocks.levels,
         "blocks_zyx": list(layout.blocks.counts),
@@ -93,6 +95,40 @@ def _store_facts(volume: Volume) -> dict:
         "bytes_on_disk": source.bytes_on_disk,
         "checks_places": source.checks_places,
     }
+    return facts if source.codes is None else facts | {"codes": _codes_facts(source.codes)}
+
+
+def _codes_facts(codes: CodesFacts) -> dict:
+    """What was measured while the store was built. ``psnr`` is None if nothing differs."""
+    from math import isfinite
+
+    measured = codes.measured
+    return {
+        "codec": codes.codec,
+        "psnr": measured.psnr if isfinite(measured.psnr) else None,
+        "max_voxel_error": measured.max_voxel_error,
+        "bits_per_voxel": measured.bits_per_voxel,
+        "bits_per_voxel_all": codes.bits_per_voxel_all,
+        "target": codes.target.to_json(),
+        "seed": codes.seed,
+        "original": {"dtype": codes.original_dtype.name, "value_range": list(codes.original_range)},
+    }
+
+
+def _codes_rows(codes: dict | None) -> list[tuple[str, str]]:
+    if codes is None:
+        return []
+    psnr = "no error" if codes["psnr"] is None else f"PSNR {codes['psnr']:.2f} dB"
+    largest = f"largest {100 * codes['max_voxel_error']:.3g} % of the range"
+    rate, whole = (f"{codes[key]:.3g}" for key in ("bits_per_voxel", "bits_per_voxel_all"))
+    low, high = codes["original"]["value_range"]
+    target = ", ".join(f"{key} {value:g}" for key, value in codes["target"].items())
+    return [
+        ("bits per voxel", f"{rate} at full resolution with codebooks, {whole} in all"),
+        ("error", psnr if codes["psnr"] is None else f"{psnr}, {largest}"),
+        ("requested", target),
+        ("original", f"{codes['original']['dtype']}, {low:.9g} to {high:.9g}"),
+    ]
 
 
 def _blocks(store: dict) -> str:

@@ -139,7 +139,7 @@ def _render_still(
     show_schedule: str | None,
 ) -> None:
     """Renders one picture and writes it to all ``outputs``. ``start``: when the command began (``perf_counter``)."""
-    from clvol.cli.console import note, reading_blocks, say_path, to_json, working
+    from clvol.cli.console import note, preparing, say_path, to_json, working
     from clvol.cli.outputs import check_outputs, save_picture
     from clvol.image import atomic_paths
     from clvol.integrators.registry import integrator_of
@@ -175,9 +175,10 @@ def _render_still(
                     scene, time_budget, devices=devices, memory_cap=memory_cap, depth=depth, progress=progress
                 )
         else:
-            reading = reading_blocks(progress) if by_blocks else None
+            encodes = scene.compression.codec != "none"
+            reading = preparing(progress, encodes=encodes, by_blocks=by_blocks)
             with Renderer(scene, devices=devices, memory_cap=memory_cap, progress=reading) as renderer:
-                if by_blocks and progress is not None:
+                if reading is not None and progress is not None:
                     progress(None, None, f"rendering {size}")
                 frame = renderer.render(progress=progress, depth=depth, seconds=time_budget)
                 schedule = renderer.schedule

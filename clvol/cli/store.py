@@ -13,6 +13,9 @@ from clvol.cli.options import memory_cap_option, overrides_option, volume_argume
 if TYPE_CHECKING:
     from clvol.cli.console import ShowProgress
     from clvol.scene import Scene
+    from clvol.store.codecs.coded_blocks import RateTarget
+    from clvol.store.codecs.encoding import Trainer
+    from clvol.store.journal import Unfinished
     from clvol.store.voxel_source import FieldSource, VolumeSource
 
 
@@ -22,7 +25,30 @@ if TYPE_CHECKING:
     "-o", "--output", required=True, metavar="STORE", help="Folder to write, an OME-Zarr image."
 )
 @click.option(
-    "--codec", metavar="NAME", help="Compression of samples: blosc-lz4 (default), zstd or none."
+    "--codec",
+    metavar="NAME",
+    help="Lossless: blosc-lz4 (default), zstd or none, and for labels and masks 'labels'. Lossy: rvq (the one to use), "
+    "hvq, vq-mean or vq, vector quantisation that is decoded by clvol.",
+)
+@click.option(
+    "--max-voxel-error",
+    type=float,
+    metavar="E",
+    help="With a lossy codec: largest error of any voxel, as a share of the volume's range of values, such as 0.01.",
+)
+@click.option(
+    "--psnr", type=float, metavar="DB", help="With a lossy codec: signal-to-noise ratio to reach, over the range."
+)
+@click.option(
+    "--bits-per-voxel",
+    type=float,
+    metavar="B",
+    help="With a lossy codec: size of level 0 with codebooks to stay below. At most one of these three.",
+)
+@click.option(
+    "--device",
+    metavar="NAME",
+    help="With a lossy codec: device that encodes, by its name in 'clvol doctor'. The store does not depend on it.",
 )
 @click.option(
     "--edge", type=int, metavar="N", help="Voxels per axis of a block: 4, 8, 16 (default) or 32."
@@ -46,6 +72,10 @@ def command(
     volume: str,
     output: str,
     codec: str | None,
+    max_voxel_error: float | None,
+    psnr: float | None,
+    bits_per_voxel: float | None,
+    device: str | None,
     edge: int | None,
     shard: int | None,
     overwrite: bool,
@@ -59,6 +89,9 @@ def command(
     VOLUME is a volume file, a DICOM folder, a Zarr folder or a scene. A .raw file needs
     --set volume.dims=[nx,ny,nz] --set 'volume.dtype="uint8"'.
 
+    A lossy codec stores codes of blocks instead of samples; 'clvol info STORE' prints the measured errors. Labels and
+    masks are refused by them. The coarsest levels stay samples, and the folder a Zarr group.
+
     The store appears whole or not at all. An interrupted run leaves STORE.partial; the same command resumes it.
     """
     from pathlib import Path
@@ -69,21 +102,62 @@ def command(
     from clvol.store.build import build_store
     from clvol.store.build_folder import check_place, places_of
     from clvol.store.codecs import DEFAULT
+    from clvol.store.codecs.coded_blocks import RateTarget
     from clvol.store.geometry import EDGE
+    from clvol.store.journal import unfinished
 
+    codec = DEFAULT if codec is None else codec
+    target = RateTarget(max_voxel_error, psnr, bits_per_voxel)
+    lossy = _checked(codec, target, device)
     check_place(Path(output), overwrite)
     scene = load_scene(volume, overrides)
     inputs = scene_inputs(volume, scene)
     for place in places_of(Path(output)):
         inputs.check_folder(place)
     source = _source(scene, volume, memory_cap, quiet)
-    with _named_as_options(), working(f"storing {volume}", quiet) as bar:
-        build_store(
-            source, output, edge=EDGE if edge is None else edge, shard=shard,
-            codec=DEFAULT if codec is None else codec, overwrite=overwrite, restart=restart,
-            progress=None if quiet else _reporting(output, bar),
-        )  # fmt: skip
+    left = None if restart or quiet else unfinished(Path(output))
+    with _trainer(device if lossy else None, lossy) as trainer, _named_as_options():
+        with working(f"storing {volume}", quiet) as bar:
+            build_store(
+                source, output, edge=EDGE if edge is None else edge, shard=shard, codec=codec, target=target,
+                trainer=trainer, overwrite=overwrite, restart=restart,
+                progress=None if quiet else _reporting(output, bar, left),
+                on_phase=None if bar is None else lambda name: bar(None, None, f"{name} {volume}"),
+            )  # fmt: skip
     say_path(output)
+
+
+def _checked(codec: str, target: RateTarget, device: str | None) -> bool:
+    """Whether the codec needs a device; UsageError if the options do not fit it."""
+    from clvol.errors import UsageError
+    from clvol.store.codecs import CODECS, CODES
+    from clvol.store.coding import check_target
+
+    chosen = CODECS.get(codec) or CODES.get(codec)
+    if chosen is None:
+        return False  # build_store says so
+    with _named_as_options():
+        check_target(chosen, target)
+    if device is not None and chosen.lossless:
+        raise UsageError("--device", f"got {device!r} with the codec {codec!r}", "a lossy codec, which needs a device")
+    return not chosen.lossless
+
+
+@contextmanager
+def _trainer(device: str | None, needed: bool) -> Iterator[Trainer | None]:
+    """A trainer on ``device`` (None: the default) for the block; None if it is not ``needed``."""
+    if not needed:
+        yield None
+        return
+    from clvol.encoding.trainer import CodeTrainer
+    from clvol.opencl.context import DeviceContext
+    from clvol.opencl.devices import open_device
+
+    context = DeviceContext(open_device(device))
+    try:
+        yield CodeTrainer(context)
+    finally:
+        context.release()
 
 
 def _source(scene: Scene, volume: str, memory_cap: int | None, quiet: bool) -> FieldSource | VolumeSource:
@@ -100,16 +174,16 @@ def _source(scene: Scene, volume: str, memory_cap: int | None, quiet: bool) -> F
         return VolumeSource(scene.load_volume(memory_cap), settings.model_dump(mode="json"))
 
 
-def _reporting(output: str, bar: ShowProgress | None) -> Callable[[int, int], None]:
-    """A progress function that moves the bar, if there is one, and reports once that a store is resumed."""
+def _reporting(output: str, bar: ShowProgress | None, left: Unfinished | None) -> Callable[[int, int], None]:
+    """A progress function that moves the bar, if there is one, and reports once that what is ``left`` is resumed."""
     from clvol.cli.console import note
 
     begun = False
 
     def progress(done: int, total: int) -> None:
         nonlocal begun
-        if done and not begun:
-            text = f"resuming {output}.partial: {done} of {total} regions are done"
+        if left is not None and left.done and not begun:
+            text = f"resuming {output}.partial: {left.done} of {left.total} regions are done"
             bar(done, total, text) if bar is not None else note(text)
         elif bar is not None:
             bar(done, total)
@@ -126,5 +200,6 @@ def _named_as_options() -> Iterator[None]:
     try:
         yield
     except UsageError as error:
-        where = f"--{error.where}" if error.where in ("codec", "edge", "shard") else error.where
+        options = ("codec", "edge", "shard", "max_voxel_error", "psnr", "bits_per_voxel")
+        where = f"--{error.where.replace('_', '-')}" if error.where in options else error.where
         raise UsageError(where, error.what, error.expected) from None

@@ -55,6 +55,8 @@ class CodeDecoder:
         fault = codebooks.fault()
         if fault is not None:
             raise VolumeError(where, f"impossible codebooks ({fault})", "those of one of clvol's codecs")
+        if codebooks.values.dtype.itemsize > 4:
+            raise RenderError(where, f"labels of {codebooks.values.dtype}", "a type of at most four bytes on a device")
         self._context, self.codebooks, self.where = context, codebooks, where
         self.dtype = codebooks.values.dtype
         # A group of one keeps compilers for CPUs from spreading vectors of 16 over work-items.
@@ -218,6 +220,7 @@ def switches(codebooks: Codebooks, group: int) -> dict[str, int]:
         "LANES": 1, "VOXEL_BITS": dtype.itemsize * 8, "VOXEL_SIGNED": int(dtype.kind == "i"),
         "CODED_SIDE": codebooks.side, "CODED_MEANS": int(codebooks.codec != "vq"),
         "CODED_WHOLE": int(codebooks.values.span == LARGEST), "CODED_GROUP": group,
+        "CODED_LABELS": int(codebooks.codec == "labels"),
     }  # fmt: skip
 
 

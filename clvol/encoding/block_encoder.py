@@ -178,9 +178,7 @@ class CodeEncoder:
         self, samples: Samples, lambdas: np.ndarray, bounds: np.ndarray
     ) -> tuple[CodedBlocks, Outcome]:
         books, side, k = self.codebooks, self.codebooks.side, len(samples.work)
-        n = samples.work.shape[1] // side
-        cut = samples.work.reshape(k, n, side, n, side, n, side).transpose(0, 1, 3, 5, 2, 4, 6)
-        work = np.ascontiguousarray(cut).reshape(-1, side**3)
+        work = cut_in_order(samples.work, side)
         residual, means = first_residual(work, books.codec)
         parts = [] if books.codec == "vq" else [means.reshape(k, -1)]
         context = self.kernels.context
@@ -253,6 +251,13 @@ class CodeEncoder:
         if values.is_float:
             return values.decoded(steps)
         return (values.low + steps).astype(values.dtype)
+
+
+def cut_in_order(blocks: np.ndarray, side: int) -> np.ndarray:
+    """Sub-blocks [n, side^3] of blocks [k, s, s, s], in C order of each block."""
+    k, n = len(blocks), blocks.shape[1] // side
+    cut = blocks.reshape(k, n, side, n, side, n, side).transpose(0, 1, 3, 5, 2, 4, 6)
+    return np.ascontiguousarray(cut).reshape(-1, side**3)
 
 
 def first_residual(work: np.ndarray, codec: str) -> tuple[np.ndarray, np.ndarray]:

@@ -54,13 +54,18 @@ def divided(sums: np.ndarray, counts: np.ndarray) -> np.ndarray:
 
 def rounded(values: np.ndarray, shift: int) -> np.ndarray:
     """Entries int8 of ``values`` (integers): halves down, a codeword of zeros first, unused ones after all others."""
-    half = (1 << shift >> 1) - 1 if shift else 0
-    entries = np.clip((values.astype(np.int64) + half) >> shift, -128, 127).astype(np.int8)
+    entries = eight_bits(values, shift)
     entries = np.concatenate([entries, np.zeros((ENTRIES - len(entries), entries.shape[1]), np.int8)])
     is_zero = ~entries[: len(values)].any(axis=1)
     if is_zero.any():
         entries[[0, int(np.argmax(is_zero))]] = entries[[int(np.argmax(is_zero)), 0]]
     return entries
+
+
+def eight_bits(values: np.ndarray, shift: int) -> np.ndarray:
+    """int8: ``values`` in steps of 1 << shift; halves down."""
+    half = (1 << shift >> 1) - 1 if shift else 0
+    return np.clip((values.astype(np.int64) + half) >> shift, -128, 127).astype(np.int8)
 
 
 def shift_for(values: np.ndarray) -> int:

@@ -5,18 +5,19 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Protocol, cast
 
 import numpy as np
 
 from clvol.errors import VolumeError
 from clvol.scene.compression import Compression
-from clvol.store.codecs.coded_blocks import Codebooks, CodedBlocks, MeasuredError
+from clvol.store.codecs.coded_blocks import Codebooks, CodedBlocks, MeasuredError, RateTarget
 from clvol.store.codecs.decode import decode_blocks
-from clvol.store.codecs.encoding import BlockEncoder, Progress, Trainer
+from clvol.store.codecs.encoding import BlockEncoder, Progress, Trainer, Training
+from clvol.store.codecs.labels import encode_labels, label_codebooks
 from clvol.store.geometry import BlockGrid
 from clvol.store.resolutions import split, whole_blocks
-from clvol.store.voxel_source import VolumeSource
+from clvol.store.voxel_source import VolumeSource, VoxelSource
 from clvol.store.zarr_store import StoredBlocks
 from clvol.volume.grid import Grid
 from clvol.volume.lazy import LazyVolume
@@ -24,7 +25,8 @@ from clvol.volume.volume import Volume
 
 EDGE = 16  # voxels per axis of a block
 _INDEX_BYTES = 8  # of each block: where its bytes are
-_PIECE = 1 << 22  # voxels that are compared together
+_PIECE = 1 << 22  # voxels that are encoded or decoded together
+_CACHED = 1 << 16  # voxels that are compared together, so that temporaries stay in the cache
 _LARGEST = float(np.finfo(np.float32).max)
 
 Decode = Callable[[CodedBlocks, BlockGrid, Codebooks], np.ndarray]
@@ -134,11 +136,16 @@ class UndecodedVolume(LazyVolume):
 
 
 def encoded_volume(
-    volume: Volume, compression: Compression, trainer: Trainer, progress: Progress | None = None
+    volume: Volume,
+    compression: Compression,
+    trainer: Trainer,
+    progress: Progress | None = None,
+    weights: np.ndarray | None = None,
 ) -> CodedVolume:
     """``volume`` (stored numbers) as codes that keep to ``compression``. Their error is not measured yet.
 
-    ``progress(done, total)`` reports training, and then the voxels that are encoded. VolumeError for float64 voxels
+    ``progress(done, total)`` reports training, and then the voxels that are encoded. ``weights`` [blocks]: of their
+    squared errors; 1 if left out. VolumeError for float64 voxels
     beyond the range of float32.
     """
     low, high = value_range = volume.stored_range
@@ -148,16 +155,17 @@ def encoded_volume(
     source = VolumeSource(volume)
     training = trainer.train(source, value_range, compression.codec, compression.target, compression.seed, progress)
     blocks = BlockGrid(volume.shape, EDGE)
-    coded = _joined(_encoded_layers(source, blocks, trainer.encoder(training), progress))
+    coded = _joined(_encoded_layers(source, blocks, trainer.encoder(training), progress, weights))
     return CodedVolume(volume.grid, blocks, training.codebooks, coded, **_about(volume))
 
 
 def stored_codes(volume: Volume) -> CodedVolume:
     """The codes of the store that ``volume`` is, and the error that the store states."""
     source = getattr(volume, "blocks_source", None)
-    assert isinstance(source, StoredBlocks) and source.codebooks is not None and source.codes is not None
+    assert isinstance(source, StoredBlocks) and source.codes is not None
     coded = source.read_codes(0, np.arange(source.blocks.count))
-    codes = CodedVolume(volume.grid, source.blocks, source.codebooks, coded, **_about(volume))
+    codebooks = source.codebooks or label_codebooks(source.dtype)
+    codes = CodedVolume(volume.grid, source.blocks, codebooks, coded, **_about(volume))
     return replace(codes, measured=source.codes.measured, value_range=source.value_range)
 
 
@@ -167,8 +175,42 @@ def _about(volume: Volume) -> dict[str, Any]:
     return {**names, "nan_count": volume.nan_count, "inf_count": volume.inf_count}
 
 
+class WeighingEncoder(Protocol):
+    """A ``BlockEncoder`` that can weigh the errors of blocks."""
+
+    def encode(self, samples: np.ndarray, weights: np.ndarray) -> CodedBlocks:
+        """As ``BlockEncoder.encode``, with ``weights`` [k] of the squared errors of each block."""
+        ...
+
+
+class LabelTrainer:
+    """A ``Trainer`` and ``BlockEncoder`` of the codec "labels", which has nothing to learn."""
+
+    def train(
+        self,
+        source: VoxelSource,
+        value_range: tuple[float, float],
+        codec: str,
+        target: RateTarget,
+        seed: int = 0,
+        progress: Progress | None = None,
+    ) -> Training:
+        return Training(label_codebooks(source.dtype))
+
+    def encoder(self, training: Training) -> LabelTrainer:
+        self.training = training
+        return self
+
+    def encode(self, samples: np.ndarray) -> CodedBlocks:
+        return encode_labels(samples)
+
+
 def _encoded_layers(
-    source: VolumeSource, blocks: BlockGrid, encoder: BlockEncoder, progress: Progress | None
+    source: VolumeSource,
+    blocks: BlockGrid,
+    encoder: BlockEncoder,
+    progress: Progress | None,
+    weights: np.ndarray | None,
 ) -> Iterator[CodedBlocks]:
     """The blocks of a few layers after another."""
     nz, ny, nx = blocks.shape
@@ -176,7 +218,10 @@ def _encoded_layers(
     for z in range(0, nz, thick):
         end = min(z + thick, nz)
         slab = source.box(z, end, 0, ny, 0, nx)
-        yield encoder.encode(split(whole_blocks(as_coded_type(slab), blocks.edge), blocks.edge))
+        samples = split(whole_blocks(as_coded_type(slab), blocks.edge), blocks.edge)
+        first = z // blocks.edge * blocks.counts[1] * blocks.counts[2]
+        own = None if weights is None else weights[first : first + len(samples)]
+        yield encoder.encode(samples) if own is None else cast(WeighingEncoder, encoder).encode(samples, own)
         if progress is not None:
             progress(end * ny * nx, nz * ny * nx)
 
@@ -200,40 +245,55 @@ def measured_codes(codes: CodedVolume, original: Volume, layers: Iterable[tuple[
     """``codes`` with the range of their decoded ``layers``, and with the error of these, over all finite voxels of the
     ``original``."""
     low, high = original.stored_range
-    span = high / 2 - low / 2  # differences are halved, too, since they may overflow
+    # Differences of floating-point voxels are halved and divided before they are squared, since they may overflow.
+    is_float = original.dtype.kind == "f"
+    span = high / 2 - low / 2 if is_float else high - low
     source, (_, ny, nx) = VolumeSource(original), original.shape
     largest, total, count = 0.0, 0.0, 0
     least, most = math.inf, -math.inf
     for z, layer in layers:
-        voxels = source.box(z, z + len(layer), 0, ny, 0, nx)
-        if voxels.dtype.kind == "f":
-            is_finite = np.isfinite(voxels)
-            voxels, layer = voxels[is_finite].astype(np.float64), layer[is_finite].astype(np.float64)
-            difference = voxels / 2 - layer / 2
-        else:
-            difference = (voxels.astype(np.int32) - layer).astype(np.float64).ravel() / 2
-        if difference.size:
-            least, most = min(least, float(layer.min())), max(most, float(layer.max()))
+        whole, decoded = source.box(z, z + len(layer), 0, ny, 0, nx).reshape(-1), layer.reshape(-1)
+        for first in range(0, whole.size, _CACHED):
+            voxels, others = whole[first : first + _CACHED], decoded[first : first + _CACHED]
+            if is_float:
+                is_finite = np.isfinite(voxels)
+                voxels, others = voxels[is_finite].astype(np.float64), others[is_finite].astype(np.float64)
+                if not voxels.size:
+                    continue
+                difference = voxels / 2 - others / 2
+            else:  # exact in single precision
+                difference = np.subtract(voxels, others, dtype=np.float32)
+            least, most = min(least, float(others.min())), max(most, float(others.max()))
             largest = max(largest, float(difference.max()), -float(difference.min()))
-            difference /= span or 1.0
-            total += float(np.dot(difference, difference))
+            squared = difference / (span or 1.0) if is_float else difference.astype(np.float64)
+            total += float(np.dot(squared, squared))
             count += difference.size
+    total /= 1.0 if is_float else (span or 1.0) ** 2
     psnr = -10 * math.log10(total / count) if total else math.inf
     share = largest / span if span else math.inf if largest else 0.0
     value_range = (least, most) if count else (0.0, 0.0)
     return replace(codes, measured=MeasuredError(psnr, share, codes.bits_per_voxel), value_range=value_range)
 
 
-def stats_of(codes: CodedVolume, device_bytes: int, decoded_voxels: int) -> dict[str, Any]:
-    """The entry "compression" of a frame's stats. ``psnr`` is None where the codes are exact, and so are both errors
-    where they are not known."""
-    known = codes.measured
-    psnr = None if known is None or math.isinf(known.psnr) else known.psnr
+def stats_of(codec: str, measured: MeasuredError | None, device_bytes: int, decoded_voxels: int) -> dict[str, Any]:
+    """The entry "compression" of a frame's stats. ``psnr`` is None where the codes are exact."""
+    assert measured is not None
     return {
-        "codec": codes.codebooks.codec,
-        "bits_per_voxel": codes.bits_per_voxel,
-        "psnr": psnr,
-        "max_voxel_error": None if known is None else known.max_voxel_error,
+        "codec": codec,
+        "bits_per_voxel": measured.bits_per_voxel,
+        "psnr": None if math.isinf(measured.psnr) else measured.psnr,
+        "max_voxel_error": measured.max_voxel_error,
         "device_bytes": device_bytes,
         "decoded_voxels": decoded_voxels,
     }
+
+
+def in_words(codes: CodedVolume) -> str:
+    """What became of the volume, for logs."""
+    measured = codes.measured
+    assert measured is not None
+    return (
+        f"encoded {math.prod(codes.grid.shape)} voxels: codec {codes.codebooks.codec}, "
+        f"{measured.bits_per_voxel:.3g} bits per voxel, {measured.psnr:.4g} dB, "
+        f"largest error {measured.max_voxel_error:.3g} of the range"
+    )

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
+from clvol.store.geometry import EDGE
 from clvol.store.voxel_source import VoxelSource
 
-MOST_VOXELS = 1 << 27  # volumes of up to as many are drawn over everything
-_EDGE = 32  # of the blocks that are drawn
+_REGION = 2 * EDGE  # voxels per axis of the regions that are drawn
+_AT_ONCE = 64  # regions
 
 
 def scrambled(numbers: np.ndarray, seed: int) -> np.ndarray:
@@ -21,35 +23,54 @@ def scrambled(numbers: np.ndarray, seed: int) -> np.ndarray:
         return z ^ (z >> np.uint64(31))
 
 
-def drawn_by_weight(weights: np.ndarray, count: int, seed: int) -> np.ndarray:
-    """int64 [count]: places in ``weights`` (integers >= 0), ascending, each as often as its share of their sum says, to
-    within one; empty if all weights are 0."""
-    ends = np.cumsum(weights.astype(np.uint64), dtype=np.uint64)
-    total = int(ends[-1]) if len(ends) else 0
-    if not total:
-        return np.empty(0, np.int64)
-    offset = int(scrambled(np.array([count]), seed)[0] % np.uint64(total))
-    ticks = [(offset + i * total // count) % total for i in range(count)]
-    return np.sort(np.searchsorted(ends, np.array(ticks, np.uint64), side="right"))
+def drawn(places: np.ndarray, count: int, seed: int) -> np.ndarray:
+    """About ``count`` of ``places`` (ascending), evenly: one of every few; all of them if there are no more."""
+    if len(places) <= count:
+        return places
+    stride = -(-len(places) // count)
+    first = np.arange(0, len(places), stride)
+    jitter = (scrambled(first, seed) % np.uint64(stride)).astype(np.int64)
+    return places[np.minimum(first + jitter, len(places) - 1)]
 
 
-def drawn_blocks(source: VoxelSource, most: int, seed: int) -> Iterator[tuple[np.ndarray, int]]:
-    """Blocks [k, 32, 32, 32] (int k <= 128) of a ``source``, padded by repetition, with the number of blocks that each
-    stands for. All of them, or about ``most`` voxels' worth: one of every few blocks in z-order of rows."""
-    counts = tuple(-(-n // _EDGE) for n in source.shape)
-    number = int(np.prod(counts, dtype=np.int64))
-    stride = max(1, -(-number * _EDGE**3 // most)) if np.prod(source.shape, dtype=np.int64) > most else 1
-    chosen = np.arange(0, number, stride)
-    if stride > 1:  # one of each `stride` neighbours
-        chosen = np.minimum(chosen + (scrambled(chosen, seed) % np.uint64(stride)).astype(np.int64), number - 1)
-    for first in range(0, len(chosen), 128):
-        places = np.stack(np.unravel_index(chosen[first : first + 128], counts), axis=1)
-        yield np.stack([padded_box(source, place) for place in places]), stride
+@dataclass(frozen=True, eq=False)
+class DrawnBlocks:
+    """Blocks [k, EDGE, EDGE, EDGE] of level 0, padded by repetition. ``inside`` int64 [k, 3]: how many voxels of each
+    are the volume's own along z, y and x."""
+
+    voxels: np.ndarray
+    inside: np.ndarray
+
+    @property
+    def own(self) -> np.ndarray | None:
+        """bool [k, EDGE, EDGE, EDGE]: the volume's own voxels; None if all are."""
+        if (self.inside == EDGE).all():
+            return None
+        axis = np.arange(EDGE) < self.inside[:, :, None]
+        return axis[:, 0, :, None, None] & axis[:, 1, None, :, None] & axis[:, 2, None, None, :]
 
 
-def padded_box(source: VoxelSource, place: np.ndarray) -> np.ndarray:
-    """Block ``place`` (z, y, x) of 32^3 voxels."""
-    start = [int(p) * _EDGE for p in place]
-    end = [min(s + _EDGE, n) for s, n in zip(start, source.shape)]
+def drawn_blocks(source: VoxelSource, most: int, seed: int, dtype: np.dtype) -> Iterator[DrawnBlocks]:
+    """Blocks of a ``source`` as ``dtype``: all of them if they have no more than ``most`` voxels together, else those
+    of about as many voxels in regions spread evenly over it."""
+    counts = tuple(-(-n // _REGION) for n in source.shape)
+    regions = np.arange(int(np.prod(counts, dtype=np.int64)))
+    if int(np.prod(source.shape, dtype=np.int64)) > most:
+        regions = drawn(regions, max(1, most // _REGION**3), seed)
+    for first in range(0, len(regions), _AT_ONCE):
+        places = np.stack(np.unravel_index(regions[first : first + _AT_ONCE], counts), axis=1) * _REGION
+        parts = [_region(source, place) for place in places]
+        voxels = np.concatenate([part.voxels for part in parts])
+        with np.errstate(over="ignore"):  # float64 beyond float32 becomes infinite
+            yield DrawnBlocks(voxels.astype(dtype, copy=False), np.concatenate([part.inside for part in parts]))
+
+
+def _region(source: VoxelSource, place: np.ndarray) -> DrawnBlocks:
+    start = [int(p) for p in place]
+    end = [min(s + _REGION, n) for s, n in zip(start, source.shape)]
     voxels = source.box(start[0], end[0], start[1], end[1], start[2], end[2])
-    return np.pad(voxels, [(0, _EDGE - n) for n in voxels.shape], mode="edge")
+    padded = np.pad(voxels, [(0, -n % EDGE) for n in voxels.shape], mode="edge")
+    z, y, x = (n // EDGE for n in padded.shape)
+    blocks = padded.reshape(z, EDGE, y, EDGE, x, EDGE).transpose(0, 2, 4, 1, 3, 5).reshape(-1, EDGE, EDGE, EDGE)
+    corners = np.stack(np.unravel_index(np.arange(len(blocks)), (z, y, x)), axis=1) * EDGE
+    return DrawnBlocks(blocks, np.minimum(np.array(voxels.shape) - corners, EDGE))

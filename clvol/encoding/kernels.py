@@ -22,6 +22,7 @@ _CUT = (
     writes("work", np.uint16, "octants", "subs", 64),
     writes("means", np.uint8, "octants"),
     writes("flat", np.uint64, "octants", 2),
+    writes("apart", np.uint64, "octants", "subs", 2),
     writes("sums", np.uint64, "octants", 4),
 )
 _CHOOSE = (
@@ -80,7 +81,8 @@ def search_arrays(entries: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """``codebook`` and ``norms`` of int8 ``entries`` [stages, ENTRIES, samples]. A codeword of zeros but for code 0
     counts as unused: the first one says the same."""
     wide = entries.astype(np.int64)
-    norms = 2 * (wide * wide).sum(-1).astype(np.float32)
+    half = 16 if entries.shape[-1] == 8 else 2  # of a step, in the unit of residuals: cl/nearest_code.h
+    norms = (half * (wide * wide).sum(-1)).astype(np.float32)
     norms[:, 1:][norms[:, 1:] == 0] = UNUSED_NORM
     return np.ascontiguousarray(entries.transpose(0, 2, 1), np.float32), norms
 
@@ -95,7 +97,7 @@ class CutBlocks:
     """Blocks as sub-blocks on the device, and what is known of their octants.
 
     ``subs``: sub-blocks per octant. ``means`` uint8 [octants, subs + 1], the octant's last. ``flat`` uint64
-    [octants, 2] and ``sums`` [octants, 4]: see ``cut_blocks`` in cl/encode_codes.cl.
+    [octants, 2], ``apart`` [octants, subs, 2] and ``sums`` [octants, 4]: see ``cut_blocks`` in cl/encode_codes.cl.
     """
 
     subs: int
@@ -104,6 +106,7 @@ class CutBlocks:
     on_device: tuple[DeviceArray, DeviceArray]
     means: np.ndarray
     flat: np.ndarray
+    apart: np.ndarray
     sums: np.ndarray
 
 
@@ -136,14 +139,15 @@ class EncoderKernels:
         cut = self._kept("work", np.uint16, octants * subs * 64)
         means = self.context.output(np.uint8, (octants, subs + 1))
         flat = self.context.output(np.uint64, (octants, 2))
+        apart = self.context.output(np.uint64, (octants, subs, 2))
         sums = self.context.output(np.uint64, (octants, 4))
         kernel(
             self.context.queue, (octants,), (1,), sizes={"subs": subs},
             samples=self.context.share(np.ascontiguousarray(work)), edge=edge, octants=octants, levels=levels,
-            work=cut, means=means, flat=flat, sums=sums,
+            work=cut, means=means, flat=flat, apart=apart, sums=sums,
         )  # fmt: skip
         take = self.context.take
-        return CutBlocks(subs, octants, cut, (means, flat), take(means), take(flat), take(sums))
+        return CutBlocks(subs, octants, cut, (means, flat), take(means), take(flat), take(apart), take(sums))
 
     def choose(
         self, cut: CutBlocks, odd: np.ndarray, tables: SearchTables, stages: int, lambdas: np.ndarray,

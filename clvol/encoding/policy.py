@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from clvol.encoding.kernels import NO_BOUND
+from clvol.store.codecs.coded_blocks import RateTarget
 from clvol.store.codecs.working_values import LARGEST, WorkingValues
 
 _LARGEST_PACKED = LARGEST // 2  # residual steps are 2 packed + 1
@@ -76,3 +77,31 @@ def bound_of(share: float, values: WorkingValues, value_range: tuple[float, floa
     # Half a step by which working values are rounded, and the rounding of float32.
     rounding = 0.5 + 1e-6 + _EXACT_FLOAT * max(abs(values.first), abs(values.first + LARGEST))
     return max(-1, math.floor(share * span / values.scale - rounding))
+
+
+@dataclass(frozen=True)
+class Goal:
+    """A target in the encoder's units; one of the three, or none at all where only codebooks are wanted.
+
+    ``bound``: as of ``Policy``. ``squares``: the mean squared error at most. ``bits``: per voxel at most, of blocks,
+    index and codebooks.
+    """
+
+    bound: int | None = None
+    squares: float | None = None
+    bits: float | None = None
+
+    def needs(self, squares: np.ndarray, largest: np.ndarray, lagrangian: int) -> np.ndarray:
+        """bool [n]: for which sub-blocks of the given errors one more stage may be worth its bits."""
+        if self.bound is not None:
+            return largest > self.bound
+        return 256 * squares > 8 * lagrangian
+
+
+def goal_of(target: RateTarget, values: WorkingValues, value_range: tuple[float, float]) -> Goal:
+    if target.max_voxel_error is not None:
+        return Goal(bound=bound_of(target.max_voxel_error, values, value_range))
+    if target.psnr is not None:
+        peak = (value_range[1] - value_range[0]) / values.scale  # 1 of integers
+        return Goal(squares=peak**2 * 10 ** (-target.psnr / 10))
+    return Goal(bits=target.bits_per_voxel)

@@ -5,17 +5,28 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+
 from clvol.errors import ClvolWarning, SceneError
+from clvol.scene.compression import Compression
 from clvol.scene.resolve import ResolvedScene
+from clvol.store.stored_codes import CodesFacts
+from clvol.store.zarr_store import StoredBlocks
 from clvol.volume.volume import Volume
 
 _LARGE = 0.1  # of the range: a voxel that is wrong by so much may well be seen as something else
 
 
-def coded_source(volume: Volume) -> Any | None:
+def coded_source(volume: Volume) -> StoredBlocks | None:
     """The store of codes that ``volume`` is; None for any other volume."""
     source = getattr(volume, "blocks_source", None)
-    return source if getattr(source, "codebooks", None) is not None else None
+    return source if isinstance(source, StoredBlocks) and source.codes is not None else None
+
+
+def facts_of(source: StoredBlocks) -> CodesFacts:
+    """What a store of codes says of them."""
+    assert source.codes is not None
+    return source.codes
 
 
 def is_compressed(resolved: ResolvedScene) -> bool:
@@ -28,21 +39,32 @@ def check_compression(resolved: ResolvedScene) -> None:
     codec, where = resolved.compression.codec, f"{resolved.origin}: compression.codec"
     if codec == "none":
         return
-    if resolved.volume.labels:
-        raise SceneError(where, f"got {codec!r} for a volume of labels, which have to be exact", "'none'")
+    if resolved.volume.labels and resolved.compression.is_lossy:
+        raise SceneError(where, f"got {codec!r} for a volume of labels, which have to be exact", "'none' or 'labels'")
+    if codec == "labels" and resolved.volume.dtype == np.float64:
+        raise SceneError(where, "got 'labels' for float64 voxels", "voxels of one, two or four bytes, or 'none'")
     if coded_source(resolved.volume) is not None:
         raise SceneError(where, f"got {codec!r} for a store of codes", "'none', since its own codes are decoded")
 
 
-def compression_warning(stats: Mapping[str, Any]) -> ClvolWarning | None:
-    """The warning about decoded voxels with a large error. ``stats``: the entry "compression" of a frame's stats."""
-    error, codec = stats["max_voxel_error"], stats["codec"]
-    if error is None or error < _LARGE:
-        return None
-    what = f"shows voxels that differ from the original ones by up to {100 * error:.2g} % of the range (codec {codec!r}"
-    psnr = "" if stats["psnr"] is None else f", {stats['psnr']:.1f} dB"
-    advice = "set compression.max_voxel_error, with the codec 'rvq', or compression.codec = 'none'"
-    return ClvolWarning("compression", f"the picture {what}{psnr})", advice)
+def compression_warnings(settings: Compression, stats: Mapping[str, Any]) -> list[ClvolWarning]:
+    """Warnings about decoded voxels with a large error, and about a target that was missed. ``stats``: the entry
+    "compression" of a frame's stats."""
+    found, error, psnr = [], stats["max_voxel_error"], stats["psnr"]
+    if error >= _LARGE and settings.weighting == "even":  # else errors are large where nothing shows them
+        what = f"the picture shows voxels that differ from the original ones by up to {100 * error:.2g} % of the range"
+        codec = f"codec {stats['codec']!r}" + ("" if psnr is None else f", {psnr:.1f} dB")
+        advice = "set compression.max_voxel_error, with the codec 'rvq', or compression.codec = 'none'"
+        found.append(ClvolWarning("compression", f"{what} ({codec})", advice))
+    if settings.psnr is not None and psnr is not None and psnr < settings.psnr:
+        what = f"the voxels' PSNR is {psnr:.2f} dB, less than {settings.psnr:g}"
+        found.append(ClvolWarning("compression.psnr", what, "a higher number reaches it"))
+    bits = stats["bits_per_voxel"]
+    if settings.bits_per_voxel is not None and bits > settings.bits_per_voxel:
+        what = f"codes take {bits:.3g} bits per voxel, more than {settings.bits_per_voxel:g}"
+        advice = "a lower number reaches it, if codebooks alone do not take more"
+        found.append(ClvolWarning("compression.bits_per_voxel", what, advice))
+    return found
 
 
 def explained(resolved: ResolvedScene) -> dict[str, Any] | None:
@@ -54,10 +76,11 @@ def explained(resolved: ResolvedScene) -> dict[str, Any] | None:
     decode = "upload" if settings.decode == "auto" else settings.decode
     target = settings.target.to_json()
     if source is not None:
-        codec, what = source.codebooks.codec, "the store holds codes, which are read instead of voxels"
+        codec, what = facts_of(source).codec, "the store holds codes, which are read instead of voxels"
         cost = "no voxel is encoded"
     else:
-        codec, what = settings.codec, f"voxels are replaced by those that codes stand for, {_kept_to(target)}"
+        codec = settings.codec
+        what = f"voxels are replaced by those that codes stand for, {_kept_to(codec, target)}"
         cost = "encoding takes time once for a volume and these settings, however many pictures follow"
     if decode == "upload":
         what += "; all are decoded when they come to the device"
@@ -68,7 +91,9 @@ def explained(resolved: ResolvedScene) -> dict[str, Any] | None:
     return {"codec": codec, "target": target, "decode": decode, "does": what, "costs": cost}
 
 
-def _kept_to(target: Mapping[str, float]) -> str:
+def _kept_to(codec: str, target: Mapping[str, float]) -> str:
+    if codec == "labels":
+        return "which are the same"
     words = {
         "max_voxel_error": "each within {:g} of the range of values",
         "psnr": "with a signal-to-noise ratio of at least {:g} dB",

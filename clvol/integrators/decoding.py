@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import logging
 import math
-from collections.abc import Hashable
+from collections.abc import Hashable, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -14,17 +15,20 @@ from clvol.encoding.coded_volume import (
     CodedVolume,
     Decode,
     DecodedVolume,
+    LabelTrainer,
     UndecodedVolume,
     decode_on_host,
     encoded_volume,
+    in_words,
     measured_codes,
     stats_of,
     stored_codes,
 )
 from clvol.encoding.trainer import CodeTrainer
-from clvol.errors import SceneError
-from clvol.features.compression import coded_source, is_compressed
+from clvol.errors import RenderError, SceneError
+from clvol.features.compression import coded_source, facts_of, is_compressed
 from clvol.integrators.base import Integrator, Progress, Shared
+from clvol.integrators.code_weights import block_weights, check_weighting
 from clvol.opencl.context import DeviceContext
 from clvol.scene.compression import NOT_COMPRESSED, Compression
 from clvol.scene.resolve import ResolvedScene
@@ -35,9 +39,15 @@ from clvol.volume.voxel_layout import device_bytes
 
 _KEPT_CODES, _KEPT_VOXELS = 12, 3  # volumes
 
+_ROUNDING = 1 + 1e-9  # of the range and the bound in double precision
+
+_log = logging.getLogger(__name__)
+
 
 def check_decoding(resolved: ResolvedScene, integrator: Integrator) -> None:
-    """SceneError for codes that are to stay on the device, with an integrator that needs all voxels."""
+    """SceneError for codes that are to stay on the device, with an integrator that needs all voxels, and for weights in
+    a scene that they do not suit."""
+    check_weighting(resolved)
     if is_compressed(resolved) and resolved.compression.decode == "resident" and not integrator.holds_codes:
         where = f"{resolved.origin}: compression.decode"
         raise SceneError(where, f"got 'resident' with the method {integrator.name!r}", "'upload' or 'auto'")
@@ -48,13 +58,16 @@ def codes_of(
 ) -> CodedVolume | None:
     """The scene's volume as codes, made (or read, from a store of codes) once; None for a scene without compression.
 
-    Codes are kept by what they depend on: the volume, the codec, its target and the seed. ``decode``: whether the
+    Codes are kept by what they depend on: the volume, the codec, its target and the seed, and where they are weighted
+    by it, the transfer function. ``decode``: whether the
     decoded voxels, which are needed once to measure their error, are kept, too.
     """
     if not is_compressed(resolved):
         return None
     compression, volume = resolved.compression, resolved.volume
     key: Hashable = volume, compression.codec, compression.target, compression.seed
+    if compression.weighting != "even":
+        key = key, resolved.transfer_function, resolved.background.tobytes()
     if coded_source(volume) is not None:
         return shared.keep("codes", volume, lambda: stored_codes(volume), _KEPT_CODES)
     return shared.keep("codes", key, lambda: _encoded(resolved, shared, progress, decode), _KEPT_CODES)
@@ -98,29 +111,55 @@ def with_rendered_voxels(
     return replace(resolved, volume=decoded_voxels(codes, shared), compression=NOT_COMPRESSED)
 
 
-def compression_stats(resolved: ResolvedScene, shared: Shared, integrator: Integrator) -> dict[str, Any] | None:
-    """The entry "compression" of a frame's stats; None for a scene without compression. An integrator that decodes
-    blocks itself says in its own notes how many voxels it decoded, and the bytes of these."""
+def compression_stats(
+    resolved: ResolvedScene, shared: Shared, integrator: Integrator, blocks: Mapping[str, Any] | None = None
+) -> dict[str, Any] | None:
+    """The entry "compression" of a frame's stats; None for a scene without compression.
+
+    ``blocks``: the entry of that name. An integrator that decodes blocks itself says in its own notes how many voxels
+    it decoded for the frame, and the bytes of these.
+    """
     source = coded_source(resolved.volume)
     if source is not None and integrator.reads_blocks:
-        return None
+        blocks = blocks or {"bytes_on_device": 0, "bytes_of_samples": 0}
+        decoded = blocks["bytes_of_samples"] // source.dtype.itemsize
+        facts = facts_of(source)
+        return stats_of(facts.codec, facts.measured, blocks["bytes_on_device"], decoded)
     codes = codes_of(resolved, shared)
     if codes is None:
         return None
     if way_of_decoding(resolved, shared.context, integrator) == "resident":
-        return stats_of(codes, codes.nbytes, 0)
-    return stats_of(codes, device_bytes(codes), math.prod(codes.grid.shape))
+        stats = stats_of(codes.codebooks.codec, codes.measured, codes.nbytes, 0)
+    else:
+        stats = stats_of(codes.codebooks.codec, codes.measured, device_bytes(codes), math.prod(codes.grid.shape))
+    weighting = resolved.compression.weighting
+    return stats if weighting == "even" else stats | {"weighting": weighting}
 
 
 def _encoded(resolved: ResolvedScene, shared: Shared, progress: Progress | None, decode: bool) -> CodedVolume:
     """The scene's volume as codes, with their error over all voxels. ``decode``: all are decoded at once, and kept."""
     volume, context = resolved.volume, shared.context
-    codes = encoded_volume(volume, resolved.compression, trainer(context), progress)
-    if not decode:
-        return measured_codes(codes, volume, codes.layers(decode_on(context)))
-    decoded = _decoded(codes, context)
-    decoded.codes = codes = measured_codes(codes, volume, decoded.layers())
-    return shared.keep("decoded voxels", codes, lambda: decoded, _KEPT_VOXELS).codes
+    is_exact = resolved.compression.codec == "labels"
+    teacher = LabelTrainer() if is_exact else trainer(context)
+    codes = encoded_volume(volume, resolved.compression, teacher, progress, block_weights(resolved))
+    decoded = _decoded(codes, context) if decode else None
+    layers = codes.layers(decode_on(context)) if decoded is None else decoded.layers()
+    codes = measured_codes(codes, volume, layers)
+    _check_bound(codes, resolved)
+    _log.info("%s", in_words(codes))
+    if decoded is not None:
+        decoded.codes = codes
+        shared.keep("decoded voxels", codes, lambda: decoded, _KEPT_VOXELS)
+    return codes
+
+
+def _check_bound(codes: CodedVolume, resolved: ResolvedScene) -> None:
+    """RenderError for a voxel that is further off than the scene allows."""
+    bound, measured = resolved.compression.max_voxel_error, codes.measured
+    assert measured is not None
+    if bound is not None and resolved.compression.weighting == "even" and measured.max_voxel_error > bound * _ROUNDING:
+        what = f"a voxel is off by {measured.max_voxel_error:.6g} of the range"
+        raise RenderError(f"{resolved.origin}: compression.max_voxel_error", what, f"at most {bound:g}")
 
 
 def trainer(context: DeviceContext) -> Trainer:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from clvol.encoding.coded_volume import CodedVolume
@@ -56,9 +56,10 @@ class PreparedCache:
         """The volume of ``resolved`` as codes, which are kept; None for a scene without codes."""
         return codes_of(resolved, self._shared)
 
-    def compression(self, resolved: ResolvedScene) -> dict[str, Any]:
-        """"compression" for the stats of a frame of ``resolved``; nothing for a scene without codes."""
-        stats = compression_stats(resolved, self._shared, integrator_of(resolved))
+    def compression(self, resolved: ResolvedScene, blocks: Mapping[str, Any] | None = None) -> dict[str, Any]:
+        """"compression" for the stats of a frame of ``resolved``, whose entry "blocks" is given; nothing for a scene
+        without codes."""
+        stats = compression_stats(resolved, self._shared, integrator_of(resolved), blocks)
         return {} if stats is None else {"compression": stats}
 
     def _forget(self, dropped: object) -> None:

@@ -78,8 +78,8 @@ class Renderer:
     "NAME:k/n" for the k-th of n equal parts of a device, too), or pyopencl devices; None takes the default one.
     Several devices share each picture; one that fails is left out, with a warning. ``memory_cap``: bytes that the
     scene may take on a device; a scene that needs more is refused before anything is uploaded.
-    ``progress(done, total)`` is called while the blocks of the method "multiresolution" are read. Use the Renderer as
-    a context manager, or call ``close``.
+    ``progress(done, total)`` is called while voxels are encoded ([compression]), and while the blocks of the method
+    "multiresolution" are read. Use the Renderer as a context manager, or call ``close``.
 
     Several threads may call a Renderer: they take turns, and each gets the picture that it requested. A transfer
     function that one of them sets holds for all. A call from inside the Renderer's own ``progress`` raises
@@ -223,7 +223,7 @@ class Renderer:
         times = {"compile": compile_seconds, "render": perf_counter() - start}
         names = [member.context.name for member in on_devices.members if member.lost is None]
         self._notices.of_devices({m.context.name: m.lost for m in on_devices.members if m.lost is not None}, names)
-        counted = on_devices.cache.compression(self.resolved)
+        counted = on_devices.cache.compression(self.resolved, data.notes.get("blocks"))
         for name, value in _counted(data).items():
             counted[name] = counted["compression"] | value if name == "compression" else value
         return self._frame(names, camera, data.rgba, data.depth, times, counted)

@@ -17,7 +17,8 @@ class Compression(Table):
     """The volume as codes, from which its voxels are decoded before anything else is done with them.
 
     ``codec``: "rvq" (residual quantisation of 4^3 voxels, to a bound of the error), or one of fixed rate: "vq" (8 : 1
-    for bytes), "vq-mean", "hvq". "none" leaves the voxels as they are, whatever else is stated here.
+    for bytes), "vq-mean", "hvq"; "labels" is exact, and is for segmentations. "none" leaves the voxels as they are,
+    whatever else is stated here.
 
     At most one of ``max_voxel_error`` (the largest error of any voxel, as a share of the range of values), ``psnr`` (dB
     over that range, at least) and ``bits_per_voxel`` (at most, codebooks included); none: the codec's own default.
@@ -26,13 +27,17 @@ class Compression(Table):
     the blocks that a frame needs; "auto" takes "upload" where the decoded voxels fit into ``memory`` (if left out: into
     the device's memory). Both also apply to a volume that is a store of codes, without any ``codec``.
 
+    ``weighting``: with "transfer-function", max_voxel_error is the bound where the picture is most sensitive to values;
+    elsewhere voxels may be off by as much as does not show, so that what is transparent costs next to nothing. Codes
+    are then made for one transfer function.
+
     ``seed``: of the random choice of the voxels that codebooks are made from.
     """
 
-    codec: Literal["none", "vq", "vq-mean", "hvq", "rvq"] = Field(
+    codec: Literal["none", "vq", "vq-mean", "hvq", "rvq", "labels"] = Field(
         "none",
-        title="Codec of the voxels: none, or vector quantisation, of which 'rvq' is the one to use.",
-        description="'none', 'vq', 'vq-mean', 'hvq' or 'rvq'",
+        title="Codec of the voxels: vector quantisation, best by 'rvq', or 'labels', which is exact.",
+        description="'none', 'vq', 'vq-mean', 'hvq', 'rvq' or 'labels'",
     )
     max_voxel_error: Number | None = Field(
         None, gt=0, le=1,
@@ -51,6 +56,11 @@ class Compression(Table):
         title="Most bits per voxel, codebooks included; instead of max_voxel_error.",
         description="a number greater than 0, at most 64",
         examples=[0.5],
+    )
+    weighting: Literal["even", "transfer-function"] = Field(
+        "even",
+        title="Whether errors count alike everywhere, or as far as the transfer function shows them.",
+        description="'even' or 'transfer-function'",
     )
     decode: Literal["auto", "upload", "resident"] = Field(
         "auto",
@@ -80,6 +90,10 @@ class Compression(Table):
             raise wrong(stated[1], getattr(self, stated[1]), f"either {' or '.join(stated)}, not both")
         if stated and "codec" not in self.model_fields_set:
             raise wrong("codec", None, f"a codec beside {stated[0]}, such as 'rvq'")
+        if stated and self.codec == "labels":
+            raise wrong(stated[0], getattr(self, stated[0]), "no target beside the codec 'labels', which is exact")
+        if self.weighting != "even" and (self.is_lossy and self.codec != "rvq" or stated not in ((), TARGETS[:1])):
+            raise wrong("weighting", self.weighting, "'even', or the codec 'rvq' and max_voxel_error")
         return self
 
     @property
@@ -89,8 +103,8 @@ class Compression(Table):
 
     @property
     def is_lossy(self) -> bool:
-        """Whether voxels are encoded here."""
-        return self.codec != "none"
+        """Whether decoded voxels may differ from the original ones."""
+        return self.codec not in ("none", "labels")
 
     @property
     def memory_bytes(self) -> int | None:

@@ -242,7 +242,7 @@ def _with_nan_as(volume: Volume, value: float) -> Volume:
 def _check_no_labels(scene: Scene) -> None:
     """SceneError for a lossy codec of voxels that a field of the scene takes for labels."""
     codec, volume = scene.compression.codec, scene.volume
-    if codec == "none":
+    if not scene.compression.is_lossy:
         return
     for number, field in enumerate(scene.field):
         same = field.file is volume
@@ -252,7 +252,7 @@ def _check_no_labels(scene: Scene) -> None:
         if same and field.role == "label":
             where = f"{scene.origin}: compression.codec"
             what = f"got {codec!r} for voxels that field.{number} takes for labels, which have to be exact"
-            raise SceneError(where, what, "'none'")
+            raise SceneError(where, what, "'none' or 'labels'")
 
 
 def _check_step_count(scene: Scene, grid: Grid) -> None:

@@ -1,9 +1,10 @@
 """Making the codes of a store that is being built: the range of the voxels, training, and region by region the bytes of
 blocks, their statistics and their errors.
 
-Levels are means of the original voxels. Everything that is said of samples (statistics, range, counts) is of decoded
-ones. What neighbouring regions add to the reach of blocks is not known while a region is made: a region records what
-it adds to its neighbours' blocks (``extended_reach``), and ``merged_reach`` joins that at the end.
+Levels are means of the original voxels, or the most frequent labels. Everything that is said of samples (statistics,
+range, counts) is of decoded ones. What neighbouring regions add to the reach of blocks is not known while a region is
+made: a region records what it adds to its neighbours' blocks (``extended_reach``), and ``merged_reach`` joins that at
+the end.
 """
 
 from __future__ import annotations
@@ -20,12 +21,13 @@ import numpy as np
 
 from clvol.errors import ClvolWarning, RenderError, UsageError, VolumeError
 from clvol.store.codecs import CODES, Codec
-from clvol.store.codecs.coded_blocks import RAW, CodedBlocks, MeasuredError, RateTarget
+from clvol.store.codecs.coded_blocks import CodedBlocks, MeasuredError, RateTarget
 from clvol.store.codecs.encoding import BlockEncoder, Trainer, Training
 from clvol.store.format import StoreLayout
 from clvol.store.journal import Journal
 from clvol.store.packs import packed
-from clvol.store.resolutions import describe_region, extended_reach, resolutions, split, whole_blocks
+from clvol.store.plain_encoders import LabelEncoder, RawEncoder, is_without_codes, raw_block, without_codes
+from clvol.store.resolutions import describe_region, extended_reach, majorities, resolutions, split, whole_blocks
 from clvol.store.source import BlockStatistics
 from clvol.store.stored_codes import BlockCodes, codebooks_json, codebooks_of
 from clvol.store.voxel_source import VoxelSource
@@ -33,6 +35,8 @@ from clvol.store.voxel_source import VoxelSource
 REACH = {"reach_low": np.minimum, "reach_high": np.maximum, "holes": np.logical_or}
 _RANGE, _TRAINING = "range", "training"  # records of the journal
 _POSSIBLE = {"max_voxel_error": (0.0, 1.0), "psnr": (0.0, 200.0), "bits_per_voxel": (0.0, 64.0)}
+_MOST_OF_RAW = 1.01  # bytes of codes and codebooks, as a share of the voxels'
+_CACHED = 1 << 18  # voxels that are compared together
 _LARGEST_FLOAT = float(np.finfo(np.float32).max)
 
 
@@ -73,7 +77,7 @@ class Coding:
             self._check_lossy(source, trainer)
         self.original_dtype = source.dtype
         self._voxels = source if source.dtype == layout.dtype else AsFloat32(source)
-        self._trainer = trainer
+        self._trainer = None if layout.codecs[0].lossless else trainer
         self.range = (0.0, 0.0)
         self.training: Training | None = None
         self._encoder: BlockEncoder | None = None
@@ -115,18 +119,34 @@ class Coding:
 
     def train(self, journal: Journal, progress: Callable[[int, int], None] | None) -> None:
         """Takes the training from the journal, or trains and records it."""
-        if self._trainer is None or self.codec == "labels":
+        if self._trainer is None:
+            self._encoder = LabelEncoder(self.layout.dtype)
+            self.training = self._encoder.training
             return
-        self.training = _training_of(journal.kept(_TRAINING))
-        if self.training is None:
+        training = _training_of(journal.kept(_TRAINING))
+        if training is None:
             target = self._target_of_encoder()
-            self.training = self._trainer.train(self._voxels, self.range, self.codec, target, self.seed, progress)
-            books = self.training.codebooks
-            said = {**codebooks_json(books), "policy": self.training.policy}
-            journal.keep(_TRAINING, entries=books.entries, json=np.array(json.dumps(said)))
-            # As a resumed build has it.
-            self.training = _training_of(journal.kept(_TRAINING)) or self.training
-        self._encoder = self._trainer.encoder(self.training)
+            made = self._trainer.train(self._voxels, self.range, self.codec, target, self.seed, progress)
+            training = _recorded(made, journal)
+        self._use(training)
+
+    def _use(self, training: Training) -> None:
+        self.training = training
+        if is_without_codes(training):
+            self._encoder = RawEncoder(training)
+        elif self._trainer is not None:
+            self._encoder = self._trainer.encoder(training)
+
+    def gives_up(self, size: int, journal: Journal) -> bool:
+        """Whether codes and codebooks of level 0, of ``size`` bytes, take more than voxels that are stored as they are
+        may take. The records of regions are then gone, and regions that are made again have no codes."""
+        assert self.training is not None
+        raw = math.prod(self.layout.shape) * self.layout.dtype.itemsize
+        if self._trainer is None or is_without_codes(self.training) or size <= _MOST_OF_RAW * raw:
+            return False
+        journal.forget_regions()  # before the training that they are of
+        self._use(_recorded(without_codes(self.training), journal))
+        return True
 
     def _target_of_encoder(self) -> RateTarget:
         """The target for voxels of float32, so that its bound holds for voxels of float64."""
@@ -141,15 +161,16 @@ class Coding:
 
     @property
     def decoder(self) -> BlockCodes:
-        books = None if self.training is None else self.training.codebooks
-        return BlockCodes(self.codec, self.layout.dtype, books)
+        assert self.training is not None
+        return BlockCodes(self.training.codebooks)
 
     # ---- regions ----
 
     def make(self, box: np.ndarray, where: tuple[int, int, int]) -> CodedRegion:
         """The codes of the region ``box`` [z, y, x] of original voxels, which begins at voxel ``where``."""
         layout = self.layout
-        made = resolutions(box.astype(layout.dtype, copy=False), layout.blocks.levels)
+        reduce = majorities if self._trainer is None else resolutions
+        made = reduce(box.astype(layout.dtype, copy=False), layout.blocks.levels)
         stored, decoded, errors = [], [], []
         for level, samples in enumerate(made):
             if not layout.codecs[level].coded:
@@ -159,7 +180,11 @@ class Coding:
             s = layout.blocks.samples(level)
             full = whole_blocks(samples, s)
             coded = self._coded(split(full, s))
-            there = _joined(self.decoder.decode(coded, s), full.shape)[tuple(map(slice, samples.shape))]
+            try:
+                there = _joined(self.decoder.decode(coded, s), full.shape)[tuple(map(slice, samples.shape))]
+            except VolumeError as error:
+                what = f"the encoder made impossible codes ({error.what})"
+                raise RenderError(_place(level, where), what, "possible ones") from error
             counts = tuple(n // s for n in full.shape)
             stored.append(packed(coded, counts, layout.pack, layout.capacity(level)))
             decoded.append(there)
@@ -171,39 +196,39 @@ class Coding:
 
     def _coded(self, samples: np.ndarray) -> CodedBlocks:
         """The bytes of blocks [k, s, s, s]; raw ones where codes would take more."""
-        if self._encoder is None:
-            raise NotImplementedError
+        assert self._encoder is not None
         with self._encoding:
             coded = self._encoder.encode(samples)
         raw = samples[0].nbytes + 1
         if (coded.size <= raw).all():
             return coded
-        little = samples.astype(samples.dtype.newbyteorder("<"), copy=False)
         parts = [
-            coded.data[a : a + n] if n <= raw else np.frombuffer(bytes([RAW]) + block.tobytes(), np.uint8)
-            for a, n, block in zip(coded.start.tolist(), coded.size.tolist(), little)
+            coded.data[a : a + n] if n <= raw else raw_block(block)
+            for a, n, block in zip(coded.start.tolist(), coded.size.tolist(), samples)
         ]
         size = np.minimum(coded.size, raw)
         return CodedBlocks(np.concatenate(parts), np.cumsum(size) - size, size)
 
     def _error(self, original: np.ndarray, decoded: np.ndarray, level: int, where: tuple) -> np.ndarray:
         """float64 [3]: sum of squared differences, the largest one, and the number of finite samples. RenderError if
-        the bound does not hold, or what must be the same is not."""
-        finite = np.isfinite(original)
-        place = f"level {level}, the samples from {tuple(n >> level for n in where)}"
-        same = np.array_equal(decoded[~finite], original[~finite].astype(decoded.dtype), equal_nan=True)
-        if not same or not np.isfinite(decoded[finite]).all():
+        the bound does not hold, or if other samples are finite than before."""
+        depth = max(_CACHED // max(original[0].size, 1), 1)
+        parts = [
+            _difference(original[z : z + depth], decoded[z : z + depth]) for z in range(0, len(original), depth)
+        ]
+        squares = math.fsum(part[0] for part in parts)
+        largest, count = max(part[1] for part in parts), sum(part[2] for part in parts)
+        place = _place(level, where)
+        if math.isnan(largest):
             raise RenderError(place, "the encoder changed which voxels are finite", "the same ones")
-        off = np.subtract(decoded, original, dtype=np.float64, where=finite, out=np.zeros(original.shape))
-        largest = float(np.abs(off).max(initial=0.0))
         extent = self.range[1] - self.range[0]
-        lossless = self.codec == "labels" or extent == 0
+        lossless = self._trainer is None or extent == 0
         bound = 0.0 if lossless else self.target.max_voxel_error
         if bound is not None and largest > bound * extent:
             share = largest / extent if extent else math.inf
             what = f"the encoder left an error of {largest:.6g}, {share:.6g} of the range"
             raise RenderError(place, what, f"at most {bound:g}")
-        return np.array([np.vdot(off, off), largest, np.count_nonzero(finite)])
+        return np.array([squares, largest, count])
 
     # ---- the end ----
 
@@ -213,7 +238,9 @@ class Coding:
         levels = []
         for own in errors.transpose(1, 0, 2):
             squares, count = math.fsum(own[:, 0]), own[:, 2].sum()
-            psnr = 20 * math.log10(extent) - 10 * math.log10(squares / count) if squares > 0 else math.inf
+            psnr = math.inf
+            if squares > 0:  # digits beyond these depend on the order of additions
+                psnr = round(20 * math.log10(extent) - 10 * math.log10(squares / count), 6)
             largest = float(own[:, 1].max())
             levels.append((psnr, largest / extent if extent else 0.0))
         total = sum(sizes.values())
@@ -225,6 +252,30 @@ class Coding:
             ],
         }
         return MeasuredError(*levels[0], 8 * (sizes["codes"] + sizes["codebooks"]) / voxels, facts)
+
+
+def _place(level: int, where: tuple[int, int, int]) -> str:
+    return f"level {level}, the samples from {tuple(n >> level for n in where)}"
+
+
+def _difference(original: np.ndarray, decoded: np.ndarray) -> tuple[float, float, int]:
+    """Sum of squared differences, the largest one (NaN if a sample that is not finite is not as it was, or another one
+    is not finite), and the number of finite samples."""
+    if original.dtype.kind != "f":
+        off = np.subtract(decoded, original, dtype=np.int32)
+        largest = float(max(int(off.max()), -int(off.min())))
+        flat = off.astype(np.float64).ravel()  # sums are below 2^53, and exact
+        return float(flat @ flat), largest, off.size
+    finite = np.isfinite(original)
+    if finite.all():
+        flat = np.subtract(decoded, original, dtype=np.float64).ravel()
+    else:
+        others = ~finite
+        if not np.array_equal(decoded[others], original[others].astype(decoded.dtype), equal_nan=True):
+            return math.nan, math.nan, 0
+        flat = np.subtract(decoded[finite], original[finite], dtype=np.float64)
+    largest = float(np.abs(flat).max(initial=0.0))
+    return float((flat * flat).sum()), largest if math.isfinite(largest) else math.nan, flat.size
 
 
 def merged_reach(
@@ -250,12 +301,19 @@ def merged_reach(
     return found.astype(dtype)
 
 
+def _recorded(training: Training, journal: Journal) -> Training:
+    """Records ``training``; returns it as a resumed build has it."""
+    said = {"codebooks": codebooks_json(training.codebooks), "policy": training.policy}
+    journal.keep(_TRAINING, entries=training.codebooks.entries, json=np.array(json.dumps(said)))
+    return _training_of(journal.kept(_TRAINING)) or training
+
+
 def _training_of(kept: dict[str, np.ndarray] | None) -> Training | None:
     if kept is None:
         return None
     try:
         said = json.loads(str(kept["json"]))
-        return Training(codebooks_of(said, kept["entries"]), said["policy"])
+        return Training(codebooks_of(said["codebooks"], kept["entries"]), said["policy"])
     except (KeyError, TypeError, ValueError):
         return None
 

@@ -10,9 +10,10 @@ STORE.partial        an incomplete store: the same, with clvol-journal/
 
 At level 0 a chunk holds one block; at coarser levels it holds (chunk / samples)^3 blocks.
 
-A level that holds codes is an array [z, y, x, byte] of uint8: a chunk is a pack of blocks (packs.py). Such levels are
-not among OME-Zarr's ``multiscales``, since other readers cannot decode them; the coarsest levels always hold samples.
-STORE/codebooks      int8 [stage, code, sample], of codecs that have codebooks (stored_codebooks.py)
+A level that holds codes is an array [z, y, x and byte] of uint8: a chunk is a pack of blocks (packs.py), whose bytes
+follow those of the pack before it along x. Such levels are not among OME-Zarr's ``multiscales``, since other readers
+cannot decode them; the coarsest levels always hold samples.
+STORE/codebooks      int8 [stage, code, sample], of codecs that have codebooks (stored_codes.py)
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ import numpy as np
 
 from clvol.errors import UsageError, VolumeError
 from clvol.store import packs
-from clvol.store.codecs import COARSE, FEWEST_CODED, Codec, find_codec, statistics_chain
+from clvol.store.codecs import COARSE, FEWEST_CODED, LABELS, Codec, find_codec, statistics_chain
 from clvol.store.geometry import EDGES, BlockGrid
 from clvol.store.source import QUANTILES
 from clvol.volume.axis import ValueAxis
@@ -121,22 +122,27 @@ class StoreLayout:
         """Where shard ``index`` is in the array of ``level``."""
         if not self.codecs[level].coded:
             return self.region(index, level)
-        n = self.chunks(level)
-        ends = [-(-count // self.pack) for count in self.blocks.counts]
-        place = np.unravel_index(index, self.regions)
-        return tuple(slice(int(p) * n, min((int(p) + 1) * n, end)) for p, end in zip(place, ends))
+        first = np.array(np.unravel_index(index, self.regions)) * self.chunks(level)
+        ends = -(-np.array(self.blocks.counts) // self.pack)
+        return self.packs_region(level, first, np.minimum(first + self.chunks(level), ends))
+
+    def packs_region(self, level: int, low: np.ndarray, high: np.ndarray) -> tuple[slice, slice, slice]:
+        """Where the packs ``low`` <= (z, y, x) < ``high`` are in the array of ``level``."""
+        (z0, y0, x0), (z1, y1, x1) = low.tolist(), high.tolist()
+        return slice(z0, z1), slice(y0, y1), slice(x0 * self.capacity(level), x1 * self.capacity(level))
 
     def shard_file(self, index: int, level: int) -> str:
         """The path of a shard, relative to the store."""
-        place = [str(int(p)) for p in np.unravel_index(index, self.regions)]
-        return "/".join([str(level), "c", *place, *(["0"] if self.codecs[level].coded else [])])
+        return "/".join(
+            [str(level), "c", *(str(int(p)) for p in np.unravel_index(index, self.regions))]
+        )
 
     def level_metadata(self, level: int) -> dict:
         """The zarr.json of a level."""
         codec = self.codecs[level]
-        dtype, last = (np.dtype(np.uint8), [self.capacity(level)]) if codec.coded else (self.dtype, [])
+        dtype = np.dtype(np.uint8) if codec.coded else self.dtype
         sharding = {
-            "chunk_shape": [1, 1, 1, *last] if codec.coded else [self.chunk(level)] * 3,
+            "chunk_shape": [1, 1, self.capacity(level)] if codec.coded else [self.chunk(level)] * 3,
             "codecs": codec.chain(dtype),
             "index_codecs": [
                 {"name": "bytes", "configuration": {"endian": "little"}},
@@ -148,9 +154,9 @@ class StoreLayout:
         if not codec.coded:
             shape = self.blocks.level_shape(level)
             return _array(shape, [self.shard >> level] * 3, dtype, codecs, ["z", "y", "x"])
-        along = [-(-n // self.pack) for n in self.blocks.counts]
-        shard = [self.chunks(level)] * 3
-        metadata = _array((*along, *last), (*shard, *last), dtype, codecs, ["z", "y", "x", "byte"])
+        z, y, x = (-(-n // self.pack) for n in self.blocks.counts)
+        n, capacity = self.chunks(level), self.capacity(level)
+        metadata = _array((z, y, x * capacity), (n, n, n * capacity), dtype, codecs, ["z", "y", "x and byte"])
         return metadata | {"attributes": {CODES_OF: codec.name}}
 
     # ---- statistics ----
@@ -307,10 +313,12 @@ def _multiscale(layout: StoreLayout, grid: Grid, name: str | None, unit: str | N
     axes = [{"name": axis, "type": "space"} for axis in "zyx"]
     if (said := ome_name(unit)) is not None:
         axes = [{**axis, "unit": said} for axis in axes]
-    method = {"description": "means of the voxels of level 0", "method": "clvol.store.resolutions"}
+    labels = layout.codecs[0].name == LABELS
+    what = "most frequent labels" if labels else "means"
+    method = {"description": f"{what} of the voxels of level 0", "method": "clvol.store.resolutions"}
     return {
         "name": name or "volume",
-        "type": "mean",
+        "type": "mode" if labels else "mean",
         "metadata": method,
         "axes": axes,
         "datasets": datasets,

@@ -18,7 +18,8 @@ class BlockGrid:
     Block (bz, by, bx) holds the voxels edge * b ... edge * b + edge - 1 along each axis; the last blocks may reach
     beyond the array. Blocks are numbered in C order of (bz, by, bx). Level 0 is full resolution; level l has
     ``samples(l)`` = edge / 2^l samples per axis, and the last level has one. Sample i along an axis of a block at
-    level l is the mean of the voxels 2^l i ... 2^l (i + 1) - 1 that are inside the array.
+    level l is the mean of the voxels 2^l i ... 2^l (i + 1) - 1 that are inside the array (in stores of the codec
+    "labels": the most frequent label).
     """
 
     shape: tuple[int, int, int]

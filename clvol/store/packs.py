@@ -27,7 +27,7 @@ def capacity(count: int, raw: int) -> int:
 
 
 def packed(coded: CodedBlocks, counts: tuple[int, int, int], side: int, capacity: int) -> np.ndarray:
-    """The packs, uint8 [z, y, x, capacity], of the blocks [z, y, x] = ``counts`` of a region in C order."""
+    """The packs, uint8 [z, y, x capacity], of the blocks [z, y, x] = ``counts`` of a region in C order."""
     along = tuple(-(-n // side) for n in counts)
     out = np.zeros((*along, capacity), np.uint8)
     numbers = np.arange(len(coded)).reshape(counts)
@@ -41,7 +41,7 @@ def packed(coded: CodedBlocks, counts: tuple[int, int, int], side: int, capacity
         parts = [coded.data[a : a + n] for a, n in zip(first, coded.size[own].ravel().tolist())]
         joined = np.concatenate([index, *parts])
         out[place][: len(joined)] = joined
-    return out
+    return out.reshape(*along[:2], -1)
 
 
 def unpacked(packs: np.ndarray, pack: np.ndarray, slot: np.ndarray, side: int) -> CodedBlocks:

@@ -78,6 +78,40 @@ def resolutions(box: np.ndarray, levels: int) -> list[np.ndarray]:
     return found
 
 
+def majorities(box: np.ndarray, levels: int) -> list[np.ndarray]:
+    """As ``resolutions`` for labels: a sample is the label that most of its voxels have, the one with the smallest bits
+    of several.
+    """
+    bits = box.view(f"u{box.dtype.itemsize}")
+    distinct, numbers = np.unique(bits, return_inverse=True) if bits.dtype.itemsize > 2 else (None, bits)
+    outside = 1 << 16 if distinct is None else len(distinct)  # beyond the array
+    padded = _filled_up(numbers.reshape(box.shape).astype(np.int32), levels, outside)
+    found = [box]
+    for level in range(1, levels):
+        edge = 1 << level
+        shape = tuple(-(-n // edge) for n in box.shape)
+        whole = tuple(slice(0, n * edge) for n in shape)
+        cells = split(padded[whole], edge).reshape(-1, edge**3)
+        common = cells[:, 0].copy()
+        mixed = np.flatnonzero((cells != cells[:, :1]).any(axis=1))
+        for rows in np.array_split(mixed, max(len(mixed) * edge**3 // _CACHED, 1)):
+            common[rows] = _most_frequent(cells[rows], outside)
+        labels = common.astype(bits.dtype) if distinct is None else distinct[common]
+        found.append(labels.view(box.dtype).reshape(shape))
+    return found
+
+
+def _most_frequent(rows: np.ndarray, outside: int) -> np.ndarray:
+    """The most frequent number of each row [k, n], the smallest of several; ``outside`` counts as none."""
+    ordered = np.sort(rows, axis=1)
+    place = np.arange(rows.shape[1])
+    begins = np.ones(ordered.shape, bool)
+    begins[:, 1:] = ordered[:, 1:] != ordered[:, :-1]
+    length = place - np.maximum.accumulate(np.where(begins, place, 0), axis=1)
+    length[ordered == outside] = -1
+    return np.take_along_axis(ordered, length.argmax(axis=1)[:, None], axis=1)[:, 0]
+
+
 def _means_of_floats(box: np.ndarray, levels: int, cut_short: bool) -> list[np.ndarray]:
     finite = np.isfinite(box)
     holes = not finite.all()

@@ -54,6 +54,12 @@ class Steps:
         self._done = self._first + self._sizes[self._phase] * done // max(total, 1)
         self._say()
 
+    def finish(self) -> None:
+        """All is done."""
+        if self._codes:
+            self._done = self._total
+            self._say()
+
     def _say(self) -> None:
         if self._progress is not None:
             self._progress(self._done, self._total)

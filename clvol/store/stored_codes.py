@@ -1,14 +1,17 @@
 """What a store says of its codes: codebooks as an array with a checksum, parameters and measured errors as JSON.
 
-"codes" in the root's metadata has: version, codec, side, shifts, residual_step and values (what ``Codebooks`` holds
-besides entries; null without codebooks), checksum (of the file of codebooks, which binds it to this store; null if
-there is none), seed, target, policy, original (dtype and value_range of the voxels that were coded) and measured.
+"codes" in the root's metadata has: version, codec, codebooks (what ``Codebooks`` holds besides entries, with a
+checksum), checksum (of the file of entries, which binds it to this store; null if there are none), seed, target,
+policy, original (dtype and value_range of the voxels that were coded) and measured.
 """
 
 from __future__ import annotations
 
+import json
 import math
 import os
+import shutil
+import zlib
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -31,23 +34,17 @@ CODEBOOKS = "codebooks"
 
 @dataclass(frozen=True, eq=False)
 class BlockCodes:
-    """How the blocks of one store are decoded. ``codebooks`` is None for codecs without."""
+    """How the blocks of one store are decoded."""
 
-    codec: str
-    dtype: np.dtype
-    codebooks: Codebooks | None
+    codebooks: Codebooks
 
     def decode(self, coded: CodedBlocks, s: int) -> np.ndarray:
         """Samples [k, s, s, s] of blocks that are possible."""
-        return decode_blocks(coded, s, self._books())
+        return decode_blocks(coded, s, self.codebooks)
 
     def impossible(self, coded: CodedBlocks, s: int) -> np.ndarray:
         """Numbers of the blocks whose bytes are impossible, int64, ascending."""
-        return check_codes(coded, s, self._books())
-
-    def _books(self) -> Codebooks:
-        assert self.codebooks is not None
-        return self.codebooks
+        return check_codes(coded, s, self.codebooks)
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +52,7 @@ class CodesFacts:
     """"codes" of a store's root metadata. ``codebooks`` (JSON): what they hold besides entries."""
 
     codec: str
-    codebooks: dict | None
+    codebooks: dict
     checksum: int | None
     seed: int
     target: RateTarget
@@ -64,6 +61,17 @@ class CodesFacts:
     original_range: tuple[float, float]
     measured: MeasuredError
     sizes: dict[str, int] = field(default_factory=dict)
+
+    @property
+    def missed_target(self) -> tuple[str, str] | None:
+        """How a target was missed that is estimated from a part of the volume, and what helps; None if none was."""
+        target, measured = self.target, self.measured
+        if target.psnr is not None and measured.psnr < target.psnr:
+            return f"PSNR {measured.psnr:.2f} dB, less than {target.psnr:g}", "a higher one reaches it"
+        if target.bits_per_voxel is not None and measured.bits_per_voxel > target.bits_per_voxel:
+            what = f"{measured.bits_per_voxel:.3g} bits per voxel, more than {target.bits_per_voxel:g}"
+            return what, "a lower number reaches it, if codebooks alone do not take more"
+        return None
 
     @property
     def bits_per_voxel_all(self) -> float:
@@ -104,9 +112,7 @@ def parse_codes(own: Any, layout: StoreLayout, where: str) -> CodesFacts:
     )  # fmt: skip
     float(measured["bits_per_voxel_all"])
     checksum = None if own["checksum"] is None else int(own["checksum"])
-    books = None if own["codebooks"] is None else dict(own["codebooks"])
-    if (books is None) != (codec.name == "labels"):
-        raise ValueError("codebooks")
+    books = dict(own["codebooks"])
     target = RateTarget(**{key: float(value) for key, value in own["target"].items()})
     return CodesFacts(
         codec.name, books, checksum, int(own["seed"]), target, dict(own["policy"]),
@@ -118,16 +124,23 @@ def parse_codes(own: Any, layout: StoreLayout, where: str) -> CodesFacts:
 
 
 def codebooks_json(books: Codebooks) -> dict[str, Any]:
-    """What ``books`` hold besides their entries."""
-    return {
+    """What ``books`` hold besides their entries, with a checksum."""
+    own = {
         "codec": books.codec, "side": books.side, "shifts": books.shifts.tolist(),
         "residual_step": int(books.residual_step), "values": books.values.to_json(),
     }  # fmt: skip
+    return own | {"crc32": _checksum(own)}
+
+
+def _checksum(own: dict) -> int:
+    return zlib.crc32(json.dumps({**own, "crc32": None}, sort_keys=True).encode())
 
 
 def codebooks_of(own: dict, entries: np.ndarray | None) -> Codebooks:
     """The codebooks of ``codebooks_json`` and their ``entries`` (None if there is no stage). KeyError, TypeError or
     ValueError if they are impossible."""
+    if own["crc32"] != _checksum(own):
+        raise ValueError("their parameters are damaged")
     side, shifts = int(own["side"]), np.array(own["shifts"], np.int32).reshape(-1)
     if entries is None:
         entries = np.zeros((0, ENTRIES, side**3), np.int8)
@@ -139,7 +152,10 @@ def codebooks_of(own: dict, entries: np.ndarray | None) -> Codebooks:
 
 
 def write_codebooks(folder: Path, books: Codebooks) -> int | None:
-    """Writes the array of ``books``; returns the checksum of its file, None if they have no stages."""
+    """Writes the array of ``books`` in the place of any other; returns the checksum of its file, None if they have no
+    stages."""
+    if (folder / CODEBOOKS).exists():
+        shutil.rmtree(folder / CODEBOOKS)
     if not books.stages:
         return None
     array = open_array(folder / CODEBOOKS, codebooks_metadata(books.entries.shape))
@@ -147,15 +163,13 @@ def write_codebooks(folder: Path, books: Codebooks) -> int | None:
     return file_checksum(_file(folder))
 
 
-def read_codebooks(folder: Path, facts: CodesFacts, dtype: np.dtype, where: str, wanted: str) -> Codebooks | None:
-    """The codebooks of the store ``folder``, whose samples are of ``dtype``; None for codecs without. VolumeError, with
-    ``where`` and ``wanted``, if they are damaged or belong to another store."""
+def read_codebooks(folder: Path, facts: CodesFacts, dtype: np.dtype, where: str, wanted: str) -> Codebooks:
+    """The codebooks of the store ``folder``, whose samples are of ``dtype``. VolumeError, with ``where`` and
+    ``wanted``, if they are damaged or belong to another store."""
     own = facts.codebooks
-    if own is None:
-        return None
     try:
         entries = None
-        if own["shifts"]:
+        if len(own["shifts"]):
             array = open_array(folder / CODEBOOKS)
             shape = [len(own["shifts"]), ENTRIES, int(own["side"]) ** 3]
             if list(array.shape) != shape or array.dtype.name != "int8":
@@ -165,6 +179,8 @@ def read_codebooks(folder: Path, facts: CodesFacts, dtype: np.dtype, where: str,
                 raise VolumeError(where, "the codebooks belong to another store", wanted)
     except ValueError as error:
         raise VolumeError(where, f"the codebooks: {what_failed(error)}", wanted) from None
+    except (KeyError, TypeError, OverflowError):
+        raise VolumeError(where, "damaged zarr.json (codebooks)", wanted) from None
     try:
         books = codebooks_of(own, entries)
         if books.codec != facts.codec or books.values.dtype != dtype:

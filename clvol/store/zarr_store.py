@@ -68,7 +68,7 @@ class StoredBlocks:
 
     ``facts`` holds its metadata. ``checks_places``: whether data are proved to be in their positions (older stores
     cannot do so). ``codes`` is what the metadata say of codes, and ``codebooks`` are what decoding them needs (None for
-    stores and codecs without); ``value_range``, counts and statistics are those of decoded samples.
+    stores of samples); ``value_range``, counts and statistics are those of decoded samples.
     """
 
     def __init__(self, path: str | os.PathLike) -> None:
@@ -94,7 +94,7 @@ class StoredBlocks:
         if self.layout.coded:
             self.codes = self._checked_codes(facts.codes)
             self.codebooks = read_codebooks(self.path, self.codes, self.dtype, self._where, _WANTED)
-            self._decoder = BlockCodes(self.codes.codec, self.dtype, self.codebooks)
+            self._decoder = BlockCodes(self.codebooks)
 
     def _checked_facts(self) -> StoreFacts:
         check_finished(self.path)
@@ -225,7 +225,7 @@ class StoredBlocks:
             own = places[members]
             pack = np.ravel_multi_index(tuple((own // side - low).T), tuple(high - low))
             slot = np.ravel_multi_index(tuple((own % side).T), (side,) * 3)
-            coded = unpacked(packs.reshape(-1, packs.shape[-1]), pack, slot, side)
+            coded = unpacked(packs.reshape(-1, self.layout.capacity(level)), pack, slot, side)
             impossible = self._decoder.impossible(coded, s)
             if len(impossible):
                 block = tuple(own[impossible[0]].tolist())
@@ -303,8 +303,9 @@ class StoredBlocks:
                 yield chunks[part[0]], chunks[part[0]] + 1, part, misplaced
 
     def _start(self, level: int, low: np.ndarray, high: np.ndarray) -> tuple[Any, int]:
+        box: tuple[slice, ...]
         if self.layout.codecs[level].coded:
-            box = tuple(slice(a, b) for a, b in zip(low.tolist(), high.tolist()))
+            box = self.layout.packs_region(level, low, high)
             return self._levels[level][box].read(), self.layout.capacity(level) * int(np.prod(high - low))
         side = self.layout.chunk(level)
         ends = self.blocks.level_shape(level)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from reference.random_codes import DTYPES, LOSSY, packed, random_codes
+from reference.random_codes import CODECS, DTYPES, LOSSY, packed, random_codes
 
 from clvol.device.code_decoder import CodeDecoder, HeldCodes, parts_of, switches
 from clvol.errors import RenderError, VolumeError
@@ -12,9 +12,9 @@ from clvol.opencl.struct_check import REPORT_ARGUMENTS, check_structs, layout_of
 from clvol.opencl.structs import CODE_MAP, CODED_BLOCK
 from clvol.store.codecs.coded_blocks import MOST_STAGES
 from clvol.store.codecs.decode import decode_blocks
-from clvol.store.codecs.layout import prefix_sizes
+from clvol.store.codecs.labels import label_codebooks
+from clvol.store.codecs.layout import check_codes, prefix_sizes
 
-pytestmark = pytest.mark.every_case
 COUNTS = {1: 8, 2: 8, 4: 150, 8: 60, 16: 12, 32: 4}
 
 
@@ -26,7 +26,7 @@ def untouched(context, dtype, shape):
 
 
 @pytest.mark.parametrize("dtype", DTYPES)
-@pytest.mark.parametrize("codec", LOSSY)
+@pytest.mark.parametrize("codec", CODECS)
 def test_blocks_are_those_of_numpy(each_device, contexts, codec, dtype):
     context = contexts(each_device)
     for s, count in COUNTS.items():
@@ -72,7 +72,7 @@ def test_each_block_may_have_a_limit_of_its_own(device, contexts, codec):
 
 
 @pytest.mark.parametrize("dtype", ("uint8", "int16", "float32"))
-@pytest.mark.parametrize("codec", LOSSY)
+@pytest.mark.parametrize("codec", CODECS)
 @pytest.mark.parametrize("s", (4, 8, 16))
 def test_volumes_are_those_of_numpy_and_what_is_beyond_them_is_cut(device, contexts, codec, dtype, s):
     context = contexts(device)
@@ -100,7 +100,7 @@ def test_volumes_are_those_of_numpy_and_what_is_beyond_them_is_cut(device, conte
     assert context.read(slab).tobytes() == np.ascontiguousarray(expected[s:]).tobytes()
 
 
-@pytest.mark.parametrize("codec", LOSSY)
+@pytest.mark.parametrize("codec", CODECS)
 def test_offsets_of_codes_and_voxels_may_exceed_what_32_bits_hold(device, contexts, codec):
     context = contexts(device)
     blocks, codebooks = random_codes(1, codec, 8, "uint16", 20)
@@ -118,7 +118,7 @@ def test_offsets_of_codes_and_voxels_may_exceed_what_32_bits_hold(device, contex
 
 def test_a_block_of_unknown_kind_is_filled_and_reported(each_device, contexts):
     context = contexts(each_device)
-    for codec in LOSSY:
+    for codec in CODECS:
         blocks, codebooks = random_codes(1, codec, 8, "uint8", 5)
         decoder = CodeDecoder(context, codebooks, "a.store")
         held = decoder.hold(packed(blocks), 8)
@@ -149,9 +149,28 @@ def test_impossible_codes_never_reach_a_device(device, contexts):
     with pytest.raises(VolumeError, match="a.store: impossible bytes of block 4"):
         decoder.decode_volume(coded, 8, voxels, corners, staging_bytes=1)
     assert (context.read(voxels)[:, :, 32:] == before[:, :, 32:]).all()
+    with pytest.raises(RenderError, match="labels of float64"):
+        CodeDecoder(context, label_codebooks(np.dtype(np.float64)))
     codebooks.shifts[0] = 10
     with pytest.raises(VolumeError, match="impossible codebooks"):
         CodeDecoder(context, codebooks)
+
+
+@pytest.mark.parametrize("codec", CODECS)
+def test_damaged_codes_that_are_possible_decode_as_in_numpy(device, contexts, codec):
+    context, rng = contexts(device), np.random.default_rng(11)
+    blocks, codebooks = random_codes(11, codec, 16, "int16", 80)
+    changed = [bytearray(block) for block in blocks]
+    for block in changed:
+        for at in rng.integers(1, min(len(block), 200), 3):
+            block[at] = rng.integers(256)
+    damaged = check_codes(packed(changed), 16, codebooks)
+    coded = packed([block for k, block in enumerate(changed) if k not in damaged])
+    assert 10 < len(coded) and (len(damaged) or codec not in ("rvq", "labels"))
+    decoder = CodeDecoder(context, codebooks)
+    voxels, _ = untouched(context, "int16", (len(coded) * 4096,))
+    decoder.into_blocks(decoder.hold(coded, 16), np.arange(len(coded)), voxels, np.arange(len(coded)) * 4096)
+    assert context.read(voxels).tobytes() == decode_blocks(coded, 16, codebooks).tobytes()
 
 
 def test_what_does_not_fit_is_refused(device, contexts):

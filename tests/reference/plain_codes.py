@@ -1,7 +1,8 @@
 """Blocks of codes written and read byte by byte, as the text of clvol/store/codecs/coded_blocks.py says.
 
-A block is described as the layout has it: ``Constant(sample)``, ``Raw(samples)``, ``Fixed(means, codes)`` or
-``Coded(octants)``, where an octant is a mean or a list of eight ``SubBlock``.
+A block is described as the layout has it: ``Constant(sample)``, ``Raw(samples)``, ``Fixed(means, codes)``,
+``Coded(octants)``, where an octant is a mean or a list of eight ``SubBlock``, ``Regions(labels, octants)``, where an
+octant is an index or a list of eight ``Labelled``, or ``Runs(labels, runs)`` with the length and the index of each run.
 """
 
 from __future__ import annotations
@@ -11,6 +12,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+# The samples of each cell of 2^3 of a sub-block of 4^3.
+CELLS = [
+    [16 * (2 * z + c) + 4 * (2 * y + b) + 2 * x + a for c, b, a in np.ndindex(2, 2, 2)]
+    for z, y, x in np.ndindex(2, 2, 2)
+]
 FORMATS = {"uint8": "<B", "int8": "<b", "uint16": "<H", "int16": "<h", "float32": "<f"}
 
 
@@ -52,6 +58,27 @@ class Coded:
     octants: list
 
 
+@dataclass
+class Labelled:
+    """A sub-block of ``type`` 0 to 3 with its ``indices`` and the ``numbers`` of its 64 samples."""
+
+    type: int
+    indices: list
+    numbers: list
+
+
+@dataclass
+class Regions:
+    labels: list
+    octants: list
+
+
+@dataclass
+class Runs:
+    labels: list
+    runs: list
+
+
 def sample_bytes(sample, dtype) -> bytes:
     return struct.pack(FORMATS[np.dtype(dtype).name], sample)
 
@@ -65,17 +92,60 @@ def write(block, s, codebooks) -> bytes:
         return bytes([1]) + b"".join(sample_bytes(v, dtype) for v in block.samples)
     if isinstance(block, Fixed):
         return bytes([3, *block.means]) + b"".join(bytes(codes) for codes in block.codes)
+    if isinstance(block, Regions):
+        return bytes([4]) + _write_labels(block.labels, dtype) + _write_regions(block, s)
+    if isinstance(block, Runs):
+        out = bytes([5]) + _write_labels(block.labels, dtype) + struct.pack("<H", len(block.runs) - 1)
+        lengths = b"".join(struct.pack("<H", length - 1) for length, _ in block.runs)
+        return out + lengths + bytes(index for _, index in block.runs)
     return bytes([2]) + _write_coded(block, s, dtype)
+
+
+def _write_labels(labels, dtype) -> bytes:
+    return bytes([len(labels) - 1]) + b"".join(sample_bytes(v, dtype) for v in labels)
+
+
+def _index_bits(labels) -> int:
+    return next(b for b in (1, 2, 4, 8) if len(labels) <= 1 << b)
+
+
+def _write_flags(octants) -> bytes:
+    flags = sum(isinstance(octant, list) << k for k, octant in enumerate(octants))
+    return flags.to_bytes(-(-len(octants) // 8), "little")
+
+
+def _write_regions(block, s) -> bytes:
+    out = bytearray() if s == 4 else bytearray(_write_flags(block.octants))
+    subs = [sub for octant in block.octants if isinstance(octant, list) for sub in octant]
+    types = sum(sub.type << 2 * k for k, sub in enumerate(subs))
+    out += types.to_bytes(-(-len(subs) // 4), "little")
+    indices = []
+    for octant in block.octants:
+        for part in octant if isinstance(octant, list) else [octant]:
+            indices += part.indices if isinstance(part, Labelled) else [part]
+    bits = _index_bits(block.labels)
+    packed = sum(index << k * bits for k, index in enumerate(indices))
+    out += packed.to_bytes(-(-len(indices) * bits // 8), "little")
+    cells = bytearray()
+    for sub in subs:
+        for p in range((0, 1, 2, bits)[sub.type]):
+            mixed = ones = 0
+            for c, cell in enumerate(CELLS):
+                own = [sub.numbers[k] >> p & 1 for k in cell]
+                if len(set(own)) == 2:
+                    mixed |= 1 << c
+                    cells.append(sum(bit << i for i, bit in enumerate(own)))
+                else:
+                    ones |= own[0] << c
+            out += bytes([mixed, ones])
+    out += cells
+    return bytes(out)
 
 
 def _write_coded(block, s, dtype) -> bytes:
     out = bytearray()
     if s > 4:
-        flags = 0
-        for k, octant in enumerate(block.octants):
-            if isinstance(octant, list):
-                flags |= 1 << k
-        out += flags.to_bytes(-(-len(block.octants) // 8), "little")
+        out += _write_flags(block.octants)
     subs = []
     for octant in block.octants:
         if isinstance(octant, list):
@@ -122,7 +192,10 @@ class _Bytes:
 
     def sample(self, dtype):
         form = FORMATS[dtype.name]
-        return struct.unpack(form, self.bytes(struct.calcsize(form)))[0]
+        data = self.bytes(struct.calcsize(form))
+        if dtype.kind == "f":  # Python's own float would make a signalling NaN a quiet one
+            return np.frombuffer(data, form)[0]
+        return struct.unpack(form, data)[0]
 
 
 def read(data: bytes, s, codebooks, limit: int = 12) -> np.ndarray:
@@ -136,6 +209,9 @@ def read(data: bytes, s, codebooks, limit: int = 12) -> np.ndarray:
     elif kind == 1:
         for place in np.ndindex(s, s, s):
             voxels[place] = source.sample(dtype)
+    elif kind in (4, 5):
+        labels = [source.sample(dtype) for _ in range(source.byte() + 1)]
+        (_read_regions if kind == 4 else _read_runs)(source, voxels, s, labels)
     elif kind == 3:
         _read_fixed(source, voxels, s, codebooks, limit)
     else:
@@ -236,3 +312,51 @@ def _read_coded(source, voxels, s, codebooks, limit) -> None:
 def _put(voxels, corner, own) -> None:
     z, y, x = corner
     voxels[z : z + 4, y : y + 4, x : x + 4] = own
+
+
+def _read_runs(source, voxels, s, labels) -> None:
+    count = int.from_bytes(source.bytes(2), "little") + 1
+    lengths = [int.from_bytes(source.bytes(2), "little") + 1 for _ in range(count)]
+    samples = [labels[source.byte()] for _ in lengths]
+    voxels[:] = np.repeat(np.array(samples, voxels.dtype), lengths).reshape(s, s, s)
+
+
+def _read_regions(source, voxels, s, labels) -> None:
+    octants = list(np.ndindex(*(s // 8,) * 3)) if s > 4 else [(0, 0, 0)]
+    parts = []  # of octant after octant: corner, edge, and whether it has a type
+    flags = int.from_bytes(source.bytes(-(-len(octants) // 8)), "little") if s > 4 else 0
+    for k, (z, y, x) in enumerate(octants):
+        if s == 4:
+            parts.append(((0, 0, 0), 4, True))
+        elif flags >> k & 1:
+            parts += [((8 * z + 4 * a, 8 * y + 4 * b, 8 * x + 4 * c), 4, True) for a, b, c in np.ndindex(2, 2, 2)]
+        else:
+            parts.append(((8 * z, 8 * y, 8 * x), 8, False))
+    typed = sum(has_type for *_, has_type in parts)
+    packed = int.from_bytes(source.bytes(-(-typed // 4)), "little")
+    types, seen = [], 0
+    for *_, has_type in parts:
+        types.append(packed >> 2 * seen & 3 if has_type else 0)
+        seen += has_type
+    bits = _index_bits(labels)
+    counts = [(1, 2, 4, 0)[kind] for kind in types]
+    packed = int.from_bytes(source.bytes(-(-sum(counts) * bits // 8)), "little")
+    at, parted = 0, []
+    for count in counts:
+        parted.append([packed >> (at + k) * bits & (1 << bits) - 1 for k in range(count)])
+        at += count
+    found = []
+    for (corner, edge, _), kind, own in zip(parts, types, parted):
+        planes = [(source.byte(), source.byte()) for _ in range((0, 1, 2, bits)[kind])]
+        found.append((corner, edge, kind, own, planes))
+    for corner, edge, kind, own, planes in found:
+        numbers = [0] * edge**3
+        for p, (mixed, ones) in enumerate(planes):
+            for c, cell in enumerate(CELLS):
+                byte = source.byte() if mixed >> c & 1 else 255 * (ones >> c & 1)
+                for i, k in enumerate(cell):
+                    numbers[k] |= (byte >> i & 1) << p
+        z, y, x = corner
+        for number, place in zip(numbers, np.ndindex(edge, edge, edge)):
+            label = labels[number if kind == 3 else own[number]]
+            voxels[z + place[0], y + place[1], x + place[2]] = label

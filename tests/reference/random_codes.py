@@ -5,11 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from clvol.store.codecs.coded_blocks import SHAPES, Codebooks, CodedBlocks
+from clvol.store.codecs.labels import label_codebooks
 from clvol.store.codecs.working_values import WorkingValues
-from reference.plain_codes import Coded, Constant, Fixed, Raw, SubBlock, write
+from reference.plain_codes import Coded, Constant, Fixed, Labelled, Raw, Regions, Runs, SubBlock, write
 
 DTYPES = ("uint8", "int8", "uint16", "int16", "float32")
-LOSSY = ("vq", "vq-mean", "hvq", "rvq")
+LOSSY = ("rvq", "hvq", "vq-mean", "vq")
+CODECS = (*LOSSY, "labels")
 
 
 def random_values(rng: np.random.Generator, dtype: str, whole: bool = False) -> WorkingValues:
@@ -26,6 +28,8 @@ def random_values(rng: np.random.Generator, dtype: str, whole: bool = False) -> 
 def random_codebooks(
     rng: np.random.Generator, codec: str, dtype: str, stages: int | None = None, whole: bool = False
 ) -> Codebooks:
+    if codec == "labels":
+        return label_codebooks(np.dtype(dtype))
     side, fewest, most = SHAPES[codec]
     stages = int(rng.integers(max(fewest, 1), most + 1)) if stages is None else stages
     entries = rng.integers(-128, 128, (stages, 256, side**3)).astype(np.int8)
@@ -66,6 +70,8 @@ def random_block(rng: np.random.Generator, s: int, codebooks: Codebooks):
         return Constant(random_samples(rng, dtype, 1)[0])
     if draw < 0.2 or s < 4:
         return Raw(random_samples(rng, dtype, s**3))
+    if codebooks.codec == "labels":
+        return random_labels(rng, s, dtype)
     if codebooks.codec == "rvq":
         escapes = rng.choice([0.0, 0.05, 0.5])
         split = rng.choice([0.0, 0.5, 1.0]) if s > 4 else 1.0
@@ -79,6 +85,29 @@ def random_block(rng: np.random.Generator, s: int, codebooks: Codebooks):
     count = (s // codebooks.side) ** 3
     means = rng.integers(0, 256, count).tolist() if codebooks.codec != "vq" else []
     return Fixed(means, [rng.integers(0, 256, count).tolist() for _ in range(codebooks.stages)])
+
+
+def random_labels(rng: np.random.Generator, s: int, dtype: np.dtype):
+    """A block of labels, which need not be different, by octants or by runs."""
+    count = int(rng.choice([1, 2, 3, 4, 5, 16, 17, 256]))
+    labels = random_samples(rng, dtype, count)
+    if rng.random() < 0.3:
+        cuts = np.sort(rng.choice(np.arange(1, s**3), int(rng.integers(min(50, s**3))), replace=False))
+        lengths = np.diff(np.concatenate([[0], cuts, [s**3]]))
+        return Runs(labels, [(int(length), int(rng.integers(count))) for length in lengths])
+    split = rng.choice([0.0, 0.5, 1.0]) if s > 4 else 1.0
+    octants: list = []
+    for _ in range(max(s // 8, 1) ** 3):
+        if rng.random() >= split:
+            octants.append(int(rng.integers(count)))
+            continue
+        subs = []
+        for _ in range(8 if s > 4 else 1):
+            kind = int(rng.integers(4))
+            numbers = rng.integers(0, (1, 2, 4, count)[kind], 64).tolist()
+            subs.append(Labelled(kind, rng.integers(0, count, (1, 2, 4, 0)[kind]).tolist(), numbers))
+        octants.append(subs)
+    return Regions(labels, octants)
 
 
 def packed(blocks: list[bytes], gap: int = 3) -> CodedBlocks:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 
 import numpy as np
 import pytest
@@ -11,10 +12,15 @@ from helpers.coarse_codes import CoarseTrainer
 from helpers.small_scenes import SMOOTH, waves
 
 from clvol import Compression, Renderer, Scene, TransferFunction, Volume
-from clvol.errors import SceneError, VolumeError
+from clvol.encoding.trainer import CodeTrainer
+from clvol.errors import ClvolWarning, RenderError, SceneError, VolumeError
 from clvol.explanation import explain, kernel_hash
 from clvol.integrators import decoding
 from clvol.integrators.registry import check_scene
+from clvol.readers import load_volume
+from clvol.scene import load_scene
+from clvol.store.build import build_store
+from clvol.store.codecs.coded_blocks import RateTarget
 from clvol.store.codecs.decode import decode_blocks
 
 VOLUME = waves((21, 34, 27), np.uint8)
@@ -70,7 +76,7 @@ def decoded_by_numpy(renderer: Renderer) -> np.ndarray:
     return voxels
 
 
-def check_is_picture_of_decoded(scene: Scene, device) -> np.ndarray:
+def check_is_picture_of_decoded(scene: Scene, device, codec: str = "rvq") -> np.ndarray:
     """Renders ``scene`` and its decoded voxels, and returns these."""
     with Renderer(scene, [device]) as renderer:
         frame, voxels = renderer.render(), decoded_by_numpy(renderer)
@@ -84,7 +90,7 @@ def check_is_picture_of_decoded(scene: Scene, device) -> np.ndarray:
     assert "compression" not in other.stats
     stats = frame.stats["compression"]
     assert stats["decoded_voxels"] == voxels.size
-    assert stats["codec"] == "rvq" and stats["device_bytes"] >= voxels.nbytes
+    assert stats["codec"] == codec and stats["device_bytes"] >= voxels.nbytes
     return voxels
 
 
@@ -140,6 +146,125 @@ def test_hard_volumes(name, device, trained):
     np.testing.assert_array_equal(voxels[broken], array[broken])
 
 
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("codec", ["rvq", "hvq", "vq-mean", "vq"])
+def test_every_codec(codec, each_device):
+    """Encoded and decoded on each device; the two agree on the codes, as on the voxels."""
+    for array in (VOLUME, _with_holes(waves((20, 21, 22)))):
+        check_is_picture_of_decoded(scene_of(array, {"codec": codec}), each_device, codec)
+
+
+def test_a_bound_holds(device):
+    with Renderer(scene_of(VOLUME, {"codec": "rvq", "max_voxel_error": 0.015}), [device]) as renderer:
+        assert 0 < renderer.render().stats["compression"]["max_voxel_error"] <= 0.015
+
+
+def test_a_broken_bound_is_an_error(device, trained):
+    with pytest.raises(RenderError, match="compression.max_voxel_error: a voxel is off by 0.1[0-9]* of the range"):
+        Renderer(scene_of(VOLUME, {"codec": "rvq", "max_voxel_error": 0.01}), [device])
+
+
+@pytest.mark.parametrize(
+    ("target", "warning"),
+    [({"psnr": 60.0}, "compression.psnr: .*dB, less than 60"),
+     ({"bits_per_voxel": 0.01}, "compression.bits_per_voxel: codes take .* more than 0.01")],
+)  # fmt: skip
+def test_a_missed_target_is_a_warning(target, warning, device, trained):
+    scene = scene_of(VOLUME, {"codec": "rvq", **target})
+    with pytest.warns(ClvolWarning) as told, Renderer(scene, [device]) as renderer:
+        stats = renderer.render().stats
+    assert [w for w in told if re.search(warning, str(w.message))]
+    assert any(re.search(warning, text) for text in stats["warnings"])
+
+
+STORED = {
+    "raycast": LIT,
+    "pyramid": {"integration": {"method": "pyramid"}},
+    "reference": {"integration": {"method": "reference"}},
+    "multiresolution": {"integration": {"method": "multiresolution"}},  # all blocks at full resolution
+}
+
+
+@pytest.mark.every_case
+@pytest.mark.filterwarnings("ignore:compression")
+@pytest.mark.parametrize("method", STORED)
+def test_a_store_of_codes(method, device, context, tmp_path):
+    """Its codes are decoded by the device; the picture is that of the voxels that numpy decodes from the store."""
+    target = RateTarget(max_voxel_error=0.03)
+    store = build_store(
+        Volume(VOLUME), tmp_path / "a.zarr", codec="rvq", target=target, trainer=CodeTrainer(context),
+        edge=16 if method == "multiresolution" else 8,
+    )  # fmt: skip
+    tables = {"image": {"width": 30, "height": 26}, "transfer_function": SMOOTH, **STORED[method]}
+    frames = []
+    for volume in (load_volume(tmp_path / "a.zarr"), Volume(store.volume_level(0))):
+        with Renderer(Scene(volume=volume, **tables), [device]) as renderer:
+            frames.append(renderer.render())
+    np.testing.assert_array_equal(frames[0].rgba, frames[1].rgba)
+    np.testing.assert_array_equal(frames[0].depth, frames[1].depth)
+    stats = frames[0].stats["compression"]
+    assert stats["codec"] == "rvq" and stats["max_voxel_error"] == store.codes.measured.max_voxel_error
+    assert stats["decoded_voxels"] >= VOLUME.size and stats["device_bytes"] >= VOLUME.nbytes
+    assert "compression" not in frames[1].stats
+    with pytest.raises(SceneError, match="got 'vq' for a store of codes"):
+        check_scene(Scene(volume=load_volume(tmp_path / "a.zarr"), compression={"codec": "vq"}, **tables).resolve())
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("name", HARD)
+def test_labels_are_exact(name, device):
+    array = HARD[name]
+    tables = {"integration": {"filter": "nearest"}}
+    if array.dtype == np.float64:
+        with pytest.raises(SceneError, match="got 'labels' for float64 voxels"):
+            check_scene(scene_of(array, {"codec": "labels"}).resolve())
+        return
+    with Renderer(scene_of(Volume(array, labels=True), {"codec": "labels"}, **tables), [device]) as renderer:
+        frame, voxels = renderer.render(), decoded_by_numpy(renderer)
+    with Renderer(scene_of(array, {}, **tables), [device]) as renderer:
+        other = renderer.render()
+    assert voxels.tobytes() == array.tobytes()
+    np.testing.assert_array_equal(frame.rgba, other.rgba)
+    stats = frame.stats["compression"]
+    assert stats["codec"] == "labels" and stats["psnr"] is None and stats["max_voxel_error"] == 0
+
+
+def test_a_store_of_labels(device, tmp_path):
+    array = (VOLUME // 64).astype(np.uint8)
+    build_store(Volume(array, labels=True), tmp_path / "a.zarr", codec="labels")
+    tables = {"image": {"width": 30, "height": 26}, "transfer_function": SMOOTH, "integration": {"filter": "nearest"}}
+    frames = []
+    for volume in (load_volume(tmp_path / "a.zarr"), Volume(array)):
+        with Renderer(Scene(volume=volume, **tables), [device]) as renderer:
+            frames.append(renderer.render())
+    np.testing.assert_array_equal(frames[0].rgba, frames[1].rgba)
+    assert frames[0].stats["compression"]["codec"] == "labels"
+
+
+def test_labels_are_refused(tmp_path):
+    """Those that the volume says it holds, and those that a field of the scene takes for labels."""
+    labels = Volume(VOLUME, labels=True)
+    with pytest.raises(SceneError, match="got 'rvq' for a volume of labels, which have to be exact"):
+        check_scene(scene_of(labels, {"codec": "rvq"}).resolve())
+    check_scene(scene_of(labels, {"codec": "none"}).resolve())
+    field = {"role": "label", "labels": [{"label": 3, "color": [1.0, 0.0, 0.0]}]}
+    volume = Volume(VOLUME)
+    with pytest.raises(SceneError, match="voxels that field.0 takes for labels"):
+        scene_of(volume, {"codec": "rvq"}, field=[{"file": volume, **field}]).resolve()
+    np.save(tmp_path / "a.npy", VOLUME)
+    (tmp_path / "a.toml").write_text("""version = 1
+volume.file = "a.npy"
+compression.codec = "vq"
+[[field]]
+file = "a.npy"
+role = "label"
+labels = [{ label = 3, color = [1.0, 0.0, 0.0] }]
+""")
+    with pytest.raises(SceneError, match="a.toml: compression.codec: got 'vq' for voxels that field.0"):
+        load_scene(tmp_path / "a.toml").resolve()
+    load_scene(tmp_path / "a.toml", ['compression.codec="none"']).resolve()
+
+
 def test_the_error_is_measured_over_all_voxels(device, trained):
     with pytest.warns(Warning, match="differ from the original ones by up to 1[0-9] % of the range"):
         with Renderer(scene_of(VOLUME, {"codec": "rvq"}), [device]) as renderer:
@@ -162,7 +287,7 @@ def test_exact_codes_have_no_psnr_and_no_warning(device, trained, recwarn):
 @pytest.mark.filterwarnings("ignore:compression")
 def test_a_volume_is_encoded_once(device, trained):
     """Other transfer functions, methods and views share the codes; another target or seed has its own."""
-    scene = scene_of(VOLUME, {"codec": "rvq", "max_voxel_error": 0.02})
+    scene = scene_of(VOLUME, {"codec": "rvq", "max_voxel_error": 0.2})
     with Renderer(scene, [device]) as renderer:
         renderer.render()
         renderer.set_transfer_function(TransferFunction([0, 255], [0, 0.4], [[1, 0, 0]] * 2, 2.0))
@@ -172,7 +297,7 @@ def test_a_volume_is_encoded_once(device, trained):
         for key, value in (("method", "pyramid"), ("method", "multiresolution"), ("step", 0.5)):
             cache.prepare(scene.model_copy(update={"integration": {key: value}}).resolve())
         assert len(trained) == 1
-        for table in ({"codec": "rvq", "psnr": 40.0}, {"codec": "rvq", "max_voxel_error": 0.02, "seed": 1}):
+        for table in ({"codec": "rvq", "psnr": 40.0}, {"codec": "rvq", "max_voxel_error": 0.2, "seed": 1}):
             cache.prepare(scene.model_copy(update={"compression": table}).resolve())
         assert [str(seed) for _, _, seed in trained] == ["0", "0", "1"]
 

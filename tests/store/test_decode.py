@@ -7,12 +7,12 @@ import dataclasses
 import numpy as np
 import pytest
 from reference.plain_codes import Coded, SubBlock, read, write
-from reference.random_codes import DTYPES, LOSSY, packed, random_codebooks, random_codes
+from reference.random_codes import CODECS, DTYPES, packed, random_codebooks, random_codes
 
 from clvol.errors import VolumeError
 from clvol.store.codecs.coded_blocks import MOST_STAGES, CodedBlocks
 from clvol.store.codecs.decode import decode_blocks
-from clvol.store.codecs.layout import check_codes, prefix_sizes
+from clvol.store.codecs.layout import check_codes, parse_coded, prefix_sizes
 
 COUNTS = {1: 6, 2: 6, 4: 40, 8: 24, 16: 6, 32: 2}
 
@@ -23,7 +23,7 @@ def same_bits(a, b) -> bool:
 
 @pytest.mark.parametrize("s", COUNTS)
 @pytest.mark.parametrize("dtype", DTYPES)
-@pytest.mark.parametrize("codec", LOSSY)
+@pytest.mark.parametrize("codec", CODECS)
 def test_voxels_are_those_of_the_plain_reader(codec, dtype, s):
     blocks, codebooks = random_codes(s, codec, s, dtype, COUNTS[s])
     coded = packed(blocks)
@@ -33,7 +33,7 @@ def test_voxels_are_those_of_the_plain_reader(codec, dtype, s):
 
 
 @pytest.mark.parametrize("s", (4, 8, 16))
-@pytest.mark.parametrize("codec", LOSSY)
+@pytest.mark.parametrize("codec", CODECS)
 def test_a_limit_of_stages_needs_a_prefix_of_the_bytes_alone(codec, s):
     blocks, codebooks = random_codes(5, codec, s, "int16", COUNTS[s])
     sizes = prefix_sizes(packed(blocks), s, codebooks)
@@ -49,7 +49,7 @@ def test_a_limit_of_stages_needs_a_prefix_of_the_bytes_alone(codec, s):
 
 
 def test_every_length_but_its_own_is_impossible():
-    for codec in LOSSY:
+    for codec in CODECS:
         blocks, codebooks = random_codes(9, codec, 8, "float32", 30)
         shorter = [block[:-1] for block in blocks]
         assert list(check_codes(packed(shorter), 8, codebooks)) == list(range(30))
@@ -97,7 +97,7 @@ def test_places_beyond_the_data_are_impossible():
     assert list(check_codes(CodedBlocks(coded.data, coded.start, size), 8, codebooks)) == [1, 2]
 
 
-@pytest.mark.parametrize("codec", LOSSY)
+@pytest.mark.parametrize("codec", CODECS)
 def test_damaged_blocks_are_found_or_decode_to_something(codec):
     rng = np.random.default_rng(7)
     blocks, codebooks = random_codes(7, codec, 8, "uint16", 200)
@@ -113,6 +113,23 @@ def test_damaged_blocks_are_found_or_decode_to_something(codec):
     kept = CodedBlocks(coded.data, coded.start[sound], coded.size[sound])
     plain = np.stack([read(blocks[k], 8, codebooks) for k in sound])
     assert same_bits(decode_blocks(kept, 8, codebooks), plain)
+
+
+@pytest.mark.parametrize("s", (4, 8, 16))
+def test_checking_finds_what_parsing_finds(s):
+    rng = np.random.default_rng(s)
+    blocks, codebooks = random_codes(s, "rvq", s, "uint8", 300, stages=7)
+    blocks = [block for block in blocks if block[0] == 2]
+    for k, block in enumerate(blocks):
+        changed = bytearray(block)
+        for at in rng.integers(1, min(len(block), 30), int(rng.integers(3))):
+            changed[at] = rng.integers(256)
+        blocks[k] = bytes(changed)
+    coded = packed(blocks)
+    for limit in (0, 3, MOST_STAGES):
+        good = parse_coded(coded.data, coded.start, coded.size, s, codebooks, limit).good
+        assert good.any() and not good.all()
+        assert check_codes(coded, s, codebooks, limit).tolist() == np.flatnonzero(~good).tolist()
 
 
 @pytest.mark.parametrize("change", [

@@ -3,61 +3,28 @@
 A codec either compresses the bytes of samples, so that any Zarr reader can open the level (``CODECS``), or makes codes
 of blocks, which clvol decodes (``CODES``; their layout is described in ``coded_blocks.py``). Levels of at least
 ``FEWEST_CODED`` samples per axis of a block hold codes; coarser ones hold samples, compressed by ``COARSE``.
+
+A new codec of codes is a file like ``rvq.py`` with its ``CODEC``, an entry below and in ``coded_blocks.SHAPES``, its
+kinds of blocks in the text of ``coded_blocks.py``, a branch of ``decode_codes`` in cl/decode_codes.cl, and an encoder
+(``clvol.encoding``). tests/reference/plain_codes.py writes and reads its blocks byte by byte.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
-import numpy as np
-
 from clvol.errors import VolumeError
+from clvol.store.codecs import hvq, labels, rvq, vq, vq_mean
+from clvol.store.codecs.codec import BLOSC, ZSTD, Codec, statistics_chain
+
+__all__ = ["CODECS", "CODES", "COARSE", "DEFAULT", "FEWEST_CODED", "LABELS", "Codec", "find_codec", "one_of_codecs",
+           "statistics_chain"]  # fmt: skip
 
 DEFAULT = "blosc-lz4"
-
-
-@dataclass(frozen=True)
-class Codec:
-    """A codec. ``compressor`` is the Zarr codec (name, configuration) applied to the bytes of samples or of packs of
-    codes, or None. ``coded``: levels hold codes of blocks. ``targets``: it can keep to a ``RateTarget``."""
-
-    name: str
-    lossless: bool
-    compressor: dict | None = None
-    coded: bool = False
-    targets: bool = False
-
-    def chain(self, dtype: np.dtype) -> list[dict]:
-        """The Zarr codecs of a chunk of ``dtype``; the last one adds a checksum of the bytes on disk."""
-        return [as_bytes(dtype), *compressing(self.compressor, dtype), CHECKSUM]
-
-
-CHECKSUM = {"name": "crc32c"}
-_BLOSC = {
-    "name": "blosc",
-    "configuration": {"cname": "lz4", "clevel": 5, "shuffle": "bitshuffle", "blocksize": 0},
-}
-_ZSTD = {"name": "zstd", "configuration": {"level": 3, "checksum": False}}
+LABELS = labels.CODEC.name
 
 CODECS: dict[str, Codec] = {
-    codec.name: codec
-    for codec in (
-        Codec("blosc-lz4", True, _BLOSC),
-        Codec("zstd", True, _ZSTD),
-        Codec("none", True),
-    )
+    codec.name: codec for codec in (Codec(DEFAULT, True, BLOSC), Codec("zstd", True, ZSTD), Codec("none", True))
 }
-
-CODES: dict[str, Codec] = {
-    codec.name: codec
-    for codec in (
-        Codec("rvq", False, _ZSTD, coded=True, targets=True),
-        Codec("hvq", False, _ZSTD, coded=True, targets=True),
-        Codec("vq-mean", False, _ZSTD, coded=True, targets=True),
-        Codec("vq", False, _ZSTD, coded=True, targets=True),
-        Codec("labels", True, _ZSTD, coded=True),
-    )
-}
+CODES: dict[str, Codec] = {codec.name: codec for codec in (rvq.CODEC, hvq.CODEC, vq_mean.CODEC, vq.CODEC, labels.CODEC)}
 COARSE = CODECS["zstd"]
 FEWEST_CODED = 4
 
@@ -72,31 +39,3 @@ def find_codec(name: str, where: str) -> Codec:
 
 def one_of_codecs() -> str:
     return "one of " + ", ".join([*CODECS, *CODES])
-
-
-def as_bytes(dtype: np.dtype) -> dict:
-    if dtype.itemsize == 1:
-        return {"name": "bytes"}
-    return {"name": "bytes", "configuration": {"endian": "little"}}
-
-
-def compressing(compressor: dict | None, dtype: np.dtype) -> list[dict]:
-    if compressor is None:
-        return []
-    if compressor["name"] == "blosc":
-        compressor = {
-            "name": "blosc",
-            "configuration": {**compressor["configuration"], "typesize": dtype.itemsize},
-        }
-    return [compressor]
-
-
-_SMALL = {
-    "name": "blosc",
-    "configuration": {"cname": "zstd", "clevel": 9, "shuffle": "bitshuffle", "blocksize": 0},
-}
-
-
-def statistics_chain(dtype: np.dtype, small: bool = False) -> list[dict]:
-    """The Zarr codecs of statistics; ``small``: beside codes, where their bytes count."""
-    return [as_bytes(dtype), *compressing(_SMALL if small else _BLOSC, dtype), CHECKSUM]

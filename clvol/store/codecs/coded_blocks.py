@@ -22,11 +22,27 @@ A block's bytes are its kind (1 byte), and then
                        the number of bits b (0 to 8) in the upper half, n codes, and 8 b bytes: 64 residuals of b bits
                        (that of sample k in bits k b ... k b + b - 1, counted from the lowest bit of the first byte;
                        two's complement); or the byte RAW_SAMPLES and 64 samples
-  FIXED      the other codecs; sub-blocks in C order of the block.
+  FIXED      codecs "vq", "vq-mean" and "hvq"; sub-blocks in C order of the block.
              "vq"      (side 2) one code per sub-block
              "vq-mean" (side 2) a mean per sub-block, then a code per sub-block
              "hvq"     (side 4) a mean per sub-block, then a code of stage 1 (shape of the means of 2^3 samples) per
                        sub-block, then one of stage 2
+  REGIONS    codec "labels": the number of different labels less one (a byte), the labels; then, of octants and
+             sub-blocks (side 4) as in CODED blocks,
+             flags     as in CODED blocks
+             types     for each sub-block of split octants two bits, the lowest bits of a byte first: 0, 1 and 2 for
+                       one, two, and three or four labels, 3 for more. One byte if s = 4.
+             indices   of labels, b bits each, the lowest bits of a byte first, where b is the least of 1, 2, 4 and 8
+                       with which all labels have a number: for octant after octant one if it is not split, otherwise
+                       for each of its sub-blocks 1, 2, 4 or none, by its type
+             planes    for each sub-block of split octants 0, 1, 2 or b planes, by its type, of 2 bytes each: which of
+                       the sub-block's eight cells of 2^3 samples are mixed, and which of the others consist of ones;
+                       bit c is cell c, in C order
+             cells     for each mixed cell in order a byte: bit i is sample i of the cell, in C order. So plane p has
+                       bit p of the number of each sample, which counts the sub-block's indices (types 1, 2) or the
+                       block's labels (type 3).
+  RUNS       codec "labels": labels as above, the number of runs less one (2 bytes), the length of each run less one (2
+             bytes each), and the index of each run's label (a byte each); runs follow the samples in C order
 
 A block ends with what is listed. Every byte is a possible code: entries that are not used decode to 0.
 
@@ -49,13 +65,13 @@ import numpy as np
 
 from clvol.store.codecs.working_values import LARGEST, WorkingValues
 
-CONSTANT, RAW, CODED, FIXED = range(4)  # kinds of blocks
+CONSTANT, RAW, CODED, FIXED, REGIONS, RUNS = range(6)  # kinds of blocks
 MOST_STAGES = 12
 ESCAPED = 15
 RAW_SAMPLES = 0xFF
 ENTRIES = 256  # of a codebook; those that are not used are 0
 LARGEST_SHIFT = 9
-SHAPES = {"vq": (2, 1, 1), "vq-mean": (2, 1, 1), "hvq": (4, 2, 2), "rvq": (4, 0, MOST_STAGES)}
+SHAPES = {"vq": (2, 1, 1), "vq-mean": (2, 1, 1), "hvq": (4, 2, 2), "rvq": (4, 0, MOST_STAGES), "labels": (4, 0, 0)}
 """By codec: samples per axis of a sub-block, and the least and largest number of stages."""
 
 
@@ -63,10 +79,10 @@ SHAPES = {"vq": (2, 1, 1), "vq-mean": (2, 1, 1), "hvq": (4, 2, 2), "rvq": (4, 0,
 class Codebooks:
     """What decoding needs besides a block's bytes.
 
-    ``codec``: "vq", "vq-mean", "hvq" or "rvq". ``side``: samples per axis of a sub-block. ``entries`` int8
+    ``codec``: "vq", "vq-mean", "hvq", "rvq" or "labels". ``side``: samples per axis of a sub-block. ``entries`` int8
     [stages, ENTRIES, side^3]: unused entries are 0; the first stage of "hvq" repeats each mean of 2^3 samples eight
     times. ``shifts`` int32 [stages], 0 to 9. ``residual_step`` 1 to 65535. Stages: 1 of "vq" and "vq-mean", 2 of "hvq",
-    0 to MOST_STAGES of "rvq".
+    0 to MOST_STAGES of "rvq", none of "labels" (``labels.label_codebooks``).
     """
 
     codec: str
@@ -92,6 +108,10 @@ class Codebooks:
         if self.shifts.ndim != 1 or ((self.shifts < 0) | (self.shifts > LARGEST_SHIFT)).any():
             return "shifts"
         return None if 1 <= self.residual_step <= LARGEST else f"residual step {self.residual_step}"
+
+    def shifted(self, stage: int) -> np.ndarray:
+        """int32 [ENTRIES, side^3]: what the codes of a stage, the first is 0, add to working values."""
+        return self.entries[stage].astype(np.int32) << int(self.shifts[stage])
 
     @property
     def nbytes(self) -> int:

@@ -1,0 +1,157 @@
+"""Frames of volumes that are held as codes, beside frames of the voxels. Seconds are those of a frame with everything
+compiled and, of "upload", decoded; "resident" decodes in a frame what that frame needs."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from bench.compression_rates import QUICK_EDGE, middle
+from bench.effects import ratio_of
+from bench.multiresolution_scenes import CHEST_BLOCKS, CRAB, FEMALE, BlockScene, placed_as_in_bench
+from bench.options import Options
+from bench.report import say
+from clvol.accuracy.timing import take_turns
+
+ENGINE, HEPTANE = placed_as_in_bench("engine-smooth"), placed_as_in_bench("heptane")
+# What voxels are encoded to: bits per voxel.
+RATES = {"engine-smooth": 0.45, "heptane": 0.18, "chest": 1.0, "female": 1.0, "crab": 1.0}
+FRAMES, CROSSOVER = (ENGINE, CHEST_BLOCKS), (ENGINE, HEPTANE, FEMALE)
+BUDGETS = ((CHEST_BLOCKS, 11.0), (FEMALE, 11.0), (CRAB, 9.0))  # voxels' bytes over those allowed
+QUICK_RATIO = 4.0
+_SLOW = 0.6  # seconds of a frame from which three frames must do
+
+Tables = dict[str, Any]
+
+
+def cases(
+    device: Any, size: int, rounds: int, options: Options, missing: list[str]
+) -> dict[str, list[Callable[[], Any]]]:
+    """What each part measures, in order, by the part's name."""
+    from bench.multiresolution import there
+
+    scenes = {scene.name for scene in there((ENGINE, HEPTANE, FEMALE, CRAB, CHEST_BLOCKS), options, missing)}
+    bench = Frames(device, size, rounds, QUICK_EDGE if options.quick else None)
+    return {
+        "frames": [lambda s=scene: frames(bench, s) for scene in FRAMES if scene.name in scenes],
+        "crossover": [lambda s=scene: crossover(bench, s) for scene in CROSSOVER if scene.name in scenes],
+        "budget": [
+            lambda s=scene, r=QUICK_RATIO if options.quick else ratio: budget(bench, s, r)
+            for scene, ratio in BUDGETS if scene.name in scenes
+        ],
+    }
+
+
+class Frames:
+    """What all parts share. ``edge``: voxels per axis that are taken of a volume, None for all."""
+
+    def __init__(self, device: Any, size: int, rounds: int, edge: int | None = None) -> None:
+        self.device, self.size, self.rounds, self.edge = device, size, rounds, edge
+        self._volumes: dict[str, Any] = {}
+
+    def volume(self, scene: BlockScene) -> Any:
+        file = scene.scene.file
+        if file not in self._volumes:
+            found = scene.scene.load()
+            self._volumes = {file: middle(found, self.edge) if self.edge else found}  # one at a time: they are large
+        return self._volumes[file]
+
+    def compare(self, asked: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+        """A frame of every one of the scenes ``asked``, and their times, taking turns. What is refused is left out."""
+        from clvol import Renderer
+        from clvol.errors import ClvolError
+
+        renderers, found = {}, {}
+        with contextlib.ExitStack() as stack:
+            for way, scene in asked.items():
+                try:
+                    renderers[way] = stack.enter_context(Renderer(scene, [self.device]))
+                    found[way] = renderers[way].render(depth=False)
+                except ClvolError as error:
+                    say(f"{way} is left out: {error}")
+                    renderers.pop(way, None)
+            turns = {
+                way: lambda r=renderer: r.render(depth=False).stats["seconds"]["render"]
+                for way, renderer in renderers.items()
+            }
+            times = take_turns(turns, self.rounds, slow_seconds=_SLOW)
+        return found, times
+
+
+def coded(scene: BlockScene, decode: str) -> Tables:
+    return {"codec": "rvq", "bits_per_voxel": RATES[scene.name], "decode": decode}
+
+
+def frames(bench: Frames, scene: BlockScene) -> dict[str, Any]:
+    """The ray caster on voxels, on voxels decoded when they were uploaded, and on codes that stay on the device."""
+    volume = bench.volume(scene)
+    ways = {"voxels": {}, **{way: {"compression": coded(scene, way)} for way in ("upload", "resident")}}
+    found, times = bench.compare({way: scene.plain(volume, bench.size, tables) for way, tables in ways.items()})
+    row = {
+        "scene": scene.name, "bits": RATES[scene.name],
+        "ways": {
+            way: {
+                "time": times[way], **ratio_of(times[way], times["voxels"]),
+                "compression": found[way].stats.get("compression"), **_apart(found[way], found["voxels"]),
+            }
+            for way in found
+        },
+        "same": all((found["upload"].rgba == frame.rgba).all() for way, frame in found.items() if way != "voxels"),
+    }  # fmt: skip
+    for way, told in row["ways"].items():
+        say(f"{scene.name}, {way}: {told['ratio']:.2f} times the time of voxels")
+    return row
+
+
+def crossover(bench: Frames, scene: BlockScene) -> dict[str, Any]:
+    """The pyramid beside the plain ray caster, on voxels and on codes that stay on the device (Kraus et al. 2007
+    expect adaptive sampling to pay most where a sample is dear, and do not measure it)."""
+    volume = bench.volume(scene)
+    asked = {}
+    for held, tables in (("voxels", {}), ("resident", {"compression": coded(scene, "resident")})):
+        for method in ("raycast", "pyramid"):
+            integration = {"integration": {"classification": "preintegrated", "method": method}}
+            asked[f"{held}, {method}"] = scene.plain(volume, bench.size, {**tables, **integration})
+    found, times = bench.compare(asked)
+    row = {
+        "scene": scene.name, "times": times, "samples": {way: frame.stats["samples"] for way, frame in found.items()},
+        "faster": {
+            held: ratio_of(times[f"{held}, raycast"], times[f"{held}, pyramid"])
+            for held in ("voxels", "resident") if {f"{held}, raycast", f"{held}, pyramid"} <= times.keys()
+        },
+    }  # fmt: skip
+    told = ", ".join(f"{row['faster'][held]['ratio']:.2f} times as fast on {held}" for held in row["faster"])
+    say(f"{scene.name}, pyramid over ray caster: {told}")
+    return row
+
+
+def budget(bench: Frames, scene: BlockScene, ratio: float) -> dict[str, Any]:
+    """Blocks of several resolutions within 1/``ratio`` of the voxels' bytes, as voxels and as codes, beside all voxels
+    at full resolution."""
+    from clvol import Renderer
+
+    volume = bench.volume(scene)
+    memory = int(volume.nbytes / ratio)
+    tables = {"compression": {"codec": "rvq", "decode": "resident"}}
+    asked = {"voxels": scene.asked(volume, bench.size, memory), "rvq": scene.asked(volume, bench.size, memory, tables)}
+    with Renderer(scene.plain(volume, bench.size), [bench.device]) as renderer:
+        whole = renderer.render(depth=False)
+    found, times = bench.compare(asked)
+    row = {
+        "scene": scene.name, "ratio": ratio, "memory": memory,
+        "ways": {way: {"time": times[way], **_apart(found[way], whole)} for way in found},
+    }  # fmt: skip
+    for way, told in row["ways"].items():
+        apart = f"CIEDE2000 {told['delta_e']:.2f}, largest {told['delta_e_largest']:.1f}"
+        say(f"{scene.name} {ratio:g} : 1, {way}: {apart}")
+    return row
+
+
+def _apart(frame: Any, other: Any) -> dict[str, float]:
+    from clvol.accuracy.metrics import delta_e
+
+    if frame is other:
+        return {"delta_e": 0.0, "delta_e_largest": 0.0}
+    apart = delta_e(frame.rgba, other.rgba)
+    return {"delta_e": float(apart.mean()), "delta_e_largest": float(apart.max())}
