@@ -13,7 +13,7 @@ from clvol.opencl.structs import CODE_MAP, CODED_BLOCK
 from clvol.store.codecs.coded_blocks import MOST_STAGES
 from clvol.store.codecs.decode import decode_blocks
 from clvol.store.codecs.labels import label_codebooks
-from clvol.store.codecs.layout import prefix_sizes
+from clvol.store.codecs.layout import check_codes, prefix_sizes
 
 COUNTS = {1: 8, 2: 8, 4: 150, 8: 60, 16: 12, 32: 4}
 
@@ -156,6 +156,23 @@ def test_impossible_codes_never_reach_a_device(device, contexts):
         CodeDecoder(context, codebooks)
 
 
+@pytest.mark.parametrize("codec", CODECS)
+def test_damaged_codes_that_are_possible_decode_as_in_numpy(device, contexts, codec):
+    context, rng = contexts(device), np.random.default_rng(11)
+    blocks, codebooks = random_codes(11, codec, 16, "int16", 80)
+    changed = [bytearray(block) for block in blocks]
+    for block in changed:
+        for at in rng.integers(1, min(len(block), 200), 3):
+            block[at] = rng.integers(256)
+    damaged = check_codes(packed(changed), 16, codebooks)
+    coded = packed([block for k, block in enumerate(changed) if k not in damaged])
+    assert 10 < len(coded) and (len(damaged) or codec not in ("rvq", "labels"))
+    decoder = CodeDecoder(context, codebooks)
+    voxels, _ = untouched(context, "int16", (len(coded) * 4096,))
+    decoder.into_blocks(decoder.hold(coded, 16), np.arange(len(coded)), voxels, np.arange(len(coded)) * 4096)
+    assert context.read(voxels).tobytes() == decode_blocks(coded, 16, codebooks).tobytes()
+
+
 def test_what_does_not_fit_is_refused(device, contexts):
     context = contexts(device)
     blocks, codebooks = random_codes(1, "rvq", 8, "uint8", 2)
@@ -170,6 +187,7 @@ def test_what_does_not_fit_is_refused(device, contexts):
         with pytest.raises(RenderError, match="outside the volume"):
             decoder.into_volume(held, np.array([0]), volume, np.array([corner]))
     decoder.into_blocks(held, np.zeros(0, np.int64), volume, np.zeros(0, np.int64))
+    decoder.hold(packed([]), 8)
 
 
 def test_groups_of_work_items_decode_the_same(device, contexts, monkeypatch):

@@ -8,9 +8,12 @@ from helpers.coarse_codes import CoarseTrainer
 from helpers.small_scenes import SMOOTH, waves
 
 from clvol import Renderer, Scene, TransferFunction, Volume, load_volume
+from clvol.encoding.trainer import CodeTrainer
 from clvol.errors import SceneError
 from clvol.integrators import decoding
+from clvol.opencl.devices import open_device
 from clvol.store.build import build_store
+from clvol.store.codecs.coded_blocks import RateTarget
 
 VOLUME = Volume(waves((40, 34, 51), np.uint8))
 HEADLIGHT = [{"type": "headlight"}]
@@ -111,12 +114,13 @@ def test_what_needs_all_voxels_is_refused(device, tables, what):
 
 
 @pytest.fixture(scope="module")
-def store(tmp_path_factory):
+def store(tmp_path_factory, contexts):
     """A store of codes: mostly empty, so that few blocks show anything."""
     array = np.zeros((70, 64, 61), np.uint8)
     array[4:62, 8:44, 10:50] = waves((58, 36, 40), np.uint8)
     path = tmp_path_factory.mktemp("stores") / "codes.zarr"
-    build_store(Volume(array), path, codec="rvq", trainer=CoarseTrainer())
+    trainer = CodeTrainer(contexts(open_device()))
+    build_store(Volume(array), path, codec="rvq", target=RateTarget(psnr=40.0), trainer=trainer)
     return path
 
 

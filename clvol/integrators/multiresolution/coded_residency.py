@@ -111,6 +111,13 @@ class CodedResidency:
         the pool a tile needs: as many as leave enough for that are found by bisection."""
         total = self.memory_bytes - self.blocks.overhead_bytes
         least, most = int(sizes.min(axis=0).sum()), total
+        whole = Chosen(np.zeros(sizes.shape[1], np.intp), int(sizes[0].sum()), 0.0, 0.0)
+        if whole.bytes <= total:  # so that rays see only voxels, as in ``all_resolutions``
+            wanted = self._wanted(whole, sizes, dropped)
+            needed, decoded = self._pool_needed(wanted, total, resolved)
+            if whole.bytes + needed <= total:
+                self.chosen = whole
+                return wanted, min(total - whole.bytes, decoded)
         found = None
         budget = most
         for _ in range(_TRIES):
@@ -118,9 +125,9 @@ class CodedResidency:
                 break
             chosen = select_choices(errors, sizes, budget)
             wanted = self._wanted(chosen, sizes, dropped)
-            needed, whole = self._pool_needed(wanted, total, resolved)
+            needed, decoded = self._pool_needed(wanted, total, resolved)
             if chosen.bytes + needed <= total:
-                found = chosen, wanted, min(total - chosen.bytes, whole)
+                found = chosen, wanted, min(total - chosen.bytes, decoded)
                 if budget == total or chosen.bytes < budget - budget // 64:  # no more is of any use
                     break
                 least = max(least, budget)

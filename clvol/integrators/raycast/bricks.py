@@ -16,7 +16,7 @@ from clvol.device.volume import ResidentVolume
 from clvol.errors import SceneError
 from clvol.features import FILTER_REACH
 from clvol.integrators.base import FrameData, Progress
-from clvol.integrators.raycast.caster import Raycaster, TilesDone
+from clvol.integrators.raycast.caster import Raycaster
 from clvol.integrators.raycast.tile_groups import tile_groups
 from clvol.opencl.context import DeviceArray, DeviceContext
 from clvol.scene.camera import Camera
@@ -142,7 +142,7 @@ class BrickCaster(Raycaster):
         if self._needed is None:
             blocks = self.volume.pool.blocks
             if self.skip:
-                self._needed = blocks_near(self.shown_cells, self._reach, blocks)
+                self._needed = blocks_near(self.shown, self._reach, blocks)
             else:
                 self._needed = np.arange(blocks.count)
         return self._needed
@@ -179,32 +179,6 @@ class BrickCaster(Raycaster):
         """Voxels around a sample that its value and gradient depend on."""
         return FILTER_REACH[self.resolved.integration.filter] + _GRADIENT_REACH
 
-    def _trace(
-        self,
-        frame: RayFrame,
-        size: tuple[int, int],
-        view: np.ndarray,
-        tiles: int,
-        depth: bool,
-        progress: TilesDone | None,
-        outputs: dict[str, DeviceArray],
-        wanted: np.ndarray | None = None,
-    ) -> tuple[list[DeviceArray], dict[str, int]]:
-        tallies: list[DeviceArray] = []
-        counts: dict[str, int] = {}
-        done = 0
-        for group, blocks in self._groups(frame, size):
-            if not len(blocks):  # rays of these tiles leap over all there is
-                blocks = self.needed[:1]
-            self._hold(blocks, "a frame" if group is None else "a tile")
-            report = None if progress is None else lambda more, before=done: progress(min(before + more, tiles))
-            found, named = super()._trace(frame, size, view, tiles, depth, report, outputs, group)
-            tallies += found
-            counts = {name: counts.get(name, 0) + count for name, count in named.items()}
-            done += tiles if group is None else int(group.sum())
-            self.context.finish() if group is not None else None
-        return tallies, counts
-
     def _hold(self, blocks: np.ndarray, what: str) -> None:
         pool = self.volume.pool
         if len(blocks) > pool.most:
@@ -213,27 +187,27 @@ class BrickCaster(Raycaster):
             raise SceneError(where, got, f"at least {pool.memory_for(len(blocks))} bytes")
         pool.hold(blocks)
 
-    def _groups(
-        self, frame: RayFrame, size: tuple[int, int]
-    ) -> Iterator[tuple[np.ndarray | None, np.ndarray]]:
-        """(tiles, blocks): bool [tiles], or None for all, that are rendered together, and the numbers of the blocks
-        that these need."""
+    def groups(
+        self, frame: RayFrame, size: tuple[int, int], tiles: np.ndarray | None
+    ) -> Iterator[np.ndarray | None]:
         needed = self.needed
         if self._rays_turn:
-            yield None, needed
+            self._hold(needed, "a frame")
+            yield tiles
             return
         columns, rows = (-(-n // m) for n, m in zip(size, self.tile))
         one = np.ones(len(needed), np.int64)
-        groups = tile_groups(self._tile_ranges(frame, size), one, self.volume.pool.most, columns, rows)
-        for tiles, seen in groups:
-            yield tiles, needed[seen]
+        ranges = self._tile_ranges(frame, size)
+        for group, seen in tile_groups(ranges, one, self.volume.pool.most, columns, rows, tiles):
+            # Rays of tiles without any leap over all there is.
+            self._hold(needed[seen] if seen.any() else needed[:1], "a tile")
+            yield group
 
     @property
     def _rays_turn(self) -> bool:
-        """Whether rays leave their tiles, or tiles are rendered more than once."""
+        """Whether rays leave their tiles."""
         switches = self.effects.switches
-        turns = switches.get("REFRACTION") or switches.get("SHADOWS") == METHODS["rays"]
-        return bool(turns) or self.resolved.image.ray_spacing > 1
+        return bool(switches.get("REFRACTION") or switches.get("SHADOWS") == METHODS["rays"])
 
     def _tile_ranges(self, frame: RayFrame, size: tuple[int, int]) -> Ranges:
         """As ``tile_ranges``, of the blocks that are needed."""

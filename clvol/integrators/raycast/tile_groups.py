@@ -19,24 +19,32 @@ def room_of_tiles(ranges: Ranges, room: np.ndarray, columns: int, rows: int) -> 
 
 
 def tile_groups(
-    ranges: Ranges, room: np.ndarray, most: int, columns: int, rows: int
+    ranges: Ranges, room: np.ndarray, most: int, columns: int, rows: int, tiles: np.ndarray | None = None
 ) -> Iterator[tuple[np.ndarray | None, np.ndarray]]:
-    """(tiles, boxes): bool [rows * columns], or None for all tiles, and bool [n]: the boxes that they see, which take
+    """(tiles, boxes): groups of ``tiles`` (numbers; None: all), and bool [n]: the boxes that they see, which take
     ``most`` of ``room`` together, except that a tile may take more alone."""
     (x0, x1), (y0, y1) = ranges
-    seen = (x0 < x1) & (y0 < y1)
+    wanted = np.ones((rows, columns), bool)
+    if tiles is not None:
+        wanted[...] = False
+        wanted.ravel()[tiles] = True
+    sums = np.pad(wanted.astype(np.int64), ((1, 0), (1, 0))).cumsum(axis=0).cumsum(axis=1)
+    seen = (x0 < x1) & (y0 < y1) & (sums[y1, x1] - sums[y0, x1] - sums[y1, x0] + sums[y0, x0] > 0)
     if int(room[seen].sum()) <= most:
-        yield None, seen
+        yield tiles, seen
         return
-    chosen, held = np.zeros(rows * columns, bool), np.zeros(len(room), bool)
+    chosen: list[int] = []
+    held = np.zeros(len(room), bool)
     for row, column in along_curve(columns, rows):
+        if not wanted[row, column]:
+            continue
         more = (x0 <= column) & (column < x1) & (y0 <= row) & (row < y1)
-        if chosen.any() and int(room[held | more].sum()) > most:
-            yield chosen, held
-            chosen, held = np.zeros(rows * columns, bool), np.zeros(len(room), bool)
-        chosen[row * columns + column] = True
+        if chosen and int(room[held | more].sum()) > most:
+            yield np.array(chosen, np.int64), held
+            chosen, held = [], np.zeros(len(room), bool)
+        chosen.append(row * columns + column)
         held = held | more
-    yield chosen, held
+    yield np.array(chosen, np.int64), held
 
 
 def along_curve(columns: int, rows: int) -> list[tuple[int, int]]:
