@@ -76,7 +76,10 @@ class CodeDecoder:
         may only be decoded to it. VolumeError names the first block whose bytes are impossible."""
         self._check(coded, s, np.arange(len(coded)), stages)
         data, start = gathered(coded, np.arange(len(coded)))
-        return HeldCodes(self._context.upload(np.append(data, np.zeros(SPARE_BYTES, np.uint8))), start, s)
+        codes = self._context.empty(np.uint8, (len(data) + SPARE_BYTES,))
+        if len(data):
+            self._context.write(codes, data)
+        return HeldCodes(codes, start, s)
 
     def into_blocks(
         self,

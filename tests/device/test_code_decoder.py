@@ -187,6 +187,7 @@ def test_what_does_not_fit_is_refused(device, contexts):
         with pytest.raises(RenderError, match="outside the volume"):
             decoder.into_volume(held, np.array([0]), volume, np.array([corner]))
     decoder.into_blocks(held, np.zeros(0, np.int64), volume, np.zeros(0, np.int64))
+    decoder.hold(packed([]), 8)
 
 
 def test_groups_of_work_items_decode_the_same(device, contexts, monkeypatch):
