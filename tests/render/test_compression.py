@@ -108,6 +108,21 @@ def test_every_device_shows_the_decoded_volume(each_device, trained):
     check_is_picture_of_decoded(scene_of(VOLUME, {"codec": "rvq"}), each_device)
 
 
+@pytest.mark.filterwarnings("ignore:compression")
+@pytest.mark.parametrize("slope", [0.5, -2.0])
+def test_values_that_are_not_the_stored_numbers(slope, device):
+    """Exact codes show what the volume shows, whichever way its values run."""
+    volume = Volume(waves((21, 34, 27), np.int16, -300, 900), slope=slope, offset=100.0)
+    low, high = volume.value_range
+    function = TransferFunction([low, high], [0.0, 0.5], [[0.2, 0.3, 0.9], [1, 1, 0.2]], 5.0)
+    tables = {"transfer_function": function, "isosurface": [{"value": (low + high) / 2, "opacity": 0.5}]}
+    frames = []
+    for compression in ({}, {"codec": "labels"}):
+        with Renderer(scene_of(volume, compression, **tables), [device]) as renderer:
+            frames.append(renderer.render())
+    np.testing.assert_array_equal(frames[0].rgba, frames[1].rgba)
+
+
 def _with_holes(array: np.ndarray) -> np.ndarray:
     array = array.copy()
     array[3:5, 7, 9], array[-1, -1, -1] = np.nan, np.inf
