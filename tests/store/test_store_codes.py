@@ -257,6 +257,15 @@ def test_where_codebooks_cost_more_than_they_save_there_are_none(tmp_path):
     assert not (tmp_path / "rvq/codebooks").exists()
 
 
+def test_an_encoder_that_fails_is_no_full_disk(tmp_path, monkeypatch):
+    def failing(self, samples):
+        raise ValueError("operands could not be broadcast")
+
+    monkeypatch.setattr(StubEncoder, "encode", failing)
+    with pytest.raises(RenderError, match="level 0, the samples from .*: encoding failed: operands could not be"):
+        coded(voxels(), tmp_path / "s")
+
+
 def test_impossible_codes_of_an_encoder_are_an_error(tmp_path, monkeypatch):
     def nonsense(self, samples):
         return CodedBlocks(np.full(9, 88, np.uint8), np.zeros(len(samples), np.int64), np.full(len(samples), 9))
