@@ -197,6 +197,9 @@ class BrickCaster(Raycaster):
             self._hold(needed, "a frame")
             yield tiles
             return
+        if self.volume.pool.resident(needed).all():
+            yield tiles
+            return
         columns, rows = (-(-n // m) for n, m in zip(size, self.tile))
         one = np.ones(len(needed), np.int64)
         ranges = self._tile_ranges(frame, size)
