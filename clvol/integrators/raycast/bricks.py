@@ -129,11 +129,12 @@ class BrickCaster(Raycaster):
 
     def set_transfer_function(self, function: TransferFunction) -> None:
         self._needed: np.ndarray | None = None
+        self._last: tuple[tuple, int, Ranges] | None = None
         super().set_transfer_function(function)
 
     def for_scene(self, resolved: ResolvedScene) -> BrickCaster:
         other = super().for_scene(resolved)
-        other._needed = None
+        other._needed = other._last = None
         return other
 
     @property
@@ -215,7 +216,13 @@ class BrickCaster(Raycaster):
         return bool(switches.get("REFRACTION") or switches.get("SHADOWS") == METHODS["rays"])
 
     def _tile_ranges(self, frame: RayFrame, size: tuple[int, int]) -> Ranges:
-        """As ``tile_ranges``, of the blocks that are needed."""
+        """As ``tile_ranges``, of the blocks that are needed; those of the last frame are kept."""
+        key = *(np.asarray(each).tobytes() for each in vars(frame).values()), size
+        if self._last is None or self._last[:2] != (key, id(self.needed)):
+            self._last = key, id(self.needed), self._found_ranges(frame, size)
+        return self._last[2]
+
+    def _found_ranges(self, frame: RayFrame, size: tuple[int, int]) -> Ranges:
         blocks, spacing = self.volume.pool.blocks, np.asarray(self.resolved.volume.grid.spacing)
         beside = self._beside + (np.asarray(self._moved.cells) << CELL_SHIFT)
         low = blocks.places(self.needed)[:, ::-1] * blocks.edge
