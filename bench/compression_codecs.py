@@ -23,7 +23,8 @@ class Coded:
 
     @property
     def nbytes(self) -> int:
-        return self.codes.nbytes
+        """Of blocks, codebooks, and four for the length of each block, as stores have it."""
+        return len(self.codes.coded.data) + self.codes.codebooks.nbytes + 4 * len(self.codes.coded)
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,6 +4,7 @@ compiled and, of "upload", decoded; "resident" decodes in a frame what that fram
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -105,8 +106,13 @@ def frames(bench: Frames, scene: BlockScene) -> dict[str, Any]:
         "voxels": scene.plain(bench.volume(scene), bench.size),
         **{way: scene.plain(codes, bench.size, decoding(way)) for way in ("upload", "resident")},
     })
+    measured = codes.blocks_source.codes.measured
     row = {
         "scene": scene.name, "bits": RATES[scene.name],
+        "store": {
+            "bits": measured.bits_per_voxel, "bits_all": measured.facts["bits_per_voxel_all"],
+            "psnr": measured.psnr if math.isfinite(measured.psnr) else None, "largest": measured.max_voxel_error,
+        },
         "ways": {
             way: {
                 "time": times[way], **ratio_of(times[way], times["voxels"]),

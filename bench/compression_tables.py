@@ -153,6 +153,15 @@ def _frame_cells(rows: Rows) -> tuple[list[str], list[list[str]]]:
     ]  # fmt: skip
 
 
+def _store_cells(rows: Rows) -> tuple[list[str], list[list[str]]]:
+    head = ["store", "asked for", "bits per voxel on disk", "with all levels and statistics", "PSNR", "largest error"]
+    return head, [
+        [row["scene"], f"{row['bits']:g}", f"{row['store']['bits']:.3f}", f"{row['store']['bits_all']:.3f}",
+         psnr_text(row["store"]), f"{row['store']['largest']:.2%}"]
+        for row in rows
+    ]  # fmt: skip
+
+
 def _crossover_cells(rows: Rows) -> tuple[list[str], list[list[str]]]:
     head = ["scene", "held as", "ray caster, ms", "pyramid, ms", "pyramid faster by", "from", "to"]
     cells = []
@@ -177,6 +186,7 @@ _TABLES = (
     ("Rate against distortion", "rates", _rate_cells, 3),
     ("Bits per voxel that others take for the same error as rvq", "rates", _equal_cells, 1),
     ("Training (once), encoding and decoding", "speed", _speed_cells, 3),
+    ("Stores of codes (rvq)", "frames", _store_cells, 1),
     ("Frames of the ray caster", "frames", _frame_cells, 2),
     ("The pyramid beside the ray caster, pre-integrated", "crossover", _crossover_cells, 2),
     ("Blocks within a budget, beside all voxels", "budget", _budget_cells, 3),

@@ -265,6 +265,7 @@ def _result() -> dict:
                    "encoding": {"rvq, rate": _time(0.5), "zfp, rate": _time(0.1)},
                    "decoding": {way: _time(seconds) for way, seconds in decoding.items()}}],
         "frames": [{"scene": "engine-smooth", "bits": 0.45, "same": True,
+                    "store": {"bits": 0.44, "bits_all": 0.6, "psnr": 45.0, "largest": 0.1},
                     "ways": {"voxels": held, "upload": held, "resident": {**held, **_ratio(1.2)}}}],
         "crossover": [{"scene": "heptane", "times": dict.fromkeys(methods, _time(0.1)),
                        "samples": dict.fromkeys(methods, 5),
@@ -303,7 +304,7 @@ def test_everything_measured_is_shown():
         for words in ("zfpy 1.0", "engine", "heptane", "crab", "SZ3", "codes resident", "9 : 1"):
             assert words in told
     assert "no figure of it is a result" in show(result) and "frames: no" in show(result)
-    assert markdown(result).count("(some, 2 cores)") == 7  # the processor with every table
+    assert markdown(result).count("(some, 2 cores)") == 8  # the processor with every table
     assert "are left out" in show({**result, "peers": {}})
     assert markdown_table(["a", "b"], [["1", "2"]]) == "| a | b |\n| --- | --- |\n| 1 | 2 |"
 
