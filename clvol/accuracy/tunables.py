@@ -209,6 +209,7 @@ NOT_TUNABLE: dict[str, str] = {
     "image.background": "another picture: what is behind the volume",
     "image.width": "another picture",
     "image.height": "another picture",
+    "compression.weighting": "which errors matter for the transfer function; it costs nothing",
     "compression.decode": "the same picture",
     "compression.memory": "the same picture",
     "compression.seed": "another picture, not a better one",

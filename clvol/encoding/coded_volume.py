@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Protocol, cast
 
 import numpy as np
 
@@ -135,11 +135,16 @@ class UndecodedVolume(LazyVolume):
 
 
 def encoded_volume(
-    volume: Volume, compression: Compression, trainer: Trainer, progress: Progress | None = None
+    volume: Volume,
+    compression: Compression,
+    trainer: Trainer,
+    progress: Progress | None = None,
+    weights: np.ndarray | None = None,
 ) -> CodedVolume:
     """``volume`` (stored numbers) as codes that keep to ``compression``. Their error is not measured yet.
 
-    ``progress(done, total)`` reports training, and then the voxels that are encoded. VolumeError for float64 voxels
+    ``progress(done, total)`` reports training, and then the voxels that are encoded. ``weights`` [blocks]: of their
+    squared errors; 1 if left out. VolumeError for float64 voxels
     beyond the range of float32.
     """
     low, high = value_range = volume.stored_range
@@ -149,7 +154,7 @@ def encoded_volume(
     source = VolumeSource(volume)
     training = trainer.train(source, value_range, compression.codec, compression.target, compression.seed, progress)
     blocks = BlockGrid(volume.shape, EDGE)
-    coded = _joined(_encoded_layers(source, blocks, trainer.encoder(training), progress))
+    coded = _joined(_encoded_layers(source, blocks, trainer.encoder(training), progress, weights))
     return CodedVolume(volume.grid, blocks, training.codebooks, coded, **_about(volume))
 
 
@@ -167,6 +172,14 @@ def _about(volume: Volume) -> dict[str, Any]:
     """What decoded voxels have in common with those of ``volume``."""
     names = {"name": volume.name or "volume", "frame": volume.frame, "unit": volume.unit}
     return {**names, "nan_count": volume.nan_count, "inf_count": volume.inf_count}
+
+
+class WeighingEncoder(Protocol):
+    """A ``BlockEncoder`` that can weigh the errors of blocks."""
+
+    def encode(self, samples: np.ndarray, weights: np.ndarray) -> CodedBlocks:
+        """As ``BlockEncoder.encode``, with ``weights`` [k] of the squared errors of each block."""
+        ...
 
 
 class LabelTrainer:
@@ -192,7 +205,11 @@ class LabelTrainer:
 
 
 def _encoded_layers(
-    source: VolumeSource, blocks: BlockGrid, encoder: BlockEncoder, progress: Progress | None
+    source: VolumeSource,
+    blocks: BlockGrid,
+    encoder: BlockEncoder,
+    progress: Progress | None,
+    weights: np.ndarray | None,
 ) -> Iterator[CodedBlocks]:
     """The blocks of a few layers after another."""
     nz, ny, nx = blocks.shape
@@ -200,7 +217,10 @@ def _encoded_layers(
     for z in range(0, nz, thick):
         end = min(z + thick, nz)
         slab = source.box(z, end, 0, ny, 0, nx)
-        yield encoder.encode(split(whole_blocks(as_coded_type(slab), blocks.edge), blocks.edge))
+        samples = split(whole_blocks(as_coded_type(slab), blocks.edge), blocks.edge)
+        first = z // blocks.edge * blocks.counts[1] * blocks.counts[2]
+        own = None if weights is None else weights[first : first + len(samples)]
+        yield encoder.encode(samples) if own is None else cast(WeighingEncoder, encoder).encode(samples, own)
         if progress is not None:
             progress(end * ny * nx, nz * ny * nx)
 

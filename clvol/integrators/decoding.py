@@ -27,6 +27,7 @@ from clvol.encoding.trainer import CodeTrainer
 from clvol.errors import SceneError
 from clvol.features.compression import coded_source, facts_of, is_compressed
 from clvol.integrators.base import Integrator, Progress, Shared
+from clvol.integrators.code_weights import block_weights, check_weighting
 from clvol.opencl.context import DeviceContext
 from clvol.scene.compression import NOT_COMPRESSED, Compression
 from clvol.scene.resolve import ResolvedScene
@@ -41,7 +42,9 @@ _log = logging.getLogger(__name__)
 
 
 def check_decoding(resolved: ResolvedScene, integrator: Integrator) -> None:
-    """SceneError for codes that are to stay on the device, with an integrator that needs all voxels."""
+    """SceneError for codes that are to stay on the device, with an integrator that needs all voxels, and for weights in
+    a scene that they do not suit."""
+    check_weighting(resolved)
     if is_compressed(resolved) and resolved.compression.decode == "resident" and not integrator.holds_codes:
         where = f"{resolved.origin}: compression.decode"
         raise SceneError(where, f"got 'resident' with the method {integrator.name!r}", "'upload' or 'auto'")
@@ -52,13 +55,16 @@ def codes_of(
 ) -> CodedVolume | None:
     """The scene's volume as codes, made (or read, from a store of codes) once; None for a scene without compression.
 
-    Codes are kept by what they depend on: the volume, the codec, its target and the seed. ``decode``: whether the
+    Codes are kept by what they depend on: the volume, the codec, its target and the seed, and where they are weighted
+    by it, the transfer function. ``decode``: whether the
     decoded voxels, which are needed once to measure their error, are kept, too.
     """
     if not is_compressed(resolved):
         return None
     compression, volume = resolved.compression, resolved.volume
     key: Hashable = volume, compression.codec, compression.target, compression.seed
+    if compression.weighting != "even":
+        key = key, resolved.transfer_function, resolved.background.tobytes()
     if coded_source(volume) is not None:
         return shared.keep("codes", volume, lambda: stored_codes(volume), _KEPT_CODES)
     return shared.keep("codes", key, lambda: _encoded(resolved, shared, progress, decode), _KEPT_CODES)
@@ -120,15 +126,19 @@ def compression_stats(
     if codes is None:
         return None
     if way_of_decoding(resolved, shared.context, integrator) == "resident":
-        return stats_of(codes.codebooks.codec, codes.measured, codes.nbytes, 0)
-    return stats_of(codes.codebooks.codec, codes.measured, device_bytes(codes), math.prod(codes.grid.shape))
+        stats = stats_of(codes.codebooks.codec, codes.measured, codes.nbytes, 0)
+    else:
+        stats = stats_of(codes.codebooks.codec, codes.measured, device_bytes(codes), math.prod(codes.grid.shape))
+    weighting = resolved.compression.weighting
+    return stats if weighting == "even" else stats | {"weighting": weighting}
 
 
 def _encoded(resolved: ResolvedScene, shared: Shared, progress: Progress | None, decode: bool) -> CodedVolume:
     """The scene's volume as codes, with their error over all voxels. ``decode``: all are decoded at once, and kept."""
     volume, context = resolved.volume, shared.context
     is_exact = resolved.compression.codec == "labels"
-    codes = encoded_volume(volume, resolved.compression, LabelTrainer() if is_exact else trainer(context), progress)
+    teacher = LabelTrainer() if is_exact else trainer(context)
+    codes = encoded_volume(volume, resolved.compression, teacher, progress, block_weights(resolved))
     if not decode:
         return _logged(measured_codes(codes, volume, codes.layers(decode_on(context))))
     decoded = _decoded(codes, context)

@@ -27,6 +27,10 @@ class Compression(Table):
     the blocks that a frame needs; "auto" takes "upload" where the decoded voxels fit into ``memory`` (if left out: into
     the device's memory). Both also apply to a volume that is a store of codes, without any ``codec``.
 
+    ``weighting``: with "transfer-function", max_voxel_error is the bound where the picture is most sensitive to values;
+    elsewhere voxels may be off by as much as does not show, so that what is transparent costs next to nothing. Codes
+    are then made for one transfer function.
+
     ``seed``: of the random choice of the voxels that codebooks are made from.
     """
 
@@ -52,6 +56,11 @@ class Compression(Table):
         title="Most bits per voxel, codebooks included; instead of max_voxel_error.",
         description="a number greater than 0, at most 64",
         examples=[0.5],
+    )
+    weighting: Literal["even", "transfer-function"] = Field(
+        "even",
+        title="Whether errors count alike everywhere, or as far as the transfer function shows them.",
+        description="'even' or 'transfer-function'",
     )
     decode: Literal["auto", "upload", "resident"] = Field(
         "auto",
@@ -83,6 +92,8 @@ class Compression(Table):
             raise wrong("codec", None, f"a codec beside {stated[0]}, such as 'rvq'")
         if stated and self.codec == "labels":
             raise wrong(stated[0], getattr(self, stated[0]), "no target beside the codec 'labels', which is exact")
+        if self.weighting != "even" and (self.is_lossy and self.codec != "rvq" or stated not in ((), TARGETS[:1])):
+            raise wrong("weighting", self.weighting, "'even', or the codec 'rvq' and max_voxel_error")
         return self
 
     @property
