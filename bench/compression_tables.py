@@ -188,7 +188,7 @@ def _budget_cells(rows: Rows) -> tuple[list[str], list[list[str]]]:
 _TABLES = (
     ("Rate against distortion", "rates", _rate_cells, 3),
     ("Bits per voxel that others take for the same error as rvq", "rates", _equal_cells, 1),
-    ("Training, and million voxels per second of encoding and decoding: median, half its spread, and the shortest time's",
+    ("Training, and million voxels per second of encoding and decoding (median, half the spread; shortest)",
      "speed", _speed_cells, 2),
     ("Stores of codes (rvq)", "frames", _store_cells, 1),
     ("Frames of the ray caster", "frames", _frame_cells, 2),
