@@ -13,7 +13,7 @@ from clvol.opencl.structs import CODE_MAP, CODED_BLOCK
 from clvol.store.codecs.coded_blocks import MOST_STAGES
 from clvol.store.codecs.decode import decode_blocks
 from clvol.store.codecs.labels import label_codebooks
-from clvol.store.codecs.layout import prefix_sizes
+from clvol.store.codecs.layout import check_codes, prefix_sizes
 
 COUNTS = {1: 8, 2: 8, 4: 150, 8: 60, 16: 12, 32: 4}
 
@@ -154,6 +154,23 @@ def test_impossible_codes_never_reach_a_device(device, contexts):
     codebooks.shifts[0] = 10
     with pytest.raises(VolumeError, match="impossible codebooks"):
         CodeDecoder(context, codebooks)
+
+
+@pytest.mark.parametrize("codec", CODECS)
+def test_damaged_codes_that_are_possible_decode_as_in_numpy(device, contexts, codec):
+    context, rng = contexts(device), np.random.default_rng(11)
+    blocks, codebooks = random_codes(11, codec, 16, "int16", 80)
+    changed = [bytearray(block) for block in blocks]
+    for block in changed:
+        for at in rng.integers(1, min(len(block), 200), 3):
+            block[at] = rng.integers(256)
+    damaged = check_codes(packed(changed), 16, codebooks)
+    coded = packed([block for k, block in enumerate(changed) if k not in damaged])
+    assert 10 < len(coded) and (len(damaged) or codec not in ("rvq", "labels"))
+    decoder = CodeDecoder(context, codebooks)
+    voxels, _ = untouched(context, "int16", (len(coded) * 4096,))
+    decoder.into_blocks(decoder.hold(coded, 16), np.arange(len(coded)), voxels, np.arange(len(coded)) * 4096)
+    assert context.read(voxels).tobytes() == decode_blocks(coded, 16, codebooks).tobytes()
 
 
 def test_what_does_not_fit_is_refused(device, contexts):

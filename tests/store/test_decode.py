@@ -12,7 +12,7 @@ from reference.random_codes import CODECS, DTYPES, packed, random_codebooks, ran
 from clvol.errors import VolumeError
 from clvol.store.codecs.coded_blocks import MOST_STAGES, CodedBlocks
 from clvol.store.codecs.decode import decode_blocks
-from clvol.store.codecs.layout import check_codes, prefix_sizes
+from clvol.store.codecs.layout import check_codes, parse_coded, prefix_sizes
 
 COUNTS = {1: 6, 2: 6, 4: 40, 8: 24, 16: 6, 32: 2}
 
@@ -113,6 +113,23 @@ def test_damaged_blocks_are_found_or_decode_to_something(codec):
     kept = CodedBlocks(coded.data, coded.start[sound], coded.size[sound])
     plain = np.stack([read(blocks[k], 8, codebooks) for k in sound])
     assert same_bits(decode_blocks(kept, 8, codebooks), plain)
+
+
+@pytest.mark.parametrize("s", (4, 8, 16))
+def test_checking_finds_what_parsing_finds(s):
+    rng = np.random.default_rng(s)
+    blocks, codebooks = random_codes(s, "rvq", s, "uint8", 300, stages=7)
+    blocks = [block for block in blocks if block[0] == 2]
+    for k, block in enumerate(blocks):
+        changed = bytearray(block)
+        for at in rng.integers(1, min(len(block), 30), int(rng.integers(3))):
+            changed[at] = rng.integers(256)
+        blocks[k] = bytes(changed)
+    coded = packed(blocks)
+    for limit in (0, 3, MOST_STAGES):
+        good = parse_coded(coded.data, coded.start, coded.size, s, codebooks, limit).good
+        assert good.any() and not good.all()
+        assert check_codes(coded, s, codebooks, limit).tolist() == np.flatnonzero(~good).tolist()
 
 
 @pytest.mark.parametrize("change", [

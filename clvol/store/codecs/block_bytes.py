@@ -9,7 +9,7 @@ import numpy as np
 
 from clvol.store.codecs.coded_blocks import CodedBlocks
 
-_PART = 1 << 22  # samples that are looked at together
+_PART = 1 << 20  # samples that are looked at together
 
 ByteAt: TypeAlias = "Callable[[np.ndarray], np.ndarray]"
 

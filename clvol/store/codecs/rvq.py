@@ -75,7 +75,7 @@ def parse_coded(
         halves = byte(at[:, None, None] + (order >> 1)) >> (order & 1) * 4 & 15
         depths = np.where(split[:, :, None], halves, 0).astype(np.uint8)
         at = at + wide * per_octant // 2
-    depths, means = (part.reshape(len(start), -1) for part in (depths, means))
+    depths, means = (part.reshape(len(start), octants * per_octant) for part in (depths, means))
     escaped = depths == ESCAPED
     good &= ((depths <= codebooks.stages) | escaped).all(axis=1)
     depths = np.where(escaped, 0, depths).astype(np.uint8)
@@ -97,22 +97,28 @@ def _parse_escapes(
     """The escapes of all blocks, and where each block's end. Clears ``good`` of blocks whose escapes are impossible."""
     block, sub = np.nonzero(escaped)
     count = escaped.sum(axis=1)
-    first = np.cumsum(count) - count
-    heads = np.zeros(len(block), np.int64)
-    places = np.zeros(len(block), np.int64)
-    at = at.copy()
-    for turn in range(int(count.max(initial=0))):  # the place of an escape depends on the one before it
-        own = np.flatnonzero((count > turn) & good & (at < end))
-        good[(count > turn) & (at >= end)] = False
-        head = data[at[own]].astype(np.int64)
-        raw = head == RAW_SAMPLES
-        stages, bits = head & 15, head >> 4
-        good[own[~raw & ((stages > codebooks.stages) | (bits > 8))]] = False
-        heads[first[own] + turn] = head
-        places[first[own] + turn] = at[own] + 1
-        at[own] += 1 + np.where(raw, 64 * codebooks.values.dtype.itemsize, stages + 8 * bits)
-    raw = heads == RAW_SAMPLES
-    return Escapes(block, sub, places, np.where(raw, 0, heads & 15), np.where(raw, 0, heads >> 4), raw), at
+    codes = np.arange(256)
+    stages, bits, raw = codes & 15, codes >> 4, codes == RAW_SAMPLES
+    lengths = np.where(raw, 1 + 64 * codebooks.values.dtype.itemsize, 1 + stages + 8 * bits)  # by the first byte
+    impossible = ~raw & ((stages > codebooks.stages) | (bits > 8))
+
+    # The place of an escape depends on the one before it, so a turn takes one of each block, the longest lists first.
+    order = np.argsort(-count, kind="stable")
+    left = len(order) - np.searchsorted(np.sort(count), np.arange(int(count.max(initial=0))), side="right")
+    first, places, last = (np.cumsum(count) - count)[order], at[order], end[order] - 1
+    found = np.zeros(len(block), np.int64)
+    heads = np.zeros(len(block), np.uint8)
+    for turn, those in enumerate(left.tolist()):
+        head = data[np.minimum(places[:those], last[:those])]
+        found[first[:those] + turn] = places[:those] + 1
+        heads[first[:those] + turn] = head
+        places[:those] += lengths[head]
+    good[block[impossible[heads]]] = False
+    at = np.empty_like(places)
+    at[order] = places
+    is_raw = raw[heads]
+    stages, bits = np.where(is_raw, 0, stages[heads]), np.where(is_raw, 0, bits[heads])
+    return Escapes(block, sub, found, stages, bits, is_raw), at
 
 
 def _parsed(coded: CodedBlocks, s: int, codebooks: Codebooks, limit: int) -> CodedParts:
@@ -120,7 +126,34 @@ def _parsed(coded: CodedBlocks, s: int, codebooks: Codebooks, limit: int) -> Cod
 
 
 def _good(coded: CodedBlocks, s: int, codebooks: Codebooks, limit: int) -> np.ndarray:
-    return _parsed(coded, s, codebooks, limit).good
+    """As ``_parsed(...).good``, in a fraction of the time where no sub-block is escaped."""
+    end, each = coded.start + coded.size, 8 if s > 4 else 1
+    byte = bytes_before(coded.data, end)
+    split, at, good = split_octants(byte, coded.start + 1, s)
+    wide = split.sum(axis=1)
+    at = at + split.shape[1] + (each - 1) * wide
+    count = (wide * each + 1) // 2
+    picks = np.arange((split.shape[1] * each + 1) // 2)
+    depths = np.where(picks < count[:, None], byte(at[:, None] + picks), 0)
+
+    halves = np.arange(256)[:, None] >> np.array([0, 4]) & 15  # of a byte of depths
+    escapes = halves == ESCAPED
+    impossible = ((halves > codebooks.stages) & ~escapes).any(axis=1)
+    if s == 4:
+        impossible |= halves[:, 1] > 0
+    codes = np.where(escapes, 0, np.minimum(halves, limit)).sum(axis=1)
+    good &= ~impossible[depths].any(axis=1)
+    at = at + count + codes[depths].sum(axis=1)
+    if limit < codebooks.stages:
+        return good & (at <= end)
+    escaped = escapes.any(axis=1)[depths].any(axis=1)
+    good &= (at == end) | escaped
+    own = np.flatnonzero(good & escaped)
+    possible = np.ones(len(own), bool)
+    of_subs = escapes[depths[own]].reshape(len(own), -1) if len(own) else np.zeros((0, 1), bool)
+    _, after = _parse_escapes(coded.data, end[own], at[own], of_subs, codebooks, possible)
+    good[own] = possible & (after == end[own])
+    return good
 
 
 def _prefixes(coded: CodedBlocks, s: int, codebooks: Codebooks) -> np.ndarray:
@@ -131,31 +164,37 @@ def _prefixes(coded: CodedBlocks, s: int, codebooks: Codebooks) -> np.ndarray:
 
 def _decode(coded: CodedBlocks, s: int, codebooks: Codebooks, limit: int) -> np.ndarray:
     found = _parsed(coded, s, codebooks, limit)
-    working = np.repeat((found.means.astype(np.int32) << 8)[:, :, None] + 128, 64, axis=2)
+    # Deepest first, so that the sub-blocks of each stage are the first ones.
+    depths = found.depths.ravel()
+    order = np.argsort(MOST_STAGES - depths, kind="stable")
+    sums = np.repeat((found.means.astype(np.int32).ravel()[order] << 8)[:, None] + 128, 64, axis=1)
     for j in range(min(limit, codebooks.stages)):
-        _add_stage(working, coded.data, found, j, codebooks)
+        deep = found.depths > j
+        place = found.stages[:, j, None] + np.cumsum(deep, axis=1) - 1
+        own = order[: np.count_nonzero(deep)]
+        sums[: len(own)] += codebooks.shifted(j)[coded.data[place.ravel()[own]]]
     if found.escapes is None:
-        voxels = codebooks.values.decoded(working)
+        sorted_voxels = codebooks.values.decoded(sums)
     else:
-        voxels = _with_escapes(working, coded.data, found.escapes, codebooks)
+        rank = np.empty_like(order)
+        rank[order] = np.arange(len(order))
+        places = rank[found.escapes.block * found.depths.shape[1] + found.escapes.sub]
+        sorted_voxels = _with_escapes(sums, places, coded.data, found.escapes, codebooks)
+    voxels = np.empty_like(sorted_voxels)
+    voxels[order] = sorted_voxels
     return in_block_order(voxels, s)
 
 
-def _add_stage(working: np.ndarray, data: np.ndarray, found: CodedParts, j: int, codebooks: Codebooks) -> None:
-    deep = found.depths > j
-    block, sub = np.nonzero(deep)
-    order = (np.cumsum(deep, axis=1) - 1)[block, sub]
-    working[block, sub] += codebooks.shifted(j)[data[found.stages[block, j] + order]]
-
-
-def _with_escapes(working: np.ndarray, data: np.ndarray, escapes: Escapes, codebooks: Codebooks) -> np.ndarray:
-    """The voxels, with codes and residuals of escaped sub-blocks; changes ``working``."""
+def _with_escapes(
+    working: np.ndarray, places: np.ndarray, data: np.ndarray, escapes: Escapes, codebooks: Codebooks
+) -> np.ndarray:
+    """The voxels of ``working`` [n, 64], with codes and residuals of the escaped sub-blocks ``places``; changes
+    ``working``."""
     values = codebooks.values
     for j in range(codebooks.stages):
         own = np.flatnonzero(escapes.stages > j)
-        working[escapes.block[own], escapes.sub[own]] += codebooks.shifted(j)[data[escapes.at[own] + j]]
+        working[places[own]] += codebooks.shifted(j)[data[escapes.at[own] + j]]
     residuals = _residuals(data, escapes) * codebooks.residual_step
-    places = escapes.block, escapes.sub
     if values.is_float:
         working[places] = np.clip(np.clip(working[places], 0, LARGEST) + residuals, 0, LARGEST)
         voxels = values.decoded(working)
@@ -164,7 +203,7 @@ def _with_escapes(working: np.ndarray, data: np.ndarray, escapes: Escapes, codeb
         sums = voxels[places].astype(np.int32) + residuals
         voxels[places] = np.clip(sums, values.low, values.low + values.span).astype(values.dtype)
     own = np.flatnonzero(escapes.raw)
-    voxels[escapes.block[own], escapes.sub[own]] = samples_at(data, escapes.at[own], 64, values.dtype)
+    voxels[places[own]] = samples_at(data, escapes.at[own], 64, values.dtype)
     return voxels
 
 

@@ -51,10 +51,12 @@ class WorkingValues:
 
     def decoded(self, working: np.ndarray) -> np.ndarray:
         """Voxels of ``dtype``; working values beyond 0 ... 65535 are clipped."""
-        clipped = np.clip(working, 0, LARGEST).astype(np.int64)
+        clipped = np.clip(working, 0, LARGEST).astype(np.uint32)
         if self.is_float:
-            return (clipped + self.first).astype(np.float32) * np.float32(self.scale)
-        return (self.low + (clipped * (self.span + 1) >> WORKING_BITS)).astype(self.dtype)
+            return (clipped.view(np.int32) + np.int32(self.first)).astype(np.float32) * np.float32(self.scale)
+        clipped *= np.uint32(self.span + 1)  # at most 65535 * 65536, which 32 bits hold
+        clipped >>= np.uint32(WORKING_BITS)
+        return (clipped.view(np.int32) + np.int32(self.low)).astype(self.dtype)
 
     def to_json(self) -> dict[str, Any]:
         return {
