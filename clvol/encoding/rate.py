@@ -18,17 +18,33 @@ INDEX_BITS = 32  # of each block, where its bytes are
 CODEBOOK_BITS = 8 * (ENTRIES * 64 + 4)  # of a stage of 4^3 samples
 _STEPS = 32  # of the multiplier, per factor of two
 _MOST = _STEPS * 40
+_ROWS = 1 << 15  # sub-blocks on which numbers of stages are compared
 
 Decode = Callable[[CodedBlocks, int, Codebooks], np.ndarray]
 
 
+def _powers() -> list[int]:
+    """2^(k / 32) for k = 0 ... 31, in units of 2^-60, by integers alone."""
+    root = 2 << 60
+    for _ in range(5):
+        root = math.isqrt(root << 60)
+    powers = [1 << 60]
+    while len(powers) < _STEPS:
+        powers.append(powers[-1] * root >> 60)
+    return powers
+
+
+_POWERS = _powers()
+
+
 def multiplier(step: int) -> int:
-    """The Lagrangian multiplier 2^(step / 32)."""
-    return min(LARGEST_LAMBDA, max(1, round(2 ** (step / _STEPS))))
+    """The Lagrangian multiplier 2^(step / 32), rounded down."""
+    return min(LARGEST_LAMBDA, _POWERS[step % _STEPS] << step // _STEPS >> 60)
 
 
 def step_of(lagrangian: int) -> int:
-    return round(_STEPS * math.log2(max(1, lagrangian)))
+    """The first step whose multiplier is at least ``lagrangian``."""
+    return next((step for step in range(_MOST) if multiplier(step) >= lagrangian), _MOST)
 
 
 @dataclass(frozen=True)
@@ -42,59 +58,73 @@ class Chosen:
 def stages_worth(stages: Stages, found: Survey, goal: Goal, raw_bits: int, share: float) -> Chosen:
     """The number of stages with the fewest bits, codebooks counted, at ``goal`` (or the least error, where the bits are
     given). ``raw_bits``: per voxel; ``share``: of the volume's voxels that were drawn."""
-    number = stages.squares.shape[1]
+    thin = max(1, len(stages.squares) // _ROWS)
+    tables = _Tables(stages.squares[::thin], stages.largest[::thin], stages.stands_for * thin, found)
+    counts = range(stages.squares.shape[1])
     book = CODEBOOK_BITS * share
     if goal.bound is not None:
-        costs = [
-            _bits_within(stages, goal.bound, count, raw_bits) * stages.stands_for + count * book
-            for count in range(number)
-        ]
+        costs = [_bits_within(tables, goal.bound, count, raw_bits) + count * book for count in counts]
         return Chosen(int(np.argmin(costs)), 1)
-    pool = stages.squares.shape[0] * stages.stands_for
-    rest = max(0.0, float(found.apart[:, :, 0].sum()) - float(stages.squares[:, 0].sum()) * stages.stands_for)
-    best = (math.inf, 0, 1)
-    for count in range(number):
-        points = []
-        for step in range(0, _MOST, 8):
-            lagrangian = multiplier(step)
-            depth = np.arange(count + 1)
-            choice = (256 * stages.squares[:, : count + 1] + lagrangian * 8 * depth).argmin(axis=1)
-            error = stages.squares[np.arange(len(choice)), choice].sum() * stages.stands_for + rest
-            bits = 8 * choice.sum() * stages.stands_for + 12 * pool + count * book
-            points.append((float(error), float(bits), lagrangian))
-            if not choice.any():
-                break
-        errors, rates, multipliers = (np.array(column) for column in zip(*points))
-        at = _meeting(errors, rates, goal, found.voxels)
-        if at is None:
-            continue
-        cost = rates[at] if goal.squares is not None else errors[at]
+    best = (math.inf, 0, _MOST)
+    for count in counts:
+        cost, step = tables.at_goal(goal, count, count * book)
         if cost < best[0]:
-            best = (float(cost), count, int(multipliers[at]))
-    if math.isinf(best[0]):  # out of reach: all there is, or nothing
-        return Chosen(number - 1, 1) if goal.squares is not None else Chosen(0, multiplier(_MOST // 2))
-    return Chosen(best[1], best[2])
+            best = (cost, count, step)
+    if math.isinf(best[0]) and goal.squares is not None:  # out of reach: all there is
+        return Chosen(counts[-1], 1)
+    return Chosen(best[1], multiplier(best[2]))
 
 
-def _meeting(errors: np.ndarray, rates: np.ndarray, goal: Goal, voxels: int) -> int | None:
-    """The last point with a small enough error, or the first with few enough bits; None if there is none."""
-    if goal.squares is not None:
-        good = np.flatnonzero(errors <= goal.squares * voxels)
-        return int(good[-1]) if len(good) else None
-    assert goal.bits is not None
-    good = np.flatnonzero(rates <= goal.bits * voxels)
-    return int(good[0]) if len(good) else None
+@dataclass(frozen=True, eq=False)
+class _Tables:
+    """Errors by depth of some sub-blocks, each of which stands for ``stands_for``: squared and largest, int64
+    [n, stages + 1]."""
+
+    squares: np.ndarray
+    largest: np.ndarray
+    stands_for: float
+    found: Survey
+
+    def at_goal(self, goal: Goal, count: int, books: float) -> tuple[float, int]:
+        """Bits (or the squared error, where the bits are given) at ``goal`` with ``count`` stages, whose codebooks have
+        ``books`` bits; and a step of the multiplier near it. Infinite bits or error if the goal is out of reach."""
+        rest = max(0.0, float(self.found.apart[:, :, 0].sum()) - int(self.squares[:, 0].sum()) * self.stands_for)
+        rows, depth = np.arange(len(self.squares)), np.arange(count + 1)
+
+        def point(step: int) -> tuple[float, float]:
+            choice = (256 * self.squares[:, : count + 1] + multiplier(step) * 8 * depth).argmin(axis=1)
+            error = int(self.squares[rows, choice].sum()) * self.stands_for + rest
+            bits = (8 * int(choice.sum()) + 12 * len(rows)) * self.stands_for + books
+            return error, bits
+
+        # The error rises with the step, bits fall: one of them has a limit.
+        limited, limit = (0, goal.squares * self.found.samples) if goal.squares is not None else (
+            1, (goal.bits or 0.0) * self.found.voxels)  # fmt: skip
+        good, bad = (0, _MOST) if limited == 0 else (_MOST, 0)
+        if point(good)[limited] > limit:
+            return math.inf, good
+        if point(bad)[limited] <= limit:
+            return point(bad)[1 - limited], bad
+        while abs(good - bad) > 4:
+            middle = (good + bad) // 2
+            if point(middle)[limited] <= limit:
+                good = middle
+            else:
+                bad = middle
+        one, other = point(good), point(bad)
+        reached = (limit - one[limited]) / max(other[limited] - one[limited], 1e-300)
+        return one[1 - limited] + reached * (other[1 - limited] - one[1 - limited]), good
 
 
-def _bits_within(stages: Stages, bound: int, count: int, raw_bits: int) -> float:
-    """Bits of the pool's sub-blocks within ``bound`` by up to ``count`` stages, or packed residuals, or raw."""
-    largest = stages.largest[:, : count + 1]
+def _bits_within(tables: _Tables, bound: int, count: int, raw_bits: int) -> float:
+    """Bits of sub-blocks within ``bound`` by up to ``count`` stages, or packed residuals, or raw."""
+    largest = tables.largest[:, : count + 1]
     depth = np.arange(count + 1)
     steps = (largest + max(bound, 0)) // (2 * max(bound, 0) + 1)
-    width = np.where(steps > 0, np.ceil(np.log2(steps + 1)) + 1, 0)
+    width = np.where(steps > 0, np.frexp(steps)[1] + 1, 0)
     bits = np.where(width <= 8, 8 + 8 * depth + 64 * width, 8 + 64 * raw_bits)
     bits = np.where(largest <= bound, 8 * depth, bits)
-    return float(np.minimum(bits.min(axis=1), 8 + 64 * raw_bits).sum())
+    return int(np.minimum(bits.min(axis=1), 8 + 64 * raw_bits).sum()) * tables.stands_for
 
 
 @dataclass(frozen=True)
@@ -124,43 +154,55 @@ def measure(encoder: CodeEncoder, blocks: Iterable[DrawnBlocks], decode: Decode)
     return Measured(squares / voxels, bits / voxels, voxels)
 
 
-def squared_steps(encoder: CodeEncoder, voxels: np.ndarray, decoded: np.ndarray, own: np.ndarray) -> float:
+def squared_steps(encoder: CodeEncoder, voxels: np.ndarray, decoded: np.ndarray, own: np.ndarray) -> int:
     """The sum of squared differences in the encoder's unit, of finite voxels that are ``own``."""
     counted = own & np.isfinite(voxels)
-    off = (decoded[counted].astype(np.float64) - voxels[counted]) / encoder.codebooks.values.scale
-    return float((off * off).sum())
+    one, other = decoded[counted], voxels[counted]
+    values = encoder.codebooks.values
+    if values.is_float:
+        one, other = values.encoded(one), values.encoded(other)
+    off = one.astype(np.int64) - other.astype(np.int64)
+    return int((off * off).sum())
 
 
-def meets(found: Measured, goal: Goal, books: Codebooks, total: int) -> bool:
-    """Whether blocks like those measured, in a volume of ``total`` voxels, meet ``goal``."""
+def excess(found: Measured, goal: Goal, books: Codebooks, total: int) -> float:
+    """How far blocks like those measured, in a volume of ``total`` voxels, are from ``goal``: the ratio of errors or
+    bits, 1 and less if they meet it."""
     if goal.squares is not None:
-        return found.squares <= goal.squares
+        return found.squares / goal.squares if goal.squares else (math.inf if found.squares else 0.0)
     assert goal.bits is not None
-    return found.bits + 8 * books.nbytes / total <= goal.bits
+    left = goal.bits - 8 * books.nbytes / total
+    return found.bits / left if left > 0 else math.inf
 
 
-def found_step(at: Callable[[int], bool], start: int, falls: bool, width: int = 32) -> int:
-    """The last step (``falls``: the first one) for which ``at(step)`` is true, where it is true up to some step (from
-    some step on). Searched from ``start``, first ``width`` steps wide; the end of the range if it is true nowhere."""
+def found_step(ratio: Callable[[int], float], start: int, falls: bool, near: float) -> int:
+    """A step for which ``ratio(step)`` is at most 1, and at least ``near`` where steps are that fine. The ratio rises
+    with the step, or ``falls``. The end of the range where nothing is left but that.
+
+    The secant's next step where it lies between the steps known to be good and bad, else the middle.
+    """
     sign = -1 if falls else 1
-    good, bad = None, None
+    good, bad = (-1, _MOST + 1) if sign > 0 else (_MOST + 1, -1)
     step = min(max(start, 0), _MOST)
-    while good is None or bad is None:
-        if at(step):
+    slope = sign * 0.6 / _STEPS  # of the ratio's logarithm to base 2
+    while True:
+        found = ratio(step)
+        if found <= 1:
             good = step
-            if step in (0, _MOST) and step == (_MOST if sign > 0 else 0):
+            if found >= near:
                 return step
-            step = min(max(step + sign * width, 0), _MOST)
         else:
             bad = step
-            if step == (0 if sign > 0 else _MOST):
-                return step
-            step = min(max(step - sign * width, 0), _MOST)
-        width *= 2
-    while abs(good - bad) > 1:
-        middle = (good + bad) // 2
-        if at(middle):
-            good = middle
+        low, high = min(good, bad) + 1, max(good, bad) - 1
+        if low > high:
+            return min(max(good, 0), _MOST)
+        if 0 < found < math.inf:
+            # A little to the good side, so that the next step meets the target.
+            aim = math.log2(found) - math.log2((1 + near) / 2)
+            step = round(step - aim / slope)
         else:
-            bad = middle
-    return good
+            step = (low + high) // 2
+        if not low <= step <= high:
+            step = low if step < low else high
+            if high - low > 4 and bad not in (-1, _MOST + 1) and good not in (-1, _MOST + 1):
+                step = (low + high) // 2

@@ -7,7 +7,6 @@ Frost, "Vector quantizers with direct sum codebooks", 1993) adds less than 0.05 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
@@ -23,49 +22,50 @@ from clvol.store.codecs.coded_blocks import ENTRIES, MOST_STAGES
 ROWS = 60000  # sub-blocks that a stage is trained on
 POOL = 1 << 18  # sub-blocks that they are drawn from
 _FEWEST = 1024  # sub-blocks: where fewer need a stage, 16 KiB of codewords are not worth it
-_GAIN = 0.25  # typical share of a sub-block's squared error that a stage takes away
-_BITS_PER_STAGE = 8.0
+_STAGES_PER_HALVING = 2.4  # of a sub-block's squared error, of which a stage typically takes a quarter
 
 
 @dataclass(frozen=True, eq=False)
 class Survey:
     """Errors of the drawn volume where sub-blocks are their means: of sub-blocks uint64 [octants, 8, 2] (squares,
-    largest), of octants uint64 [octants, 2], of blocks float64 [blocks]. ``voxels``: how many they are."""
+    largest), of octants uint64 [octants, 2]. ``samples``: how many they are, ``voxels``: how many of them are the
+    volume's own."""
 
     apart: np.ndarray
     flat: np.ndarray
+    samples: int
     voxels: int
 
     def lagrangian(self, goal: Goal) -> int:
         """A first guess at the multiplier that reaches ``goal``: sub-blocks are left with an error of theta each, or
         with less if they have less ("reverse water-filling"), and a stage takes a quarter of that at eight bits."""
-        squares = self.apart[:, :, 0].reshape(-1).astype(np.float64)
-        flat = self.flat[:, 0].astype(np.float64)
+        squares, flat = self.apart[:, :, 0].reshape(-1).astype(np.int64), self.flat[:, 0].astype(np.int64)
         best = 1
         for exponent in range(0, 41):
             lagrangian = 1 << exponent
-            theta = lagrangian * _BITS_PER_STAGE / (256 * _GAIN)
-            left = np.minimum(squares, theta)
+            theta = max(1, lagrangian // 8)  # 8 lagrangian = 256 theta / 4
             if goal.squares is not None:
-                if left.sum() > goal.squares * self.voxels:
+                if int(np.minimum(squares, theta).sum()) > goal.squares * self.samples:
                     break
-            else:
-                deep = np.log(np.maximum(squares / theta, 1)) / -math.log(1 - _GAIN) * _BITS_PER_STAGE
-                split = (flat > theta).sum() * 96
-                if goal.bits is not None and deep.sum() + split <= goal.bits * self.voxels:
+            elif goal.bits is not None:
+                stages = np.maximum(squares[squares > theta] // theta, 1)
+                halvings = int((np.frexp(stages)[1] - 1).sum())
+                bits = 8 * _STAGES_PER_HALVING * halvings + 96 * int((flat > theta).sum())
+                if bits <= goal.bits * self.voxels:
                     return lagrangian
             best = lagrangian
         return best
 
 
 def survey(kernels: EncoderKernels, blocks: Iterable[DrawnBlocks], to_working: ToWorking, levels: int) -> Survey:
-    apart, flat, voxels = [], [], 0
+    apart, flat, samples, voxels = [], [], 0, 0
     for part in blocks:
         cut = kernels.cut(to_working(part.voxels).work, levels)
         apart.append(cut.apart.copy())
         flat.append(cut.flat.copy())
-        voxels += part.voxels.size
-    return Survey(np.concatenate(apart), np.concatenate(flat), voxels)
+        samples += part.voxels.size
+        voxels += int(part.inside.prod(axis=1).sum())
+    return Survey(np.concatenate(apart), np.concatenate(flat), samples, voxels)
 
 
 @dataclass(frozen=True, eq=False)

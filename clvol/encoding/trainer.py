@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +13,7 @@ from clvol.encoding.draws import DrawnBlocks, drawn, drawn_blocks
 from clvol.encoding.fixed import trained_fixed
 from clvol.encoding.kernels import EncoderKernels, levels_of
 from clvol.encoding.policy import Goal, Policy, goal_of
-from clvol.encoding.rate import found_step, measure, meets, multiplier, stages_worth, step_of
+from clvol.encoding.rate import excess, found_step, measure, multiplier, stages_worth, step_of
 from clvol.encoding.stages import POOL, needing, pool_of, survey, trained_stages
 from clvol.opencl.context import DeviceContext
 from clvol.store.codecs.coded_blocks import ENTRIES, MOST_STAGES, SHAPES, Codebooks, RateTarget
@@ -23,6 +24,7 @@ from clvol.store.voxel_source import VoxelSource
 
 DEFAULT_ERROR = 0.02  # of the range: the target of "rvq" where none is given
 MOST_VOXELS = 1 << 27  # of which a training looks at all; of more it draws regions
+_NEAR = 0.992  # of the error (0.03 dB) or the bits of the target: good enough
 _SAMPLE = 1 << 22  # voxels on which a multiplier is searched for, before all are looked at
 
 
@@ -78,7 +80,7 @@ class _Run:
             self.codec, side, np.zeros((stages, ENTRIES, side**3), np.int8), np.zeros(stages, np.int32), self.values
         )
 
-    def blocks(self, most: int = MOST_VOXELS):
+    def blocks(self, most: int = MOST_VOXELS) -> Iterator[DrawnBlocks]:
         return drawn_blocks(self.source, most, self.seed, self.dtype)
 
     def step(self, done: int) -> None:
@@ -116,7 +118,7 @@ class _Run:
             self.kernels, pool, len(need) / max(1, len(places)), self.levels, self.goal, guess, self.seed,
             len(places) == len(need), lambda stage: self.step(1 + stage),
         )  # fmt: skip
-        share = found.voxels / max(found.voxels, self.total)
+        share = found.voxels / self.total
         chosen = stages_worth(stages, found, self.goal, 8 * self.dtype.itemsize, share)
         n = chosen.stages
         books = replace(self.books(n), entries=stages.entries[:n], shifts=stages.shifts[:n])
@@ -131,13 +133,13 @@ class _Run:
             return Policy(raw=False)
         goal = self.goal
 
-        def good(step: int, blocks) -> bool:
+        def ratio(step: int, blocks: Iterable[DrawnBlocks]) -> float:
             encoder = CodeEncoder(self.kernels, Training(books, Policy(lagrangian=multiplier(step)).to_json()))
-            return meets(measure(encoder, blocks, decode_blocks), goal, books, self.total)
+            return excess(measure(encoder, blocks, decode_blocks), goal, books, self.total)
 
         sample: list[DrawnBlocks] = list(self.blocks(_SAMPLE))
         falls = goal.squares is None
-        step = found_step(lambda step: good(step, sample), step_of(guess), falls)
+        step = found_step(lambda step: ratio(step, sample), step_of(guess), falls, _NEAR)
         if self.total > _SAMPLE:
-            step = found_step(lambda step: good(step, self.blocks()), step, falls, width=2)
+            step = found_step(lambda step: ratio(step, self.blocks()), step, falls, _NEAR)
         return Policy(lagrangian=multiplier(step))

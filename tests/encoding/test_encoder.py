@@ -6,48 +6,11 @@ import math
 
 import numpy as np
 import pytest
+from helpers.encoding import CODECS, TYPES, as_type, blocks_of, range_of, smooth, trained
 
-from clvol.encoding.trainer import CodeTrainer
-from clvol.store.codecs.coded_blocks import CONSTANT, RAW, RateTarget
+from clvol.store.codecs.coded_blocks import CONSTANT, RAW
 from clvol.store.codecs.decode import decode_blocks
 from clvol.store.codecs.working_values import working_values
-from clvol.store.voxel_source import VolumeSource
-from clvol.volume.volume import Volume
-
-CODECS = ("vq", "vq-mean", "hvq", "rvq")
-TYPES = (np.uint8, np.int8, np.uint16, np.int16, np.float32)
-
-
-def smooth(shape=(40, 36, 33), seed=0) -> np.ndarray:
-    """A smooth field 0 ... 1 with an edge and a little noise."""
-    rng = np.random.default_rng(seed)
-    z, y, x = np.meshgrid(*(np.linspace(0, 1, n) for n in shape), indexing="ij")
-    field = 0.5 + 0.3 * np.sin(7 * z + 3 * x) * np.cos(5 * y) + 0.2 * (x + y > 1.1)
-    return np.clip(field + rng.normal(0, 0.004, shape), 0, 1)
-
-
-def as_type(field: np.ndarray, dtype) -> np.ndarray:
-    if np.dtype(dtype).kind == "f":
-        return (field * 3e3 - 700).astype(dtype)
-    info = np.iinfo(dtype)
-    return np.rint(info.min + field * (int(info.max) - info.min)).astype(dtype)
-
-
-def range_of(voxels: np.ndarray) -> tuple[float, float]:
-    finite = voxels[np.isfinite(voxels)]
-    return (float(finite.min()), float(finite.max())) if finite.size else (0.0, 0.0)
-
-
-def blocks_of(voxels: np.ndarray, edge: int, mode="edge") -> np.ndarray:
-    padded = np.pad(voxels, [(0, -n % edge) for n in voxels.shape], mode=mode)
-    z, y, x = (n // edge for n in padded.shape)
-    return padded.reshape(z, edge, y, edge, x, edge).transpose(0, 2, 4, 1, 3, 5).reshape(-1, edge, edge, edge)
-
-
-def trained(context, voxels: np.ndarray, codec: str, **target: float):
-    trainer = CodeTrainer(context)
-    training = trainer.train(VolumeSource(Volume(voxels)), range_of(voxels), codec, RateTarget(**target), seed=3)
-    return training, trainer.encoder(training)
 
 
 def round_trip(context, voxels: np.ndarray, codec: str, edge: int = 16, **target: float):
