@@ -25,11 +25,11 @@ typedef struct {
     w.w3 += convert_int16(vload16(3, e)) << (int16)(shift);      \
   }
 
-/* Eight residuals of `bits` bits each, from as many bytes. */
+/* Bytes8 residuals of `bits` bits each, from as many bytes. */
 INLINE int8 eight_residuals(__global const uchar *packed, int bits)
 {
   const long8 order = (long8)(0, 1, 2, 3, 4, 5, 6, 7);
-  const ulong word = as_ulong(vload8(0, packed));
+  const ulong word = *(__global const Bytes8 *)packed;
   return convert_int8(as_long8((ulong8)word << as_ulong8(64 - bits - order * bits)) >> (long8)(64 - bits));
 }
 
@@ -97,7 +97,8 @@ INLINE void put_coded(__global const uchar *p, __global const char *entries, __c
   const int whole_block = all(target->extent.xyz >= s);
 
   for (int k = 0; k < octants; ++k) {
-    const int ox = k % per_axis * 8, oy = k / per_axis % per_axis * 8, oz = k / (per_axis * per_axis) * 8;
+    const int3 place = place_of(k, per_axis);
+    const int ox = place.x * 8, oy = place.y * 8, oz = place.z * 8;
     if (s > 4 && !(flags[k >> 3] >> (k & 7) & 1)) {
       fill(voxels_of((int16)((*means++ << 8) + 128), map).s0, target, ox, oy, oz, 8);
       continue;
@@ -157,8 +158,8 @@ INLINE Voxel16 two_subblocks(__global const uchar *means, __global const uchar *
   int16 w = 32768;
 #endif
   if (limit > 0) {
-    const char8 a = vload8(codes[0], entries), b = vload8(codes[1], entries);
-    w += convert_int16((char16)(a, b)) << (int16)SHIFT(map, 0);
+    __global const Bytes8 *each = (__global const Bytes8 *)entries;
+    w += convert_int16(as_char16((ulong2)(each[codes[0]], each[codes[1]]))) << (int16)SHIFT(map, 0);
   }
   const Voxel16 v = voxels_of(w, map);
   return (Voxel16)(v.s0189, v.s23ab, v.s45cd, v.s67ef);
@@ -173,7 +174,8 @@ INLINE void put_fixed(__global const uchar *p, __global const char *entries, __c
   limit = min(limit, map->stages);
 #if CODED_SIDE == 4
   for (int k = 0; k < subs; ++k) {
-    const int x = k % per_axis * 4, y = k / per_axis % per_axis * 4, z = k / (per_axis * per_axis) * 4;
+    const int3 place = place_of(k, per_axis);
+    const int x = place.x * 4, y = place.y * 4, z = place.z * 4;
     Working w;
     START(w, p[k])
     for (int j = 0; j < limit; ++j) ADD_ENTRY(w, entries + (j * 256 + p[(1 + j) * subs + k]) * 64, SHIFT(map, j))
@@ -186,7 +188,8 @@ INLINE void put_fixed(__global const uchar *p, __global const char *entries, __c
   __global const uchar *codes = p + CODED_MEANS * subs;
   const int whole = all(target->extent.xyz >= s);
   for (int k = 0; k < subs; k += 2) {
-    const int x = k % per_axis * 2, y = k / per_axis % per_axis * 2, z = k / (per_axis * per_axis) * 2;
+    const int3 place = place_of(k, per_axis);
+    const int x = place.x * 2, y = place.y * 2, z = place.z * 2;
     __global Voxel *at = target->at + z * target->slice + y * target->row + x;
     const Voxel16 v = two_subblocks(p + k, codes + k, entries, map, limit);
     if (whole && s > 4) {

@@ -56,6 +56,8 @@ typedef float8 Row8 __attribute__((aligned(1)));
 #endif
 typedef Voxel16 Row16 __attribute__((aligned(1)));
 
+typedef ulong Bytes8 __attribute__((aligned(1))); /* bytes, loaded from any place at once: PoCL cuts vload8 in four */
+
 /* Where a block's bytes begin in `codes`, and its first voxel in `voxels`. extent: samples that are wanted along x, y
  * and z, and in w the samples per axis of the block. limit: no more stages of it are decoded. */
 typedef struct {
@@ -123,6 +125,13 @@ INLINE Voxel16 corrected(int16 working, int16 residuals, __constant const CodeMa
   const int16 above = clamp(convert_int16(above_low(working, map)) + more, 0, map->span);
   return TO_VOXEL16(convert_ushort16(above) + (ushort16)(ushort)map->low);
 #endif
+}
+
+/* Where the k-th part of a block of per_axis^3 parts is; per_axis is a power of two. */
+INLINE int3 place_of(int k, int per_axis)
+{
+  const int bits = 31 - clz(per_axis), mask = per_axis - 1;
+  return (int3)(k & mask, k >> bits & mask, k >> 2 * bits);
 }
 
 /* A sample from bytes that are not aligned. */

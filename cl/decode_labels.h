@@ -79,7 +79,8 @@ INLINE void put_regions(__global const uchar *p, const Target *target)
   __global const uchar *cells = heads + 2 * planes_count;
 
   for (int k = 0, sub = 0, index = 0; k < octants; ++k) {
-    const int ox = k % per_axis * 8, oy = k / per_axis % per_axis * 8, oz = k / (per_axis * per_axis) * 8;
+    const int3 place = place_of(k, per_axis);
+    const int ox = place.x * 8, oy = place.y * 8, oz = place.z * 8;
     if (s > 4 && !(flags[k >> 3] >> (k & 7) & 1)) {
       fill(sample_at(labels, index_at(indices, index++, bits)), target, ox, oy, oz, 8);
       continue;

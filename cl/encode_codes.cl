@@ -1,9 +1,9 @@
 /* Residual vector quantisation with a depth per sub-block ("rvq"): cuts blocks into sub-blocks, and chooses stages.
  *
- * Of each sub-block the kernel looks for the depth of the least cost D + lambda R: D the squared error of decoded voxels
- * (in 1/256), R bits. The search goes from stage to stage, nearest codeword by nearest codeword, and ends where even an
- * exact sub-block would cost more than the best so far. Where voxels may be off by `bound` at most, depths that break it
- * do not count, and a sub-block may be escaped: its voxels are then stored, or differences in steps that keep the bound.
+ * Of each sub-block the kernel looks for the depth of the least cost D + lambda R: D the squared error of decoded
+ * voxels (in 1/256), R bits. The search goes from stage to stage, nearest codeword by nearest codeword, and ends where
+ * even an exact sub-block would cost more than the best so far. Where voxels may be off by `bound` at most, depths that
+ * break it do not count. A sub-block may be escaped: its voxels are then stored, or differences that keep the bound.
  *
  * Switches (-D): SIZE 64; SUBS, sub-blocks per octant: 8, or 1 for blocks of 4 samples per axis.
  */
@@ -188,10 +188,10 @@ __kernel void choose_codes(__global const ushort *restrict work, __global const 
       int four[4];
       for (int v = 0; v < 4; v++) four[v] = active[min(i + v, count - 1)];
       for (int k = 0; k < 64; k++)
-        rows[k] = (float4)(in_quarters(residual[(size_t)four[0] * 64 + k], shift),
-                           in_quarters(residual[(size_t)four[1] * 64 + k], shift),
-                           in_quarters(residual[(size_t)four[2] * 64 + k], shift),
-                           in_quarters(residual[(size_t)four[3] * 64 + k], shift));
+        rows[k] = (float4)(as_compared(residual[(size_t)four[0] * 64 + k], shift),
+                           as_compared(residual[(size_t)four[1] * 64 + k], shift),
+                           as_compared(residual[(size_t)four[2] * 64 + k], shift),
+                           as_compared(residual[(size_t)four[3] * 64 + k], shift));
       const int4 codes4 = nearest_codes(rows, codebook + stage * (64 * ENTRIES), norms + stage * ENTRIES);
       const int code[4] = {codes4.x, codes4.y, codes4.z, codes4.w};
       for (int v = 0; v < number; v++) {

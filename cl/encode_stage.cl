@@ -26,10 +26,10 @@ __kernel void encode_stage(__global const ushort *restrict work, __global int *r
     int four[4];
     for (int v = 0; v < 4; v++) four[v] = min(at + v, count - 1);
     for (int k = 0; k < SIZE; k++)
-      rows[k] = (float4)(in_quarters(residual[(size_t)four[0] * SIZE + k], shift),
-                         in_quarters(residual[(size_t)four[1] * SIZE + k], shift),
-                         in_quarters(residual[(size_t)four[2] * SIZE + k], shift),
-                         in_quarters(residual[(size_t)four[3] * SIZE + k], shift));
+      rows[k] = (float4)(as_compared(residual[(size_t)four[0] * SIZE + k], shift),
+                         as_compared(residual[(size_t)four[1] * SIZE + k], shift),
+                         as_compared(residual[(size_t)four[2] * SIZE + k], shift),
+                         as_compared(residual[(size_t)four[3] * SIZE + k], shift));
     const int4 found = nearest_codes(rows, codebook, norms);
     const int code[4] = {found.x, found.y, found.z, found.w};
     for (int v = 0; v < 4 && at + v < end; v++) {

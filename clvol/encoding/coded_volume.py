@@ -25,7 +25,8 @@ from clvol.volume.volume import Volume
 
 EDGE = 16  # voxels per axis of a block
 _INDEX_BYTES = 8  # of each block: where its bytes are
-_PIECE = 1 << 22  # voxels that are compared together
+_PIECE = 1 << 22  # voxels that are encoded or decoded together
+_CACHED = 1 << 16  # voxels that are compared together, so that temporaries stay in the cache
 _LARGEST = float(np.finfo(np.float32).max)
 
 Decode = Callable[[CodedBlocks, BlockGrid, Codebooks], np.ndarray]
@@ -244,24 +245,30 @@ def measured_codes(codes: CodedVolume, original: Volume, layers: Iterable[tuple[
     """``codes`` with the range of their decoded ``layers``, and with the error of these, over all finite voxels of the
     ``original``."""
     low, high = original.stored_range
-    span = high / 2 - low / 2  # differences are halved, too, since they may overflow
+    # Differences of floating-point voxels are halved and divided before they are squared, since they may overflow.
+    is_float = original.dtype.kind == "f"
+    span = high / 2 - low / 2 if is_float else high - low
     source, (_, ny, nx) = VolumeSource(original), original.shape
     largest, total, count = 0.0, 0.0, 0
     least, most = math.inf, -math.inf
     for z, layer in layers:
-        voxels = source.box(z, z + len(layer), 0, ny, 0, nx)
-        if voxels.dtype.kind == "f":
-            is_finite = np.isfinite(voxels)
-            voxels, layer = voxels[is_finite].astype(np.float64), layer[is_finite].astype(np.float64)
-            difference = voxels / 2 - layer / 2
-        else:
-            difference = (voxels.astype(np.int32) - layer).astype(np.float64).ravel() / 2
-        if difference.size:
-            least, most = min(least, float(layer.min())), max(most, float(layer.max()))
+        whole, decoded = source.box(z, z + len(layer), 0, ny, 0, nx).reshape(-1), layer.reshape(-1)
+        for first in range(0, whole.size, _CACHED):
+            voxels, others = whole[first : first + _CACHED], decoded[first : first + _CACHED]
+            if is_float:
+                is_finite = np.isfinite(voxels)
+                voxels, others = voxels[is_finite].astype(np.float64), others[is_finite].astype(np.float64)
+                if not voxels.size:
+                    continue
+                difference = voxels / 2 - others / 2
+            else:  # exact in single precision
+                difference = np.subtract(voxels, others, dtype=np.float32)
+            least, most = min(least, float(others.min())), max(most, float(others.max()))
             largest = max(largest, float(difference.max()), -float(difference.min()))
-            difference /= span or 1.0
-            total += float(np.dot(difference, difference))
+            squared = difference / (span or 1.0) if is_float else difference.astype(np.float64)
+            total += float(np.dot(squared, squared))
             count += difference.size
+    total /= 1.0 if is_float else (span or 1.0) ** 2
     psnr = -10 * math.log10(total / count) if total else math.inf
     share = largest / span if span else math.inf if largest else 0.0
     value_range = (least, most) if count else (0.0, 0.0)
@@ -279,3 +286,14 @@ def stats_of(codec: str, measured: MeasuredError | None, device_bytes: int, deco
         "device_bytes": device_bytes,
         "decoded_voxels": decoded_voxels,
     }
+
+
+def in_words(codes: CodedVolume) -> str:
+    """What became of the volume, for logs."""
+    measured = codes.measured
+    assert measured is not None
+    return (
+        f"encoded {math.prod(codes.grid.shape)} voxels: codec {codes.codebooks.codec}, "
+        f"{measured.bits_per_voxel:.3g} bits per voxel, {measured.psnr:.4g} dB, "
+        f"largest error {measured.max_voxel_error:.3g} of the range"
+    )

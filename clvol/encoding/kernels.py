@@ -81,7 +81,8 @@ def search_arrays(entries: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """``codebook`` and ``norms`` of int8 ``entries`` [stages, ENTRIES, samples]. A codeword of zeros but for code 0
     counts as unused: the first one says the same."""
     wide = entries.astype(np.int64)
-    norms = 2 * (wide * wide).sum(-1).astype(np.float32)
+    half = 16 if entries.shape[-1] == 8 else 2  # of a step, in the unit of residuals: cl/nearest_code.h
+    norms = (half * (wide * wide).sum(-1)).astype(np.float32)
     norms[:, 1:][norms[:, 1:] == 0] = UNUSED_NORM
     return np.ascontiguousarray(entries.transpose(0, 2, 1), np.float32), norms
 

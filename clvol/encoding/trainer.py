@@ -80,8 +80,9 @@ class _Run:
             self.codec, side, np.zeros((stages, ENTRIES, side**3), np.int8), np.zeros(stages, np.int32), self.values
         )
 
-    def blocks(self, most: int = MOST_VOXELS) -> Iterator[DrawnBlocks]:
-        return drawn_blocks(self.source, most, self.seed, self.dtype)
+    def blocks(self, most: int | None = None) -> Iterator[DrawnBlocks]:
+        """Those of the whole volume, or of about ``most`` voxels; of ``MOST_VOXELS`` at most."""
+        return drawn_blocks(self.source, min(most or MOST_VOXELS, MOST_VOXELS), self.seed, self.dtype)
 
     def step(self, done: int) -> None:
         """``done`` of ``steps`` are done."""

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from clvol.errors import ClvolWarning, SceneError
+from clvol.scene.compression import Compression
 from clvol.scene.resolve import ResolvedScene
 from clvol.store.stored_codes import CodesFacts
 from clvol.store.zarr_store import StoredBlocks
@@ -46,15 +47,24 @@ def check_compression(resolved: ResolvedScene) -> None:
         raise SceneError(where, f"got {codec!r} for a store of codes", "'none', since its own codes are decoded")
 
 
-def compression_warning(stats: Mapping[str, Any]) -> ClvolWarning | None:
-    """The warning about decoded voxels with a large error. ``stats``: the entry "compression" of a frame's stats."""
-    error, codec = stats["max_voxel_error"], stats["codec"]
-    if error is None or error < _LARGE or "weighting" in stats:  # then errors are large where nothing shows them
-        return None
-    what = f"shows voxels that differ from the original ones by up to {100 * error:.2g} % of the range (codec {codec!r}"
-    psnr = "" if stats["psnr"] is None else f", {stats['psnr']:.1f} dB"
-    advice = "set compression.max_voxel_error, with the codec 'rvq', or compression.codec = 'none'"
-    return ClvolWarning("compression", f"the picture {what}{psnr})", advice)
+def compression_warnings(settings: Compression, stats: Mapping[str, Any]) -> list[ClvolWarning]:
+    """Warnings about decoded voxels with a large error, and about a target that was missed. ``stats``: the entry
+    "compression" of a frame's stats."""
+    found, error, psnr = [], stats["max_voxel_error"], stats["psnr"]
+    if error >= _LARGE and settings.weighting == "even":  # else errors are large where nothing shows them
+        what = f"the picture shows voxels that differ from the original ones by up to {100 * error:.2g} % of the range"
+        codec = f"codec {stats['codec']!r}" + ("" if psnr is None else f", {psnr:.1f} dB")
+        advice = "set compression.max_voxel_error, with the codec 'rvq', or compression.codec = 'none'"
+        found.append(ClvolWarning("compression", f"{what} ({codec})", advice))
+    if settings.psnr is not None and psnr is not None and psnr < settings.psnr:
+        what = f"the voxels' PSNR is {psnr:.2f} dB, less than {settings.psnr:g}"
+        found.append(ClvolWarning("compression.psnr", what, "a higher number reaches it"))
+    bits = stats["bits_per_voxel"]
+    if settings.bits_per_voxel is not None and bits > settings.bits_per_voxel:
+        what = f"codes take {bits:.3g} bits per voxel, more than {settings.bits_per_voxel:g}"
+        advice = "a lower number reaches it, if codebooks alone do not take more"
+        found.append(ClvolWarning("compression.bits_per_voxel", what, advice))
+    return found
 
 
 def explained(resolved: ResolvedScene) -> dict[str, Any] | None:

@@ -19,12 +19,13 @@ from clvol.encoding.coded_volume import (
     UndecodedVolume,
     decode_on_host,
     encoded_volume,
+    in_words,
     measured_codes,
     stats_of,
     stored_codes,
 )
 from clvol.encoding.trainer import CodeTrainer
-from clvol.errors import SceneError
+from clvol.errors import RenderError, SceneError
 from clvol.features.compression import coded_source, facts_of, is_compressed
 from clvol.integrators.base import Integrator, Progress, Shared
 from clvol.integrators.code_weights import block_weights, check_weighting
@@ -37,6 +38,8 @@ from clvol.store.geometry import BlockGrid
 from clvol.volume.voxel_layout import device_bytes
 
 _KEPT_CODES, _KEPT_VOXELS = 12, 3  # volumes
+
+_ROUNDING = 1 + 1e-9  # of the range and the bound in double precision
 
 _log = logging.getLogger(__name__)
 
@@ -139,22 +142,24 @@ def _encoded(resolved: ResolvedScene, shared: Shared, progress: Progress | None,
     is_exact = resolved.compression.codec == "labels"
     teacher = LabelTrainer() if is_exact else trainer(context)
     codes = encoded_volume(volume, resolved.compression, teacher, progress, block_weights(resolved))
-    if not decode:
-        return _logged(measured_codes(codes, volume, codes.layers(decode_on(context))))
-    decoded = _decoded(codes, context)
-    decoded.codes = codes = _logged(measured_codes(codes, volume, decoded.layers()))
-    return shared.keep("decoded voxels", codes, lambda: decoded, _KEPT_VOXELS).codes
-
-
-def _logged(codes: CodedVolume) -> CodedVolume:
-    measured = codes.measured
-    assert measured is not None
-    _log.info(
-        "encoded %d voxels: codec %s, %.3g bits per voxel, %.4g dB, largest error %.3g of the range",
-        math.prod(codes.grid.shape), codes.codebooks.codec, measured.bits_per_voxel, measured.psnr,
-        measured.max_voxel_error,
-    )  # fmt: skip
+    decoded = _decoded(codes, context) if decode else None
+    layers = codes.layers(decode_on(context)) if decoded is None else decoded.layers()
+    codes = measured_codes(codes, volume, layers)
+    _check_bound(codes, resolved)
+    _log.info("%s", in_words(codes))
+    if decoded is not None:
+        decoded.codes = codes
+        shared.keep("decoded voxels", codes, lambda: decoded, _KEPT_VOXELS)
     return codes
+
+
+def _check_bound(codes: CodedVolume, resolved: ResolvedScene) -> None:
+    """RenderError for a voxel that is further off than the scene allows."""
+    bound, measured = resolved.compression.max_voxel_error, codes.measured
+    assert measured is not None
+    if bound is not None and resolved.compression.weighting == "even" and measured.max_voxel_error > bound * _ROUNDING:
+        what = f"a voxel is off by {measured.max_voxel_error:.6g} of the range"
+        raise RenderError(f"{resolved.origin}: compression.max_voxel_error", what, f"at most {bound:g}")
 
 
 def trainer(context: DeviceContext) -> Trainer:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from clvol.errors import ClvolWarning
-from clvol.features.compression import compression_warning
+from clvol.features.compression import compression_warnings
 from clvol.features.scene_warnings import camera_warning, scene_warnings
 from clvol.quietly import FILTERS
 from clvol.render.picture_warnings import picture_warning
@@ -44,8 +44,8 @@ class Notices:
             found.append(away)
         elif not found and (of_picture := picture_warning(resolved, camera, rgba, depth)) is not None:
             found.append(of_picture)
-        if compression is not None and (of_voxels := compression_warning(compression)) is not None:
-            found.append(of_voxels)
+        if compression is not None:
+            found += compression_warnings(resolved.compression, compression)
         for warning in found:
             self._tell(warning)
         return {"warnings": [str(warning) for warning in found]} if found else {}

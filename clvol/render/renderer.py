@@ -48,8 +48,8 @@ class Renderer:
     ``scene``: a ``clvol.Scene`` (or one already resolved). ``devices``: names as in ``clvol doctor``, or
     pyopencl devices; None takes the default one. ``memory_cap``: bytes that the scene may take on the
     device; a scene that needs more is refused before anything is uploaded. ``progress(done, total)`` is called
-    while the blocks of the method "multiresolution" are read. Use the Renderer as a context manager, or call
-    ``close``.
+    while voxels are encoded ([compression]), and while the blocks of the method "multiresolution" are read. Use the
+    Renderer as a context manager, or call ``close``.
 
     Several threads may call a Renderer: they take turns, and each gets the picture that it requested. A transfer
     function that one of them sets holds for all. A call from inside the Renderer's own ``progress`` raises

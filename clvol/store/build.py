@@ -12,6 +12,7 @@ import json
 import os
 import shutil
 import threading
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
@@ -21,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from clvol import __version__
-from clvol.errors import ClvolError, RenderError, UsageError, VolumeError
+from clvol.errors import ClvolError, ClvolWarning, RenderError, UsageError, VolumeError
 from clvol.interrupts import held
 from clvol.store.arrays import cores, open_array, system_words
 from clvol.store.build_folder import check_place, locked, replaced_path
@@ -75,7 +76,7 @@ def build_store(
 
     Raises UsageError if such a store cannot be written, VolumeError if the source cannot be read, and RenderError if
     writing fails (a full disk), or if decoded voxels break the bound of ``target``. In the former case PATH.partial is
-    kept, and the same call resumes.
+    kept, and the same call resumes. Warns (ClvolWarning) if what was measured misses the ``target``.
     """
     voxels = VolumeSource(source) if isinstance(source, Volume) else source
     chosen = CODECS.get(codec) or CODES.get(codec)
@@ -99,7 +100,10 @@ def build_store(
             if not build.journal.anything_done():
                 build.discard()
             raise
-    return StoredBlocks(path)
+    store = StoredBlocks(path)
+    if store.codes is not None and (missed := store.codes.missed_target) is not None:
+        warnings.warn(ClvolWarning(str(path), *missed), stacklevel=2)
+    return store
 
 
 @contextmanager
@@ -200,6 +204,15 @@ class _Build:
         left = [index for index in range(self.count) if self.journal.census(index, read=True) is None]
         steps.add(self.count - len(left))
         self._each(left, self._make_region, steps, workers)
+        if self.coding is not None and self.coding.gives_up(self._size_of_codes(self.coding), self.journal):
+            self.make_regions(steps, workers)
+
+    def _size_of_codes(self, coding: Coding) -> int:
+        """Bytes of codes of level 0 and of codebooks."""
+        assert coding.training is not None
+        write_codebooks(self.partial, coding.training.codebooks)
+        sizes = sizes_on_disk(self.partial)
+        return sizes["codes"] + sizes["codebooks"]
 
     def _each(
         self, indices: Sequence[int], make: Callable[[int], None], steps: Steps, workers: int | None

@@ -87,7 +87,7 @@ def _is_ours(partial: Path) -> bool:
         return True
     for entry in partial.rglob("*"):
         level, *inner = entry.relative_to(partial).parts
-        if entry.is_symlink() or not re.fullmatch("[0-9]+|blocks", level):
+        if entry.is_symlink() or not re.fullmatch("[0-9]+|blocks|codebooks", level):
             return False
         if not entry.is_dir() and not (len(inner) == 1 and re.match(rf"{ROOT}(\.__lock)?$", inner[0])):
             return False

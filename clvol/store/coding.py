@@ -21,12 +21,12 @@ import numpy as np
 
 from clvol.errors import ClvolWarning, RenderError, UsageError, VolumeError
 from clvol.store.codecs import CODES, Codec
-from clvol.store.codecs.coded_blocks import RAW, CodedBlocks, MeasuredError, RateTarget
+from clvol.store.codecs.coded_blocks import CodedBlocks, MeasuredError, RateTarget
 from clvol.store.codecs.encoding import BlockEncoder, Trainer, Training
-from clvol.store.codecs.labels import encode_labels, label_codebooks
 from clvol.store.format import StoreLayout
 from clvol.store.journal import Journal
 from clvol.store.packs import packed
+from clvol.store.plain_encoders import LabelEncoder, RawEncoder, is_without_codes, raw_block, without_codes
 from clvol.store.resolutions import describe_region, extended_reach, majorities, resolutions, split, whole_blocks
 from clvol.store.source import BlockStatistics
 from clvol.store.stored_codes import BlockCodes, codebooks_json, codebooks_of
@@ -35,6 +35,7 @@ from clvol.store.voxel_source import VoxelSource
 REACH = {"reach_low": np.minimum, "reach_high": np.maximum, "holes": np.logical_or}
 _RANGE, _TRAINING = "range", "training"  # records of the journal
 _POSSIBLE = {"max_voxel_error": (0.0, 1.0), "psnr": (0.0, 200.0), "bits_per_voxel": (0.0, 64.0)}
+_MOST_OF_RAW = 1.01  # bytes of codes and codebooks, as a share of the voxels'
 _CACHED = 1 << 18  # voxels that are compared together
 _LARGEST_FLOAT = float(np.finfo(np.float32).max)
 
@@ -119,19 +120,33 @@ class Coding:
     def train(self, journal: Journal, progress: Callable[[int, int], None] | None) -> None:
         """Takes the training from the journal, or trains and records it."""
         if self._trainer is None:
-            self.training = Training(label_codebooks(self.layout.dtype))
-            self._encoder = _LabelEncoder(self.training)
+            self._encoder = LabelEncoder(self.layout.dtype)
+            self.training = self._encoder.training
             return
-        self.training = _training_of(journal.kept(_TRAINING))
-        if self.training is None:
+        training = _training_of(journal.kept(_TRAINING))
+        if training is None:
             target = self._target_of_encoder()
-            self.training = self._trainer.train(self._voxels, self.range, self.codec, target, self.seed, progress)
-            books = self.training.codebooks
-            said = {"codebooks": codebooks_json(books), "policy": self.training.policy}
-            journal.keep(_TRAINING, entries=books.entries, json=np.array(json.dumps(said)))
-            # As a resumed build has it.
-            self.training = _training_of(journal.kept(_TRAINING)) or self.training
-        self._encoder = self._trainer.encoder(self.training)
+            made = self._trainer.train(self._voxels, self.range, self.codec, target, self.seed, progress)
+            training = _recorded(made, journal)
+        self._use(training)
+
+    def _use(self, training: Training) -> None:
+        self.training = training
+        if is_without_codes(training):
+            self._encoder = RawEncoder(training)
+        elif self._trainer is not None:
+            self._encoder = self._trainer.encoder(training)
+
+    def gives_up(self, size: int, journal: Journal) -> bool:
+        """Whether codes and codebooks of level 0, of ``size`` bytes, take more than voxels that are stored as they are
+        may take. The records of regions are then gone, and regions that are made again have no codes."""
+        assert self.training is not None
+        raw = math.prod(self.layout.shape) * self.layout.dtype.itemsize
+        if self._trainer is None or is_without_codes(self.training) or size <= _MOST_OF_RAW * raw:
+            return False
+        journal.forget_regions()  # before the training that they are of
+        self._use(_recorded(without_codes(self.training), journal))
+        return True
 
     def _target_of_encoder(self) -> RateTarget:
         """The target for voxels of float32, so that its bound holds for voxels of float64."""
@@ -165,7 +180,11 @@ class Coding:
             s = layout.blocks.samples(level)
             full = whole_blocks(samples, s)
             coded = self._coded(split(full, s))
-            there = _joined(self.decoder.decode(coded, s), full.shape)[tuple(map(slice, samples.shape))]
+            try:
+                there = _joined(self.decoder.decode(coded, s), full.shape)[tuple(map(slice, samples.shape))]
+            except VolumeError as error:
+                what = f"the encoder made impossible codes ({error.what})"
+                raise RenderError(_place(level, where), what, "possible ones") from error
             counts = tuple(n // s for n in full.shape)
             stored.append(packed(coded, counts, layout.pack, layout.capacity(level)))
             decoded.append(there)
@@ -183,10 +202,9 @@ class Coding:
         raw = samples[0].nbytes + 1
         if (coded.size <= raw).all():
             return coded
-        little = samples.astype(samples.dtype.newbyteorder("<"), copy=False)
         parts = [
-            coded.data[a : a + n] if n <= raw else np.frombuffer(bytes([RAW]) + block.tobytes(), np.uint8)
-            for a, n, block in zip(coded.start.tolist(), coded.size.tolist(), little)
+            coded.data[a : a + n] if n <= raw else raw_block(block)
+            for a, n, block in zip(coded.start.tolist(), coded.size.tolist(), samples)
         ]
         size = np.minimum(coded.size, raw)
         return CodedBlocks(np.concatenate(parts), np.cumsum(size) - size, size)
@@ -200,7 +218,7 @@ class Coding:
         ]
         squares = math.fsum(part[0] for part in parts)
         largest, count = max(part[1] for part in parts), sum(part[2] for part in parts)
-        place = f"level {level}, the samples from {tuple(n >> level for n in where)}"
+        place = _place(level, where)
         if math.isnan(largest):
             raise RenderError(place, "the encoder changed which voxels are finite", "the same ones")
         extent = self.range[1] - self.range[0]
@@ -234,6 +252,10 @@ class Coding:
             ],
         }
         return MeasuredError(*levels[0], 8 * (sizes["codes"] + sizes["codebooks"]) / voxels, facts)
+
+
+def _place(level: int, where: tuple[int, int, int]) -> str:
+    return f"level {level}, the samples from {tuple(n >> level for n in where)}"
 
 
 def _difference(original: np.ndarray, decoded: np.ndarray) -> tuple[float, float, int]:
@@ -279,14 +301,11 @@ def merged_reach(
     return found.astype(dtype)
 
 
-class _LabelEncoder:
-    """A ``BlockEncoder`` of the codec "labels", which learns nothing."""
-
-    def __init__(self, training: Training) -> None:
-        self.training = training
-
-    def encode(self, samples: np.ndarray) -> CodedBlocks:
-        return encode_labels(samples)
+def _recorded(training: Training, journal: Journal) -> Training:
+    """Records ``training``; returns it as a resumed build has it."""
+    said = {"codebooks": codebooks_json(training.codebooks), "policy": training.policy}
+    journal.keep(_TRAINING, entries=training.codebooks.entries, json=np.array(json.dumps(said)))
+    return _training_of(journal.kept(_TRAINING)) or training
 
 
 def _training_of(kept: dict[str, np.ndarray] | None) -> Training | None:

@@ -88,6 +88,12 @@ class Journal:
             np.savez(stream, place=index, census=census, **members, **(more or {}))
         os.replace(temporary, file)
 
+    def forget_regions(self) -> None:
+        """Removes the records of all regions."""
+        for file in self.path.glob("*.npz"):
+            if file.stem.isdigit():
+                file.unlink()
+
     def keep(self, name: str, **arrays: Any) -> None:
         """Records in one step what is known of the whole volume."""
         file = self.path / f"{name}.npz"

@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import shutil
 import zlib
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -60,6 +61,17 @@ class CodesFacts:
     original_range: tuple[float, float]
     measured: MeasuredError
     sizes: dict[str, int] = field(default_factory=dict)
+
+    @property
+    def missed_target(self) -> tuple[str, str] | None:
+        """How a target was missed that is estimated from a part of the volume, and what helps; None if none was."""
+        target, measured = self.target, self.measured
+        if target.psnr is not None and measured.psnr < target.psnr:
+            return f"PSNR {measured.psnr:.2f} dB, less than {target.psnr:g}", "a higher one reaches it"
+        if target.bits_per_voxel is not None and measured.bits_per_voxel > target.bits_per_voxel:
+            what = f"{measured.bits_per_voxel:.3g} bits per voxel, more than {target.bits_per_voxel:g}"
+            return what, "a lower number reaches it, if codebooks alone do not take more"
+        return None
 
     @property
     def bits_per_voxel_all(self) -> float:
@@ -140,7 +152,10 @@ def codebooks_of(own: dict, entries: np.ndarray | None) -> Codebooks:
 
 
 def write_codebooks(folder: Path, books: Codebooks) -> int | None:
-    """Writes the array of ``books``; returns the checksum of its file, None if they have no stages."""
+    """Writes the array of ``books`` in the place of any other; returns the checksum of its file, None if they have no
+    stages."""
+    if (folder / CODEBOOKS).exists():
+        shutil.rmtree(folder / CODEBOOKS)
     if not books.stages:
         return None
     array = open_array(folder / CODEBOOKS, codebooks_metadata(books.entries.shape))

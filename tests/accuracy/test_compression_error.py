@@ -63,7 +63,7 @@ def test_an_error_is_held_with_codes(device):
 
 
 def test_where_codes_are_too_coarse_the_voxels_are_taken(device, coarse):
-    frame = render_to_error(scene_of({"codec": "rvq", "max_voxel_error": 0.04}), 1e-3, devices=[device])
+    frame = render_to_error(scene_of({"codec": "rvq"}), 1e-3, devices=[device])
     assert frame.stats["accuracy"]["settings"]["compression.codec"] == "none"
     assert frame.stats["accuracy"]["bound"] <= 1e-3 and "compression" not in frame.stats
     assert 'codec = "none"' in frame.scene_source

@@ -8,9 +8,13 @@ import numpy as np
 import pytest
 from helpers.encoding import CODECS, TYPES, as_type, blocks_of, range_of, smooth, trained
 
-from clvol.store.codecs.coded_blocks import CONSTANT, RAW
+from clvol.encoding import trainer as trainer_module
+from clvol.encoding.trainer import CodeTrainer
+from clvol.store.codecs.coded_blocks import CONSTANT, RAW, RateTarget
 from clvol.store.codecs.decode import decode_blocks
 from clvol.store.codecs.working_values import working_values
+from clvol.store.voxel_source import FieldSource, VolumeSource
+from clvol.volume.volume import Volume
 
 
 def round_trip(context, voxels: np.ndarray, codec: str, edge: int = 16, **target: float):
@@ -112,3 +116,78 @@ def test_integers_survive_as_working_values(span):
     values = working_values(np.dtype(np.uint16), (65535.0 - span, 65535.0))
     voxels = np.arange(65535 - span, 65536).astype(np.uint16)
     assert np.array_equal(values.decoded(values.encoded(voxels)), voxels)
+
+
+@pytest.mark.parametrize("codec", CODECS)
+def test_bits_per_voxel_are_kept_codebooks_and_index_included(context, codec):
+    voxels = as_type(smooth((64, 64, 70)), np.uint8)
+    blocks, _, coded, training = round_trip(context, voxels, codec, bits_per_voxel=1.2)
+    bits = 8 * (len(coded.data) + 4 * len(coded) + training.codebooks.nbytes) / voxels.size
+    assert bits <= 1.2
+    if codec == "rvq":
+        assert bits > 1.1
+
+
+def test_a_rate_that_cannot_be_had_is_approached(context):
+    voxels = as_type(smooth(), np.uint8)
+    blocks, _, coded, training = round_trip(context, voxels, "rvq", bits_per_voxel=0.001)
+    assert training.codebooks.stages == 0
+    assert (coded.data[coded.start] == CONSTANT).all()
+
+
+@pytest.mark.parametrize("codec", CODECS)
+def test_fewer_vectors_than_codes_are_exact(context, codec):
+    tiles = np.random.default_rng(2).integers(0, 256, (9, 4, 4, 4)).astype(np.uint8)
+    if codec in ("vq", "vq-mean"):
+        tiles = tiles[:, :2, :2, :2].repeat(2, 1).repeat(2, 2).repeat(2, 3)
+        tiles[:, ::2] //= 2
+    places = np.random.default_rng(3).integers(0, 9, (16, 16, 16))
+    voxels = tiles[places].transpose(0, 3, 1, 4, 2, 5).reshape(64, 64, 64)
+    blocks, decoded, coded, training = round_trip(context, voxels, codec, psnr=90.0)
+    assert np.array_equal(blocks, decoded)
+    if codec == "hvq":  # means of 2^3 samples are rounded, and what they leave with them
+        return
+    assert 1 <= training.policy["distinct_vectors"] <= 255
+    assert len(coded.data) < 0.26 * blocks.nbytes
+
+
+def test_the_seed_and_the_volume_decide(context):
+    voxels = as_type(smooth((96, 96, 96)), np.uint8)
+    one, _ = trained(context, voxels, "rvq", psnr=46.0)
+    again, _ = trained(context, voxels, "rvq", psnr=46.0)
+    assert one.policy == again.policy
+    assert np.array_equal(one.codebooks.entries, again.codebooks.entries)
+
+
+def test_what_is_larger_than_memory_is_drawn_from_everywhere(context, monkeypatch):
+    monkeypatch.setattr(trainer_module, "MOST_VOXELS", 1 << 17)
+    field = FieldSource("marschner-lobb", (160, 96, 128))
+    read = []
+    box = field.box
+    monkeypatch.setattr(field, "box", lambda *corners: read.append(corners) or box(*corners))
+    training = CodeTrainer(context).train(field, (0, 255), "rvq", RateTarget(psnr=40.0))
+    assert max(np.prod(np.subtract(corners[1::2], corners[::2])) for corners in read) <= 32**3
+    assert len(set(read)) <= 5
+    voxels = field.box(0, 128, 0, 96, 0, 160)
+    blocks = blocks_of(voxels, 16)
+    decoded = decode_blocks(CodeTrainer(context).encoder(training).encode(blocks), 16, training.codebooks)
+    error = np.mean((decoded.astype(float) - blocks) ** 2)
+    assert 10 * math.log10(255**2 / error) > 37
+
+
+def test_progress_rises_to_its_end(context):
+    seen = []
+    voxels = as_type(smooth((64, 64, 64)), np.uint8)
+    trainer = CodeTrainer(context)
+    trainer.train(VolumeSource(Volume(voxels)), range_of(voxels), "rvq", RateTarget(psnr=40.0),
+                  progress=lambda done, total: seen.append((done, total)))  # fmt: skip
+    assert seen == sorted(seen) and seen[-1][0] == seen[-1][1]
+
+
+def test_voxels_beyond_the_range_stay_what_they_were(context):
+    voxels = as_type(smooth(), np.int16)
+    training = CodeTrainer(context).train(VolumeSource(Volume(voxels)), (-9000, 12000), "rvq", RateTarget(psnr=50.0))
+    blocks = blocks_of(voxels, 16)
+    decoded = decode_blocks(CodeTrainer(context).encoder(training).encode(blocks), 16, training.codebooks)
+    beyond = (blocks < -9000) | (blocks > 12000)
+    assert np.array_equal(decoded[beyond], blocks[beyond])

@@ -16,7 +16,6 @@ TARGETS = ({"psnr": 42.0}, {"bits_per_voxel": 2.0}, {"max_voxel_error": 0.004}, 
 @pytest.mark.parametrize("codec", CODECS)
 @pytest.mark.parametrize("dtype", TYPES)
 @pytest.mark.parametrize("target", TARGETS, ids=lambda t: next(iter(t), "none"))
-@pytest.mark.every_case
 def test_the_twin_makes_the_same_bytes(context, codec, dtype, target):
     voxels = as_type(smooth(), dtype)
     if voxels.dtype.kind == "f":

@@ -19,12 +19,15 @@ def encoded_block(samples: np.ndarray, training, weight: float = 1.0) -> bytes:
 
 
 def nearest(residual: np.ndarray, entries: np.ndarray, shift: int) -> int:
-    """The code of the nearest codeword: by quarters of 1 << shift, clipped to 10 bits; the lowest of equally near ones.
-    Codewords of zeros count as unused, but for code 0."""
-    residual = residual.astype(np.int64)
-    quarters = np.clip((residual - 1) >> (shift - 2) if shift > 2 else residual << (2 - shift), -511, 511)
+    """The code of the nearest codeword, the lowest of equally near ones; residuals are clipped to what codewords have,
+    and compared in quarters of 1 << shift (vectors of 8 samples: in 32nds). Codewords of zeros count as unused, but for
+    code 0."""
+    residual, parts = residual.astype(np.int64), 32 if len(residual) == 8 else 4
+    step = 1 << shift
+    compared = (residual - 1) // (step // parts) if step > parts else residual * (parts // step)
+    compared = np.clip(compared, 1 - 128 * parts, 128 * parts - 1)
     words = entries.astype(np.int64)
-    scores = words @ quarters - 2 * (words * words).sum(axis=1)
+    scores = words @ compared - parts // 2 * (words * words).sum(axis=1)
     unused = ~words.any(axis=1)
     unused[0] = False
     scores[unused] = -(1 << 40)

@@ -4,10 +4,15 @@ from __future__ import annotations
 
 import json
 import math
+import os
+import subprocess
+import sys
+import warnings
 from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.paths import ROOT
 from helpers.stub_trainer import StubEncoder, StubTrainer
 
 from clvol.errors import ClvolWarning, RenderError, UsageError, VolumeError
@@ -239,6 +244,28 @@ def test_noise_takes_hardly_more_than_raw(tmp_path, dtype):
     assert store.codes.measured.bits_per_voxel <= 1.01 * 8 * data.itemsize
 
 
+def test_where_codebooks_cost_more_than_they_save_there_are_none(tmp_path):
+    """All is then stored as it is, and decoded as it was."""
+    data = np.random.default_rng(1).integers(0, 256, (16, 16, 16), np.uint8)
+    for codec in LOSSY:
+        store = coded(data, tmp_path / codec, codec, RateTarget(max_voxel_error=1e-6), shard=16)
+        np.testing.assert_array_equal(store.volume_level(0), data)
+        assert store.codes.policy["raw"] and not store.codebooks.entries.any()
+        codes = next((tmp_path / codec / "0/c").rglob("0")).parent
+        assert sum(p.stat().st_size for p in codes.rglob("*") if p.is_file()) <= 1.02 * data.nbytes + 40
+        assert_measured(store, data)
+    assert not (tmp_path / "rvq/codebooks").exists()
+
+
+def test_impossible_codes_of_an_encoder_are_an_error(tmp_path, monkeypatch):
+    def nonsense(self, samples):
+        return CodedBlocks(np.full(9, 88, np.uint8), np.zeros(len(samples), np.int64), np.full(len(samples), 9))
+
+    monkeypatch.setattr(StubEncoder, "encode", nonsense)
+    with pytest.raises(RenderError, match="level 0, the samples from .*: the encoder made impossible codes"):
+        coded(voxels(), tmp_path / "s")
+
+
 # ---- labels --------------------------------------------------------------------------------------
 
 
@@ -310,7 +337,45 @@ def test_impossible_wishes_are_refused_before_the_work(tmp_path, settings, said)
     assert str(error.value).startswith(said) and list(tmp_path.iterdir()) == []
 
 
-def test_memory_and_sources_of_boxes(tmp_path):
+_GENERATED = """
+import resource, sys
+sys.path[:0] = [sys.argv[2]]
+import numpy as np
+from helpers.stub_trainer import StubTrainer
+from clvol.store.build import build_store
+from clvol.volume import Grid
+
+class Generated:
+    shape, dtype, identity = (384, 512, 512), np.dtype(np.uint16), {}
+    name, frame = "generated", "index"
+    grid = Grid(shape)
+
+    def box(self, z0, z1, y0, y1, x0, x1):
+        z, y, x = (np.arange(a, b).astype(np.uint16) >> 4 for a, b in ((z0, z1), (y0, y1), (x0, x1)))
+        return 1000 * (z[:, None, None] ^ y[:, None] ^ x)
+
+def peak():
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+
+import tensorstore
+before = peak()
+store = build_store(Generated(), sys.argv[1], codec="rvq", trainer=StubTrainer(), workers=2)
+for part in store.statistics():
+    pass
+print(peak() - before)
+"""
+
+
+def test_building_takes_less_memory_than_the_volume(tmp_path):
+    done = subprocess.run(
+        [sys.executable, "-c", _GENERATED, str(tmp_path / "s"), str(ROOT / "tests")], capture_output=True, text=True,
+        timeout=300, env={**os.environ, "PYTHONPATH": str(ROOT)},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert int(done.stdout) < 2 * 384 * 512**2 * 0.75
+
+
+def test_sources_are_read_in_boxes(tmp_path):
     """Only boxes of the source are read, none larger than a region."""
 
     class Boxes(VolumeSource):
@@ -380,3 +445,19 @@ def test_labels_take_less_than_their_voxels_compressed(tmp_path):
     level = sum(p.stat().st_size for p in (tmp_path / "plain/0").rglob("*") if p.is_file())
     assert codes.codes.measured.bits_per_voxel * data.size / 8 < level
     np.testing.assert_array_equal(plain.volume_level(0), data)
+
+
+@pytest.mark.parametrize(
+    ("target", "said"),
+    [
+        (RateTarget(psnr=90), r"s: PSNR \d\d\.\d\d dB, less than 90"),
+        (RateTarget(bits_per_voxel=0.1), r"s: [\d.]+ bits per voxel, more than 0.1"),
+    ],
+)
+def test_a_target_that_was_missed_is_said(tmp_path, target, said):
+    """The stub keeps to neither."""
+    with pytest.warns(ClvolWarning, match=said):
+        coded(voxels(), tmp_path / "s", "vq", target)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        coded(voxels(), tmp_path / "t", "vq", RateTarget(psnr=10))

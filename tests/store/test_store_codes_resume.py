@@ -146,7 +146,7 @@ def test_a_lost_training_is_made_again(tmp_path, once, content):
 
 @pytest.mark.parametrize(
     ("other", "said"),
-    [({"target": RateTarget(psnr=40)}, "target"), ({"seed": 5}, "seed"), ({"codec": "hvq", "target": None}, "codec")],
+    [({"target": RateTarget(psnr=10)}, "target"), ({"seed": 5}, "seed"), ({"codec": "hvq", "target": None}, "codec")],
 )
 def test_another_target_seed_or_codec_is_refused(tmp_path, other, said):
     def stop(done: int, total: int) -> None:
@@ -211,6 +211,36 @@ def test_an_existing_store_is_replaced_only_by_a_whole_one(tmp_path, once):
     assert files(tmp_path / "s") == once
     build_store(Volume(voxels(1)), tmp_path / "s", shard=32, overwrite=True)
     assert not (tmp_path / "s" / "codebooks").exists()
+
+
+def noise() -> Volume:
+    return Volume(np.random.default_rng(3).integers(0, 256, (40, 50, 60), np.uint8), name="n")
+
+
+@pytest.mark.parametrize("where", ("keep", "note", "forget_regions", "write_codebooks"))
+def test_giving_up_codes_is_resumed_too(tmp_path, monkeypatch, where):
+    """Interrupted as the build turns to voxels that are stored as they are, and while they are."""
+    how = {"codec": "rvq", "target": RateTarget(max_voxel_error=1e-6), "shard": 32, "workers": 1}
+    phases = []
+    build_store(noise(), tmp_path / "once", trainer=StubTrainer(), on_phase=phases.append, **how)
+    assert phases == [*PHASES[:3], "encoding", "describing"]
+    target = build if where == "write_codebooks" else Journal
+    real, calls = getattr(target, where), []
+
+    def stopped(*rest, **more):
+        calls.append(rest)
+        if len(calls) == {"keep": 3, "note": 11, "forget_regions": 1, "write_codebooks": 2}[where]:
+            if where == "forget_regions":
+                (tmp_path / "s.partial/clvol-journal/2.npz").unlink()  # as if killed within
+            raise Stop
+        return real(*rest, **more)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(target, where, stopped)
+        with pytest.raises(Stop):
+            build_store(noise(), tmp_path / "s", trainer=StubTrainer(), **how)
+    build_store(noise(), tmp_path / "s", trainer=StubTrainer(), **how)
+    assert files(tmp_path / "s") == files(tmp_path / "once")
 
 
 _BUILD = """
