@@ -25,7 +25,7 @@ typedef struct {
     w.w3 += convert_int16(vload16(3, e)) << (int16)(shift);      \
   }
 
-/* Bytes8 residuals of `bits` bits each, from as many bytes. */
+/* Eight residuals of `bits` bits each, from as many bytes. */
 INLINE int8 eight_residuals(__global const uchar *packed, int bits)
 {
   const long8 order = (long8)(0, 1, 2, 3, 4, 5, 6, 7);

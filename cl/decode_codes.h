@@ -27,6 +27,9 @@
 #define ESCAPED 15
 #define RAW_SAMPLES 255
 
+/* Of a type by which memory of another type is read or written, at any place. */
+#define ANYWHERE __attribute__((aligned(1), may_alias))
+
 /* TO_VOXEL16: from 16 bits, modulo what the type holds. RowN: N voxels of a row, stored at any place in one instruction
  * (PoCL stores an uchar8 byte by byte). */
 #if VOXEL_BITS == 8
@@ -37,8 +40,8 @@ typedef char16 Voxel16;
 typedef uchar16 Voxel16;
 #define TO_VOXEL16(v) convert_uchar16(v)
 #endif
-typedef uint Row4 __attribute__((aligned(1)));
-typedef ulong Row8 __attribute__((aligned(1)));
+typedef uint Row4 ANYWHERE;
+typedef ulong Row8 ANYWHERE;
 #elif VOXEL_BITS == 16
 #if VOXEL_SIGNED
 typedef short16 Voxel16;
@@ -47,16 +50,16 @@ typedef short16 Voxel16;
 typedef ushort16 Voxel16;
 #define TO_VOXEL16(v) (v)
 #endif
-typedef ulong Row4 __attribute__((aligned(1)));
-typedef ulong2 Row8 __attribute__((aligned(1)));
+typedef ulong Row4 ANYWHERE;
+typedef ulong2 Row8 ANYWHERE;
 #else
 typedef float16 Voxel16;
-typedef float4 Row4 __attribute__((aligned(1)));
-typedef float8 Row8 __attribute__((aligned(1)));
+typedef float4 Row4 ANYWHERE;
+typedef float8 Row8 ANYWHERE;
 #endif
-typedef Voxel16 Row16 __attribute__((aligned(1)));
+typedef Voxel16 Row16 ANYWHERE;
 
-typedef ulong Bytes8 __attribute__((aligned(1))); /* bytes, loaded from any place at once: PoCL cuts vload8 in four */
+typedef ulong Bytes8 ANYWHERE; /* bytes, loaded from any place at once: PoCL cuts vload8 in four */
 
 /* Where a block's bytes begin in `codes`, and its first voxel in `voxels`. extent: samples that are wanted along x, y
  * and z, and in w the samples per axis of the block. limit: no more stages of it are decoded. */

@@ -1,11 +1,12 @@
 /* Residual vector quantisation with a depth per sub-block ("rvq"): cuts blocks into sub-blocks, and chooses stages.
  *
  * Of each sub-block the kernel looks for the depth of the least cost D + lambda R: D the squared error of decoded
- * voxels (in 1/256), R bits. The search goes from stage to stage, nearest codeword by nearest codeword, and ends where
- * even an exact sub-block would cost more than the best so far. Where voxels may be off by `bound` at most, depths that
+ * voxels (in 1/256), R bits. The search goes from stage to stage, and ends where even an exact sub-block would cost more
+ * than the best so far. It keeps BEAM sequences of codes, each of which goes on with its BEAM nearest codewords (of
+ * different lanes, see search_codebook); those of the shortest residuals are kept ("M-search"). Where voxels may be off by `bound` at most, depths that
  * break it do not count. A sub-block may be escaped: its voxels are then stored, or differences that keep the bound.
  *
- * Switches (-D): SIZE 64; SUBS, sub-blocks per octant: 8, or 1 for blocks of 4 samples per axis.
+ * Switches (-D): SIZE 64; SUBS, sub-blocks per octant: 8, or 1 for blocks of 4 samples per axis; BEAM 1, 2 or 4.
  */
 #include "nearest_code.h"
 
@@ -109,24 +110,73 @@ typedef struct {
   int bits, depth, escape, largest;
 } Choice;
 
-/* Considers `depth` stages. */
-inline void consider(Choice *choice, Miss miss, int depth, long lambda, long weight, int bound, int packed)
+/* Considers `depth` stages; whether that is better. */
+inline int consider(Choice *choice, Miss miss, int depth, long lambda, long weight, int bound, int packed)
 {
   const int largest = max(miss.highest, -miss.lowest);
+  int improved = 0;
   if (largest <= bound) {
     const long cost = weight * (long)miss.squares + lambda * (8 * depth);
     if (cost < choice->cost) {
       const Choice better = {cost, miss.squares, 8 * depth, depth, 0, largest};
       *choice = better;
+      improved = 1;
     }
   }
-  if (packed < 0) return;
   const int bits = residual_bits(miss.lowest, miss.highest, packed);
   const int size = 8 + 8 * depth + 64 * bits;
   if (bits <= 8 && lambda * size < choice->cost) {
     const Choice better = {lambda * size, 0, size, ESCAPED, depth | bits << 4, packed};
     *choice = better;
+    improved = 1;
   }
+  return improved;
+}
+
+/* The sequences of codes that a sub-block's search keeps. */
+typedef struct {
+  uchar codes[BEAM][MOST_STAGES];
+} Kept;
+
+/* Goes one stage on for a sub-block: from `number` sequences, whose residuals (int [BEAM][64]) and codes are replaced by
+ * the BEAM best of those that go on with `next` [number][BEAM]. */
+inline void go_on(__global int *restrict residual, Kept *kept, int number, const int next[][BEAM], int stage,
+                  __global const char *restrict entries, int shift)
+{
+  ulong lengths[BEAM];
+  int best[BEAM];
+  for (int b = 0; b < BEAM; b++) {
+    lengths[b] = ULONG_MAX;
+    best[b] = 0;
+  }
+  for (int c = 0; BEAM > 1 && c < number * BEAM; c++) {
+    ulong length = length_without(residual + c / BEAM * 64, entries + next[c / BEAM][c % BEAM] * 64, shift);
+    int at = c;
+    for (int b = 0; b < BEAM; b++)
+      if (length < lengths[b]) {
+        const ulong longer = lengths[b];
+        const int other = best[b];
+        lengths[b] = length;
+        best[b] = at;
+        length = longer;
+        at = other;
+      }
+  }
+  if (BEAM == 1) {
+    subtract(residual, entries + next[0][0] * 64, shift);
+    kept->codes[0][stage] = (uchar)next[0][0];
+    return;
+  }
+  int left[BEAM][64];
+  const Kept before = *kept;
+  for (int b = 0; b < BEAM; b++) {
+    const int from = best[b] / BEAM, code = next[from][best[b] % BEAM];
+    for (int k = 0; k < 64; k++) left[b][k] = residual[from * 64 + k] - ((int)entries[code * 64 + k] << shift);
+    for (int j = 0; j < MOST_STAGES; j++) kept->codes[b][j] = before.codes[from][j];
+    kept->codes[b][stage] = (uchar)code;
+  }
+  for (int b = 0; b < BEAM; b++)
+    for (int k = 0; k < 64; k++) residual[b * 64 + k] = left[b][k];
 }
 
 /* Chooses stages, a work-item for eight octants.
@@ -136,9 +186,9 @@ inline void consider(Choice *choice, Miss miss, int depth, long lambda, long wei
  * codebook  float [stages][64][ENTRIES]; norms float [stages][ENTRIES]; entries char [stages][ENTRIES][64]
  * lambdas   long [octants]; bounds int [octants]: in the unit of differences
  * weight    256, or 0 where bits alone count
- * packed    the bound of packed residuals, whose steps are 2 packed + 1; -1: there are none
+ * packed    the bound of packed residuals, whose steps are 2 packed + 1
  * raw_bits  per voxel
- * residual  int [octants][SUBS][64]: scratch
+ * residual  int [octants][SUBS][BEAM][64]: scratch
  * depths    uchar [octants][SUBS]; escapes uchar [octants][SUBS]: stages and bits, or RAW_SAMPLES
  * codes     uchar [octants][SUBS][MOST_STAGES]
  * split     uchar [octants]
@@ -156,6 +206,7 @@ __kernel void choose_codes(__global const ushort *restrict work, __global const 
 {
   const int first = get_global_id(0) * 8, last = min(octants, first + 8);
   Choice choices[GROUP];
+  Kept kept[GROUP];
   int active[GROUP], count = 0;
   float4 rows[SIZE];
   for (int octant = first; octant < last; octant++) {
@@ -174,34 +225,40 @@ __kernel void choose_codes(__global const ushort *restrict work, __global const 
       const Choice raw = {lambda * size, 0, size, ESCAPED, RAW_SAMPLES, 0};
       *choice = raw;
       if (odd[at]) continue;
-      __global int *r = residual + (size_t)at * 64;
+      __global int *r = residual + (size_t)at * (BEAM * 64);
       for (int k = 0; k < 8; k++) vstore8(convert_int8(vload8(k, work + (size_t)at * 64)) - mean, k, r);
       consider(choice, measure(work + (size_t)at * 64, r, levels), 0, lambda, weight, bound, packed);
       if (8 * lambda < choice->cost) active[count++] = at;
     }
   }
   for (int stage = 0; stage < stages && count; stage++) {
-    const int shift = shifts[stage];
+    const int shift = shifts[stage], number = stage ? BEAM : 1, together = 4 / number;
+    __global const char *words = entries + (size_t)stage * (ENTRIES * 64);
     int left = 0;
-    for (int i = 0; i < count; i += 4) {
-      const int number = min(4, count - i);
-      int four[4];
-      for (int v = 0; v < 4; v++) four[v] = active[min(i + v, count - 1)];
+    for (int i = 0; i < count; i += together) {
+      size_t from[4];
+      for (int v = 0; v < 4; v++)
+        from[v] = ((size_t)active[min(i + v / number, count - 1)] * BEAM + v % number) * 64;
       for (int k = 0; k < 64; k++)
-        rows[k] = (float4)(as_compared(residual[(size_t)four[0] * 64 + k], shift),
-                           as_compared(residual[(size_t)four[1] * 64 + k], shift),
-                           as_compared(residual[(size_t)four[2] * 64 + k], shift),
-                           as_compared(residual[(size_t)four[3] * 64 + k], shift));
-      const int4 codes4 = nearest_codes(rows, codebook + stage * (64 * ENTRIES), norms + stage * ENTRIES);
-      const int code[4] = {codes4.x, codes4.y, codes4.z, codes4.w};
-      for (int v = 0; v < number; v++) {
-        const int at = four[v], octant = at / SUBS;
+        rows[k] = (float4)(as_compared(residual[from[0] + k], shift), as_compared(residual[from[1] + k], shift),
+                           as_compared(residual[from[2] + k], shift), as_compared(residual[from[3] + k], shift));
+      int16 keys[4];
+      int next[4][BEAM];
+      search_codebook(rows, codebook + stage * (64 * ENTRIES), norms + stage * ENTRIES, keys);
+      for (int v = 0; v < 4; v++)
+        for (int b = 0; b < BEAM; b++) next[v][b] = take_nearest(keys + v);
+      const int end = min(together, count - i);
+      for (int v = 0; v < end; v++) {
+        const int at = active[i + v], octant = at / SUBS;
         Choice *choice = choices + (at - first * SUBS);
-        __global int *r = residual + (size_t)at * 64;
-        codes[(size_t)at * MOST_STAGES + stage] = (uchar)code[v];
-        subtract(r, entries + ((size_t)stage * ENTRIES + code[v]) * 64, shift);
-        consider(choice, measure(work + (size_t)at * 64, r, levels), stage + 1, lambdas[octant], weight,
-                 bounds[octant], packed);
+        Kept *own = kept + (at - first * SUBS);
+        __global int *r = residual + (size_t)at * (BEAM * 64);
+        go_on(r, own, number, next + v * number, stage, words, shift);
+        for (int b = 0; b < BEAM; b++) {
+          const Miss miss = measure(work + (size_t)at * 64, r + b * 64, levels);
+          if (consider(choice, miss, stage + 1, lambdas[octant], weight, bounds[octant], packed))
+            for (int j = 0; j <= stage; j++) codes[(size_t)at * MOST_STAGES + j] = own->codes[b][j];
+        }
         if (8 * (stage + 2) * lambdas[octant] < choice->cost) active[left++] = at;
       }
     }

@@ -9,7 +9,7 @@
  *
  * work      ushort [count][SIZE], working values
  * residual  int [count][SIZE], what the stages before have left; minus this stage's codeword if `subtracted`
- * codebook, norms  of the stage, see nearest_codes
+ * codebook, norms  of the stage, see search_codebook
  * entries   char [ENTRIES][SIZE], the codewords
  * codes     uchar [count]
  * squares   ulong [count]; largest  int [count]: how far decoded voxels are off, if `subtracted`
@@ -30,12 +30,13 @@ __kernel void encode_stage(__global const ushort *restrict work, __global int *r
                          as_compared(residual[(size_t)four[1] * SIZE + k], shift),
                          as_compared(residual[(size_t)four[2] * SIZE + k], shift),
                          as_compared(residual[(size_t)four[3] * SIZE + k], shift));
-    const int4 found = nearest_codes(rows, codebook, norms);
-    const int code[4] = {found.x, found.y, found.z, found.w};
+    int16 keys[4];
+    search_codebook(rows, codebook, norms, keys);
     for (int v = 0; v < 4 && at + v < end; v++) {
-      codes[at + v] = (uchar)code[v];
+      const int code = take_nearest(keys + v);
+      codes[at + v] = (uchar)code;
       if (!subtracted) continue;
-      subtract(residual + (size_t)(at + v) * SIZE, entries + code[v] * SIZE, shift);
+      subtract(residual + (size_t)(at + v) * SIZE, entries + code * SIZE, shift);
       const Miss miss = measure(work + (size_t)(at + v) * SIZE, residual + (size_t)(at + v) * SIZE, levels);
       squares[at + v] = miss.squares;
       largest[at + v] = max(miss.highest, -miss.lowest);

@@ -6,6 +6,7 @@
  * coarse_depths  float [rows, columns] (only read if WITH_DEPTH)
  * samples, rays  uint [tiles]
  */
+#include "chosen_tiles.h"
 #include "render_packet.h"
 
 typedef struct {
@@ -46,13 +47,13 @@ __kernel WIDE_VECTORS void fill_between_rays(SCENE_PARAMETERS, __global const fl
                                              __global const float *restrict coarse_depths,
                                                  __global float4 *restrict image,
                                              __global float *restrict depths, __global uint *restrict samples,
-                                             __global uint *restrict rays COUNTS_PARAMETER)
+                                             __global uint *restrict rays COUNTS_PARAMETER CHOSEN_PARAMETER)
 {
   const Scene scene = SCENE;
   DECLARE_TALLIES
   const int width = view->image.x, height = view->image.y;
   const int columns = max(1, (width + view->tile.x - 1) / view->tile.x);
-  const int tile = (int)get_global_id(0) + view->first_tile;
+  const int item = (int)get_global_id(0) + view->first_tile, tile = TILE_OF(item);
   const int left = tile % columns * view->tile.x, top = tile / columns * view->tile.y;
   const int right = min(left + view->tile.x, width), bottom = min(top + view->tile.y, height);
   int column[LANES], row[LANES];
@@ -89,7 +90,7 @@ __kernel WIDE_VECTORS void fill_between_rays(SCENE_PARAMETERS, __global const fl
     traced += (uint)waiting;
     waiting = 0;
   }
-  STORE_TALLIES(tile)
+  STORE_TALLIES(item)
   samples[tile] = total;
   rays[tile] = traced;
 }

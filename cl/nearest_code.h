@@ -36,10 +36,11 @@ inline int largest_of(int16 v)
   return max(c.lo, c.hi);
 }
 
-/* The codes of four vectors. rows: float4 [SIZE], component v of row k is r' of sample k of vector v; codebook float
+/* The key of the nearest codeword for each of four vectors, lane by lane of 16 codes: lane l knows the codes l, l + 16, ...
+ * The code is 255 - (key & 255), and the nearest of all has the largest key. rows: float4 [SIZE], component v of row k is r' of sample k of vector v; codebook float
  * [SIZE][ENTRIES]; norms float [ENTRIES], what is subtracted from r' e, 2^23 of unused ones. */
-inline int4 nearest_codes(const float4 *rows, __global const float *restrict codebook,
-                          __global const float *restrict norms)
+inline void search_codebook(const float4 *rows, __global const float *restrict codebook,
+                            __global const float *restrict norms, int16 *keys)
 {
   const int16 lane = (int16)(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15);
   int16 key0 = (int16)(INT_MIN), key1 = key0, key2 = key0, key3 = key0;
@@ -68,8 +69,18 @@ inline int4 nearest_codes(const float4 *rows, __global const float *restrict cod
     TAKE_LARGEST(key2, b2, first + 16);
     TAKE_LARGEST(key3, b3, first + 16);
   }
-  const int4 keys = (int4)(largest_of(key0), largest_of(key1), largest_of(key2), largest_of(key3));
-  return 255 - (keys & 255);
+  keys[0] = key0;
+  keys[1] = key1;
+  keys[2] = key2;
+  keys[3] = key3;
+}
+
+/* The code of the largest key, which is then left out. */
+inline int take_nearest(int16 *keys)
+{
+  const int key = largest_of(*keys);
+  *keys = select(*keys, (int16)(INT_MIN), *keys == (int16)(key));
+  return 255 - (key & 255);
 }
 
 /* How far the decoded voxels of a sub-block are off: the sum of squares, and the extremes of (original - decoded). In
@@ -102,6 +113,21 @@ inline Miss measure(__global const ushort *restrict work, __global const int *re
   const Miss miss = {((ulong)(high2.x + high2.y) << 16) + (low2.x + low2.y), min(lowest2.x, lowest2.y),
                      max(highest2.x, highest2.y)};
   return miss;
+}
+
+/* The squared length of a residual less a codeword (char [SIZE]) of a stage; samples count as 65535 at most. */
+inline ulong length_without(__global const int *restrict residual, __global const char *restrict entry, int shift)
+{
+  uint8 low = (uint8)(0), high = (uint8)(0);
+  for (int k = 0; k < SIZE / 8; k++) {
+    const uint8 d = min(abs(vload8(k, residual) - (convert_int8(vload8(k, entry)) << shift)), (uint8)(65535));
+    const uint8 square = d * d;
+    low += square & 0xffff;
+    high += square >> 16;
+  }
+  const uint4 low4 = low.lo + low.hi, high4 = high.lo + high.hi;
+  const uint2 low2 = low4.lo + low4.hi, high2 = high4.lo + high4.hi;
+  return ((ulong)(high2.x + high2.y) << 16) + (low2.x + low2.y);
 }
 
 /* Subtracts a codeword (char [SIZE]) of a stage from a residual. */

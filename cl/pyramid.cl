@@ -2,6 +2,7 @@
  *
  * Switches (-D): LANES, WORKERS, TILE, ORACLE, LEAPS, and those of voxels and classification as for raycast.cl.
  */
+#include "chosen_tiles.h"
 #include "half_opacity.h"
 #include "pyramid_leap.h"
 #include "pyramid_pixels.h"
@@ -14,12 +15,13 @@
  * pyramid  numbers of the frame and of the oracle
  * map      the oracle's own (oracle.h)
  * distances  here: from cells to anything visible, as bytes of oracle.h
- * counts   uint [tiles, PYRAMID_COUNTERS]
+ * counts   uint [tiles or items, PYRAMID_COUNTERS]
  * and of a volume of blocks what block_parameters.h says
  */
 __kernel WIDE_VECTORS __attribute__((reqd_work_group_size(WORKERS, 1, 1))) void pyramid(
   SCENE_PARAMETERS, __global float4 *restrict image, __global float *restrict depths, __global uint *restrict samples,
-  __constant const Pyramid *restrict pyramid, __global const uchar *restrict map, __global uint *restrict counts)
+  __constant const Pyramid *restrict pyramid, __global const uchar *restrict map,
+  __global uint *restrict counts CHOSEN_PARAMETER)
 {
   Tally counted[PYRAMID_COUNTERS] = {0}, taken = 0;
 #if BLOCKS
@@ -33,7 +35,11 @@ __kernel WIDE_VECTORS __attribute__((reqd_work_group_size(WORKERS, 1, 1))) void 
   /* From the top and the bottom in turns: the last ones, by which cores wait for each other, are then in the middle,
    * where much is to be seen, and drivers hand out few at a time in the end. */
   const int place = (int)get_group_id(0) + view->first_tile, some = width > 0;
-  const int tile = !some ? place : place & 1 ? columns * rows - 1 - place / 2 : place / 2;
+#if TILES_CHOSEN
+  const int tile = TILE_OF(place), counts_row = place;
+#else
+  const int tile = !some ? place : place & 1 ? columns * rows - 1 - place / 2 : place / 2, counts_row = tile;
+#endif
   const int left = tile % columns * TILE, top = tile / columns * TILE;
   const int levels = pyramid->levels + pyramid->oversampling;
 #if WORKERS > 1
@@ -124,11 +130,11 @@ __kernel WIDE_VECTORS __attribute__((reqd_work_group_size(WORKERS, 1, 1))) void 
   atomic_add(&sums[PYRAMID_COUNTERS], tally_sum(taken));
   SYNCHRONISE();
   if (WORKER == 0) {
-    for (int c = 0; c < PYRAMID_COUNTERS; ++c) counts[(size_t)tile * PYRAMID_COUNTERS + c] = sums[c];
+    for (int c = 0; c < PYRAMID_COUNTERS; ++c) counts[(size_t)counts_row * PYRAMID_COUNTERS + c] = sums[c];
     samples[tile] = sums[PYRAMID_COUNTERS];
   }
 #else
-  for (int c = 0; c < PYRAMID_COUNTERS; ++c) counts[(size_t)tile * PYRAMID_COUNTERS + c] = tally_sum(counted[c]);
+  for (int c = 0; c < PYRAMID_COUNTERS; ++c) counts[(size_t)counts_row * PYRAMID_COUNTERS + c] = tally_sum(counted[c]);
   samples[tile] = tally_sum(taken);
 #endif
 }

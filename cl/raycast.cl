@@ -4,21 +4,8 @@
  * Switches (-D): LANES, VOXEL_BITS, VOXEL_SIGNED, VOXEL_SCALED, VOXEL_PAIRS, VOXEL_HOLES, FILTER, CLASSIFICATION,
  * QUADRATURE, TRANSFER_PIECES, SKIP_EMPTY, WITH_DEPTH.
  */
+#include "chosen_tiles.h"
 #include "render_packet.h"
-
-/* TILES_CHOSEN: this launch renders only the tiles that are marked in `chosen`, uchar [tiles]; another launch renders
- * the others, without some effect. */
-#if TILES_CHOSEN
-#define CHOSEN_PARAMETER , __global const uchar *restrict chosen
-#define RETURN_UNLESS_CHOSEN(tile) \
-  if (!chosen[tile]) {             \
-    STORE_TALLIES(tile)            \
-    return;                        \
-  }
-#else
-#define CHOSEN_PARAMETER
-#define RETURN_UNLESS_CHOSEN(tile)
-#endif
 
 /* The scene's arguments are described in scene.h.
  * image      float4 [height, width], premultiplied, linear
@@ -33,8 +20,7 @@ __kernel WIDE_VECTORS void raycast(SCENE_PARAMETERS, __global float4 *restrict i
   DECLARE_TALLIES
   const int width = view->image.x, height = view->image.y;
   const int columns = max(1, (width + view->tile.x - 1) / view->tile.x);
-  const int tile = (int)get_global_id(0) + view->first_tile;
-  RETURN_UNLESS_CHOSEN(tile)
+  const int item = (int)get_global_id(0) + view->first_tile, tile = TILE_OF(item);
   const int left = tile % columns * view->tile.x, top = tile / columns * view->tile.y;
   uint total = 0;
   for (int row = top; row < min(top + view->tile.y, height); row += PACKET_H)
@@ -59,7 +45,7 @@ __kernel WIDE_VECTORS void raycast(SCENE_PARAMETERS, __global float4 *restrict i
         }
       }
     }
-  STORE_TALLIES(tile)
+  STORE_TALLIES(item)
   samples[tile] = total;
 }
 

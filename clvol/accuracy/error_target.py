@@ -102,7 +102,7 @@ def _exact(search: PictureSearch, max_error: float, attempt: int) -> Frame:
     seconds = {"load": search.load_seconds, "render": render_seconds}
     shown_depth = depth if search.depth else None
     counted = {**counters, "accuracy": accuracy, **search.warnings(rgba, shown_depth)}
-    return make_frame(resolved, rgba, shown_depth, seconds, counted, search.context.name)
+    return make_frame(resolved, rgba, shown_depth, seconds, counted, [search.context.name])
 
 
 def _float32_error(rgba: np.ndarray) -> float:

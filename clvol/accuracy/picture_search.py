@@ -221,7 +221,7 @@ class PictureSearch:
         resolved = self.resolved_as(trial.settings)
         compression = self.engines.compression(resolved)
         counted |= compression | self.warnings(trial.picture, trial.depth, compression.get("compression"))
-        return make_frame(resolved, trial.picture, trial.depth, seconds, counted, self.context.name)
+        return make_frame(resolved, trial.picture, trial.depth, seconds, counted, [self.context.name])
 
     def warnings(
         self, rgba: np.ndarray, depth: np.ndarray | None, compression: dict[str, Any] | None = None

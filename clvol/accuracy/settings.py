@@ -155,7 +155,8 @@ def label(tunables: Mapping[str, SceneTunable], settings: Settings, resolved: Re
             continue
         if tunable.tunable.is_main or value != tunable.scene_value or key.endswith(".classification"):
             about = tunable.tunable
-            parts.append((about.is_ladder, format_setting(about.title, value, about.is_ladder)))
+            named = about.is_ladder or value == "none"  # which says nothing by itself
+            parts.append((about.is_ladder, format_setting(about.title, value, named)))
     parts.sort(key=lambda part: part[0])  # alternatives first
     return ", ".join(text for _, text in parts)
 

@@ -24,7 +24,7 @@ def command(as_json: bool) -> None:
     from clvol.cli.console import say, say_json, working
     from clvol.cli.trial import try_render
     from clvol.opencl.cache_report import report_caches
-    from clvol.opencl.devices import list_devices, select
+    from clvol.opencl.devices import keep_speeds, list_devices, select
     from clvol.text import printable
 
     caches = report_caches()
@@ -34,11 +34,12 @@ def command(as_json: bool) -> None:
         if report.working:
             with working(f"rendering on {report.name}", as_json):
                 trial = try_render(report.name)
-            report = replace(report, working=not trial.reason, reason=trial.reason)
+            report = replace(report, working=not trial.reason, reason=trial.reason, speed=trial.speed)
             notices = (f"{where}: {what}" for where, what in trial.notices.items())
             # Problems of the caches are listed already.
             problems += [n for n in notices if n not in problems and not (caches.problems and n.startswith("cache"))]
         reports.append(report)
+    keep_speeds({report.name: report.speed for report in reports})
     caches = replace(caches, problems=problems)
     if as_json:
         say_json({"devices": [asdict(report) for report in reports], "cache": asdict(caches)})
@@ -67,6 +68,8 @@ def _show_device(report: DeviceReport) -> None:
             ("  memory", f"{memory}, at most {buffer} in one buffer"),
             ("  units", f"{report.compute_units}, double precision: {double}"),
         ]
+        if report.speed:
+            rows.append(("  speed", f"{report.speed / 1e6:.3g} million samples per second"))
     say_table(rows)
 
 

@@ -38,7 +38,8 @@ _OPTIONS = {"max_error": "--max-error", "time_budget": "--time-budget"}
     "devices",
     multiple=True,
     metavar="NAME",
-    help="Device to render on, by its name in 'clvol doctor'.",
+    help="Device to render on, by its name in 'clvol doctor'. Repeatable: devices share each picture. 'all': one per "
+    "processor. NAME:k/n: the k-th of n equal parts of a device.",
 )
 @click.option(
     "--max-error",
@@ -60,6 +61,10 @@ _OPTIONS = {"max_error": "--max-error", "time_budget": "--time-budget"}
     "voxels and version; render the others.",
 )
 @click.option("--stats", metavar="FILE", shell_complete=complete_file, help="Write times and counts as JSON to FILE.")
+@click.option(
+    "--show-schedule", metavar="FILE", shell_complete=complete_file,
+    help="Write a picture (.png) of which device rendered what, and when; for several devices.",
+)
 @memory_cap_option("Largest amount of memory that the volume may take, on the host and on the device.")
 @click.option("--quiet", is_flag=True, help="Show no progress on the terminal.")
 def command(
@@ -71,6 +76,7 @@ def command(
     time_budget: float | None,
     resume: bool,
     stats: str | None,
+    show_schedule: str | None,
     memory_cap: int | None,
     quiet: bool,
 ) -> None:
@@ -96,12 +102,13 @@ def command(
 
     start = time.perf_counter()
     loaded = load_scene(scene, overrides)
+    measure_for_all(devices, quiet)
     with protected(scene_inputs(scene, loaded)):
         if loaded.animation.frames == 1:
             outputs = check_still(outputs, resume)
             _render_still(
                 loaded, outputs, stats, list(devices) or None, memory_cap, quiet, start,
-                max_error=max_error, time_budget=time_budget,
+                max_error=max_error, time_budget=time_budget, show_schedule=show_schedule,
             )  # fmt: skip
             return
         from clvol.cli.animation import render_animation
@@ -110,6 +117,9 @@ def command(
             option = _OPTIONS["time_budget" if max_error is None else "max_error"]
             what = f"given for an animation of {loaded.animation.frames} frames"
             raise UsageError(option, what, "one frame: --set animation.frames=1")
+        if show_schedule is not None:
+            what = f"given for an animation of {loaded.animation.frames} frames"
+            raise UsageError("--show-schedule", what, "one frame: --set animation.frames=1")
         render_animation(
             loaded, outputs, stats, resume=resume, quiet=quiet, devices=list(devices) or None, memory_cap=memory_cap
         )
@@ -126,6 +136,7 @@ def _render_still(
     *,
     max_error: float | None,
     time_budget: float | None,
+    show_schedule: str | None,
 ) -> None:
     """Renders one picture and writes it to all ``outputs``. ``start``: when the command began (``perf_counter``)."""
     from clvol.cli.console import note, preparing, say_path, to_json, working
@@ -133,7 +144,8 @@ def _render_still(
     from clvol.image import atomic_paths
     from clvol.integrators.registry import integrator_of
 
-    others = [] if stats is None else [stats]
+    check_show_schedule(show_schedule, max_error, time_budget)
+    others = [path for path in (show_schedule, stats) if path is not None]
     check_outputs(outputs, others)
     integrator = integrator_of(scene)
     by_blocks, refines = integrator.reads_blocks, integrator.refines_in_time(scene) and time_budget is not None
@@ -144,6 +156,7 @@ def _render_still(
 
     from clvol.render import Renderer
 
+    schedule = None
     depth = any(path.lower().endswith(".exr") for path in outputs)
     size = f"{scene.image.width} x {scene.image.height} pixels"
     with working(f"rendering {size}", quiet) as progress:
@@ -168,11 +181,18 @@ def _render_still(
                 if reading is not None and progress is not None:
                     progress(None, None, f"rendering {size}")
                 frame = renderer.render(progress=progress, depth=depth, seconds=time_budget)
+                schedule = renderer.schedule
 
+    if show_schedule is not None and schedule is None:
+        raise UsageError("--show-schedule", "given for one device", "several: --device NAME --device NAME")
     with working("writing", quiet), atomic_paths([*outputs, *others]) as temporaries:
         write_start = time.perf_counter()
         for path, temporary in zip(outputs, temporaries):
             save_picture(frame, temporary, path)
+        if show_schedule is not None and schedule is not None:
+            from clvol.render.schedule_picture import save_schedule
+
+            save_schedule(schedule, (scene.image.width, scene.image.height), temporaries[len(outputs)])
         if stats is not None:
             end = time.perf_counter()
             seconds = dict(frame.stats.get("seconds", {}))
@@ -200,6 +220,31 @@ def check_still(outputs: tuple[str, ...], resume: bool) -> tuple[str, ...]:
             known = " or ".join(ENDINGS)
             raise UsageError(path, "a video of a single picture", f"{known}, or {expected}")
     return tuple(numbered(path, 0) for path in outputs)
+
+
+def measure_for_all(devices: tuple[str, ...], quiet: bool) -> None:
+    """Measures devices of one processor once, if "all" has to choose between them."""
+    if "all" not in (name.strip().lower() for name in devices):
+        return
+    from clvol.cli.console import working
+    from clvol.cli.trial import try_render
+    from clvol.opencl.devices import by_processor, keep_speeds, list_devices
+
+    for same in by_processor(list_devices()):
+        if len(same) > 1 and not all(report.speed for report in same):
+            with working("measuring the speed of devices", quiet):
+                keep_speeds({report.name: try_render(report.name).speed for report in same})
+
+
+def check_show_schedule(path: str | None, max_error: float | None, time_budget: float | None) -> None:
+    """Raises UsageError for a picture of the schedule that cannot be written."""
+    if path is None:
+        return
+    if not path.lower().endswith(".png"):
+        raise UsageError("--show-schedule", f"got {path!r}", "a file name that ends in .png")
+    for name, value in (("--max-error", max_error), ("--time-budget", time_budget)):
+        if value is not None:
+            raise UsageError("--show-schedule", f"given together with {name}", "one of the two")
 
 
 def check_targets(max_error: float | None, time_budget: float | None) -> None:

@@ -23,6 +23,7 @@ from clvol.store.codecs.working_values import LARGEST
 
 SPARE_BYTES = 64  # after the codes of a buffer: kernels read vectors that may end beyond the last block
 STAGING_BYTES = 16 * 2**20
+_SIDES = (1, 2, 4, 8, 16, 32)
 
 Stages: TypeAlias = "int | np.ndarray"
 """A limit of stages: of all blocks, or int [n], of each."""
@@ -76,7 +77,10 @@ class CodeDecoder:
         may only be decoded to it. VolumeError names the first block whose bytes are impossible."""
         self._check(coded, s, np.arange(len(coded)), stages)
         data, start = gathered(coded, np.arange(len(coded)))
-        return HeldCodes(self._context.upload(np.append(data, np.zeros(SPARE_BYTES, np.uint8))), start, s)
+        codes = self._context.empty(np.uint8, (len(data) + SPARE_BYTES,))
+        if len(data):
+            self._context.write(codes, data)
+        return HeldCodes(codes, start, s)
 
     def into_blocks(
         self,
@@ -89,6 +93,8 @@ class CodeDecoder:
         """Enqueues the decoding of ``blocks`` (numbers in ``held``) to samples [s, s, s] that begin at the elements
         ``places`` of ``voxels``, to a limit of ``stages``."""
         self._check_room(voxels, int(np.max(places, initial=0)) + (held.s**3 if len(blocks) else 0))
+        if (np.asarray(places) < 0).any():
+            raise RenderError(self.where, f"decoded to the place {np.min(places)}", "0 or more")
         extent = np.full((len(blocks), 4), held.s, np.int32)
         self._decode(held.codes, held.start[blocks], places, extent, voxels, stages)
 
@@ -140,6 +146,8 @@ class CodeDecoder:
             raise RenderError(self.where, f"block {fault} of a launch is of an unknown kind", "codes that were checked")
 
     def _check(self, coded: CodedBlocks, s: int, blocks: np.ndarray, stages: Stages) -> None:
+        if s not in _SIDES:
+            raise RenderError(self.where, f"blocks of {s} samples per axis", "one of " + ", ".join(map(str, _SIDES)))
         limits = np.broadcast_to(stages, blocks.shape)
         damaged = []
         for limit in np.unique(limits):

@@ -133,7 +133,7 @@ class CodeEncoder:
         packed = self.policy.packed
         chosen = self.kernels.choose(
             cut, odd, self.tables, self.codebooks.stages, np.repeat(lambdas, per_block), np.repeat(bounds, per_block),
-            self.policy.weight, packed, 8 * samples.voxels.dtype.itemsize, self.levels,
+            self.policy.weight, packed, 8 * samples.voxels.dtype.itemsize, self.levels, self.policy.beam,
         )  # fmt: skip
         found = chosen.found.astype(np.int64).reshape(k, per_block, 3)
         bits = found[:, :, 1].sum(axis=1) + 8 + (8 * ((per_block + 7) // 8) if cut.subs == 8 else 0)

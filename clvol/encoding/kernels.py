@@ -42,7 +42,7 @@ _CHOOSE = (
     value("levels", np.uint32),
     value("octants", np.int32),
     value("stages", np.int32),
-    writes("residual", np.int32, "octants", "subs", 64),
+    writes("residual", np.int32, "octants", "subs", "beam", 64),
     writes("depths", np.uint8, "octants", "subs"),
     writes("escapes", np.uint8, "octants", "subs"),
     writes("codes", np.uint8, "octants", "subs", MOST_STAGES),
@@ -135,7 +135,7 @@ class EncoderKernels:
         edge = work.shape[1]
         subs = 8 if edge >= 8 else 1
         octants = work.size // (64 * subs)
-        kernel = self.context.kernel("encode_codes.cl", "cut_blocks", _CUT, {"SIZE": 64, "SUBS": subs})
+        kernel = self.context.kernel("encode_codes.cl", "cut_blocks", _CUT, {"SIZE": 64, "SUBS": subs, "BEAM": 1})
         cut = self._kept("work", np.uint16, octants * subs * 64)
         means = self.context.output(np.uint8, (octants, subs + 1))
         flat = self.context.output(np.uint64, (octants, 2))
@@ -151,12 +151,12 @@ class EncoderKernels:
 
     def choose(
         self, cut: CutBlocks, odd: np.ndarray, tables: SearchTables, stages: int, lambdas: np.ndarray,
-        bounds: np.ndarray, weight: int, packed: int, raw_bits: int, levels: int,
+        bounds: np.ndarray, weight: int, packed: int, raw_bits: int, levels: int, beam: int,
     ) -> ChosenCodes:  # fmt: skip
         """Codes of what was cut last; arguments as in cl/encode_codes.cl."""
         n, subs = cut.octants, cut.subs
         context = self.context
-        kernel = context.kernel("encode_codes.cl", "choose_codes", _CHOOSE, {"SIZE": 64, "SUBS": subs})
+        kernel = context.kernel("encode_codes.cl", "choose_codes", _CHOOSE, {"SIZE": 64, "SUBS": subs, "BEAM": beam})
         outputs = {
             "depths": context.output(np.uint8, (n, subs)),
             "escapes": context.output(np.uint8, (n, subs)),
@@ -166,12 +166,12 @@ class EncoderKernels:
         }
         means, flat = cut.on_device
         kernel(
-            context.queue, (-(-n // 8),), (1,), sizes={"subs": subs},
+            context.queue, (-(-n // 8),), (1,), sizes={"subs": subs, "beam": beam},
             work=cut.work, means=means, flat=flat, odd=context.share(odd), codebook=tables.codebook,
             norms=tables.norms, entries=tables.entries, shifts=tables.shifts,
             lambdas=context.share(lambdas), bounds=context.share(bounds), weight=weight, packed=packed,
             raw_bits=raw_bits, levels=levels, octants=n, stages=stages,
-            residual=self._kept("residual", np.int32, n * subs * 64), **outputs,
+            residual=self._kept("residual", np.int32, n * subs * beam * 64), **outputs,
         )  # fmt: skip
         return ChosenCodes(**{name: context.take(array) for name, array in outputs.items()})
 

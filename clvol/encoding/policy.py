@@ -24,12 +24,14 @@ class Policy:
 
     D: sum of squared errors of decoded voxels, in steps of integer types or working values of floating-point types; R:
     bits. ``bound``: the largest error of any voxel in that unit; -1 if even the best working value may be further off
-    (blocks are then raw, or constant). ``raw``: whether blocks may be raw where that is not smaller.
+    (blocks are then raw, or constant). ``raw``: whether blocks may be raw where that is not smaller. ``beam``:
+    sequences of codes that the search keeps, 1, 2 or 4.
     """
 
     lagrangian: int = 1
     bound: int | None = None
     raw: bool = True
+    beam: int = 1
 
     @property
     def weight(self) -> int:
@@ -66,7 +68,7 @@ class Policy:
     @classmethod
     def from_json(cls, own: dict[str, Any]) -> Policy:
         bound = own["bound"]
-        return cls(int(own["lagrangian"]), None if bound is None else int(bound), bool(own["raw"]))
+        return cls(int(own["lagrangian"]), None if bound is None else int(bound), bool(own["raw"]), int(own["beam"]))
 
 
 def bound_of(share: float, values: WorkingValues, value_range: tuple[float, float]) -> int:

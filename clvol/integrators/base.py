@@ -105,6 +105,73 @@ class RefinesInTime(Protocol):
         ...
 
 
+@dataclass(frozen=True, eq=False)
+class PictureArrays:
+    """Where the devices that share a picture write it: ``rgba`` float32 [height, width, 4], ``depth`` float32
+    [height, width] or None."""
+
+    rgba: np.ndarray
+    depth: np.ndarray | None
+
+
+@dataclass(frozen=True, eq=False)
+class PartOfPicture:
+    """What rendering some tiles took: ``costs`` float64 [tiles], comparable between devices, and counts as in
+    ``FrameData``."""
+
+    costs: np.ndarray
+    samples: int
+    rays: int
+    counters: dict[str, int]
+
+
+class TiledPictureParts(Protocol):
+    """A picture on one of the devices that share it. Its tiles can be rendered in any order, stage after stage: a
+    stage begins once the one before is complete on all devices. ``notes``: as in ``FrameData``."""
+
+    notes: dict[str, Any]
+
+    @property
+    def tile(self) -> tuple[int, int]:
+        """Width and height in pixels of a tile."""
+
+    @property
+    def sizes(self) -> list[tuple[int, int]]:
+        """Width and height in pixels of the stages' pictures; that of the last is the picture's."""
+
+    @property
+    def stages(self) -> list[int]:
+        """Numbers of tiles of the stages."""
+
+    def expected_costs(self, stage: int) -> np.ndarray:
+        """float64 [tiles] > 0: relative costs."""
+        ...
+
+    def begin(self, stage: int, arrays: list[PictureArrays]) -> None:
+        """Begins a stage. ``arrays``: of all stages."""
+        ...
+
+    def render(self, stage: int, tiles: np.ndarray) -> PartOfPicture:
+        """Renders ``tiles`` (numbers); returns when they are done. RenderError if the device fails."""
+        ...
+
+    def end(self, stage: int, tiles: np.ndarray) -> None:
+        """Brings ``tiles``, rendered here, into the stage's arrays."""
+        ...
+
+
+@runtime_checkable
+class RendersParts(Protocol):
+    """A ``Prepared`` whose pictures can be shared by devices."""
+
+    def warm_up_parts(self, width: int, height: int, depth: bool = True) -> None:
+        """Compiles everything that parts of a picture of this size need."""
+
+    def parts(self, camera: Camera, width: int, height: int, depth: bool = True) -> TiledPictureParts | None:
+        """A picture to be rendered in parts; None if there is nothing to divide."""
+        ...
+
+
 T = TypeVar("T")
 
 

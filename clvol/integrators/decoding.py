@@ -7,6 +7,7 @@ import math
 from collections.abc import Hashable, Mapping
 from dataclasses import replace
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -35,13 +36,15 @@ from clvol.scene.resolve import ResolvedScene
 from clvol.store.codecs.coded_blocks import Codebooks, CodedBlocks
 from clvol.store.codecs.encoding import Trainer
 from clvol.store.geometry import BlockGrid
+from clvol.volume.volume import Volume
 from clvol.volume.voxel_layout import device_bytes
 
-_KEPT_CODES, _KEPT_VOXELS = 12, 3  # volumes
+_KEPT_CODES, _KEPT_VOXELS = 12, 3  # of a volume, and decoded volumes of a device
 
 _ROUNDING = 1 + 1e-9  # of the range and the bound in double precision
 
 _log = logging.getLogger(__name__)
+_known: WeakKeyDictionary[Volume, dict[Hashable, CodedVolume]] = WeakKeyDictionary()
 
 
 def check_decoding(resolved: ResolvedScene, integrator: Integrator) -> None:
@@ -58,19 +61,24 @@ def codes_of(
 ) -> CodedVolume | None:
     """The scene's volume as codes, made (or read, from a store of codes) once; None for a scene without compression.
 
-    Codes are kept by what they depend on: the volume, the codec, its target and the seed, and where they are weighted
-    by it, the transfer function. ``decode``: whether the
-    decoded voxels, which are needed once to measure their error, are kept, too.
+    Codes live as long as their volume, for all devices and Renderers, and are kept by what else they depend on: the
+    codec, its target and the seed, and where they are weighted by it, the transfer function. ``decode``: the decoded
+    voxels, which are needed once to measure their error, are kept for the device.
     """
     if not is_compressed(resolved):
         return None
     compression, volume = resolved.compression, resolved.volume
-    key: Hashable = volume, compression.codec, compression.target, compression.seed
+    key: tuple[Hashable, ...] = compression.codec, compression.target, compression.seed
     if compression.weighting != "even":
-        key = key, resolved.transfer_function, resolved.background.tobytes()
-    if coded_source(volume) is not None:
-        return shared.keep("codes", volume, lambda: stored_codes(volume), _KEPT_CODES)
-    return shared.keep("codes", key, lambda: _encoded(resolved, shared, progress, decode), _KEPT_CODES)
+        key += resolved.transfer_function, resolved.background.tobytes()
+    kept = _known.setdefault(volume, {})
+    if key not in kept:
+        is_stored = coded_source(volume) is not None
+        codes = stored_codes(volume) if is_stored else _encoded(resolved, shared, progress, decode)
+        while len(kept) >= _KEPT_CODES:
+            kept.pop(next(iter(kept)), None)
+        kept[key] = codes
+    return kept[key]
 
 
 def decoded_voxels(codes: CodedVolume, shared: Shared) -> DecodedVolume:

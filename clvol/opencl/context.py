@@ -23,7 +23,7 @@ from clvol.limits import check_room_for_opencl
 from clvol.opencl.arguments import Argument, known_sizes
 from clvol.opencl.binding import cl
 from clvol.opencl.build import build_file, keep_programs
-from clvol.opencl.devices import report_of
+from clvol.opencl.devices import device_name
 from clvol.opencl.forks import check_fork, is_forked, opencl_used
 
 
@@ -101,6 +101,7 @@ def restore_interrupts() -> None:
             signal.signal(signal.SIGINT, handler)
 
 
+_PAGE = 4096
 _KEPT, _LARGEST_KEPT = 6, 64 * 2**20  # number of outputs kept for reuse, and bytes of the largest
 
 
@@ -113,8 +114,7 @@ class DeviceContext:
         check_room_for_opencl(loaded=True)
         opencl_used()
         self.device = device
-        report = report_of(device)
-        self.name = report.name if report is not None else device.name.strip()
+        self.name = device_name(device)
         self.is_cpu = bool(device.type & cl.device_type.CPU)
         self.has_double = "cl_khr_fp64" in device.extensions.split()
         self.compile_seconds = 0.0
@@ -196,12 +196,15 @@ class DeviceContext:
         """An uninitialised array on the device."""
         return self._buffer(cl.mem_flags.READ_WRITE, np.dtype(dtype), tuple(shape), None)
 
-    def output(self, dtype: Any, shape: Sequence[int]) -> DeviceArray:
+    def output(self, dtype: Any, shape: Sequence[int], host: np.ndarray | None = None) -> DeviceArray:
         """An array that a kernel writes and ``take`` then returns: on a CPU device the kernel
-        writes directly into host memory."""
+        writes directly into host memory; into ``host``, if given (``shared_array``)."""
         check_fork()
         if not self.is_cpu:
             return self.empty(dtype, shape)
+        if host is not None:
+            flags = cl.mem_flags.READ_WRITE | cl.mem_flags.USE_HOST_PTR
+            return self._buffer(flags, host.dtype, host.shape, host)
         key = (np.dtype(dtype), tuple(shape))
         for output, references in self._outputs:
             # The output is free if nothing else refers to it, since its last picture was dropped. Fresh memory would
@@ -297,6 +300,15 @@ class DeviceContext:
             raise DeviceError(self.name, what, "a smaller volume or image") from None
         keeps = host if flags & cl.mem_flags.USE_HOST_PTR else None
         return DeviceArray(buffer, dtype, shape, keeps)
+
+
+def shared_array(shape: Sequence[int], dtype: Any) -> np.ndarray:
+    """An array into which several CPU devices can write without copies, since it begins at a page."""
+    dtype = np.dtype(dtype)
+    nbytes = int(np.prod(shape, dtype=np.int64)) * dtype.itemsize
+    raw = np.empty(nbytes + _PAGE, np.uint8)
+    first = -raw.ctypes.data % _PAGE
+    return raw[first : first + nbytes].view(dtype).reshape(shape)
 
 
 def compile_options(switches: Mapping[str, int]) -> tuple[str, ...]:

@@ -17,7 +17,7 @@ from clvol.opencl.notices import notice
 from clvol.opencl.program_store import EACH_TIME
 from clvol.opencl.reports import DeviceReport, Findings, Icd
 
-_FORMAT = 2  # version of the cache file's format
+_FORMAT = 3  # version of the cache file's format
 _KEPT = 16  # cache files kept in the folder
 _VENDORS = "OCL_ICD_VENDORS"
 # Environment variables that change what a platform lists or how it behaves start like this.
@@ -117,7 +117,7 @@ def read_cache(key: str) -> Findings | None:
 _FIELD_TYPES = {
     "name": str, "platform": str, "platform_version": str, "device": str, "driver": str,
     "type": str, "reason": str, "working": bool, "device_index": int, "global_memory": int, "max_buffer": int,
-    "compute_units": int, "fp64": bool,
+    "compute_units": int, "fp64": bool, "speed": float,
 }
 
 

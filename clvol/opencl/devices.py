@@ -10,6 +10,8 @@ only the first run after a change pays for it.
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from clvol.errors import DeviceError
@@ -90,6 +92,85 @@ def open_device(name: str | None = None) -> pyopencl.Device:
                       "a fresh process that makes no OpenCL call of its own first")
 
 
+def open_devices(name: str | None = None) -> list[pyopencl.Device]:
+    """The devices that ``name`` means: as for ``open_device``, or "all", or "NAME:k/n", the k-th (from 1) of n parts of
+    a device with as many compute units each.
+
+    "all" takes one device per processor, the fastest as far as speeds are known (``keep_speeds``), since the runtimes
+    of one processor share its cores. Raises
+    :class:`clvol.errors.DeviceError`.
+    """
+    if name is None:
+        return [open_device()]
+    if name.strip().lower() == "all":
+        return [open_device(report.name) for report in one_per_processor(list_devices())]
+    whole, slash, parts = name.rpartition(":")
+    if slash and "/" in parts:
+        return [_part_of_device(whole, parts, name)]
+    return [open_device(name)]
+
+
+def one_per_processor(reports: list[DeviceReport]) -> list[DeviceReport]:
+    """Of the working devices that are the same processor, the fastest; the first where a speed is not known. CPUs are
+    one processor; other devices are told apart by their names and numbers."""
+    return [_fastest(same) for same in by_processor(reports)]
+
+
+def by_processor(reports: list[DeviceReport]) -> list[list[DeviceReport]]:
+    """The working devices, those of one processor together, best first."""
+    found: dict[tuple, list[DeviceReport]] = {}
+    for report in sorted((r for r in reports if r.working), key=rank):
+        is_cpu = report.type.upper() == "CPU"
+        found.setdefault(("CPU",) if is_cpu else (report.device, report.device_index), []).append(report)
+    return list(found.values())
+
+
+def _fastest(reports: list[DeviceReport]) -> DeviceReport:
+    return max(reports, key=lambda report: report.speed) if all(r.speed for r in reports) else reports[0]
+
+
+def keep_speeds(speeds: Mapping[str, float]) -> None:
+    """Keeps the measured speeds of devices (by name, in samples per second) with what the probe found."""
+    global _found
+    if _found is None or not any(speeds.values()):
+        return
+    reports = [replace(report, speed=speeds.get(report.name) or report.speed) for report in _found.reports]
+    _found = replace(_found, reports=reports)
+    device_cache.write_cache(device_cache.cache_key(platforms_wanted()[0], ORIGINAL_VENDORS), _found)
+
+
+_parts: dict[tuple[int, str], tuple[list[pyopencl.Device], str]] = {}  # they must not be made twice
+
+
+def _part_of_device(whole: str, parts: str, name: str) -> pyopencl.Device:
+    expected = "NAME:k/n with whole numbers 1 <= k <= n, such as pocl:1/2"
+    number, _, count = parts.partition("/")
+    if not (number.isdecimal() and count.isdecimal() and 1 <= int(number) <= int(count)):
+        raise DeviceError(f'device "{name}"', "not a part of a device", expected)
+    device = open_device(whole)
+    units = int(device.max_compute_units)
+    each = units // int(count)
+    if not each:
+        raise DeviceError(f'device "{name}"', f"{whole} has {units} compute units", f"at most {units} parts")
+    key = device.int_ptr, count
+    if key not in _parts:
+        try:
+            made = device.create_sub_devices([cl.device_partition_property.EQUALLY, each])  # type: ignore[list-item]
+        except cl.Error as error:
+            raise DeviceError(f'device "{name}"', f"{whole} cannot be divided ({error})", "a whole device") from None
+        _parts[key] = made[: int(count)], count
+    return _parts[key][0][int(number) - 1]
+
+
+def device_name(device: pyopencl.Device) -> str:
+    """The name by which a user requests ``device``."""
+    for made, count in _parts.values():
+        if device in made:
+            return f"{device_name(device.parent_device)}:{made.index(device) + 1}/{count}"
+    report = report_of(device)
+    return report.name if report is not None else device.name.strip()
+
+
 def pin_threads() -> None:
     """Makes PoCL keep each of its threads on one core, unless the environment says otherwise.
 
@@ -132,6 +213,8 @@ def select(reports: list[DeviceReport], name: str | None = None) -> list[DeviceR
 def report_of(device: pyopencl.Device) -> DeviceReport | None:
     """The report of an opened device, or None for a device that :func:`list_devices` does not list."""
     platform = device.platform
+    if device not in platform.get_devices():  # a part of one
+        return None
     for report in list_devices():
         if ((platform.name, platform.version) == (report.platform, report.platform_version)
                 and _is(device, report)

@@ -33,6 +33,7 @@ class DeviceReport:
     working: bool = False
     reason: str = ""
     device_index: int = -1  # within its platform
+    speed: float = 0.0  # samples per second, as measured once; 0 if it was not
 
 
 @dataclass(frozen=True)

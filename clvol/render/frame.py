@@ -48,7 +48,7 @@ def make_frame(
     depth: np.ndarray | None,
     seconds: dict[str, float],
     counted: dict[str, Any],
-    device: str,
+    devices: list[str],
     made_from: Callable[[], dict[str, Any]] | None = None,
 ) -> Frame:
     """A frame of ``resolved`` with stats: ``seconds`` by stage (a missing stage took no time) and
@@ -60,7 +60,7 @@ def make_frame(
     stats = {
         "seconds": {**stages, "total": sum(stages.values())},
         **{name: value for name, value in counted.items() if name != "seconds"},
-        "devices": [device],
+        "devices": list(devices),
         "effects": called_for(resolved),
         "method": resolved.integration.method,
     }

@@ -50,6 +50,12 @@ class Notices:
             self._tell(warning)
         return {"warnings": [str(warning) for warning in found]} if found else {}
 
+    def of_devices(self, lost: dict[str, str | None], left: list[str]) -> None:
+        """Warns once of each device that failed: ``lost``, by name with the reason; ``left``: those that work."""
+        for name, reason in lost.items():
+            what = f"failed and is left out from now on ({reason})"
+            self._tell(ClvolWarning(f"device {name}", what, f"nothing: {' and '.join(left)} did its work"))
+
     def _tell(self, warning: ClvolWarning) -> None:
         # One cause is reported once, although its numbers may differ from frame to frame.
         cause = warning.where, warning.what.partition(":")[0]

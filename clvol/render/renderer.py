@@ -1,4 +1,4 @@
-"""Renderer: a scene made resident on a device, which is rendered any number of times."""
+"""Renderer: a scene made resident on one or several devices, which is rendered any number of times."""
 
 from __future__ import annotations
 
@@ -13,12 +13,13 @@ from weakref import WeakSet
 
 from clvol.device.fields import field_bytes
 from clvol.device.light_volume import light_volume_bytes
-from clvol.errors import RenderError, UsageError, VolumeError
+from clvol.errors import DeviceError, RenderError, UsageError, VolumeError
 from clvol.integrators.base import FrameData, Prepared, Progress, RefinesInTime
 from clvol.integrators.registry import check_scene, integrator_of
 from clvol.opencl.context import DeviceContext
-from clvol.opencl.devices import open_device
+from clvol.opencl.devices import device_name, open_devices
 from clvol.opencl.forks import check_fork, is_forked
+from clvol.render.device_group import DeviceGroup, Member, Schedule
 from clvol.render.frame import Frame, make_frame
 from clvol.render.made_from import MadeFrom
 from clvol.render.notices import Notices
@@ -34,22 +35,51 @@ if TYPE_CHECKING:
 
 
 @dataclass
-class _OnDevice:
-    """What an open Renderer has on its device; ``prepared`` is the scene that is rendered now."""
+class _OnDevices:
+    """What an open Renderer has on its devices; each member's ``prepared`` is the scene that is rendered now."""
 
-    context: DeviceContext
-    cache: PreparedCache
-    prepared: Prepared
+    members: list[Member]
+    group: DeviceGroup
+
+    @property
+    def prepared(self) -> Prepared:
+        """The scene on the fastest device."""
+        prepared = self.group.alive[0].prepared
+        assert prepared is not None
+        return prepared
+
+    @property
+    def cache(self) -> PreparedCache:
+        """That of the fastest device."""
+        return self.group.alive[0].cache
+
+    def prepare(self, resolved: ResolvedScene, progress: Progress | None = None, wait: bool | None = None) -> None:
+        """Makes ``resolved`` the scene that is rendered, on all devices. Devices that fail are left out; the error of
+        the last one is raised."""
+        for member in self.group.alive:
+            try:
+                member.prepared = member.cache.prepare(resolved, progress, wait)
+            except (RenderError, DeviceError, VolumeError) as error:
+                if len(self.members) == 1:
+                    raise
+                self.group.lose(member, error)
+
+    def close(self) -> None:
+        self.group.close()
+        for member in self.members:
+            member.cache.close()
+            member.context.release()
 
 
 class Renderer:
     """Keeps a scene's volume, tables and programs on a device.
 
-    ``scene``: a ``clvol.Scene`` (or one already resolved). ``devices``: names as in ``clvol doctor``, or
-    pyopencl devices; None takes the default one. ``memory_cap``: bytes that the scene may take on the
-    device; a scene that needs more is refused before anything is uploaded. ``progress(done, total)`` is called
-    while voxels are encoded ([compression]), and while the blocks of the method "multiresolution" are read. Use the
-    Renderer as a context manager, or call ``close``.
+    ``scene``: a ``clvol.Scene`` (or one already resolved). ``devices``: names as in ``clvol doctor`` ("all", and
+    "NAME:k/n" for the k-th of n equal parts of a device, too), or pyopencl devices; None takes the default one.
+    Several devices share each picture; one that fails is left out, with a warning. ``memory_cap``: bytes that the
+    scene may take on a device; a scene that needs more is refused before anything is uploaded.
+    ``progress(done, total)`` is called while voxels are encoded ([compression]), and while the blocks of the method
+    "multiresolution" are read. Use the Renderer as a context manager, or call ``close``.
 
     Several threads may call a Renderer: they take turns, and each gets the picture that it requested. A transfer
     function that one of them sets holds for all. A call from inside the Renderer's own ``progress`` raises
@@ -76,19 +106,18 @@ class Renderer:
         check_memory(self.resolved, memory_cap)
         self._first_time = self.resolved.animation.time
         loaded = perf_counter()
-        context = open_context(devices)
         self._provenances: WeakSet[MadeFrom] = WeakSet()
-        cache = PreparedCache(context)
+        members = [Member(context, PreparedCache(context)) for context in open_contexts(devices)]
+        on_devices = _OnDevices(members, DeviceGroup(members))
         try:
-            prepared = cache.prepare(self.resolved, progress)
+            on_devices.prepare(self.resolved, progress)
         except BaseException:
-            cache.close()
-            context.release()
+            on_devices.close()
             raise
-        self._on_device: _OnDevice | None = _OnDevice(context, cache, prepared)
+        self._on_device: _OnDevices | None = on_devices
         self._notices = Notices(self.resolved)
         self._load_seconds = loaded - start
-        self._prepare_seconds = perf_counter() - loaded - context.compile_seconds
+        self._prepare_seconds = perf_counter() - loaded - sum(m.context.compile_seconds for m in members)
 
     def __enter__(self) -> Renderer:
         return self
@@ -105,8 +134,7 @@ class Renderer:
             for provenance in list(self._provenances):  # frames that are still in use need not hold the volume
                 provenance()
             if self._on_device is not None:
-                self._on_device.cache.close()
-                self._on_device.context.release()
+                self._on_device.close()
             self._on_device = None
 
     @contextmanager
@@ -123,7 +151,7 @@ class Renderer:
                 self._is_busy = False
 
     @contextmanager
-    def _turn(self) -> Iterator[_OnDevice]:
+    def _turn(self) -> Iterator[_OnDevices]:
         """As ``_alone``, for a Renderer that is open."""
         with self._alone():
             if self._on_device is None:
@@ -150,12 +178,12 @@ class Renderer:
         estimated from the rays. At least one ray per tile is cast, and blocks that the view lacks are read,
         however long that takes. UsageError for another method.
         """
-        with self._turn() as on_device:
-            return self._render(on_device, camera, progress, depth, time, seconds)
+        with self._turn() as on_devices:
+            return self._render(on_devices, camera, progress, depth, time, seconds)
 
     def _render(
         self,
-        on_device: _OnDevice,
+        on_devices: _OnDevices,
         camera: Camera | None,
         progress: Progress | None,
         depth: bool,
@@ -172,26 +200,38 @@ class Renderer:
             camera = resolved.camera
         else:
             camera = camera.complete(resolved.volume.grid, resolved.image)
-        self._move_to(on_device, self._first_time if time is None else float(time), camera)
-        prepared, context = on_device.prepared, on_device.context
+        self._move_to(on_devices, self._first_time if time is None else float(time), camera)
+        group = on_devices.group
         compile_start = perf_counter()
-        before = context.compile_seconds
+        before = sum(member.context.compile_seconds for member in group.alive)
         if seconds is None:
-            prepared.warm_up(width, height, depth)
+            group.warm_up(width, height, depth)
         else:
-            _refining(prepared).warm_up_for_time(depth)
+            _refining(on_devices.prepared).warm_up_for_time(depth)
         compile_seconds = before + perf_counter() - compile_start
-        context.compile_seconds = 0.0
+        for member in group.alive:
+            member.context.compile_seconds = 0.0
         start = perf_counter()
-        if seconds is None:
-            data = prepared.render(camera, width, height, progress, depth)
+        if seconds is not None:
+            data = _refining(on_devices.prepared).render_for_time(
+                camera, width, height, progress, depth, seconds=seconds
+            )
+        elif len(on_devices.members) == 1:
+            data = on_devices.prepared.render(camera, width, height, progress, depth)
         else:
-            data = _refining(prepared).render_for_time(camera, width, height, progress, depth, seconds=seconds)
+            data = group.render(camera, width, height, progress, depth)
         times = {"compile": compile_seconds, "render": perf_counter() - start}
-        counted = on_device.cache.compression(self.resolved, data.notes.get("blocks"))
+        names = [member.context.name for member in on_devices.members if member.lost is None]
+        self._notices.of_devices({m.context.name: m.lost for m in on_devices.members if m.lost is not None}, names)
+        counted = on_devices.cache.compression(self.resolved, data.notes.get("blocks"))
         for name, value in _counted(data).items():
             counted[name] = counted["compression"] | value if name == "compression" else value
-        return self._frame(context.name, camera, data.rgba, data.depth, times, counted)
+        return self._frame(names, camera, data.rgba, data.depth, times, counted)
+
+    @property
+    def schedule(self) -> Schedule | None:
+        """Who rendered what of the last frame; None before the first, and for a Renderer with one device."""
+        return None if self._on_device is None else self._on_device.group.schedule
 
     def set_transfer_function(self, function: TransferFunction, wait: bool = True) -> None:
         """Sets another transfer function for the frames to come; compiles nothing, and keeps the volume.
@@ -200,15 +240,15 @@ class Renderer:
         ``wait`` False a thread reads them, and frames show those that are there: their
         ``stats["blocks"]["pending"]`` is the number of blocks still to come.
         """
-        with self._turn() as on_device:
+        with self._turn() as on_devices:
             function = self.resolved.in_stored_values(function)
             resolved = replace(self.resolved, transfer_function=function)
             check_scene(resolved)  # a blank scene may hide effects that this one has
-            on_device.prepared = on_device.cache.prepare(resolved, wait=wait)
+            on_devices.prepare(resolved, wait=wait)
             self.resolved = resolved
             self._notices.of_scene(resolved)
 
-    def _move_to(self, on_device: _OnDevice, time: float, camera: Camera) -> None:
+    def _move_to(self, on_devices: _OnDevices, time: float, camera: Camera) -> None:
         """Prepares the scene for ``time`` and ``camera``: which effects have a consequence may depend on both."""
         resolved = self.resolved
         is_new_time = time != resolved.animation.time
@@ -216,12 +256,12 @@ class Renderer:
             animation = resolved.animation.model_copy(update={"time": time})
             resolved = replace(resolved, animation=animation)
         if is_new_time or resolved.depth_cue:
-            on_device.prepared = on_device.cache.prepare(replace(resolved, camera=camera))
+            on_devices.prepare(replace(resolved, camera=camera))
         self.resolved = resolved  # only once it is prepared
 
     def _frame(
         self,
-        device: str,
+        devices: list[str],
         camera: Camera,
         rgba: np.ndarray,
         depth: np.ndarray | None,
@@ -234,7 +274,7 @@ class Renderer:
         counted |= self._notices.of_picture(self.resolved, camera, rgba, depth, counted.get("compression"))
         made_from = MadeFrom(self.resolved, camera)
         self._provenances.add(made_from)
-        return make_frame(self.resolved, rgba, depth, seconds, counted, device, made_from)
+        return make_frame(self.resolved, rgba, depth, seconds, counted, devices, made_from)
 
 
 def _refining(prepared: Prepared) -> RefinesInTime:
@@ -268,15 +308,23 @@ def check_memory(resolved: ResolvedScene, cap: int | None) -> None:
         raise VolumeError(volume.name or "volume", what, expected)
 
 
-def open_context(devices: Sequence[Any] | None) -> DeviceContext:
-    """The one device that is requested, opened. UsageError for several, DeviceError for none."""
+def open_contexts(devices: Sequence[Any] | None) -> list[DeviceContext]:
+    """The devices that are requested, opened; the default one if there are none. DeviceError for one that does not
+    work."""
     if isinstance(devices, str) or (devices is not None and not isinstance(devices, Sequence)):
         devices = [devices]
-    if devices is not None and len(devices) > 1:
-        raise UsageError("devices", f"got {len(devices)}", "one device: a picture is made on one")
-    chosen = devices[0] if devices else None
-    device = open_device(chosen) if chosen is None or isinstance(chosen, str) else chosen
-    return DeviceContext(device)
+    opened: list[Any] = []
+    for each in devices or [None]:
+        opened += open_devices(each) if each is None or isinstance(each, str) else [each]
+    twice = [device for k, device in enumerate(opened) if device in opened[:k]]
+    if twice:
+        raise UsageError("devices", f"the device {device_name(twice[0])!r} twice", "each device once")
+    return [DeviceContext(device) for device in opened]
+
+
+def open_context(devices: Sequence[Any] | None) -> DeviceContext:
+    """The first of the devices that are requested, opened."""
+    return open_contexts(devices if devices is None or isinstance(devices, str) else list(devices)[:1])[0]
 
 
 def _counted(data: FrameData) -> dict[str, Any]:

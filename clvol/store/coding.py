@@ -168,6 +168,12 @@ class Coding:
 
     def make(self, box: np.ndarray, where: tuple[int, int, int]) -> CodedRegion:
         """The codes of the region ``box`` [z, y, x] of original voxels, which begins at voxel ``where``."""
+        try:
+            return self._made(box, where)
+        except ValueError as error:  # would be taken for one of tensorstore's
+            raise RenderError(_place(0, where), f"encoding failed: {error}", "voxels that can be encoded") from error
+
+    def _made(self, box: np.ndarray, where: tuple[int, int, int]) -> CodedRegion:
         layout = self.layout
         reduce = majorities if self._trainer is None else resolutions
         made = reduce(box.astype(layout.dtype, copy=False), layout.blocks.levels)
@@ -265,7 +271,7 @@ def _difference(original: np.ndarray, decoded: np.ndarray) -> tuple[float, float
         off = np.subtract(decoded, original, dtype=np.int32)
         largest = float(max(int(off.max()), -int(off.min())))
         flat = off.astype(np.float64).ravel()  # sums are below 2^53, and exact
-        return float(flat @ flat), largest, off.size
+        return float(np.einsum("i,i->", flat, flat)), largest, off.size
     finite = np.isfinite(original)
     if finite.all():
         flat = np.subtract(decoded, original, dtype=np.float64).ravel()

@@ -10,7 +10,7 @@ from clvol.store.codecs.coded_blocks import CONSTANT, RAW, CodedBlocks
 from clvol.store.codecs.encoding import Training
 from clvol.store.codecs.labels import encode_labels, label_codebooks
 
-_RAW = "raw"  # of a policy: all blocks are stored as they are
+_WITHOUT_CODES = "without_codes"  # of a policy: all blocks are stored as they are
 
 
 class LabelEncoder:
@@ -48,12 +48,12 @@ def without_codes(training: Training) -> Training:
     books = training.codebooks
     stages = 0 if books.codec == "rvq" else books.stages
     empty = replace(books, entries=np.zeros_like(books.entries[:stages]), shifts=books.shifts[:stages])
-    return Training(empty, {**training.policy, _RAW: True})
+    return Training(empty, {**training.policy, _WITHOUT_CODES: True})
 
 
 def is_without_codes(training: Training) -> bool:
     """Whether ``training`` is one of ``without_codes``."""
-    return training.policy.get(_RAW) is True
+    return training.policy.get(_WITHOUT_CODES) is True
 
 
 def raw_block(block: np.ndarray) -> np.ndarray:

@@ -10,7 +10,7 @@ from helpers.small_scenes import SMOOTH, waves
 from clvol import Scene, Volume, render_in_time, render_to_error
 from clvol.accuracy.ground_truth import GroundTruth
 from clvol.accuracy.metrics import compare
-from clvol.accuracy.settings import apply, canonical, scene_tunables
+from clvol.accuracy.settings import apply, canonical, label, scene_tunables
 from clvol.accuracy.tradeoff import measure_tradeoff
 from clvol.integrators import decoding
 from clvol.integrators.reference.picture import render_reference
@@ -50,6 +50,7 @@ def test_a_target_has_no_effect_without_the_codec():
     settings = {"compression.codec": "none", "compression.psnr": 54.0}
     assert canonical(resolved, tunables, settings) == {"compression.codec": "none", "compression.psnr": 44.0}
     assert apply(resolved, settings).compression.codec == "none"
+    assert label({k: tunables[k] for k in settings}, settings, resolved) == "codec none"
 
 
 def test_an_error_is_held_with_codes(device):

@@ -85,6 +85,7 @@ class StubRenderer:
     fails_at: float | None = None
     calls: list[tuple] = []
     rendered: list[tuple] = []
+    schedule = None
 
     def __init__(self, scene, devices=None, memory_cap=None, progress=None):
         self.resolved = scene.resolve()

@@ -58,15 +58,26 @@ def test_it_tells_which_cache_is_in_use_and_what_is_wrong_with_it(doctor, tmp_pa
     assert told["cache"]["problems"] == ["cache /x: damaged"] and "cache /x: damaged" in text
 
 
+def test_it_says_how_fast_devices_are(doctor, monkeypatch):
+    from clvol.opencl import devices
+
+    kept = {}
+    monkeypatch.setattr(devices, "keep_speeds", kept.update)
+    _, told, text = doctor({"pocl": Trial(speed=1e8), "intel": Trial(speed=1.25e8)})
+    assert [d["speed"] for d in told["devices"]] == [1e8, 1.25e8]
+    assert "100 million samples per second" in text and kept == {"pocl": 1e8, "intel": 1.25e8}
+
+
 def test_a_small_picture_comes_out_of_every_device(device):
-    assert try_render(report_of(device).name) == Trial("", {})
+    trial = try_render(report_of(device).name)
+    assert (trial.reason, trial.notices) == ("", {}) and trial.speed > 0
 
 
 def test_modules_in_the_working_folder_are_none_of_ours(tmp_path, monkeypatch, device):
     for name in ("json", "runpy", "numpy", "clvol"):
         (tmp_path / f"{name}.py").write_text("raise SystemExit('not this one')")
     monkeypatch.chdir(tmp_path)
-    assert try_render(report_of(device).name) == Trial("", {})
+    assert try_render(report_of(device).name).reason == ""
 
 
 @pytest.mark.parametrize("code, expected", [

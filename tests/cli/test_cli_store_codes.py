@@ -10,7 +10,7 @@ import pytest
 
 from clvol.store.zarr_store import open_store
 
-SHAPE = (40, 50, 60)
+SHAPE = (64, 80, 100)  # large enough for codebooks to pay
 
 
 @pytest.fixture
@@ -52,6 +52,7 @@ def test_both_devices_write_the_same_bytes(run, folder, volume, each_device):
     name = each_device.platform.name
     outcome = run("store", "v.npy", "-o", "other", "--codec", "rvq", "--psnr", 40, "--device", name)
     assert outcome.status == 0, outcome.err
+    assert open_store(folder / "other").codebooks.stages > 0
     for file in (folder / "default").rglob("*"):
         if file.is_file():
             assert file.read_bytes() == (folder / "other" / file.relative_to(folder / "default")).read_bytes()

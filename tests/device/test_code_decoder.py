@@ -187,6 +187,11 @@ def test_what_does_not_fit_is_refused(device, contexts):
         with pytest.raises(RenderError, match="outside the volume"):
             decoder.into_volume(held, np.array([0]), volume, np.array([corner]))
     decoder.into_blocks(held, np.zeros(0, np.int64), volume, np.zeros(0, np.int64))
+    decoder.hold(packed([]), 8)
+    with pytest.raises(RenderError, match="to the place -1, expected 0 or more"):
+        decoder.into_blocks(held, np.arange(2), context.empty(np.uint8, (1024,)), np.array([-1, 512]))
+    with pytest.raises(RenderError, match="blocks of 12 samples per axis, expected one of 1, 2, 4"):
+        decoder.hold(packed(blocks), 12)
 
 
 def test_groups_of_work_items_decode_the_same(device, contexts, monkeypatch):

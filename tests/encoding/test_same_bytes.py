@@ -29,7 +29,8 @@ def test_the_twin_makes_the_same_bytes(context, codec, dtype, target):
             assert mine == encoded_block(block, training), (edge, k)
 
 
-POLICIES = (Policy(1), Policy(300), Policy(40000), Policy(1 << 20), Policy(bound=0), Policy(bound=2), Policy(bound=300))
+POLICIES = (Policy(1), Policy(300), Policy(40000), Policy(1 << 20), Policy(bound=0), Policy(bound=2), Policy(bound=300),
+            Policy(900, beam=4), Policy(bound=3, beam=2), Policy(bound=250, beam=4))  # fmt: skip
 
 
 @pytest.mark.parametrize("dtype", TYPES)

@@ -54,7 +54,7 @@ class StubTrainer:
         bound = None
         if target.max_voxel_error is not None:
             bound = target.max_voxel_error * (value_range[1] - value_range[0])
-        return Training(books, {"bound": bound})
+        return Training(books, {"bound": bound, "raw": True})  # a key that encoders have
 
     def encoder(self, training: Training) -> StubEncoder:
         return StubEncoder(training)

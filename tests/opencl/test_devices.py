@@ -373,3 +373,29 @@ def test_threads_are_pinned_unless_something_was_said(monkeypatch, said):
     monkeypatch.setattr(os, "sched_getaffinity", lambda pid: {0} if os.cpu_count() > 1 else set())
     devices.pin_threads()
     assert "POCL_AFFINITY" not in os.environ
+
+
+def test_one_device_per_processor_the_fastest_as_far_as_is_known():
+    from clvol.opencl.devices import one_per_processor
+    from clvol.opencl.reports import DeviceReport
+
+    def cpu(name: str, platform: str, speed: float) -> DeviceReport:
+        return DeviceReport(name, platform, "cpu", working=True, type="CPU", speed=speed)
+
+    gpus = [DeviceReport(f"gpu:{k}", "GPUs", "gpu", working=True, type="GPU", device_index=k) for k in range(2)]
+    broken = DeviceReport("broken", "Broken", "gpu", type="GPU")
+    for pocl, intel, expected in ((1e8, 2e8, "intel"), (2e8, 1e8, "pocl"), (0.0, 2e8, "pocl")):
+        reports = [cpu("intel", "Intel(R) OpenCL", intel), cpu("pocl", "Portable Computing Language", pocl)]
+        found = one_per_processor([*reports, broken, *gpus])
+        assert [report.name for report in found] == [expected, "gpu:0", "gpu:1"]
+
+
+def test_speeds_are_kept_with_the_probe(monkeypatch, tmp_path, device):
+    from clvol.opencl import devices
+
+    name = devices.report_of(device).name
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(devices, "_found", devices._found)
+    devices.keep_speeds({name: 1.5e8})
+    monkeypatch.setattr(devices, "_found", None)
+    assert next(r for r in devices.list_devices() if r.name == name).speed == 1.5e8

@@ -18,10 +18,10 @@ def encoded_block(samples: np.ndarray, training, weight: float = 1.0) -> bytes:
     return _Block(samples, training, weight).bytes()
 
 
-def nearest(residual: np.ndarray, entries: np.ndarray, shift: int) -> int:
-    """The code of the nearest codeword, the lowest of equally near ones; residuals are clipped to what codewords have,
-    and compared in quarters of 1 << shift (vectors of 8 samples: in 32nds). Codewords of zeros count as unused, but for
-    code 0."""
+def nearest(residual: np.ndarray, entries: np.ndarray, shift: int, count: int = 1) -> list:
+    """The codes of the ``count`` nearest codewords, no two of them alike modulo 16; the lowest of equally near ones.
+    Residuals are clipped to what codewords have, and compared in quarters of 1 << shift (vectors of 8 samples: in
+    32nds). Codewords of zeros count as unused, but for code 0."""
     residual, parts = residual.astype(np.int64), 32 if len(residual) == 8 else 4
     step = 1 << shift
     compared = (residual - 1) // (step // parts) if step > parts else residual * (parts // step)
@@ -31,7 +31,8 @@ def nearest(residual: np.ndarray, entries: np.ndarray, shift: int) -> int:
     unused = ~words.any(axis=1)
     unused[0] = False
     scores[unused] = -(1 << 40)
-    return int(np.argmax(scores))
+    lanes = [max(range(lane, ENTRIES, 16), key=lambda code: (scores[code], -code)) for lane in range(16)]
+    return sorted(lanes, key=lambda code: (-scores[code], code))[:count]
 
 
 class _Block:
@@ -40,6 +41,7 @@ class _Block:
         self.books, policy = training.codebooks, training.policy
         self.values = self.books.values
         self.bound, self.lam, self.raw_allowed = policy["bound"], policy["lagrangian"], policy["raw"]
+        self.beam = policy["beam"]
         self.weight = 256 if self.bound is None else 0
         self.limit = 2**31 - 1 if self.bound is None else self.bound
         if weight != 1.0 and self.bound is None:
@@ -100,7 +102,7 @@ class _Block:
                 start = (means[-1] << 8) + 128
             left = work - start
             for stage in range(self.books.stages):
-                code = nearest(left, self.books.entries[stage], int(self.books.shifts[stage]))
+                (code,) = nearest(left, self.books.entries[stage], int(self.books.shifts[stage]))
                 codes[stage].append(code)
                 left = left - (self.books.entries[stage, code].astype(np.int64) << int(self.books.shifts[stage]))
             off = self.steps(work) - self.steps(work - left)
@@ -144,27 +146,41 @@ class _Block:
         mean = int(work.sum()) >> 14
         size = 8 + 64 * 8 * samples.itemsize
         best = (SubBlock(mean, raw=list(samples)), self.lam * size, size)
-        left, codes = work - ((mean << 8) + 128), []
+        kept = [(work - ((mean << 8) + 128), [])]
         for depth in range(self.books.stages + 1):
             if odd or 8 * depth * self.lam >= best[1]:
                 break
             if depth:
-                entries, shift = self.books.entries[depth - 1], int(self.books.shifts[depth - 1])
-                codes = [*codes, nearest(left, entries, shift)]
-                left = left - (entries[codes[-1]].astype(np.int64) << shift)
-            off = self.steps(work) - self.steps(work - left)
-            if np.abs(off).max() <= self.limit:
-                cost = self.weight * int((off * off).sum()) + self.lam * 8 * depth
-                if cost < best[1]:
-                    best = (SubBlock(mean, codes), cost, 8 * depth)
-            step = 2 * self.packed + 1
-            residuals = [int(np.sign(o)) * ((abs(int(o)) + self.packed) // step) for o in off]
-            bits = next((b for b in range(9) if all(fits(r, b) for r in residuals)), None)
-            if bits is None:
-                continue
-            size = 8 + 8 * depth + 64 * bits
-            if self.lam * size < best[1]:
-                best = (SubBlock(mean, codes, bits=bits, residuals=residuals), self.lam * size, size)
+                kept = self.gone_on(kept, depth - 1)
+            for left, codes in kept:
+                best = self.better(best, samples, work, mean, left, codes)
+        return best
+
+    def gone_on(self, kept, stage):
+        entries, shift = self.books.entries[stage], int(self.books.shifts[stage])
+        longer = [
+            (left - (entries[code].astype(np.int64) << shift), [*codes, code])
+            for left, codes in kept
+            for code in nearest(left, entries, shift, self.beam)
+        ]
+        return sorted(longer, key=lambda one: int((np.minimum(np.abs(one[0]), 65535) ** 2).sum()))[: self.beam]
+
+    def better(self, best, samples, work, mean, left, codes):
+        """``best``, or what ``codes`` and packed residuals make of a sub-block if that costs less."""
+        depth = len(codes)
+        off = self.steps(work) - self.steps(work - left)
+        if np.abs(off).max() <= self.limit:
+            cost = self.weight * int((off * off).sum()) + self.lam * 8 * depth
+            if cost < best[1]:
+                best = (SubBlock(mean, codes), cost, 8 * depth)
+        step = 2 * self.packed + 1
+        residuals = [int(np.sign(o)) * ((abs(int(o)) + self.packed) // step) for o in off]
+        bits = next((b for b in range(9) if all(fits(r, b) for r in residuals)), None)
+        if bits is None:
+            return best
+        size = 8 + 8 * depth + 64 * bits
+        if self.lam * size < best[1]:
+            best = (SubBlock(mean, codes, bits=bits, residuals=residuals), self.lam * size, size)
         return best
 
 

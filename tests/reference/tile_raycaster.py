@@ -45,7 +45,7 @@ class TileRaycaster(Raycaster):
 
     def counted(self, counts: np.ndarray) -> dict[str, int]:
         """What effects counted, by name."""
-        return self._counters(counts)
+        return super().counted(counts)
 
     @property
     def shows_nothing(self) -> bool:

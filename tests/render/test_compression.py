@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import math
 import re
+import weakref
 
 import numpy as np
 import pytest
@@ -106,6 +108,21 @@ def test_every_integrator_shows_the_decoded_volume(method, device, trained):
 @pytest.mark.filterwarnings("ignore:compression")
 def test_every_device_shows_the_decoded_volume(each_device, trained):
     check_is_picture_of_decoded(scene_of(VOLUME, {"codec": "rvq"}), each_device)
+
+
+@pytest.mark.filterwarnings("ignore:compression")
+@pytest.mark.parametrize("slope", [0.5, -2.0])
+def test_values_that_are_not_the_stored_numbers(slope, device):
+    """Exact codes show what the volume shows, whichever way its values run."""
+    volume = Volume(waves((21, 34, 27), np.int16, -300, 900), slope=slope, offset=100.0)
+    low, high = volume.value_range
+    function = TransferFunction([low, high], [0.0, 0.5], [[0.2, 0.3, 0.9], [1, 1, 0.2]], 5.0)
+    tables = {"transfer_function": function, "isosurface": [{"value": (low + high) / 2, "opacity": 0.5}]}
+    frames = []
+    for compression in ({}, {"codec": "labels"}):
+        with Renderer(scene_of(volume, compression, **tables), [device]) as renderer:
+            frames.append(renderer.render())
+    np.testing.assert_array_equal(frames[0].rgba, frames[1].rgba)
 
 
 def _with_holes(array: np.ndarray) -> np.ndarray:
@@ -300,6 +317,40 @@ def test_a_volume_is_encoded_once(device, trained):
         for table in ({"codec": "rvq", "psnr": 40.0}, {"codec": "rvq", "max_voxel_error": 0.2, "seed": 1}):
             cache.prepare(scene.model_copy(update={"compression": table}).resolve())
         assert [str(seed) for _, _, seed in trained] == ["0", "0", "1"]
+
+
+@pytest.mark.filterwarnings("ignore:compression")
+def test_codes_live_with_their_volume(device, trained):
+    """Another Renderer takes those that are there; once the volume is gone, so are they."""
+    scene = scene_of(VOLUME, {"codec": "rvq"})
+    for _ in range(2):
+        with Renderer(scene, [device]) as renderer:
+            renderer.render()
+    assert len(trained) == 1
+    codes = weakref.ref(next(iter(decoding._known[scene.volume].values())))
+    del scene, renderer
+    gc.collect()
+    assert codes() is None
+
+
+@pytest.mark.filterwarnings("ignore:compression")
+def test_every_device_makes_the_same_codes(device, other_device):
+    """So that pictures do not depend on which one has encoded."""
+    made = []
+    for chosen in (device, other_device):
+        with Renderer(scene_of(VOLUME, {"codec": "rvq", "max_voxel_error": 0.01}), [chosen]) as renderer:
+            made.append(renderer._on_device.cache.codes(renderer.resolved))
+            np.testing.assert_array_equal(renderer._on_device.prepared.resolved.volume.data, decoded_by_numpy(renderer))
+    np.testing.assert_array_equal(made[0].coded.data, made[1].coded.data)
+    np.testing.assert_array_equal(made[0].codebooks.entries, made[1].codebooks.entries)
+
+
+@pytest.mark.filterwarnings("ignore:compression")
+def test_several_devices_share_codes(device, other_device, trained):
+    scene = scene_of(VOLUME, {"codec": "rvq"})
+    with Renderer(scene, [device, other_device]) as renderer:
+        stats = renderer.render().stats
+    assert len(trained) == 1 and stats["compression"]["decoded_voxels"] == VOLUME.size
 
 
 def test_a_scene_without_compression_is_as_before(device):

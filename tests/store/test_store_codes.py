@@ -250,11 +250,20 @@ def test_where_codebooks_cost_more_than_they_save_there_are_none(tmp_path):
     for codec in LOSSY:
         store = coded(data, tmp_path / codec, codec, RateTarget(max_voxel_error=1e-6), shard=16)
         np.testing.assert_array_equal(store.volume_level(0), data)
-        assert store.codes.policy["raw"] and not store.codebooks.entries.any()
+        assert store.codes.policy["without_codes"] and not store.codebooks.entries.any()
         codes = next((tmp_path / codec / "0/c").rglob("0")).parent
         assert sum(p.stat().st_size for p in codes.rglob("*") if p.is_file()) <= 1.02 * data.nbytes + 40
         assert_measured(store, data)
     assert not (tmp_path / "rvq/codebooks").exists()
+
+
+def test_an_encoder_that_fails_is_no_full_disk(tmp_path, monkeypatch):
+    def failing(self, samples):
+        raise ValueError("operands could not be broadcast")
+
+    monkeypatch.setattr(StubEncoder, "encode", failing)
+    with pytest.raises(RenderError, match="level 0, the samples from .*: encoding failed: operands could not be"):
+        coded(voxels(), tmp_path / "s")
 
 
 def test_impossible_codes_of_an_encoder_are_an_error(tmp_path, monkeypatch):

@@ -128,7 +128,7 @@ class BlockCaster(Raycaster):
         self.warp = self.context.upload(np.zeros(2, np.float32) if warp is None else warp)
         self._set_switches()
         self.light_volume_samples = 0
-        self._without_surfaces = None
+        self.without_surfaces = None
         self.set_resident()
 
     def _set_switches(self) -> None:
@@ -178,6 +178,7 @@ class BlockCaster(Raycaster):
         self._set_steps()
         found = context.read(cells)
         self.shown_cells, self.hole_cells = found != CELLS["empty"], found == CELLS["beside-holes"]
+        self.shown = self.shown_cells
         self.visible_share = float(self.shown_cells.mean())
         self.march.find_empty_space(self, self.shown_cells)
         self.march.scene_changed(self)
@@ -283,9 +284,6 @@ class BlockCaster(Raycaster):
         blocks, bits = self.blocks.blocks, self.volume.switches["VOXEL_BITS"]
         index = self.blocks.index
         return corner_statistics(self.context, index, blocks, view, bits, grid), blocks.edge
-
-    def counted(self, counts: np.ndarray) -> dict[str, int]:
-        return self._counters(counts)
 
     @property
     def shows_nothing(self) -> bool:

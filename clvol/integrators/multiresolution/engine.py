@@ -11,6 +11,7 @@ from clvol.integrators.base import FrameData, Progress
 from clvol.integrators.multiresolution.caster import BlockCaster
 from clvol.integrators.multiresolution.residency import Residency
 from clvol.integrators.pyramid.blocks import BlockPyramidCaster
+from clvol.integrators.raycast.picture import PictureParts
 from clvol.integrators.tiles.picture import TiledFrameData
 from clvol.integrators.tiles.tiled import TiledRenderer
 from clvol.opencl.context import DeviceContext
@@ -90,6 +91,23 @@ class MultiresolutionEngine:
         self.caster.warm_up(width, height, depth)
         if self._tile_size:
             self._tiled().warm_up(depth)
+
+    def warm_up_parts(self, width: int, height: int, depth: bool = True) -> None:
+        """As ``RendersParts.warm_up_parts``."""
+        if self._tile_size:
+            self.warm_up(width, height, depth)
+        else:
+            self.caster.warm_up_parts(width, height, depth)
+
+    def parts(self, camera: Camera, width: int, height: int, depth: bool = True) -> PictureParts | None:
+        """As ``RendersParts.parts``; None for pictures whose ray density is chosen per tile."""
+        if self._tile_size:
+            return None
+        self._make_resident(camera, width, height)
+        parts = self.caster.parts(camera, width, height, depth)
+        if parts is not None:
+            parts.notes["blocks"] = self.residency.describe()
+        return parts
 
     def warm_up_for_time(self, depth: bool = True) -> None:
         """As ``RefinesInTime.warm_up_for_time``."""

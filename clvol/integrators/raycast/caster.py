@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TypeVar
 
@@ -23,19 +23,19 @@ from clvol.device.memory import Perturbation
 from clvol.device.noise import perturbation
 from clvol.device.opacity_factors import layer_functions
 from clvol.device.projection import hidden_score
-from clvol.device.tile_effects import tiles_that_see
 from clvol.device.transfer_lookup import (
     color_shift,
     cycled_function,
     device_function,
     scene_nodes,
 )
-from clvol.device.view import EVERY_PIXEL, PixelLattice, RayFrame, ray_frame
+from clvol.device.view import EVERY_PIXEL, PixelLattice, RayFrame
 from clvol.device.volume import DeviceVolume, ResidentVolume
 from clvol.features import reduced_for_frames
 from clvol.integrators.base import FrameData, Progress, Shared
 from clvol.integrators.raycast.frame_view import frame_view, volume_view
 from clvol.integrators.raycast.march import March, RayMarch
+from clvol.integrators.raycast.picture import PictureParts, TilesDone, WholePicture
 from clvol.integrators.raycast.switches import raycast_switches
 from clvol.opencl.arguments import reads, writes
 from clvol.opencl.context import DeviceArray, DeviceContext, restore_interrupts
@@ -55,14 +55,14 @@ from clvol.transfer.pieces import (
 
 SECONDS_A_SAMPLE = 1e-8  # a first guess, used to divide a frame into launches
 _BAND_SECONDS = 0.5
+_DEPTH_NODES = 1024  # of the integral of the extinction, by which the depths of cells are estimated
+_OPAQUE = 20.0  # optical depth above which more makes no difference
 _KEPT = 6  # volumes; a search for settings may render many variants of one
 _COARSE_ARGUMENTS = (
     reads("coarse", np.float32, "columns", "rows", 4),
     reads("coarse_depths", np.float32),
 )
 
-
-TilesDone = Callable[[int], None]
 Caster = TypeVar("Caster", bound="Raycaster")
 
 
@@ -90,6 +90,7 @@ class Raycaster:
     distances: DeviceArray
     warp: DeviceArray
     surface_cells: np.ndarray
+    shown: np.ndarray  # bool [z, y, x]: cells in which anything can be seen
 
     def __init__(
         self,
@@ -113,8 +114,8 @@ class Raycaster:
         self.effects = EffectState(context, resolved, self.volume)
         self.view_dtype = view_dtype(self.volume.switches["VOXEL_BITS"])
         self._warm: set[tuple] = set()
-        self._without_surfaces: Raycaster | None = None
-        self._none = context.empty(np.float32, (4,))
+        self.without_surfaces: Raycaster | None = None
+        self.no_array = context.empty(np.float32, (4,))
         self._view = context.empty(self.view_dtype, (1,))
         self.set_transfer_function(resolved.transfer_function)
         self.march.check_structs(self)
@@ -146,6 +147,7 @@ class Raycaster:
         fields = self.effects.switches and self.effects.fields
         if fields:
             mask = (mask | fields.shown) & fields.kept
+        self.shown = mask
         self.visible_share = float(mask.mean())
         self.march.find_empty_space(self, mask)
         warp = self.nodes.warp
@@ -158,7 +160,7 @@ class Raycaster:
         self.light_volume_samples = 0
         if self._casts_shadows:
             self._build_shadows()
-        self._without_surfaces = self._beside_surfaces()
+        self.without_surfaces = self._beside_surfaces()
         self.march.scene_changed(self)
 
     def _set_colors(self) -> None:
@@ -244,7 +246,7 @@ class Raycaster:
         moved = later and bool(resolved.noise)  # cycling moves no opacity
         if other._casts_shadows and (moved or shadow_step(resolved) != shadow_step(self.resolved)):
             other._build_shadows()
-        other._without_surfaces = other._beside_surfaces()
+        other.without_surfaces = other._beside_surfaces()
         other.march = self.march.for_scene(other, self)
         return other
 
@@ -276,94 +278,39 @@ class Raycaster:
         lattice: PixelLattice,
     ) -> FrameData:
         """One picture of ``width`` by ``height``, or only its pixels on ``lattice``.
-        ``progress(tiles done, all)`` is called after each launch.
-
-        With the scene's ``image.ray_spacing`` the rays of its lattice are cast first, and then those
-        of all pixels that cannot be interpolated between them (for a ``lattice`` all rays are cast).
-        """
-        grid, context = self.resolved.volume.grid, self.context
-        lattice_width, lattice_height = lattice.size(width, height)
+        ``progress(tiles done, all)`` is called after each launch."""
         if self._shows_nothing:  # nothing can be seen: no ray needs to be cast
-            shape = (lattice_height, lattice_width)
-            nowhere = np.full(shape, np.inf, np.float32) if depth else None
+            size = lattice.size(width, height)[::-1]
+            nowhere = np.full(size, np.inf, np.float32) if depth else None
             nothing = dict.fromkeys(self.march.counters and self._counter_names, 0)
-            return FrameData(np.zeros((*shape, 4), np.float32), nowhere, 0, 0, nothing)
-        spacing = self.resolved.image.ray_spacing
-        fills = spacing > 1 and lattice == EVERY_PIXEL
-        if fills:
-            lattice = PixelLattice(spacing)
-            lattice_width, lattice_height = lattice.size(width, height)
-        frame = ray_frame(camera, grid, width, height, lattice)
-        view = self.frame_view(frame, lattice_width, lattice_height)
-        tiles = [tiling(lattice_width, lattice_height, *self.tile).count]
-        tiles += [tiling(width, height, *self.tile).count] if fills else []
-        report = _stages(progress, tiles)
-        image = context.output(np.float32, (lattice_height, lattice_width, 4))
-        depths = self._none
-        if depth:
-            depths = context.output(np.float32, (lattice_height, lattice_width))
-        samples = context.output(np.uint32, (tiles[0],))
-        rays = lattice_width * lattice_height
-        outputs = {"image": image, "depths": depths, "samples": samples}
-        size = (lattice_width, lattice_height)
-        tallies, tile_counts = self._trace(
-            frame, size, view, tiles[0], depth, report(0), outputs
-        )
-        counted = [samples]
-        if fills:
-            view = self.frame_view(ray_frame(camera, grid, width, height), width, height)
-            view["ray_spacing"], view["lattice"] = spacing, (lattice_width, lattice_height)
-            coarse, coarse_depths = image, depths
-            image = context.output(np.float32, (height, width, 4))
-            depths = context.output(np.float32, (height, width)) if depth else self._none
-            counted.append(context.output(np.uint32, (tiles[1],)))
-            added = context.output(np.uint32, (tiles[1],))
-            outputs = {"image": image, "depths": depths, "samples": counted[1], "rays": added}
-            outputs |= {"coarse": coarse, "coarse_depths": coarse_depths}
-            tally = self._launches("fill_between_rays", view, tiles[1], depth, report(1), outputs)
-            tallies += [] if tally is None else [tally]
-            rays += int(context.take(added).sum(dtype=np.uint64))
-            context.take(coarse)
-            if depth:
-                context.take(coarse_depths)
-        taken = sum(int(context.take(count).sum(dtype=np.uint64)) for count in counted)
-        rgba = context.take(image)
-        distances = context.take(depths) if depth else None
-        counters: dict[str, int] = {}
-        if tallies:
-            counts = np.concatenate([context.take(tally) for tally in tallies])
-            counters = {**self._counters(counts), **tile_counts}
-        return FrameData(rgba, distances, taken, rays, counters)
+            return FrameData(np.zeros((*size, 4), np.float32), nowhere, 0, 0, nothing)
+        return WholePicture(self, camera, width, height, depth, lattice).render(progress)
 
-    def _trace(
-        self,
-        frame: RayFrame,
-        size: tuple[int, int],
-        view: np.ndarray,
-        tiles: int,
-        depth: bool,
-        progress: TilesDone | None,
-        outputs: dict[str, DeviceArray],
-    ) -> tuple[list[DeviceArray], dict[str, int]]:
-        """Casts the rays of all pixels into ``outputs``. Tiles that can see no surface are rendered by
-        kernels without surfaces. Returns the arrays of counts, and how many tiles were of either kind."""
-        if self._without_surfaces is None:
-            tally = self._launches("raycast", view, tiles, depth, progress, outputs)
-            return [] if tally is None else [tally], {}
-        seen = tiles_that_see(
-            self.surface_cells, self.volume.size, frame, self.effects.space.matrix, size, self.tile
-        )
-        done = share = 0.0
-        tallies: list[DeviceArray] = []
-        report = None if progress is None else lambda more: progress(int(done + more * share))
-        for engine, chosen in ((self, seen), (self._without_surfaces, ~seen)):
-            share = chosen.mean()
-            if share:
-                tally = engine._launches("raycast", view, tiles, depth, report, outputs, chosen)
-                tallies += [] if tally is None else [tally]
-            done += share * tiles
-        counted = {"tiles_with_surfaces": seen.sum(), "tiles_without_surfaces": (~seen).sum()}
-        return tallies, {name: int(count) for name, count in counted.items()}
+    def cell_depths(self) -> np.ndarray | None:
+        """float64 [z, y, x]: about the mean optical depth of each cell of empty space along its edge, of all values
+        between its bounds alike; None where bounds are not at hand."""
+        try:
+            low, high = self.volume.bounds(0)
+        except NotImplementedError:
+            return None
+        function = self._functions[0]
+        nodes = np.linspace(*self.volume.value_range, _DEPTH_NODES + 1)
+        edge = self.resolved.volume.grid.smallest_edge * (1 << self.volume.cell_shift)
+        at_nodes = np.minimum(function.extinction(nodes) * edge, _OPAQUE)
+        sums = np.concatenate([[0.0], np.cumsum(0.5 * (at_nodes[1:] + at_nodes[:-1]))])
+        unit = max(nodes[1] - nodes[0], 1e-300)
+        first, last = (np.clip((bound - nodes[0]) / unit, 0, _DEPTH_NODES) for bound in (low, np.maximum(low, high)))
+        width = last - first
+        at = np.arange(_DEPTH_NODES + 1)
+        inside = (np.interp(last, at, sums) - np.interp(first, at, sums)) / np.maximum(width, 1e-9)
+        return np.where(width > 1e-6, inside, np.interp(first, at, at_nodes))
+
+    def parts(self, camera: Camera, width: int, height: int, depth: bool = True) -> PictureParts | None:
+        """As ``RendersParts.parts``; None where nothing can be seen."""
+        if self._shows_nothing:
+            return None
+        self.march.begin(self, camera, width, height)
+        return PictureParts(self, camera, width, height, depth, EVERY_PIXEL)
 
     @property
     def _shows_nothing(self) -> bool:
@@ -371,29 +318,38 @@ class Raycaster:
 
     def warm_up(self, width: int, height: int, depth: bool = True) -> None:
         """Compiles everything that a frame of this size needs, by launching it: drivers finish compiling then."""
+        self._warm_up(width, height, depth, None)
+
+    def warm_up_parts(self, width: int, height: int, depth: bool = True) -> None:
+        """As ``RendersParts.warm_up_parts``."""
+        self._warm_up(width, height, depth, np.zeros(1, np.int64))
+
+    def _warm_up(self, width: int, height: int, depth: bool, chosen: np.ndarray | None) -> None:
+        """``chosen``: the tiles of a picture without pixels that are launched; None: all."""
         tiles = tiling(width, height, *self.tile).count
         fills = self.resolved.image.ray_spacing > 1
-        key = (tiles, depth, fills, tuple(self.switches.items()))
+        key = (tiles, depth, fills, chosen is None, tuple(self.switches.items()))
         if key in self._warm or self._shows_nothing:
             return
         self.march.begin(self, None, width, height)
         view = np.zeros(1, self.view_dtype)  # an image without pixels: every work-item returns
         view["tile"] = self.tile
         counts = [self.context.empty(np.uint32, (tiles,)) for _ in range(2)]
-        none = {"image": self._none, "depths": self._none, "samples": counts[0]}
-        tallies = [self._launches("raycast", view, tiles, depth, None, none)]  # kept until they are written
-        if self._without_surfaces is not None:
-            nowhere = np.zeros(tiles, bool)
-            for engine in (self, self._without_surfaces):
-                tallies.append(engine._launches("raycast", view, tiles, depth, None, none, nowhere))
+        none = {"image": self.no_array, "depths": self.no_array, "samples": counts[0]}
+        tallies = []  # kept until they are written
+        if self.without_surfaces is None:
+            tallies.append(self.launches("raycast", view, tiles, depth, None, none, chosen))
+        else:
+            for engine in (self, self.without_surfaces):
+                tallies.append(engine.launches("raycast", view, tiles, depth, None, none, np.zeros(1, np.int64)))
         if fills:
-            none |= {"coarse": self._none, "coarse_depths": self._none, "rays": counts[1]}
-            tallies.append(self._launches("fill_between_rays", view, tiles, depth, None, none))
+            none |= {"coarse": self.no_array, "coarse_depths": self.no_array, "rays": counts[1]}
+            tallies.append(self.launches("fill_between_rays", view, tiles, depth, None, none, chosen))
         self.context.finish()
         restore_interrupts()
         self._warm.add(key)
 
-    def _launches(
+    def launches(
         self,
         name: str,
         view: np.ndarray,
@@ -403,8 +359,8 @@ class Raycaster:
         outputs: dict[str, DeviceArray],
         chosen: np.ndarray | None = None,
     ) -> DeviceArray | None:
-        """Runs kernel ``name`` over all tiles, or those of ``chosen`` (bool [tiles]), in launches that are each kept
-        short. Returns uint32 [tiles, names], what was counted, if anything is."""
+        """Runs kernel ``name`` over all tiles, or those that ``chosen`` lists, in launches that are each kept
+        short. Returns uint32 [n, names], what was counted for these tiles, if anything is."""
         context = self.context
         switches = {**self.switches, "WITH_DEPTH": int(depth)}
         variant, more, added = self._more_arguments(tiles)
@@ -417,13 +373,15 @@ class Raycaster:
         sizes |= dict(zip(("columns", "rows"), view["lattice"][0].tolist()))
         if chosen is not None:
             switches["TILES_CHOSEN"] = 1
-            declared += (reads("chosen", np.uint8, "tiles"),)
-            arrays["chosen"] = context.upload(chosen.astype(np.uint8))
+            declared += (reads("chosen", np.int32),)
+            arrays["chosen"] = context.upload(chosen.astype(np.int32))
         kernel = self.march.kernel(context, name, declared, switches)
         pixels = tiles * self.tile[0] * self.tile[1] if view["image"][0, 0] else 0
         expected = pixels * self._most_samples() * SECONDS_A_SAMPLE
+        items = tiles if chosen is None else len(chosen)
+        expected *= items / tiles
         done = 0
-        for first, count in bands(tiles, expected, _BAND_SECONDS):
+        for first, count in bands(items, expected, _BAND_SECONDS):
             view["first_tile"] = first
             context.write(self._view, view)
             kernel(
@@ -436,7 +394,7 @@ class Raycaster:
                 **arrays,
             )
             done += count
-            if done < tiles or progress is not None:
+            if done < items or progress is not None:
                 context.finish()
             if progress is not None:
                 progress(done)
@@ -465,7 +423,7 @@ class Raycaster:
         """Names of what the kernels count: first the march's, then the samples'."""
         return (*self.march.counters, *(COUNTERS if self.effects.switches else ()))
 
-    def _counters(self, counts: np.ndarray) -> dict[str, int]:
+    def counted(self, counts: np.ndarray) -> dict[str, int]:
         """Sums by name of what tiles counted: ``counts`` uint32 [tiles, names]."""
         sums = counts.sum(axis=0, dtype=np.uint64)
         named = {name: int(total) for name, total in zip(self._counter_names, sums)}
@@ -495,10 +453,3 @@ class Raycaster:
 def lanes_of(context: DeviceContext, lanes: int | None = None) -> int:
     """Rays that a work-item marches together: ``lanes``, or the number that suits the device."""
     return lanes or (16 if context.is_cpu else 1)
-
-
-def _stages(progress: Progress | None, tiles: list[int]) -> Callable[[int], TilesDone | None]:
-    """For each stage of a frame a function that reports the tiles that are done in it, or None."""
-    if progress is None:
-        return lambda stage: None
-    return lambda stage: lambda done: progress(sum(tiles[:stage]) + done, sum(tiles))

@@ -54,7 +54,7 @@ BLOSC = {
 ZSTD = {"name": "zstd", "configuration": {"level": 3, "checksum": False}}
 _SMALL = {
     "name": "blosc",
-    "configuration": {"cname": "zstd", "clevel": 9, "shuffle": "shuffle", "blocksize": 0},
+    "configuration": {"cname": "zstd", "clevel": 7, "shuffle": "shuffle", "blocksize": 0},
 }
 
 

@@ -164,7 +164,7 @@ def test_tiles_that_see_no_surface_test_none(context):
     tiles = data.counters["tiles_with_surfaces"], data.counters["tiles_without_surfaces"]
     assert min(tiles) > 0
     whole = Raycaster(context, resolved)
-    whole._without_surfaces = None  # all of it by the kernel that knows of surfaces
+    whole.without_surfaces = None  # all of it by the kernel that knows of surfaces
     other = whole.render(resolved.camera, *size)
     assert data.counters["surface_tests"] == other.counters["surface_tests"]
     assert data.counters["surface_hits"] == other.counters["surface_hits"]

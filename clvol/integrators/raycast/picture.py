@@ -1,0 +1,216 @@
+"""A picture that a ray caster renders, whole, or some tiles at a time beside other devices.
+
+There are one or two stages: with the scene's ``image.ray_spacing`` the rays of its lattice are cast first, and then
+those of all pixels that cannot be interpolated between them (for a lattice of pixels all rays are cast).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clvol.device.tile_effects import cells_over_tiles, expected_costs, tiles_that_see
+from clvol.device.view import EVERY_PIXEL, PixelLattice, RayFrame, ray_frame
+from clvol.integrators.base import FrameData, PartOfPicture, PictureArrays, Progress
+from clvol.opencl.context import DeviceArray
+from clvol.schedule.tiles import tiling
+from clvol.volume.voxel_layout import CELL_SHIFT
+
+if TYPE_CHECKING:
+    from clvol.integrators.raycast.caster import Raycaster
+    from clvol.scene.camera import Camera
+
+TilesDone = Callable[[int], None]
+_OVERLAP = 3.0  # tiles that a cell counts for, over those that it covers
+_A_TILE = 100.0  # samples that cost as much as beginning a tile
+
+
+@dataclass
+class _Stage:
+    """A pass over the tiles of a picture of ``size``. ``outputs``: what its kernel writes and reads, by name."""
+
+    kernel: str
+    frame: RayFrame
+    view: np.ndarray
+    size: tuple[int, int]
+    tiles: int
+    outputs: dict[str, DeviceArray] = field(default_factory=dict)
+
+
+class _Picture:
+    """The stages of a picture, and launches over their tiles."""
+
+    def __init__(
+        self, caster: Raycaster, camera: Camera, width: int, height: int, depth: bool, lattice: PixelLattice
+    ) -> None:
+        self._caster, self._context, self._depth = caster, caster.context, depth
+        self.notes: dict[str, Any] = {}
+        spacing = caster.resolved.image.ray_spacing
+        picture = (width, height)
+        if spacing == 1 or lattice != EVERY_PIXEL:
+            self._stages = [self._stage("raycast", camera, picture, lattice)]
+            return
+        coarse = self._stage("raycast", camera, picture, PixelLattice(spacing))
+        last = self._stage("fill_between_rays", camera, picture, EVERY_PIXEL)
+        last.view["ray_spacing"], last.view["lattice"] = spacing, coarse.size
+        self._stages = [coarse, last]
+
+    def _stage(self, kernel: str, camera: Camera, picture: tuple[int, int], lattice: PixelLattice) -> _Stage:
+        caster = self._caster
+        frame = ray_frame(camera, caster.resolved.volume.grid, *picture, lattice)
+        width, height = size = lattice.size(*picture)
+        tiles = tiling(width, height, *caster.tile).count
+        return _Stage(kernel, frame, caster.frame_view(frame, width, height), size, tiles)
+
+    def _allocate(self, stage: _Stage, arrays: PictureArrays | None = None) -> None:
+        """The arrays that the stage's kernel writes; ``arrays``: of a picture that is shared."""
+        context, (width, height) = self._context, stage.size
+        rgba, depths = (None, None) if arrays is None else (arrays.rgba, arrays.depth)
+        stage.outputs["image"] = context.output(np.float32, (height, width, 4), rgba)
+        stage.outputs["depths"] = self._caster.no_array
+        if self._depth:
+            stage.outputs["depths"] = context.output(np.float32, (height, width), depths)
+        stage.outputs["samples"] = context.output(np.uint32, (stage.tiles,))
+        if stage.kernel == "fill_between_rays":
+            coarse = self._stages[0].outputs
+            stage.outputs |= {"coarse": coarse["image"], "coarse_depths": coarse["depths"]}
+            stage.outputs["rays"] = context.output(np.uint32, (stage.tiles,))
+
+    def _launch(
+        self, stage: _Stage, tiles: np.ndarray | None, progress: TilesDone | None
+    ) -> tuple[np.ndarray | None, dict[str, int]]:
+        """Enqueues ``tiles``, or all; those that can see no surface in kernels without surfaces. Returns the tallies
+        and how many tiles were of either kind."""
+        caster = self._caster
+        plain = caster.without_surfaces
+        if plain is None or stage.kernel != "raycast":
+            return self._run(caster, stage, tiles, progress), {}
+        to_edges = caster.effects.space.matrix
+        seen = tiles_that_see(caster.surface_cells, caster.volume.size, stage.frame, to_edges, stage.size, caster.tile)
+        wanted = np.arange(stage.tiles) if tiles is None else tiles
+        done, counts, tallies = 0, {}, []
+        for engine, chosen, name in (
+            (caster, wanted[seen[wanted]], "tiles_with_surfaces"),
+            (plain, wanted[~seen[wanted]], "tiles_without_surfaces"),
+        ):
+            counts[name] = len(chosen)
+            if len(chosen):
+                report = None if progress is None else lambda more, before=done: progress(before + more)
+                tallies.append(self._run(engine, stage, chosen, report))
+                done += len(chosen)
+        known = [tally for tally in tallies if tally is not None]
+        return np.concatenate(known) if known else None, counts
+
+    def _run(
+        self, engine: Raycaster, stage: _Stage, tiles: np.ndarray | None, progress: TilesDone | None
+    ) -> np.ndarray | None:
+        tally = engine.launches(stage.kernel, stage.view, stage.tiles, self._depth, progress, stage.outputs, tiles)
+        return None if tally is None else self._context.take(tally)[: None if tiles is None else len(tiles)]
+
+
+class WholePicture(_Picture):
+    """A picture on one device."""
+
+    def render(self, progress: Progress | None) -> FrameData:
+        """``progress(tiles done, all)`` is called after each launch."""
+        context = self._context
+        every = [stage.tiles for stage in self._stages]
+        tallies: list[np.ndarray] = []
+        tile_counts: dict[str, int] = {}
+        for number, stage in enumerate(self._stages):
+            self._allocate(stage)
+            before = sum(every[:number])
+            report = None if progress is None else lambda done, before=before: progress(before + done, sum(every))
+            tally, counts = self._launch(stage, None, report)
+            tallies += [] if tally is None else [tally]
+            tile_counts |= counts
+        last = self._stages[-1]
+        rays = self._stages[0].size[0] * self._stages[0].size[1]
+        if len(self._stages) > 1:
+            rays += int(context.take(last.outputs["rays"]).sum(dtype=np.uint64))
+            context.take(self._stages[0].outputs["image"])
+            if self._depth:
+                context.take(self._stages[0].outputs["depths"])
+        taken = sum(int(context.take(stage.outputs["samples"]).sum(dtype=np.uint64)) for stage in self._stages)
+        rgba = context.take(last.outputs["image"])
+        distances = context.take(last.outputs["depths"]) if self._depth else None
+        counters = {}
+        if tallies:
+            counters = {**self._caster.counted(np.concatenate(tallies)), **tile_counts}
+        return FrameData(rgba, distances, taken, rays, counters)
+
+
+class PictureParts(_Picture):
+    """A picture that several devices share (``integrators.base.TiledPictureParts``)."""
+
+    @property
+    def tile(self) -> tuple[int, int]:
+        return self._caster.tile
+
+    @property
+    def sizes(self) -> list[tuple[int, int]]:
+        return [stage.size for stage in self._stages]
+
+    @property
+    def stages(self) -> list[int]:
+        return [stage.tiles for stage in self._stages]
+
+    def expected_costs(self, stage: int) -> np.ndarray:
+        """As in the protocol: from the visible cells in front of each tile."""
+        this, caster = self._stages[stage], self._caster
+        grid = caster.resolved.volume.grid
+        to_edges = np.diag(np.asarray(grid.spacing) / grid.smallest_edge)
+        where = caster.shown, caster.volume.size, this.frame, to_edges, this.size, caster.tile
+        depths = caster.cell_depths()
+        cells = cells_over_tiles(*where) / _OVERLAP if depths is None else expected_costs(depths, *where)
+        pixels = self._caster.tile[0] * self._caster.tile[1]
+        return cells * pixels * (1 << CELL_SHIFT) / caster.resolved.integration.step + _A_TILE
+
+    def begin(self, stage: int, arrays: list[PictureArrays]) -> None:
+        self._allocate(self._stages[stage], arrays[stage])
+        if stage and not self._context.is_cpu:  # what the other devices have rendered
+            before = self._stages[stage - 1].outputs
+            self._context.write(before["image"], arrays[stage - 1].rgba.ravel())
+            if (depths := arrays[stage - 1].depth) is not None:
+                self._context.write(before["depths"], depths.ravel())
+        self._arrays = arrays
+
+    def render(self, stage: int, tiles: np.ndarray) -> PartOfPicture:
+        this, context = self._stages[stage], self._context
+        tally, counts = self._launch(this, tiles, None)
+        samples = context.read(this.outputs["samples"])[tiles]
+        if this.kernel == "raycast":
+            rays = int(_pixels(tiles, this.size, self._caster.tile).sum())
+        else:
+            rays = int(context.read(this.outputs["rays"])[tiles].sum(dtype=np.uint64))
+        counters = {} if tally is None else {**self._caster.counted(tally), **counts}
+        return PartOfPicture(samples + _A_TILE, int(samples.sum(dtype=np.uint64)), rays, counters)
+
+    def end(self, stage: int, tiles: np.ndarray) -> None:
+        this, context, arrays = self._stages[stage], self._context, self._arrays[stage]
+        if context.is_cpu:  # it has written there
+            context.take(this.outputs["image"])
+            if self._depth:
+                context.take(this.outputs["depths"])
+            return
+        width, height = this.size
+        pairs = [(this.outputs["image"], arrays.rgba)]
+        pairs += [(this.outputs["depths"], arrays.depth)] if arrays.depth is not None else []
+        columns = -(-width // self._caster.tile[0])
+        across, down = self._caster.tile
+        own = np.zeros((-(-height // down), columns), bool)
+        own.ravel()[tiles] = True
+        mask = np.repeat(np.repeat(own, down, axis=0)[:height], across, axis=1)[:, :width]
+        for output, shared in pairs:
+            np.copyto(shared, context.read(output), where=mask.reshape(height, width, *[1] * (shared.ndim - 2)))
+
+
+def _pixels(tiles: np.ndarray, size: tuple[int, int], tile: tuple[int, int]) -> np.ndarray:
+    """int64 [n]: numbers of pixels of ``tiles``, of which those at the upper ends are cut off."""
+    (width, height), (across, down) = size, tile
+    columns = max(-(-width // across), 1)
+    left, top = tiles % columns * across, tiles // columns * down
+    return np.minimum(across, width - left) * np.minimum(down, height - top)

@@ -1,0 +1,318 @@
+"""Divides the tiles of one picture among devices while they render, so that all of them end at the same time.
+
+A device that is free requests a package. Its size follows from the moment at which all devices would end if the rest
+were divided ideally (``_common_end``): a device receives what it would do until then, or only a part of that while the
+costs of tiles are uncertain, so that later packages can make up for errors. With known costs there are two or three
+packages per device, with unknown ones about five. This is guided self-scheduling (Polychronopoulos and Kuck, IEEE
+Transactions on Computers C-36, 1987) for devices of different speeds that are not free at the same time, with the
+uncertainty measured in place of a fixed factor. Expensive tiles come first, in the order of the picture; cheap ones
+fill packages up to the size that is wanted.
+
+Packages of devices that fail return to the queue. Packages that take much longer than expected are issued again to
+devices that have nothing else to do; the first of two results counts.
+
+There are no threads, clocks or OpenCL here: the caller states the time, and must not call from several threads at once.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+_LEAST_LAUNCHES = 2.5  # a package takes at least this many times a launch's cost, unless nothing more is left
+_UNKNOWN = 0.6  # relative uncertainty of costs that nobody has measured
+_LEAST_UNCERTAINTY = 0.03
+_CAUTION = 2.0  # the share handed out is 1 / (1 + caution * uncertainty), where caution is this
+_CAUTION_FOR_MANY = 1.2  # plus this times the binary logarithm of the number of devices
+_STALLED = 5.0  # times the expected time after which a package is issued again,
+_PATIENCE = 1.0  # plus this many seconds
+_ALIKE = 1.5  # ratio of costs within which tiles count as equally expensive
+_CHEAP = 0.25  # share of a picture's cost kept for the end, in its cheapest tiles, which fill packages up
+_RUN = 4  # tiles that stay together where packages are scattered
+_GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
+_REMEMBERED = 15  # packages whose costs correct those of others
+_REACH = 256.0  # tiles over which a measured cost says something about others
+
+
+@dataclass(frozen=True, eq=False)
+class Package:
+    """``tiles`` (numbers, ascending), handed to ``device`` at time ``since``; ``cost`` as expected then. ``number``
+    counts packages."""
+
+    number: int
+    device: int
+    tiles: np.ndarray
+    since: float
+    cost: float
+
+
+@dataclass
+class Share:
+    """What a device has done for a picture. ``speed`` is in cost per second, ``launch`` in seconds per package."""
+
+    speed: float
+    launch: float
+    tiles: int = 0
+    packages: int = 0
+    busy: float = 0.0  # seconds
+    cost: float = 0.0  # as measured, or else as expected
+    lost: str | None = None  # why it is not used any more
+    running: list[Package] = field(default_factory=list)
+
+
+class Dispatcher:
+    """The packages of one picture.
+
+    ``costs`` float [tiles], > 0: expected relative costs; ``measured``: whether they come from an earlier picture, with
+    ``uncertainty`` (relative, root mean square) if known. ``speeds`` [devices] in cost per second, and ``launches``
+    [devices] in seconds per package. ``least_tiles``: tiles that a launch takes at least.
+    """
+
+    def __init__(
+        self,
+        costs: np.ndarray,
+        speeds: Sequence[float],
+        launches: Sequence[float],
+        *,
+        measured: bool = False,
+        uncertainty: float | None = None,
+        least_tiles: int = 1,
+    ) -> None:
+        self.count = len(costs)
+        self._prior = np.maximum(np.asarray(costs, np.float64), 1e-12)
+        self._costs = self._prior.copy()
+        self._doubt = uncertainty if uncertainty is not None else _LEAST_UNCERTAINTY if measured else _UNKNOWN
+        self._seen: list[tuple[float, float, float]] = []  # middle tile, log of measured over expected cost, weight
+        self.shares = [Share(float(speed), float(launch)) for speed, launch in zip(speeds, launches)]
+        self._waiting = _order(self._prior, scattered=not measured)
+        self._done = np.zeros(self.count, bool)
+        self._least_tiles = least_tiles
+        self._number = 0
+        self._caution = _CAUTION + _CAUTION_FOR_MANY * math.log2(len(self.shares))
+        self._unit_is_known = measured
+        self.history: list[tuple[Package, float, bool]] = []  # package, when it ended, whether its result counts
+
+    # ---- state
+
+    @property
+    def complete(self) -> bool:
+        return bool(self._done.all())
+
+    @property
+    def waiting_tiles(self) -> int:
+        """Number of tiles that no device has."""
+        return len(self._waiting)
+
+    def alive(self, device: int) -> bool:
+        return self.shares[device].lost is None
+
+    @property
+    def all_lost(self) -> bool:
+        return not any(share.lost is None for share in self.shares)
+
+    def expected_seconds(self, package: Package) -> float:
+        share = self.shares[package.device]
+        return share.launch + package.cost / share.speed
+
+    # ---- packages
+
+    def next(self, device: int, now: float) -> Package | None:
+        """A package for ``device``, or None if there is nothing for it now (``complete`` may still be false: another
+        device may fail)."""
+        share = self.shares[device]
+        if share.lost is not None:
+            return None
+        if not len(self._waiting):
+            return self._again(device, now)
+        if sum(each.lost is None for each in self.shares) == 1:
+            return self._handed(device, np.sort(self._take(self._waiting)), now)
+        rest = float(self._costs[self._waiting].sum())
+        ideal = share.speed * (self._common_end(now, rest) - self._free_at(device, now) - share.launch)
+        part = ideal / (1 + self._caution * self._doubt)
+        least = share.speed * share.launch * _LEAST_LAUNCHES
+        wanted = ideal if ideal - part < least else max(part, least)
+        tiles = self._fitting(wanted, least)
+        if self._others_are_better(device, now, float(self._costs[tiles].sum()), rest):
+            return None
+        return self._handed(device, np.sort(self._take(tiles)), now)
+
+    def _take(self, tiles: np.ndarray) -> np.ndarray:
+        self._waiting = self._waiting[~np.isin(self._waiting, tiles)]
+        return tiles
+
+    def _fitting(self, wanted: float, least: float) -> np.ndarray:
+        """Waiting tiles that cost about ``wanted``: the next ones, filled up by cheap ones from the end, so that a
+        single expensive tile does not make a package too large."""
+        costs = self._costs[self._waiting]
+        sums = np.cumsum(costs)
+        if sums[-1] <= wanted:
+            return self._waiting
+        head = int(np.searchsorted(sums, wanted, side="right"))
+        left = wanted - (sums[head - 1] if head else 0.0)
+        tail = int(np.searchsorted(np.cumsum(costs[head:][::-1]), left, side="right"))
+        short = self._least_tiles - head - tail
+        tail += max(min(short, len(costs) - head - tail), 0)
+        return np.concatenate([self._waiting[:head], self._waiting[len(costs) - tail :]])
+
+    def _others_are_better(self, device: int, now: float, cost: float, rest: float) -> bool:
+        """Whether tiles of ``cost`` would be done sooner by another device that is still busy. That is only so at the
+        end, on devices that are much slower than others."""
+        share = self.shares[device]
+        end = self._free_at(device, now) + share.launch + cost / share.speed
+        if end <= self._common_end(now, rest) + share.launch:
+            return False
+        return any(
+            self._free_at(other, now) + their.launch + cost / their.speed < end
+            for other, their in enumerate(self.shares)
+            if other != device and their.lost is None and their.running
+        )
+
+    def _handed(self, device: int, tiles: np.ndarray, now: float) -> Package:
+        self._number += 1
+        package = Package(self._number, device, tiles, now, float(self._costs[tiles].sum()))
+        self.shares[device].running.append(package)
+        return package
+
+    def _again(self, device: int, now: float) -> Package | None:
+        """A stalled package of another device, issued again."""
+        for other, share in enumerate(self.shares):
+            if other == device:
+                continue
+            for package in share.running:
+                late = now - package.since - _PATIENCE > _STALLED * self.expected_seconds(package)
+                if late and not self._done[package.tiles].all() and not self._is_copied(package):
+                    return self._handed(device, package.tiles, now)
+        return None
+
+    def _is_copied(self, package: Package) -> bool:
+        return any(
+            p.number > package.number and p.tiles is package.tiles for share in self.shares for p in share.running
+        )
+
+    def finished(self, package: Package, now: float, cost: float | None = None) -> bool:
+        """Takes the end of ``package``; returns whether its result counts, which it does not if another device was
+        first. ``cost``: as measured, in the unit of ``costs``."""
+        share = self.shares[package.device]
+        began = max((p.since for p in share.running if p.number < package.number), default=package.since)
+        began = max(began, max((end for p, end, _ in self.history if p.device == package.device), default=began))
+        share.running = [p for p in share.running if p.number != package.number]
+        counts = not self._done[package.tiles].any()
+        self.history.append((package, now, counts))
+        share.busy += now - began
+        if not counts:
+            return False
+        self._done[package.tiles] = True
+        share.tiles += len(package.tiles)
+        share.packages += 1
+        found = cost if cost is not None else max(now - began - share.launch, 0.0) * share.speed
+        share.cost += found
+        self._calibrate(package.device, found, now - began)
+        self._learn(package, found)
+        return True
+
+    def _calibrate(self, device: int, cost: float, seconds: float) -> None:
+        """Corrects the speed of ``device`` by what it took for a package, and at first that of all others in
+        proportion: at first it is unknown how fast devices are with this scene."""
+        share = self.shares[device]
+        if seconds <= 2 * share.launch or cost <= 0:
+            return
+        found = cost / (seconds - share.launch)
+        if self._unit_is_known:
+            share.speed = found if share.packages == 1 else 0.5 * (share.speed + found)
+            return
+        self._unit_is_known = True
+        ratio = found / share.speed
+        for other in self.shares:
+            other.speed *= ratio
+
+    def lost(self, device: int, reason: str) -> int:
+        """``device`` renders no more: its packages return to the queue. Returns the number of tiles that did."""
+        share = self.shares[device]
+        share.lost = share.lost or reason
+        return sum(self.returned(package) for package in list(share.running))
+
+    def returned(self, package: Package) -> int:
+        """``package`` failed, but its device may go on with others. Returns how many tiles are waiting again."""
+        share = self.shares[package.device]
+        share.running = [p for p in share.running if p.number != package.number]
+        elsewhere = (p.tiles for each in self.shares for p in each.running)
+        if self._done[package.tiles].all() or any(tiles is package.tiles for tiles in elsewhere):
+            return 0
+        self._waiting = np.concatenate([package.tiles, self._waiting])
+        return len(package.tiles)
+
+    def undone(self, tiles: np.ndarray) -> int:
+        """``tiles``, which were done, are waiting again. Returns their number."""
+        self._done[tiles] = False
+        self._waiting = np.concatenate([tiles, self._waiting])
+        return len(tiles)
+
+    def next_stall(self, now: float) -> float:
+        """Seconds until some package counts as stalled; inf if none runs."""
+        running = [p for share in self.shares if share.lost is None for p in share.running]
+        ends = [p.since + _PATIENCE + _STALLED * self.expected_seconds(p) for p in running]
+        return max(min(ends, default=math.inf) - now, 0.0)
+
+    # ---- arithmetic
+
+    def _free_at(self, device: int, now: float) -> float:
+        """When ``device`` will have ended its packages, as expected."""
+        share = self.shares[device]
+        if not share.running:
+            return now
+        seconds = share.running[0].since + sum(
+            share.launch + float(self._costs[p.tiles].sum()) / share.speed for p in share.running
+        )
+        return max(seconds, now)
+
+    def _common_end(self, now: float, rest: float) -> float:
+        """When all devices end that take part, if ``rest`` is divided so that they end together: those that are free
+        later than that take no part. Each part costs one more launch."""
+        ready = sorted(
+            (self._free_at(k, now) + share.launch, share.speed)
+            for k, share in enumerate(self.shares)
+            if share.lost is None
+        )
+        speed = moment = 0.0
+        end = math.inf
+        for at, own in ready:
+            if at >= end:
+                break
+            speed += own
+            moment += own * at
+            end = (rest + moment) / speed
+        return end
+
+    def _learn(self, package: Package, found: float) -> None:
+        """Corrects the costs of tiles near those of ``package``."""
+        if found <= 0:
+            return
+        tiles = package.tiles
+        miss = abs(math.log(found / float(self._costs[tiles].sum())))
+        self._doubt = max(0.6 * self._doubt + 0.4 * min(miss, 1.0), _LEAST_UNCERTAINTY)
+        ratio = math.log(found / float(self._prior[tiles].sum()))
+        self._seen = [*self._seen[-_REMEMBERED:], (float(np.median(tiles)), ratio, math.sqrt(len(tiles)))]
+        if not len(self._waiting):
+            return
+        middles, ratios, weights = np.array(self._seen).T
+        far = np.abs(np.arange(self.count)[None, :] - middles[:, None]) / _REACH
+        near = weights[:, None] / (1 + far) ** 4
+        self._costs = self._prior * np.exp((near * ratios[:, None]).sum(axis=0) / near.sum(axis=0))
+
+
+def _order(costs: np.ndarray, scattered: bool) -> np.ndarray:
+    """Tiles in the order in which they are handed out: the expensive ones by place, then the cheap ones, which are
+    _CHEAP of all costs, the cheapest last. Costs are compared roughly: the last ones would otherwise be those whose
+    costs were underestimated most. ``scattered``: not by place but in short runs from all over the picture, so that
+    errors of expectations, which neighbours share, cancel within packages."""
+    falling = np.argsort(-np.floor(np.log(costs) / math.log(_ALIKE)), kind="stable")
+    sums = np.cumsum(costs[falling])
+    expensive = int(np.searchsorted(sums, (1 - _CHEAP) * sums[-1]))
+    first = np.sort(falling[:expensive])
+    if scattered:
+        runs = np.arange(len(first)) // _RUN
+        first = first[np.lexsort((np.arange(len(first)), runs * _GOLDEN % 1.0))]
+    return np.concatenate([first, falling[expensive:]])
