@@ -23,15 +23,16 @@ inline int2 outermost(int direction, int n)
   return (int2)(direction > 0 ? n - 1 : 0, direction < 0 ? 0 : n - 1);
 }
 
-/* bounds  float4 per block: largest curvature (value per voxel^2), largest slope (value per voxel), lowest and highest
+/* first   the first block (x, y, z) of the launch
+ * bounds  float4 per block: largest curvature (value per voxel^2), largest slope (value per voxel), lowest and highest
  *         value; zeros and lowest > highest for a dropped block or one without a finite value
  */
 __kernel void block_bounds(__global const uchar *restrict volume, __constant const View *restrict view,
-                           BLOCK_PARAMETERS, __global float4 *restrict bounds)
+                           BLOCK_PARAMETERS, int4 first, __global float4 *restrict bounds)
 {
   const BlockVolume held = BLOCK_VOLUME;
   const BlockVolume *v = &held;
-  const int bx = get_global_id(0), by = get_global_id(1), bz = get_global_id(2);
+  const int bx = get_global_id(0) + first.x, by = get_global_id(1) + first.y, bz = get_global_id(2) + first.z;
   __global float4 *out = bounds + ((size_t)bz * blocks->count.y + by) * blocks->count.x + bx;
   *out = (float4)(0.0f, 0.0f, INFINITY, -INFINITY);
   const Record own = fetch_record(v, bx, by, bz);

@@ -19,20 +19,21 @@
 
 /* before  int [nodes]: of the intervals between nodes, how many before this one can show anything
  * at      uchar [nodes]: whether the node itself does
+ * first   the first cell (x, y, z) of the launch
  * cells   uchar [z, y, x]: CELL_VISIBLE where something can be visible, CELL_BESIDE_HOLES where samples that are not
  *         finite lie beside others, else CELL_EMPTY
  */
 __kernel void visible_block_cells(__global const uchar *restrict volume, __global const float *restrict warp,
                                   __global const int *restrict before, __global const uchar *restrict at,
-                                  __constant const View *restrict view, BLOCK_PARAMETERS,
-                                      __global uchar *restrict cells)
+                                  __constant const View *restrict view, BLOCK_PARAMETERS, int4 first,
+                                  __global uchar *restrict cells)
 {
   const BlockVolume held = BLOCK_VOLUME;
   const BlockVolume *v = &held;
-  const int cx = get_global_id(0), cy = get_global_id(1), cz = get_global_id(2);
+  const int cx = get_global_id(0) + first.x, cy = get_global_id(1) + first.y, cz = get_global_id(2) + first.z;
   const int shift = view->cell_shift, edge = 1 << blocks->log_edge, cell = 1 << shift;
   const int bx = (cx << shift) / edge, by = (cy << shift) / edge, bz = (cz << shift) / edge;
-  __global uchar *out = cells + ((size_t)cz * get_global_size(1) + cy) * get_global_size(0) + cx;
+  __global uchar *out = cells + ((size_t)cz * view->cells.y + cy) * view->cells.x + cx;
   *out = CELL_EMPTY;
   const Record own = fetch_record(v, bx, by, bz);
   if (code_of(&own) == CODE_DROPPED) return;
@@ -41,11 +42,11 @@ __kernel void visible_block_cells(__global const uchar *restrict volume, __globa
   /* Places in the block; faces of the block that the cell comes nearer than half a sample. */
   const int x = (cx << shift) - bx * edge, y = (cy << shift) - by * edge, z = (cz << shift) - bz * edge;
   const int sample = edge >> (code_of(&own) - 1), far = 2 * (edge - cell);
-  const int4 first = INTERBLOCK ? -(int4)(2 * x < sample, 2 * y < sample, 2 * z < sample, 0) : 0;
-  const int4 last = INTERBLOCK ? (int4)(2 * x > far - sample, 2 * y > far - sample, 2 * z > far - sample, 0) : 0;
-  for (int dz = first.z; dz <= last.z; ++dz)
-    for (int dy = first.y; dy <= last.y; ++dy)
-      for (int dx = first.x; dx <= last.x; ++dx) {
+  const int4 nearest = INTERBLOCK ? -(int4)(2 * x < sample, 2 * y < sample, 2 * z < sample, 0) : 0;
+  const int4 farthest = INTERBLOCK ? (int4)(2 * x > far - sample, 2 * y > far - sample, 2 * z > far - sample, 0) : 0;
+  for (int dz = nearest.z; dz <= farthest.z; ++dz)
+    for (int dy = nearest.y; dy <= farthest.y; ++dy)
+      for (int dx = nearest.x; dx <= farthest.x; ++dx) {
         const int nx = bx + dx, ny = by + dy, nz = bz + dz;
         if (nx < 0 || ny < 0 || nz < 0) continue;
         if (nx >= blocks->count.x || ny >= blocks->count.y || nz >= blocks->count.z) continue;

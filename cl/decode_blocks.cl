@@ -4,7 +4,7 @@
  * What is staged is what was stored, each block by its codec (BlockPayload.codec):
  *   CODEC_RAW       all samples [s, s, s], of the volume's type
  *   CODEC_CONSTANT  one sample, which fills the block
- *   CODEC_VECTOR_QUANTISED is reserved for the codec of Ljung 2006: indices into a codebook
+ * Any other codec is an error, which is reported; its block is zeros. (Codes of vector quantisation: decode_codes.cl.)
  * Samples are of the volume's own type here and there, but for float64: those are brought into float's range as
  * (v - bias) * gain and held as float32 (clvol/device/memory.py, ValueMap), so that no ray computes in double.
  *
@@ -44,13 +44,14 @@ typedef struct {
  * payloads  BlockPayload [count]
  * staged    Staged: what all payloads refer to
  * samples   Voxel: one of the sample buffers
+ * fault     int: a codec that is not known, where there was one
  */
 __kernel void decode_blocks(__global const BlockPayload *restrict payloads, int count,
                             __global const Staged *restrict staged,
 #if STAGED_DOUBLE
                             double bias, double gain,
 #endif
-                            __global Voxel *restrict samples)
+                            __global Voxel *restrict samples, __global int *restrict fault)
 {
   if (get_global_id(0) >= count) return;
   const BlockPayload p = payloads[get_global_id(0)];
@@ -64,6 +65,9 @@ __kernel void decode_blocks(__global const BlockPayload *restrict payloads, int 
   } else if (p.codec == CODEC_RAW) {
     in += z * slice;
     for (int k = 0; k < slice; ++k) out[k] = HELD(in[k]);
+  } else {
+    for (int k = 0; k < slice; ++k) out[k] = 0;
+    *fault = p.codec;
   }
 }
 

@@ -1,10 +1,11 @@
 /* Residual vector quantisation with a depth per sub-block ("rvq"): cuts blocks into sub-blocks, and chooses stages.
  *
  * Of each sub-block the kernel looks for the depth of the least cost D + lambda R: D the squared error of decoded
- * voxels (in 1/256), R bits. The search goes from stage to stage, and ends where even an exact sub-block would cost more
- * than the best so far. It keeps BEAM sequences of codes, each of which goes on with its BEAM nearest codewords (of
- * different lanes, see search_codebook); those of the shortest residuals are kept ("M-search"). Where voxels may be off by `bound` at most, depths that
- * break it do not count. A sub-block may be escaped: its voxels are then stored, or differences that keep the bound.
+ * voxels (in 1/256), R bits. The search goes from stage to stage, and ends where even an exact sub-block would cost
+ * more than the best so far. It keeps BEAM sequences of codes, each of which goes on with its BEAM nearest codewords (of
+ * different lanes, see search_codebook); those of the shortest residuals are kept ("M-search"). Where voxels may be off
+ * by `bound` at most, depths that break it do not count. A sub-block may be escaped: its voxels are then stored, or
+ * differences that keep the bound.
  *
  * Switches (-D): SIZE 64; SUBS, sub-blocks per octant: 8, or 1 for blocks of 4 samples per axis; BEAM 1, 2 or 4.
  */
@@ -138,8 +139,8 @@ typedef struct {
   uchar codes[BEAM][MOST_STAGES];
 } Kept;
 
-/* Goes one stage on for a sub-block: from `number` sequences, whose residuals (int [BEAM][64]) and codes are replaced by
- * the BEAM best of those that go on with `next` [number][BEAM]. */
+/* Goes one stage on for a sub-block: from `number` sequences, whose residuals (int [BEAM][64]) and codes are replaced
+ * by the BEAM best of those that go on with `next` [number][BEAM]. */
 inline void go_on(__global int *restrict residual, Kept *kept, int number, const int next[][BEAM], int stage,
                   __global const char *restrict entries, int shift)
 {
@@ -208,7 +209,7 @@ __kernel void choose_codes(__global const ushort *restrict work, __global const 
   Choice choices[GROUP];
   Kept kept[GROUP];
   int active[GROUP], count = 0;
-  float4 rows[SIZE];
+  float rows[4 * SIZE];
   for (int octant = first; octant < last; octant++) {
     const long lambda = lambdas[octant];
     const int bound = bounds[octant];
@@ -236,12 +237,10 @@ __kernel void choose_codes(__global const ushort *restrict work, __global const 
     __global const char *words = entries + (size_t)stage * (ENTRIES * 64);
     int left = 0;
     for (int i = 0; i < count; i += together) {
-      size_t from[4];
-      for (int v = 0; v < 4; v++)
-        from[v] = ((size_t)active[min(i + v / number, count - 1)] * BEAM + v % number) * 64;
-      for (int k = 0; k < 64; k++)
-        rows[k] = (float4)(as_compared(residual[from[0] + k], shift), as_compared(residual[from[1] + k], shift),
-                           as_compared(residual[from[2] + k], shift), as_compared(residual[from[3] + k], shift));
+      for (int v = 0; v < 4; v++) {
+        const size_t from = (size_t)active[min(i + v / number, count - 1)] * BEAM + v % number;
+        as_compared(residual + from * 64, shift, rows + v * 64);
+      }
       int16 keys[4];
       int next[4][BEAM];
       search_codebook(rows, codebook + stage * (64 * ENTRIES), norms + stage * ENTRIES, keys);

@@ -21,15 +21,10 @@ __kernel void encode_stage(__global const ushort *restrict work, __global int *r
                            __global int *restrict largest)
 {
   const int end = min(count, (int)(get_global_id(0) + 1) * each);
-  float4 rows[SIZE];
+  float rows[4 * SIZE];
   for (int at = get_global_id(0) * each; at < end; at += 4) {
-    int four[4];
-    for (int v = 0; v < 4; v++) four[v] = min(at + v, count - 1);
-    for (int k = 0; k < SIZE; k++)
-      rows[k] = (float4)(as_compared(residual[(size_t)four[0] * SIZE + k], shift),
-                         as_compared(residual[(size_t)four[1] * SIZE + k], shift),
-                         as_compared(residual[(size_t)four[2] * SIZE + k], shift),
-                         as_compared(residual[(size_t)four[3] * SIZE + k], shift));
+    for (int v = 0; v < 4; v++)
+      as_compared(residual + (size_t)min(at + v, count - 1) * SIZE, shift, rows + v * SIZE);
     int16 keys[4];
     search_codebook(rows, codebook, norms, keys);
     for (int v = 0; v < 4 && at + v < end; v++) {

@@ -77,7 +77,6 @@
 /* How a block's samples arrive (decode_blocks.cl). */
 #define CODEC_RAW 0
 #define CODEC_CONSTANT 1
-#define CODEC_VECTOR_QUANTISED 2
 
 /* Codes of blocks in the index (blocks.h): 1 + log2 of the samples per axis, or this. */
 #define CODE_DROPPED 15

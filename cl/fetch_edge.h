@@ -22,14 +22,14 @@ typedef struct {
 INLINE Edge fetch_edge(__global const uchar *volume, __constant const View *view, intN ix, intN iy, intN iz)
 {
   const intN pair = min(iy, (intN)(view->size.y - 2));
-  const uintN w = gather2(volume, corner_offset(view, ix, pair, iz)) >> (AS_UINT(iy - pair) << 3u);
+  const uintN w = gather2(volume, corner_offset(volume, view, ix, pair, iz)) >> (AS_UINT(iy - pair) << 3u);
   const Edge e = {BYTE(w, 0u), BYTE(w, 2u)};
   return e;
 }
 
 INLINE Face fetch_face(__global const uchar *volume, __constant const View *view, intN ix, intN iy, intN iz)
 {
-  const uintN w = gather2(volume, corner_offset(view, ix, iy, iz));
+  const uintN w = gather2(volume, corner_offset(volume, view, ix, iy, iz));
   const Face f = {{BYTE(w, 0u), BYTE(w, 2u)}, {BYTE(w, 1u), BYTE(w, 3u)}};
   return f;
 }
@@ -38,7 +38,7 @@ INLINE Face fetch_face(__global const uchar *volume, __constant const View *view
 
 INLINE Edge fetch_edge(__global const uchar *volume, __constant const View *view, intN ix, intN iy, intN iz)
 {
-  const intN at = corner_offset(view, ix, iy, iz);
+  const intN at = corner_offset(volume, view, ix, iy, iz);
   Edge e;
 #if VOXEL_BITS == 8
   const uintN w = gather1(volume, at);

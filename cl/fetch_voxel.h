@@ -21,11 +21,26 @@ typedef struct {
 } Corners;
 
 /* Elements from the first voxel (or pair) to the lower corner: below 2^31, as the host makes sure. Bytes from there to
- * the next row and slice may be more. */
-INLINE intN corner_offset(__constant const View *view, intN ix, intN iy, intN iz)
+ * the next row and slice may be more.
+ *
+ * BRICKS, where it is not 0, is the logarithm of a brick's edge: the volume is then bricks of 2^BRICKS voxels an axis,
+ * with a further one along each axis (fill_bricks.cl), in any order behind a table of them. A brick's entry is where
+ * its first voxel is, less what the lattice point there adds here: so one look-up is all that a cell in a brick needs,
+ * and its corners are in the one brick.
+ */
+#if BRICKS
+INLINE intN corner_offset(__global const uchar *volume, __constant const View *view, intN ix, intN iy, intN iz)
+{
+  const int nx = ((view->size.x - 1) >> BRICKS) + 1, ny = ((view->size.y - 1) >> BRICKS) + 1;
+  const intN brick = ((iz >> BRICKS) * ny + (iy >> BRICKS)) * nx + (ix >> BRICKS);
+  return AS_INT(gather4(volume, brick)) + iz * view->slice_stride + iy * view->row_stride + ix;
+}
+#else
+INLINE intN corner_offset(__global const uchar *volume, __constant const View *view, intN ix, intN iy, intN iz)
 {
   return iz * view->slice_stride + iy * view->row_stride + ix;
 }
+#endif
 #define ELEMENT_BYTES (VOXEL_PAIRS ? 2 : VOXEL_BITS / 8)
 INLINE size_t row_bytes(__constant const View *view) { return ELEMENT_BYTES * (size_t)view->row_stride; }
 INLINE size_t slice_bytes(__constant const View *view) { return ELEMENT_BYTES * (size_t)view->slice_stride; }
@@ -47,7 +62,7 @@ typedef struct {
 INLINE FetchedCorners fetch_corners(__global const uchar *volume, __constant const View *view, intN ix, intN iy,
                                     intN iz)
 {
-  const intN at = corner_offset(view, ix, iy, iz);
+  const intN at = corner_offset(volume, view, ix, iy, iz);
   const FetchedCorners f = {gather2(volume, at), gather2(volume + slice_bytes(view), at)};
   return f;
 }
@@ -65,7 +80,7 @@ INLINE Corners decode_corners(FetchedCorners f, __constant const View *view)
 INLINE FetchedCorners fetch_corners(__global const uchar *volume, __constant const View *view, intN ix, intN iy,
                                     intN iz)
 {
-  const intN at = corner_offset(view, ix, iy, iz);
+  const intN at = corner_offset(volume, view, ix, iy, iz);
   const size_t row = row_bytes(view), slice = slice_bytes(view);
   const FetchedCorners f = {(gather1(volume, at) & 0xffffu) | (gather1(volume + row, at) << 16u),
                             (gather1(volume + slice, at) & 0xffffu) | (gather1(volume + slice + row, at) << 16u)};
@@ -99,7 +114,7 @@ typedef struct {
 INLINE FetchedCorners fetch_corners(__global const uchar *volume, __constant const View *view, intN ix, intN iy,
                                     intN iz)
 {
-  const intN at = corner_offset(view, ix, iy, iz);
+  const intN at = corner_offset(volume, view, ix, iy, iz);
   const size_t row = row_bytes(view), slice = slice_bytes(view);
   const FetchedCorners f = {gather2(volume, at), gather2(volume + row, at), gather2(volume + slice, at),
                             gather2(volume + slice + row, at)};
@@ -124,7 +139,7 @@ INLINE FetchedCorners fetch_corners(__global const uchar *volume, __constant con
                                     intN iz)
 {
   Corners c;
-  const intN at = corner_offset(view, ix, iy, iz);
+  const intN at = corner_offset(volume, view, ix, iy, iz);
   const size_t row = row_bytes(view), slice = slice_bytes(view);
   c.v000 = AS_FLOAT(gather4(volume, at)), c.v100 = AS_FLOAT(gather4(volume + 4, at));
   c.v010 = AS_FLOAT(gather4(volume + row, at)), c.v110 = AS_FLOAT(gather4(volume + row + 4, at));
@@ -147,7 +162,7 @@ INLINE FetchedCorners fetch_corners(__global const uchar *bytes, __constant cons
   Corners c;
   __global const double *volume = (__global const double *)bytes;
   int at[LANES];
-  STORE_LANES(corner_offset(view, ix, iy, iz), at);
+  STORE_LANES(corner_offset(bytes, view, ix, iy, iz), at);
   const size_t row = (size_t)view->row_stride, slice = (size_t)view->slice_stride;
   const double bias = view->voxel_bias_double, gain = view->voxel_gain_double;
   c.v000 = fetch_double(volume, at, bias, gain), c.v100 = fetch_double(volume + 1, at, bias, gain);

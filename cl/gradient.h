@@ -128,12 +128,24 @@ typedef struct {
   floatN m0, m1;
 } SliceDifferences;
 
-/* From the pairs of rows y - 1 and y + 1 on, each from x - 1 to x + 2, in two gathers of 64 bits. */
-INLINE SliceDifferences slice_differences(__global const uchar *slice, intN at, intN below, floatN fx, floatN fy)
+/* From the pairs of rows y - 1 and y + 1 on, each from x - 1 to x + 2: in two gathers of 64 bits, or, of bricks, in
+ * four, since what is needed may be in several. */
+INLINE SliceDifferences slice_differences(__global const uchar *volume, __constant const View *view, Place x, Place y,
+                                          intN iz, intN corner, size_t slice)
 {
   uintN low0, high0, low1, high1;
-  gather_two2(slice, at, &low0, &high0);
-  gather_two2(slice, below, &low1, &high1);
+#if BRICKS
+  const intN before = x.index - 1, behind = x.index + 1, above_y = y.index - 1, below_y = y.index + 1;
+  low0 = gather2(volume, corner_offset(volume, view, before, above_y, iz));
+  high0 = gather2(volume, corner_offset(volume, view, behind, above_y, iz));
+  low1 = gather2(volume, corner_offset(volume, view, before, below_y, iz));
+  high1 = gather2(volume, corner_offset(volume, view, behind, below_y, iz));
+#else
+  const intN at = corner - (intN)(view->row_stride + 1), below = at + (intN)(2 * view->row_stride);
+  gather_two2(volume + slice, at, &low0, &high0);
+  gather_two2(volume + slice, below, &low1, &high1);
+#endif
+  const floatN fx = x.f, fy = y.f;
   SliceDifferences s;
   const floatN b1 = BYTE(low0, 3u), c1 = BYTE(high0, 1u), b2 = BYTE(low1, 2u), c2 = BYTE(high1, 0u);
   const floatN at_x0 = mix_corners(c1 - BYTE(low0, 1u), c2 - BYTE(low1, 0u), fy);
@@ -145,15 +157,19 @@ INLINE SliceDifferences slice_differences(__global const uchar *slice, intN at, 
   return s;
 }
 
-/* Away from the volume's faces: six gathers. */
+/* Away from the volume's faces: six gathers (of bricks ten). */
 INLINE Gradient inner_gradient(__global const uchar *volume, __constant const View *view, Place x, Place y, Place z)
 {
-  const intN corner = corner_offset(view, x.index, y.index, z.index);
-  const intN at = corner - (intN)(view->row_stride + 1), below = at + (intN)(2 * view->row_stride);
+  const intN corner = corner_offset(volume, view, x.index, y.index, z.index);
   const size_t slice = slice_bytes(view);
-  const SliceDifferences s0 = slice_differences(volume, at, below, x.f, y.f);
-  const SliceDifferences s1 = slice_differences(volume + slice, at, below, x.f, y.f);
+  const SliceDifferences s0 = slice_differences(volume, view, x, y, z.index, corner, 0);
+  const SliceDifferences s1 = slice_differences(volume, view, x, y, z.index + 1, corner, slice);
+#if BRICKS
+  const uintN before = gather2(volume, corner_offset(volume, view, x.index, y.index, z.index - 1));
+  const uintN behind = gather2(volume, corner_offset(volume, view, x.index, y.index, z.index + 2));
+#else
   const uintN before = gather2(volume - slice, corner), behind = gather2(volume + 2 * slice, corner);
+#endif
   const floatN mean_before = mix_four(BYTE(before, 0u), BYTE(before, 2u), BYTE(before, 1u), BYTE(before, 3u), x.f, y.f);
   const floatN mean_behind = mix_four(BYTE(behind, 0u), BYTE(behind, 2u), BYTE(behind, 1u), BYTE(behind, 3u), x.f, y.f);
   const floatN mean0 = mix_corners(s0.m0, s0.m1, y.f), mean1 = mix_corners(s1.m0, s1.m1, y.f);

@@ -17,12 +17,15 @@
 #define ENTRIES 256
 #define FRACTION (SIZE == 8 ? 5 : 2) /* bits of r' below 1 << shift */
 
-/* A residual as r'. One is subtracted where bits are dropped: of two codewords, the lower one is then nearer to voxels
- * of 8 bits in the middle between them, and decoding rounds down. */
-inline int as_compared(int r, int shift)
+/* Writes a residual (int [SIZE]) as r' to `row`. One is subtracted where bits are dropped: of two codewords, the lower
+ * one is then nearer to voxels of 8 bits in the middle between them, and decoding rounds down. */
+inline void as_compared(__global const int *restrict residual, int shift, float *row)
 {
-  const int q = shift > FRACTION ? (r - 1) >> (shift - FRACTION) : r << (FRACTION - shift);
-  return clamp(q, 1 - (128 << FRACTION), (128 << FRACTION) - 1);
+  for (int k = 0; k < SIZE / 8; k++) {
+    const int8 r = vload8(k, residual);
+    const int8 q = shift > FRACTION ? (r - 1) >> (shift - FRACTION) : r << max(FRACTION - shift, 0);
+    vstore8(convert_float8(clamp(q, 1 - (128 << FRACTION), (128 << FRACTION) - 1)), k, row);
+  }
 }
 
 #define TAKE_LARGEST(key, sums, first) \
@@ -36,10 +39,10 @@ inline int largest_of(int16 v)
   return max(c.lo, c.hi);
 }
 
-/* The key of the nearest codeword for each of four vectors, lane by lane of 16 codes: lane l knows the codes l, l + 16, ...
- * The code is 255 - (key & 255), and the nearest of all has the largest key. rows: float4 [SIZE], component v of row k is r' of sample k of vector v; codebook float
- * [SIZE][ENTRIES]; norms float [ENTRIES], what is subtracted from r' e, 2^23 of unused ones. */
-inline void search_codebook(const float4 *rows, __global const float *restrict codebook,
+/* The key of the nearest codeword for each of four vectors, lane by lane of 16: lane l knows the codes l, l + 16, ... The
+ * code is 255 - (key & 255), and the nearest of all has the largest key. rows: float [4][SIZE], r' of each vector;
+ * codebook float [SIZE][ENTRIES]; norms float [ENTRIES], what is subtracted from r' e, 2^23 of unused ones. */
+inline void search_codebook(const float *rows, __global const float *restrict codebook,
                             __global const float *restrict norms, int16 *keys)
 {
   const int16 lane = (int16)(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15);
@@ -50,15 +53,15 @@ inline void search_codebook(const float4 *rows, __global const float *restrict c
     __global const float *entry = codebook + first;
     for (int k = 0; k < SIZE; k++, entry += ENTRIES) {
       const float16 e0 = vload16(0, entry), e1 = vload16(1, entry);
-      const float4 r = rows[k];
-      a0 = mad(e0, (float16)(r.x), a0);
-      a1 = mad(e0, (float16)(r.y), a1);
-      a2 = mad(e0, (float16)(r.z), a2);
-      a3 = mad(e0, (float16)(r.w), a3);
-      b0 = mad(e1, (float16)(r.x), b0);
-      b1 = mad(e1, (float16)(r.y), b1);
-      b2 = mad(e1, (float16)(r.z), b2);
-      b3 = mad(e1, (float16)(r.w), b3);
+      const float x = rows[k], y = rows[SIZE + k], z = rows[2 * SIZE + k], w = rows[3 * SIZE + k];
+      a0 = mad(e0, (float16)(x), a0);
+      a1 = mad(e0, (float16)(y), a1);
+      a2 = mad(e0, (float16)(z), a2);
+      a3 = mad(e0, (float16)(w), a3);
+      b0 = mad(e1, (float16)(x), b0);
+      b1 = mad(e1, (float16)(y), b1);
+      b2 = mad(e1, (float16)(z), b2);
+      b3 = mad(e1, (float16)(w), b3);
     }
     TAKE_LARGEST(key0, a0, first);
     TAKE_LARGEST(key1, a1, first);

@@ -89,8 +89,8 @@ def command(
     VOLUME is a volume file, a DICOM folder, a Zarr folder or a scene. A .raw file needs
     --set volume.dims=[nx,ny,nz] --set 'volume.dtype="uint8"'.
 
-    A lossy codec stores codes of blocks instead of samples; 'clvol info STORE' prints the measured errors. Labels and
-    masks are refused by them. The coarsest levels stay samples, and the folder a Zarr group.
+    A lossy codec stores codes of blocks instead of samples; 'clvol info STORE' prints the measured errors. Lossy codecs
+    refuse labels and masks. The coarsest levels are always samples, which other Zarr readers open.
 
     The store appears whole or not at all. An interrupted run leaves STORE.partial; the same command resumes it.
     """

@@ -19,7 +19,8 @@ class ResidentVolume:
     ``voxels``: the (first) buffer of voxels or samples. ``values``: the map from voxels to the values that kernels
     compute with. ``switches``: how voxels are stored. ``size``: lattice points (x, y, z). ``stride``: elements from
     one row to the next, and from one slice to the next. ``cells`` (x, y, z): cells of empty space, each of
-    2^``cell_shift`` lattice units.
+    2^``cell_shift`` lattice units. ``layout``: switches (-D) that kernels need beside those of the scene, where voxels
+    lie neither in one array nor in blocks.
 
     ``bounds``, ``min_max``, ``gradients`` and ``plain`` need all voxels in one array.
     """
@@ -31,6 +32,7 @@ class ResidentVolume:
     stride: tuple[int, int]
     cells: tuple[int, int, int]
     cell_shift: int
+    layout: dict[str, int] = {}
 
     @property
     def value_range(self) -> tuple[float, float]:

@@ -30,7 +30,7 @@ NOISE_TARGETS = {"value": 0, "coordinate": 1}
 LIGHTS = {"directional": 0, "point": 1, "headlight": 2}
 CLIPS = {"plane": 0, "box": 1, "sphere": 2}
 # How a block's samples reach the device.
-BLOCK_CODECS = {"raw": 0, "constant": 1, "vector-quantised": 2}
+BLOCK_CODECS = {"raw": 0, "constant": 1}
 CODE_DROPPED = 15  # the code of a block without samples
 # Contents of a cell of a volume of blocks.
 CELLS = {"visible": 0, "beside-holes": 1, "empty": 255}

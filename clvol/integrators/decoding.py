@@ -51,7 +51,8 @@ def check_decoding(resolved: ResolvedScene, integrator: Integrator) -> None:
     """SceneError for codes that are to stay on the device, with an integrator that needs all voxels, and for weights in
     a scene that they do not suit."""
     check_weighting(resolved)
-    if is_compressed(resolved) and resolved.compression.decode == "resident" and not integrator.holds_codes:
+    holds = integrator.holds_codes or (integrator.reads_blocks and coded_source(resolved.volume) is not None)
+    if is_compressed(resolved) and resolved.compression.decode == "resident" and not holds:
         where = f"{resolved.origin}: compression.decode"
         raise SceneError(where, f"got 'resident' with the method {integrator.name!r}", "'upload' or 'auto'")
 
@@ -107,8 +108,10 @@ def with_rendered_voxels(
     ``resolved`` itself where there is nothing to decode.
     """
     if not is_compressed(resolved) or (integrator.reads_blocks and coded_source(resolved.volume) is not None):
-        is_default = resolved.compression == NOT_COMPRESSED
-        return resolved if is_default else replace(resolved, compression=NOT_COMPRESSED)
+        kept = NOT_COMPRESSED
+        if is_compressed(resolved) and resolved.compression.decode == "resident":
+            kept = Compression(decode="resident")
+        return resolved if resolved.compression == kept else replace(resolved, compression=kept)
     is_resident = way_of_decoding(resolved, shared.context, integrator) == "resident"
     codes = codes_of(resolved, shared, progress, decode=not is_resident)
     assert codes is not None

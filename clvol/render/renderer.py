@@ -225,7 +225,7 @@ class Renderer:
         self._notices.of_devices({m.context.name: m.lost for m in on_devices.members if m.lost is not None}, names)
         counted = on_devices.cache.compression(self.resolved, data.notes.get("blocks"))
         for name, value in _counted(data).items():
-            counted[name] = counted["compression"] | value if name == "compression" else value
+            counted[name] = counted.get(name, {}) | value if name == "compression" else value
         return self._frame(names, camera, data.rgba, data.depth, times, counted)
 
     @property

@@ -8,7 +8,7 @@ __kernel void corner_offsets(__constant const View *view, __global const int *x,
                              __global int *offsets, __global ulong *bytes)
 {
   const size_t first = get_global_id(0) * LANES;
-  const intN at = corner_offset(view, LOAD_LANES(x + first), LOAD_LANES(y + first), LOAD_LANES(z + first));
+  const intN at = corner_offset(0, view, LOAD_LANES(x + first), LOAD_LANES(y + first), LOAD_LANES(z + first));
   int each[LANES];
   STORE_LANES(at, each);
   EACH_LANE(k)

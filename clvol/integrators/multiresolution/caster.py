@@ -19,6 +19,7 @@ from clvol.features import STEPPINGS
 from clvol.features.vocabulary import BLOCK_COUNTERS, CELLS
 from clvol.integrators.multiresolution.bounds import most_steps
 from clvol.integrators.multiresolution.device_blocks import DeviceBlocks
+from clvol.integrators.multiresolution.resident_codes import ResidentCodes
 from clvol.integrators.multiresolution.sample_allocator import map_shift
 from clvol.integrators.raycast.caster import SECONDS_A_SAMPLE, Raycaster
 from clvol.integrators.raycast.march import March
@@ -26,7 +27,7 @@ from clvol.integrators.raycast.switches import raycast_switches
 from clvol.integrators.tiles.geometry import TileGrid
 from clvol.integrators.tiles.launch import PacketRenderer
 from clvol.integrators.tiles.statistics import corner_statistics
-from clvol.opencl.arguments import RAW, Argument, reads, writes
+from clvol.opencl.arguments import INT4, RAW, Argument, reads, value, writes
 from clvol.opencl.context import DeviceArray, DeviceContext
 from clvol.opencl.structs import BLOCKS
 from clvol.scene.camera import Camera
@@ -45,12 +46,14 @@ _OF_BLOCKS = (
 )  # fmt: skip
 _MORE = ["samples1", "samples2", "samples3"]
 
+HeldBlocks = DeviceBlocks | ResidentCodes
+
 
 class BlockedVolume(ResidentVolume):
     """A volume on the device as blocks; lattice coordinates are those of ``DeviceVolume``. It has no array of all
     voxels."""
 
-    def __init__(self, blocks: DeviceBlocks) -> None:
+    def __init__(self, blocks: HeldBlocks) -> None:
         self.blocks = blocks
         self.voxels = blocks.samples[0]
         self.values = blocks.value_map
@@ -87,7 +90,7 @@ class BlockCaster(Raycaster):
         self,
         context: DeviceContext,
         resolved: ResolvedScene,
-        blocks: DeviceBlocks,
+        blocks: HeldBlocks,
         *,
         lanes: int | None = None,
         skip: bool = True,
@@ -160,7 +163,8 @@ class BlockCaster(Raycaster):
             "visible_block_cells",
             (
                 reads("volume", RAW), reads("warp", np.float32, 2), reads("before", np.int32), reads("at", np.uint8),
-                self._view_argument, *self._block_arguments, writes("cells", np.uint8, *volume.cells),
+                self._view_argument, *self._block_arguments, value("first", INT4),
+                writes("cells", np.uint8, *volume.cells),
             ),
             self._switches_of_blocks,
         )
@@ -172,9 +176,11 @@ class BlockCaster(Raycaster):
             "at": context.upload(at.astype(np.uint8)),
             "view": context.upload(view),
             "cells": cells,
-            **self._resident_arrays(),
         }
-        kernel(context.queue, volume.cells, None, **given)
+        edge = self.blocks.blocks.edge >> volume.cell_shift
+        for first, count in self.blocks.boxes():
+            box = tuple(n * edge for n in count)
+            kernel(context.queue, box, None, first=(*(n * edge for n in first), 0), **(given | self._resident_arrays()))
         self._set_steps()
         found = context.read(cells)
         self.shown_cells, self.hole_cells = found != CELLS["empty"], found == CELLS["beside-holes"]
@@ -198,7 +204,7 @@ class BlockCaster(Raycaster):
             "block_bounds.cl",
             "block_bounds",
             (
-                reads("volume", RAW), self._view_argument, *self._block_arguments,
+                reads("volume", RAW), self._view_argument, *self._block_arguments, value("first", INT4),
                 writes("bounds", np.float32, blocks.count, 4),
             ),
             self._switches_of_blocks,
@@ -208,9 +214,9 @@ class BlockCaster(Raycaster):
             "volume": self.volume.voxels,
             "view": context.upload(view),
             "bounds": bounds,
-            **self._resident_arrays(),
         }
-        kernel(context.queue, blocks.counts[::-1], None, **given)
+        for first, count in self.blocks.boxes():
+            kernel(context.queue, count, None, first=(*first, 0), **(given | self._resident_arrays()))
         self.steps = most_steps(
             context.read(bounds),
             device_function(self.function, self.volume.values),

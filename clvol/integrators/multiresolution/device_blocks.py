@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import weakref
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Iterator
+from typing import Any, cast
 
 import numpy as np
 
 from clvol.device.memory import ValueMap, value_map, voxel_switches
 from clvol.errors import RenderError
-from clvol.features.vocabulary import CODE_DROPPED
-from clvol.integrators.multiresolution.loader import Loader, Piece, requests
+from clvol.features.vocabulary import BLOCK_CODECS, CODE_DROPPED
+from clvol.integrators.multiresolution.block_decoder import BlockDecoder
+from clvol.integrators.multiresolution.coded_source import CodedSource, is_coded
+from clvol.integrators.multiresolution.loader import CodedPiece, Loader, Piece, requests
 from clvol.integrators.multiresolution.sample_allocator import (
     SPARE_BYTES,
     Packing,
@@ -134,6 +136,12 @@ class DeviceBlocks:
         """Number of blocks that are not yet at the requested level."""
         return self._missing + len(self._instant)
 
+    def boxes(self) -> Iterator[tuple[tuple[int, int, int], tuple[int, int, int]]]:
+        """(first, count) in blocks (x, y, z): parts of the volume that are resident while each is looked at, together
+        with the blocks beside it. Here: all at once."""
+        bz, by, bx = self.blocks.counts
+        yield (0, 0, 0), (bx, by, bz)
+
     # Requests
 
     def load(
@@ -254,7 +262,11 @@ class DeviceBlocks:
         self._instant = self._instant[:0]
         for piece in pieces:
             changed += self._place(piece)
-            self._decode(piece)
+            if isinstance(piece, CodedPiece):
+                self._decode_codes(piece)
+            else:
+                self._decode(piece)
+                self._check_fault()
             self._missing -= len(piece.blocks)
         blocks = np.concatenate(changed)
         if len(blocks):
@@ -271,7 +283,7 @@ class DeviceBlocks:
         self._words[blocks, 1] = np.where(dropped, CODE_DROPPED, CODE_ONE)
         return blocks
 
-    def _place(self, piece: Piece) -> list[np.ndarray]:
+    def _place(self, piece: Piece | CodedPiece) -> list[np.ndarray]:
         """Allocates slots for the piece's blocks; returns all blocks whose samples have moved."""
         side = self.blocks.samples(piece.level)
         moves = self._packing.place(piece.blocks, np.full(len(piece.blocks), side**3))
@@ -292,9 +304,13 @@ class DeviceBlocks:
         held = self.samples[0].dtype
         double = source.dtype == np.float64 and context.has_double
         staged, payloads = staging_bytes(self.blocks)
+        self._block_decoder: BlockDecoder | None = None
+        if is_coded(source):  # these are staged in buffers of their own, no larger than samples
+            self._block_decoder, staged = BlockDecoder(context, cast(CodedSource, source)), staged // 2
         dtype = np.dtype(np.float64) if double else held
         self._staging = context.empty(dtype, (staged // dtype.itemsize,))
         self._payloads = context.empty(np.uint8, (payloads,))
+        self._fault = context.upload(np.full(1, -1, np.int32), writable=True)
         values = (value("bias", np.float64), value("gain", np.float64)) if double else ()
         scale = {"bias": self.value_map.bias, "gain": self.value_map.gain}
         self._values: dict[str, Any] = scale if double else {}
@@ -309,6 +325,7 @@ class DeviceBlocks:
                 reads("staged", dtype),
                 *values,
                 writes("samples", held),
+                writes("fault", np.int32),
             ),
             switches,
         )
@@ -337,8 +354,25 @@ class DeviceBlocks:
                 count=len(payloads),
                 staged=self._staging,
                 samples=array,
+                fault=self._fault,
                 **self._values,
             )
+
+    def _check_fault(self) -> None:
+        """RenderError if the kernel met a codec that it does not know."""
+        codec = int(self._context.read(self._fault)[0])
+        if codec >= 0:
+            self._context.write(self._fault, np.full(1, -1, np.int32))
+            raise RenderError(self._source.name, f"blocks of codec {codec}", f"one of {sorted(BLOCK_CODECS.values())}")
+
+    def _decode_codes(self, piece: CodedPiece) -> None:
+        assert self._block_decoder is not None
+        held = self._block_decoder.hold(piece.coded, piece.level)
+        buffers, places = np.divmod(self._packing.start[piece.blocks], self._each)
+        for buffer, array in enumerate(self.samples):
+            those = np.flatnonzero(buffers == buffer)
+            if len(those):
+                self._block_decoder.decode(held, those, piece.blocks[those], piece.level, array, places[those])
 
     def _to_float(self, samples: np.ndarray) -> np.ndarray:
         """Converts float64 samples for a device without that type."""

@@ -9,6 +9,8 @@ from time import perf_counter
 from clvol.device.view import EVERY_PIXEL, PixelLattice
 from clvol.integrators.base import FrameData, Progress
 from clvol.integrators.multiresolution.caster import BlockCaster
+from clvol.integrators.multiresolution.coded_caster import CodedBlockCaster
+from clvol.integrators.multiresolution.coded_residency import CodedResidency
 from clvol.integrators.multiresolution.residency import Residency
 from clvol.integrators.pyramid.blocks import BlockPyramidCaster
 from clvol.integrators.raycast.picture import PictureParts
@@ -22,8 +24,13 @@ from clvol.transfer import TransferFunction
 TILES = 16  # pixels per edge of the tiles of a picture for a given time, where the scene sets none
 
 
-def caster_of(resolved: ResolvedScene) -> type[BlockCaster]:
-    """The class that renders the scene's stepping."""
+AnyResidency = Residency | CodedResidency
+
+
+def caster_of(resolved: ResolvedScene, residency: AnyResidency | None = None) -> type[BlockCaster]:
+    """The class that renders the scene's stepping, of the blocks of ``residency``."""
+    if isinstance(residency, CodedResidency):
+        return CodedBlockCaster
     if resolved.multiresolution.stepping == "pyramid":
         return BlockPyramidCaster
     return BlockCaster
@@ -41,7 +48,7 @@ class MultiresolutionEngine:
         self,
         context: DeviceContext,
         resolved: ResolvedScene,
-        residency: Residency | None = None,
+        residency: AnyResidency | None = None,
         progress: Progress | None = None,
         wait: bool | None = None,
     ) -> None:
@@ -49,7 +56,7 @@ class MultiresolutionEngine:
         self.residency = residency or Residency(context, resolved)
         self.ask(wait, progress)
         self._shown = self.residency.generation
-        self.caster = caster_of(resolved)(context, resolved, self.residency.blocks)
+        self.caster = caster_of(resolved, self.residency)(context, resolved, self.residency.blocks)
 
     @property
     def visible_share(self) -> float:
@@ -61,7 +68,7 @@ class MultiresolutionEngine:
         return self.caster.renders_all_pixels
 
     @property
-    def held(self) -> tuple[Residency]:
+    def held(self) -> tuple[AnyResidency]:
         return (self.residency,)
 
     def for_scene(self, resolved: ResolvedScene) -> MultiresolutionEngine:
@@ -128,6 +135,8 @@ class MultiresolutionEngine:
             return self._described(self._tiled().render(camera, width, height, progress, depth))
         data = self.caster.render(camera, width, height, progress, depth, lattice)
         data.notes["blocks"] = self.residency.describe()
+        if isinstance(self.residency, CodedResidency):
+            data.notes["compression"] = self.residency.compression()
         return data
 
     def render_for_time(

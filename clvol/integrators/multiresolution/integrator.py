@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 from clvol.device.voxels import as_rendered
 from clvol.errors import SceneError
@@ -11,8 +11,10 @@ from clvol.features import reduced_for_frames
 from clvol.features.refuse import PLAIN, refuse_effects, refuse_keys, refuse_quadrature, refuse_sparse_rays
 from clvol.integrators.base import Prepared, Progress, Shared
 from clvol.integrators.multiresolution.caster import block_switches
+from clvol.integrators.multiresolution.coded_residency import CodedResidency
+from clvol.integrators.multiresolution.coded_source import CodedSource, is_coded
 from clvol.integrators.multiresolution.engine import MultiresolutionEngine
-from clvol.integrators.multiresolution.residency import Residency
+from clvol.integrators.multiresolution.residency import Residency, block_source
 from clvol.integrators.multiresolution.sample_allocator import map_shift, most_bytes
 from clvol.integrators.pyramid.blocks import block_pyramid_switches
 from clvol.integrators.pyramid.layout import block_pyramid_bytes
@@ -51,8 +53,21 @@ class Multiresolution:
             raise SceneError(where, what, expected)
         if _slices(resolved):
             self._check_slices(resolved)
+        if resolved.compression.decode == "resident":
+            self._check_codes(resolved)
         refuse_effects(resolved, "integration.method", self.name, "raycast", PLAIN)
         refuse_quadrature(resolved)
+
+    def _check_codes(self, resolved: ResolvedScene) -> None:
+        where, got = f"{resolved.origin}: compression.decode", "got 'resident' with the method 'multiresolution'"
+        if not is_coded(block_source(resolved.volume)):
+            what = f"{got} and a volume that is no store of codes of all levels"
+            raise SceneError(where, what, "'auto', or a store of codes, or the method 'raycast'")
+        settings = resolved.multiresolution
+        for key, plain in (("tiles", 0), ("stepping", None)):
+            value = getattr(settings, key)
+            if value == "pyramid" or (plain is not None and value != plain):
+                raise SceneError(where, f"{got} and {key} = {value!r}", "'auto', or pictures of a ray for every pixel")
 
     def _check_slices(self, resolved: ResolvedScene) -> None:
         refuse_sparse_rays(resolved, "stepping")
@@ -66,7 +81,7 @@ class Multiresolution:
             raise SceneError(where, f"got {tiles} with the stepping 'pyramid'", "0, or another stepping")
 
     def refines_in_time(self, scene: Scene | ResolvedScene) -> bool:
-        return not _slices(scene)
+        return not _slices(scene) and scene.compression.decode != "resident"
 
     def device_bytes(self, volume: Volume, scene: Scene | ResolvedScene) -> int:
         budget = scene.multiresolution.memory_bytes
@@ -98,7 +113,8 @@ class Multiresolution:
 
     def key(self, resolved: ResolvedScene) -> tuple[Any, ...]:
         settings = resolved.multiresolution
-        return (settings, resolved.pyramid.levels) if _slices(resolved) else (settings,)
+        of_slices = (resolved.pyramid.levels,) if _slices(resolved) else ()
+        return settings, resolved.compression.decode == "resident", *of_slices
 
     def simplified(self, resolved: ResolvedScene, shared: Shared) -> ResolvedScene:
         return as_rendered(resolved, shared.keep)
@@ -106,7 +122,15 @@ class Multiresolution:
     def prepare(
         self, shared: Shared, resolved: ResolvedScene, progress: Progress | None = None, wait: bool | None = None
     ) -> Prepared:
-        key = resolved.volume, resolved.multiresolution.memory_bytes
+        source, memory = block_source(resolved.volume), resolved.multiresolution.memory_bytes
+        if resolved.compression.decode == "resident" and is_coded(source):
+            coded = cast(CodedSource, source)
+            codes = shared.keep(
+                "resident codes", (resolved.volume, memory), lambda: CodedResidency(shared.context, coded, resolved),
+                _BUDGETS,
+            )  # fmt: skip
+            return MultiresolutionEngine(shared.context, resolved, codes, progress, wait)
+        key = resolved.volume, memory
         residency = shared.keep("resident blocks", key, lambda: Residency(shared.context, resolved), _BUDGETS)
         return MultiresolutionEngine(shared.context, resolved, residency, progress, wait)
 

@@ -9,10 +9,13 @@ import threading
 from collections import deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 
 from clvol.features.vocabulary import BLOCK_CODECS
+from clvol.integrators.multiresolution.coded_source import FEWEST, CodedSource, is_coded
+from clvol.store.codecs.coded_blocks import CodedBlocks
 from clvol.store.source import BlockSource
 
 RAW, CONSTANT = BLOCK_CODECS["raw"], BLOCK_CODECS["constant"]
@@ -38,6 +41,15 @@ class Piece:
     staged: np.ndarray
     first: np.ndarray
     codec: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class CodedPiece:
+    """The blocks of a ``Request`` as codes."""
+
+    level: int
+    blocks: np.ndarray
+    coded: CodedBlocks
 
 
 def requests(
@@ -89,7 +101,8 @@ def staged_piece(request: Request, samples: np.ndarray) -> Piece:
 
 
 class Loader:
-    """Reads the latest requests, in order, in one thread that ends when there are no more.
+    """Reads the latest requests, in order, in one thread that ends when there are no more. Of a source of codes,
+    pieces are codes at all levels that have them.
 
     ``convert`` is applied to samples before they are staged. Only a few pieces wait to
     be taken at a time; then the thread waits, too. An error cancels all requests and is returned
@@ -100,9 +113,10 @@ class Loader:
         self, source: BlockSource, convert: Callable[[np.ndarray], np.ndarray] | None = None
     ) -> None:
         self._source, self._convert = source, convert
+        self._codes = cast(CodedSource, source) if is_coded(source) else None
         self._condition = threading.Condition()
         self._requests: deque[Request] = deque()
-        self._ready: deque[Piece] = deque()
+        self._ready: deque[Piece | CodedPiece] = deque()
         self._error: Exception | None = None
         self._generation = 0  # of the requests: pieces of older ones are dropped
         self._thread: threading.Thread | None = None
@@ -119,7 +133,7 @@ class Loader:
                 self._thread = threading.Thread(target=self._run, name="clvol-blocks", daemon=True)
                 self._thread.start()
 
-    def take(self) -> tuple[list[Piece], Exception | None]:
+    def take(self) -> tuple[list[Piece | CodedPiece], Exception | None]:
         """The pieces that have arrived since the last call, and the error that followed them, if there was one."""
         with self._condition:
             pieces, error = list(self._ready), self._error
@@ -144,7 +158,7 @@ class Loader:
     def _run(self) -> None:
         while (work := self._next()) is not None:
             generation, request = work
-            piece: Piece | None = None
+            piece: Piece | CodedPiece | None = None
             error: Exception | None = None
             try:
                 piece = self._read(request)
@@ -173,6 +187,9 @@ class Loader:
             self._condition.notify_all()
             return None
 
-    def _read(self, request: Request) -> Piece:
+    def _read(self, request: Request) -> Piece | CodedPiece:
+        if self._codes is not None and self._source.blocks.samples(request.level) >= FEWEST:
+            codes = self._codes.read_codes(request.level, request.blocks)
+            return CodedPiece(request.level, request.blocks, codes)
         samples = self._source.read(request.level, request.blocks)
         return staged_piece(request, samples if self._convert is None else self._convert(samples))

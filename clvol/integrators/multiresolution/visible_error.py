@@ -3,6 +3,8 @@ visible error of each level."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from clvol.integrators.multiresolution.luv import linear_to_luv
@@ -112,7 +114,13 @@ class ShownColors:
     def mixture(self, places: np.ndarray) -> list[np.ndarray]:
         """L*, u* and v* [k] of a ray's colour after a sixteenth of the path in a mixture of the values
         ``places`` [k, nodes], weighted by ``_WEIGHTS``."""
-        depth, *emission = (component.take(places) @ _WEIGHTS for component in self._medium)
+        return self.mixture_of((places,))
+
+    def mixture_of(self, parts: Sequence[np.ndarray]) -> list[np.ndarray]:
+        """As ``mixture``, of several sets of values in equal shares."""
+        depth, *emission = (
+            sum(component.take(places) @ _WEIGHTS for places in parts) / len(parts) for component in self._medium
+        )
         alpha = -np.expm1(-depth)
         share = np.where(depth > 0, alpha / np.where(depth > 0, depth, 1.0), 0.0)
         shown = [e * share + b * (1.0 - alpha) for e, b in zip(emission, self._background)]
@@ -201,6 +209,26 @@ def estimated_errors(
             shown,
         )
         out[:, piece] = np.maximum.accumulate(found, axis=0)
+    return out
+
+
+def noise_errors(statistics: BlockStatistics, deviation: np.ndarray, shown: ShownColors) -> np.ndarray:
+    """float32 [n]: the estimated Delta-E, made of the same two parts as ``block_errors``, of blocks at full resolution
+    whose voxels are wrong by ``deviation`` float [n] (root mean square), as of a lossy code: each node of the histogram
+    stands for two values that far apart from it. Blocks with holes, which a code that is cut loses, count as if they
+    had nothing but their mean."""
+    out = np.zeros(len(deviation), np.float32)
+    blocks = np.flatnonzero((deviation > 0) & (statistics.minimum[0] < statistics.maximum[0]))
+    for first in range(0, len(blocks), _PIECE):
+        part = blocks[first : first + _PIECE]
+        nodes = _nodes(statistics.quantiles[0, part], statistics.minimum[0, part], statistics.maximum[0, part])
+        amount = np.asarray(deviation[part], np.float64)[:, None]
+        places = shown.places(nodes), shown.places(nodes - amount), shown.places(nodes + amount)
+        whole, *moved = (shown.luv(each) for each in places)
+        for each in moved:
+            out[part] += np.float32(0.5 * _OF_VOXELS) * _mean_delta_e(whole, each)
+        a, b = shown.mixture(places[0]), shown.mixture_of(places[1:])
+        out[part] += np.sqrt(sum((u - v) ** 2 for u, v in zip(a, b))).astype(np.float32)
     return out
 
 

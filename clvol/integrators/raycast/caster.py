@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import TypeVar
 
@@ -155,6 +155,7 @@ class Raycaster:
         self.switches = raycast_switches(
             resolved, lanes=self.lanes, skip=self.skip, function=function
         )
+        self.switches |= self.volume.layout
         self.switches |= self.effects.switches  # those that respect the limits of the device
         self.switches |= self.march.switches()
         self.light_volume_samples = 0
@@ -304,6 +305,13 @@ class Raycaster:
         at = np.arange(_DEPTH_NODES + 1)
         inside = (np.interp(last, at, sums) - np.interp(first, at, sums)) / np.maximum(width, 1e-9)
         return np.where(width > 1e-6, inside, np.interp(first, at, at_nodes))
+
+    def groups(
+        self, frame: RayFrame, size: tuple[int, int], tiles: np.ndarray | None
+    ) -> Iterator[np.ndarray | None]:
+        """The groups in which ``tiles`` (int [n]; None: all) of a picture of ``size`` are rendered, one after another.
+        What a group needs is on the device when it is given."""
+        yield tiles
 
     def parts(self, camera: Camera, width: int, height: int, depth: bool = True) -> PictureParts | None:
         """As ``RendersParts.parts``; None where nothing can be seen."""

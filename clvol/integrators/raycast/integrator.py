@@ -3,17 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
+from clvol.device.brick_pool import CodedBricks
 from clvol.device.gradients import storing_switches
 from clvol.device.light_volume import METHODS
 from clvol.device.voxels import as_rendered
-from clvol.features import GRADIENTS
+from clvol.encoding.coded_volume import UndecodedVolume
+from clvol.errors import SceneError
+from clvol.features import GRADIENTS, effects
 from clvol.features.refuse import refuse_quadrature
 from clvol.integrators.base import Prepared, Progress, Shared
+from clvol.integrators.raycast.bricks import BrickCaster, BrickVolume
 from clvol.integrators.raycast.caster import Raycaster, device_volume
 from clvol.integrators.raycast.switches import raycast_switches
 from clvol.integrators.whole_volume import WholeVolume
 from clvol.scene.resolve import ResolvedScene
+from clvol.volume.voxel_layout import holds_pairs
+
+# Effects that read voxels in other ways than rays do, or others than the volume's own.
+_OF_ALL_VOXELS = {"precomputed gradients", "prefilter"}
+_KEPT = 3  # volumes as bricks
 
 
 class Raycast(WholeVolume):
@@ -21,9 +31,16 @@ class Raycast(WholeVolume):
 
     name = "raycast"
     tuned_as = "raycast"
+    holds_codes = True
 
     def check(self, resolved: ResolvedScene) -> None:
         refuse_quadrature(resolved)
+        if resolved.compression.decode == "resident" and (reason := needs_all_voxels(resolved)) is not None:
+            where = f"{resolved.origin}: compression.decode"
+            raise SceneError(where, f"got 'resident' in a scene that calls for {reason}", "'upload' or 'auto'")
+
+    def key(self, resolved: ResolvedScene) -> tuple[Any, ...]:
+        return (resolved.compression.memory,) if isinstance(resolved.volume, UndecodedVolume) else ()
 
     def programs(self, resolved: ResolvedScene, lanes: int) -> Mapping[str, Mapping[str, int]]:
         resolved = as_rendered(resolved)
@@ -43,8 +60,29 @@ class Raycast(WholeVolume):
     def prepare(
         self, shared: Shared, resolved: ResolvedScene, progress: Progress | None = None, wait: bool | None = None
     ) -> Prepared:
-        volume = device_volume(shared, resolved)
-        return Raycaster(shared.context, resolved, volume=volume)
+        if isinstance(resolved.volume, UndecodedVolume) and needs_all_voxels(resolved) is None:
+            return BrickCaster(shared.context, resolved, brick_volume(shared, resolved, resolved.volume))
+        return Raycaster(shared.context, resolved, volume=device_volume(shared, resolved))
+
+
+def brick_volume(shared: Shared, resolved: ResolvedScene, volume: UndecodedVolume) -> BrickVolume:
+    """The bricks of ``volume``, shared by all scenes that allow them as much memory."""
+    memory, context, codes = resolved.compression.memory_bytes, shared.context, volume.codes
+    key = codes, memory
+
+    def make() -> BrickVolume:
+        source = CodedBricks(context, volume, codes.blocks, codes.codebooks, codes.coded, codes.name or "volume")
+        return BrickVolume(context, source, memory, pairs=holds_pairs(volume))
+
+    return shared.keep("bricks", key, make, _KEPT)
+
+
+def needs_all_voxels(resolved: ResolvedScene) -> str | None:
+    """An effect of the scene for which all voxels have to be on the device at once; None if there is none."""
+    for effect in effects(resolved):
+        if effect.called_for and effect.name in _OF_ALL_VOXELS:
+            return effect.name
+    return "quantised voxels" if resolved.integration.voxel_precision != "stored" else None
 
 
 INTEGRATOR = Raycast()

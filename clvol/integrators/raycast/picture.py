@@ -82,6 +82,21 @@ class _Picture:
     def _launch(
         self, stage: _Stage, tiles: np.ndarray | None, progress: TilesDone | None
     ) -> tuple[np.ndarray | None, dict[str, int]]:
+        """As ``_launch_group``, in the groups that the caster renders them in."""
+        tallies: list[np.ndarray] = []
+        counts: dict[str, int] = {}
+        done = 0
+        for group in self._caster.groups(stage.frame, stage.size, tiles):
+            report = None if progress is None else lambda more, before=done: progress(before + more)
+            tally, named = self._launch_group(stage, group, report)
+            tallies += [] if tally is None else [tally]
+            counts = {name: counts.get(name, 0) + count for name, count in named.items()}
+            done += stage.tiles if group is None else len(group)
+        return np.concatenate(tallies) if tallies else None, counts
+
+    def _launch_group(
+        self, stage: _Stage, tiles: np.ndarray | None, progress: TilesDone | None
+    ) -> tuple[np.ndarray | None, dict[str, int]]:
         """Enqueues ``tiles``, or all; those that can see no surface in kernels without surfaces. Returns the tallies
         and how many tiles were of either kind."""
         caster = self._caster
