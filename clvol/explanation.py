@@ -16,7 +16,6 @@ from clvol.features.scene_warnings import camera_warning, scene_warnings
 from clvol.integrators.registry import check_scene, integrator_of
 from clvol.opencl.context import compile_options
 from clvol.opencl.kernels_path import kernel_folder
-from clvol.scene.compression import NOT_COMPRESSED
 from clvol.scene.environment import Environment
 from clvol.scene.resolve import ResolvedScene
 from clvol.volume.volume import Volume
@@ -76,10 +75,11 @@ def kernel_hash(resolved: ResolvedScene, lanes: int = 16) -> str:
 
 def _as_decoded(resolved: ResolvedScene) -> ResolvedScene:
     """``resolved`` with voxels of the type that decoded ones have."""
-    volume, is_compressed = resolved.volume, resolved.compression.codec != "none"
-    if is_compressed and volume.dtype == np.float64:
-        volume = Volume(volume.data.astype(np.float32), volume.grid.spacing, volume.grid.origin, volume.grid.direction)
-    return replace(resolved, volume=volume, compression=NOT_COMPRESSED) if is_compressed else resolved
+    volume = resolved.volume
+    if not resolved.compression.is_lossy or volume.dtype != np.float64:
+        return resolved
+    volume = Volume(volume.data.astype(np.float32), volume.grid.spacing, volume.grid.origin, volume.grid.direction)
+    return replace(resolved, volume=volume)
 
 
 def scene_programs(resolved: ResolvedScene, lanes: int = 16) -> Mapping[str, Mapping[str, int]]:

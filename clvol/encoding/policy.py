@@ -94,10 +94,12 @@ class Goal:
     bits: float | None = None
 
     def needs(self, squares: np.ndarray, largest: np.ndarray, lagrangian: int) -> np.ndarray:
-        """bool [n]: for which sub-blocks of the given errors one more stage may be worth its bits."""
+        """bool [n]: for which sub-blocks of the given errors one more stage is likely to be worth its eight bits: it
+        takes a quarter of the squared error."""
         if self.bound is not None:
             return largest > self.bound
-        return 256 * squares > 8 * lagrangian
+        # The guess at the multiplier is rougher where bits are given.
+        return 256 * squares > (32 if self.squares is not None else 16) * lagrangian
 
 
 def goal_of(target: RateTarget, values: WorkingValues, value_range: tuple[float, float]) -> Goal:

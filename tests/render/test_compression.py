@@ -16,7 +16,7 @@ from helpers.small_scenes import SMOOTH, waves
 from clvol import Compression, Renderer, Scene, TransferFunction, Volume
 from clvol.encoding.trainer import CodeTrainer
 from clvol.errors import ClvolWarning, RenderError, SceneError, VolumeError
-from clvol.explanation import explain, kernel_hash
+from clvol.explanation import explain, kernel_hash, scene_programs
 from clvol.integrators import decoding
 from clvol.integrators.registry import check_scene
 from clvol.readers import load_volume
@@ -372,6 +372,17 @@ def test_the_kernel_is_that_of_the_decoded_volume():
         coded = scene_of(array, {"codec": "rvq"}).resolve()
         array = array.astype(np.float32) if array.dtype == np.float64 else array
         assert kernel_hash(coded) == kernel_hash(scene_of(array, {}).resolve())
+
+
+def test_the_kernel_is_that_of_codes_that_stay_on_the_device(device):
+    scene = scene_of(VOLUME, {"codec": "rvq", "decode": "resident"})
+    with Renderer(scene, [device]) as renderer:
+        renderer.render()
+        prepared = renderer._on_device.prepared
+        told = scene_programs(scene.resolve(), prepared.lanes)["raycast.cl"]
+        assert told == {**prepared.switches, "WITH_DEPTH": 1}
+    assert kernel_hash(scene.resolve()) != kernel_hash(scene_of(VOLUME, {"codec": "rvq"}).resolve())
+    assert explain(scene.resolve())["compression"]["decode"] == "resident"
 
 
 def test_explain_says_what_compression_does():

@@ -9,9 +9,10 @@ from clvol.device.brick_pool import CodedBricks
 from clvol.device.gradients import storing_switches
 from clvol.device.light_volume import METHODS
 from clvol.device.voxels import as_rendered
-from clvol.encoding.coded_volume import UndecodedVolume
+from clvol.encoding.coded_volume import EDGE, UndecodedVolume
 from clvol.errors import SceneError
 from clvol.features import GRADIENTS, effects
+from clvol.features.compression import coded_source, is_compressed
 from clvol.features.refuse import refuse_quadrature
 from clvol.integrators.base import Prepared, Progress, Shared
 from clvol.integrators.raycast.bricks import BrickCaster, BrickVolume
@@ -44,7 +45,7 @@ class Raycast(WholeVolume):
 
     def programs(self, resolved: ResolvedScene, lanes: int) -> Mapping[str, Mapping[str, int]]:
         resolved = as_rendered(resolved)
-        switches = raycast_switches(resolved, lanes=lanes)
+        switches = {**raycast_switches(resolved, lanes=lanes), **_brick_switches(resolved)}
         programs = {"raycast.cl": switches}
         if resolved.image.ray_spacing > 1:
             programs["fill_between_rays.cl"] = switches
@@ -75,6 +76,14 @@ def brick_volume(shared: Shared, resolved: ResolvedScene, volume: UndecodedVolum
         return BrickVolume(context, source, memory, pairs=holds_pairs(volume))
 
     return shared.keep("bricks", key, make, _KEPT)
+
+
+def _brick_switches(resolved: ResolvedScene) -> dict[str, int]:
+    """The switches of codes that are to stay on the device."""
+    if resolved.compression.decode != "resident" or not is_compressed(resolved):
+        return {}
+    source = coded_source(resolved.volume)
+    return {"BRICKS": (EDGE if source is None else source.blocks.edge).bit_length() - 1}
 
 
 def needs_all_voxels(resolved: ResolvedScene) -> str | None:
