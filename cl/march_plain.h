@@ -125,7 +125,10 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, float *rgba, flo
   }
 
   /* The last piece of each ray, shorter than a step. */
-  const intN active = MASK(i == last + 1) & MASK(rest > 0.0f);
+  intN active = MASK(i == last + 1) & MASK(rest > 0.0f);
+#if BRICKS && SKIP_EMPTY /* where nothing is visible there may be no voxels, either */
+  if (any_lane(active)) active &= MASK(next_visible(distances, view, whole, active, &ray) < ray.length);
+#endif
   if (any_lane(active)) {
     const floatN t = MIDPOINTS ? whole + 0.5f * rest : ray.length;
     const FetchedSample sample = fetch_along(volume, view, &ray, t);

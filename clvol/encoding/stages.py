@@ -1,8 +1,8 @@
 """Training of the stages of residual vector quantisation ("rvq"), each on the sub-blocks that need it.
 
 As measured: where a stage is trained on sub-blocks that the target leaves something to do, each counting once, PSNR is
-0.2 to 0.6 dB higher at the same rate than where they are drawn by their error; a joint optimisation of all stages (Barnes and
-Frost, "Vector quantizers with direct sum codebooks", 1993) adds less than 0.05 dB to that.
+0.2 to 0.6 dB higher at the same rate than where they are drawn by their error; a joint optimisation of all stages
+(Barnes and Frost, "Vector quantizers with direct sum codebooks", 1993) adds less than 0.05 dB to that.
 """
 
 from __future__ import annotations

@@ -141,7 +141,9 @@ class BrickCaster(Raycaster):
         """int64: the numbers of the blocks in which rays, and what they look at beside them, may need voxels."""
         if self._needed is None:
             blocks = self.volume.pool.blocks
-            if self.skip:
+            integration = self.resolved.integration
+            # The other marches also sample where nothing is visible: the last piece of a ray, for example.
+            if self.skip and not self.effects.switches and integration.quadrature == "steps":
                 self._needed = blocks_near(self.shown, self._reach, blocks)
             else:
                 self._needed = np.arange(blocks.count)
@@ -193,6 +195,9 @@ class BrickCaster(Raycaster):
         needed = self.needed
         if self._rays_turn:
             self._hold(needed, "a frame")
+            yield tiles
+            return
+        if self.volume.pool.resident(needed).all():
             yield tiles
             return
         columns, rows = (-(-n // m) for n, m in zip(size, self.tile))

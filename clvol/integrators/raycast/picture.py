@@ -89,6 +89,8 @@ class _Picture:
         for group in self._caster.groups(stage.frame, stage.size, tiles):
             report = None if progress is None else lambda more, before=done: progress(before + more)
             tally, named = self._launch_group(stage, group, report)
+            if group is not tiles:  # what this group needs is replaced by what the next one needs
+                self._context.finish()
             tallies += [] if tally is None else [tally]
             counts = {name: counts.get(name, 0) + count for name, count in named.items()}
             done += stage.tiles if group is None else len(group)
