@@ -7,6 +7,7 @@ same voxels in a child process.
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Iterable
 from pathlib import Path
 from time import perf_counter
@@ -41,9 +42,11 @@ def run(options: Options) -> dict[str, Any] | None:
         for scene in coded_scenes(options, result["missing"]):
             _volume(scene, device, found, result, options)
     rounds = QUICK_ROUNDS if options.quick else options.frames
-    for part, cases in frames.cases(device, result["size"], rounds, options, result["missing"]).items():
-        rows = [attempt(part, case, result["failed"]) for case in cases]
-        result[part] = [row for row in rows if row is not None]
+    with tempfile.TemporaryDirectory(prefix="clvol-bench-") as folder:
+        about = device, result["size"], rounds, Path(folder), options, result["missing"]
+        for part, cases in frames.cases(*about).items():
+            rows = [attempt(part, case, result["failed"]) for case in cases]
+            result[part] = [row for row in rows if row is not None]
     result["seconds"], result["load_after"] = perf_counter() - begin, load_average()
     return result if any(result[part] for part in PARTS) else None
 

@@ -10,7 +10,7 @@ from bench.compression_scenes import CODED_SCENES
 
 # curve: (label, colour, marker, line style)
 CURVES = {
-    "rvq, rate": ("rvq, bits per voxel asked for", "#1667b0", "o", "-"),
+    "rvq, rate": ("rvq, rate or PSNR asked for", "#1667b0", "o", "-"),
     "rvq, bound": ("rvq, largest error asked for", "#1667b0", "D", "--"),
     "sz3, bound": ("SZ3, largest error asked for", "#d0812a", "s", "--"),
     "zfp, accuracy": ("zfp, fixed accuracy", "#6b7785", "^", "--"),
@@ -70,8 +70,10 @@ def rate_chart(result: dict[str, Any], path: Path) -> Path:
 def curve_points(
     rows: list[dict[str, Any]], curve: str, key: str, factor: float, logarithmic: bool
 ) -> list[tuple[float, float]]:
-    """(bits per voxel, value) of what an axis can show, by rising rate."""
-    found = sorted((row["bits"], factor * row[key]) for row in rows if row["curve"] == curve and row[key] is not None)
+    """(bits per voxel, value) of what an axis can show, by rising rate. What "rvq" does for a PSNR lies on the curve of
+    its rates."""
+    names = (curve, "rvq, psnr") if curve == "rvq, rate" else (curve,)
+    found = sorted((row["bits"], factor * row[key]) for row in rows if row["curve"] in names and row[key] is not None)
     return [(bits, value) for bits, value in found if value > 0 or not logarithmic]
 
 

@@ -23,7 +23,8 @@ class Coded:
 
     @property
     def nbytes(self) -> int:
-        return self.codes.nbytes
+        """Of blocks, codebooks, and four for the length of each block, as stores have it."""
+        return len(self.codes.coded.data) + self.codes.codebooks.nbytes + 4 * len(self.codes.coded)
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,20 +61,14 @@ class TimedTrainer:
 
 
 class Coder:
-    """The codecs on one volume. ``trainer``: by default that of ``device``."""
+    """The codecs on one volume and one device."""
 
-    def __init__(self, volume: Any, device: Any, trainer: Any = None) -> None:
-        self.volume, self.device = volume, device
-        self._trainer = trainer
+    def __init__(self, volume: Any, device: Any) -> None:
+        from clvol.integrators.decoding import trainer
+        from clvol.opencl.context import DeviceContext
 
-    @property
-    def trainer(self) -> Any:
-        if self._trainer is None:
-            from clvol.integrators.decoding import trainer
-            from clvol.opencl.context import DeviceContext
-
-            self._trainer = trainer(DeviceContext(self.device))
-        return self._trainer
+        self.volume, self.context = volume, DeviceContext(device)
+        self.trainer = trainer(self.context)
 
     def encode(self, codec: str, target: Target, trained: Coded | None = None) -> Coded:
         """``trained``: whose training is used once more, where the same is asked for."""
@@ -86,11 +81,13 @@ class Coder:
         codes = encoded_volume(self.volume, settings, trainer)
         return Coded(codes, trainer.training, trainer.seconds, perf_counter() - start - trainer.seconds)
 
-    def decode(self, coded: Coded) -> np.ndarray:
-        """In numpy: the voxels that every device gives."""
+    def decode(self, coded: Coded, on_host: bool = False) -> np.ndarray:
+        """On the device, or in numpy: the same voxels."""
         from clvol.encoding.coded_volume import decode_on_host
+        from clvol.integrators.decoding import decode_on
 
-        return np.concatenate([layer for _, layer in coded.codes.layers(decode_on_host)])
+        decode = decode_on_host if on_host else decode_on(self.context)
+        return np.concatenate([layer for _, layer in coded.codes.layers(decode)])
 
     def decoders(self, coded: Coded, names: Sequence[str]) -> Iterator[Decoder]:
         """Decoding on the devices of these names, as far as they are there."""

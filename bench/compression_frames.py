@@ -4,7 +4,9 @@ compiled and, of "upload", decoded; "resident" decodes in a frame what that fram
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
 
 from bench.compression_rates import QUICK_EDGE, middle
@@ -26,13 +28,13 @@ Tables = dict[str, Any]
 
 
 def cases(
-    device: Any, size: int, rounds: int, options: Options, missing: list[str]
+    device: Any, size: int, rounds: int, folder: Path, options: Options, missing: list[str]
 ) -> dict[str, list[Callable[[], Any]]]:
-    """What each part measures, in order, by the part's name."""
+    """What each part measures, in order, by the part's name. ``folder``: for stores of codes."""
     from bench.multiresolution import there
 
     scenes = {scene.name for scene in there((ENGINE, HEPTANE, FEMALE, CRAB, CHEST_BLOCKS), options, missing)}
-    bench = Frames(device, size, rounds, QUICK_EDGE if options.quick else None)
+    bench = Frames(device, size, rounds, folder, QUICK_EDGE if options.quick else None)
     return {
         "frames": [lambda s=scene: frames(bench, s) for scene in FRAMES if scene.name in scenes],
         "crossover": [lambda s=scene: crossover(bench, s) for scene in CROSSOVER if scene.name in scenes],
@@ -46,8 +48,8 @@ def cases(
 class Frames:
     """What all parts share. ``edge``: voxels per axis that are taken of a volume, None for all."""
 
-    def __init__(self, device: Any, size: int, rounds: int, edge: int | None = None) -> None:
-        self.device, self.size, self.rounds, self.edge = device, size, rounds, edge
+    def __init__(self, device: Any, size: int, rounds: int, folder: Path, edge: int | None = None) -> None:
+        self.device, self.size, self.rounds, self.folder, self.edge = device, size, rounds, folder, edge
         self._volumes: dict[str, Any] = {}
 
     def volume(self, scene: BlockScene) -> Any:
@@ -56,6 +58,20 @@ class Frames:
             found = scene.scene.load()
             self._volumes = {file: middle(found, self.edge) if self.edge else found}  # one at a time: they are large
         return self._volumes[file]
+
+    def codes(self, scene: BlockScene) -> Any:
+        """The volume as a store of codes ("rvq"), made at the first call."""
+        from clvol import load_volume
+        from clvol.integrators.decoding import trainer
+        from clvol.opencl.context import DeviceContext
+        from clvol.store.build import build_store
+        from clvol.store.codecs.coded_blocks import RateTarget
+
+        path, rate = self.folder / f"{scene.scene.file}.zarr", RateTarget(bits_per_voxel=RATES[scene.name])
+        if not path.exists():
+            encoding = trainer(DeviceContext(self.device))
+            build_store(self.volume(scene), path, codec="rvq", target=rate, trainer=encoding)
+        return load_volume(path)
 
     def compare(self, asked: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
         """A frame of every one of the scenes ``asked``, and their times, taking turns. What is refused is left out."""
@@ -79,17 +95,24 @@ class Frames:
         return found, times
 
 
-def coded(scene: BlockScene, decode: str) -> Tables:
-    return {"codec": "rvq", "bits_per_voxel": RATES[scene.name], "decode": decode}
+def decoding(way: str) -> Tables:
+    return {"compression": {"decode": way}}
 
 
 def frames(bench: Frames, scene: BlockScene) -> dict[str, Any]:
     """The ray caster on voxels, on voxels decoded when they were uploaded, and on codes that stay on the device."""
-    volume = bench.volume(scene)
-    ways = {"voxels": {}, **{way: {"compression": coded(scene, way)} for way in ("upload", "resident")}}
-    found, times = bench.compare({way: scene.plain(volume, bench.size, tables) for way, tables in ways.items()})
+    codes = bench.codes(scene)
+    found, times = bench.compare({
+        "voxels": scene.plain(bench.volume(scene), bench.size),
+        **{way: scene.plain(codes, bench.size, decoding(way)) for way in ("upload", "resident")},
+    })
+    measured = codes.blocks_source.codes.measured
     row = {
         "scene": scene.name, "bits": RATES[scene.name],
+        "store": {
+            "bits": measured.bits_per_voxel, "bits_all": measured.facts["bits_per_voxel_all"],
+            "psnr": measured.psnr if math.isfinite(measured.psnr) else None, "largest": measured.max_voxel_error,
+        },
         "ways": {
             way: {
                 "time": times[way], **ratio_of(times[way], times["voxels"]),
@@ -107,9 +130,10 @@ def frames(bench: Frames, scene: BlockScene) -> dict[str, Any]:
 def crossover(bench: Frames, scene: BlockScene) -> dict[str, Any]:
     """The pyramid beside the plain ray caster, on voxels and on codes that stay on the device (Kraus et al. 2007
     expect adaptive sampling to pay most where a sample is dear, and do not measure it)."""
-    volume = bench.volume(scene)
     asked = {}
-    for held, tables in (("voxels", {}), ("resident", {"compression": coded(scene, "resident")})):
+    for held, volume, tables in (
+        ("voxels", bench.volume(scene), {}), ("resident", bench.codes(scene), decoding("resident"))
+    ):  # fmt: skip
         for method in ("raycast", "pyramid"):
             integration = {"integration": {"classification": "preintegrated", "method": method}}
             asked[f"{held}, {method}"] = scene.plain(volume, bench.size, {**tables, **integration})
@@ -133,8 +157,10 @@ def budget(bench: Frames, scene: BlockScene, ratio: float) -> dict[str, Any]:
 
     volume = bench.volume(scene)
     memory = int(volume.nbytes / ratio)
-    tables = {"compression": {"codec": "rvq", "decode": "resident"}}
-    asked = {"voxels": scene.asked(volume, bench.size, memory), "rvq": scene.asked(volume, bench.size, memory, tables)}
+    asked = {
+        "voxels": scene.asked(volume, bench.size, memory),
+        "rvq": scene.asked(bench.codes(scene), bench.size, memory, decoding("resident")),
+    }
     with Renderer(scene.plain(volume, bench.size), [bench.device]) as renderer:
         whole = renderer.render(depth=False)
     found, times = bench.compare(asked)

@@ -38,7 +38,7 @@ def speed(subject: Subject, rounds: int, quick: bool) -> dict[str, Any]:
             coded = coder.encode(ask.codec, ask.target)
             training[ask.curve] = coded.training_seconds
             encoding[ask.curve] = lambda ask=ask, coded=coded: coder.encode(ask.codec, ask.target, coded).seconds
-            decoding[f"{ask.curve}: numpy"] = timed(lambda coded=coded: coder.decode(coded))
+            decoding[f"{ask.curve}: numpy"] = timed(lambda coded=coded: coder.decode(coded, on_host=True))
             for device in coder.decoders(coded, DEVICES):
                 decoding[f"{ask.curve}: {device.name}"] = device.seconds
         elif peers is not None and ask.codec in peers.codecs:

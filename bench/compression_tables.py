@@ -18,7 +18,7 @@ Rows = list[dict[str, Any]]
 DECODE_GOAL, OVER_ZFP_GOAL, ENCODE_GOAL = 4000.0, 20.0, 30.0  # million voxels per second; times; as the first
 RESIDENT_GOAL = 1.10
 # scene: mean CIEDE2000 of blocks without codes at the same bytes, before there were codes; half of it is wanted
-BUDGET_BEFORE, BUDGET_LARGEST = {"female": 2.01, "chest": 2.01, "crab": 2.18}, 15.0
+BUDGET_BEFORE, BUDGET_LARGEST = {"female": 2.01, "crab": 2.18}, 15.0
 _RIVALS = ("sz3, bound", "zfp, accuracy", "zfp, rate")
 _NAMES = {"sz3, bound": "SZ3", "zfp, accuracy": "zfp, fixed accuracy", "zfp, rate": "zfp, fixed rate"}
 
@@ -51,7 +51,7 @@ def verdicts(result: dict[str, Any]) -> list[Verdict]:
             found.append(Verdict(what, row["ways"]["resident"]["ratio"], RESIDENT_GOAL, True))
     for row in result["budget"]:
         way = row["ways"].get("rvq")
-        if way is None:
+        if way is None or row["scene"] not in BUDGET_BEFORE:
             continue
         what = f"{row['scene']} {row['ratio']:g} : 1 as codes"
         found.append(Verdict(f"{what}: mean CIEDE2000", way["delta_e"], BUDGET_BEFORE[row["scene"]] / 2, True))
@@ -131,17 +131,20 @@ def _equal_cells(rows: Rows) -> tuple[list[str], list[list[str]]]:
 
 
 def _speed_cells(rows: Rows) -> tuple[list[str], list[list[str]]]:
-    head = ["volume", "", "codec", "seconds", "spread", "shortest", "million voxels per second", "at the shortest"]
+    """Million voxels per second: of the median time, its spread, and in brackets of the shortest time."""
     cells = []
-    for row in rows:
-        name = row["volume"]
-        cells += [[name, "training", way, f"{seconds:.1f}", "", "", "", ""] for way, seconds in row["training"].items()]
-        cells += [
-            [name, part, way, f"{time['median']:.4g}", f"{time['spread']:.0%}", f"{time['min']:.4g}",
-             f"{rate(row, part, way):.0f}", f"{rate(row, part, way, 'min'):.0f}"]
-            for part in ("encoding", "decoding") for way, time in row[part].items()
-        ]  # fmt: skip
-    return head, cells
+    for part in ("training", "encoding", "decoding"):
+        for way in dict.fromkeys(way for row in rows for way in row[part]):
+            cells.append([part, way, *(_speed_cell(row, part, way) for row in rows)])
+    return ["", "codec", *(row["volume"] for row in rows)], cells
+
+
+def _speed_cell(row: dict[str, Any], part: str, way: str) -> str:
+    if way not in row[part]:
+        return ""
+    if part == "training":
+        return f"{row[part][way]:.1f} s"
+    return f"{rate(row, part, way):.0f} ± {row[part][way]['spread'] / 2:.0%} ({rate(row, part, way, 'min'):.0f})"
 
 
 def _frame_cells(rows: Rows) -> tuple[list[str], list[list[str]]]:
@@ -150,6 +153,15 @@ def _frame_cells(rows: Rows) -> tuple[list[str], list[list[str]]]:
         [row["scene"], way, f"{1e3 * r['time']['median']:.1f}", f"{r['time']['spread']:.0%}", f"{r['ratio']:.2f}",
          f"{r['low']:.2f}", f"{r['high']:.2f}", f"{r['delta_e']:.3f}"]
         for row in rows for way, r in row["ways"].items()
+    ]  # fmt: skip
+
+
+def _store_cells(rows: Rows) -> tuple[list[str], list[list[str]]]:
+    head = ["store", "asked for", "bits per voxel on disk", "with all levels and statistics", "PSNR", "largest error"]
+    return head, [
+        [row["scene"], f"{row['bits']:g}", f"{row['store']['bits']:.3f}", f"{row['store']['bits_all']:.3f}",
+         psnr_text(row["store"]), f"{row['store']['largest']:.2%}"]
+        for row in rows
     ]  # fmt: skip
 
 
@@ -172,11 +184,13 @@ def _budget_cells(rows: Rows) -> tuple[list[str], list[list[str]]]:
     ]  # fmt: skip
 
 
-# Heading, what is measured, cells, columns to the left.
+# Heading, what is measured, cells, columns to the left. The first is too long for a README; the chart shows it.
 _TABLES = (
     ("Rate against distortion", "rates", _rate_cells, 3),
     ("Bits per voxel that others take for the same error as rvq", "rates", _equal_cells, 1),
-    ("Training (once), encoding and decoding", "speed", _speed_cells, 3),
+    ("Training, and million voxels per second of encoding and decoding (median, half the spread; shortest)",
+     "speed", _speed_cells, 2),
+    ("Stores of codes (rvq)", "frames", _store_cells, 1),
     ("Frames of the ray caster", "frames", _frame_cells, 2),
     ("The pyramid beside the ray caster, pre-integrated", "crossover", _crossover_cells, 2),
     ("Blocks within a budget, beside all voxels", "budget", _budget_cells, 3),
@@ -197,7 +211,7 @@ def markdown(result: dict[str, Any]) -> str:
     where = f"{machine['processor']}, {machine['cores']} cores"
     where += f", {machine['device']['platform']}" if "device" in machine else ""
     parts = [f"{_versions(result)}; load average {result['load_before']} to {result['load_after']}."]
-    for title, part, cells, _ in _TABLES:
+    for title, part, cells, _ in _TABLES[1:]:
         if result[part]:
             parts.append(f"{title} ({where}):\n\n{markdown_table(*cells(result[part]))}")
     goals = [
