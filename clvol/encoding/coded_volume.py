@@ -24,7 +24,7 @@ from clvol.volume.lazy import LazyVolume
 from clvol.volume.volume import Volume
 
 EDGE = 16  # voxels per axis of a block
-_INDEX_BYTES = 8  # of each block: where its bytes are
+_INDEX_BYTES = 4  # of a block: where its bytes begin
 _PIECE = 1 << 22  # voxels that are encoded or decoded together
 _CACHED = 1 << 16  # voxels that are compared together, so that temporaries stay in the cache
 _LARGEST = float(np.finfo(np.float32).max)

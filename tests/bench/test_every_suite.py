@@ -23,6 +23,7 @@ SUITES = {
     "tradeoff": (("demo",), ()),
     "targets": (("aneurism",), ("aneurism.nrrd",)),
     "multiresolution": (("aneurism",), ("aneurism.nrrd",)),
+    "devices": (("aneurism",), ("aneurism.nrrd",)),
     "gallery": (("tooth-layers",), ("tooth.nrrd",)),
 }
 

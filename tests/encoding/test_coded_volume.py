@@ -88,5 +88,5 @@ def test_progress_ends_with_all_voxels():
 
 def test_bytes_and_bits():
     codes = coded(voxels())
-    assert codes.nbytes == len(codes.coded.data) + codes.codebooks.nbytes + 8 * len(codes.coded)
+    assert codes.nbytes == len(codes.coded.data) + codes.codebooks.nbytes + 4 * len(codes.coded)
     assert codes.bits_per_voxel == pytest.approx(8 * codes.nbytes / np.prod(SHAPE))
