@@ -24,11 +24,13 @@ LONGEST = 2.0  # seconds until a signal
 
 
 def started(*words: str, **how) -> subprocess.Popen:
-    """Once the command looks after signals: before that Python itself ends, with nothing done."""
+    """Once the command looks after signals: before that Python itself ends, with nothing done. An interrupt is not
+    ignored, as it is in the background jobs of shells."""
     code = (
-        "import sys, clvol.cli.group as g; real = g.run\n"
-        "def run(given): sys.stdout.write('begun\\n'); sys.stdout.flush(); return real(given)\n"
-        "g.run = run; from clvol.cli import main; sys.exit(main())"
+        "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "import clvol.cli as c; real = c._run\n"
+        "def run(*given): sys.stdout.write('begun\\n'); sys.stdout.flush(); return real(*given)\n"
+        "c._run = run; sys.exit(c.main())"
     )
     process = subprocess.Popen(
         [sys.executable, "-c", code, *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE,
@@ -141,6 +143,7 @@ def test_signals_that_are_ignored_stay_ignored(folder, device_name):
 
 def in_process(code: str) -> subprocess.CompletedProcess:
     head = "import os, signal, sys, time\nfrom clvol import interrupts\nfrom clvol.interrupts import *\n"
+    head += "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
     return subprocess.run(
         [sys.executable, "-c", head + code], capture_output=True, text=True, timeout=30
     )
