@@ -29,6 +29,8 @@ KINDS = {
     "pyramid": {"integration": {"method": "pyramid"}},
     "reference": {"integration": {"method": "reference"}},
     "multiresolution": {"integration": {"method": "multiresolution"}},
+    "codes": {"compression": {"codec": "rvq"}},
+    "resident codes": {"compression": {"codec": "rvq", "decode": "resident"}},
 }
 
 
