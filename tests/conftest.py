@@ -77,7 +77,18 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         function = (item.path, getattr(item.cls, "__name__", "") + item.originalname)
         if function in seen and not item.get_closest_marker("every_case"):
             item.add_marker("slow")
+            if _is_of_another_device(item) and _LONG_TO_COMPILE & set(item.path.parts):
+                item.add_marker("exhaustive")
         seen.add(function)
+
+
+_LONG_TO_COMPILE = {"integrators", "render"}  # folders of tests that compile whole programs
+
+
+def _is_of_another_device(item: pytest.Function) -> bool:
+    """Whether this is the case of a test for a device that is not the first one."""
+    first = _chosen(item.config)[:1]
+    return hasattr(item, "callspec") and item.callspec.params.get("each_device", *first) not in first
 
 
 def _uses_device(item: pytest.Function) -> bool:

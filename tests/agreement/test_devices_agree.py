@@ -87,7 +87,14 @@ def frame_on(device, name: str, place: Place):
         return renderer.render()
 
 
-@pytest.mark.parametrize("name", SCENES)
+# Whose kernels Intel's compiler takes most of a minute and more to optimise.
+LONG = {"shadow rays", "environment of a cube", "scattering", "multiresolution", "fields and clips",
+        "Sobel gradients, opacity by gradient"}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.exhaustive] * (name in LONG)) for name in SCENES]
+)
 def test_devices_agree(device, other_device, name, tmp_path):
     assert device != other_device
     place = Place(BYTES, tmp_path)
