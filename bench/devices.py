@@ -1,9 +1,10 @@
 """Several devices: how well they share pictures, measured on parts of this machine's processor, and simulated with the
 measured costs of tiles for fleets of any size.
 
-Measured: two halves of a device beside the whole one, and a half of one runtime beside a half of another, at 1024²
-(where the device cannot be divided, or there is one runtime, that part is left out). Efficiency: the ideal time, if
-devices worked at the speeds that they have alone and ended together, over the time of the frame.
+Measured: two halves of a device beside the whole one at 1024². A device of one unit (POCL_MAX_PTHREAD_COUNT=1) is
+measured together with a part of another runtime of the processor instead; parts of PoCL's device (3.1) use all of its
+threads, and would take that runtime's core. Efficiency: the ideal time, if devices worked at the speeds that they have
+alone and ended together, over the time of the frame.
 
 Simulated: 2 to 64 devices whose speeds differ by up to 1 : 20, with launches that cost 0.2 % and 1 % of a frame; the
 first frame, divided by the visible cells before each tile, and the tenth of a turn by 1° per frame, divided by what the
@@ -63,18 +64,17 @@ def run(options: Options) -> dict[str, Any] | None:
 
 
 def measured(scene: Any, frames: int, name: str | None) -> Iterator[dict[str, Any]]:
-    """Rows of halves of one device, and of halves of two runtimes of one processor."""
+    """A row of halves of one device, or of one of a single unit and a part of another runtime of the processor."""
     from clvol.opencl.devices import by_processor, list_devices, select
 
     first = select(list_devices(), name)[0]
-    if first.compute_units < 2:
+    if first.compute_units > 1:
+        yield _row(scene, [f"{first.name}:{k}/2" for k in (1, 2)], [[first.name]], frames)
         return
-    halves = [f"{first.name}:{k}/2" for k in (1, 2)]
-    yield _row(scene, halves, [[first.name]], frames)
     others = next((same for same in by_processor(list_devices()) if first in same), [])
     for other in others:
-        if other != first and other.compute_units >= 2:
-            mixed = [halves[0], f"{other.name}:2/2"]
+        if other != first and other.compute_units > 1:
+            mixed = [first.name, f"{other.name}:2/2"]
             yield _row(scene, mixed, [[each] for each in mixed], frames)
 
 
