@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from clvol.device.tile_ranges import Ranges, sums_over_tiles, view_axes
 from clvol.device.view import RayFrame
 from clvol.volume.voxel_layout import CELL_SHIFT
 
@@ -52,7 +53,7 @@ def cells_over_tiles(
     projected = _projected(places, size, frame, to_edges, picture, tile)
     if projected is None:
         return np.ones(columns * rows, np.int64)
-    return _sums(np.ones(len(places), np.int64), projected.tiles, (columns, rows)).ravel()
+    return sums_over_tiles(projected.ranges, np.ones(len(places), np.int64), columns, rows).ravel()
 
 
 def expected_costs(
@@ -84,19 +85,19 @@ def expected_costs(
     order = np.argsort(slabs, kind="stable")
     cost, passed = np.zeros((rows, columns)), np.zeros((rows, columns))
     for slab in np.split(order, np.flatnonzero(np.diff(slabs[order])) + 1):
-        limits = tuple(limit[slab] for limit in projected.tiles)
+        ranges = [(first[slab], last[slab]) for first, last in projected.ranges]
         alive = 1.0 / (1.0 + np.exp(np.minimum(passed - _ENDS_AT, 50.0)))
-        cost += alive * _sums(shares[slab], limits, (columns, rows))
-        passed += _sums(opaque[slab], limits, (columns, rows))
+        cost += alive * sums_over_tiles(ranges, shares[slab], columns, rows)
+        passed += sums_over_tiles(ranges, opaque[slab], columns, rows)
     return cost.ravel()
 
 
 @dataclass(frozen=True, eq=False)
 class _Projected:
-    """``tiles``: first column, last + 1, first row, last + 1 of the tiles that each cell may cover. ``shares``: of
-    their area that its outline has. ``depth``: along the view, in edges."""
+    """``ranges``: the tiles that each cell may cover. ``shares``: of their area that its outline has. ``depth``: along
+    the view, in edges."""
 
-    tiles: tuple[np.ndarray, ...]
+    ranges: Ranges
     shares: np.ndarray
     depth: np.ndarray
 
@@ -115,14 +116,8 @@ def _projected(
     high = np.minimum(low + edge, np.asarray(size) - 1)
     half = 0.5 * (high - low) @ np.abs(to_edges).T
     radius = np.linalg.norm(half, axis=1) + 1e-3
-    # An orthonormal frame of the view, in edges, from the eye (or its plane).
-    forward, right, down = (to_edges @ v for v in (frame.forward, frame.du, frame.dv))
     is_perspective = frame.lens[0] > 0
-    if is_perspective:
-        right, down = to_edges @ frame.ray_du, to_edges @ frame.ray_dv
-    forward = forward / np.linalg.norm(forward)
-    pixel = np.linalg.norm(right)  # edges per pixel, at distance 1 in perspective
-    right, down = right / pixel, down / pixel
+    forward, right, down, pixel = view_axes(frame, to_edges)
     from_plane = (0.5 * (low + high) - frame.origin) @ to_edges.T
     depth = from_plane @ forward + frame.distance
     if is_perspective and np.any(depth <= 1.01 * radius):
@@ -134,26 +129,14 @@ def _projected(
         # |x' / z' - x / z| <= r sqrt(1 + (x / z)^2) / (z - r) for every point of the sphere.
         slopes = np.sqrt(1.0 + (centres * pixel) ** 2)
         reach = radius * slopes / ((depth - radius) * pixel)
-    limits = []
-    counts = tuple(-(-n // m) for n, m in zip(picture, tile))
-    for axis, (m, count) in enumerate(zip(tile, counts)):
+    ranges = []
+    for axis, (n, m) in enumerate(zip(picture, tile)):
+        count = -(-n // m)
         at = centres[axis] + frame.centre[axis]
         first = np.floor((at - reach[axis] - 1) / m)
         last = np.floor((at + reach[axis] + 1) / m) + 1
-        limits += [np.clip(first, 0, count).astype(int), np.clip(last, 0, count).astype(int)]
-    x0, x1, y0, y1 = limits
+        ranges.append((np.clip(first, 0, count).astype(int), np.clip(last, 0, count).astype(int)))
+    (x0, x1), (y0, y1) = ranges
     area = np.maximum((x1 - x0) * (y1 - y0), 1) * float(tile[0] * tile[1])
     volumes = np.prod(2 * half, axis=1)
-    return _Projected((x0, x1, y0, y1), volumes ** (2 / 3) * scale**2 / area, depth)
-
-
-def _sums(values: np.ndarray, limits: tuple[np.ndarray, ...], counts: tuple[int, int]) -> np.ndarray:
-    """[rows, columns]: sums of ``values`` [n] over the tiles in their ``limits``."""
-    x0, x1, y0, y1 = limits
-    columns, rows = counts
-    found = np.zeros((rows + 1, columns + 1), values.dtype)
-    np.add.at(found, (y0, x0), values)
-    np.add.at(found, (y0, x1), -values)
-    np.add.at(found, (y1, x0), -values)
-    np.add.at(found, (y1, x1), values)
-    return found.cumsum(axis=0).cumsum(axis=1)[:rows, :columns]
+    return _Projected(ranges, volumes ** (2 / 3) * scale**2 / area, depth)

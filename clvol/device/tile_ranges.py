@@ -48,13 +48,8 @@ def _ranges(
     picture: tuple[int, int],
     tile: tuple[int, int],
 ) -> Ranges:
-    # A frame of the view, in edges, from the eye (or its plane); its axes are perpendicular to each other.
-    forward, right, down = (to_edges @ v for v in (frame.forward, frame.du, frame.dv))
     is_perspective = frame.lens[0] > 0
-    if is_perspective:
-        right, down = to_edges @ frame.ray_du, to_edges @ frame.ray_dv
-    forward = forward / np.linalg.norm(forward)
-    pixel = np.linalg.norm(right)  # edges per pixel, at distance 1 in perspective
+    forward, right, down, pixel = view_axes(frame, to_edges)
     corners = np.where(_CORNERS, high[:, None], low[:, None])
     from_plane = (corners - frame.origin) @ to_edges.T
     depth = from_plane @ forward + frame.distance
@@ -67,9 +62,28 @@ def _ranges(
     ranges = []
     for axis, (direction, n, m) in enumerate(zip((right, down), picture, tile)):
         count = -(-n // m)
-        at = from_plane @ (direction / pixel) * scale + frame.centre[axis]
+        at = from_plane @ direction * scale + frame.centre[axis]
         first, last = np.floor((at.min(axis=1) - 1) / m), np.floor((at.max(axis=1) + 1) / m) + 1
         first, last = np.where(near, 0, first), np.where(near, count, last)
         last = np.where(behind, first, last)
         ranges.append((np.clip(first, 0, count).astype(int), np.clip(last, 0, count).astype(int)))
     return ranges
+
+
+def view_axes(frame: RayFrame, to_edges: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
+    """Forward, right and down [3] of the view, orthonormal, in edges, and the edges per pixel (at distance 1 in
+    perspective)."""
+    forward = to_edges @ frame.forward
+    across = (frame.ray_du, frame.ray_dv) if frame.lens[0] > 0 else (frame.du, frame.dv)
+    right, down = (to_edges @ v for v in across)
+    pixel = float(np.linalg.norm(right))
+    return forward / np.linalg.norm(forward), right / pixel, down / pixel, pixel
+
+
+def sums_over_tiles(ranges: Ranges, values: np.ndarray, columns: int, rows: int) -> np.ndarray:
+    """[rows, columns]: the sum of ``values`` [n] over the boxes that each tile sees."""
+    (x0, x1), (y0, y1) = ranges
+    sums = np.zeros((rows + 1, columns + 1), values.dtype)
+    for y, x, sign in ((y0, x0, 1), (y0, x1, -1), (y1, x0, -1), (y1, x1, 1)):
+        np.add.at(sums, (y, x), sign * values)
+    return sums.cumsum(axis=0).cumsum(axis=1)[:rows, :columns]

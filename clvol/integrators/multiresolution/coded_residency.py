@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from clvol.device.tile_ranges import Ranges, tile_ranges
+from clvol.device.tile_ranges import Ranges, sums_over_tiles, tile_ranges
 from clvol.device.view import RayFrame, ray_frame
 from clvol.errors import SceneError
 from clvol.integrators.multiresolution.choice_selection import Chosen, select_choices
@@ -17,7 +17,6 @@ from clvol.integrators.multiresolution.resident_codes import ResidentCodes, Want
 from clvol.integrators.multiresolution.selection import SourceErrors, source_errors
 from clvol.integrators.multiresolution.view_weight import view_weights, visibility
 from clvol.integrators.multiresolution.visible_error import ShownColors
-from clvol.integrators.raycast.tile_groups import room_of_tiles
 from clvol.opencl.context import DeviceContext
 from clvol.scene.resolve import ResolvedScene
 from clvol.schedule.tiles import TILE
@@ -149,7 +148,7 @@ class CodedResidency:
         frame = ray_frame(resolved.camera, self.source.grid, image.width, image.height)
         grids = self.source.grid, self.source.blocks
         ranges = seen_by_tiles(frame, *grids, wanted.level, (image.width, image.height), tile)
-        of_tiles = room_of_tiles(ranges, decoded, -(-image.width // TILE), -(-image.height // TILE))
+        of_tiles = sums_over_tiles(ranges, decoded, -(-image.width // TILE), -(-image.height // TILE))
         least = max(int(of_tiles.max(initial=0)), least_pool(decoded, self.source.blocks), total // _POOL_SHARE)
         return min(least, whole), whole
 

@@ -9,15 +9,6 @@ import numpy as np
 from clvol.device.tile_ranges import Ranges
 
 
-def room_of_tiles(ranges: Ranges, room: np.ndarray, columns: int, rows: int) -> np.ndarray:
-    """int64 [rows, columns]: the sum of ``room`` int [n] over the boxes that each tile sees."""
-    (x0, x1), (y0, y1) = ranges
-    sums = np.zeros((rows + 1, columns + 1), np.int64)
-    for y, x, sign in ((y0, x0, 1), (y0, x1, -1), (y1, x0, -1), (y1, x1, 1)):
-        np.add.at(sums, (y, x), sign * room)
-    return sums.cumsum(axis=0).cumsum(axis=1)[:rows, :columns]
-
-
 def tile_groups(
     ranges: Ranges, room: np.ndarray, most: int, columns: int, rows: int, tiles: np.ndarray | None = None
 ) -> Iterator[tuple[np.ndarray | None, np.ndarray]]:
