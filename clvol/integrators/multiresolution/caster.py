@@ -149,6 +149,9 @@ class BlockCaster(Raycaster):
         is_even = not ((goal > 0) & (goal != DROPPED)).any()
         return "full" if is_even and stepping in ("limited", "naive") else stepping
 
+    def cell_depths(self) -> None:
+        """As in ``Raycaster``: there are no bounds of cells at full resolution."""
+
     def set_resident(self) -> None:
         """Finds empty space anew in the resident blocks."""
         context, volume = self.context, self.volume

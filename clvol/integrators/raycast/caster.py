@@ -290,10 +290,7 @@ class Raycaster:
     def cell_depths(self) -> np.ndarray | None:
         """float64 [z, y, x]: about the mean optical depth of each cell of empty space along its edge, of all values
         between its bounds alike; None where bounds are not at hand."""
-        try:
-            low, high = self.volume.bounds(0)
-        except NotImplementedError:
-            return None
+        low, high = self.volume.bounds(0)
         function = self._functions[0]
         nodes = np.linspace(*self.volume.value_range, _DEPTH_NODES + 1)
         edge = self.resolved.volume.grid.smallest_edge * (1 << self.volume.cell_shift)

@@ -38,6 +38,7 @@ class _Stage:
     size: tuple[int, int]
     tiles: int
     outputs: dict[str, DeviceArray] = field(default_factory=dict)
+    seen: np.ndarray | None = None  # bool [tiles]: those that may see a surface, once it was needed
 
 
 class _Picture:
@@ -105,8 +106,10 @@ class _Picture:
         plain = caster.without_surfaces
         if plain is None or stage.kernel != "raycast":
             return self._run(caster, stage, tiles, progress), {}
-        to_edges = caster.effects.space.matrix
-        seen = tiles_that_see(caster.surface_cells, caster.volume.size, stage.frame, to_edges, stage.size, caster.tile)
+        if stage.seen is None:
+            where = caster.volume.size, stage.frame, caster.effects.space.matrix, stage.size, caster.tile
+            stage.seen = tiles_that_see(caster.surface_cells, *where)
+        seen = stage.seen
         wanted = np.arange(stage.tiles) if tiles is None else tiles
         done, counts, tallies = 0, {}, []
         for engine, chosen, name in (
