@@ -66,9 +66,9 @@ class Share:
 class Dispatcher:
     """The packages of one picture.
 
-    ``costs`` float [tiles], > 0: expected relative costs; ``measured``: whether they come from an earlier picture, with
-    ``uncertainty`` (relative, root mean square) if known. ``speeds`` [devices] in cost per second, and ``launches``
-    [devices] in seconds per package. ``least_tiles``: tiles that a launch takes at least.
+    ``costs`` float [tiles], > 0: expected relative costs; ``measured``: whether they come from an earlier picture.
+    ``speeds`` [devices] in cost per second, and ``launches`` [devices] in seconds per package. ``least_tiles``: tiles
+    that a launch takes at least.
     """
 
     def __init__(
@@ -78,13 +78,12 @@ class Dispatcher:
         launches: Sequence[float],
         *,
         measured: bool = False,
-        uncertainty: float | None = None,
         least_tiles: int = 1,
     ) -> None:
         self.count = len(costs)
         self._prior = np.maximum(np.asarray(costs, np.float64), 1e-12)
         self._costs = self._prior.copy()
-        self._doubt = uncertainty if uncertainty is not None else _LEAST_UNCERTAINTY if measured else _UNKNOWN
+        self._doubt = _LEAST_UNCERTAINTY if measured else _UNKNOWN
         self._seen: list[tuple[float, float, float]] = []  # middle tile, log of measured over expected cost, weight
         self.shares = [Share(float(speed), float(launch)) for speed, launch in zip(speeds, launches)]
         self._waiting = _order(self._prior, scattered=not measured)
@@ -134,7 +133,7 @@ class Dispatcher:
         part = ideal / (1 + self._caution * self._doubt)
         least = share.speed * share.launch * _LEAST_LAUNCHES
         wanted = ideal if ideal - part < least else max(part, least)
-        tiles = self._fitting(wanted, least)
+        tiles = self._fitting(wanted)
         if self._others_are_better(device, now, float(self._costs[tiles].sum()), rest):
             return None
         return self._handed(device, np.sort(self._take(tiles)), now)
@@ -143,7 +142,7 @@ class Dispatcher:
         self._waiting = self._waiting[~np.isin(self._waiting, tiles)]
         return tiles
 
-    def _fitting(self, wanted: float, least: float) -> np.ndarray:
+    def _fitting(self, wanted: float) -> np.ndarray:
         """Waiting tiles that cost about ``wanted``: the next ones, filled up by cheap ones from the end, so that a
         single expensive tile does not make a package too large."""
         costs = self._costs[self._waiting]
@@ -232,21 +231,21 @@ class Dispatcher:
         """``device`` renders no more: its packages return to the queue. Returns the number of tiles that did."""
         share = self.shares[device]
         share.lost = share.lost or reason
-        return sum(self.returned(package) for package in list(share.running))
-
-    def returned(self, package: Package) -> int:
-        """``package`` failed, but its device may go on with others. Returns how many tiles are waiting again."""
-        share = self.shares[package.device]
-        share.running = [p for p in share.running if p.number != package.number]
-        elsewhere = (p.tiles for each in self.shares for p in each.running)
-        if self._done[package.tiles].all() or any(tiles is package.tiles for tiles in elsewhere):
-            return 0
-        self._waiting = np.concatenate([package.tiles, self._waiting])
-        return len(package.tiles)
+        packages, share.running = share.running, []
+        elsewhere = [p.tiles for each in self.shares for p in each.running]
+        again = [
+            p.tiles
+            for p in packages
+            if not self._done[p.tiles].all() and not any(tiles is p.tiles for tiles in elsewhere)
+        ]
+        return sum(map(self._wait_again, again))
 
     def undone(self, tiles: np.ndarray) -> int:
         """``tiles``, which were done, are waiting again. Returns their number."""
         self._done[tiles] = False
+        return self._wait_again(tiles)
+
+    def _wait_again(self, tiles: np.ndarray) -> int:
         self._waiting = np.concatenate([tiles, self._waiting])
         return len(tiles)
 
