@@ -6,14 +6,16 @@ picture is the same. Integrators whose pictures cannot be divided render on the 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import threading
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from time import perf_counter
 from typing import Any
 
 import numpy as np
 
-from clvol.errors import DeviceError, RenderError
+from clvol.errors import ClvolError, DeviceError, RenderError
 from clvol.integrators.base import (
     FrameData,
     PartOfPicture,
@@ -26,11 +28,11 @@ from clvol.integrators.base import (
 from clvol.opencl.context import DeviceContext, shared_array
 from clvol.render.prepared_cache import PreparedCache
 from clvol.scene.camera import Camera
-from clvol.schedule.crew import Crew, Job
 from clvol.schedule.dispatch import Dispatcher, Package
 
 _LAUNCH = 5e-4  # seconds that a package takes besides its tiles, as a first guess
 _SPEED = 2e8  # cost per second and compute unit, as a first guess
+_TICK = 0.1  # seconds between calls of a progress function
 _LEAST_TILES = 8
 
 
@@ -92,17 +94,23 @@ class Schedule:
         return {"efficiency": min(ideal / self.seconds, 1.0) if self.seconds else 1.0, "devices": devices}
 
 
+class _Stopped(Exception):
+    """The caller's progress function, or a signal, ended the frame."""
+
+
 class DeviceGroup:
     """Renders frames on ``members`` together. Not for two threads at once."""
 
     def __init__(self, members: Sequence[Member]) -> None:
         self.members = list(members)
         self._costs: dict[tuple[int, int], np.ndarray] = {}  # (stage, tiles): as measured in the last frame
-        self.crew = Crew(len(self.members))
+        self._executor: ThreadPoolExecutor | None = None
         self.schedule: Schedule | None = None  # of the last frame
 
     def close(self) -> None:
-        self.crew.close()
+        if self._executor is not None:
+            self._executor.shutdown(wait=True)
+            self._executor = None
 
     @property
     def alive(self) -> list[Member]:
@@ -172,12 +180,12 @@ class DeviceGroup:
         ]
         counts = next(iter(parts.values())).stages
         total = _Total()
-        for stage in range(len(counts)):
+        for stage, tiles in enumerate(counts):
             report = None
             if progress is not None:
                 before = sum(counts[:stage])
                 report = lambda done, before=before: progress(before + done, sum(counts))  # noqa: E731
-            _Stage(self, parts, stage, arrays, schedule, start, total).run(report)
+            _Stage(self, parts, stage, tiles, arrays, schedule, start, total).run(report)
         notes = dict(next(iter(parts.values())).notes)
         return FrameData(arrays[-1].rgba, arrays[-1].depth, total.samples, total.rays, total.counters, notes=notes)
 
@@ -188,6 +196,11 @@ class DeviceGroup:
 
     def remember(self, stage: int, costs: np.ndarray) -> None:
         self._costs[stage, len(costs)] = costs
+
+    def submit(self, work: Any, *arguments: Any) -> Any:
+        if self._executor is None:
+            self._executor = ThreadPoolExecutor(len(self.members), "clvol-device")
+        return self._executor.submit(work, *arguments)
 
     # ---- one device
 
@@ -227,32 +240,15 @@ class _Total:
             self.counters[name] = self.counters.get(name, 0) + count
 
 
-class _TileHand:
-    """A device at the tiles of a stage."""
-
-    def __init__(self, member: Member, part: TiledPictureParts, stage: int, arrays: list[PictureArrays]) -> None:
-        self._part, self._stage, self._arrays = part, stage, arrays
-        self.keeps = member.context.is_cpu  # it writes into the arrays that are shared
-
-    def begin(self) -> None:
-        self._part.begin(self._stage, self._arrays)
-
-    def work(self, items: np.ndarray) -> tuple[np.ndarray, PartOfPicture]:
-        found = self._part.render(self._stage, items)
-        return found.costs, found
-
-    def end(self, items: np.ndarray) -> None:
-        self._part.end(self._stage, items)
-
-
 class _Stage:
-    """A stage of a picture, shared by the devices that have ``parts`` of it."""
+    """A stage of a picture: the threads, the dispatcher that they share, and what they have done."""
 
     def __init__(
-        self, group: DeviceGroup, parts: dict[int, TiledPictureParts], stage: int, arrays: list[PictureArrays],
-        schedule: Schedule, start: float, total: _Total,
+        self, group: DeviceGroup, parts: dict[int, TiledPictureParts], stage: int, tiles: int,
+        arrays: list[PictureArrays], schedule: Schedule, start: float, total: _Total,
     ) -> None:  # fmt: skip
-        self._group, self._stage, self._schedule, self._start, self._total = group, stage, schedule, start, total
+        self._group, self._parts, self._stage, self._arrays = group, parts, stage, arrays
+        self._schedule, self._start, self._total = schedule, start, total
         costs, measured = group.costs(stage, next(iter(parts.values())))
         members = group.members
         self._dispatcher = Dispatcher(
@@ -262,26 +258,101 @@ class _Stage:
             if member.lost is not None or k not in parts:
                 self._dispatcher.lost(k, member.lost or "not prepared")
         self._found = np.array(costs, np.float64)
-        hands = {k: _TileHand(members[k], part, stage, arrays) for k, part in parts.items()}
-        self._job = Job(group.crew, self._dispatcher, hands, self._done, self._lost)
+        self._changed = threading.Condition()
+        self._done = 0
+        self._tiles = tiles
+        self._own: dict[int, list[np.ndarray]] = {k: [] for k in parts}
+        self._error: BaseException | None = None
+        self._ended = False
 
-    def run(self, report: Callable[[int], None] | None) -> None:
+    def run(self, report: Any) -> None:
         """Returns once all tiles are in the arrays. RenderError if no device is left."""
-        self._job.run(report)
+        futures = [self._group.submit(self._work, k) for k in self._parts if self._group.members[k].lost is None]
+        try:
+            self._watch(report)
+        except BaseException:
+            self._end()
+            raise
+        finally:
+            for future in futures:
+                future.result()
+        if self._error is not None:
+            raise self._error
         self._group.remember(self._stage, self._found)
         for k, share in enumerate(self._dispatcher.shares):
             self._schedule.costs[k] += share.cost
             if share.busy > 0 and share.cost > 0 and share.lost is None:
                 self._group.members[k].speed = share.speed
 
-    def _done(
-        self, package: Package, begin: float, end: float, costs: np.ndarray, found: PartOfPicture, counts: bool
-    ) -> None:
-        begin, end = begin - self._start, end - self._start
-        self._schedule.spans.append(Span(package.device, self._stage, begin, end, package.tiles, counts))
-        if counts:
-            self._found[package.tiles] = costs
-            self._total.add(found)
+    def _watch(self, report: Any) -> None:
+        reported = -1
+        with self._changed:
+            while not (self._ended or self._dispatcher.complete):
+                self._changed.wait(_TICK)
+                if report is not None and self._done != reported:
+                    reported = self._done
+                    report(reported)
+        if report is not None and self._error is None:
+            report(self._tiles)
 
-    def _lost(self, device: int, error: BaseException) -> None:
-        self._group.lose(self._group.members[device], error)
+    def _end(self, error: BaseException | None = None) -> None:
+        with self._changed:
+            self._error = self._error or error
+            self._ended = True
+            self._changed.notify_all()
+
+    def _work(self, device: int) -> None:
+        """The thread of one device."""
+        part, member = self._parts[device], self._group.members[device]
+        try:
+            part.begin(self._stage, self._arrays)
+            while (package := self._next(device)) is not None:
+                begin = perf_counter()
+                found = part.render(self._stage, package.tiles)
+                self._finished(package, begin, found)
+            if self._own[device]:
+                part.end(self._stage, np.concatenate(self._own[device]))
+        except (ClvolError, MemoryError) as error:
+            self._lost(device, member, error)
+        except BaseException as error:  # a fault of the program: the caller gets it
+            self._end(error)
+
+    def _next(self, device: int) -> Package | None:
+        """The next package, waited for while other devices may still fail; None at the end."""
+        with self._changed:
+            while not (self._ended or self._dispatcher.complete):
+                now = perf_counter()
+                package = self._dispatcher.next(device, now)
+                if package is not None:
+                    return package
+                self._changed.wait(min(max(self._dispatcher.next_stall(now), 1e-3), 1.0))
+            return None
+
+    def _finished(self, package: Package, begin: float, found: PartOfPicture) -> None:
+        with self._changed:
+            end = perf_counter()
+            counts = self._dispatcher.finished(package, end, float(found.costs.sum()))
+            span = Span(
+                package.device, self._stage, begin - self._start, end - self._start, package.tiles, counts
+            )
+            self._schedule.spans.append(span)
+            if counts:
+                self._found[package.tiles] = found.costs
+                self._own[package.device].append(package.tiles)
+                self._total.add(found)
+                self._done += len(package.tiles)
+            self._changed.notify_all()
+
+    def _lost(self, device: int, member: Member, error: BaseException) -> None:
+        """Tiles that a device without shared memory has rendered are lost with it, too."""
+        with self._changed:
+            kept = member.context.is_cpu
+            again = [] if kept else self._own[device]
+            self._dispatcher.lost(device, str(error))
+            for tiles in again:
+                self._done -= self._dispatcher.undone(tiles)
+            try:
+                self._group.lose(member, error)
+            except BaseException as last:
+                self._error, self._ended = last, True
+            self._changed.notify_all()
