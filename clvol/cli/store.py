@@ -46,6 +46,13 @@ if TYPE_CHECKING:
     help="With a lossy codec: size of level 0 with codebooks to stay below. At most one of these three.",
 )
 @click.option(
+    "--seed",
+    type=click.IntRange(0, 2**31 - 1),
+    metavar="N",
+    help="With a lossy codec: seed of the random choice of the voxels that codebooks are made from; default 0. The same "
+    "voxels, options and seed give the same bytes.",
+)
+@click.option(
     "--device",
     metavar="NAME",
     help="With a lossy codec: device that encodes, by its name in 'clvol doctor'. The store does not depend on it.",
@@ -75,6 +82,7 @@ def command(
     max_voxel_error: float | None,
     psnr: float | None,
     bits_per_voxel: float | None,
+    seed: int | None,
     device: str | None,
     edge: int | None,
     shard: int | None,
@@ -108,7 +116,7 @@ def command(
 
     codec = DEFAULT if codec is None else codec
     target = RateTarget(max_voxel_error, psnr, bits_per_voxel)
-    lossy = _checked(codec, target, device)
+    lossy = _checked(codec, target, device, seed)
     check_place(Path(output), overwrite)
     scene = load_scene(volume, overrides)
     inputs = scene_inputs(volume, scene)
@@ -120,14 +128,14 @@ def command(
         with working(f"storing {volume}", quiet) as bar:
             build_store(
                 source, output, edge=EDGE if edge is None else edge, shard=shard, codec=codec, target=target,
-                trainer=trainer, overwrite=overwrite, restart=restart,
+                trainer=trainer, seed=seed or 0, overwrite=overwrite, restart=restart,
                 progress=None if quiet else _reporting(output, bar, left),
                 on_phase=None if bar is None else lambda name: bar(None, None, f"{name} {volume}"),
             )  # fmt: skip
     say_path(output)
 
 
-def _checked(codec: str, target: RateTarget, device: str | None) -> bool:
+def _checked(codec: str, target: RateTarget, device: str | None, seed: int | None) -> bool:
     """Whether the codec needs a device; UsageError if the options do not fit it."""
     from clvol.errors import UsageError
     from clvol.store.codecs import CODECS, CODES
@@ -138,8 +146,10 @@ def _checked(codec: str, target: RateTarget, device: str | None) -> bool:
         return False  # build_store says so
     with _named_as_options():
         check_target(chosen, target)
-    if device is not None and chosen.lossless:
-        raise UsageError("--device", f"got {device!r} with the codec {codec!r}", "a lossy codec, which needs a device")
+    for option, given in (("--device", device), ("--seed", seed)):
+        if given is not None and chosen.lossless:
+            what = f"got {given!r} with the codec {codec!r}"
+            raise UsageError(option, what, f"a lossy codec, which {'needs a device' if device else 'draws voxels'}")
     return not chosen.lossless
 
 

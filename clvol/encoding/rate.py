@@ -17,7 +17,7 @@ from clvol.store.codecs.coded_blocks import ENTRIES, Codebooks, CodedBlocks
 INDEX_BITS = 32  # of each block, where its bytes are
 CODEBOOK_BITS = 8 * (ENTRIES * 64 + 4)  # of a stage of 4^3 samples
 _STEPS = 32  # of the multiplier, per factor of two
-_MOST = _STEPS * 40
+LAST_STEP = _STEPS * 40
 _ROWS = 1 << 15  # sub-blocks on which numbers of stages are compared
 
 Decode = Callable[[CodedBlocks, int, Codebooks], np.ndarray]
@@ -44,7 +44,7 @@ def multiplier(step: int) -> int:
 
 def step_of(lagrangian: int) -> int:
     """The first step whose multiplier is at least ``lagrangian``."""
-    return next((step for step in range(_MOST) if multiplier(step) >= lagrangian), _MOST)
+    return next((step for step in range(LAST_STEP) if multiplier(step) >= lagrangian), LAST_STEP)
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ def stages_worth(stages: Stages, found: Survey, goal: Goal, raw_bits: int, share
     if goal.bound is not None:
         costs = [_bits_within(tables, goal.bound, count, raw_bits) + count * book for count in counts]
         return Chosen(int(np.argmin(costs)), 1)
-    best = (math.inf, 0, _MOST)
+    best = (math.inf, 0, LAST_STEP)
     for count in counts:
         cost, step = tables.at_goal(goal, count, count * book)
         if cost < best[0]:
@@ -100,7 +100,7 @@ class _Tables:
         # The error rises with the step, bits fall: one of them has a limit.
         limited, limit = (0, goal.squares * self.found.samples) if goal.squares is not None else (
             1, (goal.bits or 0.0) * self.found.voxels)  # fmt: skip
-        good, bad = (0, _MOST) if limited == 0 else (_MOST, 0)
+        good, bad = (0, LAST_STEP) if limited == 0 else (LAST_STEP, 0)
         if point(good)[limited] > limit:
             return math.inf, good
         if point(bad)[limited] <= limit:
@@ -182,8 +182,8 @@ def found_step(ratio: Callable[[int], float], start: int, falls: bool, near: flo
     The secant's next step where it lies between the steps known to be good and bad, else the middle.
     """
     sign = -1 if falls else 1
-    good, bad = (-1, _MOST + 1) if sign > 0 else (_MOST + 1, -1)
-    step = min(max(start, 0), _MOST)
+    good, bad = (-1, LAST_STEP + 1) if sign > 0 else (LAST_STEP + 1, -1)
+    step = min(max(start, 0), LAST_STEP)
     slope = sign * 0.6 / _STEPS  # of the ratio's logarithm to base 2
     while True:
         found = ratio(step)
@@ -195,7 +195,7 @@ def found_step(ratio: Callable[[int], float], start: int, falls: bool, near: flo
             bad = step
         low, high = min(good, bad) + 1, max(good, bad) - 1
         if low > high:
-            return min(max(good, 0), _MOST)
+            return min(max(good, 0), LAST_STEP)
         if 0 < found < math.inf:
             # A little to the good side, so that the next step meets the target.
             aim = math.log2(found) - math.log2((1 + near) / 2)
@@ -204,5 +204,5 @@ def found_step(ratio: Callable[[int], float], start: int, falls: bool, near: flo
             step = (low + high) // 2
         if not low <= step <= high:
             step = low if step < low else high
-            if high - low > 4 and bad not in (-1, _MOST + 1) and good not in (-1, _MOST + 1):
+            if high - low > 4 and bad not in (-1, LAST_STEP + 1) and good not in (-1, LAST_STEP + 1):
                 step = (low + high) // 2

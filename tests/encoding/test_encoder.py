@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from helpers.encoding import CODECS, TYPES, as_type, blocks_of, range_of, smooth
 
 from clvol.encoding import trainer as trainer_module
 from clvol.encoding.trainer import CodeTrainer
+from clvol.errors import UsageError
 from clvol.store.codecs.coded_blocks import CONSTANT, RAW, RateTarget
 from clvol.store.codecs.decode import decode_blocks
 from clvol.store.codecs.working_values import working_values
@@ -128,11 +130,31 @@ def test_bits_per_voxel_are_kept_codebooks_and_index_included(context, codec):
         assert bits > 1.1
 
 
-def test_a_rate_that_cannot_be_had_is_approached(context):
+@pytest.mark.parametrize("codec", ("rvq", "vq"))
+def test_a_rate_that_cannot_be_had_says_what_can(context, codec):
+    """The least that is named can be had: then all blocks are constant."""
     voxels = as_type(smooth(), np.uint8)
-    blocks, _, coded, training = round_trip(context, voxels, "rvq", bits_per_voxel=0.001)
-    assert training.codebooks.stages == 0
+    with pytest.raises(UsageError, match="bits_per_voxel: got 0.001, less than .* at least [0-9.]+ for this") as told:
+        trained(context, voxels, codec, bits_per_voxel=0.001)
+    least = float(re.search(r"at least ([0-9.]+)", str(told.value))[1])
+    _, _, coded, training = round_trip(context, voxels, codec, bits_per_voxel=least)
     assert (coded.data[coded.start] == CONSTANT).all()
+    assert 8 * (len(coded.data) + 4 * len(coded) + training.codebooks.nbytes) / voxels.size <= least
+    if codec == "rvq":
+        assert training.codebooks.stages == 0 and least < 0.04
+
+
+@pytest.mark.parametrize("dtype", (np.uint8, np.int16, np.float32))
+@pytest.mark.parametrize("codec", ("rvq", "vq"))
+def test_a_psnr_beyond_what_codes_reach_is_reached(context, codec, dtype):
+    voxels = as_type(smooth((40, 33, 36)), dtype)
+    span = np.ptp(voxels.astype(np.float64))
+    own = blocks_of(np.ones(voxels.shape, np.uint8), 16, mode="constant") == 1  # padding does not count
+    for psnr in (95.0, 101.0, 140.0, 200.0):
+        blocks, decoded, coded, _ = round_trip(context, voxels, codec, psnr=psnr)
+        squares = np.mean((decoded[own].astype(np.float64) - blocks[own]) ** 2)
+        assert squares <= span**2 * 10 ** (-psnr / 10)
+        assert len(coded.data) <= 1.01 * blocks.nbytes
 
 
 @pytest.mark.parametrize("codec", CODECS)
