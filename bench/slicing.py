@@ -176,8 +176,8 @@ def over_buffers(bench: Bench, counts: tuple[int, ...]) -> Iterator[dict[str, An
 
 
 def times(bench: Bench, frames: int) -> Iterator[dict[str, Any]]:
-    """Slices a step apart beside rays, in turns: medians of seconds, and samples. Hardware looks up both sides of a slab
-    in the texture, where here the side in front is known: that would double the samples."""
+    """Slices a step apart beside rays, in turns: medians of seconds, and samples. Hardware looks up both sides of a
+    slab in the texture, where here the side in front is known: that would double the samples."""
     from contextlib import ExitStack
 
     from clvol import Renderer
