@@ -7,14 +7,15 @@ its packages go to the others.
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Mapping
+import warnings
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from time import perf_counter
 from typing import Any, Protocol
 
 import numpy as np
 
-from clvol.errors import ClvolError
+from clvol.errors import ClvolError, ClvolWarning
 from clvol.schedule.dispatch import Dispatcher, Package
 
 _TICK = 0.1  # seconds between calls of a progress function
@@ -160,3 +161,68 @@ class Job:
             except BaseException as last:
                 self._error, self._ended = last, True
             self._changed.notify_all()
+
+
+class Team:
+    """Devices that share jobs of one kind, one after another: rays of the reference, blocks to encode. Remembers how
+    fast they are, and which have failed. For one thread at a time.
+
+    ``names``: of the devices. ``speed``: in cost per second, as a first guess; ``launch``: seconds per package.
+    ``least``: items that a package has at least.
+    """
+
+    def __init__(self, names: Sequence[str], speed: float, launch: float, least: int = 1) -> None:
+        self.names, self.lost = list(names), dict[int, str]()
+        self._speeds = [speed] * len(self.names)
+        self._launch, self._least = launch, least
+        self._crew = Crew(len(self.names))
+        self._told: set[int] = set()
+
+    def close(self) -> None:
+        self._crew.close()
+
+    def run(
+        self,
+        hands: Sequence[Hand],
+        costs: np.ndarray,
+        take: Callable[[np.ndarray, Any], None],
+        report: Callable[[int], None] | None = None,
+    ) -> None:
+        """Has ``hands``, one per device, do the items, whose expected ``costs`` are float64 [items].
+        ``take(items, result)`` gets every result that counts, by one thread at a time; ``report``: as ``Job.run``.
+
+        A ClvolWarning names a device that fails; the error of the last one is raised. What a device has done stays done
+        when it fails.
+        """
+        launches = [self._launch] * len(hands)
+        dispatcher = Dispatcher(costs, self._speeds, launches, least_tiles=self._least)
+        for device, reason in self.lost.items():
+            dispatcher.lost(device, reason)
+
+        def done(package: Package, begin: float, end: float, found: np.ndarray, result: Any, counts: bool) -> None:
+            if counts:
+                take(package.tiles, result)
+
+        def lost(device: int, error: BaseException) -> None:
+            self.lost[device] = str(error)
+            if len(self.lost) == len(self.names):
+                raise error
+
+        Job(self._crew, dispatcher, dict(enumerate(hands)), done, lost).run(report)
+        for device, share in enumerate(dispatcher.shares):
+            if share.packages:
+                self._speeds[device] = share.speed
+        self._tell()
+
+    def _tell(self) -> None:
+        left = [name for device, name in enumerate(self.names) if device not in self.lost]
+        for device, reason in self.lost.items():
+            if device not in self._told:
+                self._told.add(device)
+                warnings.warn(left_out(self.names[device], reason, left), stacklevel=3)
+
+
+def left_out(name: str, reason: str, left: Sequence[str]) -> ClvolWarning:
+    """The warning that a device has failed; ``left``: those that have done its work."""
+    what = f"failed and is left out from now on ({' '.join(reason.split())})"
+    return ClvolWarning(f"device {name}", what, f"nothing: {' and '.join(left)} did its work")

@@ -237,7 +237,8 @@ def test_densities_are_encoded_and_labels_and_masks_stay_exact(role, decode, dev
 def test_a_density_that_labels_or_a_store_hold_is_left_alone(device, context, tmp_path):
     build_store(Volume(DENSITY), tmp_path / "a.zarr", codec="rvq", trainer=CodeTrainer(context))
     for volume in (Volume(DENSITY, labels=True), load_volume(tmp_path / "a.zarr")):
-        scene = scene_of(VOLUME, {"codec": "rvq", "max_voxel_error": 0.05}, field=[{"file": volume, **FIELDS["density"]}])
+        field = {"file": volume, **FIELDS["density"]}
+        scene = scene_of(VOLUME, {"codec": "rvq", "max_voxel_error": 0.05}, field=[field])
         with Renderer(scene, [device]) as renderer:
             assert "fields" not in renderer.render().stats["compression"]
 
