@@ -49,8 +49,8 @@ if TYPE_CHECKING:
     "--seed",
     type=click.IntRange(0, 2**31 - 1),
     metavar="N",
-    help="With a lossy codec: seed of the random choice of the voxels that codebooks are made from; default 0. The same "
-    "voxels, options and seed give the same bytes.",
+    help="With a lossy codec: seed of the random choice of the voxels that codebooks are made from; default 0. The "
+    "same voxels, options and seed give the same bytes.",
 )
 @click.option(
     "--device",

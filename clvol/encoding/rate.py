@@ -11,7 +11,7 @@ import numpy as np
 from clvol.encoding.block_encoder import CodeEncoder
 from clvol.encoding.draws import DrawnBlocks
 from clvol.encoding.policy import LARGEST_LAMBDA, Goal
-from clvol.encoding.stages import Stages, Survey
+from clvol.encoding.stages import Survey
 from clvol.store.codecs.coded_blocks import ENTRIES, Codebooks, CodedBlocks
 
 INDEX_BITS = 32  # of each block, where its bytes are
@@ -55,24 +55,34 @@ class Chosen:
     lagrangian: int
 
 
-def stages_worth(stages: Stages, found: Survey, goal: Goal, raw_bits: int, share: float) -> Chosen:
-    """The number of stages with the fewest bits, codebooks counted, at ``goal`` (or the least error, where the bits are
-    given). ``raw_bits``: per voxel; ``share``: of the volume's voxels that were drawn."""
-    thin = max(1, len(stages.squares) // _ROWS)
-    tables = _Tables(stages.squares[::thin], stages.largest[::thin], stages.stands_for * thin, found)
-    counts = range(stages.squares.shape[1])
-    book = CODEBOOK_BITS * share
-    if goal.bound is not None:
-        costs = [_bits_within(tables, goal.bound, count, raw_bits) + count * book for count in counts]
-        return Chosen(int(np.argmin(costs)), 1)
-    best = (math.inf, 0, LAST_STEP)
-    for count in counts:
-        cost, step = tables.at_goal(goal, count, count * book)
-        if cost < best[0]:
-            best = (cost, count, step)
-    if math.isinf(best[0]) and goal.squares is not None:  # out of reach: all there is
-        return Chosen(counts[-1], 1)
-    return Chosen(best[1], multiplier(best[2]))
+class StageCosts:
+    """What stages cost at ``goal``, codebooks counted, as they are trained: bits, or the error where bits are given.
+    ``raw_bits``: per voxel; ``share``: of the volume's voxels that were drawn."""
+
+    def __init__(self, found: Survey, goal: Goal, raw_bits: int, share: float) -> None:
+        self._found, self._goal, self._raw_bits, self._book = found, goal, raw_bits, CODEBOOK_BITS * share
+        self._costs: list[tuple[float, int]] = []  # of 0, 1, ... stages: the cost, and a step of the multiplier
+
+    def add(self, squares: np.ndarray, largest: np.ndarray, stands_for: float) -> bool:
+        """Takes the errors by depth, int64 [pool, stages + 1], with one stage more than before; whether further stages
+        are unlikely to pay: two in turn have cost more than they saved."""
+        thin, count = max(1, len(squares) // _ROWS), len(self._costs)
+        tables = _Tables(squares[::thin], largest[::thin], stands_for * thin, self._found)
+        if self._goal.bound is not None:
+            cost = _bits_within(tables, self._goal.bound, count, self._raw_bits) + count * self._book
+            self._costs.append((cost, 0))
+        else:
+            self._costs.append(tables.at_goal(self._goal, count, count * self._book))
+        last = [cost for cost, _ in self._costs[-3:]]
+        return len(last) == 3 and last[0] < last[1] < last[2] < math.inf
+
+    def chosen(self) -> Chosen:
+        """The number of stages of the least cost."""
+        cost, step = min(self._costs, key=lambda each: each[0], default=(0.0, 0))
+        if math.isinf(cost):  # out of reach: all there is, or of a rate, nothing
+            return Chosen(len(self._costs) - 1, 1) if self._goal.squares is not None else Chosen(0, LARGEST_LAMBDA)
+        stages = [cost for cost, _ in self._costs].index(cost) if self._costs else 0
+        return Chosen(stages, multiplier(step))
 
 
 @dataclass(frozen=True, eq=False)

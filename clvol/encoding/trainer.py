@@ -13,7 +13,7 @@ from clvol.encoding.draws import DrawnBlocks, drawn, drawn_blocks
 from clvol.encoding.fixed import trained_fixed
 from clvol.encoding.kernels import EncoderKernels, levels_of
 from clvol.encoding.policy import Goal, Policy, goal_of
-from clvol.encoding.rate import LAST_STEP, excess, found_step, measure, multiplier, stages_worth, step_of
+from clvol.encoding.rate import LAST_STEP, StageCosts, excess, found_step, measure, multiplier, step_of
 from clvol.encoding.stages import POOL, needing, pool_of, survey, trained_stages
 from clvol.errors import UsageError
 from clvol.opencl.context import DeviceContext
@@ -129,12 +129,13 @@ class _Run:
         # A few distinct residuals may be repeated by all sub-blocks, whatever the target.
         places = drawn(need, POOL, self.seed)
         pool = pool_of(self.kernels, self.blocks(), self.to_working, self.levels, places)
+        stands_for = len(need) / max(1, len(places))
+        costs = StageCosts(found, self.goal, 8 * self.dtype.itemsize, found.voxels / self.total)
         stages = trained_stages(
-            self.kernels, pool, len(need) / max(1, len(places)), self.levels, self.goal, guess, self.seed,
-            len(places) == len(need), lambda stage: self.step(1 + stage),
+            self.kernels, pool, self.levels, self.goal, guess, self.seed, len(places) == len(need),
+            lambda squares, largest: costs.add(squares, largest, stands_for), lambda stage: self.step(1 + stage),
         )  # fmt: skip
-        share = found.voxels / self.total
-        chosen = stages_worth(stages, found, self.goal, 8 * self.dtype.itemsize, share)
+        chosen = costs.chosen()
         n = chosen.stages
         books = replace(self.books(n), entries=stages.entries[:n], shifts=stages.shifts[:n])
         facts = {} if stages.distinct is None else {"distinct_vectors": stages.distinct}

@@ -82,6 +82,16 @@ def test_the_seed_is_kept_and_gives_the_same_bytes(run, folder, volume):
             assert file.read_bytes() == (folder / "b" / file.relative_to(folder / "a")).read_bytes()
 
 
+def test_fewer_vectors_than_codes_are_exact_and_that_is_said(run, folder):
+    tiles = np.random.default_rng(2).integers(0, 256, (9, 4, 4, 4)).astype(np.uint8)
+    places = np.random.default_rng(3).integers(0, 9, (16, 16, 16))
+    np.save(folder / "t.npy", tiles[places].transpose(0, 3, 1, 4, 2, 5).reshape(64, 64, 64))
+    assert run("store", "t.npy", "-o", "t", "--codec", "rvq", "--max-voxel-error", 0.001, "--quiet").status == 0
+    codes = json.loads(run("info", "t", "--json").out)["store"]["codes"]
+    assert codes["max_voxel_error"] == 0 and 1 <= codes["distinct_vectors"] <= 9
+    assert f"{codes['distinct_vectors']} distinct ones, fewer than codes, each exact" in run("info", "t").out
+
+
 def test_a_psnr_is_reached_however_high(run, folder, volume):
     for psnr in (44, 90):
         outcome = run("store", "v.npy", "-o", f"{psnr}", "--codec", "rvq", "--psnr", psnr)

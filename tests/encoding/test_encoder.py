@@ -197,6 +197,23 @@ def test_what_is_larger_than_memory_is_drawn_from_everywhere(context, monkeypatc
     assert 10 * math.log10(255**2 / error) > 37
 
 
+def test_more_voxels_than_32_bits_count(context, monkeypatch):
+    """2^33 voxels, of which a few regions are read, beyond the first 2^32, too."""
+    monkeypatch.setattr(trainer_module, "MOST_VOXELS", 1 << 18)
+    field = FieldSource("marschner-lobb", (4096, 2048, 1024))
+    read = []
+    box = field.box
+    monkeypatch.setattr(field, "box", lambda *corners: read.append(corners) or box(*corners))
+    training = CodeTrainer(context).train(field, (0, 255), "rvq", RateTarget(bits_per_voxel=0.5))
+    first = [z * 4096 * 2048 + y * 4096 + x for z, _, y, _, x, _ in read]
+    assert max(first) > 2**32 and min(first) < 2**31 and len(set(read)) <= 10
+    assert training.codebooks.stages > 0
+    voxels = box(1000, 1024, 2000, 2048, 4064, 4096)
+    blocks = blocks_of(voxels, 16)
+    decoded = decode_blocks(CodeTrainer(context).encoder(training).encode(blocks), 16, training.codebooks)
+    assert np.abs(decoded.astype(float) - blocks).max() <= 255
+
+
 def test_progress_rises_to_its_end(context):
     seen = []
     voxels = as_type(smooth((64, 64, 64)), np.uint8)

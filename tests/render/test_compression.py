@@ -255,6 +255,9 @@ STORED = {
     "pyramid": {"integration": {"method": "pyramid"}},
     "reference": {"integration": {"method": "reference"}},
     "multiresolution": {"integration": {"method": "multiresolution"}},  # all blocks at full resolution
+    "tiles": {"integration": {"method": "multiresolution"}, "multiresolution": {"tiles": 8}},
+    "slices of blocks": {"integration": {"method": "multiresolution"}, "multiresolution": {"stepping": "pyramid"}},
+    "bounded": {"integration": {"method": "multiresolution"}, "multiresolution": {"stepping": "bounded"}},
 }
 
 
@@ -266,7 +269,7 @@ def test_a_store_of_codes(method, device, context, tmp_path):
     target = RateTarget(max_voxel_error=0.03)
     store = build_store(
         Volume(VOLUME), tmp_path / "a.zarr", codec="rvq", target=target, trainer=CodeTrainer(context),
-        edge=16 if method == "multiresolution" else 8,
+        edge=8 if method in ("raycast", "pyramid", "reference") else 16,
     )  # fmt: skip
     tables = {"image": {"width": 30, "height": 26}, "transfer_function": SMOOTH, **STORED[method]}
     frames = []
