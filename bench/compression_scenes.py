@@ -30,7 +30,7 @@ def _scene(name: str) -> BenchScene:
 
 
 ENGINE = CodedScene(_scene("engine-smooth"), (0.25, 0.45, 0.8, 1.5), (0.45, 44.5), 0.315)
-HEPTANE = CodedScene(_scene("heptane"), (0.09, 0.18, 0.35, 0.7), (0.18, 47.0), 0.155)
+HEPTANE = CodedScene(_scene("heptane"), (0.09, 0.18, 0.35, 0.7), (0.18, 47.0), 0.1555)
 CHEST_CODED = CodedScene(CHEST, (0.5, 1.0, 1.5, 2.0), (1.0, 40.0), 0.22)
 ANEURISM = CodedScene(_scene("aneurism"), (0.06, 0.12, 0.2, 0.4))
 CODED_SCENES = (ENGINE, HEPTANE, CHEST_CODED, ANEURISM)

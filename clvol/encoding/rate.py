@@ -16,7 +16,7 @@ from clvol.store.codecs.coded_blocks import ENTRIES, Codebooks, CodedBlocks
 
 INDEX_BITS = 32  # of each block, where its bytes are
 CODEBOOK_BITS = 8 * (ENTRIES * 64 + 4)  # of a stage of 4^3 samples
-_STEPS = 32  # of the multiplier, per factor of two
+_STEPS = 128  # of the multiplier, per factor of two
 LAST_STEP = _STEPS * 40
 _ROWS = 1 << 15  # sub-blocks on which numbers of stages are compared
 
@@ -24,9 +24,9 @@ Decode = Callable[[CodedBlocks, int, Codebooks], np.ndarray]
 
 
 def _powers() -> list[int]:
-    """2^(k / 32) for k = 0 ... 31, in units of 2^-60, by integers alone."""
+    """2^(k / 128) for k = 0 ... 127, in units of 2^-60, by integers alone."""
     root = 2 << 60
-    for _ in range(5):
+    for _ in range(7):
         root = math.isqrt(root << 60)
     powers = [1 << 60]
     while len(powers) < _STEPS:
@@ -38,7 +38,7 @@ _POWERS = _powers()
 
 
 def multiplier(step: int) -> int:
-    """The Lagrangian multiplier 2^(step / 32), rounded down."""
+    """The Lagrangian multiplier 2^(step / 128), rounded down."""
     return min(LARGEST_LAMBDA, _POWERS[step % _STEPS] << step // _STEPS >> 60)
 
 
@@ -115,7 +115,7 @@ class _Tables:
             return math.inf, good
         if point(bad)[limited] <= limit:
             return point(bad)[1 - limited], bad
-        while abs(good - bad) > 4:
+        while abs(good - bad) > 16:
             middle = (good + bad) // 2
             if point(middle)[limited] <= limit:
                 good = middle

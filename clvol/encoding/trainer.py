@@ -25,7 +25,7 @@ from clvol.store.voxel_source import VoxelSource
 
 DEFAULT_ERROR = 0.02  # of the range: the target of "rvq" where none is given
 MOST_VOXELS = 1 << 27  # of which a training looks at all; of more it draws regions
-_NEAR = 0.992  # of the error (0.03 dB) or the bits of the target: good enough
+_NEAR = 0.997  # of the error (0.01 dB) or the bits of the target: good enough
 _OF_A_PART = 0.98  # of the error or the bits of the target
 _SAMPLE = 1 << 22  # voxels on which a multiplier is searched for, before all are looked at
 
