@@ -410,11 +410,11 @@ class Raycaster:
         """The arguments that kernels take in addition to those of a scene of emission and absorption, for a launch over
         ``tiles``: those that follow the scene's, those at the end, and the arrays of both."""
         names = self._counter_names
+        variant, added = self._sample_arguments
         if not names:
-            return (), (), {}
+            return variant, (), added
         counts = self.context.output(np.uint32, (tiles, len(names)))
         own, arrays = self.march.arguments(self)
-        variant, added = self._sample_arguments
         return variant, own + counts_argument(len(names)), {**arrays, **added, "counts": counts}
 
     @property
