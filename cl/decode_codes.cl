@@ -52,32 +52,32 @@ INLINE int8 eight_residuals(__global const uchar *packed, int bits)
   return convert_int8(as_long8((ulong8)word << as_ulong8(64 - bits - order * bits)) >> (long8)(64 - bits));
 }
 
-/* The escape at p becomes the sub-block at (x, y, z); returns where the next one begins. */
-RARE __global const uchar *put_escape(__global const uchar *p, __global const char *entries,
-                                      __constant const CodeMap *map, int mean, const Target *target, int x, int y,
-                                      int z)
+/* Adds the residuals at p, or takes the samples there, for the sub-block at (x, y, z) of working values `w`, as its
+ * `head` says; returns where those of the next one begin. */
+RARE __global const uchar *put_tail(__global const uchar *p, const Working *w, int head, __constant const CodeMap *map,
+                                    const Target *target, int x, int y, int z)
 {
-  const int head = *p++;
   if (head == RAW_SAMPLES) {
     for (int k = 0; k < 4; ++k) put_slice(samples_at(p, k), target, x, y, z + k);
     return p + 64 * sizeof(Voxel);
   }
-  const int stages = head & 15, bits = head >> 4;
-  Working w;
-  START(w, mean)
-  for (int j = 0; j < stages; ++j) ADD_CODE(w, j, *p++)
-  int16 r0 = 0, r1 = 0, r2 = 0, r3 = 0;
-  if (bits) {
-    r0 = (int16)(eight_residuals(p, bits), eight_residuals(p + bits, bits));
-    r1 = (int16)(eight_residuals(p + 2 * bits, bits), eight_residuals(p + 3 * bits, bits));
-    r2 = (int16)(eight_residuals(p + 4 * bits, bits), eight_residuals(p + 5 * bits, bits));
-    r3 = (int16)(eight_residuals(p + 6 * bits, bits), eight_residuals(p + 7 * bits, bits));
-  }
-  put_slice(corrected(SIGNED(w.w0), r0, map), target, x, y, z);
-  put_slice(corrected(SIGNED(w.w1), r1, map), target, x, y, z + 1);
-  put_slice(corrected(SIGNED(w.w2), r2, map), target, x, y, z + 2);
-  put_slice(corrected(SIGNED(w.w3), r3, map), target, x, y, z + 3);
+  const int bits = head >> 4;
+  if (!bits) return p;
+  const int16 r0 = (int16)(eight_residuals(p, bits), eight_residuals(p + bits, bits));
+  const int16 r1 = (int16)(eight_residuals(p + 2 * bits, bits), eight_residuals(p + 3 * bits, bits));
+  const int16 r2 = (int16)(eight_residuals(p + 4 * bits, bits), eight_residuals(p + 5 * bits, bits));
+  const int16 r3 = (int16)(eight_residuals(p + 6 * bits, bits), eight_residuals(p + 7 * bits, bits));
+  put_slice(corrected(SIGNED(w->w0), r0, map), target, x, y, z);
+  put_slice(corrected(SIGNED(w->w1), r1, map), target, x, y, z + 1);
+  put_slice(corrected(SIGNED(w->w2), r2, map), target, x, y, z + 2);
+  put_slice(corrected(SIGNED(w->w3), r3, map), target, x, y, z + 3);
   return p + 8 * bits;
+}
+
+/* The stages of an escaped sub-block. */
+INLINE int stages_of_head(int head)
+{
+  return head == RAW_SAMPLES ? 0 : head & 15;
 }
 
 #if CODED_SIDE == 4
@@ -105,14 +105,17 @@ INLINE void put_coded(__global const uchar *p, __global const char *entries, __c
     ++with_depth[depths[k] >> 4];
   }
   if (s == 4) ++with_depth[depths[0]];
+  __global const uchar *heads = depths + (subs + 1) / 2;
+  const int escaped = with_depth[ESCAPED];
+  for (int k = 0; k < escaped; ++k) ++with_depth[stages_of_head(heads[k])];
   __global const uchar *next[MOST_STAGES + 1];
-  next[0] = depths + (subs + 1) / 2;
-  for (int j = 0, left = subs - with_depth[ESCAPED]; j < MOST_STAGES; ++j) {
+  next[0] = heads + escaped;
+  for (int j = 0, left = subs; j < MOST_STAGES; ++j) {
     left -= with_depth[j];
     next[j + 1] = next[j] + left;
   }
-  __global const uchar *escapes = next[MOST_STAGES];
-  const int whole = limit >= map->stages;
+  __global const uchar *tails = next[MOST_STAGES];
+  const int whole = limit > map->stages;
   const int whole_block = all(target->extent.xyz >= s);
 
   for (int k = 0; k < octants; ++k) {
@@ -125,42 +128,50 @@ INLINE void put_coded(__global const uchar *p, __global const char *entries, __c
     if (s > 4 && whole_block) {
       for (int n = 0; n < 8; n += 2) {
         const int x = ox, y = oy + 4 * (n >> 1 & 1), z = oz + 4 * (n >> 2);
-        const int both = *depths++, depth_a = both & 15, depth_b = both >> 4;
-        const int mean_a = *means++, mean_b = *means++;
+        const int both = *depths++;
+        int depth_a = both & 15, depth_b = both >> 4, head_a = 0, head_b = 0;
+        if (depth_a == ESCAPED) {
+          head_a = *heads++;
+          depth_a = stages_of_head(head_a);
+        }
+        if (depth_b == ESCAPED) {
+          head_b = *heads++;
+          depth_b = stages_of_head(head_b);
+        }
         Working a, b;
-        START(a, mean_a)
-        START(b, mean_b)
-        const int count_a = depth_a == ESCAPED ? 0 : min(depth_a, limit);
-        const int count_b = depth_b == ESCAPED ? 0 : min(depth_b, limit);
+        START(a, means[0])
+        START(b, means[1])
+        means += 2;
+        const int count_a = min(depth_a, limit), count_b = min(depth_b, limit);
         for (int j = 0; j < count_a; ++j) ADD_CODE(a, j, *next[j]++)
         for (int j = 0; j < count_b; ++j) ADD_CODE(b, j, *next[j]++)
         put_slices(VOXELS(a.w0), VOXELS(b.w0), target, x, y, z);
         put_slices(VOXELS(a.w1), VOXELS(b.w1), target, x, y, z + 1);
         put_slices(VOXELS(a.w2), VOXELS(b.w2), target, x, y, z + 2);
         put_slices(VOXELS(a.w3), VOXELS(b.w3), target, x, y, z + 3);
-        if (depth_a == ESCAPED && whole)
-          escapes = put_escape(escapes, entries, map, mean_a, target, x, y, z);
-        if (depth_b == ESCAPED && whole)
-          escapes = put_escape(escapes, entries, map, mean_b, target, x + 4, y, z);
+        if (whole && head_a) tails = put_tail(tails, &a, head_a, map, target, x, y, z);
+        if (whole && head_b) tails = put_tail(tails, &b, head_b, map, target, x + 4, y, z);
       }
       continue;
     }
     for (int n = 0; n < each; ++n) {
       const int x = ox + 4 * (n & 1), y = oy + 4 * (n >> 1 & 1), z = oz + 4 * (n >> 2);
-      const int mean = *means++, depth = *depths >> 4 * (n & 1) & 15;
+      const int mean = *means++;
+      int depth = *depths >> 4 * (n & 1) & 15, head = 0;
       if (n & 1) ++depths;
-      if (depth == ESCAPED && whole) {
-        escapes = put_escape(escapes, entries, map, mean, target, x, y, z);
-        continue;
+      if (depth == ESCAPED) {
+        head = *heads++;
+        depth = stages_of_head(head);
       }
       Working w;
       START(w, mean)
-      const int count = depth == ESCAPED ? 0 : min(depth, limit);
+      const int count = min(depth, limit);
       for (int j = 0; j < count; ++j) ADD_CODE(w, j, *next[j]++)
       put_slice(VOXELS(w.w0), target, x, y, z);
       put_slice(VOXELS(w.w1), target, x, y, z + 1);
       put_slice(VOXELS(w.w2), target, x, y, z + 2);
       put_slice(VOXELS(w.w3), target, x, y, z + 3);
+      if (whole && head) tails = put_tail(tails, &w, head, map, target, x, y, z);
     }
   }
 }

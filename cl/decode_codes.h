@@ -65,7 +65,8 @@ typedef short16 Short16 ANYWHERE;
 typedef ulong Bytes8 ANYWHERE; /* bytes, loaded from any place at once: PoCL cuts vload8 in four */
 
 /* Where a block's bytes begin in `codes`, and its first voxel in `voxels`. extent: samples that are wanted along x, y
- * and z, and in w the samples per axis of the block. limit: no more stages of it are decoded. */
+ * and z, and in w the samples per axis of the block. limit: no more stages of it are decoded;
+ * residuals only if it is greater than the codebooks' stages. */
 typedef struct {
   int4 extent;
   long from, to;

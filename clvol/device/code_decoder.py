@@ -17,7 +17,7 @@ from clvol.errors import RenderError, VolumeError
 from clvol.opencl.arguments import RAW, reads, value, writes
 from clvol.opencl.context import DeviceArray, DeviceContext, Kernel
 from clvol.opencl.structs import CODE_MAP, CODED_BLOCK
-from clvol.store.codecs.coded_blocks import MOST_STAGES, Codebooks, CodedBlocks
+from clvol.store.codecs.coded_blocks import WHOLE, Codebooks, CodedBlocks
 from clvol.store.codecs.layout import check_codes
 from clvol.store.codecs.working_values import LARGEST
 
@@ -80,7 +80,7 @@ class CodeDecoder:
         """Bytes on the device, without codes and voxels."""
         return self._entries.nbytes + self._map.nbytes + self._fault.nbytes
 
-    def hold(self, coded: CodedBlocks, s: int, stages: Stages = MOST_STAGES) -> HeldCodes:
+    def hold(self, coded: CodedBlocks, s: int, stages: Stages = WHOLE) -> HeldCodes:
         """``coded`` on the device, of which no more bytes need to be there than a limit of ``stages`` takes: then they
         may only be decoded to it. VolumeError names the first block whose bytes are impossible."""
         self._check(coded, s, np.arange(len(coded)), stages)
@@ -96,7 +96,7 @@ class CodeDecoder:
         blocks: np.ndarray,
         voxels: DeviceArray,
         places: np.ndarray,
-        stages: Stages = MOST_STAGES,
+        stages: Stages = WHOLE,
     ) -> None:
         """Enqueues the decoding of ``blocks`` (numbers in ``held``) to samples [s, s, s] that begin at the elements
         ``places`` of ``voxels``, to a limit of ``stages``."""
@@ -112,7 +112,7 @@ class CodeDecoder:
         blocks: np.ndarray,
         voxels: DeviceArray,
         corners: np.ndarray,
-        stages: Stages = MOST_STAGES,
+        stages: Stages = WHOLE,
         first_slice: int = 0,
     ) -> None:
         """Enqueues the decoding of ``blocks`` (numbers in ``held``) to the corners int [n, 3] (z, y, x) of ``voxels``
@@ -125,7 +125,7 @@ class CodeDecoder:
         s: int,
         voxels: DeviceArray,
         corners: np.ndarray,
-        stages: Stages = MOST_STAGES,
+        stages: Stages = WHOLE,
         *,
         staging_bytes: int = STAGING_BYTES,
         progress: Callable[[int, int], None] | None = None,

@@ -14,7 +14,7 @@ from clvol.device.code_decoder import CodeDecoder, HeldCodes, code_map, is_narro
 from clvol.errors import RenderError, VolumeError
 from clvol.opencl.struct_check import REPORT_ARGUMENTS, check_structs, layout_of, reported_structs
 from clvol.opencl.structs import CODE_MAP, CODED_BLOCK
-from clvol.store.codecs.coded_blocks import MOST_STAGES, Codebooks
+from clvol.store.codecs.coded_blocks import WHOLE, Codebooks
 from clvol.store.codecs.decode import decode_blocks
 from clvol.store.codecs.labels import label_codebooks
 from clvol.store.codecs.layout import check_codes, prefix_sizes
@@ -42,7 +42,7 @@ def test_blocks_are_those_of_numpy(each_device, contexts, codec, dtype):
         rng = np.random.default_rng(s)
         some = rng.permutation(count)[: count - 1]
         places = (rng.permutation(count + 3)[: len(some)] * s**3 + 5).astype(np.int64)  # of no alignment
-        for stages in (MOST_STAGES, 0, 1):
+        for stages in (WHOLE, 0, 1, codebooks.stages):
             voxels, before = untouched(context, dtype, ((count + 3) * s**3 + 10,))
             decoder.into_blocks(held, some, voxels, places, stages)
             decoder.check_fault()
@@ -58,7 +58,7 @@ def test_each_block_may_have_a_limit_of_its_own(device, contexts, codec):
     context = contexts(device)
     blocks, codebooks = random_codes(3, codec, 8, "int8", 60)
     decoder = CodeDecoder(context, codebooks)
-    limits = np.random.default_rng(0).integers(0, codebooks.stages + 1, len(blocks))
+    limits = np.random.default_rng(0).integers(0, codebooks.stages + 2, len(blocks))
     sizes = prefix_sizes(packed(blocks), 8, codebooks)
     cut = packed([block[: sizes[k, limits[k]]] for k, block in enumerate(blocks)])
     expected = np.stack([decode_blocks(packed([block]), 8, codebooks, int(limits[k]))[0]
@@ -116,7 +116,7 @@ def test_offsets_of_codes_and_voxels_may_exceed_what_32_bits_hold(device, contex
     far_codes, far_voxels = 2**31 + 7, 5 * 2**32 + 11
     places = np.arange(20) * 512 + far_voxels
     extent = np.full((20, 4), 8, np.int32)
-    decoder._decode(held.codes, held.start + far_codes, places, extent, voxels, MOST_STAGES,
+    decoder._decode(held.codes, held.start + far_codes, places, extent, voxels, WHOLE,
                     first_code=far_codes, first_voxel=far_voxels)  # fmt: skip
     assert context.read(voxels).tobytes() == decode_blocks(coded, 8, codebooks).tobytes()
 
@@ -133,7 +133,7 @@ def test_sums_of_codes_that_16_bits_hold(each_device, contexts, codec, dtype):
         codebooks = replace(codebooks, shifts=shifts.astype(np.int32))
         assert is_narrow(codebooks) and code_map(codebooks)["unit"] == min(least, 7)
         decoder, coded = CodeDecoder(context, codebooks), packed(blocks)
-        for stages in (MOST_STAGES, 2):
+        for stages in (WHOLE, 2):
             voxels, _ = untouched(context, dtype, (len(blocks) * s**3,))
             numbers = np.arange(len(blocks))
             decoder.into_blocks(decoder.hold(coded, s), numbers, voxels, numbers * s**3, stages)
