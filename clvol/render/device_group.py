@@ -331,7 +331,7 @@ class _Stage:
     def _finished(self, package: Package, begin: float, found: PartOfPicture) -> None:
         with self._changed:
             end = perf_counter()
-            counts = self._dispatcher.finished(package, end, float(found.costs.sum()))
+            counts = self._dispatcher.finished(package, end, found.costs)
             span = Span(
                 package.device, self._stage, begin - self._start, end - self._start, package.tiles, counts
             )
