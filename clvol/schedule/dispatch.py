@@ -307,22 +307,21 @@ class Dispatcher:
         if found <= 0:
             return
         expected = self._costs[package.tiles]
-        if not isinstance(costs, np.ndarray):
-            costs = expected * (found / float(expected.sum()))
-        off = np.log(costs / expected)
-        mean = float(np.dot(off, costs)) / found
-        spread = math.sqrt(float(np.dot((off - mean) ** 2, costs)) / found)
+        by_tile = costs if isinstance(costs, np.ndarray) else expected * (found / float(expected.sum()))
+        off = np.log(by_tile / expected)
+        mean = float(np.dot(off, by_tile)) / found
+        spread = math.sqrt(float(np.dot((off - mean) ** 2, by_tile)) / found)
         self._spread += _NEWEST * (min(spread, 1.0) - self._spread)
         miss = abs(math.log(found / package.cost))
         self._miss = max(self._miss + _NEWEST * (min(miss, 1.0) - self._miss), _LEAST_UNCERTAINTY)
-        self._neighbours.saw(package.tiles, costs)
+        self._neighbours.saw(package.tiles, by_tile)
         if len(self._waiting) and max(self._spread, self._miss) > _DOUBTED:
             self._costs = self._neighbours.expected()
 
 
 class _Neighbours:
-    """Costs of tiles (``prior`` float64 [tiles] as expected at first, ``columns`` per row; 0: in no order), corrected by
-    those that were measured: by the ratio in tiles nearby as far as it is known there, else by that of all."""
+    """Costs of tiles (``prior`` float64 [tiles] as expected at first, ``columns`` per row; 0: in no order), corrected
+    by those that were measured: by the ratio in tiles nearby as far as it is known there, else by that of all."""
 
     def __init__(self, prior: np.ndarray, columns: int) -> None:
         self._prior = prior
