@@ -121,53 +121,64 @@ __kernel void bad_cells(__global const uchar *restrict voxels, int4 size, int sh
 /* Squared distances are whole numbers of some unit, at most FAR. */
 #define FAR 65535
 
-/* near  ushort [cells.z, cells.y, stride]: 0 where any of `bits` is set, else FAR */
-__kernel void start_near(__global const uchar *restrict bad, uint bits, __global ushort *restrict near)
+/* near  ushort [rows, stride]: 0 where any of `bits` is set, else FAR. A row per work-item. */
+__kernel void start_near(__global const uchar *restrict bad, uint bits, int stride, __global ushort *restrict near)
 {
-  const size_t i = get_global_id(0);
-  const uchar16 b = vload16(i, bad) & (uchar16)(uchar)bits;
-  vstore16(select((ushort16)0, (ushort16)FAR, convert_ushort16(b) == (ushort16)0), i, near);
+  const size_t first = get_global_id(0) * (size_t)(stride / 16);
+  for (size_t i = first; i < first + stride / 16; ++i) {
+    const uchar16 b = vload16(i, bad) & (uchar16)(uchar)bits;
+    vstore16(select((ushort16)0, (ushort16)FAR, convert_ushort16(b) == (ushort16)0), i, near);
+  }
+}
+
+/* The smallest of `best` and of 16 cells of a row from x on, seen from cells of the same row. */
+ushort16 near_in_row(ushort16 best, __global const ushort *row, int x, int stride, int window, __constant ushort *gaps)
+{
+  for (int k = 1; k <= window; ++k) {
+    const ushort16 gap = gaps[k];
+    ushort16 before, behind;
+    if (x >= k)
+      before = vload16(0, row + x - k);
+    else {
+      ushort each[16];
+      for (int j = 0; j < 16; ++j) each[j] = x + j >= k ? row[x + j - k] : FAR;
+      before = vload16(0, each);
+    }
+    if (x + 15 + k < stride)
+      behind = vload16(0, row + x + k);
+    else {
+      ushort each[16];
+      for (int j = 0; j < 16; ++j) each[j] = x + j + k < stride ? row[x + j + k] : FAR;
+      behind = vload16(0, each);
+    }
+    best = min(best, add_sat(min(before, behind), gap));
+  }
+  return best;
 }
 
 /* One of three passes that find, of every cell, the squared distance to the nearest cell of a set: between the nearest
- * points of both.
+ * points of both. A row per work-item.
  * gaps  ushort [window + 1]: squares of what lies between two cells so many cells apart along `axis` */
 __kernel void near_pass(__global const ushort *restrict in, __global ushort *restrict out, int4 cells, int stride,
                         int axis, int window,
                         __constant ushort *gaps)
 {
-  const int x = 16 * get_global_id(0), y = get_global_id(1), z = get_global_id(2);
-  const size_t at = ((size_t)z * cells.y + y) * stride + x;
-  ushort16 best = vload16(0, in + at);
-  if (axis == 0) {
-    for (int k = 1; k <= window; ++k) {
-      const ushort16 gap = gaps[k];
-      ushort16 before, behind;
-      if (x >= k)
-        before = vload16(0, in + at - k);
-      else {
-        ushort each[16];
-        for (int j = 0; j < 16; ++j) each[j] = x + j >= k ? in[at + j - k] : FAR;
-        before = vload16(0, each);
-      }
-      if (x + 15 + k < stride)
-        behind = vload16(0, in + at + k);
-      else {
-        ushort each[16];
-        for (int j = 0; j < 16; ++j) each[j] = x + j + k < stride ? in[at + j + k] : FAR;
-        behind = vload16(0, each);
-      }
-      best = min(best, add_sat(min(before, behind), gap));
+  const int y = get_global_id(0), z = get_global_id(1);
+  const size_t first = ((size_t)z * cells.y + y) * stride, apart = axis == 1 ? stride : (size_t)stride * cells.y;
+  const int place = axis == 1 ? y : z, count = axis == 1 ? cells.y : cells.z;
+  for (int x = 0; x < stride; x += 16) {
+    __global const ushort *cell = in + first + x;
+    ushort16 best = vload16(0, cell);
+    if (axis == 0) {
+      best = near_in_row(best, in + first, x, stride, window, gaps);
+    } else {
+      for (int k = 1; k <= min(window, place); ++k)
+        best = min(best, add_sat(vload16(0, cell - k * apart), (ushort16)gaps[k]));
+      for (int k = 1; k <= min(window, count - 1 - place); ++k)
+        best = min(best, add_sat(vload16(0, cell + k * apart), (ushort16)gaps[k]));
     }
-  } else {
-    const size_t row = axis == 1 ? stride : (size_t)stride * cells.y;
-    const int place = axis == 1 ? y : z, count = axis == 1 ? cells.y : cells.z;
-    for (int k = 1; k <= min(window, place); ++k) best = min(best,
-                                                             add_sat(vload16(0, in + at - k * row), (ushort16)gaps[k]));
-    for (int k = 1; k <= min(window, count - 1 - place); ++k)
-      best = min(best, add_sat(vload16(0, in + at + k * row), (ushort16)gaps[k]));
+    vstore16(best, 0, out + first + x);
   }
-  vstore16(best, 0, out + at);
 }
 
 /* map  uchar, as in oracle_layout.h: raised or lowered to `base` + the distance `near` stands for, at most `most`, as

@@ -22,7 +22,7 @@ from clvol.errors import DeviceError, RenderError
 from clvol.limits import check_room_for_opencl
 from clvol.opencl.arguments import Argument, known_sizes
 from clvol.opencl.binding import cl
-from clvol.opencl.build import build_file, keep_programs
+from clvol.opencl.build import build_file, is_pocl, keep_programs
 from clvol.opencl.devices import device_name
 from clvol.opencl.forks import check_fork, is_forked, opencl_used
 
@@ -45,11 +45,16 @@ _log = logging.getLogger(__name__)
 
 
 class Kernel:
-    """A kernel and the arguments it takes. Not for two threads at once."""
+    """A kernel and the arguments it takes. Not for two threads at once.
 
-    def __init__(self, program: Any, name: str, arguments: tuple[Argument, ...]) -> None:
+    ``alone``: work-items are groups of their own where a call names no size of groups. The driver would choose one by
+    the number of work-items; PoCL compiles the kernel again for every size, and so for every new size of a volume.
+    """
+
+    def __init__(self, program: Any, name: str, arguments: tuple[Argument, ...], alone: bool = False) -> None:
         self.name = name
         self.arguments = arguments
+        self._alone = alone
         self._kernel = cl.Kernel(program, name)
         if self._kernel.num_args != len(self.arguments):
             raise RenderError(
@@ -85,6 +90,8 @@ class Kernel:
                 raise RenderError(where, f"got {type(array).__name__}", "a DeviceArray")
             argument.check_buffer(self.name, array, known)
             self._kernel.set_arg(index, array.buffer)
+        if local_size is None and self._alone:
+            local_size = (1,) * len(global_size)
         return cl.enqueue_nd_range_kernel(
             queue,
             self._kernel,
@@ -116,6 +123,7 @@ class DeviceContext:
         self.device = device
         self.name = device_name(device)
         self.is_cpu = bool(device.type & cl.device_type.CPU)
+        self._alone = self.is_cpu and is_pocl(device)
         self.has_double = "cl_khr_fp64" in device.extensions.split()
         self.compile_seconds = 0.0
         try:
@@ -155,7 +163,7 @@ class DeviceContext:
         arguments = tuple(arguments)
         key = (file, name, options, folder, arguments)
         if key not in self._kernels:
-            self._kernels[key] = Kernel(self._program(file, options, folder), name, arguments)
+            self._kernels[key] = Kernel(self._program(file, options, folder), name, arguments, self._alone)
         return self._kernels[key]
 
     def _program(self, file: str, options: tuple[str, ...], folder: Path | None) -> Any:

@@ -109,6 +109,9 @@ PYRAMID = struct(
 )
 """``Pyramid`` of cl/pyramid.h."""
 
+SLICES = struct(("float", "first spacing thickness"), ("int", "axis count"))
+"""``Slices`` of cl/slices.h."""
+
 NOISE_TERM = struct(
     ("float4", "scale offset amplitude"),
     ("float", "value_amplitude gain"),

@@ -185,7 +185,8 @@ class CodedResidency:
         }
 
     def describe(self) -> dict[str, Any]:
-        """As ``Residency.describe``, and the numbers of blocks at full resolution by depth: cut after 0, 1, ... stages, and uncut."""
+        """As ``Residency.describe``, and the numbers of blocks at full resolution by depth: cut after 0, 1, ... stages,
+        and uncut."""
         if self.chosen is None:
             raise ValueError("no blocks have been requested")
         blocks, books = self.blocks, self.source.codebooks

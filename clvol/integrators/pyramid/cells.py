@@ -170,7 +170,8 @@ def _move_distances(
     cells, stride = (nx, ny, nz, 0), bad.shape[2]
     near, spare = (context.empty(np.uint16, bad.shape) for _ in range(2))
     start = _kernel(
-        asked, "start_near", reads("bad", np.uint8), value("bits", np.uint32), writes("near", np.uint16)
+        asked, "start_near", reads("bad", np.uint8), value("bits", np.uint32),
+        value("stride", np.int32), writes("near", np.uint16),
     )  # fmt: skip
     step = _kernel(
         asked, "near_pass",
@@ -182,11 +183,11 @@ def _move_distances(
         reads("near", np.uint16, *_CELLS), value("cells", INT4), value("stride", np.int32), value("base", np.float32),
         value("most", np.float32), value("unit", np.float32), value("raises", np.int32), writes("map", np.uint8),
     )  # fmt: skip
-    start(context.queue, (bad.nbytes // 16,), None, bad=bad, bits=1 << bit, near=near)
+    start(context.queue, (ny * nz,), None, bad=bad, bits=1 << bit, stride=stride, near=near)
     for axis, edge in enumerate(asked.edges):
         gaps = squared_gaps(edge * (1 << asked.shift), most - base, unit)
         step(
-            context.queue, (stride // 16, ny, nz), None, source=near, target=spare, cells=cells,
+            context.queue, (ny, nz), None, source=near, target=spare, cells=cells,
             stride=stride, axis=axis, window=len(gaps) - 1, gaps=context.upload(gaps),
         )  # fmt: skip
         near, spare = spare, near

@@ -116,9 +116,9 @@ class SliceMarch:
         arrays = {"pyramid": caster.context.upload(row), "map": self.map}
         return (reads("pyramid", PYRAMID), reads("map", np.uint8)), arrays
 
-    def check_structs(self, caster: Raycaster) -> None:
+    def check_structs(self, caster: Raycaster, switches: dict[str, int]) -> None:
         """As in ``March``, with pyramid.cl: raycast.cl is not compiled."""
-        kernel = self.kernel(caster.context, "struct_fields", REPORT_ARGUMENTS, caster.switches)
+        kernel = self.kernel(caster.context, "struct_fields", REPORT_ARGUMENTS, switches)
         check_structs(caster.context, kernel, {**caster.structs, "Pyramid": PYRAMID})
 
     def _ask(self, caster: Raycaster) -> None:

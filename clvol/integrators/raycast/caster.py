@@ -80,6 +80,7 @@ class Raycaster:
     """
 
     held: Sequence[object] = ()
+    _structs_match = False  # what the compiler makes of structs has not been compared yet
     march: March
     function: TransferFunction
     nodes: LookupNodes
@@ -118,7 +119,6 @@ class Raycaster:
         self.no_array = context.empty(np.float32, (4,))
         self._view = context.empty(self.view_dtype, (1,))
         self.set_transfer_function(resolved.transfer_function)
-        self.march.check_structs(self)
 
     @property
     def renders_all_pixels(self) -> bool:
@@ -380,6 +380,7 @@ class Raycaster:
             switches["TILES_CHOSEN"] = 1
             declared += (reads("chosen", np.int32),)
             arrays["chosen"] = context.upload(chosen.astype(np.int32))
+        self.check_structs(switches)
         kernel = self.march.kernel(context, name, declared, switches)
         pixels = tiles * self.tile[0] * self.tile[1] if view["image"][0, 0] else 0
         expected = pixels * self._most_samples() * SECONDS_A_SAMPLE
@@ -409,11 +410,11 @@ class Raycaster:
         """The arguments that kernels take in addition to those of a scene of emission and absorption, for a launch over
         ``tiles``: those that follow the scene's, those at the end, and the arrays of both."""
         names = self._counter_names
+        variant, added = self._sample_arguments
         if not names:
-            return (), (), {}
+            return variant, (), added
         counts = self.context.output(np.uint32, (tiles, len(names)))
         own, arrays = self.march.arguments(self)
-        variant, added = self._sample_arguments
         return variant, own + counts_argument(len(names)), {**arrays, **added, "counts": counts}
 
     @property
@@ -447,6 +448,13 @@ class Raycaster:
     def volume_view(self) -> np.ndarray:
         """``View`` [1] with the members that do not depend on the camera."""
         return volume_view(self)
+
+    def check_structs(self, switches: dict[str, int]) -> None:
+        """RenderError where the device's compiler lays out structs differently from the host; looked at once, in the
+        first program that is used. ``switches``: those of that program."""
+        if not self._structs_match:
+            self.march.check_structs(self, switches)
+            self._structs_match = True
 
     @property
     def structs(self) -> dict[str, np.dtype]:
