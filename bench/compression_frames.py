@@ -20,7 +20,7 @@ from clvol.accuracy.timing import take_turns
 ENGINE, HEPTANE = placed_as_in_bench("engine-smooth"), placed_as_in_bench("heptane")
 # What voxels are encoded to: bits per voxel, and within a budget a largest error. Of the same bytes, a bound leaves
 # less in pictures than a mean error does: few voxels that are far off show most.
-BUDGET_ERROR = 0.015
+BUDGET_ERROR = 0.01
 RATES = {"engine-smooth": 0.45, "heptane": 0.18, "chest": 1.0, "female": 1.0}
 FRAMES, CROSSOVER = (ENGINE, CHEST_BLOCKS), (ENGINE, HEPTANE, FEMALE)
 BUDGETS = ((CHEST_BLOCKS, 11.0), (FEMALE, 11.0), (CRAB, 9.0))  # voxels' bytes over those allowed
