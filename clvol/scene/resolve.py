@@ -7,7 +7,7 @@ import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -91,6 +91,7 @@ class ResolvedScene:
     voxel_range: tuple[float, float] | None = None  # where ``volume`` holds codes instead of voxels
     axis: ValueAxis = ValueAxis()
     compression: Compression = Compression()
+    chosen: dict[str, Any] | None = None  # what was chosen from the volume, since the scene does not state it
 
     @property
     def data_range(self) -> tuple[float, float]:
@@ -108,7 +109,8 @@ def resolve(scene: Scene, memory_cap: int | None = None) -> ResolvedScene:
     """See ``Scene.resolve``."""
     _check_no_labels(scene)
     volume = scene.load_volume(memory_cap)
-    camera = (scene.camera or Camera()).complete(volume.grid, scene.image, scene.origin)
+    scene = scene.completed(memory_cap)
+    camera = (scene.camera or Camera()).complete(volume.grid, scene.image, scene.origin, volume.frame)
     _check_step_count(scene, volume.grid)
 
     given = scene.transfer_function
@@ -160,6 +162,7 @@ def resolve(scene: Scene, memory_cap: int | None = None) -> ResolvedScene:
         depth_cue=cue,
         animation=scene.animation,
         compression=scene.compression,
+        chosen=scene.chosen,
     )
     return in_stored_values(resolved)
 
