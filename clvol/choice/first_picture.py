@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from clvol.choice.hounsfield import hounsfield_offset
 from clvol.choice.look import Look, Point, balanced_unit, look_of
 from clvol.choice.sample import Sample, sample_of
 from clvol.choice.statistics import Statistics
@@ -65,7 +66,34 @@ class FirstPicture:
             return replace(look, points=points, why=f"{look.why}; the scene's surfaces are shown alone")
         return look if wanted.lit else self._unlit(look)
 
-    def view(self, points: Sequence[Point], opacity: np.ndarray | None = None) -> View:
+    @cached_property
+    def hounsfield_offset(self) -> float | None:
+        """What was added to Hounsfield units; None if the values are something else."""
+        return hounsfield_offset(self.sample)
+
+    def placed(self, places: Sequence[Point], scale: str, offset: float) -> list[Point]:
+        """Control points at ``places`` of a preset's ``scale``, in values of the volume.
+
+        "hounsfield": Hounsfield units, to which ``offset`` is added; "relative": fractions of the range of values;
+        "object": from the background (0) over the object's boundary (0.5) to what is bright in it (1).
+        """
+        low, high = self.volume.value_range
+        found = self.statistics
+        points: list[Point] = []
+        for at, opacity, color in places:
+            if scale == "hounsfield":
+                value = at + offset
+            elif scale == "relative" or found is None:
+                value = low * (1.0 - at) + high * at
+            else:
+                value = found.value(float(np.interp(at, [0.0, 0.5, 1.0], [0.0, found.edge, 1.0])))
+            points.append((value, opacity, color))
+        if points[0][0] > points[-1][0]:
+            points.reverse()
+        kept = [p for k, p in enumerate(points) if not 0 < k < len(points) - 1 or p[0] != points[k - 1][0]]
+        return kept if kept[0][0] <= kept[-1][0] else kept[:1]
+
+    def view(self, points: Sequence[Point]) -> View:
         """The view of what the control points show."""
         key = tuple(points)
         if key not in self._views:
@@ -79,11 +107,8 @@ class FirstPicture:
         found = self.statistics
         if found is None:
             return look
-        low, high = found.value(0.0), found.value(1.0)
-        points = sorted([(low, 0.0, (0.0, 0.0, 0.0)), (high, 1.0, (1.0, 1.0, 1.0))])
-        if found.sign < 0:  # the extremes that a projection finds are those of the values, whatever is the object
-            points = [(low, 0.0, (0.0, 0.0, 0.0)), (high, 1.0, (1.0, 1.0, 1.0))]
-            points.sort()
+        low, high = sorted((found.value(0.0), found.value(1.0)))
+        points: list[Point] = [(low, 0.0, (0.0, 0.0, 0.0)), (high, 1.0, (1.0, 1.0, 1.0))]
         return replace(look, points=points, lit=False, integration={}, material={}, why=f"{look.why}; as a projection")
 
     def _unlit(self, look: Look) -> Look:
@@ -92,13 +117,15 @@ class FirstPicture:
             return replace(look, lit=False, integration={}, material={})
         shown = [k for k, (_, alpha, _) in enumerate(look.points) if alpha > 0]
         count = max(len(shown) - 1, 1)
-        points, rank = [], {k: n / count for n, k in enumerate(shown)}
+        points: list[Point] = []
+        rank = {k: n / count for n, k in enumerate(shown)}
         found = self.statistics
         for k, (value, alpha, color) in enumerate(look.points):
             depth = abs(value - found.background) / max(found.scale, 1e-300)
             share = _DARKEST + (1.0 - _DARKEST) * max(rank.get(k, 0.0), float(np.clip(depth, 0.0, 1.0)))
-            darker = tuple(round(c * min(share, 1.0), 3) for c in color)
-            points.append((value, alpha * min(share, 1.0), darker))
+            share = min(share, 1.0)
+            red, green, blue = (round(c * share, 3) for c in color)
+            points.append((value, alpha * share, (red, green, blue)))
         unit = max(look.opacity_unit, balanced_unit(found, points, 0.85))
         return replace(
             look, points=points, opacity_unit=unit, lit=False, integration={}, material={},
@@ -117,7 +144,7 @@ def tables_of(look: Look) -> dict[str, Any]:
         "image": {"background": list(look.background)},
     }
     if look.integration:
-        tables["integration"] = {**look.integration, "step": _STEP}
+        tables["integration"] = {"step": _STEP, **look.integration}
     if look.lit and look.material:
         tables["material"] = dict(look.material)
     return tables

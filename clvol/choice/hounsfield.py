@@ -27,7 +27,7 @@ def hounsfield_offset(sample: Sample) -> float | None:
         units = known - candidate
         if units.min() < -3100.0 or units.max() > 32000.0 or low - candidate > -700.0:
             continue
-        air = float(np.mean((units <= AIR[1])))
+        air = float(np.mean(units <= AIR[1]))
         soft = (units >= TISSUE[0]) & (units <= TISSUE[1])
         between = (units >= -700.0) & (units <= 700.0)
         if air < 0.03 or soft.mean() < 0.03 or np.percentile(units, 99.9) < 150.0:

@@ -83,7 +83,7 @@ def look_of(volume: Volume, sample: Sample, is_body: bool = False) -> tuple[Look
     return _object(statistics, is_body), statistics
 
 
-def _edge(sample: Sample) -> float:
+def mean_edge(sample: Sample) -> float:
     """The geometric mean of a voxel's edges, in world units."""
     return float(np.exp(np.mean(np.log(sample.grid.spacing))))
 
@@ -122,7 +122,7 @@ def _labels(sample: Sample, labels: np.ndarray, said: bool) -> Look:
         kind="labels",
         why=f"{'the file says so' if said else 'whole numbers in even regions'}, {labels.size} of them",
         points=label_points(labels, background),
-        opacity_unit=_edge(sample),
+        opacity_unit=mean_edge(sample),
         integration={"filter": "nearest"},
         material=SURFACE_MATERIAL,
     )
@@ -141,7 +141,7 @@ def _mask(sample: Sample, labels: np.ndarray) -> Look:
         kind="mask",
         why="two values in even regions",
         points=points,
-        opacity_unit=_edge(sample),
+        opacity_unit=mean_edge(sample),
         integration={"filter": "cubic"},
         material=SURFACE_MATERIAL,
     )
@@ -150,7 +150,7 @@ def _mask(sample: Sample, labels: np.ndarray) -> Look:
 def _even(sample: Sample) -> Look:
     known = sample.values[np.isfinite(sample.values)]
     if known.size == 0:
-        return Look("empty", "no voxel has a value", [(0.0, 0.0, _IVORY)], _edge(sample), lit=False)
+        return Look("empty", "no voxel has a value", [(0.0, 0.0, _IVORY)], mean_edge(sample), lit=False)
     size = (np.asarray(sample.values.shape[::-1]) * sample.spacing).min()
     return Look(
         "constant", "all voxels have one value", [(float(known[0]), 0.35, (0.70, 0.75, 0.82))], float(size) / 8.0,
@@ -185,7 +185,7 @@ def _hounsfield(sample: Sample, offset: float) -> Look:
         kind="CT",
         why=f"air and soft tissue are where they are in {said}",
         points=[(value + offset, opacity, color) for value, opacity, color in units],
-        opacity_unit=1.5 * _edge(sample),
+        opacity_unit=1.5 * mean_edge(sample),
         integration={"filter": "cubic"},
         material=SURFACE_MATERIAL,
     )
@@ -206,13 +206,13 @@ def _distance(st: Statistics) -> Look | None:
         return None
     faces = np.concatenate([values.take(end, axis).ravel() for axis in range(3) for end in (0, -1)])
     inside = -1.0 if np.nanmedian(faces) > 0 else 1.0  # the sign that the faces of the volume do not have
-    width = 0.75 * float(np.mean(length)) * _edge(st.sample)
+    width = 0.75 * float(np.mean(length)) * mean_edge(st.sample)
     points = [(-inside * width, 0.0, _AMBER), (inside * width, 0.97, _AMBER)]
     return Look(
         kind="distance field",
         why="both signs and an even gradient: the surface is at 0",
         points=_ascending(points),
-        opacity_unit=_edge(st.sample),
+        opacity_unit=mean_edge(st.sample),
         integration={"filter": "cubic"},
         material=SURFACE_MATERIAL,
     )
@@ -239,7 +239,7 @@ def _two_signs(st: Statistics) -> Look | None:
         kind="signed field",
         why="smooth, and as much below zero as above",
         points=points,
-        opacity_unit=1.5 * _edge(st.sample),
+        opacity_unit=1.5 * mean_edge(st.sample),
         integration={"filter": "cubic"},
         material=SURFACE_MATERIAL,
     )
@@ -306,7 +306,8 @@ def _haze(st: Statistics) -> Look:
     """Nothing stands out: all values, as a veil."""
     known = st.sample.values[np.isfinite(st.sample.values)]
     steps = np.percentile(known, [50.0, 75.0, 90.0, 98.0, 99.9])
-    raw = [(float(v), a, _ramp(_FIELD, 0.4 + 0.15 * k)) for k, (v, a) in enumerate(zip(steps, (0.0, 0.05, 0.2, 0.5, 0.8)))]
+    alphas = (0.0, 0.05, 0.2, 0.5, 0.8)
+    raw = [(float(v), a, _ramp(_FIELD, 0.4 + 0.15 * k)) for k, (v, a) in enumerate(zip(steps, alphas))]
     points = [p for k, p in enumerate(raw) if k == 0 or p[0] > raw[k - 1][0]]
     return Look(
         kind="noise",
@@ -329,7 +330,7 @@ def _vessels(st: Statistics) -> Look | None:
         kind="vessels",
         why=f"bright structures in {100 * share:.2g} % of the volume",
         points=_surface(st, edge, levels, 0.05),
-        opacity_unit=_edge(st.sample),
+        opacity_unit=mean_edge(st.sample),
         integration={"filter": "cubic"},
         material=SURFACE_MATERIAL,
     )
@@ -349,13 +350,15 @@ def _object(st: Statistics, is_body: bool = False) -> Look:
         why = "shown as one surface"
     else:
         cut = materials[-1]
-        levels = [(edge + width, 0.06, _GLASS), (cut - 0.04, 0.08, _GLASS), (cut + 0.04, 0.8, _AMBER), (1.0, 0.97, _IVORY)]
+        levels = [
+            (edge + width, 0.06, _GLASS), (cut - 0.04, 0.08, _GLASS), (cut + 0.04, 0.8, _AMBER), (1.0, 0.97, _IVORY),
+        ]  # fmt: skip
         why = f"{len(materials) + 1} materials"
     return Look(
         kind="object",
         why=f"{'darker' if st.sign < 0 else 'brighter'} than what is around it, {why}",
         points=_surface(st, edge, levels, width),
-        opacity_unit=1.5 * _edge(st.sample),
+        opacity_unit=1.5 * mean_edge(st.sample),
         integration={"filter": "cubic"},
         material=SURFACE_MATERIAL,
     )
@@ -370,7 +373,7 @@ def balanced_unit(st: Statistics, points: Sequence[Point], opacity: float) -> fl
     paths = np.concatenate(sums)
     paths = paths[paths > 0.05 * np.percentile(paths, 99)]
     if paths.size == 0:
-        return _edge(st.sample)
+        return mean_edge(st.sample)
     low, high = paths.max() * 1e-4, paths.max() * 1e4
     for _ in range(60):
         middle = np.sqrt(low * high)

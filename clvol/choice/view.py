@@ -30,8 +30,8 @@ _SIDES = {
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """``up`` and ``towards_eye``: unit world vectors [3]. ``axes``: world directions towards the object's left, front and
-    up (rows). ``points`` [n, 3]: world positions that have to be in view. ``why``: in words."""
+    """``up`` and ``towards_eye``: unit world vectors [3]. ``axes``: world directions towards the object's left, front
+    and up (rows). ``points`` [n, 3]: world positions that have to be in view. ``why``: in words."""
 
     up: np.ndarray
     towards_eye: np.ndarray
@@ -79,12 +79,8 @@ def view_of(volume: Volume, sample: Sample, opacity: np.ndarray, is_body: bool =
     """The view of what has ``opacity`` [z, y, x] (of the sample). ``is_body``: a person or an animal, whose axes are
     those of LPS where the file does not say otherwise."""
     mask = _solid(opacity, 0.25)
-    zyx = np.argwhere(mask)
-    if zyx.shape[0] == 0:
-        points = sample.grid.world_corners()
-        zyx = None
-    else:
-        points = _hull_points(sample, _solid(opacity, 0.0))
+    shows = bool(mask.any())
+    points = _hull_points(sample, _solid(opacity, 0.0)) if shows else sample.grid.world_corners()
     axes, why = _orientation(volume, _solid(opacity, 0.02), is_body)
     left, front, up = axes
     extent = np.ptp(points @ axes.T, axis=0)
@@ -100,7 +96,7 @@ def view_of(volume: Volume, sample: Sample, opacity: np.ndarray, is_body: bool =
         side = np.cos(angle) * front + np.sin(angle) * left
         candidates.append(_unit(side + 0.30 * up))
     best = candidates[0]
-    if len(candidates) > 1 and zyx is not None:
+    if len(candidates) > 1 and shows:
         surface, normals = _surface(sample, opacity, mask)
         scores = [_shown(surface, normals, eye, up) for eye in candidates]
         best = candidates[int(np.argmax(np.round(scores, 6)))]
@@ -254,7 +250,8 @@ def _flat_ends(mask: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarra
     for axis in range(3):
         areas = mask.sum(axis=tuple(k for k in range(3) if k != axis))[low[axis] : high[axis] + 1].astype(float)
         inward = max(1, int(0.04 * areas.size))
-        first, last = areas[:inward].mean() / areas.max(), areas[-inward:].mean() / areas.max()
+        largest = float(areas.max())
+        first, last = float(areas[:inward].mean()) / largest, float(areas[-inward:].mean()) / largest
         if max(first, last) > 0.5:
             found[axis] = (last - first) / max(first, last)
     return found

@@ -2,28 +2,34 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from clvol.choice.first_picture import FirstPicture, Wanted, lights_for, tables_of
+from clvol.choice.look import Look, Point, balanced_unit, mean_edge
 from clvol.scene.camera import Camera
+from clvol.scene.default_unit import default_opacity_unit
 from clvol.scene.integration import Integration
 from clvol.scene.light import Light
 from clvol.scene.material import Material
-from clvol.scene.transfer_function import TransferFunctionSettings
+from clvol.scene.preset_file import PresetFile, has_technique, load_preset
+from clvol.scene.transfer_function import ControlPoint, TransferFunctionSettings
 
 if TYPE_CHECKING:
-    from clvol.choice.look import Look
     from clvol.choice.view import View
     from clvol.scene.scene import Scene
 
 
 def completed(scene: Scene, memory_cap: int | None = None) -> Scene:
     """``scene`` with a transfer function, and with the lights, material, filter, background and camera that it leaves
-    out. A scene that has a [transfer_function] is returned as it is. Nothing that the scene states is changed.
+    out. A scene whose [transfer_function] has points or a plain preset is returned as it is; of a preset that is a file
+    the function is placed on the volume, and its technique is used. Nothing that the scene states is changed.
 
     Its ``chosen`` says what was chosen, and why. Raises SceneError, VolumeError.
     """
-    if scene.transfer_function is not None:
+    given = scene.transfer_function
+    if given is not None and not (isinstance(given, TransferFunctionSettings) and has_technique(given.preset)):
         return scene
     picture = scene.first_picture(memory_cap)
     wanted = Wanted(
@@ -31,13 +37,60 @@ def completed(scene: Scene, memory_cap: int | None = None) -> Scene:
         projects=scene.integration.compositing != "over",
         has_surfaces=bool(scene.isosurface),
     )
+    if given is not None:
+        assert isinstance(given, TransferFunctionSettings) and given.preset is not None
+        look, more = _preset_look(scene, given, picture, wanted)
+        return _filled_in(scene, picture, look, picture.view(look.points), more)
     look = picture.look(wanted)
     view = picture.view(picture.natural.points if wanted.has_surfaces or wanted.projects else look.points)
-    return _filled_in(scene, picture, look, view)
+    return _filled_in(scene, picture, look, view, {})
 
 
-def _filled_in(scene: Scene, picture: FirstPicture, look: Look, view: View) -> Scene:
+def _preset_look(
+    scene: Scene, given: TransferFunctionSettings, picture: FirstPicture, wanted: Wanted
+) -> tuple[Look, dict[str, Any]]:
+    """The look of a preset that is a file, placed on the volume, and what ``chosen`` says about it."""
+    name = str(given.preset)
+    preset = load_preset(name, scene.folder, scene.origin)
+    kind = picture.natural.kind
+    more: dict[str, Any] = {"preset": name, "scale": preset.scale, "expects": preset.expects}
+    offset = 0.0
+    if preset.scale == "hounsfield":
+        found = picture.hounsfield_offset
+        offset = found or 0.0
+        more["recognised"] = found is not None
+    elif preset.kinds and kind not in preset.kinds:
+        more["warning"] = f"{name!r} is for {preset.expects}, but the volume looks like: {kind} ({picture.natural.why})"
+    places = [(point.at, point.opacity, point.color) for point in preset.points]
+    points = picture.placed(places, preset.scale, offset)
+    look = Look(
+        kind=kind,
+        why=f"preset {name}",
+        points=points,
+        opacity_unit=_preset_unit(given, preset, picture, points),
+        lit=preset.lit and wanted.lit and not wanted.projects,
+        integration={key: getattr(preset.integration, key) for key in preset.integration.model_fields_set},
+        material=preset.material.model_dump(exclude_unset=True),
+        background=picture.natural.background,
+    )
+    return (look if wanted.lit else replace(look, integration={}, material={})), more
+
+
+def _preset_unit(
+    given: TransferFunctionSettings, preset: PresetFile, picture: FirstPicture, points: Sequence[Point]
+) -> float:
+    if given.opacity_unit is not None:
+        return given.opacity_unit
+    if preset.unit_voxels is not None:
+        return preset.unit_voxels * mean_edge(picture.sample)
+    if preset.mean_opacity is not None and picture.statistics is not None:
+        return balanced_unit(picture.statistics, points, preset.mean_opacity)
+    return default_opacity_unit(picture.volume.grid)
+
+
+def _filled_in(scene: Scene, picture: FirstPicture, look: Look, view: View, more: dict[str, Any]) -> Scene:
     tables = tables_of(look)
+    tables["transfer_function"]["points"] = tuple(ControlPoint(**p) for p in tables["transfer_function"]["points"])
     update: dict[str, Any] = {"transfer_function": TransferFunctionSettings(**tables["transfer_function"])}
     if "background" not in scene.image.model_fields_set:
         update["image"] = scene.image.model_copy(update={"background": tuple(look.background)})
@@ -60,7 +113,7 @@ def _filled_in(scene: Scene, picture: FirstPicture, look: Look, view: View) -> S
         kept = {key: getattr(scene.material, key) for key in scene.material.model_fields_set}
         update["material"] = Material(**{**tables["material"], **kept})
     filled = scene.model_copy(update=update)
-    filled._chosen = _chosen(look, view, update)
+    filled._chosen = {**_chosen(look, view, update), **more}
     return filled
 
 

@@ -95,8 +95,8 @@ class Integration(Table):
 
     @property
     def shades(self) -> bool:
-        """Whether lights and all filters can be rendered: not by methods and quadratures of plain emission and absorption.
-        """
+        """Whether lights and all filters can be rendered; some methods and quadratures have emission and absorption
+        alone."""
         return self.method in _SHADED and self.quadrature == "steps"
 
     @classmethod

@@ -19,6 +19,7 @@ from clvol.scene.camera import Camera
 from clvol.scene.clip import Clip
 from clvol.scene.codes import code_of, function_in_codes, in_stored_values
 from clvol.scene.compression import Compression
+from clvol.scene.default_unit import default_opacity_unit
 from clvol.scene.depth_cue import DepthCue
 from clvol.scene.environment import Environment
 from clvol.scene.field import ResolvedField
@@ -49,7 +50,6 @@ if TYPE_CHECKING:
     from clvol.scene.scene import Scene
 
 LARGEST_STEP_COUNT = 2**24  # a float32 counts no further
-_SHORTEST_EDGE_PER_UNIT = 32.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,13 +170,6 @@ def resolve(scene: Scene, memory_cap: int | None = None) -> ResolvedScene:
 def _surface(surface: Isosurface, decoded: Callable[[ArrayLike], np.ndarray]) -> Isosurface:
     back = surface.color if surface.back_color is None else surface.back_color
     return surface.model_copy(update={"color": decoded(surface.color), "back_color": decoded(back)})
-
-
-def default_opacity_unit(grid: Grid) -> float:
-    """The world length that presets state opacities for: a 32nd of the volume's shortest edge."""
-    lower, upper = grid.index_bounds()
-    edges = (np.asarray(upper) - np.asarray(lower)) * np.asarray(grid.spacing)
-    return float(edges.min()) / _SHORTEST_EDGE_PER_UNIT
 
 
 def load_scene_volume(

@@ -339,8 +339,8 @@ class Scene(Table):
         return self._first
 
     def completed(self, memory_cap: int | None = None) -> Scene:
-        """The scene with a transfer function chosen from the volume, and lights, material, filter, background and camera
-        that go with it, where the scene states none; the scene itself if it has a transfer function.
+        """The scene with a transfer function chosen from the volume, and lights, material, filter, background and
+        camera that go with it, where the scene states none; the scene itself if it has a transfer function.
 
         ``memory_cap``: as for ``load_volume``. Raises SceneError, VolumeError.
         """
