@@ -36,6 +36,9 @@ _COLD: Color = (0.25, 0.50, 0.90)
 _WARM: Color = (0.90, 0.35, 0.25)
 
 
+_CLOUD = 1.9  # ratio of the quartiles of what is inside, from which on it is not solid
+
+
 @dataclass(frozen=True, eq=False)
 class Look:
     """How a kind of data is shown.
@@ -341,6 +344,9 @@ def _object(st: Statistics, is_body: bool = False) -> Look:
     edge = max(st.edge, 3.5 * st.noise_signal)
     width = 0.35 * edge
     materials = [m for m in st.materials if m > edge + 0.08]
+    why = f"{len(materials) + 1} materials"
+    if not materials and not is_body and (dense := _dense_part(st, edge)) is not None:
+        materials, why = [dense], "densities of all sizes"
     if not materials or is_body:
         levels = [
             (edge + width, 0.75, _CLAY[0]),
@@ -353,7 +359,6 @@ def _object(st: Statistics, is_body: bool = False) -> Look:
         levels = [
             (edge + width, 0.06, _GLASS), (cut - 0.04, 0.08, _GLASS), (cut + 0.04, 0.8, _AMBER), (1.0, 0.97, _IVORY),
         ]  # fmt: skip
-        why = f"{len(materials) + 1} materials"
     return Look(
         kind="object",
         why=f"{'darker' if st.sign < 0 else 'brighter'} than what is around it, {why}",
@@ -362,6 +367,21 @@ def _object(st: Statistics, is_body: bool = False) -> Look:
         integration={"filter": "cubic"},
         material=SURFACE_MATERIAL,
     )
+
+
+def _dense_part(st: Statistics, edge: float) -> float | None:
+    """The signal above which a cloud is dense: Otsu's threshold; None for something solid, whose inside is of nearly
+    one value."""
+    from skimage.filters import threshold_otsu
+
+    inside = st.signal[st.signal > edge]
+    if inside.size < 100:
+        return None
+    lower, upper = np.percentile(inside, [25, 75])
+    if upper < _CLOUD * lower:
+        return None
+    dense = float(threshold_otsu(np.clip(inside, edge, 1.0)))
+    return dense if edge + 0.08 < dense < 0.95 else None
 
 
 def balanced_unit(st: Statistics, points: Sequence[Point], opacity: float) -> float:

@@ -14,6 +14,7 @@ from clvol.choice.sample import Sample
 
 _NOISE = 3.0  # standard deviations that separate the background from what stands out
 _BINS = 256
+_PARTIAL = 8  # bins next to the object's edge
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +91,8 @@ def statistics_of(sample: Sample) -> Statistics | None:
     background = half_sample_mode(border)
     far = np.abs(border - background)
     spread = high - low
-    noise = 1.4826 * float(np.median(far[far < 0.15 * spread]))
+    near = far[far < 0.15 * spread]
+    noise = 1.4826 * float(np.median(near)) if near.size else 0.0
     is_filled = is_filled or float(np.mean(far <= max(_NOISE * noise, 0.03 * spread))) < 0.35
     if is_filled:
         background, noise = float(np.percentile(known, 0.5)), 0.0
@@ -213,14 +215,18 @@ def _neighbours(cuts: list[int]) -> list[tuple[int, int]]:
 
 
 def _valley(smooth: np.ndarray, near: int, reach: int = 24) -> int:
+    """The middle of the lowest place within ``reach`` bins of ``near``."""
     start = max(near - reach, 1)
-    return start + int(np.argmin(smooth[start : near + reach]))
+    around = smooth[start : near + reach]
+    return start + int(np.median(np.flatnonzero(around <= around.min() * 1.001)))
 
 
 def _is_valley(smooth: np.ndarray, counts: np.ndarray, cut: int, within: tuple[int, int]) -> bool:
     left, right = smooth[within[0] : cut], smooth[cut : within[1]]
     if left.size == 0 or right.size == 0:
         return False
+    if within[0] == 0 and int(np.argmax(left)) < _PARTIAL:  # the tail of partial volumes, no material
+        return False
     lower = min(left.max(), right.max())
     shares = counts[within[0] : cut].sum() / counts.sum(), counts[cut : within[1]].sum() / counts.sum()
-    return bool(smooth[cut] < 0.6 * lower and min(shares) > 0.02)
+    return bool(smooth[cut] < 0.5 * lower and min(shares) > 0.02)

@@ -227,10 +227,11 @@ def _base(volume: Volume, mask: np.ndarray, up: np.ndarray) -> np.ndarray | None
     below, above = inside < near, inside >= shape - near
     cut = (below | above).any(axis=1)
     directions = volume.grid.direction[:, ::-1]  # columns by z, y, x
-    largest = max(mask.sum(axis=tuple(k for k in range(3) if k != axis)).max() for axis in range(3))
-    if np.count_nonzero(cut) >= _CUT_SHARE * float(np.max(near)) * largest:
+    sections = [np.asarray(mask.sum(axis=tuple(k for k in range(3) if k != axis))) for axis in range(3)]
+    largest = max(int(np.max(section)) for section in sections)
+    if np.count_nonzero(cut) > _CUT_SHARE * float(np.max(near)) * largest:
         along = int(np.argmax(np.abs(up @ directions)))
-        ends = below[cut, along].mean(), above[cut, along].mean()
+        ends = float(np.mean(below[cut, along])), float(np.mean(above[cut, along]))
         if min(ends) > max(0.05, 0.25 * max(ends)):
             return None
         half = np.maximum(0.5 * (high - low), 1.0)
@@ -248,10 +249,13 @@ def _flat_ends(mask: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarra
     at once, others taper."""
     found = np.zeros(3)
     for axis in range(3):
-        areas = mask.sum(axis=tuple(k for k in range(3) if k != axis))[low[axis] : high[axis] + 1].astype(float)
+        sums = mask.sum(axis=tuple(k for k in range(3) if k != axis))
+        areas = np.asarray(sums, np.float64)[low[axis] : high[axis] + 1]
+        if areas.size < 4:
+            continue
         inward = max(1, int(0.04 * areas.size))
-        largest = float(areas.max())
-        first, last = float(areas[:inward].mean()) / largest, float(areas[-inward:].mean()) / largest
+        largest = max(float(np.max(areas)), 1.0)
+        first, last = float(np.mean(areas[:inward])) / largest, float(np.mean(areas[-inward:])) / largest
         if max(first, last) > 0.5:
             found[axis] = (last - first) / max(first, last)
     return found
@@ -270,7 +274,8 @@ def _symmetries(mask: np.ndarray) -> np.ndarray:
     found = []
     for axis in range(3):
         other = np.flip(box, axis)
-        found.append(np.count_nonzero(box & other) / max(np.count_nonzero(box | other), 1))
+        common, either = int(np.count_nonzero(box & other)), int(np.count_nonzero(box | other))
+        found.append(common / max(either, 1))
     return np.array(found)
 
 

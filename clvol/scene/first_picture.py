@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from clvol.choice.first_picture import FirstPicture, Wanted, lights_for, tables_of
 from clvol.choice.look import Look, Point, balanced_unit, mean_edge
 from clvol.scene.camera import Camera
@@ -102,10 +104,9 @@ def _filled_in(scene: Scene, picture: FirstPicture, look: Look, view: View, more
         keys.pop("filter", None)
     if keys:
         update["integration"] = scene.integration.model_copy(update=keys)
-    camera = (scene.camera or Camera()).complete(
-        picture.volume.grid, scene.image, scene.origin, picture.volume.frame, view
-    )
-    update["camera"] = camera
+    asked = scene.camera or Camera()
+    camera = asked.complete(picture.volume.grid, scene.image, scene.origin, picture.volume.frame, view)
+    update["camera"] = camera = _rounded(camera, asked)
     if look.lit and not scene.light and scene.environment is None:
         forward, _, up = camera.basis()
         update["light"] = tuple(Light(**light) for light in lights_for(-forward, up))
@@ -115,6 +116,21 @@ def _filled_in(scene: Scene, picture: FirstPicture, look: Look, view: View, more
     filled = scene.model_copy(update=update)
     filled._chosen = {**_chosen(look, view, update), **more}
     return filled
+
+
+def _rounded(camera: Camera, asked: Camera) -> Camera:
+    """``camera`` with what ``asked`` leaves out rounded, so that a scene file states it in a line."""
+    distance = float(np.linalg.norm(np.subtract(camera.position or 0.0, camera.target or 0.0)))
+    digits = 5 - int(np.floor(np.log10(max(distance, 1e-300))))
+    update: dict[str, Any] = {}
+    for key in ("position", "target"):
+        if getattr(asked, key) is None:
+            update[key] = tuple(round(x, digits) + 0.0 for x in getattr(camera, key))
+    if asked.up is None and camera.up is not None:
+        update["up"] = tuple(round(x, 9) + 0.0 for x in camera.up)
+    if asked.height is None and camera.height is not None:
+        update["height"] = float(f"{camera.height:.7g}")
+    return camera.model_copy(update=update)
 
 
 def _chosen(look: Look, view: View, update: dict[str, Any]) -> dict[str, Any]:

@@ -29,7 +29,9 @@ class PresetPoint(Table):
     """Opacity and colour at one place of the preset's scale."""
 
     at: Number = Field(title="Place on the preset's scale.", description="a finite number", examples=[0.5])
-    opacity: Fraction = Field(title="Opacity over one opacity unit.", description="a number from 0 to 1", examples=[0.5])
+    opacity: Fraction = Field(
+        title="Opacity over one opacity unit.", description="a number from 0 to 1", examples=[0.5]
+    )
     color: Color = Field(
         title="Colour, sRGB-encoded.", description="three numbers [r, g, b] from 0 to 1", examples=[[0.9, 0.8, 0.7]]
     )
@@ -71,8 +73,9 @@ class PresetFile(Table):
         if not self.points:
             raise wrong("points", [], "at least one point")
         for i in range(1, len(self.points)):
-            if self.points[i].at < self.points[i - 1].at:
-                raise wrong(f"points.{i}.at", self.points[i].at, f"ascending places, here {self.points[i - 1].at} or more")
+            at, before = self.points[i].at, self.points[i - 1].at
+            if at < before:
+                raise wrong(f"points.{i}.at", at, f"ascending places, here {before} or more")
         if self.unit_voxels is not None and self.mean_opacity is not None:
             raise wrong("mean_opacity", self.mean_opacity, "either unit_voxels or mean_opacity, not both")
         if self.mean_opacity is not None and not 0 < self.mean_opacity < 1:

@@ -79,7 +79,7 @@ class TransferFunctionSettings(Table):
     )
     preset: str | None = Field(
         None,
-        title="Preset instead of points: 'grayscale', 'hot', 'ct-bone', 'mr-brain' and others, or a file (data/presets).",
+        title="Preset instead of points: 'grayscale', 'hot', 'ct-bone', 'mr-brain' and others, or a preset file.",
         description="the name of a preset or of a preset file (*.toml), in quotes",
         examples=["ct-bone"],
     )
