@@ -47,16 +47,18 @@ __kernel void min_max_cells(__global const Voxel *restrict volume, int4 size, in
  */
 __kernel void distance_pass(__global const uchar *restrict in, __global uchar *restrict out, int4 cells, int axis)
 {
-  const int x = get_global_id(0), y = get_global_id(1), z = get_global_id(2);
+  const int y = get_global_id(0), z = get_global_id(1);
   const int stride = axis == 0 ? 1 : axis == 1 ? cells.x : cells.x * cells.y;
-  const int place = axis == 0 ? x : axis == 1 ? y : z, count = axis == 0 ? cells.x : axis == 1 ? cells.y : cells.z;
-  const int at = (z * cells.y + y) * cells.x + x;
-  int best = in[at];
-  for (int k = 1; k < best; ++k) {
-    if (place >= k) best = min(best, max(k, (int)in[at - k * stride]));
-    if (place + k < count) best = min(best, max(k, (int)in[at + k * stride]));
+  const int count = axis == 0 ? cells.x : axis == 1 ? cells.y : cells.z;
+  for (int x = 0; x < cells.x; ++x) {
+    const int place = axis == 0 ? x : axis == 1 ? y : z, at = (z * cells.y + y) * cells.x + x;
+    int best = in[at];
+    for (int k = 1; k < best; ++k) {
+      if (place >= k) best = min(best, max(k, (int)in[at - k * stride]));
+      if (place + k < count) best = min(best, max(k, (int)in[at + k * stride]));
+    }
+    out[at] = (uchar)best;
   }
-  out[at] = (uchar)best;
 }
 
 #if VOXEL_BITS == 8

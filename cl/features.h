@@ -39,6 +39,16 @@
 #define STEPPING_NAIVE 2
 #define STEPPING_BOUNDED 3
 
+/* Switch SLICES; 0: rays take steps of their own (march_slices.h). */
+#define SLICES_ALONG_AXIS 1
+#define SLICES_ALONG_VIEW 2
+#define SLICES_SHELLS 3
+
+/* Switch ACCUMULATE: what a pixel is rounded to after each slice (march_slices.h). */
+#define ACCUMULATE_FLOAT32 0
+#define ACCUMULATE_HALF 1
+#define ACCUMULATE_UINT8 2
+
 /* Switch ORACLE (oracle.h). */
 #define ORACLE_MINIMUM 0
 #define ORACLE_MAP 1

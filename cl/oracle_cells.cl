@@ -5,6 +5,7 @@
  * Switches (-D): VOXEL_BITS, VOXEL_SIGNED, VOXEL_SCALED; SCALES: distances of samples 1, 2, 4 ... smallest edges.
  */
 #include "oracle_layout.h"
+#include "voxel_boxes.h"
 #include "voxel_type.h"
 
 #if VOXEL_BITS == 64
@@ -19,7 +20,7 @@
 #define MAP_PARAMETERS , float bias, float gain
 #endif
 
-#define VOXEL_AT(i, j, k) VALUE(volume[((size_t)(k) * size.y + (j)) * size.x + (i)])
+#define VOXEL_AT(i, j, k) VALUE(volume[BOX_ROW(j, k) + (i)])
 
 /* The largest (or smallest, of negatives) of a table over bins `from` to `to`: row k has that over 2^k bins from each
  * on. */
@@ -36,7 +37,7 @@ inline float4 most_between(__global const float4 *table, int n, int from, int to
  * its outermost voxels count. What is shown differs by the steepest change per value nearby times that, or by all the
  * change there is nearby.
  *
- * volume     Voxel [size.z, size.y, size.x]
+ * volume     a box of voxels, with half of the longest scale around its own rows and slices
  * halves     int4 [SCALES]: half of each scale, in lattice units along x, y, z, at least 1
  * shares     float4 [SCALES]: what counts of the difference along each axis: less where half the scale is no whole
  *            lattice unit, since between voxels the field is nearly straight
@@ -48,14 +49,14 @@ inline float4 most_between(__global const float4 *table, int n, int from, int to
  * bad        uchar [size.z, size.y, size.x]: bit s is set where scale s is bad; beside a voxel that is not finite all
  *            are
  */
-__kernel void bad_voxels(__global const Voxel *restrict volume, int4 size, __constant int4 *halves,
+__kernel void bad_voxels(BOX_PARAMETERS, int4 size, __constant int4 *halves,
                          __constant float4 *shares MAP_PARAMETERS,
                          __global const float4 *restrict slopes, __global const float4 *restrict tops,
                          __global const float4 *restrict minus_bottoms, __constant float *steepest, int n, int rows,
                              float first,
                          float per_value, float epsilon, __global uchar *restrict bad)
 {
-  const int y = get_global_id(0), z = get_global_id(1);
+  const int y = OWN_ROW, z = OWN_SLICE;
   for (int x = 0; x < size.x; ++x) {
     const float v = VOXEL_AT(x, y, z);
     uint bits = 0;
@@ -84,12 +85,12 @@ __kernel void bad_voxels(__global const Voxel *restrict volume, int4 size, __con
 /* bad  uchar [size.z, size.y, size.x]: 1 where the opacity changes by more than `threshold` a smallest edge (central
  *      differences).
  * opacity  float [n]: by bins of values; edges: smallest edges per lattice unit along x, y, z */
-__kernel void steep_voxels(__global const Voxel *restrict volume, int4 size MAP_PARAMETERS,
+__kernel void steep_voxels(BOX_PARAMETERS, int4 size MAP_PARAMETERS,
                            __global const float *restrict opacity, int n,
                            float first, float per_value, float4 edges, float threshold, __global uchar *restrict bad)
 {
 #define OPACITY_AT(i, j, k) opacity[clamp((int)((VOXEL_AT(i, j, k) - first) * per_value), 0, n - 1)]
-  const int y = get_global_id(0), z = get_global_id(1);
+  const int y = OWN_ROW, z = OWN_SLICE;
   for (int x = 0; x < size.x; ++x) {
     const float dx = OPACITY_AT(min(x + 1, size.x - 1), y, z) - OPACITY_AT(max(x - 1, 0), y, z);
     const float dy = OPACITY_AT(x, min(y + 1, size.y - 1), z) - OPACITY_AT(x, max(y - 1, 0), z);
@@ -121,53 +122,64 @@ __kernel void bad_cells(__global const uchar *restrict voxels, int4 size, int sh
 /* Squared distances are whole numbers of some unit, at most FAR. */
 #define FAR 65535
 
-/* near  ushort [cells.z, cells.y, stride]: 0 where any of `bits` is set, else FAR */
-__kernel void start_near(__global const uchar *restrict bad, uint bits, __global ushort *restrict near)
+/* near  ushort [rows, stride]: 0 where any of `bits` is set, else FAR. A row per work-item. */
+__kernel void start_near(__global const uchar *restrict bad, uint bits, int stride, __global ushort *restrict near)
 {
-  const size_t i = get_global_id(0);
-  const uchar16 b = vload16(i, bad) & (uchar16)(uchar)bits;
-  vstore16(select((ushort16)0, (ushort16)FAR, convert_ushort16(b) == (ushort16)0), i, near);
+  const size_t first = get_global_id(0) * (size_t)(stride / 16);
+  for (size_t i = first; i < first + stride / 16; ++i) {
+    const uchar16 b = vload16(i, bad) & (uchar16)(uchar)bits;
+    vstore16(select((ushort16)0, (ushort16)FAR, convert_ushort16(b) == (ushort16)0), i, near);
+  }
+}
+
+/* The smallest of `best` and of 16 cells of a row from x on, seen from cells of the same row. */
+ushort16 near_in_row(ushort16 best, __global const ushort *row, int x, int stride, int window, __constant ushort *gaps)
+{
+  for (int k = 1; k <= window; ++k) {
+    const ushort16 gap = gaps[k];
+    ushort16 before, behind;
+    if (x >= k)
+      before = vload16(0, row + x - k);
+    else {
+      ushort each[16];
+      for (int j = 0; j < 16; ++j) each[j] = x + j >= k ? row[x + j - k] : FAR;
+      before = vload16(0, each);
+    }
+    if (x + 15 + k < stride)
+      behind = vload16(0, row + x + k);
+    else {
+      ushort each[16];
+      for (int j = 0; j < 16; ++j) each[j] = x + j + k < stride ? row[x + j + k] : FAR;
+      behind = vload16(0, each);
+    }
+    best = min(best, add_sat(min(before, behind), gap));
+  }
+  return best;
 }
 
 /* One of three passes that find, of every cell, the squared distance to the nearest cell of a set: between the nearest
- * points of both.
+ * points of both. A row per work-item.
  * gaps  ushort [window + 1]: squares of what lies between two cells so many cells apart along `axis` */
 __kernel void near_pass(__global const ushort *restrict in, __global ushort *restrict out, int4 cells, int stride,
                         int axis, int window,
                         __constant ushort *gaps)
 {
-  const int x = 16 * get_global_id(0), y = get_global_id(1), z = get_global_id(2);
-  const size_t at = ((size_t)z * cells.y + y) * stride + x;
-  ushort16 best = vload16(0, in + at);
-  if (axis == 0) {
-    for (int k = 1; k <= window; ++k) {
-      const ushort16 gap = gaps[k];
-      ushort16 before, behind;
-      if (x >= k)
-        before = vload16(0, in + at - k);
-      else {
-        ushort each[16];
-        for (int j = 0; j < 16; ++j) each[j] = x + j >= k ? in[at + j - k] : FAR;
-        before = vload16(0, each);
-      }
-      if (x + 15 + k < stride)
-        behind = vload16(0, in + at + k);
-      else {
-        ushort each[16];
-        for (int j = 0; j < 16; ++j) each[j] = x + j + k < stride ? in[at + j + k] : FAR;
-        behind = vload16(0, each);
-      }
-      best = min(best, add_sat(min(before, behind), gap));
+  const int y = get_global_id(0), z = get_global_id(1);
+  const size_t first = ((size_t)z * cells.y + y) * stride, apart = axis == 1 ? stride : (size_t)stride * cells.y;
+  const int place = axis == 1 ? y : z, count = axis == 1 ? cells.y : cells.z;
+  for (int x = 0; x < stride; x += 16) {
+    __global const ushort *cell = in + first + x;
+    ushort16 best = vload16(0, cell);
+    if (axis == 0) {
+      best = near_in_row(best, in + first, x, stride, window, gaps);
+    } else {
+      for (int k = 1; k <= min(window, place); ++k)
+        best = min(best, add_sat(vload16(0, cell - k * apart), (ushort16)gaps[k]));
+      for (int k = 1; k <= min(window, count - 1 - place); ++k)
+        best = min(best, add_sat(vload16(0, cell + k * apart), (ushort16)gaps[k]));
     }
-  } else {
-    const size_t row = axis == 1 ? stride : (size_t)stride * cells.y;
-    const int place = axis == 1 ? y : z, count = axis == 1 ? cells.y : cells.z;
-    for (int k = 1; k <= min(window, place); ++k) best = min(best,
-                                                             add_sat(vload16(0, in + at - k * row), (ushort16)gaps[k]));
-    for (int k = 1; k <= min(window, count - 1 - place); ++k)
-      best = min(best, add_sat(vload16(0, in + at + k * row), (ushort16)gaps[k]));
+    vstore16(best, 0, out + first + x);
   }
-  vstore16(best, 0, out + at);
 }
 
 /* map  uchar, as in oracle_layout.h: raised or lowered to `base` + the distance `near` stands for, at most `most`, as

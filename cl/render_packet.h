@@ -24,6 +24,8 @@
 #include "project.h"
 #elif EFFECTS
 #include "march_effects.h"
+#elif SLICES
+#include "march_slices.h"
 #elif QUADRATURE == QUADRATURE_CELLS
 #include "march_cells.h"
 #else

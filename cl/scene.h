@@ -1,5 +1,5 @@
 /* All that a kernel may read of its scene, as one struct: the volume, its transfer function and what the variant adds,
- * EFFECTS (effects.h) or BLOCKS (block_parameters.h). Functions about the scene take `const Scene *`.
+ * EFFECTS (effects.h), BLOCKS (block_parameters.h) or SLICES (slices.h). Functions about the scene take `const Scene *`.
  *
  *   SCENE_PARAMETERS   the parameters of a kernel that the struct is made of; clvol/device/arguments.py declares the
  *                      same
@@ -21,6 +21,8 @@
 #include "effects.h"
 #elif BLOCKS
 #include "block_parameters.h"
+#elif SLICES
+#include "slices.h"
 #endif
 
 typedef struct {
@@ -40,6 +42,8 @@ typedef struct {
   __global const float *fields;
 #elif BLOCKS
   BlockVolume blocks;
+#elif SLICES
+  __constant const Slices *slices;
 #endif
 } Scene;
 
@@ -55,6 +59,10 @@ typedef struct {
 #define VARIANT_PARAMETERS , BLOCK_PARAMETERS
 #define VARIANT , BLOCK_VOLUME
 #define SCENE_COUNTERS BLOCK_COUNTERS
+#elif SLICES
+#define VARIANT_PARAMETERS , __constant const Slices *restrict slices
+#define VARIANT , slices
+#define SCENE_COUNTERS 0
 #else
 #define VARIANT_PARAMETERS
 #define VARIANT

@@ -38,7 +38,7 @@ _TABLES = (
     "Animation", "Clip", "Compression", "ControlPoint", "DepthCue", "DirectionalOpacity", "DirectionalOpacityPoint",
     "Environment", "FieldLabel", "FieldSettings", "GradientOpacity", "GradientOpacityPoint", "GradientSettings",
     "ImageSettings", "Integration", "Isosurface", "Light", "Material", "Multiresolution", "Noise", "Pyramid",
-    "Shadow", "TransferFunctionSettings", "TransferLayerSettings", "VolumeSettings",
+    "Shadow", "Slicing", "TransferFunctionSettings", "TransferLayerSettings", "VolumeSettings",
 )  # fmt: skip
 _LAZY |= dict.fromkeys(_TABLES, "clvol.scene")
 __all__ = sorted(_LAZY)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from clvol.cli.devices import measure_for_all
 from clvol.cli.options import complete_file, memory_cap_option, overrides_option, scene_argument
 from clvol.cli.verbose import log_scene
 from clvol.errors import UsageError
@@ -222,20 +223,6 @@ def check_still(outputs: tuple[str, ...], resume: bool) -> tuple[str, ...]:
             known = " or ".join(ENDINGS)
             raise UsageError(path, "a video of a single picture", f"{known}, or {expected}")
     return tuple(numbered(path, 0) for path in outputs)
-
-
-def measure_for_all(devices: tuple[str, ...], quiet: bool) -> None:
-    """Measures devices of one processor once, if "all" has to choose between them."""
-    if "all" not in (name.strip().lower() for name in devices):
-        return
-    from clvol.cli.console import working
-    from clvol.cli.trial import try_render
-    from clvol.opencl.devices import by_processor, keep_speeds, list_devices
-
-    for same in by_processor(list_devices()):
-        if len(same) > 1 and not all(report.speed for report in same):
-            with working("measuring the speed of devices", quiet):
-                keep_speeds({report.name: try_render(report.name).speed for report in same})
 
 
 def check_show_schedule(path: str | None, max_error: float | None, time_budget: float | None) -> None:

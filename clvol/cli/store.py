@@ -47,8 +47,11 @@ if TYPE_CHECKING:
 )
 @click.option(
     "--device",
+    "devices",
+    multiple=True,
     metavar="NAME",
-    help="With a lossy codec: device that encodes, by its name in 'clvol doctor'. The store does not depend on it.",
+    help="With a lossy codec: device that encodes, by its name in 'clvol doctor'. Repeatable: devices share the "
+    "blocks. The store does not depend on them.",
 )
 @click.option(
     "--edge", type=int, metavar="N", help="Voxels per axis of a block: 4, 8, 16 (default) or 32."
@@ -75,7 +78,7 @@ def command(
     max_voxel_error: float | None,
     psnr: float | None,
     bits_per_voxel: float | None,
-    device: str | None,
+    devices: tuple[str, ...],
     edge: int | None,
     shard: int | None,
     overwrite: bool,
@@ -108,7 +111,7 @@ def command(
 
     codec = DEFAULT if codec is None else codec
     target = RateTarget(max_voxel_error, psnr, bits_per_voxel)
-    lossy = _checked(codec, target, device)
+    lossy = _checked(codec, target, devices)
     check_place(Path(output), overwrite)
     scene = load_scene(volume, overrides)
     inputs = scene_inputs(volume, scene)
@@ -116,7 +119,7 @@ def command(
         inputs.check_folder(place)
     source = _source(scene, volume, memory_cap, quiet)
     left = None if restart or quiet else unfinished(Path(output))
-    with _trainer(device if lossy else None, lossy) as trainer, _named_as_options():
+    with _trainer(devices, lossy, quiet) as trainer, _named_as_options():
         with working(f"storing {volume}", quiet) as bar:
             build_store(
                 source, output, edge=EDGE if edge is None else edge, shard=shard, codec=codec, target=target,
@@ -127,7 +130,7 @@ def command(
     say_path(output)
 
 
-def _checked(codec: str, target: RateTarget, device: str | None) -> bool:
+def _checked(codec: str, target: RateTarget, devices: tuple[str, ...]) -> bool:
     """Whether the codec needs a device; UsageError if the options do not fit it."""
     from clvol.errors import UsageError
     from clvol.store.codecs import CODECS, CODES
@@ -138,26 +141,32 @@ def _checked(codec: str, target: RateTarget, device: str | None) -> bool:
         return False  # build_store says so
     with _named_as_options():
         check_target(chosen, target)
-    if device is not None and chosen.lossless:
-        raise UsageError("--device", f"got {device!r} with the codec {codec!r}", "a lossy codec, which needs a device")
+    if devices and chosen.lossless:
+        what = f"got {devices[0]!r} with the codec {codec!r}"
+        raise UsageError("--device", what, "a lossy codec, which needs a device")
     return not chosen.lossless
 
 
 @contextmanager
-def _trainer(device: str | None, needed: bool) -> Iterator[Trainer | None]:
-    """A trainer on ``device`` (None: the default) for the block; None if it is not ``needed``."""
+def _trainer(devices: tuple[str, ...], needed: bool, quiet: bool) -> Iterator[Trainer | None]:
+    """A trainer on ``devices`` (none: the default) for the block; None if it is not ``needed``."""
     if not needed:
         yield None
         return
+    from clvol.cli.devices import measure_for_all
+    from clvol.encoding.shared import SharedTrainer
     from clvol.encoding.trainer import CodeTrainer
-    from clvol.opencl.context import DeviceContext
-    from clvol.opencl.devices import open_device
+    from clvol.render.renderer import open_contexts
 
-    context = DeviceContext(open_device(device))
+    measure_for_all(devices, quiet)
+    contexts = open_contexts(devices)
+    trainer = SharedTrainer([CodeTrainer(context) for context in contexts], [context.name for context in contexts])
     try:
-        yield CodeTrainer(context)
+        yield trainer
     finally:
-        context.release()
+        trainer.close()
+        for context in contexts:
+            context.release()
 
 
 def _source(scene: Scene, volume: str, memory_cap: int | None, quiet: bool) -> FieldSource | VolumeSource:

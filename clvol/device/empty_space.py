@@ -160,7 +160,7 @@ def distance_map(context: DeviceContext, mask: np.ndarray) -> DeviceArray:
     for axis in range(3):
         target = spare[axis % 2]
         kernel(
-            context.queue, cells, None, source=distances, target=target, cells=(*cells, 0), axis=axis
+            context.queue, cells[1:], None, source=distances, target=target, cells=(*cells, 0), axis=axis
         )
         distances = target
     context.finish()

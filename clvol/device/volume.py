@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from clvol.device.gradients import precompute
 from clvol.device.memory import ValueMap, value_map, voxel_switches
+from clvol.device.voxel_boxes import BoxPlace, VoxelBox
 from clvol.errors import VolumeError
 from clvol.opencl.arguments import INT4, RAW, reads, value, writes
 from clvol.opencl.context import DeviceArray, DeviceContext
@@ -56,6 +59,12 @@ class ResidentVolume:
         """The voxels [nz, ny, nx] as they are, whatever the layout of ``voxels``."""
         raise NotImplementedError
 
+    def boxes(self, halo: tuple[int, int]) -> Iterator[VoxelBox]:
+        """All voxels in plain boxes, with ``halo`` (y, z) neighbours of what is their own; a box is valid until the
+        next one is asked for."""
+        _, ny, nz = self.size
+        yield VoxelBox(self.plain(), BoxPlace((0, 0), (ny, nz), (0, 0), (ny, nz)))
+
 
 class DeviceVolume(ResidentVolume):
     """A volume in one array: ``voxels`` as cl/fetch_voxel.h lays them out, and the bounds of each cell of empty
@@ -79,7 +88,7 @@ class DeviceVolume(ResidentVolume):
         if holds_pairs(volume):
             self.stride = (nx, nx * (ny - 1))
             # Gradients read four voxels, starting at any but the first one: two more than a row has.
-            self.voxels = context.empty(np.uint8, (nz * (ny - 1) * nx + 4, 2))
+            self.voxels = context.resident(np.uint8, (nz * (ny - 1) * nx + 4, 2))
             pair_rows = context.kernel(
                 "empty_space.cl",
                 "pair_rows",
@@ -98,7 +107,7 @@ class DeviceVolume(ResidentVolume):
             self.stride = (nx, nx * ny)
             self.voxels = plain
             if volume.dtype.itemsize == 1:  # 32-bit loads of the last bytes must stay inside the buffer
-                self.voxels = context.upload(np.append(data.ravel(), np.zeros(4, data.dtype)))
+                self.voxels = context.share(np.append(data.ravel(), np.zeros(4, data.dtype)))
         self.cells = cell_count(nx), cell_count(ny), cell_count(nz)
         self.cell_shift = CELL_SHIFT
         self._context, self._data = context, data

@@ -127,9 +127,11 @@ def pack_coded(
     depth = depths[own].reshape(-1)
     code = codes[own].reshape(len(depth), codes.shape[-1])
     place = np.repeat(block[own], subs)
-    stages = np.where(depth == ESCAPED, 0, depth)
+    heads = escapes.reshape(-1)[escaped]
+    head = escapes[own].reshape(-1)
+    stages = np.where(depth == ESCAPED, np.where(head == RAW_SAMPLES, 0, head & 15), depth)
 
-    lengths, data = _escape_bytes(samples, subs, escapes.reshape(-1)[escaped], codes, escaped, residuals)
+    lengths, tails = _tails(samples, subs, heads, escaped, residuals)
     escaped_block = block[escaped // subs]
 
     flags = (per_block + 7) // 8 if subs == 8 else 0
@@ -138,7 +140,7 @@ def pack_coded(
     bytes_split = 12 if subs == 8 else 2  # means and depths
     sizes += np.bincount(block, split * bytes_split + whole, minlength=k).astype(np.int64)
     sizes += np.bincount(place, stages, minlength=k).astype(np.int64)
-    sizes += np.bincount(escaped_block, lengths, minlength=k).astype(np.int64)
+    sizes += np.bincount(escaped_block, 1 + lengths, minlength=k).astype(np.int64)
 
     writer = _Writer(sizes)
     _write_plain(writer, kinds, samples, constants)
@@ -154,37 +156,31 @@ def pack_coded(
         writer.pieces(place[::2], pairs[:, 0] | pairs[:, 1] << 4)
     else:
         writer.pieces(place, depth)
+    writer.pieces(escaped_block, heads)
     for stage in range(int(stages.max(initial=0))):
         deep = np.flatnonzero(stages > stage)
         writer.pieces(place[deep], code[deep, stage])
-    writer.varied(escaped_block, lengths, data)
+    writer.varied(escaped_block, lengths, tails)
     return writer.blocks()
 
 
-def _escape_bytes(
-    samples: np.ndarray, subs: int, escapes: np.ndarray, codes: np.ndarray, escaped: np.ndarray, residuals: np.ndarray
+def _tails(
+    samples: np.ndarray, subs: int, heads: np.ndarray, escaped: np.ndarray, residuals: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Lengths int64 [n] and bytes of escaped sub-blocks, one after another."""
-    raw = escapes == RAW_SAMPLES
-    stages = np.where(raw, 0, escapes & 15).astype(np.int64)
-    bits = np.where(raw, 0, escapes >> 4).astype(np.int64)
-    lengths = 1 + stages + 8 * bits
-    lengths[raw] += 64 * samples.dtype.itemsize
+    """Lengths int64 [n] and bytes of the residuals or samples of escaped sub-blocks, one after another."""
+    raw = heads == RAW_SAMPLES
+    bits = np.where(raw, 0, heads >> 4).astype(np.int64)
+    lengths = 8 * bits
+    lengths[raw] = 64 * samples.dtype.itemsize
     start = np.cumsum(lengths) - lengths
     data = np.zeros(int(lengths.sum()), np.uint8)
-    data[start] = escapes
-    own_codes = codes.reshape(-1, codes.shape[-1])[escaped]
-    for stage in range(int(stages.max(initial=0))):
-        deep = np.flatnonzero(stages > stage)
-        data[start[deep] + 1 + stage] = own_codes[deep, stage]
     for width in range(1, 9):
         own = np.flatnonzero(bits == width)
         if len(own):
-            rows = packed_bits(residuals[own], width)
-            data[(start + 1 + stages)[own, None] + np.arange(8 * width)] = rows
+            data[start[own, None] + np.arange(8 * width)] = packed_bits(residuals[own], width)
     own = np.flatnonzero(raw)
     if len(own):
         octant, sub = np.divmod(escaped[own], subs)
         rows = as_bytes(samples_of(samples, octant, sub))
-        data[(start + 1)[own, None] + np.arange(rows.shape[1])] = rows
+        data[start[own, None] + np.arange(rows.shape[1])] = rows
     return lengths, data

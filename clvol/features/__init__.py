@@ -21,6 +21,7 @@ from clvol.features.vocabulary import (
     GRADIENTS,
     ORACLES,
     QUADRATURES,
+    SLICES,
     STEPPINGS,
     overshoot,
 )
@@ -35,6 +36,7 @@ __all__ = [
     "NEUTRAL",
     "ORACLES",
     "QUADRATURES",
+    "SLICES",
     "STEPPINGS",
     "Effect",
     "called_for",

@@ -22,6 +22,7 @@ NAMES = (
     "raycast",
     "multiresolution",
     "pyramid",
+    "slicing",
     "reference",
 )
 

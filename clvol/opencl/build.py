@@ -42,6 +42,11 @@ def build_file(
     return program
 
 
+def is_pocl(device: cl.Device) -> bool:
+    """Whether PoCL drives the device: it compiles kernels when they are first enqueued, once per size of groups."""
+    return device.platform.name == _POCL
+
+
 def build_program(context: cl.Context, source: str, options: Sequence[str]) -> Any:
     """The program of ``source`` (without any #include), built for the context's only device.
 
@@ -59,7 +64,7 @@ def _build(context: cl.Context, source: str, options: Sequence[str]) -> tuple[An
     words = " ".join(options).encode()
     key = program_key(device, source, options)
     with _lock, without_warnings(cl.CompilerWarning):  # drivers warn that compilation is done
-        if device.platform.name == _POCL:
+        if is_pocl(device):
             where = _FROM_CACHE if pocl_programs.restore(key) else _COMPILED
             program = _built(cl._cl._Program(context, source), words)
             pocl_programs.built(key)

@@ -15,6 +15,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from weakref import WeakKeyDictionary, finalize
 
 import numpy as np
 
@@ -22,7 +23,7 @@ from clvol.errors import DeviceError, RenderError
 from clvol.limits import check_room_for_opencl
 from clvol.opencl.arguments import Argument, known_sizes
 from clvol.opencl.binding import cl
-from clvol.opencl.build import build_file, keep_programs
+from clvol.opencl.build import build_file, is_pocl, keep_programs
 from clvol.opencl.devices import device_name
 from clvol.opencl.forks import check_fork, is_forked, opencl_used
 
@@ -45,11 +46,16 @@ _log = logging.getLogger(__name__)
 
 
 class Kernel:
-    """A kernel and the arguments it takes. Not for two threads at once."""
+    """A kernel and the arguments it takes. Not for two threads at once.
 
-    def __init__(self, program: Any, name: str, arguments: tuple[Argument, ...]) -> None:
+    ``alone``: work-items are groups of their own where a call names no size of groups. The driver would choose one by
+    the number of work-items; PoCL compiles the kernel again for every size, and so for every new size of a volume.
+    """
+
+    def __init__(self, program: Any, name: str, arguments: tuple[Argument, ...], alone: bool = False) -> None:
         self.name = name
         self.arguments = arguments
+        self._alone = alone
         self._kernel = cl.Kernel(program, name)
         if self._kernel.num_args != len(self.arguments):
             raise RenderError(
@@ -85,6 +91,8 @@ class Kernel:
                 raise RenderError(where, f"got {type(array).__name__}", "a DeviceArray")
             argument.check_buffer(self.name, array, known)
             self._kernel.set_arg(index, array.buffer)
+        if local_size is None and self._alone:
+            local_size = (1,) * len(global_size)
         return cl.enqueue_nd_range_kernel(
             queue,
             self._kernel,
@@ -102,6 +110,7 @@ def restore_interrupts() -> None:
 
 
 _PAGE = 4096
+_LARGE_PAGE = 2**21
 _KEPT, _LARGEST_KEPT = 6, 64 * 2**20  # number of outputs kept for reuse, and bytes of the largest
 
 
@@ -116,6 +125,7 @@ class DeviceContext:
         self.device = device
         self.name = device_name(device)
         self.is_cpu = bool(device.type & cl.device_type.CPU)
+        self._alone = self.is_cpu and is_pocl(device)
         self.has_double = "cl_khr_fp64" in device.extensions.split()
         self.compile_seconds = 0.0
         try:
@@ -126,6 +136,7 @@ class DeviceContext:
         _log.info("rendering on %s: %s (%s)", self.name, device.name.strip(), device.platform.name.strip())
         self._outputs: list[tuple[DeviceArray, int]] = []
         self._lent: set[int] = set()  # ids of outputs that have not been taken yet
+        self._written: WeakKeyDictionary[DeviceArray, bytes] = WeakKeyDictionary()  # by write_once
         self._programs: dict[tuple, Any] = {}
         self._kernels: dict[tuple, Kernel] = {}
 
@@ -155,7 +166,7 @@ class DeviceContext:
         arguments = tuple(arguments)
         key = (file, name, options, folder, arguments)
         if key not in self._kernels:
-            self._kernels[key] = Kernel(self._program(file, options, folder), name, arguments)
+            self._kernels[key] = Kernel(self._program(file, options, folder), name, arguments, self._alone)
         return self._kernels[key]
 
     def _program(self, file: str, options: tuple[str, ...], folder: Path | None) -> Any:
@@ -195,6 +206,25 @@ class DeviceContext:
     def empty(self, dtype: Any, shape: Sequence[int]) -> DeviceArray:
         """An uninitialised array on the device."""
         return self._buffer(cl.mem_flags.READ_WRITE, np.dtype(dtype), tuple(shape), None)
+
+    def resident(self, dtype: Any, shape: Sequence[int]) -> DeviceArray:
+        """An uninitialised array that kernels read at many places, and that is kept until they are done: a volume. On
+        a CPU device it lies in large pages, where the system has them: rays meet a new row of voxels, which of pages
+        of 4 KiB is mostly another page, at nearly every sample, and a translation that is not at hand costs as much
+        as the sample.
+        """
+        check_fork()
+        nbytes = int(np.prod(shape, dtype=np.int64)) * np.dtype(dtype).itemsize
+        if not self.is_cpu or nbytes < _LARGE_PAGE:
+            return self.empty(dtype, shape)
+        try:
+            # numpy asks for large pages; a buffer that begins and ends where runtimes want it is used without a copy.
+            memory = np.empty(nbytes + 2 * _LARGE_PAGE, np.uint8)
+        except MemoryError as error:
+            raise _no_memory(self.name, nbytes, error) from None
+        first = -memory.ctypes.data % _LARGE_PAGE
+        host = memory[first : first + nbytes].view(dtype).reshape(shape)
+        return self._buffer(cl.mem_flags.READ_WRITE | cl.mem_flags.USE_HOST_PTR, host.dtype, host.shape, host)
 
     def output(self, dtype: Any, shape: Sequence[int], host: np.ndarray | None = None) -> DeviceArray:
         """An array that a kernel writes and ``take`` then returns: on a CPU device the kernel
@@ -248,6 +278,14 @@ class DeviceContext:
         offset = first * array.dtype.itemsize
         cl.enqueue_copy(self.queue, array.buffer, values, dst_offset=offset, is_blocking=True)
 
+    def write_once(self, array: DeviceArray, values: np.ndarray) -> None:
+        """As ``write``, of all of an ``array`` that nothing else writes. Nothing is done if it has these values: a
+        launch need not wait for others that use them."""
+        contents = values.tobytes()
+        if self._written.get(array) != contents:
+            self.write(array, values)
+            self._written[array] = contents
+
     def copy(
         self, source: DeviceArray, first: int, target: DeviceArray, to: int, count: int
     ) -> None:
@@ -296,19 +334,49 @@ class DeviceContext:
             else:
                 buffer = cl.Buffer(self.context, flags, hostbuf=host)
         except (cl.Error, MemoryError) as error:
-            what = f"no memory for {nbytes} bytes ({error})"
-            raise DeviceError(self.name, what, "a smaller volume or image") from None
+            raise _no_memory(self.name, nbytes, error) from None
         keeps = host if flags & cl.mem_flags.USE_HOST_PTR else None
         return DeviceArray(buffer, dtype, shape, keeps)
 
 
+def _no_memory(name: str, nbytes: int, error: Exception) -> DeviceError:
+    return DeviceError(name, f"no memory for {nbytes} bytes ({error})", "a smaller volume or image")
+
+
+_free: list[np.ndarray] = []  # memory of shared arrays that nothing refers to any more
+
+
 def shared_array(shape: Sequence[int], dtype: Any) -> np.ndarray:
-    """An array into which several CPU devices can write without copies, since it begins at a page."""
+    """An array into which several CPU devices can write without copies, since it begins at a page. Memory of earlier
+    ones is used again: fresh memory is zeroed page by page, while a frame is rendered."""
     dtype = np.dtype(dtype)
     nbytes = int(np.prod(shape, dtype=np.int64)) * dtype.itemsize
-    raw = np.empty(nbytes + _PAGE, np.uint8)
-    first = -raw.ctypes.data % _PAGE
-    return raw[first : first + nbytes].view(dtype).reshape(shape)
+    memory = _taken(nbytes + _PAGE)
+    first = -memory.ctypes.data % _PAGE
+    owner = np.frombuffer(memory.data[first : first + nbytes], dtype)
+    if nbytes <= _LARGEST_KEPT:
+        finalize(owner, _give_back, memory).atexit = False  # views of the array keep its owner
+    return owner.reshape(shape)
+
+
+def _taken(nbytes: int) -> np.ndarray:
+    """Memory of exactly ``nbytes``. Other threads may take and give back at the same time."""
+    kept = []
+    found = None
+    while _free and found is None:
+        memory = _free.pop()
+        if len(memory) == nbytes:
+            found = memory
+        else:
+            kept.append(memory)
+    for memory in kept:
+        _give_back(memory)
+    return np.empty(nbytes, np.uint8) if found is None else found
+
+
+def _give_back(memory: np.ndarray) -> None:
+    _free.append(memory)
+    del _free[:-_KEPT]
 
 
 def compile_options(switches: Mapping[str, int]) -> tuple[str, ...]:

@@ -96,7 +96,7 @@ CODED_BLOCK = struct(("int4", "extent"), ("long", "from to"), ("int", "limit"))
 """``CodedBlock`` of cl/decode_codes.h."""
 
 CODE_MAP = struct(
-    ("int4", "shifts", MOST_STAGES // 4), ("int", "stages residual_step low span first"), ("float", "scale")
+    ("int4", "shifts", MOST_STAGES // 4), ("int", "stages residual_step low span first unit"), ("float", "scale")
 )
 """``CodeMap`` of cl/decode_codes.h."""
 
@@ -108,6 +108,9 @@ PYRAMID = struct(
     ("float", "ray_spacing spacing_growth gate_low gate_high"),
 )
 """``Pyramid`` of cl/pyramid.h."""
+
+SLICES = struct(("float", "first spacing thickness"), ("int", "axis count"))
+"""``Slices`` of cl/slices.h."""
 
 NOISE_TERM = struct(
     ("float4", "scale offset amplitude"),

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from clvol.scene.camera import Camera
     from clvol.scene.resolve import ResolvedScene
 
-_LOOK = ("integration", "image", "multiresolution", "pyramid")  # tables that measuring errors may change
+_LOOK = ("integration", "image", "multiresolution", "pyramid", "slicing")  # tables that measuring errors may change
 
 
 class MadeFrom:

@@ -29,6 +29,7 @@ from clvol.scene.pyramid import Pyramid
 from clvol.scene.resolve import ResolvedScene
 from clvol.scene.scene import Scene
 from clvol.scene.shadow import Shadow
+from clvol.scene.slicing import Slicing
 from clvol.scene.transfer_function import ControlPoint, TransferFunctionSettings
 from clvol.scene.transfer_layer import TransferLayer, TransferLayerSettings
 from clvol.scene.volume import VolumeSettings
@@ -57,6 +58,7 @@ __all__ = [
     "Noise",
     "OpacityFactor",
     "Pyramid",
+    "Slicing",
     "ResolvedField",
     "ResolvedScene",
     "Scene",

@@ -8,7 +8,7 @@ from pydantic import Field
 
 from clvol.scene.table import Number, Table, Whole
 
-_BY_STEPS = ("raycast", "multiresolution", "pyramid")
+_BY_STEPS = ("raycast", "multiresolution", "pyramid", "slicing")
 _SHADED = ("raycast",)
 
 
@@ -27,10 +27,10 @@ class Integration(Table):
     evenly over the volume's range.
     """
 
-    method: Literal["raycast", "multiresolution", "pyramid", "reference"] = Field(
+    method: Literal["raycast", "multiresolution", "pyramid", "slicing", "reference"] = Field(
         "raycast",
-        title="Rendering method: ray casting, blocks within a memory budget, adaptive sampling, or the exact integral.",
-        description="'raycast', 'multiresolution', 'pyramid' or 'reference'",
+        title="Ray casting, blocks within a memory budget, adaptive sampling, slices, or the exact integral.",
+        description="'raycast', 'multiresolution', 'pyramid', 'slicing' or 'reference'",
     )
     step: Number = Field(
         1.0, gt=0, le=1e6,

@@ -34,6 +34,7 @@ from clvol.scene.noise import Noise
 from clvol.scene.opacity_factor import OpacityFactor
 from clvol.scene.pyramid import Pyramid
 from clvol.scene.shadow import Shadow
+from clvol.scene.slicing import Slicing
 from clvol.scene.transfer_function import TransferFunctionSettings
 from clvol.scene.transfer_layer import TransferLayer
 from clvol.scene.volume import VolumeSettings
@@ -76,6 +77,7 @@ class ResolvedScene:
     material: Material
     multiresolution: Multiresolution
     pyramid: Pyramid
+    slicing: Slicing
     source: str | None
     origin: str = "scene"
     gradient: GradientSettings = GradientSettings()
@@ -149,6 +151,7 @@ def resolve(scene: Scene, memory_cap: int | None = None) -> ResolvedScene:
         material=scene.material,
         multiresolution=scene.multiresolution,
         pyramid=scene.pyramid,
+        slicing=scene.slicing,
         source=scene.to_toml(),
         origin=scene.origin,
         gradient=scene.gradient,

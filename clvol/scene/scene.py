@@ -39,6 +39,7 @@ from clvol.scene.opacity_factor import DirectionalOpacity, GradientOpacity
 from clvol.scene.pyramid import Pyramid
 from clvol.scene.resolve import ResolvedScene, load_scene_volume, resolve
 from clvol.scene.shadow import Shadow
+from clvol.scene.slicing import Slicing
 from clvol.scene.table import AsTuple, Table, scene_error, wrong
 from clvol.scene.transfer_function import TransferFunctionSettings
 from clvol.scene.transfer_layer import LARGEST_LAYERS, TransferLayerSettings
@@ -106,6 +107,8 @@ class Scene(Table):
         Settings of the method "multiresolution".
     pyramid : Pyramid
         Settings of the method "pyramid".
+    slicing : Slicing
+        Settings of the method "slicing".
     gradient : GradientSettings
         How gradients are computed.
     environment : Environment, optional
@@ -205,6 +208,11 @@ class Scene(Table):
     pyramid: Pyramid = Field(
         Pyramid(),
         title="Settings of the method 'pyramid': adaptive sampling.",
+        description=_TABLE,
+    )
+    slicing: Slicing = Field(
+        Slicing(),
+        title="Settings of the method 'slicing': slices drawn one over the other.",
         description=_TABLE,
     )
     gradient: GradientSettings = Field(

@@ -28,7 +28,7 @@ from clvol.store.codecs.working_values import WorkingValues
 from clvol.store.format import JOURNAL, StoreLayout, codebooks_metadata
 from clvol.store.places import file_checksum
 
-VERSION = 1
+VERSION = 2  # of the layout in codecs/coded_blocks.py; 1 had the stages of escaped sub-blocks after all others
 CODEBOOKS = "codebooks"
 
 
@@ -99,7 +99,7 @@ def parse_codes(own: Any, layout: StoreLayout, where: str) -> CodesFacts:
     of another version.
     """
     if own["version"] != VERSION:
-        raise VolumeError(where, f"codes of version {own['version']!r}", f"version {VERSION}")
+        raise VolumeError(where, f"codes of version {own['version']!r}", f"version {VERSION}: store the volume again")
     codec = find_codec(str(own["codec"]), where)
     if not codec.coded or any(level.coded and level is not codec for level in layout.codecs):
         raise ValueError(f"codec {codec.name}")

@@ -55,13 +55,16 @@ def is_dicom(path: Path) -> bool:
 
 
 def _named(path: Path, key: str, sign: str) -> Iterator[Path]:
-    """The files that the value of ``key`` and the lines after it may name."""
+    """The files that the value of ``key`` and the lines after it may name. The header ends where voxels begin: at a
+    byte that no text has, and in NRRD at an empty line."""
     with path.open("rb") as file:
         head = file.read(_HEADER)
     heading = re.compile(rf"\s*{key}\s*{sign}+=?(.*)", re.IGNORECASE)
     taken = False
-    for raw in head.split(b"\n"):
+    for raw in head.partition(b"\0")[0].split(b"\n"):
         line = os.fsdecode(raw).rstrip("\r")
+        if sign == ":" and not line:
+            return
         match = heading.fullmatch(line)
         if match is not None:
             taken = True

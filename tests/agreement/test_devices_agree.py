@@ -72,6 +72,7 @@ SCENES = {
     "reference": (BYTES, nothing, {"method": "reference"}),
     "pyramid": (BYTES, nothing, {"method": "pyramid", "classification": "preintegrated"}),
     "multiresolution": (BYTES, nothing, {"method": "multiresolution"}),
+    "slicing": (BYTES, nothing, {"method": "slicing"}),
 }  # fmt: skip
 
 

@@ -169,7 +169,8 @@ def test_the_mode_of_a_sample_is_found_among_outliers():
 
 
 @pytest.mark.parametrize("integration", [
-    {"method": "multiresolution"}, {"method": "pyramid"}, {"method": "reference"}, {"quadrature": "cells"},
+    {"method": "multiresolution"}, {"method": "pyramid"}, {"method": "reference"}, {"method": "slicing"},
+    {"quadrature": "cells"},
 ])  # fmt: skip
 def test_methods_without_lights_get_none(integration, device):
     scene = clvol.Scene(volume=two_materials(), image={"width": 16, "height": 16}, integration=integration)

@@ -8,6 +8,7 @@ import math
 import numpy as np
 import pytest
 
+from clvol.opencl.devices import report_of
 from clvol.store.zarr_store import open_store
 
 SHAPE = (64, 80, 100)  # large enough for codebooks to pay
@@ -45,6 +46,18 @@ def test_what_was_measured_is_what_info_says(run, folder, volume):
     said = run("info", "v.zarr").out
     assert f"PSNR {codes['psnr']:.2f} dB" in said and "% of the range" in said
     assert f"{codes['bits_per_voxel']:.3g} at full resolution" in said and "max_voxel_error 0.03" in said
+
+
+def test_devices_that_share_the_blocks_write_the_same_bytes(run, folder, volume, device):
+    name = report_of(device).name
+    if device.max_compute_units < 2:
+        pytest.skip("the device has one compute unit, which cannot be divided")
+    halves = ("--device", f"{name}:1/2", "--device", f"{name}:2/2")
+    for output, devices in (("one", ("--device", name)), ("two", halves)):
+        assert run("store", "v.npy", "-o", output, "--codec", "rvq", "--psnr", 40, *devices).status == 0
+    for file in (folder / "one").rglob("*"):
+        if file.is_file():
+            assert file.read_bytes() == (folder / "two" / file.relative_to(folder / "one")).read_bytes()
 
 
 def test_both_devices_write_the_same_bytes(run, folder, volume, each_device):

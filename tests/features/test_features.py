@@ -44,6 +44,7 @@ from clvol.features import (
     NEUTRAL,
     ORACLES,
     QUADRATURES,
+    SLICES,
     STEPPINGS,
     called_for,
     effects,
@@ -65,7 +66,8 @@ COUNTED = {
 # Prefix of the names in cl/features.h: the table in Python.
 VOCABULARY = {
     "FILTER": FILTERS, "CLASSIFICATION": CLASSIFICATIONS, "GRADIENT": GRADIENTS, "COMPOSITING": COMPOSITINGS,
-    "QUADRATURE": QUADRATURES, "STEPPING": STEPPINGS, "ORACLE": ORACLES, "SHADOWS": vocabulary.SHADOW_METHODS,
+    "QUADRATURE": QUADRATURES, "STEPPING": STEPPINGS, "SLICES": SLICES,
+    "ACCUMULATE": vocabulary.ACCUMULATE, "ORACLE": ORACLES, "SHADOWS": vocabulary.SHADOW_METHODS,
     "OPACITY_FACTOR": vocabulary.OPACITY_FACTORS, "FIELD": vocabulary.FIELD_ROLES,
     "NOISE_TARGET": vocabulary.NOISE_TARGETS, "LIGHT": vocabulary.LIGHTS, "CLIP": vocabulary.CLIPS,
     "CODEC": vocabulary.BLOCK_CODECS, "CELL": vocabulary.CELLS, "CODE": {"dropped": vocabulary.CODE_DROPPED},

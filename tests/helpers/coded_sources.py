@@ -7,7 +7,7 @@ from reference.plain_codes import write
 from reference.random_codes import packed, random_block, random_codebooks
 
 from clvol import Volume
-from clvol.store.codecs.coded_blocks import MOST_STAGES, Codebooks, CodedBlocks
+from clvol.store.codecs.coded_blocks import WHOLE, Codebooks, CodedBlocks
 from clvol.store.codecs.decode import decode_blocks
 from clvol.store.geometry import BlockGrid
 from clvol.store.resolutions import array_statistics
@@ -42,7 +42,7 @@ class RandomCodes:
     def read(self, level: int, blocks) -> np.ndarray:
         s, blocks = self.blocks.samples(level), np.asarray(blocks)
         out = np.empty((len(blocks), s, s, s), self.dtype)
-        limits = np.full(len(blocks), MOST_STAGES)
+        limits = np.full(len(blocks), WHOLE)
         if level == 0 and self.depths is not None:
             limits = self.depths[blocks]
         for limit in np.unique(limits):

@@ -109,8 +109,10 @@ class StubEncoder:
         depths = np.where(wrong, ESCAPED, 1).astype(np.uint8)
         flags = [] if s == 4 else np.packbits(np.ones((s // 8) ** 3, np.uint8), bitorder="little")
         halves = depths if s == 4 else depths[::2] | depths[1::2] << 4
-        escapes = [part for own in voxels[wrong] for part in ([RAW_SAMPLES], own)]
-        return _bytes([CODED], flags, means.astype(np.uint8), halves, codes[~wrong].astype(np.uint8), *escapes)
+        heads = [RAW_SAMPLES] * int(wrong.sum())
+        return _bytes(
+            [CODED], flags, means.astype(np.uint8), halves, heads, codes[~wrong].astype(np.uint8), *voxels[wrong]
+        )
 
 
 def _bytes(*parts) -> np.ndarray:

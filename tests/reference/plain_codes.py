@@ -159,17 +159,15 @@ def _write_coded(block, s, dtype) -> bytes:
     else:
         for low, high in zip(depths[::2], depths[1::2]):
             out.append(low | high << 4)
+    out += bytes(255 if sub.raw is not None else len(sub.codes) | sub.bits << 4 for sub in subs if sub.escaped)
     for j in range(12):
         for sub in subs:
-            if not sub.escaped and len(sub.codes) > j:
+            if sub.raw is None and len(sub.codes) > j:
                 out.append(sub.codes[j])
     for sub in subs:
         if sub.raw is not None:
-            out.append(255)
             out += b"".join(sample_bytes(v, dtype) for v in sub.raw)
         elif sub.residuals is not None:
-            out.append(len(sub.codes) | sub.bits << 4)
-            out += bytes(sub.codes)
             packed = 0
             for k, residual in enumerate(sub.residuals):
                 packed |= (residual & (1 << sub.bits) - 1) << k * sub.bits
@@ -198,7 +196,7 @@ class _Bytes:
         return struct.unpack(form, data)[0]
 
 
-def read(data: bytes, s, codebooks, limit: int = 12) -> np.ndarray:
+def read(data: bytes, s, codebooks, limit: int = 15) -> np.ndarray:
     """The voxels [s, s, s] of a block's bytes."""
     dtype = codebooks.values.dtype
     source = _Bytes(data)
@@ -217,7 +215,7 @@ def read(data: bytes, s, codebooks, limit: int = 12) -> np.ndarray:
     else:
         assert kind == 2
         _read_coded(source, voxels, s, codebooks, limit)
-    if limit >= codebooks.stages:
+    if limit > codebooks.stages:
         assert source.at == len(data)
     return voxels
 
@@ -284,19 +282,20 @@ def _read_coded(source, voxels, s, codebooks, limit) -> None:
         for _ in range(len(subs) // 2):
             both = source.byte()
             depths += [both & 15, both >> 4]
+    heads = [source.byte() if depth == 15 else None for depth in depths]
+    stages = [depth if head is None else 0 if head == 255 else head & 15 for depth, head in zip(depths, heads)]
     codes: list = [[] for _ in subs]
     for j in range(min(codebooks.stages, limit)):
-        for k, depth in enumerate(depths):
-            if depth != 15 and depth > j:
+        for k, depth in enumerate(stages):
+            if depth > j:
                 codes[k].append(source.byte())
     for k, (corner, mean) in enumerate(subs):
         residuals, raw = [0] * 64, None
-        if depths[k] == 15 and limit >= codebooks.stages:
-            head = source.byte()
+        head = heads[k]
+        if head is not None and limit > codebooks.stages:
             if head == 255:
                 raw = [source.sample(dtype) for _ in range(64)]
             else:
-                codes[k] = [source.byte() for _ in range(head & 15)]
                 bits = head >> 4
                 packed = int.from_bytes(source.bytes(8 * bits), "little")
                 for n in range(64):

@@ -27,6 +27,7 @@ KINDS = {
     "noise": {"noise": [{"target": "value", "amplitude": 40.0}]},
     "projection": {"integration": {"compositing": "maximum"}},
     "pyramid": {"integration": {"method": "pyramid"}},
+    "slicing": {"integration": {"method": "slicing"}, "slicing": {"geometry": "object-aligned"}},
     "reference": {"integration": {"method": "reference"}},
     "multiresolution": {"integration": {"method": "multiresolution"}},
     "codes": {"compression": {"codec": "rvq"}},

@@ -40,6 +40,7 @@ KINDS = {
     "multiresolution": {"integration": {"method": "multiresolution"},
                         "multiresolution": {"memory": "100 KiB"}},
     "pyramid": {"integration": {"method": "pyramid"}, **CYCLING},
+    "slicing": {"integration": {"method": "slicing"}, "slicing": {"geometry": "shells"}, **CYCLING},
     "reference": {"integration": {"method": "reference"}},
 }  # fmt: skip
 VOLUME = Volume(waves((21, 34, 27), np.uint16, high=255.0))

@@ -10,7 +10,7 @@ from reference.plain_codes import Coded, SubBlock, read, write
 from reference.random_codes import CODECS, DTYPES, packed, random_codebooks, random_codes
 
 from clvol.errors import VolumeError
-from clvol.store.codecs.coded_blocks import MOST_STAGES, CodedBlocks
+from clvol.store.codecs.coded_blocks import WHOLE, CodedBlocks
 from clvol.store.codecs.decode import decode_blocks
 from clvol.store.codecs.layout import check_codes, parse_coded, prefix_sizes
 
@@ -37,9 +37,9 @@ def test_voxels_are_those_of_the_plain_reader(codec, dtype, s):
 def test_a_limit_of_stages_needs_a_prefix_of_the_bytes_alone(codec, s):
     blocks, codebooks = random_codes(5, codec, s, "int16", COUNTS[s])
     sizes = prefix_sizes(packed(blocks), s, codebooks)
-    assert sizes.shape == (len(blocks), codebooks.stages + 1)
+    assert sizes.shape == (len(blocks), codebooks.stages + 2)
     assert (sizes[:, -1] == [len(block) for block in blocks]).all()
-    for limit in range(codebooks.stages + 1):
+    for limit in range(codebooks.stages + 2):
         cut = [block[: sizes[k, limit]] for k, block in enumerate(blocks)]
         plain = np.stack([read(block, s, codebooks, limit) for block in blocks])
         assert same_bits(decode_blocks(packed(cut), s, codebooks, limit), plain)
@@ -77,12 +77,13 @@ def test_impossible_bytes_are_named_by_block():
         changed(good, 10, 0x2F),  # an escape that is not there
         escaped,
         changed(escaped, head, 0x36),  # more stages than codebooks
+        changed(escaped, head, 0x32),  # a stage that is not there
         changed(escaped, head, 0x91),  # nine bits
         changed(escaped, head, 0xFF),  # raw samples that are not there
         b"",
     ]
-    assert list(check_codes(packed(blocks), 8, codebooks)) == [1, 2, 3, 4, 5, 6, 8, 9, 10, 11]
-    with pytest.raises(VolumeError, match="10 blocks .block 1, 2, 3, 4, 5."):
+    assert list(check_codes(packed(blocks), 8, codebooks)) == [1, 2, 3, 4, 5, 6, 8, 9, 10, 11, 12]
+    with pytest.raises(VolumeError, match="11 blocks .block 1, 2, 3, 4, 5."):
         decode_blocks(packed(blocks), 8, codebooks)
 
 
@@ -126,7 +127,7 @@ def test_checking_finds_what_parsing_finds(s):
             changed[at] = rng.integers(256)
         blocks[k] = bytes(changed)
     coded = packed(blocks)
-    for limit in (0, 3, MOST_STAGES):
+    for limit in (0, 3, WHOLE):
         good = parse_coded(coded.data, coded.start, coded.size, s, codebooks, limit).good
         assert good.any() and not good.all()
         assert check_codes(coded, s, codebooks, limit).tolist() == np.flatnonzero(~good).tolist()
@@ -148,7 +149,7 @@ def test_a_volume_without_stages_consists_of_means():
     codebooks = random_codebooks(rng, "rvq", "uint8", stages=0, whole=True)
     assert codebooks.fault() is None
     coded = packed([write(Coded([7] * 8), 16, codebooks), write(Coded([200] * 8), 16, codebooks)])
-    assert (decode_blocks(coded, 16, codebooks, MOST_STAGES) == np.array([7, 200])[:, None, None, None]).all()
+    assert (decode_blocks(coded, 16, codebooks, WHOLE) == np.array([7, 200])[:, None, None, None]).all()
 
 
 def test_no_blocks_are_no_voxels():

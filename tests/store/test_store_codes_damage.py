@@ -145,7 +145,8 @@ def test_damaged_and_exchanged_codebooks_are_found(copied, made, codec):
 @pytest.mark.parametrize(
     ("edit", "said"),
     [
-        (lambda own: own["codes"].update(version=2), "codes of version 2, expected version 1"),
+        (lambda own: own["codes"].update(version=1), "codes of version 1, expected version 2: store the volume again"),
+        (lambda own: own["codes"].update(version=3), "codes of version 3, expected version 2"),
         (lambda own: own["codes"].update(codec="vq-9"), "stored by a newer clvol (codec 'vq-9')"),
         (lambda own: own["codecs"][0].update(name="vq-9"), "stored by a newer clvol (codec 'vq-9')"),
         (lambda own: own.update(version=2), "stored by a newer clvol (version 2)"),

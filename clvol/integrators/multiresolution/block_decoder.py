@@ -8,7 +8,7 @@ from clvol.device.code_decoder import CodeDecoder, HeldCodes
 from clvol.integrators.multiresolution.coded_source import CodedSource
 from clvol.opencl.arguments import reads, value, writes
 from clvol.opencl.context import DeviceArray, DeviceContext
-from clvol.store.codecs.coded_blocks import MOST_STAGES, CodedBlocks
+from clvol.store.codecs.coded_blocks import WHOLE, CodedBlocks
 
 
 class BlockDecoder:
@@ -25,7 +25,7 @@ class BlockDecoder:
             {"VOXEL_BITS": self.dtype.itemsize * 8, "VOXEL_SIGNED": int(self.dtype.kind == "i")},
         )  # fmt: skip
 
-    def hold(self, coded: CodedBlocks, level: int, depths: int | np.ndarray = MOST_STAGES) -> HeldCodes:
+    def hold(self, coded: CodedBlocks, level: int, depths: int | np.ndarray = WHOLE) -> HeldCodes:
         """``coded`` of blocks at ``level`` on the device, cut after ``depths`` stages."""
         return self._decoder.hold(coded, self._blocks.samples(level), depths)
 
@@ -37,7 +37,7 @@ class BlockDecoder:
         level: int,
         samples: DeviceArray,
         start: np.ndarray,
-        depths: int | np.ndarray = MOST_STAGES,
+        depths: int | np.ndarray = WHOLE,
     ) -> None:
         """Enqueues the decoding of ``blocks`` (numbers, int64 [k]) at ``level``, which have ``places`` in ``held``, to
         samples that begin at the elements ``start`` of ``samples``."""

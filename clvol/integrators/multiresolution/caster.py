@@ -270,9 +270,11 @@ class BlockCaster(Raycaster):
     # As ``RayEngine``, for ``TiledRenderer``
 
     def packets(self, depth: bool) -> PacketRenderer:
+        switches = {**self.switches, "WITH_DEPTH": int(depth)}
+        self.check_structs(switches)
         return PacketRenderer(
             "tile_rays.cl",
-            {**self.switches, "WITH_DEPTH": int(depth)},
+            switches,
             scene_arguments(self.volume.switches["VOXEL_BITS"]) + self._declared,
             {**self._scene_arrays(), **self._block_arrays()},
             self.lanes,

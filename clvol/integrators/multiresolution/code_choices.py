@@ -1,7 +1,7 @@
 """What blocks of codes may be held as, and how well: the bytes and the visible error of every (level, depth).
 
-A block at full resolution may be cut after any of its stages, since these are a prefix of its bytes
-(clvol/store/codecs/coded_blocks.py). Coarser levels are held whole: they are an eighth of the size or less.
+A block at full resolution may be cut after any of its stages, since these are a prefix of its bytes, without or with
+residuals (clvol/store/codecs/coded_blocks.py). Coarser levels are held whole: they are an eighth of the size or less.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from clvol.integrators.multiresolution.coded_source import CodedSource, codes_at
 from clvol.integrators.multiresolution.visible_error import ShownColors, noise_errors
 from clvol.opencl.arguments import reads, value, writes
 from clvol.opencl.context import DeviceContext
-from clvol.store.codecs.coded_blocks import CODED, MOST_STAGES, Codebooks, CodedBlocks
+from clvol.store.codecs.coded_blocks import CODED, WHOLE, Codebooks, CodedBlocks
 from clvol.store.codecs.layout import kinds_of, parse_coded
 from clvol.store.source import BlockStatistics
 
@@ -26,7 +26,7 @@ _BATCH_BYTES = 4 * 2**20  # of decoded samples that are compared together
 @dataclass(frozen=True, eq=False)
 class Choices:
     """Ways to hold each of n blocks, the finest first: choice k is ``level[k]``, cut after ``depth[k]`` stages
-    (MOST_STAGES: not cut).
+    (WHOLE: not cut).
 
     size       int64 [choices, n]: bytes
     deviation  float32 [choices, n]: of level 0, the root mean square of what the cut changes; 0 of other levels
@@ -43,7 +43,7 @@ class Choices:
         first = statistics.first
         part = slice(first, first + levels.shape[1])
         out = levels[self.level].copy()
-        for k in np.flatnonzero((self.level == 0) & (self.depth < MOST_STAGES)):
+        for k in np.flatnonzero((self.level == 0) & (self.depth < WHOLE)):
             out[k] = noise_errors(statistics, self.deviation[k, part], shown)
         return out
 
@@ -52,9 +52,9 @@ def choices_of(context: DeviceContext, source: CodedSource, batch_bytes: int = _
     """The choices of all blocks of ``source``. Decodes level 0 once for each stage, at most about ``batch_bytes`` of
     samples at a time."""
     blocks, books = source.blocks, source.codebooks
-    depths = list(range(books.stages)) if books.codec == "rvq" else []
+    depths = list(range(books.stages + 1)) if books.codec == "rvq" else []
     level = [0] * (len(depths) + 1) + list(range(1, blocks.levels))
-    depth = [MOST_STAGES, *reversed(depths)] + [MOST_STAGES] * (blocks.levels - 1)
+    depth = [WHOLE, *reversed(depths)] + [WHOLE] * (blocks.levels - 1)
     size = np.zeros((len(level), blocks.count), np.int64)
     deviation = np.zeros((len(level), blocks.count), np.float32)
     decoder = CodeDecoder(context, books, source.name)

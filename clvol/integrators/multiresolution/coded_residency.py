@@ -185,15 +185,16 @@ class CodedResidency:
         }
 
     def describe(self) -> dict[str, Any]:
-        """As ``Residency.describe``, and the numbers of blocks at full resolution by depth (uncut last)."""
+        """As ``Residency.describe``, and the numbers of blocks at full resolution by depth: cut after 0, 1, ... stages,
+        and uncut."""
         if self.chosen is None:
             raise ValueError("no blocks have been requested")
         blocks, books = self.blocks, self.source.codebooks
-        levels, depths = blocks.levels, np.minimum(blocks.depths, books.stages)
+        levels, depths = blocks.levels, np.minimum(blocks.depths, books.stages + 1)
         counts = np.bincount(levels, minlength=DROPPED + 1)
         return {
             "levels": counts[: self.source.blocks.levels].tolist(),
-            "depths": np.bincount(depths[levels == 0], minlength=books.stages + 1).tolist(),
+            "depths": np.bincount(depths[levels == 0], minlength=books.stages + 2).tolist(),
             "dropped": int(counts[DROPPED]),
             "pending": 0,
             "edge": self.source.blocks.edge,

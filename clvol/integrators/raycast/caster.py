@@ -55,6 +55,7 @@ from clvol.transfer.pieces import (
 
 SECONDS_A_SAMPLE = 1e-8  # a first guess, used to divide a frame into launches
 _BAND_SECONDS = 0.5
+_PACE_MARGIN = 4.0  # tiles may take this many times as long as those before them
 _DEPTH_NODES = 1024  # of the integral of the extinction, by which the depths of cells are estimated
 _OPAQUE = 20.0  # optical depth above which more makes no difference
 _KEPT = 6  # volumes; a search for settings may render many variants of one
@@ -80,6 +81,7 @@ class Raycaster:
     """
 
     held: Sequence[object] = ()
+    _structs_match = False  # what the compiler makes of structs has not been compared yet
     march: March
     function: TransferFunction
     nodes: LookupNodes
@@ -117,8 +119,8 @@ class Raycaster:
         self.without_surfaces: Raycaster | None = None
         self.no_array = context.empty(np.float32, (4,))
         self._view = context.empty(self.view_dtype, (1,))
+        self._pace: dict[str, float] = {}  # seconds per tile, by kernel
         self.set_transfer_function(resolved.transfer_function)
-        self.march.check_structs(self)
 
     @property
     def renders_all_pixels(self) -> bool:
@@ -380,15 +382,18 @@ class Raycaster:
             switches["TILES_CHOSEN"] = 1
             declared += (reads("chosen", np.int32),)
             arrays["chosen"] = context.upload(chosen.astype(np.int32))
+        self.check_structs(switches)
         kernel = self.march.kernel(context, name, declared, switches)
         pixels = tiles * self.tile[0] * self.tile[1] if view["image"][0, 0] else 0
-        expected = pixels * self._most_samples() * SECONDS_A_SAMPLE
         items = tiles if chosen is None else len(chosen)
-        expected *= items / tiles
+        if pixels and name in self._pace:
+            expected = _PACE_MARGIN * items * self._pace[name]
+        else:
+            expected = pixels * self._most_samples() * SECONDS_A_SAMPLE * (items / tiles)
         done = 0
         for first, count in bands(items, expected, _BAND_SECONDS):
             view["first_tile"] = first
-            context.write(self._view, view)
+            context.write_once(self._view, view)
             kernel(
                 context.queue,
                 (count * self.march.workers,),
@@ -405,15 +410,20 @@ class Raycaster:
                 progress(done)
         return added.get("counts")
 
+    def took(self, name: str, tiles: int, seconds: float) -> None:
+        """Remembers what ``tiles`` of kernel ``name`` took, by which launches are made neither long nor needlessly
+        many."""
+        self._pace[name] = seconds / max(tiles, 1)
+
     def _more_arguments(self, tiles: int) -> tuple[Arguments, Arguments, dict[str, DeviceArray]]:
         """The arguments that kernels take in addition to those of a scene of emission and absorption, for a launch over
         ``tiles``: those that follow the scene's, those at the end, and the arrays of both."""
         names = self._counter_names
+        variant, added = self._sample_arguments
         if not names:
-            return (), (), {}
+            return variant, (), added
         counts = self.context.output(np.uint32, (tiles, len(names)))
         own, arrays = self.march.arguments(self)
-        variant, added = self._sample_arguments
         return variant, own + counts_argument(len(names)), {**arrays, **added, "counts": counts}
 
     @property
@@ -447,6 +457,13 @@ class Raycaster:
     def volume_view(self) -> np.ndarray:
         """``View`` [1] with the members that do not depend on the camera."""
         return volume_view(self)
+
+    def check_structs(self, switches: dict[str, int]) -> None:
+        """RenderError where the device's compiler lays out structs differently from the host; looked at once, in the
+        first program that is used. ``switches``: those of that program."""
+        if not self._structs_match:
+            self.march.check_structs(self, switches)
+            self._structs_match = True
 
     @property
     def structs(self) -> dict[str, np.dtype]:

@@ -60,8 +60,9 @@ class March(Protocol):
         """Declared arguments of its kernel, beyond those of the samples, and their arrays for the next launch."""
         ...
 
-    def check_structs(self, caster: Raycaster) -> None:
-        """RenderError where the device's compiler lays out structs differently from the host."""
+    def check_structs(self, caster: Raycaster, switches: dict[str, int]) -> None:
+        """RenderError where the device's compiler lays out structs differently from the host, in the program of these
+        ``switches``: one that is used anyway."""
         ...
 
 
@@ -99,6 +100,6 @@ class RayMarch:
     def arguments(self, caster: Raycaster) -> tuple[Arguments, dict[str, DeviceArray]]:
         return (), {}
 
-    def check_structs(self, caster: Raycaster) -> None:
-        kernel = caster.context.kernel("raycast.cl", "struct_fields", REPORT_ARGUMENTS, caster.switches)
+    def check_structs(self, caster: Raycaster, switches: dict[str, int]) -> None:
+        kernel = caster.context.kernel("raycast.cl", "struct_fields", REPORT_ARGUMENTS, switches)
         check_structs(caster.context, kernel, caster.structs)

@@ -8,7 +8,7 @@ linear between control points, and every smooth piece is integrated to a toleran
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -30,13 +30,14 @@ _LARGEST_EXPONENT = 500  # of values; beyond it products of differences overflow
 
 def render_reference(
     resolved: ResolvedScene,
-    device: pyopencl.Device,
+    device: pyopencl.Device | Sequence[pyopencl.Device],
     tolerance: float = 1e-9,
     pixels: ArrayLike | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> tuple[np.ndarray, np.ndarray, dict[str, Any]]:
     """The picture of ``resolved``, exact to about ``tolerance`` in linear premultiplied RGBA.
 
+    ``device``: one, or several that share the rays; one of these that fails is left out, with a warning.
     ``pixels``: int [n, 2], (row, column) of the pixels to evaluate; without it the whole image.
     ``progress(done, total)`` is called now and then with numbers of pixels.
 
@@ -84,7 +85,7 @@ def integrate_world_rays(
     transfer_function: TransferFunction,
     origins: np.ndarray,
     directions: np.ndarray,
-    device: pyopencl.Device,
+    device: pyopencl.Device | Sequence[pyopencl.Device],
     *,
     tolerance: float = 1e-9,
     filter: str = "linear",

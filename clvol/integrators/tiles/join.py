@@ -52,7 +52,7 @@ class Joiner:
         self.kernel(
             context.queue,
             (len(chosen) * -(-grid.size // self.rows_an_item),),
-            (1,) if context.is_cpu else None,
+            None,
             lines=self._lines,
             tile_lines=context.upload(offsets),
             chosen=context.upload(np.asarray(chosen, np.int32)),

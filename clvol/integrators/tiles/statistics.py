@@ -39,7 +39,7 @@ def corner_statistics(
     kernel(
         context.queue,
         (shape[0] * shape[1],),
-        (1,) if context.is_cpu else None,
+        None,
         index=index,
         view=on_device,
         grid=(x, y, z, blocks.edge),

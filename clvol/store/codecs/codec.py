@@ -15,8 +15,8 @@ class Kind:
     """A kind of block: functions of blocks [k] of that kind, all within their data.
 
     ``good(coded, s, codebooks, limit)``: bool [k], whether bytes are possible. ``decode(coded, s, codebooks, limit)``:
-    voxels [k, s, s, s] of good ones. ``prefixes(coded, s, codebooks)``: int64 [k, stages + 1], bytes that each limit
-    needs; None if limits change nothing.
+    voxels [k, s, s, s] of good ones. ``prefixes(coded, s, codebooks)``: int64 [k, stages + 2], bytes that each limit
+    needs, and all; None if limits change nothing.
     """
 
     good: Callable[[CodedBlocks, int, Codebooks, int], np.ndarray]

@@ -16,12 +16,12 @@ A block's bytes are its kind (1 byte), and then
              means     for octant after octant: one byte if it is not split, one per sub-block if it is
              depths    for each sub-block of split octants four bits, the lower half of a byte first: its number of
                        stages, 0 to ``stages`` of the codebooks, or ESCAPED. One byte if s = 4.
-             stage 1, stage 2, ...: one code (a byte) for each sub-block of at least that many stages, in order; none
-                       for escaped ones
-             escapes   for each escaped sub-block in order: a byte with its number of stages n in the lower half and
-                       the number of bits b (0 to 8) in the upper half, n codes, and 8 b bytes: 64 residuals of b bits
-                       (that of sample k in bits k b ... k b + b - 1, counted from the lowest bit of the first byte;
-                       two's complement); or the byte RAW_SAMPLES and 64 samples
+             heads     for each escaped sub-block in order a byte: its number of stages in the lower half and the number
+                       of bits b (0 to 8) of its residuals in the upper half; or RAW_SAMPLES, which has no stages
+             stage 1, stage 2, ...: one code (a byte) for each sub-block of at least that many stages, in order
+             tails     for each escaped sub-block in order 8 b bytes: 64 residuals of b bits (that of sample k in bits
+                       k b ... k b + b - 1, counted from the lowest bit of the first byte; two's complement); or, of
+                       RAW_SAMPLES, 64 samples
   FIXED      codecs "vq", "vq-mean" and "hvq"; sub-blocks in C order of the block.
              "vq"      (side 2) one code per sub-block
              "vq-mean" (side 2) a mean per sub-block, then a code per sub-block
@@ -51,9 +51,9 @@ to 0 ... 65535; "vq" has no means, and 32768 takes the place of (mean << 8) + 12
 ``WorkingValues`` says, and then ``residual * residual_step`` is added (integer types: to the voxel, clipped to
 low ... low + span; floating-point types: to the clipped working value, which is clipped again).
 
-Decoding to a limit of n stages, fewer than the codebooks have, takes the first n stages of each sub-block and no
-escapes: escaped sub-blocks then consist of their means. It needs a prefix of the block's bytes alone
-(``layout.prefix_sizes``). With a limit of at least ``stages`` nothing is left out.
+Decoding to a limit of n stages, 0 to ``stages`` of the codebooks, takes the first n stages of each sub-block and no
+tails: sub-blocks of RAW_SAMPLES then consist of their means. It needs a prefix of the block's bytes alone
+(``layout.prefix_sizes``). With a greater limit, such as WHOLE, nothing is left out.
 """
 
 from __future__ import annotations
@@ -67,6 +67,7 @@ from clvol.store.codecs.working_values import LARGEST, WorkingValues
 
 CONSTANT, RAW, CODED, FIXED, REGIONS, RUNS = range(6)  # kinds of blocks
 MOST_STAGES = 12
+WHOLE = 15  # a limit of stages that leaves nothing out
 ESCAPED = 15
 RAW_SAMPLES = 0xFF
 ENTRIES = 256  # of a codebook; those that are not used are 0

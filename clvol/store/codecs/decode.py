@@ -6,11 +6,11 @@ import numpy as np
 
 from clvol.errors import VolumeError
 from clvol.store.codecs.block_bytes import kinds_of, parts, samples_at
-from clvol.store.codecs.coded_blocks import CONSTANT, MOST_STAGES, RAW, Codebooks, CodedBlocks
+from clvol.store.codecs.coded_blocks import CONSTANT, RAW, WHOLE, Codebooks, CodedBlocks
 from clvol.store.codecs.layout import blocks_of_codec, check_codes
 
 
-def decode_blocks(coded: CodedBlocks, s: int, codebooks: Codebooks, stages: int = MOST_STAGES) -> np.ndarray:
+def decode_blocks(coded: CodedBlocks, s: int, codebooks: Codebooks, stages: int = WHOLE) -> np.ndarray:
     """Voxels [k, s, s, s] of the type ``codebooks.values.dtype``; s = 1, 2, 4, 8, 16 or 32.
 
     ``stages``: the limit of stages, of which no more bytes need to be there. VolumeError names blocks whose bytes are

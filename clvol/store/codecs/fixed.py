@@ -21,7 +21,7 @@ def fixed_kind(has_means: bool) -> Kind:
         return (coded.size >= size(s, codebooks, limit)) & (coded.size <= whole)
 
     def prefixes(coded: CodedBlocks, s: int, codebooks: Codebooks) -> np.ndarray:
-        sizes = [size(s, codebooks, limit) for limit in range(codebooks.stages + 1)]
+        sizes = [size(s, codebooks, limit) for limit in range(codebooks.stages + 2)]
         return np.repeat(np.array([sizes], np.int64), len(coded), axis=0)
 
     def decode(coded: CodedBlocks, s: int, codebooks: Codebooks, limit: int) -> np.ndarray:

@@ -9,17 +9,17 @@ import numpy as np
 from clvol.store.codecs import CODES
 from clvol.store.codecs.block_bytes import kinds_of, parts
 from clvol.store.codecs.codec import Kind
-from clvol.store.codecs.coded_blocks import CONSTANT, MOST_STAGES, RAW, Codebooks, CodedBlocks
+from clvol.store.codecs.coded_blocks import CONSTANT, RAW, WHOLE, Codebooks, CodedBlocks
 from clvol.store.codecs.rvq import parse_coded
 
 __all__ = ["blocks_of_codec", "check_codes", "kinds_of", "parse_coded", "prefix_sizes"]
 
 
-def check_codes(coded: CodedBlocks, s: int, codebooks: Codebooks, stages: int = MOST_STAGES) -> np.ndarray:
+def check_codes(coded: CodedBlocks, s: int, codebooks: Codebooks, stages: int = WHOLE) -> np.ndarray:
     """int64: numbers of the blocks whose bytes are impossible, in order.
 
-    ``stages``: the limit to which they are to be decoded; with fewer than the codebooks have, bytes after those that
-    are needed may be missing, and are not looked at.
+    ``stages``: the limit to which they are to be decoded; unless it is WHOLE, bytes after those that are needed may be
+    missing, and are not looked at.
     """
     kinds = kinds_of(coded)
     itemsize = codebooks.values.dtype.itemsize
@@ -31,9 +31,9 @@ def check_codes(coded: CodedBlocks, s: int, codebooks: Codebooks, stages: int = 
 
 
 def prefix_sizes(coded: CodedBlocks, s: int, codebooks: Codebooks) -> np.ndarray:
-    """int64 [k, stages + 1]: how many bytes decoding to a limit of 0, 1, ... stages needs of each block; the last
+    """int64 [k, stages + 2]: how many bytes decoding to a limit of 0, 1, ... stages needs of each block; the last
     column is the whole block. The blocks have passed ``check_codes``."""
-    sizes = np.repeat(coded.size[:, None], codebooks.stages + 1, axis=1)
+    sizes = np.repeat(coded.size[:, None], codebooks.stages + 2, axis=1)
     for blocks, kind, some in blocks_of_codec(coded, kinds_of(coded), s, codebooks):
         if kind.prefixes is not None:
             sizes[blocks] = kind.prefixes(some, s, codebooks)

@@ -5,7 +5,7 @@ Multiple stage vector quantization for speech coding, ICASSP 1982; for volumes R
 rendering from compressed data on a display wall, WSCG 2009, who decode small subvolumes and render them front to back.
 What is added here: octants of 8^3 samples of one value, depths by the Lagrangian of error and bytes, and packed
 residuals or raw samples where a bound on the error, or voxels that are not finite, demand them. Stages are stored one
-after another, so that a prefix of a block's bytes is the block at a lower quality.
+after another, and residuals after all of them, so that a prefix of a block's bytes is the block at a lower quality.
 """
 
 from __future__ import annotations
@@ -16,19 +16,22 @@ import numpy as np
 
 from clvol.store.codecs.block_bytes import bytes_before, in_block_order, samples_at, split_octants
 from clvol.store.codecs.codec import ZSTD, Codec, Kind
-from clvol.store.codecs.coded_blocks import CODED, ESCAPED, MOST_STAGES, RAW_SAMPLES, Codebooks, CodedBlocks
+from clvol.store.codecs.coded_blocks import CODED, ESCAPED, MOST_STAGES, RAW_SAMPLES, WHOLE, Codebooks, CodedBlocks
 from clvol.store.codecs.working_values import LARGEST
+
+_IS_RAW = np.arange(256) == RAW_SAMPLES  # by the byte of a head
+_STAGES_OF_HEAD = np.where(_IS_RAW, 0, np.arange(256) & 15)
+_BITS_OF_HEAD = np.where(_IS_RAW, 0, np.arange(256) >> 4)
 
 
 @dataclass(frozen=True, eq=False)
 class Escapes:
-    """Escaped sub-blocks: ``block`` and ``sub`` say whose they are; ``at`` is the place of the byte after the head in
-    the data; ``stages`` and ``bits`` of residuals, or ``raw``. int64 [n] all of them, ``raw`` bool [n]."""
+    """Escaped sub-blocks: ``block`` and ``sub`` say whose they are; ``at`` is the place of their residuals or samples
+    in the data; ``bits`` of residuals, or ``raw``. int64 [n] all of them, ``raw`` bool [n]."""
 
     block: np.ndarray
     sub: np.ndarray
     at: np.ndarray
-    stages: np.ndarray
     bits: np.ndarray
     raw: np.ndarray
 
@@ -39,9 +42,9 @@ class CodedParts:
 
     good     bool [k]: the bytes are possible
     means    uint8 [k, n]
-    depths   uint8 [k, n]: number of stages; 0 of escaped sub-blocks and in octants that are not split
+    depths   uint8 [k, n]: number of stages; 0 in octants that are not split
     stages   int64 [k, stages + 1]: where the codes of each stage begin in the data; the last one ends the stages
-    escapes  None if decoding ends before them
+    escapes  None if decoding ends before their residuals
     """
 
     good: np.ndarray
@@ -52,7 +55,7 @@ class CodedParts:
 
 
 def parse_coded(
-    data: np.ndarray, start: np.ndarray, size: np.ndarray, s: int, codebooks: Codebooks, limit: int = MOST_STAGES
+    data: np.ndarray, start: np.ndarray, size: np.ndarray, s: int, codebooks: Codebooks, limit: int = WHOLE
 ) -> CodedParts:
     """The parts of the CODED blocks at ``start`` of ``size`` bytes (int64 [k], within ``data``), s >= 4."""
     per_octant = 8 if s > 4 else 1
@@ -77,48 +80,35 @@ def parse_coded(
         at = at + wide * per_octant // 2
     depths, means = (part.reshape(len(start), octants * per_octant) for part in (depths, means))
     escaped = depths == ESCAPED
-    good &= ((depths <= codebooks.stages) | escaped).all(axis=1)
-    depths = np.where(escaped, 0, depths).astype(np.uint8)
+    heads = np.zeros(depths.shape, np.uint8)
+    number = np.cumsum(escaped, axis=1)
+    block, sub = np.nonzero(escaped)
+    if len(block):
+        heads[block, sub] = byte(at[:, None] + number - 1)[block, sub]
+        at = at + number[:, -1]
+    depths = np.where(escaped, _STAGES_OF_HEAD[heads], depths).astype(np.uint8)
+    good &= ((depths <= codebooks.stages) & (_BITS_OF_HEAD[heads] <= 8)).all(axis=1)
+    depths = np.minimum(depths, codebooks.stages)
     stages = np.repeat(at[:, None], codebooks.stages + 1, axis=1)
     for j in range(codebooks.stages):
         stages[:, j + 1] = stages[:, j] + (depths > j).sum(axis=1)
-    if limit < codebooks.stages:
+    if limit <= codebooks.stages:
         good &= stages[:, limit] <= end
         return CodedParts(good, means, depths, stages, None)
-    good &= stages[:, -1] <= end
-    escapes, after = _parse_escapes(data, end, stages[:, -1], escaped, codebooks, good)
-    good &= after == end
+    lengths = np.where(escaped, _tail_lengths(codebooks)[heads], 0)
+    ends = stages[:, -1:] + np.cumsum(lengths, axis=1)
+    good &= ends[:, -1] == end
+    own = heads[block, sub]
+    at = (ends - lengths)[block, sub]
+    escapes = Escapes(block, sub, at, _BITS_OF_HEAD[own].astype(np.int64), own == RAW_SAMPLES)
     return CodedParts(good, means, depths, stages, escapes)
 
 
-def _parse_escapes(
-    data: np.ndarray, end: np.ndarray, at: np.ndarray, escaped: np.ndarray, codebooks: Codebooks, good: np.ndarray
-) -> tuple[Escapes, np.ndarray]:
-    """The escapes of all blocks, and where each block's end. Clears ``good`` of blocks whose escapes are impossible."""
-    block, sub = np.nonzero(escaped)
-    count = escaped.sum(axis=1)
-    codes = np.arange(256)
-    stages, bits, raw = codes & 15, codes >> 4, codes == RAW_SAMPLES
-    lengths = np.where(raw, 1 + 64 * codebooks.values.dtype.itemsize, 1 + stages + 8 * bits)  # by the first byte
-    impossible = ~raw & ((stages > codebooks.stages) | (bits > 8))
-
-    # The place of an escape depends on the one before it, so a turn takes one of each block, the longest lists first.
-    order = np.argsort(-count, kind="stable")
-    left = len(order) - np.searchsorted(np.sort(count), np.arange(int(count.max(initial=0))), side="right")
-    first, places, last = (np.cumsum(count) - count)[order], at[order], end[order] - 1
-    found = np.zeros(len(block), np.int64)
-    heads = np.zeros(len(block), np.uint8)
-    for turn, those in enumerate(left.tolist()):
-        head = data[np.minimum(places[:those], last[:those])]
-        found[first[:those] + turn] = places[:those] + 1
-        heads[first[:those] + turn] = head
-        places[:those] += lengths[head]
-    good[block[impossible[heads]]] = False
-    at = np.empty_like(places)
-    at[order] = places
-    is_raw = raw[heads]
-    stages, bits = np.where(is_raw, 0, stages[heads]), np.where(is_raw, 0, bits[heads])
-    return Escapes(block, sub, found, stages, bits, is_raw), at
+def _tail_lengths(codebooks: Codebooks) -> np.ndarray:
+    """int64 [256]: bytes of the residuals or samples of an escaped sub-block, by the byte of its head."""
+    lengths = 8 * _BITS_OF_HEAD.astype(np.int64)
+    lengths[RAW_SAMPLES] = 64 * codebooks.values.dtype.itemsize
+    return lengths
 
 
 def _parsed(coded: CodedBlocks, s: int, codebooks: Codebooks, limit: int) -> CodedParts:
@@ -144,22 +134,18 @@ def _good(coded: CodedBlocks, s: int, codebooks: Codebooks, limit: int) -> np.nd
     codes = np.where(escapes, 0, np.minimum(halves, limit)).sum(axis=1)
     good &= ~impossible[depths].any(axis=1)
     at = at + count + codes[depths].sum(axis=1)
-    if limit < codebooks.stages:
-        return good & (at <= end)
     escaped = escapes.any(axis=1)[depths].any(axis=1)
-    good &= (at == end) | escaped
+    good &= escaped | ((at <= end) if limit <= codebooks.stages else (at == end))
     own = np.flatnonzero(good & escaped)
-    possible = np.ones(len(own), bool)
-    of_subs = escapes[depths[own]].reshape(len(own), -1) if len(own) else np.zeros((0, 1), bool)
-    _, after = _parse_escapes(coded.data, end[own], at[own], of_subs, codebooks, possible)
-    good[own] = possible & (after == end[own])
+    if len(own):
+        some = CodedBlocks(coded.data, coded.start[own], coded.size[own])
+        good[own] = _parsed(some, s, codebooks, limit).good
     return good
 
 
 def _prefixes(coded: CodedBlocks, s: int, codebooks: Codebooks) -> np.ndarray:
     sizes = _parsed(coded, s, codebooks, 0).stages - coded.start[:, None]
-    sizes[:, -1] = coded.size
-    return sizes
+    return np.concatenate([sizes, coded.size[:, None]], axis=1)
 
 
 def _decode(coded: CodedBlocks, s: int, codebooks: Codebooks, limit: int) -> np.ndarray:
@@ -188,12 +174,8 @@ def _decode(coded: CodedBlocks, s: int, codebooks: Codebooks, limit: int) -> np.
 def _with_escapes(
     working: np.ndarray, places: np.ndarray, data: np.ndarray, escapes: Escapes, codebooks: Codebooks
 ) -> np.ndarray:
-    """The voxels of ``working`` [n, 64], with codes and residuals of the escaped sub-blocks ``places``; changes
-    ``working``."""
+    """The voxels of ``working`` [n, 64], with residuals of the escaped sub-blocks ``places``; changes ``working``."""
     values = codebooks.values
-    for j in range(codebooks.stages):
-        own = np.flatnonzero(escapes.stages > j)
-        working[places[own]] += codebooks.shifted(j)[data[escapes.at[own] + j]]
     residuals = _residuals(data, escapes) * codebooks.residual_step
     if values.is_float:
         working[places] = np.clip(np.clip(working[places], 0, LARGEST) + residuals, 0, LARGEST)
@@ -212,7 +194,7 @@ def _residuals(data: np.ndarray, escapes: Escapes) -> np.ndarray:
     residuals = np.zeros((len(escapes.at), 64), np.int32)
     for bits in range(1, 9):
         own = np.flatnonzero(escapes.bits == bits)
-        packed = data[(escapes.at + escapes.stages)[own, None] + np.arange(8 * bits)]
+        packed = data[escapes.at[own, None] + np.arange(8 * bits)]
         single = np.unpackbits(packed, axis=1, bitorder="little").reshape(-1, 64, bits)
         weights = 1 << np.arange(bits, dtype=np.int32)
         weights[-1] = -weights[-1]

@@ -22,7 +22,7 @@ from clvol.integrators.multiresolution.coded_source import codes_at
 from clvol.integrators.multiresolution.device_blocks import DeviceBlocks
 from clvol.integrators.multiresolution.resident_codes import ResidentCodes, Wanted
 from clvol.scene.multiresolution import Multiresolution
-from clvol.store.codecs.coded_blocks import MOST_STAGES, CodedBlocks
+from clvol.store.codecs.coded_blocks import WHOLE, CodedBlocks
 from clvol.store.codecs.decode import decode_blocks
 from clvol.store.source import DROPPED
 
@@ -47,16 +47,16 @@ def random_wanted(source, seed=3, full=0.5) -> Wanted:
     rng, grid = np.random.default_rng(seed), source.blocks
     level = np.where(rng.random(grid.count) < full, 0, rng.integers(0, grid.levels, grid.count))
     level = np.where(rng.random(grid.count) < 0.1, DROPPED, level).astype(np.uint8)
-    depth = np.where(level == 0, rng.integers(0, source.codebooks.stages + 1, grid.count), MOST_STAGES)
-    depth = np.where(depth == source.codebooks.stages, MOST_STAGES, depth)
+    depth = np.where(level == 0, rng.integers(0, source.codebooks.stages + 2, grid.count), WHOLE)
+    depth = np.where(depth > source.codebooks.stages, WHOLE, depth)
     size = np.zeros(grid.count, np.int64)
     for each in range(grid.levels - 1):
         own = np.flatnonzero(level == each)
         size[own] = codes_at(source, each, own).size
     stages = source.codebooks.stages
-    cut = cut_sizes(source.read_codes(0, np.arange(grid.count)), grid.edge, source.codebooks, list(range(stages)))
-    is_cut = (level == 0) & (depth < MOST_STAGES)
-    size = np.where(is_cut, cut[np.minimum(depth, stages - 1), range(grid.count)], size)
+    cut = cut_sizes(source.read_codes(0, np.arange(grid.count)), grid.edge, source.codebooks, list(range(stages + 1)))
+    is_cut = (level == 0) & (depth < WHOLE)
+    size = np.where(is_cut, cut[np.minimum(depth, stages), range(grid.count)], size)
     return Wanted(level, depth, size)
 
 
@@ -125,7 +125,7 @@ def test_blocks_repeat_the_volume_s_last_samples(contexts, device, shape):
     context, source = contexts(device), RandomCodes(shape, "uint8")
     wanted = replace(random_wanted(source), level=np.zeros(source.blocks.count, np.uint8))
     resolved = replace(scene_of(source), camera=make_scene(source.volume).camera)
-    wanted = Wanted(wanted.level, np.full(source.blocks.count, MOST_STAGES), np.full(source.blocks.count, 1 << 20))
+    wanted = Wanted(wanted.level, np.full(source.blocks.count, WHOLE), np.full(source.blocks.count, 1 << 20))
     frame, _ = picture_of_codes(context, source, wanted, resolved, AMPLE)
     assert_same(frame, picture_of_samples(context, source, wanted, resolved))
 
@@ -185,15 +185,15 @@ def test_bytes_and_deviations_of_depths_are_those_of_prefixes(contexts, device):
     blocks = np.arange(source.blocks.count)
     coded = source.read_codes(0, blocks)
     whole = decode_blocks(coded, 16, source.codebooks).astype(float)
-    assert found.level.tolist() == [0] * 6 + [1, 2, 3, 4]
-    assert found.depth.tolist() == [MOST_STAGES, 4, 3, 2, 1, 0] + [MOST_STAGES] * 4
-    for k, depth in enumerate(found.depth[:6]):
+    assert found.level.tolist() == [0] * 7 + [1, 2, 3, 4]
+    assert found.depth.tolist() == [WHOLE, 5, 4, 3, 2, 1, 0] + [WHOLE] * 4
+    for k, depth in enumerate(found.depth[:7]):
         cut = CodedBlocks(coded.data, coded.start, found.size[k])
         voxels = decode_blocks(cut, 16, source.codebooks, int(depth)).astype(float)  # needs no more bytes
         expected = np.sqrt(((voxels - whole) ** 2).mean(axis=(1, 2, 3)))
         np.testing.assert_allclose(found.deviation[k], expected, rtol=1e-5)
-    assert (np.diff(found.size[:6], axis=0) <= 0).all()
-    assert (found.size[-1] == 0).all() and (found.size[6:9] > 0).all()
+    assert (np.diff(found.size[:7], axis=0) <= 0).all()
+    assert (found.size[-1] == 0).all() and (found.size[7:10] > 0).all()
 
 
 # Residency

@@ -311,7 +311,8 @@ def test_samples_are_proportional_to_the_length_of_the_rays(context):
 @pytest.mark.parametrize("bits", [8, 16, 32, 64])
 def test_the_view_struct_is_the_same_on_both_sides(context, bits):
     dtype = {8: np.uint8, 16: np.uint16, 32: np.float32, 64: np.float64}[bits]
-    caster = Raycaster(context, make_scene(waves((8, 8, 8), dtype)))  # compares them field by field
+    caster = Raycaster(context, make_scene(waves((8, 8, 8), dtype)))
+    caster.check_structs(caster.switches)  # field by field
     assert caster.switches["VOXEL_BITS"] == bits
 
 
@@ -322,8 +323,9 @@ def test_a_caster_refuses_a_struct_that_is_not_the_devices(context, monkeypatch)
     formats, offsets = zip(*fields.values())
     swapped = np.dtype({"names": list(fields), "formats": formats, "offsets": offsets, "itemsize": ours.itemsize})
     monkeypatch.setattr(Raycaster, "structs", {"View": swapped})
+    caster = Raycaster(context, make_scene(waves((8, 8, 8), np.uint8)))
     with pytest.raises(RenderError, match="struct View, field (step|stop_opacity)"):
-        Raycaster(context, make_scene(waves((8, 8, 8), np.uint8)))
+        caster.warm_up(16, 16)
 
 
 # --- the renderer ----------------------------------------------------------------------------------

@@ -1,0 +1,1 @@
+"""The integrator "slicing": slices of the volume drawn one over the other."""

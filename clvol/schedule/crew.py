@@ -1,0 +1,228 @@
+"""Threads that share the items of a job among devices: tiles of a picture, rays, blocks to encode.
+
+A thread per device takes packages of items from a ``Dispatcher`` until all are done. A device that fails is left out;
+its packages go to the others.
+"""
+
+from __future__ import annotations
+
+import threading
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from time import perf_counter
+from typing import Any, Protocol
+
+import numpy as np
+
+from clvol.errors import ClvolError, ClvolWarning
+from clvol.schedule.dispatch import Dispatcher, Package
+
+_TICK = 0.1  # seconds between calls of a progress function
+
+
+class Hand(Protocol):
+    """A device in a job. ``keeps``: whether what it has done remains if it fails later."""
+
+    keeps: bool
+
+    def begin(self) -> None:
+        """Called once, before the first package."""
+
+    def work(self, items: np.ndarray) -> tuple[np.ndarray, Any]:
+        """Does ``items`` (numbers). Returns what each cost (float64 [items], in the dispatcher's unit, the same on all
+        devices), and the result. ClvolError or MemoryError if the device fails."""
+        ...
+
+    def end(self, items: np.ndarray) -> None:
+        """Called once at the end, with all items that were done here and count."""
+
+
+class Crew:
+    """Threads for ``count`` devices, which are kept from job to job."""
+
+    def __init__(self, count: int) -> None:
+        self._count = count
+        self._executor: ThreadPoolExecutor | None = None
+
+    def submit(self, work: Callable[..., Any], *arguments: Any) -> Any:
+        if self._executor is None:
+            self._executor = ThreadPoolExecutor(self._count, "clvol-device")
+        return self._executor.submit(work, *arguments)
+
+    def close(self) -> None:
+        if self._executor is not None:
+            self._executor.shutdown(wait=True)
+            self._executor = None
+
+
+class Job:
+    """The items of ``dispatcher``, done by ``hands`` (by number of the device).
+
+    ``done(package, begin, end, costs, result, counts)`` is called for each package, with the times of ``perf_counter``
+    and whether its result counts: another device may have been first. ``lost(device, error)`` is called when a device
+    fails; it raises if no device is left. Both are called by one thread at a time.
+    """
+
+    def __init__(
+        self,
+        crew: Crew,
+        dispatcher: Dispatcher,
+        hands: Mapping[int, Hand],
+        done: Callable[[Package, float, float, np.ndarray, Any, bool], None],
+        lost: Callable[[int, BaseException], None],
+    ) -> None:
+        self._crew, self._dispatcher, self._hands = crew, dispatcher, hands
+        self._on_done, self._on_lost = done, lost
+        self._changed = threading.Condition()
+        self._items_done = 0
+        self._own: dict[int, list[np.ndarray]] = {k: [] for k in hands}
+        self._error: BaseException | None = None
+        self._ended = False
+
+    def run(self, report: Callable[[int], None] | None = None) -> None:
+        """Returns once all items are done. ``report(items done)`` is called now and then; what it raises ends the job.
+        Raises what ``lost`` raises if no device is left, and what is no failure of a device."""
+        futures = [self._crew.submit(self._work, k) for k in self._hands if self._dispatcher.alive(k)]
+        try:
+            self._watch(report)
+        except BaseException:
+            self._end()
+            raise
+        finally:
+            for future in futures:
+                future.result()
+        if self._error is not None:
+            raise self._error
+
+    def _watch(self, report: Callable[[int], None] | None) -> None:
+        reported = -1
+        with self._changed:
+            while not (self._ended or self._dispatcher.complete):
+                self._changed.wait(_TICK)
+                if report is not None and self._items_done != reported:
+                    reported = self._items_done
+                    report(reported)
+        if report is not None and self._error is None:
+            report(self._dispatcher.count)
+
+    def _end(self, error: BaseException | None = None) -> None:
+        with self._changed:
+            self._error = self._error or error
+            self._ended = True
+            self._changed.notify_all()
+
+    def _work(self, device: int) -> None:
+        """The thread of one device."""
+        hand = self._hands[device]
+        try:
+            hand.begin()
+            while (package := self._next(device)) is not None:
+                begin = perf_counter()
+                costs, result = hand.work(package.tiles)
+                self._finished(package, begin, costs, result)
+            if self._own[device]:
+                hand.end(np.concatenate(self._own[device]))
+        except (ClvolError, MemoryError) as error:
+            self._lost(device, error)
+        except BaseException as error:  # a fault of the program: the caller gets it
+            self._end(error)
+
+    def _next(self, device: int) -> Package | None:
+        """The next package, waited for while other devices may still fail; None at the end."""
+        with self._changed:
+            while not (self._ended or self._dispatcher.complete):
+                now = perf_counter()
+                package = self._dispatcher.next(device, now)
+                if package is not None:
+                    return package
+                self._changed.wait(min(max(self._dispatcher.next_stall(now), 1e-3), 1.0))
+            return None
+
+    def _finished(self, package: Package, begin: float, costs: np.ndarray, result: Any) -> None:
+        with self._changed:
+            end = perf_counter()
+            counts = self._dispatcher.finished(package, end, costs)
+            self._on_done(package, begin, end, costs, result, counts)
+            if counts:
+                self._own[package.device].append(package.tiles)
+                self._items_done += len(package.tiles)
+            self._changed.notify_all()
+
+    def _lost(self, device: int, error: BaseException) -> None:
+        with self._changed:
+            again = [] if self._hands[device].keeps else self._own[device]
+            self._dispatcher.lost(device, str(error))
+            for items in again:
+                self._items_done -= self._dispatcher.undone(items)
+            self._own[device] = []
+            try:
+                self._on_lost(device, error)
+            except BaseException as last:
+                self._error, self._ended = last, True
+            self._changed.notify_all()
+
+
+class Team:
+    """Devices that share jobs of one kind, one after another: rays of the reference, blocks to encode. Remembers how
+    fast they are, and which have failed. For one thread at a time.
+
+    ``names``: of the devices. ``speed``: in cost per second, as a first guess; ``launch``: seconds per package.
+    ``least``: items that a package has at least.
+    """
+
+    def __init__(self, names: Sequence[str], speed: float, launch: float, least: int = 1) -> None:
+        self.names, self.lost = list(names), dict[int, str]()
+        self._speeds = [speed] * len(self.names)
+        self._launch, self._least = launch, least
+        self._crew = Crew(len(self.names))
+        self._told: set[int] = set()
+
+    def close(self) -> None:
+        self._crew.close()
+
+    def run(
+        self,
+        hands: Sequence[Hand],
+        costs: np.ndarray,
+        take: Callable[[np.ndarray, Any], None],
+        report: Callable[[int], None] | None = None,
+    ) -> None:
+        """Has ``hands``, one per device, do the items, whose expected ``costs`` are float64 [items].
+        ``take(items, result)`` gets every result that counts, by one thread at a time; ``report``: as ``Job.run``.
+
+        A ClvolWarning names a device that fails; the error of the last one is raised. What a device has done stays done
+        when it fails.
+        """
+        launches = [self._launch] * len(hands)
+        dispatcher = Dispatcher(costs, self._speeds, launches, least_tiles=self._least)
+        for device, reason in self.lost.items():
+            dispatcher.lost(device, reason)
+
+        def done(package: Package, begin: float, end: float, found: np.ndarray, result: Any, counts: bool) -> None:
+            if counts:
+                take(package.tiles, result)
+
+        def lost(device: int, error: BaseException) -> None:
+            self.lost[device] = str(error)
+            if len(self.lost) == len(self.names):
+                raise error
+
+        Job(self._crew, dispatcher, dict(enumerate(hands)), done, lost).run(report)
+        for device, share in enumerate(dispatcher.shares):
+            if share.packages:
+                self._speeds[device] = share.speed
+        self._tell()
+
+    def _tell(self) -> None:
+        left = [name for device, name in enumerate(self.names) if device not in self.lost]
+        for device, reason in self.lost.items():
+            if device not in self._told:
+                self._told.add(device)
+                warnings.warn(left_out(self.names[device], reason, left), stacklevel=3)
+
+
+def left_out(name: str, reason: str, left: Sequence[str]) -> ClvolWarning:
+    """The warning that a device has failed; ``left``: those that have done its work."""
+    what = f"failed and is left out from now on ({' '.join(reason.split())})"
+    return ClvolWarning(f"device {name}", what, f"nothing: {' and '.join(left)} did its work")
