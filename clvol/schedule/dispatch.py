@@ -267,10 +267,19 @@ class Dispatcher:
         return len(tiles)
 
     def next_stall(self, now: float) -> float:
-        """Seconds until some package counts as stalled; inf if none runs."""
-        running = [p for share in self.shares if share.lost is None for p in share.running]
+        """Seconds until some package counts as stalled that was not issued again; inf if none runs."""
+        running = [p for share in self.shares if share.lost is None for p in share.running if not self._is_copied(p)]
         ends = [p.since + _PATIENCE + _STALLED * self.expected_seconds(p) for p in running]
         return max(min(ends, default=math.inf) - now, 0.0)
+
+    def overdue(self, device: int, now: float, patience: float, times: float) -> float | None:
+        """The seconds that ``device`` has spent on its package, if they are more than ``patience`` and ``times`` what
+        was expected; None otherwise, and while it is not known what to expect."""
+        running = self.shares[device].running
+        if not running or not self._unit_is_known:
+            return None
+        spent = now - running[0].since
+        return spent if spent > patience + times * self.expected_seconds(running[0]) else None
 
     # ---- arithmetic
 
