@@ -7,6 +7,7 @@ from clvol.device.memory import value_map, voxel_switches
 from clvol.device.opacity_factors import layer_functions
 from clvol.device.transfer_lookup import segment_classification, transfer_pieces
 from clvol.features import CLASSIFICATIONS, FILTERS, QUADRATURES
+from clvol.integrators.raycast.step_map import CELL_SHIFT, follows_data
 from clvol.scene.resolve import ResolvedScene
 from clvol.transfer import TransferFunction
 from clvol.volume.voxel_layout import holds_pairs
@@ -34,4 +35,5 @@ def raycast_switches(
         "SKIP_EMPTY": int(skip),
         "WITH_DEPTH": int(depth),
         **effect_switches(resolved),
+        **({"STEP_CELLS": CELL_SHIFT} if follows_data(resolved, function) else {}),
     }
