@@ -13,6 +13,7 @@ ninth cost. Fleets of more than 16 devices have tiles of 8² pixels.
 
 from __future__ import annotations
 
+import math
 import statistics
 from collections.abc import Iterator
 from typing import Any
@@ -156,7 +157,9 @@ def fleet(
     speeds = (speeds / speeds.sum() * costs.sum()).tolist()
     launches = [launch] * devices
     scaled = expected * (costs.sum() / expected.sum())
-    return simulate(Dispatcher(scaled, speeds, launches, measured=measured), costs, speeds, launches)
+    columns = math.isqrt(len(costs))
+    dispatcher = Dispatcher(scaled, speeds, launches, measured=measured, columns=columns)
+    return simulate(dispatcher, costs, speeds, launches)
 
 
 def gantt(costs: dict[str, np.ndarray], devices: int = 4, ratio: float = 4, launch: float = 0.01) -> dict[str, Any]:

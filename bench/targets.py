@@ -45,13 +45,14 @@ def _scene(scene: BenchScene, volume, device: Any, options: Options) -> list[dic
     from clvol.accuracy.settings import scene_settings, scene_tunables
     from clvol.accuracy.trials import Trials
     from clvol.opencl.context import DeviceContext
+    from clvol.render.prepared_cache import PreparedCache
 
     size = 128 if options.quick else SIZE
     asked = scene.scene(volume, size, classification=scene.classification)
     resolved = asked.resolve()
     exact = exact_picture(resolved, device, options.references, size * size)
     context = DeviceContext(device)
-    trials = Trials(resolved, context, frames=1, exact=exact.rgba.reshape(size, size, 4))
+    trials = Trials(resolved, PreparedCache(context), frames=1, exact=exact.rgba.reshape(size, size, 4))
     own = scene_settings(resolved, scene_tunables(resolved))
     rows, runs = [], {}
     for error in ERRORS[:1] if options.quick else ERRORS:

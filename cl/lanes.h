@@ -46,6 +46,14 @@ typedef uint uintN;
 #error "LANES must be 1 or 16"
 #endif
 
+/* For a loop over a few values that an array holds: a packet's array lies in the cache, one ray's in registers, where
+ * nothing indexes it. */
+#if LANES == 1
+#define UNROLL_LANES _Pragma("unroll")
+#else
+#define UNROLL_LANES _Pragma("unroll 1")
+#endif
+
 /* Lane by lane where it is rare: unrolled, such loops take compilers many seconds. */
 #define EACH_LANE_ROLLED(k) _Pragma("unroll 1") EACH_LANE(k)
 

@@ -65,43 +65,37 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, float *rgba, flo
     start = select(start, i, leaps);
 #endif
 #endif
-    /* Two steps ahead: a fetch from beyond the second-level cache takes longer than a step of arithmetic. (Two
-     * variables, not an array: an array would live in memory. Three steps ahead gain nothing.) */
-#if FETCH_AHEAD
-    FetchedSample ahead = fetch_along(volume, view, &ray, TO_FLOAT(i) + offset);
-    FetchedSample ahead2 = fetch_along(volume, view, &ray, TO_FLOAT(i) + 1.0f + offset);
-#endif
     /* Not from i, which waits for what the steps before have shown: fetches need not. A ray that is done goes on for
      * nothing. */
     const floatN first_t = TO_FLOAT(i) + offset;
-    _Pragma("unroll 1") for (int step = 0; step < MARCH_STEPS; ++step) {
+    /* First all samples, then what they show: so short a loop has many steps under way at once, and none of them waits
+     * for the cache alone. */
+#if CLASSIFICATION != CLASSIFICATION_PRE
+    floatN values[MARCH_STEPS];
+    UNROLL_LANES for (int step = 0; step < MARCH_STEPS; ++step)
+      values[step] = sample_value(fetch_along(volume, view, &ray, first_t + (float)step), view);
+#endif
+    UNROLL_LANES for (int step = 0; step < MARCH_STEPS; ++step) {
       const intN active = MASK(i <= last);
       const floatN t = first_t + (float)step;
-#if FETCH_AHEAD
-      const FetchedSample sample = ahead;
-      ahead = ahead2;
-      ahead2 = fetch_along(volume, view, &ray, t + 2.0f);
-#else
-      const FetchedSample sample = fetch_along(volume, view, &ray, t);
-#endif
       taken -= AS_UINT(active);
       const floatN before = acc.a;
       int visible;
 #if CLASSIFICATION == CLASSIFICATION_PREINTEGRATED
       const intN closes = active & MASK(i > start); /* lanes with a segment that ends here */
-      const floatN value = sample_value(sample, view);
+      const floatN value = values[step];
       floatN front = value1, back = value;
       shift_ends(value2, &front, &back, 1.0f, closes & MASK(i > start + 1));
       value2 = select(value2, value1, active), value1 = select(value1, value, active);
       visible = may_be_visible(lane_min(front, back), lane_max(front, back), closes, view);
       if (visible) composite_segment(&acc, front, back, (floatN)1.0f, closes, table, view);
 #elif CLASSIFICATION == CLASSIFICATION_POST
-      const floatN value = sample_value(sample, view);
+      const floatN value = values[step];
       visible = may_be_visible(value, value, active, view);
       if (visible) composite_value(&acc, value, (floatN)1.0f, active, table, view);
 #else
       visible = 1;
-      const Emission classified = classified_emission(sample, view, table);
+      const Emission classified = classified_emission(fetch_along(volume, view, &ray, t), view, table);
       composite_classified(&acc, classified, (floatN)1.0f, active);
 #endif
       if (visible) {

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from clvol.accuracy.ground_truth import devices_of
 from clvol.accuracy.picture_search import AIM, FLOAT32_ERROR, PictureSearch, Progress
 from clvol.accuracy.trials import root_mean_square
 from clvol.errors import RenderError, UsageError
@@ -79,7 +80,7 @@ def _exact(search: PictureSearch, max_error: float, attempt: int) -> Frame:
     tolerance = max_error / 10.0
     start, progress = time.perf_counter(), search.progress
     rgba, depth, counters = render_reference(
-        search.resolved, search.context.device, tolerance,
+        search.resolved, devices_of(search.engines), tolerance,
         progress=None if progress is None else lambda done, total: progress(done, total, "exactly"),
     )  # fmt: skip
     render_seconds = time.perf_counter() - start
@@ -102,7 +103,7 @@ def _exact(search: PictureSearch, max_error: float, attempt: int) -> Frame:
     seconds = {"load": search.load_seconds, "render": render_seconds}
     shown_depth = depth if search.depth else None
     counted = {**counters, "accuracy": accuracy, **search.warnings(rgba, shown_depth)}
-    return make_frame(resolved, rgba, shown_depth, seconds, counted, [search.context.name])
+    return make_frame(resolved, rgba, shown_depth, seconds, counted, search.engines.names)
 
 
 def _float32_error(rgba: np.ndarray) -> float:

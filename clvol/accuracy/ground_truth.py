@@ -22,8 +22,7 @@ from clvol.scene.compression import NOT_COMPRESSED
 from clvol.scene.resolve import LARGEST_STEP_COUNT, ResolvedScene
 
 if TYPE_CHECKING:
-    from clvol.opencl.context import DeviceContext
-    from clvol.render.prepared_cache import PreparedCache
+    from clvol.render.engines import Engines
 
 FIRST_STEP, LEAST_STEP = 1 / 8, 1 / 128  # in units of the smallest voxel edge
 KNOWN = 2e-5  # RMSE, at which the limit is known as well as single precision and tables allow
@@ -42,6 +41,11 @@ def check_has_truth(resolved: ResolvedScene) -> None:
         raise VolumeError(error.where, what, error.expected) from None
 
 
+def devices_of(engines: Engines) -> list[Any]:
+    """The OpenCL devices that work."""
+    return [context.device for context in engines.contexts]
+
+
 class GroundTruth:
     """Exact pixels of ``resolved``, regardless of its accuracy settings.
 
@@ -50,8 +54,8 @@ class GroundTruth:
     the step. It is known after the first call of ``pixels``, and 0 for the exact integral.
     """
 
-    def __init__(self, resolved: ResolvedScene, context: DeviceContext, engines: PreparedCache) -> None:
-        self.resolved, self._context, self._engines = resolved, context, engines
+    def __init__(self, resolved: ResolvedScene, engines: Engines) -> None:
+        self.resolved, self._engines = resolved, engines
         self.is_exact = has_exact_integral(resolved)
         self.error = 0.0
         self._limit: np.ndarray | None = None
@@ -72,7 +76,7 @@ class GroundTruth:
         ``tolerance``: that of the exact integral."""
         if self.is_exact:
             rgba, _, counters = render_reference(
-                self.resolved, self._context.device, tolerance, pixels, progress
+                self.resolved, devices_of(self._engines), tolerance, pixels, progress
             )
             return rgba, counters
         if self._limit is None:

@@ -35,11 +35,10 @@ from clvol.accuracy.settings import (
 from clvol.accuracy.trials import Trial, Trials, root_mean_square
 from clvol.device.view import PixelLattice
 from clvol.integrators.registry import check_scene, integrator_of
-from clvol.opencl.context import DeviceContext
+from clvol.render.engines import close_engines, open_engines
 from clvol.render.frame import Frame, make_frame
 from clvol.render.notices import Notices
-from clvol.render.prepared_cache import PreparedCache
-from clvol.render.renderer import check_memory, open_context
+from clvol.render.renderer import check_memory
 from clvol.scene.resolve import ResolvedScene
 from clvol.scene.scene import Scene
 
@@ -74,13 +73,12 @@ class PictureSearch:
         start = time.perf_counter()
         self.scene = scene
         requested = scene.resolve()
-        self.requested = requested
+        self.requested, self._notices = requested, Notices(requested)
         self.resolved = apply(requested, {"integration.method": integrator_of(requested).tuned_as})
         check_scene(self.resolved)
         check_memory(self.resolved, memory_cap)
         check_has_truth(self.resolved)
-        self.context: DeviceContext = open_context(devices)
-        self.engines = PreparedCache(self.context)
+        self.engines = open_engines(devices)
         self.depth, self.progress = depth, progress
         rng = np.random.default_rng(seed)
         self._tolerance = min(max(error * _SHARE_OF_ERROR, 1e-12), 1e-5)
@@ -92,14 +90,11 @@ class PictureSearch:
         self.seconds = {"pilot": 0.0, "pictures": 0.0, "measure": 0.0}
         self.load_seconds = time.perf_counter() - start
         lattice = _pilot_lattice(*self.size, rng)
-        self.truth = GroundTruth(self.resolved, self.context, self.engines)
+        self.truth = GroundTruth(self.resolved, self.engines)
         self.pilot = Trials(
-            self.resolved, self.context, self.engines, lattice=lattice, tolerance=self._tolerance,
-            frames=2, truth=self.truth,
+            self.resolved, self.engines, lattice=lattice, tolerance=self._tolerance, frames=2, truth=self.truth,
         )  # fmt: skip
-        self._whole = Trials(
-            self.resolved, self.context, self.engines, frames=2, depth=depth, truth=False
-        )
+        self._whole = Trials(self.resolved, self.engines, frames=2, depth=depth, truth=False)
         self._measurement = Measurement(
             self.pilot, self.truth, rng, self._tolerance, self._measuring
         )
@@ -114,8 +109,7 @@ class PictureSearch:
         return self
 
     def __exit__(self, *exc: object) -> None:
-        self.engines.close()
-        self.context.release()
+        close_engines(self.engines, self._notices)
 
     # Choosing settings
 
@@ -221,13 +215,13 @@ class PictureSearch:
         resolved = self.resolved_as(trial.settings)
         compression = self.engines.compression(resolved)
         counted |= compression | self.warnings(trial.picture, trial.depth, compression.get("compression"))
-        return make_frame(resolved, trial.picture, trial.depth, seconds, counted, [self.context.name])
+        return make_frame(resolved, trial.picture, trial.depth, seconds, counted, self.engines.names)
 
     def warnings(
         self, rgba: np.ndarray, depth: np.ndarray | None, compression: dict[str, Any] | None = None
     ) -> dict[str, Any]:
         """The entries that a picture's warnings add to its stats, of which ``compression`` is one."""
-        return Notices(self.requested).of_picture(self.requested, self.requested.camera, rgba, depth, compression)
+        return self._notices.of_picture(self.requested, self.requested.camera, rgba, depth, compression)
 
     def _counting(self, settings: dict[str, Any]) -> dict[str, Any]:
         """``settings`` without those that have no effect in combination with the others."""

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 import clvol
-from clvol.accuracy.ground_truth import GroundTruth, check_has_truth
+from clvol.accuracy.ground_truth import GroundTruth, check_has_truth, devices_of
 from clvol.accuracy.metrics import compare, max_abs
 from clvol.accuracy.search import pareto_front
 from clvol.accuracy.settings import (
@@ -37,9 +37,9 @@ from clvol.accuracy.trials import Trial, Trials
 from clvol.accuracy.tunables import Tunable
 from clvol.errors import UsageError
 from clvol.integrators.registry import check_scene, integrator_of
+from clvol.render.engines import close_engines, open_engines
 from clvol.render.notices import Notices
-from clvol.render.prepared_cache import PreparedCache
-from clvol.render.renderer import check_memory, open_context
+from clvol.render.renderer import check_memory
 from clvol.scene.scene import Scene
 
 SETTINGS = 160  # largest number of settings to try
@@ -79,11 +79,10 @@ def measure_tradeoff(
         sweep.explore(settings)
         result, pictures = sweep.result(frames)
         resolved = sweep.resolved
-        Notices(resolved).of_picture(resolved, resolved.camera, pictures["reference"], None)
+        sweep.notices.of_picture(resolved, resolved.camera, pictures["reference"], None)
         return result, pictures
     finally:
-        sweep.trials.engines.close()
-        sweep.context.release()
+        close_engines(sweep.engines, sweep.notices)
 
 
 class _Sweep:
@@ -98,13 +97,12 @@ class _Sweep:
         check_memory(resolved, memory_cap)
         check_has_truth(resolved)
         self.resolved, self.progress, self.memory_cap = resolved, progress, memory_cap
-        self.context = open_context(devices)
+        self.engines, self.notices = open_engines(devices), Notices(resolved)
         self.tunables = scene_tunables(resolved)
         self.base = canonical(resolved, self.tunables, scene_settings(resolved, self.tunables))
-        engines = PreparedCache(self.context)
-        self.truth = GroundTruth(resolved, self.context, engines)
+        self.truth = GroundTruth(resolved, self.engines)
         tolerance = resolved.integration.tolerance
-        self.trials = Trials(resolved, self.context, engines, tolerance=tolerance, frames=2, truth=self.truth)
+        self.trials = Trials(resolved, self.engines, tolerance=tolerance, frames=2, truth=self.truth)
         self.found: dict[tuple, Trial] = {}
         self.sweeps: dict[tuple, list[str]] = {}  # the tunables on whose own curves each setting lies
 
@@ -262,7 +260,7 @@ class _Sweep:
     def content(self, points: dict, front: list[str], baseline: str, frames: int) -> dict[str, Any]:
         """The content of tradeoff.json."""
         resolved, counters = self.resolved, self.trials.reference_counters
-        report = self.context.device
+        devices = devices_of(self.engines)
         by_id = {point["id"]: point for point in points.values()}
         return {
             "version": 1,
@@ -273,8 +271,8 @@ class _Sweep:
                 "background": [float(c) for c in resolved.background],
             },
             "machine": {
-                "devices": [self.context.name], "device_name": report.name.strip(),
-                "driver": report.driver_version, "cores": os.cpu_count(),
+                "devices": self.engines.names, "device_name": " and ".join(device.name.strip() for device in devices),
+                "driver": " and ".join(device.driver_version for device in devices), "cores": os.cpu_count(),
                 "system": platform.system(), "clvol": clvol.__version__,
             },
             "reference": {

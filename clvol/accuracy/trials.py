@@ -14,8 +14,7 @@ from clvol.accuracy.ground_truth import GroundTruth
 from clvol.accuracy.settings import Settings, apply
 from clvol.device.view import EVERY_PIXEL, PixelLattice
 from clvol.integrators.base import Prepared
-from clvol.opencl.context import DeviceContext
-from clvol.render.prepared_cache import PreparedCache
+from clvol.render.engines import Engines
 from clvol.scene.resolve import ResolvedScene
 
 # Share of the preparation that counts as cost: it is done once for all views of a scene, but a single view should
@@ -69,8 +68,7 @@ class Trials:
     def __init__(
         self,
         resolved: ResolvedScene,
-        context: DeviceContext,
-        engines: PreparedCache | None = None,
+        engines: Engines,
         *,
         lattice: PixelLattice = EVERY_PIXEL,
         tolerance: float = 1e-9,
@@ -79,14 +77,13 @@ class Trials:
         exact: np.ndarray | None = None,
         truth: GroundTruth | bool = True,
     ) -> None:
-        self.resolved, self.context = resolved, context
-        self.engines = engines or PreparedCache(context)
+        self.resolved, self.engines = resolved, engines
         self.lattice, self.frames, self.depth = lattice, frames, depth
         self.size = resolved.image.width, resolved.image.height
         self.tolerance = tolerance
         self.reference_counters: dict[str, Any] = {}
         if truth is True:
-            truth = GroundTruth(resolved, context, self.engines)
+            truth = GroundTruth(resolved, engines)
         self._exact, self.truth = exact, truth or None
         width, height = lattice.size(*self.size)
         self._scale = self.size[0] * self.size[1] / (width * height)
@@ -106,9 +103,9 @@ class Trials:
     def run(self, settings: Settings, keep: bool = False) -> Trial:
         """Renders with ``settings`` several times. With ``keep`` the trial holds the picture."""
         resolved = apply(self.resolved, settings)
-        start, compiled = time.perf_counter(), self.context.compile_seconds
+        start, compiled = time.perf_counter(), self.engines.compile_seconds
         engine = self.engines.prepare(resolved)
-        compile_seconds = self.context.compile_seconds - compiled
+        compile_seconds = self.engines.compile_seconds - compiled
         prepare_seconds = time.perf_counter() - start - compile_seconds
         start = time.perf_counter()
         engine.warm_up(*self.size, self.depth)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from clvol.cli.devices import measure_for_all
 from clvol.cli.options import memory_cap_option, overrides_option, scene_argument
 from clvol.cli.verbose import log_scene
 
@@ -21,7 +22,9 @@ if TYPE_CHECKING:
 )
 @overrides_option
 @click.option(
-    "--device", "devices", multiple=True, metavar="NAME", help="Device to render on, by its name in 'clvol doctor'."
+    "--device", "devices", multiple=True, metavar="NAME",
+    help="Device to render on, by its name in 'clvol doctor'. Repeatable: devices share each picture. 'all': one per "
+    "processor. NAME:k/n: the k-th of n equal parts of a device.",
 )
 @click.option(
     "--frames", type=click.IntRange(1, 1000), default=7, show_default=True,
@@ -55,6 +58,7 @@ def command(
     from clvol.text import printable
 
     loaded = load_scene(scene, overrides)
+    measure_for_all(devices, quiet)
     options = {"devices": list(devices) or None, "frames": frames, "settings": settings}
     with protected(scene_inputs(scene, loaded)):
         result, paths = _report(loaded, folder, memory_cap, quiet, **options)

@@ -99,7 +99,7 @@ class BrickPool:
         self.capacity = capacity
         size = self._table + capacity * self.brick_bytes + _SPARE_BYTES
         self.voxels = None  # the old one goes first
-        self.voxels = self._context.empty(np.uint8, (size,))
+        self.voxels = self._context.resident(np.uint8, (size,))
         self._slot[:] = -1
         self._block = np.full(capacity, -1, np.int64)  # in each slot
         self._used = np.zeros(capacity, np.int64)  # when it was held last

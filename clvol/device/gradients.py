@@ -71,7 +71,7 @@ def precompute(
     context.finish()
     largest = float(context.read(rows).max())
 
-    codes = context.empty(np.uint32, (nz, ny, nx))
+    codes = context.resident(np.uint32, (nz, ny, nx))
     declared += (value("largest", np.float32), writes("codes", np.uint32, *_SIZE))
     kernel = context.kernel("gradients.cl", "store_gradients", declared, switches)
     kernel(context.queue, (ny, nz), None, **given, largest=largest, codes=codes)

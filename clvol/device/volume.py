@@ -84,7 +84,7 @@ class DeviceVolume(ResidentVolume):
         if holds_pairs(volume):
             self.stride = (nx, nx * (ny - 1))
             # Gradients read four voxels, starting at any but the first one: two more than a row has.
-            self.voxels = context.empty(np.uint8, (nz * (ny - 1) * nx + 4, 2))
+            self.voxels = context.resident(np.uint8, (nz * (ny - 1) * nx + 4, 2))
             pair_rows = context.kernel(
                 "empty_space.cl",
                 "pair_rows",
@@ -103,7 +103,7 @@ class DeviceVolume(ResidentVolume):
             self.stride = (nx, nx * ny)
             self.voxels = plain
             if volume.dtype.itemsize == 1:  # 32-bit loads of the last bytes must stay inside the buffer
-                self.voxels = context.upload(np.append(data.ravel(), np.zeros(4, data.dtype)))
+                self.voxels = context.share(np.append(data.ravel(), np.zeros(4, data.dtype)))
         self.cells = cell_count(nx), cell_count(ny), cell_count(nz)
         self.cell_shift = CELL_SHIFT
         self._context, self._data = context, data

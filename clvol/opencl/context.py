@@ -109,6 +109,7 @@ def restore_interrupts() -> None:
 
 
 _PAGE = 4096
+_LARGE_PAGE = 2**21
 _KEPT, _LARGEST_KEPT = 6, 64 * 2**20  # number of outputs kept for reuse, and bytes of the largest
 
 
@@ -203,6 +204,25 @@ class DeviceContext:
     def empty(self, dtype: Any, shape: Sequence[int]) -> DeviceArray:
         """An uninitialised array on the device."""
         return self._buffer(cl.mem_flags.READ_WRITE, np.dtype(dtype), tuple(shape), None)
+
+    def resident(self, dtype: Any, shape: Sequence[int]) -> DeviceArray:
+        """An uninitialised array that kernels read at many places, and that is kept until they are done: a volume. On
+        a CPU device it lies in large pages, where the system has them: rays meet a new row of voxels, which of pages
+        of 4 KiB is mostly another page, at nearly every sample, and a translation that is not at hand costs as much
+        as the sample.
+        """
+        check_fork()
+        nbytes = int(np.prod(shape, dtype=np.int64)) * np.dtype(dtype).itemsize
+        if not self.is_cpu or nbytes < _LARGE_PAGE:
+            return self.empty(dtype, shape)
+        try:
+            # numpy asks for large pages; a buffer that begins and ends where runtimes want it is used without a copy.
+            memory = np.empty(nbytes + 2 * _LARGE_PAGE, np.uint8)
+        except MemoryError as error:
+            raise _no_memory(self.name, nbytes, error) from None
+        first = -memory.ctypes.data % _LARGE_PAGE
+        host = memory[first : first + nbytes].view(dtype).reshape(shape)
+        return self._buffer(cl.mem_flags.READ_WRITE | cl.mem_flags.USE_HOST_PTR, host.dtype, host.shape, host)
 
     def output(self, dtype: Any, shape: Sequence[int], host: np.ndarray | None = None) -> DeviceArray:
         """An array that a kernel writes and ``take`` then returns: on a CPU device the kernel
@@ -304,10 +324,13 @@ class DeviceContext:
             else:
                 buffer = cl.Buffer(self.context, flags, hostbuf=host)
         except (cl.Error, MemoryError) as error:
-            what = f"no memory for {nbytes} bytes ({error})"
-            raise DeviceError(self.name, what, "a smaller volume or image") from None
+            raise _no_memory(self.name, nbytes, error) from None
         keeps = host if flags & cl.mem_flags.USE_HOST_PTR else None
         return DeviceArray(buffer, dtype, shape, keeps)
+
+
+def _no_memory(name: str, nbytes: int, error: Exception) -> DeviceError:
+    return DeviceError(name, f"no memory for {nbytes} bytes ({error})", "a smaller volume or image")
 
 
 def shared_array(shape: Sequence[int], dtype: Any) -> np.ndarray:

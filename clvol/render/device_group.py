@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from clvol.device.view import EVERY_PIXEL, PixelLattice
 from clvol.errors import ClvolError, DeviceError, RenderError
 from clvol.integrators.base import (
     FrameData,
@@ -103,7 +104,7 @@ class DeviceGroup:
 
     def __init__(self, members: Sequence[Member]) -> None:
         self.members = list(members)
-        self._costs: dict[tuple[int, int], np.ndarray] = {}  # (stage, tiles): as measured in the last frame
+        self._costs: dict[tuple[int, int], np.ndarray] = {}  # by (stage, tiles), as measured in the last frame
         self._executor: ThreadPoolExecutor | None = None
         self.schedule: Schedule | None = None  # of the last frame
 
@@ -123,6 +124,11 @@ class DeviceGroup:
         if not self.alive:
             raise error
 
+    def remember_in(self, costs: dict[tuple[int, int], np.ndarray]) -> None:
+        """From now on, costs of tiles by (stage, tiles), as measured in a frame, are taken from ``costs`` and kept in
+        it."""
+        self._costs = costs
+
     def warm_up(self, width: int, height: int, depth: bool = True) -> None:
         """Compiles everything that a frame of this size needs, on all devices."""
         shares = len(self.members) > 1
@@ -140,14 +146,17 @@ class DeviceGroup:
                 self.lose(member, error)
 
     def render(
-        self, camera: Camera, width: int, height: int, progress: Progress | None = None, depth: bool = True
-    ) -> FrameData:
-        """As ``Prepared.render``, with ``notes["schedule"]``."""
+        self, camera: Camera, width: int, height: int, progress: Progress | None = None, depth: bool = True,
+        lattice: PixelLattice = EVERY_PIXEL,
+    ) -> FrameData:  # fmt: skip
+        """As ``Prepared.render``, with ``notes["schedule"]``. A lattice of pixels is rendered by one device."""
         self.schedule = schedule = Schedule([m.context.name for m in self.members])
         start = perf_counter()
-        data = self._shared(camera, width, height, progress, depth, schedule, start)
+        data = None
+        if lattice == EVERY_PIXEL:
+            data = self._shared(camera, width, height, progress, depth, schedule, start)
         if data is None:
-            data = self._alone(camera, width, height, progress, depth, schedule, start)
+            data = self._alone(camera, width, height, progress, depth, lattice, schedule, start)
         schedule.seconds = perf_counter() - start
         for k, member in enumerate(self.members):
             if member.lost is not None:
@@ -205,7 +214,7 @@ class DeviceGroup:
     # ---- one device
 
     def _alone(
-        self, camera: Camera, width: int, height: int, progress: Progress | None, depth: bool,
+        self, camera: Camera, width: int, height: int, progress: Progress | None, depth: bool, lattice: PixelLattice,
         schedule: Schedule, start: float,
     ) -> FrameData:  # fmt: skip
         """The whole picture on the fastest device that works."""
@@ -215,7 +224,7 @@ class DeviceGroup:
             begin = perf_counter()
             try:
                 assert member.prepared is not None
-                data = member.prepared.render(camera, width, height, progress, depth)
+                data = member.prepared.render(camera, width, height, progress, depth, lattice)
             except RenderError as error:
                 self.lose(member, error)
                 continue
@@ -331,7 +340,7 @@ class _Stage:
     def _finished(self, package: Package, begin: float, found: PartOfPicture) -> None:
         with self._changed:
             end = perf_counter()
-            counts = self._dispatcher.finished(package, end, float(found.costs.sum()))
+            counts = self._dispatcher.finished(package, end, found.costs)
             span = Span(
                 package.device, self._stage, begin - self._start, end - self._start, package.tiles, counts
             )

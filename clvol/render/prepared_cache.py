@@ -52,6 +52,21 @@ class PreparedCache:
         self._kept[key] = prepared
         return prepared
 
+    @property
+    def contexts(self) -> list[DeviceContext]:
+        """The device's context."""
+        return [self.context]
+
+    @property
+    def names(self) -> list[str]:
+        """The device's name."""
+        return [self.context.name]
+
+    @property
+    def compile_seconds(self) -> float:
+        """Seconds that compilers have taken."""
+        return self.context.compile_seconds
+
     def codes(self, resolved: ResolvedScene) -> CodedVolume | None:
         """The volume of ``resolved`` as codes, which are kept; None for a scene without codes."""
         return codes_of(resolved, self._shared)

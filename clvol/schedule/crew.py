@@ -142,7 +142,7 @@ class Job:
     def _finished(self, package: Package, begin: float, costs: np.ndarray, result: Any) -> None:
         with self._changed:
             end = perf_counter()
-            counts = self._dispatcher.finished(package, end, float(costs.sum()))
+            counts = self._dispatcher.finished(package, end, costs)
             self._on_done(package, begin, end, costs, result, counts)
             if counts:
                 self._own[package.device].append(package.tiles)

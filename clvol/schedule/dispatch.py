@@ -6,7 +6,7 @@ costs of tiles are uncertain, so that later packages can make up for errors. Wit
 packages per device, with unknown ones about five. This is guided self-scheduling (Polychronopoulos and Kuck, IEEE
 Transactions on Computers C-36, 1987) for devices of different speeds that are not free at the same time, with the
 uncertainty measured in place of a fixed factor. Expensive tiles come first, in the order of the picture; cheap ones
-fill packages up to the size that is wanted.
+fill packages up to the size that is wanted. What tiles have cost corrects what their neighbours are expected to.
 
 Packages of devices that fail return to the queue. Packages that take much longer than expected are issued again to
 devices that have nothing else to do; the first of two results counts.
@@ -23,18 +23,21 @@ from dataclasses import dataclass, field
 import numpy as np
 
 _LEAST_LAUNCHES = 2.5  # a package takes at least this many times a launch's cost, unless nothing more is left
-_UNKNOWN = 0.6  # relative uncertainty of costs that nobody has measured
-_LEAST_UNCERTAINTY = 0.03
-_CAUTION = 2.0  # the share handed out is 1 / (1 + caution * uncertainty), where caution is this
-_CAUTION_FOR_MANY = 1.2  # plus this times the binary logarithm of the number of devices
+_UNKNOWN = 0.6  # relative uncertainty of the cost of a tile that nobody has measured,
+_MEASURED = 0.1  # and of one that was measured in an earlier picture
+_LEAST_UNCERTAINTY = 0.03  # of a package
+_DOUBTED = 0.2  # uncertainty of tiles above which costs are corrected
+_CAUTION = 1.0  # the share handed out is 1 / (1 + caution * uncertainty), where caution is this plus the
+# largest of as many normal deviations as there are devices, about the root of twice the logarithm of their number
+_NEWEST = 0.4  # how much the newest package says of uncertainties, beside those before
 _STALLED = 5.0  # times the expected time after which a package is issued again,
 _PATIENCE = 1.0  # plus this many seconds
 _ALIKE = 1.5  # ratio of costs within which tiles count as equally expensive
 _CHEAP = 0.25  # share of a picture's cost kept for the end, in its cheapest tiles, which fill packages up
 _RUN = 4  # tiles that stay together where packages are scattered
 _GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
-_REMEMBERED = 15  # packages whose costs correct those of others
-_REACH = 256.0  # tiles over which a measured cost says something about others
+_REACH = 3  # tiles over which a measured cost says something about others
+_WEIGHT_OF_ALL = 0.02  # how much the mean of all tiles counts beside that of near ones, in tiles
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +71,7 @@ class Dispatcher:
 
     ``costs`` float [tiles], > 0: expected relative costs; ``measured``: whether they come from an earlier picture.
     ``speeds`` [devices] in cost per second, and ``launches`` [devices] in seconds per package. ``least_tiles``: tiles
-    that a launch takes at least.
+    that a launch takes at least. ``columns``: tiles per row of the picture; 0 where tiles have no neighbours.
     """
 
     def __init__(
@@ -79,18 +82,19 @@ class Dispatcher:
         *,
         measured: bool = False,
         least_tiles: int = 1,
+        columns: int = 0,
     ) -> None:
         self.count = len(costs)
-        self._prior = np.maximum(np.asarray(costs, np.float64), 1e-12)
-        self._costs = self._prior.copy()
-        self._doubt = _LEAST_UNCERTAINTY if measured else _UNKNOWN
-        self._seen: list[tuple[float, float, float]] = []  # middle tile, log of measured over expected cost, weight
+        self._costs = np.maximum(np.asarray(costs, np.float64), 1e-12)
+        self._neighbours = _Neighbours(self._costs, columns)
+        self._spread = _MEASURED if measured else _UNKNOWN  # relative uncertainty of tiles, as if independent,
+        self._miss = _LEAST_UNCERTAINTY  # and of packages besides
         self.shares = [Share(float(speed), float(launch)) for speed, launch in zip(speeds, launches)]
-        self._waiting = _order(self._prior, scattered=not measured)
+        self._waiting = _order(self._costs, scattered=not measured)
         self._done = np.zeros(self.count, bool)
         self._least_tiles = least_tiles
         self._number = 0
-        self._caution = _CAUTION + _CAUTION_FOR_MANY * math.log2(len(self.shares))
+        self._caution = _CAUTION + math.sqrt(2 * math.log(max(len(self.shares), 1)))
         self._unit_is_known = measured
         self.history: list[tuple[Package, float, bool]] = []  # package, when it ended, whether its result counts
 
@@ -127,41 +131,54 @@ class Dispatcher:
         if not len(self._waiting):
             return self._again(device, now)
         if sum(each.lost is None for each in self.shares) == 1:
-            return self._handed(device, np.sort(self._take(self._waiting)), now)
-        rest = float(self._costs[self._waiting].sum())
-        ideal = share.speed * (self._common_end(now, rest) - self._free_at(device, now) - share.launch)
-        part = ideal / (1 + self._caution * self._doubt)
+            return self._handed(device, self._take(len(self._waiting), 0), now)
+        costs = self._costs[self._waiting]
+        rest = float(costs.sum())
+        common_end = self._common_end(now, rest)
+        ideal = share.speed * (common_end - self._free_at(device, now) - share.launch)
+        part = ideal / (1 + self._caution * self._uncertainty(costs, ideal))
         least = share.speed * share.launch * _LEAST_LAUNCHES
         wanted = ideal if ideal - part < least else max(part, least)
-        tiles = self._fitting(wanted)
-        if self._others_are_better(device, now, float(self._costs[tiles].sum()), rest):
+        head, tail, cost = self._fitting(costs, wanted)
+        if self._others_are_better(device, now, cost, common_end):
             return None
-        return self._handed(device, np.sort(self._take(tiles)), now)
+        return self._handed(device, self._take(head, tail), now)
 
-    def _take(self, tiles: np.ndarray) -> np.ndarray:
-        self._waiting = self._waiting[~np.isin(self._waiting, tiles)]
-        return tiles
+    def _take(self, head: int, tail: int) -> np.ndarray:
+        """The first ``head`` and the last ``tail`` of the waiting tiles, ascending."""
+        waiting, last = self._waiting, len(self._waiting) - tail
+        self._waiting = waiting[head:last]
+        return np.sort(np.concatenate([waiting[:head], waiting[last:]]))
 
-    def _fitting(self, wanted: float) -> np.ndarray:
-        """Waiting tiles that cost about ``wanted``: the next ones, filled up by cheap ones from the end, so that a
-        single expensive tile does not make a package too large."""
-        costs = self._costs[self._waiting]
+    def _fitting(self, costs: np.ndarray, wanted: float) -> tuple[int, int, float]:
+        """How many of the waiting tiles from the front and from the back cost about ``wanted``, and their cost: cheap
+        ones from the back fill up, so that a single expensive tile does not make a package too large."""
         sums = np.cumsum(costs)
         if sums[-1] <= wanted:
-            return self._waiting
+            return len(costs), 0, float(sums[-1])
         head = int(np.searchsorted(sums, wanted, side="right"))
         left = wanted - (sums[head - 1] if head else 0.0)
-        tail = int(np.searchsorted(np.cumsum(costs[head:][::-1]), left, side="right"))
+        from_back = sums[-1] - sums  # the cost of what lies behind each tile
+        tail = len(costs) - int(np.searchsorted(-from_back, -left, side="left")) - 1
+        tail = max(min(tail, len(costs) - head), 0)
         short = self._least_tiles - head - tail
         tail += max(min(short, len(costs) - head - tail), 0)
-        return np.concatenate([self._waiting[:head], self._waiting[len(costs) - tail :]])
+        cost = (sums[head - 1] if head else 0.0) + (costs[len(costs) - tail :].sum() if tail else 0.0)
+        return head, tail, float(cost)
 
-    def _others_are_better(self, device: int, now: float, cost: float, rest: float) -> bool:
+    def _uncertainty(self, costs: np.ndarray, wanted: float) -> float:
+        """The relative uncertainty of a package that costs ``wanted``, of waiting tiles with these ``costs``."""
+        count = max(int(np.searchsorted(np.cumsum(costs), wanted, side="right")), 1)
+        some = costs[:count]
+        alone = float(np.dot(some, some)) / float(some.sum()) ** 2  # 1 / number of tiles, were all alike
+        return math.sqrt(self._miss**2 + self._spread**2 * min(alone * _RUN, 1.0))
+
+    def _others_are_better(self, device: int, now: float, cost: float, common_end: float) -> bool:
         """Whether tiles of ``cost`` would be done sooner by another device that is still busy. That is only so at the
         end, on devices that are much slower than others."""
         share = self.shares[device]
         end = self._free_at(device, now) + share.launch + cost / share.speed
-        if end <= self._common_end(now, rest) + share.launch:
+        if end <= common_end + share.launch:
             return False
         return any(
             self._free_at(other, now) + their.launch + cost / their.speed < end
@@ -191,9 +208,9 @@ class Dispatcher:
             p.number > package.number and p.tiles is package.tiles for share in self.shares for p in share.running
         )
 
-    def finished(self, package: Package, now: float, cost: float | None = None) -> bool:
+    def finished(self, package: Package, now: float, costs: np.ndarray | float | None = None) -> bool:
         """Takes the end of ``package``; returns whether its result counts, which it does not if another device was
-        first. ``cost``: as measured, in the unit of ``costs``."""
+        first. ``costs`` float64 [tiles of the package], or their sum: as measured, in the unit of ``costs``."""
         share = self.shares[package.device]
         began = max((p.since for p in share.running if p.number < package.number), default=package.since)
         began = max(began, max((end for p, end, _ in self.history if p.device == package.device), default=began))
@@ -206,10 +223,10 @@ class Dispatcher:
         self._done[package.tiles] = True
         share.tiles += len(package.tiles)
         share.packages += 1
-        found = cost if cost is not None else max(now - began - share.launch, 0.0) * share.speed
+        found = float(np.sum(costs)) if costs is not None else max(now - began - share.launch, 0.0) * share.speed
         share.cost += found
         self._calibrate(package.device, found, now - began)
-        self._learn(package, found)
+        self._learn(package, found, costs)
         return True
 
     def _calibrate(self, device: int, cost: float, seconds: float) -> None:
@@ -285,21 +302,64 @@ class Dispatcher:
             end = (rest + moment) / speed
         return end
 
-    def _learn(self, package: Package, found: float) -> None:
-        """Corrects the costs of tiles near those of ``package``."""
+    def _learn(self, package: Package, found: float, costs: np.ndarray | float | None) -> None:
+        """Corrects the costs of the tiles that wait or are being rendered by what those of ``package`` have cost."""
         if found <= 0:
             return
-        tiles = package.tiles
-        miss = abs(math.log(found / float(self._costs[tiles].sum())))
-        self._doubt = max(0.6 * self._doubt + 0.4 * min(miss, 1.0), _LEAST_UNCERTAINTY)
-        ratio = math.log(found / float(self._prior[tiles].sum()))
-        self._seen = [*self._seen[-_REMEMBERED:], (float(np.median(tiles)), ratio, math.sqrt(len(tiles)))]
-        if not len(self._waiting):
-            return
-        middles, ratios, weights = np.array(self._seen).T
-        far = np.abs(np.arange(self.count)[None, :] - middles[:, None]) / _REACH
-        near = weights[:, None] / (1 + far) ** 4
-        self._costs = self._prior * np.exp((near * ratios[:, None]).sum(axis=0) / near.sum(axis=0))
+        expected = self._costs[package.tiles]
+        by_tile = costs if isinstance(costs, np.ndarray) else expected * (found / float(expected.sum()))
+        off = np.log(by_tile / expected)
+        mean = float(np.dot(off, by_tile)) / found
+        spread = math.sqrt(float(np.dot((off - mean) ** 2, by_tile)) / found)
+        self._spread += _NEWEST * (min(spread, 1.0) - self._spread)
+        miss = abs(math.log(found / package.cost))
+        self._miss = max(self._miss + _NEWEST * (min(miss, 1.0) - self._miss), _LEAST_UNCERTAINTY)
+        self._neighbours.saw(package.tiles, by_tile)
+        if len(self._waiting) and max(self._spread, self._miss) > _DOUBTED:
+            self._costs = self._neighbours.expected()
+
+
+class _Neighbours:
+    """Costs of tiles (``prior`` float64 [tiles] as expected at first, ``columns`` per row; 0: in no order), corrected
+    by those that were measured: by the ratio in tiles nearby as far as it is known there, else by that of all."""
+
+    def __init__(self, prior: np.ndarray, columns: int) -> None:
+        self._prior = prior
+        columns = columns or 1
+        rows = -(-len(prior) // columns)
+        self._shape = rows, columns
+        self._sums = np.zeros((2, rows * columns))  # of tiles that were measured: prior and measured cost
+        self._reach = _REACH if columns > 1 else 0
+
+    def saw(self, tiles: np.ndarray, costs: np.ndarray) -> None:
+        self._sums[0, tiles], self._sums[1, tiles] = self._prior[tiles], costs
+
+    def expected(self) -> np.ndarray:
+        every = self._sums.sum(axis=1)
+        near = self._sums.reshape(2, *self._shape)
+        for axis in (1, 2):
+            near = _blurred(near, axis, self._reach)
+        mean = _WEIGHT_OF_ALL * every[0] / self.measured_tiles
+        before, after = near.reshape(2, -1)[:, : len(self._prior)]
+        return self._prior * (after + mean * every[1] / every[0]) / (before + mean)
+
+    @property
+    def measured_tiles(self) -> int:
+        return int(np.count_nonzero(self._sums[0]))
+
+
+def _blurred(values: np.ndarray, axis: int, reach: int) -> np.ndarray:
+    """Means over 2 ``reach`` + 1 places along ``axis``, twice, so that near places count more."""
+    if not reach:
+        return values
+    for _ in range(2):
+        padding = [(0, 0)] * values.ndim
+        padding[axis] = (reach + 1, reach)
+        sums = np.cumsum(np.pad(values, padding), axis=axis)
+        length = values.shape[axis]
+        upper = np.take(sums, range(2 * reach + 1, 2 * reach + 1 + length), axis=axis)
+        values = (upper - np.take(sums, range(length), axis=axis)) / (2 * reach + 1)
+    return values
 
 
 def _order(costs: np.ndarray, scattered: bool) -> np.ndarray:

@@ -77,7 +77,7 @@ def simulate(
             feed_all()
             continue
         if dispatcher.alive(package.device):
-            dispatcher.finished(package, now, float(true_costs[package.tiles].sum()))
+            dispatcher.finished(package, now, true_costs[package.tiles])
             feed(package.device)
     ideal = float(true_costs.sum()) / math.fsum(speeds)
     return Simulated(now, ideal, spans, dispatcher.complete)

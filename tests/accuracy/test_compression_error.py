@@ -90,7 +90,7 @@ def test_the_limit_of_effects_is_that_of_the_original_voxels(context, coarse):
     limits = []
     for compression in ({"codec": "rvq"}, {}):
         cache = PreparedCache(context)
-        truth = GroundTruth(scene_of(compression, **light).resolve(), context, cache)
+        truth = GroundTruth(scene_of(compression, **light).resolve(), cache)
         assert not truth.is_exact
         limits.append(truth.pixels(pixels, 1e-6)[0])
         cache.close()

@@ -195,6 +195,7 @@ def test_the_tunables_of_a_method_are_not_combined_with_all_others(
 ):
     """But for what the front suggests, which is left out here."""
     from clvol.accuracy.tradeoff import _Sweep
+    from clvol.render.engines import close_engines
 
     monkeypatch.setattr(_Sweep, "front", lambda self: [])
     keys = "classification", "method"
@@ -203,7 +204,7 @@ def test_the_tunables_of_a_method_are_not_combined_with_all_others(
     try:
         sweep.explore(100)
     finally:
-        sweep.context.release()
+        close_engines(sweep.engines)
     found = [trial.settings for trial in sweep.found.values()]
     pairs = {tuple(settings[f"integration.{key}"] for key in keys) for settings in found}
     assert len(pairs) == 3 + 2 + 1  # by rays, by blocks, by a pyramid

@@ -130,7 +130,7 @@ def test_a_stalled_package_is_issued_again_and_its_late_result_does_not_count():
     slow, fast, now = dispatcher.next(0, 0.0), dispatcher.next(1, 0.0), 0.0
     while fast is not None:
         now += dispatcher.expected_seconds(fast)
-        assert dispatcher.finished(fast, now, float(costs[fast.tiles].sum()))
+        assert dispatcher.finished(fast, now, costs[fast.tiles])
         fast = dispatcher.next(1, now)
     assert not dispatcher.complete and dispatcher.next(1, now) is None
     now += dispatcher.next_stall(now) + 1e-6

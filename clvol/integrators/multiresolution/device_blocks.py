@@ -73,7 +73,7 @@ class DeviceBlocks:
         held = sample_dtype(source.dtype)
         sizes = buffer_samples(self.blocks, source.dtype, memory_bytes, largest)
         spare = -(-SPARE_BYTES // held.itemsize)
-        self.samples: list[DeviceArray] = [context.empty(held, (n + spare,)) for n in sizes]
+        self.samples: list[DeviceArray] = [context.resident(held, (n + spare,)) for n in sizes]
         self._each = max(sizes[0], 1)
         count, counts = self.blocks.count, self.blocks.counts
         self.index: DeviceArray = context.empty(np.int32, (count, 2))
