@@ -75,6 +75,7 @@ def picture_folder(options: Options) -> Path:
 
 def draw(result: dict[str, Any], options: Options) -> list:
     from bench.compression_chart import rate_chart
+    from bench.compression_crossover import crossover_chart
     from bench.compression_pictures import codec_strip
 
     committed = not (options.quick or options.scenes or result["missing"])
@@ -84,6 +85,8 @@ def draw(result: dict[str, Any], options: Options) -> list:
     drawn = [tables]
     if result["rates"]:
         drawn.append(rate_chart(result, folder / "compression.png"))
+    if result["crossover"]:
+        drawn.append(crossover_chart(result, folder / "compression-crossover.png"))
     for name in ("engine", "chest"):
         rows = [row for row in result["rates"] if row["volume"] == name]
         if rows:

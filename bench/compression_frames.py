@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+from bench.compression_crossover import QUICK_REPEATS, REPEATS, crossover
 from bench.compression_rates import QUICK_EDGE, middle
 from bench.effects import ratio_of
 from bench.multiresolution_scenes import CHEST_BLOCKS, CRAB, FEMALE, BlockScene, placed_as_in_bench
@@ -35,9 +36,10 @@ def cases(
 
     scenes = {scene.name for scene in there((ENGINE, HEPTANE, FEMALE, CRAB, CHEST_BLOCKS), options, missing)}
     bench = Frames(device, size, rounds, folder, QUICK_EDGE if options.quick else None)
+    repeats = QUICK_REPEATS if options.quick else REPEATS
     return {
         "frames": [lambda s=scene: frames(bench, s) for scene in FRAMES if scene.name in scenes],
-        "crossover": [lambda s=scene: crossover(bench, s) for scene in CROSSOVER if scene.name in scenes],
+        "crossover": [lambda s=scene: crossover(bench, s, repeats) for scene in CROSSOVER if scene.name in scenes],
         "budget": [
             lambda s=scene, r=QUICK_RATIO if options.quick else ratio: budget(bench, s, r)
             for scene, ratio in BUDGETS if scene.name in scenes
@@ -124,29 +126,6 @@ def frames(bench: Frames, scene: BlockScene) -> dict[str, Any]:
     }  # fmt: skip
     for way, told in row["ways"].items():
         say(f"{scene.name}, {way}: {told['ratio']:.2f} times the time of voxels")
-    return row
-
-
-def crossover(bench: Frames, scene: BlockScene) -> dict[str, Any]:
-    """The pyramid beside the plain ray caster, on voxels and on codes that stay on the device (Kraus et al. 2007
-    expect adaptive sampling to pay most where a sample is dear, and do not measure it)."""
-    asked = {}
-    for held, volume, tables in (
-        ("voxels", bench.volume(scene), {}), ("resident", bench.codes(scene), decoding("resident"))
-    ):  # fmt: skip
-        for method in ("raycast", "pyramid"):
-            integration = {"integration": {"classification": "preintegrated", "method": method}}
-            asked[f"{held}, {method}"] = scene.plain(volume, bench.size, {**tables, **integration})
-    found, times = bench.compare(asked)
-    row = {
-        "scene": scene.name, "times": times, "samples": {way: frame.stats["samples"] for way, frame in found.items()},
-        "faster": {
-            held: ratio_of(times[f"{held}, raycast"], times[f"{held}, pyramid"])
-            for held in ("voxels", "resident") if {f"{held}, raycast", f"{held}, pyramid"} <= times.keys()
-        },
-    }  # fmt: skip
-    told = ", ".join(f"{row['faster'][held]['ratio']:.2f} times as fast on {held}" for held in row["faster"])
-    say(f"{scene.name}, pyramid over ray caster: {told}")
     return row
 
 

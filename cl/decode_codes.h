@@ -7,7 +7,9 @@
  *
  * Switches (-D): VOXEL_BITS, VOXEL_SIGNED (voxel_type.h); CODED_SIDE, samples per axis of a sub-block (2 or 4);
  * CODED_MEANS, whether FIXED blocks have means; CODED_WHOLE, whether integer voxels have all 65536 values;
- * CODED_GROUP: work-items of a group; CODED_LABELS: the codec is "labels" (decode_labels.h).
+ * CODED_NARROW: whether sums of codes fit into 16 bits, without the zero bits that all end with; CODED_STAGED: blocks
+ * that a work-item decodes beside each other, into a buffer of its own (0: one, to where it belongs); CODED_GROUP:
+ * work-items of a group; CODED_LABELS: the codec is "labels" (decode_labels.h).
  */
 #ifndef DECODE_CODES_H
 #define DECODE_CODES_H
@@ -59,6 +61,7 @@ typedef float8 Row8 ANYWHERE;
 #endif
 typedef Voxel16 Row16 ANYWHERE;
 
+typedef short16 Short16 ANYWHERE;
 typedef ulong Bytes8 ANYWHERE; /* bytes, loaded from any place at once: PoCL cuts vload8 in four */
 
 /* Where a block's bytes begin in `codes`, and its first voxel in `voxels`. extent: samples that are wanted along x, y
@@ -79,6 +82,7 @@ typedef struct {
 typedef struct {
   int4 shifts[MOST_STAGES / 4]; /* SHIFT(map, j) is that of stage j */
   int stages, residual_step, low, span, first;
+  int unit; /* zero bits at the end of every working value, at most 7 */
   float scale;
 } CodeMap;
 
@@ -87,25 +91,52 @@ typedef struct {
 #define CODE_MAP_FIELDS                                                                                            \
   STRUCT(CodeMap), FIELD(CodeMap, shifts), FIELD(CodeMap, stages),                                                 \
       FIELD(CodeMap, residual_step), FIELD(CodeMap, low), FIELD(CodeMap, span), FIELD(CodeMap, first),             \
-      FIELD(CodeMap, scale)
+      FIELD(CodeMap, unit), FIELD(CodeMap, scale)
+
+/* Where blocks are decoded to. */
+#if CODED_STAGED
+#define TARGET __private
+#else
+#define TARGET __global
+#endif
+
+#define HAS_STREAMING_STORES 0
+#ifdef __has_builtin
+#if __has_builtin(__builtin_nontemporal_store)
+#undef HAS_STREAMING_STORES
+#define HAS_STREAMING_STORES 1
+#endif
+#endif
 
 /* Voxels of a block: that at (x, y, z) is at + x + y row + z slice. */
 typedef struct {
-  __global Voxel *at;
+  TARGET Voxel *at;
   long row, slice;
   int4 extent;
 } Target;
 
+/* Working values of CODED_NARROW as they are, clipped to 0 ... 65535. */
+INLINE ushort16 clipped(short16 narrow, __constant const CodeMap *map)
+{
+  const short unit = (short)map->unit, most = (short)(65535 >> unit);
+  const ushort16 w = as_ushort16(max(narrow, (short16)(short)0)) << (ushort16)(ushort)unit;
+  return w | as_ushort16(narrow > (short16)most);
+}
+
 #if VOXEL_BITS == 32
+INLINE float16 voxels_of16(ushort16 w, __constant const CodeMap *map)
+{
+  return convert_float16(convert_int16(w) + map->first) * map->scale;
+}
+
 INLINE float16 voxels_of(int16 working, __constant const CodeMap *map)
 {
   return convert_float16(clamp(working, 0, 65535) + map->first) * map->scale;
 }
 #else
-/* Voxels less `low`, for working values that are clipped. */
-INLINE ushort16 above_low(int16 working, __constant const CodeMap *map)
+/* Voxels less `low`. */
+INLINE ushort16 above_low(ushort16 w, __constant const CodeMap *map)
 {
-  const ushort16 w = convert_ushort16_sat(working);
 #if CODED_WHOLE
   return w;
 #else
@@ -113,9 +144,14 @@ INLINE ushort16 above_low(int16 working, __constant const CodeMap *map)
 #endif
 }
 
+INLINE Voxel16 voxels_of16(ushort16 w, __constant const CodeMap *map)
+{
+  return TO_VOXEL16(above_low(w, map) + (ushort16)(ushort)map->low);
+}
+
 INLINE Voxel16 voxels_of(int16 working, __constant const CodeMap *map)
 {
-  return TO_VOXEL16(above_low(working, map) + (ushort16)(ushort)map->low);
+  return voxels_of16(convert_ushort16_sat(working), map);
 }
 #endif
 
@@ -126,7 +162,7 @@ INLINE Voxel16 corrected(int16 working, int16 residuals, __constant const CodeMa
 #if VOXEL_BITS == 32
   return voxels_of(clamp(working, 0, 65535) + more, map);
 #else
-  const int16 above = clamp(convert_int16(above_low(working, map)) + more, 0, map->span);
+  const int16 above = clamp(convert_int16(above_low(convert_ushort16_sat(working), map)) + more, 0, map->span);
   return TO_VOXEL16(convert_ushort16(above) + (ushort16)(ushort)map->low);
 #endif
 }
@@ -167,7 +203,7 @@ INLINE Voxel16 samples_at(__global const uchar *bytes, int k)
 }
 
 /* Four rows of four voxels, of which columns and rows are kept. */
-RARE void put_some(Voxel16 v, __global Voxel *at, long row, int columns, int rows)
+RARE void put_some(Voxel16 v, TARGET Voxel *at, long row, int columns, int rows)
 {
   Voxel own[16];
   vstore16(v, 0, own);
@@ -176,7 +212,7 @@ RARE void put_some(Voxel16 v, __global Voxel *at, long row, int columns, int row
 }
 
 /* Four rows of four voxels: the third is `third` after the first, the second and the fourth are `row` after these. */
-INLINE void put_rows4(Voxel16 v, __global Voxel *at, long row, long third)
+INLINE void put_rows4(Voxel16 v, TARGET Voxel *at, long row, long third)
 {
 #if VOXEL_BITS == 32
   const float4 r0 = v.lo.lo, r1 = v.lo.hi, r2 = v.hi.lo, r3 = v.hi.hi;
@@ -187,14 +223,14 @@ INLINE void put_rows4(Voxel16 v, __global Voxel *at, long row, long third)
   const uint4 rows = as_uint4(v);
   const uint r0 = rows.x, r1 = rows.y, r2 = rows.z, r3 = rows.w;
 #endif
-  *(__global Row4 *)at = r0;
-  *(__global Row4 *)(at + row) = r1;
-  *(__global Row4 *)(at + third) = r2;
-  *(__global Row4 *)(at + third + row) = r3;
+  *(TARGET Row4 *)at = r0;
+  *(TARGET Row4 *)(at + row) = r1;
+  *(TARGET Row4 *)(at + third) = r2;
+  *(TARGET Row4 *)(at + third + row) = r3;
 }
 
 /* Likewise of eight voxels, the first four of each from a. */
-INLINE void put_rows8(Voxel16 a, Voxel16 b, __global Voxel *at, long row, long third)
+INLINE void put_rows8(Voxel16 a, Voxel16 b, TARGET Voxel *at, long row, long third)
 {
 #if VOXEL_BITS == 32
   const float8 r0 = (float8)(a.lo.lo, b.lo.lo), r1 = (float8)(a.lo.hi, b.lo.hi);
@@ -207,17 +243,17 @@ INLINE void put_rows8(Voxel16 a, Voxel16 b, __global Voxel *at, long row, long t
   const ulong2 lower = as_ulong2((uint4)(p.x, q.x, p.y, q.y)), upper = as_ulong2((uint4)(p.z, q.z, p.w, q.w));
   const ulong r0 = lower.x, r1 = lower.y, r2 = upper.x, r3 = upper.y;
 #endif
-  *(__global Row8 *)at = r0;
-  *(__global Row8 *)(at + row) = r1;
-  *(__global Row8 *)(at + third) = r2;
-  *(__global Row8 *)(at + third + row) = r3;
+  *(TARGET Row8 *)at = r0;
+  *(TARGET Row8 *)(at + row) = r1;
+  *(TARGET Row8 *)(at + third) = r2;
+  *(TARGET Row8 *)(at + third + row) = r3;
 }
 
 /* A slice of a sub-block, at (x, y, z) of the block. */
 INLINE void put_slice(Voxel16 v, const Target *target, int x, int y, int z)
 {
   const int columns = min(target->extent.x - x, 4), rows = min(target->extent.y - y, 4);
-  __global Voxel *at = target->at + z * target->slice + y * target->row + x;
+  TARGET Voxel *at = target->at + z * target->slice + y * target->row + x;
   if (z >= target->extent.z) return;
   if (columns == 4 && rows == 4)
     put_rows4(v, at, target->row, 2 * target->row);
@@ -236,7 +272,7 @@ INLINE void fill(Voxel v, const Target *target, int x, int y, int z, int edge)
 {
   const int columns = min(target->extent.x - x, edge), rows = min(target->extent.y - y, edge);
   const int slices = min(target->extent.z - z, edge);
-  __global Voxel *at = target->at + z * target->slice + y * target->row + x;
+  TARGET Voxel *at = target->at + z * target->slice + y * target->row + x;
   const Row16 all = (Voxel16)v;
   for (int c = 0; c < slices; ++c) {
     if (columns == 8 && rows == 8) {
@@ -245,9 +281,9 @@ INLINE void fill(Voxel v, const Target *target, int x, int y, int z, int edge)
       continue;
     }
     for (int b = 0; b < rows; ++b) {
-      __global Voxel *out = at + c * target->slice + b * target->row;
+      TARGET Voxel *out = at + c * target->slice + b * target->row;
       int a = 0;
-      for (; a + 16 <= columns; a += 16) *(__global Row16 *)(out + a) = all;
+      for (; a + 16 <= columns; a += 16) *(TARGET Row16 *)(out + a) = all;
       for (; a < columns; ++a) out[a] = v;
     }
   }
@@ -258,10 +294,10 @@ INLINE void put_raw(__global const uchar *bytes, const Target *target, int edge)
 {
   for (int z = 0; z < target->extent.z; ++z)
     for (int y = 0; y < target->extent.y; ++y) {
-      __global Voxel *out = target->at + z * target->slice + y * target->row;
+      TARGET Voxel *out = target->at + z * target->slice + y * target->row;
       __global const uchar *in = bytes + (z * edge + y) * edge * (int)sizeof(Voxel);
       int x = 0;
-      for (; x + 16 <= target->extent.x; x += 16) *(__global Row16 *)(out + x) = samples_at(in, x >> 4);
+      for (; x + 16 <= target->extent.x; x += 16) *(TARGET Row16 *)(out + x) = samples_at(in, x >> 4);
       for (; x < target->extent.x; ++x) out[x] = sample_at(in, x);
     }
 }

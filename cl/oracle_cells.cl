@@ -5,6 +5,7 @@
  * Switches (-D): VOXEL_BITS, VOXEL_SIGNED, VOXEL_SCALED; SCALES: distances of samples 1, 2, 4 ... smallest edges.
  */
 #include "oracle_layout.h"
+#include "voxel_boxes.h"
 #include "voxel_type.h"
 
 #if VOXEL_BITS == 64
@@ -19,7 +20,7 @@
 #define MAP_PARAMETERS , float bias, float gain
 #endif
 
-#define VOXEL_AT(i, j, k) VALUE(volume[((size_t)(k) * size.y + (j)) * size.x + (i)])
+#define VOXEL_AT(i, j, k) VALUE(volume[BOX_ROW(j, k) + (i)])
 
 /* The largest (or smallest, of negatives) of a table over bins `from` to `to`: row k has that over 2^k bins from each
  * on. */
@@ -36,7 +37,7 @@ inline float4 most_between(__global const float4 *table, int n, int from, int to
  * its outermost voxels count. What is shown differs by the steepest change per value nearby times that, or by all the
  * change there is nearby.
  *
- * volume     Voxel [size.z, size.y, size.x]
+ * volume     a box of voxels, with half of the longest scale around its own rows and slices
  * halves     int4 [SCALES]: half of each scale, in lattice units along x, y, z, at least 1
  * shares     float4 [SCALES]: what counts of the difference along each axis: less where half the scale is no whole
  *            lattice unit, since between voxels the field is nearly straight
@@ -48,14 +49,14 @@ inline float4 most_between(__global const float4 *table, int n, int from, int to
  * bad        uchar [size.z, size.y, size.x]: bit s is set where scale s is bad; beside a voxel that is not finite all
  *            are
  */
-__kernel void bad_voxels(__global const Voxel *restrict volume, int4 size, __constant int4 *halves,
+__kernel void bad_voxels(BOX_PARAMETERS, int4 size, __constant int4 *halves,
                          __constant float4 *shares MAP_PARAMETERS,
                          __global const float4 *restrict slopes, __global const float4 *restrict tops,
                          __global const float4 *restrict minus_bottoms, __constant float *steepest, int n, int rows,
                              float first,
                          float per_value, float epsilon, __global uchar *restrict bad)
 {
-  const int y = get_global_id(0), z = get_global_id(1);
+  const int y = OWN_ROW, z = OWN_SLICE;
   for (int x = 0; x < size.x; ++x) {
     const float v = VOXEL_AT(x, y, z);
     uint bits = 0;
@@ -84,12 +85,12 @@ __kernel void bad_voxels(__global const Voxel *restrict volume, int4 size, __con
 /* bad  uchar [size.z, size.y, size.x]: 1 where the opacity changes by more than `threshold` a smallest edge (central
  *      differences).
  * opacity  float [n]: by bins of values; edges: smallest edges per lattice unit along x, y, z */
-__kernel void steep_voxels(__global const Voxel *restrict volume, int4 size MAP_PARAMETERS,
+__kernel void steep_voxels(BOX_PARAMETERS, int4 size MAP_PARAMETERS,
                            __global const float *restrict opacity, int n,
                            float first, float per_value, float4 edges, float threshold, __global uchar *restrict bad)
 {
 #define OPACITY_AT(i, j, k) opacity[clamp((int)((VOXEL_AT(i, j, k) - first) * per_value), 0, n - 1)]
-  const int y = get_global_id(0), z = get_global_id(1);
+  const int y = OWN_ROW, z = OWN_SLICE;
   for (int x = 0; x < size.x; ++x) {
     const float dx = OPACITY_AT(min(x + 1, size.x - 1), y, z) - OPACITY_AT(max(x - 1, 0), y, z);
     const float dy = OPACITY_AT(x, min(y + 1, size.y - 1), z) - OPACITY_AT(x, max(y - 1, 0), z);

@@ -6,20 +6,23 @@
 #include "lanes.h"
 #include "view.h"
 #include "shows_between.h"
+#include "voxel_boxes.h"
 #include "voxel_type.h"
 
-/* apron    voxels around a cell that its values depend on; overshoot: share of their range that these may be beyond it
+/* volume   a box of voxels, with the apron and one more around its own, which are those of whole cells
+ * apron    voxels around a cell that its values depend on; overshoot: share of their range that these may be beyond it
  * visible  uchar [cells.z, cells.y, stride]: bit `bit` is set where anything between the voxels of the cell, its upper
  *          faces included, can be seen, or one of them is not finite; bit 0 clears the others, which otherwise stay.
  *          Others as for visible_block_cells. */
-__kernel void visible_cells(__global const Voxel *restrict volume, __global const float *restrict warp,
+__kernel void visible_cells(BOX_PARAMETERS, __global const float *restrict warp,
                             __global const int *restrict before,
                             __global const uchar *restrict at, __constant const View *restrict view, int shift,
                                 int apron, float overshoot,
                             int4 cells, int stride, int bit,
                             __global uchar *restrict visible)
 {
-  const int cy = get_global_id(0), cz = get_global_id(1), edge = 1 << shift;
+  const int cy = (int)get_global_id(0) + (begin.x >> shift), cz = (int)get_global_id(1) + (begin.y >> shift);
+  const int edge = 1 << shift;
   const int4 size = view->size;
   const int y0 = max((cy << shift) - apron, 0), y1 = min((cy << shift) + edge + apron, size.y - 1);
   const int z0 = max((cz << shift) - apron, 0), z1 = min((cz << shift) + edge + apron, size.z - 1);
@@ -32,7 +35,7 @@ __kernel void visible_cells(__global const Voxel *restrict volume, __global cons
       for (int z = z0; z <= z1; ++z)
         for (int y = y0; y <= y1; ++y)
           for (int x = x0; x <= x1; ++x) {
-            const Voxel voxel = volume[((size_t)z * size.y + y) * size.x + x];
+            const Voxel voxel = volume[BOX_ROW(y, z) + x];
 #if VOXEL_BITS == 64
             const float v = (float)((voxel - view->voxel_bias_double) * view->voxel_gain_double);
 #elif VOXEL_SCALED

@@ -202,6 +202,8 @@ def _render_still(
             temporaries[-1].write_text(text, encoding="utf-8")
     for path in [*outputs, *others]:
         say_path(path)
+    if not quiet and "chosen" in frame.stats:
+        note(frame.stats["chosen"]["in_words"])
     if not quiet and "accuracy" in frame.stats:
         note(accuracy_in_words(frame.stats))
     if not quiet and refines:

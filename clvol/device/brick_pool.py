@@ -44,6 +44,11 @@ class BrickSource(VoxelFacts, Protocol):
         is damaged."""
         ...
 
+    def put_box(self, blocks: np.ndarray, target: DeviceArray, corners: np.ndarray) -> None:
+        """Likewise to the corners int64 [k, 3] (z, y, x) of the array ``target`` [nz, ny, nx]; what of a block is
+        beyond its upper ends is left out."""
+        ...
+
 
 class BrickPool:
     """At most as many bricks of ``source`` as fit into ``memory_bytes`` together with the table and what filling them
@@ -78,6 +83,7 @@ class BrickPool:
         largest = min(int(context.device.max_mem_alloc_size), self._unit * LARGEST_OFFSET)
         if memory_bytes is None:
             memory_bytes = min(self.memory_for(blocks.count), int(context.device.global_mem_size) // 2)
+        self.memory_bytes = memory_bytes
         if memory_bytes < (least := self.memory_for(1)):
             expected = f"at least {least} bytes for the bricks of {source.name}"
             raise SceneError("compression.memory", f"got {memory_bytes} bytes", expected)
@@ -120,6 +126,10 @@ class BrickPool:
     def brick_bytes(self) -> int:
         return self._brick * self._unit
 
+    @property
+    def dtype(self) -> np.dtype:
+        return np.dtype(self._source.dtype)
+
     def take_filled(self) -> int:
         """``filled_voxels`` since the last call."""
         before, self._reported = self._reported, self.filled_voxels
@@ -156,6 +166,27 @@ class BrickPool:
             finally:
                 self._write_table(np.concatenate([gone, new]))
         return len(new)
+
+    def release(self) -> None:
+        """Gives up all bricks, and their memory until some are held again."""
+        self.capacity, self.voxels = 0, self._context.empty(np.uint8, (_SPARE_BYTES,))
+        self._slot[:] = -1
+        self._block, self._used = np.full(0, -1, np.int64), np.zeros(0, np.int64)
+
+    @property
+    def free_bytes(self) -> int:
+        """What may be held of ``memory_bytes`` in place of bricks."""
+        return self.memory_bytes - self._table - _SPARE_BYTES - self._scratch.nbytes
+
+    def put_box(self, target: DeviceArray, first: tuple[int, int, int]) -> None:
+        """Enqueues the voxels of a box of the volume into ``target`` [z, y, x], which begins at ``first`` (z, y, x):
+        multiples of a block's edge."""
+        edge = self.blocks.edge
+        ranges = [np.arange(f // edge, -(-(f + n) // edge)) for f, n in zip(first, target.shape)]
+        places = np.stack(np.meshgrid(*ranges, indexing="ij"), axis=-1).reshape(-1, 3)
+        numbers = np.ravel_multi_index(tuple(places.T), self.blocks.counts)
+        self._source.put_box(numbers, target, places * edge - np.array(first))
+        self.filled_voxels += len(numbers) * edge**3
 
     def bounds(self, shift: int = CELL_SHIFT) -> np.ndarray:
         """[z, y, x, 2], of the volume's type: smallest and largest finite voxel of each cell of 2^``shift`` lattice
@@ -254,6 +285,13 @@ class ReadBricks:
     def put(self, blocks: np.ndarray, target: DeviceArray) -> None:
         self._context.write(target, self._source.read(0, blocks))
 
+    def put_box(self, blocks: np.ndarray, target: DeviceArray, corners: np.ndarray) -> None:
+        box = np.zeros(target.shape, self.dtype)
+        for block, (z, y, x) in zip(self._source.read(0, blocks), corners):
+            part = box[z : z + len(block), y : y + len(block), x : x + len(block)]
+            part[...] = block[tuple(slice(n) for n in part.shape)]
+        self._context.write(target, box)
+
 
 class CodedBricks:
     """A ``BrickSource`` whose blocks are codes that stay on the device. ``volume``: the decoded voxels' facts and name;
@@ -281,3 +319,6 @@ class CodedBricks:
     def put(self, blocks: np.ndarray, target: DeviceArray) -> None:
         places = np.arange(len(blocks)) * self.blocks.edge**3
         self._decoder.into_blocks(self._held, blocks, target, places)
+
+    def put_box(self, blocks: np.ndarray, target: DeviceArray, corners: np.ndarray) -> None:
+        self._decoder.into_volume(self._held, blocks, target, corners)

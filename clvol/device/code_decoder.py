@@ -15,7 +15,7 @@ import numpy as np
 
 from clvol.errors import RenderError, VolumeError
 from clvol.opencl.arguments import RAW, reads, value, writes
-from clvol.opencl.context import DeviceArray, DeviceContext
+from clvol.opencl.context import DeviceArray, DeviceContext, Kernel
 from clvol.opencl.structs import CODE_MAP, CODED_BLOCK
 from clvol.store.codecs.coded_blocks import WHOLE, Codebooks, CodedBlocks
 from clvol.store.codecs.layout import check_codes
@@ -24,6 +24,9 @@ from clvol.store.codecs.working_values import LARGEST
 SPARE_BYTES = 64  # after the codes of a buffer: kernels read vectors that may end beyond the last block
 STAGING_BYTES = 16 * 2**20
 _SIDES = (1, 2, 4, 8, 16, 32)
+_MEAN_UNIT = 7  # of (mean << 8) + 128
+_STAGED_EDGE, _LINE_BYTES = 16, 64  # of blocks that are staged (CODED_STAGED of cl/decode_codes.cl); of a cache line
+_STREAMED_BYTES = 32 * 2**20
 
 Stages: TypeAlias = "int | np.ndarray"
 """A limit of stages: of all blocks, or int [n], of each."""
@@ -62,10 +65,15 @@ class CodeDecoder:
         self.dtype = codebooks.values.dtype
         # A group of one keeps compilers for CPUs from spreading vectors of 16 over work-items.
         self._group = 1 if context.is_cpu else 32
-        self._entries = context.upload(codebooks.entries.ravel() if codebooks.stages else np.zeros(64, np.int8))
+        self._entries = context.upload(device_entries(codebooks))
         self._map = context.upload(code_map(codebooks).view(np.uint8))
         self._fault = context.upload(np.full(1, -1, np.int32), writable=True)
-        self._kernel = context.kernel("decode_codes.cl", "decode_codes", _ARGUMENTS, switches(codebooks, self._group))
+        self._kernel = self._compiled(0)
+        self._line = _LINE_BYTES // (_STAGED_EDGE * self.dtype.itemsize)  # blocks whose rows are a cache line
+
+    def _compiled(self, staged: int) -> Kernel:
+        own = switches(self.codebooks, self._group, staged)
+        return self._context.kernel("decode_codes.cl", "decode_codes", _ARGUMENTS, own)
 
     @property
     def nbytes(self) -> int:
@@ -203,9 +211,14 @@ class CodeDecoder:
             return
         blocks = np.empty(len(start), CODED_BLOCK)
         blocks["from"], blocks["to"], blocks["extent"], blocks["limit"] = start, places, extent, stages
-        self._kernel(
+        # What exceeds the caches is written past them; what does not is better found there by whoever reads it.
+        size = len(blocks) * _STAGED_EDGE**3 * self.dtype.itemsize
+        streams = self._context.is_cpu and extent[0, 3] == _STAGED_EDGE and size >= _STREAMED_BYTES
+        kernel, each = (self._compiled(self._line), self._line) if streams else (self._kernel, 1)
+        items = -(-len(blocks) // each)
+        kernel(
             self._context.queue,
-            (-(-len(blocks) // self._group) * self._group,),
+            (-(-items // self._group) * self._group,),
             (self._group,),
             blocks=self._context.upload(blocks.view(np.uint8)),
             count=len(blocks),
@@ -221,15 +234,43 @@ class CodeDecoder:
         )
 
 
-def switches(codebooks: Codebooks, group: int) -> dict[str, int]:
-    """The switches (-D) of cl/decode_codes.cl."""
+def switches(codebooks: Codebooks, group: int, staged: int = 0) -> dict[str, int]:
+    """The switches (-D) of cl/decode_codes.cl. ``staged``: blocks that a work-item decodes beside each other."""
     dtype = codebooks.values.dtype
     return {
         "LANES": 1, "VOXEL_BITS": dtype.itemsize * 8, "VOXEL_SIGNED": int(dtype.kind == "i"),
         "CODED_SIDE": codebooks.side, "CODED_MEANS": int(codebooks.codec != "vq"),
         "CODED_WHOLE": int(codebooks.values.span == LARGEST), "CODED_GROUP": group,
-        "CODED_LABELS": int(codebooks.codec == "labels"),
+        "CODED_LABELS": int(codebooks.codec == "labels"), "CODED_NARROW": int(is_narrow(codebooks)),
+        "CODED_STAGED": staged,
     }  # fmt: skip
+
+
+def unit_of(codebooks: Codebooks) -> int:
+    """log2 of a number, at most 128, of which all working values that codes stand for are multiples."""
+    return min(int(np.min(codebooks.shifts, initial=_MEAN_UNIT)), _MEAN_UNIT)
+
+
+def is_narrow(codebooks: Codebooks) -> bool:
+    """Whether all sums of a mean and codes of sub-blocks of 4^3 samples fit into 16 bits, in multiples of 2^unit."""
+    if codebooks.side != 4 or not codebooks.stages:
+        return False
+    unit = unit_of(codebooks)
+    entries = codebooks.entries.reshape(codebooks.stages, -1).astype(np.int64)
+    scales = 1 << (np.asarray(codebooks.shifts, np.int64) - unit)
+    low = (np.minimum(entries.min(axis=1), 0) * scales).sum()
+    high = (np.maximum(entries.max(axis=1), 0) * scales).sum() + (LARGEST >> unit)
+    return bool(-(2**15) <= low and high < 2**15)
+
+
+def device_entries(codebooks: Codebooks) -> np.ndarray:
+    """int8: the bytes of ``entries`` of cl/decode_codes.cl."""
+    if not codebooks.stages:
+        return np.zeros(64, np.int8)
+    if not is_narrow(codebooks):
+        return codebooks.entries.ravel()
+    scales = 1 << (np.asarray(codebooks.shifts, np.int16) - unit_of(codebooks))
+    return (codebooks.entries * scales[:, None, None].astype(np.int16)).astype(np.int16).ravel().view(np.int8)
 
 
 def code_map(codebooks: Codebooks) -> np.ndarray:
@@ -238,7 +279,7 @@ def code_map(codebooks: Codebooks) -> np.ndarray:
     shifts = own["shifts"].reshape(1, -1)
     shifts[0, : codebooks.stages] = codebooks.shifts
     own["shifts"] = shifts.reshape(own["shifts"].shape)
-    own["stages"], own["residual_step"] = codebooks.stages, codebooks.residual_step
+    own["stages"], own["residual_step"], own["unit"] = codebooks.stages, codebooks.residual_step, unit_of(codebooks)
     own["low"], own["span"], own["first"], own["scale"] = values.low, values.span, values.first, values.scale
     return own
 

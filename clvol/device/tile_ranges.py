@@ -22,16 +22,17 @@ def tile_ranges(
     to_edges: np.ndarray,
     picture: tuple[int, int],
     tile: tuple[int, int],
+    beside: int = 0,
 ) -> Ranges:
     """The tiles with pixels that may have a ray through each of n boxes from ``low`` to ``high`` [n, 3] (x, y, z, in
     lattice coordinates): those that its corners enclose. All tiles where the eye is in the box or beside it, none where
-    all of it is behind the eye.
+    all of it is behind the eye. ``beside``: also tiles that are so many pixels away from such pixels.
 
     ``frame``: the picture's rays. ``to_edges`` [3, 3]: lattice directions to lengths in smallest edges. ``picture``,
     ``tile``: pixels (width, height).
     """
     parts = [
-        _ranges(low[k : k + _PIECE], high[k : k + _PIECE], frame, to_edges, picture, tile)
+        _ranges(low[k : k + _PIECE], high[k : k + _PIECE], frame, to_edges, picture, tile, beside)
         for k in range(0, max(len(low), 1), _PIECE)
     ]
     return [
@@ -47,6 +48,7 @@ def _ranges(
     to_edges: np.ndarray,
     picture: tuple[int, int],
     tile: tuple[int, int],
+    beside: int,
 ) -> Ranges:
     is_perspective = frame.lens[0] > 0
     forward, right, down, pixel = view_axes(frame, to_edges)
@@ -63,7 +65,8 @@ def _ranges(
     for axis, (direction, n, m) in enumerate(zip((right, down), picture, tile)):
         count = -(-n // m)
         at = from_plane @ direction * scale + frame.centre[axis]
-        first, last = np.floor((at.min(axis=1) - 1) / m), np.floor((at.max(axis=1) + 1) / m) + 1
+        more = 1 + beside
+        first, last = np.floor((at.min(axis=1) - more) / m), np.floor((at.max(axis=1) + more) / m) + 1
         first, last = np.where(near, 0, first), np.where(near, count, last)
         last = np.where(behind, first, last)
         ranges.append((np.clip(first, 0, count).astype(int), np.clip(last, 0, count).astype(int)))

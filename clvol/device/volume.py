@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any, TypeVar
 
 import numpy as np
 
 from clvol.device.gradients import precompute
 from clvol.device.memory import ValueMap, value_map, voxel_switches
+from clvol.device.voxel_boxes import BoxPlace, VoxelBox
 from clvol.errors import VolumeError
 from clvol.opencl.arguments import INT4, RAW, reads, value, writes
 from clvol.opencl.context import DeviceArray, DeviceContext
@@ -60,6 +61,12 @@ class ResidentVolume:
     def plain(self) -> DeviceArray:
         """The voxels [nz, ny, nx] as they are, whatever the layout of ``voxels``."""
         raise NotImplementedError
+
+    def boxes(self, halo: tuple[int, int]) -> Iterator[VoxelBox]:
+        """All voxels in plain boxes, with ``halo`` (y, z) neighbours of what is their own; a box is valid until the
+        next one is asked for."""
+        _, ny, nz = self.size
+        yield VoxelBox(self.plain(), BoxPlace((0, 0), (ny, nz), (0, 0), (ny, nz)))
 
 
 class DeviceVolume(ResidentVolume):

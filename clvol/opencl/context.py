@@ -15,6 +15,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from weakref import WeakKeyDictionary, finalize
 
 import numpy as np
 
@@ -135,6 +136,7 @@ class DeviceContext:
         _log.info("rendering on %s: %s (%s)", self.name, device.name.strip(), device.platform.name.strip())
         self._outputs: list[tuple[DeviceArray, int]] = []
         self._lent: set[int] = set()  # ids of outputs that have not been taken yet
+        self._written: WeakKeyDictionary[DeviceArray, bytes] = WeakKeyDictionary()  # by write_once
         self._programs: dict[tuple, Any] = {}
         self._kernels: dict[tuple, Kernel] = {}
 
@@ -276,6 +278,14 @@ class DeviceContext:
         offset = first * array.dtype.itemsize
         cl.enqueue_copy(self.queue, array.buffer, values, dst_offset=offset, is_blocking=True)
 
+    def write_once(self, array: DeviceArray, values: np.ndarray) -> None:
+        """As ``write``, of all of an ``array`` that nothing else writes. Nothing is done if it has these values: a
+        launch need not wait for others that use them."""
+        contents = values.tobytes()
+        if self._written.get(array) != contents:
+            self.write(array, values)
+            self._written[array] = contents
+
     def copy(
         self, source: DeviceArray, first: int, target: DeviceArray, to: int, count: int
     ) -> None:
@@ -333,13 +343,40 @@ def _no_memory(name: str, nbytes: int, error: Exception) -> DeviceError:
     return DeviceError(name, f"no memory for {nbytes} bytes ({error})", "a smaller volume or image")
 
 
+_free: list[np.ndarray] = []  # memory of shared arrays that nothing refers to any more
+
+
 def shared_array(shape: Sequence[int], dtype: Any) -> np.ndarray:
-    """An array into which several CPU devices can write without copies, since it begins at a page."""
+    """An array into which several CPU devices can write without copies, since it begins at a page. Memory of earlier
+    ones is used again: fresh memory is zeroed page by page, while a frame is rendered."""
     dtype = np.dtype(dtype)
     nbytes = int(np.prod(shape, dtype=np.int64)) * dtype.itemsize
-    raw = np.empty(nbytes + _PAGE, np.uint8)
-    first = -raw.ctypes.data % _PAGE
-    return raw[first : first + nbytes].view(dtype).reshape(shape)
+    memory = _taken(nbytes + _PAGE)
+    first = -memory.ctypes.data % _PAGE
+    owner = np.frombuffer(memory.data[first : first + nbytes], dtype)
+    if nbytes <= _LARGEST_KEPT:
+        finalize(owner, _give_back, memory).atexit = False  # views of the array keep its owner
+    return owner.reshape(shape)
+
+
+def _taken(nbytes: int) -> np.ndarray:
+    """Memory of exactly ``nbytes``. Other threads may take and give back at the same time."""
+    kept = []
+    found = None
+    while _free and found is None:
+        memory = _free.pop()
+        if len(memory) == nbytes:
+            found = memory
+        else:
+            kept.append(memory)
+    for memory in kept:
+        _give_back(memory)
+    return np.empty(nbytes, np.uint8) if found is None else found
+
+
+def _give_back(memory: np.ndarray) -> None:
+    _free.append(memory)
+    del _free[:-_KEPT]
 
 
 def compile_options(switches: Mapping[str, int]) -> tuple[str, ...]:

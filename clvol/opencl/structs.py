@@ -96,7 +96,7 @@ CODED_BLOCK = struct(("int4", "extent"), ("long", "from to"), ("int", "limit"))
 """``CodedBlock`` of cl/decode_codes.h."""
 
 CODE_MAP = struct(
-    ("int4", "shifts", MOST_STAGES // 4), ("int", "stages residual_step low span first"), ("float", "scale")
+    ("int4", "shifts", MOST_STAGES // 4), ("int", "stages residual_step low span first unit"), ("float", "scale")
 )
 """``CodeMap`` of cl/decode_codes.h."""
 

@@ -199,7 +199,7 @@ class Renderer:
         if camera is None:
             camera = resolved.camera
         else:
-            camera = camera.complete(resolved.volume.grid, resolved.image)
+            camera = camera.complete(resolved.volume.grid, resolved.image, frame=resolved.volume.frame)
         self._move_to(on_devices, self._first_time if time is None else float(time), camera)
         group = on_devices.group
         compile_start = perf_counter()

@@ -9,6 +9,7 @@ from pydantic import Field
 from clvol.scene.table import Number, Table, Whole
 
 _BY_STEPS = ("raycast", "multiresolution", "pyramid", "slicing")
+_SHADED = ("raycast",)
 
 
 class Integration(Table):
@@ -98,6 +99,12 @@ class Integration(Table):
     def takes_steps(self) -> bool:
         """Whether ``step`` has an effect; it has none on the exact integral."""
         return self.method in _BY_STEPS
+
+    @property
+    def shades(self) -> bool:
+        """Whether lights and all filters can be rendered; some methods and quadratures have emission and absorption
+        alone."""
+        return self.method in _SHADED and self.quadrature == "steps"
 
     @classmethod
     def table_name(cls) -> str:

@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from reference.plain_codes import Coded, SubBlock, write
 from reference.random_codes import CODECS, DTYPES, LOSSY, packed, random_codes
 
-from clvol.device.code_decoder import CodeDecoder, HeldCodes, parts_of, switches
+from clvol.device import code_decoder
+from clvol.device.code_decoder import CodeDecoder, HeldCodes, code_map, is_narrow, parts_of, switches
 from clvol.errors import RenderError, VolumeError
 from clvol.opencl.struct_check import REPORT_ARGUMENTS, check_structs, layout_of, reported_structs
 from clvol.opencl.structs import CODE_MAP, CODED_BLOCK
-from clvol.store.codecs.coded_blocks import WHOLE
+from clvol.store.codecs.coded_blocks import WHOLE, Codebooks
 from clvol.store.codecs.decode import decode_blocks
 from clvol.store.codecs.labels import label_codebooks
 from clvol.store.codecs.layout import check_codes, prefix_sizes
+from clvol.store.codecs.working_values import LARGEST, WorkingValues
 
 COUNTS = {1: 8, 2: 8, 4: 150, 8: 60, 16: 12, 32: 4}
 
@@ -114,6 +119,73 @@ def test_offsets_of_codes_and_voxels_may_exceed_what_32_bits_hold(device, contex
     decoder._decode(held.codes, held.start + far_codes, places, extent, voxels, WHOLE,
                     first_code=far_codes, first_voxel=far_voxels)  # fmt: skip
     assert context.read(voxels).tobytes() == decode_blocks(coded, 8, codebooks).tobytes()
+
+
+@pytest.mark.parametrize(
+    ("codec", "dtype"), [("rvq", "uint8"), ("rvq", "int16"), ("rvq", "float32"), ("hvq", "uint16")]
+)
+def test_sums_of_codes_that_16_bits_hold(each_device, contexts, codec, dtype):
+    """Shifts as trained codebooks have them: without the zero bits that all working values end with."""
+    context = contexts(each_device)
+    for s, least in ((4, 3), (8, 5), (16, 6), (16, 9)):
+        blocks, codebooks = random_codes(s + least, codec, s, dtype, COUNTS[s])
+        shifts = least + np.minimum(np.arange(codebooks.stages)[::-1] // 5, 9 - least)
+        codebooks = replace(codebooks, shifts=shifts.astype(np.int32))
+        assert is_narrow(codebooks) and code_map(codebooks)["unit"] == min(least, 7)
+        decoder, coded = CodeDecoder(context, codebooks), packed(blocks)
+        for stages in (WHOLE, 2):
+            voxels, _ = untouched(context, dtype, (len(blocks) * s**3,))
+            numbers = np.arange(len(blocks))
+            decoder.into_blocks(decoder.hold(coded, s), numbers, voxels, numbers * s**3, stages)
+            assert context.read(voxels).tobytes() == decode_blocks(coded, s, codebooks, stages).tobytes(), (s, stages)
+
+
+@pytest.mark.parametrize("high", [True, False])
+def test_the_largest_sums_that_16_bits_hold(device, contexts, high):
+    context = contexts(device)
+    for more in (0, 1):
+        values = WorkingValues(np.dtype("uint16"), 0, LARGEST)
+        entries = np.zeros((5, 256, 64), np.int8)
+        # In multiples of 8, means are up to 8191: with 64 * (3 * 127 + 3) more 32767; and 64 * 4 * 128 are 32768.
+        entries[:, 7] = np.array([127, 127, 127, 3, more] if high else [-128, -128, -128, -128, -more])[:, None]
+        shifts = np.array([9, 9, 9, 9, 3], np.int32)
+        codebooks = Codebooks("rvq", 4, entries, shifts, values, 1)
+        assert is_narrow(codebooks) == (more == 0)
+        block = packed([write(Coded([[SubBlock(255 if high else 0, [7] * 5)]]), 4, codebooks)])
+        voxels, _ = untouched(context, "uint16", (64,))
+        decoder = CodeDecoder(context, codebooks)
+        decoder.into_blocks(decoder.hold(block, 4), np.array([0]), voxels, np.array([0]))
+        assert (context.read(voxels) == (LARGEST if high else 0)).all()
+        assert context.read(voxels).tobytes() == decode_blocks(block, 4, codebooks).tobytes()
+
+
+@pytest.mark.parametrize(
+    ("codec", "dtype"), [("rvq", "uint8"), ("rvq", "uint16"), ("rvq", "float32"), ("vq", "int16"), ("labels", "int8")]
+)
+def test_large_arrays_are_written_by_whole_cache_lines(each_device, contexts, monkeypatch, codec, dtype):
+    monkeypatch.setattr(code_decoder, "_STREAMED_BYTES", 0)
+    context = contexts(each_device)
+    for shape in ((17, 33, 128), (31, 16, 113), (16, 20, 16)):  # rows of whole lines, odd ones, and a single block
+        counts = [-(-n // 16) for n in shape]
+        count = int(np.prod(counts))
+        blocks, codebooks = random_codes(9, codec, 16, dtype, count)
+        coded = packed(blocks)
+        decoded = decode_blocks(coded, 16, codebooks)
+        decoder = CodeDecoder(context, codebooks)
+        held = decoder.hold(coded, 16)
+        for first in (0, 3):  # aligned, and not
+            voxels, expected = untouched(context, dtype, (first + count * 4096 + 9,))
+            decoder.into_blocks(held, np.arange(count), voxels, first + np.arange(count) * 4096)
+            expected[first : first + count * 4096] = decoded.ravel()
+            assert context.read(voxels).tobytes() == expected.tobytes()
+        corners = np.stack(np.unravel_index(np.arange(count), counts), axis=-1) * 16
+        whole = decoded.reshape(*counts, 16, 16, 16).transpose(0, 3, 1, 4, 2, 5).reshape([16 * n for n in counts])
+        whole = np.ascontiguousarray(whole[tuple(slice(n) for n in shape)])
+        for order in (np.arange(count), np.random.default_rng(1).permutation(count)):
+            voxels, _ = untouched(context, dtype, shape)
+            decoder.into_volume(held, order, voxels, corners[order])
+            decoder.check_fault()
+            assert context.read(voxels).tobytes() == whole.tobytes()
 
 
 def test_a_block_of_unknown_kind_is_filled_and_reported(each_device, contexts):

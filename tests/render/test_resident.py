@@ -33,6 +33,11 @@ SCENES = {
     "maximum": {"integration": {"compositing": "maximum"}},
     "sparse": {"image": {"width": 30, "height": 26, "ray_spacing": 4}},
     "clipped": {"clip": [{"type": "sphere", "center": [20, 17, 20], "radius": 14.0}]},
+    "pyramid": {"integration": {"method": "pyramid"}},
+    "pyramid, clipped": {
+        "integration": {"method": "pyramid", "filter": "cubic", "prefilter": False},
+        "clip": [{"point": [25, 17, 20], "normal": [1, 0.5, 0]}],
+    },
 }  # fmt: skip
 
 
@@ -96,12 +101,37 @@ def test_a_small_pool_gives_the_same_picture_or_says_what_it_needs(device):
         frame_of(device, volume=Volume(array), memory=1024, **tables)
 
 
+def test_slices_through_a_small_pool_give_the_same_picture(each_device):
+    array = waves((60, 70, 80), np.uint8) // 2 + np.random.default_rng(4).integers(0, 120, (60, 70, 80), np.uint8)
+    tables = {"image": {"width": 200, "height": 160}, "integration": {"method": "pyramid"}}
+    upload = frame_of(each_device, volume=Volume(array), decode="upload", **tables)
+    small = frame_of(each_device, volume=Volume(array), memory="1 MiB", **tables)
+    np.testing.assert_array_equal(small.rgba, upload.rgba)
+    np.testing.assert_array_equal(small.depth, upload.depth)
+    assert small.stats["counters"] == upload.stats["counters"] and small.stats["samples"] == upload.stats["samples"]
+    assert small.stats["compression"]["decoded_voxels"] > array.size  # some of it twice
+    with pytest.raises(SceneError, match=r"compression.memory: .* decoded blocks can be held .* at least \d+ bytes"):
+        frame_of(each_device, volume=Volume(array), memory="400 KiB", **tables)
+
+
+def test_slices_of_one_scene_after_another_share_the_bricks(device):
+    """The maps of another transfer function are made of voxels that are decoded anew."""
+    with Renderer(scene_of(integration={"method": "pyramid"}), [device]) as renderer:
+        renderer.render()
+        function = TransferFunction([0, 120, 255], [0, 0.0, 0.4], [[1, 0, 0]] * 3, 2.0)
+        renderer.set_transfer_function(function)
+        frame = renderer.render()
+    other = frame_of(device, decode="upload", integration={"method": "pyramid"}, transfer_function=function)
+    np.testing.assert_array_equal(frame.rgba, other.rgba)
+
+
 @pytest.mark.parametrize(
     ("tables", "what"),
     [
         ({"integration": {"filter": "cubic", "prefilter": True}}, "prefilter"),
         ({"light": HEADLIGHT, "gradient": {"storage": "precomputed"}}, "precomputed gradients"),
         ({"integration": {"voxel_precision": "uint8"}}, "quantised voxels"),
+        ({"integration": {"method": "pyramid", "filter": "cubic", "prefilter": True}}, "prefilter"),
     ],
 )
 def test_what_needs_all_voxels_is_refused(device, tables, what):

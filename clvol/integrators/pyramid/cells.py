@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from clvol.device.voxel_boxes import BOX_ARGUMENTS
 from clvol.integrators.pyramid.layout import BRICK, MAP_SPARE, map_bytes, padded_row
-from clvol.opencl.arguments import FLOAT4, INT4, RAW, Argument, reads, value, writes
+from clvol.opencl.arguments import FLOAT4, INT4, Argument, reads, value, writes
 from clvol.opencl.context import DeviceArray, DeviceContext
 
 if TYPE_CHECKING:
@@ -47,19 +48,22 @@ def voxels_bad_for_error(asked: Asked) -> DeviceArray:
     out = context.empty(np.uint8, (nz, ny, nx))
     kernel = _kernel(
         asked, "bad_voxels",
-        reads("volume", RAW), value("size", INT4), reads("halves", np.int32, len(scales), 4),
+        *BOX_ARGUMENTS, value("size", INT4), reads("halves", np.int32, len(scales), 4),
         reads("shares", np.float32, len(scales), 4), *_mapped_arguments(asked), *_tables(len(scales)),
         reads("steepest", np.float32, len(scales)), value("n", np.int32), value("rows", np.int32),
         value("first", np.float32), value("per_value", np.float32), value("epsilon", np.float32),
         writes("bad", np.uint8, *_VOXELS), scales=len(scales),
     )  # fmt: skip
-    kernel(
-        context.queue, (ny, nz), None, volume=volume.plain(), size=(*volume.size, 0),
-        halves=context.upload(_fours(whole)), shares=context.upload(_fours(shares)),
-        slopes=tables[0], tops=tables[1], minus_bottoms=tables[2],
-        steepest=context.upload(slopes.max(axis=(1, 2))), n=n, rows=rows, first=first,
-        per_value=n / (last - first), epsilon=asked.epsilon, bad=out, **_mapped(asked),
-    )  # fmt: skip
+    arrays = {
+        "halves": context.upload(_fours(whole)), "shares": context.upload(_fours(shares)),
+        "slopes": tables[0], "tops": tables[1], "minus_bottoms": tables[2],
+        "steepest": context.upload(slopes.max(axis=(1, 2))), "bad": out,
+    }  # fmt: skip
+    for box in volume.boxes((int(whole[:, 1].max()), int(whole[:, 2].max()))):
+        kernel(
+            context.queue, box.launch, None, size=(*volume.size, 0), n=n, rows=rows, first=first,
+            per_value=n / (last - first), epsilon=asked.epsilon, **arrays, **box.arguments, **_mapped(asked),
+        )  # fmt: skip
     return out
 
 
@@ -85,15 +89,17 @@ def voxels_of_steep_opacity(asked: Asked) -> DeviceArray:
     out = context.empty(np.uint8, (nz, ny, nx))
     kernel = _kernel(
         asked, "steep_voxels",
-        reads("volume", RAW), value("size", INT4), *_mapped_arguments(asked), reads("opacity", np.float32, "n"),
+        *BOX_ARGUMENTS, value("size", INT4), *_mapped_arguments(asked), reads("opacity", np.float32, "n"),
         value("n", np.int32), value("first", np.float32), value("per_value", np.float32), value("edges", FLOAT4),
         value("threshold", np.float32), writes("bad", np.uint8, *_VOXELS),
     )  # fmt: skip
-    kernel(
-        context.queue, (ny, nz), None, volume=volume.plain(), size=(*volume.size, 0),
-        opacity=context.upload(opacity), n=BINS + 1, first=low, per_value=BINS / (last - low),
-        edges=(*asked.edges, 1.0), threshold=asked.epsilon, bad=out, **_mapped(asked),
-    )  # fmt: skip
+    on_device = context.upload(opacity)
+    for box in volume.boxes((1, 1)):
+        kernel(
+            context.queue, box.launch, None, size=(*volume.size, 0), opacity=on_device, n=BINS + 1, first=low,
+            per_value=BINS / (last - low), edges=(*asked.edges, 1.0), threshold=asked.epsilon, bad=out,
+            **box.arguments, **_mapped(asked),
+        )  # fmt: skip
     return out
 
 

@@ -6,15 +6,18 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from clvol.device.voxels import as_rendered
+from clvol.encoding.coded_volume import UndecodedVolume
 from clvol.errors import SceneError
 from clvol.features import reduced_for_frames
 from clvol.features.refuse import PLAIN, refuse_effects, refuse_keys, refuse_quadrature, refuse_sparse_rays
 from clvol.integrators.base import Prepared, Progress, Shared
+from clvol.integrators.pyramid.bricks import BrickPyramidCaster
 from clvol.integrators.pyramid.caster import PyramidCaster, pyramid_switches
 from clvol.integrators.pyramid.clips import halves_of
 from clvol.integrators.pyramid.layout import pyramid_bytes
 from clvol.integrators.pyramid.oracles import names, oracle_named
 from clvol.integrators.raycast.caster import device_volume
+from clvol.integrators.resident_codes import brick_switches, bricks_for, check_resident
 from clvol.integrators.whole_volume import WholeVolume
 from clvol.scene.resolve import ResolvedScene
 from clvol.volume import Volume
@@ -37,6 +40,7 @@ class Pyramid(WholeVolume):
 
     name = "pyramid"
     tuned_as = "pyramid"
+    holds_codes = True
 
     def check(self, resolved: ResolvedScene) -> None:
         origin, oracle = resolved.origin, resolved.pyramid.oracle
@@ -54,12 +58,14 @@ class Pyramid(WholeVolume):
             raise SceneError(f"{origin}: clip", what, expected)
         refuse_effects(resolved, "integration.method", self.name, "raycast", _EFFECTS)
         refuse_quadrature(resolved)
+        check_resident(resolved)
 
     def device_bytes(self, volume: Volume, scene: Scene | ResolvedScene) -> int:
         return super().device_bytes(volume, scene) + pyramid_bytes(volume, scene)
 
     def programs(self, resolved: ResolvedScene, lanes: int) -> Mapping[str, Mapping[str, int]]:
-        return {"pyramid.cl": pyramid_switches(as_rendered(resolved), lanes)}
+        resolved = as_rendered(resolved)
+        return {"pyramid.cl": {**pyramid_switches(resolved, lanes), **brick_switches(resolved)}}
 
     def sources(self, resolved: ResolvedScene) -> tuple[Sequence[str], bytes]:
         folder = oracle_named(resolved.pyramid.oracle).folder
@@ -67,11 +73,14 @@ class Pyramid(WholeVolume):
         return ("oracle_cells.cl", "oracle_visible.cl", "*.h"), custom
 
     def key(self, resolved: ResolvedScene) -> tuple[Any, ...]:
-        return resolved.pyramid, oracle_named(resolved.pyramid.oracle)
+        memory = (resolved.compression.memory,) if isinstance(resolved.volume, UndecodedVolume) else ()
+        return (resolved.pyramid, oracle_named(resolved.pyramid.oracle), *memory)
 
     def prepare(
         self, shared: Shared, resolved: ResolvedScene, progress: Progress | None = None, wait: bool | None = None
     ) -> Prepared:
+        if (bricks := bricks_for(shared, resolved)) is not None:
+            return BrickPyramidCaster(shared.context, resolved, bricks)
         return PyramidCaster(shared.context, resolved, volume=device_volume(shared, resolved))
 
 

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 
 TILE = 32  # pixels per edge of a tile; a multiple of 2^MOST_LEVELS
 WORKERS = 64  # work-items of a group that has more than one
+CHUNK = 8  # slices that a tile advances by (cl/pyramid.h)
 _MOST_SLICES = 2**23
 # Switches of kernels that work only on voxels and the transfer function.
 _OF_VOXELS = (
@@ -61,7 +62,7 @@ class SliceMarch:
         self.free_shape: tuple[int, int, int]
         self.free_shift: int
         self._halves = np.zeros((0, 4))  # half-spaces that clips keep
-        self._plan: SlicePlan
+        self.plan: SlicePlan  # of the frame that was announced last
 
     def adopt(self, resolved: ResolvedScene) -> ResolvedScene:
         if resolved.clips:
@@ -96,14 +97,14 @@ class SliceMarch:
     def begin(self, caster: Raycaster, camera: Camera | None, width: int, height: int) -> None:
         scene = caster.resolved
         if camera is None:
-            self._plan = SlicePlan.nowhere(scene.pyramid.levels)
+            self.plan = SlicePlan.nowhere(scene.pyramid.levels)
             return
-        self._plan = slice_plan(scene, camera, width, height)
+        self.plan = slice_plan(scene, camera, width, height)
         _check_slices(scene, camera, caster.length)
 
     def arguments(self, caster: Raycaster) -> tuple[Arguments, dict[str, DeviceArray]]:
         row = np.zeros(1, PYRAMID)
-        plan = self._plan
+        plan = self.plan
         row["levels"], row["oversampling"] = plan.levels, plan.oversampling
         row["cells"][0, :3], row["cell_shift"] = self.asked.shape[::-1], self.asked.shift
         row["free_cells"][0, :3], row["free_shift"] = self.free_shape[::-1], self.free_shift

@@ -13,10 +13,12 @@ from clvol.device.light_volume import METHODS
 from clvol.device.tile_ranges import Ranges, tile_ranges
 from clvol.device.view import EVERY_PIXEL, PixelLattice, RayFrame
 from clvol.device.volume import ResidentVolume
+from clvol.device.voxel_boxes import LEAST_UNIT, VoxelBox, box_bytes, box_places
 from clvol.errors import SceneError
 from clvol.features import FILTER_REACH
 from clvol.integrators.base import FrameData, Progress
 from clvol.integrators.raycast.caster import Raycaster
+from clvol.integrators.raycast.march import March
 from clvol.integrators.raycast.tile_groups import tile_groups
 from clvol.opencl.context import DeviceArray, DeviceContext
 from clvol.scene.camera import Camera
@@ -37,6 +39,7 @@ class BrickVolume(ResidentVolume):
     def __init__(
         self, context: DeviceContext, source: BrickSource, memory_bytes: int | None = None, **layout: Any
     ) -> None:
+        self._context = context
         self.pool = BrickPool(context, source, memory_bytes, **layout)
         self.values = self.pool.values
         low, high = self.values(source.value_range)
@@ -66,6 +69,35 @@ class BrickVolume(ResidentVolume):
         if shift not in self._bounds:
             self._bounds[shift] = self._mapped(shift)
         return self._bounds[shift]
+
+    def plain(self) -> DeviceArray:
+        """As in ``ResidentVolume``; decoded anew by each call, beside what the pool may hold."""
+        return self._box((0, 0), (self.size[1], self.size[2]))
+
+    def boxes(self, halo: tuple[int, int]) -> Iterator[VoxelBox]:
+        """As in ``ResidentVolume``: each box is decoded into memory that the pool gives up until a frame needs bricks.
+        SceneError where that is not enough for one box."""
+        pool, (nx, ny, nz) = self.pool, self.size
+        row, most, unit = nx * pool.dtype.itemsize, pool.free_bytes, max(LEAST_UNIT, self.pool.blocks.edge)
+        if (needed := box_bytes((ny, nz), halo, row, unit)) > most:
+            expected = f"at least {pool.memory_bytes - most + needed} bytes for finding out what is visible"
+            raise SceneError("compression.memory", f"got {pool.memory_bytes} bytes", expected)
+        pool.release()
+        for place in box_places((ny, nz), halo, row, most, unit):
+            yield VoxelBox(self._box(place.first, place.last), place)
+
+    def _box(self, first: tuple[int, int], last: tuple[int, int]) -> DeviceArray:
+        """The voxels [z, y, x] of all rows from ``first`` to before ``last`` (y, z)."""
+        real = self.pool.blocks.shape
+        shape = min(last[1], real[0]) - first[1], min(last[0], real[1]) - first[0], real[2]
+        box = self._context.empty(self.pool.dtype, shape)
+        self.pool.put_box(box, (first[1], first[0], 0))
+        if 1 not in real:
+            return box
+        voxels = self._context.read(box)
+        for axis, n in enumerate(real):
+            voxels = np.repeat(voxels, 2, axis=axis) if n == 1 else voxels
+        return self._context.upload(voxels)
 
     def _mapped(self, shift: int) -> tuple[np.ndarray, np.ndarray]:
         x, y, z = (cell_count(n, shift) for n in self.size)
@@ -124,8 +156,9 @@ class BrickCaster(Raycaster):
         lanes: int | None = None,
         skip: bool = True,
         tile: tuple[int, int] = (TILE, TILE),
+        march: March | None = None,
     ) -> None:
-        super().__init__(context, resolved, lanes=lanes, skip=skip, tile=tile, volume=volume)
+        super().__init__(context, resolved, lanes=lanes, skip=skip, tile=tile, volume=volume, march=march)
 
     def set_transfer_function(self, function: TransferFunction) -> None:
         self._needed: np.ndarray | None = None
@@ -142,13 +175,13 @@ class BrickCaster(Raycaster):
         """int64: the numbers of the blocks in which rays, and what they look at beside them, may need voxels."""
         if self._needed is None:
             blocks = self.volume.pool.blocks
-            integration = self.resolved.integration
-            # The other marches also sample where nothing is visible: the last piece of a ray, for example.
-            if self.skip and not self.effects.switches and integration.quadrature == "steps":
-                self._needed = blocks_near(self.shown, self._reach, blocks)
-            else:
-                self._needed = np.arange(blocks.count)
+            self._needed = blocks_near(self.shown, self._reach, blocks) if self._skips else np.arange(blocks.count)
         return self._needed
+
+    @property
+    def _skips(self) -> bool:
+        """Whether rays take no sample far from what is visible. Some marches do, of the last pieces of rays."""
+        return self.skip and not self.effects.switches and self.resolved.integration.quadrature == "steps"
 
     def render(
         self,

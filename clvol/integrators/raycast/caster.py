@@ -56,6 +56,7 @@ from clvol.transfer.pieces import (
 
 SECONDS_A_SAMPLE = 1e-8  # a first guess, used to divide a frame into launches
 _BAND_SECONDS = 0.5
+_PACE_MARGIN = 4.0  # tiles may take this many times as long as those before them
 _DEPTH_NODES = 1024  # of the integral of the extinction, by which the depths of cells are estimated
 _OPAQUE = 20.0  # optical depth above which more makes no difference
 _KEPT = 6  # volumes; a search for settings may render many variants of one
@@ -121,6 +122,7 @@ class Raycaster:
         self.without_surfaces: Raycaster | None = None
         self.no_array = context.empty(np.float32, (4,))
         self._view = context.empty(self.view_dtype, (1,))
+        self._pace: dict[str, float] = {}  # seconds per tile, by kernel
         self.set_transfer_function(resolved.transfer_function)
 
     @property
@@ -156,7 +158,8 @@ class Raycaster:
         warp = self.nodes.warp
         self.warp = context.upload(np.zeros(2, np.float32) if warp is None else warp)
         self.switches = raycast_switches(
-            resolved, lanes=self.lanes, skip=self.skip, function=function
+            resolved, lanes=self.lanes, skip=self.skip, function=function,
+            varies=self.march.varies_steps and isinstance(self.volume, DeviceVolume),
         )
         self.switches |= self.volume.layout
         self.switches |= self.effects.switches  # those that respect the limits of the device
@@ -395,13 +398,15 @@ class Raycaster:
         self.check_structs(switches)
         kernel = self.march.kernel(context, name, declared, switches)
         pixels = tiles * self.tile[0] * self.tile[1] if view["image"][0, 0] else 0
-        expected = pixels * self._most_samples() * SECONDS_A_SAMPLE
         items = tiles if chosen is None else len(chosen)
-        expected *= items / tiles
+        if pixels and name in self._pace:
+            expected = _PACE_MARGIN * items * self._pace[name]
+        else:
+            expected = pixels * self._most_samples() * SECONDS_A_SAMPLE * (items / tiles)
         done = 0
         for first, count in bands(items, expected, _BAND_SECONDS):
             view["first_tile"] = first
-            context.write(self._view, view)
+            context.write_once(self._view, view)
             kernel(
                 context.queue,
                 (count * self.march.workers,),
@@ -417,6 +422,11 @@ class Raycaster:
             if progress is not None:
                 progress(done)
         return added.get("counts")
+
+    def took(self, name: str, tiles: int, seconds: float) -> None:
+        """Remembers what ``tiles`` of kernel ``name`` took, by which launches are made neither long nor needlessly
+        many."""
+        self._pace[name] = seconds / max(tiles, 1)
 
     def _more_arguments(self, tiles: int) -> tuple[Arguments, Arguments, dict[str, DeviceArray]]:
         """The arguments that kernels take in addition to those of a scene of emission and absorption, for a launch over

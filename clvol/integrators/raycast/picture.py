@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -136,7 +137,7 @@ class WholePicture(_Picture):
 
     def render(self, progress: Progress | None) -> FrameData:
         """``progress(tiles done, all)`` is called after each launch."""
-        context = self._context
+        context, begun = self._context, perf_counter()
         every = [stage.tiles for stage in self._stages]
         tallies: list[np.ndarray] = []
         tile_counts: dict[str, int] = {}
@@ -157,6 +158,8 @@ class WholePicture(_Picture):
         taken = sum(int(context.take(stage.outputs["samples"]).sum(dtype=np.uint64)) for stage in self._stages)
         rgba = context.take(last.outputs["image"])
         distances = context.take(last.outputs["depths"]) if self._depth else None
+        if len(self._stages) == 1:
+            self._caster.took(last.kernel, last.tiles, perf_counter() - begun)
         counters = {}
         if tallies:
             counters = {**self._caster.counted(np.concatenate(tallies)), **tile_counts}
@@ -199,9 +202,10 @@ class PictureParts(_Picture):
         self._arrays = arrays
 
     def render(self, stage: int, tiles: np.ndarray) -> PartOfPicture:
-        this, context = self._stages[stage], self._context
+        this, context, begun = self._stages[stage], self._context, perf_counter()
         tally, counts = self._launch(this, tiles, None)
         samples = context.read(this.outputs["samples"])[tiles]
+        self._caster.took(this.kernel, len(tiles), perf_counter() - begun)
         if this.kernel == "raycast":
             rays = int(_pixels(tiles, this.size, self._caster.tile).sum())
         else:

@@ -50,7 +50,7 @@ def is_smooth(resolved: ResolvedScene, function: TransferFunction | None = None)
     integration, volume = resolved.integration, resolved.volume
     if integration.filter != "linear" or integration.quadrature != "steps":
         return False
-    if integration.classification == "pre" or integration.compositing != "over" or integration.method != "raycast":
+    if integration.classification == "pre" or integration.compositing != "over":
         return False
     if type(volume) is not Volume or volume.dtype.itemsize > 4 or volume.nan_count or volume.inf_count:
         return False

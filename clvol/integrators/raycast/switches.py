@@ -20,9 +20,10 @@ def raycast_switches(
     skip: bool = True,
     depth: bool = True,
     function: TransferFunction | None = None,
+    varies: bool = False,
 ) -> dict[str, int]:
     """The switches for this scene, or for ``function`` in place of its transfer function. They depend on nothing
-    that changes from frame to frame."""
+    that changes from frame to frame. ``varies``: whether the march can take several steps at once."""
     integration, volume = resolved.integration, resolved.volume
     functions = layer_functions(resolved, function)
     return {
@@ -35,5 +36,5 @@ def raycast_switches(
         "SKIP_EMPTY": int(skip),
         "WITH_DEPTH": int(depth),
         **effect_switches(resolved),
-        **({"STEP_CELLS": CELL_SHIFT} if follows_data(resolved, function) else {}),
+        **({"STEP_CELLS": CELL_SHIFT} if varies and follows_data(resolved, function) else {}),
     }

@@ -40,6 +40,10 @@ class Bandwidth(Oracle):
 def _holes(asked: Asked) -> np.ndarray:
     """bool [z, y, x]: cells with a voxel that is not finite."""
     context, (nz, ny, nx) = asked.context, asked.shape
-    voxels = ~np.isfinite(context.read(asked.volume.plain()))
-    cells = cells_of_voxels(asked, context.upload(voxels.astype(np.uint8)))
+    voxels = np.zeros(asked.volume.size[::-1], np.uint8)
+    for box in asked.volume.boxes((0, 0)):
+        (y0, z0), (y1, z1), first = box.place.begin, box.place.end, box.place.first
+        own = context.read(box.voxels)[z0 - first[1] : z1 - first[1], y0 - first[0] : y1 - first[0]]
+        voxels[z0:z1, y0:y1] = ~np.isfinite(own)
+    cells = cells_of_voxels(asked, context.upload(voxels))
     return context.read(cells)[:nz, :ny, :nx] > 0

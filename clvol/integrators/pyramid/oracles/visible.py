@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from clvol.device.arguments import view_argument
+from clvol.device.voxel_boxes import BOX_ARGUMENTS
 from clvol.features import FILTER_REACH, overshoot
 from clvol.integrators.pyramid.cells import distance_map, padded_cells
 from clvol.integrators.pyramid.oracle import Asked, Oracle
-from clvol.opencl.arguments import INT4, RAW, reads, value, writes
+from clvol.opencl.arguments import INT4, reads, value, writes
 from clvol.opencl.context import DeviceArray
 from clvol.transfer.lookup_nodes import visible_cells
 
@@ -35,7 +38,7 @@ def visible_in_cells(asked: Asked, cells: DeviceArray, bit: int = 0) -> None:
         "oracle_visible.cl",
         "visible_cells",
         (
-            reads("volume", RAW),
+            *BOX_ARGUMENTS,
             reads("warp", np.float32, 2),
             reads("before", np.int32),
             reads("at", np.uint8),
@@ -51,20 +54,29 @@ def visible_in_cells(asked: Asked, cells: DeviceArray, bit: int = 0) -> None:
         {**asked.switches, "LANES": 1},
     )
     before = np.concatenate([[0], np.cumsum(visible_cells(function, nodes))])
-    kernel(
-        context.queue,
-        (ny, nz),
-        None,
-        volume=asked.volume.plain(),
-        warp=asked.warp,
-        before=context.upload(before.astype(np.int32)),
-        at=context.upload((function.opacity(nodes) > 0).astype(np.uint8)),
-        view=context.upload(asked.view),
-        shift=asked.shift,
-        apron=FILTER_REACH[asked.filter],
-        overshoot=overshoot(asked.filter),
-        cells=(nx, ny, nz, 0),
-        stride=cells.shape[2],
-        bit=bit,
-        visible=cells,
-    )
+    arrays: dict[str, Any] = {
+        "warp": asked.warp,
+        "before": context.upload(before.astype(np.int32)),
+        "at": context.upload((function.opacity(nodes) > 0).astype(np.uint8)),
+        "view": context.upload(asked.view),
+        "visible": cells,
+    }
+    apron, edge = FILTER_REACH[asked.filter], 1 << asked.shift
+    for box in asked.volume.boxes((apron + 1, apron + 1)):
+        own = zip(box.place.begin, box.place.end, (ny, nz))
+        launch = tuple(min(-(-end // edge), count) - begin // edge for begin, end, count in own)
+        if min(launch) == 0:  # a last box of a single plane has no cells of its own
+            continue
+        kernel(
+            context.queue,
+            launch,
+            None,
+            shift=asked.shift,
+            apron=apron,
+            overshoot=overshoot(asked.filter),
+            cells=(nx, ny, nz, 0),
+            stride=cells.shape[2],
+            bit=bit,
+            **arrays,
+            **box.arguments,
+        )
