@@ -137,6 +137,8 @@ def test_a_process_that_hangs_costs_its_package(device, isolated, halves, monkey
     renderer = isolated(made, halves)
     for _ in range(3):
         renderer.render()
+    for member in renderer._on_device.members:  # so that a package soon counts as stalled, on a busy machine, too
+        member.speed = 1e9
     worker = workers(renderer)[1]
     with monkeypatch.context() as patch:
         Fault(patch, worker, where, 0, lambda pid: os.kill(pid, signal.SIGSTOP))
