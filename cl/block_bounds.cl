@@ -1,5 +1,5 @@
 /* How much the field varies in each block that is resident: what bounds the error of a step through it
- * (clvol/integrators/multiresolution/ bounds.py). Along a unit direction (in voxels) a trilinear field's slope and
+ * (clvol/transfer/step_bounds.py). Along a unit direction (in voxels) a trilinear field's slope and
  * curvature are at most what its samples' first, second and mixed differences say; across a face the neighbour's
  * outermost value counts, at its distance.
  *

@@ -26,6 +26,8 @@
 #include "march_effects.h"
 #elif SLICES
 #include "march_slices.h"
+#elif STEP_CELLS
+#include "march_steps.h"
 #elif QUADRATURE == QUADRATURE_CELLS
 #include "march_cells.h"
 #else

@@ -44,6 +44,8 @@ typedef struct {
   BlockVolume blocks;
 #elif SLICES
   __constant const Slices *slices;
+#elif STEP_CELLS
+  __global const uchar *steps;
 #endif
 } Scene;
 
@@ -62,6 +64,10 @@ typedef struct {
 #elif SLICES
 #define VARIANT_PARAMETERS , __constant const Slices *restrict slices
 #define VARIANT , slices
+#define SCENE_COUNTERS 0
+#elif STEP_CELLS
+#define VARIANT_PARAMETERS , __global const uchar *restrict steps
+#define VARIANT , steps
 #define SCENE_COUNTERS 0
 #else
 #define VARIANT_PARAMETERS

@@ -6,7 +6,7 @@
  * limited  min(1 + floor(l), 1 / kappa), l the steps that are left in the block: no farther than the first step in the
  *          next one
  * bounded  min(max(floor(l), 1), n): only single steps cross a face; n the most steps whose error stays within a bound
- *          in that block (`steps`, filled by clvol/integrators/multiresolution/bounds.py)
+ *          in that block (`steps`, filled by clvol/transfer/step_bounds.py)
  *
  * Ljung's limit is for samples that stand for their segments. A pre-integrated segment takes the value to run evenly
  * from one end to the other, so a long one across a face would show all that lies between the values of two blocks,

@@ -14,6 +14,7 @@ from typing import Any
 from clvol.integrators.multiresolution.residency import block_source
 from clvol.integrators.multiresolution.sample_allocator import overhead_bytes, sample_dtype
 from clvol.integrators.pyramid.oracles import names, oracle_named
+from clvol.integrators.raycast.step_map import is_smooth
 from clvol.scene.compression import Compression
 from clvol.scene.image import ImageSettings
 from clvol.scene.integration import Integration
@@ -173,6 +174,10 @@ TUNABLES: dict[str, Tunable] = {
     "compression.bits_per_voxel": Tunable(
         "bits per voxel", "", _targets("bits_per_voxel", (0.25, 0.5, 1.0, 2.0, 4.0)), saves_memory=True,
         applies=_is_compressed,
+    ),
+    "integration.step_error": Tunable(
+        "step error", "linear light per voxel edge", (1e-2, 3e-3, 1e-3, 1e-4, 0.0), methods=_RAYCAST,
+        applies=is_smooth,
     ),
     "multiresolution.memory": Tunable(
         "memory", "", _budgets, saves_memory=True, methods=_BLOCKS, order=parse_size,

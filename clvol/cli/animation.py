@@ -36,6 +36,7 @@ def render_animation(
     quiet: bool,
     devices: list[str] | None,
     memory_cap: int | None,
+    isolate: bool = False,
 ) -> None:
     """Renders all frames of ``scene``, and prints the names of the files written.
 
@@ -88,7 +89,9 @@ def render_animation(
         if todo:
             by_blocks = integrator_of(resolved).reads_blocks
             reading = preparing(progress, encodes=resolved.compression.codec != "none", by_blocks=by_blocks)
-            renderer = Renderer(scene, devices=devices, memory_cap=memory_cap, progress=reading)
+            renderer = Renderer(
+                scene, devices=devices, memory_cap=memory_cap, progress=reading, isolate=isolate
+            )
             if reading is not None and progress is not None:
                 progress(None, None, f"rendering {len(todo)} frames of {size}")
             stack.enter_context(renderer)

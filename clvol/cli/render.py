@@ -43,6 +43,12 @@ _OPTIONS = {"max_error": "--max-error", "time_budget": "--time-budget"}
     "processor. NAME:k/n: the k-th of n equal parts of a device.",
 )
 @click.option(
+    "--isolate",
+    is_flag=True,
+    help="Use each device in a process of its own: a driver that crashes or hangs costs no more than what it was "
+    "rendering.",
+)
+@click.option(
     "--max-error",
     type=float,
     metavar="E",
@@ -73,6 +79,7 @@ def command(
     outputs: tuple[str, ...],
     overrides: tuple[str, ...],
     devices: tuple[str, ...],
+    isolate: bool,
     max_error: float | None,
     time_budget: float | None,
     resume: bool,
@@ -109,7 +116,7 @@ def command(
             outputs = check_still(outputs, resume)
             _render_still(
                 loaded, outputs, stats, list(devices) or None, memory_cap, quiet, start,
-                max_error=max_error, time_budget=time_budget, show_schedule=show_schedule,
+                isolate=isolate, max_error=max_error, time_budget=time_budget, show_schedule=show_schedule,
             )  # fmt: skip
             return
         from clvol.cli.animation import render_animation
@@ -122,8 +129,9 @@ def command(
             what = f"given for an animation of {loaded.animation.frames} frames"
             raise UsageError("--show-schedule", what, "one frame: --set animation.frames=1")
         render_animation(
-            loaded, outputs, stats, resume=resume, quiet=quiet, devices=list(devices) or None, memory_cap=memory_cap
-        )
+            loaded, outputs, stats, resume=resume, quiet=quiet, devices=list(devices) or None, memory_cap=memory_cap,
+            isolate=isolate,
+        )  # fmt: skip
 
 
 def _render_still(
@@ -135,6 +143,7 @@ def _render_still(
     quiet: bool,
     start: float,
     *,
+    isolate: bool,
     max_error: float | None,
     time_budget: float | None,
     show_schedule: str | None,
@@ -150,6 +159,9 @@ def _render_still(
     check_outputs(outputs, others)
     integrator = integrator_of(scene)
     by_blocks, refines = integrator.reads_blocks, integrator.refines_in_time(scene) and time_budget is not None
+    if isolate and (max_error is not None or (time_budget is not None and not refines)):
+        option = _OPTIONS["time_budget" if max_error is None else "max_error"]
+        raise UsageError("--isolate", f"given together with {option}", "one of the two")
     with working(f"loading {scene.origin}", quiet):
         scene.load(memory_cap)
     load_seconds = time.perf_counter() - start
@@ -178,7 +190,9 @@ def _render_still(
         else:
             encodes = scene.compression.codec != "none"
             reading = preparing(progress, encodes=encodes, by_blocks=by_blocks)
-            with Renderer(scene, devices=devices, memory_cap=memory_cap, progress=reading) as renderer:
+            with Renderer(
+                scene, devices=devices, memory_cap=memory_cap, progress=reading, isolate=isolate
+            ) as renderer:
                 if reading is not None and progress is not None:
                     progress(None, None, f"rendering {size}")
                 frame = renderer.render(progress=progress, depth=depth, seconds=time_budget)
@@ -202,6 +216,8 @@ def _render_still(
             temporaries[-1].write_text(text, encoding="utf-8")
     for path in [*outputs, *others]:
         say_path(path)
+    if not quiet and "chosen" in frame.stats:
+        note(frame.stats["chosen"]["in_words"])
     if not quiet and "accuracy" in frame.stats:
         note(accuracy_in_words(frame.stats))
     if not quiet and refines:

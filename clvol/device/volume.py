@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -14,6 +15,8 @@ from clvol.opencl.arguments import INT4, RAW, reads, value, writes
 from clvol.opencl.context import DeviceArray, DeviceContext
 from clvol.volume import Volume
 from clvol.volume.voxel_layout import CELL_SHIFT, LARGEST_OFFSET, cell_count, device_bytes, holds_pairs, padded_size
+
+T = TypeVar("T")
 
 
 class ResidentVolume:
@@ -113,6 +116,7 @@ class DeviceVolume(ResidentVolume):
         self._context, self._data = context, data
         self._gradients: dict[str, tuple[DeviceArray, np.ndarray]] = {}
         self._bounds = {0: self._min_max(plain, 0)}
+        self._kept: dict[str, Any] = {}
 
     @property
     def _grid_switches(self) -> dict[str, int]:
@@ -124,6 +128,13 @@ class DeviceVolume(ResidentVolume):
 
     def plain(self) -> DeviceArray:
         return self._context.share(self._data)
+
+    def keep(self, name: str, make: Callable[[], T]) -> T:
+        """What ``make`` has made of the volume under ``name``; made by the first call."""
+        if name not in self._kept:
+            self._kept[name] = make()
+        found: T = self._kept[name]
+        return found
 
     def gradients(self, operator: str) -> tuple[DeviceArray, np.ndarray]:
         """As in ``ResidentVolume``; computed once per operator."""

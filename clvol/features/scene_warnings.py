@@ -90,7 +90,14 @@ def diagonal(grid: Grid) -> float:
 
 def _preset(resolved: ResolvedScene) -> ClvolWarning | None:
     """A warning of a preset for Hounsfield units if the values are not Hounsfield units."""
-    name = _hounsfield_preset(resolved.transfer_function)
+    chosen = resolved.chosen or {}
+    if "warning" in chosen:
+        advice = "set another preset, or leave [transfer_function] out to have one chosen from the volume"
+        return ClvolWarning("transfer_function.preset", chosen["warning"], advice)
+    if chosen.get("recognised"):
+        return None
+    name = chosen.get("preset") if chosen.get("scale") == "hounsfield" else None
+    name = name or _hounsfield_preset(resolved.transfer_function)
     if name is None:
         return None
     low, high = resolved.data_range

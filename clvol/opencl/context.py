@@ -25,6 +25,7 @@ from clvol.opencl.arguments import Argument, known_sizes
 from clvol.opencl.binding import cl
 from clvol.opencl.build import build_file, is_pocl, keep_programs
 from clvol.opencl.devices import device_name
+from clvol.opencl.failures import BufferMemoryError, failures_of
 from clvol.opencl.forks import check_fork, is_forked, opencl_used
 
 
@@ -50,10 +51,14 @@ class Kernel:
 
     ``alone``: work-items are groups of their own where a call names no size of groups. The driver would choose one by
     the number of work-items; PoCL compiles the kernel again for every size, and so for every new size of a volume.
+    ``device``: its name, for errors.
     """
 
-    def __init__(self, program: Any, name: str, arguments: tuple[Argument, ...], alone: bool = False) -> None:
+    def __init__(
+        self, program: Any, name: str, arguments: tuple[Argument, ...], alone: bool = False, device: str | None = None
+    ) -> None:
         self.name = name
+        self._where = device or f"kernel {name}"
         self.arguments = arguments
         self._alone = alone
         self._kernel = cl.Kernel(program, name)
@@ -81,24 +86,25 @@ class Kernel:
             raise RenderError(f"kernel {self.name}", f"got {', '.join(given)}", expected)
         values = {a.name: a.checked_value(self.name, given[a.name]) for a in self.arguments if a.intent == "value"}
         known = {**(sizes or {}), **known_sizes(values)}
-        for index, argument in enumerate(self.arguments):
-            if argument.intent == "value":
-                self._kernel.set_arg(index, values[argument.name])
-                continue
-            array = given[argument.name]
-            if not isinstance(array, DeviceArray):
-                where = f"kernel {self.name}, argument {argument.name}"
-                raise RenderError(where, f"got {type(array).__name__}", "a DeviceArray")
-            argument.check_buffer(self.name, array, known)
-            self._kernel.set_arg(index, array.buffer)
-        if local_size is None and self._alone:
-            local_size = (1,) * len(global_size)
-        return cl.enqueue_nd_range_kernel(
-            queue,
-            self._kernel,
-            tuple(int(n) for n in global_size),
-            None if local_size is None else tuple(int(n) for n in local_size),
-        )
+        with failures_of(self._where):
+            for index, argument in enumerate(self.arguments):
+                if argument.intent == "value":
+                    self._kernel.set_arg(index, values[argument.name])
+                    continue
+                array = given[argument.name]
+                if not isinstance(array, DeviceArray):
+                    where = f"kernel {self.name}, argument {argument.name}"
+                    raise RenderError(where, f"got {type(array).__name__}", "a DeviceArray")
+                argument.check_buffer(self.name, array, known)
+                self._kernel.set_arg(index, array.buffer)
+            if local_size is None and self._alone:
+                local_size = (1,) * len(global_size)
+            return cl.enqueue_nd_range_kernel(
+                queue,
+                self._kernel,
+                tuple(int(n) for n in global_size),
+                None if local_size is None else tuple(int(n) for n in local_size),
+            )
 
 
 def restore_interrupts() -> None:
@@ -144,7 +150,10 @@ class DeviceContext:
         """Waits for the queue, forgets kernels and programs, and stores the programs for later processes."""
         if is_forked():  # the queue belongs to the parent: waiting for it would not end
             return
-        self.queue.finish()
+        try:
+            self.queue.finish()
+        except cl.Error:  # the device is lost, with whatever was enqueued
+            _log.info("%s does not finish its queue", self.name)
         keep_programs()
         self._outputs.clear()
         self._programs.clear()
@@ -166,7 +175,8 @@ class DeviceContext:
         arguments = tuple(arguments)
         key = (file, name, options, folder, arguments)
         if key not in self._kernels:
-            self._kernels[key] = Kernel(self._program(file, options, folder), name, arguments, self._alone)
+            program = self._program(file, options, folder)
+            self._kernels[key] = Kernel(program, name, arguments, self._alone, self.name)
         return self._kernels[key]
 
     def _program(self, file: str, options: tuple[str, ...], folder: Path | None) -> Any:
@@ -261,13 +271,11 @@ class DeviceContext:
         check_fork()
         if output.host is None:
             return self.read(output)
-        try:
+        with failures_of(self.name):
             mapped, _ = cl.enqueue_map_buffer(
                 self.queue, output.buffer, cl.map_flags.READ, 0, output.shape, output.dtype
             )
             mapped.base.release(self.queue)
-        except cl.Error as error:
-            raise RenderError(self.name, f"failed ({error})") from None
         self._lent.discard(id(output))
         return output.host
 
@@ -276,7 +284,8 @@ class DeviceContext:
         check_fork()
         values = np.ascontiguousarray(values)
         offset = first * array.dtype.itemsize
-        cl.enqueue_copy(self.queue, array.buffer, values, dst_offset=offset, is_blocking=True)
+        with failures_of(self.name):
+            cl.enqueue_copy(self.queue, array.buffer, values, dst_offset=offset, is_blocking=True)
 
     def write_once(self, array: DeviceArray, values: np.ndarray) -> None:
         """As ``write``, of all of an ``array`` that nothing else writes. Nothing is done if it has these values: a
@@ -293,30 +302,30 @@ class DeviceContext:
         which has the same dtype. Within one array they must not overlap."""
         check_fork()
         size = source.dtype.itemsize
-        cl.enqueue_copy(
-            self.queue,
-            target.buffer,
-            source.buffer,
-            byte_count=count * size,
-            src_offset=first * size,
-            dst_offset=to * size,
-        )
+        with failures_of(self.name):
+            cl.enqueue_copy(
+                self.queue,
+                target.buffer,
+                source.buffer,
+                byte_count=count * size,
+                src_offset=first * size,
+                dst_offset=to * size,
+            )
 
     def read(self, array: DeviceArray, out: np.ndarray | None = None) -> np.ndarray:
         """The contents of ``array``; waits for everything enqueued before."""
         check_fork()
         if out is None:
             out = np.empty(array.shape, array.dtype)
-        cl.enqueue_copy(self.queue, out, array.buffer, is_blocking=True)
+        with failures_of(self.name):
+            cl.enqueue_copy(self.queue, out, array.buffer, is_blocking=True)
         return out
 
     def finish(self) -> None:
         """Waits for everything enqueued; RenderError if any of it failed."""
         check_fork()
-        try:
+        with failures_of(self.name):
             self.queue.finish()
-        except cl.Error as error:
-            raise RenderError(self.name, f"failed ({error})") from None
 
     def _buffer(
         self, flags: int, dtype: np.dtype, shape: tuple[int, ...], host: np.ndarray | None
@@ -340,7 +349,7 @@ class DeviceContext:
 
 
 def _no_memory(name: str, nbytes: int, error: Exception) -> DeviceError:
-    return DeviceError(name, f"no memory for {nbytes} bytes ({error})", "a smaller volume or image")
+    return BufferMemoryError(name, f"no memory for {nbytes} bytes ({error})", "a smaller volume or image")
 
 
 _free: list[np.ndarray] = []  # memory of shared arrays that nothing refers to any more

@@ -110,6 +110,17 @@ def open_devices(name: str | None = None) -> list[pyopencl.Device]:
     return [open_device(name)]
 
 
+def named_devices(name: str | None = None) -> list[str]:
+    """The names of the devices that ``open_devices`` would open, without opening one: no driver is loaded. A part of a
+    device is not checked."""
+    if name is not None and name.strip().lower() == "all":
+        return [report.name for report in one_per_processor(list_devices())]
+    whole, slash, parts = (name or "").rpartition(":")
+    if slash and "/" in parts:
+        return [f"{select(list_devices(), whole)[0].name}:{parts}"]
+    return [select(list_devices(), name)[0].name]
+
+
 def one_per_processor(reports: list[DeviceReport]) -> list[DeviceReport]:
     """Of the working devices that are the same processor, the fastest; the first where a speed is not known. CPUs are
     one processor; other devices are told apart by their names and numbers."""

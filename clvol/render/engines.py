@@ -11,7 +11,8 @@ from clvol.device.view import EVERY_PIXEL, PixelLattice
 from clvol.errors import DeviceError, RenderError, VolumeError
 from clvol.integrators.base import FrameData, Prepared, Progress
 from clvol.opencl.context import DeviceContext
-from clvol.render.device_group import DeviceGroup, Member
+from clvol.render.device_group import DeviceGroup
+from clvol.render.member import LocalMember
 from clvol.render.notices import Notices
 from clvol.render.prepared_cache import PreparedCache
 from clvol.render.renderer import open_contexts
@@ -63,18 +64,18 @@ class SharedEngines:
     """As ``PreparedCache``, for several devices. One that fails is left out."""
 
     def __init__(self, contexts: Sequence[DeviceContext]) -> None:
-        self._members = [Member(context, PreparedCache(context)) for context in contexts]
+        self._members = [LocalMember(context) for context in contexts]
         self.group = DeviceGroup(self._members)
 
     @property
     def contexts(self) -> list[DeviceContext]:
         """Those of the devices that work, the fastest first."""
-        return [member.context for member in self.group.alive]
+        return [member.context for member in sorted(self._members, key=lambda m: -m.speed) if member.works]
 
     @property
     def names(self) -> list[str]:
         """Of the devices that work."""
-        return [member.context.name for member in self._members if member.lost is None]
+        return [member.name for member in self._members if member.lost is None]
 
     @property
     def compile_seconds(self) -> float:
@@ -85,8 +86,9 @@ class SharedEngines:
     ) -> SharedPrepared:
         """As ``PreparedCache.prepare``."""
         prepared: dict[int, Prepared] = {}
+        self.group.wait_for_one()
         for number, member in enumerate(self._members):
-            if member.lost is None:
+            if member.works:
                 try:
                     prepared[number] = member.cache.prepare(resolved, progress, wait)
                 except (RenderError, DeviceError, VolumeError) as error:
@@ -95,17 +97,16 @@ class SharedEngines:
 
     def compression(self, resolved: ResolvedScene, blocks: Mapping[str, Any] | None = None) -> dict[str, Any]:
         """As ``PreparedCache.compression``."""
-        return self.group.alive[0].cache.compression(resolved, blocks)
+        return self.group.alive[0].compression(resolved, blocks)
 
     def tell(self, notices: Notices) -> None:
         """Warns of devices that have failed."""
-        notices.of_devices({m.context.name: m.lost for m in self._members if m.lost is not None}, self.names)
+        notices.of_devices({m.name: m.lost for m in self._members if m.lost is not None}, self.names)
 
     def close(self) -> None:
         self.group.close()
         for member in self._members:
-            member.cache.close()
-            member.context.release()
+            member.close()
 
 
 class SharedPrepared:
@@ -118,8 +119,8 @@ class SharedPrepared:
     def _use(self) -> DeviceGroup:
         """The group, with this scene as the one that is rendered."""
         group = self._engines.group
-        for number, prepared in self._prepared.items():
-            group.members[number].prepared = prepared
+        for number, member in enumerate(group.members):
+            member.prepared = self._prepared.get(number)
         group.remember_in(self._costs)
         return group
 

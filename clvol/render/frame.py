@@ -64,6 +64,8 @@ def make_frame(
         "effects": called_for(resolved),
         "method": resolved.integration.method,
     }
+    if resolved.chosen is not None:
+        stats["chosen"] = resolved.chosen
     return Frame(
         np.asarray(rgba, np.float32),
         None if depth is None else np.asarray(depth, np.float32),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from math import inf
@@ -17,13 +17,16 @@ from clvol.errors import DeviceError, RenderError, UsageError, VolumeError
 from clvol.integrators.base import FrameData, Prepared, Progress, RefinesInTime
 from clvol.integrators.registry import check_scene, integrator_of
 from clvol.opencl.context import DeviceContext
-from clvol.opencl.devices import device_name, open_devices
+from clvol.opencl.devices import device_name, named_devices, open_devices
 from clvol.opencl.forks import check_fork, is_forked
-from clvol.render.device_group import DeviceGroup, Member, Schedule
+from clvol.render.device_group import DeviceGroup
 from clvol.render.frame import Frame, make_frame
+from clvol.render.frame_schedule import Schedule
+from clvol.render.isolation.member import isolated_members
+from clvol.render.isolation.segments import PictureMemory
 from clvol.render.made_from import MadeFrom
+from clvol.render.member import LocalMember, Member
 from clvol.render.notices import Notices
-from clvol.render.prepared_cache import PreparedCache
 from clvol.scene.camera import Camera
 from clvol.scene.resolve import ResolvedScene
 
@@ -40,6 +43,8 @@ class _OnDevices:
 
     members: list[Member]
     group: DeviceGroup
+    scene: ResolvedScene | None = None
+    wait: bool | None = None  # as in the last request
 
     @property
     def prepared(self) -> Prepared:
@@ -48,27 +53,39 @@ class _OnDevices:
         assert prepared is not None
         return prepared
 
-    @property
-    def cache(self) -> PreparedCache:
-        """That of the fastest device."""
-        return self.group.alive[0].cache
-
     def prepare(self, resolved: ResolvedScene, progress: Progress | None = None, wait: bool | None = None) -> None:
         """Makes ``resolved`` the scene that is rendered, on all devices. Devices that fail are left out; the error of
         the last one is raised."""
+        self.group.wait_for_one()
         for member in self.group.alive:
             try:
-                member.prepared = member.cache.prepare(resolved, progress, wait)
+                member.prepare(resolved, progress, wait)
+                member.scene = resolved
             except (RenderError, DeviceError, VolumeError) as error:
                 if len(self.members) == 1:
                     raise
                 self.group.lose(member, error)
+        self.scene, self.wait = resolved, wait
+
+    def catch_up(self) -> None:
+        """Prepares the scene on devices that were busy when it was set."""
+        self.group.wait_for_one()
+        if self.scene is not None and any(member.scene is not self.scene for member in self.group.alive):
+            self.prepare(self.scene, wait=self.wait)
+
+    def compression(self, resolved: ResolvedScene, blocks: Mapping[str, Any] | None) -> dict[str, Any]:
+        """As ``PreparedCache.compression``, of the fastest device that answers."""
+        for member in self.group.alive:
+            try:
+                return member.compression(resolved, blocks)
+            except RenderError as error:
+                self.group.lose(member, error)
+        return {}
 
     def close(self) -> None:
         self.group.close()
         for member in self.members:
-            member.cache.close()
-            member.context.release()
+            member.close()
 
 
 class Renderer:
@@ -78,6 +95,8 @@ class Renderer:
     "NAME:k/n" for the k-th of n equal parts of a device, too), or pyopencl devices; None takes the default one.
     Several devices share each picture; one that fails is left out, with a warning. ``memory_cap``: bytes that the
     scene may take on a device; a scene that needs more is refused before anything is uploaded.
+    ``isolate``: each device is used by a process of its own, so that a driver that crashes or hangs costs what it was
+    rendering, and nothing else; the crash of the last one is a RenderError.
     ``progress(done, total)`` is called while voxels are encoded ([compression]), and while the blocks of the method
     "multiresolution" are read. Use the Renderer as a context manager, or call ``close``.
 
@@ -98,6 +117,7 @@ class Renderer:
         devices: Sequence[Any] | None = None,
         memory_cap: int | None = None,
         progress: Progress | None = None,
+        isolate: bool = False,
     ) -> None:
         start = perf_counter()
         self._lock, self._is_busy = threading.RLock(), False
@@ -107,8 +127,13 @@ class Renderer:
         self._first_time = self.resolved.animation.time
         loaded = perf_counter()
         self._provenances: WeakSet[MadeFrom] = WeakSet()
-        members = [Member(context, PreparedCache(context)) for context in open_contexts(devices)]
-        on_devices = _OnDevices(members, DeviceGroup(members))
+        if isolate:
+            members: list[Member] = isolated_members(requested_names(devices))
+            group = DeviceGroup(members, PictureMemory())
+        else:
+            members = [LocalMember(context) for context in open_contexts(devices)]
+            group = DeviceGroup(members)
+        on_devices = _OnDevices(members, group)
         try:
             on_devices.prepare(self.resolved, progress)
         except BaseException:
@@ -117,7 +142,8 @@ class Renderer:
         self._on_device: _OnDevices | None = on_devices
         self._notices = Notices(self.resolved)
         self._load_seconds = loaded - start
-        self._prepare_seconds = perf_counter() - loaded - sum(m.context.compile_seconds for m in members)
+        self._compile_seconds = sum(member.take_compile_seconds() for member in members)
+        self._prepare_seconds = perf_counter() - loaded - self._compile_seconds
 
     def __enter__(self) -> Renderer:
         return self
@@ -199,31 +225,35 @@ class Renderer:
         if camera is None:
             camera = resolved.camera
         else:
-            camera = camera.complete(resolved.volume.grid, resolved.image)
+            camera = camera.complete(resolved.volume.grid, resolved.image, frame=resolved.volume.frame)
         self._move_to(on_devices, self._first_time if time is None else float(time), camera)
         group = on_devices.group
+        on_devices.catch_up()
+        before = self._compile_seconds + group.take_compile_seconds()
         compile_start = perf_counter()
-        before = sum(member.context.compile_seconds for member in group.alive)
         if seconds is None:
             group.warm_up(width, height, depth)
         else:
             _refining(on_devices.prepared).warm_up_for_time(depth)
         compile_seconds = before + perf_counter() - compile_start
-        for member in group.alive:
-            member.context.compile_seconds = 0.0
+        group.take_compile_seconds()
+        self._compile_seconds = 0.0
         start = perf_counter()
         if seconds is not None:
-            data = _refining(on_devices.prepared).render_for_time(
-                camera, width, height, progress, depth, seconds=seconds
+            limit = seconds
+            data = group.render_alone(
+                lambda prepared: _refining(prepared).render_for_time(
+                    camera, width, height, progress, depth, seconds=limit
+                )
             )
         elif len(on_devices.members) == 1:
             data = on_devices.prepared.render(camera, width, height, progress, depth)
         else:
             data = group.render(camera, width, height, progress, depth)
         times = {"compile": compile_seconds, "render": perf_counter() - start}
-        names = [member.context.name for member in on_devices.members if member.lost is None]
-        self._notices.of_devices({m.context.name: m.lost for m in on_devices.members if m.lost is not None}, names)
-        counted = on_devices.cache.compression(self.resolved, data.notes.get("blocks"))
+        names = [member.name for member in on_devices.members if member.lost is None]
+        self._notices.of_devices({m.name: m.lost for m in on_devices.members if m.lost is not None}, names)
+        counted = on_devices.compression(self.resolved, data.notes.get("blocks"))
         for name, value in _counted(data).items():
             counted[name] = counted.get(name, {}) | value if name == "compression" else value
         return self._frame(names, camera, data.rgba, data.depth, times, counted)
@@ -311,15 +341,30 @@ def check_memory(resolved: ResolvedScene, cap: int | None) -> None:
 def open_contexts(devices: Sequence[Any] | None) -> list[DeviceContext]:
     """The devices that are requested, opened; the default one if there are none. DeviceError for one that does not
     work."""
-    if isinstance(devices, str) or (devices is not None and not isinstance(devices, Sequence)):
-        devices = [devices]
     opened: list[Any] = []
-    for each in devices or [None]:
+    for each in _requested(devices):
         opened += open_devices(each) if each is None or isinstance(each, str) else [each]
     twice = [device for k, device in enumerate(opened) if device in opened[:k]]
     if twice:
         raise UsageError("devices", f"the device {device_name(twice[0])!r} twice", "each device once")
     return [DeviceContext(device) for device in opened]
+
+
+def requested_names(devices: Sequence[Any] | None) -> list[str]:
+    """The names of the devices that are requested; none is opened."""
+    names: list[str] = []
+    for each in _requested(devices):
+        names += named_devices(each) if each is None or isinstance(each, str) else [device_name(each)]
+    twice = [name for k, name in enumerate(names) if name in names[:k]]
+    if twice:
+        raise UsageError("devices", f"the device {twice[0]!r} twice", "each device once")
+    return names
+
+
+def _requested(devices: Sequence[Any] | None) -> Sequence[Any]:
+    if isinstance(devices, str) or (devices is not None and not isinstance(devices, Sequence)):
+        return [devices]
+    return devices or [None]
 
 
 def open_context(devices: Sequence[Any] | None) -> DeviceContext:

@@ -6,7 +6,7 @@ import os
 
 import numpy as np
 
-from clvol.render.device_group import Schedule
+from clvol.render.frame_schedule import Schedule
 from clvol.schedule.tiles import tiling
 
 _UNKNOWN = (0.85, 0.85, 0.85)

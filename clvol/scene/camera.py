@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field, model_validator
 
+from clvol.choice.view import View, axes_of, is_view, named_view
 from clvol.errors import SceneError
 from clvol.scene.image import ImageSettings
 from clvol.scene.table import Length, Number, Table, Vector, wrong
@@ -66,6 +67,13 @@ class Camera(Table):
         examples=[250.0],
     )
 
+    view: str | None = Field(
+        None,
+        title="Side that the volume is seen from, in place of a position; left and right are the patient's.",
+        description="'front', 'back', 'left', 'right', 'top', 'bottom', or up to three that meet, as in 'front-left'",
+        examples=["front-left"],
+    )
+
     @classmethod
     def table_name(cls) -> str:
         return "camera"
@@ -74,6 +82,12 @@ class Camera(Table):
     def _not_degenerate(self) -> Camera:
         if self.up is not None and not any(self.up):
             raise wrong("up", list(self.up), "a vector that is not 0")
+        if self.view is not None:
+            if not is_view(self.view):
+                expected = "'front', 'back', 'left', 'right', 'top', 'bottom', or up to three that meet: 'front-left'"
+                raise wrong("view", self.view, expected)
+            if self.position is not None:
+                raise wrong("view", self.view, "either a view or a position")
         if self.position is None or self.target is None:
             return self
         forward = _unit(np.subtract(self.target, self.position))
@@ -88,16 +102,51 @@ class Camera(Table):
         """A perspective view of 30 degrees with the whole volume in the picture."""
         return cls().complete(grid, image)
 
-    def complete(self, grid: Grid, image: ImageSettings, where: str = "scene") -> Camera:
+    def complete(
+        self,
+        grid: Grid,
+        image: ImageSettings,
+        where: str = "scene",
+        frame: str = "index",
+        chosen: View | None = None,
+    ) -> Camera:
         """A copy with everything that was left out filled in so that the whole of ``grid`` is shown.
+
+        ``frame``: that of the volume, for a named view. ``chosen``: a view of the object in the volume, which decides
+        what the camera leaves out; its points are in the picture, in place of the whole of ``grid``.
 
         Raises SceneError, whose ``where`` begins with ``where``, if the result would be degenerate.
         """
-        corners = np.asarray(grid.world_corners(), dtype=np.float64)
+        if self.view is not None or chosen is not None:
+            return self._directed(grid, image, where, frame, chosen)
+        return self._completed(np.asarray(grid.world_corners(), dtype=np.float64), image, where)
+
+    def _directed(
+        self, grid: Grid, image: ImageSettings, where: str, frame: str, chosen: View | None
+    ) -> Camera:
+        """``complete`` where a view, named or chosen, decides on the direction and on what is up."""
+        corners = np.asarray(grid.world_corners() if chosen is None else chosen.points, dtype=np.float64)
+        up = self.up
+        if self.view is not None:
+            towards_eye, side_up = named_view(self.view, axes_of(frame) if chosen is None else chosen.axes)
+        else:
+            assert chosen is not None
+            towards_eye, side_up = chosen.towards_eye, chosen.up
+        if self.position is not None:
+            target = 0.5 * (corners.min(axis=0) + corners.max(axis=0)) if self.target is None else self.target
+            towards_eye = _unit(np.subtract(self.position, target))
+        if up is None and not _parallel(_unit(towards_eye), _unit(side_up)):
+            up = (float(side_up[0]), float(side_up[1]), float(side_up[2]))
+        return self.model_copy(update={"up": up, "view": None})._completed(corners, image, where, towards_eye)
+
+    def _completed(
+        self, corners: np.ndarray, image: ImageSettings, where: str, towards_eye: ArrayLike = _DEFAULT_TOWARDS_EYE
+    ) -> Camera:
+        """``complete`` with the world positions ``corners`` [n, 3] in view, from the direction ``towards_eye``."""
         centre = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
         target = centre if self.target is None else np.array(self.target)
         if self.position is None:
-            forward = -_unit(_DEFAULT_TOWARDS_EYE)
+            forward = -_unit(towards_eye)
         else:
             forward = _unit(target - self.position)
             if not forward.any():

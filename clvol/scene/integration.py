@@ -9,12 +9,15 @@ from pydantic import Field
 from clvol.scene.table import Number, Table, Whole
 
 _BY_STEPS = ("raycast", "multiresolution", "pyramid", "slicing")
+_SHADED = ("raycast",)
 
 
 class Integration(Table):
     """How values along a ray are sampled, classified and composited.
 
-    ``step`` is in units of the smallest voxel edge. ``compositing``: "over" integrates emission and absorption along
+    ``step`` is in units of the smallest voxel edge. Where the data are smooth the ray caster takes several steps at
+    once, as long as the bound on what that adds to the error of a colour stays below ``step_error`` times the square
+    of ``step`` per edge; 0 means even steps. ``compositing``: "over" integrates emission and absorption along
     the ray; the others show the "maximum", the "minimum" or the "average" of the values on it, or a maximum in which
     ``attenuation`` weakens what lies behind. ``prefilter`` makes the filter "cubic" interpolate the voxels.
 
@@ -35,6 +38,11 @@ class Integration(Table):
         1.0, gt=0, le=1e6,
         title="Distance between samples along a ray, in edges of the smallest voxel.",
         description="a number greater than 0, at most 1e6",
+    )
+    step_error: Number = Field(
+        1e-3, ge=0, le=1,
+        title="Error that segments of several steps may add per voxel edge, at steps of one edge; 0: even steps.",
+        description="a number from 0 to 1 (linear, premultiplied)",
     )
     classification: Literal["pre", "post", "preintegrated"] = Field(
         "preintegrated",
@@ -91,6 +99,12 @@ class Integration(Table):
     def takes_steps(self) -> bool:
         """Whether ``step`` has an effect; it has none on the exact integral."""
         return self.method in _BY_STEPS
+
+    @property
+    def shades(self) -> bool:
+        """Whether lights and all filters can be rendered; some methods and quadratures have emission and absorption
+        alone."""
+        return self.method in _SHADED and self.quadrature == "steps"
 
     @classmethod
     def table_name(cls) -> str:

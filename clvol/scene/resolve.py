@@ -7,7 +7,7 @@ import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,6 +19,7 @@ from clvol.scene.camera import Camera
 from clvol.scene.clip import Clip
 from clvol.scene.codes import code_of, function_in_codes, in_stored_values
 from clvol.scene.compression import Compression
+from clvol.scene.default_unit import default_opacity_unit
 from clvol.scene.depth_cue import DepthCue
 from clvol.scene.environment import Environment
 from clvol.scene.field import ResolvedField
@@ -50,7 +51,6 @@ if TYPE_CHECKING:
     from clvol.scene.scene import Scene
 
 LARGEST_STEP_COUNT = 2**24  # a float32 counts no further
-_SHORTEST_EDGE_PER_UNIT = 32.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,6 +93,7 @@ class ResolvedScene:
     voxel_range: tuple[float, float] | None = None  # where ``volume`` holds codes instead of voxels
     axis: ValueAxis = ValueAxis()
     compression: Compression = Compression()
+    chosen: dict[str, Any] | None = None  # what was chosen from the volume, since the scene does not state it
 
     @property
     def data_range(self) -> tuple[float, float]:
@@ -110,7 +111,8 @@ def resolve(scene: Scene, memory_cap: int | None = None) -> ResolvedScene:
     """See ``Scene.resolve``."""
     _check_no_labels(scene)
     volume = scene.load_volume(memory_cap)
-    camera = (scene.camera or Camera()).complete(volume.grid, scene.image, scene.origin)
+    scene = scene.completed(memory_cap)
+    camera = (scene.camera or Camera()).complete(volume.grid, scene.image, scene.origin, volume.frame)
     _check_step_count(scene, volume.grid)
 
     given = scene.transfer_function
@@ -163,6 +165,7 @@ def resolve(scene: Scene, memory_cap: int | None = None) -> ResolvedScene:
         depth_cue=cue,
         animation=scene.animation,
         compression=scene.compression,
+        chosen=scene.chosen,
     )
     return in_stored_values(resolved)
 
@@ -170,13 +173,6 @@ def resolve(scene: Scene, memory_cap: int | None = None) -> ResolvedScene:
 def _surface(surface: Isosurface, decoded: Callable[[ArrayLike], np.ndarray]) -> Isosurface:
     back = surface.color if surface.back_color is None else surface.back_color
     return surface.model_copy(update={"color": decoded(surface.color), "back_color": decoded(back)})
-
-
-def default_opacity_unit(grid: Grid) -> float:
-    """The world length that presets state opacities for: a 32nd of the volume's shortest edge."""
-    lower, upper = grid.index_bounds()
-    edges = (np.asarray(upper) - np.asarray(lower)) * np.asarray(grid.spacing)
-    return float(edges.min()) / _SHORTEST_EDGE_PER_UNIT
 
 
 def load_scene_volume(

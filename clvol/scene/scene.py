@@ -17,6 +17,7 @@ from pydantic import (
     model_validator,
 )
 
+from clvol.choice.first_picture import FirstPicture
 from clvol.scene.animation import Animation
 from clvol.scene.camera import Camera
 from clvol.scene.clip import Clip
@@ -24,6 +25,7 @@ from clvol.scene.compression import Compression
 from clvol.scene.depth_cue import DepthCue
 from clvol.scene.environment import Environment
 from clvol.scene.field import LARGEST_COUNT, FieldSettings
+from clvol.scene.first_picture import completed
 from clvol.scene.gradient import GradientSettings
 from clvol.scene.image import ImageSettings
 from clvol.scene.integration import Integration
@@ -86,7 +88,8 @@ class Scene(Table):
     image : ImageSettings
         Width and height in pixels, and the background.
     transfer_function : TransferFunction or TransferFunctionSettings, optional
-        Colour and opacity by value. Default: a grey ramp over the value range. Beside a ``TransferFunction``, all
+        Colour and opacity by value. Default: chosen from the volume (``completed``), with lights, material, filter,
+        background and camera where the scene has none. Beside a ``TransferFunction``, all
         colours of the scene are linear light.
     integration : Integration
         Rendering method, step, classification and filter.
@@ -164,7 +167,7 @@ class Scene(Table):
         TransferFunctionSettings | None, WrapValidator(_transfer_function)
     ] = Field(
         None,
-        title="Colour and opacity by value; without this table, a grey ramp over the value range.",
+        title="Colour and opacity by value; without this table, chosen from the volume, with lights and a view.",
         description=_TABLE,
     )
     integration: Integration = Field(
@@ -255,6 +258,8 @@ class Scene(Table):
     _folder: Path = PrivateAttr(Path())  # the folder that volume.file is relative to
     _loaded: Any = PrivateAttr(None)  # the volume, once loaded from its file
     _memory_cap: int | None = PrivateAttr(None)  # bytes that each file may take, once loaded
+    _first: Any = PrivateAttr(None)  # what suits the loaded volume
+    _chosen: dict[str, Any] | None = PrivateAttr(None)  # what was chosen for this scene, and why
     _fields: dict[tuple, Any] = PrivateAttr(default_factory=dict)  # the volumes of fields, by file and choices
 
     @model_validator(mode="after")
@@ -292,7 +297,7 @@ class Scene(Table):
         copy = super().model_copy(update=update, deep=deep)
         copy._origin, copy._folder = self._origin, self._folder
         if "volume" not in (update or {}):
-            copy._loaded = self._loaded
+            copy._loaded, copy._first, copy._chosen = self._loaded, self._first, self._chosen
         copy._fields, copy._memory_cap = self._fields, self._memory_cap
         return copy
 
@@ -334,6 +339,25 @@ class Scene(Table):
                 volume = self._fields[key]
             volumes.append(volume)
         return tuple(volumes)
+
+    def first_picture(self, memory_cap: int | None = None) -> FirstPicture:
+        """What suits the volume, which is examined once. ``memory_cap``: as for ``load_volume``."""
+        if self._first is None:
+            self._first = FirstPicture(self.load_volume(memory_cap))
+        return self._first
+
+    def completed(self, memory_cap: int | None = None) -> Scene:
+        """The scene with a transfer function chosen from the volume, and lights, material, filter, background and
+        camera that go with it, where the scene states none; the scene itself if it has a transfer function.
+
+        ``memory_cap``: as for ``load_volume``. Raises SceneError, VolumeError.
+        """
+        return completed(self, self._memory_cap if memory_cap is None else memory_cap)
+
+    @property
+    def chosen(self) -> dict[str, Any] | None:
+        """What ``completed`` has chosen, and why, as JSON types; None if nothing was."""
+        return self._chosen
 
     def resolve(self, memory_cap: int | None = None) -> ResolvedScene:
         """The scene with its volume loaded, every default filled in and colours in linear light.

@@ -6,9 +6,9 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
+from clvol.scene.preset_file import expected_preset, is_known
 from clvol.scene.table import AsTuple, Color, Fraction, Length, Number, Table, wrong
-from clvol.transfer import PRESETS, TransferFunction, preset, srgb_to_linear
-from clvol.transfer.presets import expected_preset
+from clvol.transfer import TransferFunction, preset, srgb_to_linear
 
 LARGEST_POINTS = 65536
 
@@ -49,6 +49,9 @@ def check_points(points: tuple[ControlPoint, ...]) -> None:
 class TransferFunctionSettings(Table):
     """Either ``points`` or a ``preset``; with neither, a grey ramp over the volume's range.
 
+    A preset that is a file (``clvol/scene/preset_file.py``) also brings filter, step, material and lights, where the
+    scene states none, and is placed on the volume: ``Scene.completed``.
+
     ``opacity_unit`` is the world length that opacities refer to. It defaults to 1 for points, and to a 32nd of the
     volume's shortest edge for presets and for the grey ramp. ``color_space`` is the colour space of the points'
     colours and of the image's background.
@@ -76,8 +79,8 @@ class TransferFunctionSettings(Table):
     )
     preset: str | None = Field(
         None,
-        title="Preset instead of points: 'grayscale', 'translucent', 'surface', 'hot', 'ct-bone' or 'ct-tissue'.",
-        description="the name of a preset, in quotes",
+        title="Preset instead of points: 'grayscale', 'hot', 'ct-bone', 'mr-brain' and others, or a preset file.",
+        description="the name of a preset or of a preset file (*.toml), in quotes",
         examples=["ct-bone"],
     )
 
@@ -89,7 +92,7 @@ class TransferFunctionSettings(Table):
     def _one_function(self) -> TransferFunctionSettings:
         if self.preset is not None and self.points is not None:
             raise wrong("preset", self.preset, "either points or a preset, not both")
-        if self.preset is not None and self.preset not in PRESETS:
+        if self.preset is not None and not is_known(self.preset):
             raise wrong("preset", self.preset, expected_preset(self.preset))
         if self.points is None:
             return self

@@ -29,6 +29,7 @@ _LEAST_UNCERTAINTY = 0.03  # of a package
 _DOUBTED = 0.2  # uncertainty of tiles above which costs are corrected
 _CAUTION = 1.0  # the share handed out is 1 / (1 + caution * uncertainty), where caution is this plus the
 # largest of as many normal deviations as there are devices, about the root of twice the logarithm of their number
+_STEADY = 0.05  # differences of speed up to which a device counts as steady
 _NEWEST = 0.4  # how much the newest package says of uncertainties, beside those before
 _STALLED = 5.0  # times the expected time after which a package is issued again,
 _PATIENCE = 1.0  # plus this many seconds
@@ -54,10 +55,13 @@ class Package:
 
 @dataclass
 class Share:
-    """What a device has done for a picture. ``speed`` is in cost per second, ``launch`` in seconds per package."""
+    """What a device has done for a picture. ``speed`` is in cost per second, ``launch`` in seconds per package;
+    ``unsteady``: by what share its speed differs from one package to the next, as on a processor that other programs
+    use."""
 
     speed: float
     launch: float
+    unsteady: float = 0.0
     tiles: int = 0
     packages: int = 0
     busy: float = 0.0  # seconds
@@ -72,6 +76,7 @@ class Dispatcher:
     ``costs`` float [tiles], > 0: expected relative costs; ``measured``: whether they come from an earlier picture.
     ``speeds`` [devices] in cost per second, and ``launches`` [devices] in seconds per package. ``least_tiles``: tiles
     that a launch takes at least. ``columns``: tiles per row of the picture; 0 where tiles have no neighbours.
+    ``unsteady`` [devices]: ``Share.unsteady`` of an earlier picture.
     """
 
     def __init__(
@@ -83,13 +88,15 @@ class Dispatcher:
         measured: bool = False,
         least_tiles: int = 1,
         columns: int = 0,
+        unsteady: Sequence[float] | None = None,
     ) -> None:
         self.count = len(costs)
         self._costs = np.maximum(np.asarray(costs, np.float64), 1e-12)
         self._neighbours = _Neighbours(self._costs, columns)
         self._spread = _MEASURED if measured else _UNKNOWN  # relative uncertainty of tiles, as if independent,
         self._miss = _LEAST_UNCERTAINTY  # and of packages besides
-        self.shares = [Share(float(speed), float(launch)) for speed, launch in zip(speeds, launches)]
+        unsteady = [0.0] * len(speeds) if unsteady is None else unsteady
+        self.shares = [Share(float(a), float(b), float(c)) for a, b, c in zip(speeds, launches, unsteady)]
         self._waiting = _order(self._costs, scattered=not measured)
         self._done = np.zeros(self.count, bool)
         self._least_tiles = least_tiles
@@ -136,7 +143,8 @@ class Dispatcher:
         rest = float(costs.sum())
         common_end = self._common_end(now, rest)
         ideal = share.speed * (common_end - self._free_at(device, now) - share.launch)
-        part = ideal / (1 + self._caution * self._uncertainty(costs, ideal))
+        uncertainty = math.hypot(self._uncertainty(costs, ideal), share.unsteady)
+        part = ideal / (1 + self._caution * uncertainty)
         least = share.speed * share.launch * _LEAST_LAUNCHES
         wanted = ideal if ideal - part < least else max(part, least)
         head, tail, cost = self._fitting(costs, wanted)
@@ -237,6 +245,8 @@ class Dispatcher:
             return
         found = cost / (seconds - share.launch)
         if self._unit_is_known:
+            miss = min(abs(math.log(found / share.speed)), 1.0)
+            share.unsteady += _NEWEST * (max(miss - _STEADY, 0.0) - share.unsteady)
             share.speed = found if share.packages == 1 else 0.5 * (share.speed + found)
             return
         self._unit_is_known = True
@@ -267,10 +277,19 @@ class Dispatcher:
         return len(tiles)
 
     def next_stall(self, now: float) -> float:
-        """Seconds until some package counts as stalled; inf if none runs."""
-        running = [p for share in self.shares if share.lost is None for p in share.running]
+        """Seconds until some package counts as stalled that was not issued again; inf if none runs."""
+        running = [p for share in self.shares if share.lost is None for p in share.running if not self._is_copied(p)]
         ends = [p.since + _PATIENCE + _STALLED * self.expected_seconds(p) for p in running]
         return max(min(ends, default=math.inf) - now, 0.0)
+
+    def overdue(self, device: int, now: float, patience: float, times: float) -> float | None:
+        """The seconds that ``device`` has spent on its package, if they are more than ``patience`` and ``times`` what
+        was expected; None otherwise, and while it is not known what to expect."""
+        running = self.shares[device].running
+        if not running or not self._unit_is_known:
+            return None
+        spent = now - running[0].since
+        return spent if spent > patience + times * self.expected_seconds(running[0]) else None
 
     # ---- arithmetic
 

@@ -12,6 +12,14 @@ import pytest
 
 from clvol.cli import main
 
+# The preset "grayscale" of the cube, as points, so that tests may override them.
+RAMP = """[transfer_function]
+opacity_unit = 0.09375
+points = [
+  { value = 0.0, opacity = 0.0, color = [0.25, 0.25, 0.25] }, { value = 63.0, opacity = 0.5, color = [1.0, 1.0, 1.0] },
+]
+"""
+
 
 @dataclass
 class Outcome:
@@ -53,7 +61,7 @@ def refused(run):
 def folder(tmp_path: Path, monkeypatch) -> Path:
     """An empty working folder with a scene, beside which nothing may be left by a failure."""
     np.save(tmp_path / "cube.npy", np.arange(64, dtype=np.uint8).reshape(4, 4, 4))
-    text = 'version = 1\n[volume]\nfile = "cube.npy"\n[image]\nwidth = 8\nheight = 6\n'
+    text = 'version = 1\n[volume]\nfile = "cube.npy"\n[image]\nwidth = 8\nheight = 6\n' + RAMP
     (tmp_path / "scene.toml").write_text(text, encoding="utf-8")
     monkeypatch.chdir(tmp_path)
     return tmp_path

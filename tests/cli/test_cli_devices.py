@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
 
 import numpy as np
 import pytest
 
 from clvol.image import load_image
 from clvol.opencl.devices import report_of
+from clvol.render.isolation.process import DeviceProcess
 
 
 @pytest.fixture
@@ -50,7 +53,44 @@ def test_frames_of_an_animation_are_shared(run, folder, halves):
     assert len(json.loads((folder / "s.json").read_text())["devices"]) == 2
 
 
+def test_isolated_devices_make_the_same_pictures(run, folder, halves):
+    assert run("render", "scene.toml", "-o", "one.exr").status == 0
+    outcome = run("render", "scene.toml", "-o", "own.exr", "--isolate")
+    assert outcome.status == 0, outcome.err
+    more = ["--stats", "s.json", "--show-schedule", "s.png"]
+    assert run("render", "scene.toml", "-o", "two.exr", "--isolate", *halves, *more).status == 0
+    frames = ["--set", "animation.frames=2", "--isolate"]
+    assert run("render", "scene.toml", "-o", "f%d.exr", *halves, *frames).status == 0
+    for key in ("rgba", "depth"):
+        for other in ("own.exr", "two.exr", "f0.exr", "f1.exr"):
+            np.testing.assert_array_equal(load_image("one.exr")[key], load_image(other)[key])
+    assert len(json.loads((folder / "s.json").read_text())["schedule"]["devices"]) == 2
+    assert (folder / "s.png").exists()
+
+
+@pytest.mark.parametrize("frames", [1, 2])
+def test_the_only_isolated_device_crashes(run, folder, device, monkeypatch, frames):
+    """One line and status 4, and the frames before it stay."""
+    real, seen = DeviceProcess.request, []
+
+    def request(this, what, *arguments, **named):
+        seen.append(what)
+        if seen.count("render") == frames and what == "render":
+            os.kill(this.pid, signal.SIGKILL)
+        return real(this, what, *arguments, **named)
+
+    monkeypatch.setattr(DeviceProcess, "request", request)
+    more = ["--set", f"animation.frames={frames}", "--device", report_of(device).name, "--isolate"]
+    outcome = run("render", "scene.toml", "-o", "f%d.npy", *more)
+    assert outcome.status == 4 and outcome.err.count("\n") == 1
+    assert outcome.err.startswith("clvol: error: ") and "its process was killed (SIGKILL)" in outcome.err
+    assert sorted(path.name for path in folder.glob("f*.npy")) == [f"f{k}.npy" for k in range(frames - 1)]
+
+
 @pytest.mark.parametrize("words, expected", [
+    (["--isolate", "--max-error", "0.01"], "--isolate: given together with --max-error"),
+    (["--isolate", "--time-budget", "1"], "--isolate: given together with --time-budget"),
+    (["--isolate", "--device", "none-such"], "there is none of this name"),
     (["--device", "{name}", "--device", "{name}"], "the device '{name}' twice"),
     (["--device", "{name}:3/2"], "not a part of a device"),
     (["--device", "{name}:1/x"], "NAME:k/n"),

@@ -21,6 +21,7 @@ def film(run, folder, renderer):
     """``film(ending, *more)``: the numbers of the frames that a resumed call renders."""
     text = (
         'version = 1\n[volume]\nfile = "cube.npy"\n[image]\nwidth = 8\nheight = 6\n'
+        '[transfer_function]\npreset = "grayscale"\n'
         "[animation]\nframes = 4\nfps = 4\norbit_degrees = 90\n"
     )
     (folder / "film.toml").write_text(text)

@@ -207,7 +207,9 @@ def test_a_field_of_view_of_179_degrees(device, context, position):
 
 def clipped(clips, grid=None):
     volume = Volume(waves((9, 10, 11), np.uint8), **(grid or {}))
-    return Scene(volume=volume, image={"width": 16, "height": 16}, clip=clips)
+    return Scene(
+        volume=volume, image={"width": 16, "height": 16}, clip=clips, transfer_function={"preset": "grayscale"}
+    )
 
 
 TILTED = {

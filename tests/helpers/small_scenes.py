@@ -30,11 +30,12 @@ def waves(shape, dtype=np.float32, low=0.0, high=255.0) -> np.ndarray:
 def make_scene(
     array=None, function=SMOOTH, *, camera=None, width=24, height=20, grid=None, **integration
 ):
-    """A resolved scene; ``camera`` a dict of [camera], ``integration`` the keys of [integration]."""
+    """A resolved scene; ``camera`` a dict of [camera], ``integration`` the keys of [integration]. Steps are even, as
+    those of the numpy references, if nothing else is said."""
     if array is None:
         array = waves((19, 17, 23))
     volume = array if isinstance(array, Volume) else Volume(array, **(grid or {}))
-    integration = {"early_termination": 0.0, **integration}
+    integration = {"early_termination": 0.0, "step_error": 0.0, **integration}
     return Scene(
         volume=volume,
         transfer_function=function,

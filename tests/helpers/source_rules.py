@@ -22,8 +22,8 @@ ROOT = Path(__file__).resolve().parents[2]
 # From the bottom up: a module imports its own room and rooms that are listed before it.
 ORDER = (
     ("errors", "text", "interrupts", "limits", "json_values", "quietly"),
-    ("volume",), ("inputs",), ("transfer",), ("store",), ("readers",), ("image",), ("scene",), ("features",),
-    ("schedule",), ("opencl",), ("device",), ("encoding",), ("integrators",), ("render", "explanation"),
+    ("volume",), ("inputs",), ("transfer",), ("store",), ("readers",), ("choice",), ("image",), ("scene",),
+    ("features",), ("schedule",), ("opencl",), ("device",), ("encoding",), ("integrators",), ("render", "explanation"),
     ("accuracy",), ("cli",),
 )  # fmt: skip
 LEVEL = {room: level for level, rooms in enumerate(ORDER) for room in rooms}

@@ -33,7 +33,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name in ("setup.cfg", "pyproject.toml", "LICENSE", "README.md"):
         if (ROOT / name).exists():
             shutil.copy(ROOT / name, source)
-    for name in ("clvol", "cl"):
+    for name in ("clvol", "cl", "data/presets"):
         shutil.copytree(ROOT / name, source / name, ignore=shutil.ignore_patterns("__pycache__"))
     run(sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--no-build-isolation",
         "--no-index", "--wheel-dir", folder, source, cwd=folder)
@@ -64,7 +64,7 @@ def test_every_package_is_listed():
     listed = config["options"]["packages"].split()
     folders = [path.parent.relative_to(ROOT) for path in ROOT.glob("clvol/**/__init__.py")]
     there = [".".join(folder.parts) for folder in folders]
-    assert sorted(listed) == sorted([*there, "clvol.cl"])
+    assert sorted(listed) == sorted([*there, "clvol.cl", "clvol.presets"])
 
 
 def test_every_folder_with_modules_is_a_package():
@@ -76,6 +76,7 @@ def test_the_wheel_holds_every_module_and_kernel(wheel):
     expected = {str(p.relative_to(ROOT)) for p in (ROOT / "clvol").rglob("*.py")} | {"clvol/py.typed"}
     kernels = [p for p in (ROOT / "cl").rglob("*") if p.suffix in (".cl", ".h")]
     expected |= {f"clvol/{p.relative_to(ROOT)}" for p in kernels}
+    expected |= {f"clvol/presets/{p.name}" for p in (ROOT / "data" / "presets").glob("*.toml")}
     held = set(zipfile.ZipFile(wheel).namelist())
     assert expected - held == set()
     strangers = [name for name in held if not name.startswith(("clvol/", "clvol-"))]

@@ -129,7 +129,8 @@ def test_a_device_that_fails_is_left_out(device, shared, monkeypatch, kind, pack
     for frame in frames:
         assert_same(frame, expected)
     told = [w for w in caught if issubclass(w.category, ClvolWarning)]
-    assert len(failed) <= 1 and len(told) == len(failed)
+    assert set(failed) <= {1} and len(told) == len(set(failed))
+    assert len(failed) <= (1 if error is RenderError else 5)  # less memory is tried a few times
     if failed:
         assert "left out" in str(told[0].message)
         states = [each["state"] for each in frames[-1].stats["schedule"]["devices"]]

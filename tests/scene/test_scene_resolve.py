@@ -151,11 +151,13 @@ def test_the_text_of_a_python_scene_holds_all_but_the_voxels(tmp_path):
     assert load_scene(path).resolve().transfer_function == RAMP
 
 
-def test_a_volume_alone_gets_a_view_and_a_look(tmp_path):
+def test_a_grey_ramp_is_a_preset_with_the_whole_volume_in_view(tmp_path):
     np.save(tmp_path / "cube.npy", CUBE)
-    for scene in (clvol.Scene(volume=clvol.Volume(CUBE)), load_scene(tmp_path / "cube.npy"),
-                  clvol.Scene(volume=tmp_path / "cube.npy"),
-                  clvol.Scene(volume=str(tmp_path / "cube.npy"))):
+    ramp = {"preset": "grayscale"}
+    for scene in (clvol.Scene(volume=clvol.Volume(CUBE), transfer_function=ramp),
+                  load_scene(tmp_path / "cube.npy", ['transfer_function.preset="grayscale"']),
+                  clvol.Scene(volume=tmp_path / "cube.npy", transfer_function=ramp),
+                  clvol.Scene(volume=str(tmp_path / "cube.npy"), transfer_function=ramp)):
         resolved = scene.resolve()
         assert resolved.volume.shape == (3, 3, 3)
         assert resolved.camera == Camera.default(resolved.volume.grid, resolved.image)
@@ -163,12 +165,13 @@ def test_a_volume_alone_gets_a_view_and_a_look(tmp_path):
         assert (resolved.image.width, resolved.image.height) == (512, 512)
         assert (resolved.background == 0).all()
         assert resolved.lights == resolved.isosurfaces == resolved.clips == ()
+        assert resolved.chosen is None
 
 
 @pytest.mark.parametrize("spacing", [1e-6, 1.0, 1e6])
-def test_the_default_look_does_not_depend_on_the_unit_of_length(spacing):
+def test_the_grey_ramp_does_not_depend_on_the_unit_of_length(spacing):
     volume = clvol.Volume(CUBE, spacing=(spacing,) * 3)
-    function = clvol.Scene(volume=volume).resolve().transfer_function
+    function = clvol.Scene(volume=volume, transfer_function={"preset": "grayscale"}).resolve().transfer_function
     assert function.extinction(13.0) * spacing == pytest.approx(-math.log1p(-0.25) * 16, rel=1e-12)
 
 

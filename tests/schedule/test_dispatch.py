@@ -65,6 +65,44 @@ def test_devices_nearly_end_together_in_the_first_frame(devices, ratio, launch, 
         assert simulate(dispatcher, costs, speeds, launches).efficiency >= goal, kind
 
 
+def frames_of_unsteady_devices(carried: bool, devices: int = 4, count: int = 25) -> list[float]:
+    """Efficiencies of frames on devices whose speed differs by a tenth from package to package."""
+    costs, chance = picture("hot core"), np.random.default_rng(1)
+    truly, launches = fleet(devices, 1, costs), [0.005] * devices
+    speeds, unsteady, found = truly, [0.0] * devices, []
+    for _ in range(count):
+        known = unsteady if carried else None
+        dispatcher = Dispatcher(costs, speeds, launches, measured=True, columns=SIDE, unsteady=known)
+        slower = lambda package: float(np.exp(0.1 * chance.normal()))  # noqa: E731
+        found.append(simulate(dispatcher, costs, truly, launches, slower).efficiency)
+        speeds = [share.speed for share in dispatcher.shares]
+        unsteady = [share.unsteady for share in dispatcher.shares]
+    return found[5:]
+
+
+def test_unsteady_devices_get_smaller_packages():
+    without, known = frames_of_unsteady_devices(False), frames_of_unsteady_devices(True)
+    assert np.mean(known) > np.mean(without) + 0.01
+    assert min(known) > min(without)
+
+
+def test_what_tiles_cost_tells_what_their_neighbours_will():
+    """A half of the picture that costs four times what was expected, in a first frame."""
+    costs = picture("even").reshape(SIDE, SIDE).copy()
+    expected = costs.ravel().copy()
+    costs[:, : SIDE // 2] *= 4
+    costs = costs.ravel()
+    off = {}
+    for columns in (0, SIDE):
+        speeds, launches = fleet(16, 1, costs), [0.002] * 16
+        dispatcher = Dispatcher(expected * costs.mean(), speeds, launches, columns=columns)
+        done = simulate(dispatcher, costs, speeds, launches)
+        assert done.complete and done.efficiency > 0.95
+        later = [package for package, *_ in done.spans[32:]]
+        off[columns] = np.mean([abs(np.log(costs[package.tiles].sum() / package.cost)) for package in later])
+    assert off[SIDE] < 0.5 * off[0]
+
+
 def test_one_device_gets_everything_at_once():
     costs = picture("hot core")
     done = simulate(Dispatcher(costs, [1e3], [0.01]), costs, [1e3], [0.01])

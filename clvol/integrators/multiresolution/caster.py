@@ -17,7 +17,6 @@ from clvol.device.view import ray_frame
 from clvol.device.volume import ResidentVolume
 from clvol.features import STEPPINGS
 from clvol.features.vocabulary import BLOCK_COUNTERS, CELLS
-from clvol.integrators.multiresolution.bounds import most_steps
 from clvol.integrators.multiresolution.device_blocks import DeviceBlocks
 from clvol.integrators.multiresolution.resident_codes import ResidentCodes
 from clvol.integrators.multiresolution.sample_allocator import map_shift
@@ -38,6 +37,7 @@ from clvol.store.source import DROPPED
 from clvol.transfer import TransferFunction
 from clvol.transfer.lookup_nodes import visible_cells
 from clvol.transfer.pieces import value_gate
+from clvol.transfer.step_bounds import most_steps
 
 # Switches of kernels that work on blocks and cast no rays.
 _OF_BLOCKS = (

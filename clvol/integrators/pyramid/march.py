@@ -48,6 +48,7 @@ class SliceMarch:
     sleep by it.
     """
 
+    varies_steps = False
     renders_all_pixels = True
     counters: tuple[str, ...] = PYRAMID_COUNTERS
 

@@ -36,6 +36,7 @@ from clvol.integrators.base import FrameData, Progress, Shared
 from clvol.integrators.raycast.frame_view import frame_view, volume_view
 from clvol.integrators.raycast.march import March, RayMarch
 from clvol.integrators.raycast.picture import PictureParts, TilesDone, WholePicture
+from clvol.integrators.raycast.step_map import step_map, upload_steps
 from clvol.integrators.raycast.switches import raycast_switches
 from clvol.opencl.arguments import reads, writes
 from clvol.opencl.context import DeviceArray, DeviceContext, restore_interrupts
@@ -92,6 +93,8 @@ class Raycaster:
     distances: DeviceArray
     warp: DeviceArray
     surface_cells: np.ndarray
+    segment_steps: np.ndarray  # uint8 [z, y, x]: steps of a segment (step_map.py), where they follow the data
+    _step_map: DeviceArray
     shown: np.ndarray  # bool [z, y, x]: cells in which anything can be seen
 
     def __init__(
@@ -155,7 +158,8 @@ class Raycaster:
         warp = self.nodes.warp
         self.warp = context.upload(np.zeros(2, np.float32) if warp is None else warp)
         self.switches = raycast_switches(
-            resolved, lanes=self.lanes, skip=self.skip, function=function
+            resolved, lanes=self.lanes, skip=self.skip, function=function,
+            varies=self.march.varies_steps and isinstance(self.volume, DeviceVolume),
         )
         self.switches |= self.volume.layout
         self.switches |= self.effects.switches  # those that respect the limits of the device
@@ -163,6 +167,7 @@ class Raycaster:
         self.light_volume_samples = 0
         if self._casts_shadows:
             self._build_shadows()
+        self._follow_data()
         self.without_surfaces = self._beside_surfaces()
         self.march.scene_changed(self)
 
@@ -231,6 +236,13 @@ class Raycaster:
         self.step_units = self.length / self._functions[0].opacity_unit
         self.table = self.context.upload(np.concatenate(tables, axis=None))
 
+    def _follow_data(self) -> None:
+        """Finds how many steps a segment may have, if steps follow the data."""
+        if self.switches.get("STEP_CELLS") and isinstance(self.volume, DeviceVolume):
+            mapped = device_function(self.function, self.volume.values)
+            self.segment_steps = step_map(self.context, self.resolved, self.volume, mapped, self.nodes.values)
+            self._step_map = upload_steps(self.context, self.segment_steps)
+
     @property
     def length(self) -> float:
         """World length of a step."""
@@ -245,6 +257,7 @@ class Raycaster:
             other._set_colors()
         if other.length != self.length:
             other._build_table()
+            other._follow_data()
         later = resolved.animation.time != self.resolved.animation.time
         moved = later and bool(resolved.noise)  # cycling moves no opacity
         if other._casts_shadows and (moved or shadow_step(resolved) != shadow_step(self.resolved)):
@@ -429,6 +442,8 @@ class Raycaster:
     @property
     def _sample_arguments(self) -> tuple[Arguments, dict[str, DeviceArray]]:
         """The declared arguments, and the arrays, of whatever changes or replaces samples of the volume."""
+        if self.switches.get("STEP_CELLS"):
+            return (reads("steps", np.uint8),), {"steps": self._step_map}
         if not self.effects.switches:
             return (), {}
         return EFFECT_ARGUMENTS, self.effects.arrays

@@ -36,7 +36,7 @@ class Raycast(WholeVolume):
 
     def programs(self, resolved: ResolvedScene, lanes: int) -> Mapping[str, Mapping[str, int]]:
         resolved = as_rendered(resolved)
-        switches = {**raycast_switches(resolved, lanes=lanes), **brick_switches(resolved)}
+        switches = {**raycast_switches(resolved, lanes=lanes, varies=True), **brick_switches(resolved)}
         programs = {"raycast.cl": switches}
         if resolved.image.ray_spacing > 1:
             programs["fill_between_rays.cl"] = switches

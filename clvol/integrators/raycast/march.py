@@ -25,6 +25,7 @@ class March(Protocol):
     """
 
     workers: int  # work-items of a tile
+    varies_steps: bool  # its rays may take several steps at once (step_map.py)
     renders_all_pixels: bool  # pixels depend on their neighbours, so there are no sparse pictures
     counters: tuple[str, ...]  # names of its kernel's counters, which precede those of the samples
 
@@ -70,6 +71,7 @@ class RayMarch:
     """One independent ray per pixel (cl/raycast.cl)."""
 
     workers = 1
+    varies_steps = True
     renders_all_pixels = False
     counters: tuple[str, ...] = ()
 

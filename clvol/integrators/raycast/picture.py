@@ -17,7 +17,7 @@ from clvol.device.tile_effects import cells_over_tiles, expected_costs, tiles_th
 from clvol.device.view import EVERY_PIXEL, PixelLattice, RayFrame, ray_frame
 from clvol.integrators.base import FrameData, PartOfPicture, PictureArrays, Progress
 from clvol.opencl.context import DeviceArray
-from clvol.schedule.tiles import tiling
+from clvol.schedule.tiles import TILE, tiling
 from clvol.volume.voxel_layout import CELL_SHIFT
 
 if TYPE_CHECKING:
@@ -167,11 +167,14 @@ class WholePicture(_Picture):
 
 
 class PictureParts(_Picture):
-    """A picture that several devices share (``integrators.base.TiledPictureParts``)."""
+    """A picture that several devices share (``integrators.base.TiledPictureParts``).
+
+    They share the same tiles, also with devices on which a work-item casts one ray (whose own tiles are pixels).
+    """
 
     @property
     def tile(self) -> tuple[int, int]:
-        return self._caster.tile
+        return (TILE, TILE) if self._caster.tile == (1, 1) else self._caster.tile
 
     @property
     def sizes(self) -> list[tuple[int, int]]:
@@ -179,17 +182,24 @@ class PictureParts(_Picture):
 
     @property
     def stages(self) -> list[int]:
-        return [stage.tiles for stage in self._stages]
+        return [tiling(*stage.size, *self.tile).count for stage in self._stages]
+
+    def _own_tiles(self, stage: _Stage, tiles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The device's own tiles that make up ``tiles``, tile after tile, and where each begins in them."""
+        if self._caster.tile == self.tile:
+            return tiles, np.arange(len(tiles))
+        pixels = pixels_of_tiles(tiles, stage.size, self.tile)
+        return np.concatenate(pixels), np.cumsum([0, *map(len, pixels[:-1])])
 
     def expected_costs(self, stage: int) -> np.ndarray:
         """As in the protocol: from the visible cells in front of each tile."""
         this, caster = self._stages[stage], self._caster
         grid = caster.resolved.volume.grid
         to_edges = np.diag(np.asarray(grid.spacing) / grid.smallest_edge)
-        where = caster.shown, caster.volume.size, this.frame, to_edges, this.size, caster.tile
+        where = caster.shown, caster.volume.size, this.frame, to_edges, this.size, self.tile
         depths = caster.cell_depths()
         cells = cells_over_tiles(*where) / _OVERLAP if depths is None else expected_costs(depths, *where)
-        pixels = self._caster.tile[0] * self._caster.tile[1]
+        pixels = self.tile[0] * self.tile[1]
         return cells * pixels * (1 << CELL_SHIFT) / caster.resolved.integration.step + _A_TILE
 
     def begin(self, stage: int, arrays: list[PictureArrays]) -> None:
@@ -203,13 +213,14 @@ class PictureParts(_Picture):
 
     def render(self, stage: int, tiles: np.ndarray) -> PartOfPicture:
         this, context, begun = self._stages[stage], self._context, perf_counter()
-        tally, counts = self._launch(this, tiles, None)
-        samples = context.read(this.outputs["samples"])[tiles]
-        self._caster.took(this.kernel, len(tiles), perf_counter() - begun)
+        own, begins = self._own_tiles(this, tiles)
+        tally, counts = self._launch(this, own, None)
+        samples = np.add.reduceat(context.read(this.outputs["samples"])[own], begins, dtype=np.uint64)
+        self._caster.took(this.kernel, len(own), perf_counter() - begun)
         if this.kernel == "raycast":
-            rays = int(_pixels(tiles, this.size, self._caster.tile).sum())
+            rays = int(_pixels(tiles, this.size, self.tile).sum())
         else:
-            rays = int(context.read(this.outputs["rays"])[tiles].sum(dtype=np.uint64))
+            rays = int(context.read(this.outputs["rays"])[own].sum(dtype=np.uint64))
         counters = {} if tally is None else {**self._caster.counted(tally), **counts}
         return PartOfPicture(samples + _A_TILE, int(samples.sum(dtype=np.uint64)), rays, counters)
 
@@ -223,13 +234,25 @@ class PictureParts(_Picture):
         width, height = this.size
         pairs = [(this.outputs["image"], arrays.rgba)]
         pairs += [(this.outputs["depths"], arrays.depth)] if arrays.depth is not None else []
-        columns = -(-width // self._caster.tile[0])
-        across, down = self._caster.tile
+        across, down = self.tile
+        columns = -(-width // across)
         own = np.zeros((-(-height // down), columns), bool)
         own.ravel()[tiles] = True
         mask = np.repeat(np.repeat(own, down, axis=0)[:height], across, axis=1)[:, :width]
         for output, shared in pairs:
             np.copyto(shared, context.read(output), where=mask.reshape(height, width, *[1] * (shared.ndim - 2)))
+
+
+def pixels_of_tiles(tiles: np.ndarray, size: tuple[int, int], tile: tuple[int, int]) -> list[np.ndarray]:
+    """int64 [n]: the numbers of the pixels, row by row of the picture, of each of ``tiles``."""
+    (width, height), (across, down) = size, tile
+    columns = max(-(-width // across), 1)
+    found = []
+    for number in tiles:
+        left, top = int(number) % columns * across, int(number) // columns * down
+        x, y = np.arange(left, min(left + across, width)), np.arange(top, min(top + down, height))
+        found.append((y[:, None] * width + x).ravel())
+    return found
 
 
 def _pixels(tiles: np.ndarray, size: tuple[int, int], tile: tuple[int, int]) -> np.ndarray:

@@ -7,6 +7,7 @@ from clvol.device.memory import value_map, voxel_switches
 from clvol.device.opacity_factors import layer_functions
 from clvol.device.transfer_lookup import segment_classification, transfer_pieces
 from clvol.features import CLASSIFICATIONS, FILTERS, QUADRATURES
+from clvol.integrators.raycast.step_map import CELL_SHIFT, follows_data
 from clvol.scene.resolve import ResolvedScene
 from clvol.transfer import TransferFunction
 from clvol.volume.voxel_layout import holds_pairs
@@ -19,9 +20,10 @@ def raycast_switches(
     skip: bool = True,
     depth: bool = True,
     function: TransferFunction | None = None,
+    varies: bool = False,
 ) -> dict[str, int]:
     """The switches for this scene, or for ``function`` in place of its transfer function. They depend on nothing
-    that changes from frame to frame."""
+    that changes from frame to frame. ``varies``: whether the march can take several steps at once."""
     integration, volume = resolved.integration, resolved.volume
     functions = layer_functions(resolved, function)
     return {
@@ -34,4 +36,5 @@ def raycast_switches(
         "SKIP_EMPTY": int(skip),
         "WITH_DEPTH": int(depth),
         **effect_switches(resolved),
+        **({"STEP_CELLS": CELL_SHIFT} if varies and follows_data(resolved, function) else {}),
     }

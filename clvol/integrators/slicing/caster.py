@@ -32,6 +32,8 @@ _NOWHERE = SlicePlaces(0.0, 1.0, 1.0, 0)  # those of a picture without pixels
 class SlicesMarch(RayMarch):
     """A ``March`` from slice to slice of its ``places``, which depend on the camera."""
 
+    varies_steps = False
+
     def __init__(self, settings: Slicing) -> None:
         self.settings = settings
         self.places = _NOWHERE

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from clvol import TransferFunction
-from clvol.integrators.multiresolution.bounds import most_steps
+from clvol.transfer.step_bounds import most_steps
 
 NODES = np.linspace(0.0, 1.0, 257)
 WHITE = [1.0, 1.0, 1.0]

@@ -1,16 +1,16 @@
 """The number of steps that a ray may take at once in each block, for a bound on the error of one such segment.
 
-"bounded" stepping (``cl/step_blocks.h``): step control by the local error, as in solvers of differential equations, in place
-of the rule of one step per sample (Ljung 2006). A segment of length l in a block whose field has slope at most G and curvature at most S
-(``cl/block_bounds.cl``) adds to premultiplied colour or opacity an error of at most
+Step control by the local error, as in solvers of differential equations, in place of the rule of one step per sample
+(Ljung 2006). A segment of length l in a block whose field has slope at most G and curvature at most S
+(``cl/block_bounds.cl``, ``cl/cell_curvature.cl``) adds to premultiplied colour or opacity an error of at most
 
   pre-integrated   l A min(S l^2 / 8, R)                        the field against its chord
-  post             l (A S l^2 / 24 + K G l / 8), at most l B    the midpoint rule, A the slope of what the value emits and
-                                                                absorbs, K how much that slope changes
+  post             l (A S l^2 / 24 + K G l / 8), at most l B    the midpoint rule, A the slope of what the value emits
+                                                                and absorbs, K how much that slope changes
 
-over the values in the block: A, K and B (the variation of emission or extinction themselves) are taken from the transfer
-function between the block's lowest and highest value, and R is its variation there. Attenuation in front only lowers
-the error.
+over the values in the block: A, K and B (the variation of emission or extinction themselves) are taken from the
+transfer function between the block's lowest and highest value, and R is its variation there. Attenuation in front only
+lowers the error.
 """
 
 from __future__ import annotations
@@ -50,11 +50,14 @@ def most_steps(
     error: float,
     edge: int,
     midpoints: bool,
+    per_step: bool = False,
 ) -> np.ndarray:
-    """uint8 [n], 1 ... ``edge``: the number of steps at once whose error is at most ``error``.
+    """uint8 [n], 1 ... ``edge``: the number of steps at once whose error is at most ``error``; ``per_step``: at most
+    that times their number.
 
-    ``bounds`` float [n, 4]: from the kernel ``block_bounds``. ``function`` over the values that kernels compute with, and
-    its ``nodes``. ``step_length``: world length of a step; ``step_voxels``: its greatest length in voxels along any axis.
+    ``bounds`` float [n, 4]: curvature, slope, lowest and highest value. ``function`` over the values that kernels
+    compute with, and its ``nodes``. ``step_length``: world length of a step; ``step_voxels``: its greatest length in
+    voxels along any axis.
     """
     curvature, slope, low, high = np.asarray(bounds, np.float64).T
     nodes = _with_knots(nodes, function.values)
@@ -67,8 +70,11 @@ def most_steps(
     color = function.color(nodes)
     rates = np.concatenate([extinction[:, None], extinction[:, None] * color], axis=1)
     slopes = np.diff(rates, axis=0) / np.diff(nodes)[:, None]
+    # Many cells have the same values: each span of nodes is looked at once.
+    pairs, same = np.unique(first * len(nodes) + last, return_inverse=True)
+    first, last = np.divmod(pairs, len(nodes))
     spans = [_spans(slopes[:, k], rates[:, k], first, last) for k in range(rates.shape[1])]
-    steepest, bend, difference = (np.max(each, axis=0) for each in zip(*spans))
+    steepest, bend, difference = (np.max(each, axis=0)[same] for each in zip(*spans))
     steps = np.ones(len(bounds), np.int64)
     goes_on = np.ones(len(bounds), bool)
     for count in range(2, edge + 1):
@@ -78,13 +84,13 @@ def most_steps(
             found = length * np.minimum(found, difference)
         else:
             found = length * steepest * np.minimum(curvature * voxels**2 / 8, high - low)
-        goes_on &= found <= error
+        goes_on &= found <= (error * count if per_step else error)
         steps[goes_on] = count
     return steps.astype(np.uint8)
 
 
 def _with_knots(nodes: np.ndarray, knots: np.ndarray) -> np.ndarray:
-    """``nodes`` and, between them, all ``knots`` and the values just below them, so that no piece and no jump is missed."""
+    """``nodes`` and, between them, all ``knots`` and the values just below them, so that no piece or jump is missed."""
     inside = knots[(knots > nodes[0]) & (knots < nodes[-1])]
     return np.unique(np.concatenate([nodes, inside, np.nextafter(inside, -np.inf)]))
 

@@ -1,0 +1,178 @@
+/* A packet of LANES rays from front to back, as march_plain.h, but with segments of one or more steps: as many as the map
+ * `steps` allows where a segment begins (clvol/integrators/raycast/step_map.py says what it allows). All segments are
+ * whole steps from the ray's entry; the ray's last piece is shorter than a step, as in march_plain.h.
+ *
+ * The number of steps is known before the volume is sampled, so samples are fetched two segments ahead.
+ */
+#ifndef MARCH_STEPS_H
+#define MARCH_STEPS_H
+
+#include "classify.h"
+#include "features.h"
+#include "half_opacity.h"
+#include "march.h"
+#include "rays.h"
+#include "scene.h"
+#include "skip_empty.h"
+
+/* Steps that a segment may have that begins at `at`, at most up to `last`. */
+INLINE intN steps_from(__global const uchar *steps, __constant const View *view, const Rays *ray, intN at, intN last)
+{
+  const floatN t = TO_FLOAT(at);
+  const intN cx = TO_INT(lane_clamp(ray->x0 + t * ray->dx, (floatN)0.0f, (floatN)view->upper.x)) >> STEP_CELLS;
+  const intN cy = TO_INT(lane_clamp(ray->y0 + t * ray->dy, (floatN)0.0f, (floatN)view->upper.y)) >> STEP_CELLS;
+  const intN cz = TO_INT(lane_clamp(ray->z0 + t * ray->dz, (floatN)0.0f, (floatN)view->upper.z)) >> STEP_CELLS;
+  const int columns = ((view->size.x - 1) >> STEP_CELLS) + 1, rows = ((view->size.y - 1) >> STEP_CELLS) + 1;
+  const intN most = AS_INT(gather1(steps, (cz * rows + cy) * columns + cx) & 255u);
+  return max(min(most, last - at), (intN)1);
+}
+
+INLINE FetchedSample fetch_along(__global const uchar *volume, __constant const View *view, const Rays *ray, floatN t)
+{
+  return fetch_sample(volume, view, ray->x0 + t * ray->dx, ray->y0 + t * ray->dy, ray->z0 + t * ray->dz);
+}
+
+INLINE void render_packet(const Scene *scene, intN px, intN py, float *rgba, float *depth, uint *samples,
+                          Tally *counted)
+{
+  __global const uchar *volume = scene->volume, *distances = scene->distances, *steps = scene->steps;
+  __global const float *table = scene->table;
+  __constant const View *view = scene->view;
+  const Rays ray = make_rays(view, TO_FLOAT(px), TO_FLOAT(py));
+  const floatN whole = floor(ray.length), rest = ray.length - whole;
+  const intN hits = MASK(ray.length >= 0.0f) & MASK(px < view->image.x) & MASK(py < view->image.y);
+  const intN end = select((intN)DONE, TO_INT(whole), hits); /* whole steps */
+  /* The place that comes next: of midpoints, where its segment begins. */
+  intN last = select((intN)DONE, end - MIDPOINTS, hits);
+  intN i = 0;
+  uintN taken = 0;
+  Gathered acc;
+  gathered_clear(&acc);
+  HalfOpacity half_ = no_half(); /* in steps */
+  floatN value1 = 0.0f, value2 = 0.0f;   /* the last sample and the one before */
+  intN before1 = 0, before2 = 0;         /* steps from the last sample to place i, and from the one before to the last */
+  intN run = 0;                          /* samples since the last leap, up to 2 */
+
+  while (any_lane(MASK(i <= last))) {
+#if SKIP_EMPTY
+#if MIDPOINTS
+    const floatN from = TO_FLOAT(i) + 0.5f;
+#else
+    const floatN from = TO_FLOAT(i - select((intN)0, before1, MASK(run > 0)) - select((intN)0, before2, MASK(run > 1)));
+#endif
+    const floatN visible_at = next_visible(distances, view, from, MASK(i <= last), &ray);
+    const floatN finite = lane_clamp(visible_at, (floatN)0.0f, TO_FLOAT(max(last, (intN)0)) + 1.0f);
+    const intN next = TO_INT(MIDPOINTS ? ceil(finite - 0.5f) : finite) - (MIDPOINTS ? 0 : 1);
+    const intN leaps = MASK(i <= last) & MASK(next > i);
+    i = select(i, next, leaps);
+    last = select(last, (intN)DONE, MASK(i <= last) & MASK(visible_at >= ray.length));
+    run = select(run, (intN)0, leaps);
+#endif
+    intN n0 = steps_from(steps, view, &ray, i, end), at1 = i + n0;
+    intN n1 = steps_from(steps, view, &ray, at1, end), at2 = at1 + n1;
+#if MIDPOINTS
+    intN n2 = steps_from(steps, view, &ray, at2, end);
+    FetchedSample ahead = fetch_along(volume, view, &ray, TO_FLOAT(i) + 0.5f * TO_FLOAT(n0));
+    FetchedSample ahead2 = fetch_along(volume, view, &ray, TO_FLOAT(at1) + 0.5f * TO_FLOAT(n1));
+#else
+    FetchedSample ahead = fetch_along(volume, view, &ray, TO_FLOAT(i));
+    FetchedSample ahead2 = fetch_along(volume, view, &ray, TO_FLOAT(at1));
+#endif
+    intN place = i;
+    _Pragma("unroll 1") for (int step = 0; step < MARCH_STEPS; ++step) {
+      const intN active = MASK(i <= last);
+      const floatN t = TO_FLOAT(place), length = TO_FLOAT(n0);
+      const FetchedSample sample = ahead;
+      ahead = ahead2;
+      const intN n = n0;
+      n0 = n1;
+#if MIDPOINTS
+      ahead2 = fetch_along(volume, view, &ray, TO_FLOAT(at2) + 0.5f * TO_FLOAT(n2));
+      n1 = n2, place = at1, at1 = at2, at2 += n2;
+      n2 = steps_from(steps, view, &ray, at2, end);
+#else
+      ahead2 = fetch_along(volume, view, &ray, TO_FLOAT(at2));
+      n1 = steps_from(steps, view, &ray, at2, end), place = at1, at1 = at2, at2 += n1;
+#endif
+      taken -= AS_UINT(active);
+      const floatN before = acc.a;
+      const floatN value = sample_value(sample, view);
+      int visible;
+#if MIDPOINTS
+      visible = may_be_visible(value, value, active, view);
+      if (visible) composite_value(&acc, value, length, active, table, view);
+#else
+      const intN closes = active & MASK(run > 0);
+      const floatN b = TO_FLOAT(before1);
+      floatN front = value1, back = value;
+#if FILTER != FILTER_NEAREST
+      shift_uneven_ends(value2, &front, &back, TO_FLOAT(max(before2, (intN)1)), b, closes & MASK(run > 1));
+#endif
+      value2 = select(value2, value1, active), value1 = select(value1, value, active);
+      before2 = select(before2, before1, active);
+      visible = may_be_visible(lane_min(front, back), lane_max(front, back), closes, view);
+      if (visible) composite_segment(&acc, front, back, b, closes, table, view);
+      run = select(run, min(run + 1, (intN)2), active);
+#endif
+      if (visible) {
+#if WITH_DEPTH
+        const intN passes = passes_half(before, acc.a);
+        if (any_lane(passes)) {
+#if MIDPOINTS
+          note_half(&half_, passes, before, t, length, value, value);
+#else
+          note_half(&half_, passes, before, t - b, b, front, back);
+#endif
+        }
+#endif
+        last = select(last, (intN)DONE, MASK(acc.a >= view->stop_opacity));
+      }
+      before1 = select(before1, n, active);
+      i = select(i, place, active);
+    }
+  }
+
+  /* The last piece of each ray, shorter than a step. */
+  intN active = MASK(last != DONE) & MASK(rest > 0.0f);
+  if (any_lane(active)) {
+    const floatN t = MIDPOINTS ? whole + 0.5f * rest : ray.length;
+    const FetchedSample sample = fetch_along(volume, view, &ray, t);
+    const floatN before = acc.a, value = sample_value(sample, view);
+    floatN front = value, back = value;
+    taken -= AS_UINT(active);
+#if MIDPOINTS
+    if (may_be_visible(value, value, active, view)) composite_value(&acc, value, rest, active, table, view);
+#else
+    front = value1;
+#if FILTER != FILTER_NEAREST
+    shift_uneven_ends(value2, &front, &back, TO_FLOAT(max(before2, (intN)1)), rest, active & MASK(run > 1));
+#endif
+    if (may_be_visible(lane_min(front, back), lane_max(front, back), active, view))
+      composite_segment(&acc, front, back, rest, active, table, view);
+#endif
+#if WITH_DEPTH
+    const intN passes = passes_half(before, acc.a);
+    note_half(&half_, passes, before, whole, rest, front, back);
+#endif
+  }
+  gathered_store(&acc, rgba);
+#if WITH_DEPTH && MIDPOINTS
+  const intN noted = MASK(half_.from < INFINITY);
+  if (any_lane(noted)) {
+    floatN ends[2];
+    _Pragma("unroll 1") for (int k = 0; k < 2; ++k) {
+      const floatN t = select((floatN)0.0f, half_.from + (k ? half_.length : (floatN)0.0f), noted);
+      const floatN value = sample_value(fetch_along(volume, view, &ray, t), view);
+      taken -= AS_UINT(noted);
+      ends[k] = depth_between(value, value, noted, (intN)0, table, view);
+    }
+    note_ends(&half_, ends[0], ends[1]);
+  }
+#endif
+#if WITH_DEPTH
+  STORE_LANES((ray.entry_depth + half_place(&half_, 1.0f, table, view) * view->step) * view->edge_length, depth);
+#endif
+  STORE_LANES(taken, samples);
+}
+
+#endif
