@@ -1,4 +1,4 @@
-# make render   draws the demo scene: out/demo.exr, out/demo.png
+# make render   draws data/head.toml: out/demo.exr, out/demo.png
 # make test     runs every property once, on the first device: minutes   (options for pytest: make test ARGS="-k volume")
 # make test-all runs every test           (what `make test` leaves out: make test-all ARGS="-m slow")
 # make bench    measures, beside a peer   (options: make bench ARGS="...")
@@ -15,7 +15,7 @@ WORKERS := 2
 render:
 	@.ci/setup
 	@mkdir -p out
-	@$(PYTHON) -m clvol render data/demo.toml -o out/demo.exr -o out/demo.png
+	@$(PYTHON) -m clvol render data/head.toml -o out/demo.exr -o out/demo.png
 	@printf '%s\n' "$$PWD/out/demo.exr" "$$PWD/out/demo.png"
 
 test:

@@ -11,6 +11,7 @@ from bench.options import Options
 NAMES = (
     "peers", "shaded", "isosurface", "effects", "sampling", "scaling", "startup", "convergence",
     "tradeoff", "targets", "multiresolution", "pyramid", "slicing", "compression", "devices", "gallery",
+    "first-pictures",
 )  # fmt: skip
 
 
@@ -39,7 +40,7 @@ def main(arguments: list[str] | None = None) -> int:
                         help="multiresolution: also a volume of 8 GiB, which takes minutes and 8 GiB of disk")
     asked = parser.parse_args(words)
 
-    modules = {name: importlib.import_module(f"bench.{name}") for name in NAMES}
+    modules = {name: importlib.import_module(f"bench.{name.replace('-', '_')}") for name in NAMES}
     from bench.gallery import TILES
     from bench.multiresolution_scenes import BLOCK_SCENES
     from bench.scenes import CHEST, SCENES

@@ -63,7 +63,8 @@ class FirstPicture:
             return self._projected(look)
         if wanted.has_surfaces:
             points = [(value, 0.0, color) for value, _, color in look.points]
-            return replace(look, points=points, why=f"{look.why}; the scene's surfaces are shown alone")
+            alone = replace(look, points=points, why=f"{look.why}; the scene's surfaces are shown alone")
+            return alone if wanted.lit else replace(alone, lit=False, integration={}, material={})
         return look if wanted.lit else self._unlit(look)
 
     @cached_property

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from clvol.errors import VolumeError
+from clvol.store.source import BlockSource
 from clvol.volume.grid import Grid
 from clvol.volume.volume import Volume
 
@@ -41,9 +43,13 @@ class Sample:
 def sample_of(volume: Volume, most: int = MOST_SAMPLES) -> Sample:
     """At most about ``most`` voxels of ``volume``: every n-th along each axis, or the level of a store that is coarse
     enough. Of a store only that level is read."""
-    source = getattr(volume, "blocks_source", None)
-    if source is not None and "data" not in vars(volume):
-        return _level_of(volume, source, most)
+    if "data" not in vars(volume):
+        inner = getattr(volume, "_volume", None)  # of a store whose voxels are converted when they are read
+        source = getattr(volume if inner is None else inner, "blocks_source", None)
+        if source is not None:
+            stored, scale = _coarse_level(source, most)
+            stored = stored if inner is None else volume._of(stored)  # type: ignore[attr-defined]
+            return _sample(volume, stored, np.full(3, 0.5 * (scale - 1.0)), np.full(3, scale))
     step = _steps(volume.shape, volume.grid.spacing[::-1], most)
     start = [(n - 1) % s // 2 for n, s in zip(volume.shape, step)]
     stored = volume.data[tuple(slice(a, None, s) for a, s in zip(start, step))]
@@ -59,12 +65,28 @@ def _steps(shape: tuple[int, ...], spacing: tuple[float, ...], most: int) -> lis
     return step
 
 
-def _level_of(volume: Volume, source, most: int) -> Sample:
-    levels = source.blocks.levels
-    level = next((k for k in range(levels) if np.prod([-(-n >> k) for n in volume.shape]) <= most), levels - 1)
-    stored = source.volume_level(level)
-    scale = float(2**level)
-    return _sample(volume, stored, np.full(3, 0.5 * (scale - 1.0)), np.full(3, scale))
+def _coarse_level(source: BlockSource, most: int) -> tuple[np.ndarray, float]:
+    """The samples [z, y, x] of the finest level with at most ``most`` of them, and the voxels between two of them.
+
+    Where a block of it is damaged, a coarser level: whether a picture needs the block is not decided here.
+    """
+    grid = source.blocks
+    counts = [int(np.prod(grid.level_shape(level))) for level in range(grid.levels)]
+    finest = next((level for level, count in enumerate(counts) if count <= most), grid.levels - 1)
+    failed: VolumeError | None = None
+    for level in range(finest, grid.levels):
+        try:
+            samples = source.read(level, np.arange(grid.count))
+        except VolumeError as error:
+            failed = failed or error
+            continue
+        s = grid.samples(level)
+        whole = samples.reshape(*grid.counts, s, s, s).transpose(0, 3, 1, 4, 2, 5)
+        nz, ny, nx = grid.level_shape(level)
+        joined = whole.reshape(*(n * s for n in grid.counts))[:nz, :ny, :nx]
+        return np.ascontiguousarray(joined), float(2**level)
+    assert failed is not None
+    raise failed
 
 
 def _sample(volume: Volume, stored: np.ndarray, first: np.ndarray, step: np.ndarray) -> Sample:

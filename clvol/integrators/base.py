@@ -172,6 +172,19 @@ class RendersParts(Protocol):
         ...
 
 
+@runtime_checkable
+class RendersOnSeveral(Protocol):
+    """A ``Prepared`` that shares rays among devices itself: nothing of it is resident on one."""
+
+    def render_on(
+        self, contexts: Sequence[DeviceContext], camera: Camera, width: int, height: int, progress: Progress | None,
+        on_loss: Callable[[int, BaseException], None],
+    ) -> FrameData:  # fmt: skip
+        """The whole picture, on all devices of ``contexts``. ``on_loss(device, error)`` is called for one that fails;
+        the error of the last one is raised."""
+        ...
+
+
 T = TypeVar("T")
 
 

@@ -21,13 +21,14 @@ from clvol.integrators.base import (
     PictureArrays,
     Prepared,
     Progress,
+    RendersOnSeveral,
     RendersParts,
     TiledPictureParts,
 )
 from clvol.opencl.context import shared_array
 from clvol.render.device_thread import DeviceThread
 from clvol.render.frame_schedule import Schedule, Span
-from clvol.render.member import Member, reason_of
+from clvol.render.member import LocalMember, Member, reason_of
 from clvol.render.picture_stage import FAILURES, PictureStage, Total
 from clvol.scene.camera import Camera
 from clvol.schedule.dispatch import Dispatcher
@@ -156,6 +157,7 @@ class DeviceGroup:
         data = None
         if lattice == EVERY_PIXEL:
             data = self._shared(camera, width, height, progress, depth, schedule, start)
+            data = data or self._on_several(camera, width, height, progress, schedule, start)
         if data is None:
             render = lambda prepared: prepared.render(camera, width, height, progress, depth, lattice)  # noqa: E731
             data = self._alone(render, schedule, start)
@@ -238,21 +240,53 @@ class DeviceGroup:
                 if last is not None:
                     raise last from None
                 del parts[k]
+        some = next(iter(parts.values()))
         return Dispatcher(
             costs, [m.speed for m in self.members], [_LAUNCH] * len(self.members), measured=measured,
-            least_tiles=_LEAST_TILES,
+            least_tiles=_LEAST_TILES, columns=-(-some.sizes[stage][0] // some.tile[0]),
+            unsteady=[m.unsteady for m in self.members],
         )  # fmt: skip
 
     def _learn(self, number: int, stage: PictureStage) -> None:
         self._costs[number, len(stage.costs)] = stage.costs
         for member, share in zip(self.members, stage.dispatcher.shares):
             if share.busy > 0 and share.cost > 0 and share.lost is None:
-                member.speed = share.speed
+                member.speed, member.unsteady = share.speed, share.unsteady
 
     def _thread(self, device: int) -> DeviceThread:
         if device not in self._threads:
             self._threads[device] = DeviceThread(f"clvol-device-{device}")
         return self._threads[device]
+
+    def _on_several(
+        self, camera: Camera, width: int, height: int, progress: Progress | None, schedule: Schedule, start: float
+    ) -> FrameData | None:
+        """A picture whose rays devices share without tiles; None if it has none, or if devices are in other
+        processes."""
+        local = {k: m for k, m in enumerate(self.members) if m.works and isinstance(m, LocalMember)}
+        first = next(iter(local.values()), None)
+        if len(local) < 2 or first is None or not isinstance(first.prepared, RendersOnSeveral):
+            return None
+        numbers = list(local)
+        last: list[BaseException | None] = [None]
+
+        def lost(device: int, error: BaseException) -> None:
+            last[0] = self._lose_in_frame(local[numbers[device]], error)
+
+        try:
+            contexts = [member.context for member in local.values()]
+            data = first.prepared.render_on(contexts, camera, width, height, progress, lost)
+        except FAILURES:
+            if last[0] is not None:
+                raise last[0] from None
+            raise
+        end = perf_counter() - start
+        schedule.tile = width, height
+        schedule.states = ["working" if m.works else "busy" for m in self.members]
+        schedule.costs = [float(k in local and m.lost is None) for k, m in enumerate(self.members)]
+        one = np.zeros(1, np.int64)
+        schedule.spans += [Span(k, 0, 0.0, end, one, True) for k, m in local.items() if m.lost is None]
+        return data
 
     # ---- one device
 

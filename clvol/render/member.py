@@ -23,10 +23,11 @@ _HALVINGS = 4  # of the tiles that a device renders at once, while it lacks memo
 class Member:
     """A device of a Renderer.
 
-    ``prepared``: ``scene``, ready to be rendered. ``speed``: in cost per second. ``lost``: why it is not used any
-    more; a context that has failed does not recover, so it stays out while the Renderer is open. ``busy``: what it has
-    not ended when a frame was complete without it; until then it takes no part in frames. ``writes_in_place``: whether
-    tiles that it has rendered are in the arrays of the picture at once.
+    ``prepared``: ``scene``, ready to be rendered. ``speed``: in cost per second, which differs by the share
+    ``unsteady`` from package to package. ``lost``: why it is not used any more; a context that has failed does not
+    recover, so it stays out while the Renderer is open. ``busy``: what it has not ended when a frame was complete
+    without it; until then it takes no part in frames. ``writes_in_place``: whether tiles that it has rendered are in
+    the arrays of the picture at once.
     """
 
     name: str
@@ -36,7 +37,7 @@ class Member:
     def __init__(self) -> None:
         self.prepared: Prepared | None = None
         self.scene: ResolvedScene | None = None
-        self.speed = _SPEED * max(self.units, 1)
+        self.speed, self.unsteady = _SPEED * max(self.units, 1), 0.0
         self.lost: str | None = None
         self.busy: Future | None = None
         self._busy_since = 0.0

@@ -187,12 +187,13 @@ class Team:
         costs: np.ndarray,
         take: Callable[[np.ndarray, Any], None],
         report: Callable[[int], None] | None = None,
+        on_loss: Callable[[int, BaseException], None] | None = None,
     ) -> None:
         """Has ``hands``, one per device, do the items, whose expected ``costs`` are float64 [items].
         ``take(items, result)`` gets every result that counts, by one thread at a time; ``report``: as ``Job.run``.
 
-        A ClvolWarning names a device that fails; the error of the last one is raised. What a device has done stays done
-        when it fails.
+        A ClvolWarning names a device that fails, or ``on_loss(device, error)`` is called; the error of the last one is
+        raised. What a device has done stays done when it fails.
         """
         launches = [self._launch] * len(hands)
         dispatcher = Dispatcher(costs, self._speeds, launches, least_tiles=self._least)
@@ -205,6 +206,9 @@ class Team:
 
         def lost(device: int, error: BaseException) -> None:
             self.lost[device] = str(error)
+            if on_loss is not None:
+                self._told.add(device)
+                on_loss(device, error)
             if len(self.lost) == len(self.names):
                 raise error
 

@@ -185,3 +185,17 @@ def test_a_projection_gets_a_ramp_and_surfaces_are_shown_alone():
     assert maximum.light == () and [p.opacity for p in maximum.transfer_function.points] == [0.0, 1.0]
     surface = clvol.Scene(volume=solid(), isosurface=[{"value": 800.0}]).completed()
     assert all(p.opacity == 0 for p in surface.transfer_function.points) and len(surface.light) == 2
+
+
+def test_of_a_store_one_coarse_level_is_read(tmp_path):
+    from clvol.store.build import build_store
+
+    data = np.repeat(np.repeat(np.repeat(two_materials().data, 2, 0), 2, 1), 2, 2)
+    build_store(clvol.Volume(data), tmp_path / "v.zarr", edge=16)
+    stored, plain = clvol.load_volume(tmp_path / "v.zarr"), clvol.Volume(data)
+    sample = sample_of(stored, most=40**3)
+    assert "data" not in vars(stored) and sample.values.shape == (40, 40, 40)
+    assert sample.world(np.array([[0, 0, 0]])).tolist() == [[0.5, 0.5, 0.5]]
+    assert np.allclose(sample.values, two_materials().data)
+    found, expected = statistics_of(sample), statistics_of(sample_of(plain))
+    assert found.value(found.edge) == pytest.approx(expected.value(expected.edge), rel=0.2)

@@ -55,7 +55,7 @@ def test_a_library_in_the_process_does_not_change_how_it_ends(tmp_path, library,
     code = ("import ctypes, sys; ctypes.CDLL(sys.argv.pop(1)); "
             "from clvol.cli.ending import command_line; command_line()")
     render = ["render", ROOT / "data/brainsmall.nrrd", "-o", "a.npy", "--set", "image.width=16",
-              "--set", "image.height=16", "--device", report_of(device).name]
+              "--set", "image.height=16", "--quiet", "--device", report_of(device).name]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     done = subprocess.run([sys.executable, "-c", code, library(what), *render], cwd=tmp_path,
                           env=environment, capture_output=True, text=True, timeout=120)

@@ -67,11 +67,12 @@ def test_a_store_is_rendered_from_its_blocks(run, stores, device):
     blocks = stats["blocks"]
     assert sum(blocks["levels"]) + blocks["dropped"] == 5 * 6 * 7 and blocks["edge"] == 8
     assert blocks["pending"] == 0 and blocks["bytes_on_device"] <= blocks["bytes_allowed"]
-    whole = ("--set", "multiresolution.occlusion=false")  # what is hidden is there as well
+    ramp = ("--set", 'transfer_function.preset="grayscale"')  # what is chosen unasked depends on the method
+    whole = ("--set", "multiresolution.occlusion=false", *ramp)  # what is hidden is there as well
     assert run("render", "v.zarr", "-o", "a.npy", *SMALL, *whole).status == 0
-    by_rays = ("--set", 'integration.method="raycast"')
+    by_rays = ("--set", 'integration.method="raycast"', *ramp)
     assert run("render", "v.zarr", "-o", "b.npy", *SMALL, *by_rays).status == 0
-    assert run("render", "v.npy", "-o", "c.npy", *SMALL).status == 0
+    assert run("render", "v.npy", "-o", "c.npy", *SMALL, *ramp).status == 0
     pictures = [np.load(name) for name in ("a.npy", "b.npy", "c.npy")]
     np.testing.assert_array_equal(pictures[1], pictures[2])
     assert rms(pictures[0], pictures[2]) < 1e-3 < rms(pictures[0], 0 * pictures[0])
@@ -169,7 +170,8 @@ def test_a_damaged_block_is_named_and_no_picture_is_written(refused, stores, not
 
 def test_a_damaged_block_that_is_not_wanted_spoils_nothing(run, stores, device):
     least = overhead_bytes(BlockGrid((40, 45, 50), 8), 0) + SPARE_BYTES
-    memory = ("--set", f"multiresolution.memory={least}")  # every block is one sample
+    memory = ("--set", f"multiresolution.memory={least}",  # every block is one sample
+              "--set", 'transfer_function.preset="grayscale"')
     assert run("render", "damaged.zarr", "-o", "a.npy", *SMALL, *memory).status == 0
     assert run("render", "v.zarr", "-o", "b.npy", *SMALL, *memory).status == 0
     np.testing.assert_array_equal(np.load("a.npy"), np.load("b.npy"))

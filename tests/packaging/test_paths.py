@@ -75,7 +75,7 @@ def test_every_device_renders_from_sources_in_and_a_working_folder_of_any_name(t
             "import clvol; assert clvol.__file__.startswith(sys.path[0]); sys.exit(main())")
     done = subprocess.run(
         [sys.executable, "-c", code, folder, "render", ROOT / "data/brainsmall.nrrd", "-o", "a.npy",
-         "--set", "image.width=16", "--set", "image.height=16", "--device", report_of(device).name],
+         "--set", "image.width=16", "--set", "image.height=16", "--quiet", "--device", report_of(device).name],
         cwd=folder, env=environment(tmp_path), capture_output=True, text=True, timeout=300)
     assert (done.returncode, done.stderr) == (0, "")
     assert (folder / "a.npy").stat().st_size > 0

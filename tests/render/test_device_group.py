@@ -165,6 +165,42 @@ def test_a_device_that_stalls_does_not_delay_the_frame_for_long(device, shared, 
     assert_same(frame, expected)
 
 
+def test_rays_of_the_reference_are_shared_and_a_device_that_fails_is_left_out(device, shared, monkeypatch):
+    from clvol.integrators.reference import program
+
+    with Renderer(scene("reference"), devices=[device]) as one:
+        expected = one.render()
+    renderer = shared(scene("reference"), count=2)
+    frame = renderer.render()
+    assert_same(frame, expected)
+    for key in ("cells", "pieces", "failed_pieces", "error_estimate"):
+        assert frame.stats[key] == expected.stats[key]
+    assert [each["state"] for each in frame.stats["schedule"]["devices"]] == ["working"] * 2
+    real, failing = program._RaysOnDevice.work, []
+
+    def work(self, items):
+        failing[:] = failing or [id(self)]
+        if failing == [id(self)]:
+            raise RenderError("device", "failed (OUT_OF_RESOURCES)")
+        return real(self, items)
+
+    monkeypatch.setattr(program._RaysOnDevice, "work", work)
+    with pytest.warns(ClvolWarning, match="left out"):
+        frame = renderer.render()
+    assert_same(frame, expected)
+    states = [each["state"] for each in frame.stats["schedule"]["devices"]]
+    assert sum(state.startswith("lost") for state in states) == 1 and len(frame.stats["devices"]) == 1
+    assert_same(renderer.render(), expected)  # by the one that is left
+
+    def broken(self, items):
+        raise RenderError("device", "failed (OUT_OF_RESOURCES)")
+
+    renderer = shared(scene("reference"), count=2)
+    monkeypatch.setattr(program._RaysOnDevice, "work", broken)
+    with pytest.raises(RenderError, match="OUT_OF_RESOURCES"):
+        renderer.render()
+
+
 def test_progress_reaches_the_end_and_may_interrupt(shared):
     renderer = shared(scene())
     told = []

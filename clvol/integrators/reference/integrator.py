@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 from clvol.device.view import EVERY_PIXEL, PixelLattice
 from clvol.features import effects, reduced
@@ -73,10 +74,24 @@ class PreparedReference:
         depth: bool = True,
         lattice: PixelLattice = EVERY_PIXEL,
     ) -> FrameData:
+        return self._rendered(self.context.device, camera, width, height, progress, lattice, None)
+
+    def render_on(
+        self, contexts: Sequence[DeviceContext], camera: Camera, width: int, height: int, progress: Progress | None,
+        on_loss: Callable[[int, BaseException], None],
+    ) -> FrameData:  # fmt: skip
+        """As ``RendersOnSeveral.render_on``."""
+        devices = [context.device for context in contexts]
+        return self._rendered(devices, camera, width, height, progress, EVERY_PIXEL, on_loss)
+
+    def _rendered(
+        self, devices: Any, camera: Camera, width: int, height: int, progress: Progress | None,
+        lattice: PixelLattice, on_loss: Callable[[int, BaseException], None] | None,
+    ) -> FrameData:  # fmt: skip
         image = self.resolved.image.model_copy(update={"width": width, "height": height})
         resolved = replace(self.resolved, camera=camera, image=image)
         tolerance = resolved.integration.tolerance
-        rgba, distances, counted = render_reference(resolved, self.context.device, tolerance, progress=progress)
+        rgba, distances, counted = render_reference(resolved, devices, tolerance, None, progress, on_loss)
         rgba, distances = rgba[lattice.slices], distances[lattice.slices]
         notes = {name: value for name, value in counted.items() if name not in ("samples", "rays", "seconds")}
         return FrameData(rgba, distances, counted["samples"], counted["rays"], notes=notes)

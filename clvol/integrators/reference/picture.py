@@ -34,10 +34,12 @@ def render_reference(
     tolerance: float = 1e-9,
     pixels: ArrayLike | None = None,
     progress: Callable[[int, int], None] | None = None,
+    on_loss: Callable[[int, BaseException], None] | None = None,
 ) -> tuple[np.ndarray, np.ndarray, dict[str, Any]]:
     """The picture of ``resolved``, exact to about ``tolerance`` in linear premultiplied RGBA.
 
-    ``device``: one, or several that share the rays; one of these that fails is left out, with a warning.
+    ``device``: one, or several that share the rays; one of these that fails is left out, with a warning, or a call of
+    ``on_loss(device, error)``.
     ``pixels``: int [n, 2], (row, column) of the pixels to evaluate; without it the whole image.
     ``progress(done, total)`` is called now and then with numbers of pixels.
 
@@ -76,6 +78,7 @@ def render_reference(
         filter=resolved.integration.filter,
         preclassified=resolved.integration.classification == "pre",
         progress=progress,
+        on_loss=on_loss,
     )
     return rgba.reshape(*shape, 4), depth.reshape(shape), counters
 
@@ -91,6 +94,7 @@ def integrate_world_rays(
     filter: str = "linear",
     preclassified: bool = False,
     progress: Callable[[int, int], None] | None = None,
+    on_loss: Callable[[int, BaseException], None] | None = None,
 ) -> tuple[np.ndarray, np.ndarray, dict[str, Any]]:
     """As ``render_reference``, for n rays given in the world.
 
@@ -114,6 +118,7 @@ def integrate_world_rays(
         filter=filter,
         preclassified=preclassified and filter != "nearest",
         progress=progress,
+        on_loss=on_loss,
     )
     totals = result.counters.sum(axis=0, dtype=np.int64)
     counters = {

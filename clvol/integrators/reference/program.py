@@ -72,6 +72,7 @@ def integrate_rays(
     filter: str,
     preclassified: bool,
     progress: Callable[[int, int], None] | None = None,
+    on_loss: Callable[[int, BaseException], None] | None = None,
 ) -> RayIntegrals:
     """Integrate along rays given in index space.
 
@@ -83,7 +84,8 @@ def integrate_rays(
     or "cubic". ``progress(done, total)`` is called now and then with numbers of rays.
 
     Raises DeviceError (no fp64, the volume does not fit in one buffer, the device fails) and
-    RenderError (the kernel does not build). One of several devices that fails is left out, with a warning.
+    RenderError (the kernel does not build). One of several devices that fails is left out, with a warning, or a call of
+    ``on_loss(device, error)``.
     """
     check_fork()
     devices = list(device) if isinstance(device, Sequence) else [device]
@@ -100,7 +102,7 @@ def integrate_rays(
         team = Team([device_name(each) for each in devices], _FIRST_SPEED, _LAUNCH_COST)
         report = None if progress is None else lambda done: progress(min(done * _ITEM, count), count)
         try:
-            team.run(hands, np.full(items, _FIRST_COST), lambda _, taken: taken(), report)
+            team.run(hands, np.full(items, _FIRST_COST), lambda _, taken: taken(), report, on_loss)
         finally:
             team.close()
     return replace(result, seconds=time.perf_counter() - started)
