@@ -38,7 +38,9 @@ def verdicts(result: dict[str, Any]) -> list[Verdict]:
             found += [Verdict(f"{what}: PSNR", _decibels(row), psnr), Verdict(f"{what}: bits", row["bits"], bits, True)]
         for row in own:
             if row["kind"] == "psnr":
-                found.append(Verdict(f"{scene.name}, asked for {psnr:g} dB: PSNR", _decibels(row), psnr))
+                what = f"{scene.name}, asked for {psnr:g} dB"
+                found.append(Verdict(f"{what}: PSNR", _decibels(row), psnr))
+                found.append(Verdict(f"{what}: bits", row["bits"], scene.held, True))
     for row in rvq:
         if row["kind"] == "bound":
             what = f"{row['volume']}, largest error asked for {row['asked']:.1%}"

@@ -111,6 +111,7 @@ def _codes_facts(codes: CodesFacts) -> dict:
         "bits_per_voxel_all": codes.bits_per_voxel_all,
         "target": codes.target.to_json(),
         "seed": codes.seed,
+        **({"distinct_vectors": codes.policy["distinct_vectors"]} if "distinct_vectors" in codes.policy else {}),
         "original": {"dtype": codes.original_dtype.name, "value_range": list(codes.original_range)},
     }
 
@@ -126,6 +127,8 @@ def _codes_rows(codes: dict | None) -> list[tuple[str, str]]:
     return [
         ("bits per voxel", f"{rate} at full resolution with codebooks, {whole} in all"),
         ("error", psnr if codes["psnr"] is None else f"{psnr}, {largest}"),
+        *([("vectors", f"{codes['distinct_vectors']} distinct ones, fewer than codes, each exact")]
+          if "distinct_vectors" in codes else []),
         ("requested", target),
         ("original", f"{codes['original']['dtype']}, {low:.9g} to {high:.9g}"),
     ]

@@ -46,6 +46,13 @@ if TYPE_CHECKING:
     help="With a lossy codec: size of level 0 with codebooks to stay below. At most one of these three.",
 )
 @click.option(
+    "--seed",
+    type=click.IntRange(0, 2**31 - 1),
+    metavar="N",
+    help="With a lossy codec: seed of the random choice of the voxels that codebooks are made from; default 0. The "
+    "same voxels, options and seed give the same bytes.",
+)
+@click.option(
     "--device",
     "devices",
     multiple=True,
@@ -78,6 +85,7 @@ def command(
     max_voxel_error: float | None,
     psnr: float | None,
     bits_per_voxel: float | None,
+    seed: int | None,
     devices: tuple[str, ...],
     edge: int | None,
     shard: int | None,
@@ -111,7 +119,7 @@ def command(
 
     codec = DEFAULT if codec is None else codec
     target = RateTarget(max_voxel_error, psnr, bits_per_voxel)
-    lossy = _checked(codec, target, devices)
+    lossy = _checked(codec, target, devices, seed)
     check_place(Path(output), overwrite)
     scene = load_scene(volume, overrides)
     inputs = scene_inputs(volume, scene)
@@ -123,14 +131,14 @@ def command(
         with working(f"storing {volume}", quiet) as bar:
             build_store(
                 source, output, edge=EDGE if edge is None else edge, shard=shard, codec=codec, target=target,
-                trainer=trainer, overwrite=overwrite, restart=restart,
+                trainer=trainer, seed=seed or 0, overwrite=overwrite, restart=restart,
                 progress=None if quiet else _reporting(output, bar, left),
                 on_phase=None if bar is None else lambda name: bar(None, None, f"{name} {volume}"),
             )  # fmt: skip
     say_path(output)
 
 
-def _checked(codec: str, target: RateTarget, devices: tuple[str, ...]) -> bool:
+def _checked(codec: str, target: RateTarget, devices: tuple[str, ...], seed: int | None) -> bool:
     """Whether the codec needs a device; UsageError if the options do not fit it."""
     from clvol.errors import UsageError
     from clvol.store.codecs import CODECS, CODES
@@ -141,9 +149,11 @@ def _checked(codec: str, target: RateTarget, devices: tuple[str, ...]) -> bool:
         return False  # build_store says so
     with _named_as_options():
         check_target(chosen, target)
-    if devices and chosen.lossless:
-        what = f"got {devices[0]!r} with the codec {codec!r}"
-        raise UsageError("--device", what, "a lossy codec, which needs a device")
+    for option, given, needed in (
+        ("--device", next(iter(devices), None), "which needs a device"), ("--seed", seed, "which draws voxels")
+    ):  # fmt: skip
+        if given is not None and chosen.lossless:
+            raise UsageError(option, f"got {given!r} with the codec {codec!r}", f"a lossy codec, {needed}")
     return not chosen.lossless
 
 

@@ -16,6 +16,7 @@ import numpy as np
 from clvol.store.codecs.coded_blocks import ENTRIES, LARGEST_SHIFT
 
 _SPLIT_ROWS = 1 << 14  # that splits look at
+_FEW_ROWS = 1 << 14  # that the first iterations look at
 _SPLIT_BITS = 9  # of their samples
 _POWER_STEPS = 6
 
@@ -23,16 +24,42 @@ Nearest = Callable[[np.ndarray, np.ndarray, int], np.ndarray]
 """Codes uint8 [n] of the codewords (int8 [ENTRIES, samples], shift) nearest to residuals int32 [n, samples]."""
 
 
-def trained_codebook(rows: np.ndarray, nearest: Nearest, iterations: int = 8) -> tuple[np.ndarray, int]:
-    """Entries int8 [ENTRIES, samples] and their shift for residuals ``rows`` (int32 [n, samples])."""
+def trained_codebook(
+    rows: np.ndarray, nearest: Nearest, iterations: tuple[int, int] = (12, 4)
+) -> tuple[np.ndarray, int]:
+    """Entries int8 [ENTRIES, samples] and their shift for residuals ``rows`` (int32 [n, samples]). ``iterations``: on a
+    few of the rows, and then on all."""
     if not len(rows):
         return np.zeros((ENTRIES, rows.shape[1]), np.int8), 0
     centres = principal_splits(rows, ENTRIES)
     shift = shift_for(centres)
     entries = rounded(centres, shift)
+    few = evenly(rows, _FEW_ROWS)
+    if len(few) < len(rows):
+        entries, shift = iterated(few, entries, shift, nearest, iterations[0])
+        return iterated(rows, entries, shift, nearest, iterations[1])
+    return iterated(rows, entries, shift, nearest, sum(iterations))
+
+
+def evenly(rows: np.ndarray, most: int) -> np.ndarray:
+    """At most ``most`` of ``rows``, evenly spaced."""
+    return rows if len(rows) <= most else rows[np.arange(most) * len(rows) // most]
+
+
+def iterated(
+    rows: np.ndarray, entries: np.ndarray, shift: int, nearest: Nearest, iterations: int
+) -> tuple[np.ndarray, int]:
+    """``entries`` and their shift after Lloyd's ``iterations`` on ``rows``."""
+    before = np.zeros(len(rows), np.uint8)
+    sums, counts = cell_sums(rows, before)
     for _ in range(iterations):
         codes = nearest(rows, entries, shift)
-        sums, counts = cell_sums(rows, codes)
+        moved = np.flatnonzero(codes != before)  # few of them, after the first iterations
+        for side, sign in ((before, -1), (codes, 1)):
+            more, number = cell_sums(rows[moved], side[moved])
+            sums += sign * more
+            counts += sign * number
+        before = codes
         used = counts > 0
         wide = entries.astype(np.int64) << shift
         wide[used] = divided(sums[used], counts[used, None])
@@ -75,13 +102,14 @@ def shift_for(values: np.ndarray) -> int:
 
 
 def cell_sums(rows: np.ndarray, codes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Sums int64 [ENTRIES, samples] and counts int64 [ENTRIES] of the rows of each code."""
+    """Sums int64 [ENTRIES, samples] and counts int64 [ENTRIES] of the ``rows`` of each code."""
     counts = np.bincount(codes, minlength=ENTRIES)
     order = np.argsort(codes, kind="stable")
     sums = np.zeros((ENTRIES, rows.shape[1]), np.int64)
     used = np.flatnonzero(counts)
     starts = (np.cumsum(counts) - counts)[used]
-    sums[used] = np.add.reduceat(rows[order], starts, axis=0, dtype=np.int64)
+    if len(used):
+        sums[used] = np.add.reduceat(rows[order].astype(np.int64), starts, axis=0)
     return sums, counts
 
 
@@ -105,8 +133,7 @@ def farthest(rows: np.ndarray, entries: np.ndarray, codes: np.ndarray, shift: in
 
 def principal_splits(rows: np.ndarray, cells: int) -> np.ndarray:
     """int64 [at most cells, samples]: the means of cells into which ``rows`` are split."""
-    if len(rows) > _SPLIT_ROWS:
-        rows = rows[np.arange(_SPLIT_ROWS) * len(rows) // _SPLIT_ROWS]
+    rows = evenly(rows, _SPLIT_ROWS)
     # Differences of 10 bits and a direction of 8: products of 64 terms over 2^14 rows stay below 2^53.
     drop = max(0, int(np.abs(rows).max(initial=0)).bit_length() - _SPLIT_BITS)
     small = (rows >> drop).astype(np.float64)

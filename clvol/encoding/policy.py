@@ -14,6 +14,7 @@ from clvol.store.codecs.working_values import LARGEST, WorkingValues
 
 _LARGEST_PACKED = LARGEST // 2  # residual steps are 2 packed + 1
 LARGEST_LAMBDA = 1 << 40
+_ROUNDED = 0.25  # squared error of working values of floating-point voxels, at most
 _EXACT_FLOAT = 2.0**-24  # relative rounding of a decoded voxel
 
 
@@ -107,5 +108,8 @@ def goal_of(target: RateTarget, values: WorkingValues, value_range: tuple[float,
         return Goal(bound=bound_of(target.max_voxel_error, values, value_range))
     if target.psnr is not None:
         peak = (value_range[1] - value_range[0]) / values.scale  # 1 of integers
-        return Goal(squares=peak**2 * 10 ** (-target.psnr / 10))
+        squares = peak**2 * 10 ** (-target.psnr / 10)
+        if values.is_float:
+            squares -= _ROUNDED  # which codes do not see
+        return Goal(squares=squares) if squares >= 0 else Goal(bound=-1)
     return Goal(bits=target.bits_per_voxel)

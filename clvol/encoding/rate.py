@@ -11,22 +11,22 @@ import numpy as np
 from clvol.encoding.block_encoder import CodeEncoder
 from clvol.encoding.draws import DrawnBlocks
 from clvol.encoding.policy import LARGEST_LAMBDA, Goal
-from clvol.encoding.stages import Stages, Survey
+from clvol.encoding.stages import Survey
 from clvol.store.codecs.coded_blocks import ENTRIES, Codebooks, CodedBlocks
 
 INDEX_BITS = 32  # of each block, where its bytes are
 CODEBOOK_BITS = 8 * (ENTRIES * 64 + 4)  # of a stage of 4^3 samples
-_STEPS = 32  # of the multiplier, per factor of two
-_MOST = _STEPS * 40
+_STEPS = 128  # of the multiplier, per factor of two
+LAST_STEP = _STEPS * 40
 _ROWS = 1 << 15  # sub-blocks on which numbers of stages are compared
 
 Decode = Callable[[CodedBlocks, int, Codebooks], np.ndarray]
 
 
 def _powers() -> list[int]:
-    """2^(k / 32) for k = 0 ... 31, in units of 2^-60, by integers alone."""
+    """2^(k / 128) for k = 0 ... 127, in units of 2^-60, by integers alone."""
     root = 2 << 60
-    for _ in range(5):
+    for _ in range(7):
         root = math.isqrt(root << 60)
     powers = [1 << 60]
     while len(powers) < _STEPS:
@@ -38,13 +38,13 @@ _POWERS = _powers()
 
 
 def multiplier(step: int) -> int:
-    """The Lagrangian multiplier 2^(step / 32), rounded down."""
+    """The Lagrangian multiplier 2^(step / 128), rounded down."""
     return min(LARGEST_LAMBDA, _POWERS[step % _STEPS] << step // _STEPS >> 60)
 
 
 def step_of(lagrangian: int) -> int:
     """The first step whose multiplier is at least ``lagrangian``."""
-    return next((step for step in range(_MOST) if multiplier(step) >= lagrangian), _MOST)
+    return next((step for step in range(LAST_STEP) if multiplier(step) >= lagrangian), LAST_STEP)
 
 
 @dataclass(frozen=True)
@@ -55,24 +55,34 @@ class Chosen:
     lagrangian: int
 
 
-def stages_worth(stages: Stages, found: Survey, goal: Goal, raw_bits: int, share: float) -> Chosen:
-    """The number of stages with the fewest bits, codebooks counted, at ``goal`` (or the least error, where the bits are
-    given). ``raw_bits``: per voxel; ``share``: of the volume's voxels that were drawn."""
-    thin = max(1, len(stages.squares) // _ROWS)
-    tables = _Tables(stages.squares[::thin], stages.largest[::thin], stages.stands_for * thin, found)
-    counts = range(stages.squares.shape[1])
-    book = CODEBOOK_BITS * share
-    if goal.bound is not None:
-        costs = [_bits_within(tables, goal.bound, count, raw_bits) + count * book for count in counts]
-        return Chosen(int(np.argmin(costs)), 1)
-    best = (math.inf, 0, _MOST)
-    for count in counts:
-        cost, step = tables.at_goal(goal, count, count * book)
-        if cost < best[0]:
-            best = (cost, count, step)
-    if math.isinf(best[0]) and goal.squares is not None:  # out of reach: all there is
-        return Chosen(counts[-1], 1)
-    return Chosen(best[1], multiplier(best[2]))
+class StageCosts:
+    """What stages cost at ``goal``, codebooks counted, as they are trained: bits, or the error where bits are given.
+    ``raw_bits``: per voxel; ``share``: of the volume's voxels that were drawn."""
+
+    def __init__(self, found: Survey, goal: Goal, raw_bits: int, share: float) -> None:
+        self._found, self._goal, self._raw_bits, self._book = found, goal, raw_bits, CODEBOOK_BITS * share
+        self._costs: list[tuple[float, int]] = []  # of 0, 1, ... stages: the cost, and a step of the multiplier
+
+    def add(self, squares: np.ndarray, largest: np.ndarray, stands_for: float) -> bool:
+        """Takes the errors by depth, int64 [pool, stages + 1], with one stage more than before; whether further stages
+        are unlikely to pay: two in turn have cost more than they saved."""
+        thin, count = max(1, len(squares) // _ROWS), len(self._costs)
+        tables = _Tables(squares[::thin], largest[::thin], stands_for * thin, self._found)
+        if self._goal.bound is not None:
+            cost = _bits_within(tables, self._goal.bound, count, self._raw_bits) + count * self._book
+            self._costs.append((cost, 0))
+        else:
+            self._costs.append(tables.at_goal(self._goal, count, count * self._book))
+        last = [cost for cost, _ in self._costs[-3:]]
+        return len(last) == 3 and last[0] < last[1] < last[2] < math.inf
+
+    def chosen(self) -> Chosen:
+        """The number of stages of the least cost."""
+        cost, step = min(self._costs, key=lambda each: each[0], default=(0.0, 0))
+        if math.isinf(cost):  # out of reach: all there is, or of a rate, nothing
+            return Chosen(len(self._costs) - 1, 1) if self._goal.squares is not None else Chosen(0, LARGEST_LAMBDA)
+        stages = [cost for cost, _ in self._costs].index(cost) if self._costs else 0
+        return Chosen(stages, multiplier(step))
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,12 +110,12 @@ class _Tables:
         # The error rises with the step, bits fall: one of them has a limit.
         limited, limit = (0, goal.squares * self.found.samples) if goal.squares is not None else (
             1, (goal.bits or 0.0) * self.found.voxels)  # fmt: skip
-        good, bad = (0, _MOST) if limited == 0 else (_MOST, 0)
+        good, bad = (0, LAST_STEP) if limited == 0 else (LAST_STEP, 0)
         if point(good)[limited] > limit:
             return math.inf, good
         if point(bad)[limited] <= limit:
             return point(bad)[1 - limited], bad
-        while abs(good - bad) > 4:
+        while abs(good - bad) > 16:
             middle = (good + bad) // 2
             if point(middle)[limited] <= limit:
                 good = middle
@@ -182,8 +192,8 @@ def found_step(ratio: Callable[[int], float], start: int, falls: bool, near: flo
     The secant's next step where it lies between the steps known to be good and bad, else the middle.
     """
     sign = -1 if falls else 1
-    good, bad = (-1, _MOST + 1) if sign > 0 else (_MOST + 1, -1)
-    step = min(max(start, 0), _MOST)
+    good, bad = (-1, LAST_STEP + 1) if sign > 0 else (LAST_STEP + 1, -1)
+    step = min(max(start, 0), LAST_STEP)
     slope = sign * 0.6 / _STEPS  # of the ratio's logarithm to base 2
     while True:
         found = ratio(step)
@@ -195,7 +205,7 @@ def found_step(ratio: Callable[[int], float], start: int, falls: bool, near: flo
             bad = step
         low, high = min(good, bad) + 1, max(good, bad) - 1
         if low > high:
-            return min(max(good, 0), _MOST)
+            return min(max(good, 0), LAST_STEP)
         if 0 < found < math.inf:
             # A little to the good side, so that the next step meets the target.
             aim = math.log2(found) - math.log2((1 + near) / 2)
@@ -204,5 +214,5 @@ def found_step(ratio: Callable[[int], float], start: int, falls: bool, near: flo
             step = (low + high) // 2
         if not low <= step <= high:
             step = low if step < low else high
-            if high - low > 4 and bad not in (-1, _MOST + 1) and good not in (-1, _MOST + 1):
+            if high - low > 4 and bad not in (-1, LAST_STEP + 1) and good not in (-1, LAST_STEP + 1):
                 step = (low + high) // 2

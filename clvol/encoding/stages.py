@@ -70,15 +70,10 @@ def survey(kernels: EncoderKernels, blocks: Iterable[DrawnBlocks], to_working: T
 
 @dataclass(frozen=True, eq=False)
 class Stages:
-    """Trained stages, and what they do to the pool: ``squares`` and ``largest`` int64 [pool, stages + 1] by depth.
-    ``stands_for``: sub-blocks of the drawn volume per sub-block of the pool. ``distinct``: number of distinct
-    residuals where that is no more than codes, else None."""
+    """Trained stages. ``distinct``: number of distinct residuals where that is no more than codes, else None."""
 
     entries: np.ndarray
     shifts: np.ndarray
-    squares: np.ndarray
-    largest: np.ndarray
-    stands_for: float
     distinct: int | None
 
 
@@ -116,11 +111,12 @@ def pool_of(
 
 
 def trained_stages(
-    kernels: EncoderKernels, pool: np.ndarray, stands_for: float, levels: int, goal: Goal, lagrangian: int, seed: int,
-    whole: bool, progress: Callable[[int], None],
+    kernels: EncoderKernels, pool: np.ndarray, levels: int, goal: Goal, lagrangian: int, seed: int, whole: bool,
+    enough: Callable[[np.ndarray, np.ndarray], bool], progress: Callable[[int], None],
 ) -> Stages:  # fmt: skip
     """Stages for sub-blocks of working values ``pool`` (uint16 [n, 64]). ``whole``: no other sub-blocks need stages.
-    ``progress(stage)`` is called after each."""
+    ``enough(squares, largest)`` is called with the errors of the pool by depth, int64 [n, stages + 1], after each stage
+    and before the first; if it is true, no further one is trained. ``progress(stage)`` reports."""
     context = kernels.context
     residual, _ = first_residual(pool, "rvq")
     entries, shifts = np.zeros((MOST_STAGES, ENTRIES, 64), np.int8), np.zeros(MOST_STAGES, np.int32)
@@ -139,9 +135,12 @@ def trained_stages(
         largest.append(found[2].astype(np.int64))
         stage += 1
         progress(stage)
+        is_enough = enough(np.stack(squares, axis=1), np.stack(largest, axis=1))
         if stage < len(exact):
             entries[stage], shifts[stage] = exact[stage]
             continue
+        if is_enough:
+            break
         need = np.flatnonzero(goal.needs(squares[-1], largest[-1], lagrangian))
         if stage == MOST_STAGES or len(need) < _FEWEST:
             break
@@ -149,13 +148,11 @@ def trained_stages(
         entries[stage], shifts[stage] = trained_codebook(
             residual[drawn(need, ROWS, seed + stage)], kernels.nearest
         )
+    if not len(pool):
+        enough(np.zeros((0, 1), np.int64), np.zeros((0, 1), np.int64))
     count = max(stage, 0)
-    none = np.zeros((len(pool), 1), np.int64)
-    return Stages(
-        entries[:count], shifts[:count], np.stack(squares, axis=1) if squares else none,
-        np.stack(largest, axis=1) if squares else none, stands_for,
-        len(distinct) if distinct is not None and squares and not squares[-1].any() else None,
-    )  # fmt: skip
+    is_exact = distinct is not None and len(squares) > 0 and not squares[-1].any()
+    return Stages(entries[:count], shifts[:count], len(distinct) if distinct is not None and is_exact else None)
 
 
 def distinct_rows(rows: np.ndarray, most: int) -> np.ndarray | None:

@@ -13,8 +13,9 @@ from clvol.encoding.draws import DrawnBlocks, drawn, drawn_blocks
 from clvol.encoding.fixed import trained_fixed
 from clvol.encoding.kernels import EncoderKernels, levels_of
 from clvol.encoding.policy import Goal, Policy, goal_of
-from clvol.encoding.rate import excess, found_step, measure, multiplier, stages_worth, step_of
+from clvol.encoding.rate import LAST_STEP, StageCosts, excess, found_step, measure, multiplier, step_of
 from clvol.encoding.stages import POOL, needing, pool_of, survey, trained_stages
+from clvol.errors import UsageError
 from clvol.opencl.context import DeviceContext
 from clvol.store.codecs.coded_blocks import ENTRIES, MOST_STAGES, SHAPES, Codebooks, RateTarget
 from clvol.store.codecs.decode import decode_blocks
@@ -24,7 +25,8 @@ from clvol.store.voxel_source import VoxelSource
 
 DEFAULT_ERROR = 0.02  # of the range: the target of "rvq" where none is given
 MOST_VOXELS = 1 << 27  # of which a training looks at all; of more it draws regions
-_NEAR = 0.992  # of the error (0.03 dB) or the bits of the target: good enough
+_NEAR = 0.997  # of the error (0.01 dB) or the bits of the target: good enough
+_OF_A_PART = 0.98  # of the error or the bits of the target
 _SAMPLE = 1 << 22  # voxels on which a multiplier is searched for, before all are looked at
 
 
@@ -54,7 +56,9 @@ class CodeTrainer:
         seed: int = 0,
         progress: Progress | None = None,
     ) -> Training:
-        """Learns codebooks and policy from ``source``; see ``Trainer``. ``progress(done, total)`` counts steps."""
+        """Learns codebooks and policy from ``source``; see ``Trainer``. ``progress(done, total)`` counts steps.
+
+        A PSNR beyond what codes reach becomes exact blocks. UsageError for fewer bits than constant blocks take."""
         if not all(math.isfinite(v) for v in value_range):
             value_range = (0.0, 0.0)  # no finite voxel: all blocks are raw or constant
         if codec == "rvq" and not target.to_json():
@@ -76,6 +80,8 @@ class _Run:
         self.target = target
         self.goal: Goal = goal_of(target, self.values, value_range)
         self.total = int(np.prod(source.shape, dtype=np.int64))
+        # Where a part of the volume stands for all, the target is met with something to spare.
+        self.margin = 1.0 if self.total <= MOST_VOXELS else _OF_A_PART
         self.progress = progress
         self.beam = beam or (1 if self.goal.bound is None else 2)
         self.done, self.steps = 0, MOST_STAGES + 4
@@ -123,12 +129,13 @@ class _Run:
         # A few distinct residuals may be repeated by all sub-blocks, whatever the target.
         places = drawn(need, POOL, self.seed)
         pool = pool_of(self.kernels, self.blocks(), self.to_working, self.levels, places)
+        stands_for = len(need) / max(1, len(places))
+        costs = StageCosts(found, self.goal, 8 * self.dtype.itemsize, found.voxels / self.total)
         stages = trained_stages(
-            self.kernels, pool, len(need) / max(1, len(places)), self.levels, self.goal, guess, self.seed,
-            len(places) == len(need), lambda stage: self.step(1 + stage),
+            self.kernels, pool, self.levels, self.goal, guess, self.seed, len(places) == len(need),
+            lambda squares, largest: costs.add(squares, largest, stands_for), lambda stage: self.step(1 + stage),
         )  # fmt: skip
-        share = found.voxels / self.total
-        chosen = stages_worth(stages, found, self.goal, 8 * self.dtype.itemsize, share)
+        chosen = costs.chosen()
         n = chosen.stages
         books = replace(self.books(n), entries=stages.entries[:n], shifts=stages.shifts[:n])
         facts = {} if stages.distinct is None else {"distinct_vectors": stages.distinct}
@@ -145,11 +152,23 @@ class _Run:
         def ratio(step: int, blocks: Iterable[DrawnBlocks]) -> float:
             policy = Policy(lagrangian=multiplier(step), beam=self.beam)
             encoder = CodeEncoder(self.kernels, Training(books, policy.to_json()))
-            return excess(measure(encoder, blocks, decode_blocks), goal, books, self.total)
+            return excess(measure(encoder, blocks, decode_blocks), goal, books, self.total) / self.margin
 
         sample: list[DrawnBlocks] = list(self.blocks(_SAMPLE))
         falls = goal.squares is None
         step = found_step(lambda step: ratio(step, sample), step_of(guess), falls, _NEAR)
         if self.total > _SAMPLE:
             step = found_step(lambda step: ratio(step, self.blocks()), step, falls, _NEAR)
+        if step in (0, LAST_STEP) and ratio(step, self.blocks()) > 1:
+            return self._beyond(books)
         return Policy(lagrangian=multiplier(step), beam=self.beam)
+
+    def _beyond(self, books: Codebooks) -> Policy:
+        """Where no multiplier meets the target: an exact policy, or, of a rate, UsageError."""
+        if self.goal.squares is not None:
+            return Policy(bound=0, beam=self.beam)
+        encoder = CodeEncoder(self.kernels, Training(books, Policy(lagrangian=multiplier(LAST_STEP)).to_json()))
+        bits = measure(encoder, self.blocks(), decode_blocks).bits + 8 * books.nbytes / self.total
+        least = math.ceil(bits / self.margin * 1000) / 1000
+        what = f"got {self.target.bits_per_voxel:g}, less than constant blocks take"
+        raise UsageError("bits_per_voxel", what, f"at least {least:g} for this volume")

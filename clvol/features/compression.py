@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -10,7 +11,7 @@ import numpy as np
 from clvol.errors import ClvolWarning, SceneError
 from clvol.scene.compression import Compression
 from clvol.scene.resolve import ResolvedScene
-from clvol.store.stored_codes import CodesFacts
+from clvol.store.stored_codes import CodesFacts, missed
 from clvol.store.zarr_store import StoredBlocks
 from clvol.volume.volume import Volume
 
@@ -48,22 +49,25 @@ def check_compression(resolved: ResolvedScene) -> None:
 
 
 def compression_warnings(settings: Compression, stats: Mapping[str, Any]) -> list[ClvolWarning]:
-    """Warnings about decoded voxels with a large error, and about a target that was missed. ``stats``: the entry
-    "compression" of a frame's stats."""
+    """Warnings about decoded voxels with a large error, and about a target that was missed, of the volume and of
+    fields. ``stats``: the entry "compression" of a frame's stats."""
+    found = _warnings_of(settings, stats, "compression")
+    for own in stats.get("fields", ()):
+        found += _warnings_of(settings, own, f"field.{own['field']}: compression")
+    return found
+
+
+def _warnings_of(settings: Compression, stats: Mapping[str, Any], where: str) -> list[ClvolWarning]:
     found, error, psnr = [], stats["max_voxel_error"], stats["psnr"]
     if error >= _LARGE and settings.weighting == "even":  # else errors are large where nothing shows them
         what = f"the picture shows voxels that differ from the original ones by up to {100 * error:.2g} % of the range"
         codec = f"codec {stats['codec']!r}" + ("" if psnr is None else f", {psnr:.1f} dB")
         advice = "set compression.max_voxel_error, with the codec 'rvq', or compression.codec = 'none'"
-        found.append(ClvolWarning("compression", f"{what} ({codec})", advice))
-    if settings.psnr is not None and psnr is not None and psnr < settings.psnr:
-        what = f"the voxels' PSNR is {psnr:.2f} dB, less than {settings.psnr:g}"
-        found.append(ClvolWarning("compression.psnr", what, "a higher number reaches it"))
-    bits = stats["bits_per_voxel"]
-    if settings.bits_per_voxel is not None and bits > settings.bits_per_voxel:
-        what = f"codes take {bits:.3g} bits per voxel, more than {settings.bits_per_voxel:g}"
-        advice = "a lower number reaches it, if codebooks alone do not take more"
-        found.append(ClvolWarning("compression.bits_per_voxel", what, advice))
+        found.append(ClvolWarning(where, f"{what} ({codec})", advice))
+    reached = math.inf if psnr is None else psnr
+    if (off := missed(settings.target, reached, stats["bits_per_voxel"])) is not None:
+        key = "psnr" if settings.psnr is not None else "bits_per_voxel"
+        found.append(ClvolWarning(f"{where}.{key}", *off))
     return found
 
 
@@ -80,7 +84,8 @@ def explained(resolved: ResolvedScene) -> dict[str, Any] | None:
         cost = "no voxel is encoded"
     else:
         codec = settings.codec
-        what = f"voxels are replaced by those that codes stand for, {_kept_to(codec, target)}"
+        of = "voxels, and those of density fields, are" if _has_coded_fields(resolved) else "voxels are"
+        what = f"{of} replaced by those that codes stand for, {_kept_to(codec, target)}"
         cost = "encoding takes time once for a volume and these settings, however many pictures follow"
     if decode == "upload":
         what += "; all are decoded when they come to the device"
@@ -89,6 +94,10 @@ def explained(resolved: ResolvedScene) -> dict[str, Any] | None:
         what += "; codes stay on the device, and the blocks that a frame needs are decoded for it"
         cost += "; the device holds codes and a pool of decoded blocks"
     return {"codec": codec, "target": target, "decode": decode, "does": what, "costs": cost}
+
+
+def _has_coded_fields(resolved: ResolvedScene) -> bool:
+    return resolved.compression.is_lossy and any(field.role == "density" for field in resolved.fields)
 
 
 def _kept_to(codec: str, target: Mapping[str, float]) -> str:

@@ -26,12 +26,13 @@ from clvol.encoding.coded_volume import (
     stored_codes,
 )
 from clvol.encoding.trainer import CodeTrainer
-from clvol.errors import RenderError, SceneError
+from clvol.errors import RenderError, SceneError, UsageError
 from clvol.features.compression import coded_source, facts_of, is_compressed
 from clvol.integrators.base import Integrator, Progress, Shared
 from clvol.integrators.code_weights import block_weights, check_weighting
 from clvol.opencl.context import DeviceContext
 from clvol.scene.compression import NOT_COMPRESSED, Compression
+from clvol.scene.field import ResolvedField
 from clvol.scene.resolve import ResolvedScene
 from clvol.store.codecs.coded_blocks import Codebooks, CodedBlocks
 from clvol.store.codecs.encoding import Trainer
@@ -115,11 +116,36 @@ def with_rendered_voxels(
     is_resident = way_of_decoding(resolved, shared.context, integrator) == "resident"
     codes = codes_of(resolved, shared, progress, decode=not is_resident)
     assert codes is not None
+    resolved = replace(resolved, fields=_decoded_fields(resolved, shared, progress))
     if is_resident:
         volume = shared.keep("undecoded voxels", codes, lambda: UndecodedVolume(codes), _KEPT_CODES)
         memory = Compression(decode="resident", memory=resolved.compression.memory)
         return replace(resolved, volume=volume, compression=memory)
     return replace(resolved, volume=decoded_voxels(codes, shared), compression=NOT_COMPRESSED)
+
+
+def coded_fields(resolved: ResolvedScene) -> dict[int, ResolvedScene]:
+    """For each field that is encoded, too, by its number: a scene whose volume it is. These are densities; labels and
+    masks are exact."""
+    if not resolved.compression.is_lossy:
+        return {}
+    compression = resolved.compression.model_copy(update={"weighting": "even", "decode": "upload"})
+    return {
+        k: replace(resolved, volume=field.volume, compression=compression, fields=())
+        for k, field in enumerate(resolved.fields)
+        if field.role == "density" and not field.volume.labels and coded_source(field.volume) is None
+    }
+
+
+def _decoded_fields(
+    resolved: ResolvedScene, shared: Shared, progress: Progress | None
+) -> tuple[ResolvedField, ...]:
+    fields = list(resolved.fields)
+    for k, own in coded_fields(resolved).items():
+        codes = codes_of(own, shared, progress)
+        assert codes is not None
+        fields[k] = replace(fields[k], volume=decoded_voxels(codes, shared))
+    return tuple(fields)
 
 
 def compression_stats(
@@ -128,8 +154,24 @@ def compression_stats(
     """The entry "compression" of a frame's stats; None for a scene without compression.
 
     ``blocks``: the entry of that name. An integrator that decodes blocks itself says in its own notes how many voxels
-    it decoded for the frame, and the bytes of these.
+    it decoded for the frame, and the bytes of these. Fields that are encoded are listed in "fields".
     """
+    stats = _stats_of_volume(resolved, shared, integrator, blocks)
+    if stats is not None and (fields := coded_fields(resolved)):
+        stats = stats | {"fields": [{"field": k, **_stats_of_field(own, shared)} for k, own in fields.items()]}
+    return stats
+
+
+def _stats_of_field(own: ResolvedScene, shared: Shared) -> dict[str, Any]:
+    codes = codes_of(own, shared)
+    assert codes is not None
+    voxels = math.prod(codes.grid.shape)
+    return stats_of(codes.codebooks.codec, codes.measured, 4 * voxels, voxels)  # float32, whatever their type
+
+
+def _stats_of_volume(
+    resolved: ResolvedScene, shared: Shared, integrator: Integrator, blocks: Mapping[str, Any] | None
+) -> dict[str, Any] | None:
     source = coded_source(resolved.volume)
     if source is not None and integrator.reads_blocks:
         blocks = blocks or {"bytes_on_device": 0, "bytes_of_samples": 0}
@@ -152,7 +194,10 @@ def _encoded(resolved: ResolvedScene, shared: Shared, progress: Progress | None,
     volume, context = resolved.volume, shared.context
     is_exact = resolved.compression.codec == "labels"
     teacher = LabelTrainer() if is_exact else trainer(context)
-    codes = encoded_volume(volume, resolved.compression, teacher, progress, block_weights(resolved))
+    try:
+        codes = encoded_volume(volume, resolved.compression, teacher, progress, block_weights(resolved))
+    except UsageError as error:  # of a target, by its name
+        raise SceneError(f"{resolved.origin}: compression.{error.where}", error.what, error.expected) from None
     decoded = _decoded(codes, context) if decode else None
     layers = codes.layers(decode_on(context)) if decoded is None else decoded.layers()
     codes = measured_codes(codes, volume, layers)

@@ -31,6 +31,9 @@ class Compression(Table):
     elsewhere voxels may be off by as much as does not show, so that what is transparent costs next to nothing. Codes
     are then made for one transfer function.
 
+    Fields of the role "density" are encoded, too, each to the same target over its own range of values; those of labels
+    and masks stay exact. Stats list what became of them.
+
     ``seed``: of the random choice of the voxels that codebooks are made from.
     """
 

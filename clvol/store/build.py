@@ -97,7 +97,7 @@ def build_store(
             build.make_regions(steps, workers)
             build.finish(path, overwrite, steps)
         except BaseException:
-            if not build.journal.anything_done():
+            if build.is_hopeless or not build.journal.anything_done():
                 build.discard()
             raise
     store = StoredBlocks(path)
@@ -138,6 +138,7 @@ class _Build:
         self.count = int(np.prod(layout.regions))
         self.levels: list = []
         self._stop = threading.Event()
+        self.is_hopeless = False  # the same call would fail again
 
     # ---- beginning ----
 
@@ -196,7 +197,11 @@ class _Build:
             self._each(range(self.count), measure, steps, workers)
             coding.note_range(self.journal, min(lows), max(highs))
         steps.begin("training")
-        coding.train(self.journal, steps.part)
+        try:
+            coding.train(self.journal, steps.part)
+        except UsageError:
+            self.is_hopeless = True
+            raise
 
     def make_regions(self, steps: Steps, workers: int | None) -> None:
         """Makes all regions that are not in the journal."""

@@ -65,18 +65,24 @@ class CodesFacts:
     @property
     def missed_target(self) -> tuple[str, str] | None:
         """How a target was missed that is estimated from a part of the volume, and what helps; None if none was."""
-        target, measured = self.target, self.measured
-        if target.psnr is not None and measured.psnr < target.psnr:
-            return f"PSNR {measured.psnr:.2f} dB, less than {target.psnr:g}", "a higher one reaches it"
-        if target.bits_per_voxel is not None and measured.bits_per_voxel > target.bits_per_voxel:
-            what = f"{measured.bits_per_voxel:.3g} bits per voxel, more than {target.bits_per_voxel:g}"
-            return what, "a lower number reaches it, if codebooks alone do not take more"
-        return None
+        return missed(self.target, self.measured.psnr, self.measured.bits_per_voxel)
 
     @property
     def bits_per_voxel_all(self) -> float:
         """Of all files but the root's metadata."""
         return self.measured.facts["bits_per_voxel_all"]
+
+
+def missed(target: RateTarget, psnr: float, bits_per_voxel: float) -> tuple[str, str] | None:
+    """How a ``target`` of PSNR or rate was missed, and what to ask for instead; None if it was not."""
+    if target.psnr is not None and psnr < target.psnr:
+        more = math.ceil((2 * target.psnr - psnr) * 100 + 1) / 100
+        return f"PSNR {psnr:.2f} dB, less than {target.psnr:g}", f"a PSNR of {more:g} dB as the target reaches it"
+    if target.bits_per_voxel is not None and bits_per_voxel > target.bits_per_voxel:
+        what = f"{bits_per_voxel:.3g} bits per voxel, more than {target.bits_per_voxel:g}"
+        less = target.bits_per_voxel**2 / bits_per_voxel
+        return what, f"{less:.2g} as the target reaches it, if codebooks and metadata alone do not take more"
+    return None
 
 
 def codes_json(facts: CodesFacts) -> dict[str, Any]:

@@ -71,6 +71,35 @@ def test_both_devices_write_the_same_bytes(run, folder, volume, each_device):
             assert file.read_bytes() == (folder / "other" / file.relative_to(folder / "default")).read_bytes()
 
 
+def test_the_seed_is_kept_and_gives_the_same_bytes(run, folder, volume):
+    for name in ("a", "b"):
+        outcome = run("store", "v.npy", "-o", name, "--codec", "rvq", "--bits-per-voxel", 0.9, "--seed", 7)
+        assert (outcome.status, outcome.err) == (0, "")
+    codes = json.loads(run("info", "a", "--json").out)["store"]["codes"]
+    assert codes["seed"] == 7 and codes["bits_per_voxel"] <= 0.9
+    for file in (folder / "a").rglob("*"):
+        if file.is_file():
+            assert file.read_bytes() == (folder / "b" / file.relative_to(folder / "a")).read_bytes()
+
+
+def test_fewer_vectors_than_codes_are_exact_and_that_is_said(run, folder):
+    tiles = np.random.default_rng(2).integers(0, 256, (9, 4, 4, 4)).astype(np.uint8)
+    places = np.random.default_rng(3).integers(0, 9, (16, 16, 16))
+    np.save(folder / "t.npy", tiles[places].transpose(0, 3, 1, 4, 2, 5).reshape(64, 64, 64))
+    assert run("store", "t.npy", "-o", "t", "--codec", "rvq", "--max-voxel-error", 0.001, "--quiet").status == 0
+    codes = json.loads(run("info", "t", "--json").out)["store"]["codes"]
+    assert codes["max_voxel_error"] == 0 and 1 <= codes["distinct_vectors"] <= 9
+    assert f"{codes['distinct_vectors']} distinct ones, fewer than codes, each exact" in run("info", "t").out
+
+
+def test_a_psnr_is_reached_however_high(run, folder, volume):
+    for psnr in (44, 90):
+        outcome = run("store", "v.npy", "-o", f"{psnr}", "--codec", "rvq", "--psnr", psnr)
+        assert (outcome.status, outcome.err) == (0, "")
+        reached = json.loads(run("info", f"{psnr}", "--json").out)["store"]["codes"]["psnr"]
+        assert reached is None or reached >= psnr
+
+
 def test_float64_is_said_to_become_float32(run, folder, volume):
     np.save(folder / "f.npy", volume / 7)
     outcome = run("store", "f.npy", "-o", "f", "--codec", "vq")
@@ -87,6 +116,8 @@ def test_float64_is_said_to_become_float32(run, folder, volume):
         (["--codec", "rvq", "--max-voxel-error", 0], "--max-voxel-error: got 0.0, expected more than 0, at most 1"),
         (["--codec", "rvq", "--psnr", "nan"], "--psnr: got nan"),
         (["--codec", "zstd", "--device", "pocl"], "--device: got 'pocl' with the codec 'zstd', expected a lossy codec"),
+        (["--codec", "zstd", "--seed", 3], "--seed: got 3 with the codec 'zstd', expected a lossy codec"),
+        (["--codec", "rvq", "--bits-per-voxel", 0.001], "--bits-per-voxel: got 0.001, less than constant blocks take"),
         (["--codec", "rvq", "--device", "none such"], "none such"),
         (["--codec", "vq9"], "--codec: got 'vq9', expected one of blosc-lz4, zstd, none, rvq"),
     ],

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from helpers.encoding import CODECS, TYPES, as_type, blocks_of, range_of, smooth
 
 from clvol.encoding import trainer as trainer_module
 from clvol.encoding.trainer import CodeTrainer
+from clvol.errors import UsageError
 from clvol.store.codecs.coded_blocks import CONSTANT, RAW, RateTarget
 from clvol.store.codecs.decode import decode_blocks
 from clvol.store.codecs.working_values import working_values
@@ -128,11 +130,31 @@ def test_bits_per_voxel_are_kept_codebooks_and_index_included(context, codec):
         assert bits > 1.1
 
 
-def test_a_rate_that_cannot_be_had_is_approached(context):
+@pytest.mark.parametrize("codec", ("rvq", "vq"))
+def test_a_rate_that_cannot_be_had_says_what_can(context, codec):
+    """The least that is named can be had: then all blocks are constant."""
     voxels = as_type(smooth(), np.uint8)
-    blocks, _, coded, training = round_trip(context, voxels, "rvq", bits_per_voxel=0.001)
-    assert training.codebooks.stages == 0
+    with pytest.raises(UsageError, match="bits_per_voxel: got 0.001, less than .* at least [0-9.]+ for this") as told:
+        trained(context, voxels, codec, bits_per_voxel=0.001)
+    least = float(re.search(r"at least ([0-9.]+)", str(told.value))[1])
+    _, _, coded, training = round_trip(context, voxels, codec, bits_per_voxel=least)
     assert (coded.data[coded.start] == CONSTANT).all()
+    assert 8 * (len(coded.data) + 4 * len(coded) + training.codebooks.nbytes) / voxels.size <= least
+    if codec == "rvq":
+        assert training.codebooks.stages == 0 and least < 0.04
+
+
+@pytest.mark.parametrize("dtype", (np.uint8, np.int16, np.float32))
+@pytest.mark.parametrize("codec", ("rvq", "vq"))
+def test_a_psnr_beyond_what_codes_reach_is_reached(context, codec, dtype):
+    voxels = as_type(smooth((40, 33, 36)), dtype)
+    span = np.ptp(voxels.astype(np.float64))
+    own = blocks_of(np.ones(voxels.shape, np.uint8), 16, mode="constant") == 1  # padding does not count
+    for psnr in (95.0, 101.0, 140.0, 200.0):
+        blocks, decoded, coded, _ = round_trip(context, voxels, codec, psnr=psnr)
+        squares = np.mean((decoded[own].astype(np.float64) - blocks[own]) ** 2)
+        assert squares <= span**2 * 10 ** (-psnr / 10)
+        assert len(coded.data) <= 1.01 * blocks.nbytes
 
 
 @pytest.mark.parametrize("codec", CODECS)
@@ -173,6 +195,23 @@ def test_what_is_larger_than_memory_is_drawn_from_everywhere(context, monkeypatc
     decoded = decode_blocks(CodeTrainer(context).encoder(training).encode(blocks), 16, training.codebooks)
     error = np.mean((decoded.astype(float) - blocks) ** 2)
     assert 10 * math.log10(255**2 / error) > 37
+
+
+def test_more_voxels_than_32_bits_count(context, monkeypatch):
+    """2^33 voxels, of which a few regions are read, beyond the first 2^32, too."""
+    monkeypatch.setattr(trainer_module, "MOST_VOXELS", 1 << 18)
+    field = FieldSource("marschner-lobb", (4096, 2048, 1024))
+    read = []
+    box = field.box
+    monkeypatch.setattr(field, "box", lambda *corners: read.append(corners) or box(*corners))
+    training = CodeTrainer(context).train(field, (0, 255), "rvq", RateTarget(bits_per_voxel=0.5))
+    first = [z * 4096 * 2048 + y * 4096 + x for z, _, y, _, x, _ in read]
+    assert max(first) > 2**32 and min(first) < 2**31 and len(set(read)) <= 10
+    assert training.codebooks.stages > 0
+    voxels = box(1000, 1024, 2000, 2048, 4064, 4096)
+    blocks = blocks_of(voxels, 16)
+    decoded = decode_blocks(CodeTrainer(context).encoder(training).encode(blocks), 16, training.codebooks)
+    assert np.abs(decoded.astype(float) - blocks).max() <= 255
 
 
 def test_progress_rises_to_its_end(context):

