@@ -133,9 +133,9 @@ def crossover_chart(result: dict[str, Any], path: Path) -> Path:
         Line2D([], [], color=_VTK, marker="s", markersize=7, linestyle="", label="voxels"),
         Line2D([], [], color=_CLVOL, marker="o", markersize=9, markerfacecolor="white", linestyle="",
                label="codes on the device, in bricks"),
-        Line2D([], [], color=_CLVOL, marker="o", markersize=4.5, label="the same with further look-ups for a sample"),
-        Line2D([], [], color=_VTK, alpha=0.3, linewidth=8, label="a look-up in 2 to 4 codebooks for every corner"),
+        Line2D([], [], color=_CLVOL, marker="o", markersize=4.5, label="the same, with more look-ups per sample"),
+        Line2D([], [], color=_VTK, alpha=0.3, linewidth=8, label="2 to 4 codebooks looked up per corner"),
         Line2D([], [], color=_GOAL, linestyle="--", label="above it the pyramid is faster"),
     ]  # fmt: skip
-    figure.legend(handles=handles, loc="lower center", ncol=3, fontsize=8, bbox_to_anchor=(0.5, -0.16))
+    axes.flat[0].legend(handles=handles, loc="upper left", fontsize=7)
     return _save(plt, figure, path, _notes(result))

@@ -26,8 +26,8 @@ def explain(resolved: ResolvedScene) -> dict[str, Any]:
 
     "effects" lists every effect with the reason why it is used or not, "compression" says what becomes of the voxels
     (None: nothing), "kernel_hash" identifies the compiled kernel, and "warnings" lists settings that are valid but
-    hardly intended. Raises SceneError for a scene that a Renderer would refuse, for example because its environment
-    cannot be read.
+    hardly intended, "classification" is the one that is used and why. Raises SceneError for a scene that a Renderer
+    would refuse, for example because its environment cannot be read.
     """
     check_scene(resolved)
     _read_environment(reduced(resolved).environment)
@@ -37,8 +37,13 @@ def explain(resolved: ResolvedScene) -> dict[str, Any]:
     image, warnings = resolved.image, scene_warnings(resolved)
     about_camera = camera_warning(resolved.camera, resolved.volume.grid, image.width, image.height)
     warnings += [] if about_camera is None else [about_camera]
+    chosen = resolved.chosen_classification
     return {
         "effects": listed,
+        "classification": {
+            "name": resolved.integration.classification,
+            "reason": "the scene requests it" if chosen is None else chosen.reason,
+        },
         "compression": explained(resolved),
         "kernel_hash": kernel_hash(resolved),
         "warnings": [str(warning) for warning in warnings],

@@ -13,6 +13,7 @@ from clvol.accuracy.tunables import TABLES, TUNABLES, Tunable
 from clvol.errors import ClvolError
 from clvol.integrators.registry import check_scene
 from clvol.render.renderer import check_memory
+from clvol.scene.classification import with_classification
 from clvol.scene.resolve import ResolvedScene
 from clvol.scene.table import Table
 
@@ -76,7 +77,9 @@ def apply(resolved: ResolvedScene, settings: Settings) -> ResolvedScene:
     """``resolved`` with ``settings``. Raises SceneError for an impossible value."""
     differing = {key: value for key, value in settings.items() if value_of(resolved, key) != value}
     tables: dict[str, Any] = tables_with(resolved, differing)  # each name has a table of its own type
-    return replace(resolved, **tables)
+    found = replace(resolved, **tables)
+    # "auto" may stand for another classification of another method.
+    return found if "integration.classification" in settings or not tables else with_classification(found)
 
 
 def tables_with(scene: Any, settings: Settings) -> dict[str, Table]:

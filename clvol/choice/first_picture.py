@@ -18,6 +18,7 @@ from clvol.volume.volume import Volume
 
 _DARKEST = 0.25  # of a colour, where no light shows form and only colour can
 _STEP = 0.5  # voxels: surfaces are thin
+_VEIL = 0.6  # opacity of labels that light does not shape
 
 
 @dataclass(frozen=True)
@@ -114,8 +115,12 @@ class FirstPicture:
 
     def _unlit(self, look: Look) -> Look:
         """``look`` for a method without lights: colours rise from dark, and rays see into the object."""
-        if not look.lit or self.statistics is None or look.kind in ("labels", "mask"):
+        if not look.lit or self.statistics is None:
             return replace(look, lit=False, integration={}, material={})
+        if look.kind in ("labels", "mask"):  # between labels the linear filter makes others: thin shells of them
+            veil = [(value, min(alpha, _VEIL), color) for value, alpha, color in look.points]
+            unit = balanced_unit(self.statistics, veil, 0.85)
+            return replace(look, points=veil, opacity_unit=unit, lit=False, integration={}, material={})
         shown = [k for k, (_, alpha, _) in enumerate(look.points) if alpha > 0]
         count = max(len(shown) - 1, 1)
         points: list[Point] = []

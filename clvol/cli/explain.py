@@ -36,6 +36,8 @@ def command(
     compression = explanation.get("compression")
     if compression is not None:
         say(f"compression {compression['codec']}: {compression['does']}. {compression['costs'].capitalize()}.")
+    classification = explanation["classification"]
+    say(f"classification {classification['name']}: {classification['reason']}")
     say(f"kernel {explanation['kernel_hash']}")
     for warning in explanation["warnings"]:
         say(f"warning: {warning}")

@@ -144,13 +144,13 @@ class BrickPool:
         self._clock += 1
         slots = self._slot[blocks]
         self._used[slots[slots >= 0]] = self._clock
-        new = np.sort(blocks[slots < 0])
+        new = blocks[slots < 0]
         if len(new):
             if len(blocks) > self.most:
                 raise ValueError(f"{len(blocks)} bricks where there is room for {self.most}")
             if len(blocks) > self.capacity:
                 self._make_room(min(len(blocks) + len(blocks) // 8, self.most))
-                self._clock, new = 1, np.sort(blocks)
+                self._clock, new = 1, blocks
             oldest = np.argsort(self._used, kind="stable")[: len(new)]
             gone = self._block[oldest]
             gone = gone[gone >= 0]
@@ -238,19 +238,21 @@ class BrickPool:
         self._context.write(self.voxels, (at & 0xFFFFFFFF).astype(np.uint32).view(np.uint8), 4 * first)
 
     def _fill(self, blocks: np.ndarray) -> None:
-        """Fills the slots of ``blocks``, which ascend."""
-        near = self.blocks.places(blocks)[:, None] + _AROUND
+        """Fills the slots of ``blocks``."""
+        places = self.blocks.places(blocks)
+        order = _along_curve(places)
+        blocks, near = blocks[order], places[order][:, None] + _AROUND
         inside = np.all(near < self.blocks.counts, axis=-1).reshape(-1, 8)
         numbers = np.ravel_multi_index(np.minimum(near, np.array(self.blocks.counts) - 1).transpose(2, 0, 1),
                                        self.blocks.counts)  # fmt: skip
         first, room = 0, self._scratch.shape[0]
         while first < len(blocks):
             last = _most_within(numbers[first:], room) + first
-            needed, places = np.unique(numbers[first:last], return_inverse=True)
+            needed, own = np.unique(numbers[first:last], return_inverse=True)
             wanted = np.empty((last - first, _WANTED), np.int32)
             wanted[:, 0] = self._start(self._slot[blocks[first:last]])
             wanted[:, 9:] = (np.array(self.blocks.shape) - near[first:last, 0] * self.blocks.edge)[:, ::-1]
-            wanted[:, 1:9] = np.where(inside[first:last], places.reshape(last - first, 8), -1)
+            wanted[:, 1:9] = np.where(inside[first:last], own.reshape(last - first, 8), -1)
             self._source.put(needed, self._scratch)
             self.filled_voxels += len(needed) * self.blocks.edge**3
             self._filler(
@@ -262,14 +264,18 @@ class BrickPool:
 
 def _most_within(numbers: np.ndarray, room: int) -> int:
     """How many of the first rows of ``numbers`` [n, 8] have at most ``room`` distinct ones together; at least one."""
-    low, high = 1, min(len(numbers), room)
-    while low < high:
-        middle = (low + high + 1) // 2
-        if len(np.unique(numbers[:middle])) <= room:
-            low = middle
-        else:
-            high = middle - 1
-    return low
+    rows = min(len(numbers), room)
+    first_seen = np.sort(np.unique(numbers[:rows], return_index=True)[1])
+    return rows if len(first_seen) <= room else max(int(first_seen[room]) // numbers.shape[1], 1)
+
+
+def _along_curve(places: np.ndarray) -> np.ndarray:
+    """The order of ``places`` [n, 3] along Morton's curve (1966): neighbours, which share blocks, follow soon."""
+    code = np.zeros(len(places), np.int64)
+    for bit in range(16):
+        for axis in range(3):
+            code |= (places[:, axis].astype(np.int64) >> bit & 1) << 3 * bit + axis
+    return np.argsort(code)
 
 
 class ReadBricks:

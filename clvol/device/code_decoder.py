@@ -26,7 +26,7 @@ STAGING_BYTES = 16 * 2**20
 _SIDES = (1, 2, 4, 8, 16, 32)
 _MEAN_UNIT = 7  # of (mean << 8) + 128
 _STAGED_EDGE, _LINE_BYTES = 16, 64  # of blocks that are staged (CODED_STAGED of cl/decode_codes.cl); of a cache line
-_STREAMED_BYTES = 32 * 2**20
+_STREAMED_BYTES = 32 * 2**20, 4 * 2**20  # of voxels, in blocks and in a volume
 
 Stages: TypeAlias = "int | np.ndarray"
 """A limit of stages: of all blocks, or int [n], of each."""
@@ -211,9 +211,9 @@ class CodeDecoder:
             return
         blocks = np.empty(len(start), CODED_BLOCK)
         blocks["from"], blocks["to"], blocks["extent"], blocks["limit"] = start, places, extent, stages
-        # What exceeds the caches is written past them; what does not is better found there by whoever reads it.
-        size = len(blocks) * _STAGED_EDGE**3 * self.dtype.itemsize
-        streams = self._context.is_cpu and extent[0, 3] == _STAGED_EDGE and size >= _STREAMED_BYTES
+        # What exceeds the caches is written past them. Blocks that lie together are read soon, by whoever copies them.
+        size, least = len(blocks) * _STAGED_EDGE**3 * self.dtype.itemsize, _STREAMED_BYTES[bool(row)]
+        streams = self._context.is_cpu and extent[0, 3] == _STAGED_EDGE and size >= least
         kernel, each = (self._compiled(self._line), self._line) if streams else (self._kernel, 1)
         items = -(-len(blocks) // each)
         kernel(

@@ -36,10 +36,10 @@ def segment_classification(
     if integration.compositing != "over":
         return "post"
     if integration.filter == "nearest":
-        return "post" if integration.classification == "preintegrated" else integration.classification
+        return "pre" if integration.classification == "pre" else "post"
     if integration.classification == "post" and any(map(has_opaque_point, functions)):
         return "preintegrated"
-    return integration.classification
+    return "preintegrated" if integration.classification == "auto" else integration.classification
 
 
 def transfer_pieces(resolved: ResolvedScene, functions: Sequence[TransferFunction]) -> int:

@@ -64,6 +64,9 @@ def make_frame(
         "effects": called_for(resolved),
         "method": resolved.integration.method,
     }
+    chosen = resolved.chosen_classification
+    if chosen is not None and chosen.name == resolved.integration.classification:
+        stats["classification"] = {"name": chosen.name, "reason": chosen.reason}
     if resolved.chosen is not None:
         stats["chosen"] = resolved.chosen
     return Frame(

@@ -24,7 +24,7 @@ from clvol.schedule.dispatch import Dispatcher, Package
 
 FAILURES = (ClvolError, MemoryError)  # of a device; anything else is a fault of the program
 _TICK = 0.1  # seconds between calls of a progress function
-_PATIENCE = 0.01  # seconds for devices whose last package another one has done meanwhile,
+_PATIENCE = 0.1  # seconds for devices whose last package another one has done meanwhile,
 _STOPPING = 10.0  # and for all of them if the frame is interrupted
 _FETCH_PATIENCE = 1.0  # seconds, and this many per byte, after which fetching counts as stalled
 _FETCH_SECONDS = 5e-9

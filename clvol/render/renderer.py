@@ -28,6 +28,7 @@ from clvol.render.made_from import MadeFrom
 from clvol.render.member import LocalMember, Member
 from clvol.render.notices import Notices
 from clvol.scene.camera import Camera
+from clvol.scene.classification import with_classification
 from clvol.scene.resolve import ResolvedScene
 
 if TYPE_CHECKING:
@@ -264,7 +265,8 @@ class Renderer:
         return None if self._on_device is None else self._on_device.group.schedule
 
     def set_transfer_function(self, function: TransferFunction, wait: bool = True) -> None:
-        """Sets another transfer function for the frames to come; compiles nothing, and keeps the volume.
+        """Sets another transfer function for the frames to come; compiles nothing, and keeps the volume. (Where the
+        scene's classification is "auto" and the other one suits the function better, its program is compiled once.)
 
         The method "multiresolution" selects blocks anew and reads those that change. With
         ``wait`` False a thread reads them, and frames show those that are there: their
@@ -272,7 +274,7 @@ class Renderer:
         """
         with self._turn() as on_devices:
             function = self.resolved.in_stored_values(function)
-            resolved = replace(self.resolved, transfer_function=function)
+            resolved = with_classification(replace(self.resolved, transfer_function=function))
             check_scene(resolved)  # a blank scene may hide effects that this one has
             on_devices.prepare(resolved, wait=wait)
             self.resolved = resolved

@@ -8,6 +8,7 @@ from pydantic import Field
 
 from clvol.scene.table import Number, Table, Whole
 
+_BY_SEGMENTS = ("raycast",)  # one rule for all segments of a ray
 _BY_STEPS = ("raycast", "multiresolution", "pyramid", "slicing")
 _SHADED = ("raycast",)
 
@@ -20,6 +21,8 @@ class Integration(Table):
     of ``step`` per edge; 0 means even steps. ``compositing``: "over" integrates emission and absorption along
     the ray; the others show the "maximum", the "minimum" or the "average" of the values on it, or a maximum in which
     ``attenuation`` weakens what lies behind. ``prefilter`` makes the filter "cubic" interpolate the voxels.
+
+    ``classification``: "auto" is "post" where that errs less than "preintegrated", which it is elsewhere.
 
     ``quadrature``: even "steps" along a ray, or "cells": one piece per cell of the linear filter that the ray crosses,
     cut into 1 / ``step`` parts (one, or an even number). ``early_termination`` is the transmittance at which a ray may
@@ -44,10 +47,10 @@ class Integration(Table):
         title="Error that segments of several steps may add per voxel edge, at steps of one edge; 0: even steps.",
         description="a number from 0 to 1 (linear, premultiplied)",
     )
-    classification: Literal["pre", "post", "preintegrated"] = Field(
-        "preintegrated",
-        title="Classify voxels, midpoints of segments, or whole segments (pre-integration).",
-        description="'pre', 'post' or 'preintegrated'",
+    classification: Literal["auto", "pre", "post", "preintegrated"] = Field(
+        "auto",
+        title="Classify voxels, midpoints of segments, or whole segments (pre-integration); 'auto' takes what suits.",
+        description="'auto', 'pre', 'post' or 'preintegrated'",
     )
     quadrature: Literal["steps", "cells"] = Field(
         "steps",
@@ -99,6 +102,11 @@ class Integration(Table):
     def takes_steps(self) -> bool:
         """Whether ``step`` has an effect; it has none on the exact integral."""
         return self.method in _BY_STEPS
+
+    @property
+    def takes_midpoints(self) -> bool:
+        """Whether the method may classify the values in the middle of segments where the scene leaves the choice."""
+        return self.method in _BY_SEGMENTS and self.quadrature == "steps" and self.compositing == "over"
 
     @property
     def shades(self) -> bool:

@@ -16,6 +16,7 @@ from clvol.errors import SceneError
 from clvol.readers import load_volume
 from clvol.scene.animation import Animation
 from clvol.scene.camera import Camera
+from clvol.scene.classification import ChosenClassification, with_classification
 from clvol.scene.clip import Clip
 from clvol.scene.codes import code_of, function_in_codes, in_stored_values
 from clvol.scene.compression import Compression
@@ -93,6 +94,7 @@ class ResolvedScene:
     voxel_range: tuple[float, float] | None = None  # where ``volume`` holds codes instead of voxels
     axis: ValueAxis = ValueAxis()
     compression: Compression = Compression()
+    chosen_classification: ChosenClassification | None = None  # where the scene requests "auto"
     chosen: dict[str, Any] | None = None  # what was chosen from the volume, since the scene does not state it
 
     @property
@@ -167,7 +169,7 @@ def resolve(scene: Scene, memory_cap: int | None = None) -> ResolvedScene:
         compression=scene.compression,
         chosen=scene.chosen,
     )
-    return in_stored_values(resolved)
+    return with_classification(in_stored_values(resolved))
 
 
 def _surface(surface: Isosurface, decoded: Callable[[ArrayLike], np.ndarray]) -> Isosurface:

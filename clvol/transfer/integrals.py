@@ -68,7 +68,15 @@ class TransferIntegrals:
     def mean(self, front: np.ndarray, back: np.ndarray) -> np.ndarray:
         """Mean extinction per opacity unit, and mean of colour times it, while the value runs linearly from ``front``
         to ``back`` [...]: float64 [..., 4]."""
+        return self._mean(front, back, self.at(front), self.at(back))
+
+    def mean_along(self, values: np.ndarray) -> np.ndarray:
+        """``mean`` from each of ``values`` [..., n] to the next: float64 [..., n - 1, 4]."""
+        integrals = self.at(values)
+        return self._mean(values[..., :-1], values[..., 1:], integrals[..., :-1, :], integrals[..., 1:, :])
+
+    def _mean(self, front: np.ndarray, back: np.ndarray, first: np.ndarray, last: np.ndarray) -> np.ndarray:
         change = back - front
         narrow = np.abs(change) <= _NARROW * (np.abs(front) + np.abs(back)) + 1e-300
-        difference = (self.at(back) - self.at(front)) / np.where(narrow, 1.0, change)[..., None]
+        difference = (last - first) / np.where(narrow, 1.0, change)[..., None]
         return np.where(narrow[..., None], self.extinction(0.5 * (front + back)), np.maximum(difference, 0.0))

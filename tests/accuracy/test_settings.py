@@ -112,7 +112,7 @@ def test_what_nothing_renders_is_not_possible():
 
 
 def test_a_label_names_what_differs():
-    resolved = make_scene(step=1.0)
+    resolved = make_scene(step=1.0, classification="preintegrated")
     tunables = scene_tunables(resolved)
     own = scene_settings(resolved, tunables)
     assert label(tunables, own, resolved) == "preintegrated, step 1"
@@ -144,7 +144,7 @@ def test_every_budget_that_is_tried_is_enough_and_the_largest_holds_all(dtype):
 
 
 def test_the_methods_have_their_own_tunables():
-    resolved = make_scene()
+    resolved = make_scene(classification="preintegrated")
     tunables = scene_tunables(resolved)
     own = scene_settings(resolved, tunables)
     blocks = {**own, "integration.method": "multiresolution"}

@@ -345,8 +345,13 @@ def test_a_quick_run_measures_shows_and_draws_without_peers(device, shared_volum
     assert "zfp and SZ3 are left out" in show(result)
     drawn = bench.draw(result, options)
     assert [path.name for path in drawn] == [
-        "compression.md", "compression.png", "compression-engine.png", "compression-chest.png"
+        "compression.md", "compression.png", "compression-crossover.png", "compression-engine.png",
+        "compression-chest.png",
     ]  # fmt: skip
+    for row in result["crossover"]:
+        voxels, codes, dear = row["rows"]
+        assert (voxels["held"], codes["repeats"], dear["repeats"]) == ("voxels", 0, 4) and voxels["cost"] == 1.0
+        assert row["samples"]["voxels, pyramid"] == row["samples"]["resident, pyramid"]
     assert all(path.parent == options.folder and path.exists() for path in drawn)
 
 

@@ -163,7 +163,7 @@ def test_the_largest_sums_that_16_bits_hold(device, contexts, high):
     ("codec", "dtype"), [("rvq", "uint8"), ("rvq", "uint16"), ("rvq", "float32"), ("vq", "int16"), ("labels", "int8")]
 )
 def test_large_arrays_are_written_by_whole_cache_lines(each_device, contexts, monkeypatch, codec, dtype):
-    monkeypatch.setattr(code_decoder, "_STREAMED_BYTES", 0)
+    monkeypatch.setattr(code_decoder, "_STREAMED_BYTES", (0, 0))
     context = contexts(each_device)
     for shape in ((17, 33, 128), (31, 16, 113), (16, 20, 16)):  # rows of whole lines, odd ones, and a single block
         counts = [-(-n // 16) for n in shape]

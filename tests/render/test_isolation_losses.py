@@ -9,6 +9,7 @@ import sys
 import threading
 import time
 from concurrent.futures import Future
+from contextlib import suppress
 
 import numpy as np
 import pytest
@@ -53,8 +54,13 @@ def killed(pid: int) -> None:
 
 def killed_in_the_middle(pid: int) -> None:
     """While the request is pending."""
+
+    def end() -> None:
+        with suppress(ProcessLookupError):
+            os.kill(pid, signal.SIGKILL)
+
     os.kill(pid, signal.SIGSTOP)
-    threading.Timer(0.3, os.kill, (pid, signal.SIGKILL)).start()
+    threading.Timer(0.3, end).start()
 
 
 def aborted(pid: int) -> None:
@@ -85,14 +91,18 @@ def test_a_process_that_dies_costs_its_package(device, isolated, halves, monkeyp
         frame, told = told_by(renderer.render)
     assert_same(frame, expected)
     assert fault.happened or number == 1  # it may get one package only, and none in the first stage
-    if fault.happened:
-        how = "crashed (SIGABRT)" if happens is aborted else "was killed (SIGKILL)"
-        assert len(told) == 1 and how in told[0]
-        assert states(frame)[1].startswith("lost") and how in states(frame)[1]
-        assert frame.stats["devices"] == halves[:1]
-    frame, told = told_by(renderer.render)  # it stays out
-    assert_same(frame, expected)
-    assert not told and (not fault.happened or states(frame)[1].startswith("lost"))
+    if fault.happened and not told:
+        time.sleep(1.0)  # until the death is noticed
+    again, later = told_by(renderer.render)  # it stays out
+    assert_same(again, expected)
+    if not fault.happened:
+        return
+    assert told or number == 1  # in the second stage, the others may be done before the death is noticed
+    how = "crashed (SIGABRT)" if happens is aborted else "was killed (SIGKILL)"
+    assert len(told + later) == 1 and how in (told + later)[0]
+    for each in (frame, again) if told else (again,):
+        assert states(each)[1].startswith("lost") and how in states(each)[1]
+        assert each.stats["devices"] == halves[:1]
 
 
 def test_the_only_process_dies(device, isolated, monkeypatch):
@@ -127,6 +137,8 @@ def test_a_process_that_hangs_costs_its_package(device, isolated, halves, monkey
     renderer = isolated(made, halves)
     for _ in range(3):
         renderer.render()
+    for member in renderer._on_device.members:  # so that a package soon counts as stalled, on a busy machine, too
+        member.speed = 1e9
     worker = workers(renderer)[1]
     with monkeypatch.context() as patch:
         Fault(patch, worker, where, 0, lambda pid: os.kill(pid, signal.SIGSTOP))

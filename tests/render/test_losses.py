@@ -98,6 +98,11 @@ class Devices:
         """Calls ``fault(name, number of the call)`` before each call of the victim."""
         self._begin(fault)
 
+    def seem_fast(self) -> None:
+        """So that a package soon counts as stalled: on a machine with other work, the first frames say little."""
+        for member in self.renderer._on_device.members:
+            member.speed = 1e9
+
     def render(self):
         """A frame and the warnings about devices."""
         with warnings.catch_warnings(record=True) as caught:
@@ -258,8 +263,8 @@ def test_a_device_that_stalls_costs_its_package(devices, expected, monkeypatch, 
     monkeypatch.setattr(dispatch, "_PATIENCE", 0.1)
     monkeypatch.setattr(picture_stage, "_FETCH_PATIENCE", 0.1)
     all_of_them = devices(copies={1})
-    for _ in range(2):  # the first frame does not show how fast devices are
-        all_of_them.render()
+    all_of_them.render()
+    all_of_them.seem_fast()
     goes_on = threading.Event()
     all_of_them.fault(lambda name, number: goes_on.wait(30.0) if (name, number) == (where, 0) else None)
     start = time.perf_counter()
@@ -287,8 +292,8 @@ def test_a_device_that_missed_a_new_scene_renders_it_when_it_returns(device, dev
     other = TransferFunction([0, 100, 255], [0, 0.8, 0], [[0, 1, 0]] * 3, opacity_unit=10.0)
     monkeypatch.setattr(dispatch, "_PATIENCE", 0.1)
     all_of_them = devices()
-    for _ in range(2):
-        all_of_them.render()
+    all_of_them.render()
+    all_of_them.seem_fast()
     goes_on = threading.Event()
     all_of_them.fault(lambda name, number: goes_on.wait(30.0) if (name, number) == ("render", 0) else None)
     all_of_them.render()
@@ -310,11 +315,10 @@ def test_a_lost_device_does_not_fail_twice_when_the_renderer_closes(devices):
     all_of_them.renderer.close()
 
 
-@pytest.mark.parametrize("kind", ["reference"])
-def test_pictures_that_one_device_makes_go_to_the_next_one(device, monkeypatch, kind):
+def test_pictures_that_one_device_makes_go_to_the_next_one(device, monkeypatch):
     made = Scene(
         volume=Volume(waves((9, 7, 11))), transfer_function=SMOOTH, image={"width": 20, "height": 10},
-        integration={"method": kind},
+        integration={"method": "multiresolution"}, multiresolution={"tiles": 8},
     )  # fmt: skip
     with Renderer(made, devices=[device]) as one:
         alone = one.render()
