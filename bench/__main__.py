@@ -34,8 +34,8 @@ def main(arguments: list[str] | None = None) -> int:
                         help="edges of pictures in pixels, for peers and shaded")  # fmt: skip
     parser.add_argument("--scenes", metavar="A,B", default="", help="only these scenes")
     parser.add_argument("--frames", type=int, default=9, help="frames per median, at least 7")
-    parser.add_argument("--classification", choices=("preintegrated", "post"),
-                        help="classification of clvol, for peers and shaded; by default what suits each scene")
+    parser.add_argument("--classification", choices=("auto", "preintegrated", "post"),
+                        help="classification of clvol, for peers and shaded; by default what a user gets: auto")
     parser.add_argument("--large", action="store_true",
                         help="multiresolution: also a volume of 8 GiB, which takes minutes and 8 GiB of disk")
     asked = parser.parse_args(words)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from pathlib import Path
 
+DEFAULT = "auto"  # the classification that a user gets
 RESULTS = Path(__file__).resolve().parent / "results"
 
 
@@ -17,7 +18,7 @@ class Options:
     sizes: tuple[int, ...] = (512, 1024)
     scenes: tuple[str, ...] = field(default=())
     frames: int = 9
-    classification: str | None = None  # None: what suits each scene
+    classification: str | None = None  # None: DEFAULT, in peers and shaded
     large: bool = False  # of multiresolution: the volume of 8 GiB, too
 
     @property

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bench.curves import geometric_mean, reach
-from bench.options import Options
+from bench.options import DEFAULT, Options
 from bench.pictures import save_side_by_side
 from bench.report import load_average, machine, say, table
 from bench.scenes import SCENES, BenchScene, available
@@ -56,7 +56,7 @@ def run(options: Options) -> dict[str, Any] | None:
         "machine": machine(device),
         "vtk": version,
         "threads": threads,
-        "classification": options.classification or "as suits each scene",
+        "classification": options.classification or DEFAULT,
         "load_before": load_average(),
         "quick": options.quick,
         "missing": [],
@@ -97,7 +97,7 @@ def _compare(
     if options.quick:
         vtk_steps, clvol_steps, frames = QUICK["vtk"], QUICK["clvol"], QUICK["frames"]
     begun = time.perf_counter()
-    classification = options.classification or scene.classification
+    classification = options.classification or DEFAULT
     integration = {"classification": classification}
     resolved = scene.scene(volume, size).resolve()
     most = size * size if size <= WHOLE_SIZE else RANDOM_PIXELS
@@ -128,6 +128,8 @@ def _compare(
                 frame = renderers[key[1]].render(depth=False)
                 picture = frame.rgba
                 point["samples"] = frame.stats["samples"]
+                if key[1] == 1.0:  # what "auto" has taken
+                    classification = frame.stats.get("classification", {}).get("name", classification)
             point["rmse"], point["max_abs"] = exact.rmse(picture), exact.max_abs(picture)
             if key[0] == "vtk" or key[1] == 1.0:
                 pictures[key] = picture

@@ -4,7 +4,7 @@ Per scene, size and light (one directional, one at the eye): seconds of a frame 
 default Blinn-Phong material and the linear filter; VTK's gradients are precomputed, clvol's precomputed
 too, and as it chooses by itself (for 8-bit volumes on the fly). VTK, clvol
 shaded both ways and clvol unshaded take turns in one run; what is counted is as in bench/peers.py. clvol's
-classification is what suits the scene (``BenchScene.classification``), shaded and unshaded alike.
+classification is what a user gets ("auto"), shaded and unshaded alike.
 How far the two pictures lie apart is told to show that both draw the same; their shading differs
 (see vtk_peer.py), so it is no error of either.
 """
@@ -18,7 +18,7 @@ import numpy as np
 
 from bench.curves import geometric_mean
 from bench.effect_scenes import HEADLIGHT, LIGHT
-from bench.options import Options
+from bench.options import DEFAULT, Options
 from bench.peers import peer_threads
 from bench.pictures import apart, save_side_by_side
 from bench.report import load_average, machine, say, table
@@ -63,7 +63,7 @@ def _compare(
     from bench.vtk_peer import VtkPeer
     from clvol.render import Renderer
 
-    integration = {"classification": options.classification or scene.classification, "step": STEP}
+    integration = {"classification": options.classification or DEFAULT, "step": STEP}
     tables = {"light": [LIGHTS[light]], "gradient": {"storage": "precomputed"}}
     shaded = scene.scene(volume, size, tables, **integration)
     chosen = scene.scene(volume, size, {"light": [LIGHTS[light]]}, **integration)

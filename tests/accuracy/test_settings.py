@@ -26,7 +26,7 @@ from clvol.store.volume_blocks import VolumeBlocks
 EXPECTED = {
     "integration.method", "integration.step", "integration.classification",
     "integration.quadrature", "integration.filter", "integration.early_termination",
-    "integration.voxel_precision",
+    "integration.voxel_precision", "integration.step_error",
     "image.ray_spacing", "image.ray_tolerance",
     "pyramid.levels", "pyramid.oracle", "pyramid.epsilon",
     "multiresolution.memory", "multiresolution.stepping", "multiresolution.interblock",

@@ -95,7 +95,7 @@ class StubRenderer:
     rendered: list[tuple] = []
     schedule = None
 
-    def __init__(self, scene, devices=None, memory_cap=None, progress=None):
+    def __init__(self, scene, devices=None, memory_cap=None, progress=None, isolate=False):
         self.resolved = scene.resolve()
         self.devices = devices
         type(self).calls.append((self.resolved, devices))
