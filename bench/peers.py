@@ -38,7 +38,8 @@ CLVOL_STEPS = (16.0, 8.0, 4.0, 3.0, 2.0, 1.5, 1.0, 0.5, 0.25, 0.125)
 WHOLE_SIZE = 512  # pictures up to this size are compared whole, larger ones at random pixels
 RANDOM_PIXELS = 32768
 QUICK = {"sizes": (128,), "vtk": (1.0, 0.5, 0.25), "clvol": (8.0, 4.0, 2.0, 1.0, 0.5), "frames": 3}
-FASTER_GOAL, MEAN_GOAL, SAME_ERROR_GOAL = 3.0, 4.5, 8.0
+FASTER_GOAL, MEAN_GOAL = 4.0, 6.0  # at the same step; the mean at 512^2, at 1024^2 it is 7
+SAME_ERROR_GOAL, SAME_ERROR_MEAN_GOAL = 7.0, 10.0
 
 
 def run(options: Options) -> dict[str, Any] | None:
@@ -343,6 +344,7 @@ def _against_goals(result: dict[str, Any]) -> list[str]:
         least, mean = o["least_ratio_at_vtk_error"], o["mean_ratio_at_vtk_error"]
         times = "not reached on every scene" if least is None else (
             f"least ratio {least:.2f} (goal {SAME_ERROR_GOAL:g}), geometric mean {mean:.2f}"
+            f" (goal {SAME_ERROR_MEAN_GOAL:g})"
         )
         lower = "on every picture" if o["always_lower_error"] else "NOT on every picture"
         lines.append(f"at the step-1 error of VTK's {name}: {times}; clvol's is lower {lower}")
