@@ -14,6 +14,7 @@ from weakref import WeakSet
 from clvol.device.fields import field_bytes
 from clvol.device.light_volume import light_volume_bytes
 from clvol.errors import DeviceError, RenderError, UsageError, VolumeError
+from clvol.features.compression import is_compressed
 from clvol.integrators.base import FrameData, Prepared, Progress, RefinesInTime
 from clvol.integrators.registry import check_scene, integrator_of
 from clvol.opencl.context import DeviceContext
@@ -30,6 +31,7 @@ from clvol.render.notices import Notices
 from clvol.scene.camera import Camera
 from clvol.scene.classification import with_classification
 from clvol.scene.resolve import ResolvedScene
+from clvol.volume.lazy import LazyVolume
 
 if TYPE_CHECKING:
     import numpy as np
@@ -125,6 +127,7 @@ class Renderer:
         self.resolved = scene if isinstance(scene, ResolvedScene) else scene.resolve()
         check_scene(self.resolved)
         check_memory(self.resolved, memory_cap)
+        self.resolved = _with_voxels(self.resolved)
         self._first_time = self.resolved.animation.time
         loaded = perf_counter()
         self._provenances: WeakSet[MadeFrom] = WeakSet()
@@ -338,6 +341,15 @@ def check_memory(resolved: ResolvedScene, cap: int | None) -> None:
         what = f"needs {needed} bytes on the device, pictures and tables included"
         expected = f"at most the memory cap of {cap} bytes" + integrator.memory_advice(resolved)[1]
         raise VolumeError(volume.name or "volume", what, expected)
+
+
+def _with_voxels(resolved: ResolvedScene) -> ResolvedScene:
+    """``resolved``, with the voxels read that its integrator takes as a whole: how it renders may depend on them."""
+    volume = resolved.volume
+    if not isinstance(volume, LazyVolume) or integrator_of(resolved).reads_blocks or is_compressed(resolved):
+        return resolved
+    _ = volume.data
+    return with_classification(resolved)
 
 
 def open_contexts(devices: Sequence[Any] | None) -> list[DeviceContext]:

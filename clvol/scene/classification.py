@@ -72,7 +72,7 @@ def chosen_for(resolved: ResolvedScene) -> ChosenClassification:
         (not integration.takes_midpoints, f"the method is {integration.method!r}, or does not go by even steps"),
         (integration.filter != "linear", f"the filter is {integration.filter!r}"),
         (resolved.compression.is_lossy, "voxels are decoded from codes"),
-        (isinstance(volume, LazyVolume), "voxels are read only when they are rendered"),
+        (isinstance(volume, LazyVolume) and not volume.is_read, "voxels are read only when they are rendered"),
         (any(noise.amplitude for noise in resolved.noise), "noise changes values"),
         (bool(resolved.transfer_layers), "more than one transfer function applies"),
         (any(field.role == "density" for field in resolved.fields), "a density field has a function of its own"),

@@ -58,6 +58,11 @@ class LazyVolume(Volume):
         voxels.flags.writeable = False
         return voxels
 
+    @property
+    def is_read(self) -> bool:
+        """Whether all voxels have been read."""
+        return "data" in vars(self)
+
     def _load(self) -> np.ndarray:
         raise NotImplementedError
 

@@ -82,7 +82,7 @@ def test_what_is_transparent_costs_little_and_the_rest_is_as_exact(device):
         table = {"codec": "rvq", "max_voxel_error": 0.02, "weighting": weighting}
         with Renderer(scene_of(two_parts(), compression=table), [device]) as renderer:
             frames.append(renderer.render())
-            codes.append(renderer._on_device.cache.codes(renderer.resolved))
+            codes.append(renderer._on_device.members[0].cache.codes(renderer.resolved))
             shown = renderer._on_device.prepared.resolved.volume.data
     weights = block_weights(scene_of(two_parts()).resolve())
     even, weighed = (c.coded.size for c in codes)
@@ -102,10 +102,10 @@ def test_another_transfer_function_is_encoded_anew(device):
     darker = TransferFunction([0.0, 255.0], [0.0, 0.4], [[1.0, 1.0, 1.0]] * 2)
     with Renderer(scene_of(two_parts()), [device]) as renderer:
         renderer.render()
-        first = renderer._on_device.cache.codes(renderer.resolved)
+        first = renderer._on_device.members[0].cache.codes(renderer.resolved)
         renderer.set_transfer_function(darker)
         frame = renderer.render()
-        assert renderer._on_device.cache.codes(renderer.resolved) is not first
+        assert renderer._on_device.members[0].cache.codes(renderer.resolved) is not first
     with Renderer(scene_of(two_parts(), darker), [device]) as renderer:
         np.testing.assert_array_equal(frame.rgba, renderer.render().rgba)
 

@@ -36,8 +36,7 @@ def test_each_has_what_the_protocol_says_with_the_same_parameters(name):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_scene_is_rendered_by_the_integrator_that_it_names(name):
-    resolved = make_scene(waves((7, 8, 9)))
-    resolved = replace(resolved, integration=resolved.integration.model_copy(update={"method": name}))
+    resolved = make_scene(waves((7, 8, 9)), method=name)
     check_scene(resolved)
     assert integrator_of(resolved) is integrator_named(name)
     assert integrator_of(resolved).device_bytes(resolved.volume, resolved) > 0

@@ -62,14 +62,16 @@ def trained(monkeypatch) -> list[tuple]:
 
 
 def scene_of(volume, compression: dict, **tables) -> Scene:
+    """Pre-integrated, if nothing else is said: "auto" does not look at voxels that are codes."""
     volume = volume if isinstance(volume, Volume) else Volume(volume)
+    tables["integration"] = {"classification": "preintegrated", **tables.get("integration", {})}
     tables = {"image": {"width": 30, "height": 26}, "transfer_function": SMOOTH, **tables}
     return Scene(volume=volume, compression=compression, **tables)
 
 
 def decoded_by_numpy(renderer: Renderer) -> np.ndarray:
     """The voxels of the codes that ``renderer`` has made, block by block."""
-    codes = renderer._on_device.cache.codes(renderer.resolved)
+    codes = renderer._on_device.members[0].cache.codes(renderer.resolved)
     edge, voxels = codes.blocks.edge, np.empty(codes.grid.shape, codes.dtype)
     samples = decode_blocks(codes.coded, edge, codes.codebooks)
     for block, place in zip(samples, codes.blocks.places(np.arange(codes.blocks.count))):
@@ -217,7 +219,7 @@ def test_densities_are_encoded_and_labels_and_masks_stay_exact(role, decode, dev
     with Renderer(scene, [device]) as renderer:
         frame, voxels = renderer.render(), decoded_by_numpy(renderer)
         prepared = decoding.coded_fields(renderer.resolved)
-        shared = renderer._on_device.cache._shared
+        shared = renderer._on_device.members[0].cache._shared
         decoded = {k: decoding.decoded_voxels(decoding.codes_of(own, shared), shared) for k, own in prepared.items()}
     other = DENSITY
     if role == "density":
@@ -272,6 +274,7 @@ def test_a_store_of_codes(method, device, context, tmp_path):
         edge=8 if method in ("raycast", "pyramid", "reference") else 16,
     )  # fmt: skip
     tables = {"image": {"width": 30, "height": 26}, "transfer_function": SMOOTH, **STORED[method]}
+    tables["integration"] = {"classification": "preintegrated", **tables.get("integration", {})}
     frames = []
     for volume in (load_volume(tmp_path / "a.zarr"), Volume(store.volume_level(0))):
         with Renderer(Scene(volume=volume, **tables), [device]) as renderer:
@@ -368,7 +371,7 @@ def test_a_volume_is_encoded_once(device, trained):
         renderer.render()
         renderer.set_transfer_function(TransferFunction([0, 255], [0, 0.4], [[1, 0, 0]] * 2, 2.0))
         renderer.render(time=1.0)
-        cache = renderer._on_device.cache
+        cache = renderer._on_device.members[0].cache
         assert len(trained) == 1
         for key, value in (("method", "pyramid"), ("method", "multiresolution"), ("step", 0.5)):
             cache.prepare(scene.model_copy(update={"integration": {key: value}}).resolve())
@@ -398,7 +401,7 @@ def test_every_device_makes_the_same_codes(device, other_device):
     made = []
     for chosen in (device, other_device):
         with Renderer(scene_of(VOLUME, {"codec": "rvq", "max_voxel_error": 0.01}), [chosen]) as renderer:
-            made.append(renderer._on_device.cache.codes(renderer.resolved))
+            made.append(renderer._on_device.members[0].cache.codes(renderer.resolved))
             np.testing.assert_array_equal(renderer._on_device.prepared.resolved.volume.data, decoded_by_numpy(renderer))
     np.testing.assert_array_equal(made[0].coded.data, made[1].coded.data)
     np.testing.assert_array_equal(made[0].codebooks.entries, made[1].codebooks.entries)
@@ -416,7 +419,7 @@ def test_a_scene_without_compression_is_as_before(device):
     """Neither another kernel nor a stage more."""
     tables = {"image": {"width": 30, "height": 26}, "transfer_function": SMOOTH}
     plain = Scene(volume=Volume(VOLUME), **tables).resolve()
-    off = scene_of(VOLUME, {"codec": "none", "max_voxel_error": 0.1}).resolve()
+    off = Scene(volume=Volume(VOLUME), compression={"codec": "none", "max_voxel_error": 0.1}, **tables).resolve()
     assert kernel_hash(off) == kernel_hash(plain) and explain(off)["compression"] is None
     with Renderer(plain, [device]) as one, Renderer(off, [device]) as other:
         assert one._on_device.prepared.resolved.volume is plain.volume

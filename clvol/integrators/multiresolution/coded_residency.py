@@ -117,9 +117,11 @@ class CodedResidency:
             if whole.bytes + needed <= total:
                 self.chosen = whole
                 return wanted, min(total - whole.bytes, decoded)
-        found = None
+        found, smallest = None, least
         budget = most
-        for _ in range(_TRIES):
+        for tries in range(_TRIES + 1):
+            if tries == _TRIES and found is None:
+                budget = smallest
             if budget < least:
                 break
             chosen = select_choices(errors, sizes, budget)
@@ -156,8 +158,12 @@ class CodedResidency:
         self, errors: np.ndarray, sizes: np.ndarray, dropped: np.ndarray, resolved: ResolvedScene
     ) -> None:
         coarsest = select_choices(errors, sizes, int(sizes.min(axis=0).sum()))
-        needed, _ = self._pool_needed(self._wanted(coarsest, sizes, dropped), 0, resolved)
-        least = self.blocks.overhead_bytes + coarsest.bytes + needed
+        needed, whole = self._pool_needed(self._wanted(coarsest, sizes, dropped), 0, resolved)
+        pool = coarsest.bytes // (_POOL_SHARE - 1) + _POOL_SHARE  # its share of what all takes
+        needed = coarsest.bytes + max(needed, min(pool, whole))
+        least = self.memory_bytes
+        while (more := self.blocks.overhead_within(least) + needed) > least:
+            least = more
         raise SceneError(
             f"{self._origin}: multiresolution.memory", f"got {self.memory_bytes} bytes for codes and decoded blocks",
             f"at least {max(least, self.memory_bytes + 1)} bytes",

@@ -106,7 +106,11 @@ class ResidentCodes:
     def overhead_bytes(self) -> int:
         """Bytes for everything but codes and samples: index, corners, codebooks, the map of empty space with two copies
         while it is made, and the records of a launch that decodes."""
-        cells = map_cells(self.blocks, map_shift(self.blocks, self.memory_bytes))
+        return self.overhead_within(self.memory_bytes)
+
+    def overhead_within(self, memory_bytes: int) -> int:
+        """The same with ``memory_bytes`` in all: the map is the finer the more there is."""
+        cells = map_cells(self.blocks, map_shift(self.blocks, memory_bytes))
         launch = CODED_BLOCK.itemsize * min(self.blocks.count, 4096)
         spare = SPARE_BYTES * (self.blocks.levels + 1)
         return self.index.nbytes + self.corners.nbytes + self._decoder.nbytes + 3 * cells + launch + spare

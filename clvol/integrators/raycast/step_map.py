@@ -18,6 +18,7 @@ import numpy as np
 from clvol.device.memory import value_map
 from clvol.device.transfer_lookup import segment_classification
 from clvol.device.volume import DeviceVolume
+from clvol.encoding.coded_volume import UndecodedVolume
 from clvol.features import effects
 from clvol.features.refuse import PLAIN
 from clvol.opencl.arguments import INT4, RAW, reads, value, writes
@@ -26,6 +27,7 @@ from clvol.scene.resolve import ResolvedScene
 from clvol.transfer import TransferFunction
 from clvol.transfer.step_bounds import most_steps
 from clvol.volume import Volume
+from clvol.volume.lazy import LazyVolume
 
 CELL_SHIFT = 2  # CELL of cl/cell_curvature.h is 1 << this
 MOST = 8  # steps of one segment
@@ -52,7 +54,9 @@ def is_smooth(resolved: ResolvedScene, function: TransferFunction | None = None)
         return False
     if integration.classification == "pre" or integration.compositing != "over":
         return False
-    if type(volume) is not Volume or volume.dtype.itemsize > 4 or volume.nan_count or volume.inf_count:
+    if isinstance(volume, LazyVolume) and (isinstance(volume, UndecodedVolume) or not volume.is_read):
+        return False
+    if volume.dtype.itemsize > 4 or volume.nan_count or volume.inf_count:
         return False
     if resolved.animation.cycle or value_map(volume).gain != 1.0:
         return False

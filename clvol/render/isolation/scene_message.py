@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from clvol.scene import OpacityFactor, ResolvedField, ResolvedScene, TransferLayer
+from clvol.scene.classification import ChosenClassification
 from clvol.scene.table import Table
 from clvol.transfer import TransferFunction
 from clvol.volume.axis import ValueAxis
@@ -23,7 +24,10 @@ from clvol.volume.volume import Volume
 
 _TYPES: dict[str, type] = {
     each.__name__: each
-    for each in (Grid, OpacityFactor, ResolvedField, ResolvedScene, TransferFunction, TransferLayer, ValueAxis)
+    for each in (
+        ChosenClassification, Grid, OpacityFactor, ResolvedField, ResolvedScene, TransferFunction, TransferLayer,
+        ValueAxis,
+    )  # fmt: skip
 }
 
 

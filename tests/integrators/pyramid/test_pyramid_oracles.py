@@ -338,8 +338,9 @@ def test_an_oracle_that_does_not_compile_is_named(context, registered, tmp_path)
 
     (tmp_path / "oracle_custom.h").write_text("INLINE floatN oracle_distance() { return nothing; }")
     registered(Broken())
+    caster = PyramidCaster(context, pyramid_scene(oracle="broken"))
     with pytest.raises(RenderError, match=r"pyramid\.cl.*does not build"):
-        PyramidCaster(context, pyramid_scene(oracle="broken"))
+        caster.warm_up(16, 16)
 
 
 # What epsilon does

@@ -60,9 +60,9 @@ def ramp() -> np.ndarray:
 
 
 def seen(context, array, function, *, camera=None, size=(6, 5), **tables) -> np.ndarray:
-    """The picture's depth, by whatever method the tables ask for."""
+    """The picture's depth, by whatever method the tables ask for; by even steps."""
     camera = camera or axis_camera(MIDDLE, axis=2, height=4.0, distance=DISTANCE)
-    tables["integration"] = {"early_termination": 0.0, **tables.get("integration", {})}
+    tables["integration"] = {"early_termination": 0.0, "step_error": 0.0, **tables.get("integration", {})}
     volume = array if isinstance(array, Volume) else Volume(array)
     resolved = Scene(
         volume=volume, transfer_function=function, camera=Camera(**camera),
