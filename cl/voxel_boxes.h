@@ -5,6 +5,8 @@
 #ifndef VOXEL_BOXES_H
 #define VOXEL_BOXES_H
 
+#include "voxel_type.h"
+
 #define BOX_PARAMETERS __global const Voxel *restrict volume, int4 box, int4 begin
 #define BOX_ROW(j, k) (((size_t)((k) - box.y) * box.z + ((j) - box.x)) * size.x)
 #define OWN_ROW ((int)get_global_id(0) + begin.x)

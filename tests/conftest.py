@@ -79,10 +79,13 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             item.add_marker("slow")
             if _is_of_another_device(item) and _LONG_TO_COMPILE & set(item.path.parts):
                 item.add_marker("exhaustive")
+            if item.path.name in _EVERY_LOSS:
+                item.add_marker("exhaustive")
         seen.add(function)
 
 
 _LONG_TO_COMPILE = {"integrators", "render"}  # folders of tests that compile whole programs
+_EVERY_LOSS = {"test_losses.py", "test_isolation_losses.py"}  # at every point, in every way: seconds each
 
 
 def _is_of_another_device(item: pytest.Function) -> bool:

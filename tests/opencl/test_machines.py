@@ -14,6 +14,7 @@ from helpers.paths import ROOT
 
 pytestmark = pytest.mark.slow  # each test starts several processes
 
+RAMP = ("--set", 'transfer_function.preset="grayscale"')  # nothing is chosen from the voxels, nor said
 UNSET = ("OCL_", "POCL_", "PYOPENCL", "XDG_", "TMP", "TEMP")
 
 
@@ -28,7 +29,7 @@ def run(*arguments: object, cwd: Path, prefix: tuple = (), **environment: str | 
 def render(cwd: Path, *more: object, **how) -> tuple[np.ndarray, str]:
     """The picture and what was said on stderr; the command has to succeed."""
     (cwd / "a.npy").unlink(missing_ok=True)
-    done = run("render", ROOT / "data/brainsmall.nrrd", "-o", "a.npy", "--set", "image.width=16",
+    done = run("render", ROOT / "data/brainsmall.nrrd", "-o", "a.npy", *RAMP, "--set", "image.width=16",
                "--set", "image.height=16", *more, cwd=cwd, **how)
     assert done.returncode == 0, (done.returncode, done.stdout, done.stderr)
     return np.load(cwd / "a.npy"), done.stderr
@@ -110,7 +111,7 @@ def test_pyopencl_s_own_caches_are_not_used(cached, tmp_path, first, each_device
     kept = {k: v for k, v in os.environ.items() if not k.startswith(UNSET)}
     kept |= {"PYTHONPATH": str(ROOT), "XDG_CACHE_HOME": str(cache)}
     done = subprocess.run([sys.executable, "-c", code, "render", ROOT / "data/brainsmall.nrrd", "-o", "a.npy",
-                           "--set", "image.width=16", "--set", "image.height=16", "--device",
+                           *RAMP, "--set", "image.width=16", "--set", "image.height=16", "--device",
                            report_of(each_device).name], cwd=tmp_path, env=kept, capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, "")
     assert np.allclose(np.load(tmp_path / "a.npy"), picture, atol=1e-6)
@@ -177,7 +178,7 @@ def test_a_folder_for_temporary_files_that_is_of_no_use(tmp_path, usual, trouble
 def test_too_little_of_anything_is_a_picture_or_one_error(tmp_path, usual, limit, device):
     """Memory, size of files, open files."""
     limited = ("sh", "-c", f'ulimit {limit} && exec "$@"', "sh")
-    done = run("render", ROOT / "data/brainsmall.nrrd", "-o", "a.npy", "--set", "image.width=16",
+    done = run("render", ROOT / "data/brainsmall.nrrd", "-o", "a.npy", *RAMP, "--set", "image.width=16",
                "--set", "image.height=16", cwd=tmp_path, prefix=limited, XDG_CACHE_HOME=tmp_path / "cache")
     if done.returncode == 0:
         assert np.allclose(np.load(tmp_path / "a.npy"), usual[1], atol=1e-6)
@@ -191,7 +192,7 @@ def test_too_little_of_anything_is_a_picture_or_one_error(tmp_path, usual, limit
 def test_too_little_memory_though_devices_are_known(tmp_path, cached, kilobytes, device):
     """Nothing is probed then: libraries and compilers are loaded at once."""
     limited = ("sh", "-c", f'ulimit -v {kilobytes} && exec "$@"', "sh")
-    done = run("render", ROOT / "data/brainsmall.nrrd", "-o", "a.npy", "--set", "image.width=16", "--set",
+    done = run("render", ROOT / "data/brainsmall.nrrd", "-o", "a.npy", *RAMP, "--set", "image.width=16", "--set",
                "image.height=16", "--set", 'integration.filter="nearest"', cwd=tmp_path, prefix=limited,
                XDG_CACHE_HOME=cached[0])
     if done.returncode:
@@ -203,7 +204,7 @@ def test_too_little_memory_though_devices_are_known(tmp_path, cached, kilobytes,
 def test_many_processes_share_a_cache(tmp_path, usual, device):
     kept = {k: v for k, v in os.environ.items() if not k.startswith(UNSET)}
     kept |= {"PYTHONPATH": str(ROOT), "XDG_CACHE_HOME": str(tmp_path / "cache")}
-    command = [sys.executable, "-m", "clvol", "render", ROOT / "data/brainsmall.nrrd",
+    command = [sys.executable, "-m", "clvol", "render", ROOT / "data/brainsmall.nrrd", *RAMP,
                "--set", "image.width=16", "--set", "image.height=16", "-o"]
     processes = [subprocess.Popen([*command, f"{n}.npy"], cwd=tmp_path, env=kept, text=True,
                                   stdout=subprocess.PIPE, stderr=subprocess.PIPE) for n in range(3)]
