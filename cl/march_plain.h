@@ -12,6 +12,7 @@
 #ifndef MARCH_PLAIN_H
 #define MARCH_PLAIN_H
 
+#include "along_rays.h"
 #include "classify.h"
 #include "features.h"
 #include "half_opacity.h"
@@ -19,11 +20,6 @@
 #include "rays.h"
 #include "scene.h"
 #include "skip_empty.h"
-
-INLINE FetchedSample fetch_along(__global const uchar *volume, __constant const View *view, const Rays *ray, floatN t)
-{
-  return fetch_sample(volume, view, ray->x0 + t * ray->dx, ray->y0 + t * ray->dy, ray->z0 + t * ray->dz);
-}
 
 INLINE void render_packet(const Scene *scene, intN px, intN py, float *rgba, float *depth, uint *samples,
                           Tally *counted)
@@ -150,22 +146,7 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, float *rgba, flo
   }
   gathered_store(&acc, rgba);
 #if WITH_DEPTH && MIDPOINTS
-  const intN noted = MASK(half_.from < INFINITY);
-  if (any_lane(noted)) {
-    floatN ends[2];
-    _Pragma("unroll 1") for (int k = 0; k < 2; ++k) {
-      const floatN t = select((floatN)0.0f, half_.from + (k ? half_.length : (floatN)0.0f), noted);
-      const FetchedSample sample = fetch_along(volume, view, &ray, t);
-      taken -= AS_UINT(noted);
-#if CLASSIFICATION == CLASSIFICATION_POST
-      const floatN value = sample_value(sample, view);
-      ends[k] = depth_between(value, value, noted, (intN)0, table, view);
-#else
-      ends[k] = classified_emission(sample, view, table).d;
-#endif
-    }
-    note_ends(&half_, ends[0], ends[1]);
-  }
+  note_sampled_ends(&half_, volume, table, view, &ray, &taken);
 #endif
 #if WITH_DEPTH
   STORE_LANES((ray.entry_depth + half_place(&half_, 1.0f, table, view) * view->step) * view->edge_length, depth);

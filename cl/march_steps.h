@@ -1,12 +1,14 @@
 /* A packet of LANES rays from front to back, as march_plain.h, but with segments of one or more steps: as many as the map
  * `steps` allows where a segment begins (clvol/integrators/raycast/step_map.py says what it allows). All segments are
- * whole steps from the ray's entry; the ray's last piece is shorter than a step, as in march_plain.h.
+ * whole steps from the ray's entry; the ray's last piece is shorter than a step, as in march_plain.h. Under the linear
+ * filter alone, classified by post or preintegrated.
  *
  * The number of steps is known before the volume is sampled, so samples are fetched two segments ahead.
  */
 #ifndef MARCH_STEPS_H
 #define MARCH_STEPS_H
 
+#include "along_rays.h"
 #include "classify.h"
 #include "features.h"
 #include "half_opacity.h"
@@ -25,11 +27,6 @@ INLINE intN steps_from(__global const uchar *steps, __constant const View *view,
   const int columns = ((view->size.x - 1) >> STEP_CELLS) + 1, rows = ((view->size.y - 1) >> STEP_CELLS) + 1;
   const intN most = AS_INT(gather1(steps, (cz * rows + cy) * columns + cx) & 255u);
   return max(min(most, last - at), (intN)1);
-}
-
-INLINE FetchedSample fetch_along(__global const uchar *volume, __constant const View *view, const Rays *ray, floatN t)
-{
-  return fetch_sample(volume, view, ray->x0 + t * ray->dx, ray->y0 + t * ray->dy, ray->z0 + t * ray->dz);
 }
 
 INLINE void render_packet(const Scene *scene, intN px, intN py, float *rgba, float *depth, uint *samples,
@@ -105,9 +102,7 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, float *rgba, flo
       const intN closes = active & MASK(run > 0);
       const floatN b = TO_FLOAT(before1);
       floatN front = value1, back = value;
-#if FILTER != FILTER_NEAREST
       shift_uneven_ends(value2, &front, &back, TO_FLOAT(max(before2, (intN)1)), b, closes & MASK(run > 1));
-#endif
       value2 = select(value2, value1, active), value1 = select(value1, value, active);
       before2 = select(before2, before1, active);
       visible = may_be_visible(lane_min(front, back), lane_max(front, back), closes, view);
@@ -144,9 +139,7 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, float *rgba, flo
     if (may_be_visible(value, value, active, view)) composite_value(&acc, value, rest, active, table, view);
 #else
     front = value1;
-#if FILTER != FILTER_NEAREST
     shift_uneven_ends(value2, &front, &back, TO_FLOAT(max(before2, (intN)1)), rest, active & MASK(run > 1));
-#endif
     if (may_be_visible(lane_min(front, back), lane_max(front, back), active, view))
       composite_segment(&acc, front, back, rest, active, table, view);
 #endif
@@ -157,17 +150,7 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, float *rgba, flo
   }
   gathered_store(&acc, rgba);
 #if WITH_DEPTH && MIDPOINTS
-  const intN noted = MASK(half_.from < INFINITY);
-  if (any_lane(noted)) {
-    floatN ends[2];
-    _Pragma("unroll 1") for (int k = 0; k < 2; ++k) {
-      const floatN t = select((floatN)0.0f, half_.from + (k ? half_.length : (floatN)0.0f), noted);
-      const floatN value = sample_value(fetch_along(volume, view, &ray, t), view);
-      taken -= AS_UINT(noted);
-      ends[k] = depth_between(value, value, noted, (intN)0, table, view);
-    }
-    note_ends(&half_, ends[0], ends[1]);
-  }
+  note_sampled_ends(&half_, volume, table, view, &ray, &taken);
 #endif
 #if WITH_DEPTH
   STORE_LANES((ray.entry_depth + half_place(&half_, 1.0f, table, view) * view->step) * view->edge_length, depth);
