@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Hashable, Iterator
 from typing import Any, TypeVar
 
 import numpy as np
@@ -114,9 +114,7 @@ class DeviceVolume(ResidentVolume):
         self.cells = cell_count(nx), cell_count(ny), cell_count(nz)
         self.cell_shift = CELL_SHIFT
         self._context, self._data = context, data
-        self._gradients: dict[str, tuple[DeviceArray, np.ndarray]] = {}
-        self._bounds = {0: self._min_max(plain, 0)}
-        self._kept: dict[str, Any] = {}
+        self._kept: dict[Hashable, Any] = {("bounds", 0): self._min_max(plain, 0)}
 
     @property
     def _grid_switches(self) -> dict[str, int]:
@@ -129,24 +127,20 @@ class DeviceVolume(ResidentVolume):
     def plain(self) -> DeviceArray:
         return self._context.share(self._data)
 
-    def keep(self, name: str, make: Callable[[], T]) -> T:
-        """What ``make`` has made of the volume under ``name``; made by the first call."""
-        if name not in self._kept:
-            self._kept[name] = make()
-        found: T = self._kept[name]
+    def keep(self, key: Hashable, make: Callable[[], T]) -> T:
+        """What ``make`` has made of the volume under ``key``; made by the first call."""
+        if key not in self._kept:
+            self._kept[key] = make()
+        found: T = self._kept[key]
         return found
 
     def gradients(self, operator: str) -> tuple[DeviceArray, np.ndarray]:
         """As in ``ResidentVolume``; computed once per operator."""
-        if operator not in self._gradients:
-            self._gradients[operator] = precompute(self._context, self, operator)
-        return self._gradients[operator]
+        return self.keep(("gradients", operator), lambda: precompute(self._context, self, operator))
 
     def bounds(self, apron: int) -> tuple[np.ndarray, np.ndarray]:
         """As in ``ResidentVolume``; computed once per apron."""
-        if apron not in self._bounds:
-            self._bounds[apron] = self._min_max(self.plain(), apron)
-        return self._bounds[apron]
+        return self.keep(("bounds", apron), lambda: self._min_max(self.plain(), apron))
 
     def min_max(self, shift: int) -> tuple[np.ndarray, np.ndarray]:
         """As in ``ResidentVolume``; computed anew by each call."""

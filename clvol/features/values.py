@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from clvol.features.vocabulary import overshoot
 from clvol.scene.resolve import ResolvedScene
@@ -44,11 +45,12 @@ def noise_reach(scene: ResolvedScene) -> float:
     )
 
 
-def shows(function: TransferFunction, low: float, high: float) -> bool:
-    """Whether any value from ``low`` to ``high`` has opacity."""
-    inside = (function.values >= low) & (function.values <= high)
-    ends = function.opacity(np.array([low, high]))
-    return bool(np.any(function.opacities[inside] > 0) or np.any(ends > 0))
+def shows(function: TransferFunction, low: ArrayLike, high: ArrayLike) -> np.ndarray:
+    """bool [...]: whether any value from ``low`` to ``high`` [...] has opacity."""
+    low, high = np.asarray(low), np.asarray(high)
+    shown = function.values[function.opacities > 0]
+    inside = np.searchsorted(shown, high, side="right") > np.searchsorted(shown, low, side="left")
+    return np.asarray(inside | (function.opacity(low) > 0) | (function.opacity(high) > 0))
 
 
 def steepest(scene: ResolvedScene) -> float:

@@ -21,6 +21,7 @@ from clvol.device.volume import DeviceVolume
 from clvol.encoding.coded_volume import UndecodedVolume
 from clvol.features import effects
 from clvol.features.refuse import PLAIN
+from clvol.features.values import shows
 from clvol.opencl.arguments import INT4, RAW, reads, value, writes
 from clvol.opencl.context import DeviceArray, DeviceContext
 from clvol.scene.resolve import ResolvedScene
@@ -29,7 +30,7 @@ from clvol.transfer.step_bounds import most_steps
 from clvol.volume import Volume
 from clvol.volume.lazy import LazyVolume
 
-CELL_SHIFT = 2  # CELL of cl/cell_curvature.h is 1 << this
+CELL_SHIFT = 2  # CELL of cl/cell_curvature.cl is 1 << this
 MOST = 8  # steps of one segment
 _WORTH = 2.5  # mean number of steps, in cells that show something, from which on the map saves more than it costs
 _SAMPLED = 12  # cells along each axis that are looked at to decide
@@ -67,7 +68,7 @@ def is_smooth(resolved: ResolvedScene, function: TransferFunction | None = None)
     cells = _samples[volume]
     function = function or resolved.transfer_function
     nodes = np.linspace(*volume.value_range, 257)
-    visible = _largest_opacity(function, cells[:, 2], cells[:, 3]) > 0
+    visible = shows(function, cells[:, 2], cells[:, 3])
     if not visible.any():
         return False
     midpoints = segment_classification(integration, (function,)) == "post"
@@ -150,11 +151,8 @@ def _sampled_cells(volume: Volume) -> np.ndarray:
     data, edge = volume.data, (1 << CELL_SHIFT) + 3  # a lattice point more on either side, and the upper face
     starts = [np.unique(np.linspace(0, max(n - edge, 0), _SAMPLED).astype(int)) for n in data.shape]
     index = [np.minimum(start[:, None] + np.arange(edge), n - 1) for start, n in zip(starts, data.shape)]
-    boxes = np.empty((*(len(start) for start in starts), edge, edge, edge))
-    for k, rows in enumerate(index[0]):
-        slab = np.asarray(data[rows[0] : rows[-1] + 1], np.float64)[rows - rows[0]]
-        boxes[k] = slab[:, index[1][:, None, :, None], index[2][None, :, None, :]].transpose(1, 2, 0, 3, 4)
-    boxes = boxes.reshape(-1, edge, edge, edge)
+    places = [np.expand_dims(each, [k for k in range(6) if k not in (a, a + 3)]) for a, each in enumerate(index)]
+    boxes = data[tuple(places)].astype(np.float64).reshape(-1, edge, edge, edge)
     n = 1 << CELL_SHIFT
     inner = slice(1, n + 1)
 
@@ -172,11 +170,3 @@ def _sampled_cells(volume: Volume) -> np.ndarray:
     whole = boxes[:, 1 : n + 2, 1 : n + 2, 1 : n + 2]
     low, high = whole.min(axis=(1, 2, 3)), whole.max(axis=(1, 2, 3))
     return np.stack([most(second) + 2 * most(mixed), most([vx - v, vy - v, vz - v]), low, high], axis=1)
-
-
-def _largest_opacity(function: TransferFunction, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """The largest opacity between ``low`` and ``high`` [n]."""
-    most = np.maximum(function.opacity(low), function.opacity(high))
-    for at, opacity in zip(function.values, function.opacities):
-        most = np.where((low <= at) & (at <= high), np.maximum(most, opacity), most)
-    return most
