@@ -81,8 +81,6 @@ class SharedEncoder:
 class _BlocksOnDevice:
     """A ``Hand`` whose items are groups of blocks."""
 
-    keeps = True  # the bytes are on the host
-
     def __init__(self, encoder: BlockEncoder, samples: np.ndarray, group: int) -> None:
         self._encoder, self._samples, self._group = encoder, samples, group
 
@@ -98,9 +96,6 @@ class _BlocksOnDevice:
         voxels = self._samples[0].size
         costs = [len(own) * voxels + _OF_BYTE * len(part.data) for own, part in zip(numbers, parts)]
         return np.array(costs, np.float64), parts
-
-    def end(self, items: np.ndarray) -> None:
-        pass
 
 
 def _part(coded: CodedBlocks, first: int, last: int) -> CodedBlocks:

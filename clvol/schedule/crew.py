@@ -1,7 +1,8 @@
-"""Threads that share the items of a job among devices: tiles of a picture, rays, blocks to encode.
+"""Threads that share the items of a job among devices: rays, blocks to encode.
 
 A thread per device takes packages of items from a ``Dispatcher`` until all are done. A device that fails is left out;
-its packages go to the others.
+what it has done stays done, and the rest goes to the others. (Pictures, whose tiles may be lost with a device, have
+``clvol.render.picture_stage``.)
 """
 
 from __future__ import annotations
@@ -22,9 +23,7 @@ _TICK = 0.1  # seconds between calls of a progress function
 
 
 class Hand(Protocol):
-    """A device in a job. ``keeps``: whether what it has done remains if it fails later."""
-
-    keeps: bool
+    """A device in a job."""
 
     def begin(self) -> None:
         """Called once, before the first package."""
@@ -33,9 +32,6 @@ class Hand(Protocol):
         """Does ``items`` (numbers). Returns what each cost (float64 [items], in the dispatcher's unit, the same on all
         devices), and the result. ClvolError or MemoryError if the device fails."""
         ...
-
-    def end(self, items: np.ndarray) -> None:
-        """Called once at the end, with all items that were done here and count."""
 
 
 class Crew:
@@ -59,9 +55,9 @@ class Crew:
 class Job:
     """The items of ``dispatcher``, done by ``hands`` (by number of the device).
 
-    ``done(package, begin, end, costs, result, counts)`` is called for each package, with the times of ``perf_counter``
-    and whether its result counts: another device may have been first. ``lost(device, error)`` is called when a device
-    fails; it raises if no device is left. Both are called by one thread at a time.
+    ``take(items, result)`` is called for each package whose result counts: another device may have been first.
+    ``lost(device, error)`` is called when a device fails; it raises if no device is left. Both are called by one thread
+    at a time.
     """
 
     def __init__(
@@ -69,14 +65,13 @@ class Job:
         crew: Crew,
         dispatcher: Dispatcher,
         hands: Mapping[int, Hand],
-        done: Callable[[Package, float, float, np.ndarray, Any, bool], None],
+        take: Callable[[np.ndarray, Any], None],
         lost: Callable[[int, BaseException], None],
     ) -> None:
         self._crew, self._dispatcher, self._hands = crew, dispatcher, hands
-        self._on_done, self._on_lost = done, lost
+        self._take, self._on_lost = take, lost
         self._changed = threading.Condition()
         self._items_done = 0
-        self._own: dict[int, list[np.ndarray]] = {k: [] for k in hands}
         self._error: BaseException | None = None
         self._ended = False
 
@@ -118,11 +113,8 @@ class Job:
         try:
             hand.begin()
             while (package := self._next(device)) is not None:
-                begin = perf_counter()
                 costs, result = hand.work(package.tiles)
-                self._finished(package, begin, costs, result)
-            if self._own[device]:
-                hand.end(np.concatenate(self._own[device]))
+                self._finished(package, costs, result)
         except (ClvolError, MemoryError) as error:
             self._lost(device, error)
         except BaseException as error:  # a fault of the program: the caller gets it
@@ -139,23 +131,16 @@ class Job:
                 self._changed.wait(min(max(self._dispatcher.next_stall(now), 1e-3), 1.0))
             return None
 
-    def _finished(self, package: Package, begin: float, costs: np.ndarray, result: Any) -> None:
+    def _finished(self, package: Package, costs: np.ndarray, result: Any) -> None:
         with self._changed:
-            end = perf_counter()
-            counts = self._dispatcher.finished(package, end, costs)
-            self._on_done(package, begin, end, costs, result, counts)
-            if counts:
-                self._own[package.device].append(package.tiles)
+            if self._dispatcher.finished(package, perf_counter(), costs):
+                self._take(package.tiles, result)
                 self._items_done += len(package.tiles)
             self._changed.notify_all()
 
     def _lost(self, device: int, error: BaseException) -> None:
         with self._changed:
-            again = [] if self._hands[device].keeps else self._own[device]
             self._dispatcher.lost(device, str(error))
-            for items in again:
-                self._items_done -= self._dispatcher.undone(items)
-            self._own[device] = []
             try:
                 self._on_lost(device, error)
             except BaseException as last:
@@ -200,10 +185,6 @@ class Team:
         for device, reason in self.lost.items():
             dispatcher.lost(device, reason)
 
-        def done(package: Package, begin: float, end: float, found: np.ndarray, result: Any, counts: bool) -> None:
-            if counts:
-                take(package.tiles, result)
-
         def lost(device: int, error: BaseException) -> None:
             self.lost[device] = str(error)
             if on_loss is not None:
@@ -212,7 +193,7 @@ class Team:
             if len(self.lost) == len(self.names):
                 raise error
 
-        Job(self._crew, dispatcher, dict(enumerate(hands)), done, lost).run(report)
+        Job(self._crew, dispatcher, dict(enumerate(hands)), take, lost).run(report)
         for device, share in enumerate(dispatcher.shares):
             if share.packages:
                 self._speeds[device] = share.speed

@@ -267,10 +267,10 @@ class Dispatcher:
         ]
         return sum(map(self._wait_again, again))
 
-    def undone(self, tiles: np.ndarray) -> int:
-        """``tiles``, which were done, are waiting again. Returns their number."""
+    def undone(self, tiles: np.ndarray) -> None:
+        """``tiles``, which were done, are waiting again."""
         self._done[tiles] = False
-        return self._wait_again(tiles)
+        self._wait_again(tiles)
 
     def _wait_again(self, tiles: np.ndarray) -> int:
         self._waiting = np.concatenate([tiles, self._waiting])

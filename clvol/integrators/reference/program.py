@@ -124,8 +124,6 @@ class _Scene:
 class _RaysOnDevice:
     """Integrates rays on one ``device``; a ``clvol.schedule.crew.Hand`` whose items are ``_ITEM`` rays each."""
 
-    keeps = True  # results are on the host
-
     def __init__(
         self, device: pyopencl.Device, scene: _Scene, origins: np.ndarray, directions: np.ndarray, result: RayIntegrals
     ) -> None:
@@ -166,9 +164,6 @@ class _RaysOnDevice:
                 array[rays] = part
 
         return np.add.reduceat(counted, first) + 1.0, take
-
-    def end(self, items: np.ndarray) -> None:
-        pass
 
     def integrate(
         self, rays: np.ndarray, progress: Callable[[int, int], None] | None, into: RayIntegrals | None = None
