@@ -180,7 +180,7 @@ class PictureStage:
                 elif own := [each for each in self._rendered if each.device == device and not each.fetched]:
                     self._fetching[device] = now, own
                     return own
-                self._changed.wait(min(max(self.dispatcher.next_stall(now), 1e-3), 1.0))
+                self._changed.wait(min(max(self.dispatcher.ask_again(now), 1e-3), 1.0))
             return None
 
     def _finished(self, package: Package, begin: float, found: PartOfPicture) -> None:

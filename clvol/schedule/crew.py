@@ -128,7 +128,7 @@ class Job:
                 package = self._dispatcher.next(device, now)
                 if package is not None:
                     return package
-                self._changed.wait(min(max(self._dispatcher.next_stall(now), 1e-3), 1.0))
+                self._changed.wait(min(max(self._dispatcher.ask_again(now), 1e-3), 1.0))
             return None
 
     def _finished(self, package: Package, costs: np.ndarray, result: Any) -> None:

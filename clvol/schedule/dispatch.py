@@ -33,6 +33,7 @@ _STEADY = 0.05  # differences of speed up to which a device counts as steady
 _NEWEST = 0.4  # how much the newest package says of uncertainties, beside those before
 _STALLED = 5.0  # times the expected time after which a package is issued again,
 _PATIENCE = 1.0  # plus this many seconds
+_LATE = 2.0  # times the expected time after which a device is expected to be late by as much again
 _ALIKE = 1.5  # ratio of costs within which tiles count as equally expensive
 _CHEAP = 0.25  # share of a picture's cost kept for the end, in its cheapest tiles, which fill packages up
 _RUN = 4  # tiles that stay together where packages are scattered
@@ -276,11 +277,20 @@ class Dispatcher:
         self._waiting = np.concatenate([tiles, self._waiting])
         return len(tiles)
 
-    def next_stall(self, now: float) -> float:
-        """Seconds until some package counts as stalled that was not issued again; inf if none runs."""
-        running = [p for share in self.shares if share.lost is None for p in share.running if not self._is_copied(p)]
-        ends = [p.since + _PATIENCE + _STALLED * self.expected_seconds(p) for p in running]
-        return max(min(ends, default=math.inf) - now, 0.0)
+    def ask_again(self, now: float) -> float:
+        """Seconds after which a device that was given nothing should request again although nothing has ended: until
+        some package counts as stalled that was not issued again, or, while tiles wait, until those who would do them
+        sooner are late, and then twice as late; inf if none runs."""
+        alive = [share for share in self.shares if share.lost is None]
+        times = [
+            p.since + _PATIENCE + _STALLED * self.expected_seconds(p)
+            for share in alive
+            for p in share.running
+            if not self._is_copied(p)
+        ]
+        if len(self._waiting):
+            times += [self._free_at(k, now) for k, share in enumerate(self.shares) if share in alive and share.running]
+        return max(min(times, default=math.inf) - now, 0.0)
 
     def overdue(self, device: int, now: float, patience: float, times: float) -> float | None:
         """The seconds that ``device`` has spent on its package, if they are more than ``patience`` and ``times`` what
@@ -294,14 +304,14 @@ class Dispatcher:
     # ---- arithmetic
 
     def _free_at(self, device: int, now: float) -> float:
-        """When ``device`` will have ended its packages, as expected."""
+        """When ``device`` will have ended its packages, as expected. One that takes more than _LATE times what
+        was expected will be late by as much again: one that never returns must not be waited for because it was fast."""
         share = self.shares[device]
         if not share.running:
             return now
-        seconds = share.running[0].since + sum(
-            share.launch + float(self._costs[p.tiles].sum()) / share.speed for p in share.running
-        )
-        return max(seconds, now)
+        since = share.running[0].since
+        seconds = sum(share.launch + float(self._costs[p.tiles].sum()) / share.speed for p in share.running)
+        return max(since + seconds, now, now + (now - since - _LATE * seconds))
 
     def _common_end(self, now: float, rest: float) -> float:
         """When all devices end that take part, if ``rest`` is divided so that they end together: those that are free

@@ -171,12 +171,22 @@ def test_a_stalled_package_is_issued_again_and_its_late_result_does_not_count():
         assert dispatcher.finished(fast, now, costs[fast.tiles])
         fast = dispatcher.next(1, now)
     assert not dispatcher.complete and dispatcher.next(1, now) is None
-    now += dispatcher.next_stall(now) + 1e-6
+    now += dispatcher.ask_again(now) + 1e-6
     again = dispatcher.next(1, now)
     assert again is not None and np.array_equal(again.tiles, slow.tiles)
     assert dispatcher.next(1, now) is None  # not twice
     assert dispatcher.finished(again, now + 1.0) and dispatcher.complete
     assert not dispatcher.finished(slow, now + 2.0)
+
+
+@pytest.mark.parametrize("speed", [1.0, 10.0, 1e6])
+def test_tiles_do_not_wait_for_a_device_that_was_fast_and_stalls(speed):
+    """What is left would be done sooner by the fast device, if only it returned."""
+    costs = picture("even", 16)
+    speeds, launches = [speed * costs.sum(), costs.sum()], [0.001] * 2
+    never = lambda package: 1e9 if package.device == 0 else None  # noqa: E731
+    done = simulate(Dispatcher(costs, speeds, launches, measured=True), costs, speeds, launches, never)
+    assert done.complete and done.makespan < 5.0  # the slow device takes a second, and a stall counts as one after one
 
 
 def test_the_same_events_give_the_same_packages():
