@@ -304,8 +304,9 @@ class Dispatcher:
     # ---- arithmetic
 
     def _free_at(self, device: int, now: float) -> float:
-        """When ``device`` will have ended its packages, as expected. One that takes more than _LATE times what
-        was expected will be late by as much again: one that never returns must not be waited for because it was fast."""
+        """When ``device`` will have ended its packages, as expected. One that takes more than _LATE times
+        what was expected will be late by as much again: one that never returns must not be waited for because it was
+        fast."""
         share = self.shares[device]
         if not share.running:
             return now
