@@ -196,9 +196,7 @@ class DeviceGroup:
                 report = lambda done, before=before: progress(before + done, sum(counts))  # noqa: E731
             able = {k: part for k, part in parts.items() if self.members[k].works}
             dispatcher = self._dispatcher(number, tiles, able)
-            stage = PictureStage(
-                self.members, able, number, arrays, dispatcher, schedule, start, self._lose_in_frame
-            )
+            stage = PictureStage(self.members, able, number, arrays, dispatcher, schedule, start, self._lose_in_frame)
             stage.run({k: self._thread(k) for k in able}, report, total)
             self._learn(number, stage)
         rgba, distances = arrays[-1].rgba, arrays[-1].depth
