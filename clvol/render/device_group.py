@@ -26,11 +26,11 @@ from clvol.integrators.base import (
     TiledPictureParts,
 )
 from clvol.opencl.context import shared_array
-from clvol.render.device_thread import DeviceThread
 from clvol.render.frame_schedule import Schedule, Span
 from clvol.render.member import LocalMember, Member, reason_of
 from clvol.render.picture_stage import FAILURES, PictureStage, Total
 from clvol.scene.camera import Camera
+from clvol.schedule.device_thread import DeviceThread
 from clvol.schedule.dispatch import Dispatcher
 
 _LAUNCH = 5e-4  # seconds that a package takes besides its tiles, as a first guess

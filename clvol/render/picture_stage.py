@@ -17,9 +17,9 @@ import numpy as np
 
 from clvol.errors import ClvolError
 from clvol.integrators.base import PartOfPicture, PictureArrays, TiledPictureParts
-from clvol.render.device_thread import DeviceThread
 from clvol.render.frame_schedule import Schedule, Span
 from clvol.render.member import Member
+from clvol.schedule.device_thread import DeviceThread
 from clvol.schedule.dispatch import Dispatcher, Package
 
 FAILURES = (ClvolError, MemoryError)  # of a device; anything else is a fault of the program
