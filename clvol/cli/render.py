@@ -65,7 +65,13 @@ _OPTIONS = {"max_error": "--max-error", "time_budget": "--time-budget"}
     "--resume",
     is_flag=True,
     help="Keep the numbered pictures of an animation that exist, are whole and were made from the same scene, "
-    "voxels and version; render the others.",
+    "voxels and version; render the others. Several processes, also of several machines, may do so in one folder: "
+    "no frame is rendered twice.",
+)
+@click.option(
+    "--frames",
+    metavar="A:B",
+    help="Render the frames of an animation from number A, counted from 0, up to but without B.",
 )
 @click.option("--stats", metavar="FILE", shell_complete=complete_file, help="Write times and counts as JSON to FILE.")
 @click.option(
@@ -83,6 +89,7 @@ def command(
     max_error: float | None,
     time_budget: float | None,
     resume: bool,
+    frames: str | None,
     stats: str | None,
     show_schedule: str | None,
     memory_cap: int | None,
@@ -113,13 +120,15 @@ def command(
     measure_for_all(devices, quiet)
     with protected(scene_inputs(scene, loaded)):
         if loaded.animation.frames == 1:
+            if frames is not None:
+                raise UsageError("--frames", "given for a single picture", "a scene with animation.frames above 1")
             outputs = check_still(outputs, resume)
             _render_still(
                 loaded, outputs, stats, list(devices) or None, memory_cap, quiet, start,
                 isolate=isolate, max_error=max_error, time_budget=time_budget, show_schedule=show_schedule,
             )  # fmt: skip
             return
-        from clvol.cli.animation import render_animation
+        from clvol.cli.animation import frame_range, render_animation
 
         if max_error is not None or time_budget is not None:
             option = _OPTIONS["time_budget" if max_error is None else "max_error"]
@@ -128,9 +137,10 @@ def command(
         if show_schedule is not None:
             what = f"given for an animation of {loaded.animation.frames} frames"
             raise UsageError("--show-schedule", what, "one frame: --set animation.frames=1")
+        wanted = slice(None) if frames is None else frame_range(frames, loaded.animation.frames)
         render_animation(
-            loaded, outputs, stats, resume=resume, quiet=quiet, devices=list(devices) or None, memory_cap=memory_cap,
-            isolate=isolate,
+            loaded, outputs, stats, resume=resume, frames=wanted, quiet=quiet, devices=list(devices) or None,
+            memory_cap=memory_cap, isolate=isolate,
         )  # fmt: skip
 
 
