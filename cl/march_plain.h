@@ -19,6 +19,7 @@
 #include "march.h"
 #include "rays.h"
 #include "scene.h"
+#include "segment_queue.h"
 #include "skip_empty.h"
 
 INLINE void render_packet(const Scene *scene, intN px, intN py, float *rgba, float *depth, uint *samples,
@@ -71,6 +72,59 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, float *rgba, flo
     UNROLL_LANES for (int step = 0; step < MARCH_STEPS; ++step)
       values[step] = sample_value(fetch_along(volume, view, &ray, first_t + (float)step), view);
 #endif
+#if QUEUED_SEGMENTS
+    /* Which segments can be visible, of rays that go on to the end of these steps. */
+    floatN backs[MARCH_STEPS];
+#if MIDPOINTS
+#define fronts values
+#else
+    floatN fronts[MARCH_STEPS];
+#endif
+    uint shown[MARCH_STEPS];
+    UNROLL_LANES for (int step = 0; step < MARCH_STEPS; ++step) {
+      const intN goes_on = MASK(i + step <= last);
+      const floatN value = values[step];
+#if MIDPOINTS
+      shown[step] = lane_bits(goes_on & lanes_that_show(value, value, view));
+#else
+      const intN closes = goes_on & MASK(i + step > start);
+      floatN front = value1, back = value;
+      shift_ends(value2, &front, &back, 1.0f, closes & MASK(i + step > start + 1));
+      value2 = select(value2, value1, goes_on), value1 = select(value1, value, goes_on);
+      fronts[step] = front, backs[step] = back;
+      shown[step] = lane_bits(closes & lanes_that_show(lane_min(front, back), lane_max(front, back), view));
+#endif
+    }
+    _Pragma("unroll 1") for (int step = 0; step < MARCH_STEPS;) {
+      const uint live = lane_bits(MASK(i <= last));
+      SegmentQueue queue = {0.0f, 0.0f, 0};
+      int from[MARCH_STEPS], end = step;
+      do {
+        from[end] = queue.count, shown[end] &= live;
+        append_segments(&queue, fronts[end], backs[end], shown[end]);
+        ++end;
+      } while (end < MARCH_STEPS && queue.count + popcount(shown[end] & live) <= LANES);
+      SegmentColor colors = {0.0f, 0.0f, 0.0f, 0.0f, 0.0f};
+      if (queue.count) colors = colors_of_queue(queue, table, view);
+      for (; step < end; ++step) {
+        const intN active = MASK(i <= last);
+        const floatN t = first_t + (float)step;
+        taken -= AS_UINT(active);
+        if (shown[step]) {
+          const floatN before = acc.a;
+          composite_color(&acc, queued_color(colors, shown[step], from[step]), active & lanes_of(shown[step]));
+#if WITH_DEPTH
+          const intN passes = passes_half(before, acc.a);
+          if (any_lane(passes))
+            note_half(&half_, passes, before, t - (MIDPOINTS ? 0.5f : 1.0f), 1.0f, fronts[step],
+                      MIDPOINTS ? fronts[step] : backs[step]);
+#endif
+          last = select(last, (intN)DONE, MASK(acc.a >= view->stop_opacity));
+        }
+        i -= active;
+      }
+    }
+#else
     UNROLL_LANES for (int step = 0; step < MARCH_STEPS; ++step) {
       const intN active = MASK(i <= last);
       const floatN t = first_t + (float)step;
@@ -112,6 +166,7 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, float *rgba, flo
       }
       i -= active;
     }
+#endif
   }
 
   /* The last piece of each ray, shorter than a step. */

@@ -71,7 +71,7 @@ def view_dtype(voxel_bits: int) -> np.dtype:
     """``View`` of cl/view.h, for volumes of ``voxel_bits`` (8, 16, 32 or 64)."""
     doubles: tuple[Any, ...] = (("double", "voxel_bias_double voxel_gain_double"),) if voxel_bits == 64 else ()
     return struct(
-        ("float4", "plane_origin plane_du plane_dv ray_forward ray_du ray_dv upper"),
+        ("float4", "plane_origin plane_du plane_dv ray_forward ray_du ray_dv upper shows_above shows_below"),
         ("int4", "size cells"),
         *doubles,
         ("float2", "tangent centre"),

@@ -58,6 +58,7 @@ def _describe_volume(caster: Raycaster, row: np.void) -> None:
     row["last_node"], row["warp_bins"] = nodes.last_coordinate, bins
     row["upper"][:3] = np.asarray(volume.size) - 1
     row["gate_low"], row["gate_high"] = caster.gate
+    row["shows_above"], row["shows_below"] = caster.spans
     row["step_units"] = caster.step_units
     row["cell_parts"] = parts_of_cell(step)
     row["ray_tolerance"] = caster.resolved.image.ray_tolerance
