@@ -240,8 +240,9 @@ typedef struct {
   floatN r, g, b, depth; /* not premultiplied */
 } PiecePart;
 
-/* The part of `piece` from w0 to w1 (shares of the piece), which is `units` opacity units long. */
-LOOKED_UP PiecePart part_of_piece(intN piece, floatN w0, floatN w1, floatN units, Pieces f)
+/* The part of `piece` from w0 to w1 (shares of the piece), which is `units` opacity units long, of the lanes in
+ * `active`; others' are undefined, and what they would need is not computed. */
+LOOKED_UP PiecePart part_of_piece(intN piece, floatN w0, floatN w1, floatN units, intN active, Pieces f)
 {
 #define PIECE_ROW(row) piece_row(f, row, piece)
   const floatN zero = 0.0f, one = 1.0f, q = PIECE_ROW(ROW_CLEAR), q_change = PIECE_ROW(ROW_CLEAR_CHANGE);
@@ -252,7 +253,7 @@ LOOKED_UP PiecePart part_of_piece(intN piece, floatN w0, floatN w1, floatN units
   const floatN r = lane_clamp(0.5f * (q1 - q0) * lane_reciprocal(lane_max(clear, (floatN)1e-30f)), -one, one);
   spread_and_moment_of_thin(r, &spread, &moment);
   floatN rate = depth_of_thin(opacity) + spread;
-  const intN dense = MASK(lane_min(q0, q1) < 0.5f);
+  const intN dense = active & MASK(lane_min(q0, q1) < 0.5f);
   if (any_lane(dense)) {
     floatN wide_spread, wide_moment;
     spread_and_moment(r, &wide_spread, &wide_moment);
@@ -262,7 +263,7 @@ LOOKED_UP PiecePart part_of_piece(intN piece, floatN w0, floatN w1, floatN units
   const floatN depth = rate * units;
   moment *= rough_reciprocal(lane_max(rate, (floatN)1e-30f));
   floatN at = emission_position(depth, moment);
-  const intN thick = is_thick(depth, moment) & MASK(w0 != w1);
+  const intN thick = active & is_thick(depth, moment) & MASK(w0 != w1);
   if (any_lane(thick)) {
     const floatN a = PIECE_ROW(ROW_OPACITY), change = PIECE_ROW(ROW_OPACITY_CHANGE);
     at = select(at, emission_position_of_thick(q0, q1, a + w0 * change, a + w1 * change, units), thick);
@@ -362,7 +363,7 @@ LOOKED_UP SegmentColor color_of_segment(floatN front, floatN back, floatN units,
   const intN front_shows = active & MASK(piece_row(f, ROW_DEPTH, in_front) > 0.0f);
   if (!any_lane(crosses)) {
     if (!any_lane(front_shows)) return s; /* between peaks */
-    const PiecePart part = part_of_piece(in_front, w0, w1, units, f);
+    const PiecePart part = part_of_piece(in_front, w0, w1, units, front_shows, f);
     append_stretch(&s, part.r, part.g, part.b, part.depth);
     return s;
   }
@@ -383,7 +384,7 @@ LOOKED_UP SegmentColor color_of_segment(floatN front, floatN back, floatN units,
   PiecePart last = {zero, zero, zero, zero};
   if (any_lane(front_shows | swaps)) {
     last = part_of_piece(select(in_front, behind, swaps), select(w0, last0, swaps), select(w1, last1, swaps),
-                         select(front_units, back_units, swaps), f);
+                         select(front_units, back_units, swaps), front_shows | swaps, f);
     if (any_lane(front_shows)) append_stretch(&s, last.r, last.g, last.b, select(zero, last.depth, front_shows));
   }
   const intN low = select(behind, in_front, rises), high = select(in_front, behind, rises);
@@ -396,7 +397,7 @@ LOOKED_UP SegmentColor color_of_segment(floatN front, floatN back, floatN units,
   }
   if (any_lane(back_shows)) {
     if (any_lane(both)) {
-      const PiecePart more = part_of_piece(behind, last0, last1, back_units, f);
+      const PiecePart more = part_of_piece(behind, last0, last1, back_units, both, f);
       last.r = select(last.r, more.r, both), last.g = select(last.g, more.g, both),
           last.b = select(last.b, more.b, both);
       last.depth = select(last.depth, more.depth, both);
