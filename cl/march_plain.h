@@ -73,57 +73,58 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, float *rgba, flo
       values[step] = sample_value(fetch_along(volume, view, &ray, first_t + (float)step), view);
 #endif
 #if QUEUED_SEGMENTS
-    /* Which segments can be visible, of rays that go on to the end of these steps. */
-    floatN backs[MARCH_STEPS];
-#if MIDPOINTS
-#define fronts values
-#else
-    floatN fronts[MARCH_STEPS];
-#endif
-    uint shown[MARCH_STEPS];
+    /* How many of these steps each ray takes, if it does not end before; then which segments can be visible. */
+    intN steps = max(min(last + 1 - i, (intN)MARCH_STEPS), (intN)0);
+    uint shown[MARCH_STEPS], todo = 0;
+    floatN fronts[MARCH_STEPS], backs[MARCH_STEPS];
+    const intN opens = start - i;
     UNROLL_LANES for (int step = 0; step < MARCH_STEPS; ++step) {
-      const intN goes_on = MASK(i + step <= last);
+      const intN goes_on = MASK(step < steps);
       const floatN value = values[step];
-#if MIDPOINTS
-      shown[step] = lane_bits(goes_on & lanes_that_show(value, value, view));
-#else
-      const intN closes = goes_on & MASK(i + step > start);
+      const intN closes = goes_on & MASK(step > opens);
       floatN front = value1, back = value;
-      shift_ends(value2, &front, &back, 1.0f, closes & MASK(i + step > start + 1));
+      shift_ends(value2, &front, &back, 1.0f, closes & MASK(step > opens + 1));
       value2 = select(value2, value1, goes_on), value1 = select(value1, value, goes_on);
       fronts[step] = front, backs[step] = back;
-      shown[step] = lane_bits(closes & lanes_that_show(lane_min(front, back), lane_max(front, back), view));
-#endif
+      const intN shows = closes & lanes_that_show(lane_min(front, back), lane_max(front, back), view);
+      shown[step] = lane_bits(shows);
+      todo |= (uint)(shown[step] != 0) << step;
     }
-    _Pragma("unroll 1") for (int step = 0; step < MARCH_STEPS;) {
-      const uint live = lane_bits(MASK(i <= last));
+    uint ended = 0;
+    while (todo) {
       SegmentQueue queue = {0.0f, 0.0f, 0};
-      int from[MARCH_STEPS], end = step;
+      uint queued = 0;
       do {
-        from[end] = queue.count, shown[end] &= live;
-        append_segments(&queue, fronts[end], backs[end], shown[end]);
-        ++end;
-      } while (end < MARCH_STEPS && queue.count + popcount(shown[end] & live) <= LANES);
-      SegmentColor colors = {0.0f, 0.0f, 0.0f, 0.0f, 0.0f};
-      if (queue.count) colors = colors_of_queue(queue, table, view);
-      for (; step < end; ++step) {
-        const intN active = MASK(i <= last);
-        const floatN t = first_t + (float)step;
-        taken -= AS_UINT(active);
-        if (shown[step]) {
-          const floatN before = acc.a;
-          composite_color(&acc, queued_color(colors, shown[step], from[step]), active & lanes_of(shown[step]));
+        const uint next = todo & -todo;
+        const int step = 31 - clz(next);
+        shown[step] &= ~ended;
+        if (queue.count + popcount(shown[step]) > LANES) break;
+        append_segments(&queue, fronts[step], backs[step], shown[step]);
+        queued |= next, todo ^= next;
+      } while (todo);
+      const SegmentColor colors = colors_of_queue(queue, table, view);
+      int from = 0;
+      do {
+        const uint next = queued & -queued;
+        const int step = 31 - clz(next);
+        const intN active = lanes_of(shown[step] & ~ended);
+        const floatN before = acc.a;
+        composite_color(&acc, queued_color(colors, shown[step], from), active);
+        from += popcount(shown[step]), queued ^= next;
 #if WITH_DEPTH
-          const intN passes = passes_half(before, acc.a);
-          if (any_lane(passes))
-            note_half(&half_, passes, before, t - (MIDPOINTS ? 0.5f : 1.0f), 1.0f, fronts[step],
-                      MIDPOINTS ? fronts[step] : backs[step]);
+        const intN passes = passes_half(before, acc.a);
+        if (any_lane(passes))
+          note_half(&half_, passes, before, first_t + ((float)step - 1.0f), 1.0f, fronts[step], backs[step]);
 #endif
-          last = select(last, (intN)DONE, MASK(acc.a >= view->stop_opacity));
+        const intN ends = active & MASK(acc.a >= view->stop_opacity);
+        if (any_lane(ends)) {
+          ended |= lane_bits(ends);
+          steps = select(steps, (intN)(step + 1), ends), last = select(last, (intN)DONE, ends);
         }
-        i -= active;
-      }
+      } while (queued);
     }
+    taken += AS_UINT(steps);
+    i += steps;
 #else
     UNROLL_LANES for (int step = 0; step < MARCH_STEPS; ++step) {
       const intN active = MASK(i <= last);

@@ -14,7 +14,8 @@
 #include "transfer_pieces.h"
 #include "view.h"
 
-#if defined(HARDWARE_GATHER) && defined(__AVX512DQ__) && CLASSIFICATION != CLASSIFICATION_PRE
+#if defined(HARDWARE_GATHER) && defined(__AVX512DQ__) && CLASSIFICATION == CLASSIFICATION_PREINTEGRATED && \
+  !defined(QUEUED_SEGMENTS)
 #if __has_builtin(__builtin_ia32_compresssf512_mask) && __has_builtin(__builtin_ia32_expandsf512_mask) && \
   __has_builtin(__builtin_ia32_permvarsf512)
 #define QUEUED_SEGMENTS 1
@@ -66,9 +67,7 @@ INLINE intN places_in_queue(uint bits, int from)
 INLINE void append_segments(SegmentQueue *queue, floatN front, floatN back, uint bits)
 {
   queue->front = queued_lanes(queue->front, front, bits, queue->count);
-#if !MIDPOINTS
   queue->back = queued_lanes(queue->back, back, bits, queue->count);
-#endif
   queue->count += popcount(bits);
 }
 
@@ -76,11 +75,7 @@ INLINE void append_segments(SegmentQueue *queue, floatN front, floatN back, uint
 INLINE SegmentColor colors_of_queue(SegmentQueue queue, __global const float *table, __constant const View *view)
 {
   const Pieces f = scene_pieces(table, (intN)0, view);
-#if MIDPOINTS
-  return color_of_value(queue.front, (floatN)view->step_units, f);
-#else
   return color_of_segment(queue.front, queue.back, (floatN)view->step_units, MASK(LANE_INDEX < queue.count), f);
-#endif
 }
 
 /* The colours of the lanes in `bits`; others' are undefined. */

@@ -24,8 +24,8 @@ typedef struct {
   float4 ray_du;       /* x, y, z: change of the direction, not yet normalised, per pixel to the right */
   float4 ray_dv;       /* x, y, z: and down */
   float4 upper;        /* x, y, z: size - 1 */
-  /* Where all values are <= shows_above or all are >= shows_below nothing is visible, of each component. */
-  float4 shows_above, shows_below;
+  float4 shows_above;  /* nothing is visible between two values if of each component both are <= this */
+  float4 shows_below;  /* or both >= that */
   int4 size;           /* x, y, z: lattice points */
   int4 cells;          /* x, y, z: cells of the distance map (skip_empty.h) */
 #if VOXEL_BITS == 64
@@ -71,7 +71,8 @@ typedef struct {
 #define VIEW_FIELDS VIEW_DOUBLES \
   STRUCT(View), FIELD(View, plane_origin), FIELD(View, plane_du), FIELD(View, plane_dv), \
   FIELD(View, ray_forward), FIELD(View, ray_du), FIELD(View, ray_dv), FIELD(View, upper), \
-  FIELD(View, shows_above), FIELD(View, shows_below), FIELD(View, size), FIELD(View, cells), FIELD(View, tangent), FIELD(View, centre), FIELD(View, image), FIELD(View, tile), \
+  FIELD(View, shows_above), FIELD(View, shows_below), FIELD(View, size), \
+  FIELD(View, cells), FIELD(View, tangent), FIELD(View, centre), FIELD(View, image), FIELD(View, tile), \
   FIELD(View, lattice), FIELD(View, ray_spacing), FIELD(View, ray_tolerance), FIELD(View, first_tile), \
   FIELD(View, step), FIELD(View, plane_distance), FIELD(View, stop_opacity), FIELD(View, edge_length), \
   FIELD(View, first_value), FIELD(View, nodes_per_value), FIELD(View, last_node), FIELD(View, warp_bins), \

@@ -14,11 +14,13 @@ from clvol.transfer import TransferFunction
 from clvol.transfer.pieces import (
     DEPTH,
     IN_REGISTERS,
+    SPANS,
     columns,
     depth_and_moment,
     has_opaque_point,
     piece_count,
     piece_table,
+    shown_spans,
     value_gate,
 )
 from clvol.transfer.preintegration import preintegrate
@@ -234,3 +236,49 @@ def test_nothing_shows_beyond_the_gate(name):
     hidden = (values <= low) | (values >= high)
     assert not function.opacity(values[hidden]).any()
     assert function.opacity(values[~hidden]).any()
+
+
+def within_no_span(function, low, high):
+    """bool [n]: chords from ``low`` to ``high`` [n] that show nothing by the spans, in float32 as kernels look."""
+    above, below = shown_spans(function)
+    assert above.dtype == below.dtype == np.float32 and above.shape == below.shape == (SPANS,)
+    return np.all((high[:, None] <= above) | (low[:, None] >= below), axis=1)
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_nothing_shows_beside_the_spans_of_values(name):
+    function = function_of(name)
+    low, high = value_gate(function)
+    values = np.linspace(-5, 70, 7501, dtype=np.float32)
+    values = np.concatenate([values, np.float32(FUNCTIONS[name][0])])
+    hidden = within_no_span(function, values, values)
+    assert not function.opacity(values[hidden]).any() and function.opacity(values[~hidden]).any()
+    assert np.all(hidden[(values <= low) | (values >= high)])
+
+
+def test_chords_beside_the_spans_of_random_functions_show_nothing_and_most_others_do():
+    rng = np.random.default_rng(3)
+    grid = np.arange(-8, 2049, dtype=np.float32) / 32  # all control points are among these
+    missed = told = 0
+    for seed in range(60):
+        function = random_function(seed, int(rng.integers(1, 30)))
+        visible = np.concatenate([[0], np.cumsum(function.opacity(grid) > 0)])
+        first = rng.integers(0, grid.size, 400)
+        last = np.minimum(first + rng.integers(0, 60, 400), grid.size - 1)
+        hidden = within_no_span(function, grid[first], grid[last])
+        shows = visible[last + 1] > visible[first]
+        assert not np.any(hidden & shows)
+        if piece_count(function) < 8:
+            told += np.count_nonzero(~shows)
+            missed += np.count_nonzero(~shows & ~hidden)
+    assert told > 1000 and missed < 0.03 * told
+
+
+def test_of_more_spans_than_there_is_room_for_those_beside_the_narrowest_gaps_are_one():
+    values = np.array([0, 1, 2, 10, 11, 12, 14, 15, 16, 40, 41, 42, 50, 51, 52, 60, 61, 62], float)
+    function = TransferFunction(values, np.tile([0, 0.5, 0], 6), np.zeros((18, 3)))
+    above, below = shown_spans(function)
+    assert above.tolist() == [0, 10, 40, 50] or above.tolist() == [0, 10, 40, 60]
+    assert below.tolist() == [2, 16, 42, 62] or below.tolist() == [2, 16, 52, 62]
+    none = shown_spans(TransferFunction([0, 1], [0, 0], np.zeros((2, 3))))
+    assert np.all(none[0] == np.inf) and np.all(none[1] == -np.inf)
