@@ -26,11 +26,11 @@ from clvol.integrators.base import (
     TiledPictureParts,
 )
 from clvol.opencl.context import shared_array
-from clvol.render.device_thread import DeviceThread
 from clvol.render.frame_schedule import Schedule, Span
 from clvol.render.member import LocalMember, Member, reason_of
 from clvol.render.picture_stage import FAILURES, PictureStage, Total
 from clvol.scene.camera import Camera
+from clvol.schedule.device_thread import DeviceThread
 from clvol.schedule.dispatch import Dispatcher
 
 _LAUNCH = 5e-4  # seconds that a package takes besides its tiles, as a first guess
@@ -196,9 +196,7 @@ class DeviceGroup:
                 report = lambda done, before=before: progress(before + done, sum(counts))  # noqa: E731
             able = {k: part for k, part in parts.items() if self.members[k].works}
             dispatcher = self._dispatcher(number, tiles, able)
-            stage = PictureStage(
-                self.members, able, number, arrays, dispatcher, schedule, start, self._lose_in_frame
-            )
+            stage = PictureStage(self.members, able, number, arrays, dispatcher, schedule, start, self._lose_in_frame)
             stage.run({k: self._thread(k) for k in able}, report, total)
             self._learn(number, stage)
         rgba, distances = arrays[-1].rgba, arrays[-1].depth
