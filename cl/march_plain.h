@@ -143,7 +143,7 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, float *rgba, flo
 #elif CLASSIFICATION == CLASSIFICATION_POST
       const floatN value = values[step];
       visible = may_be_visible(value, value, active, view);
-      if (visible) composite_value(&acc, value, (floatN)1.0f, active, table, view);
+      if (visible) composite_steps(&acc, value, (intN)1, 1, active, table, view);
 #else
       visible = 1;
       const Emission classified = classified_emission(fetch_along(volume, view, &ray, t), view, table);

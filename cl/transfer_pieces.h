@@ -429,6 +429,59 @@ INLINE void classify_value(floatN value, Pieces f, floatN *r, floatN *g, floatN 
 #endif
 }
 
+/* Opacity of a step through a value of opacity `a`, at most view->opacity_limit (clvol/transfer/step_opacity.py). */
+INLINE floatN step_opacity(floatN a, __constant const View *view)
+{
+  if (view->step_units == 1.0f) return a;
+  const float4 low = view->opacity_terms, high = view->opacity_more;
+  floatN p = high.w;
+  p = p * a + high.z, p = p * a + high.y, p = p * a + high.x;
+  p = p * a + low.w, p = p * a + low.z, p = p * a + low.y, p = p * a + low.x;
+  return p * a;
+}
+
+/* Of 1 .. 8 steps, from that of one: 1 - (1 - o)^n, without losing the digits of a small o. */
+INLINE floatN opacity_of_steps(floatN one, intN steps)
+{
+  const floatN two = one * (2.0f - one), four = two * (2.0f - two), eight = four * (2.0f - four);
+  floatN sum = select((floatN)0.0f, one, MASK((steps & 1) != 0));
+  sum = select(sum, sum + (two - two * sum), MASK((steps & 2) != 0));
+  sum = select(sum, sum + (four - four * sum), MASK((steps & 4) != 0));
+  return select(sum, eight, MASK((steps & 8) != 0));
+}
+
+/* Colour, not multiplied, and opacity of a value over `steps` (1 .. 8) whole steps; of lanes in `active`. Without
+ * logarithm and exponential where opacities are not large. */
+INLINE void color_of_steps(floatN value, intN steps, int one_step, intN active, Pieces f, __constant const View *view,
+                           floatN *r, floatN *g, floatN *b, floatN *opacity)
+{
+#if VOXEL_HOLES
+  const intN finite = finite_lanes(value);
+  value = select((floatN)0.0f, value, finite);
+#endif
+  value -= f.origin;
+  const intN piece = piece_of(value, f);
+#define PIECE_ROW(row) piece_row(f, row, piece)
+  const floatN w = lane_clamp((value - PIECE_ROW(ROW_BEGIN)) * PIECE_ROW(ROW_INVERSE), (floatN)0.0f, (floatN)1.0f);
+  *r = PIECE_ROW(ROW_COLOR) + w * PIECE_ROW(ROW_COLOR_CHANGE), *g = PIECE_ROW(ROW_COLOR + 1) + w *
+      PIECE_ROW(ROW_COLOR_CHANGE + 1);
+  *b = PIECE_ROW(ROW_COLOR + 2) + w * PIECE_ROW(ROW_COLOR_CHANGE + 2);
+  const floatN stated = PIECE_ROW(ROW_OPACITY) + w * PIECE_ROW(ROW_OPACITY_CHANGE);
+  floatN found = step_opacity(stated, view);
+  if (!one_step) found = opacity_of_steps(found, steps);
+  const intN dense = active & MASK(stated > view->opacity_limit);
+  if (any_lane(dense)) {
+    const floatN clear = lane_max(PIECE_ROW(ROW_CLEAR) + w * PIECE_ROW(ROW_CLEAR_CHANGE), (floatN)0.0f);
+    const floatN units = one_step ? (floatN)view->step_units : view->step_units * TO_FLOAT(steps);
+    found = select(found, opacity_of_depth(depth_of_clear(clear, stated) * units), dense);
+  }
+#undef PIECE_ROW
+#if VOXEL_HOLES
+  found = select((floatN)0.0f, found, finite);
+#endif
+  *opacity = found;
+}
+
 /* A segment of one value. */
 LOOKED_UP SegmentColor color_of_value(floatN value, floatN units, Pieces f)
 {

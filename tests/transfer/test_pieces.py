@@ -24,6 +24,7 @@ from clvol.transfer.pieces import (
     value_gate,
 )
 from clvol.transfer.preintegration import preintegrate
+from clvol.transfer.step_opacity import step_opacity
 
 SOURCE = str(Path(__file__).with_name("segment_colors.cl"))
 COLORS = [[0.9, 0.1, 0.0], [0.0, 0.8, 0.1], [0.1, 0.2, 1.0], [0.7, 0.7, 0.2], [1.0, 0.0, 1.0], [0, 1, 1]]
@@ -57,15 +58,17 @@ def random_function(seed: int, points: int, opaque: float = 0.1) -> TransferFunc
     return TransferFunction(values, opacities, rng.random((points, 3)))
 
 
-def segments_of(context, function, front, back, units, *, lanes=None, in_memory=False, constant=False):
-    """float64 [n, 5] from the device."""
+def segments_of(context, function, front, back, units, *, lanes=None, in_memory=False, constant=0, step_units=1.0):
+    """float64 [n, 5] from the device; ``constant`` is `of_one` of segment_colors.cl."""
     lanes = lanes or (16 if context.is_cpu else 1)
     front, back, units = np.broadcast_arrays(*(np.asarray(a, np.float32) for a in (front, back, units)))
     shape, n = front.shape, -(-front.size // 16) * 16
     count = piece_count(function)
     width = columns(count)
     view = np.zeros(1, view_dtype(8))
-    view["step_units"] = 1.0
+    view["step_units"] = step_units
+    terms, view["opacity_limit"] = step_opacity(float(np.float32(step_units)))
+    view["opacity_terms"], view["opacity_more"] = terms[:4], terms[4:]
     view["piece_columns"], view["piece_count"] = width, count
     pieces = 0 if in_memory or count > IN_REGISTERS else IN_REGISTERS
     kernel = context.kernel(
@@ -282,3 +285,23 @@ def test_of_more_spans_than_there_is_room_for_those_beside_the_narrowest_gaps_ar
     assert below.tolist() == [2, 16, 42, 62] or below.tolist() == [2, 16, 52, 62]
     none = shown_spans(TransferFunction([0, 1], [0, 0], np.zeros((2, 3))))
     assert np.all(none[0] == np.inf) and np.all(none[1] == -np.inf)
+
+
+@pytest.mark.parametrize("in_memory", [False, True], ids=["registers", "memory"])
+@pytest.mark.parametrize("name", ["ramps", "opaque plateau", "step", "nearly transparent", "nearly opaque", "one point"])
+def test_whole_steps_through_one_value_absorb_what_the_function_states(context, name, in_memory):
+    function = function_of(name)
+    values = np.concatenate([np.linspace(-2, 65, 301), [30.0, 29.9, 30.1]]).astype(np.float32)
+    counts = np.arange(1, 9)[:, None]
+    at, color = function.opacity(values), function.color(values)
+    for units in (1e-3, 0.17, 0.9958, 1.0, 2.5, 40.0):
+        with np.errstate(divide="ignore"):
+            expected = -np.expm1(np.float32(units) * counts * np.log1p(-at))
+        how = {"in_memory": in_memory, "step_units": units}
+        got = segments_of(context, function, values[None], values[None], counts, constant=2, **how)
+        one = segments_of(context, function, values, values, 1.0, constant=3, **how)
+        for opacity, exact, rgb in ((got[..., 3], expected, got[..., :3]), (one[..., 3], expected[0], one[..., :3])):
+            np.testing.assert_allclose(opacity, exact, rtol=0, atol=3e-6)
+            thin = (exact > 0) & (exact < 1e-3)
+            assert np.all(np.abs(opacity - exact)[thin] <= 2e-5 * exact[thin] + 1e-6 * units * function.opacities.max())
+            np.testing.assert_allclose(rgb, color * exact[..., None], rtol=0, atol=5e-6)
