@@ -209,18 +209,30 @@ class Team:
                 dispatcher.lost(device, self.lost.get(device, "busy"))
 
         def lost(device: int, error: BaseException) -> None:
-            self.lost[device], self._last_error = str(error), error
-            if on_loss is not None:
-                self._told.add(device)
-                on_loss(device, error)
-            if len(self.lost) == len(self.names):
-                raise error
+            self.leave_out(device, error, on_loss)
 
         Job(self._crew, dispatcher, dict(enumerate(hands)), take, lost).run(report)
         for device, share in enumerate(dispatcher.shares):
             if share.packages:
                 self._speeds[device] = share.speed
         self._tell()
+
+    def leave_out(
+        self, device: int, error: BaseException, on_loss: Callable[[int, BaseException], None] | None = None
+    ) -> None:
+        """``device`` has failed; raises ``error`` if it was the last one. ``on_loss``: as in ``run``."""
+        self.lost[device], self._last_error = str(error), error
+        if on_loss is not None:
+            self._told.add(device)
+            on_loss(device, error)
+        if len(self.lost) == len(self.names):
+            raise error
+
+    def free_device(self) -> int:
+        """One that works and is not busy, waited for if need be."""
+        working = [k for k in range(len(self.names)) if k not in self.lost]
+        self._crew.wait_for_one(working)
+        return next(k for k in working if not self._crew.is_busy(k))
 
     def _tell(self) -> None:
         left = [name for device, name in enumerate(self.names) if device not in self.lost]
