@@ -78,8 +78,8 @@ class DrawnOverlay:
         length, name = bar_length(0.24 * canvas.width / scale, self.description.unit)
         if camera.projection == "perspective":
             name += " at the target"
-        x, thickness = 0.8 * size, max(2.0, 0.28 * size)
-        y = bottom - thickness
+        x, thickness = round(0.8 * size), max(2, round(0.28 * size))
+        y = round(bottom - thickness)
         face = font(size)
         pixels = length * scale
         inks = canvas.inks(x, y - line_height(face), max(pixels, size), thickness + line_height(face))

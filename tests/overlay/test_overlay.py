@@ -77,7 +77,7 @@ def test_the_drawn_bar_is_as_long_as_it_says(height):
     shape = (height, round(1.4 * height))
     _, picture = drawn(shape, 0.5, description=description)
     red = (picture[..., 0] > 250) & (picture[..., 1] < 140)
-    longest = max(np.count_nonzero(row) for row in red)
+    longest = max(np.count_nonzero(row) for row in red)  # a pixel that is covered by half counts
     assert bar_length(0.24 * shape[1] / (height / 60.0), "mm") == (20.0, "20 mm")
     assert longest == pytest.approx(20.0 * height / 60.0, abs=1.0)
 
@@ -262,7 +262,9 @@ def test_text_over_transparency_is_opaque():
     assert picture[..., 3].max() == 255 and picture[-20:, :, 3].max() == 0
 
 
-@pytest.mark.parametrize("text", ["", "$x_2$ \\frac", "a\x1b[31m\u202eb", "x" * 2000, "a b " * 500, "Ä µ α 中", "a\nb\n"])
+@pytest.mark.parametrize(
+    "text", ["", "$x_2$ \\frac", "a\x1b[31m\u202eb", "x" * 2000, "a b " * 500, "Ä µ α 中", "a\nb\n"]
+)
 def test_any_text_is_drawn_as_it_is(text):
     before, after = drawn((150, 200), description=described(title=text, caption=text))
     assert after.shape == before.shape
