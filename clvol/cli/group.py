@@ -14,7 +14,8 @@ from clvol.errors import ClvolError, RenderError, UsageError
 
 # Each command is a module of this package.
 COMMANDS = (
-    "render", "develop", "init", "explain", "info", "scene", "store", "doctor", "compare", "tradeoff", "completion",
+    "render", "batch", "develop", "init", "explain", "info", "scene", "store", "doctor", "compare", "tradeoff",
+    "completion",
 )  # fmt: skip
 COMPLETE = "_CLVOL_COMPLETE"  # the environment variable that a shell's completion script sets
 
