@@ -191,7 +191,7 @@ def test_groff_reads_the_manual_page(run):
     [
         (["rendr"], ["unknown command 'rendr'", "(did you mean 'render'?)"]),
         (["render", "a", "--outptu", "x"], ["unknown option --outptu", "--set, ", "(did you mean '--output'?)"]),
-        (["render", "a", "--frames", "0:1"], ["unknown option --frames", "--time-budget"]),
+        (["explain", "a", "--frames", "0:1"], ["unknown option --frames", "--memory-cap"]),
         (["develop", "a", "--opaqe"], ["(did you mean '--opaque'?)"]),
         (["--" + "x" * 5000], ["unknown option"]),
     ],
