@@ -36,10 +36,10 @@ _LAZY = {
 # The models of a scene's tables, and of the entries of their lists.
 _TABLES = (
     "Animation", "Clip", "Coherence", "Compression", "ControlPoint", "DepthCue", "DirectionalOpacity",
-    "DirectionalOpacityPoint", "Environment", "FieldLabel", "FieldSettings", "GradientOpacity",
+    "DirectionalOpacityPoint", "Display", "Environment", "FieldLabel", "FieldSettings", "GradientOpacity",
     "GradientOpacityPoint", "GradientSettings", "ImageSettings", "Integration", "Isosurface", "Light", "Material",
-    "Multiresolution", "Noise", "Pyramid", "Shadow", "Slicing", "TransferFunctionSettings", "TransferLayerSettings",
-    "VolumeSettings",
+    "Multiresolution", "Noise", "Overlay", "Pyramid", "Shadow", "Slicing", "TransferFunctionSettings",
+    "TransferLayerSettings", "VolumeSettings",
 )  # fmt: skip
 _LAZY |= dict.fromkeys(_TABLES, "clvol.scene")
 __all__ = sorted(_LAZY)

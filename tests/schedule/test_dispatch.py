@@ -65,7 +65,7 @@ def test_devices_nearly_end_together_in_the_first_frame(devices, ratio, launch, 
         assert simulate(dispatcher, costs, speeds, launches).efficiency >= goal, kind
 
 
-def frames_of_unsteady_devices(carried: bool, devices: int = 4, count: int = 25) -> list[float]:
+def frames_of_unsteady_devices(carried: bool, devices: int = 4, count: int = 125) -> list[float]:
     """Efficiencies of frames on devices whose speed differs by a tenth from package to package."""
     costs, chance = picture("hot core"), np.random.default_rng(1)
     truly, launches = fleet(devices, 1, costs), [0.005] * devices
@@ -83,7 +83,7 @@ def frames_of_unsteady_devices(carried: bool, devices: int = 4, count: int = 25)
 def test_unsteady_devices_get_smaller_packages():
     without, known = frames_of_unsteady_devices(False), frames_of_unsteady_devices(True)
     assert np.mean(known) > np.mean(without) + 0.01
-    assert min(known) > min(without)
+    assert np.quantile(known, 0.1) > np.quantile(without, 0.1) + 0.01
 
 
 def test_what_tiles_cost_tells_what_their_neighbours_will():
