@@ -63,7 +63,7 @@ def render_animation(
         raise UsageError("--resume", f"given with {videos[0]}", "numbered pictures only")
     check_frames(stills, videos, others, count)
 
-    with working("loading", quiet):
+    with working("loading", quiet, scene.input_paths):
         scene.load(memory_cap)
         resolved = scene.resolve(memory_cap)
     load_seconds = time.perf_counter() - start
