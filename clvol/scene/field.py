@@ -15,7 +15,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, WrapValidator, mode
 
 from clvol.errors import SceneError, VolumeError
 from clvol.readers import load_volume
-from clvol.scene.table import AsTuple, Color, Fraction, Number, Table, Whole, wrong
+from clvol.scene.table import COLOR, AsTuple, Color, Fraction, Number, Table, Whole, wrong
 from clvol.scene.transfer_function import ControlPoint, check_points
 from clvol.scene.transfer_layer import function_of
 from clvol.scene.volume import Choice, is_path, path_text
@@ -76,7 +76,7 @@ class FieldLabel(Table):
     )
     color: Color = Field(
         title="Colour of the label, in the colour space of the transfer function.",
-        description="three numbers [r, g, b] from 0 to 1",
+        description=COLOR,
         examples=[[0.9, 0.3, 0.2]],
     )
     opacity: Fraction = Field(

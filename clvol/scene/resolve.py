@@ -40,7 +40,8 @@ from clvol.scene.transfer_function import TransferFunctionSettings
 from clvol.scene.transfer_layer import TransferLayer
 from clvol.scene.volume import VolumeSettings
 from clvol.store.zarr_store import check_finished
-from clvol.transfer import TransferFunction, srgb_to_linear
+from clvol.transfer import TransferFunction
+from clvol.transfer.color_names import in_linear_light
 from clvol.volume.axis import ValueAxis
 from clvol.volume.grid import Grid
 from clvol.volume.lazy import FilledVolume, LazyVolume
@@ -122,11 +123,13 @@ def resolve(scene: Scene, memory_cap: int | None = None) -> ResolvedScene:
         function, is_linear = given, True
     else:
         settings = given or TransferFunctionSettings()
-        function = settings.function(volume.value_range, default_opacity_unit(volume.grid))
+        function = settings.function(
+            volume.value_range, default_opacity_unit(volume.grid), scene.folder, scene.origin
+        )
         is_linear = settings.color_space == "linear"
 
     def decoded(color: ArrayLike) -> np.ndarray:
-        return np.array(color, dtype=np.float64) if is_linear else srgb_to_linear(color)
+        return in_linear_light(color, is_linear)
 
     background = decoded(scene.image.background)
     background.setflags(write=False)

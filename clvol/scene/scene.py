@@ -379,8 +379,8 @@ class Scene(Table):
 
     @property
     def input_paths(self) -> list[Path]:
-        """The files and folders that the scene names: volume, fields, environment."""
-        named = [self.volume, *self.field, self.environment]
+        """The files and folders that the scene names: volume, fields, environment, transfer function."""
+        named = [self.volume, *self.field, self.environment, self.transfer_function]
         files = (getattr(table, "file", None) for table in named)
         return [self._folder / file for file in files if isinstance(file, str)]
 

@@ -8,17 +8,28 @@ JSON schema (``clvol/scene/reference.py``) are made from these.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from difflib import get_close_matches
 from inspect import Parameter, Signature
 from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    PlainSerializer,
+    ValidationError,
+    WithJsonSchema,
+    WrapValidator,
+)
 from pydantic_core import PydanticCustomError
 
 from clvol.errors import SceneError
 from clvol.scene.sizes import parse_size
+from clvol.transfer.color_names import EXPECTED, NamedColor
 
 _KINDS: dict[type, str] = {dict: "table", list: "list"}
 _LONGEST_KEY = 100  # longer keys get no "did you mean"
@@ -215,7 +226,43 @@ Fraction = Annotated[Number, Field(ge=0, le=1)]
 Coordinate = Annotated[Number, Field(ge=-LARGEST_LENGTH, le=LARGEST_LENGTH)]
 Length = Annotated[Number, Field(gt=0, le=LARGEST_LENGTH)]
 Vector = Annotated[tuple[Coordinate, Coordinate, Coordinate], BeforeValidator(_plain_list)]
-Color = Annotated[tuple[Fraction, Fraction, Fraction], BeforeValidator(_plain_list)]
+
+
+def _color(value: Any, check: Callable[[Any], Any]) -> Any:
+    return _named(value, False) or check(_plain_list(value))
+
+
+def _linear_color(value: Any, check: Callable[[Any], Any]) -> Any:
+    return _named(value, True) or check(_plain_list(value))
+
+
+def _named(value: Any, linear: bool) -> NamedColor | None:
+    """The colour that a text names; None for a value that is no text."""
+    if isinstance(value, NamedColor) and value.is_linear == linear:
+        return value
+    text = value.text if isinstance(value, NamedColor) else value
+    if not isinstance(text, str):
+        return None
+    try:
+        return NamedColor(text, linear)
+    except ValueError as error:
+        raise wrong("", text, str(error)) from None
+
+
+def _stated_color(value: Any) -> Any:
+    return value.text if isinstance(value, NamedColor) else value
+
+
+COLOR = EXPECTED  # the description of a key of type Color
+_component = {"type": "number", "minimum": 0, "maximum": 1}
+_color_schema = WithJsonSchema(
+    {"anyOf": [{"type": "array", "items": _component, "minItems": 3, "maxItems": 3}, {"type": "string"}]}
+)
+_Triple = tuple[Fraction, Fraction, Fraction]
+# A name or "#rrggbb" is an sRGB colour whatever the color_space; ``NamedColor`` keeps the text.
+Color = Annotated[_Triple, WrapValidator(_color), PlainSerializer(_stated_color), _color_schema]
+# The same for keys in linear light.
+LinearColor = Annotated[_Triple, WrapValidator(_linear_color), PlainSerializer(_stated_color), _color_schema]
 AsTuple = BeforeValidator(_plain_list)
 
 
