@@ -16,10 +16,10 @@ import numpy as np
 
 from clvol.errors import VolumeError
 from clvol.readers.options import Key, ReadOptions
-from clvol.readers.zarr_axes import AXES, Axis, Placed, place_axes
 from clvol.readers.zarr_blosc import check_blosc
 from clvol.store.arrays import open_array, system_words
 from clvol.store.format import CODES_OF
+from clvol.volume.array_axes import AXES, Axis, Placed, place_axes
 from clvol.volume.grid import Grid
 from clvol.volume.memory import check_memory
 from clvol.volume.units import one_unit

@@ -46,6 +46,7 @@ from clvol.scene.transfer_layer import LARGEST_LAYERS, TransferLayerSettings
 from clvol.scene.volume import VolumeSettings
 from clvol.scene.write import to_toml
 from clvol.transfer import TransferFunction
+from clvol.volume.adopted import is_array_like
 from clvol.volume.volume import Volume
 
 _TABLE = "a table"
@@ -62,8 +63,12 @@ def _version(value: Any) -> int:
 def _volume(value: Any, check: Callable[[Any], Any], info: ValidationInfo) -> Any:
     if isinstance(value, Volume):
         return value
-    is_path = isinstance(value, (str, os.PathLike)) and info.context is not _FROM_FILE
-    return check({"file": value} if is_path else value)
+    if info.context is not _FROM_FILE:
+        if isinstance(value, (str, os.PathLike)):
+            return check({"file": value})
+        if is_array_like(value):
+            return Volume(value)
+    return check(value)
 
 
 def _transfer_function(value: Any, check: Callable[[Any], Any]) -> Any:
@@ -81,8 +86,8 @@ class Scene(Table):
     ----------
     version : int
         Version of the scene format: 1.
-    volume : Volume, str, path or VolumeSettings
-        The voxels: an array on a grid, a file, or a computed field. Required.
+    volume : Volume, array, str, path or VolumeSettings
+        The voxels: an array on a grid, whatever ``Volume`` takes, a file, or a computed field. Required.
     camera : Camera, optional
         The view. Default: perspective, 30 degrees, the whole volume in view.
     image : ImageSettings

@@ -30,6 +30,7 @@ from pydantic_core import PydanticCustomError
 from clvol.errors import SceneError
 from clvol.scene.sizes import parse_size
 from clvol.transfer.color_names import EXPECTED, NamedColor
+from clvol.volume.volume import Volume
 
 _KINDS: dict[type, str] = {dict: "table", list: "list"}
 _LONGEST_KEY = 100  # longer keys get no "did you mean"
@@ -46,12 +47,24 @@ class _TableType(ModelMetaclass):
     """Turns the ValidationError of a direct call, such as Camera(...), into a SceneError."""
 
     def __call__(cls, *args: Any, **keys: Any) -> Any:
+        if args and issubclass(cls, Table):
+            raise _by_keyword(cls, args[0])
         try:
             return super().__call__(*args, **keys)
         except ValidationError as error:
             if not issubclass(cls, Table):
                 raise
             raise scene_error(error, cls, "scene", cls.table_name()) from None
+
+
+def _by_keyword(model: type[Table], value: Any) -> SceneError:
+    """The error for a value that is passed by position."""
+    name = model.__name__
+    fields = [key for key in model.model_fields if key != "version"]
+    what = f"got {shown(value)} by position"
+    if isinstance(value, Mapping):
+        return SceneError(f"clvol.{name}", what, f"keywords: clvol.{name}(**table)")
+    return SceneError(f"clvol.{name}", what, f"keywords: clvol.{name}({fields[0]}=…)")
 
 
 class Table(BaseModel, metaclass=_TableType):
@@ -119,6 +132,8 @@ def shown(value: Any, limit: int = 60) -> str:
         value = list(value)
     if isinstance(value, np.ndarray):
         return f"an array of shape {value.shape}"
+    if isinstance(value, Volume):
+        return f"a {value!r}".replace("a <Volume", "the Volume").removesuffix(">")
     try:
         text = " ".join(repr(value).split())
     except ValueError:  # an integer with more digits than Python prints
