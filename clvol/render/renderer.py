@@ -255,18 +255,14 @@ class Renderer:
         if seconds is None:
             group.warm_up(width, height, depth)
         else:
-            _refining(on_devices.prepared).warm_up_for_time(depth)
+            _refining(on_devices.prepared)
+            group.warm_up_for_time(depth)
         compile_seconds = before + perf_counter() - compile_start
         group.take_compile_seconds()
         self._compile_seconds = 0.0
         start = perf_counter()
         if seconds is not None:
-            limit = seconds
-            data = group.render_alone(
-                lambda prepared: _refining(prepared).render_for_time(
-                    camera, width, height, progress, depth, seconds=limit
-                )
-            )
+            data = group.render_for_time(camera, width, height, progress, depth, seconds=seconds)
         elif len(on_devices.members) == 1:
             data = on_devices.prepared.render(camera, width, height, progress, depth)
         else:
