@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -14,7 +13,7 @@ from numpy.typing import ArrayLike
 from pydantic import AfterValidator, BeforeValidator, Field, WrapValidator, model_validator
 
 from clvol.errors import SceneError, VolumeError
-from clvol.readers import load_volume
+from clvol.readers import is_url, load_volume
 from clvol.scene.table import COLOR, AsTuple, Color, Fraction, Number, Table, Whole, wrong
 from clvol.scene.transfer_function import ControlPoint, check_points
 from clvol.scene.transfer_layer import function_of
@@ -199,8 +198,8 @@ class FieldSettings(Table):
         """
         if isinstance(self.file, Volume):
             return self.file
-        path = folder / self.file
-        if not os.path.exists(path):
+        path: str | Path = self.file if is_url(self.file) else folder / self.file
+        if isinstance(path, Path) and not path.exists():
             got = f"got {self.file!r}, no such file"
             raise SceneError(f"{where}.file", got, "a volume file or a DICOM folder")
         try:

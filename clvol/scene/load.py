@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from clvol.errors import SceneError
-from clvol.readers import ENDINGS, is_volume_path
+from clvol.readers import ENDINGS, is_url, is_volume_path
 from clvol.scene.scene import Scene
 from clvol.scene.table import shown
 from clvol.store.zarr_store import is_store
@@ -27,7 +27,8 @@ _KEY = re.compile(r"[A-Za-z0-9_-]+")
 
 
 def load_scene(path: str | Path, overrides: Iterable[str] = ()) -> Scene:
-    """Loads the scene file ``path`` (.toml), or makes a scene with all defaults of the volume file ``path``.
+    """Loads the scene file ``path`` (.toml), or makes a scene with all defaults of a volume: ``path`` is a file,
+    a folder or a URL.
 
     A clvol store is rendered by the method "multiresolution", since it may be larger than memory, unless
     ``overrides`` choose another one.
@@ -36,6 +37,12 @@ def load_scene(path: str | Path, overrides: Iterable[str] = ()) -> Scene:
     are applied in order. An index one past the end of a list appends to it. Raises SceneError whose ``where`` is
     "FILE: KEY". The volume itself is read by ``Scene.resolve``.
     """
+    if is_url(path):  # which Path would respell
+        origin = str(path)
+        data, folder = {"volume": {"file": origin}}, Path()
+        for text in overrides:
+            _override(data, text, origin)
+        return Scene.from_data(data, origin, folder)
     path = Path(path)
     if path.suffix.lower() == ".toml":
         data, folder = _read(path), path.parent

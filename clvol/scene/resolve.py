@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from clvol.errors import SceneError
-from clvol.readers import load_volume
+from clvol.readers import is_url, load_volume
 from clvol.scene.animation import Animation
 from clvol.scene.camera import Camera
 from clvol.scene.classification import ChosenClassification, with_classification
@@ -193,9 +192,9 @@ def load_scene_volume(
         return volume
     if settings.file is None:
         raise SceneError(f"{origin}: volume.file", "missing", "a volume file or a DICOM folder")
-    path = folder / settings.file
+    path: str | Path = settings.file if is_url(settings.file) else folder / settings.file
     is_scene_file = str(path) != origin
-    if is_scene_file and not os.path.exists(path):
+    if isinstance(path, Path) and is_scene_file and not path.exists():
         check_finished(path)
         got = f"got {settings.file!r}, no such file"
         raise SceneError(f"{origin}: volume.file", got, "a volume file or a DICOM folder")

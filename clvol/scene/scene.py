@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 from pydantic import (
     BeforeValidator,
     Field,
@@ -18,6 +19,7 @@ from pydantic import (
 )
 
 from clvol.choice.first_picture import FirstPicture
+from clvol.readers import is_url
 from clvol.scene.animation import Animation
 from clvol.scene.camera import Camera
 from clvol.scene.clip import Clip
@@ -67,7 +69,8 @@ def _volume(value: Any, check: Callable[[Any], Any], info: ValidationInfo) -> An
         if isinstance(value, (str, os.PathLike)):
             return check({"file": value})
         if is_array_like(value):
-            return Volume(value)
+            expected = "a Volume: clvol.Volume(array, spacing=(x, y, z))"
+            raise wrong("", value if isinstance(value, np.ndarray) else type(value), expected)
     return check(value)
 
 
@@ -86,8 +89,8 @@ class Scene(Table):
     ----------
     version : int
         Version of the scene format: 1.
-    volume : Volume, array, str, path or VolumeSettings
-        The voxels: an array on a grid, whatever ``Volume`` takes, a file, or a computed field. Required.
+    volume : Volume, str, path or VolumeSettings
+        The voxels: an array on a grid, a file, or a computed field. Required.
     camera : Camera, optional
         The view. Default: perspective, 30 degrees, the whole volume in view.
     image : ImageSettings
@@ -378,16 +381,16 @@ class Scene(Table):
 
     @property
     def volume_path(self) -> Path | None:
-        """The volume's file or folder; None for a volume that was passed as an array or is computed."""
+        """The volume's file or folder; None for a volume that was passed as an array, is computed or is a URL."""
         file = getattr(self.volume, "file", None)
-        return None if file is None else self._folder / file
+        return None if file is None or is_url(file) else self._folder / file
 
     @property
     def input_paths(self) -> list[Path]:
         """The files and folders that the scene names: volume, fields, environment, transfer function."""
         named = [self.volume, *self.field, self.environment, self.transfer_function]
         files = (getattr(table, "file", None) for table in named)
-        return [self._folder / file for file in files if isinstance(file, str)]
+        return [self._folder / file for file in files if isinstance(file, str) and not is_url(file)]
 
     @property
     def folder(self) -> Path:

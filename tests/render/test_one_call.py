@@ -24,7 +24,7 @@ def voxels():
 
 def test_everything_that_is_a_volume_gives_the_same_picture(device, voxels, tmp_path):
     keys = {"image": SMALL, "transfer_function": FUNCTION, "devices": [device]}
-    scene = clvol.Scene(volume=voxels, image=SMALL, transfer_function=FUNCTION)
+    scene = clvol.Scene(volume=clvol.Volume(voxels), image=SMALL, transfer_function=FUNCTION)
     with clvol.Renderer(scene, devices=[device]) as renderer:
         expected = renderer.render()
         by_dict = renderer.render(camera={"projection": "orthographic"})
@@ -58,6 +58,7 @@ def test_render_is_callable_whatever_was_imported_first(first):
         (lambda v: clvol.Scene({"volume": 1}), SceneError, r"expected keywords: clvol\.Scene\(\*\*table\)"),
         (lambda v: clvol.Camera((1, 2, 3)), SceneError, r"clvol\.Camera: got \[1, 2, 3\] by position"),
         (lambda v: clvol.Scene(volume=3), SceneError, "volume: got 3, expected a table"),
+        (lambda v: clvol.Scene(volume=v.data), SceneError, r"volume: got an array of .*clvol\.Volume\(array, "),
         (lambda v: clvol.Renderer(v), UsageError, r"got a Volume, expected a scene: clvol\.Scene\(volume=…\)"),
         (lambda v: clvol.Renderer("a.toml"), UsageError, r"clvol\.load_scene\('a\.toml'\)"),
         (lambda v: clvol.Renderer({}), UsageError, r"clvol\.Scene\(\*\*tables\)"),
