@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from clvol.cli.console import note, preparing, say_path, to_json, working
 from clvol.cli.outputs import check_frames, numbered, save_picture
+from clvol.cli.standard_output import STANDARD, is_standard, kept_clean
 from clvol.cli.verbose import log_scene
 from clvol.errors import ClvolError, UsageError
 
@@ -47,9 +48,12 @@ def render_animation(
     from clvol.image import atomic_paths, check_video, is_video, open_video
 
     start = time.perf_counter()
+    if STANDARD in outputs:
+        what = f"one picture for {scene.animation.frames} frames"
+        raise UsageError(STANDARD, what, "one frame: --set animation.frames=1")
     videos = [path for path in outputs if is_video(path)]
     stills = [path for path in outputs if not is_video(path)]
-    others = [] if stats is None else [stats]
+    others = [] if stats is None or is_standard(stats) else [stats]
     count, fps = scene.animation.frames, scene.animation.fps
     for path in videos:
         check_video(path, fps, scene.image.width, scene.image.height)
@@ -82,6 +86,7 @@ def render_animation(
     todo = [frame for frame in frames(resolved) if frame[0] not in kept]
     size = f"{resolved.image.width} x {resolved.image.height} pixels"
     with ExitStack() as stack:
+        write_standard = stack.enter_context(kept_clean(is_standard(stats)))
         temporaries = stack.enter_context(atomic_paths([*videos, *others]))
         progress = stack.enter_context(working(f"rendering {len(todo)} frames of {size}", quiet))
         parts = temporaries[: len(videos)]
@@ -117,9 +122,13 @@ def render_animation(
         if stats is not None:
             totals.seconds |= {"load": load_seconds, "total": time.perf_counter() - start}
             known = totals.stats() | {"frames": len(todo), "frames_kept": len(kept)}
-            temporaries[-1].write_text(to_json(known) + "\n", encoding="utf-8")
+            text = to_json(known) + "\n"
+            if is_standard(stats):
+                write_standard(text.encode())
+            else:
+                temporaries[-1].write_text(text, encoding="utf-8")
     for path in [*written, *videos, *others]:
-        say_path(path)
+        (note if is_standard(stats) else say_path)(path)
     if kept and not quiet:
         note(f"{len(kept)} of {count} frames existed already and were kept")
 

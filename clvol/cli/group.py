@@ -14,7 +14,8 @@ from clvol.errors import ClvolError, RenderError, UsageError
 
 # Each command is a module of this package.
 COMMANDS = (
-    "render", "init", "explain", "info", "scene", "transfer", "store", "doctor", "compare", "tradeoff", "completion",
+    "render", "develop", "init", "explain", "info", "scene", "transfer", "store", "doctor", "compare", "tradeoff",
+    "completion",
 )  # fmt: skip
 COMPLETE = "_CLVOL_COMPLETE"  # the environment variable that a shell's completion script sets
 

@@ -322,7 +322,7 @@ class Renderer:
         counted |= self._notices.of_picture(self.resolved, camera, rgba, depth, counted.get("compression"))
         made_from = MadeFrom(self.resolved, camera)
         self._provenances.add(made_from)
-        return make_frame(self.resolved, rgba, depth, seconds, counted, devices, made_from)
+        return make_frame(self.resolved, rgba, depth, seconds, counted, devices, made_from, camera)
 
 
 def _refining(prepared: Prepared) -> RefinesInTime:
