@@ -46,7 +46,7 @@ def load_scene(path: str | Path, overrides: Iterable[str] = ()) -> Scene:
         origin = str(path)
         data, folder = {"volume": {"file": origin}}, Path()
         for text in overrides:
-            _override(data, text, origin)
+            override(data, text, origin)
         return Scene.from_data(data, origin, folder)
     path = Path(path)
     if is_picture_path(path):
