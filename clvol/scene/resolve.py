@@ -139,7 +139,7 @@ def resolve(scene: Scene, memory_cap: int | None = None) -> ResolvedScene:
     background.setflags(write=False)
     unit = function.opacity_unit
     fields = (
-        settings.resolved(field, unit, decoded)
+        settings.resolved(field, unit, decoded, scene.folder)
         for settings, field in zip(scene.field, scene.load_fields(memory_cap))
     )
     environment, cue = scene.environment, scene.depth_cue

@@ -405,9 +405,10 @@ class Scene(Table):
 
     @property
     def input_paths(self) -> list[Path]:
-        """The files and folders that the scene names: volume, fields, environment, transfer function."""
+        """The files and folders that the scene names: volume, fields and their label tables, environment, transfer
+        function."""
         named = [self.volume, *self.field, self.environment, self.transfer_function]
-        files = (getattr(table, "file", None) for table in named)
+        files = [getattr(table, "file", None) for table in named] + [field.labels_file for field in self.field]
         return [self._folder / file for file in files if isinstance(file, str) and not is_url(file)]
 
     @property

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from clvol.errors import SceneError, UsageError
+from clvol.scene import load_scene
 from clvol.transfer import TransferFunction, linear_to_srgb
 from clvol.transfer.exchange.files import ENDINGS
 from clvol.transfer.exchange.sampled import COLOR_ERROR, OPACITY_ERROR
@@ -161,7 +162,7 @@ def test_a_colour_table_of_visit_is_read(tmp_path):
         ("a.txt", "# nothing\n", "no label"),
         ("a.txt", "1 a 0 0\n", "line 1: got '1 a 0 0', expected LABEL NAME R G B A"),
         ("a.txt", "1 a 0 0 256 0\n", "from 0 to 255"),
-        ("a.txt", "1 a 0 0 0 0\n1 b 0 0 0 0\n", "label 1 twice"),
+        ("a.txt", "1 a 0 0 0 0\n2 a 0 0 0 0\n1 b 0 0 0 0\n", "label 1 twice"),
         ("a.txt", "1.5 a 0 0 0 0\n", "a whole number"),
         ("a.xyz", "", "unknown ending '.xyz', expected .json"),
     ],
@@ -203,3 +204,24 @@ def test_files_that_cannot_be_read_or_written_are_refused(tmp_path):
         TransferFunction.from_file(tmp_path / "a.vp")
     with pytest.raises(UsageError, match="a name that ends in .json"):
         STEPPED.save(tmp_path / "a.ct")
+
+
+def test_a_field_takes_its_labels_from_a_table(tmp_path):
+    write(tmp_path / "t.txt", SNAP)
+    np.save(tmp_path / "labels.npy", np.arange(8, dtype=np.uint8).reshape(2, 2, 2))
+    head = '[volume]\nfield = "radial"\nsize = [3, 3, 3]\n[[field]]\nfile = "labels.npy"\nrole = "label"\n'
+    (tmp_path / "s.toml").write_text(head + 'labels_file = "t.txt"\n', encoding="utf-8")
+    scene = load_scene(tmp_path / "s.toml")
+    field = scene.resolve().fields[0]
+    assert field.labels.tolist() == [0, 1, 2, 7] and field.factors.tolist() == [0, 1, 0.5, 0]
+    assert field.colors.tolist() == [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]
+    assert tmp_path / "t.txt" in scene.input_paths
+    for text, message in (
+        ('labels_file = "t.json"', r"t\.json: unknown ending '\.json', expected a label table"),
+        ('labels_file = "none.txt"', r"none\.txt: no such file"),
+        ('labels_file = "t.txt"\nlabels = [{ label = 1, color = "red" }]', "labels_file in place of labels"),
+        ("", "or labels_file"),
+    ):
+        (tmp_path / "s.toml").write_text(head + text + "\n", encoding="utf-8")
+        with pytest.raises(SceneError, match=message):
+            load_scene(tmp_path / "s.toml").resolve()

@@ -1,13 +1,19 @@
-"""Files of transfer functions: the format by the name's ending, and by the content where several share one."""
+"""Files of transfer functions: the format by the name's ending, and by the content where several share one.
+
+Modules of formats are imported where they are used, since few commands need one.
+"""
 
 from __future__ import annotations
 
 import json
 import os
+from importlib import import_module
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from clvol.errors import SceneError, UsageError
-from clvol.transfer.exchange import labels, paraview, slicer, visit
 from clvol.transfer.exchange.imported import Imported
 from clvol.transfer.exchange.sampled import Function
 from clvol.transfer.exchange.text_files import parse_json, read_text
@@ -22,6 +28,7 @@ ENDINGS = {
     ".label": "label table of ITK-SNAP",
     ".ct": "colour table of VisIt",
 }
+LABELS = (".ctbl", ".txt", ".label")
 WRITTEN = (".json", ".vp", ".vp.json", ".ctbl")
 KNOWN = ".json (ParaView), .vp, .vp.json, .ctbl (3D Slicer), .txt, .label (ITK-SNAP, 3D Slicer) or .ct (VisIt)"
 
@@ -39,18 +46,31 @@ def load_imported(path: str | os.PathLike, entry: str | None = None) -> Imported
     if ending in (".json", ".vp.json"):
         data = parse_json(text, where, f"a {ENDINGS[ending]}")
         if isinstance(data, dict) and "volumeProperties" in data:
-            found = slicer.read_vp_json(data, where)
+            found = _format("slicer").read_vp_json(data, where)
         else:
-            return paraview.read_presets(data, where, entry)
+            return _format("paraview").read_presets(data, where, entry)
     elif ending == ".vp":
-        found = slicer.read_vp(text, where)
+        found = _format("slicer").read_vp(text, where)
     elif ending == ".ct":
-        found = visit.read_color_table(text, where)
+        found = _format("visit").read_color_table(text, where)
     else:
-        found = labels.read_labels(text, where)
+        found = _format("labels").read_labels(text, where)
     if entry is not None:
         raise SceneError(where, f"entry = {entry!r}, where there is one function", "no entry for this file")
     return found
+
+
+def load_labels(path: str | os.PathLike) -> tuple[list[int], np.ndarray, np.ndarray]:
+    """Labels [n], sRGB-encoded colours [n, 3] and opacities [n] of a label table; SceneError for any other file."""
+    where = os.fspath(path)
+    if ending_of(where) not in LABELS:
+        raise SceneError(where, f"unknown ending {Path(path).suffix!r}", "a label table: " + ", ".join(LABELS))
+    return _format("labels").parse_labels(read_text(Path(path), "a label table of 3D Slicer or ITK-SNAP"), where)
+
+
+def _format(name: str) -> Any:
+    """A module of this package."""
+    return import_module(f"{__package__}.{name}")
 
 
 def ending_of(path: str) -> str | None:
@@ -66,10 +86,11 @@ def text_of(function: Function, path: str, name: str | None = None) -> str:
         raise UsageError(path, "cannot be written", "a name that ends in .json (ParaView), .vp, .vp.json or .ctbl")
     name = name or os.path.basename(path)[: -len(ending)] or "clvol"
     if ending == ".ctbl":
-        return labels.slicer_table(function, name, path)
+        return _format("labels").slicer_table(function, name, path)
     if ending == ".vp":
-        return slicer.vp_of(function)
-    data = paraview.preset_of(function, name) if ending == ".json" else slicer.vp_json_of(function)
+        return _format("slicer").vp_of(function)
+    is_preset = ending == ".json"
+    data = _format("paraview").preset_of(function, name) if is_preset else _format("slicer").vp_json_of(function)
     return json.dumps(data, indent=1) + "\n"
 
 

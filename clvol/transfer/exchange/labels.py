@@ -23,7 +23,15 @@ _SNAP = re.compile(r'\s*(?P<numbers>[-+.\deE\s]+?)\s+"(?P<name>[^"]*)"\s*$')
 
 
 def read_labels(text: str, where: str) -> Imported:
-    """The labels of a table. Alpha is opacity; labels that ITK-SNAP does not show are transparent."""
+    """The labels of a table as a transfer function."""
+    return label_knots(where, *parse_labels(text, where))
+
+
+def parse_labels(text: str, where: str) -> tuple[list[int], np.ndarray, np.ndarray]:
+    """Labels [n], their sRGB-encoded colours [n, 3] and opacities [n] of a table.
+
+    Alpha is opacity; labels that ITK-SNAP does not show are transparent. SceneError for what is no table.
+    """
     labels: list[int] = []
     colors: list[list[float]] = []
     opacities: list[float] = []
@@ -32,15 +40,17 @@ def read_labels(text: str, where: str) -> Imported:
             continue
         place = f"{where}: line {number}"
         label, color, opacity = _snap(line, place) or _slicer(line, place)
-        if label in labels[-1:] or len(labels) >= LARGEST_LABELS:
-            what = f"label {label} twice" if label in labels[-1:] else f"more than {LARGEST_LABELS} labels"
-            raise SceneError(place, what, "each label once")
+        if len(labels) >= LARGEST_LABELS:
+            raise SceneError(place, f"more than {LARGEST_LABELS} labels", f"at most {LARGEST_LABELS}")
         labels.append(label)
         colors.append(color)
         opacities.append(opacity)
     if not labels:
         raise SceneError(where, "no label", EXPECTED)
-    return label_knots(where, labels, np.array(colors), np.array(opacities))
+    if len(set(labels)) < len(labels):
+        twice = next(label for k, label in enumerate(labels) if label in labels[:k])
+        raise SceneError(where, f"label {twice} twice", "each label once")
+    return labels, np.array(colors), np.array(opacities)
 
 
 def _snap(line: str, place: str) -> tuple[int, list[float], float] | None:

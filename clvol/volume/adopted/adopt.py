@@ -3,29 +3,27 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
+from importlib import import_module
 from typing import Any
 
 import numpy as np
 
-from clvol.volume.adopted.arrays import adopt_chunked, adopt_dlpack
 from clvol.volume.adopted.facts import Adopted, name_of, refused
-from clvol.volume.adopted.labelled import adopt_xarray, adopt_zarr
-from clvol.volume.adopted.medical import adopt_itk, adopt_nibabel, adopt_simpleitk
-from clvol.volume.adopted.vtk_image import adopt_vtk
 
-# The first part of the module of the object's class, or of a class that it inherits from.
-_BY_LIBRARY: dict[str, Callable[[Any], Adopted]] = {
-    "xarray": adopt_xarray,
-    "SimpleITK": adopt_simpleitk,
-    "itk": adopt_itk,
-    "nibabel": adopt_nibabel,
-    "vtkmodules": adopt_vtk,
-    "zarr": adopt_zarr,
-    "dask": adopt_chunked,
-    "h5py": adopt_chunked,
-    "netCDF4": adopt_chunked,
-    "tensorstore": adopt_chunked,
+# By the first part of the module of the object's class, or of a class that it inherits from: the module of this package
+# and its function.
+_BY_LIBRARY = {
+    "xarray": ("labelled", "adopt_xarray"),
+    "SimpleITK": ("medical", "adopt_simpleitk"),
+    "itk": ("medical", "adopt_itk"),
+    "nibabel": ("medical", "adopt_nibabel"),
+    "vtkmodules": ("vtk_image", "adopt_vtk"),
+    "zarr": ("labelled", "adopt_zarr"),
+    "dask": ("arrays", "adopt_chunked"),
+    "h5py": ("arrays", "adopt_chunked"),
+    "netCDF4": ("arrays", "adopt_chunked"),
+    "tensorstore": ("arrays", "adopt_chunked"),
 }
 EXPECTED = (
     "an array [z, y, x] of numpy, or an object of xarray, SimpleITK, nibabel, VTK, pyvista, zarr, dask, h5py or DLPack"
@@ -44,11 +42,11 @@ def adopt(value: Any) -> Adopted | None:
         raise refused(f"a path, {str(path)!r}"[:200], f"an array; clvol.load_volume({str(path)!r}) reads a file"[:200])
     library = _library_of(value)
     if library is not None:
-        return _BY_LIBRARY[library](value)
+        return _adopted(*_BY_LIBRARY[library], value)
     if isinstance(value, Mapping):
         raise refused("a dict", f"{EXPECTED}; a table of a scene goes into clvol.Scene(volume={{...}})")
     if hasattr(value, "__dlpack__"):
-        return adopt_dlpack(value)
+        return _adopted("arrays", "adopt_dlpack", value)
     if any(hasattr(value, name) for name in ("__array__", "__array_interface__", "__array_struct__")):
         return None
     try:
@@ -57,6 +55,11 @@ def adopt(value: Any) -> Adopted | None:
         what = "None" if value is None else f"an object of type {name_of(value)}"
         raise refused(what, EXPECTED) from None
     return None
+
+
+def _adopted(module: str, function: str, value: Any) -> Adopted:
+    """Imported where it is used, since most volumes are files."""
+    return getattr(import_module(f"{__package__}.{module}"), function)(value)
 
 
 def is_array_like(value: Any) -> bool:
