@@ -12,6 +12,7 @@ from clvol.errors import VolumeError
 from clvol.readers.coordinates import even_step, grid_of
 from clvol.readers.extras import library
 from clvol.readers.hdf5 import picked
+from clvol.readers.netcdf_classic import least_size
 from clvol.readers.options import ReadOptions
 from clvol.volume.array_axes import Axis, Placed, place_axes
 from clvol.volume.axis import ValueAxis
@@ -29,6 +30,8 @@ def read(path: Path, options: ReadOptions) -> Volume:
     origin. ``scale_factor`` and ``add_offset`` become slope and offset; fill values become NaN.
     """
     netcdf = library("netCDF4", EXTRA, path)
+    if (least := least_size(path)) > path.stat().st_size:
+        raise VolumeError(str(path), f"{path.stat().st_size} bytes", f"{least} bytes as the header promises")
     with netcdf.Dataset(path, "r") as file:
         file.set_auto_maskandscale(False)
         found = _variables(file, "")

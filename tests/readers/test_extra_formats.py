@@ -162,6 +162,29 @@ def test_uneven_coordinates_of_netcdf_are_told(tmp_path):
         load_volume(tmp_path / "a.nc")
 
 
+@pytest.mark.parametrize("form", ["NETCDF3_CLASSIC", "NETCDF3_64BIT_OFFSET", "NETCDF3_64BIT_DATA"])
+@pytest.mark.parametrize("others", [0, 1])
+def test_a_classic_netcdf_that_ends_early_is_refused(tmp_path, form, others):
+    """The library would read zeros."""
+    with netCDF4.Dataset(tmp_path / "a.nc", "w", format=form) as file:
+        file.title = "records"
+        for name, n in (("t", None), ("z", 2), ("y", 3), ("x", 3)):
+            file.createDimension(name, n)
+        for k in range(others):
+            file.createVariable(f"o{k}", "i1", ("t",))
+        file.createVariable("v", "i1", ("t", "z", "y", "x"))[:] = np.arange(1, 55, dtype=np.int8).reshape(3, 2, 3, 3)
+        for k in range(others):
+            file[f"o{k}"][:] = 1
+    whole = (tmp_path / "a.nc").read_bytes()
+    assert load_volume(tmp_path / "a.nc", time=2).data.ravel().tolist() == list(range(37, 55))
+    end = whole.rindex(bytes([53, 54])) + 2
+    (tmp_path / "b.nc").write_bytes(whole[:end])
+    assert load_volume(tmp_path / "b.nc", time=2).data.max() == 54
+    (tmp_path / "b.nc").write_bytes(whole[: end - 1])
+    with pytest.raises(VolumeError, match=f"{end - 1} bytes, expected {end} bytes as the header promises"):
+        load_volume(tmp_path / "b.nc", time=2)
+
+
 # ---- MRC ---------------------------------------------------------------------------------------------
 
 
