@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -208,7 +209,7 @@ class FieldSettings(Table):
         if isinstance(self.file, Volume):
             return self.file
         path: str | Path = self.file if is_url(self.file) else folder / self.file
-        if isinstance(path, Path) and not path.exists():
+        if isinstance(path, Path) and not os.path.exists(path):
             got = f"got {self.file!r}, no such file"
             raise SceneError(f"{where}.file", got, "a volume file or a DICOM folder")
         try:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -202,7 +203,7 @@ def load_scene_volume(
         raise SceneError(f"{origin}: volume.file", "missing", "a volume file or a DICOM folder")
     path: str | Path = settings.file if is_url(settings.file) else folder / settings.file
     is_scene_file = str(path) != origin
-    if isinstance(path, Path) and is_scene_file and not path.exists():
+    if isinstance(path, Path) and is_scene_file and not os.path.exists(path):
         check_finished(path)
         got = f"got {settings.file!r}, no such file"
         raise SceneError(f"{origin}: volume.file", got, "a volume file or a DICOM folder")

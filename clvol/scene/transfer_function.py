@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import warnings
 from dataclasses import replace
 from pathlib import Path
@@ -197,7 +198,7 @@ class TransferFunctionSettings(Table):
         if self.file is None:
             return load_colormap(self.colormap, f"{where}.colormap")
         path = folder / self.file
-        if not path.exists():
+        if not os.path.exists(path):
             raise SceneError(f"{where}.file", f"got {self.file!r}, no such file", KNOWN)
         found = load_imported(path, self.entry)
         for note in found.notes:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,7 @@ LARGEST_FILE = 16 * 2**20
 def read_text(path: Path, expected: str) -> str:
     """The text of a file in UTF-8; SceneError for a file that is none, or larger than 16 MiB."""
     try:
-        if path.exists() and not path.is_file():
+        if os.path.exists(path) and not os.path.isfile(path):
             raise SceneError(str(path), "a folder, or not a regular file", expected)
         with path.open("rb") as file:
             raw = file.read(LARGEST_FILE + 1)
