@@ -204,6 +204,14 @@ INLINE void append_stretch(SegmentColor *s, floatN r, floatN g, floatN b, floatN
   s->a += share, s->depth += depth;
 }
 
+/* The same where `s` is empty. */
+INLINE SegmentColor first_stretch(floatN r, floatN g, floatN b, floatN depth)
+{
+  const floatN opacity = opacity_of_stretch(depth);
+  const SegmentColor s = {opacity * r, opacity * g, opacity * b, opacity, depth};
+  return s;
+}
+
 /* Gauss's six points and weights in the square root of the position: dense at the front, where the light comes from. */
 __constant float thick_position[6] = {0.00114009163f, 0.02869477f, 0.144925186f, 0.383544372f, 0.689904156f,
                                       0.933609606f};
@@ -249,11 +257,13 @@ LOOKED_UP PiecePart part_of_piece(intN piece, floatN w0, floatN w1, floatN units
   const floatN q0 = lane_max(q + w0 * q_change, zero), q1 = lane_max(q + w1 * q_change, zero), clear = 0.5f * (q0 + q1);
   const floatN opacity = PIECE_ROW(ROW_OPACITY) + 0.5f * (w0 + w1) * PIECE_ROW(ROW_OPACITY_CHANGE);
   /* Thin parts, most of all, take short series; each lane by its own. */
-  floatN spread, moment;
+  floatN spread, moment = zero, rate = zero;
   const floatN r = lane_clamp(0.5f * (q1 - q0) * lane_reciprocal(lane_max(clear, (floatN)1e-30f)), -one, one);
-  spread_and_moment_of_thin(r, &spread, &moment);
-  floatN rate = depth_of_thin(opacity) + spread;
   const intN dense = active & MASK(lane_min(q0, q1) < 0.5f);
+  if (any_lane(active & ~dense)) {
+    spread_and_moment_of_thin(r, &spread, &moment);
+    rate = depth_of_thin(opacity) + spread;
+  }
   if (any_lane(dense)) {
     floatN wide_spread, wide_moment;
     spread_and_moment(r, &wide_spread, &wide_moment);
@@ -364,8 +374,7 @@ LOOKED_UP SegmentColor color_of_segment(floatN front, floatN back, floatN units,
   if (!any_lane(crosses)) {
     if (!any_lane(front_shows)) return s; /* between peaks */
     const PiecePart part = part_of_piece(in_front, w0, w1, units, front_shows, f);
-    append_stretch(&s, part.r, part.g, part.b, part.depth);
-    return s;
+    return first_stretch(part.r, part.g, part.b, part.depth);
   }
   /* Pieces in which nothing shows need not be looked at: most often one end of the segment is in such a piece, and
    * then the part at the other end is found in the same pass as those of rays that stay in one piece. */
@@ -385,7 +394,7 @@ LOOKED_UP SegmentColor color_of_segment(floatN front, floatN back, floatN units,
   if (any_lane(front_shows | swaps)) {
     last = part_of_piece(select(in_front, behind, swaps), select(w0, last0, swaps), select(w1, last1, swaps),
                          select(front_units, back_units, swaps), front_shows | swaps, f);
-    if (any_lane(front_shows)) append_stretch(&s, last.r, last.g, last.b, select(zero, last.depth, front_shows));
+    s = first_stretch(last.r, last.g, last.b, select(zero, last.depth, front_shows));
   }
   const intN low = select(behind, in_front, rises), high = select(in_front, behind, rises);
   const intN passes = crosses & MASK(high - low > 1);
@@ -485,12 +494,9 @@ INLINE void color_of_steps(floatN value, intN steps, int one_step, intN active, 
 /* A segment of one value. */
 LOOKED_UP SegmentColor color_of_value(floatN value, floatN units, Pieces f)
 {
-  const floatN zero = 0.0f;
   floatN r, g, b, extinction;
-  SegmentColor s = {zero, zero, zero, zero, zero};
   classify_value(value, f, &r, &g, &b, &extinction);
-  append_stretch(&s, r, g, b, extinction * units);
-  return s;
+  return first_stretch(r, g, b, extinction * units);
 }
 
 /* The scene's function's length of a step in opacity units. */
