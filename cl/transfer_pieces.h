@@ -21,8 +21,8 @@
  *
  * The function is a matrix of floats in `table`, a row per property (ROW_...) and a column per piece;
  * clvol/transfer/pieces.py has the same rows. Piece 0 lies below all control points and the last one above them.
- * Packets of 16 hold rows of up to 16 pieces in registers (TRANSFER_PIECES 16); else they are gathered from memory
- * (TRANSFER_PIECES 0).
+ * Packets of 16 look rows of up to 16 pieces up in a register (TRANSFER_PIECES 16), and where processors can those of
+ * up to 256 in several (32 to 256); else they are gathered from memory (TRANSFER_PIECES 0).
  */
 #ifndef TRANSFER_PIECES_H
 #define TRANSFER_PIECES_H
@@ -52,6 +52,7 @@
 #define ROW_CLEAR 23         /* 1 - opacity at BEGIN, which float32 cannot get from an opacity near 1, */
 #define ROW_CLEAR_CHANGE 24  /* and how much more at END */
 #define ROW_ORIGIN 25        /* what all values are counted from, in all columns: a small range may be far from 0 */
+#define ROW_SIXTEENTH 26     /* BEGIN of every sixteenth part of the columns, in the first sixteen */
 
 /* The optical depth of what is opaque at once: zero times it is zero, and any share of it that counts is opaque. */
 #define OPAQUE_DEPTH 1e15f
@@ -91,6 +92,12 @@ INLINE floatN piece_row(Pieces f, int row, intN piece)
 {
 #if LANES == 16
   if (f.in_registers) return permuted_lanes(vload16(row, f.rows), piece);
+#ifdef TABLES_IN_REGISTERS
+  if (TRANSFER_PIECES == 32) return permuted_lanes32(f.rows + row * 32, piece);
+  if (TRANSFER_PIECES == 64) return permuted_lanes64(f.rows + row * 64, piece);
+  if (TRANSFER_PIECES == 128) return permuted_lanes128(f.rows + row * 128, piece);
+  if (TRANSFER_PIECES == 256) return permuted_lanes256(f.rows + row * 256, piece);
+#endif
   return AS_FLOAT(gather4(f.rows + row * f.columns, f.first + piece));
 #else
   return f.rows[f.first + row * f.columns + piece];
@@ -109,7 +116,17 @@ INLINE intN piece_of(floatN value, Pieces f)
     }
     return piece;
   }
-  for (int step = f.columns >> 1; step > 0; step >>= 1) {
+  int step = f.columns >> 1;
+#if LANES == 16 && !TRANSFER_LAYERS
+  /* The first four times among sixteen of them, which one register holds. */
+  const float16 sixteenth = vload16(0, f.rows + ROW_SIXTEENTH * f.columns);
+  _Pragma("unroll") for (int k = 8; k > 0; k >>= 1) {
+    const intN next = piece + k;
+    piece = select(piece, next, MASK(value >= permuted_lanes(sixteenth, next)));
+  }
+  piece *= f.columns >> 4, step = f.columns >> 5;
+#endif
+  for (; step > 0; step >>= 1) {
     const intN next = piece + step;
     piece = select(piece, next, MASK(value >= piece_row(f, ROW_BEGIN, next)));
   }
