@@ -48,7 +48,7 @@ def command(
     scene = load_scene(volume, overrides)
     with protected(scene_inputs(volume, scene)):
         check_outputs([], [output])
-        with working(f"loading {scene.origin}", quiet=False):
+        with working(f"loading {scene.origin}", False, scene.input_paths):
             completed = scene.completed(memory_cap)
         text = initial_scene(completed, os.path.dirname(os.path.abspath(output)))
         with atomic_paths([output]) as temporaries:

@@ -47,3 +47,22 @@ def _size(context: click.Context, parameter: click.Parameter, value: str | None)
 
 def memory_cap_option(help: str) -> Callable:
     return click.option("--memory-cap", metavar="SIZE", callback=_size, help=help)
+
+
+def color_of(option: str, text: str) -> tuple[float, float, float]:
+    """A colour as on the screen: a name of CSS, "#rrggbb", or three numbers from 0 to 1."""
+    from clvol.errors import UsageError
+
+    parts = text.strip("[] ").split(",")
+    try:
+        if len(parts) == 3:
+            red, green, blue = (float(part) for part in parts)
+        else:
+            from PIL import ImageColor
+
+            red, green, blue = (level / 255 for level in ImageColor.getrgb(text)[:3])
+    except ValueError:
+        red = green = blue = -1.0
+    if not all(0.0 <= level <= 1.0 for level in (red, green, blue)):
+        raise UsageError(option, f"got {text!r}", "a colour: a name, '#rrggbb', or three numbers from 0 to 1")
+    return red, green, blue

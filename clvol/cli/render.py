@@ -12,7 +12,7 @@ from clvol.errors import UsageError
 
 
 @click.command("render", short_help="Render scenes, or volume files with default settings.")
-@click.argument("scenes", metavar="SCENE", nargs=-1, required=True, shell_complete=complete_file)
+@click.argument("scenes", metavar="SCENE...", nargs=-1, required=True, shell_complete=complete_file)
 @click.option(
     "-o",
     "--output",
@@ -57,7 +57,13 @@ from clvol.errors import UsageError
     "--resume",
     is_flag=True,
     help="Keep the numbered pictures of an animation that exist, are whole and were made from the same scene, "
-    "voxels and version; render the others.",
+    "voxels and version; render the others. Several processes, also of several machines, may do so in one folder: "
+    "no frame is rendered twice.",
+)
+@click.option(
+    "--frames",
+    metavar="A:B",
+    help="Render the frames of an animation from number A, counted from 0, up to but without B.",
 )
 @click.option(
     "--stats", metavar="FILE", shell_complete=complete_file,
@@ -78,6 +84,7 @@ def command(
     max_error: float | None,
     time_budget: float | None,
     resume: bool,
+    frames: str | None,
     stats: str | None,
     show_schedule: str | None,
     memory_cap: int | None,
@@ -117,7 +124,7 @@ def command(
         _render(
             scene, names, overrides, start, stats=more[0], show_schedule=more[1], devices=list(devices) or None,
             memory_cap=memory_cap, quiet=quiet, isolate=isolate, max_error=max_error, time_budget=time_budget,
-            resume=resume,
+            resume=resume, frames=frames,
         )  # fmt: skip
 
     with protected(Inputs(scenes)):
@@ -139,6 +146,7 @@ def _render(
     max_error: float | None,
     time_budget: float | None,
     resume: bool,
+    frames: str | None,
 ) -> None:
     """Renders one scene, a picture or an animation. ``start``: when that began (``perf_counter``)."""
     from clvol.cli.outputs import scene_inputs
@@ -149,13 +157,15 @@ def _render(
     loaded = load_scene(scene, overrides)
     with protected(scene_inputs(scene, loaded)):
         if loaded.animation.frames == 1:
+            if frames is not None:
+                raise UsageError("--frames", "given for a single picture", "a scene with animation.frames above 1")
             outputs = check_still(outputs, resume)
             render_still(
                 loaded, outputs, stats, devices, memory_cap, quiet, start,
                 isolate=isolate, max_error=max_error, time_budget=time_budget, show_schedule=show_schedule,
             )  # fmt: skip
             return
-        from clvol.cli.animation import render_animation
+        from clvol.cli.animation import frame_range, render_animation
 
         if max_error is not None or time_budget is not None:
             option = OPTIONS["time_budget" if max_error is None else "max_error"]
@@ -164,7 +174,8 @@ def _render(
         if show_schedule is not None:
             what = f"given for an animation of {loaded.animation.frames} frames"
             raise UsageError("--show-schedule", what, "one frame: --set animation.frames=1")
+        wanted = slice(None) if frames is None else frame_range(frames, loaded.animation.frames)
         render_animation(
-            loaded, outputs, stats, resume=resume, quiet=quiet, devices=devices, memory_cap=memory_cap,
+            loaded, outputs, stats, resume=resume, frames=wanted, quiet=quiet, devices=devices, memory_cap=memory_cap,
             isolate=isolate,
         )  # fmt: skip

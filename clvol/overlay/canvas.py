@@ -38,6 +38,11 @@ class Canvas:
         self.height, self.width = picture.shape[:2]
         self._top = float(np.iinfo(picture.dtype).max)
 
+    @property
+    def has_color(self) -> bool:
+        """Whether all text and lines have one colour, which was requested."""
+        return self._color is not None
+
     def inks(self, x: float, y: float, width: float, height: float) -> Inks:
         """What can be read in a rectangle, by the mean brightness of the picture there. What is transparent counts as
         middle grey, on which white is read."""

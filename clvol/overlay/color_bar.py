@@ -81,7 +81,7 @@ def _draw_opacity(
     places = [(x + k + 0.5, y + float(row)) for k, row in enumerate(rows)]
     canvas.outlined(list(zip(places, places[1:])), max(1.0, 0.1 * size), inks)
     text = f"opacity to {largest:.3g}"
-    small = 0.7 * size
+    small = max(0.75 * size, 8.0)
     if text_width(text, font(small)) < len(across):
         left = rows[: len(rows) // 2].mean() > rows[len(rows) // 2 :].mean()  # where the curve is lower
         canvas.text(text, x + (1 if left else len(across) - 1), y, small, inks, anchor=0.0 if left else 1.0)

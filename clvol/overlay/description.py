@@ -134,5 +134,9 @@ def _histogram(
     low, high = min([*within, float(ends[0])]), max([*within, float(ends[1])])
     if not low < high:
         low, high = low - 0.5, high + 0.5
-    counts, _ = np.histogram(found, BINS, (low, high))
+    bins = BINS
+    if resolved.volume.dtype.kind in "iu":  # as many integers in each bin, or bins would differ by that alone
+        levels = max(1, round((high - low) / resolved.axis.slope))
+        bins = max(1, levels // -(-levels // BINS))
+    counts, _ = np.histogram(found, bins, (low, high))
     return low, high, tuple(int(count) for count in counts)

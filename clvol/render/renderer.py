@@ -28,6 +28,7 @@ from clvol.render.isolation.segments import PictureMemory
 from clvol.render.made_from import MadeFrom
 from clvol.render.member import LocalMember, Member
 from clvol.render.notices import Notices
+from clvol.render.progress_bar import shown
 from clvol.scene.camera import Camera
 from clvol.scene.classification import with_classification
 from clvol.scene.resolve import ResolvedScene
@@ -101,7 +102,7 @@ class Renderer:
     ``isolate``: each device is used by a process of its own, so that a driver that crashes or hangs costs what it was
     rendering, and nothing else; the crash of the last one is a RenderError.
     ``progress(done, total)`` is called while voxels are encoded ([compression]), and while the blocks of the method
-    "multiresolution" are read. Use the Renderer as a context manager, or call ``close``.
+    "multiresolution" are read; True shows a bar. Use the Renderer as a context manager, or call ``close``.
 
     Several threads may call a Renderer: they take turns, and each gets the picture that it requested. A transfer
     function that one of them sets holds for all. A call from inside the Renderer's own ``progress`` raises
@@ -119,7 +120,7 @@ class Renderer:
         scene: Scene | ResolvedScene,
         devices: Sequence[Any] | None = None,
         memory_cap: int | None = None,
-        progress: Progress | None = None,
+        progress: Progress | bool | None = None,
         isolate: bool = False,
     ) -> None:
         start = perf_counter()
@@ -139,7 +140,8 @@ class Renderer:
             group = DeviceGroup(members)
         on_devices = _OnDevices(members, group)
         try:
-            on_devices.prepare(self.resolved, progress)
+            with shown(progress, "preparing") as report:
+                on_devices.prepare(self.resolved, report)
         except BaseException:
             on_devices.close()
             raise
@@ -191,7 +193,7 @@ class Renderer:
     def render(
         self,
         camera: Camera | None = None,
-        progress: Progress | None = None,
+        progress: Progress | bool | None = None,
         depth: bool = True,
         time: float | None = None,
         seconds: float | None = None,
@@ -199,7 +201,8 @@ class Renderer:
         """The picture from the scene's camera, or from ``camera``, at ``animation.time``, or at
         ``time`` (seconds). A new camera or time compiles nothing and uploads no volume.
 
-        ``progress(done, total)`` is called now and then with shares of the work. Without ``depth``
+        ``progress(done, total)`` is called now and then with shares of the work; True shows a bar with the remaining
+        time, in notebooks and on terminals (extra "notebook"). Without ``depth``
         no depth is computed and ``Frame.depth`` is None.
 
         ``seconds``: with the method "multiresolution", the picture is refined for this time, in tiles (of 16 pixels
@@ -208,8 +211,8 @@ class Renderer:
         estimated from the rays. At least one ray per tile is cast, and blocks that the view lacks are read,
         however long that takes. UsageError for another method.
         """
-        with self._turn() as on_devices:
-            return self._render(on_devices, camera, progress, depth, time, seconds)
+        with self._turn() as on_devices, shown(progress, "rendering") as report:
+            return self._render(on_devices, camera, report, depth, time, seconds)
 
     def _render(
         self,

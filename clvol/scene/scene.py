@@ -22,6 +22,7 @@ from clvol.scene.animation import Animation
 from clvol.scene.camera import Camera
 from clvol.scene.carried import Moment
 from clvol.scene.clip import Clip
+from clvol.scene.coherence import Coherence
 from clvol.scene.compression import Compression
 from clvol.scene.depth_cue import DepthCue
 from clvol.scene.display import Display
@@ -112,6 +113,8 @@ class Scene(Table):
         Settings of the method "pyramid".
     slicing : Slicing
         Settings of the method "slicing".
+    coherence : Coherence
+        What rays that are close to each other share.
     gradient : GradientSettings
         How gradients are computed.
     environment : Environment, optional
@@ -220,6 +223,11 @@ class Scene(Table):
     slicing: Slicing = Field(
         Slicing(),
         title="Settings of the method 'slicing': slices drawn one over the other.",
+        description=_TABLE,
+    )
+    coherence: Coherence = Field(
+        Coherence(),
+        title="What rays that are close to each other share.",
         description=_TABLE,
     )
     gradient: GradientSettings = Field(
