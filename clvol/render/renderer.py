@@ -125,10 +125,8 @@ class Renderer:
     ) -> None:
         start = perf_counter()
         self._lock, self._is_busy = threading.RLock(), False
-        self.resolved = scene if isinstance(scene, ResolvedScene) else scene.resolve()
-        check_scene(self.resolved)
-        check_memory(self.resolved, memory_cap)
-        self.resolved = _with_voxels(self.resolved)
+        self._memory_cap = memory_cap
+        self.resolved = _checked(scene, memory_cap)
         self._first_time = self.resolved.animation.time
         loaded = perf_counter()
         self._provenances: WeakSet[MadeFrom] = WeakSet()
@@ -261,6 +259,21 @@ class Renderer:
             counted[name] = counted.get(name, {}) | value if name == "compression" else value
         return self._frame(names, camera, data.rgba, data.depth, times, counted)
 
+    def set_scene(self, scene: Scene | ResolvedScene, progress: Progress | None = None) -> None:
+        """Makes another scene the one that is rendered. Programs, volumes and tables that it has in common with those
+        before are not made again: use it for many pictures of one volume. ``progress``: as for the Renderer. Raises
+        what making a Renderer raises; the scene before then stays."""
+        with self._turn() as on_devices:
+            start = perf_counter()
+            resolved = _checked(scene, self._memory_cap)
+            loaded = perf_counter()
+            on_devices.prepare(resolved, progress)
+            self.resolved, self._first_time = resolved, resolved.animation.time
+            self._notices = Notices(resolved)
+            compile_seconds = on_devices.group.take_compile_seconds()
+            self._load_seconds, self._compile_seconds = loaded - start, compile_seconds
+            self._prepare_seconds = perf_counter() - loaded - compile_seconds
+
     @property
     def schedule(self) -> Schedule | None:
         """Who rendered what of the last frame; None before the first, and for a Renderer with one device."""
@@ -309,6 +322,14 @@ class Renderer:
         made_from = MadeFrom(self.resolved, camera)
         self._provenances.add(made_from)
         return make_frame(self.resolved, rgba, depth, seconds, counted, devices, made_from, camera)
+
+
+def _checked(scene: Scene | ResolvedScene, memory_cap: int | None) -> ResolvedScene:
+    """``scene`` resolved, if it can be rendered within ``memory_cap``."""
+    resolved = scene if isinstance(scene, ResolvedScene) else scene.resolve()
+    check_scene(resolved)
+    check_memory(resolved, memory_cap)
+    return _with_voxels(resolved)
 
 
 def _refining(prepared: Prepared) -> RefinesInTime:

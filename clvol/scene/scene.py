@@ -327,6 +327,16 @@ class Scene(Table):
         copy._fields, copy._memory_cap = self._fields, self._memory_cap
         return copy
 
+    def share_volumes(self, other: Scene) -> None:
+        """Takes over the volume and the fields that ``other`` has loaded, where this scene names the same files,
+        which have not changed since."""
+        if self._folder != other._folder:
+            return
+        if self._loaded is None and other._loaded is not None and self.volume == other.volume:
+            other._loaded.check_unchanged()
+            self._loaded, self._first = other._loaded, other._first
+        self._fields = {**other._fields, **self._fields}
+
     def load_volume(self, memory_cap: int | None = None) -> Volume:
         """The volume that the scene names, read once and kept.
 

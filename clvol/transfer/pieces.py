@@ -118,10 +118,13 @@ def depth_and_moment(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray,
         moment = (r - 0.5 * rest) / (4.0 * r * r)
         depth = np.where(mean < 0.5, -np.log1p(-np.minimum(mean, 0.5)), -np.log(clear))
     small = np.abs(r) < 0.1
-    series = sum(r ** (2 * k) / (2 * k * (2 * k + 1)) for k in range(1, 9))
-    spread = np.where(small, series, spread)
-    series = sum(r**n / (2 * n * (n + 2)) for n in range(1, 17, 2))
-    moment = np.where(small, series, moment)
+    if small.any():
+        square, of_spread, of_moment = r * r, np.zeros_like(r), np.zeros_like(r)
+        for k in range(8, 0, -1):
+            of_spread = of_spread * square + 1.0 / (2 * k * (2 * k + 1))
+            of_moment = of_moment * square + 1.0 / (2 * (2 * k - 1) * (2 * k + 1))
+        spread = np.where(small, of_spread * square, spread)
+        moment = np.where(small, of_moment * r, moment)
     depth = np.where(opaque, OPAQUE_DEPTH, np.minimum(depth + spread, OPAQUE_DEPTH))
     return depth, np.where(opaque, 0.0, moment)
 

@@ -213,7 +213,7 @@ def test_an_interrupt_ends_all(run, folder, renderer):
     [("a/brain.nii.gz", "brain"), ("x.ome.zarr/", "x"), ("t_0.5.toml", "t_0.5"), ("v1.2", "v1.2"), ("a.exr", "a")],
 )
 def test_stems(path, stem):
-    from clvol.cli.several import stem_of
+    from clvol.batch.names import stem_of
 
     assert stem_of(path) == stem
 
