@@ -25,12 +25,16 @@ if TYPE_CHECKING:
     "--results", metavar="FILE", shell_complete=complete_file,
     help="Append a line of JSON per picture to FILE; by default JOB's name with .jsonl.",
 )  # fmt: skip
+@click.option(
+    "--report", metavar="FILE", shell_complete=complete_file,
+    help="Write a page (.html) of all pictures with their parameters, times, errors and failures at the end.",
+)  # fmt: skip
 @click.option("--dry-run", is_flag=True, help="Print the names of the pictures, and render nothing.")
 @memory_cap_option("Largest amount of memory that a volume may take, on the host and on the device.")
 @click.option("--quiet", is_flag=True, help="Show no progress on the terminal.")
 def command(
-    job: str, devices: tuple[str, ...], isolate: bool, results: str | None, dry_run: bool, memory_cap: int | None,
-    quiet: bool,
+    job: str, devices: tuple[str, ...], isolate: bool, results: str | None, report: str | None, dry_run: bool,
+    memory_cap: int | None, quiet: bool,
 ) -> None:  # fmt: skip
     """Render the pictures of JOB (.toml), and print a line of JSON for each.
 
@@ -62,6 +66,7 @@ def command(
             for path in picture.files:
                 say_path(path)
         return
+    from clvol.batch.report import write_report
     from clvol.batch.results import line_of
     from clvol.batch.run import JobRun, Options
     from clvol.cli import say_error
@@ -73,6 +78,8 @@ def command(
     inputs = [job, *(each for p in pictures for each in (p.source, p.volume) if each is not None)]
     with protected(Inputs(list(dict.fromkeys(inputs)))):
         _make_folders(pictures, results)
+        if report is not None:
+            _check_report(report)
         options = Options(list(devices) or None, memory_cap, isolate, loaded.max_error, results)
         with working(f"rendering {len(pictures)} pictures", quiet) as progress:
 
@@ -82,6 +89,10 @@ def command(
                     say_error(result["message"])
 
             outcome = JobRun(pictures, options, emit, progress).run()
+            if report is not None:
+                if progress is not None:
+                    progress(None, None, "writing the report")
+                write_report(report, Path(job).stem, pictures, results)
     if not quiet:
         counts = outcome.counts
         note(f"{counts['rendered']} rendered, {counts['kept']} kept, {counts['failed']} failed; see {results}")
@@ -95,6 +106,14 @@ def _check_endings(pictures: Sequence[Picture]) -> None:
     for path in pictures[0].files:
         if Path(path).suffix.lower() not in ENDINGS:
             raise UsageError(path, f"unknown ending {Path(path).suffix!r}", " or ".join(ENDINGS))
+
+
+def _check_report(report: str) -> None:
+    from clvol.image import check_output_folder
+
+    if Path(report).suffix.lower() not in (".html", ".htm"):
+        raise UsageError("--report", f"got {report!r}", "a file name that ends in .html")
+    check_output_folder(report)
 
 
 def _make_folders(pictures: Sequence[Picture], results: str) -> None:

@@ -20,6 +20,22 @@ def _complete_key(context: click.Context, parameter: click.Parameter, incomplete
     return [f"{key}=" for key in override_keys() if key.startswith(incomplete)]
 
 
+def complete_preset(context: click.Context, parameter: click.Parameter, incomplete: str) -> list[str]:
+    """The names of presets."""
+    from clvol.scene.preset_file import preset_names
+    from clvol.transfer import PRESETS
+
+    known = dict.fromkeys([*PRESETS, *preset_names()])
+    return [name for name in known if name.startswith(incomplete)]
+
+
+def complete_view(context: click.Context, parameter: click.Parameter, incomplete: str) -> list[str]:
+    """The six sides, and those between two of them."""
+    across, along, upright = ("front", "back"), ("left", "right"), ("top", "bottom")
+    sides = [*across, *along, *upright, *(f"{a}-{b}" for a in across for b in along)]
+    return [side for side in sides if side.startswith(incomplete)]
+
+
 scene_argument = click.argument("scene", metavar="SCENE", shell_complete=complete_file)
 volume_argument = click.argument("volume", metavar="VOLUME", shell_complete=complete_file)
 overrides_option = click.option(

@@ -161,6 +161,26 @@ def test_pictures_that_others_claim_are_left_to_them(batch, folder):
     assert outcome.status == 0 and not results and "4 kept" in outcome.err
 
 
+def test_a_report_shows_pictures_and_failures(batch, folder):
+    text = JOB.replace(".npy", ".png").replace('"left"', '"no<b>where"')
+    outcome, _ = batch(text, "--report", "report.html")
+    assert outcome.status == 2
+    page = (folder / "report.html").read_text(encoding="utf-8")
+    assert page.count("data:image/png;base64,") == 2 and page.count('class="failed"') == 2
+    assert "4 pictures · 2 failed" in page and "<dt>step</dt><dd>0.5</dd>" in page
+    assert 'href="out/front_0.5.png"' in page and "no<b>" not in page
+    outcome, results = batch(text.replace('"no<b>where"', '"front-left"'), "--report", "report.html")
+    assert len(results) == 2 and outcome.status == 0
+    page = (folder / "report.html").read_text(encoding="utf-8")
+    assert page.count("data:image/png;base64,") == 4 and "none failed" in page  # those that were kept, too
+
+
+@pytest.mark.parametrize("name", ["report.txt", "none/report.html"])
+def test_a_report_that_cannot_be_written(batch, name):
+    outcome, results = batch(JOB, "--report", name)
+    assert outcome.status == 2 and not results
+
+
 @pytest.mark.slow  # processes that start and are killed, for about a minute
 def test_processes_that_are_killed_lose_nothing_and_double_nothing(batch, folder):
     text = JOB.replace("values = [0.5, 1.0]", f"values = {[round(0.3 + 0.05 * k, 2) for k in range(10)]}")

@@ -74,6 +74,7 @@ def test_a_picture_that_fails_is_replaced_by_its_error(run, shots):
     assert (picture[y : y + 80, x : x + 80, 0] > picture[y : y + 80, x : x + 80, 1]).mean() > 0.5
 
 
+@pytest.mark.usefixtures("device")
 def test_a_sheet_on_standard_output(folder):
     words = ["sheet", "scene.toml", "-o", "-", "--size", "24", "--view", "front", "--page", "white"]
     done = subprocess.run([sys.executable, "-m", "clvol", *words], capture_output=True, timeout=300)
