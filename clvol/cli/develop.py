@@ -25,6 +25,12 @@ def _complete_key(context: click.Context, parameter: click.Parameter, incomplete
     return [f"{key}=" for key in known if key.startswith(incomplete)]
 
 
+def _complete_curve(context: click.Context, parameter: click.Parameter, incomplete: str) -> list[str]:
+    from clvol.image.develop import TONE_CURVES
+
+    return [name for name in TONE_CURVES if name.startswith(incomplete)]
+
+
 @click.command("develop", short_help="Display a picture with another exposure, tone curve or background.")
 @click.argument("pictures", metavar="PICTURE...", nargs=-1, required=True, shell_complete=complete_file)
 @click.option(
@@ -33,7 +39,9 @@ def _complete_key(context: click.Context, parameter: click.Parameter, incomplete
     "of PICTURE without its ending. Repeatable.",
 )  # fmt: skip
 @click.option("--exposure", type=float, metavar="STOPS", help="Factor on the light, in stops: 1 doubles it.")
-@click.option("--tone-curve", metavar="NAME", help="clip, reinhard or filmic.")
+@click.option(
+    "--tone-curve", metavar="NAME", shell_complete=_complete_curve, help="clip, reinhard or filmic."
+)
 @click.option("--white", type=float, metavar="LIGHT", help="Light that the curves reinhard and filmic show as white.")
 @click.option("--transparent/--opaque", default=None, help="An alpha channel in place of the background, or none.")
 @click.option(

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from clvol.cli.options import complete_file, memory_cap_option, overrides_option
+from clvol.cli.options import complete_file, complete_preset, complete_view, memory_cap_option, overrides_option
 from clvol.errors import UsageError
 
 if TYPE_CHECKING:
@@ -30,12 +30,13 @@ _LARGEST_SIDE = 8192
     help="Sheet to write: .png, .jpg or .tif; '-' is standard output, as PNG. Repeatable.",
 )  # fmt: skip
 @click.option(
-    "--view", "views", multiple=True, metavar="SIDE",
+    "--view", "views", multiple=True, metavar="SIDE", shell_complete=complete_view,
     help="Side to show, as camera.view: front, front-left, … Repeatable.",
 )  # fmt: skip
 @click.option(
-    "--preset", "presets", multiple=True, metavar="NAME", help="Preset to show, or a preset file (*.toml). Repeatable."
-)
+    "--preset", "presets", multiple=True, metavar="NAME", shell_complete=complete_preset,
+    help="Preset to show, or a preset file (*.toml). Repeatable.",
+)  # fmt: skip
 @click.option("--columns", type=click.IntRange(1, 1000), metavar="N", help="Pictures in a row.")
 @click.option(
     "--size", type=click.IntRange(16, _LARGEST_SIDE), default=320, show_default=True, metavar="PIXELS",

@@ -83,7 +83,7 @@ def test_an_overlay_is_drawn_without_the_volume(run, picture):
         (["picture.exr", "-o", "a.png", "--tone-curve", "soft"], "scene: display.tone_curve: got 'soft'"),
         (["picture.exr", "-o", "a.png", "--white", "0"], "scene: display.white: got 0"),
         (["picture.exr", "-o", "a.png", "--exposure", "nan"], "scene: display.exposure: got nan"),
-        (["picture.exr", "-o", "a.png", "--background", "0.1,2,0"], "--background: got '0.1,2,0', expected a colour"),
+        (["picture.exr", "-o", "a.png", "--background", "0.1,2,0"], "--background: got '0.1,2,0', expected three"),
         (["picture.exr", "-o", "a.png", "--set", "camera.fov_degrees=3"], "--set camera.fov_degrees: changes what"),
         (["picture.exr", "-o", "a.png", "--set", "display.bright=3"], "scene: display.bright: unknown key"),
         (["picture.exr", "-o", "a.exr"], 'a.exr: unknown ending ".exr" of a displayed picture'),
@@ -129,6 +129,7 @@ def test_a_frame_is_loaded_in_python(picture, tmp_path):
 # --- standard output
 
 
+@pytest.mark.usefixtures("device")
 def test_a_picture_on_standard_output_is_its_only_content(folder):
     words = [sys.executable, "-m", "clvol", "render", "scene.toml", "-o", "-", "-o", "also.npy", "--stats", "s.json"]
     done = subprocess.run(words, capture_output=True, timeout=300)
@@ -221,6 +222,7 @@ def test_stems(path, stem):
 # --- the scene that a picture carries
 
 
+@pytest.mark.usefixtures("device")
 @pytest.mark.parametrize("ending", ["exr", "png", "jpg"])
 def test_a_picture_renders_again_to_the_same_bits_wherever_it_lies(run, folder, ending):
     (folder / "out").mkdir()
@@ -235,10 +237,12 @@ def test_a_picture_renders_again_to_the_same_bits_wherever_it_lies(run, folder, 
     assert run("info", folder / f"deep/a.{ending}").status == 0
 
 
-def test_a_chosen_scene_and_a_frame_of_an_animation_render_again(run, folder):
+@pytest.mark.usefixtures("device")
+@pytest.mark.parametrize("scene", ["scene.toml", "cube.npy"])
+def test_a_frame_of_an_animation_renders_again_of_a_chosen_scene_too(run, folder, scene):
     keys = ["image.width=24", "image.height=20", "animation.orbit_degrees=90", "animation.frames=3", "depth_cue={}"]
     words = [word for key in keys for word in ("--set", key)]
-    assert run("render", "cube.npy", "-o", "f_%d.exr", *words).status == 0
+    assert run("render", scene, "-o", "f_%d.exr", *words).status == 0
     outcome = run("render", "f_2.exr", "-o", "again.exr")
     assert outcome.status == 0 and "warning" not in outcome.err
     first, again = load_image("f_2.exr"), load_image("again.exr")
@@ -249,6 +253,7 @@ def test_a_chosen_scene_and_a_frame_of_an_animation_render_again(run, folder):
     assert near["fov_degrees"] == 10 and near["position"] == again["made_from"]["camera"]["position"]
 
 
+@pytest.mark.usefixtures("device")
 def test_other_voxels_are_reported(run, folder):
     run("render", "scene.toml", "-o", "a.exr")
     np.save("cube.npy", np.load("cube.npy")[::-1])
@@ -282,3 +287,11 @@ def test_the_scene_of_a_picture_is_only_data(run, refused, folder, picture):
     picture.save("evil.exr")
     assert "expected a scene in TOML" in refused(2, "render", "evil.exr", "-o", "x.png")
     assert not (folder / "owned").exists()
+
+
+@pytest.mark.usefixtures("device")
+def test_a_picture_renders_again_in_python(run, folder):
+    words = ["--set", "animation.frames=2", "--set", "animation.orbit_degrees=90"]
+    assert run("render", "scene.toml", "-o", "f_%d.exr", *words).status == 0
+    frame = clvol.render("f_1.exr")
+    assert np.array_equal(frame.rgba, load_image("f_1.exr")["rgba"])

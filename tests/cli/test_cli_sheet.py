@@ -74,6 +74,7 @@ def test_a_picture_that_fails_is_replaced_by_its_error(run, shots):
     assert (picture[y : y + 80, x : x + 80, 0] > picture[y : y + 80, x : x + 80, 1]).mean() > 0.5
 
 
+@pytest.mark.usefixtures("device")
 def test_a_sheet_on_standard_output(folder):
     words = ["sheet", "scene.toml", "-o", "-", "--size", "24", "--view", "front", "--page", "white"]
     done = subprocess.run([sys.executable, "-m", "clvol", *words], capture_output=True, timeout=300)
@@ -88,7 +89,7 @@ def test_a_sheet_on_standard_output(folder):
     [
         (["cube.npy", "-o", "s.exr"], 's.exr: unknown ending ".exr" of a sheet, expected .png or .jpg'),
         (["cube.npy", "-o", "s.png", "--view", "behind"], "--view: got 'behind', expected front, back"),
-        (["cube.npy", "-o", "s.png", "--page", "x"], "--page: got 'x', expected a colour"),
+        (["cube.npy", "-o", "s.png", "--page", "x"], "--page: got 'x', expected three numbers"),
         (["cube.npy", "-o", "s.png", "--size", "3"], "clvol sheet: --size: 3 is not in the range"),
         (["cube.npy", "-o", "none/s.png"], "none/s.png: the folder "),
         (["-o", "s.png"], "clvol sheet: no SCENE, expected SCENE"),
