@@ -22,6 +22,8 @@
 #include "march_blocks.h"
 #elif EFFECTS && COMPOSITING
 #include "project.h"
+#elif EFFECTS && SEGMENT_OPACITIES && TRANSLUCENT && !NOISE && LANES == 16
+#include "march_shaded.h"
 #elif EFFECTS
 #include "march_effects.h"
 #elif SLICES

@@ -1,0 +1,274 @@
+/* A packet of LANES rays through a scene whose effects change colours alone, not what a segment absorbs: lights,
+ * shadows, clips, depth cueing, an environment. Segments and samples are those of march_effects.h, and so is every bit.
+ *
+ * Since opacity does not depend on colour, MARCH_STEPS segments are taken in three passes over arrays:
+ *   1  all their samples, which wait for memory together (march_plain.h)
+ *   2  classification, and opacity from front to back: what is behind an opaque segment drops out here
+ *   3  gradients and light of the segments that show, and their colours
+ * The passes of one segment do not wait for those of the one before, as they would one segment after another: light is a
+ * chain of some hundred operations, most of which a processor has nothing else to do during.
+ */
+#ifndef MARCH_SHADED_H
+#define MARCH_SHADED_H
+
+#include "classify.h"
+#include "composite.h"
+#include "emission.h"
+#include "features.h"
+#include "half_opacity.h"
+#include "march.h"
+#include "rays.h"
+#include "scene.h"
+#include "scene_value.h"
+#include "skip_empty.h"
+#if CLIP
+#include "clip.h"
+#endif
+#if LIGHTING
+#include "shade.h"
+#endif
+#if DEPTH_CUE
+#include "depth_cue.h"
+#endif
+#if ENVIRONMENT_VISIBLE
+#include "background.h"
+#endif
+
+/* Whether values are needed at the ends of segments; else in their middle. */
+#define NEEDS_ENDS (CLASSIFICATION == CLASSIFICATION_PREINTEGRATED)
+
+/* The middle of the segment that begins at `t0` of a ray of `length`. */
+INLINE floatN segment_middle(floatN t0, floatN length) { return t0 + 0.5f * (lane_min(t0 + 1.0f, length) - t0); }
+
+/* The segments of a pass that show, packed: each entry is one ray's, whatever step of the pass it is of. */
+#define MOST_SHOWN (16 * MARCH_STEPS)
+typedef struct {
+  float item[MOST_SHOWN + 16]; /* 16 times the step in the pass, plus the lane */
+  float r[MOST_SHOWN + 16], g[MOST_SHOWN + 16], b[MOST_SHOWN + 16], opacity[MOST_SHOWN + 16]; /* of a whole step */
+#if SHADOWS
+  float weight[MOST_SHOWN + 16]; /* what it counts for at most */
+#endif
+} ShownSegments;
+
+#if LIGHTING
+/* The normal of what the gradient belongs to; at a cut face the face's own, going over to the gradient's within one
+ * edge. `inside`: edges from the start of the stretch. */
+INLINE Vectors shown_normal(const Scene *scene, Vectors gradient, Vectors cut_normal, floatN inside)
+{
+  Vectors normal = directed3(gradient, -1.0f);
+#if CLIP
+  inside = lane_clamp(inside, (floatN)0.0f, (floatN)1.0f);
+  const intN cut = MASK(dot3(cut_normal, cut_normal) > 0.5f) & MASK(inside < 1.0f);
+  if (any_lane(cut)) {
+    const intN two_sided = scene->effects->two_sided ? (intN)-1 : (intN)0;
+    const intN behind = two_sided & MASK(dot3(normal, cut_normal) < 0.0f);
+    const Vectors toward = select3(normal, scaled3(normal, -1.0f), behind);
+    normal = select3(normal, unit3(sum3(scaled3(toward, inside), scaled3(cut_normal, 1.0f - inside))), cut);
+  }
+#endif
+  return normal;
+}
+#endif
+
+INLINE intN lanes_at(intN v, intN at) { return AS_INT(permuted_lanes(AS_FLOAT(v), at)); }
+
+INLINE Vectors permuted3(Vectors v, intN at)
+{
+  const Vectors r = {permuted_lanes(v.x, at), permuted_lanes(v.y, at), permuted_lanes(v.z, at)};
+  return r;
+}
+
+INLINE void render_packet(const Scene *scene, intN px, intN py, float *rgba, float *depth, uint *samples,
+                          Tally *counted)
+{
+  __global const uchar *distances = scene->distances;
+  __global const float *table = scene->table;
+  __constant const View *view = scene->view;
+  const float h = view->step;
+  /* in edges: where clips cut depends on no step */
+  const Rays whole_ray = make_rays_of_step(view, TO_FLOAT(px), TO_FLOAT(py), 1.0f);
+  const Vectors forward = direction_to_local(scene->effects, whole_ray.dx, whole_ray.dy, whole_ray.dz);
+  const intN on_picture = MASK(px < view->image.x) & MASK(py < view->image.y);
+  intN alive = MASK(whole_ray.length >= 0.0f) & on_picture;
+  uintN taken = 0;
+  Gathered acc;
+  gathered_clear(&acc);
+  HalfOpacity half_ = no_half(); /* in edges from the eye */
+  Rays ray = whole_ray;
+  floatN next_from = 0.0f;  /* where the next stretch may begin, along whole_ray */
+  Vectors cut_normal = {0.0f, 0.0f, 0.0f};
+  intN i = 0, last = DONE;
+#if NEEDS_ENDS
+  intN joined = 0;                     /* the values at the segment's start, and one step before, are known */
+  floatN value1 = 0.0f, value2 = 0.0f; /* at the start of the segment, and one before */
+#endif
+
+  for (;;) {
+    /* Rays at the end of a stretch go on to their next. */
+    const intN stretches = alive & MASK(i > last);
+    if (any_lane(stretches)) {
+#if CLIP
+      const Stretch next = next_stretch(scene, &whole_ray, next_from, 1.0f);
+      const intN found = stretches & MASK(next.enter < next.leave);
+      const Rays along = ray_along(&whole_ray, next.enter, next.leave, found, 1.0f);
+      cut_normal = select3(cut_normal, next.normal, stretches);
+      next_from = select(next_from, next.leave, found);
+#else
+      const intN found = stretches & MASK(next_from < whole_ray.length);
+      const Rays along = whole_ray;
+      next_from = select(next_from, whole_ray.length, stretches);
+#endif
+      ray = select_rays(ray, rays_in_steps(along, h), stretches);
+      i = select(i, (intN)0, stretches);
+#if NEEDS_ENDS
+      joined = select(joined, (intN)0, stretches);
+#endif
+      last = select(last, TO_INT(ceil(lane_max(ray.length, (floatN)0.0f))) - 1, stretches);
+      alive &= found | ~stretches;
+      last = select(last, (intN)DONE, ~alive);
+    }
+    if (!any_lane(alive)) break;
+#if SKIP_EMPTY
+    {
+      const intN going = alive & MASK(i <= last);
+      const floatN visible_at = next_visible(distances, view, TO_FLOAT(i), going, &ray);
+      /* The curvature of the first visible segment takes the sample before it. */
+      const intN next = TO_INT(lane_clamp(visible_at, (floatN)0.0f, TO_FLOAT(max(last, (intN)0)) + 1.0f)) - NEEDS_ENDS;
+      const intN leaps = going & MASK(next > i);
+      i = select(i, next, leaps);
+#if NEEDS_ENDS
+      joined &= ~leaps;
+#endif
+      i = select(i, last + 1, going & MASK(visible_at >= ray.length));
+    }
+#endif
+    floatN values[MARCH_STEPS], part[MARCH_STEPS];
+    ShownSegments shown;
+    uint lanes_shown[MARCH_STEPS] = {0}; /* as bits */
+    int count = 0;                       /* of entries */
+    const intN start = i;
+    _Pragma("unroll 1") for (int step = 0; step < MARCH_STEPS; ++step) {
+      const floatN t0 = TO_FLOAT(start + step);
+      const floatN t = NEEDS_ENDS ? lane_min(t0 + 1.0f, ray.length) : segment_middle(t0, ray.length);
+      values[step] = scene_value(scene, ray.x0 + t * ray.dx, ray.y0 + t * ray.dy, ray.z0 + t * ray.dz);
+    }
+#if NEEDS_ENDS
+    /* No segment before had the sample where this one begins. */
+    const intN unknown = alive & MASK(start <= last) & ~joined;
+    if (any_lane(unknown)) {
+      const floatN t = TO_FLOAT(start);
+      value1 = select(value1, scene_value(scene, ray.x0 + t * ray.dx, ray.y0 + t * ray.dy, ray.z0 + t * ray.dz),
+                      unknown);
+      taken -= AS_UINT(unknown);
+    }
+#endif
+    _Pragma("unroll 1") for (int step = 0; step < MARCH_STEPS; ++step) {
+      const intN active = alive & MASK(i <= last);
+      if (!any_lane(active)) break;
+      const floatN t0 = TO_FLOAT(start + step), value = values[step];
+      const floatN length = select((floatN)1.0f, lane_min(t0 + 1.0f, ray.length) - t0, active);
+      taken -= AS_UINT(active);
+      Emission e = no_emission();
+      floatN first = value, second = value; /* of the segment's values */
+#if NEEDS_ENDS
+      first = value1;
+      shift_ends(value2, &first, &second, length, active & MASK(joined != 0));
+      if (may_be_visible(lane_min(first, second), lane_max(first, second), active, view))
+        e = segment_emission_in(first, second, active, (intN)0, table, view);
+      value2 = select(value2, value1, active), value1 = select(value1, value, active);
+      joined |= active;
+#else
+      if (may_be_visible(value, value, active, view)) e = value_emission_in(value, (intN)0, table, view);
+#endif
+      e.d = select((floatN)0.0f, e.d, active);
+      i -= active;
+      const intN shows = MASK(e.d > 0.0f);
+      const uint bits = lane_bits(shows);
+      if (!bits) continue;
+#if LIGHTING
+      count_lanes(&counted[COUNT_GRADIENTS], shows);
+#endif
+      const floatN left = select((floatN)0.0f, 1.0f - acc.a, active);
+      pack_lanes(TO_FLOAT(16 * step + LANE_INDEX), bits, shown.item + count);
+      pack_lanes(e.r, bits, shown.r + count), pack_lanes(e.g, bits, shown.g + count);
+      pack_lanes(e.b, bits, shown.b + count), pack_lanes(e.d, bits, shown.opacity + count);
+#if SHADOWS
+      pack_lanes(left * e.d, bits, shown.weight + count);
+#endif
+      count += popcount(bits), lanes_shown[step] = bits;
+      part[step] = left;
+      if (any_lane(active & MASK(length < 1.0f)))
+        part[step] = left * select((floatN)1.0f, share_of_opacity(e.d, length), MASK(length < 1.0f));
+      const floatN before = acc.a;
+      acc.a += part[step] * e.d;
+#if WITH_DEPTH
+      const intN passes = passes_half(before, acc.a);
+      if (any_lane(passes)) note_half(&half_, passes, before, ray.entry_depth + t0 * h, length, first, second);
+#endif
+      last = select(last, (intN)DONE, MASK(acc.a >= view->stop_opacity));
+      alive &= MASK(acc.a < view->stop_opacity);
+    }
+    if (!count) continue;
+    /* What is behind the last entry is not used, but needs a place. */
+    STORE_LANES((floatN)shown.item[0], shown.item + count);
+    _Pragma("unroll 1") for (int k = 0; k < count; k += LANES) {
+      const intN item = TO_INT(LOAD_LANES(shown.item + k)), lane = item & 15;
+      const intN used = MASK(k + LANE_INDEX < count);
+      Vectors color = {LOAD_LANES(shown.r + k), LOAD_LANES(shown.g + k), LOAD_LANES(shown.b + k)};
+      const floatN opacity = LOAD_LANES(shown.opacity + k);
+      const floatN t0 = TO_FLOAT(lanes_at(start, lane) + (item >> 4));
+      const floatN tm = segment_middle(t0, permuted_lanes(ray.length, lane));
+#if LIGHTING
+      const Vectors place = {permuted_lanes(ray.x0, lane) + tm * permuted_lanes(ray.dx, lane),
+                             permuted_lanes(ray.y0, lane) + tm * permuted_lanes(ray.dy, lane),
+                             permuted_lanes(ray.z0, lane) + tm * permuted_lanes(ray.dz, lane)};
+      const Vectors gradient = scene_gradient(scene, place.x, place.y, place.z);
+      const Vectors normal = shown_normal(scene, gradient, permuted3(cut_normal, lane), tm * h);
+      const intN lit = used & MASK(dot3(normal, normal) > 0.5f);
+      floatN weight = 0.0f;
+#if SHADOWS
+      weight = LOAD_LANES(shown.weight + k);
+#endif
+      color = shaded_color(scene, color, opacity, place, normal, gradient, scaled3(permuted3(forward, lane), -1.0f),
+                           weight, 0, lit, counted);
+#endif
+#if DEPTH_CUE
+      color = cued_color(scene, color, opacity, permuted_lanes(ray.entry_depth, lane) + tm * h);
+#endif
+      STORE_LANES(color.x, shown.r + k), STORE_LANES(color.y, shown.g + k), STORE_LANES(color.z, shown.b + k);
+    }
+    count = 0;
+    _Pragma("unroll 1") for (int step = 0; step < MARCH_STEPS; ++step) {
+      const uint bits = lanes_shown[step];
+      if (!bits) continue;
+      acc.r += part[step] * unpack_lanes(shown.r + count, bits);
+      acc.g += part[step] * unpack_lanes(shown.g + count, bits);
+      acc.b += part[step] * unpack_lanes(shown.b + count, bits);
+      count += popcount(bits);
+    }
+  }
+#if ENVIRONMENT_VISIBLE
+  show_environment(scene, forward, on_picture, &acc);
+#endif
+  gathered_store(&acc, rgba);
+#if WITH_DEPTH && CLASSIFICATION == CLASSIFICATION_POST
+  const intN noted = MASK(half_.from < INFINITY) & MASK(half_.length > 0.0f);
+  if (any_lane(noted)) {
+    floatN ends[2];
+    _Pragma("unroll 1") for (int k = 0; k < 2; ++k) {
+      const floatN along = (half_.from - ray.entry_depth) * (1.0f / h) + (k ? half_.length : (floatN)0.0f);
+      const floatN t = select((floatN)0.0f, along, noted);
+      const floatN value = scene_value(scene, ray.x0 + t * ray.dx, ray.y0 + t * ray.dy, ray.z0 + t * ray.dz);
+      ends[k] = depth_between(value, value, noted, (intN)0, table, view);
+      taken -= AS_UINT(noted);
+    }
+    note_ends(&half_, ends[0], ends[1]);
+  }
+#endif
+#if WITH_DEPTH
+  STORE_LANES(half_place(&half_, h, table, view) * view->edge_length, depth);
+#endif
+  STORE_LANES(taken, samples);
+}
+
+#endif
