@@ -5,6 +5,12 @@
  *   1  all their samples, which wait for memory together (march_plain.h)
  *   2  classification, and opacity from front to back: what is behind an opaque segment drops out here
  *   3  gradients and light of the segments that show, and their colours
+ *
+ * Where the field is constant, gradient and light are nothing, and what a segment shows is known: rays whose packet is
+ * in such cells (CONSTANT_CELLS; a map as in skip_empty.h, of the cells where the field or its gradient may change) take
+ * one sample for all segments there, and composite as many as before. They are counted as samples all the same, since
+ * each of them is classified and composited as if it were one.
+ *
  * The passes of one segment do not wait for those of the one before, as they would one segment after another: light is a
  * chain of some hundred operations, most of which a processor has nothing else to do during.
  */
@@ -36,6 +42,18 @@
 
 /* Whether values are needed at the ends of segments; else in their middle. */
 #define NEEDS_ENDS (CLASSIFICATION == CLASSIFICATION_PREINTEGRATED)
+#define MOST_STEPS 1e9f /* below 2^31 */
+
+/* What a segment emits along which the value runs from `front` to `back`; of midpoints, both are the one in its middle. */
+INLINE Emission emission_between(floatN front, floatN back, intN active, __global const float *table,
+                                 __constant const View *view)
+{
+#if NEEDS_ENDS
+  return segment_emission_in(front, back, active, (intN)0, table, view);
+#else
+  return value_emission_in(back, (intN)0, table, view);
+#endif
+}
 
 /* The middle of the segment that begins at `t0` of a ray of `length`. */
 INLINE floatN segment_middle(floatN t0, floatN length) { return t0 + 0.5f * (lane_min(t0 + 1.0f, length) - t0); }
@@ -98,6 +116,10 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, float *rgba, flo
   floatN next_from = 0.0f;  /* where the next stretch may begin, along whole_ray */
   Vectors cut_normal = {0.0f, 0.0f, 0.0f};
   intN i = 0, last = DONE;
+#if CONSTANT_CELLS
+  floatN constant_to = 0.0f; /* from where the ray last asked to here, all is constant */
+  intN constant_end = 0;     /* and segments before this one */
+#endif
 #if NEEDS_ENDS
   intN joined = 0;                     /* the values at the segment's start, and one step before, are known */
   floatN value1 = 0.0f, value2 = 0.0f; /* at the start of the segment, and one before */
@@ -142,9 +164,53 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, float *rgba, flo
       i = select(i, last + 1, going & MASK(visible_at >= ray.length));
     }
 #endif
+#if CONSTANT_CELLS
+    {
+      const intN going = alive & MASK(i <= last);
+      const floatN t0 = TO_FLOAT(i);
+      const intN asks = going & MASK(t0 >= constant_to);
+      if (any_lane(asks))
+        constant_to = select(constant_to, next_visible(scene->constant_distances, view, t0, asks, &ray), asks);
+      /* Behind the last whole segment whose sample is there. */
+      const floatN end = floor(lane_min(constant_to - (NEEDS_ENDS ? 1.0f : 0.5f), ray.length - 1.0f)) + 1.0f;
+      constant_end = TO_INT(lane_clamp(end, (floatN)0.0f, (floatN)MOST_STEPS));
+      intN leaves = going & MASK(i >= constant_end);
+#if NEEDS_ENDS
+      leaves |= going & ~(joined & MASK(value1 == value2));
+      const floatN value = value1;
+#endif
+      if (any_lane(going) && !any_lane(leaves)) {
+#if !NEEDS_ENDS
+        const floatN t = segment_middle(t0, ray.length);
+        const floatN value = scene_value(scene, ray.x0 + t * ray.dx, ray.y0 + t * ray.dy, ray.z0 + t * ray.dz);
+#endif
+        Emission e = no_emission();
+        if (may_be_visible(value, value, going, view)) e = emission_between(value, value, going, table, view);
+        for (intN active = going; any_lane(active) && !any_lane(active & MASK(i >= constant_end));
+             active = alive & MASK(i <= last)) {
+          taken -= AS_UINT(active);
+          const floatN left = select((floatN)0.0f, 1.0f - acc.a, active), before = acc.a;
+          acc.r += left * e.r, acc.g += left * e.g, acc.b += left * e.b, acc.a += left * e.d;
+#if WITH_DEPTH
+          const intN passes = passes_half(before, acc.a);
+          if (any_lane(passes))
+            note_half(&half_, passes, before, ray.entry_depth + TO_FLOAT(i) * h, (floatN)1.0f, value, value);
+#endif
+          i -= active;
+          last = select(last, (intN)DONE, MASK(acc.a >= view->stop_opacity));
+          alive &= MASK(acc.a < view->stop_opacity);
+        }
+        continue;
+      }
+    }
+#endif
     floatN values[MARCH_STEPS], part[MARCH_STEPS];
+#if CONSTANT_CELLS
+    floatN r[MARCH_STEPS], g[MARCH_STEPS], b[MARCH_STEPS]; /* without light */
+#endif
+    uint seen = 0; /* segments that show, as bits */
     ShownSegments shown;
-    uint lanes_shown[MARCH_STEPS] = {0}; /* as bits */
+    uint lanes_shown[MARCH_STEPS]; /* rays that have an entry for the segment, as bits */
     int count = 0;                       /* of entries */
     const intN start = i;
     _Pragma("unroll 1") for (int step = 0; step < MARCH_STEPS; ++step) {
@@ -174,20 +240,25 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, float *rgba, flo
       first = value1;
       shift_ends(value2, &first, &second, length, active & MASK(joined != 0));
       if (may_be_visible(lane_min(first, second), lane_max(first, second), active, view))
-        e = segment_emission_in(first, second, active, (intN)0, table, view);
+        e = emission_between(first, second, active, table, view);
       value2 = select(value2, value1, active), value1 = select(value1, value, active);
       joined |= active;
 #else
-      if (may_be_visible(value, value, active, view)) e = value_emission_in(value, (intN)0, table, view);
+      if (may_be_visible(value, value, active, view)) e = emission_between(value, value, active, table, view);
 #endif
       e.d = select((floatN)0.0f, e.d, active);
       i -= active;
-      const intN shows = MASK(e.d > 0.0f);
-      const uint bits = lane_bits(shows);
-      if (!bits) continue;
+      intN shows = MASK(e.d > 0.0f);
+      if (!any_lane(shows)) continue;
+      seen |= 1u << step;
+#if CONSTANT_CELLS
+      r[step] = e.r, g[step] = e.g, b[step] = e.b;
+      shows &= MASK(start + step >= constant_end);
+#endif
 #if LIGHTING
       count_lanes(&counted[COUNT_GRADIENTS], shows);
 #endif
+      const uint bits = lane_bits(shows);
       const floatN left = select((floatN)0.0f, 1.0f - acc.a, active);
       pack_lanes(TO_FLOAT(16 * step + LANE_INDEX), bits, shown.item + count);
       pack_lanes(e.r, bits, shown.r + count), pack_lanes(e.g, bits, shown.g + count);
@@ -208,7 +279,7 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, float *rgba, flo
       last = select(last, (intN)DONE, MASK(acc.a >= view->stop_opacity));
       alive &= MASK(acc.a < view->stop_opacity);
     }
-    if (!count) continue;
+    if (!seen) continue;
     /* What is behind the last entry is not used, but needs a place. */
     STORE_LANES((floatN)shown.item[0], shown.item + count);
     _Pragma("unroll 1") for (int k = 0; k < count; k += LANES) {
@@ -239,11 +310,15 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, float *rgba, flo
     }
     count = 0;
     _Pragma("unroll 1") for (int step = 0; step < MARCH_STEPS; ++step) {
+      if (!(seen >> step & 1u)) continue;
       const uint bits = lanes_shown[step];
-      if (!bits) continue;
-      acc.r += part[step] * unpack_lanes(shown.r + count, bits);
-      acc.g += part[step] * unpack_lanes(shown.g + count, bits);
-      acc.b += part[step] * unpack_lanes(shown.b + count, bits);
+      Vectors color = {unpack_lanes(shown.r + count, bits), unpack_lanes(shown.g + count, bits),
+                       unpack_lanes(shown.b + count, bits)};
+#if CONSTANT_CELLS
+      const Vectors plain = {r[step], g[step], b[step]};
+      color = select3(plain, color, lanes_of(bits));
+#endif
+      acc.r += part[step] * color.x, acc.g += part[step] * color.y, acc.b += part[step] * color.z;
       count += popcount(bits);
     }
   }
