@@ -66,6 +66,9 @@ typedef struct {
 #if SHADOWS
   float weight[MOST_SHOWN + 16]; /* what it counts for at most */
 #endif
+#if LIGHTING
+  float gx[MOST_SHOWN + 16], gy[MOST_SHOWN + 16], gz[MOST_SHOWN + 16]; /* gradient */
+#endif
 } ShownSegments;
 
 #if LIGHTING
@@ -94,6 +97,29 @@ INLINE Vectors permuted3(Vectors v, intN at)
 {
   const Vectors r = {permuted_lanes(v.x, at), permuted_lanes(v.y, at), permuted_lanes(v.z, at)};
   return r;
+}
+
+/* Which ray's an entry is, and where: the middle of its segment. */
+typedef struct {
+  intN lane;
+  floatN t;
+} Entry;
+
+INLINE Entry entry_of(floatN item, intN start, const Rays *ray)
+{
+  const intN number = TO_INT(item);
+  Entry e;
+  e.lane = number & 15;
+  e.t = segment_middle(TO_FLOAT(lanes_at(start, e.lane) + (number >> 4)), permuted_lanes(ray->length, e.lane));
+  return e;
+}
+
+INLINE Vectors place_of(Entry e, const Rays *ray)
+{
+  const Vectors p = {permuted_lanes(ray->x0, e.lane) + e.t * permuted_lanes(ray->dx, e.lane),
+                     permuted_lanes(ray->y0, e.lane) + e.t * permuted_lanes(ray->dy, e.lane),
+                     permuted_lanes(ray->z0, e.lane) + e.t * permuted_lanes(ray->dz, e.lane)};
+  return p;
 }
 
 INLINE void render_packet(const Scene *scene, intN px, intN py, float *rgba, float *depth, uint *samples,
@@ -282,29 +308,30 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, float *rgba, flo
     if (!seen) continue;
     /* What is behind the last entry is not used, but needs a place. */
     STORE_LANES((floatN)shown.item[0], shown.item + count);
+#if LIGHTING
     _Pragma("unroll 1") for (int k = 0; k < count; k += LANES) {
-      const intN item = TO_INT(LOAD_LANES(shown.item + k)), lane = item & 15;
-      const intN used = MASK(k + LANE_INDEX < count);
+      const Entry entry = entry_of(LOAD_LANES(shown.item + k), start, &ray);
+      const Vectors place = place_of(entry, &ray), gradient = scene_gradient(scene, place.x, place.y, place.z);
+      STORE_LANES(gradient.x, shown.gx + k), STORE_LANES(gradient.y, shown.gy + k), STORE_LANES(gradient.z, shown.gz + k);
+    }
+#endif
+    _Pragma("unroll 1") for (int k = 0; k < count; k += LANES) {
+      const Entry entry = entry_of(LOAD_LANES(shown.item + k), start, &ray);
       Vectors color = {LOAD_LANES(shown.r + k), LOAD_LANES(shown.g + k), LOAD_LANES(shown.b + k)};
       const floatN opacity = LOAD_LANES(shown.opacity + k);
-      const floatN t0 = TO_FLOAT(lanes_at(start, lane) + (item >> 4));
-      const floatN tm = segment_middle(t0, permuted_lanes(ray.length, lane));
 #if LIGHTING
-      const Vectors place = {permuted_lanes(ray.x0, lane) + tm * permuted_lanes(ray.dx, lane),
-                             permuted_lanes(ray.y0, lane) + tm * permuted_lanes(ray.dy, lane),
-                             permuted_lanes(ray.z0, lane) + tm * permuted_lanes(ray.dz, lane)};
-      const Vectors gradient = scene_gradient(scene, place.x, place.y, place.z);
-      const Vectors normal = shown_normal(scene, gradient, permuted3(cut_normal, lane), tm * h);
-      const intN lit = used & MASK(dot3(normal, normal) > 0.5f);
+      const Vectors gradient = {LOAD_LANES(shown.gx + k), LOAD_LANES(shown.gy + k), LOAD_LANES(shown.gz + k)};
+      const Vectors normal = shown_normal(scene, gradient, permuted3(cut_normal, entry.lane), entry.t * h);
+      const intN lit = MASK(k + LANE_INDEX < count) & MASK(dot3(normal, normal) > 0.5f);
       floatN weight = 0.0f;
 #if SHADOWS
       weight = LOAD_LANES(shown.weight + k);
 #endif
-      color = shaded_color(scene, color, opacity, place, normal, gradient, scaled3(permuted3(forward, lane), -1.0f),
-                           weight, 0, lit, counted);
+      color = shaded_color(scene, color, opacity, place_of(entry, &ray), normal, gradient,
+                           scaled3(permuted3(forward, entry.lane), -1.0f), weight, 0, lit, counted);
 #endif
 #if DEPTH_CUE
-      color = cued_color(scene, color, opacity, permuted_lanes(ray.entry_depth, lane) + tm * h);
+      color = cued_color(scene, color, opacity, permuted_lanes(ray.entry_depth, entry.lane) + entry.t * h);
 #endif
       STORE_LANES(color.x, shown.r + k), STORE_LANES(color.y, shown.g + k), STORE_LANES(color.z, shown.b + k);
     }
