@@ -58,18 +58,26 @@ INLINE Emission emission_between(floatN front, floatN back, intN active, __globa
 /* The middle of the segment that begins at `t0` of a ray of `length`. */
 INLINE floatN segment_middle(floatN t0, floatN length) { return t0 + 0.5f * (lane_min(t0 + 1.0f, length) - t0); }
 
-/* The segments of a pass that show, packed: each entry is one ray's, whatever step of the pass it is of. */
-#define MOST_SHOWN (16 * MARCH_STEPS)
+/* Segments whose opacity is composited and whose colour is not yet. What has to be found of each ray's is an entry of
+ * its own, packed: whatever ray and segment it is of. */
+#define MOST_HELD (4 * MARCH_STEPS)
+#define MOST_ENTRIES (LANES * MOST_HELD + LANES)
 typedef struct {
-  float item[MOST_SHOWN + 16]; /* 16 times the step in the pass, plus the lane */
-  float r[MOST_SHOWN + 16], g[MOST_SHOWN + 16], b[MOST_SHOWN + 16], opacity[MOST_SHOWN + 16]; /* of a whole step */
+  int segments, entries;
+  uint lanes[MOST_HELD];  /* rays that have an entry for the segment, as bits */
+  floatN part[MOST_HELD]; /* what its colour counts for */
+#if CONSTANT_CELLS
+  floatN plain_r[MOST_HELD], plain_g[MOST_HELD], plain_b[MOST_HELD]; /* its colour without entries */
+#endif
+  float lane[MOST_ENTRIES], t[MOST_ENTRIES]; /* the ray, and where its segment begins */
+  float r[MOST_ENTRIES], g[MOST_ENTRIES], b[MOST_ENTRIES], opacity[MOST_ENTRIES]; /* of a whole step */
 #if SHADOWS
-  float weight[MOST_SHOWN + 16]; /* what it counts for at most */
+  float weight[MOST_ENTRIES]; /* what it counts for at most */
 #endif
 #if LIGHTING
-  float gx[MOST_SHOWN + 16], gy[MOST_SHOWN + 16], gz[MOST_SHOWN + 16]; /* gradient */
+  float gx[MOST_ENTRIES], gy[MOST_ENTRIES], gz[MOST_ENTRIES]; /* gradient */
 #endif
-} ShownSegments;
+} HeldSegments;
 
 #if LIGHTING
 /* The normal of what the gradient belongs to; at a cut face the face's own, going over to the gradient's within one
@@ -91,35 +99,80 @@ INLINE Vectors shown_normal(const Scene *scene, Vectors gradient, Vectors cut_no
 }
 #endif
 
-INLINE intN lanes_at(intN v, intN at) { return AS_INT(permuted_lanes(AS_FLOAT(v), at)); }
-
 INLINE Vectors permuted3(Vectors v, intN at)
 {
   const Vectors r = {permuted_lanes(v.x, at), permuted_lanes(v.y, at), permuted_lanes(v.z, at)};
   return r;
 }
 
-/* Which ray's an entry is, and where: the middle of its segment. */
+/* Which rays' some entries are, and where: the middles of their segments. */
 typedef struct {
   intN lane;
   floatN t;
-} Entry;
+} Entries;
 
-INLINE Entry entry_of(floatN item, intN start, const Rays *ray)
+INLINE Entries entries_at(const HeldSegments *held, int k, const Rays *ray)
 {
-  const intN number = TO_INT(item);
-  Entry e;
-  e.lane = number & 15;
-  e.t = segment_middle(TO_FLOAT(lanes_at(start, e.lane) + (number >> 4)), permuted_lanes(ray->length, e.lane));
+  Entries e;
+  e.lane = TO_INT(LOAD_LANES(held->lane + k));
+  e.t = segment_middle(LOAD_LANES(held->t + k), permuted_lanes(ray->length, e.lane));
   return e;
 }
 
-INLINE Vectors place_of(Entry e, const Rays *ray)
+INLINE Vectors places_of(Entries e, const Rays *ray)
 {
   const Vectors p = {permuted_lanes(ray->x0, e.lane) + e.t * permuted_lanes(ray->dx, e.lane),
                      permuted_lanes(ray->y0, e.lane) + e.t * permuted_lanes(ray->dy, e.lane),
                      permuted_lanes(ray->z0, e.lane) + e.t * permuted_lanes(ray->dz, e.lane)};
   return p;
+}
+
+/* Finds the colours of all that is held, in light, and composites them. */
+INLINE void composite_held(const Scene *scene, HeldSegments *held, Gathered *acc, const Rays *ray, Vectors forward,
+                           Vectors cut_normal, Tally *counted)
+{
+  /* What is behind the last entry is not used, but needs a place. */
+  STORE_LANES((floatN)0.0f, held->lane + held->entries), STORE_LANES((floatN)held->t[0], held->t + held->entries);
+#if LIGHTING
+  _Pragma("unroll 1") for (int k = 0; k < held->entries; k += LANES) {
+    const Vectors place = places_of(entries_at(held, k, ray), ray);
+    const Vectors gradient = scene_gradient(scene, place.x, place.y, place.z);
+    STORE_LANES(gradient.x, held->gx + k), STORE_LANES(gradient.y, held->gy + k), STORE_LANES(gradient.z, held->gz + k);
+  }
+#endif
+  _Pragma("unroll 1") for (int k = 0; k < held->entries; k += LANES) {
+    const Entries entries = entries_at(held, k, ray);
+    Vectors color = {LOAD_LANES(held->r + k), LOAD_LANES(held->g + k), LOAD_LANES(held->b + k)};
+    const floatN opacity = LOAD_LANES(held->opacity + k), edges = entries.t * scene->view->step;
+#if LIGHTING
+    const Vectors gradient = {LOAD_LANES(held->gx + k), LOAD_LANES(held->gy + k), LOAD_LANES(held->gz + k)};
+    const Vectors normal = shown_normal(scene, gradient, permuted3(cut_normal, entries.lane), edges);
+    const intN lit = MASK(k + LANE_INDEX < held->entries) & MASK(dot3(normal, normal) > 0.5f);
+    floatN weight = 0.0f;
+#if SHADOWS
+    weight = LOAD_LANES(held->weight + k);
+#endif
+    color = shaded_color(scene, color, opacity, places_of(entries, ray), normal, gradient,
+                         scaled3(permuted3(forward, entries.lane), -1.0f), weight, 0, lit, counted);
+#endif
+#if DEPTH_CUE
+    color = cued_color(scene, color, opacity, permuted_lanes(ray->entry_depth, entries.lane) + edges);
+#endif
+    STORE_LANES(color.x, held->r + k), STORE_LANES(color.y, held->g + k), STORE_LANES(color.z, held->b + k);
+  }
+  int at = 0;
+  _Pragma("unroll 1") for (int k = 0; k < held->segments; ++k) {
+    const uint bits = held->lanes[k];
+    Vectors color = {unpack_lanes(held->r + at, bits), unpack_lanes(held->g + at, bits),
+                     unpack_lanes(held->b + at, bits)};
+#if CONSTANT_CELLS
+    const Vectors plain = {held->plain_r[k], held->plain_g[k], held->plain_b[k]};
+    color = select3(plain, color, lanes_of(bits));
+#endif
+    acc->r += held->part[k] * color.x, acc->g += held->part[k] * color.y, acc->b += held->part[k] * color.z;
+    at += popcount(bits);
+  }
+  held->segments = held->entries = 0;
 }
 
 INLINE void render_packet(const Scene *scene, intN px, intN py, float *rgba, float *depth, uint *samples,
@@ -151,9 +204,17 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, float *rgba, flo
   floatN value1 = 0.0f, value2 = 0.0f; /* at the start of the segment, and one before */
 #endif
 
+  HeldSegments held;
+  held.segments = held.entries = 0;
+  int composites = 0; /* whether the next segments need the colours of all before */
+
   for (;;) {
     /* Rays at the end of a stretch go on to their next. */
     const intN stretches = alive & MASK(i > last);
+    if (held.segments > MOST_HELD - MARCH_STEPS ||
+        (held.segments && (composites | any_lane(stretches) | !any_lane(alive))))
+      composite_held(scene, &held, &acc, &ray, forward, cut_normal, counted);
+    composites = 0;
     if (any_lane(stretches)) {
 #if CLIP
       const Stretch next = next_stretch(scene, &whole_ray, next_from, 1.0f);
@@ -206,6 +267,10 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, float *rgba, flo
       const floatN value = value1;
 #endif
       if (any_lane(going) && !any_lane(leaves)) {
+        if (held.segments) {
+          composites = 1;
+          continue;
+        }
 #if !NEEDS_ENDS
         const floatN t = segment_middle(t0, ray.length);
         const floatN value = scene_value(scene, ray.x0 + t * ray.dx, ray.y0 + t * ray.dy, ray.z0 + t * ray.dz);
@@ -230,14 +295,7 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, float *rgba, flo
       }
     }
 #endif
-    floatN values[MARCH_STEPS], part[MARCH_STEPS];
-#if CONSTANT_CELLS
-    floatN r[MARCH_STEPS], g[MARCH_STEPS], b[MARCH_STEPS]; /* without light */
-#endif
-    uint seen = 0; /* segments that show, as bits */
-    ShownSegments shown;
-    uint lanes_shown[MARCH_STEPS]; /* rays that have an entry for the segment, as bits */
-    int count = 0;                       /* of entries */
+    floatN values[MARCH_STEPS];
     const intN start = i;
     _Pragma("unroll 1") for (int step = 0; step < MARCH_STEPS; ++step) {
       const floatN t0 = TO_FLOAT(start + step);
@@ -276,9 +334,8 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, float *rgba, flo
       i -= active;
       intN shows = MASK(e.d > 0.0f);
       if (!any_lane(shows)) continue;
-      seen |= 1u << step;
 #if CONSTANT_CELLS
-      r[step] = e.r, g[step] = e.g, b[step] = e.b;
+      held.plain_r[held.segments] = e.r, held.plain_g[held.segments] = e.g, held.plain_b[held.segments] = e.b;
       shows &= MASK(start + step >= constant_end);
 #endif
 #if LIGHTING
@@ -286,67 +343,26 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, float *rgba, flo
 #endif
       const uint bits = lane_bits(shows);
       const floatN left = select((floatN)0.0f, 1.0f - acc.a, active);
-      pack_lanes(TO_FLOAT(16 * step + LANE_INDEX), bits, shown.item + count);
-      pack_lanes(e.r, bits, shown.r + count), pack_lanes(e.g, bits, shown.g + count);
-      pack_lanes(e.b, bits, shown.b + count), pack_lanes(e.d, bits, shown.opacity + count);
+      const int at = held.entries;
+      pack_lanes(TO_FLOAT((intN)LANE_INDEX), bits, held.lane + at), pack_lanes(t0, bits, held.t + at);
+      pack_lanes(e.r, bits, held.r + at), pack_lanes(e.g, bits, held.g + at);
+      pack_lanes(e.b, bits, held.b + at), pack_lanes(e.d, bits, held.opacity + at);
 #if SHADOWS
-      pack_lanes(left * e.d, bits, shown.weight + count);
+      pack_lanes(left * e.d, bits, held.weight + at);
 #endif
-      count += popcount(bits), lanes_shown[step] = bits;
-      part[step] = left;
+      floatN part = left;
       if (any_lane(active & MASK(length < 1.0f)))
-        part[step] = left * select((floatN)1.0f, share_of_opacity(e.d, length), MASK(length < 1.0f));
+        part = left * select((floatN)1.0f, share_of_opacity(e.d, length), MASK(length < 1.0f));
+      held.part[held.segments] = part, held.lanes[held.segments] = bits;
+      held.segments += 1, held.entries += popcount(bits);
       const floatN before = acc.a;
-      acc.a += part[step] * e.d;
+      acc.a += part * e.d;
 #if WITH_DEPTH
       const intN passes = passes_half(before, acc.a);
       if (any_lane(passes)) note_half(&half_, passes, before, ray.entry_depth + t0 * h, length, first, second);
 #endif
       last = select(last, (intN)DONE, MASK(acc.a >= view->stop_opacity));
       alive &= MASK(acc.a < view->stop_opacity);
-    }
-    if (!seen) continue;
-    /* What is behind the last entry is not used, but needs a place. */
-    STORE_LANES((floatN)shown.item[0], shown.item + count);
-#if LIGHTING
-    _Pragma("unroll 1") for (int k = 0; k < count; k += LANES) {
-      const Entry entry = entry_of(LOAD_LANES(shown.item + k), start, &ray);
-      const Vectors place = place_of(entry, &ray), gradient = scene_gradient(scene, place.x, place.y, place.z);
-      STORE_LANES(gradient.x, shown.gx + k), STORE_LANES(gradient.y, shown.gy + k), STORE_LANES(gradient.z, shown.gz + k);
-    }
-#endif
-    _Pragma("unroll 1") for (int k = 0; k < count; k += LANES) {
-      const Entry entry = entry_of(LOAD_LANES(shown.item + k), start, &ray);
-      Vectors color = {LOAD_LANES(shown.r + k), LOAD_LANES(shown.g + k), LOAD_LANES(shown.b + k)};
-      const floatN opacity = LOAD_LANES(shown.opacity + k);
-#if LIGHTING
-      const Vectors gradient = {LOAD_LANES(shown.gx + k), LOAD_LANES(shown.gy + k), LOAD_LANES(shown.gz + k)};
-      const Vectors normal = shown_normal(scene, gradient, permuted3(cut_normal, entry.lane), entry.t * h);
-      const intN lit = MASK(k + LANE_INDEX < count) & MASK(dot3(normal, normal) > 0.5f);
-      floatN weight = 0.0f;
-#if SHADOWS
-      weight = LOAD_LANES(shown.weight + k);
-#endif
-      color = shaded_color(scene, color, opacity, place_of(entry, &ray), normal, gradient,
-                           scaled3(permuted3(forward, entry.lane), -1.0f), weight, 0, lit, counted);
-#endif
-#if DEPTH_CUE
-      color = cued_color(scene, color, opacity, permuted_lanes(ray.entry_depth, entry.lane) + entry.t * h);
-#endif
-      STORE_LANES(color.x, shown.r + k), STORE_LANES(color.y, shown.g + k), STORE_LANES(color.z, shown.b + k);
-    }
-    count = 0;
-    _Pragma("unroll 1") for (int step = 0; step < MARCH_STEPS; ++step) {
-      if (!(seen >> step & 1u)) continue;
-      const uint bits = lanes_shown[step];
-      Vectors color = {unpack_lanes(shown.r + count, bits), unpack_lanes(shown.g + count, bits),
-                       unpack_lanes(shown.b + count, bits)};
-#if CONSTANT_CELLS
-      const Vectors plain = {r[step], g[step], b[step]};
-      color = select3(plain, color, lanes_of(bits));
-#endif
-      acc.r += part[step] * color.x, acc.g += part[step] * color.y, acc.b += part[step] * color.z;
-      count += popcount(bits);
     }
   }
 #if ENVIRONMENT_VISIBLE
