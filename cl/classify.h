@@ -81,6 +81,16 @@ INLINE void composite_value(Gathered *acc, floatN value, floatN length, intN act
   composite_color(acc, color_of_value(value, length * view->step_units, scene_pieces(table, (intN)0, view)), active);
 }
 
+/* Of one value, `steps` (1 .. 8) whole steps long; `one_step`: a constant, whether all are one step. */
+INLINE void composite_steps(Gathered *acc, floatN value, intN steps, int one_step, intN active,
+                            __global const float *table, __constant const View *view)
+{
+  floatN r, g, b, opacity;
+  color_of_steps(value, steps, one_step, active, scene_pieces(table, (intN)0, view), view, &r, &g, &b, &opacity);
+  const floatN share = select((floatN)0.0f, (1.0f - acc->a) * opacity, active);
+  acc->r += share * r, acc->g += share * g, acc->b += share * b, acc->a += share;
+}
+
 /* Emission and absorption over one step at a point. */
 typedef struct {
   floatN r, g, b, d; /* colour times optical depth, and optical depth */

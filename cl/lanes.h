@@ -239,7 +239,14 @@ INLINE uint lane_bits(intN mask)
 }
 
 /* The mask that has the lanes in `bits`. */
-INLINE intN lanes_of(uint bits) { return MASK(((intN)(int)bits >> LANE_INDEX & 1) != 0); }
+INLINE intN lanes_of(uint bits)
+{
+#if defined(HARDWARE_GATHER) && defined(__AVX512DQ__) && __has_builtin(__builtin_ia32_cvtmask2d512)
+  return __builtin_astype(__builtin_ia32_cvtmask2d512((ushort)bits), int16);
+#else
+  return MASK(((intN)(int)bits >> LANE_INDEX & 1) != 0);
+#endif
+}
 
 /* The lanes in `bits` one after the other at `to`, which has room for 16; what is behind them is undefined. */
 INLINE void pack_lanes(float16 v, uint bits, float *to)

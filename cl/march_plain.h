@@ -19,6 +19,7 @@
 #include "march.h"
 #include "rays.h"
 #include "scene.h"
+#include "segment_queue.h"
 #include "skip_empty.h"
 
 INLINE void render_packet(const Scene *scene, intN px, intN py, float *rgba, float *depth, uint *samples,
@@ -71,6 +72,60 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, float *rgba, flo
     UNROLL_LANES for (int step = 0; step < MARCH_STEPS; ++step)
       values[step] = sample_value(fetch_along(volume, view, &ray, first_t + (float)step), view);
 #endif
+#if QUEUED_SEGMENTS
+    /* How many of these steps each ray takes, if it does not end before; then which segments can be visible. */
+    intN steps = max(min(last + 1 - i, (intN)MARCH_STEPS), (intN)0);
+    uint shown[MARCH_STEPS], todo = 0;
+    floatN fronts[MARCH_STEPS], backs[MARCH_STEPS];
+    const intN opens = start - i;
+    UNROLL_LANES for (int step = 0; step < MARCH_STEPS; ++step) {
+      const intN goes_on = MASK(step < steps);
+      const floatN value = values[step];
+      const intN closes = goes_on & MASK(step > opens);
+      floatN front = value1, back = value;
+      shift_ends(value2, &front, &back, 1.0f, closes & MASK(step > opens + 1));
+      value2 = select(value2, value1, goes_on), value1 = select(value1, value, goes_on);
+      fronts[step] = front, backs[step] = back;
+      const intN shows = closes & lanes_that_show(lane_min(front, back), lane_max(front, back), view);
+      shown[step] = lane_bits(shows);
+      todo |= (uint)(shown[step] != 0) << step;
+    }
+    uint ended = 0;
+    while (todo) {
+      SegmentQueue queue = {0.0f, 0.0f, 0};
+      uint queued = 0;
+      do {
+        const uint next = todo & -todo;
+        const int step = 31 - clz(next);
+        shown[step] &= ~ended;
+        if (queue.count + popcount(shown[step]) > LANES) break;
+        append_segments(&queue, fronts[step], backs[step], shown[step]);
+        queued |= next, todo ^= next;
+      } while (todo);
+      const SegmentColor colors = colors_of_queue(queue, table, view);
+      int from = 0;
+      do {
+        const uint next = queued & -queued;
+        const int step = 31 - clz(next);
+        const intN active = lanes_of(shown[step] & ~ended);
+        const floatN before = acc.a;
+        composite_color(&acc, queued_color(colors, shown[step], from), active);
+        from += popcount(shown[step]), queued ^= next;
+#if WITH_DEPTH
+        const intN passes = passes_half(before, acc.a);
+        if (any_lane(passes))
+          note_half(&half_, passes, before, first_t + ((float)step - 1.0f), 1.0f, fronts[step], backs[step]);
+#endif
+        const intN ends = active & MASK(acc.a >= view->stop_opacity);
+        if (any_lane(ends)) {
+          ended |= lane_bits(ends);
+          steps = select(steps, (intN)(step + 1), ends), last = select(last, (intN)DONE, ends);
+        }
+      } while (queued);
+    }
+    taken += AS_UINT(steps);
+    i += steps;
+#else
     UNROLL_LANES for (int step = 0; step < MARCH_STEPS; ++step) {
       const intN active = MASK(i <= last);
       const floatN t = first_t + (float)step;
@@ -88,7 +143,7 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, float *rgba, flo
 #elif CLASSIFICATION == CLASSIFICATION_POST
       const floatN value = values[step];
       visible = may_be_visible(value, value, active, view);
-      if (visible) composite_value(&acc, value, (floatN)1.0f, active, table, view);
+      if (visible) composite_steps(&acc, value, (intN)1, 1, active, table, view);
 #else
       visible = 1;
       const Emission classified = classified_emission(fetch_along(volume, view, &ray, t), view, table);
@@ -112,6 +167,7 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, float *rgba, flo
       }
       i -= active;
     }
+#endif
   }
 
   /* The last piece of each ray, shorter than a step. */

@@ -3,7 +3,7 @@
  * whole steps from the ray's entry; the ray's last piece is shorter than a step, as in march_plain.h. Under the linear
  * filter alone, classified by post or preintegrated.
  *
- * The number of steps is known before the volume is sampled, so samples are fetched two segments ahead.
+ * The number of steps is known before the volume is sampled.
  */
 #ifndef MARCH_STEPS_H
 #define MARCH_STEPS_H
@@ -65,39 +65,26 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, float *rgba, flo
     last = select(last, (intN)DONE, MASK(i <= last) & MASK(visible_at >= ray.length));
     run = select(run, (intN)0, leaps);
 #endif
-    intN n0 = steps_from(steps, view, &ray, i, end), at1 = i + n0;
-    intN n1 = steps_from(steps, view, &ray, at1, end), at2 = at1 + n1;
-#if MIDPOINTS
-    intN n2 = steps_from(steps, view, &ray, at2, end);
-    FetchedSample ahead = fetch_along(volume, view, &ray, TO_FLOAT(i) + 0.5f * TO_FLOAT(n0));
-    FetchedSample ahead2 = fetch_along(volume, view, &ray, TO_FLOAT(at1) + 0.5f * TO_FLOAT(n1));
-#else
-    FetchedSample ahead = fetch_along(volume, view, &ray, TO_FLOAT(i));
-    FetchedSample ahead2 = fetch_along(volume, view, &ray, TO_FLOAT(at1));
-#endif
-    intN place = i;
-    _Pragma("unroll 1") for (int step = 0; step < MARCH_STEPS; ++step) {
-      const intN active = MASK(i <= last);
-      const floatN t = TO_FLOAT(place), length = TO_FLOAT(n0);
-      const FetchedSample sample = ahead;
-      ahead = ahead2;
-      const intN n = n0;
-      n0 = n1;
-#if MIDPOINTS
-      ahead2 = fetch_along(volume, view, &ray, TO_FLOAT(at2) + 0.5f * TO_FLOAT(n2));
-      n1 = n2, place = at1, at1 = at2, at2 += n2;
-      n2 = steps_from(steps, view, &ray, at2, end);
-#else
-      ahead2 = fetch_along(volume, view, &ray, TO_FLOAT(at2));
-      n1 = steps_from(steps, view, &ray, at2, end), place = at1, at1 = at2, at2 += n1;
-#endif
+    /* First all samples, then what they show: so short a loop has many steps under way at once, and none of them waits
+     * for the cache alone. */
+    floatN values[MARCH_STEPS];
+    intN counts[MARCH_STEPS], at = i;
+    UNROLL_LANES for (int step = 0; step < MARCH_STEPS; ++step) {
+      const intN n = steps_from(steps, view, &ray, at, end);
+      const floatN t = TO_FLOAT(at) + (MIDPOINTS ? 0.5f * TO_FLOAT(n) : (floatN)0.0f);
+      values[step] = sample_value(fetch_along(volume, view, &ray, t), view), counts[step] = n;
+      at += n;
+    }
+    UNROLL_LANES for (int step = 0; step < MARCH_STEPS; ++step) {
+      const intN active = MASK(i <= last), n = counts[step];
+      const floatN t = TO_FLOAT(i), length = TO_FLOAT(n);
       taken -= AS_UINT(active);
       const floatN before = acc.a;
-      const floatN value = sample_value(sample, view);
+      const floatN value = values[step];
       int visible;
 #if MIDPOINTS
       visible = may_be_visible(value, value, active, view);
-      if (visible) composite_value(&acc, value, length, active, table, view);
+      if (visible) composite_steps(&acc, value, n, 0, active, table, view);
 #else
       const intN closes = active & MASK(run > 0);
       const floatN b = TO_FLOAT(before1);
@@ -123,7 +110,7 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, float *rgba, flo
         last = select(last, (intN)DONE, MASK(acc.a >= view->stop_opacity));
       }
       before1 = select(before1, n, active);
-      i = select(i, place, active);
+      i = select(i, i + n, active);
     }
   }
 

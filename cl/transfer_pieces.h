@@ -240,8 +240,9 @@ typedef struct {
   floatN r, g, b, depth; /* not premultiplied */
 } PiecePart;
 
-/* The part of `piece` from w0 to w1 (shares of the piece), which is `units` opacity units long. */
-LOOKED_UP PiecePart part_of_piece(intN piece, floatN w0, floatN w1, floatN units, Pieces f)
+/* The part of `piece` from w0 to w1 (shares of the piece), which is `units` opacity units long, of the lanes in
+ * `active`; others' are undefined, and what they would need is not computed. */
+LOOKED_UP PiecePart part_of_piece(intN piece, floatN w0, floatN w1, floatN units, intN active, Pieces f)
 {
 #define PIECE_ROW(row) piece_row(f, row, piece)
   const floatN zero = 0.0f, one = 1.0f, q = PIECE_ROW(ROW_CLEAR), q_change = PIECE_ROW(ROW_CLEAR_CHANGE);
@@ -252,7 +253,7 @@ LOOKED_UP PiecePart part_of_piece(intN piece, floatN w0, floatN w1, floatN units
   const floatN r = lane_clamp(0.5f * (q1 - q0) * lane_reciprocal(lane_max(clear, (floatN)1e-30f)), -one, one);
   spread_and_moment_of_thin(r, &spread, &moment);
   floatN rate = depth_of_thin(opacity) + spread;
-  const intN dense = MASK(lane_min(q0, q1) < 0.5f);
+  const intN dense = active & MASK(lane_min(q0, q1) < 0.5f);
   if (any_lane(dense)) {
     floatN wide_spread, wide_moment;
     spread_and_moment(r, &wide_spread, &wide_moment);
@@ -262,7 +263,7 @@ LOOKED_UP PiecePart part_of_piece(intN piece, floatN w0, floatN w1, floatN units
   const floatN depth = rate * units;
   moment *= rough_reciprocal(lane_max(rate, (floatN)1e-30f));
   floatN at = emission_position(depth, moment);
-  const intN thick = is_thick(depth, moment) & MASK(w0 != w1);
+  const intN thick = active & is_thick(depth, moment) & MASK(w0 != w1);
   if (any_lane(thick)) {
     const floatN a = PIECE_ROW(ROW_OPACITY), change = PIECE_ROW(ROW_OPACITY_CHANGE);
     at = select(at, emission_position_of_thick(q0, q1, a + w0 * change, a + w1 * change, units), thick);
@@ -362,7 +363,7 @@ LOOKED_UP SegmentColor color_of_segment(floatN front, floatN back, floatN units,
   const intN front_shows = active & MASK(piece_row(f, ROW_DEPTH, in_front) > 0.0f);
   if (!any_lane(crosses)) {
     if (!any_lane(front_shows)) return s; /* between peaks */
-    const PiecePart part = part_of_piece(in_front, w0, w1, units, f);
+    const PiecePart part = part_of_piece(in_front, w0, w1, units, front_shows, f);
     append_stretch(&s, part.r, part.g, part.b, part.depth);
     return s;
   }
@@ -383,7 +384,7 @@ LOOKED_UP SegmentColor color_of_segment(floatN front, floatN back, floatN units,
   PiecePart last = {zero, zero, zero, zero};
   if (any_lane(front_shows | swaps)) {
     last = part_of_piece(select(in_front, behind, swaps), select(w0, last0, swaps), select(w1, last1, swaps),
-                         select(front_units, back_units, swaps), f);
+                         select(front_units, back_units, swaps), front_shows | swaps, f);
     if (any_lane(front_shows)) append_stretch(&s, last.r, last.g, last.b, select(zero, last.depth, front_shows));
   }
   const intN low = select(behind, in_front, rises), high = select(in_front, behind, rises);
@@ -396,7 +397,7 @@ LOOKED_UP SegmentColor color_of_segment(floatN front, floatN back, floatN units,
   }
   if (any_lane(back_shows)) {
     if (any_lane(both)) {
-      const PiecePart more = part_of_piece(behind, last0, last1, back_units, f);
+      const PiecePart more = part_of_piece(behind, last0, last1, back_units, both, f);
       last.r = select(last.r, more.r, both), last.g = select(last.g, more.g, both),
           last.b = select(last.b, more.b, both);
       last.depth = select(last.depth, more.depth, both);
@@ -426,6 +427,59 @@ INLINE void classify_value(floatN value, Pieces f, floatN *r, floatN *g, floatN 
 #if VOXEL_HOLES
   *extinction = select((floatN)0.0f, *extinction, finite);
 #endif
+}
+
+/* Opacity of a step through a value of opacity `a`, at most view->opacity_limit (clvol/transfer/step_opacity.py). */
+INLINE floatN step_opacity(floatN a, __constant const View *view)
+{
+  if (view->step_units == 1.0f) return a;
+  const float4 low = view->opacity_terms, high = view->opacity_more;
+  floatN p = high.w;
+  p = p * a + high.z, p = p * a + high.y, p = p * a + high.x;
+  p = p * a + low.w, p = p * a + low.z, p = p * a + low.y, p = p * a + low.x;
+  return p * a;
+}
+
+/* Of 1 .. 8 steps, from that of one: 1 - (1 - o)^n, without losing the digits of a small o. */
+INLINE floatN opacity_of_steps(floatN one, intN steps)
+{
+  const floatN two = one * (2.0f - one), four = two * (2.0f - two), eight = four * (2.0f - four);
+  floatN sum = select((floatN)0.0f, one, MASK((steps & 1) != 0));
+  sum = select(sum, sum + (two - two * sum), MASK((steps & 2) != 0));
+  sum = select(sum, sum + (four - four * sum), MASK((steps & 4) != 0));
+  return select(sum, eight, MASK((steps & 8) != 0));
+}
+
+/* Colour, not multiplied, and opacity of a value over `steps` (1 .. 8) whole steps; of lanes in `active`. Without
+ * logarithm and exponential where opacities are not large. */
+INLINE void color_of_steps(floatN value, intN steps, int one_step, intN active, Pieces f, __constant const View *view,
+                           floatN *r, floatN *g, floatN *b, floatN *opacity)
+{
+#if VOXEL_HOLES
+  const intN finite = finite_lanes(value);
+  value = select((floatN)0.0f, value, finite);
+#endif
+  value -= f.origin;
+  const intN piece = piece_of(value, f);
+#define PIECE_ROW(row) piece_row(f, row, piece)
+  const floatN w = lane_clamp((value - PIECE_ROW(ROW_BEGIN)) * PIECE_ROW(ROW_INVERSE), (floatN)0.0f, (floatN)1.0f);
+  *r = PIECE_ROW(ROW_COLOR) + w * PIECE_ROW(ROW_COLOR_CHANGE), *g = PIECE_ROW(ROW_COLOR + 1) + w *
+      PIECE_ROW(ROW_COLOR_CHANGE + 1);
+  *b = PIECE_ROW(ROW_COLOR + 2) + w * PIECE_ROW(ROW_COLOR_CHANGE + 2);
+  const floatN stated = PIECE_ROW(ROW_OPACITY) + w * PIECE_ROW(ROW_OPACITY_CHANGE);
+  floatN found = step_opacity(stated, view);
+  if (!one_step) found = opacity_of_steps(found, steps);
+  const intN dense = active & MASK(stated > view->opacity_limit);
+  if (any_lane(dense)) {
+    const floatN clear = lane_max(PIECE_ROW(ROW_CLEAR) + w * PIECE_ROW(ROW_CLEAR_CHANGE), (floatN)0.0f);
+    const floatN units = one_step ? (floatN)view->step_units : view->step_units * TO_FLOAT(steps);
+    found = select(found, opacity_of_depth(depth_of_clear(clear, stated) * units), dense);
+  }
+#undef PIECE_ROW
+#if VOXEL_HOLES
+  found = select((floatN)0.0f, found, finite);
+#endif
+  *opacity = found;
 }
 
 /* A segment of one value. */

@@ -24,6 +24,9 @@ typedef struct {
   float4 ray_du;       /* x, y, z: change of the direction, not yet normalised, per pixel to the right */
   float4 ray_dv;       /* x, y, z: and down */
   float4 upper;        /* x, y, z: size - 1 */
+  float4 shows_above;  /* nothing is visible between two values if of each component both are <= this */
+  float4 shows_below;  /* or both >= that */
+  float4 opacity_terms, opacity_more; /* opacity of a step through one value (step_opacity() of transfer_pieces.h), */
   int4 size;           /* x, y, z: lattice points */
   int4 cells;          /* x, y, z: cells of the distance map (skip_empty.h) */
 #if VOXEL_BITS == 64
@@ -48,6 +51,7 @@ typedef struct {
   float gate_low;       /* no value at or below this one is visible, */
   float gate_high;      /* nor any at or above that one */
   float step_units;     /* opacity units per step */
+  float opacity_limit;  /* for opacities up to this one */
   float voxel_gain;     /* of scaled float32 voxels */
   float zero;           /* 0, which the compiler does not know (sample_volume.h, SAMPLE_REPEATS) */
   int cell_shift;       /* log2 of a distance map's cell in lattice units */
@@ -68,7 +72,9 @@ typedef struct {
 /* Reported to the host (struct_fields.h). */
 #define VIEW_FIELDS VIEW_DOUBLES \
   STRUCT(View), FIELD(View, plane_origin), FIELD(View, plane_du), FIELD(View, plane_dv), \
-  FIELD(View, ray_forward), FIELD(View, ray_du), FIELD(View, ray_dv), FIELD(View, upper), FIELD(View, size), \
+  FIELD(View, ray_forward), FIELD(View, ray_du), FIELD(View, ray_dv), FIELD(View, upper), \
+  FIELD(View, shows_above), FIELD(View, shows_below), FIELD(View, opacity_terms), \
+  FIELD(View, opacity_more), FIELD(View, opacity_limit), FIELD(View, size), \
   FIELD(View, cells), FIELD(View, tangent), FIELD(View, centre), FIELD(View, image), FIELD(View, tile), \
   FIELD(View, lattice), FIELD(View, ray_spacing), FIELD(View, ray_tolerance), FIELD(View, first_tile), \
   FIELD(View, step), FIELD(View, plane_distance), FIELD(View, stop_opacity), FIELD(View, edge_length), \

@@ -16,7 +16,7 @@ from clvol.volume.parts import parts_of
 
 _ZARR = ("zarr.json", ".zgroup", ".zarray", ".zattrs")
 # The first bytes of files that clvol writes. A file in a folder of slices that begins like this is not a slice.
-_PICTURES = (b"\x89PNG", b"\x76\x2f\x31\x01", b"\x93NUMPY", b"GIF8", b"RIFF", b"{")
+_PICTURES = (b"\x89PNG", b"\x76\x2f\x31\x01", b"\x93NUMPY", b"GIF8", b"RIFF", b"\xff\xd8\xff", b"{")
 
 Identity = tuple[int, int]
 

@@ -91,14 +91,20 @@ def _warnings_kept(debug: bool) -> Iterator[dict[str, None]]:
 
 
 def _failed(line: str, status: int, debug: bool) -> int:
-    if debug:
+    say_error(line, debug)
+    return status
+
+
+def say_error(line: str, debug: bool | None = None) -> None:
+    """Prints the error that is being handled on stderr, as one line. ``debug``: with its traceback; None: where
+    CLVOL_DEBUG requests it."""
+    if os.environ.get("CLVOL_DEBUG") == "1" if debug is None else debug:
         import traceback
 
         from clvol.text import printable_lines
 
         _write_on_stderr(printable_lines(traceback.format_exc()))
     _say_on_stderr("clvol: error: ", line)
-    return status
 
 
 def _say_on_stderr(head: str, line: str) -> None:

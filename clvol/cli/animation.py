@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
+from clvol.batch.claims import Claims
+from clvol.batch.shared import unmade
 from clvol.cli.console import note, preparing, say_path, to_json, working
 from clvol.cli.outputs import check_frames, numbered, save_picture
+from clvol.cli.standard_output import STANDARD, is_standard, kept_clean
 from clvol.cli.verbose import log_scene
 from clvol.errors import ClvolError, UsageError
 
@@ -33,23 +36,28 @@ def render_animation(
     stats: str | None,
     *,
     resume: bool,
+    frames: slice = slice(None),
     quiet: bool,
     devices: list[str] | None,
     memory_cap: int | None,
     isolate: bool = False,
 ) -> None:
-    """Renders all frames of ``scene``, and prints the names of the files written.
+    """Renders ``frames`` of ``scene``, and prints the names of the files written.
 
     The pictures of a frame appear together when it is done, and stay even if a later frame fails. Videos and stats
     appear at the end or not at all. ``resume``: a frame is not rendered again if all its pictures exist, are whole,
-    and were made from the same scene, voxels and version (``clvol.render.made_from``).
+    and were made from the same scene, voxels and version (``clvol.render.made_from``); frames are claimed
+    (``clvol.batch.claims``), so that several processes can share a folder.
     """
     from clvol.image import atomic_paths, check_video, is_video, open_video
 
     start = time.perf_counter()
+    if STANDARD in outputs:
+        what = f"one picture for {scene.animation.frames} frames"
+        raise UsageError(STANDARD, what, "one frame: --set animation.frames=1")
     videos = [path for path in outputs if is_video(path)]
     stills = [path for path in outputs if not is_video(path)]
-    others = [] if stats is None else [stats]
+    others = [] if stats is None or is_standard(stats) else [stats]
     count, fps = scene.animation.frames, scene.animation.fps
     for path in videos:
         check_video(path, fps, scene.image.width, scene.image.height)
@@ -65,23 +73,21 @@ def render_animation(
 
     from clvol.integrators.registry import integrator_of
     from clvol.render import Renderer
-    from clvol.schedule.animation import frames
+    from clvol.schedule.animation import frames as frames_of
 
-    kept = set()
+    wanted = list(frames_of(resolved))[frames]
+    todo = wanted
+    is_there = partial(_frame_is_there, resolved, stills)
     if resume:
         with working("checking which frames exist", quiet):
-            width, height = resolved.image.width, resolved.image.height
-            for index, seconds, camera in frames(resolved):
-                expected = {"size": (width, height), "made_from": _made_from(resolved, index, seconds, camera)()}
-                if _is_there(stills, index, expected, resolved.source or ""):
-                    kept.add(index)
+            todo = [frame for frame in wanted if not is_there(frame)]
     written: list[str] = []
     totals = _Totals()
     depth = any(path.lower().endswith(".exr") for path in stills)
     of_all = partial(_made_from_all, resolved, count)
-    todo = [frame for frame in frames(resolved) if frame[0] not in kept]
     size = f"{resolved.image.width} x {resolved.image.height} pixels"
     with ExitStack() as stack:
+        write_standard = stack.enter_context(kept_clean(is_standard(stats)))
         temporaries = stack.enter_context(atomic_paths([*videos, *others]))
         progress = stack.enter_context(working(f"rendering {len(todo)} frames of {size}", quiet))
         parts = temporaries[: len(videos)]
@@ -95,18 +101,23 @@ def render_animation(
             if reading is not None and progress is not None:
                 progress(None, None, f"rendering {len(todo)} frames of {size}")
             stack.enter_context(renderer)
-        for done, (index, seconds, camera) in enumerate(todo):
-            report = _part(progress, done, len(todo))
+        claims = stack.enter_context(Claims()) if resume and todo else None
+        rendered, places_of = 0, {frame[0]: place for place, frame in enumerate(todo)}
+        for index, seconds, camera in _shared(todo, claims, stills, is_there, progress):
+            report = _part(progress, places_of[index], len(todo))
             frame = renderer.render(camera=camera, time=seconds, progress=report, depth=depth)
             frame.made_from = _made_from(resolved, index, seconds, camera)
             write_start = time.perf_counter()
             names = [numbered(path, index) for path in stills]
+            if claims is not None and not claims.owns(names[0]):
+                continue  # this process was stopped for so long that another one has taken over
             with atomic_paths(names) as places:
                 for name, place in zip(names, places):
                     save_picture(frame, place, name)
             for writer in writers:
                 writer.add(frame)
             written += names
+            rendered += 1
             totals.add(frame.stats, time.perf_counter() - write_start)
         if progress is not None:
             progress(None, None, "writing")
@@ -116,12 +127,62 @@ def render_animation(
         totals.seconds["write"] = totals.seconds.get("write", 0) + time.perf_counter() - write_start
         if stats is not None:
             totals.seconds |= {"load": load_seconds, "total": time.perf_counter() - start}
-            known = totals.stats() | {"frames": len(todo), "frames_kept": len(kept)}
-            temporaries[-1].write_text(to_json(known) + "\n", encoding="utf-8")
+            known = totals.stats() | {"frames": rendered, "frames_kept": len(wanted) - rendered}
+            text = to_json(known) + "\n"
+            if is_standard(stats):
+                write_standard(text.encode())
+            else:
+                temporaries[-1].write_text(text, encoding="utf-8")
     for path in [*written, *videos, *others]:
-        say_path(path)
-    if kept and not quiet:
-        note(f"{len(kept)} of {count} frames existed already and were kept")
+        (note if is_standard(stats) else say_path)(path)
+    if resume and not quiet:
+        if kept := len(wanted) - len(todo):
+            note(f"{kept} of {len(wanted)} frames existed already and were kept")
+        if others_made := len(todo) - rendered:
+            note(f"{others_made} of {len(wanted)} frames were made by other processes")
+
+
+def frame_range(text: str, count: int) -> slice:
+    """The frames that ``--frames`` requests, of ``count``: "A:B" from A up to but without B, as in Python, either of
+    which may be missing; or one number. UsageError for anything else, and for frames that do not exist."""
+    expected = f"A:B with 0 <= A < B <= {count} (frame B is not rendered), or the number of one frame"
+    first, colon, last = text.partition(":")
+    digits = all(each == "" or (each.isascii() and each.isdecimal()) for each in (first, last))
+    if not digits or not (first or colon):
+        raise UsageError("--frames", f"got {text!r}", expected)
+    begin = int(first or 0)
+    end = int(last or count) if colon else begin + 1
+    if not begin < end <= count:
+        raise UsageError("--frames", f"got {text!r} for an animation of {count} frames", expected)
+    return slice(begin, end)
+
+
+Timed = tuple[int, float, "Camera"]
+
+
+def _shared(
+    todo: list[Timed], claims: Claims | None, stills: Sequence[str], is_there: Callable[[Timed], bool],
+    progress: ShowProgress | None,
+) -> Iterator[Timed]:  # fmt: skip
+    """The frames of ``todo`` that this process renders."""
+    if claims is None:
+        yield from todo
+        return
+    files = lambda frame: [numbered(path, frame[0]) for path in stills]  # noqa: E731
+
+    def waiting(count: int) -> None:
+        if progress is not None:
+            progress(None, None, f"waiting for {count} frames that other processes render")
+
+    yield from unmade(todo, claims, files, is_there, waiting)
+
+
+def _frame_is_there(resolved: ResolvedScene, stills: Sequence[str], frame: Timed) -> bool:
+    """Whether all pictures of ``frame`` exist, are whole, and were made as they would be made now."""
+    index, seconds, camera = frame
+    size = resolved.image.width, resolved.image.height
+    expected = {"size": size, "made_from": _made_from(resolved, index, seconds, camera)()}
+    return _is_there(stills, index, expected, resolved.source or "")
 
 
 def _made_from(resolved: ResolvedScene, index: int, seconds: float, camera: Camera) -> MadeFrom:

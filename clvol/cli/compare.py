@@ -12,6 +12,9 @@ if TYPE_CHECKING:
     import numpy as np
 
 
+_WRITTEN = (".png", ".exr", ".npy")
+
+
 @click.command("compare", short_help="Measure how far apart two pictures are.")
 @click.argument("a", metavar="A", shell_complete=complete_file)
 @click.argument("b", metavar="B", shell_complete=complete_file)
@@ -30,12 +33,13 @@ if TYPE_CHECKING:
 def command(
     a: str, b: str, outputs: tuple[str, ...], as_json: bool, memory_cap: int | None
 ) -> None:
-    """Compare the pictures A and B (.exr, .png, .npy): RMSE, largest difference, PSNR, SSIM, and
+    """Compare the pictures A and B (.exr, .png, .jpg, .tif, .npy): RMSE, largest difference, PSNR, SSIM, and
     the CIEDE2000 colour difference as displayed.
 
-    A PNG has no opacity and includes the background. When it is compared with an .exr or .npy, the latter is
-    composited over the background that the files state, and only colours are compared. The output states what was
-    left out of the comparison, and the difference that rounding to 8 bits alone would cause.
+    A displayed picture (.png, .jpg, .tif) includes its background, unless it is transparent. When it is compared with
+    an .exr or .npy, the latter is composited over the background that the files state, and only colours are compared.
+    The output states what was left out of the comparison, and the difference that rounding to 8 bits alone would
+    cause.
     """
     from clvol.inputs import Inputs, protected
 
@@ -52,6 +56,9 @@ def _compare(
     from clvol.errors import UsageError
     from clvol.image import load_image
 
+    for path in outputs:
+        if not path.lower().endswith(_WRITTEN):
+            raise UsageError(path, "unknown ending of a difference", " or ".join(_WRITTEN))
     check_outputs(outputs, [])
     first, second = load_image(a, memory_cap), load_image(b, memory_cap)
     shape, other = first["rgba"].shape, second["rgba"].shape

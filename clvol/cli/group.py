@@ -13,7 +13,9 @@ from clvol.cli.verbose import verbose_option
 from clvol.errors import ClvolError, RenderError, UsageError
 
 # Each command is a module of this package.
-COMMANDS = ("render", "init", "explain", "info", "scene", "store", "doctor", "compare", "tradeoff", "completion")
+COMMANDS = (
+    "render", "develop", "init", "explain", "info", "scene", "store", "doctor", "compare", "tradeoff", "completion",
+)  # fmt: skip
 COMPLETE = "_CLVOL_COMPLETE"  # the environment variable that a shell's completion script sets
 
 

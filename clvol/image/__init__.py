@@ -1,12 +1,21 @@
-"""Writes pictures as EXR, PNG or NPY, whole or not at all, and reads them."""
+"""Writes pictures as EXR, PNG, JPEG, TIFF or NPY, whole or not at all, and reads them."""
 
 from __future__ import annotations
 
 from clvol.image.atomic import atomic_path, atomic_paths, check_output_folder
-from clvol.image.files import ENDINGS, check_output, is_intact, load_image, save_frame
+from clvol.image.files import (
+    ENDINGS,
+    WITH_SCENE,
+    check_output,
+    is_intact,
+    load_image,
+    picture_texts,
+    save_frame,
+    write_frame,
+)
 from clvol.image.video import VIDEO_ENDINGS, check_video, is_video, open_video
 
 __all__ = [
-    "ENDINGS", "VIDEO_ENDINGS", "atomic_path", "atomic_paths", "check_output", "check_output_folder", "check_video",
-    "is_intact", "is_video", "load_image", "open_video", "save_frame",
-]
+    "ENDINGS", "VIDEO_ENDINGS", "WITH_SCENE", "atomic_path", "atomic_paths", "check_output", "check_output_folder",
+    "check_video", "is_intact", "is_video", "load_image", "open_video", "picture_texts", "save_frame", "write_frame",
+]  # fmt: skip

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 from collections.abc import Iterable
 from importlib import metadata
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,6 +16,8 @@ import clvol
 from clvol.text import without_surrogates
 
 MADE_FROM = "made_from"
+SCENE_FOLDER = "scene_folder"
+OVERLAY = "overlay"
 
 
 def _version(package: str) -> str:
@@ -28,10 +32,10 @@ def _plain(value: Any) -> Any:
     return value.tolist() if hasattr(value, "tolist") else str(value)
 
 
-def facts(frame: Any, held: Iterable[np.ndarray] = ()) -> dict[str, str]:
-    """Texts for a header: software, versions, device, statistics and background; also, if they are known, the scene
-    and what the picture was made from (``clvol.render.made_from``), with a digest of ``held``, the arrays that the
-    file stores."""
+def facts(frame: Any, held: Iterable[np.ndarray] = (), path: Path | None = None) -> dict[str, str]:
+    """Texts for a header: software, versions, device, statistics and background; also, if they are known, the scene,
+    its folder as seen from that of ``path``, the file, what an overlay is drawn from, and what the picture was made
+    from (``clvol.render.made_from``), with a digest of ``held``, the arrays that the file stores."""
     stats = getattr(frame, "stats", None) or {}
     texts = {
         "software": f"clvol {clvol.__version__}",
@@ -50,10 +54,34 @@ def facts(frame: Any, held: Iterable[np.ndarray] = ()) -> dict[str, str]:
     scene = getattr(frame, "scene_source", None)
     if scene:
         texts["scene"] = scene
+        folder = getattr(frame, SCENE_FOLDER, None)
+        if folder is not None and path is not None:
+            texts[SCENE_FOLDER] = _seen_from(path, os.fspath(folder))
+    overlay = getattr(frame, OVERLAY, None)
+    if overlay is not None:
+        texts[OVERLAY] = overlay.to_json()
     made_from = getattr(frame, MADE_FROM, None)
     if made_from is not None:
         texts[MADE_FROM] = json.dumps({**made_from(), "pixels": digest(held)})
     return {name: without_surrogates(text) for name, text in texts.items()}
+
+
+def _seen_from(path: Path, folder: str) -> str:
+    """``folder`` relative to that of ``path``, so that a picture and its volume may be moved together."""
+    try:
+        return os.path.relpath(folder, os.path.dirname(os.path.abspath(path)))
+    except ValueError:  # on another drive
+        return os.path.abspath(folder)
+
+
+def texts_of(comment: Any) -> dict[str, Any]:
+    """The metadata that a file keeps as JSON in its comment; empty for a comment of another kind."""
+    try:
+        text = comment.decode("utf-8") if isinstance(comment, bytes) else comment
+        found = json.loads(text)
+    except (TypeError, ValueError, RecursionError):
+        return {}
+    return {k: v for k, v in found.items() if isinstance(v, (str, int, float))} if isinstance(found, dict) else {}
 
 
 def digest(arrays: Iterable[np.ndarray]) -> str:

@@ -1,9 +1,9 @@
 """OpenEXR: R, G, B, A (premultiplied, linear) and Z (depth), 32-bit float, ZIP-compressed.
 
 Z is the distance along the pixel's ray, in world units, at which the accumulated opacity reaches one half, and +inf
-where it never does. The header contains ``scene`` (the scene's text), ``made_from``
-and ``stats`` (JSON), ``background`` (JSON, linear), ``device``, ``software`` and the versions of
-clvol, pyopencl and numpy.
+where it never does. The header contains ``scene`` (the scene's text), ``scene_folder`` (relative to the picture's
+folder), ``made_from``, ``overlay`` and ``stats`` (JSON), ``background`` (JSON, linear), ``device``, ``software`` and
+the versions of clvol, pyopencl and numpy.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def write(frame: Any, rgba: np.ndarray, path: Path) -> None:
         if depth.shape != rgba.shape[:2]:
             raise UsageError("frame.depth", f"its shape is {depth.shape}", f"{rgba.shape[:2]}")
         channels["Z"] = depth
-    texts = facts(frame, held(rgba, depth))
+    texts = facts(frame, held(rgba, depth), path)
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, **texts}
     try:
         # The path is passed as bytes, because a name need not be UTF-8.
@@ -89,6 +89,12 @@ def _opened(path: str, **options: bool) -> Iterator[Any]:
 
     with OpenEXR.File(os.fsencode(path), **options) as file:
         yield file
+
+
+def texts(path: str) -> dict[str, Any]:
+    """The strings and numbers of the header; no pixel is read."""
+    with _opened(path, header_only=True) as file:
+        return {k: v for k, v in file.header().items() if isinstance(v, (str, int, float))}
 
 
 def read(

@@ -24,7 +24,7 @@ _ALIGNED = 64  # bytes, the alignment of numpy's headers; the second array's len
 def write(frame: Any, rgba: np.ndarray, path: Path) -> None:
     """Writes ``rgba`` to ``path``. Raises OSError when that fails."""
     array = np.ascontiguousarray(rgba, dtype="<f4")
-    text = json.dumps(facts(frame, held(rgba, None)))
+    text = json.dumps(facts(frame, held(rgba, None), path))
     metadata = np.frombuffer(text.ljust(-(-len(text) // _ALIGNED) * _ALIGNED).encode(), np.uint8)
     with open(path, "wb") as file:
         # numpy.save would append an ending of its own, and hide why a write failed.

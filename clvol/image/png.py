@@ -1,7 +1,5 @@
-"""PNG files hold the image as displayed, over its background: 8 bits, sRGB-encoded, without alpha or dithering.
-
-The pixels are encoded by the exact piecewise curve of IEC 61966-2-1 and rounded to nearest.
-"""
+"""PNG files hold the image as displayed: 8 bits, sRGB-encoded, over its background, or with straight alpha where the
+scene's display is transparent (``clvol.image.develop``)."""
 
 from __future__ import annotations
 
@@ -12,52 +10,44 @@ from typing import Any
 import numpy as np
 
 from clvol.errors import UsageError
-from clvol.image.about import MADE_FROM, facts
+from clvol.image.about import MADE_FROM, SCENE_FOLDER, facts
+from clvol.image.develop import display, shown_picture, straight
 from clvol.image.limits import RGBA_BYTES, check_picture
-from clvol.transfer.color import linear_to_srgb, srgb_to_linear
+from clvol.transfer.color import srgb_to_linear
 
-_ROWS = 256  # rows that are encoded together, so that double precision takes little memory
+__all__ = ["display", "held", "linear", "opaque", "read", "text_chunks", "texts", "write"]
+
+_ROWS = 256  # rows that are decoded together, so that double precision takes little memory
 _LARGEST_TEXT = 1 << 20
 _DEPTH_AT = 24  # offset of the byte that holds the number of bits per channel
 _KEYWORDS = {"scene": "Scene"}  # texts that have another name in a PNG
-
-
-def display(rgba: np.ndarray, background: Any) -> np.ndarray:
-    """The image over ``background`` [3] (linear) as a viewer shows it, uint8 [height, width, 3].
-
-    ``rgba`` is [height, width, 4], linear, premultiplied. Light brighter than white is clipped. A pixel with NaN in
-    any channel shows the background, and an infinite channel becomes 0 or 255.
-    """
-    behind = np.nan_to_num(np.asarray(background, dtype=np.float64).reshape(3), posinf=1.0)
-    shown = np.empty((*rgba.shape[:2], 3), dtype=np.uint8)
-    for row in range(0, rgba.shape[0], _ROWS):
-        part = np.array(rgba[row : row + _ROWS], dtype=np.float64)
-        part[np.isnan(part).any(axis=-1)] = 0.0
-        transparency = np.clip(1.0 - part[..., 3:], 0.0, 1.0)
-        light = np.clip(part[..., :3] + transparency * behind, 0.0, 1.0)
-        shown[row : row + _ROWS] = np.floor(255.0 * linear_to_srgb(light) + 0.5)
-    return shown
 
 
 def write(frame: Any, rgba: np.ndarray, path: Path) -> None:
     """Writes the frame to ``path``. Raises OSError when that fails."""
     from PIL import Image
 
-    background = getattr(frame, "background", None)
-    shown = display(rgba, (0.0, 0.0, 0.0) if background is None else background)
+    shown = shown_picture(frame, rgba)
     with open(path, "wb") as file:
-        Image.fromarray(shown).save(file, format="PNG", pnginfo=text_chunks(frame, [shown]))
+        Image.fromarray(shown).save(file, format="PNG", pnginfo=text_chunks(frame, opaque(shown), path))
 
 
-def text_chunks(frame: Any, shown: Iterable[np.ndarray]) -> Any:
+def opaque(shown: np.ndarray) -> list[np.ndarray]:
+    """The arrays that a file's digest is of: without alpha where nothing is transparent, since a picture that was read
+    does not say whether its file had such an alpha."""
+    full = np.iinfo(shown.dtype).max
+    return [shown[..., :3] if shown.shape[2] == 4 and (shown[..., 3] == full).all() else shown]
+
+
+def text_chunks(frame: Any, shown: Iterable[np.ndarray], path: Path | None = None) -> Any:
     """The metadata of a PNG, for Pillow. ``shown`` are the pixels that the file holds."""
     from PIL import PngImagePlugin
 
     chunks = PngImagePlugin.PngInfo()
     chunks.add(b"sRGB", b"\0")  # rendering intent: perceptual
-    texts = facts(frame, shown)
+    texts = facts(frame, shown, path)
     chunks.add_text("Software", texts["software"])
-    for name in ("background", MADE_FROM, "scene"):
+    for name in ("background", MADE_FROM, "scene", SCENE_FOLDER):
         # Readers ignore larger texts, and Pillow then refuses the whole picture.
         if name in texts and len(texts[name].encode()) < _LARGEST_TEXT:
             chunks.add_itxt(_KEYWORDS.get(name, name), texts[name], zip=True)
@@ -66,7 +56,16 @@ def text_chunks(frame: Any, shown: Iterable[np.ndarray]) -> Any:
 
 def held(rgba: np.ndarray, depth: np.ndarray | None) -> list[np.ndarray]:
     """The arrays that the file stores of a picture that was read from it."""
-    return [display(rgba, (0.0, 0.0, 0.0))]
+    return opaque(straight(rgba) if (rgba[..., 3] != 1.0).any() else display(rgba, (0.0, 0.0, 0.0)))
+
+
+def texts(path: str) -> dict[str, Any]:
+    """The texts that precede the pixels, which are not read."""
+    from PIL import PngImagePlugin
+
+    with open(path, "rb") as file, PngImagePlugin.PngImageFile(file) as image:
+        header = {k: v for k, v in image.info.items() if isinstance(v, (str, int, float))}
+    return header | {name: header[key] for name, key in _KEYWORDS.items() if key in header}
 
 
 def read(path: str, memory_cap: int | None = None) -> tuple[np.ndarray, None, dict[str, Any]]:
@@ -96,14 +95,15 @@ def read(path: str, memory_cap: int | None = None) -> tuple[np.ndarray, None, di
     rgba = np.ones((height, width, 4), dtype=np.float32)
     for row in range(0, height, _ROWS):
         part = slice(row, row + _ROWS)
-        rgba[part] = _linear_grey(pixels[part]) if is_grey16 else _linear(pixels[part])
+        rgba[part] = _linear_grey(pixels[part]) if is_grey16 else linear(pixels[part])
     return rgba, None, header
 
 
-def _linear(pixels: np.ndarray) -> np.ndarray:
-    """``pixels`` (uint8 [..., 4], sRGB-encoded, straight alpha) as linear, premultiplied light."""
-    levels = srgb_to_linear(np.arange(256) / 255.0)
-    alpha = pixels[..., 3:] / 255.0
+def linear(pixels: np.ndarray) -> np.ndarray:
+    """``pixels`` (uint8 or uint16 [..., 4], sRGB-encoded, straight alpha) as linear, premultiplied light."""
+    largest = np.iinfo(pixels.dtype).max
+    levels = srgb_to_linear(np.arange(largest + 1) / largest)
+    alpha = pixels[..., 3:] / largest
     return np.concatenate([levels[pixels[..., :3]] * alpha, alpha], axis=-1)
 
 

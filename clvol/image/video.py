@@ -1,8 +1,8 @@
 """Writes videos of animations: .gif, .webp and .apng with Pillow, and .mp4 if imageio-ffmpeg is installed.
 
-Frames are shown as in a PNG (``clvol.image.png.display``), over their background and sRGB-encoded. Pillow takes all
-frames at once, so a video needs 4 bytes of memory per pixel and frame until it is written. An .mp4 is written frame
-by frame.
+Frames are shown as in a PNG (``clvol.image.develop``), over their background, sRGB-encoded, never transparent. Pillow
+takes all frames at once, so a video needs 4 bytes of memory per pixel and frame until it is written. An .mp4 is
+written frame by frame.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import numpy as np
 
 from clvol.errors import RenderError, UsageError
 from clvol.image.about import MADE_FROM
-from clvol.image.png import display
+from clvol.image.develop import shown_picture
 
 # ending -> largest frame rate (per second), largest width or height (pixels)
 _LIMITS = {
@@ -99,8 +99,7 @@ class _Frames:
         self._shape: tuple[int, ...] | None = None
 
     def add(self, frame: Any) -> None:
-        background = getattr(frame, "background", None)
-        shown = display(frame.rgba, (0.0, 0.0, 0.0) if background is None else background)
+        shown = shown_picture(frame, np.asarray(frame.rgba, np.float32), may_be_transparent=False)
         if self._shape not in (None, shown.shape):
             was, now = (f"{s[1]} x {s[0]} pixels" for s in (self._shape, shown.shape))
             raise RenderError(f"{self.path.name}: frame {self.count}", now, f"{was}, as before")

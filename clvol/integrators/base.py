@@ -174,14 +174,15 @@ class RendersParts(Protocol):
 
 @runtime_checkable
 class RendersOnSeveral(Protocol):
-    """A ``Prepared`` that shares rays among devices itself: nothing of it is resident on one."""
+    """A ``Prepared`` that shares rays among devices itself."""
 
     def render_on(
-        self, contexts: Sequence[DeviceContext], camera: Camera, width: int, height: int, progress: Progress | None,
-        on_loss: Callable[[int, BaseException], None],
-    ) -> FrameData:  # fmt: skip
-        """The whole picture, on all devices of ``contexts``. ``on_loss(device, error)`` is called for one that fails;
-        the error of the last one is raised."""
+        self, prepared: Sequence[Any], camera: Camera, width: int, height: int, progress: Progress | None,
+        depth: bool, on_loss: Callable[[int, BaseException], None], seconds: float | None = None,
+    ) -> FrameData | None:  # fmt: skip
+        """The whole picture, on the devices of ``prepared``, which have the same scene; the first one is this. None if
+        there is nothing to share. ``on_loss(device, error)`` is called for one that fails; the error of the last one is
+        raised. ``seconds``: as ``RefinesInTime.render_for_time``."""
         ...
 
 

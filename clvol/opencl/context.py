@@ -132,6 +132,8 @@ class DeviceContext:
         self.name = device_name(device)
         self.is_cpu = bool(device.type & cl.device_type.CPU)
         self._alone = self.is_cpu and is_pocl(device)
+        # PoCL 3.1 runs what a part of its device is given on all threads of the device, not on the part's.
+        self.uses_all_threads = is_pocl(device) and device.parent_device is not None
         self.has_double = "cl_khr_fp64" in device.extensions.split()
         self.compile_seconds = 0.0
         try:

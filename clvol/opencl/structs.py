@@ -72,6 +72,7 @@ def view_dtype(voxel_bits: int) -> np.dtype:
     doubles: tuple[Any, ...] = (("double", "voxel_bias_double voxel_gain_double"),) if voxel_bits == 64 else ()
     return struct(
         ("float4", "plane_origin plane_du plane_dv ray_forward ray_du ray_dv upper"),
+        ("float4", "shows_above shows_below opacity_terms opacity_more"),
         ("int4", "size cells"),
         *doubles,
         ("float2", "tangent centre"),
@@ -81,7 +82,7 @@ def view_dtype(voxel_bits: int) -> np.dtype:
         ("int", "first_tile"),
         ("float", "step plane_distance stop_opacity edge_length"),
         ("float", "first_value nodes_per_value last_node warp_bins"),
-        ("float", "gate_low gate_high step_units voxel_gain zero"),
+        ("float", "gate_low gate_high step_units opacity_limit voxel_gain zero"),
         ("int", "cell_shift cell_parts row_stride slice_stride piece_columns piece_count function_floats"),
     )
 

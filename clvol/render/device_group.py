@@ -21,16 +21,17 @@ from clvol.integrators.base import (
     PictureArrays,
     Prepared,
     Progress,
+    RefinesInTime,
     RendersOnSeveral,
     RendersParts,
     TiledPictureParts,
 )
 from clvol.opencl.context import shared_array
-from clvol.render.device_thread import DeviceThread
 from clvol.render.frame_schedule import Schedule, Span
 from clvol.render.member import LocalMember, Member, reason_of
 from clvol.render.picture_stage import FAILURES, PictureStage, Total
 from clvol.scene.camera import Camera
+from clvol.schedule.device_thread import DeviceThread
 from clvol.schedule.dispatch import Dispatcher
 
 _LAUNCH = 5e-4  # seconds that a package takes besides its tiles, as a first guess
@@ -134,13 +135,42 @@ class DeviceGroup:
         """Seconds that the compilers of all devices took since the last call."""
         return sum(member.take_compile_seconds() for member in self.members if member.works)
 
-    def render_alone(self, render: Callable[[Prepared], FrameData]) -> FrameData:
-        """What ``render`` returns for the fastest device that does not fail."""
+    def warm_up_for_time(self, depth: bool = True) -> None:
+        """Compiles everything that ``render_for_time`` needs, on all devices."""
+        for member in self.alive:
+            if isinstance(member.prepared, RefinesInTime):
+                try:
+                    member.prepared.warm_up_for_time(depth)
+                except FAILURES as error:
+                    if len(self.members) == 1:
+                        raise
+                    last = self._lose_in_frame(member, error)
+                    if last is not None:
+                        raise last from None
+
+    def render_for_time(
+        self, camera: Camera, width: int, height: int, progress: Progress | None = None, depth: bool = True, *,
+        seconds: float,
+    ) -> FrameData:  # fmt: skip
+        """As ``RefinesInTime.render_for_time``, for scenes that refine; with several devices with
+        ``notes["schedule"]``."""
+
+        def alone(prepared: Prepared) -> FrameData:
+            assert isinstance(prepared, RefinesInTime)
+            left = max(seconds - (perf_counter() - start), 0.0)
+            return prepared.render_for_time(camera, width, height, progress, depth, seconds=left)
+
+        start = perf_counter()
         if len(self.members) == 1:
             prepared = self.members[0].prepared
             assert prepared is not None
-            return render(prepared)
-        return self._alone(render, Schedule([m.name for m in self.members]), perf_counter())
+            return alone(prepared)
+        self.schedule = schedule = Schedule([m.name for m in self.members])
+        data = self._on_several(camera, width, height, progress, depth, seconds, schedule, start)
+        if data is None:
+            data = self._alone(alone, schedule, start)
+            schedule.tile = width, height
+        return self._with_schedule(data, schedule, start)
 
     def remember_in(self, costs: dict[tuple[int, int], np.ndarray]) -> None:
         """From now on, costs of tiles by (stage, tiles), as measured in a frame, are taken from ``costs`` and kept in
@@ -157,11 +187,14 @@ class DeviceGroup:
         data = None
         if lattice == EVERY_PIXEL:
             data = self._shared(camera, width, height, progress, depth, schedule, start)
-            data = data or self._on_several(camera, width, height, progress, schedule, start)
+            data = data or self._on_several(camera, width, height, progress, depth, None, schedule, start)
         if data is None:
             render = lambda prepared: prepared.render(camera, width, height, progress, depth, lattice)  # noqa: E731
             data = self._alone(render, schedule, start)
             schedule.tile = width, height
+        return self._with_schedule(data, schedule, start)
+
+    def _with_schedule(self, data: FrameData, schedule: Schedule, start: float) -> FrameData:
         schedule.seconds = perf_counter() - start
         for k, member in enumerate(self.members):
             if member.lost is not None:
@@ -196,9 +229,7 @@ class DeviceGroup:
                 report = lambda done, before=before: progress(before + done, sum(counts))  # noqa: E731
             able = {k: part for k, part in parts.items() if self.members[k].works}
             dispatcher = self._dispatcher(number, tiles, able)
-            stage = PictureStage(
-                self.members, able, number, arrays, dispatcher, schedule, start, self._lose_in_frame
-            )
+            stage = PictureStage(self.members, able, number, arrays, dispatcher, schedule, start, self._lose_in_frame)
             stage.run({k: self._thread(k) for k in able}, report, total)
             self._learn(number, stage)
         rgba, distances = arrays[-1].rgba, arrays[-1].depth
@@ -259,27 +290,33 @@ class DeviceGroup:
         return self._threads[device]
 
     def _on_several(
-        self, camera: Camera, width: int, height: int, progress: Progress | None, schedule: Schedule, start: float
-    ) -> FrameData | None:
-        """A picture whose rays devices share without tiles; None if it has none, or if devices are in other
-        processes."""
-        local = {k: m for k, m in enumerate(self.members) if m.works and isinstance(m, LocalMember)}
-        first = next(iter(local.values()), None)
-        if len(local) < 2 or first is None or not isinstance(first.prepared, RendersOnSeveral):
-            return None
-        numbers = list(local)
+        self, camera: Camera, width: int, height: int, progress: Progress | None, depth: bool,
+        seconds: float | None, schedule: Schedule, start: float,
+    ) -> FrameData | None:  # fmt: skip
+        """A picture whose rays devices share; None if it has none, or if devices are in other processes."""
         last: list[BaseException | None] = [None]
+        while True:
+            local = {k: m for k, m in enumerate(self.members) if m.works and isinstance(m, LocalMember) and m.prepared}
+            numbers = sorted(local, key=lambda k: -local[k].speed)
+            first = local[numbers[0]].prepared if len(local) > 1 else None
+            if not isinstance(first, RendersOnSeveral):
+                return None
 
-        def lost(device: int, error: BaseException) -> None:
-            last[0] = self._lose_in_frame(local[numbers[device]], error)
+            def lost(device: int, error: BaseException, local=local, numbers=numbers) -> None:
+                last[0] = self._lose_in_frame(local[numbers[device]], error)
 
-        try:
-            contexts = [member.context for member in local.values()]
-            data = first.prepared.render_on(contexts, camera, width, height, progress, lost)
-        except FAILURES:
-            if last[0] is not None:
-                raise last[0] from None
-            raise
+            left = None if seconds is None else max(seconds - (perf_counter() - start), 0.0)
+            prepared = [local[k].prepared for k in numbers]
+            try:
+                data = first.render_on(prepared, camera, width, height, progress, depth, lost, left)
+                break
+            except FAILURES as error:
+                if last[0] is None and local[numbers[0]].lost is None:  # of the first one, before rays were shared
+                    lost(0, error)
+                if last[0] is not None:
+                    raise last[0] from None
+        if data is None:
+            return None
         end = perf_counter() - start
         schedule.tile = width, height
         schedule.states = ["working" if m.works else "busy" for m in self.members]

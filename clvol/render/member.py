@@ -24,10 +24,10 @@ class Member:
     """A device of a Renderer.
 
     ``prepared``: ``scene``, ready to be rendered. ``speed``: in cost per second, which differs by the share
-    ``unsteady`` from package to package. ``lost``: why it is not used any more; a context that has failed does not
-    recover, so it stays out while the Renderer is open. ``busy``: what it has not ended when a frame was complete
-    without it; until then it takes no part in frames. ``writes_in_place``: whether tiles that it has rendered are in
-    the arrays of the picture at once.
+    ``unsteady`` from package to package (as ``Dispatcher`` takes it). ``lost``: why it is not used any more; a context
+    that has failed does not recover, so it stays out while the Renderer is open. ``busy``: what it has not ended when a
+    frame was complete without it; until then it takes no part in frames. ``writes_in_place``: whether tiles that it has
+    rendered are in the arrays of the picture at once.
     """
 
     name: str
@@ -37,7 +37,8 @@ class Member:
     def __init__(self) -> None:
         self.prepared: Prepared | None = None
         self.scene: ResolvedScene | None = None
-        self.speed, self.unsteady = _SPEED * max(self.units, 1), 0.0
+        self.speed = _SPEED * max(self.units, 1)
+        self.unsteady: float | None = 0.0
         self.lost: str | None = None
         self.busy: Future | None = None
         self._busy_since = 0.0
@@ -100,6 +101,8 @@ class LocalMember(Member):
         self.context, self.cache = context, PreparedCache(context)
         self.name, self.units = context.name, int(context.device.max_compute_units)
         super().__init__()
+        if context.uses_all_threads:
+            self.unsteady = None
 
     @property
     def writes_in_place(self) -> bool:  # type: ignore[override]

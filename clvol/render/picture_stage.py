@@ -17,9 +17,9 @@ import numpy as np
 
 from clvol.errors import ClvolError
 from clvol.integrators.base import PartOfPicture, PictureArrays, TiledPictureParts
-from clvol.render.device_thread import DeviceThread
 from clvol.render.frame_schedule import Schedule, Span
 from clvol.render.member import Member
+from clvol.schedule.device_thread import DeviceThread
 from clvol.schedule.dispatch import Dispatcher, Package
 
 FAILURES = (ClvolError, MemoryError)  # of a device; anything else is a fault of the program
@@ -73,7 +73,10 @@ class PictureStage:
         self._members, self._parts, self._stage, self._arrays = members, parts, stage, arrays
         self.dispatcher, self._schedule, self._start, self._lose = dispatcher, schedule, start, lose
         self.costs = np.zeros(dispatcher.count)  # by tile, as measured
-        self._changed = threading.Condition()
+        lock = threading.RLock()
+        self._work_came = threading.Condition(lock)  # for devices that were given nothing, or at the end
+        self._settled = threading.Condition(lock)  # for the thread that waits for the picture
+        self._idle = 0
         self._rendered: list[_Rendered] = []
         self._fetching: dict[int, tuple[float, list[_Rendered]]] = {}  # since when, by device
         self._error: BaseException | None = None
@@ -92,10 +95,10 @@ class PictureStage:
         try:
             self._watch(report)
         finally:
-            with self._changed:
+            with self._work_came:
                 in_time = self._is_settled and self._error is None
                 self._ended = True
-                self._changed.notify_all()
+                self._tell()
             self._leave(futures, _PATIENCE if in_time else _STOPPING)
         if self._error is not None:
             raise self._error
@@ -119,10 +122,10 @@ class PictureStage:
     def _watch(self, report: Callable[[int], None] | None) -> None:
         reported, tiles = -1, self.dispatcher.count
         while True:
-            with self._changed:
+            with self._settled:
                 if self._ended or self._is_settled:
                     break
-                self._changed.wait(_TICK)
+                self._settled.wait(_TICK)
                 self._look_after(perf_counter())
                 done = sum(len(each.tiles) for each in self._rendered)
             if report is not None and done > reported:
@@ -164,13 +167,21 @@ class PictureStage:
         except FAILURES as error:
             self._lost(device, member, error)
         except BaseException as error:  # a fault of the program: the caller gets it
-            with self._changed:
+            with self._work_came:
                 self._error, self._ended = self._error or error, True
-                self._changed.notify_all()
+                self._tell()
+
+    def _tell(self) -> None:
+        """Wakes those for whom something may have changed. Nobody else: a thread that wakes takes a core from
+        kernels."""
+        if self._idle:
+            self._work_came.notify_all()
+        if self._ended or self._is_settled:
+            self._settled.notify_all()
 
     def _next(self, device: int) -> Package | list[_Rendered] | None:
         """The next package, or what is to be fetched; waits while other devices may still fail. None at the end."""
-        with self._changed:
+        with self._work_came:
             while not (self._ended or self._is_settled or self._members[device].lost is not None):
                 now = perf_counter()
                 if not self.dispatcher.complete:
@@ -180,11 +191,13 @@ class PictureStage:
                 elif own := [each for each in self._rendered if each.device == device and not each.fetched]:
                     self._fetching[device] = now, own
                     return own
-                self._changed.wait(min(max(self.dispatcher.next_stall(now), 1e-3), 1.0))
+                self._idle += 1
+                self._work_came.wait(min(max(self.dispatcher.ask_again(now), 1e-3), 1.0))
+                self._idle -= 1
             return None
 
     def _finished(self, package: Package, begin: float, found: PartOfPicture) -> None:
-        with self._changed:
+        with self._work_came:
             end = perf_counter()
             counts = self.dispatcher.finished(package, end, found.costs)
             times = begin - self._start, end - self._start
@@ -194,18 +207,18 @@ class PictureStage:
             if counts:
                 self.costs[package.tiles] = found.costs
                 self._rendered.append(_Rendered(package.device, package.tiles, found, span))
-            self._changed.notify_all()
+            self._tell()
 
     def _fetched(self, device: int, done: list[_Rendered]) -> None:
-        with self._changed:
+        with self._work_came:
             if self._fetching.pop(device, None) is not None:
                 for each in done:
                     each.fetched = True
-            self._changed.notify_all()
+            self._tell()
 
     def _lost(self, device: int, member: Member, error: BaseException) -> None:
         """What the device has rendered counts where it is in the arrays; other devices do the rest again."""
-        with self._changed:
+        with self._work_came:
             self.dispatcher.lost(device, str(error))
             self._fetching.pop(device, None)
             own = [each for each in self._rendered if each.device == device and not each.fetched]
@@ -217,11 +230,11 @@ class PictureStage:
             last = self._lose(member, error)
             if last is not None:
                 self._error, self._ended = self._error or last, True
-            self._changed.notify_all()
+            self._tell()
 
     def _take_back(self, rendered: list[_Rendered]) -> None:
         for each in rendered:
             each.span.counts = False
             self._rendered.remove(each)
             self.dispatcher.undone(each.tiles)
-        self._changed.notify_all()
+        self._tell()

@@ -238,18 +238,14 @@ class Renderer:
         if seconds is None:
             group.warm_up(width, height, depth)
         else:
-            _refining(on_devices.prepared).warm_up_for_time(depth)
+            _refining(on_devices.prepared)
+            group.warm_up_for_time(depth)
         compile_seconds = before + perf_counter() - compile_start
         group.take_compile_seconds()
         self._compile_seconds = 0.0
         start = perf_counter()
         if seconds is not None:
-            limit = seconds
-            data = group.render_alone(
-                lambda prepared: _refining(prepared).render_for_time(
-                    camera, width, height, progress, depth, seconds=limit
-                )
-            )
+            data = group.render_for_time(camera, width, height, progress, depth, seconds=seconds)
         elif len(on_devices.members) == 1:
             data = on_devices.prepared.render(camera, width, height, progress, depth)
         else:
@@ -309,7 +305,7 @@ class Renderer:
         counted |= self._notices.of_picture(self.resolved, camera, rgba, depth, counted.get("compression"))
         made_from = MadeFrom(self.resolved, camera)
         self._provenances.add(made_from)
-        return make_frame(self.resolved, rgba, depth, seconds, counted, devices, made_from)
+        return make_frame(self.resolved, rgba, depth, seconds, counted, devices, made_from, camera)
 
 
 def _refining(prepared: Prepared) -> RefinesInTime:

@@ -19,7 +19,7 @@ from clvol.transfer import TransferFunction
 
 # Tables that ``Prepared.for_scene`` takes over from another scene, or that no picture depends on.
 _TAKEN_OVER = ("camera", "image", "animation", "integration", "multiresolution", "pyramid", "slicing")
-_NOT_RENDERED = ("source", "origin", "chosen")
+_NOT_RENDERED = ("source", "origin", "folder", "chosen", "display", "overlay")
 _FREE_SETTINGS = {"step": 1.0, "early_termination": 0.0}  # of [integration]
 
 

@@ -7,6 +7,7 @@ from clvol.scene.camera import Camera
 from clvol.scene.clip import Clip
 from clvol.scene.compression import Compression
 from clvol.scene.depth_cue import DepthCue
+from clvol.scene.display import Display
 from clvol.scene.environment import Environment
 from clvol.scene.field import FieldLabel, FieldSettings, ResolvedField
 from clvol.scene.gradient import GradientSettings
@@ -25,6 +26,7 @@ from clvol.scene.opacity_factor import (
     GradientOpacityPoint,
     OpacityFactor,
 )
+from clvol.scene.overlay import Overlay
 from clvol.scene.pyramid import Pyramid
 from clvol.scene.resolve import ResolvedScene
 from clvol.scene.scene import Scene
@@ -43,6 +45,7 @@ __all__ = [
     "DepthCue",
     "DirectionalOpacity",
     "DirectionalOpacityPoint",
+    "Display",
     "Environment",
     "FieldLabel",
     "FieldSettings",
@@ -57,6 +60,7 @@ __all__ = [
     "Multiresolution",
     "Noise",
     "OpacityFactor",
+    "Overlay",
     "Pyramid",
     "Slicing",
     "ResolvedField",

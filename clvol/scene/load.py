@@ -11,6 +11,7 @@ from typing import Any
 
 from clvol.errors import SceneError
 from clvol.readers import ENDINGS, is_volume_path
+from clvol.scene.carried import at_its_moment, carried_scene, is_picture_path
 from clvol.scene.scene import Scene
 from clvol.scene.table import shown
 from clvol.store.zarr_store import is_store
@@ -35,8 +36,13 @@ def load_scene(path: str | Path, overrides: Iterable[str] = ()) -> Scene:
     ``overrides`` are texts such as ``image.width=1024`` or ``light.0.intensity=2``, with values in TOML syntax. They
     are applied in order. An index one past the end of a list appends to it. Raises SceneError whose ``where`` is
     "FILE: KEY". The volume itself is read by ``Scene.resolve``.
+
+    ``path`` may also be a picture (.exr, .png, .jpg) that clvol has rendered: the scene is the one that its header
+    carries, and ``Scene.moment`` says which camera and time the picture shows.
     """
-    path = Path(path)
+    path, overrides = Path(path), tuple(overrides)
+    if is_picture_path(path):
+        return _load_carried(path, overrides)
     if path.suffix.lower() == ".toml":
         data, folder = _read(path), path.parent
     else:
@@ -45,8 +51,21 @@ def load_scene(path: str | Path, overrides: Iterable[str] = ()) -> Scene:
         if os.path.isdir(path) and is_store(path):
             data["integration"] = {"method": "multiresolution"}
     for text in overrides:
-        _override(data, text, str(path))
+        override(data, text, str(path))
     return Scene.from_data(data, str(path), folder)
+
+
+def _load_carried(path: Path, overrides: tuple[str, ...]) -> Scene:
+    carried = carried_scene(path, overrides)
+    data = _parsed(carried.text, str(path))
+    moment = at_its_moment(data, carried.moment, overrides)
+    for text in overrides:
+        override(data, text, str(path))
+    volume = data.get("volume")
+    folder = carried.folder_with(volume.get("file") if isinstance(volume, dict) else None)
+    scene = Scene.from_data(data, str(path), folder)
+    scene._moment = moment
+    return scene
 
 
 def _check_ending(path: Path) -> None:
@@ -57,7 +76,8 @@ def _check_ending(path: Path) -> None:
     if not os.path.exists(path):
         what = "no such file"
     known = ", ".join(ENDINGS)
-    raise SceneError(str(path), what, f"a scene (.toml), or a volume: {known} or a DICOM folder")
+    expected = f"a scene (.toml), a picture that clvol has rendered, or a volume: {known} or a DICOM folder"
+    raise SceneError(str(path), what, expected)
 
 
 def _read(path: Path) -> dict[str, Any]:
@@ -80,15 +100,20 @@ def _read(path: Path) -> dict[str, Any]:
         line = raw[: error.start].count(b"\n") + 1
         what = f"byte {raw[error.start]:#04x}"
         raise SceneError(f"{path}: line {line}", what, "a scene file, text in UTF-8") from None
+    return _parsed(text, str(path))
+
+
+def _parsed(text: str, path: str) -> dict[str, Any]:
+    """The tables of a scene file's ``text``; errors name ``path``."""
     try:
         return tomllib.loads(text)
     except RecursionError:
-        raise SceneError(str(path), "nested too deeply", "a scene in TOML") from None
+        raise SceneError(path, "nested too deeply", "a scene in TOML") from None
     except ValueError as error:  # TOMLDecodeError is one
         what, place = _parted(str(error))
         if place.startswith("end"):
             place = f"line {text.count(chr(10)) + 1}"
-        where = f"{path}: {place}" if place else str(path)
+        where = f"{path}: {place}" if place else path
         raise SceneError(where, what, "a scene in TOML") from None
 
 
@@ -98,7 +123,7 @@ def _parted(message: str) -> tuple[str, str]:
     return (match["what"], match["place"]) if match else (message, "")
 
 
-def _override(data: dict[str, Any], text: str, origin: str) -> None:
+def override(data: dict[str, Any], text: str, origin: str) -> None:
     """Sets one value of the parsed scene ``data``; ``text`` is TABLE.KEY=VALUE."""
     key, equals, value_text = text.partition("=")
     keys = [part.strip() for part in key.split(".")]

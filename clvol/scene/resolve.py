@@ -22,6 +22,7 @@ from clvol.scene.codes import code_of, function_in_codes, in_stored_values
 from clvol.scene.compression import Compression
 from clvol.scene.default_unit import default_opacity_unit
 from clvol.scene.depth_cue import DepthCue
+from clvol.scene.display import Display
 from clvol.scene.environment import Environment
 from clvol.scene.field import ResolvedField
 from clvol.scene.gradient import GradientSettings
@@ -33,6 +34,7 @@ from clvol.scene.material import Material
 from clvol.scene.multiresolution import Multiresolution
 from clvol.scene.noise import Noise
 from clvol.scene.opacity_factor import OpacityFactor
+from clvol.scene.overlay import Overlay
 from clvol.scene.pyramid import Pyramid
 from clvol.scene.shadow import Shadow
 from clvol.scene.slicing import Slicing
@@ -96,6 +98,9 @@ class ResolvedScene:
     compression: Compression = Compression()
     chosen_classification: ChosenClassification | None = None  # where the scene requests "auto"
     chosen: dict[str, Any] | None = None  # what was chosen from the volume, since the scene does not state it
+    display: Display = Display()
+    overlay: Overlay = Overlay()
+    folder: Path | None = None  # that file names of ``source`` are relative to
 
     @property
     def data_range(self) -> tuple[float, float]:
@@ -168,6 +173,9 @@ def resolve(scene: Scene, memory_cap: int | None = None) -> ResolvedScene:
         animation=scene.animation,
         compression=scene.compression,
         chosen=scene.chosen,
+        display=scene.display,
+        overlay=scene.overlay,
+        folder=scene.folder,
     )
     return with_classification(in_stored_values(resolved))
 

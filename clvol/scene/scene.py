@@ -20,9 +20,11 @@ from pydantic import (
 from clvol.choice.first_picture import FirstPicture
 from clvol.scene.animation import Animation
 from clvol.scene.camera import Camera
+from clvol.scene.carried import Moment
 from clvol.scene.clip import Clip
 from clvol.scene.compression import Compression
 from clvol.scene.depth_cue import DepthCue
+from clvol.scene.display import Display
 from clvol.scene.environment import Environment
 from clvol.scene.field import LARGEST_COUNT, FieldSettings
 from clvol.scene.first_picture import completed
@@ -36,6 +38,7 @@ from clvol.scene.multiresolution import Multiresolution
 from clvol.scene.noise import LARGEST_COUNT as LARGEST_NOISES
 from clvol.scene.noise import Noise
 from clvol.scene.opacity_factor import DirectionalOpacity, GradientOpacity
+from clvol.scene.overlay import Overlay
 from clvol.scene.pyramid import Pyramid
 from clvol.scene.resolve import ResolvedScene, load_scene_volume, resolve
 from clvol.scene.shadow import Shadow
@@ -129,6 +132,10 @@ class Scene(Table):
         Fading with distance from the eye.
     animation : Animation
         What changes from one frame to the next.
+    display : Display
+        How light becomes colours where a picture is displayed: exposure, tone curve, transparency.
+    overlay : Overlay
+        What is drawn over displayed pictures: scale bar, colour bar, orientation, box, title, caption.
 
     Raises
     ------
@@ -253,6 +260,16 @@ class Scene(Table):
     )
     depth_cue: DepthCue | None = Field(None, title="Fading with distance from the eye.", description=_TABLE)
     animation: Animation = Field(Animation(), title="What changes from one frame to the next.", description=_TABLE)
+    display: Display = Field(
+        Display(),
+        title="How light becomes colours in .png, .jpg, .tif and videos; .exr and .npy hold the light.",
+        description=_TABLE,
+    )
+    overlay: Overlay = Field(
+        Overlay(),
+        title="What is drawn over .png, .jpg, .tif and videos, never into .exr and .npy.",
+        description=_TABLE,
+    )
 
     _origin: str = PrivateAttr("scene")  # where the scene came from, in error messages
     _folder: Path = PrivateAttr(Path())  # the folder that volume.file is relative to
@@ -260,6 +277,7 @@ class Scene(Table):
     _memory_cap: int | None = PrivateAttr(None)  # bytes that each file may take, once loaded
     _first: Any = PrivateAttr(None)  # what suits the loaded volume
     _chosen: dict[str, Any] | None = PrivateAttr(None)  # what was chosen for this scene, and why
+    _moment: Moment | None = PrivateAttr(None)  # what is shown of a scene that a picture carries
     _fields: dict[tuple, Any] = PrivateAttr(default_factory=dict)  # the volumes of fields, by file and choices
 
     @model_validator(mode="after")
@@ -383,6 +401,11 @@ class Scene(Table):
         named = [self.volume, *self.field, self.environment]
         files = (getattr(table, "file", None) for table in named)
         return [self._folder / file for file in files if isinstance(file, str)]
+
+    @property
+    def moment(self) -> Moment | None:
+        """The camera and the time of the picture that the scene was loaded from; None for any other scene."""
+        return self._moment
 
     @property
     def folder(self) -> Path:

@@ -1,8 +1,8 @@
 """Threads that share the items of a job among devices: rays, blocks to encode.
 
 A thread per device takes packages of items from a ``Dispatcher`` until all are done. A device that fails is left out;
-what it has done stays done, and the rest goes to the others. (Pictures, whose tiles may be lost with a device, have
-``clvol.render.picture_stage``.)
+what it has done stays done, and the rest goes to the others. One that does not return from its package is not waited
+for: others do it. (Pictures, whose tiles may be lost with a device, have ``clvol.render.picture_stage``.)
 """
 
 from __future__ import annotations
@@ -10,16 +10,20 @@ from __future__ import annotations
 import threading
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import FIRST_COMPLETED, Future
+from concurrent.futures import wait as wait_for
 from time import perf_counter
 from typing import Any, Protocol
 
 import numpy as np
 
 from clvol.errors import ClvolError, ClvolWarning
+from clvol.schedule.device_thread import DeviceThread
 from clvol.schedule.dispatch import Dispatcher, Package
 
 _TICK = 0.1  # seconds between calls of a progress function
+_PATIENCE = 0.1  # seconds for devices whose last package another one has done meanwhile,
+_STOPPING = 10.0  # and for all of them if the job is interrupted
 
 
 class Hand(Protocol):
@@ -35,21 +39,33 @@ class Hand(Protocol):
 
 
 class Crew:
-    """Threads for ``count`` devices, which are kept from job to job."""
+    """Threads for devices, which are kept from job to job."""
 
-    def __init__(self, count: int) -> None:
-        self._count = count
-        self._executor: ThreadPoolExecutor | None = None
+    def __init__(self) -> None:
+        self._threads: dict[int, DeviceThread] = {}
+        self._working: dict[int, Future] = {}
 
-    def submit(self, work: Callable[..., Any], *arguments: Any) -> Any:
-        if self._executor is None:
-            self._executor = ThreadPoolExecutor(self._count, "clvol-device")
-        return self._executor.submit(work, *arguments)
+    def submit(self, device: int, work: Callable[..., Any], *arguments: Any) -> Future:
+        if device not in self._threads:
+            self._threads[device] = DeviceThread(f"clvol-device-{device}")
+        self._working[device] = self._threads[device].submit(work, *arguments)
+        return self._working[device]
+
+    def is_busy(self, device: int) -> bool:
+        """Whether it has not returned from an earlier job, which others have ended."""
+        return device in self._working and not self._working[device].done()
+
+    def wait_for_one(self, devices: Sequence[int]) -> None:
+        """Returns once one of ``devices`` is not busy."""
+        while devices and all(map(self.is_busy, devices)):
+            wait_for([self._working[device] for device in devices], 1.0, FIRST_COMPLETED)
 
     def close(self) -> None:
-        if self._executor is not None:
-            self._executor.shutdown(wait=True)
-            self._executor = None
+        """Waits a moment for devices that work."""
+        wait_for(self._working.values(), _PATIENCE)
+        for thread in self._threads.values():
+            thread.close()
+        self._threads.clear()
 
 
 class Job:
@@ -78,15 +94,14 @@ class Job:
     def run(self, report: Callable[[int], None] | None = None) -> None:
         """Returns once all items are done. ``report(items done)`` is called now and then; what it raises ends the job.
         Raises what ``lost`` raises if no device is left, and what is no failure of a device."""
-        futures = [self._crew.submit(self._work, k) for k in self._hands if self._dispatcher.alive(k)]
+        futures = [self._crew.submit(k, self._work, k) for k in self._hands if self._dispatcher.alive(k)]
+        patience = _STOPPING
         try:
             self._watch(report)
-        except BaseException:
-            self._end()
-            raise
+            patience = _PATIENCE if self._error is None else _STOPPING
         finally:
-            for future in futures:
-                future.result()
+            self._end()
+            wait_for(futures, patience)
         if self._error is not None:
             raise self._error
 
@@ -128,11 +143,13 @@ class Job:
                 package = self._dispatcher.next(device, now)
                 if package is not None:
                     return package
-                self._changed.wait(min(max(self._dispatcher.next_stall(now), 1e-3), 1.0))
+                self._changed.wait(min(max(self._dispatcher.ask_again(now), 1e-3), 1.0))
             return None
 
     def _finished(self, package: Package, costs: np.ndarray, result: Any) -> None:
         with self._changed:
+            if self._ended:  # nobody takes it any more
+                return
             if self._dispatcher.finished(package, perf_counter(), costs):
                 self._take(package.tiles, result)
                 self._items_done += len(package.tiles)
@@ -160,7 +177,8 @@ class Team:
         self.names, self.lost = list(names), dict[int, str]()
         self._speeds = [speed] * len(self.names)
         self._launch, self._least = launch, least
-        self._crew = Crew(len(self.names))
+        self._crew = Crew()
+        self._last_error: BaseException | None = None
         self._told: set[int] = set()
 
     def close(self) -> None:
@@ -182,22 +200,39 @@ class Team:
         """
         launches = [self._launch] * len(hands)
         dispatcher = Dispatcher(costs, self._speeds, launches, least_tiles=self._least)
-        for device, reason in self.lost.items():
-            dispatcher.lost(device, reason)
+        working = [k for k in range(len(hands)) if k not in self.lost]
+        if not working and self._last_error is not None:  # the last one failed after a job that others had ended
+            raise self._last_error
+        self._crew.wait_for_one(working)
+        for device in range(len(hands)):
+            if device in self.lost or self._crew.is_busy(device):
+                dispatcher.lost(device, self.lost.get(device, "busy"))
 
         def lost(device: int, error: BaseException) -> None:
-            self.lost[device] = str(error)
-            if on_loss is not None:
-                self._told.add(device)
-                on_loss(device, error)
-            if len(self.lost) == len(self.names):
-                raise error
+            self.leave_out(device, error, on_loss)
 
         Job(self._crew, dispatcher, dict(enumerate(hands)), take, lost).run(report)
         for device, share in enumerate(dispatcher.shares):
             if share.packages:
                 self._speeds[device] = share.speed
         self._tell()
+
+    def leave_out(
+        self, device: int, error: BaseException, on_loss: Callable[[int, BaseException], None] | None = None
+    ) -> None:
+        """``device`` has failed; raises ``error`` if it was the last one. ``on_loss``: as in ``run``."""
+        self.lost[device], self._last_error = str(error), error
+        if on_loss is not None:
+            self._told.add(device)
+            on_loss(device, error)
+        if len(self.lost) == len(self.names):
+            raise error
+
+    def free_device(self) -> int:
+        """One that works and is not busy, waited for if need be."""
+        working = [k for k in range(len(self.names)) if k not in self.lost]
+        self._crew.wait_for_one(working)
+        return next(k for k in working if not self._crew.is_busy(k))
 
     def _tell(self) -> None:
         left = [name for device, name in enumerate(self.names) if device not in self.lost]

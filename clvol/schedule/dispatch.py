@@ -33,6 +33,7 @@ _STEADY = 0.05  # differences of speed up to which a device counts as steady
 _NEWEST = 0.4  # how much the newest package says of uncertainties, beside those before
 _STALLED = 5.0  # times the expected time after which a package is issued again,
 _PATIENCE = 1.0  # plus this many seconds
+_LATE = 2.0  # times the expected time after which a device is expected to be late by as much again
 _ALIKE = 1.5  # ratio of costs within which tiles count as equally expensive
 _CHEAP = 0.25  # share of a picture's cost kept for the end, in its cheapest tiles, which fill packages up
 _RUN = 4  # tiles that stay together where packages are scattered
@@ -57,11 +58,11 @@ class Package:
 class Share:
     """What a device has done for a picture. ``speed`` is in cost per second, ``launch`` in seconds per package;
     ``unsteady``: by what share its speed differs from one package to the next, as on a processor that other programs
-    use."""
+    use; None if that does not matter."""
 
     speed: float
     launch: float
-    unsteady: float = 0.0
+    unsteady: float | None = 0.0
     tiles: int = 0
     packages: int = 0
     busy: float = 0.0  # seconds
@@ -76,7 +77,8 @@ class Dispatcher:
     ``costs`` float [tiles], > 0: expected relative costs; ``measured``: whether they come from an earlier picture.
     ``speeds`` [devices] in cost per second, and ``launches`` [devices] in seconds per package. ``least_tiles``: tiles
     that a launch takes at least. ``columns``: tiles per row of the picture; 0 where tiles have no neighbours.
-    ``unsteady`` [devices]: ``Share.unsteady`` of an earlier picture.
+    ``unsteady`` [devices]: ``Share.unsteady`` of an earlier picture; None for devices that run on the same threads,
+    where one that ends early leaves them to the others.
     """
 
     def __init__(
@@ -88,7 +90,7 @@ class Dispatcher:
         measured: bool = False,
         least_tiles: int = 1,
         columns: int = 0,
-        unsteady: Sequence[float] | None = None,
+        unsteady: Sequence[float | None] | None = None,
     ) -> None:
         self.count = len(costs)
         self._costs = np.maximum(np.asarray(costs, np.float64), 1e-12)
@@ -96,7 +98,7 @@ class Dispatcher:
         self._spread = _MEASURED if measured else _UNKNOWN  # relative uncertainty of tiles, as if independent,
         self._miss = _LEAST_UNCERTAINTY  # and of packages besides
         unsteady = [0.0] * len(speeds) if unsteady is None else unsteady
-        self.shares = [Share(float(a), float(b), float(c)) for a, b, c in zip(speeds, launches, unsteady)]
+        self.shares = [Share(float(a), float(b), c) for a, b, c in zip(speeds, launches, unsteady)]
         self._waiting = _order(self._costs, scattered=not measured)
         self._done = np.zeros(self.count, bool)
         self._least_tiles = least_tiles
@@ -140,14 +142,15 @@ class Dispatcher:
         if sum(each.lost is None for each in self.shares) == 1:
             return self._handed(device, self._take(len(self._waiting), 0), now)
         costs = self._costs[self._waiting]
-        rest = float(costs.sum())
+        sums = np.cumsum(costs)
+        rest = float(sums[-1])
         common_end = self._common_end(now, rest)
         ideal = share.speed * (common_end - self._free_at(device, now) - share.launch)
-        uncertainty = math.hypot(self._uncertainty(costs, ideal), share.unsteady)
+        uncertainty = math.hypot(self._uncertainty(costs, sums, ideal), share.unsteady or 0.0)
         part = ideal / (1 + self._caution * uncertainty)
         least = share.speed * share.launch * _LEAST_LAUNCHES
         wanted = ideal if ideal - part < least else max(part, least)
-        head, tail, cost = self._fitting(costs, wanted)
+        head, tail, cost = self._fitting(costs, sums, wanted)
         if self._others_are_better(device, now, cost, common_end):
             return None
         return self._handed(device, self._take(head, tail), now)
@@ -158,10 +161,10 @@ class Dispatcher:
         self._waiting = waiting[head:last]
         return np.sort(np.concatenate([waiting[:head], waiting[last:]]))
 
-    def _fitting(self, costs: np.ndarray, wanted: float) -> tuple[int, int, float]:
+    def _fitting(self, costs: np.ndarray, sums: np.ndarray, wanted: float) -> tuple[int, int, float]:
         """How many of the waiting tiles from the front and from the back cost about ``wanted``, and their cost: cheap
-        ones from the back fill up, so that a single expensive tile does not make a package too large."""
-        sums = np.cumsum(costs)
+        ones from the back fill up, so that a single expensive tile does not make a package too large. ``sums``: running
+        sums of ``costs``."""
         if sums[-1] <= wanted:
             return len(costs), 0, float(sums[-1])
         head = int(np.searchsorted(sums, wanted, side="right"))
@@ -174,9 +177,9 @@ class Dispatcher:
         cost = (sums[head - 1] if head else 0.0) + (costs[len(costs) - tail :].sum() if tail else 0.0)
         return head, tail, float(cost)
 
-    def _uncertainty(self, costs: np.ndarray, wanted: float) -> float:
+    def _uncertainty(self, costs: np.ndarray, sums: np.ndarray, wanted: float) -> float:
         """The relative uncertainty of a package that costs ``wanted``, of waiting tiles with these ``costs``."""
-        count = max(int(np.searchsorted(np.cumsum(costs), wanted, side="right")), 1)
+        count = max(int(np.searchsorted(sums, wanted, side="right")), 1)
         some = costs[:count]
         alone = float(np.dot(some, some)) / float(some.sum()) ** 2  # 1 / number of tiles, were all alike
         return math.sqrt(self._miss**2 + self._spread**2 * min(alone * _RUN, 1.0))
@@ -245,8 +248,9 @@ class Dispatcher:
             return
         found = cost / (seconds - share.launch)
         if self._unit_is_known:
-            miss = min(abs(math.log(found / share.speed)), 1.0)
-            share.unsteady += _NEWEST * (max(miss - _STEADY, 0.0) - share.unsteady)
+            if share.unsteady is not None:
+                miss = min(abs(math.log(found / share.speed)), 1.0)
+                share.unsteady += _NEWEST * (max(miss - _STEADY, 0.0) - share.unsteady)
             share.speed = found if share.packages == 1 else 0.5 * (share.speed + found)
             return
         self._unit_is_known = True
@@ -276,11 +280,20 @@ class Dispatcher:
         self._waiting = np.concatenate([tiles, self._waiting])
         return len(tiles)
 
-    def next_stall(self, now: float) -> float:
-        """Seconds until some package counts as stalled that was not issued again; inf if none runs."""
-        running = [p for share in self.shares if share.lost is None for p in share.running if not self._is_copied(p)]
-        ends = [p.since + _PATIENCE + _STALLED * self.expected_seconds(p) for p in running]
-        return max(min(ends, default=math.inf) - now, 0.0)
+    def ask_again(self, now: float) -> float:
+        """Seconds after which a device that was given nothing should request again although nothing has ended: until
+        some package counts as stalled that was not issued again, or, while tiles wait, until those who would do them
+        sooner are late, and then twice as late; inf if none runs."""
+        alive = [share for share in self.shares if share.lost is None]
+        times = [
+            p.since + _PATIENCE + _STALLED * self.expected_seconds(p)
+            for share in alive
+            for p in share.running
+            if not self._is_copied(p)
+        ]
+        if len(self._waiting):
+            times += [self._free_at(k, now) for k, share in enumerate(self.shares) if share in alive and share.running]
+        return max(min(times, default=math.inf) - now, 0.0)
 
     def overdue(self, device: int, now: float, patience: float, times: float) -> float | None:
         """The seconds that ``device`` has spent on its package, if they are more than ``patience`` and ``times`` what
@@ -294,14 +307,15 @@ class Dispatcher:
     # ---- arithmetic
 
     def _free_at(self, device: int, now: float) -> float:
-        """When ``device`` will have ended its packages, as expected."""
+        """When ``device`` will have ended its packages, as expected. One that takes more than _LATE times
+        what was expected will be late by as much again: one that never returns must not be waited for because it was
+        fast."""
         share = self.shares[device]
         if not share.running:
             return now
-        seconds = share.running[0].since + sum(
-            share.launch + float(self._costs[p.tiles].sum()) / share.speed for p in share.running
-        )
-        return max(seconds, now)
+        since = share.running[0].since
+        seconds = sum(share.launch + float(self._costs[p.tiles].sum()) / share.speed for p in share.running)
+        return max(since + seconds, now, now + (now - since - _LATE * seconds))
 
     def _common_end(self, now: float, rest: float) -> float:
         """When all devices end that take part, if ``rest`` is divided so that they end together: those that are free

@@ -11,6 +11,7 @@ import numpy as np
 
 from clvol.schedule.dispatch import Dispatcher, Package
 
+LEAST_WAIT = 1e-3  # seconds between requests of a device that is given nothing
 Fault = Callable[[Package], str | float | None]
 
 
@@ -64,11 +65,14 @@ def simulate(
             if dispatcher.alive(device):
                 feed(device)
 
+    def is_idle() -> bool:
+        return any(share.lost is None and not share.running for share in dispatcher.shares)
+
     feed_all()
     while events and not dispatcher.complete:
-        stall = now + dispatcher.next_stall(now)
-        if stall < events[0][0] and not dispatcher.waiting_tiles and stall > now:
-            now = stall + 1e-9
+        again = now + max(dispatcher.ask_again(now), LEAST_WAIT)
+        if again < events[0][0] and is_idle():
+            now = again
             feed_all()
             continue
         now, _, package, failed = heapq.heappop(events)

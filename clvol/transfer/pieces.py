@@ -21,6 +21,7 @@ _log = logging.getLogger(__name__)
 IN_REGISTERS = 16  # pieces that a ray packet holds in registers: TRANSFER_PIECES
 ROWS = 26
 OPAQUE_DEPTH = 1e15  # of cl/transfer_pieces.h
+SPANS = 4  # of values in which something shows: those of `View` in cl/view.h
 (BEGIN, END, INVERSE, OPACITY, OPACITY_CHANGE, COLOR, COLOR_CHANGE, LENGTH, DEPTH, MOMENT, DEPTHS, COLORS,
  NEXT_OPAQUE, LAST_OPAQUE, UNITS, FROM, TO, CLEAR, CLEAR_CHANGE, ORIGIN) = (
     0, 1, 2, 3, 4, 5, 8, 11, 12, 13, 14, 15, 18, 19, 20, 21, 22, 23, 24, 25
@@ -134,20 +135,47 @@ def has_opaque_point(function: TransferFunction) -> bool:
 
 def value_gate(function: TransferFunction) -> tuple[float, float]:
     """(low, high) in float32: nothing has opacity if all values are <= low, or all are >= high."""
-    shown = np.flatnonzero(function.opacities > 0)
-    if not shown.size:
-        return np.inf, -np.inf
-    first, last = int(shown[0]), int(shown[-1])
-    low, high = -np.inf, np.inf
-    if first > 0:
-        value = function.values[first - 1]
-        low = np.float32(value)
-        # At a step the later point holds; a knot that float32 cannot represent is ignored.
-        if low > value or value == function.values[first]:
-            low = np.nextafter(low, np.float32(-np.inf))
-    if last + 1 < function.values.size:
-        value = function.values[last + 1]
-        high = np.float32(value)
-        if high < value:
-            high = np.nextafter(high, np.float32(np.inf))
-    return float(low), float(high)
+    above, below = shown_spans(function)
+    return float(above.min()), float(below.max())
+
+
+def shown_spans(function: TransferFunction) -> tuple[np.ndarray, np.ndarray]:
+    """(above, below), float32 [SPANS] each: nothing has opacity between two values if for each k both are
+    <= above[k], or both are >= below[k]. Of a function that shows in more spans those nearest to each other are one;
+    of one that shows in fewer the rest are empty, from infinity to minus infinity.
+    """
+    values, shows = function.values, function.opacities > 0
+    above, below = np.full(SPANS, np.inf, np.float32), np.full(SPANS, -np.inf, np.float32)
+    if not shows.any():
+        return above, below
+    change = np.flatnonzero(np.diff(np.concatenate([[False], shows, [False]])))
+    first, last = change[::2], change[1::2] - 1  # of each run of points that show
+    width = values[first[1:] - 1] - values[last[:-1] + 1]  # of what is transparent between two runs
+    widest = np.argsort(-width, kind="stable")[: SPANS - 1]
+    gaps = np.sort(widest[width[widest] > 0])
+    for k, (start, end) in enumerate(zip(first[np.append(0, gaps + 1)], last[np.append(gaps, len(last) - 1)])):
+        above[k], below[k] = _just_below(function, start), _just_above(function, end)
+    return above, below
+
+
+def _just_below(function: TransferFunction, first: int) -> np.float32:
+    """The largest float32 at and below which the run of points that show from ``first`` on has no opacity."""
+    if first == 0:
+        return np.float32(-np.inf)
+    value = function.values[first - 1]
+    low = np.float32(value)
+    # At a step the later point holds; a knot that float32 cannot represent is ignored.
+    if low > value or value == function.values[first]:
+        low = np.nextafter(low, np.float32(-np.inf))
+    return low
+
+
+def _just_above(function: TransferFunction, last: int) -> np.float32:
+    """The smallest float32 at and above which the run of points that show up to ``last`` has no opacity."""
+    if last + 1 == function.values.size:
+        return np.float32(np.inf)
+    value = function.values[last + 1]
+    high = np.float32(value)
+    if high < value:
+        high = np.nextafter(high, np.float32(np.inf))
+    return high

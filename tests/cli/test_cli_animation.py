@@ -70,7 +70,7 @@ MISTAKES = [
      "as a_%04d.png, or one of .gif, .webp, .apng, .mp4"),
     (["-o", "a%d%d.png", *FRAMES], "a%d%d.png: one name for 3 frames"),
     (["-o", "a.mov", *FRAMES], 'a.mov: unknown ending ".mov"'),
-    (["-o", "a.gif"], "a.gif: a video of a single picture, expected .exr or .png or .npy, or"),
+    (["-o", "a.gif"], "a.gif: a video of a single picture, expected .exr or .png or .jpg or .jpeg or "),
     (["-o", "none/a.gif", *FRAMES], 'none/a.gif: the folder '),
     (["-o", "none/a%d.png", *FRAMES], 'none/a0.png: the folder '),
     (["-o", "a.gif", *FRAMES, "--set", "animation.fps=60"],

@@ -72,7 +72,7 @@ SCENE_MISTAKES = [
     (["--memory-cap", "10 B"], "cube.npy: the volume needs 64 bytes, expected at most 10 bytes"),
     (["--memory-cap", "much"], "--memory-cap: got 'much', expected a size such as '2 GiB'"),
     (["--bogus"], "clvol render: unknown option --bogus, expected"),
-    (["more"], "clvol render: "),
+    (["more"], "x.exr: one name for 2 inputs, expected a name with {stem}"),
 ]
 
 
@@ -103,7 +103,7 @@ def test_broken_toml_is_named_with_its_line(refused, folder, renderer):
 @pytest.mark.parametrize(
     ("words", "where"),
     [
-        (outputs("x.jpg"), "x.jpg"),
+        (outputs("x.bmp"), "x.bmp"),
         (outputs("x"), "x"),
         (outputs("x.exr", "y.gif"), "y.gif"),
         (outputs("none/x.exr"), "none/x.exr"),

@@ -6,10 +6,14 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import subprocess
+import sys
+import threading
 
 import numpy as np
 import pytest
 
+from clvol.batch.claims import Claims
 from clvol.image import load_image
 
 COUNT = 4
@@ -288,3 +292,94 @@ def test_videos_say_what_they_are_of(run, folder, film, ending):
     told = next(text for text in texts if text is not None)
     told = json.loads(told if isinstance(told, str) else told.decode())
     assert set(told) >= {"clvol", "scene", "voxels", "camera"} and told["frames"] == COUNT
+
+
+@pytest.mark.parametrize(
+    "text, expected",
+    [("1:3", [1, 2]), ("2:", [2, 3]), (":1", [0]), ("3", [3]), (":", [0, 1, 2, 3]), ("0:4", [0, 1, 2, 3])]
+)
+def test_a_part_of_the_frames(film, folder, text, expected):
+    assert film("npy", "--frames", text) == expected
+    assert sorted(folder.glob("a_*.npy")) == [folder / f"a_{k}.npy" for k in expected]
+    assert film("npy") == [k for k in range(COUNT) if k not in expected]
+
+
+def test_frames_of_a_part_are_those_of_the_whole(film, folder):
+    film("npy", "--frames", "2:")
+    part = np.load("a_2.npy")
+    os.remove("a_2.npy")
+    film("npy")
+    np.testing.assert_array_equal(np.load("a_2.npy"), part)
+
+
+@pytest.mark.parametrize("text", ["4", "2:2", "3:1", ":5", "-1:", "a:b", "1:2:1", "", " 1", "1.0", "٣"])
+def test_frames_that_do_not_exist(run, film, folder, text):
+    film("npy")
+    outcome = run("render", "film.toml", "-o", "b_%d.npy", "--frames", text)
+    assert outcome.status == 2 and outcome.err.startswith("clvol: error: --frames: got ")
+    assert not list(folder.glob("b_*"))
+
+
+def test_frames_of_a_single_picture(run, folder):
+    outcome = run("render", "cube.npy", "-o", "x.npy", "--frames", "0")
+    assert outcome.status == 2 and "--frames: given for a single picture" in outcome.err
+
+
+def test_a_video_of_a_part(run, film, folder, renderer):
+    film("npy")
+    renderer.rendered.clear()
+    outcome = run("render", "film.toml", "-o", "part.gif", "--frames", "1:3")
+    assert outcome.status == 0 and len(renderer.rendered) == 2
+
+
+def test_frames_that_others_render_are_left_to_them(run, film, folder, renderer):
+    """And waited for, since the command ends when all of them are there."""
+    film("npy")
+    for number in (1, 2):
+        os.rename(f"a_{number}.npy", f"kept_{number}.npy")
+    with Claims() as others:
+        for number in (1, 2):
+            assert others.claim(f"a_{number}.npy")
+
+        def make() -> None:
+            for number in (1, 2):
+                os.rename(f"kept_{number}.npy", f"a_{number}.npy")
+                others.release(f"a_{number}.npy")
+
+        timer = threading.Timer(0.7, make)
+        timer.start()
+        renderer.rendered.clear()
+        outcome = run("render", "film.toml", "-o", "a_%d.npy", "--resume")
+        timer.join()
+    assert outcome.status == 0 and not renderer.rendered
+    assert "2 of 4 frames existed already" in outcome.err
+    assert "2 of 4 frames were made by other processes" in outcome.err
+    assert not list(folder.glob(".*.claim"))
+
+
+def test_frames_that_another_process_gave_up_are_rendered(film, folder):
+    with Claims() as others:
+        assert others.claim("a_1.npy")
+        timer = threading.Timer(0.7, others.release, ["a_1.npy"])
+        timer.start()
+        assert film("npy") == [0, 2, 3, 1]  # the others first
+        timer.join()
+
+
+@pytest.mark.slow  # three processes that start, each of which compiles a little
+def test_processes_in_one_folder_render_each_frame_once(film, folder):
+    film("npy", "--frames", "0")  # so that kernels are compiled
+    os.remove("a_0.npy")
+    command = [
+        sys.executable, "-m", "clvol", "render", "film.toml", "-o", "a_%02d.npy", "--resume", "--stats", "{}",
+        "--set", "animation.frames=12",
+    ]  # fmt: skip
+    made = [[part.format(f"stats{k}.json") for part in command] for k in range(3)]
+    processes = [subprocess.Popen(each, stderr=subprocess.PIPE, stdout=subprocess.PIPE) for each in made]
+    for process in processes:
+        _, told = process.communicate(timeout=300)
+        assert process.returncode == 0, told
+    stats = [json.loads((folder / f"stats{k}.json").read_text()) for k in range(3)]
+    assert sum(each["frames"] for each in stats) == 12
+    assert all(each["frames_kept"] + each["frames"] == 12 for each in stats)
+    assert len(list(folder.glob("a_*.npy"))) == 12 and not list(folder.glob(".*"))

@@ -23,8 +23,8 @@ ROOT = Path(__file__).resolve().parents[2]
 ORDER = (
     ("errors", "text", "interrupts", "limits", "json_values", "quietly"),
     ("volume",), ("inputs",), ("transfer",), ("store",), ("readers",), ("choice",), ("image",), ("scene",),
-    ("features",), ("schedule",), ("opencl",), ("device",), ("encoding",), ("integrators",), ("render", "explanation"),
-    ("accuracy",), ("cli",),
+    ("features",), ("overlay",), ("schedule",), ("opencl",), ("device",), ("encoding",), ("integrators",),
+    ("render", "explanation"), ("accuracy",), ("batch",), ("cli",),
 )  # fmt: skip
 LEVEL = {room: level for level, rooms in enumerate(ORDER) for room in rooms}
 EXCEPTIONS = ROOT / "tests" / "house_exceptions.json"

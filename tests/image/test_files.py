@@ -217,7 +217,7 @@ def test_a_link_is_followed(tmp_path):
 
 
 @pytest.mark.parametrize("path, part", [
-    ("nowhere/a.exr", "does not exist"), ("a.jpg", ".exr or .png or .npy"), ("a", "ending"),
+    ("nowhere/a.exr", "does not exist"), ("a.bmp", ".exr or .png or .jpg or .jpeg or .tif or "), ("a", "ending"),
     ("folder.exr", "folder"), ("file.txt/a.png", "is not a folder"),
     ("x" * 300 + "/a.png", "does not exist"), ("x" * 300 + ".png", "too long"),
     ("a\0b.png", "null"),

@@ -132,8 +132,6 @@ def test_a_process_that_hangs_costs_its_package(device, isolated, halves, monkey
     made = scene()
     with Renderer(made, devices=[device]) as here:
         expected = here.render()
-    monkeypatch.setattr(dispatch, "_PATIENCE", 0.1)
-    monkeypatch.setattr(picture_stage, "_FETCH_PATIENCE", 0.1)
     renderer = isolated(made, halves)
     for _ in range(3):
         renderer.render()
@@ -141,6 +139,8 @@ def test_a_process_that_hangs_costs_its_package(device, isolated, halves, monkey
         member.speed = 1e9
     worker = workers(renderer)[1]
     with monkeypatch.context() as patch:
+        patch.setattr(dispatch, "_PATIENCE", 0.2)
+        patch.setattr(picture_stage, "_FETCH_PATIENCE", 0.2)
         Fault(patch, worker, where, 0, lambda pid: os.kill(pid, signal.SIGSTOP))
         start = time.perf_counter()
         frame, told = told_by(renderer.render)

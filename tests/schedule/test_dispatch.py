@@ -65,7 +65,7 @@ def test_devices_nearly_end_together_in_the_first_frame(devices, ratio, launch, 
         assert simulate(dispatcher, costs, speeds, launches).efficiency >= goal, kind
 
 
-def frames_of_unsteady_devices(carried: bool, devices: int = 4, count: int = 25) -> list[float]:
+def frames_of_unsteady_devices(carried: bool, devices: int = 4, count: int = 125) -> list[float]:
     """Efficiencies of frames on devices whose speed differs by a tenth from package to package."""
     costs, chance = picture("hot core"), np.random.default_rng(1)
     truly, launches = fleet(devices, 1, costs), [0.005] * devices
@@ -83,7 +83,7 @@ def frames_of_unsteady_devices(carried: bool, devices: int = 4, count: int = 25)
 def test_unsteady_devices_get_smaller_packages():
     without, known = frames_of_unsteady_devices(False), frames_of_unsteady_devices(True)
     assert np.mean(known) > np.mean(without) + 0.01
-    assert min(known) > min(without)
+    assert np.quantile(known, 0.1) > np.quantile(without, 0.1) + 0.01
 
 
 def test_what_tiles_cost_tells_what_their_neighbours_will():
@@ -171,12 +171,22 @@ def test_a_stalled_package_is_issued_again_and_its_late_result_does_not_count():
         assert dispatcher.finished(fast, now, costs[fast.tiles])
         fast = dispatcher.next(1, now)
     assert not dispatcher.complete and dispatcher.next(1, now) is None
-    now += dispatcher.next_stall(now) + 1e-6
+    now += dispatcher.ask_again(now) + 1e-6
     again = dispatcher.next(1, now)
     assert again is not None and np.array_equal(again.tiles, slow.tiles)
     assert dispatcher.next(1, now) is None  # not twice
     assert dispatcher.finished(again, now + 1.0) and dispatcher.complete
     assert not dispatcher.finished(slow, now + 2.0)
+
+
+@pytest.mark.parametrize("speed", [1.0, 10.0, 1e6])
+def test_tiles_do_not_wait_for_a_device_that_was_fast_and_stalls(speed):
+    """What is left would be done sooner by the fast device, if only it returned."""
+    costs = picture("even", 16)
+    speeds, launches = [speed * costs.sum(), costs.sum()], [0.001] * 2
+    never = lambda package: 1e9 if package.device == 0 else None  # noqa: E731
+    done = simulate(Dispatcher(costs, speeds, launches, measured=True), costs, speeds, launches, never)
+    assert done.complete and done.makespan < 5.0  # the slow device takes a second, and a stall counts as one after one
 
 
 def test_the_same_events_give_the_same_packages():

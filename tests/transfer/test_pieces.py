@@ -14,14 +14,17 @@ from clvol.transfer import TransferFunction
 from clvol.transfer.pieces import (
     DEPTH,
     IN_REGISTERS,
+    SPANS,
     columns,
     depth_and_moment,
     has_opaque_point,
     piece_count,
     piece_table,
+    shown_spans,
     value_gate,
 )
 from clvol.transfer.preintegration import preintegrate
+from clvol.transfer.step_opacity import step_opacity
 
 SOURCE = str(Path(__file__).with_name("segment_colors.cl"))
 COLORS = [[0.9, 0.1, 0.0], [0.0, 0.8, 0.1], [0.1, 0.2, 1.0], [0.7, 0.7, 0.2], [1.0, 0.0, 1.0], [0, 1, 1]]
@@ -55,15 +58,17 @@ def random_function(seed: int, points: int, opaque: float = 0.1) -> TransferFunc
     return TransferFunction(values, opacities, rng.random((points, 3)))
 
 
-def segments_of(context, function, front, back, units, *, lanes=None, in_memory=False, constant=False):
-    """float64 [n, 5] from the device."""
+def segments_of(context, function, front, back, units, *, lanes=None, in_memory=False, constant=0, step_units=1.0):
+    """float64 [n, 5] from the device; ``constant`` is `of_one` of segment_colors.cl."""
     lanes = lanes or (16 if context.is_cpu else 1)
     front, back, units = np.broadcast_arrays(*(np.asarray(a, np.float32) for a in (front, back, units)))
     shape, n = front.shape, -(-front.size // 16) * 16
     count = piece_count(function)
     width = columns(count)
     view = np.zeros(1, view_dtype(8))
-    view["step_units"] = 1.0
+    view["step_units"] = step_units
+    terms, view["opacity_limit"] = step_opacity(float(np.float32(step_units)))
+    view["opacity_terms"], view["opacity_more"] = terms[:4], terms[4:]
     view["piece_columns"], view["piece_count"] = width, count
     pieces = 0 if in_memory or count > IN_REGISTERS else IN_REGISTERS
     kernel = context.kernel(
@@ -234,3 +239,69 @@ def test_nothing_shows_beyond_the_gate(name):
     hidden = (values <= low) | (values >= high)
     assert not function.opacity(values[hidden]).any()
     assert function.opacity(values[~hidden]).any()
+
+
+def within_no_span(function, low, high):
+    """bool [n]: chords from ``low`` to ``high`` [n] that show nothing by the spans, in float32 as kernels look."""
+    above, below = shown_spans(function)
+    assert above.dtype == below.dtype == np.float32 and above.shape == below.shape == (SPANS,)
+    return np.all((high[:, None] <= above) | (low[:, None] >= below), axis=1)
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_nothing_shows_beside_the_spans_of_values(name):
+    function = function_of(name)
+    low, high = value_gate(function)
+    values = np.linspace(-5, 70, 7501, dtype=np.float32)
+    values = np.concatenate([values, np.float32(FUNCTIONS[name][0])])
+    hidden = within_no_span(function, values, values)
+    assert not function.opacity(values[hidden]).any() and function.opacity(values[~hidden]).any()
+    assert np.all(hidden[(values <= low) | (values >= high)])
+
+
+def test_chords_beside_the_spans_of_random_functions_show_nothing_and_most_others_do():
+    rng = np.random.default_rng(3)
+    grid = np.arange(-8, 2049, dtype=np.float32) / 32  # all control points are among these
+    missed = told = 0
+    for seed in range(60):
+        function = random_function(seed, int(rng.integers(1, 30)))
+        visible = np.concatenate([[0], np.cumsum(function.opacity(grid) > 0)])
+        first = rng.integers(0, grid.size, 400)
+        last = np.minimum(first + rng.integers(0, 60, 400), grid.size - 1)
+        hidden = within_no_span(function, grid[first], grid[last])
+        shows = visible[last + 1] > visible[first]
+        assert not np.any(hidden & shows)
+        if piece_count(function) < 8:
+            told += np.count_nonzero(~shows)
+            missed += np.count_nonzero(~shows & ~hidden)
+    assert told > 1000 and missed < 0.03 * told
+
+
+def test_of_more_spans_than_there_is_room_for_those_beside_the_narrowest_gaps_are_one():
+    values = np.array([0, 1, 2, 10, 11, 12, 14, 15, 16, 40, 41, 42, 50, 51, 52, 60, 61, 62], float)
+    function = TransferFunction(values, np.tile([0, 0.5, 0], 6), np.zeros((18, 3)))
+    above, below = shown_spans(function)
+    assert above.tolist() == [0, 10, 40, 50] or above.tolist() == [0, 10, 40, 60]
+    assert below.tolist() == [2, 16, 42, 62] or below.tolist() == [2, 16, 52, 62]
+    none = shown_spans(TransferFunction([0, 1], [0, 0], np.zeros((2, 3))))
+    assert np.all(none[0] == np.inf) and np.all(none[1] == -np.inf)
+
+
+@pytest.mark.parametrize("in_memory", [False, True], ids=["registers", "memory"])
+@pytest.mark.parametrize("name", ["ramps", "opaque plateau", "step", "nearly opaque", "one point"])
+def test_whole_steps_of_one_value_absorb_what_is_stated(context, name, in_memory):
+    function = function_of(name)
+    values = np.concatenate([np.linspace(-2, 65, 301), [30.0, 29.9, 30.1]]).astype(np.float32)
+    counts = np.arange(1, 9)[:, None]
+    at, color = function.opacity(values), function.color(values)
+    for units in (1e-3, 0.17, 0.9958, 1.0, 2.5, 40.0):
+        with np.errstate(divide="ignore"):
+            expected = -np.expm1(np.float32(units) * counts * np.log1p(-at))
+        how = {"in_memory": in_memory, "step_units": units}
+        got = segments_of(context, function, values[None], values[None], counts, constant=2, **how)
+        one = segments_of(context, function, values, values, 1.0, constant=3, **how)
+        for opacity, exact, rgb in ((got[..., 3], expected, got[..., :3]), (one[..., 3], expected[0], one[..., :3])):
+            np.testing.assert_allclose(opacity, exact, rtol=0, atol=3e-6)
+            thin = (exact > 0) & (exact < 1e-3)
+            assert np.all(np.abs(opacity - exact)[thin] <= 2e-5 * exact[thin] + 1e-6 * units * function.opacities.max())
+            np.testing.assert_allclose(rgb, color * exact[..., None], rtol=0, atol=5e-6)

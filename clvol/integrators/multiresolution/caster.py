@@ -36,7 +36,7 @@ from clvol.store.geometry import BlockGrid
 from clvol.store.source import DROPPED
 from clvol.transfer import TransferFunction
 from clvol.transfer.lookup_nodes import visible_cells
-from clvol.transfer.pieces import value_gate
+from clvol.transfer.pieces import shown_spans, value_gate
 from clvol.transfer.step_bounds import most_steps
 
 # Switches of kernels that work on blocks and cast no rays.
@@ -125,7 +125,7 @@ class BlockCaster(Raycaster):
         self.stepping = self._fitting_stepping()
         self._set_colors()
         visible = visible_cells(mapped, self.nodes.values)
-        self.gate = value_gate(mapped)
+        self.gate, self.spans = value_gate(mapped), shown_spans(mapped)
         self._visible = visible, mapped.opacity(self.nodes.values) > 0
         warp = self.nodes.warp
         self.warp = self.context.upload(np.zeros(2, np.float32) if warp is None else warp)

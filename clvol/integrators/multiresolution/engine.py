@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from time import perf_counter
+
+import numpy as np
 
 from clvol.device.view import EVERY_PIXEL, PixelLattice
 from clvol.integrators.base import FrameData, Progress
@@ -14,11 +18,14 @@ from clvol.integrators.multiresolution.coded_residency import CodedResidency
 from clvol.integrators.multiresolution.residency import Residency
 from clvol.integrators.pyramid.blocks import BlockPyramidCaster
 from clvol.integrators.raycast.picture import PictureParts
+from clvol.integrators.tiles.canvas import LAUNCH, SPEED, Canvas, SharedCanvas
+from clvol.integrators.tiles.geometry import TileGrid
 from clvol.integrators.tiles.picture import TiledFrameData
 from clvol.integrators.tiles.tiled import TiledRenderer
 from clvol.opencl.context import DeviceContext
 from clvol.scene.camera import Camera
 from clvol.scene.resolve import ResolvedScene
+from clvol.schedule.crew import Team
 from clvol.transfer import TransferFunction
 
 TILES = 16  # pixels per edge of the tiles of a picture for a given time, where the scene sets none
@@ -155,6 +162,29 @@ class MultiresolutionEngine:
         left = max(seconds - (perf_counter() - start), 0.0)
         return self._described(self._tiled().render(camera, width, height, progress, depth, seconds=left))
 
+    def render_on(
+        self, prepared: Sequence[MultiresolutionEngine], camera: Camera, width: int, height: int,
+        progress: Progress | None, depth: bool, on_loss: Callable[[int, BaseException], None],
+        seconds: float | None = None,
+    ) -> FrameData | None:  # fmt: skip
+        """As ``RendersOnSeveral.render_on``, for pictures whose ray density is chosen per tile."""
+        if not self._tile_size and seconds is None:
+            return None
+        start = perf_counter()
+        self._make_resident(camera, width, height)
+
+        def ready(device: int) -> None:
+            prepared[device]._make_resident(camera, width, height)
+
+        team = Team([each.context.name for each in prepared], SPEED, LAUNCH)
+        casters = [each.caster for each in prepared]
+        canvas = partial(SharedCanvas, casters, team, ready, on_loss)
+        left = None if seconds is None else max(seconds - (perf_counter() - start), 0.0)
+        try:
+            return self._described(self._tiled(canvas).render(camera, width, height, progress, depth, seconds=left))
+        finally:
+            team.close()
+
     def _described(self, data: TiledFrameData) -> TiledFrameData:
         """``data`` with notes about its tiles and blocks."""
         tiles = {"share_of_pixels": data.share}
@@ -168,11 +198,11 @@ class MultiresolutionEngine:
     def _tile_size(self) -> int:
         return self.resolved.multiresolution.tiles
 
-    def _tiled(self) -> TiledRenderer:
+    def _tiled(self, canvas: Callable[[np.ndarray, TileGrid, bool], Canvas] | None = None) -> TiledRenderer:
         settings = self.resolved.multiresolution
         if not settings.tiles:
             settings = settings.model_copy(update={"tiles": TILES})
-        return TiledRenderer(self.caster, settings)
+        return TiledRenderer(self.caster, settings, canvas=canvas)
 
     def _make_resident(self, camera: Camera, width: int, height: int) -> None:
         image = self.resolved.image.model_copy(update={"width": width, "height": height})

@@ -52,6 +52,7 @@ from clvol.transfer.pieces import (
     columns,
     piece_count,
     piece_table,
+    shown_spans,
     value_gate,
 )
 
@@ -88,6 +89,7 @@ class Raycaster:
     function: TransferFunction
     nodes: LookupNodes
     gate: tuple[float, float]
+    spans: tuple[np.ndarray, np.ndarray]
     visible_share: float
     switches: dict[str, int]
     table: DeviceArray
@@ -139,7 +141,7 @@ class Raycaster:
         self.function = function
         self._set_colors()
         visible = visible_cells(mapped, self.nodes.values)
-        self.gate = value_gate(mapped)
+        self.gate, self.spans = value_gate(mapped), shown_spans(mapped)
         at_nodes = mapped.opacity(self.nodes.values) > 0
         mask = visible_mask(
             self.volume, resolved.integration.filter, self.nodes, visible, at_nodes, self._moved

@@ -8,6 +8,7 @@ import numpy as np
 
 from clvol.device.view import RayFrame
 from clvol.errors import RenderError
+from clvol.transfer.step_opacity import step_opacity
 
 if TYPE_CHECKING:
     from clvol.integrators.raycast.caster import Raycaster
@@ -58,7 +59,10 @@ def _describe_volume(caster: Raycaster, row: np.void) -> None:
     row["last_node"], row["warp_bins"] = nodes.last_coordinate, bins
     row["upper"][:3] = np.asarray(volume.size) - 1
     row["gate_low"], row["gate_high"] = caster.gate
+    row["shows_above"], row["shows_below"] = caster.spans
     row["step_units"] = caster.step_units
+    terms, row["opacity_limit"] = step_opacity(float(row["step_units"]))
+    row["opacity_terms"], row["opacity_more"] = terms[:4], terms[4:]
     row["cell_parts"] = parts_of_cell(step)
     row["ray_tolerance"] = caster.resolved.image.ray_tolerance
     if volume.switches["VOXEL_BITS"] == 64:

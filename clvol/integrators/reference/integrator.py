@@ -77,11 +77,11 @@ class PreparedReference:
         return self._rendered(self.context.device, camera, width, height, progress, lattice, None)
 
     def render_on(
-        self, contexts: Sequence[DeviceContext], camera: Camera, width: int, height: int, progress: Progress | None,
-        on_loss: Callable[[int, BaseException], None],
+        self, prepared: Sequence[PreparedReference], camera: Camera, width: int, height: int, progress: Progress | None,
+        depth: bool, on_loss: Callable[[int, BaseException], None], seconds: float | None = None,
     ) -> FrameData:  # fmt: skip
         """As ``RendersOnSeveral.render_on``."""
-        devices = [context.device for context in contexts]
+        devices = [each.context.device for each in prepared]
         return self._rendered(devices, camera, width, height, progress, EVERY_PIXEL, on_loss)
 
     def _rendered(

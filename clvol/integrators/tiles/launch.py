@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -48,11 +48,14 @@ class PacketRenderer:
 class CastRays:
     """``changes`` float32 [rays]: mean square over the channels of what each ray changed in the
     picture. ``samples``: samples of the volume. ``counts`` uint32 [work-items, COUNTERS]:
-    the counts of effects, None without counters."""
+    the counts of effects, None without counters. ``samples_by_item`` uint32 [work-items], of ``rays_an_item`` rays
+    each; without work-items where several devices have cast the rays."""
 
     changes: np.ndarray
     samples: int
     counts: np.ndarray | None
+    samples_by_item: np.ndarray = field(default_factory=lambda: np.zeros(0, np.uint32))
+    rays_an_item: int = 1
 
 
 def cast_rays(
@@ -108,8 +111,11 @@ def cast_rays(
         context.finish()
         if progress is not None:
             progress(min((first + launched) * rays_an_item, work.count))
+    by_item = context.read(samples)
     return CastRays(
         context.read(changes),
-        int(context.read(samples).sum(dtype=np.uint64)),
+        int(by_item.sum(dtype=np.uint64)),
         None if counts is None else context.read(counts),
+        by_item,
+        rays_an_item,
     )

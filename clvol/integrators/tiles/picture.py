@@ -1,56 +1,25 @@
-"""One picture made of tiles, on the device: its planned rays are cast, then it is refined while there is time."""
+"""One picture made of tiles: its planned rays are cast, then it is refined while there is time."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from time import perf_counter
-from typing import Protocol
 
 import numpy as np
 
 from clvol.integrators.base import FrameData
+from clvol.integrators.tiles.canvas import Canvas
+from clvol.integrators.tiles.engine import RayEngine
 from clvol.integrators.tiles.geometry import Resolution, TileGrid, ray_counts
-from clvol.integrators.tiles.join import Joiner, around
-from clvol.integrators.tiles.launch import PacketRenderer, cast_rays
+from clvol.integrators.tiles.join import around
 from clvol.integrators.tiles.refine import TileErrors, estimated_errors, mean_of_tiles
 from clvol.integrators.tiles.work import RayWork, ray_work
-from clvol.opencl.context import DeviceContext
-from clvol.scene.camera import Camera
 
 _ROUND = 0.1  # rays per round of refinement, as a share of those that are left ...
 _LEAST_ROUND = 0.02  # ... but at least this share of all pixels
 _READS = 1.5  # time reserved for the end of a picture, in units of the time that reading the image takes
 _SAFETY = 0.9  # share of the remaining time that a round is planned to use
-
-
-class RayEngine(Protocol):
-    """A scene resident on a device that casts the rays of tiles."""
-
-    context: DeviceContext
-
-    @property
-    def shows_nothing(self) -> bool:
-        """Whether nothing is visible, so that no ray needs to be cast."""
-
-    def packets(self, depth: bool) -> PacketRenderer:
-        """The kernel that casts rays, with depths or without."""
-
-    def picture_view(self, camera: Camera, width: int, height: int) -> np.ndarray:
-        """``View`` [1] of a whole picture."""
-
-    def blank_view(self) -> np.ndarray:
-        """``View`` [1] of a picture of no pixels, all zeros."""
-
-    def corner_statistics(
-        self, view: np.ndarray, grid: TileGrid
-    ) -> tuple[np.ndarray, int] | None:
-        """Statistics of the blocks that rays through the tiles' corners meet [rows + 1, columns + 1, 4]
-        (clvol/integrators/tiles/plan.py), and the samples per axis of a block at full resolution; None without
-        blocks."""
-
-    def counted(self, counts: np.ndarray) -> dict[str, int]:
-        """The counts of effects [work-items, COUNTERS], summed by name."""
 
 
 @dataclass
@@ -64,27 +33,22 @@ class TiledFrameData(FrameData):
 
 
 class TiledPicture:
-    """``tau`` [tiles]: planned lines per axis of each tile. A new picture has no rays: call ``cast`` first.
-    ``clock`` returns seconds; tests replace it."""
+    """``canvas``: without content. ``tau`` [tiles]: planned lines per axis of each tile. A new picture has no rays:
+    call ``cast`` first. ``clock`` returns seconds; tests replace it."""
 
     def __init__(
         self,
         engine: RayEngine,
+        canvas: Canvas,
         grid: TileGrid,
         tau: np.ndarray,
-        view: np.ndarray,
-        depth: bool = True,
         clock: Callable[[], float] = perf_counter,
     ) -> None:
-        self.engine, self.grid, self.view, self.depth, self.clock = engine, grid, view, depth, clock
+        self.engine, self.grid, self.clock = engine, grid, clock
+        self._canvas = canvas
         tau = np.asarray(tau, np.int64).ravel()
         self.resolution = Resolution(tau, np.full(grid.count, -1))
         self.rays = self.samples = 0
-        context = engine.context
-        shape = (grid.height, grid.width)
-        self._image = context.empty(np.float32, (*shape, 4))
-        self._depths = context.empty(np.float32, shape if depth else (1,))
-        self._joiner = Joiner(context, grid, depth)
         self._counts: list[np.ndarray] = []
         self._tiles = np.arange(grid.count)
         self._planned: RayWork | None = None
@@ -175,26 +139,21 @@ class TiledPicture:
         first rays. ``progress(rays so far)`` is called after each launch."""
         before = self.rays
         work = ray_work(self.grid, self.resolution, tiles)
-        cast = cast_rays(
-            self.engine.context, self.engine.packets(self.depth), self.view, work,
-            self._image, self._depths,
-            None if progress is None else lambda done: progress(before + done),
-        )  # fmt: skip
+        cast = self._canvas.cast(work, None if progress is None else lambda done: progress(before + done))
         self.resolution.halvings[tiles] += 1
         self.rays += work.count
         self.samples += cast.samples
         if cast.counts is not None:
             self._counts.append(cast.counts)
-        self._joiner.join(self.resolution, around(self.grid, tiles), self._image, self._depths)
+        self._canvas.join(self.resolution, around(self.grid, tiles))
         return work, mean_of_tiles(cast.changes, work, self.grid.count)[tiles]
 
     def read(self) -> np.ndarray:
         """float32 [height, width, 4]: the current picture."""
-        return self.engine.context.read(self._image)
+        return self._canvas.read()
 
     def frame(self) -> TiledFrameData:
-        depths = self.engine.context.read(self._depths) if self.depth else None
         counters = self.engine.counted(np.concatenate(self._counts)) if self._counts else {}
         pixels = self.grid.width * self.grid.height
         share = self.rays / pixels
-        return TiledFrameData(self.read(), depths, self.samples, self.rays, counters, share)
+        return TiledFrameData(self.read(), self._canvas.read_depths(), self.samples, self.rays, counters, share)

@@ -7,10 +7,12 @@ from time import perf_counter
 
 import numpy as np
 
+from clvol.integrators.tiles.canvas import Canvas, DeviceCanvas
+from clvol.integrators.tiles.engine import RayEngine
 from clvol.integrators.tiles.geometry import Resolution, TileGrid
 from clvol.integrators.tiles.join import Joiner
 from clvol.integrators.tiles.launch import cast_rays
-from clvol.integrators.tiles.picture import RayEngine, TiledFrameData, TiledPicture
+from clvol.integrators.tiles.picture import TiledFrameData, TiledPicture
 from clvol.integrators.tiles.plan import plan, planned_tau
 from clvol.integrators.tiles.work import RayWork
 from clvol.opencl.context import restore_interrupts
@@ -23,7 +25,8 @@ _COARSER = 4  # factor by which the plan of a picture for a given time is coarse
 class TiledRenderer:
     """Renders an engine's scene tile by tile, as ``settings`` say (``tiles`` at least 2).
 
-    ``clock`` returns seconds; tests replace it.
+    ``clock`` returns seconds; tests replace it. ``canvas(view, grid, depth)`` makes what rays are cast on: by default
+    a ``DeviceCanvas`` of ``engine``.
     """
 
     def __init__(
@@ -31,10 +34,12 @@ class TiledRenderer:
         engine: RayEngine,
         settings: Multiresolution,
         clock: Callable[[], float] = perf_counter,
+        canvas: Callable[[np.ndarray, TileGrid, bool], Canvas] | None = None,
     ) -> None:
         if settings.tiles < 2:
             raise ValueError(f"tiles of {settings.tiles} pixels, expected at least 2")
         self.engine, self.settings, self.clock = engine, settings, clock
+        self._canvas = canvas or (lambda view, grid, depth: DeviceCanvas(engine, view, grid, depth))
 
     def warm_up(self, depth: bool = True) -> None:
         """Compiles what pictures of any size need, by launching it: drivers finish compiling then."""
@@ -65,7 +70,7 @@ class TiledRenderer:
             corners, slots = statistics
             low, high = settings.tile_low, settings.tile_high
             tau = plan(corners, settings.tile_priority, low, high, slots, grid.size)
-        return TiledPicture(self.engine, grid, tau, view, depth, self.clock)
+        return TiledPicture(self.engine, self._canvas(view, grid, depth), grid, tau, self.clock)
 
     def render(
         self,

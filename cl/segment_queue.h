@@ -1,0 +1,92 @@
+/* Segments of a few steps of a packet's rays, classified at once: those of rays that show something, one after the
+ * other in a vector, so that no lane is spent on what is transparent.
+ *
+ * In most packets a few rays cross something while the others are in front of it, behind it or between two peaks of
+ * the transfer function. Classifying a segment by its pieces costs several times what sampling it does, however many
+ * lanes it is for. Steps are queued for as long as their segments fit in one vector; each lane's colour is that which
+ * it would have in its own place, bit for bit.
+ */
+#ifndef SEGMENT_QUEUE_H
+#define SEGMENT_QUEUE_H
+
+#include "classify.h"
+#include "lanes.h"
+#include "transfer_pieces.h"
+#include "view.h"
+
+#if defined(HARDWARE_GATHER) && defined(__AVX512DQ__) && CLASSIFICATION == CLASSIFICATION_PREINTEGRATED && \
+  !defined(QUEUED_SEGMENTS)
+#if __has_builtin(__builtin_ia32_compresssf512_mask) && __has_builtin(__builtin_ia32_expandsf512_mask) && \
+  __has_builtin(__builtin_ia32_permvarsf512)
+#define QUEUED_SEGMENTS 1
+#endif
+#endif
+#ifndef QUEUED_SEGMENTS
+#define QUEUED_SEGMENTS 0 /* lanes would be moved one by one */
+#endif
+
+#if QUEUED_SEGMENTS
+
+typedef struct {
+  floatN front, back; /* values at their ends, in the first `count` lanes */
+  int count;
+} SegmentQueue;
+
+/* The lanes whose segments between these values can be visible. */
+INLINE intN lanes_that_show(floatN low, floatN high, __constant const View *view)
+{
+  const float4 above = view->shows_above, below = view->shows_below;
+  intN shows = MASK(high > above.x) & MASK(low < below.x);
+  if (below.y > above.y) { /* empty spans are the last ones */
+    shows |= MASK(high > above.y) & MASK(low < below.y);
+    shows |= MASK(high > above.z) & MASK(low < below.z);
+    shows |= MASK(high > above.w) & MASK(low < below.w);
+  }
+  return shows;
+}
+
+/* The lanes in `bits` of v, from lane `to` on in place of those of `queued`. */
+INLINE floatN queued_lanes(floatN queued, floatN v, uint bits, int to)
+{
+  const gather_float16 packed = __builtin_ia32_compresssf512_mask(
+    __builtin_astype(v, gather_float16), __builtin_astype((float16)0.0f, gather_float16), (ushort)bits);
+  const uint places = ((1u << popcount(bits)) - 1u) << to;
+  return __builtin_astype(
+    __builtin_ia32_expandsf512_mask(packed, __builtin_astype(queued, gather_float16), (ushort)places), float16);
+}
+
+/* Where in the queue the lanes in `bits` are, of which the first is at `from`. */
+INLINE intN places_in_queue(uint bits, int from)
+{
+  return as_int16(__builtin_astype(
+    __builtin_ia32_expandsf512_mask(__builtin_astype(LANE_INDEX + from, gather_float16),
+                                    __builtin_astype((float16)0.0f, gather_float16), (ushort)bits), float16));
+}
+
+/* Appends the segments of the lanes in `bits`, which have room. */
+INLINE void append_segments(SegmentQueue *queue, floatN front, floatN back, uint bits)
+{
+  queue->front = queued_lanes(queue->front, front, bits, queue->count);
+  queue->back = queued_lanes(queue->back, back, bits, queue->count);
+  queue->count += popcount(bits);
+}
+
+/* Their colours, one step long each. */
+INLINE SegmentColor colors_of_queue(SegmentQueue queue, __global const float *table, __constant const View *view)
+{
+  const Pieces f = scene_pieces(table, (intN)0, view);
+  return color_of_segment(queue.front, queue.back, (floatN)view->step_units, MASK(LANE_INDEX < queue.count), f);
+}
+
+/* The colours of the lanes in `bits`; others' are undefined. */
+INLINE SegmentColor queued_color(SegmentColor colors, uint bits, int from)
+{
+  const intN at = places_in_queue(bits, from);
+  const SegmentColor s = {permuted_lanes(colors.r, at), permuted_lanes(colors.g, at), permuted_lanes(colors.b, at),
+                          permuted_lanes(colors.a, at), colors.depth};
+  return s;
+}
+
+#endif
+
+#endif
