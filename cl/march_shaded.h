@@ -22,19 +22,15 @@
 #include "emission.h"
 #include "features.h"
 #include "half_opacity.h"
+#include "held_segments.h"
 #include "march.h"
 #include "rays.h"
 #include "scene.h"
 #include "scene_value.h"
+#include "segment_queue.h"
 #include "skip_empty.h"
 #if CLIP
 #include "clip.h"
-#endif
-#if LIGHTING
-#include "shade.h"
-#endif
-#if DEPTH_CUE
-#include "depth_cue.h"
 #endif
 #if ENVIRONMENT_VISIBLE
 #include "background.h"
@@ -53,126 +49,6 @@ INLINE Emission emission_between(floatN front, floatN back, intN active, __globa
 #else
   return value_emission_in(back, (intN)0, table, view);
 #endif
-}
-
-/* The middle of the segment that begins at `t0` of a ray of `length`. */
-INLINE floatN segment_middle(floatN t0, floatN length) { return t0 + 0.5f * (lane_min(t0 + 1.0f, length) - t0); }
-
-/* Segments whose opacity is composited and whose colour is not yet. What has to be found of each ray's is an entry of
- * its own, packed: whatever ray and segment it is of. */
-#define MOST_HELD (4 * MARCH_STEPS)
-#define MOST_ENTRIES (LANES * MOST_HELD + LANES)
-typedef struct {
-  int segments, entries;
-  uint lanes[MOST_HELD];  /* rays that have an entry for the segment, as bits */
-  floatN part[MOST_HELD]; /* what its colour counts for */
-#if CONSTANT_CELLS
-  floatN plain_r[MOST_HELD], plain_g[MOST_HELD], plain_b[MOST_HELD]; /* its colour without entries */
-#endif
-  float lane[MOST_ENTRIES], t[MOST_ENTRIES]; /* the ray, and where its segment begins */
-  float r[MOST_ENTRIES], g[MOST_ENTRIES], b[MOST_ENTRIES], opacity[MOST_ENTRIES]; /* of a whole step */
-#if SHADOWS
-  float weight[MOST_ENTRIES]; /* what it counts for at most */
-#endif
-#if LIGHTING
-  float gx[MOST_ENTRIES], gy[MOST_ENTRIES], gz[MOST_ENTRIES]; /* gradient */
-#endif
-} HeldSegments;
-
-#if LIGHTING
-/* The normal of what the gradient belongs to; at a cut face the face's own, going over to the gradient's within one
- * edge. `inside`: edges from the start of the stretch. */
-INLINE Vectors shown_normal(const Scene *scene, Vectors gradient, Vectors cut_normal, floatN inside)
-{
-  Vectors normal = directed3(gradient, -1.0f);
-#if CLIP
-  inside = lane_clamp(inside, (floatN)0.0f, (floatN)1.0f);
-  const intN cut = MASK(dot3(cut_normal, cut_normal) > 0.5f) & MASK(inside < 1.0f);
-  if (any_lane(cut)) {
-    const intN two_sided = scene->effects->two_sided ? (intN)-1 : (intN)0;
-    const intN behind = two_sided & MASK(dot3(normal, cut_normal) < 0.0f);
-    const Vectors toward = select3(normal, scaled3(normal, -1.0f), behind);
-    normal = select3(normal, unit3(sum3(scaled3(toward, inside), scaled3(cut_normal, 1.0f - inside))), cut);
-  }
-#endif
-  return normal;
-}
-#endif
-
-INLINE Vectors permuted3(Vectors v, intN at)
-{
-  const Vectors r = {permuted_lanes(v.x, at), permuted_lanes(v.y, at), permuted_lanes(v.z, at)};
-  return r;
-}
-
-/* Which rays' some entries are, and where: the middles of their segments. */
-typedef struct {
-  intN lane;
-  floatN t;
-} Entries;
-
-INLINE Entries entries_at(const HeldSegments *held, int k, const Rays *ray)
-{
-  Entries e;
-  e.lane = TO_INT(LOAD_LANES(held->lane + k));
-  e.t = segment_middle(LOAD_LANES(held->t + k), permuted_lanes(ray->length, e.lane));
-  return e;
-}
-
-INLINE Vectors places_of(Entries e, const Rays *ray)
-{
-  const Vectors p = {permuted_lanes(ray->x0, e.lane) + e.t * permuted_lanes(ray->dx, e.lane),
-                     permuted_lanes(ray->y0, e.lane) + e.t * permuted_lanes(ray->dy, e.lane),
-                     permuted_lanes(ray->z0, e.lane) + e.t * permuted_lanes(ray->dz, e.lane)};
-  return p;
-}
-
-/* Finds the colours of all that is held, in light, and composites them. */
-INLINE void composite_held(const Scene *scene, HeldSegments *held, Gathered *acc, const Rays *ray, Vectors forward,
-                           Vectors cut_normal, Tally *counted)
-{
-  /* What is behind the last entry is not used, but needs a place. */
-  STORE_LANES((floatN)0.0f, held->lane + held->entries), STORE_LANES((floatN)held->t[0], held->t + held->entries);
-#if LIGHTING
-  _Pragma("unroll 1") for (int k = 0; k < held->entries; k += LANES) {
-    const Vectors place = places_of(entries_at(held, k, ray), ray);
-    const Vectors gradient = scene_gradient(scene, place.x, place.y, place.z);
-    STORE_LANES(gradient.x, held->gx + k), STORE_LANES(gradient.y, held->gy + k), STORE_LANES(gradient.z, held->gz + k);
-  }
-#endif
-  _Pragma("unroll 1") for (int k = 0; k < held->entries; k += LANES) {
-    const Entries entries = entries_at(held, k, ray);
-    Vectors color = {LOAD_LANES(held->r + k), LOAD_LANES(held->g + k), LOAD_LANES(held->b + k)};
-    const floatN opacity = LOAD_LANES(held->opacity + k), edges = entries.t * scene->view->step;
-#if LIGHTING
-    const Vectors gradient = {LOAD_LANES(held->gx + k), LOAD_LANES(held->gy + k), LOAD_LANES(held->gz + k)};
-    const Vectors normal = shown_normal(scene, gradient, permuted3(cut_normal, entries.lane), edges);
-    const intN lit = MASK(k + LANE_INDEX < held->entries) & MASK(dot3(normal, normal) > 0.5f);
-    floatN weight = 0.0f;
-#if SHADOWS
-    weight = LOAD_LANES(held->weight + k);
-#endif
-    color = shaded_color(scene, color, opacity, places_of(entries, ray), normal, gradient,
-                         scaled3(permuted3(forward, entries.lane), -1.0f), weight, 0, lit, counted);
-#endif
-#if DEPTH_CUE
-    color = cued_color(scene, color, opacity, permuted_lanes(ray->entry_depth, entries.lane) + edges);
-#endif
-    STORE_LANES(color.x, held->r + k), STORE_LANES(color.y, held->g + k), STORE_LANES(color.z, held->b + k);
-  }
-  int at = 0;
-  _Pragma("unroll 1") for (int k = 0; k < held->segments; ++k) {
-    const uint bits = held->lanes[k];
-    Vectors color = {unpack_lanes(held->r + at, bits), unpack_lanes(held->g + at, bits),
-                     unpack_lanes(held->b + at, bits)};
-#if CONSTANT_CELLS
-    const Vectors plain = {held->plain_r[k], held->plain_g[k], held->plain_b[k]};
-    color = select3(plain, color, lanes_of(bits));
-#endif
-    acc->r += held->part[k] * color.x, acc->g += held->part[k] * color.y, acc->b += held->part[k] * color.z;
-    at += popcount(bits);
-  }
-  held->segments = held->entries = 0;
 }
 
 INLINE void render_packet(const Scene *scene, intN px, intN py, float *rgba, float *depth, uint *samples,
@@ -312,58 +188,88 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, float *rgba, flo
       taken -= AS_UINT(unknown);
     }
 #endif
-    _Pragma("unroll 1") for (int step = 0; step < MARCH_STEPS; ++step) {
-      const intN active = alive & MASK(i <= last);
-      if (!any_lane(active)) break;
-      const floatN t0 = TO_FLOAT(start + step), value = values[step];
-      const floatN length = select((floatN)1.0f, lane_min(t0 + 1.0f, ray.length) - t0, active);
-      taken -= AS_UINT(active);
-      Emission e = no_emission();
-      floatN first = value, second = value; /* of the segment's values */
+    /* How many of these segments each ray takes, if it does not end before; and which can be visible. */
+    intN steps = alive & max(min(last + 1 - start, (intN)MARCH_STEPS), (intN)0);
+    uint shown[MARCH_STEPS], todo = 0, ended = 0;
 #if NEEDS_ENDS
-      first = value1;
-      shift_ends(value2, &first, &second, length, active & MASK(joined != 0));
-      if (may_be_visible(lane_min(first, second), lane_max(first, second), active, view))
-        e = emission_between(first, second, active, table, view);
+    floatN fronts[MARCH_STEPS];
+#endif
+    _Pragma("unroll 1") for (int step = 0; step < MARCH_STEPS; ++step) {
+      const intN active = MASK(step < steps);
+      const floatN t0 = TO_FLOAT(start + step), value = values[step];
+#if NEEDS_ENDS
+      const floatN length = select((floatN)1.0f, lane_min(t0 + 1.0f, ray.length) - t0, active);
+      floatN front = value1, back = value;
+      shift_ends(value2, &front, &back, length, active & MASK(joined != 0));
       value2 = select(value2, value1, active), value1 = select(value1, value, active);
       joined |= active;
+      fronts[step] = front, values[step] = back;
 #else
-      if (may_be_visible(value, value, active, view)) e = emission_between(value, value, active, table, view);
+      const floatN front = value, back = value;
 #endif
-      e.d = select((floatN)0.0f, e.d, active);
-      i -= active;
-      intN shows = MASK(e.d > 0.0f);
-      if (!any_lane(shows)) continue;
+      shown[step] = lane_bits(active & lanes_that_show(lane_min(front, back), lane_max(front, back), view));
+      todo |= (uint)(shown[step] != 0) << step;
+    }
+#if NEEDS_ENDS
+#define FRONT(step) fronts[step]
+#else
+#define FRONT(step) values[step]
+#endif
+    while (todo) {
+#if QUEUED_SEGMENTS
+      SegmentQueue queue = {0.0f, 0.0f, 0};
+      uint queued = 0;
+      do {
+        const uint next = todo & -todo;
+        const int step = 31 - clz(next);
+        shown[step] &= ~ended;
+        if (queue.count + popcount(shown[step]) > LANES) break;
+        append_segments(&queue, fronts[step], values[step], shown[step]);
+        queued |= next, todo ^= next;
+      } while (todo);
+      const SegmentColor colors = colors_of_queue(queue, table, view);
+      int from = 0;
+#else
+      uint queued = todo & -todo;
+      todo ^= queued;
+#endif
+      do {
+        const uint next = queued & -queued;
+        const int step = 31 - clz(next);
+        const intN active = lanes_of(shown[step] & ~ended);
+        queued ^= next;
+#if QUEUED_SEGMENTS
+        Emission e = emission_of_color(queued_color(colors, shown[step], from));
+        from += popcount(shown[step]);
+#else
+        Emission e = emission_between(FRONT(step), values[step], active, table, view);
+#endif
+        e.d = select((floatN)0.0f, e.d, active);
+        intN shows = MASK(e.d > 0.0f);
+        if (!any_lane(shows)) continue;
 #if CONSTANT_CELLS
-      held.plain_r[held.segments] = e.r, held.plain_g[held.segments] = e.g, held.plain_b[held.segments] = e.b;
-      shows &= MASK(start + step >= constant_end);
+        shows &= MASK(start + step >= constant_end);
 #endif
 #if LIGHTING
-      count_lanes(&counted[COUNT_GRADIENTS], shows);
+        count_lanes(&counted[COUNT_GRADIENTS], shows);
 #endif
-      const uint bits = lane_bits(shows);
-      const floatN left = select((floatN)0.0f, 1.0f - acc.a, active);
-      const int at = held.entries;
-      pack_lanes(TO_FLOAT((intN)LANE_INDEX), bits, held.lane + at), pack_lanes(t0, bits, held.t + at);
-      pack_lanes(e.r, bits, held.r + at), pack_lanes(e.g, bits, held.g + at);
-      pack_lanes(e.b, bits, held.b + at), pack_lanes(e.d, bits, held.opacity + at);
-#if SHADOWS
-      pack_lanes(left * e.d, bits, held.weight + at);
-#endif
-      floatN part = left;
-      if (any_lane(active & MASK(length < 1.0f)))
-        part = left * select((floatN)1.0f, share_of_opacity(e.d, length), MASK(length < 1.0f));
-      held.part[held.segments] = part, held.lanes[held.segments] = bits;
-      held.segments += 1, held.entries += popcount(bits);
-      const floatN before = acc.a;
-      acc.a += part * e.d;
+        const floatN t0 = TO_FLOAT(start + step), before = acc.a;
+        const floatN length = select((floatN)1.0f, lane_min(t0 + 1.0f, ray.length) - t0, active);
+        hold_segment(&held, &acc, e, t0, length, active, shows);
 #if WITH_DEPTH
-      const intN passes = passes_half(before, acc.a);
-      if (any_lane(passes)) note_half(&half_, passes, before, ray.entry_depth + t0 * h, length, first, second);
+        const intN passes = passes_half(before, acc.a);
+        if (any_lane(passes))
+          note_half(&half_, passes, before, ray.entry_depth + t0 * h, length, FRONT(step), values[step]);
 #endif
-      last = select(last, (intN)DONE, MASK(acc.a >= view->stop_opacity));
-      alive &= MASK(acc.a < view->stop_opacity);
+        const intN ends = active & MASK(acc.a >= view->stop_opacity);
+        if (any_lane(ends)) {
+          ended |= lane_bits(ends);
+          steps = select(steps, (intN)(step + 1), ends), last = select(last, (intN)DONE, ends), alive &= ~ends;
+        }
+      } while (queued);
     }
+    taken += AS_UINT(steps);
+    i += steps;
   }
 #if ENVIRONMENT_VISIBLE
   show_environment(scene, forward, on_picture, &acc);

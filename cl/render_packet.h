@@ -16,13 +16,15 @@
 #define RENDER_PACKET_H
 
 #include "features.h"
+#include "lanes.h"
 #include "scene.h"
 
 #if BLOCKS
 #include "march_blocks.h"
 #elif EFFECTS && COMPOSITING
 #include "project.h"
-#elif EFFECTS && SEGMENT_OPACITIES && TRANSLUCENT && !NOISE && LANES == 16
+/* Elsewhere entries would be packed one by one. */
+#elif EFFECTS && SEGMENT_OPACITIES && TRANSLUCENT && !NOISE && defined(HARDWARE_GATHER)
 #include "march_shaded.h"
 #elif EFFECTS
 #include "march_effects.h"
