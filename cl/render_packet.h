@@ -19,12 +19,20 @@
 #include "lanes.h"
 #include "scene.h"
 
+/* march_shaded.h in place of march_effects.h, where that is possible and packing lanes is one instruction. */
+#ifndef HOLD_SEGMENTS
+#ifdef HARDWARE_GATHER
+#define HOLD_SEGMENTS 1
+#else
+#define HOLD_SEGMENTS 0
+#endif
+#endif
+
 #if BLOCKS
 #include "march_blocks.h"
 #elif EFFECTS && COMPOSITING
 #include "project.h"
-/* Elsewhere entries would be packed one by one. */
-#elif EFFECTS && SEGMENT_OPACITIES && TRANSLUCENT && !NOISE && defined(HARDWARE_GATHER)
+#elif EFFECTS && HOLD_SEGMENTS && SEGMENT_OPACITIES && TRANSLUCENT && !NOISE
 #include "march_shaded.h"
 #elif EFFECTS
 #include "march_effects.h"
