@@ -7,39 +7,53 @@
 #include "voxel_type.h"
 
 #if VOXEL_BITS >= 32
-#define IS_VALUE(v) isfinite(v)
+#define LOW_OF(v) (isfinite(v) ? (v) : (Voxel)INFINITY)
+#define HIGH_OF(v) (isfinite(v) ? (v) : -(Voxel)INFINITY)
 #else
-#define IS_VALUE(v) 1
+#define LOW_OF(v) (v)
+#define HIGH_OF(v) (v)
 #endif
+#define COLUMNS 256 /* voxels of a row that are looked at together, the aprons of the cells at both ends included */
 
 /* Smallest and largest finite voxel of each cell of edge^3 lattice cells, its upper faces and `apron` voxels more on
  * each side included (0: (edge + 1)^3 voxels): whatever a filter that reaches so far interpolates inside lies between.
- * A cell without any has low > high.
+ * A cell without any has low > high. A work-item (y, z) finds those of a row of cells: first of columns of voxels, which
+ * compilers make vectors of. edge + 2 apron is less than COLUMNS.
  *
  * volume  Voxel [size.z, size.y, size.x]; cells Voxel [cells.z, cells.y, cells.x, 2] (low, high)
  */
-__kernel void min_max_cells(__global const Voxel *restrict volume, int4 size, int edge, int apron,
+__kernel void min_max_cells(__global const Voxel *restrict volume, int4 size, int edge, int apron, int cells_x,
                             __global Voxel *restrict cells)
 {
-  const int cx = get_global_id(0), cy = get_global_id(1), cz = get_global_id(2);
-  const int x0 = max(cx * edge - apron, 0), y0 = max(cy * edge - apron, 0), z0 = max(cz * edge - apron, 0);
-  const int x1 = min((cx + 1) * edge + apron, size.x - 1), y1 = min((cy + 1) * edge + apron, size.y - 1),
-            z1 = min((cz + 1) * edge + apron, size.z - 1);
-  Voxel low = 1, high = 0;
-  int any_value = 0;
-  for (int z = z0; z <= z1; ++z)
-    for (int y = y0; y <= y1; ++y) {
-      __global const Voxel *row = volume + ((size_t)z * size.y + y) * size.x;
-      for (int x = x0; x <= x1; ++x) {
-        const Voxel v = row[x];
-        if (!IS_VALUE(v)) continue;
-        low = any_value && low < v ? low : v;
-        high = any_value && high > v ? high : v;
-        any_value = 1;
+  const int cy = get_global_id(0), cz = get_global_id(1);
+  const int y0 = max(cy * edge - apron, 0), y1 = min((cy + 1) * edge + apron, size.y - 1);
+  const int z0 = max(cz * edge - apron, 0), z1 = min((cz + 1) * edge + apron, size.z - 1);
+  __global Voxel *out = cells + 2 * ((size_t)cz * get_global_size(0) + cy) * cells_x;
+  const int together = max((COLUMNS - 1 - 2 * apron) / edge, 1);
+  Voxel low[COLUMNS], high[COLUMNS];
+  for (int first = 0; first < cells_x; first += together) {
+    const int end = min(first + together, cells_x);
+    const int x0 = max(first * edge - apron, 0), count = min(end * edge + apron, size.x - 1) - x0 + 1;
+    for (int z = z0; z <= z1; ++z)
+      for (int y = y0; y <= y1; ++y) {
+        __global const Voxel *row = volume + ((size_t)z * size.y + y) * size.x + x0;
+        if (z == z0 && y == y0)
+          for (int x = 0; x < count; ++x) low[x] = LOW_OF(row[x]), high[x] = HIGH_OF(row[x]);
+        else
+          for (int x = 0; x < count; ++x) {
+            const Voxel a = LOW_OF(row[x]), b = HIGH_OF(row[x]);
+            low[x] = a < low[x] ? a : low[x], high[x] = b > high[x] ? b : high[x];
+          }
       }
+    for (int cx = first; cx < end; ++cx) {
+      const int from = max(cx * edge - apron, 0) - x0, to = min((cx + 1) * edge + apron, size.x - 1) - x0;
+      Voxel least = low[from], most = high[from];
+      for (int x = from + 1; x <= to; ++x)
+        least = low[x] < least ? low[x] : least, most = high[x] > most ? high[x] : most;
+      const int any_value = least <= most;
+      out[2 * cx] = any_value ? least : (Voxel)1, out[2 * cx + 1] = any_value ? most : (Voxel)0;
     }
-  __global Voxel *out = cells + 2 * (((size_t)cz * get_global_size(1) + cy) * get_global_size(0) + cx);
-  out[0] = low, out[1] = high;
+  }
 }
 
 /* One of three passes of the distance transform in the maximum norm, along the axis whose neighbours are `stride`

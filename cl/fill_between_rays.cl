@@ -78,7 +78,7 @@ __kernel WIDE_VECTORS void fill_between_rays(SCENE_PARAMETERS, __global const fl
     float rgba[4 * LANES], depth[LANES];
     uint taken[LANES];
     for (int k = waiting; k < LANES; ++k) column[k] = width, row[k] = height; /* outside: no ray */
-    render_packet(&scene, LOAD_LANES(column), LOAD_LANES(row), rgba, depth, taken, counted);
+    render_packet(&scene, LOAD_LANES(column), LOAD_LANES(row), whole_span(), rgba, depth, taken, counted);
     for (int k = 0; k < waiting; ++k) {
       const size_t pixel = (size_t)row[k] * width + column[k];
       image[pixel] = vload4(k, rgba);

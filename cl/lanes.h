@@ -311,6 +311,33 @@ INLINE float16 permuted_lanes(float16 v, int16 at)
   return shuffle(v, as_uint16(at));
 #endif
 }
+
+/* table[at] for each lane, from vector registers: fewer instructions than a gather up to some hundred entries. `at` in
+ * 0 .. 31, and so on. */
+#if defined(HARDWARE_GATHER) && __has_builtin(__builtin_ia32_vpermi2varps512)
+#define TABLES_IN_REGISTERS
+INLINE float16 permuted_lanes32(__global const float *table, int16 at)
+{
+  return __builtin_astype(
+    __builtin_ia32_vpermi2varps512(__builtin_astype(vload16(0, table), gather_float16),
+                                   __builtin_astype(at, gather_int16),
+                                   __builtin_astype(vload16(1, table), gather_float16)), float16);
+}
+INLINE float16 permuted_lanes64(__global const float *table, int16 at)
+{
+  return select(permuted_lanes32(table, at), permuted_lanes32(table + 32, at), MASK(at >= 32));
+}
+INLINE float16 permuted_lanes128(__global const float *table, int16 at)
+{
+  const int16 half_ = at & 63;
+  return select(permuted_lanes64(table, half_), permuted_lanes64(table + 64, half_), MASK(at >= 64));
+}
+INLINE float16 permuted_lanes256(__global const float *table, int16 at)
+{
+  const int16 half_ = at & 127;
+  return select(permuted_lanes128(table, half_), permuted_lanes128(table + 128, half_), MASK(at >= 128));
+}
+#endif
 #else
 INLINE uint lane_bits(intN mask) { return (uint)mask & 1u; }
 INLINE intN lanes_of(uint bits) { return -(intN)(bits & 1u); }

@@ -11,6 +11,7 @@
 #include "classify.h"
 #include "features.h"
 #include "half_opacity.h"
+#include "packet_spans.h"
 #include "rays.h"
 #include "scene.h"
 #include "skip_empty.h"
@@ -43,7 +44,7 @@ typedef struct {
 #endif
 } March;
 
-INLINE void render_packet(const Scene *scene, intN px, intN py, float *rgba, float *depth, uint *samples,
+INLINE void render_packet(const Scene *scene, intN px, intN py, Span span, float *rgba, float *depth, uint *samples,
                           Tally *counted)
 {
   __global const uchar *distances = scene->distances;
@@ -79,7 +80,7 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, float *rgba, flo
 #else
     const floatN from = select(select(t2, t1, second), t, first);
 #endif
-    const floatN visible_at = next_visible(distances, view, from, active, &ray);
+    const floatN visible_at = next_visible(distances, view, from, ray.length, active, &ray, counted);
     active &= MASK(visible_at < end);
     const floatN next = floor(select(t, visible_at, active)) - (MIDPOINTS ? 0.0f : 1.0f);
     const intN leaps = active & MASK(next > t);

@@ -14,6 +14,7 @@
 #include "features.h"
 #include "half_opacity.h"
 #include "march.h"
+#include "packet_spans.h"
 #include "rays.h"
 #include "sample_volume.h"
 #include "scene.h"
@@ -92,7 +93,7 @@ INLINE void integrate_cell(Gathered *acc, HalfOpacity *half_, const Corners *c, 
 }
 
 /* The packet's rays from cell to cell. `taken` counts evaluations of the field. */
-INLINE void render_packet(const Scene *scene, intN px, intN py, float *rgba, float *depth, uint *samples,
+INLINE void render_packet(const Scene *scene, intN px, intN py, Span span, float *rgba, float *depth, uint *samples,
                           Tally *counted)
 {
   __global const uchar *volume = scene->volume, *distances = scene->distances;
@@ -115,7 +116,7 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, float *rgba, flo
 
   while (any_lane(active)) {
 #if SKIP_EMPTY
-    const floatN visible_at = next_visible(distances, view, t, active, &ray);
+    const floatN visible_at = next_visible(distances, view, t, ray.length, active, &ray, counted);
     active &= MASK(visible_at < ray.length); /* a ray that is done stays where it is: no lane computes with infinity */
     const intN leaps = active & MASK(visible_at > t);
     t = select(t, visible_at, leaps), known &= ~leaps;

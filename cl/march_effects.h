@@ -22,6 +22,7 @@
 #include "features.h"
 #include "half_opacity.h"
 #include "march.h"
+#include "packet_spans.h"
 #include "rays.h"
 #include "scene.h"
 #include "scene_value.h"
@@ -83,7 +84,7 @@
 /* Gradients are also reconstructed where nothing is lit, for what depends on them. */
 #define GRADIENT_DECIDES (OPACITY_FACTORS || TRANSFER_LAYERS)
 
-INLINE void render_packet(const Scene *scene, intN px, intN py, float *rgba, float *depth, uint *samples,
+INLINE void render_packet(const Scene *scene, intN px, intN py, Span span, float *rgba, float *depth, uint *samples,
                           Tally *counted)
 {
   __global const uchar *volume = scene->volume, *distances = scene->distances;
@@ -143,7 +144,7 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, float *rgba, flo
 #if SKIP_EMPTY && !ONE_SEGMENT
     {
       const intN going = alive & MASK(i <= last);
-      const floatN visible_at = next_visible(distances, view, TO_FLOAT(i), going, &ray);
+      const floatN visible_at = next_visible(distances, view, TO_FLOAT(i), ray.length, going, &ray, counted);
       /* The curvature of the first visible segment takes the sample before it. */
       const intN next = TO_INT(lane_clamp(visible_at, (floatN)0.0f, TO_FLOAT(max(last, (intN)0)) + 1.0f)) - NEEDS_ENDS;
       const intN leaps = going & MASK(next > i);

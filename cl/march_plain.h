@@ -17,12 +17,13 @@
 #include "features.h"
 #include "half_opacity.h"
 #include "march.h"
+#include "packet_spans.h"
 #include "rays.h"
 #include "scene.h"
 #include "segment_queue.h"
 #include "skip_empty.h"
 
-INLINE void render_packet(const Scene *scene, intN px, intN py, float *rgba, float *depth, uint *samples,
+INLINE void render_packet(const Scene *scene, intN px, intN py, Span span, float *rgba, float *depth, uint *samples,
                           Tally *counted)
 {
   __global const uchar *volume = scene->volume, *distances = scene->distances;
@@ -33,14 +34,18 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, float *rgba, flo
   const intN hits = MASK(ray.length >= 0.0f) & MASK(px < view->image.x) & MASK(py < view->image.y);
   const floatN offset = MIDPOINTS ? 0.5f : 0.0f;
   intN last = select((intN)DONE, TO_INT(whole) - MIDPOINTS, hits);
-  intN i = 0;
+  floatN span_from, span_to;
+  span_along(view, span, &ray, TO_FLOAT(px), TO_FLOAT(py), view->step, &span_from, &span_to);
+  span_to = lane_min(span_to, ray.length);
+  /* One step before what may be visible: leaps begin where they would without a span. */
+  intN i = TO_INT(lane_clamp(span_from - 1.0f, (floatN)0.0f, TO_FLOAT(max(last, (intN)0))));
   uintN taken = 0;
   Gathered acc;
   gathered_clear(&acc);
   HalfOpacity half_ = no_half(); /* in steps */
 #if !MIDPOINTS
   floatN value1 = 0.0f, value2 = 0.0f;  /* the last sample and the one before */
-  intN start = 0;                      /* where the unbroken run of samples began: there is no sample before */
+  intN start = i;                      /* where the unbroken run of samples began: there is no sample before */
 #endif
 
   while (any_lane(MASK(i <= last))) {
@@ -52,12 +57,12 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, float *rgba, flo
 #else
     const floatN from = TO_FLOAT(max(i - 2, start));
 #endif
-    const floatN visible_at = next_visible(distances, view, from, MASK(i <= last), &ray);
+    const floatN visible_at = next_visible(distances, view, from, span_to, MASK(i <= last), &ray, counted);
     const floatN finite = lane_clamp(visible_at, (floatN)0.0f, TO_FLOAT(max(last, (intN)0)) + 1.0f);
     const intN next = TO_INT(MIDPOINTS ? ceil(finite - 0.5f) : finite) - (MIDPOINTS ? 0 : 1);
     const intN leaps = MASK(i <= last) & MASK(next > i);
-    i = select(i, next, leaps);
     last = select(last, (intN)DONE, MASK(i <= last) & MASK(visible_at >= ray.length));
+    i = select(i, next, leaps);
 #if !MIDPOINTS
     start = select(start, i, leaps);
 #endif
@@ -172,8 +177,14 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, float *rgba, flo
 
   /* The last piece of each ray, shorter than a step. */
   intN active = MASK(i == last + 1) & MASK(rest > 0.0f);
-#if BRICKS && SKIP_EMPTY /* where nothing is visible there may be no voxels, either */
-  if (any_lane(active)) active &= MASK(next_visible(distances, view, whole, active, &ray) < ray.length);
+#if SKIP_EMPTY
+  /* Rays shorter than a step have not looked yet. Of bricks, where nothing is visible there may be no voxels, either. */
+  intN looks = active & MASK(whole < 1.0f);
+#if BRICKS
+  looks = active;
+#endif
+  if (any_lane(looks))
+    active &= ~looks | MASK(next_visible(distances, view, whole, span_to, looks, &ray, counted) < ray.length);
 #endif
   if (any_lane(active)) {
     const floatN t = MIDPOINTS ? whole + 0.5f * rest : ray.length;

@@ -21,6 +21,7 @@
 #include "features.h"
 #include "half_opacity.h"
 #include "march.h"
+#include "packet_spans.h"
 #include "rays.h"
 #include "scene.h"
 #include "slices.h"
@@ -112,7 +113,7 @@ INLINE FetchedSample fetch_slice(__global const uchar *volume, __constant const 
   return fetch_sample(volume, view, x, y, z);
 }
 
-INLINE void render_packet(const Scene *scene, intN px, intN py, float *rgba, float *depth, uint *samples,
+INLINE void render_packet(const Scene *scene, intN px, intN py, Span span, float *rgba, float *depth, uint *samples,
                           Tally *counted)
 {
   __constant const View *view = scene->view;

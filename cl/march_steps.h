@@ -13,6 +13,7 @@
 #include "features.h"
 #include "half_opacity.h"
 #include "march.h"
+#include "packet_spans.h"
 #include "rays.h"
 #include "scene.h"
 #include "skip_empty.h"
@@ -29,7 +30,7 @@ INLINE intN steps_from(__global const uchar *steps, __constant const View *view,
   return max(min(most, last - at), (intN)1);
 }
 
-INLINE void render_packet(const Scene *scene, intN px, intN py, float *rgba, float *depth, uint *samples,
+INLINE void render_packet(const Scene *scene, intN px, intN py, Span span, float *rgba, float *depth, uint *samples,
                           Tally *counted)
 {
   __global const uchar *volume = scene->volume, *distances = scene->distances, *steps = scene->steps;
@@ -41,7 +42,11 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, float *rgba, flo
   const intN end = select((intN)DONE, TO_INT(whole), hits); /* whole steps */
   /* The place that comes next: of midpoints, where its segment begins. */
   intN last = select((intN)DONE, end - MIDPOINTS, hits);
-  intN i = 0;
+  floatN span_from, span_to;
+  span_along(view, span, &ray, TO_FLOAT(px), TO_FLOAT(py), view->step, &span_from, &span_to);
+  span_to = lane_min(span_to, ray.length);
+  /* One step before what may be visible: leaps begin where they would without a span. */
+  intN i = TO_INT(lane_clamp(span_from - 1.0f, (floatN)0.0f, TO_FLOAT(max(last, (intN)0))));
   uintN taken = 0;
   Gathered acc;
   gathered_clear(&acc);
@@ -57,12 +62,12 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, float *rgba, flo
 #else
     const floatN from = TO_FLOAT(i - select((intN)0, before1, MASK(run > 0)) - select((intN)0, before2, MASK(run > 1)));
 #endif
-    const floatN visible_at = next_visible(distances, view, from, MASK(i <= last), &ray);
+    const floatN visible_at = next_visible(distances, view, from, span_to, MASK(i <= last), &ray, counted);
     const floatN finite = lane_clamp(visible_at, (floatN)0.0f, TO_FLOAT(max(last, (intN)0)) + 1.0f);
     const intN next = TO_INT(MIDPOINTS ? ceil(finite - 0.5f) : finite) - (MIDPOINTS ? 0 : 1);
     const intN leaps = MASK(i <= last) & MASK(next > i);
-    i = select(i, next, leaps);
     last = select(last, (intN)DONE, MASK(i <= last) & MASK(visible_at >= ray.length));
+    i = select(i, next, leaps);
     run = select(run, (intN)0, leaps);
 #endif
     /* First all samples, then what they show: so short a loop has many steps under way at once, and none of them waits
@@ -116,6 +121,12 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, float *rgba, flo
 
   /* The last piece of each ray, shorter than a step. */
   intN active = MASK(last != DONE) & MASK(rest > 0.0f);
+#if SKIP_EMPTY
+  /* Rays shorter than a step have not looked yet. */
+  const intN looks = active & MASK(whole < 1.0f);
+  if (any_lane(looks))
+    active &= ~looks | MASK(next_visible(distances, view, whole, span_to, looks, &ray, counted) < ray.length);
+#endif
   if (any_lane(active)) {
     const floatN t = MIDPOINTS ? whole + 0.5f * rest : ray.length;
     const FetchedSample sample = fetch_along(volume, view, &ray, t);

@@ -27,6 +27,7 @@
 #include "emission.h"
 #include "features.h"
 #include "march.h"
+#include "packet_spans.h"
 #include "rays.h"
 #include "scene.h"
 #include "scene_value.h"
@@ -97,7 +98,7 @@ INLINE floatN middle_of(const Rays *ray, intN i)
   return 0.5f * (t + lane_min(t + 1.0f, ray->length));
 }
 
-INLINE void render_packet(const Scene *scene, intN px, intN py, float *rgba, float *depth, uint *samples,
+INLINE void render_packet(const Scene *scene, intN px, intN py, Span span, float *rgba, float *depth, uint *samples,
                           Tally *counted)
 {
   __global const float *table = scene->table;

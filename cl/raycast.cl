@@ -22,29 +22,56 @@ __kernel WIDE_VECTORS void raycast(SCENE_PARAMETERS, __global float4 *restrict i
   const int columns = max(1, (width + view->tile.x - 1) / view->tile.x);
   const int item = (int)get_global_id(0) + view->first_tile, tile = TILE_OF(item);
   const int left = tile % columns * view->tile.x, top = tile / columns * view->tile.y;
+  const int right = min(left + view->tile.x, width), bottom = min(top + view->tile.y, height);
+  const int across = (view->tile.x + PACKET_W - 1) / PACKET_W;
+  const int packets = across * ((view->tile.y + PACKET_H - 1) / PACKET_H);
+  float from[LANES], to[LANES];
   uint total = 0;
-  for (int row = top; row < min(top + view->tile.y, height); row += PACKET_H)
-    for (int column = left; column < min(left + view->tile.x, width); column += PACKET_W) {
-      float rgba[4 * LANES], depth[LANES];
-      uint taken[LANES];
-      const intN lane = LANE_INDEX;
-      const intN px = column + (lane & (PACKET_W - 1)), py = row + lane / PACKET_W;
-      render_packet(&scene, px, py, rgba, depth, taken, counted);
-      EACH_LANE(k)
-      {
-        const int x = column + k % PACKET_W, y = row + k / PACKET_W;
-        if (x < width && y < height) {
-          const size_t pixel = (size_t)y * width + x;
-          float4 c = vload4(k, rgba);
-          c.w = fmin(c.w, 1.0f); /* a sum of shares of what was left may round to more than all */
-          image[pixel] = c;
-#if WITH_DEPTH
-          depths[pixel] = depth[k];
+  for (int packet = 0; packet < packets; ++packet) {
+#if SPANS
+    if (packet % LANES == 0) {
+      const intN each = packet + LANE_INDEX;
+      packet_spans(distances, view, left + each % across * PACKET_W, top + each / across * PACKET_H, from, to, counted);
+    }
+    const Span span = {from[packet % LANES], to[packet % LANES]};
+#else
+    const Span span = whole_span();
 #endif
-          total += taken[k];
+    const int column = left + packet % across * PACKET_W, row = top + packet / across * PACKET_H;
+    if (column >= right || row >= bottom) continue;
+#if SPANS
+    if (span.from > span.to) {
+      for (int y = row; y < min(row + PACKET_H, bottom); ++y)
+        for (int x = column; x < min(column + PACKET_W, right); ++x) {
+          const size_t pixel = (size_t)y * width + x;
+          image[pixel] = 0.0f;
+#if WITH_DEPTH
+          depths[pixel] = INFINITY;
+#endif
         }
+      continue;
+    }
+#endif
+    float rgba[4 * LANES], depth[LANES];
+    uint taken[LANES];
+    const intN lane = LANE_INDEX;
+    const intN px = column + (lane & (PACKET_W - 1)), py = row + lane / PACKET_W;
+    render_packet(&scene, px, py, span, rgba, depth, taken, counted);
+    EACH_LANE(k)
+    {
+      const int x = column + k % PACKET_W, y = row + k / PACKET_W;
+      if (x < width && y < height) {
+        const size_t pixel = (size_t)y * width + x;
+        float4 c = vload4(k, rgba);
+        c.w = fmin(c.w, 1.0f); /* a sum of shares of what was left may round to more than all */
+        image[pixel] = c;
+#if WITH_DEPTH
+        depths[pixel] = depth[k];
+#endif
+        total += taken[k];
       }
     }
+  }
   STORE_TALLIES(item)
   samples[tile] = total;
 }

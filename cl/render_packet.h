@@ -1,8 +1,10 @@
 /* The march of this program: the switches choose one of them. Each defines
  *
- *   void render_packet(const Scene *scene, intN px, intN py, float *rgba, float *depth, uint *samples, Tally *counted)
+ *   void render_packet(const Scene *scene, intN px, intN py, Span span, float *rgba, float *depth, uint *samples,
+ *                      Tally *counted)
  *
  * for the rays through the pixels (px, py), a packet of LANES; a lane outside the picture has no ray.
+ * span     between which depths anything can be visible (packet_spans.h); rays may look beyond it
  * rgba     float [LANES, 4]: premultiplied, linear
  * depth    float [LANES]: world distance along the ray from the eye to where opacity reaches one half, else infinity;
  *          written only where WITH_DEPTH is set

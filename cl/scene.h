@@ -71,11 +71,14 @@ typedef struct {
 #elif STEP_CELLS
 #define VARIANT_PARAMETERS , __global const uchar *restrict steps
 #define VARIANT , steps
-#define SCENE_COUNTERS 0
+#define SCENE_COUNTERS COUNT_LEAPS
 #else
 #define VARIANT_PARAMETERS
 #define VARIANT
-#define SCENE_COUNTERS 0
+#define SCENE_COUNTERS COUNT_LEAPS
+#endif
+#if COUNT_LEAPS && (EFFECTS || BLOCKS || SLICES)
+#error "COUNT_LEAPS counts those of plain scenes"
 #endif
 
 #define SCENE_PARAMETERS                                                              \

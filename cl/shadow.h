@@ -199,7 +199,7 @@ INLINE floatN depth_along(const Scene *scene, const Rays *ray, Vectors direction
     if (!any_lane(going)) break;
 #if SKIP_EMPTY
     /* The segment before the first visible one is taken too: for the curvature. */
-    const floatN visible_at = next_visible(scene->distances, scene->view, TO_FLOAT(i), going, ray);
+    const floatN visible_at = next_visible(scene->distances, scene->view, TO_FLOAT(i), ray->length, going, ray, counted);
     const floatN to = lane_clamp(visible_at - (float)SHADOW_ENDS, (floatN)0.0f, TO_FLOAT(max(last, (intN)0)) + 1.0f);
     const intN leaps = going & MASK(TO_INT(to) > i);
     i = select(i, TO_INT(to), leaps);

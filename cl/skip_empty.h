@@ -9,7 +9,14 @@
 
 #include "lanes.h"
 #include "rays.h"
+#include "tally.h"
 #include "view.h"
+
+#if COUNT_LEAPS
+#define COUNT_LEAP(counted, mask) count_lanes(counted, mask);
+#else
+#define COUNT_LEAP(counted, mask)
+#endif
 
 /* Leaps stop a little short of a face, and look beyond it from a little behind it: lattice units, far more than
  * rounding, far less than shows. The share of t keeps t + margin above t where a ray has so many steps that rounding
@@ -18,26 +25,28 @@
 #define SHARE_OF_T 5e-7f
 
 /* For each ray at parameter t (in steps): t itself where its cell is visible, else where it first enters a visible
- * cell (a little before), or a number beyond `length` if it never does. All rays of the packet leap together. */
-INLINE floatN next_visible(__global const uchar *distances, __constant const View *view, floatN t, intN active,
-                           const Rays *ray)
+ * cell (a little before), or infinity if it never does before `end`. All rays of the packet leap together. */
+INLINE floatN next_visible(__global const uchar *distances, __constant const View *view, floatN t, floatN end,
+                           intN active, const Rays *ray, Tally *counted)
 {
-  const int shift = view->cell_shift;
+  const int shift = view->cell_shift, slice = view->cells.x * view->cells.y;
   const intN zero = 0, last_x = view->cells.x - 1, last_y = view->cells.y - 1, last_z = view->cells.z - 1;
   const intN right = MASK(ray->dx > 0.0f), down = MASK(ray->dy > 0.0f), away = MASK(ray->dz > 0.0f);
   const floatN fastest = lane_max(lane_max(fabs(ray->dx), fabs(ray->dy)), fabs(ray->dz));
   const floatN least_margin = FACE_MARGIN(view) / lane_max(fastest, (floatN)1e-12f);
-  floatN entered = t;
-  for (;;) {
+  floatN entered = select(t, (floatN)INFINITY, active & MASK(t >= end));
+  active &= MASK(t < end);
+  while (any_lane(active)) {
+    COUNT_LEAP(counted, active)
     const intN cx = min(TO_INT(lane_clamp(ray->x0 + t * ray->dx, (floatN)0.0f, (floatN)view->upper.x)) >> shift,
                         last_x);
     const intN cy = min(TO_INT(lane_clamp(ray->y0 + t * ray->dy, (floatN)0.0f, (floatN)view->upper.y)) >> shift,
                         last_y);
     const intN cz = min(TO_INT(lane_clamp(ray->z0 + t * ray->dz, (floatN)0.0f, (floatN)view->upper.z)) >> shift,
                         last_z);
-    const intN D = AS_INT(gather1(distances, (cz * view->cells.y + cy) * view->cells.x + cx) & 255u);
+    const intN D = AS_INT(gather1(distances, cz * slice + (cy * view->cells.x + cx)) & 255u);
     active &= MASK(D > zero);
-    if (!any_lane(active)) return entered;
+    if (!any_lane(active)) break;
     const intN fx = select(cx - D + 1, cx + D, right) << shift;
     const intN fy = select(cy - D + 1, cy + D, down) << shift;
     const intN fz = select(cz - D + 1, cz + D, away) << shift;
@@ -47,9 +56,10 @@ INLINE floatN next_visible(__global const uchar *distances, __constant const Vie
     const floatN face = lane_max(leave, t), margin = least_margin + SHARE_OF_T * face;
     entered = select(entered, face - margin, active);
     t = select(t, face + margin, active);
-    entered = select(entered, (floatN)INFINITY, active & MASK(t >= ray->length));
-    active &= MASK(t < ray->length);
+    entered = select(entered, (floatN)INFINITY, active & MASK(t >= end));
+    active &= MASK(t < end);
   }
+  return entered;
 }
 
 #endif

@@ -118,7 +118,7 @@ INLINE void leap_to_surfaces(const Scene *scene, SurfaceWalk *w, intN looks)
   const floatN fastest = lane_max(lane_max(fabs(ray->dx), fabs(ray->dy)), fabs(ray->dz));
   const floatN inwards = select((floatN)0.0f, FACE_MARGIN(view) / lane_max(fastest, (floatN)1e-12f), w->placed);
   const floatN from = select((floatN)0.0f, w->from + inwards, looks);
-  const floatN next = next_visible(scene->surface_distances, view, from, looks, ray);
+  const floatN next = next_visible(scene->surface_distances, view, from, ray->length, looks, ray, 0);
   const intN leaps = looks & MASK(next > from), ends = looks & MASK(lane_max(next, w->from) >= ray->length);
   w->from = select(w->from, next, leaps), w->placed &= ~leaps;
   w->from = select(w->from, (floatN)INFINITY, ends);

@@ -4,6 +4,11 @@
 
 #include "lanes.h"
 
+/* For measurements: look-ups in the map of empty space are the only counter (skip_empty.h). */
+#ifndef COUNT_LEAPS
+#define COUNT_LEAPS 0
+#endif
+
 typedef uintN Tally;
 
 /* One more for each lane of the mask. */

@@ -36,7 +36,7 @@ __kernel WIDE_VECTORS void tile_rays(SCENE_PARAMETERS, __global const int *restr
       column[k] = at + k < end ? pixel - y * width : width;
       row[k] = at + k < end ? y : height; /* outside: no ray */
     }
-    render_packet(&scene, LOAD_LANES(column), LOAD_LANES(row), rgba, depth, taken, counted);
+    render_packet(&scene, LOAD_LANES(column), LOAD_LANES(row), whole_span(), rgba, depth, taken, counted);
     EACH_LANE_ROLLED(k)
     {
       if (at + k < end) {

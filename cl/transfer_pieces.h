@@ -21,8 +21,8 @@
  *
  * The function is a matrix of floats in `table`, a row per property (ROW_...) and a column per piece;
  * clvol/transfer/pieces.py has the same rows. Piece 0 lies below all control points and the last one above them.
- * Packets of 16 hold rows of up to 16 pieces in registers (TRANSFER_PIECES 16); else they are gathered from memory
- * (TRANSFER_PIECES 0).
+ * Packets of 16 look rows of up to 16 pieces up in a register (TRANSFER_PIECES 16), and where processors can those of
+ * up to 256 in several (32 to 256); else they are gathered from memory (TRANSFER_PIECES 0).
  */
 #ifndef TRANSFER_PIECES_H
 #define TRANSFER_PIECES_H
@@ -52,6 +52,7 @@
 #define ROW_CLEAR 23         /* 1 - opacity at BEGIN, which float32 cannot get from an opacity near 1, */
 #define ROW_CLEAR_CHANGE 24  /* and how much more at END */
 #define ROW_ORIGIN 25        /* what all values are counted from, in all columns: a small range may be far from 0 */
+#define ROW_SIXTEENTH 26     /* BEGIN of every sixteenth part of the columns, in the first sixteen */
 
 /* The optical depth of what is opaque at once: zero times it is zero, and any share of it that counts is opaque. */
 #define OPAQUE_DEPTH 1e15f
@@ -91,6 +92,12 @@ INLINE floatN piece_row(Pieces f, int row, intN piece)
 {
 #if LANES == 16
   if (f.in_registers) return permuted_lanes(vload16(row, f.rows), piece);
+#ifdef TABLES_IN_REGISTERS
+  if (TRANSFER_PIECES == 32) return permuted_lanes32(f.rows + row * 32, piece);
+  if (TRANSFER_PIECES == 64) return permuted_lanes64(f.rows + row * 64, piece);
+  if (TRANSFER_PIECES == 128) return permuted_lanes128(f.rows + row * 128, piece);
+  if (TRANSFER_PIECES == 256) return permuted_lanes256(f.rows + row * 256, piece);
+#endif
   return AS_FLOAT(gather4(f.rows + row * f.columns, f.first + piece));
 #else
   return f.rows[f.first + row * f.columns + piece];
@@ -109,7 +116,17 @@ INLINE intN piece_of(floatN value, Pieces f)
     }
     return piece;
   }
-  for (int step = f.columns >> 1; step > 0; step >>= 1) {
+  int step = f.columns >> 1;
+#if LANES == 16 && !TRANSFER_LAYERS
+  /* The first four times among sixteen of them, which one register holds. */
+  const float16 sixteenth = vload16(0, f.rows + ROW_SIXTEENTH * f.columns);
+  _Pragma("unroll") for (int k = 8; k > 0; k >>= 1) {
+    const intN next = piece + k;
+    piece = select(piece, next, MASK(value >= permuted_lanes(sixteenth, next)));
+  }
+  piece *= f.columns >> 4, step = f.columns >> 5;
+#endif
+  for (; step > 0; step >>= 1) {
     const intN next = piece + step;
     piece = select(piece, next, MASK(value >= piece_row(f, ROW_BEGIN, next)));
   }
@@ -204,6 +221,14 @@ INLINE void append_stretch(SegmentColor *s, floatN r, floatN g, floatN b, floatN
   s->a += share, s->depth += depth;
 }
 
+/* The same where `s` is empty. */
+INLINE SegmentColor first_stretch(floatN r, floatN g, floatN b, floatN depth)
+{
+  const floatN opacity = opacity_of_stretch(depth);
+  const SegmentColor s = {opacity * r, opacity * g, opacity * b, opacity, depth};
+  return s;
+}
+
 /* Gauss's six points and weights in the square root of the position: dense at the front, where the light comes from. */
 __constant float thick_position[6] = {0.00114009163f, 0.02869477f, 0.144925186f, 0.383544372f, 0.689904156f,
                                       0.933609606f};
@@ -249,11 +274,13 @@ LOOKED_UP PiecePart part_of_piece(intN piece, floatN w0, floatN w1, floatN units
   const floatN q0 = lane_max(q + w0 * q_change, zero), q1 = lane_max(q + w1 * q_change, zero), clear = 0.5f * (q0 + q1);
   const floatN opacity = PIECE_ROW(ROW_OPACITY) + 0.5f * (w0 + w1) * PIECE_ROW(ROW_OPACITY_CHANGE);
   /* Thin parts, most of all, take short series; each lane by its own. */
-  floatN spread, moment;
+  floatN spread, moment = zero, rate = zero;
   const floatN r = lane_clamp(0.5f * (q1 - q0) * lane_reciprocal(lane_max(clear, (floatN)1e-30f)), -one, one);
-  spread_and_moment_of_thin(r, &spread, &moment);
-  floatN rate = depth_of_thin(opacity) + spread;
   const intN dense = active & MASK(lane_min(q0, q1) < 0.5f);
+  if (any_lane(active & ~dense)) {
+    spread_and_moment_of_thin(r, &spread, &moment);
+    rate = depth_of_thin(opacity) + spread;
+  }
   if (any_lane(dense)) {
     floatN wide_spread, wide_moment;
     spread_and_moment(r, &wide_spread, &wide_moment);
@@ -364,8 +391,7 @@ LOOKED_UP SegmentColor color_of_segment(floatN front, floatN back, floatN units,
   if (!any_lane(crosses)) {
     if (!any_lane(front_shows)) return s; /* between peaks */
     const PiecePart part = part_of_piece(in_front, w0, w1, units, front_shows, f);
-    append_stretch(&s, part.r, part.g, part.b, part.depth);
-    return s;
+    return first_stretch(part.r, part.g, part.b, part.depth);
   }
   /* Pieces in which nothing shows need not be looked at: most often one end of the segment is in such a piece, and
    * then the part at the other end is found in the same pass as those of rays that stay in one piece. */
@@ -385,7 +411,7 @@ LOOKED_UP SegmentColor color_of_segment(floatN front, floatN back, floatN units,
   if (any_lane(front_shows | swaps)) {
     last = part_of_piece(select(in_front, behind, swaps), select(w0, last0, swaps), select(w1, last1, swaps),
                          select(front_units, back_units, swaps), front_shows | swaps, f);
-    if (any_lane(front_shows)) append_stretch(&s, last.r, last.g, last.b, select(zero, last.depth, front_shows));
+    s = first_stretch(last.r, last.g, last.b, select(zero, last.depth, front_shows));
   }
   const intN low = select(behind, in_front, rises), high = select(in_front, behind, rises);
   const intN passes = crosses & MASK(high - low > 1);
@@ -485,12 +511,9 @@ INLINE void color_of_steps(floatN value, intN steps, int one_step, intN active, 
 /* A segment of one value. */
 LOOKED_UP SegmentColor color_of_value(floatN value, floatN units, Pieces f)
 {
-  const floatN zero = 0.0f;
   floatN r, g, b, extinction;
-  SegmentColor s = {zero, zero, zero, zero, zero};
   classify_value(value, f, &r, &g, &b, &extinction);
-  append_stretch(&s, r, g, b, extinction * units);
-  return s;
+  return first_stretch(r, g, b, extinction * units);
 }
 
 /* The scene's function's length of a step in opacity units. */

@@ -43,6 +43,8 @@ typedef struct {
   float step;           /* edges */
   float plane_distance; /* edges from the eye to the reference plane */
   float stop_opacity;   /* opacity at which a ray ends */
+  float deepest;        /* edges from the reference plane to the volume's farthest corner; 0: spans are not looked for
+                         * (packet_spans.h) */
   float edge_length;    /* world units per edge */
   float first_value;    /* value of node 0 (shows_between.h) */
   float nodes_per_value;
@@ -77,7 +79,8 @@ typedef struct {
   FIELD(View, opacity_more), FIELD(View, opacity_limit), FIELD(View, size), \
   FIELD(View, cells), FIELD(View, tangent), FIELD(View, centre), FIELD(View, image), FIELD(View, tile), \
   FIELD(View, lattice), FIELD(View, ray_spacing), FIELD(View, ray_tolerance), FIELD(View, first_tile), \
-  FIELD(View, step), FIELD(View, plane_distance), FIELD(View, stop_opacity), FIELD(View, edge_length), \
+  FIELD(View, step), FIELD(View, plane_distance), FIELD(View, stop_opacity), FIELD(View, deepest), \
+  FIELD(View, edge_length), \
   FIELD(View, first_value), FIELD(View, nodes_per_value), FIELD(View, last_node), FIELD(View, warp_bins), \
   FIELD(View, gate_low), FIELD(View, gate_high), FIELD(View, step_units), FIELD(View, voxel_gain), \
   FIELD(View, zero), FIELD(View, cell_shift), FIELD(View, cell_parts), FIELD(View, row_stride), \

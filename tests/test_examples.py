@@ -30,10 +30,11 @@ SHOWS = {
     "projection": lambda scene: scene.integration.compositing != "over",
     "labels": lambda scene: scene.field[0].role == "label",
     "animation": lambda scene: scene.animation.frames > 1,
+    "overlay": lambda scene: scene.overlay.scale_bar and scene.overlay.color_bar,
 }
 
 
-def test_there_are_eleven_scenes_and_three_scripts():
+def test_there_are_twelve_scenes_and_four_scripts():
     assert set(SCENES) == set(SHOWS)
     assert {path.stem for path in EXAMPLES.glob("*.py")} == {
         "render_array", "render_to_error", "compare_steps", "labels"
@@ -96,3 +97,15 @@ def test_a_script_runs_by_itself(tmp_path):
     done = subprocess.run(words, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
     assert "million samples" in done.stdout
+
+
+@pytest.mark.parametrize("path", sorted(EXAMPLES.glob("jobs/*.toml")), ids=lambda path: path.stem)
+def test_a_job_is_rendered(path, tmp_path, capfd):
+    """As a user's own, with files elsewhere and small."""
+    text = path.read_text(encoding="utf-8").replace("../../../out", str(tmp_path))
+    text = text.replace("../../brainsmall.nrrd", str(EXAMPLES.parent / "brainsmall.nrrd")).replace("256", "32")
+    (tmp_path / "job.toml").write_text(text, encoding="utf-8")
+    assert main(["batch", str(tmp_path / "job.toml"), "--quiet"]) == 0
+    told = capfd.readouterr()
+    assert told.err == "" and told.out.count('"status": "rendered"') == 9
+    assert len(list(tmp_path.rglob("*.png"))) == 9

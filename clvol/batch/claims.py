@@ -172,8 +172,6 @@ def _create(claim: Path, owner: Owner) -> bool:
     try:
         with open(draft, "x", encoding="utf-8") as file:
             json.dump(vars(owner), file)
-            file.flush()
-            os.fsync(file.fileno())
         try:
             os.link(draft, claim)
         except FileExistsError:

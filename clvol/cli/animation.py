@@ -10,12 +10,13 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from clvol.batch.claims import Claims
+from clvol.batch.made import is_made_from
 from clvol.batch.shared import unmade
 from clvol.cli.console import note, preparing, say_path, to_json, working
 from clvol.cli.outputs import check_frames, numbered, save_picture
 from clvol.cli.standard_output import STANDARD, is_standard, kept_clean
 from clvol.cli.verbose import log_scene
-from clvol.errors import ClvolError, UsageError
+from clvol.errors import UsageError
 
 if TYPE_CHECKING:
     from clvol.cli.console import ShowProgress
@@ -25,9 +26,6 @@ if TYPE_CHECKING:
     from clvol.scene.resolve import ResolvedScene
 
 _SHARES = 1000  # units of progress per frame
-# The memory that reading a picture of clvol takes; pictures that need more are from elsewhere.
-_BYTES_PER_PIXEL = 48
-_HEADER_BYTES = 1 << 20
 
 
 def render_animation(
@@ -65,7 +63,7 @@ def render_animation(
         raise UsageError("--resume", f"given with {videos[0]}", "numbered pictures only")
     check_frames(stills, videos, others, count)
 
-    with working("loading", quiet):
+    with working("loading", quiet, scene.input_paths):
         scene.load(memory_cap)
         resolved = scene.resolve(memory_cap)
     load_seconds = time.perf_counter() - start
@@ -232,30 +230,4 @@ def _part(progress: ShowProgress | None, done: int, count: int) -> Callable[[int
 
 def _is_there(stills: Sequence[str], index: int, expected: dict[str, Any], scene: str) -> bool:
     """Whether all pictures of a frame exist, are whole, and were made as ``expected``."""
-    return all(_is_made_from(numbered(path, index), expected, scene) for path in stills)
-
-
-def _is_made_from(path: str, expected: dict[str, Any], scene: str) -> bool:
-    """Whether a picture is whole and was made as ``expected``; False if it does not say how it was made."""
-    import clvol
-    from clvol.image import is_intact, load_image
-    from clvol.text import without_surrogates
-
-    width, height = expected["size"]
-    try:
-        picture = load_image(path, _BYTES_PER_PIXEL * width * height + _HEADER_BYTES)
-        made_from = dict(picture["made_from"] or {})
-    except ClvolError:
-        return False
-    if not is_intact(path, picture) or picture["rgba"].shape[:2] != (height, width):
-        return False
-    del made_from["pixels"]
-    header = {name.lower(): value for name, value in picture["header"].items()}
-    same = {
-        "software": f"clvol {clvol.__version__}",
-        "clvol_version": clvol.__version__,
-        "scene": without_surrogates(scene),
-    }
-    if any(header.get(name, value) != value for name, value in same.items()):
-        return False
-    return made_from == expected["made_from"] and made_from["voxels"] is not None  # None: unknown, so possibly others
+    return all(is_made_from(numbered(path, index), expected, scene) for path in stills)

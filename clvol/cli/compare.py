@@ -51,7 +51,7 @@ def _compare(
     a: str, b: str, outputs: tuple[str, ...], as_json: bool, memory_cap: int | None
 ) -> None:
     from clvol.accuracy.pair import comparable
-    from clvol.cli.console import say_json, say_table
+    from clvol.cli.console import say_json, say_table, working
     from clvol.cli.outputs import check_outputs
     from clvol.errors import UsageError
     from clvol.image import load_image
@@ -60,13 +60,14 @@ def _compare(
         if not path.lower().endswith(_WRITTEN):
             raise UsageError(path, "unknown ending of a difference", " or ".join(_WRITTEN))
     check_outputs(outputs, [])
-    first, second = load_image(a, memory_cap), load_image(b, memory_cap)
-    shape, other = first["rgba"].shape, second["rgba"].shape
-    if shape != other:
-        got = f"got {other[1]} x {other[0]} pixels"
-        raise UsageError(b, got, f"{shape[1]} x {shape[0]} pixels, as in {a}")
-    pair = comparable(first, second, (a, b))
-    measured = pair.measures()
+    with working(f"comparing {a} and {b}", False, [a, b]):
+        first, second = load_image(a, memory_cap), load_image(b, memory_cap)
+        shape, other = first["rgba"].shape, second["rgba"].shape
+        if shape != other:
+            got = f"got {other[1]} x {other[0]} pixels"
+            raise UsageError(b, got, f"{shape[1]} x {shape[0]} pixels, as in {a}")
+        pair = comparable(first, second, (a, b))
+        measured = pair.measures()
     if outputs:
         _write(pair.first, pair.second, outputs)
     if as_json:

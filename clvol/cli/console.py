@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, Protocol
 
@@ -67,11 +67,14 @@ def say_table(rows: Iterable[tuple[str, str]]) -> None:
 
 
 @contextmanager
-def working(message: str, quiet: bool) -> Iterator[ShowProgress | None]:
+def working(
+    message: str, quiet: bool, reads: Sequence[str | os.PathLike] = ()
+) -> Iterator[ShowProgress | None]:
     """Shows ``message`` and a clock on stderr while the block runs, if stderr is a terminal.
 
     Yields None if nothing is shown. Otherwise it yields a function of (done, total), which turns the display into a
-    bar with the remaining time; its optional third argument says what is being done.
+    bar with the remaining time; its optional third argument says what is being done. ``reads``: files and folders that
+    are read meanwhile; the bar then shows how much of them has been read.
     """
     if quiet or sys.stderr is None or not sys.stderr.isatty():
         yield None
@@ -102,7 +105,13 @@ def working(message: str, quiet: bool) -> Iterator[ShowProgress | None]:
             description = None if what is None else escape(printable(what))
             progress.update(task, total=total, completed=done, description=description)
 
-        yield update
+        if not reads:
+            yield update
+            return
+        from clvol.cli.reading import reported
+
+        with reported(reads, update):
+            yield update
 
 
 def preparing(

@@ -25,15 +25,23 @@ def _complete_key(context: click.Context, parameter: click.Parameter, incomplete
     return [f"{key}=" for key in known if key.startswith(incomplete)]
 
 
+def _complete_curve(context: click.Context, parameter: click.Parameter, incomplete: str) -> list[str]:
+    from clvol.image.develop import TONE_CURVES
+
+    return [name for name in TONE_CURVES if name.startswith(incomplete)]
+
+
 @click.command("develop", short_help="Display a picture with another exposure, tone curve or background.")
-@click.argument("pictures", metavar="PICTURE", nargs=-1, required=True, shell_complete=complete_file)
+@click.argument("pictures", metavar="PICTURE...", nargs=-1, required=True, shell_complete=complete_file)
 @click.option(
     "-o", "--output", "outputs", multiple=True, required=True, metavar="FILE", shell_complete=complete_file,
     help="Picture to write: .png, .jpg or .tif (16 bits); '-' is standard output, as PNG. {stem} stands for the name "
     "of PICTURE without its ending. Repeatable.",
 )  # fmt: skip
 @click.option("--exposure", type=float, metavar="STOPS", help="Factor on the light, in stops: 1 doubles it.")
-@click.option("--tone-curve", metavar="NAME", help="clip, reinhard or filmic.")
+@click.option(
+    "--tone-curve", metavar="NAME", shell_complete=_complete_curve, help="clip, reinhard or filmic."
+)
 @click.option("--white", type=float, metavar="LIGHT", help="Light that the curves reinhard and filmic show as white.")
 @click.option("--transparent/--opaque", default=None, help="An alpha channel in place of the background, or none.")
 @click.option(
@@ -115,6 +123,7 @@ def _change(
     frame: Frame, picture: str, stated: dict[str, Any], background: str | None, overrides: Sequence[str]
 ) -> None:
     """Gives ``frame`` what the options state, and the scene that it carries the same keys."""
+    from clvol.cli.options import color_of
     from clvol.overlay import DrawnOverlay
     from clvol.scene import Display, Overlay
     from clvol.scene.carried import tables_of
@@ -123,7 +132,7 @@ def _change(
 
     data = tables_of(frame.scene_source or "", picture)
     if background is not None:
-        data["image"] = {**_table(data, "image"), "background": list(_color(background))}
+        data["image"] = {**_table(data, "image"), "background": list(color_of("--background", background))}
     data["display"] = {**_table(data, "display"), **stated}
     for text in overrides:
         key = text.partition("=")[0].strip()
@@ -175,20 +184,3 @@ def _checked_color(value: Any) -> Any:
     from clvol.scene import ImageSettings
 
     return np.array(ImageSettings(background=value).background, dtype=np.float64)
-
-
-def _color(text: str) -> tuple[float, float, float]:
-    """A colour as on the screen: a name of CSS, "#rrggbb", or three numbers from 0 to 1."""
-    parts = text.strip("[] ").split(",")
-    try:
-        if len(parts) == 3:
-            red, green, blue = (float(part) for part in parts)
-        else:
-            from PIL import ImageColor
-
-            red, green, blue = (level / 255 for level in ImageColor.getrgb(text)[:3])
-    except ValueError:
-        red = green = blue = -1.0
-    if not all(0.0 <= level <= 1.0 for level in (red, green, blue)):
-        raise UsageError("--background", f"got {text!r}", "a colour: a name, '#rrggbb', or three numbers from 0 to 1")
-    return red, green, blue

@@ -19,13 +19,15 @@ def command(
 
     Only the effects that are used are compiled; scenes with the same kernel hash share one kernel.
     """
-    from clvol.cli.console import say, say_json, say_table
+    from clvol.cli.console import say, say_json, say_table, working
     from clvol.scene import load_scene
 
-    resolved = load_scene(scene, overrides).resolve(memory_cap)
-    from clvol.explanation import explain
+    loaded = load_scene(scene, overrides)
+    with working(f"loading {scene}", False, loaded.input_paths):
+        resolved = loaded.resolve(memory_cap)
+        from clvol.explanation import explain
 
-    explanation = explain(resolved)
+        explanation = explain(resolved)
     if as_json:
         say_json(explanation)
         return

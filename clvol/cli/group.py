@@ -14,8 +14,10 @@ from clvol.errors import ClvolError, RenderError, UsageError
 
 # Each command is a module of this package.
 COMMANDS = (
-    "render", "develop", "init", "explain", "info", "scene", "store", "doctor", "compare", "tradeoff", "completion",
+    "render", "batch", "develop", "sheet", "init", "explain", "info", "scene", "store", "doctor", "compare",
+    "tradeoff", "completion",
 )  # fmt: skip
+_LONGEST_WORD = 100  # longer ones get no "did you mean"
 COMPLETE = "_CLVOL_COMPLETE"  # the environment variable that a shell's completion script sets
 
 
@@ -35,8 +37,17 @@ class _Commands(click.Group):
 
     def resolve_command(self, ctx: click.Context, args: list[str]):
         if args[0] not in COMMANDS:
-            raise UsageError("clvol", f"unknown command {args[0]!r}", _one_command())
+            raise UsageError("clvol", f"unknown command {args[0]!r}", _one_command(args[0]))
         return super().resolve_command(ctx, args)
+
+
+def _print_manual(context: click.Context, parameter: click.Parameter, requested: bool) -> None:
+    if requested and not context.resilient_parsing:
+        from clvol.cli.console import say
+        from clvol.cli.manual import manual_page
+
+        say(manual_page(cli).rstrip("\n"))
+        context.exit()
 
 
 @click.group(
@@ -47,6 +58,10 @@ class _Commands(click.Group):
     epilog="The environment variable CLVOL_DEBUG=1 adds the Python traceback to errors. Exit status: 0 done, "
     "2 wrong input, 3 no working device, 4 rendering failed, 130 interrupted. 'clvol completion --help' explains "
     "completion in shells.",
+)
+@click.option(
+    "--man", is_flag=True, is_eager=True, expose_value=False, callback=_print_manual,
+    help="Print the manual page, to be read with: clvol --man | man -l -",
 )
 @click.version_option(__version__, prog_name="clvol", message="%(prog)s %(version)s")
 @click.pass_context
@@ -91,8 +106,25 @@ def describe_error(error: Exception) -> tuple[int, str]:
     return 4, f"internal: {type(error).__name__}: {error}{hint}"
 
 
-def _one_command() -> str:
-    return "one of " + ", ".join(COMMANDS) + "; see 'clvol --help'"
+def _one_command(given: str) -> str:
+    return f"one of {', '.join(COMMANDS)}{_hint(given, COMMANDS)}; see 'clvol --help'"
+
+
+def _hint(given: str, known: Sequence[str]) -> str:
+    """The word of ``known`` that is most like ``given``, if any is."""
+    from difflib import get_close_matches
+
+    near = get_close_matches(given, known, n=1, cutoff=0.7) if len(given) <= _LONGEST_WORD else ()
+    return f" (did you mean {near[0]!r}?)" if near else ""
+
+
+def _options_of(context: click.Context | None) -> list[str]:
+    """The long names of the options of a command."""
+    if context is None:
+        return []
+    names = [name for parameter in context.command.get_params(context) if isinstance(parameter, click.Option)
+             for name in (*parameter.opts, *parameter.secondary_opts)]  # fmt: skip
+    return [name for name in names if name.startswith("--")]
 
 
 def _usage_error(error: click.ClickException) -> ClvolError:
@@ -102,11 +134,13 @@ def _usage_error(error: click.ClickException) -> ClvolError:
     see = f"what '{command} --help' says"
     if isinstance(error, click.MissingParameter) and error.param is not None:
         name = error.param.opts[0] if error.param.opts[0].startswith("-") else ""
-        wanted = " ".join(filter(None, [name, str(error.param.metavar or error.param.name)]))
+        metavar = str(error.param.metavar or error.param.name).removesuffix("...")
+        wanted = " ".join(filter(None, [name, metavar]))
         return UsageError(command, f"no {wanted}", f"{wanted}; see '{command} --help'")
     if isinstance(error, click.NoSuchOption):
-        near = " or ".join(error.possibilities or ())
-        return UsageError(command, f"unknown option {error.option_name}", near or see)
+        known = _options_of(context)
+        expected = f"one of {', '.join(known)}{_hint(error.option_name, known)}" if known else see
+        return UsageError(command, f"unknown option {error.option_name}", expected)
     if isinstance(error, click.BadParameter) and error.param is not None:
-        command = f"{command}: {error.param.opts[0]}"
+        return UsageError(f"{command}: {error.param.opts[0]}", str(error.message).rstrip("."), see)
     return UsageError(command, error.format_message().rstrip("."), see)

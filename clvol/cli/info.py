@@ -2,38 +2,91 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import click
 
-from clvol.cli.options import json_option, memory_cap_option, overrides_option, volume_argument
+from clvol.cli.options import complete_file, json_option, memory_cap_option, overrides_option, volume_argument
+from clvol.cli.standard_output import STANDARD, check_standard, is_standard, kept_clean
+from clvol.errors import UsageError
 
 if TYPE_CHECKING:
+    from clvol.scene import Scene
     from clvol.store.stored_codes import CodesFacts
     from clvol.volume import Volume
+
+_BINS, _BINS_DRAWN = 24, 256  # of a histogram as text, and as a picture
 
 
 @click.command("info", short_help="Print shape, type, spacing, range and memory of a volume.")
 @volume_argument
 @json_option
 @overrides_option
+@click.option("--histogram", is_flag=True, help="Print the histogram of the values, too.")
+@click.option("--bins", type=click.IntRange(1, 65536), metavar="N", help="Most bins; 24, or 256 in a picture.")
+@click.option(
+    "-o", "--output", metavar="FILE", shell_complete=complete_file,
+    help="Write the histogram as a picture (.png); '-' is standard output.",
+)  # fmt: skip
 @memory_cap_option("Largest amount of memory that the volume may take.")
 def command(
-    volume: str, as_json: bool, overrides: tuple[str, ...], memory_cap: int | None
-) -> None:
-    """Print what VOLUME contains: a volume file, a DICOM folder, a Zarr store or a scene.
+    volume: str, as_json: bool, overrides: tuple[str, ...], histogram: bool, bins: int | None, output: str | None,
+    memory_cap: int | None,
+) -> None:  # fmt: skip
+    """Print what VOLUME contains: a volume file, a DICOM folder, a Zarr store, a scene, or a picture that carries one.
 
     A .raw file needs --set volume.dims=[nx,ny,nz] --set 'volume.dtype="uint8"'.
     """
-    from clvol.cli.console import say_json, say_table
-    from clvol.integrators.registry import integrator_of
+    from clvol.cli.outputs import check_outputs, scene_inputs
+    from clvol.inputs import protected
     from clvol.scene import load_scene
+
+    _check_output(output, histogram, bins, as_json)
+    if is_standard(output):
+        check_standard(1, int(as_json))
+    scene = load_scene(volume, overrides)
+    with protected(scene_inputs(volume, scene)), kept_clean(is_standard(output)) as write_standard:
+        check_outputs([], [] if output is None or is_standard(output) else [output])
+        _tell(scene, volume, as_json, histogram, bins, output, memory_cap, write_standard)
+
+
+def _check_output(output: str | None, histogram: bool, bins: int | None, as_json: bool) -> None:
+    for name, is_given in (("-o", output is not None), ("--bins", bins is not None)):
+        if is_given and not histogram:
+            raise UsageError(f"clvol info: {name}", "given without --histogram", "--histogram")
+    if output is not None and not is_standard(output) and not output.lower().endswith(".png"):
+        raise UsageError(output, "unknown ending of a histogram", "a file name that ends in .png, or -")
+
+
+def _tell(
+    scene: Scene, volume: str, as_json: bool, histogram: bool, bins: int | None, output: str | None,
+    memory_cap: int | None, write_standard: Callable[[bytes], None],
+) -> None:  # fmt: skip
+    """Prints the facts; ``volume``: the name that was given."""
+    from clvol.choice.histogram import histogram_of
+    from clvol.cli.console import say, say_json, say_path, say_table, working
+    from clvol.cli.histogram import drawn, histogram_rows
+    from clvol.image import atomic_paths
+    from clvol.integrators.registry import integrator_of
     from clvol.scene.sizes import format_size
     from clvol.volume import describe
 
-    scene = load_scene(volume, overrides)
-    integrator, loaded = integrator_of(scene), scene.load_volume(memory_cap)
-    facts = describe(loaded)
+    with working(f"reading {volume}", False, scene.input_paths):
+        integrator, loaded = integrator_of(scene), scene.load_volume(memory_cap)
+        facts = describe(loaded)
+        told = histogram_of(loaded, bins or _BINS) if histogram else None
+        if told is not None:
+            facts["histogram"] = told.to_json()
+        if told is not None and output is not None:
+            name = loaded.name or os.path.basename(os.path.abspath(volume))
+            picture = drawn(told if bins else histogram_of(loaded, _BINS_DRAWN), name)
+            if output == STANDARD:
+                write_standard(picture)
+                return
+            with atomic_paths([output]) as temporaries:
+                temporaries[0].write_bytes(picture)
     facts["memory_needed"] = integrator.device_bytes(loaded, scene)
     store = _store_facts(loaded)
     if store:
@@ -69,6 +122,12 @@ def command(
         ("memory", f"{needed} on the device, {by}picture and tables included"),
     ]
     say_table(row for row in rows if row[1])
+    if told is not None:
+        part = "" if told.voxels == told.all_voxels else f", of {told.voxels} of {told.all_voxels} voxels"
+        say(f"histogram  (bars are logarithmic{part})")
+        say("\n".join(histogram_rows(told)))
+    if output is not None:
+        say_path(output)
 
 
 def _asked(compression: dict | None) -> str:

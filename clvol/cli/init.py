@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from clvol.cli.options import complete_file, memory_cap_option, overrides_option, volume_argument
+from clvol.cli.options import complete_file, complete_preset, memory_cap_option, overrides_option, volume_argument
 
 
 @click.command("init", short_help="Write a complete, commented scene with what is chosen for a volume.")
@@ -14,8 +14,9 @@ from clvol.cli.options import complete_file, memory_cap_option, overrides_option
     help="Scene file to write (.toml).",
 )  # fmt: skip
 @click.option(
-    "--preset", metavar="NAME", help="Preset instead of what would be chosen: a name, or a preset file (*.toml)."
-)
+    "--preset", metavar="NAME", shell_complete=complete_preset,
+    help="Preset instead of what would be chosen: a name, or a preset file (*.toml).",
+)  # fmt: skip
 @overrides_option
 @memory_cap_option("Largest amount of memory that the volume may take.")
 def command(
@@ -48,7 +49,7 @@ def command(
     scene = load_scene(volume, overrides)
     with protected(scene_inputs(volume, scene)):
         check_outputs([], [output])
-        with working(f"loading {scene.origin}", quiet=False):
+        with working(f"loading {scene.origin}", False, scene.input_paths):
             completed = scene.completed(memory_cap)
         text = initial_scene(completed, os.path.dirname(os.path.abspath(output)))
         with atomic_paths([output]) as temporaries:

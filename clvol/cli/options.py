@@ -20,6 +20,22 @@ def _complete_key(context: click.Context, parameter: click.Parameter, incomplete
     return [f"{key}=" for key in override_keys() if key.startswith(incomplete)]
 
 
+def complete_preset(context: click.Context, parameter: click.Parameter, incomplete: str) -> list[str]:
+    """The names of presets."""
+    from clvol.scene.preset_file import preset_names
+    from clvol.transfer import PRESETS
+
+    known = dict.fromkeys([*PRESETS, *preset_names()])
+    return [name for name in known if name.startswith(incomplete)]
+
+
+def complete_view(context: click.Context, parameter: click.Parameter, incomplete: str) -> list[str]:
+    """The six sides, and those between two of them."""
+    across, along, upright = ("front", "back"), ("left", "right"), ("top", "bottom")
+    sides = [*across, *along, *upright, *(f"{a}-{b}" for a in across for b in along)]
+    return [side for side in sides if side.startswith(incomplete)]
+
+
 scene_argument = click.argument("scene", metavar="SCENE", shell_complete=complete_file)
 volume_argument = click.argument("volume", metavar="VOLUME", shell_complete=complete_file)
 overrides_option = click.option(
@@ -47,3 +63,22 @@ def _size(context: click.Context, parameter: click.Parameter, value: str | None)
 
 def memory_cap_option(help: str) -> Callable:
     return click.option("--memory-cap", metavar="SIZE", callback=_size, help=help)
+
+
+def color_of(option: str, text: str) -> tuple[float, float, float]:
+    """A colour as on the screen: a name of CSS, "#rrggbb", or three numbers from 0 to 1."""
+    from clvol.errors import UsageError
+
+    parts = text.strip("[] ").split(",")
+    try:
+        if len(parts) == 3:
+            red, green, blue = (float(part) for part in parts)
+        else:
+            from PIL import ImageColor
+
+            red, green, blue = (level / 255 for level in ImageColor.getrgb(text)[:3])
+    except ValueError:
+        red = green = blue = -1.0
+    if not all(0.0 <= level <= 1.0 for level in (red, green, blue)):
+        raise UsageError(option, f"got {text!r}", "a colour: a name, '#rrggbb', or three numbers from 0 to 1")
+    return red, green, blue

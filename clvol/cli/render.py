@@ -12,7 +12,7 @@ from clvol.errors import UsageError
 
 
 @click.command("render", short_help="Render scenes, or volume files with default settings.")
-@click.argument("scenes", metavar="SCENE", nargs=-1, required=True, shell_complete=complete_file)
+@click.argument("scenes", metavar="SCENE...", nargs=-1, required=True, shell_complete=complete_file)
 @click.option(
     "-o",
     "--output",

@@ -47,7 +47,7 @@ def render_still(
     check_outputs(files, others)
     refines = _check_settings(scene, isolate, max_error, time_budget)
     with kept_clean(STANDARD in (*outputs, stats)) as write_standard:
-        with working(f"loading {scene.origin}", quiet):
+        with working(f"loading {scene.origin}", quiet, scene.input_paths):
             scene.load(memory_cap)
         load_seconds = time.perf_counter() - start
         log_scene(scene, memory_cap)

@@ -4,28 +4,13 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
-from pathlib import Path
 
 import click
 
+from clvol.batch.names import stem_of
 from clvol.errors import UsageError
 
 STEM = "{stem}"
-
-
-def stem_of(path: str) -> str:
-    """The name of a file or a folder without its endings: "brain" of "data/brain.nii.gz"."""
-    name = os.path.basename(os.path.abspath(path))
-    while (shorter := Path(name).stem) != name and Path(name).suffix.lower() in _ENDINGS:
-        name = shorter
-    return name
-
-
-# Endings that are left out of a stem, one after the other; anything else after a dot belongs to the name.
-_ENDINGS = {
-    ".toml", ".nrrd", ".nhdr", ".mha", ".mhd", ".nii", ".gz", ".hdr", ".img", ".tif", ".tiff", ".npy", ".raw", ".zarr",
-    ".ome", ".exr", ".png", ".jpg", ".jpeg", ".dcm", ".ima", ".zip", ".h5", ".hdf5", ".nc", ".mrc", ".map", ".vti",
-}  # fmt: skip
 
 
 def filled(path: str, source: str) -> str:

@@ -189,7 +189,7 @@ def _source(scene: Scene, volume: str, memory_cap: int | None, quiet: bool) -> F
     if settings.field is not None and settings.size is not None:
         axis = ValueAxis(settings.slope, settings.offset)
         return FieldSource(settings.field, settings.size, settings.spacing or (1.0, 1.0, 1.0), axis)
-    with working(f"loading {volume}", quiet):
+    with working(f"loading {volume}", quiet, [volume]):
         return VolumeSource(scene.load_volume(memory_cap), settings.model_dump(mode="json"))
 
 

@@ -75,7 +75,7 @@ def _report(
     from clvol.cli.outputs import check_folder
 
     check_folder(folder)
-    with working(f"loading {scene.origin}", quiet):
+    with working(f"loading {scene.origin}", quiet, scene.input_paths):
         scene.load(memory_cap)
     log_scene(scene, memory_cap)
 

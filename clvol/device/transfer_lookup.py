@@ -17,7 +17,7 @@ from clvol.transfer import TransferFunction
 from clvol.transfer.cycle import cycled
 from clvol.transfer.lookup_nodes import LookupNodes, lookup_nodes
 from clvol.transfer.opacity_envelope import opacity_envelope
-from clvol.transfer.pieces import IN_REGISTERS, has_opaque_point, piece_count
+from clvol.transfer.pieces import MOST_IN_REGISTERS, columns, has_opaque_point, piece_count
 
 _NODES, CONSTANT_NODES = 256, 4096  # numbers of values that maps of empty space distinguish
 _WIDEST = 8.0  # number of value ranges by which noise may widen the nodes, on either side
@@ -43,12 +43,11 @@ def segment_classification(
 
 
 def transfer_pieces(resolved: ResolvedScene, functions: Sequence[TransferFunction]) -> int:
-    """TRANSFER_PIECES: 16 where registers hold all pieces, else 0. Layers differ from lane to lane; and
-    where colours cycle the number of pieces changes, which must compile nothing."""
+    """TRANSFER_PIECES: the number of columns of the table where registers hold all pieces, else 0. Layers differ from
+    lane to lane; and where colours cycle the number of pieces changes, which must compile nothing."""
     in_memory = len(functions) > 1 or resolved.animation.cycle
-    if in_memory or max(map(piece_count, functions)) > IN_REGISTERS:
-        return 0
-    return IN_REGISTERS
+    width = columns(max(map(piece_count, functions)))
+    return 0 if in_memory or width > MOST_IN_REGISTERS else width
 
 
 def scene_nodes(resolved: ResolvedScene, function: TransferFunction | None = None) -> LookupNodes:

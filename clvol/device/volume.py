@@ -14,7 +14,15 @@ from clvol.errors import VolumeError
 from clvol.opencl.arguments import INT4, RAW, reads, value, writes
 from clvol.opencl.context import DeviceArray, DeviceContext
 from clvol.volume import Volume
-from clvol.volume.voxel_layout import CELL_SHIFT, LARGEST_OFFSET, cell_count, device_bytes, holds_pairs, padded_size
+from clvol.volume.voxel_layout import (
+    CELL_SHIFT,
+    FINE_SHIFT,
+    LARGEST_OFFSET,
+    cell_count,
+    device_bytes,
+    holds_pairs,
+    padded_size,
+)
 
 T = TypeVar("T")
 
@@ -39,6 +47,7 @@ class ResidentVolume:
     cells: tuple[int, int, int]
     cell_shift: int
     layout: dict[str, int] = {}
+    has_fine_bounds = False
 
     @property
     def value_range(self) -> tuple[float, float]:
@@ -52,6 +61,11 @@ class ResidentVolume:
 
     def min_max(self, shift: int) -> tuple[np.ndarray, np.ndarray]:
         """As ``bounds(0)``, for cells of 2^``shift`` lattice cells."""
+        raise NotImplementedError
+
+    def fine_bounds(self, apron: int, wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """As ``bounds``, of the cells of 2^``FINE_SHIFT`` lattice units that ``wanted`` bool [z, y, x] marks, as two
+        arrays [n]; where ``has_fine_bounds``."""
         raise NotImplementedError
 
     def gradients(self, operator: str) -> tuple[DeviceArray, np.ndarray]:
@@ -72,6 +86,8 @@ class ResidentVolume:
 class DeviceVolume(ResidentVolume):
     """A volume in one array: ``voxels`` as cl/fetch_voxel.h lays them out, and the bounds of each cell of empty
     space. VolumeError where it does not fit on the device."""
+
+    has_fine_bounds = True
 
     def __init__(self, context: DeviceContext, volume: Volume) -> None:
         _check_fits(context, volume)
@@ -146,9 +162,22 @@ class DeviceVolume(ResidentVolume):
         """As in ``ResidentVolume``; computed anew by each call."""
         return self._min_max(self.plain(), 0, shift)
 
+    def fine_bounds(self, apron: int, wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """As in ``ResidentVolume``. The bounds of all cells are kept, in the voxels' own type."""
+        found = self.keep(("fine", apron), lambda: self._stored_min_max(self.plain(), apron, FINE_SHIFT))
+        with np.errstate(over="ignore"):
+            low, high = found[wanted].astype(np.float64).T
+            return self.values(low), self.values(high)
+
     def _min_max(
         self, plain: DeviceArray, apron: int, shift: int = CELL_SHIFT
     ) -> tuple[np.ndarray, np.ndarray]:
+        found = self._stored_min_max(plain, apron, shift).astype(np.float64)
+        with np.errstate(over="ignore"):
+            return self.values(found[..., 0]), self.values(found[..., 1])
+
+    def _stored_min_max(self, plain: DeviceArray, apron: int, shift: int) -> np.ndarray:
+        """[z, y, x, 2]: smallest and largest finite voxel of each cell, in the voxels' own type."""
         context = self._context
         nx, ny, nz = self.size
         cells = cell_count(nx, shift), cell_count(ny, shift), cell_count(nz, shift)
@@ -161,24 +190,23 @@ class DeviceVolume(ResidentVolume):
                 value("size", INT4),
                 value("edge", np.int32),
                 value("apron", np.int32),
+                value("cells_x", np.int32),
                 writes("cells", self._data.dtype, *out.shape),
             ),
             self._grid_switches,
         )
         kernel(
             context.queue,
-            cells,
+            cells[1:],
             None,
             volume=plain,
             size=(*self.size, 0),
             edge=1 << shift,
             apron=apron,
+            cells_x=cells[0],
             cells=out,
         )
-        context.finish()
-        found = context.read(out).astype(np.float64)
-        with np.errstate(over="ignore"):
-            return self.values(found[..., 0]), self.values(found[..., 1])
+        return context.read(out)
 
 
 def _check_fits(context: DeviceContext, volume: Volume) -> None:

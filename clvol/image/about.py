@@ -6,6 +6,7 @@ import hashlib
 import json
 import os
 from collections.abc import Iterable
+from functools import cache
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ SCENE_FOLDER = "scene_folder"
 OVERLAY = "overlay"
 
 
+@cache
 def _version(package: str) -> str:
     try:
         return metadata.version(package)

@@ -7,6 +7,7 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib import import_module
+from io import TextIOBase
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, BinaryIO
@@ -74,6 +75,9 @@ def write_frame(frame: Any, stream: BinaryIO, ending: str = ".png") -> None:
     """
     module = _format(f"picture{ending}")
     rgba = checked(frame.rgba)
+    if not callable(getattr(stream, "write", None)) or isinstance(stream, TextIOBase):
+        kind = f"a {type(stream).__name__}"
+        raise UsageError("frame.save", f"got {kind}", "a path, or a binary file that is open for writing")
     with TemporaryDirectory(prefix="clvol-") as folder:
         path = Path(folder) / f"picture{ending}"
         try:

@@ -80,7 +80,7 @@ def view_dtype(voxel_bits: int) -> np.dtype:
         ("int", "ray_spacing"),
         ("float", "ray_tolerance"),
         ("int", "first_tile"),
-        ("float", "step plane_distance stop_opacity edge_length"),
+        ("float", "step plane_distance stop_opacity deepest edge_length"),
         ("float", "first_value nodes_per_value last_node warp_bins"),
         ("float", "gate_low gate_high step_units opacity_limit voxel_gain zero"),
         ("int", "cell_shift cell_parts row_stride slice_stride piece_columns piece_count function_floats"),

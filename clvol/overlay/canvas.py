@@ -15,7 +15,7 @@ Point = tuple[float, float]  # x, y in pixels; (0, 0) is the picture's top left 
 WHITE: Ink = (1.0, 1.0, 1.0)
 BLACK: Ink = (0.0, 0.0, 0.0)
 _LIGHT = 0.55  # encoded brightness from which black is easier to read than white
-_BAND = 128  # rows whose lines are drawn together
+_BAND = 32  # rows whose lines are drawn together
 _HALO = 0.75  # opacity of what is around letters and lines
 _LUMA = np.array([0.2126, 0.7152, 0.0722])
 
@@ -37,6 +37,11 @@ class Canvas:
         self.picture, self._color = picture, color
         self.height, self.width = picture.shape[:2]
         self._top = float(np.iinfo(picture.dtype).max)
+
+    @property
+    def has_color(self) -> bool:
+        """Whether all text and lines have one colour, which was requested."""
+        return self._color is not None
 
     def inks(self, x: float, y: float, width: float, height: float) -> Inks:
         """What can be read in a rectangle, by the mean brightness of the picture there. What is transparent counts as
@@ -63,12 +68,13 @@ class Canvas:
         cover = cover[top : max(top, self.height - y), left : max(left, self.width - x)]
         if not cover.size:
             return
-        inks = np.asarray(color, np.float64)
+        inks = np.asarray(color, np.float32)
+        rows, columns = np.nonzero(cover > 0)  # most of what lines and letters lie in is empty
         if inks.ndim == 3:
-            inks = inks[top : top + cover.shape[0], left : left + cover.shape[1]]
-        rows, columns = slice(y + top, y + top + cover.shape[0]), slice(x + left, x + left + cover.shape[1])
-        part = self.picture[rows, columns].astype(np.float64) / self._top
-        over = cover.astype(np.float64)[..., None]
+            inks = inks[top : top + cover.shape[0], left : left + cover.shape[1]][rows, columns]
+        at = rows + (y + top), columns + (x + left)
+        part = self.picture[at].astype(np.float32) / np.float32(self._top)
+        over = cover[rows, columns].astype(np.float32)[:, None]
         if part.shape[-1] == 4:
             alpha = over + part[..., 3:] * (1.0 - over)
             mixed = inks * over + part[..., :3] * part[..., 3:] * (1.0 - over)
@@ -76,7 +82,7 @@ class Canvas:
             part[..., 3:] = alpha
         else:
             part = part * (1.0 - over) + inks * over
-        self.picture[rows, columns] = np.floor(self._top * np.clip(part, 0.0, 1.0) + 0.5).astype(self.picture.dtype)
+        self.picture[at] = np.rint(np.float32(self._top) * np.clip(part, 0.0, 1.0)).astype(self.picture.dtype)
 
     def rectangle(self, x: float, y: float, width: float, height: float, color: Ink, opacity: float = 1.0) -> None:
         """A filled rectangle; pixels that it covers in part are blended."""
@@ -134,7 +140,9 @@ class Canvas:
                 _add_stroke(cover, piece - np.array([left, row]), width)
             cover *= opacity
             if behind is not None:
-                cover *= 1.0 - np.clip(np.nan_to_num(behind[row:stop, left:right]), 0.0, 1.0)
+                rows, columns = np.nonzero(cover)
+                covering = np.nan_to_num(behind[rows + row, columns + left])
+                cover[rows, columns] *= 1.0 - np.clip(covering, 0.0, 1.0)
             self.paint(left, row, cover, color)
 
     def outlined(self, strokes: Sequence[tuple[Point, Point]], width: float, inks: Inks) -> None:

@@ -78,10 +78,14 @@ def _draw_opacity(
     rows = height * (1.0 - 0.94 * opacity / largest)
     cover = np.clip(np.arange(height)[:, None] + 1.0 - rows, 0.0, 1.0)
     canvas.paint(x, y, 0.5 * cover, np.broadcast_to(colors, (*cover.shape, 3)))
-    places = [(x + k + 0.5, y + float(row)) for k, row in enumerate(rows)]
+    first, last = float(across[0]), float(across[-1])
+    inner = [(v, o) for v, o in zip(function.values.tolist(), function.opacities.tolist()) if first < v < last]
+    corners = [(first, float(opacity[0])), *inner, (last, float(opacity[-1]))]  # it is linear between control points
+    scale = (len(across) - 1) / (last - first)
+    places = [(x + 0.5 + scale * (v - first), y + height * (1.0 - 0.94 * o / largest)) for v, o in corners]
     canvas.outlined(list(zip(places, places[1:])), max(1.0, 0.1 * size), inks)
     text = f"opacity to {largest:.3g}"
-    small = 0.7 * size
+    small = max(0.75 * size, 8.0)
     if text_width(text, font(small)) < len(across):
         left = rows[: len(rows) // 2].mean() > rows[len(rows) // 2 :].mean()  # where the curve is lower
         canvas.text(text, x + (1 if left else len(across) - 1), y, small, inks, anchor=0.0 if left else 1.0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Annotated
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -13,6 +14,7 @@ from clvol.errors import VolumeError
 from clvol.scene.camera import Camera
 from clvol.scene.overlay import Overlay
 from clvol.scene.table import AsTuple, Color, Coordinate, Fraction, Number, Table, Vector, wrong
+from clvol.volume.volume import Volume
 
 if TYPE_CHECKING:
     from clvol.scene.resolve import ResolvedScene
@@ -118,10 +120,21 @@ def _corners(resolved: ResolvedScene) -> np.ndarray:
     return np.where(bits, upper, lower) @ matrix[:3, :3].T + matrix[:3, 3]
 
 
-def _histogram(
-    resolved: ResolvedScene, points: list[float], low: float, high: float
-) -> tuple[float, float, tuple[int, ...]]:
-    """(lowest value, highest value, counts) of the range that most voxels and the control points lie in."""
+_Bins = tuple[float, float, tuple[int, ...]]
+_known: WeakKeyDictionary[Volume, tuple[tuple, _Bins]] = WeakKeyDictionary()  # the last one of each volume
+
+
+def _histogram(resolved: ResolvedScene, points: list[float], low: float, high: float) -> _Bins:
+    """(lowest value, highest value, counts) of the range that most voxels and the control points lie in. Frames of an
+    animation share it."""
+    key = (tuple(points), low, high, resolved.axis)
+    known = _known.get(resolved.volume)
+    if known is None or known[0] != key:
+        known = _known[resolved.volume] = key, _counted(resolved, points, low, high)
+    return known[1]
+
+
+def _counted(resolved: ResolvedScene, points: list[float], low: float, high: float) -> _Bins:
     try:
         sample = sample_of(resolved.volume, _MOST_SAMPLES).values
     except VolumeError:  # blocks of a store that cannot be read, which the picture may not need
@@ -134,5 +147,9 @@ def _histogram(
     low, high = min([*within, float(ends[0])]), max([*within, float(ends[1])])
     if not low < high:
         low, high = low - 0.5, high + 0.5
-    counts, _ = np.histogram(found, BINS, (low, high))
+    bins = BINS
+    if resolved.volume.dtype.kind in "iu":  # as many integers in each bin, or bins would differ by that alone
+        levels = max(1, round((high - low) / resolved.axis.slope))
+        bins = max(1, levels // -(-levels // BINS))
+    counts, _ = np.histogram(found, bins, (low, high))
     return low, high, tuple(int(count) for count in counts)

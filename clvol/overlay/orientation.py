@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clvol.overlay.canvas import Canvas, Ink, Inks
+from clvol.overlay.canvas import BLACK, Canvas, Ink, Inks
 from clvol.overlay.fonts import font, line_height, text_width
 
 if TYPE_CHECKING:
@@ -56,11 +56,14 @@ def draw_axes(canvas: Canvas, description: Description, size: float, top: float)
     face = font(size, True)
     room = radius + 1.5 * size
     x0, y0 = canvas.width - room - 0.4 * size, top + room
-    halo = canvas.inks(x0 - room, y0 - room, 2 * room, 2 * room).halo
+    readable = canvas.inks(x0 - room, y0 - room, 2 * room, 2 * room)
+    own = canvas.has_color
+    shade = 1.0 if readable.halo == BLACK else 0.68
     for k in np.argsort(-(axes @ forward), kind="stable"):
         x, y, away = float(axes[k] @ right), -float(axes[k] @ up), float(axes[k] @ forward)
-        color = canvas.inks(x0, y0, 1, 1).ink if description.settings.color is not None else _COLORS[k]
-        inks = Inks(color, halo)
+        red, green, blue = _COLORS[k]
+        color = readable.ink if own else (shade * red, shade * green, shade * blue)
+        inks = Inks(color, readable.halo)
         end = (x0 + radius * x, y0 + radius * y)
         width = max(1.5, 0.16 * size) * (1.0 - 0.25 * away)
         strokes = [((x0, y0), end)]
@@ -70,7 +73,7 @@ def draw_axes(canvas: Canvas, description: Description, size: float, top: float)
                 tip = 0.45 * size * np.array([c * x - s * y, s * x + c * y]) / length
                 strokes.append((end, (end[0] + float(tip[0]), end[1] + float(tip[1]))))
         canvas.outlined(strokes, width, inks)
-        out = 0.85 * size if length > 0.25 else 0.0
-        centre = (end[0] + out * x / max(length, 1e-9), end[1] + out * y / max(length, 1e-9))
+        out = (x / length, y / length) if length > 0.25 else (-0.7, 0.7)  # beside an arrow that points at the eye
+        centre = (end[0] + 0.85 * size * out[0], end[1] + 0.85 * size * out[1])
         top_of_text = centre[1] - 0.5 * line_height(face)
         canvas.text(description.names[k], centre[0], top_of_text, size, inks, anchor=0.5, bold=True)

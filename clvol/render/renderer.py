@@ -28,6 +28,7 @@ from clvol.render.isolation.segments import PictureMemory
 from clvol.render.made_from import MadeFrom
 from clvol.render.member import LocalMember, Member
 from clvol.render.notices import Notices
+from clvol.render.progress_bar import shown
 from clvol.scene.camera import Camera
 from clvol.scene.classification import with_classification
 from clvol.scene.resolve import ResolvedScene
@@ -101,7 +102,7 @@ class Renderer:
     ``isolate``: each device is used by a process of its own, so that a driver that crashes or hangs costs what it was
     rendering, and nothing else; the crash of the last one is a RenderError.
     ``progress(done, total)`` is called while voxels are encoded ([compression]), and while the blocks of the method
-    "multiresolution" are read. Use the Renderer as a context manager, or call ``close``.
+    "multiresolution" are read; True shows a bar. Use the Renderer as a context manager, or call ``close``.
 
     Several threads may call a Renderer: they take turns, and each gets the picture that it requested. A transfer
     function that one of them sets holds for all. A call from inside the Renderer's own ``progress`` raises
@@ -119,15 +120,13 @@ class Renderer:
         scene: Scene | ResolvedScene,
         devices: Sequence[Any] | None = None,
         memory_cap: int | None = None,
-        progress: Progress | None = None,
+        progress: Progress | bool | None = None,
         isolate: bool = False,
     ) -> None:
         start = perf_counter()
         self._lock, self._is_busy = threading.RLock(), False
-        self.resolved = scene if isinstance(scene, ResolvedScene) else scene.resolve()
-        check_scene(self.resolved)
-        check_memory(self.resolved, memory_cap)
-        self.resolved = _with_voxels(self.resolved)
+        self._memory_cap = memory_cap
+        self.resolved = _checked(scene, memory_cap)
         self._first_time = self.resolved.animation.time
         loaded = perf_counter()
         self._provenances: WeakSet[MadeFrom] = WeakSet()
@@ -139,7 +138,8 @@ class Renderer:
             group = DeviceGroup(members)
         on_devices = _OnDevices(members, group)
         try:
-            on_devices.prepare(self.resolved, progress)
+            with shown(progress, "preparing") as report:
+                on_devices.prepare(self.resolved, report)
         except BaseException:
             on_devices.close()
             raise
@@ -191,7 +191,7 @@ class Renderer:
     def render(
         self,
         camera: Camera | None = None,
-        progress: Progress | None = None,
+        progress: Progress | bool | None = None,
         depth: bool = True,
         time: float | None = None,
         seconds: float | None = None,
@@ -199,7 +199,8 @@ class Renderer:
         """The picture from the scene's camera, or from ``camera``, at ``animation.time``, or at
         ``time`` (seconds). A new camera or time compiles nothing and uploads no volume.
 
-        ``progress(done, total)`` is called now and then with shares of the work. Without ``depth``
+        ``progress(done, total)`` is called now and then with shares of the work; True shows a bar with the remaining
+        time, in notebooks and on terminals (extra "notebook"). Without ``depth``
         no depth is computed and ``Frame.depth`` is None.
 
         ``seconds``: with the method "multiresolution", the picture is refined for this time, in tiles (of 16 pixels
@@ -208,8 +209,8 @@ class Renderer:
         estimated from the rays. At least one ray per tile is cast, and blocks that the view lacks are read,
         however long that takes. UsageError for another method.
         """
-        with self._turn() as on_devices:
-            return self._render(on_devices, camera, progress, depth, time, seconds)
+        with self._turn() as on_devices, shown(progress, "rendering") as report:
+            return self._render(on_devices, camera, report, depth, time, seconds)
 
     def _render(
         self,
@@ -257,6 +258,21 @@ class Renderer:
         for name, value in _counted(data).items():
             counted[name] = counted.get(name, {}) | value if name == "compression" else value
         return self._frame(names, camera, data.rgba, data.depth, times, counted)
+
+    def set_scene(self, scene: Scene | ResolvedScene, progress: Progress | None = None) -> None:
+        """Makes another scene the one that is rendered. Programs, volumes and tables that it has in common with those
+        before are not made again: use it for many pictures of one volume. ``progress``: as for the Renderer. Raises
+        what making a Renderer raises; the scene before then stays."""
+        with self._turn() as on_devices:
+            start = perf_counter()
+            resolved = _checked(scene, self._memory_cap)
+            loaded = perf_counter()
+            on_devices.prepare(resolved, progress)
+            self.resolved, self._first_time = resolved, resolved.animation.time
+            self._notices = Notices(resolved)
+            compile_seconds = on_devices.group.take_compile_seconds()
+            self._load_seconds, self._compile_seconds = loaded - start, compile_seconds
+            self._prepare_seconds = perf_counter() - loaded - compile_seconds
 
     @property
     def schedule(self) -> Schedule | None:
@@ -306,6 +322,14 @@ class Renderer:
         made_from = MadeFrom(self.resolved, camera)
         self._provenances.add(made_from)
         return make_frame(self.resolved, rgba, depth, seconds, counted, devices, made_from, camera)
+
+
+def _checked(scene: Scene | ResolvedScene, memory_cap: int | None) -> ResolvedScene:
+    """``scene`` resolved, if it can be rendered within ``memory_cap``."""
+    resolved = scene if isinstance(scene, ResolvedScene) else scene.resolve()
+    check_scene(resolved)
+    check_memory(resolved, memory_cap)
+    return _with_voxels(resolved)
 
 
 def _refining(prepared: Prepared) -> RefinesInTime:

@@ -18,7 +18,7 @@ from clvol.scene.table import Table
 from clvol.transfer import TransferFunction
 
 # Tables that ``Prepared.for_scene`` takes over from another scene, or that no picture depends on.
-_TAKEN_OVER = ("camera", "image", "animation", "integration", "multiresolution", "pyramid", "slicing")
+_TAKEN_OVER = ("camera", "image", "animation", "integration", "multiresolution", "pyramid", "slicing", "coherence")
 _NOT_RENDERED = ("source", "origin", "folder", "chosen", "display", "overlay")
 _FREE_SETTINGS = {"step": 1.0, "early_termination": 0.0}  # of [integration]
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from clvol.scene.animation import Animation
 from clvol.scene.camera import Camera
 from clvol.scene.clip import Clip
+from clvol.scene.coherence import Coherence
 from clvol.scene.compression import Compression
 from clvol.scene.depth_cue import DepthCue
 from clvol.scene.display import Display
@@ -40,6 +41,7 @@ __all__ = [
     "Animation",
     "Camera",
     "Clip",
+    "Coherence",
     "Compression",
     "ControlPoint",
     "DepthCue",

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import copy
 import os
 import re
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -27,22 +28,25 @@ _DICOM_FILES = (".dcm", ".ima")  # the reader says what to do with a single file
 _KEY = re.compile(r"[A-Za-z0-9_-]+")
 
 
-def load_scene(path: str | Path, overrides: Iterable[str] = ()) -> Scene:
+def load_scene(
+    path: str | Path, overrides: Iterable[str] = (), settings: Iterable[tuple[str, Any]] = ()
+) -> Scene:
     """Loads the scene file ``path`` (.toml), or makes a scene with all defaults of the volume file ``path``.
 
     A clvol store is rendered by the method "multiresolution", since it may be larger than memory, unless
     ``overrides`` choose another one.
 
     ``overrides`` are texts such as ``image.width=1024`` or ``light.0.intensity=2``, with values in TOML syntax. They
-    are applied in order. An index one past the end of a list appends to it. Raises SceneError whose ``where`` is
-    "FILE: KEY". The volume itself is read by ``Scene.resolve``.
+    are applied in order. An index one past the end of a list appends to it. ``settings``, applied after them, are pairs
+    of such a key and its value. Raises SceneError whose ``where`` is "FILE: KEY". The volume itself is read by
+    ``Scene.resolve``.
 
     ``path`` may also be a picture (.exr, .png, .jpg) that clvol has rendered: the scene is the one that its header
     carries, and ``Scene.moment`` says which camera and time the picture shows.
     """
-    path, overrides = Path(path), tuple(overrides)
+    path, overrides, settings = Path(path), tuple(overrides), tuple(settings)
     if is_picture_path(path):
-        return _load_carried(path, overrides)
+        return _load_carried(path, overrides, settings)
     if path.suffix.lower() == ".toml":
         data, folder = _read(path), path.parent
     else:
@@ -50,17 +54,30 @@ def load_scene(path: str | Path, overrides: Iterable[str] = ()) -> Scene:
         data, folder = {"volume": {"file": str(path)}}, Path()
         if os.path.isdir(path) and is_store(path):
             data["integration"] = {"method": "multiresolution"}
-    for text in overrides:
-        override(data, text, str(path))
+    _change(data, overrides, settings, str(path))
     return Scene.from_data(data, str(path), folder)
 
 
-def _load_carried(path: Path, overrides: tuple[str, ...]) -> Scene:
+def parsed_file(path: Path) -> dict[str, Any]:
+    """The tables of a file in TOML. SceneError for one that cannot be read."""
+    return _read(path)
+
+
+def _change(data: dict[str, Any], overrides: Iterable[str], settings: Iterable[tuple[str, Any]], origin: str) -> None:
+    for text in overrides:
+        override(data, text, origin)
+    for key, value in settings:
+        keys = key.split(".")
+        if not all(_KEY.fullmatch(part) for part in keys):
+            raise SceneError(origin, f"got the key {shown(key)}", "the name of a key, such as image.width")
+        assign(data, keys, copy.deepcopy(value), origin)
+
+
+def _load_carried(path: Path, overrides: tuple[str, ...], settings: tuple[tuple[str, Any], ...]) -> Scene:
     carried = carried_scene(path, overrides)
     data = _parsed(carried.text, str(path))
     moment = at_its_moment(data, carried.moment, overrides)
-    for text in overrides:
-        override(data, text, str(path))
+    _change(data, overrides, settings, str(path))
     volume = data.get("volume")
     folder = carried.folder_with(volume.get("file") if isinstance(volume, dict) else None)
     scene = Scene.from_data(data, str(path), folder)
@@ -129,8 +146,11 @@ def override(data: dict[str, Any], text: str, origin: str) -> None:
     keys = [part.strip() for part in key.split(".")]
     if not equals or not all(_KEY.fullmatch(part) for part in keys):
         raise SceneError(f"--set {shown(text)}", "not an assignment", "TABLE.KEY=VALUE")
-    value = _parse_value(text, ".".join(keys), value_text)
+    assign(data, keys, _parse_value(text, ".".join(keys), value_text), origin)
 
+
+def assign(data: dict[str, Any], keys: Sequence[str], value: Any, origin: str) -> None:
+    """Sets the value at ``keys``, one after the other, in the parsed scene ``data``."""
     place: Any = data
     for i, part in enumerate(keys):
         where = f"{origin}: {'.'.join(keys[:i])}"

@@ -19,6 +19,7 @@ from clvol.scene.camera import Camera
 from clvol.scene.classification import ChosenClassification, with_classification
 from clvol.scene.clip import Clip
 from clvol.scene.codes import code_of, function_in_codes, in_stored_values
+from clvol.scene.coherence import Coherence
 from clvol.scene.compression import Compression
 from clvol.scene.default_unit import default_opacity_unit
 from clvol.scene.depth_cue import DepthCue
@@ -96,6 +97,7 @@ class ResolvedScene:
     voxel_range: tuple[float, float] | None = None  # where ``volume`` holds codes instead of voxels
     axis: ValueAxis = ValueAxis()
     compression: Compression = Compression()
+    coherence: Coherence = Coherence()
     chosen_classification: ChosenClassification | None = None  # where the scene requests "auto"
     chosen: dict[str, Any] | None = None  # what was chosen from the volume, since the scene does not state it
     display: Display = Display()
@@ -159,6 +161,7 @@ def resolve(scene: Scene, memory_cap: int | None = None) -> ResolvedScene:
         multiresolution=scene.multiresolution,
         pyramid=scene.pyramid,
         slicing=scene.slicing,
+        coherence=scene.coherence,
         source=scene.to_toml(),
         origin=scene.origin,
         gradient=scene.gradient,

@@ -22,6 +22,7 @@ from clvol.scene.animation import Animation
 from clvol.scene.camera import Camera
 from clvol.scene.carried import Moment
 from clvol.scene.clip import Clip
+from clvol.scene.coherence import Coherence
 from clvol.scene.compression import Compression
 from clvol.scene.depth_cue import DepthCue
 from clvol.scene.display import Display
@@ -112,6 +113,8 @@ class Scene(Table):
         Settings of the method "pyramid".
     slicing : Slicing
         Settings of the method "slicing".
+    coherence : Coherence
+        What rays that are close to each other share.
     gradient : GradientSettings
         How gradients are computed.
     environment : Environment, optional
@@ -222,6 +225,11 @@ class Scene(Table):
         title="Settings of the method 'slicing': slices drawn one over the other.",
         description=_TABLE,
     )
+    coherence: Coherence = Field(
+        Coherence(),
+        title="What rays that are close to each other share.",
+        description=_TABLE,
+    )
     gradient: GradientSettings = Field(
         GradientSettings(),
         title="How gradients are computed where something needs them.",
@@ -318,6 +326,16 @@ class Scene(Table):
             copy._loaded, copy._first, copy._chosen = self._loaded, self._first, self._chosen
         copy._fields, copy._memory_cap = self._fields, self._memory_cap
         return copy
+
+    def share_volumes(self, other: Scene) -> None:
+        """Takes over the volume and the fields that ``other`` has loaded, where this scene names the same files,
+        which have not changed since."""
+        if self._folder != other._folder:
+            return
+        if self._loaded is None and other._loaded is not None and self.volume == other.volume:
+            other._loaded.check_unchanged()
+            self._loaded, self._first = other._loaded, other._first
+        self._fields = {**other._fields, **self._fields}
 
     def load_volume(self, memory_cap: int | None = None) -> Volume:
         """The volume that the scene names, read once and kept.

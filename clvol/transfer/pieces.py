@@ -18,13 +18,14 @@ import numpy as np
 from clvol.transfer.function import TransferFunction
 
 _log = logging.getLogger(__name__)
-IN_REGISTERS = 16  # pieces that a ray packet holds in registers: TRANSFER_PIECES
-ROWS = 26
+IN_REGISTERS = 16  # pieces that a ray packet holds in one register: the least TRANSFER_PIECES
+MOST_IN_REGISTERS = 256  # and in several of them: the largest one
+ROWS = 27
 OPAQUE_DEPTH = 1e15  # of cl/transfer_pieces.h
 SPANS = 4  # of values in which something shows: those of `View` in cl/view.h
 (BEGIN, END, INVERSE, OPACITY, OPACITY_CHANGE, COLOR, COLOR_CHANGE, LENGTH, DEPTH, MOMENT, DEPTHS, COLORS,
- NEXT_OPAQUE, LAST_OPAQUE, UNITS, FROM, TO, CLEAR, CLEAR_CHANGE, ORIGIN) = (
-    0, 1, 2, 3, 4, 5, 8, 11, 12, 13, 14, 15, 18, 19, 20, 21, 22, 23, 24, 25
+ NEXT_OPAQUE, LAST_OPAQUE, UNITS, FROM, TO, CLEAR, CLEAR_CHANGE, ORIGIN, SIXTEENTH) = (
+    0, 1, 2, 3, 4, 5, 8, 11, 12, 13, 14, 15, 18, 19, 20, 21, 22, 23, 24, 25, 26
 )  # fmt: skip
 
 
@@ -92,6 +93,7 @@ def piece_table(
     table[LAST_OPAQUE, piece] = np.maximum.accumulate(np.where(opaque, index, -1))
     table[UNITS] = step / function.opacity_unit
     table[ORIGIN] = origin
+    table[SIXTEENTH, :16] = table[BEGIN, :: width // 16]
     table[FROM], table[TO] = table[BEGIN], table[END]
     table[FROM, 0], table[TO, count - 1] = -np.inf, np.inf
     with np.errstate(over="ignore", under="ignore"):
@@ -116,10 +118,13 @@ def depth_and_moment(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray,
         moment = (r - 0.5 * rest) / (4.0 * r * r)
         depth = np.where(mean < 0.5, -np.log1p(-np.minimum(mean, 0.5)), -np.log(clear))
     small = np.abs(r) < 0.1
-    series = sum(r ** (2 * k) / (2 * k * (2 * k + 1)) for k in range(1, 9))
-    spread = np.where(small, series, spread)
-    series = sum(r**n / (2 * n * (n + 2)) for n in range(1, 17, 2))
-    moment = np.where(small, series, moment)
+    if small.any():
+        square, of_spread, of_moment = r * r, np.zeros_like(r), np.zeros_like(r)
+        for k in range(8, 0, -1):
+            of_spread = of_spread * square + 1.0 / (2 * k * (2 * k + 1))
+            of_moment = of_moment * square + 1.0 / (2 * (2 * k - 1) * (2 * k + 1))
+        spread = np.where(small, of_spread * square, spread)
+        moment = np.where(small, of_moment * r, moment)
     depth = np.where(opaque, OPAQUE_DEPTH, np.minimum(depth + spread, OPAQUE_DEPTH))
     return depth, np.where(opaque, 0.0, moment)
 

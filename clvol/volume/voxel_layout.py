@@ -20,6 +20,8 @@ class Voxels(Protocol):
 
 
 CELL_SHIFT = 3  # cells of 8^3 for empty space
+FINE_SHIFT = 2  # of 4^3, where plain rays leap over it
+MOST_FINE_CELLS = 2**21  # of a map that stays in a processor's second-level cache
 # 8-bit volumes are stored as pairs, with twice the memory, up to this many bytes of pairs.
 _LARGEST_PAIRS = 512 * 2**20
 LARGEST_OFFSET = 2**31 - 1  # offsets are signed 32-bit integers, as hardware gather instructions need them

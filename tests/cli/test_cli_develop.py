@@ -129,6 +129,7 @@ def test_a_frame_is_loaded_in_python(picture, tmp_path):
 # --- standard output
 
 
+@pytest.mark.usefixtures("device")
 def test_a_picture_on_standard_output_is_its_only_content(folder):
     words = [sys.executable, "-m", "clvol", "render", "scene.toml", "-o", "-", "-o", "also.npy", "--stats", "s.json"]
     done = subprocess.run(words, capture_output=True, timeout=300)
@@ -213,7 +214,7 @@ def test_an_interrupt_ends_all(run, folder, renderer):
     [("a/brain.nii.gz", "brain"), ("x.ome.zarr/", "x"), ("t_0.5.toml", "t_0.5"), ("v1.2", "v1.2"), ("a.exr", "a")],
 )
 def test_stems(path, stem):
-    from clvol.cli.several import stem_of
+    from clvol.batch.names import stem_of
 
     assert stem_of(path) == stem
 
@@ -221,6 +222,7 @@ def test_stems(path, stem):
 # --- the scene that a picture carries
 
 
+@pytest.mark.usefixtures("device")
 @pytest.mark.parametrize("ending", ["exr", "png", "jpg"])
 def test_a_picture_renders_again_to_the_same_bits_wherever_it_lies(run, folder, ending):
     (folder / "out").mkdir()
@@ -235,10 +237,12 @@ def test_a_picture_renders_again_to_the_same_bits_wherever_it_lies(run, folder, 
     assert run("info", folder / f"deep/a.{ending}").status == 0
 
 
-def test_a_chosen_scene_and_a_frame_of_an_animation_render_again(run, folder):
+@pytest.mark.usefixtures("device")
+@pytest.mark.parametrize("scene", ["scene.toml", "cube.npy"])
+def test_a_frame_of_an_animation_renders_again_of_a_chosen_scene_too(run, folder, scene):
     keys = ["image.width=24", "image.height=20", "animation.orbit_degrees=90", "animation.frames=3", "depth_cue={}"]
     words = [word for key in keys for word in ("--set", key)]
-    assert run("render", "cube.npy", "-o", "f_%d.exr", *words).status == 0
+    assert run("render", scene, "-o", "f_%d.exr", *words).status == 0
     outcome = run("render", "f_2.exr", "-o", "again.exr")
     assert outcome.status == 0 and "warning" not in outcome.err
     first, again = load_image("f_2.exr"), load_image("again.exr")
@@ -249,6 +253,7 @@ def test_a_chosen_scene_and_a_frame_of_an_animation_render_again(run, folder):
     assert near["fov_degrees"] == 10 and near["position"] == again["made_from"]["camera"]["position"]
 
 
+@pytest.mark.usefixtures("device")
 def test_other_voxels_are_reported(run, folder):
     run("render", "scene.toml", "-o", "a.exr")
     np.save("cube.npy", np.load("cube.npy")[::-1])

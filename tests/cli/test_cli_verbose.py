@@ -84,6 +84,10 @@ def test_commands_options_keys_and_files_are_completed(run, monkeypatch, folder)
     assert "integration.step=" in completed(run, monkeypatch, "clvol render x --set integ")
     assert "light.0.type=" in completed(run, monkeypatch, "clvol render x --set light")
     assert completed(run, monkeypatch, "clvol scene --keys pyr") == ["pyramid"]
+    assert completed(run, monkeypatch, "clvol sheet x --view left") == ["left"]
+    assert completed(run, monkeypatch, "clvol sheet x --preset mr-") == ["mr-angiography", "mr-brain"]
+    assert completed(run, monkeypatch, "clvol develop x --tone-curve f") == ["filmic"]
+    assert completed(run, monkeypatch, "clvol develop x --set overlay.sc") == ["overlay.scale_bar="]
     assert completed(run, monkeypatch, "clvol render sc") == ["sc"]  # the shell completes files
 
 

@@ -205,3 +205,11 @@ def test_a_stream_of_an_unknown_kind_stays_empty():
     with pytest.raises(UsageError, match="unknown ending"):
         write_frame(frame(), stream, ".bmp")
     assert not stream.getvalue()
+
+
+@pytest.mark.parametrize("stream", [3, None, io.StringIO(), b"bytes"])
+def test_what_is_no_binary_file_is_refused(stream):
+    from clvol.render.frame import Frame
+
+    with pytest.raises(UsageError, match="frame.save: got a .*, expected a path, or a binary file"):
+        Frame(light()).save(stream)

@@ -13,7 +13,7 @@ from clvol.opencl.structs import view_dtype
 from clvol.transfer import TransferFunction
 from clvol.transfer.pieces import (
     DEPTH,
-    IN_REGISTERS,
+    MOST_IN_REGISTERS,
     SPANS,
     columns,
     depth_and_moment,
@@ -70,7 +70,7 @@ def segments_of(context, function, front, back, units, *, lanes=None, in_memory=
     terms, view["opacity_limit"] = step_opacity(float(np.float32(step_units)))
     view["opacity_terms"], view["opacity_more"] = terms[:4], terms[4:]
     view["piece_columns"], view["piece_count"] = width, count
-    pieces = 0 if in_memory or count > IN_REGISTERS else IN_REGISTERS
+    pieces = 0 if in_memory or width > MOST_IN_REGISTERS else width
     kernel = context.kernel(
         SOURCE, "segment_colors",
         (
@@ -305,3 +305,17 @@ def test_whole_steps_of_one_value_absorb_what_is_stated(context, name, in_memory
             thin = (exact > 0) & (exact < 1e-3)
             assert np.all(np.abs(opacity - exact)[thin] <= 2e-5 * exact[thin] + 1e-6 * units * function.opacities.max())
             np.testing.assert_allclose(rgb, color * exact[..., None], rtol=0, atol=5e-6)
+
+
+@pytest.mark.parametrize("points", [20, 40, 90, 200, 300])
+def test_registers_and_memory_hold_the_same_pieces(context, points):
+    function = random_function(7, points)
+    rng = np.random.default_rng(points)
+    front = np.append(rng.uniform(-2, 66, 1000), np.resize(function.values, 1000)).astype(np.float32)
+    back = (front + rng.normal(0, 3, front.size)).astype(np.float32)
+    for constant in (0, 1, 2):
+        found, gathered = (
+            segments_of(context, function, front, back, 1.0, constant=constant, in_memory=in_memory)
+            for in_memory in (False, True)
+        )
+        assert np.array_equal(found, gathered)

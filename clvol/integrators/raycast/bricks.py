@@ -26,7 +26,7 @@ from clvol.scene.resolve import ResolvedScene
 from clvol.schedule.tiles import TILE
 from clvol.store.geometry import BlockGrid
 from clvol.transfer import TransferFunction
-from clvol.volume.voxel_layout import CELL_SHIFT, cell_count
+from clvol.volume.voxel_layout import CELL_SHIFT, FINE_SHIFT, cell_count
 
 # Voxels beyond a visible cell that rays and gradients use: a ray takes up to 8 samples before it looks for empty space
 # again (MARCH_STEPS of cl/march.h), and begins two before what is visible.
@@ -35,6 +35,8 @@ _SAMPLES_BEYOND, _GRADIENT_REACH = 10, 2
 
 class BrickVolume(ResidentVolume):
     """A volume as a ``BrickPool``. It has no array of all voxels, and therefore no stored gradients."""
+
+    has_fine_bounds = True
 
     def __init__(
         self, context: DeviceContext, source: BrickSource, memory_bytes: int | None = None, **layout: Any
@@ -50,6 +52,7 @@ class BrickVolume(ResidentVolume):
         self.cells = cell_count(self.size[0]), cell_count(self.size[1]), cell_count(self.size[2])
         self.cell_shift = CELL_SHIFT
         self.layout = {"BRICKS": self.switches["BRICKS"], "VOXEL_PAIRS": self.switches["VOXEL_PAIRS"]}
+        self._found: dict[int, np.ndarray] = {}  # by the shift of cells, in the voxels' own type
         self._bounds = {CELL_SHIFT: self._mapped(CELL_SHIFT)}
 
     @property
@@ -64,6 +67,12 @@ class BrickVolume(ResidentVolume):
         """As in ``ResidentVolume``, with an apron of a whole cell."""
         low, high = self._bounds[CELL_SHIFT]
         return (low, high) if not apron else _around(low, high)
+
+    def fine_bounds(self, apron: int, wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """As in ``ResidentVolume``, with an apron of a whole cell."""
+        low, high = self.min_max(FINE_SHIFT)
+        low, high = (low, high) if not apron else _around(low, high)
+        return low[wanted], high[wanted]
 
     def min_max(self, shift: int) -> tuple[np.ndarray, np.ndarray]:
         if shift not in self._bounds:
@@ -101,8 +110,10 @@ class BrickVolume(ResidentVolume):
 
     def _mapped(self, shift: int) -> tuple[np.ndarray, np.ndarray]:
         x, y, z = (cell_count(n, shift) for n in self.size)
-        finest = min(shift, self.switches["BRICKS"])
-        found = self.pool.bounds(finest).astype(np.float64)
+        finest = min(shift, FINE_SHIFT, self.switches["BRICKS"])
+        if finest not in self._found:  # takes every brick in turn
+            self._found[finest] = self.pool.bounds(finest)
+        found = self._found[finest].astype(np.float64)
         low, high = found[..., 0], found[..., 1]
         if finest < shift:
             low, high = _joined(low, high, 1 << (shift - finest))

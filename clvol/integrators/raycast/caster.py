@@ -98,6 +98,9 @@ class Raycaster:
     surface_cells: np.ndarray
     segment_steps: np.ndarray  # uint8 [z, y, x]: steps of a segment (step_map.py), where they follow the data
     _step_map: DeviceArray
+    map_cells: tuple[int, ...]  # cells (x, y, z) of ``distances``, each of 2^map_shift lattice units
+    map_shift: int
+    visible_nodes: tuple[np.ndarray, np.ndarray]  # ``between`` and ``at`` of ``visible_mask``
     shown: np.ndarray  # bool [z, y, x]: cells in which anything can be seen
 
     def __init__(
@@ -119,6 +122,7 @@ class Raycaster:
         shares_tiles = self.lanes > 1 or self.march.renders_all_pixels
         self.tile = tile if shares_tiles else (1, 1)
         self.volume: ResidentVolume = volume or DeviceVolume(context, resolved.volume)
+        self.map_cells, self.map_shift = self.volume.cells, self.volume.cell_shift
         self.effects = EffectState(context, resolved, self.volume)
         self.view_dtype = view_dtype(self.volume.switches["VOXEL_BITS"])
         self._warm: set[tuple] = set()
@@ -157,13 +161,15 @@ class Raycaster:
             mask = (mask | fields.shown) & fields.kept
         self.shown = mask
         self.visible_share = float(mask.mean())
-        self.march.find_empty_space(self, mask)
-        warp = self.nodes.warp
-        self.warp = context.upload(np.zeros(2, np.float32) if warp is None else warp)
         self.switches = raycast_switches(
             resolved, lanes=self.lanes, skip=self.skip, function=function,
             varies=self.march.varies_steps and isinstance(self.volume, DeviceVolume),
         )
+        self.map_cells, self.map_shift = self.volume.cells, self.volume.cell_shift
+        self.visible_nodes = visible, at_nodes
+        self.march.find_empty_space(self, mask)
+        warp = self.nodes.warp
+        self.warp = context.upload(np.zeros(2, np.float32) if warp is None else warp)
         self.switches |= self.volume.layout
         self.switches |= self.effects.switches  # those that respect the limits of the device
         self.switches |= self.march.switches()

@@ -34,6 +34,7 @@ def frame_view(caster: Raycaster, frame: RayFrame, width: int, height: int) -> n
         row["tangent"], row["centre"] = frame.lens, frame.centre
         _describe_volume(caster, row)
         row["plane_distance"], row["edge_length"] = frame.distance, frame.unit
+        row["deepest"] = 0.0 if caster.resolved.coherence.mode == "off" else _deepest(caster, frame)
         row["stop_opacity"] = 1.0 - caster.resolved.integration.early_termination
     finite = [np.isfinite(row[name]).all() for name in (*_VECTORS, *_FINITE)]
     if not all(finite) or not min(row["step"], row["edge_length"]) > 0:
@@ -41,6 +42,15 @@ def frame_view(caster: Raycaster, frame: RayFrame, width: int, height: int) -> n
         raise RenderError(where, "numbers beyond float32", "a camera and units nearer to 1")
     row["image"], row["tile"] = (width, height), caster.tile
     return view
+
+
+def _deepest(caster: Raycaster, frame: RayFrame) -> float:
+    """Edges from the reference plane to the farthest corner of the volume, with a margin."""
+    to_edges = np.asarray(caster.resolved.volume.grid.spacing) / frame.unit
+    along = to_edges * (to_edges * frame.forward)  # of unit length in edges
+    corners = np.stack([-frame.origin, np.asarray(caster.volume.size) - 1 - frame.origin])
+    farthest = float((corners * along).max(axis=0).sum())
+    return max(1.001 * farthest + 1.0, 0.0)
 
 
 def volume_view(caster: Raycaster) -> np.ndarray:
@@ -71,7 +81,7 @@ def _describe_volume(caster: Raycaster, row: np.void) -> None:
         row["voxel_gain"] = volume.values.gain
     row["size"][:3] = volume.size
     row["row_stride"], row["slice_stride"] = volume.stride
-    row["cells"][:3], row["cell_shift"] = volume.cells, volume.cell_shift
+    row["cells"][:3], row["cell_shift"] = caster.map_cells, caster.map_shift
     row["piece_columns"], row["function_floats"], row["piece_count"] = caster.pieces
 
 

@@ -9,10 +9,12 @@ import numpy as np
 
 from clvol.device.arguments import Arguments
 from clvol.device.empty_space import distance_map
+from clvol.integrators.raycast.fine_cells import fine_mask
 from clvol.opencl.context import DeviceArray, DeviceContext, Kernel
 from clvol.opencl.struct_check import REPORT_ARGUMENTS, check_structs
 from clvol.scene.camera import Camera
 from clvol.scene.resolve import ResolvedScene
+from clvol.volume.voxel_layout import FINE_SHIFT
 
 if TYPE_CHECKING:
     from clvol.integrators.raycast.caster import Raycaster
@@ -88,6 +90,12 @@ class RayMarch:
         return context.kernel(f"{name}.cl", name, declared, switches)
 
     def find_empty_space(self, caster: Raycaster, mask: np.ndarray) -> None:
+        # Effects look up other maps by the same cells. Where steps follow the data the picture depends, within its
+        # error, on where leaps end.
+        if caster.skip and not caster.effects.switches and "STEP_CELLS" not in caster.switches:
+            fine = fine_mask(caster, mask)
+            if fine is not None:
+                mask, caster.map_cells, caster.map_shift = fine, fine.shape[::-1], FINE_SHIFT
         caster.distances = distance_map(caster.context, mask)
 
     def scene_changed(self, caster: Raycaster) -> None:

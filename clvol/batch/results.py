@@ -1,0 +1,52 @@
+"""What became of the pictures of a job: lines of JSON, which processes append to one file."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Iterator
+from typing import Any
+
+from clvol.errors import RenderError
+from clvol.json_values import plain
+from clvol.text import json_escaped
+
+
+def line_of(result: dict[str, Any]) -> str:
+    """``result`` as one line. Infinities and NaN become null."""
+    return json_escaped(json.dumps(plain(result), ensure_ascii=False, allow_nan=False))
+
+
+def append(path: str, result: dict[str, Any]) -> None:
+    """Appends a line to the file ``path`` in one write, so that lines of several processes do not mix."""
+    try:
+        descriptor = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o666)
+        try:
+            os.write(descriptor, (line_of(result) + "\n").encode())
+        finally:
+            os.close(descriptor)
+    except OSError as error:
+        raise RenderError(path, f"the file cannot be written: {error.strerror or error}") from error
+
+
+def results_in(path: str) -> Iterator[dict[str, Any]]:
+    """The results in the file ``path``, in its order; none if there is no such file. Lines that are no results are left
+    out: a process may have been killed while it wrote one."""
+    try:
+        with open(path, encoding="utf-8", errors="replace") as file:
+            for line in file:
+                try:
+                    result = json.loads(line)
+                except ValueError:
+                    continue
+                if isinstance(result, dict) and isinstance(result.get("files"), list):
+                    yield result
+    except FileNotFoundError:
+        return
+
+
+def digest_of(request: Any) -> str:
+    """16 hexadecimal digits that differ where ``request``, of JSON values, does."""
+    text = json.dumps(plain(request), sort_keys=True, ensure_ascii=False)
+    return hashlib.blake2b(text.encode("utf-8", "surrogatepass"), digest_size=8).hexdigest()

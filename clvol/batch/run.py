@@ -1,0 +1,223 @@
+"""Renders the pictures of a job, each of which may fail without the others."""
+
+from __future__ import annotations
+
+import os
+import time
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
+
+from clvol.accuracy.error_target import render_to_error
+from clvol.batch.claims import Claims
+from clvol.batch.job import Picture
+from clvol.batch.made import is_made_from
+from clvol.batch.results import append, digest_of, results_in
+from clvol.batch.shared import unmade
+from clvol.errors import ClvolError, ClvolWarning, SceneError
+from clvol.image import atomic_paths, check_output, save_frame
+from clvol.integrators.base import Progress
+from clvol.render import Renderer
+from clvol.render.frame import Frame
+from clvol.render.made_from import MadeFrom
+from clvol.scene import Scene, load_scene
+from clvol.scene.resolve import ResolvedScene
+from clvol.volume import Volume
+
+_STEPS = 1000  # units of progress per picture
+
+Save = Callable[[Frame, Sequence[str]], None]
+
+
+@dataclass
+class Options:
+    """How pictures are rendered: as for ``Renderer``. ``max_error``: settings are chosen for it. ``results``: the file
+    that gets a line per picture."""
+
+    devices: list[str] | None = None
+    memory_cap: int | None = None
+    isolate: bool = False
+    max_error: float | None = None
+    results: str = "results.jsonl"
+
+
+@dataclass
+class _Loaded:
+    """The scene of a picture, and the same with its volume."""
+
+    picture: Picture
+    scene: Scene
+    resolved: ResolvedScene
+    made_from: MadeFrom
+
+
+@dataclass
+class Outcome:
+    """Counts of pictures by what became of them: "rendered", "kept" (they existed, or another process has made them)
+    and "failed". ``status``: the exit status, that of the worst failure."""
+
+    counts: dict[str, int] = field(default_factory=lambda: {"rendered": 0, "kept": 0, "failed": 0})
+    status: int = 0
+
+
+class JobRun:
+    """One run of a job by this process. ``emit(result)`` gets the result of each picture that it renders, or that
+    fails. ``progress(done, all, picture)``, in ``_STEPS`` per picture."""
+
+    def __init__(
+        self, pictures: Sequence[Picture], options: Options, emit: Callable[[dict[str, Any]], None],
+        progress: Callable[[int, int, str], None] | None = None,
+    ) -> None:  # fmt: skip
+        self._pictures, self._options, self._emit, self._progress = list(pictures), options, emit, progress
+        self._last: _Loaded | None = None
+        self._renderer: tuple[Volume, Renderer] | None = None  # with the volume that its scenes have in common
+        self.outcome = Outcome()
+
+    def run(self) -> Outcome:
+        """Returns once all pictures exist or have failed. An interrupt ends it, and leaves what is done."""
+        counts = self.outcome.counts
+        try:
+            with Claims() as claims:
+                todo = unmade(self._pictures, claims, lambda p: p.files, self._is_done, self._waiting)
+                for picture in todo:
+                    self._one(picture, claims)
+        finally:
+            self._close()
+        counts["kept"] = len(self._pictures) - counts["rendered"] - counts["failed"]
+        return self.outcome
+
+    def _close(self) -> None:
+        if self._renderer is not None:
+            self._renderer[1].close()
+            self._renderer = None
+
+    def _waiting(self, count: int) -> None:
+        if self._progress is not None:
+            all_of_them = len(self._pictures)
+            self._progress((all_of_them - count) * _STEPS, all_of_them * _STEPS, f"{count} of other processes")
+
+    # ---- one picture
+
+    def _one(self, picture: Picture, claims: Claims) -> None:
+        start, report = time.perf_counter(), None
+        name = os.path.basename(picture.files[0])
+        if self._progress is not None:
+            report = partial(self._report, picture.number, name)
+            report(0, 1)
+        result: dict[str, Any] = {
+            "picture": picture.number, "files": list(picture.files), "source": picture.source,
+            "volume": picture.volume, "set": dict(picture.settings),
+        }  # fmt: skip
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always", ClvolWarning)
+            try:
+                frame = self._rendered(picture, report)
+                if not claims.owns(picture.files[0]):
+                    return  # this process was stopped for so long that another one has taken over
+                self._write(frame, picture)
+                self.outcome.counts["rendered"] += 1
+                result |= {"status": "rendered", **_told_of(frame), "total_seconds": time.perf_counter() - start}
+                if self._options.max_error is not None:
+                    result["request"] = self._request(self._loaded(picture))
+            except (ClvolError, MemoryError) as error:
+                self._fail(picture, error, result)
+        told = [str(each.message) for each in caught if issubclass(each.category, ClvolWarning)]
+        if told := list(dict.fromkeys([*result.get("warnings", []), *told])):
+            result["warnings"] = told
+        append(self._options.results, result)
+        self._emit(result)
+
+    def _fail(self, picture: Picture, error: ClvolError | MemoryError, result: dict[str, Any]) -> None:
+        if isinstance(error, MemoryError):
+            error = SceneError(picture.source, "no memory for it", "a smaller volume, or a machine with more memory")
+        self.outcome.counts["failed"] += 1
+        self.outcome.status = max(self.outcome.status, error.exit_status)
+        result |= {"status": "failed", "message": str(error)}
+        self._close()  # a device that has failed stays out of a Renderer
+
+    def _report(self, number: int, name: str, done: int, total: int) -> None:
+        assert self._progress is not None
+        part = _STEPS * done // max(total, 1)
+        self._progress(number * _STEPS + part, len(self._pictures) * _STEPS, name)
+
+    def _rendered(self, picture: Picture, report: Progress | None) -> Frame:
+        for path in picture.files:
+            check_output(path)
+        loaded, options = self._loaded(picture), self._options
+        depth = any(path.lower().endswith(".exr") for path in picture.files)
+        if options.max_error is not None:
+            devices, cap = options.devices, options.memory_cap
+            return render_to_error(
+                loaded.scene, options.max_error, devices=devices, memory_cap=cap, depth=depth, progress=report
+            )
+        return self._renderer_of(loaded).render(progress=report, depth=depth)
+
+    def _renderer_of(self, loaded: _Loaded) -> Renderer:
+        """The Renderer that is open, if the scene's volume is its volume."""
+        volume, options = loaded.scene.load_volume(self._options.memory_cap), self._options
+        if self._renderer is not None and self._renderer[0] is volume:
+            self._renderer[1].set_scene(loaded.resolved)
+            return self._renderer[1]
+        self._close()
+        renderer = Renderer(loaded.resolved, options.devices, options.memory_cap, isolate=options.isolate)
+        self._renderer = volume, renderer
+        return renderer
+
+    def _loaded(self, picture: Picture) -> _Loaded:
+        if self._last is not None and self._last.picture is picture:
+            return self._last
+        scene = load_scene(picture.source, settings=picture.settings)
+        if scene.animation.frames != 1:
+            where, what = f"{picture.source}: animation.frames", f"got {scene.animation.frames}"
+            raise SceneError(where, what, "1 in a job; let animation.time vary, or use 'clvol render'")
+        if self._last is not None:
+            scene.share_volumes(self._last.scene)
+        scene.load(self._options.memory_cap)
+        resolved = scene.resolve(self._options.memory_cap)
+        self._last = _Loaded(picture, scene, resolved, MadeFrom(resolved))
+        return self._last
+
+    def _write(self, frame: Frame, picture: Picture) -> None:
+        with atomic_paths(picture.files) as temporaries:
+            for path, temporary in zip(picture.files, temporaries):
+                try:
+                    save_frame(frame, temporary)
+                except ClvolError as error:
+                    where = path if error.where == str(temporary) else error.where
+                    raise type(error)(where, error.what, error.expected) from error
+
+    # ---- what exists
+
+    def _is_done(self, picture: Picture) -> bool:
+        """Whether its files are what would be rendered now."""
+        try:
+            loaded = self._loaded(picture)
+        except ClvolError:
+            return False  # rendering it tells why
+        image, measured = loaded.resolved.image, self._options.max_error is not None
+        if measured and (self._request(loaded), *picture.files) not in self._measured_before():
+            return False
+        expected, text = {"size": (image.width, image.height), "made_from": loaded.made_from()}, loaded.resolved.source
+        return all(is_made_from(path, expected, text or "", measured) for path in picture.files)
+
+    def _request(self, loaded: _Loaded) -> str:
+        return digest_of([loaded.made_from(), loaded.resolved.source, self._options.max_error])
+
+    def _measured_before(self) -> set[tuple[str, ...]]:
+        """(request, files) of pictures with a measured error, by the lines of results."""
+        return {
+            (str(result.get("request")), *map(str, result["files"]))
+            for result in results_in(self._options.results)
+            if result.get("status") == "rendered"
+        }
+
+
+def _told_of(frame: Frame) -> dict[str, Any]:
+    stats: dict[str, Any] = dict(frame.stats)
+    names = "seconds", "samples", "rays", "method", "device", "warnings"
+    told = {name: stats[name] for name in names if name in stats}
+    if "accuracy" in stats:
+        told["error"] = {name: stats["accuracy"].get(name) for name in ("rmse", "bound", "confidence", "settings")}
+    return told
