@@ -1,7 +1,7 @@
 /* Segments of a packet's rays whose opacity is composited and whose colour is not yet.
  *
- * Opacity does not depend on colour, so segments are held until there are many. What light has to be found for of each is
- * then an entry of its own, packed: whatever ray and segment it is of, no lane is spent on one that shows nothing.
+ * Opacity does not depend on colour, so segments are held until there are many. Those that light has to be found for
+ * are then an entry each, packed: whatever ray and segment it is of, no lane is spent on one that shows nothing.
  * Gradients are taken and lights asked in two loops over the entries, short ones, since each is a chain of a hundred
  * operations and more: a processor has several turns of a short loop under way at once.
  */
@@ -71,8 +71,8 @@ INLINE Vectors permuted3(Vectors v, intN at)
   return r;
 }
 
-/* Composites the opacity of a segment that begins at `t0` and is `length` steps long, for the rays in `active`, and holds
- * its colours; those in `lit` get an entry. There is room. */
+/* Composites the opacity of a segment that begins at `t0` and is `length` steps long, for the rays in `active`, and
+ * holds its colours; those in `lit` get an entry. There is room. */
 INLINE void hold_segment(HeldSegments *held, Gathered *acc, Emission e, floatN t0, floatN length, intN active, intN lit)
 {
   const uint bits = lane_bits(lit);

@@ -1,18 +1,14 @@
 /* A packet of LANES rays through a scene whose effects change colours alone, not what a segment absorbs: lights,
  * shadows, clips, depth cueing, an environment. Segments and samples are those of march_effects.h, and so is every bit.
  *
- * Since opacity does not depend on colour, MARCH_STEPS segments are taken in three passes over arrays:
- *   1  all their samples, which wait for memory together (march_plain.h)
- *   2  classification, and opacity from front to back: what is behind an opaque segment drops out here
- *   3  gradients and light of the segments that show, and their colours
+ * MARCH_STEPS segments are taken in passes over arrays: all their samples, which wait for memory together
+ * (march_plain.h); classification, and opacity from front to back, so that what is behind an opaque segment drops out;
+ * gradients, light and colours of all that shows, some passes later (held_segments.h).
  *
  * Where the field is constant, gradient and light are nothing, and what a segment shows is known: rays whose packet is
- * in such cells (CONSTANT_CELLS; a map as in skip_empty.h, of the cells where the field or its gradient may change) take
- * one sample for all segments there, and composite as many as before. They are counted as samples all the same, since
- * each of them is classified and composited as if it were one.
- *
- * The passes of one segment do not wait for those of the one before, as they would one segment after another: light is a
- * chain of some hundred operations, most of which a processor has nothing else to do during.
+ * in such cells (CONSTANT_CELLS; a map as in skip_empty.h, of the cells where the field or its gradient may change)
+ * take one sample for all segments there, and composite as many as before. They are counted as samples all the same,
+ * since each of them is composited as if it were one.
  */
 #ifndef MARCH_SHADED_H
 #define MARCH_SHADED_H
@@ -24,6 +20,7 @@
 #include "half_opacity.h"
 #include "held_segments.h"
 #include "march.h"
+#include "packet_spans.h"
 #include "rays.h"
 #include "scene.h"
 #include "scene_value.h"
@@ -40,7 +37,7 @@
 #define NEEDS_ENDS (CLASSIFICATION == CLASSIFICATION_PREINTEGRATED)
 #define MOST_STEPS 1e9f /* below 2^31 */
 
-/* What a segment emits along which the value runs from `front` to `back`; of midpoints, both are the one in its middle. */
+/* What a segment emits along which the value runs from `front` to `back`; of midpoints, both are that in its middle. */
 INLINE Emission emission_between(floatN front, floatN back, intN active, __global const float *table,
                                  __constant const View *view)
 {
@@ -51,7 +48,7 @@ INLINE Emission emission_between(floatN front, floatN back, intN active, __globa
 #endif
 }
 
-INLINE void render_packet(const Scene *scene, intN px, intN py, float *rgba, float *depth, uint *samples,
+INLINE void render_packet(const Scene *scene, intN px, intN py, Span span, float *rgba, float *depth, uint *samples,
                           Tally *counted)
 {
   __global const uchar *distances = scene->distances;
@@ -71,6 +68,7 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, float *rgba, flo
   floatN next_from = 0.0f;  /* where the next stretch may begin, along whole_ray */
   Vectors cut_normal = {0.0f, 0.0f, 0.0f};
   intN i = 0, last = DONE;
+  floatN visible_to = 0.0f; /* nothing is beyond: steps */
 #if CONSTANT_CELLS
   floatN constant_to = 0.0f; /* from where the ray last asked to here, all is constant */
   intN constant_end = 0;     /* and segments before this one */
@@ -105,6 +103,14 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, float *rgba, flo
 #endif
       ray = select_rays(ray, rays_in_steps(along, h), stretches);
       i = select(i, (intN)0, stretches);
+      visible_to = ray.length;
+#if SPANS && !CLIP
+      floatN span_from;
+      span_along(view, span, &ray, TO_FLOAT(px), TO_FLOAT(py), h, &span_from, &visible_to);
+      visible_to = lane_min(visible_to, ray.length);
+      /* One step before what may be visible: leaps begin where they would without a span. */
+      i = select(i, TO_INT(lane_clamp(span_from - 1.0f, (floatN)0.0f, lane_max(ray.length, (floatN)0.0f))), stretches);
+#endif
 #if NEEDS_ENDS
       joined = select(joined, (intN)0, stretches);
 #endif
@@ -116,7 +122,7 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, float *rgba, flo
 #if SKIP_EMPTY
     {
       const intN going = alive & MASK(i <= last);
-      const floatN visible_at = next_visible(distances, view, TO_FLOAT(i), going, &ray);
+      const floatN visible_at = next_visible(distances, view, TO_FLOAT(i), visible_to, going, &ray, counted);
       /* The curvature of the first visible segment takes the sample before it. */
       const intN next = TO_INT(lane_clamp(visible_at, (floatN)0.0f, TO_FLOAT(max(last, (intN)0)) + 1.0f)) - NEEDS_ENDS;
       const intN leaps = going & MASK(next > i);
@@ -133,7 +139,8 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, float *rgba, flo
       const floatN t0 = TO_FLOAT(i);
       const intN asks = going & MASK(t0 >= constant_to);
       if (any_lane(asks))
-        constant_to = select(constant_to, next_visible(scene->constant_distances, view, t0, asks, &ray), asks);
+        constant_to = select(constant_to, next_visible(scene->constant_distances, view, t0, ray.length, asks, &ray,
+                                                       counted), asks);
       /* Behind the last whole segment whose sample is there. */
       const floatN end = floor(lane_min(constant_to - (NEEDS_ENDS ? 1.0f : 0.5f), ray.length - 1.0f)) + 1.0f;
       constant_end = TO_INT(lane_clamp(end, (floatN)0.0f, (floatN)MOST_STEPS));

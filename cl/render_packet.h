@@ -30,11 +30,14 @@
 #endif
 #endif
 
+#define SHADED_MARCH \
+  (EFFECTS && !COMPOSITING && HOLD_SEGMENTS && SEGMENT_OPACITIES && TRANSLUCENT && !NOISE && !BLOCKS)
+
 #if BLOCKS
 #include "march_blocks.h"
 #elif EFFECTS && COMPOSITING
 #include "project.h"
-#elif EFFECTS && HOLD_SEGMENTS && SEGMENT_OPACITIES && TRANSLUCENT && !NOISE
+#elif SHADED_MARCH
 #include "march_shaded.h"
 #elif EFFECTS
 #include "march_effects.h"

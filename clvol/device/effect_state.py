@@ -70,7 +70,8 @@ class EffectState:
             name: context.upload(np.zeros(4, dtype))
             for name, dtype in (
                 ("items", np.float32), ("gradients", np.uint32), ("surface_distances", np.uint8),
-                ("constant_distances", np.uint8), ("environment", np.float32), ("light_volume", np.float32), ("noise", np.uint32),
+                ("constant_distances", np.uint8), ("environment", np.float32),
+                ("light_volume", np.float32), ("noise", np.uint32),
                 ("factors", np.float32), ("fields", np.float32),
             )
         }  # fmt: skip

@@ -178,7 +178,7 @@ class Raycaster:
             self._build_shadows()
         self._follow_data()
         if self.switches.get("CONSTANT_CELLS"):
-            self.effects.set_constant(distance_map(context, changing_cells(self.volume)))
+            self.effects.set_constant(distance_map(context, changing_cells(self)))
         self.without_surfaces = self._beside_surfaces()
         self.march.scene_changed(self)
 

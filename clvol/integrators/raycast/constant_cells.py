@@ -1,22 +1,25 @@
 """Constant cells: where the field has one value and no gradient, so that rays need neither samples nor light there.
 
-cl/march_shaded.h uses a map of them. Whether a scene has enough of them to pay for looking is decided on a sample of its
-volume, on the host, as for steps that follow the data.
+cl/march_shaded.h uses a map of them. Whether a scene has enough of them to pay for looking is decided on a sample of
+its volume, on the host, as for steps that follow the data.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clvol.device.volume import ResidentVolume
 from clvol.encoding.coded_volume import UndecodedVolume
 from clvol.features.values import shows
 from clvol.integrators.raycast.step_map import sampled_cells
 from clvol.scene.resolve import ResolvedScene
 from clvol.transfer import TransferFunction
 from clvol.volume.lazy import LazyVolume
+
+if TYPE_CHECKING:
+    from clvol.integrators.raycast.caster import Raycaster
 
 _REACH = 1  # voxels beyond a cell that a gradient in it depends on
 _WORTH = 0.2  # share of the cells that show something; looking costs rays that find nothing a few percent
@@ -43,7 +46,11 @@ def uses_constant_cells(
     return bool(visible.any()) and float(np.mean(constant[visible])) >= _WORTH
 
 
-def changing_cells(volume: ResidentVolume) -> np.ndarray:
-    """bool [z, y, x]: the cells in which the field or its gradient may change."""
-    low, high = volume.bounds(_REACH)
-    return low != high
+def changing_cells(caster: Raycaster) -> np.ndarray:
+    """bool [z, y, x]: the cells of the map of empty space in which the field or its gradient may change."""
+    volume, cells = caster.volume, caster.map_cells[::-1]
+    if caster.map_shift == volume.cell_shift:
+        low, high = volume.bounds(_REACH)
+    else:
+        low, high = volume.fine_bounds(_REACH, np.ones(cells, bool))
+    return (low != high).reshape(cells)
