@@ -90,8 +90,8 @@ class RayMarch:
         return context.kernel(f"{name}.cl", name, declared, switches)
 
     def find_empty_space(self, caster: Raycaster, mask: np.ndarray) -> None:
-        # Surfaces and fields have maps of the same cells, and noise moves what is in them. Where steps follow the data the picture depends, within its
-        # error, on where leaps end.
+        # Surfaces and fields have maps of the same cells, and noise moves what is in them. Where steps follow the data
+        # the picture depends, within its error, on where leaps end.
         effects = caster.effects.switches
         plain = not effects or (effects.get("SEGMENT_OPACITIES") and not effects["NOISE"])
         if caster.skip and plain and "STEP_CELLS" not in caster.switches:
