@@ -20,7 +20,7 @@ def render(
     *,
     devices: Sequence[Any] | None = None,
     memory_cap: int | None = None,
-    progress: Progress | None = None,
+    progress: Progress | bool | None = None,
     depth: bool = True,
     **tables: Any,
 ) -> Frame:
@@ -38,7 +38,9 @@ def render(
     """
     scene = _scene_of(x, tables)
     with Renderer(scene, devices, memory_cap, progress) as renderer:
-        return renderer.render(progress=progress, depth=depth)
+        moment = scene.moment  # of a picture that carries its scene
+        camera, time = (None, None) if moment is None else (moment.camera, moment.time)
+        return renderer.render(camera=camera, progress=progress, depth=depth, time=time)
 
 
 def _scene_of(x: Any, tables: Mapping[str, Any]) -> Scene:
