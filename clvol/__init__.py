@@ -4,6 +4,7 @@
 ``Volume``, ``load_volume``         voxels on a grid: from an array, or from a file
 ``Scene``, ``load_scene``           what to render: from tables, or from a scene file
 ``Renderer``, ``Frame``             renders a scene any number of times; a picture with its stats
+``render``                          a picture in one call: of a scene, a volume, an array or a file
 ``render_to_error``                 renders with the cheapest settings that stay below an error
 ``render_in_time``                  renders as accurately as a time per frame allows
 ``TransferFunction``                colour and opacity by value
@@ -29,6 +30,7 @@ _LAZY = {
     "TransferFunction": "clvol.transfer",
     "Renderer": "clvol.render",
     "Frame": "clvol.render",
+    "render": "clvol.render",
     "render_to_error": "clvol.accuracy.error_target",
     "render_in_time": "clvol.accuracy.time_target",
     "errors": "clvol.errors",
@@ -50,7 +52,7 @@ def __getattr__(name: str):
         module = import_module(_LAZY[name])
     except KeyError:
         raise AttributeError(f"module 'clvol' has no attribute {name!r}") from None
-    value = module if name == "errors" else getattr(module, name)
+    value = module if name in ("errors", "render") else getattr(module, name)
     globals()[name] = value
     return value
 

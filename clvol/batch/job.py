@@ -108,6 +108,13 @@ class Picture:
     varied: dict[str, Any]
     files: tuple[str, ...]
 
+    def as_result(self) -> dict[str, Any]:
+        """What the lines of results say of it."""
+        return {
+            "picture": self.number, "files": list(self.files), "source": self.source, "volume": self.volume,
+            "set": dict(self.settings),
+        }  # fmt: skip
+
 
 def load_job(path: str | os.PathLike[str]) -> Job:
     """Reads a job file (.toml). SceneError whose ``where`` is "FILE: KEY"."""

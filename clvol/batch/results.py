@@ -46,6 +46,36 @@ def results_in(path: str) -> Iterator[dict[str, Any]]:
         return
 
 
+class Failures:
+    """The files of pictures that have failed in ``run``, by the lines that processes append to the file ``path``."""
+
+    def __init__(self, path: str, run: str) -> None:
+        self._path, self._run = path, run
+        self._read = 0  # bytes
+        self._found: set[tuple[str, ...]] = set()
+
+    def __contains__(self, files: object) -> bool:
+        self._catch_up()
+        return files in self._found
+
+    def _catch_up(self) -> None:
+        try:
+            with open(self._path, "rb") as file:
+                file.seek(self._read)
+                text = file.read()
+        except OSError:
+            return
+        whole = text[: text.rfind(b"\n") + 1]
+        self._read += len(whole)
+        for line in whole.splitlines():
+            try:
+                result = json.loads(line)
+            except ValueError:
+                continue
+            if isinstance(result, dict) and result.get("run") == self._run and result.get("status") == "failed":
+                self._found.add(tuple(map(str, result.get("files", []))))
+
+
 def digest_of(request: Any) -> str:
     """16 hexadecimal digits that differ where ``request``, of JSON values, does."""
     text = json.dumps(plain(request), sort_keys=True, ensure_ascii=False)

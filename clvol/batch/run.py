@@ -14,7 +14,7 @@ from clvol.accuracy.error_target import render_to_error
 from clvol.batch.claims import Claims
 from clvol.batch.job import Picture
 from clvol.batch.made import is_made_from
-from clvol.batch.results import append, digest_of, results_in
+from clvol.batch.results import Failures, append, digest_of, results_in
 from clvol.batch.shared import unmade
 from clvol.errors import ClvolError, ClvolWarning, SceneError
 from clvol.image import atomic_paths, check_output, save_frame
@@ -34,13 +34,15 @@ Save = Callable[[Frame, Sequence[str]], None]
 @dataclass
 class Options:
     """How pictures are rendered: as for ``Renderer``. ``max_error``: settings are chosen for it. ``results``: the file
-    that gets a line per picture."""
+    that gets a line per picture. ``run``: a name that processes have in common which together are one run: what has
+    failed in one is not tried by the others."""
 
     devices: list[str] | None = None
     memory_cap: int | None = None
     isolate: bool = False
     max_error: float | None = None
     results: str = "results.jsonl"
+    run: str = ""
 
 
 @dataclass
@@ -64,13 +66,15 @@ class Outcome:
 
 class JobRun:
     """One run of a job by this process. ``emit(result)`` gets the result of each picture that it renders, or that
-    fails. ``progress(done, all, picture)``, in ``_STEPS`` per picture."""
+    fails. ``progress(done, all, picture)``, in ``_STEPS`` per picture. ``begin(picture)`` is called before one is
+    rendered."""
 
     def __init__(
         self, pictures: Sequence[Picture], options: Options, emit: Callable[[dict[str, Any]], None],
-        progress: Callable[[int, int, str], None] | None = None,
+        progress: Callable[[int, int, str], None] | None = None, begin: Callable[[Picture], None] | None = None,
     ) -> None:  # fmt: skip
         self._pictures, self._options, self._emit, self._progress = list(pictures), options, emit, progress
+        self._begin, self._failures = begin, Failures(options.results, options.run)
         self._last: _Loaded | None = None
         self._renderer: tuple[Volume, Renderer] | None = None  # with the volume that its scenes have in common
         self.outcome = Outcome()
@@ -101,15 +105,16 @@ class JobRun:
     # ---- one picture
 
     def _one(self, picture: Picture, claims: Claims) -> None:
+        if self._options.run and picture.files in self._failures:
+            return
+        if self._begin is not None:
+            self._begin(picture)
         start, report = time.perf_counter(), None
         name = os.path.basename(picture.files[0])
         if self._progress is not None:
             report = partial(self._report, picture.number, name)
             report(0, 1)
-        result: dict[str, Any] = {
-            "picture": picture.number, "files": list(picture.files), "source": picture.source,
-            "volume": picture.volume, "set": dict(picture.settings),
-        }  # fmt: skip
+        result = picture.as_result() | ({"run": self._options.run} if self._options.run else {})
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always", ClvolWarning)
             try:
@@ -134,7 +139,7 @@ class JobRun:
             error = SceneError(picture.source, "no memory for it", "a smaller volume, or a machine with more memory")
         self.outcome.counts["failed"] += 1
         self.outcome.status = max(self.outcome.status, error.exit_status)
-        result |= {"status": "failed", "message": str(error)}
+        result |= {"status": "failed", "message": str(error), "exit_status": error.exit_status}
         self._close()  # a device that has failed stays out of a Renderer
 
     def _report(self, number: int, name: str, done: int, total: int) -> None:

@@ -22,6 +22,10 @@ if TYPE_CHECKING:
 @click.option("--device", "devices", multiple=True, metavar="NAME", help="As for 'clvol render'. Repeatable.")
 @click.option("--isolate", is_flag=True, help="As for 'clvol render'.")
 @click.option(
+    "--workers", type=click.IntRange(1, 1024), metavar="N",
+    help="Render in N processes, which share the cores; one that crashes is replaced. By default in this one.",
+)  # fmt: skip
+@click.option(
     "--results", metavar="FILE", shell_complete=complete_file,
     help="Append a line of JSON per picture to FILE; by default JOB's name with .jsonl.",
 )  # fmt: skip
@@ -33,8 +37,8 @@ if TYPE_CHECKING:
 @memory_cap_option("Largest amount of memory that a volume may take, on the host and on the device.")
 @click.option("--quiet", is_flag=True, help="Show no progress on the terminal.")
 def command(
-    job: str, devices: tuple[str, ...], isolate: bool, results: str | None, report: str | None, dry_run: bool,
-    memory_cap: int | None, quiet: bool,
+    job: str, devices: tuple[str, ...], isolate: bool, workers: int | None, results: str | None, report: str | None,
+    dry_run: bool, memory_cap: int | None, quiet: bool,
 ) -> None:  # fmt: skip
     """Render the pictures of JOB (.toml), and print a line of JSON for each.
 
@@ -69,6 +73,7 @@ def command(
     from clvol.batch.report import write_report
     from clvol.batch.results import line_of
     from clvol.batch.run import JobRun, Options
+    from clvol.batch.workers import WorkerPool
     from clvol.cli import say_error
     from clvol.cli.console import note, say, working
     from clvol.inputs import Inputs, protected
@@ -88,7 +93,10 @@ def command(
                 if result["status"] == "failed":
                     say_error(result["message"])
 
-            outcome = JobRun(pictures, options, emit, progress).run()
+            run: JobRun | WorkerPool = JobRun(pictures, options, emit, progress)
+            if workers is not None:
+                run = WorkerPool(job, pictures, options, workers, emit, progress)
+            outcome = run.run()
             if report is not None:
                 if progress is not None:
                     progress(None, None, "writing the report")

@@ -8,6 +8,7 @@ them, once Python has done everything that it does at exit.
 from __future__ import annotations
 
 import atexit
+import gc
 import os
 import sys
 import threading
@@ -23,6 +24,8 @@ def command_line() -> NoReturn:
     # not allowed (ulimit -u). No matrix here is large enough to need a second thread.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     keep_room_to_import()
+    # A tenth of the time of a small picture went into looking for cycles among what imports had just made.
+    gc.set_threshold(10_000)
     leave(main())
 
 

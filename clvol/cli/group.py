@@ -14,8 +14,8 @@ from clvol.errors import ClvolError, RenderError, UsageError
 
 # Each command is a module of this package.
 COMMANDS = (
-    "render", "batch", "develop", "sheet", "init", "explain", "info", "scene", "store", "doctor", "compare",
-    "tradeoff", "completion",
+    "render", "batch", "develop", "sheet", "init", "explain", "info", "scene", "transfer", "store", "doctor",
+    "compare", "tradeoff", "completion",
 )  # fmt: skip
 _LONGEST_WORD = 100  # longer ones get no "did you mean"
 COMPLETE = "_CLVOL_COMPLETE"  # the environment variable that a shell's completion script sets

@@ -66,19 +66,18 @@ def memory_cap_option(help: str) -> Callable:
 
 
 def color_of(option: str, text: str) -> tuple[float, float, float]:
-    """A colour as on the screen: a name of CSS, "#rrggbb", or three numbers from 0 to 1."""
+    """A colour as on the screen: a name, "#rrggbb", or three numbers from 0 to 1 with commas between them."""
     from clvol.errors import UsageError
+    from clvol.transfer.color_names import EXPECTED, parse_color
 
-    parts = text.strip("[] ").split(",")
+    expected = EXPECTED
     try:
-        if len(parts) == 3:
-            red, green, blue = (float(part) for part in parts)
-        else:
-            from PIL import ImageColor
-
-            red, green, blue = (level / 255 for level in ImageColor.getrgb(text)[:3])
-    except ValueError:
-        red = green = blue = -1.0
-    if not all(0.0 <= level <= 1.0 for level in (red, green, blue)):
-        raise UsageError(option, f"got {text!r}", "a colour: a name, '#rrggbb', or three numbers from 0 to 1")
-    return red, green, blue
+        parts = text.strip("[] ").split(",")
+        if len(parts) != 3:
+            return parse_color(text)
+        red, green, blue = (float(part) for part in parts)
+        if all(0.0 <= level <= 1.0 for level in (red, green, blue)):
+            return red, green, blue
+    except ValueError as error:
+        expected = str(error) if len(parts) != 3 else EXPECTED
+    raise UsageError(option, f"got {text!r}", expected)

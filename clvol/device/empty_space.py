@@ -6,6 +6,7 @@ from typing import Protocol
 
 import numpy as np
 
+from clvol.device.host_cells import cell_distances, distances_on_host
 from clvol.device.memory import UNPERTURBED, Perturbation
 from clvol.features import FILTER_REACH, overshoot
 from clvol.opencl.arguments import INT4, reads, value, writes
@@ -138,6 +139,8 @@ def _overshot(low: np.ndarray, high: np.ndarray, share: float) -> tuple[np.ndarr
 def distance_map(context: DeviceContext, mask: np.ndarray) -> DeviceArray:
     """uint8 [z, y, x] on the device: distance in cells (maximum norm, at most 255) to the nearest
     cell of ``mask``; 0 inside the mask."""
+    if distances_on_host(context, mask.size):
+        return context.upload(np.append(cell_distances(mask), np.full(4, 255, np.uint8)))
     start = np.where(mask, 0, 255).astype(np.uint8)
     # A 32-bit gather of the last byte must stay inside the buffer.
     padded = np.concatenate([start.ravel(), np.full(4, 255, np.uint8)])

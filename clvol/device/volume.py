@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Iterator
+from functools import partial
 from typing import Any, TypeVar
 
 import numpy as np
 
+from clvol.device import host_cells
 from clvol.device.gradients import precompute
+from clvol.device.host_cells import done_on_host
 from clvol.device.memory import ValueMap, value_map, voxel_switches
 from clvol.device.voxel_boxes import BoxPlace, VoxelBox
 from clvol.errors import VolumeError
@@ -107,21 +110,7 @@ class DeviceVolume(ResidentVolume):
         if holds_pairs(volume):
             self.stride = (nx, nx * (ny - 1))
             # Gradients read four voxels, starting at any but the first one: two more than a row has.
-            self.voxels = context.resident(np.uint8, (nz * (ny - 1) * nx + 4, 2))
-            pair_rows = context.kernel(
-                "empty_space.cl",
-                "pair_rows",
-                (
-                    reads("volume", RAW, "size.x", "size.y", "size.z"),
-                    value("size", INT4),
-                    writes("pairs", np.uint8, nz * (ny - 1) * nx, 2),
-                ),
-                self._grid_switches,
-            )
-            size = (nx, ny, nz, 0)
-            pair_rows(
-                context.queue, (ny - 1, nz), None, volume=plain, size=size, pairs=self.voxels
-            )
+            self.voxels = self._paired(context, data, plain)
         else:
             self.stride = (nx, nx * ny)
             self.voxels = plain
@@ -131,6 +120,21 @@ class DeviceVolume(ResidentVolume):
         self.cell_shift = CELL_SHIFT
         self._context, self._data = context, data
         self._kept: dict[Hashable, Any] = {("bounds", 0): self._min_max(plain, 0)}
+
+    def _paired(self, context: DeviceContext, data: np.ndarray, plain: DeviceArray) -> DeviceArray:
+        nx, ny, nz = self.size
+        shape = nz * (ny - 1) * nx + 4, 2
+        if done_on_host(context, data.size):
+            return context.resident(np.uint8, shape, partial(host_cells.pair_rows, data))
+        pairs = context.resident(np.uint8, shape)
+        declared = (
+            reads("volume", RAW, "size.x", "size.y", "size.z"),
+            value("size", INT4),
+            writes("pairs", np.uint8, nz * (ny - 1) * nx, 2),
+        )
+        kernel = context.kernel("empty_space.cl", "pair_rows", declared, self._grid_switches)
+        kernel(context.queue, (ny - 1, nz), None, volume=plain, size=(nx, ny, nz, 0), pairs=pairs)
+        return pairs
 
     @property
     def _grid_switches(self) -> dict[str, int]:
@@ -179,6 +183,8 @@ class DeviceVolume(ResidentVolume):
     def _stored_min_max(self, plain: DeviceArray, apron: int, shift: int) -> np.ndarray:
         """[z, y, x, 2]: smallest and largest finite voxel of each cell, in the voxels' own type."""
         context = self._context
+        if done_on_host(context, self._data.size):
+            return host_cells.min_max_cells(self._data, shift, apron)
         nx, ny, nz = self.size
         cells = cell_count(nx, shift), cell_count(ny, shift), cell_count(nz, shift)
         out = context.empty(self._data.dtype, (*cells[::-1], 2))

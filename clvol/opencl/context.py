@@ -11,7 +11,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -219,16 +219,21 @@ class DeviceContext:
         """An uninitialised array on the device."""
         return self._buffer(cl.mem_flags.READ_WRITE, np.dtype(dtype), tuple(shape), None)
 
-    def resident(self, dtype: Any, shape: Sequence[int]) -> DeviceArray:
-        """An uninitialised array that kernels read at many places, and that is kept until they are done: a volume. On
-        a CPU device it lies in large pages, where the system has them: rays meet a new row of voxels, which of pages
-        of 4 KiB is mostly another page, at nearly every sample, and a translation that is not at hand costs as much
-        as the sample.
+    def resident(
+        self, dtype: Any, shape: Sequence[int], fill: Callable[[np.ndarray], None] | None = None
+    ) -> DeviceArray:
+        """An array that kernels read at many places, and that is kept until they are done: a volume. ``fill`` writes
+        its contents; without it they are not initialised. On a CPU device it lies in large pages, where the system has
+        them: rays meet a new row of voxels, which of pages of 4 KiB is mostly another page, at nearly every sample, and
+        a translation that is not at hand costs as much as the sample.
         """
         check_fork()
         nbytes = int(np.prod(shape, dtype=np.int64)) * np.dtype(dtype).itemsize
         if not self.is_cpu or nbytes < _LARGE_PAGE:
-            return self.empty(dtype, shape)
+            if fill is None:
+                return self.empty(dtype, shape)
+            fill(small := np.empty(shape, dtype))
+            return self.upload(small)
         try:
             # numpy asks for large pages; a buffer that begins and ends where runtimes want it is used without a copy.
             memory = np.empty(nbytes + 2 * _LARGE_PAGE, np.uint8)
@@ -236,6 +241,8 @@ class DeviceContext:
             raise _no_memory(self.name, nbytes, error) from None
         first = -memory.ctypes.data % _LARGE_PAGE
         host = memory[first : first + nbytes].view(dtype).reshape(shape)
+        if fill is not None:
+            fill(host)
         return self._buffer(cl.mem_flags.READ_WRITE | cl.mem_flags.USE_HOST_PTR, host.dtype, host.shape, host)
 
     def output(self, dtype: Any, shape: Sequence[int], host: np.ndarray | None = None) -> DeviceArray:

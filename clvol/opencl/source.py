@@ -38,16 +38,34 @@ def whole_source(path: Path, folders: Sequence[Path]) -> str:
     :class:`clvol.errors.RenderError` for a file that cannot be read, or that includes itself.
     """
     out: list[str] = []
-    _expand(path, tuple(folders), frozenset(), (), out)
+    _expand(path, _Files(tuple(folders)), frozenset(), (), out)
     return "\n".join(out) + "\n"
 
 
-def _expand(
-    path: Path, folders: tuple[Path, ...], held: frozenset, within: tuple[Path, ...], out: list[str]
-) -> frozenset:
+class _Files:
+    """Files as they are during one call, each looked for and read once: many are included from many places."""
+
+    def __init__(self, folders: tuple[Path, ...]) -> None:
+        self._folders = folders
+        self._found: dict[tuple[str, Path], Path | None] = {}
+        self._read: dict[Path, _File] = {}
+
+    def find(self, name: str, includer: Path) -> Path | None:
+        key = name, includer.parent
+        if key not in self._found:
+            self._found[key] = _find(name, includer, self._folders)
+        return self._found[key]
+
+    def read(self, path: Path) -> _File:
+        if path not in self._read:
+            self._read[path] = _read(path)
+        return self._read[path]
+
+
+def _expand(path: Path, files: _Files, held: frozenset, within: tuple[Path, ...], out: list[str]) -> frozenset:
     """Appends the lines of ``path`` to ``out``. ``held``: guarded files that are certainly above this
     place, whatever the conditions; returned with those that this file adds."""
-    file = _read(path)
+    file = files.read(path)
     within = (*within, path)
     name = _shown(path)
     if len(within) > _DEEPEST:
@@ -82,13 +100,13 @@ def _expand(
         if quoted is None or is_once:
             out.append("")
             continue
-        found = _find(quoted[1], path, folders)
+        found = files.find(quoted[1], path)
         if found is None:
             out.append(f'#error "{_shown(Path(quoted[1]))} is not found"')
-        elif found in held or (found in within and _read(found).guarded):
+        elif found in held or (found in within and files.read(found).guarded):
             out.append("")
         else:
-            held = _expand(found, folders, held, within, out)
+            held = _expand(found, files, held, within, out)
             out.append(f'#line {number + 2} "{name}"')
     out += file.lines[done:]
     if file.once:

@@ -16,12 +16,15 @@ if TYPE_CHECKING:
     from clvol.overlay.description import Description
 
 
-def draw_color_bar(canvas: Canvas, description: Description, size: float, bottom: float) -> None:
+_DECADES = 4.0  # of counts, from the bottom of the histogram to its top
+
+
+def draw_color_bar(canvas: Canvas, description: Description, size: float, bottom: float) -> float:
     """At the bottom right: a panel with the histogram (logarithmic), the opacity over it from 0 to its largest, the
-    colours below, and values below these."""
-    width = round(min(0.4 * canvas.width, 15 * size))
+    colours below, and values below these. Returns the panel's top row, ``bottom`` where there is none."""
+    width = round(min(0.36 * canvas.width, 15 * size))  # what is at the middle below stays free
     if width < 8 or not description.values:
-        return
+        return bottom
     small = 0.85 * size
     face = font(small)
     high = line_height(face)
@@ -39,8 +42,9 @@ def draw_color_bar(canvas: Canvas, description: Description, size: float, bottom
     function = TransferFunction(description.values, description.opacities, description.colors)
     across = low + (np.arange(width) + 0.5) / width * (high_value - low)
     colors = linear_to_srgb(np.clip(function.color(across), 0.0, 1.0))
+    _fill_opacity(canvas, function, across, colors, x, y, graph)
     _draw_histogram(canvas, description, x, y, width, graph, inks)
-    _draw_opacity(canvas, function, across, colors, x, y, graph, size, inks)
+    _draw_opacity(canvas, function, across, x, y, graph, size, inks)
     canvas.bordered(x, y + graph, width, strip, Inks(inks.halo, inks.ink), max(1.0, 0.05 * size))
     canvas.paint(x, y + graph, np.ones((strip, width)), np.broadcast_to(colors, (strip, width, 3)))
     for surface in description.surfaces:
@@ -53,31 +57,42 @@ def draw_color_bar(canvas: Canvas, description: Description, size: float, bottom
     _draw_ticks(canvas, low, high_value, x, y + graph + strip, width, small, inks)
     if label[0]:
         canvas.text(label[0], x + width / 2, y + graph + strip + 0.1 * size + high, small, inks, anchor=0.5)
+    return y - pad
 
 
 def _draw_histogram(
     canvas: Canvas, description: Description, x: int, y: int, width: int, height: int, inks: Inks
 ) -> None:
-    counts = np.log1p(np.array(description.counts, np.float64))
+    counts = np.array(description.counts, np.float64)
     if not counts.size or not counts.max():
         return
+    with np.errstate(divide="ignore"):
+        filled = np.clip(1.0 + np.log10(counts / counts.max()) / _DECADES, 0.0, 1.0)
     bins = np.minimum((np.arange(width) + 0.5) / width * counts.size, counts.size - 1).astype(int)
-    tops = height * (1.0 - counts[bins] / counts.max())
+    tops = height * (1.0 - filled[bins])
     cover = np.clip(np.arange(height)[:, None] + 1.0 - tops, 0.0, 1.0)
     canvas.paint(x, y, 0.38 * cover, inks.ink)
 
 
+def _fill_opacity(
+    canvas: Canvas, function: TransferFunction, across: np.ndarray, colors: np.ndarray, x: int, y: int, height: int
+) -> None:
+    """The area below the opacity, in the colours."""
+    opacity = function.opacity(across)
+    rows = height * (1.0 - 0.94 * opacity / max(float(opacity.max()), 1e-300))
+    cover = np.clip(np.arange(height)[:, None] + 1.0 - rows, 0.0, 1.0)
+    canvas.paint(x, y, 0.5 * cover, np.broadcast_to(colors, (*cover.shape, 3)))
+
+
 def _draw_opacity(
-    canvas: Canvas, function: TransferFunction, across: np.ndarray, colors: np.ndarray, x: int, y: int, height: int,
-    size: float, inks: Inks,
-) -> None:  # fmt: skip
+    canvas: Canvas, function: TransferFunction, across: np.ndarray, x: int, y: int, height: int, size: float, inks: Inks
+) -> None:
+    """The opacity as a line, and its largest value."""
     opacity = function.opacity(across)
     largest = float(opacity.max())
     if largest <= 0.0:
         return
     rows = height * (1.0 - 0.94 * opacity / largest)
-    cover = np.clip(np.arange(height)[:, None] + 1.0 - rows, 0.0, 1.0)
-    canvas.paint(x, y, 0.5 * cover, np.broadcast_to(colors, (*cover.shape, 3)))
     first, last = float(across[0]), float(across[-1])
     inner = [(v, o) for v, o in zip(function.values.tolist(), function.opacities.tolist()) if first < v < last]
     corners = [(first, float(opacity[0])), *inner, (last, float(opacity[-1]))]  # it is linear between control points

@@ -8,7 +8,7 @@ from clvol.overlay.box import draw_box
 from clvol.overlay.canvas import Canvas
 from clvol.overlay.color_bar import draw_color_bar
 from clvol.overlay.description import Description
-from clvol.overlay.fonts import font, line_height, wrapped
+from clvol.overlay.fonts import font, line_height, text_width, wrapped
 from clvol.overlay.orientation import draw_axes, draw_letters
 from clvol.overlay.scale import bar_length, pixels_per_length
 
@@ -42,14 +42,13 @@ class DrawnOverlay:
         if settings.box:
             draw_box(canvas, self.description, opacity, size)
         top, bottom = self._texts(canvas, size)
+        panel = draw_color_bar(canvas, self.description, size, bottom) if settings.color_bar else bottom
         if settings.orientation == "letters":
-            draw_letters(canvas, self.description, size, top, bottom)
+            draw_letters(canvas, self.description, size, top, bottom, panel)
         elif settings.orientation == "axes":
             draw_axes(canvas, self.description, size, top)
         if settings.scale_bar:
             self._scale_bar(canvas, size, bottom)
-        if settings.color_bar:
-            draw_color_bar(canvas, self.description, size, bottom)
         return canvas.picture
 
     def _texts(self, canvas: Canvas, size: float) -> tuple[float, float]:
@@ -76,12 +75,13 @@ class DrawnOverlay:
         camera = self.description.camera
         scale = pixels_per_length(camera, canvas.height)
         length, name = bar_length(0.24 * canvas.width / scale, self.description.unit)
+        lines, face = [name], font(size)
         if camera.projection == "perspective":
-            name += " at the target"
+            whole = f"{name} at the target"
+            lines = [whole] if text_width(whole, face) < 0.44 * canvas.width else [name, "at the target"]
         x, thickness = round(0.8 * size), max(2, round(0.28 * size))
         y = round(bottom - thickness)
-        face = font(size)
-        pixels = length * scale
-        inks = canvas.inks(x, y - line_height(face), max(pixels, size), thickness + line_height(face))
+        pixels, high = length * scale, len(lines) * line_height(face)
+        inks = canvas.inks(x, y - high, max(pixels, size), thickness + high)
         canvas.bordered(x, y, pixels, thickness, inks, max(1.0, 0.08 * size))
-        canvas.text(name, x, y - line_height(face) - 0.15 * size, size, inks)
+        canvas.lines_of_text(lines, x, y - high - 0.15 * size, size)

@@ -31,15 +31,18 @@ def direction_name(description: Description, direction: np.ndarray) -> str:
     return "".join(description.names[k] if parts[k] > 0 else description.opposites[k] for k in order)
 
 
-def draw_letters(canvas: Canvas, description: Description, size: float, top: float, bottom: float) -> None:
-    """The names at the middle of the four edges, between the rows ``top`` and ``bottom``."""
+def draw_letters(
+    canvas: Canvas, description: Description, size: float, top: float, bottom: float, panel: float
+) -> None:
+    """The names at the middle of the four edges, between the rows ``top`` and ``bottom``; at the right above the row
+    ``panel``."""
     large = 1.2 * size
     face = font(large, True)
     margin, high = 0.8 * size, line_height(face)
     names = edge_names(description)
     middle = 0.5 * (canvas.height - high)
     places = {
-        "left": (margin, middle, 0.0), "right": (canvas.width - margin, middle, 1.0),
+        "left": (margin, middle, 0.0), "right": (canvas.width - margin, min(middle, panel - high), 1.0),
         "top": (0.5 * canvas.width, top, 0.5), "bottom": (0.5 * canvas.width, bottom - high, 0.5),
     }  # fmt: skip
     for side, (x, y, anchor) in places.items():

@@ -19,14 +19,15 @@ import numpy as np
 from clvol.errors import ClvolError, ClvolWarning, VolumeError
 from clvol.readers.options import ReadOptions
 from clvol.readers.quiet import quiet
-from clvol.readers.recognise import ENDINGS, ending_of, first_line, format_of, is_volume_path
+from clvol.readers.recognise import ENDINGS, ending_of, first_line, format_of, format_of_url, is_volume_path
+from clvol.readers.remote import RemotePath, is_url
 from clvol.volume.axis import ValueAxis
 from clvol.volume.grid import Grid
 from clvol.volume.lazy import narrowed_volume
 from clvol.volume.narrow import Narrowing, narrowing
 from clvol.volume.volume import Volume
 
-__all__ = ["ENDINGS", "is_volume_path", "load_volume"]
+__all__ = ["ENDINGS", "is_url", "is_volume_path", "load_volume"]
 
 
 def load_volume(
@@ -45,7 +46,7 @@ def load_volume(
     time: int | str | None = None,
     series: int | str | None = None,
 ) -> Volume:
-    """Reads a volume from a file, or from a folder of DICOM or TIFF slices or in Zarr form.
+    """Reads a volume from a file, from a folder of DICOM or TIFF slices or in Zarr form, or from Zarr by URL.
 
     A volume in Zarr form, including a clvol store, is lazy: its voxels are read when ``data`` is first used.
 
@@ -69,14 +70,14 @@ def load_volume(
     """
     try:
         where = os.fspath(path)
-        file = Path(where)
+        file = RemotePath(where) if is_url(where) else Path(where)
     except TypeError:
         raise VolumeError("volume", f"path of type {type(path).__name__}", "a path") from None
     axis = ValueAxis(slope, offset)
     options = ReadOptions(
         dims, dtype, spacing, memory_cap, channel, time, series, header_bytes, byte_order
     )
-    format_name, module = format_of(file)
+    format_name, module = format_of_url(where) if isinstance(file, RemotePath) else format_of(file)
     for_raw = {
         "dims": dims, "dtype": dtype, "header_bytes": header_bytes, "byte_order": byte_order
     }  # fmt: skip
@@ -118,6 +119,8 @@ def load_volume(
     return volume
 
 
-def _stem(path: Path) -> str:
+def _stem(path: Path | RemotePath) -> str:
+    if isinstance(path, RemotePath):
+        return path.name.removesuffix(".zarr")
     ending = ending_of(path)
     return path.name[: -len(ending)] if ending and path.is_file() else path.resolve().name

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from clvol.quietly import FILTERS as _lock
 from clvol.quietly import without_warnings
 
-_LOGGERS = ("nibabel", "nibabel.global", "tifffile", "nrrd", "pydicom")
+_LOGGERS = ("nibabel", "nibabel.global", "tifffile", "nrrd", "pydicom", "mrcfile", "bioio", "xarray")
 
 
 @contextmanager

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from clvol.errors import VolumeError
+from clvol.readers.remote import EXPECTED, is_url
 from clvol.readers.slice_names import natural
 from clvol.store.zarr_store import check_finished, is_unfinished
 
@@ -29,8 +30,26 @@ ENDINGS: dict[str, tuple[str, str]] = {
     ".tif": ("TIFF", "tiff"),
     ".tiff": ("TIFF", "tiff"),
     ".npy": ("npy", "npy"),
+    ".h5": ("HDF5", "hdf5"),
+    ".hdf5": ("HDF5", "hdf5"),
+    ".he5": ("HDF5", "hdf5"),
+    ".ims": ("Imaris", "imaris"),
+    ".nc": ("netCDF", "netcdf"),
+    ".nc4": ("netCDF", "netcdf"),
+    ".cdf": ("netCDF", "netcdf"),
+    ".mrc": ("MRC", "mrc"),
+    ".mrc.gz": ("MRC", "mrc"),
+    ".map": ("MRC", "mrc"),
+    ".map.gz": ("MRC", "mrc"),
+    ".rec": ("MRC", "mrc"),
+    ".ccp4": ("MRC", "mrc"),
+    ".vti": ("VTI", "vti"),
+    ".czi": ("CZI", "microscopy"),
+    ".nd2": ("ND2", "microscopy"),
     ".raw": ("raw", "raw"),
 }
+# Formats without a library on PyPI, and what to do.
+REFUSED = {".vdb": "OpenVDB has no wheel on PyPI: grid.copyToArray(array) of its Python module, then numpy.save"}
 FOLDER = ("DICOM", "dicom")
 SLICES = ("TIFF slices", "tiff_slices")
 # Folders of any name may be Zarr; this ending is explicit.
@@ -44,14 +63,24 @@ _DEEPEST = 6  # levels of folders below the given one
 
 
 def is_volume_path(path: str | os.PathLike) -> bool:
-    """Whether the path has the ending of a volume file, or is a folder or a DICOM file of any name. The file need not
-    exist.
+    """Whether the path has the ending of a volume file, is a URL, or is a folder or a DICOM file of any name. The file
+    need not exist.
     """
+    if is_url(path):
+        return True
     path = Path(path)
     name = path.name.lower()
     if ending_of(path) is not None or name.endswith(ZARR_ENDING) or os.path.isdir(path):
         return True
     return os.path.isfile(path) and is_dicom(path)
+
+
+def format_of_url(url: str) -> tuple[str, str]:
+    """As ``format_of``; VolumeError for a URL of a file, since files are not read from afar."""
+    ending = ending_of(Path(url.rstrip("/")))
+    if ending is not None:
+        raise VolumeError(url, f"the URL of a {ENDINGS[ending][0]} file", f"{EXPECTED}; download other files")
+    return ZARR
 
 
 def format_of(path: Path) -> tuple[str, str]:
@@ -82,6 +111,8 @@ def format_of(path: Path) -> tuple[str, str]:
     if ending is None:
         if path.name.lower().endswith(ZARR_ENDING):
             raise VolumeError(str(path), "a file", "a Zarr folder")
+        if (hint := REFUSED.get(path.suffix.lower())) is not None:
+            raise VolumeError(str(path), f"{path.suffix} cannot be read", f"{known} ({hint})")
         what = f"unknown ending {path.suffix!r}" if path.suffix else "no ending"
         raise VolumeError(str(path), what, f"one of {known}, or a DICOM folder")
     if path.stat().st_size == 0:

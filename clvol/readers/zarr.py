@@ -9,6 +9,7 @@ import numpy as np
 
 from clvol.errors import VolumeError
 from clvol.readers.options import ReadOptions
+from clvol.readers.remote import RemotePath
 from clvol.readers.zarr_image import find_image
 from clvol.store.arrays import what_failed
 from clvol.store.turned import TurnedBlocks
@@ -18,15 +19,17 @@ from clvol.volume.lazy import LazyVolume
 from clvol.volume.volume import Volume, check_type
 
 
-def read(path: Path, options: ReadOptions) -> Volume:
+def read(path: Path | RemotePath, options: ReadOptions) -> Volume:
     """The volume in a Zarr folder. Only metadata are read until voxels are used.
 
     Of a multiscale image the finest level is read. Axes are recognised by their names where they have names;
     ``options`` select channel and time; an image without z is one slice. Scale and translation of OME-Zarr become
     spacing and origin, in the unit of x.
     """
-    if is_store(path):
+    if isinstance(path, Path) and is_store(path):
         return StoredVolume(open_store(path), options.memory_cap)
+    if isinstance(path, RemotePath) and not path.is_dir():
+        raise VolumeError(str(path), "no Zarr metadata there", "zarr.json, .zgroup or .zarray below the URL")
     image = find_image(path, options)
     volume = ZarrVolume(
         image.array, image.grid, image.name, image.frame, str(path), options.memory_cap

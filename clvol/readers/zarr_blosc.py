@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from clvol.errors import VolumeError
+from clvol.readers.remote import RemotePath
 from clvol.store.arrays import cores
 from clvol.volume.memory import check_memory
 
@@ -20,11 +21,13 @@ _HEADER = 16
 _NOTHING = 2**64 - 1  # the offset of a chunk that is missing from its shard
 
 
-def check_blosc(path: Path, where: str, chunk_bytes: int, memory_cap: int | None) -> None:
-    """VolumeError if a chunk of the array claims to be larger than its shape.
+def check_blosc(path: Path | RemotePath, where: str, chunk_bytes: int, memory_cap: int | None) -> None:
+    """VolumeError if a chunk of the array claims to be larger than its shape. Chunks behind a URL are not examined.
 
     ``path`` is the array's folder. Nothing is read if the largest possible claims fit into memory anyway.
     """
+    if not isinstance(path, Path):
+        return
     try:
         check_memory(where, cores() * _LARGEST, memory_cap)
         return

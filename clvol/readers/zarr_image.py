@@ -9,17 +9,17 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from clvol.errors import VolumeError
 from clvol.readers.options import Key, ReadOptions
-from clvol.readers.zarr_axes import AXES, Axis, Placed, place_axes
+from clvol.readers.remote import Place
 from clvol.readers.zarr_blosc import check_blosc
 from clvol.store.arrays import open_array, system_words
 from clvol.store.format import CODES_OF
+from clvol.volume.array_axes import AXES, Axis, Placed, place_axes
 from clvol.volume.grid import Grid
 from clvol.volume.memory import check_memory
 from clvol.volume.units import one_unit
@@ -40,7 +40,7 @@ class Image:
     labels: bool = False
 
 
-def find_image(path: Path, options: ReadOptions) -> Image:
+def find_image(path: Place, options: ReadOptions) -> Image:
     """The image in a Zarr folder; of a multiscale image, the finest level."""
     where = str(path)
     node = read_node(path, where)
@@ -72,7 +72,7 @@ class Node:
     dimensions: list[str | None] | None = None
 
 
-def read_node(path: Path, where: str) -> Node:
+def read_node(path: Place, where: str) -> Node:
     """The metadata of a group or an array, of Zarr v3 or v2."""
     try:
         if (path / "zarr.json").exists():
@@ -92,7 +92,7 @@ def read_node(path: Path, where: str) -> Node:
     raise VolumeError(where, "damaged Zarr metadata", "a Zarr array or an OME-Zarr image")
 
 
-def _json(path: Path) -> dict:
+def _json(path: Place) -> dict:
     if path.stat().st_size > _LARGEST_METADATA:
         raise ValueError("too long")
     return json.loads(path.read_text(encoding="utf-8"))
@@ -103,17 +103,17 @@ def _text(table: Any, key: str) -> str | None:
     return str(value) if value else None
 
 
-def _is_node(path: Path) -> bool:
+def _is_node(path: Place) -> bool:
     return any((path / name).is_file() for name in ("zarr.json", ".zarray", ".zgroup"))
 
 
-def _member(path: Path, options: ReadOptions) -> Image:
+def _member(path: Place, options: ReadOptions) -> Image:
     """The image or array in a group that is not an image itself: bioformats2raw numbers its images, xarray stores
     coordinates beside the array.
     """
     where = str(path)
     found: dict[str, Node] = {}
-    children = sorted(child for child in path.iterdir() if child.is_dir() and _is_node(child))
+    children = sorted((child for child in path.iterdir() if child.is_dir() and _is_node(child)), key=str)
     for child in children:
         node = read_node(child, where)
         is_image = bool(node.attributes.get("ome", node.attributes).get("multiscales"))
@@ -146,7 +146,7 @@ def _image_name(node: Node) -> str:
 # ---- arrays --------------------------------------------------------------------------------------
 
 
-def _array(path: Path, where: str) -> Any:
+def _array(path: Place, where: str) -> Any:
     driver = "zarr3" if (path / "zarr.json").exists() else "zarr"
     try:
         return open_array(path, driver=driver, whole=False)
@@ -156,7 +156,7 @@ def _array(path: Path, where: str) -> Any:
         ) from None
 
 
-def _checked(path: Path, where: str, options: ReadOptions) -> Any:
+def _checked(path: Place, where: str, options: ReadOptions) -> Any:
     """The array in a folder, after checking that its decoded chunks, which may be larger than it, fit into memory."""
     array = _array(path, where)
     chunk = array.chunk_layout.read_chunk.shape or array.shape
@@ -171,7 +171,7 @@ def _checked(path: Path, where: str, options: ReadOptions) -> Any:
     return array
 
 
-def _plain(group: Path, path: Path, node: Node, options: ReadOptions) -> Image:
+def _plain(group: Place, path: Place, node: Node, options: ReadOptions) -> Image:
     """An array without OME metadata. Coordinates stored beside it, as xarray writes them, give its grid."""
     where = str(group)
     array = _checked(path, where, options)
@@ -197,7 +197,7 @@ def _plain(group: Path, path: Path, node: Node, options: ReadOptions) -> Image:
 
 
 def _coordinates(
-    path: Path, name: str, count: int, where: str, options: ReadOptions
+    path: Place, name: str, count: int, where: str, options: ReadOptions
 ) -> tuple[float, float, str | None]:
     """Step, first position and unit of an axis's coordinates, if they are evenly spaced."""
     node = read_node(path, where)
@@ -252,7 +252,7 @@ def _grid(
 # ---- OME-Zarr ------------------------------------------------------------------------------------
 
 
-def _multiscale(path: Path, attributes: dict, multiscale: dict, options: ReadOptions) -> Image:
+def _multiscale(path: Place, attributes: dict, multiscale: dict, options: ReadOptions) -> Image:
     where = str(path)
     try:
         dataset = multiscale["datasets"][0]
@@ -317,6 +317,6 @@ def _transformation(parts: list[dict]) -> tuple[np.ndarray | None, np.ndarray | 
     return scale, shift
 
 
-def _stem(path: Path) -> str:
+def _stem(path: Place) -> str:
     name = path.resolve().name
     return name[: -len(".zarr")] if name.lower().endswith(".zarr") else name

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from math import inf
+from os import PathLike, fspath
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 from weakref import WeakSet
@@ -90,6 +91,20 @@ class _OnDevices:
         self.group.close()
         for member in self.members:
             member.close()
+
+
+def _resolved(scene: Scene | ResolvedScene) -> ResolvedScene:
+    """``scene``, resolved. UsageError, which says what to write, for what is no scene."""
+    if isinstance(scene, ResolvedScene):
+        return scene
+    if hasattr(scene, "resolve") and hasattr(scene, "volume"):
+        return scene.resolve()
+    expected = "a scene: clvol.Scene(volume=…)"
+    if isinstance(scene, (str, PathLike)):
+        expected = f"a scene: clvol.load_scene({fspath(scene)!r})"
+    elif isinstance(scene, Mapping):
+        expected = "a scene: clvol.Scene(**tables)"
+    raise UsageError("Renderer", f"got a {type(scene).__name__}", expected)
 
 
 class Renderer:
@@ -190,14 +205,14 @@ class Renderer:
 
     def render(
         self,
-        camera: Camera | None = None,
+        camera: Camera | Mapping[str, Any] | None = None,
         progress: Progress | bool | None = None,
         depth: bool = True,
         time: float | None = None,
         seconds: float | None = None,
     ) -> Frame:
-        """The picture from the scene's camera, or from ``camera``, at ``animation.time``, or at
-        ``time`` (seconds). A new camera or time compiles nothing and uploads no volume.
+        """The picture from the scene's camera, or from ``camera`` (a ``clvol.Camera``, or a dict of its keys), at
+        ``animation.time``, or at ``time`` (seconds). A new camera or time compiles nothing and uploads no volume.
 
         ``progress(done, total)`` is called now and then with shares of the work; True shows a bar with the remaining
         time, in notebooks and on terminals (extra "notebook"). Without ``depth``
@@ -215,7 +230,7 @@ class Renderer:
     def _render(
         self,
         on_devices: _OnDevices,
-        camera: Camera | None,
+        camera: Camera | Mapping[str, Any] | None,
         progress: Progress | None,
         depth: bool,
         time: float | None,
@@ -230,6 +245,8 @@ class Renderer:
         if camera is None:
             camera = resolved.camera
         else:
+            if isinstance(camera, Mapping):
+                camera = Camera(**camera)
             camera = camera.complete(resolved.volume.grid, resolved.image, frame=resolved.volume.frame)
         self._move_to(on_devices, self._first_time if time is None else float(time), camera)
         group = on_devices.group
@@ -326,7 +343,7 @@ class Renderer:
 
 def _checked(scene: Scene | ResolvedScene, memory_cap: int | None) -> ResolvedScene:
     """``scene`` resolved, if it can be rendered within ``memory_cap``."""
-    resolved = scene if isinstance(scene, ResolvedScene) else scene.resolve()
+    resolved = _resolved(scene)
     check_scene(resolved)
     check_memory(resolved, memory_cap)
     return _with_voxels(resolved)

@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from clvol.scene.camera import Camera
-from clvol.scene.table import Color, Fraction, Number, Table, wrong
+from clvol.scene.table import COLOR, Color, Fraction, Number, Table, wrong
 
 if TYPE_CHECKING:
     from clvol.volume import Grid
@@ -45,7 +45,7 @@ class DepthCue(Table):
     color: Color = Field(
         (0.0, 0.0, 0.0),
         title="Colour that distant parts fade to, in the colour space of the transfer function.",
-        description="three numbers [r, g, b] from 0 to 1",
+        description=COLOR,
     )
 
     @classmethod

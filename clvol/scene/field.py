@@ -14,12 +14,13 @@ from numpy.typing import ArrayLike
 from pydantic import AfterValidator, BeforeValidator, Field, WrapValidator, model_validator
 
 from clvol.errors import SceneError, VolumeError
-from clvol.readers import load_volume
-from clvol.scene.table import AsTuple, Color, Fraction, Number, Table, Whole, wrong
+from clvol.readers import is_url, load_volume
+from clvol.scene.table import COLOR, AsTuple, Color, Fraction, Number, Table, Whole, wrong
 from clvol.scene.transfer_function import ControlPoint, check_points
 from clvol.scene.transfer_layer import function_of
 from clvol.scene.volume import Choice, is_path, path_text
-from clvol.transfer import TransferFunction
+from clvol.transfer import TransferFunction, srgb_to_linear
+from clvol.transfer.exchange.files import load_labels
 from clvol.volume.axis import ValueAxis
 from clvol.volume.volume import Volume
 
@@ -28,7 +29,7 @@ LARGEST_LABELS = 65536
 _LARGEST_LABEL = 2**53 - 1  # float64 does not distinguish larger labels
 _READ_BY = {"label": "labels", "density": "points", "mask": None}
 _NEEDED = {
-    "labels": "a list of labels { label = …, color = [r, g, b] } for a field of role 'label'",
+    "labels": "a list of labels { label = …, color = [r, g, b] }, or labels_file, for a field of role 'label'",
     "points": "a list of points { value = …, opacity = …, color = [r, g, b] } for role 'density'",
 }
 
@@ -63,6 +64,7 @@ class ResolvedField:
     threshold: float = 0.5
     keep: Literal["above", "below"] = "above"
     axis: ValueAxis = ValueAxis()
+    labels_path: Path | None = None  # the table that labels come from
 
 
 class FieldLabel(Table):
@@ -76,7 +78,7 @@ class FieldLabel(Table):
     )
     color: Color = Field(
         title="Colour of the label, in the colour space of the transfer function.",
-        description="three numbers [r, g, b] from 0 to 1",
+        description=COLOR,
         examples=[[0.9, 0.3, 0.2]],
     )
     opacity: Fraction = Field(
@@ -146,6 +148,12 @@ class FieldSettings(Table):
         description="a list of labels { label = …, color = [r, g, b] }",
         examples=[[{"label": 3, "color": [0.9, 0.3, 0.2], "opacity": 1.0}]],
     )
+    labels_file: Annotated[str, BeforeValidator(path_text), AfterValidator(is_path)] | None = Field(
+        None, min_length=1,
+        title="Label table of 3D Slicer or ITK-SNAP in place of labels, relative to the scene file.",
+        description="the name of a label table (.ctbl, .txt, .label), in quotes",
+        examples=["labels.ctbl"],
+    )
     points: Annotated[tuple[ControlPoint, ...], AsTuple] | None = Field(
         None,
         title="Transfer function of the added medium, for the role 'density'.",
@@ -173,9 +181,11 @@ class FieldSettings(Table):
     @model_validator(mode="after")
     def _has_what_its_role_reads(self) -> FieldSettings:
         needed = _READ_BY[self.role]
+        if self.labels_file is not None and (self.role != "label" or self.labels is not None):
+            raise wrong("labels_file", self.labels_file, "labels_file in place of labels, for a field of role 'label'")
         for key in ("labels", "points"):
             value = getattr(self, key)
-            if key == needed and value is None:
+            if key == needed and value is None and self.labels_file is None:
                 raise wrong(key, None, _NEEDED[key])
             if key != needed and value is not None:
                 raise wrong(key, len(value) or [], f"no {key} for a field of role {self.role!r}")
@@ -199,8 +209,8 @@ class FieldSettings(Table):
         """
         if isinstance(self.file, Volume):
             return self.file
-        path = folder / self.file
-        if not os.path.exists(path):
+        path: str | Path = self.file if is_url(self.file) else folder / self.file
+        if isinstance(path, Path) and not os.path.exists(path):
             got = f"got {self.file!r}, no such file"
             raise SceneError(f"{where}.file", got, "a volume file or a DICOM folder")
         try:
@@ -215,21 +225,33 @@ class FieldSettings(Table):
         return {"channel": self.channel, "time": self.time, "series": self.series}
 
     def resolved(
-        self, volume: Volume, opacity_unit: float, decoded: Callable[[ArrayLike], np.ndarray]
+        self,
+        volume: Volume,
+        opacity_unit: float,
+        decoded: Callable[[ArrayLike], np.ndarray],
+        folder: Path = Path(),
     ) -> ResolvedField:
-        """The field with its ``volume``. ``decoded`` converts colours to linear light."""
+        """The field with its ``volume``. ``decoded`` converts colours to linear light; a label table is relative to
+        ``folder``. Raises SceneError for a label table that cannot be read."""
         if self.role == "mask":
             return ResolvedField(volume, "mask", threshold=self.threshold, keep=self.keep)
         if self.role == "density":
             function = function_of(self.points or (), opacity_unit, decoded)
             return ResolvedField(volume, "density", function=function)
-        ordered = sorted(self.labels or (), key=lambda label: label.label)
-        labels = np.array([label.label for label in ordered], np.int64)
-        colors = decoded([label.color for label in ordered])
-        factors = np.array([label.opacity for label in ordered], np.float64)
+        if self.labels_file is not None:
+            found = load_labels(folder / self.labels_file)
+            order = np.argsort(found[0])
+            labels, factors = np.array(found[0], np.int64)[order], found[2][order]
+            colors = srgb_to_linear(found[1][order])
+        else:
+            ordered = sorted(self.labels or (), key=lambda label: label.label)
+            labels = np.array([label.label for label in ordered], np.int64)
+            colors = decoded([label.color for label in ordered])
+            factors = np.array([label.opacity for label in ordered], np.float64)
         for array in (labels, colors, factors):
             array.setflags(write=False)
-        return ResolvedField(volume, "label", labels=labels, colors=colors, factors=factors)
+        path = None if self.labels_file is None else folder / self.labels_file
+        return ResolvedField(volume, "label", labels=labels, colors=colors, factors=factors, labels_path=path)
 
 
 def _check_labels(labels: tuple[FieldLabel, ...]) -> None:

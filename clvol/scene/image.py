@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field, model_validator
 
-from clvol.scene.table import Color, Number, Table, Whole, wrong
+from clvol.scene.table import COLOR, Color, Number, Table, Whole, wrong
 
 LARGEST_AXIS = 65536
 LARGEST_PIXELS = 2**28  # 4 GiB as float32 RGBA
@@ -24,7 +24,7 @@ class ImageSettings(Table):
     background: Color = Field(
         (0.0, 0.0, 0.0),
         title="Colour behind the volume in PNG files and videos, in the colour space of the transfer function.",
-        description="three numbers [r, g, b] from 0 to 1",
+        description=COLOR,
     )
     ray_spacing: Whole = Field(
         1, ge=1, le=16,

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import BaseModel
 
+from clvol.readers import is_url
 from clvol.scene.camera import Camera
 from clvol.scene.table import Table
 from clvol.scene.write import format_value
@@ -82,6 +83,6 @@ def _keys(table: BaseModel, values: Mapping[str, Any]) -> list[str]:
 
 def _from_folder(volume_folder: os.PathLike[str], file: str, folder: str) -> str:
     """``file``, named relative to ``volume_folder``, as named relative to ``folder``; absolute if it was."""
-    if os.path.isabs(file):
+    if os.path.isabs(file) or is_url(file):
         return file
     return os.path.relpath(os.path.join(volume_folder, file), folder)

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from clvol.scene.table import Color, Fraction, Number, Table
-
-_COLOR = "three numbers [r, g, b] from 0 to 1"
+from clvol.scene.table import COLOR, Color, Fraction, Number, Table
 
 
 class Isosurface(Table):
@@ -22,12 +20,12 @@ class Isosurface(Table):
     color: Color = Field(
         (0.8, 0.8, 0.75),
         title="Colour seen from the side of lower values, in the colour space of the transfer function.",
-        description=_COLOR,
+        description=COLOR,
     )
     back_color: Color | None = Field(
         None,
         title="Colour seen from the side of higher values; by default the same as color.",
-        description=_COLOR,
+        description=COLOR,
         examples=[[0.8, 0.3, 0.2]],
     )
     refraction: Number = Field(

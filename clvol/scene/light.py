@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
-from clvol.scene.table import Color, Number, Table, Vector, wrong
+from clvol.scene.table import COLOR, LinearColor, Number, Table, Vector, wrong
 
 _NEEDS = {"directional": "direction", "point": "position", "headlight": None}
 
@@ -35,10 +35,10 @@ class Light(Table):
         description="three finite numbers [x, y, z]",
         examples=[[0.0, 200.0, 300.0]],
     )
-    color: Color = Field(
+    color: LinearColor = Field(
         (1.0, 1.0, 1.0),
         title="Colour of the light, in linear light.",
-        description="three numbers [r, g, b] from 0 to 1",
+        description=COLOR,
     )
     intensity: Number = Field(1.0, ge=0, le=1e6, title="Factor on the colour.", description="a number from 0 to 1e6")
     casts_shadow: bool = Field(

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from clvol.errors import SceneError
-from clvol.readers import ENDINGS, is_volume_path
+from clvol.readers import ENDINGS, is_url, is_volume_path
 from clvol.scene.carried import at_its_moment, carried_scene, is_picture_path
 from clvol.scene.scene import Scene
 from clvol.scene.table import shown
@@ -31,7 +31,8 @@ _KEY = re.compile(r"[A-Za-z0-9_-]+")
 def load_scene(
     path: str | Path, overrides: Iterable[str] = (), settings: Iterable[tuple[str, Any]] = ()
 ) -> Scene:
-    """Loads the scene file ``path`` (.toml), or makes a scene with all defaults of the volume file ``path``.
+    """Loads the scene file ``path`` (.toml), or makes a scene with all defaults of a volume: ``path`` is a file,
+    a folder or a URL.
 
     A clvol store is rendered by the method "multiresolution", since it may be larger than memory, unless
     ``overrides`` choose another one.
@@ -44,7 +45,13 @@ def load_scene(
     ``path`` may also be a picture (.exr, .png, .jpg) that clvol has rendered: the scene is the one that its header
     carries, and ``Scene.moment`` says which camera and time the picture shows.
     """
-    path, overrides, settings = Path(path), tuple(overrides), tuple(settings)
+    overrides, settings = tuple(overrides), tuple(settings)
+    if is_url(path):  # which Path would respell
+        origin = str(path)
+        data, folder = {"volume": {"file": origin}}, Path()
+        _change(data, overrides, settings, origin)
+        return Scene.from_data(data, origin, folder)
+    path = Path(path)
     if is_picture_path(path):
         return _load_carried(path, overrides, settings)
     if path.suffix.lower() == ".toml":

@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from clvol.scene.table import Color, Number, Table
+from clvol.scene.table import COLOR, Color, Number, Table
 
 _BOOL = "true or false"
 
@@ -66,7 +66,7 @@ class Overlay(Table):
     color: Color | None = Field(
         None,
         title="Colour of text and lines, as on the screen (sRGB); by default black or white, whichever can be read.",
-        description="three numbers [r, g, b] from 0 to 1",
+        description=COLOR,
         examples=[[1.0, 1.0, 1.0]],
     )
 

@@ -14,7 +14,7 @@ from pydantic import Field, ValidationError, model_validator
 from clvol.errors import SceneError
 from clvol.scene.integration import Integration
 from clvol.scene.material import Material
-from clvol.scene.table import AsTuple, Color, Fraction, Number, Positive, Table, scene_error, wrong
+from clvol.scene.table import COLOR, AsTuple, Color, Fraction, Number, Positive, Table, scene_error, wrong
 from clvol.transfer import PRESETS
 
 if sys.version_info >= (3, 11):
@@ -33,7 +33,7 @@ class PresetPoint(Table):
         title="Opacity over one opacity unit.", description="a number from 0 to 1", examples=[0.5]
     )
     color: Color = Field(
-        title="Colour, sRGB-encoded.", description="three numbers [r, g, b] from 0 to 1", examples=[[0.9, 0.8, 0.7]]
+        title="Colour, sRGB-encoded.", description=COLOR, examples=[[0.9, 0.8, 0.7]]
     )
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from clvol.errors import SceneError
-from clvol.readers import load_volume
+from clvol.readers import is_url, load_volume
 from clvol.scene.animation import Animation
 from clvol.scene.camera import Camera
 from clvol.scene.classification import ChosenClassification, with_classification
@@ -43,7 +43,8 @@ from clvol.scene.transfer_function import TransferFunctionSettings
 from clvol.scene.transfer_layer import TransferLayer
 from clvol.scene.volume import VolumeSettings
 from clvol.store.zarr_store import check_finished
-from clvol.transfer import TransferFunction, srgb_to_linear
+from clvol.transfer import TransferFunction
+from clvol.transfer.color_names import in_linear_light
 from clvol.volume.axis import ValueAxis
 from clvol.volume.grid import Grid
 from clvol.volume.lazy import FilledVolume, LazyVolume
@@ -129,17 +130,19 @@ def resolve(scene: Scene, memory_cap: int | None = None) -> ResolvedScene:
         function, is_linear = given, True
     else:
         settings = given or TransferFunctionSettings()
-        function = settings.function(volume.value_range, default_opacity_unit(volume.grid))
+        function = settings.function(
+            volume.value_range, default_opacity_unit(volume.grid), scene.folder, scene.origin
+        )
         is_linear = settings.color_space == "linear"
 
     def decoded(color: ArrayLike) -> np.ndarray:
-        return np.array(color, dtype=np.float64) if is_linear else srgb_to_linear(color)
+        return in_linear_light(color, is_linear)
 
     background = decoded(scene.image.background)
     background.setflags(write=False)
     unit = function.opacity_unit
     fields = (
-        settings.resolved(field, unit, decoded)
+        settings.resolved(field, unit, decoded, scene.folder)
         for settings, field in zip(scene.field, scene.load_fields(memory_cap))
     )
     environment, cue = scene.environment, scene.depth_cue
@@ -201,9 +204,9 @@ def load_scene_volume(
         return volume
     if settings.file is None:
         raise SceneError(f"{origin}: volume.file", "missing", "a volume file or a DICOM folder")
-    path = folder / settings.file
+    path: str | Path = settings.file if is_url(settings.file) else folder / settings.file
     is_scene_file = str(path) != origin
-    if is_scene_file and not os.path.exists(path):
+    if isinstance(path, Path) and is_scene_file and not os.path.exists(path):
         check_finished(path)
         got = f"got {settings.file!r}, no such file"
         raise SceneError(f"{origin}: volume.file", got, "a volume file or a DICOM folder")

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 from pydantic import (
     BeforeValidator,
     Field,
@@ -18,6 +19,7 @@ from pydantic import (
 )
 
 from clvol.choice.first_picture import FirstPicture
+from clvol.readers import is_url
 from clvol.scene.animation import Animation
 from clvol.scene.camera import Camera
 from clvol.scene.carried import Moment
@@ -50,6 +52,7 @@ from clvol.scene.transfer_layer import LARGEST_LAYERS, TransferLayerSettings
 from clvol.scene.volume import VolumeSettings
 from clvol.scene.write import to_toml
 from clvol.transfer import TransferFunction
+from clvol.volume.adopted import is_array_like
 from clvol.volume.volume import Volume
 
 _TABLE = "a table"
@@ -66,8 +69,13 @@ def _version(value: Any) -> int:
 def _volume(value: Any, check: Callable[[Any], Any], info: ValidationInfo) -> Any:
     if isinstance(value, Volume):
         return value
-    is_path = isinstance(value, (str, os.PathLike)) and info.context is not _FROM_FILE
-    return check({"file": value} if is_path else value)
+    if info.context is not _FROM_FILE:
+        if isinstance(value, (str, os.PathLike)):
+            return check({"file": value})
+        if is_array_like(value):
+            expected = "a Volume: clvol.Volume(array, spacing=(x, y, z))"
+            raise wrong("", value if isinstance(value, np.ndarray) else type(value), expected)
+    return check(value)
 
 
 def _transfer_function(value: Any, check: Callable[[Any], Any]) -> Any:
@@ -409,16 +417,17 @@ class Scene(Table):
 
     @property
     def volume_path(self) -> Path | None:
-        """The volume's file or folder; None for a volume that was passed as an array or is computed."""
+        """The volume's file or folder; None for a volume that was passed as an array, is computed or is a URL."""
         file = getattr(self.volume, "file", None)
-        return None if file is None else self._folder / file
+        return None if file is None or is_url(file) else self._folder / file
 
     @property
     def input_paths(self) -> list[Path]:
-        """The files and folders that the scene names: volume, fields, environment."""
-        named = [self.volume, *self.field, self.environment]
-        files = (getattr(table, "file", None) for table in named)
-        return [self._folder / file for file in files if isinstance(file, str)]
+        """The files and folders that the scene names: volume, fields and their label tables, environment, transfer
+        function."""
+        named = [self.volume, *self.field, self.environment, self.transfer_function]
+        files = [getattr(table, "file", None) for table in named] + [field.labels_file for field in self.field]
+        return [self._folder / file for file in files if isinstance(file, str) and not is_url(file)]
 
     @property
     def moment(self) -> Moment | None:

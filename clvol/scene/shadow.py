@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
-from clvol.scene.table import Color, Fraction, Number, Table, Whole, wrong
+from clvol.scene.table import COLOR, Fraction, LinearColor, Number, Table, Whole, wrong
 
 
 class Shadow(Table):
@@ -46,10 +46,10 @@ class Shadow(Table):
         title="Share of the light that arrives scattered forward, for the method 'volume'.",
         description="a number from 0 to 1",
     )
-    scatter_color: Color = Field(
+    scatter_color: LinearColor = Field(
         (1.0, 1.0, 1.0),
         title="Colour that scattered light keeps, in linear light.",
-        description="three numbers [r, g, b] from 0 to 1",
+        description=COLOR,
     )
     cone_degrees: Number = Field(
         30.0, ge=0, le=80,

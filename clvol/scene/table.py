@@ -8,17 +8,29 @@ JSON schema (``clvol/scene/reference.py``) are made from these.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from difflib import get_close_matches
 from inspect import Parameter, Signature
 from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    PlainSerializer,
+    ValidationError,
+    WithJsonSchema,
+    WrapValidator,
+)
 from pydantic_core import PydanticCustomError
 
 from clvol.errors import SceneError
 from clvol.scene.sizes import parse_size
+from clvol.transfer.color_names import EXPECTED, NamedColor
+from clvol.volume.volume import Volume
 
 _KINDS: dict[type, str] = {dict: "table", list: "list"}
 _LONGEST_KEY = 100  # longer keys get no "did you mean"
@@ -35,12 +47,24 @@ class _TableType(ModelMetaclass):
     """Turns the ValidationError of a direct call, such as Camera(...), into a SceneError."""
 
     def __call__(cls, *args: Any, **keys: Any) -> Any:
+        if args and issubclass(cls, Table):
+            raise _by_keyword(cls, args[0])
         try:
             return super().__call__(*args, **keys)
         except ValidationError as error:
             if not issubclass(cls, Table):
                 raise
             raise scene_error(error, cls, "scene", cls.table_name()) from None
+
+
+def _by_keyword(model: type[Table], value: Any) -> SceneError:
+    """The error for a value that is passed by position."""
+    name = model.__name__
+    fields = [key for key in model.model_fields if key != "version"]
+    what = f"got {shown(value)} by position"
+    if isinstance(value, Mapping):
+        return SceneError(f"clvol.{name}", what, f"keywords: clvol.{name}(**table)")
+    return SceneError(f"clvol.{name}", what, f"keywords: clvol.{name}({fields[0]}=…)")
 
 
 class Table(BaseModel, metaclass=_TableType):
@@ -108,6 +132,8 @@ def shown(value: Any, limit: int = 60) -> str:
         value = list(value)
     if isinstance(value, np.ndarray):
         return f"an array of shape {value.shape}"
+    if isinstance(value, Volume):
+        return f"a {value!r}".replace("a <Volume", "the Volume").removesuffix(">")
     try:
         text = " ".join(repr(value).split())
     except ValueError:  # an integer with more digits than Python prints
@@ -215,7 +241,43 @@ Fraction = Annotated[Number, Field(ge=0, le=1)]
 Coordinate = Annotated[Number, Field(ge=-LARGEST_LENGTH, le=LARGEST_LENGTH)]
 Length = Annotated[Number, Field(gt=0, le=LARGEST_LENGTH)]
 Vector = Annotated[tuple[Coordinate, Coordinate, Coordinate], BeforeValidator(_plain_list)]
-Color = Annotated[tuple[Fraction, Fraction, Fraction], BeforeValidator(_plain_list)]
+
+
+def _color(value: Any, check: Callable[[Any], Any]) -> Any:
+    return _named(value, False) or check(_plain_list(value))
+
+
+def _linear_color(value: Any, check: Callable[[Any], Any]) -> Any:
+    return _named(value, True) or check(_plain_list(value))
+
+
+def _named(value: Any, linear: bool) -> NamedColor | None:
+    """The colour that a text names; None for a value that is no text."""
+    if isinstance(value, NamedColor) and value.is_linear == linear:
+        return value
+    text = value.text if isinstance(value, NamedColor) else value
+    if not isinstance(text, str):
+        return None
+    try:
+        return NamedColor(text, linear)
+    except ValueError as error:
+        raise wrong("", text, str(error)) from None
+
+
+def _stated_color(value: Any) -> Any:
+    return value.text if isinstance(value, NamedColor) else value
+
+
+COLOR = EXPECTED  # the description of a key of type Color
+_component = {"type": "number", "minimum": 0, "maximum": 1}
+_color_schema = WithJsonSchema(
+    {"anyOf": [{"type": "array", "items": _component, "minItems": 3, "maxItems": 3}, {"type": "string"}]}
+)
+_Triple = tuple[Fraction, Fraction, Fraction]
+# A name or "#rrggbb" is an sRGB colour whatever the color_space; ``NamedColor`` keeps the text.
+Color = Annotated[_Triple, WrapValidator(_color), PlainSerializer(_stated_color), _color_schema]
+# The same for keys in linear light.
+LinearColor = Annotated[_Triple, WrapValidator(_linear_color), PlainSerializer(_stated_color), _color_schema]
 AsTuple = BeforeValidator(_plain_list)
 
 

@@ -1,16 +1,39 @@
-"""[transfer_function]: control points or a preset."""
+"""[transfer_function]: control points, a preset, a colour map or a file of another tool."""
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+import os
+import warnings
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
+from clvol.errors import ClvolWarning, SceneError
 from clvol.scene.preset_file import expected_preset, is_known
-from clvol.scene.table import AsTuple, Color, Fraction, Length, Number, Table, wrong
-from clvol.transfer import TransferFunction, preset, srgb_to_linear
+from clvol.scene.table import COLOR, AsTuple, Color, Fraction, Length, Number, Table, plain, wrong
+from clvol.scene.volume import is_path, path_text
+from clvol.transfer import TransferFunction, preset
+from clvol.transfer.color_names import in_linear_light
+from clvol.transfer.exchange import Imported, load_colormap, load_imported
+from clvol.transfer.exchange.files import KNOWN
 
 LARGEST_POINTS = 65536
+
+
+def _opacity_item(value: Any) -> float | tuple[float, float]:
+    """An opacity, or a pair of position and opacity; their curve is checked where it is used."""
+    items = [plain(item) for item in (value if isinstance(value, (list, tuple)) else [value])]
+    good = all(isinstance(item, (int, float)) and not isinstance(item, bool) and 0 <= item <= 1 for item in items)
+    if not good or len(items) > 2 or (len(items) == 1 and isinstance(value, (list, tuple))):
+        raise ValueError("neither an opacity nor a pair")
+    return float(items[0]) if len(items) == 1 else (float(items[0]), float(items[1]))
+
+
+def _brief(value: Any) -> Any:
+    """A value as an error message shows it; of a list, its length."""
+    return len(value) if isinstance(value, tuple) else value
 
 
 class ControlPoint(Table):
@@ -24,7 +47,7 @@ class ControlPoint(Table):
     )
     color: Color = Field(
         title="Colour, not multiplied by the opacity, in color_space.",
-        description="three numbers [r, g, b] from 0 to 1",
+        description=COLOR,
         examples=[[0.0, 0.0, 0.0]],
     )
 
@@ -46,20 +69,28 @@ def check_points(points: tuple[ControlPoint, ...]) -> None:
             raise wrong(f"points.{i}.value", values[i], "at most two points at one value")
 
 
+_POSITION = "opacities from 0 to 1, evenly spaced over the range, or pairs [position from 0 to 1, opacity]"
+
+
 class TransferFunctionSettings(Table):
-    """Either ``points`` or a ``preset``; with neither, a grey ramp over the volume's range.
+    """Either ``points``, a ``preset``, a ``colormap`` or a ``file``; with none, a grey ramp over the volume's range.
 
     A preset that is a file (``clvol/scene/preset_file.py``) also brings filter, step, material and lights, where the
     scene states none, and is placed on the volume: ``Scene.completed``.
 
-    ``opacity_unit`` is the world length that opacities refer to. It defaults to 1 for points, and to a 32nd of the
-    volume's shortest edge for presets and for the grey ramp. ``color_space`` is the colour space of the points'
-    colours and of the image's background.
+    A ``colormap`` of matplotlib, colorcet or cmap is laid over ``range``, by default that of the volume. A ``file`` of
+    ParaView, 3D Slicer, ITK-SNAP or VisIt keeps its values unless ``range`` moves them; ``entry`` selects one of
+    several presets. ``opacity`` is their opacity curve: it takes the place of the file's, and by default rises from 0
+    to 0.5 where there is none.
+
+    ``opacity_unit`` is the world length that opacities refer to. It defaults to 1 for points, to that of the file where
+    it states one, and otherwise to a 32nd of the volume's shortest edge. ``color_space`` is the colour space of the
+    points' colours and of the image's background.
     """
 
     opacity_unit: Length | None = Field(
         None,
-        title="World length that opacities refer to; by default 1, for presets 1/32 of the shortest volume edge.",
+        title="World length that opacities refer to; by default 1 for points, else 1/32 of the shortest volume edge.",
         description="a finite world length greater than 0",
         examples=[1.0],
     )
@@ -83,6 +114,36 @@ class TransferFunctionSettings(Table):
         description="the name of a preset or of a preset file (*.toml), in quotes",
         examples=["ct-bone"],
     )
+    colormap: str | None = Field(
+        None, min_length=1,
+        title="Colour map instead of points, of matplotlib, colorcet or cmap.",
+        description="the name of a colour map, such as 'viridis' or 'colorcet:fire'",
+        examples=["viridis"],
+    )
+    file: Annotated[str, BeforeValidator(path_text), AfterValidator(is_path)] | None = Field(
+        None, min_length=1,
+        title="Transfer function of ParaView, 3D Slicer, ITK-SNAP or VisIt instead of points.",
+        description="the name of a file: " + KNOWN,
+        examples=["preset.json"],
+    )
+    entry: str | None = Field(
+        None,
+        title="Which preset of a ParaView file that has several.",
+        description="the name of a preset in the file",
+        examples=["Cool to Warm"],
+    )
+    range: Annotated[tuple[Number, Number], AsTuple] | None = Field(
+        None,
+        title="Values that the ends move to; by default the volume's range for colour maps, the file's own for files.",
+        description="two finite numbers [low, high], ascending",
+        examples=[[0.0, 255.0]],
+    )
+    opacity: Annotated[tuple[Annotated[Any, BeforeValidator(_opacity_item)], ...], AsTuple] | None = Field(
+        None, min_length=1, max_length=LARGEST_POINTS,
+        title="Opacity curve over the range, beside a colour map or a file; by default from 0 to 0.5, or the file's.",
+        description=_POSITION,
+        examples=[[0.0, 0.05, 0.3]],
+    )
 
     @classmethod
     def table_name(cls) -> str:
@@ -90,29 +151,56 @@ class TransferFunctionSettings(Table):
 
     @model_validator(mode="after")
     def _one_function(self) -> TransferFunctionSettings:
-        if self.preset is not None and self.points is not None:
-            raise wrong("preset", self.preset, "either points or a preset, not both")
+        given = [key for key in ("points", "preset", "colormap", "file") if getattr(self, key) is not None]
+        if len(given) > 1:
+            first, second = given[:2]
+            raise wrong(second, _brief(getattr(self, second)), f"either {first} or {second}, not both")
+        for key, owners in (("entry", ("file",)), ("range", ("colormap", "file")), ("opacity", ("colormap", "file"))):
+            value = getattr(self, key)
+            if value is not None and not set(owners) & set(given):
+                raise wrong(key, _brief(value), f"{key} beside {' or '.join(owners)}")
         if self.preset is not None and not is_known(self.preset):
             raise wrong("preset", self.preset, expected_preset(self.preset))
-        if self.points is None:
-            return self
-        check_points(self.points)
+        if self.range is not None and not self.range[0] < self.range[1]:
+            raise wrong("range", list(self.range), "two finite numbers [low, high], ascending")
+        if self.points is not None:
+            check_points(self.points)
         return self
 
     def function(
-        self, value_range: tuple[float, float], default_unit: float
+        self, value_range: tuple[float, float], default_unit: float, folder: Path = Path(), origin: str = "scene"
     ) -> TransferFunction:
         """The function in linear light, for a volume whose finite values span ``value_range``.
 
-        ``default_unit`` is the opacity unit of presets and of the grey ramp where the scene states none.
+        ``default_unit`` is the opacity unit where neither the scene nor its file states one; ``folder`` is what a file
+        is relative to; ``origin`` begins error messages. Raises SceneError; warns of what a file says in vain.
         """
-        if self.points is None:
-            unit = default_unit if self.opacity_unit is None else self.opacity_unit
+        if self.points is not None:
+            colors = [point.color for point in self.points]
+            return TransferFunction(
+                [point.value for point in self.points],
+                [point.opacity for point in self.points],
+                in_linear_light(colors, self.color_space == "linear"),
+                1.0 if self.opacity_unit is None else self.opacity_unit,
+            )
+        unit = default_unit if self.opacity_unit is None else self.opacity_unit
+        if self.colormap is None and self.file is None:
             return preset(self.preset or "grayscale", value_range, unit)
-        colors = [point.color for point in self.points]
-        return TransferFunction(
-            [point.value for point in self.points],
-            [point.opacity for point in self.points],
-            srgb_to_linear(colors) if self.color_space == "srgb" else colors,
-            1.0 if self.opacity_unit is None else self.opacity_unit,
-        )
+        imported = self._imported(folder, origin)
+        wanted = self.range
+        if wanted is None and imported.is_relative:
+            low, high = value_range
+            wanted = (low, high) if low < high else (low - 0.5, low + 0.5)
+        return TransferFunction(*imported.points(wanted, self.opacity, unit))
+
+    def _imported(self, folder: Path, origin: str) -> Imported:
+        where = f"{origin}: transfer_function"
+        if self.file is None:
+            return load_colormap(self.colormap, f"{where}.colormap")
+        path = folder / self.file
+        if not os.path.exists(path):
+            raise SceneError(f"{where}.file", f"got {self.file!r}, no such file", KNOWN)
+        found = load_imported(path, self.entry)
+        for note in found.notes:
+            warnings.warn(ClvolWarning(str(path), note), stacklevel=2)
+        return found if self.opacity_unit is None else replace(found, opacity_unit=self.opacity_unit)

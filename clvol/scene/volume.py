@@ -52,7 +52,7 @@ class VolumeSettings(Table):
     of the file), and ``byte_order`` is the order of their bytes. ``nan`` replaces NaN voxels. Values are ``slope`` *
     stored + ``offset``, applied after the file's own slope and offset; the rest of the scene is stated in these values.
     ``channel``, ``time`` and ``series`` select one of several in a file, by index from 0 or by name; a DICOM series
-    also by its SeriesInstanceUID.
+    also by its SeriesInstanceUID, an array of HDF5 or netCDF by its path inside.
 
     ``field`` takes the place of a file: it is computed on ``size`` (nx, ny, nz) voxels of 8 bits, with a spacing of 1
     or ``spacing`` (``clvol.volume.procedural.scene_field``).
@@ -60,7 +60,7 @@ class VolumeSettings(Table):
 
     file: Annotated[str, BeforeValidator(path_text), AfterValidator(is_path)] | None = Field(
         None, min_length=1,
-        title="Volume file, folder of slices or Zarr store, relative to the scene file.",
+        title="Volume file, folder of slices or Zarr store, relative to the scene file; or the URL of a Zarr image.",
         description="the name of a volume file, in quotes",
         examples=["brainsmall.nrrd"],
     )
@@ -108,8 +108,8 @@ class VolumeSettings(Table):
     )
     series: Choice = Field(
         None,
-        title="Which series or image to read where the file or folder has several.",
-        description="the index (from 0) or the name of a series, or a SeriesInstanceUID",
+        title="Which series, image or array (its path inside HDF5) to read where there are several.",
+        description="the index (from 0) or the name of a series or an array, or a SeriesInstanceUID",
         examples=[0],
     )
     header_bytes: Annotated[Whole, Field(ge=-1, le=2**62)] | None = Field(

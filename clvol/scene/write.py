@@ -52,6 +52,11 @@ def _voxels(volume: Any) -> str:
     return f"{shape} voxels of {volume.dtype}, passed as an array"
 
 
+def function_to_toml(function: TransferFunction) -> str:
+    """The table [transfer_function] of a scene file with the points of ``function``."""
+    return "\n".join(["[transfer_function]", *_function_keys(function)]) + "\n"
+
+
 def _function_keys(function: TransferFunction) -> list[str]:
     points = [
         {"value": float(value), "opacity": float(opacity), "color": color.tolist()}

@@ -11,22 +11,27 @@ from typing import Any
 from clvol.errors import VolumeError
 
 _OPEN_FILES = 8
+_RETRIES = {"max_retries": 2, "initial_delay": "200ms", "max_delay": "2s"}
 
 
 def open_array(
-    path: Path, metadata: dict | None = None, *, driver: str = "zarr3", whole: bool = True
+    path: Any, metadata: dict | None = None, *, driver: str = "zarr3", whole: bool = True
 ) -> Any:
-    """The tensorstore array in the folder ``path``; with ``metadata`` it is created if it does not exist.
+    """The tensorstore array in the folder ``path`` (a Path, or a place with a ``kvstore``).
 
+    With ``metadata`` it is created if it does not exist.
     ``whole``: every chunk must exist; a missing one does not stand for the fill value. ValueErrors of tensorstore
     pass.
     """
     import tensorstore
 
-    place = f"{path.resolve()}/"
-    if not is_utf8(place):
-        raise ValueError(NOT_UTF8)
-    spec: dict[str, Any] = {"driver": driver, "kvstore": {"driver": "file", "path": place}}
+    if hasattr(path, "kvstore"):  # a URL
+        spec: dict[str, Any] = {"driver": driver, "kvstore": path.kvstore()}
+    else:
+        place = f"{path.resolve()}/"
+        if not is_utf8(place):
+            raise ValueError(NOT_UTF8)
+        spec = {"driver": driver, "kvstore": {"driver": "file", "path": place}}
     spec |= {"recheck_cached_metadata": "open", "recheck_cached_data": True}
     if whole:
         spec |= {"fill_missing_data_reads": False, "store_data_equal_to_fill_value": True}
@@ -35,7 +40,7 @@ def open_array(
             key: value for key, value in metadata.items() if key not in ("zarr_format", "node_type")
         }
         spec |= {"metadata": left, "open": True, "create": True}
-    return tensorstore.open(spec, context=_context()).result()
+    return tensorstore.open(spec, context=tensorstore_context()).result()
 
 
 NOT_UTF8 = "a name that is not UTF-8, which tensorstore cannot open"
@@ -56,7 +61,7 @@ def cores() -> int:
 _made: list = []
 
 
-def _context() -> Any:
+def tensorstore_context() -> Any:
     """The context of all arrays. Nothing is cached, so only the data that are read take memory."""
     if not _made:
         import tensorstore
@@ -67,6 +72,9 @@ def _context() -> Any:
                     "cache_pool": {"total_bytes_limit": 0},
                     "data_copy_concurrency": {"limit": cores()},
                     "file_io_concurrency": {"limit": _OPEN_FILES},
+                    "http_request_retries": _RETRIES,
+                    "s3_request_retries": _RETRIES,
+                    "gcs_request_retries": _RETRIES,
                 }
             )
         )

@@ -7,12 +7,18 @@ step, the spacing or the resolution that it was made with.
 
 from __future__ import annotations
 
+import os
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from clvol.errors import SceneError
+from clvol.transfer.color import srgb_to_linear
+from clvol.transfer.color_names import parse_color
+from clvol.transfer.exchange import OpacityCurve, load_colormap, load_imported, save_function
 
 _WHERE = "transfer_function"
 
@@ -23,9 +29,10 @@ class TransferFunction:
 
     ``values`` [n]: finite, ascending; two points may share a value, which makes a step: exactly at
     the shared value the later point holds. ``opacities`` [n] in [0, 1]. ``colors`` [n, 3] in
-    [0, 1], linear light, not multiplied by opacity. ``opacity_unit``: world length > 0 that the
-    opacities are stated for. Values outside the points take the end points' opacity and colour; NaN
-    has opacity 0 and the first point's colour. All arrays are float64 and read-only.
+    [0, 1], linear light, not multiplied by opacity; a row may be a colour's name or "#rrggbb".
+    ``opacity_unit``: world length > 0 that the opacities are stated for. Values outside the points
+    take the end points' opacity and colour; NaN has opacity 0 and the first point's colour. All
+    arrays are float64 and read-only.
 
     Raises SceneError if the points are none, unsorted, out of range or of unequal number.
     """
@@ -38,7 +45,7 @@ class TransferFunction:
     def __init__(
         self, values: ArrayLike, opacities: ArrayLike, colors: ArrayLike, opacity_unit: float = 1.0
     ) -> None:
-        for name, given in (("values", values), ("opacities", opacities), ("colors", colors)):
+        for name, given in (("values", values), ("opacities", opacities), ("colors", _without_names(colors))):
             object.__setattr__(self, name, _frozen(name, given))
         n = self.values.size
         if self.values.ndim != 1 or n < 1:
@@ -71,6 +78,46 @@ class TransferFunction:
             raise _wrong("opacity_unit", f"{opacity_unit!r}", "a finite length > 0")
         object.__setattr__(self, "opacity_unit", unit)
 
+    @classmethod
+    def from_colormap(
+        cls,
+        colormap: Any,
+        value_range: Sequence[float],
+        opacity: OpacityCurve | None = None,
+        opacity_unit: float = 1.0,
+    ) -> TransferFunction:
+        """The colours of a colour map over ``value_range`` (low, high).
+
+        ``colormap`` is a name ("viridis", "colorcet:fire", "cmap:crameri:batlow") or a Colormap object of matplotlib or
+        cmap. ``opacity`` is a list of opacities, evenly spaced over the range, or of pairs [position from 0 to 1,
+        opacity]; by default it rises from 0 to 0.5. Colours are right to within a level of 8 bits. Raises SceneError.
+        """
+        return cls(*load_colormap(colormap).points(value_range, opacity, opacity_unit))
+
+    @classmethod
+    def from_file(
+        cls,
+        path: str | os.PathLike,
+        value_range: Sequence[float] | None = None,
+        opacity: OpacityCurve | None = None,
+        opacity_unit: float = 1.0,
+        entry: str | None = None,
+    ) -> TransferFunction:
+        """The transfer function in a file of another tool: ``transfer/exchange/files.py`` lists them.
+
+        The values are the file's own, or moved to ``value_range``, which files without values need. ``opacity``, as for
+        ``from_colormap``, takes the place of the file's opacities. ``opacity_unit`` holds where the file states none.
+        ``entry`` names one of several presets. Raises SceneError.
+        """
+        return cls(*load_imported(path, entry).points(value_range, opacity, opacity_unit))
+
+    def save(self, path: str | os.PathLike, name: str | None = None) -> None:
+        """Writes the function for ParaView (.json) or 3D Slicer (.vp, .vp.json; .ctbl for a table of labels).
+
+        ``name`` is the preset's, by default that of the file. Raises SceneError, UsageError.
+        """
+        save_function(self, path, name)
+
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, TransferFunction):
             return NotImplemented
@@ -99,6 +146,23 @@ class TransferFunction:
         with np.errstate(divide="ignore", over="ignore"):
             tau = -np.log1p(-self.opacity(s)) / self.opacity_unit
         return tau + 0.0  # -log1p(-0) is -0
+
+
+def _without_names(colors: Any) -> Any:
+    """``colors`` with names of colours as linear light."""
+    if isinstance(colors, np.ndarray) and colors.dtype.kind not in "UO":
+        return colors
+    try:
+        rows = list(colors)
+    except TypeError:
+        return colors
+    for i, row in enumerate(rows):
+        if isinstance(row, str):
+            try:
+                rows[i] = srgb_to_linear(parse_color(row))
+            except ValueError as error:
+                raise _wrong(f"colors.{i}", repr(row), str(error)) from None
+    return rows
 
 
 def _frozen(name: str, given: ArrayLike) -> np.ndarray:

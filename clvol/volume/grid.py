@@ -151,6 +151,9 @@ def _triple(values: Sequence[float] | np.ndarray, name: str) -> tuple[float, flo
     try:
         x, y, z = (float(value) for value in values)
     except (TypeError, ValueError):
+        if np.ndim(values) == 0 and not isinstance(values, (str, bytes)):
+            expected = f"three numbers (x, y, z), such as ({values}, {values}, {values})"
+            raise VolumeError(name, f"got {values!r}"[:80], expected) from None
         x = y = z = math.nan
     if not all(math.isfinite(number) for number in (x, y, z)):
         raise VolumeError(name, str(values), "three finite numbers (x, y, z)")

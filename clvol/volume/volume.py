@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import copy
 import math
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
-from clvol.errors import VolumeError
+from clvol.errors import ClvolWarning, VolumeError
+from clvol.volume.adopted import Adopted, adopt
 from clvol.volume.axis import ValueAxis, turned
 from clvol.volume.grid import Grid
 from clvol.volume.narrow import WIDE_TYPES, Narrowing, current_narrowing, narrowed
@@ -28,6 +31,11 @@ _LOOKED_AT = 257  # voxels that are compared to find a change
 
 class Volume:
     """An array [z, y, x] of scalars on a regular grid.
+
+    ``array`` is an array of numpy, or an object that states its own grid: a DataArray of xarray (dimensions and
+    coordinates), an image of SimpleITK (LPS) or nibabel (RAS), a vtkImageData or pyvista.ImageData; or an array of
+    zarr, dask, h5py, tensorstore or DLPack. ``spacing``, ``origin``, ``direction``, ``name``, ``frame`` and ``unit``
+    take the place of the object's; without one, spacing is 1 and the first voxel at the origin.
 
     ``array`` is 3-D, of uint8, int8, uint16, int16, float32 or float64; bool is viewed as uint8 (0 and 1). Integers
     of 32 and 64 bits, and float16, are copied into the smallest of these types that holds every value exactly. No
@@ -54,13 +62,13 @@ class Volume:
 
     def __init__(
         self,
-        array: np.ndarray,
-        spacing: Sequence[float] = (1.0, 1.0, 1.0),
-        origin: Sequence[float] = (0.0, 0.0, 0.0),
+        array: Any,
+        spacing: Sequence[float] | None = None,
+        origin: Sequence[float] | None = None,
         direction: np.ndarray | None = None,
         name: str | None = None,
         *,
-        frame: str = "index",
+        frame: str | None = None,
         path: str | None = None,
         format: str | None = None,
         unit: str | None = None,
@@ -68,15 +76,18 @@ class Volume:
         offset: float = 0.0,
         labels: bool = False,
     ) -> None:
-        self.axis = ValueAxis(slope, offset)
-        self.data = _as_voxels(array, Narrowing(labels=True) if labels else current_narrowing())
-        self.labels = labels or getattr(array, "dtype", None) == np.bool_
-        self.grid = Grid(self.data.shape, spacing, origin, direction)
-        self.name = name
-        self.frame = frame
+        own = adopt(array) or Adopted(array)
+        if own.note is not None:
+            warnings.warn(ClvolWarning("volume", own.note), stacklevel=2)
+        self.axis = ValueAxis(slope, offset).after(ValueAxis(own.slope, own.offset))
+        self.data = _as_voxels(own.array, Narrowing(labels=True) if labels else current_narrowing())
+        self.labels = labels or getattr(own.array, "dtype", None) == np.bool_
+        self.grid = _placed(own.grid or Grid(self.data.shape), spacing, origin, direction)
+        self.name = own.name if name is None else name
+        self.frame = frame or own.frame or "index"
         self.path = path
         self.format = format
-        self.unit = unit
+        self.unit = own.unit if unit is None else unit
 
     @property
     def dtype(self) -> np.dtype:
@@ -198,6 +209,20 @@ def check_type(dtype: np.dtype, where: str) -> np.dtype:
     if native.name not in ACCEPTED_TYPES and native.name not in WIDE_TYPES:
         raise VolumeError(where, f"voxels of type {native.name}", ACCEPTED)
     return native
+
+
+def _placed(
+    grid: Grid, spacing: Sequence[float] | None, origin: Sequence[float] | None, direction: np.ndarray | None
+) -> Grid:
+    """``grid`` with what the caller states in place of its own."""
+    if spacing is None and origin is None and direction is None:
+        return grid
+    return Grid(
+        grid.shape,
+        grid.spacing if spacing is None else spacing,
+        grid.origin if origin is None else origin,
+        grid.direction if direction is None else direction,
+    )
 
 
 def _as_voxels(array: np.ndarray, how: Narrowing) -> np.ndarray:

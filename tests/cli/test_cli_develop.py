@@ -83,7 +83,7 @@ def test_an_overlay_is_drawn_without_the_volume(run, picture):
         (["picture.exr", "-o", "a.png", "--tone-curve", "soft"], "scene: display.tone_curve: got 'soft'"),
         (["picture.exr", "-o", "a.png", "--white", "0"], "scene: display.white: got 0"),
         (["picture.exr", "-o", "a.png", "--exposure", "nan"], "scene: display.exposure: got nan"),
-        (["picture.exr", "-o", "a.png", "--background", "0.1,2,0"], "--background: got '0.1,2,0', expected a colour"),
+        (["picture.exr", "-o", "a.png", "--background", "0.1,2,0"], "--background: got '0.1,2,0', expected three"),
         (["picture.exr", "-o", "a.png", "--set", "camera.fov_degrees=3"], "--set camera.fov_degrees: changes what"),
         (["picture.exr", "-o", "a.png", "--set", "display.bright=3"], "scene: display.bright: unknown key"),
         (["picture.exr", "-o", "a.exr"], 'a.exr: unknown ending ".exr" of a displayed picture'),
@@ -287,3 +287,11 @@ def test_the_scene_of_a_picture_is_only_data(run, refused, folder, picture):
     picture.save("evil.exr")
     assert "expected a scene in TOML" in refused(2, "render", "evil.exr", "-o", "x.png")
     assert not (folder / "owned").exists()
+
+
+@pytest.mark.usefixtures("device")
+def test_a_picture_renders_again_in_python(run, folder):
+    words = ["--set", "animation.frames=2", "--set", "animation.orbit_degrees=90"]
+    assert run("render", "scene.toml", "-o", "f_%d.exr", *words).status == 0
+    frame = clvol.render("f_1.exr")
+    assert np.array_equal(frame.rgba, load_image("f_1.exr")["rgba"])

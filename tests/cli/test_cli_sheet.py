@@ -89,7 +89,7 @@ def test_a_sheet_on_standard_output(folder):
     [
         (["cube.npy", "-o", "s.exr"], 's.exr: unknown ending ".exr" of a sheet, expected .png or .jpg'),
         (["cube.npy", "-o", "s.png", "--view", "behind"], "--view: got 'behind', expected front, back"),
-        (["cube.npy", "-o", "s.png", "--page", "x"], "--page: got 'x', expected a colour"),
+        (["cube.npy", "-o", "s.png", "--page", "x"], "--page: got 'x', expected three numbers"),
         (["cube.npy", "-o", "s.png", "--size", "3"], "clvol sheet: --size: 3 is not in the range"),
         (["cube.npy", "-o", "none/s.png"], "none/s.png: the folder "),
         (["-o", "s.png"], "clvol sheet: no SCENE, expected SCENE"),

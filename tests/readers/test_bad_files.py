@@ -9,6 +9,9 @@ import zlib
 from collections.abc import Callable
 from pathlib import Path
 
+import h5py
+import mrcfile
+import netCDF4
 import nibabel
 import numpy as np
 import pytest
@@ -72,7 +75,7 @@ def refused(path: Path | str, **options) -> str:
     """The message of the VolumeError, which names the path, is one line, and came quickly."""
     start = time.monotonic()
     with pytest.raises(VolumeError) as caught:
-        load_volume(path, **options)
+        _ = load_volume(path, **options).data  # which some formats read when it is used
     assert time.monotonic() - start < 5.0
     message = str(caught.value)
     assert message.startswith(f"{path}: ") and "\n" not in message
@@ -81,7 +84,26 @@ def refused(path: Path | str, **options) -> str:
     return message
 
 
-def good(folder: Path, ending: str) -> Path:
+OPTIONAL = (".vti", ".czi", ".nd2")
+
+
+def imaris(path: Path) -> None:
+    with h5py.File(path, "w") as file:
+        file["DataSet/ResolutionLevel 0/TimePoint 0/Channel 0/Data"] = VOXELS
+        info = file.create_group("DataSetInfo/Image")
+        for k, (key, n) in enumerate(zip("XYZ", VOXELS.shape[::-1])):
+            info.attrs[key], info.attrs[f"ExtMin{k}"], info.attrs[f"ExtMax{k}"] = str(n), "0", str(n)
+
+
+def netcdf(path: Path, form: str) -> None:
+    with netCDF4.Dataset(path, "w", format=form) as file:
+        for name, n in zip("zyx", VOXELS.shape):
+            file.createDimension(name, n)
+        file.createVariable("v", "i2", ("z", "y", "x"))[:] = VOXELS
+
+
+def good(folder: Path, ending: str, needs_reading: bool = True) -> Path:
+    """A file with VOXELS; bytes of them alone for an optional format that is not to be read."""
     path = folder / f"v{ending}"
     if ending in (".nrrd", ".nhdr"):
         return nrrd(path, VOXELS.tobytes())
@@ -95,6 +117,18 @@ def good(folder: Path, ending: str) -> Path:
         tifffile.imwrite(path, VOXELS, photometric="minisblack")
     elif ending == ".npy":
         np.save(path, VOXELS)
+    elif ending in (".h5", ".hdf5", ".he5"):
+        with h5py.File(path, "w") as file:
+            file["data"] = VOXELS
+    elif ending == ".ims":
+        imaris(path)
+    elif ending in (".nc", ".nc4", ".cdf"):
+        netcdf(path, "NETCDF3_CLASSIC" if ending == ".cdf" else "NETCDF4")
+    elif ending.startswith((".mrc", ".map", ".rec", ".ccp4")):
+        with mrcfile.new(path, VOXELS, compression="gzip" if ending.endswith(".gz") else None) as map_file:
+            map_file.voxel_size = 1.0
+    elif ending in OPTIONAL and needs_reading:
+        pytest.skip(f"{ending} comes with a large extra; its own test writes one where that is installed")
     else:
         path.write_bytes(VOXELS.tobytes())
     return path
@@ -129,14 +163,14 @@ def test_missing_empty_folder_and_unreadable(tmp_path: Path, capfd, ending) -> N
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may read every file")
 @pytest.mark.parametrize("ending", ENDINGS)
 def test_no_permission(tmp_path: Path, ending) -> None:
-    path = good(tmp_path, ending)
+    path = good(tmp_path, ending, needs_reading=False)
     path.chmod(0)
     assert "denied" in refused(path, **options_for(ending))
 
 
 @pytest.mark.parametrize("ending", ENDINGS)
 def test_garbage_and_every_truncation(tmp_path: Path, capfd, ending) -> None:
-    path, options = good(tmp_path, ending), options_for(ending)
+    path, options = good(tmp_path, ending, needs_reading=False), options_for(ending)
     whole = path.read_bytes()
     path.with_name("whole.tif").write_bytes(whole)
     random = np.random.default_rng(1)

@@ -157,21 +157,22 @@ def _sampled_cells(volume: Volume) -> np.ndarray:
     starts = [np.unique(np.linspace(0, max(n - edge, 0), _SAMPLED).astype(int)) for n in data.shape]
     index = [np.minimum(start[:, None] + np.arange(edge), n - 1) for start, n in zip(starts, data.shape)]
     places = [np.expand_dims(each, [k for k in range(6) if k not in (a, a + 3)]) for a, each in enumerate(index)]
-    boxes = data[tuple(places)].astype(np.float64).reshape(-1, edge, edge, edge)
+    # The cells as the last axis: what is looked for in each is then found in many at once.
+    boxes = data[tuple(places)].astype(np.float64).reshape(-1, edge**3).T.copy().reshape(edge, edge, edge, -1)
     n = 1 << CELL_SHIFT
     inner = slice(1, n + 1)
 
     def part(z: int, y: int, x: int) -> np.ndarray:
         shifted = [slice(inner.start + s, inner.stop + s) for s in (z, y, x)]
-        return boxes[tuple([slice(None), *shifted])]
+        return boxes[tuple(shifted)]
 
     v, vx, vy, vz = part(0, 0, 0), part(0, 0, 1), part(0, 1, 0), part(1, 0, 0)
     second = [vx - 2 * v + part(0, 0, -1), vy - 2 * v + part(0, -1, 0), vz - 2 * v + part(-1, 0, 0)]
     mixed = [part(0, 1, 1) - vx - vy + v, part(1, 1, 0) - vy - vz + v, part(1, 0, 1) - vz - vx + v]
 
     def most(parts: list[np.ndarray]) -> np.ndarray:
-        return np.max(np.abs(parts), axis=(0, 2, 3, 4))
+        return np.max([np.abs(part).reshape(n**3, -1).max(axis=0) for part in parts], axis=0)
 
-    whole = boxes[:, 1 : n + 2, 1 : n + 2, 1 : n + 2]
-    low, high = whole.min(axis=(1, 2, 3)), whole.max(axis=(1, 2, 3))
+    whole = boxes[1 : n + 2, 1 : n + 2, 1 : n + 2].reshape((n + 1) ** 3, -1)
+    low, high = whole.min(axis=0), whole.max(axis=0)
     return np.stack([most(second) + 2 * most(mixed), most([vx - v, vy - v, vz - v]), low, high], axis=1)
