@@ -13,6 +13,7 @@
 #ifndef PACKET_SPANS_H
 #define PACKET_SPANS_H
 
+#include "features.h"
 #include "lanes.h"
 #include "rays.h"
 #include "skip_empty.h"
