@@ -28,7 +28,7 @@ from clvol.accuracy.timing import take_turns
 SUMMARY = "shaded frames beside VTK's shaded CPU ray caster, and beside unshaded ones"
 LIGHTS = {"directional": LIGHT, "headlight": HEADLIGHT}
 STEP = 1.0
-VTK_GOAL, OWN_GOAL = 3.0, 2.0
+VTK_GOAL, OWN_GOAL = 3.0, 1.8
 QUICK_SIZE, QUICK_FRAMES = 96, 3
 
 

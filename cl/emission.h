@@ -36,7 +36,14 @@ INLINE Emission segment_emission_in(floatN front, floatN back, intN active, intN
 INLINE Emission value_emission_in(floatN value, intN first, __global const float *table, __constant const View *view)
 {
   const Pieces f = scene_pieces(table, first, view);
+#if SEGMENT_OPACITIES
+  Emission e;
+  color_of_steps(value, (intN)1, 1, (intN)-1, f, view, &e.r, &e.g, &e.b, &e.d);
+  e.r *= e.d, e.g *= e.d, e.b *= e.d;
+  return e;
+#else
   return emission_of_color(color_of_value(value, units_of_step(f, view), f));
+#endif
 }
 
 /* acc += (1 - A) (c, 1) (1 - exp(-D length)) for the rays in `active`; length in steps, at most 1. */

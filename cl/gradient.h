@@ -178,6 +178,46 @@ INLINE Gradient inner_gradient(__global const uchar *volume, __constant const Vi
   return g;
 }
 
+/* The same at the volume's faces, where differences are over one voxel instead of two: they count twice. All else is in
+ * the order of inner_gradient(), so that a lane that is not at a face gets the same bits from either, whatever its
+ * neighbours are. */
+INLINE Gradient face_gradient(__global const uchar *volume, __constant const View *view, Place x, Place y, Place z)
+{
+  const intN first_x = MASK(x.index == 0), last_x = MASK(x.index == view->size.x - 2);
+  const intN first_y = MASK(y.index == 0), last_y = MASK(y.index == view->size.y - 2);
+  const intN first_z = MASK(z.index == 0), last_z = MASK(z.index == view->size.z - 2);
+  const intN zero = 0, one = 1;
+  const intN low_x = x.index - select(one, zero, first_x), high_x = x.index + select(one, zero, last_x);
+  const intN low_y = y.index - select(one, zero, first_y), high_y = y.index + select((intN)2, one, last_y);
+  const intN low_z = z.index - select(one, zero, first_z), high_z = z.index + select((intN)2, one, last_z);
+  const floatN once = 1.0f, twice = 2.0f;
+  const floatN x0 = select(once, twice, first_x), x1 = select(once, twice, last_x);
+  const floatN y0 = select(once, twice, first_y), y1 = select(once, twice, last_y);
+  floatN dx[2], dy[2], mean[2];
+  _Pragma("unroll 1") for (int k = 0; k < 2; ++k) {
+    const intN iz = z.index + k;
+    floatN b[2], c[2], at_x0[2], at_x1[2]; /* of rows y and y + 1 */
+    for (int j = 0; j < 2; ++j) {
+      const Edge low = fetch_edge(volume, view, low_x, y.index + j, iz);
+      const Edge high = fetch_edge(volume, view, high_x, y.index + j, iz);
+      b[j] = select(low.v1, low.v0, first_x), c[j] = select(high.v0, high.v1, last_x);
+      at_x0[j] = c[j] - low.v0, at_x1[j] = high.v1 - b[j];
+    }
+    dx[k] = mix_corners(mix_corners(at_x0[0], at_x0[1], y.f) * x0, mix_corners(at_x1[0], at_x1[1], y.f) * x1, x.f);
+    const floatN m0 = mix_corners(b[0], c[0], x.f), m1 = mix_corners(b[1], c[1], x.f);
+    const floatN above = mix_edge(fetch_edge(volume, view, x.index, low_y, iz), x.f);
+    const floatN below = mix_edge(fetch_edge(volume, view, x.index, high_y, iz), x.f);
+    dy[k] = mix_corners((m1 - above) * y0, (below - m0) * y1, y.f);
+    mean[k] = mix_corners(m0, m1, y.f);
+  }
+  const floatN before = mix_face(fetch_face(volume, view, x.index, y.index, low_z), x.f, y.f);
+  const floatN behind = mix_face(fetch_face(volume, view, x.index, y.index, high_z), x.f, y.f);
+  const Gradient g = {0.5f * mix_corners(dx[0], dx[1], z.f), 0.5f * mix_corners(dy[0], dy[1], z.f),
+                      0.5f * mix_corners((mean[1] - before) * select(once, twice, first_z),
+                                         (behind - mean[0]) * select(once, twice, last_z), z.f)};
+  return g;
+}
+
 #endif
 
 INLINE intN beside_faces(Place p, int size) { return MASK(p.index == 0) | MASK(p.index == size - 2); }
@@ -189,9 +229,10 @@ INLINE Gradient gradient_at(__global const uchar *volume, __global const uint *g
   const Place z = place_in_cell(pz, view->upper.z, view->size.z);
 #if VOXEL_BITS == 8 && VOXEL_PAIRS
   const intN beside = beside_faces(x, view->size.x) | beside_faces(y, view->size.y) | beside_faces(z, view->size.z);
-  if (!any_lane(beside)) return finite_gradient(inner_gradient(volume, view, x, y, z));
-#endif
+  return any_lane(beside) ? face_gradient(volume, view, x, y, z) : inner_gradient(volume, view, x, y, z);
+#else
   return finite_gradient(central_gradient(volume, view, x, y, z));
+#endif
 }
 
 #elif GRADIENT == GRADIENT_PRECOMPUTED

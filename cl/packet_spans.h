@@ -13,14 +13,20 @@
 #ifndef PACKET_SPANS_H
 #define PACKET_SPANS_H
 
+#include "features.h"
 #include "lanes.h"
 #include "rays.h"
 #include "skip_empty.h"
 #include "tally.h"
 #include "view.h"
 
-/* Whether the march keeps to spans. */
-#define SPANS (SKIP_EMPTY && LANES > 1 && !EFFECTS && !BLOCKS && !SLICES && QUADRATURE != QUADRATURE_CELLS)
+/* Whether the march keeps to spans. Rays that see nothing may still see the environment. */
+#ifndef SHADED_MARCH
+#define SHADED_MARCH 0
+#endif
+#define SPANS                                                                              \
+  (SKIP_EMPTY && LANES > 1 && !BLOCKS && !SLICES && QUADRATURE != QUADRATURE_CELLS &&      \
+   (!EFFECTS || (SHADED_MARCH && !ENVIRONMENT_VISIBLE)))
 
 /* Depths in edges behind the reference plane. from > to: the packet sees nothing. */
 typedef struct {

@@ -18,12 +18,27 @@
 #define RENDER_PACKET_H
 
 #include "features.h"
+#include "lanes.h"
 #include "scene.h"
+
+/* march_shaded.h in place of march_effects.h, where that is possible and packing lanes is one instruction. */
+#ifndef HOLD_SEGMENTS
+#ifdef HARDWARE_GATHER
+#define HOLD_SEGMENTS 1
+#else
+#define HOLD_SEGMENTS 0
+#endif
+#endif
+
+#define SHADED_MARCH \
+  (EFFECTS && !COMPOSITING && HOLD_SEGMENTS && SEGMENT_OPACITIES && TRANSLUCENT && !NOISE && !BLOCKS)
 
 #if BLOCKS
 #include "march_blocks.h"
 #elif EFFECTS && COMPOSITING
 #include "project.h"
+#elif SHADED_MARCH
+#include "march_shaded.h"
 #elif EFFECTS
 #include "march_effects.h"
 #elif SLICES

@@ -35,6 +35,7 @@ typedef struct {
   __global const float4 *items;
   __global const uint *gradients;
   __global const uchar *surface_distances;
+  __global const uchar *constant_distances;
   __global const float4 *environment;
   __global const float4 *light_volume;
   __global const uint *noise;
@@ -53,9 +54,11 @@ typedef struct {
 #define VARIANT_PARAMETERS                                                                               \
   , __constant const Effects *restrict effects, __global const float4 *restrict items,                   \
     __global const uint *restrict gradients, __global const uchar *restrict surface_distances,           \
+    __global const uchar *restrict constant_distances,                                                   \
     __global const float4 *restrict environment, __global const float4 *restrict light_volume,           \
     __global const uint *restrict noise, __global const float *restrict factors, __global const float *restrict fields
-#define VARIANT , effects, items, gradients, surface_distances, environment, light_volume, noise, factors, fields
+#define VARIANT \
+  , effects, items, gradients, surface_distances, constant_distances, environment, light_volume, noise, factors, fields
 #define SCENE_COUNTERS EFFECT_COUNTERS
 #elif BLOCKS
 #define VARIANT_PARAMETERS , BLOCK_PARAMETERS

@@ -25,13 +25,6 @@
 #define QUEUED_SEGMENTS 0 /* lanes would be moved one by one */
 #endif
 
-#if QUEUED_SEGMENTS
-
-typedef struct {
-  floatN front, back; /* values at their ends, in the first `count` lanes */
-  int count;
-} SegmentQueue;
-
 /* The lanes whose segments between these values can be visible. */
 INLINE intN lanes_that_show(floatN low, floatN high, __constant const View *view)
 {
@@ -44,6 +37,13 @@ INLINE intN lanes_that_show(floatN low, floatN high, __constant const View *view
   }
   return shows;
 }
+
+#if QUEUED_SEGMENTS
+
+typedef struct {
+  floatN front, back; /* values at their ends, in the first `count` lanes */
+  int count;
+} SegmentQueue;
 
 /* The lanes in `bits` of v, from lane `to` on in place of those of `queued`. */
 INLINE floatN queued_lanes(floatN queued, floatN v, uint bits, int to)

@@ -142,7 +142,10 @@ def _frame_of(
 
 
 # What a picture and its scene, rendered again, may differ in: key of made_from -> in words.
-_MADE_OF = {"voxels": "voxels", "fields": "fields", "environment": "environment", "look": "transfer function or image"}
+_MADE_OF = {
+    "voxels": "voxels", "fields": "fields", "label_tables": "label tables", "environment": "environment",
+    "look": "transfer function or image",
+}  # fmt: skip
 
 
 def _compare_with_picture(scene: Scene, frame: Frame) -> None:

@@ -49,8 +49,9 @@ def command(
     """Read FUNCTION and write it for another tool, or print it as the table [transfer_function] of a scene file.
 
     FUNCTION is a file (.json of ParaView; .vp, .vp.json, .ctbl of 3D Slicer; .txt, .label of ITK-SNAP; .ct of VisIt), a
-    scene file (.toml), or the name of a colour map of matplotlib, colorcet or cmap (laid over 0 to 1 without --range).
-    Files are parsed and never executed. The output file appears whole or not at all.
+    scene file (.toml), or the name of a colour map of matplotlib, colorcet or cmap or of a plain preset ('hot'), which
+    lie between 0 and 1 without --range. Files are parsed and never executed. The output file appears whole or not at
+    all.
     """
     from clvol.cli.console import say, say_path
     from clvol.cli.outputs import check_outputs
@@ -86,7 +87,7 @@ def _read(
     import os
 
     from clvol.errors import SceneError, UsageError
-    from clvol.transfer import TransferFunction
+    from clvol.transfer import PRESETS, TransferFunction, preset
     from clvol.transfer.exchange.files import ENDINGS, ending_of
 
     if name.lower().endswith(".toml"):
@@ -101,6 +102,8 @@ def _read(
         return TransferFunction.from_file(name, value_range, opacity, unit or 1.0, entry)
     if entry is not None:
         raise UsageError("--entry", f"given for {name!r}", "a file of ParaView with several presets")
+    if name in PRESETS and opacity is None:
+        return preset(name, value_range or (0.0, 1.0), unit or 1.0)
     try:
         return TransferFunction.from_colormap(name, value_range or (0.0, 1.0), opacity, unit or 1.0)
     except SceneError as error:

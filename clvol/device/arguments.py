@@ -17,6 +17,7 @@ EFFECT_ARGUMENTS: Arguments = (
     reads("items", np.float32),
     reads("gradients", np.uint32),
     reads("surface_distances", np.uint8),
+    reads("constant_distances", np.uint8),
     reads("environment", np.float32),
     reads("light_volume", np.float32),
     reads("noise", np.uint32),

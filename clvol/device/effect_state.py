@@ -70,7 +70,8 @@ class EffectState:
             name: context.upload(np.zeros(4, dtype))
             for name, dtype in (
                 ("items", np.float32), ("gradients", np.uint32), ("surface_distances", np.uint8),
-                ("environment", np.float32), ("light_volume", np.float32), ("noise", np.uint32),
+                ("constant_distances", np.uint8), ("environment", np.float32),
+                ("light_volume", np.float32), ("noise", np.uint32),
                 ("factors", np.float32), ("fields", np.float32),
             )
         }  # fmt: skip
@@ -236,6 +237,10 @@ class EffectState:
     def set_surfaces(self, distances: DeviceArray) -> None:
         """``distances``: a ``distance_map`` of the cells in which a surface can be."""
         self.arrays["surface_distances"] = distances
+
+    def set_constant(self, distances: DeviceArray) -> None:
+        """``distances``: a ``distance_map`` of the cells in which the field is not constant."""
+        self.arrays["constant_distances"] = distances
 
     def counted(self, sums: dict[str, int]) -> dict[str, int]:
         """Those of ``sums`` (by the names of COUNTERS) that the scene's effects count."""

@@ -57,13 +57,15 @@ def _told(resolved: ResolvedScene, camera: Camera, frame: int | None) -> dict[st
 
 
 def _sources(resolved: ResolvedScene) -> dict[str, Any]:
-    """Digests of "voxels", and, where the scene has them, "fields" and "environment"; None for
+    """Digests of "voxels", and, where the scene has them, "fields", "label_tables" and "environment"; None for
     data that has disappeared meanwhile, or does not fit into memory."""
     by_blocks = integrator_of(resolved).reads_blocks or coded_source(resolved.volume) is not None
     found: dict[str, Any] = {"voxels": None, "fields": None, "environment": None}
     try:
         found["voxels"] = volume_digest(resolved.volume, by_blocks)
         found["fields"] = [volume_digest(field.volume) for field in resolved.fields]
+        if tables := [field.labels_path for field in resolved.fields if field.labels_path is not None]:
+            found["label_tables"] = [file_digest(path) for path in tables]
         if resolved.environment is not None:
             found["environment"] = file_digest(resolved.environment.path)
     except (OSError, ClvolError):

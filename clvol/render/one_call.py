@@ -39,7 +39,8 @@ def render(
     scene = _scene_of(x, tables)
     with Renderer(scene, devices, memory_cap, progress) as renderer:
         moment = scene.moment  # of a picture that carries its scene
-        camera, time = (None, None) if moment is None else (moment.camera, moment.time)
+        camera = None if moment is None or "camera" in tables else moment.camera
+        time = None if moment is None or "animation" in tables else moment.time
         return renderer.render(camera=camera, progress=progress, depth=depth, time=time)
 
 

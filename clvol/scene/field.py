@@ -64,6 +64,7 @@ class ResolvedField:
     threshold: float = 0.5
     keep: Literal["above", "below"] = "above"
     axis: ValueAxis = ValueAxis()
+    labels_path: Path | None = None  # the table that labels come from
 
 
 class FieldLabel(Table):
@@ -249,7 +250,8 @@ class FieldSettings(Table):
             factors = np.array([label.opacity for label in ordered], np.float64)
         for array in (labels, colors, factors):
             array.setflags(write=False)
-        return ResolvedField(volume, "label", labels=labels, colors=colors, factors=factors)
+        path = None if self.labels_file is None else folder / self.labels_file
+        return ResolvedField(volume, "label", labels=labels, colors=colors, factors=factors, labels_path=path)
 
 
 def _check_labels(labels: tuple[FieldLabel, ...]) -> None:

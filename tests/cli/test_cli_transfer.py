@@ -24,6 +24,13 @@ def test_a_colour_map_becomes_a_preset_of_paraview_and_comes_back_as_a_scene(run
     assert run("transfer", "w.vp.json", "-o", "x.toml").out == "x.toml\n"
 
 
+def test_a_preset_of_clvol_goes_to_slicer(run, folder):
+    assert run("transfer", "hot", "--range", 0, 100, "-o", "hot.vp.json").status == 0
+    function = TransferFunction.from_file("hot.vp.json")
+    assert function.opacity([0, 35, 100]).tolist() == pytest.approx([0, 0.05, 0.6])
+    assert run("transfer", "ct-bone").out.count("value = ") == 5
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

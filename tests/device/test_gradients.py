@@ -85,6 +85,16 @@ def test_under_the_nearest_filter_it_is_that_of_the_nearest_voxel(context, opera
     assert np.abs(stored - found).max() < 0.01 * np.abs(found).max()
 
 
+@pytest.mark.parametrize("dtype", [np.uint8, np.int16])
+def test_its_bits_do_not_depend_on_what_else_is_in_the_packet(context, dtype):
+    """Points at faces of the volume among the others, and each point in a packet of its own."""
+    array = rough((9, 11, 10), dtype)
+    at = lattice_points(array.shape, 64)
+    together, _, _ = evaluate(context, array, "central", at)
+    alone, _, _ = evaluate(context, array, "central", np.repeat(at, 16, axis=0))
+    assert np.array_equal(together, alone[::16])
+
+
 @pytest.mark.parametrize("operator", OPERATORS)
 def test_large_8_bit_volumes_are_not_held_as_pairs(context, monkeypatch, operator):
     array = noise((6, 7, 9), np.uint8)

@@ -1,4 +1,4 @@
-"""Mutated TIFF, Zarr, NIfTI and DICOM files are read or refused; none crashes, hangs or eats memory."""
+"""Mutated files, of formats with libraries of their own: read or refused; none crashes, hangs or eats memory."""
 
 from __future__ import annotations
 
@@ -7,7 +7,10 @@ import subprocess
 import sys
 from pathlib import Path
 
+import h5py
 import imagecodecs
+import mrcfile
+import netCDF4
 import nibabel
 import numpy as np
 import pytest
@@ -83,7 +86,25 @@ def good_dicoms(folder: Path) -> None:
     )
 
 
-@pytest.mark.parametrize("make", [good_tiffs, good_zarrs, good_niftis, good_dicoms])
+def good_extras(folder: Path) -> None:
+    data = voxels()
+    with h5py.File(folder / "plain.h5", "w") as file:
+        file["data"] = data
+    with h5py.File(folder / "packed.h5", "w") as file:
+        file.create_dataset("g/data", data=data, chunks=(3, 4, 4), compression="gzip", shuffle=True)
+        file["g/data"].attrs["element_size_um"] = [3.0, 2.0, 1.0]
+    for name, form in (("classic.nc", "NETCDF3_CLASSIC"), ("four.nc", "NETCDF4")):
+        with netCDF4.Dataset(folder / name, "w", format=form) as file:
+            for axis, n in zip("zyx", data.shape):
+                file.createDimension(axis, n)
+                file.createVariable(axis, "f8", (axis,))[:] = np.arange(n)
+            file.createVariable("v", "i2", ("z", "y", "x"))[:] = data
+    for name, packed in (("m.mrc", None), ("p.map.gz", "gzip")):
+        with mrcfile.new(folder / name, data.astype(np.int16), compression=packed) as file:
+            file.voxel_size = 2.0
+
+
+@pytest.mark.parametrize("make", [good_tiffs, good_zarrs, good_niftis, good_dicoms, good_extras])
 def test_mutated_files(tmp_path, make) -> None:
     make(tmp_path)
     program = Path(mutated_files.__file__)

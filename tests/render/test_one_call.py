@@ -75,3 +75,11 @@ def test_errors_say_what_to_write_instead(voxels, call, error, message):
     with pytest.raises(error, match=message) as caught:
         call(clvol.Volume(voxels))
     assert "\n" not in str(caught.value)
+
+
+def test_a_camera_takes_the_place_of_that_of_a_picture(device, voxels, tmp_path):
+    np.save(tmp_path / "a.npy", voxels)
+    keys = {"image": SMALL, "transfer_function": FUNCTION, "devices": [device]}
+    clvol.render(tmp_path / "a.npy", camera={"projection": "orthographic"}, **keys).save(tmp_path / "p.exr")
+    again = clvol.render(tmp_path / "p.exr", camera={"projection": "perspective"}, devices=[device])
+    assert np.array_equal(again.rgba, clvol.render(tmp_path / "a.npy", **keys).rgba)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from clvol.errors import SceneError, UsageError
+from clvol.render.made_from import MadeFrom
 from clvol.scene import load_scene
 from clvol.transfer import TransferFunction, linear_to_srgb
 from clvol.transfer.exchange.files import ENDINGS
@@ -225,3 +226,16 @@ def test_a_field_takes_its_labels_from_a_table(tmp_path):
         (tmp_path / "s.toml").write_text(head + text + "\n", encoding="utf-8")
         with pytest.raises(SceneError, match=message):
             load_scene(tmp_path / "s.toml").resolve()
+
+
+def test_pictures_know_which_table_their_labels_had(tmp_path):
+    np.save(tmp_path / "labels.npy", np.arange(8, dtype=np.uint8).reshape(2, 2, 2))
+    head = '[volume]\nfield = "radial"\nsize = [3, 3, 3]\n[transfer_function]\npreset = "hot"\n'
+    field = '[[field]]\nfile = "labels.npy"\nrole = "label"\nlabels_file = "t.ctbl"\n'
+    (tmp_path / "s.toml").write_text(head + field, encoding="utf-8")
+    told = []
+    for color in ("255 0 0", "0 255 0"):
+        write(tmp_path / "t.ctbl", f"1 a {color} 255\n")
+        resolved = load_scene(tmp_path / "s.toml").resolve()
+        told.append(MadeFrom(resolved)())
+    assert told[0]["scene"] == told[1]["scene"] and told[0]["label_tables"] != told[1]["label_tables"]

@@ -33,6 +33,7 @@ from clvol.device.view import EVERY_PIXEL, PixelLattice, RayFrame
 from clvol.device.volume import DeviceVolume, ResidentVolume
 from clvol.features import reduced_for_frames
 from clvol.integrators.base import FrameData, Progress, Shared
+from clvol.integrators.raycast.constant_cells import changing_cells
 from clvol.integrators.raycast.frame_view import frame_view, volume_view
 from clvol.integrators.raycast.march import March, RayMarch
 from clvol.integrators.raycast.picture import PictureParts, TilesDone, WholePicture
@@ -176,6 +177,8 @@ class Raycaster:
         if self._casts_shadows:
             self._build_shadows()
         self._follow_data()
+        if self.switches.get("CONSTANT_CELLS"):
+            self.effects.set_constant(distance_map(context, changing_cells(self)))
         self.without_surfaces = self._beside_surfaces()
         self.march.scene_changed(self)
 

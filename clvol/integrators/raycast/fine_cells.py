@@ -20,7 +20,9 @@ def fine_mask(caster: Raycaster, mask: np.ndarray) -> np.ndarray | None:
     volume does not know bounds of such cells."""
     volume, filter = caster.volume, caster.resolved.integration.filter
     nx, ny, nz = (cell_count(n, FINE_SHIFT) for n in volume.size)
-    if not volume.has_fine_bounds or not mask.any() or mask.all() or nx * ny * nz > MOST_FINE_CELLS:
+    if not volume.has_fine_bounds or not mask.any() or nx * ny * nz > MOST_FINE_CELLS:
+        return None
+    if mask.all() and not caster.switches.get("CONSTANT_CELLS"):  # whose map has the same cells
         return None
     fine = mask
     for axis, n in enumerate((nz, ny, nx)):

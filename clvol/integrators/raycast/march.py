@@ -90,9 +90,11 @@ class RayMarch:
         return context.kernel(f"{name}.cl", name, declared, switches)
 
     def find_empty_space(self, caster: Raycaster, mask: np.ndarray) -> None:
-        # Effects look up other maps by the same cells. Where steps follow the data the picture depends, within its
-        # error, on where leaps end.
-        if caster.skip and not caster.effects.switches and "STEP_CELLS" not in caster.switches:
+        # Surfaces and fields have maps of the same cells, and noise moves what is in them. Where steps follow the data
+        # the picture depends, within its error, on where leaps end.
+        effects = caster.effects.switches
+        plain = not effects or (effects.get("SEGMENT_OPACITIES") and not effects["NOISE"])
+        if caster.skip and plain and "STEP_CELLS" not in caster.switches:
             fine = fine_mask(caster, mask)
             if fine is not None:
                 mask, caster.map_cells, caster.map_shift = fine, fine.shape[::-1], FINE_SHIFT

@@ -63,9 +63,7 @@ def is_smooth(resolved: ResolvedScene, function: TransferFunction | None = None)
         return False
     if any(e.called_for and e.name not in PLAIN for e in effects(resolved)):
         return False
-    if volume not in _samples:
-        _samples[volume] = _sampled_cells(volume)
-    cells = _samples[volume]
+    cells = sampled_cells(volume)
     function = function or resolved.transfer_function
     nodes = np.linspace(*volume.value_range, 257)
     visible = shows(function, cells[:, 2], cells[:, 3])
@@ -144,6 +142,13 @@ def _eroded(free: np.ndarray) -> np.ndarray:
         kept[tuple(ahead)] &= free[tuple(behind)]
         free = kept
     return free
+
+
+def sampled_cells(volume: Volume) -> np.ndarray:
+    """float64 [n, 4]: curvature, slope, lowest and highest value of some cells, evenly over the volume; found once."""
+    if volume not in _samples:
+        _samples[volume] = _sampled_cells(volume)
+    return _samples[volume]
 
 
 def _sampled_cells(volume: Volume) -> np.ndarray:

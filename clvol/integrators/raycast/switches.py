@@ -7,6 +7,7 @@ from clvol.device.memory import value_map, voxel_switches
 from clvol.device.opacity_factors import layer_functions
 from clvol.device.transfer_lookup import segment_classification, transfer_pieces
 from clvol.features import CLASSIFICATIONS, FILTERS, QUADRATURES
+from clvol.integrators.raycast.constant_cells import uses_constant_cells
 from clvol.integrators.raycast.step_map import CELL_SHIFT, follows_data
 from clvol.scene.resolve import ResolvedScene
 from clvol.transfer import TransferFunction
@@ -26,6 +27,7 @@ def raycast_switches(
     that changes from frame to frame. ``varies``: whether the march can take several steps at once."""
     integration, volume = resolved.integration, resolved.volume
     functions = layer_functions(resolved, function)
+    effects = effect_switches(resolved)
     return {
         **voxel_switches(volume, value_map(volume), pairs=holds_pairs(volume)),
         "LANES": lanes,
@@ -35,6 +37,7 @@ def raycast_switches(
         "QUADRATURE": QUADRATURES[integration.quadrature],
         "SKIP_EMPTY": int(skip),
         "WITH_DEPTH": int(depth),
-        **effect_switches(resolved),
+        **effects,
+        **({"CONSTANT_CELLS": 1} if varies and lanes > 1 and uses_constant_cells(resolved, effects, function) else {}),
         **({"STEP_CELLS": CELL_SHIFT} if varies and follows_data(resolved, function) else {}),
     }

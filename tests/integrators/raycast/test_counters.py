@@ -78,7 +78,9 @@ def test_what_has_no_gradient_is_not_lit(context):
     resolved = scene_of(flat, light=[SUN])
     data = counted(context, resolved)
     x = rays_at(resolved)[:, 0]
-    assert data.counters["gradients"] == (x > 16).sum() * DEPTH
+    constant = -(-21 >> CELL_SHIFT) << CELL_SHIFT  # the first cell in which all is constant: no gradient is taken there
+    # Where packets are not packed (march_effects.h) all that shows has a gradient.
+    assert data.counters["gradients"] in {((x > 16) & (x < end)).sum() * DEPTH for end in (constant, SIDE)}
     assert data.counters["lit_samples"] == ((x > 16) & (x < 21)).sum() * DEPTH
 
 
