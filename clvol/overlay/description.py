@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -81,6 +81,20 @@ def describe_overlay(resolved: ResolvedScene, camera: Camera) -> Description:
 
     Directions have anatomical names where the file's frame does and its header states where the voxels lie: headers
     with nothing but defaults are those of converted files, and letters would say what nobody knows."""
+    of = resolved.transfer_function, resolved.overlay, resolved.isosurfaces, resolved.axis
+    known = _described.get(resolved.volume)
+    if known is None or any(a is not b for a, b in zip(known[0], of)):
+        known = _described[resolved.volume] = of, _described_anew(resolved, camera)
+    described = known[1]
+    if described.camera is not camera and described.camera != camera:  # frames from other cameras share the rest
+        described = Description.model_construct(**{**dict(described), "camera": camera})
+    return described
+
+
+_described: WeakKeyDictionary[Volume, tuple[tuple[Any, ...], Description]] = WeakKeyDictionary()  # the last one
+
+
+def _described_anew(resolved: ResolvedScene, camera: Camera) -> Description:
     volume, function = resolved.volume, resolved.transfer_function
     axis = resolved.axis
     low, high = axis.span(resolved.data_range)

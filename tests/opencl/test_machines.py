@@ -64,7 +64,7 @@ def files(folder: Path) -> list[Path]:
 @pytest.mark.parametrize("damage", ["garbled", "cut"])
 def test_a_damaged_cache_costs_time_and_one_warning(cached, tmp_path, damage, device):
     cache, picture = cached
-    assert len(files(cache)) > 2
+    assert len(files(cache)) >= 2  # what is known of devices, and a program
     for path in files(cache):
         content = path.read_bytes()
         if damage == "garbled":
