@@ -182,7 +182,8 @@ def test_the_manual_page_has_every_command_and_option(run):
 @pytest.mark.skipif(shutil.which("groff") is None, reason="there is no groff, which reads manual pages")
 def test_groff_reads_the_manual_page(run):
     page = run("--man").out
-    done = subprocess.run(["groff", "-man", "-Tutf8", "-ww"], input=page, capture_output=True, text=True, timeout=60)
+    command = ["groff", "-Kutf8", "-man", "-Tutf8", "-ww"]
+    done = subprocess.run(command, input=page, capture_output=True, encoding="utf-8", timeout=60)
     assert (done.returncode, done.stderr) == (0, "")
     assert "EXIT STATUS" in done.stdout.replace("\x08", "") or "EEXXIITT" in done.stdout.replace("\x08", "")
 
