@@ -7,6 +7,7 @@ from typing import Any
 import clvol
 from clvol.errors import ClvolError
 from clvol.image import is_intact, load_image
+from clvol.scene.resolve import ResolvedScene
 from clvol.text import without_surrogates
 
 # The memory that reading a picture of clvol takes; pictures that need more are from elsewhere.
@@ -14,11 +15,11 @@ _BYTES_PER_PIXEL = 48
 _HEADER_BYTES = 1 << 20
 
 
-def is_made_from(path: str, expected: dict[str, Any], scene: str, measured: bool = False) -> bool:
-    """Whether a picture is whole and was made as ``expected``: with its "size" (width, height) and "made_from"
-    (``clvol.render.made_from``), from the scene of the text ``scene``. False if it does not say how it was made.
-    ``measured``: its settings were chosen for an error, so scene and look may be others."""
-    width, height = expected["size"]
+def is_made_from(path: str, resolved: ResolvedScene, expected: dict[str, Any], measured: bool = False) -> bool:
+    """Whether a picture is whole, and shows ``resolved`` made from what is ``expected`` (``clvol.render.made_from``).
+    False if it does not say how it was made. ``measured``: its settings were chosen for an error, so scene and look may
+    be others."""
+    width, height = resolved.image.width, resolved.image.height
     try:
         picture = load_image(path, _BYTES_PER_PIXEL * width * height + _HEADER_BYTES)
         made_from = dict(picture["made_from"] or {})
@@ -31,11 +32,11 @@ def is_made_from(path: str, expected: dict[str, Any], scene: str, measured: bool
     same = {
         "software": f"clvol {clvol.__version__}",
         "clvol_version": clvol.__version__,
-    } | ({} if measured else {"scene": without_surrogates(scene)})
+    } | ({} if measured else {"scene": without_surrogates(resolved.source or "")})
     if any(header.get(name, value) != value for name, value in same.items()):
         return False
-    expected_from = dict(expected["made_from"])
+    expected = dict(expected)
     for name in ("scene", "look") if measured else ():
         made_from.pop(name, None)
-        expected_from.pop(name, None)
-    return made_from == expected_from and made_from["voxels"] is not None  # None: unknown, so possibly others
+        expected.pop(name, None)
+    return made_from == expected and made_from["voxels"] is not None  # None: unknown, so possibly others

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Iterator
 from typing import Any
 
 from clvol.errors import RenderError
@@ -30,50 +29,38 @@ def append(path: str, result: dict[str, Any]) -> None:
         raise RenderError(path, f"the file cannot be written: {error.strerror or error}") from error
 
 
-def results_in(path: str) -> Iterator[dict[str, Any]]:
-    """The results in the file ``path``, in its order; none if there is no such file. Lines that are no results are left
-    out: a process may have been killed while it wrote one."""
-    try:
-        with open(path, encoding="utf-8", errors="replace") as file:
-            for line in file:
-                try:
-                    result = json.loads(line)
-                except ValueError:
-                    continue
-                if isinstance(result, dict) and isinstance(result.get("files"), list):
-                    yield result
-    except FileNotFoundError:
-        return
+def results_in(path: str) -> list[dict[str, Any]]:
+    """The results in the file ``path``, in its order; none if it cannot be read."""
+    return ResultsReader(path).new()
 
 
-class Failures:
-    """The files of pictures that have failed in ``run``, by the lines that processes append to the file ``path``."""
+class ResultsReader:
+    """Reads the results that processes append to the file ``path``, each once. Lines that are no results are left out:
+    a process may have been killed while it wrote one."""
 
-    def __init__(self, path: str, run: str) -> None:
-        self._path, self._run = path, run
+    def __init__(self, path: str) -> None:
+        self._path = path
         self._read = 0  # bytes
-        self._found: set[tuple[str, ...]] = set()
 
-    def __contains__(self, files: object) -> bool:
-        self._catch_up()
-        return files in self._found
-
-    def _catch_up(self) -> None:
+    def new(self) -> list[dict[str, Any]]:
+        """Those since the last call."""
         try:
             with open(self._path, "rb") as file:
                 file.seek(self._read)
                 text = file.read()
         except OSError:
-            return
+            return []
         whole = text[: text.rfind(b"\n") + 1]
         self._read += len(whole)
-        for line in whole.splitlines():
-            try:
-                result = json.loads(line)
-            except ValueError:
-                continue
-            if isinstance(result, dict) and result.get("run") == self._run and result.get("status") == "failed":
-                self._found.add(tuple(map(str, result.get("files", []))))
+        return [result for line in whole.splitlines() if (result := _result(line)) is not None]
+
+
+def _result(line: bytes) -> dict[str, Any] | None:
+    try:
+        result = json.loads(line.decode("utf-8", errors="replace"))
+    except ValueError:
+        return None
+    return result if isinstance(result, dict) and isinstance(result.get("files"), list) else None
 
 
 def digest_of(request: Any) -> str:

@@ -14,10 +14,10 @@ from clvol.accuracy.error_target import render_to_error
 from clvol.batch.claims import Claims
 from clvol.batch.job import Picture
 from clvol.batch.made import is_made_from
-from clvol.batch.results import Failures, append, digest_of, results_in
+from clvol.batch.results import ResultsReader, append, digest_of
 from clvol.batch.shared import unmade
 from clvol.errors import ClvolError, ClvolWarning, SceneError
-from clvol.image import atomic_paths, check_output, save_frame
+from clvol.image import atomic_paths, check_output, save_picture
 from clvol.integrators.base import Progress
 from clvol.render import Renderer
 from clvol.render.frame import Frame
@@ -26,7 +26,7 @@ from clvol.scene import Scene, load_scene
 from clvol.scene.resolve import ResolvedScene
 from clvol.volume import Volume
 
-_STEPS = 1000  # units of progress per picture
+STEPS = 1000  # units of progress per picture
 
 Save = Callable[[Frame, Sequence[str]], None]
 
@@ -56,6 +56,15 @@ class _Loaded:
 
 
 @dataclass
+class _Known:
+    """What the lines of results say: (request, files) of pictures that were rendered, and the files of those that have
+    failed in this run."""
+
+    measured: set[tuple[str, ...]] = field(default_factory=set)
+    failed: set[tuple[str, ...]] = field(default_factory=set)
+
+
+@dataclass
 class Outcome:
     """Counts of pictures by what became of them: "rendered", "kept" (they existed, or another process has made them)
     and "failed". ``status``: the exit status, that of the worst failure."""
@@ -66,7 +75,7 @@ class Outcome:
 
 class JobRun:
     """One run of a job by this process. ``emit(result)`` gets the result of each picture that it renders, or that
-    fails. ``progress(done, all, picture)``, in ``_STEPS`` per picture. ``begin(picture)`` is called before one is
+    fails. ``progress(done, all, picture)``, in ``STEPS`` per picture. ``begin(picture)`` is called before one is
     rendered."""
 
     def __init__(
@@ -74,7 +83,8 @@ class JobRun:
         progress: Callable[[int, int, str], None] | None = None, begin: Callable[[Picture], None] | None = None,
     ) -> None:  # fmt: skip
         self._pictures, self._options, self._emit, self._progress = list(pictures), options, emit, progress
-        self._begin, self._failures = begin, Failures(options.results, options.run)
+        self._begin = begin
+        self._results, self._so_far = ResultsReader(options.results), _Known()
         self._last: _Loaded | None = None
         self._renderer: tuple[Volume, Renderer] | None = None  # with the volume that its scenes have in common
         self.outcome = Outcome()
@@ -100,12 +110,12 @@ class JobRun:
     def _waiting(self, count: int) -> None:
         if self._progress is not None:
             all_of_them = len(self._pictures)
-            self._progress((all_of_them - count) * _STEPS, all_of_them * _STEPS, f"{count} of other processes")
+            self._progress((all_of_them - count) * STEPS, all_of_them * STEPS, f"{count} of other processes")
 
     # ---- one picture
 
     def _one(self, picture: Picture, claims: Claims) -> None:
-        if self._options.run and picture.files in self._failures:
+        if self._options.run and picture.files in self._known().failed:
             return
         if self._begin is not None:
             self._begin(picture)
@@ -144,8 +154,8 @@ class JobRun:
 
     def _report(self, number: int, name: str, done: int, total: int) -> None:
         assert self._progress is not None
-        part = _STEPS * done // max(total, 1)
-        self._progress(number * _STEPS + part, len(self._pictures) * _STEPS, name)
+        part = STEPS * done // max(total, 1)
+        self._progress(number * STEPS + part, len(self._pictures) * STEPS, name)
 
     def _rendered(self, picture: Picture, report: Progress | None) -> Frame:
         for path in picture.files:
@@ -187,11 +197,7 @@ class JobRun:
     def _write(self, frame: Frame, picture: Picture) -> None:
         with atomic_paths(picture.files) as temporaries:
             for path, temporary in zip(picture.files, temporaries):
-                try:
-                    save_frame(frame, temporary)
-                except ClvolError as error:
-                    where = path if error.where == str(temporary) else error.where
-                    raise type(error)(where, error.what, error.expected) from error
+                save_picture(frame, temporary, path)
 
     # ---- what exists
 
@@ -201,22 +207,22 @@ class JobRun:
             loaded = self._loaded(picture)
         except ClvolError:
             return False  # rendering it tells why
-        image, measured = loaded.resolved.image, self._options.max_error is not None
-        if measured and (self._request(loaded), *picture.files) not in self._measured_before():
+        measured, expected = self._options.max_error is not None, loaded.made_from()
+        if measured and (self._request(loaded), *picture.files) not in self._known().measured:
             return False
-        expected, text = {"size": (image.width, image.height), "made_from": loaded.made_from()}, loaded.resolved.source
-        return all(is_made_from(path, expected, text or "", measured) for path in picture.files)
+        return all(is_made_from(path, loaded.resolved, expected, measured) for path in picture.files)
 
     def _request(self, loaded: _Loaded) -> str:
         return digest_of([loaded.made_from(), loaded.resolved.source, self._options.max_error])
 
-    def _measured_before(self) -> set[tuple[str, ...]]:
-        """(request, files) of pictures with a measured error, by the lines of results."""
-        return {
-            (str(result.get("request")), *map(str, result["files"]))
-            for result in results_in(self._options.results)
-            if result.get("status") == "rendered"
-        }
+    def _known(self) -> _Known:
+        for result in self._results.new():
+            files, status = tuple(map(str, result["files"])), result.get("status")
+            if status == "rendered":
+                self._so_far.measured.add((str(result.get("request")), *files))
+            elif status == "failed" and result.get("run") == self._options.run:
+                self._so_far.failed.add(files)
+        return self._so_far
 
 
 def _told_of(frame: Frame) -> dict[str, Any]:

@@ -16,13 +16,12 @@ from typing import Any
 
 from clvol.batch.job import Picture
 from clvol.batch.results import append
-from clvol.batch.run import Options, Outcome
+from clvol.batch.run import STEPS, Options, Outcome
 from clvol.errors import RenderError
 from clvol.opencl.children import child_command, child_environment, end_child
 
 MOST_DEATHS = 3  # of processes that were rendering one picture, until it is given up
 _WORKER = Path(__file__).with_name("worker.py")
-_STEPS = 1000
 
 
 class _Worker:
@@ -140,7 +139,7 @@ class WorkerPool:
         if self._progress is not None:
             begun = [worker.picture for worker in self._workers if worker.picture is not None]
             names = [os.path.basename(self._pictures[number].files[0]) for number in begun]
-            self._progress(len(self._ended) * _STEPS, len(self._pictures) * _STEPS, ", ".join(names))
+            self._progress(len(self._ended) * STEPS, len(self._pictures) * STEPS, ", ".join(names))
 
     def _bury(self, worker: _Worker) -> None:
         assert worker.process.stdout is not None

@@ -13,7 +13,7 @@ from clvol.batch.claims import Claims
 from clvol.batch.made import is_made_from
 from clvol.batch.shared import unmade
 from clvol.cli.console import note, preparing, say_path, to_json, working
-from clvol.cli.outputs import check_frames, numbered, save_picture
+from clvol.cli.outputs import check_frames, numbered
 from clvol.cli.standard_output import STANDARD, is_standard, kept_clean
 from clvol.cli.verbose import log_scene
 from clvol.errors import UsageError
@@ -47,7 +47,7 @@ def render_animation(
     and were made from the same scene, voxels and version (``clvol.render.made_from``); frames are claimed
     (``clvol.batch.claims``), so that several processes can share a folder.
     """
-    from clvol.image import atomic_paths, check_video, is_video, open_video
+    from clvol.image import atomic_paths, check_video, is_video, open_video, save_picture
 
     start = time.perf_counter()
     if STANDARD in outputs:
@@ -178,9 +178,8 @@ def _shared(
 def _frame_is_there(resolved: ResolvedScene, stills: Sequence[str], frame: Timed) -> bool:
     """Whether all pictures of ``frame`` exist, are whole, and were made as they would be made now."""
     index, seconds, camera = frame
-    size = resolved.image.width, resolved.image.height
-    expected = {"size": size, "made_from": _made_from(resolved, index, seconds, camera)()}
-    return _is_there(stills, index, expected, resolved.source or "")
+    made_from = _made_from(resolved, index, seconds, camera)()
+    return all(is_made_from(numbered(path, index), resolved, made_from) for path in stills)
 
 
 def _made_from(resolved: ResolvedScene, index: int, seconds: float, camera: Camera) -> MadeFrom:
@@ -226,8 +225,3 @@ def _part(progress: ShowProgress | None, done: int, count: int) -> Callable[[int
     return lambda part, whole: progress(
         done * _SHARES + _SHARES * part // max(whole, 1), count * _SHARES
     )
-
-
-def _is_there(stills: Sequence[str], index: int, expected: dict[str, Any], scene: str) -> bool:
-    """Whether all pictures of a frame exist, are whole, and were made as ``expected``."""
-    return all(is_made_from(numbered(path, index), expected, scene) for path in stills)

@@ -96,8 +96,7 @@ def _rows(measured: dict[str, Any]) -> list[tuple[str, str]]:
 def _write(first: np.ndarray, second: np.ndarray, outputs: tuple[str, ...]) -> None:
     """Writes the difference of two pictures (float32 [height, width, 4]) to each of the files, to all or none."""
     from clvol.accuracy.difference import difference_picture, signed_difference
-    from clvol.cli.outputs import save_picture
-    from clvol.image import atomic_paths
+    from clvol.image import atomic_paths, save_picture
     from clvol.render.frame import Frame
 
     with atomic_paths(outputs) as temporaries:

@@ -91,9 +91,9 @@ def _develop(
     from pathlib import Path
 
     from clvol.cli.console import say_path, working
-    from clvol.cli.outputs import check_outputs, save_picture
+    from clvol.cli.outputs import check_outputs
     from clvol.cli.standard_output import STANDARD, check_standard, kept_clean
-    from clvol.image import atomic_paths, write_frame
+    from clvol.image import atomic_paths, save_picture, write_frame
     from clvol.render.frame import Frame
     from clvol.render.load_frame import load_frame
 

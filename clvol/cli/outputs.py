@@ -6,9 +6,9 @@ import os
 import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from clvol.errors import ClvolError, UsageError
+from clvol.errors import UsageError
 from clvol.inputs import Inputs, check_not_read
 
 if TYPE_CHECKING:
@@ -116,17 +116,6 @@ def check_folder(folder: str) -> None:
     there = os.listdir(images) if os.path.isdir(images) else []
     for name in [*REPORT, *(f"images/{name}" for name in there if name.endswith(".png"))]:
         check_output_folder(os.path.join(folder, name))
-
-
-def save_picture(frame: Any, temporary: Path, path: str) -> None:
-    """Writes ``frame`` to ``temporary``. Errors name ``path``, the final name of the file."""
-    from clvol.image import save_frame
-
-    try:
-        save_frame(frame, temporary)
-    except ClvolError as error:
-        where = path if error.where == str(temporary) else error.where
-        raise type(error)(where, error.what, error.expected) from error
 
 
 def _identity(path: str) -> tuple[int, int] | None:

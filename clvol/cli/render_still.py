@@ -37,8 +37,8 @@ def render_still(
 ) -> None:
     """Renders one picture and writes it to all ``outputs``. ``start``: when the command began (``perf_counter``)."""
     from clvol.cli.console import note, say_path, to_json, working
-    from clvol.cli.outputs import check_outputs, save_picture
-    from clvol.image import atomic_paths, write_frame
+    from clvol.cli.outputs import check_outputs
+    from clvol.image import atomic_paths, save_picture, write_frame
 
     check_show_schedule(show_schedule, max_error, time_budget)
     files = [path for path in outputs if not is_standard(path)]

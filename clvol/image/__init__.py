@@ -11,11 +11,13 @@ from clvol.image.files import (
     load_image,
     picture_texts,
     save_frame,
+    save_picture,
     write_frame,
 )
 from clvol.image.video import VIDEO_ENDINGS, check_video, is_video, open_video
 
 __all__ = [
     "ENDINGS", "VIDEO_ENDINGS", "WITH_SCENE", "atomic_path", "atomic_paths", "check_output", "check_output_folder",
-    "check_video", "is_intact", "is_video", "load_image", "open_video", "picture_texts", "save_frame", "write_frame",
+    "check_video", "is_intact", "is_video", "load_image", "open_video", "picture_texts", "save_frame",
+    "save_picture", "write_frame",
 ]  # fmt: skip

@@ -14,7 +14,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from clvol.errors import RenderError, UsageError
+from clvol.errors import ClvolError, RenderError, UsageError
 from clvol.image.about import MADE_FROM, digest
 from clvol.image.atomic import atomic_path, check_output_folder
 
@@ -94,6 +94,15 @@ def picture_texts(path: str | os.PathLike[str]) -> dict[str, Any]:
     module = _format(path)
     with _reading(path):
         return {name.lower(): value for name, value in module.texts(os.fspath(path)).items()}
+
+
+def save_picture(frame: Any, temporary: Path, path: str) -> None:
+    """Writes ``frame`` to ``temporary``. Errors name ``path``, the final name of the file."""
+    try:
+        save_frame(frame, temporary)
+    except ClvolError as error:
+        where = path if error.where == str(temporary) else error.where
+        raise type(error)(where, error.what, error.expected) from error
 
 
 def load_image(path: str | os.PathLike[str], memory_cap: int | None = None) -> dict[str, Any]:
