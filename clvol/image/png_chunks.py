@@ -27,7 +27,7 @@ def encoded(shown: np.ndarray, chunks: Sequence[tuple[bytes, bytes]]) -> Iterato
     yield _chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, _COLOR_TYPES[channels], 0, 0, 0))
     for name, content in chunks:
         yield _chunk(name, content)
-    pixels = zlib.compress(_filtered(shown), _LEVEL)
+    pixels = zlib.compress(_filtered(shown).data, _LEVEL)
     for at in range(0, len(pixels), _PIECE):
         yield _chunk(b"IDAT", pixels[at : at + _PIECE])
     yield _chunk(b"IEND", b"")

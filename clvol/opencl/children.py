@@ -7,17 +7,23 @@ import os
 import select
 import shutil
 import signal
-import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+from clvol.lazily import lazily
 from clvol.opencl import probe
 from clvol.opencl.folders import scratch_folder
 from clvol.opencl.reports import Icd
+
+if TYPE_CHECKING:
+    import subprocess
+else:
+    subprocess = lazily("subprocess")
 
 VENDORS = "OCL_ICD_VENDORS"
 ORIGINAL_VENDORS = os.environ.get(VENDORS)  # as this process was started
