@@ -125,7 +125,6 @@ class Raycaster:
         self.map_cells, self.map_shift = self.volume.cells, self.volume.cell_shift
         self.effects = EffectState(context, resolved, self.volume)
         self.view_dtype = view_dtype(self.volume.switches["VOXEL_BITS"])
-        self._warm: set[tuple] = set()
         self.without_surfaces: Raycaster | None = None
         self.no_array = context.empty(np.float32, (4,))
         self._view = context.empty(self.view_dtype, (1,))
@@ -359,8 +358,8 @@ class Raycaster:
         """``chosen``: the tiles of a picture without pixels that are launched; None: all."""
         tiles = tiling(width, height, *self.tile).count
         fills = self.resolved.image.ray_spacing > 1
-        key = (tiles, depth, fills, chosen is None, tuple(self.switches.items()))
-        if key in self._warm or self._shows_nothing:
+        key = (type(self.march), self.tile, tiles, depth, fills, chosen is None, tuple(self.switches.items()))
+        if key in self.context.warmed or self._shows_nothing:
             return
         self.march.begin(self, None, width, height)
         view = np.zeros(1, self.view_dtype)  # an image without pixels: every work-item returns
@@ -378,7 +377,7 @@ class Raycaster:
             tallies.append(self.launches("fill_between_rays", view, tiles, depth, None, none, chosen))
         self.context.finish()
         restore_interrupts()
-        self._warm.add(key)
+        self.context.warmed.add(key)
 
     def launches(
         self,
