@@ -135,8 +135,8 @@ def _rule_errors(volume: Volume, function: TransferFunction, step: float) -> Rul
 def _values_along(
     volume: Volume, cells: np.ndarray, length: float, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Values along pieces of rays through ``cells`` with steps of world ``length``, and whether they are known, [pieces,
-    parts + 1]; whether a part belongs to a step whose values all are, [pieces, parts]."""
+    """Values along pieces of rays through ``cells`` with steps of world ``length``, and whether they are known,
+    [pieces, parts + 1]; whether a part belongs to a step whose values all are, [pieces, parts]."""
     direction = rng.normal(size=cells.shape)
     direction /= np.linalg.norm(direction, axis=1)[:, None]
     change = direction * length / np.array(volume.grid.spacing[::-1])
