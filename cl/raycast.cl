@@ -2,9 +2,10 @@
  * (render_packet.h).
  *
  * Switches (-D): LANES, VOXEL_BITS, VOXEL_SIGNED, VOXEL_SCALED, VOXEL_PAIRS, VOXEL_HOLES, FILTER, CLASSIFICATION,
- * QUADRATURE, TRANSFER_PIECES, SKIP_EMPTY, WITH_DEPTH.
+ * QUADRATURE, TRANSFER_PIECES, SKIP_EMPTY, WITH_DEPTH, COHERENT.
  */
 #include "chosen_tiles.h"
+#include "coherence.h"
 #include "render_packet.h"
 
 /* The scene's arguments are described in scene.h.
@@ -12,9 +13,11 @@
  * depths     float [height, width], world distance along the ray from the eye to where opacity reaches one half, else
  *            infinity
  * samples    uint [tiles], reconstructions of the volume
+ * starts, kept   where COHERENT is set (coherence.h)
  */
 __kernel WIDE_VECTORS void raycast(SCENE_PARAMETERS, __global float4 *restrict image, __global float *restrict depths,
-                                   __global uint *restrict samples COUNTS_PARAMETER CHOSEN_PARAMETER)
+                                   __global uint *restrict samples COHERENT_PARAMETERS COUNTS_PARAMETER
+                                   CHOSEN_PARAMETER)
 {
   const Scene scene = SCENE;
   DECLARE_TALLIES
@@ -33,18 +36,21 @@ __kernel WIDE_VECTORS void raycast(SCENE_PARAMETERS, __global float4 *restrict i
       const intN each = packet + LANE_INDEX;
       packet_spans(distances, view, left + each % across * PACKET_W, top + each / across * PACKET_H, from, to, counted);
     }
-    const Span span = {from[packet % LANES], to[packet % LANES]};
+    Span span = span_between((floatN)from[packet % LANES], (floatN)to[packet % LANES]);
 #else
-    const Span span = whole_span();
+    Span span = whole_span();
 #endif
     const int column = left + packet % across * PACKET_W, row = top + packet / across * PACKET_H;
     if (column >= right || row >= bottom) continue;
 #if SPANS
-    if (span.from > span.to) {
+    if (from[packet % LANES] > to[packet % LANES]) {
       for (int y = row; y < min(row + PACKET_H, bottom); ++y)
         for (int x = column; x < min(column + PACKET_W, right); ++x) {
           const size_t pixel = (size_t)y * width + x;
           image[pixel] = 0.0f;
+#if COHERENT
+          kept[pixel] = KEPT_EXIT(view->deepest);
+#endif
 #if WITH_DEPTH
           depths[pixel] = INFINITY;
 #endif
@@ -56,7 +62,15 @@ __kernel WIDE_VECTORS void raycast(SCENE_PARAMETERS, __global float4 *restrict i
     uint taken[LANES];
     const intN lane = LANE_INDEX;
     const intN px = column + (lane & (PACKET_W - 1)), py = row + lane / PACKET_W;
-    render_packet(&scene, px, py, span, rgba, depth, taken, counted);
+#if COHERENT
+    floatN first = INFINITY;
+    float kept_depth[LANES];
+    span.from = lane_max(span.from, start_of_lanes(starts, view, px, py));
+#endif
+    render_packet(&scene, px, py, span, rgba, depth, taken, counted FIRST_ARGUMENT);
+#if COHERENT
+    STORE_LANES(depth_to_keep(view, px, py, first), kept_depth);
+#endif
     EACH_LANE(k)
     {
       const int x = column + k % PACKET_W, y = row + k / PACKET_W;
@@ -67,6 +81,9 @@ __kernel WIDE_VECTORS void raycast(SCENE_PARAMETERS, __global float4 *restrict i
         image[pixel] = c;
 #if WITH_DEPTH
         depths[pixel] = depth[k];
+#endif
+#if COHERENT
+        kept[pixel] = kept_depth[k];
 #endif
         total += taken[k];
       }

@@ -35,6 +35,7 @@ from clvol.features import reduced_for_frames
 from clvol.integrators.base import FrameData, Progress, Shared
 from clvol.integrators.raycast.constant_cells import changing_cells
 from clvol.integrators.raycast.frame_view import frame_view, volume_view
+from clvol.integrators.raycast.history import COHERENT_ARGUMENTS, History, render_from_history, unsupported
 from clvol.integrators.raycast.march import March, RayMarch
 from clvol.integrators.raycast.picture import PictureParts, TilesDone, WholePicture
 from clvol.integrators.raycast.step_map import step_map, upload_steps
@@ -113,6 +114,7 @@ class Raycaster:
         tile: tuple[int, int] = (TILE, TILE),
         volume: ResidentVolume | None = None,
         march: March | None = None,
+        history: History | None = None,
     ) -> None:
         self.context = context
         self.march = march or RayMarch()
@@ -130,6 +132,7 @@ class Raycaster:
         self.no_array = context.empty(np.float32, (4,))
         self._view = context.empty(self.view_dtype, (1,))
         self._pace: dict[str, float] = {}  # seconds per tile, by kernel
+        self.history = history or History()
         self.set_transfer_function(resolved.transfer_function)
 
     @property
@@ -311,7 +314,16 @@ class Raycaster:
             nowhere = np.full(size, np.inf, np.float32) if depth else None
             nothing = dict.fromkeys(self.march.counters and self._counter_names, 0)
             return FrameData(np.zeros((*size, 4), np.float32), nowhere, 0, 0, nothing)
-        return WholePicture(self, camera, width, height, depth, lattice).render(progress)
+        if lattice == EVERY_PIXEL and self._reprojects:
+            return render_from_history(self, self.history, camera, width, height, progress, depth)
+        data = WholePicture(self, camera, width, height, depth, lattice).render(progress)
+        if self.resolved.coherence.mode == "reproject" and lattice == EVERY_PIXEL:
+            data.notes["coherence"] = {"mode": "cells", "reason": unsupported(self)}
+        return data
+
+    @property
+    def _reprojects(self) -> bool:
+        return self.resolved.coherence.mode == "reproject" and unsupported(self) is None
 
     def cell_depths(self) -> np.ndarray | None:
         """float64 [z, y, x]: about the mean optical depth of each cell of empty space along its edge, of all values
@@ -367,6 +379,8 @@ class Raycaster:
         view["tile"] = self.tile
         counts = [self.context.empty(np.uint32, (tiles,)) for _ in range(2)]
         none = {"image": self.no_array, "depths": self.no_array, "samples": counts[0]}
+        if self._reprojects and chosen is None:
+            none |= {"starts": self.no_array, "kept": self.no_array}
         tallies = []  # kept until they are written
         if self.without_surfaces is None:
             tallies.append(self.launches("raycast", view, tiles, depth, None, none, chosen))
@@ -389,19 +403,23 @@ class Raycaster:
         progress: TilesDone | None,
         outputs: dict[str, DeviceArray],
         chosen: np.ndarray | None = None,
+        only: int | None = None,
     ) -> DeviceArray | None:
-        """Runs kernel ``name`` over all tiles, or those that ``chosen`` lists, in launches that are each kept
-        short. Returns uint32 [n, names], what was counted for these tiles, if anything is."""
+        """Runs kernel ``name`` over all tiles, those that ``chosen`` lists, or ``only`` one, in launches that are each
+        kept short. Returns uint32 [n, names], what was counted for these tiles, if anything is."""
         context = self.context
         switches = {**self.switches, "WITH_DEPTH": int(depth)}
         variant, more, added = self._more_arguments(tiles)
         declared = scene_arguments(switches["VOXEL_BITS"]) + variant
         fills = name == "fill_between_rays"
         declared += (_COARSE_ARGUMENTS if fills else ()) + picture_arguments(depth=depth)
-        declared += ((writes("rays", np.uint32, "tiles"),) if fills else ()) + more
+        declared += (writes("rays", np.uint32, "tiles"),) if fills else ()
+        declared += (COHERENT_ARGUMENTS if "kept" in outputs else ()) + more
         arrays = {**outputs, **added}
         sizes = dict(zip(("width", "height"), view["image"][0].tolist())) | {"tiles": tiles}
         sizes |= dict(zip(("columns", "rows"), view["lattice"][0].tolist()))
+        if "kept" in outputs:
+            switches["COHERENT"] = 1
         if chosen is not None:
             switches["TILES_CHOSEN"] = 1
             declared += (reads("chosen", np.int32),)
@@ -409,14 +427,14 @@ class Raycaster:
         self.check_structs(switches)
         kernel = self.march.kernel(context, name, declared, switches)
         pixels = tiles * self.tile[0] * self.tile[1] if view["image"][0, 0] else 0
-        items = tiles if chosen is None else len(chosen)
+        items = (tiles if only is None else 1) if chosen is None else len(chosen)
         if pixels and name in self._pace:
             expected = _PACE_MARGIN * items * self._pace[name]
         else:
             expected = pixels * self._most_samples() * SECONDS_A_SAMPLE * (items / tiles)
         done = 0
         for first, count in bands(items, expected, _BAND_SECONDS):
-            view["first_tile"] = first
+            view["first_tile"] = first + (only or 0)
             context.write_once(self._view, view)
             kernel(
                 context.queue,

@@ -14,10 +14,14 @@ from clvol.features.refuse import refuse_quadrature
 from clvol.integrators.base import Prepared, Progress, Shared
 from clvol.integrators.raycast.bricks import BrickCaster
 from clvol.integrators.raycast.caster import Raycaster, device_volume
+from clvol.integrators.raycast.history import History
 from clvol.integrators.raycast.switches import raycast_switches
 from clvol.integrators.resident_codes import brick_switches, bricks_for, check_resident
 from clvol.integrators.whole_volume import WholeVolume
 from clvol.scene.resolve import ResolvedScene
+
+
+_HISTORIES = 6  # volumes
 
 
 class Raycast(WholeVolume):
@@ -54,7 +58,8 @@ class Raycast(WholeVolume):
     ) -> Prepared:
         if (bricks := bricks_for(shared, resolved)) is not None:
             return BrickCaster(shared.context, resolved, bricks)
-        return Raycaster(shared.context, resolved, volume=device_volume(shared, resolved))
+        history = shared.keep("history", resolved.volume, History, _HISTORIES)
+        return Raycaster(shared.context, resolved, volume=device_volume(shared, resolved), history=history)
 
 
 INTEGRATOR = Raycast()
