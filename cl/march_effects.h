@@ -98,6 +98,7 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, Span span, float
   Vectors forward = direction_to_local(effects, whole_ray.dx, whole_ray.dy, whole_ray.dz);
   intN alive = MASK(whole_ray.length >= 0.0f) & MASK(px < view->image.x) & MASK(py < view->image.y);
   const intN on_picture = MASK(px < view->image.x) & MASK(py < view->image.y);
+  BEGIN_FIRST(alive);
   uintN taken = 0;
   Gathered acc;
   gathered_clear(&acc);
@@ -134,14 +135,15 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, Span span, float
       ray = select_rays(ray, rays_in_steps(along, h), stretches);
       i = select(i, (intN)0, stretches), joined = select(joined, (intN)0, stretches);
       const floatN segments = ONE_SEGMENT ? (floatN)1.0f : ceil(lane_max(ray.length, (floatN)0.0f));
-#if COHERENT
-      /* Of rays that are bent, starts are known up to there. */
+#if SPANS || COHERENT
+      /* Of rays that are bent, starts are known up to there. A walk needs no step before its start. */
       floatN start_from, start_to;
       span_along(view, span, &ray, TO_FLOAT(px), TO_FLOAT(py), h, &start_from, &start_to);
 #if REFRACTION
       start_from = select((floatN)0.0f, start_from, MASK(bends_left == MOST_BENDS));
 #endif
-      start_from = lane_clamp(start_from - 1.0f, (floatN)0.0f, lane_max(ray.length, (floatN)0.0f));
+      start_from = lane_clamp(start_from - (ONE_SEGMENT ? 0.0f : 1.0f), (floatN)0.0f,
+                              lane_max(ray.length, (floatN)0.0f));
       if (!ONE_SEGMENT) i = select(i, TO_INT(start_from), stretches);
 #else
       const floatN start_from = 0.0f;

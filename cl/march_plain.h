@@ -33,6 +33,7 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, Span span, float
   const Rays ray = make_rays(view, TO_FLOAT(px), TO_FLOAT(py));
   const floatN whole = floor(ray.length), rest = ray.length - whole;
   const intN hits = MASK(ray.length >= 0.0f) & MASK(px < view->image.x) & MASK(py < view->image.y);
+  BEGIN_FIRST(hits);
   const floatN offset = MIDPOINTS ? 0.5f : 0.0f;
   intN last = select((intN)DONE, TO_INT(whole) - MIDPOINTS, hits);
   floatN span_from, span_to;

@@ -61,6 +61,7 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, Span span, float
   const Vectors forward = direction_to_local(scene->effects, whole_ray.dx, whole_ray.dy, whole_ray.dz);
   const intN on_picture = MASK(px < view->image.x) & MASK(py < view->image.y);
   intN alive = MASK(whole_ray.length >= 0.0f) & on_picture;
+  BEGIN_FIRST(alive);
   uintN taken = 0;
   Gathered acc;
   gathered_clear(&acc);

@@ -20,13 +20,10 @@
 #include "tally.h"
 #include "view.h"
 
-/* Whether the march keeps to spans. Rays that see nothing may still see the environment. */
-#ifndef SHADED_MARCH
-#define SHADED_MARCH 0
-#endif
+/* Whether the march keeps to spans. Rays that see nothing may still see the environment, or be what is projected. */
 #define SPANS                                                                              \
   (SKIP_EMPTY && LANES > 1 && !BLOCKS && !SLICES && QUADRATURE != QUADRATURE_CELLS &&      \
-   (!EFFECTS || (SHADED_MARCH && !ENVIRONMENT_VISIBLE)))
+   (!EFFECTS || (!COMPOSITING && !ENVIRONMENT_VISIBLE)))
 
 /* Depths of rays in edges behind the reference plane. from > to: the packet sees nothing. */
 typedef struct {

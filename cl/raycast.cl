@@ -13,7 +13,7 @@
  * depths     float [height, width], world distance along the ray from the eye to where opacity reaches one half, else
  *            infinity
  * samples    uint [tiles], reconstructions of the volume
- * starts, kept   where COHERENT is set (coherence.h)
+ * starts, kept, tallies   where COHERENT is set (coherence.h)
  */
 __kernel WIDE_VECTORS void raycast(SCENE_PARAMETERS, __global float4 *restrict image, __global float *restrict depths,
                                    __global uint *restrict samples COHERENT_PARAMETERS COUNTS_PARAMETER
@@ -30,6 +30,9 @@ __kernel WIDE_VECTORS void raycast(SCENE_PARAMETERS, __global float4 *restrict i
   const int packets = across * ((view->tile.y + PACKET_H - 1) / PACKET_H);
   float from[LANES], to[LANES];
   uint total = 0;
+#if COHERENT
+  Tally tally[4] = {0, 0, 0, 0};
+#endif
   for (int packet = 0; packet < packets; ++packet) {
 #if SPANS
     if (packet % LANES == 0) {
@@ -49,7 +52,7 @@ __kernel WIDE_VECTORS void raycast(SCENE_PARAMETERS, __global float4 *restrict i
           const size_t pixel = (size_t)y * width + x;
           image[pixel] = 0.0f;
 #if COHERENT
-          kept[pixel] = KEPT_EXIT(view->deepest);
+          kept[pixel] = INFINITY; /* no ray is needed to find that again */
 #endif
 #if WITH_DEPTH
           depths[pixel] = INFINITY;
@@ -65,11 +68,19 @@ __kernel WIDE_VECTORS void raycast(SCENE_PARAMETERS, __global float4 *restrict i
 #if COHERENT
     floatN first = INFINITY;
     float kept_depth[LANES];
-    span.from = lane_max(span.from, start_of_lanes(starts, view, px, py));
+    const floatN start = start_of_lanes(starts, view, column, row);
+    const intN audited = audited_lanes(start);
+    span.from = lane_max(span.from, select(start, -(floatN)INFINITY, audited));
 #endif
     render_packet(&scene, px, py, span, rgba, depth, taken, counted FIRST_ARGUMENT);
 #if COHERENT
-    STORE_LANES(depth_to_keep(view, px, py, first), kept_depth);
+    const floatN keeps = depth_to_keep(view, px, py, first);
+    const intN known = MASK(start > -(floatN)INFINITY), meets = MASK(keeps < INFINITY);
+    const intN hits = meets & MASK(keeps >= 0.0f);
+    STORE_LANES(keeps, kept_depth);
+    count_lanes(&tally[TALLY_REUSED], known & meets & ~audited), count_lanes(&tally[TALLY_HOLES], hits & ~known);
+    count_lanes(&tally[TALLY_LATE], audited & hits & MASK(keeps < start - NOT_LATE));
+    tally[TALLY_AUDITED] += LOAD_LANES(taken) & AS_UINT(audited);
 #endif
     EACH_LANE(k)
     {
@@ -91,6 +102,9 @@ __kernel WIDE_VECTORS void raycast(SCENE_PARAMETERS, __global float4 *restrict i
   }
   STORE_TALLIES(item)
   samples[tile] = total;
+#if COHERENT
+  for (int k = 0; k < 4; ++k) tallies[4 * (size_t)tile + k] = tally_sum(tally[k]);
+#endif
 }
 
 #if EFFECTS

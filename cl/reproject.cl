@@ -16,6 +16,8 @@
  * move     the change of camera, as below
  * size     width, height, stride, rows
  * window   of a pixel: columns and rows from .. to, relative to it: x0, x1, y0, y1
+ * audit    of so many packets, 4 by 4 pixels, one starts at the hull (coherence.h); which of them; and by how many it
+ *          moves from one row of packets to the next
  * inside   uchar per TILE by TILE pixels of the new picture: whether all that its rays can see was in the old view; rays
  *          of other tiles start at the hull
  */
@@ -31,6 +33,7 @@
 #define MOVE_OLD_CENTRE 19  /* column, row */
 #define MOVE_NEW_CENTRE 21
 #define MOVE_SPLAT 23       /* k */
+#define MOVE_EXITS 24       /* whether EXIT pixels count: with a splat of less than 3 pixels they hide what is at outlines */
 
 __kernel void clear_nearest(__global int *restrict nearest, const int4 size)
 {
@@ -43,22 +46,37 @@ __kernel void project_kept(__global const float *restrict kept, __global int *ne
 {
   const int row = (int)get_global_id(0);
   const float v = (float)row - move[MOVE_OLD_CENTRE + 1], distance = move[MOVE_DISTANCE];
-  const float half_ = 0.5f * move[MOVE_SPLAT];
-  for (int column = 0; column < old_width; ++column) {
-    const float place = kept[(size_t)row * old_width + column];
-    if (place == INFINITY) continue;
-    const float s = place < 0.0f ? -1.0f - place : place, u = (float)column - move[MOVE_OLD_CENTRE];
-    float at[3];
+  const float left = (float)MARGIN + move[MOVE_NEW_CENTRE] - 0.5f * move[MOVE_SPLAT];
+  const float top = (float)MARGIN + move[MOVE_NEW_CENTRE + 1] - 0.5f * move[MOVE_SPLAT];
+  const float16 lanes = (float16)(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15);
+  for (int column = 0; column < old_width; column += 16) {
+    float places[16];
+    const float least = move[MOVE_EXITS] > 0.0f ? -INFINITY : 0.0f;
+    int there = 0;
+    for (int k = 0; k < 16; ++k) {
+      places[k] = column + k < old_width ? kept[(size_t)row * old_width + column + k] : INFINITY;
+      if (places[k] < least) places[k] = INFINITY;
+      there |= places[k] < INFINITY;
+    }
+    if (!there) continue;
+    const float16 place = vload16(0, places), u = (float)column + lanes - move[MOVE_OLD_CENTRE];
+    const float16 s = select(place, -1.0f - place, place < 0.0f);
+    float16 at[3];
     for (int k = 0; k < 3; ++k) {
       __global const float *m = move + 6 * k;
       at[k] = (m[0] + u * m[1] + v * m[2]) + s * (m[3] + u * m[4] + v * m[5]);
     }
-    const float from_eye = distance < 0.0f ? 1.0f : distance + at[0];
-    if (!(from_eye > 0.0f)) continue; /* behind the eye */
-    const float x = ceil(at[1] / from_eye + move[MOVE_NEW_CENTRE] - half_) + (float)MARGIN;
-    const float y = ceil(at[2] / from_eye + move[MOVE_NEW_CENTRE + 1] - half_) + (float)MARGIN;
-    if (!(x >= 0.0f && x < (float)size.z && y >= 0.0f && y < (float)size.w)) continue;
-    atomic_min(nearest + (size_t)(int)y * size.z + (int)x, as_int(fmax(at[0], 0.0f)));
+    const float16 from_eye = distance < 0.0f ? (float16)1.0f : distance + at[0];
+    const float16 inverse = 1.0f / from_eye, x = ceil(at[1] * inverse + left), y = ceil(at[2] * inverse + top);
+    const int16 seen = (place < INFINITY) & (from_eye > 0.0f) & (x >= 0.0f) & (x < (float)size.z) & (y >= 0.0f) &
+      (y < (float)size.w);
+    const int16 target = convert_int16(select((float16)0.0f, y, seen)) * size.z +
+      convert_int16(select((float16)0.0f, x, seen));
+    const int16 depth = as_int16(fmax(at[0], 0.0f));
+    int seens[16], targets[16], depths[16];
+    vstore16(seen, 0, seens), vstore16(target, 0, targets), vstore16(depth, 0, depths);
+    for (int k = 0; k < 16; ++k)
+      if (seens[k]) atomic_min(nearest + targets[k], depths[k]);
   }
 }
 
@@ -76,7 +94,8 @@ __kernel void widen_rows(__global const int *restrict nearest, __global int *res
 
 /* `back`: edges before the nearest place at which rays start. */
 __kernel void widen_columns(__global const int *restrict widened, __global const uchar *restrict inside,
-                            __global float *restrict starts, const int4 size, const int4 window, const float back)
+                            __global float *restrict starts, const int4 size, const int4 window, const float back,
+                            const int4 audit)
 {
   const int row = (int)get_global_id(0);
   for (int x = 0; x < size.x; x += TILE) {
@@ -84,9 +103,13 @@ __kernel void widen_columns(__global const int *restrict widened, __global const
     const int seen = inside[row / TILE * ((size.x + TILE - 1) / TILE) + x / TILE];
     for (int at = row + window.z; seen && at <= row + window.w; ++at)
       least = min(least, vload16(0, widened + (size_t)(at + MARGIN) * size.z + x + MARGIN));
-    const float16 start = as_float16(least) - back;
+    const float16 start = as_float16(least) - back; /* where nothing is known, INFINITY */
     float each[16];
     vstore16(start, 0, each);
+    for (int k = 0; k < 16; ++k) {
+      const int packet = row / 4 * audit.z + (x + k) / 4;
+      if (each[k] < INFINITY) each[k] = as_float((as_int(each[k]) & ~1) | (packet % audit.x == audit.y));
+    }
     for (int k = 0; k < min(16, size.x - x); ++k) starts[(size_t)row * size.x + x + k] = each[k];
   }
 }

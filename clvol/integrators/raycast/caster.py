@@ -33,9 +33,10 @@ from clvol.device.view import EVERY_PIXEL, PixelLattice, RayFrame
 from clvol.device.volume import DeviceVolume, ResidentVolume
 from clvol.features import reduced_for_frames
 from clvol.integrators.base import FrameData, Progress, Shared
+from clvol.integrators.raycast.cell_depths import cell_depths
 from clvol.integrators.raycast.constant_cells import changing_cells
 from clvol.integrators.raycast.frame_view import frame_view, volume_view
-from clvol.integrators.raycast.history import COHERENT_ARGUMENTS, History, render_from_history, unsupported
+from clvol.integrators.raycast.history import COHERENT_ARGUMENTS, History, arrays_to_warm_up, render_from_history
 from clvol.integrators.raycast.march import March, RayMarch
 from clvol.integrators.raycast.picture import PictureParts, TilesDone, WholePicture
 from clvol.integrators.raycast.step_map import step_map, upload_steps
@@ -60,8 +61,6 @@ from clvol.transfer.pieces import (
 SECONDS_A_SAMPLE = 1e-8  # a first guess, used to divide a frame into launches
 _BAND_SECONDS = 0.5
 _PACE_MARGIN = 4.0  # tiles may take this many times as long as those before them
-_DEPTH_NODES = 1024  # of the integral of the extinction, by which the depths of cells are estimated
-_OPAQUE = 20.0  # optical depth above which more makes no difference
 _KEPT = 6  # volumes; a search for settings may render many variants of one
 _COARSE_ARGUMENTS = (
     reads("coarse", np.float32, "columns", "rows", 4),
@@ -314,32 +313,13 @@ class Raycaster:
             nowhere = np.full(size, np.inf, np.float32) if depth else None
             nothing = dict.fromkeys(self.march.counters and self._counter_names, 0)
             return FrameData(np.zeros((*size, 4), np.float32), nowhere, 0, 0, nothing)
-        if lattice == EVERY_PIXEL and self._reprojects:
+        if lattice == EVERY_PIXEL and self.resolved.coherence.mode == "reproject":
             return render_from_history(self, self.history, camera, width, height, progress, depth)
-        data = WholePicture(self, camera, width, height, depth, lattice).render(progress)
-        if self.resolved.coherence.mode == "reproject" and lattice == EVERY_PIXEL:
-            data.notes["coherence"] = {"mode": "cells", "reason": unsupported(self)}
-        return data
-
-    @property
-    def _reprojects(self) -> bool:
-        return self.resolved.coherence.mode == "reproject" and unsupported(self) is None
+        return WholePicture(self, camera, width, height, depth, lattice).render(progress)
 
     def cell_depths(self) -> np.ndarray | None:
-        """float64 [z, y, x]: about the mean optical depth of each cell of empty space along its edge, of all values
-        between its bounds alike; None where bounds are not at hand."""
-        low, high = self.volume.bounds(0)
-        function = self._functions[0]
-        nodes = np.linspace(*self.volume.value_range, _DEPTH_NODES + 1)
-        edge = self.resolved.volume.grid.smallest_edge * (1 << self.volume.cell_shift)
-        at_nodes = np.minimum(function.extinction(nodes) * edge, _OPAQUE)
-        sums = np.concatenate([[0.0], np.cumsum(0.5 * (at_nodes[1:] + at_nodes[:-1]))])
-        unit = max(nodes[1] - nodes[0], 1e-300)
-        first, last = (np.clip((bound - nodes[0]) / unit, 0, _DEPTH_NODES) for bound in (low, np.maximum(low, high)))
-        width = last - first
-        at = np.arange(_DEPTH_NODES + 1)
-        inside = (np.interp(last, at, sums) - np.interp(first, at, sums)) / np.maximum(width, 1e-9)
-        return np.where(width > 1e-6, inside, np.interp(first, at, at_nodes))
+        """As ``cell_depths``; None where bounds are not at hand."""
+        return cell_depths(self.volume, self._functions[0], self.resolved.volume.grid.smallest_edge)
 
     def groups(
         self, frame: RayFrame, size: tuple[int, int], tiles: np.ndarray | None
@@ -379,8 +359,8 @@ class Raycaster:
         view["tile"] = self.tile
         counts = [self.context.empty(np.uint32, (tiles,)) for _ in range(2)]
         none = {"image": self.no_array, "depths": self.no_array, "samples": counts[0]}
-        if self._reprojects and chosen is None:
-            none |= {"starts": self.no_array, "kept": self.no_array}
+        if chosen is None:
+            none |= arrays_to_warm_up(self, tiles)
         tallies = []  # kept until they are written
         if self.without_surfaces is None:
             tallies.append(self.launches("raycast", view, tiles, depth, None, none, chosen))
@@ -403,10 +383,9 @@ class Raycaster:
         progress: TilesDone | None,
         outputs: dict[str, DeviceArray],
         chosen: np.ndarray | None = None,
-        only: int | None = None,
     ) -> DeviceArray | None:
-        """Runs kernel ``name`` over all tiles, those that ``chosen`` lists, or ``only`` one, in launches that are each
-        kept short. Returns uint32 [n, names], what was counted for these tiles, if anything is."""
+        """Runs kernel ``name`` over all tiles, or those that ``chosen`` lists, in launches that are each kept
+        short. Returns uint32 [n, names], what was counted for these tiles, if anything is."""
         context = self.context
         switches = {**self.switches, "WITH_DEPTH": int(depth)}
         variant, more, added = self._more_arguments(tiles)
@@ -427,14 +406,14 @@ class Raycaster:
         self.check_structs(switches)
         kernel = self.march.kernel(context, name, declared, switches)
         pixels = tiles * self.tile[0] * self.tile[1] if view["image"][0, 0] else 0
-        items = (tiles if only is None else 1) if chosen is None else len(chosen)
+        items = tiles if chosen is None else len(chosen)
         if pixels and name in self._pace:
             expected = _PACE_MARGIN * items * self._pace[name]
         else:
             expected = pixels * self._most_samples() * SECONDS_A_SAMPLE * (items / tiles)
         done = 0
         for first, count in bands(items, expected, _BAND_SECONDS):
-            view["first_tile"] = first + (only or 0)
+            view["first_tile"] = first
             context.write_once(self._view, view)
             kernel(
                 context.queue,

@@ -3,9 +3,9 @@ around a pixel what it sees may have been in the picture before.
 
 A pixel may start at the nearest place that was splat on it (Klein et al., IEEE Visualization 2005, section 4), unless
 something shows now that was hidden. Whatever a new ray meets, at X, lay in the old picture on a ray that had met
-something at Y first, or X itself. X and Y are on one old ray, so in the new picture Y is within the parallax between the
-nearest and the farthest depth at which anything can be visible, and nearer than X. So the nearest place within the splat
-and that parallax is no later than X, up to what is thinner than a pixel of the old picture.
+something at Y first, or X itself. X and Y are on one old ray, so in the new picture Y is nearer than X, and within the
+parallax between the nearest and the farthest depth at which anything can be visible. So the nearest place within the
+splat and that parallax is no later than X, up to what is thinner than a pixel of the old picture.
 """
 
 from __future__ import annotations
@@ -21,12 +21,13 @@ MARGIN = 64  # pixels around the picture, and of the largest window (cl/reprojec
 _GRID = 9  # rays per side by which parallax is bounded
 _SLACK = 1.1  # over what these rays show
 _LEAST_DISTANCE = 0.5  # edges from an eye to anything that may be visible
+_LEAST_SPLAT_OF_EXITS = 3  # so that each pixel has those around it
 _SAME = 0.05  # pixels that do not count
 
 
 @dataclass(frozen=True, eq=False)
 class Move:
-    """``numbers`` float32 [24] and ``window`` (x0, x1, y0, y1), as cl/reproject.cl takes them. ``inside`` uint8 [rows,
+    """``numbers`` float32 [25] and ``window`` (x0, x1, y0, y1), as cl/reproject.cl takes them. ``inside`` uint8 [rows,
     columns]: tiles all of whose rays were in the old view."""
 
     numbers: np.ndarray
@@ -36,7 +37,7 @@ class Move:
 
 def change_of_camera(old: RayFrame, new: RayFrame) -> np.ndarray:
     """float64 [3, 6]: coefficients of 1, u, v, s, s u, s v that give, for the place at depth ``s`` (edges) behind the
-    old reference plane on the ray of the old pixel (``u``, ``v``), both from the centre, the depth behind the new plane,
+    old reference plane on the ray of the old pixel (``u``, ``v``), from the centre, the depth behind the new plane,
     and the new pixel from the new centre times its depth behind the eye (perspective) or by itself."""
     axes = (new.ray_du, new.ray_dv) if is_perspective(new) else (new.du, new.dv)
     sources = [old.origin - new.origin, old.du, old.dv, old.forward, old.ray_du, old.ray_dv]
@@ -78,20 +79,17 @@ def plan_move(
     for frame, nearest in ((old, near), (new, new_near)):
         if is_perspective(frame) and frame.distance + nearest < _LEAST_DISTANCE:
             return "the eye is inside"
-    # All rays of the old picture that see anything: their nearest and farthest places, seen by the new camera.
-    columns = np.linspace(*np.clip([x.min(), x.max()], 0, old_size[0] - 1), _GRID)
-    rows = np.linspace(*np.clip([y.min(), y.max()], 0, old_size[1] - 1), _GRID)
-    grid_x, grid_y = np.meshgrid(columns, rows)
-    ends = [np.stack(moved(coefficients, old, new, grid_x, grid_y, s)[:2]) for s in (near, far)]
-    parallax = ends[0] - ends[1]
-    if not np.isfinite(parallax).all():
+    # All rays of the old picture that see anything: their nearest and farthest places, seen by the new camera, and
+    # those of the pixels beside them.
+    left, right = np.clip([x.min(), x.max()], 0, old_size[0] - 1)
+    top, bottom = np.clip([y.min(), y.max()], 0, old_size[1] - 1)
+    columns, rows = np.linspace(left, right, _GRID), np.linspace(top, bottom, _GRID)
+    at_x, at_y = np.add.outer(columns, [0, 1, 0])[:, None], np.add.outer(rows, [0, 0, 1])[None]
+    seen = np.stack(moved(coefficients, old, new, at_x, at_y, np.array([near, far])[:, None, None, None])[:2])
+    parallax = seen[:, 0, ..., 0] - seen[:, 1, ..., 0]
+    if not np.isfinite(seen).all():
         return "motion"
-    zoom = 1.0
-    for s in (near, far):
-        at = np.stack(moved(coefficients, old, new, grid_x, grid_y, s)[:2])
-        for beside in ((1, 0), (0, 1)):
-            shifted = np.stack(moved(coefficients, old, new, grid_x + beside[0], grid_y + beside[1], s)[:2])
-            zoom = max(zoom, float(np.abs(shifted - at).max()))
+    zoom = float(np.abs(seen[..., 1:] - seen[..., :1]).max())
     size = max(int(np.ceil(splat * zoom - _SAME)), splat)
     window: list[int] = []
     for along in parallax:
@@ -101,11 +99,15 @@ def plan_move(
         window += [int(np.floor(low)) - size + 1, int(np.ceil(high))]
     if max(map(abs, window)) > MARGIN:
         return "motion"
-    numbers = np.zeros(24, np.float32)
+    numbers = np.zeros(25, np.float32)
     numbers[:18] = coefficients.ravel()
     numbers[18] = new.distance if is_perspective(new) else -1.0
-    numbers[19:24] = *old.centre, *new.centre, size
-    inside = _tiles_inside(new, old, new_size, old_size, (new_near, new_far))
+    numbers[19:25] = *old.centre, *new.centre, size, size >= _LEAST_SPLAT_OF_EXITS
+    tiles = tuple(-(-n // TILE) for n in new_size[::-1])
+    if x.min() > 0 and y.min() > 0 and x.max() < old_size[0] - 1 and y.max() < old_size[1] - 1:
+        inside = np.ones(tiles, np.uint8)
+    else:
+        inside = _tiles_inside(new, old, new_size, old_size, (new_near, new_far))
     return Move(numbers, (window[0], window[1], window[2], window[3]), inside)
 
 
