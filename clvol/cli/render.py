@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import time
+from typing import TYPE_CHECKING
 
 import click
 
 from clvol.cli.devices import measure_for_all
 from clvol.cli.options import complete_file, memory_cap_option, overrides_option
+from clvol.cli.workers import connection, render_on_workers, workers_options
 from clvol.errors import UsageError
+
+if TYPE_CHECKING:
+    from clvol.cluster.connection import Connection
 
 
 @click.command("render", short_help="Render scenes, or volume files with default settings.")
@@ -40,6 +45,7 @@ from clvol.errors import UsageError
     help="Use each device in a process of its own: a driver that crashes or hangs costs no more than what it was "
     "rendering.",
 )
+@workers_options("Render in N processes of this machine, which share the cores (extra 'distributed').")
 @click.option(
     "--max-error",
     type=float,
@@ -81,6 +87,8 @@ def command(
     overrides: tuple[str, ...],
     devices: tuple[str, ...],
     isolate: bool,
+    workers: int | None,
+    scheduler: str | None,
     max_error: float | None,
     time_budget: float | None,
     resume: bool,
@@ -124,10 +132,10 @@ def command(
         _render(
             scene, names, overrides, start, stats=more[0], show_schedule=more[1], devices=list(devices) or None,
             memory_cap=memory_cap, quiet=quiet, isolate=isolate, max_error=max_error, time_budget=time_budget,
-            resume=resume, frames=frames,
+            resume=resume, frames=frames, cluster=cluster,
         )  # fmt: skip
 
-    with protected(Inputs(scenes)):
+    with protected(Inputs(scenes)), connection(workers, scheduler, quiet) as cluster:
         each_of(scenes, render)
 
 
@@ -147,6 +155,7 @@ def _render(
     time_budget: float | None,
     resume: bool,
     frames: str | None,
+    cluster: Connection | None,
 ) -> None:
     """Renders one scene, a picture or an animation. ``start``: when that began (``perf_counter``)."""
     from clvol.cli.outputs import scene_inputs
@@ -157,6 +166,8 @@ def _render(
     loaded = load_scene(scene, overrides)
     with protected(scene_inputs(scene, loaded)):
         if loaded.animation.frames == 1:
+            if cluster is not None:
+                raise UsageError("--workers", "given for a single picture", "a scene with animation.frames above 1")
             if frames is not None:
                 raise UsageError("--frames", "given for a single picture", "a scene with animation.frames above 1")
             outputs = check_still(outputs, resume)
@@ -175,6 +186,12 @@ def _render(
             what = f"given for an animation of {loaded.animation.frames} frames"
             raise UsageError("--show-schedule", what, "one frame: --set animation.frames=1")
         wanted = slice(None) if frames is None else frame_range(frames, loaded.animation.frames)
+        if cluster is not None:
+            render_on_workers(
+                cluster, scene, overrides, loaded, outputs, stats, resume=resume, frames=wanted, quiet=quiet,
+                devices=devices, memory_cap=memory_cap, isolate=isolate,
+            )  # fmt: skip
+            return
         render_animation(
             loaded, outputs, stats, resume=resume, frames=wanted, quiet=quiet, devices=devices, memory_cap=memory_cap,
             isolate=isolate,
