@@ -26,9 +26,9 @@ def explain(resolved: ResolvedScene) -> dict[str, Any]:
     """The output of ``clvol explain --json``.
 
     "effects" lists every effect with the reason why it is used or not, "compression" says what becomes of the voxels
-    (None: nothing), "coherence" where rays start, "kernel_hash" identifies the compiled kernel, and "warnings" lists settings that are valid but
-    hardly intended, "classification" is the one that is used and why. Raises SceneError for a scene that a Renderer
-    would refuse, for example because its environment cannot be read.
+    (None: nothing), "coherence" where rays start, "kernel_hash" identifies the compiled kernel, and "warnings" lists
+    settings that are valid but hardly intended, "classification" is the one that is used and why. Raises SceneError for
+    a scene that a Renderer would refuse, for example because its environment cannot be read.
     """
     check_scene(resolved)
     _read_environment(reduced(resolved).environment)
@@ -54,12 +54,12 @@ def explain(resolved: ResolvedScene) -> dict[str, Any]:
 
 def _coherence(resolved: ResolvedScene) -> dict[str, str]:
     """The mode of [coherence] that pictures are rendered with, and why."""
-    mode, programs = resolved.coherence.mode, scene_programs(reduced(resolved))
-    if resolved.integration.method != "raycast":
-        return {"mode": "off", "reason": f"the method {resolved.integration.method!r} casts no packets of rays"}
+    mode, programs = resolved.coherence.mode, scene_programs(_as_decoded(resolved))
+    switches = programs.get("raycast.cl")
+    if switches is None or switches.get("BLOCKS") or switches.get("SLICES"):
+        return {"mode": "off", "reason": "the method casts no packets of rays through a whole volume"}
     if mode == "reproject" and "reproject.cl" not in programs:
-        reason = unsupported(resolved, programs["raycast.cl"])
-        return {"mode": "cells", "reason": f"'reproject' does not go with {reason}"}
+        return {"mode": "cells", "reason": f"'reproject' does not go with {unsupported(resolved, switches)}"}
     if mode == "auto":
         return {"mode": "cells", "reason": "it changes no picture, and needs none before"}
     return {"mode": mode, "reason": "the scene requests it"}

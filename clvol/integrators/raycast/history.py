@@ -34,6 +34,7 @@ _UNSUPPORTED = (
     ("QUADRATURE", "quadrature by cells"),
     ("COMPOSITING", "a projection"),
     ("SLICES", "slices"),
+    ("WORKERS", "the pyramid"),
     ("BLOCKS", "blocks"),
     ("BRICKS", "codes that stay on the device"),
 )
@@ -82,8 +83,6 @@ class History:
 
 def unsupported(resolved: ResolvedScene, switches: Mapping[str, int]) -> str | None:
     """Why pictures of a scene with these switches do not take starts from others; None if they may."""
-    if resolved.integration.method != "raycast":
-        return f"the method {resolved.integration.method!r}"
     if resolved.image.ray_spacing > 1:
         return "image.ray_spacing"
     return next((reason for switch, reason in _UNSUPPORTED if switches.get(switch)), None)
