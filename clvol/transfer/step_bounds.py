@@ -59,6 +59,8 @@ def most_steps(
     """
     curvature, slope, low, high = np.asarray(bounds, np.float64).T
     nodes = _with_knots(nodes, function.values)
+    if len(nodes) == 1:  # a constant volume: nothing changes along any segment
+        return np.full(len(bounds), edge, np.uint8)
     known = low <= high
     low, high = np.where(known, low, nodes[0]), np.where(known, high, nodes[0])
     first = np.clip(np.searchsorted(nodes, low, side="right") - 1, 0, len(nodes) - 2)
