@@ -57,6 +57,7 @@ class Volume:
 
     axis = ValueAxis()
     labels = False
+    narrowed = False  # the voxels were of a type that no volume has, and their own follows from their values
     files: tuple[str, ...] = ()  # data files beside ``path`` that the voxels come from
     _seen: bytes | None = None  # a sample of voxels that others can write to, as they were
 
@@ -82,6 +83,7 @@ class Volume:
         self.axis = ValueAxis(slope, offset).after(ValueAxis(own.slope, own.offset))
         self.data = _as_voxels(own.array, Narrowing(labels=True) if labels else current_narrowing())
         self.labels = labels or getattr(own.array, "dtype", None) == np.bool_
+        self.narrowed = _is_wide(own.array)
         self.grid = _placed(own.grid or Grid(self.data.shape), spacing, origin, direction)
         self.name = own.name if name is None else name
         self.frame = frame or own.frame or "index"
@@ -209,6 +211,11 @@ def check_type(dtype: np.dtype, where: str) -> np.dtype:
     if native.name not in ACCEPTED_TYPES and native.name not in WIDE_TYPES:
         raise VolumeError(where, f"voxels of type {native.name}", ACCEPTED)
     return native
+
+
+def _is_wide(array: Any) -> bool:
+    dtype = getattr(array, "dtype", None)
+    return isinstance(dtype, np.dtype) and dtype.newbyteorder("=").name in WIDE_TYPES
 
 
 def _placed(
