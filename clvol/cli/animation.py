@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
-from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
+
+from click.exceptions import Exit
 
 from clvol.batch.claims import Claims
 from clvol.batch.made import is_made_from
 from clvol.batch.shared import unmade
+from clvol.cli import say_error
 from clvol.cli.console import note, preparing, say_path, to_json, working
 from clvol.cli.outputs import check_frames, numbered
 from clvol.cli.standard_output import STANDARD, is_standard, kept_clean
 from clvol.cli.verbose import log_scene
-from clvol.errors import UsageError
+from clvol.errors import UsageError, VolumeError
 
 if TYPE_CHECKING:
     from clvol.cli.console import ShowProgress
@@ -46,6 +49,9 @@ def render_animation(
     appear at the end or not at all. ``resume``: a frame is not rendered again if all its pictures exist, are whole,
     and were made from the same scene, voxels and version (``clvol.render.made_from``); frames are claimed
     (``clvol.batch.claims``), so that several processes can share a folder.
+
+    Of a series, the step of the next frame is read while one is rendered. Where a step cannot be read, pictures of the
+    other frames are rendered all the same, and the exit status at the end is that of the error.
     """
     from clvol.image import atomic_paths, check_video, is_video, open_video, save_picture
 
@@ -80,6 +86,7 @@ def render_animation(
         with working("checking which frames exist", quiet):
             todo = [frame for frame in wanted if not is_there(frame)]
     written: list[str] = []
+    failed: list[int] = []  # frames whose steps cannot be read
     totals = _Totals()
     depth = any(path.lower().endswith(".exr") for path in stills)
     of_all = partial(_made_from_all, resolved, count)
@@ -102,8 +109,20 @@ def render_animation(
         claims = stack.enter_context(Claims()) if resume and todo else None
         rendered, places_of = 0, {frame[0]: place for place, frame in enumerate(todo)}
         for index, seconds, camera in _shared(todo, claims, stills, is_there, progress):
-            report = _part(progress, places_of[index], len(todo))
-            frame = renderer.render(camera=camera, time=seconds, progress=report, depth=depth)
+            at = places_of[index]
+            report = _part(progress, at, len(todo))
+            # With claims, which frame is next depends on other processes; the renderer expects one as far away.
+            following = todo[at + 1][1] if claims is None and at + 1 < len(todo) else None
+            try:
+                frame = renderer.render(
+                    camera=camera, time=seconds, progress=report, depth=depth, next_time=following
+                )  # fmt: skip
+            except VolumeError as error:
+                if videos or resolved.steps is None:
+                    raise
+                failed.append(index)
+                say_error(f"frame {index}: {error}")
+                continue
             frame.made_from = _made_from(resolved, index, seconds, camera)
             write_start = time.perf_counter()
             names = [numbered(path, index) for path in stills]
@@ -125,7 +144,8 @@ def render_animation(
         totals.seconds["write"] = totals.seconds.get("write", 0) + time.perf_counter() - write_start
         if stats is not None:
             totals.seconds |= {"load": load_seconds, "total": time.perf_counter() - start}
-            known = totals.stats() | {"frames": rendered, "frames_kept": len(wanted) - rendered}
+            known = totals.stats() | {"frames": rendered, "frames_kept": len(wanted) - rendered - len(failed)}
+            known |= {"frames_failed": failed} if failed else {}
             text = to_json(known) + "\n"
             if is_standard(stats):
                 write_standard(text.encode())
@@ -136,8 +156,10 @@ def render_animation(
     if resume and not quiet:
         if kept := len(wanted) - len(todo):
             note(f"{kept} of {len(wanted)} frames existed already and were kept")
-        if others_made := len(todo) - rendered:
+        if others_made := len(todo) - rendered - len(failed):
             note(f"{others_made} of {len(wanted)} frames were made by other processes")
+    if failed:
+        raise Exit(VolumeError.exit_status)
 
 
 def frame_range(text: str, count: int) -> slice:
@@ -178,6 +200,8 @@ def _shared(
 def _frame_is_there(resolved: ResolvedScene, stills: Sequence[str], frame: Timed) -> bool:
     """Whether all pictures of ``frame`` exist, are whole, and were made as they would be made now."""
     index, seconds, camera = frame
+    if not all(os.path.exists(numbered(path, index)) for path in stills):
+        return False
     made_from = _made_from(resolved, index, seconds, camera)()
     return all(is_made_from(numbered(path, index), resolved, made_from) for path in stills)
 
@@ -185,8 +209,7 @@ def _frame_is_there(resolved: ResolvedScene, stills: Sequence[str], frame: Timed
 def _made_from(resolved: ResolvedScene, index: int, seconds: float, camera: Camera) -> MadeFrom:
     from clvol.render.made_from import MadeFrom
 
-    animation = resolved.animation.model_copy(update={"time": seconds})
-    return MadeFrom(replace(resolved, animation=animation), camera, index)
+    return MadeFrom(resolved.at(seconds), camera, index)
 
 
 def _made_from_all(resolved: ResolvedScene, count: int) -> dict[str, Any]:

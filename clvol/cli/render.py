@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import time
+from typing import TYPE_CHECKING
 
 import click
 
 from clvol.cli.devices import measure_for_all
 from clvol.cli.options import complete_file, memory_cap_option, overrides_option
 from clvol.errors import UsageError
+
+if TYPE_CHECKING:
+    from clvol.scene import Scene
 
 
 @click.command("render", short_help="Render scenes, or volume files with default settings.")
@@ -63,7 +67,7 @@ from clvol.errors import UsageError
 @click.option(
     "--frames",
     metavar="A:B",
-    help="Render the frames of an animation from number A, counted from 0, up to but without B.",
+    help="Render the frames of an animation from number A, counted from 0, up to but without B; ':' stands for all.",
 )
 @click.option(
     "--stats", metavar="FILE", shell_complete=complete_file,
@@ -107,7 +111,10 @@ def command(
     and of those that are left out because they are invisible, their bytes, the estimated error and the smallest
     possible one; and "tiles": the share of pixels that have a ray, and the estimated RMSE.
 
-    A scene with animation.frames above 1 is rendered as a video, or as numbered pictures that appear one by one.
+    A scene with animation.frames above 1 is rendered as a video, or as numbered pictures that appear one by one. Of a
+    series of volumes (volume.file is a pattern or a list, or volume.time is "all") without animation.frames, a video,
+    numbered pictures and --frames show one step per frame; any other picture shows the step of animation.time, or
+    volume.step. A step that cannot be read is reported, and the other frames are rendered.
     """
     from clvol.cli.render_still import check_targets
     from clvol.cli.several import check_names, each_of, filled
@@ -156,7 +163,8 @@ def _render(
 
     loaded = load_scene(scene, overrides)
     with protected(scene_inputs(scene, loaded)):
-        if loaded.animation.frames == 1:
+        loaded, has_steps = _with_frame_per_step(loaded, outputs, frames, memory_cap)
+        if loaded.animation.frames == 1 and not has_steps:
             if frames is not None:
                 raise UsageError("--frames", "given for a single picture", "a scene with animation.frames above 1")
             outputs = check_still(outputs, resume)
@@ -179,3 +187,21 @@ def _render(
             loaded, outputs, stats, resume=resume, frames=wanted, quiet=quiet, devices=devices, memory_cap=memory_cap,
             isolate=isolate,
         )  # fmt: skip
+
+
+def _with_frame_per_step(
+    scene: Scene, outputs: tuple[str, ...], frames: str | None, memory_cap: int | None
+) -> tuple[Scene, bool]:
+    """``scene`` with a frame for each step of its series, if it has one, states no number of frames, and is to be
+    rendered as an animation; and whether that is so."""
+    from clvol.cli.outputs import numbered
+    from clvol.image import is_video
+
+    animated = frames is not None or any(is_video(path) or numbered(path, 0) != path for path in outputs)
+    if not animated or "frames" in scene.animation.model_fields_set:
+        return scene, False
+    series = scene.load_series(memory_cap)
+    if series is None or scene.step_is_fixed:
+        return scene, False
+    animation = scene.animation.model_copy(update={"frames": len(series)})
+    return scene.model_copy(update={"animation": animation}), True

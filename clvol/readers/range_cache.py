@@ -62,7 +62,8 @@ class RangeCache:
         self._all()[_key(path, number)] = {
             "shape": list(volume.shape), "dtype": volume.dtype.name, "spacing": list(grid.spacing),
             "origin": list(grid.origin), "direction": grid.direction.tolist(), "frame": volume.frame,
-            "unit": volume.unit, "labels": volume.labels, "narrowed": volume.narrowed, "axis": [volume.slope, volume.offset],
+            "unit": volume.unit, "labels": volume.labels, "narrowed": volume.narrowed,
+            "axis": [volume.slope, volume.offset],
             "span": None if span.span is None else list(span.span), "counts": [span.nans, span.infs],
             "stamp": [list(each) for each in stamp], "files": list(files),
         }  # fmt: skip

@@ -14,6 +14,7 @@ from clvol.integrators.registry import integrator_of
 from clvol.json_values import plain
 from clvol.scene.compression import NOT_COMPRESSED
 from clvol.volume.digest import file_digest, volume_digest
+from clvol.volume.series import StepVolume
 
 if TYPE_CHECKING:
     from clvol.scene.camera import Camera
@@ -53,6 +54,8 @@ def _told(resolved: ResolvedScene, camera: Camera, frame: int | None) -> dict[st
     }
     if frame is not None:
         facts["frame"] = frame
+    if isinstance(resolved.volume, StepVolume):
+        facts["step"] = resolved.volume.number
     return json.loads(json.dumps(plain(facts)))
 
 

@@ -393,9 +393,14 @@ class Scene(Table):
         settings: Any = self.volume
         rate = settings.steps_per_second or rate_of(len(series), self.animation.frames, self.animation.fps)
         fixed = None
-        if isinstance(settings, VolumeSettings) and settings.step is not None:
+        if self.step_is_fixed:
             fixed = series.index(settings.step, f"{self._origin}: volume.step")
         return StepTimes(len(series), rate, settings.loop, fixed)
+
+    @property
+    def step_is_fixed(self) -> bool:
+        """Whether [volume] names the step of a series that is shown at all times."""
+        return isinstance(self.volume, VolumeSettings) and self.volume.step is not None
 
     def _load(self, memory_cap: int | None) -> Volume | VolumeSeries:
         if self._loaded is None:

@@ -70,6 +70,10 @@ _FILES_SCHEMA = WithJsonSchema(
     {"anyOf": [{"type": "string", "minLength": 1}, {"type": "array", "items": {"type": "string"}, "minItems": 1}]}
 )
 _RANGE_SCHEMA = WithJsonSchema({"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": 2})
+_OF_FILES = (
+    "dims", "dtype", "header_bytes", "byte_order", "channel", "time", "series", "step", "steps_per_second",
+    "value_range",
+)  # fmt: skip
 Choice = Annotated[Any, BeforeValidator(_choice)]
 _Side = Annotated[Whole, Field(ge=1, le=2**31 - 1)]
 
@@ -216,8 +220,7 @@ class VolumeSettings(Table):
             raise wrong("size", self.size, "a size beside field alone; for a .raw file, dims")
         if abs(self.slope) < 1e-30:
             raise wrong("slope", self.slope, "a finite number that is not 0")
-        for key in ("dims", "dtype", "header_bytes", "byte_order", "channel", "time", "series", "step", "steps_per_second",
-                    "value_range"):
+        for key in _OF_FILES:
             value = getattr(self, key)
             if self.field is not None and value is not None:
                 raise wrong(key, value, f"no {key} beside field; it has its size, and 8 bits")

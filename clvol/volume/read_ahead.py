@@ -79,6 +79,11 @@ class ReadAhead:
             self._current = number, volume
             return volume
 
+    def put(self, number: int, volume: Volume) -> None:
+        """``volume``, which someone else has read, becomes the one in use."""
+        with self._lock:
+            self._current = number, volume
+
     def begin(self, number: int) -> None:
         """Begins to read volume ``number`` in a thread, unless it is at hand or another one is still being read."""
         with self._lock:

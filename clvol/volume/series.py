@@ -16,7 +16,7 @@ from clvol.volume.axis import ValueAxis, turned
 from clvol.volume.grid import Grid
 from clvol.volume.read_ahead import ReadAhead
 from clvol.volume.series_steps import Step, steps_of
-from clvol.volume.volume import Volume, _Census
+from clvol.volume.volume import Census, Volume
 
 _ALIKE = 1e-5  # tolerance of grids, as a share of a voxel: headers hold few digits
 _CONVERTIBLE = {  # types that hold every value of another type
@@ -45,7 +45,7 @@ class SeriesFacts:
     grid: Grid
     dtype: np.dtype
     axis: ValueAxis
-    census: _Census
+    census: Census
     widest: int
     frame: str = "index"
     unit: str | None = None
@@ -108,6 +108,13 @@ class VolumeSeries:
         """A series of ``steps`` that are read by themselves."""
         series = cls.__new__(cls)
         series._start(steps, name, value_range)
+        return series
+
+    @classmethod
+    def of_facts(cls, steps: Sequence[Step], facts: SeriesFacts, name: str | None) -> VolumeSeries:
+        """A series of which everything is known but the voxels."""
+        series = cls.of_steps(steps, name)
+        series._facts = facts
         return series
 
     def _start(self, steps: Sequence[Step], name: str | None, value_range: Sequence[float] | None) -> None:
@@ -215,21 +222,21 @@ class VolumeSeries:
                 return np.dtype(name)
         return np.dtype(np.float64)
 
-    def _census(self, dtype: np.dtype, like: Volume) -> tuple[_Census, int]:
+    def _census(self, dtype: np.dtype, like: Volume) -> tuple[Census, int]:
         voxels = math.prod(like.shape)
         if self._given is not None:
             low, high = (float(x) for x in sorted(like.axis.stored(np.array(self._given)).tolist()))
             # Whether any voxel has a hole is not known without reading them all.
-            return _Census(low, high, int(dtype.kind == "f" and voxels > 1), 0), min(self.ranges, default=0)
+            return Census(low, high, int(dtype.kind == "f" and voxels > 1), 0), min(self.ranges, default=0)
         spans = {k: found.span for k, found in self.ranges.items() if found.span is not None}
         nans = max((found.nans for found in self.ranges.values()), default=0)
         infs = max((found.infs for found in self.ranges.values()), default=0)
         if not spans:
-            return _Census(0.0, 0.0, nans, voxels - nans), min(self.ranges, default=0)
+            return Census(0.0, 0.0, nans, voxels - nans), min(self.ranges, default=0)
         low, high = min(span[0] for span in spans.values()), max(span[1] for span in spans.values())
         widest = max(spans, key=lambda k: (spans[k][1] - spans[k][0], -k))
         infs = min(infs, voxels - 1)
-        return _Census(low, high, min(nans, voxels - 1 - infs), infs), widest
+        return Census(low, high, min(nans, voxels - 1 - infs), infs), widest
 
     # ---- steps
 
@@ -237,9 +244,10 @@ class VolumeSeries:
         """The volume of step ``k``, whose voxels are read when they are used."""
         if not 0 <= k < len(self):
             raise VolumeError("series", f"no step {k}", f"0 to {len(self) - 1}")
-        return self._view(k, plain=False)
+        return self.view(k, plain=False)
 
-    def _view(self, k: int, plain: bool) -> StepVolume:
+    def view(self, k: int, plain: bool) -> StepVolume:
+        """As ``step``; ``plain``: in stored numbers, as if these were values."""
         found = self._views.get((k, plain))
         if found is None:
             found = self._views[k, plain] = StepVolume(self, k, plain)
@@ -264,6 +272,10 @@ class VolumeSeries:
         """Step ``k``, read; the step before it is let go. VolumeError, which names it, if it cannot be read."""
         _ = self.facts
         return self._ahead.take(k)
+
+    def show(self, k: int, volume: Volume) -> None:
+        """Takes ``volume`` for step ``k``, as if it had been read."""
+        self._ahead.put(k, volume)
 
     def read_ahead(self, k: int) -> None:
         """Begins to read step ``k`` in a thread, to be used next."""
@@ -383,12 +395,12 @@ class StepVolume(Volume):
         return self.series.volume(self.number).blocks_source  # type: ignore[attr-defined]
 
     @property
-    def _census(self) -> _Census:  # type: ignore[override]
+    def _census(self) -> Census:  # type: ignore[override]
         return self.series.facts.census
 
     def at(self, number: int) -> StepVolume:
         """Another step of the same series, in the same numbers."""
-        return self if number == self.number else self.series._view(number, self._is_plain)
+        return self if number == self.number else self.series.view(number, self._is_plain)
 
     @property
     def widest(self) -> StepVolume:
@@ -410,9 +422,9 @@ class StepVolume(Volume):
         if self.axis.is_plain:
             return self, self.axis
         if self.axis.slope > 0:
-            return self.series._view(self.number, plain=True), self.axis
+            return self.series.view(self.number, plain=True), self.axis
         mirror = self.series.turned()
-        return mirror._view(self.number, plain=True), mirror.facts.axis
+        return mirror.view(self.number, plain=True), mirror.facts.axis
 
 
 def is_other_step(volume: Volume, than: Volume) -> bool:

@@ -107,7 +107,7 @@ class Volume:
         return self.data.nbytes
 
     @cached_property
-    def _census(self) -> _Census:
+    def _census(self) -> Census:
         self._seen = _some_bytes(self.data)
         return _take_census(self.data)
 
@@ -190,7 +190,7 @@ class Volume:
 
 
 @dataclass(frozen=True)
-class _Census:
+class Census:
     lower: float
     upper: float
     nans: int
@@ -263,7 +263,7 @@ def _some_bytes(data: np.ndarray) -> bytes | None:
     return flat[:: max(1, flat.size // _LOOKED_AT)].tobytes()
 
 
-def _take_census(data: np.ndarray) -> _Census:
+def _take_census(data: np.ndarray) -> Census:
     """Range and counts in one pass over the voxels, block by block, so that temporaries stay small."""
     flat = data.reshape(-1)
     lower, upper, nans, infs = np.inf, -np.inf, 0, 0
@@ -283,7 +283,7 @@ def _take_census(data: np.ndarray) -> _Census:
             lower, upper = min(lower, low), max(upper, high)
     if lower > upper:
         lower = upper = 0.0
-    return _Census(lower, upper, nans, infs)
+    return Census(lower, upper, nans, infs)
 
 
 def describe(volume: Volume) -> dict:

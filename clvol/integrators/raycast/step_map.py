@@ -152,6 +152,16 @@ def sampled_cells(volume: Volume) -> np.ndarray:
     return _samples[volume]
 
 
+def known_cells(volume: Volume) -> np.ndarray | None:
+    """What ``sampled_cells`` has found of ``volume``; None if it was not called."""
+    return _samples.get(volume)
+
+
+def remember_cells(volume: Volume, cells: np.ndarray) -> None:
+    """Takes ``cells`` for those that ``sampled_cells`` finds: another process has."""
+    _samples[volume] = cells
+
+
 def _sampled_cells(volume: Volume) -> np.ndarray:
     """float64 [n, 4]: curvature, slope, lowest and highest value of some cells, evenly over the volume."""
     data, edge = volume.data, (1 << CELL_SHIFT) + 3  # a lattice point more on either side, and the upper face
