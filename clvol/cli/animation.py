@@ -112,11 +112,11 @@ def render_animation(
             at = places_of[index]
             report = _part(progress, at, len(todo))
             # With claims, which frame is next depends on other processes; the renderer expects one as far away.
-            following = todo[at + 1][1] if claims is None and at + 1 < len(todo) else None
+            ahead: dict[str, float] = {}
+            if resolved.steps is not None and claims is None and at + 1 < len(todo):
+                ahead["next_time"] = todo[at + 1][1]
             try:
-                frame = renderer.render(
-                    camera=camera, time=seconds, progress=report, depth=depth, next_time=following
-                )  # fmt: skip
+                frame = renderer.render(camera=camera, time=seconds, progress=report, depth=depth, **ahead)
             except VolumeError as error:
                 if videos or resolved.steps is None:
                     raise

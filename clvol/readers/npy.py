@@ -29,7 +29,10 @@ def read(path: Path, options: ReadOptions) -> Volume:
     if array.size and array.offset + array.nbytes != stored:
         what = f"{stored - array.offset} bytes of voxel data"
         raise VolumeError(str(path), what, f"{array.nbytes} bytes as the header promises")
-    if array.ndim == 4 and options.time is not None:
+    if array.ndim == 4 and options.time is None:
+        expected = 'a 3-D array [z, y, x], or volume.time = "all" (or the index of one) if the first axis is time'
+        raise VolumeError(str(path), "a 4-D array", expected)
+    if array.ndim == 4:
         array = array[options.choose("time", str(path), [None] * len(array))]
     mapped = array.flags.c_contiguous and array.dtype.isnative and native.name not in WIDE_TYPES
     check_memory(str(path), array.nbytes, options.memory_cap, mapped=mapped)

@@ -15,6 +15,7 @@ from clvol.errors import ClvolWarning, SceneError, VolumeError
 from clvol.quietly import FILTERS
 from clvol.readers import is_url, read_volume
 from clvol.readers.file_stamp import Stamp, stamp_of
+from clvol.readers.forward import ForwardReader, forward
 from clvol.readers.options import ALL_TIMES, SeveralTimes
 from clvol.readers.range_cache import RangeCache
 from clvol.readers.slice_names import natural
@@ -149,6 +150,7 @@ class _FilesRead:
     stamps: dict[str, Stamp | None] = field(default_factory=dict)
     beside: dict[str, tuple[str, ...]] = field(default_factory=dict)  # further files with the voxels of one
     told: set[str] = field(default_factory=set)
+    forward: ForwardReader = field(default_factory=ForwardReader)
 
     def read(self, source: _Source, name: str) -> Volume:
         """VolumeError, which names the step, if the file cannot be read, or has changed."""
@@ -158,7 +160,8 @@ class _FilesRead:
         if seen is not None and before != seen:
             raise VolumeError(name, "has changed since it was read first", "files that stay as they are")
         try:
-            volume, notes = read_volume(path, **source.options)
+            with forward(self.forward):
+                volume, notes = read_volume(path, **source.options)
         except VolumeError as error:
             own = error.where in (path, name)
             raise VolumeError(name, error.what if own else f"{error.where}: {error.what}", error.expected) from error

@@ -101,8 +101,7 @@ class VolumeSettings(Table):
 
     file: Annotated[Any, BeforeValidator(_files), _FILES_SCHEMA] | None = Field(
         None,
-        title="Volume file, folder or Zarr store, relative to the scene file, or URL of a Zarr image; a pattern or a "
-        "list of them is a series of steps in time.",
+        title="Volume file, folder of slices, Zarr store or URL; a pattern or a list of them is a series in time.",
         description="the name of a volume file, in quotes, a pattern such as 't_*.nrrd', or a list of names",
         examples=["brainsmall.nrrd"],
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -11,7 +12,8 @@ from weakref import WeakValueDictionary
 
 import numpy as np
 
-from clvol.errors import VolumeError
+from clvol.errors import ClvolWarning, VolumeError
+from clvol.quietly import FILTERS
 from clvol.volume.axis import ValueAxis, turned
 from clvol.volume.grid import Grid
 from clvol.volume.read_ahead import ReadAhead
@@ -169,14 +171,23 @@ class VolumeSeries:
         like = self._like
         if like is None:
             raise next(iter(self.failures.values()))
+        if self.failures and self._given is None:
+            self._warn_of_failures()
         dtype = self._common_type(like)
-        if len(self) > 1 or dtype != like.dtype:
+        if dtype != like.dtype or (self._given is None and len(self) > 1):
             self._ahead.close()  # the last step, in a type of its own
         census, widest = self._census(dtype, like)
         return SeriesFacts(
             like.grid, dtype, like.axis, census, widest, like.frame, like.unit, like.labels,
             getattr(like, "blocks_source", None) is not None,
         )  # fmt: skip
+
+    def _warn_of_failures(self) -> None:
+        number, error = next(iter(self.failures.items()))
+        some = "step" if len(self.failures) == 1 else "steps"
+        what = f"{len(self.failures)} {some} of {len(self)} cannot be read: step {number}, {error}"
+        with FILTERS:
+            warnings.warn(ClvolWarning(self.name or "series", what, "the others can be rendered"), stacklevel=3)
 
     def _first_readable(self) -> None:
         for k in range(len(self)):
@@ -235,8 +246,8 @@ class VolumeSeries:
             return Census(0.0, 0.0, nans, voxels - nans), min(self.ranges, default=0)
         low, high = min(span[0] for span in spans.values()), max(span[1] for span in spans.values())
         widest = max(spans, key=lambda k: (spans[k][1] - spans[k][0], -k))
-        infs = min(infs, voxels - 1)
-        return Census(low, high, min(nans, voxels - 1 - infs), infs), widest
+        nans = min(nans, voxels - 1)
+        return Census(low, high, nans, min(infs, voxels - 1 - nans)), widest
 
     # ---- steps
 
