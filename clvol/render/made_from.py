@@ -37,6 +37,11 @@ class MadeFrom:
         self._asked: tuple | None = (resolved, camera or resolved.camera, frame)
         self._told: dict[str, Any] = {}
 
+    @property
+    def holds_voxels(self) -> bool:
+        """Whether voxels stay in memory for it: those of a step of a series are read again when they are needed."""
+        return self._asked is not None and not isinstance(self._asked[0].volume, StepVolume)
+
     def __call__(self) -> dict[str, Any]:
         if self._asked is not None:
             self._told, self._asked = _told(*self._asked), None

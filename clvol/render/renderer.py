@@ -181,7 +181,8 @@ class Renderer:
             return
         with self._alone():
             for provenance in list(self._provenances):  # frames that are still in use need not hold the volume
-                provenance()
+                if provenance.holds_voxels:
+                    provenance()
             if self._on_device is not None:
                 self._on_device.close()
             self._on_device = None
