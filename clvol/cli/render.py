@@ -9,9 +9,11 @@ import click
 
 from clvol.cli.devices import measure_for_all
 from clvol.cli.options import complete_file, memory_cap_option, overrides_option
+from clvol.cli.workers import connection, render_on_workers, workers_options
 from clvol.errors import UsageError
 
 if TYPE_CHECKING:
+    from clvol.cluster.connection import Connection
     from clvol.scene import Scene
 
 
@@ -44,6 +46,7 @@ if TYPE_CHECKING:
     help="Use each device in a process of its own: a driver that crashes or hangs costs no more than what it was "
     "rendering.",
 )
+@workers_options("Render in N processes of this machine, which share the cores (extra 'distributed').")
 @click.option(
     "--max-error",
     type=float,
@@ -85,6 +88,8 @@ def command(
     overrides: tuple[str, ...],
     devices: tuple[str, ...],
     isolate: bool,
+    workers: int | None,
+    scheduler: str | None,
     max_error: float | None,
     time_budget: float | None,
     resume: bool,
@@ -131,10 +136,10 @@ def command(
         _render(
             scene, names, overrides, start, stats=more[0], show_schedule=more[1], devices=list(devices) or None,
             memory_cap=memory_cap, quiet=quiet, isolate=isolate, max_error=max_error, time_budget=time_budget,
-            resume=resume, frames=frames,
+            resume=resume, frames=frames, cluster=cluster,
         )  # fmt: skip
 
-    with protected(Inputs(scenes)):
+    with protected(Inputs(scenes)), connection(workers, scheduler, quiet) as cluster:
         each_of(scenes, render)
 
 
@@ -154,6 +159,7 @@ def _render(
     time_budget: float | None,
     resume: bool,
     frames: str | None,
+    cluster: Connection | None,
 ) -> None:
     """Renders one scene, a picture or an animation. ``start``: when that began (``perf_counter``)."""
     from clvol.cli.outputs import scene_inputs
@@ -163,8 +169,13 @@ def _render(
 
     loaded = load_scene(scene, overrides)
     with protected(scene_inputs(scene, loaded)):
-        loaded, has_steps = _with_frame_per_step(loaded, outputs, frames, memory_cap)
-        if loaded.animation.frames == 1 and not has_steps:
+        steps = _frames_by_step(loaded, outputs, frames, memory_cap)
+        if steps is not None:
+            overrides = (*overrides, f"animation.frames={steps}")
+            loaded = load_scene(scene, overrides)
+        if loaded.animation.frames == 1 and steps is None:
+            if cluster is not None:
+                raise UsageError("--workers", "given for a single picture", "a scene with animation.frames above 1")
             if frames is not None:
                 raise UsageError("--frames", "given for a single picture", "a scene with animation.frames above 1")
             outputs = check_still(outputs, resume)
@@ -183,25 +194,28 @@ def _render(
             what = f"given for an animation of {loaded.animation.frames} frames"
             raise UsageError("--show-schedule", what, "one frame: --set animation.frames=1")
         wanted = slice(None) if frames is None else frame_range(frames, loaded.animation.frames)
+        if cluster is not None:
+            render_on_workers(
+                cluster, scene, overrides, loaded, outputs, stats, resume=resume, frames=wanted, quiet=quiet,
+                devices=devices, memory_cap=memory_cap, isolate=isolate,
+            )  # fmt: skip
+            return
         render_animation(
             loaded, outputs, stats, resume=resume, frames=wanted, quiet=quiet, devices=devices, memory_cap=memory_cap,
             isolate=isolate,
         )  # fmt: skip
 
 
-def _with_frame_per_step(
+def _frames_by_step(
     scene: Scene, outputs: tuple[str, ...], frames: str | None, memory_cap: int | None
-) -> tuple[Scene, bool]:
-    """``scene`` with a frame for each step of its series, if it has one, states no number of frames, and is to be
-    rendered as an animation; and whether that is so."""
-    from clvol.cli.outputs import numbered
+) -> int | None:
+    """How many frames ``scene`` has if it has a series with one for each step: where it states no number of frames, and
+    is to be rendered as an animation. None otherwise."""
+    from clvol.batch.names import numbered
     from clvol.image import is_video
 
     animated = frames is not None or any(is_video(path) or numbered(path, 0) != path for path in outputs)
-    if not animated or "frames" in scene.animation.model_fields_set:
-        return scene, False
+    if not animated or "frames" in scene.animation.model_fields_set or scene.step_is_fixed:
+        return None
     series = scene.load_series(memory_cap)
-    if series is None or scene.step_is_fixed:
-        return scene, False
-    animation = scene.animation.model_copy(update={"frames": len(series)})
-    return scene.model_copy(update={"animation": animation}), True
+    return None if series is None else len(series)
