@@ -70,7 +70,8 @@ class PreparedCache:
             if _without(other, before) == _without(key, volume):
                 changed = prepared.for_step(resolved)
                 if changed is not None:
-                    self._shared.rename("volume", before, volume)
+                    for kind in ("volume", "history"):
+                        self._shared.rename(kind, before, volume)
                 return changed
         return None
 
