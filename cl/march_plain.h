@@ -14,6 +14,7 @@
 
 #include "along_rays.h"
 #include "classify.h"
+#include "coherence.h"
 #include "features.h"
 #include "half_opacity.h"
 #include "march.h"
@@ -25,7 +26,7 @@
 #include "skip_empty.h"
 
 INLINE void render_packet(const Scene *scene, intN px, intN py, Span span, float *rgba, float *depth, uint *samples,
-                          Tally *counted)
+                          Tally *counted FIRST_PARAMETER)
 {
   __global const uchar *volume = scene->volume, *distances = scene->distances;
   __global const float *table = scene->table;
@@ -33,6 +34,7 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, Span span, float
   const Rays ray = make_rays(view, TO_FLOAT(px), TO_FLOAT(py));
   const floatN whole = floor(ray.length), rest = ray.length - whole;
   const intN hits = MASK(ray.length >= 0.0f) & MASK(px < view->image.x) & MASK(py < view->image.y);
+  BEGIN_FIRST(hits);
   const floatN offset = MIDPOINTS ? 0.5f : 0.0f;
   intN last = select((intN)DONE, TO_INT(whole) - MIDPOINTS, hits);
   floatN span_from, span_to;
@@ -117,6 +119,7 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, Span span, float
         const intN active = lanes_of(shown[step] & ~ended);
         const floatN before = acc.a;
         composite_color(&acc, queued_color(colors, shown[step], from), active);
+        NOTE_FIRST(before, acc.a, first_t + ((float)step - 1.0f));
         from += popcount(shown[step]), queued ^= next;
 #if WITH_DEPTH
         const intN passes = passes_half(before, acc.a);
@@ -159,6 +162,7 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, Span span, float
       composite_classified(&acc, classified, (floatN)1.0f, active & owns_front(view, &ray, t - 0.5f));
 #endif
       if (visible) {
+        NOTE_FIRST(before, acc.a, t - (MIDPOINTS ? 0.5f : 1.0f));
 #if WITH_DEPTH
         const intN passes = passes_half(before, acc.a);
         if (any_lane(passes)) {
@@ -208,6 +212,7 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, Span span, float
     const Emission classified = classified_emission(sample, view, table);
     composite_classified(&acc, classified, rest, active);
 #endif
+    NOTE_FIRST(before, acc.a, whole);
 #if WITH_DEPTH
     const intN passes = passes_half(before, acc.a);
     note_half(&half_, passes, before, whole, rest, front, back);
@@ -216,6 +221,9 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, Span span, float
 #endif
 #endif
   }
+#if COHERENT
+  *first = ray.entry_depth + *first * view->step; /* it was in steps */
+#endif
   gathered_store(&acc, rgba);
 #if WITH_DEPTH && MIDPOINTS
   note_sampled_ends(&half_, volume, table, view, &ray, &taken);
