@@ -68,7 +68,7 @@ def film(**how) -> Animation:
 
 def check_frames(alone) -> None:
     assert [read(name) for name in names()] == alone
-    assert not [name for name in os.listdir() if name.endswith((".claim", ".npy.part", ".part.npy"))]
+    assert not [name for name in os.listdir() if name.endswith(".claim")]
 
 
 def workers() -> list[int]:
