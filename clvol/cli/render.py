@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING
 
 import click
 
+from clvol.cli.bricks import render_bricks
 from clvol.cli.devices import measure_for_all
 from clvol.cli.options import complete_file, memory_cap_option, overrides_option
-from clvol.cli.workers import connection, render_on_workers, workers_options
+from clvol.cli.workers import check_alone, connection, render_on_workers, workers_options
 from clvol.errors import UsageError
 
 if TYPE_CHECKING:
@@ -47,6 +48,11 @@ if TYPE_CHECKING:
     "rendering.",
 )
 @workers_options("Render in N processes of this machine, which share the cores (extra 'distributed').")
+@click.option(
+    "--bricks", type=click.IntRange(1, 4096), metavar="N",
+    help="Divide the volume into N parts, which are rendered one after the other, or by workers, none of which holds "
+    "the whole; for one picture of emission and absorption.",
+)  # fmt: skip
 @click.option(
     "--max-error",
     type=float,
@@ -90,6 +96,7 @@ def command(
     isolate: bool,
     workers: int | None,
     scheduler: str | None,
+    bricks: int | None,
     max_error: float | None,
     time_budget: float | None,
     resume: bool,
@@ -136,7 +143,7 @@ def command(
         _render(
             scene, names, overrides, start, stats=more[0], show_schedule=more[1], devices=list(devices) or None,
             memory_cap=memory_cap, quiet=quiet, isolate=isolate, max_error=max_error, time_budget=time_budget,
-            resume=resume, frames=frames, cluster=cluster,
+            resume=resume, frames=frames, cluster=cluster, bricks=bricks,
         )  # fmt: skip
 
     with protected(Inputs(scenes)), connection(workers, scheduler, quiet) as cluster:
@@ -160,6 +167,7 @@ def _render(
     resume: bool,
     frames: str | None,
     cluster: Connection | None,
+    bricks: int | None,
 ) -> None:
     """Renders one scene, a picture or an animation. ``start``: when that began (``perf_counter``)."""
     from clvol.cli.outputs import scene_inputs
@@ -169,6 +177,14 @@ def _render(
 
     loaded = load_scene(scene, overrides)
     with protected(scene_inputs(scene, loaded)):
+        if bricks is not None:
+            check_alone("--bricks", loaded, max_error=max_error, time_budget=time_budget, show_schedule=show_schedule)
+            outputs = check_still(outputs, resume)
+            render_bricks(
+                cluster, scene, overrides, loaded, outputs, stats, bricks, quiet=quiet, devices=devices,
+                memory_cap=memory_cap,
+            )  # fmt: skip
+            return
         steps = _frames_by_step(loaded, outputs, frames, memory_cap)
         if steps is not None:
             overrides = (*overrides, f"animation.frames={steps}")

@@ -50,6 +50,7 @@ class ResidentVolume:
     cells: tuple[int, int, int]
     cell_shift: int
     layout: dict[str, int] = {}
+    view_fields: dict[str, tuple[float, ...]] = {}  # (x, y, z) of members of ``View`` that are of this volume alone
     has_fine_bounds = False
 
     @property
