@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from typing import Any
 
 from clvol.batch.claims import Claims
@@ -45,21 +46,27 @@ class Frames:
 
     def made_from(self, frame: Timed) -> MadeFrom:
         index, seconds, camera = frame
-        resolved = self._at(seconds)
-        animation = resolved.animation.model_copy(update={"time": seconds})
-        return MadeFrom(replace(resolved, animation=animation), camera, index)
+        return MadeFrom(self._at(seconds).at(seconds), camera, index)
 
     def is_there(self, frame: Timed) -> bool:
         """Whether all its pictures exist, are whole, and were made as they would be made now."""
+        names = self.names(frame[0])
+        if not all(map(os.path.exists, names)):
+            return False
         made_from = self.made_from(frame)()
         resolved = self._at(frame[1])
-        return all(is_made_from(name, resolved, made_from) for name in self.names(frame[0]))
+        return all(is_made_from(name, resolved, made_from) for name in names)
 
-    def render(self, renderer: Renderer, frame: Timed, progress: Progress | None, depth: bool) -> Frame:
+    def render(
+        self, renderer: Renderer, frame: Timed, progress: Progress | None, depth: bool, following: Timed | None = None
+    ) -> Frame:
+        """``following``: the frame that will be rendered next, whose step of a series is read meanwhile; None where
+        that depends on other processes."""
         _, seconds, camera = frame
         if self._sets_values:
             renderer.set_scene(self._at(seconds))
-        rendered = renderer.render(camera=camera, time=seconds, progress=progress, depth=depth)
+        ahead = {} if following is None or self.resolved.steps is None else {"next_time": following[1]}
+        rendered = renderer.render(camera=camera, time=seconds, progress=progress, depth=depth, **ahead)
         rendered.made_from = self.made_from(frame)
         return rendered
 

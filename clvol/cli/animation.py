@@ -8,14 +8,17 @@ from contextlib import ExitStack
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
+from click.exceptions import Exit
+
 from clvol.batch.claims import Claims
 from clvol.batch.shared import unmade
+from clvol.cli import say_error
 from clvol.cli.console import note, preparing, say_path, to_json, working
 from clvol.cli.outputs import check_frames
 from clvol.cli.standard_output import STANDARD, is_standard, kept_clean
 from clvol.cli.verbose import log_scene
 from clvol.cli.video_parts import VideoParts
-from clvol.errors import UsageError
+from clvol.errors import UsageError, VolumeError
 
 if TYPE_CHECKING:
     from clvol.batch.frames import Frames, Timed
@@ -45,6 +48,9 @@ def render_animation(
     and were made from the same scene, voxels and version (``clvol.render.made_from``); frames are claimed
     (``clvol.batch.claims``), so that several processes can share a folder. A video's frames are then kept as pictures
     until it is complete (``clvol.cli.video_parts``).
+
+    Of a series, the step of the next frame is read while one is rendered. Where a step cannot be read, pictures of the
+    other frames are rendered all the same, and the exit status at the end is that of the error.
     """
     from clvol.image import atomic_paths, open_video
 
@@ -71,6 +77,7 @@ def render_animation(
         with working("checking which frames exist", quiet):
             todo = [frame for frame in wanted if not film.is_there(frame)]
     written: list[str] = []
+    failed: list[int] = []  # frames whose steps cannot be read
     totals = Totals()
     depth = any(path.lower().endswith(".exr") for path in stills)
     of_all = partial(made_from_all, resolved)
@@ -94,7 +101,16 @@ def render_animation(
         rendered, places_of = 0, {frame[0]: place for place, frame in enumerate(todo)}
         for timed in _shared(todo, claims, film, progress):
             index = timed[0]
-            frame = film.render(renderer, timed, _part(progress, places_of[index], len(todo)), depth)
+            at = places_of[index]
+            following = todo[at + 1] if claims is None and at + 1 < len(todo) else None
+            try:
+                frame = film.render(renderer, timed, _part(progress, at, len(todo)), depth, following)
+            except VolumeError as error:
+                if videos or resolved.steps is None:
+                    raise
+                failed.append(index)
+                say_error(f"frame {index}: {error}")
+                continue
             write_start = time.perf_counter()
             if claims is not None and not claims.owns(film.names(index)[0]):
                 continue  # this process was stopped for so long that another one has taken over
@@ -113,7 +129,8 @@ def render_animation(
         totals.seconds["write"] = totals.seconds.get("write", 0) + time.perf_counter() - write_start
         if stats is not None:
             totals.seconds |= {"load": load_seconds, "total": time.perf_counter() - start}
-            known = totals.stats() | {"frames": rendered, "frames_kept": len(wanted) - rendered}
+            known = totals.stats() | {"frames": rendered, "frames_kept": len(wanted) - rendered - len(failed)}
+            known |= {"frames_failed": failed} if failed else {}
             text = to_json(known) + "\n"
             if is_standard(stats):
                 write_standard(text.encode())
@@ -126,8 +143,10 @@ def render_animation(
     if resume and not quiet:
         if there := len(wanted) - len(todo):
             note(f"{there} of {len(wanted)} frames existed already and were kept")
-        if others_made := len(todo) - rendered:
+        if others_made := len(todo) - rendered - len(failed):
             note(f"{others_made} of {len(wanted)} frames were made by other processes")
+    if failed:
+        raise Exit(VolumeError.exit_status)
 
 
 def frame_range(text: str, count: int) -> slice:
