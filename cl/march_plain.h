@@ -18,6 +18,7 @@
 #include "features.h"
 #include "half_opacity.h"
 #include "march.h"
+#include "owned_box.h"
 #include "packet_spans.h"
 #include "rays.h"
 #include "scene.h"
@@ -93,7 +94,8 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, Span span, float
       shift_ends(value2, &front, &back, 1.0f, closes & MASK(step > opens + 1));
       value2 = select(value2, value1, goes_on), value1 = select(value1, value, goes_on);
       fronts[step] = front, backs[step] = back;
-      const intN shows = closes & lanes_that_show(lane_min(front, back), lane_max(front, back), view);
+      const intN owned = closes & owns_front(view, &ray, first_t + ((float)step - 1.0f));
+      const intN shows = owned & lanes_that_show(lane_min(front, back), lane_max(front, back), view);
       shown[step] = lane_bits(shows);
       todo |= (uint)(shown[step] != 0) << step;
     }
@@ -146,16 +148,18 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, Span span, float
       floatN front = value1, back = value;
       shift_ends(value2, &front, &back, 1.0f, closes & MASK(i > start + 1));
       value2 = select(value2, value1, active), value1 = select(value1, value, active);
-      visible = may_be_visible(lane_min(front, back), lane_max(front, back), closes, view);
-      if (visible) composite_segment(&acc, front, back, (floatN)1.0f, closes, table, view);
+      const intN owned = closes & owns_front(view, &ray, t - 1.0f);
+      visible = may_be_visible(lane_min(front, back), lane_max(front, back), owned, view);
+      if (visible) composite_segment(&acc, front, back, (floatN)1.0f, owned, table, view);
 #elif CLASSIFICATION == CLASSIFICATION_POST
       const floatN value = values[step];
-      visible = may_be_visible(value, value, active, view);
-      if (visible) composite_steps(&acc, value, (intN)1, 1, active, table, view);
+      const intN owned = active & owns_front(view, &ray, t - 0.5f);
+      visible = may_be_visible(value, value, owned, view);
+      if (visible) composite_steps(&acc, value, (intN)1, 1, owned, table, view);
 #else
       visible = 1;
       const Emission classified = classified_emission(fetch_along(volume, view, &ray, t), view, table);
-      composite_classified(&acc, classified, (floatN)1.0f, active);
+      composite_classified(&acc, classified, (floatN)1.0f, active & owns_front(view, &ray, t - 0.5f));
 #endif
       if (visible) {
         NOTE_FIRST(before, acc.a, t - (MIDPOINTS ? 0.5f : 1.0f));
@@ -190,6 +194,7 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, Span span, float
   if (any_lane(looks))
     active &= ~looks | MASK(next_visible(distances, view, whole, span_to, looks, &ray, counted) < ray.length);
 #endif
+  active &= owns_front(view, &ray, whole);
   if (any_lane(active)) {
     const floatN t = MIDPOINTS ? whole + 0.5f * rest : ray.length;
     const FetchedSample sample = fetch_along(volume, view, &ray, t);

@@ -48,6 +48,17 @@ def check_workers(workers: int | None, scheduler: str | None) -> bool:
     return True
 
 
+def check_alone(option: str, scene: Scene, **others: object) -> None:
+    """UsageError if ``option``, which is for one picture, is given for an animation or with one of the ``others``, by
+    the names of their arguments."""
+    if scene.animation.frames != 1:
+        what = f"given for an animation of {scene.animation.frames} frames"
+        raise UsageError(option, what, "one frame: --set animation.frames=1")
+    for name, value in others.items():
+        if value is not None:
+            raise UsageError(option, f"given together with --{name.replace('_', '-')}", "one of the two")
+
+
 @contextmanager
 def connection(workers: int | None, scheduler: str | None, quiet: bool) -> Iterator[Connection | None]:
     """Yields the cluster that the options name; None without them."""
@@ -89,7 +100,9 @@ def render_on_workers(
     from clvol.image import atomic_paths, open_video
 
     start = time.perf_counter()
-    videos, stills, others = checked_outputs(scene, outputs, stats, resume)
+    videos, stills, others = checked_outputs(scene, outputs, stats)
+    if resume and videos:
+        raise UsageError("--resume", f"given with {videos[0]}", "numbered pictures only, with workers")
     of_all: Callable[[], dict[str, Any]] | None = None
     if videos:  # they say which voxels they show
         with working("loading", quiet, scene.input_paths):

@@ -17,6 +17,7 @@ from typing import Any
 from clvol.batch.frames import FramesRun
 from clvol.batch.job import Picture
 from clvol.batch.run import JobRun, Options
+from clvol.bricks.render import BricksRun
 from clvol.cluster.facts import Digests, different_program
 from clvol.errors import ClvolError, ClvolWarning, DeviceError
 from clvol.json_values import plain
@@ -59,6 +60,17 @@ def picture(request: str) -> dict[str, Any]:
         settings = tuple((key, value) for key, value in described["settings"])
         files = tuple(described["files"])
         return {"results": run.make(Picture(**{**described, "settings": settings, "files": files}))}
+
+    return _answered(request, work)
+
+
+def brick(request: str) -> dict[str, Any]:
+    """Renders the partial picture of a brick (``clvol.cluster.bricks``): "pixels" float32 [height, width, 4]."""
+
+    def work(asked: dict[str, Any]) -> dict[str, Any]:
+        run = _kept(asked["scene"], lambda: BricksRun(**asked["scene"]))
+        made = run.make(asked["brick"])
+        return {"pixels": made.rgba, "samples": made.samples, "bytes": made.bytes}
 
     return _answered(request, work)
 

@@ -16,13 +16,16 @@ from clvol.batch.frames import Animation
 from clvol.batch.job import load_job, pictures_of
 from clvol.batch.results import results_in
 from clvol.batch.run import JobRun, Options
+from clvol.bricks.render import bricks_of
 from clvol.cli import main
+from clvol.cluster.bricks import bricks_on_workers
 from clvol.cluster.connection import check_installed, connected, shares
 from clvol.cluster.facts import Digests
 from clvol.cluster.frames import frames_on_workers
 from clvol.cluster.pictures import ClusterRun
-from clvol.errors import ClvolWarning, RenderError, UsageError
+from clvol.errors import ClvolWarning, RenderError, SceneError, UsageError
 from clvol.image import load_image
+from clvol.scene import load_scene
 
 psutil = pytest.importorskip("psutil", reason="the extra 'distributed' brings it")
 
@@ -65,7 +68,7 @@ def film(**how) -> Animation:
 
 def check_frames(alone) -> None:
     assert [read(name) for name in names()] == alone
-    assert not [name for name in os.listdir() if name.endswith((".claim", ".npy.part", ".part.npy"))]
+    assert not [name for name in os.listdir() if name.endswith(".claim")]
 
 
 def workers() -> list[int]:
@@ -108,9 +111,10 @@ def test_workers_whose_files_differ_are_left_out(local, monkeypatch):
 
 
 def test_pictures_of_a_job_are_those_of_one_process(local, folder):
-    text = 'volumes = ["waves.npy"]\nset = { "image.width" = 24, "image.height" = 16 }\n'
-    Path("job.toml").write_text(text + 'output = "p_{step}.npy"\n[[vary]]\nkey = "integration.step"\nname = "step"\n'
-                                'values = [0.5, 1.0, -1.0, 2.0]\n')  # fmt: skip
+    # The programs of the frames: nothing else is compiled.
+    Path("job.toml").write_text('scenes = ["film.toml"]\noutput = "p_{fov}.npy"\nset = { "animation.frames" = 1 }\n'
+                                '[[vary]]\nkey = "camera.fov_degrees"\nname = "fov"\n'
+                                'values = [20.0, 30.0, -1.0, 40.0]\n')  # fmt: skip
     pictures = pictures_of(load_job("job.toml"), "job.toml")
     told: list[dict] = []
     outcome = ClusterRun(local, pictures, Options(results="c.jsonl"), told.append).run()
@@ -125,6 +129,34 @@ def test_pictures_of_a_job_are_those_of_one_process(local, folder):
         os.remove(name)
     JobRun(pictures, Options(results="d.jsonl"), lambda result: None).run()
     assert {name: read(name) for name in made} == made
+
+
+STILL = ["animation.frames=1", "image.width=33", "integration.early_termination=0.0"]
+
+
+def test_bricks_of_workers_are_those_of_one_process_and_nearly_the_whole(local):
+    bricks = bricks_of(load_scene("film.toml", STILL).resolve(), 5)
+    scene = {"path": "film.toml", "overrides": STILL, "count": 5, "devices": None, "memory_cap": None}
+    rgba, told = bricks_on_workers(local, bricks, scene, ["film.toml", "waves.npy"])
+    assert told["bricks"] == 5 and told["samples"] > 0 and told["largest_brick_bytes"] < 24**3
+    words = ["--quiet", *(word for each in STILL for word in ("--set", each))]
+    assert main(["render", "film.toml", "-o", "b.npy", "--bricks", "5", "--stats", "b.json", *words]) == 0
+    np.testing.assert_array_equal(np.load("b.npy"), rgba)
+    assert json.loads(Path("b.json").read_text())["bricks"] == 5
+    assert main(["render", "film.toml", "-o", "w.npy", *words]) == 0
+    assert np.abs(np.load("w.npy") - rgba).max() < 1e-6
+
+
+def test_a_brick_that_fails_ends_the_picture(local):
+    bricks = bricks_of(load_scene("film.toml", STILL).resolve(), 2)
+    scene = {"path": "film.toml", "overrides": ["image.width=0"], "count": 2, "devices": None, "memory_cap": None}
+    with pytest.raises(SceneError, match="brick [01]: .*image.width"):
+        bricks_on_workers(local, bricks, scene, ["film.toml"])
+
+
+def test_bricks_are_for_one_picture(capfd):
+    assert main(["render", "film.toml", "-o", "f.npy", "--bricks", "2"]) == 2
+    assert "--bricks: given for an animation" in capfd.readouterr().err
 
 
 def test_a_worker_that_is_killed_costs_no_frame(local, alone):

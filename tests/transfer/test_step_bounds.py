@@ -39,5 +39,6 @@ def test_a_single_value_bounds_nothing():
     function = TransferFunction([0.0, 255.0], [0.1, 0.3], [[1.0, 0.5, 0.25]] * 2)
     bounds = np.array([[0.0, 0.0, 100.0, 100.0]] * 3)
     for midpoints in (False, True):
-        steps = most_steps(bounds, function, np.linspace(100.0, 100.0, 257), 1.0, 1.0, 1e-3, 8, midpoints, per_step=True)
+        nodes = np.linspace(100.0, 100.0, 257)
+        steps = most_steps(bounds, function, nodes, 1.0, 1.0, 1e-3, 8, midpoints, per_step=True)
         assert steps.tolist() == [8, 8, 8]
