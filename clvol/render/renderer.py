@@ -70,7 +70,8 @@ class _OnDevices:
                 member.prepare(resolved, progress, wait)
                 member.scene = resolved
             except (RenderError, DeviceError, VolumeError) as error:
-                if len(self.members) == 1:
+                no_step = isinstance(error, VolumeError) and isinstance(resolved.volume, StepVolume)
+                if len(self.members) == 1 or no_step:  # no device is to blame for a step that cannot be read
                     raise
                 self.group.lose(member, error)
         self.scene, self.wait = resolved, wait

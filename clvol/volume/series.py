@@ -53,6 +53,7 @@ class SeriesFacts:
     unit: str | None = None
     labels: bool = False
     reads_blocks: bool = False
+    format: str | None = None
 
 
 class VolumeSeries:
@@ -179,7 +180,7 @@ class VolumeSeries:
         census, widest = self._census(dtype, like)
         return SeriesFacts(
             like.grid, dtype, like.axis, census, widest, like.frame, like.unit, like.labels,
-            getattr(like, "blocks_source", None) is not None,
+            getattr(like, "blocks_source", None) is not None, like.format,
         )  # fmt: skip
 
     def _warn_of_failures(self) -> None:
@@ -378,7 +379,7 @@ class StepVolume(Volume):
         self.series, self.number, self._is_plain = series, number, plain
         self.axis = ValueAxis() if plain else facts.axis
         self.grid, self.frame, self.unit, self.labels = facts.grid, facts.frame, facts.unit, facts.labels
-        self.name, self.path, self.format = series.name, series.steps[number].path, series.steps[number].format
+        self.name, self.path, self.format = series.name, series.steps[number].path, facts.format
         self.files = ()
 
     @property
