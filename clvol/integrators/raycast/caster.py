@@ -397,8 +397,8 @@ class Raycaster:
             for engine in (self, self.without_surfaces):
                 tallies.append(engine.launches("raycast", view, tiles, depth, None, none, np.zeros(1, np.int64)))
         if fills:
-            none |= {"coarse": self.no_array, "coarse_depths": self.no_array, "rays": counts[1]}
-            tallies.append(self.launches("fill_between_rays", view, tiles, depth, None, none, chosen))
+            more = {"coarse": self.no_array, "coarse_depths": self.no_array, "rays": counts[1]}
+            tallies.append(self.launches("fill_between_rays", view, tiles, depth, None, none | more, chosen))
         if lists:
             none |= {"listed": self.context.empty(np.int32, (2,))}
             tallies.append(self.launches("listed_rays", view, tiles, depth, None, none, chosen))

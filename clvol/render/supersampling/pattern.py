@@ -5,8 +5,9 @@ all pixels are pixels of the same view at ``cells`` times the size, which every 
 
 The regular patterns are a grid of 2 by 2 or 4 by 4, and every other one of its places for 2 and 8 rays. In the rotated
 ones each ray has a row and a column of its own, so that an upright or level edge that moves through the pixel passes
-rays one at a time; they are lattices of rank 1, and for 4 rays the rotated grid (Klein et al. 2005), symmetric about the
-middle, so that their mean is that of the pixel wherever the picture is linear.
+rays one at a time. For 4 rays that is the rotated grid (Klein et al. 2005); those for 8 and 16 have, of all such
+patterns that were tried, the least mean and largest error of half planes of all angles. All are symmetric about the
+middle, so that the mean is the pixel's wherever the picture is linear.
 """
 
 from __future__ import annotations
@@ -17,7 +18,12 @@ from functools import lru_cache
 import numpy as np
 
 SAMPLES = (1, 2, 4, 8, 16)
-_ROTATED = {2: (1, 0), 8: (3, 1), 16: (3, 1)}  # column of row r: (g r + b) mod n, with which g and b
+_ROTATED = {  # the column of the ray in each row
+    2: (0, 1),
+    4: (1, 3, 0, 2),
+    8: (1, 5, 3, 7, 0, 4, 2, 6),
+    16: (8, 2, 11, 15, 6, 1, 12, 5, 10, 3, 14, 9, 0, 4, 13, 7),
+}
 
 
 @dataclass(frozen=True)
@@ -37,11 +43,8 @@ def pattern(samples: int, name: str) -> Pattern:
     """The pattern of ``samples`` (``SAMPLES``) rays: ``name`` "regular" or "rotated"."""
     if samples == 1:
         return Pattern(1, ((0, 0),))
-    if name == "rotated" and samples == 4:
-        return Pattern(4, tuple((c, r) for r, c in enumerate((1, 3, 0, 2))))
     if name == "rotated":
-        step, first = _ROTATED[samples]
-        return Pattern(samples, tuple(((step * r + first) % samples, r) for r in range(samples)))
+        return Pattern(samples, tuple((column, row) for row, column in enumerate(_ROTATED[samples])))
     side = 2 if samples <= 4 else 4
     every = [(c, r) for r in range(side) for c in range(side)]
     kept = every if samples == side * side else [(c, r) for c, r in every if (c + r) % 2 == 0]

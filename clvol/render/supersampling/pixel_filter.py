@@ -59,7 +59,7 @@ class FilteredPicture:
                     continue
                 to = np.s_[max(-dy, 0) : height - max(dy, 0), max(-dx, 0) : width - max(dx, 0)]
                 of = np.s_[max(dy, 0) : height - max(-dy, 0), max(dx, 0) : width - max(-dx, 0)]
-                self._sum[to] += rgba[of] if weight == 1.0 else weight * rgba[of]
+                self._sum[to] += rgba[of] if weight == 1.0 else np.multiply(rgba[of], weight, dtype=np.float64)
                 self._weights[to] += weight
 
     def take(self) -> np.ndarray:
