@@ -189,9 +189,9 @@ class RendersOnSeveral(Protocol):
         depth: bool, on_loss: Callable[[int, BaseException], None], seconds: float | None = None,
         lattice: Pixels = EVERY_PIXEL,
     ) -> FrameData | None:  # fmt: skip
-        """The picture, or its pixels on ``lattice``, on the devices of ``prepared``, which have the same scene; the first one is this. None if
-        there is nothing to share. ``on_loss(device, error)`` is called for one that fails; the error of the last one is
-        raised. ``seconds``: as ``RefinesInTime.render_for_time``."""
+        """The picture, or its pixels on ``lattice``, on the devices of ``prepared``, which have the same scene; the
+        first one is this. None if there is nothing to share. ``on_loss(device, error)`` is called for one that fails;
+        the error of the last one is raised. ``seconds``: as ``RefinesInTime.render_for_time``."""
         ...
 
 

@@ -165,6 +165,7 @@ class SharedPrepared:
         lattice: Pixels = EVERY_PIXEL,
         share: bool = False,
     ) -> FrameData:
-        """As ``Prepared.render``; ``share`` as in ``DeviceGroup.render``. Otherwise a lattice of pixels is rendered by the fastest device alone: there is little to
-        share, and its time tells settings apart only if it is always the same device's."""
+        """As ``Prepared.render``; ``share`` as in ``DeviceGroup.render``. Otherwise a lattice of pixels is rendered by
+        the fastest device alone: there is little to share, and its time tells settings apart only if it is always the
+        same device's."""
         return self._use().render(camera, width, height, progress, depth, lattice, share)

@@ -52,7 +52,7 @@ class ImageSettings(Table):
     sample_pattern: Literal["rotated", "regular"] = Field(
         "rotated",
         title="Where a pixel's rays are: in rows and columns of their own (better at upright edges), or on a grid.",
-        description="'rotated' (each ray in a row and a column of its own) or 'regular' (a grid along the pixel's sides)",
+        description="'rotated' (each ray in a row and a column of its own) or 'regular' (a grid)",
     )
     refine: Literal["edges", "all"] = Field(
         "edges",

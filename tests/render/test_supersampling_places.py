@@ -1,4 +1,4 @@
-"""Where rays go in a pixel, how a pixel weighs them, and which pixels get more of them: arithmetic, without a device."""
+"""Where rays go in a pixel, how a pixel weighs them, and which pixels get more: arithmetic, without a device."""
 
 from __future__ import annotations
 

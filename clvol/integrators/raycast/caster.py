@@ -417,8 +417,9 @@ class Raycaster:
         chosen: np.ndarray | None = None,
         size: tuple[int, int] = (0, 0),
     ) -> DeviceArray | None:
-        """Runs kernel ``name`` over all tiles, or those that ``chosen`` lists, in launches that are each kept
-        short. ``size``: pixels (width, height) of the outputs. Returns uint32 [n, names], what was counted for these tiles, if anything is."""
+        """Runs kernel ``name`` over all tiles, or those that ``chosen`` lists, in launches that are each kept short.
+        ``size``: pixels (width, height) of the outputs. Returns uint32 [n, names], what was counted for these tiles, if
+        anything is."""
         context = self.context
         switches = {**self.switches, "WITH_DEPTH": int(depth)}
         variant, more, added = self._more_arguments(tiles)

@@ -16,7 +16,7 @@ from clvol.transfer.color import linear_to_srgb
 
 _STEEPEST = 16.0  # change of depth, in pixels' widths in the world: steeper surfaces than 86 degrees are two
 _LEVELS = 1 << 14
-_NEIGHBOURS = (np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1, :], np.s_[1:, :])
+_NEIGHBOURS = (np.s_[..., :-1], np.s_[..., 1:]), (np.s_[..., :-1, :], np.s_[..., 1:, :])
 
 
 class Edges:
@@ -58,7 +58,7 @@ class Edges:
         shown = self.shown(rgba)
         found = np.zeros(rgba.shape[:2], bool)
         for first, second in _NEIGHBOURS:
-            differ = self.differ(shown[(slice(None), *first)], shown[(slice(None), *second)])
+            differ = self.differ(shown[first], shown[second])
             if depth is not None:
                 differ |= self.apart(depth[first], depth[second])
             found[first] |= differ
@@ -69,7 +69,7 @@ class Edges:
         """float32 [height, width]: the largest difference to a neighbour, as displayed."""
         shown, most = self.shown(rgba), np.zeros(rgba.shape[:2], np.float32)
         for first, second in _NEIGHBOURS:
-            step = np.abs(shown[(slice(None), *first)] - shown[(slice(None), *second)]).max(axis=0)
+            step = np.abs(shown[first] - shown[second]).max(axis=0)
             most[first] = np.maximum(most[first], step)
             most[second] = np.maximum(most[second], step)
         return most

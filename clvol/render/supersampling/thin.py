@@ -22,8 +22,8 @@ _CORNERS = np.stack(np.unravel_index(np.arange(8), (2, 2, 2)), axis=-1).astype(b
 def hidden(
     cells: np.ndarray, shift: int, grid: Grid, frame: RayFrame, opacity: np.ndarray
 ) -> np.ndarray:
-    """bool [height, width]: pixels that may hide something. ``cells`` bool [z, y, x] of 2^``shift`` lattice units: where
-    anything is visible in a volume on ``grid``. ``frame``: rays of the picture, ``opacity`` [height, width]."""
+    """bool [height, width]: pixels that may hide something. ``cells`` bool [z, y, x] of 2^``shift`` lattice units:
+    where anything is visible in a volume on ``grid``. ``frame``: rays of the picture, ``opacity`` [height, width]."""
     clear = opacity == 0.0
     if not clear.any() or not cells.any():
         return np.zeros_like(clear)
