@@ -3,7 +3,8 @@
 What is visible lies in cells (the map by which rays leap over empty space). A pixel whose ray saw nothing, but which
 such a cell covers, may hide a thread between rays. Where cells are of a pixel's size, all such pixels are found; where
 they are larger, those on the outline of what cells cover, or large parts of the picture would be refined for nothing.
-A thread before something else that is visible is not found.
+Where voxels are larger than pixels there are none: what is interpolated between voxels is no thinner than they are. A
+thread before something else that is visible is not found.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from clvol.device.view import RayFrame
 from clvol.volume import Grid
 
 _SMALL = 2.0  # pixels: the mean width of cells that hide threads anywhere in them
+_WIDEST = 1.5  # pixels per voxel of rectangles around cells: about a pixel per edge of a voxel
 _PIECE = 1 << 16
 _CORNERS = np.stack(np.unravel_index(np.arange(8), (2, 2, 2)), axis=-1).astype(bool)
 
@@ -31,6 +33,8 @@ def hidden(
     if found is None:
         return np.zeros_like(clear)
     covered, width = found
+    if width > _WIDEST * (1 << shift):
+        return np.zeros_like(clear)
     return clear & (covered if width <= _SMALL else _outline(covered))
 
 
