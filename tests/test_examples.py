@@ -30,11 +30,12 @@ SHOWS = {
     "projection": lambda scene: scene.integration.compositing != "over",
     "labels": lambda scene: scene.field[0].role == "label",
     "animation": lambda scene: scene.animation.frames > 1,
+    "edges": lambda scene: scene.image.refines,
     "overlay": lambda scene: scene.overlay.scale_bar and scene.overlay.color_bar,
 }
 
 
-def test_there_are_twelve_scenes_and_four_scripts():
+def test_there_are_thirteen_scenes_and_four_scripts():
     assert set(SCENES) == set(SHOWS)
     assert {path.stem for path in EXAMPLES.glob("*.py")} == {
         "render_array", "render_to_error", "compare_steps", "labels"
