@@ -35,10 +35,10 @@ SHOWS = {
 }
 
 
-def test_there_are_thirteen_scenes_and_four_scripts():
+def test_there_are_thirteen_scenes_and_five_scripts():
     assert set(SCENES) == set(SHOWS)
     assert {path.stem for path in EXAMPLES.glob("*.py")} == {
-        "render_array", "render_to_error", "compare_steps", "labels"
+        "render_array", "render_to_error", "compare_steps", "labels", "series"
     }  # fmt: skip
 
 
@@ -84,6 +84,15 @@ def test_the_script_that_compares_steps():
     rows = script("compare_steps")["main"](24)
     errors = [error for _, error, _ in rows]
     assert errors == sorted(errors, reverse=True) and errors[-1] < 0.01
+
+
+def test_the_script_that_writes_a_series(tmp_path, capfd):
+    scene = script("series")["main"](str(tmp_path / "s"), 3, 16)
+    assert main(["render", str(scene), "-o", str(tmp_path / "a_%d.npy"), *SMALL]) == 0
+    assert capfd.readouterr().err == ""
+    pictures = [load_image(path)["rgba"] for path in sorted(tmp_path.glob("*.npy"))]
+    assert len(pictures) == 3 and all((rgba[..., 3] > 0.1).any() for rgba in pictures)
+    assert not np.array_equal(pictures[0], pictures[2])
 
 
 def test_the_labels_are_what_their_script_writes():

@@ -51,9 +51,9 @@ class Measurement:
         width, height = self._size
         count_all = width * height
         rgba = picture.picture.reshape(count_all, 4)
-        pilot, known = np.zeros(0, np.int64), np.zeros(0)
+        pilot, known = np.zeros(0, int), np.zeros(0)
         if not self._area:
-            pilot = self._pilot.lattice.pixels(width, height) @ (width, 1)
+            pilot = np.asarray(self._pilot.lattice.pixels(width, height) @ (width, 1), int)
             known = _squared(rgba[pilot], self._pilot.exact().reshape(-1, 4))
         left_out = np.zeros(count_all, bool)
         left_out[pilot] = True

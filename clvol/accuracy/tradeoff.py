@@ -70,8 +70,8 @@ def measure_tradeoff(
     """Renders ``scene`` with at most ``settings`` settings, and times the relevant ones over ``frames`` frames.
 
     Returns the content of tradeoff.json, and pictures, float32 [h, w, 4], by name: "reference", and the ids of the
-    points of the front and of the scene's own settings. ``pixel_area``: as for ``render_to_error``. Raises what ``clvol.Renderer`` raises, and UsageError for
-    numbers below 1.
+    points of the front and of the scene's own settings. ``pixel_area``: as for ``render_to_error``. Raises what
+    ``clvol.Renderer`` raises, and UsageError for numbers below 1.
     """
     for name, value, least in (("frames", frames, 1), ("settings", settings, 1)):
         if value < least:

@@ -63,8 +63,8 @@ class Trials:
     filter and classification (of voxels, or of interpolated values), so settings that change these are measured as
     approximations of the scene. For scenes with effects it is the limit of small steps (see GroundTruth).
     ``exact`` (float64 [h, w, 4]): that integral, if it is known already. ``truth``: the ground truth, or True to create
-    it. If ``truth`` is False, errors are not measured and are reported as inf. ``one_ray``: pixels have one ray, whatever
-    the settings say.
+    it. If ``truth`` is False, errors are not measured and are reported as inf. ``one_ray``: pixels have one ray,
+    whatever the settings say.
     """
 
     def __init__(

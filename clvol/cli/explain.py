@@ -42,6 +42,9 @@ def command(
     say(f"classification {classification['name']}: {classification['reason']}")
     rays = explanation["rays"]
     say(f"rays per pixel {rays['per_pixel']}: {rays['reason']}")
+    coherence = explanation.get("coherence")
+    if coherence is not None:
+        say(f"coherence {coherence['mode']}: {coherence['reason']}")
     say(f"kernel {explanation['kernel_hash']}")
     for warning in explanation["warnings"]:
         say(f"warning: {warning}")

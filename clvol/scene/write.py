@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from pydantic import BaseModel
 
 from clvol.transfer import TransferFunction
+from clvol.volume.series import VolumeSeries
 
 if TYPE_CHECKING:
     from clvol.scene.scene import Scene
@@ -48,6 +49,8 @@ def _key(key: str, value: Any) -> str:
 
 
 def _voxels(volume: Any) -> str:
+    if isinstance(volume, VolumeSeries):
+        return f"{len(volume)} steps, each of {_voxels(volume.step(0))}"
     shape = " x ".join(str(n) for n in volume.grid.size)
     return f"{shape} voxels of {volume.dtype}, passed as an array"
 

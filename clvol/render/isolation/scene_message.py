@@ -17,6 +17,7 @@ import numpy as np
 from clvol.device.view import PixelLattice, PixelList
 from clvol.scene import OpacityFactor, ResolvedField, ResolvedScene, TransferLayer
 from clvol.scene.classification import ChosenClassification
+from clvol.scene.step_times import StepTimes
 from clvol.scene.table import Table
 from clvol.transfer import TransferFunction
 from clvol.volume.axis import ValueAxis
@@ -26,7 +27,7 @@ from clvol.volume.volume import Volume
 _TYPES: dict[str, type] = {
     each.__name__: each
     for each in (
-        ChosenClassification, Grid, OpacityFactor, PixelLattice, PixelList, ResolvedField, ResolvedScene,
+        ChosenClassification, Grid, OpacityFactor, PixelLattice, PixelList, ResolvedField, ResolvedScene, StepTimes,
         TransferFunction, TransferLayer, ValueAxis,
     )  # fmt: skip
 }
