@@ -72,8 +72,8 @@ __kernel WIDE_VECTORS void listed_rays(SCENE_PARAMETERS, __global const int2 *re
 #if SPANS
     const int packet = (at - first) / LANES;
     if (packet % LANES == 0) spans_of_rays(distances, view, listed, at, (end - at) / LANES, from, to, counted);
-    const Span span = {from[packet % LANES], to[packet % LANES]};
-    if (span.from > span.to) {
+    const Span span = span_between((floatN)from[packet % LANES], (floatN)to[packet % LANES]);
+    if (from[packet % LANES] > to[packet % LANES]) {
       EACH_LANE_ROLLED(k)
       {
         image[at + k] = 0.0f;

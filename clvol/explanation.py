@@ -29,8 +29,8 @@ def explain(resolved: ResolvedScene) -> dict[str, Any]:
     "effects" lists every effect with the reason why it is used or not, "compression" says what becomes of the voxels
     (None: nothing), "coherence" where rays start, "kernel_hash" identifies the compiled kernel, and "warnings" lists
     settings that are valid but hardly intended, "classification" is the one that is used and why, "rays" says how many
-    a pixel has. Raises SceneError for a scene that a Renderer would refuse, for example because its environment cannot be
-    read.
+    a pixel has. Raises SceneError for a scene that a Renderer would refuse, for example because its environment cannot
+    be read.
     """
     check_scene(resolved)
     _read_environment(reduced(resolved).environment)
