@@ -76,7 +76,8 @@ if TYPE_CHECKING:
     "--resume",
     is_flag=True,
     help="Keep the numbered pictures of an animation that exist, are whole and were made from the same scene, "
-    "voxels and version; render the others. Several processes, also of several machines, may do so in one folder: "
+    "voxels and version; render the others. The frames of a video are kept as pictures in the folder VIDEO.frames "
+    "until it is complete. Several processes, also of several machines, may do so in one folder: "
     "no frame is rendered twice.",
 )
 @click.option(
