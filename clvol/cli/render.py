@@ -67,10 +67,17 @@ if TYPE_CHECKING:
     "With the method 'multiresolution': refine the picture for this long, and estimate the error.",
 )
 @click.option(
+    "--pixel-area",
+    is_flag=True,
+    help="With --max-error or --time-budget: errors against the integral over each pixel, not along the ray through "
+    "its middle; the number of rays per pixel is chosen, too. So it is for scenes with image.samples above 1.",
+)
+@click.option(
     "--resume",
     is_flag=True,
     help="Keep the numbered pictures of an animation that exist, are whole and were made from the same scene, "
-    "voxels and version; render the others. Several processes, also of several machines, may do so in one folder: "
+    "voxels and version; render the others. The frames of a video are kept as pictures in the folder VIDEO.frames "
+    "until it is complete. Several processes, also of several machines, may do so in one folder: "
     "no frame is rendered twice.",
 )
 @click.option(
@@ -99,6 +106,7 @@ def command(
     bricks: int | None,
     max_error: float | None,
     time_budget: float | None,
+    pixel_area: bool,
     resume: bool,
     frames: str | None,
     stats: str | None,
@@ -132,7 +140,7 @@ def command(
     from clvol.cli.several import check_names, each_of, filled
     from clvol.inputs import Inputs, protected
 
-    check_targets(max_error, time_budget)
+    check_targets(max_error, time_budget, pixel_area)
     check_names(scenes, [*outputs, stats, show_schedule])
     measure_for_all(devices, quiet)
 
@@ -143,7 +151,7 @@ def command(
         _render(
             scene, names, overrides, start, stats=more[0], show_schedule=more[1], devices=list(devices) or None,
             memory_cap=memory_cap, quiet=quiet, isolate=isolate, max_error=max_error, time_budget=time_budget,
-            resume=resume, frames=frames, cluster=cluster, bricks=bricks,
+            pixel_area=pixel_area, resume=resume, frames=frames, cluster=cluster, bricks=bricks,
         )  # fmt: skip
 
     with protected(Inputs(scenes)), connection(workers, scheduler, quiet) as cluster:
@@ -164,6 +172,7 @@ def _render(
     isolate: bool,
     max_error: float | None,
     time_budget: float | None,
+    pixel_area: bool,
     resume: bool,
     frames: str | None,
     cluster: Connection | None,
@@ -197,7 +206,8 @@ def _render(
             outputs = check_still(outputs, resume)
             render_still(
                 loaded, outputs, stats, devices, memory_cap, quiet, start,
-                isolate=isolate, max_error=max_error, time_budget=time_budget, show_schedule=show_schedule,
+                isolate=isolate, max_error=max_error, time_budget=time_budget, pixel_area=pixel_area,
+                show_schedule=show_schedule,
             )  # fmt: skip
             return
         from clvol.cli.animation import frame_range, render_animation

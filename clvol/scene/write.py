@@ -69,6 +69,11 @@ def _function_keys(function: TransferFunction) -> list[str]:
     return [unit, 'color_space = "linear"', f"points = {format_value(points)}"]
 
 
+def _bare(key: str) -> str:
+    """A key as it is written: in quotes where it has dots."""
+    return f'"{key}"' if "." in key else key
+
+
 def format_value(value: Any) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
@@ -76,7 +81,7 @@ def format_value(value: Any) -> str:
         # A JSON string is a TOML basic string, except for DEL.
         return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
     if isinstance(value, Mapping):
-        return "{ " + ", ".join(f"{key} = {format_value(item)}" for key, item in value.items()) + " }"
+        return "{ " + ", ".join(f"{_bare(key)} = {format_value(item)}" for key, item in value.items()) + " }"
     if isinstance(value, (list, tuple)):
         if value and isinstance(value[0], Mapping):
             return "[\n" + "".join(f"  {format_value(item)},\n" for item in value) + "]"
