@@ -15,7 +15,7 @@ from clvol.device.tile_ranges import sums_over_tiles, view_axes
 from clvol.device.view import RayFrame
 from clvol.volume import Grid
 
-_SMALL = 2.0  # pixels: the mean width of cells that hide threads anywhere in them
+_SMALL = 3.0  # pixels: the mean width of rectangles around cells that hide threads anywhere in them
 _WIDEST = 1.5  # pixels per voxel of rectangles around cells: about a pixel per edge of a voxel
 _PIECE = 1 << 16
 _CORNERS = np.stack(np.unravel_index(np.arange(8), (2, 2, 2)), axis=-1).astype(bool)
