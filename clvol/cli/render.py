@@ -143,6 +143,10 @@ def command(
     check_targets(max_error, time_budget, pixel_area)
     check_names(scenes, [*outputs, stats, show_schedule])
     measure_for_all(devices, quiet)
+    if not isolate and workers is None and scheduler is None and not {*devices} - {"pocl"}:
+        from clvol.opencl.devices import look_ahead
+
+        look_ahead()
 
     def render(scene: str) -> None:
         start = time.perf_counter()
@@ -235,13 +239,10 @@ def _render(
 def _frames_by_step(
     scene: Scene, outputs: tuple[str, ...], frames: str | None, memory_cap: int | None
 ) -> int | None:
-    """How many frames ``scene`` has if it has a series with one for each step: where it states no number of frames, and
-    is to be rendered as an animation. None otherwise."""
+    """How many frames ``scene`` has if they follow from the steps of its series: where it states no number of frames,
+    and is to be rendered as an animation. None otherwise."""
     from clvol.batch.names import numbered
     from clvol.image import is_video
 
     animated = frames is not None or any(is_video(path) or numbered(path, 0) != path for path in outputs)
-    if not animated or "frames" in scene.animation.model_fields_set or scene.step_is_fixed:
-        return None
-    series = scene.load_series(memory_cap)
-    return None if series is None else len(series)
+    return scene.frames_of_series(memory_cap) if animated else None
