@@ -6,8 +6,8 @@
  *                voxels, interpolation is bilinear: the third weight is 0
  *   along-view   planes parallel to the picture: d / cos
  *   shells       spheres around the eye, d apart on every ray; planes for an orthographic one
- * (Kraus, Direct Volume Visualization of Geometrically Unpleasant Meshes, 2003, section 4; shells: LaMar, Hamann, Joy,
- * Multiresolution techniques for interactive texture-based volume visualization, 1999.)
+ * (Engel, Ertl, Interactive high-quality volume rendering with flexible consumer graphics hardware, 2002, section 4;
+ * shells: LaMar, Hamann, Joy, Multiresolution techniques for interactive texture-based volume visualization, 1999.)
  *
  * CLASSIFICATION pre and post: a slice stands for its thickness; slices along the view lie in the middle of what they
  * stand for. preintegrated: two slices bound a slab (Engel, Kraus, Ertl, High-quality pre-integrated volume rendering,
