@@ -27,6 +27,7 @@ from clvol.opencl.build import build_file, is_pocl, keep_programs
 from clvol.opencl.devices import device_name
 from clvol.opencl.failures import BufferMemoryError, failures_of
 from clvol.opencl.forks import check_fork, is_forked, opencl_used
+from clvol.opencl.launches import SafeLaunches
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,16 +52,22 @@ class Kernel:
 
     ``alone``: work-items are groups of their own where a call names no size of groups. The driver would choose one by
     the number of work-items; PoCL compiles the kernel again for every size, and so for every new size of a volume.
-    ``device``: its name, for errors.
+    ``device``: its name, for errors. ``safe``: orders launches on devices that need it.
     """
 
     def __init__(
-        self, program: Any, name: str, arguments: tuple[Argument, ...], alone: bool = False, device: str | None = None
+        self,
+        program: Any,
+        name: str,
+        arguments: tuple[Argument, ...],
+        alone: bool = False,
+        device: str | None = None,
+        safe: SafeLaunches | None = None,
     ) -> None:
         self.name = name
         self._where = device or f"kernel {name}"
         self.arguments = arguments
-        self._alone = alone
+        self._alone, self._safe = alone, safe
         self._kernel = cl.Kernel(program, name)
         if self._kernel.num_args != len(self.arguments):
             raise RenderError(
@@ -99,11 +106,12 @@ class Kernel:
                 self._kernel.set_arg(index, array.buffer)
             if local_size is None and self._alone:
                 local_size = (1,) * len(global_size)
-            return cl.enqueue_nd_range_kernel(
-                queue,
-                self._kernel,
-                tuple(int(n) for n in global_size),
-                None if local_size is None else tuple(int(n) for n in local_size),
+            size = tuple(int(n) for n in global_size)
+            groups = None if local_size is None else tuple(int(n) for n in local_size)
+            if self._safe is None:
+                return cl.enqueue_nd_range_kernel(queue, self._kernel, size, groups)
+            return self._safe.launch(
+                size, groups, lambda: cl.enqueue_nd_range_kernel(queue, self._kernel, size, groups)
             )
 
 
@@ -178,7 +186,8 @@ class DeviceContext:
         key = (file, name, options, folder, arguments)
         if key not in self._kernels:
             program = self._program(file, options, folder)
-            self._kernels[key] = Kernel(program, name, arguments, self._alone, self.name)
+            safe = SafeLaunches(program, name, self) if is_pocl(self.device) else None
+            self._kernels[key] = Kernel(program, name, arguments, self._alone, self.name, safe)
         return self._kernels[key]
 
     def _program(self, file: str, options: tuple[str, ...], folder: Path | None) -> Any:

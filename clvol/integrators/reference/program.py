@@ -13,9 +13,10 @@ import numpy as np
 
 from clvol.errors import DeviceError, RenderError
 from clvol.opencl.binding import cl
-from clvol.opencl.build import build_file
+from clvol.opencl.build import build_file, is_pocl
 from clvol.opencl.devices import device_name
 from clvol.opencl.forks import check_fork, opencl_used
+from clvol.opencl.launches import SafeLaunches
 from clvol.schedule.crew import Team
 
 if TYPE_CHECKING:
@@ -145,6 +146,7 @@ class _RaysOnDevice:
             ]
             self._visible = self._upload(scene.control["visible_below"], np.int32)
             self._kernel = cl.Kernel(program, "reference_integral")
+            self._safe = SafeLaunches(program, "reference_integral", self) if is_pocl(device) else None
 
     def _upload(self, array: np.ndarray, dtype: type) -> cl.Buffer:
         flags = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
@@ -198,7 +200,12 @@ class _RaysOnDevice:
         )  # fmt: skip
         local = 8 if self._on_host else 64
         groups = -(-size // local)
-        cl.enqueue_nd_range_kernel(self._queue, self._kernel, (groups * local,), (local,)).wait()
+        grid = (groups * local,), (local,)
+
+        def enqueue() -> cl.Event:
+            return cl.enqueue_nd_range_kernel(self._queue, self._kernel, *grid)
+
+        (enqueue() if self._safe is None else self._safe.launch(*grid, enqueue)).wait()
         for array, buffer in zip(into.arrays, outputs):
             cl.enqueue_copy(self._queue, array[begin:end], buffer)
         for buffer in (*sent, *outputs):
