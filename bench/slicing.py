@@ -1,6 +1,6 @@
-"""What slices do to a picture, by the figures that Kraus (2003, section 4) argues with: stacks that pop, planes and
-shells under wide views, narrow peaks that fall between slices, frame buffers of few bits; and what slices take beside
-rays.
+"""What slices do to a picture, by the figures that Engel and Ertl (2002, section 4) argue with: stacks that pop, planes
+and shells under wide views, narrow peaks that fall between slices, frame buffers of few bits; what slices take beside
+rays; and half-angle slices (half_angle.py).
 
 All pictures are of one volume, by the transfer functions engine-smooth and engine-peaks; errors are against the exact
 integral.
@@ -11,17 +11,20 @@ from __future__ import annotations
 import math
 import statistics
 from collections.abc import Iterator
+from pathlib import Path
 from time import perf_counter
 from typing import Any
 
 import numpy as np
 
+from bench import half_angle
 from bench.options import Options
 from bench.reference_cache import exact_picture
-from bench.report import closing, load_average, opening, table
+from bench.report import closing, load_average, opening, say, table
 from bench.scenes import SCENES, BenchScene, available
+from bench.slicing_pictures import slicing_sheet
 
-SUMMARY = "slices beside rays: popping, planes and shells, narrow peaks, frame buffers of few bits"
+SUMMARY = "slices beside rays: popping, planes and shells, narrow peaks, frame buffers, half-angle slices"
 SIZE, QUICK_SIZE = 256, 48
 GEOMETRIES = ("object-aligned", "object-aligned-interpolated", "view-aligned", "shells")
 ANGLES = (0, 10, 20, 30, 40, 44.9, 45.1, 50, 60, 70, 80, 90)
@@ -98,6 +101,12 @@ def run(options: Options) -> dict[str, Any] | None:
     result["peaks"] = list(over_slices(bench, QUICK_SLICES if quick else SLICES))
     result["buffers"] = list(over_buffers(bench, QUICK_SLICES if quick else SLICES))
     result["times"] = list(times(bench, 3 if quick else options.frames))
+    result["half_angle"] = half_angle.measure(bench, quick)
+    path = (Path(__file__).resolve().parent if not quick else options.folder) / "slicing-pictures.png"
+    try:
+        result["sheet"] = str(slicing_sheet(bench, half_angle.LightBench(bench, quick), path))
+    except ImportError as error:
+        say(f"no pictures: {error} (pip install matplotlib)")
     result["seconds"], result["load_after"] = perf_counter() - begin, load_average()
     return result
 
@@ -231,6 +240,7 @@ def show(result: dict[str, Any]) -> str:
                 for r in result["times"]
             ],
         ),
+        *half_angle.show(result["half_angle"]),
         "\n".join(closing(result)),
     ]  # fmt: skip
     return "\n\n".join(parts)
@@ -245,26 +255,30 @@ def draw(result: dict[str, Any], options: Options) -> list:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(12, 7), dpi=110, layout="constrained")
+    shown = {**result, **result["half_angle"]}
+    figure = Figure(figsize=(16, 7), dpi=110, layout="constrained")
     FigureCanvasAgg(figure)
-    (angles, views), (peaks, buffers) = figure.subplots(2, 2)
+    (angles, views, spacing), (peaks, buffers, lights) = figure.subplots(2, 3)
     for axes, rows, key, columns, title, label in (
         (angles, "angles", "angle", (*GEOMETRIES, "rays"), "error over the view's angle", "degrees from the z axis"),
         (views, "views", "degrees", ("planes", "planes, not corrected", "shells"),
          f"planes and shells, {WIDE_SLICES} slices", "degrees that the picture covers"),
         (peaks, "peaks", "slices", ("post", "preintegrated"), "three narrow peaks", "slices"),
         (buffers, "buffers", "slices", ("float32", "half", "uint8"), "precision of the frame buffer", "slices"),
+        (spacing, "spacing", "step", half_angle.WAYS, "shadows over the slices' distance", "distance, or step"),
+        (lights, "light_angles", "angle", ("middle", "front", "light volume 64", "rays"),
+         "shadows over the light's angle", "degrees between light and view"),
     ):  # fmt: skip
         for column in columns:
-            axes.plot([r[key] for r in result[rows]], [r[column] for r in result[rows]], marker="o", ms=4, label=column)
+            axes.plot([r[key] for r in shown[rows]], [r[column] for r in shown[rows]], marker="o", ms=4, label=column)
         axes.set_yscale("log")
-        if key == "slices":
+        if key in ("slices", "step"):
             axes.set_xscale("log", base=2)
-            axes.set_xticks([r[key] for r in result[rows]], [str(r[key]) for r in result[rows]])
+            axes.set_xticks([r[key] for r in shown[rows]], [str(r[key]) for r in shown[rows]])
         axes.set(title=title, xlabel=label, ylabel="RMSE")
         axes.grid(True, color="#e6e6e6", linewidth=0.6)
         axes.legend(fontsize=8)
     path = options.folder / "slicing.png"
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path)
-    return [path]
+    return [path, *(Path(result["sheet"]) for _ in range("sheet" in result))]

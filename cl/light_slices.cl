@@ -45,7 +45,7 @@ INLINE floatN depth_of_piece(const Scene *scene, const Rays *ray, Vectors direct
  * begin, end   the slabs of this launch; with SCATTERING one
  * first    texel of this launch
  * before   float [rows, columns, CARRIED]: what is known before slab `begin`, and `after` slab `end` - 1
- * lit      float [slabs, rows, columns, LIGHT_CHANNELS], of slice_light.h
+ * lit      the light volume of slice_light.h
  * samples  uint [work-items]: reconstructions of the volume are added
  */
 __kernel WIDE_VECTORS void light_slices(SCENE_PARAMETERS, __global const float4 *restrict cone, int begin, int end,
@@ -70,10 +70,12 @@ __kernel WIDE_VECTORS void light_slices(SCENE_PARAMETERS, __global const float4 
   const floatN at = of_point(across, entry), one = 1.0f;
   const floatN speed = across.x * along.x + across.y * along.y + across.z * along.z;
   const floatN gap = 1.0f / select(one, speed, hits);
+  /* The packet's, slab by slab. */
+  __global float *out = lit + (size_t)LIGHT_CHANNELS * 16 * size.z * (item * LANES / 16);
   floatN depth = AS_FLOAT(gather4(before, CARRIED * texel));
 #if SCATTERING
   const float4 less = cone[0];
-  const int directions = (int)less.w;
+  const int directions = (int)less.w, row_ = CARRIED * size.x;
   const floatN u = TO_FLOAT(column) - view->centre.x, v = TO_FLOAT(row) - view->centre.y;
   const floatN a = u * view->tangent.x, b = v * view->tangent.y, longer = sqrt(1.0f + a * a + b * b);
 #endif
@@ -81,6 +83,9 @@ __kernel WIDE_VECTORS void light_slices(SCENE_PARAMETERS, __global const float4 
   intN joined = 0;
 #if SKIP_EMPTY
   floatN clear_to = -1.0f; /* nothing absorbs before */
+#endif
+#if LANES > 1 && !SCATTERING
+  floatN through = 1.0f; /* what is left of the light */
 #endif
 #if CLIP
   Stretch kept;
@@ -94,6 +99,15 @@ __kernel WIDE_VECTORS void light_slices(SCENE_PARAMETERS, __global const float4 
     const floatN to = k == size.z - 1 ? last : lane_min(whole_to, last);
     floatN own = 0.0f;
     intN open = hits & MASK(from < to) & MASK(depth < effects->shadow_depth);
+#if SKIP_EMPTY
+    open &= MASK(clear_to < to), joined &= MASK(clear_to < to);
+#if LANES > 1 && !SCATTERING
+    if (!any_lane(open)) { /* all goes on as it is */
+      vstore16(through, 0, out + 16 * (size_t)k);
+      continue;
+    }
+#endif
+#endif
     while (any_lane(open)) {
 #if CLIP
       const intN behind = open & MASK(kept.leave <= from);
@@ -123,7 +137,6 @@ __kernel WIDE_VECTORS void light_slices(SCENE_PARAMETERS, __global const float4 
       open &= MASK(from < to);
     }
     const floatN straight = 1.0f - opacity_of_depth(depth + half_angle->own_share * own);
-    __global float *out = lit + (size_t)LIGHT_CHANNELS * texels * k;
     floatN share[3] = {straight, straight, straight};
 #if SCATTERING
     /* Edges that the slab is deep along the ray, times texels per edge across it. */
@@ -138,8 +151,8 @@ __kernel WIDE_VECTORS void light_slices(SCENE_PARAMETERS, __global const float4 
       const floatN y = lane_clamp(TO_FLOAT(row) + reach * (c.y / c.z), zero, (floatN)(float)(size.y - 1));
       const intN ix = cell_index(x, size.x), iy = cell_index(y, size.y), from_texel = CARRIED * (iy * size.x + ix);
       for (int channel = 0; channel < 3; ++channel)
-        mean[channel] += light_of_texels(before + 1 + channel, CARRIED, size.x, from_texel, x - TO_FLOAT(ix),
-                                         y - TO_FLOAT(iy));
+        mean[channel] += light_of_texels(before + 1 + channel, from_texel, from_texel + CARRIED, from_texel + row_,
+                                         from_texel + row_ + CARRIED, x - TO_FLOAT(ix), y - TO_FLOAT(iy));
     }
     const floatN losses[3] = {less.x * own, less.y * own, less.z * own};
     floatN hands_on[3];
@@ -151,6 +164,11 @@ __kernel WIDE_VECTORS void light_slices(SCENE_PARAMETERS, __global const float4 
     }
 #endif
     depth += own;
+#if LANES > 1 && !SCATTERING
+    if (any_lane(MASK(own > 0.0f))) through = 1.0f - opacity_of_depth(depth);
+    vstore16(straight, 0, out + 16 * (size_t)k);
+    continue;
+#endif
     float stored[3][LANES];
     STORE_LANES(share[0], stored[0]), STORE_LANES(share[1], stored[1]), STORE_LANES(share[2], stored[2]);
 #if SCATTERING
@@ -162,10 +180,10 @@ __kernel WIDE_VECTORS void light_slices(SCENE_PARAMETERS, __global const float4 
     {
       const int t = item * LANES + n;
       if (t >= texels) continue;
-      out[LIGHT_CHANNELS * t] = stored[0][n];
+      __global float *texel_out = out + LIGHT_CHANNELS * (16 * (size_t)k + (t & 15));
+      texel_out[0] = stored[0][n];
 #if SCATTERING
-      out[LIGHT_CHANNELS * t + 1] = stored[1][n], out[LIGHT_CHANNELS * t + 2] = stored[2][n];
-      out[LIGHT_CHANNELS * t + 3] = 0.0f;
+      texel_out[1] = stored[1][n], texel_out[2] = stored[2][n], texel_out[3] = 0.0f;
       for (int channel = 0; channel < CARRIED; ++channel) after[CARRIED * t + channel] = handed[channel][n];
 #endif
     }

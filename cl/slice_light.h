@@ -1,7 +1,8 @@
 /* The light of half-angle slabs (half_angle.h): what of it arrives at a place, and where a ray crosses the slabs.
  *
- * light_volume  float [slabs, rows, columns, LIGHT_CHANNELS]: the share of the light in each slab, linear between
- *               texels. A slab has one value along each ray of the light: that in its middle, or in front of it.
+ * light_volume  float [texels / 16, slabs, 16, LIGHT_CHANNELS], texels row by row: the share of the light in each slab,
+ *               linear between texels. A slab has one value along each ray of the light: that in its middle, or in
+ *               front of it. What a ray of the light or of the eye goes through lies together.
  */
 #ifndef SLICE_LIGHT_H
 #define SLICE_LIGHT_H
@@ -43,12 +44,18 @@ INLINE RaySlabs slabs_of(__constant const HalfAngle *half_angle, Vectors from, V
 
 #if SHADOWS == SHADOWS_HALF_ANGLE
 
-/* Between four texels. `from`: those of a slab, `channels` floats each. */
-INLINE floatN light_of_texels(__global const float *from, int channels, int columns, intN at, floatN fx, floatN fy)
+/* Where a texel's light in a slab begins in the light volume. */
+INLINE intN slab_texel(intN texel, intN slab, int slabs)
 {
-  const int row = channels * columns;
-  const floatN a = AS_FLOAT(gather4(from, at)), b = AS_FLOAT(gather4(from + channels, at));
-  const floatN c = AS_FLOAT(gather4(from + row, at)), d = AS_FLOAT(gather4(from + row + channels, at));
+  return LIGHT_CHANNELS * (((((texel >> 4) * slabs) + slab) << 4) + (texel & 15));
+}
+
+/* One channel, between four texels, which begin at these floats. */
+INLINE floatN light_of_texels(__global const float *light, intN at00, intN at10, intN at01, intN at11, floatN fx,
+                              floatN fy)
+{
+  const floatN a = AS_FLOAT(gather4(light, at00)), b = AS_FLOAT(gather4(light, at10));
+  const floatN c = AS_FLOAT(gather4(light, at01)), d = AS_FLOAT(gather4(light, at11));
   const floatN near = a + fx * (b - a), far = c + fx * (d - c);
   return near + fy * (far - near);
 }
@@ -63,13 +70,15 @@ INLINE Vectors light_of_slab(const Scene *scene, Vectors place)
   const floatN slab = floor(lane_clamp(of_point(half_angle->across, place), zero, (floatN)(float)(size.z - 1)));
   const intN ix = cell_index(x, size.x), iy = cell_index(y, size.y);
   const floatN fx = x - TO_FLOAT(ix), fy = y - TO_FLOAT(iy);
-  const intN at = LIGHT_CHANNELS * ((TO_INT(slab) * size.y + iy) * size.x + ix);
+  const intN texel = iy * size.x + ix, k = TO_INT(slab);
+  const intN at00 = slab_texel(texel, k, size.z), at10 = slab_texel(texel + 1, k, size.z);
+  const intN at01 = slab_texel(texel + size.x, k, size.z), at11 = slab_texel(texel + size.x + 1, k, size.z);
   __global const float *light = (__global const float *)scene->light_volume;
   Vectors share;
-  share.x = light_of_texels(light, LIGHT_CHANNELS, size.x, at, fx, fy);
+  share.x = light_of_texels(light, at00, at10, at01, at11, fx, fy);
 #if SCATTERING
-  share.y = light_of_texels(light + 1, LIGHT_CHANNELS, size.x, at, fx, fy);
-  share.z = light_of_texels(light + 2, LIGHT_CHANNELS, size.x, at, fx, fy);
+  share.y = light_of_texels(light + 1, at00, at10, at01, at11, fx, fy);
+  share.z = light_of_texels(light + 2, at00, at10, at01, at11, fx, fy);
 #else
   share.y = share.z = share.x;
 #endif

@@ -98,7 +98,7 @@ def _slice_bytes(resolved: ResolvedScene) -> int:
     lower, upper = grid.index_bounds()
     diagonal = float(np.linalg.norm((upper - lower) * grid.spacing)) / grid.smallest_edge
     slabs = resolved.slicing.slices or slab_count(diagonal, resolved.integration.step * np.sqrt(0.5))
-    return 4 * shadow.resolution**2 * (slabs + 2) * (4 if _scatters(shadow) else 1)
+    return 4 * (shadow.resolution**2 + 16) * (slabs + 2) * (4 if _scatters(shadow) else 1)
 
 
 def check_fits(resolved: ResolvedScene, limits: DeviceLimits) -> None:

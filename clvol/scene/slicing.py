@@ -27,7 +27,7 @@ class Slicing(Table):
 
     geometry: Literal["object-aligned", "object-aligned-interpolated", "view-aligned", "shells", "half-angle"] = Field(
         "view-aligned",
-        title="Planes of voxels, or these interpolated; planes across the view, spheres, or planes swept by light, too.",
+        title="Planes of voxels, or these interpolated; planes across the view, spheres, or planes swept by light.",
         description="'object-aligned', 'object-aligned-interpolated', 'view-aligned', 'shells' or 'half-angle'",
     )
     slices: Whole | None = Field(

@@ -30,6 +30,7 @@ from clvol.schedule.tiles import bands
 
 _SECONDS_A_SAMPLE, _BAND_SECONDS = 1e-8, 0.5
 _WORK_GROUP = 64
+_TOGETHER = 16  # texels that lie together (cl/slice_light.h)
 _MOST_FLOATS = 2**31 - 1  # which an int of the kernel numbers
 _HALF_ANGLE = (reads("half_angle", HALF_ANGLE),)
 _ARGUMENTS = (
@@ -80,7 +81,7 @@ class HalfAngleMarch(RayMarch):
         slabs = 0 if self.plan is None else self.plan.count
         pixels, lanes = texels.width * texels.height, switches["LANES"]
         channels = 4 if switches["SCATTERING"] else 1
-        needed = max(slabs, 1) * pixels * channels
+        needed = max(slabs, 1) * (-(-pixels // _TOGETHER) * _TOGETHER) * channels
         if needed > _MOST_FLOATS:
             what = f"{needed} numbers of light in {slabs} slices"
             raise RenderError(f"{caster.resolved.origin}: shadow.resolution", what, f"at most {_MOST_FLOATS}")
