@@ -2,7 +2,7 @@
 slices' distance, resolution of the light's buffer, the angle of the light with its switch at 90 degrees, light that
 leaks past an opaque wall, scattering over the spacing, and time.
 
-All pictures are of the engine, lit, but for the wall. Errors are against shadow rays at a step of 1/8.
+All pictures are of the engine, lit, but for the wall. Errors are against shadow rays at a step of 1/8; of angles, 1/4.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 import statistics
 from collections.abc import Iterator
 from contextlib import ExitStack
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,11 +18,11 @@ import numpy as np
 from bench.report import table
 
 SIZE, QUICK_SIZE = 128, 32
-STEPS, QUICK_STEPS = (4.0, 2.0, 1.0, 0.5, 0.25), (2.0, 1.0)
+STEPS, QUICK_STEPS = (4.0, 2.0, 1.0, 0.5), (2.0, 1.0)
 RESOLUTIONS, QUICK_RESOLUTIONS = (32, 64, 128, 256, 512), (32, 64)
 ANGLES, QUICK_ANGLES = (0, 30, 60, 89.9, 90.1, 120, 150, 180), (0, 89.9, 90.1, 180)
 AROUND_90 = 0.05  # degrees on either side
-FINE_STEP, QUICK_FINE_STEP = 0.125, 0.5
+FINE_STEP, FINE_ANGLE_STEP, QUICK_FINE_STEP = 0.125, 0.25, 0.5  # of truths; those of many angles are coarser
 BUFFER = 256  # texels of the light's buffer, where nothing else is said
 LIGHT = {"ambient": 0.1, "diffuse": 0.9, "specular": 0.0}
 SLANTED = 50.0  # degrees between the view and the light
@@ -36,7 +37,7 @@ def measure(bench: Any, quick: bool) -> dict[str, Any]:
         "size": light.size, "spacing": list(light.over_steps(QUICK_STEPS if quick else STEPS)),
         "resolution": list(light.over_resolutions(QUICK_RESOLUTIONS if quick else RESOLUTIONS)),
         "light_angles": list(light.over_angles(QUICK_ANGLES if quick else ANGLES)),
-        "switch": list(light.across_the_switch((2.0, 1.0) if quick else STEPS[:-1])),
+        "switch": list(light.across_the_switch((2.0, 1.0) if quick else STEPS)),
         "leakage": list(light.behind_walls(QUICK_WALLS if quick else WALLS)),
         "scattering": list(light.scattered(QUICK_STEPS if quick else STEPS)),
         "times": light.times(3 if quick else 7),
@@ -46,7 +47,7 @@ def measure(bench: Any, quick: bool) -> dict[str, Any]:
 class LightBench:
     def __init__(self, bench: Any, quick: bool) -> None:
         self.bench, self.size = bench, QUICK_SIZE if quick else SIZE
-        self.fine = QUICK_FINE_STEP if quick else FINE_STEP
+        self.quick = quick
         self.camera = bench.around(20.0)
         self._truths: dict[float, np.ndarray] = {}
 
@@ -87,7 +88,8 @@ class LightBench:
 
     def truth(self, degrees: float = SLANTED) -> np.ndarray:
         if degrees not in self._truths:
-            self._truths[degrees] = self.picture("rays", degrees, self.fine)
+            fine = FINE_STEP if degrees == SLANTED else FINE_ANGLE_STEP
+            self._truths[degrees] = self.picture("rays", degrees, QUICK_FINE_STEP if self.quick else fine)
         return self._truths[degrees]
 
     def error(self, way: str, degrees: float = SLANTED, **how: Any) -> float:
@@ -211,3 +213,30 @@ def show(part: dict[str, Any]) -> list[str]:
              for r in part["times"]],
         ),
     ]  # fmt: skip
+
+
+def draw(part: dict[str, Any], path: Path) -> Path:
+    """Errors over the slices' distance, the buffer's resolution and the light's angle."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(13, 3.8), dpi=110, layout="constrained")
+    FigureCanvasAgg(figure)
+    for axes, rows, title, label in zip(
+        figure.subplots(1, 3), (part["spacing"], part["resolution"], part["light_angles"]),
+        ("over the slices' distance", "over the resolution of the light", "over the light's angle"),
+        ("smallest voxel edges", "texels, or points", "degrees between light and view"),
+    ):  # fmt: skip
+        key, *columns = rows[0]
+        for column in columns:
+            axes.plot([r[key] for r in rows], [r[column] for r in rows], marker="o", ms=4, label=column)
+        axes.set_yscale("log")
+        if key != "angle":
+            axes.set_xscale("log", base=2)
+            axes.set_xticks([r[key] for r in rows], [str(r[key]) for r in rows])
+        axes.set(title=f"shadows {title}", xlabel=label, ylabel="RMSE")
+        axes.grid(True, color="#e6e6e6", linewidth=0.6)
+        axes.legend(fontsize=8)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path)
+    return path

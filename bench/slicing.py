@@ -255,30 +255,27 @@ def draw(result: dict[str, Any], options: Options) -> list:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    shown = {**result, **result["half_angle"]}
-    figure = Figure(figsize=(16, 7), dpi=110, layout="constrained")
+    figure = Figure(figsize=(12, 7), dpi=110, layout="constrained")
     FigureCanvasAgg(figure)
-    (angles, views, spacing), (peaks, buffers, lights) = figure.subplots(2, 3)
+    (angles, views), (peaks, buffers) = figure.subplots(2, 2)
     for axes, rows, key, columns, title, label in (
         (angles, "angles", "angle", (*GEOMETRIES, "rays"), "error over the view's angle", "degrees from the z axis"),
         (views, "views", "degrees", ("planes", "planes, not corrected", "shells"),
          f"planes and shells, {WIDE_SLICES} slices", "degrees that the picture covers"),
         (peaks, "peaks", "slices", ("post", "preintegrated"), "three narrow peaks", "slices"),
         (buffers, "buffers", "slices", ("float32", "half", "uint8"), "precision of the frame buffer", "slices"),
-        (spacing, "spacing", "step", half_angle.WAYS, "shadows over the slices' distance", "distance, or step"),
-        (lights, "light_angles", "angle", ("middle", "front", "light volume 64", "rays"),
-         "shadows over the light's angle", "degrees between light and view"),
     ):  # fmt: skip
         for column in columns:
-            axes.plot([r[key] for r in shown[rows]], [r[column] for r in shown[rows]], marker="o", ms=4, label=column)
+            axes.plot([r[key] for r in result[rows]], [r[column] for r in result[rows]], marker="o", ms=4, label=column)
         axes.set_yscale("log")
-        if key in ("slices", "step"):
+        if key == "slices":
             axes.set_xscale("log", base=2)
-            axes.set_xticks([r[key] for r in shown[rows]], [str(r[key]) for r in shown[rows]])
+            axes.set_xticks([r[key] for r in result[rows]], [str(r[key]) for r in result[rows]])
         axes.set(title=title, xlabel=label, ylabel="RMSE")
         axes.grid(True, color="#e6e6e6", linewidth=0.6)
         axes.legend(fontsize=8)
     path = options.folder / "slicing.png"
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path)
-    return [path, *(Path(result["sheet"]) for _ in range("sheet" in result))]
+    sheets = [Path(result["sheet"])] if "sheet" in result else []
+    return [path, half_angle.draw(result["half_angle"], path.with_name("half-angle.png")), *sheets]
