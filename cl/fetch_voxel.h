@@ -35,6 +35,15 @@ INLINE intN corner_offset(__global const uchar *volume, __constant const View *v
   const intN brick = ((iz >> BRICKS) * ny + (iy >> BRICKS)) * nx + (ix >> BRICKS);
   return AS_INT(gather4(volume, brick)) + iz * view->slice_stride + iy * view->row_stride + ix;
 }
+#elif OWNED_BOX
+/* Of voxels that are not here, others are fetched: nothing that depends on them is composited (owned_box.h). */
+INLINE intN corner_offset(__global const uchar *volume, __constant const View *view, intN ix, intN iy, intN iz)
+{
+  const intN x = min(max(ix, (intN)view->stored_from.x), (intN)view->stored_to.x) - view->stored_from.x;
+  const intN y = min(max(iy, (intN)view->stored_from.y), (intN)view->stored_to.y) - view->stored_from.y;
+  const intN z = min(max(iz, (intN)view->stored_from.z), (intN)view->stored_to.z) - view->stored_from.z;
+  return z * view->slice_stride + y * view->row_stride + x;
+}
 #else
 INLINE intN corner_offset(__global const uchar *volume, __constant const View *view, intN ix, intN iy, intN iz)
 {

@@ -17,6 +17,7 @@
 #define MARCH_EFFECTS_H
 
 #include "classify.h"
+#include "coherence.h"
 #include "composite.h"
 #include "emission.h"
 #include "features.h"
@@ -85,7 +86,7 @@
 #define GRADIENT_DECIDES (OPACITY_FACTORS || TRANSFER_LAYERS)
 
 INLINE void render_packet(const Scene *scene, intN px, intN py, Span span, float *rgba, float *depth, uint *samples,
-                          Tally *counted)
+                          Tally *counted FIRST_PARAMETER)
 {
   __global const uchar *volume = scene->volume, *distances = scene->distances;
   __global const float *table = scene->table;
@@ -97,6 +98,7 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, Span span, float
   Vectors forward = direction_to_local(effects, whole_ray.dx, whole_ray.dy, whole_ray.dz);
   intN alive = MASK(whole_ray.length >= 0.0f) & MASK(px < view->image.x) & MASK(py < view->image.y);
   const intN on_picture = MASK(px < view->image.x) & MASK(py < view->image.y);
+  BEGIN_FIRST(alive);
   uintN taken = 0;
   Gathered acc;
   gathered_clear(&acc);
@@ -130,12 +132,25 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, Span span, float
       const Rays along = whole_ray;
       next_from = select(next_from, whole_ray.length, stretches);
 #endif
-#if ISOSURFACES
-      walk = select_walks(walk, walk_along(along, (floatN)0.0f), stretches);
-#endif
       ray = select_rays(ray, rays_in_steps(along, h), stretches);
       i = select(i, (intN)0, stretches), joined = select(joined, (intN)0, stretches);
       const floatN segments = ONE_SEGMENT ? (floatN)1.0f : ceil(lane_max(ray.length, (floatN)0.0f));
+#if SPANS || COHERENT
+      /* Of rays that are bent, starts are known up to there. A walk needs no step before its start. */
+      floatN start_from, start_to;
+      span_along(view, span, &ray, TO_FLOAT(px), TO_FLOAT(py), h, &start_from, &start_to);
+#if REFRACTION
+      start_from = select((floatN)0.0f, start_from, MASK(bends_left == MOST_BENDS));
+#endif
+      start_from = lane_clamp(start_from - (ONE_SEGMENT ? 0.0f : 1.0f), (floatN)0.0f,
+                              lane_max(ray.length, (floatN)0.0f));
+      if (!ONE_SEGMENT) i = select(i, TO_INT(start_from), stretches);
+#else
+      const floatN start_from = 0.0f;
+#endif
+#if ISOSURFACES
+      walk = select_walks(walk, walk_along(along, start_from * h), stretches);
+#endif
       last = select(last, TO_INT(segments) - 1, stretches);
       alive &= found | ~stretches;
       last = select(last, (intN)DONE, ~alive);
@@ -313,6 +328,9 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, Span span, float
         const floatN from_edges = t0 * h, to_edges = ONE_SEGMENT ? walk.ray.length : t1 * h;
         HalfBetween between;
         between.from = INFINITY, between.to = between.before = 0.0f;
+#if COHERENT
+        const floatN before_segment = acc.a;
+#endif
         const SurfacePassage passage = pass_surfaces(scene, &walk, scaled3(forward, -1.0f), from_edges, to_edges,
                                                      length, e, visible, active,
                                                      MASK(i == last), may_bend, &acc, &between, &taken, counted);
@@ -330,9 +348,13 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, Span span, float
           NOTE_SEGMENT(passes, part)
         }
 #endif
+        NOTE_FIRST(before_segment, acc.a, ray.entry_depth + (ONE_SEGMENT ? passage.first : t0 * h));
         last = select(last, (intN)DONE, MASK(acc.a >= view->stop_opacity));
         alive &= MASK(acc.a < view->stop_opacity);
 #if REFRACTION
+#if COHERENT
+        *first = select(*first, ray.entry_depth + passage.at, passage.bends & MASK(*first == INFINITY));
+#endif
         if (any_lane(passage.bends)) {
           const Rays bent = bent_rays(scene, &walk.ray, passage.at, passage.direction);
           whole_ray = select_rays(whole_ray, bent, passage.bends);
@@ -347,6 +369,7 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, Span span, float
       if (visible) {
         const floatN before = acc.a;
         composite_emission(&acc, e, length, active);
+        NOTE_FIRST(before, acc.a, ray.entry_depth + t0 * h);
 #if WITH_DEPTH
         const intN passes = passes_half(before, acc.a);
         if (any_lane(passes)) {

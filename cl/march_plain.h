@@ -14,9 +14,11 @@
 
 #include "along_rays.h"
 #include "classify.h"
+#include "coherence.h"
 #include "features.h"
 #include "half_opacity.h"
 #include "march.h"
+#include "owned_box.h"
 #include "packet_spans.h"
 #include "rays.h"
 #include "scene.h"
@@ -24,7 +26,7 @@
 #include "skip_empty.h"
 
 INLINE void render_packet(const Scene *scene, intN px, intN py, Span span, float *rgba, float *depth, uint *samples,
-                          Tally *counted)
+                          Tally *counted FIRST_PARAMETER)
 {
   __global const uchar *volume = scene->volume, *distances = scene->distances;
   __global const float *table = scene->table;
@@ -32,6 +34,7 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, Span span, float
   const Rays ray = make_rays(view, TO_FLOAT(px), TO_FLOAT(py));
   const floatN whole = floor(ray.length), rest = ray.length - whole;
   const intN hits = MASK(ray.length >= 0.0f) & MASK(px < view->image.x) & MASK(py < view->image.y);
+  BEGIN_FIRST(hits);
   const floatN offset = MIDPOINTS ? 0.5f : 0.0f;
   intN last = select((intN)DONE, TO_INT(whole) - MIDPOINTS, hits);
   floatN span_from, span_to;
@@ -91,7 +94,8 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, Span span, float
       shift_ends(value2, &front, &back, 1.0f, closes & MASK(step > opens + 1));
       value2 = select(value2, value1, goes_on), value1 = select(value1, value, goes_on);
       fronts[step] = front, backs[step] = back;
-      const intN shows = closes & lanes_that_show(lane_min(front, back), lane_max(front, back), view);
+      const intN owned = closes & owns_front(view, &ray, first_t + ((float)step - 1.0f));
+      const intN shows = owned & lanes_that_show(lane_min(front, back), lane_max(front, back), view);
       shown[step] = lane_bits(shows);
       todo |= (uint)(shown[step] != 0) << step;
     }
@@ -115,6 +119,7 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, Span span, float
         const intN active = lanes_of(shown[step] & ~ended);
         const floatN before = acc.a;
         composite_color(&acc, queued_color(colors, shown[step], from), active);
+        NOTE_FIRST(before, acc.a, first_t + ((float)step - 1.0f));
         from += popcount(shown[step]), queued ^= next;
 #if WITH_DEPTH
         const intN passes = passes_half(before, acc.a);
@@ -143,18 +148,21 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, Span span, float
       floatN front = value1, back = value;
       shift_ends(value2, &front, &back, 1.0f, closes & MASK(i > start + 1));
       value2 = select(value2, value1, active), value1 = select(value1, value, active);
-      visible = may_be_visible(lane_min(front, back), lane_max(front, back), closes, view);
-      if (visible) composite_segment(&acc, front, back, (floatN)1.0f, closes, table, view);
+      const intN owned = closes & owns_front(view, &ray, t - 1.0f);
+      visible = may_be_visible(lane_min(front, back), lane_max(front, back), owned, view);
+      if (visible) composite_segment(&acc, front, back, (floatN)1.0f, owned, table, view);
 #elif CLASSIFICATION == CLASSIFICATION_POST
       const floatN value = values[step];
-      visible = may_be_visible(value, value, active, view);
-      if (visible) composite_steps(&acc, value, (intN)1, 1, active, table, view);
+      const intN owned = active & owns_front(view, &ray, t - 0.5f);
+      visible = may_be_visible(value, value, owned, view);
+      if (visible) composite_steps(&acc, value, (intN)1, 1, owned, table, view);
 #else
       visible = 1;
       const Emission classified = classified_emission(fetch_along(volume, view, &ray, t), view, table);
-      composite_classified(&acc, classified, (floatN)1.0f, active);
+      composite_classified(&acc, classified, (floatN)1.0f, active & owns_front(view, &ray, t - 0.5f));
 #endif
       if (visible) {
+        NOTE_FIRST(before, acc.a, t - (MIDPOINTS ? 0.5f : 1.0f));
 #if WITH_DEPTH
         const intN passes = passes_half(before, acc.a);
         if (any_lane(passes)) {
@@ -186,6 +194,7 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, Span span, float
   if (any_lane(looks))
     active &= ~looks | MASK(next_visible(distances, view, whole, span_to, looks, &ray, counted) < ray.length);
 #endif
+  active &= owns_front(view, &ray, whole);
   if (any_lane(active)) {
     const floatN t = MIDPOINTS ? whole + 0.5f * rest : ray.length;
     const FetchedSample sample = fetch_along(volume, view, &ray, t);
@@ -203,6 +212,7 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, Span span, float
     const Emission classified = classified_emission(sample, view, table);
     composite_classified(&acc, classified, rest, active);
 #endif
+    NOTE_FIRST(before, acc.a, whole);
 #if WITH_DEPTH
     const intN passes = passes_half(before, acc.a);
     note_half(&half_, passes, before, whole, rest, front, back);
@@ -211,6 +221,9 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, Span span, float
 #endif
 #endif
   }
+#if COHERENT
+  *first = ray.entry_depth + *first * view->step; /* it was in steps */
+#endif
   gathered_store(&acc, rgba);
 #if WITH_DEPTH && MIDPOINTS
   note_sampled_ends(&half_, volume, table, view, &ray, &taken);

@@ -14,6 +14,7 @@
 #define MARCH_SHADED_H
 
 #include "classify.h"
+#include "coherence.h"
 #include "composite.h"
 #include "emission.h"
 #include "features.h"
@@ -49,7 +50,7 @@ INLINE Emission emission_between(floatN front, floatN back, intN active, __globa
 }
 
 INLINE void render_packet(const Scene *scene, intN px, intN py, Span span, float *rgba, float *depth, uint *samples,
-                          Tally *counted)
+                          Tally *counted FIRST_PARAMETER)
 {
   __global const uchar *distances = scene->distances;
   __global const float *table = scene->table;
@@ -60,6 +61,7 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, Span span, float
   const Vectors forward = direction_to_local(scene->effects, whole_ray.dx, whole_ray.dy, whole_ray.dz);
   const intN on_picture = MASK(px < view->image.x) & MASK(py < view->image.y);
   intN alive = MASK(whole_ray.length >= 0.0f) & on_picture;
+  BEGIN_FIRST(alive);
   uintN taken = 0;
   Gathered acc;
   gathered_clear(&acc);
@@ -104,7 +106,7 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, Span span, float
       ray = select_rays(ray, rays_in_steps(along, h), stretches);
       i = select(i, (intN)0, stretches);
       visible_to = ray.length;
-#if SPANS && !CLIP
+#if (SPANS && !CLIP) || COHERENT
       floatN span_from;
       span_along(view, span, &ray, TO_FLOAT(px), TO_FLOAT(py), h, &span_from, &visible_to);
       visible_to = lane_min(visible_to, ray.length);
@@ -165,6 +167,7 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, Span span, float
           taken -= AS_UINT(active);
           const floatN left = select((floatN)0.0f, 1.0f - acc.a, active), before = acc.a;
           acc.r += left * e.r, acc.g += left * e.g, acc.b += left * e.b, acc.a += left * e.d;
+          NOTE_FIRST(before, acc.a, ray.entry_depth + TO_FLOAT(i) * h);
 #if WITH_DEPTH
           const intN passes = passes_half(before, acc.a);
           if (any_lane(passes))
@@ -263,6 +266,7 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, Span span, float
         const floatN t0 = TO_FLOAT(start + step), before = acc.a;
         const floatN length = select((floatN)1.0f, lane_min(t0 + 1.0f, ray.length) - t0, active);
         hold_segment(&held, &acc, e, t0, length, active, shows);
+        NOTE_FIRST(before, acc.a, ray.entry_depth + t0 * h);
 #if WITH_DEPTH
         const intN passes = passes_half(before, acc.a);
         if (any_lane(passes))

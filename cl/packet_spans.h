@@ -20,24 +20,24 @@
 #include "tally.h"
 #include "view.h"
 
-/* Whether the march keeps to spans. Rays that see nothing may still see the environment. */
-#ifndef SHADED_MARCH
-#define SHADED_MARCH 0
-#endif
+/* Whether the march keeps to spans. Rays that see nothing may still see the environment, or be what is projected. */
 #define SPANS                                                                              \
   (SKIP_EMPTY && LANES > 1 && !BLOCKS && !SLICES && QUADRATURE != QUADRATURE_CELLS &&      \
-   (!EFFECTS || (SHADED_MARCH && !ENVIRONMENT_VISIBLE)))
+   (!EFFECTS || (!COMPOSITING && !ENVIRONMENT_VISIBLE)))
 
-/* Depths in edges behind the reference plane. from > to: the packet sees nothing. */
+/* Depths of rays in edges behind the reference plane. from > to: the packet sees nothing. */
 typedef struct {
-  float from, to;
+  floatN from, to;
 } Span;
 
-INLINE Span whole_span(void)
+INLINE Span span_between(floatN from, floatN to)
 {
-  const Span span = {-INFINITY, INFINITY};
+  Span span;
+  span.from = from, span.to = to;
   return span;
 }
+
+INLINE Span whole_span(void) { return span_between(-(floatN)INFINITY, (floatN)INFINITY); }
 
 /* Frusta whose next leap is shorter than this many edges stay where they are. */
 #define LEAST_LEAP 1.0f

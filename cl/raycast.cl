@@ -2,9 +2,10 @@
  * (render_packet.h).
  *
  * Switches (-D): LANES, VOXEL_BITS, VOXEL_SIGNED, VOXEL_SCALED, VOXEL_PAIRS, VOXEL_HOLES, FILTER, CLASSIFICATION,
- * QUADRATURE, TRANSFER_PIECES, SKIP_EMPTY, WITH_DEPTH.
+ * QUADRATURE, TRANSFER_PIECES, SKIP_EMPTY, WITH_DEPTH, COHERENT.
  */
 #include "chosen_tiles.h"
+#include "coherence.h"
 #include "render_packet.h"
 
 /* The scene's arguments are described in scene.h.
@@ -12,9 +13,11 @@
  * depths     float [height, width], world distance along the ray from the eye to where opacity reaches one half, else
  *            infinity
  * samples    uint [tiles], reconstructions of the volume
+ * starts, kept, tallies   where COHERENT is set (coherence.h)
  */
 __kernel WIDE_VECTORS void raycast(SCENE_PARAMETERS, __global float4 *restrict image, __global float *restrict depths,
-                                   __global uint *restrict samples COUNTS_PARAMETER CHOSEN_PARAMETER)
+                                   __global uint *restrict samples COHERENT_PARAMETERS COUNTS_PARAMETER
+                                   CHOSEN_PARAMETER)
 {
   const Scene scene = SCENE;
   DECLARE_TALLIES
@@ -27,24 +30,30 @@ __kernel WIDE_VECTORS void raycast(SCENE_PARAMETERS, __global float4 *restrict i
   const int packets = across * ((view->tile.y + PACKET_H - 1) / PACKET_H);
   float from[LANES], to[LANES];
   uint total = 0;
+#if COHERENT
+  Tally tally[4] = {0, 0, 0, 0};
+#endif
   for (int packet = 0; packet < packets; ++packet) {
 #if SPANS
     if (packet % LANES == 0) {
       const intN each = packet + LANE_INDEX;
       packet_spans(distances, view, left + each % across * PACKET_W, top + each / across * PACKET_H, from, to, counted);
     }
-    const Span span = {from[packet % LANES], to[packet % LANES]};
+    Span span = span_between((floatN)from[packet % LANES], (floatN)to[packet % LANES]);
 #else
-    const Span span = whole_span();
+    Span span = whole_span();
 #endif
     const int column = left + packet % across * PACKET_W, row = top + packet / across * PACKET_H;
     if (column >= right || row >= bottom) continue;
 #if SPANS
-    if (span.from > span.to) {
+    if (from[packet % LANES] > to[packet % LANES]) {
       for (int y = row; y < min(row + PACKET_H, bottom); ++y)
         for (int x = column; x < min(column + PACKET_W, right); ++x) {
           const size_t pixel = (size_t)y * width + x;
           image[pixel] = 0.0f;
+#if COHERENT
+          kept[pixel] = INFINITY; /* no ray is needed to find that again */
+#endif
 #if WITH_DEPTH
           depths[pixel] = INFINITY;
 #endif
@@ -56,7 +65,23 @@ __kernel WIDE_VECTORS void raycast(SCENE_PARAMETERS, __global float4 *restrict i
     uint taken[LANES];
     const intN lane = LANE_INDEX;
     const intN px = column + (lane & (PACKET_W - 1)), py = row + lane / PACKET_W;
-    render_packet(&scene, px, py, span, rgba, depth, taken, counted);
+#if COHERENT
+    floatN first = INFINITY;
+    float kept_depth[LANES];
+    const floatN start = start_of_lanes(starts, view, column, row);
+    const intN audited = audited_lanes(start);
+    span.from = lane_max(span.from, select(start, -(floatN)INFINITY, audited));
+#endif
+    render_packet(&scene, px, py, span, rgba, depth, taken, counted FIRST_ARGUMENT);
+#if COHERENT
+    const floatN keeps = depth_to_keep(view, px, py, first);
+    const intN known = MASK(start > -(floatN)INFINITY), meets = MASK(keeps < INFINITY);
+    const intN hits = meets & MASK(keeps >= 0.0f);
+    STORE_LANES(keeps, kept_depth);
+    count_lanes(&tally[TALLY_REUSED], known & meets & ~audited), count_lanes(&tally[TALLY_HOLES], hits & ~known);
+    count_lanes(&tally[TALLY_LATE], audited & hits & MASK(keeps < start - NOT_LATE));
+    tally[TALLY_AUDITED] += LOAD_LANES(taken) & AS_UINT(audited);
+#endif
     EACH_LANE(k)
     {
       const int x = column + k % PACKET_W, y = row + k / PACKET_W;
@@ -68,12 +93,18 @@ __kernel WIDE_VECTORS void raycast(SCENE_PARAMETERS, __global float4 *restrict i
 #if WITH_DEPTH
         depths[pixel] = depth[k];
 #endif
+#if COHERENT
+        kept[pixel] = kept_depth[k];
+#endif
         total += taken[k];
       }
     }
   }
   STORE_TALLIES(item)
   samples[tile] = total;
+#if COHERENT
+  for (int k = 0; k < 4; ++k) tallies[4 * (size_t)tile + k] = tally_sum(tally[k]);
+#endif
 }
 
 #if EFFECTS && SLICES

@@ -61,6 +61,7 @@ typedef struct {
   intN bends;        /* rays that go on in another direction */
   floatN at;         /* from where, in edges */
   Vectors direction; /* local, unit length */
+  floatN first;      /* where a surface was the first to contribute, in edges */
 } SurfacePassage;
 
 #if REFRACTION
@@ -100,7 +101,7 @@ INLINE SurfacePassage pass_surfaces(const Scene *scene, SurfaceWalk *walk, Vecto
   const float steps = 1.0f / scene->view->step, enough = scene->view->stop_opacity;
   const floatN until = select(t1, (floatN)INFINITY, last);
   SurfacePassage passage;
-  passage.bends = 0, passage.at = 0.0f;
+  passage.bends = 0, passage.at = 0.0f, passage.first = INFINITY;
   passage.direction = scaled3(view, -1.0f);
   const floatN eye = walk->ray.entry_depth;
   floatN front = t0; /* so far is done */
@@ -142,6 +143,7 @@ INLINE SurfacePassage pass_surfaces(const Scene *scene, SurfaceWalk *walk, Vecto
     const floatN before = acc->a;
     acc->r += weight * color.x, acc->g += weight * color.y, acc->b += weight * color.z;
     acc->a += weight;
+    passage.first = select(passage.first, place, MASK(before <= 0.0f) & MASK(acc->a > 0.0f));
 #if WITH_DEPTH
     note_between(half_, before, acc->a, place, place);
 #endif

@@ -29,6 +29,10 @@ typedef struct {
   float4 opacity_terms, opacity_more; /* opacity of a step through one value (step_opacity() of transfer_pieces.h), */
   int4 size;           /* x, y, z: lattice points */
   int4 cells;          /* x, y, z: cells of the distance map (skip_empty.h) */
+  float4 owned_from;   /* x, y, z: with OWNED_BOX (owned_box.h), the box that owns the segments whose front is at or */
+  float4 owned_to;     /* beyond the one and before the other */
+  int4 stored_from;    /* x, y, z: the first voxel that is on the device, */
+  int4 stored_to;      /* and the lower corner of the last cell */
 #if VOXEL_BITS == 64
   double voxel_bias_double, voxel_gain_double; /* float64 voxels are read as (v - bias) gain */
 #endif
@@ -77,6 +81,7 @@ typedef struct {
   FIELD(View, ray_forward), FIELD(View, ray_du), FIELD(View, ray_dv), FIELD(View, upper), \
   FIELD(View, shows_above), FIELD(View, shows_below), FIELD(View, opacity_terms), \
   FIELD(View, opacity_more), FIELD(View, opacity_limit), FIELD(View, size), \
+  FIELD(View, owned_from), FIELD(View, owned_to), FIELD(View, stored_from), FIELD(View, stored_to), \
   FIELD(View, cells), FIELD(View, tangent), FIELD(View, centre), FIELD(View, image), FIELD(View, tile), \
   FIELD(View, lattice), FIELD(View, ray_spacing), FIELD(View, ray_tolerance), FIELD(View, first_tile), \
   FIELD(View, step), FIELD(View, plane_distance), FIELD(View, stop_opacity), FIELD(View, deepest), \

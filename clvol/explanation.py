@@ -13,6 +13,7 @@ from clvol.device.environment_file import load_radiance
 from clvol.features.analysis import effects, reduced
 from clvol.features.compression import explained
 from clvol.features.scene_warnings import camera_warning, scene_warnings
+from clvol.integrators.raycast.history import unsupported
 from clvol.integrators.registry import check_scene, integrator_of
 from clvol.opencl.context import compile_options
 from clvol.opencl.kernels_path import kernel_folder
@@ -25,9 +26,9 @@ def explain(resolved: ResolvedScene) -> dict[str, Any]:
     """The output of ``clvol explain --json``.
 
     "effects" lists every effect with the reason why it is used or not, "compression" says what becomes of the voxels
-    (None: nothing), "kernel_hash" identifies the compiled kernel, and "warnings" lists settings that are valid but
-    hardly intended, "classification" is the one that is used and why. Raises SceneError for a scene that a Renderer
-    would refuse, for example because its environment cannot be read.
+    (None: nothing), "coherence" where rays start, "kernel_hash" identifies the compiled kernel, and "warnings" lists
+    settings that are valid but hardly intended, "classification" is the one that is used and why. Raises SceneError for
+    a scene that a Renderer would refuse, for example because its environment cannot be read.
     """
     check_scene(resolved)
     _read_environment(reduced(resolved).environment)
@@ -45,9 +46,23 @@ def explain(resolved: ResolvedScene) -> dict[str, Any]:
             "reason": "the scene requests it" if chosen is None else chosen.reason,
         },
         "compression": explained(resolved),
+        "coherence": _coherence(resolved),
         "kernel_hash": kernel_hash(resolved),
         "warnings": [str(warning) for warning in warnings],
     }
+
+
+def _coherence(resolved: ResolvedScene) -> dict[str, str]:
+    """The mode of [coherence] that pictures are rendered with, and why."""
+    mode, programs = resolved.coherence.mode, scene_programs(_as_decoded(resolved))
+    switches = programs.get("raycast.cl")
+    if switches is None or switches.get("BLOCKS") or switches.get("SLICES"):
+        return {"mode": "off", "reason": "the method casts no packets of rays through a whole volume"}
+    if mode == "reproject" and "reproject.cl" not in programs:
+        return {"mode": "cells", "reason": f"'reproject' does not go with {unsupported(resolved, switches)}"}
+    if mode == "auto":
+        return {"mode": "cells", "reason": "it changes no picture, and needs none before"}
+    return {"mode": mode, "reason": "the scene requests it"}
 
 
 def _read_environment(environment: Environment | None) -> None:

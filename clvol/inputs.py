@@ -87,16 +87,16 @@ class Inputs:
                     self._files[identity] = path
 
     def _add_folder(self, top: str, source: str) -> None:
-        is_zarr = _is_zarr(top)
+        zarr = is_zarr(top)
         self._roots.append(top)
-        for folder, entries in _walk(top) if is_zarr else _level(top):
+        for folder, entries in _walk(top) if zarr else _level(top):
             identity = _identity(folder)
             if identity is not None:
                 self._folders[identity] = source
-                if is_zarr:
+                if zarr:
                     self._closed.add(identity)
             for entry in entries:
-                if is_zarr or not _is_picture(entry.path):
+                if zarr or not is_picture(entry.path):
                     if (found := _identity(entry.path)) is not None:
                         self._files.setdefault(found, source)
 
@@ -167,18 +167,18 @@ def _files_in(top: str) -> Iterator[Identity]:
                 yield identity
 
 
-def _is_zarr(folder: str) -> bool:
+def is_zarr(folder: str) -> bool:
     return any(os.path.lexists(os.path.join(folder, name)) for name in _ZARR)
 
 
 def _outermost_store(folder: str) -> str:
     """The store that ``folder`` is a group or an array of, or ``folder`` itself."""
-    while (up := os.path.dirname(folder)) != folder and _is_zarr(folder) and _is_zarr(up):
+    while (up := os.path.dirname(folder)) != folder and is_zarr(folder) and is_zarr(up):
         folder = up
     return folder
 
 
-def _is_picture(path: str) -> bool:
+def is_picture(path: str) -> bool:
     """Whether a file in a folder of slices is not a slice but a picture or JSON of the kinds that clvol writes."""
     try:
         if not os.path.isfile(path):

@@ -14,6 +14,7 @@ from clvol.errors import SceneError
 _FIELD = re.compile(r"\{([^{}:]*)(?::([^{}]*))?\}")
 _WIDTH = re.compile(r"0?[0-9]{1,2}d?")
 _UNSAFE = re.compile(r"[^\w.+=-]+")
+_NUMBER = re.compile(r"%(?:0([1-9]))?d")
 _LONGEST = 80  # characters of a value in a name
 
 # Endings that are left out of a stem, one after the other; anything else after a dot belongs to the name.
@@ -66,3 +67,14 @@ def filled(pattern: str, values: Mapping[str, Any]) -> str:
         return f"{value:{match[2]}}" if match[2] else in_a_name(value)
 
     return _FIELD.sub(text, pattern)
+
+
+def numbered(path: str, index: int) -> str:
+    """``path`` with the number of a frame in place of the %d in its name, or with at least four digits in place of
+    %04d. A name without such a place, or with several, stays unchanged."""
+    folder, name = os.path.split(path)
+    found = _NUMBER.findall(name)
+    if len(found) != 1:
+        return path
+    digits = int(found[0] or 1)
+    return os.path.join(folder, _NUMBER.sub(f"{index:0{digits}d}", name))

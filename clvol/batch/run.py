@@ -16,7 +16,7 @@ from clvol.batch.job import Picture
 from clvol.batch.made import is_made_from
 from clvol.batch.results import ResultsReader, append, digest_of
 from clvol.batch.shared import unmade
-from clvol.errors import ClvolError, ClvolWarning, SceneError
+from clvol.errors import ClvolError, ClvolWarning, DeviceError, SceneError
 from clvol.image import atomic_paths, check_output, save_picture
 from clvol.integrators.base import Progress
 from clvol.render import Renderer
@@ -25,6 +25,7 @@ from clvol.render.made_from import MadeFrom
 from clvol.scene import Scene, load_scene
 from clvol.scene.resolve import ResolvedScene
 from clvol.volume import Volume
+from clvol.volume.series import VolumeSeries
 
 STEPS = 1000  # units of progress per picture
 
@@ -83,26 +84,38 @@ class JobRun:
         progress: Callable[[int, int, str], None] | None = None, begin: Callable[[Picture], None] | None = None,
     ) -> None:  # fmt: skip
         self._pictures, self._options, self._emit, self._progress = list(pictures), options, emit, progress
-        self._begin = begin
+        self._begin, self._raises_device_errors = begin, False
         self._results, self._so_far = ResultsReader(options.results), _Known()
         self._last: _Loaded | None = None
-        self._renderer: tuple[Volume, Renderer] | None = None  # with the volume that its scenes have in common
+        # With the volume, or the series, that its scenes have in common.
+        self._renderer: tuple[Volume | VolumeSeries, Renderer] | None = None
         self.outcome = Outcome()
 
     def run(self) -> Outcome:
         """Returns once all pictures exist or have failed. An interrupt ends it, and leaves what is done."""
         counts = self.outcome.counts
         try:
-            with Claims() as claims:
-                todo = unmade(self._pictures, claims, lambda p: p.files, self._is_done, self._waiting)
-                for picture in todo:
-                    self._one(picture, claims)
+            self._all_of(self._pictures, self._waiting)
         finally:
-            self._close()
+            self.close()
         counts["kept"] = len(self._pictures) - counts["rendered"] - counts["failed"]
         return self.outcome
 
-    def _close(self) -> None:
+    def make(self, picture: Picture) -> list[dict[str, Any]]:
+        """Makes one more picture, and returns its result; none if it is there already, or if another process makes it
+        meanwhile. What is loaded and prepared stays for the next one until ``close``. DeviceError if no device
+        works."""
+        results: list[dict[str, Any]] = []
+        self._emit, self._raises_device_errors = results.append, True
+        self._all_of([picture], None)
+        return results
+
+    def _all_of(self, pictures: Sequence[Picture], waiting: Callable[[int], None] | None) -> None:
+        with Claims() as claims:
+            for picture in unmade(pictures, claims, lambda p: p.files, self._is_done, waiting):
+                self._one(picture, claims)
+
+    def close(self) -> None:
         if self._renderer is not None:
             self._renderer[1].close()
             self._renderer = None
@@ -137,6 +150,8 @@ class JobRun:
                 if self._options.max_error is not None:
                     result["request"] = self._request(self._loaded(picture))
             except (ClvolError, MemoryError) as error:
+                if self._raises_device_errors and isinstance(error, DeviceError):
+                    raise
                 self._fail(picture, error, result)
         told = [str(each.message) for each in caught if issubclass(each.category, ClvolWarning)]
         if told := list(dict.fromkeys([*result.get("warnings", []), *told])):
@@ -150,7 +165,7 @@ class JobRun:
         self.outcome.counts["failed"] += 1
         self.outcome.status = max(self.outcome.status, error.exit_status)
         result |= {"status": "failed", "message": str(error), "exit_status": error.exit_status}
-        self._close()  # a device that has failed stays out of a Renderer
+        self.close()  # a device that has failed stays out of a Renderer
 
     def _report(self, number: int, name: str, done: int, total: int) -> None:
         assert self._progress is not None
@@ -171,11 +186,12 @@ class JobRun:
 
     def _renderer_of(self, loaded: _Loaded) -> Renderer:
         """The Renderer that is open, if the scene's volume is its volume."""
-        volume, options = loaded.scene.load_volume(self._options.memory_cap), self._options
+        options = self._options
+        volume = loaded.scene.load_series(options.memory_cap) or loaded.scene.load_volume(options.memory_cap)
         if self._renderer is not None and self._renderer[0] is volume:
             self._renderer[1].set_scene(loaded.resolved)
             return self._renderer[1]
-        self._close()
+        self.close()
         renderer = Renderer(loaded.resolved, options.devices, options.memory_cap, isolate=options.isolate)
         self._renderer = volume, renderer
         return renderer

@@ -5,24 +5,25 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
-from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
+from click.exceptions import Exit
+
 from clvol.batch.claims import Claims
-from clvol.batch.made import is_made_from
 from clvol.batch.shared import unmade
+from clvol.cli import say_error
 from clvol.cli.console import note, preparing, say_path, to_json, working
-from clvol.cli.outputs import check_frames, numbered
+from clvol.cli.outputs import check_frames
 from clvol.cli.standard_output import STANDARD, is_standard, kept_clean
 from clvol.cli.verbose import log_scene
-from clvol.errors import UsageError
+from clvol.cli.video_parts import VideoParts
+from clvol.errors import UsageError, VolumeError
 
 if TYPE_CHECKING:
+    from clvol.batch.frames import Frames, Timed
     from clvol.cli.console import ShowProgress
-    from clvol.render.made_from import MadeFrom
     from clvol.scene import Scene
-    from clvol.scene.camera import Camera
     from clvol.scene.resolve import ResolvedScene
 
 _SHARES = 1000  # units of progress per frame
@@ -45,44 +46,41 @@ def render_animation(
     The pictures of a frame appear together when it is done, and stay even if a later frame fails. Videos and stats
     appear at the end or not at all. ``resume``: a frame is not rendered again if all its pictures exist, are whole,
     and were made from the same scene, voxels and version (``clvol.render.made_from``); frames are claimed
-    (``clvol.batch.claims``), so that several processes can share a folder.
+    (``clvol.batch.claims``), so that several processes can share a folder. A video's frames are then kept as pictures
+    until it is complete (``clvol.cli.video_parts``).
+
+    Of a series, the step of the next frame is read while one is rendered. Where a step cannot be read, pictures of the
+    other frames are rendered all the same, and the exit status at the end is that of the error.
     """
-    from clvol.image import atomic_paths, check_video, is_video, open_video, save_picture
+    from clvol.image import atomic_paths, open_video
 
     start = time.perf_counter()
-    if STANDARD in outputs:
-        what = f"one picture for {scene.animation.frames} frames"
-        raise UsageError(STANDARD, what, "one frame: --set animation.frames=1")
-    videos = [path for path in outputs if is_video(path)]
-    stills = [path for path in outputs if not is_video(path)]
-    others = [] if stats is None or is_standard(stats) else [stats]
-    count, fps = scene.animation.frames, scene.animation.fps
-    for path in videos:
-        check_video(path, fps, scene.image.width, scene.image.height)
-    if resume and videos:
-        raise UsageError("--resume", f"given with {videos[0]}", "numbered pictures only")
-    check_frames(stills, videos, others, count)
-
+    videos, stills, others = checked_outputs(scene, outputs, stats)
+    kept = VideoParts(scene, videos) if resume and videos else None
+    fps = scene.animation.fps
     with working("loading", quiet, scene.input_paths):
         scene.load(memory_cap)
         resolved = scene.resolve(memory_cap)
     load_seconds = time.perf_counter() - start
     log_scene(scene, memory_cap)
 
+    from clvol.batch.frames import Frames
     from clvol.integrators.registry import integrator_of
     from clvol.render import Renderer
-    from clvol.schedule.animation import frames as frames_of
 
-    wanted = list(frames_of(resolved))[frames]
+    if kept is not None:
+        kept.begin()
+    film = Frames(scene, resolved, stills + ([] if kept is None else [kept.pattern]))
+    wanted = film.all[frames]
     todo = wanted
-    is_there = partial(_frame_is_there, resolved, stills)
     if resume:
         with working("checking which frames exist", quiet):
-            todo = [frame for frame in wanted if not is_there(frame)]
+            todo = [frame for frame in wanted if not film.is_there(frame)]
     written: list[str] = []
-    totals = _Totals()
+    failed: list[int] = []  # frames whose steps cannot be read
+    totals = Totals()
     depth = any(path.lower().endswith(".exr") for path in stills)
-    of_all = partial(_made_from_all, resolved, count)
+    of_all = partial(made_from_all, resolved)
     size = f"{resolved.image.width} x {resolved.image.height} pixels"
     with ExitStack() as stack:
         write_standard = stack.enter_context(kept_clean(is_standard(stats)))
@@ -101,43 +99,54 @@ def render_animation(
             stack.enter_context(renderer)
         claims = stack.enter_context(Claims()) if resume and todo else None
         rendered, places_of = 0, {frame[0]: place for place, frame in enumerate(todo)}
-        for index, seconds, camera in _shared(todo, claims, stills, is_there, progress):
-            report = _part(progress, places_of[index], len(todo))
-            frame = renderer.render(camera=camera, time=seconds, progress=report, depth=depth)
-            frame.made_from = _made_from(resolved, index, seconds, camera)
+        for timed in _shared(todo, claims, film, progress):
+            index = timed[0]
+            at = places_of[index]
+            following = todo[at + 1] if claims is None and at + 1 < len(todo) else None
+            try:
+                frame = film.render(renderer, timed, _part(progress, at, len(todo)), depth, following)
+            except VolumeError as error:
+                if videos or resolved.steps is None:
+                    raise
+                failed.append(index)
+                say_error(f"frame {index}: {error}")
+                continue
             write_start = time.perf_counter()
-            names = [numbered(path, index) for path in stills]
-            if claims is not None and not claims.owns(names[0]):
+            if claims is not None and not claims.owns(film.names(index)[0]):
                 continue  # this process was stopped for so long that another one has taken over
-            with atomic_paths(names) as places:
-                for name, place in zip(names, places):
-                    save_picture(frame, place, name)
-            for writer in writers:
+            written += film.write(frame, index)[: len(stills)]
+            for writer in () if kept is not None else writers:
                 writer.add(frame)
-            written += names
             rendered += 1
             totals.add(frame.stats, time.perf_counter() - write_start)
         if progress is not None:
             progress(None, None, "writing")
         write_start = time.perf_counter()
+        if kept is not None:
+            kept.add_to(writers, [frame[0] for frame in wanted])
         for writer in writers:
             writer.finish()
         totals.seconds["write"] = totals.seconds.get("write", 0) + time.perf_counter() - write_start
         if stats is not None:
             totals.seconds |= {"load": load_seconds, "total": time.perf_counter() - start}
-            known = totals.stats() | {"frames": rendered, "frames_kept": len(wanted) - rendered}
+            known = totals.stats() | {"frames": rendered, "frames_kept": len(wanted) - rendered - len(failed)}
+            known |= {"frames_failed": failed} if failed else {}
             text = to_json(known) + "\n"
             if is_standard(stats):
                 write_standard(text.encode())
             else:
                 temporaries[-1].write_text(text, encoding="utf-8")
+    if kept is not None:
+        kept.remove(frame[0] for frame in wanted)
     for path in [*written, *videos, *others]:
         (note if is_standard(stats) else say_path)(path)
     if resume and not quiet:
-        if kept := len(wanted) - len(todo):
-            note(f"{kept} of {len(wanted)} frames existed already and were kept")
-        if others_made := len(todo) - rendered:
+        if there := len(wanted) - len(todo):
+            note(f"{there} of {len(wanted)} frames existed already and were kept")
+        if others_made := len(todo) - rendered - len(failed):
             note(f"{others_made} of {len(wanted)} frames were made by other processes")
+    if failed:
+        raise Exit(VolumeError.exit_status)
 
 
 def frame_range(text: str, count: int) -> slice:
@@ -155,47 +164,47 @@ def frame_range(text: str, count: int) -> slice:
     return slice(begin, end)
 
 
-Timed = tuple[int, float, "Camera"]
+def checked_outputs(
+    scene: Scene, outputs: Sequence[str], stats: str | None
+) -> tuple[list[str], list[str], list[str]]:
+    """The videos, the patterns of pictures and the other files that are to be written. UsageError for those that
+    cannot."""
+    from clvol.image import check_video, is_video
+
+    if STANDARD in outputs:
+        what = f"one picture for {scene.animation.frames} frames"
+        raise UsageError(STANDARD, what, "one frame: --set animation.frames=1")
+    videos = [path for path in outputs if is_video(path)]
+    stills = [path for path in outputs if not is_video(path)]
+    others = [] if stats is None or is_standard(stats) else [stats]
+    for path in videos:
+        check_video(path, scene.animation.fps, scene.image.width, scene.image.height)
+    check_frames(stills, videos, others, scene.animation.frames)
+    return videos, stills, others
 
 
 def _shared(
-    todo: list[Timed], claims: Claims | None, stills: Sequence[str], is_there: Callable[[Timed], bool],
-    progress: ShowProgress | None,
-) -> Iterator[Timed]:  # fmt: skip
+    todo: list[Timed], claims: Claims | None, film: Frames, progress: ShowProgress | None
+) -> Iterator[Timed]:
     """The frames of ``todo`` that this process renders."""
     if claims is None:
         yield from todo
         return
-    files = lambda frame: [numbered(path, frame[0]) for path in stills]  # noqa: E731
 
     def waiting(count: int) -> None:
         if progress is not None:
             progress(None, None, f"waiting for {count} frames that other processes render")
 
-    yield from unmade(todo, claims, files, is_there, waiting)
+    yield from unmade(todo, claims, lambda frame: film.names(frame[0]), film.is_there, waiting)
 
 
-def _frame_is_there(resolved: ResolvedScene, stills: Sequence[str], frame: Timed) -> bool:
-    """Whether all pictures of ``frame`` exist, are whole, and were made as they would be made now."""
-    index, seconds, camera = frame
-    made_from = _made_from(resolved, index, seconds, camera)()
-    return all(is_made_from(numbered(path, index), resolved, made_from) for path in stills)
-
-
-def _made_from(resolved: ResolvedScene, index: int, seconds: float, camera: Camera) -> MadeFrom:
+def made_from_all(resolved: ResolvedScene) -> dict[str, Any]:
     from clvol.render.made_from import MadeFrom
 
-    animation = resolved.animation.model_copy(update={"time": seconds})
-    return MadeFrom(replace(resolved, animation=animation), camera, index)
+    return {**MadeFrom(resolved)(), "frames": resolved.animation.frames}
 
 
-def _made_from_all(resolved: ResolvedScene, count: int) -> dict[str, Any]:
-    from clvol.render.made_from import MadeFrom
-
-    return {**MadeFrom(resolved)(), "frames": count}
-
-
-class _Totals:
+class Totals:
     """Stats of all frames: the sums of times and counts, and the other entries of the last frame."""
 
     def __init__(self) -> None:
@@ -207,8 +216,10 @@ class _Totals:
         counters = dict(self._known.get("counters", {}))
         for name, value in stats.get("counters", {}).items():
             counters[name] = counters.get(name, 0) + value
+        coherence = _summed(self._known.get("coherence", {}), stats.get("coherence", {}))
         warned = [*self._known.get("warnings", []), *stats.get("warnings", [])]
         self._known = {**stats, **summed} | ({"counters": counters} if counters else {})
+        self._known |= {"coherence": coherence} if coherence else {}
         if warned:
             self._known["warnings"] = list(dict.fromkeys(warned))
         for stage, seconds in {**stats.get("seconds", {}), "write": write_seconds}.items():
@@ -216,6 +227,19 @@ class _Totals:
 
     def stats(self) -> dict[str, Any]:
         return {**self._known, "seconds": self.seconds}
+
+
+def _summed(before: dict[str, Any], now: dict[str, Any]) -> dict[str, Any]:
+    """What is said of coherence: sums of numbers, in how many frames rays started afresh ("reinitialised"), and how
+    often for which "reason"."""
+    found = dict(before)
+    for name, value in now.items():
+        if name == "reason":
+            reasons = dict(found.get(name, {}))
+            found[name] = reasons if value is None else {**reasons, value: reasons.get(value, 0) + 1}
+        else:
+            found[name] = value if isinstance(value, str) else found.get(name, 0) + value
+    return found
 
 
 def _part(progress: ShowProgress | None, done: int, count: int) -> Callable[[int, int], None] | None:

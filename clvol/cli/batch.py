@@ -11,6 +11,7 @@ import click
 
 from clvol.cli.devices import measure_for_all
 from clvol.cli.options import complete_file, memory_cap_option
+from clvol.cli.workers import check_workers, connection, workers_options
 from clvol.errors import UsageError
 
 if TYPE_CHECKING:
@@ -21,10 +22,7 @@ if TYPE_CHECKING:
 @click.argument("job", metavar="JOB", shell_complete=complete_file)
 @click.option("--device", "devices", multiple=True, metavar="NAME", help="As for 'clvol render'. Repeatable.")
 @click.option("--isolate", is_flag=True, help="As for 'clvol render'.")
-@click.option(
-    "--workers", type=click.IntRange(1, 1024), metavar="N",
-    help="Render in N processes, which share the cores; one that crashes is replaced. By default in this one.",
-)  # fmt: skip
+@workers_options("Render in N processes, which share the cores; one that crashes is replaced. By default in this one.")
 @click.option(
     "--results", metavar="FILE", shell_complete=complete_file,
     help="Append a line of JSON per picture to FILE; by default JOB's name with .jsonl.",
@@ -37,8 +35,8 @@ if TYPE_CHECKING:
 @memory_cap_option("Largest amount of memory that a volume may take, on the host and on the device.")
 @click.option("--quiet", is_flag=True, help="Show no progress on the terminal.")
 def command(
-    job: str, devices: tuple[str, ...], isolate: bool, workers: int | None, results: str | None, report: str | None,
-    dry_run: bool, memory_cap: int | None, quiet: bool,
+    job: str, devices: tuple[str, ...], isolate: bool, workers: int | None, scheduler: str | None,
+    results: str | None, report: str | None, dry_run: bool, memory_cap: int | None, quiet: bool,
 ) -> None:  # fmt: skip
     """Render the pictures of JOB (.toml), and print a line of JSON for each.
 
@@ -76,12 +74,15 @@ def command(
     from clvol.batch.workers import WorkerPool
     from clvol.cli import say_error
     from clvol.cli.console import note, say, working
+    from clvol.cluster.pictures import ClusterRun
     from clvol.inputs import Inputs, protected
 
     measure_for_all(devices, quiet)
     results = results or str(Path(job).with_suffix(".jsonl"))
     inputs = [job, *(each for p in pictures for each in (p.source, p.volume) if each is not None)]
-    with protected(Inputs(list(dict.fromkeys(inputs)))):
+    if scheduler is not None:
+        check_workers(workers, scheduler)
+    with protected(Inputs(list(dict.fromkeys(inputs)))), connection(None, scheduler, quiet) as cluster:
         _make_folders(pictures, results)
         if report is not None:
             _check_report(report)
@@ -93,9 +94,11 @@ def command(
                 if result["status"] == "failed":
                     say_error(result["message"])
 
-            run: JobRun | WorkerPool = JobRun(pictures, options, emit, progress)
+            run: JobRun | WorkerPool | ClusterRun = JobRun(pictures, options, emit, progress)
             if workers is not None:
                 run = WorkerPool(job, pictures, options, workers, emit, progress)
+            elif cluster is not None:
+                run = ClusterRun(cluster, pictures, options, emit, progress)
             outcome = run.run()
             if report is not None:
                 if progress is not None:

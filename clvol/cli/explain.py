@@ -40,6 +40,9 @@ def command(
         say(f"compression {compression['codec']}: {compression['does']}. {compression['costs'].capitalize()}.")
     classification = explanation["classification"]
     say(f"classification {classification['name']}: {classification['reason']}")
+    coherence = explanation.get("coherence")
+    if coherence is not None:
+        say(f"coherence {coherence['mode']}: {coherence['reason']}")
     say(f"kernel {explanation['kernel_hash']}")
     for warning in explanation["warnings"]:
         say(f"warning: {warning}")

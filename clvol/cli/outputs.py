@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from clvol.batch.names import numbered
 from clvol.errors import UsageError
 from clvol.inputs import Inputs, check_not_read
 
@@ -51,20 +51,6 @@ def _marks(path: str) -> set[object]:
         return {path}
     identity = _identity(path)
     return {os.path.realpath(path)} if identity is None else {os.path.realpath(path), identity}
-
-
-_NUMBER = re.compile(r"%(?:0([1-9]))?d")
-
-
-def numbered(path: str, index: int) -> str:
-    """``path`` with the number of a frame in place of the %d in its name, or with at least four digits in place of
-    %04d. A name without such a place, or with several, stays unchanged."""
-    folder, name = os.path.split(path)
-    found = _NUMBER.findall(name)
-    if len(found) != 1:
-        return path
-    digits = int(found[0] or 1)
-    return os.path.join(folder, _NUMBER.sub(f"{index:0{digits}d}", name))
 
 
 def check_frames(

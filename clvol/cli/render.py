@@ -3,12 +3,19 @@
 from __future__ import annotations
 
 import time
+from typing import TYPE_CHECKING
 
 import click
 
+from clvol.cli.bricks import render_bricks
 from clvol.cli.devices import measure_for_all
 from clvol.cli.options import complete_file, memory_cap_option, overrides_option
+from clvol.cli.workers import check_alone, connection, render_on_workers, workers_options
 from clvol.errors import UsageError
+
+if TYPE_CHECKING:
+    from clvol.cluster.connection import Connection
+    from clvol.scene import Scene
 
 
 @click.command("render", short_help="Render scenes, or volume files with default settings.")
@@ -40,6 +47,12 @@ from clvol.errors import UsageError
     help="Use each device in a process of its own: a driver that crashes or hangs costs no more than what it was "
     "rendering.",
 )
+@workers_options("Render in N processes of this machine, which share the cores (extra 'distributed').")
+@click.option(
+    "--bricks", type=click.IntRange(1, 4096), metavar="N",
+    help="Divide the volume into N parts, which are rendered one after the other, or by workers, none of which holds "
+    "the whole; for one picture of emission and absorption.",
+)  # fmt: skip
 @click.option(
     "--max-error",
     type=float,
@@ -57,13 +70,14 @@ from clvol.errors import UsageError
     "--resume",
     is_flag=True,
     help="Keep the numbered pictures of an animation that exist, are whole and were made from the same scene, "
-    "voxels and version; render the others. Several processes, also of several machines, may do so in one folder: "
+    "voxels and version; render the others. The frames of a video are kept as pictures in the folder VIDEO.frames "
+    "until it is complete. Several processes, also of several machines, may do so in one folder: "
     "no frame is rendered twice.",
 )
 @click.option(
     "--frames",
     metavar="A:B",
-    help="Render the frames of an animation from number A, counted from 0, up to but without B.",
+    help="Render the frames of an animation from number A, counted from 0, up to but without B; ':' stands for all.",
 )
 @click.option(
     "--stats", metavar="FILE", shell_complete=complete_file,
@@ -81,6 +95,9 @@ def command(
     overrides: tuple[str, ...],
     devices: tuple[str, ...],
     isolate: bool,
+    workers: int | None,
+    scheduler: str | None,
+    bricks: int | None,
     max_error: float | None,
     time_budget: float | None,
     resume: bool,
@@ -107,7 +124,10 @@ def command(
     and of those that are left out because they are invisible, their bytes, the estimated error and the smallest
     possible one; and "tiles": the share of pixels that have a ray, and the estimated RMSE.
 
-    A scene with animation.frames above 1 is rendered as a video, or as numbered pictures that appear one by one.
+    A scene with animation.frames above 1 is rendered as a video, or as numbered pictures that appear one by one. Of a
+    series of volumes (volume.file is a pattern or a list, or volume.time is "all") without animation.frames, a video,
+    numbered pictures and --frames show one step per frame; any other picture shows the step of animation.time, or
+    volume.step. A step that cannot be read is reported, and the other frames are rendered.
     """
     from clvol.cli.render_still import check_targets
     from clvol.cli.several import check_names, each_of, filled
@@ -124,10 +144,10 @@ def command(
         _render(
             scene, names, overrides, start, stats=more[0], show_schedule=more[1], devices=list(devices) or None,
             memory_cap=memory_cap, quiet=quiet, isolate=isolate, max_error=max_error, time_budget=time_budget,
-            resume=resume, frames=frames,
+            resume=resume, frames=frames, cluster=cluster, bricks=bricks,
         )  # fmt: skip
 
-    with protected(Inputs(scenes)):
+    with protected(Inputs(scenes)), connection(workers, scheduler, quiet) as cluster:
         each_of(scenes, render)
 
 
@@ -147,6 +167,8 @@ def _render(
     time_budget: float | None,
     resume: bool,
     frames: str | None,
+    cluster: Connection | None,
+    bricks: int | None,
 ) -> None:
     """Renders one scene, a picture or an animation. ``start``: when that began (``perf_counter``)."""
     from clvol.cli.outputs import scene_inputs
@@ -156,7 +178,21 @@ def _render(
 
     loaded = load_scene(scene, overrides)
     with protected(scene_inputs(scene, loaded)):
-        if loaded.animation.frames == 1:
+        if bricks is not None:
+            check_alone("--bricks", loaded, max_error=max_error, time_budget=time_budget, show_schedule=show_schedule)
+            outputs = check_still(outputs, resume)
+            render_bricks(
+                cluster, scene, overrides, loaded, outputs, stats, bricks, quiet=quiet, devices=devices,
+                memory_cap=memory_cap,
+            )  # fmt: skip
+            return
+        steps = _frames_by_step(loaded, outputs, frames, memory_cap)
+        if steps is not None:
+            overrides = (*overrides, f"animation.frames={steps}")
+            loaded = load_scene(scene, overrides)
+        if loaded.animation.frames == 1 and steps is None:
+            if cluster is not None:
+                raise UsageError("--workers", "given for a single picture", "a scene with animation.frames above 1")
             if frames is not None:
                 raise UsageError("--frames", "given for a single picture", "a scene with animation.frames above 1")
             outputs = check_still(outputs, resume)
@@ -175,7 +211,28 @@ def _render(
             what = f"given for an animation of {loaded.animation.frames} frames"
             raise UsageError("--show-schedule", what, "one frame: --set animation.frames=1")
         wanted = slice(None) if frames is None else frame_range(frames, loaded.animation.frames)
+        if cluster is not None:
+            render_on_workers(
+                cluster, scene, overrides, loaded, outputs, stats, resume=resume, frames=wanted, quiet=quiet,
+                devices=devices, memory_cap=memory_cap, isolate=isolate,
+            )  # fmt: skip
+            return
         render_animation(
             loaded, outputs, stats, resume=resume, frames=wanted, quiet=quiet, devices=devices, memory_cap=memory_cap,
             isolate=isolate,
         )  # fmt: skip
+
+
+def _frames_by_step(
+    scene: Scene, outputs: tuple[str, ...], frames: str | None, memory_cap: int | None
+) -> int | None:
+    """How many frames ``scene`` has if it has a series with one for each step: where it states no number of frames, and
+    is to be rendered as an animation. None otherwise."""
+    from clvol.batch.names import numbered
+    from clvol.image import is_video
+
+    animated = frames is not None or any(is_video(path) or numbered(path, 0) != path for path in outputs)
+    if not animated or "frames" in scene.animation.model_fields_set or scene.step_is_fixed:
+        return None
+    series = scene.load_series(memory_cap)
+    return None if series is None else len(series)

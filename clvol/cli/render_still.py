@@ -168,7 +168,7 @@ def _compare_with_picture(scene: Scene, frame: Frame) -> None:
 
 def check_still(outputs: tuple[str, ...], resume: bool) -> tuple[str, ...]:
     """The file names of a single picture. Raises UsageError for options and files that only animations have."""
-    from clvol.cli.outputs import numbered
+    from clvol.batch.names import numbered
     from clvol.image import ENDINGS, is_video
 
     expected = "animation.frames above 1 in the scene"

@@ -39,6 +39,9 @@ class VideoWriter(Protocol):
     def add(self, frame: Any) -> None:
         """Adds the next frame. All frames have the same size."""
 
+    def add_shown(self, shown: np.ndarray) -> None:
+        """As ``add``, of a frame as displayed: uint8 [height, width, 3]."""
+
     def finish(self) -> None:
         """Writes the rest of the file, after which no frame can be added."""
 
@@ -99,7 +102,9 @@ class _Frames:
         self._shape: tuple[int, ...] | None = None
 
     def add(self, frame: Any) -> None:
-        shown = shown_picture(frame, np.asarray(frame.rgba, np.float32), may_be_transparent=False)
+        self.add_shown(shown_picture(frame, np.asarray(frame.rgba, np.float32), may_be_transparent=False))
+
+    def add_shown(self, shown: np.ndarray) -> None:
         if self._shape not in (None, shown.shape):
             was, now = (f"{s[1]} x {s[0]} pixels" for s in (self._shape, shown.shape))
             raise RenderError(f"{self.path.name}: frame {self.count}", now, f"{was}, as before")

@@ -74,6 +74,8 @@ def view_dtype(voxel_bits: int) -> np.dtype:
         ("float4", "plane_origin plane_du plane_dv ray_forward ray_du ray_dv upper"),
         ("float4", "shows_above shows_below opacity_terms opacity_more"),
         ("int4", "size cells"),
+        ("float4", "owned_from owned_to"),
+        ("int4", "stored_from stored_to"),
         *doubles,
         ("float2", "tangent centre"),
         ("int2", "image tile lattice"),

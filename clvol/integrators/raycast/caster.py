@@ -17,6 +17,7 @@ from clvol.device.arguments import (
     scene_arguments,
 )
 from clvol.device.effect_state import COUNTERS, EffectState
+from clvol.device.effect_switches import effect_switches
 from clvol.device.empty_space import dilated, distance_map, surface_mask, visible_mask
 from clvol.device.light_volume import METHODS, fill_light_volume, shadow_step
 from clvol.device.memory import Perturbation
@@ -32,9 +33,12 @@ from clvol.device.transfer_lookup import (
 from clvol.device.view import EVERY_PIXEL, PixelLattice, RayFrame
 from clvol.device.volume import DeviceVolume, ResidentVolume
 from clvol.features import reduced_for_frames
+from clvol.features.gradient_storage import DeviceLimits
 from clvol.integrators.base import FrameData, Progress, Shared
+from clvol.integrators.raycast.cell_depths import cell_depths
 from clvol.integrators.raycast.constant_cells import changing_cells
 from clvol.integrators.raycast.frame_view import frame_view, volume_view
+from clvol.integrators.raycast.history import COHERENT_ARGUMENTS, History, arrays_to_warm_up, render_from_history
 from clvol.integrators.raycast.march import March, RayMarch
 from clvol.integrators.raycast.picture import PictureParts, TilesDone, WholePicture
 from clvol.integrators.raycast.step_map import step_map, upload_steps
@@ -59,8 +63,6 @@ from clvol.transfer.pieces import (
 SECONDS_A_SAMPLE = 1e-8  # a first guess, used to divide a frame into launches
 _BAND_SECONDS = 0.5
 _PACE_MARGIN = 4.0  # tiles may take this many times as long as those before them
-_DEPTH_NODES = 1024  # of the integral of the extinction, by which the depths of cells are estimated
-_OPAQUE = 20.0  # optical depth above which more makes no difference
 _KEPT = 6  # volumes; a search for settings may render many variants of one
 _COARSE_ARGUMENTS = (
     reads("coarse", np.float32, "columns", "rows", 4),
@@ -113,6 +115,7 @@ class Raycaster:
         tile: tuple[int, int] = (TILE, TILE),
         volume: ResidentVolume | None = None,
         march: March | None = None,
+        history: History | None = None,
     ) -> None:
         self.context = context
         self.march = march or RayMarch()
@@ -130,6 +133,7 @@ class Raycaster:
         self.no_array = context.empty(np.float32, (4,))
         self._view = context.empty(self.view_dtype, (1,))
         self._pace: dict[str, float] = {}  # seconds per tile, by kernel
+        self.history = history or History()
         self.set_transfer_function(resolved.transfer_function)
 
     @property
@@ -138,12 +142,16 @@ class Raycaster:
 
     def set_transfer_function(self, function: TransferFunction) -> None:
         """Another transfer function: rebuilds the table and the visible cells, and compiles nothing."""
-        resolved, context = self.resolved, self.context
         # The nodes do not depend on the cycle of colours, so it compiles nothing.
-        self.nodes = scene_nodes(resolved, function)
-        mapped = device_function(opacity_envelope(layer_functions(resolved, function)), self.volume.values)
+        self.nodes = scene_nodes(self.resolved, function)
         self.function = function
         self._set_colors()
+        self._find_visible()
+
+    def _find_visible(self) -> None:
+        """Finds the cells in which anything can be seen, and what follows from them and from the voxels."""
+        resolved, context, function = self.resolved, self.context, self.function
+        mapped = device_function(opacity_envelope(layer_functions(resolved, function)), self.volume.values)
         visible = visible_cells(mapped, self.nodes.values)
         self.gate, self.spans = value_gate(mapped), shown_spans(mapped)
         at_nodes = mapped.opacity(self.nodes.values) > 0
@@ -277,6 +285,25 @@ class Raycaster:
         other.march = self.march.for_scene(other, self)
         return other
 
+    def for_step(self: Caster, resolved: ResolvedScene) -> Caster | None:
+        """As ``ChangesStep.for_step``: programs, tables and the buffer of voxels stay."""
+        if not isinstance(self.volume, DeviceVolume) or type(self.march) is not RayMarch:
+            return None
+        reduced = self.march.adopt(reduced_for_frames(resolved))
+        if effect_switches(reduced, DeviceLimits.of(self.context)) != self.effects.switches:
+            return None  # an effect has no consequence in one of the two steps
+        other = copy.copy(self)
+        other.resolved = reduced
+        self.volume.change(reduced.volume)
+        self.history.forget()  # where rays contributed to another step
+        other.effects = self.effects.for_step(reduced, self.volume)
+        if color_shift(reduced) != color_shift(self.resolved):
+            other._set_colors()
+        if other.length != self.length:
+            other._build_table()
+        other._find_visible()
+        return other
+
     def render(
         self,
         camera: Camera,
@@ -311,23 +338,13 @@ class Raycaster:
             nowhere = np.full(size, np.inf, np.float32) if depth else None
             nothing = dict.fromkeys(self.march.counters and self._counter_names, 0)
             return FrameData(np.zeros((*size, 4), np.float32), nowhere, 0, 0, nothing)
+        if lattice == EVERY_PIXEL and self.resolved.coherence.mode == "reproject":
+            return render_from_history(self, self.history, camera, width, height, progress, depth)
         return WholePicture(self, camera, width, height, depth, lattice).render(progress)
 
     def cell_depths(self) -> np.ndarray | None:
-        """float64 [z, y, x]: about the mean optical depth of each cell of empty space along its edge, of all values
-        between its bounds alike; None where bounds are not at hand."""
-        low, high = self.volume.bounds(0)
-        function = self._functions[0]
-        nodes = np.linspace(*self.volume.value_range, _DEPTH_NODES + 1)
-        edge = self.resolved.volume.grid.smallest_edge * (1 << self.volume.cell_shift)
-        at_nodes = np.minimum(function.extinction(nodes) * edge, _OPAQUE)
-        sums = np.concatenate([[0.0], np.cumsum(0.5 * (at_nodes[1:] + at_nodes[:-1]))])
-        unit = max(nodes[1] - nodes[0], 1e-300)
-        first, last = (np.clip((bound - nodes[0]) / unit, 0, _DEPTH_NODES) for bound in (low, np.maximum(low, high)))
-        width = last - first
-        at = np.arange(_DEPTH_NODES + 1)
-        inside = (np.interp(last, at, sums) - np.interp(first, at, sums)) / np.maximum(width, 1e-9)
-        return np.where(width > 1e-6, inside, np.interp(first, at, at_nodes))
+        """As ``cell_depths``; None where bounds are not at hand."""
+        return cell_depths(self.volume, self._functions[0], self.resolved.volume.grid.smallest_edge)
 
     def groups(
         self, frame: RayFrame, size: tuple[int, int], tiles: np.ndarray | None
@@ -367,6 +384,8 @@ class Raycaster:
         view["tile"] = self.tile
         counts = [self.context.empty(np.uint32, (tiles,)) for _ in range(2)]
         none = {"image": self.no_array, "depths": self.no_array, "samples": counts[0]}
+        if chosen is None:
+            none |= arrays_to_warm_up(self, tiles)
         tallies = []  # kept until they are written
         if self.without_surfaces is None:
             tallies.append(self.launches("raycast", view, tiles, depth, None, none, chosen))
@@ -398,10 +417,13 @@ class Raycaster:
         declared = scene_arguments(switches["VOXEL_BITS"]) + variant
         fills = name == "fill_between_rays"
         declared += (_COARSE_ARGUMENTS if fills else ()) + picture_arguments(depth=depth)
-        declared += ((writes("rays", np.uint32, "tiles"),) if fills else ()) + more
+        declared += (writes("rays", np.uint32, "tiles"),) if fills else ()
+        declared += (COHERENT_ARGUMENTS if "kept" in outputs else ()) + more
         arrays = {**outputs, **added}
         sizes = dict(zip(("width", "height"), view["image"][0].tolist())) | {"tiles": tiles}
         sizes |= dict(zip(("columns", "rows"), view["lattice"][0].tolist()))
+        if "kept" in outputs:
+            switches["COHERENT"] = 1
         if chosen is not None:
             switches["TILES_CHOSEN"] = 1
             declared += (reads("chosen", np.int32),)

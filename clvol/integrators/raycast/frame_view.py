@@ -81,6 +81,8 @@ def _describe_volume(caster: Raycaster, row: np.void) -> None:
         row["voxel_gain"] = volume.values.gain
     row["size"][:3] = volume.size
     row["row_stride"], row["slice_stride"] = volume.stride
+    for name, numbers in volume.view_fields.items():
+        row[name][:3] = numbers
     row["cells"][:3], row["cell_shift"] = caster.map_cells, caster.map_shift
     row["piece_columns"], row["function_floats"], row["piece_count"] = caster.pieces
 

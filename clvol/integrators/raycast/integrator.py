@@ -14,10 +14,16 @@ from clvol.features.refuse import refuse_quadrature
 from clvol.integrators.base import Prepared, Progress, Shared
 from clvol.integrators.raycast.bricks import BrickCaster
 from clvol.integrators.raycast.caster import Raycaster, device_volume
+from clvol.integrators.raycast.history import History, unsupported
+from clvol.integrators.raycast.reprojection import MARGIN
+from clvol.integrators.raycast.step_map import is_smooth
 from clvol.integrators.raycast.switches import raycast_switches
 from clvol.integrators.resident_codes import brick_switches, bricks_for, check_resident
 from clvol.integrators.whole_volume import WholeVolume
 from clvol.scene.resolve import ResolvedScene
+from clvol.volume.series import StepVolume
+
+_HISTORIES = 6  # volumes
 
 
 class Raycast(WholeVolume):
@@ -37,7 +43,10 @@ class Raycast(WholeVolume):
     def programs(self, resolved: ResolvedScene, lanes: int) -> Mapping[str, Mapping[str, int]]:
         resolved = as_rendered(resolved)
         switches = {**raycast_switches(resolved, lanes=lanes, varies=True), **brick_switches(resolved)}
-        programs = {"raycast.cl": switches}
+        reprojects = resolved.coherence.mode == "reproject" and not unsupported(resolved, switches)
+        programs = {"raycast.cl": {**switches, **({"COHERENT": 1} if reprojects else {})}}
+        if reprojects:
+            programs["reproject.cl"] = {"MARGIN": MARGIN}
         if resolved.image.ray_spacing > 1:
             programs["fill_between_rays.cl"] = switches
         if switches.get("SHADOWS") == METHODS["volume"]:
@@ -49,12 +58,19 @@ class Raycast(WholeVolume):
     def sources(self, resolved: ResolvedScene) -> tuple[Sequence[str], bytes]:
         return ("*.h",), b""
 
+    def simplified(self, resolved: ResolvedScene, shared: Shared) -> ResolvedScene:
+        resolved = super().simplified(resolved, shared)
+        if isinstance(resolved.volume, StepVolume):
+            is_smooth(resolved)  # which looks at the widest step, before the one that is rendered is read
+        return resolved
+
     def prepare(
         self, shared: Shared, resolved: ResolvedScene, progress: Progress | None = None, wait: bool | None = None
     ) -> Prepared:
         if (bricks := bricks_for(shared, resolved)) is not None:
             return BrickCaster(shared.context, resolved, bricks)
-        return Raycaster(shared.context, resolved, volume=device_volume(shared, resolved))
+        history = shared.keep("history", resolved.volume, History, _HISTORIES)
+        return Raycaster(shared.context, resolved, volume=device_volume(shared, resolved), history=history)
 
 
 INTEGRATOR = Raycast()
