@@ -11,7 +11,7 @@ from bench.options import Options
 NAMES = (
     "peers", "shaded", "isosurface", "effects", "sampling", "scaling", "startup", "convergence",
     "tradeoff", "targets", "multiresolution", "pyramid", "slicing", "compression", "devices", "gallery",
-    "first-pictures",
+    "first-pictures", "supersampling",
 )  # fmt: skip
 
 

@@ -31,6 +31,7 @@ SHOWS = {
     "projection": lambda scene: scene.integration.compositing != "over",
     "labels": lambda scene: scene.field[0].role == "label",
     "animation": lambda scene: scene.animation.frames > 1,
+    "edges": lambda scene: scene.image.refines,
     "keyframes": lambda scene: len(scene.animation.keyframe) > 1,
     "overlay": lambda scene: scene.overlay.scale_bar and scene.overlay.color_bar,
 }
