@@ -37,7 +37,7 @@ SHOWS = {
 }
 
 
-def test_there_are_fourteen_scenes_and_five_scripts():
+def test_there_are_fifteen_scenes_and_five_scripts():
     assert set(SCENES) == set(SHOWS)
     assert {path.stem for path in EXAMPLES.glob("*.py")} == {
         "render_array", "render_to_error", "compare_steps", "labels", "series"
