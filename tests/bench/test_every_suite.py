@@ -25,6 +25,7 @@ SUITES = {
     "multiresolution": (("aneurism",), ("aneurism.nrrd",)),
     "devices": (("aneurism",), ("aneurism.nrrd",)),
     "slicing": ((), ("engine.nrrd",)),
+    "coherence": ((), ("engine.nrrd",)),
     "supersampling": (("aneurism",), ("aneurism.nrrd",)),
     "gallery": (("tooth-layers",), ("tooth.nrrd",)),
 }
