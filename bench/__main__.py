@@ -10,7 +10,7 @@ from bench.options import Options
 
 NAMES = (
     "peers", "shaded", "isosurface", "effects", "sampling", "scaling", "startup", "convergence",
-    "tradeoff", "targets", "multiresolution", "pyramid", "slicing", "compression", "devices", "gallery",
+    "tradeoff", "targets", "multiresolution", "pyramid", "slicing", "compression", "devices", "workers", "gallery",
     "first-pictures",
 )  # fmt: skip
 
