@@ -2,6 +2,7 @@
 
 ==================================  ==========================================================
 ``Volume``, ``load_volume``         voxels on a grid: from an array, or from a file
+``VolumeSeries``                    a volume that changes over time: a step for each time
 ``Scene``, ``load_scene``           what to render: from tables, or from a scene file
 ``Renderer``, ``Frame``             renders a scene any number of times; a picture with its stats
 ``render``                          a picture in one call: of a scene, a volume, an array or a file
@@ -23,6 +24,7 @@ __version__ = "0.1.0"
 
 _LAZY = {
     "Volume": "clvol.volume",
+    "VolumeSeries": "clvol.volume",
     "load_volume": "clvol.readers",
     "Scene": "clvol.scene",
     "load_scene": "clvol.scene",

@@ -30,14 +30,15 @@ SHOWS = {
     "projection": lambda scene: scene.integration.compositing != "over",
     "labels": lambda scene: scene.field[0].role == "label",
     "animation": lambda scene: scene.animation.frames > 1,
+    "keyframes": lambda scene: len(scene.animation.keyframe) > 1,
     "overlay": lambda scene: scene.overlay.scale_bar and scene.overlay.color_bar,
 }
 
 
-def test_there_are_twelve_scenes_and_four_scripts():
+def test_there_are_thirteen_scenes_and_five_scripts():
     assert set(SCENES) == set(SHOWS)
     assert {path.stem for path in EXAMPLES.glob("*.py")} == {
-        "render_array", "render_to_error", "compare_steps", "labels"
+        "render_array", "render_to_error", "compare_steps", "labels", "series"
     }  # fmt: skip
 
 
@@ -50,12 +51,13 @@ def test_a_scene_shows_its_effect_and_names_the_schema(name):
 
 @pytest.mark.parametrize("name", SCENES)
 def test_a_scene_is_rendered_without_warnings(name, tmp_path, capfd):
-    file = "a_%d.npy" if name == "animation" else "a.npy"
-    few = ["--set", "animation.frames=2"] if name == "animation" else []
+    moves = name in ("animation", "keyframes")
+    file = "a_%d.npy" if moves else "a.npy"
+    few = ["--set", "animation.frames=2"] if moves else []
     assert main(["render", str(EXAMPLES / f"{name}.toml"), "-o", str(tmp_path / file), *SMALL, *few]) == 0
     assert capfd.readouterr().err == ""
     pictures = [load_image(path)["rgba"] for path in sorted(tmp_path.glob("*.npy"))]
-    assert len(pictures) == 1 + (name == "animation")
+    assert len(pictures) == 1 + moves
     for rgba in pictures:
         assert rgba.shape == (32, 40, 4) and np.isfinite(rgba).all()
         assert 0.05 < (rgba[..., 3] > 0.1).mean() <= 1.0
@@ -83,6 +85,15 @@ def test_the_script_that_compares_steps():
     rows = script("compare_steps")["main"](24)
     errors = [error for _, error, _ in rows]
     assert errors == sorted(errors, reverse=True) and errors[-1] < 0.01
+
+
+def test_the_script_that_writes_a_series(tmp_path, capfd):
+    scene = script("series")["main"](str(tmp_path / "s"), 3, 16)
+    assert main(["render", str(scene), "-o", str(tmp_path / "a_%d.npy"), *SMALL]) == 0
+    assert capfd.readouterr().err == ""
+    pictures = [load_image(path)["rgba"] for path in sorted(tmp_path.glob("*.npy"))]
+    assert len(pictures) == 3 and all((rgba[..., 3] > 0.1).any() for rgba in pictures)
+    assert not np.array_equal(pictures[0], pictures[2])
 
 
 def test_the_labels_are_what_their_script_writes():

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from typing import Any
 
 from clvol.batch.claims import Claims
@@ -16,37 +17,56 @@ from clvol.integrators.base import Progress
 from clvol.render.frame import Frame
 from clvol.render.made_from import MadeFrom
 from clvol.render.renderer import Renderer
-from clvol.scene import load_scene
+from clvol.scene import Scene, load_scene
 from clvol.scene.camera import Camera
 from clvol.scene.resolve import ResolvedScene
 from clvol.schedule.animation import frames as frames_of
+from clvol.schedule.keyframes import check_scenes, scene_at
 
 Timed = tuple[int, float, Camera]  # number from 0, time in seconds, camera
 
 
 class Frames:
-    """All frames of ``resolved``; ``stills`` are the patterns of the names of their pictures."""
+    """All frames of ``scene``, resolved: ``resolved``; ``stills`` are the patterns of the names of their pictures."""
 
-    def __init__(self, resolved: ResolvedScene, stills: Sequence[str]) -> None:
-        self.resolved, self._stills = resolved, list(stills)
+    def __init__(self, scene: Scene, resolved: ResolvedScene, stills: Sequence[str]) -> None:
+        self.resolved, self._scene, self._stills = resolved, scene, list(stills)
         self.all: list[Timed] = list(frames_of(resolved))
+        self._sets_values = any(keyframe.set for keyframe in scene.animation.keyframe)
+        check_scenes(scene)
+
+    def _at(self, seconds: float) -> ResolvedScene:
+        """The scene at a time."""
+        if self._sets_values:
+            return scene_at(self._scene, seconds).resolve()
+        return self.resolved
 
     def names(self, index: int) -> list[str]:
         return [numbered(path, index) for path in self._stills]
 
     def made_from(self, frame: Timed) -> MadeFrom:
         index, seconds, camera = frame
-        animation = self.resolved.animation.model_copy(update={"time": seconds})
-        return MadeFrom(replace(self.resolved, animation=animation), camera, index)
+        return MadeFrom(self._at(seconds).at(seconds), camera, index)
 
     def is_there(self, frame: Timed) -> bool:
         """Whether all its pictures exist, are whole, and were made as they would be made now."""
+        names = self.names(frame[0])
+        if not all(map(os.path.exists, names)):
+            return False
         made_from = self.made_from(frame)()
-        return all(is_made_from(name, self.resolved, made_from) for name in self.names(frame[0]))
+        resolved = self._at(frame[1])
+        return all(is_made_from(name, resolved, made_from) for name in names)
 
-    def render(self, renderer: Renderer, frame: Timed, progress: Progress | None, depth: bool) -> Frame:
+    def render(
+        self, renderer: Renderer, frame: Timed, progress: Progress | None, depth: bool, following: Timed | None = None
+    ) -> Frame:
+        """``following``: the frame that will be rendered next, whose step of a series is read meanwhile; None where
+        that depends on other processes."""
         _, seconds, camera = frame
-        rendered = renderer.render(camera=camera, time=seconds, progress=progress, depth=depth)
+        if self._sets_values:
+            renderer.set_scene(self._at(seconds))
+        ahead = {} if following is None or self.resolved.steps is None else {"next_time": following[1]}
+        rendered = renderer.render(camera=camera, time=seconds, progress=progress, depth=depth, **ahead)
         rendered.made_from = self.made_from(frame)
         return rendered
 
@@ -84,7 +104,7 @@ class FramesRun:
         self._animation = animation
         scene = load_scene(animation.scene, animation.overrides)
         scene.load(animation.memory_cap)
-        self._frames = Frames(scene.resolve(animation.memory_cap), animation.stills)
+        self._frames = Frames(scene, scene.resolve(animation.memory_cap), animation.stills)
         self._depth = any(path.lower().endswith(".exr") for path in animation.stills)
         self._renderer = Renderer(
             scene, devices=animation.devices, memory_cap=animation.memory_cap, isolate=animation.isolate

@@ -25,6 +25,7 @@ from clvol.render.made_from import MadeFrom
 from clvol.scene import Scene, load_scene
 from clvol.scene.resolve import ResolvedScene
 from clvol.volume import Volume
+from clvol.volume.series import VolumeSeries
 
 STEPS = 1000  # units of progress per picture
 
@@ -86,7 +87,8 @@ class JobRun:
         self._begin, self._raises_device_errors = begin, False
         self._results, self._so_far = ResultsReader(options.results), _Known()
         self._last: _Loaded | None = None
-        self._renderer: tuple[Volume, Renderer] | None = None  # with the volume that its scenes have in common
+        # With the volume, or the series, that its scenes have in common.
+        self._renderer: tuple[Volume | VolumeSeries, Renderer] | None = None
         self.outcome = Outcome()
 
     def run(self) -> Outcome:
@@ -184,7 +186,8 @@ class JobRun:
 
     def _renderer_of(self, loaded: _Loaded) -> Renderer:
         """The Renderer that is open, if the scene's volume is its volume."""
-        volume, options = loaded.scene.load_volume(self._options.memory_cap), self._options
+        options = self._options
+        volume = loaded.scene.load_series(options.memory_cap) or loaded.scene.load_volume(options.memory_cap)
         if self._renderer is not None and self._renderer[0] is volume:
             self._renderer[1].set_scene(loaded.resolved)
             return self._renderer[1]

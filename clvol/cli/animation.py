@@ -8,13 +8,17 @@ from contextlib import ExitStack
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
+from click.exceptions import Exit
+
 from clvol.batch.claims import Claims
 from clvol.batch.shared import unmade
+from clvol.cli import say_error
 from clvol.cli.console import note, preparing, say_path, to_json, working
 from clvol.cli.outputs import check_frames
 from clvol.cli.standard_output import STANDARD, is_standard, kept_clean
 from clvol.cli.verbose import log_scene
-from clvol.errors import UsageError
+from clvol.cli.video_parts import VideoParts
+from clvol.errors import UsageError, VolumeError
 
 if TYPE_CHECKING:
     from clvol.batch.frames import Frames, Timed
@@ -42,12 +46,17 @@ def render_animation(
     The pictures of a frame appear together when it is done, and stay even if a later frame fails. Videos and stats
     appear at the end or not at all. ``resume``: a frame is not rendered again if all its pictures exist, are whole,
     and were made from the same scene, voxels and version (``clvol.render.made_from``); frames are claimed
-    (``clvol.batch.claims``), so that several processes can share a folder.
+    (``clvol.batch.claims``), so that several processes can share a folder. A video's frames are then kept as pictures
+    until it is complete (``clvol.cli.video_parts``).
+
+    Of a series, the step of the next frame is read while one is rendered. Where a step cannot be read, pictures of the
+    other frames are rendered all the same, and the exit status at the end is that of the error.
     """
     from clvol.image import atomic_paths, open_video
 
     start = time.perf_counter()
-    videos, stills, others = checked_outputs(scene, outputs, stats, resume)
+    videos, stills, others = checked_outputs(scene, outputs, stats)
+    kept = VideoParts(scene, videos) if resume and videos else None
     fps = scene.animation.fps
     with working("loading", quiet, scene.input_paths):
         scene.load(memory_cap)
@@ -59,13 +68,16 @@ def render_animation(
     from clvol.integrators.registry import integrator_of
     from clvol.render import Renderer
 
-    film = Frames(resolved, stills)
+    if kept is not None:
+        kept.begin()
+    film = Frames(scene, resolved, stills + ([] if kept is None else [kept.pattern]))
     wanted = film.all[frames]
     todo = wanted
     if resume:
         with working("checking which frames exist", quiet):
             todo = [frame for frame in wanted if not film.is_there(frame)]
     written: list[str] = []
+    failed: list[int] = []  # frames whose steps cannot be read
     totals = Totals()
     depth = any(path.lower().endswith(".exr") for path in stills)
     of_all = partial(made_from_all, resolved)
@@ -89,36 +101,52 @@ def render_animation(
         rendered, places_of = 0, {frame[0]: place for place, frame in enumerate(todo)}
         for timed in _shared(todo, claims, film, progress):
             index = timed[0]
-            frame = film.render(renderer, timed, _part(progress, places_of[index], len(todo)), depth)
+            at = places_of[index]
+            following = todo[at + 1] if claims is None and at + 1 < len(todo) else None
+            try:
+                frame = film.render(renderer, timed, _part(progress, at, len(todo)), depth, following)
+            except VolumeError as error:
+                if videos or resolved.steps is None:
+                    raise
+                failed.append(index)
+                say_error(f"frame {index}: {error}")
+                continue
             write_start = time.perf_counter()
             if claims is not None and not claims.owns(film.names(index)[0]):
                 continue  # this process was stopped for so long that another one has taken over
-            written += film.write(frame, index)
-            for writer in writers:
+            written += film.write(frame, index)[: len(stills)]
+            for writer in () if kept is not None else writers:
                 writer.add(frame)
             rendered += 1
             totals.add(frame.stats, time.perf_counter() - write_start)
         if progress is not None:
             progress(None, None, "writing")
         write_start = time.perf_counter()
+        if kept is not None:
+            kept.add_to(writers, [frame[0] for frame in wanted])
         for writer in writers:
             writer.finish()
         totals.seconds["write"] = totals.seconds.get("write", 0) + time.perf_counter() - write_start
         if stats is not None:
             totals.seconds |= {"load": load_seconds, "total": time.perf_counter() - start}
-            known = totals.stats() | {"frames": rendered, "frames_kept": len(wanted) - rendered}
+            known = totals.stats() | {"frames": rendered, "frames_kept": len(wanted) - rendered - len(failed)}
+            known |= {"frames_failed": failed} if failed else {}
             text = to_json(known) + "\n"
             if is_standard(stats):
                 write_standard(text.encode())
             else:
                 temporaries[-1].write_text(text, encoding="utf-8")
+    if kept is not None:
+        kept.remove(frame[0] for frame in wanted)
     for path in [*written, *videos, *others]:
         (note if is_standard(stats) else say_path)(path)
     if resume and not quiet:
-        if kept := len(wanted) - len(todo):
-            note(f"{kept} of {len(wanted)} frames existed already and were kept")
-        if others_made := len(todo) - rendered:
+        if there := len(wanted) - len(todo):
+            note(f"{there} of {len(wanted)} frames existed already and were kept")
+        if others_made := len(todo) - rendered - len(failed):
             note(f"{others_made} of {len(wanted)} frames were made by other processes")
+    if failed:
+        raise Exit(VolumeError.exit_status)
 
 
 def frame_range(text: str, count: int) -> slice:
@@ -137,7 +165,7 @@ def frame_range(text: str, count: int) -> slice:
 
 
 def checked_outputs(
-    scene: Scene, outputs: Sequence[str], stats: str | None, resume: bool
+    scene: Scene, outputs: Sequence[str], stats: str | None
 ) -> tuple[list[str], list[str], list[str]]:
     """The videos, the patterns of pictures and the other files that are to be written. UsageError for those that
     cannot."""
@@ -151,8 +179,6 @@ def checked_outputs(
     others = [] if stats is None or is_standard(stats) else [stats]
     for path in videos:
         check_video(path, scene.animation.fps, scene.image.width, scene.image.height)
-    if resume and videos:
-        raise UsageError("--resume", f"given with {videos[0]}", "numbered pictures only")
     check_frames(stills, videos, others, scene.animation.frames)
     return videos, stills, others
 
@@ -190,8 +216,10 @@ class Totals:
         counters = dict(self._known.get("counters", {}))
         for name, value in stats.get("counters", {}).items():
             counters[name] = counters.get(name, 0) + value
+        coherence = _summed(self._known.get("coherence", {}), stats.get("coherence", {}))
         warned = [*self._known.get("warnings", []), *stats.get("warnings", [])]
         self._known = {**stats, **summed} | ({"counters": counters} if counters else {})
+        self._known |= {"coherence": coherence} if coherence else {}
         if warned:
             self._known["warnings"] = list(dict.fromkeys(warned))
         for stage, seconds in {**stats.get("seconds", {}), "write": write_seconds}.items():
@@ -199,6 +227,19 @@ class Totals:
 
     def stats(self) -> dict[str, Any]:
         return {**self._known, "seconds": self.seconds}
+
+
+def _summed(before: dict[str, Any], now: dict[str, Any]) -> dict[str, Any]:
+    """What is said of coherence: sums of numbers, in how many frames rays started afresh ("reinitialised"), and how
+    often for which "reason"."""
+    found = dict(before)
+    for name, value in now.items():
+        if name == "reason":
+            reasons = dict(found.get(name, {}))
+            found[name] = reasons if value is None else {**reasons, value: reasons.get(value, 0) + 1}
+        else:
+            found[name] = value if isinstance(value, str) else found.get(name, 0) + value
+    return found
 
 
 def _part(progress: ShowProgress | None, done: int, count: int) -> Callable[[int, int], None] | None:

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from clvol.scene import Scene
     from clvol.store.stored_codes import CodesFacts
     from clvol.volume import Volume
+    from clvol.volume.series import VolumeSeries
 
 _BINS, _BINS_DRAWN = 24, 256  # of a histogram as text, and as a picture
 
@@ -36,6 +37,7 @@ def command(
     memory_cap: int | None,
 ) -> None:  # fmt: skip
     """Print what VOLUME contains: a volume file, a DICOM folder, a Zarr store, a scene, or a picture that carries one.
+    Of a series, as a pattern in quotes such as 't_*.nrrd', its steps are listed, and the range is that over all times.
 
     A .raw file needs --set volume.dims=[nx,ny,nz] --set 'volume.dtype="uint8"'.
     """
@@ -76,6 +78,9 @@ def _tell(
     with working(f"reading {volume}", False, scene.input_paths):
         integrator, loaded = integrator_of(scene), scene.load_volume(memory_cap)
         facts = describe(loaded)
+        steps = _step_facts(scene.load_series(memory_cap))
+        if steps:
+            facts["steps"] = steps
         told = histogram_of(loaded, bins or _BINS) if histogram else None
         if told is not None:
             facts["histogram"] = told.to_json()
@@ -112,8 +117,9 @@ def _tell(
         ("frame", str(facts.get("frame") or "")),
         ("range", f"{low:.9g} to {high:.9g}"),
         ("values", "" if loaded.axis.is_plain else _line(loaded)),
-        ("NaN voxels", str(loaded.nan_count)),
-        ("infinite voxels", str(loaded.inf_count)),
+        ("steps", f"{len(steps)}, whose range over all times is above" if steps else ""),
+        ("NaN voxels", "" if steps else str(loaded.nan_count)),
+        ("infinite voxels", "" if steps else str(loaded.inf_count)),
         ("blocks", _blocks(store) if store else ""),
         ("codec", ", ".join(dict.fromkeys(store["codecs"])) if store else ""),
         *_codes_rows(store.get("codes")),
@@ -122,12 +128,45 @@ def _tell(
         ("memory", f"{needed} on the device, {by}picture and tables included"),
     ]
     say_table(row for row in rows if row[1])
+    if steps:
+        say("\n".join(_step_rows(steps)))
     if told is not None:
         part = "" if told.voxels == told.all_voxels else f", of {told.voxels} of {told.all_voxels} voxels"
         say(f"histogram  (bars are logarithmic{part})")
         say("\n".join(histogram_rows(told)))
     if output is not None:
         say_path(output)
+
+
+def _step_facts(series: VolumeSeries | None) -> list[dict]:
+    """What is known of the steps of a series, as JSON types: range and counts are None where it was stated for all of
+    them, ``error`` the reason why a step cannot be read."""
+    if series is None:
+        return []
+    facts = series.facts
+    found = []
+    for k, step in enumerate(series.steps):
+        known, failure = series.ranges.get(k), series.failures.get(k)
+        span = None if known is None or known.span is None else list(facts.axis.span(known.span))
+        found.append({
+            "step": k, "name": step.name, "path": step.path, "value_range": span,
+            "nan_count": None if known is None else known.nans, "inf_count": None if known is None else known.infs,
+            "error": None if failure is None else str(failure),
+        })  # fmt: skip
+    return found
+
+
+def _step_rows(steps: list[dict]) -> list[str]:
+    """A line for each step: number, range, holes, and name or error."""
+    lines = []
+    for each in steps:
+        low, high = each["value_range"] or (None, None)
+        told = "" if low is None else f"{low:.6g} to {high:.6g}"
+        for count, what in ((each["nan_count"], "NaN"), (each["inf_count"], "infinite")):
+            told += f", {count} {what}" if count else ""
+        lines.append((str(each["step"]), told, each["error"] or each["name"]))
+    widths = [max(len(line[k]) for line in lines) for k in (0, 1)]
+    return [f"  {number:>{widths[0]}}  {told:<{widths[1]}}  {name}".rstrip() for number, told, name in lines]
 
 
 def _asked(compression: dict | None) -> str:

@@ -15,6 +15,7 @@ from clvol.errors import UsageError
 
 if TYPE_CHECKING:
     from clvol.cluster.connection import Connection
+    from clvol.scene import Scene
 
 
 @click.command("render", short_help="Render scenes, or volume files with default settings.")
@@ -69,13 +70,14 @@ if TYPE_CHECKING:
     "--resume",
     is_flag=True,
     help="Keep the numbered pictures of an animation that exist, are whole and were made from the same scene, "
-    "voxels and version; render the others. Several processes, also of several machines, may do so in one folder: "
+    "voxels and version; render the others. The frames of a video are kept as pictures in the folder VIDEO.frames "
+    "until it is complete. Several processes, also of several machines, may do so in one folder: "
     "no frame is rendered twice.",
 )
 @click.option(
     "--frames",
     metavar="A:B",
-    help="Render the frames of an animation from number A, counted from 0, up to but without B.",
+    help="Render the frames of an animation from number A, counted from 0, up to but without B; ':' stands for all.",
 )
 @click.option(
     "--stats", metavar="FILE", shell_complete=complete_file,
@@ -122,7 +124,10 @@ def command(
     and of those that are left out because they are invisible, their bytes, the estimated error and the smallest
     possible one; and "tiles": the share of pixels that have a ray, and the estimated RMSE.
 
-    A scene with animation.frames above 1 is rendered as a video, or as numbered pictures that appear one by one.
+    A scene with animation.frames above 1 is rendered as a video, or as numbered pictures that appear one by one. Of a
+    series of volumes (volume.file is a pattern or a list, or volume.time is "all") without animation.frames, a video,
+    numbered pictures and --frames show one step per frame; any other picture shows the step of animation.time, or
+    volume.step. A step that cannot be read is reported, and the other frames are rendered.
     """
     from clvol.cli.render_still import check_targets
     from clvol.cli.several import check_names, each_of, filled
@@ -181,7 +186,11 @@ def _render(
                 memory_cap=memory_cap,
             )  # fmt: skip
             return
-        if loaded.animation.frames == 1:
+        steps = _frames_by_step(loaded, outputs, frames, memory_cap)
+        if steps is not None:
+            overrides = (*overrides, f"animation.frames={steps}")
+            loaded = load_scene(scene, overrides)
+        if loaded.animation.frames == 1 and steps is None:
             if frames is not None:
                 raise UsageError("--frames", "given for a single picture", "a scene with animation.frames above 1")
             outputs = check_still(outputs, resume)
@@ -216,3 +225,18 @@ def _render(
             loaded, outputs, stats, resume=resume, frames=wanted, quiet=quiet, devices=devices, memory_cap=memory_cap,
             isolate=isolate,
         )  # fmt: skip
+
+
+def _frames_by_step(
+    scene: Scene, outputs: tuple[str, ...], frames: str | None, memory_cap: int | None
+) -> int | None:
+    """How many frames ``scene`` has if it has a series with one for each step: where it states no number of frames, and
+    is to be rendered as an animation. None otherwise."""
+    from clvol.batch.names import numbered
+    from clvol.image import is_video
+
+    animated = frames is not None or any(is_video(path) or numbered(path, 0) != path for path in outputs)
+    if not animated or "frames" in scene.animation.model_fields_set or scene.step_is_fixed:
+        return None
+    series = scene.load_series(memory_cap)
+    return None if series is None else len(series)

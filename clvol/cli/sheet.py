@@ -37,6 +37,10 @@ _LARGEST_SIDE = 8192
     "--preset", "presets", multiple=True, metavar="NAME", shell_complete=complete_preset,
     help="Preset to show, or a preset file (*.toml). Repeatable.",
 )  # fmt: skip
+@click.option(
+    "--step", "steps", multiple=True, metavar="N",
+    help="Step of a series to show: its number, 'A:B' or 'A:B:STRIDE' for several, ':' for all. Repeatable.",
+)  # fmt: skip
 @click.option("--columns", type=click.IntRange(1, 1000), metavar="N", help="Pictures in a row.")
 @click.option(
     "--size", type=click.IntRange(16, _LARGEST_SIDE), default=320, show_default=True, metavar="PIXELS",
@@ -55,6 +59,7 @@ def command(
     outputs: tuple[str, ...],
     views: tuple[str, ...],
     presets: tuple[str, ...],
+    steps: tuple[str, ...],
     columns: int | None,
     size: int,
     title: str,
@@ -65,7 +70,7 @@ def command(
     quiet: bool,
 ) -> None:
     """Render each SCENE, or volume file, with each of the presets from each of the views, and put the pictures on one
-    sheet, with captions.
+    sheet, with captions. With --step, each of these steps of a series is a picture.
 
     Without --preset a scene is as it is, and a volume as 'clvol render' shows it; without --view the camera is the
     scene's. A picture that fails is replaced by its error; the others are rendered, and the exit status is the largest.
@@ -88,12 +93,15 @@ def command(
     _check_views(views)
     with protected(Inputs(scenes)), kept_clean(STANDARD in outputs) as write_standard:
         check_outputs([], files)
-        wanted = [_Wanted(scene, preset) for scene in scenes for preset in presets or (None,)]
+        keys = (*overrides, f"image.width={size}", f"image.height={size}")
+        wanted = [
+            _Wanted(scene, preset, step) for scene in scenes for step in _steps(scene, steps, keys, memory_cap)
+            for preset in presets or (None,)
+        ]  # fmt: skip
         count = len(wanted) * max(1, len(views))
         per_row = columns or (len(views) if len(views) > 1 else math.ceil(math.sqrt(count * 1.2)))
         layout = SheetLayout(count, size, size, per_row, title)
         measure_for_all(devices, quiet)
-        keys = (*overrides, f"image.width={size}", f"image.height={size}")
         cells: list[Cell] = []
         worst = 0
         with working(f"rendering {count} pictures", quiet) as progress:
@@ -119,10 +127,38 @@ def command(
 
 @dataclass(frozen=True)
 class _Wanted:
-    """A scene with a preset; None: as it is."""
+    """A scene with a preset, and a step of its series; None: as it is."""
 
     scene: str
     preset: str | None
+    step: int | None
+
+
+def _steps(
+    scene: str, texts: Sequence[str], overrides: Sequence[str], memory_cap: int | None
+) -> Sequence[int | None]:
+    """The numbers of the steps of ``scene`` that ``texts`` name; None alone where there are no ``texts``."""
+    from clvol.scene import load_scene
+
+    if not texts:
+        return [None]
+    series = load_scene(scene, overrides).load_series(memory_cap)
+    if series is None:
+        raise UsageError("--step", f"given for {scene}, which is no series", "a pattern or a list of volumes")
+    found: list[int] = []
+    for text in texts:
+        numbers = text.split(":")
+        if not all(each.isascii() and each.isdecimal() or each == "" and len(numbers) > 1 for each in numbers):
+            raise UsageError("--step", f"got {text!r}", "a number, A:B, A:B:STRIDE, or ':' for all")
+        if len(numbers) == 1:
+            found.append(series.index(int(text), "--step"))
+            continue
+        parts = [int(each) if each else None for each in numbers]
+        chosen = range(len(series))[slice(*parts)] if len(parts) <= 3 and 0 not in parts[2:] else range(0)
+        if not chosen:
+            raise UsageError("--step", f"got {text!r}, none of {len(series)} steps", f"0:{len(series)} or part of it")
+        found += chosen
+    return list(dict.fromkeys(found))
 
 
 def _check_views(views: Sequence[str]) -> None:
@@ -155,7 +191,8 @@ def _cells(
     base: Scene | None = None
     for view in views or (None,):
         name = stem_of(wanted.scene)
-        told = ", ".join(filter(None, [wanted.preset, view]))
+        shown_step = None if wanted.step is None else f"step {wanted.step}"
+        told = ", ".join(filter(None, [shown_step, wanted.preset, view]))
         try:
             base = _loaded(wanted, overrides, memory_cap) if base is None else base
             picture, kind = _picture(base, view, list(devices) or None, memory_cap)
@@ -176,6 +213,8 @@ def _loaded(wanted: _Wanted, overrides: Sequence[str], memory_cap: int | None) -
     if wanted.preset is not None:
         name = os.path.abspath(wanted.preset) if wanted.preset.lower().endswith(".toml") else wanted.preset
         keys.append(f"transfer_function={{preset={format_value(name)}}}")
+    if wanted.step is not None:
+        keys.append(f"volume.step={wanted.step}")
     scene = load_scene(wanted.scene, keys)
     scene.load(memory_cap)
     return scene

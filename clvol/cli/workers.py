@@ -103,7 +103,9 @@ def render_on_workers(
     from clvol.image import atomic_paths, open_video
 
     start = time.perf_counter()
-    videos, stills, others = checked_outputs(scene, outputs, stats, resume)
+    videos, stills, others = checked_outputs(scene, outputs, stats)
+    if resume and videos:
+        raise UsageError("--resume", f"given with {videos[0]}", "numbered pictures only, with workers")
     of_all: Callable[[], dict[str, Any]] | None = None
     if videos:  # they say which voxels they show
         with working("loading", quiet, scene.input_paths):

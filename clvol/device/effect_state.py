@@ -186,6 +186,22 @@ class EffectState:
             other.arrays["effects"] = self.context.upload(other.numbers)
         return other
 
+    def for_step(self, resolved: ResolvedScene, volume: ResidentVolume) -> EffectState:
+        """The same for ``resolved``, whose voxels alone differ: ``volume``."""
+        other = self.copy()
+        if not self.switches:
+            return other
+        other.numbers = self.numbers.copy()
+        if self.switches.get("GRADIENT") == GRADIENTS["precomputed"]:
+            gradients, scale = volume.gradients(resolved.gradient.operator)
+            other.arrays["gradients"], other.numbers["gradient_scale"] = gradients, scale
+        if resolved.noise:
+            other._fill_noise(resolved)
+        if "COMPOSITING" in self.switches:
+            other._add_projection(resolved, volume)
+        other.arrays["effects"] = self.context.upload(other.numbers)
+        return other
+
     def _fill_depth_cue(self, cue: DepthCue) -> None:
         if cue.start is None or cue.end is None:
             raise ValueError("a [depth_cue] table that is not complete")

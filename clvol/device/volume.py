@@ -102,32 +102,53 @@ class DeviceVolume(ResidentVolume):
         self.switches = voxel_switches(volume, self.values, pairs=holds_pairs(volume))
         self.size = padded_size(volume)
         nx, ny, nz = self.size
-        data = volume.data
+        self._has_pairs = holds_pairs(volume)
+        # Gradients read four voxels, starting at any but the first one: two more than a row has.
+        self.stride = (nx, nx * (ny - 1)) if self._has_pairs else (nx, nx * ny)
+        self.cells = cell_count(nx), cell_count(ny), cell_count(nz)
+        self.cell_shift = CELL_SHIFT
+        self._context = context
+        self._fill(volume, None)
+
+    def change(self, volume: Volume) -> None:
+        """Takes the voxels of ``volume``, another step of the same series, into the same memory. Bounds and gradients
+        are found anew. VolumeError, with nothing changed, if its voxels cannot be read."""
+        self._fill(volume, self.voxels)
+
+    def _fill(self, volume: Volume, kept: DeviceArray | None) -> None:
+        """``kept``: the array whose memory is used again; None: a new one."""
+        nx, ny, nz = self.size
+        context, data = self._context, volume.data
         if data.shape != (nz, ny, nx):
             for axis, n in enumerate(data.shape):
                 data = np.repeat(data, 2, axis=axis) if n == 1 else data
         data = np.ascontiguousarray(data)
-        plain = context.share(data)
-        if holds_pairs(volume):
-            self.stride = (nx, nx * (ny - 1))
-            # Gradients read four voxels, starting at any but the first one: two more than a row has.
-            self.voxels = self._paired(context, data, plain)
+        if kept is not None and not context.is_cpu and not self._has_pairs and data.dtype.itemsize > 1:
+            context.write(kept, data.reshape(-1))
+            plain = kept
         else:
-            self.stride = (nx, nx * ny)
+            plain = context.share(data)
+        if self._has_pairs:
+            self.voxels = self._paired(context, data, plain, kept)
+        else:
             self.voxels = plain
             if volume.dtype.itemsize == 1:  # 32-bit loads of the last bytes must stay inside the buffer
                 self.voxels = context.share(np.append(data.ravel(), np.zeros(4, data.dtype)))
-        self.cells = cell_count(nx), cell_count(ny), cell_count(nz)
-        self.cell_shift = CELL_SHIFT
-        self._context, self._data = context, data
+        self._data = data
         self._kept: dict[Hashable, Any] = {("bounds", 0): self._min_max(plain, 0)}
 
-    def _paired(self, context: DeviceContext, data: np.ndarray, plain: DeviceArray) -> DeviceArray:
+    def _paired(
+        self, context: DeviceContext, data: np.ndarray, plain: DeviceArray, kept: DeviceArray | None
+    ) -> DeviceArray:
         nx, ny, nz = self.size
         shape = nz * (ny - 1) * nx + 4, 2
         if done_on_host(context, data.size):
-            return context.resident(np.uint8, shape, partial(host_cells.pair_rows, data))
-        pairs = context.resident(np.uint8, shape)
+            fill = partial(host_cells.pair_rows, data)
+            if kept is None:
+                return context.resident(np.uint8, shape, fill)
+            context.refill(kept, fill)
+            return kept
+        pairs = context.resident(np.uint8, shape) if kept is None else kept
         declared = (
             reads("volume", RAW, "size.x", "size.y", "size.z"),
             value("size", INT4),

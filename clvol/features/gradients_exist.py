@@ -19,6 +19,7 @@ from clvol.features.vocabulary import FILTER_REACH
 from clvol.scene.resolve import ResolvedScene
 from clvol.store.source import BlockSource
 from clvol.transfer import TransferFunction
+from clvol.volume.series import StepVolume
 
 _BAR = (4, 32)  # cells along z and y of a bar, which extends along all of x
 _MOST_BARS = 32  # bars that are examined cell by cell
@@ -47,6 +48,8 @@ def opacity_meets_gradient(scene: ResolvedScene, anywhere: bool) -> bool:
     widen = field_overshoot(scene)
     if integration.classification == "preintegrated":
         widen += 1.0  # chords are shifted by their curvature
+    if isinstance(scene.volume, StepVolume):
+        return True  # in some step: all of them are rendered by the same program
     question = (functions, reach, widen)
     answers = _found.setdefault(scene.volume, {})
     if question not in answers:

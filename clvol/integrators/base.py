@@ -85,6 +85,16 @@ class Prepared(Protocol):
 
 
 @runtime_checkable
+class ChangesStep(Protocol):
+    """A ``Prepared`` that can turn into that of another step of its series."""
+
+    def for_step(self, resolved: ResolvedScene) -> Any | None:
+        """The same for ``resolved``, which differs in the step alone. It takes over programs, tables and buffers, the
+        volume's too: this one must not be used any more. None, with nothing changed, where that is not possible."""
+        ...
+
+
+@runtime_checkable
 class RefinesInTime(Protocol):
     """A ``Prepared`` that can also refine a picture for a given time (``Integrator.refines_in_time``)."""
 
@@ -209,6 +219,20 @@ class Shared:
                 self._drop(kind, next(iter(kept)))
             kept[key] = make()
         return kept[key]
+
+    def rename(self, kind: str, key: Hashable, new: Hashable) -> None:
+        """Keeps under ``new`` what is kept under ``key``, if anything is: it has turned into that."""
+        kept = self._kept.get(kind, {})
+        if key in kept:
+            kept[new] = kept.pop(key)
+
+    def forget(self, parts: Sequence[object]) -> None:
+        """Drops whatever is kept under a key that is, or contains, one of ``parts``."""
+        for kind, kept in self._kept.items():
+            for key in list(kept):
+                of_key = key if isinstance(key, tuple) else (key,)
+                if any(part is each for part in parts for each in of_key):
+                    self._drop(kind, key)
 
     def close(self) -> None:
         for kind, kept in self._kept.items():

@@ -254,6 +254,23 @@ class DeviceContext:
             fill(host)
         return self._buffer(cl.mem_flags.READ_WRITE | cl.mem_flags.USE_HOST_PTR, host.dtype, host.shape, host)
 
+    def refill(self, array: DeviceArray, fill: Callable[[np.ndarray], None]) -> None:
+        """Has ``fill`` write other contents into ``array``, a ``resident`` one, once everything enqueued is done. It
+        gets an array with arbitrary contents."""
+        check_fork()
+        if array.host is None:
+            fill(fresh := np.empty(array.shape, array.dtype))
+            self.write(array, fresh)
+            return
+        with failures_of(self.name):
+            mapped, _ = cl.enqueue_map_buffer(
+                self.queue, array.buffer, cl.map_flags.WRITE, 0, array.shape, array.dtype
+            )
+            try:
+                fill(array.host)  # which is what is mapped
+            finally:
+                mapped.base.release(self.queue)
+
     def output(self, dtype: Any, shape: Sequence[int], host: np.ndarray | None = None) -> DeviceArray:
         """An array that a kernel writes and ``take`` then returns: on a CPU device the kernel
         writes directly into host memory; into ``host``, if given (``shared_array``)."""

@@ -12,6 +12,7 @@ import shutil
 import tempfile
 from pathlib import Path
 
+from clvol.cache_folder import cache_folder
 from clvol.errors import DeviceError
 
 try:
@@ -22,20 +23,6 @@ except ImportError:  # not on Windows
 _ROOM = 64 * 2**20  # bytes that compilers may need for what they write
 _PREFIX = "clvol-scratch-"
 _MARK = "belongs-to-a-running-clvol"
-
-
-def cache_folder() -> Path | None:
-    """The user's cache folder for clvol (``XDG_CACHE_HOME`` respected), or None where there is none."""
-    import platformdirs
-
-    try:
-        folder = platformdirs.user_cache_path("clvol")
-        if not folder.is_absolute():  # the XDG specification says to ignore such a path
-            folder = Path("~/.cache/clvol").expanduser()
-    except (OSError, RuntimeError, KeyError, ValueError):
-        return None
-    # Nobody's home is no place beside the data: "~" stays where neither HOME nor a user is known.
-    return folder if folder.is_absolute() else None
 
 
 def why_no_cache() -> str:

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from clvol.errors import ClvolError, ClvolWarning, VolumeError
-from clvol.readers.options import ReadOptions
+from clvol.readers.options import ReadOptions, SeveralTimes
 from clvol.readers.quiet import quiet
 from clvol.readers.recognise import ENDINGS, ending_of, first_line, format_of, format_of_url, is_volume_path
 from clvol.readers.remote import RemotePath, is_url
@@ -69,6 +69,37 @@ def load_volume(
     everything that is left out or assumed.
     """
     try:
+        volume, notes = read_volume(
+            path, dims=dims, dtype=dtype, spacing=spacing, header_bytes=header_bytes, byte_order=byte_order,
+            slope=slope, offset=offset, labels=labels, memory_cap=memory_cap, channel=channel, time=time, series=series,
+        )  # fmt: skip
+    except SeveralTimes as several:
+        what = f"time = {time!r}, where one of {len(several.names)} times is read"
+        raise VolumeError(os.fspath(path), what, "the index of one; a scene shows all of them") from None
+    for text in notes:
+        warnings.warn(ClvolWarning(os.fspath(path), text), stacklevel=2)
+    return volume
+
+
+def read_volume(
+    path: str | os.PathLike,
+    *,
+    dims: Sequence[int] | None = None,
+    dtype: str | np.dtype | None = None,
+    spacing: Sequence[float] | None = None,
+    header_bytes: int | None = None,
+    byte_order: str | None = None,
+    slope: float = 1.0,
+    offset: float = 0.0,
+    labels: bool = False,
+    memory_cap: int | None = None,
+    channel: int | str | None = None,
+    time: int | str | None = None,
+    series: int | str | None = None,
+) -> tuple[Volume, list[str]]:
+    """As ``load_volume``; what it would warn of is returned. SeveralTimes where ``time`` is ``ALL_TIMES`` and the file
+    has an axis of times."""
+    try:
         where = os.fspath(path)
         file = RemotePath(where) if is_url(where) else Path(where)
     except TypeError:
@@ -97,7 +128,7 @@ def load_volume(
         own = error.where in (where, str(file), "volume")
         what = error.what if own else f"{error.where}: {error.what}"
         raise VolumeError(where, what, error.expected) from error.__cause__
-    except ClvolError:
+    except (ClvolError, SeveralTimes):
         raise
     except MemoryError as error:
         raise VolumeError(where, "the volume does not fit into memory") from error
@@ -114,9 +145,7 @@ def load_volume(
     volume.format = format_name
     if volume.name is None:
         volume.name = _stem(file)
-    for text in options.notes:
-        warnings.warn(ClvolWarning(where, text), stacklevel=2)
-    return volume
+    return volume, options.notes
 
 
 def _stem(path: Path | RemotePath) -> str:

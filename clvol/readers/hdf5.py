@@ -10,8 +10,8 @@ import numpy as np
 from clvol.errors import VolumeError
 from clvol.readers.coordinates import even_step, grid_of
 from clvol.readers.extras import library
-from clvol.readers.options import Key, ReadOptions
-from clvol.volume.array_axes import Axis, Placed, place_axes
+from clvol.readers.options import Key, ReadOptions, named_axes
+from clvol.volume.array_axes import Placed, place_axes
 from clvol.volume.grid import Grid
 from clvol.volume.lazy import LazyVolume
 from clvol.volume.memory import check_memory
@@ -35,7 +35,7 @@ def read(path: Path, options: ReadOptions) -> Volume:
         inside = names[options.choose("series", str(path), names)]
         array = file[inside]
         labels = [str(dim.label) or None for dim in array.dims]
-        placed = place_axes([Axis(label) for label in labels], array.shape, str(path))
+        placed = place_axes(named_axes(labels, options), array.shape, str(path))
         grid, frame, unit = _grid(array, placed, labels, options)
         pick = picked(placed, array.shape, str(path), options)
         dtype = check_type(array.dtype, str(path))

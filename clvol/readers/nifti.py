@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from clvol.errors import VolumeError
+from clvol.readers.forward import current_forward
 from clvol.readers.nifti_header import (
     files_of,
     grid_of,
@@ -23,7 +24,7 @@ from clvol.readers.nifti_header import (
     unit_of,
 )
 from clvol.readers.options import ReadOptions
-from clvol.readers.samples import Part, read_parts
+from clvol.readers.samples import Part, read_chosen, read_parts
 from clvol.volume.memory import check_memory
 from clvol.volume.volume import Volume, check_type
 
@@ -102,6 +103,10 @@ def _voxels(
     """Volume ``which`` of ``count`` consecutive ones."""
     nbytes = math.prod(shape) * dtype.itemsize
     if is_packed(path):
+        if count > 1 and current_forward() is not None:
+            one: tuple[int | slice, ...] = (which, slice(None), slice(None), slice(None))
+            parts, cap = [Part(path, skip=start)], options.memory_cap
+            return read_chosen(parts, (count, *shape), dtype, one, encoding="deflate", memory_cap=cap)
         if count > 1:
             return _from_stream(path, start, shape, dtype, which, count, options)
         part, encoding = Part(path, skip=start), "deflate"

@@ -9,11 +9,22 @@ from typing import Literal
 import numpy as np
 
 from clvol.errors import VolumeError
+from clvol.volume.array_axes import Axis
 
 Key = Literal["channel", "time", "series"]
 _SHOWN = 12
+ALL_TIMES = "all"  # as ``time``: all of them, one after the other
 _ONE = {"channel": "one channel", "time": "one time", "series": "one series"}
 _SEVERAL = {"channel": "channels", "time": "times", "series": "series"}
+
+
+class SeveralTimes(Exception):
+    """Raised in place of reading where all times are requested: the ``names`` of the times that there are, None for
+    those without a name."""
+
+    def __init__(self, names: Sequence[str | None]) -> None:
+        super().__init__(f"{len(names)} times")
+        self.names = list(names)
 
 
 @dataclass(frozen=True)
@@ -63,6 +74,8 @@ class ReadOptions:
         self.consulted.add(key)
         wanted = getattr(self, key)
         count = len(names)
+        if key == "time" and wanted == ALL_TIMES:
+            raise SeveralTimes(names)
         if wanted is None and count == 1:
             return 0
         numbers = range(count) if numbers is None else numbers
@@ -77,15 +90,26 @@ class ReadOptions:
             what = f"volume.{key} = {_quoted(wanted)}, where there is {_ONE[key]}: {listed}"
         else:
             what = f"volume.{key} = {_quoted(wanted)} among {count} {_SEVERAL[key]}: {listed}"
-        raise VolumeError(where, what, f"volume.{key} = one of them")
+        series = f', or "{ALL_TIMES}" for a volume that changes over time' if key == "time" and count > 1 else ""
+        raise VolumeError(where, what, f"volume.{key} = one of them{series}")
 
     def check_consulted(self, where: str) -> None:
         """VolumeError if a key was given for which the file offers no choice; 0 is always accepted."""
         for key in ("channel", "time", "series"):
             wanted = getattr(self, key)
-            if wanted is not None and wanted != 0 and key not in self.consulted:
+            is_all = key == "time" and wanted == ALL_TIMES  # of one
+            if wanted is not None and wanted != 0 and key not in self.consulted and not is_all:
                 what = f"volume.{key} = {_quoted(wanted)}, where there is {_ONE[key]}"
                 raise VolumeError(where, what, f"no volume.{key} for this file")
+
+
+def named_axes(names: Sequence[str | None], options: ReadOptions) -> list[Axis]:
+    """The axes of an array by their names. The first of four axes without any names is one of times where
+    ``options.time`` says so."""
+    axes = [Axis(name) for name in names]
+    if options.time is not None and len(axes) == 4 and not any(names):
+        axes[0] = Axis("t")
+    return axes
 
 
 def _found(wanted: int | str, names: Sequence[str | None], numbers: Sequence[int]) -> list[int]:

@@ -18,6 +18,7 @@ from typing import BinaryIO
 import numpy as np
 
 from clvol.errors import VolumeError
+from clvol.readers.forward import ForwardReader, current_forward
 from clvol.readers.numbers import hex_bytes, read_numbers
 from clvol.volume.memory import check_memory, show_bytes
 
@@ -101,6 +102,13 @@ def read_chosen(
     """
     if not any(isinstance(index, int) for index in which):
         return read_parts(parts, shape, dtype, encoding=encoding, memory_cap=memory_cap)
+    forward = current_forward()
+    leading = next((k for k, index in enumerate(which) if not isinstance(index, int)), len(which))
+    if forward is not None and not any(isinstance(index, int) for index in which[leading:]):
+        first = int(np.ravel_multi_index([int(k) for k in which[:leading]], shape[:leading]))  # type: ignore[arg-type]
+        found = _read_run(parts, shape, leading, first, dtype, encoding, memory_cap, forward)
+        if found is not None:
+            return found
     if encoding != "raw" or len(parts) > 1:
         whole = read_parts(parts, shape, dtype, encoding=encoding, memory_cap=memory_cap)
         return np.ascontiguousarray(whole[which])
@@ -111,6 +119,52 @@ def read_chosen(
     start = part.start(count * dtype.itemsize)
     mapped = np.memmap(part.path, dtype=dtype, mode="r", offset=start, shape=shape)
     return np.array(mapped[which], dtype=dtype.newbyteorder("="), order="C")
+
+
+def _read_run(
+    parts: Sequence[Part], shape: tuple[int, ...], leading: int, number: int, dtype: np.dtype, encoding: str,
+    memory_cap: int | None, forward: ForwardReader,
+) -> np.ndarray | None:  # fmt: skip
+    """Volume ``number`` of those that follow one another: of ``shape`` [..., z, y, x] with ``leading`` axes of choices.
+    Files and compressed data of other volumes are not read. None where the encoding does not allow that."""
+    inner = shape[leading:]
+    voxels, per_part = math.prod(inner), math.prod(shape) // len(parts)
+    if len(parts) > 1:
+        if voxels % per_part == 0:  # each file holds a part of one volume
+            count = voxels // per_part
+            own = parts[number * count : (number + 1) * count]
+            return read_parts(own, inner, dtype, encoding=encoding, memory_cap=memory_cap)
+        if per_part % voxels:
+            return None
+        held = per_part // voxels
+        return read_chosen(
+            [parts[number // held]], (held, *inner), dtype, (number % held, *[slice(None)] * len(inner)),
+            encoding=encoding, memory_cap=memory_cap,
+        )  # fmt: skip
+    (part,) = parts
+    if encoding not in ("deflate", "bzip2") or part.behind is not None:
+        return None
+    _check_promise(part, math.prod(shape), dtype, encoding)
+    check_memory(os.fspath(part.path), voxels * dtype.itemsize, memory_cap)
+    samples = np.empty(inner, dtype)
+    view = samples.reshape(-1).view(np.uint8).data
+
+    def opened() -> tuple[BufferedReader, Iterator[bytes]]:
+        file = part.path.open("rb")
+        file.seek(part.offset)
+        return file, _decoded(_Limited(file, part.size), encoding)
+
+    key = part, encoding, part.path.stat().st_mtime_ns
+    try:
+        got = forward.read(key, part.skip + number * len(view), view, opened)
+    except (zlib.error, EOFError, OSError) as error:
+        what = f"compressed data damaged or cut off ({error})"
+        raise VolumeError(os.fspath(part.path), what, f"{len(view)} bytes of volume {number}") from error
+    if got != len(view):
+        _wrong_size(part.path, f"the encoded data end after {got} bytes of volume {number}", len(view))
+    if not samples.dtype.isnative:
+        samples = samples.byteswap(inplace=True)
+    return samples.view(dtype.newbyteorder("="))
 
 
 def _check_promise(part: Part, count: int, dtype: np.dtype, encoding: str) -> None:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from clvol.errors import VolumeError
-from clvol.readers.options import Key, ReadOptions
+from clvol.readers.options import Key, ReadOptions, named_axes
 from clvol.readers.remote import Place
 from clvol.readers.zarr_blosc import check_blosc
 from clvol.store.arrays import open_array, system_words
@@ -180,7 +180,7 @@ def _plain(group: Place, path: Place, node: Node, options: ReadOptions) -> Image
         raise VolumeError(
             where, f"{len(names)} names for {array.rank} axes", "a name for each axis"
         )
-    placed = place_axes([Axis(name) for name in names], array.shape, where)
+    placed = place_axes(named_axes(names, options), array.shape, where)
     array = _picked(array, placed, [], where, options)
     scale, shift = [1.0] * 3, [0.0] * 3
     units: list[str | None] = [None] * 3

@@ -14,6 +14,7 @@ from clvol.integrators.registry import integrator_of
 from clvol.json_values import plain
 from clvol.scene.compression import NOT_COMPRESSED
 from clvol.volume.digest import file_digest, volume_digest
+from clvol.volume.series import StepVolume
 
 if TYPE_CHECKING:
     from clvol.scene.camera import Camera
@@ -36,6 +37,11 @@ class MadeFrom:
         self._asked: tuple | None = (resolved, camera or resolved.camera, frame)
         self._told: dict[str, Any] = {}
 
+    @property
+    def holds_voxels(self) -> bool:
+        """Whether voxels stay in memory for it: those of a step of a series are read again when they are needed."""
+        return self._asked is not None and not isinstance(self._asked[0].volume, StepVolume)
+
     def __call__(self) -> dict[str, Any]:
         if self._asked is not None:
             self._told, self._asked = _told(*self._asked), None
@@ -53,6 +59,8 @@ def _told(resolved: ResolvedScene, camera: Camera, frame: int | None) -> dict[st
     }
     if frame is not None:
         facts["frame"] = frame
+    if isinstance(resolved.volume, StepVolume):
+        facts["step"] = resolved.volume.number
     return json.loads(json.dumps(plain(facts)))
 
 

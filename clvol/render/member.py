@@ -15,6 +15,7 @@ from clvol.opencl.failures import LacksMemory
 from clvol.render.prepared_cache import PreparedCache
 from clvol.scene.resolve import ResolvedScene
 from clvol.text import one_line
+from clvol.volume.series import is_other_step
 
 _SPEED = 2e8  # cost per second and compute unit, as a first guess
 _HALVINGS = 4  # of the tiles that a device renders at once, while it lacks memory
@@ -109,6 +110,8 @@ class LocalMember(Member):
         return self.context.is_cpu
 
     def prepare(self, resolved: ResolvedScene, progress: Progress | None = None, wait: bool | None = None) -> None:
+        if self.prepared is not None and is_other_step(self.prepared.resolved.volume, resolved.volume):
+            self.prepared = None  # its volume is needed for this step, or its memory
         self.prepared = self.cache.prepare(resolved, progress, wait)
 
     def compression(self, resolved: ResolvedScene, blocks: Mapping[str, Any] | None) -> dict[str, Any]:

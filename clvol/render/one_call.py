@@ -12,6 +12,7 @@ from clvol.render.frame import Frame
 from clvol.render.renderer import Renderer
 from clvol.scene import Scene, load_scene
 from clvol.scene.table import Table, expected_key
+from clvol.volume.series import VolumeSeries
 from clvol.volume.volume import Volume
 
 
@@ -24,8 +25,8 @@ def render(
     depth: bool = True,
     **tables: Any,
 ) -> Frame:
-    """The picture of ``x``: a Scene, a Volume, whatever ``Volume`` takes (an array of numpy, an object of xarray,
-    SimpleITK, nibabel, VTK, ...), or the path of a scene or volume file.
+    """The picture of ``x``: a Scene, a Volume, a VolumeSeries, whatever ``Volume`` takes (an array of numpy, an object
+    of xarray, SimpleITK, nibabel, VTK, ...), or the path of a scene or volume file.
 
     ``tables`` are those of a scene. A dict changes keys of the scene's own table, and keeps the others; an object
     (``clvol.Camera(...)``) and a list take the table's place. What is left out is chosen from the volume. ``devices``,
@@ -57,7 +58,7 @@ def _scene_of(x: Any, tables: Mapping[str, Any]) -> Scene:
         raise UsageError("clvol.render", "got a dict", "a scene: clvol.render(clvol.Scene(**tables))")
     if "volume" in tables:
         raise UsageError("clvol.render", "got volume beside voxels", "either voxels or volume, not both")
-    return Scene(volume=x if isinstance(x, Volume) else Volume(x), **tables)
+    return Scene(volume=x if isinstance(x, (Volume, VolumeSeries)) else Volume(x), **tables)
 
 
 def _changed(scene: Scene, tables: Mapping[str, Any]) -> Scene:

@@ -34,6 +34,7 @@ from clvol.scene.camera import Camera
 from clvol.scene.classification import with_classification
 from clvol.scene.resolve import ResolvedScene
 from clvol.volume.lazy import LazyVolume
+from clvol.volume.series import StepVolume, is_other_step
 
 if TYPE_CHECKING:
     import numpy as np
@@ -64,6 +65,8 @@ class _OnDevices:
         self.group.wait_for_one()
         for member in self.group.alive:
             try:
+                if member.scene is not None and is_other_step(member.scene.volume, resolved.volume):
+                    member.scene = None  # it may let go of the step that it has
                 member.prepare(resolved, progress, wait)
                 member.scene = resolved
             except (RenderError, DeviceError, VolumeError) as error:
@@ -143,6 +146,7 @@ class Renderer:
         self._memory_cap = memory_cap
         self.resolved = _checked(scene, memory_cap)
         self._first_time = self.resolved.animation.time
+        self._last_step: int | None = None  # of a series
         loaded = perf_counter()
         self._provenances: WeakSet[MadeFrom] = WeakSet()
         if isolate:
@@ -177,7 +181,8 @@ class Renderer:
             return
         with self._alone():
             for provenance in list(self._provenances):  # frames that are still in use need not hold the volume
-                provenance()
+                if provenance.holds_voxels:
+                    provenance()
             if self._on_device is not None:
                 self._on_device.close()
             self._on_device = None
@@ -210,9 +215,14 @@ class Renderer:
         depth: bool = True,
         time: float | None = None,
         seconds: float | None = None,
+        next_time: float | None = None,
     ) -> Frame:
         """The picture from the scene's camera, or from ``camera`` (a ``clvol.Camera``, or a dict of its keys), at
         ``animation.time``, or at ``time`` (seconds). A new camera or time compiles nothing and uploads no volume.
+
+        Of a volume that changes over time, the picture shows the step of ``time``. ``next_time``: the time of the
+        picture that will be rendered next; its step is read while this one is rendered. Without it the next step is
+        expected to be as far from this one as this one is from the one before.
 
         ``progress(done, total)`` is called now and then with shares of the work; True shows a bar with the remaining
         time, in notebooks and on terminals (extra "notebook"). Without ``depth``
@@ -225,7 +235,7 @@ class Renderer:
         however long that takes. UsageError for another method.
         """
         with self._turn() as on_devices, shown(progress, "rendering") as report:
-            return self._render(on_devices, camera, report, depth, time, seconds)
+            return self._render(on_devices, camera, report, depth, time, seconds, next_time)
 
     def _render(
         self,
@@ -235,6 +245,7 @@ class Renderer:
         depth: bool,
         time: float | None,
         seconds: float | None,
+        next_time: float | None,
     ) -> Frame:
         resolved = self.resolved
         for volume in (resolved.volume, *(field.volume for field in resolved.fields)):
@@ -251,6 +262,7 @@ class Renderer:
         self._move_to(on_devices, self._first_time if time is None else float(time), camera)
         group = on_devices.group
         on_devices.catch_up()
+        self._read_ahead(next_time)
         before = self._compile_seconds + group.take_compile_seconds()
         compile_start = perf_counter()
         if seconds is None:
@@ -317,11 +329,24 @@ class Renderer:
         resolved = self.resolved
         is_new_time = time != resolved.animation.time
         if is_new_time:
-            animation = resolved.animation.model_copy(update={"time": time})
-            resolved = replace(resolved, animation=animation)
+            resolved = resolved.at(time)
+        if isinstance(resolved.volume, StepVolume):
+            resolved.volume.read()  # before anything is let go for it
         if is_new_time or resolved.depth_cue:
             on_devices.prepare(replace(resolved, camera=camera))
         self.resolved = resolved  # only once it is prepared
+
+    def _read_ahead(self, time: float | None) -> None:
+        """Begins to read the step of ``time``, or the one that is expected next."""
+        volume, times = self.resolved.volume, self.resolved.steps
+        if times is None or not isinstance(volume, StepVolume):
+            return
+        before, self._last_step = self._last_step, volume.number
+        if time is not None:
+            volume.series.read_ahead(times.at(float(time)))
+        elif before is not None and before != volume.number:
+            following = 2 * volume.number - before
+            volume.series.read_ahead(following % times.count if times.loop else following)
 
     def _frame(
         self,

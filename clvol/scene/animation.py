@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from pydantic import Field
+from typing import Annotated
 
-from clvol.scene.table import Number, Table, Whole
+from pydantic import Field, model_validator
+
+from clvol.scene.keyframe import Keyframe, check_keyframes
+from clvol.scene.table import AsTuple, Number, Table, Whole
 
 
 class Animation(Table):
@@ -12,7 +15,8 @@ class Animation(Table):
 
     ``time`` is the time of the first frame in seconds. ``cycle`` is the speed at which the transfer function's colours
     move through the values, in value ranges per second; they wrap around, and opacities stay. ``orbit_degrees`` is the
-    angle by which the camera turns about its target over all frames.
+    angle by which the camera turns about its target over all frames. ``keyframe``: cameras and values of the scene at
+    times between which they are interpolated; the turn is added to them.
     """
 
     time: Number = Field(
@@ -40,6 +44,21 @@ class Animation(Table):
         title="Turn of the camera about its target over all frames, in degrees.",
         description="an angle from -36000 to 36000 degrees",
     )
+
+    keyframe: Annotated[tuple[Keyframe, ...], AsTuple] = Field(
+        (),
+        title="The camera, and values of the scene, at times between which they are interpolated.",
+        description="a list of tables with the keys time, camera and set, times ascending",
+        examples=[[
+            {"time": 0.0, "camera": {"position": [0.0, 0.0, 500.0]}},
+            {"time": 2.0, "set": {"noise.0.amplitude": 20.0}},
+        ]],
+    )
+
+    @model_validator(mode="after")
+    def _keyframes_go_together(self) -> Animation:
+        check_keyframes(self.keyframe)
+        return self
 
     @classmethod
     def table_name(cls) -> str:

@@ -102,6 +102,9 @@ def at_its_moment(data: dict[str, Any], moment: Moment, overrides: Iterable[str]
         return Moment(camera, None, moment.made_from)
     animation = data.get("animation")
     data["animation"] = {**(animation if isinstance(animation, dict) else {}), "frames": 1}
+    step, volume = moment.made_from.get("step"), data.get("volume")
+    if type(step) is int and step >= 0 and isinstance(volume, dict) and "volume.step" not in keys:
+        data["volume"] = {**volume, "step": step}  # whatever the number of frames says about its time
     return Moment(camera, moment.time, moment.made_from)
 
 

@@ -20,6 +20,7 @@ import numpy as np
 from clvol.transfer import TransferFunction
 from clvol.transfer.integrals import TransferIntegrals
 from clvol.volume.lazy import LazyVolume
+from clvol.volume.series import StepVolume
 from clvol.volume.volume import Volume
 
 if TYPE_CHECKING:
@@ -80,6 +81,8 @@ def chosen_for(resolved: ResolvedScene) -> ChosenClassification:
     for applies, reason in others:
         if applies:
             return ChosenClassification("preintegrated", reason)
+    if isinstance(volume, StepVolume):
+        volume = volume.widest  # one rule for all steps
     errors = rule_errors(volume, function, integration.step)
     if errors is None:
         return ChosenClassification("preintegrated", "too little of the volume shows to compare errors")

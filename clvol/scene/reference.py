@@ -83,7 +83,7 @@ def _table_text(name: str) -> str:
         value = _example(inner)
         lines += [f"# {inner.title}", f"#   {_expectation(inner)}"]
         if (item := model_in(inner.annotation)) is not None:
-            for part, described in item.model_fields.items():
+            for part, described in _keys(item):
                 lines.append(f"#   {part}: {described.title} {_expectation(described)}")
         stated = f"{key} = {format_value(value)}"
         lines += [f"{'' if key in shown else '# '}{line}" for line in stated.splitlines()]
@@ -143,10 +143,15 @@ def _keys(model: type[BaseModel]) -> Iterator[tuple[str, FieldInfo]]:
 def _models() -> list[type[BaseModel]]:
     """The models of all tables, and of the lists inside them."""
     found: dict[type[BaseModel], None] = {}
-    for name in table_names():
-        model = _model_of(name)
+
+    def add(model: type[BaseModel]) -> None:
         found[model] = None
-        found |= {inner: None for field in model.model_fields.values() if (inner := model_in(field.annotation))}
+        for field in model.model_fields.values():
+            if (inner := model_in(field.annotation)) is not None:
+                add(inner)
+
+    for name in table_names():
+        add(_model_of(name))
     return list(found)
 
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +15,8 @@ from numpy.typing import ArrayLike
 
 from clvol.errors import SceneError
 from clvol.readers import is_url, load_volume
+from clvol.readers.options import ALL_TIMES
+from clvol.readers.series import file_series, files_of, is_pattern, series_name
 from clvol.scene.animation import Animation
 from clvol.scene.camera import Camera
 from clvol.scene.classification import ChosenClassification, with_classification
@@ -39,6 +42,8 @@ from clvol.scene.overlay import Overlay
 from clvol.scene.pyramid import Pyramid
 from clvol.scene.shadow import Shadow
 from clvol.scene.slicing import Slicing
+from clvol.scene.step_times import StepTimes
+from clvol.scene.table import shown
 from clvol.scene.transfer_function import TransferFunctionSettings
 from clvol.scene.transfer_layer import TransferLayer
 from clvol.scene.volume import VolumeSettings
@@ -50,6 +55,7 @@ from clvol.volume.grid import Grid
 from clvol.volume.lazy import FilledVolume, LazyVolume
 from clvol.volume.memory import check_memory
 from clvol.volume.procedural import scene_field
+from clvol.volume.series import StepVolume, VolumeSeries
 from clvol.volume.volume import Volume
 
 if TYPE_CHECKING:
@@ -104,6 +110,14 @@ class ResolvedScene:
     display: Display = Display()
     overlay: Overlay = Overlay()
     folder: Path | None = None  # that file names of ``source`` are relative to
+    steps: StepTimes | None = None  # where ``volume`` is a step of a series
+
+    def at(self, time: float) -> ResolvedScene:
+        """The scene at ``time`` in seconds; of a series, with the step of that time."""
+        volume = self.volume
+        if self.steps is not None and isinstance(volume, StepVolume):
+            volume = volume.at(self.steps.at(time))
+        return replace(self, volume=volume, animation=self.animation.model_copy(update={"time": time}))
 
     @property
     def data_range(self) -> tuple[float, float]:
@@ -182,6 +196,7 @@ def resolve(scene: Scene, memory_cap: int | None = None) -> ResolvedScene:
         display=scene.display,
         overlay=scene.overlay,
         folder=scene.folder,
+        steps=scene.step_times(memory_cap),
     )
     return with_classification(in_stored_values(resolved))
 
@@ -192,10 +207,10 @@ def _surface(surface: Isosurface, decoded: Callable[[ArrayLike], np.ndarray]) ->
 
 
 def load_scene_volume(
-    settings: VolumeSettings | Volume, folder: Path, origin: str, memory_cap: int | None
-) -> Volume:
-    """The volume of a scene. A file name is relative to ``folder``."""
-    if isinstance(settings, Volume):
+    settings: VolumeSettings | Volume | VolumeSeries, folder: Path, origin: str, memory_cap: int | None
+) -> Volume | VolumeSeries:
+    """The volume of a scene, or the series of its steps. A file name is relative to ``folder``."""
+    if isinstance(settings, (Volume, VolumeSeries)):
         return settings
     if settings.field is not None and settings.size is not None:
         check_memory(f"{origin}: volume.size", math.prod(settings.size), memory_cap)
@@ -204,29 +219,56 @@ def load_scene_volume(
         return volume
     if settings.file is None:
         raise SceneError(f"{origin}: volume.file", "missing", "a volume file or a DICOM folder")
+    if is_series(settings, folder):
+        return _load_series(settings, folder, origin, memory_cap)
+    for key in ("step", "steps_per_second", "value_range"):
+        if (value := getattr(settings, key)) is not None:
+            expected = "a series of steps: a pattern or a list of files, or volume.time = \"all\""
+            raise SceneError(f"{origin}: volume.{key}", f"got {shown(value)} for one volume", expected)
     path: str | Path = settings.file if is_url(settings.file) else folder / settings.file
     is_scene_file = str(path) != origin
     if isinstance(path, Path) and is_scene_file and not os.path.exists(path):
         check_finished(path)
         got = f"got {settings.file!r}, no such file"
         raise SceneError(f"{origin}: volume.file", got, "a volume file or a DICOM folder")
-    volume = load_volume(
-        path,
-        dims=settings.dims,
-        dtype=settings.dtype,
-        spacing=settings.spacing,
-        channel=settings.channel,
-        time=settings.time,
-        series=settings.series,
-        header_bytes=settings.header_bytes,
-        byte_order=settings.byte_order,
-        slope=settings.slope,
-        offset=settings.offset,
-        memory_cap=memory_cap,
-    )
+    volume = load_volume(path, **_read_options(settings, memory_cap))
     if settings.nan != "transparent" and volume.nan_count:
         volume = _with_nan_as(volume, settings.nan)
     return volume
+
+
+def is_series(settings: VolumeSettings, folder: Path) -> bool:
+    """Whether the file that ``settings`` name is a series of steps."""
+    file = settings.file
+    return isinstance(file, tuple) or settings.time == ALL_TIMES or (file is not None and is_pattern(file, folder))
+
+
+def _read_options(settings: VolumeSettings, memory_cap: int | None) -> dict[str, Any]:
+    keys = "dims", "dtype", "spacing", "channel", "time", "series", "header_bytes", "byte_order", "slope", "offset"
+    return {**{key: getattr(settings, key) for key in keys}, "memory_cap": memory_cap}
+
+
+def _load_series(settings: VolumeSettings, folder: Path, origin: str, memory_cap: int | None) -> VolumeSeries:
+    where = f"{origin}: volume.file"
+    named = settings.file if isinstance(settings.file, tuple) else (str(settings.file),)
+    files = files_of(named, folder, where)
+    if settings.time == ALL_TIMES:
+        if len(files) > 1:
+            what = f"got {ALL_TIMES!r} with {len(files)} files"
+            raise SceneError(f"{origin}: volume.time", what, "one file, or the index of one time in each")
+        if not is_url(files[0]) and not os.path.exists(files[0]):
+            raise SceneError(where, f"got {settings.file!r}, no such file", "a volume file with an axis of times")
+    finish = None
+    if settings.nan != "transparent":
+        finish = f"nan {settings.nan!r}", partial(_filled, value=settings.nan)
+    return file_series(
+        files, _read_options(settings, memory_cap), name=series_name(files), finish=finish,
+        value_range=settings.value_range,
+    )  # fmt: skip
+
+
+def _filled(volume: Volume, value: float) -> Volume:
+    return _with_nan_as(volume, value) if volume.nan_count else volume
 
 
 def _with_nan_as(volume: Volume, value: float) -> Volume:

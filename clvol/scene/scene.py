@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -20,6 +20,7 @@ from pydantic import (
 
 from clvol.choice.first_picture import FirstPicture
 from clvol.readers import is_url
+from clvol.readers.series import named_files
 from clvol.scene.animation import Animation
 from clvol.scene.camera import Camera
 from clvol.scene.carried import Moment
@@ -43,9 +44,10 @@ from clvol.scene.noise import Noise
 from clvol.scene.opacity_factor import DirectionalOpacity, GradientOpacity
 from clvol.scene.overlay import Overlay
 from clvol.scene.pyramid import Pyramid
-from clvol.scene.resolve import ResolvedScene, load_scene_volume, resolve
+from clvol.scene.resolve import ResolvedScene, is_series, load_scene_volume, resolve
 from clvol.scene.shadow import Shadow
 from clvol.scene.slicing import Slicing
+from clvol.scene.step_times import StepTimes, rate_of
 from clvol.scene.table import AsTuple, Table, scene_error, wrong
 from clvol.scene.transfer_function import TransferFunctionSettings
 from clvol.scene.transfer_layer import LARGEST_LAYERS, TransferLayerSettings
@@ -53,6 +55,7 @@ from clvol.scene.volume import VolumeSettings
 from clvol.scene.write import to_toml
 from clvol.transfer import TransferFunction
 from clvol.volume.adopted import is_array_like
+from clvol.volume.series import StepVolume, VolumeSeries
 from clvol.volume.volume import Volume
 
 _TABLE = "a table"
@@ -67,10 +70,10 @@ def _version(value: Any) -> int:
 
 
 def _volume(value: Any, check: Callable[[Any], Any], info: ValidationInfo) -> Any:
-    if isinstance(value, Volume):
+    if isinstance(value, (Volume, VolumeSeries)):
         return value
     if info.context is not _FROM_FILE:
-        if isinstance(value, (str, os.PathLike)):
+        if isinstance(value, (str, os.PathLike)) or (isinstance(value, (list, tuple)) and _are_paths(value)):
             return check({"file": value})
         if is_array_like(value):
             expected = "a Volume: clvol.Volume(array, spacing=(x, y, z))"
@@ -78,8 +81,22 @@ def _volume(value: Any, check: Callable[[Any], Any], info: ValidationInfo) -> An
     return check(value)
 
 
+def _are_paths(values: Sequence[Any]) -> bool:
+    return bool(values) and all(isinstance(each, (str, os.PathLike)) for each in values)
+
+
 def _transfer_function(value: Any, check: Callable[[Any], Any]) -> Any:
     return value if isinstance(value, TransferFunction) else check(value)
+
+
+def _same_voxels(one: Any, other: Any) -> bool:
+    """Whether two tables [volume] name the same voxels; of a series, perhaps other steps."""
+    if one == other:
+        return True
+    if not (isinstance(one, VolumeSettings) and isinstance(other, VolumeSettings)):
+        return False
+    keys = set(VolumeSettings.model_fields) - {"step", "steps_per_second", "loop"}
+    return all(getattr(one, key) == getattr(other, key) for key in keys)
 
 
 class Scene(Table):
@@ -93,8 +110,8 @@ class Scene(Table):
     ----------
     version : int
         Version of the scene format: 1.
-    volume : Volume, str, path or VolumeSettings
-        The voxels: an array on a grid, a file, or a computed field. Required.
+    volume : Volume, VolumeSeries, str, path or VolumeSettings
+        The voxels: an array on a grid, several of them in time, a file, or a computed field. Required.
     camera : Camera, optional
         The view. Default: perspective, 30 degrees, the whole volume in view.
     image : ImageSettings
@@ -340,16 +357,52 @@ class Scene(Table):
         which have not changed since."""
         if self._folder != other._folder:
             return
-        if self._loaded is None and other._loaded is not None and self.volume == other.volume:
+        if self._loaded is None and other._loaded is not None and _same_voxels(self.volume, other.volume):
             other._loaded.check_unchanged()
             self._loaded, self._first = other._loaded, other._first
         self._fields = {**other._fields, **self._fields}
 
     def load_volume(self, memory_cap: int | None = None) -> Volume:
-        """The volume that the scene names, read once and kept.
+        """The volume that the scene names, read once and kept; of a series, the step at ``animation.time``.
 
         ``memory_cap``: bytes that it may take in memory. Raises SceneError, VolumeError.
         """
+        loaded = self._load(memory_cap)
+        if not isinstance(loaded, VolumeSeries):
+            return loaded
+        times = self.step_times(memory_cap)
+        assert times is not None
+        return loaded.step(times.at(self.animation.time))
+
+    def load_series(self, memory_cap: int | None = None) -> VolumeSeries | None:
+        """The volume's series of steps in time; None for a volume that does not change. What all steps have in common
+        is found when it is first used. Raises SceneError, VolumeError."""
+        settings = self.volume
+        if isinstance(settings, (Volume, VolumeSeries)):
+            return settings if isinstance(settings, VolumeSeries) else None
+        if not is_series(settings, self._folder):
+            return None
+        loaded = self._load(memory_cap)
+        return loaded if isinstance(loaded, VolumeSeries) else None
+
+    def step_times(self, memory_cap: int | None = None) -> StepTimes | None:
+        """Which step is shown when; None for a volume that does not change. Raises SceneError, VolumeError."""
+        series = self.load_series(memory_cap)
+        if series is None:
+            return None
+        settings: Any = self.volume
+        rate = settings.steps_per_second or rate_of(len(series), self.animation.frames, self.animation.fps)
+        fixed = None
+        if self.step_is_fixed:
+            fixed = series.index(settings.step, f"{self._origin}: volume.step")
+        return StepTimes(len(series), rate, settings.loop, fixed)
+
+    @property
+    def step_is_fixed(self) -> bool:
+        """Whether [volume] names the step of a series that is shown at all times."""
+        return isinstance(self.volume, VolumeSettings) and self.volume.step is not None
+
+    def _load(self, memory_cap: int | None) -> Volume | VolumeSeries:
         if self._loaded is None:
             self._loaded = load_scene_volume(self.volume, self._folder, self._origin, memory_cap)
         return self._loaded
@@ -387,7 +440,8 @@ class Scene(Table):
     def first_picture(self, memory_cap: int | None = None) -> FirstPicture:
         """What suits the volume, which is examined once. ``memory_cap``: as for ``load_volume``."""
         if self._first is None:
-            self._first = FirstPicture(self.load_volume(memory_cap))
+            volume = self.load_volume(memory_cap)
+            self._first = FirstPicture(volume.widest if isinstance(volume, StepVolume) else volume)
         return self._first
 
     def completed(self, memory_cap: int | None = None) -> Scene:
@@ -419,14 +473,15 @@ class Scene(Table):
     def volume_path(self) -> Path | None:
         """The volume's file or folder; None for a volume that was passed as an array, is computed or is a URL."""
         file = getattr(self.volume, "file", None)
-        return None if file is None or is_url(file) else self._folder / file
+        return None if not isinstance(file, str) or is_url(file) else self._folder / file
 
     @property
     def input_paths(self) -> list[Path]:
         """The files and folders that the scene names: volume, fields and their label tables, environment, transfer
         function."""
-        named = [self.volume, *self.field, self.environment, self.transfer_function]
+        named = [*self.field, self.environment, self.transfer_function]
         files = [getattr(table, "file", None) for table in named] + [field.labels_file for field in self.field]
+        files += named_files(getattr(self.volume, "file", None), self._folder)
         return [self._folder / file for file in files if isinstance(file, str) and not is_url(file)]
 
     @property

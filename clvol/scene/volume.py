@@ -6,8 +6,9 @@ import math
 import os
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BeforeValidator, Field, model_validator
+from pydantic import BeforeValidator, Field, WithJsonSchema, model_validator
 
+from clvol.readers.options import ALL_TIMES
 from clvol.scene.table import AsTuple, Length, Number, Table, Whole, plain, wrong
 
 
@@ -40,6 +41,39 @@ def _choice(value: Any) -> Any:
     raise ValueError("neither an index nor a name")
 
 
+def _files(value: Any) -> Any:
+    """One name, or a tuple of names."""
+    if isinstance(value, (list, tuple)):
+        if not value:
+            raise ValueError("no file")
+        return tuple(_file(each) for each in value)
+    return _file(value)
+
+
+def _file(value: Any) -> str:
+    text = path_text(value)
+    if not isinstance(text, str) or not text:
+        raise ValueError("no name of a file")
+    return is_path(text)
+
+
+def _value_range(value: Any) -> Any:
+    numbers = [plain(each) for each in value] if isinstance(value, (list, tuple)) else []
+    if len(numbers) == 2 and all(isinstance(x, (int, float)) and not isinstance(x, bool) for x in numbers):
+        low, high = map(float, numbers)
+        if -1e30 <= low <= high <= 1e30:
+            return low, high
+    raise ValueError("no range")
+
+
+_FILES_SCHEMA = WithJsonSchema(
+    {"anyOf": [{"type": "string", "minLength": 1}, {"type": "array", "items": {"type": "string"}, "minItems": 1}]}
+)
+_RANGE_SCHEMA = WithJsonSchema({"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": 2})
+_OF_FILES = (
+    "dims", "dtype", "header_bytes", "byte_order", "channel", "time", "series", "step", "steps_per_second",
+    "value_range",
+)  # fmt: skip
 Choice = Annotated[Any, BeforeValidator(_choice)]
 _Side = Annotated[Whole, Field(ge=1, le=2**31 - 1)]
 
@@ -54,14 +88,21 @@ class VolumeSettings(Table):
     ``channel``, ``time`` and ``series`` select one of several in a file, by index from 0 or by name; a DICOM series
     also by its SeriesInstanceUID, an array of HDF5 or netCDF by its path inside.
 
+    A pattern (``*``, ``?``, ``[...]``; in natural order, t_2 before t_10) or a list of files is a series: a volume that
+    changes over time. So is a file with an axis of times, where ``time`` is "all". The step at time t in seconds
+    (``animation.time``, or that of a frame) is number floor(``steps_per_second`` * t), the last one after the end
+    unless ``loop``. By default all steps are spread over ``animation.frames``; without these there is a frame for each
+    step. ``step`` is the step that is shown whatever the time. Range, transfer function and look are those of all
+    times, for which each step is read once, unless ``value_range`` states the range.
+
     ``field`` takes the place of a file: it is computed on ``size`` (nx, ny, nz) voxels of 8 bits, with a spacing of 1
     or ``spacing`` (``clvol.volume.procedural.scene_field``).
     """
 
-    file: Annotated[str, BeforeValidator(path_text), AfterValidator(is_path)] | None = Field(
-        None, min_length=1,
-        title="Volume file, folder of slices or Zarr store, relative to the scene file; or the URL of a Zarr image.",
-        description="the name of a volume file, in quotes",
+    file: Annotated[Any, BeforeValidator(_files), _FILES_SCHEMA] | None = Field(
+        None,
+        title="Volume file, folder of slices, Zarr store or URL; a pattern or a list of them is a series in time.",
+        description="the name of a volume file, in quotes, a pattern such as 't_*.nrrd', or a list of names",
         examples=["brainsmall.nrrd"],
     )
     field: Literal["radial", "ellipsoid", "constant"] | None = Field(
@@ -102,9 +143,32 @@ class VolumeSettings(Table):
     )
     time: Choice = Field(
         None,
-        title="Which time step to read where the file has several.",
-        description="the index (from 0) of a time",
+        title="Which time to read where a file has several; 'all': each is a step of a series.",
+        description="the index (from 0) of a time, or 'all'",
         examples=[0],
+    )
+    step: Choice = Field(
+        None,
+        title="Which step of a series pictures show; by default that of the time of each frame.",
+        description="the number (from 0) of a step, or the name of its file",
+        examples=[0],
+    )
+    steps_per_second: Annotated[Number, Field(gt=0, le=1e6)] | None = Field(
+        None,
+        title="Steps of a series that pass in a second of animation; by default they are spread over the frames.",
+        description="a number greater than 0",
+        examples=[25.0],
+    )
+    loop: bool = Field(
+        False,
+        title="After the last step of a series, whether the first one follows; otherwise the last one stays.",
+        description="true or false",
+    )
+    value_range: Annotated[Any, BeforeValidator(_value_range), _RANGE_SCHEMA] | None = Field(
+        None,
+        title="Lowest and highest value of a series over all times, instead of reading every step to find them.",
+        description="two numbers [lowest, highest]",
+        examples=[[0.0, 255.0]],
     )
     series: Choice = Field(
         None,
@@ -149,11 +213,13 @@ class VolumeSettings(Table):
         if self.field is not None and self.size is None:
             expected = "three whole numbers [nx, ny, nz] greater than 0, beside field"
             raise wrong("size", None, expected)
+        if isinstance(self.file, tuple) and self.time == ALL_TIMES:
+            raise wrong("time", self.time, "the index of one time in each of several files")
         if self.field is None and self.size is not None:
             raise wrong("size", self.size, "a size beside field alone; for a .raw file, dims")
         if abs(self.slope) < 1e-30:
             raise wrong("slope", self.slope, "a finite number that is not 0")
-        for key in ("dims", "dtype", "header_bytes", "byte_order", "channel", "time", "series"):
+        for key in _OF_FILES:
             value = getattr(self, key)
             if self.field is not None and value is not None:
                 raise wrong(key, value, f"no {key} beside field; it has its size, and 8 bits")

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from pydantic import BaseModel
 
 from clvol.transfer import TransferFunction
+from clvol.volume.series import VolumeSeries
 
 if TYPE_CHECKING:
     from clvol.scene.scene import Scene
@@ -48,6 +49,8 @@ def _key(key: str, value: Any) -> str:
 
 
 def _voxels(volume: Any) -> str:
+    if isinstance(volume, VolumeSeries):
+        return f"{len(volume)} steps, each of {_voxels(volume.step(0))}"
     shape = " x ".join(str(n) for n in volume.grid.size)
     return f"{shape} voxels of {volume.dtype}, passed as an array"
 
@@ -66,6 +69,11 @@ def _function_keys(function: TransferFunction) -> list[str]:
     return [unit, 'color_space = "linear"', f"points = {format_value(points)}"]
 
 
+def _bare(key: str) -> str:
+    """A key as it is written: in quotes where it has dots."""
+    return f'"{key}"' if "." in key else key
+
+
 def format_value(value: Any) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
@@ -73,7 +81,7 @@ def format_value(value: Any) -> str:
         # A JSON string is a TOML basic string, except for DEL.
         return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
     if isinstance(value, Mapping):
-        return "{ " + ", ".join(f"{key} = {format_value(item)}" for key, item in value.items()) + " }"
+        return "{ " + ", ".join(f"{_bare(key)} = {format_value(item)}" for key, item in value.items()) + " }"
     if isinstance(value, (list, tuple)):
         if value and isinstance(value[0], Mapping):
             return "[\n" + "".join(f"  {format_value(item)},\n" for item in value) + "]"

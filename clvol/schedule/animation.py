@@ -10,18 +10,22 @@ import numpy as np
 from clvol.errors import UsageError
 from clvol.scene.camera import Camera
 from clvol.scene.resolve import ResolvedScene
+from clvol.schedule.keyframes import camera_at
 
 
 def frames(resolved: ResolvedScene) -> Iterator[tuple[int, float, Camera]]:
     """(index from 0, time in seconds, camera) of each frame.
 
     Frames are 1 / ``animation.fps`` apart. The rotation of ``animation.orbit_degrees`` is divided evenly, so that
-    it would be complete one frame after the last: a rotation of 360 degrees loops seamlessly.
+    it would be complete one frame after the last: a rotation of 360 degrees loops seamlessly. It is added to the view
+    of the keyframes.
     """
     animation = resolved.animation
     for index in range(animation.frames):
         turn = animation.orbit_degrees * index / animation.frames
-        yield index, animation.time + index / animation.fps, orbited(resolved.camera, turn)
+        seconds = animation.time + index / animation.fps
+        camera = camera_at(resolved.camera, animation.keyframe, seconds, resolved.origin)
+        yield index, seconds, orbited(camera, turn)
 
 
 def orbited(camera: Camera, degrees: float) -> Camera:

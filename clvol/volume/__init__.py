@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from clvol.volume.grid import Grid
+from clvol.volume.series import VolumeSeries
 from clvol.volume.volume import ACCEPTED_TYPES, Volume, describe
 
-__all__ = ["ACCEPTED_TYPES", "Grid", "Volume", "describe"]
+__all__ = ["ACCEPTED_TYPES", "Grid", "Volume", "VolumeSeries", "describe"]

@@ -84,7 +84,7 @@ class _Converted(LazyVolume):
             volume.dtype, volume.grid, volume.name, volume.frame, where, cap, volume.unit
         )
         self.path, self.format, self.axis = volume.path, volume.format, volume.axis
-        self.labels = volume.labels
+        self.labels, self.narrowed = volume.labels, self.narrowed or volume.narrowed
 
     def _load(self) -> np.ndarray:
         return self._of(self._volume._load())
@@ -115,6 +115,8 @@ class NarrowedVolume(_Converted):
 
     The type is determined when it is first used; all voxels are read once for that, slab by slab.
     """
+
+    narrowed = True
 
     def __init__(self, volume: LazyVolume, how: Narrowing) -> None:
         super().__init__(volume)

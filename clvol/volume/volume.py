@@ -57,6 +57,7 @@ class Volume:
 
     axis = ValueAxis()
     labels = False
+    narrowed = False  # the voxels were of a type that no volume has, and their own follows from their values
     files: tuple[str, ...] = ()  # data files beside ``path`` that the voxels come from
     _seen: bytes | None = None  # a sample of voxels that others can write to, as they were
 
@@ -82,6 +83,7 @@ class Volume:
         self.axis = ValueAxis(slope, offset).after(ValueAxis(own.slope, own.offset))
         self.data = _as_voxels(own.array, Narrowing(labels=True) if labels else current_narrowing())
         self.labels = labels or getattr(own.array, "dtype", None) == np.bool_
+        self.narrowed = _is_wide(own.array)
         self.grid = _placed(own.grid or Grid(self.data.shape), spacing, origin, direction)
         self.name = own.name if name is None else name
         self.frame = frame or own.frame or "index"
@@ -105,7 +107,7 @@ class Volume:
         return self.data.nbytes
 
     @cached_property
-    def _census(self) -> _Census:
+    def _census(self) -> Census:
         self._seen = _some_bytes(self.data)
         return _take_census(self.data)
 
@@ -188,7 +190,7 @@ class Volume:
 
 
 @dataclass(frozen=True)
-class _Census:
+class Census:
     lower: float
     upper: float
     nans: int
@@ -209,6 +211,11 @@ def check_type(dtype: np.dtype, where: str) -> np.dtype:
     if native.name not in ACCEPTED_TYPES and native.name not in WIDE_TYPES:
         raise VolumeError(where, f"voxels of type {native.name}", ACCEPTED)
     return native
+
+
+def _is_wide(array: Any) -> bool:
+    dtype = getattr(array, "dtype", None)
+    return isinstance(dtype, np.dtype) and dtype.newbyteorder("=").name in WIDE_TYPES
 
 
 def _placed(
@@ -256,7 +263,7 @@ def _some_bytes(data: np.ndarray) -> bytes | None:
     return flat[:: max(1, flat.size // _LOOKED_AT)].tobytes()
 
 
-def _take_census(data: np.ndarray) -> _Census:
+def _take_census(data: np.ndarray) -> Census:
     """Range and counts in one pass over the voxels, block by block, so that temporaries stay small."""
     flat = data.reshape(-1)
     lower, upper, nans, infs = np.inf, -np.inf, 0, 0
@@ -276,7 +283,7 @@ def _take_census(data: np.ndarray) -> _Census:
             lower, upper = min(lower, low), max(upper, high)
     if lower > upper:
         lower = upper = 0.0
-    return _Census(lower, upper, nans, infs)
+    return Census(lower, upper, nans, infs)
 
 
 def describe(volume: Volume) -> dict:

@@ -76,7 +76,6 @@ MISTAKES = [
     (["-o", "a.gif", *FRAMES, "--set", "animation.fps=60"],
      "a.gif: 60 frames per second, expected 0.1 to 50"),
     (["-o", "a.png", "--resume"], "--resume: given for a single picture, expected animation"),
-    (["-o", "a.gif", "--resume", *FRAMES], "--resume: given with a.gif, expected numbered"),
     (["-o", "a%d.png", "--max-error", "1e-2", *FRAMES],
      "--max-error: given for an animation of 3 frames, expected one frame"),
     (["-o", "a%d.png", "--time-budget", "1", *FRAMES], "--time-budget: given for an animation"),
@@ -171,3 +170,34 @@ def test_when_nothing_is_missing_no_device_is_opened(run, folder, renderer):
     outcome = run(*arguments, "--resume", "--stats", "s.json")
     assert (outcome.status, outcome.out) == (0, "s.json\n") and renderer.calls == []
     assert json.loads((folder / "s.json").read_text())["samples"] == 0
+
+
+def test_a_video_goes_on_where_it_stopped(run, folder, renderer, monkeypatch):
+    assert run("render", "scene.toml", "-o", "whole.gif", *FRAMES).status == 0
+    renderer.rendered.clear()
+    monkeypatch.setattr(renderer, "failure", RenderError("device", "failed", "luck"))
+    monkeypatch.setattr(renderer, "fails_at", 1.0)
+    assert run("render", "scene.toml", "-o", "a.gif", "--resume", *FRAMES).status == 4
+    assert not os.path.exists("a.gif") and sorted(os.listdir("a.gif.frames")) == ["000000.png", "000001.png"]
+    monkeypatch.setattr(renderer, "failure", None)
+    outcome = run("render", "scene.toml", "-o", "a.gif", "--resume", *FRAMES)
+    assert outcome.status == 0 and outcome.out.split() == ["a.gif"]
+    assert [time for time, _ in renderer.rendered] == [0.0, 0.5, 1.0]
+    assert not os.path.exists("a.gif.frames")
+    with Image.open("a.gif") as film, Image.open("whole.gif") as whole:
+        assert film.n_frames == whole.n_frames == 3
+        for index in range(3):
+            film.seek(index), whole.seek(index)
+            np.testing.assert_array_equal(np.asarray(film.convert("RGB")), np.asarray(whole.convert("RGB")))
+
+
+def test_other_files_beside_the_frames_of_a_video_stay(run, folder, renderer):
+    os.mkdir("a.gif.frames")
+    (folder / "a.gif.frames" / "notes.txt").write_text("mine")
+    assert run("render", "scene.toml", "-o", "a.gif", "--resume", *FRAMES).status == 0
+    assert os.listdir("a.gif.frames") == ["notes.txt"]
+
+
+def test_transparent_frames_of_a_video_are_not_kept(refused, folder, renderer):
+    line = refused(2, "render", "scene.toml", "-o", "a.gif", "--resume", "--set", "display.transparent=true", *FRAMES)
+    assert line.startswith("--resume: given with a.gif and display.transparent, expected display.transparent = false")

@@ -73,6 +73,8 @@ def is_accepted(value, schema, whole) -> bool:
     if "enum" in schema or "const" in schema:
         return value in schema.get("enum", [schema.get("const")])
     kind = schema.get("type")
+    if kind == "object" and "properties" not in schema:  # keys of any table
+        return isinstance(value, dict)
     if kind == "object":
         return isinstance(value, dict) and all(
             key in schema["properties"] and is_accepted(item, schema["properties"][key], whole)

@@ -17,6 +17,7 @@ from clvol.device.arguments import (
     scene_arguments,
 )
 from clvol.device.effect_state import COUNTERS, EffectState
+from clvol.device.effect_switches import effect_switches
 from clvol.device.empty_space import dilated, distance_map, surface_mask, visible_mask
 from clvol.device.light_volume import METHODS, fill_light_volume, shadow_step
 from clvol.device.memory import Perturbation
@@ -32,6 +33,7 @@ from clvol.device.transfer_lookup import (
 from clvol.device.view import EVERY_PIXEL, PixelLattice, RayFrame
 from clvol.device.volume import DeviceVolume, ResidentVolume
 from clvol.features import reduced_for_frames
+from clvol.features.gradient_storage import DeviceLimits
 from clvol.integrators.base import FrameData, Progress, Shared
 from clvol.integrators.raycast.cell_depths import cell_depths
 from clvol.integrators.raycast.constant_cells import changing_cells
@@ -140,12 +142,16 @@ class Raycaster:
 
     def set_transfer_function(self, function: TransferFunction) -> None:
         """Another transfer function: rebuilds the table and the visible cells, and compiles nothing."""
-        resolved, context = self.resolved, self.context
         # The nodes do not depend on the cycle of colours, so it compiles nothing.
-        self.nodes = scene_nodes(resolved, function)
-        mapped = device_function(opacity_envelope(layer_functions(resolved, function)), self.volume.values)
+        self.nodes = scene_nodes(self.resolved, function)
         self.function = function
         self._set_colors()
+        self._find_visible()
+
+    def _find_visible(self) -> None:
+        """Finds the cells in which anything can be seen, and what follows from them and from the voxels."""
+        resolved, context, function = self.resolved, self.context, self.function
+        mapped = device_function(opacity_envelope(layer_functions(resolved, function)), self.volume.values)
         visible = visible_cells(mapped, self.nodes.values)
         self.gate, self.spans = value_gate(mapped), shown_spans(mapped)
         at_nodes = mapped.opacity(self.nodes.values) > 0
@@ -277,6 +283,25 @@ class Raycaster:
             other._build_shadows()
         other.without_surfaces = other._beside_surfaces()
         other.march = self.march.for_scene(other, self)
+        return other
+
+    def for_step(self: Caster, resolved: ResolvedScene) -> Caster | None:
+        """As ``ChangesStep.for_step``: programs, tables and the buffer of voxels stay."""
+        if not isinstance(self.volume, DeviceVolume) or type(self.march) is not RayMarch:
+            return None
+        reduced = self.march.adopt(reduced_for_frames(resolved))
+        if effect_switches(reduced, DeviceLimits.of(self.context)) != self.effects.switches:
+            return None  # an effect has no consequence in one of the two steps
+        other = copy.copy(self)
+        other.resolved = reduced
+        self.volume.change(reduced.volume)
+        self.history.forget()  # where rays contributed to another step
+        other.effects = self.effects.for_step(reduced, self.volume)
+        if color_shift(reduced) != color_shift(self.resolved):
+            other._set_colors()
+        if other.length != self.length:
+            other._build_table()
+        other._find_visible()
         return other
 
     def render(

@@ -16,10 +16,12 @@ from clvol.integrators.raycast.bricks import BrickCaster
 from clvol.integrators.raycast.caster import Raycaster, device_volume
 from clvol.integrators.raycast.history import History, unsupported
 from clvol.integrators.raycast.reprojection import MARGIN
+from clvol.integrators.raycast.step_map import is_smooth
 from clvol.integrators.raycast.switches import raycast_switches
 from clvol.integrators.resident_codes import brick_switches, bricks_for, check_resident
 from clvol.integrators.whole_volume import WholeVolume
 from clvol.scene.resolve import ResolvedScene
+from clvol.volume.series import StepVolume
 
 _HISTORIES = 6  # volumes
 
@@ -55,6 +57,12 @@ class Raycast(WholeVolume):
 
     def sources(self, resolved: ResolvedScene) -> tuple[Sequence[str], bytes]:
         return ("*.h",), b""
+
+    def simplified(self, resolved: ResolvedScene, shared: Shared) -> ResolvedScene:
+        resolved = super().simplified(resolved, shared)
+        if isinstance(resolved.volume, StepVolume):
+            is_smooth(resolved)  # which looks at the widest step, before the one that is rendered is read
+        return resolved
 
     def prepare(
         self, shared: Shared, resolved: ResolvedScene, progress: Progress | None = None, wait: bool | None = None

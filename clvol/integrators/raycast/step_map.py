@@ -29,6 +29,7 @@ from clvol.transfer import TransferFunction
 from clvol.transfer.step_bounds import most_steps
 from clvol.volume import Volume
 from clvol.volume.lazy import LazyVolume
+from clvol.volume.series import StepVolume
 
 CELL_SHIFT = 2  # CELL of cl/cell_curvature.cl is 1 << this
 MOST = 8  # steps of one segment
@@ -63,7 +64,7 @@ def is_smooth(resolved: ResolvedScene, function: TransferFunction | None = None)
         return False
     if any(e.called_for and e.name not in PLAIN for e in effects(resolved)):
         return False
-    cells = sampled_cells(volume)
+    cells = sampled_cells(volume.widest if isinstance(volume, StepVolume) else volume)
     function = function or resolved.transfer_function
     nodes = np.linspace(*volume.value_range, 257)
     visible = shows(function, cells[:, 2], cells[:, 3])
@@ -149,6 +150,16 @@ def sampled_cells(volume: Volume) -> np.ndarray:
     if volume not in _samples:
         _samples[volume] = _sampled_cells(volume)
     return _samples[volume]
+
+
+def known_cells(volume: Volume) -> np.ndarray | None:
+    """What ``sampled_cells`` has found of ``volume``; None if it was not called."""
+    return _samples.get(volume)
+
+
+def remember_cells(volume: Volume, cells: np.ndarray) -> None:
+    """Takes ``cells`` for those that ``sampled_cells`` finds: another process has."""
+    _samples[volume] = cells
 
 
 def _sampled_cells(volume: Volume) -> np.ndarray:

@@ -10,6 +10,7 @@ import numpy as np
 from clvol.device.view import EVERY_PIXEL, PixelLattice
 from clvol.errors import RenderError
 from clvol.integrators.base import FrameData, PartOfPicture, PictureArrays, Progress
+from clvol.integrators.raycast.step_map import is_smooth
 from clvol.integrators.registry import integrator_of
 from clvol.render.isolation.channel import Message
 from clvol.render.isolation.process import DeviceProcess
@@ -19,6 +20,7 @@ from clvol.render.isolation.shared_volumes import SharedVolumes
 from clvol.render.member import Member
 from clvol.scene.camera import Camera
 from clvol.scene.resolve import ResolvedScene
+from clvol.volume.series import StepVolume
 
 _MAPPED = 24  # segments that a process keeps
 
@@ -95,6 +97,8 @@ class IsolatedMember(Member):
         return kept
 
     def prepare(self, resolved: ResolvedScene, progress: Progress | None = None, wait: bool | None = None) -> None:
+        if isinstance(resolved.volume, StepVolume):
+            is_smooth(resolved)  # looks at the widest step, which the process does not have
         scene = encoded(resolved, self._volumes.number)
         keeps = integrator_of(resolved).reads_blocks
         named = [self._volumes.number(v) for v in (resolved.volume, *(f.volume for f in resolved.fields))]
@@ -102,8 +106,11 @@ class IsolatedMember(Member):
         messages = [(number, *self._volumes.message(number, keeps)) for number in new]
         descriptors = [descriptor for *_, descriptor in messages if descriptor is not None]
         volumes = [[number, facts, descriptor is not None] for number, facts, descriptor in messages]
-        answer = self.ask("prepare", {"scene": scene, "volumes": volumes, "wait": wait}, descriptors, progress)
+        gone = sorted(self._sent.intersection(self._volumes.gone))
+        request = {"scene": scene, "volumes": volumes, "gone": gone, "wait": wait}
+        answer = self.ask("prepare", request, descriptors, progress)
         self._sent.update(new)
+        self._sent.difference_update(gone)
         kind = IsolatedParts if self.take(answer, "divides", bool) else IsolatedPrepared
         self.prepared = kind(self, resolved, answer)
 

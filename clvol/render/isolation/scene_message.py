@@ -16,6 +16,7 @@ import numpy as np
 
 from clvol.scene import OpacityFactor, ResolvedField, ResolvedScene, TransferLayer
 from clvol.scene.classification import ChosenClassification
+from clvol.scene.step_times import StepTimes
 from clvol.scene.table import Table
 from clvol.transfer import TransferFunction
 from clvol.volume.axis import ValueAxis
@@ -25,8 +26,8 @@ from clvol.volume.volume import Volume
 _TYPES: dict[str, type] = {
     each.__name__: each
     for each in (
-        ChosenClassification, Grid, OpacityFactor, ResolvedField, ResolvedScene, TransferFunction, TransferLayer,
-        ValueAxis,
+        ChosenClassification, Grid, OpacityFactor, ResolvedField, ResolvedScene, StepTimes, TransferFunction,
+        TransferLayer, ValueAxis,
     )  # fmt: skip
 }
 

@@ -13,9 +13,11 @@ from clvol.readers.zarr import StoredVolume
 from clvol.render.isolation.channel import Message
 from clvol.render.isolation.scene_message import decoded, encoded
 from clvol.render.isolation.segments import Segment, array_in, mapped
+from clvol.render.isolation.shared_series import step_facts, step_of
 from clvol.store.turned import TurnedBlocks
 from clvol.store.zarr_store import open_store
 from clvol.volume.lazy import FilledVolume
+from clvol.volume.series import StepVolume, VolumeSeries, is_other_step
 from clvol.volume.volume import Volume
 
 _COMPARED = 257  # voxels of a mapped file and of the file that has its name now
@@ -25,14 +27,19 @@ class SharedVolumes:
     """The volumes of a Renderer, each with a number, as its processes get them."""
 
     def __init__(self) -> None:
-        self._volumes: list[Volume] = []
+        self._volumes: list[Volume | None] = []  # None: a step of a series that was shown before
         self._messages: dict[int, tuple[Message, int | None]] = {}
-        self._held: list[Any] = []  # what the descriptors belong to
+        self._series: list[VolumeSeries] = []  # those that volumes are steps of
+        self._held: dict[int, Any] = {}  # what the descriptors belong to
 
     def number(self, volume: Volume) -> int:
         for number, each in enumerate(self._volumes):
             if each is volume:
                 return number
+            if each is not None and is_other_step(each, volume):  # only the step that is shown is in shared memory
+                self._volumes[number] = None
+                self._messages.pop(number, None)
+                self._held.pop(number, None)
         self._volumes.append(volume)
         return len(self._volumes) - 1
 
@@ -40,19 +47,28 @@ class SharedVolumes:
         """What ``volume_of`` takes: a description, and the descriptor of the file with the voxels, if there is one.
         ``keep_blocks``: a store is opened again, in place of reading all its voxels."""
         if number not in self._messages:
-            self._messages[number] = self._described(self._volumes[number], keep_blocks)
+            volume = self._volumes[number]
+            assert volume is not None
+            self._messages[number] = self._described(number, volume, keep_blocks)
         return self._messages[number]
+
+    @property
+    def gone(self) -> list[int]:
+        """The numbers of volumes that no scene will need."""
+        return [number for number, volume in enumerate(self._volumes) if volume is None]
 
     def close(self) -> None:
         self._messages.clear()
         self._held.clear()
 
-    def _described(self, volume: Volume, keep_blocks: bool) -> tuple[Message, int | None]:
+    def _described(self, number: int, volume: Volume, keep_blocks: bool) -> tuple[Message, int | None]:
         facts: Message = {
             "name": volume.name, "frame": volume.frame, "path": volume.path, "format": volume.format,
             "unit": volume.unit, "grid": encoded(volume.grid), "axis": encoded(volume.axis), "labels": volume.labels,
             "files": list(volume.files),
         }  # fmt: skip
+        if isinstance(volume, StepVolume):
+            facts["step"] = step_facts(volume, self._series)
         inner = volume._volume if isinstance(volume, FilledVolume) else volume
         is_coded = getattr(getattr(inner, "blocks_source", None), "codes", None) is not None
         if isinstance(inner, StoredVolume) and (keep_blocks or is_coded):
@@ -66,11 +82,11 @@ class SharedVolumes:
         file = _mapped_file(data)
         if file is not None:
             descriptor, facts["offset"] = file
-            self._held.append(_Descriptor(descriptor))
+            self._held[number] = _Descriptor(descriptor)
             return facts, descriptor
         segment = Segment(data.nbytes)
         segment.array(data.dtype, data.shape)[...] = data
-        self._held.append(segment)
+        self._held[number] = segment
         return facts, segment.descriptor
 
 
@@ -109,8 +125,9 @@ def _mapped_file(data: np.ndarray) -> tuple[int, int] | None:
     return descriptor, offset
 
 
-def volume_of(facts: Message, descriptor: int | None) -> Volume:
-    """The volume that ``SharedVolumes.message`` describes. Its voxels cannot be written to here."""
+def volume_of(facts: Message, descriptor: int | None, series: dict[int, VolumeSeries]) -> Volume:
+    """The volume that ``SharedVolumes.message`` describes. Its voxels cannot be written to here. ``series``: those
+    that are known here, by number."""
     grid, axis = decoded(facts["grid"]), decoded(facts["axis"])
     if descriptor is None:
         source: Any = open_store(facts["store"])
@@ -124,4 +141,4 @@ def volume_of(facts: Message, descriptor: int | None) -> Volume:
         format=facts["format"], unit=facts["unit"], slope=axis.slope, offset=axis.offset, labels=facts["labels"],
     )  # fmt: skip
     volume.grid, volume.files = grid, tuple(facts["files"])
-    return volume
+    return volume if "step" not in facts else step_of(volume, facts["step"], series)

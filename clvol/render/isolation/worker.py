@@ -26,6 +26,7 @@ from clvol.render.isolation.segments import array_in, mapped
 from clvol.render.isolation.shared_volumes import volume_of
 from clvol.render.prepared_cache import PreparedCache
 from clvol.scene.resolve import ResolvedScene
+from clvol.volume.series import VolumeSeries
 from clvol.volume.volume import Volume
 
 _LOOK = 1.0  # seconds between looks for the parent
@@ -44,6 +45,7 @@ class Worker:
         self._level = logging.WARNING
         self._descriptors: list[int] = []
         self._volumes: dict[int, Volume] = {}
+        self._series: dict[int, VolumeSeries] = {}
         self._memory: dict[int, Any] = {}  # mapped segments by number
         self._scene: ResolvedScene | None = None
         self._prepared: Any = None
@@ -109,8 +111,11 @@ class Worker:
         return {"name": self._context.name, "units": units, "is_cpu": self._context.is_cpu}
 
     def on_prepare(self, message: Message) -> Message:
+        for number in message["gone"]:
+            self._volumes.pop(number, None)
         for number, facts, has_file in message["volumes"]:
-            self._volumes[number] = volume_of(facts, self._descriptors.pop(0) if has_file else None)
+            descriptor = self._descriptors.pop(0) if has_file else None
+            self._volumes[number] = volume_of(facts, descriptor, self._series)
         scene: ResolvedScene = decoded(message["scene"], self._volumes)
         self._parts = None
         self._prepared = self._cache.prepare(scene, self._progress(message), message["wait"])

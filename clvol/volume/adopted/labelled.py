@@ -69,7 +69,9 @@ def _placed(names: list[str], shape: tuple[int, ...], pick: str) -> Placed:
         raise VolumeError("volume", error.what, f"{error.expected}; x.transpose('z', 'y', 'x') orders them") from None
     for kind, axis in (("channels", placed.channel), ("times", placed.time)):
         if axis is not None and shape[axis] != 1:
-            raise refused(f"{shape[axis]} {kind} along {names[axis]}", f"one of them: {pick.format(names[axis])}")
+            series = "; clvol.VolumeSeries(x) shows all of them" if kind == "times" and "isel" in pick else ""
+            one = f"one of them: {pick.format(names[axis])}{series}"
+            raise refused(f"{shape[axis]} {kind} along {names[axis]}", one)
     return placed
 
 
