@@ -2,7 +2,8 @@
 
 Measured: two local workers of one core each beside one of one core, in turns: the frames of an animation, and the tiles
 of one picture, from the first request to the last answer, with everything loaded and compiled. Then what the client and
-the scheduler spend on a task that does nothing, and how fast pictures come back.
+the scheduler spend on a task that does nothing, and how fast pictures come back. Seconds of a processor are measured
+beside those of the clock, since the machine is shared; what is simulated rests on the former.
 
 Simulated, with these figures: weak scaling, a fixed number of tasks per worker for 1 to 1000 workers. Client and
 scheduler serve one request at a time: they hand out a task, and take its answer with what it carries. Frames that
@@ -31,7 +32,7 @@ SUMMARY = "workers of a cluster: two measured, a thousand simulated"
 WORKERS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
 FRAMES, FRAME_SIZE, TILES_SIZE = 12, 512, 1024
 QUICK_FRAMES, QUICK_SIZE = 4, 64
-ROUNDS, QUICK_ROUNDS = 5, 1
+ROUNDS, QUICK_ROUNDS = 3, 1
 TASKS_PER_WORKER, IN_FLIGHT = 16, 2
 NETWORK = 1.1e9  # bytes per second: ten gigabit
 _EMPTY_TASKS, _MEGABYTES = 300, 16
@@ -64,7 +65,8 @@ def run(options: Options) -> dict[str, Any] | None:
             say(f"{name}: {row['speed_up']:.2f} times as fast")
         result["overhead"] = overhead(two)
     frames, tiles = result["measured"]
-    result["tasks"] = tasks_of(frames["one"] / _frame_count(options), tiles["one"], options)
+    costs = [row["processor"]["one"]["workers"] for row in (frames, tiles)]
+    result["tasks"] = tasks_of(costs[0] / _frame_count(options), costs[1], options)
     for name, task in result["tasks"].items():
         for workers in WORKERS:
             found = weak_scaling(workers, **task, **result["overhead"])
@@ -127,29 +129,50 @@ def _tiles(connection: Any, options: Options) -> float:
 
 
 def compared(call: Callable[[Any], float], one: Any, two: Any, options: Options) -> dict[str, Any]:
-    """Seconds of one worker and of two, in turns: medians, and the ratio with its quartiles."""
+    """Seconds of one worker and of two, in turns: medians, and the ratio with its quartiles. ``processor``: the seconds
+    of a processor that workers and client took. ``possible``: the ratio on two cores that do nothing else, if the one
+    worker leaves the client a core, and two of them share theirs with it."""
     for connection in (one, two):
         call(connection)
-    seconds: list[tuple[float, float]] = []
+    rounds: list[dict[str, tuple[float, float, float]]] = []
     for _ in range(QUICK_ROUNDS if options.quick else ROUNDS):
-        seconds.append((call(one), call(two)))
-    ratios = [a / b for a, b in seconds]
+        rounds.append({"one": _timed(call, one), "two": _timed(call, two)})
+    found = {
+        name: [statistics.median(r[name][k] for r in rounds) for k in range(3)] for name in ("one", "two")
+    }  # fmt: skip
+    ratios = [r["one"][0] / r["two"][0] for r in rounds]
     return {
-        "one": statistics.median(a for a, _ in seconds), "two": statistics.median(b for _, b in seconds),
+        "one": found["one"][0], "two": found["two"][0],
         "speed_up": statistics.median(ratios), "quartiles": [float(q) for q in np.percentile(ratios, [25, 75])],
+        "processor": {name: {"workers": each[1], "client": each[2]} for name, each in found.items()},
+        "possible": found["one"][1] / (0.5 * (found["two"][1] + found["two"][2])),
     }  # fmt: skip
 
 
+def _timed(call: Callable[[Any], float], connection: Any) -> tuple[float, float, float]:
+    """Seconds on the clock, and of a processor: of the workers, and of this process, which is client and scheduler."""
+    import psutil
+
+    workers = [psutil.Process(pid) for pid in connection.client.run(os.getpid).values()]
+
+    def processor() -> float:
+        return sum(sum(each.cpu_times()[:2]) for each in workers)
+
+    before, own = processor(), time.process_time()
+    seconds = call(connection)
+    return seconds, processor() - before, time.process_time() - own
+
+
 def overhead(connection: Any) -> dict[str, float]:
-    """``serial``: seconds that client and scheduler take per task, from many tasks that do nothing; ``byte``: seconds
-    per byte of an answer on this machine."""
+    """``serial``: seconds of a processor that client and scheduler take per task, from many tasks that do nothing;
+    ``byte``: and per byte of an answer."""
     from clvol.cluster.queue import TaskQueue
 
     def seconds(count: int, size: int) -> float:
         queue = TaskQueue(connection, nothing, os.getcwd())
-        start = time.perf_counter()
+        start = time.process_time()
         assert len(list(queue.run([{"bytes": size}] * count))) == count
-        return time.perf_counter() - start
+        return time.process_time() - start
 
     seconds(20, 0)
     few, many = seconds(20, 0), seconds(20 + _EMPTY_TASKS, 0)
@@ -160,13 +183,13 @@ def overhead(connection: Any) -> dict[str, float]:
 
 
 def tasks_of(frame: float, picture: float, options: Options) -> dict[str, dict[str, float]]:
-    """Seconds, and bytes of the answer, of a frame of ``frame`` seconds; of a twelfth of a picture of ``picture``
+    """Seconds, and bytes of the answer, of a frame of ``frame`` seconds; of a sixth of a picture of ``picture``
     seconds; of a brick whose partial picture takes as long as the frame; and of a frame of ten seconds."""
     size = QUICK_SIZE if options.quick else TILES_SIZE
     return {
         "frames": {"cost": frame, "bytes": 0.0},
         "frames of 10 s": {"cost": 10.0, "bytes": 0.0},
-        "tiles": {"cost": picture / 12, "bytes": size * size * 16 / 12},
+        "tiles": {"cost": picture / 6, "bytes": size * size * 16 / 6},
         "bricks": {"cost": frame, "bytes": float((QUICK_SIZE if options.quick else FRAME_SIZE) ** 2 * 16)},
     }
 
@@ -204,10 +227,12 @@ def bend(rows: list[dict[str, Any]], task: str) -> int | None:
 
 def show(result: dict[str, Any]) -> str:
     lines = [table(
-        ["what", "one worker, s", "two, s", "times as fast", "quartiles"],
+        ["what", "one worker, s", "two, s", "times as fast", "quartiles", "processor: one, two, client", "possible"],
         [
             [r["name"], f"{r['one']:.2f}", f"{r['two']:.2f}", f"{r['speed_up']:.2f}",
-             "{:.2f} to {:.2f}".format(*r["quartiles"])]
+             "{:.2f} to {:.2f}".format(*r["quartiles"]),
+             f"{r['processor']['one']['workers']:.2f}, {r['processor']['two']['workers']:.2f}, "
+             f"{r['processor']['two']['client']:.2f}", f"{r['possible']:.2f}"]
             for r in result["measured"]
         ],
     )]  # fmt: skip

@@ -17,7 +17,7 @@ from clvol.errors import DeviceError, RenderError, SceneError
 from clvol.render.some_tiles import rectangles
 from clvol.schedule.tiles import TILE
 
-_PACKAGES = 12  # per worker: the last one ends within a part of this that the edges of a picture cost
+_PACKAGES = 6  # per worker: the last one ends within a part of this that the edges of a picture cost
 
 
 def tiles_on_workers(

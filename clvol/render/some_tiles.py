@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from clvol.errors import SceneError
-from clvol.integrators.base import PictureArrays, RendersParts
+from clvol.integrators.base import PictureArrays, RendersParts, TiledPictureParts
 from clvol.integrators.registry import check_scene
 from clvol.render.member import LocalMember
 from clvol.render.renderer import open_context
@@ -38,38 +38,45 @@ class TilesRun:
     ) -> None:
         scene = load_scene(path, overrides)
         scene.load(memory_cap)
-        self._resolved, self._depth = scene.resolve(memory_cap), depth
+        self._resolved = scene.resolve(memory_cap)
         check_scene(self._resolved)
         self._member = LocalMember(open_context(devices))
         self._member.prepare(self._resolved)
+        self._parts = self._divided(depth)
+        size = self._resolved.image.height, self._resolved.image.width
+        distances = np.full(size, np.inf, np.float32) if depth else None
+        # Each rectangle replaces what is there of the one before.
+        self._arrays = PictureArrays(np.zeros((*size, 4), np.float32), distances)
 
     def close(self) -> None:
         self._member.close()
 
     def make(self, rectangle: Rectangle) -> TilesPart:
         left, top, right, bottom = rectangle
-        prepared, resolved, depth = self._member.prepared, self._resolved, self._depth
-        width, height = resolved.image.width, resolved.image.height
-        if not isinstance(prepared, RendersParts):
-            raise SceneError(f"{resolved.origin}: integration.method", f"got {resolved.integration.method!r}",
-                             "'raycast', for a picture that workers share")  # fmt: skip
-        parts = prepared.parts(resolved.camera, width, height, depth)
-        rgba = np.zeros((height, width, 4), np.float32)
-        distances = np.full((height, width), np.inf, np.float32) if depth else None
+        parts, arrays = self._parts, self._arrays
         here = np.s_[top:bottom, left:right]
         if parts is None:  # nothing is visible
             pixels = (right - left) * (bottom - top)
-            return TilesPart(rgba[here], None if distances is None else distances[here], 0, pixels, {})
-        if len(parts.stages) > 1:
+            return TilesPart(arrays.rgba[here], None if arrays.depth is None else arrays.depth[here], 0, pixels, {})
+        tiles = _tiles_in(rectangle, parts.tile, self._resolved.image.width)
+        parts.begin(0, [arrays])
+        made = parts.render(0, tiles)
+        parts.end(0, tiles)
+        depth = None if arrays.depth is None else np.array(arrays.depth[here])
+        return TilesPart(np.array(arrays.rgba[here]), depth, made.samples, made.rays, made.counters)
+
+    def _divided(self, depth: bool) -> TiledPictureParts | None:
+        """The picture in tiles; None if nothing is visible."""
+        prepared, resolved = self._member.prepared, self._resolved
+        if not isinstance(prepared, RendersParts):
+            raise SceneError(f"{resolved.origin}: integration.method", f"got {resolved.integration.method!r}",
+                             "'raycast', for a picture that workers share")  # fmt: skip
+        parts = prepared.parts(resolved.camera, resolved.image.width, resolved.image.height, depth)
+        if parts is not None and len(parts.stages) > 1:
             where = f"{resolved.origin}: image"
             raise SceneError(where, "pixels depend on rays elsewhere in the picture (ray_spacing)",
                              "a ray for each pixel, for a picture that workers share")  # fmt: skip
-        tiles = _tiles_in(rectangle, parts.tile, width)
-        parts.begin(0, [PictureArrays(rgba, distances)])
-        made = parts.render(0, tiles)
-        parts.end(0, tiles)
-        shown = None if distances is None else np.array(distances[here])
-        return TilesPart(np.array(rgba[here]), shown, made.samples, made.rays, made.counters)
+        return parts
 
 
 def _tiles_in(rectangle: Rectangle, tile: tuple[int, int], width: int) -> np.ndarray:
