@@ -30,7 +30,7 @@ from bench.report import load_average, machine, say, table
 
 SUMMARY = "workers of a cluster: two measured, a thousand simulated"
 WORKERS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
-FRAMES, FRAME_SIZE, TILES_SIZE = 12, 512, 1024
+FRAMES, SIZE = 8, 1024
 QUICK_FRAMES, QUICK_SIZE = 4, 64
 ROUNDS, QUICK_ROUNDS = 3, 1
 TASKS_PER_WORKER, IN_FLIGHT = 16, 2
@@ -107,9 +107,8 @@ def _frames(connection: Any, options: Options) -> float:
     from clvol.batch.frames import Animation
     from clvol.cluster.frames import frames_on_workers
 
-    size = QUICK_SIZE if options.quick else FRAME_SIZE
-    overrides = [f"image.width={size}", f"image.height={size}"]
-    # A new animation's first frames load it: not again for the same one.
+    size = QUICK_SIZE if options.quick else SIZE
+    overrides = [f"image.width={size}", f"image.height={size}", "integration.step=0.5"]
     animation = Animation("film.toml", overrides, ["f_%04d.npy"])
     start = time.perf_counter()
     made = list(frames_on_workers(connection, animation, ["film.toml"], range(_frame_count(options))))
@@ -120,8 +119,8 @@ def _frames(connection: Any, options: Options) -> float:
 def _tiles(connection: Any, options: Options) -> float:
     from clvol.cluster.tiles import tiles_on_workers
 
-    size = QUICK_SIZE if options.quick else TILES_SIZE
-    overrides = ["animation.frames=1", f"image.width={size}", f"image.height={size}", "integration.step=0.5"]
+    size = QUICK_SIZE if options.quick else SIZE
+    overrides = ["animation.frames=1", f"image.width={size}", f"image.height={size}", "integration.step=0.125"]
     scene = {"path": "film.toml", "overrides": overrides, "devices": None, "memory_cap": None, "depth": False}
     start = time.perf_counter()
     tiles_on_workers(connection, scene, (size, size), ["film.toml"])
@@ -185,12 +184,12 @@ def overhead(connection: Any) -> dict[str, float]:
 def tasks_of(frame: float, picture: float, options: Options) -> dict[str, dict[str, float]]:
     """Seconds, and bytes of the answer, of a frame of ``frame`` seconds; of a sixth of a picture of ``picture``
     seconds; of a brick whose partial picture takes as long as the frame; and of a frame of ten seconds."""
-    size = QUICK_SIZE if options.quick else TILES_SIZE
+    size = QUICK_SIZE if options.quick else SIZE
     return {
         "frames": {"cost": frame, "bytes": 0.0},
         "frames of 10 s": {"cost": 10.0, "bytes": 0.0},
         "tiles": {"cost": picture / 6, "bytes": size * size * 16 / 6},
-        "bricks": {"cost": frame, "bytes": float((QUICK_SIZE if options.quick else FRAME_SIZE) ** 2 * 16)},
+        "bricks": {"cost": frame, "bytes": float((QUICK_SIZE if options.quick else SIZE) ** 2 * 16)},
     }
 
 

@@ -53,7 +53,7 @@ typedef struct {
 INLINE floatN signed_inverse(floatN x) { return 1.0f / select(x, (floatN)1e-20f, MASK(fabs(x) < 1e-20f)); }
 
 /* u, v: of the packets' middles; half_u, half_v: from there to its last pixels. */
-INLINE Sides sides_along(floatN u, floatN v, float half_u, float half_v, float origin, float du, float dv,
+INLINE Sides sides_along(floatN u, floatN v, floatN half_u, floatN half_v, float origin, float du, float dv,
                          float forward, float ray_du, float ray_dv, float upper)
 {
   Sides s;
@@ -61,7 +61,7 @@ INLINE Sides sides_along(floatN u, floatN v, float half_u, float half_v, float o
   /* Rounding of the rays' places, with a margin. */
   const floatN slack = 0.02f + 4e-6f * (upper + fabs(s.place));
   const floatN half_ = slack + (half_u * fabs(du) + half_v * fabs(dv));
-  const float widens = half_u * fabs(ray_du) + half_v * fabs(ray_dv);
+  const floatN widens = half_u * fabs(ray_du) + half_v * fabs(ray_dv);
   s.low = s.place - half_, s.low_slope = s.slope - widens;
   s.high = s.place + half_, s.high_slope = s.slope + widens;
   s.low_inverse = signed_inverse(s.low_slope), s.high_inverse = signed_inverse(s.high_slope);
@@ -126,13 +126,11 @@ INLINE floatN span_leaps(__global const uchar *distances, __constant const View 
   return s;
 }
 
-/* The spans of the packets whose first pixels are (column, row): floats [LANES]. Where view->deepest is 0 they
- * are whole. */
-RARE void packet_spans(__global const uchar *distances, __constant const View *view, intN column, intN row,
-                       float *from, float *to, Tally *counted)
+/* The spans of packets whose middles are u, v pixels from the middle of the picture, and whose last pixels are half_u,
+ * half_v from there: floats [LANES]. Where view->deepest is 0 they are whole. */
+RARE void frustum_spans(__global const uchar *distances, __constant const View *view, floatN u, floatN v,
+                        floatN half_u, floatN half_v, float *from, float *to, Tally *counted)
 {
-  const float half_u = 0.5f * (PACKET_W - 1), half_v = 0.5f * (PACKET_H - 1);
-  const floatN u = TO_FLOAT(column) + (half_u - view->centre.x), v = TO_FLOAT(row) + (half_v - view->centre.y);
   Sides sides[3];
   if (view->deepest <= 0.0f) {
     EACH_LANE(k) from[k] = -INFINITY, to[k] = INFINITY;
@@ -162,6 +160,15 @@ RARE void packet_spans(__global const uchar *distances, __constant const View *v
   const floatN margin = 0.05f + 1e-6f * fabs(leave);
   STORE_LANES(select((floatN)INFINITY, seen - margin, sees), from);
   STORE_LANES(select(-(floatN)INFINITY, back + margin, sees), to);
+}
+
+/* Those of the packets whose first pixels are (column, row). */
+INLINE void packet_spans(__global const uchar *distances, __constant const View *view, intN column, intN row,
+                         float *from, float *to, Tally *counted)
+{
+  const float half_u = 0.5f * (PACKET_W - 1), half_v = 0.5f * (PACKET_H - 1);
+  const floatN u = TO_FLOAT(column) + (half_u - view->centre.x), v = TO_FLOAT(row) + (half_v - view->centre.y);
+  frustum_spans(distances, view, u, v, (floatN)half_u, (floatN)half_v, from, to, counted);
 }
 
 /* A span along rays, in steps of h edges from their entries: before `from` and from `to` on nothing is visible. */

@@ -13,7 +13,9 @@
  * position
  *   1/2 - m - D / 12 + 3/5 m^2 D + m D^2 / 60 + D^3 / 720,   m = M / (mean),  D its optical depth:
  * a series in how thick the stretch is and how far its extinction is from constant; colour is linear, so that is where
- * it is taken. Where the series is not enough the position is integrated instead.
+ * it is taken. Beyond D = 1 it is the position under constant extinction, and what m adds in proportion:
+ *   p + 6 m (2 p - 1) / D,   p = 1 + 1 / D - 1 / (1 - exp(-D)).
+ * Where that is not enough for the colours of the stretch the position is integrated instead.
  *
  * This is pre-integration (Engel, Kraus and Ertl 2001) without a table: nothing is sampled, so there are no nodes that
  * narrow pieces fall between, and any length of segment costs the same. Its attenuation within the segment is not
@@ -235,18 +237,32 @@ __constant float thick_position[6] = {0.00114009163f, 0.02869477f, 0.144925186f,
 __constant float thick_weight[6] = {0.0057848131f, 0.0611113173f, 0.178130346f, 0.289783588f, 0.299650256f,
                                     0.165539679f};
 
-/* As emission_position() where its series is not enough, for `units` opacity units along which 1 - alpha runs from q0
- * to q1, and alpha from a0 to a1: int (exp(-D(x)) - exp(-D)) dx / (1 - exp(-D)), to 1e-4 up to D = 8 and 3e-3
- * beyond. */
-RARE floatN emission_position_of_thick(floatN q0, floatN q1, floatN a0, floatN a1, floatN units)
+/* Lanes for which the series of emission_position() may not be enough. */
+INLINE intN is_thick(floatN depth, floatN moment) { return MASK(depth > 1.0f) | MASK(depth * fabs(moment) > 0.08f); }
+
+/* As emission_position() for these lanes (`thick`), for `units` opacity units along which 1 - alpha runs from q0 to q1,
+ * alpha from a0 to a1, and colours change by up to `change`. Where they could be off by 1e-4 the position is integrated:
+ * int (exp(-D(x)) - exp(-D)) dx / (1 - exp(-D)), to 1e-4 up to D = 8 and 3e-3 beyond. */
+RARE floatN emission_position_of_thick(floatN q0, floatN q1, floatN a0, floatN a1, floatN units, floatN depth,
+                                       floatN moment, floatN change, intN thick)
 {
   const floatN one = 1.0f, least = 1e-30f;
+  const intN deep = MASK(depth > one);
+  floatN at = emission_position(depth, moment);
+  if (any_lane(deep)) {
+    const floatN d = lane_max(depth, one), inverse = lane_reciprocal(d);
+    const floatN p = one + inverse - lane_reciprocal(opacity_of_depth(d));
+    at = select(at, lane_max(p + 6.0f * moment * inverse * (2.0f * p - one), (floatN)0.0f), deep);
+  }
+  /* The former errs by up to 6 moment^2, the series by up to 0.01. */
+  const intN inexact = thick & select(MASK(change > 0.01f), MASK(moment * moment * change > 1e-4f / 6.0f), deep);
+  if (!any_lane(inexact)) return at;
   floatN whole = 0.0f, sum = 0.0f;
   _Pragma("unroll 1") for (int k = 0; k < 7; ++k) {
     const float x = k ? thick_position[k - 1] : 1.0f;
-    const floatN change = 0.5f * x * (q1 - q0), clear = q0 + change;
-    floatN spread, moment;
-    spread_and_moment(lane_clamp(change * lane_reciprocal(lane_max(clear, least)), -one, one), &spread, &moment);
+    const floatN turn = 0.5f * x * (q1 - q0), clear = q0 + turn;
+    floatN spread, first;
+    spread_and_moment(lane_clamp(turn * lane_reciprocal(lane_max(clear, least)), -one, one), &spread, &first);
     const floatN rate = depth_of_clear(clear, a0 + 0.5f * x * (a1 - a0)) + spread;
     const floatN opacity = opacity_of_depth(rate * units * x);
     if (k == 0)
@@ -254,11 +270,8 @@ RARE floatN emission_position_of_thick(floatN q0, floatN q1, floatN a0, floatN a
     else
       sum += thick_weight[k - 1] * (whole - opacity);
   }
-  return sum * rough_reciprocal(lane_max(whole, least));
+  return select(at, sum * rough_reciprocal(lane_max(whole, least)), inexact);
 }
-
-/* Lanes for which the series is not enough: where colours would be off by 1e-4. */
-INLINE intN is_thick(floatN depth, floatN moment) { return MASK(depth > 1.0f) | MASK(depth * fabs(moment) > 0.08f); }
 
 /* What a part of a piece emits and absorbs. */
 typedef struct {
@@ -293,7 +306,10 @@ LOOKED_UP PiecePart part_of_piece(intN piece, floatN w0, floatN w1, floatN units
   const intN thick = active & is_thick(depth, moment) & MASK(w0 != w1);
   if (any_lane(thick)) {
     const floatN a = PIECE_ROW(ROW_OPACITY), change = PIECE_ROW(ROW_OPACITY_CHANGE);
-    at = select(at, emission_position_of_thick(q0, q1, a + w0 * change, a + w1 * change, units), thick);
+    const floatN red = fabs(PIECE_ROW(ROW_COLOR_CHANGE)), green = fabs(PIECE_ROW(ROW_COLOR_CHANGE + 1));
+    const floatN colors = fabs(w1 - w0) * lane_max(lane_max(red, green), fabs(PIECE_ROW(ROW_COLOR_CHANGE + 2)));
+    at = select(at, emission_position_of_thick(q0, q1, a + w0 * change, a + w1 * change, units, depth, moment, colors,
+                                               thick), thick);
   }
   const floatN w = w0 + at * (w1 - w0);
   const PiecePart part = {PIECE_ROW(ROW_COLOR) + w * PIECE_ROW(ROW_COLOR_CHANGE),
@@ -320,13 +336,15 @@ INLINE void append_one_by_one(SegmentColor *s, intN low, intN high, intN rises, 
     const floatN depth = select(zero, UNIFORM_ROW(ROW_DEPTH) * (UNIFORM_ROW(ROW_LENGTH) * per), inside);
     const floatN moment = UNIFORM_ROW(ROW_MOMENT);
     floatN at = emission_position(depth, select(-moment, moment, rises));
-    const intN thick = is_thick(depth, moment);
+    const intN thick = inside & is_thick(depth, moment);
     if (any_lane(thick)) {
       const floatN q0 = UNIFORM_ROW(ROW_CLEAR), q1 = lane_max(q0 + UNIFORM_ROW(ROW_CLEAR_CHANGE), zero);
       const floatN a0 = UNIFORM_ROW(ROW_OPACITY), a1 = a0 + UNIFORM_ROW(ROW_OPACITY_CHANGE);
+      const float red = fabs(UNIFORM_ROW(ROW_COLOR_CHANGE)), green = fabs(UNIFORM_ROW(ROW_COLOR_CHANGE + 1));
+      const floatN colors = fmax(fmax(red, green), fabs(UNIFORM_ROW(ROW_COLOR_CHANGE + 2)));
       at = select(at, emission_position_of_thick(select(q1, q0, rises), select(q0, q1, rises), select(a1, a0, rises),
-                                                 select(a0, a1, rises),
-                                                 UNIFORM_ROW(ROW_LENGTH) * per), thick);
+                                                 select(a0, a1, rises), UNIFORM_ROW(ROW_LENGTH) * per, depth,
+                                                 select(-moment, (floatN)moment, rises), colors, thick), thick);
     }
     const floatN w = select(1.0f - at, at, rises);
     const floatN opacity = opacity_of_stretch(depth);

@@ -18,6 +18,7 @@ from clvol.integrators.registry import check_scene, integrator_of
 from clvol.opencl.context import compile_options
 from clvol.opencl.kernels_path import kernel_folder
 from clvol.scene.environment import Environment
+from clvol.scene.image import ImageSettings
 from clvol.scene.resolve import ResolvedScene
 from clvol.volume.volume import Volume
 
@@ -27,8 +28,9 @@ def explain(resolved: ResolvedScene) -> dict[str, Any]:
 
     "effects" lists every effect with the reason why it is used or not, "compression" says what becomes of the voxels
     (None: nothing), "coherence" where rays start, "kernel_hash" identifies the compiled kernel, and "warnings" lists
-    settings that are valid but hardly intended, "classification" is the one that is used and why. Raises SceneError for
-    a scene that a Renderer would refuse, for example because its environment cannot be read.
+    settings that are valid but hardly intended, "classification" is the one that is used and why, "rays" says how many
+    a pixel has. Raises SceneError for a scene that a Renderer would refuse, for example because its environment cannot
+    be read.
     """
     check_scene(resolved)
     _read_environment(reduced(resolved).environment)
@@ -45,11 +47,22 @@ def explain(resolved: ResolvedScene) -> dict[str, Any]:
             "name": resolved.integration.classification,
             "reason": "the scene requests it" if chosen is None else chosen.reason,
         },
+        "rays": {"per_pixel": image.samples, "reason": _rays(image)},
         "compression": explained(resolved),
         "coherence": _coherence(resolved),
         "kernel_hash": kernel_hash(resolved),
         "warnings": [str(warning) for warning in warnings],
     }
+
+
+def _rays(image: ImageSettings) -> str:
+    """Which pixels have how many rays, and why."""
+    if image.samples == 1:
+        return "image.samples is 1: each pixel has the ray through its middle"
+    how = f"image.samples is {image.samples}, {image.sample_pattern}, weighed by the {image.pixel_filter}"
+    if not image.refines:
+        return f"{how}, in all pixels"
+    return f"{how}, where pixels differ by {image.edge_threshold:g} or more as displayed; elsewhere 1"
 
 
 def _coherence(resolved: ResolvedScene) -> dict[str, str]:

@@ -30,12 +30,13 @@ SHOWS = {
     "projection": lambda scene: scene.integration.compositing != "over",
     "labels": lambda scene: scene.field[0].role == "label",
     "animation": lambda scene: scene.animation.frames > 1,
+    "edges": lambda scene: scene.image.refines,
     "keyframes": lambda scene: len(scene.animation.keyframe) > 1,
     "overlay": lambda scene: scene.overlay.scale_bar and scene.overlay.color_bar,
 }
 
 
-def test_there_are_thirteen_scenes_and_five_scripts():
+def test_there_are_fourteen_scenes_and_five_scripts():
     assert set(SCENES) == set(SHOWS)
     assert {path.stem for path in EXAMPLES.glob("*.py")} == {
         "render_array", "render_to_error", "compare_steps", "labels", "series"

@@ -32,19 +32,22 @@ def render_to_error(
     depth: bool = True,
     progress: Progress | None = None,
     seed: int = 0,
+    pixel_area: bool = False,
 ) -> Frame:
     """Renders ``scene`` with the cheapest settings whose error is at most ``max_error``.
 
     ``max_error``: RMSE of linear premultiplied RGBA against the exact integral, 1e-10 to 1. All tunables of the scene
     (step, classification, ...) may change. ``frame.stats["accuracy"]`` contains "rmse", "bound" and "confidence" as
     measured, the chosen "settings", and the "seconds" of each stage. ``seed``: seeds the random choice of the pixels
-    that are measured. Other arguments are those of ``clvol.Renderer``.
+    that are measured. ``pixel_area``: the truth of a pixel is the integral over it, not along the ray through its
+    middle, and the number of rays per pixel may change, too; so it is for scenes with ``image.samples`` above 1. Other
+    arguments are those of ``clvol.Renderer``.
 
     Raises UsageError for an impossible ``max_error``, RenderError if no picture was shown to stay below it, and
     otherwise what ``clvol.Renderer`` raises.
     """
     check_max_error(max_error)
-    with PictureSearch(scene, devices, memory_cap, max_error, depth, progress, seed) as search:
+    with PictureSearch(scene, devices, memory_cap, max_error, depth, progress, seed, pixel_area) as search:
         return _to_error(search, max_error)
 
 
@@ -72,6 +75,9 @@ def _to_error(search: PictureSearch, max_error: float) -> Frame:
 
 def _exact(search: PictureSearch, max_error: float, attempt: int) -> Frame:
     """Renders by the exact integral itself, for an error that no settings reach."""
+    if search.area:
+        what = f"no settings with an error of at most {max_error:g} were found, with 16 rays per pixel at most"
+        raise RenderError("max_error", what, "a larger error, or one of rays through the pixels' middles")
     if not search.truth.is_exact:
         known = max(search.truth.error, FLOAT32_ERROR)
         what = f"no settings with an error of at most {max_error:g} were found, and effects have no exact integral"
@@ -98,7 +104,7 @@ def _exact(search: PictureSearch, max_error: float, attempt: int) -> Frame:
         "pixels": rgba.shape[0] * rgba.shape[1], "of_pixels": rgba.shape[0] * rgba.shape[1],
         "how": "error estimates of the exact integral", "settings": settings,
         "attempts": attempt, "tried": len(search.search.measured),
-        "seconds": dict(search.seconds),
+        "seconds": dict(search.seconds), "of": search.of,
     }  # fmt: skip
     seconds = {"load": search.load_seconds, "render": render_seconds}
     shown_depth = depth if search.depth else None

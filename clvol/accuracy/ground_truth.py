@@ -13,11 +13,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clvol.device.view import EVERY_PIXEL
+from clvol.accuracy.pixel_area import integrate_pixels
 from clvol.errors import VolumeError
 from clvol.integrators.base import FrameData
 from clvol.integrators.reference.integrator import has_exact_integral
 from clvol.integrators.reference.picture import render_reference
+from clvol.render.supersampling.picture import rendered
 from clvol.scene.compression import NOT_COMPRESSED
 from clvol.scene.resolve import LARGEST_STEP_COUNT, ResolvedScene
 
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from clvol.render.engines import Engines
 
 FIRST_STEP, LEAST_STEP = 1 / 8, 1 / 128  # in units of the smallest voxel edge
+_RAYS = 16  # per pixel, of a picture whose pixels are integrated
 KNOWN = 2e-5  # RMSE, at which the limit is known as well as single precision and tables allow
 
 
@@ -52,10 +54,13 @@ class GroundTruth:
     ``is_exact``: whether they come from the exact integral; otherwise they are the limit of small steps. ``error``:
     the uncertainty of that limit, an RMSE of linear premultiplied RGBA, taken as the change by the last halving of
     the step. It is known after the first call of ``pixels``, and 0 for the exact integral.
+
+    ``area``: if more than 0, pixels are integrated over their area, for pictures with errors of about ``area``;
+    otherwise pixels are rays through their middles.
     """
 
-    def __init__(self, resolved: ResolvedScene, engines: Engines) -> None:
-        self.resolved, self._engines = resolved, engines
+    def __init__(self, resolved: ResolvedScene, engines: Engines, area: float = 0.0) -> None:
+        self.resolved, self._engines, self._area = resolved, engines, area
         self.is_exact = has_exact_integral(resolved)
         self.error = 0.0
         self._limit: np.ndarray | None = None
@@ -64,7 +69,8 @@ class GroundTruth:
     @property
     def how(self) -> str:
         """The name of this ground truth in reports."""
-        return "exact integral" if self.is_exact else "limit of small steps"
+        what = "exact integral" if self.is_exact else "limit of small steps"
+        return f"{what} over each pixel" if self._area else what
 
     def pixels(
         self,
@@ -74,6 +80,9 @@ class GroundTruth:
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """RGBA at ``pixels`` (int [n, 2]: row, column), float64 [n, 4], and counters like those of the reference.
         ``tolerance``: that of the exact integral."""
+        if self.is_exact and self._area:
+            devices = devices_of(self._engines)
+            return integrate_pixels(self.resolved, devices, tolerance, pixels, self._area, progress)
         if self.is_exact:
             rgba, _, counters = render_reference(
                 self.resolved, devices_of(self._engines), tolerance, pixels, progress
@@ -98,6 +107,12 @@ class GroundTruth:
                 if self.error <= KNOWN or step / 2 < LEAST_STEP or not self._may_take(step / 2):
                     break
             step /= 2
+        if self._area:  # two pictures with as many rays, of which none is the same
+            other = self._picture(step, progress, "regular")
+            samples += other.samples
+            mean = 0.5 * (pictures[-1].astype(np.float64) + other.rgba)
+            self.error += float(np.sqrt(np.mean((other.rgba - mean) ** 2)))
+            pictures.append(mean)
         self._counters = {"samples": samples, "error_estimate": self.error, "step": step}
         return pictures[-1]
 
@@ -106,7 +121,9 @@ class GroundTruth:
         diagonal = np.linalg.norm(np.ptp(corners, axis=0)) / self.resolved.volume.grid.smallest_edge
         return bool(diagonal / step < LARGEST_STEP_COUNT)
 
-    def _picture(self, step: float, progress: Callable[[int, int], None] | None) -> FrameData:
+    def _picture(
+        self, step: float, progress: Callable[[int, int], None] | None, sample_pattern: str = "rotated"
+    ) -> FrameData:
         scene = self.resolved
         pre = scene.integration.classification == "pre"
         settings = {
@@ -118,10 +135,15 @@ class GroundTruth:
             scene,
             integration=scene.integration.model_copy(update=settings),
             compression=NOT_COMPRESSED,
-            image=scene.image.model_copy(update={"ray_spacing": 1}),
+            image=scene.image.model_copy(
+                update={
+                    "ray_spacing": 1, "samples": _RAYS if self._area else 1, "refine": "all",
+                    "sample_pattern": sample_pattern,
+                }
+            ),
             gradient=scene.gradient.model_copy(update={"storage": "on-the-fly"}),
         )
         size = scene.image.width, scene.image.height
         engine = self._engines.prepare(fine)
         engine.warm_up(*size, False)
-        return engine.render(scene.camera, *size, progress, depth=False, lattice=EVERY_PIXEL)
+        return rendered(engine, fine, scene.camera, *size, progress, depth=False)

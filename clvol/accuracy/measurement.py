@@ -14,13 +14,15 @@ from clvol.accuracy.trials import Trial, Trials
 
 CONFIDENCE = 0.95
 _DRAWN_PIXELS = 2_048  # at first; the number doubles until the bound gives an answer
+_DRAWN_AREAS = 512  # of pixels that are integrated, by many rays each
 
 
 class Measurement:
     """Measures errors of pictures of one scene.
 
     ``pilot``: the trials by which settings are chosen; its pixels count with their known errors. ``tolerance``: that
-    of the exact integral. ``timed(work)`` calls ``work``, records its time and returns its result.
+    of the exact integral. ``timed(work)`` calls ``work``, records its time and returns its result. ``area``: whether
+    the truth is the integral over each pixel, which the pilot's pixels do not know.
     """
 
     def __init__(
@@ -30,7 +32,9 @@ class Measurement:
         rng: np.random.Generator,
         tolerance: float,
         timed: Callable[[Callable[[], Any]], Any],
+        area: bool = False,
     ) -> None:
+        self._area = area
         self._pilot, self._truth, self._rng, self._tolerance = pilot, truth, rng, tolerance
         self._size, self._timed = pilot.size, timed
 
@@ -47,16 +51,19 @@ class Measurement:
         width, height = self._size
         count_all = width * height
         rgba = picture.picture.reshape(count_all, 4)
-        pilot = self._pilot.lattice.pixels(width, height) @ (width, 1)
-        known = _squared(rgba[pilot], self._pilot.exact().reshape(-1, 4))
+        pilot, known = np.zeros(0, int), np.zeros(0)
+        if not self._area:
+            pilot = np.asarray(self._pilot.lattice.pixels(width, height) @ (width, 1), int)
+            known = _squared(rgba[pilot], self._pilot.exact().reshape(-1, 4))
         left_out = np.zeros(count_all, bool)
         left_out[pilot] = True
         others = count_all - len(pilot)
         rough = np.zeros(count_all)
-        if others > _DRAWN_PIXELS:
+        first = _DRAWN_AREAS if self._area else _DRAWN_PIXELS
+        if others > first:
             rough = _squared(rgba, finer().reshape(count_all, 4))
         squared = probability = np.zeros(0)
-        look, count = 0, _DRAWN_PIXELS
+        look, count = 0, first
         while True:
             look += 1
             if squared.size + count >= others:  # measuring all pixels costs no more

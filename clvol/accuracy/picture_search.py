@@ -34,6 +34,7 @@ from clvol.accuracy.settings import (
 )
 from clvol.accuracy.trials import Trial, Trials, root_mean_square
 from clvol.device.view import PixelLattice
+from clvol.errors import SceneError
 from clvol.integrators.registry import check_scene, integrator_of
 from clvol.render.engines import close_engines, open_engines
 from clvol.render.frame import Frame, make_frame
@@ -69,10 +70,15 @@ class PictureSearch:
         depth: bool,
         progress: Progress | None,
         seed: int,
+        pixel_area: bool = False,
     ) -> None:
         start = time.perf_counter()
         self.scene = scene
         requested = scene.resolve()
+        self.area = pixel_area or requested.image.samples > 1
+        if self.area and requested.image.pixel_filter != "box":
+            what = f"got {requested.image.pixel_filter!r} where the truth is the integral over each pixel"
+            raise SceneError(f"{requested.origin}: image.pixel_filter", what, "'box', which is what that compares with")
         self.requested, self._notices = requested, Notices(requested)
         self.resolved = apply(requested, {"integration.method": integrator_of(requested).tuned_as})
         check_scene(self.resolved)
@@ -83,20 +89,25 @@ class PictureSearch:
         rng = np.random.default_rng(seed)
         self._tolerance = min(max(error * _SHARE_OF_ERROR, 1e-12), 1e-5)
         self.size = requested.image.width, requested.image.height
-        self.tunables = scene_tunables(self.resolved)
+        self.tunables = scene_tunables(self.resolved, self.area)
         self.start = scene_settings(self.resolved, self.tunables)
         self.of_picture = {k: v for k, v in self.tunables.items() if v.tunable.of_picture}
+        if self.area:  # rays are added, not left out
+            self.of_picture = {k: v for k, v in self.of_picture.items() if v.tunable.of_area}
         self.pictures: dict[tuple, Trial] = {}
         self.seconds = {"pilot": 0.0, "pictures": 0.0, "measure": 0.0}
         self.load_seconds = time.perf_counter() - start
         lattice = _pilot_lattice(*self.size, rng)
-        self.truth = GroundTruth(self.resolved, self.engines)
+        of_rays = self.truth = GroundTruth(self.resolved, self.engines)
+        if self.area:
+            self.truth = GroundTruth(self.resolved, self.engines, max(error, FLOAT32_ERROR))
         self.pilot = Trials(
-            self.resolved, self.engines, lattice=lattice, tolerance=self._tolerance, frames=2, truth=self.truth,
+            self.resolved, self.engines, lattice=lattice, tolerance=self._tolerance, frames=2, truth=of_rays,
+            one_ray=self.area,
         )  # fmt: skip
         self._whole = Trials(self.resolved, self.engines, frames=2, depth=depth, truth=False)
         self._measurement = Measurement(
-            self.pilot, self.truth, rng, self._tolerance, self._measuring
+            self.pilot, self.truth, rng, self._tolerance, self._measuring, self.area
         )
         self.search = Search(
             self._measure_pilot,
@@ -111,6 +122,11 @@ class PictureSearch:
     def __exit__(self, *exc: object) -> None:
         close_engines(self.engines, self._notices)
 
+    @property
+    def of(self) -> str:
+        """What the truth of a pixel is, for ``stats["accuracy"]``."""
+        return "pixel areas" if self.area else "pixel centres"
+
     # Choosing settings
 
     def _plain(self) -> dict[str, Any]:
@@ -119,6 +135,10 @@ class PictureSearch:
 
     def _without_picture_tunables(self) -> dict[str, Any]:
         return {key: tunable.values[-1] for key, tunable in self.of_picture.items()}
+
+    def _of_one_ray(self, settings: dict[str, Any]) -> dict[str, Any]:
+        """``settings`` for a picture of one ray per pixel, by which methods are compared."""
+        return self._canonical({**settings, "image.samples": 1}) if self.area else settings
 
     def _measure_pilot(self, settings: dict[str, Any]) -> Trial:
         self.report("choosing settings")
@@ -135,7 +155,7 @@ class PictureSearch:
         if not candidates:
             return None
         # The pilot's rays are far apart and share no memory accesses, which slows some methods more than others.
-        first = min(candidates, key=lambda trial: self.picture(trial.settings).cost)
+        first = min(candidates, key=lambda trial: self.picture(self._of_one_ray(trial.settings)).cost)
         for share in _SHARES:
             chosen = self.timed("pilot", partial(self.search.hold, first.settings, share * aim))
             if chosen is None:
@@ -204,7 +224,7 @@ class PictureSearch:
         accuracy = {
             **target, **asdict(found), "how": f"{self.truth.how} at {where_measured(found)}",
             "settings": self._counting(trial.settings), "attempts": attempt,
-            "tried": len(self.search.measured), "seconds": dict(self.seconds),
+            "tried": len(self.search.measured), "seconds": dict(self.seconds), "of": self.of,
         }  # fmt: skip
         pilot = self.search.measure({**trial.settings, **self._without_picture_tunables()})
         seconds = {

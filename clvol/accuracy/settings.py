@@ -55,10 +55,13 @@ class SceneTunable:
         return cheaper - 1, True
 
 
-def scene_tunables(resolved: ResolvedScene) -> dict[str, SceneTunable]:
-    """The tunables that leave a choice for this scene, by key."""
+def scene_tunables(resolved: ResolvedScene, area: bool = False) -> dict[str, SceneTunable]:
+    """The tunables that leave a choice for this scene, by key. ``area``: of pictures whose truth is the integral over
+    each pixel."""
     found = {}
     for key, tunable in TUNABLES.items():
+        if tunable.of_area and not area:
+            continue
         table, name = key.split(".")
         own = value_of(resolved, key)
         values = _with(own, tunable.values_for(resolved), tunable)

@@ -27,6 +27,7 @@ def render_in_time(
     depth: bool = True,
     progress: Progress | None = None,
     seed: int = 0,
+    pixel_area: bool = False,
 ) -> Frame:
     """Renders ``scene`` with the most accurate settings whose frame takes at most ``seconds``.
 
@@ -35,7 +36,7 @@ def render_in_time(
     the same other arguments. Raises UsageError if even the fastest settings take longer.
     """
     check_time_budget(seconds)
-    with PictureSearch(scene, devices, memory_cap, _FIRST_ERROR, depth, progress, seed) as search:
+    with PictureSearch(scene, devices, memory_cap, _FIRST_ERROR, depth, progress, seed, pixel_area) as search:
         return _in_time(search, seconds)
 
 

@@ -51,6 +51,7 @@ _BEATEN = 0.7  # ratio of both error and time below which the difference is not 
 _FLOOR = 0.9  # share of the error two notches before, above which a ladder no longer helps
 _SAME_ERROR, _SAME_TIME = 0.97, 0.03  # ratio of errors and difference of times that count as equal
 _METHOD = "integration.method"
+_AREA_ERROR = 1e-2  # of pictures whose pixels are integrated, about
 _DECADES = (1e-1, 3e-2, 1e-2, 3e-3, 1e-3, 3e-4, 1e-4, 3e-5, 1e-5, 1e-6)
 
 Progress = Callable[..., None]  # (done, total, what)
@@ -64,17 +65,18 @@ def measure_tradeoff(
     frames: int = FRAMES,
     settings: int = SETTINGS,
     progress: Progress | None = None,
+    pixel_area: bool = False,
 ) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """Renders ``scene`` with at most ``settings`` settings, and times the relevant ones over ``frames`` frames.
 
     Returns the content of tradeoff.json, and pictures, float32 [h, w, 4], by name: "reference", and the ids of the
-    points of the front and of the scene's own settings. Raises what ``clvol.Renderer`` raises, and UsageError for
-    numbers below 1.
+    points of the front and of the scene's own settings. ``pixel_area``: as for ``render_to_error``. Raises what
+    ``clvol.Renderer`` raises, and UsageError for numbers below 1.
     """
     for name, value, least in (("frames", frames, 1), ("settings", settings, 1)):
         if value < least:
             raise UsageError(name, f"got {value}", f"at least {least}")
-    sweep = _Sweep(scene, devices, memory_cap, progress)
+    sweep = _Sweep(scene, devices, memory_cap, progress, pixel_area)
     try:
         sweep.explore(settings)
         result, pictures = sweep.result(frames)
@@ -89,18 +91,20 @@ class _Sweep:
     """The state of one sweep: device, tunables and all trials so far."""
 
     def __init__(
-        self, scene: Scene, devices: Sequence[Any] | None, memory_cap: int | None, progress: Progress | None
-    ) -> None:
+        self, scene: Scene, devices: Sequence[Any] | None, memory_cap: int | None, progress: Progress | None,
+        pixel_area: bool,
+    ) -> None:  # fmt: skip
         resolved = scene.resolve()
+        pixel_area = pixel_area or resolved.image.samples > 1
         resolved = apply(resolved, {_METHOD: integrator_of(resolved).tuned_as})
         check_scene(resolved)
         check_memory(resolved, memory_cap)
         check_has_truth(resolved)
         self.resolved, self.progress, self.memory_cap = resolved, progress, memory_cap
         self.engines, self.notices = open_engines(devices), Notices(resolved)
-        self.tunables = scene_tunables(resolved)
+        self.tunables = scene_tunables(resolved, pixel_area)
         self.base = canonical(resolved, self.tunables, scene_settings(resolved, self.tunables))
-        self.truth = GroundTruth(resolved, self.engines)
+        self.truth = GroundTruth(resolved, self.engines, _AREA_ERROR if pixel_area else 0.0)
         tolerance = resolved.integration.tolerance
         self.trials = Trials(resolved, self.engines, tolerance=tolerance, frames=2, truth=self.truth)
         self.found: dict[tuple, Trial] = {}

@@ -15,6 +15,7 @@ from clvol.accuracy.settings import Settings, apply
 from clvol.device.view import EVERY_PIXEL, PixelLattice
 from clvol.integrators.base import Prepared
 from clvol.render.engines import Engines
+from clvol.render.supersampling.picture import rendered
 from clvol.scene.resolve import ResolvedScene
 
 # Share of the preparation that counts as cost: it is done once for all views of a scene, but a single view should
@@ -62,7 +63,8 @@ class Trials:
     filter and classification (of voxels, or of interpolated values), so settings that change these are measured as
     approximations of the scene. For scenes with effects it is the limit of small steps (see GroundTruth).
     ``exact`` (float64 [h, w, 4]): that integral, if it is known already. ``truth``: the ground truth, or True to create
-    it. If ``truth`` is False, errors are not measured and are reported as inf.
+    it. If ``truth`` is False, errors are not measured and are reported as inf. ``one_ray``: pixels have one ray,
+    whatever the settings say.
     """
 
     def __init__(
@@ -76,7 +78,9 @@ class Trials:
         depth: bool = False,
         exact: np.ndarray | None = None,
         truth: GroundTruth | bool = True,
+        one_ray: bool = False,
     ) -> None:
+        self._one_ray = one_ray
         self.resolved, self.engines = resolved, engines
         self.lattice, self.frames, self.depth = lattice, frames, depth
         self.size = resolved.image.width, resolved.image.height
@@ -113,9 +117,10 @@ class Trials:
         times = []
         for _ in range(self.frames):
             start = time.perf_counter()
-            data = engine.render(
-                resolved.camera, *self.size, depth=self.depth, lattice=self.lattice
-            )
+            if self.lattice == EVERY_PIXEL and not self._one_ray:
+                data = rendered(engine, resolved, resolved.camera, *self.size, depth=self.depth)
+            else:
+                data = engine.render(resolved.camera, *self.size, depth=self.depth, lattice=self.lattice)
             times.append(time.perf_counter() - start)
         seconds, scale = min(times), 1.0
         if not getattr(engine, "renders_all_pixels", False):
@@ -139,12 +144,13 @@ class Trials:
 
     def frames_of(self, settings: Settings) -> Callable[[], tuple[float, np.ndarray]]:
         """A function that renders one more frame and returns (seconds, picture). Everything is prepared in advance."""
-        engine = self.engines.prepare(apply(self.resolved, settings))
+        resolved = apply(self.resolved, settings)
+        engine = self.engines.prepare(resolved)
         engine.warm_up(*self.size, self.depth)
 
         def frame() -> tuple[float, np.ndarray]:
             start = time.perf_counter()
-            data = engine.render(engine.resolved.camera, *self.size, depth=self.depth)
+            data = rendered(engine, resolved, engine.resolved.camera, *self.size, depth=self.depth)
             return time.perf_counter() - start, data.rgba
 
         return frame

@@ -52,6 +52,8 @@ class Tunable:
     ``is_main``: accuracy is first gained with this ladder, on which each notch has about the same effect.
     ``is_continuous``: values between those of the ladder are valid, too.
     ``of_picture``: pixels depend on their neighbours, so single pixels do not show the effect.
+    ``of_area``: tried only where the truth is the integral over each pixel; on a ray through its middle it has no
+    influence.
     ``alone``: its alternatives are tried by themselves, not in all combinations with those of other tunables.
     ``saves_memory``: cheap values are useful even if they save no time. Where its values are alternatives, the scene's
     own is kept as long as it reaches the requested error.
@@ -66,6 +68,7 @@ class Tunable:
     is_continuous: bool = False
     of_picture: bool = False
     alone: bool = False
+    of_area: bool = False
     saves_memory: bool = False
     methods: tuple[str, ...] = ()
     applies: Callable[[Any], bool] = _always
@@ -162,6 +165,11 @@ TUNABLES: dict[str, Tunable] = {
         "ray tolerance", "linear light", (0.3, 0.1, 0.03, 0.01, 0.003), of_picture=True,
         methods=_RAYCAST, applies=lambda scene: scene.image.ray_spacing > 1,
     ),
+    "image.samples": Tunable("rays per pixel", "", (1, 2, 4, 8, 16), of_picture=True, of_area=True),
+    "image.edge_threshold": Tunable(
+        "edge threshold", "of what is displayed", (0.3, 0.1, 0.03, 0.01, 0.003, 0.0), of_picture=True, of_area=True,
+        applies=lambda scene: scene.image.refines,
+    ),
     "compression.codec": Tunable("codec", "", _codecs, is_ladder=False, alone=True, saves_memory=True),
     "compression.max_voxel_error": Tunable(
         "largest voxel error", "of the range", _targets("max_voxel_error", (0.08, 0.04, 0.02, 0.01, 0.005, 0.0025)),
@@ -212,6 +220,9 @@ NOT_TUNABLE: dict[str, str] = {
     "integration.table_size": "has no effect any more",
     "integration.tolerance": "belongs to the method 'reference', against which errors are measured",
     "image.background": "another picture: what is behind the volume",
+    "image.sample_pattern": "where rays go, not how many",
+    "image.refine": "that of edge_threshold 0 is 'all'",
+    "image.pixel_filter": "another picture: how a pixel weighs what it shows",
     "image.width": "another picture",
     "image.height": "another picture",
     "compression.weighting": "which errors matter for the transfer function; it costs nothing",

@@ -38,7 +38,7 @@ class Frames:
     def _at(self, seconds: float) -> ResolvedScene:
         """The scene at a time."""
         if self._sets_values:
-            return scene_at(self._scene, seconds).resolve()
+            return scene_at(self._scene, seconds).resolve().at(seconds)
         return self.resolved
 
     def names(self, index: int) -> list[str]:

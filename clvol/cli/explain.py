@@ -40,6 +40,8 @@ def command(
         say(f"compression {compression['codec']}: {compression['does']}. {compression['costs'].capitalize()}.")
     classification = explanation["classification"]
     say(f"classification {classification['name']}: {classification['reason']}")
+    rays = explanation["rays"]
+    say(f"rays per pixel {rays['per_pixel']}: {rays['reason']}")
     coherence = explanation.get("coherence")
     if coherence is not None:
         say(f"coherence {coherence['mode']}: {coherence['reason']}")

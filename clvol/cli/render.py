@@ -67,6 +67,12 @@ if TYPE_CHECKING:
     "With the method 'multiresolution': refine the picture for this long, and estimate the error.",
 )
 @click.option(
+    "--pixel-area",
+    is_flag=True,
+    help="With --max-error or --time-budget: errors against the integral over each pixel, not along the ray through "
+    "its middle; the number of rays per pixel is chosen, too. So it is for scenes with image.samples above 1.",
+)
+@click.option(
     "--resume",
     is_flag=True,
     help="Keep the numbered pictures of an animation that exist, are whole and were made from the same scene, "
@@ -100,6 +106,7 @@ def command(
     bricks: int | None,
     max_error: float | None,
     time_budget: float | None,
+    pixel_area: bool,
     resume: bool,
     frames: str | None,
     stats: str | None,
@@ -133,7 +140,7 @@ def command(
     from clvol.cli.several import check_names, each_of, filled
     from clvol.inputs import Inputs, protected
 
-    check_targets(max_error, time_budget)
+    check_targets(max_error, time_budget, pixel_area)
     check_names(scenes, [*outputs, stats, show_schedule])
     measure_for_all(devices, quiet)
 
@@ -144,7 +151,7 @@ def command(
         _render(
             scene, names, overrides, start, stats=more[0], show_schedule=more[1], devices=list(devices) or None,
             memory_cap=memory_cap, quiet=quiet, isolate=isolate, max_error=max_error, time_budget=time_budget,
-            resume=resume, frames=frames, cluster=cluster, bricks=bricks,
+            pixel_area=pixel_area, resume=resume, frames=frames, cluster=cluster, bricks=bricks,
         )  # fmt: skip
 
     with protected(Inputs(scenes)), connection(workers, scheduler, quiet) as cluster:
@@ -165,6 +172,7 @@ def _render(
     isolate: bool,
     max_error: float | None,
     time_budget: float | None,
+    pixel_area: bool,
     resume: bool,
     frames: str | None,
     cluster: Connection | None,
@@ -197,12 +205,12 @@ def _render(
             elsewhere = None
             if cluster is not None:
                 check_alone("--workers", loaded, max_error=max_error, time_budget=time_budget,
-                            show_schedule=show_schedule)  # fmt: skip
+                            show_schedule=show_schedule, pixel_area=pixel_area or None)  # fmt: skip
                 elsewhere = picture_elsewhere(cluster, scene, overrides, loaded, devices, memory_cap)
             render_still(
                 loaded, outputs, stats, devices, memory_cap, quiet, start,
-                isolate=isolate, max_error=max_error, time_budget=time_budget, show_schedule=show_schedule,
-                elsewhere=elsewhere,
+                isolate=isolate, max_error=max_error, time_budget=time_budget, pixel_area=pixel_area,
+                show_schedule=show_schedule, elsewhere=elsewhere,
             )  # fmt: skip
             return
         from clvol.cli.animation import frame_range, render_animation
@@ -230,13 +238,10 @@ def _render(
 def _frames_by_step(
     scene: Scene, outputs: tuple[str, ...], frames: str | None, memory_cap: int | None
 ) -> int | None:
-    """How many frames ``scene`` has if it has a series with one for each step: where it states no number of frames, and
-    is to be rendered as an animation. None otherwise."""
+    """How many frames ``scene`` has if they follow from the steps of its series: where it states no number of frames,
+    and is to be rendered as an animation. None otherwise."""
     from clvol.batch.names import numbered
     from clvol.image import is_video
 
     animated = frames is not None or any(is_video(path) or numbered(path, 0) != path for path in outputs)
-    if not animated or "frames" in scene.animation.model_fields_set or scene.step_is_fixed:
-        return None
-    series = scene.load_series(memory_cap)
-    return None if series is None else len(series)
+    return scene.frames_of_series(memory_cap) if animated else None

@@ -34,6 +34,7 @@ def render_still(
     isolate: bool,
     max_error: float | None,
     time_budget: float | None,
+    pixel_area: bool = False,
     show_schedule: str | None,
     elsewhere: RenderElsewhere | None = None,
 ) -> None:
@@ -49,6 +50,8 @@ def render_still(
     check_standard(len(outputs) - len(files), int(is_standard(stats)))
     check_outputs(files, others)
     refines = _check_settings(scene, isolate, max_error, time_budget)
+    if refines and pixel_area:
+        raise UsageError("--pixel-area", "given for a picture that is refined in time", "another method, or neither")
     with kept_clean(STANDARD in (*outputs, stats)) as write_standard:
         with working(f"loading {scene.origin}", quiet, scene.input_paths):
             scene.load(memory_cap)
@@ -61,7 +64,7 @@ def render_still(
             if elsewhere is not None:
                 frame, schedule = elsewhere(progress, depth), None
             else:
-                frame, schedule = _frame_of(scene, progress, depth, refines, **how)
+                frame, schedule = _frame_of(scene, progress, depth, refines, pixel_area, **how)
         if show_schedule is not None and schedule is None:
             raise UsageError("--show-schedule", "given for one device", "several: --device NAME --device NAME")
         standard = io.BytesIO()
@@ -112,6 +115,7 @@ def _frame_of(
     progress: ShowProgress | None,
     depth: bool,
     refines: bool,
+    pixel_area: bool,
     *,
     devices: list[str] | None,
     memory_cap: int | None,
@@ -132,11 +136,12 @@ def _frame_of(
 
         if camera is not None:
             scene = scene.model_copy(update={"camera": camera})
+        options |= {"depth": depth, "progress": progress, "pixel_area": pixel_area}
         with named_as_options():
             if max_error is not None:
-                return render_to_error(scene, max_error, depth=depth, progress=progress, **options), None
+                return render_to_error(scene, max_error, **options), None
             assert time_budget is not None
-            return render_in_time(scene, time_budget, depth=depth, progress=progress, **options), None
+            return render_in_time(scene, time_budget, **options), None
     encodes, by_blocks = scene.compression.codec != "none", integrator_of(scene).reads_blocks
     reading = preparing(progress, encodes=encodes, by_blocks=by_blocks)
     with Renderer(scene, progress=reading, isolate=isolate, **options) as renderer:
@@ -200,9 +205,11 @@ def check_show_schedule(path: str | None, max_error: float | None, time_budget: 
             raise UsageError("--show-schedule", f"given together with {name}", "one of the two")
 
 
-def check_targets(max_error: float | None, time_budget: float | None) -> None:
+def check_targets(max_error: float | None, time_budget: float | None, pixel_area: bool = False) -> None:
     """Raises UsageError for an impossible target, before anything is loaded."""
     if max_error is None and time_budget is None:
+        if pixel_area:
+            raise UsageError("--pixel-area", "given without a target", "--max-error or --time-budget with it")
         return
     from clvol.accuracy.error_target import check_max_error
     from clvol.accuracy.time_target import check_time_budget
@@ -252,7 +259,8 @@ def accuracy_in_words(stats: dict) -> str:
         format_setting(key.split(".")[1].replace("_", " "), value)
         for key, value in measured["settings"].items()
     )
+    of = " over pixel areas" if measured.get("of") == "pixel areas" else ""
     return (
-        f"RMSE {measured['rmse']:.3g}, at most {measured['bound']:.3g} ({sure}); "
+        f"RMSE {measured['rmse']:.3g}{of}, at most {measured['bound']:.3g} ({sure}); "
         f"{stats['seconds']['render']:.3g} s per frame with {chosen}"
     )

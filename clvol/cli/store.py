@@ -109,6 +109,7 @@ def command(
 
     from clvol.cli.console import say_path, working
     from clvol.cli.outputs import scene_inputs
+    from clvol.errors import UsageError
     from clvol.scene import load_scene
     from clvol.store.build import build_store
     from clvol.store.build_folder import check_place, places_of
@@ -122,6 +123,8 @@ def command(
     lossy = _checked(codec, target, devices, seed)
     check_place(Path(output), overwrite)
     scene = load_scene(volume, overrides)
+    if not scene.step_is_fixed and (series := scene.load_series(memory_cap)) is not None:
+        raise UsageError(volume, f"a series of {len(series)} steps", "one of them: --set volume.step=0")
     inputs = scene_inputs(volume, scene)
     for place in places_of(Path(output)):
         inputs.check_folder(place)

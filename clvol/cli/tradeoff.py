@@ -34,6 +34,11 @@ if TYPE_CHECKING:
     "--settings", type=click.IntRange(1, 100_000), default=160, show_default=True,
     help="Largest number of settings to try.",
 )  # fmt: skip
+@click.option(
+    "--pixel-area", is_flag=True,
+    help="Errors against the integral over each pixel, not along the ray through its middle; the number of rays per "
+    "pixel is tried, too. So it is for scenes with image.samples above 1.",
+)  # fmt: skip
 @memory_cap_option("Largest amount of memory that the volume may take, on the host and on the device.")
 @click.option("--quiet", is_flag=True, help="Show no progress on the terminal.")
 def command(
@@ -43,6 +48,7 @@ def command(
     devices: tuple[str, ...],
     frames: int,
     settings: int,
+    pixel_area: bool,
     memory_cap: int | None,
     quiet: bool,
 ) -> None:
@@ -59,7 +65,7 @@ def command(
 
     loaded = load_scene(scene, overrides)
     measure_for_all(devices, quiet)
-    options = {"devices": list(devices) or None, "frames": frames, "settings": settings}
+    options = {"devices": list(devices) or None, "frames": frames, "settings": settings, "pixel_area": pixel_area}
     with protected(scene_inputs(scene, loaded)):
         result, paths = _report(loaded, folder, memory_cap, quiet, **options)
     for sentence in result["sentences"]:

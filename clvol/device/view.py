@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from clvol.scene.camera import Camera
+from clvol.schedule.tiles import TILE
 from clvol.volume import Grid
 
 
@@ -41,12 +42,14 @@ class RayFrame:
 class PixelLattice:
     """Every ``spacing``-th pixel of a picture's rows and columns, from (``column``, ``row``) on.
 
-    The sparse picture of a lattice has exactly the rays of those pixels.
+    The sparse picture of a lattice has exactly the rays of those pixels. ``alone``: the pixels between are of no
+    interest, so that methods whose pixels depend on their neighbours make a picture of these pixels alone.
     """
 
     spacing: int = 1
     column: int = 0
     row: int = 0
+    alone: bool = False
 
     def size(self, width: int, height: int) -> tuple[int, int]:
         """Pixels (width, height) of the sparse picture of one of ``width`` by ``height``."""
@@ -60,6 +63,11 @@ class PixelLattice:
         """Rows and columns of the full picture that are on the lattice."""
         return np.s_[self.row :: self.spacing, self.column :: self.spacing]
 
+    def count(self, width: int, height: int) -> int:
+        """Pixels of the sparse picture."""
+        across, down = self.size(width, height)
+        return across * down
+
     def pixels(self, width: int, height: int) -> np.ndarray:
         """int64 [n, 2]: (row, column) in the full picture, row by row of the sparse one."""
         rows, columns = np.meshgrid(
@@ -71,6 +79,38 @@ class PixelLattice:
 
 
 EVERY_PIXEL = PixelLattice()
+
+
+@dataclass(frozen=True, eq=False)
+class PixelList:
+    """Some pixels of a picture: their ``rows`` and ``columns``, int32 [n] each. ``spacing``: they are taken from as
+    many by as many lattices of this spacing, each a picture by itself.
+
+    Their picture consists of tiles of ``TILE`` by ``TILE`` that lie below each other; pixel k of the list is pixel k
+    of its rows, one after the other. What follows the last one is undefined.
+    """
+
+    rows: np.ndarray
+    columns: np.ndarray
+    spacing: int = 1
+
+    def size(self, width: int, height: int) -> tuple[int, int]:
+        """Pixels (width, height) of the list's picture."""
+        return TILE, TILE * -(-len(self.rows) // TILE**2)
+
+    def count(self, width: int, height: int) -> int:
+        """Pixels of the list."""
+        return len(self.rows)
+
+    def places(self) -> np.ndarray:
+        """int32 [pixels of the list's picture, 2]: column and row of each, and -1 behind the last one."""
+        found = np.full((TILE * self.size(0, 0)[1], 2), -1, np.int32)
+        found[: len(self.rows), 0], found[: len(self.rows), 1] = self.columns, self.rows
+        return found
+
+
+Pixels = PixelLattice | PixelList
+"""The pixels of a picture that are rendered."""
 
 
 def picture_height(camera: Camera) -> float:

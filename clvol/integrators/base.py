@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
-from clvol.device.view import EVERY_PIXEL, PixelLattice
+from clvol.device.view import EVERY_PIXEL, Pixels
 from clvol.scene.camera import Camera
 from clvol.scene.resolve import ResolvedScene
 from clvol.volume import Volume
@@ -62,6 +62,12 @@ class Prepared(Protocol):
         """The share of the volume's cells in which anything can be seen."""
         ...
 
+    @property
+    def visible_cells(self) -> tuple[np.ndarray, int] | None:
+        """Where anything can be visible: bool [z, y, x], cells of 2^n lattice units, and n; None where that is not
+        known."""
+        ...
+
     def for_scene(self, resolved: ResolvedScene) -> Prepared:
         """The same for ``resolved``, which may differ only in camera, image, animation, step and early termination.
         Shares everything that does not depend on these; compiles nothing."""
@@ -77,10 +83,10 @@ class Prepared(Protocol):
         height: int,
         progress: Progress | None = None,
         depth: bool = True,
-        lattice: PixelLattice = EVERY_PIXEL,
+        lattice: Pixels = EVERY_PIXEL,
     ) -> FrameData:
-        """One picture of ``width`` by ``height`` pixels, or only its pixels on ``lattice``. RenderError if the device
-        fails."""
+        """One picture of ``width`` by ``height`` pixels, or only its pixels on ``lattice``, or those that it lists.
+        RenderError if the device fails."""
         ...
 
 
@@ -177,8 +183,10 @@ class RendersParts(Protocol):
     def warm_up_parts(self, width: int, height: int, depth: bool = True) -> None:
         """Compiles everything that parts of a picture of this size need."""
 
-    def parts(self, camera: Camera, width: int, height: int, depth: bool = True) -> TiledPictureParts | None:
-        """A picture to be rendered in parts; None if there is nothing to divide."""
+    def parts(
+        self, camera: Camera, width: int, height: int, depth: bool = True, lattice: Pixels = EVERY_PIXEL
+    ) -> TiledPictureParts | None:
+        """A picture, or its pixels on ``lattice``, to be rendered in parts; None if there is nothing to divide."""
         ...
 
 
@@ -189,10 +197,11 @@ class RendersOnSeveral(Protocol):
     def render_on(
         self, prepared: Sequence[Any], camera: Camera, width: int, height: int, progress: Progress | None,
         depth: bool, on_loss: Callable[[int, BaseException], None], seconds: float | None = None,
+        lattice: Pixels = EVERY_PIXEL,
     ) -> FrameData | None:  # fmt: skip
-        """The whole picture, on the devices of ``prepared``, which have the same scene; the first one is this. None if
-        there is nothing to share. ``on_loss(device, error)`` is called for one that fails; the error of the last one is
-        raised. ``seconds``: as ``RefinesInTime.render_for_time``."""
+        """The picture, or its pixels on ``lattice``, on the devices of ``prepared``, which have the same scene; the
+        first one is this. None if there is nothing to share. ``on_loss(device, error)`` is called for one that fails;
+        the error of the last one is raised. ``seconds``: as ``RefinesInTime.render_for_time``."""
         ...
 
 

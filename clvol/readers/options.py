@@ -20,11 +20,11 @@ _SEVERAL = {"channel": "channels", "time": "times", "series": "series"}
 
 class SeveralTimes(Exception):
     """Raised in place of reading where all times are requested: the ``names`` of the times that there are, None for
-    those without a name."""
+    those without a name, and the ``numbers`` by which each is selected."""
 
-    def __init__(self, names: Sequence[str | None]) -> None:
+    def __init__(self, names: Sequence[str | None], numbers: Sequence[int]) -> None:
         super().__init__(f"{len(names)} times")
-        self.names = list(names)
+        self.names, self.numbers = list(names), list(numbers)
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ class ReadOptions:
         wanted = getattr(self, key)
         count = len(names)
         if key == "time" and wanted == ALL_TIMES:
-            raise SeveralTimes(names)
+            raise SeveralTimes(names, range(count) if numbers is None else numbers)
         if wanted is None and count == 1:
             return 0
         numbers = range(count) if numbers is None else numbers

@@ -62,7 +62,7 @@ class RangeCache:
         self._all()[_key(path, number)] = {
             "shape": list(volume.shape), "dtype": volume.dtype.name, "spacing": list(grid.spacing),
             "origin": list(grid.origin), "direction": grid.direction.tolist(), "frame": volume.frame,
-            "unit": volume.unit, "labels": volume.labels, "narrowed": volume.narrowed,
+            "unit": volume.unit, "format": volume.format, "labels": volume.labels, "narrowed": volume.narrowed,
             "axis": [volume.slope, volume.offset],
             "span": None if span.span is None else list(span.span), "counts": [span.nans, span.infs],
             "stamp": [list(each) for each in stamp], "files": list(files),
@@ -118,7 +118,7 @@ def _found(entry: dict[str, Any]) -> Found:
     voxels = np.broadcast_to(np.zeros((), entry["dtype"]), shape)
     shell = Volume.__new__(Volume)
     vars(shell).update(
-        data=voxels, name=None, path=None, format=None, frame=str(entry["frame"]), unit=entry["unit"],
+        data=voxels, name=None, path=None, format=entry["format"], frame=str(entry["frame"]), unit=entry["unit"],
         labels=bool(entry["labels"]), narrowed=bool(entry["narrowed"]), axis=ValueAxis(*entry["axis"]),
         grid=Grid(shape, entry["spacing"], entry["origin"], np.array(entry["direction"], float)),
     )  # fmt: skip

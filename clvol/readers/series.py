@@ -64,14 +64,14 @@ def named_files(file: str | Sequence[str] | None, folder: str | os.PathLike) -> 
     return found
 
 
-def times_of(path: str, options: Mapping[str, Any]) -> list[str | None] | None:
-    """The names of the times in a file (None for those without); None where it has no axis of times.
-    ``options``: those of ``read_volume``. VolumeError for a file that cannot be read."""
+def times_of(path: str, options: Mapping[str, Any]) -> list[tuple[int, str | None]]:
+    """Number and name (or None) of each time in a file; nothing where it has no axis of times. ``options``: those of
+    ``read_volume``. VolumeError for a file that cannot be read."""
     try:
         read_volume(path, **{**options, "time": ALL_TIMES})
     except SeveralTimes as several:
-        return several.names
-    return None
+        return list(zip(several.numbers, several.names))
+    return []
 
 
 def file_series(
@@ -90,9 +90,9 @@ def file_series(
     """
     if options.get("time") == ALL_TIMES:
         (path,) = files
-        names = times_of(path, options) or [None]
-        sources = [_Source(path, {**options, "time": k}, k, names[k]) for k in range(len(names))]
-        if len(names) == 1:
+        times = times_of(path, options)
+        sources = [_Source(path, {**options, "time": number}, number, name) for number, name in times]
+        if len(times) < 2:
             sources = [_Source(path, {**options, "time": None}, None, None)]
     else:
         sources = [_Source(path, options, None, None) for path in files]

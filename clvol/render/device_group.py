@@ -14,7 +14,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from clvol.device.view import EVERY_PIXEL, PixelLattice
+from clvol.device.view import EVERY_PIXEL, PixelList, Pixels
 from clvol.errors import DeviceError, RenderError
 from clvol.integrators.base import (
     FrameData,
@@ -179,15 +179,16 @@ class DeviceGroup:
 
     def render(
         self, camera: Camera, width: int, height: int, progress: Progress | None = None, depth: bool = True,
-        lattice: PixelLattice = EVERY_PIXEL,
+        lattice: Pixels = EVERY_PIXEL, share: bool = False,
     ) -> FrameData:  # fmt: skip
-        """As ``Prepared.render``, with ``notes["schedule"]``. A lattice of pixels is rendered by one device."""
+        """As ``Prepared.render``, with ``notes["schedule"]``. A lattice or a list of pixels is rendered by one device,
+        or shared like a whole picture if ``share``."""
         self.schedule = schedule = Schedule([m.name for m in self.members])
         start = perf_counter()
         data = None
-        if lattice == EVERY_PIXEL:
-            data = self._shared(camera, width, height, progress, depth, schedule, start)
-            data = data or self._on_several(camera, width, height, progress, depth, None, schedule, start)
+        if lattice == EVERY_PIXEL or share:
+            data = self._shared(camera, width, height, progress, depth, schedule, start, lattice)
+            data = data or self._on_several(camera, width, height, progress, depth, None, schedule, start, lattice)
         if data is None:
             render = lambda prepared: prepared.render(camera, width, height, progress, depth, lattice)  # noqa: E731
             data = self._alone(render, schedule, start)
@@ -206,10 +207,10 @@ class DeviceGroup:
 
     def _shared(
         self, camera: Camera, width: int, height: int, progress: Progress | None, depth: bool,
-        schedule: Schedule, start: float,
+        schedule: Schedule, start: float, lattice: Pixels,
     ) -> FrameData | None:  # fmt: skip
         """None if the picture cannot be divided."""
-        parts = self._parts(camera, width, height, depth)
+        parts = self._parts(camera, width, height, depth, lattice)
         if not parts:
             return None
         schedule.states = ["working" if m.works else "busy" for m in self.members]
@@ -228,10 +229,11 @@ class DeviceGroup:
                 before = sum(counts[:number])
                 report = lambda done, before=before: progress(before + done, sum(counts))  # noqa: E731
             able = {k: part for k, part in parts.items() if self.members[k].works}
-            dispatcher = self._dispatcher(number, tiles, able)
+            is_list = isinstance(lattice, PixelList)  # another one each time
+            dispatcher = self._dispatcher(number, tiles, able, None if is_list else self._costs.get((number, tiles)))
             stage = PictureStage(self.members, able, number, arrays, dispatcher, schedule, start, self._lose_in_frame)
             stage.run({k: self._thread(k) for k in able}, report, total)
-            self._learn(number, stage)
+            self._learn(None if is_list else number, stage)
         rgba, distances = arrays[-1].rgba, arrays[-1].depth
         is_used = any(m.busy_seconds for m in self.members)
         take = np.array if is_used else self._arrays.taken  # what comes late must not change what the caller gets
@@ -239,7 +241,9 @@ class DeviceGroup:
         self._arrays.release([a for each in arrays for a in (each.rgba, each.depth)], is_used)
         return FrameData(rgba, distances, total.samples, total.rays, total.counters, notes=dict(first.notes))
 
-    def _parts(self, camera: Camera, width: int, height: int, depth: bool) -> dict[int, TiledPictureParts]:
+    def _parts(
+        self, camera: Camera, width: int, height: int, depth: bool, lattice: Pixels
+    ) -> dict[int, TiledPictureParts]:
         """The picture on each device that works; none if it cannot be divided."""
         parts: dict[int, TiledPictureParts] = {}
         for k, member in enumerate(self.members):
@@ -248,7 +252,7 @@ class DeviceGroup:
             part = None
             if isinstance(member.prepared, RendersParts):
                 try:
-                    part = member.prepared.parts(camera, width, height, depth)
+                    part = member.prepared.parts(camera, width, height, depth, lattice)
                 except FAILURES as error:
                     last = self._lose_in_frame(member, error)
                     if last is not None:
@@ -259,8 +263,11 @@ class DeviceGroup:
             parts[k] = part
         return parts
 
-    def _dispatcher(self, stage: int, tiles: int, parts: dict[int, TiledPictureParts]) -> Dispatcher:
-        costs, measured = self._costs.get((stage, tiles)), True
+    def _dispatcher(
+        self, stage: int, tiles: int, parts: dict[int, TiledPictureParts], costs: np.ndarray | None
+    ) -> Dispatcher:
+        """``costs``: of the tiles, as measured in the last frame, if there was one."""
+        measured = True
         while costs is None:
             measured = False
             k = next(iter(parts))
@@ -278,8 +285,9 @@ class DeviceGroup:
             unsteady=[m.unsteady for m in self.members],
         )  # fmt: skip
 
-    def _learn(self, number: int, stage: PictureStage) -> None:
-        self._costs[number, len(stage.costs)] = stage.costs
+    def _learn(self, number: int | None, stage: PictureStage) -> None:
+        if number is not None:
+            self._costs[number, len(stage.costs)] = stage.costs
         for member, share in zip(self.members, stage.dispatcher.shares):
             if share.busy > 0 and share.cost > 0 and share.lost is None:
                 member.speed, member.unsteady = share.speed, share.unsteady
@@ -291,7 +299,7 @@ class DeviceGroup:
 
     def _on_several(
         self, camera: Camera, width: int, height: int, progress: Progress | None, depth: bool,
-        seconds: float | None, schedule: Schedule, start: float,
+        seconds: float | None, schedule: Schedule, start: float, lattice: Pixels = EVERY_PIXEL,
     ) -> FrameData | None:  # fmt: skip
         """A picture whose rays devices share; None if it has none, or if devices are in other processes."""
         last: list[BaseException | None] = [None]
@@ -308,7 +316,7 @@ class DeviceGroup:
             left = None if seconds is None else max(seconds - (perf_counter() - start), 0.0)
             prepared = [local[k].prepared for k in numbers]
             try:
-                data = first.render_on(prepared, camera, width, height, progress, depth, lost, left)
+                data = first.render_on(prepared, camera, width, height, progress, depth, lost, left, lattice)
                 break
             except FAILURES as error:
                 if last[0] is None and local[numbers[0]].lost is None:  # of the first one, before rays were shared
@@ -346,3 +354,27 @@ class DeviceGroup:
             schedule.costs = [float(k == number) for k in range(len(self.members))]
             schedule.spans.append(Span(number, 0, begin - start, perf_counter() - start, np.zeros(1, np.int64), True))
             return data
+
+
+class SharedRays:
+    """All devices of ``group`` as one: they share lattices and lists of pixels, too."""
+
+    def __init__(self, group: DeviceGroup) -> None:
+        self._group = group
+
+    def render(
+        self, camera: Camera, width: int, height: int, progress: Progress | None = None, depth: bool = True,
+        lattice: Pixels = EVERY_PIXEL,
+    ) -> FrameData:  # fmt: skip
+        """As ``Prepared.render``."""
+        return self._group.render(camera, width, height, progress, depth, lattice, share=True)
+
+    @property
+    def visible_cells(self) -> tuple[np.ndarray, int] | None:
+        """As in ``Prepared``, of the fastest device that answers."""
+        for member in self._group.alive:
+            try:
+                return None if member.prepared is None else member.prepared.visible_cells
+            except FAILURES as error:
+                self._group.lose(member, error)
+        return None

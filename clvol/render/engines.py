@@ -7,7 +7,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from clvol.device.view import EVERY_PIXEL, PixelLattice
+from clvol.device.view import EVERY_PIXEL, Pixels
 from clvol.errors import DeviceError, RenderError, VolumeError
 from clvol.integrators.base import FrameData, Prepared, Progress
 from clvol.opencl.context import DeviceContext
@@ -144,6 +144,10 @@ class SharedPrepared:
     def visible_share(self) -> float:
         return self._first.visible_share
 
+    @property
+    def visible_cells(self) -> tuple[np.ndarray, int] | None:
+        return self._first.visible_cells
+
     def for_scene(self, resolved: ResolvedScene) -> SharedPrepared:
         return SharedPrepared(self._engines, {k: each.for_scene(resolved) for k, each in self._prepared.items()})
 
@@ -158,8 +162,10 @@ class SharedPrepared:
         height: int,
         progress: Progress | None = None,
         depth: bool = True,
-        lattice: PixelLattice = EVERY_PIXEL,
+        lattice: Pixels = EVERY_PIXEL,
+        share: bool = False,
     ) -> FrameData:
-        """As ``Prepared.render``. A lattice of pixels is rendered by the fastest device alone: there is little to
-        share, and its time tells settings apart only if it is always the same device's."""
-        return self._use().render(camera, width, height, progress, depth, lattice)
+        """As ``Prepared.render``; ``share`` as in ``DeviceGroup.render``. Otherwise a lattice of pixels is rendered by
+        the fastest device alone: there is little to share, and its time tells settings apart only if it is always the
+        same device's."""
+        return self._use().render(camera, width, height, progress, depth, lattice, share)

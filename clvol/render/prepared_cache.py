@@ -68,7 +68,11 @@ class PreparedCache:
             if not isinstance(prepared, ChangesStep) or not is_other_step(before, volume):
                 continue
             if _without(other, before) == _without(key, volume):
-                changed = prepared.for_step(resolved)
+                try:
+                    changed = prepared.for_step(resolved)
+                except BaseException:
+                    self._leave_other_steps(volume)  # it may have voxels of both steps
+                    raise
                 if changed is not None:
                     for kind in ("volume", "history"):
                         self._shared.rename(kind, before, volume)

@@ -21,7 +21,7 @@ from clvol.integrators.registry import check_scene, integrator_of
 from clvol.opencl.context import DeviceContext
 from clvol.opencl.devices import device_name, named_devices, open_devices
 from clvol.opencl.forks import check_fork, is_forked
-from clvol.render.device_group import DeviceGroup
+from clvol.render.device_group import DeviceGroup, SharedRays
 from clvol.render.frame import Frame, make_frame
 from clvol.render.frame_schedule import Schedule
 from clvol.render.isolation.member import isolated_members
@@ -30,6 +30,7 @@ from clvol.render.made_from import MadeFrom
 from clvol.render.member import LocalMember, Member
 from clvol.render.notices import Notices
 from clvol.render.progress_bar import shown
+from clvol.render.supersampling.picture import Source, rendered, supersampled
 from clvol.scene.camera import Camera
 from clvol.scene.classification import with_classification
 from clvol.scene.resolve import ResolvedScene
@@ -70,7 +71,8 @@ class _OnDevices:
                 member.prepare(resolved, progress, wait)
                 member.scene = resolved
             except (RenderError, DeviceError, VolumeError) as error:
-                if len(self.members) == 1:
+                no_step = isinstance(error, VolumeError) and isinstance(resolved.volume, StepVolume)
+                if len(self.members) == 1 or no_step:  # no device is to blame for a step that cannot be read
                     raise
                 self.group.lose(member, error)
         self.scene, self.wait = resolved, wait
@@ -270,16 +272,22 @@ class Renderer:
         else:
             _refining(on_devices.prepared)
             group.warm_up_for_time(depth)
+            if resolved.image.samples > 1:
+                group.warm_up(width, height, depth)
         compile_seconds = before + perf_counter() - compile_start
         group.take_compile_seconds()
         self._compile_seconds = 0.0
         start = perf_counter()
-        if seconds is not None:
-            data = group.render_for_time(camera, width, height, progress, depth, seconds=seconds)
-        elif len(on_devices.members) == 1:
-            data = on_devices.prepared.render(camera, width, height, progress, depth)
+        source: Source = on_devices.prepared if len(on_devices.members) == 1 else SharedRays(group)
+        if seconds is None:
+            data = rendered(source, self.resolved, camera, width, height, progress, depth)
+        elif self.resolved.image.samples > 1:
+            data = supersampled(
+                source, self.resolved, camera, width, height, progress, depth,
+                lambda s: group.render_for_time(camera, width, height, None, depth, seconds=s), seconds,
+            )  # fmt: skip
         else:
-            data = group.render(camera, width, height, progress, depth)
+            data = group.render_for_time(camera, width, height, progress, depth, seconds=seconds)
         times = {"compile": compile_seconds, "render": perf_counter() - start}
         names = [member.name for member in on_devices.members if member.lost is None]
         self._notices.of_devices({m.name: m.lost for m in on_devices.members if m.lost is not None}, names)

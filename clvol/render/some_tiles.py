@@ -71,6 +71,9 @@ class TilesRun:
         if not isinstance(prepared, RendersParts):
             raise SceneError(f"{resolved.origin}: integration.method", f"got {resolved.integration.method!r}",
                              "'raycast', for a picture that workers share")  # fmt: skip
+        if resolved.image.samples > 1:
+            where, got = f"{resolved.origin}: image.samples", f"got {resolved.image.samples}"
+            raise SceneError(where, got, "1, for a picture that workers share")
         parts = prepared.parts(resolved.camera, resolved.image.width, resolved.image.height, depth)
         if parts is not None and len(parts.stages) > 1:
             where = f"{resolved.origin}: image"

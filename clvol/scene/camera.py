@@ -215,10 +215,16 @@ class Camera(Table):
         self, width: int, height: int, rows: np.ndarray, columns: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """As ``world_rays``, for the pixels at the crossings of ``rows`` [k] and ``columns`` [l]: [k, l, 3]."""
+        return self.world_rays_of(width, height, np.asarray(rows)[:, None], np.asarray(columns)[None, :])
+
+    def world_rays_of(
+        self, width: int, height: int, rows: np.ndarray, columns: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """As ``world_rays``, for the pixels (``rows``, ``columns``), which broadcast to one shape: [..., 3]."""
         forward, right, up = self.basis()
         x = ((np.asarray(columns) + 0.5) / width * 2 - 1) * (width / height)
         y = 1 - (np.asarray(rows) + 0.5) / height * 2
-        across = x[None, :, None] * right + y[:, None, None] * up
+        across = x[..., None] * right + y[..., None] * up
         if self.projection == "orthographic":
             origins = np.asarray(self.position) + 0.5 * self.height_of_view() * across
             return origins, np.broadcast_to(forward, origins.shape).copy()

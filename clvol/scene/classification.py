@@ -82,7 +82,7 @@ def chosen_for(resolved: ResolvedScene) -> ChosenClassification:
         if applies:
             return ChosenClassification("preintegrated", reason)
     if isinstance(volume, StepVolume):
-        volume = volume.widest  # one rule for all steps
+        volume = volume.excerpt  # one rule for all steps
     errors = rule_errors(volume, function, integration.step)
     if errors is None:
         return ChosenClassification("preintegrated", "too little of the volume shows to compare errors")

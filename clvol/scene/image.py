@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 from pydantic import Field, model_validator
 
 from clvol.scene.table import COLOR, Color, Number, Table, Whole, wrong
@@ -12,11 +14,15 @@ _SIDE = f"a whole number of pixels from 1 to {LARGEST_AXIS}"
 
 
 class ImageSettings(Table):
-    """Size of the picture, its background, and the density of rays.
+    """Size of the picture, its background, and the number of rays.
 
     ``background`` is in the colour space of the transfer function. ``ray_spacing`` is the distance between rays in
     pixels, along rows and columns. Pixels between four rays are interpolated where the rays agree to within
     ``ray_tolerance`` in every channel (linear, premultiplied); all other pixels get rays of their own.
+
+    With ``samples`` more than 1 a pixel is the mean, in linear light, premultiplied, of so many rays through it: all
+    pixels with ``refine`` "all"; with "edges" those that differ from a neighbour, and those that may hide something
+    thinner than a pixel. Others keep the one ray through their middle.
     """
 
     width: Whole = Field(512, ge=1, le=LARGEST_AXIS, title="Width of the picture in pixels.", description=_SIDE)
@@ -36,6 +42,38 @@ class ImageSettings(Table):
         title="Largest difference of neighbouring rays across which pixels are interpolated (linear, premultiplied).",
         description="a number from 0 to 1",
     )
+
+    samples: Literal[1, 2, 4, 8, 16] = Field(
+        1,
+        title="Rays per pixel; of more than 1, a pixel is the mean.",
+        description="1, 2, 4, 8 or 16",
+        examples=[4],
+    )
+    sample_pattern: Literal["rotated", "regular"] = Field(
+        "rotated",
+        title="Where a pixel's rays are: in rows and columns of their own (better at upright edges), or on a grid.",
+        description="'rotated' (each ray in a row and a column of its own) or 'regular' (a grid)",
+    )
+    refine: Literal["edges", "all"] = Field(
+        "edges",
+        title="Which pixels get more than one ray: those at edges in the displayed picture, or all.",
+        description="'edges' (where colour, opacity or depth changes between pixels) or 'all'",
+    )
+    edge_threshold: Number = Field(
+        0.02, ge=0, le=1,
+        title="Difference of neighbouring pixels, as displayed over the background (0 to 1), that makes an edge.",
+        description="a number from 0 (all pixels) to 1",
+    )
+    pixel_filter: Literal["box", "tent", "gaussian", "mitchell"] = Field(
+        "box",
+        title="How a pixel weighs the rays around its middle; all but 'box' reach into neighbouring pixels.",
+        description="'box' (the mean over the pixel), 'tent', 'gaussian' (both softer) or 'mitchell' (sharper)",
+    )
+
+    @property
+    def refines(self) -> bool:
+        """Whether some pixels get more rays than others."""
+        return self.samples > 1 and self.refine == "edges"
 
     @classmethod
     def table_name(cls) -> str:

@@ -47,7 +47,7 @@ from clvol.scene.pyramid import Pyramid
 from clvol.scene.resolve import ResolvedScene, is_series, load_scene_volume, resolve
 from clvol.scene.shadow import Shadow
 from clvol.scene.slicing import Slicing
-from clvol.scene.step_times import StepTimes, rate_of
+from clvol.scene.step_times import StepTimes, frames_of, rate_of
 from clvol.scene.table import AsTuple, Table, scene_error, wrong
 from clvol.scene.transfer_function import TransferFunctionSettings
 from clvol.scene.transfer_layer import LARGEST_LAYERS, TransferLayerSettings
@@ -390,12 +390,21 @@ class Scene(Table):
         series = self.load_series(memory_cap)
         if series is None:
             return None
-        settings: Any = self.volume
-        rate = settings.steps_per_second or rate_of(len(series), self.animation.frames, self.animation.fps)
+        settings, animation = self.volume, self.animation
+        rate = settings.steps_per_second or rate_of(len(series), animation.frames, animation.fps)
         fixed = None
         if self.step_is_fixed:
             fixed = series.index(settings.step, f"{self._origin}: volume.step")
         return StepTimes(len(series), rate, settings.loop, fixed)
+
+    def frames_of_series(self, memory_cap: int | None = None) -> int | None:
+        """How many frames an animation of the series' steps has; None for a volume that does not change, for a step
+        that is shown at all times, and where the scene states the number. Raises SceneError, VolumeError."""
+        if "frames" in self.animation.model_fields_set or self.step_is_fixed:
+            return None
+        series = self.load_series(memory_cap)
+        rate = getattr(self.volume, "steps_per_second", None)
+        return None if series is None else frames_of(len(series), rate, self.animation.fps)
 
     @property
     def step_is_fixed(self) -> bool:

@@ -30,3 +30,9 @@ def rate_of(steps: int, frames: int, fps: float) -> float:
     """Steps per second where the scene states none: all steps are spread over the frames of an animation; a picture
     that is none is at the time of the step with its number, at a frame for each step."""
     return fps if frames == 1 else steps * fps / frames
+
+
+def frames_of(steps: int, rate: float | None, fps: float) -> int:
+    """How many frames show all steps, where the scene states no number of frames: one for each, unless it states the
+    ``rate`` of steps per second."""
+    return steps if rate is None else max(1, math.ceil(steps * fps / rate - _ROUNDING))

@@ -20,6 +20,7 @@ from clvol.volume.read_ahead import ReadAhead
 from clvol.volume.series_steps import Step, steps_of
 from clvol.volume.volume import Census, Volume
 
+_EXCERPT = 1 << 21
 _ALIKE = 1e-5  # tolerance of grids, as a share of a voxel: headers hold few digits
 _CONVERTIBLE = {  # types that hold every value of another type
     "uint8": ("uint16", "int16", "float32", "float64"), "int8": ("int16", "float32", "float64"),
@@ -53,6 +54,7 @@ class SeriesFacts:
     unit: str | None = None
     labels: bool = False
     reads_blocks: bool = False
+    format: str | None = None
 
 
 class VolumeSeries:
@@ -132,6 +134,7 @@ class VolumeSeries:
         self._facts: SeriesFacts | None = None
         self._like: Volume | None = None  # the first step that was read, without its voxels
         self._mirror: VolumeSeries | None = None
+        self._excerpts: dict[bool, Volume] = {}
         self._held: dict[bool, StepVolume] = {}  # what is found out about the widest step is kept with it
         self.surveyed: Callable[[], None] | None = None  # called once all ranges are known
 
@@ -179,7 +182,7 @@ class VolumeSeries:
         census, widest = self._census(dtype, like)
         return SeriesFacts(
             like.grid, dtype, like.axis, census, widest, like.frame, like.unit, like.labels,
-            getattr(like, "blocks_source", None) is not None,
+            getattr(like, "blocks_source", None) is not None, like.format,
         )  # fmt: skip
 
     def _warn_of_failures(self) -> None:
@@ -343,7 +346,7 @@ class VolumeSeries:
         """A series whose stored numbers have the reverse order (``clvol.volume.axis.turned``)."""
         if self._mirror is None:
             mirror = copy.copy(self)
-            mirror._held = {}
+            mirror._held, mirror._excerpts = {}, {}
             mirror._views, mirror._ahead = WeakValueDictionary(), ReadAhead(self._read_turned)
             facts = self.facts
             span = np.array([facts.census.lower, facts.census.upper])
@@ -378,7 +381,7 @@ class StepVolume(Volume):
         self.series, self.number, self._is_plain = series, number, plain
         self.axis = ValueAxis() if plain else facts.axis
         self.grid, self.frame, self.unit, self.labels = facts.grid, facts.frame, facts.unit, facts.labels
-        self.name, self.path, self.format = series.name, series.steps[number].path, series.steps[number].format
+        self.name, self.path, self.format = series.name, series.steps[number].path, facts.format
         self.files = ()
 
     @property
@@ -417,6 +420,21 @@ class StepVolume(Volume):
     def widest(self) -> StepVolume:
         """The step from which is chosen what is chosen for all."""
         return self.series._held.setdefault(self._is_plain, self.at(self.series.facts.widest))
+
+    @property
+    def excerpt(self) -> Volume:
+        """The middle of ``widest``, at most about ``_EXCERPT`` voxels, which stay in memory: for what is estimated
+        again and again while steps and transfer functions change."""
+        kept = self.series._excerpts
+        if self._is_plain not in kept:
+            whole = self.widest
+            share = min(1.0, (_EXCERPT / math.prod(self.shape)) ** (1 / 3))
+            counts = [max(min(n, 2), round(n * share)) for n in self.shape]
+            part = tuple(slice((n - count) // 2, (n - count) // 2 + count) for n, count in zip(self.shape, counts))
+            small = Volume(whole.data[part].copy(), self.grid.spacing, slope=self.axis.slope, offset=self.axis.offset)
+            vars(small)["_census"] = self._census
+            kept[self._is_plain] = small
+        return kept[self._is_plain]
 
     def read(self) -> None:
         """Reads the voxels now, unless they are read by blocks."""

@@ -27,7 +27,6 @@ class Step:
     name: str
     read: Callable[[], Volume]
     path: str | None = None
-    format: str | None = None
     spellings: tuple[str, ...] = ()
     may_convert: bool = False
     known: Callable[[], tuple[Volume, StepRange] | None] | None = None

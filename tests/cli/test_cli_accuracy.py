@@ -49,6 +49,7 @@ def test_a_time_is_held_and_quiet_says_nothing(run, folder, device):
         (["--time-budget", "inf"], "--time-budget: got inf, expected seconds, more than 0"),
         (["--max-error", "1e-2", "--time-budget", "1"],
          "--time-budget: given together with --max-error, expected one of the two"),
+        (["--pixel-area"], "--pixel-area: given without a target, expected --max-error or --time-budget with it"),
     ],
 )  # fmt: skip
 def test_impossible_targets_are_one_line(refused, folder, nothing_left, arguments, said):

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from clvol import load_volume
 from clvol.image import load_image
 
 TEXT = """version = 1
@@ -162,6 +163,13 @@ def test_files_of_a_series_are_not_written_to(run, series):
     assert outcome.status == 2 and "t_9.npy: is also an input" in outcome.err
     assert run("render", "s.toml", "-o", "t_%d.npy", "--set", "animation.frames=10").status == 2
     assert [int(np.load(f"t_{8 + k}.npy").max()) for k in range(COUNT)] == [20, 40, 60, 80]
+
+
+def test_a_store_is_made_of_one_step(run, series):
+    outcome = run("store", "t_*.npy", "-o", "a.zarr")
+    assert outcome.status == 2 and "t_*.npy: a series of 4 steps, expected one of them" in outcome.err
+    assert run("store", "t_*.npy", "-o", "a.zarr", "--set", "volume.step=2", "--quiet").status == 0
+    assert load_volume("a.zarr").value_range == (60.0, 60.0)
 
 
 def test_a_frame_per_step_needs_a_series(run, series):

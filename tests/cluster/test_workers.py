@@ -170,6 +170,8 @@ def test_tiles_of_workers_are_the_picture_of_one_process(local):
     with pytest.raises(SceneError, match="pixels depend on rays elsewhere"):
         spaced = {**scene, "overrides": [*overrides, "image.ray_spacing=2"]}
         tiles_on_workers(local, spaced, (75, 50), ["film.toml"])
+    with pytest.raises(SceneError, match="image.samples: got 4, expected 1"):
+        tiles_on_workers(local, {**scene, "overrides": [*overrides, "image.samples=4"]}, (75, 50), ["film.toml"])
     other = {**scene, "overrides": [*overrides, 'integration.method="reference"']}
     with pytest.raises(SceneError, match="got 'reference', expected 'raycast'"):
         tiles_on_workers(local, other, (75, 50), ["film.toml"])

@@ -21,6 +21,7 @@ from helpers.slice_files import (
 )
 from pydicom.uid import BasicTextSRStorage, GrayscaleSoftcopyPresentationStateStorage
 
+from clvol import Scene
 from clvol.readers import load_volume
 
 
@@ -209,6 +210,10 @@ def test_several_volumes_of_one_series(tmp_path, name) -> None:
     for t in range(3):
         assert np.array_equal(load_volume(tmp_path / "mr", **{key: t}).data, voxels() + t)
     assert f"volume.{key} = 3 among 3" in refusal(tmp_path / "mr", **{key: 3})
+    if key == "time":
+        reach = [float(voxels().min()), float(voxels().max() + 2)]
+        series = Scene(volume={"file": tmp_path / "mr", "time": "all", "value_range": reach}).load_series()
+        assert [np.array_equal(series.step(t).data, voxels() + t) for t in range(3)] == [True] * 3
 
 
 def test_echoes_and_times_together(tmp_path) -> None:

@@ -201,6 +201,17 @@ def test_every_time_of_a_file_is_a_step(tmp_path, name):
         load_volume(tmp_path / name, time="all")
 
 
+def test_times_that_are_numbered_otherwise(tmp_path):
+    """Slices of a folder are counted as their names say."""
+    for t in range(3):
+        for z in range(3):
+            tifffile.imwrite(tmp_path / f"img_t{t + 7:03d}_z{z}.tif", TIMES[t, z].astype(np.uint16))
+    series = series_of(tmp_path.parent, tmp_path.name, time="all")
+    assert [step.name.rpartition(" ")[2] for step in series.steps] == ["7", "8", "9"]
+    for t in range(3):
+        np.testing.assert_array_equal(series.step(t).data, TIMES[t])
+
+
 @pytest.mark.parametrize("name", ["a.nii.gz", "gz.nrrd", "bz.nrrd"])
 def test_compressed_times_are_decoded_once_for_each_pass(tmp_path, name, monkeypatch):
     WRITERS[name](tmp_path / name, TIMES)

@@ -46,7 +46,3 @@ class TileRaycaster(Raycaster):
     def counted(self, counts: np.ndarray) -> dict[str, int]:
         """What effects counted, by name."""
         return super().counted(counts)
-
-    @property
-    def shows_nothing(self) -> bool:
-        return self._shows_nothing

@@ -11,6 +11,7 @@ import pytest
 from helpers.small_scenes import SMOOTH, waves
 
 from clvol import Renderer, Scene, Volume, VolumeSeries
+from clvol.batch.frames import Frames
 from clvol.device.volume import DeviceVolume
 from clvol.errors import ClvolWarning, VolumeError
 from clvol.integrators.raycast.caster import Raycaster
@@ -244,3 +245,30 @@ def test_another_transfer_function_between_steps(device):
     with Renderer(scene_of(Volume(step_array(1))), devices=[device]) as alone:
         alone.set_transfer_function(other)
         np.testing.assert_array_equal(alone.render().rgba, changed)
+
+
+def test_values_that_key_frames_change_beside_the_steps(device):
+    """Each frame has its step and its values, and a step is read once."""
+    series = VolumeSeries([step_array(k) for k in range(COUNT)], value_range=(0, 255))
+    points = [{"value": 60.0, "opacity": 0.0, "color": [0, 0, 0]}, {"value": 200.0, "opacity": 0.5, "color": [1, 1, 1]}]
+    units = {0: 1.0, COUNT - 1: 5.0}
+    scene = Scene(
+        volume=series, image={"width": 20, "height": 16}, integration={"step_error": 0.0},
+        transfer_function={"points": points, "opacity_unit": 1.0},
+        animation={"frames": COUNT, "keyframe": [
+            {"time": k / 25, "set": {"transfer_function.opacity_unit": unit}} for k, unit in units.items()
+        ]},
+    )  # fmt: skip
+    film = Frames(scene, scene.resolve(), [])
+    with Renderer(scene, devices=[device]) as renderer:
+        before = series.reads
+        following = [*film.all[1:], None]
+        shown = [film.render(renderer, *pair[:1], None, False, pair[1]).rgba for pair in zip(film.all, following)]
+        assert series.reads - before == COUNT - 1
+    for k, unit in units.items():
+        alone = scene.model_copy(update={
+            "volume": Volume(step_array(k)), "animation": {"frames": 1}, "camera": film.all[k][2],
+            "transfer_function": {"points": points, "opacity_unit": unit},
+        })  # fmt: skip
+        with Renderer(alone, devices=[device]) as renderer:
+            np.testing.assert_allclose(shown[k], renderer.render().rgba, atol=1e-4)

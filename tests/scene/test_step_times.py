@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from clvol import Animation, Scene, VolumeSeries
 from clvol.errors import SceneError, VolumeError
-from clvol.scene.step_times import StepTimes, rate_of
+from clvol.scene.step_times import StepTimes, frames_of, rate_of
 
 counts = st.integers(1, 2000)
 rates = st.floats(0.01, 1000.0)
@@ -29,6 +29,15 @@ def test_steps_are_spread_evenly_over_any_number_of_frames(count, fps, frames):
     assert shown[0] == 0 and shown == sorted(shown)
     if frames > 1:
         assert shown == [k * count // frames for k in range(frames)]
+
+
+@settings(max_examples=60)
+@given(st.integers(1, 200), st.integers(1, 60), st.integers(1, 60))
+def test_an_animation_without_a_length_ends_with_the_last_step(count, rate, fps):
+    frames, times = frames_of(count, float(rate), float(fps)), StepTimes(count, float(rate))
+    assert times.at((frames - 1) / fps) == (frames - 1) * rate // fps <= count - 1
+    assert frames * rate // fps >= count  # one frame more would show what is beyond it
+    assert frames_of(count, None, float(fps)) == count
 
 
 @given(counts, rates, st.floats(-1e6, 1e6))

@@ -296,10 +296,6 @@ class BlockCaster(Raycaster):
         index = self.blocks.index
         return corner_statistics(self.context, index, blocks, view, bits, grid), blocks.edge
 
-    @property
-    def shows_nothing(self) -> bool:
-        return self._shows_nothing
-
 
 def block_switches(
     resolved: ResolvedScene,

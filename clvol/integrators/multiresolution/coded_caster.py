@@ -18,6 +18,10 @@ class CodedBlockCaster(BlockCaster):
     decoded. Where the pool does not hold those of the whole picture, tiles are rendered in groups. The picture does not
     depend on the pool."""
 
+    @property
+    def lists_rays(self) -> bool:
+        return False  # what a list needs is not known tile by tile
+
     def groups(
         self, frame: RayFrame, size: tuple[int, int], tiles: np.ndarray | None
     ) -> Iterator[np.ndarray | None]:

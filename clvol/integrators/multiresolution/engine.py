@@ -10,7 +10,7 @@ from time import perf_counter
 
 import numpy as np
 
-from clvol.device.view import EVERY_PIXEL, PixelLattice
+from clvol.device.view import EVERY_PIXEL, Pixels
 from clvol.integrators.base import FrameData, Progress
 from clvol.integrators.multiresolution.caster import BlockCaster
 from clvol.integrators.multiresolution.coded_caster import CodedBlockCaster
@@ -78,6 +78,11 @@ class MultiresolutionEngine:
     def held(self) -> tuple[AnyResidency]:
         return (self.residency,)
 
+    @property
+    def visible_cells(self) -> tuple[np.ndarray, int]:
+        """As in ``Prepared``."""
+        return self.caster.visible_cells
+
     def for_scene(self, resolved: ResolvedScene) -> MultiresolutionEngine:
         """As ``Prepared.for_scene``."""
         other = copy.copy(self)
@@ -113,12 +118,14 @@ class MultiresolutionEngine:
         else:
             self.caster.warm_up_parts(width, height, depth)
 
-    def parts(self, camera: Camera, width: int, height: int, depth: bool = True) -> PictureParts | None:
+    def parts(
+        self, camera: Camera, width: int, height: int, depth: bool = True, lattice: Pixels = EVERY_PIXEL
+    ) -> PictureParts | None:
         """As ``RendersParts.parts``; None for pictures whose ray density is chosen per tile."""
-        if self._tile_size:
+        if self._tile_size and lattice == EVERY_PIXEL:
             return None
         self._make_resident(camera, width, height)
-        parts = self.caster.parts(camera, width, height, depth)
+        parts = self.caster.parts(camera, width, height, depth, lattice)
         if parts is not None:
             parts.notes["blocks"] = self.residency.describe()
         return parts
@@ -134,7 +141,7 @@ class MultiresolutionEngine:
         height: int,
         progress: Progress | None = None,
         depth: bool = True,
-        lattice: PixelLattice = EVERY_PIXEL,
+        lattice: Pixels = EVERY_PIXEL,
     ) -> FrameData:
         """As ``Prepared.render``."""
         self._make_resident(camera, width, height)
@@ -165,10 +172,10 @@ class MultiresolutionEngine:
     def render_on(
         self, prepared: Sequence[MultiresolutionEngine], camera: Camera, width: int, height: int,
         progress: Progress | None, depth: bool, on_loss: Callable[[int, BaseException], None],
-        seconds: float | None = None,
+        seconds: float | None = None, lattice: Pixels = EVERY_PIXEL,
     ) -> FrameData | None:  # fmt: skip
         """As ``RendersOnSeveral.render_on``, for pictures whose ray density is chosen per tile."""
-        if not self._tile_size and seconds is None:
+        if (not self._tile_size and seconds is None) or lattice != EVERY_PIXEL:
             return None
         start = perf_counter()
         self._make_resident(camera, width, height)

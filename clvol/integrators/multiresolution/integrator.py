@@ -106,6 +106,8 @@ class Multiresolution:
         programs = {"raycast.cl": switches}
         if resolved.multiresolution.tiles:
             programs["tile_rays.cl"] = switches
+        if resolved.image.refines:
+            programs["listed_rays.cl"] = switches
         return programs
 
     def sources(self, resolved: ResolvedScene) -> tuple[Sequence[str], bytes]:

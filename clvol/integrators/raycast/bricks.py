@@ -11,7 +11,7 @@ from clvol.device.brick_pool import BrickPool, BrickSource
 from clvol.device.empty_space import spread
 from clvol.device.light_volume import METHODS
 from clvol.device.tile_ranges import Ranges, tile_ranges
-from clvol.device.view import EVERY_PIXEL, PixelLattice, RayFrame
+from clvol.device.view import EVERY_PIXEL, Pixels, RayFrame
 from clvol.device.volume import ResidentVolume
 from clvol.device.voxel_boxes import LEAST_UNIT, VoxelBox, box_bytes, box_places
 from clvol.errors import SceneError
@@ -201,7 +201,7 @@ class BrickCaster(Raycaster):
         height: int,
         progress: Progress | None = None,
         depth: bool = True,
-        lattice: PixelLattice = EVERY_PIXEL,
+        lattice: Pixels = EVERY_PIXEL,
     ) -> FrameData:
         """As ``Raycaster.render``; the notes say what was decoded for the frame, and what is on the device."""
         data = super().render(camera, width, height, progress, depth, lattice)
@@ -233,6 +233,10 @@ class BrickCaster(Raycaster):
             got = f"{pool.most} decoded blocks can be held where the rays of {what} need {len(blocks)}"
             raise SceneError(where, got, f"at least {pool.memory_for(len(blocks))} bytes")
         pool.hold(blocks)
+
+    @property
+    def lists_rays(self) -> bool:
+        return False  # what a list needs is not known tile by tile
 
     def groups(
         self, frame: RayFrame, size: tuple[int, int], tiles: np.ndarray | None

@@ -30,7 +30,7 @@ from clvol.device.transfer_lookup import (
     device_function,
     scene_nodes,
 )
-from clvol.device.view import EVERY_PIXEL, PixelLattice, RayFrame
+from clvol.device.view import EVERY_PIXEL, PixelLattice, PixelList, Pixels, RayFrame
 from clvol.device.volume import DeviceVolume, ResidentVolume
 from clvol.features import reduced_for_frames
 from clvol.features.gradient_storage import DeviceLimits
@@ -39,6 +39,7 @@ from clvol.integrators.raycast.cell_depths import cell_depths
 from clvol.integrators.raycast.constant_cells import changing_cells
 from clvol.integrators.raycast.frame_view import frame_view, volume_view
 from clvol.integrators.raycast.history import COHERENT_ARGUMENTS, History, arrays_to_warm_up, render_from_history
+from clvol.integrators.raycast.listed import listed_by_tiles
 from clvol.integrators.raycast.march import March, RayMarch
 from clvol.integrators.raycast.picture import PictureParts, TilesDone, WholePicture
 from clvol.integrators.raycast.step_map import step_map, upload_steps
@@ -68,6 +69,7 @@ _COARSE_ARGUMENTS = (
     reads("coarse", np.float32, "columns", "rows", 4),
     reads("coarse_depths", np.float32),
 )
+_LISTED = (reads("listed", np.int32, "width", "height", 2),)
 
 Caster = TypeVar("Caster", bound="Raycaster")
 
@@ -311,12 +313,13 @@ class Raycaster:
         height: int,
         progress: Progress | None = None,
         depth: bool = True,
-        lattice: PixelLattice = EVERY_PIXEL,
+        lattice: Pixels = EVERY_PIXEL,
     ) -> FrameData:
-        """One picture of ``width`` by ``height``, or only its pixels on ``lattice``.
-        ``progress(tiles done, all)`` is called after each launch."""
-        self.march.begin(self, camera, width, height)
-        if not self.march.renders_all_pixels:
+        """As ``Prepared.render``. ``progress(tiles done, all)`` is called after each launch."""
+        if isinstance(lattice, PixelList) and not self.lists_rays:
+            return listed_by_tiles(self, camera, width, height, progress, depth, lattice)
+        self.begin(camera, width, height, lattice)
+        if isinstance(lattice, PixelList) or not self.march.renders_all_pixels or lattice.alone:
             return self._picture(camera, width, height, progress, depth, lattice)
         data = self._picture(camera, width, height, progress, depth, EVERY_PIXEL)
         shown = None if data.depth is None else data.depth[lattice.slices]
@@ -329,15 +332,12 @@ class Raycaster:
         height: int,
         progress: Progress | None,
         depth: bool,
-        lattice: PixelLattice,
+        lattice: Pixels,
     ) -> FrameData:
-        """One picture of ``width`` by ``height``, or only its pixels on ``lattice``.
-        ``progress(tiles done, all)`` is called after each launch."""
-        if self._shows_nothing:  # nothing can be seen: no ray needs to be cast
+        if self.shows_nothing:  # nothing can be seen: no ray needs to be cast
             size = lattice.size(width, height)[::-1]
             nowhere = np.full(size, np.inf, np.float32) if depth else None
-            nothing = dict.fromkeys(self.march.counters and self._counter_names, 0)
-            return FrameData(np.zeros((*size, 4), np.float32), nowhere, 0, 0, nothing)
+            return FrameData(np.zeros((*size, 4), np.float32), nowhere, 0, 0, self.nothing_counted)
         if lattice == EVERY_PIXEL and self.resolved.coherence.mode == "reproject":
             return render_from_history(self, self.history, camera, width, height, progress, depth)
         return WholePicture(self, camera, width, height, depth, lattice).render(progress)
@@ -353,15 +353,38 @@ class Raycaster:
         What a group needs is on the device when it is given."""
         yield tiles
 
-    def parts(self, camera: Camera, width: int, height: int, depth: bool = True) -> PictureParts | None:
-        """As ``RendersParts.parts``; None where nothing can be seen."""
-        if self._shows_nothing:
+    def parts(
+        self, camera: Camera, width: int, height: int, depth: bool = True, lattice: Pixels = EVERY_PIXEL
+    ) -> PictureParts | None:
+        """As ``RendersParts.parts``; None where nothing can be seen, and for lists that are rendered tile by tile."""
+        if self.shows_nothing or (isinstance(lattice, PixelList) and not self.lists_rays):
             return None
+        self.begin(camera, width, height, lattice)
+        return PictureParts(self, camera, width, height, depth, lattice)
+
+    def begin(self, camera: Camera, width: int, height: int, lattice: Pixels) -> None:
+        """Announces a picture to the march; of a lattice ``alone`` that of its pixels."""
+        if isinstance(lattice, PixelLattice) and lattice.alone:
+            width, height = lattice.size(width, height)
         self.march.begin(self, camera, width, height)
-        return PictureParts(self, camera, width, height, depth, EVERY_PIXEL)
 
     @property
-    def _shows_nothing(self) -> bool:
+    def lists_rays(self) -> bool:
+        """Whether a kernel casts the rays of a list; otherwise the tiles that they are in are rendered."""
+        return not self.march.renders_all_pixels
+
+    @property
+    def visible_cells(self) -> tuple[np.ndarray, int]:
+        """As in ``Prepared``."""
+        return self.shown, self.volume.cell_shift
+
+    @property
+    def nothing_counted(self) -> dict[str, int]:
+        return dict.fromkeys(self.march.counters and self._counter_names, 0)
+
+    @property
+    def shows_nothing(self) -> bool:
+        """Whether no ray needs to be cast."""
         return not self.visible_share and not self.switches.get("ENVIRONMENT_VISIBLE")
 
     def warm_up(self, width: int, height: int, depth: bool = True) -> None:
@@ -375,9 +398,9 @@ class Raycaster:
     def _warm_up(self, width: int, height: int, depth: bool, chosen: np.ndarray | None) -> None:
         """``chosen``: the tiles of a picture without pixels that are launched; None: all."""
         tiles = tiling(width, height, *self.tile).count
-        fills = self.resolved.image.ray_spacing > 1
-        key = (tiles, depth, fills, chosen is None, tuple(self.switches.items()))
-        if key in self._warm or self._shows_nothing:
+        fills, lists = self.resolved.image.ray_spacing > 1, self.resolved.image.refines and self.lists_rays
+        key = (tiles, depth, fills, lists, chosen is None, tuple(self.switches.items()))
+        if key in self._warm or self.shows_nothing:
             return
         self.march.begin(self, None, width, height)
         view = np.zeros(1, self.view_dtype)  # an image without pixels: every work-item returns
@@ -393,8 +416,11 @@ class Raycaster:
             for engine in (self, self.without_surfaces):
                 tallies.append(engine.launches("raycast", view, tiles, depth, None, none, np.zeros(1, np.int64)))
         if fills:
-            none |= {"coarse": self.no_array, "coarse_depths": self.no_array, "rays": counts[1]}
-            tallies.append(self.launches("fill_between_rays", view, tiles, depth, None, none, chosen))
+            more = {"coarse": self.no_array, "coarse_depths": self.no_array, "rays": counts[1]}
+            tallies.append(self.launches("fill_between_rays", view, tiles, depth, None, none | more, chosen))
+        if lists:
+            none |= {"listed": self.context.empty(np.int32, (2,))}
+            tallies.append(self.launches("listed_rays", view, tiles, depth, None, none, chosen))
         self.context.finish()
         restore_interrupts()
         self._warm.add(key)
@@ -408,19 +434,22 @@ class Raycaster:
         progress: TilesDone | None,
         outputs: dict[str, DeviceArray],
         chosen: np.ndarray | None = None,
+        size: tuple[int, int] = (0, 0),
     ) -> DeviceArray | None:
-        """Runs kernel ``name`` over all tiles, or those that ``chosen`` lists, in launches that are each kept
-        short. Returns uint32 [n, names], what was counted for these tiles, if anything is."""
+        """Runs kernel ``name`` over all tiles, or those that ``chosen`` lists, in launches that are each kept short.
+        ``size``: pixels (width, height) of the outputs. Returns uint32 [n, names], what was counted for these tiles, if
+        anything is."""
         context = self.context
         switches = {**self.switches, "WITH_DEPTH": int(depth)}
         variant, more, added = self._more_arguments(tiles)
         declared = scene_arguments(switches["VOXEL_BITS"]) + variant
         fills = name == "fill_between_rays"
-        declared += (_COARSE_ARGUMENTS if fills else ()) + picture_arguments(depth=depth)
+        declared += (_COARSE_ARGUMENTS if fills else ()) + (_LISTED if name == "listed_rays" else ())
+        declared += picture_arguments(depth=depth)
         declared += (writes("rays", np.uint32, "tiles"),) if fills else ()
         declared += (COHERENT_ARGUMENTS if "kept" in outputs else ()) + more
         arrays = {**outputs, **added}
-        sizes = dict(zip(("width", "height"), view["image"][0].tolist())) | {"tiles": tiles}
+        sizes = dict(zip(("width", "height"), size)) | {"tiles": tiles}
         sizes |= dict(zip(("columns", "rows"), view["lattice"][0].tolist()))
         if "kept" in outputs:
             switches["COHERENT"] = 1

@@ -49,6 +49,8 @@ class Raycast(WholeVolume):
             programs["reproject.cl"] = {"MARGIN": MARGIN}
         if resolved.image.ray_spacing > 1:
             programs["fill_between_rays.cl"] = switches
+        if resolved.image.refines:
+            programs["listed_rays.cl"] = switches
         if switches.get("SHADOWS") == METHODS["volume"]:
             programs["light_volume.cl"] = switches
         if switches.get("GRADIENT") == GRADIENTS["precomputed"]:

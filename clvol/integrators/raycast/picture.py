@@ -1,7 +1,7 @@
 """A picture that a ray caster renders, whole, or some tiles at a time beside other devices.
 
 There are one or two stages: with the scene's ``image.ray_spacing`` the rays of its lattice are cast first, and then
-those of all pixels that cannot be interpolated between them (for a lattice of pixels all rays are cast).
+those of all pixels that cannot be interpolated between them (for a lattice or a list of pixels all rays are cast).
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clvol.device.tile_effects import cells_over_tiles, expected_costs, tiles_that_see
-from clvol.device.view import EVERY_PIXEL, PixelLattice, RayFrame, ray_frame
+from clvol.device.view import EVERY_PIXEL, PixelLattice, PixelList, Pixels, RayFrame, ray_frame
 from clvol.integrators.base import FrameData, PartOfPicture, PictureArrays, Progress
 from clvol.opencl.context import DeviceArray
 from clvol.schedule.tiles import TILE, tiling
@@ -46,26 +46,28 @@ class _Picture:
     """The stages of a picture, and launches over their tiles."""
 
     def __init__(
-        self, caster: Raycaster, camera: Camera, width: int, height: int, depth: bool, lattice: PixelLattice
+        self, caster: Raycaster, camera: Camera, width: int, height: int, depth: bool, lattice: Pixels
     ) -> None:
         self._caster, self._context, self._depth = caster, caster.context, depth
         self.notes: dict[str, Any] = {}
+        self._listed = lattice if isinstance(lattice, PixelList) else None
         spacing = caster.resolved.image.ray_spacing
         picture = (width, height)
-        if spacing == 1 or lattice != EVERY_PIXEL:
-            self._stages = [self._stage("raycast", camera, picture, lattice)]
+        if isinstance(lattice, PixelList) or spacing == 1 or lattice != EVERY_PIXEL:
+            kernel = "raycast" if self._listed is None else "listed_rays"
+            self._stages = [self._stage(kernel, camera, picture, lattice)]
             return
         coarse = self._stage("raycast", camera, picture, PixelLattice(spacing))
         last = self._stage("fill_between_rays", camera, picture, EVERY_PIXEL)
         last.view["ray_spacing"], last.view["lattice"] = spacing, coarse.size
         self._stages = [coarse, last]
 
-    def _stage(self, kernel: str, camera: Camera, picture: tuple[int, int], lattice: PixelLattice) -> _Stage:
-        caster = self._caster
-        frame = ray_frame(camera, caster.resolved.volume.grid, *picture, lattice)
-        width, height = size = lattice.size(*picture)
-        tiles = tiling(width, height, *caster.tile).count
-        return _Stage(kernel, frame, caster.frame_view(frame, width, height), size, tiles)
+    def _stage(self, kernel: str, camera: Camera, picture: tuple[int, int], lattice: Pixels) -> _Stage:
+        caster, size = self._caster, lattice.size(*picture)
+        of_rays = EVERY_PIXEL if isinstance(lattice, PixelList) else lattice
+        frame = ray_frame(camera, caster.resolved.volume.grid, *picture, of_rays)
+        view = caster.frame_view(frame, *of_rays.size(*picture))
+        return _Stage(kernel, frame, view, size, tiling(*size, *caster.tile).count)
 
     def _allocate(self, stage: _Stage, arrays: PictureArrays | None = None) -> None:
         """The arrays that the stage's kernel writes; ``arrays``: of a picture that is shared."""
@@ -76,6 +78,8 @@ class _Picture:
         if self._depth:
             stage.outputs["depths"] = context.output(np.float32, (height, width), depths)
         stage.outputs["samples"] = context.output(np.uint32, (stage.tiles,))
+        if self._listed is not None:
+            stage.outputs["listed"] = context.upload(self._listed.places())
         if stage.kernel == "fill_between_rays":
             coarse = self._stages[0].outputs
             stage.outputs |= {"coarse": coarse["image"], "coarse_depths": coarse["depths"]}
@@ -128,15 +132,18 @@ class _Picture:
     def _run(
         self, engine: Raycaster, stage: _Stage, tiles: np.ndarray | None, progress: TilesDone | None
     ) -> np.ndarray | None:
-        tally = engine.launches(stage.kernel, stage.view, stage.tiles, self._depth, progress, stage.outputs, tiles)
+        tally = engine.launches(
+            stage.kernel, stage.view, stage.tiles, self._depth, progress, stage.outputs, tiles, stage.size
+        )
         return None if tally is None else self._context.take(tally)[: None if tiles is None else len(tiles)]
 
 
 class WholePicture(_Picture):
     """A picture on one device."""
 
-    def render(self, progress: Progress | None) -> FrameData:
-        """``progress(tiles done, all)`` is called after each launch."""
+    def render(self, progress: Progress | None, chosen: np.ndarray | None = None) -> FrameData:
+        """``progress(tiles done, all)`` is called after each launch. ``chosen``: the tiles (numbers) that are rendered,
+        of a picture of one stage; the pixels of others, and the rays, are undefined then."""
         context, begun = self._context, perf_counter()
         every = [stage.tiles for stage in self._stages]
         tallies: list[np.ndarray] = []
@@ -145,17 +152,20 @@ class WholePicture(_Picture):
             self._allocate(stage)
             before = sum(every[:number])
             report = None if progress is None else lambda done, before=before: progress(before + done, sum(every))
-            tally, counts = self._launch(stage, None, report)
+            tally, counts = self._launch(stage, chosen, report)
             tallies += [] if tally is None else [tally]
             tile_counts |= counts
         last = self._stages[-1]
         rays = self._stages[0].size[0] * self._stages[0].size[1]
+        if self._listed is not None:
+            rays = len(self._listed.rows)
         if len(self._stages) > 1:
             rays += int(context.take(last.outputs["rays"]).sum(dtype=np.uint64))
             context.take(self._stages[0].outputs["image"])
             if self._depth:
                 context.take(self._stages[0].outputs["depths"])
-        taken = sum(int(context.take(stage.outputs["samples"]).sum(dtype=np.uint64)) for stage in self._stages)
+        own = slice(None) if chosen is None else chosen
+        taken = sum(int(context.take(stage.outputs["samples"])[own].sum(dtype=np.uint64)) for stage in self._stages)
         rgba = context.take(last.outputs["image"])
         distances = context.take(last.outputs["depths"]) if self._depth else None
         if len(self._stages) == 1:
@@ -194,6 +204,8 @@ class PictureParts(_Picture):
     def expected_costs(self, stage: int) -> np.ndarray:
         """As in the protocol: from the visible cells in front of each tile."""
         this, caster = self._stages[stage], self._caster
+        if self._listed is not None:
+            return np.full(self.stages[stage], 1e3)
         grid = caster.resolved.volume.grid
         to_edges = np.diag(np.asarray(grid.spacing) / grid.smallest_edge)
         where = caster.shown, caster.volume.size, this.frame, to_edges, this.size, self.tile
@@ -217,7 +229,10 @@ class PictureParts(_Picture):
         tally, counts = self._launch(this, own, None)
         samples = np.add.reduceat(context.read(this.outputs["samples"])[own], begins, dtype=np.uint64)
         self._caster.took(this.kernel, len(own), perf_counter() - begun)
-        if this.kernel == "raycast":
+        if self._listed is not None:
+            of_tile = self.tile[0] * self.tile[1]
+            rays = int(np.clip(len(self._listed.rows) - tiles * of_tile, 0, of_tile).sum())
+        elif this.kernel == "raycast":
             rays = int(_pixels(tiles, this.size, self.tile).sum())
         else:
             rays = int(context.read(this.outputs["rays"])[own].sum(dtype=np.uint64))

@@ -6,7 +6,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from clvol.device.view import EVERY_PIXEL, PixelLattice
+import numpy as np
+
+from clvol.device.view import EVERY_PIXEL, PixelLattice, PixelList, Pixels
 from clvol.features import effects, reduced
 from clvol.features.refuse import PLAIN, refuse_effects
 from clvol.integrators.base import FrameData, Prepared, Progress, Shared
@@ -54,6 +56,7 @@ class PreparedReference:
 
     renders_all_pixels = True
     visible_share = 1.0
+    visible_cells = None
     held: Sequence[object] = ()
 
     def __init__(self, context: DeviceContext, resolved: ResolvedScene) -> None:
@@ -72,27 +75,40 @@ class PreparedReference:
         height: int,
         progress: Progress | None = None,
         depth: bool = True,
-        lattice: PixelLattice = EVERY_PIXEL,
+        lattice: Pixels = EVERY_PIXEL,
     ) -> FrameData:
         return self._rendered(self.context.device, camera, width, height, progress, lattice, None)
 
     def render_on(
         self, prepared: Sequence[PreparedReference], camera: Camera, width: int, height: int, progress: Progress | None,
         depth: bool, on_loss: Callable[[int, BaseException], None], seconds: float | None = None,
+        lattice: Pixels = EVERY_PIXEL,
     ) -> FrameData:  # fmt: skip
         """As ``RendersOnSeveral.render_on``."""
         devices = [each.context.device for each in prepared]
-        return self._rendered(devices, camera, width, height, progress, EVERY_PIXEL, on_loss)
+        return self._rendered(devices, camera, width, height, progress, lattice, on_loss)
 
     def _rendered(
         self, devices: Any, camera: Camera, width: int, height: int, progress: Progress | None,
-        lattice: PixelLattice, on_loss: Callable[[int, BaseException], None] | None,
+        lattice: Pixels, on_loss: Callable[[int, BaseException], None] | None,
     ) -> FrameData:  # fmt: skip
         image = self.resolved.image.model_copy(update={"width": width, "height": height})
         resolved = replace(self.resolved, camera=camera, image=image)
         tolerance = resolved.integration.tolerance
-        rgba, distances, counted = render_reference(resolved, devices, tolerance, None, progress, on_loss)
-        rgba, distances = rgba[lattice.slices], distances[lattice.slices]
+        pixels = None
+        if isinstance(lattice, PixelList):
+            pixels = np.stack([lattice.rows, lattice.columns], axis=1)
+        elif lattice.alone:
+            pixels = lattice.pixels(width, height)
+        rgba, distances, counted = render_reference(resolved, devices, tolerance, pixels, progress, on_loss)
+        if pixels is None:
+            assert isinstance(lattice, PixelLattice)
+            rgba, distances = rgba[lattice.slices], distances[lattice.slices]
+        else:
+            across, down = lattice.size(width, height)
+            room = across * down - len(pixels)
+            rgba = np.concatenate([rgba, np.zeros((room, 4))]).reshape(down, across, 4)
+            distances = np.concatenate([distances, np.full(room, np.inf)]).reshape(down, across)
         notes = {name: value for name, value in counted.items() if name not in ("samples", "rays", "seconds")}
         return FrameData(rgba, distances, counted["samples"], counted["rays"], notes=notes)
 

@@ -62,10 +62,10 @@ def render_reference(
     if not 0.0 < tolerance < 1.0:
         raise UsageError("tolerance", f"got {tolerance!r}", "a number between 0 and 1")
     width, height = resolved.image.width, resolved.image.height
-    origins, directions = resolved.camera.world_rays(width, height)
-    if pixels is not None:
-        rows, columns = _pixel_indices(pixels, width, height)
-        origins, directions = origins[rows, columns], directions[rows, columns]
+    if pixels is None:
+        origins, directions = resolved.camera.world_rays(width, height)
+    else:
+        origins, directions = resolved.camera.world_rays_of(width, height, *_pixel_indices(pixels, width, height))
     shape = origins.shape[:-1]
 
     rgba, depth, counters = integrate_world_rays(

@@ -34,6 +34,8 @@ class SlicingIntegrator(WholeVolume):
         programs: dict[str, Mapping[str, int]] = {"raycast.cl": switches}
         if resolved.image.ray_spacing > 1:
             programs["fill_between_rays.cl"] = switches
+        if resolved.image.refines:
+            programs["listed_rays.cl"] = switches
         return programs
 
     def sources(self, resolved: ResolvedScene) -> tuple[Sequence[str], bytes]:

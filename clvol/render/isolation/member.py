@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from clvol.device.view import EVERY_PIXEL, PixelLattice
+from clvol.device.view import EVERY_PIXEL, Pixels
 from clvol.errors import RenderError
 from clvol.integrators.base import FrameData, PartOfPicture, PictureArrays, Progress
 from clvol.integrators.raycast.step_map import is_smooth
@@ -142,6 +142,16 @@ class IsolatedPrepared:
         self.renders_all_pixels = member.take(known, "renders_all_pixels", bool)
         self.visible_share = member.take(known, "visible_share", float)
 
+    @property
+    def visible_cells(self) -> tuple[np.ndarray, int] | None:
+        answer = self._member.ask("visible_cells", {})
+        if not self._member.take(answer, "known", bool):
+            return None
+        shape, shift = self._member.take(answer, "shape", list), self._member.take(answer, "shift", int)
+        z, y, x = (int(n) for n in shape)
+        bits = self._member.array(answer, "bits", np.uint8, -(-z * y * x // 8))
+        return np.unpackbits(bits, count=z * y * x).reshape(z, y, x).astype(bool), shift
+
     def for_scene(self, resolved: ResolvedScene) -> IsolatedPrepared:
         raise NotImplementedError("the process keeps its prepared scenes itself")
 
@@ -158,11 +168,9 @@ class IsolatedPrepared:
         height: int,
         progress: Progress | None = None,
         depth: bool = True,
-        lattice: PixelLattice = EVERY_PIXEL,
+        lattice: Pixels = EVERY_PIXEL,
     ) -> FrameData:
-        if lattice != EVERY_PIXEL:
-            raise NotImplementedError("a lattice of pixels from another process")
-        return self._picture("render", {}, camera, width, height, progress, depth)
+        return self._picture("render", {}, camera, width, height, progress, depth, lattice)
 
     def render_for_time(
         self,
@@ -177,14 +185,17 @@ class IsolatedPrepared:
         return self._picture("render_for_time", {"seconds": seconds}, camera, width, height, progress, depth)
 
     def _picture(
-        self, what: str, more: Message, camera: Camera, width: int, height: int, progress: Progress | None, depth: bool
-    ) -> FrameData:
+        self, what: str, more: Message, camera: Camera, width: int, height: int, progress: Progress | None,
+        depth: bool, lattice: Pixels = EVERY_PIXEL,
+    ) -> FrameData:  # fmt: skip
         member = self._member
+        across, down = lattice.size(width, height)
         arrays: list[SharedArray | None] = [
-            member.picture_array(0, (height, width, 4)), member.picture_array(1, (height, width)) if depth else None
+            member.picture_array(0, (down, across, 4)), member.picture_array(1, (down, across)) if depth else None
         ]  # fmt: skip
         described, descriptors = member.segments(arrays)
-        view = {"camera": encoded(camera), "size": [width, height], "depth": depth, **described}
+        view = {"camera": encoded(camera), "size": [width, height], "depth": depth, "lattice": encoded(lattice)}
+        view |= described
         answer = member.ask(what, {**view, **more}, descriptors, progress)
         rgba, depths = (None if each is None else np.array(each, subok=False) for each in arrays)
         assert rgba is not None
@@ -199,8 +210,10 @@ class IsolatedParts(IsolatedPrepared):
     def warm_up_parts(self, width: int, height: int, depth: bool = True) -> None:
         self._member.ask("warm_up_parts", {"size": [width, height], "depth": depth})
 
-    def parts(self, camera: Camera, width: int, height: int, depth: bool = True) -> IsolatedPicture | None:
-        view = {"camera": encoded(camera), "size": [width, height], "depth": depth}
+    def parts(
+        self, camera: Camera, width: int, height: int, depth: bool = True, lattice: Pixels = EVERY_PIXEL
+    ) -> IsolatedPicture | None:
+        view = {"camera": encoded(camera), "size": [width, height], "depth": depth, "lattice": encoded(lattice)}
         answer = self._member.ask("parts", view)
         return IsolatedPicture(self._member, answer) if self._member.take(answer, "divides", bool) else None
 

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from clvol.device.view import PixelLattice, PixelList
 from clvol.scene import OpacityFactor, ResolvedField, ResolvedScene, TransferLayer
 from clvol.scene.classification import ChosenClassification
 from clvol.scene.step_times import StepTimes
@@ -26,8 +27,8 @@ from clvol.volume.volume import Volume
 _TYPES: dict[str, type] = {
     each.__name__: each
     for each in (
-        ChosenClassification, Grid, OpacityFactor, ResolvedField, ResolvedScene, StepTimes, TransferFunction,
-        TransferLayer, ValueAxis,
+        ChosenClassification, Grid, OpacityFactor, PixelLattice, PixelList, ResolvedField, ResolvedScene, StepTimes,
+        TransferFunction, TransferLayer, ValueAxis,
     )  # fmt: skip
 }
 

@@ -145,7 +145,18 @@ class Worker:
 
     def on_render(self, message: Message) -> Message:
         view = decoded(message["camera"]), *message["size"]
-        return self._picture(message, self._prepared.render(*view, self._progress(message), message["depth"]))
+        report, lattice = self._progress(message), decoded(message["lattice"])
+        return self._picture(message, self._prepared.render(*view, report, message["depth"], lattice))
+
+    def on_visible_cells(self, message: Message) -> Message:
+        found = self._prepared.visible_cells
+        if found is None:
+            return {"known": False}
+        cells, shift = found
+        return {
+            "known": True, "shape": [int(n) for n in cells.shape], "shift": int(shift),
+            "bits": encoded(np.packbits(cells)),
+        }  # fmt: skip
 
     def on_render_for_time(self, message: Message) -> Message:
         view, seconds = (decoded(message["camera"]), *message["size"]), message["seconds"]
@@ -162,7 +173,8 @@ class Worker:
         return {"samples": int(made.samples), "rays": int(made.rays), "counters": counters, "notes": made.notes}
 
     def on_parts(self, message: Message) -> Message:
-        self._parts = parts = self._prepared.parts(decoded(message["camera"]), *message["size"], message["depth"])
+        view = decoded(message["camera"]), *message["size"], message["depth"], decoded(message["lattice"])
+        self._parts = parts = self._prepared.parts(*view)
         if parts is None:
             return {"divides": False}
         sizes = [[int(n) for n in size] for size in parts.sizes]
