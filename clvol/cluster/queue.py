@@ -143,11 +143,10 @@ class TaskQueue:
             self._begin_check(address, known[address].get("resources", {}))
         self._end_checks()
         self._hand_back({each.address for each in self._workers.values() if each.address in known})
-        if any(each.is_good for each in self._workers.values()):
+        if any(each.reason is None for each in self._workers.values()):  # also those that are being checked
             self._since_none = now
             return
-        waiting = any(each.reason is None for each in self._workers.values())
-        if self.left_out and not waiting:
+        if self.left_out:
             reasons = "; ".join(f"{address}: {reason}" for address, reason in self.left_out.items())
             without_device = all(each.status == DeviceError.exit_status for each in self._workers.values())
             kind = DeviceError if without_device else RenderError
