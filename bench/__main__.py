@@ -11,7 +11,7 @@ from bench.options import Options
 NAMES = (
     "peers", "shaded", "isosurface", "effects", "sampling", "scaling", "startup", "convergence",
     "tradeoff", "targets", "multiresolution", "pyramid", "slicing", "compression", "devices", "workers",
-    "gallery", "first-pictures", "supersampling",
+    "gallery", "first-pictures", "supersampling", "coherence",
 )  # fmt: skip
 
 
@@ -59,7 +59,7 @@ def main(arguments: list[str] | None = None) -> int:
     scenes = tuple(filter(None, asked.scenes.split(",")))
     for kind, given, known in (
         ("NAME", asked.names, NAMES), ("--scenes", scenes, [
-            *(scene.name for scene in (*SCENES, CHEST, *BLOCK_SCENES[:2])), "demo",
+            *(scene.name for scene in (*SCENES, CHEST, *BLOCK_SCENES[:2])), "demo", "engine", "cthead", "teapot",
             *(tile.scene for tile in TILES),
         ])
     ):  # fmt: skip

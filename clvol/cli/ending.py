@@ -23,6 +23,8 @@ def command_line() -> NoReturn:
     # OpenBLAS, which numpy uses, starts one thread per core when it is loaded, and ends the process if that many are
     # not allowed (ulimit -u). No matrix here is large enough to need a second thread.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    # Plug-ins of other packages have no part in the scene's tables; looking for them takes 8 ms.
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
     keep_room_to_import()
     # A tenth of the time of a small picture went into looking for cycles among what imports had just made.
     gc.set_threshold(10_000)

@@ -143,6 +143,10 @@ def command(
     check_targets(max_error, time_budget, pixel_area)
     check_names(scenes, [*outputs, stats, show_schedule])
     measure_for_all(devices, quiet)
+    if not isolate and workers is None and scheduler is None and not {*devices} - {"pocl"}:
+        from clvol.opencl.devices import look_ahead
+
+        look_ahead()
 
     def render(scene: str) -> None:
         start = time.perf_counter()

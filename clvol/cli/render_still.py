@@ -142,6 +142,7 @@ def _frame_of(
                 return render_to_error(scene, max_error, **options), None
             assert time_budget is not None
             return render_in_time(scene, time_budget, **options), None
+    _build_ahead(scene, memory_cap, depth)
     encodes, by_blocks = scene.compression.codec != "none", integrator_of(scene).reads_blocks
     reading = preparing(progress, encodes=encodes, by_blocks=by_blocks)
     with Renderer(scene, progress=reading, isolate=isolate, **options) as renderer:
@@ -150,6 +151,27 @@ def _frame_of(
         shown: dict[str, Any] = {} if moment is None else {"camera": camera, "time": moment.time}
         frame = renderer.render(progress=progress, depth=depth, seconds=time_budget, **shown)
         return frame, renderer.schedule
+
+
+def _build_ahead(scene: Scene, memory_cap: int | None, depth: bool) -> None:
+    """In the first process of a machine: begins to build what the scene needs, while devices are looked for."""
+    from clvol.errors import ClvolError
+    from clvol.opencl.devices import build_ahead, is_looking_ahead
+
+    if not is_looking_ahead():
+        return
+    from clvol.explanation import scene_programs
+    from clvol.opencl.build import foreseen_program
+    from clvol.opencl.context import compile_options
+
+    try:
+        programs = []
+        for file, switches in scene_programs(scene.resolve(memory_cap)).items():
+            known = {**switches, "WITH_DEPTH": int(depth)} if "WITH_DEPTH" in switches else switches
+            programs.append(foreseen_program(file, compile_options(known)))
+    except ClvolError:  # rendering meets it
+        return
+    build_ahead(programs)
 
 
 # What a picture and its scene, rendered again, may differ in: key of made_from -> in words.

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from clvol.transfer.color import linear_to_srgb
+from clvol.transfer.color import linear_to_srgb, srgb_levels
 
 _ROWS = 256  # rows that are encoded together, so that double precision takes little memory
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # of linear sRGB
@@ -45,18 +45,43 @@ def developed(
     largest = float((1 << bits) - 1)
     shown = np.empty((*rgba.shape[:2], 4 if transparent else 3), np.uint8 if bits == 8 else np.uint16)
     for row in range(0, rgba.shape[0], _ROWS):
-        part = np.array(rgba[row : row + _ROWS], dtype=np.float64)
-        part[np.isnan(part).any(axis=-1)] = 0.0
+        rows = slice(row, row + _ROWS)
+        pixels = rgba[rows].reshape(-1, 4)
+        drawn = _drawn(pixels)
+        # Pixels without anything are all alike: the last one of ``part`` stands for them.
+        part = np.zeros((np.count_nonzero(drawn) + 1, 4))
+        part[:-1] = pixels[drawn]
+        with np.errstate(invalid="ignore"):
+            may_be_nan = np.isnan(part.sum())  # also where infinities cancel
+        if may_be_nan:
+            part[np.isnan(part).any(axis=-1)] = 0.0
         if how is not None:
             _map_tones(part, how)
-        rows = slice(row, row + _ROWS)
         if transparent:
-            shown[rows] = _straight(part, largest)
+            _put(shown[rows], drawn, _straight(part, largest))
             continue
-        see_through = np.clip(1.0 - part[..., 3:], 0.0, 1.0)
-        light = np.clip(part[..., :3] + see_through * behind, 0.0, 1.0)
-        shown[rows] = np.floor(largest * linear_to_srgb(light) + 0.5)
+        see_through = np.clip(1.0 - part[:, 3], 0.0, 1.0)
+        light = behind[:, None] * see_through  # a channel at a time: numpy is slow with short last axes
+        for channel in range(3):
+            light[channel] += part[:, channel]
+        np.clip(light, 0.0, 1.0, out=light)
+        levels = srgb_levels(light) if bits == 8 else np.floor(largest * linear_to_srgb(light) + 0.5)
+        _put(shown[rows], drawn, levels.T)
     return shown
+
+
+def _drawn(pixels: np.ndarray) -> np.ndarray:
+    """bool [n]: which of ``pixels`` [n, 4] have a bit that is set."""
+    words = np.ascontiguousarray(pixels, np.float32).view(np.uint64)
+    return np.asarray((words[:, 0] | words[:, 1]) != 0)
+
+
+def _put(shown: np.ndarray, drawn: np.ndarray, levels: np.ndarray) -> None:
+    """Writes ``levels`` [n + 1, channels] to ``shown`` [rows, columns, channels]: the last to all pixels that are not
+    ``drawn`` [rows columns], the others to those that are, in order."""
+    flat = shown.reshape(-1, shown.shape[2])  # a view, since rows are contiguous
+    flat[:] = levels[-1]
+    flat[drawn] = levels[:-1]
 
 
 def display(rgba: np.ndarray, background: Any) -> np.ndarray:

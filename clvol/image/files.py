@@ -97,9 +97,13 @@ def picture_texts(path: str | os.PathLike[str]) -> dict[str, Any]:
 
 
 def save_picture(frame: Any, temporary: Path, path: str) -> None:
-    """Writes ``frame`` to ``temporary``. Errors name ``path``, the final name of the file."""
+    """Writes ``frame`` to ``temporary``, a file of ``atomic_paths``, which flushes it. Errors name ``path``, the final
+    name of the file."""
+    module = _format(path)
     try:
-        save_frame(frame, temporary)
+        module.write(frame, checked(frame.rgba), temporary)
+    except OSError as error:
+        raise RenderError(path, f"the file cannot be written: {error.strerror or error}") from error
     except ClvolError as error:
         where = path if error.where == str(temporary) else error.where
         raise type(error)(where, error.what, error.expected) from error

@@ -10,12 +10,13 @@ from typing import Any
 import numpy as np
 
 from clvol.errors import UsageError
+from clvol.image import png_chunks
 from clvol.image.about import MADE_FROM, SCENE_FOLDER, facts
 from clvol.image.develop import display, shown_picture, straight
 from clvol.image.limits import RGBA_BYTES, check_picture
 from clvol.transfer.color import srgb_to_linear
 
-__all__ = ["display", "held", "linear", "opaque", "read", "text_chunks", "texts", "write"]
+__all__ = ["display", "held", "linear", "opaque", "read", "texts", "write"]
 
 _ROWS = 256  # rows that are decoded together, so that double precision takes little memory
 _LARGEST_TEXT = 1 << 20
@@ -25,11 +26,9 @@ _KEYWORDS = {"scene": "Scene"}  # texts that have another name in a PNG
 
 def write(frame: Any, rgba: np.ndarray, path: Path) -> None:
     """Writes the frame to ``path``. Raises OSError when that fails."""
-    from PIL import Image
-
     shown = shown_picture(frame, rgba)
     with open(path, "wb") as file:
-        Image.fromarray(shown).save(file, format="PNG", pnginfo=text_chunks(frame, opaque(shown), path))
+        file.writelines(png_chunks.encoded(shown, _chunks(frame, opaque(shown), path)))
 
 
 def opaque(shown: np.ndarray) -> list[np.ndarray]:
@@ -39,18 +38,14 @@ def opaque(shown: np.ndarray) -> list[np.ndarray]:
     return [shown[..., :3] if shown.shape[2] == 4 and (shown[..., 3] == full).all() else shown]
 
 
-def text_chunks(frame: Any, shown: Iterable[np.ndarray], path: Path | None = None) -> Any:
-    """The metadata of a PNG, for Pillow. ``shown`` are the pixels that the file holds."""
-    from PIL import PngImagePlugin
-
-    chunks = PngImagePlugin.PngInfo()
-    chunks.add(b"sRGB", b"\0")  # rendering intent: perceptual
+def _chunks(frame: Any, shown: Iterable[np.ndarray], path: Path) -> list[tuple[bytes, bytes]]:
+    """The metadata of the file. ``shown`` are the pixels that it holds."""
     texts = facts(frame, shown, path)
-    chunks.add_text("Software", texts["software"])
+    chunks = [(b"sRGB", b"\0"), png_chunks.text("Software", texts["software"])]  # rendering intent: perceptual
     for name in ("background", MADE_FROM, "scene", SCENE_FOLDER):
         # Readers ignore larger texts, and Pillow then refuses the whole picture.
         if name in texts and len(texts[name].encode()) < _LARGEST_TEXT:
-            chunks.add_itxt(_KEYWORDS.get(name, name), texts[name], zip=True)
+            chunks.append(png_chunks.compressed_text(_KEYWORDS.get(name, name), texts[name]))
     return chunks
 
 

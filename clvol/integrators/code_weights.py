@@ -6,17 +6,24 @@ the selection of blocks). Where nothing is visible, and nothing visible is near 
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from clvol.encoding.coded_volume import EDGE
-from clvol.encoding.trainer import DEFAULT_ERROR
 from clvol.errors import SceneError
 from clvol.features import effects
 from clvol.features.refuse import PLAIN
 from clvol.integrators.multiresolution.luv import delta_e_luv, linear_to_luv
+from clvol.lazily import lazily
 from clvol.scene.resolve import ResolvedScene
 from clvol.transfer import TransferFunction
 from clvol.volume.volume import Volume
+
+if TYPE_CHECKING:
+    from clvol.encoding import trainer
+else:
+    trainer = lazily("clvol.encoding.trainer")
 
 NOTICED = 1.0  # Delta-E that is about just noticed
 _ENTRIES = 1024  # values at which colours are compared, beside the points of the function
@@ -44,7 +51,7 @@ def block_weights(resolved: ResolvedScene) -> np.ndarray | None:
         return None
     volume = resolved.volume
     low, high = volume.stored_range
-    bound = (resolved.compression.max_voxel_error or DEFAULT_ERROR) * (high / 2 - low / 2) * 2
+    bound = (resolved.compression.max_voxel_error or trainer.DEFAULT_ERROR) * (high / 2 - low / 2) * 2
     if not 0 < bound < np.inf:
         return None
     path = EDGE * volume.grid.smallest_edge

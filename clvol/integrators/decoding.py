@@ -6,7 +6,7 @@ import logging
 import math
 from collections.abc import Hashable, Mapping
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -25,11 +25,11 @@ from clvol.encoding.coded_volume import (
     stats_of,
     stored_codes,
 )
-from clvol.encoding.trainer import CodeTrainer
 from clvol.errors import RenderError, SceneError, UsageError
 from clvol.features.compression import coded_source, facts_of, is_compressed
 from clvol.integrators.base import Integrator, Progress, Shared
 from clvol.integrators.code_weights import block_weights, check_weighting
+from clvol.lazily import lazily
 from clvol.opencl.context import DeviceContext
 from clvol.scene.compression import NOT_COMPRESSED, Compression
 from clvol.scene.field import ResolvedField
@@ -39,6 +39,11 @@ from clvol.store.codecs.encoding import Trainer
 from clvol.store.geometry import BlockGrid
 from clvol.volume.volume import Volume
 from clvol.volume.voxel_layout import device_bytes
+
+if TYPE_CHECKING:
+    from clvol.encoding import trainer as training
+else:
+    training = lazily("clvol.encoding.trainer")
 
 _KEPT_CODES, _KEPT_VOXELS = 12, 3  # of a volume, and decoded volumes of a device
 
@@ -220,7 +225,7 @@ def _check_bound(codes: CodedVolume, resolved: ResolvedScene) -> None:
 
 def trainer(context: DeviceContext) -> Trainer:
     """Makes encoders whose search runs on the device."""
-    return CodeTrainer(context)
+    return training.CodeTrainer(context)
 
 
 def _decoded(codes: CodedVolume, context: DeviceContext) -> DecodedVolume:

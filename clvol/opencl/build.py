@@ -66,6 +66,8 @@ def _build(context: cl.Context, source: str, options: Sequence[str]) -> tuple[An
     with _lock, without_warnings(cl.CompilerWarning):  # drivers warn that compilation is done
         if is_pocl(device):
             where = _FROM_CACHE if pocl_programs.restore(key) else _COMPILED
+            if where == _COMPILED and pocl_programs.adopt(key, program_token(source, options)):
+                where = "built while devices were looked for"
             program = _built(cl._cl._Program(context, source), words)
             pocl_programs.built(key)
             return program, where
@@ -124,6 +126,18 @@ def keep_programs(everything: bool = False) -> None:
 
 
 atexit.register(keep_programs, everything=True)
+
+
+def program_token(source: str, options: Sequence[str]) -> str:
+    """A digest of a program, whatever device it is built for."""
+    return hashlib.blake2b("\0".join((*options, source)).encode("utf-8", "surrogateescape"), digest_size=16).hexdigest()
+
+
+def foreseen_program(file: str, options: Sequence[str]) -> dict[str, str]:
+    """The program of a file in cl/ as ``children.BegunChild.build`` takes it. RenderError for a missing source."""
+    kernels = kernel_folder()
+    source = whole_source(kernels / file, (kernels,))
+    return {"source": source, "options": " ".join(options), "token": program_token(source, options)}
 
 
 def program_key(device: cl.Device, source: str, options: Sequence[str]) -> str:

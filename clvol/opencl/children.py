@@ -7,17 +7,24 @@ import os
 import select
 import shutil
 import signal
-import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+from clvol.lazily import lazily
 from clvol.opencl import probe
 from clvol.opencl.folders import scratch_folder
 from clvol.opencl.reports import Icd
+
+if TYPE_CHECKING:
+    import subprocess
+else:
+    subprocess = lazily("subprocess")
 
 VENDORS = "OCL_ICD_VENDORS"
 ORIGINAL_VENDORS = os.environ.get(VENDORS)  # as this process was started
@@ -44,35 +51,83 @@ def write_selection(icds: list[Icd], folder: Path) -> None:
 
 def run_child(request: dict, selection: list[Icd] | None, time_limit: float) -> Child:
     """Run one probe child to its end or to its time limit."""
-    environment = child_environment()
-    environment["PYOPENCL_NO_CACHE"] = "1"
-    environment["OPENBLAS_NUM_THREADS"] = "1"  # numpy fails where it may not start all its threads
-    environment["PYTHONWARNINGS"] = "ignore"
-    environment.pop("PYTHONFAULTHANDLER", None)
-    child = Child()
-    with tempfile.TemporaryDirectory(prefix="probe-", dir=scratch_folder()) as folder, \
-            open(os.path.join(folder, "stderr"), "w+b") as stderr:
-        request = {**request, "only_vendors_folder": selection is not None}
-        environment["POCL_CACHE_DIR"] = os.path.join(folder, "pocl")  # so that no damaged or full cache is used
-        os.mkdir(environment["POCL_CACHE_DIR"])
-        if selection is not None:
-            icds = Path(folder) / "icd"
-            icds.mkdir()
-            write_selection(selection, icds)
-            environment[VENDORS] = str(icds)
-        command = child_command(probe.__file__, json.dumps(request))
+    return BegunChild(request, selection).finished(time_limit)
+
+
+class BegunChild:
+    """A probe child that runs beside this process until ``finished`` waits for it, or ``end`` ends it.
+
+    A child whose request has ``serves`` then builds programs that it is told by ``build``; the folders in which PoCL
+    has them are moved to ``keep`` in the end, and named in the child's events "built".
+    """
+
+    def __init__(self, request: dict, selection: list[Icd] | None, keep: Path | None = None) -> None:
+        environment = child_environment()
+        environment["PYOPENCL_NO_CACHE"] = "1"
+        environment["OPENBLAS_NUM_THREADS"] = "1"  # numpy fails where it may not start all its threads
+        environment["PYTHONWARNINGS"] = "ignore"
+        environment.pop("PYTHONFAULTHANDLER", None)
+        self._keep, self._process, self._failed = keep, None, ""
+        self._held = ExitStack()
+        with ExitStack() as held:
+            folder = held.enter_context(tempfile.TemporaryDirectory(prefix="probe-", dir=scratch_folder()))
+            self._stderr = held.enter_context(open(os.path.join(folder, "stderr"), "w+b"))
+            request = {**request, "only_vendors_folder": selection is not None}
+            self._pocl = Path(folder, "pocl")
+            environment["POCL_CACHE_DIR"] = str(self._pocl)  # so that no damaged or full cache is used
+            self._pocl.mkdir()
+            if selection is not None:
+                icds = Path(folder) / "icd"
+                icds.mkdir()
+                write_selection(selection, icds)
+                environment[VENDORS] = str(icds)
+            command = child_command(probe.__file__, json.dumps(request))
+            try:
+                self._process = subprocess.Popen(
+                    command, env=environment, cwd=folder, stdout=subprocess.PIPE, stderr=self._stderr,
+                    stdin=subprocess.PIPE if request.get("serves") else subprocess.DEVNULL, start_new_session=True)
+            except OSError as error:
+                self._failed = f"{command[0]} cannot be started: {error.strerror}"
+            self._held = held.pop_all()
+
+    def build(self, programs: Sequence[Mapping[str, str]]) -> None:
+        """Has ``programs`` (each with ``source``, ``options`` and ``token``, by which events name it) built on PoCL,
+        once its device has been found to work. What does not build is met again by whoever needs it."""
+        if self._process is None or self._process.stdin is None:
+            return
         try:
-            process = subprocess.Popen(
-                command, env=environment, cwd=folder, stdin=subprocess.DEVNULL,
-                stdout=subprocess.PIPE, stderr=stderr, start_new_session=True)
-        except OSError as error:
-            child.death = f"{command[0]} cannot be started: {error.strerror}"
+            self._process.stdin.write("".join(json.dumps(program) + "\n" for program in programs).encode())
+            self._process.stdin.flush()
+        except OSError:  # it has ended already
+            pass
+
+    def end(self) -> None:
+        """Ends it at once."""
+        if self._process is not None:
+            end_child(self._process)
+            for stream in (self._process.stdin, self._process.stdout):
+                if stream is not None:
+                    with suppress(OSError):
+                        stream.close()
+            self._process = None
+        self._held.close()
+
+    def finished(self, time_limit: float) -> Child:
+        """What it has answered by its end; it is ended where an answer takes longer than ``time_limit`` seconds."""
+        child = Child()
+        process = self._process
+        if process is None:
+            child.death = self._failed
+            self._held.close()
             return child
         status = None  # stays None if the process hangs
         answers = process.stdout
         assert answers is not None  # a pipe, as requested above
         try:
             limit = time_limit
+            if process.stdin is not None:
+                with suppress(OSError):
+                    process.stdin.close()  # nothing more will be built
             for line in _lines_in_time(answers.fileno(), lambda: limit):
                 child.events.append(json.loads(line))
                 if child.has("done"):
@@ -87,7 +142,9 @@ def run_child(request: dict, selection: list[Icd] | None, time_limit: float) -> 
                 pass
         finally:
             end_child(process)
-            answers.close()
+            self._keep_built(child)
+            text = self._said()
+            self.end()
         if child.has("done"):
             if status is None:
                 child.end = "does not stop"
@@ -96,10 +153,20 @@ def run_child(request: dict, selection: list[Icd] | None, time_limit: float) -> 
         elif status is None:
             child.death = f"no answer within {time_limit:g} s"
         else:
-            stderr.seek(0)
-            text = stderr.read()[-20000:].decode("utf-8", errors="replace")
             child.death = _death(status, text)
-    return child
+        return child
+
+    def _said(self) -> str:
+        self._stderr.seek(0)
+        return self._stderr.read()[-20000:].decode("utf-8", errors="replace")
+
+    def _keep_built(self, child: Child) -> None:
+        for event in child.events:
+            if event["event"] == "built" and self._keep is not None:
+                with suppress(OSError):
+                    target = self._keep / event["place"]
+                    target.parent.mkdir(parents=True, exist_ok=True)
+                    os.rename(self._pocl / event["place"], target)
 
 
 def _lines_in_time(source: int, limit: Callable[[], float]) -> Iterator[bytes]:

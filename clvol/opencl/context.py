@@ -11,7 +11,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -155,6 +155,7 @@ class DeviceContext:
         self._written: WeakKeyDictionary[DeviceArray, bytes] = WeakKeyDictionary()  # by write_once
         self._programs: dict[tuple, Any] = {}
         self._kernels: dict[tuple, Kernel] = {}
+        self.warmed: set[Hashable] = set()  # what has been launched once, by keys of those who launch it
 
     def release(self) -> None:
         """Waits for the queue, forgets kernels and programs, and stores the programs for later processes."""
@@ -168,6 +169,7 @@ class DeviceContext:
         self._outputs.clear()
         self._programs.clear()
         self._kernels.clear()
+        self.warmed.clear()
 
     # Programs
 

@@ -17,7 +17,7 @@ from clvol.opencl.notices import notice
 from clvol.opencl.program_store import EACH_TIME
 from clvol.opencl.reports import DeviceReport, Findings, Icd
 
-_FORMAT = 3  # version of the cache file's format
+_FORMAT = 4  # version of the cache file's format
 _KEPT = 16  # cache files kept in the folder
 _VENDORS = "OCL_ICD_VENDORS"
 # Environment variables that change what a platform lists or how it behaves start like this.
@@ -111,7 +111,7 @@ def read_cache(key: str) -> Findings | None:
     if not any(report.working for report in reports):
         return None
     _came_from_cache = True
-    return Findings(reports, selection)
+    return Findings(reports, selection, bool(content["complete"]))
 
 
 _FIELD_TYPES = {
@@ -130,7 +130,7 @@ def write_cache(key: str, findings: Findings) -> None:
         notice("cache", f"there is none ({why_no_cache()}); {EACH_TIME}")
         return
     selection = findings.selection
-    content = {"key": key, "reports": [asdict(report) for report in findings.reports],
+    content = {"key": key, "complete": findings.complete, "reports": [asdict(report) for report in findings.reports],
                "selection": None if selection is None else [[i.path, i.library] for i in selection]}
     temporary = path.with_name(f".{path.name}.{os.getpid()}")
     try:

@@ -9,20 +9,21 @@ only the first run after a change pays for it.
 
 from __future__ import annotations
 
+import atexit
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from clvol.errors import DeviceError
+from clvol.errors import ClvolError, DeviceError
 from clvol.limits import check_room_for_opencl
 from clvol.opencl import device_cache
 from clvol.opencl.binding import cl
-from clvol.opencl.children import ORIGINAL_VENDORS
+from clvol.opencl.children import ORIGINAL_VENDORS, BegunChild
 from clvol.opencl.forks import check_fork, opencl_used
 from clvol.opencl.icd import platforms_wanted, point_loader_at
-from clvol.opencl.pocl_programs import own_pocl_folder
-from clvol.opencl.probing import probe
+from clvol.opencl.pocl_programs import foresee, foreseen_folder, is_empty, own_pocl_folder
+from clvol.opencl.probing import begin, probe
 from clvol.opencl.reports import DeviceReport, Findings, rank
 from clvol.opencl.runtime import register_runtimes
 
@@ -33,6 +34,7 @@ TIME_LIMIT = 30.0  # seconds that each step of a probe (listing, one device) may
 HOW_TO_GET_ONE = 'a CPU device: "apt install pocl-opencl-icd", or pip install "clvol[cpu]"'
 
 _found: Findings | None = None
+_begun: BegunChild | None = None  # by look_ahead
 
 
 # --- public -----------------------------------------------------------------------------------
@@ -47,15 +49,24 @@ def list_devices(*, fresh: bool = False, time_limit: float = TIME_LIMIT) -> list
     out, this process's ``OCL_ICD_VENDORS`` is set: call it before the first OpenCL call. Raises
     :class:`clvol.errors.RenderError` where a limit on memory leaves compilers no room (``ulimit -v``).
     """
-    global _found
-    if _found is None or fresh:
+    return _reports(fresh, False, time_limit)
+
+
+def _reports(fresh: bool = False, enough: bool = True, time_limit: float = TIME_LIMIT) -> list[DeviceReport]:
+    """As ``list_devices``. ``enough``: if PoCL's device works, others need not have been tried."""
+    global _found, _begun
+    if _found is None or fresh or not (enough or _found.complete):
         register_runtimes()
         wanted, native = platforms_wanted()
         key = device_cache.cache_key(wanted, ORIGINAL_VENDORS)
         findings = None if fresh else device_cache.read_cache(key)
-        if findings is None:
+        if findings is None or not (enough or findings.complete):
             check_room_for_opencl(loaded=False)
-            findings = probe(wanted, native, time_limit)
+            enough = enough and not fresh
+            if not enough:
+                end_look_ahead()
+            begun, _begun = _begun, None
+            findings = probe(wanted, native, time_limit, enough, begun, foresee)
             if any(report.working for report in findings.reports):
                 device_cache.write_cache(key, findings)
             else:
@@ -63,6 +74,56 @@ def list_devices(*, fresh: bool = False, time_limit: float = TIME_LIMIT) -> list
         _found = findings
         point_loader_at(findings.selection)
     return list(_found.reports)
+
+
+def look_ahead() -> None:
+    """Begins to look for devices in a process of its own, if no earlier process has, for whoever opens one later:
+    scenes are loaded meanwhile. Raises nothing."""
+    global _found, _begun
+    if _found is not None or _begun is not None:
+        return
+    try:
+        register_runtimes()
+        wanted, native = platforms_wanted()
+        findings = device_cache.read_cache(device_cache.cache_key(wanted, ORIGINAL_VENDORS))
+        if findings is not None:
+            _found = findings
+            point_loader_at(findings.selection)
+            return
+        check_room_for_opencl(loaded=False)
+        _begun = begin(wanted, native, foreseen_folder())
+    except (ClvolError, OSError):  # whoever opens a device meets it
+        return
+
+
+def end_look_ahead() -> None:
+    """Ends the process of ``look_ahead``, if nobody has waited for it."""
+    global _begun
+    if _begun is not None:
+        _begun.end()
+        _begun = None
+
+
+def _forget_begun() -> None:
+    global _begun
+    _begun = None  # it is the parent's
+
+
+atexit.register(end_look_ahead)
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_forget_begun)
+
+
+def is_looking_ahead() -> bool:
+    """Whether ``look_ahead`` has begun with what is not finished yet, on a machine where no program is kept yet."""
+    return _begun is not None and is_empty()
+
+
+def build_ahead(programs: Sequence[Mapping[str, str]]) -> None:
+    """Has ``programs`` (``build.foreseen_program``) built for PoCL in the process of ``look_ahead``, where the compiler
+    is loaded already."""
+    if _begun is not None:
+        _begun.build(programs)
 
 
 def open_device(name: str | None = None) -> pyopencl.Device:
@@ -75,12 +136,12 @@ def open_device(name: str | None = None) -> pyopencl.Device:
     check_fork()
     pin_threads()
     for fresh in (False, True):
-        reports = list_devices(fresh=fresh)
+        reports = _reports(fresh, name is None or name.strip().lower() == "pocl")
         try:
             candidates = select(reports, name)
         except DeviceError:
-            # The cache may be out of date (a driver repaired, a device added): look once more.
-            if fresh or not device_cache.came_from_cache():
+            # The cache may be out of date (a driver repaired, a device added), or not all were tried: look once more.
+            if fresh or not (device_cache.came_from_cache() or (_found is not None and not _found.complete)):
                 raise
             continue
         for report in candidates:
@@ -118,7 +179,7 @@ def named_devices(name: str | None = None) -> list[str]:
     whole, slash, parts = (name or "").rpartition(":")
     if slash and "/" in parts:
         return [f"{select(list_devices(), whole)[0].name}:{parts}"]
-    return [select(list_devices(), name)[0].name]
+    return [select(_reports() if name is None else list_devices(), name)[0].name]
 
 
 def one_per_processor(reports: list[DeviceReport]) -> list[DeviceReport]:
@@ -226,7 +287,7 @@ def report_of(device: pyopencl.Device) -> DeviceReport | None:
     platform = device.platform
     if device not in platform.get_devices():  # a part of one
         return None
-    for report in list_devices():
+    for report in _reports():
         if ((platform.name, platform.version) == (report.platform, report.platform_version)
                 and _is(device, report)
                 and platform.get_devices().index(device) == report.device_index):

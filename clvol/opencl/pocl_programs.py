@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from clvol.opencl.folders import scratch_folder
-from clvol.opencl.program_store import Files, program_folder, read_program, write_program
+from clvol.opencl.program_store import ENDING, Files, program_folder, read_program, write_program
 
 _VARIABLE = "POCL_CACHE_DIR"
 
@@ -26,6 +26,7 @@ _places: dict[str, str] = {}  # of programs, by key: PoCL's folder, relative to 
 _kept: dict[str, dict[str, int]] = {}  # by key: sizes of the files that the store has
 _asked: set[str] = set()  # keys of programs built since `keep` was last called
 _seen: set[str] = set()  # PoCL's folders of programs so far
+_foreseen: dict[str, str] = {}  # of programs built by the process which looked for devices, by token: PoCL's folder
 
 
 @contextmanager
@@ -79,6 +80,40 @@ def restore(key: str) -> bool:
     _seen.add(place)
     _kept[key] = {name: len(content) for name, content in files.items()}
     return True
+
+
+def foreseen_folder() -> Path:
+    """Where the process that looks for devices leaves the programs that it builds."""
+    return scratch_folder() / "foreseen"
+
+
+def foresee(token: str, place: str) -> None:
+    """Records that the program of this token is in PoCL's folder ``place`` of ``foreseen_folder``."""
+    _foreseen[token] = place
+
+
+def adopt(key: str, token: str) -> bool:
+    """Gives PoCL the program of this key, if it was foreseen as that of ``token``; returns whether PoCL has it now."""
+    place = _foreseen.pop(token, None)
+    if place is None or _folder is None:
+        return False
+    try:
+        (_folder / place).parent.mkdir(parents=True, exist_ok=True)
+        os.rename(foreseen_folder() / place, _folder / place)
+    except OSError:
+        return False
+    _places[key] = place
+    _seen.add(place)
+    return True
+
+
+def is_empty() -> bool:
+    """Whether no process has stored a program of PoCL yet."""
+    folder = program_folder(pocl=True)
+    try:
+        return folder is None or not any(entry.name.endswith(ENDING) for entry in os.scandir(folder))
+    except OSError:
+        return True
 
 
 def built(key: str) -> None:

@@ -8,6 +8,7 @@ argument; answers one JSON object a line on what was standard output when it sta
     {"event": "device", "platform_index": ...}  a device's properties; its test begins now
     {"event": "tested", "working": true, ...}   the outcome for the device named last
     {"event": "listed"}                         nothing is left to test
+    {"event": "built", "token": ..., "place": ...}   PoCL has a program, in this folder of its cache
     {"event": "icd", "path": ..., "error": ...} a registered library that cannot be loaded
     {"event": "done"}
 
@@ -80,8 +81,8 @@ def describe(device) -> dict:
     return properties
 
 
-def try_device(device, source: str, salt: str) -> None:
-    """Compile and run the probe kernel and check every number. Raises on any failure.
+def try_device(device, source: str, salt: str):
+    """Compile and run the probe kernel and check every number; returns its context. Raises on any failure.
 
     ``salt`` is part of the build options, so that no cache can hide a compiler that does not work.
     """
@@ -121,6 +122,7 @@ def try_device(device, source: str, salt: str) -> None:
         # OpenCL allows a float division 2.5 ULP; the sums of multiples of 1/4 are exact.
         if not np.allclose(got, right, rtol=4 * float(np.finfo(np.float32).eps), atol=0.0):
             raise ArithmeticError(f"the probe kernel computes wrongly ({what})")
+    return context
 
 
 def failure_line(error: BaseException) -> str:
@@ -128,6 +130,33 @@ def failure_line(error: BaseException) -> str:
     line = first_meaningful_line(str(error))
     name = type(error).__name__
     return line or name
+
+
+def is_pocl(platform) -> bool:
+    return platform.name == "Portable Computing Language"
+
+
+def build_programs(context, answer) -> None:
+    """Builds the programs that standard input names until it ends, each a line of JSON."""
+    import pyopencl as cl
+
+    folder = os.environ["POCL_CACHE_DIR"]
+    known = places_in(folder)
+    for line in sys.stdin:
+        program = json.loads(line)
+        try:
+            cl._cl._Program(context, program["source"]).build(program["options"].encode(), None)
+        except Exception:  # whoever needs it meets the error
+            continue
+        new = places_in(folder) - known
+        known |= new
+        if len(new) == 1:
+            answer({"event": "built", "token": program["token"], "place": new.pop()})
+
+
+def places_in(folder: str) -> set:
+    """The folders of programs in PoCL's cache."""
+    return {f"{a.name}/{b.name}" for a in os.scandir(folder) if a.is_dir() for b in os.scandir(a.path) if b.is_dir()}
 
 
 def main(request: dict, answer) -> None:
@@ -149,7 +178,9 @@ def main(request: dict, answer) -> None:
     if not request["enumerate_only"]:
         with open(request["kernel"], encoding="utf-8") as file:
             source = file.read()
-    for p, platform in enumerate(platforms):
+    pocl = None  # the context of its device, once that works
+    # PoCL first: where its device is enough, the others need not be tried.
+    for p, platform in sorted(enumerate(platforms), key=lambda pair: not is_pocl(pair[1])):
         common = {"event": "device", "platform_index": p, "device_index": -1,
                   "platform": platform.name, "platform_version": platform.version}
         try:
@@ -166,14 +197,22 @@ def main(request: dict, answer) -> None:
         for d, device in enumerate(devices):
             if (p, d) in skip:
                 continue
-            answer({**common, "device_index": d, **describe(device)})
+            described = describe(device)
+            answer({**common, "device_index": d, **described})
+            if pocl is not None and request.get("pocl_is_enough"):
+                answer({"event": "tested", "working": False, "reason": "not tried yet", "left_out": True})
+                continue
             try:
-                try_device(device, source, request["salt"])
+                context = try_device(device, source, request["salt"])
             except Exception as error:
                 answer({"event": "tested", "working": False, "reason": failure_line(error)})
             else:
                 answer({"event": "tested", "working": True, "reason": ""})
+                if pocl is None and is_pocl(platform) and described["type"] == "CPU":
+                    pocl = context
     answer({"event": "listed"})
+    if pocl is not None and request.get("serves"):
+        build_programs(pocl, answer)
     # Last, because opening a stranger's library may do anything: which ones cannot even be loaded.
     import ctypes
 

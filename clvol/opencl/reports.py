@@ -46,10 +46,12 @@ class Icd:
 
 @dataclass
 class Findings:
-    """The outcome of a probe: the reports, and the platforms to use if not the loader's own."""
+    """The outcome of a probe: the reports, and the platforms to use if not the loader's own. ``complete``: all devices
+    were tried; else PoCL's works, and others were not."""
 
     reports: list[DeviceReport]
     selection: list[Icd] | None = None
+    complete: bool = True
 
 
 def rank(report: DeviceReport) -> tuple[int, str, int]:

@@ -11,7 +11,7 @@ import os
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache, cached_property, lru_cache
 from pathlib import Path
 
 from clvol.errors import RenderError
@@ -29,6 +29,18 @@ class _File:
     guarded: bool  # all of it between #ifndef NAME, #define NAME and the last #endif
     once: bool  # #pragma once
 
+    @cached_property
+    def _joined(self) -> dict[tuple[int, int], str]:
+        return {}
+
+    def part(self, start: int, end: int) -> list[str]:
+        """The text of the lines from ``start`` to before ``end``, if there are any. Many files are expanded often."""
+        if start == end:
+            return []
+        if (start, end) not in self._joined:
+            self._joined[start, end] = "\n".join(self.lines[start:end])
+        return [self._joined[start, end]]
+
 
 def whole_source(path: Path, folders: Sequence[Path]) -> str:
     """The text of ``path`` with what it includes, from the including file's folder or from ``folders``.
@@ -38,31 +50,32 @@ def whole_source(path: Path, folders: Sequence[Path]) -> str:
     :class:`clvol.errors.RenderError` for a file that cannot be read, or that includes itself.
     """
     out: list[str] = []
-    _expand(path, _Files(tuple(folders)), frozenset(), (), out)
+    _expand(os.fspath(path), _Files([os.fspath(folder) for folder in folders]), frozenset(), (), out)
     return "\n".join(out) + "\n"
 
 
 class _Files:
-    """Files as they are during one call, each looked for and read once: many are included from many places."""
+    """Files as they are during one call, each looked for and read once: many are included from many places. They go by
+    their paths as texts, which are compared many times as fast as ``Path`` objects."""
 
-    def __init__(self, folders: tuple[Path, ...]) -> None:
+    def __init__(self, folders: Sequence[str]) -> None:
         self._folders = folders
-        self._found: dict[tuple[str, Path], Path | None] = {}
-        self._read: dict[Path, _File] = {}
+        self._found: dict[tuple[str, str], str | None] = {}
+        self._read: dict[str, _File] = {}
 
-    def find(self, name: str, includer: Path) -> Path | None:
-        key = name, includer.parent
+    def find(self, name: str, includer: str) -> str | None:
+        key = name, os.path.dirname(includer)
         if key not in self._found:
-            self._found[key] = _find(name, includer, self._folders)
+            self._found[key] = _find(name, (key[1], *self._folders))
         return self._found[key]
 
-    def read(self, path: Path) -> _File:
+    def read(self, path: str) -> _File:
         if path not in self._read:
             self._read[path] = _read(path)
         return self._read[path]
 
 
-def _expand(path: Path, files: _Files, held: frozenset, within: tuple[Path, ...], out: list[str]) -> frozenset:
+def _expand(path: str, files: _Files, held: frozenset, within: tuple[str, ...], out: list[str]) -> frozenset:
     """Appends the lines of ``path`` to ``out``. ``held``: guarded files that are certainly above this
     place, whatever the conditions; returned with those that this file adds."""
     file = files.read(path)
@@ -95,55 +108,57 @@ def _expand(path: Path, files: _Files, held: frozenset, within: tuple[Path, ...]
         quoted = _QUOTED.match(rest)
         if not (quoted or is_once):  # <...>, or a macro: left to the compiler
             continue
-        out += file.lines[done:number]
+        out += file.part(done, number)
         done = number + 1
         if quoted is None or is_once:
             out.append("")
             continue
         found = files.find(quoted[1], path)
         if found is None:
-            out.append(f'#error "{_shown(Path(quoted[1]))} is not found"')
+            out.append(f'#error "{_shown(quoted[1])} is not found"')
         elif found in held or (found in within and files.read(found).guarded):
             out.append("")
         else:
             held = _expand(found, files, held, within, out)
             out.append(f'#line {number + 2} "{name}"')
-    out += file.lines[done:]
+    out += file.part(done, len(file.lines))
     if file.once:
         out.append("#endif")
     return held | {path} if file.guarded or file.once else held
 
 
-def _find(name: str, includer: Path, folders: Sequence[Path]) -> Path | None:
-    for folder in (includer.parent, *folders):
-        path = Path(os.path.normpath(folder / name))
-        if path.is_file():
+def _find(name: str, folders: Sequence[str]) -> str | None:
+    for folder in folders:
+        path = os.path.normpath(os.path.join(folder, name))
+        if os.path.isfile(path):
             return path
     return None
 
 
-def _shown(path: Path) -> str:
+@cache
+def _shown(path: str) -> str:
     """A file's name in a form that ``#line`` accepts."""
-    return re.sub(r"[^\w.+-]", "_", path.name, flags=re.ASCII)
+    return re.sub(r"[^\w.+-]", "_", os.path.basename(path), flags=re.ASCII)
 
 
-def _identity(path: Path) -> str:
-    return re.sub(r"\W", "_", path.name, flags=re.ASCII)
+def _identity(path: str) -> str:
+    return re.sub(r"\W", "_", os.path.basename(path), flags=re.ASCII)
 
 
-def _read(path: Path) -> _File:
+def _read(path: str) -> _File:
     try:
         status = os.stat(path)
         return _parsed(path, status.st_mtime_ns, status.st_size, status.st_ino)
     except OSError as error:
-        raise RenderError(str(path), f"cannot be read ({error.strerror})", "a kernel source") from None
+        raise RenderError(path, f"cannot be read ({error.strerror})", "a kernel source") from None
     except UnicodeDecodeError:
-        raise RenderError(str(path), "is not text in UTF-8", "a kernel source") from None
+        raise RenderError(path, "is not text in UTF-8", "a kernel source") from None
 
 
 @lru_cache(maxsize=256)
-def _parsed(path: Path, *_version: int) -> _File:
-    text = path.read_text(encoding="utf-8")
+def _parsed(path: str, *_version: int) -> _File:
+    with open(path, encoding="utf-8") as file:
+        text = file.read()
     # Comments go, but not their lines: nothing in them shall look like a directive, and the text is
     # half as long.
     code = _NOT_CODE.sub(lambda m: m[0] if m[0][0] in "\"'" else " " + "\n" * m[0].count("\n"), text)
@@ -154,7 +169,7 @@ def _parsed(path: Path, *_version: int) -> _File:
         at = match.start()
         directives.append((line, match[1], match[2]))
     once = any(name == "pragma" and rest == "once" for _, name, rest in directives)
-    lines = tuple(line.rstrip() for line in code.split("\n"))
+    lines = tuple([line.rstrip() for line in code.split("\n")])
     return _File(lines, tuple(directives), _is_guarded(code, directives), once)
 
 

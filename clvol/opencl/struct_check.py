@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -16,19 +17,24 @@ REPORT_ARGUMENTS = (writes("fields", _RECORD, "capacity"), value("capacity", np.
 """The arguments of the kernel ``struct_fields`` that REPORT_FIELDS defines."""
 
 Layout = dict[str, tuple[int, int]]  # offset and size in bytes of a struct and of its fields, by name
+_matching: WeakKeyDictionary[Kernel, list[dict[str, np.dtype]]] = WeakKeyDictionary()  # what was found to match
 _WHOLE = ""  # the name of the struct itself
 
 
 def check_structs(context: DeviceContext, kernel: Kernel, expected: Mapping[str, np.dtype]) -> None:
     """RenderError unless the device has the structs of ``expected`` (by name in OpenCL C) field for field.
 
-    ``kernel``: ``struct_fields`` of a program that reports them; it may report others.
+    ``kernel``: ``struct_fields`` of a program that reports them; it may report others. A program is asked once.
     """
+    matching, wanted = _matching.setdefault(kernel, []), dict(expected)
+    if wanted in matching:
+        return
     found = reported_structs(context, kernel)
     for name, dtype in expected.items():
         if name not in found:
             raise RenderError(f"struct {name}", "is not reported by the device", ", ".join(sorted(found)))
         compare(name, found[name], layout_of(dtype))
+    matching.append(wanted)
 
 
 def reported_structs(context: DeviceContext, kernel: Kernel) -> dict[str, Layout]:

@@ -18,14 +18,13 @@ from clvol.errors import DeviceError, RenderError, UsageError, VolumeError
 from clvol.features.compression import is_compressed
 from clvol.integrators.base import FrameData, Prepared, Progress, RefinesInTime
 from clvol.integrators.registry import check_scene, integrator_of
+from clvol.lazily import lazily
 from clvol.opencl.context import DeviceContext
 from clvol.opencl.devices import device_name, named_devices, open_devices
 from clvol.opencl.forks import check_fork, is_forked
 from clvol.render.device_group import DeviceGroup, SharedRays
 from clvol.render.frame import Frame, make_frame
 from clvol.render.frame_schedule import Schedule
-from clvol.render.isolation.member import isolated_members
-from clvol.render.isolation.segments import PictureMemory
 from clvol.render.made_from import MadeFrom
 from clvol.render.member import LocalMember, Member
 from clvol.render.notices import Notices
@@ -40,8 +39,13 @@ from clvol.volume.series import StepVolume, is_other_step
 if TYPE_CHECKING:
     import numpy as np
 
+    from clvol.render.isolation import member as isolated
+    from clvol.render.isolation import segments
     from clvol.scene import Scene
     from clvol.transfer import TransferFunction
+else:
+    isolated = lazily("clvol.render.isolation.member")
+    segments = lazily("clvol.render.isolation.segments")
 
 
 @dataclass
@@ -152,8 +156,8 @@ class Renderer:
         loaded = perf_counter()
         self._provenances: WeakSet[MadeFrom] = WeakSet()
         if isolate:
-            members: list[Member] = isolated_members(requested_names(devices))
-            group = DeviceGroup(members, PictureMemory())
+            members: list[Member] = isolated.isolated_members(requested_names(devices))
+            group = DeviceGroup(members, segments.PictureMemory())
         else:
             members = [LocalMember(context) for context in open_contexts(devices)]
             group = DeviceGroup(members)

@@ -43,6 +43,9 @@ class ChosenClassification:
 
 
 _known: WeakKeyDictionary = WeakKeyDictionary()  # Volume: {(function, step): RuleErrors | None}
+# What functions of the same volume share: the values along the last pieces of rays, and bounds of the first cells.
+_sampled: WeakKeyDictionary[Volume, tuple[tuple, tuple[np.ndarray, np.ndarray, np.ndarray]]] = WeakKeyDictionary()
+_first_drawn: WeakKeyDictionary[Volume, tuple[np.ndarray, np.ndarray, np.ndarray]] = WeakKeyDictionary()
 
 
 @dataclass(frozen=True)
@@ -107,26 +110,19 @@ def rule_errors(volume: Volume, function: TransferFunction, step: float) -> Rule
 
 def _rule_errors(volume: Volume, function: TransferFunction, step: float) -> RuleErrors | None:
     rng = np.random.default_rng(1)
-    cells = _shown_cells(volume.data, function, rng)
+    cells, draws = _shown_cells(volume, function, rng)
     if len(cells) < _FEWEST:
         return None
-    grid = volume.grid
-    length = step * grid.smallest_edge
+    length = step * volume.grid.smallest_edge
     units = length / function.opacity_unit
     if not 1e-100 < units < 1e100:
         return None
-    direction = rng.normal(size=cells.shape)
-    direction /= np.linalg.norm(direction, axis=1)[:, None]
-    change = direction * length / np.array(grid.spacing[::-1])
-    start = cells + rng.random(cells.shape) - change * _STEPS * rng.random((len(cells), 1))
-    t = np.arange(_STEPS * _PARTS + 1) / _PARTS
-    places = start[:, None] + t[None, :, None] * change[:, None]
-    inside = ((places >= 0) & (places <= np.array(volume.data.shape) - 1)).all(axis=2)
-    values = _trilinear(volume.data, places)
-    inside &= np.isfinite(values)
+    key = cells.tobytes(), draws, step
+    kept = _sampled.get(volume)
+    if kept is None or kept[0] != key:  # else the function before this one showed the same cells
+        kept = _sampled[volume] = key, _values_along(volume, cells, length, rng)
+    values, inside, counts = kept[1]
     values = np.where(inside, values, function.values[0])
-    counts = inside[:, :-1] & inside[:, 1:]
-    counts = np.repeat(counts.reshape(len(cells), _STEPS, _PARTS).all(axis=2), _PARTS, axis=1)
     integrals = TransferIntegrals(function, _OPAQUE * max(_PARTS / units, 1.0))  # more than any finite extinction
     exact = _colors(integrals.mean_along(values), units / _PARTS, counts)
     whole, ends, middle = counts[:, ::_PARTS], values[:, ::_PARTS], values[:, _PARTS // 2 :: _PARTS]
@@ -139,23 +135,50 @@ def _rule_errors(volume: Volume, function: TransferFunction, step: float) -> Rul
     return RuleErrors(float(np.sqrt(by_post.mean() / 4)), float(np.sqrt(by_chord.mean() / 4)), told)
 
 
-def _shown_cells(data: np.ndarray, function: TransferFunction, rng: np.random.Generator) -> np.ndarray:
-    """int [n, 3], at most _PIECES: lower corners of random cells between whose voxels something shows."""
+def _values_along(
+    volume: Volume, cells: np.ndarray, length: float, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Values along pieces of rays through ``cells`` with steps of world ``length``, and whether they are known,
+    [pieces, parts + 1]; whether a part belongs to a step whose values all are, [pieces, parts]."""
+    direction = rng.normal(size=cells.shape)
+    direction /= np.linalg.norm(direction, axis=1)[:, None]
+    change = direction * length / np.array(volume.grid.spacing[::-1])
+    start = cells + rng.random(cells.shape) - change * _STEPS * rng.random((len(cells), 1))
+    t = np.arange(_STEPS * _PARTS + 1) / _PARTS
+    places = start[:, None] + t[None, :, None] * change[:, None]
+    inside = ((places >= 0) & (places <= np.array(volume.data.shape) - 1)).all(axis=2)
+    values = _trilinear(volume.data, places)
+    inside &= np.isfinite(values)
+    counts = inside[:, :-1] & inside[:, 1:]
+    counts = np.repeat(counts.reshape(len(cells), _STEPS, _PARTS).all(axis=2), _PARTS, axis=1)
+    return values, inside, counts
+
+
+def _shown_cells(volume: Volume, function: TransferFunction, rng: np.random.Generator) -> tuple[np.ndarray, int]:
+    """int [n, 3], at most _PIECES: lower corners of random cells between whose voxels something shows; and how many
+    draws that took."""
+    data = volume.data
     shape = np.array(data.shape)
     shows = (function.opacities[1:] > 0) | (function.opacities[:-1] > 0)
     shown = np.concatenate([[0.0], np.cumsum(np.where(shows, np.diff(function.values), 0.0))])
     found: list[np.ndarray] = []
     for draws in _DRAWS:
         cells = rng.integers(0, np.maximum(shape - 1, 1), (draws, 3))
-        corners = [np.minimum(cells + corner, shape - 1).T for corner in np.ndindex(2, 2, 2)]
-        values = np.stack([data[tuple(corner)] for corner in corners]).astype(np.float64)
-        low, high = values.min(axis=0), values.max(axis=0)
+        if found or volume not in _first_drawn:
+            corners = [np.minimum(cells + corner, shape - 1).T for corner in np.ndindex(2, 2, 2)]
+            values = np.stack([data[tuple(corner)] for corner in corners]).astype(np.float64)
+            bounds = values.min(axis=0), values.max(axis=0), np.asarray(np.isfinite(values).all(axis=0))
+            if not found:
+                _first_drawn[volume] = bounds
+        else:
+            bounds = _first_drawn[volume]
+        low, high, finite = bounds
         between = np.interp(high, function.values, shown) > np.interp(low, function.values, shown)
         at_ends = (function.opacity(low) > 0) | (function.opacity(high) > 0)
-        found.append(cells[(between | at_ends) & np.isfinite(values).all(axis=0)])
+        found.append(cells[(between | at_ends) & finite])
         if sum(map(len, found)) >= _PIECES:
             break
-    return np.concatenate(found)[:_PIECES]
+    return np.concatenate(found)[:_PIECES], len(found)
 
 
 def _trilinear(data: np.ndarray, places: np.ndarray) -> np.ndarray:

@@ -15,7 +15,7 @@ from clvol.scene.default_unit import default_opacity_unit
 from clvol.scene.integration import Integration
 from clvol.scene.light import Light
 from clvol.scene.material import Material
-from clvol.scene.preset_file import PresetFile, has_technique, load_preset
+from clvol.scene.preset_file import PresetFile, load_preset
 from clvol.scene.transfer_function import ControlPoint, TransferFunctionSettings
 
 if TYPE_CHECKING:
@@ -31,8 +31,6 @@ def completed(scene: Scene, memory_cap: int | None = None) -> Scene:
     Its ``chosen`` says what was chosen, and why. Raises SceneError, VolumeError.
     """
     given = scene.transfer_function
-    if given is not None and not (isinstance(given, TransferFunctionSettings) and has_technique(given.preset)):
-        return scene
     picture = scene.first_picture(memory_cap)
     wanted = Wanted(
         lit=scene.integration.shades and scene.compression.decode != "resident",

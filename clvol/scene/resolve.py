@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from clvol.errors import SceneError
+from clvol.lazily import lazily
 from clvol.readers import is_url, load_volume
 from clvol.readers.options import ALL_TIMES
 from clvol.readers.series import file_series, files_of, is_pattern, series_name
@@ -54,12 +55,14 @@ from clvol.volume.axis import ValueAxis
 from clvol.volume.grid import Grid
 from clvol.volume.lazy import FilledVolume, LazyVolume
 from clvol.volume.memory import check_memory
-from clvol.volume.procedural import scene_field
 from clvol.volume.series import StepVolume, VolumeSeries
 from clvol.volume.volume import Volume
 
 if TYPE_CHECKING:
     from clvol.scene.scene import Scene
+    from clvol.volume import procedural
+else:
+    procedural = lazily("clvol.volume.procedural")
 
 LARGEST_STEP_COUNT = 2**24  # a float32 counts no further
 
@@ -214,7 +217,7 @@ def load_scene_volume(
         return settings
     if settings.field is not None and settings.size is not None:
         check_memory(f"{origin}: volume.size", math.prod(settings.size), memory_cap)
-        volume = scene_field(settings.field, settings.size, settings.spacing or (1.0, 1.0, 1.0))
+        volume = procedural.scene_field(settings.field, settings.size, settings.spacing or (1.0, 1.0, 1.0))
         volume.axis = ValueAxis(settings.slope, settings.offset)
         return volume
     if settings.file is None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from pydantic import (
@@ -18,7 +18,7 @@ from pydantic import (
     model_validator,
 )
 
-from clvol.choice.first_picture import FirstPicture
+from clvol.lazily import lazily
 from clvol.readers import is_url
 from clvol.readers.series import named_files
 from clvol.scene.animation import Animation
@@ -31,7 +31,6 @@ from clvol.scene.depth_cue import DepthCue
 from clvol.scene.display import Display
 from clvol.scene.environment import Environment
 from clvol.scene.field import LARGEST_COUNT, FieldSettings
-from clvol.scene.first_picture import completed
 from clvol.scene.gradient import GradientSettings
 from clvol.scene.image import ImageSettings
 from clvol.scene.integration import Integration
@@ -43,6 +42,7 @@ from clvol.scene.noise import LARGEST_COUNT as LARGEST_NOISES
 from clvol.scene.noise import Noise
 from clvol.scene.opacity_factor import DirectionalOpacity, GradientOpacity
 from clvol.scene.overlay import Overlay
+from clvol.scene.preset_file import has_technique
 from clvol.scene.pyramid import Pyramid
 from clvol.scene.resolve import ResolvedScene, is_series, load_scene_volume, resolve
 from clvol.scene.shadow import Shadow
@@ -57,6 +57,13 @@ from clvol.transfer import TransferFunction
 from clvol.volume.adopted import is_array_like
 from clvol.volume.series import StepVolume, VolumeSeries
 from clvol.volume.volume import Volume
+
+if TYPE_CHECKING:
+    from clvol.choice import first_picture as choice
+    from clvol.scene import first_picture as completion
+else:
+    choice = lazily("clvol.choice.first_picture")
+    completion = lazily("clvol.scene.first_picture")
 
 _TABLE = "a table"
 _TABLES = "a list of tables"
@@ -446,11 +453,11 @@ class Scene(Table):
             volumes.append(volume)
         return tuple(volumes)
 
-    def first_picture(self, memory_cap: int | None = None) -> FirstPicture:
+    def first_picture(self, memory_cap: int | None = None) -> choice.FirstPicture:
         """What suits the volume, which is examined once. ``memory_cap``: as for ``load_volume``."""
         if self._first is None:
             volume = self.load_volume(memory_cap)
-            self._first = FirstPicture(volume.widest if isinstance(volume, StepVolume) else volume)
+            self._first = choice.FirstPicture(volume.widest if isinstance(volume, StepVolume) else volume)
         return self._first
 
     def completed(self, memory_cap: int | None = None) -> Scene:
@@ -459,7 +466,10 @@ class Scene(Table):
 
         ``memory_cap``: as for ``load_volume``. Raises SceneError, VolumeError.
         """
-        return completed(self, self._memory_cap if memory_cap is None else memory_cap)
+        given = self.transfer_function
+        if given is not None and not (isinstance(given, TransferFunctionSettings) and has_technique(given.preset)):
+            return self
+        return completion.completed(self, self._memory_cap if memory_cap is None else memory_cap)
 
     @property
     def chosen(self) -> dict[str, Any] | None:

@@ -7,14 +7,19 @@ import mmap
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
+from clvol.lazily import lazily
 from clvol.volume.axis import ValueAxis
 from clvol.volume.grid import Grid
-from clvol.volume.procedural import placed_field, sample_box
 from clvol.volume.volume import Volume
+
+if TYPE_CHECKING:
+    from clvol.volume import procedural
+else:
+    procedural = lazily("clvol.volume.procedural")
 
 
 class VoxelSource(Protocol):
@@ -109,7 +114,7 @@ class FieldSource:
     ) -> None:
         self.name: str | None = kind
         self.axis = axis
-        self._field, self.grid = placed_field(kind, size, spacing)
+        self._field, self.grid = procedural.placed_field(kind, size, spacing)
         self.shape = self.grid.shape
 
     @property
@@ -118,4 +123,4 @@ class FieldSource:
 
     def box(self, z0: int, z1: int, y0: int, y1: int, x0: int, x1: int) -> np.ndarray:
         box = slice(z0, z1), slice(y0, y1), slice(x0, x1)
-        return sample_box(self._field, self.grid, self.dtype, box)
+        return procedural.sample_box(self._field, self.grid, self.dtype, box)

@@ -44,16 +44,19 @@ class TransferIntegrals:
     def extinction(self, s: ArrayLike) -> np.ndarray:
         """Extinction per opacity unit, and colour times it, at values ``s`` [...]: float64 [..., 4]."""
         s = np.asarray(s, np.float64)
+        opacity, color = self.function.opacity_and_color(s)
         with np.errstate(divide="ignore"):
-            tau = np.minimum(-np.log1p(-self.function.opacity(s)), self.opaque)
-        return np.concatenate([tau[..., None], self.function.color(s) * tau[..., None]], axis=-1)
+            tau = np.minimum(-np.log1p(-opacity), self.opaque)
+        return np.concatenate([tau[..., None], color * tau[..., None]], axis=-1)
 
     def at(self, s: ArrayLike) -> np.ndarray:
         """The integrals from the first control point to values ``s`` [...], which are finite: float64 [..., 4]."""
         s = np.asarray(s, np.float64)
         values = self.function.values
         inside = np.clip(s, values[0], values[-1])
-        beyond = self.extinction(inside) * (s - inside)[..., None]
+        outside = inside != s
+        beyond = np.zeros((*s.shape, 4))
+        beyond[outside] = self.extinction(inside[outside]) * (s - inside)[outside][..., None]
         if values.size == 1:
             return beyond
         piece = np.clip(np.searchsorted(values, inside, side="right") - 1, 0, values.size - 2)

@@ -26,19 +26,17 @@ class RangeExtremes:
     """The maximum of ``values`` [n] over any span, from a table of spans of powers of two."""
 
     def __init__(self, values: np.ndarray) -> None:
-        self._table = [np.asarray(values, np.float64)]
-        while 2 << (len(self._table) - 1) <= len(values):
-            last, half = self._table[-1], 1 << (len(self._table) - 1)
-            self._table.append(np.maximum(last[:-half], last[half:]))
+        values = np.asarray(values, np.float64)
+        self._table = np.zeros((max(len(values).bit_length(), 1), len(values)))  # [k, i]: of 2^k values from the i-th
+        self._table[0] = values
+        for k in range(1, len(self._table)):
+            half, count = 1 << (k - 1), len(values) - (1 << k) + 1
+            np.maximum(self._table[k - 1, :count], self._table[k - 1, half : half + count], out=self._table[k, :count])
 
     def largest(self, first: np.ndarray, last: np.ndarray) -> np.ndarray:
         """The maximum of the values from ``first`` to ``last``, both included; ``first`` <= ``last``."""
         power = np.frexp(last - first + 1)[1] - 1
-        out = np.empty(first.shape)
-        for k, row in enumerate(self._table):
-            those = power == k
-            out[those] = np.maximum(row[first[those]], row[last[those] + 1 - (1 << k)])
-        return out
+        return np.maximum(self._table[power, first], self._table[power, last + 1 - (1 << power)])
 
 
 def most_steps(
@@ -61,13 +59,14 @@ def most_steps(
     """
     curvature, slope, low, high = np.asarray(bounds, np.float64).T
     nodes = _with_knots(nodes, function.values)
+    if len(nodes) == 1:  # a constant volume: nothing changes along any segment
+        return np.full(len(bounds), edge, np.uint8)
     known = low <= high
     low, high = np.where(known, low, nodes[0]), np.where(known, high, nodes[0])
     first = np.clip(np.searchsorted(nodes, low, side="right") - 1, 0, len(nodes) - 2)
     last = np.clip(np.searchsorted(nodes, high, side="left") - 1, first, len(nodes) - 2)
-    opacity = np.minimum(function.opacity(nodes), _OPAQUE)
-    extinction = -np.log1p(-opacity) / function.opacity_unit
-    color = function.color(nodes)
+    opacity, color = function.opacity_and_color(nodes)
+    extinction = -np.log1p(-np.minimum(opacity, _OPAQUE)) / function.opacity_unit
     rates = np.concatenate([extinction[:, None], extinction[:, None] * color], axis=1)
     slopes = np.diff(rates, axis=0) / np.diff(nodes)[:, None]
     # Many cells have the same values: each span of nodes is looked at once.

@@ -26,6 +26,7 @@ SUITES = {
     "devices": (("aneurism",), ("aneurism.nrrd",)),
     "workers": ((), ()),
     "slicing": ((), ("engine.nrrd",)),
+    "coherence": ((), ("engine.nrrd",)),
     "supersampling": (("aneurism",), ("aneurism.nrrd",)),
     "gallery": (("tooth-layers",), ("tooth.nrrd",)),
 }

@@ -21,7 +21,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 # From the bottom up: a module imports its own room and rooms that are listed before it.
 ORDER = (
-    ("errors", "text", "interrupts", "limits", "json_values", "quietly", "cache_folder"),
+    ("errors", "text", "interrupts", "limits", "json_values", "quietly", "cache_folder", "lazily"),
     ("volume",), ("inputs",), ("transfer",), ("store",), ("readers",), ("choice",), ("image",), ("scene",),
     ("features",), ("overlay",), ("schedule",), ("opencl",), ("device",), ("encoding",), ("integrators",),
     ("render", "explanation"), ("accuracy",), ("bricks",), ("batch",), ("cluster",), ("cli",),
@@ -84,6 +84,10 @@ def _imports_of(module: str) -> Iterator[Import]:
             for alias in node.names:
                 if alias.name.split(".")[0] == "clvol":
                     yield Import(module, alias.name, "", hidden)
+        elif isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "lazily":
+            target = node.args[0].value if isinstance(node.args[0], ast.Constant) else ""
+            if target in modules():
+                yield Import(module, target, "", hidden)
         inside = hidden or isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef))
         for child in ast.iter_child_nodes(node):
             yield from visit(child, inside)

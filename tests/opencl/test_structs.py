@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from weakref import WeakKeyDictionary
+
 import numpy as np
 import pytest
 
 from clvol.errors import RenderError
+from clvol.opencl import struct_check
 from clvol.opencl.struct_check import REPORT_ARGUMENTS, check_structs, layout_of, reported_structs
 from clvol.opencl.structs import (
     BLOCK_PAYLOAD,
@@ -96,3 +99,19 @@ def test_fields_are_aligned_as_in_opencl():
     assert made.itemsize % 16 == 0 and BLOCKS.itemsize == 32
     with pytest.raises(ValueError, match="type 'float3' of 'a'"):
         struct(("float3", "a"))
+
+
+def test_a_program_is_asked_once(context, reporter, monkeypatch):
+    asked = []
+    reported = struct_check.reported_structs
+    monkeypatch.setattr(struct_check, "reported_structs", lambda *given: asked.append(1) or reported(*given))
+    monkeypatch.setattr(struct_check, "_matching", WeakKeyDictionary())
+    for _ in range(3):
+        check_structs(context, reporter(16), {"View": view_dtype(16)})
+    assert len(asked) == 1
+    check_structs(context, reporter(16), SHARED)  # other structs, and another program, are asked for
+    check_structs(context, reporter(8), {"View": view_dtype(8)})
+    assert len(asked) == 3
+    for _ in range(2):
+        with pytest.raises(RenderError):
+            check_structs(context, reporter(8), {"View": _swapped(view_dtype(8), "step", "stop_opacity")})

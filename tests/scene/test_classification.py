@@ -10,6 +10,7 @@ import pytest
 
 from clvol import Renderer, Scene
 from clvol.explanation import explain
+from clvol.scene import classification
 from clvol.scene.classification import chosen_for, rule_errors, with_classification
 from clvol.transfer import TransferFunction
 from clvol.volume import Volume
@@ -111,3 +112,17 @@ def test_errors_fall_with_the_step(step, order):
     volume = volume_of()
     coarse, fine = rule_errors(volume, SMOOTH, step), rule_errors(volume, SMOOTH, order)
     assert fine.post < 0.5 * coarse.post and fine.preintegrated < 0.5 * coarse.preintegrated
+
+
+def test_functions_of_one_volume_share_its_samples(monkeypatch):
+    volume, read = volume_of(), []
+    trilinear = classification._trilinear
+    monkeypatch.setattr(classification, "_trilinear", lambda *given: read.append(1) or trilinear(*given))
+    functions = [TransferFunction(SMOOTH.values, share * SMOOTH.opacities, COLORS) for share in (1.0, 0.7, 0.4)]
+    found = [rule_errors(volume, function, 0.5) for function in functions]
+    assert len(read) == 1 and len({errors.post for errors in found}) == 3
+    # A function that shows other cells, and another step, have samples of their own.
+    rule_errors(volume, PEAK, 0.5), rule_errors(volume, SMOOTH, 1.0)
+    assert len(read) == 3
+    assert found == [rule_errors(volume_of(), function, 0.5) for function in functions]
+    assert len(read) == 6

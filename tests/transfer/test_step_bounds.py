@@ -33,3 +33,12 @@ def test_a_step_between_two_nodes_shortens_steps():
     at = 0.5 * (NODES[100] + NODES[101])
     step = TransferFunction([0.0, at, at, 1.0], [0.1, 0.1, 0.6, 0.6], [WHITE] * 4)
     assert steps_for(step, 0.2, 0.6, True) == 1 and steps_for(step, 0.2, 0.6, False) == 1
+
+
+def test_a_single_value_bounds_nothing():
+    function = TransferFunction([0.0, 255.0], [0.1, 0.3], [[1.0, 0.5, 0.25]] * 2)
+    bounds = np.array([[0.0, 0.0, 100.0, 100.0]] * 3)
+    for midpoints in (False, True):
+        nodes = np.linspace(100.0, 100.0, 257)
+        steps = most_steps(bounds, function, nodes, 1.0, 1.0, 1e-3, 8, midpoints, per_step=True)
+        assert steps.tolist() == [8, 8, 8]

@@ -130,7 +130,6 @@ class Raycaster:
         self.map_cells, self.map_shift = self.volume.cells, self.volume.cell_shift
         self.effects = EffectState(context, resolved, self.volume)
         self.view_dtype = view_dtype(self.volume.switches["VOXEL_BITS"])
-        self._warm: set[tuple] = set()
         self.without_surfaces: Raycaster | None = None
         self.no_array = context.empty(np.float32, (4,))
         self._view = context.empty(self.view_dtype, (1,))
@@ -399,8 +398,9 @@ class Raycaster:
         """``chosen``: the tiles of a picture without pixels that are launched; None: all."""
         tiles = tiling(width, height, *self.tile).count
         fills, lists = self.resolved.image.ray_spacing > 1, self.resolved.image.refines and self.lists_rays
-        key = (tiles, depth, fills, lists, chosen is None, tuple(self.switches.items()))
-        if key in self._warm or self.shows_nothing:
+        how = depth, fills, lists, chosen is None
+        key = (type(self.march), self.tile, tiles, *how, tuple(self.switches.items()))
+        if key in self.context.warmed or self.shows_nothing:
             return
         self.march.begin(self, None, width, height)
         view = np.zeros(1, self.view_dtype)  # an image without pixels: every work-item returns
@@ -423,7 +423,7 @@ class Raycaster:
             tallies.append(self.launches("listed_rays", view, tiles, depth, None, none, chosen))
         self.context.finish()
         restore_interrupts()
-        self._warm.add(key)
+        self.context.warmed.add(key)
 
     def launches(
         self,

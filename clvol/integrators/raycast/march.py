@@ -9,7 +9,7 @@ import numpy as np
 
 from clvol.device.arguments import Arguments
 from clvol.device.empty_space import distance_map
-from clvol.integrators.raycast.fine_cells import fine_mask
+from clvol.integrators.raycast.fine_cells import fine_masks
 from clvol.opencl.context import DeviceArray, DeviceContext, Kernel
 from clvol.opencl.struct_check import REPORT_ARGUMENTS, check_structs
 from clvol.scene.camera import Camera
@@ -90,14 +90,18 @@ class RayMarch:
         return context.kernel(f"{name}.cl", name, declared, switches)
 
     def find_empty_space(self, caster: Raycaster, mask: np.ndarray) -> None:
-        # Surfaces and fields have maps of the same cells, and noise moves what is in them. Where steps follow the data
-        # the picture depends, within its error, on where leaps end.
+        # Fields have maps of the same cells, and noise moves what is in them. Where steps follow the data the picture
+        # depends, within its error, on where leaps end.
         effects = caster.effects.switches
         plain = not effects or (effects.get("SEGMENT_OPACITIES") and not effects["NOISE"])
-        if caster.skip and plain and "STEP_CELLS" not in caster.switches:
-            fine = fine_mask(caster, mask)
-            if fine is not None:
-                mask, caster.map_cells, caster.map_shift = fine, fine.shape[::-1], FINE_SHIFT
+        surfaces = effects.get("ISOSURFACES") and not effects["NOISE"] and not effects["FIELDS"]
+        if caster.skip and (plain or surfaces) and "STEP_CELLS" not in caster.switches:
+            found = fine_masks(caster, mask)
+            if found is not None:
+                mask, met = found
+                caster.map_cells, caster.map_shift = mask.shape[::-1], FINE_SHIFT
+                if met is not None:
+                    caster.effects.set_surfaces(distance_map(caster.context, met))
         caster.distances = distance_map(caster.context, mask)
 
     def scene_changed(self, caster: Raycaster) -> None:

@@ -37,7 +37,10 @@ _WORTH = 2.5  # mean number of steps, in cells that show something, from which o
 _SAMPLED = 12  # cells along each axis that are looked at to decide
 _TYPICAL_ERROR = 1e-3  # of that decision, which must not depend on a setting that changes without compiling
 
+_KEPT = 64  # functions of a volume whose decision is known
+
 _samples: WeakKeyDictionary[Volume, np.ndarray] = WeakKeyDictionary()
+_gains: WeakKeyDictionary[Volume, dict[tuple[TransferFunction, bool], bool]] = WeakKeyDictionary()
 
 
 def follows_data(resolved: ResolvedScene, function: TransferFunction | None = None) -> bool:
@@ -64,13 +67,23 @@ def is_smooth(resolved: ResolvedScene, function: TransferFunction | None = None)
         return False
     if any(e.called_for and e.name not in PLAIN for e in effects(resolved)):
         return False
-    cells = sampled_cells(volume.widest if isinstance(volume, StepVolume) else volume)
     function = function or resolved.transfer_function
+    midpoints = segment_classification(integration, (function,)) == "post"
+    kept = _gains.setdefault(volume, {})
+    if (function, midpoints) not in kept:
+        while len(kept) >= _KEPT:
+            del kept[next(iter(kept))]
+        kept[function, midpoints] = _gains_by_steps(volume, function, midpoints)
+    return kept[function, midpoints]
+
+
+def _gains_by_steps(volume: Volume, function: TransferFunction, midpoints: bool) -> bool:
+    """Whether cells that show something allow steps that are long enough."""
+    cells = sampled_cells(volume.widest if isinstance(volume, StepVolume) else volume)
     nodes = np.linspace(*volume.value_range, 257)
     visible = shows(function, cells[:, 2], cells[:, 3])
     if not visible.any():
         return False
-    midpoints = segment_classification(integration, (function,)) == "post"
     edge = volume.grid.smallest_edge
     steps = most_steps(cells[visible], function, nodes, edge, 1.0, _TYPICAL_ERROR, MOST, midpoints, per_step=True)
     return float(np.mean(steps)) >= _WORTH

@@ -165,3 +165,23 @@ def test_small_cells_give_the_picture_of_large_ones_with_fewer_samples(context, 
     assert fine.samples < 0.75 * coarse.samples
     everything = Raycaster(context, scene, skip=False).render(scene.camera, 61, 57)
     np.testing.assert_array_equal(fine.rgba, everything.rgba)
+
+
+@pytest.mark.parametrize("filter", ["linear", "nearest"])
+def test_small_cells_for_surfaces_give_the_same_picture_and_fewer_of_them_are_looked_into(
+    context, monkeypatch, filter
+):
+    import clvol.integrators.raycast.fine_cells as module
+    from clvol.scene.isosurface import Isosurface
+
+    nothing = TransferFunction([0, 255], [0, 0], [[0, 0, 0]] * 2)
+    scene = make_scene(blobs(), nothing, camera=AROUND, width=61, height=57, classification="post", filter=filter)
+    scene = replace(scene, isosurfaces=(Isosurface(value=90.0, opacity=0.5), Isosurface(value=200.0)))
+    fine = Raycaster(context, scene).render(scene.camera, 61, 57)
+    assert fine.rgba.any()
+    monkeypatch.setattr(module, "MOST_FINE_CELLS", 0)
+    for mode in ("off", "cells"):
+        coarse = Raycaster(context, replace(scene, coherence=Coherence(mode=mode))).render(scene.camera, 61, 57)
+        np.testing.assert_array_equal(fine.rgba, coarse.rgba)
+        np.testing.assert_array_equal(fine.depth, coarse.depth)
+        assert fine.samples < 0.75 * coarse.samples
