@@ -90,6 +90,7 @@ def check_bricks(resolved: ResolvedScene, count: int) -> None:
         (integration.voxel_precision != "stored", "integration.voxel_precision", repr(integration.voxel_precision),
          "'stored'"),
         (image.ray_spacing > 1, "image.ray_spacing", str(image.ray_spacing), "1"),
+        (image.samples > 1, "image.samples", str(image.samples), "1: edges of a brick are not those of the picture"),
         (is_compressed(resolved), "compression", "codes in place of voxels", "voxels as they are"),
         (resolved.volume.dtype == np.float64, "volume", "float64 voxels", "float32 or integers"),
     ]  # fmt: skip

@@ -8,7 +8,9 @@ import pytest
 from helpers.small_scenes import axis_camera
 
 from clvol import Renderer, Scene, TransferFunction, Volume
+from clvol.bricks.render import check_bricks
 from clvol.device.view import PixelLattice, PixelList
+from clvol.errors import SceneError
 from clvol.opencl.context import DeviceContext
 from clvol.opencl.devices import device_name
 from clvol.render import device_group
@@ -233,6 +235,11 @@ def test_what_a_scene_compiles_changes_only_with_lists():
         for image in ({}, {"samples": 1, "refine": "all"}, {"samples": 4, "refine": "all"}, {"samples": 4})
     ]
     assert len(set(hashes[:3])) == 1 and hashes[3] != hashes[0]
+
+
+def test_bricks_of_a_volume_have_one_ray_per_pixel():
+    with pytest.raises(SceneError, match="image.samples: got 4 for bricks, expected 1"):
+        check_bricks(scene({"samples": 4}).resolve(), 2)
 
 
 def test_progress_ends_with_all(device):

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 TilesDone = Callable[[int], None]
 _OVERLAP = 3.0  # tiles that a cell counts for, over those that it covers
+_MANY_TILES = 32  # of a list: shorter ones say little of what a tile takes
 _A_TILE = 100.0  # samples that cost as much as beginning a tile
 
 
@@ -168,7 +169,7 @@ class WholePicture(_Picture):
         taken = sum(int(context.take(stage.outputs["samples"])[own].sum(dtype=np.uint64)) for stage in self._stages)
         rgba = context.take(last.outputs["image"])
         distances = context.take(last.outputs["depths"]) if self._depth else None
-        if len(self._stages) == 1:
+        if len(self._stages) == 1 and (self._listed is None or last.tiles >= _MANY_TILES):
             self._caster.took(last.kernel, last.tiles, perf_counter() - begun)
         counters = {}
         if tallies:
@@ -228,7 +229,8 @@ class PictureParts(_Picture):
         own, begins = self._own_tiles(this, tiles)
         tally, counts = self._launch(this, own, None)
         samples = np.add.reduceat(context.read(this.outputs["samples"])[own], begins, dtype=np.uint64)
-        self._caster.took(this.kernel, len(own), perf_counter() - begun)
+        if self._listed is None or len(own) >= _MANY_TILES:
+            self._caster.took(this.kernel, len(own), perf_counter() - begun)
         if self._listed is not None:
             of_tile = self.tile[0] * self.tile[1]
             rays = int(np.clip(len(self._listed.rows) - tiles * of_tile, 0, of_tile).sum())

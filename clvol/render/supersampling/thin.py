@@ -11,13 +11,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from clvol.device.tile_ranges import sums_over_tiles, view_axes
+from clvol.device.tile_ranges import Ranges, sums_over_tiles, view_axes
 from clvol.device.view import RayFrame
 from clvol.volume import Grid
 
-_SMALL = 2.0  # pixels: the mean width of cells that hide threads anywhere in them
+_SMALL = 3.0  # pixels: the mean width of rectangles around cells that hide threads anywhere in them
 _WIDEST = 1.5  # pixels per voxel of rectangles around cells: about a pixel per edge of a voxel
-_PIECE = 1 << 16
+_SOME = 256  # cells by which the width of all is judged
 _CORNERS = np.stack(np.unravel_index(np.arange(8), (2, 2, 2)), axis=-1).astype(bool)
 
 
@@ -27,55 +27,56 @@ def hidden(
     """bool [height, width]: pixels that may hide something. ``cells`` bool [z, y, x] of 2^``shift`` lattice units:
     where anything is visible in a volume on ``grid``. ``frame``: rays of the picture, ``opacity`` [height, width]."""
     clear = opacity == 0.0
-    if not clear.any() or not cells.any():
-        return np.zeros_like(clear)
-    found = _covered(cells, shift, grid, frame, clear.shape)
-    if found is None:
-        return np.zeros_like(clear)
-    covered, width = found
-    if width > _WIDEST * (1 << shift):
-        return np.zeros_like(clear)
-    return clear & (covered if width <= _SMALL else _outline(covered))
-
-
-def _covered(
-    cells: np.ndarray, shift: int, grid: Grid, frame: RayFrame, picture: tuple[int, int]
-) -> tuple[np.ndarray, float] | None:
-    """Which pixels [height, width] rectangles around projected cells cover, and how many pixels wide these are in the
-    mean; None where the eye is among cells: then threads are not thinner than pixels."""
-    height, width = picture
-    to_edges = np.diag(np.asarray(grid.spacing) / grid.smallest_edge)
-    forward, right, down, pixel = view_axes(frame, to_edges)
-    is_perspective = frame.lens[0] > 0
     places = np.argwhere(_surface(cells))[:, ::-1]
-    upper = np.maximum(np.asarray(grid.size) - 1, 1)
-    ranges, widths = [], 0.0
-    for k in range(0, len(places), _PIECE):
-        low = places[k : k + _PIECE] << shift
-        high = np.minimum(low + (1 << shift), upper)
+    if not clear.any() or not len(places):
+        return np.zeros_like(clear)
+    some = _Cells(places[:: max(len(places) // _SOME, 1)], shift, grid, frame, clear.shape)
+    if some.width > _WIDEST * (1 << shift):
+        return np.zeros_like(clear)
+    every = _Cells(places, shift, grid, frame, clear.shape)
+    if every.width == np.inf:
+        return np.zeros_like(clear)
+    covered = every.covered()
+    return clear & (covered if some.width <= _SMALL else _outline(covered))
+
+
+class _Cells:
+    """Cells ``places`` int [n, 3] (x, y, z) in a ``picture`` (height, width): ``ranges`` of the pixels that rectangles
+    around them touch, and ``width``, how many pixels wide these are in the mean; infinite where the eye is among
+    cells: then threads are not thinner than pixels."""
+
+    def __init__(
+        self, places: np.ndarray, shift: int, grid: Grid, frame: RayFrame, picture: tuple[int, int]
+    ) -> None:
+        self._height, self._width = picture
+        self.ranges: Ranges = []
+        self.width = np.inf
+        to_edges = np.diag(np.asarray(grid.spacing) / grid.smallest_edge)
+        forward, right, down, pixel = view_axes(frame, to_edges)
+        low = places << shift
+        high = np.minimum(low + (1 << shift), np.maximum(np.asarray(grid.size) - 1, 1))
         corners = np.where(_CORNERS, high[:, None], low[:, None])
         from_plane = (corners - frame.origin) @ to_edges.T
         scale: np.ndarray | float = 1.0 / pixel
-        if is_perspective:
+        if frame.lens[0] > 0:
             depth = from_plane @ forward + frame.distance
             if (depth <= 1e-3 * (1.0 + np.abs(depth).max())).any():
-                return None
+                return
             scale = 1.0 / (depth * pixel)
-        row = []
-        for axis, (direction, n) in enumerate(((right, width), (down, height))):
+        widths = []
+        for axis, (direction, n) in enumerate(((right, self._width), (down, self._height))):
             at = (from_plane @ direction) * scale + frame.centre[axis]
             first, last = at.min(axis=1), at.max(axis=1)
-            widths += float((last - first).sum()) / 2
+            widths.append(float((last - first).mean()))
             # Pixel i reaches from i - 1/2 to i + 1/2; a little more, since rays are rounded.
-            bounds = np.ceil(first - 0.51), np.floor(last + 0.51) + 1
-            row.append(tuple(np.clip(each, 0, n).astype(int) for each in bounds))
-        ranges.append(row)
-    joined = [
-        (np.concatenate([part[axis][0] for part in ranges]), np.concatenate([part[axis][1] for part in ranges]))
-        for axis in range(2)
-    ]
-    count = sums_over_tiles(joined, np.ones(len(places), np.int64), width, height)
-    return count > 0, widths / len(places)
+            begin, end = np.ceil(first - 0.51), np.floor(last + 0.51) + 1
+            self.ranges.append((np.clip(begin, 0, n).astype(int), np.clip(end, 0, n).astype(int)))
+        self.width = sum(widths) / 2
+
+    def covered(self) -> np.ndarray:
+        """bool [height, width]."""
+        ones = np.ones(len(self.ranges[0][0]), np.int64)
+        return sums_over_tiles(self.ranges, ones, self._width, self._height) > 0
 
 
 def _surface(cells: np.ndarray) -> np.ndarray:
